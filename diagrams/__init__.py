@@ -1,0 +1,1 @@
+"""Diagrams (wiring) and the scenarios beside them."""

@@ -1,0 +1,201 @@
+"""The whole diagram: a robot that sees obstacles and goes round them.
+
+    camera, plant -> perception -> ellipsoid_descriptor
+    ellipsoid_descriptor -> regressor_chain ----> dmp_integrator -> controller -> plant
+                         -> cost_ring_selector -^      |
+              ^                      ^                 |
+              +---- policy_state ----+-----------------+
+
+The systems are made in `drake_oa.layers` from the scenario; this file wires them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydrake.geometry import Meshcat
+from pydrake.systems.framework import Diagram, DiagramBuilder, OutputPort
+from pydrake.systems.primitives import ConstantVectorSource, VectorLogSink
+from pydrake.visualization import ApplyVisualizationConfig, VisualizationConfig
+
+from drake_oa import layers
+from drake_oa.scenario import DepthCamera, GivenEllipsoids, GroundTruth, Scenario
+from drake_oa.station import RobotPlant, Station, make_robot_plant, make_station
+from drake_oa.systems.cartesian_inverse_dynamics import CartesianInverseDynamics
+from drake_oa.systems.dmp_integrator import DmpIntegrator
+
+LOG_PERIOD = 0.005
+
+
+def build_avoidance(
+    scenario: Scenario, *, modulated: bool = True, meshcat: Meshcat | None = None
+) -> Diagram:
+    """Wires a scenario.
+
+    Subsystems by name: plant, scene_graph, rgbd_sensor_<camera>, perception,
+    ellipsoid_descriptor, regressor_chain, cost_ring_selector, goal, dmp_integrator,
+    controller, log_<signal>; without a robot only those from perception to
+    dmp_integrator. With `modulated=False` there are no obstacles to see: plant, goal,
+    dmp_integrator and controller.
+
+    The diagram exports dmp_integrator's desired_position, phase and policy_state.
+
+    Args:
+        scenario: what to build.
+        modulated: whether the motion is bent round obstacles.
+        meshcat: viewer, or None.
+
+    Raises:
+        ScenarioError: naming the field that does not fit.
+    """
+    builder = DiagramBuilder()
+    robot_plant = None if scenario.robot is None else make_robot_plant(scenario.robot)
+    station = None
+    if robot_plant is not None:
+        sees = modulated and isinstance(scenario.perception, DepthCamera)
+        station = make_station(builder, scenario, render=sees)
+
+    goal = builder.AddNamedSystem("goal", ConstantVectorSource(np.asarray(scenario.task.goal)))
+    policy = builder.AddNamedSystem("dmp_integrator", layers.make_dmp_integrator(scenario))
+    builder.Connect(goal.get_output_port(), policy.GetInputPort("goal"))
+    for name in ("desired_position", "desired_velocity", "desired_acceleration", "phase"):
+        _log(builder, name, policy.GetOutputPort(name))
+    for name in ("desired_position", "phase", "policy_state"):
+        builder.ExportOutput(policy.GetOutputPort(name), name)
+
+    seen: OutputPort | None = None
+    if modulated:
+        seen = _wire_perception(builder, scenario, station, robot_plant)
+        _wire_decision(builder, scenario, seen, policy, goal)
+    if station is not None and robot_plant is not None:
+        q_start = layers.start_positions(robot_plant, scenario)
+        station.plant.SetDefaultPositions(station.robot, q_start)
+        controller = layers.make_controller(scenario, robot_plant, q_start)
+        _wire_robot(builder, station, policy, controller)
+    if meshcat is not None:
+        _wire_view(builder, scenario, station, meshcat)
+    diagram = builder.Build()
+    diagram.set_name("avoidance")
+    return diagram
+
+
+def _log(builder: DiagramBuilder, name: str, port: OutputPort) -> None:
+    sink = builder.AddNamedSystem(f"log_{name}", VectorLogSink(port.size(), LOG_PERIOD))
+    builder.Connect(port, sink.get_input_port())
+
+
+def _wire_perception(
+    builder: DiagramBuilder,
+    scenario: Scenario,
+    station: Station | None,
+    robot_plant: RobotPlant | None,
+) -> OutputPort:
+    """Perception and descriptor; returns the port with the ellipsoids."""
+    source = scenario.perception
+    perception = builder.AddNamedSystem(
+        "perception", layers.make_perception(scenario, station, robot_plant)
+    )
+    if isinstance(source, GivenEllipsoids):
+        return perception.get_output_port()
+    if isinstance(source, DepthCamera):
+        sensor = station.cameras[source.camera]
+        builder.Connect(
+            sensor.depth_image_32F_output_port(), perception.GetInputPort("depth_image")
+        )
+        builder.Connect(
+            sensor.body_pose_in_world_output_port(), perception.GetInputPort("camera_pose")
+        )
+        builder.Connect(
+            station.plant.get_state_output_port(station.robot),
+            perception.GetInputPort("robot_state"),
+        )
+    if isinstance(source, GroundTruth):
+        builder.Connect(
+            station.scene_graph.get_query_output_port(), perception.GetInputPort("query_object")
+        )
+    descriptor = builder.AddNamedSystem(
+        "ellipsoid_descriptor", layers.make_ellipsoid_descriptor(scenario, robot_plant)
+    )
+    builder.Connect(perception.GetOutputPort("obstacles_W"), descriptor.GetInputPort("obstacles_W"))
+    return descriptor.GetOutputPort("ellipsoids_W")
+
+
+def _wire_decision(
+    builder: DiagramBuilder,
+    scenario: Scenario,
+    seen: OutputPort,
+    policy: DmpIntegrator,
+    goal: ConstantVectorSource,
+) -> None:
+    """Regressor chain and cost rings, between the ellipsoids and the policy."""
+    chain = builder.AddNamedSystem("regressor_chain", layers.make_regressor_chain(scenario))
+    rings = builder.AddNamedSystem("cost_ring_selector", layers.make_cost_ring_selector(scenario))
+    for system in (chain, rings, policy):
+        builder.Connect(seen, system.GetInputPort("ellipsoids_W"))
+    for system in (chain, rings):
+        builder.Connect(policy.GetOutputPort("policy_state"), system.GetInputPort("policy_state"))
+    builder.Connect(goal.get_output_port(), rings.GetInputPort("goal"))
+    builder.Connect(
+        chain.GetOutputPort("coupling_parameters"), policy.GetInputPort("coupling_parameters")
+    )
+    builder.Connect(rings.GetOutputPort("route"), policy.GetInputPort("route"))
+    if scenario.policy.descriptor == "route":
+        builder.Connect(rings.GetOutputPort("route"), chain.GetInputPort("route"))
+
+
+def _wire_robot(
+    builder: DiagramBuilder,
+    station: Station,
+    policy: DmpIntegrator,
+    controller: CartesianInverseDynamics,
+) -> None:
+    """Policy to controller to plant, and back."""
+    builder.AddNamedSystem("controller", controller)
+    state = station.plant.get_state_output_port(station.robot)
+    builder.Connect(state, controller.GetInputPort("robot_state"))
+    for name in ("desired_position", "desired_velocity", "desired_acceleration"):
+        builder.Connect(policy.GetOutputPort(name), controller.GetInputPort(name))
+    builder.Connect(
+        controller.GetOutputPort("actuation"),
+        station.plant.get_actuation_input_port(station.robot),
+    )
+    _log(builder, "robot_state", state)
+    for name in ("actuation", "torque_saturation"):
+        _log(builder, name, controller.GetOutputPort(name))
+
+
+def _wire_view(
+    builder: DiagramBuilder, scenario: Scenario, station: Station | None, meshcat: Meshcat
+) -> None:
+    """Drake's own visualisation and the overlay of what our layers think."""
+    overlay = builder.AddNamedSystem("overlay", layers.make_overlay(scenario, station, meshcat))
+    sources = {
+        "policy_state": ("dmp_integrator", "policy_state"),
+        "route": ("cost_ring_selector", "route"),
+    }
+    for port, (name, output) in sources.items():
+        if builder.HasSubsystemNamed(name):
+            system = builder.GetSubsystemByName(name)
+            builder.Connect(system.GetOutputPort(output), overlay.GetInputPort(port))
+    if builder.HasSubsystemNamed("ellipsoid_descriptor"):
+        seen = builder.GetSubsystemByName("ellipsoid_descriptor").GetOutputPort("ellipsoids_W")
+        cloud = builder.GetSubsystemByName("perception").GetOutputPort("cloud")
+        builder.Connect(seen, overlay.GetInputPort("ellipsoids_W"))
+        builder.Connect(cloud, overlay.GetInputPort("cloud"))
+    elif builder.HasSubsystemNamed("perception"):
+        seen = builder.GetSubsystemByName("perception").get_output_port()
+        builder.Connect(seen, overlay.GetInputPort("ellipsoids_W"))
+    if station is None:
+        return
+    ApplyVisualizationConfig(
+        VisualizationConfig(publish_contacts=False, publish_proximity=False),
+        builder,
+        plant=station.plant,
+        scene_graph=station.scene_graph,
+        meshcat=meshcat,
+    )
+    builder.Connect(
+        station.plant.get_body_poses_output_port(), overlay.GetInputPort("body_poses")
+    )
+    if isinstance(scenario.perception, DepthCamera) and station.cameras:
+        pose = station.cameras[scenario.perception.camera].body_pose_in_world_output_port()
+        builder.Connect(pose, overlay.GetInputPort("camera_pose"))

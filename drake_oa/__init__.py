@@ -1,0 +1,2 @@
+"""Reactive obstacle avoidance as Drake systems (Pairet et al., RA-L 2019)."""
+

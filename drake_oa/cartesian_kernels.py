@@ -1,0 +1,186 @@
+"""Compiled arithmetic behind `drake_oa.cartesian`; call its functions instead.
+
+Every kernel takes writable C-contiguous float64 arrays, so that numba compiles
+each of them once, and caches it on disk.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from drake_oa.values import FloatArray
+
+
+@njit(cache=True, error_model="numpy")
+def rotation_vector(R: FloatArray) -> FloatArray:
+    """Log map of a rotation: unit axis times angle, the angle in [0, pi].
+
+    Args:
+        R: (3, 3) rotation matrix.
+
+    Returns:
+        (3,) rotation vector [rad].
+    """
+    twice = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    sine = 0.5 * math.sqrt(twice[0] ** 2 + twice[1] ** 2 + twice[2] ** 2)
+    cosine = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)
+    angle = math.atan2(sine, cosine)
+    if cosine > 0.0:
+        scale = 0.5 * angle / sine if sine > 1e-8 else 0.5
+        return scale * twice
+    # Towards half a turn the antisymmetric part fades; the symmetric part is
+    # cos I + (1 - cos) a a^T, from whose largest column the axis a follows.
+    k = 0
+    for i in range(1, 3):
+        if R[i, i] > R[k, k]:
+            k = i
+    axis = np.empty(3)
+    for i in range(3):
+        axis[i] = 0.5 * (R[i, k] + R[k, i])
+    axis[k] -= cosine
+    norm = math.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
+    sense = axis[0] * twice[0] + axis[1] * twice[1] + axis[2] * twice[2]
+    return (angle / norm if sense >= 0.0 else -angle / norm) * axis
+
+
+@njit(cache=True, error_model="numpy")
+def damped_task_force(
+    inverse_inertia: FloatArray, acceleration: FloatArray, max_mass: float, length: float
+) -> tuple[FloatArray, float]:
+    """Task force (J M^-1 J^T)^-1 A of an acceleration A, damped near singularities.
+
+    In the eigenvectors u_i of S (J M^-1 J^T) S, where S multiplies angles by a
+    length, an eigenvalue w_i is one over the effective mass in that direction. The
+    inverse used is S sum_i u_i u_i^T / (w_i + mu_i) S with
+
+        mu_i = w_0 (1 - w_i / w_0)^2 where w_i < w_0 = 1 / max_mass, else 0:
+
+    damped least squares along the near-singular directions only. Task accuracy in
+    the others is untouched, and the joint accelerations stay bounded because the
+    smallest denominator is 3 w_0 / 4 (compare Chiaverini, IEEE T. Robotics and
+    Automation 13(3), 1997, with singular values in place of effective masses).
+
+    Args:
+        inverse_inertia: (6, 6) J M^-1 J^T, rotation first.
+        acceleration: (6,) task acceleration A, rotation first.
+        max_mass: heaviest direction that is driven exactly [kg].
+        length: weighs angles against distances [m].
+
+    Returns:
+        (6,) spatial force, and the share of damping mu / (w + mu) in the worst
+        direction.
+    """
+    scale = np.array([length, length, length, 1.0, 1.0, 1.0])
+    weighed = np.empty((6, 6))
+    for i in range(6):
+        for j in range(6):
+            weighed[i, j] = scale[i] * scale[j] * inverse_inertia[i, j]
+    eigenvalues, vectors = np.linalg.eigh(weighed)
+    floor = 1.0 / max_mass
+    force = np.zeros(6)
+    share = 0.0
+    for k in range(6):
+        # Rounding may leave a vanishing eigenvalue slightly negative.
+        w = max(eigenvalues[k], 0.0)
+        mu = floor * (1.0 - w / floor) ** 2 if w < floor else 0.0
+        share = max(share, mu / (w + mu))
+        along = 0.0
+        for i in range(6):
+            along += vectors[i, k] * scale[i] * acceleration[i]
+        for i in range(6):
+            force[i] += scale[i] * vectors[i, k] * along / (w + mu)
+    return force, share
+
+
+@njit(cache=True, error_model="numpy")
+def limit_torque(
+    bias: FloatArray, drive: FloatArray, effort: FloatArray
+) -> tuple[FloatArray, np.ndarray]:
+    """Fits tau = bias + drive into the effort limits.
+
+    When a joint is asked for too much, the whole drive is scaled by the largest
+    factor in [0, 1] that fits: gravity stays carried and the commanded acceleration
+    keeps its direction, where clipping joint by joint would bend the tool's path and
+    turn the tool. A bias that alone is beyond its limit is clipped.
+
+    Args:
+        bias: (n,) torques that carry the arm [N m].
+        drive: (n,) torques that accelerate it [N m].
+        effort: (n,) largest torque either way [N m].
+
+    Returns:
+        (n,) torques within the limits, and (n,) which joints asked for more.
+    """
+    n = len(bias)
+    saturated = np.zeros(n, dtype=np.bool_)
+    factor = 1.0
+    for i in range(n):
+        tau = bias[i] + drive[i]
+        if abs(tau) > effort[i]:
+            saturated[i] = True
+            room = effort[i] - bias[i] if tau > 0.0 else effort[i] + bias[i]
+            if room <= 0.0:
+                # Carrying alone takes it all: a drive that unloads it may stay.
+                factor = min(factor, 0.0 if tau * drive[i] > 0.0 else 1.0)
+            else:
+                factor = min(factor, room / abs(drive[i]))
+    tau = np.empty(n)
+    for i in range(n):
+        tau[i] = min(max(bias[i] + factor * drive[i], -effort[i]), effort[i])
+    return tau, saturated
+
+
+@njit(cache=True, error_model="numpy")
+def law(
+    q: FloatArray,
+    v: FloatArray,
+    p_WE: FloatArray,
+    R_WE: FloatArray,
+    M: FloatArray,
+    h: FloatArray,
+    J: FloatArray,
+    Jdot_v: FloatArray,
+    p_d: FloatArray,
+    v_d: FloatArray,
+    a_d: FloatArray,
+    R_d: FloatArray,
+    q_posture: FloatArray,
+    q_lower: FloatArray,
+    q_upper: FloatArray,
+    effort: FloatArray,
+    gains: tuple[float, ...],
+) -> tuple[bool, FloatArray, np.ndarray, FloatArray, FloatArray, float]:
+    """`drake_oa.cartesian.operational_space_torque` on plain arrays.
+
+    Returns:
+        Whether all inputs are finite (the rest means nothing otherwise), torques,
+        saturated joints, position error, orientation error, singularity.
+    """
+    kp_p, kd_p, kp_R, kd_R, kp_n, kd_n, kp_limit, margin, max_mass, length = gains
+    n = len(q)
+    error_p = p_d - p_WE
+    error_R = rotation_vector(R_d @ R_WE.T)
+    posture = kp_n * (q_posture - q) - kd_n * v
+    velocity = J @ v
+    wanted = -Jdot_v - J @ posture
+    for i in range(3):
+        wanted[i] += kp_R * error_R[i] - kd_R * velocity[i]
+        wanted[3 + i] += a_d[i] + kd_p * (v_d[i] - velocity[3 + i]) + kp_p * error_p[i]
+    # A sum is finite only if every term is.
+    if not math.isfinite(wanted.sum() + h.sum() + M.sum()):
+        return False, np.zeros(n), np.zeros(n, dtype=np.bool_), error_p, error_R, 0.0
+    # Repulsion is a torque: as an acceleration, the inertia that couples the joints
+    # could turn it towards the limit.
+    repulsion = np.empty(n)
+    for i in range(n):
+        inside = min(max(q[i], q_lower[i] + margin), q_upper[i] - margin)
+        repulsion[i] = kp_limit * M[i, i] * (inside - q[i])
+    M_inverse_Jt = np.linalg.solve(M, J.T.copy())
+    wanted -= repulsion @ M_inverse_Jt
+    force, singularity = damped_task_force(J @ M_inverse_Jt, wanted, max_mass, length)
+    # M M^-1 J^T = J^T: the task's share of the torque needs no product with M.
+    tau, saturated = limit_torque(h, M @ posture + repulsion + force @ J, effort)
+    return True, tau, saturated, error_p, error_R, singularity

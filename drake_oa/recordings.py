@@ -1,0 +1,166 @@
+"""Folders of recorded depth images and clouds, read into frames in order of time.
+
+A file is one frame:
+
+- ``.npz`` with ``depth`` (H, W) [m] and ``K`` = [fx, fy, cx, cy], or with ``points``
+  (N, 3) [m]; in either case optionally ``X_WC`` (4, 4) and ``stamp`` [s];
+- ``.pcd`` or ``.ply``: a cloud.
+
+Where a file holds no stamp, the number at the end of its name is the stamp in
+seconds if it has a decimal point (``cloud_000.066.pcd``); otherwise the stamp is the
+file's place in the folder, in order of name, times the period.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+SUFFIXES = (".npz", ".pcd", ".ply")
+
+_STAMP = re.compile(r"(?:^|[^0-9.])([0-9]+\.[0-9]+)$")
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedFrame:
+    """One recorded frame: a depth image with K, or points.
+
+    Attributes:
+        path: the file.
+        stamp: its time [s].
+        depth: (H, W) [m], or None.
+        K: (4,) fx, fy, cx, cy [pixel], or None.
+        points: (N, 3) in the camera frame [m], or None.
+        X_WC: (4, 4) pose of the camera, or None when the file does not know it.
+    """
+
+    path: Path
+    stamp: float
+    depth: NDArray[np.floating] | None = None
+    K: FloatArray | None = None
+    points: NDArray[np.floating] | None = None
+    X_WC: FloatArray | None = None
+
+
+def read_recording(folder: str | Path, period: float = 1.0 / 15.0) -> tuple[RecordedFrame, ...]:
+    """Reads all frames of a folder, sorted by stamp.
+
+    Hidden files and subfolders are ignored.
+
+    Args:
+        folder: the folder.
+        period: time between files that carry no stamp [s].
+
+    Raises:
+        FileNotFoundError: if the folder does not exist or holds no file.
+        ValueError: naming the file, for an unknown suffix, an unreadable file,
+            missing or malformed arrays, or a stamp that two files share.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise FileNotFoundError(f"recording: there is no folder '{folder}'")
+    paths = sorted(
+        path for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")
+    )
+    if not paths:
+        raise FileNotFoundError(
+            f"recording: the folder '{folder}' holds no file; valid are {', '.join(SUFFIXES)}"
+        )
+    frames = [_read_frame(path, index * period) for index, path in enumerate(paths)]
+    frames.sort(key=lambda frame: frame.stamp)
+    for first, second in itertools.pairwise(frames):
+        if first.stamp == second.stamp:
+            raise ValueError(
+                f"recording: '{first.path}' and '{second.path.name}' have the same stamp "
+                f"{first.stamp} s; each frame needs its own"
+            )
+    return tuple(frames)
+
+
+def _read_frame(path: Path, default_stamp: float) -> RecordedFrame:
+    match = _STAMP.search(path.stem)
+    stamp = float(match.group(1)) if match else default_stamp
+    suffix = path.suffix.lower()
+    if suffix == ".npz":
+        return _read_npz(path, stamp)
+    if suffix in (".pcd", ".ply"):
+        return RecordedFrame(path, stamp, points=_read_cloud(path))
+    raise ValueError(
+        f"recording: '{path}' has the unknown suffix '{path.suffix}'; "
+        f"valid are {', '.join(SUFFIXES)}"
+    )
+
+
+def _read_npz(path: Path, stamp: float) -> RecordedFrame:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            data = {name: archive[name] for name in archive.files}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise ValueError(f"recording: '{path}' cannot be read as .npz: {error}") from None
+    depth, points = data.get("depth"), data.get("points")
+    if (depth is None) == (points is None):
+        raise ValueError(
+            f"recording: '{path}' must hold either 'depth' (with 'K') or 'points'; "
+            f"it holds {', '.join(sorted(data)) or 'nothing'}"
+        )
+    K = None
+    if depth is not None:
+        _check_floats(path, "depth", depth, depth.ndim == 2, "(H, W)")
+        K = _numbers(path, data, "K", (4,))
+        if K is None or (K[:2] <= 0.0).any():
+            raise ValueError(f"recording: '{path}' needs 'K' = [fx, fy, cx, cy] with its depth")
+    if points is not None:
+        shape_fits = points.ndim == 2 and points.shape[1] == 3
+        _check_floats(path, "points", points, shape_fits, "(N, 3)")
+    own_stamp = _numbers(path, data, "stamp", ())
+    if own_stamp is not None:
+        stamp = float(own_stamp)
+    return RecordedFrame(path, stamp, depth, K, points, _numbers(path, data, "X_WC", (4, 4)))
+
+
+def _check_floats(
+    path: Path, name: str, array: NDArray[np.generic], fits: bool, shape: str
+) -> None:
+    if not fits or not np.issubdtype(array.dtype, np.floating):
+        raise ValueError(
+            f"recording: '{name}' in '{path}' must be {shape} floats [m], "
+            f"not {array.dtype} {array.shape}"
+        )
+
+
+def _numbers(
+    path: Path, data: Mapping[str, NDArray[np.generic]], name: str, shape: tuple[int, ...]
+) -> FloatArray | None:
+    if name not in data:
+        return None
+    array = data[name]
+    number = np.issubdtype(array.dtype, np.floating) or np.issubdtype(array.dtype, np.integer)
+    if not number or array.shape != shape or not np.isfinite(array.astype(float)).all():
+        raise ValueError(
+            f"recording: '{name}' in '{path}' must be finite numbers of shape {shape}, "
+            f"not {array.dtype} {array.shape}"
+        )
+    return array.astype(float)
+
+
+def _read_cloud(path: Path) -> FloatArray:
+    import open3d
+
+    # Open3D only warns, on standard output, about a file it cannot read.
+    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
+        cloud = open3d.io.read_point_cloud(
+            path, remove_nan_points=True, remove_infinite_points=True
+        )
+    points = np.asarray(cloud.points, dtype=float)
+    if not len(points):
+        raise ValueError(f"recording: '{path}' holds no readable point")
+    return points.copy()

@@ -1,0 +1,117 @@
+"""Compiled loops over obstacles for `drake_oa.regressor`: a few rows, many small steps."""
+
+import math
+
+import numba
+import numpy as np
+
+from drake_oa.values import FloatArray
+
+_PARALLEL = 1e-6
+"""Sine of the angle below which two directions do not span a plane."""
+
+
+@numba.njit(cache=True)
+def clamp_rows(
+    extents: FloatArray,
+    clearance: FloatArray,
+    baseline: float,
+    lower: FloatArray,
+    upper: FloatArray,
+    axis1: FloatArray,
+    axis2: FloatArray,
+    table: FloatArray,
+    columns: FloatArray,
+) -> FloatArray:
+    """Moves queries into the trained range and tells how far each was moved.
+
+    Args:
+        extents: (M, 2) lambda1', lambda2' [m].
+        clearance: (M,) Delta [m].
+        baseline: L [m].
+        lower: (3,) least values.
+        upper: (3,) greatest values.
+        axis1: (n,) increasing lambda1'/L of the table; empty: no table.
+        axis2: (m,) increasing lambda2'/L.
+        table: (n, m) largest attainable Delta/L, interpolated bilinearly.
+        columns: (>= 3, M) takes the moved queries in its first three rows.
+
+    Returns:
+        (M,) largest distance moved, in units of L; inf where an extent is not a
+        finite positive number.
+    """
+    moved = np.empty(len(extents))
+    asked = np.empty(3)
+    for row in range(len(extents)):
+        asked[2] = clearance[row] / baseline
+        valid = True
+        for k in range(2):
+            valid = valid and 0.0 < extents[row, k] < np.inf
+            asked[k] = extents[row, k] / baseline
+        for k in range(3):
+            columns[k, row] = min(max(asked[k], lower[k]), upper[k])
+        if not valid:
+            moved[row] = np.inf
+            continue
+        if len(axis1):
+            x, y = columns[0, row], columns[1, row]
+            i = min(max(np.searchsorted(axis1, x) - 1, 0), len(axis1) - 2)
+            j = min(max(np.searchsorted(axis2, y) - 1, 0), len(axis2) - 2)
+            u = (x - axis1[i]) / (axis1[i + 1] - axis1[i])
+            v = (y - axis2[j]) / (axis2[j + 1] - axis2[j])
+            low = table[i, j] + v * (table[i, j + 1] - table[i, j])
+            high = table[i + 1, j] + v * (table[i + 1, j + 1] - table[i + 1, j])
+            limit = low + u * (high - low)
+            columns[2, row] = min(columns[2, row], max(limit, lower[2]))
+            moved[row] = max(0.0, lower[2] - limit)
+        else:
+            moved[row] = 0.0
+        for k in range(3):
+            moved[row] = max(moved[row], abs(asked[k] - columns[k, row]))
+    return moved
+
+
+@numba.njit(cache=True)
+def section_rows(
+    p_WE: FloatArray,
+    z_W: FloatArray,
+    R_WL: FloatArray,
+    p_WO: FloatArray,
+    R_WO: FloatArray,
+    semi_axes: FloatArray,
+) -> FloatArray:
+    """See `drake_oa.regressor.section_extents`."""
+    extents = np.empty((len(p_WO), 2))
+    zz = z_W[0] ** 2 + z_W[1] ** 2 + z_W[2] ** 2
+    for row in range(len(p_WO)):
+        e0, e1, e2 = p_WO[row, 0] - p_WE[0], p_WO[row, 1] - p_WE[1], p_WO[row, 2] - p_WE[2]
+        n0 = e1 * z_W[2] - e2 * z_W[1]
+        n1 = e2 * z_W[0] - e0 * z_W[2]
+        n2 = e0 * z_W[1] - e1 * z_W[0]
+        squared = n0 * n0 + n1 * n1 + n2 * n2
+        if squared <= _PARALLEL**2 * (e0 * e0 + e1 * e1 + e2 * e2) * zz:
+            n0, n1, n2, squared = R_WL[0, 1], R_WL[1, 1], R_WL[2, 1], 1.0
+        norm = math.sqrt(squared)
+        n0, n1, n2 = n0 / norm, n1 / norm, n2 / norm
+        # u along the projection of the baseline into the plane, v across it.
+        height = n0 * R_WL[0, 0] + n1 * R_WL[1, 0] + n2 * R_WL[2, 0]
+        u0, u1, u2 = R_WL[0, 0] - height * n0, R_WL[1, 0] - height * n1, R_WL[2, 0] - height * n2
+        squared = u0 * u0 + u1 * u1 + u2 * u2
+        if squared <= _PARALLEL**2:
+            # The plane is square to the baseline: measure along the way to the obstacle.
+            u0, u1, u2, squared = e0, e1, e2, e0 * e0 + e1 * e1 + e2 * e2
+        norm = math.sqrt(squared)
+        u0, u1, u2 = u0 / norm, u1 / norm, u2 / norm
+        v0, v1, v2 = n1 * u2 - n2 * u1, n2 * u0 - n0 * u2, n0 * u1 - n1 * u0
+        s11, s12, s22 = 0.0, 0.0, 0.0
+        for k in range(3):
+            r0, r1, r2 = R_WO[row, 0, k], R_WO[row, 1, k], R_WO[row, 2, k]
+            a = (u0 * r0 + u1 * r1 + u2 * r2) / semi_axes[row, k]
+            b = (v0 * r0 + v1 * r1 + v2 * r2) / semi_axes[row, k]
+            s11 += a * a
+            s12 += a * b
+            s22 += b * b
+        determinant = s11 * s22 - s12 * s12
+        extents[row, 0] = math.sqrt(s22 / determinant)
+        extents[row, 1] = math.sqrt(s11 / determinant)
+    return extents

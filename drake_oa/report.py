@@ -1,0 +1,100 @@
+"""The report of a run: what the pre-planned and the modulated motion kept and touched."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from drake_oa.metrics import MotionMetrics, free_point_metrics, path_length, robot_metrics
+from drake_oa.motion_log import MotionLog, unpack_ellipsoids
+from drake_oa.scenario import Scenario
+from drake_oa.values import EllipsoidSet
+
+
+def motion_metrics(scenario: Scenario, log: MotionLog) -> MotionMetrics:
+    """Judges a logged motion: by SceneGraph, or by the given ellipsoids without a robot."""
+    if scenario.robot is not None:
+        return robot_metrics(scenario, log.q)
+    seen = unpack_ellipsoids(log, 0) if len(log.observation_stamp) else EllipsoidSet()
+    return free_point_metrics(log.desired_position, seen)
+
+
+def motion_report(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
+    """The figures of one motion; distances in metres, times in seconds.
+
+    Keys: `collisions` (pairs of a robot link and a thing that touched),
+    `contacts` (their names), `tool_clearance_min`, `robot_clearance_min` (to
+    obstacles; None where there is none), `goal_error` (at the last instant),
+    `torque_saturation` (fraction of logged steps), `duration`, `path_length`,
+    `stop_reason`, `events`.
+    """
+    metrics = motion_metrics(scenario, log)
+    reached = metrics.p_WE[-1] if len(metrics.p_WE) else np.asarray(scenario.task.start)
+    return {
+        "collisions": len(metrics.contacts),
+        "contacts": list(metrics.contacts),
+        "tool_clearance_min": _finite(metrics.tool_clearance.min(initial=math.inf)),
+        "robot_clearance_min": _finite(metrics.robot_clearance.min(initial=math.inf)),
+        "goal_error": float(np.linalg.norm(reached - scenario.task.goal)),
+        "torque_saturation": float(log.saturated.mean()) if len(log.saturated) else 0.0,
+        "duration": log.duration,
+        "path_length": path_length(metrics.p_WE),
+        "stop_reason": log.stop_reason,
+        "events": [
+            {"time": float(when), "note": note}
+            for when, note in zip(log.event_time, log.event, strict=True)
+        ],
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def run_report(name: str, scenario: Scenario, logs: dict[str, MotionLog]) -> dict[str, Any]:
+    """The report of `drake-oa run --json`; see `motion_report` for each motion.
+
+    Args:
+        name: the scenario's name.
+        scenario: the scenario.
+        logs: "preplanned" and "modulated" -> their logs.
+    """
+    report: dict[str, Any] = {"scenario": name, "seed": scenario.seed}
+    report |= {motion: motion_report(scenario, log) for motion, log in logs.items()}
+    last = logs.get("modulated") or next(iter(logs.values()))
+    report["real_time_factor"] = last.duration / last.wall_time if last.wall_time > 0.0 else None
+    versions = dict(item.split(" ", 1) for item in last.versions)
+    report["commit"] = versions.pop("commit", None)
+    report["versions"] = versions
+    return report
+
+
+_COLUMNS = (
+    ("collisions", "collisions", "{:d}"),
+    ("tool_clearance_min", "tool clearance [m]", "{:.3f}"),
+    ("robot_clearance_min", "robot clearance [m]", "{:.3f}"),
+    ("goal_error", "goal error [mm]", "{:.2f}"),
+    ("torque_saturation", "saturated [%]", "{:.1f}"),
+    ("duration", "duration [s]", "{:.2f}"),
+)
+_SCALE = {"goal_error": 1e3, "torque_saturation": 1e2}
+
+
+def report_table(report: dict[str, Any]) -> str:
+    """The report as a text table, one row a motion, like the paper's Table III."""
+    rows = [["", *(title for _, title, _ in _COLUMNS), "ended by"]]
+    for motion in ("preplanned", "modulated"):
+        if motion not in report:
+            continue
+        row = [motion]
+        for key, _, form in _COLUMNS:
+            value = report[motion][key]
+            row.append("-" if value is None else form.format(value * _SCALE.get(key, 1)))
+        rows.append([*row, report[motion]["stop_reason"]])
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    return "\n".join(
+        "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    )

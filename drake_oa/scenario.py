@@ -1,0 +1,454 @@
+"""The typed scenario: everything a run needs, in one YAML file.
+
+A scenario file is read in three steps. The text becomes plain mappings
+(`pydrake.common.yaml.yaml_load`), overrides are merged into them, every key, tag,
+type and range is checked against the dataclasses below so that an error names the
+field and what would be valid, and `yaml_load_typed` builds the `Scenario`.
+"""
+
+# No postponed annotations here: yaml_load_typed reads the fields' types.
+import dataclasses as dc
+import math
+import types
+import typing
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load, yaml_load_typed
+from pydrake.multibody.parsing import ModelDirective
+from pydrake.systems.sensors import CameraConfig
+
+from drake_oa.point_cloud import SegmentationConfig
+
+_SUFFIX = ".scenario.yaml"
+
+
+class ScenarioError(ValueError):
+    """A scenario that cannot be run: says which field, and what would be valid."""
+
+
+def _number(
+    default: float, unit: str, low: float = -math.inf, high: float = math.inf, *, open_low: bool = False
+) -> Any:
+    return dc.field(
+        default=default, metadata={"unit": unit, "low": low, "high": high, "open_low": open_low}
+    )
+
+
+def _choice(default: str, *others: str) -> Any:
+    return dc.field(default=default, metadata={"choices": (default, *others)})
+
+
+def _vector(default: list[float], unit: str, size: int | None = None) -> Any:
+    return dc.field(
+        default_factory=lambda: list(default),
+        metadata={"unit": unit, "size": len(default) if size is None else size},
+    )
+
+
+@dc.dataclass
+class Task:
+    """The motion that was planned without knowing the obstacles."""
+
+    # Where the tool point starts, and should end, in the world frame [m].
+    start: list[float] = _vector([0.45, -0.45, 0.3], "m")
+    goal: list[float] = _vector([0.45, 0.45, 0.3], "m")
+    # Duration T of the demonstrated motion; the avoiding one takes tau T [s].
+    duration: float = _number(5.0, "s", 0.0, 600.0, open_low=True)
+    # Asked distance between tool and obstacle, Delta [m].
+    clearance: float = _number(0.15, "m", 0.0, 2.0, open_low=True)
+    # A demonstrated path to imitate: .npz with `path` (T, 3) and, if uneven in
+    # time, `t` (T,). Empty: minimum jerk along the straight line.
+    demonstration: str = ""
+
+
+@dc.dataclass
+class Policy:
+    """Constants of the action and decision levels."""
+
+    # Step of the movement primitive [s].
+    period: float = _number(0.005, "s", 1e-4, 0.1)
+    # Transformation system: spring constants, per normalised time t / (tau T).
+    alpha_x: float = _number(80.0, "1", 0.0, 1e4, open_low=True)
+    beta_x: float = _number(20.0, "1", 0.0, 1e4, open_low=True)
+    # Canonical system: decay of the phase over the motion.
+    alpha_k: float = _number(math.log(100.0), "1", 0.0, 100.0, open_low=True)
+    # Basis functions of the forcing term.
+    n_basis: int = dc.field(default=35, metadata={"unit": "1", "low": 2, "high": 1000})
+    # Weights of the regressor chain (file or package:// URL).
+    weights: str = "package://drake_oa/weights/regressor_chain.npz"
+    # How heading guidance fades near an obstacle (see docs/equations.md).
+    guidance: str = _choice("counterphase", "printed")
+    # Largest alpha of the guidance term.
+    guidance_gain: float = _number(100.0, "1", 0.0, 1e6)
+    # What the regressor chain looks at: the obstacle as the chosen route meets it, or
+    # the section of the P-plane, as in the paper.
+    descriptor: str = _choice("route", "section")
+    # The coupling fades within this share of the baseline before the goal.
+    fade: float = _number(0.3, "1", 0.0, 1.0)
+    # Directions on a cost ring, and how often the route is reconsidered [s].
+    ring_directions: int = dc.field(default=36, metadata={"unit": "1", "low": 4, "high": 720})
+    route_period: float = _number(1.0 / 15.0, "s", 1e-3, 10.0)
+    # Height of the tool point above the table below which a route is forbidden [m].
+    table_height: float = _number(0.05, "m", 0.0, 10.0)
+    # The motion is held when the last good observation is older than this [s].
+    max_observation_age: float = _number(0.5, "s", 0.0, 1e6, open_low=True)
+    # Time in which the motion ramps from full speed to a hold [s].
+    hold_time: float = _number(0.25, "s", 0.0, 10.0, open_low=True)
+
+
+@dc.dataclass
+class Gains:
+    """Stiffness and damping of the Cartesian controller (critical by default)."""
+
+    # Position [1/s^2] and [1/s].
+    kp_position: float = _number(400.0, "1/s^2", 0.0, 1e5)
+    kd_position: float = _number(40.0, "1/s", 0.0, 1e4)
+    # Orientation.
+    kp_orientation: float = _number(400.0, "1/s^2", 0.0, 1e5)
+    kd_orientation: float = _number(40.0, "1/s", 0.0, 1e4)
+    # Posture, in the null space of the task.
+    kp_posture: float = _number(25.0, "1/s^2", 0.0, 1e5)
+    kd_posture: float = _number(10.0, "1/s", 0.0, 1e4)
+
+
+@dc.dataclass
+class Robot:
+    """The arm that carries the tool. Welded to the world by `base_link`."""
+
+    # Drake's own Panda is package://drake_models/franka_description/urdf/panda_arm_hand.urdf
+    model: str = "package://drake_oa/panda/panda_arm_hand.urdf"
+    base_link: str = "panda_link0"
+    # The tool point E is p_HE in the frame of the hand link H.
+    hand_link: str = "panda_hand"
+    p_HE: list[float] = _vector([0.0, 0.0, 0.1034], "m")
+    # Bodies that make up the tool: they dilate the obstacles.
+    tool_links: list[str] = dc.field(
+        default_factory=lambda: ["panda_hand", "panda_leftfinger", "panda_rightfinger"]
+    )
+    # Orientation of E, held throughout: roll, pitch, yaw [rad]. Tool down, fingers
+    # opening along the world's x: the hand is narrow along the motion.
+    rpy_WE: list[float] = _vector([math.pi, 0.0, math.pi / 2.0], "rad")
+    # Seed of the inverse kinematics and posture of the null space (7 joints) [rad].
+    q_seed: list[float] = _vector(
+        [-0.7401, 0.1857, 0.0143, -1.9017, -0.003, 2.0874, 0.0608], "rad"
+    )
+    # Opening of each finger [m].
+    finger_opening: float = _number(0.0, "m", 0.0, 0.04)
+    gains: Gains = dc.field(default_factory=Gains)
+
+
+@dc.dataclass
+class DepthCamera:
+    """Obstacles as a depth camera of `cameras` sees them."""
+
+    camera: str = "camera"
+    # Changes to the segmentation's defaults: see `SegmentationConfig`.
+    segmentation: dict[str, float] = dc.field(default_factory=dict)
+
+
+@dc.dataclass
+class GroundTruth:
+    """Obstacles as SceneGraph knows them."""
+
+    period: float = _number(1.0 / 15.0, "s", 1e-3, 10.0)
+
+
+@dc.dataclass
+class RecordedClouds:
+    """Obstacles from a folder of recorded clouds or depth images."""
+
+    # Folder with .npz, .pcd or .ply files; relative to the scenario file.
+    folder: str = ""
+    period: float = _number(1.0 / 15.0, "s", 1e-3, 10.0)
+    # Whether the recording starts again when it has ended.
+    loop: bool = False
+    segmentation: dict[str, float] = dc.field(default_factory=dict)
+
+
+@dc.dataclass
+class EllipsoidConfig:
+    """One given ellipsoid, already dilated."""
+
+    center: list[float] = _vector([0.0, 0.0, 0.0], "m")
+    semi_axes: list[float] = _vector([0.1, 0.1, 0.1], "m")
+    rpy: list[float] = _vector([0.0, 0.0, 0.0], "rad")
+
+
+@dc.dataclass
+class GivenEllipsoids:
+    """The descriptors themselves: the action level alone, without perception."""
+
+    ellipsoids: list[EllipsoidConfig] = dc.field(default_factory=list)
+
+
+@dc.dataclass
+class Scenario:
+    """Everything a run needs. Each field has a default; a file states the rest."""
+
+    # One line for `drake-oa scenarios`.
+    description: str = ""
+    # Seed of everything random.
+    seed: int = dc.field(default=0, metadata={"unit": "1", "low": 0, "high": 2**31 - 1})
+    # Step of the simulated plant and controller [s].
+    plant_step: float = _number(0.001, "s", 1e-5, 0.01)
+    task: Task = dc.field(default_factory=Task)
+    policy: Policy = dc.field(default_factory=Policy)
+    # The robot, or null: the action level drives a free point.
+    robot: Robot | None = dc.field(default_factory=Robot)
+    # What stands in the world besides the robot (Drake model directives).
+    # Obstacles are the model instances whose name starts with "obstacle".
+    directives: list[ModelDirective] = dc.field(default_factory=list)
+    # Drake's camera configurations, each with a name of its own.
+    cameras: list[CameraConfig] = dc.field(default_factory=list)
+    # Where obstacles come from.
+    perception: DepthCamera | GroundTruth | RecordedClouds | GivenEllipsoids = dc.field(
+        default_factory=GroundTruth
+    )
+
+    # Height of the table in the world; null: there is none [m].
+    table_height: float | None = dc.field(default=0.0, metadata={"unit": "m"})
+
+
+def shipped_scenarios() -> dict[str, Path]:
+    """Name -> file of the scenarios that come with the package."""
+    folder = Path(str(resources.files("drake_oa.diagrams")))
+    return {p.name.removesuffix(_SUFFIX): p for p in sorted(folder.glob(f"*{_SUFFIX}"))}
+
+
+def scenario_path(name_or_file: str) -> Path:
+    """Finds a scenario by shipped name or by file.
+
+    Raises:
+        ScenarioError: if it is neither; lists the shipped names.
+    """
+    shipped = shipped_scenarios()
+    if name_or_file in shipped:
+        return shipped[name_or_file]
+    path = Path(name_or_file)
+    if path.is_file():
+        return path
+    raise ScenarioError(
+        f"unknown scenario '{name_or_file}': it is neither a file nor one of "
+        f"{', '.join(shipped)}"
+    )
+
+
+def load_scenario(name_or_file: str, overrides: typing.Sequence[str] = ()) -> Scenario:
+    """Reads a scenario and applies overrides.
+
+    Args:
+        name_or_file: a shipped name (see `shipped_scenarios`) or a path.
+        overrides: texts "a.b=c": c, read as YAML, replaces field b of block a.
+            A value with a tag ("perception=!GroundTruth {}") replaces the block.
+
+    Raises:
+        ScenarioError: naming the field and what would be valid.
+    """
+    path = scenario_path(name_or_file)
+    try:
+        return parse_scenario(path.read_text(), overrides, folder=path.parent)
+    except ScenarioError as error:
+        raise ScenarioError(f"{path.name}: {error}") from None
+
+
+def parse_scenario(
+    text: str, overrides: typing.Sequence[str] = (), *, folder: Path | None = None
+) -> Scenario:
+    """Builds a `Scenario` from YAML text; see `load_scenario`.
+
+    Relative file names in it are read as relative to `folder`.
+    """
+    try:
+        _refuse_repeated_keys(yaml.compose(text, Loader=yaml.SafeLoader))
+        data = yaml_load(data=text) or {}
+    except yaml.YAMLError as error:
+        raise ScenarioError(f"not valid YAML: {error}") from None
+    for override in overrides:
+        _apply_override(data, override)
+    _check(data, Scenario, "", {})
+    try:
+        scenario = yaml_load_typed(schema=Scenario, data=yaml_dump(data), defaults=Scenario())
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise ScenarioError(str(error)) from None
+    _check_whole(scenario)
+    _resolve_files(scenario, folder)
+    return scenario
+
+
+def _refuse_repeated_keys(node: yaml.Node | None, where: str = "") -> None:
+    if isinstance(node, yaml.MappingNode):
+        seen = set()
+        for key, value in node.value:
+            name = f"{where}{key.value}"
+            if key.value in seen:
+                raise ScenarioError(f"'{name}' is given twice (line {key.start_mark.line + 1})")
+            seen.add(key.value)
+            _refuse_repeated_keys(value, f"{name}.")
+    elif isinstance(node, yaml.SequenceNode):
+        for number, item in enumerate(node.value):
+            _refuse_repeated_keys(item, f"{where}{number}.")
+
+
+def _apply_override(data: dict[str, Any], override: str) -> None:
+    key, equals, text = override.partition("=")
+    if not equals or not key:
+        raise ScenarioError(f"override '{override}' must have the form field.subfield=value")
+    value = yaml_load(data=f"value: {text}")["value"]
+    block = data
+    *parents, leaf = key.strip().split(".")
+    for name in parents:
+        child = block.get(name)
+        if child is None:
+            child = block[name] = {}
+        if not isinstance(child, dict):
+            raise ScenarioError(f"override '{override}': '{name}' is not a block")
+        block = child
+    if isinstance(value, dict) and isinstance(block.get(leaf), dict) and "_tag" not in value:
+        block[leaf] |= value
+    else:
+        block[leaf] = value
+
+
+def _schema_fields(schema: type) -> dict[str, tuple[Any, Any]] | None:
+    """Name -> (type, metadata) of a schema's fields; None where it is not one."""
+    if dc.is_dataclass(schema):
+        hints = typing.get_type_hints(schema)
+        return {item.name: (hints[item.name], item.metadata) for item in dc.fields(schema)}
+    if hasattr(schema, "__fields__"):
+        return {item.name: (item.type, {}) for item in schema.__fields__}
+    return None
+
+
+def _check(data: Any, schema: Any, where: str, metadata: Any) -> None:
+    """Holds plain YAML data against a type; raises with the field's full name."""
+    origin, arguments = typing.get_origin(schema), typing.get_args(schema)
+    if origin in (types.UnionType, typing.Union):
+        _check_union(data, arguments, where, metadata)
+    elif "choices" in metadata:
+        if data not in metadata["choices"]:
+            raise ScenarioError(f"{where}: {data!r} is not one of {', '.join(metadata['choices'])}")
+    elif origin in (list, typing.List):  # noqa: UP006
+        if not isinstance(data, list):
+            raise ScenarioError(f"{where}: expected a list, not {data!r}")
+        size = metadata.get("size")
+        if size is not None and len(data) != size:
+            raise ScenarioError(f"{where}: expected {size} numbers, not {len(data)}")
+        for number, item in enumerate(data):
+            _check(item, arguments[0], f"{where}[{number}]", {})
+    elif origin is dict:
+        if not isinstance(data, dict):
+            raise ScenarioError(f"{where}: expected a block of name: value, not {data!r}")
+    elif schema in (float, int):
+        _check_number(data, schema, where, metadata)
+    elif schema in (bool, str):
+        if not isinstance(data, schema):
+            kind = "true or false" if schema is bool else "text"
+            raise ScenarioError(f"{where}: expected {kind}, not {data!r}")
+    elif (known := _schema_fields(schema)) is not None and dc.is_dataclass(schema):
+        if not isinstance(data, dict):
+            raise ScenarioError(f"{where or 'scenario'}: expected a block, not {data!r}")
+        _check_keys(data, known, where)
+        for name, value in data.items():
+            if name != "_tag":
+                kind, extra = known[name]
+                _check(value, kind, f"{where}.{name}" if where else name, extra)
+    elif known is not None and isinstance(data, dict):
+        _check_keys(data, known, where)
+
+
+def _check_keys(data: dict[str, Any], known: dict[str, Any], where: str) -> None:
+    for name in data:
+        if name != "_tag" and name not in known:
+            raise ScenarioError(
+                f"{where + '.' if where else ''}{name} is not a field; "
+                f"valid here: {', '.join(known)}"
+            )
+
+
+def _check_union(data: Any, options: tuple[Any, ...], where: str, metadata: Any) -> None:
+    if type(None) in options and data is None:
+        return
+    choices = [option for option in options if option is not type(None)]
+    tags = [f"!{choice.__name__}" for choice in choices]
+    tag = data.get("_tag") if isinstance(data, dict) else None
+    if tag is None:
+        _check(data, choices[0], where, metadata)
+    elif tag in tags:
+        _check(data, choices[tags.index(tag)], where, metadata)
+    else:
+        raise ScenarioError(f"{where}: tag {tag} is not one of {', '.join(tags)}")
+
+
+def _check_number(data: Any, schema: type, where: str, metadata: Any) -> None:
+    valid = (int,) if schema is int else (int, float)
+    unit = metadata.get("unit", "")
+    if isinstance(data, bool) or not isinstance(data, valid):
+        kind = "a whole number" if schema is int else "a number"
+        raise ScenarioError(f"{where}: expected {kind}{f' [{unit}]' if unit else ''}, not {data!r}")
+    low, high = metadata.get("low", -math.inf), metadata.get("high", math.inf)
+    above = data > low if metadata.get("open_low") else data >= low
+    if not (math.isfinite(data) and above and data <= high):
+        left = "(" if metadata.get("open_low") else "["
+        raise ScenarioError(f"{where}: {data} is outside {left}{low:g}, {high:g}] [{unit}]")
+
+
+def _check_whole(scenario: Scenario) -> None:
+    """What no single field can tell."""
+    names = [camera.name for camera in scenario.cameras]
+    for name in names:
+        if names.count(name) > 1:
+            raise ScenarioError(f"cameras: two cameras are named '{name}'; each needs its own name")
+    perception = scenario.perception
+    if isinstance(perception, DepthCamera) and perception.camera not in names:
+        raise ScenarioError(
+            f"perception.camera: there is no camera '{perception.camera}'; "
+            f"cameras has {', '.join(names) or 'none'}"
+        )
+    if isinstance(perception, (DepthCamera, RecordedClouds)):
+        try:
+            SegmentationConfig(**perception.segmentation)
+        except (TypeError, ValueError) as error:
+            valid = ", ".join(item.name for item in dc.fields(SegmentationConfig))
+            raise ScenarioError(f"perception.segmentation: {error}; fields: {valid}") from None
+    if isinstance(perception, GivenEllipsoids):
+        for number, item in enumerate(perception.ellipsoids):
+            if min(item.semi_axes) <= 0.0:
+                raise ScenarioError(
+                    f"perception.ellipsoids[{number}].semi_axes: {item.semi_axes} "
+                    "must all be positive [m]"
+                )
+    if scenario.robot is None and not isinstance(perception, GivenEllipsoids):
+        raise ScenarioError(
+            "robot: null (a free point) needs 'perception: !GivenEllipsoids'; "
+            f"it has !{type(perception).__name__}"
+        )
+    start, goal = np.asarray(scenario.task.start), np.asarray(scenario.task.goal)
+    if np.linalg.norm(goal - start) < 1e-3:
+        raise ScenarioError(
+            f"task.goal: {scenario.task.goal} is the start; they must be at least 1 mm apart"
+        )
+
+
+def _resolve_files(scenario: Scenario, folder: Path | None) -> None:
+    base = folder or Path()
+    if isinstance(scenario.perception, RecordedClouds):
+        scenario.perception.folder = str(base / Path(scenario.perception.folder).expanduser())
+    if scenario.task.demonstration:
+        scenario.task.demonstration = str(base / Path(scenario.task.demonstration).expanduser())
+
+
+def package_file(url_or_file: str) -> Path:
+    """The file behind a `package://drake_oa/...` URL, or the path itself."""
+    prefix = "package://drake_oa/"
+    if url_or_file.startswith(prefix):
+        return Path(str(resources.files("drake_oa.models"))) / url_or_file.removeprefix(prefix)
+    return Path(url_or_file)
+
+
+def scenario_text(scenario: Scenario) -> str:
+    """The scenario as YAML, defaults included, as it is written into a log."""
+    return yaml_dump_typed(scenario)

@@ -1,0 +1,128 @@
+"""Which points belong to the robot itself: distance tests against primitives.
+
+Spheres, capsules and boxes are one family, the rounded box (the points within
+``radius`` of a box with half extents h: a capsule's box is a segment, a sphere's
+a point); cylinders are the other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class RobotShapes:
+    """Primitives G fixed to the bodies B of a robot.
+
+    Attributes:
+        box_body: (S,) row, in the array of body poses, of each rounded box's body.
+        X_BG_box: (S, 4, 4) poses of the rounded boxes in their bodies.
+        half_extents: (S, 3) half extents of the inner boxes [m], zeros allowed.
+        radius: (S,) rounding radii [m], zeros allowed.
+        cylinder_body: (T,) as ``box_body``, for the cylinders.
+        X_BG_cylinder: (T, 4, 4) poses of the cylinders (axis z) in their bodies.
+        cylinder_size: (T, 2) radius and half length [m].
+    """
+
+    box_body: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    X_BG_box: FloatArray = field(default_factory=lambda: np.zeros((0, 4, 4)))
+    half_extents: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    radius: FloatArray = field(default_factory=lambda: np.zeros(0))
+    cylinder_body: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    X_BG_cylinder: FloatArray = field(default_factory=lambda: np.zeros((0, 4, 4)))
+    cylinder_size: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+
+    def __post_init__(self) -> None:
+        boxes, cylinders = len(self.box_body), len(self.cylinder_body)
+        expected = {
+            "X_BG_box": (boxes, 4, 4),
+            "half_extents": (boxes, 3),
+            "radius": (boxes,),
+            "X_BG_cylinder": (cylinders, 4, 4),
+            "cylinder_size": (cylinders, 2),
+        }
+        for name, shape in expected.items():
+            if getattr(self, name).shape != shape:
+                raise ValueError(
+                    f"RobotShapes.{name} has shape {getattr(self, name).shape}; "
+                    f"{boxes} rounded boxes and {cylinders} cylinders need {shape}"
+                )
+
+    def __len__(self) -> int:
+        return len(self.box_body) + len(self.cylinder_body)
+
+    def posed(self, X_WB: FloatArray) -> PosedShapes:
+        """Places the primitives in the world.
+
+        Args:
+            X_WB: (B, 4, 4) poses of the bodies, in the order that ``box_body`` and
+                ``cylinder_body`` refer to.
+
+        Raises:
+            ValueError: if a shape's body has no pose in ``X_WB``.
+        """
+        X_WB = np.asarray(X_WB, dtype=float)
+        rows = max(self.box_body.max(initial=-1).item(), self.cylinder_body.max(initial=-1).item())
+        if X_WB.ndim != 3 or X_WB.shape[1:] != (4, 4) or len(X_WB) <= rows:
+            raise ValueError(
+                f"X_WB has shape {X_WB.shape}; the shapes need (B, 4, 4) with B >= {rows + 1}"
+            )
+        return PosedShapes(
+            X_WB[self.box_body] @ self.X_BG_box,
+            self.half_extents,
+            self.radius,
+            X_WB[self.cylinder_body] @ self.X_BG_cylinder,
+            self.cylinder_size,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PosedShapes:
+    """RobotShapes at one instant; the poses X_WG are in the world frame."""
+
+    X_WG_box: FloatArray
+    half_extents: FloatArray
+    radius: FloatArray
+    X_WG_cylinder: FloatArray
+    cylinder_size: FloatArray
+
+    def contains(self, p_WQ: FloatArray, margin: float) -> BoolArray:
+        """Tells which points lie in or within ``margin`` of any primitive.
+
+        Args:
+            p_WQ: (N, 3) points in the world frame [m].
+            margin: distance that still counts as the robot [m], not negative.
+
+        Returns:
+            (N,) booleans.
+        """
+        inside = np.zeros(len(p_WQ), dtype=bool)
+        if not len(p_WQ):
+            return inside
+        if len(self.radius):
+            p_GQ = _in_shape_frames(self.X_WG_box, p_WQ)
+            np.abs(p_GQ, out=p_GQ)
+            p_GQ -= self.half_extents[:, :, None]
+            np.maximum(p_GQ, 0.0, out=p_GQ)
+            reach = (self.radius + margin) ** 2
+            inside |= (np.einsum("sin,sin->sn", p_GQ, p_GQ) <= reach[:, None]).any(axis=0)
+        if len(self.cylinder_size):
+            p_GQ = _in_shape_frames(self.X_WG_cylinder, p_WQ)
+            radial = np.hypot(p_GQ[:, 0], p_GQ[:, 1]) - self.cylinder_size[:, :1]
+            axial = np.abs(p_GQ[:, 2]) - self.cylinder_size[:, 1:]
+            beyond = np.maximum(radial, 0.0) ** 2 + np.maximum(axial, 0.0) ** 2
+            inside |= (beyond <= margin**2).any(axis=0)
+        return inside
+
+
+def _in_shape_frames(X_WG: FloatArray, p_WQ: FloatArray) -> FloatArray:
+    """(S, 4, 4) and (N, 3) -> (S, 3, N): the points seen from each shape."""
+    R_GW = X_WG[:, :3, :3].transpose(0, 2, 1)
+    return np.asarray(R_GW @ p_WQ.T - R_GW @ X_WG[:, :3, 3:])

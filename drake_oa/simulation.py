@@ -1,0 +1,214 @@
+"""Runs a scenario's diagram to its end and keeps the log."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from pydrake.geometry import Meshcat
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, Diagram, EventStatus
+from pydrake.systems.primitives import VectorLogSink
+
+from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.motion_log import MotionLog, pack_ellipsoids
+from drake_oa.scenario import Scenario, scenario_text
+from drake_oa.values import EllipsoidSet, FloatArray, PolicyState
+
+LONGEST_HOLD = 5.0
+"""A motion that is held for longer than this is ended [s]."""
+LONGEST_SCALING = 6.0
+"""A motion that takes more than this many demonstrated durations is ended."""
+
+
+class MotionInterruptedError(RuntimeError):
+    """A simulation that did not end by itself; `log` holds what happened until then."""
+
+    def __init__(self, log: MotionLog) -> None:
+        super().__init__(log.stop_reason)
+        self.log = log
+
+
+def software_versions() -> tuple[str, ...]:
+    """"name version" of what the result depends on, and the commit when known."""
+    found = [f"{name} {version(name)}" for name in ("drake_oa", "drake", "numpy", "scipy", "open3d")]
+    commit = source_commit()
+    return (*found, f"commit {commit}") if commit else tuple(found)
+
+
+def source_commit() -> str:
+    """Commit of the checkout this package runs from, or "" when there is none."""
+    folder = Path(__file__).resolve().parents[1]
+    if not (folder / ".git").exists():
+        return ""
+    try:
+        answer = subprocess.run(
+            ["git", "-C", str(folder), "rev-parse", "--short", "HEAD"],
+            capture_output=True,
+            text=True,
+            timeout=10,
+            check=False,
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return answer.stdout.strip()
+
+
+class _Watcher:
+    """Looks at the policy after each step: records, reports progress, ends the run."""
+
+    def __init__(
+        self,
+        diagram: Diagram,
+        scenario: Scenario,
+        end_time: float,
+        on_progress: Callable[[float, float], None] | None,
+    ) -> None:
+        self._diagram = diagram
+        self._policy_system = diagram.GetSubsystemByName("dmp_integrator")
+        self._policy_port = self._policy_system.GetOutputPort("policy_state")
+        self._ellipsoid_port = None
+        if diagram.HasSubsystemNamed("ellipsoid_descriptor"):
+            self._ellipsoid_system = diagram.GetSubsystemByName("ellipsoid_descriptor")
+            self._ellipsoid_port = self._ellipsoid_system.GetOutputPort("ellipsoids_W")
+        elif diagram.HasSubsystemNamed("perception"):
+            self._ellipsoid_system = diagram.GetSubsystemByName("perception")
+            self._ellipsoid_port = self._ellipsoid_system.get_output_port()
+        self._last_phase = math.exp(-scenario.policy.alpha_k)
+        self._period = scenario.policy.period
+        self._end_time = end_time
+        self._on_progress = on_progress
+        self._next_time = 0.0
+        self._held_since: float | None = None
+        self.frames: list[EllipsoidSet] = []
+        self.events: list[tuple[float, str]] = []
+        self.stop_reason = ""
+
+    def __call__(self, root: Context) -> EventStatus:
+        now = root.get_time()
+        if now < self._next_time:
+            return EventStatus.DidNothing()
+        self._next_time = now + 0.5 * self._period
+        policy: PolicyState = self._policy_port.Eval(
+            self._policy_system.GetMyContextFromRoot(root)
+        )
+        self._record(root, now, policy)
+        if self._on_progress is not None:
+            self._on_progress(now, policy.phase)
+        if policy.phase <= self._last_phase * (1.0 + 1e-9):
+            return self._stop("goal")
+        if self._held_since is not None and now - self._held_since > LONGEST_HOLD:
+            return self._stop(f"held for {LONGEST_HOLD:g} s: {policy.note}")
+        if now >= self._end_time:
+            return self._stop(f"time limit of {self._end_time:g} s")
+        return EventStatus.DidNothing()
+
+    def _record(self, root: Context, now: float, policy: PolicyState) -> None:
+        if policy.note != (self.events[-1][1] if self.events else ""):
+            self.events.append((now, policy.note))
+        if not policy.note:
+            self._held_since = None
+        elif self._held_since is None:
+            self._held_since = now
+        if self._ellipsoid_port is not None:
+            seen: EllipsoidSet = self._ellipsoid_port.Eval(
+                self._ellipsoid_system.GetMyContextFromRoot(root)
+            )
+            if math.isfinite(seen.stamp) and (
+                not self.frames or seen.stamp != self.frames[-1].stamp
+            ):
+                self.frames.append(seen)
+
+    def _stop(self, reason: str) -> EventStatus:
+        self.stop_reason = reason
+        return EventStatus.ReachedTermination(self._diagram, reason)
+
+
+def simulate(
+    scenario: Scenario,
+    *,
+    modulated: bool = True,
+    duration: float | None = None,
+    meshcat: Meshcat | None = None,
+    on_progress: Callable[[float, float], None] | None = None,
+) -> MotionLog:
+    """Runs one motion of a scenario until the goal, a lasting hold or the time limit.
+
+    Args:
+        scenario: what to run.
+        modulated: False runs the pre-planned motion, blind to obstacles.
+        duration: time limit [s]; None: `LONGEST_SCALING` demonstrated durations.
+        meshcat: viewer, or None.
+        on_progress: called with time [s] and phase, a few hundred times a second.
+
+    Raises:
+        MotionInterruptedError: if the simulation raised or was interrupted; it
+            carries the log until then, and the cause.
+    """
+    diagram = build_avoidance(scenario, modulated=modulated, meshcat=meshcat)
+    simulator = Simulator(diagram)
+    end_time = scenario.task.duration * LONGEST_SCALING if duration is None else duration
+    watcher = _Watcher(diagram, scenario, end_time, on_progress)
+    started = time.perf_counter()
+    try:
+        simulator.Initialize()
+        simulator.set_monitor(watcher)
+        started = time.perf_counter()
+        simulator.AdvanceTo(end_time)
+    except (Exception, KeyboardInterrupt) as error:
+        watcher.stop_reason = f"{type(error).__name__}: {error}".rstrip(": ")
+        log = _collect(scenario, simulator, watcher, modulated, time.perf_counter() - started)
+        raise MotionInterruptedError(log) from error
+    watcher.stop_reason = watcher.stop_reason or f"time limit of {end_time:g} s"
+    return _collect(scenario, simulator, watcher, modulated, time.perf_counter() - started)
+
+
+def _collect(
+    scenario: Scenario,
+    simulator: Simulator,
+    watcher: _Watcher,
+    modulated: bool,
+    wall_time: float,
+) -> MotionLog:
+    root = simulator.get_context()
+    diagram = simulator.get_system()
+    signals: dict[str, FloatArray] = {}
+    t = np.zeros(0)
+    for system in diagram.GetSystems():
+        if isinstance(system, VectorLogSink):
+            log = system.FindLog(root)
+            t = log.sample_times().copy()
+            signals[system.get_name().removeprefix("log_")] = log.data().T.copy()
+    count = len(t)
+    empty = np.zeros((count, 0))
+    state = signals.get("robot_state", empty)
+    half = state.shape[1] // 2
+    stamp, p_WO, R_WO, semi_axes = pack_ellipsoids(watcher.frames)
+    return MotionLog(
+        t=t,
+        q=state[:, :half],
+        v=state[:, half:],
+        torque=signals.get("actuation", empty),
+        saturated=signals.get("torque_saturation", np.zeros((count, 1)))[:, 0],
+        desired_position=signals["desired_position"],
+        desired_velocity=signals["desired_velocity"],
+        desired_acceleration=signals["desired_acceleration"],
+        phase=signals["phase"][:, 0],
+        observation_stamp=stamp,
+        p_WO=p_WO,
+        R_WO=R_WO,
+        semi_axes=semi_axes,
+        event_time=np.array([when for when, _ in watcher.events]),
+        event=tuple(note for _, note in watcher.events),
+        stop_reason=watcher.stop_reason,
+        wall_time=wall_time,
+        modulated=modulated,
+        scenario=scenario_text(scenario),
+        seed=scenario.seed,
+        versions=software_versions(),
+    )

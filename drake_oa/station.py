@@ -1,0 +1,241 @@
+"""The world that the layers act in: plant, scene graph and camera.
+
+`make_station` builds what a real cell has: the arm on its base, the table and the
+obstacles, and a depth camera. `make_robot_plant` builds the robot alone, as the
+controller and the self filter know it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+from pydrake.geometry import (
+    Box,
+    Capsule,
+    Convex,
+    Cylinder,
+    Ellipsoid,
+    Mesh,
+    SceneGraph,
+    Shape,
+    Sphere,
+)
+from pydrake.lcm import DrakeLcm
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.parsing import (
+    ModelDirectives,
+    Parser,
+    ProcessModelDirectives,
+)
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
+from pydrake.multibody.tree import FixedOffsetFrame, Frame, ModelInstanceIndex
+from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.sensors import ApplyCameraConfig, CameraConfig, RgbdSensor
+
+from drake_oa.scenario import Robot, Scenario, ScenarioError
+from drake_oa.values import FloatArray
+
+TOOL_FRAME = "tool_point"
+OBSTACLE_PREFIX = "obstacle"
+
+
+def make_parser(plant: MultibodyPlant) -> Parser:
+    """A parser that knows `package://drake_oa`."""
+    parser = Parser(plant)
+    package = Path(str(resources.files("drake_oa.models"))) / "package.xml"
+    parser.package_map().AddPackageXml(str(package))
+    return parser
+
+
+def _add_robot(plant: MultibodyPlant, robot: Robot) -> ModelInstanceIndex:
+    """Adds the arm, welds its base to the world, adds the tool frame E."""
+    try:
+        (instance,) = make_parser(plant).AddModels(url=robot.model)
+    except (RuntimeError, ValueError) as error:
+        raise ScenarioError(f"robot.model: cannot load '{robot.model}': {error}") from None
+    for field, link in (("base_link", robot.base_link), ("hand_link", robot.hand_link)):
+        if not plant.HasBodyNamed(link, instance):
+            names = [plant.get_body(i).name() for i in plant.GetBodyIndices(instance)]
+            raise ScenarioError(
+                f"robot.{field}: '{robot.model}' has no link '{link}'; it has {', '.join(names)}"
+            )
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(robot.base_link, instance))
+    plant.AddFrame(
+        FixedOffsetFrame(
+            TOOL_FRAME,
+            plant.GetFrameByName(robot.hand_link, instance),
+            RigidTransform(robot.p_HE),
+        )
+    )
+    return instance
+
+
+@dataclass(frozen=True)
+class RobotPlant:
+    """The robot alone, for kinematics and the control law.
+
+    Attributes:
+        diagram: owns plant and scene graph.
+        plant: finalized plant of arm and hand.
+        scene_graph: its geometry.
+        instance: the robot's model instance.
+        tool_frame: the frame E.
+    """
+
+    diagram: Diagram
+    plant: MultibodyPlant
+    scene_graph: SceneGraph
+    instance: ModelInstanceIndex
+
+    @property
+    def tool_frame(self) -> Frame:
+        """The tool point's frame E."""
+        return self.plant.GetFrameByName(TOOL_FRAME)
+
+
+def make_robot_plant(robot: Robot) -> RobotPlant:
+    """The robot alone, welded to the world as in the station."""
+    builder = DiagramBuilder()
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
+    instance = _add_robot(plant, robot)
+    plant.Finalize()
+    return RobotPlant(builder.Build(), plant, scene_graph, instance)
+
+
+def _shape_vertices(shape: Shape) -> tuple[FloatArray, float]:
+    """Points and a radius whose Minkowski sum encloses a shape, in its own frame."""
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
+    if isinstance(shape, Box):
+        return signs * (0.5 * np.asarray(shape.size())), 0.0
+    if isinstance(shape, Sphere):
+        return np.zeros((1, 3)), shape.radius()
+    if isinstance(shape, Capsule):
+        half = 0.5 * shape.length()
+        return np.array([[0.0, 0.0, -half], [0.0, 0.0, half]]), shape.radius()
+    if isinstance(shape, Cylinder):
+        half = np.array([shape.radius(), shape.radius(), 0.5 * shape.length()])
+        return signs * half, 0.0
+    if isinstance(shape, Ellipsoid):
+        return signs * np.array([shape.a(), shape.b(), shape.c()]), 0.0
+    if isinstance(shape, (Mesh, Convex)):
+        return np.asarray(shape.GetConvexHull().vertices()), 0.0
+    raise ScenarioError(f"robot.tool_links: no tool outline for a {type(shape).__name__}")
+
+
+def tool_corners(robot_plant: RobotPlant, robot: Robot) -> FloatArray:
+    """Corners of the tool about E, in the world's orientation, (K, 3) [m].
+
+    They come from the collision geometry of `robot.tool_links`, posed as in the
+    task: tool at `robot.rpy_WE`, fingers open by `robot.finger_opening`. A rounded
+    shape gives the corners of the box round it.
+    """
+    plant = robot_plant.plant
+    inspector = robot_plant.scene_graph.model_inspector()
+    context = plant.CreateDefaultContext()
+    plant.SetPositions(context, robot_plant.instance, home_positions(robot_plant, robot))
+    X_WE = robot_plant.tool_frame.CalcPoseInWorld(context)
+    R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix()
+    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
+    corners = []
+    for link in robot.tool_links:
+        if not plant.HasBodyNamed(link, robot_plant.instance):
+            raise ScenarioError(f"robot.tool_links: '{robot.model}' has no link '{link}'")
+        body = plant.GetBodyByName(link, robot_plant.instance)
+        X_EB = X_WE.inverse() @ plant.EvalBodyPoseInWorld(context, body)
+        for geometry in plant.GetCollisionGeometriesForBody(body):
+            points, radius = _shape_vertices(inspector.GetShape(geometry))
+            X_BG = inspector.GetPoseInFrame(geometry)
+            p_E = (X_EB @ X_BG @ points.T).T
+            if radius > 0.0:
+                p_E = (p_E[:, None, :] + radius * signs[None]).reshape(-1, 3)
+            corners.append(p_E @ R_WE.matrix().T)
+    if not corners:
+        raise ScenarioError(f"robot.tool_links: {robot.tool_links} have no collision geometry")
+    return np.concatenate(corners)
+
+
+def home_positions(robot_plant: RobotPlant, robot: Robot) -> FloatArray:
+    """All positions of the robot at `q_seed`, fingers at their opening."""
+    q = np.full(robot_plant.plant.num_positions(robot_plant.instance), robot.finger_opening)
+    q[: len(robot.q_seed)] = robot.q_seed
+    return q
+
+
+@dataclass(frozen=True)
+class Station:
+    """What `make_station` added to a builder.
+
+    Attributes:
+        plant: the finalized plant.
+        scene_graph: its scene graph.
+        robot: the robot's model instance.
+        obstacles: the model instances of the obstacles.
+        cameras: name -> the camera's `RgbdSensor`.
+    """
+
+    plant: MultibodyPlant
+    scene_graph: SceneGraph
+    robot: ModelInstanceIndex
+    obstacles: tuple[ModelInstanceIndex, ...]
+    cameras: dict[str, RgbdSensor]
+
+
+def make_station(builder: DiagramBuilder, scenario: Scenario, *, render: bool = True) -> Station:
+    """Adds the simulated cell of a scenario to a builder.
+
+    Args:
+        builder: receives plant, scene graph and, if `render`, the cameras.
+        scenario: with a robot.
+        render: whether anything will ask for images.
+
+    Raises:
+        ScenarioError: naming the field of the scenario that does not fit.
+    """
+    if scenario.robot is None:
+        raise ScenarioError("robot: a station needs a robot; this scenario has null")
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=scenario.plant_step)
+    robot = _add_robot(plant, scenario.robot)
+    try:
+        ProcessModelDirectives(
+            ModelDirectives(directives=scenario.directives), make_parser(plant)
+        )
+    except RuntimeError as error:
+        raise ScenarioError(f"directives: {error}") from None
+    plant.Finalize()
+    cameras: dict[str, RgbdSensor] = {}
+    if render:
+        for config in scenario.cameras:
+            cameras[config.name] = _add_camera(builder, plant, scene_graph, config)
+    obstacles = tuple(
+        instance
+        for instance in map(ModelInstanceIndex, range(plant.num_model_instances()))
+        if plant.GetModelInstanceName(instance).startswith(OBSTACLE_PREFIX)
+    )
+    return Station(plant, scene_graph, robot, obstacles, cameras)
+
+
+def _add_camera(
+    builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph, config: CameraConfig
+) -> RgbdSensor:
+    """Adds one of Drake's configured cameras, without any image publisher."""
+    known = {system.get_name() for system in builder.GetSystems()}
+    try:
+        # A null message queue: otherwise a publisher is added that renders each frame anew.
+        ApplyCameraConfig(
+            config=config,
+            builder=builder,
+            plant=plant,
+            scene_graph=scene_graph,
+            lcm=DrakeLcm("memq://null"),
+        )
+    except (RuntimeError, ValueError) as error:
+        raise ScenarioError(f"cameras: camera '{config.name}': {error}") from None
+    (sensor,) = (
+        system
+        for system in builder.GetSystems()
+        if system.get_name() not in known and isinstance(system, RgbdSensor)
+    )
+    return sensor

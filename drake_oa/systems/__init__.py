@@ -1,0 +1,1 @@
+"""The layers, one Drake LeafSystem a file."""

@@ -1,0 +1,183 @@
+"""The decision layer: on which side to pass each obstacle."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from pydrake.common.value import AbstractValue, Value
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from drake_oa.cost_rings import (
+    Ring,
+    Selection,
+    length_ring,
+    limits_ring,
+    path_length,
+    ring_scene,
+    select_directions,
+    table_ring,
+)
+from drake_oa.heading import desired_headings, passing_normals
+from drake_oa.passing import passing
+from drake_oa.systems.ports import read_value
+from drake_oa.values import EllipsoidSet, FloatArray, PolicyState, Route, TablePlane
+
+_logger = logging.getLogger("drake_oa")
+
+
+class CostRingSelector(LeafSystem):
+    """Chooses the side of each obstacle by cost rings, and the heading past it.
+
+    .. pydrake_system::
+
+      name: CostRingSelector
+      input_ports:
+      - ellipsoids_W
+      - policy_state
+      - goal
+      - table (optional)
+      output_ports:
+      - route
+
+    - ellipsoids_W: abstract `EllipsoidSet`, the dilated obstacles in the world frame.
+    - policy_state: abstract `PolicyState` of the movement primitive.
+    - goal: (3,) goal of the motion in the world frame [m].
+    - table (optional): abstract `TablePlane`; without it the plane that came with
+      the ellipsoids is used.
+    - route: abstract `Route`: for each obstacle the chosen direction omega_d, the
+      desired heading v_d, the plane's normal; and the rings.
+
+    The side is decided at `period` and kept by hysteresis: the decision is abstract
+    state. Between decisions only the headings follow the motion; when the set of
+    obstacles changes, it is decided at once.
+    """
+
+    def __init__(
+        self,
+        clearance: float,
+        *,
+        period: float = 1.0 / 15.0,
+        n_directions: int = 36,
+        table_height: float = 0.05,
+        workspace: Callable[[FloatArray], FloatArray] | None = None,
+        extra_rings: Mapping[str, Ring] | None = None,
+        hysteresis: float = 0.2,
+    ) -> None:
+        """Declares the ports.
+
+        Args:
+            clearance: asked distance Delta between tool and obstacle [m].
+            period: time between decisions [s].
+            n_directions: directions on a ring.
+            table_height: least height of E above the table [m].
+            workspace: signed margin [m] of world points (..., 3), positive inside;
+                None: no workspace ring.
+            extra_rings: more rings by name.
+            hysteresis: how much dearer a side may be and still be kept.
+
+        Raises:
+            ValueError: if the clearance is not positive.
+        """
+        super().__init__()
+        if not clearance > 0.0:
+            raise ValueError(f"clearance must be positive [m], not {clearance}")
+        self._clearance = clearance
+        self._n_directions = n_directions
+        self._hysteresis = hysteresis
+        self._rings: dict[str, Ring] = {
+            "table": partial(table_ring, height=table_height),
+            "length": length_ring,
+        }
+        if workspace is not None:
+            self._rings["limits"] = partial(limits_ring, workspace=workspace)
+        self._rings |= dict(extra_rings or {})
+
+        self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
+        self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
+        self._goal = self.DeclareVectorInputPort("goal", 3)
+        self._table = self.DeclareAbstractInputPort("table", Value(TablePlane()))
+        self._decided = self.DeclareAbstractState(Value(Route()))
+        self.DeclareAbstractOutputPort("route", lambda: Value(Route()), self._calc_route)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._decide)
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._decide)
+
+    def _decision(self, context: Context) -> Route:
+        """Weighs the rings; the route without its headings."""
+        ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
+        policy = read_value(self, self._policy, context, PolicyState)
+        table = ellipsoids.table
+        if self._table.HasValue(context):
+            table = read_value(self, self._table, context, TablePlane)
+        scene = ring_scene(
+            policy.p_WS,
+            self._goal.Eval(context),
+            policy.R_WL,
+            ellipsoids,
+            table,
+            clearance=self._clearance,
+            n_directions=self._n_directions,
+        )
+        decided: Route = context.get_abstract_state(self._decided).get_value()
+        known = dict(zip(decided.ids.tolist(), decided.index.tolist(), strict=True))
+        selection = select_directions(
+            scene,
+            self._rings,
+            previous=np.array([known.get(i, -1) for i in ellipsoids.ids.tolist()], dtype=np.int64),
+            hysteresis=self._hysteresis,
+        )
+        direction_W = scene.directions_W[selection.index]
+        met = passing(
+            scene.p_WS,
+            scene.p_WG,
+            policy.R_WL,
+            ellipsoids,
+            direction_W,
+            selection.groups,
+            self._clearance,
+        )
+        return Route(
+            direction_W=direction_W,
+            center_W=met.center_W,
+            extents=met.extents,
+            clearance=met.clearance,
+            weight=met.weight,
+            index=selection.index,
+            angles=scene.angles,
+            costs=selection.costs,
+            path_length=path_length(scene, selection.index),
+            ids=ellipsoids.ids,
+            note=_blocked_note(ellipsoids, selection),
+        )
+
+    def _decide(self, context: Context, state: State) -> EventStatus:
+        before: Route = context.get_abstract_state(self._decided).get_value()
+        route = self._decision(context)
+        if route.note and route.note != before.note:
+            _logger.warning("t=%.3f s: %s", context.get_time(), route.note)
+        state.get_mutable_abstract_state(self._decided).set_value(route)
+        return EventStatus.Succeeded()
+
+    def _calc_route(self, context: Context, output: AbstractValue) -> None:
+        ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
+        policy = read_value(self, self._policy, context, PolicyState)
+        route: Route = context.get_abstract_state(self._decided).get_value()
+        if not np.array_equal(route.ids, ellipsoids.ids):
+            route = self._decision(context)
+        normal_W = passing_normals(
+            policy.p_WE, route.center_W, route.direction_W, policy.R_WL
+        )
+        heading_W = desired_headings(
+            policy, ellipsoids, route.direction_W, normal_W, route.clearance
+        )
+        output.set_value(replace(route, heading_W=heading_W, normal_W=normal_W))
+
+
+def _blocked_note(ellipsoids: EllipsoidSet, selection: Selection) -> str:
+    if not selection.blocked.any():
+        return ""
+    ids = ", ".join(map(str, ellipsoids.ids[selection.blocked]))
+    return f"every side of obstacle {ids} is forbidden"

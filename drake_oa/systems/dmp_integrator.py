@@ -1,0 +1,166 @@
+"""The action layer: a movement primitive bent by coupling terms."""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import replace
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+
+from drake_oa.action import ActionParameters, Segment, advance, initial_segment
+from drake_oa.dmp import Dmp
+from drake_oa.regressor import CouplingParameters
+from drake_oa.systems.ports import read_value
+from drake_oa.values import EllipsoidSet, FloatArray, PolicyState, Route
+
+_logger = logging.getLogger("drake_oa")
+
+
+class DmpIntegrator(LeafSystem):
+    """Integrates the movement primitive with its coupling terms.
+
+    .. pydrake_system::
+
+      name: DmpIntegrator
+      input_ports:
+      - goal
+      - ellipsoids_W (optional)
+      - coupling_parameters (optional)
+      - route (optional)
+      output_ports:
+      - desired_position
+      - desired_velocity
+      - desired_acceleration
+      - phase
+      - policy_state
+
+    - goal: (3,) goal of the motion in the world frame [m].
+    - ellipsoids_W (optional): abstract `EllipsoidSet`, the dilated obstacles. Without
+      it the motion is the pre-planned one.
+    - coupling_parameters (optional): abstract `CouplingParameters`, one row an
+      ellipsoid. Without it there is no avoidance term.
+    - route (optional): abstract `Route`, one row an ellipsoid. Without it there is no
+      guidance term, and the motion is not scaled in time.
+    - desired_position: (3,) p_WE [m].
+    - desired_velocity: (3,) v_WE [m/s].
+    - desired_acceleration: (3,) a_WE [m/s^2].
+    - phase: (1,) the canonical phase k.
+    - policy_state: abstract `PolicyState` at the last step.
+
+    The state is abstract, in the Context: the step under way (`Segment`), between
+    whose ends the desired motion is interpolated, so that a controller may run faster
+    than the policy. The motion is held (its normalised time slows down to a stop, on
+    the path) while it would not be safe: see `drake_oa.action.hold_reason`.
+    """
+
+    def __init__(
+        self,
+        dmp: Dmp,
+        start: FloatArray,
+        *,
+        period: float = 0.005,
+        parameters: ActionParameters | None = None,
+    ) -> None:
+        """Declares the ports.
+
+        Args:
+            dmp: the movement primitive.
+            start: (3,) where the motion starts [m].
+            period: step of the policy [s].
+            parameters: how coupling terms and holds act; None: the defaults.
+
+        Raises:
+            ValueError: if the start is not three finite numbers or the period is not
+                positive.
+        """
+        super().__init__()
+        start = np.asarray(start, dtype=float)
+        if start.shape != (3,) or not np.isfinite(start).all():
+            raise ValueError(f"start must be 3 finite numbers [m], not {start}")
+        if not period > 0.0:
+            raise ValueError(f"period must be positive [s], not {period}")
+        self._dmp = dmp
+        self._start = start
+        self._period = period
+        self._parameters = parameters or ActionParameters()
+
+        self._goal = self.DeclareVectorInputPort("goal", 3)
+        self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
+        self._coupling = self.DeclareAbstractInputPort(
+            "coupling_parameters", Value(CouplingParameters())
+        )
+        self._route = self.DeclareAbstractInputPort("route", Value(Route()))
+        self._segment = self.DeclareAbstractState(Value(Segment.at_rest(start)))
+        moving = {self.time_ticket(), self.abstract_state_ticket(self._segment)}
+        for name, derivative in (
+            ("desired_position", 0),
+            ("desired_velocity", 1),
+            ("desired_acceleration", 2),
+        ):
+            self.DeclareVectorOutputPort(
+                name,
+                3,
+                lambda context, output, derivative=derivative: output.SetFromVector(
+                    self._read_segment(context).interpolate(context.get_time(), derivative)
+                ),
+                moving,
+            )
+        stepped = {self.abstract_state_ticket(self._segment)}
+        self.DeclareVectorOutputPort("phase", 1, self._calc_phase, stepped)
+        self.DeclareAbstractOutputPort(
+            "policy_state",
+            lambda: Value(PolicyState()),
+            lambda context, output: output.set_value(self._read_segment(context).state),
+            stepped,
+        )
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._initialize)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._step)
+
+    def _read_segment(self, context: Context) -> Segment:
+        return context.get_abstract_state(self._segment).get_value()
+
+    def _calc_phase(self, context: Context, output: BasicVector) -> None:
+        output.SetAtIndex(0, self._read_segment(context).state.phase)
+
+    def _initialize(self, context: Context, state: State) -> EventStatus:
+        segment = initial_segment(
+            self._dmp, self._start, self._goal.Eval(context), context.get_time()
+        )
+        state.get_mutable_abstract_state(self._segment).set_value(segment)
+        return EventStatus.Succeeded()
+
+    def _step(self, context: Context, state: State) -> EventStatus:
+        before = self._read_segment(context)
+        has = {
+            port: port.HasValue(context) for port in (self._ellipsoids, self._coupling, self._route)
+        }
+        ellipsoids = (
+            read_value(self, self._ellipsoids, context, EllipsoidSet)
+            if has[self._ellipsoids]
+            else None
+        )
+        coupling = (
+            read_value(self, self._coupling, context, CouplingParameters)
+            if has[self._coupling]
+            else None
+        )
+        route = read_value(self, self._route, context, Route) if has[self._route] else None
+        after = advance(
+            self._dmp,
+            before.end,
+            self._goal.Eval(context),
+            ellipsoids,
+            coupling,
+            route,
+            time=context.get_time(),
+            step=self._period,
+            parameters=self._parameters,
+        )
+        if after.state.note != before.state.note:
+            message = f"held: {after.state.note}" if after.state.note else "running again"
+            _logger.warning("t=%.3f s: %s", context.get_time(), message)
+        state.get_mutable_abstract_state(self._segment).set_value(after)
+        return EventStatus.Succeeded()

@@ -1,0 +1,78 @@
+"""The descriptor layer: obstacles and tool as one ellipsoid each."""
+
+from __future__ import annotations
+
+from numpy.typing import ArrayLike
+from pydrake.common.value import AbstractValue, Value
+from pydrake.systems.framework import Context, LeafSystem
+
+from drake_oa.descriptor import Method, check_descriptor_arguments, describe
+from drake_oa.systems.ports import read_value
+from drake_oa.values import EllipsoidSet, ObstacleClouds
+
+
+class EllipsoidDescriptor(LeafSystem):
+    """Dilates each obstacle by the tool and encloses the result in an ellipsoid.
+
+    .. pydrake_system::
+
+      name: EllipsoidDescriptor
+      input_ports:
+      - obstacles_W
+      output_ports:
+      - ellipsoids_W
+
+    - obstacles_W: abstract `ObstacleClouds`, points of the obstacles in the world frame
+      [m]; may be empty.
+    - ellipsoids_W: abstract `EllipsoidSet` in the world frame, with the stamp, names, table and
+      note of the clouds; an obstacle without a finite point is dropped and noted.
+
+    There is no state. The output is computed when it is asked for, once for each
+    change of the input.
+    """
+
+    def __init__(
+        self,
+        tool_W: ArrayLike,
+        *,
+        method: Method = "enclosing",
+        minimum_semi_axis: float = 1e-3,
+    ) -> None:
+        """Declares the ports.
+
+        Args:
+            tool_W: (K, 3) vertices of the tool's convex geometry from the TCP, in world
+                orientation [m]: the tool keeps it while it passes obstacles.
+                [[0, 0, 0]] for a point.
+            method: "enclosing": the smallest ellipsoid that holds every dilated point.
+                "least_squares": the paper's fit, which leaves some outside.
+            minimum_semi_axis: least semi-axis of an ellipsoid [m].
+
+        Raises:
+            ValueError: if the tool is empty, not (K, 3) or not finite, the method is
+                unknown, or minimum_semi_axis is not positive.
+        """
+        super().__init__()
+        if not minimum_semi_axis > 0.0:
+            raise ValueError(f"minimum_semi_axis must be positive [m], not {minimum_semi_axis}")
+        self._tool_W = check_descriptor_arguments(tool_W, method)
+        self._method: Method = method
+        self._minimum_semi_axis = minimum_semi_axis
+        self._obstacles = self.DeclareAbstractInputPort("obstacles_W", Value(ObstacleClouds()))
+        self.DeclareAbstractOutputPort(
+            "ellipsoids_W",
+            lambda: Value(EllipsoidSet()),
+            self._calc_ellipsoids,  # type: ignore[arg-type]  # Drake's stub wants (object, object)
+            prerequisites_of_calc={self._obstacles.ticket()},
+        )
+
+    def _calc_ellipsoids(self, context: Context, output: AbstractValue) -> None:
+        obstacles = read_value(self, self._obstacles, context, ObstacleClouds)
+        output.set_value(
+            describe(
+                obstacles,
+                self._tool_W,
+                method=self._method,
+                minimum_semi_axis=self._minimum_semi_axis,
+            )
+        )

@@ -1,0 +1,83 @@
+"""The abstract state, and with it the output ports, that all perception sources share."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.value import Value
+from pydrake.perception import PointCloud
+from pydrake.systems.framework import AbstractStateIndex, Context, LeafSystem, State
+
+from drake_oa.values import ObstacleClouds
+
+_logger = logging.getLogger("drake_oa")
+
+
+@dataclass(frozen=True)
+class PerceptionState:
+    """Where a perception source keeps what it last saw, in its Context.
+
+    Attributes:
+        obstacles: index of the ObstacleClouds.
+        cloud: index of the PointCloud for viewing.
+        next_id: index of the first name that was never given to an obstacle.
+    """
+
+    obstacles: AbstractStateIndex
+    cloud: AbstractStateIndex
+    next_id: AbstractStateIndex
+
+    @staticmethod
+    def declare(system: LeafSystem) -> PerceptionState:
+        """Declares the state, and the output ports ``obstacles_W`` and ``cloud`` on it."""
+        indices = PerceptionState(
+            system.DeclareAbstractState(Value(ObstacleClouds())),
+            system.DeclareAbstractState(Value(PointCloud(0))),
+            system.DeclareAbstractState(Value(0)),
+        )
+        system.DeclareStateOutputPort("obstacles_W", indices.obstacles)
+        system.DeclareStateOutputPort("cloud", indices.cloud)
+        return indices
+
+    def read(self, context: Context) -> tuple[ObstacleClouds, int]:
+        """The obstacles and the next name in a Context."""
+        values: Any = context.get_abstract_state()
+        return (
+            values.get_value(int(self.obstacles)).get_value(),
+            values.get_value(int(self.next_id)).get_value(),
+        )
+
+    def write(
+        self, state: State, obstacles: ObstacleClouds, points_W: NDArray[np.floating] | None
+    ) -> None:
+        """Stores the obstacles and, unless it is None, the cloud to view, (N, 3) [m]."""
+        values: Any = state.get_mutable_abstract_state()
+        values.get_mutable_value(int(self.obstacles)).set_value(obstacles)
+        next_id = values.get_mutable_value(int(self.next_id))
+        next_id.set_value(max(next_id.get_value(), int(obstacles.ids.max(initial=-1)) + 1))
+        if points_W is not None:
+            cloud = PointCloud(len(points_W))
+            cloud.mutable_xyzs()[:] = points_W.T
+            values.get_mutable_value(int(self.cloud)).set_value(cloud)
+
+
+def log_change(system: LeafSystem, before: str, now: str, time: float) -> None:
+    """Reports once when the note of a source changes from ``before`` to ``now``."""
+    if now == before:
+        return
+    name = system.get_name() or type(system).__name__
+    if now:
+        _logger.warning("%s at %.3f s: %s; the last obstacles are kept", name, time, now)
+    else:
+        _logger.info("%s at %.3f s: sees again", name, time)
+
+
+def valid_period(period: float) -> float:
+    """The period [s] if it is positive and finite; ValueError otherwise."""
+    if not 0.0 < period < np.inf:
+        raise ValueError(f"period must be positive and finite [s], not {period}")
+    return float(period)

@@ -1,0 +1,25 @@
+"""Reading abstract ports of Python types, which Drake connects unchecked."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+from pydrake.systems.framework import Context, InputPort, LeafSystem
+
+T = TypeVar("T")
+
+
+def read_value(system: LeafSystem, port: InputPort, context: Context, kind: type[T]) -> T:
+    """Evaluates an abstract input port and checks the type of what it holds.
+
+    Raises:
+        TypeError: naming system, port, the type found and the type expected.
+        RuntimeError: from Drake, if the port is not connected.
+    """
+    value = port.Eval(context)
+    if not isinstance(value, kind):
+        raise TypeError(
+            f"{system.get_name() or type(system).__name__}: input port '{port.get_name()}' "
+            f"holds a {type(value).__name__}; it must be a {kind.__name__}"
+        )
+    return value

@@ -1,0 +1,105 @@
+"""The regulation layer: coupling parameters from the obstacles' shape."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from pydrake.common.value import AbstractValue, Value
+from pydrake.systems.framework import Context, LeafSystem
+
+from drake_oa.regressor import ChainWeights, CouplingParameters, section_extents
+from drake_oa.systems.ports import read_value
+from drake_oa.values import EllipsoidSet, PolicyState, Route
+
+
+class RegressorChain(LeafSystem):
+    """Regulates the coupling terms: a chain of three networks, one row an obstacle.
+
+    .. pydrake_system::
+
+      name: RegressorChain
+      input_ports:
+      - ellipsoids_W
+      - policy_state
+      - route (optional)
+      output_ports:
+      - coupling_parameters
+
+    - ellipsoids_W: abstract `EllipsoidSet`, M dilated obstacles; may be empty.
+    - policy_state: abstract `PolicyState` of the movement primitive; with the obstacle's
+      centre it spans the plane in which the ellipsoid is cut.
+    - route (optional): abstract `Route`, M rows. With it lambda' is the obstacle as the
+      chosen route meets it, each with the clearance that it needs, and the terms act
+      about a point on the baseline. Without it lambda' is the section of the P-plane,
+      as in the paper, and the terms act about the obstacle's centre.
+    - coupling_parameters: abstract `CouplingParameters`, M rows of alpha, psi, kappa, and
+      whether the query lay in the range that the chain was trained for.
+
+    There is no state. The output is computed when it is asked for, once for each
+    change of the inputs. While start and goal coincide (no motion has been set yet)
+    alpha is 0 and no row is in range.
+    """
+
+    def __init__(self, weights: ChainWeights, clearance: float) -> None:
+        """Declares the ports.
+
+        Args:
+            weights: the trained chain, see `drake_oa.regressor.load_chain`.
+            clearance: asked distance Delta between tool and obstacle [m].
+
+        Raises:
+            TypeError: if weights are no `ChainWeights`.
+            ValueError: if the clearance is not finite and positive.
+        """
+        super().__init__()
+        if not isinstance(weights, ChainWeights):
+            raise TypeError(
+                f"weights must be ChainWeights (see load_chain), not {type(weights).__name__}"
+            )
+        if not 0.0 < clearance < np.inf:
+            raise ValueError(f"clearance must be finite and positive [m], not {clearance}")
+        self._weights = weights
+        self._clearance = float(clearance)
+        self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
+        self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
+        self._route = self.DeclareAbstractInputPort("route", Value(Route()))
+        self.DeclareAbstractOutputPort(
+            "coupling_parameters",
+            lambda: Value(CouplingParameters()),
+            self._calc_parameters,  # type: ignore[arg-type]  # Drake's stub wants (object, object)
+            prerequisites_of_calc={
+                self._ellipsoids.ticket(),
+                self._policy.ticket(),
+                self._route.ticket(),
+            },
+        )
+
+    def _calc_parameters(self, context: Context, output: AbstractValue) -> None:
+        ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
+        policy = read_value(self, self._policy, context, PolicyState)
+        baseline = policy.baseline
+        if baseline == 0.0:
+            zeros, ones = np.zeros(len(ellipsoids)), np.ones(len(ellipsoids))
+            output.set_value(CouplingParameters(zeros, ones, zeros, zeros.astype(bool)))
+            return
+        if self._route.HasValue(context):
+            route = read_value(self, self._route, context, Route)
+            if len(route.extents) != len(ellipsoids):
+                raise ValueError(
+                    f"route has {len(route.extents)} rows; there are {len(ellipsoids)} ellipsoids"
+                )
+            found = self._weights.parameters(route.extents, route.clearance, baseline)
+            output.set_value(
+                replace(found, alpha=found.alpha * route.weight, center_W=route.center_W)
+            )
+            return
+        extents = section_extents(
+            policy.p_WE,
+            policy.z_W,
+            policy.R_WL,
+            ellipsoids.p_WO,
+            ellipsoids.R_WO,
+            ellipsoids.semi_axes,
+        )
+        output.set_value(self._weights.parameters(extents, self._clearance, baseline))

@@ -1,0 +1,1 @@
+"""Training of the regressor chain: data set, Levenberg-Marquardt, validation."""

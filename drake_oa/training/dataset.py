@@ -1,0 +1,261 @@
+"""The training set: which coupling parameters pass which ellipse at which clearance.
+
+Many (kappa, psi, alpha) keep a clearance. To make the regression a function instead
+of an average over them, each input gets one choice:
+
+1. Roll out a grid of parameters for every ellipse of a lattice, centred on the
+   baseline, so that the motion heads straight at it.
+2. For an asked clearance and each (kappa, psi) take the weakest alpha that keeps it.
+   Of these candidates the shortest path is best, with a small price on ln alpha and
+   on the distance of (ln kappa, ln psi) from a fixed pair. Since many are nearly as
+   good, the choice is their mean, weighted by exp(-cost / temperature): it varies
+   smoothly with the input where the single best jumps between equals.
+3. Solve for the alpha which keeps exactly the clearance there, and at (kappa, psi)
+   around it: so Y3 learns to make up for what Y1 and Y2 get wrong.
+
+Inputs that no candidate can keep, or only by missing the goal, are left out; the
+largest clearance that was kept is recorded for every ellipse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_oa.regressor import ClearanceLimit
+from drake_oa.rollout import planar_rollouts
+from drake_oa.values import FloatArray, _Frozen
+
+Progress = Callable[[str, float], None]
+"""Told the stage and the fraction of it that is done."""
+
+
+def _axis(first: float, last: float, number: int, *, geometric: bool = False) -> FloatArray:
+    space = np.geomspace if geometric else np.linspace
+    return np.asarray(space(first, last, number))
+
+
+@dataclass(frozen=True, eq=False)
+class Exploration(_Frozen):
+    """What to explore and how to choose; lengths in baselines, alpha in 1/T.
+
+    Attributes:
+        lambda1: half-extents along the baseline.
+        lambda2: half-extents across it.
+        clearances: asked clearances Delta.
+        kappa: candidates for kappa L^2.
+        psi: candidates for psi [rad].
+        alpha: candidates for alpha, increasing.
+        margin: what the chosen parameters keep on top of the asked clearance.
+        goal_tolerance: largest goal error at s = 1 that counts as arriving.
+        temperature: of the weights over candidates, as a length.
+        effort: cost of one unit of ln alpha, as a length.
+        anchor: (kappa, psi) that the choice is pulled to.
+        pull: cost of one unit of squared log distance from it, as a length.
+        scatter: standard deviation of ln kappa and ln psi around the choice in the
+            additional rows for Y3.
+        copies: how many such rows for each choice.
+        grid_steps: steps of the roll-outs on the grid.
+    """
+
+    lambda1: FloatArray = field(default_factory=lambda: _axis(0.02, 0.44, 15))
+    lambda2: FloatArray = field(default_factory=lambda: _axis(0.02, 0.5, 17))
+    clearances: FloatArray = field(default_factory=lambda: _axis(0.02, 0.35, 23))
+    kappa: FloatArray = field(default_factory=lambda: _axis(0.3, 60.0, 16, geometric=True))
+    psi: FloatArray = field(default_factory=lambda: _axis(0.8, 3.2, 8, geometric=True))
+    alpha: FloatArray = field(default_factory=lambda: _axis(10.0, 1e6, 36, geometric=True))
+    margin: float = 0.004
+    goal_tolerance: float = 2e-3
+    temperature: float = 0.003
+    effort: float = 0.004
+    anchor: tuple[float, float] = (3.0, 1.4)
+    pull: float = 0.002
+    scatter: float = 0.1
+    copies: int = 3
+    grid_steps: int = 500
+
+
+@dataclass(frozen=True, eq=False)
+class TrainingSet(_Frozen):
+    """Rows (lambda1', lambda2', Delta) -> (kappa, psi, alpha), all normalised.
+
+    Attributes:
+        inputs: (N, 3) lambda1'/L, lambda2'/L, Delta/L.
+        targets: (N, 3) kappa L^2, psi, alpha.
+        chosen: (N,) True for the choice itself, which Y1 and Y2 learn; False for the
+            rows around it, for Y3 only.
+        limit: largest clearance that was kept, for every ellipse.
+        rollouts: number of trajectories that it took.
+    """
+
+    inputs: FloatArray
+    targets: FloatArray
+    chosen: NDArray[np.bool_]
+    limit: ClearanceLimit
+    rollouts: int
+
+
+def build_training_set(
+    exploration: Exploration, seed: int, progress: Progress | None = None
+) -> TrainingSet:
+    """Explores, chooses and solves.
+
+    Args:
+        exploration: what to explore.
+        seed: of the scatter around the choices.
+        progress: told how far it is.
+
+    Returns:
+        The rows, shuffled.
+
+    Raises:
+        ValueError: if no input can be kept.
+    """
+    rng = np.random.default_rng(seed)
+    report = progress or (lambda stage, fraction: None)
+    inputs, choices, n_rollouts = [], [], 0
+    ellipses = [(a, b) for a in exploration.lambda1 for b in exploration.lambda2]
+    for i, ellipse in enumerate(ellipses):
+        grid, n = _explore(exploration, ellipse)
+        n_rollouts += n
+        for clearance in exploration.clearances:
+            # Nobody keeps more than the start's own distance.
+            if ellipse[0] + clearance + exploration.margin >= 0.5:
+                continue
+            choice = _choose(exploration, grid, clearance + exploration.margin)
+            if choice is not None:
+                inputs.append((*ellipse, clearance))
+                choices.append(choice)
+        report("explore", (i + 1) / len(ellipses))
+    if not inputs:
+        raise ValueError("no input of the exploration can be kept by any candidate")
+
+    rows, pairs = np.array(inputs), np.array(choices)
+    chosen = np.arange(len(rows) * (1 + exploration.copies)) < len(rows)
+    rows, pairs = (np.tile(a, (1 + exploration.copies, 1)) for a in (rows, pairs))
+    noise = exploration.scatter * rng.standard_normal(pairs.shape)
+    pairs = pairs * np.exp(np.where(chosen[:, None], 0.0, noise))
+    alpha, kept, n = _solve_alpha(exploration, rows, pairs, report)
+    if not (kept & chosen).any():
+        raise ValueError("no input of the exploration can be kept by its choice")
+    targets = np.column_stack((pairs, alpha))
+    order = rng.permutation(np.flatnonzero(kept))
+    return TrainingSet(
+        rows[order],
+        targets[order],
+        chosen[order],
+        _limit(exploration, rows[kept & chosen]),
+        n_rollouts + n,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """Outcomes for one ellipse over (kappa, psi, alpha)."""
+
+    clearance: FloatArray
+    goal_error: FloatArray
+    path_length: FloatArray
+
+
+def _explore(exploration: Exploration, ellipse: tuple[float, float]) -> tuple[_Grid, int]:
+    kappa, psi, alpha = np.meshgrid(
+        exploration.kappa, exploration.psi, exploration.alpha, indexing="ij"
+    )
+    parameters = np.column_stack((alpha.ravel(), psi.ravel(), kappa.ravel()))
+    outcome = planar_rollouts(
+        np.tile(ellipse, (len(parameters), 1)), parameters, steps=exploration.grid_steps
+    )
+    values = (outcome.clearance, outcome.goal_error, outcome.path_length)
+    return _Grid(*(value.reshape(alpha.shape) for value in values)), len(parameters)
+
+
+def _choose(exploration: Exploration, grid: _Grid, clearance: float) -> tuple[float, float] | None:
+    """(kappa, psi) for a clearance, or None where nothing keeps it and arrives."""
+    keeps = grid.clearance >= clearance
+    # The weakest alpha that keeps it, and the share of the way to it from the one before.
+    index = keeps.argmax(axis=2)[..., None]
+    before = np.maximum(index - 1, 0)
+
+    def pick(values: FloatArray, at: NDArray[np.intp]) -> FloatArray:
+        return np.take_along_axis(values, at, axis=2)[..., 0]
+
+    low, high = pick(grid.clearance, before), pick(grid.clearance, index)
+    touched = np.isinf(pick(grid.path_length, before))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.where(touched | (high <= low), 1.0, (clearance - low) / (high - low))
+        length = pick(grid.path_length, index)
+        shorter = np.where(touched, length, pick(grid.path_length, before))
+        share = np.clip(share, 0.0, 1.0)
+        log_alpha = np.log(exploration.alpha)
+        log_alpha = log_alpha[before[..., 0]] * (1.0 - share) + log_alpha[index[..., 0]] * share
+        cost = shorter + share * (length - shorter) + exploration.effort * log_alpha
+    arrives = keeps.any(axis=2) & (pick(grid.goal_error, index) <= exploration.goal_tolerance)
+    if not arrives.any():
+        return None
+    log_kappa, log_psi = np.meshgrid(
+        np.log(exploration.kappa), np.log(exploration.psi), indexing="ij"
+    )
+    away = (log_kappa - np.log(exploration.anchor[0])) ** 2
+    away += (log_psi - np.log(exploration.anchor[1])) ** 2
+    cost = np.where(arrives, cost + exploration.pull * away, np.inf)
+    weight = np.exp(-(cost - cost.min()) / exploration.temperature)
+    weight /= weight.sum()
+    return float(np.exp((weight * log_kappa).sum())), float(np.exp((weight * log_psi).sum()))
+
+
+def _solve_alpha(
+    exploration: Exploration, inputs: FloatArray, pairs: FloatArray, report: Progress
+) -> tuple[FloatArray, NDArray[np.bool_], int]:
+    """The weakest alpha that keeps the clearance plus margin at given (kappa, psi).
+
+    Returns:
+        (N,) alpha, (N,) whether it keeps the clearance and arrives, and the number of
+        roll-outs.
+    """
+    wanted = inputs[:, 2] + exploration.margin
+    n_rollouts = 0
+
+    def roll(rows: NDArray[np.intp], alpha: FloatArray) -> tuple[FloatArray, FloatArray]:
+        nonlocal n_rollouts
+        n_rollouts += len(rows)
+        kappa, psi = pairs[rows].T
+        outcome = planar_rollouts(inputs[rows, :2], np.column_stack((alpha, psi, kappa)))
+        return outcome.clearance, outcome.goal_error
+
+    low = np.full(len(inputs), exploration.alpha[0])
+    high = np.full(len(inputs), np.nan)
+    open_rows = np.arange(len(inputs))
+    for i, alpha in enumerate(exploration.alpha):
+        clearance, _ = roll(open_rows, np.full(len(open_rows), alpha))
+        keeps = clearance >= wanted[open_rows]
+        high[open_rows[keeps]] = alpha
+        open_rows = open_rows[~keeps]
+        low[open_rows] = alpha
+        report("solve", 0.8 * (i + 1) / len(exploration.alpha))
+    rows = np.flatnonzero(np.isfinite(high))
+    for i in range(12):
+        middle = np.sqrt(low[rows] * high[rows])
+        keeps = roll(rows, middle)[0] >= wanted[rows]
+        high[rows[keeps]] = middle[keeps]
+        low[rows[~keeps]] = middle[~keeps]
+        report("solve", 0.8 + 0.2 * (i + 1) / 12)
+    kept = np.zeros(len(inputs), dtype=bool)
+    kept[rows] = roll(rows, high[rows])[1] <= exploration.goal_tolerance
+    return high, kept, n_rollouts
+
+
+def _limit(exploration: Exploration, inputs: FloatArray) -> ClearanceLimit:
+    """Per ellipse the end of the unbroken run of clearances that were kept."""
+    kept = {tuple(row) for row in inputs.tolist()}
+    table = np.zeros((len(exploration.lambda1), len(exploration.lambda2)))
+    for i, lambda1 in enumerate(exploration.lambda1.tolist()):
+        for j, lambda2 in enumerate(exploration.lambda2.tolist()):
+            for clearance in exploration.clearances.tolist():
+                if (lambda1, lambda2, clearance) not in kept:
+                    break
+                table[i, j] = clearance
+    return ClearanceLimit(exploration.lambda1, exploration.lambda2, table)

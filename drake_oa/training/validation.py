@@ -1,0 +1,81 @@
+"""Rolls out what a trained chain proposes, where it has not been trained."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drake_oa.regressor import ChainWeights
+from drake_oa.rollout import planar_rollouts
+from drake_oa.values import FloatArray
+
+
+@dataclass(frozen=True)
+class Validation:
+    """Outcome over random ellipses and clearances; lengths in baselines.
+
+    Attributes:
+        scenes: number of scenes.
+        contacts: how many touched the ellipse.
+        kept: share that kept the asked clearance.
+        excess_least: worst clearance minus asked clearance.
+        excess_mean: mean clearance minus asked clearance.
+        arrived: share whose goal error at s = 1 is below 2e-3.
+        goal_error_largest: largest goal error at s = 1 of those without contact.
+        length_mean: mean path length of those without contact.
+    """
+
+    scenes: int
+    contacts: int
+    kept: float
+    excess_least: float
+    excess_mean: float
+    arrived: float
+    goal_error_largest: float
+    length_mean: float
+
+
+def validate(
+    chain: ChainWeights, *, scenes: int = 2000, off_centre: bool = False, seed: int = 1
+) -> Validation:
+    """Rolls out random queries in the chain's range.
+
+    Args:
+        chain: the chain.
+        scenes: number of scenes.
+        off_centre: whether the ellipse lies up to 0.15 L from the middle of the
+            baseline along it and up to 0.2 L beside it, instead of in the middle;
+            start and goal then keep at least the asked clearance.
+        seed: of the scenes.
+
+    Returns:
+        What came of it.
+    """
+    rng = np.random.default_rng(seed)
+    inputs: list[FloatArray] = []
+    centers, parameters = [], []
+    while len(inputs) < scenes:
+        query = rng.uniform(chain.lower, chain.upper)
+        center = np.array((0.5, 0.0))
+        if off_centre:
+            center += rng.uniform((-0.15, -0.2), (0.15, 0.2))
+        nearest_end = min(center[0], 1.0 - center[0]) - query[0]
+        proposal = chain.parameters(query[None, :2], query[2], 1.0)
+        if proposal.in_range[0] and nearest_end >= query[2]:
+            inputs.append(query)
+            centers.append(center)
+            parameters.append(proposal.as_array()[0])
+    queries = np.array(inputs)
+    outcome = planar_rollouts(queries[:, :2], np.array(parameters), centers=np.array(centers))
+    excess, free = outcome.clearance - queries[:, 2], ~outcome.contact
+    return Validation(
+        scenes,
+        int(outcome.contact.sum()),
+        float(np.mean(excess >= 0.0)),
+        float(excess.min()),
+        float(excess.mean()),
+        float(np.mean(outcome.goal_error < 2e-3)),
+        float(outcome.goal_error[free].max()),
+        float(outcome.path_length[free].mean()),
+    )

@@ -1,0 +1,192 @@
+"""Frozen values that travel between the layers on abstract ports.
+
+Every value is one immutable struct of arrays. Copying it is free
+(``__deepcopy__`` returns the value itself), so a Drake Context that holds one
+clones in constant time, and no receiver can change what another one reads.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+class _Frozen:
+    """Shares itself on copy and locks its arrays on construction."""
+
+    def __post_init__(self) -> None:
+        for item in fields(self):  # type: ignore[arg-type]
+            value = getattr(self, item.name)
+            if isinstance(value, np.ndarray) and value.flags.writeable:
+                value = value.view()
+                value.flags.writeable = False
+                object.__setattr__(self, item.name, value)
+
+    def __copy__(self) -> Self:
+        return self
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        return self
+
+
+def _floats(*shape: int) -> Any:
+    return field(default_factory=lambda: np.zeros(shape))
+
+
+def _integers() -> Any:
+    return field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+
+@dataclass(frozen=True, eq=False)
+class TablePlane(_Frozen):
+    """The supporting plane ``normal_W . p_WQ = offset``.
+
+    Attributes:
+        normal_W: (3,) unit normal in the world frame, pointing to free space.
+        offset: distance of the plane from the world origin along it [m].
+    """
+
+    normal_W: FloatArray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    offset: float = 0.0
+
+    def height(self, p_WQ: FloatArray) -> FloatArray:
+        """Signed height [m] above the plane of points p_WQ, (..., 3) -> (...)."""
+        return np.asarray(p_WQ @ self.normal_W - self.offset)
+
+
+@dataclass(frozen=True, eq=False)
+class ObstacleClouds(_Frozen):
+    """What a perception source saw at one instant.
+
+    Attributes:
+        stamp: simulation time at which the scene looked so [s]; -inf before the
+            first frame.
+        clouds_W: one (N_i, 3) array of surface points in the world frame [m] an
+            obstacle; empty when nothing stands on the table.
+        ids: (M,) integers that name the obstacles.
+        table: the supporting plane, or None when no plane was found or known.
+        note: empty, or why this frame is degraded (for example "no valid pixel").
+    """
+
+    stamp: float = -np.inf
+    clouds_W: tuple[FloatArray, ...] = ()
+    ids: IntArray = _integers()
+    table: TablePlane | None = None
+    note: str = ""
+
+    def __len__(self) -> int:
+        return len(self.clouds_W)
+
+
+@dataclass(frozen=True, eq=False)
+class EllipsoidSet(_Frozen):
+    """The unified system-obstacle descriptors: M ellipsoids.
+
+    Each is the obstacle dilated by the tool, so that the tool may be treated as
+    the point E.
+
+    Attributes:
+        stamp: stamp of the observation it was made from [s].
+        p_WO: (M, 3) centres in the world frame [m].
+        R_WO: (M, 3, 3) rotations; the columns are the principal axes.
+        semi_axes: (M, 3) semi-axes along those columns [m].
+        v_WO: (M, 3) velocities of the centres in the world frame [m/s].
+        ids: (M,) integers that name the obstacles.
+        table: the supporting plane, handed through from perception, or None.
+        note: empty, or why the observation is degraded.
+    """
+
+    stamp: float = -np.inf
+    p_WO: FloatArray = _floats(0, 3)
+    R_WO: FloatArray = _floats(0, 3, 3)
+    semi_axes: FloatArray = _floats(0, 3)
+    v_WO: FloatArray = _floats(0, 3)
+    ids: IntArray = _integers()
+    table: TablePlane | None = None
+    note: str = ""
+
+    def __len__(self) -> int:
+        return len(self.p_WO)
+
+
+@dataclass(frozen=True, eq=False)
+class PolicyState(_Frozen):
+    """Where the dynamic movement primitive is.
+
+    Attributes:
+        p_WE: (3,) position of the end effector E in the world frame [m].
+        z_W: (3,) scaled velocity, the derivative of p_WE by normalised time
+            s = t / (tau T), in the world frame [m].
+        phase: canonical phase k, 1 at the start and falling to 0.
+        tau: temporal scaling (1: the demonstrated duration).
+        p_WS: (3,) start of the motion [m].
+        p_WG: (3,) goal [m].
+        R_WL: (3, 3) local frame: x from start to goal, z up.
+        stamp: time of this state [s].
+        speed: ds/dt, the rate of normalised time [1/s]; 1 / (tau T) when running
+            freely, 0 when held.
+        note: empty, or why the motion is being held.
+    """
+
+    p_WE: FloatArray = _floats(3)
+    z_W: FloatArray = _floats(3)
+    phase: float = 1.0
+    tau: float = 1.0
+    p_WS: FloatArray = _floats(3)
+    p_WG: FloatArray = _floats(3)
+    R_WL: FloatArray = field(default_factory=lambda: np.eye(3))
+    stamp: float = 0.0
+    speed: float = 0.0
+    note: str = ""
+
+    @property
+    def baseline(self) -> float:
+        """Distance from start to goal [m]."""
+        return float(np.linalg.norm(self.p_WG - self.p_WS))
+
+
+@dataclass(frozen=True, eq=False)
+class Route(_Frozen):
+    """The side to pass each obstacle on, and the rings it was chosen from.
+
+    Rows follow the rows of the EllipsoidSet that it was made for.
+
+    Attributes:
+        heading_W: (M, 3) desired unit heading v_d for each obstacle; a zero row
+            where the present heading needs no guidance.
+        direction_W: (M, 3) chosen direction omega_d on the local YZ circle, as a
+            unit vector in the world frame.
+        normal_W: (M, 3) unit normal of the plane in which each obstacle is passed:
+            the P-plane where heading and obstacle do not define one.
+        center_W: (M, 3) where the coupling terms act about: on the baseline [m].
+        extents: (M, 2) lambda', the obstacle's semi-axes about that centre, along the
+            baseline and across it toward the chosen side [m].
+        clearance: (M,) clearance to keep from them [m]; 0: no coupling needed.
+        weight: (M,) share of the coupling term that the obstacle has.
+        index: (M,) the chosen column of the rings.
+        angles: (K,) angles of the circle [rad], 0 along local y, pi/2 along z.
+        costs: name of a ring -> (M, K) its cost in [0, 1] on that circle.
+        path_length: estimated length of the avoiding path [m].
+        ids: (M,) the obstacles' names.
+        note: empty, or why no side is allowed.
+    """
+
+    heading_W: FloatArray = _floats(0, 3)
+    direction_W: FloatArray = _floats(0, 3)
+    normal_W: FloatArray = _floats(0, 3)
+    center_W: FloatArray = _floats(0, 3)
+    extents: FloatArray = _floats(0, 2)
+    clearance: FloatArray = _floats(0)
+    weight: FloatArray = _floats(0)
+    index: IntArray = _integers()
+    angles: FloatArray = _floats(0)
+    costs: dict[str, FloatArray] = field(default_factory=dict)
+    path_length: float = 0.0
+    ids: IntArray = _integers()
+    note: str = ""

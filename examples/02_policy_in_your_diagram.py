@@ -1,0 +1,58 @@
+"""Put the policy into a diagram of your own: given ellipsoids, no robot."""
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource, LogVectorOutput
+
+from drake_oa.dmp import minimum_jerk_dmp
+from drake_oa.regressor import load_chain
+from drake_oa.scenario import package_file
+from drake_oa.systems.cost_ring_selector import CostRingSelector
+from drake_oa.systems.dmp_integrator import DmpIntegrator
+from drake_oa.systems.regressor_chain import RegressorChain
+from drake_oa.values import EllipsoidSet
+
+CLEARANCE = 0.1
+
+
+def main() -> None:
+    """Bends a straight motion round a ball and prints how near it came."""
+    ball = EllipsoidSet(
+        stamp=np.inf,  # Never out of date.
+        p_WO=np.array([[0.5, 0.0, -0.02]]),
+        R_WO=np.eye(3)[None],
+        semi_axes=np.full((1, 3), 0.1),
+        v_WO=np.zeros((1, 3)),
+        ids=np.array([0]),
+    )
+    weights = load_chain(package_file("package://drake_oa/weights/regressor_chain.npz"))
+
+    builder = DiagramBuilder()
+    goal = builder.AddSystem(ConstantVectorSource([1.0, 0.0, 0.0]))
+    seen = builder.AddSystem(ConstantValueSource(Value(ball)))
+    chain = builder.AddSystem(RegressorChain(weights, CLEARANCE))
+    rings = builder.AddSystem(CostRingSelector(CLEARANCE))
+    policy = builder.AddSystem(DmpIntegrator(minimum_jerk_dmp(duration=4.0), np.zeros(3)))
+    for system in (chain, rings, policy):
+        builder.Connect(seen.get_output_port(), system.GetInputPort("ellipsoids_W"))
+    for system in (chain, rings):
+        builder.Connect(policy.GetOutputPort("policy_state"), system.GetInputPort("policy_state"))
+    for system in (rings, policy):
+        builder.Connect(goal.get_output_port(), system.GetInputPort("goal"))
+    builder.Connect(
+        chain.GetOutputPort("coupling_parameters"), policy.GetInputPort("coupling_parameters")
+    )
+    builder.Connect(rings.GetOutputPort("route"), policy.GetInputPort("route"))
+    log = LogVectorOutput(policy.GetOutputPort("desired_position"), builder, 0.01)
+
+    simulator = Simulator(builder.Build())
+    simulator.AdvanceTo(8.0)
+    path = log.FindLog(simulator.get_context()).data().T
+    nearest = np.linalg.norm(path - ball.p_WO[0], axis=1).min() - 0.1
+    print(f"asked {CLEARANCE:.3f} m, kept {nearest:.3f} m, ended at {path[-1].round(4)}")
+
+
+if __name__ == "__main__":
+    main()

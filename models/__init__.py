@@ -1,0 +1,1 @@
+"""Robot, obstacle and scene models, and trained weights (package://drake_oa)."""
