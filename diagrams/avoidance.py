@@ -193,9 +193,7 @@ def _wire_view(
         scene_graph=station.scene_graph,
         meshcat=meshcat,
     )
-    builder.Connect(
-        station.plant.get_body_poses_output_port(), overlay.GetInputPort("body_poses")
-    )
+    builder.Connect(station.plant.get_body_poses_output_port(), overlay.GetInputPort("body_poses"))
     if isinstance(scenario.perception, DepthCamera) and station.cameras:
         pose = station.cameras[scenario.perception.camera].body_pose_in_world_output_port()
         builder.Connect(pose, overlay.GetInputPort("camera_pose"))

@@ -59,7 +59,7 @@ class CartesianGains:
     kd_posture: float = 10.0
     kp_limit: float = 100.0
     limit_margin: float = 0.1
-    max_effective_mass: float = 250.0
+    max_effective_mass: float = 100.0
     rotation_length: float = 0.25
     kd_stop: float = 10.0
 
@@ -220,11 +220,13 @@ def operational_space_torque(
               + kp_limit M^-1 diag(M) (clip(q) - q),
 
     where clip(q) keeps `limit_margin` away from the limits: the last term is a torque
-    away from them, so its share in the null space never points towards the limit. The task inertia is damped
-    near singularities (`cartesian_kernels.damped_task_force`) and the torque is fitted
-    into the effort limits without bending the motion (`cartesian_kernels.limit_torque`).
+    away from them, so its share in the null space never points towards the limit. The
+    task inertia is damped near singularities (`cartesian_kernels.damped_task_force`),
+    and the torque is fitted into the effort limits without bending the motion
+    (`cartesian_kernels.limit_torque`).
 
-    Torques are never NaN: an input that is not finite gives `braking_torque`.
+    Torques are never NaN: an input that is not finite, or so
+    large that the law overflows, gives `braking_torque`.
 
     Args:
         state: the arm.

@@ -156,7 +156,7 @@ def law(
     """`drake_oa.cartesian.operational_space_torque` on plain arrays.
 
     Returns:
-        Whether all inputs are finite (the rest means nothing otherwise), torques,
+        Whether all is finite (the rest means nothing otherwise), torques,
         saturated joints, position error, orientation error, singularity.
     """
     kp_p, kd_p, kp_R, kd_R, kp_n, kd_n, kp_limit, margin, max_mass, length = gains
@@ -169,9 +169,10 @@ def law(
     for i in range(3):
         wanted[i] += kp_R * error_R[i] - kd_R * velocity[i]
         wanted[3 + i] += a_d[i] + kd_p * (v_d[i] - velocity[3 + i]) + kp_p * error_p[i]
-    # A sum is finite only if every term is.
+    # A sum is finite only if every term is; and finite inputs may still overflow.
+    nothing = np.zeros(n), np.zeros(n, dtype=np.bool_)
     if not math.isfinite(wanted.sum() + h.sum() + M.sum()):
-        return False, np.zeros(n), np.zeros(n, dtype=np.bool_), error_p, error_R, 0.0
+        return False, nothing[0], nothing[1], error_p, error_R, 0.0
     # Repulsion is a torque: as an acceleration, the inertia that couples the joints
     # could turn it towards the limit.
     repulsion = np.empty(n)
@@ -182,5 +183,8 @@ def law(
     wanted -= repulsion @ M_inverse_Jt
     force, singularity = damped_task_force(J @ M_inverse_Jt, wanted, max_mass, length)
     # M M^-1 J^T = J^T: the task's share of the torque needs no product with M.
-    tau, saturated = limit_torque(h, M @ posture + repulsion + force @ J, effort)
+    drive = M @ posture + repulsion + force @ J
+    if not math.isfinite(drive.sum()):
+        return False, nothing[0], nothing[1], error_p, error_R, 0.0
+    tau, saturated = limit_torque(h, drive, effort)
     return True, tau, saturated, error_p, error_R, singularity

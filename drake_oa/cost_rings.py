@@ -83,7 +83,7 @@ def ring_scene(
         clearance: asked clearance Delta [m].
         n_directions: K, how many directions.
     """
-    angles = np.arange(n_directions) * (2.0 * np.pi / n_directions)
+    angles: FloatArray = np.arange(n_directions, dtype=float) * (2.0 * np.pi / n_directions)
     circle_L = np.stack([np.zeros(n_directions), np.cos(angles), np.sin(angles)], axis=1)
     directions_W = circle_L @ R_WL.T
     baseline = p_WG - p_WS
@@ -92,9 +92,7 @@ def ring_scene(
     p_WB = p_WS + along[:, None] * R_WL[:, 0]
     in_axes = np.einsum("mji,kj->mki", ellipsoids.R_WO, directions_W)
     support = np.sqrt(np.sum((in_axes * ellipsoids.semi_axes[:, None, :]) ** 2, axis=2))
-    detour = np.maximum(
-        0.0, support + clearance - (p_WB - ellipsoids.p_WO) @ directions_W.T
-    )
+    detour = np.maximum(0.0, support + clearance - (p_WB - ellipsoids.p_WO) @ directions_W.T)
     return RingScene(
         p_WS=p_WS,
         p_WG=p_WG,

@@ -424,9 +424,7 @@ def _between_in_plane(a: Vector, b: Vector, normal: list[float]) -> tuple[Vector
     nx, ny, nz = normal[0] / size, normal[1] / size, normal[2] / size
     ax, ay, az = a
     bx, by, bz = b
-    sine = (
-        nx * (ay * bz - az * by) + ny * (az * bx - ax * bz) + nz * (ax * by - ay * bx)
-    )
+    sine = nx * (ay * bz - az * by) + ny * (az * bx - ax * bz) + nz * (ax * by - ay * bx)
     a_n, b_n = ax * nx + ay * ny + az * nz, bx * nx + by * ny + bz * nz
     cosine = ax * bx + ay * by + az * bz - a_n * b_n
     if abs(sine) <= PARALLEL:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import logging
-from functools import partial
+from typing import cast
 
 import numpy as np
 from pydrake.common.value import Value
@@ -16,9 +15,9 @@ from pydrake.systems.sensors import CameraInfo, RgbdSensor
 from drake_oa.action import ActionParameters
 from drake_oa.cartesian import CartesianGains
 from drake_oa.collision_shapes import collect_collision_shapes
+from drake_oa.coupling import GuidanceForm
 from drake_oa.dmp import Dmp, imitate, minimum_jerk
 from drake_oa.inverse_kinematics import solve_tool_pose
-from drake_oa.point_cloud import SegmentationConfig
 from drake_oa.regressor import load_chain
 from drake_oa.scenario import (
     DepthCamera,
@@ -30,6 +29,7 @@ from drake_oa.scenario import (
     ScenarioError,
     Task,
     package_file,
+    segmentation_config,
 )
 from drake_oa.station import RobotPlant, Station, home_positions, tool_corners
 from drake_oa.systems.cartesian_inverse_dynamics import CartesianInverseDynamics
@@ -43,8 +43,6 @@ from drake_oa.systems.recorded_perception import RecordedPerception
 from drake_oa.systems.regressor_chain import RegressorChain
 from drake_oa.values import EllipsoidSet, FloatArray, TablePlane
 from drake_oa.workspace import tool_down_margin
-
-_logger = logging.getLogger("drake_oa")
 
 
 def make_dmp(scenario: Scenario) -> Dmp:
@@ -130,7 +128,7 @@ def make_perception(
         try:
             return RecordedPerception(
                 source.folder,
-                config=SegmentationConfig(**source.segmentation),
+                config=segmentation_config(source.segmentation),
                 period=source.period,
                 loop=source.loop,
             )
@@ -140,7 +138,7 @@ def make_perception(
     prior = {} if scenario.table_height is None else {"table_height": scenario.table_height}
     return DepthPerception(
         _intrinsics(station.cameras[source.camera]),
-        config=SegmentationConfig(**(prior | source.segmentation)),
+        config=segmentation_config(source.segmentation, **prior),
         robot=collect_collision_shapes(
             robot_plant.plant, robot_plant.scene_graph.model_inspector(), robot_plant.instance
         ),
@@ -213,7 +211,7 @@ def make_dmp_integrator(scenario: Scenario) -> DmpIntegrator:
         np.asarray(scenario.task.start, dtype=float),
         period=policy.period,
         parameters=ActionParameters(
-            guidance=policy.guidance,
+            guidance=cast(GuidanceForm, policy.guidance),
             guidance_gain=policy.guidance_gain,
             fade=policy.fade,
             max_observation_age=policy.max_observation_age,
@@ -252,5 +250,5 @@ def make_overlay(scenario: Scenario, station: Station | None, meshcat: Meshcat) 
         meshcat,
         camera_info=None if sensor is None else _intrinsics(sensor),
         body_index=hand.index(),
-        p_BE=scenario.robot.p_HE,
+        p_BE=np.asarray(scenario.robot.p_HE),
     )

@@ -101,7 +101,7 @@ class _RobotJudge:
         return self._tool_frame.CalcPoseInWorld(self._plant_context).translation()
 
     def contacts(self, query: QueryObject) -> list[str]:
-        """"link - thing" of what touches the robot."""
+        """ "link - thing" of what touches the robot."""
         found = []
         for hit in query.ComputePointPairPenetration():
             a, b = hit.id_A, hit.id_B

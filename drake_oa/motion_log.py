@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -128,7 +129,8 @@ def load_logs(path: Path) -> dict[str, MotionLog]:
             missing = [name for name in names if f"{motion}/{name}" not in archive.files]
             if missing:
                 raise ValueError(f"{path} is not a motion log: '{motion}' lacks {missing}")
-            logs[motion] = MotionLog(**{n: _read(archive[f"{motion}/{n}"]) for n in names})
+            values: dict[str, Any] = {n: _read(archive[f"{motion}/{n}"]) for n in names}
+            logs[motion] = MotionLog(**values)
     return logs
 
 

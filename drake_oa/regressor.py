@@ -1,15 +1,19 @@
 """The regressor chain: from the shape of an obstacle to coupling parameters.
 
 Three small networks are evaluated one after the other (sec. "Geometry-conditioned
-Parameter Regressor" of the paper), the input h = (lambda1', lambda2', Delta)::
+Parameter Regressor" of the paper)::
 
     Y1: h               -> kappa
     Y2: (h, kappa)      -> psi
     Y3: (h, kappa, psi) -> alpha
 
+The paper's input is h = (lambda1', lambda2', Delta). The project's own chain has one
+more, the place of the obstacle's centre along the baseline: the same parameters that
+keep the clearance from an obstacle in the middle fall short of it, or touch, nearer to
+the start, where the motion is slow and has little way left to turn.
+
 Lengths are divided by the baseline L, since the coupling law is scale free:
-(lambda'/L, Delta/L) -> (kappa L^2, psi, alpha) is one map for every L. alpha is
-counted per demonstrated duration T: the turning rate in units of 1/T.
+h/L -> (kappa L^2, psi, alpha) is one map for every L. alpha is counted per demonstrated duration T: the turning rate in units of 1/T.
 """
 
 from __future__ import annotations
@@ -21,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from drake_oa.regressor_kernels import clamp_rows, section_rows
 from drake_oa.values import FloatArray, _Frozen
@@ -131,12 +135,14 @@ class ClearanceLimit(_Frozen):
     Attributes:
         lambda1: (n,) increasing lambda1'/L; empty where nothing was recorded.
         lambda2: (m,) increasing lambda2'/L.
-        clearance: (n, m) largest attainable Delta/L.
+        position: (p,) increasing place of the centre along the baseline, in L.
+        clearance: (n, m, p) largest attainable Delta/L.
     """
 
     lambda1: FloatArray = field(default_factory=lambda: np.zeros(0))
     lambda2: FloatArray = field(default_factory=lambda: np.zeros(0))
-    clearance: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    position: FloatArray = field(default_factory=lambda: np.zeros(0))
+    clearance: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,12 +151,13 @@ class ChainWeights(_Frozen):
 
     Attributes:
         networks: the networks by target name, see `TARGETS`.
-        lower: (3,) least lambda1'/L, lambda2'/L, Delta/L of the training set.
-        upper: (3,) the greatest of them.
+        lower: (d,) least lambda1'/L, lambda2'/L, Delta/L and, if d = 4, position/L of
+            the training set.
+        upper: (d,) the greatest of them.
+        input_scale: (d,) factors on the inputs before the networks (2 on lambda' for a
+            chain trained on full widths).
         log_targets: targets that the chain handles (learns, and hands on as inputs)
             as their natural logarithm.
-        input_scale: (3,) factors on lambda1'/L, lambda2'/L, Delta/L before the
-            networks (2 for a chain trained on full widths).
         limit: largest attainable clearance.
         metadata: units, ranges, recipe, configuration, seed, NMSE, commit.
     """
@@ -158,8 +165,8 @@ class ChainWeights(_Frozen):
     networks: Mapping[str, Network]
     lower: FloatArray
     upper: FloatArray
+    input_scale: FloatArray
     log_targets: frozenset[str] = frozenset()
-    input_scale: FloatArray = field(default_factory=lambda: np.ones(3))
     limit: ClearanceLimit = field(default_factory=ClearanceLimit)
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
@@ -167,23 +174,23 @@ class ChainWeights(_Frozen):
         """The bare chain, without any check of its range.
 
         Args:
-            inputs: (N, 3) lambda1'/L, lambda2'/L, Delta/L.
+            inputs: (N, d) lambda1'/L, lambda2'/L, Delta/L and, if d = 4, position/L.
 
         Returns:
             (N, 3) alpha, psi, kappa L^2.
         """
-        columns = np.empty((6, len(inputs)))
-        columns[:3] = inputs.T
+        columns = np.empty((len(self.lower) + 3, len(inputs)))
+        columns[:-3] = inputs.T
         return np.array(self._evaluate_columns(columns)).T
 
     def _evaluate_columns(self, columns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """alpha, psi, kappa L^2 at inputs in the first three of six rows, all overwritten."""
-        columns[:3] *= self.input_scale[:, None]
-        columns[3] = 1.0
-        kappa = columns[3] = self.networks["kappa"].evaluate(columns[:4])
-        columns[4] = 1.0
-        psi = columns[4] = self.networks["psi"].evaluate(columns[:5])
-        columns[5] = 1.0
+        """alpha, psi, kappa L^2 at inputs in the first d of d + 3 rows, all overwritten."""
+        columns[:-3] *= self.input_scale[:, None]
+        columns[-3] = 1.0
+        kappa = columns[-3] = self.networks["kappa"].evaluate(columns[:-2])
+        columns[-2] = 1.0
+        psi = columns[-2] = self.networks["psi"].evaluate(columns[:-1])
+        columns[-1] = 1.0
         alpha = self.networks["alpha"].evaluate(columns)
         log = self.log_targets
         return (
@@ -193,7 +200,11 @@ class ChainWeights(_Frozen):
         )
 
     def parameters(
-        self, extents: FloatArray, clearance: float | FloatArray, baseline: float
+        self,
+        extents: ArrayLike,
+        clearance: ArrayLike,
+        baseline: float,
+        position: ArrayLike | None = None,
     ) -> CouplingParameters:
         """Coupling parameters for obstacles of given section, in physical units.
 
@@ -206,45 +217,62 @@ class ChainWeights(_Frozen):
             clearance: asked clearance Delta, one for all or (M,) [m]. Where it is 0
                 no coupling is needed, and alpha is 0.
             baseline: distance L from start to goal [m].
+            position: where along the baseline the centres are, from the start, one for
+                all or (M,) [m]; None: in the middle. A chain of three inputs does not
+                use it.
 
         Returns:
             One row an obstacle.
 
         Raises:
-            ValueError: if extents has another shape, an extent or the baseline is not
-                finite and positive, or a clearance is negative.
+            ValueError: if a shape is wrong, an extent or the baseline is not finite and
+                positive, a clearance is negative, or a value is not finite.
         """
         extents = np.asarray(extents, dtype=float)
         if extents.ndim != 2 or extents.shape[1] != 2:
             raise ValueError(f"extents must have the shape (M, 2), not {extents.shape}")
-        asked = np.empty(len(extents))
-        asked[:] = clearance
+        asked = _per_row("clearance", clearance, len(extents))
         if not ((asked >= 0.0) & (asked < np.inf)).all() or not 0.0 < baseline < np.inf:
             raise ValueError(
                 "clearance must be finite and not negative and the baseline positive [m], not "
                 f"{clearance} and {baseline}"
             )
+        place = _per_row("position", 0.5 * baseline if position is None else position, len(extents))
         if not len(extents):
             return CouplingParameters()
-        columns = np.empty((6, len(extents)))
+        columns = np.empty((len(self.lower) + 3, len(extents)))
         table = self.limit
         moved = clamp_rows(
             extents,
             asked,
+            place,
             baseline,
             self.lower,
             self.upper,
             table.lambda1,
             table.lambda2,
+            table.position,
             table.clearance,
             columns,
         )
         if moved.max() == np.inf:
-            raise ValueError(f"extents must be finite and positive [m], not {extents.tolist()}")
+            raise ValueError(
+                "extents must be finite and positive and positions finite [m], not "
+                f"{extents.tolist()} and {place.tolist()}"
+            )
         alpha, psi, kappa = self._evaluate_columns(columns)
         needed = asked > 0.0
         in_range = (moved <= _IN_RANGE) | ~needed
         return CouplingParameters(alpha * needed, psi, kappa / baseline**2, in_range)
+
+
+def _per_row(name: str, value: ArrayLike, n_rows: int) -> FloatArray:
+    array = np.asarray(value, dtype=float)
+    if array.shape not in ((), (n_rows,)):
+        raise ValueError(f"{name} must be one number or ({n_rows},), not {array.shape}")
+    rows = np.empty(n_rows)
+    rows[:] = array
+    return rows
 
 
 def section_extents(
@@ -333,18 +361,21 @@ def load_chain(path: str | Path) -> ChainWeights:
         raise ValueError(f"{path}: the metadata are damaged or lack 'log_targets'") from error
     if not log_targets <= set(TARGETS):
         raise ValueError(f"{path}: log_targets holds {sorted(log_targets)}, valid are {TARGETS}")
+    lower = _array(path, arrays, "lower", (None,))
+    if lower.size not in (3, 4):
+        raise ValueError(f"{path}: 'lower' has {lower.size} entries, it must have 3 or 4")
+    upper, scale = (_array(path, arrays, key, lower.shape) for key in ("upper", "input_scale"))
     limit = ClearanceLimit()
     if any(f"limit_{key}" in arrays for key in _LIMIT):
-        n, m = (_array(path, arrays, f"limit_lambda{i}", (None,)).size for i in (1, 2))
-        limit = ClearanceLimit(
-            _array(path, arrays, "limit_lambda1", (n,)),
-            _array(path, arrays, "limit_lambda2", (m,)),
-            _array(path, arrays, "limit_clearance", (n, m)),
-        )
-    lower, upper, scale = (
-        _array(path, arrays, key, (3,)) for key in ("lower", "upper", "input_scale")
-    )
-    return ChainWeights(_networks(path, arrays), lower, upper, log_targets, scale, limit, metadata)
+        axes = [_array(path, arrays, f"limit_{key}", (None,)) for key in _LIMIT[:3]]
+        shape = tuple(axis.size for axis in axes)
+        if min(shape) < 2 or not all((np.diff(axis) > 0.0).all() for axis in axes):
+            raise ValueError(f"{path}: limit_lambda1, _lambda2 and _position must increase")
+        if lower.size < 4:
+            raise ValueError(f"{path}: a chain of 3 inputs has no 'limit_clearance'")
+        limit = ClearanceLimit(*axes, _array(path, arrays, "limit_clearance", shape))
+    networks = _networks(path, arrays, lower.size)
+    return ChainWeights(networks, lower, upper, scale, log_targets, limit, metadata)
 
 
 def load_width_chain(path: str | Path) -> ChainWeights:
@@ -359,15 +390,15 @@ def load_width_chain(path: str | Path) -> ChainWeights:
     """
     path = Path(path)
     arrays, _ = _read_arrays(path)
-    networks = _networks(path, arrays)
+    networks = _networks(path, arrays, 3)
     first = networks["kappa"]
     scale = np.array([2.0, 2.0, 1.0])
     upper = first.in_offset - 2.0 * first.in_min / first.in_gain
-    return ChainWeights(networks, first.in_offset / scale, upper / scale, input_scale=scale)
+    return ChainWeights(networks, first.in_offset / scale, upper / scale, scale)
 
 
 _SCALING = ("in_offset", "in_gain", "in_min", "out_offset", "out_gain", "out_min")
-_LIMIT = ("lambda1", "lambda2", "clearance")
+_LIMIT = ("lambda1", "lambda2", "position", "clearance")
 
 
 def _read_arrays(path: Path) -> tuple[dict[str, Any], str | None]:
@@ -409,20 +440,22 @@ def _array(
     return value.astype(float)
 
 
-def _networks(path: Path, arrays: Mapping[str, Any]) -> dict[str, Network]:
+def _networks(path: Path, arrays: Mapping[str, Any], n_inputs: int) -> dict[str, Network]:
     networks = {}
     for i, name in enumerate(TARGETS):
         n_layers = 1
         while f"{name}_W{n_layers + 1}" in arrays:
             n_layers += 1
-        n_in, weights, biases = 3 + i, [], []
+        n_in, weights, biases = n_inputs + i, [], []
         for layer in range(1, n_layers + 1):
             n_out = 1 if layer == n_layers else None
             weight = _array(path, arrays, f"{name}_W{layer}", (n_out, n_in))
             n_in = len(weight)
             weights.append(weight)
             biases.append(_array(path, arrays, f"{name}_b{layer}", (n_in,)))
-        offset, gain = (_array(path, arrays, f"{name}_{key}", (3 + i,)) for key in _SCALING[:2])
+        offset, gain = (
+            _array(path, arrays, f"{name}_{key}", (n_inputs + i,)) for key in _SCALING[:2]
+        )
         scalars = {
             key: float(_array(path, arrays, f"{name}_{key}", ()))
             for key in ("in_min", "out_offset", "out_gain", "out_min")

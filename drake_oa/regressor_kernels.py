@@ -15,11 +15,13 @@ _PARALLEL = 1e-6
 def clamp_rows(
     extents: FloatArray,
     clearance: FloatArray,
+    position: FloatArray,
     baseline: float,
     lower: FloatArray,
     upper: FloatArray,
     axis1: FloatArray,
     axis2: FloatArray,
+    axis3: FloatArray,
     table: FloatArray,
     columns: FloatArray,
 ) -> FloatArray:
@@ -28,47 +30,57 @@ def clamp_rows(
     Args:
         extents: (M, 2) lambda1', lambda2' [m].
         clearance: (M,) Delta [m].
+        position: (M,) where along the baseline the centre is [m].
         baseline: L [m].
-        lower: (3,) least values.
-        upper: (3,) greatest values.
+        lower: (d,) least values of lambda1'/L, lambda2'/L, Delta/L and, if d = 4,
+            position/L.
+        upper: (d,) greatest values.
         axis1: (n,) increasing lambda1'/L of the table; empty: no table.
         axis2: (m,) increasing lambda2'/L.
-        table: (n, m) largest attainable Delta/L, interpolated bilinearly.
-        columns: (>= 3, M) takes the moved queries in its first three rows.
+        axis3: (p,) increasing position/L.
+        table: (n, m, p) largest attainable Delta/L, interpolated linearly.
+        columns: (>= d, M) takes the moved queries in its first d rows.
 
     Returns:
-        (M,) largest distance moved, in units of L; inf where an extent is not a
-        finite positive number.
+        (M,) largest distance moved, in units of L; inf where an extent is not finite
+        and positive, or the position not finite.
     """
     moved = np.empty(len(extents))
-    asked = np.empty(3)
+    asked = np.empty(4)
+    weight = np.empty((3, 2))
     for row in range(len(extents)):
-        asked[2] = clearance[row] / baseline
-        valid = True
-        for k in range(2):
-            valid = valid and 0.0 < extents[row, k] < np.inf
-            asked[k] = extents[row, k] / baseline
-        for k in range(3):
+        asked[0], asked[1] = extents[row, 0] / baseline, extents[row, 1] / baseline
+        asked[2], asked[3] = clearance[row] / baseline, position[row] / baseline
+        for k in range(len(lower)):
             columns[k, row] = min(max(asked[k], lower[k]), upper[k])
-        if not valid:
+        valid = asked[0] > 0.0 and asked[1] > 0.0 and math.isfinite(asked[3])
+        if not valid or not math.isfinite(asked[0] + asked[1]):
             moved[row] = np.inf
             continue
+        moved[row] = 0.0
         if len(axis1):
-            x, y = columns[0, row], columns[1, row]
-            i = min(max(np.searchsorted(axis1, x) - 1, 0), len(axis1) - 2)
-            j = min(max(np.searchsorted(axis2, y) - 1, 0), len(axis2) - 2)
-            u = (x - axis1[i]) / (axis1[i + 1] - axis1[i])
-            v = (y - axis2[j]) / (axis2[j + 1] - axis2[j])
-            low = table[i, j] + v * (table[i, j + 1] - table[i, j])
-            high = table[i + 1, j] + v * (table[i + 1, j + 1] - table[i + 1, j])
-            limit = low + u * (high - low)
+            i = _locate(axis1, columns[0, row], weight[0])
+            j = _locate(axis2, columns[1, row], weight[1])
+            k = _locate(axis3, columns[3, row], weight[2])
+            limit = 0.0
+            for corner in range(8):
+                a, b, c = corner & 1, (corner >> 1) & 1, corner >> 2
+                share = weight[0, a] * weight[1, b] * weight[2, c]
+                limit += share * table[i + a, j + b, k + c]
             columns[2, row] = min(columns[2, row], max(limit, lower[2]))
             moved[row] = max(0.0, lower[2] - limit)
-        else:
-            moved[row] = 0.0
-        for k in range(3):
+        for k in range(len(lower)):
             moved[row] = max(moved[row], abs(asked[k] - columns[k, row]))
     return moved
+
+
+@numba.njit(cache=True)
+def _locate(axis: FloatArray, x: float, weight: FloatArray) -> int:
+    """Cell of x in an increasing axis, and the weights of its two ends."""
+    i = min(max(np.searchsorted(axis, x) - 1, 0), len(axis) - 2)
+    weight[1] = (x - axis[i]) / (axis[i + 1] - axis[i])
+    weight[0] = 1.0 - weight[1]
+    return i
 
 
 @numba.njit(cache=True)

@@ -88,7 +88,7 @@ def report_table(report: dict[str, Any]) -> str:
     for motion in ("preplanned", "modulated"):
         if motion not in report:
             continue
-        row = [motion]
+        row: list[str] = [motion]
         for key, _, form in _COLUMNS:
             value = report[motion][key]
             row.append("-" if value is None else form.format(value * _SCALE.get(key, 1)))

@@ -31,7 +31,12 @@ class ScenarioError(ValueError):
 
 
 def _number(
-    default: float, unit: str, low: float = -math.inf, high: float = math.inf, *, open_low: bool = False
+    default: float,
+    unit: str,
+    low: float = -math.inf,
+    high: float = math.inf,
+    *,
+    open_low: bool = False,
 ) -> Any:
     return dc.field(
         default=default, metadata={"unit": unit, "low": low, "high": high, "open_low": open_low}
@@ -133,9 +138,7 @@ class Robot:
     # opening along the world's x: the hand is narrow along the motion.
     rpy_WE: list[float] = _vector([math.pi, 0.0, math.pi / 2.0], "rad")
     # Seed of the inverse kinematics and posture of the null space (7 joints) [rad].
-    q_seed: list[float] = _vector(
-        [-0.7401, 0.1857, 0.0143, -1.9017, -0.003, 2.0874, 0.0608], "rad"
-    )
+    q_seed: list[float] = _vector([-0.7401, 0.1857, 0.0143, -1.9017, -0.003, 2.0874, 0.0608], "rad")
     # Opening of each finger [m].
     finger_opening: float = _number(0.0, "m", 0.0, 0.04)
     gains: Gains = dc.field(default_factory=Gains)
@@ -232,8 +235,7 @@ def scenario_path(name_or_file: str) -> Path:
     if path.is_file():
         return path
     raise ScenarioError(
-        f"unknown scenario '{name_or_file}': it is neither a file nor one of "
-        f"{', '.join(shipped)}"
+        f"unknown scenario '{name_or_file}': it is neither a file nor one of {', '.join(shipped)}"
     )
 
 
@@ -409,11 +411,7 @@ def _check_whole(scenario: Scenario) -> None:
             f"cameras has {', '.join(names) or 'none'}"
         )
     if isinstance(perception, (DepthCamera, RecordedClouds)):
-        try:
-            SegmentationConfig(**perception.segmentation)
-        except (TypeError, ValueError) as error:
-            valid = ", ".join(item.name for item in dc.fields(SegmentationConfig))
-            raise ScenarioError(f"perception.segmentation: {error}; fields: {valid}") from None
+        segmentation_config(perception.segmentation)
     if isinstance(perception, GivenEllipsoids):
         for number, item in enumerate(perception.ellipsoids):
             if min(item.semi_axes) <= 0.0:
@@ -431,6 +429,22 @@ def _check_whole(scenario: Scenario) -> None:
         raise ScenarioError(
             f"task.goal: {scenario.task.goal} is the start; they must be at least 1 mm apart"
         )
+
+
+def segmentation_config(changes: dict[str, float], **defaults: Any) -> SegmentationConfig:
+    """The segmentation's parameters with a scenario's changes.
+
+    Raises:
+        ScenarioError: for an unknown field or a value out of range.
+    """
+    values: dict[str, Any] = defaults | {
+        name: int(value) if float(value).is_integer() else value for name, value in changes.items()
+    }
+    try:
+        return SegmentationConfig(**values)
+    except (TypeError, ValueError) as error:
+        valid = ", ".join(item.name for item in dc.fields(SegmentationConfig))
+        raise ScenarioError(f"perception.segmentation: {error}; fields: {valid}") from None
 
 
 def _resolve_files(scenario: Scenario, folder: Path | None) -> None:

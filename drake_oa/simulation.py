@@ -35,8 +35,10 @@ class MotionInterruptedError(RuntimeError):
 
 
 def software_versions() -> tuple[str, ...]:
-    """"name version" of what the result depends on, and the commit when known."""
-    found = [f"{name} {version(name)}" for name in ("drake_oa", "drake", "numpy", "scipy", "open3d")]
+    """ "name version" of what the result depends on, and the commit when known."""
+    found = [
+        f"{name} {version(name)}" for name in ("drake_oa", "drake", "numpy", "scipy", "open3d")
+    ]
     commit = source_commit()
     return (*found, f"commit {commit}") if commit else tuple(found)
 
@@ -94,9 +96,7 @@ class _Watcher:
         if now < self._next_time:
             return EventStatus.DidNothing()
         self._next_time = now + 0.5 * self._period
-        policy: PolicyState = self._policy_port.Eval(
-            self._policy_system.GetMyContextFromRoot(root)
-        )
+        policy: PolicyState = self._policy_port.Eval(self._policy_system.GetMyContextFromRoot(root))
         self._record(root, now, policy)
         if self._on_progress is not None:
             self._on_progress(now, policy.phase)

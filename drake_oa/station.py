@@ -199,9 +199,7 @@ def make_station(builder: DiagramBuilder, scenario: Scenario, *, render: bool = 
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=scenario.plant_step)
     robot = _add_robot(plant, scenario.robot)
     try:
-        ProcessModelDirectives(
-            ModelDirectives(directives=scenario.directives), make_parser(plant)
-        )
+        ProcessModelDirectives(ModelDirectives(directives=scenario.directives), make_parser(plant))
     except RuntimeError as error:
         raise ScenarioError(f"directives: {error}") from None
     plant.Finalize()

@@ -200,8 +200,6 @@ def test_a_desired_motion_that_is_not_finite_brakes_the_joints(field: str, bad: 
     desired = dataclasses.replace(motion(1), **{field: np.array([0.0, bad, 0.0])})
     torque = follow(state, desired)
     assert np.isfinite(torque.tau).all()
-    if bad == 1e308 and field == "a_WE":
-        return
     assert torque.stopping
     np.testing.assert_allclose(np.linalg.solve(state.M, torque.tau - state.h), -10.0 * state.v)
     assert np.isinf(torque.position_error).all()

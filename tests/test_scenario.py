@@ -97,5 +97,5 @@ def test_unknown_scenario_lists_the_shipped_ones() -> None:
 
 @pytest.mark.parametrize("override", ["task", "=3", "task.clearance.deep=1"])
 def test_bad_override_is_refused(override: str) -> None:
-    with pytest.raises(ScenarioError, match="override|block"):
+    with pytest.raises(ScenarioError, match=r"override|block"):
         load_scenario("tabletop_box", [override])

@@ -167,9 +167,7 @@ class CostRingSelector(LeafSystem):
         route: Route = context.get_abstract_state(self._decided).get_value()
         if not np.array_equal(route.ids, ellipsoids.ids):
             route = self._decision(context)
-        normal_W = passing_normals(
-            policy.p_WE, route.center_W, route.direction_W, policy.R_WL
-        )
+        normal_W = passing_normals(policy.p_WE, route.center_W, route.direction_W, policy.R_WL)
         heading_W = desired_headings(
             policy, ellipsoids, route.direction_W, normal_W, route.clearance
         )

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
-from dataclasses import replace
 
 import numpy as np
 from pydrake.common.value import Value
