@@ -47,6 +47,52 @@ def rotation_vector(R: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, error_model="numpy")
+def cholesky(A: FloatArray) -> tuple[bool, FloatArray]:
+    """Whether A (n, n) is positive definite, and its factor: A = L L^T.
+
+    For matrices this small the calls into LAPACK would cost more than the arithmetic.
+    """
+    n = len(A)
+    L = np.zeros((n, n))
+    for j in range(n):
+        for i in range(j, n):
+            rest = A[i, j]
+            for k in range(j):
+                rest -= L[i, k] * L[j, k]
+            if i == j:
+                if not rest > 0.0:
+                    return False, L
+                L[j, j] = math.sqrt(rest)
+            else:
+                L[i, j] = rest / L[j, j]
+    return True, L
+
+
+@njit(cache=True, error_model="numpy")
+def forward(L: FloatArray, B: FloatArray) -> FloatArray:
+    """L^-1 B for a lower triangular L (n, n) and B (n, m)."""
+    X = B.copy()
+    for i in range(len(L)):
+        for k in range(i):
+            for j in range(X.shape[1]):
+                X[i, j] -= L[i, k] * X[k, j]
+        for j in range(X.shape[1]):
+            X[i, j] /= L[i, i]
+    return X
+
+
+@njit(cache=True, error_model="numpy")
+def gram(X: FloatArray, Y: FloatArray) -> FloatArray:
+    """X^T Y of X (n, a) and Y (n, b)."""
+    G = np.zeros((X.shape[1], Y.shape[1]))
+    for k in range(len(X)):
+        for i in range(X.shape[1]):
+            for j in range(Y.shape[1]):
+                G[i, j] += X[k, i] * Y[k, j]
+    return G
+
+
+@njit(cache=True, error_model="numpy")
 def damped_task_force(
     inverse_inertia: FloatArray, acceleration: FloatArray, max_mass: float, length: float
 ) -> tuple[FloatArray, float]:
@@ -78,9 +124,22 @@ def damped_task_force(
     for i in range(6):
         for j in range(6):
             weighed[i, j] = scale[i] * scale[j] * inverse_inertia[i, j]
+    # The trace of the inverse is the sum of all effective masses: where even that is
+    # light enough, nothing is to be damped, and the eigenvectors are not needed.
+    regular, L = cholesky(weighed)
+    force = np.zeros(6)
+    if regular:
+        inverse_L = forward(L, np.eye(6))
+        if np.sum(inverse_L**2) <= max_mass:
+            for k in range(6):
+                along = 0.0
+                for i in range(k + 1):
+                    along += inverse_L[k, i] * scale[i] * acceleration[i]
+                for i in range(k + 1):
+                    force[i] += inverse_L[k, i] * along
+            return scale * force, 0.0
     eigenvalues, vectors = np.linalg.eigh(weighed)
     floor = 1.0 / max_mass
-    force = np.zeros(6)
     share = 0.0
     for k in range(6):
         # Rounding may leave a vanishing eigenvalue slightly negative.
@@ -156,16 +215,21 @@ def law(
     """`drake_oa.cartesian.operational_space_torque` on plain arrays.
 
     Returns:
-        Whether all is finite (the rest means nothing otherwise), torques,
-        saturated joints, position error, orientation error, singularity.
+        Whether it applies: all is finite and M positive definite, else the rest means
+        nothing; torques, saturated joints, position error, orientation error,
+        singularity.
     """
     kp_p, kd_p, kp_R, kd_R, kp_n, kd_n, kp_limit, margin, max_mass, length = gains
     n = len(q)
     error_p = p_d - p_WE
-    error_R = rotation_vector(R_d @ R_WE.T)
+    # R_d R_WE^T.
+    error_R = rotation_vector(gram(R_d.T.copy(), R_WE.T.copy()))
     posture = kp_n * (q_posture - q) - kd_n * v
-    velocity = J @ v
-    wanted = -Jdot_v - J @ posture
+    velocity, wanted = np.zeros(6), -Jdot_v
+    for i in range(6):
+        for j in range(n):
+            velocity[i] += J[i, j] * v[j]
+            wanted[i] -= J[i, j] * posture[j]
     for i in range(3):
         wanted[i] += kp_R * error_R[i] - kd_R * velocity[i]
         wanted[3 + i] += a_d[i] + kd_p * (v_d[i] - velocity[3 + i]) + kp_p * error_p[i]
@@ -175,15 +239,23 @@ def law(
         return False, nothing[0], nothing[1], error_p, error_R, 0.0
     # Repulsion is a torque: as an acceleration, the inertia that couples the joints
     # could turn it towards the limit.
-    repulsion = np.empty(n)
+    drive = np.zeros(n)
     for i in range(n):
         inside = min(max(q[i], q_lower[i] + margin), q_upper[i] - margin)
-        repulsion[i] = kp_limit * M[i, i] * (inside - q[i])
-    M_inverse_Jt = np.linalg.solve(M, J.T.copy())
-    wanted -= repulsion @ M_inverse_Jt
-    force, singularity = damped_task_force(J @ M_inverse_Jt, wanted, max_mass, length)
+        drive[i] = kp_limit * M[i, i] * (inside - q[i])
+    definite, L = cholesky(M)
+    if not definite:
+        return False, nothing[0], nothing[1], error_p, error_R, 0.0
+    # With M = L L^T, J M^-1 x is (L^-1 J^T)^T (L^-1 x).
+    root = forward(L, J.T.copy())
+    wanted -= gram(root, forward(L, drive.reshape((n, 1))))[:, 0]
+    force, singularity = damped_task_force(gram(root, root), wanted, max_mass, length)
     # M M^-1 J^T = J^T: the task's share of the torque needs no product with M.
-    drive = M @ posture + repulsion + force @ J
+    for i in range(n):
+        for j in range(n):
+            drive[i] += M[i, j] * posture[j]
+        for j in range(6):
+            drive[i] += J[j, i] * force[j]
     if not math.isfinite(drive.sum()):
         return False, nothing[0], nothing[1], error_p, error_R, 0.0
     tau, saturated = limit_torque(h, drive, effort)

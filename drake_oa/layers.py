@@ -124,24 +124,26 @@ def make_perception(
             table=_table(scenario),
             period=source.period,
         )
+    prior = {} if scenario.table_height is None else {"table_height": scenario.table_height}
+    robot = collect_collision_shapes(
+        robot_plant.plant, robot_plant.scene_graph.model_inspector(), robot_plant.instance
+    )
     if isinstance(source, RecordedClouds):
         try:
             return RecordedPerception(
                 source.folder,
-                config=segmentation_config(source.segmentation),
+                config=segmentation_config(source.segmentation, **prior),
+                robot=robot,
                 period=source.period,
                 loop=source.loop,
             )
         except (OSError, ValueError) as error:
             raise ScenarioError(f"perception.folder: {error}") from None
     camera = next(config for config in scenario.cameras if config.name == source.camera)
-    prior = {} if scenario.table_height is None else {"table_height": scenario.table_height}
     return DepthPerception(
         _intrinsics(station.cameras[source.camera]),
         config=segmentation_config(source.segmentation, **prior),
-        robot=collect_collision_shapes(
-            robot_plant.plant, robot_plant.scene_graph.model_inspector(), robot_plant.instance
-        ),
+        robot=robot,
         # Drake's VTK renderer samples pixels at their centres.
         pixel_center=0.5,
         period=1.0 / camera.fps,

@@ -3,7 +3,8 @@
 A file is one frame:
 
 - ``.npz`` with ``depth`` (H, W) [m] and ``K`` = [fx, fy, cx, cy], or with ``points``
-  (N, 3) [m]; in either case optionally ``X_WC`` (4, 4) and ``stamp`` [s];
+  (N, 3) [m]; in either case optionally ``X_WC`` (4, 4), ``stamp`` [s] and
+  ``robot_state`` [q, v], by which the robot is taken out of the frame;
 - ``.pcd`` or ``.ply``: a cloud.
 
 Where a file holds no stamp, the number at the end of its name is the stamp in
@@ -41,6 +42,7 @@ class RecordedFrame:
         K: (4,) fx, fy, cx, cy [pixel], or None.
         points: (N, 3) in the camera frame [m], or None.
         X_WC: (4, 4) pose of the camera, or None when the file does not know it.
+        robot_state: [q, v] of a robot in view, or None.
     """
 
     path: Path
@@ -49,6 +51,7 @@ class RecordedFrame:
     K: FloatArray | None = None
     points: NDArray[np.floating] | None = None
     X_WC: FloatArray | None = None
+    robot_state: FloatArray | None = None
 
 
 def read_recording(folder: str | Path, period: float = 1.0 / 15.0) -> tuple[RecordedFrame, ...]:
@@ -124,7 +127,16 @@ def _read_npz(path: Path, stamp: float) -> RecordedFrame:
     own_stamp = _numbers(path, data, "stamp", ())
     if own_stamp is not None:
         stamp = float(own_stamp)
-    return RecordedFrame(path, stamp, depth, K, points, _numbers(path, data, "X_WC", (4, 4)))
+    state_shape = np.shape(data.get("robot_state", ()))[:1]
+    return RecordedFrame(
+        path,
+        stamp,
+        depth,
+        K,
+        points,
+        _numbers(path, data, "X_WC", (4, 4)),
+        _numbers(path, data, "robot_state", state_shape),
+    )
 
 
 def _check_floats(

@@ -13,7 +13,8 @@ keep the clearance from an obstacle in the middle fall short of it, or touch, ne
 the start, where the motion is slow and has little way left to turn.
 
 Lengths are divided by the baseline L, since the coupling law is scale free:
-h/L -> (kappa L^2, psi, alpha) is one map for every L. alpha is counted per demonstrated duration T: the turning rate in units of 1/T.
+h/L -> (kappa L^2, psi, alpha) is one map for every L. alpha is counted per
+demonstrated duration T: the turning rate in units of 1/T.
 """
 
 from __future__ import annotations
@@ -34,9 +35,6 @@ BoolArray = NDArray[np.bool_]
 
 TARGETS = ("kappa", "psi", "alpha")
 """The order of the chain."""
-
-_IN_RANGE = 1e-12
-"""By how much a query may be moved and still count as inside."""
 
 _SATURATED = 40.0
 """Where tanh is 1 to the last bit."""
@@ -232,17 +230,14 @@ class ChainWeights(_Frozen):
         if extents.ndim != 2 or extents.shape[1] != 2:
             raise ValueError(f"extents must have the shape (M, 2), not {extents.shape}")
         asked = _per_row("clearance", clearance, len(extents))
-        if not ((asked >= 0.0) & (asked < np.inf)).all() or not 0.0 < baseline < np.inf:
-            raise ValueError(
-                "clearance must be finite and not negative and the baseline positive [m], not "
-                f"{clearance} and {baseline}"
-            )
+        if not 0.0 < baseline < np.inf:
+            raise ValueError(f"baseline must be finite and positive [m], not {baseline}")
         place = _per_row("position", 0.5 * baseline if position is None else position, len(extents))
         if not len(extents):
             return CouplingParameters()
         columns = np.empty((len(self.lower) + 3, len(extents)))
         table = self.limit
-        moved = clamp_rows(
+        in_range, needed, valid = clamp_rows(
             extents,
             asked,
             place,
@@ -255,24 +250,24 @@ class ChainWeights(_Frozen):
             table.clearance,
             columns,
         )
-        if moved.max() == np.inf:
+        if not valid:
             raise ValueError(
-                "extents must be finite and positive and positions finite [m], not "
-                f"{extents.tolist()} and {place.tolist()}"
+                "extents must be positive, clearances not negative, and both and positions "
+                f"finite [m], not {extents.tolist()}, {asked.tolist()} and {place.tolist()}"
             )
         alpha, psi, kappa = self._evaluate_columns(columns)
-        needed = asked > 0.0
-        in_range = (moved <= _IN_RANGE) | ~needed
-        return CouplingParameters(alpha * needed, psi, kappa / baseline**2, in_range)
+        alpha *= needed
+        kappa /= baseline * baseline
+        return CouplingParameters(alpha, psi, kappa, in_range)
 
 
 def _per_row(name: str, value: ArrayLike, n_rows: int) -> FloatArray:
     array = np.asarray(value, dtype=float)
-    if array.shape not in ((), (n_rows,)):
+    if array.shape == (n_rows,):
+        return array
+    if array.shape:
         raise ValueError(f"{name} must be one number or ({n_rows},), not {array.shape}")
-    rows = np.empty(n_rows)
-    rows[:] = array
-    return rows
+    return np.full(n_rows, array)
 
 
 def section_extents(
@@ -373,7 +368,8 @@ def load_chain(path: str | Path) -> ChainWeights:
             raise ValueError(f"{path}: limit_lambda1, _lambda2 and _position must increase")
         if lower.size < 4:
             raise ValueError(f"{path}: a chain of 3 inputs has no 'limit_clearance'")
-        limit = ClearanceLimit(*axes, _array(path, arrays, "limit_clearance", shape))
+        table = _array(path, arrays, "limit_clearance", shape)
+        limit = ClearanceLimit(axes[0], axes[1], axes[2], table)
     networks = _networks(path, arrays, lower.size)
     return ChainWeights(networks, lower, upper, scale, log_targets, limit, metadata)
 

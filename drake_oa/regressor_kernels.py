@@ -4,8 +4,14 @@ import math
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from drake_oa.values import FloatArray
+
+BoolArray = NDArray[np.bool_]
+
+_ROUNDING = 1e-12
+"""By how much of L a query may be moved and still count as inside."""
 
 _PARALLEL = 1e-6
 """Sine of the angle below which two directions do not span a plane."""
@@ -24,12 +30,12 @@ def clamp_rows(
     axis3: FloatArray,
     table: FloatArray,
     columns: FloatArray,
-) -> FloatArray:
-    """Moves queries into the trained range and tells how far each was moved.
+) -> tuple[BoolArray, BoolArray, bool]:
+    """Moves queries into the trained range and tells which were inside.
 
     Args:
         extents: (M, 2) lambda1', lambda2' [m].
-        clearance: (M,) Delta [m].
+        clearance: (M,) Delta [m]; 0 where no coupling is needed.
         position: (M,) where along the baseline the centre is [m].
         baseline: L [m].
         lower: (d,) least values of lambda1'/L, lambda2'/L, Delta/L and, if d = 4,
@@ -42,10 +48,12 @@ def clamp_rows(
         columns: (>= d, M) takes the moved queries in its first d rows.
 
     Returns:
-        (M,) largest distance moved, in units of L; inf where an extent is not finite
-        and positive, or the position not finite.
+        (M,) whether the query was inside (or needs no coupling), (M,) whether coupling is
+        needed, and whether all values are valid: finite, extents positive, clearances
+        not negative.
     """
-    moved = np.empty(len(extents))
+    inside = np.ones(len(extents), dtype=np.bool_)
+    needed = np.ones(len(extents), dtype=np.bool_)
     asked = np.empty(4)
     weight = np.empty((3, 2))
     for row in range(len(extents)):
@@ -53,11 +61,13 @@ def clamp_rows(
         asked[2], asked[3] = clearance[row] / baseline, position[row] / baseline
         for k in range(len(lower)):
             columns[k, row] = min(max(asked[k], lower[k]), upper[k])
-        valid = asked[0] > 0.0 and asked[1] > 0.0 and math.isfinite(asked[3])
-        if not valid or not math.isfinite(asked[0] + asked[1]):
-            moved[row] = np.inf
+        valid = asked[0] > 0.0 and asked[1] > 0.0 and asked[2] >= 0.0
+        if not valid or not math.isfinite(asked[0] + asked[1] + asked[2] + asked[3]):
+            return inside, needed, False
+        needed[row] = clearance[row] > 0.0
+        if not needed[row]:
             continue
-        moved[row] = 0.0
+        moved = 0.0
         if len(axis1):
             i = _locate(axis1, columns[0, row], weight[0])
             j = _locate(axis2, columns[1, row], weight[1])
@@ -68,16 +78,17 @@ def clamp_rows(
                 share = weight[0, a] * weight[1, b] * weight[2, c]
                 limit += share * table[i + a, j + b, k + c]
             columns[2, row] = min(columns[2, row], max(limit, lower[2]))
-            moved[row] = max(0.0, lower[2] - limit)
+            moved = max(0.0, lower[2] - limit)
         for k in range(len(lower)):
-            moved[row] = max(moved[row], abs(asked[k] - columns[k, row]))
-    return moved
+            moved = max(moved, abs(asked[k] - columns[k, row]))
+        inside[row] = moved <= _ROUNDING
+    return inside, needed, True
 
 
 @numba.njit(cache=True)
 def _locate(axis: FloatArray, x: float, weight: FloatArray) -> int:
     """Cell of x in an increasing axis, and the weights of its two ends."""
-    i = min(max(np.searchsorted(axis, x) - 1, 0), len(axis) - 2)
+    i = min(max(int(np.searchsorted(axis, x)) - 1, 0), len(axis) - 2)
     weight[1] = (x - axis[i]) / (axis[i + 1] - axis[i])
     weight[0] = 1.0 - weight[1]
     return i

@@ -412,6 +412,8 @@ def _check_whole(scenario: Scenario) -> None:
         )
     if isinstance(perception, (DepthCamera, RecordedClouds)):
         segmentation_config(perception.segmentation)
+    if isinstance(perception, RecordedClouds) and not perception.folder:
+        raise ScenarioError("perception.folder: is empty; it must name a folder of recordings")
     if isinstance(perception, GivenEllipsoids):
         for number, item in enumerate(perception.ellipsoids):
             if min(item.semi_axes) <= 0.0:

@@ -25,6 +25,7 @@ SMALL = Exploration(
     lambda1=np.array([0.05, 0.15, 0.25]),
     lambda2=np.array([0.05, 0.15, 0.25]),
     clearances=np.array([0.05, 0.1, 0.15]),
+    positions=np.array([0.4, 0.6]),
     kappa=np.geomspace(0.5, 20.0, 5),
     psi=np.geomspace(1.0, 2.2, 3),
     alpha=np.geomspace(30.0, 1e4, 12),
@@ -87,27 +88,32 @@ def test_rows_that_do_not_fit_are_refused(x, y, message):
         train(layers, x, y, Schedule())
 
 
+def rolled_out(rows, targets):
+    centers = np.column_stack((rows.inputs[:, 3], np.zeros(len(rows.inputs))))
+    return planar_rollouts(rows.inputs[:, :2], targets[:, [2, 1, 0]], centers=centers)
+
+
 def test_every_row_keeps_its_clearance_and_arrives(rows):
-    outcome = planar_rollouts(rows.inputs[:, :2], rows.targets[:, [2, 1, 0]])
+    outcome = rolled_out(rows, rows.targets)
     excess = outcome.clearance - rows.inputs[:, 2]
     assert (excess >= SMALL.margin - 1e-9).all()
     assert (outcome.goal_error <= SMALL.goal_tolerance).all()
 
 
 def test_alpha_is_the_weakest_that_keeps_it(rows):
-    weaker = rows.targets * (1.0, 1.0, 0.99)
-    outcome = planar_rollouts(rows.inputs[:, :2], weaker[:, [2, 1, 0]])
+    outcome = rolled_out(rows, rows.targets * (1.0, 1.0, 0.99))
     interior = rows.targets[:, 2] > 1.02 * SMALL.alpha[0]
     assert (outcome.clearance < rows.inputs[:, 2] + SMALL.margin)[interior].mean() > 0.95
 
 
 def test_the_limit_is_the_largest_clearance_in_the_rows(rows):
     chosen = rows.inputs[rows.chosen]
-    for i, lambda1 in enumerate(rows.limit.lambda1):
-        for j, lambda2 in enumerate(rows.limit.lambda2):
-            own = chosen[(chosen[:, 0] == lambda1) & (chosen[:, 1] == lambda2), 2]
-            assert rows.limit.clearance[i, j] <= own.max(initial=0.0)
-    assert rows.limit.clearance[0, 0] == 0.15
+    limit = rows.limit
+    for i, j, k in np.ndindex(limit.clearance.shape):
+        ellipse = (limit.lambda1[i], limit.lambda2[j], limit.position[k])
+        own = chosen[(chosen[:, [0, 1, 3]] == ellipse).all(axis=1), 2]
+        assert limit.clearance[i, j, k] <= own.max(initial=0.0)
+    assert (limit.clearance[0, 0] == 0.15).all()
 
 
 def test_the_same_seed_gives_the_same_rows(rows):
@@ -121,6 +127,7 @@ def test_an_exploration_that_keeps_nothing_is_an_error():
         lambda1=np.array([0.1]),
         lambda2=np.array([0.1]),
         clearances=np.array([0.1]),
+        positions=np.array([0.5]),
         alpha=np.array([1e-3, 1e-2]),
     )
     with pytest.raises(ValueError, match="no input of the exploration can be kept"):

@@ -62,7 +62,7 @@ class EllipsoidDescriptor(LeafSystem):
         self.DeclareAbstractOutputPort(
             "ellipsoids_W",
             lambda: Value(EllipsoidSet()),
-            self._calc_ellipsoids,  # type: ignore[arg-type]  # Drake's stub wants (object, object)
+            self._calc_ellipsoids,
             prerequisites_of_calc={self._obstacles.ticket()},
         )
 

@@ -12,6 +12,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem, State
 
 from drake_oa.point_cloud import Segmentation, SegmentationConfig, segment_depth, segment_points
+from drake_oa.collision_shapes import RobotModel
 from drake_oa.recordings import RecordedFrame, read_recording
 from drake_oa.systems.perception_state import PerceptionState, log_change, valid_period
 from drake_oa.tracking import track
@@ -34,8 +35,9 @@ class RecordedPerception(LeafSystem):
 
     The first frame is due at time 0, each other one as long after it as it was
     recorded; the newest frame due is looked up at initialization and then every
-    `period`. After the last one its obstacles are held, or the recording starts
-    again (`loop`), one period after its end. A held frame keeps its stamp.
+    `period`. A held frame keeps its stamp. When the recording has ended the scene is
+    taken to stay as it was seen last, stamped anew, or the recording starts again
+    (`loop`), one period after its end.
 
     The camera's pose is taken from the frame's file, else from `X_WC`; where
     neither knows it, the table defines the world: z along its normal, the origin
@@ -49,6 +51,7 @@ class RecordedPerception(LeafSystem):
         *,
         X_WC: RigidTransform | None = None,
         config: SegmentationConfig | None = None,
+        robot: RobotModel | None = None,
         period: float = 1.0 / 15.0,
         loop: bool = False,
     ) -> None:
@@ -59,6 +62,8 @@ class RecordedPerception(LeafSystem):
             X_WC: pose of the camera for files that do not hold one; the identity
                 for clouds already in the world frame; None when unknown.
             config: how frames are segmented; None for the defaults.
+            robot: from `collect_collision_shapes`: takes itself out of frames that
+                know its `robot_state`; None: they show no robot.
             period: time between updates, and between files without stamp [s].
             loop: whether the recording starts again when it has ended.
 
@@ -73,6 +78,7 @@ class RecordedPerception(LeafSystem):
         self._start = np.array([frame.stamp for frame in self._frames]) - self._frames[0].stamp
         self._X_WC: Any = None if X_WC is None else X_WC.GetAsMatrix4()
         self._config = config or SegmentationConfig()
+        self._robot = robot
         self._loop = loop
         self._state = PerceptionState.declare(self)
         # Counts the frames due so far; -1 before the first.
@@ -83,10 +89,12 @@ class RecordedPerception(LeafSystem):
     def _update(self, context: Context, state: State) -> None:
         due, stamp = self._due(context.get_time())
         played: Any = state.get_mutable_abstract_state(int(self._played))
+        previous, next_id = self._state.read(context)
         if due == played.get_value():
+            if due == len(self._frames) - 1 and not self._loop and not previous.note:
+                self._state.write(state, replace(previous, stamp=context.get_time()), None)
             return
         played.set_value(due)
-        previous, next_id = self._state.read(context)
         recorded = self._frames[due % len(self._frames)]
         frame = self._segment(recorded)
         if frame.note:
@@ -112,6 +120,9 @@ class RecordedPerception(LeafSystem):
 
     def _segment(self, recorded: RecordedFrame) -> Segmentation:
         X_WC = self._X_WC if recorded.X_WC is None else recorded.X_WC
+        robot = None
+        if self._robot is not None and recorded.robot_state is not None:
+            robot = self._robot.posed(recorded.robot_state)
         if recorded.depth is not None and recorded.K is not None:
-            return segment_depth(recorded.depth, recorded.K, X_WC, self._config)
-        return segment_points(np.asarray(recorded.points), X_WC, self._config)
+            return segment_depth(recorded.depth, recorded.K, X_WC, self._config, robot)
+        return segment_points(np.asarray(recorded.points), X_WC, self._config, robot)

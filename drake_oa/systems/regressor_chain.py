@@ -67,7 +67,7 @@ class RegressorChain(LeafSystem):
         self.DeclareAbstractOutputPort(
             "coupling_parameters",
             lambda: Value(CouplingParameters()),
-            self._calc_parameters,  # type: ignore[arg-type]  # Drake's stub wants (object, object)
+            self._calc_parameters,
             prerequisites_of_calc={
                 self._ellipsoids.ticket(),
                 self._policy.ticket(),
@@ -89,7 +89,8 @@ class RegressorChain(LeafSystem):
                 raise ValueError(
                     f"route has {len(route.extents)} rows; there are {len(ellipsoids)} ellipsoids"
                 )
-            found = self._weights.parameters(route.extents, route.clearance, baseline)
+            place = (route.center_W - policy.p_WS) @ policy.R_WL[:, 0]
+            found = self._weights.parameters(route.extents, route.clearance, baseline, place)
             output.set_value(
                 replace(found, alpha=found.alpha * route.weight, center_W=route.center_W)
             )
@@ -102,4 +103,5 @@ class RegressorChain(LeafSystem):
             ellipsoids.R_WO,
             ellipsoids.semi_axes,
         )
-        output.set_value(self._weights.parameters(extents, self._clearance, baseline))
+        place = (ellipsoids.p_WO - policy.p_WS) @ policy.R_WL[:, 0]
+        output.set_value(self._weights.parameters(extents, self._clearance, baseline, place))

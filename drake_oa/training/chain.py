@@ -73,7 +73,7 @@ def train_chain(
     networks, scores = {}, []
     for i, name in enumerate(TARGETS):
         use = np.ones(len(features), dtype=bool) if name == "alpha" else rows.chosen
-        x, y, mask = features[use, : 3 + i], features[use, 3 + i], in_train[use]
+        x, y, mask = features[use, : 4 + i], features[use, 4 + i], in_train[use]
         network = _train_network(
             x[mask],
             y[mask],
@@ -98,9 +98,10 @@ def train_chain(
             networks,
             chosen.min(axis=0),
             chosen.max(axis=0),
+            np.ones(4),
             frozenset(TARGETS),
-            limit=rows.limit,
-            metadata=metadata,
+            rows.limit,
+            metadata,
         ),
         scores,
     )
@@ -141,7 +142,7 @@ def _metadata(
     }
     return {
         "format": "drake_oa regressor chain 1",
-        "inputs": "lambda1'/L, lambda2'/L (semi-axes), Delta/L",
+        "inputs": "lambda1'/L, lambda2'/L (semi-axes), Delta/L, position/L",
         "units": {"kappa": "1/L^2", "psi": "rad", "alpha": "1/T"},
         "recipe": "project, first",
         "seed": seed,

@@ -3,13 +3,14 @@
 Many (kappa, psi, alpha) keep a clearance. To make the regression a function instead
 of an average over them, each input gets one choice:
 
-1. Roll out a grid of parameters for every ellipse of a lattice, centred on the
+1. Roll out a grid of parameters for every ellipse of a lattice, its centre on the
    baseline, so that the motion heads straight at it.
 2. For an asked clearance and each (kappa, psi) take the weakest alpha that keeps it.
-   Of these candidates the shortest path is best, with a small price on ln alpha and
-   on the distance of (ln kappa, ln psi) from a fixed pair. Since many are nearly as
-   good, the choice is their mean, weighted by exp(-cost / temperature): it varies
-   smoothly with the input where the single best jumps between equals.
+   Of these candidates the shortest path is best, with a price on the goal error and
+   small ones on ln alpha and on the distance of (ln kappa, ln psi) from a fixed pair.
+   Since many are nearly as good, the choice is their mean, weighted by
+   exp(-cost / temperature): it varies smoothly with the input where the single best
+   jumps between equals.
 3. Solve for the alpha which keeps exactly the clearance there, and at (kappa, psi)
    around it: so Y3 learns to make up for what Y1 and Y2 get wrong.
 
@@ -46,11 +47,14 @@ class Exploration(_Frozen):
         lambda1: half-extents along the baseline.
         lambda2: half-extents across it.
         clearances: asked clearances Delta.
+        positions: places of the centre along the baseline.
         kappa: candidates for kappa L^2.
         psi: candidates for psi [rad].
         alpha: candidates for alpha, increasing.
         margin: what the chosen parameters keep on top of the asked clearance.
-        goal_tolerance: largest goal error at s = 1 that counts as arriving.
+        goal_tolerance: largest goal error at s = 1 that counts as arriving. Loose,
+            since a late obstacle still acts at s = 1; the cost prefers less.
+        goal_price: cost of the goal error at s = 1, as a length a length.
         temperature: of the weights over candidates, as a length.
         effort: cost of one unit of ln alpha, as a length.
         anchor: (kappa, psi) that the choice is pulled to.
@@ -61,29 +65,31 @@ class Exploration(_Frozen):
         grid_steps: steps of the roll-outs on the grid.
     """
 
-    lambda1: FloatArray = field(default_factory=lambda: _axis(0.02, 0.44, 15))
-    lambda2: FloatArray = field(default_factory=lambda: _axis(0.02, 0.5, 17))
-    clearances: FloatArray = field(default_factory=lambda: _axis(0.02, 0.35, 23))
-    kappa: FloatArray = field(default_factory=lambda: _axis(0.3, 60.0, 16, geometric=True))
-    psi: FloatArray = field(default_factory=lambda: _axis(0.8, 3.2, 8, geometric=True))
-    alpha: FloatArray = field(default_factory=lambda: _axis(10.0, 1e6, 36, geometric=True))
+    lambda1: FloatArray = field(default_factory=lambda: _axis(0.02, 0.42, 9))
+    lambda2: FloatArray = field(default_factory=lambda: _axis(0.02, 0.5, 11))
+    clearances: FloatArray = field(default_factory=lambda: _axis(0.02, 0.34, 17))
+    positions: FloatArray = field(default_factory=lambda: _axis(0.2, 0.8, 9))
+    kappa: FloatArray = field(default_factory=lambda: _axis(0.3, 80.0, 13, geometric=True))
+    psi: FloatArray = field(default_factory=lambda: _axis(0.8, 3.2, 6, geometric=True))
+    alpha: FloatArray = field(default_factory=lambda: _axis(10.0, 1e6, 30, geometric=True))
     margin: float = 0.004
-    goal_tolerance: float = 2e-3
-    temperature: float = 0.003
+    goal_tolerance: float = 0.05
+    goal_price: float = 4.0
+    temperature: float = 0.004
     effort: float = 0.004
     anchor: tuple[float, float] = (3.0, 1.4)
     pull: float = 0.002
-    scatter: float = 0.1
-    copies: int = 3
+    scatter: float = 0.25
+    copies: int = 2
     grid_steps: int = 500
 
 
 @dataclass(frozen=True, eq=False)
 class TrainingSet(_Frozen):
-    """Rows (lambda1', lambda2', Delta) -> (kappa, psi, alpha), all normalised.
+    """Rows (lambda1', lambda2', Delta, position) -> (kappa, psi, alpha), normalised.
 
     Attributes:
-        inputs: (N, 3) lambda1'/L, lambda2'/L, Delta/L.
+        inputs: (N, 4) lambda1'/L, lambda2'/L, Delta/L, position/L.
         targets: (N, 3) kappa L^2, psi, alpha.
         chosen: (N,) True for the choice itself, which Y1 and Y2 learn; False for the
             rows around it, for Y3 only.
@@ -117,17 +123,24 @@ def build_training_set(
     rng = np.random.default_rng(seed)
     report = progress or (lambda stage, fraction: None)
     inputs, choices, n_rollouts = [], [], 0
-    ellipses = [(a, b) for a in exploration.lambda1 for b in exploration.lambda2]
-    for i, ellipse in enumerate(ellipses):
-        grid, n = _explore(exploration, ellipse)
+    nearest = exploration.clearances[0] + exploration.margin
+    ellipses = [
+        (float(a), float(b), float(x))
+        for a in exploration.lambda1
+        for b in exploration.lambda2
+        for x in exploration.positions
+        if a + nearest < min(x, 1.0 - x)
+    ]
+    for i, (lambda1, lambda2, position) in enumerate(ellipses):
+        grid, n = _explore(exploration, (lambda1, lambda2), position)
         n_rollouts += n
         for clearance in exploration.clearances:
-            # Nobody keeps more than the start's own distance.
-            if ellipse[0] + clearance + exploration.margin >= 0.5:
+            # Nobody keeps more than what start and goal have themselves.
+            if lambda1 + clearance + exploration.margin >= min(position, 1.0 - position):
                 continue
             choice = _choose(exploration, grid, clearance + exploration.margin)
             if choice is not None:
-                inputs.append((*ellipse, clearance))
+                inputs.append((lambda1, lambda2, clearance, position))
                 choices.append(choice)
         report("explore", (i + 1) / len(ellipses))
     if not inputs:
@@ -161,16 +174,22 @@ class _Grid:
     path_length: FloatArray
 
 
-def _explore(exploration: Exploration, ellipse: tuple[float, float]) -> tuple[_Grid, int]:
+def _explore(
+    exploration: Exploration, ellipse: tuple[float, float], position: float
+) -> tuple[_Grid, int]:
     kappa, psi, alpha = np.meshgrid(
         exploration.kappa, exploration.psi, exploration.alpha, indexing="ij"
     )
     parameters = np.column_stack((alpha.ravel(), psi.ravel(), kappa.ravel()))
+    n = len(parameters)
     outcome = planar_rollouts(
-        np.tile(ellipse, (len(parameters), 1)), parameters, steps=exploration.grid_steps
+        np.tile(ellipse, (n, 1)),
+        parameters,
+        centers=np.tile((position, 0.0), (n, 1)),
+        steps=exploration.grid_steps,
     )
     values = (outcome.clearance, outcome.goal_error, outcome.path_length)
-    return _Grid(*(value.reshape(alpha.shape) for value in values)), len(parameters)
+    return _Grid(*(value.reshape(alpha.shape) for value in values)), n
 
 
 def _choose(exploration: Exploration, grid: _Grid, clearance: float) -> tuple[float, float] | None:
@@ -193,7 +212,8 @@ def _choose(exploration: Exploration, grid: _Grid, clearance: float) -> tuple[fl
         log_alpha = np.log(exploration.alpha)
         log_alpha = log_alpha[before[..., 0]] * (1.0 - share) + log_alpha[index[..., 0]] * share
         cost = shorter + share * (length - shorter) + exploration.effort * log_alpha
-    arrives = keeps.any(axis=2) & (pick(grid.goal_error, index) <= exploration.goal_tolerance)
+    goal_error = pick(grid.goal_error, index)
+    arrives = keeps.any(axis=2) & (goal_error <= exploration.goal_tolerance)
     if not arrives.any():
         return None
     log_kappa, log_psi = np.meshgrid(
@@ -201,7 +221,8 @@ def _choose(exploration: Exploration, grid: _Grid, clearance: float) -> tuple[fl
     )
     away = (log_kappa - np.log(exploration.anchor[0])) ** 2
     away += (log_psi - np.log(exploration.anchor[1])) ** 2
-    cost = np.where(arrives, cost + exploration.pull * away, np.inf)
+    cost = cost + exploration.pull * away
+    cost = np.where(arrives, cost + exploration.goal_price * goal_error, np.inf)
     weight = np.exp(-(cost - cost.min()) / exploration.temperature)
     weight /= weight.sum()
     return float(np.exp((weight * log_kappa).sum())), float(np.exp((weight * log_psi).sum()))
@@ -223,7 +244,10 @@ def _solve_alpha(
         nonlocal n_rollouts
         n_rollouts += len(rows)
         kappa, psi = pairs[rows].T
-        outcome = planar_rollouts(inputs[rows, :2], np.column_stack((alpha, psi, kappa)))
+        centers = np.column_stack((inputs[rows, 3], np.zeros(len(rows))))
+        outcome = planar_rollouts(
+            inputs[rows, :2], np.column_stack((alpha, psi, kappa)), centers=centers
+        )
         return outcome.clearance, outcome.goal_error
 
     low = np.full(len(inputs), exploration.alpha[0])
@@ -250,12 +274,13 @@ def _solve_alpha(
 
 def _limit(exploration: Exploration, inputs: FloatArray) -> ClearanceLimit:
     """Per ellipse the end of the unbroken run of clearances that were kept."""
-    kept = {tuple(row) for row in inputs.tolist()}
-    table = np.zeros((len(exploration.lambda1), len(exploration.lambda2)))
-    for i, lambda1 in enumerate(exploration.lambda1.tolist()):
-        for j, lambda2 in enumerate(exploration.lambda2.tolist()):
-            for clearance in exploration.clearances.tolist():
-                if (lambda1, lambda2, clearance) not in kept:
-                    break
-                table[i, j] = clearance
-    return ClearanceLimit(exploration.lambda1, exploration.lambda2, table)
+    axes = (exploration.lambda1, exploration.lambda2, exploration.positions)
+    kept = {tuple(row) for row in inputs[:, [0, 1, 3, 2]].tolist()}
+    table = np.zeros([axis.size for axis in axes])
+    for cell in np.ndindex(table.shape):
+        ellipse = [float(axis[k]) for axis, k in zip(axes, cell, strict=True)]
+        for clearance in exploration.clearances.tolist():
+            if (*ellipse, clearance) not in kept:
+                break
+            table[cell] = clearance
+    return ClearanceLimit(*axes, table)

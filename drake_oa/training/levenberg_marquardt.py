@@ -38,7 +38,7 @@ class Schedule:
     decrease: float = 0.1
     increase: float = 10.0
     largest_damping: float = 1e10
-    decay: float = 5e-4
+    decay: float = 1e-3
 
 
 def initial_layers(sizes: list[int], rng: np.random.Generator) -> Layers:

@@ -37,16 +37,15 @@ class Validation:
 
 
 def validate(
-    chain: ChainWeights, *, scenes: int = 2000, off_centre: bool = False, seed: int = 1
+    chain: ChainWeights, *, scenes: int = 2000, beside: float = 0.0, seed: int = 1
 ) -> Validation:
     """Rolls out random queries in the chain's range.
 
     Args:
-        chain: the chain.
+        chain: the chain, of four inputs.
         scenes: number of scenes.
-        off_centre: whether the ellipse lies up to 0.15 L from the middle of the
-            baseline along it and up to 0.2 L beside it, instead of in the middle;
-            start and goal then keep at least the asked clearance.
+        beside: the centre lies up to this far beside the baseline, in L; the chain does
+            not know. Start and goal keep at least the asked clearance.
         seed: of the scenes.
 
     Returns:
@@ -57,14 +56,10 @@ def validate(
     centers, parameters = [], []
     while len(inputs) < scenes:
         query = rng.uniform(chain.lower, chain.upper)
-        center = np.array((0.5, 0.0))
-        if off_centre:
-            center += rng.uniform((-0.15, -0.2), (0.15, 0.2))
-        nearest_end = min(center[0], 1.0 - center[0]) - query[0]
-        proposal = chain.parameters(query[None, :2], query[2], 1.0)
-        if proposal.in_range[0] and nearest_end >= query[2]:
+        proposal = chain.parameters(query[None, :2], query[2], 1.0, query[3])
+        if proposal.in_range[0] and min(query[3], 1.0 - query[3]) - query[0] >= query[2]:
             inputs.append(query)
-            centers.append(center)
+            centers.append((query[3], beside * rng.uniform(-1.0, 1.0)))
             parameters.append(proposal.as_array()[0])
     queries = np.array(inputs)
     outcome = planar_rollouts(queries[:, :2], np.array(parameters), centers=np.array(centers))

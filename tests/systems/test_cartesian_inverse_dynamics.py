@@ -107,10 +107,11 @@ def test_the_torque_gives_the_asked_tool_acceleration(
     model.get_applied_generalized_force_input_port().FixValue(plant, np.zeros(9))
     A = frame.CalcSpatialAccelerationInWorld(plant)
     wanted = asked - 40.0 * V.translational() + 400.0 * (START - X.translation())
-    # The law takes the fingers, of 15 g each, as fixed to the hand.
-    np.testing.assert_allclose(A.translational(), wanted, atol=5e-2)
     e = rotation_vector(np.ascontiguousarray((DOWN @ X.rotation().inverse()).matrix()))
-    np.testing.assert_allclose(A.rotational(), 400.0 * e - 40.0 * V.rotational(), atol=5e-2)
+    turning = 400.0 * e - 40.0 * V.rotational()
+    # The law takes the fingers, of 15 g each, as fixed to the hand: hence one per cent.
+    assert np.linalg.norm(A.translational() - wanted) < 0.01 * np.linalg.norm(wanted)
+    assert np.linalg.norm(A.rotational() - turning) < 0.01 * np.linalg.norm(turning)
 
 
 def test_the_context_holds_all_there_is(controller: CartesianInverseDynamics) -> None:
@@ -292,7 +293,7 @@ def test_it_tracks_the_table_top_task_and_its_detours(
     model: MultibodyPlant, via: tuple[list[float], ...]
 ) -> None:
     points = [START, *map(np.array, via), GOAL]
-    run = simulate(model, minimum_jerk(*points, duration=3.0 / (len(points) - 1)), 3.0)
+    run = simulate(model, minimum_jerk(*points, duration=2.4 / (len(points) - 1)), 2.4)
     assert run.distance.max() < 5e-4
     assert run.angle.max() < np.radians(0.1)
     assert run.saturated.sum() == 0
@@ -300,16 +301,16 @@ def test_it_tracks_the_table_top_task_and_its_detours(
 
 @pytest.mark.parametrize("hold", [0.002, 0.005])
 def test_it_is_stable_with_held_inputs(model: MultibodyPlant, hold: float) -> None:
-    run = simulate(model, minimum_jerk(START, GOAL, duration=2.0), 2.3, hold=hold)
-    # A held position is late by half the hold on average; peak speed is 0.75 m/s.
-    assert run.distance.max() < 1.0 * hold
-    assert run.distance[-1] < 1e-5
+    run = simulate(model, minimum_jerk(START, GOAL, duration=1.2), 1.4, hold=hold)
+    # A held position is late by half the hold on average; peak speed is 1.25 m/s.
+    assert run.distance.max() < 1.25 * hold
+    assert run.distance[-1] < 1e-4
     # A hold puts out zeros until its first update.
     assert run.saturated[1:].sum() == 0
 
 
 def test_a_goal_out_of_reach_stays_bounded(model: MultibodyPlant) -> None:
-    run = simulate(model, minimum_jerk(START, np.array([1.1, 0.2, 0.3]), duration=2.0), 4.0)
+    run = simulate(model, minimum_jerk(START, np.array([1.1, 0.2, 0.3]), duration=1.5), 2.5)
     assert np.isfinite(run.tau).all()
     assert np.all(np.abs(run.tau[:7]) <= EFFORT[:, None])
     assert run.distance[-1] == pytest.approx(0.22, abs=0.01)
@@ -317,7 +318,7 @@ def test_a_goal_out_of_reach_stays_bounded(model: MultibodyPlant) -> None:
 
 
 def test_a_violent_step_is_flagged_limited_and_still_arrives(model: MultibodyPlant) -> None:
-    run = simulate(model, lambda t: (GOAL, REST, REST), 2.0)
+    run = simulate(model, lambda t: (GOAL, REST, REST), 1.5)
     assert run.saturated.sum() > 0
     assert np.all(np.abs(run.tau[:7]) <= EFFORT[:, None])
     assert run.distance[-1] < 1e-3
@@ -326,9 +327,9 @@ def test_a_violent_step_is_flagged_limited_and_still_arrives(model: MultibodyPla
 def test_a_motion_that_turns_nan_stops_the_arm(model: MultibodyPlant) -> None:
     moving = minimum_jerk(START, GOAL, duration=2.0)
     lost = np.full(3, np.nan)
-    run = simulate(model, lambda t: moving(t) if t < 1.0 else (lost, lost, lost), 2.0)
+    run = simulate(model, lambda t: moving(t) if t < 0.6 else (lost, lost, lost), 1.6)
     assert np.isfinite(run.tau).all()
-    assert run.speed[99] > 0.3
+    assert run.speed[59] > 0.3
     assert run.speed[-1] < 1e-3
 
 

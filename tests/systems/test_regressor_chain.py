@@ -7,23 +7,23 @@ from pydrake.common.value import Value
 from drake_oa.dmp import local_frame
 from drake_oa.regressor import TARGETS, ChainWeights, Network, section_extents
 from drake_oa.systems.regressor_chain import RegressorChain
-from drake_oa.values import EllipsoidSet, PolicyState
+from drake_oa.values import EllipsoidSet, PolicyState, Route
 
 
 def weights():
     rng = np.random.default_rng(0)
     networks = {}
     for i, name in enumerate(TARGETS):
-        sizes = [3 + i, 8, 1]
+        sizes = [4 + i, 8, 1]
         networks[name] = Network(
             tuple(rng.standard_normal((sizes[k + 1], sizes[k])) for k in range(2)),
             tuple(rng.standard_normal(sizes[k + 1]) for k in range(2)),
-            np.zeros(3 + i),
-            np.ones(3 + i),
+            np.zeros(4 + i),
+            np.ones(4 + i),
             0.0,
             1.0,
         )
-    return ChainWeights(networks, np.full(3, 0.02), np.full(3, 0.4), frozenset(TARGETS))
+    return ChainWeights(networks, np.full(4, 0.02), np.full(4, 0.9), np.ones(4), frozenset(TARGETS))
 
 
 def ellipsoids(m):
@@ -48,8 +48,10 @@ def policy(p_WG=(0.8, 0.0, 0.0)):
     )
 
 
-def evaluate(system, ellipsoids_W, policy_state):
+def evaluate(system, ellipsoids_W, policy_state, route=None):
     context = system.CreateDefaultContext()
+    if route is not None:
+        system.GetInputPort("route").FixValue(context, Value(route))
     system.GetInputPort("ellipsoids_W").FixValue(context, Value(ellipsoids_W))
     system.GetInputPort("policy_state").FixValue(context, Value(policy_state))
     return system.GetOutputPort("coupling_parameters").Eval(context)
@@ -61,9 +63,28 @@ def test_output_is_the_pure_functions_answer():
     extents = section_extents(
         state.p_WE, state.z_W, state.R_WL, obstacles.p_WO, obstacles.R_WO, obstacles.semi_axes
     )
-    expected = weights().parameters(extents, 0.1, 0.8)
+    expected = weights().parameters(extents, 0.1, 0.8, obstacles.p_WO[:, 0])
     np.testing.assert_array_equal(found.as_array(), expected.as_array())
     assert found.in_range.all()
+
+
+def test_with_a_route_its_half_ellipses_are_regulated():
+    route = Route(
+        center_W=np.array([[0.4, 0.0, 0.0], [0.5, 0.0, 0.0]]),
+        extents=np.array([[0.1, 0.2], [0.1, 0.1]]),
+        clearance=np.array([0.1, 0.0]),
+        weight=np.array([0.5, 1.0]),
+    )
+    found = evaluate(RegressorChain(weights(), 0.1), ellipsoids(2), policy(), route)
+    expected = weights().parameters(route.extents, route.clearance, 0.8, route.center_W[:, 0])
+    assert found.alpha[0] == pytest.approx(0.5 * expected.alpha[0])
+    assert found.alpha[1] == 0.0
+    np.testing.assert_array_equal(found.center_W, route.center_W)
+
+
+def test_a_route_for_other_obstacles_is_refused():
+    with pytest.raises(ValueError, match="route has 0 rows; there are 2 ellipsoids"):
+        evaluate(RegressorChain(weights(), 0.1), ellipsoids(2), policy(), Route())
 
 
 def test_no_obstacles_give_no_rows():
