@@ -1,9 +1,12 @@
-# Two commands do all the set-up: `make demo` and `make test`.
+# `make demo` and `make test` each do all their own set-up, in .venv.
 
 PYTHON ?= python3
 VENV ?= .venv
 OUT ?= out
+# Test processes side by side.
+JOBS ?= 2
 STAMP := $(VENV)/.installed
+# Small matrices: more threads only wait for each other.
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_NUM_THREADS ?= 1
 
@@ -16,7 +19,7 @@ demo: $(STAMP)
 	@echo "recording: $(OUT)/tabletop_box.html (open it in a browser)"
 
 test: $(STAMP)
-	$(VENV)/bin/python -m pytest
+	$(VENV)/bin/python -m pytest -n $(JOBS)
 
 lint: $(STAMP)
 	$(VENV)/bin/ruff check .
@@ -25,15 +28,22 @@ lint: $(STAMP)
 
 setup: $(STAMP)
 
-# open3d loads libusb-1.0 when it is imported.
+# System libraries the wheels expect: glib for drake, libusb for open3d.
 $(STAMP): pyproject.toml
-	@ldconfig -p | grep -q libusb-1.0.so.0 || \
-	  { [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && \
-	    apt-get update -qq && apt-get install -y -qq libusb-1.0-0; } || \
-	  { echo "missing system library: install libusb-1.0-0 (Debian: sudo apt-get install libusb-1.0-0)"; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "Python 3.11 or newer is needed; name one: make PYTHON=python3.12"; exit 1; }
+	@for pair in libusb-1.0.so.0:libusb-1.0-0 libglib-2.0.so.0:libglib2.0-0; do \
+	  library=$${pair%%:*}; package=$${pair##*:}; \
+	  $(PYTHON) -c "import ctypes; ctypes.CDLL('$$library')" 2>/dev/null && continue; \
+	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	    apt-get update -qq && apt-get install -y -qq --no-install-recommends $$package; \
+	  else \
+	    echo "missing $$library: install it (Debian, Ubuntu: sudo apt-get install $$package)"; \
+	    exit 1; \
+	  fi; \
+	done
 	$(PYTHON) -m venv $(VENV)
-	$(VENV)/bin/pip install -q --upgrade pip
-	$(VENV)/bin/pip install -q -e '.[dev]'
+	$(VENV)/bin/python -m pip install -q --disable-pip-version-check -e '.[dev]'
 	@touch $@
 
 clean:

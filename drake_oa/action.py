@@ -16,7 +16,7 @@ from drake_oa.coupling import CouplingTerms, GuidanceForm
 from drake_oa.dmp import Dmp, Turn, local_frame
 from drake_oa.dmp import step as dmp_step
 from drake_oa.regressor import CouplingParameters
-from drake_oa.values import EllipsoidSet, FloatArray, PolicyState, Route, _Frozen
+from drake_oa.values import EllipsoidSet, FloatArray, PolicyState, Route, Frozen
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class ActionParameters:
 
 
 @dataclass(frozen=True, eq=False)
-class Segment(_Frozen):
+class Segment(Frozen):
     """The motion between two steps of the policy.
 
     Attributes:

@@ -23,7 +23,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_oa.values import FloatArray, _Frozen
+from drake_oa.values import FloatArray, Frozen
 
 GuidanceForm = Literal["counterphase", "printed"]
 Vector = tuple[float, float, float]
@@ -153,7 +153,7 @@ def rotate(z_W: FloatArray, turn_W: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class CouplingTerms(_Frozen):
+class CouplingTerms(Frozen):
     """The coupling terms of M obstacles: what turns the motion at one instant.
 
     Rates are per unit of normalised time s = t / (tau T), distances to the centres.

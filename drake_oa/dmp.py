@@ -26,7 +26,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import make_interp_spline
 
 from drake_oa.coupling import rotate
-from drake_oa.values import FloatArray, _Frozen
+from drake_oa.values import FloatArray, Frozen
 
 ALPHA_X = 80.0
 """Default spring constant alpha_x, per normalised time."""
@@ -42,7 +42,7 @@ Turn = Callable[[FloatArray, FloatArray, float], FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
-class Dmp(_Frozen):
+class Dmp(Frozen):
     """A movement primitive of D dimensions, for a baseline of length 1.
 
     Attributes:

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
 
 from drake_oa import ellipsoid_kernels as kernels
-from drake_oa.values import FloatArray, _Frozen
+from drake_oa.values import FloatArray, Frozen
 
 _MAX_STEPS = 100_000
 _MAX_ROUNDS = 20
@@ -32,7 +32,7 @@ _TRAILING = ((), (3,), (3, 3))
 
 
 @dataclass(frozen=True, eq=False)
-class Ellipsoid(_Frozen):
+class Ellipsoid(Frozen):
     """One ellipsoid in the world frame.
 
     Attributes:

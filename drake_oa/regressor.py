@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from drake_oa.regressor_kernels import clamp_rows, section_rows
-from drake_oa.values import FloatArray, _Frozen
+from drake_oa.values import FloatArray, Frozen
 
 BoolArray = NDArray[np.bool_]
 
@@ -41,7 +41,7 @@ _SATURATED = 40.0
 
 
 @dataclass(frozen=True, eq=False)
-class CouplingParameters(_Frozen):
+class CouplingParameters(Frozen):
     """Parameters of the dead-zone free term, one row an obstacle.
 
     Attributes:
@@ -70,7 +70,7 @@ class CouplingParameters(_Frozen):
 
 
 @dataclass(frozen=True, eq=False)
-class Network(_Frozen):
+class Network(Frozen):
     """A perceptron with tanh layers, a linear output and min-max scaling.
 
     With x the input, the layers see ``(x - in_offset) * in_gain + in_min``, and their
@@ -127,7 +127,7 @@ class Network(_Frozen):
 
 
 @dataclass(frozen=True, eq=False)
-class ClearanceLimit(_Frozen):
+class ClearanceLimit(Frozen):
     """The largest clearance that training found attainable, per ellipse.
 
     Attributes:
@@ -144,7 +144,7 @@ class ClearanceLimit(_Frozen):
 
 
 @dataclass(frozen=True, eq=False)
-class ChainWeights(_Frozen):
+class ChainWeights(Frozen):
     """The three networks of the chain, what they accept, and where they come from.
 
     Attributes:

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from drake_oa.dmp import Dmp, imitate, minimum_jerk, spring_flow
-from drake_oa.values import FloatArray, _Frozen
+from drake_oa.values import FloatArray, Frozen
 
 STEPS = 1000
 """Default number of steps a demonstrated duration; four times as many change the
@@ -30,7 +30,7 @@ clearance of a path that converges by 0.3 mm a metre (median; it grows)."""
 
 
 @dataclass(frozen=True, eq=False)
-class PlanarRollouts(_Frozen):
+class PlanarRollouts(Frozen):
     """What N trajectories from s = 0 to s = 1 came to; lengths in baselines.
 
     Attributes:

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import math
-import subprocess
 import time
 from collections.abc import Callable
-from importlib.metadata import version
-from pathlib import Path
 
 import numpy as np
 from pydrake.geometry import Meshcat
@@ -17,6 +14,7 @@ from pydrake.systems.primitives import VectorLogSink
 
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.motion_log import MotionLog, pack_ellipsoids
+from drake_oa.provenance import software_versions
 from drake_oa.scenario import Scenario, scenario_text
 from drake_oa.values import EllipsoidSet, FloatArray, PolicyState
 
@@ -32,33 +30,6 @@ class MotionInterruptedError(RuntimeError):
     def __init__(self, log: MotionLog) -> None:
         super().__init__(log.stop_reason)
         self.log = log
-
-
-def software_versions() -> tuple[str, ...]:
-    """ "name version" of what the result depends on, and the commit when known."""
-    found = [
-        f"{name} {version(name)}" for name in ("drake_oa", "drake", "numpy", "scipy", "open3d")
-    ]
-    commit = source_commit()
-    return (*found, f"commit {commit}") if commit else tuple(found)
-
-
-def source_commit() -> str:
-    """Commit of the checkout this package runs from, or "" when there is none."""
-    folder = Path(__file__).resolve().parents[1]
-    if not (folder / ".git").exists():
-        return ""
-    try:
-        answer = subprocess.run(
-            ["git", "-C", str(folder), "rev-parse", "--short", "HEAD"],
-            capture_output=True,
-            text=True,
-            timeout=10,
-            check=False,
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return ""
-    return answer.stdout.strip()
 
 
 class _Watcher:
@@ -119,9 +90,7 @@ class _Watcher:
             seen: EllipsoidSet = self._ellipsoid_port.Eval(
                 self._ellipsoid_system.GetMyContextFromRoot(root)
             )
-            if math.isfinite(seen.stamp) and (
-                not self.frames or seen.stamp != self.frames[-1].stamp
-            ):
+            if seen.stamp > -math.inf and (not self.frames or seen.stamp != self.frames[-1].stamp):
                 self.frames.append(seen)
 
     def _stop(self, reason: str) -> EventStatus:

@@ -21,7 +21,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from drake_oa.ellipsoid import _cloud, _right_handed, unit_directions
-from drake_oa.values import FloatArray, _Frozen
+from drake_oa.values import FloatArray, Frozen
 
 EXPONENT_RANGE = (0.1, 2.0)
 """Range of lambda_4 and lambda_5: the convex superquadrics, short of singular ones."""
@@ -30,7 +30,7 @@ Residual = Literal["bajcsy", "printed"]
 
 
 @dataclass(frozen=True, eq=False)
-class Superquadric(_Frozen):
+class Superquadric(Frozen):
     """One superquadric in the world frame.
 
     Attributes:
@@ -51,7 +51,7 @@ class Superquadric(_Frozen):
 
 
 @dataclass(frozen=True, eq=False)
-class SuperquadricFit(_Frozen):
+class SuperquadricFit(Frozen):
     """A fitted superquadric and how well it fits.
 
     Attributes:

@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-class _Frozen:
+class Frozen:
     """Shares itself on copy and locks its arrays on construction."""
 
     def __post_init__(self) -> None:
@@ -44,7 +44,7 @@ def _integers() -> Any:
 
 
 @dataclass(frozen=True, eq=False)
-class TablePlane(_Frozen):
+class TablePlane(Frozen):
     """The supporting plane ``normal_W . p_WQ = offset``.
 
     Attributes:
@@ -61,7 +61,7 @@ class TablePlane(_Frozen):
 
 
 @dataclass(frozen=True, eq=False)
-class ObstacleClouds(_Frozen):
+class ObstacleClouds(Frozen):
     """What a perception source saw at one instant.
 
     Attributes:
@@ -85,7 +85,7 @@ class ObstacleClouds(_Frozen):
 
 
 @dataclass(frozen=True, eq=False)
-class EllipsoidSet(_Frozen):
+class EllipsoidSet(Frozen):
     """The unified system-obstacle descriptors: M ellipsoids.
 
     Each is the obstacle dilated by the tool, so that the tool may be treated as
@@ -116,7 +116,7 @@ class EllipsoidSet(_Frozen):
 
 
 @dataclass(frozen=True, eq=False)
-class PolicyState(_Frozen):
+class PolicyState(Frozen):
     """Where the dynamic movement primitive is.
 
     Attributes:
@@ -152,7 +152,7 @@ class PolicyState(_Frozen):
 
 
 @dataclass(frozen=True, eq=False)
-class Route(_Frozen):
+class Route(Frozen):
     """The side to pass each obstacle on, and the rings it was chosen from.
 
     Rows follow the rows of the EllipsoidSet that it was made for.

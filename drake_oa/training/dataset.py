@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from drake_oa.regressor import ClearanceLimit
 from drake_oa.rollout import planar_rollouts
-from drake_oa.values import FloatArray, _Frozen
+from drake_oa.values import FloatArray, Frozen
 
 Progress = Callable[[str, float], None]
 """Told the stage and the fraction of it that is done."""
@@ -40,7 +40,7 @@ def _axis(first: float, last: float, number: int, *, geometric: bool = False) ->
 
 
 @dataclass(frozen=True, eq=False)
-class Exploration(_Frozen):
+class Exploration(Frozen):
     """What to explore and how to choose; lengths in baselines, alpha in 1/T.
 
     Attributes:
@@ -85,7 +85,7 @@ class Exploration(_Frozen):
 
 
 @dataclass(frozen=True, eq=False)
-class TrainingSet(_Frozen):
+class TrainingSet(Frozen):
     """Rows (lambda1', lambda2', Delta, position) -> (kappa, psi, alpha), normalised.
 
     Attributes:
