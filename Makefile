@@ -28,19 +28,19 @@ lint: $(STAMP)
 
 setup: $(STAMP)
 
-# System libraries the wheels expect: glib for drake, libusb for open3d.
+# Shared libraries that wheels load: glib and EGL for drake, libusb for open3d.
+LIBRARIES := libglib-2.0.so.0:libglib2.0-0 libEGL.so.1:libegl1 libusb-1.0.so.0:libusb-1.0-0
+
 $(STAMP): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "Python 3.11 or newer is needed; name one: make PYTHON=python3.12"; exit 1; }
-	@for pair in libusb-1.0.so.0:libusb-1.0-0 libglib-2.0.so.0:libglib2.0-0; do \
+	@for pair in $(LIBRARIES); do \
 	  library=$${pair%%:*}; package=$${pair##*:}; \
 	  $(PYTHON) -c "import ctypes; ctypes.CDLL('$$library')" 2>/dev/null && continue; \
 	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
-	    apt-get update -qq && apt-get install -y -qq --no-install-recommends $$package; \
-	  else \
-	    echo "missing $$library: install it (Debian, Ubuntu: sudo apt-get install $$package)"; \
-	    exit 1; \
+	    apt-get update -qq && apt-get install -y -qq --no-install-recommends $$package && continue; \
 	  fi; \
+	  echo "missing $$library: on Debian or Ubuntu, sudo apt-get install $$package"; \
 	done
 	$(PYTHON) -m venv $(VENV)
 	$(VENV)/bin/python -m pip install -q --disable-pip-version-check -e '.[dev]'

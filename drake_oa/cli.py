@@ -7,26 +7,60 @@ import contextlib
 import json
 import logging
 import math
+import os
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from threadpoolctl import threadpool_limits
 
-from drake_oa.scenario import ScenarioError, load_scenario, shipped_scenarios
+from drake_oa.scenario import Scenario, ScenarioError, load_scenario, shipped_scenarios
 
+# Diagrams and simulation are imported where they are used: `scenarios` and `--help`
+# answer at once.
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
-_EXAMPLES = """examples:
+    from drake_oa.motion_log import MotionLog
+
+_RECORDING_RATE = 15.0
+_FAILED, _BAD_INPUT, _INTERRUPTED = 1, 2, 130
+
+_EXAMPLES = """\
+examples:
   drake-oa scenarios
   drake-oa run tabletop_box --html box.html --json box.json
   drake-oa run tabletop_box --set 'perception=!GroundTruth {}' --set task.clearance=0.1
   drake-oa run my.scenario.yaml --meshcat
   drake-oa graph tabletop_box > wiring.svg
+"""
+
+_RUN = """\
+Simulates two motions from start to goal, the pre-planned one, blind to obstacles,
+and the modulated one, bent round what perception sees, and prints for each:
+
+  collisions       pairs of a robot link and an obstacle or the table that touched
+  tool clearance   least distance of hand and fingers to an obstacle
+  robot clearance  least distance of any link to an obstacle
+  goal error       distance of the tool point to the goal at the end
+  saturated        share of steps in which a torque limit was reached
+
+Exit status: 0 when both motions reached the goal (or the asked --duration), 1 when one
+did not (it failed, was held for good or ran out of time), 2 for bad input, 130 when
+interrupted; what ran until then is reported and written all the same.
+"""
+
+_RUN_EXAMPLES = """\
+A.B=C replaces field B of block A of the scenario; C is YAML, a tag swaps the block:
+  --set task.clearance=0.1
+  --set 'task.goal=[0.5, 0.4, 0.35]'
+  --set 'perception=!GroundTruth {}'
+  --set 'perception=!RecordedClouds {folder: /data/clouds, loop: true}'
+A mistyped name is answered with the valid ones.
 """
 
 
@@ -37,48 +71,77 @@ def _parser() -> argparse.ArgumentParser:
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    versions = f"drake-oa {version('drake_oa')} (drake {version('drake')})"
+    parser.add_argument("--version", action="version", version=versions)
+    parser.set_defaults(verbose=False)
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    _add_run(commands)
 
-    run = commands.add_parser(
-        "run",
-        help="simulate a scenario and print what was kept and touched",
-        description="Simulates the pre-planned motion, blind to obstacles, and then the "
-        "modulated one, and prints both. Exit status: 0 when both ran to their end, "
-        "1 when a motion was cut short, 2 for bad input.",
-        epilog=_EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    scenarios = commands.add_parser(
+        "scenarios",
+        help="list the shipped scenarios",
+        description="Lists the shipped scenarios. --files prints where they are: copy one to "
+        "start a scenario of your own.",
     )
-    _add_scenario(run)
-    run.add_argument("--meshcat", action="store_true", help="show it in the browser while it runs")
-    run.add_argument("--html", type=Path, metavar="FILE", help="write the recording as one page")
-    run.add_argument("--json", type=Path, metavar="FILE", help="write the report")
-    run.add_argument("--log", type=Path, metavar="FILE", help="write both motions' logs (.npz)")
-    run.add_argument(
-        "--duration", type=float, metavar="S", help="stop each motion after S simulated seconds"
-    )
-    run.set_defaults(action=_run)
-
-    scenarios = commands.add_parser("scenarios", help="list the shipped scenarios")
+    scenarios.add_argument("--files", action="store_true", help="print the files' paths instead")
     scenarios.set_defaults(action=_scenarios)
 
     graph = commands.add_parser(
         "graph",
         help="print a scenario's wiring: SVG when Graphviz' dot is installed, else dot source",
+        description="Prints the diagram of a scenario's modulated motion as SVG, or as Graphviz "
+        "source where `dot` is not installed.",
+        epilog="example:\n  drake-oa graph tabletop_box > wiring.svg\n",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     _add_scenario(graph)
+    _add_verbose(graph)
     graph.add_argument("--depth", type=int, default=1, help="levels of nested diagrams (default 1)")
+    graph.add_argument("--dot", action="store_true", help="the Graphviz source in any case")
     graph.set_defaults(action=_graph)
 
     bench = commands.add_parser(
         "benchmark",
         help="time the layers and a run against Drake alone",
-        description="Prints the real-time factor of a scenario, of one policy step with six "
-        "obstacles and of one frame of perception, each beside a baseline in the same run.",
+        description="Prints the real-time factor of a scenario, the time of one policy step with "
+        "six obstacles and of one frame of perception, with a baseline measured in the same run.",
     )
     bench.add_argument("--scenario", default="tabletop_box", help="default: tabletop_box")
     bench.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
+    _add_verbose(bench)
     bench.set_defaults(action=_benchmark)
     return parser
+
+
+def _add_run(commands: Any) -> None:
+    run = commands.add_parser(
+        "run",
+        help="simulate a scenario and print what was kept and touched",
+        description=_RUN,
+        epilog=_RUN_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    _add_scenario(run)
+    run.add_argument("--meshcat", action="store_true", help="show it in a browser while it runs")
+    run.add_argument(
+        "--html",
+        type=Path,
+        metavar="FILE",
+        help="write the modulated motion as one page to play and pause in a browser",
+    )
+    run.add_argument("--json", type=Path, metavar="FILE", help="write the report")
+    run.add_argument("--log", type=Path, metavar="FILE", help="write both motions' logs (.npz)")
+    run.add_argument(
+        "--duration", type=float, metavar="S", help="stop each motion after S simulated seconds"
+    )
+    _add_verbose(run)
+    run.set_defaults(action=_run)
+
+
+def _add_verbose(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--verbose", action="store_true", help="more messages, and a traceback with an error"
+    )
 
 
 def _add_scenario(parser: argparse.ArgumentParser) -> None:
@@ -91,111 +154,217 @@ def _add_scenario(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="A.B=C",
         dest="overrides",
-        help="replace a field of the scenario; the value is YAML. May be repeated",
+        help="replace a field of the scenario; may be repeated",
     )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line; returns the exit status."""
-    logging.basicConfig(format="%(levelname)s: %(message)s", level=logging.WARNING)
     options = _parser().parse_args(arguments)
+    level = logging.INFO if options.verbose else logging.WARNING
+    logging.basicConfig(format="%(levelname)s: %(message)s", level=level)
+    logging.getLogger("drake").setLevel(level)
     try:
         # Many small matrices: more BLAS threads only wait for each other.
         with threadpool_limits(limits=1):
-            return options.action(options)
+            status: int = options.action(options)
+            sys.stdout.flush()
+            return status
+    except BrokenPipeError:
+        # Whoever read our output has seen enough. Python flushes once more at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _FAILED
     except (ScenarioError, ValueError, OSError) as error:
-        print(f"drake-oa: error: {error}", file=sys.stderr)
-        return 2
+        if options.verbose:
+            logging.getLogger(__name__).info("where it happened", exc_info=True)
+        _complain(str(error))
+        return _BAD_INPUT
+    except KeyboardInterrupt:
+        _complain("interrupted")
+        return _INTERRUPTED
 
 
-def _scenarios(_: argparse.Namespace) -> int:
+def _complain(message: str) -> None:
+    print(f"drake-oa: error: {' '.join(message.split())}", file=sys.stderr)
+
+
+def _scenarios(options: argparse.Namespace) -> int:
     shipped = shipped_scenarios()
     width = max(map(len, shipped))
-    for name in shipped:
-        print(f"{name:<{width}}  {load_scenario(name).description}")
+    for name, path in shipped.items():
+        print(f"{name:<{width}}  {path if options.files else load_scenario(name).description}")
     return 0
 
 
 def _graph(options: argparse.Namespace) -> int:
     from drake_oa.diagrams.avoidance import build_avoidance
 
-    diagram = build_avoidance(load_scenario(options.scenario, options.overrides))
-    source = diagram.GetGraphvizString(max_depth=options.depth)
-    dot = shutil.which("dot")
+    scenario = load_scenario(options.scenario, options.overrides)
+    with _build_errors():
+        diagram = build_avoidance(scenario)
+    text = diagram.GetGraphvizString(max_depth=options.depth)
+    dot = None if options.dot else shutil.which("dot")
     if dot:
         answer = subprocess.run(
-            [dot, "-Tsvg"], input=source, capture_output=True, text=True, check=False
+            [dot, "-Tsvg"], input=text, capture_output=True, text=True, check=False
         )
-        if answer.returncode == 0:
-            source = answer.stdout
-    print(source)
+        if answer.returncode != 0:
+            raise OSError(f"{dot} failed ({answer.stderr.strip()}); --dot prints the source")
+        text = answer.stdout
+    sys.stdout.write(text)
     return 0
 
 
-@contextlib.contextmanager
-def _progress(label: str, alpha_k: float) -> Iterator[Callable[[float, float], None] | None]:
-    """A progress bar over normalised time on a terminal; nothing when piped."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    from tqdm import tqdm
-
-    with tqdm(total=100, desc=label, unit="%", bar_format="{l_bar}{bar}| {postfix}") as bar:
-
-        def show(time: float, phase: float) -> None:
-            share = int(-100.0 * math.log(max(phase, 1e-300)) / alpha_k)
-            if share > bar.n:
-                bar.set_postfix_str(f"t = {time:.2f} s", refresh=False)
-                bar.update(share - bar.n)
-
-        yield show
-
-
 def _run(options: argparse.Namespace) -> int:
+    scenario = load_scenario(options.scenario, options.overrides)
+    if options.duration is not None and not 0.0 < options.duration < math.inf:
+        raise ScenarioError(f"--duration: {options.duration} must be positive [s]")
+    _check_outputs(options.html, options.json, options.log)
+    meshcat = _start_meshcat(options)
+    _announce_compilation()
+    logs, failure = _simulate_both(options, scenario, meshcat)
+    status = _report(options, scenario, logs)
+    if isinstance(failure, KeyboardInterrupt):
+        _complain("interrupted")
+        return _INTERRUPTED
+    if failure is not None:
+        _complain(f"cut short: {next(reversed(logs.values())).stop_reason}")
+        return _FAILED
+    if options.meshcat and sys.stdin.isatty():
+        with contextlib.suppress(EOFError, KeyboardInterrupt):
+            input("press Enter to close the viewer ")
+    return status
+
+
+def _simulate_both(
+    options: argparse.Namespace, scenario: Scenario, meshcat: Meshcat | None
+) -> tuple[dict[str, MotionLog], BaseException | None]:
+    """The logs of both motions, or of what ran until one was cut short, and by what."""
     from drake_oa.motion_log import save_logs
-    from drake_oa.report import report_table, run_report
     from drake_oa.simulation import MotionInterruptedError, simulate
 
-    if options.duration is not None and not options.duration > 0.0:
-        raise ScenarioError(f"--duration: {options.duration} must be positive [s]")
-    scenario = load_scenario(options.scenario, options.overrides)
-    name = Path(options.scenario).name.removesuffix(".scenario.yaml")
-    meshcat = _start_meshcat(options)
-    logs = {}
-    failure: MotionInterruptedError | None = None
+    logs: dict[str, MotionLog] = {}
+    failure: BaseException | None = None
     for motion in ("preplanned", "modulated"):
         shown = meshcat if motion == "modulated" else None
         try:
-            with _progress(motion, scenario.policy.alpha_k) as show:
+            with (
+                _build_errors(),
+                _recording(shown, options.html),
+                _progress(motion, scenario, options.duration) as on_progress,
+            ):
                 logs[motion] = simulate(
                     scenario,
                     modulated=motion == "modulated",
                     duration=options.duration,
                     meshcat=shown,
-                    on_progress=show,
+                    on_progress=on_progress,
                 )
         except MotionInterruptedError as error:
-            logs[motion], failure = error.log, error
+            logs[motion], failure = error.log, error.__cause__ or error
+            if options.verbose:
+                logging.getLogger(__name__).info("where it happened", exc_info=True)
         if options.log:
-            # Written after each motion, so that nothing is lost by what comes next.
-            options.log.parent.mkdir(parents=True, exist_ok=True)
+            # After each motion, so that nothing is lost by what comes next.
             save_logs(options.log, logs)
         if failure is not None:
             break
-    if meshcat is not None and options.html:
-        options.html.parent.mkdir(parents=True, exist_ok=True)
-        options.html.write_text(meshcat.StaticHtml())
+    return logs, failure
+
+
+def _report(options: argparse.Namespace, scenario: Scenario, logs: dict[str, MotionLog]) -> int:
+    """Prints and writes the report; the status says whether all motions got there."""
+    from drake_oa.report import report_table, run_report
+
+    name = Path(options.scenario).name.removesuffix(".scenario.yaml")
     report = run_report(name, scenario, logs)
     print(report_table(report))
     if options.json:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
         options.json.write_text(json.dumps(report, indent=2) + "\n")
-    if failure is not None:
-        print(f"drake-oa: error: cut short: {failure}", file=sys.stderr)
-        return 1
-    if options.meshcat and sys.stdin.isatty():
-        input("press Enter to close the viewer ")
-    return 0
+    ended = {"goal"}
+    if options.duration is not None:
+        ended.add(f"time limit of {options.duration:g} s")
+    return 0 if all(log.stop_reason in ended for log in logs.values()) else _FAILED
+
+
+def _check_outputs(*paths: Path | None) -> None:
+    """Raises OSError for a file that cannot be written, before hours of simulation."""
+    given = [path for path in paths if path is not None]
+    if len({path.resolve() for path in given}) < len(given):
+        raise ScenarioError("--html, --json and --log must name different files")
+    for path in given:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        known = path.exists()
+        with path.open("ab"):
+            pass
+        if not known:
+            path.unlink()
+
+
+@contextlib.contextmanager
+def _build_errors() -> Iterator[None]:
+    """Drake refuses a model or a camera by RuntimeError: bad input, not a bug of ours."""
+    from drake_oa.simulation import MotionInterruptedError
+
+    try:
+        yield
+    except MotionInterruptedError:
+        raise
+    except RuntimeError as error:
+        raise ScenarioError(str(error)) from error
+
+
+@contextlib.contextmanager
+def _recording(meshcat: Meshcat | None, html: Path | None) -> Iterator[None]:
+    """Records what is shown in the viewer, also when it is cut short, and writes the page."""
+    if meshcat is None:
+        yield
+        return
+    meshcat.DeleteRecording()
+    meshcat.StartRecording(frames_per_second=_RECORDING_RATE)
+    try:
+        yield
+    finally:
+        meshcat.StopRecording()
+        meshcat.PublishRecording()
+        if html is not None:
+            html.write_text(meshcat.StaticHtml())
+
+
+@contextlib.contextmanager
+def _progress(
+    label: str, scenario: Scenario, duration: float | None
+) -> Iterator[Callable[[float, float], None] | None]:
+    """A bar over the motion on a terminal; nothing when piped."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from tqdm import tqdm
+    from tqdm.contrib.logging import logging_redirect_tqdm
+
+    layout = "{desc:>10} {percentage:3.0f}%|{bar:30}| {postfix}"
+    with tqdm(total=100, desc=label, bar_format=layout, leave=False) as bar:
+
+        def show(time: float, phase: float) -> None:
+            share = -math.log(max(phase, 1e-300)) / scenario.policy.alpha_k
+            if duration is not None:
+                share = max(share, time / duration)
+            percent = min(100, int(100.0 * share))
+            if percent > bar.n:
+                bar.set_postfix_str(f"t = {time:.2f} s", refresh=False)
+                bar.update(percent - bar.n)
+
+        with logging_redirect_tqdm():
+            yield show
+
+
+def _announce_compilation() -> None:
+    """Says why the first run in a fresh installation starts late."""
+    from drake_oa.ellipsoid_kernels import nearest_points
+
+    module = nearest_points.__module__.rpartition(".")[2]
+    if not any(Path(nearest_points.stats.cache_path).glob(f"{module}.*.nbi")):
+        print("compiling kernels, once ...", file=sys.stderr)
 
 
 def _start_meshcat(options: argparse.Namespace) -> Meshcat | None:
@@ -213,10 +382,12 @@ def _start_meshcat(options: argparse.Namespace) -> Meshcat | None:
 def _benchmark(options: argparse.Namespace) -> int:
     from drake_oa.benchmark import benchmark_table, run_benchmark
 
-    figures = run_benchmark(load_scenario(options.scenario))
+    scenario = load_scenario(options.scenario)
+    _check_outputs(options.json)
+    _announce_compilation()
+    figures = run_benchmark(scenario)
     print(benchmark_table(figures))
     if options.json:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
         options.json.write_text(json.dumps(figures, indent=2) + "\n")
     return 0
 

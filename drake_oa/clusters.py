@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
+
+from drake_oa.point_cloud_kernels import nearest_within, unite_neighbours
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -32,16 +32,41 @@ def connected_clusters(
     """
     if not len(points):
         return np.zeros(0, dtype=np.int64)
-    tree = cKDTree(points, balanced_tree=False, compact_nodes=False)
-    pairs = tree.query_pairs(tolerance, output_type="ndarray")
+    parent = np.arange(len(points))
     if groups is not None:
         _, first, group = np.unique(groups, return_index=True, return_inverse=True)
-        pairs = np.concatenate([pairs, np.stack([first[group], np.arange(len(points))], axis=1)])
-    graph = coo_array(
-        (np.ones(len(pairs), dtype=bool), (pairs[:, 0], pairs[:, 1])),
-        shape=(len(points), len(points)),
+        parent = np.ascontiguousarray(first[group], dtype=np.int64)
+    order, keys = _sorted_cells(points, tolerance)
+    unite_neighbours(_rows(points, order), keys, order, float(tolerance), parent)
+    # Clusters are numbered in the order of their first points.
+    is_root = parent == np.arange(len(points))
+    return np.asarray((np.cumsum(is_root) - 1)[parent], dtype=np.int64)
+
+
+def nearest_points(query: FloatArray, points: FloatArray, radius: float) -> IntArray:
+    """Index (Q,) of the point nearest to each query (Q, 3), -1 where none is in reach.
+
+    Args:
+        query: (Q, 3) [m].
+        points: (N, 3) [m].
+        radius: a point is in reach when it is nearer than this [m].
+    """
+    order, keys = _sorted_cells(points, radius)
+    found = nearest_within(
+        np.require(query, np.float64, ["C", "W"]), _rows(points, order), keys, float(radius)
     )
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+    return np.append(order, -1)[found]
+
+
+def _sorted_cells(points: FloatArray, edge: float) -> tuple[IntArray, IntArray]:
+    """Order (N,) of the points by cell of a grid, and their cells' keys in that order."""
+    keys = voxel_keys(points, edge)
+    order = np.argsort(keys, kind="stable")
+    return order, keys[order]
+
+
+def _rows(points: FloatArray, order: IntArray) -> FloatArray:
+    return np.require(points[order], np.float64, ["C", "W"])
 
 
 def pixels_of(p_CQ: FloatArray, shape: tuple[int, ...], K: FloatArray) -> IntArray:

@@ -33,6 +33,8 @@ class MotionLog:
         p_WO: (F, M, 3) centres of the ellipsoids [m]; NaN rows where there are fewer.
         R_WO: (F, M, 3, 3) their orientations.
         semi_axes: (F, M, 3) their semi-axes [m].
+        out_of_range: (F,) for how many of them the regressor chain was asked for more
+            than it was trained for.
         event_time: (E,) times at which a note of the policy changed [s].
         event: (E,) those notes; "" is "running freely again".
         stop_reason: why the motion ended: "goal", or what stopped it short.
@@ -56,6 +58,7 @@ class MotionLog:
     p_WO: FloatArray
     R_WO: FloatArray
     semi_axes: FloatArray
+    out_of_range: IntArray
     event_time: FloatArray
     event: tuple[str, ...]
     stop_reason: str

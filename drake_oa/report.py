@@ -28,7 +28,8 @@ def motion_report(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
     `contacts` (their names), `tool_clearance_min`, `robot_clearance_min` (to
     obstacles; None where there is none), `goal_error` (at the last instant),
     `torque_saturation` (fraction of logged steps), `duration`, `path_length`,
-    `stop_reason`, `events`.
+    `out_of_range` (fraction of observations with an obstacle beyond what the regressor
+    chain was trained for), `stop_reason`, `events`.
     """
     metrics = motion_metrics(scenario, log)
     reached = metrics.p_WE[-1] if len(metrics.p_WE) else np.asarray(scenario.task.start)
@@ -41,6 +42,7 @@ def motion_report(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
         "torque_saturation": float(log.saturated.mean()) if len(log.saturated) else 0.0,
         "duration": log.duration,
         "path_length": path_length(metrics.p_WE),
+        "out_of_range": float((log.out_of_range > 0).mean()) if len(log.out_of_range) else 0.0,
         "stop_reason": log.stop_reason,
         "events": [
             {"time": float(when), "note": note}

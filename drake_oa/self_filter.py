@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_oa.point_cloud_kernels import in_shapes
+
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.int64]
@@ -103,26 +105,15 @@ class PosedShapes:
         Returns:
             (N,) booleans.
         """
-        inside = np.zeros(len(p_WQ), dtype=bool)
-        if not len(p_WQ):
-            return inside
+        points = np.require(p_WQ, np.float64, ["C", "W"])
+        inside = np.zeros(len(points), dtype=bool)
         if len(self.radius):
-            p_GQ = _in_shape_frames(self.X_WG_box, p_WQ)
-            np.abs(p_GQ, out=p_GQ)
-            p_GQ -= self.half_extents[:, :, None]
-            np.maximum(p_GQ, 0.0, out=p_GQ)
-            reach = (self.radius + margin) ** 2
-            inside |= (np.einsum("sin,sin->sn", p_GQ, p_GQ) <= reach[:, None]).any(axis=0)
+            size = np.column_stack([self.half_extents, self.radius])
+            poses = np.require(self.X_WG_box, np.float64, ["C", "W"])
+            inside |= in_shapes(points, poses, size, float(margin), False)
         if len(self.cylinder_size):
-            p_GQ = _in_shape_frames(self.X_WG_cylinder, p_WQ)
-            radial = np.hypot(p_GQ[:, 0], p_GQ[:, 1]) - self.cylinder_size[:, :1]
-            axial = np.abs(p_GQ[:, 2]) - self.cylinder_size[:, 1:]
-            beyond = np.maximum(radial, 0.0) ** 2 + np.maximum(axial, 0.0) ** 2
-            inside |= (beyond <= margin**2).any(axis=0)
+            size = np.zeros((len(self.cylinder_size), 4))
+            size[:, [0, 2]] = self.cylinder_size
+            poses = np.require(self.X_WG_cylinder, np.float64, ["C", "W"])
+            inside |= in_shapes(points, poses, size, float(margin), True)
         return inside
-
-
-def _in_shape_frames(X_WG: FloatArray, p_WQ: FloatArray) -> FloatArray:
-    """(S, 4, 4) and (N, 3) -> (S, 3, N): the points seen from each shape."""
-    R_GW = X_WG[:, :3, :3].transpose(0, 2, 1)
-    return np.asarray(R_GW @ p_WQ.T - R_GW @ X_WG[:, :3, 3:])

@@ -15,6 +15,7 @@ from pydrake.systems.primitives import VectorLogSink
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.motion_log import MotionLog, pack_ellipsoids
 from drake_oa.provenance import software_versions
+from drake_oa.regressor import CouplingParameters
 from drake_oa.scenario import Scenario, scenario_text
 from drake_oa.values import EllipsoidSet, FloatArray, PolicyState
 
@@ -58,7 +59,11 @@ class _Watcher:
         self._on_progress = on_progress
         self._next_time = 0.0
         self._held_since: float | None = None
+        self._chain = None
+        if diagram.HasSubsystemNamed("regressor_chain"):
+            self._chain = diagram.GetSubsystemByName("regressor_chain")
         self.frames: list[EllipsoidSet] = []
+        self.out_of_range: list[int] = []
         self.events: list[tuple[float, str]] = []
         self.stop_reason = ""
 
@@ -92,6 +97,14 @@ class _Watcher:
             )
             if seen.stamp > -math.inf and (not self.frames or seen.stamp != self.frames[-1].stamp):
                 self.frames.append(seen)
+                self.out_of_range.append(self._count_out_of_range(root))
+
+    def _count_out_of_range(self, root: Context) -> int:
+        if self._chain is None:
+            return 0
+        port = self._chain.GetOutputPort("coupling_parameters")
+        coupling: CouplingParameters = port.Eval(self._chain.GetMyContextFromRoot(root))
+        return int((~coupling.in_range).sum())
 
     def _stop(self, reason: str) -> EventStatus:
         self.stop_reason = reason
@@ -172,6 +185,7 @@ def _collect(
         p_WO=p_WO,
         R_WO=R_WO,
         semi_axes=semi_axes,
+        out_of_range=np.array(watcher.out_of_range, dtype=np.int64),
         event_time=np.array([when for when, _ in watcher.events]),
         event=tuple(note for _, note in watcher.events),
         stop_reason=watcher.stop_reason,

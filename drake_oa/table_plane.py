@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_oa.point_cloud_kernels import band_moments, votes_for_planes
+
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
@@ -112,10 +114,7 @@ def _best_hypothesis(
     normals, offsets = normals[upright], offsets[upright]
     if not len(normals):
         return None
-    distance = normals.astype(np.float32) @ points.T.astype(np.float32)
-    distance -= offsets[:, None].astype(np.float32)
-    np.abs(distance, out=distance)
-    votes = np.count_nonzero(distance < tolerance.astype(np.float32), axis=1)
+    votes = votes_for_planes(normals, offsets, points, tolerance)
     winner = int(np.argmax(votes))
     return normals[winner], float(offsets[winner])
 
@@ -130,20 +129,17 @@ def _refined(
     needed: int,
 ) -> PlaneFit | None:
     normal, offset = plane
-    step = 1 + len(points) // _REFINED_POINTS
-    some, some_tolerance, some_allowed = points[::step], tolerance[::step], allowed[::step]
+    chosen = np.flatnonzero(allowed)[:: 1 + len(points) // _REFINED_POINTS]
+    some, some_tolerance, moments = points[chosen], tolerance[chosen], np.empty((4, 4))
     # A narrowing band sheds the feet of what stands on the plane.
     for band in (1.0, 0.7, 0.5, 0.5):
-        inliers = some_allowed & (np.abs(some @ normal - offset) < band * some_tolerance)
-        if np.count_nonzero(inliers) < 3:
+        first = band_moments(some, some_tolerance, np.append(normal, offset), band, moments)
+        if first < 0:
             return None
-        chosen = some[inliers]
-        weights = 1.0 / some_tolerance[inliers] ** 2
-        center = weights @ chosen / weights.sum()
-        spread = chosen - center
-        _, axes = np.linalg.eigh(spread.T @ (spread * weights[:, None]))
+        mean = moments[3, :3] / moments[3, 3]
+        _, axes = np.linalg.eigh(moments[:3, :3] - moments[3, 3] * np.outer(mean, mean))
         normal = axes[:, 0] if axes[:, 0] @ up >= 0.0 else -axes[:, 0]
-        offset = float(normal @ center)
+        offset = float(normal @ (some[first] + mean))
     if normal @ up < np.cos(max_tilt):
         return None
     distance = points @ normal - offset

@@ -6,7 +6,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource, LogVectorOutput
 
-from drake_oa.dmp import minimum_jerk_dmp
+from drake_oa.dmp import imitate, minimum_jerk
 from drake_oa.regressor import load_chain
 from drake_oa.scenario import package_file
 from drake_oa.systems.cost_ring_selector import CostRingSelector
@@ -14,6 +14,7 @@ from drake_oa.systems.dmp_integrator import DmpIntegrator
 from drake_oa.systems.regressor_chain import RegressorChain
 from drake_oa.values import EllipsoidSet
 
+START, GOAL = np.zeros(3), np.array([1.0, 0.0, 0.0])
 CLEARANCE = 0.1
 
 
@@ -30,11 +31,12 @@ def main() -> None:
     weights = load_chain(package_file("package://drake_oa/weights/regressor_chain.npz"))
 
     builder = DiagramBuilder()
-    goal = builder.AddSystem(ConstantVectorSource([1.0, 0.0, 0.0]))
+    goal = builder.AddSystem(ConstantVectorSource(GOAL))
     seen = builder.AddSystem(ConstantValueSource(Value(ball)))
     chain = builder.AddSystem(RegressorChain(weights, CLEARANCE))
     rings = builder.AddSystem(CostRingSelector(CLEARANCE))
-    policy = builder.AddSystem(DmpIntegrator(minimum_jerk_dmp(duration=4.0), np.zeros(3)))
+    dmp = imitate(*minimum_jerk(START, GOAL, duration=4.0))
+    policy = builder.AddSystem(DmpIntegrator(dmp, START))
     for system in (chain, rings, policy):
         builder.Connect(seen.get_output_port(), system.GetInputPort("ellipsoids_W"))
     for system in (chain, rings):

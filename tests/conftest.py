@@ -5,6 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
+
+# The machine may be busy: no property is judged by the time an example takes.
+settings.register_profile("drake_oa", deadline=None)
+settings.load_profile("drake_oa")
 
 _SHARED = Path(__file__).resolve().parents[2] / "shared"
 

@@ -1,18 +1,19 @@
 """The desired heading past an obstacle."""
 
 import numpy as np
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from drake_oa.ellipsoid import signed_distance
-from drake_oa.heading import desired_headings, feasible_clearance, passing_normals
-from drake_oa.values import EllipsoidSet, PolicyState
+from drake_oa.heading import desired_headings, passing_normals
+from drake_oa.values import EllipsoidSet, FloatArray, PolicyState
 
 UP = np.array([[0.0, 0.0, 1.0]])
 DELTA = np.array([0.1])
+Triple = tuple[float, float, float]
 
 
-def one(center: tuple[float, float, float], axes: tuple[float, float, float]) -> EllipsoidSet:
+def one(center: Triple, axes: Triple) -> EllipsoidSet:
     return EllipsoidSet(
         stamp=0.0,
         p_WO=np.array([center]),
@@ -23,46 +24,62 @@ def one(center: tuple[float, float, float], axes: tuple[float, float, float]) ->
     )
 
 
-def policy(p: tuple[float, float, float], z: tuple[float, float, float]) -> PolicyState:
+def policy(p: Triple, z: Triple) -> PolicyState:
     return PolicyState(
         p_WE=np.array(p), z_W=np.array(z), p_WS=np.zeros(3), p_WG=np.array([1.0, 0.0, 0.0])
     )
 
 
-def test_a_motion_that_would_hit_is_led_past_on_the_chosen_side() -> None:
-    heading = desired_headings(
-        policy((0, 0, 0), (1, 0, 0)), one((0.5, 0, 0), (0.1, 0.2, 0.15)), UP, DELTA
-    )[0]
-    assert heading[2] > 0.0
+def headings(state: PolicyState, ellipsoids: EllipsoidSet, direction: FloatArray) -> FloatArray:
+    """As the CostRingSelector asks for them, about the foot of the centre on the baseline."""
+    on_baseline = ellipsoids.p_WO * [1.0, 0.0, 0.0]
+    normal = passing_normals(state.p_WE, on_baseline, direction, state.R_WL)
+    return desired_headings(state, ellipsoids, direction, normal, np.full(len(ellipsoids), 0.1))
+
+
+def test_a_motion_that_would_pass_below_is_led_over_the_top() -> None:
+    heading = headings(policy((0, 0, 0), (1, 0, 0)), one((0.5, 0, 0.01), (0.1, 0.2, 0.15)), UP)[0]
+    assert heading[2] > 0.1
     assert abs(heading[1]) < 1e-12
+    assert abs(np.linalg.norm(heading) - 1.0) < 1e-12
+
+
+def test_a_motion_that_turns_to_the_chosen_side_by_itself_needs_no_guidance() -> None:
+    moving = policy((0, 0, 0), (1, 0, 0))
+    for height in (0.0, -0.01):
+        assert not headings(moving, one((0.5, 0, height), (0.1, 0.2, 0.15)), UP).any()
 
 
 def test_a_motion_at_rest_is_led_from_the_baseline() -> None:
-    ellipsoids = one((0.5, 0, 0), (0.1, 0.2, 0.15))
-    at_rest = desired_headings(policy((0, 0, 0), (0, 0, 0)), ellipsoids, UP, DELTA)
-    moving = desired_headings(policy((0, 0, 0), (1, 0, 0)), ellipsoids, UP, DELTA)
+    ellipsoids = one((0.5, 0, 0.01), (0.1, 0.2, 0.15))
+    at_rest = headings(policy((0, 0, 0), (0, 0, 0)), ellipsoids, UP)
+    moving = headings(policy((0, 0, 0), (1, 0, 0)), ellipsoids, UP)
+    assert at_rest.any()
     np.testing.assert_allclose(at_rest, moving)
 
 
 def test_no_guidance_when_the_way_is_clear_or_the_goal_comes_first() -> None:
-    beside = one((0.5, 0.6, 0), (0.1, 0.1, 0.1))
-    behind = one((-0.5, 0, 0), (0.1, 0.1, 0.1))
-    beyond = one((1.5, 0, 0), (0.1, 0.1, 0.1))
+    beside = one((0.5, 0.6, 0.01), (0.1, 0.1, 0.1))
+    behind = one((-0.5, 0, 0.01), (0.1, 0.1, 0.1))
+    beyond = one((1.5, 0, 0.01), (0.1, 0.1, 0.1))
     for ellipsoids in (beside, behind, beyond, EllipsoidSet()):
-        count = len(ellipsoids)
-        heading = desired_headings(
-            policy((0, 0, 0), (1, 0, 0)), ellipsoids, UP[:count], DELTA[:count]
-        )
+        heading = headings(policy((0, 0, 0), (1, 0, 0)), ellipsoids, UP[: len(ellipsoids)])
+        assert heading.shape == (len(ellipsoids), 3)
         assert not heading.any()
 
 
-def test_feasible_clearance_shrinks_toward_an_obstacle_near_the_goal() -> None:
-    ellipsoids = one((0.85, 0, 0), (0.1, 0.1, 0.1))
-    np.testing.assert_allclose(
-        feasible_clearance(np.array([1.0, 0, 0]), ellipsoids, 0.15), [0.05], atol=1e-9
-    )
-    covered = one((1.0, 0, 0), (0.1, 0.1, 0.1))
-    assert feasible_clearance(np.array([1.0, 0, 0]), covered, 0.15)[0] == 0.0
+@given(
+    p=st.tuples(st.floats(-0.2, 1.0), st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)),
+    z=st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1)),
+    angle=st.floats(0.0, 6.28),
+)
+def test_headings_are_unit_or_zero_wherever_the_motion_is(
+    p: Triple, z: Triple, angle: float
+) -> None:
+    direction = np.array([[0.0, np.cos(angle), np.sin(angle)]])
+    heading = headings(policy(p, z), one((0.5, 0.02, -0.03), (0.1, 0.2, 0.15)), direction)[0]
+    length = np.linalg.norm(heading)
+    assert length == 0.0 or abs(length - 1.0) < 1e-9
 
 
 @given(
@@ -70,24 +87,25 @@ def test_feasible_clearance_shrinks_toward_an_obstacle_near_the_goal() -> None:
     axes=st.tuples(st.floats(0.03, 0.2), st.floats(0.03, 0.2), st.floats(0.03, 0.2)),
     angle=st.floats(0.0, 6.28),
 )
-def test_following_the_heading_keeps_the_clearance(
-    offset: tuple[float, float], axes: tuple[float, float, float], angle: float
+def test_a_heading_on_the_wrong_side_becomes_one_that_keeps_the_clearance(
+    offset: tuple[float, float], axes: Triple, angle: float
 ) -> None:
-    ellipsoids = one((0.6, *offset), axes)
     direction = np.array([[0.0, np.cos(angle), np.sin(angle)]])
-    heading = desired_headings(policy((0, 0, 0), (1, 0, 0)), ellipsoids, direction, DELTA)[0]
-    if heading.any():
-        way = np.linspace(0.0, 2.0, 400)[:, None] * heading
-        kept = signed_distance(way, ellipsoids.p_WO[0], ellipsoids.R_WO[0], ellipsoids.semi_axes[0])
-        assert kept.min() >= 0.1 - 1e-9
+    # The centre lies within 60 degrees of the chosen side: guidance acts in full.
+    assume(np.hypot(*offset) > 1e-3)
+    assume(direction[0, 1:] @ offset > 0.51 * np.hypot(*offset))
+    ellipsoids = one((0.6, *offset), axes)
+    heading = headings(policy((0, 0, 0), (1, 0, 0)), ellipsoids, direction)[0]
+    way = np.linspace(0.0, 2.0, 400)[:, None] * heading
+    kept = signed_distance(way, ellipsoids.p_WO[0], ellipsoids.R_WO[0], ellipsoids.semi_axes[0])
+    assert heading.any()
+    assert kept.min() >= 0.1 - 1e-9
 
 
 @given(
     p=st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1)), angle=st.floats(0.0, 6.28)
 )
-def test_passing_normals_are_unit_and_turn_toward_the_chosen_side(
-    p: tuple[float, float, float], angle: float
-) -> None:
+def test_passing_normals_are_unit_and_turn_toward_the_chosen_side(p: Triple, angle: float) -> None:
     direction = np.array([[0.0, np.cos(angle), np.sin(angle)]])
     center = np.array([[0.5, 0.0, 0.0]])
     normal = passing_normals(np.array(p), center, direction, np.eye(3))
