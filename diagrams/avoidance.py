@@ -131,15 +131,17 @@ def _wire_decision(
     rings = builder.AddNamedSystem("cost_ring_selector", layers.make_cost_ring_selector(scenario))
     for system in (chain, rings, policy):
         builder.Connect(seen, system.GetInputPort("ellipsoids_W"))
-    for system in (chain, rings):
-        builder.Connect(policy.GetOutputPort("policy_state"), system.GetInputPort("policy_state"))
+    state = policy.GetOutputPort("policy_state")
+    builder.Connect(state, rings.GetInputPort("policy_state"))
     builder.Connect(goal.get_output_port(), rings.GetInputPort("goal"))
     builder.Connect(
         chain.GetOutputPort("coupling_parameters"), policy.GetInputPort("coupling_parameters")
     )
     builder.Connect(rings.GetOutputPort("route"), policy.GetInputPort("route"))
     if scenario.policy.descriptor == "route":
-        builder.Connect(rings.GetOutputPort("route"), chain.GetInputPort("route"))
+        builder.Connect(rings.GetOutputPort("decision"), chain.GetInputPort("route"))
+    else:
+        builder.Connect(state, chain.GetInputPort("policy_state"))
 
 
 def _wire_robot(
@@ -187,7 +189,9 @@ def _wire_view(
     if station is None:
         return
     ApplyVisualizationConfig(
-        VisualizationConfig(publish_contacts=False, publish_proximity=False),
+        VisualizationConfig(
+            publish_period=1.0 / 30.0, publish_contacts=False, publish_proximity=False
+        ),
         builder,
         plant=station.plant,
         scene_graph=station.scene_graph,

@@ -15,8 +15,9 @@ import numpy as np
 from drake_oa.coupling import CouplingTerms, GuidanceForm
 from drake_oa.dmp import Dmp, Turn, local_frame
 from drake_oa.dmp import step as dmp_step
+from drake_oa.ellipsoid_kernels import first_inside
 from drake_oa.regressor import CouplingParameters
-from drake_oa.values import EllipsoidSet, FloatArray, PolicyState, Route, Frozen
+from drake_oa.values import EllipsoidSet, FloatArray, Frozen, PolicyState, Route
 
 
 @dataclass(frozen=True)
@@ -135,19 +136,11 @@ def hold_reason(
         return f"obstacles not seen since t = {ellipsoids.stamp:.2f} s{cause}"
     if route is not None and route.note:
         return route.note
-    if len(ellipsoids):
-        places = np.stack([state.p_WE, state.p_WG])[:, None, :]
-        inside = _gauge(places, ellipsoids) <= 1.0
-        for row, place in enumerate(("tool", "goal")):
-            if inside[row].any():
-                return f"{place} inside obstacle {ellipsoids.ids[inside[row]][0]}"
+    for place, p in (("tool", state.p_WE), ("goal", state.p_WG)):
+        row = first_inside(p, ellipsoids.p_WO, ellipsoids.R_WO, ellipsoids.semi_axes)
+        if row >= 0:
+            return f"{place} inside obstacle {ellipsoids.ids[row]}"
     return ""
-
-
-def _gauge(p_WQ: FloatArray, ellipsoids: EllipsoidSet) -> FloatArray:
-    """sqrt of the inside-outside function: < 1 inside. (..., 1, 3) -> (..., M)."""
-    scaled = np.einsum("mji,...mj->...mi", ellipsoids.R_WO, p_WQ - ellipsoids.p_WO)
-    return np.linalg.norm(scaled / ellipsoids.semi_axes, axis=-1)
 
 
 def advance(
@@ -182,20 +175,19 @@ def advance(
         ValueError: if coupling or route do not have one row an ellipsoid, or the goal
             has come to lie on the start.
     """
-    R_WL = state.R_WL
-    if not np.array_equal(p_WG, state.p_WG):
-        R_WL = local_frame(state.p_WS, p_WG)
+    if (p_WG != state.p_WG).any():
+        state = replace(state, p_WG=p_WG, R_WL=local_frame(state.p_WS, p_WG))
     note = hold_reason(
-        replace(state, p_WG=p_WG),
+        state,
         ellipsoids,
         route,
         time=time,
         max_observation_age=parameters.max_observation_age,
     )
-    baseline = float(np.linalg.norm(p_WG - state.p_WS))
+    baseline = state.baseline
     tau = state.tau if route is None else max(1.0, route.path_length / baseline)
     speed = _ramp(state.speed, 0.0 if note else 1.0 / (tau * dmp.duration), step, dmp, parameters)
-    begin = replace(state, p_WG=p_WG, R_WL=R_WL, tau=tau, stamp=time, note=note)
+    begin = replace(state, tau=tau, stamp=time, note=note)
     p_WE, z_W, phase = dmp_step(
         dmp,
         state.p_WE,
@@ -203,7 +195,7 @@ def advance(
         state.phase,
         0.5 * (state.speed + speed) * step,
         p_WG,
-        frame=R_WL,
+        frame=state.R_WL,
         baseline=baseline,
         turn=_turn(begin, ellipsoids, coupling, route, parameters),
     )

@@ -2,188 +2,239 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import statistics
-import time
-from dataclasses import replace
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
-import numpy as np
-from pydrake.common.value import Value
-from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.analysis import Simulator
-from pydrake.systems.controllers import InverseDynamics
-from pydrake.systems.framework import Diagram, DiagramBuilder
-from pydrake.systems.primitives import ConstantValueSource, ConstantVectorSource, ZeroOrderHold
+from threadpoolctl import threadpool_limits
 
-from drake_oa import layers
-from drake_oa.diagrams.avoidance import build_avoidance
-from drake_oa.scenario import (
-    DepthCamera,
-    EllipsoidConfig,
-    GivenEllipsoids,
-    Scenario,
-    ScenarioError,
-    Task,
+from drake_oa.provenance import software_versions
+from drake_oa.scenario import Scenario
+from drake_oa.simulation import simulate
+from drake_oa.timings import (
+    OBSTACLES,
+    bare_station,
+    camera_rate,
+    real_time_factor,
+    record,
+    time_controller,
+    time_frames,
+    time_layers,
+    time_plant,
+    time_policy,
+    whole_real_time_factor,
 )
-from drake_oa.simulation import software_versions
-from drake_oa.station import home_positions, make_robot_plant, make_station
 
-_SECONDS = 3.0
-_POLICY_STEPS = 400
-_FRAMES = 30
-_OBSTACLES = 6
-
-
-def bare_station(scenario: Scenario) -> Diagram:
-    """Drake alone: plant and camera, the arm held up by Drake's gravity compensation."""
-    if scenario.robot is None or not isinstance(scenario.perception, DepthCamera):
-        raise ScenarioError("benchmark: needs a scenario with a robot and !DepthCamera")
-    builder = DiagramBuilder()
-    station = make_station(builder, scenario)
-    robot_plant = make_robot_plant(scenario.robot)
-    station.plant.SetDefaultPositions(station.robot, home_positions(robot_plant, scenario.robot))
-    holder = builder.AddSystem(
-        InverseDynamics(
-            robot_plant.plant, InverseDynamics.InverseDynamicsMode.kGravityCompensation
-        )
-    )
-    builder.Connect(
-        station.plant.get_state_output_port(station.robot), holder.get_input_port_estimated_state()
-    )
-    builder.Connect(
-        holder.get_output_port(), station.plant.get_actuation_input_port(station.robot)
-    )
-    sensor = station.cameras[scenario.perception.camera]
-    image = sensor.depth_image_32F_output_port()
-    hold = builder.AddSystem(ZeroOrderHold(1.0 / _camera_rate(scenario), image.Allocate()))
-    builder.Connect(image, hold.get_input_port())
-    diagram = builder.Build()
-    # The holder refers to it for as long as the diagram lives.
-    diagram._robot_plant = robot_plant  # noqa: SLF001
-    return diagram
+REAL_TIME_TARGET = 1.0
+"""Least real-time factor of the whole stack."""
+POLICY_TARGET = 200.0
+"""Most time for one policy step with six obstacles [us]."""
+FRAME_TARGET = 33.0
+"""Most time from one depth image to ellipsoids [ms]."""
 
 
-def _camera_rate(scenario: Scenario) -> float:
-    (config,) = (c for c in scenario.cameras if c.name == scenario.perception.camera)
-    return config.fps
+@dataclass(frozen=True)
+class Figure:
+    """One measured figure beside its target and Drake alone.
+
+    Attributes:
+        name: short name.
+        value: what was measured, in `unit`.
+        unit: "" for a factor.
+        relation: ">=" or "<=": how the value has to stand to the target.
+        target: what is asked for, in `unit`.
+        baseline: what Drake alone takes, in `unit`.
+        baseline_name: what that is.
+    """
+
+    name: str
+    value: float
+    unit: str
+    relation: str
+    target: float
+    baseline: float
+    baseline_name: str
+
+    @property
+    def ratio(self) -> float:
+        """Value over baseline."""
+        return self.value / self.baseline
+
+    @property
+    def met(self) -> bool:
+        """Whether the target is reached."""
+        return (self.value >= self.target) if self.relation == ">=" else (self.value <= self.target)
 
 
-def _real_time_factor(diagram: Diagram) -> float:
-    simulator = Simulator(diagram)
-    simulator.Initialize()
-    simulator.AdvanceTo(0.05)  # The first frames load the renderer.
-    started = time.perf_counter()
-    simulator.AdvanceTo(0.05 + _SECONDS)
-    return _SECONDS / (time.perf_counter() - started)
+@dataclass(frozen=True)
+class Share:
+    """Median time of one part of a step or a frame, in `unit`."""
+
+    part: str
+    layer: str
+    value: float
+    unit: str
 
 
-def _ring_of_obstacles(scenario: Scenario) -> Scenario:
-    """Six ellipsoids round a 1 m baseline, and no robot."""
-    angles = np.arange(_OBSTACLES) * 2.0 * np.pi / _OBSTACLES
-    places = [
-        [0.2 + 0.12 * i, 0.12 * float(np.cos(a)), 0.12 * float(np.sin(a))]
-        for i, a in enumerate(angles)
-    ]
-    return replace(
-        scenario,
-        robot=None,
-        table_height=None,
-        directives=[],
-        cameras=[],
-        task=Task(start=[0.0, 0.0, 0.0], goal=[1.0, 0.0, 0.0], clearance=0.05),
-        perception=GivenEllipsoids(
-            [EllipsoidConfig(center=p, semi_axes=[0.06, 0.04, 0.05]) for p in places]
-        ),
-    )
+def run_benchmark(
+    scenario: Scenario, *, seconds: float = 3.0, steps: int = 400, frames: int = 30
+) -> dict[str, Any]:
+    """Times a scenario with a robot and a depth camera, on one BLAS thread.
 
-
-def _policy_step_us(scenario: Scenario) -> float:
-    """Median time of one policy step through the systems, less that of an idle diagram [us]."""
-    busy, idle = (
-        _step_times(build_avoidance(_ring_of_obstacles(scenario), modulated=m), scenario)
-        for m in (True, False)
-    )
-    del idle
-    return statistics.median(busy)
-
-
-def _step_times(diagram: Diagram, scenario: Scenario) -> list[float]:
-    simulator = Simulator(diagram)
-    simulator.Initialize()
-    period = scenario.policy.period
-    times = []
-    for step in range(1, _POLICY_STEPS + 1):
-        started = time.perf_counter()
-        simulator.AdvanceTo(step * period)
-        times.append(1e6 * (time.perf_counter() - started))
-    return times[_POLICY_STEPS // 10 :]
-
-
-def _perception_ms(scenario: Scenario) -> tuple[float, float]:
-    """Median time of one frame to ellipsoids, and of rendering it [ms]."""
-    source = build_avoidance(scenario)
-    simulator = Simulator(source)
-    simulator.Initialize()
-    (sensor,) = (s for s in source.GetSystems() if s.get_name().startswith("rgbd_sensor"))
-    port = sensor.depth_image_32F_output_port()
-    rendering = []
-    for frame in range(_FRAMES):
-        root = simulator.get_mutable_context()
-        root.SetTime(1e-3 * frame)
-        started = time.perf_counter()
-        image = port.Eval(sensor.GetMyContextFromRoot(root))
-        rendering.append(1e3 * (time.perf_counter() - started))
-    root = simulator.get_context()
-    pose = sensor.body_pose_in_world_output_port().Eval(sensor.GetMyContextFromRoot(root))
-    plant = source.GetSubsystemByName("plant")
-    state = plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(root))
-
-    builder = DiagramBuilder()
-    perception = builder.AddSystem(_perception_of(scenario))
-    descriptor = builder.AddSystem(
-        layers.make_ellipsoid_descriptor(scenario, make_robot_plant(scenario.robot))
-    )
-    for name, value in (("depth_image", image), ("camera_pose", pose)):
-        constant = builder.AddSystem(ConstantValueSource(Value(value)))
-        builder.Connect(constant.get_output_port(), perception.GetInputPort(name))
-    builder.Connect(
-        builder.AddSystem(ConstantVectorSource(state)).get_output_port(),
-        perception.GetInputPort("robot_state"),
-    )
-    builder.Connect(perception.GetOutputPort("obstacles_W"), descriptor.GetInputPort("obstacles_W"))
-    diagram = builder.Build()
-    simulator = Simulator(diagram)
-    simulator.Initialize()
-    seen = descriptor.GetOutputPort("ellipsoids_W")
-    times = []
-    for frame in range(1, _FRAMES + 1):
-        started = time.perf_counter()
-        simulator.AdvanceTo(frame / _camera_rate(scenario))
-        seen.Eval(descriptor.GetMyContextFromRoot(simulator.get_context()))
-        times.append(1e3 * (time.perf_counter() - started))
-    return statistics.median(times), statistics.median(rendering)
-
-
-def _plant_step_us(scenario: Scenario) -> float:
-    """Time of one step of the bare plant without camera [us]."""
-    simulator = Simulator(bare_station(replace(scenario, cameras=scenario.cameras)))
-    del simulator
-    return float("nan")
-
-
-def run_benchmark(scenario: Scenario) -> dict[str, Any]:
-    """Times the layers of a scenario with a depth camera.
+    Args:
+        scenario: what to time.
+        seconds: simulated time that the real-time factors are measured over [s].
+        steps: policy steps, and steps of the plant, that are timed.
+        frames: images that are timed.
 
     Returns:
-        `machine`, `versions`, and for each figure its value, its baseline and their
-        ratio.
+        `scenario` (its description), `machine`, `versions` and `commit` (None when
+        unknown); `figures`, each with the fields of `Figure`, `ratio` and `met`; and
+        `breakdown`, each with the fields of `Share`. Times are medians.
+
+    Raises:
+        ScenarioError: if the scenario has no robot or no depth camera, or its policy is
+            held among six obstacles in free space.
+        ValueError: if there is nothing to time.
     """
-    whole = _real_time_factor(build_avoidance(scenario))
-    bare = _real_time_factor(bare_station(scenario))
-    frame, rendering = _perception_ms(scenario)
-    step = _policy_step_us(scenario)
+    if not (seconds > 0.0 and steps > 0 and frames > 0):
+        raise ValueError(
+            f"seconds, steps and frames must be positive, not {seconds}, {steps} and {frames}"
+        )
+    machine = _machine()
+    with threadpool_limits(limits=1):
+        # Compiles or loads the kernels, and the renderer.
+        simulate(scenario, duration=2.0 / camera_rate(scenario))
+        figures, breakdown = _measure(scenario, seconds, steps, frames)
+    versions = dict(item.split(" ", 1) for item in software_versions())
     return {
-        "machine": f"{platform.machine()}, {_cores()} cores, Python {platform.python_version()}",
-        "versions": list(software_versions()),
+        "scenario": scenario.description,
+        "machine": machine,
+        "commit": versions.pop("commit", None),
+        "versions": versions,
+        "figures": [asdict(item) | {"ratio": item.ratio, "met": item.met} for item in figures],
+        "breakdown": [asdict(item) for item in breakdown],
+    }
+
+
+def _measure(
+    scenario: Scenario, seconds: float, steps: int, frames: int
+) -> tuple[list[Figure], list[Share]]:
+    recorded, rendering_times = record(scenario, frames)
+    rendering = statistics.median(rendering_times)
+    seeing, describing = time_frames(scenario, recorded)
+    complete, running = map(statistics.median, time_policy(scenario, steps))
+    figures = [
+        Figure(
+            "real-time factor",
+            whole_real_time_factor(scenario, seconds),
+            "",
+            ">=",
+            REAL_TIME_TARGET,
+            real_time_factor(bare_station(scenario), seconds),
+            "plant and camera alone, arm held by gravity compensation",
+        ),
+        Figure(
+            f"policy step, {OBSTACLES} obstacles",
+            complete,
+            "us",
+            "<=",
+            POLICY_TARGET,
+            statistics.median(time_plant(scenario, steps)),
+            f"one {1e3 * scenario.plant_step:g} ms step of the plant alone, arm held",
+        ),
+        Figure(
+            "depth image to ellipsoids",
+            statistics.median(map(sum, zip(seeing, describing, strict=True))),
+            "ms",
+            "<=",
+            FRAME_TARGET,
+            rendering,
+            "rendering that image by Drake's RgbdSensor",
+        ),
+    ]
+    times = time_layers(scenario, steps)
+    decision = f"every {1e3 * scenario.policy.route_period:.3g} ms"
+    breakdown = [
+        *(
+            Share(
+                decision if layer == "route decision" else "policy step", layer, times[layer], "us"
+            )
+            for layer in ("route", "regressor chain", "coupling and DMP", "route decision")
+            if layer in times
+        ),
+        Share("policy step", "all, while the route stays", running, "us"),
+        Share("control step", "desired motion", times["desired motion"], "us"),
+        Share("control step", "controller", time_controller(scenario, recorded, steps), "us"),
+        Share("frame", "rendering", rendering, "ms"),
+        Share("frame", "segmentation and fusion", statistics.median(seeing), "ms"),
+        Share("frame", "descriptor", statistics.median(describing), "ms"),
+    ]
+    return figures, breakdown
+
+
+def benchmark_table(figures: dict[str, Any]) -> str:
+    """What `run_benchmark` returned, as text."""
+    rows = [["", "measured", "target", "", "baseline", "ratio", "baseline is"]]
+    for item in figures["figures"]:
+        rows.append(
+            [
+                item["name"],
+                _quantity(item["value"], item["unit"]),
+                f"{item['relation']} {_quantity(item['target'], item['unit'])}",
+                "met" if item["met"] else "MISSED",
+                _quantity(item["baseline"], item["unit"]),
+                f"{item['ratio']:.2f}",
+                item["baseline_name"],
+            ]
+        )
+    shares = [["where it goes", "", "median"]]
+    shares += [
+        [item["part"], item["layer"], _quantity(item["value"], item["unit"])]
+        for item in figures["breakdown"]
+    ]
+    machine = figures["machine"]
+    versions = [f"{name} {number}" for name, number in figures["versions"].items()]
+    footer = [
+        f"{machine['cpu']}, {machine['cores']} cores, load {machine['load']:.1f} at the start, "
+        f"Python {machine['python']}",
+        ", ".join([*versions, f"commit {figures['commit'] or 'unknown'}"]),
+    ]
+    return "\n".join([_aligned(rows, "lrrlrrl"), "", _aligned(shares, "llr"), "", *footer])
+
+
+def _quantity(value: float, unit: str) -> str:
+    return f"{value:.3g} {unit}".rstrip() if value < 100.0 else f"{value:.0f} {unit}".rstrip()
+
+
+def _aligned(rows: list[list[str]], sides: str) -> str:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join(
+        "  ".join(
+            cell.rjust(width) if side == "r" else cell.ljust(width)
+            for cell, width, side in zip(row, widths, sides, strict=True)
+        ).rstrip()
+        for row in rows
+    )
+
+
+def _machine() -> dict[str, Any]:
+    """CPU model, usable cores, Python, and how busy the machine was."""
+    cpu = platform.processor() or platform.machine()
+    known = Path("/proc/cpuinfo")
+    if known.is_file():
+        for line in known.read_text().splitlines():
+            if line.startswith("model name"):
+                cpu = line.partition(":")[2].strip()
+                break
+    affinity = getattr(os, "sched_getaffinity", None)
+    return {
+        "cpu": cpu,
+        "cores": len(affinity(0)) if affinity else os.cpu_count(),
+        "load": os.getloadavg()[0],
+        "python": platform.python_version(),
+        "system": f"{platform.system()} {platform.release()}",
     }

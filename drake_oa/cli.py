@@ -9,8 +9,10 @@ import logging
 import math
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -221,9 +223,10 @@ def _run(options: argparse.Namespace) -> int:
         raise ScenarioError(f"--duration: {options.duration} must be positive [s]")
     _check_outputs(options.html, options.json, options.log)
     meshcat = _start_meshcat(options)
-    _announce_compilation()
-    logs, failure = _simulate_both(options, scenario, meshcat)
-    status = _report(options, scenario, logs)
+    _announce_compilation(scenario)
+    with _interrupt_between_steps() as raise_if_asked:
+        logs, failure = _simulate_both(options, scenario, meshcat, raise_if_asked)
+        status = _report(options, scenario, logs)
     if isinstance(failure, KeyboardInterrupt):
         _complain("interrupted")
         return _INTERRUPTED
@@ -237,7 +240,10 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _simulate_both(
-    options: argparse.Namespace, scenario: Scenario, meshcat: Meshcat | None
+    options: argparse.Namespace,
+    scenario: Scenario,
+    meshcat: Meshcat | None,
+    raise_if_asked: Callable[[], None],
 ) -> tuple[dict[str, MotionLog], BaseException | None]:
     """The logs of both motions, or of what ran until one was cut short, and by what."""
     from drake_oa.motion_log import save_logs
@@ -251,7 +257,7 @@ def _simulate_both(
             with (
                 _build_errors(),
                 _recording(shown, options.html),
-                _progress(motion, scenario, options.duration) as on_progress,
+                _progress(motion, scenario, options.duration, raise_if_asked) as on_progress,
             ):
                 logs[motion] = simulate(
                     scenario,
@@ -288,15 +294,18 @@ def _report(options: argparse.Namespace, scenario: Scenario, logs: dict[str, Mot
 
 
 def _check_outputs(*paths: Path | None) -> None:
-    """Raises OSError for a file that cannot be written, before hours of simulation."""
+    """Raises ScenarioError for a file that cannot be written, before a long simulation."""
     given = [path for path in paths if path is not None]
     if len({path.resolve() for path in given}) < len(given):
         raise ScenarioError("--html, --json and --log must name different files")
     for path in given:
-        path.parent.mkdir(parents=True, exist_ok=True)
         known = path.exists()
-        with path.open("ab"):
-            pass
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with path.open("ab"):
+                pass
+        except OSError as error:
+            raise ScenarioError(f"cannot write {path}: {error.strerror}") from None
         if not known:
             path.unlink()
 
@@ -333,38 +342,75 @@ def _recording(meshcat: Meshcat | None, html: Path | None) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _progress(
-    label: str, scenario: Scenario, duration: float | None
-) -> Iterator[Callable[[float, float], None] | None]:
+    label: str, scenario: Scenario, duration: float | None, each_step: Callable[[], None]
+) -> Iterator[Callable[[float, float], None]]:
     """A bar over the motion on a terminal; nothing when piped."""
     if not sys.stderr.isatty():
-        yield None
+        yield lambda time, phase: each_step()
         return
     from tqdm import tqdm
     from tqdm.contrib.logging import logging_redirect_tqdm
 
-    layout = "{desc:>10} {percentage:3.0f}%|{bar:30}| {postfix}"
-    with tqdm(total=100, desc=label, bar_format=layout, leave=False) as bar:
+    layout = "{desc} {percentage:3.0f}%|{bar:30}|"
+    with tqdm(total=100, desc=f"{label:>10}", bar_format=layout, leave=False) as bar:
 
         def show(time: float, phase: float) -> None:
+            each_step()
             share = -math.log(max(phase, 1e-300)) / scenario.policy.alpha_k
             if duration is not None:
                 share = max(share, time / duration)
             percent = min(100, int(100.0 * share))
             if percent > bar.n:
-                bar.set_postfix_str(f"t = {time:.2f} s", refresh=False)
+                bar.set_description_str(f"{label:>10} {time:6.2f} s", refresh=False)
                 bar.update(percent - bar.n)
 
         with logging_redirect_tqdm():
             yield show
 
 
-def _announce_compilation() -> None:
+@contextlib.contextmanager
+def _interrupt_between_steps() -> Iterator[Callable[[], None]]:
+    """Holds Ctrl-C back until it is asked for, by what this yields, between two steps.
+
+    Raised anywhere, it would also strike inside numba's and Drake's own callbacks, and
+    leave them half done. A second one is raised at once.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    asked = False
+
+    def ask(_: int, __: object) -> None:
+        nonlocal asked
+        if asked:
+            raise KeyboardInterrupt
+        asked = True
+        print("\nstopping (Ctrl-C again: at once) ...", file=sys.stderr)
+
+    def raise_if_asked() -> None:
+        if asked:
+            raise KeyboardInterrupt
+
+    in_main = threading.current_thread() is threading.main_thread()
+    if not in_main or before is not signal.default_int_handler:
+        yield raise_if_asked
+        return
+    signal.signal(signal.SIGINT, ask)
+    try:
+        yield raise_if_asked
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _announce_compilation(scenario: Scenario) -> None:
     """Says why the first run in a fresh installation starts late."""
+    from drake_oa.cartesian_kernels import law
     from drake_oa.ellipsoid_kernels import nearest_points
 
-    module = nearest_points.__module__.rpartition(".")[2]
-    if not any(Path(nearest_points.stats.cache_path).glob(f"{module}.*.nbi")):
-        print("compiling kernels, once ...", file=sys.stderr)
+    kernel = nearest_points if scenario.robot is None else law
+    # A plain function where numba is told not to compile.
+    stats = getattr(kernel, "stats", None)
+    module = kernel.__module__.rpartition(".")[2]
+    if stats is not None and not any(Path(stats.cache_path).glob(f"{module}.*.nbi")):
+        print("compiling kernels, once: up to half a minute ...", file=sys.stderr)
 
 
 def _start_meshcat(options: argparse.Namespace) -> Meshcat | None:
@@ -384,7 +430,7 @@ def _benchmark(options: argparse.Namespace) -> int:
 
     scenario = load_scenario(options.scenario)
     _check_outputs(options.json)
-    _announce_compilation()
+    _announce_compilation(scenario)
     figures = run_benchmark(scenario)
     print(benchmark_table(figures))
     if options.json:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from drake_oa.point_cloud_kernels import nearest_within, unite_neighbours
+from drake_oa.point_cloud_kernels import cell_keys, nearest_within, unite_neighbours
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -19,8 +19,7 @@ def voxel_keys(points: FloatArray, voxel: float) -> IntArray:
 
     The grid is anchored at the origin; coordinates up to 2**20 voxels are told apart.
     """
-    cell = np.floor(points / voxel).astype(np.int64) + (1 << 20)
-    return np.asarray((cell[:, 0] << 42) | (cell[:, 1] << 21) | cell[:, 2])
+    return cell_keys(np.require(points, np.float64, ["C", "W"]), float(voxel))
 
 
 def connected_clusters(
@@ -87,6 +86,7 @@ def pixels_of(p_CQ: FloatArray, shape: tuple[int, ...], K: FloatArray) -> IntArr
 def joined_across_unseen(
     means: FloatArray,
     label: IntArray,
+    pixel: IntArray,
     pixel_label: IntArray,
     depth: NDArray[np.floating],
     K: FloatArray,
@@ -104,7 +104,8 @@ def joined_across_unseen(
     Args:
         means: (N, 3) points in the world frame [m].
         label: (N,) their clusters.
-        pixel_label: (H * W,) the cluster that each pixel shows, -1 for none.
+        pixel: (P,) ascending flat indices of the pixels above the table.
+        pixel_label: (P,) the cluster that each of them shows, -1 for none.
         depth: (H, W) depth image [m].
         K: (4,) fx, fy, cx, cy [pixel].
         X_WC: (4, 4) pose of the camera.
@@ -118,24 +119,48 @@ def joined_across_unseen(
     names = np.flatnonzero(np.bincount(label, minlength=1) >= min_size)
     if len(names) < 2:
         return label
-    trees = [cKDTree(means[label == name]) for name in names]
+    parts = [means[label == name] for name in names]
+    lows, highs = (np.stack([f(part, axis=0) for part in parts]) for f in (np.min, np.max))
     label, joined = label.copy(), names.copy()
     steps = np.linspace(0.0, 1.0, 7)[1:-1, None, None]
-    for i, tree in enumerate(trees):
-        for j in range(i):
-            distance, nearest = tree.query(trees[j].data, distance_upper_bound=gap)
-            close = np.argsort(distance, kind="stable")[:_BRIDGES]
-            close = close[np.isfinite(distance[close])]
-            if not len(close):
+    for i in range(len(parts)):
+        apart = np.maximum(lows[i] - highs, lows - highs[i]).max(axis=1)
+        for j in np.flatnonzero(apart[:i] < gap):
+            start, end = _bridges(parts[j], parts[i], gap)
+            if not len(start):
                 continue
-            start, end = trees[j].data[close], tree.data[nearest[close]]
             between = (start + steps * (end - start)).reshape(-1, 3)
             p_CQ = (between - X_WC[:3, 3]) @ X_WC[:3, :3]
-            pixel = pixels_of(p_CQ, depth.shape, K)
-            through = depth.ravel()[pixel] > p_CQ[:, 2] + voxel
-            other = ~np.isin(pixel_label[pixel], (names[i], names[j]))
-            open_gap = ((pixel >= 0) & through & other).reshape(len(steps), -1).any(axis=0)
-            if np.count_nonzero(open_gap) <= len(close) / 2:
+            seen = pixels_of(p_CQ, depth.shape, K)
+            through = depth.ravel()[seen] > p_CQ[:, 2] + voxel
+            place = np.minimum(np.searchsorted(pixel, seen), len(pixel) - 1)
+            shown = np.where(pixel[place] == seen, pixel_label[place], -1)
+            other = (shown != names[i]) & (shown != names[j])
+            open_gap = ((seen >= 0) & through & other).reshape(len(steps), -1).any(axis=0)
+            if np.count_nonzero(open_gap) <= len(start) / 2:
                 label[label == joined[i]] = joined[j]
                 joined[joined == joined[i]] = joined[j]
     return label
+
+
+def _bridges(first: FloatArray, second: FloatArray, gap: float) -> tuple[FloatArray, FloatArray]:
+    """The shortest connections, below ``gap``, from points of one cluster to the other's."""
+    near_first, near_second = first, second
+    for _ in range(2):  # the second time against what the first has left
+        near_first = _close_to(near_first, near_second, gap)
+        near_second = _close_to(near_second, near_first, gap)
+    if not len(near_first) or not len(near_second):
+        return near_first[:0], near_first[:0]
+    tree = cKDTree(near_second, balanced_tree=False, compact_nodes=False)
+    distance, nearest = tree.query(near_first, distance_upper_bound=gap)
+    shortest = np.argsort(distance, kind="stable")[:_BRIDGES]
+    shortest = shortest[np.isfinite(distance[shortest])]
+    return near_first[shortest], near_second[nearest[shortest]]
+
+
+def _close_to(points: FloatArray, others: FloatArray, gap: float) -> FloatArray:
+    """The points within ``gap`` of the axis-aligned box round the others."""
+    if not len(points) or not len(others):
+        return points[:0]
+    beyond = np.maximum(others.min(axis=0) - points, points - others.max(axis=0))
+    return np.asarray(points[(beyond <= gap).all(axis=1)])

@@ -21,6 +21,8 @@ from drake_oa.values import EllipsoidSet, FloatArray, IntArray, TablePlane
 
 FORBIDDEN = 1.0
 """Cost at which a ring forbids a direction."""
+_LEAST_SPREAD = 0.1
+"""Spread of path lengths, in baselines, below which they count as near to each other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,14 +109,19 @@ def ring_scene(
 
 
 def length_ring(scene: RingScene) -> FloatArray:
-    """eta_length: path start - passing point - goal, scaled to [0, 1] over the ring."""
+    """eta_length: path start - passing point - goal, scaled to [0, 1] over the ring.
+
+    Lengths that differ by less than a tenth of the baseline count as near to each
+    other: else an obstacle right on the baseline, whose sides are about as long, would
+    change its side, against all hysteresis, with every millimetre it moves.
+    """
     length = np.linalg.norm(scene.p_WP - scene.p_WS, axis=2)
     length = length + np.linalg.norm(scene.p_WG - scene.p_WP, axis=2)
     if not length.size:
         return length
     low, high = length.min(axis=1, keepdims=True), length.max(axis=1, keepdims=True)
-    spread = high - low
-    return np.divide(length - low, spread, out=np.zeros_like(length), where=spread > 0.0)
+    least = _LEAST_SPREAD * float(np.linalg.norm(scene.p_WG - scene.p_WS))
+    return np.asarray((length - low) / np.maximum(high - low, least))
 
 
 def table_ring(scene: RingScene, *, height: float) -> FloatArray:

@@ -413,3 +413,18 @@ def tangent_headings(
         for i in range(3):
             normal[m, i] = c * e2[i] - s * e1[i]
             heading[m, i] = (c * e1[i] + s * e2[i] + outward * normal[m, i]) / size
+
+
+@njit(cache=True, error_model="numpy")
+def first_inside(p: FloatArray, center: FloatArray, R: FloatArray, semi_axes: FloatArray) -> int:
+    """Row of the first ellipsoid that a point (3,) lies in or on, or -1."""
+    for row in range(len(center)):
+        gauge = 0.0
+        for axis in range(3):
+            along = 0.0
+            for k in range(3):
+                along += R[row, k, axis] * (p[k] - center[row, k])
+            gauge += (along / semi_axes[row, axis]) ** 2
+        if gauge <= 1.0:
+            return row
+    return -1

@@ -10,31 +10,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from drake_oa.ellipsoid import shape_matrix, signed_distance, tangent_heading
+from drake_oa.ellipsoid import shape_matrix, tangent_heading
 from drake_oa.values import EllipsoidSet, FloatArray, PolicyState
 
 
-def passing_normals(
-    p_WE: FloatArray, p_WO: FloatArray, direction_W: FloatArray, R_WL: FloatArray
-) -> FloatArray:
-    """Normals of the planes in which the obstacles are passed, (M, 3).
+def passing_normals(direction_W: FloatArray, R_WL: FloatArray) -> FloatArray:
+    """Normals x_L x omega of the planes in which the obstacles are passed, (M, 3).
 
-    The plane is spanned by the way to the obstacle's centre and the chosen
-    direction; turning about its normal by the right-hand rule turns from the
-    former toward the latter. Where these two are parallel the local x axis stands
-    in for the way to the centre, and after it the local y axis.
+    Turning about one by the right-hand rule turns from the baseline toward the chosen
+    direction omega, which is orthogonal to the baseline.
     """
-    to_O = p_WO - p_WE
-    normal = _cross(to_O, direction_W)
-    size = np.sqrt(np.sum(normal * normal, axis=1))
-    reach = np.sqrt(np.sum(to_O * to_O, axis=1))
-    for axis in (0, 1):
-        lost = size <= 1e-9 * np.maximum(reach, 1.0)
-        if not lost.any():
-            break
-        normal[lost] = _cross(np.broadcast_to(R_WL[:, axis], direction_W.shape), direction_W)[lost]
-        size = np.sqrt(np.sum(normal * normal, axis=1))
-    return np.asarray(normal / size[:, None])
+    return _cross(np.broadcast_to(R_WL[:, 0], direction_W.shape), direction_W)
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -48,23 +34,12 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     )
 
 
-def feasible_clearance(p_WG: FloatArray, ellipsoids: EllipsoidSet, clearance: float) -> FloatArray:
-    """min(Delta, distance of the goal to the obstacle), (M,) [m].
-
-    More cannot be kept by a motion that ends at the goal. It is 0 where the goal
-    lies inside an obstacle.
-    """
-    if len(ellipsoids) == 0:
-        return np.zeros(0)
-    distance = signed_distance(p_WG, ellipsoids.p_WO, ellipsoids.R_WO, ellipsoids.semi_axes)
-    return np.clip(distance, 0.0, clearance)
-
-
 def desired_headings(
     policy: PolicyState,
     ellipsoids: EllipsoidSet,
     direction_W: FloatArray,
     normal_W: FloatArray,
+    center_W: FloatArray,
     clearance: FloatArray,
 ) -> FloatArray:
     """v_d for each obstacle; a zero row where the heading needs no guidance.
@@ -80,6 +55,7 @@ def desired_headings(
         ellipsoids: the M obstacles, dilated by the tool.
         direction_W: (M, 3) chosen unit directions omega_d.
         normal_W: (M, 3) normals of the passing planes, see `passing_normals`.
+        center_W: (M, 3) points that the avoidance terms act about [m].
         clearance: (M,) distance to keep [m].
 
     Returns:
@@ -94,10 +70,14 @@ def desired_headings(
     # At rest the motion is about to set out along the baseline.
     u = policy.z_W / speed if speed > 0.0 else policy.R_WL[:, 0]
 
-    plane = _cross(ellipsoids.p_WO - p_WE, np.broadcast_to(u, normal_W.shape))
-    lean = -np.sum(plane * normal_W, axis=1)
+    to_center = center_W - p_WE
+    # (e x u) . n of each obstacle, up to the length of e.
+    lean = -np.sum(to_center * _cross(np.broadcast_to(u, normal_W.shape), normal_W), axis=1)
+    if lean.max() <= 0.0:
+        return np.zeros(normal_W.shape)
+    plane = _cross(to_center, np.broadcast_to(u, normal_W.shape))
     size = np.sqrt(np.sum(plane * plane, axis=1))
-    wrong = lean > 1e-9 * size
+    wrong = (lean > 1e-9 * size) & (clearance > 0.0)
     if not wrong.any():
         return np.zeros(normal_W.shape)
     wrong &= _ray_entry(p_WE, u, ellipsoids, clearance) < distance_G

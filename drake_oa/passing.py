@@ -17,6 +17,7 @@ from drake_oa.ellipsoid import shape_matrix, signed_distance
 from drake_oa.values import EllipsoidSet, FloatArray, IntArray
 
 _SAMPLES = 41
+_OUTLINE = 180
 _LEAST_EXTENT = 0.02
 
 
@@ -57,9 +58,11 @@ def passing(
 
     - across, lambda2' = sqrt(Q22) - o, the height of the part above the baseline;
     - along, lambda1' and the centre are those of the part's extent along x. For a
-      centre above the baseline (o < 0) lambda1' grows by
-      (b - o) / sqrt(b (b - 2 o)), b = sqrt(Q22), so that half an ellipse still
-      encloses it.
+      centre above the baseline (o < 0) lambda1' grows by sqrt((b - o) / b),
+      b = sqrt(Q22), so that half an ellipse still encloses it.
+
+    Both grow by one factor, at least 1, where the shadow stands oblique to the
+    baseline, its highest point not over the middle of the part.
 
     A part that does not rise above the baseline but comes nearer than Delta has the
     least extent, and the clearance that is left. No more clearance is asked than the
@@ -100,8 +103,9 @@ def passing(
     right = np.where(Q12 / reach >= level, reach, middle + half)
     left = np.where(-Q12 / reach >= level, -reach, middle - half)
     above = np.maximum(-o, 0.0)
-    along = 0.5 * (right - left) * (height + above) / np.sqrt(height * (height + 2.0 * above))
+    along = 0.5 * (right - left) * np.sqrt(1.0 + above / height)
     extents = np.stack([along, np.where(rises, height - o, 0.0)], axis=1)
+    extents *= _enclosing_scale(Q11, Q12, Q22, o, 0.5 * (left + right), extents)[:, None]
 
     place = np.linspace(0.0, 1.0, _SAMPLES)[:, None, None] * (p_WG - p_WS) + p_WS
     distance = signed_distance(place, ellipsoids.p_WO, ellipsoids.R_WO, ellipsoids.semi_axes)
@@ -124,6 +128,27 @@ def passing(
             kept[rows] = kept[rows].max()
             weight[rows] = 1.0 / len(rows)
     return Passing(p_WS + center[:, None] * x, extents, kept, weight)
+
+
+def _enclosing_scale(
+    Q11: FloatArray,
+    Q12: FloatArray,
+    Q22: FloatArray,
+    o: FloatArray,
+    middle: FloatArray,
+    extents: FloatArray,
+) -> FloatArray:
+    """How much the half ellipses must grow to hold the parts above the baseline, (M,)."""
+    angle = np.linspace(0.0, 2.0 * np.pi, _OUTLINE, endpoint=False)
+    cos, sin = np.cos(angle), np.sin(angle)
+    height = np.sqrt(Q22)
+    depth = np.sqrt(np.maximum(Q11 - Q12**2 / Q22, 0.0))
+    along = (Q12 / height)[:, None] * sin + depth[:, None] * cos - middle[:, None]
+    across = height[:, None] * sin - o[:, None]
+    above = (across > 0.0) & (extents[:, 1:] > 0.0)
+    safe = np.where(extents > 0.0, extents, 1.0)
+    gauge = (along / safe[:, :1]) ** 2 + (across / safe[:, 1:]) ** 2
+    return np.sqrt(np.where(above, gauge, 1.0).max(axis=1, initial=1.0))
 
 
 def _cleared_by_another(

@@ -14,9 +14,17 @@ from dataclasses import dataclass, field, fields
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_opening
 
 from drake_oa.clusters import connected_clusters, joined_across_unseen, voxel_keys
+from drake_oa.point_cloud_kernels import (
+    back_projected,
+    cropped_to_world,
+    numbered,
+    pixels_between,
+    sampled,
+    sums,
+    within_halfplanes,
+)
 from drake_oa.self_filter import PosedShapes
 from drake_oa.table_plane import PlaneFit, fit_plane
 from drake_oa.values import TablePlane
@@ -149,38 +157,23 @@ def segment_depth(
     """
     config = config or SegmentationConfig()
     depth = np.asarray(depth)
-    fx, fy, cx, cy = _valid_intrinsics(depth, K)
+    K = _valid_intrinsics(depth, K)
     X_WC = _valid_pose(X_WC)
-    z = depth.astype(np.float32, copy=False)
+    z = np.require(depth, np.float32, ["C", "W"])
     step = config.stride
-    coarse = z[::step, ::step]
-    valid = (coarse >= config.near) & (coarse <= config.far)
-    rows, columns = np.nonzero(valid)
-    if not len(rows):
+    on_grid, pixels = sampled(z, step, float(config.near), float(config.far))
+    if not len(on_grid):
         return Segmentation(X_WC=np.eye(4) if X_WC is None else X_WC, note="no valid pixel")
-    sample_z = coarse[rows, columns].astype(float)
-    sample = np.asarray(
-        _back_project(rows * step, columns * step, sample_z, fx, fy, cx, cy), dtype=float
-    )
-    plane = _find_table(sample, sample_z, X_WC, config)
+    sample = back_projected(z, pixels, K)
+    plane = _find_table(sample, sample[:, 2], X_WC, config)
     if plane is None:
         return Segmentation(X_WC=np.eye(4) if X_WC is None else X_WC, note=_NO_TABLE)
 
-    # Opening removes the thin line where the plane cuts a wall. Projection keeps
-    # convexity, so the ends of each row span the table's convex extent.
-    on_table = np.zeros(valid.shape, dtype=np.int64)
-    on_table[rows, columns] = np.where(plane.inliers, np.arange(1, len(rows) + 1), 0)
-    on_table *= binary_opening(on_table > 0, np.ones((3, 3), dtype=bool))
-    seen = on_table[on_table.any(axis=1)]
-    first = (seen > 0).argmax(axis=1)
-    last = seen.shape[1] - 1 - (seen[:, ::-1] > 0).argmax(axis=1)
-    ends = np.arange(len(seen))
-    extent = sample[np.concatenate([seen[ends, first], seen[ends, last]]) - 1]
-    index = _pixels_above(z, (fx, fy, cx, cy), plane, config)
-    row, column = np.divmod(index, z.shape[1])
-    p_CQ = _back_project(row, column, z.ravel()[index], fx, fy, cx, cy)
-    image = (z, np.array([fx, fy, cx, cy]))
-    return _cluster_above(p_CQ, index, plane, extent, X_WC, config, robot, image)
+    grid = (-(-z.shape[0] // step), -(-z.shape[1] // step))
+    extent = sample[_row_ends(grid, on_grid, plane.inliers)]
+    index = _pixels_above(z, K, plane, config)
+    p_CQ = back_projected(z, index, K)
+    return _cluster_above(p_CQ, index, plane, extent, X_WC, config, robot, (z, K))
 
 
 def segment_points(
@@ -212,7 +205,7 @@ def segment_points(
     index = np.flatnonzero(np.isfinite(points).all(axis=1) & (points != 0.0).any(axis=1))
     if not len(index):
         return Segmentation(X_WC=np.eye(4) if X_WC is None else X_WC, note="no valid point")
-    p_CQ = points[index].astype(float)
+    p_CQ = np.require(points[index], np.float64, ["C", "W"])
     distance = np.linalg.norm(p_CQ, axis=1)
     step = max(1, len(index) // 20_000)
     sample = p_CQ[::step]
@@ -270,36 +263,30 @@ def _cluster_above(
     X_WC = _pose_from_plane(plane) if X_WC is None else X_WC
     normal_W = X_WC[:3, :3] @ plane.normal
     table = TablePlane(normal_W, float(plane.offset + normal_W @ X_WC[:3, 3]))
-    near_table = _inside_box(p_CQ, extent_C, plane.normal, config.table_margin)
-    index = index[near_table]
-    p_WQ = p_CQ[near_table] @ X_WC[:3, :3].T + X_WC[:3, 3]
+    # A rectangle around the table is a quick crop; its convex extent comes later.
+    axes = _plane_axes(plane.normal)
+    along = axes @ extent_C.T
+    low, high = along.min(axis=1, initial=np.inf), along.max(axis=1, initial=-np.inf)
+    reach = np.column_stack([low - config.table_margin, high + config.table_margin])
+    p_WQ, index = cropped_to_world(p_CQ, index, axes, reach, X_WC)
     if not len(index):
         return Segmentation((), (), table, p_WQ, plane.rms, X_WC)
 
-    keys, voxel_of, count = np.unique(
-        voxel_keys(p_WQ, config.voxel), return_inverse=True, return_counts=True
-    )
-    means = np.empty((len(keys), 3))
-    for axis in range(3):
-        means[:, axis] = np.bincount(voxel_of, p_WQ[:, axis], len(keys)) / count
+    means, voxel_of, count = _voxel_means(p_WQ, config.voxel)
     extent_W = extent_C @ X_WC[:3, :3].T + X_WC[:3, 3]
-    keep = (count >= config.min_occupancy) & _above_extent(
-        means, extent_W, normal_W, config.table_margin
-    )
+    kept = np.flatnonzero(count >= config.min_occupancy)
+    kept = kept[_above_extent(means[kept], extent_W, normal_W, config.table_margin)]
     if robot is not None:
-        keep &= ~robot.contains(means, config.robot_margin)
-
-    kept = np.flatnonzero(keep)
-    label = np.full(len(keys), -1)
+        kept = kept[~robot.contains(means[kept], config.robot_margin)]
+    label = np.full(len(means), -1)
     found = connected_clusters(means[kept], config.cluster_tolerance)
     if image is not None:
         label[kept] = found
-        pixel_label = np.full(image[0].size, -1, dtype=np.int64)
-        pixel_label[index] = label[voxel_of]
         found = joined_across_unseen(
             means[kept],
             found,
-            pixel_label,
+            index,
+            label[voxel_of],
             *image,
             X_WC,
             gap=config.unseen_gap,
@@ -311,6 +298,8 @@ def _cluster_above(
     names = np.flatnonzero(sizes >= config.min_cluster_voxels)
     names = names[np.argsort(-sizes[names], kind="stable")]
     point_label = label[voxel_of]
+    clustered = np.flatnonzero(point_label >= 0)
+    index, point_label = index[clustered], point_label[clustered]
     return Segmentation(
         tuple(means[label == name] for name in names),
         tuple(index[point_label == name] for name in names),
@@ -321,8 +310,43 @@ def _cluster_above(
     )
 
 
+def _row_ends(shape: tuple[int, int], pixel: IntArray, on_table: BoolArray) -> IntArray:
+    """Which of the samples are the ends of the table's rows.
+
+    Projection keeps convexity, so the ends of each row span the table's convex extent.
+
+    Args:
+        shape: rows and columns of the grid that was sampled.
+        pixel: (N,) flat index of each sample in that grid.
+        on_table: (N,) whether it lies on the table.
+    """
+    table = np.zeros(shape, dtype=bool)
+    table.ravel()[pixel[on_table]] = True
+    # Opening removes the thin line where the plane cuts a wall.
+    table = _opened(table)
+    rows = np.flatnonzero(table.any(axis=1))
+    seen = table[rows]
+    last = shape[1] - 1 - seen[:, ::-1].argmax(axis=1)
+    ends = np.concatenate([seen.argmax(axis=1), last]) + np.tile(rows, 2) * shape[1]
+    return np.searchsorted(pixel, ends)
+
+
+def _opened(mask: BoolArray) -> BoolArray:
+    """Opening of a mask by a square of 3 x 3; outside the image is false."""
+    inner = mask[:-2] & mask[1:-1] & mask[2:]
+    eroded = np.zeros_like(mask)
+    eroded[1:-1, 1:-1] = inner[:, :-2] & inner[:, 1:-1] & inner[:, 2:]
+    wide = eroded.copy()
+    wide[:, 1:] |= eroded[:, :-1]
+    wide[:, :-1] |= eroded[:, 1:]
+    opened = wide.copy()
+    opened[1:] |= wide[:-1]
+    opened[:-1] |= wide[1:]
+    return opened
+
+
 def _pixels_above(
-    z: NDArray[np.float32], K: tuple[float, ...], plane: PlaneFit, config: SegmentationConfig
+    z: NDArray[np.float32], K: FloatArray, plane: PlaneFit, config: SegmentationConfig
 ) -> IntArray:
     """Flat indices of the pixels whose height over the plane may be an obstacle's."""
     # height = n . p_C - offset = z (a u + b v + c) - offset > min_height + noise z
@@ -330,16 +354,34 @@ def _pixels_above(
     n, offset = plane.normal, plane.offset
     a, b = n[0] / fx, n[1] / fy
     noise = _height_noise(config, offset)
-    u = (a * np.arange(z.shape[1]) + (n[2] - a * cx - b * cy - noise)).astype(np.float32)
-    v = (b * np.arange(z.shape[0])).astype(np.float32)
-    raised = u[None, :] + v[:, None]
-    with np.errstate(invalid="ignore"):  # inf times zero: compares false, as it should
-        raised *= z
-    index = np.flatnonzero(raised > np.float32(offset + config.min_height))
-    depth = z.ravel()[index]
-    height = raised.ravel()[index] + np.float32(noise) * depth - np.float32(offset)
-    index = index[(depth >= config.near) & (depth <= config.far) & (height < config.max_height)]
-    return np.asarray(index)
+    u = a * np.arange(z.shape[1]) + (n[2] - a * cx - b * cy - noise)
+    v = b * np.arange(z.shape[0])
+    limits = [
+        config.near,
+        config.far,
+        offset + config.min_height,
+        noise,
+        offset + config.max_height,
+    ]
+    return pixels_between(
+        z, u.astype(np.float32), v.astype(np.float32), np.array(limits, dtype=np.float32)
+    )
+
+
+def _voxel_means(points: FloatArray, voxel: float) -> tuple[FloatArray, IntArray, IntArray]:
+    """Voxels of points (N, 3) in order of their keys.
+
+    Returns:
+        Means (M, 3), the voxel (N,) of each point, and counts (M,).
+    """
+    keys, number = numbered(voxel_keys(points, voxel))
+    order = np.argsort(keys)
+    place = np.empty_like(order)
+    place[order] = np.arange(len(order))
+    voxel_of, count = place[number], np.zeros(len(order), dtype=np.int64)
+    total = np.zeros((len(order), 3))
+    sums(points, voxel_of, count, total)
+    return total / count[:, None], voxel_of, count
 
 
 def _plane_axes(normal: FloatArray) -> FloatArray:
@@ -350,28 +392,15 @@ def _plane_axes(normal: FloatArray) -> FloatArray:
     return np.stack([first, np.cross(normal, first)])
 
 
-def _inside_box(
-    points: NDArray[np.floating], table: FloatArray, normal: FloatArray, margin: float
-) -> BoolArray:
-    """Which points stand over a rectangle around the table's points: a quick crop."""
-    if not len(table):
-        return np.zeros(len(points), dtype=bool)
-    axes = _plane_axes(normal)
-    inside = np.ones(len(points), dtype=bool)
-    for axis in axes:
-        along, reach = points @ axis.astype(points.dtype), table @ axis
-        inside &= (along >= reach.min() - margin) & (along <= reach.max() + margin)
-    return inside
-
-
 def _above_extent(
     p_WQ: FloatArray, table_W: FloatArray, normal_W: FloatArray, margin: float
 ) -> BoolArray:
     """Which points stand over the convex extent of the table's points."""
     angle = np.arange(_DIRECTIONS) * (2.0 * np.pi / _DIRECTIONS)
-    directions = np.stack([np.cos(angle), np.sin(angle)]).T @ _plane_axes(normal_W)
-    reach = (directions @ table_W.T).max(axis=1) + margin
-    return np.asarray((directions @ p_WQ.T <= reach[:, None]).all(axis=0))
+    directions = np.column_stack([np.cos(angle), np.sin(angle)])
+    axes = _plane_axes(normal_W)
+    reach = (directions @ (axes @ table_W.T)).max(axis=1) + margin
+    return within_halfplanes(p_WQ, axes, directions, reach)
 
 
 def _pose_from_plane(plane: PlaneFit) -> FloatArray:
@@ -389,29 +418,12 @@ def _pose_from_plane(plane: PlaneFit) -> FloatArray:
     return X_WC
 
 
-def _back_project(
-    row: IntArray,
-    column: IntArray,
-    z: NDArray[np.floating],
-    fx: float,
-    fy: float,
-    cx: float,
-    cy: float,
-) -> NDArray[np.floating]:
-    """Points (N, 3) of the pixels, in the precision of their depths."""
-    p_CQ = np.empty((len(z), 3), dtype=z.dtype)
-    p_CQ[:, 0] = (column - cx) * (z / fx)
-    p_CQ[:, 1] = (row - cy) * (z / fy)
-    p_CQ[:, 2] = z
-    return p_CQ
-
-
 def _valid_intrinsics(depth: NDArray[np.floating], K: FloatArray) -> FloatArray:
     if depth.ndim != 2 or not np.issubdtype(depth.dtype, np.floating):
         raise ValueError(
             f"depth must be an (H, W) array of floats in metres, not {depth.dtype} {depth.shape}"
         )
-    K = np.asarray(K, dtype=float)
+    K = np.require(K, np.float64, ["C", "W"])
     if K.shape != (4,) or not np.isfinite(K).all() or (K[:2] <= 0.0).any():
         raise ValueError(f"K must be [fx, fy, cx, cy] with positive focal lengths, not {K}")
     return K
@@ -420,7 +432,7 @@ def _valid_intrinsics(depth: NDArray[np.floating], K: FloatArray) -> FloatArray:
 def _valid_pose(X_WC: FloatArray | None) -> FloatArray | None:
     if X_WC is None:
         return None
-    X_WC = np.asarray(X_WC, dtype=float)
+    X_WC = np.require(X_WC, np.float64, ["C", "W"])
     if X_WC.shape != (4, 4) or not np.isfinite(X_WC).all():
         raise ValueError(f"X_WC must be a finite (4, 4) pose, not one of shape {X_WC.shape}")
     R = X_WC[:3, :3]

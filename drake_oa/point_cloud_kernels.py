@@ -16,7 +16,28 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
-_EMPTY = -1
+
+@njit(cache=True, error_model="numpy")
+def sampled(
+    z: NDArray[np.float32], stride: int, near: float, far: float
+) -> tuple[IntArray, IntArray]:
+    """The pixels with a depth in [near, far] on every stride-th row and column.
+
+    Returns:
+        (N,) their flat indices in that coarser image, and (N,) in the image itself.
+    """
+    rows, columns = (z.shape[0] - 1) // stride + 1, (z.shape[1] - 1) // stride + 1
+    coarse = np.empty(rows * columns, dtype=np.int64)
+    fine = np.empty(rows * columns, dtype=np.int64)
+    n = 0
+    for row in range(rows):
+        for column in range(columns):
+            depth = z[row * stride, column * stride]
+            if depth >= near and depth <= far:
+                coarse[n] = row * columns + column
+                fine[n] = row * stride * z.shape[1] + column * stride
+                n += 1
+    return coarse[:n].copy(), fine[:n].copy()
 
 
 @njit(cache=True, error_model="numpy")
@@ -38,25 +59,37 @@ def pixels_between(
             highest ``z (u + v + noise)``.
     """
     near, far, low, noise, high = limits
-    out = np.empty(z.size, dtype=np.int64)
-    n = 0
+    # A mask first, then its places, both without branches: so the first loop uses
+    # vector instructions, and the second need not predict the outcomes.
+    inside = np.empty(z.shape, dtype=np.uint8)
+    count = 0
     for row in range(z.shape[0]):
         for column in range(z.shape[1]):
             depth = z[row, column]
             raised = depth * (u[column] + v[row])
+            seen = (depth >= near) & (depth <= far)
+            inside[row, column] = seen & (raised > low) & (raised + noise * depth < high)
+        for column in range(z.shape[1]):
+            count += inside[row, column]
+    out = np.empty(count + 1, dtype=np.int64)
+    n = 0
+    for row in range(z.shape[0]):
+        for column in range(z.shape[1]):
             out[n] = row * z.shape[1] + column
-            # Without branches: the outcome changes too often to be predicted.
-            inside = (depth >= near) & (depth <= far)
-            n += inside & (raised > low) & (raised + noise * depth < high)
-    return out[:n].copy()
+            n += inside[row, column]
+    return out[:count]
 
 
 @njit(cache=True, error_model="numpy")
 def back_projected(z: NDArray[np.float32], index: IntArray, K: FloatArray) -> FloatArray:
-    """Points (N, 3) in the camera frame of the pixels with flat indices (N,)."""
+    """Points (N, 3) in the camera frame of the pixels with ascending flat indices (N,)."""
     p_CQ = np.empty((len(index), 3))
+    row, start = 0, 0
     for i in range(len(index)):
-        row, column = divmod(index[i], z.shape[1])
+        while index[i] >= start + z.shape[1]:
+            row += 1
+            start += z.shape[1]
+        column = index[i] - start
         depth = z[row, column]
         p_CQ[i, 0] = (column - K[2]) * (depth / K[0])
         p_CQ[i, 1] = (row - K[3]) * (depth / K[1])
@@ -90,58 +123,84 @@ def cropped_to_world(
         for k in range(3):
             p_WQ[n, k] = X_WC[k, 0] * x + X_WC[k, 1] * y + X_WC[k, 2] * z + X_WC[k, 3]
         n += inside
-    return p_WQ[:n].copy(), kept[:n].copy()
+    return p_WQ[:n], kept[:n]
 
 
 @njit(cache=True, error_model="numpy")
-def voxelized(points: FloatArray, voxel: float) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
-    """Sorts points into voxels of a grid anchored at the origin, by a hash table.
+def _key(points: FloatArray, i: int, edge: float) -> np.int64:
+    key = np.int64(0)
+    for k in range(3):
+        key = (key << 21) | (np.int64(np.floor(points[i, k] / edge)) + (1 << 20))
+    return key
 
-    Returns:
-        keys (M,) as `drake_oa.clusters.voxel_keys` in order of first appearance, the
-        voxel (N,) of each point, and for each voxel the count (M,) and sum (M, 3).
-    """
-    bits = 8
-    while (1 << bits) < 2 * len(points):
-        bits += 1
-    slots = np.full(1 << bits, _EMPTY, dtype=np.int64)
+
+@njit(cache=True, error_model="numpy")
+def cell_keys(points: FloatArray, edge: float) -> IntArray:
+    """See `drake_oa.clusters.voxel_keys`."""
     keys = np.empty(len(points), dtype=np.int64)
-    of = np.empty(len(points), dtype=np.int64)
-    count = np.zeros(len(points), dtype=np.int64)
-    total = np.zeros(points.shape)
-    found, last, current = 0, np.int64(-1), 0
     for i in range(len(points)):
-        key = np.int64(0)
-        for k in range(3):
-            key = (key << 21) | (np.int64(np.floor(points[i, k] / voxel)) + (1 << 20))
-        # Neighbouring pixels mostly share a voxel.
-        if key != last:
+        keys[i] = _key(points, i, edge)
+    return keys
+
+
+@njit(cache=True, error_model="numpy")
+def numbered(keys: IntArray) -> tuple[IntArray, IntArray]:
+    """The different ones (M,) among keys (N,), by first appearance, and which each is (N,)."""
+    different = np.empty(len(keys), dtype=np.int64)
+    which = np.empty(len(keys), dtype=np.int64)
+    bits, found, done = 12, 0, False
+    while not done:
+        # A hash table that is at most half full; else once more with a larger one.
+        bits += 1
+        slots = np.full(1 << bits, -1, dtype=np.int64)
+        found, done = 0, True
+        for i in range(len(keys)):
+            key = keys[i]
             mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
             slot = np.int64(mixed >> np.uint64(64 - bits))
-            while slots[slot] != _EMPTY and keys[slots[slot]] != key:
+            while slots[slot] >= 0 and different[slots[slot]] != key:
                 slot = (slot + 1) & (len(slots) - 1)
-            if slots[slot] == _EMPTY:
+            if slots[slot] < 0:
+                if 2 * found >= len(slots):
+                    done = False
+                    break
                 slots[slot] = found
-                keys[found] = key
+                different[found] = key
                 found += 1
-            last, current = key, slots[slot]
-        of[i] = current
-        count[current] += 1
-        for k in range(3):
-            total[current, k] += points[i, k]
-    return keys[:found].copy(), of, count[:found].copy(), total[:found].copy()
+            which[i] = slots[slot]
+    return different[:found].copy(), which
 
 
 @njit(cache=True, error_model="numpy")
-def within_halfplanes(points: FloatArray, directions: FloatArray, reach: FloatArray) -> BoolArray:
-    """Which points (N, 3) reach no farther than ``reach`` (D,) along ``directions`` (D, 3)."""
+def sums(points: FloatArray, group: IntArray, count: IntArray, total: FloatArray) -> None:
+    """Adds points (N, 3), and their number, to the sums (M, 3) and counts (M,) of groups."""
+    for i in range(len(group)):
+        g = group[i]
+        count[g] += 1
+        for k in range(3):
+            total[g, k] += points[i, k]
+
+
+@njit(cache=True, error_model="numpy")
+def within_halfplanes(
+    points: FloatArray, axes: FloatArray, directions: FloatArray, reach: FloatArray
+) -> BoolArray:
+    """Which points lie, seen along a normal, in a convex region of the plane.
+
+    Args:
+        points: (N, 3) points [m].
+        axes: (2, 3) axes of the plane.
+        directions: (D, 2) outer normals of the half-planes, along these axes.
+        reach: (D,) how far each half-plane reaches along its normal [m].
+    """
     inside = np.ones(len(points), dtype=np.bool_)
     for i in range(len(points)):
+        a, b = 0.0, 0.0
+        for k in range(3):
+            a += axes[0, k] * points[i, k]
+            b += axes[1, k] * points[i, k]
         for k in range(len(reach)):
-            along = 0.0
-            for axis in range(3):
-                along += directions[k, axis] * points[i, axis]
-            if along > reach[k]:
+            if directions[k, 0] * a + directions[k, 1] * b > reach[k]:
                 inside[i] = False
                 break
     return inside
@@ -162,6 +221,32 @@ def votes_for_planes(
             n += abs(a * x[i] + b * y[i] + c * z[i] - offset) < tolerance[i]
         votes[m] = n
     return votes
+
+
+@njit(cache=True, error_model="numpy")
+def on_plane(
+    points: FloatArray, tolerance: FloatArray, plane: FloatArray, among: BoolArray, out: BoolArray
+) -> float:
+    """Marks, of some points (N, 3), those nearer to a plane than their tolerance (N,).
+
+    Args:
+        points: (N, 3) points [m].
+        tolerance: (N,) [m].
+        plane: (4,) unit normal and offset.
+        among: (N,) which points are asked about.
+        out: (N,) written.
+
+    Returns:
+        The sum of their squared distances [m^2].
+    """
+    total = 0.0
+    for i in range(len(tolerance)):
+        height = -plane[3]
+        for k in range(3):
+            height += plane[k] * points[i, k]
+        out[i] = among[i] and abs(height) < tolerance[i]
+        total += height * height if out[i] else 0.0
+    return total
 
 
 @njit(cache=True, error_model="numpy")
@@ -253,7 +338,10 @@ def unite_neighbours(
             if column < 0:
                 low, last = start, key + 1
             else:
-                low, last = _first_at_least(keys, key + columns[column] - 1), key + columns[column] + 1
+                low, last = (
+                    _first_at_least(keys, key + columns[column] - 1),
+                    key + columns[column] + 1,
+                )
             high = low
             while high < n and keys[high] <= last:
                 high += 1

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from drake_oa.layers import given_ellipsoids
 from drake_oa.metrics import MotionMetrics, free_point_metrics, path_length, robot_metrics
-from drake_oa.motion_log import MotionLog, unpack_ellipsoids
-from drake_oa.scenario import Scenario
+from drake_oa.motion_log import MotionLog
+from drake_oa.scenario import GivenEllipsoids, Scenario
 from drake_oa.values import EllipsoidSet
 
 
@@ -17,8 +18,9 @@ def motion_metrics(scenario: Scenario, log: MotionLog) -> MotionMetrics:
     """Judges a logged motion: by SceneGraph, or by the given ellipsoids without a robot."""
     if scenario.robot is not None:
         return robot_metrics(scenario, log.q)
-    seen = unpack_ellipsoids(log, 0) if len(log.observation_stamp) else EllipsoidSet()
-    return free_point_metrics(log.desired_position, seen)
+    source = scenario.perception
+    given = given_ellipsoids(source) if isinstance(source, GivenEllipsoids) else EllipsoidSet()
+    return free_point_metrics(log.desired_position, given)
 
 
 def motion_report(scenario: Scenario, log: MotionLog) -> dict[str, Any]:

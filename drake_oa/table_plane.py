@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_oa.point_cloud_kernels import band_moments, votes_for_planes
+from drake_oa.point_cloud_kernels import band_moments, on_plane, votes_for_planes
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -73,9 +73,11 @@ def fit_plane(
     Returns:
         The plane, or None when no plane is supported by enough points.
     """
+    points, tolerance = (np.require(x, np.float64, ["C", "W"]) for x in (points, tolerance))
     allowed = np.ones(len(points), dtype=bool)
     if height is not None:
-        allowed = np.abs(points @ up - height) < height_tolerance
+        level, reach = np.append(up, height), np.full(len(points), float(height_tolerance))
+        on_plane(points, reach, level, allowed, allowed)
     candidates = np.flatnonzero(allowed)
     needed = max(20, int(min_fraction * len(points)))
     if len(candidates) < needed:
@@ -129,7 +131,8 @@ def _refined(
     needed: int,
 ) -> PlaneFit | None:
     normal, offset = plane
-    chosen = np.flatnonzero(allowed)[:: 1 + len(points) // _REFINED_POINTS]
+    step = 1 + len(points) // _REFINED_POINTS
+    chosen = step * np.flatnonzero(allowed[::step])
     some, some_tolerance, moments = points[chosen], tolerance[chosen], np.empty((4, 4))
     # A narrowing band sheds the feet of what stands on the plane.
     for band in (1.0, 0.7, 0.5, 0.5):
@@ -142,9 +145,10 @@ def _refined(
         offset = float(normal @ (some[first] + mean))
     if normal @ up < np.cos(max_tilt):
         return None
-    distance = points @ normal - offset
-    inliers = allowed & (np.abs(distance) < tolerance)
-    if np.count_nonzero(inliers) < needed:
+    inliers = np.empty(len(points), dtype=bool)
+    total = on_plane(points, tolerance, np.append(normal, offset), allowed, inliers)
+    count = np.count_nonzero(inliers)
+    if count < needed:
         return None
-    rms = float(np.sqrt(np.mean(distance[inliers] ** 2)))
+    rms = float(np.sqrt(total / count))
     return PlaneFit(normal, offset, rms, inliers)

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-from drake_oa.clusters import connected_clusters, pixels_of, voxel_keys
+from drake_oa.clusters import connected_clusters, nearest_points, pixels_of, voxel_keys
 from drake_oa.point_cloud import Segmentation, SegmentationConfig
 from drake_oa.self_filter import PosedShapes
 from drake_oa.values import ObstacleClouds
@@ -59,12 +58,14 @@ def fuse(
         points, else by centroids less than 0.1 m apart.
     """
     config = config or SegmentationConfig()
-    kept, owner = _unobservable(previous, frame, np.asarray(depth), K, config, robot)
+    score = _scores(previous, frame.clouds_W)
+    kept, owner = _unobservable(previous, frame, score, np.asarray(depth), K, config, robot)
     new = np.concatenate([np.zeros((0, 3)), *frame.clouds_W])
-    fresh = ~np.isin(voxel_keys(kept, config.voxel), voxel_keys(new, config.voxel))
-    kept, owner = kept[fresh], owner[fresh]
+    if len(kept):
+        fresh = ~np.isin(voxel_keys(kept, config.voxel), voxel_keys(new, config.voxel))
+        kept, owner = kept[fresh], owner[fresh]
     if not len(kept):
-        return _named(previous, frame.clouds_W, frame, stamp, first_new_id)
+        return _named(previous, frame.clouds_W, score, frame, stamp, first_new_id)
     lengths = [len(cloud) for cloud in frame.clouds_W]
     groups = np.concatenate([np.repeat(np.arange(len(lengths)), lengths), len(lengths) + owner])
     points = np.concatenate([new, kept])
@@ -73,19 +74,21 @@ def fuse(
     names = np.flatnonzero(sizes >= config.min_cluster_voxels)
     names = names[np.argsort(-sizes[names], kind="stable")]
     clouds = tuple(points[label == name] for name in names)
-    return _named(previous, clouds, frame, stamp, first_new_id)
+    return _named(previous, clouds, _scores(previous, clouds), frame, stamp, first_new_id)
 
 
 def track(
     previous: ObstacleClouds, frame: Segmentation, stamp: float, first_new_id: int = 0
 ) -> ObstacleClouds:
     """Names the obstacles of a frame as `fuse` does, without memory of hidden ones."""
-    return _named(previous, frame.clouds_W, frame, stamp, first_new_id)
+    score = _scores(previous, frame.clouds_W)
+    return _named(previous, frame.clouds_W, score, frame, stamp, first_new_id)
 
 
 def _unobservable(
     previous: ObstacleClouds,
     frame: Segmentation,
+    score: FloatArray,
     depth: NDArray[np.floating],
     K: FloatArray,
     config: SegmentationConfig,
@@ -106,8 +109,9 @@ def _unobservable(
     shown |= beyond > _HIDDEN_MARGIN
 
     # Hidden behind its own obstacle's new surface: the obstacle moved or turned.
-    showing = np.full(depth.size, -1, dtype=np.int64)
-    for old, pixels in zip(_voted(previous, frame.clouds_W), frame.pixels, strict=True):
+    showing = np.full(depth.size, -1, dtype=np.int32)
+    voted = np.where(score.max(axis=1) > 0.0, score.argmax(axis=1), -1)
+    for old, pixels in zip(voted, frame.pixels, strict=True):
         showing[pixels] = old
     shown |= (pixel >= 0) & (showing[pixel] == owner)
     return points[~shown], owner[~shown]
@@ -116,19 +120,19 @@ def _unobservable(
 def _named(
     previous: ObstacleClouds,
     clouds: tuple[FloatArray, ...],
+    score: FloatArray,
     frame: Segmentation,
     stamp: float,
     first_new_id: int,
 ) -> ObstacleClouds:
     ids = np.full(len(clouds), -1, dtype=np.int64)
-    if len(previous) and len(clouds):
-        score = _scores(previous, clouds)
-        for _ in range(min(score.shape)):
-            row, column = np.unravel_index(np.argmax(score), score.shape)
-            if score[row, column] <= 0.0:
-                break
-            ids[row] = previous.ids[column]
-            score[row], score[:, column] = 0.0, 0.0
+    left = score.copy()
+    for _ in range(min(left.shape)):
+        row, column = np.unravel_index(np.argmax(left), left.shape)
+        if left[row, column] <= 0.0:
+            break
+        ids[row] = previous.ids[column]
+        left[row], left[:, column] = 0.0, 0.0
     unnamed = np.flatnonzero(ids < 0)
     first = max(first_new_id, int(previous.ids.max(initial=-1)) + 1)
     ids[unnamed] = first + np.arange(len(unnamed))
@@ -137,24 +141,18 @@ def _named(
     return ObstacleClouds(stamp, clouds, ids, frame.table, frame.note)
 
 
-def _voted(previous: ObstacleClouds, clouds: tuple[FloatArray, ...]) -> IntArray:
-    """For each cloud the index of the previous obstacle it belongs to, or -1."""
-    if not clouds:
-        return np.zeros(0, dtype=np.int64)
-    score = _scores(previous, clouds)
-    return np.where(score.max(axis=1) > 0.0, score.argmax(axis=1), -1)
-
-
 def _scores(previous: ObstacleClouds, clouds: tuple[FloatArray, ...]) -> FloatArray:
     """(M_new, M_old): common points; below 1, the nearness of the centroids."""
+    if not len(previous) or not clouds:
+        return np.zeros((len(clouds), len(previous)))
     old, owner = _joined(previous)
-    tree = cKDTree(old, balanced_tree=False, compact_nodes=False)
     center = np.stack([cloud.mean(axis=0) for cloud in previous.clouds_W])
     score = np.zeros((len(clouds), len(previous)))
+    nearest = nearest_points(np.concatenate(clouds), old, _NEAR)
+    starts = np.cumsum([0, *map(len, clouds)])
     for row, cloud in enumerate(clouds):
-        distance, nearest = tree.query(cloud, distance_upper_bound=_NEAR)
-        votes = owner[nearest[np.isfinite(distance)]]
-        score[row] = np.bincount(votes, minlength=len(previous))
+        found = nearest[starts[row] : starts[row + 1]]
+        score[row] = np.bincount(owner[found[found >= 0]], minlength=len(previous))
         gap = np.linalg.norm(center - cloud.mean(axis=0), axis=1)
         score[row] += np.maximum(0.0, 1.0 - gap / _JUMP) * 0.999
     return score

@@ -7,7 +7,9 @@ clones in constant time, and no receiver can change what another one reads.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, fields
+from functools import cache
 from typing import Any, Self
 
 import numpy as np
@@ -17,16 +19,21 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
+@cache
+def _field_names(kind: type) -> tuple[str, ...]:
+    return tuple(item.name for item in fields(kind))
+
+
 class Frozen:
     """Shares itself on copy and locks its arrays on construction."""
 
     def __post_init__(self) -> None:
-        for item in fields(self):  # type: ignore[arg-type]
-            value = getattr(self, item.name)
-            if isinstance(value, np.ndarray) and value.flags.writeable:
+        for name in _field_names(type(self)):
+            value = getattr(self, name)
+            if value.__class__ is np.ndarray and value.flags.writeable:
                 value = value.view()
                 value.flags.writeable = False
-                object.__setattr__(self, item.name, value)
+                object.__setattr__(self, name, value)
 
     def __copy__(self) -> Self:
         return self
@@ -148,7 +155,7 @@ class PolicyState(Frozen):
     @property
     def baseline(self) -> float:
         """Distance from start to goal [m]."""
-        return float(np.linalg.norm(self.p_WG - self.p_WS))
+        return math.dist(self.p_WG, self.p_WS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,8 +169,8 @@ class Route(Frozen):
             where the present heading needs no guidance.
         direction_W: (M, 3) chosen direction omega_d on the local YZ circle, as a
             unit vector in the world frame.
-        normal_W: (M, 3) unit normal of the plane in which each obstacle is passed:
-            the P-plane where heading and obstacle do not define one.
+        normal_W: (M, 3) unit normal x_L x omega_d of the plane in which each obstacle
+            is passed: turning about it turns from the baseline toward the chosen side.
         center_W: (M, 3) where the coupling terms act about: on the baseline [m].
         extents: (M, 2) lambda', the obstacle's semi-axes about that centre, along the
             baseline and across it toward the chosen side [m].
@@ -173,6 +180,9 @@ class Route(Frozen):
         angles: (K,) angles of the circle [rad], 0 along local y, pi/2 along z.
         costs: name of a ring -> (M, K) its cost in [0, 1] on that circle.
         path_length: estimated length of the avoiding path [m].
+        p_WS: (3,) start of the motion that it was decided for [m].
+        p_WG: (3,) goal of that motion [m].
+        R_WL: (3, 3) local frame of that motion.
         ids: (M,) the obstacles' names.
         note: empty, or why no side is allowed.
     """
@@ -188,5 +198,13 @@ class Route(Frozen):
     angles: FloatArray = _floats(0)
     costs: dict[str, FloatArray] = field(default_factory=dict)
     path_length: float = 0.0
+    p_WS: FloatArray = _floats(3)
+    p_WG: FloatArray = _floats(3)
+    R_WL: FloatArray = field(default_factory=lambda: np.eye(3))
     ids: IntArray = _integers()
     note: str = ""
+
+    @property
+    def baseline(self) -> float:
+        """Distance from start to goal [m]; 0 when nothing was decided yet."""
+        return math.dist(self.p_WG, self.p_WS)

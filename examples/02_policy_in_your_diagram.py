@@ -39,8 +39,8 @@ def main() -> None:
     policy = builder.AddSystem(DmpIntegrator(dmp, START))
     for system in (chain, rings, policy):
         builder.Connect(seen.get_output_port(), system.GetInputPort("ellipsoids_W"))
-    for system in (chain, rings):
-        builder.Connect(policy.GetOutputPort("policy_state"), system.GetInputPort("policy_state"))
+    builder.Connect(policy.GetOutputPort("policy_state"), rings.GetInputPort("policy_state"))
+    builder.Connect(rings.GetOutputPort("decision"), chain.GetInputPort("route"))
     for system in (rings, policy):
         builder.Connect(goal.get_output_port(), system.GetInputPort("goal"))
     builder.Connect(

@@ -1,8 +1,15 @@
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.sparse.csgraph import connected_components
 
-from drake_oa.clusters import connected_clusters, joined_across_unseen, pixels_of, voxel_keys
+from drake_oa.clusters import (
+    connected_clusters,
+    joined_across_unseen,
+    nearest_points,
+    pixels_of,
+    voxel_keys,
+)
 
 K = np.array([260.0, 260.0, 159.5, 119.5])
 SIZE = (240, 320)
@@ -24,6 +31,24 @@ def test_clusters_join_by_nearness_and_by_group():
     assert len(connected_clusters(np.zeros((0, 3)), 0.03)) == 0
 
 
+@given(st.integers(0, 120), st.floats(0.02, 0.3), st.integers(0, 9999))
+def test_clusters_are_the_components_of_the_graph_of_near_points(count, tolerance, seed):
+    points = np.random.default_rng(seed).uniform(-0.5, 0.5, (count, 3))
+    near = np.linalg.norm(points[:, None] - points, axis=-1) <= tolerance
+    expected = connected_components(near, directed=False)[1] if count else np.zeros(0)
+    np.testing.assert_array_equal(connected_clusters(points, tolerance), expected)
+
+
+@given(st.integers(0, 60), st.integers(0, 60), st.floats(0.02, 0.5), st.integers(0, 9999))
+def test_the_nearest_point_in_reach_is_found(queries, count, radius, seed):
+    rng = np.random.default_rng(seed)
+    query, points = rng.uniform(-0.5, 0.5, (queries, 3)), rng.uniform(-0.5, 0.5, (count, 3))
+    distance = np.linalg.norm(query[:, None] - points, axis=-1)
+    best = distance.min(axis=1, initial=np.inf)
+    expected = np.where(best < radius, distance.argmin(axis=1) if count else -1, -1)
+    np.testing.assert_array_equal(nearest_points(query, points, radius), expected)
+
+
 def test_projection_finds_the_pixel_a_point_came_from():
     index = np.arange(0, SIZE[0] * SIZE[1], 997)
     row, column = np.divmod(index, SIZE[1])
@@ -43,8 +68,18 @@ def join(background: float, label_behind: int) -> np.ndarray:
     label = np.repeat([0, 1], 25)
     pixel = pixels_of(points, SIZE, K)
     depth.ravel()[pixel], pixel_label[pixel] = 1.0, label
+    shown = np.flatnonzero(pixel_label >= 0)
     return joined_across_unseen(
-        points, label, pixel_label, depth, K, np.eye(4), gap=0.06, voxel=0.01, min_size=10
+        points,
+        label,
+        shown,
+        pixel_label[shown],
+        depth,
+        K,
+        np.eye(4),
+        gap=0.06,
+        voxel=0.01,
+        min_size=10,
     )
 
 

@@ -90,10 +90,20 @@ def test_a_side_once_chosen_is_kept_until_another_is_clearly_better() -> None:
     scene = scene_of(ball_set((0.5, 0.01, 0.3)), table=None)
     other = np.array([0])
     assert select_directions(scene, RINGS).index[0] != 0
-    kept = select_directions(scene, {"length": length_ring}, previous=other, hysteresis=1.1)
+    kept = select_directions(scene, {"length": length_ring}, previous=other)
     assert kept.index[0] == 0
     left = select_directions(scene, {"length": length_ring}, previous=other, hysteresis=0.01)
     assert left.index[0] != 0
+    aside = scene_of(ball_set((0.5, 0.05, 0.3)), table=None)
+    assert select_directions(aside, RINGS, previous=other).index[0] != 0
+
+
+@given(y=st.floats(-0.006, 0.006), z=st.floats(-0.006, 0.006), side=st.integers(0, 35))
+def test_an_obstacle_on_the_baseline_keeps_its_side_whatever_the_noise(
+    y: float, z: float, side: int
+) -> None:
+    scene = scene_of(ball_set((0.5, y, 0.3 + z)), table=None)
+    assert select_directions(scene, RINGS, previous=np.array([side])).index[0] == side
 
 
 def test_when_every_side_is_forbidden_it_says_so() -> None:

@@ -6,8 +6,8 @@ from types import ModuleType
 
 import pytest
 
-FOLDER = Path(__file__).resolve().parents[1] / "examples"
-EXAMPLES = sorted(FOLDER.glob("[0-9]*.py"))
+EXAMPLES = sorted((Path(__file__).resolve().parents[1] / "examples").glob("*.py"))
+ARGUMENTS = {"03_swap_perception": {"duration": 0.05}}
 
 
 def load(path: Path) -> ModuleType:
@@ -17,16 +17,18 @@ def load(path: Path) -> ModuleType:
     return module
 
 
+def test_examples_are_numbered_without_a_gap() -> None:
+    assert [int(path.stem[:2]) for path in EXAMPLES] == list(range(1, len(EXAMPLES) + 1))
+
+
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_example_runs(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    module = load(path)
-    if path.stem == "03_swap_perception":
-        module.main(duration=0.05)
-    else:
-        module.main()
+    load(path).main(**ARGUMENTS.get(path.stem, {}))
     assert capsys.readouterr().out.strip()
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_example_is_short(path: Path) -> None:
-    assert len(path.read_text().splitlines()) < 65
+def test_example_is_at_most_60_lines_and_says_what_it_shows(path: Path) -> None:
+    text = path.read_text()
+    assert len(text.splitlines()) <= 60
+    assert text.startswith('"""')

@@ -194,6 +194,22 @@ def test_a_bare_table_is_no_fault():
     assert found.table is not None
 
 
+def test_a_table_too_narrow_to_have_an_extent_holds_nothing():
+    found = segment_depth(ray_cast(X_WC, (), (0.8, 0.0, 0.4, 0.012)), K, X_WC)
+    assert (found.note, found.clouds_W) == ("", ())
+
+
+def test_arrays_that_are_read_only_or_of_other_layout_give_the_same():
+    depth = ray_cast(X_WC, TWO)
+    expected = segment_depth(depth, K, X_WC)
+    frozen = [np.asfortranarray(depth), K.copy(), np.asfortranarray(X_WC)]
+    for array in frozen:
+        array.flags.writeable = False
+    found = segment_depth(*frozen)
+    for a, b in zip(expected.clouds_W, found.clouds_W, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
 def test_missing_pixels_do_no_harm():
     depth = ray_cast(X_WC, TWO)
     rng = np.random.default_rng(1)

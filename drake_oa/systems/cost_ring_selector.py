@@ -21,10 +21,14 @@ from drake_oa.cost_rings import (
     select_directions,
     table_ring,
 )
+from drake_oa.dmp import local_frame
 from drake_oa.heading import desired_headings, passing_normals
 from drake_oa.passing import passing
 from drake_oa.systems.ports import read_value
 from drake_oa.values import EllipsoidSet, FloatArray, PolicyState, Route, TablePlane
+
+_LATER = 1e-3
+"""How long after the beginning of a period it is decided [s]."""
 
 _logger = logging.getLogger("drake_oa")
 
@@ -42,6 +46,7 @@ class CostRingSelector(LeafSystem):
       - table (optional)
       output_ports:
       - route
+      - decision
 
     - ellipsoids_W: abstract `EllipsoidSet`, the dilated obstacles in the world frame.
     - policy_state: abstract `PolicyState` of the movement primitive.
@@ -49,11 +54,14 @@ class CostRingSelector(LeafSystem):
     - table (optional): abstract `TablePlane`; without it the plane that came with
       the ellipsoids is used.
     - route: abstract `Route`: for each obstacle the chosen direction omega_d, the
-      desired heading v_d, the plane's normal; and the rings.
+      desired heading v_d, the plane's normal, the obstacle as it is met; and the rings.
+    - decision: abstract `Route` without headings, empty before initialization. It does
+      not change with every step of the policy, so neither does what is computed from it.
 
-    The side is decided at `period` and kept by hysteresis: the decision is abstract
-    state. Between decisions only the headings follow the motion; when the set of
-    obstacles changes, it is decided at once.
+    The side is decided at initialization and every `period`, shortly after it so that
+    an observation of the same instant counts, and kept by hysteresis: the decision is
+    abstract state. Between decisions only the headings follow the motion; when the set
+    of obstacles changes, it is decided at once.
     """
 
     def __init__(
@@ -102,20 +110,31 @@ class CostRingSelector(LeafSystem):
         self._table = self.DeclareAbstractInputPort("table", Value(TablePlane()))
         self._decided = self.DeclareAbstractState(Value(Route()))
         self.DeclareAbstractOutputPort("route", lambda: Value(Route()), self._calc_route)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._decide)
+        self.DeclareAbstractOutputPort(
+            "decision",
+            lambda: Value(Route()),
+            self._calc_decision,
+            # Not the goal: a constant source counts as new at every instant.
+            prerequisites_of_calc={
+                self._ellipsoids.ticket(),
+                self._table.ticket(),
+                self.abstract_state_ticket(self._decided),
+            },
+        )
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, _LATER, self._decide)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._decide)
 
-    def _decision(self, context: Context) -> Route:
-        """Weighs the rings; the route without its headings."""
+    def _weigh(self, context: Context, p_WS: FloatArray, p_WG: FloatArray) -> Route:
+        """Weighs the rings for a motion from p_WS to p_WG; the route without its headings."""
         ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
-        policy = read_value(self, self._policy, context, PolicyState)
+        R_WL = local_frame(p_WS, p_WG)
         table = ellipsoids.table
         if self._table.HasValue(context):
             table = read_value(self, self._table, context, TablePlane)
         scene = ring_scene(
-            policy.p_WS,
-            self._goal.Eval(context),
-            policy.R_WL,
+            p_WS,
+            p_WG,
+            R_WL,
             ellipsoids,
             table,
             clearance=self._clearance,
@@ -131,16 +150,12 @@ class CostRingSelector(LeafSystem):
         )
         direction_W = scene.directions_W[selection.index]
         met = passing(
-            scene.p_WS,
-            scene.p_WG,
-            policy.R_WL,
-            ellipsoids,
-            direction_W,
-            selection.groups,
-            self._clearance,
+            p_WS, p_WG, R_WL, ellipsoids, direction_W, selection.groups, self._clearance
         )
         return Route(
+            heading_W=np.zeros(direction_W.shape),
             direction_W=direction_W,
+            normal_W=passing_normals(direction_W, R_WL),
             center_W=met.center_W,
             extents=met.extents,
             clearance=met.clearance,
@@ -149,29 +164,48 @@ class CostRingSelector(LeafSystem):
             angles=scene.angles,
             costs=selection.costs,
             path_length=path_length(scene, selection.index),
+            p_WS=p_WS,
+            p_WG=p_WG,
+            R_WL=R_WL,
             ids=ellipsoids.ids,
             note=_blocked_note(ellipsoids, selection),
         )
 
     def _decide(self, context: Context, state: State) -> EventStatus:
         before: Route = context.get_abstract_state(self._decided).get_value()
-        route = self._decision(context)
+        policy = read_value(self, self._policy, context, PolicyState)
+        route = self._weigh(context, policy.p_WS, self._goal.Eval(context))
         if route.note and route.note != before.note:
             _logger.warning("t=%.3f s: %s", context.get_time(), route.note)
         state.get_mutable_abstract_state(self._decided).set_value(route)
         return EventStatus.Succeeded()
 
+    def _current(self, context: Context) -> Route:
+        """The decision in the Context, or for the same motion past other obstacles, if so."""
+        ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
+        decided: Route = context.get_abstract_state(self._decided).get_value()
+        if decided.baseline == 0.0 or np.array_equal(decided.ids, ellipsoids.ids):
+            return decided
+        return self._weigh(context, decided.p_WS, decided.p_WG)
+
+    def _calc_decision(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(self._current(context))
+
     def _calc_route(self, context: Context, output: AbstractValue) -> None:
         ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
         policy = read_value(self, self._policy, context, PolicyState)
-        route: Route = context.get_abstract_state(self._decided).get_value()
-        if not np.array_equal(route.ids, ellipsoids.ids):
-            route = self._decision(context)
-        normal_W = passing_normals(policy.p_WE, route.center_W, route.direction_W, policy.R_WL)
+        route = self._current(context)
+        if route.baseline == 0.0:
+            route = self._weigh(context, policy.p_WS, self._goal.Eval(context))
         heading_W = desired_headings(
-            policy, ellipsoids, route.direction_W, normal_W, route.clearance
+            policy,
+            ellipsoids,
+            route.direction_W,
+            route.normal_W,
+            route.center_W,
+            route.clearance,
         )
-        output.set_value(replace(route, heading_W=heading_W, normal_W=normal_W))
+        output.set_value(replace(route, heading_W=heading_W) if heading_W.any() else route)
 
 
 def _blocked_note(ellipsoids: EllipsoidSet, selection: Selection) -> str:

@@ -50,7 +50,7 @@ class DmpIntegrator(LeafSystem):
 
     The state is abstract, in the Context: the step under way (`Segment`), between
     whose ends the desired motion is interpolated, so that a controller may run faster
-    than the policy. The motion is held (its normalised time slows down to a stop, on
+    than the policy. A simulator that takes over a Context goes on with its motion. The motion is held (its normalised time slows down to a stop, on
     the path) while it would not be safe: see `drake_oa.action.hold_reason`.
     """
 
@@ -124,6 +124,9 @@ class DmpIntegrator(LeafSystem):
         output.SetAtIndex(0, self._read_segment(context).state.phase)
 
     def _initialize(self, context: Context, state: State) -> EventStatus:
+        if self._read_segment(context).state.baseline > 0.0:
+            # A motion under way, in a Context that another simulator takes over.
+            return EventStatus.DidNothing()
         segment = initial_segment(
             self._dmp, self._start, self._goal.Eval(context), context.get_time()
         )

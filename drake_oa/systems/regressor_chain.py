@@ -21,18 +21,18 @@ class RegressorChain(LeafSystem):
       name: RegressorChain
       input_ports:
       - ellipsoids_W
-      - policy_state
+      - policy_state (optional)
       - route (optional)
       output_ports:
       - coupling_parameters
 
     - ellipsoids_W: abstract `EllipsoidSet`, M dilated obstacles; may be empty.
-    - policy_state: abstract `PolicyState` of the movement primitive; with the obstacle's
-      centre it spans the plane in which the ellipsoid is cut.
-    - route (optional): abstract `Route`, M rows. With it lambda' is the obstacle as the
-      chosen route meets it, each with the clearance that it needs, and the terms act
-      about a point on the baseline. Without it lambda' is the section of the P-plane,
-      as in the paper, and the terms act about the obstacle's centre.
+    - policy_state (optional): abstract `PolicyState` of the movement primitive; needed
+      without a route. Then lambda' is the section of the P-plane, as in the paper, and
+      the terms act about the obstacle's centre.
+    - route (optional): abstract `Route`, M rows: `CostRingSelector`'s decision. With it
+      lambda' is the obstacle as the chosen route meets it, each with the clearance that
+      it needs, and the terms act about a point on the baseline.
     - coupling_parameters: abstract `CouplingParameters`, M rows of alpha, psi, kappa, and
       whether the query lay in the range that the chain was trained for.
 
@@ -77,24 +77,28 @@ class RegressorChain(LeafSystem):
 
     def _calc_parameters(self, context: Context, output: AbstractValue) -> None:
         ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
-        policy = read_value(self, self._policy, context, PolicyState)
-        baseline = policy.baseline
-        if baseline == 0.0:
-            zeros, ones = np.zeros(len(ellipsoids)), np.ones(len(ellipsoids))
-            output.set_value(CouplingParameters(zeros, ones, zeros, zeros.astype(bool)))
-            return
         if self._route.HasValue(context):
             route = read_value(self, self._route, context, Route)
-            if len(route.extents) != len(ellipsoids):
-                raise ValueError(
-                    f"route has {len(route.extents)} rows; there are {len(ellipsoids)} ellipsoids"
-                )
-            place = (route.center_W - policy.p_WS) @ policy.R_WL[:, 0]
-            found = self._weights.parameters(route.extents, route.clearance, baseline, place)
-            output.set_value(
-                replace(found, alpha=found.alpha * route.weight, center_W=route.center_W)
+            output.set_value(self._as_route_meets(route, len(ellipsoids)))
+        else:
+            policy = read_value(self, self._policy, context, PolicyState)
+            output.set_value(self._as_plane_cuts(policy, ellipsoids))
+
+    def _as_route_meets(self, route: Route, count: int) -> CouplingParameters:
+        if len(route.extents) != count:
+            raise ValueError(
+                f"RegressorChain: route has {len(route.extents)} rows; there are {count} ellipsoids"
             )
-            return
+        if route.baseline == 0.0:
+            return _no_coupling(count)
+        place = (route.center_W - route.p_WS) @ route.R_WL[:, 0]
+        found = self._weights.parameters(route.extents, route.clearance, route.baseline, place)
+        return replace(found, alpha=found.alpha * route.weight, center_W=route.center_W)
+
+    def _as_plane_cuts(self, policy: PolicyState, ellipsoids: EllipsoidSet) -> CouplingParameters:
+        baseline = policy.baseline
+        if baseline == 0.0:
+            return _no_coupling(len(ellipsoids))
         extents = section_extents(
             policy.p_WE,
             policy.z_W,
@@ -104,4 +108,9 @@ class RegressorChain(LeafSystem):
             ellipsoids.semi_axes,
         )
         place = (ellipsoids.p_WO - policy.p_WS) @ policy.R_WL[:, 0]
-        output.set_value(self._weights.parameters(extents, self._clearance, baseline, place))
+        return self._weights.parameters(extents, self._clearance, baseline, place)
+
+
+def _no_coupling(count: int) -> CouplingParameters:
+    zeros = np.zeros(count)
+    return CouplingParameters(zeros, np.ones(count), zeros, np.zeros(count, dtype=bool))

@@ -1,0 +1,42 @@
+"""Where compiled kernels are kept.
+
+Numba keeps them beside the source, or else in the user's cache folder, and refuses to
+load where it can write to neither: a read-only installation without a home.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+
+
+def provide_kernel_cache(package: Path) -> tempfile.TemporaryDirectory[str] | None:
+    """Names a temporary folder for compiled kernels where there is no other.
+
+    To be called before numba is imported. Does nothing where `NUMBA_CACHE_DIR` is set.
+
+    Args:
+        package: folder of the kernels' source.
+
+    Returns:
+        The temporary folder, to be kept as long as the process lives; None where
+        numba has a place of its own.
+    """
+    if os.environ.get("NUMBA_CACHE_DIR"):
+        return None
+    user = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    if _is_writable(package / "__pycache__") or _is_writable(Path(user) / "numba"):
+        return None
+    # Not a fixed name in a shared folder: compiled code is read back without checks.
+    folder = tempfile.TemporaryDirectory(prefix="drake_oa-kernels-")
+    os.environ["NUMBA_CACHE_DIR"] = folder.name
+    return folder
+
+
+def _is_writable(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    return os.access(folder, os.W_OK | os.X_OK)

@@ -1,0 +1,192 @@
+"""The whole diagram: it runs, reaches what it must, and runs the same way again."""
+
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydrake.systems.analysis import InitializeParams, Simulator
+from pydrake.systems.framework import Context, Diagram
+
+from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.motion_log import MotionLog
+from drake_oa.report import motion_report
+from drake_oa.scenario import load_scenario, shipped_scenarios
+from drake_oa.simulation import simulate
+from drake_oa.values import FloatArray
+
+GROUND_TRUTH = "perception=!GroundTruth {}"
+
+
+@pytest.mark.parametrize("name", sorted(shipped_scenarios()))
+@pytest.mark.parametrize("modulated", [False, True])
+def test_each_shipped_scenario_runs(name: str, modulated: bool) -> None:
+    scenario = load_scenario(name)
+    log = simulate(scenario, modulated=modulated, duration=0.05)
+    assert log.stop_reason == "time limit of 0.05 s"
+    assert log.duration == pytest.approx(0.05)
+    assert log.modulated == modulated
+    assert np.isfinite(log.torque).all()
+    assert log.q.shape == (len(log.t), 0 if scenario.robot is None else 9)
+    assert (len(log.observation_stamp) > 0) == modulated
+    assert log.event == ()
+
+
+@pytest.mark.parametrize("kind", ["GroundTruth", "DepthCamera", "RecordedClouds"])
+def test_perception_is_changed_by_its_block_alone(kind: str, recording_folder: Path) -> None:
+    block = {"RecordedClouds": f"{{folder: {recording_folder}}}"}.get(kind, "{}")
+    scenario = load_scenario("tabletop_box", [f"perception=!{kind} {block}"])
+    log = simulate(scenario, duration=0.2)
+    assert log.p_WO.shape[1] == 1
+    # The box stands across the middle of the baseline.
+    np.testing.assert_allclose(log.p_WO[0, 0, :2], [0.45, 0.0], atol=0.06)
+    assert np.isfinite(log.torque).all()
+    assert log.event == ()
+
+
+def test_subsystems_have_the_documented_names() -> None:
+    diagram = build_avoidance(load_scenario("tabletop_box"))
+    for name in (
+        "plant",
+        "scene_graph",
+        "rgbd_sensor_camera",
+        "perception",
+        "ellipsoid_descriptor",
+        "regressor_chain",
+        "cost_ring_selector",
+        "goal",
+        "dmp_integrator",
+        "controller",
+        "log_robot_state",
+    ):
+        assert diagram.HasSubsystemNamed(name)
+    free = build_avoidance(load_scenario("free_space"), modulated=False)
+    assert not free.HasSubsystemNamed("perception")
+    assert not free.HasSubsystemNamed("plant")
+    exported = [free.get_output_port(i).get_name() for i in range(free.num_output_ports())]
+    assert exported == ["desired_position", "phase", "policy_state"]
+
+
+# What it must reach.
+
+
+@pytest.fixture(scope="module")
+def depth_run() -> MotionLog:
+    return simulate(load_scenario("tabletop_box"))
+
+
+@pytest.fixture(scope="module")
+def ground_truth_run() -> MotionLog:
+    return simulate(load_scenario("tabletop_box", [GROUND_TRUTH]))
+
+
+@pytest.mark.parametrize("kind", ["depth_run", "ground_truth_run"])
+def test_the_box_is_passed_with_the_asked_clearance(
+    kind: str, request: pytest.FixtureRequest
+) -> None:
+    log = request.getfixturevalue(kind)
+    report = motion_report(load_scenario("tabletop_box"), log)
+    assert report["stop_reason"] == "goal"
+    assert report["events"] == []
+    assert report["collisions"] == 0
+    assert report["tool_clearance_min"] >= 0.15
+    assert report["goal_error"] <= 0.005
+    assert report["torque_saturation"] == 0.0
+
+
+def test_the_planned_motion_hits_the_box() -> None:
+    scenario = load_scenario("tabletop_box")
+    report = motion_report(scenario, simulate(scenario, modulated=False))
+    assert report["collisions"] > 0
+    assert any("obstacle_box" in contact for contact in report["contacts"])
+
+
+def test_the_desired_motion_is_followed_closely(ground_truth_run: MotionLog) -> None:
+    scenario = load_scenario("tabletop_box")
+    from drake_oa.metrics import robot_metrics
+
+    p_WE = robot_metrics(scenario, ground_truth_run.q[::20]).p_WE
+    np.testing.assert_allclose(p_WE, ground_truth_run.desired_position[::20], atol=0.01)
+
+
+def test_the_free_point_keeps_its_clearance() -> None:
+    scenario = load_scenario("free_space")
+    report = motion_report(scenario, simulate(scenario))
+    assert report["stop_reason"] == "goal"
+    assert report["tool_clearance_min"] >= 0.15
+    assert report["goal_error"] <= 0.001
+    planned = motion_report(scenario, simulate(scenario, modulated=False))
+    assert planned["collisions"] > 0
+
+
+# The same again.
+
+
+def assert_same(one: MotionLog, other: MotionLog) -> None:
+    for item in fields(MotionLog):
+        if item.name != "wall_time":
+            before, after = getattr(one, item.name), getattr(other, item.name)
+            np.testing.assert_array_equal(np.asarray(after), np.asarray(before), item.name)
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides", "duration"),
+    [
+        ("tabletop_box", [], 0.5),
+        ("tabletop_box", [GROUND_TRUTH], 1.5),
+        ("tabletop_clutter", [GROUND_TRUTH], 0.5),
+        ("free_space", [], 10.0),
+    ],
+)
+def test_two_runs_are_the_same_to_the_last_bit(
+    name: str, overrides: list[str], duration: float
+) -> None:
+    first, second = (simulate(load_scenario(name, overrides), duration=duration) for _ in range(2))
+    assert_same(first, second)
+
+
+def motion(diagram: Diagram, root: Context) -> FloatArray:
+    found = []
+    for system, port in (
+        ("dmp_integrator", "desired_position"),
+        ("dmp_integrator", "desired_velocity"),
+        ("plant", "state"),
+        ("controller", "actuation"),
+    ):
+        if diagram.HasSubsystemNamed(system):
+            part = diagram.GetSubsystemByName(system)
+            found.append(part.GetOutputPort(port).Eval(part.GetMyContextFromRoot(root)))
+    return np.concatenate(found)
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides", "when", "until"),
+    [("tabletop_box", [GROUND_TRUTH], 1.8, 2.6), ("free_space", [], 1.8, 3.0)],
+)
+def test_a_cloned_context_goes_on_in_the_same_way(
+    name: str, overrides: list[str], when: float, until: float
+) -> None:
+    diagram = build_avoidance(load_scenario(name, overrides))
+    simulator = Simulator(diagram)
+    simulator.AdvanceTo(when)
+    other = Simulator(diagram, simulator.get_context().Clone())
+    # Everything is in the context: nothing is initialized again.
+    params = InitializeParams()
+    params.suppress_initialization_events = True
+    other.Initialize(params)
+    for time in np.linspace(when, until, 9)[1:]:
+        simulator.AdvanceTo(time)
+        other.AdvanceTo(time)
+        np.testing.assert_array_equal(
+            motion(diagram, other.get_context()), motion(diagram, simulator.get_context())
+        )
+
+
+def test_a_simulator_that_takes_over_does_not_begin_the_motion_anew() -> None:
+    diagram = build_avoidance(load_scenario("tabletop_box", [GROUND_TRUTH]))
+    simulator = Simulator(diagram)
+    simulator.AdvanceTo(1.8)
+    before = motion(diagram, simulator.get_context())
+    other = Simulator(diagram, simulator.get_context().Clone())
+    other.Initialize()
+    np.testing.assert_allclose(motion(diagram, other.get_context())[:6], before[:6])

@@ -1,0 +1,494 @@
+"""Bad input and faults: a clear error, or a motion that is brought to rest and says why.
+
+Observations are switched by small source systems; everything behind them is real.
+"""
+
+import logging
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydrake.common.value import AbstractValue, Value
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem, State
+from pydrake.systems.primitives import ConstantValueSource
+from pydrake.systems.sensors import ImageDepth32F
+
+from drake_oa import layers
+from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.motion_log import MotionLog
+from drake_oa.report import motion_report
+from drake_oa.scenario import ScenarioError, load_scenario
+from drake_oa.simulation import MotionInterruptedError, simulate
+from drake_oa.systems.depth_perception import DepthPerception
+from drake_oa.systems.ellipsoid_descriptor import EllipsoidDescriptor
+from drake_oa.values import EllipsoidSet, FloatArray, ObstacleClouds, PolicyState, TablePlane
+
+GROUND_TRUTH = "perception=!GroundTruth {}"
+FRAME = 1.0 / 15.0
+AGE, HOLD = 0.5, 0.25
+
+
+class Scripted(LeafSystem):
+    """One abstract output `name` that is a function of time."""
+
+    def __init__(self, name: str, script: Callable[[float], object], model: object) -> None:
+        super().__init__()
+        self._script = script
+        self.DeclareAbstractOutputPort(
+            name, lambda: Value(model), self._calc, prerequisites_of_calc={self.time_ticket()}
+        )
+
+    def _calc(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(self._script(context.get_time()))
+
+
+class ScriptedFrames(LeafSystem):
+    """The same for a source that looks 15 times a second."""
+
+    def __init__(self, name: str, script: Callable[[float], object], model: object) -> None:
+        super().__init__()
+        self._script = script
+        self._seen = self.DeclareAbstractState(Value(model))
+        self.DeclareStateOutputPort(name, self._seen)
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._look)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(FRAME, 0.0, self._look)
+
+    def _look(self, context: Context, state: State) -> None:
+        seen = self._script(context.get_time())
+        state.get_mutable_abstract_state(self._seen).set_value(seen)
+
+
+def frame_time(time: float) -> float:
+    """Time of the last frame of a 15 Hz source."""
+    return FRAME * math.floor(time / FRAME + 1e-9)
+
+
+def ellipsoids(
+    stamp: float, *centers: tuple[float, float, float], radius: float = 0.12, note: str = ""
+) -> EllipsoidSet:
+    count = len(centers)
+    return EllipsoidSet(
+        stamp=stamp,
+        p_WO=np.array(centers, dtype=float).reshape(count, 3),
+        R_WO=np.tile(np.eye(3), (count, 1, 1)),
+        semi_axes=np.full((count, 3), radius),
+        v_WO=np.zeros((count, 3)),
+        ids=np.arange(count),
+        note=note,
+    )
+
+
+@pytest.fixture
+def free_motion(monkeypatch: pytest.MonkeyPatch) -> Callable[..., MotionLog]:
+    """Runs `free_space` (from x = 0 to x = 1 m in 5 s) on scripted ellipsoids."""
+
+    def run(script: Callable[[float], EllipsoidSet], *overrides: str, **options: object) -> object:
+        monkeypatch.setattr(
+            layers,
+            "make_perception",
+            lambda *_: Scripted("ellipsoids_W", script, EllipsoidSet()),
+        )
+        return simulate(load_scenario("free_space", list(overrides)), **options)
+
+    return run
+
+
+@pytest.fixture
+def robot_motion(
+    monkeypatch: pytest.MonkeyPatch, recording_folder: Path
+) -> Callable[..., MotionLog]:
+    """Runs `tabletop_box` on scripted clouds, wired as a recording is."""
+
+    def run(script: Callable[[float], ObstacleClouds], **options: object) -> MotionLog:
+        monkeypatch.setattr(
+            layers,
+            "make_perception",
+            lambda *_: ScriptedFrames("obstacles_W", script, ObstacleClouds()),
+        )
+        folder = f"perception=!RecordedClouds {{folder: {recording_folder}}}"
+        return simulate(load_scenario("tabletop_box", [folder]), **options)
+
+    return run
+
+
+def assert_sound(log: MotionLog) -> None:
+    """No number that is not finite, and no jump of the desired motion."""
+    for name in ("q", "v", "torque", "desired_position", "desired_velocity"):
+        assert np.isfinite(getattr(log, name)).all(), name
+    step = np.linalg.norm(np.diff(log.desired_position, axis=0), axis=1)
+    assert step.max(initial=0.0) < 0.02
+
+
+def at_rest(log: MotionLog, since: float) -> bool:
+    return not log.desired_velocity[log.t > since + 1e-9].any()
+
+
+# Faults while running: observations.
+
+
+def test_an_observation_that_goes_stale_holds_and_a_fresh_one_resumes(
+    free_motion: Callable[..., MotionLog], caplog: pytest.LogCaptureFixture
+) -> None:
+    def stops_for_two_seconds(time: float) -> EllipsoidSet:
+        stamp = frame_time(1.5 if 1.5 < time < 3.5 else time)
+        return ellipsoids(stamp, (0.5, 0.02, 0.0))
+
+    with caplog.at_level(logging.WARNING, "drake_oa"):
+        log = free_motion(stops_for_two_seconds)
+    assert_sound(log)
+    held = (log.t > 1.5 + AGE + HOLD + 0.02) & (log.t < 3.5)
+    assert not log.desired_velocity[held].any()
+    assert np.ptp(log.desired_position[held], axis=0).max() == 0.0
+    assert log.event == ("obstacles not seen since t = 1.47 s", "")
+    assert "held: obstacles not seen since" in caplog.text
+    assert "running again" in caplog.text
+    assert log.stop_reason == "goal"
+    np.testing.assert_allclose(log.desired_position[-1], [1.0, 0.0, 0.0], atol=1e-3)
+
+
+def test_a_hold_leaves_the_path_round_the_obstacle_as_it_was(
+    free_motion: Callable[..., MotionLog],
+) -> None:
+    def clearance(script: Callable[[float], EllipsoidSet]) -> float:
+        p_WE = free_motion(script).desired_position
+        return float((np.linalg.norm(p_WE - [0.5, 0.02, 0.0], axis=1) - 0.12).min())
+
+    def interrupted(time: float) -> EllipsoidSet:
+        return ellipsoids(1.2 if 1.2 < time < 2.4 else time, (0.5, 0.02, 0.0))
+
+    freely = clearance(lambda time: ellipsoids(time, (0.5, 0.02, 0.0)))
+    assert clearance(interrupted) == pytest.approx(freely, abs=2e-3)
+    assert freely >= 0.15
+
+
+def test_without_any_observation_the_motion_never_begins(
+    free_motion: Callable[..., MotionLog],
+) -> None:
+    log = free_motion(lambda time: EllipsoidSet(note="no valid pixel"))
+    assert log.stop_reason == "held for 5 s: no observation yet (no valid pixel)"
+    assert at_rest(log, HOLD)
+    assert np.linalg.norm(log.desired_position[-1]) < 0.01
+
+
+def test_an_empty_scene_is_passed_straight(free_motion: Callable[..., MotionLog]) -> None:
+    log = free_motion(lambda time: ellipsoids(frame_time(time)))
+    assert log.stop_reason == "goal"
+    assert log.event == ()
+    assert np.abs(log.desired_position[:, 1:]).max() < 1e-9
+
+
+def test_obstacles_that_come_and_go_do_not_break_the_motion(
+    free_motion: Callable[..., MotionLog],
+) -> None:
+    def blinking(time: float) -> EllipsoidSet:
+        centers = [(0.4, 0.03, 0.0), (0.6, -0.02, 0.1), (0.5, 0.0, -0.5)]
+        return ellipsoids(frame_time(time), *centers[: round(frame_time(time) / FRAME) % 4])
+
+    log = free_motion(blinking)
+    assert_sound(log)
+    assert log.stop_reason == "goal"
+
+
+def test_heading_exactly_at_the_centre_is_passed(free_motion: Callable[..., MotionLog]) -> None:
+    log = free_motion(lambda time: ellipsoids(time, (0.5, 0.0, 0.0)))
+    assert_sound(log)
+    assert log.stop_reason == "goal"
+    kept = np.linalg.norm(log.desired_position - [0.5, 0.0, 0.0], axis=1) - 0.12
+    assert kept.min() >= 0.15
+
+
+@pytest.mark.parametrize(("x", "place"), [(0.05, "tool"), (0.95, "goal")])
+def test_an_obstacle_over_start_or_goal_holds(
+    x: float, place: str, free_motion: Callable[..., MotionLog], caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.WARNING, "drake_oa"):
+        log = free_motion(lambda time: ellipsoids(time, (x, 0.0, 0.0)))
+    assert log.stop_reason == f"held for 5 s: {place} inside obstacle 0"
+    assert f"held: {place} inside obstacle 0" in caplog.text
+    assert_sound(log)
+    assert at_rest(log, HOLD)
+
+
+def test_an_obstacle_that_appears_on_the_tool_stops_it_and_lets_it_go(
+    free_motion: Callable[..., MotionLog],
+) -> None:
+    def appears(time: float) -> EllipsoidSet:
+        return ellipsoids(time, *([(0.3, 0.0, 0.0)] if 1.8 < time < 3.0 else []), radius=0.2)
+
+    log = free_motion(appears)
+    assert_sound(log)
+    assert log.event == ("tool inside obstacle 0", "")
+    still = (log.t > 1.8 + HOLD + 0.02) & (log.t < 3.0)
+    assert not log.desired_velocity[still].any()
+    assert log.stop_reason == "goal"
+
+
+def test_where_every_side_is_forbidden_the_motion_holds(
+    free_motion: Callable[..., MotionLog],
+) -> None:
+    # An obstacle so big that any way past it is far outside the table's height.
+    def walled(time: float) -> EllipsoidSet:
+        wall = ellipsoids(time, (0.5, 0.0, 0.0))
+        return EllipsoidSet(
+            stamp=time,
+            p_WO=wall.p_WO,
+            R_WO=wall.R_WO,
+            semi_axes=wall.semi_axes,
+            v_WO=wall.v_WO,
+            ids=wall.ids,
+            table=TablePlane(offset=5.0),
+        )
+
+    log = free_motion(walled)
+    assert log.stop_reason == "held for 5 s: every side of obstacle 0 is forbidden"
+    assert at_rest(log, HOLD)
+
+
+# Faults while running: clouds, with the whole robot.
+
+BOX = np.stack(
+    np.meshgrid(np.linspace(0.40, 0.50, 6), np.linspace(-0.05, 0.05, 6), np.linspace(0, 0.25, 6)),
+    axis=-1,
+).reshape(-1, 3)
+
+
+def clouds(stamp: float, *points: FloatArray, note: str = "") -> ObstacleClouds:
+    return ObstacleClouds(stamp, tuple(points), np.arange(len(points)), TablePlane(), note)
+
+
+@pytest.mark.parametrize(
+    "cloud",
+    [BOX[:1], BOX[BOX[:, 0] == BOX[0, 0]], np.repeat(BOX[:1], 5, axis=0)],
+    ids=["one point", "planar", "coincident"],
+)
+def test_clusters_without_volume_are_obstacles_too(
+    cloud: FloatArray, robot_motion: Callable[..., MotionLog]
+) -> None:
+    log = robot_motion(lambda time: clouds(frame_time(time), cloud), duration=0.3)
+    assert_sound(log)
+    assert log.p_WO.shape[1] == 1
+    assert (log.semi_axes > 0.0).all()
+    assert log.event == ()
+
+
+def test_the_robot_stops_when_its_source_dies_and_goes_on_when_it_is_back(
+    robot_motion: Callable[..., MotionLog],
+) -> None:
+    def dies(time: float) -> ObstacleClouds:
+        dead = 2.0 < time < 4.0
+        stamp = frame_time(2.0 if dead else time)
+        return clouds(stamp, BOX, note="no valid pixel" if dead else "")
+
+    log = robot_motion(dies)
+    assert_sound(log)
+    assert "not seen since" in log.event[0]
+    assert "no valid pixel" in log.event[0]
+    stopped = (log.t > 2.0 + AGE + HOLD + 0.5) & (log.t < 4.0)
+    assert np.abs(log.v[stopped][:, :7]).max() < 0.02
+    report = motion_report(load_scenario("tabletop_box"), log)
+    assert report["stop_reason"] == "goal"
+    assert report["collisions"] == 0
+    assert report["goal_error"] <= 0.005
+    assert report["torque_saturation"] == 0.0
+
+
+def test_points_that_are_not_finite_never_reach_the_torques(
+    robot_motion: Callable[..., MotionLog],
+) -> None:
+    spoilt = np.where(np.arange(len(BOX))[:, None] % 3 == 0, np.nan, BOX)
+    nothing = np.full((10, 3), np.nan)
+
+    def turns_bad(time: float) -> ObstacleClouds:
+        points = (BOX,) if time < 0.2 else (spoilt, nothing)
+        return clouds(frame_time(time), *points)
+
+    log = robot_motion(turns_bad, duration=0.6)
+    assert_sound(log)
+    assert np.isfinite(log.p_WO).all()
+
+
+def test_the_robot_holds_its_start_while_an_obstacle_is_over_it(
+    robot_motion: Callable[..., MotionLog],
+) -> None:
+    log = robot_motion(lambda time: clouds(time, BOX + [0.0, -0.45, 0.15]), duration=1.0)
+    assert log.event == ("tool inside obstacle 0",)
+    assert_sound(log)
+    assert np.abs(log.q - log.q[0]).max() < 0.01
+
+
+# Faults while running: the depth image.
+
+WIDTH, HEIGHT, CAMERA_HEIGHT = 160, 120, 1.4
+
+
+def table_from_above(depth: float | None) -> ImageDepth32F:
+    """A camera straight above a table with a block 25 cm high, or `depth` everywhere."""
+    image = ImageDepth32F(WIDTH, HEIGHT)
+    data = image.mutable_data
+    data[:] = CAMERA_HEIGHT if depth is None else depth
+    if depth is None:
+        data[54:66, 72:88] = CAMERA_HEIGHT - 0.25
+    return image
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 0.0])
+def test_frames_without_a_valid_pixel_hold_the_motion(
+    bad: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    images = {True: table_from_above(None), False: table_from_above(bad)}
+    scenario = load_scenario("tabletop_box", [GROUND_TRUTH])
+    builder = DiagramBuilder()
+    image = builder.AddSystem(
+        Scripted("depth_image", lambda t: images[t < 1.0 or t > 2.4], ImageDepth32F(WIDTH, HEIGHT))
+    )
+    looks_down = RotationMatrix.MakeXRotation(math.pi)
+    pose = builder.AddSystem(
+        ConstantValueSource(Value(RigidTransform(looks_down, [0.45, 0.0, CAMERA_HEIGHT])))
+    )
+    sees = builder.AddSystem(DepthPerception([150.0, 150.0, 79.5, 59.5]))
+    describes = builder.AddSystem(EllipsoidDescriptor([[0.0, 0.0, 0.0]]))
+    chain = builder.AddSystem(layers.make_regressor_chain(scenario))
+    rings = builder.AddSystem(layers.make_cost_ring_selector(scenario))
+    policy = builder.AddSystem(layers.make_dmp_integrator(scenario))
+    builder.Connect(image.get_output_port(), sees.GetInputPort("depth_image"))
+    builder.Connect(pose.get_output_port(), sees.GetInputPort("camera_pose"))
+    builder.Connect(sees.GetOutputPort("obstacles_W"), describes.GetInputPort("obstacles_W"))
+    for system in (chain, rings, policy):
+        builder.Connect(describes.get_output_port(), system.GetInputPort("ellipsoids_W"))
+    state = policy.GetOutputPort("policy_state")
+    builder.Connect(state, rings.GetInputPort("policy_state"))
+    builder.Connect(rings.GetOutputPort("decision"), chain.GetInputPort("route"))
+    builder.Connect(rings.GetOutputPort("route"), policy.GetInputPort("route"))
+    builder.Connect(chain.get_output_port(), policy.GetInputPort("coupling_parameters"))
+    for system in (rings, policy):
+        builder.ExportInput(system.GetInputPort("goal"), f"goal_{system.GetInputPort('goal')}")
+    diagram = builder.Build()
+    simulator = Simulator(diagram)
+    for i in range(2):
+        diagram.get_input_port(i).FixValue(simulator.get_mutable_context(), scenario.task.goal)
+
+    def now(time: float) -> PolicyState:
+        simulator.AdvanceTo(time)
+        return state.Eval(policy.GetMyContextFromRoot(simulator.get_context()))
+
+    with caplog.at_level(logging.WARNING, "drake_oa"):
+        assert now(0.9).note == ""
+        stopped = now(1.0 + AGE + HOLD + 0.1)
+        assert "obstacles not seen since" in stopped.note
+        assert stopped.speed == 0.0
+        seen: EllipsoidSet = describes.get_output_port().Eval(
+            describes.GetMyContextFromRoot(simulator.get_context())
+        )
+        assert len(seen) == 1
+        assert seen.note
+        assert 0.8 < seen.stamp < 1.0
+        np.testing.assert_array_equal(now(2.3).p_WE, stopped.p_WE)
+        going = now(3.0)
+    assert going.note == ""
+    assert np.linalg.norm(going.p_WE - stopped.p_WE) > 0.02
+    assert np.isfinite(going.p_WE).all()
+    messages = [record.getMessage() for record in caplog.records]
+    assert any("held: obstacles not seen" in message for message in messages)
+    assert any(message.endswith("the last obstacles are kept") for message in messages)
+
+
+# Errors before anything runs.
+
+
+@pytest.mark.parametrize(
+    ("overrides", "said"),
+    [
+        (["task.goal=[0.45, -0.45, 0.3]"], ["task.goal", "1 mm apart"]),
+        (["task.goal=[2.0, 0.0, 0.3]"], ["task.goal", "out of reach", "0.855"]),
+        (["task.start=[0.45, -0.45, 1.9]"], ["task.start", "out of reach"]),
+        (["policy.weights=/nowhere/chain.npz"], ["policy.weights", "/nowhere/chain.npz"]),
+        (["perception=!RecordedClouds {folder: /nowhere}"], ["perception.folder", "/nowhere"]),
+        (["task.demonstration=/nowhere/path.npz"], ["task.demonstration", "/nowhere/path.npz"]),
+        (["perception=!DepthCamera {camera: left}"], ["perception.camera", "'left'", "camera"]),
+        (["cameras=[{name: a}, {name: a}]"], ["cameras", "'a'"]),
+        (["robot.tool_links=[]"], ["robot.tool_links"]),
+    ],
+)
+def test_a_scenario_that_cannot_run_is_refused_by_its_field(
+    overrides: list[str], said: list[str]
+) -> None:
+    with pytest.raises(ScenarioError) as error:
+        build_avoidance(load_scenario("tabletop_box", overrides))
+    for words in said:
+        assert words in str(error.value)
+
+
+def test_an_unknown_scenario_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(ScenarioError, match=r"unknown scenario 'nothing'.*tabletop_box"):
+        load_scenario("nothing")
+
+
+def test_weights_of_another_shape_are_refused(tmp_path: Path) -> None:
+    wrong = tmp_path / "wrong.npz"
+    np.savez(wrong, alpha=np.zeros((2, 2)))
+    for file in (wrong, tmp_path):
+        with pytest.raises(ScenarioError, match=r"policy\.weights: .*"):
+            build_avoidance(load_scenario("tabletop_box", [f"policy.weights={file}"]))
+
+
+def test_weights_with_a_layer_of_another_width_are_refused(tmp_path: Path) -> None:
+    from drake_oa.scenario import package_file
+
+    with np.load(package_file(load_scenario("free_space").policy.weights)) as archive:
+        arrays = dict(archive)
+    name = next(k for k, v in arrays.items() if v.ndim == 2)
+    arrays[name] = arrays[name][:, :-1]
+    np.savez(tmp_path / "narrow.npz", **arrays)
+    with pytest.raises(ScenarioError, match=r"policy\.weights: .*"):
+        build_avoidance(load_scenario("free_space", [f"policy.weights={tmp_path}/narrow.npz"]))
+
+
+def test_an_empty_recording_folder_is_refused(tmp_path: Path) -> None:
+    block = f"perception=!RecordedClouds {{folder: {tmp_path}}}"
+    with pytest.raises(ScenarioError, match=r"perception\.folder"):
+        build_avoidance(load_scenario("tabletop_box", [block]))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [{"path": np.zeros((5, 3))}, {"path": np.full((5, 3), np.nan)}, {"points": np.zeros(3)}],
+    ids=["does not move", "not finite", "no path"],
+)
+def test_a_demonstration_that_cannot_be_imitated_is_refused(
+    content: dict[str, FloatArray], tmp_path: Path
+) -> None:
+    np.savez(tmp_path / "demo.npz", **content)
+    with pytest.raises(ScenarioError, match=r"task\.demonstration"):
+        build_avoidance(load_scenario("free_space", [f"task.demonstration={tmp_path}/demo.npz"]))
+
+
+# The end before the end.
+
+
+@pytest.mark.parametrize("cause", [KeyboardInterrupt, RuntimeError("out of memory")])
+def test_an_interrupted_run_leaves_its_log(cause: type[BaseException] | BaseException) -> None:
+    def interrupt(time: float, phase: float) -> None:
+        if time > 0.5:
+            raise cause
+
+    with pytest.raises(MotionInterruptedError) as caught:
+        simulate(load_scenario("tabletop_box", [GROUND_TRUTH]), on_progress=interrupt)
+    log = caught.value.log
+    name = cause.__name__ if isinstance(cause, type) else "RuntimeError: out of memory"
+    assert log.stop_reason == name
+    assert log.duration == pytest.approx(0.5, abs=0.02)
+    assert len(log.q) == len(log.t) == len(log.torque) > 50
+    assert len(log.observation_stamp) > 5
+    report = motion_report(load_scenario("tabletop_box"), log)
+    assert report["stop_reason"] == name
+    assert report["collisions"] == 0
+
+
+def test_a_time_limit_ends_a_run_and_is_reported() -> None:
+    log = simulate(load_scenario("free_space"), duration=0.25)
+    assert log.stop_reason == "time limit of 0.25 s"
+    assert log.duration == pytest.approx(0.25)

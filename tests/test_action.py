@@ -1,0 +1,375 @@
+"""One step of the action level: holds, temporal scaling, coupling, interpolation."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drake_oa.action import (
+    ActionParameters,
+    Segment,
+    advance,
+    goal_fade,
+    hold_reason,
+    initial_segment,
+)
+from drake_oa.coupling import CouplingTerms
+from drake_oa.dmp import Dmp, imitate, local_frame, minimum_jerk, spring_flow
+from drake_oa.dmp import step as dmp_step
+from drake_oa.regressor import CouplingParameters
+from drake_oa.values import EllipsoidSet, FloatArray, PolicyState, Route
+
+START, GOAL = np.zeros(3), np.array([1.0, 0.0, 0.0])
+DMP = imitate(*minimum_jerk(START, GOAL, duration=2.0))
+UNFORCED = replace(DMP, weights=np.zeros_like(DMP.weights))
+STEP = 0.005
+PARAMETERS = ActionParameters()
+
+
+def one_ellipsoid(
+    stamp: float = math.inf, center: tuple[float, float, float] = (0.5, 0.02, 0.0)
+) -> EllipsoidSet:
+    return EllipsoidSet(
+        stamp=stamp,
+        p_WO=np.array([center]),
+        R_WO=np.eye(3)[None],
+        semi_axes=np.full((1, 3), 0.03),
+        v_WO=np.zeros((1, 3)),
+        ids=np.array([7]),
+    )
+
+
+def coupling(alpha: float = 300.0, rows: int = 1) -> CouplingParameters:
+    return CouplingParameters(
+        np.full(rows, alpha), np.full(rows, 0.7), np.full(rows, 5.0), np.ones(rows, dtype=bool)
+    )
+
+
+def run(
+    count: int,
+    *,
+    dmp: Dmp = DMP,
+    sees: Callable[[float], EllipsoidSet | None] = lambda time: None,
+    coupled: CouplingParameters | None = None,
+    route: Route | None = None,
+    tau: float = 1.0,
+    step: float = STEP,
+    parameters: ActionParameters = PARAMETERS,
+) -> list[Segment]:
+    """`count` steps from rest at the start."""
+    state = replace(initial_segment(dmp, START, GOAL, 0.0).state, tau=tau)
+    state = replace(state, speed=1.0 / (tau * dmp.duration))
+    found = []
+    for number in range(count):
+        time = number * step
+        segment = advance(
+            dmp,
+            state,
+            GOAL,
+            sees(time),
+            coupled,
+            route,
+            time=time,
+            step=step,
+            parameters=parameters,
+        )
+        found.append(segment)
+        state = segment.end
+    return found
+
+
+def path(segments: list[Segment]) -> FloatArray:
+    return np.array([segment.end.p_WE for segment in segments])
+
+
+# Interpolation.
+
+
+def test_the_desired_motion_is_continuous_from_step_to_step() -> None:
+    segments = run(300, sees=lambda time: one_ellipsoid(), coupled=coupling())
+    for before, after in zip(segments, segments[1:], strict=False):
+        time = after.state.stamp
+        for derivative in (0, 1):
+            np.testing.assert_allclose(
+                before.interpolate(time, derivative),
+                after.interpolate(time, derivative),
+                atol=1e-12,
+            )
+
+
+def test_a_segment_begins_and_ends_where_the_policy_says() -> None:
+    segment = run(100)[-1]
+    np.testing.assert_array_equal(segment.interpolate(segment.state.stamp, 0), segment.state.p_WE)
+    np.testing.assert_allclose(segment.interpolate(segment.end.stamp, 0), segment.end.p_WE)
+    np.testing.assert_allclose(segment.interpolate(segment.end.stamp, 1), segment.v_WE_end)
+
+
+@given(share=st.floats(0.0, 1.0))
+def test_the_velocity_is_the_derivative_of_the_position(share: float) -> None:
+    segment = run(100)[-1]
+    time, h = segment.state.stamp + share * (STEP - 2e-6) + 1e-6, 1e-6
+    slope = (segment.interpolate(time + h, 0) - segment.interpolate(time - h, 0)) / (2 * h)
+    # The position's correction at the end of the step is of second order.
+    np.testing.assert_allclose(segment.interpolate(time, 1), slope, atol=1e-3)
+
+
+def test_beyond_its_end_a_segment_goes_on_at_its_last_velocity() -> None:
+    segment = run(100)[-1]
+    later = segment.interpolate(segment.end.stamp + 0.01, 0)
+    np.testing.assert_allclose(later, segment.end.p_WE + 0.01 * segment.v_WE_end)
+    assert not segment.interpolate(segment.end.stamp + 0.01, 2).any()
+
+
+def test_a_segment_at_rest_does_not_move() -> None:
+    segment = Segment.at_rest(np.array([1.0, 2.0, 3.0]))
+    for time in (0.0, 1.0):
+        np.testing.assert_array_equal(segment.interpolate(time, 0), [1.0, 2.0, 3.0])
+        assert not segment.interpolate(time, 1).any()
+        assert not segment.interpolate(time, 2).any()
+
+
+# Fade.
+
+
+def test_the_coupling_fades_to_nothing_at_the_goal() -> None:
+    state = PolicyState(p_WS=START, p_WG=GOAL)
+
+    def fade_at(x: float) -> float:
+        return goal_fade(replace(state, p_WE=np.array([x, 0.0, 0.0])), 0.4)
+
+    assert fade_at(0.0) == fade_at(0.6) == 1.0
+    assert fade_at(0.8) == pytest.approx(1.0 / 16.0)
+    assert fade_at(1.0) == 0.0
+    assert (np.diff([fade_at(x) for x in np.linspace(0.0, 1.0, 50)]) <= 0.0).all()
+    assert goal_fade(state, 0.0) == 1.0
+
+
+# Holds.
+
+
+def reason(ellipsoids: EllipsoidSet | None, route: Route | None = None, **place: FloatArray) -> str:
+    state = PolicyState(p_WE=START, p_WS=START, p_WG=GOAL)
+    return hold_reason(
+        replace(state, **place), ellipsoids, route, time=10.0, max_observation_age=0.5
+    )
+
+
+@pytest.mark.parametrize(
+    ("ellipsoids", "said"),
+    [
+        (None, ""),
+        (EllipsoidSet(stamp=10.0), ""),
+        (EllipsoidSet(stamp=9.51), ""),
+        (one_ellipsoid(math.inf), ""),
+        (EllipsoidSet(), "no observation yet"),
+        (EllipsoidSet(note="dark"), "no observation yet (dark)"),
+        (EllipsoidSet(stamp=9.4), "obstacles not seen since t = 9.40 s"),
+        (EllipsoidSet(stamp=9.4, note="dark"), "obstacles not seen since t = 9.40 s (dark)"),
+        (one_ellipsoid(10.0, (0.02, 0.0, 0.0)), "tool inside obstacle 7"),
+        (one_ellipsoid(10.0, (0.98, 0.0, 0.0)), "goal inside obstacle 7"),
+    ],
+)
+def test_each_reason_to_hold_is_named(ellipsoids: EllipsoidSet | None, said: str) -> None:
+    assert reason(ellipsoids) == said
+
+
+def test_a_route_without_an_allowed_side_is_a_reason_to_hold() -> None:
+    shut = Route(note="every side of obstacle 7 is forbidden")
+    assert reason(one_ellipsoid(10.0), shut) == shut.note
+    assert reason(one_ellipsoid(10.0), Route()) == ""
+
+
+def test_a_hold_brings_the_motion_to_rest_within_the_hold_time() -> None:
+    segments = run(400, sees=lambda time: one_ellipsoid(min(time, 0.3)), coupled=coupling())
+    held = [bool(segment.state.note) for segment in segments]
+    first = held.index(True)
+    assert segments[first].state.stamp == pytest.approx(0.8, abs=2 * STEP)
+    assert all(held[first:])
+    still = segments[first + round(PARAMETERS.hold_time / STEP) :]
+    for segment in still:
+        assert segment.end.speed == 0.0
+        np.testing.assert_array_equal(segment.end.p_WE, still[0].state.p_WE)
+        assert segment.end.phase == still[0].state.phase
+    assert np.linalg.norm(segments[first].v_WE) > 0.1
+    # No jump of velocity on the way to rest.
+    speed = [np.linalg.norm(segment.v_WE_end) for segment in segments[first:]]
+    assert (np.diff(speed) <= 1e-9).all()
+
+
+def interrupted(time: float) -> EllipsoidSet:
+    """Seen afresh except from 0.4 s to 1.5 s."""
+    return one_ellipsoid(0.4 if 0.4 < time < 1.5 else time)
+
+
+def test_a_hold_does_not_change_the_motion_of_the_spring() -> None:
+    # Without forcing each step is the exact flow, whatever its length: at every phase
+    # the motion is the flow from the start, hold or no hold.
+    segments = run(800, dmp=UNFORCED, sees=interrupted)
+    assert any(segment.state.note for segment in segments)
+    for segment in segments:
+        s = -math.log(segment.end.phase) / UNFORCED.alpha_k
+        a, _, c, _ = spring_flow(UNFORCED.alpha_x, UNFORCED.beta_x, s)
+        np.testing.assert_allclose(segment.end.p_WE, GOAL + a * (START - GOAL), atol=1e-9)
+        np.testing.assert_allclose(segment.end.z_W, c * (START - GOAL), atol=1e-7)
+
+
+def test_a_hold_does_not_change_the_path_among_obstacles() -> None:
+    def at_common_phases(segments: list[Segment]) -> FloatArray:
+        phase = np.array([segment.end.phase for segment in segments])
+        moving = np.append(np.diff(phase) < 0.0, True)
+        wanted = np.linspace(0.98, 0.02, 200)
+        points = path(segments)[moving]
+        return np.stack(
+            [np.interp(-wanted, -phase[moving], points[:, i]) for i in range(3)], axis=1
+        )
+
+    def difference(step: float) -> float:
+        freely, held = (
+            run(round(4.0 / step), sees=sees, coupled=coupling(30.0), step=step)
+            for sees in (lambda time: one_ellipsoid(), interrupted)
+        )
+        assert any(segment.state.note for segment in held)
+        return float(np.abs(at_common_phases(freely) - at_common_phases(held)).max())
+
+    # What is left is the integration error of unequal steps.
+    assert difference(0.005) < 1e-3
+    assert difference(0.00125) < 1e-4
+
+
+@given(tau=st.floats(1.0, 4.0))
+@settings(max_examples=8)
+def test_the_path_does_not_depend_on_the_temporal_scaling(tau: float) -> None:
+    sees = one_ellipsoid()
+    plain = run(300, sees=lambda time: sees, coupled=coupling())
+    slow = run(300, sees=lambda time: sees, coupled=coupling(), tau=tau, step=tau * STEP)
+    np.testing.assert_allclose(path(slow), path(plain), atol=1e-9)
+    assert np.linalg.norm(slow[50].v_WE) == pytest.approx(np.linalg.norm(plain[50].v_WE) / tau)
+
+
+def test_a_longer_way_takes_longer_and_none_less_than_the_demonstration() -> None:
+    def tau_for(length: float) -> float:
+        route = Route(path_length=length)
+        return run(1, sees=lambda time: EllipsoidSet(stamp=time), route=route)[0].state.tau
+
+    assert tau_for(1.5) == pytest.approx(1.5)
+    assert tau_for(0.0) == tau_for(1.0) == 1.0
+
+
+def test_the_motion_ends_at_the_goal_also_past_an_obstacle() -> None:
+    segments = run(480, sees=lambda time: one_ellipsoid(), coupled=coupling())
+    np.testing.assert_allclose(segments[-1].end.p_WE, GOAL, atol=1e-3)
+    assert np.abs(path(segments)[:, 1]).max() > 0.05
+
+
+def test_a_goal_that_moves_turns_the_local_frame() -> None:
+    state = initial_segment(DMP, START, GOAL, 0.0).state
+    goal = np.array([0.0, 1.0, 0.0])
+    after = advance(DMP, state, goal, None, None, None, time=0.0, step=STEP, parameters=PARAMETERS)
+    np.testing.assert_array_equal(after.end.R_WL, local_frame(START, goal))
+    np.testing.assert_array_equal(after.end.p_WG, goal)
+
+
+# Errors.
+
+
+@pytest.mark.parametrize(
+    ("coupled", "route", "said"),
+    [
+        (coupling(rows=2), None, "coupling_parameters has 2 rows; there are 1 ellipsoids"),
+        (coupling(), Route(heading_W=np.zeros((3, 3))), "route has 3 rows; there are 1"),
+    ],
+)
+def test_rows_that_do_not_match_the_ellipsoids_are_refused(
+    coupled: CouplingParameters, route: Route | None, said: str
+) -> None:
+    with pytest.raises(ValueError, match=said):
+        run(1, sees=lambda time: one_ellipsoid(), coupled=coupled, route=route)
+
+
+def test_a_baseline_of_zero_length_is_refused() -> None:
+    with pytest.raises(ValueError, match="apart"):
+        initial_segment(DMP, START, START, 0.0)
+    state = initial_segment(DMP, START, GOAL, 0.0).state
+    with pytest.raises(ValueError, match="apart"):
+        advance(DMP, state, START, None, None, None, time=0.0, step=STEP, parameters=PARAMETERS)
+
+
+# The in-plane avoidance term.
+
+unit = st.floats(-1.0, 1.0)
+
+
+def in_plane_terms(
+    center: FloatArray, normal: FloatArray, alpha: float, kappa: float = 2.0
+) -> CouplingTerms:
+    return CouplingTerms(
+        p_WO=center[None],
+        parameters=np.array([[alpha, 0.6, kappa]]),
+        normal_W=normal[None],
+        in_plane=True,
+    )
+
+
+def roll_out(terms: CouplingTerms, dmp: Dmp, steps: int = 300) -> tuple[FloatArray, FloatArray]:
+    p, z, k = START, np.zeros(3), 1.0
+    places, speeds = [p], [z]
+    for _ in range(steps):
+        p, z, k = dmp_step(
+            dmp, p, z, k, 1.0 / steps, GOAL, frame=np.eye(3), baseline=1.0, turn=terms.turn
+        )
+        places.append(p)
+        speeds.append(z)
+    return np.array(places), np.array(speeds)
+
+
+@given(
+    center=st.tuples(st.floats(0.1, 0.9), st.floats(-0.2, 0.2), st.floats(-0.2, 0.2)),
+    angle=st.floats(0.0, 6.28),
+    exponent=st.floats(0.0, 6.0),
+)
+@settings(max_examples=25)
+def test_in_the_plane_the_energy_never_rises(
+    center: tuple[float, float, float], angle: float, exponent: float
+) -> None:
+    normal = np.array([0.0, math.cos(angle), math.sin(angle)])
+    places, z = roll_out(in_plane_terms(np.array(center), normal, 10.0**exponent), UNFORCED)
+    stiffness = UNFORCED.alpha_x * UNFORCED.beta_x
+    energy = 0.5 * stiffness * ((GOAL - places) ** 2).sum(axis=1) + 0.5 * (z**2).sum(axis=1)
+    assert (np.diff(energy) <= 1e-9 * energy[0]).all()
+
+
+@given(
+    along=st.floats(0.1, 0.9),
+    across=st.floats(-0.2, 0.2),
+    angle=st.floats(0.0, 6.28),
+    exponent=st.floats(0.0, 6.0),
+)
+@settings(max_examples=25)
+def test_a_motion_that_starts_in_the_plane_stays_in_it(
+    along: float, across: float, angle: float, exponent: float
+) -> None:
+    direction = np.array([0.0, math.cos(angle), math.sin(angle)])
+    normal = np.cross([1.0, 0.0, 0.0], direction)
+    center = along * GOAL + across * direction
+    places, _ = roll_out(in_plane_terms(center, normal, 10.0**exponent), DMP)
+    assert np.abs(places @ normal).max() < 1e-12
+
+
+@given(angle=st.floats(0.0, 6.28), x=st.floats(0.1, 0.9))
+@settings(max_examples=20)
+def test_heading_exactly_at_the_centre_turns_about_the_positive_normal(
+    angle: float, x: float
+) -> None:
+    direction = np.array([0.0, math.cos(angle), math.sin(angle)])
+    normal = np.cross([1.0, 0.0, 0.0], direction)
+    terms = in_plane_terms(x * GOAL, normal, 1000.0)
+    turn = terms.turn(START, GOAL, 0.001)
+    assert turn @ normal > 0.0
+    np.testing.assert_allclose(np.cross(turn, normal), 0.0, atol=1e-12)
+    places, _ = roll_out(terms, DMP)
+    assert (places @ direction).max() > 0.02
+    assert (places @ direction).min() > -1e-9

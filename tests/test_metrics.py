@@ -1,0 +1,112 @@
+"""Collisions, clearance and path length of finished motions."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydrake.math import RigidTransform, RollPitchYaw
+
+from drake_oa.inverse_kinematics import solve_tool_pose
+from drake_oa.metrics import free_point_metrics, path_length, robot_metrics
+from drake_oa.scenario import Robot, load_scenario
+from drake_oa.station import home_positions, make_robot_plant
+from drake_oa.values import EllipsoidSet, FloatArray
+
+
+def balls(*centers: tuple[float, float, float]) -> EllipsoidSet:
+    count = len(centers)
+    return EllipsoidSet(
+        stamp=0.0,
+        p_WO=np.array(centers, dtype=float).reshape(count, 3),
+        R_WO=np.tile(np.eye(3), (count, 1, 1)),
+        semi_axes=np.full((count, 3), 0.1),
+        v_WO=np.zeros((count, 3)),
+        ids=10 + np.arange(count),
+    )
+
+
+@given(
+    points=st.lists(st.tuples(*[st.floats(-1, 1)] * 3), min_size=2, max_size=8),
+)
+def test_a_path_is_no_shorter_than_its_chord(points: list[tuple[float, float, float]]) -> None:
+    path = np.array(points)
+    chord = np.linalg.norm(path[-1] - path[0])
+    assert path_length(path) >= chord - 1e-12
+    assert path_length(path[::-1]) == pytest.approx(path_length(path))
+
+
+def test_length_of_a_square_and_of_a_point() -> None:
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 0]], dtype=float)
+    assert path_length(square) == pytest.approx(4.0)
+    assert path_length(square[:1]) == 0.0
+
+
+def test_clearance_of_a_point_is_to_the_nearest_ellipsoid() -> None:
+    path = np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]])
+    found = free_point_metrics(path, balls((0.5, 0.3, 0.0), (1.0, 0.0, 0.0)))
+    np.testing.assert_allclose(found.tool_clearance, [np.hypot(0.5, 0.3) - 0.1, 0.2], atol=1e-12)
+    assert found.contacts == ()
+
+
+def test_each_ellipsoid_that_was_touched_is_named_once() -> None:
+    path = np.linspace([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], 50)
+    found = free_point_metrics(path, balls((0.5, 0.05, 0.0), (0.5, 0.5, 0.0)))
+    assert found.contacts == ("tool point - ellipsoid 10",)
+    assert found.tool_clearance.min() < 0.0
+
+
+def test_nothing_to_hit_is_infinitely_far() -> None:
+    found = free_point_metrics(np.zeros((3, 3)), EllipsoidSet())
+    assert np.isinf(found.tool_clearance).all()
+    assert found.contacts == ()
+
+
+@pytest.fixture(scope="module")
+def poses() -> dict[str, FloatArray]:
+    """Positions with the tool over the box, in it, and in the table."""
+    robot = Robot()
+    plant = make_robot_plant(robot)
+    R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix()
+    places = {
+        "start": [0.45, -0.45, 0.3],
+        "inside": [0.45, 0.0, 0.15],
+        "table": [0.45, -0.45, -0.02],
+    }
+    return {
+        name: solve_tool_pose(
+            plant.plant,
+            plant.tool_frame.name(),
+            RigidTransform(R_WE, place),
+            home_positions(plant, robot),
+        )
+        for name, place in places.items()
+    }
+
+
+def test_the_robot_is_judged_by_scene_graph(poses: dict[str, FloatArray]) -> None:
+    scenario = load_scenario("tabletop_box", ["perception=!GroundTruth {}"])
+    found = robot_metrics(scenario, np.stack([poses["start"], poses["inside"], poses["table"]]))
+    np.testing.assert_allclose(found.p_WE[0], [0.45, -0.45, 0.3], atol=1e-6)
+    assert found.tool_clearance[0] > 0.2
+    assert found.tool_clearance[1] < 0.0
+    assert found.tool_clearance[2] > 0.0
+    assert (found.robot_clearance <= found.tool_clearance).all()
+    assert any(name.endswith("obstacle_box") for name in found.contacts)
+    assert any("table" in name for name in found.contacts)
+    assert len(set(found.contacts)) == len(found.contacts)
+
+
+def test_a_robot_at_its_start_touches_nothing(poses: dict[str, FloatArray]) -> None:
+    for name in ("tabletop_box", "tabletop_irregular", "tabletop_clutter"):
+        found = robot_metrics(load_scenario(name), poses["start"][None])
+        assert found.contacts == ()
+        assert found.robot_clearance[0] > 0.0
+
+
+def test_without_obstacles_the_robot_is_infinitely_far(poses: dict[str, FloatArray]) -> None:
+    scenario = load_scenario(
+        "tabletop_box", ["directives=[]", "perception=!GroundTruth {}", "cameras=[]"]
+    )
+    found = robot_metrics(scenario, poses["start"][None])
+    assert np.isinf(found.robot_clearance).all()
+    assert robot_metrics(scenario, np.zeros((0, 9))).p_WE.shape == (0, 3)

@@ -1,0 +1,116 @@
+"""The report of a run."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drake_oa.motion_log import MotionLog
+from drake_oa.report import motion_report, report_table, run_report
+from drake_oa.scenario import load_scenario, parse_scenario, scenario_text
+from drake_oa.values import FloatArray
+
+FREE = load_scenario("free_space")
+AROUND = np.array([[0.0, 0.0, 0.0], [0.5, -0.5, 0.0], [1.0, 0.0, 0.0]])
+THROUGH = np.linspace([0.0, 0.0, 0.0], [0.999, 0.0, 0.0], 50)
+
+
+def log_of(path: FloatArray, **changes: object) -> MotionLog:
+    count = len(path)
+    none = np.zeros((count, 0))
+    log = MotionLog(
+        t=np.linspace(0.0, 5.0, count),
+        q=none,
+        v=none,
+        torque=none,
+        saturated=np.zeros(count),
+        desired_position=path,
+        desired_velocity=np.zeros((count, 3)),
+        desired_acceleration=np.zeros((count, 3)),
+        phase=np.linspace(1.0, 0.01, count),
+        observation_stamp=np.zeros(0),
+        p_WO=np.zeros((0, 0, 3)),
+        R_WO=np.zeros((0, 0, 3, 3)),
+        semi_axes=np.zeros((0, 0, 3)),
+        out_of_range=np.zeros(0, dtype=np.int64),
+        event_time=np.zeros(0),
+        event=(),
+        stop_reason="goal",
+        wall_time=2.5,
+        modulated=True,
+        scenario=scenario_text(FREE),
+        seed=0,
+        versions=("drake 1.51.1", "commit abc1234"),
+    )
+    return replace(log, **changes)
+
+
+def test_a_motion_through_an_ellipsoid_collides_even_if_it_saw_none() -> None:
+    found = motion_report(FREE, log_of(THROUGH))
+    assert found["collisions"] == 1
+    assert found["contacts"] == ["tool point - ellipsoid 0"]
+    assert found["tool_clearance_min"] < 0.0
+    assert found["goal_error"] == pytest.approx(1e-3)
+
+
+def test_a_motion_round_it_keeps_its_distance() -> None:
+    found = motion_report(FREE, log_of(AROUND))
+    assert found["collisions"] == 0
+    assert found["tool_clearance_min"] > 0.15
+    assert found["path_length"] == pytest.approx(2.0 * np.sqrt(0.5))
+    assert found["duration"] == 5.0
+
+
+def test_without_obstacles_there_is_no_clearance_to_report() -> None:
+    scenario = parse_scenario("{robot: null, perception: !GivenEllipsoids {}}")
+    found = motion_report(scenario, log_of(AROUND))
+    assert found["tool_clearance_min"] is None
+    assert found["robot_clearance_min"] is None
+
+
+def test_an_empty_log_can_be_reported() -> None:
+    found = motion_report(FREE, log_of(np.zeros((0, 3)), stop_reason="KeyboardInterrupt"))
+    assert found["duration"] == 0.0
+    assert found["goal_error"] == pytest.approx(1.0)
+    json.dumps(found, allow_nan=False)
+
+
+def test_the_report_has_the_documented_keys_and_is_json() -> None:
+    events = {"event_time": np.array([1.0, 2.0]), "event": ("obstacles not seen", "")}
+    logs = {"preplanned": log_of(THROUGH), "modulated": log_of(AROUND, **events)}
+    report = json.loads(json.dumps(run_report("free_space", FREE, logs), allow_nan=False))
+    assert set(report) == {
+        "scenario",
+        "seed",
+        "preplanned",
+        "modulated",
+        "real_time_factor",
+        "versions",
+        "commit",
+    }
+    assert report["real_time_factor"] == 2.0
+    assert report["commit"] == "abc1234"
+    assert report["versions"] == {"drake": "1.51.1"}
+    assert report["modulated"]["events"][0] == {"time": 1.0, "note": "obstacles not seen"}
+    for motion in ("preplanned", "modulated"):
+        assert {
+            "collisions",
+            "tool_clearance_min",
+            "robot_clearance_min",
+            "goal_error",
+            "torque_saturation",
+            "duration",
+        } <= set(report[motion])
+
+
+def test_the_table_shows_one_row_a_motion() -> None:
+    logs = {"preplanned": log_of(THROUGH), "modulated": log_of(AROUND)}
+    table = report_table(run_report("free_space", FREE, logs)).splitlines()
+    assert len(table) == 3
+    assert "tool clearance [m]" in table[0]
+    assert table[1].split()[:2] == ["preplanned", "1"]
+    assert table[2].split()[:2] == ["modulated", "0"]
+    assert table[2].endswith("goal")
+    short = run_report("free_space", FREE, {"modulated": log_of(AROUND)})
+    assert len(report_table(short).splitlines()) == 2

@@ -1,0 +1,137 @@
+"""The built wheel: complete, no more than it should be, and at work without the checkout."""
+
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCES = {"drake_oa": "drake_oa", "diagrams": "drake_oa/diagrams", "models": "drake_oa/models"}
+NOT_DATA = {".py", ".pyc", ".nbi", ".nbc"}
+
+
+def data_files() -> set[str]:
+    """The files below the packages that are not code, by their path in the wheel."""
+    return {
+        f"{inside}/{path.relative_to(ROOT / folder).as_posix()}"
+        for folder, inside in SOURCES.items()
+        for path in (ROOT / folder).rglob("*")
+        if path.is_file() and path.suffix not in NOT_DATA
+    }
+
+
+def modules() -> set[str]:
+    """The Python files of the packages, by their path in the wheel."""
+    return {
+        f"{inside}/{path.relative_to(ROOT / folder).as_posix()}"
+        for folder, inside in SOURCES.items()
+        for path in (ROOT / folder).rglob("*.py")
+    }
+
+
+def quiet_run(*command: str, **options: object) -> subprocess.CompletedProcess[str]:
+    """Runs a command; what it said is in the failure when it failed."""
+    answer = subprocess.run(command, capture_output=True, text=True, check=False, **options)
+    assert answer.returncode == 0, f"{command}:\n{answer.stdout}\n{answer.stderr}"
+    return answer
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel, built from a copy so that the checkout stays as it is."""
+    tree = tmp_path_factory.mktemp("source")
+    for folder in SOURCES:
+        leave = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(ROOT / folder, tree / folder, ignore=leave)
+    for file in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / file, tree)
+    folder = tmp_path_factory.mktemp("wheel")
+    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation"]
+    quiet_run(*build, "--outdir", str(folder), str(tree))
+    (built,) = folder.glob("*.whl")
+    return built
+
+
+@pytest.fixture(scope="module")
+def names(wheel: Path) -> set[str]:
+    """The files in the wheel."""
+    with zipfile.ZipFile(wheel) as archive:
+        return set(archive.namelist())
+
+
+@pytest.fixture(scope="module")
+def site(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which the wheel is installed, and nothing else."""
+    folder = tmp_path_factory.mktemp("site")
+    install = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index"]
+    quiet_run(*install, "--target", str(folder), str(wheel))
+    return folder
+
+
+def installed(site: Path, folder: Path, *arguments: str, **environment: str) -> str:
+    """Runs the installed command in a folder, before whatever else is installed."""
+    path = {"PYTHONPATH": str(site)}
+    command = [sys.executable, str(site / "bin" / "drake-oa"), *arguments]
+    return quiet_run(*command, cwd=folder, env=os.environ | path | environment).stdout
+
+
+def test_packages_listed_are_the_folders_there_are() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    listed = project["tool"]["setuptools"]["packages"]
+    there = {path.rpartition("/")[0].replace("/", ".") for path in modules() | data_files()}
+    assert set(listed) == there
+    assert len(set(listed)) == len(listed)
+
+
+def test_wheel_has_every_module_and_every_data_file(names: set[str]) -> None:
+    assert modules() | data_files() <= names
+
+
+def test_wheel_has_what_a_run_reads(names: set[str]) -> None:
+    for name in (
+        "models/package.xml",
+        "models/panda/panda_arm_hand.urdf",
+        "models/panda/meshes/link0.obj",
+        "models/panda/meshes/panda.mtl",
+        "models/obstacles/cardboard_box.sdf",
+        "models/scenes/tabletop_box.dmd.yaml",
+        "models/weights/regressor_chain.npz",
+        "diagrams/avoidance.py",
+        "diagrams/tabletop_box.scenario.yaml",
+    ):
+        assert f"drake_oa/{name}" in names
+
+
+def test_wheel_has_no_other_top_level_package(names: set[str]) -> None:
+    tops = {name.partition("/")[0] for name in names}
+    assert {top for top in tops if not top.endswith(".dist-info")} == {"drake_oa"}
+    assert len(tops) == 2
+
+
+def test_wheel_has_nothing_that_is_not_in_the_tree(names: set[str]) -> None:
+    known = modules() | data_files()
+    assert {name for name in names if ".dist-info/" not in name} == known
+
+
+def test_installed_code_is_the_wheels(site: Path, tmp_path: Path) -> None:
+    for line in installed(site, tmp_path, "scenarios", "--files").splitlines():
+        assert Path(line.split(maxsplit=1)[1]).is_relative_to(site)
+
+
+def test_installed_command_runs_in_an_empty_folder(site: Path, tmp_path: Path) -> None:
+    printed = installed(site, tmp_path, "run", "tabletop_box", "--duration", "0.05")
+    assert [line.split()[0] for line in printed.splitlines()[1:]] == ["preplanned", "modulated"]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_installed_code_loads_where_nothing_can_be_written(site: Path, tmp_path: Path) -> None:
+    frozen = tmp_path / "site"
+    shutil.copytree(site, frozen, ignore=shutil.ignore_patterns("__pycache__"))
+    (frozen / "drake_oa" / "__pycache__").touch()  # Not a folder: not even root can fill it.
+    nowhere = {"HOME": os.devnull, "XDG_CACHE_HOME": os.devnull, "NUMBA_CACHE_DIR": ""}
+    assert "tabletop_box" in installed(frozen, tmp_path, "scenarios", **nowhere)
