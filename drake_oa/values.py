@@ -28,7 +28,8 @@ class Frozen:
     """Shares itself on copy and locks its arrays on construction."""
 
     def __post_init__(self) -> None:
-        for name in _field_names(type(self)):
+        kind: Any = type(self)
+        for name in _field_names(kind):
             value = getattr(self, name)
             if value.__class__ is np.ndarray and value.flags.writeable:
                 value = value.view()

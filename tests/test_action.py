@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -91,7 +92,7 @@ def path(segments: list[Segment]) -> FloatArray:
 
 def test_the_desired_motion_is_continuous_from_step_to_step() -> None:
     segments = run(300, sees=lambda time: one_ellipsoid(), coupled=coupling())
-    for before, after in zip(segments, segments[1:], strict=False):
+    for before, after in pairwise(segments):
         time = after.state.stamp
         for derivative in (0, 1):
             np.testing.assert_allclose(

@@ -50,8 +50,9 @@ class DmpIntegrator(LeafSystem):
 
     The state is abstract, in the Context: the step under way (`Segment`), between
     whose ends the desired motion is interpolated, so that a controller may run faster
-    than the policy. A simulator that takes over a Context goes on with its motion. The motion is held (its normalised time slows down to a stop, on
-    the path) while it would not be safe: see `drake_oa.action.hold_reason`.
+    than the policy. A simulator that takes over a Context goes on with its motion. The
+    motion is held (its normalised time slows down to a stop, on the path) while it
+    would not be safe: see `drake_oa.action.hold_reason`.
     """
 
     def __init__(

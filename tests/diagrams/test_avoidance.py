@@ -9,6 +9,7 @@ from pydrake.systems.analysis import InitializeParams, Simulator
 from pydrake.systems.framework import Context, Diagram
 
 from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.metrics import robot_metrics
 from drake_oa.motion_log import MotionLog
 from drake_oa.report import motion_report
 from drake_oa.scenario import load_scenario, shipped_scenarios
@@ -103,8 +104,6 @@ def test_the_planned_motion_hits_the_box() -> None:
 
 def test_the_desired_motion_is_followed_closely(ground_truth_run: MotionLog) -> None:
     scenario = load_scenario("tabletop_box")
-    from drake_oa.metrics import robot_metrics
-
     p_WE = robot_metrics(scenario, ground_truth_run.q[::20]).p_WE
     np.testing.assert_allclose(p_WE, ground_truth_run.desired_position[::20], atol=0.01)
 

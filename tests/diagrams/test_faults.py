@@ -21,7 +21,7 @@ from drake_oa import layers
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.motion_log import MotionLog
 from drake_oa.report import motion_report
-from drake_oa.scenario import ScenarioError, load_scenario
+from drake_oa.scenario import ScenarioError, load_scenario, package_file
 from drake_oa.simulation import MotionInterruptedError, simulate
 from drake_oa.systems.depth_perception import DepthPerception
 from drake_oa.systems.ellipsoid_descriptor import EllipsoidDescriptor
@@ -436,8 +436,6 @@ def test_weights_of_another_shape_are_refused(tmp_path: Path) -> None:
 
 
 def test_weights_with_a_layer_of_another_width_are_refused(tmp_path: Path) -> None:
-    from drake_oa.scenario import package_file
-
     with np.load(package_file(load_scenario("free_space").policy.weights)) as archive:
         arrays = dict(archive)
     name = next(k for k, v in arrays.items() if v.ndim == 2)
