@@ -236,7 +236,7 @@ def test_a_motion_that_does_not_arrive_is_status_1(capsys: pytest.CaptureFixture
 def test_control_c_keeps_the_logs(tmp_path: Path) -> None:
     log = tmp_path / "run.npz"
     command = [sys.executable, "-m", "drake_oa.cli", "run", "free_space", "--log", str(log)]
-    long = ["--set", "task.duration=600", "--duration", "20"]
+    long = ["--set", "task.duration=600", "--duration", "10"]
     process = subprocess.Popen([*command, *long], stderr=subprocess.PIPE, text=True)
     try:
         # The first motion's log is there: the second one is under way.

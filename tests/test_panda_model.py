@@ -5,7 +5,6 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-import drake_oa.models
 import numpy as np
 import pytest
 from pydrake.geometry import (
@@ -21,6 +20,8 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import JacobianWrtVariable, SpatialInertia
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from scipy.spatial import cKDTree
+
+import drake_oa.models
 
 MODELS = Path(next(iter(drake_oa.models.__path__)))
 ARM = [f"panda_link{i}" for i in range(8)]

@@ -3,7 +3,6 @@
 from itertools import pairwise
 from pathlib import Path
 
-import drake_oa.models
 import numpy as np
 import pytest
 from pydrake.geometry import (
@@ -21,6 +20,8 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.multibody.tree import JacobianWrtVariable, ModelInstanceIndex
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraInfo
+
+import drake_oa.models
 
 MODELS = Path(next(iter(drake_oa.models.__path__)))
 OBSTACLES = {"tabletop_box": 1, "tabletop_irregular": 4, "tabletop_clutter": 6}

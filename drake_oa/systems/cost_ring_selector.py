@@ -149,9 +149,7 @@ class CostRingSelector(LeafSystem):
             hysteresis=self._hysteresis,
         )
         direction_W = scene.directions_W[selection.index]
-        met = passing(
-            p_WS, p_WG, R_WL, ellipsoids, direction_W, selection.groups, self._clearance
-        )
+        met = passing(p_WS, p_WG, R_WL, ellipsoids, direction_W, selection.groups, self._clearance)
         return Route(
             heading_W=np.zeros(direction_W.shape),
             direction_W=direction_W,

@@ -19,7 +19,7 @@ from pydrake.systems.sensors import CameraInfo
 from drake_oa import drawing
 from drake_oa.drawing import Color, TriangleMesh
 from drake_oa.systems.ports import read_value
-from drake_oa.values import EllipsoidSet, FloatArray, PolicyState, Route, TablePlane, Frozen
+from drake_oa.values import EllipsoidSet, FloatArray, Frozen, PolicyState, Route, TablePlane
 
 _ROOT = "/drake_oa"
 _RING = {"inner_radius": 0.17, "band": 0.022, "gap": 0.005}

@@ -11,8 +11,8 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem, State
 
-from drake_oa.point_cloud import Segmentation, SegmentationConfig, segment_depth, segment_points
 from drake_oa.collision_shapes import RobotModel
+from drake_oa.point_cloud import Segmentation, SegmentationConfig, segment_depth, segment_points
 from drake_oa.recordings import RecordedFrame, read_recording
 from drake_oa.systems.perception_state import PerceptionState, log_change, valid_period
 from drake_oa.tracking import track

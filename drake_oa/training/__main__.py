@@ -9,11 +9,11 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from drake_oa.provenance import source_commit
 from drake_oa.regressor import save_chain
 from drake_oa.training.chain import Score, train_chain
 from drake_oa.training.dataset import Exploration, build_training_set
 from drake_oa.training.levenberg_marquardt import Schedule
-from drake_oa.provenance import source_commit
 from drake_oa.training.validation import Validation, validate
 
 
