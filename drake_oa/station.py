@@ -30,7 +30,11 @@ from pydrake.multibody.parsing import (
     Parser,
     ProcessModelDirectives,
 )
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
+from pydrake.multibody.plant import (
+    AddMultibodyPlantSceneGraph,
+    DiscreteContactApproximation,
+    MultibodyPlant,
+)
 from pydrake.multibody.tree import FixedOffsetFrame, Frame, ModelInstanceIndex
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.sensors import ApplyCameraConfig, CameraConfig, RgbdSensor
@@ -197,6 +201,9 @@ def make_station(builder: DiagramBuilder, scenario: Scenario, *, render: bool = 
     if scenario.robot is None:
         raise ScenarioError("robot: a station needs a robot; this scenario has null")
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=scenario.plant_step)
+    # Cheaper steps (docs/design.md): TAMSI for SAP, and no copy of the whole state a step.
+    plant.set_discrete_contact_approximation(DiscreteContactApproximation.kTamsi)
+    plant.SetUseSampledOutputPorts(False)
     robot = _add_robot(plant, scenario.robot)
     try:
         ProcessModelDirectives(ModelDirectives(directives=scenario.directives), make_parser(plant))

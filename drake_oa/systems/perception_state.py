@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.value import Value
+from pydrake.common.value import AbstractValue, Value
 from pydrake.perception import PointCloud
 from pydrake.systems.framework import AbstractStateIndex, Context, LeafSystem, State
 
-from drake_oa.values import ObstacleClouds
+from drake_oa.values import Frozen, ObstacleClouds
 
 _logger = logging.getLogger("drake_oa")
+
+
+@dataclass(frozen=True, eq=False)
+class _Points(Frozen):
+    points_W: NDArray[np.floating] = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 @dataclass(frozen=True)
@@ -23,12 +28,12 @@ class PerceptionState:
 
     Attributes:
         obstacles: index of the ObstacleClouds.
-        cloud: index of the PointCloud for viewing.
+        points: index of the points to view.
         next_id: index of the first name that was never given to an obstacle.
     """
 
     obstacles: AbstractStateIndex
-    cloud: AbstractStateIndex
+    points: AbstractStateIndex
     next_id: AbstractStateIndex
 
     @staticmethod
@@ -36,12 +41,26 @@ class PerceptionState:
         """Declares the state, and the output ports ``obstacles_W`` and ``cloud`` on it."""
         indices = PerceptionState(
             system.DeclareAbstractState(Value(ObstacleClouds())),
-            system.DeclareAbstractState(Value(PointCloud(0))),
+            system.DeclareAbstractState(Value(_Points())),
             system.DeclareAbstractState(Value(0)),
         )
         system.DeclareStateOutputPort("obstacles_W", indices.obstacles)
-        system.DeclareStateOutputPort("cloud", indices.cloud)
+        system.DeclareAbstractOutputPort(
+            "cloud",
+            lambda: Value(PointCloud(0)),
+            indices.calc_cloud,
+            prerequisites_of_calc={system.abstract_state_ticket(indices.points)},
+        )
         return indices
+
+    def calc_cloud(self, context: Context, output: AbstractValue) -> None:
+        """The points as a PointCloud. It is made on demand: a Context that held it would
+        copy it at every step of every system."""
+        values: Any = context.get_abstract_state()
+        points_W = values.get_value(int(self.points)).get_value().points_W
+        cloud = PointCloud(len(points_W))
+        cloud.mutable_xyzs()[:] = points_W.T
+        output.set_value(cloud)
 
     def read(self, context: Context) -> tuple[ObstacleClouds, int]:
         """The obstacles and the next name in a Context."""
@@ -60,9 +79,7 @@ class PerceptionState:
         next_id = values.get_mutable_value(int(self.next_id))
         next_id.set_value(max(next_id.get_value(), int(obstacles.ids.max(initial=-1)) + 1))
         if points_W is not None:
-            cloud = PointCloud(len(points_W))
-            cloud.mutable_xyzs()[:] = points_W.T
-            values.get_mutable_value(int(self.cloud)).set_value(cloud)
+            values.get_mutable_value(int(self.points)).set_value(_Points(points_W))
 
 
 def log_change(system: LeafSystem, before: str, now: str, time: float) -> None:
