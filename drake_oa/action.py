@@ -55,6 +55,19 @@ class Segment(Frozen):
     end: PolicyState = field(default_factory=PolicyState)
     v_WE: FloatArray = field(default_factory=lambda: np.zeros(3))
     v_WE_end: FloatArray = field(default_factory=lambda: np.zeros(3))
+    _coefficients: FloatArray = field(init=False, repr=False, default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        length = self.end.stamp - self.state.stamp
+        p, q = self.state.p_WE, self.end.p_WE
+        acceleration = slope = np.zeros(3)
+        if length > 0.0:
+            acceleration = (self.v_WE_end - self.v_WE) / length
+            slope = (q - p) / length - 0.5 * (self.v_WE + self.v_WE_end)
+        # Rows: position, its first derivative, velocity and acceleration at the beginning.
+        coefficients = np.stack([p, self.v_WE + slope, self.v_WE, acceleration])
+        object.__setattr__(self, "_coefficients", coefficients)
+        super().__post_init__()
 
     @staticmethod
     def at_rest(p_WE: FloatArray) -> Segment:
@@ -66,8 +79,8 @@ class Segment(Frozen):
         """Position, velocity or acceleration at a time [s] of the segment.
 
         The velocity is linear in time; the position is its integral, corrected
-        linearly so that it ends where the policy says. After its end the segment
-        goes on at its last velocity.
+        linearly so that it ends where the policy says. Before it begins the segment
+        stands for its beginning; after its end it goes on at its last velocity.
 
         Args:
             time: when [s].
@@ -77,23 +90,18 @@ class Segment(Frozen):
             (3,) in the world frame.
         """
         length = self.end.stamp - self.state.stamp
-        since = time - self.state.stamp
-        if length <= 0.0 or since <= 0.0:
-            if derivative == 0:
-                return self.state.p_WE
-            acceleration = (self.v_WE_end - self.v_WE) / length if length > 0.0 else np.zeros(3)
-            return self.v_WE if derivative == 1 else acceleration
-        if since > length:
-            beyond = (since - length) * self.v_WE_end
-            return (self.end.p_WE + beyond, self.v_WE_end, np.zeros(3))[derivative]
-        acceleration = (self.v_WE_end - self.v_WE) / length
-        if derivative == 2:
-            return acceleration
-        if derivative == 1:
-            return self.v_WE + since * acceleration
-        mean = 0.5 * (self.v_WE + self.v_WE_end)
-        missing = (self.end.p_WE - self.state.p_WE) / length - mean
-        return self.state.p_WE + since * (self.v_WE + missing) + 0.5 * since**2 * acceleration
+        since = min(max(time - self.state.stamp, 0.0), length)
+        beyond = time - self.end.stamp if length > 0.0 else 0.0
+        if derivative == 0:
+            weights = (1.0, since, 0.0, 0.5 * since * since)
+        elif derivative == 1:
+            weights = (0.0, 0.0, 1.0, since)
+        else:
+            weights = (0.0, 0.0, 0.0, 0.0 if beyond > 0.0 else 1.0)
+        value = np.dot(weights, self._coefficients)
+        if beyond > 0.0 and derivative == 0:
+            value = value + beyond * self.v_WE_end
+        return np.asarray(value)
 
 
 def initial_segment(dmp: Dmp, p_WS: FloatArray, p_WG: FloatArray, time: float) -> Segment:

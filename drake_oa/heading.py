@@ -9,6 +9,7 @@ past it. It is asked for only while the avoidance term would lead past another s
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from drake_oa.ellipsoid import shape_matrix, tangent_heading
 from drake_oa.values import EllipsoidSet, FloatArray, PolicyState
@@ -63,54 +64,91 @@ def desired_headings(
     """
     if len(ellipsoids) == 0:
         return np.zeros((0, 3))
-    p_WE = policy.p_WE
-    to_G = policy.p_WG - p_WE
-    distance_G = float(np.sqrt(to_G @ to_G))
+    share = wrong_sides(
+        policy.p_WE,
+        policy.z_W,
+        policy.p_WG,
+        policy.R_WL,
+        center_W,
+        normal_W,
+        clearance,
+        ellipsoids.p_WO,
+        ellipsoids.R_WO,
+        ellipsoids.semi_axes,
+    )
+    if not share.any():
+        return np.zeros(normal_W.shape)
     speed = float(np.sqrt(policy.z_W @ policy.z_W))
-    # At rest the motion is about to set out along the baseline.
     u = policy.z_W / speed if speed > 0.0 else policy.R_WL[:, 0]
-
-    to_center = center_W - p_WE
-    # (e x u) . n of each obstacle, up to the length of e.
-    lean = -np.sum(to_center * _cross(np.broadcast_to(u, normal_W.shape), normal_W), axis=1)
-    if lean.max() <= 0.0:
-        return np.zeros(normal_W.shape)
-    plane = _cross(to_center, np.broadcast_to(u, normal_W.shape))
-    size = np.sqrt(np.sum(plane * plane, axis=1))
-    wrong = (lean > 1e-9 * size) & (clearance > 0.0)
-    if not wrong.any():
-        return np.zeros(normal_W.shape)
-    wrong &= _ray_entry(p_WE, u, ellipsoids, clearance) < distance_G
-    if not wrong.any():
-        return np.zeros(normal_W.shape)
     tangent, _, _ = tangent_heading(
-        p_WE,
+        policy.p_WE,
         ellipsoids.p_WO,
         shape_matrix(ellipsoids.R_WO, ellipsoids.semi_axes),
         direction_W,
         clearance,
     )
-    share = np.where(wrong, np.minimum(2.0 * lean / np.maximum(size, 1e-300), 1.0), 0.0)
     heading = u + share[:, None] * (tangent - u)
     length = np.sqrt(np.sum(heading * heading, axis=1))
-    usable = wrong & (length > 0.0)
+    usable = (share > 0.0) & (length > 0.0)
     return np.where(usable[:, None], heading / np.where(usable, length, 1.0)[:, None], 0.0)
 
 
-def _ray_entry(
-    p_WE: FloatArray, u: FloatArray, ellipsoids: EllipsoidSet, clearance: FloatArray
+@njit(cache=True, error_model="numpy")
+def wrong_sides(
+    p_WE: FloatArray,
+    z_W: FloatArray,
+    p_WG: FloatArray,
+    R_WL: FloatArray,
+    center_W: FloatArray,
+    normal_W: FloatArray,
+    clearance: FloatArray,
+    p_WO: FloatArray,
+    R_WO: FloatArray,
+    semi_axes: FloatArray,
 ) -> FloatArray:
-    """How far along u the ray from E meets each ellipsoid grown by the clearance, (M,) [m].
+    """How far each obstacle's guidance has gone over from u to the supporting heading, (M,).
 
-    Infinite where it misses or leads away.
+    0 where none is needed: the motion leans to the chosen side, the obstacle has no
+    clearance to keep, or the ray along u does not enter the ellipsoid grown by it before
+    it comes to the goal. At rest u is the baseline: the motion is about to set out along it.
     """
-    axes = ellipsoids.semi_axes + clearance[:, None]
-    p = np.einsum("mji,mj->mi", ellipsoids.R_WO, p_WE - ellipsoids.p_WO) / axes
-    w = np.einsum("mji,j->mi", ellipsoids.R_WO, u) / axes
-    a = np.sum(w * w, axis=1)
-    b = np.sum(p * w, axis=1)
-    c = np.sum(p * p, axis=1) - 1.0
-    disc = b * b - a * c
-    meets = (disc > 0.0) & (b < 0.0)
-    root = np.sqrt(np.where(meets, disc, 0.0))
-    return np.where(meets, np.maximum((-b - root) / a, 0.0), np.inf)
+    u = z_W.copy()
+    speed = np.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
+    for k in range(3):
+        u[k] = u[k] / speed if speed > 0.0 else R_WL[k, 0]
+    to_G = p_WG - p_WE
+    distance_G = np.sqrt(to_G[0] ** 2 + to_G[1] ** 2 + to_G[2] ** 2)
+    share = np.zeros(len(center_W))
+    for row in range(len(center_W)):
+        e = center_W[row] - p_WE
+        plane = np.array(
+            (e[1] * u[2] - e[2] * u[1], e[2] * u[0] - e[0] * u[2], e[0] * u[1] - e[1] * u[0])
+        )
+        size = np.sqrt(plane[0] ** 2 + plane[1] ** 2 + plane[2] ** 2)
+        lean = 0.0
+        for k in range(3):
+            lean -= plane[k] * normal_W[row, k]
+        if clearance[row] > 0.0 and lean > 1e-9 * size:
+            axes = semi_axes[row] + clearance[row]
+            if _ray_entry(p_WE - p_WO[row], u, R_WO[row], axes) < distance_G:
+                share[row] = min(2.0 * lean / size, 1.0)
+    return share
+
+
+@njit(cache=True, error_model="numpy")
+def _ray_entry(p_OE: FloatArray, u: FloatArray, R: FloatArray, axes: FloatArray) -> float:
+    """How far along u the ray from E meets an ellipsoid; inf where it misses it."""
+    a, b, c = 0.0, 0.0, -1.0
+    for axis in range(3):
+        p, w = 0.0, 0.0
+        for k in range(3):
+            p += R[k, axis] * p_OE[k]
+            w += R[k, axis] * u[k]
+        p, w = p / axes[axis], w / axes[axis]
+        a += w * w
+        b += p * w
+        c += p * p
+    discriminant = b * b - a * c
+    if discriminant <= 0.0 or b >= 0.0:
+        return np.inf
+    return max((-b - np.sqrt(discriminant)) / a, 0.0)

@@ -19,6 +19,7 @@ from drake_oa.values import EllipsoidSet, FloatArray, IntArray
 _SAMPLES = 41
 _OUTLINE = 180
 _LEAST_EXTENT = 0.02
+_LEAST_CLEARANCE = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +67,7 @@ def passing(
 
     A part that does not rise above the baseline but comes nearer than Delta has the
     least extent, and the clearance that is left. No more clearance is asked than the
-    start and the goal have, which is all that can be kept.
+    start and the goal have, which is all that can be kept, but a fifth of Delta at least.
 
     Obstacles of one group, passed on one side, share one half ellipse that encloses
     theirs; one that the way past another clears anyway is left out.
@@ -111,6 +112,8 @@ def passing(
     distance = signed_distance(place, ellipsoids.p_WO, ellipsoids.R_WO, ellipsoids.semi_axes)
     nearest = distance.argmin(axis=0)
     feasible = np.minimum(clearance, np.minimum(distance[0], distance[-1]))
+    # An obstacle at the start or the goal still has to be turned away from.
+    feasible = np.maximum(feasible, _LEAST_CLEARANCE * clearance)
     between = (nearest > 0) & (nearest < _SAMPLES - 1)
     needed = between & (distance.min(axis=0) < feasible)
     gap = np.where(rises, 0.0, np.maximum(distance.min(axis=0), 0.0))
