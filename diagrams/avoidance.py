@@ -1,10 +1,10 @@
 """The whole diagram: a robot that sees obstacles and goes round them.
 
-    camera, plant -> perception -> ellipsoid_descriptor
-    ellipsoid_descriptor -> regressor_chain ----> dmp_integrator -> controller -> plant
-                         -> cost_ring_selector -^      |
-              ^                      ^                 |
-              +---- policy_state ----+-----------------+
+    camera, plant -> perception -> ellipsoid_descriptor -> cost_ring_selector,
+                                                           regressor_chain, dmp_integrator
+    cost_ring_selector -> regressor_chain (decision), dmp_integrator (route)
+    regressor_chain -> dmp_integrator -> controller -> plant
+    dmp_integrator -> cost_ring_selector (policy_state)
 
 The systems are made in `drake_oa.layers` from the scenario; this file wires them.
 """
@@ -23,7 +23,7 @@ from drake_oa.station import RobotPlant, Station, make_robot_plant, make_station
 from drake_oa.systems.cartesian_inverse_dynamics import CartesianInverseDynamics
 from drake_oa.systems.dmp_integrator import DmpIntegrator
 
-LOG_PERIOD = 0.005
+LOG_PERIOD = 0.004
 
 
 def build_avoidance(
@@ -33,9 +33,9 @@ def build_avoidance(
 
     Subsystems by name: plant, scene_graph, rgbd_sensor_<camera>, perception,
     ellipsoid_descriptor, regressor_chain, cost_ring_selector, goal, dmp_integrator,
-    controller, log_<signal>; without a robot only those from perception to
-    dmp_integrator. With `modulated=False` there are no obstacles to see: plant, goal,
-    dmp_integrator and controller.
+    controller, log_<signal>, and overlay with a viewer; without a robot there is no
+    plant, camera, descriptor or controller. With `modulated=False` there are no
+    obstacles to see, and nothing from perception to cost_ring_selector.
 
     The diagram exports dmp_integrator's desired_position, phase and policy_state.
 

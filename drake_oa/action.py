@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from drake_oa.coupling import CouplingTerms, GuidanceForm
+from drake_oa.coupling import CouplingTerms, GuidanceForm, check_form
 from drake_oa.dmp import Dmp, Turn, local_frame
 from drake_oa.dmp import step as dmp_step
 from drake_oa.ellipsoid_kernels import first_inside
@@ -31,6 +31,9 @@ class ActionParameters:
         max_observation_age: the motion is held when the obstacles were last seen
             longer ago than this [s].
         hold_time: time from full speed to a hold and back [s].
+
+    Raises:
+        ValueError: for an unknown form or a value out of range.
     """
 
     guidance: GuidanceForm = "counterphase"
@@ -38,6 +41,19 @@ class ActionParameters:
     fade: float = 0.3
     max_observation_age: float = 0.5
     hold_time: float = 0.25
+
+    def __post_init__(self) -> None:
+        check_form(self.guidance)
+        for name, positive in (
+            ("guidance_gain", False),
+            ("fade", False),
+            ("max_observation_age", True),
+            ("hold_time", True),
+        ):
+            value = getattr(self, name)
+            if not 0.0 <= value < math.inf or (positive and value == 0.0):
+                kind = "positive" if positive else "not negative"
+                raise ValueError(f"{name} must be finite and {kind}, not {value}")
 
 
 @dataclass(frozen=True, eq=False)

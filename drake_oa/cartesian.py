@@ -17,12 +17,9 @@ import math
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drake_oa.cartesian_kernels import law, limit_torque
-from drake_oa.values import FloatArray
-
-BoolArray = NDArray[np.bool_]
+from drake_oa.values import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)

@@ -246,9 +246,13 @@ def _simulate_both(
     raise_if_asked: Callable[[], None],
 ) -> tuple[dict[str, MotionLog], BaseException | None]:
     """The logs of both motions, or of what ran until one was cut short, and by what."""
+    from drake_oa.diagrams.avoidance import build_avoidance
     from drake_oa.motion_log import save_logs
     from drake_oa.simulation import MotionInterruptedError, simulate
 
+    with _build_errors(), _quiet():
+        # What the modulated motion lacks is told before the first one is simulated.
+        build_avoidance(scenario)
     logs: dict[str, MotionLog] = {}
     failure: BaseException | None = None
     for motion in ("preplanned", "modulated"):
@@ -321,6 +325,17 @@ def _build_errors() -> Iterator[None]:
         raise
     except RuntimeError as error:
         raise ScenarioError(str(error)) from error
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Holds back what is logged again when the same is built to be run."""
+    before = logging.root.manager.disable
+    logging.disable(logging.WARNING)
+    try:
+        yield
+    finally:
+        logging.disable(before)
 
 
 @contextlib.contextmanager

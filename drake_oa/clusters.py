@@ -7,9 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from drake_oa.point_cloud_kernels import cell_keys, nearest_within, unite_neighbours
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from drake_oa.values import FloatArray, IntArray
 
 _BRIDGES = 16  # shortest connections between two clusters that are looked at
 

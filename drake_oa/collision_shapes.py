@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.geometry import (
     Box,
     Capsule,
@@ -23,10 +22,10 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
 
 from drake_oa.self_filter import PosedShapes, RobotShapes
-
-FloatArray = NDArray[np.float64]
+from drake_oa.values import FloatArray
 
 _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
+_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,17 +130,52 @@ def _rounded_box(
         return origin, np.array([0.0, 0.0, shape.length() / 2.0]), shape.radius()
     if isinstance(shape, Box):
         return origin, np.asarray(shape.size()) / 2.0, 0.0
+    if isinstance(shape, Cylinder):
+        return origin, np.array([shape.radius(), shape.radius(), shape.length() / 2.0]), 0.0
     if isinstance(shape, Ellipsoid):
         return origin, np.array([shape.a(), shape.b(), shape.c()]), 0.0
     if isinstance(shape, (Convex, Mesh)):
-        hull = inspector.GetConvexHull(geometry)
-        vertices = np.array([hull.vertex(i) for i in range(hull.num_vertices())])
+        vertices = _hull_vertices(inspector, geometry)
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         return (low + high) / 2.0, (high - low) / 2.0, 0.0
     raise ValueError(
         f"{inspector.GetName(geometry)} is a {type(shape).__name__}; a robot's collision shape "
         "must be a sphere, capsule, box, cylinder, ellipsoid, convex shape or mesh"
     )
+
+
+def _hull_vertices(inspector: SceneGraphInspector, geometry: GeometryId) -> FloatArray:
+    hull = inspector.GetConvexHull(geometry)
+    return np.array([hull.vertex(i) for i in range(hull.num_vertices())])
+
+
+def outline_corners(inspector: SceneGraphInspector, geometry: GeometryId) -> FloatArray:
+    """Points whose convex hull encloses a geometry.
+
+    They are the vertices of a box, a convex shape or a mesh, and the corners of the
+    box round any other shape.
+
+    Args:
+        inspector: of the scene graph that holds the geometry.
+        geometry: a box, sphere, ellipsoid, cylinder, capsule, convex shape or mesh.
+
+    Returns:
+        (K, 3) points in the frame of the body that the geometry is fixed to [m].
+
+    Raises:
+        ValueError: for an unbounded shape.
+    """
+    if isinstance(inspector.GetShape(geometry), (Convex, Mesh)):
+        p_GQ = _hull_vertices(inspector, geometry)
+    else:
+        center, half_extents, radius = _rounded_box(inspector, geometry)
+        p_GQ = center + _CORNERS * (half_extents + radius)
+    return _in_body(inspector, geometry, p_GQ)
+
+
+def _in_body(inspector: SceneGraphInspector, geometry: GeometryId, p_GQ: FloatArray) -> FloatArray:
+    X_BG = inspector.GetPoseInFrame(geometry).GetAsMatrix4()
+    return np.asarray(p_GQ @ X_BG[:3, :3].T + X_BG[:3, 3])
 
 
 def surface_points(
@@ -184,8 +218,7 @@ def surface_points(
             f"{inspector.GetName(geometry)} is a {type(shape).__name__}; an obstacle must be a "
             "box, sphere, ellipsoid, cylinder, capsule, convex shape or mesh"
         )
-    X_BG = inspector.GetPoseInFrame(geometry).GetAsMatrix4()
-    return np.asarray(p_GQ @ X_BG[:3, :3].T + X_BG[:3, 3])
+    return _in_body(inspector, geometry, p_GQ)
 
 
 def _box_points(half: FloatArray, count: int) -> FloatArray:
@@ -238,7 +271,7 @@ def _rings(radius: float, half_length: float, count: int) -> FloatArray:
 def _hull_points(inspector: SceneGraphInspector, geometry: GeometryId, count: int) -> FloatArray:
     """The hull's vertices and points spread over its faces by area."""
     hull = inspector.GetConvexHull(geometry)
-    vertices = np.array([hull.vertex(i) for i in range(hull.num_vertices())])
+    vertices = _hull_vertices(inspector, geometry)
     triangles = []
     for i in range(hull.num_elements()):
         face = hull.element(i)

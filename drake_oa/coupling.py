@@ -107,7 +107,7 @@ def guidance_rate(
     Raises:
         ValueError: for an unknown form.
     """
-    _check_form(form)
+    check_form(form)
     theta_hat = np.asarray(theta_hat, dtype=float)
     closeness = np.multiply(kappa, np.square(d))
     if form == "counterphase":
@@ -189,11 +189,11 @@ class CouplingTerms(Frozen):
     form: GuidanceForm = "counterphase"
     max_rate: float = MAX_GUIDANCE_RATE
     in_plane: bool = False
-    _rows: list[tuple[list[float], ...]] = field(init=False, repr=False, default_factory=list)
+    _rows: tuple[tuple[list[float], ...], ...] = field(init=False, repr=False, default=())
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _check_form(self.form)
+        check_form(self.form)
         if not self.max_rate > 0.0:
             raise ValueError(f"max_rate must be positive [rad per time], not {self.max_rate}")
         M = len(self.p_WO)
@@ -216,7 +216,7 @@ class CouplingTerms(Frozen):
                     f"obstacle {row}: alpha, psi, kappa must be >= 0, > 0, >= 0 and guidance_alpha "
                     f">= 0, not {values[3:6]} and {values[12]}"
                 )
-        rows = [(v[0:3], v[3:6], v[6:9], v[9:12], v[12:13]) for v in table]
+        rows = tuple((v[0:3], v[3:6], v[6:9], v[9:12], v[12:13]) for v in table)
         object.__setattr__(self, "_rows", rows)
 
     def __len__(self) -> int:
@@ -448,7 +448,8 @@ def _fallback(normal: list[float], e: Vector) -> Vector:
     raise ValueError(f"the heading {e} must be a unit vector")
 
 
-def _check_form(form: str) -> None:
+def check_form(form: str) -> None:
+    """Raises ValueError unless `form` names a form of the guidance term."""
     if form not in ("counterphase", "printed"):
         raise ValueError(f'form must be "counterphase" or "printed", not {form!r}')
 

@@ -7,7 +7,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_oa.ellipsoid import Ellipsoid, _cloud, _right_handed, dilate, enclosing_ellipsoid
+from drake_oa.ellipsoid import Ellipsoid, checked_points, dilate, enclosing_ellipsoid, right_handed
 from drake_oa.superquadric import fit_superquadric
 from drake_oa.values import EllipsoidSet, FloatArray, ObstacleClouds
 
@@ -22,7 +22,7 @@ def check_descriptor_arguments(tool_W: ArrayLike, method: str) -> FloatArray:
     """
     if method not in get_args(Method):
         raise ValueError(f"method '{method}'; it must be one of {', '.join(get_args(Method))}")
-    return np.array(_cloud(tool_W, "tool_W"))
+    return np.array(checked_points(tool_W, "tool_W"))
 
 
 def least_squares_ellipsoid(
@@ -43,7 +43,7 @@ def least_squares_ellipsoid(
     """
     fit = fit_superquadric(dilate(points, tool), minimum_semi_axis=minimum_semi_axis).shape
     order = np.argsort(-fit.semi_axes, kind="stable")
-    return Ellipsoid(fit.center, _right_handed(fit.R[:, order]), fit.semi_axes[order], np.inf)
+    return Ellipsoid(fit.center, right_handed(fit.R[:, order]), fit.semi_axes[order], np.inf)
 
 
 def describe(

@@ -137,7 +137,7 @@ def dilate(points: ArrayLike, tool: ArrayLike, n_directions: int = 162) -> Float
     Raises:
         ValueError: if points or tool are empty, not (., 3), or not finite.
     """
-    points, tool = _cloud(points, "points"), _cloud(tool, "tool")
+    points, tool = checked_points(points, "points"), checked_points(tool, "tool")
     half = unit_directions(n_directions)[: n_directions // 2]
     along, corner_along = half @ points.T, half @ tool.T
     high = along.argmax(axis=1) * len(tool) + corner_along.argmin(axis=1)
@@ -180,8 +180,8 @@ def enclosing_ellipsoid(
             f"enclosing_ellipsoid: tolerance {tolerance} and minimum_semi_axis "
             f"{minimum_semi_axis} must be positive"
         )
-    cloud = _cloud(points, "points")
-    corners = _cloud(np.zeros((1, 3)) if tool is None else tool, "tool")
+    cloud = checked_points(points, "points")
+    corners = checked_points(np.zeros((1, 3)) if tool is None else tool, "tool")
     # Near their centre: far from the origin the sums would lose digits.
     origin = cloud.mean(axis=0)
     cloud = cloud - origin
@@ -212,7 +212,7 @@ def certified(
     Raises:
         ValueError: if points or tool are empty, not (., 3), or not finite.
     """
-    cloud, corners = _cloud(points, "points"), _cloud(tool, "tool")
+    cloud, corners = checked_points(points, "points"), checked_points(tool, "tool")
     center, R, semi_axes = ellipsoid.center, ellipsoid.R, ellipsoid.semi_axes
     gauge, _, _ = _farthest(cloud, corners, center, R, semi_axes)
     while inflate and gauge > 1.0:
@@ -244,11 +244,6 @@ def support(direction: FloatArray, R: FloatArray, semi_axes: FloatArray) -> Floa
     """
     scaled = np.einsum("...ji,...j->...i", R, direction) * semi_axes
     return np.asarray(np.sqrt(np.einsum("...i,...i->...", scaled, scaled)))
-
-
-def shadow_extents(directions: FloatArray, R: FloatArray, semi_axes: FloatArray) -> FloatArray:
-    """Half-widths of M shadows along K unit directions, (K, 3) -> (M, K) [m]."""
-    return support(directions, R[:, None, :, :], semi_axes[:, None, :])
 
 
 def signed_distance(
@@ -380,7 +375,16 @@ def tangent_heading(
     return heading, inside > 0.0, normal
 
 
-def _cloud(points: ArrayLike, name: str) -> FloatArray:
+def checked_points(points: ArrayLike, name: str) -> FloatArray:
+    """The points as an array of floats, not copied where they are one already.
+
+    Args:
+        points: (N, 3) points, N >= 1.
+        name: what an error calls them.
+
+    Raises:
+        ValueError: if they are empty, not (N, 3) or not finite.
+    """
     array = np.asarray(points, dtype=float)
     if array.ndim != 2 or array.shape[1] != 3 or len(array) == 0:
         raise ValueError(f"{name} must be a non-empty (N, 3) array, not of shape {array.shape}")
@@ -412,13 +416,23 @@ def _least_volume(
     moment[:, flat] = 0.0
     moment[flat, flat] = minimum * minimum
     squared, W = np.linalg.eigh(moment)
-    R = _right_handed(V @ W[:, ::-1])
+    R = right_handed(V @ W[:, ::-1])
     semi_axes = np.maximum(np.sqrt(np.maximum(squared[::-1], 0.0)), minimum)
     return mean + V @ (middle * scale), R, semi_axes
 
 
-def _right_handed(axes: FloatArray) -> FloatArray:
-    """The columns with signs that do not depend on the solver: the largest entry positive."""
+def right_handed(axes: FloatArray) -> FloatArray:
+    """A rotation from orthonormal columns of any sign, as an eigensolver leaves them.
+
+    Each column is turned so that its entry of largest magnitude is positive, whatever
+    sign the solver chose; then the last one is turned if the columns are left-handed.
+
+    Args:
+        axes: (3, 3) orthonormal columns.
+
+    Returns:
+        (3, 3) rotation.
+    """
     peak = axes[np.argmax(np.abs(axes), axis=0), range(3)]
     R = axes * np.where(peak < 0.0, -1.0, 1.0)
     if np.linalg.det(R) < 0.0:

@@ -167,24 +167,36 @@ def _out_of_reach(
         plant.world_frame(), X_WE.translation(), frame, np.zeros(3), _DISTANCE_WEIGHT * np.eye(3)
     )
     context = plant.CreateDefaultContext()
-    nearest = np.inf
+    nearest, p_WF = np.inf, np.zeros(3)
     for seed in _seeds(plant, q_seed):
         result = Solve(problem.prog(), seed)
         if result.is_success():
             q = result.GetSolution(problem.q())
-            error = _pose_error(plant, context, frame, X_WE, q)
-            nearest = min(nearest, float(np.linalg.norm(error[3:])))
+            distance = float(np.linalg.norm(_pose_error(plant, context, frame, X_WE, q)[3:]))
+            if distance < nearest:
+                nearest, p_WF = distance, frame.CalcPoseInWorld(context).translation()
     p_WE = X_WE.translation()
     rpy = X_WE.rotation().ToRollPitchYaw().vector()
     comes = (
         "no configuration with this orientation was found"
         if nearest == np.inf
-        else f"with this orientation it comes as near as {nearest:.3f} m"
+        else f"with this orientation it comes as near as {nearest:.3f} m, "
+        f"to {(np.round(p_WF, 3) + 0.0).tolist()}"
     )
-    inner, outer = tool_down_radii(p_WE[2])
     return (
         f"out of reach: {frame.name()} cannot be at {np.round(p_WE, 4).tolist()} m in the world, "
-        f"roll, pitch, yaw {np.round(rpy, 3).tolist()} rad; {comes}. The Panda reaches "
-        f"{PANDA_REACH} m from its shoulder; with the tool down, {inner:.2f} to {outer:.2f} m from "
-        f"its base axis at a height of {np.clip(p_WE[2], -0.2, 0.8):.2f} m"
+        f"roll, pitch, yaw {np.round(rpy, 3).tolist()} rad; {comes}"
+        f"{_panda_reach(plant, frame, p_WE[2])}"
+    )
+
+
+def _panda_reach(plant: MultibodyPlant, frame: Frame, height: float) -> str:
+    """What is known of the reach, for the robot that it is known of."""
+    if plant.GetModelInstanceName(frame.model_instance()) != "panda":
+        return ""
+    inner, outer = tool_down_radii(np.asarray(height))
+    return (
+        f". The Panda reaches {PANDA_REACH} m from its shoulder; with the tool down, "
+        f"{inner:.2f} to {outer:.2f} m from its base axis at a height of "
+        f"{np.clip(height, -0.2, 0.8):.2f} m"
     )

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import logging
+import math
+import zipfile
+from pathlib import Path
 from typing import cast
 
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import LeafSystem
 from pydrake.systems.primitives import ConstantValueSource
-from pydrake.systems.sensors import CameraInfo, RgbdSensor
+from pydrake.systems.sensors import CameraConfig, CameraInfo, RgbdSensor
 
 from drake_oa.action import ActionParameters
 from drake_oa.cartesian import CartesianGains
-from drake_oa.collision_shapes import collect_collision_shapes
+from drake_oa.collision_shapes import RobotModel, collect_collision_shapes
 from drake_oa.coupling import GuidanceForm
-from drake_oa.dmp import Dmp, imitate, minimum_jerk
+from drake_oa.dmp import Dmp, imitate, minimum_jerk, trajectory
 from drake_oa.inverse_kinematics import solve_tool_pose
+from drake_oa.point_cloud import SegmentationConfig
 from drake_oa.regressor import load_chain
 from drake_oa.scenario import (
     DepthCamera,
@@ -31,7 +37,13 @@ from drake_oa.scenario import (
     package_file,
     segmentation_config,
 )
-from drake_oa.station import RobotPlant, Station, home_positions, tool_corners
+from drake_oa.station import (
+    OBSTACLE_PREFIX,
+    RobotPlant,
+    Station,
+    home_positions,
+    tool_corners,
+)
 from drake_oa.systems.cartesian_inverse_dynamics import CartesianInverseDynamics
 from drake_oa.systems.cost_ring_selector import CostRingSelector
 from drake_oa.systems.depth_perception import DepthPerception
@@ -43,6 +55,12 @@ from drake_oa.systems.recorded_perception import RecordedPerception
 from drake_oa.systems.regressor_chain import RegressorChain
 from drake_oa.values import EllipsoidSet, FloatArray, TablePlane
 from drake_oa.workspace import tool_down_margin
+
+_logger = logging.getLogger("drake_oa")
+
+_PANDA = "panda_arm_hand.urdf"
+_TOOL_DOWN_ANGLE = math.radians(15.0)
+"""How far from straight down the tool may point for the tool-down workspace to hold."""
 
 
 def make_dmp(scenario: Scenario) -> Dmp:
@@ -66,16 +84,19 @@ def make_dmp(scenario: Scenario) -> Dmp:
             alpha_k=policy.alpha_k,
         )
     except ValueError as error:
-        raise ScenarioError(f"task.demonstration: {error}") from None
+        field = "task.demonstration" if task.demonstration else "policy"
+        raise ScenarioError(f"{field}: {error}") from None
 
 
 def _demonstration(task: Task) -> tuple[FloatArray, FloatArray]:
     try:
         with np.load(task.demonstration) as archive:
             path = archive["path"]
-            default = np.linspace(0.0, task.duration, len(path))
-            return path, archive["t"] if "t" in archive.files else default
-    except (OSError, KeyError, ValueError, TypeError) as error:
+            t = archive["t"] if "t" in archive.files else None
+        if path.ndim != 2 or path.shape[1] != 3:
+            raise ValueError(f"its path is {path.shape}")
+        return path, np.linspace(0.0, task.duration, len(path)) if t is None else t
+    except (OSError, EOFError, KeyError, ValueError, TypeError, zipfile.BadZipFile) as error:
         raise ScenarioError(
             f"task.demonstration: cannot read '{task.demonstration}': {error}; "
             "it must be an .npz with `path` (T, 3) and optionally `t` (T,)"
@@ -116,6 +137,7 @@ def make_perception(
         return ConstantValueSource(Value(given_ellipsoids(source)))
     if station is None or robot_plant is None:
         raise ScenarioError(f"perception: !{type(source).__name__} needs a robot")
+    _warn_without_obstacles(station)
     if isinstance(source, GroundTruth):
         return GroundTruthPerception(
             station.plant,
@@ -129,17 +151,10 @@ def make_perception(
         robot_plant.plant, robot_plant.scene_graph.model_inspector(), robot_plant.instance
     )
     if isinstance(source, RecordedClouds):
-        try:
-            return RecordedPerception(
-                source.folder,
-                config=segmentation_config(source.segmentation, **prior),
-                robot=robot,
-                period=source.period,
-                loop=source.loop,
-            )
-        except (OSError, ValueError) as error:
-            raise ScenarioError(f"perception.folder: {error}") from None
-    camera = next(config for config in scenario.cameras if config.name == source.camera)
+        return _recorded_perception(
+            source, segmentation_config(source.segmentation, **prior), robot
+        )
+    camera = _camera_config(scenario, source)
     return DepthPerception(
         _intrinsics(station.cameras[source.camera]),
         config=segmentation_config(source.segmentation, **prior),
@@ -150,11 +165,67 @@ def make_perception(
     )
 
 
+def _warn_without_obstacles(station: Station) -> None:
+    if station.obstacles:
+        return
+    count = station.plant.num_model_instances()
+    names = [station.plant.GetModelInstanceName(ModelInstanceIndex(i)) for i in range(2, count)]
+    _logger.warning(
+        "directives: no model instance is named '%s...': ground truth sees no obstacle, and "
+        "none is reported on; there are %s",
+        OBSTACLE_PREFIX,
+        ", ".join(names),
+    )
+
+
+def _recorded_perception(
+    source: RecordedClouds, config: SegmentationConfig, robot: RobotModel
+) -> RecordedPerception:
+    X_WC = _camera_pose(source)
+    try:
+        perception = RecordedPerception(
+            source.folder,
+            X_WC=X_WC,
+            config=config,
+            robot=robot,
+            period=source.period,
+            loop=source.loop,
+        )
+    except (OSError, ValueError) as error:
+        raise ScenarioError(f"perception.folder: {error}") from None
+    if X_WC is None and perception.files_without_pose:
+        # By the table alone the scene would lie somewhere else than the robot.
+        raise ScenarioError(
+            f"perception.X_WC: '{perception.files_without_pose[0]}' holds no X_WC, and the robot "
+            "must know where the camera was: give 'X_WC: {translation: [x, y, z], "
+            "rotation: !Rpy {deg: [r, p, y]}}', or 'X_WC: {}' for a cloud in the world frame"
+        )
+    return perception
+
+
+def _camera_pose(source: RecordedClouds) -> RigidTransform | None:
+    if source.X_WC is None:
+        return None
+    if source.X_WC.base_frame not in (None, "", "world"):
+        raise ScenarioError(
+            f"perception.X_WC.base_frame: '{source.X_WC.base_frame}' is not valid here; "
+            "the pose is in the world frame: leave it out"
+        )
+    try:
+        return source.X_WC.GetDeterministicValue()
+    except RuntimeError as error:
+        raise ScenarioError(f"perception.X_WC: {error}") from None
+
+
 def make_ellipsoid_descriptor(scenario: Scenario, robot_plant: RobotPlant) -> EllipsoidDescriptor:
     """The descriptor, which dilates by the robot's tool."""
     if scenario.robot is None:
         raise ScenarioError("robot: the descriptor needs a tool; this scenario has null")
     return EllipsoidDescriptor(tool_corners(robot_plant, scenario.robot))
+
+
+def _camera_config(scenario: Scenario, source: DepthCamera) -> CameraConfig:
+    return next(config for config in scenario.cameras if config.name == source.camera)
 
 
 def _intrinsics(sensor: RgbdSensor) -> CameraInfo:
@@ -194,15 +265,26 @@ def make_regressor_chain(scenario: Scenario) -> RegressorChain:
 
 
 def make_cost_ring_selector(scenario: Scenario) -> CostRingSelector:
-    """The route selection; with a robot, its workspace is a ring."""
+    """The route selection; the workspace is a ring where it is known."""
     policy = scenario.policy
     return CostRingSelector(
         scenario.task.clearance,
         period=policy.route_period,
         n_directions=policy.ring_directions,
         table_height=policy.table_height,
-        workspace=tool_down_margin if scenario.robot is not None else None,
+        workspace=tool_down_margin if _has_known_workspace(scenario.robot) else None,
     )
+
+
+def _has_known_workspace(robot: Robot | None) -> bool:
+    """Whether this is a Panda, held tool down."""
+    if robot is None:
+        return False
+    down = -float(RollPitchYaw(robot.rpy_WE).ToRotationMatrix().matrix()[2, 2])
+    known = Path(robot.model).name == _PANDA and down >= math.cos(_TOOL_DOWN_ANGLE)
+    if not known:
+        _logger.info("routes are chosen without the robot's limits: known for a Panda, tool down")
+    return known
 
 
 def make_dmp_integrator(scenario: Scenario) -> DmpIntegrator:
@@ -243,14 +325,28 @@ def make_controller(
 def make_overlay(scenario: Scenario, station: Station | None, meshcat: Meshcat) -> MeshcatOverlay:
     """What our layers think, drawn into the viewer; also dresses the scene."""
     dress_scene(meshcat)
+    planned_W = _planned_path(scenario)
     if station is None or scenario.robot is None:
-        return MeshcatOverlay(meshcat)
+        return MeshcatOverlay(meshcat, planned_W=planned_W)
     hand = station.plant.GetBodyByName(scenario.robot.hand_link, station.robot)
+    p_BE = np.asarray(scenario.robot.p_HE)
     source = scenario.perception
-    sensor = station.cameras.get(source.camera) if isinstance(source, DepthCamera) else None
+    if not isinstance(source, DepthCamera) or source.camera not in station.cameras:
+        return MeshcatOverlay(meshcat, planned_W=planned_W, body_index=hand.index(), p_BE=p_BE)
+    config = _camera_config(scenario, source)
     return MeshcatOverlay(
         meshcat,
-        camera_info=None if sensor is None else _intrinsics(sensor),
+        planned_W=planned_W,
+        camera_info=_intrinsics(station.cameras[source.camera]),
+        depth_range=(config.z_near, config.z_far),
         body_index=hand.index(),
-        p_BE=np.asarray(scenario.robot.p_HE),
+        p_BE=p_BE,
     )
+
+
+def _planned_path(scenario: Scenario) -> FloatArray | None:
+    """(T, 3) the planned motion in the world; None for the straight line."""
+    task = scenario.task
+    if not task.demonstration:
+        return None
+    return trajectory(make_dmp(scenario), task.start, task.goal).p

@@ -131,6 +131,10 @@ def robot_metrics(scenario: Scenario, q: FloatArray) -> MotionMetrics:
     Returns:
         Clearances to the obstacles; contacts with obstacles and with anything else
         that is not the robot, the table for one.
+
+    Raises:
+        ScenarioError: if the station cannot be built; for one, because an obstacle can
+            move: it is judged where the directives put it.
     """
     judge = _RobotJudge(scenario)
     contacts: dict[str, None] = {}

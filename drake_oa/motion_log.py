@@ -95,20 +95,6 @@ def pack_ellipsoids(
     return stamp, centre, rotation, axes
 
 
-def unpack_ellipsoids(log: MotionLog, row: int) -> EllipsoidSet:
-    """The set of ellipsoids observed in frame `row`."""
-    known = ~np.isnan(log.p_WO[row, :, 0])
-    ids: IntArray = np.flatnonzero(known)
-    return EllipsoidSet(
-        stamp=float(log.observation_stamp[row]),
-        p_WO=log.p_WO[row, known],
-        R_WO=log.R_WO[row, known],
-        semi_axes=log.semi_axes[row, known],
-        v_WO=np.zeros((len(ids), 3)),
-        ids=ids,
-    )
-
-
 def save_logs(path: Path, logs: dict[str, MotionLog]) -> None:
     """Writes motions into one archive; keys are "<name>/<attribute>"."""
     arrays = {

@@ -27,11 +27,7 @@ from drake_oa.point_cloud_kernels import (
 )
 from drake_oa.self_filter import PosedShapes
 from drake_oa.table_plane import PlaneFit, fit_plane
-from drake_oa.values import TablePlane
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from drake_oa.values import BoolArray, FloatArray, IntArray, TablePlane
 
 _DIRECTIONS = 64  # half-planes that bound the table's extent
 

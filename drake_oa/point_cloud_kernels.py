@@ -12,9 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from drake_oa.values import BoolArray, FloatArray, IntArray
 
 
 @njit(cache=True, error_model="numpy")

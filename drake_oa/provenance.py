@@ -16,14 +16,30 @@ def software_versions() -> tuple[str, ...]:
     return (*found, f"commit {commit}") if commit else tuple(found)
 
 
-def source_commit() -> str:
-    """Commit of the checkout this package runs from, or "" when there is none."""
-    folder = Path(__file__).resolve().parents[1]
+def source_commit(folder: Path | None = None) -> str:
+    """Commit of a checkout, or "" when there is none.
+
+    Args:
+        folder: root of the checkout; None for the one this package runs from.
+
+    Returns:
+        The short hash, with "-dirty" appended when a tracked file has changes.
+    """
+    folder = folder or Path(__file__).resolve().parents[1]
     if not (folder / ".git").exists():
         return ""
+    commit = _git(folder, "rev-parse", "--short", "HEAD")
+    if not commit:
+        return ""
+    changes = _git(folder, "status", "--porcelain", "--untracked-files=no")
+    return f"{commit}-dirty" if changes else commit
+
+
+def _git(folder: Path, *arguments: str) -> str:
+    """What git prints, or "" when it fails."""
     try:
         answer = subprocess.run(
-            ["git", "-C", str(folder), "rev-parse", "--short", "HEAD"],
+            ["git", "--no-optional-locks", "-C", str(folder), *arguments],
             capture_output=True,
             text=True,
             timeout=10,

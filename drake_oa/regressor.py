@@ -26,12 +26,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from drake_oa.regressor_kernels import clamp_rows, section_rows
-from drake_oa.values import FloatArray, Frozen
-
-BoolArray = NDArray[np.bool_]
+from drake_oa.values import BoolArray, FloatArray, Frozen
 
 TARGETS = ("kappa", "psi", "alpha")
 """The order of the chain."""
@@ -290,7 +288,7 @@ def section_extents(
 
     Args:
         p_WE: (3,) position of the end effector [m].
-        z_W: (3,) scaled velocity [m/s].
+        z_W: (3,) scaled velocity [m].
         R_WL: (3, 3) local frame, x from start to goal, z up.
         p_WO: (M, 3) centres [m].
         R_WO: (M, 3, 3) rotations, principal axes in the columns.

@@ -4,11 +4,8 @@ import math
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from drake_oa.values import FloatArray
-
-BoolArray = NDArray[np.bool_]
+from drake_oa.values import BoolArray, FloatArray
 
 _ROUNDING = 1e-12
 """By how much of L a query may be moved and still count as inside."""

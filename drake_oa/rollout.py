@@ -19,14 +19,14 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from drake_oa.dmp import Dmp, imitate, minimum_jerk, spring_flow
-from drake_oa.values import FloatArray, Frozen
+from drake_oa.values import BoolArray, FloatArray, Frozen
 
 STEPS = 1000
-"""Default number of steps a demonstrated duration; four times as many change the
-clearance of a path that converges by 0.3 mm a metre (median; it grows)."""
+"""Default number of steps a demonstrated duration; with four times as many a path that
+converges keeps 0.2 mm a metre more (median; docs/equations.md)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class PlanarRollouts(Frozen):
     clearance: FloatArray
     goal_error: FloatArray
     path_length: FloatArray
-    contact: NDArray[np.bool_]
+    contact: BoolArray
 
 
 def default_dmp() -> Dmp:

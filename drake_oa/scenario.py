@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from pydrake.common.schema import Transform
 from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load, yaml_load_typed
 from pydrake.multibody.parsing import ModelDirective
 from pydrake.systems.sensors import CameraConfig
@@ -61,12 +62,14 @@ class Task:
     # Where the tool point starts, and should end, in the world frame [m].
     start: list[float] = _vector([0.45, -0.45, 0.3], "m")
     goal: list[float] = _vector([0.45, 0.45, 0.3], "m")
-    # Duration T of the demonstrated motion; the avoiding one takes tau T [s].
+    # Duration T of the demonstrated motion; the avoiding one takes tau T [s]. Ignored
+    # where the demonstration brings its own `t`: then T is what that spans.
     duration: float = _number(5.0, "s", 0.0, 600.0, open_low=True)
     # Asked distance between tool and obstacle, Delta [m].
     clearance: float = _number(0.15, "m", 0.0, 2.0, open_low=True)
     # A demonstrated path to imitate: .npz with `path` (T, 3) and, if uneven in
-    # time, `t` (T,). Empty: minimum jerk along the straight line.
+    # time, `t` (T,) [s]; relative to the scenario file. Empty: minimum jerk along
+    # the straight line.
     demonstration: str = ""
 
 
@@ -75,7 +78,7 @@ class Policy:
     """Constants of the action and decision levels."""
 
     # Step of the movement primitive [s].
-    period: float = _number(0.005, "s", 1e-4, 0.1)
+    period: float = _number(0.008, "s", 1e-4, 0.1)
     # Transformation system: spring constants, per normalised time t / (tau T).
     alpha_x: float = _number(80.0, "1", 0.0, 1e4, open_low=True)
     beta_x: float = _number(20.0, "1", 0.0, 1e4, open_low=True)
@@ -83,7 +86,7 @@ class Policy:
     alpha_k: float = _number(math.log(100.0), "1", 0.0, 100.0, open_low=True)
     # Basis functions of the forcing term.
     n_basis: int = dc.field(default=35, metadata={"unit": "1", "low": 2, "high": 1000})
-    # Weights of the regressor chain (file or package:// URL).
+    # Weights of the regressor chain: package:// URL, or file relative to this one.
     weights: str = "package://drake_oa/weights/regressor_chain.npz"
     # How heading guidance fades near an obstacle (see docs/equations.md).
     guidance: str = _choice("counterphase", "printed")
@@ -166,6 +169,9 @@ class RecordedClouds:
 
     # Folder with .npz, .pcd or .ply files; relative to the scenario file.
     folder: str = ""
+    # Pose of the camera in the world, for files that hold none; {} is the identity,
+    # for clouds already in the world frame.
+    X_WC: Transform | None = None
     period: float = _number(1.0 / 15.0, "s", 1e-3, 10.0)
     # Whether the recording starts again when it has ended.
     loop: bool = False
@@ -194,10 +200,11 @@ class Scenario:
 
     # One line for `drake-oa scenarios`.
     description: str = ""
-    # Seed of everything random.
+    # Kept with report and log, for noise models to come: nothing random depends on it
+    # today, and the same scenario always runs the same.
     seed: int = dc.field(default=0, metadata={"unit": "1", "low": 0, "high": 2**31 - 1})
     # Step of the simulated plant and controller [s].
-    plant_step: float = _number(0.001, "s", 1e-5, 0.01)
+    plant_step: float = _number(0.002, "s", 1e-5, 0.01)
     task: Task = dc.field(default_factory=Task)
     policy: Policy = dc.field(default_factory=Policy)
     # The robot, or null: the action level drives a free point.
@@ -262,44 +269,69 @@ def parse_scenario(
 ) -> Scenario:
     """Builds a `Scenario` from YAML text; see `load_scenario`.
 
-    Relative file names in it are read as relative to `folder`.
+    Relative file names in it are relative to `folder` (None: the current directory),
+    those in overrides to the current directory.
     """
-    try:
-        _refuse_repeated_keys(yaml.compose(text, Loader=yaml.SafeLoader))
-        data = yaml_load(data=text) or {}
-    except yaml.YAMLError as error:
-        raise ScenarioError(f"not valid YAML: {error}") from None
+    data = _read_yaml(text)
+    data = {} if data is None else data
+    if not isinstance(data, dict):
+        raise ScenarioError(
+            f"expected a block of field: value, not the {type(data).__name__} {data!r}"
+        )
+    _resolve_files(data, folder or Path())
     for override in overrides:
         _apply_override(data, override)
+    _resolve_files(data, Path())
     _check(data, Scenario, "", {})
     try:
         scenario = yaml_load_typed(schema=Scenario, data=yaml_dump(data), defaults=Scenario())
     except (RuntimeError, ValueError, TypeError) as error:
         raise ScenarioError(str(error)) from None
     _check_whole(scenario)
-    _resolve_files(scenario, folder)
     return scenario
 
 
-def _refuse_repeated_keys(node: yaml.Node | None, where: str = "") -> None:
+def _read_yaml(text: str) -> Any:
+    """Plain data of a YAML text, a block's tag under the key "_tag"."""
+    try:
+        _check_nodes(yaml.compose(text, Loader=yaml.SafeLoader))
+        return yaml_load(data=text)
+    except ScenarioError:
+        raise
+    except (yaml.YAMLError, ValueError) as error:
+        raise ScenarioError(f"not valid YAML: {error}") from None
+
+
+def _check_nodes(node: yaml.Node | None, where: str = "") -> None:
+    """Refuses what would be lost, or not be understood, in plain data."""
+    if node is not None and node.tag.startswith("!") and not isinstance(node, yaml.MappingNode):
+        prefix = f"{where.rstrip('.')}: " if where else ""
+        raise ScenarioError(f"{prefix}tag {node.tag} needs a block: write '{node.tag} {{}}'")
     if isinstance(node, yaml.MappingNode):
         seen = set()
         for key, value in node.value:
+            line = key.start_mark.line + 1
+            if not key.tag.endswith((":str", ":merge")):
+                shown = f"'{key.value}'" if isinstance(key, yaml.ScalarNode) else "a block or list"
+                raise ScenarioError(f"a field's name must be text, not {shown} (line {line})")
             name = f"{where}{key.value}"
             if key.value in seen:
-                raise ScenarioError(f"'{name}' is given twice (line {key.start_mark.line + 1})")
+                raise ScenarioError(f"'{name}' is given twice (line {line})")
             seen.add(key.value)
-            _refuse_repeated_keys(value, f"{name}.")
+            _check_nodes(value, f"{name}.")
     elif isinstance(node, yaml.SequenceNode):
         for number, item in enumerate(node.value):
-            _refuse_repeated_keys(item, f"{where}{number}.")
+            _check_nodes(item, f"{where}{number}.")
 
 
 def _apply_override(data: dict[str, Any], override: str) -> None:
     key, equals, text = override.partition("=")
     if not equals or not key:
         raise ScenarioError(f"override '{override}' must have the form field.subfield=value")
-    value = yaml_load(data=f"value: {text}")["value"]
+    try:
+        value = _read_yaml(f"value: {text}")["value"]
+    except ScenarioError as error:
+        raise ScenarioError(f"override '{override}': {error}") from None
     block = data
     *parents, leaf = key.strip().split(".")
     for name in parents:
@@ -340,62 +372,84 @@ def _check(data: Any, schema: Any, where: str, metadata: Any) -> None:
         if size is not None and len(data) != size:
             raise ScenarioError(f"{where}: expected {size} numbers, not {len(data)}")
         for number, item in enumerate(data):
-            _check(item, arguments[0], f"{where}[{number}]", {})
+            _check(item, arguments[0], f"{where}[{number}]", {"unit": metadata.get("unit", "")})
+    elif schema is np.ndarray and isinstance(data, list):
+        for number, item in enumerate(data):
+            if not isinstance(item, list):
+                _check_number(item, float, f"{where}[{number}]", {})
     elif origin is dict:
-        if not isinstance(data, dict):
-            raise ScenarioError(f"{where}: expected a block of name: value, not {data!r}")
+        _check_block(data, where)
+        for name, value in data.items():
+            _check(value, arguments[1], f"{where}.{name}", {})
     elif schema in (float, int):
         _check_number(data, schema, where, metadata)
     elif schema in (bool, str):
         if not isinstance(data, schema):
             kind = "true or false" if schema is bool else "text"
             raise ScenarioError(f"{where}: expected {kind}, not {data!r}")
-    elif (known := _schema_fields(schema)) is not None and dc.is_dataclass(schema):
-        if not isinstance(data, dict):
-            raise ScenarioError(f"{where or 'scenario'}: expected a block, not {data!r}")
-        _check_keys(data, known, where)
+    elif (known := _schema_fields(schema)) is not None:
+        _check_block(data, where)
         for name, value in data.items():
-            if name != "_tag":
-                kind, extra = known[name]
-                _check(value, kind, f"{where}.{name}" if where else name, extra)
-    elif known is not None and isinstance(data, dict):
-        _check_keys(data, known, where)
+            full_name = f"{where}.{name}" if where else name
+            if name not in known:
+                raise ScenarioError(f"{full_name} is not a field; valid here: {', '.join(known)}")
+            kind, extra = known[name]
+            _check(value, kind, full_name, extra)
 
 
-def _check_keys(data: dict[str, Any], known: dict[str, Any], where: str) -> None:
-    for name in data:
-        if name != "_tag" and name not in known:
-            raise ScenarioError(
-                f"{where + '.' if where else ''}{name} is not a field; "
-                f"valid here: {', '.join(known)}"
-            )
+def _check_block(data: Any, where: str) -> None:
+    if not isinstance(data, dict):
+        raise ScenarioError(f"{where}: expected a block of name: value, not {data!r}")
+    if "_tag" in data:
+        raise ScenarioError(f"{where or 'scenario'}: takes no tag, but has {data['_tag']}")
 
 
 def _check_union(data: Any, options: tuple[Any, ...], where: str, metadata: Any) -> None:
     if type(None) in options and data is None:
         return
     choices = [option for option in options if option is not type(None)]
-    tags = [f"!{choice.__name__}" for choice in choices]
+    # Drake's templates carry their arguments in their names, but not in their tags.
+    tags = {
+        f"!{choice.__name__.partition('𝓣')[0]}": choice
+        for choice in choices
+        if _schema_fields(choice) is not None
+    }
     tag = data.get("_tag") if isinstance(data, dict) else None
-    if tag is None:
+    if tag is None or len(choices) == 1:
         _check(data, choices[0], where, metadata)
     elif tag in tags:
-        _check(data, choices[tags.index(tag)], where, metadata)
+        block = {name: value for name, value in data.items() if name != "_tag"}
+        _check(block, tags[tag], where, metadata)
     else:
         raise ScenarioError(f"{where}: tag {tag} is not one of {', '.join(tags)}")
 
 
 def _check_number(data: Any, schema: type, where: str, metadata: Any) -> None:
     valid = (int,) if schema is int else (int, float)
-    unit = metadata.get("unit", "")
+    unit = f" [{metadata['unit']}]" if metadata.get("unit") else ""
     if isinstance(data, bool) or not isinstance(data, valid):
-        kind = "a whole number" if schema is int else "a number"
-        raise ScenarioError(f"{where}: expected {kind}{f' [{unit}]' if unit else ''}, not {data!r}")
+        kind, hint = ("a whole number", "") if schema is int else ("a number", _number_form(data))
+        raise ScenarioError(f"{where}: expected {kind}{unit}, not {data!r}{hint}")
+    if not math.isfinite(data):
+        raise ScenarioError(f"{where}: must be a finite number{unit}, not {data}")
     low, high = metadata.get("low", -math.inf), metadata.get("high", math.inf)
     above = data > low if metadata.get("open_low") else data >= low
-    if not (math.isfinite(data) and above and data <= high):
+    if not (above and data <= high):
         left = "(" if metadata.get("open_low") else "["
-        raise ScenarioError(f"{where}: {data} is outside {left}{low:g}, {high:g}] [{unit}]")
+        raise ScenarioError(f"{where}: {data} is outside {left}{low:g}, {high:g}]{unit}")
+
+
+def _number_form(data: Any) -> str:
+    """How to write a number that YAML 1.1 reads as text, such as 1e-1."""
+    try:
+        value = float(data) if isinstance(data, str) else math.nan
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        return ""
+    scientific = np.format_float_scientific(value, trim="0", exp_digits=1)
+    plain = "" if "e" in repr(value) else f"{value!r} or "
+    return f", which is text in YAML; write {plain}{scientific}"
 
 
 def _check_whole(scenario: Scenario) -> None:
@@ -449,12 +503,19 @@ def segmentation_config(changes: dict[str, float], **defaults: Any) -> Segmentat
         raise ScenarioError(f"perception.segmentation: {error}; fields: {valid}") from None
 
 
-def _resolve_files(scenario: Scenario, folder: Path | None) -> None:
-    base = folder or Path()
-    if isinstance(scenario.perception, RecordedClouds):
-        scenario.perception.folder = str(base / Path(scenario.perception.folder).expanduser())
-    if scenario.task.demonstration:
-        scenario.task.demonstration = str(base / Path(scenario.task.demonstration).expanduser())
+def _resolve_files(data: dict[str, Any], base: Path) -> None:
+    """Makes relative file names absolute; URLs, and what is no text, stay."""
+    for name, field in (
+        ("perception", "folder"),
+        ("task", "demonstration"),
+        ("policy", "weights"),
+    ):
+        block = data.get(name)
+        if not isinstance(block, dict):
+            continue
+        file = block.get(field)
+        if isinstance(file, str) and file and "://" not in file:
+            block[field] = str(base.absolute() / Path(file).expanduser())
 
 
 def package_file(url_or_file: str) -> Path:

@@ -10,13 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drake_oa.point_cloud_kernels import in_shapes
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
+from drake_oa.values import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)

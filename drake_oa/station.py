@@ -12,17 +12,7 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
-from pydrake.geometry import (
-    Box,
-    Capsule,
-    Convex,
-    Cylinder,
-    Ellipsoid,
-    Mesh,
-    SceneGraph,
-    Shape,
-    Sphere,
-)
+from pydrake.geometry import SceneGraph
 from pydrake.lcm import DrakeLcm
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.parsing import (
@@ -39,6 +29,7 @@ from pydrake.multibody.tree import FixedOffsetFrame, Frame, ModelInstanceIndex
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.sensors import ApplyCameraConfig, CameraConfig, RgbdSensor
 
+from drake_oa.collision_shapes import outline_corners
 from drake_oa.scenario import Robot, Scenario, ScenarioError
 from drake_oa.values import FloatArray
 
@@ -109,26 +100,6 @@ def make_robot_plant(robot: Robot) -> RobotPlant:
     return RobotPlant(builder.Build(), plant, scene_graph, instance)
 
 
-def _shape_vertices(shape: Shape) -> tuple[FloatArray, float]:
-    """Points and a radius whose Minkowski sum encloses a shape, in its own frame."""
-    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
-    if isinstance(shape, Box):
-        return signs * (0.5 * np.asarray(shape.size())), 0.0
-    if isinstance(shape, Sphere):
-        return np.zeros((1, 3)), shape.radius()
-    if isinstance(shape, Capsule):
-        half = 0.5 * shape.length()
-        return np.array([[0.0, 0.0, -half], [0.0, 0.0, half]]), shape.radius()
-    if isinstance(shape, Cylinder):
-        half = np.array([shape.radius(), shape.radius(), 0.5 * shape.length()])
-        return signs * half, 0.0
-    if isinstance(shape, Ellipsoid):
-        return signs * np.array([shape.a(), shape.b(), shape.c()]), 0.0
-    if isinstance(shape, (Mesh, Convex)):
-        return np.asarray(shape.GetConvexHull().vertices()), 0.0
-    raise ScenarioError(f"robot.tool_links: no tool outline for a {type(shape).__name__}")
-
-
 def tool_corners(robot_plant: RobotPlant, robot: Robot) -> FloatArray:
     """Corners of the tool about E, in the world's orientation, (K, 3) [m].
 
@@ -142,7 +113,6 @@ def tool_corners(robot_plant: RobotPlant, robot: Robot) -> FloatArray:
     plant.SetPositions(context, robot_plant.instance, home_positions(robot_plant, robot))
     X_WE = robot_plant.tool_frame.CalcPoseInWorld(context)
     R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix()
-    signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
     corners = []
     for link in robot.tool_links:
         if not plant.HasBodyNamed(link, robot_plant.instance):
@@ -150,12 +120,11 @@ def tool_corners(robot_plant: RobotPlant, robot: Robot) -> FloatArray:
         body = plant.GetBodyByName(link, robot_plant.instance)
         X_EB = X_WE.inverse() @ plant.EvalBodyPoseInWorld(context, body)
         for geometry in plant.GetCollisionGeometriesForBody(body):
-            points, radius = _shape_vertices(inspector.GetShape(geometry))
-            X_BG = inspector.GetPoseInFrame(geometry)
-            p_E = (X_EB @ X_BG @ points.T).T
-            if radius > 0.0:
-                p_E = (p_E[:, None, :] + radius * signs[None]).reshape(-1, 3)
-            corners.append(p_E @ R_WE.matrix().T)
+            try:
+                p_BQ = outline_corners(inspector, geometry)
+            except ValueError as error:
+                raise ScenarioError(f"robot.tool_links: {error}") from None
+            corners.append((R_WE @ X_EB.multiply(p_BQ.T)).T)
     if not corners:
         raise ScenarioError(f"robot.tool_links: {robot.tool_links} have no collision geometry")
     return np.concatenate(corners)
@@ -219,7 +188,21 @@ def make_station(builder: DiagramBuilder, scenario: Scenario, *, render: bool = 
         for instance in map(ModelInstanceIndex, range(plant.num_model_instances()))
         if plant.GetModelInstanceName(instance).startswith(OBSTACLE_PREFIX)
     )
+    _refuse_movable(plant, obstacles)
     return Station(plant, scene_graph, robot, obstacles, cameras)
+
+
+def _refuse_movable(plant: MultibodyPlant, obstacles: tuple[ModelInstanceIndex, ...]) -> None:
+    """Metrics and ellipsoids take obstacles to stay where the directives put them."""
+    for instance in obstacles:
+        name = plant.GetModelInstanceName(instance)
+        for index in plant.GetBodyIndices(instance):
+            body = plant.get_body(index)
+            if not plant.IsAnchored(body):
+                raise ScenarioError(
+                    f"directives: link '{body.name()}' of obstacle '{name}' can move; obstacles "
+                    "must stand still: weld it to the world by an add_weld"
+                )
 
 
 def _add_camera(

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from drake_oa.ellipsoid import _cloud, _right_handed, unit_directions
+from drake_oa.ellipsoid import checked_points, right_handed, unit_directions
 from drake_oa.values import FloatArray, Frozen
 
 EXPONENT_RANGE = (0.1, 2.0)
@@ -157,7 +157,7 @@ def fit_superquadric(
         ValueError: if points are empty, not (N, 3) or not finite; if the exponents are
             out of range, the residual unknown, or minimum_semi_axis not positive.
     """
-    cloud = _cloud(points, "points")
+    cloud = checked_points(points, "points")
     low, high = EXPONENT_RANGE
     if exponents is not None and not all(low <= value <= high for value in exponents):
         raise ValueError(f"fit_superquadric: exponents {exponents} must lie in [{low}, {high}]")
@@ -167,7 +167,7 @@ def fit_superquadric(
         raise ValueError(f"fit_superquadric: minimum_semi_axis {minimum_semi_axis} is not positive")
     mean = cloud.mean(axis=0)
     _, V = np.linalg.eigh((cloud - mean).T @ (cloud - mean))
-    R = _right_handed(V[:, ::-1])
+    R = right_handed(V[:, ::-1])
     local = (cloud - mean) @ R
     box = np.ptp(local, axis=0)
     problem = _Problem(

@@ -10,12 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drake_oa.point_cloud_kernels import band_moments, on_plane, votes_for_planes
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
+from drake_oa.values import BoolArray, FloatArray
 
 _HYPOTHESES = 400
 _SCORED_POINTS = 800

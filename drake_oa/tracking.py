@@ -12,11 +12,7 @@ from numpy.typing import NDArray
 from drake_oa.clusters import connected_clusters, nearest_points, pixels_of, voxel_keys
 from drake_oa.point_cloud import Segmentation, SegmentationConfig
 from drake_oa.self_filter import PosedShapes
-from drake_oa.values import ObstacleClouds
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from drake_oa.values import FloatArray, IntArray, ObstacleClouds
 
 _NEAR = 0.03  # points this near to an old one speak for its obstacle [m]
 _JUMP = 0.1  # the farthest a centroid moves between two frames [m]

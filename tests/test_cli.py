@@ -176,6 +176,30 @@ def test_an_output_that_cannot_be_written_is_refused_before_the_run(
     assert f"cannot write {tmp_path}" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("override", "named"),
+    [
+        ("policy.weights=none.npz", "policy.weights"),
+        ("perception=!RecordedClouds {folder: /nowhere}", "perception.folder"),
+    ],
+)
+def test_what_only_the_second_motion_needs_is_missed_before_the_first(
+    override: str,
+    named: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(simulation, "simulate", lambda *_, **__: pytest.fail("it was started"))
+    assert run("run", "tabletop_box", "--set", override) == 2
+    assert named in capsys.readouterr().err
+
+
+def test_a_warning_is_given_once(caplog: pytest.LogCaptureFixture) -> None:
+    bare = ("--set", "perception=!GroundTruth {}", "--set", "directives=[]")
+    assert run("run", "tabletop_box", *bare, "--duration", "0.01") == 0
+    assert len([r for r in caplog.records if "no model instance" in r.getMessage()]) == 1
+
+
 def test_two_outputs_cannot_share_a_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

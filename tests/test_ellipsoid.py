@@ -14,7 +14,6 @@ from drake_oa.ellipsoid import (
     enclosing_ellipsoid,
     nearest,
     plane_section,
-    shadow_extents,
     shape_matrix,
     signed_distance,
     support,
@@ -421,7 +420,6 @@ def test_support_bounds_the_surface_and_is_reached(seed, e):
     touching = (n @ B) / reach[:, None]
     np.testing.assert_allclose(np.linalg.norm(touching @ R / e, axis=1), 1.0, rtol=1e-9)
     np.testing.assert_allclose(np.sum(touching * n, axis=1), reach, rtol=1e-9)
-    np.testing.assert_allclose(shadow_extents(n, R[None], e[None])[0], reach)
 
 
 # The tangent heading.

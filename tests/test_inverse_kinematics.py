@@ -80,6 +80,18 @@ def test_a_pose_out_of_reach_is_refused_with_what_is_possible(plant: MultibodyPl
     check_reachable(plant, TOOL, RigidTransform(DOWN, [0.5, 0.0, 0.2]), Q_START)
 
 
+def test_only_a_panda_is_told_the_panda_s_reach() -> None:
+    other = MultibodyPlant(0.0)
+    arm = """<robot name="other"><link name="base"/><link name="tip"/>
+        <joint name="lift" type="prismatic"><parent link="base"/><child link="tip"/>
+        <axis xyz="0 0 1"/><limit lower="0" upper="0.5" effort="1"/></joint></robot>"""
+    Parser(other).AddModelsFromString(arm, "urdf")
+    other.WeldFrames(other.world_frame(), other.GetFrameByName("base"))
+    other.Finalize()
+    with pytest.raises(ValueError, match=r"as near as 1\.500 m, to \[0\.0, 0\.0, 0\.5\]$"):
+        solve_tool_pose(other, "tip", RigidTransform([0.0, 0.0, 2.0]), np.zeros(1))
+
+
 def test_wrong_arguments_say_what_is_valid(plant: MultibodyPlant) -> None:
     X = RigidTransform(DOWN, [0.5, 0.0, 0.3])
     with pytest.raises(ValueError, match="must hold 9"):

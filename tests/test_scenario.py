@@ -1,5 +1,7 @@
 """Reading scenarios: what is valid, and what each error says."""
 
+from pathlib import Path
+
 import pytest
 
 from drake_oa.scenario import (
@@ -7,6 +9,7 @@ from drake_oa.scenario import (
     GivenEllipsoids,
     GroundTruth,
     RecordedClouds,
+    Scenario,
     ScenarioError,
     load_scenario,
     parse_scenario,
@@ -78,6 +81,25 @@ def test_override_replaces_one_field() -> None:
         ("perception: !RecordedClouds {segmentation: {voxle: 1}}", ["segmentation", "voxel"]),
         ("perception: !GivenEllipsoids {ellipsoids: [{semi_axes: [1, 0, 1]}]}", ["semi_axes"]),
         ("task: [", ["YAML"]),
+        ("[1]", ["block", "list"]),
+        ("just text", ["block", "just text"]),
+        ("{1: 2}", ["name must be text", "'1'"]),
+        ("task: {? [1, 2] : 3}", ["name must be text", "list"]),
+        ("task: {? {a: b} : 3}", ["name must be text", "block"]),
+        ("perception: !GroundTruth", ["perception", "!GroundTruth {}"]),
+        ("task: !Foo {}", ["task", "no tag", "!Foo"]),
+        ("robot: !Robot {}", ["robot", "no tag", "!Robot"]),
+        ("cameras: [3]", ["cameras[0]: expected a block"]),
+        ("cameras: [{width: abc}]", ["cameras[0].width", "whole number"]),
+        ("cameras: [{X_PB: {translation: [a, 0, 0]}}]", ["cameras[0].X_PB.translation[0]"]),
+        ("cameras: [{focal: !Fov {x: 1}}]", ["cameras[0].focal", "!Fov", "!FovDegrees"]),
+        ("directives: [{add_model: {nam: a}}]", ["directives[0].add_model.nam", "file"]),
+        (
+            "perception: !DepthCamera {segmentation: {voxel: abc}}",
+            ["perception.segmentation.voxel", "number"],
+        ),
+        ("task: {clearance: 1e-1}", ["task.clearance", "write 0.1 or 1.0e-1"]),
+        ("task: {goal: [.inf, 0, 0]}", ["task.goal[0]: must be a finite number [m], not inf"]),
     ],
 )
 def test_bad_scenario_is_refused_with_the_field_and_what_is_valid(
@@ -93,6 +115,62 @@ def test_unknown_scenario_lists_the_shipped_ones() -> None:
     with pytest.raises(ScenarioError) as error:
         load_scenario("tabletop_bok")
     assert all(name in str(error.value) for name in ["tabletop_bok", *NAMES])
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [("task.goal=[", "YAML"), ("perception=!GroundTruth", "write '!GroundTruth {}'")],
+)
+def test_an_override_that_is_no_yaml_is_named(override: str, said: str) -> None:
+    with pytest.raises(ScenarioError) as error:
+        load_scenario("tabletop_box", [override])
+    assert f"override '{override}'" in str(error.value)
+    assert said in str(error.value)
+
+
+def test_blocks_of_drake_are_read_with_their_tags() -> None:
+    scenario = parse_scenario(
+        """
+        cameras:
+        - focal: !FovDegrees {x: 58.0}
+          renderer_class: !RenderEngineVtkParams {}
+          X_PB: {translation: !GaussianVector {mean: [1, 2, 3], stddev: [0, 0, 0]}}
+        - {name: other, center_x: null, renderer_class: RenderEngineVtk}
+        """
+    )
+    assert [camera.name for camera in scenario.cameras] == ["preview_camera", "other"]
+
+
+FILES = ["perception=!RecordedClouds {folder: f}", "task.demonstration=f", "policy.weights=f"]
+
+
+def files(scenario: Scenario) -> set[str]:
+    assert isinstance(scenario.perception, RecordedClouds)
+    return {scenario.perception.folder, scenario.task.demonstration, scenario.policy.weights}
+
+
+def test_files_in_a_scenario_are_relative_to_it(tmp_path: Path) -> None:
+    path = tmp_path / "mine.scenario.yaml"
+    path.write_text(
+        "{perception: !RecordedClouds {folder: f}, task: {demonstration: f}, policy: {weights: f}}"
+    )
+    assert files(load_scenario(str(path))) == {str(tmp_path / "f")}
+
+
+def test_files_in_overrides_are_relative_to_the_current_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert files(load_scenario("tabletop_box", FILES)) == {str(tmp_path / "f")}
+
+
+def test_the_pose_of_a_recording_s_camera_is_read_and_written() -> None:
+    block = "!RecordedClouds {folder: f, X_WC: {translation: [1, 2, 3]}}"
+    scenario = parse_scenario(f"perception: {block}")
+    for one in (scenario, parse_scenario(scenario_text(scenario))):
+        assert isinstance(one.perception, RecordedClouds)
+        assert one.perception.X_WC is not None
+        assert one.perception.X_WC.translation.tolist() == [1.0, 2.0, 3.0]
 
 
 @pytest.mark.parametrize("override", ["task", "=3", "task.clearance.deep=1"])

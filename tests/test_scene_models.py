@@ -14,7 +14,7 @@ from pydrake.geometry import (
     RenderCameraCore,
     RenderEngineVtkParams,
 )
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.parsing import LoadModelDirectives, Parser, ProcessModelDirectives
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.multibody.tree import JacobianWrtVariable, ModelInstanceIndex
@@ -22,17 +22,16 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraInfo
 
 import drake_oa.models
+from drake_oa.layers import start_positions
+from drake_oa.scenario import load_scenario
+from drake_oa.station import make_robot_plant
 
 MODELS = Path(next(iter(drake_oa.models.__path__)))
 OBSTACLES = {"tabletop_box": 1, "tabletop_irregular": 4, "tabletop_clutter": 6}
 
-Q_START = np.array([-0.7401, 0.1857, 0.0143, -1.9017, -0.003, 2.0874, 0.0608, 0.02, 0.02])
-P_WS = np.array([0.45, -0.4, 0.3])
-P_WG = np.array([0.45, 0.4, 0.3])
-
 
 class Scene:
-    """A scene with the robot and the camera, and its context."""
+    """A scene with the robot and the camera, its context, and its scenario's task."""
 
     def __init__(self, name: str) -> None:
         builder = DiagramBuilder()
@@ -47,6 +46,10 @@ class Scene:
         self.diagram = builder.Build()
         self.root = self.diagram.CreateDefaultContext()
         self.context = self.plant.GetMyContextFromRoot(self.root)
+        scenario = load_scenario(name)
+        self.p_WS, self.p_WG = np.array(scenario.task.start), np.array(scenario.task.goal)
+        self.R_WE = RollPitchYaw(scenario.robot.rpy_WE).ToRotationMatrix()
+        self.q_start = start_positions(make_robot_plant(scenario.robot), scenario)
 
     @property
     def query(self) -> QueryObject:
@@ -72,14 +75,13 @@ class Scene:
         return min(d.distance for d in near if self.instance(d.id_G).startswith("obstacle_"))
 
     def inverse_kinematics(self, p_WE: np.ndarray, q: np.ndarray) -> np.ndarray:
-        """Damped Newton steps to a tool position with the tool pointing down."""
+        """Newton steps to a tool position in the orientation of the task."""
         tool, world = self.plant.GetFrameByName("panda_hand_tcp"), self.plant.world_frame()
-        R_down = RotationMatrix(np.diag([1.0, -1.0, -1.0]))
         q = q.copy()
         for _ in range(60):
             self.plant.SetPositions(self.context, q)
             X_WE = tool.CalcPoseInWorld(self.context)
-            turn = (R_down @ X_WE.rotation().inverse()).ToAngleAxis()
+            turn = (self.R_WE @ X_WE.rotation().inverse()).ToAngleAxis()
             error = np.r_[turn.angle() * turn.axis(), p_WE - X_WE.translation()]
             if np.abs(error).max() < 1e-9:
                 return q
@@ -97,10 +99,10 @@ def scene(request: pytest.FixtureRequest) -> Scene:
 
 @pytest.fixture(scope="module")
 def straight_line(scene: Scene) -> np.ndarray:
-    """Configurations (41, 9) along the straight line from start to goal, tool down."""
-    q, path = Q_START, []
+    """Configurations (41, 9) along the straight line, the tool held as in the task."""
+    q, path = scene.q_start, []
     for s in np.linspace(0.0, 1.0, 41):
-        q = scene.inverse_kinematics(P_WS + s * (P_WG - P_WS), q)
+        q = scene.inverse_kinematics(scene.p_WS + s * (scene.p_WG - scene.p_WS), q)
         path.append(q)
     return np.array(path)
 
@@ -125,14 +127,17 @@ def test_straight_line_hits_an_obstacle_and_its_ends_are_free(
 
 
 def test_straight_line_is_within_the_joint_limits(scene: Scene, straight_line: np.ndarray) -> None:
-    assert (straight_line > scene.plant.GetPositionLowerLimits()).all()
-    assert (straight_line < scene.plant.GetPositionUpperLimits()).all()
+    # The closed fingers are at theirs.
+    assert (straight_line >= scene.plant.GetPositionLowerLimits()).all()
+    assert (straight_line <= scene.plant.GetPositionUpperLimits()).all()
 
 
 def test_there_is_a_way_over_the_obstacles(scene: Scene) -> None:
-    q = Q_START
-    lift = np.array([0.0, 0.0, 0.32])
-    corners = [P_WS, P_WS + lift, P_WG + lift, P_WG]
+    q = scene.q_start
+    # Straight above the ends is out of reach: up and inward, across, and down again.
+    lift, inward = np.array([0.0, 0.0, 0.25]), (scene.p_WG - scene.p_WS) / 6.0
+    above = [scene.p_WS + inward + lift, scene.p_WG - inward + lift]
+    corners = [scene.p_WS, *above, scene.p_WG]
     for a, b in pairwise(corners):
         for s in np.linspace(0.0, 1.0, 17):
             q = scene.inverse_kinematics(a + s * (b - a), q)
@@ -140,9 +145,9 @@ def test_there_is_a_way_over_the_obstacles(scene: Scene) -> None:
 
 
 def test_obstacles_leave_room_at_start_and_goal(scene: Scene) -> None:
-    scene.plant.SetPositions(scene.context, Q_START)
-    assert scene.obstacle_distance(P_WS) > 0.25
-    assert scene.obstacle_distance(P_WG) > 0.25
+    scene.plant.SetPositions(scene.context, scene.q_start)
+    assert scene.obstacle_distance(scene.p_WS) > 0.25
+    assert scene.obstacle_distance(scene.p_WG) > 0.25
 
 
 def test_obstacles_stand_on_the_table_below_the_height_of_a_third_of_a_metre(scene: Scene) -> None:
@@ -162,7 +167,7 @@ def test_table_top_is_the_plane_z_zero(scene: Scene) -> None:
 
 
 def test_camera_sees_table_obstacle_and_robot_at_the_start(scene: Scene) -> None:
-    scene.plant.SetPositions(scene.context, Q_START)
+    scene.plant.SetPositions(scene.context, scene.q_start)
     X_WC = scene.plant.GetFrameByName("camera").CalcPoseInWorld(scene.context)
     info = CameraInfo(width=640, height=480, fov_y=np.deg2rad(45.0))
     assert np.rad2deg(info.fov_x()) == pytest.approx(58.0, abs=0.2)

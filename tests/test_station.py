@@ -116,6 +116,13 @@ def test_a_camera_on_a_frame_that_is_not_there_is_refused() -> None:
         make_station(DiagramBuilder(), scenario)
 
 
+def test_an_obstacle_that_can_move_is_refused() -> None:
+    box = "package://drake_oa/obstacles/cardboard_box.sdf"
+    override = f"directives=[{{add_model: {{name: obstacle_loose, file: '{box}'}}}}]"
+    with pytest.raises(ScenarioError, match=r"directives: .*'obstacle_loose' can move.*add_weld"):
+        station_of("tabletop_box", override)
+
+
 def test_a_station_needs_a_robot() -> None:
     with pytest.raises(ScenarioError, match="robot"):
         make_station(DiagramBuilder(), load_scenario("free_space"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -24,7 +25,7 @@ from drake_oa.cost_rings import (
 from drake_oa.dmp import local_frame
 from drake_oa.heading import desired_headings, passing_normals
 from drake_oa.passing import passing
-from drake_oa.systems.ports import read_value
+from drake_oa.systems.ports import read_value, valid_period
 from drake_oa.values import EllipsoidSet, FloatArray, PolicyState, Route, TablePlane
 
 _LATER = 1e-3
@@ -88,11 +89,15 @@ class CostRingSelector(LeafSystem):
             hysteresis: how much dearer a side may be and still be kept.
 
         Raises:
-            ValueError: if the clearance is not positive.
+            ValueError: if the clearance or the period is not finite and positive, or
+                there is no direction.
         """
         super().__init__()
-        if not clearance > 0.0:
-            raise ValueError(f"clearance must be positive [m], not {clearance}")
+        if not 0.0 < clearance < math.inf:
+            raise ValueError(f"clearance must be finite and positive [m], not {clearance}")
+        if n_directions < 1:
+            raise ValueError(f"n_directions must be at least 1, not {n_directions}")
+        period = valid_period(period)
         self._clearance = clearance
         self._n_directions = n_directions
         self._hysteresis = hysteresis

@@ -15,11 +15,9 @@ from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 from drake_oa.collision_shapes import RobotModel
 from drake_oa.point_cloud import SegmentationConfig, segment_depth
 from drake_oa.self_filter import PosedShapes
-from drake_oa.systems.perception_state import PerceptionState, log_change, valid_period
-from drake_oa.systems.ports import read_value
+from drake_oa.systems.perception_state import PerceptionState, log_change
+from drake_oa.systems.ports import read_value, valid_period
 from drake_oa.tracking import fuse
-
-_PANDA_STATES = 18
 
 
 class DepthPerception(LeafSystem):
@@ -43,8 +41,8 @@ class DepthPerception(LeafSystem):
     z forward) in the world.
 
     Port `robot_state` (optional): (num_states,) vector [q, v] of the robot [rad, m
-    and per s], whose own points are removed; without it, or without `robot`,
-    nothing is removed.
+    and per s], whose own points are removed; while it is not connected nothing is
+    removed. A system made without `robot` does not have this port.
 
     Port `obstacles_W`: ObstacleClouds in the world frame [m].
 
@@ -101,8 +99,9 @@ class DepthPerception(LeafSystem):
         period = valid_period(period)
         self._image_port = self.DeclareAbstractInputPort("depth_image", Value(ImageDepth32F()))
         self._pose_port = self.DeclareAbstractInputPort("camera_pose", Value(RigidTransform()))
-        size = _PANDA_STATES if robot is None else robot.num_states
-        self._robot_port = self.DeclareVectorInputPort("robot_state", size)
+        self._robot_port = (
+            None if robot is None else self.DeclareVectorInputPort("robot_state", robot.num_states)
+        )
         self._state = PerceptionState.declare(self)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._update)
         # The first frame is the initialization's.
@@ -130,7 +129,9 @@ class DepthPerception(LeafSystem):
         self._state.write(state, obstacles, points_W)
 
     def _posed_robot(self, context: Context) -> PosedShapes | None:
-        if self._robot is None or not self._robot_port.HasValue(context):
+        if self._robot is None or self._robot_port is None:
+            return None
+        if not self._robot_port.HasValue(context):
             return None
         robot_state: Any = self._robot_port.Eval(context)
         return self._robot.posed(robot_state)

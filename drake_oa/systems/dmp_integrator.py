@@ -11,7 +11,7 @@ from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSys
 from drake_oa.action import ActionParameters, Segment, advance, initial_segment
 from drake_oa.dmp import Dmp
 from drake_oa.regressor import CouplingParameters
-from drake_oa.systems.ports import read_value
+from drake_oa.systems.ports import read_value, valid_period
 from drake_oa.values import EllipsoidSet, FloatArray, PolicyState, Route
 
 _logger = logging.getLogger("drake_oa")
@@ -72,18 +72,18 @@ class DmpIntegrator(LeafSystem):
             parameters: how coupling terms and holds act; None: the defaults.
 
         Raises:
-            ValueError: if the start is not three finite numbers or the period is not
-                positive.
+            ValueError: if the start is not three finite numbers, the primitive does not
+                have three dimensions, or the period is not positive.
         """
         super().__init__()
         start = np.asarray(start, dtype=float)
         if start.shape != (3,) or not np.isfinite(start).all():
             raise ValueError(f"start must be 3 finite numbers [m], not {start}")
-        if not period > 0.0:
-            raise ValueError(f"period must be positive [s], not {period}")
+        if dmp.dimension != 3:
+            raise ValueError(f"dmp must have 3 dimensions, not {dmp.dimension}")
         self._dmp = dmp
         self._start = start
-        self._period = period
+        self._period = valid_period(period)
         self._parameters = parameters or ActionParameters()
 
         self._goal = self.DeclareVectorInputPort("goal", 3)

@@ -12,8 +12,8 @@ from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import Context, LeafSystem, State
 
 from drake_oa.collision_shapes import surface_points
-from drake_oa.systems.perception_state import PerceptionState, valid_period
-from drake_oa.systems.ports import read_value
+from drake_oa.systems.perception_state import PerceptionState
+from drake_oa.systems.ports import read_value, valid_period
 from drake_oa.values import FloatArray, ObstacleClouds, TablePlane
 
 
@@ -56,7 +56,7 @@ class GroundTruthPerception(LeafSystem):
             plant: finalized plant that holds the obstacles.
             inspector: of its scene graph.
             obstacles: one model instance an obstacle.
-            table: the supporting plane handed on; None for z = 0.
+            table: the supporting plane handed on; None for no table.
             points_per_geometry: about how many points sample each geometry, >= 30.
             period: time between updates [s].
 
@@ -65,7 +65,7 @@ class GroundTruthPerception(LeafSystem):
                 shape, or a period that is not positive.
         """
         super().__init__()
-        self._table = TablePlane() if table is None else table
+        self._table = table
         self._samples = tuple(
             _body_fixed_samples(plant, inspector, instance, points_per_geometry)
             for instance in obstacles

@@ -91,10 +91,3 @@ def log_change(system: LeafSystem, before: str, now: str, time: float) -> None:
         _logger.warning("%s at %.3f s: %s; the last obstacles are kept", name, time, now)
     else:
         _logger.info("%s at %.3f s: sees again", name, time)
-
-
-def valid_period(period: float) -> float:
-    """The period [s] if it is positive and finite; ValueError otherwise."""
-    if not 0.0 < period < np.inf:
-        raise ValueError(f"period must be positive and finite [s], not {period}")
-    return float(period)

@@ -1,7 +1,8 @@
-"""Reading abstract ports of Python types, which Drake connects unchecked."""
+"""Checks that systems share: abstract inputs, which Drake connects unchecked, and periods."""
 
 from __future__ import annotations
 
+import math
 from typing import TypeVar
 
 from pydrake.systems.framework import Context, InputPort, LeafSystem
@@ -23,3 +24,10 @@ def read_value(system: LeafSystem, port: InputPort, context: Context, kind: type
             f"holds a {type(value).__name__}; it must be a {kind.__name__}"
         )
     return value
+
+
+def valid_period(period: float) -> float:
+    """The period [s] if it is positive and finite; ValueError otherwise."""
+    if not 0.0 < period < math.inf:
+        raise ValueError(f"period must be positive and finite [s], not {period}")
+    return float(period)

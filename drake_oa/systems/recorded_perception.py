@@ -14,7 +14,8 @@ from pydrake.systems.framework import Context, LeafSystem, State
 from drake_oa.collision_shapes import RobotModel
 from drake_oa.point_cloud import Segmentation, SegmentationConfig, segment_depth, segment_points
 from drake_oa.recordings import RecordedFrame, read_recording
-from drake_oa.systems.perception_state import PerceptionState, log_change, valid_period
+from drake_oa.systems.perception_state import PerceptionState, log_change
+from drake_oa.systems.ports import valid_period
 from drake_oa.tracking import track
 
 
@@ -85,6 +86,11 @@ class RecordedPerception(LeafSystem):
         self._played = self.DeclareAbstractState(Value(-1))
         self.DeclareInitializationUnrestrictedUpdateEvent(self._update)
         self.DeclarePeriodicUnrestrictedUpdateEvent(self._period, self._period, self._update)
+
+    @property
+    def files_without_pose(self) -> tuple[Path, ...]:
+        """The files that do not know where the camera was, in order of time."""
+        return tuple(frame.path for frame in self._frames if frame.X_WC is None)
 
     def _update(self, context: Context, state: State) -> None:
         due, stamp = self._due(context.get_time())

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from drake_oa.regressor import ClearanceLimit
 from drake_oa.rollout import planar_rollouts
-from drake_oa.values import FloatArray, Frozen
+from drake_oa.values import BoolArray, FloatArray, Frozen
 
 Progress = Callable[[str, float], None]
 """Told the stage and the fraction of it that is done."""
@@ -99,7 +99,7 @@ class TrainingSet(Frozen):
 
     inputs: FloatArray
     targets: FloatArray
-    chosen: NDArray[np.bool_]
+    chosen: BoolArray
     limit: ClearanceLimit
     rollouts: int
 
@@ -230,7 +230,7 @@ def _choose(exploration: Exploration, grid: _Grid, clearance: float) -> tuple[fl
 
 def _solve_alpha(
     exploration: Exploration, inputs: FloatArray, pairs: FloatArray, report: Progress
-) -> tuple[FloatArray, NDArray[np.bool_], int]:
+) -> tuple[FloatArray, BoolArray, int]:
     """The weakest alpha that keeps the clearance plus margin at given (kappa, psi).
 
     Returns:

@@ -81,12 +81,30 @@ def ground_truth_run() -> MotionLog:
     return simulate(load_scenario("tabletop_box", [GROUND_TRUTH]))
 
 
-@pytest.mark.parametrize("kind", ["depth_run", "ground_truth_run"])
-def test_the_box_is_passed_with_the_asked_clearance(
-    kind: str, request: pytest.FixtureRequest
+@pytest.fixture(scope="module")
+def irregular_run() -> MotionLog:
+    return simulate(load_scenario("tabletop_irregular", [GROUND_TRUTH]))
+
+
+@pytest.fixture(scope="module")
+def clutter_run() -> MotionLog:
+    return simulate(load_scenario("tabletop_clutter", [GROUND_TRUTH]))
+
+
+@pytest.mark.parametrize(
+    ("name", "run"),
+    [
+        ("tabletop_box", "depth_run"),
+        ("tabletop_box", "ground_truth_run"),
+        ("tabletop_irregular", "irregular_run"),
+        ("tabletop_clutter", "clutter_run"),
+    ],
+)
+def test_the_obstacles_are_passed_with_the_asked_clearance(
+    name: str, run: str, request: pytest.FixtureRequest
 ) -> None:
-    log = request.getfixturevalue(kind)
-    report = motion_report(load_scenario("tabletop_box"), log)
+    log = request.getfixturevalue(run)
+    report = motion_report(load_scenario(name), log)
     assert report["stop_reason"] == "goal"
     assert report["events"] == []
     assert report["collisions"] == 0

@@ -21,8 +21,9 @@ from drake_oa import layers
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.motion_log import MotionLog
 from drake_oa.report import motion_report
-from drake_oa.scenario import ScenarioError, load_scenario, package_file
+from drake_oa.scenario import Scenario, ScenarioError, load_scenario, package_file
 from drake_oa.simulation import MotionInterruptedError, simulate
+from drake_oa.station import make_station
 from drake_oa.systems.depth_perception import DepthPerception
 from drake_oa.systems.ellipsoid_descriptor import EllipsoidDescriptor
 from drake_oa.values import EllipsoidSet, FloatArray, ObstacleClouds, PolicyState, TablePlane
@@ -453,8 +454,14 @@ def test_an_empty_recording_folder_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "content",
-    [{"path": np.zeros((5, 3))}, {"path": np.full((5, 3), np.nan)}, {"points": np.zeros(3)}],
-    ids=["does not move", "not finite", "no path"],
+    [
+        {"path": np.zeros((5, 3))},
+        {"path": np.full((5, 3), np.nan)},
+        {"points": np.zeros(3)},
+        {"path": np.eye(4)[:, :2]},
+        {"path": np.arange(5.0)},
+    ],
+    ids=["does not move", "not finite", "no path", "two dimensions", "one dimension"],
 )
 def test_a_demonstration_that_cannot_be_imitated_is_refused(
     content: dict[str, FloatArray], tmp_path: Path
@@ -462,6 +469,117 @@ def test_a_demonstration_that_cannot_be_imitated_is_refused(
     np.savez(tmp_path / "demo.npz", **content)
     with pytest.raises(ScenarioError, match=r"task\.demonstration"):
         build_avoidance(load_scenario("free_space", [f"task.demonstration={tmp_path}/demo.npz"]))
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 cut short", b"no archive"])
+def test_a_demonstration_that_is_no_archive_is_refused(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "demo.npz").write_bytes(content)
+    with pytest.raises(ScenarioError, match=r"task\.demonstration: cannot read .*demo\.npz"):
+        build_avoidance(load_scenario("free_space", [f"task.demonstration={tmp_path}/demo.npz"]))
+
+
+def test_without_a_demonstration_none_is_blamed(monkeypatch: pytest.MonkeyPatch) -> None:
+    def imitate(*_: object, **__: object) -> None:
+        raise ValueError("does not fit")
+
+    monkeypatch.setattr(layers, "imitate", imitate)
+    with pytest.raises(ScenarioError, match=r"^policy: does not fit"):
+        layers.make_dmp(load_scenario("free_space"))
+
+
+@pytest.mark.parametrize(("stamps", "duration"), [({}, 5.0), ({"t": [0.0, 1.0, 3.0]}, 3.0)])
+def test_stamps_of_a_demonstration_are_its_duration(
+    stamps: dict[str, list[float]], duration: float, tmp_path: Path
+) -> None:
+    np.savez(tmp_path / "demo.npz", path=np.eye(3), **stamps)
+    override = f"task.demonstration={tmp_path}/demo.npz"
+    assert layers.make_dmp(load_scenario("free_space", [override])).duration == duration
+
+
+def recorded(recording_folder: Path, tmp_path: Path, block: str) -> Scenario:
+    """`tabletop_box` on a recording whose camera is given by the scenario alone."""
+    with np.load(recording_folder / "cloud_0.000.npz") as archive:
+        np.savez(tmp_path / "cloud.npz", points=archive["points"])
+    block = f"perception=!RecordedClouds {{folder: {tmp_path}{block}}}"
+    return load_scenario("tabletop_box", [block])
+
+
+@pytest.mark.parametrize(
+    ("block", "said"),
+    [
+        ("", ["perception.X_WC", "cloud.npz", "X_WC: {translation"]),
+        (", X_WC: {base_frame: table}", ["perception.X_WC.base_frame", "table"]),
+        (", X_WC: {rotation: !Uniform {}}", ["perception.X_WC"]),
+    ],
+)
+def test_a_recording_from_an_unknown_place_is_refused(
+    block: str, said: list[str], recording_folder: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(ScenarioError) as error:
+        build_avoidance(recorded(recording_folder, tmp_path, block))
+    for words in said:
+        assert words in str(error.value)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.05])
+def test_a_recording_lies_where_the_scenario_says_its_camera_was(
+    shift: float, recording_folder: Path, tmp_path: Path
+) -> None:
+    block = f", X_WC: {{translation: [{shift}, 0, 0]}}"
+    log = simulate(recorded(recording_folder, tmp_path, block), duration=0.1)
+    np.testing.assert_allclose(log.p_WO[0, 0, :2], [0.45 + shift, 0.0], atol=0.03)
+
+
+# What is known of the robot, and of its world.
+
+
+@pytest.mark.parametrize(
+    ("overrides", "limited"),
+    [
+        ([], True),
+        (["robot.rpy_WE=[2.95, 0.0, 0.0]"], True),
+        (["robot.rpy_WE=[2.8, 0.0, 0.0]"], False),
+        (["robot.model=package://other/arm.urdf"], False),
+        (["robot=null", "perception=!GivenEllipsoids {}"], False),
+    ],
+)
+def test_the_limits_ring_is_that_of_a_panda_held_tool_down(
+    overrides: list[str], limited: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = {}
+    monkeypatch.setattr(layers, "CostRingSelector", lambda *_, **options: given.update(options))
+    layers.make_cost_ring_selector(load_scenario("tabletop_box", overrides))
+    assert (given["workspace"] is not None) == limited
+
+
+def test_a_world_without_obstacles_is_told(caplog: pytest.LogCaptureFixture) -> None:
+    table = "directives=[{add_directives: {file: package://drake_oa/scenes/table.dmd.yaml}}]"
+    build_avoidance(load_scenario("tabletop_box", [GROUND_TRUTH]))
+    assert not caplog.records
+    build_avoidance(load_scenario("tabletop_box", [GROUND_TRUTH, table]))
+    (record,) = caplog.records
+    assert "'obstacle...'" in record.getMessage()
+    assert "there are panda, table" in record.getMessage()
+
+
+def test_the_viewer_shows_the_motion_that_was_planned(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = {}
+    monkeypatch.setattr(layers, "dress_scene", lambda _: None)
+    monkeypatch.setattr(layers, "MeshcatOverlay", lambda _, **options: given.update(options))
+    angle = np.linspace(0.0, np.pi, 50)[:, None]
+    np.savez(tmp_path / "arc.npz", path=np.hstack([-np.cos(angle), 0.0 * angle, np.sin(angle)]))
+    scenario = load_scenario("tabletop_box", [f"task.demonstration={tmp_path}/arc.npz"])
+    scenario.cameras[0].z_near, scenario.cameras[0].z_far = 0.5, 2.5
+    station = make_station(DiagramBuilder(), scenario)
+    layers.make_overlay(scenario, station, None)
+    assert given["depth_range"] == (0.5, 2.5)
+    planned_W = given["planned_W"]
+    np.testing.assert_allclose(planned_W[0], scenario.task.start)
+    np.testing.assert_allclose(planned_W[-1], scenario.task.goal, atol=0.02)
+    # Half a circle above a baseline of 0.9 m at a height of 0.3 m.
+    assert planned_W[:, 2].max() == pytest.approx(0.75, abs=0.03)
 
 
 # The end before the end.

@@ -337,6 +337,11 @@ def test_a_port_that_is_not_connected_is_an_error():
         update(system, system.CreateDefaultContext())
 
 
+def test_only_a_system_that_knows_the_robot_has_its_port(cell):
+    assert cell.perception.GetInputPort("robot_state").size() == 2
+    assert not DepthPerception(CAMERA).HasInputPort("robot_state")
+
+
 @pytest.mark.parametrize("period", [0.0, -1.0, np.nan, np.inf])
 def test_a_period_that_is_none_is_refused(period):
     with pytest.raises(ValueError, match="period"):

@@ -79,6 +79,12 @@ def test_the_table_is_handed_on():
     assert seen(perception, context).table is table
 
 
+def test_there_is_no_table_where_none_is_given():
+    diagram, perception, context = make_scene()
+    Simulator(diagram, context).Initialize()
+    assert seen(perception, context).table is None
+
+
 def test_the_cloud_for_viewing_holds_all_points():
     diagram, perception, context = make_scene()
     Simulator(diagram, context).Initialize()

@@ -115,6 +115,12 @@ def test_a_folder_that_is_missing_is_an_error(tmp_path):
         RecordedPerception(tmp_path / "nowhere")
 
 
+def test_files_without_a_pose_are_known(folder):
+    system = RecordedPerception(folder, period=PERIOD)
+    names = [path.name for path in system.files_without_pose]
+    assert names == ["cloud_000.100.pcd", "cloud_000.300.ply"]
+
+
 def test_real_scans_every_object_is_found(scan_files, tmp_path):
     for path in scan_files:
         folder = tmp_path / path.stem
