@@ -211,10 +211,9 @@ def _camera_pose(source: RecordedClouds) -> RigidTransform | None:
             f"perception.X_WC.base_frame: '{source.X_WC.base_frame}' is not valid here; "
             "the pose is in the world frame: leave it out"
         )
-    try:
-        return source.X_WC.GetDeterministicValue()
-    except RuntimeError as error:
-        raise ScenarioError(f"perception.X_WC: {error}") from None
+    if not source.X_WC.IsDeterministic():
+        raise ScenarioError("perception.X_WC: is random; it must be the one pose the camera had")
+    return source.X_WC.GetDeterministicValue()
 
 
 def make_ellipsoid_descriptor(scenario: Scenario, robot_plant: RobotPlant) -> EllipsoidDescriptor:

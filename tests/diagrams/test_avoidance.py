@@ -23,9 +23,9 @@ GROUND_TRUTH = "perception=!GroundTruth {}"
 @pytest.mark.parametrize("modulated", [False, True])
 def test_each_shipped_scenario_runs(name: str, modulated: bool) -> None:
     scenario = load_scenario(name)
-    log = simulate(scenario, modulated=modulated, duration=0.05)
-    assert log.stop_reason == "time limit of 0.05 s"
-    assert log.duration == pytest.approx(0.05)
+    log = simulate(scenario, modulated=modulated, duration=0.048)
+    assert log.stop_reason == "time limit of 0.048 s"
+    assert log.duration == pytest.approx(0.048)
     assert log.modulated == modulated
     assert np.isfinite(log.torque).all()
     assert log.q.shape == (len(log.t), 0 if scenario.robot is None else 9)

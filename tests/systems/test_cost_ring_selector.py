@@ -168,7 +168,7 @@ def test_a_ring_of_the_wrong_shape_is_refused_by_its_name() -> None:
         prepared(system, balls((0.5, 0.0, 0.3)))
 
 
-@pytest.mark.parametrize("clearance", [0.0, -0.1, np.nan])
+@pytest.mark.parametrize("clearance", [0.0, -0.1, np.nan, np.inf])
 def test_a_clearance_that_is_not_positive_is_refused(clearance: float) -> None:
-    with pytest.raises(ValueError, match="clearance must be positive"):
+    with pytest.raises(ValueError, match="clearance must be finite and positive"):
         CostRingSelector(clearance)

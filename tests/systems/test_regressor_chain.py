@@ -74,6 +74,7 @@ def test_with_a_route_its_half_ellipses_are_regulated():
         extents=np.array([[0.1, 0.2], [0.1, 0.1]]),
         clearance=np.array([0.1, 0.0]),
         weight=np.array([0.5, 1.0]),
+        p_WG=np.array([0.8, 0.0, 0.0]),
     )
     found = evaluate(RegressorChain(weights(), 0.1), ellipsoids(2), policy(), route)
     expected = weights().parameters(route.extents, route.clearance, 0.8, route.center_W[:, 0])
