@@ -9,26 +9,21 @@ field and what would be valid, and `yaml_load_typed` builds the `Scenario`.
 # No postponed annotations here: yaml_load_typed reads the fields' types.
 import dataclasses as dc
 import math
-import types
 import typing
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from pydrake.common.schema import Transform
-from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load, yaml_load_typed
+from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load_typed
 from pydrake.multibody.parsing import ModelDirective
 from pydrake.systems.sensors import CameraConfig
 
 from drake_oa.point_cloud import SegmentationConfig
+from drake_oa.schema_check import ScenarioError, apply_override, check, read_yaml
 
 _SUFFIX = ".scenario.yaml"
-
-
-class ScenarioError(ValueError):
-    """A scenario that cannot be run: says which field, and what would be valid."""
 
 
 def _number(
@@ -272,7 +267,7 @@ def parse_scenario(
     Relative file names in it are relative to `folder` (None: the current directory),
     those in overrides to the current directory.
     """
-    data = _read_yaml(text)
+    data = read_yaml(text)
     data = {} if data is None else data
     if not isinstance(data, dict):
         raise ScenarioError(
@@ -280,176 +275,15 @@ def parse_scenario(
         )
     _resolve_files(data, folder or Path())
     for override in overrides:
-        _apply_override(data, override)
+        apply_override(data, override)
     _resolve_files(data, Path())
-    _check(data, Scenario, "", {})
+    check(data, Scenario, "", {})
     try:
         scenario = yaml_load_typed(schema=Scenario, data=yaml_dump(data), defaults=Scenario())
     except (RuntimeError, ValueError, TypeError) as error:
         raise ScenarioError(str(error)) from None
     _check_whole(scenario)
     return scenario
-
-
-def _read_yaml(text: str) -> Any:
-    """Plain data of a YAML text, a block's tag under the key "_tag"."""
-    try:
-        _check_nodes(yaml.compose(text, Loader=yaml.SafeLoader))
-        return yaml_load(data=text)
-    except ScenarioError:
-        raise
-    except (yaml.YAMLError, ValueError) as error:
-        raise ScenarioError(f"not valid YAML: {error}") from None
-
-
-def _check_nodes(node: yaml.Node | None, where: str = "") -> None:
-    """Refuses what would be lost, or not be understood, in plain data."""
-    if node is not None and node.tag.startswith("!") and not isinstance(node, yaml.MappingNode):
-        prefix = f"{where.rstrip('.')}: " if where else ""
-        raise ScenarioError(f"{prefix}tag {node.tag} needs a block: write '{node.tag} {{}}'")
-    if isinstance(node, yaml.MappingNode):
-        seen = set()
-        for key, value in node.value:
-            line = key.start_mark.line + 1
-            if not key.tag.endswith((":str", ":merge")):
-                shown = f"'{key.value}'" if isinstance(key, yaml.ScalarNode) else "a block or list"
-                raise ScenarioError(f"a field's name must be text, not {shown} (line {line})")
-            name = f"{where}{key.value}"
-            if key.value in seen:
-                raise ScenarioError(f"'{name}' is given twice (line {line})")
-            seen.add(key.value)
-            _check_nodes(value, f"{name}.")
-    elif isinstance(node, yaml.SequenceNode):
-        for number, item in enumerate(node.value):
-            _check_nodes(item, f"{where}{number}.")
-
-
-def _apply_override(data: dict[str, Any], override: str) -> None:
-    key, equals, text = override.partition("=")
-    if not equals or not key:
-        raise ScenarioError(f"override '{override}' must have the form field.subfield=value")
-    try:
-        value = _read_yaml(f"value: {text}")["value"]
-    except ScenarioError as error:
-        raise ScenarioError(f"override '{override}': {error}") from None
-    block = data
-    *parents, leaf = key.strip().split(".")
-    for name in parents:
-        child = block.get(name)
-        if child is None:
-            child = block[name] = {}
-        if not isinstance(child, dict):
-            raise ScenarioError(f"override '{override}': '{name}' is not a block")
-        block = child
-    if isinstance(value, dict) and isinstance(block.get(leaf), dict) and "_tag" not in value:
-        block[leaf] |= value
-    else:
-        block[leaf] = value
-
-
-def _schema_fields(schema: type) -> dict[str, tuple[Any, Any]] | None:
-    """Name -> (type, metadata) of a schema's fields; None where it is not one."""
-    if dc.is_dataclass(schema):
-        hints = typing.get_type_hints(schema)
-        return {item.name: (hints[item.name], item.metadata) for item in dc.fields(schema)}
-    if hasattr(schema, "__fields__"):
-        return {item.name: (item.type, {}) for item in schema.__fields__}
-    return None
-
-
-def _check(data: Any, schema: Any, where: str, metadata: Any) -> None:
-    """Holds plain YAML data against a type; raises with the field's full name."""
-    origin, arguments = typing.get_origin(schema), typing.get_args(schema)
-    if origin in (types.UnionType, typing.Union):
-        _check_union(data, arguments, where, metadata)
-    elif "choices" in metadata:
-        if data not in metadata["choices"]:
-            raise ScenarioError(f"{where}: {data!r} is not one of {', '.join(metadata['choices'])}")
-    elif origin in (list, typing.List):  # noqa: UP006
-        if not isinstance(data, list):
-            raise ScenarioError(f"{where}: expected a list, not {data!r}")
-        size = metadata.get("size")
-        if size is not None and len(data) != size:
-            raise ScenarioError(f"{where}: expected {size} numbers, not {len(data)}")
-        for number, item in enumerate(data):
-            _check(item, arguments[0], f"{where}[{number}]", {"unit": metadata.get("unit", "")})
-    elif schema is np.ndarray and isinstance(data, list):
-        for number, item in enumerate(data):
-            if not isinstance(item, list):
-                _check_number(item, float, f"{where}[{number}]", {})
-    elif origin is dict:
-        _check_block(data, where)
-        for name, value in data.items():
-            _check(value, arguments[1], f"{where}.{name}", {})
-    elif schema in (float, int):
-        _check_number(data, schema, where, metadata)
-    elif schema in (bool, str):
-        if not isinstance(data, schema):
-            kind = "true or false" if schema is bool else "text"
-            raise ScenarioError(f"{where}: expected {kind}, not {data!r}")
-    elif (known := _schema_fields(schema)) is not None:
-        _check_block(data, where)
-        for name, value in data.items():
-            full_name = f"{where}.{name}" if where else name
-            if name not in known:
-                raise ScenarioError(f"{full_name} is not a field; valid here: {', '.join(known)}")
-            kind, extra = known[name]
-            _check(value, kind, full_name, extra)
-
-
-def _check_block(data: Any, where: str) -> None:
-    if not isinstance(data, dict):
-        raise ScenarioError(f"{where}: expected a block of name: value, not {data!r}")
-    if "_tag" in data:
-        raise ScenarioError(f"{where or 'scenario'}: takes no tag, but has {data['_tag']}")
-
-
-def _check_union(data: Any, options: tuple[Any, ...], where: str, metadata: Any) -> None:
-    if type(None) in options and data is None:
-        return
-    choices = [option for option in options if option is not type(None)]
-    # Drake's templates carry their arguments in their names, but not in their tags.
-    tags = {
-        f"!{choice.__name__.partition('𝓣')[0]}": choice
-        for choice in choices
-        if _schema_fields(choice) is not None
-    }
-    tag = data.get("_tag") if isinstance(data, dict) else None
-    if tag is None or len(choices) == 1:
-        _check(data, choices[0], where, metadata)
-    elif tag in tags:
-        block = {name: value for name, value in data.items() if name != "_tag"}
-        _check(block, tags[tag], where, metadata)
-    else:
-        raise ScenarioError(f"{where}: tag {tag} is not one of {', '.join(tags)}")
-
-
-def _check_number(data: Any, schema: type, where: str, metadata: Any) -> None:
-    valid = (int,) if schema is int else (int, float)
-    unit = f" [{metadata['unit']}]" if metadata.get("unit") else ""
-    if isinstance(data, bool) or not isinstance(data, valid):
-        kind, hint = ("a whole number", "") if schema is int else ("a number", _number_form(data))
-        raise ScenarioError(f"{where}: expected {kind}{unit}, not {data!r}{hint}")
-    if not math.isfinite(data):
-        raise ScenarioError(f"{where}: must be a finite number{unit}, not {data}")
-    low, high = metadata.get("low", -math.inf), metadata.get("high", math.inf)
-    above = data > low if metadata.get("open_low") else data >= low
-    if not (above and data <= high):
-        left = "(" if metadata.get("open_low") else "["
-        raise ScenarioError(f"{where}: {data} is outside {left}{low:g}, {high:g}]{unit}")
-
-
-def _number_form(data: Any) -> str:
-    """How to write a number that YAML 1.1 reads as text, such as 1e-1."""
-    try:
-        value = float(data) if isinstance(data, str) else math.nan
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        return ""
-    scientific = np.format_float_scientific(value, trim="0", exp_digits=1)
-    plain = "" if "e" in repr(value) else f"{value!r} or "
-    return f", which is text in YAML; write {plain}{scientific}"
 
 
 def _check_whole(scenario: Scenario) -> None:

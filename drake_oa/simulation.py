@@ -13,6 +13,7 @@ from pydrake.systems.framework import Context, Diagram, EventStatus
 from pydrake.systems.primitives import VectorLogSink
 
 from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.layers import make_dmp
 from drake_oa.motion_log import MotionLog, pack_ellipsoids
 from drake_oa.provenance import software_versions
 from drake_oa.regressor import CouplingParameters
@@ -134,7 +135,7 @@ def simulate(
     """
     diagram = build_avoidance(scenario, modulated=modulated, meshcat=meshcat)
     simulator = Simulator(diagram)
-    end_time = scenario.task.duration * LONGEST_SCALING if duration is None else duration
+    end_time = make_dmp(scenario).duration * LONGEST_SCALING if duration is None else duration
     watcher = _Watcher(diagram, scenario, end_time, on_progress)
     started = time.perf_counter()
     try:

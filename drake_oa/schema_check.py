@@ -1,0 +1,187 @@
+"""Plain YAML data held against typed fields, so that an error names the field.
+
+`read_yaml` and `apply_override` make plain mappings, a block's tag under "_tag"; `check`
+compares them with dataclasses (and Drake's own schemas). A field's metadata may hold
+`unit`, `low`, `high`, `open_low`, `size` and `choices`.
+"""
+
+from __future__ import annotations
+
+import dataclasses as dc
+import math
+import types
+import typing
+from typing import Any
+
+import numpy as np
+import yaml
+from pydrake.common.yaml import yaml_load
+
+
+class ScenarioError(ValueError):
+    """A scenario that cannot be run: says which field, and what would be valid."""
+
+
+def read_yaml(text: str) -> Any:
+    """Plain data of a YAML text, a block's tag under the key "_tag"."""
+    try:
+        _check_nodes(yaml.compose(text, Loader=yaml.SafeLoader))
+        return yaml_load(data=text)
+    except ScenarioError:
+        raise
+    except (yaml.YAMLError, ValueError) as error:
+        raise ScenarioError(f"not valid YAML: {error}") from None
+
+
+def _check_nodes(node: yaml.Node | None, where: str = "") -> None:
+    """Refuses what would be lost, or not be understood, in plain data."""
+    if node is not None and node.tag.startswith("!") and not isinstance(node, yaml.MappingNode):
+        prefix = f"{where.rstrip('.')}: " if where else ""
+        raise ScenarioError(f"{prefix}tag {node.tag} needs a block: write '{node.tag} {{}}'")
+    if isinstance(node, yaml.MappingNode):
+        seen = set()
+        for key, value in node.value:
+            line = key.start_mark.line + 1
+            if not key.tag.endswith((":str", ":merge")):
+                shown = f"'{key.value}'" if isinstance(key, yaml.ScalarNode) else "a block or list"
+                raise ScenarioError(f"a field's name must be text, not {shown} (line {line})")
+            name = f"{where}{key.value}"
+            if key.value in seen:
+                raise ScenarioError(f"'{name}' is given twice (line {line})")
+            seen.add(key.value)
+            _check_nodes(value, f"{name}.")
+    elif isinstance(node, yaml.SequenceNode):
+        for number, item in enumerate(node.value):
+            _check_nodes(item, f"{where}{number}.")
+
+
+def apply_override(data: dict[str, Any], override: str) -> None:
+    """Merges "a.b=c" into plain data: c, read as YAML, replaces field b of block a.
+
+    A block without a tag is merged into the block that is there.
+    """
+    key, equals, text = override.partition("=")
+    if not equals or not key:
+        raise ScenarioError(f"override '{override}' must have the form field.subfield=value")
+    try:
+        value = read_yaml(f"value: {text}")["value"]
+    except ScenarioError as error:
+        raise ScenarioError(f"override '{override}': {error}") from None
+    block = data
+    *parents, leaf = key.strip().split(".")
+    for name in parents:
+        child = block.get(name)
+        if child is None:
+            child = block[name] = {}
+        if not isinstance(child, dict):
+            raise ScenarioError(f"override '{override}': '{name}' is not a block")
+        block = child
+    if isinstance(value, dict) and isinstance(block.get(leaf), dict) and "_tag" not in value:
+        block[leaf] |= value
+    else:
+        block[leaf] = value
+
+
+def _schema_fields(schema: type) -> dict[str, tuple[Any, Any]] | None:
+    """Name -> (type, metadata) of a schema's fields; None where it is not one."""
+    if dc.is_dataclass(schema):
+        hints = typing.get_type_hints(schema)
+        return {item.name: (hints[item.name], item.metadata) for item in dc.fields(schema)}
+    if hasattr(schema, "__fields__"):
+        return {item.name: (item.type, {}) for item in schema.__fields__}
+    return None
+
+
+def check(data: Any, schema: Any, where: str, metadata: Any) -> None:
+    """Holds plain YAML data against a type; raises with the field's full name."""
+    origin, arguments = typing.get_origin(schema), typing.get_args(schema)
+    if origin in (types.UnionType, typing.Union):
+        _check_union(data, arguments, where, metadata)
+    elif "choices" in metadata:
+        if data not in metadata["choices"]:
+            raise ScenarioError(f"{where}: {data!r} is not one of {', '.join(metadata['choices'])}")
+    elif origin in (list, typing.List):  # noqa: UP006
+        if not isinstance(data, list):
+            raise ScenarioError(f"{where}: expected a list, not {data!r}")
+        size = metadata.get("size")
+        if size is not None and len(data) != size:
+            raise ScenarioError(f"{where}: expected {size} numbers, not {len(data)}")
+        for number, item in enumerate(data):
+            check(item, arguments[0], f"{where}[{number}]", {"unit": metadata.get("unit", "")})
+    elif schema is np.ndarray and isinstance(data, list):
+        for number, item in enumerate(data):
+            if not isinstance(item, list):
+                _check_number(item, float, f"{where}[{number}]", {})
+    elif origin is dict:
+        _check_block(data, where)
+        for name, value in data.items():
+            check(value, arguments[1], f"{where}.{name}", {})
+    elif schema in (float, int):
+        _check_number(data, schema, where, metadata)
+    elif schema in (bool, str):
+        if not isinstance(data, schema):
+            kind = "true or false" if schema is bool else "text"
+            raise ScenarioError(f"{where}: expected {kind}, not {data!r}")
+    elif (known := _schema_fields(schema)) is not None:
+        _check_block(data, where)
+        for name, value in data.items():
+            full_name = f"{where}.{name}" if where else name
+            if name not in known:
+                raise ScenarioError(f"{full_name} is not a field; valid here: {', '.join(known)}")
+            kind, extra = known[name]
+            check(value, kind, full_name, extra)
+
+
+def _check_block(data: Any, where: str) -> None:
+    if not isinstance(data, dict):
+        raise ScenarioError(f"{where}: expected a block of name: value, not {data!r}")
+    if "_tag" in data:
+        raise ScenarioError(f"{where or 'scenario'}: takes no tag, but has {data['_tag']}")
+
+
+def _check_union(data: Any, options: tuple[Any, ...], where: str, metadata: Any) -> None:
+    if type(None) in options and data is None:
+        return
+    choices = [option for option in options if option is not type(None)]
+    # Drake's templates carry their arguments in their names, but not in their tags.
+    tags = {
+        f"!{choice.__name__.partition('𝓣')[0]}": choice
+        for choice in choices
+        if _schema_fields(choice) is not None
+    }
+    tag = data.get("_tag") if isinstance(data, dict) else None
+    if tag is None or len(choices) == 1:
+        check(data, choices[0], where, metadata)
+    elif tag in tags:
+        block = {name: value for name, value in data.items() if name != "_tag"}
+        check(block, tags[tag], where, metadata)
+    else:
+        raise ScenarioError(f"{where}: tag {tag} is not one of {', '.join(tags)}")
+
+
+def _check_number(data: Any, schema: type, where: str, metadata: Any) -> None:
+    valid = (int,) if schema is int else (int, float)
+    unit = f" [{metadata['unit']}]" if metadata.get("unit") else ""
+    if isinstance(data, bool) or not isinstance(data, valid):
+        kind, hint = ("a whole number", "") if schema is int else ("a number", _number_form(data))
+        raise ScenarioError(f"{where}: expected {kind}{unit}, not {data!r}{hint}")
+    if not math.isfinite(data):
+        raise ScenarioError(f"{where}: must be a finite number{unit}, not {data}")
+    low, high = metadata.get("low", -math.inf), metadata.get("high", math.inf)
+    above = data > low if metadata.get("open_low") else data >= low
+    if not (above and data <= high):
+        left = "(" if metadata.get("open_low") else "["
+        raise ScenarioError(f"{where}: {data} is outside {left}{low:g}, {high:g}]{unit}")
+
+
+def _number_form(data: Any) -> str:
+    """How to write a number that YAML 1.1 reads as text, such as 1e-1."""
+    try:
+        value = float(data) if isinstance(data, str) else math.nan
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        return ""
+    scientific = np.format_float_scientific(value, trim="0", exp_digits=1)
+    plain = "" if "e" in repr(value) else f"{value!r} or "
+    return f", which is text in YAML; write {plain}{scientific}"
