@@ -137,8 +137,8 @@ class Robot:
     rpy_WE: list[float] = _vector([math.pi, 0.0, math.pi / 2.0], "rad")
     # Seed of the inverse kinematics and posture of the null space (7 joints) [rad].
     q_seed: list[float] = _vector([-0.7401, 0.1857, 0.0143, -1.9017, -0.003, 2.0874, 0.0608], "rad")
-    # Opening of each finger [m].
-    finger_opening: float = _number(0.0, "m", 0.0, 0.04)
+    # Opening of each finger [m]. At a joint's limit the plant's steps cost more.
+    finger_opening: float = _number(0.005, "m", 0.0, 0.04)
     gains: Gains = dc.field(default_factory=Gains)
 
 

@@ -22,7 +22,6 @@ from pydrake.multibody.parsing import (
 )
 from pydrake.multibody.plant import (
     AddMultibodyPlantSceneGraph,
-    DiscreteContactApproximation,
     MultibodyPlant,
 )
 from pydrake.multibody.tree import FixedOffsetFrame, Frame, ModelInstanceIndex
@@ -170,8 +169,7 @@ def make_station(builder: DiagramBuilder, scenario: Scenario, *, render: bool = 
     if scenario.robot is None:
         raise ScenarioError("robot: a station needs a robot; this scenario has null")
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=scenario.plant_step)
-    # Cheaper steps (docs/design.md): TAMSI for SAP, and no copy of the whole state a step.
-    plant.set_discrete_contact_approximation(DiscreteContactApproximation.kTamsi)
+    # Sampled ports would copy the diagram's whole state at each step (docs/design.md).
     plant.SetUseSampledOutputPorts(False)
     robot = _add_robot(plant, scenario.robot)
     try:
