@@ -86,27 +86,9 @@ def passing(
         return Passing(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
     x = R_WL[:, 0]
     baseline = float((p_WG - p_WS) @ x)
-    B = shape_matrix(ellipsoids.R_WO, ellipsoids.semi_axes)
-    Q11 = np.einsum("i,mij,j->m", x, B, x)
-    Q12 = np.einsum("i,mij,mj->m", x, B, direction_W)
-    Q22 = np.einsum("mi,mij,mj->m", direction_W, B, direction_W)
-    height = np.sqrt(Q22)
     to_O = ellipsoids.p_WO - p_WS
     o = -np.sum(to_O * direction_W, axis=1)
-    rises = o < height
-
-    # The part's extent along x: the chord at the baseline, or the ellipse's own
-    # extreme where that lies above it.
-    level = np.clip(o, -height, height)
-    middle = Q12 / Q22 * level
-    half = np.sqrt(np.maximum((Q11 - Q12**2 / Q22) * (1.0 - level**2 / Q22), 0.0))
-    reach = np.sqrt(Q11)
-    right = np.where(Q12 / reach >= level, reach, middle + half)
-    left = np.where(-Q12 / reach >= level, -reach, middle - half)
-    above = np.maximum(-o, 0.0)
-    along = 0.5 * (right - left) * np.sqrt(1.0 + above / height)
-    extents = np.stack([along, np.where(rises, height - o, 0.0)], axis=1)
-    extents *= _enclosing_scale(Q11, Q12, Q22, o, 0.5 * (left + right), extents)[:, None]
+    middle, extents = _half_ellipses(ellipsoids, x, direction_W, o)
 
     place = np.linspace(0.0, 1.0, _SAMPLES)[:, None, None] * (p_WG - p_WS) + p_WS
     distance = signed_distance(place, ellipsoids.p_WO, ellipsoids.R_WO, ellipsoids.semi_axes)
@@ -116,8 +98,8 @@ def passing(
     feasible = np.maximum(feasible, _LEAST_CLEARANCE * clearance)
     between = (nearest > 0) & (nearest < _SAMPLES - 1)
     needed = between & (distance.min(axis=0) < feasible)
-    gap = np.where(rises, 0.0, np.maximum(distance.min(axis=0), 0.0))
-    center = np.clip(to_O @ x + 0.5 * (left + right), 0.0, baseline)
+    gap = np.where(extents[:, 1] > 0.0, 0.0, np.maximum(distance.min(axis=0), 0.0))
+    center = np.clip(to_O @ x + middle, 0.0, baseline)
     extents = np.maximum(extents, _LEAST_EXTENT * baseline)
     kept = np.where(needed, np.maximum(feasible - gap, 0.0), 0.0)
     weight = np.ones(count)
@@ -131,6 +113,36 @@ def passing(
             kept[rows] = kept[rows].max()
             weight[rows] = 1.0 / len(rows)
     return Passing(p_WS + center[:, None] * x, extents, kept, weight)
+
+
+def _half_ellipses(
+    ellipsoids: EllipsoidSet, x: FloatArray, direction_W: FloatArray, o: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Centres along x, from the obstacle's own (M,), and semi-axes (M, 2) of the half ellipses.
+
+    Where nothing rises above the baseline the second semi-axis is 0.
+    """
+    B = shape_matrix(ellipsoids.R_WO, ellipsoids.semi_axes)
+    Q11 = np.einsum("i,mij,j->m", x, B, x)
+    Q12 = np.einsum("i,mij,mj->m", x, B, direction_W)
+    Q22 = np.einsum("mi,mij,mj->m", direction_W, B, direction_W)
+    height = np.sqrt(Q22)
+    rises = o < height
+
+    # The part's extent along x: the chord at the baseline, or the ellipse's own
+    # extreme where that lies above it.
+    level = np.clip(o, -height, height)
+    middle = Q12 / Q22 * level
+    half = np.sqrt(np.maximum((Q11 - Q12**2 / Q22) * (1.0 - level**2 / Q22), 0.0))
+    reach = np.sqrt(Q11)
+    right = np.where(Q12 / reach >= level, reach, middle + half)
+    left = np.where(-Q12 / reach >= level, -reach, middle - half)
+    above = np.maximum(-o, 0.0)
+    along = 0.5 * (right - left) * np.sqrt(1.0 + above / height)
+    center = 0.5 * (left + right)
+    extents = np.stack([along, np.where(rises, height - o, 0.0)], axis=1)
+    extents *= _enclosing_scale(Q11, Q12, Q22, o, center, extents)[:, None]
+    return center, extents
 
 
 def _enclosing_scale(

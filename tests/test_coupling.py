@@ -9,12 +9,12 @@ from drake_oa.coupling import (
     CouplingTerms,
     coupling_force,
     dead_zone_free_rate,
-    euler_trajectory,
     guidance_rate,
     original_rate,
     rotate,
 )
 from drake_oa.dmp import Dmp, imitate, local_frame, minimum_jerk, step, trajectory
+from drake_oa.released_code import euler_trajectory
 
 seeds = st.integers(0, 2**32 - 1)
 finite = st.floats(allow_nan=False, allow_infinity=False)
