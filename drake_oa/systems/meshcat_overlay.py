@@ -122,6 +122,7 @@ class MeshcatOverlay(LeafSystem):
     obstacle's side is decided: the cost rings from inside to outside in the order of
     `Route.costs`, white where a direction costs nothing, in full colour (table orange,
     length green, limits grey) where it costs 1; the magenta arrow is the chosen one.
+    Rings are shown of obstacles that bend the motion only.
 
     Everything is under "/drake_oa" in the scene tree and is recorded when Meshcat
     records: a recording holds transforms and properties but no objects, so whatever
@@ -365,7 +366,9 @@ class MeshcatOverlay(LeafSystem):
         route = self._read_route(context)
         policy = read_value(self, self._policy, context, PolicyState)
         row_of = {name: row for row, name in enumerate(ellipsoids.ids.tolist())}
-        ring_row = {name: row for row, name in enumerate(route.ids.tolist())}
+        # Rings of obstacles that need no coupling would only hide the others'.
+        bends = route.clearance > 0.0 if len(route.clearance) else np.ones(len(route.ids), bool)
+        ring_row = {name: row for row, name in enumerate(route.ids.tolist()) if bends[row]}
         normals = np.tile(policy.R_WL[:, 1], (len(ellipsoids), 1))
         if len(route.normal_W) and np.array_equal(route.ids, ellipsoids.ids):
             normals = route.normal_W
