@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from drake_oa.values import FloatArray
 
 SUFFIXES = (".npz", ".pcd", ".ply")
 

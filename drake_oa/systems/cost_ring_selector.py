@@ -25,7 +25,7 @@ from drake_oa.cost_rings import (
 from drake_oa.dmp import local_frame
 from drake_oa.heading import desired_headings, passing_normals
 from drake_oa.passing import passing
-from drake_oa.systems.ports import read_value, valid_period
+from drake_oa.systems.ports import read_optional, read_value, valid_period
 from drake_oa.values import EllipsoidSet, FloatArray, PolicyState, Route, TablePlane
 
 _LATER = 1e-3
@@ -133,9 +133,7 @@ class CostRingSelector(LeafSystem):
         """Weighs the rings for a motion from p_WS to p_WG; the route without its headings."""
         ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
         R_WL = local_frame(p_WS, p_WG)
-        table = ellipsoids.table
-        if self._table.HasValue(context):
-            table = read_value(self, self._table, context, TablePlane)
+        table = read_optional(self, self._table, context, TablePlane) or ellipsoids.table
         scene = ring_scene(
             p_WS,
             p_WG,

@@ -11,7 +11,7 @@ from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSys
 from drake_oa.action import ActionParameters, Segment, advance, initial_segment
 from drake_oa.dmp import Dmp
 from drake_oa.regressor import CouplingParameters
-from drake_oa.systems.ports import read_value, valid_period
+from drake_oa.systems.ports import read_optional, valid_period
 from drake_oa.values import EllipsoidSet, FloatArray, PolicyState, Route
 
 _logger = logging.getLogger("drake_oa")
@@ -136,27 +136,13 @@ class DmpIntegrator(LeafSystem):
 
     def _step(self, context: Context, state: State) -> EventStatus:
         before = self._read_segment(context)
-        has = {
-            port: port.HasValue(context) for port in (self._ellipsoids, self._coupling, self._route)
-        }
-        ellipsoids = (
-            read_value(self, self._ellipsoids, context, EllipsoidSet)
-            if has[self._ellipsoids]
-            else None
-        )
-        coupling = (
-            read_value(self, self._coupling, context, CouplingParameters)
-            if has[self._coupling]
-            else None
-        )
-        route = read_value(self, self._route, context, Route) if has[self._route] else None
         after = advance(
             self._dmp,
             before.end,
             self._goal.Eval(context),
-            ellipsoids,
-            coupling,
-            route,
+            read_optional(self, self._ellipsoids, context, EllipsoidSet),
+            read_optional(self, self._coupling, context, CouplingParameters),
+            read_optional(self, self._route, context, Route),
             time=context.get_time(),
             step=self._period,
             parameters=self._parameters,

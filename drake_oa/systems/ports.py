@@ -26,6 +26,11 @@ def read_value(system: LeafSystem, port: InputPort, context: Context, kind: type
     return value
 
 
+def read_optional(system: LeafSystem, port: InputPort, context: Context, kind: type[T]) -> T | None:
+    """`read_value` of a port that need not be connected; None where it is not."""
+    return read_value(system, port, context, kind) if port.HasValue(context) else None
+
+
 def valid_period(period: float) -> float:
     """The period [s] if it is positive and finite; ValueError otherwise."""
     if not 0.0 < period < math.inf:

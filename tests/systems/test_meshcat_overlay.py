@@ -220,6 +220,7 @@ def test_one_cloud_is_replaced_when_clouds_are_not_recorded(meshcat):
 @pytest.mark.parametrize("points", [np.zeros((0, 3)), np.full((4, 3), np.nan)])
 def test_an_empty_cloud_is_no_fault(meshcat, points):
     simulator(meshcat, more=[("cloud", cloud_value(points))]).AdvanceTo(0.25)
+    assert meshcat.HasPath(f"{ROOT}/obstacles")
 
 
 def test_frustum_needs_camera_and_pose(meshcat):
