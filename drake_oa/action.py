@@ -1,22 +1,25 @@
 """One step of the whole action level, as the DmpIntegrator takes it.
 
 Composes the movement primitive (`drake_oa.dmp`), the coupling terms
-(`drake_oa.coupling`), temporal scaling (section IV-E of the paper) and the holds
-that keep a motion safe.
+(`drake_oa.coupling`), the headings of the guidance (`drake_oa.heading`), temporal
+scaling (section IV-E of the paper) and the holds that keep a motion safe. The step itself
+is compiled (`drake_oa.action_kernels`); what does not change from step to step is laid out
+for it beforehand, in `ActionLevel` and `Surroundings`.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from drake_oa.coupling import CouplingTerms, GuidanceForm, check_form
-from drake_oa.dmp import Dmp, Turn, local_frame
-from drake_oa.dmp import step as dmp_step
-from drake_oa.ellipsoid_kernels import first_inside
+from drake_oa import action_kernels as kernels
+from drake_oa.coupling import MAX_GUIDANCE_RATE, GuidanceForm, check_form
+from drake_oa.dmp import Dmp, local_frame
 from drake_oa.regressor import CouplingParameters
+from drake_oa.surroundings import Surroundings
 from drake_oa.values import EllipsoidSet, FloatArray, Frozen, PolicyState, Route
 
 
@@ -61,35 +64,82 @@ class Segment(Frozen):
     """The motion between two steps of the policy.
 
     Attributes:
-        state: the policy at the beginning.
-        end: the policy at the end.
-        v_WE: (3,) velocity at the beginning [m/s].
-        v_WE_end: (3,) velocity at the end [m/s].
+        motion: (46,) policy at both ends and interpolation between them, laid out as
+            `drake_oa.action_kernels` says.
+        note: empty, or why the motion is being held.
     """
 
-    state: PolicyState = field(default_factory=PolicyState)
-    end: PolicyState = field(default_factory=PolicyState)
-    v_WE: FloatArray = field(default_factory=lambda: np.zeros(3))
-    v_WE_end: FloatArray = field(default_factory=lambda: np.zeros(3))
-    _coefficients: FloatArray = field(init=False, repr=False, default_factory=lambda: np.zeros(0))
+    motion: FloatArray
+    note: str = ""
 
     def __post_init__(self) -> None:
-        length = self.end.stamp - self.state.stamp
-        p, q = self.state.p_WE, self.end.p_WE
-        acceleration = slope = np.zeros(3)
-        if length > 0.0:
-            acceleration = (self.v_WE_end - self.v_WE) / length
-            slope = (q - p) / length - 0.5 * (self.v_WE + self.v_WE_end)
-        # Rows: position, its first derivative, velocity and acceleration at the beginning.
-        coefficients = np.stack([p, self.v_WE + slope, self.v_WE, acceleration])
-        object.__setattr__(self, "_coefficients", coefficients)
-        super().__post_init__()
+        # Nobody else holds the array: no view is needed to lock it.
+        self.motion.flags.writeable = False
+
+    @staticmethod
+    def resting(state: PolicyState) -> Segment:
+        """A segment of no length: the policy at one instant."""
+        motion = np.empty(kernels.N_MOTION)
+        for begin in (0, kernels.END):
+            motion[begin : begin + 3] = state.p_WE
+            motion[begin + kernels.Z : begin + kernels.PHASE] = state.z_W
+            motion[begin + kernels.PHASE] = state.phase
+            motion[begin + kernels.SPEED] = state.speed
+            motion[begin + kernels.STAMP] = state.stamp
+        motion[kernels.TAU] = state.tau
+        motion[kernels.START : kernels.GOAL] = state.p_WS
+        motion[kernels.GOAL : kernels.FRAME] = state.p_WG
+        motion[kernels.FRAME : kernels.V] = state.R_WL.ravel()
+        v_WE = state.speed * state.z_W
+        motion[kernels.V : kernels.V_END] = motion[kernels.V_END : kernels.DRIFT] = v_WE
+        motion[kernels.DRIFT : kernels.ACCELERATION] = v_WE
+        motion[kernels.ACCELERATION :] = 0.0
+        return Segment(motion, state.note)
 
     @staticmethod
     def at_rest(p_WE: FloatArray) -> Segment:
         """A segment that stays at p_WE (3,) [m]."""
-        state = PolicyState(p_WE=p_WE, p_WS=p_WE, p_WG=p_WE)
-        return Segment(state, state)
+        return Segment.resting(PolicyState(p_WE=p_WE, p_WS=p_WE, p_WG=p_WE))
+
+    def _policy(self, begin: int) -> PolicyState:
+        motion = self.motion
+        return PolicyState(
+            p_WE=motion[begin : begin + 3],
+            z_W=motion[begin + kernels.Z : begin + kernels.PHASE],
+            phase=float(motion[begin + kernels.PHASE]),
+            tau=float(motion[kernels.TAU]),
+            p_WS=motion[kernels.START : kernels.GOAL],
+            p_WG=motion[kernels.GOAL : kernels.FRAME],
+            R_WL=motion[kernels.FRAME : kernels.V].reshape(3, 3),
+            stamp=float(motion[begin + kernels.STAMP]),
+            speed=float(motion[begin + kernels.SPEED]),
+            note=self.note,
+        )
+
+    @cached_property
+    def state(self) -> PolicyState:
+        """The policy at the beginning."""
+        return self._policy(0)
+
+    @cached_property
+    def end(self) -> PolicyState:
+        """The policy at the end."""
+        return self._policy(kernels.END)
+
+    @property
+    def phase(self) -> float:
+        """Canonical phase k at the beginning."""
+        return float(self.motion[kernels.PHASE])
+
+    @property
+    def v_WE(self) -> FloatArray:
+        """(3,) velocity at the beginning [m/s]."""
+        return self.motion[kernels.V : kernels.V_END]
+
+    @property
+    def v_WE_end(self) -> FloatArray:
+        """(3,) velocity at the end [m/s]."""
+        return self.motion[kernels.V_END : kernels.DRIFT]
 
     def interpolate(self, time: float, derivative: int) -> FloatArray:
         """Position, velocity or acceleration at a time [s] of the segment.
@@ -105,19 +155,7 @@ class Segment(Frozen):
         Returns:
             (3,) in the world frame.
         """
-        length = self.end.stamp - self.state.stamp
-        since = min(max(time - self.state.stamp, 0.0), length)
-        beyond = time - self.end.stamp if length > 0.0 else 0.0
-        if derivative == 0:
-            weights = (1.0, since, 0.0, 0.5 * since * since)
-        elif derivative == 1:
-            weights = (0.0, 0.0, 1.0, since)
-        else:
-            weights = (0.0, 0.0, 0.0, 0.0 if beyond > 0.0 else 1.0)
-        value = np.dot(weights, self._coefficients)
-        if beyond > 0.0 and derivative == 0:
-            value = value + beyond * self.v_WE_end
-        return np.asarray(value)
+        return kernels.interpolate(self.motion, float(time), derivative)
 
 
 def initial_segment(dmp: Dmp, p_WS: FloatArray, p_WG: FloatArray, time: float) -> Segment:
@@ -126,15 +164,113 @@ def initial_segment(dmp: Dmp, p_WS: FloatArray, p_WG: FloatArray, time: float) -
     Raises:
         ValueError: if start and goal coincide.
     """
-    state = PolicyState(
-        p_WE=p_WS,
-        p_WS=p_WS,
-        p_WG=p_WG,
-        R_WL=local_frame(p_WS, p_WG),
-        stamp=time,
-        speed=1.0 / dmp.duration,
+    return Segment.resting(
+        PolicyState(
+            p_WE=p_WS,
+            p_WS=p_WS,
+            p_WG=p_WG,
+            R_WL=local_frame(p_WS, p_WG),
+            stamp=time,
+            speed=1.0 / dmp.duration,
+        )
     )
-    return Segment(state, state)
+
+
+class ActionLevel:
+    """A movement primitive with its coupling terms, laid out for the kernel."""
+
+    def __init__(self, dmp: Dmp, parameters: ActionParameters) -> None:
+        """Lays out what is constant.
+
+        Args:
+            dmp: the movement primitive, of three dimensions.
+            parameters: how coupling terms and holds act.
+
+        Raises:
+            ValueError: if the primitive does not have three dimensions.
+        """
+        if dmp.dimension != 3:
+            raise ValueError(f"dmp must have 3 dimensions, not {dmp.dimension}")
+        self._constants = np.zeros(kernels.N_CONSTANTS)
+        for place, value in (
+            (kernels.ALPHA_X, dmp.alpha_x),
+            (kernels.BETA_X, dmp.beta_x),
+            (kernels.ALPHA_K, dmp.alpha_k),
+            (kernels.DURATION, dmp.duration),
+            (kernels.GUIDANCE_GAIN, parameters.guidance_gain),
+            (kernels.FADE, parameters.fade),
+            (kernels.MAX_AGE, parameters.max_observation_age),
+            (kernels.HOLD_TIME, parameters.hold_time),
+            (kernels.PRINTED, parameters.guidance == "printed"),
+            (kernels.MAX_RATE, MAX_GUIDANCE_RATE),
+        ):
+            self._constants[place] = value
+        self._basis = np.vstack([dmp.centers, dmp.widths, dmp.weights])
+
+    def step(
+        self,
+        before: Segment,
+        p_WG: FloatArray,
+        around: Surroundings,
+        time: float,
+        step: float,
+        count: int = 1,
+    ) -> Segment:
+        """Takes a step of the policy, or several, from the end of a segment.
+
+        Args:
+            before: where it is.
+            p_WG: (3,) the goal now [m].
+            around: what it goes by in all of the steps.
+            time: now [s].
+            step: length of a step [s].
+            count: how many steps.
+
+        Returns:
+            The motion in the last of the steps.
+
+        Raises:
+            ValueError: see `advance`; or if there is no step to take.
+        """
+        if count < 1:
+            raise ValueError(f"count must be at least 1, not {count}")
+        gx, gy, gz = p_WG.tolist()
+        motion = np.empty(kernels.N_MOTION)
+        code = kernels.take_steps(
+            before.motion,
+            gx,
+            gy,
+            gz,
+            self._constants,
+            self._basis,
+            around.facts,
+            around.parameters,
+            around.clearance,
+            around.blocks,
+            around.R_WO,
+            around.B,
+            time,
+            step,
+            count,
+            motion,
+        )
+        if code < 0:
+            if code == kernels.GOAL_MOVED:
+                return self.step(_toward(before, p_WG), p_WG, around, time, step, count)
+            raise ValueError(
+                f"a step of {step} s at {before.motion[kernels.END + kernels.SPEED]} 1/s is not "
+                "finite and at least 0 in normalised time"
+            )
+        return Segment(motion, around.reason(code) if code else "")
+
+
+def _toward(before: Segment, p_WG: FloatArray) -> Segment:
+    """The same segment, from the same start to another goal."""
+    motion = before.motion.copy()
+    frame = local_frame(motion[kernels.START : kernels.GOAL], p_WG)
+    motion[kernels.GOAL : kernels.FRAME] = p_WG
+    motion[kernels.FRAME : kernels.V] = frame.ravel()
+    return Segment(motion, before.note)
 
 
 def hold_reason(
@@ -149,22 +285,19 @@ def hold_reason(
 
     It is held while nothing has been observed yet or the observation is too old;
     while the tool is inside an obstacle's ellipsoid, or the goal is; and while the
-    rings forbid every side of an obstacle.
+    rings forbid every side of an obstacle, or no motion that clears it was found.
     """
-    if ellipsoids is None:
-        return ""
-    if ellipsoids.stamp == -math.inf:
-        return "no observation yet" + (f" ({ellipsoids.note})" if ellipsoids.note else "")
-    if time - ellipsoids.stamp > max_observation_age:
-        cause = f" ({ellipsoids.note})" if ellipsoids.note else ""
-        return f"obstacles not seen since t = {ellipsoids.stamp:.2f} s{cause}"
-    if route is not None and route.note:
-        return route.note
-    for place, p in (("tool", state.p_WE), ("goal", state.p_WG)):
-        row = first_inside(p, ellipsoids.p_WO, ellipsoids.R_WO, ellipsoids.semi_axes)
-        if row >= 0:
-            return f"{place} inside obstacle {ellipsoids.ids[row]}"
-    return ""
+    around = Surroundings.of(ellipsoids, None, route)
+    code = kernels.hold_code(
+        np.array(state.p_WE, dtype=float),
+        np.array(state.p_WG, dtype=float),
+        around.facts,
+        around.blocks,
+        around.R_WO,
+        float(time),
+        max_observation_age,
+    )
+    return around.reason(code)
 
 
 def advance(
@@ -186,8 +319,11 @@ def advance(
         state: where it is.
         p_WG: (3,) the goal now [m].
         ellipsoids: the M obstacles; None: there is no perception, and no coupling.
-        coupling: parameters of the coupling terms, M rows; None: no coupling.
-        route: headings of the guidance terms, M rows; None: no guidance.
+        coupling: parameters of the coupling terms, M rows; None: no coupling. Normals
+            and tau that it gives go before the route's, and a note of its holds the motion.
+        route: sides to pass on, M rows; None: no guidance. The guidance leads along its
+            headings, or where it has none, along those that pass on its sides from
+            where the policy is (`drake_oa.heading`).
         time: now [s].
         step: length of the step [s].
         parameters: how coupling terms and holds act.
@@ -196,73 +332,12 @@ def advance(
         The motion until time + step.
 
     Raises:
-        ValueError: if coupling or route do not have one row an ellipsoid, or the goal
-            has come to lie on the start.
+        ValueError: if coupling or route do not have one row an ellipsoid, the goal
+            has come to lie on the start, or the step is negative or not finite.
     """
-    if (p_WG != state.p_WG).any():
-        state = replace(state, p_WG=p_WG, R_WL=local_frame(state.p_WS, p_WG))
-    note = hold_reason(
-        state,
-        ellipsoids,
-        route,
-        time=time,
-        max_observation_age=parameters.max_observation_age,
-    )
-    baseline = state.baseline
-    tau = state.tau if route is None else max(1.0, route.path_length / baseline)
-    speed = _ramp(state.speed, 0.0 if note else 1.0 / (tau * dmp.duration), step, dmp, parameters)
-    begin = replace(state, tau=tau, stamp=time, note=note)
-    p_WE, z_W, phase = dmp_step(
-        dmp,
-        state.p_WE,
-        state.z_W,
-        state.phase,
-        0.5 * (state.speed + speed) * step,
-        p_WG,
-        frame=state.R_WL,
-        baseline=baseline,
-        turn=_turn(begin, ellipsoids, coupling, route, parameters),
-    )
-    end = replace(begin, p_WE=p_WE, z_W=z_W, phase=phase, speed=speed, stamp=time + step)
-    return Segment(begin, end, state.speed * state.z_W, speed * z_W)
-
-
-def _ramp(
-    speed: float, target: float, step: float, dmp: Dmp, parameters: ActionParameters
-) -> float:
-    """ds/dt, led toward its target at no more than 1 / (T hold_time) a second."""
-    most = step / (dmp.duration * parameters.hold_time)
-    return speed + min(max(target - speed, -most), most)
-
-
-def _turn(
-    state: PolicyState,
-    ellipsoids: EllipsoidSet | None,
-    coupling: CouplingParameters | None,
-    route: Route | None,
-    parameters: ActionParameters,
-) -> Turn | None:
-    if ellipsoids is None or len(ellipsoids) == 0 or coupling is None:
-        return None
-    count = len(ellipsoids)
-    for name, rows in (
-        ("coupling_parameters", len(coupling)),
-        ("route", count if route is None else len(route.heading_W)),
-    ):
-        if rows != count:
-            raise ValueError(f"{name} has {rows} rows; there are {count} ellipsoids")
-    terms = coupling.as_array()
-    terms[:, 0] *= goal_fade(state, parameters.fade)
-    about_route = len(coupling.center_W) > 0
-    return CouplingTerms(
-        p_WO=coupling.center_W if about_route else ellipsoids.p_WO,
-        parameters=terms,
-        heading_W=None if route is None else route.heading_W,
-        normal_W=None if route is None else route.normal_W,
-        guidance_alpha=np.minimum(terms[:, 0], parameters.guidance_gain),
-        form=parameters.guidance,
-        in_plane=about_route,
-    ).turn
+    level = ActionLevel(dmp, parameters)
+    around = Surroundings.of(ellipsoids, coupling, route)
+    return level.step(Segment.resting(state), p_WG, around, float(time), float(step))
 
 
 def goal_fade(state: PolicyState, fade: float) -> float:
@@ -272,5 +347,4 @@ def goal_fade(state: PolicyState, fade: float) -> float:
     logarithm, hence the steep power.
     """
     to_G = state.p_WG - state.p_WE
-    reach = fade * state.baseline
-    return min(1.0, float(to_G @ to_G) / reach**2) ** 2 if reach > 0.0 else 1.0
+    return kernels.goal_fade(float(to_G @ to_G), state.baseline, float(fade))

@@ -28,7 +28,7 @@ from scipy.interpolate import make_interp_spline
 from drake_oa.coupling import rotate
 from drake_oa.values import FloatArray, Frozen
 
-ALPHA_X = 80.0
+ALPHA_X = 48.0
 """Default spring constant alpha_x, per normalised time."""
 BETA_X = ALPHA_X / 4.0
 """Default spring constant beta_x: critical damping."""

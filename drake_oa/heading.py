@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from drake_oa.ellipsoid import shape_matrix, tangent_heading
+from drake_oa.ellipsoid import shape_matrix
+from drake_oa.ellipsoid_kernels import tangent_headings
 from drake_oa.values import EllipsoidSet, FloatArray, PolicyState
 
 
@@ -62,89 +63,123 @@ def desired_headings(
     Returns:
         (M, 3) unit headings or zero rows, in the world frame.
     """
-    if len(ellipsoids) == 0:
-        return np.zeros((0, 3))
-    share = wrong_sides(
-        policy.p_WE,
-        policy.z_W,
-        policy.p_WG,
-        policy.R_WL,
-        center_W,
-        normal_W,
-        clearance,
-        ellipsoids.p_WO,
-        ellipsoids.R_WO,
-        ellipsoids.semi_axes,
-    )
-    if not share.any():
-        return np.zeros(normal_W.shape)
-    speed = float(np.sqrt(policy.z_W @ policy.z_W))
-    u = policy.z_W / speed if speed > 0.0 else policy.R_WL[:, 0]
-    tangent, _, _ = tangent_heading(
-        policy.p_WE,
-        ellipsoids.p_WO,
+    heading_W = np.zeros((len(ellipsoids), 3))
+    # Copies, so that the kernel is compiled for one kind of array.
+    guide(
+        np.array(policy.p_WE, dtype=float),
+        np.array(policy.z_W, dtype=float),
+        np.array(policy.p_WG, dtype=float),
+        np.array(policy.R_WL, dtype=float).ravel(),
+        np.array(center_W, dtype=float),
+        np.array(normal_W, dtype=float),
+        np.array(direction_W, dtype=float),
+        np.array(clearance, dtype=float),
+        np.array(ellipsoids.p_WO, dtype=float),
+        np.array(ellipsoids.R_WO, dtype=float),
+        np.array(ellipsoids.semi_axes, dtype=float),
         shape_matrix(ellipsoids.R_WO, ellipsoids.semi_axes),
-        direction_W,
-        clearance,
+        heading_W,
     )
-    heading = u + share[:, None] * (tangent - u)
-    length = np.sqrt(np.sum(heading * heading, axis=1))
-    usable = (share > 0.0) & (length > 0.0)
-    return np.where(usable[:, None], heading / np.where(usable, length, 1.0)[:, None], 0.0)
+    return heading_W
 
 
 @njit(cache=True, error_model="numpy")
-def wrong_sides(
+def guide(
     p_WE: FloatArray,
     z_W: FloatArray,
     p_WG: FloatArray,
     R_WL: FloatArray,
     center_W: FloatArray,
     normal_W: FloatArray,
+    direction_W: FloatArray,
     clearance: FloatArray,
     p_WO: FloatArray,
     R_WO: FloatArray,
     semi_axes: FloatArray,
-) -> FloatArray:
-    """How far each obstacle's guidance has gone over from u to the supporting heading, (M,).
+    B: FloatArray,
+    heading_W: FloatArray,
+) -> None:
+    """Sets the rows of heading_W (M, 3) that need guidance, see `desired_headings`.
 
-    0 where none is needed: the motion leans to the chosen side, the obstacle has no
-    clearance to keep, or the ray along u does not enter the ellipsoid grown by it before
-    it comes to the goal. At rest u is the baseline: the motion is about to set out along it.
+    At rest the heading u is the baseline: the motion is about to set out along it.
+
+    Args:
+        p_WE, z_W, p_WG: (3,) of the policy.
+        R_WL: (9,) its local frame, row by row.
+        center_W, normal_W, direction_W, clearance: as in `desired_headings`.
+        p_WO, R_WO, semi_axes, B: the ellipsoids, and their shape matrices (M, 3, 3).
+        heading_W: (M, 3) what is set.
     """
-    u = z_W.copy()
-    speed = np.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
+    u = np.empty(3)
+    speed = np.sqrt(z_W[0] ** 2 + z_W[1] ** 2 + z_W[2] ** 2)
+    distance_G = 0.0
     for k in range(3):
-        u[k] = u[k] / speed if speed > 0.0 else R_WL[k, 0]
-    to_G = p_WG - p_WE
-    distance_G = np.sqrt(to_G[0] ** 2 + to_G[1] ** 2 + to_G[2] ** 2)
-    share = np.zeros(len(center_W))
+        u[k] = z_W[k] / speed if speed > 0.0 else R_WL[3 * k]
+        distance_G += (p_WG[k] - p_WE[k]) ** 2
+    distance_G = np.sqrt(distance_G)
     for row in range(len(center_W)):
-        e = center_W[row] - p_WE
-        plane = np.array(
-            (e[1] * u[2] - e[2] * u[1], e[2] * u[0] - e[0] * u[2], e[0] * u[1] - e[1] * u[0])
+        if not clearance[row] > 0.0:
+            continue
+        share = _wrong_side(p_WE, u, center_W[row], normal_W[row])
+        if share == 0.0:
+            continue
+        entry = _ray_entry(p_WE, u, p_WO[row], R_WO[row], semi_axes[row], clearance[row])
+        if not entry < distance_G:
+            continue
+        one = slice(row, row + 1)
+        tangent = np.empty((1, 3))
+        tangent_headings(
+            p_WE,
+            p_WO[one],
+            B[one],
+            direction_W[one],
+            clearance[one],
+            np.empty((7, 3)),
+            tangent,
+            np.empty(1),
+            np.empty((1, 3)),
         )
-        size = np.sqrt(plane[0] ** 2 + plane[1] ** 2 + plane[2] ** 2)
-        lean = 0.0
+        size = 0.0
         for k in range(3):
-            lean -= plane[k] * normal_W[row, k]
-        if clearance[row] > 0.0 and lean > 1e-9 * size:
-            axes = semi_axes[row] + clearance[row]
-            if _ray_entry(p_WE - p_WO[row], u, R_WO[row], axes) < distance_G:
-                share[row] = min(2.0 * lean / size, 1.0)
-    return share
+            tangent[0, k] = u[k] + share * (tangent[0, k] - u[k])
+            size += tangent[0, k] ** 2
+        size = np.sqrt(size)
+        if size > 0.0:
+            for k in range(3):
+                heading_W[row, k] = tangent[0, k] / size
 
 
 @njit(cache=True, error_model="numpy")
-def _ray_entry(p_OE: FloatArray, u: FloatArray, R: FloatArray, axes: FloatArray) -> float:
-    """How far along u the ray from E meets an ellipsoid; inf where it misses it."""
+def _wrong_side(p_WE: FloatArray, u: FloatArray, center: FloatArray, normal: FloatArray) -> float:
+    """How far the guidance has gone over from u to the supporting heading, 0 to 1."""
+    e0, e1, e2 = center[0] - p_WE[0], center[1] - p_WE[1], center[2] - p_WE[2]
+    x, y, z = e1 * u[2] - e2 * u[1], e2 * u[0] - e0 * u[2], e0 * u[1] - e1 * u[0]
+    size = np.sqrt(x * x + y * y + z * z)
+    # Straight at the centre: the turn about the normal goes to the chosen side by itself.
+    if size <= 1e-9 * np.sqrt(e0 * e0 + e1 * e1 + e2 * e2):
+        return 0.0
+    lean = -(x * normal[0] + y * normal[1] + z * normal[2])
+    return min(2.0 * lean / size, 1.0) if lean > 1e-9 * size else 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _ray_entry(
+    p_WE: FloatArray,
+    u: FloatArray,
+    center: FloatArray,
+    R: FloatArray,
+    semi_axes: FloatArray,
+    clearance: float,
+) -> float:
+    """How far along u the ray from E meets a grown ellipsoid; inf where it misses it."""
     a, b, c = 0.0, 0.0, -1.0
     for axis in range(3):
         p, w = 0.0, 0.0
         for k in range(3):
-            p += R[k, axis] * p_OE[k]
+            p += R[k, axis] * (p_WE[k] - center[k])
             w += R[k, axis] * u[k]
-        p, w = p / axes[axis], w / axes[axis]
+        length = semi_axes[axis] + clearance
+        p, w = p / length, w / length
         a += w * w
         b += p * w
         c += p * p

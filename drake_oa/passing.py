@@ -178,8 +178,8 @@ def _cleared_by_another(
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.minimum(before[:, None] / before, after[:, None] / after)
     height = np.nan_to_num(share, nan=0.0, posinf=0.0) * peak
-    # Of two equal ones the first stays.
-    below = height >= peak[:, None]
+    # Of two equal ones the first stays, whatever the rounding.
+    below = height >= peak[:, None] * (1.0 - 1e-9)
     np.fill_diagonal(below, False)
     return np.asarray((below & ~(below.T & np.tri(len(peak), k=-1, dtype=bool).T)).any(axis=1))
 

@@ -168,7 +168,8 @@ class Route(Frozen):
 
     Attributes:
         heading_W: (M, 3) desired unit heading v_d for each obstacle; a zero row
-            where the present heading needs no guidance.
+            where the present heading needs no guidance. (0, 3): it follows the motion,
+            and is found from the other fields at each step.
         direction_W: (M, 3) chosen direction omega_d on the local YZ circle, as a
             unit vector in the world frame.
         normal_W: (M, 3) unit normal x_L x omega_d of the plane in which each obstacle

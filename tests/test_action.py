@@ -2,15 +2,18 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
+from drake_oa import action_kernels as kernels
 from drake_oa.action import (
+    ActionLevel,
     ActionParameters,
     Segment,
     advance,
@@ -21,7 +24,9 @@ from drake_oa.action import (
 from drake_oa.coupling import CouplingTerms
 from drake_oa.dmp import Dmp, imitate, local_frame, minimum_jerk, spring_flow
 from drake_oa.dmp import step as dmp_step
+from drake_oa.heading import desired_headings, passing_normals
 from drake_oa.regressor import CouplingParameters
+from drake_oa.surroundings import Surroundings
 from drake_oa.values import EllipsoidSet, FloatArray, PolicyState, Route
 
 START, GOAL = np.zeros(3), np.array([1.0, 0.0, 0.0])
@@ -374,3 +379,176 @@ def test_heading_exactly_at_the_centre_turns_about_the_positive_normal(
     places, _ = roll_out(terms, DMP)
     assert (places @ direction).max() > 0.02
     assert (places @ direction).min() > -1e-9
+
+
+# The compiled step against the readable one.
+
+
+def random_scene(
+    seed: int, guided: bool, about_route: bool
+) -> tuple[PolicyState, EllipsoidSet, CouplingParameters, Route]:
+    """A policy under way among up to six obstacles, their parameters and the sides to pass."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(1, 7))
+    along = rng.uniform(0.0, 1.0, count)[:, None] * GOAL
+    state = PolicyState(
+        p_WE=rng.uniform(0.0, 0.9) * GOAL + rng.normal(scale=0.05, size=3),
+        z_W=rng.normal(size=3) * rng.integers(0, 2),
+        phase=rng.uniform(0.01, 1.0),
+        p_WS=START,
+        p_WG=GOAL,
+        speed=rng.uniform(0.1, 0.5),
+    )
+    ellipsoids = EllipsoidSet(
+        stamp=0.0,
+        p_WO=along + rng.normal(scale=0.1, size=(count, 3)),
+        R_WO=Rotation.random(count, random_state=seed).as_matrix(),
+        semi_axes=rng.uniform(0.02, 0.1, size=(count, 3)),
+        ids=np.arange(count),
+    )
+    angles = rng.uniform(0.0, 6.28, count)
+    direction = np.stack([np.zeros(count), np.cos(angles), np.sin(angles)], axis=1)
+    route = Route(
+        direction_W=direction,
+        normal_W=passing_normals(direction, np.eye(3)),
+        center_W=along,
+        clearance=rng.uniform(0.05, 0.2, count) if guided else np.zeros(count),
+        path_length=1.2,
+    )
+    parameters = CouplingParameters(
+        np.exp(rng.uniform(-3.0, 10.0, count)),
+        rng.uniform(0.2, 1.5, count),
+        np.exp(rng.uniform(-2.0, 5.0, count)),
+        np.ones(count, dtype=bool),
+        along if about_route else np.zeros((0, 3)),
+    )
+    return state, ellipsoids, parameters, route
+
+
+def step_of(
+    state: PolicyState, ellipsoids: EllipsoidSet, coupled: CouplingParameters, route: Route
+) -> Segment:
+    return advance(
+        DMP, state, GOAL, ellipsoids, coupled, route, time=0.0, step=STEP, parameters=PARAMETERS
+    )
+
+
+@given(seed=st.integers(0, 2**32 - 1), guided=st.booleans(), about_route=st.booleans())
+@settings(max_examples=60)
+def test_the_compiled_step_is_the_readable_one(seed: int, guided: bool, about_route: bool) -> None:
+    state, ellipsoids, coupled, route = random_scene(seed, guided, about_route)
+    after = step_of(state, ellipsoids, coupled, route)
+    alpha = goal_fade(state, PARAMETERS.fade) * coupled.alpha
+    terms = CouplingTerms(
+        p_WO=route.center_W if about_route else ellipsoids.p_WO,
+        parameters=np.column_stack([alpha, coupled.psi, coupled.kappa]),
+        heading_W=desired_headings(
+            state, ellipsoids, route.direction_W, route.normal_W, route.center_W, route.clearance
+        ),
+        normal_W=route.normal_W,
+        guidance_alpha=np.minimum(alpha, PARAMETERS.guidance_gain),
+        in_plane=about_route,
+    )
+    ds = 0.5 * (state.speed + after.end.speed) * STEP
+    begin = (state.p_WE, state.z_W, state.phase)
+    p_WE, z_W, phase = dmp_step(
+        DMP, *begin, ds, GOAL, frame=np.eye(3), baseline=1.0, turn=terms.turn
+    )
+    np.testing.assert_allclose(after.end.p_WE, p_WE, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(after.end.z_W, z_W, rtol=0.0, atol=1e-9)
+    assert after.end.phase == pytest.approx(phase, abs=1e-12)
+    np.testing.assert_array_equal(after.v_WE, state.speed * state.z_W)
+    assert after.state.tau == pytest.approx(1.2)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=20)
+def test_a_decision_leads_as_the_headings_made_from_it_do(seed: int) -> None:
+    state, ellipsoids, coupled, route = random_scene(seed, True, True)
+    heading = desired_headings(
+        state, ellipsoids, route.direction_W, route.normal_W, route.center_W, route.clearance
+    )
+    followed = step_of(state, ellipsoids, coupled, route)
+    given_ = step_of(state, ellipsoids, coupled, replace(route, heading_W=heading))
+    np.testing.assert_array_equal(followed.end.z_W, given_.end.z_W)
+
+
+def test_several_steps_at_once_are_the_same_as_one_after_the_other() -> None:
+    level = ActionLevel(DMP, PARAMETERS)
+    around = Surroundings.of(one_ellipsoid(), coupling(), None)
+    begin = segment = initial_segment(DMP, START, GOAL, 0.0)
+    for _ in range(50):
+        segment = level.step(segment, GOAL, around, segment.end.stamp, STEP)
+    at_once = level.step(begin, GOAL, around, 0.0, STEP, 50)
+    np.testing.assert_array_equal(at_once.motion, segment.motion)
+    with pytest.raises(ValueError, match="count must be at least 1"):
+        level.step(begin, GOAL, around, 0.0, STEP, 0)
+
+
+def test_a_state_is_laid_out_and_read_back_unchanged() -> None:
+    state = replace(random_scene(3, True, True)[0], note="held", tau=1.5, stamp=2.0)
+    for read in (Segment.resting(state).state, Segment.resting(state).end):
+        for item in fields(PolicyState):
+            np.testing.assert_array_equal(getattr(read, item.name), getattr(state, item.name))
+
+
+@pytest.mark.parametrize("weights", [DMP.weights, UNFORCED.weights])
+def test_the_compiled_forcing_is_the_readable_one(weights: FloatArray) -> None:
+    dmp = replace(DMP, weights=weights)
+    basis = np.vstack([dmp.centers, dmp.widths, dmp.weights])
+    # Beyond the last centre the basis functions underflow.
+    narrow = replace(dmp, widths=1e4 * dmp.widths)
+    sharp = np.vstack([narrow.centers, narrow.widths, narrow.weights])
+    for k in (1.0, 0.5, 0.011, 1e-3, 0.0):
+        np.testing.assert_allclose(kernels.forcing(basis, k), dmp.forcing(k), rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(kernels.forcing(sharp, k), narrow.forcing(k), rtol=1e-9)
+
+
+@pytest.mark.parametrize(("alpha_x", "beta_x"), [(80.0, 20.0), (10.0, 50.0), (50.0, 1.0)])
+def test_the_compiled_spring_is_the_readable_one(alpha_x: float, beta_x: float) -> None:
+    for h in (0.0, 1e-3, 0.3):
+        np.testing.assert_allclose(
+            kernels.spring_flow(alpha_x, beta_x, h), spring_flow(alpha_x, beta_x, h), rtol=1e-12
+        )
+
+
+# What the regulation may give beside its parameters.
+
+
+def test_given_normals_go_before_the_route_and_end_its_guidance() -> None:
+    state, ellipsoids, coupled, route = random_scene(8, True, True)
+    other = -route.normal_W
+    unguided = replace(route, normal_W=other, clearance=np.zeros(len(other)))
+    expected = step_of(state, ellipsoids, coupled, unguided).end.z_W
+    found = step_of(state, ellipsoids, replace(coupled, normal_W=other), route).end.z_W
+    np.testing.assert_array_equal(found, expected)
+    assert (step_of(state, ellipsoids, coupled, route).end.z_W != expected).any()
+    # A zero row is none.
+    none = replace(coupled, normal_W=np.zeros_like(other))
+    np.testing.assert_array_equal(
+        step_of(state, ellipsoids, none, route).end.z_W,
+        step_of(state, ellipsoids, coupled, route).end.z_W,
+    )
+
+
+def test_a_given_tau_goes_before_the_length_of_the_route() -> None:
+    state, ellipsoids, coupled, route = random_scene(8, True, True)
+    for tau, expected in ((1.7, 1.7), (0.8, 0.8), (0.0, 1.2)):
+        found = step_of(state, ellipsoids, replace(coupled, tau=tau), route)
+        assert found.end.tau == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"normal_W": np.zeros((9, 3))}, "normal_W has 9 rows; there are"),
+        ({"center_W": np.zeros((9, 3))}, "center_W has 9 rows; there are"),
+        ({"psi": np.zeros(1)}, "alpha, psi, kappa must be"),
+        ({"alpha": np.full(1, np.nan)}, "not finite"),
+    ],
+)
+def test_parameters_that_cannot_be_used_are_refused(
+    change: dict[str, FloatArray], said: str
+) -> None:
+    with pytest.raises(ValueError, match=said):
+        Surroundings.of(one_ellipsoid(), replace(coupling(), **change), None)  # type: ignore[arg-type]

@@ -121,3 +121,24 @@ def test_passing_normals_are_unit_and_turn_from_the_baseline_to_the_chosen_side(
     normal = passing_normals(direction, R_WL)
     np.testing.assert_allclose(np.linalg.norm(normal), 1.0)
     np.testing.assert_allclose(np.cross(normal[0], R_WL[:, 0]), direction[0], atol=1e-12)
+
+
+def test_straight_at_the_centre_no_heading_is_needed_whatever_the_rounding() -> None:
+    """The P-plane's normal is rounding there; the passing plane's decides the side."""
+    for scale in (1.0, 3.0, 10.0):
+        for tilt in (0.0, 1e-13, -1e-13):
+            heading = desired_headings(
+                PolicyState(p_WG=np.array([scale, 0.0, 0.0])),
+                EllipsoidSet(
+                    p_WO=np.array([[0.5 * scale, 0.0, 0.0]]),
+                    R_WO=np.eye(3)[None],
+                    semi_axes=np.full((1, 3), 0.1 * scale),
+                    v_WO=np.zeros((1, 3)),
+                    ids=np.zeros(1, dtype=np.int64),
+                ),
+                np.array([[0.0, 0.0, 1.0]]),
+                np.array([[0.0, -1.0, 0.0]]),
+                np.array([[0.5 * scale, 0.0, tilt * scale]]),
+                np.array([0.1 * scale]),
+            )
+            np.testing.assert_array_equal(heading, 0.0)

@@ -56,8 +56,9 @@ class CostRingSelector(LeafSystem):
       the ellipsoids is used.
     - route: abstract `Route`: for each obstacle the chosen direction omega_d, the
       desired heading v_d, the plane's normal, the obstacle as it is met; and the rings.
-    - decision: abstract `Route` without headings, empty before initialization. It does
-      not change with every step of the policy, so neither does what is computed from it.
+    - decision: abstract `Route` without headings (0, 3), empty before initialization. It
+      does not change with every step of the policy, so neither does what is computed from
+      it; `DmpIntegrator` finds the headings itself.
 
     The side is decided at initialization and every `period`, shortly after it so that
     an observation of the same instant counts, and kept by hysteresis: the decision is
@@ -154,7 +155,6 @@ class CostRingSelector(LeafSystem):
         direction_W = scene.directions_W[selection.index]
         met = passing(p_WS, p_WG, R_WL, ellipsoids, direction_W, selection.groups, self._clearance)
         return Route(
-            heading_W=np.zeros(direction_W.shape),
             direction_W=direction_W,
             normal_W=passing_normals(direction_W, R_WL),
             center_W=met.center_W,
@@ -177,7 +177,7 @@ class CostRingSelector(LeafSystem):
         policy = read_value(self, self._policy, context, PolicyState)
         route = self._weigh(context, policy.p_WS, self._goal.Eval(context))
         if route.note and route.note != before.note:
-            _logger.warning("t=%.3f s: %s", context.get_time(), route.note)
+            _logger.info("t=%.3f s: %s", context.get_time(), route.note)
         state.get_mutable_abstract_state(self._decided).set_value(route)
         return EventStatus.Succeeded()
 
@@ -206,7 +206,7 @@ class CostRingSelector(LeafSystem):
             route.center_W,
             route.clearance,
         )
-        output.set_value(replace(route, heading_W=heading_W) if heading_W.any() else route)
+        output.set_value(replace(route, heading_W=heading_W))
 
 
 def _blocked_note(ellipsoids: EllipsoidSet, selection: Selection) -> str:

@@ -5,16 +5,25 @@ from __future__ import annotations
 import logging
 
 import numpy as np
-from pydrake.common.value import Value
-from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+from pydrake.common.value import AbstractValue, Value
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    EventStatus,
+    LeafSystem,
+    State,
+    ValueProducer,
+)
 
-from drake_oa.action import ActionParameters, Segment, advance, initial_segment
+from drake_oa.action import ActionLevel, ActionParameters, Segment, initial_segment
 from drake_oa.dmp import Dmp
 from drake_oa.regressor import CouplingParameters
+from drake_oa.surroundings import Surroundings
 from drake_oa.systems.ports import read_optional, valid_period
 from drake_oa.values import EllipsoidSet, FloatArray, PolicyState, Route
 
 _logger = logging.getLogger("drake_oa")
+_SUCCEEDED = EventStatus.Succeeded()
 
 
 class DmpIntegrator(LeafSystem):
@@ -39,9 +48,12 @@ class DmpIntegrator(LeafSystem):
     - ellipsoids_W (optional): abstract `EllipsoidSet`, the dilated obstacles. Without
       it the motion is the pre-planned one.
     - coupling_parameters (optional): abstract `CouplingParameters`, one row an
-      ellipsoid. Without it there is no avoidance term.
-    - route (optional): abstract `Route`, one row an ellipsoid. Without it there is no
-      guidance term, and the motion is not scaled in time.
+      ellipsoid. Without it there is no avoidance term. Its normals and its tau, where it
+      gives them, go before the route's; while it has a note the motion is held.
+    - route (optional): abstract `Route`, one row an ellipsoid: `CostRingSelector`'s
+      decision, whose headings are then computed here from where the motion is at each
+      step; or a route with headings of its own. Without it there is no guidance term,
+      and the motion is not scaled in time.
     - desired_position: (3,) p_WE [m].
     - desired_velocity: (3,) v_WE [m/s].
     - desired_acceleration: (3,) a_WE [m/s^2].
@@ -79,12 +91,10 @@ class DmpIntegrator(LeafSystem):
         start = np.asarray(start, dtype=float)
         if start.shape != (3,) or not np.isfinite(start).all():
             raise ValueError(f"start must be 3 finite numbers [m], not {start}")
-        if dmp.dimension != 3:
-            raise ValueError(f"dmp must have 3 dimensions, not {dmp.dimension}")
         self._dmp = dmp
+        self._level = ActionLevel(dmp, parameters or ActionParameters())
         self._start = start
         self._period = valid_period(period)
-        self._parameters = parameters or ActionParameters()
 
         self._goal = self.DeclareVectorInputPort("goal", 3)
         self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
@@ -92,6 +102,12 @@ class DmpIntegrator(LeafSystem):
             "coupling_parameters", Value(CouplingParameters())
         )
         self._route = self.DeclareAbstractInputPort("route", Value(Route()))
+        # Perception and decision are much slower than the policy.
+        self._surroundings = self.DeclareCacheEntry(
+            "surroundings",
+            ValueProducer(lambda: Value(Surroundings()), self._calc_surroundings),
+            {self._ellipsoids.ticket(), self._coupling.ticket(), self._route.ticket()},
+        )
         self._segment = self.DeclareAbstractState(Value(Segment.at_rest(start)))
         moving = {self.time_ticket(), self.abstract_state_ticket(self._segment)}
         for name, derivative in (
@@ -118,11 +134,16 @@ class DmpIntegrator(LeafSystem):
         self.DeclareInitializationUnrestrictedUpdateEvent(self._initialize)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._step)
 
+    @property
+    def level(self) -> ActionLevel:
+        """What takes the steps."""
+        return self._level
+
     def _read_segment(self, context: Context) -> Segment:
         return context.get_abstract_state(self._segment).get_value()
 
     def _calc_phase(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, self._read_segment(context).state.phase)
+        output.SetAtIndex(0, self._read_segment(context).phase)
 
     def _initialize(self, context: Context, state: State) -> EventStatus:
         if self._read_segment(context).state.baseline > 0.0:
@@ -134,21 +155,26 @@ class DmpIntegrator(LeafSystem):
         state.get_mutable_abstract_state(self._segment).set_value(segment)
         return EventStatus.Succeeded()
 
+    def _calc_surroundings(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(
+            Surroundings.of(
+                read_optional(self, self._ellipsoids, context, EllipsoidSet),
+                read_optional(self, self._coupling, context, CouplingParameters),
+                read_optional(self, self._route, context, Route),
+            )
+        )
+
     def _step(self, context: Context, state: State) -> EventStatus:
         before = self._read_segment(context)
-        after = advance(
-            self._dmp,
-            before.end,
+        after = self._level.step(
+            before,
             self._goal.Eval(context),
-            read_optional(self, self._ellipsoids, context, EllipsoidSet),
-            read_optional(self, self._coupling, context, CouplingParameters),
-            read_optional(self, self._route, context, Route),
-            time=context.get_time(),
-            step=self._period,
-            parameters=self._parameters,
+            self._surroundings.Eval(context),
+            context.get_time(),
+            self._period,
         )
-        if after.state.note != before.state.note:
-            message = f"held: {after.state.note}" if after.state.note else "running again"
+        if after.note != before.note:
+            message = f"held: {after.note}" if after.note else "running again"
             _logger.warning("t=%.3f s: %s", context.get_time(), message)
         state.get_mutable_abstract_state(self._segment).set_value(after)
-        return EventStatus.Succeeded()
+        return _SUCCEEDED

@@ -73,6 +73,18 @@ def test_each_field_of_the_route_has_one_row_an_obstacle() -> None:
             assert getattr(route, name).shape == (count,)
 
 
+def test_the_decision_is_the_route_without_headings() -> None:
+    system = CostRingSelector(0.15)
+    simulator = prepared(system, balls((0.4, 0.02, 0.3), (0.6, 0.02, 0.3)))
+    context = simulator.get_mutable_context()
+    decision = system.GetOutputPort("decision").Eval(context)
+    assert decision.heading_W.shape == (0, 3)
+    np.testing.assert_array_equal(decision.direction_W, route_of(system, context).direction_W)
+    # It does not follow the motion.
+    fix(system, context, policy_state=PolicyState(p_WE=START + 0.1, p_WS=START, p_WG=GOAL))
+    assert system.GetOutputPort("decision").Eval(context) is decision
+
+
 def test_an_extra_ring_takes_part_in_the_choice() -> None:
     def only_up(scene: RingScene) -> FloatArray:
         up = scene.directions_W[:, 2] > 0.999

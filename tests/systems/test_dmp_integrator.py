@@ -1,6 +1,7 @@
 """The action layer alone."""
 
 import logging
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -91,6 +92,46 @@ def test_the_coupling_bends_it_round_the_obstacle() -> None:
         places.append(read(system, run.get_context(), "desired_position"))
     assert np.min(places, axis=0)[1] < -0.05
     np.testing.assert_allclose(places[-1], GOAL, atol=1e-2)
+
+
+def test_the_decision_is_led_by_from_where_the_motion_is() -> None:
+    parameters = CouplingParameters(
+        np.array([300.0]), np.array([0.7]), np.array([5.0]), np.ones(1, dtype=bool)
+    )
+    # The obstacle's centre lies to the left: by itself the motion would pass on the right.
+    left = Route(
+        direction_W=np.array([[0.0, 1.0, 0.0]]),
+        normal_W=np.array([[0.0, 0.0, 1.0]]),
+        center_W=np.array([[0.5, 0.02, 0.3]]),
+        clearance=np.array([0.1]),
+        path_length=1.0,
+    )
+    sides = []
+    for clearance in (0.0, 0.1):
+        system = make_system()
+        run = simulator(
+            system,
+            ellipsoids_W=ellipsoids(),
+            coupling_parameters=parameters,
+            route=replace(left, clearance=np.array([clearance])),
+        )
+        run.AdvanceTo(0.1)
+        sides.append(read(system, run.get_context(), "desired_position")[1])
+    assert sides[0] < 0.0
+    assert sides[1] > sides[0]
+
+
+def test_a_change_on_a_port_counts_from_the_next_step() -> None:
+    strong = CouplingParameters(
+        np.array([100.0]), np.array([0.9]), np.array([5.0]), np.ones(1, dtype=bool)
+    )
+    system = make_system()
+    run = simulator(system, ellipsoids_W=ellipsoids(), coupling_parameters=strong)
+    run.AdvanceTo(0.2)
+    port = system.GetInputPort("coupling_parameters")
+    port.FixValue(run.get_mutable_context(), Value(replace(strong, alpha=np.array([-1.0]))))
+    with pytest.raises(ValueError, match="alpha, psi, kappa must be"):
+        run.AdvanceTo(0.21)
 
 
 def test_all_run_time_data_is_in_the_context() -> None:
