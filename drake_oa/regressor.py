@@ -7,10 +7,11 @@ Parameter Regressor" of the paper)::
     Y2: (h, kappa)      -> psi
     Y3: (h, kappa, psi) -> alpha
 
-The paper's input is h = (lambda1', lambda2', Delta). The project's own chain has one
-more, the place of the obstacle's centre along the baseline: the same parameters that
-keep the clearance from an obstacle in the middle fall short of it, or touch, nearer to
-the start, where the motion is slow and has little way left to turn.
+The paper's input is h = (lambda1', lambda2', Delta), or h = (lambda1', lambda2') for the
+chain that knows of no clearance. The project's own chain has a fourth input, the place
+of the obstacle's centre along the baseline: the same parameters that keep the clearance
+from an obstacle in the middle fall short of it, or touch, nearer to the start, where the
+motion is slow and has little way left to turn.
 
 Lengths are divided by the baseline L, since the coupling law is scale free:
 h/L -> (kappa L^2, psi, alpha) is one map for every L. alpha is counted per
@@ -28,6 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from drake_oa.regressor_file import array_of, read_arrays, write_arrays
 from drake_oa.regressor_kernels import clamp_rows, section_rows
 from drake_oa.values import BoolArray, FloatArray, Frozen
 
@@ -51,6 +53,12 @@ class CouplingParameters(Frozen):
             for: it was then evaluated at the nearest input inside.
         center_W: (M, 3) the points the terms act about [m]; (0, 3): the obstacles'
             centres.
+        normal_W: (M, 3) normals of the planes in which to pass; they go before the
+            route's, and where there is one the route does not guide. A zero row, or
+            (0, 3): not given.
+        tau: temporal scaling of the motion, which goes before the one from the route's
+            length; 0: not given.
+        note: empty, or why the motion must not go on.
     """
 
     alpha: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -58,6 +66,9 @@ class CouplingParameters(Frozen):
     kappa: FloatArray = field(default_factory=lambda: np.zeros(0))
     in_range: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     center_W: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    normal_W: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    tau: float = 0.0
+    note: str = ""
 
     def __len__(self) -> int:
         return len(self.alpha)
@@ -147,8 +158,8 @@ class ChainWeights(Frozen):
 
     Attributes:
         networks: the networks by target name, see `TARGETS`.
-        lower: (d,) least lambda1'/L, lambda2'/L, Delta/L and, if d = 4, position/L of
-            the training set.
+        lower: (d,) least lambda1'/L, lambda2'/L and, if d >= 3, Delta/L and, if d = 4,
+            position/L of the training set.
         upper: (d,) the greatest of them.
         input_scale: (d,) factors on the inputs before the networks (2 on lambda' for a
             chain trained on full widths).
@@ -170,7 +181,8 @@ class ChainWeights(Frozen):
         """The bare chain, without any check of its range.
 
         Args:
-            inputs: (N, d) lambda1'/L, lambda2'/L, Delta/L and, if d = 4, position/L.
+            inputs: (N, d) lambda1'/L, lambda2'/L and, if d >= 3, Delta/L and, if d = 4,
+                position/L.
 
         Returns:
             (N, 3) alpha, psi, kappa L^2.
@@ -211,11 +223,12 @@ class ChainWeights(Frozen):
             extents: (M, 2) lambda' along and across the baseline [m], see
                 `section_extents`.
             clearance: asked clearance Delta, one for all or (M,) [m]. Where it is 0
-                no coupling is needed, and alpha is 0.
+                no coupling is needed, and alpha is 0. A chain of two inputs knows no more
+                of it.
             baseline: distance L from start to goal [m].
             position: where along the baseline the centres are, from the start, one for
-                all or (M,) [m]; None: in the middle. A chain of three inputs does not
-                use it.
+                all or (M,) [m]; None: in the middle. A chain of two or three inputs does
+                not use it.
 
         Returns:
             One row an obstacle.
@@ -249,10 +262,7 @@ class ChainWeights(Frozen):
             columns,
         )
         if not valid:
-            raise ValueError(
-                "extents must be positive, clearances not negative, and both and positions "
-                f"finite [m], not {extents.tolist()}, {asked.tolist()} and {place.tolist()}"
-            )
+            raise ValueError(_first_bad_row(extents, asked, place, baseline))
         alpha, psi, kappa = self._evaluate_columns(columns)
         alpha *= needed
         kappa /= baseline * baseline
@@ -266,6 +276,21 @@ def _per_row(name: str, value: ArrayLike, n_rows: int) -> FloatArray:
     if array.shape:
         raise ValueError(f"{name} must be one number or ({n_rows},), not {array.shape}")
     return np.full(n_rows, array)
+
+
+def _first_bad_row(
+    extents: FloatArray, clearance: FloatArray, position: FloatArray, baseline: float
+) -> str:
+    values = np.column_stack((extents, clearance, position))
+    # Over a tiny baseline a finite length may overflow.
+    with np.errstate(over="ignore"):
+        good = np.isfinite(values.sum(axis=1) / baseline) & (extents / baseline > 0.0).all(axis=1)
+    row = int(np.argmin(good & (clearance >= 0.0)))
+    lambda1, lambda2, asked, place = values[row].tolist()
+    return (
+        "extents must be positive, clearances not negative, and both and positions finite [m]; "
+        f"row {row} has extents {lambda1} and {lambda2}, clearance {asked}, position {place}"
+    )
 
 
 def section_extents(
@@ -317,23 +342,13 @@ def save_chain(chain: ChainWeights, path: str | Path) -> None:
     arrays |= {key: getattr(chain, key) for key in ("lower", "upper", "input_scale")}
     if chain.limit.lambda1.size:
         arrays |= {f"limit_{key}": getattr(chain.limit, key) for key in _LIMIT}
-    header = json.dumps({"log_targets": sorted(chain.log_targets), **chain.metadata})
-    if path.suffix == ".npz":
-        np.savez_compressed(path, metadata=np.array(header), **arrays)  # type: ignore[arg-type]
-    elif path.suffix == ".safetensors":
-        from safetensors.numpy import save_file
-
-        save_file(
-            {key: np.array(value, order="C") for key, value in arrays.items()},
-            path,
-            {"metadata": header},
-        )
-    else:
-        raise ValueError(f"weights are written as .npz or .safetensors, not {path.name!r}")
+    own = {"format": _FORMAT, "log_targets": sorted(chain.log_targets)}
+    header = json.dumps({**chain.metadata, **own})
+    write_arrays(path, arrays, header)
 
 
 def load_chain(path: str | Path) -> ChainWeights:
-    """Reads a chain written by `save_chain`.
+    """Reads a chain written by `save_chain`, of two, three or four inputs.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -341,7 +356,7 @@ def load_chain(path: str | Path) -> ChainWeights:
             missing, misshapen or not finite; the message names it.
     """
     path = Path(path)
-    arrays, header = _read_arrays(path)
+    arrays, header = read_arrays(path)
     if header is None:
         raise ValueError(
             f"{path} has no metadata: it is no weights file of `save_chain`; for the plain "
@@ -350,23 +365,28 @@ def load_chain(path: str | Path) -> ChainWeights:
     try:
         metadata = json.loads(header)
         log_targets = frozenset(metadata.pop("log_targets"))
+        written = metadata.pop("format", None)
     except (ValueError, KeyError, AttributeError, TypeError) as error:
         raise ValueError(f"{path}: the metadata are damaged or lack 'log_targets'") from error
+    if written != _FORMAT:
+        raise ValueError(f"{path} is of the format {written!r}, this version reads {_FORMAT!r}")
     if not log_targets <= set(TARGETS):
         raise ValueError(f"{path}: log_targets holds {sorted(log_targets)}, valid are {TARGETS}")
-    lower = _array(path, arrays, "lower", (None,))
-    if lower.size not in (3, 4):
-        raise ValueError(f"{path}: 'lower' has {lower.size} entries, it must have 3 or 4")
-    upper, scale = (_array(path, arrays, key, lower.shape) for key in ("upper", "input_scale"))
+    lower = array_of(path, arrays, "lower", (None,))
+    if lower.size not in (2, 3, 4):
+        raise ValueError(f"{path}: 'lower' has {lower.size} entries, it must have 2, 3 or 4")
+    upper, scale = (array_of(path, arrays, key, lower.shape) for key in ("upper", "input_scale"))
+    if not ((lower < upper).all() and (scale != 0.0).all()):
+        raise ValueError(f"{path}: 'upper' must exceed 'lower', and 'input_scale' not be zero")
     limit = ClearanceLimit()
     if any(f"limit_{key}" in arrays for key in _LIMIT):
-        axes = [_array(path, arrays, f"limit_{key}", (None,)) for key in _LIMIT[:3]]
+        axes = [array_of(path, arrays, f"limit_{key}", (None,)) for key in _LIMIT[:3]]
         shape = tuple(axis.size for axis in axes)
         if min(shape) < 2 or not all((np.diff(axis) > 0.0).all() for axis in axes):
             raise ValueError(f"{path}: limit_lambda1, _lambda2 and _position must increase")
         if lower.size < 4:
-            raise ValueError(f"{path}: a chain of 3 inputs has no 'limit_clearance'")
-        table = _array(path, arrays, "limit_clearance", shape)
+            raise ValueError(f"{path}: a chain of {lower.size} inputs has no 'limit_clearance'")
+        table = array_of(path, arrays, "limit_clearance", shape)
         limit = ClearanceLimit(axes[0], axes[1], axes[2], table)
     networks = _networks(path, arrays, lower.size)
     return ChainWeights(networks, lower, upper, scale, log_targets, limit, metadata)
@@ -383,7 +403,7 @@ def load_width_chain(path: str | Path) -> ChainWeights:
         ValueError: if an array is missing, misshapen or not finite.
     """
     path = Path(path)
-    arrays, _ = _read_arrays(path)
+    arrays, _ = read_arrays(path)
     networks = _networks(path, arrays, 3)
     first = networks["kappa"]
     scale = np.array([2.0, 2.0, 1.0])
@@ -391,47 +411,9 @@ def load_width_chain(path: str | Path) -> ChainWeights:
     return ChainWeights(networks, first.in_offset / scale, upper / scale, scale)
 
 
+_FORMAT = "drake_oa regressor chain 1"
 _SCALING = ("in_offset", "in_gain", "in_min", "out_offset", "out_gain", "out_min")
 _LIMIT = ("lambda1", "lambda2", "position", "clearance")
-
-
-def _read_arrays(path: Path) -> tuple[dict[str, Any], str | None]:
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"no weights file {path}: train one with `python -m drake_oa.training --out {path}`, "
-            "or use package://drake_oa/weights/regressor_chain.npz, which is shipped"
-        )
-    try:
-        if path.suffix == ".safetensors":
-            from safetensors import safe_open
-
-            with safe_open(path, "numpy") as file:
-                header = (file.metadata() or {}).get("metadata")
-                return {key: file.get_tensor(key) for key in file.keys()}, header  # noqa: SIM118
-        with np.load(path, allow_pickle=False) as file:
-            arrays = dict(file)
-    except Exception as error:
-        # The readers raise a dozen types between them, some their own.
-        raise ValueError(f"{path} cannot be read as .npz or .safetensors: {error}") from error
-    header = arrays.pop("metadata", None)
-    return arrays, None if header is None else str(header)
-
-
-def _array(
-    path: Path, arrays: Mapping[str, Any], key: str, shape: tuple[int | None, ...]
-) -> FloatArray:
-    if key not in arrays:
-        raise ValueError(f"{path} lacks the array '{key}'")
-    value = np.asarray(arrays[key])
-    fits = value.ndim == len(shape) and all(
-        want in (None, have) for want, have in zip(shape, value.shape, strict=True)
-    )
-    if not fits:
-        wanted = tuple("any" if n is None else n for n in shape)
-        raise ValueError(f"{path}: '{key}' has the shape {value.shape}, it must be {wanted}")
-    if value.dtype.kind not in "fiu" or not np.isfinite(value).all():
-        raise ValueError(f"{path}: '{key}' must hold finite numbers")
-    return value.astype(float)
 
 
 def _networks(path: Path, arrays: Mapping[str, Any], n_inputs: int) -> dict[str, Network]:
@@ -443,15 +425,15 @@ def _networks(path: Path, arrays: Mapping[str, Any], n_inputs: int) -> dict[str,
         n_in, weights, biases = n_inputs + i, [], []
         for layer in range(1, n_layers + 1):
             n_out = 1 if layer == n_layers else None
-            weight = _array(path, arrays, f"{name}_W{layer}", (n_out, n_in))
+            weight = array_of(path, arrays, f"{name}_W{layer}", (n_out, n_in))
             n_in = len(weight)
             weights.append(weight)
-            biases.append(_array(path, arrays, f"{name}_b{layer}", (n_in,)))
+            biases.append(array_of(path, arrays, f"{name}_b{layer}", (n_in,)))
         offset, gain = (
-            _array(path, arrays, f"{name}_{key}", (n_inputs + i,)) for key in _SCALING[:2]
+            array_of(path, arrays, f"{name}_{key}", (n_inputs + i,)) for key in _SCALING[:2]
         )
         scalars = {
-            key: float(_array(path, arrays, f"{name}_{key}", ()))
+            key: float(array_of(path, arrays, f"{name}_{key}", ()))
             for key in ("in_min", "out_offset", "out_gain", "out_min")
         }
         if scalars["out_gain"] == 0.0 or not gain.all():

@@ -23,7 +23,8 @@ from drake_oa.regressor import (
     section_extents,
 )
 
-SHIPPED = Path(__file__).resolve().parents[1] / "models" / "weights" / "regressor_chain.npz"
+WEIGHTS = Path(__file__).resolve().parents[1] / "models" / "weights"
+SHIPPED = WEIGHTS / "regressor_chain.npz"
 
 
 def network(n_inputs, rng, scale=0.3):
@@ -168,12 +169,56 @@ def test_bad_queries_are_named(chain, extents, clearance, baseline, message):
         chain.parameters(extents, clearance, baseline)
 
 
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"extents": (0.1, np.nan)}, "extents 0.1 and nan, clearance 0.3, position 0.4"),
+        ({"extents": (-0.1, 0.2)}, "extents -0.1 and 0.2, clearance 0.3, position 0.4"),
+        ({"clearance": -2.0}, "extents 0.1 and 0.2, clearance -2.0, position 0.4"),
+        ({"position": np.inf}, "extents 0.1 and 0.2, clearance 0.3, position inf"),
+    ],
+)
+def test_the_first_bad_row_is_named(chain, change, named):
+    columns = {
+        "extents": np.tile((0.1, 0.2), (1000, 1)),
+        "clearance": np.full(1000, 0.3),
+        "position": np.full(1000, 0.4),
+    }
+    for name, value in change.items():
+        columns[name][[7, 500]] = value
+    with pytest.raises(ValueError, match="row 7 has") as error:
+        chain.parameters(columns["extents"], columns["clearance"], 1.0, columns["position"])
+    assert str(error.value).endswith(named)
+    assert len(str(error.value)) < 200
+
+
 def test_parameters_are_immutable_and_shared_on_copy():
     value = CouplingParameters(np.ones(2), np.ones(2), np.ones(2), np.ones(2, dtype=bool))
     assert copy.deepcopy(value) is value
     assert value.as_array().shape == (2, 3)
     with pytest.raises(ValueError, match="read-only"):
         value.alpha[0] = 2.0
+
+
+@pytest.mark.parametrize("n_inputs", [2, 3, 4])
+def test_chains_of_fewer_inputs_load_and_ignore_the_rest(tmp_path, n_inputs):
+    rng = np.random.default_rng(1)
+    networks = {name: network(n_inputs + i, rng) for i, name in enumerate(TARGETS)}
+    lower, upper = np.full(n_inputs, 0.02), np.full(n_inputs, 0.6)
+    path = tmp_path / "chain.npz"
+    save_chain(ChainWeights(networks, lower, upper, np.ones(n_inputs)), path)
+    chain = load_chain(path)
+    query = (np.array([[0.1, 0.2]]), 0.05, 2.0)
+    base = chain.parameters(*query, 0.6)
+    assert base.in_range.all()
+    expected = chain.evaluate(np.array([[0.05, 0.1, 0.025, 0.3]])[:, :n_inputs])[0]
+    np.testing.assert_allclose(base.as_array()[0], expected / (1.0, 1.0, 4.0), rtol=1e-12)
+    other_place = chain.parameters(*query, 1.0).as_array()
+    assert (other_place == base.as_array()).all() == (n_inputs < 4)
+    other_clearance = chain.parameters(query[0], 0.3, 2.0, 0.6).as_array()
+    assert (other_clearance == base.as_array()).all() == (n_inputs < 3)
+    # Without a clearance to keep, no coupling is needed.
+    assert chain.parameters(query[0], 0.0, 2.0).alpha[0] == 0.0
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".safetensors"])
@@ -195,7 +240,26 @@ def test_the_shipped_file_says_where_it_comes_from():
     chain = load_chain(SHIPPED)
     assert chain.metadata["units"] == {"kappa": "1/L^2", "psi": "rad", "alpha": "1/T"}
     assert {"recipe", "seed", "nmse", "commit", "exploration", "training"} <= set(chain.metadata)
-    assert all(chain.metadata["nmse"][name]["test"] < 0.2 for name in TARGETS)
+    assert all(chain.metadata["nmse"][name]["test"] < 0.02 for name in TARGETS)
+
+
+@pytest.mark.parametrize(
+    ("name", "n_inputs", "printed"),
+    [
+        ("paper_chain", 3, {"kappa": 0.251, "psi": 0.244}),
+        ("paper_chain_unconstrained", 2, {"kappa": 0.539, "psi": 0.802, "alpha": 0.893}),
+    ],
+)
+def test_the_papers_chains_are_shipped_and_score_as_printed(name, n_inputs, printed):
+    chain = load_chain(WEIGHTS / f"{name}.npz")
+    assert chain.lower.size == n_inputs
+    assert chain.metadata["recipe"] == "paper"
+    assert chain.metadata["units"]["alpha"] == "rad/s"
+    for target, value in printed.items():
+        for part in ("train", "test"):
+            assert chain.metadata["nmse"][target][part] == pytest.approx(value, abs=0.01)
+    if n_inputs == 3:
+        assert chain.metadata["nmse"]["alpha"]["test"] <= 5e-4
 
 
 def test_another_kind_of_file_name_is_refused(chain, tmp_path):
@@ -204,7 +268,7 @@ def test_another_kind_of_file_name_is_refused(chain, tmp_path):
 
 
 def test_a_missing_file_is_named_with_the_way_to_get_one(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"nowhere.npz.*drake_oa.training"):
+    with pytest.raises(FileNotFoundError, match=r"nowhere.npz.*drake-oa train --out"):
         load_chain(tmp_path / "nowhere.npz")
 
 
@@ -214,6 +278,11 @@ def test_a_file_that_is_no_weights_file_is_named(tmp_path, name):
     path.write_bytes(b"" if name.startswith("empty") else b"not weights at all")
     with pytest.raises(ValueError, match=f"{name} cannot be read"):
         load_chain(path)
+
+
+def header(**changes):
+    own = {"log_targets": ["kappa"], "format": "drake_oa regressor chain 1"}
+    return np.array(json.dumps({**own, **changes}))
 
 
 def _damaged(chain, path, key, value):
@@ -237,12 +306,16 @@ def _damaged(chain, path, key, value):
         ("kappa_b1", np.full(24, np.nan), "'kappa_b1' must hold finite numbers"),
         ("psi_out_gain", np.array(0.0), "scale of 'psi'"),
         ("upper", np.ones(2), r"'upper' has the shape \(2,\)"),
-        ("lower", np.ones(2), "'lower' has 2 entries"),
+        ("lower", np.ones(5), "'lower' has 5 entries"),
+        ("lower", np.full(4, 9.0), "'upper' must exceed 'lower'"),
+        ("input_scale", np.zeros(4), "'input_scale' not be zero"),
         ("lower", np.array(["a", "b", "c"]), "'lower' must hold finite numbers"),
         ("metadata", None, "has no metadata"),
         ("metadata", np.array("{"), "metadata are damaged"),
         ("metadata", np.array("{}"), "lack 'log_targets'"),
-        ("metadata", np.array(json.dumps({"log_targets": ["beta"]})), "valid are"),
+        ("metadata", header(log_targets=["beta"]), "valid are"),
+        ("metadata", header(format="someone else's 3"), 'format "someone else\'s 3"'),
+        ("metadata", header(format=None), "of the format None"),
         ("limit_lambda1", np.ones(2), "lacks the array 'limit_lambda2'"),
     ],
 )

@@ -8,10 +8,12 @@ of an average over them, each input gets one choice:
 2. For an asked clearance and each (kappa, psi) take the weakest alpha that keeps it.
    Of these candidates the shortest path is best, with a price on the goal error and
    small ones on ln alpha and on the distance of (ln kappa, ln psi) from a fixed pair.
-   Since many are nearly as good, the choice is their mean, weighted by
-   exp(-cost / temperature): it varies smoothly with the input where the single best
-   jumps between equals.
-3. Solve for the alpha which keeps exactly the clearance there, and at (kappa, psi)
+   Since many are nearly as good, take their mean, weighted by exp(-cost / temperature):
+   it varies smoothly with the input where the single best jumps between equals.
+3. Fit a polynomial of the inputs to (ln kappa, ln psi); its values are the choice. The
+   network has then a smooth function to learn, and what the mean lacks is made up for by
+   alpha.
+4. Solve for the alpha which keeps exactly the clearance there, and at (kappa, psi)
    around it: so Y3 learns to make up for what Y1 and Y2 get wrong.
 
 Inputs that no candidate can keep, or only by missing the goal, are left out; the
@@ -20,18 +22,22 @@ largest clearance that was kept is recorded for every ellipse.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import combinations_with_replacement
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_oa.dmp import ALPHA_X, Dmp, imitate, minimum_jerk
 from drake_oa.regressor import ClearanceLimit
 from drake_oa.rollout import planar_rollouts
+from drake_oa.training.checkpoint import Checkpoint
+from drake_oa.training.networks import Report
 from drake_oa.values import BoolArray, FloatArray, Frozen
 
-Progress = Callable[[str, float], None]
-"""Told the stage and the fraction of it that is done."""
+_CHUNK = 16
+"""Ellipses explored between two writes of the checkpoint."""
 
 
 def _axis(first: float, last: float, number: int, *, geometric: bool = False) -> FloatArray:
@@ -52,9 +58,14 @@ class Exploration(Frozen):
         psi: candidates for psi [rad].
         alpha: candidates for alpha, increasing.
         margin: what the chosen parameters keep on top of the asked clearance.
-        goal_tolerance: largest goal error at s = 1 that counts as arriving. Loose,
-            since a late obstacle still acts at s = 1; the cost prefers less.
-        goal_price: cost of the goal error at s = 1, as a length a length.
+        end: s at the end of the roll-outs.
+        goal_tolerance: largest goal error at the end that counts as arriving.
+        alpha_x: spring constant of the action level that the chain is for; critically
+            damped.
+        fade: the coupling fades within this many baselines of the goal, as in
+            `drake_oa.action`.
+        degree: of the polynomial that smooths the choices.
+        goal_price: cost of the goal error at the end, as a length a length.
         temperature: of the weights over candidates, as a length.
         effort: cost of one unit of ln alpha, as a length.
         anchor: (kappa, psi) that the choice is pulled to.
@@ -62,18 +73,22 @@ class Exploration(Frozen):
         scatter: standard deviation of ln kappa and ln psi around the choice in the
             additional rows for Y3.
         copies: how many such rows for each choice.
-        grid_steps: steps of the roll-outs on the grid.
+        grid_steps: steps a unit of s of the roll-outs on the grid.
     """
 
-    lambda1: FloatArray = field(default_factory=lambda: _axis(0.02, 0.42, 9))
+    lambda1: FloatArray = field(default_factory=lambda: _axis(0.02, 0.47, 10))
     lambda2: FloatArray = field(default_factory=lambda: _axis(0.02, 0.5, 11))
-    clearances: FloatArray = field(default_factory=lambda: _axis(0.02, 0.34, 17))
+    clearances: FloatArray = field(default_factory=lambda: _axis(0.02, 0.44, 22))
     positions: FloatArray = field(default_factory=lambda: _axis(0.2, 0.8, 9))
     kappa: FloatArray = field(default_factory=lambda: _axis(0.3, 80.0, 13, geometric=True))
     psi: FloatArray = field(default_factory=lambda: _axis(0.8, 3.2, 6, geometric=True))
     alpha: FloatArray = field(default_factory=lambda: _axis(10.0, 1e6, 30, geometric=True))
     margin: float = 0.004
-    goal_tolerance: float = 0.05
+    end: float = 1.25
+    goal_tolerance: float = 0.001
+    alpha_x: float = ALPHA_X
+    fade: float = 0.3
+    degree: int = 3
     goal_price: float = 4.0
     temperature: float = 0.004
     effort: float = 0.004
@@ -82,6 +97,19 @@ class Exploration(Frozen):
     scatter: float = 0.25
     copies: int = 2
     grid_steps: int = 500
+
+    @property
+    def dmp(self) -> Dmp:
+        """The primitive of the roll-outs: straight and of minimum jerk."""
+        demonstration = minimum_jerk(0.0, 1.0)
+        return imitate(*demonstration, alpha_x=self.alpha_x, beta_x=self.alpha_x / 4.0)
+
+    def settings(self) -> dict[str, Any]:
+        """All of it, as JSON would hold it."""
+        return {
+            name: value.tolist() if isinstance(value, np.ndarray) else value
+            for name, value in vars(self).items()
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,14 +133,18 @@ class TrainingSet(Frozen):
 
 
 def build_training_set(
-    exploration: Exploration, seed: int, progress: Progress | None = None
+    exploration: Exploration,
+    seed: int,
+    report: Report | None = None,
+    checkpoint: Checkpoint | None = None,
 ) -> TrainingSet:
-    """Explores, chooses and solves.
+    """Explores, chooses, smooths and solves.
 
     Args:
         exploration: what to explore.
         seed: of the scatter around the choices.
-        progress: told how far it is.
+        report: told how far it is.
+        checkpoint: where to keep what was computed, and to go on from.
 
     Returns:
         The rows, shuffled.
@@ -120,9 +152,48 @@ def build_training_set(
     Raises:
         ValueError: if no input can be kept.
     """
+    report = report or (lambda stage, fraction: None)
+    done = checkpoint.load("set") if checkpoint else None
+    if done is None:
+        done = _build(exploration, seed, report, checkpoint)
+        if checkpoint is not None:
+            checkpoint.save("set", **done)
+    axes = (exploration.lambda1, exploration.lambda2, exploration.positions)
+    limit = ClearanceLimit(*axes, done["limit"])
+    return TrainingSet(
+        done["inputs"], done["targets"], done["chosen"], limit, int(done["rollouts"])
+    )
+
+
+def _build(
+    exploration: Exploration, seed: int, report: Report, checkpoint: Checkpoint | None
+) -> dict[str, Any]:
     rng = np.random.default_rng(seed)
-    report = progress or (lambda stage, fraction: None)
-    inputs, choices, n_rollouts = [], [], 0
+    rows, pairs, n_rollouts = _choices(exploration, report, checkpoint)
+    if not len(rows):
+        raise ValueError("no input of the exploration can be kept by any candidate")
+    pairs = _smoothed(exploration, rows, pairs)
+    chosen = np.arange(len(rows) * (1 + exploration.copies)) < len(rows)
+    rows, pairs = (np.tile(a, (1 + exploration.copies, 1)) for a in (rows, pairs))
+    noise = exploration.scatter * rng.standard_normal(pairs.shape)
+    pairs = pairs * np.exp(np.where(chosen[:, None], 0.0, noise))
+    alpha, kept, n = _solve_alpha(exploration, rows, pairs, report)
+    if not (kept & chosen).any():
+        raise ValueError("no input of the exploration can be kept by its choice")
+    order = rng.permutation(np.flatnonzero(kept))
+    return {
+        "inputs": rows[order],
+        "targets": np.column_stack((pairs, alpha))[order],
+        "chosen": chosen[order],
+        "limit": _limit(exploration, rows[kept & chosen]),
+        "rollouts": n_rollouts + n,
+    }
+
+
+def _choices(
+    exploration: Exploration, report: Report, checkpoint: Checkpoint | None
+) -> tuple[FloatArray, FloatArray, int]:
+    """(N, 4) inputs that some candidate keeps, (N, 2) kappa and psi of each, roll-outs."""
     nearest = exploration.clearances[0] + exploration.margin
     ellipses = [
         (float(a), float(b), float(x))
@@ -131,38 +202,45 @@ def build_training_set(
         for x in exploration.positions
         if a + nearest < min(x, 1.0 - x)
     ]
-    for i, (lambda1, lambda2, position) in enumerate(ellipses):
-        grid, n = _explore(exploration, (lambda1, lambda2), position)
-        n_rollouts += n
-        for clearance in exploration.clearances:
-            # Nobody keeps more than what start and goal have themselves.
-            if lambda1 + clearance + exploration.margin >= min(position, 1.0 - position):
-                continue
-            choice = _choose(exploration, grid, clearance + exploration.margin)
-            if choice is not None:
-                inputs.append((lambda1, lambda2, clearance, position))
-                choices.append(choice)
-        report("explore", (i + 1) / len(ellipses))
-    if not inputs:
-        raise ValueError("no input of the exploration can be kept by any candidate")
+    found, begin, n_rollouts = np.zeros((0, 6)), 0, 0
+    stored = checkpoint.load("explored") if checkpoint else None
+    if stored is not None:
+        found, begin = stored["found"], int(stored["ellipses"])
+        n_rollouts = int(stored["rollouts"])
+    while begin < len(ellipses):
+        new = []
+        for lambda1, lambda2, position in ellipses[begin : begin + _CHUNK]:
+            grid, n = _explore(exploration, (lambda1, lambda2), position)
+            n_rollouts += n
+            for clearance in exploration.clearances.tolist():
+                # Nobody keeps more than what start and goal have themselves.
+                if lambda1 + clearance + exploration.margin >= min(position, 1.0 - position):
+                    continue
+                choice = _choose(exploration, grid, clearance + exploration.margin)
+                if choice is not None:
+                    new.append((lambda1, lambda2, clearance, position, *choice))
+        found = np.vstack((found, np.array(new).reshape(-1, 6)))
+        begin = min(begin + _CHUNK, len(ellipses))
+        if checkpoint is not None:
+            checkpoint.save("explored", found=found, ellipses=begin, rollouts=n_rollouts)
+        report("explore", begin / len(ellipses))
+    return found[:, :4], found[:, 4:], n_rollouts
 
-    rows, pairs = np.array(inputs), np.array(choices)
-    chosen = np.arange(len(rows) * (1 + exploration.copies)) < len(rows)
-    rows, pairs = (np.tile(a, (1 + exploration.copies, 1)) for a in (rows, pairs))
-    noise = exploration.scatter * rng.standard_normal(pairs.shape)
-    pairs = pairs * np.exp(np.where(chosen[:, None], 0.0, noise))
-    alpha, kept, n = _solve_alpha(exploration, rows, pairs, report)
-    if not (kept & chosen).any():
-        raise ValueError("no input of the exploration can be kept by its choice")
-    targets = np.column_stack((pairs, alpha))
-    order = rng.permutation(np.flatnonzero(kept))
-    return TrainingSet(
-        rows[order],
-        targets[order],
-        chosen[order],
-        _limit(exploration, rows[kept & chosen]),
-        n_rollouts + n,
-    )
+
+def _smoothed(exploration: Exploration, inputs: FloatArray, pairs: FloatArray) -> FloatArray:
+    """(N, 2) kappa and psi on the polynomial fitted to their logarithms."""
+    low, high = inputs.min(axis=0), inputs.max(axis=0)
+    scaled = 2.0 * (inputs - low) / np.where(high > low, high - low, 1.0) - 1.0
+    terms = [np.ones(len(inputs))]
+    for degree in range(1, exploration.degree + 1):
+        for chosen in combinations_with_replacement(range(4), degree):
+            terms.append(np.prod(scaled[:, list(chosen)], axis=1))
+    features = np.column_stack(terms)
+    # A little ridge: small lattices have fewer rows than terms.
+    gram = features.T @ features + 1e-3 * np.eye(features.shape[1])
+    smooth = np.exp(features @ np.linalg.solve(gram, features.T @ np.log(pairs)))
+    bounds = np.array([(exploration.kappa[[0, -1]]), (exploration.psi[[0, -1]])])
+    return np.clip(smooth, bounds[:, 0], bounds[:, 1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +264,10 @@ def _explore(
         np.tile(ellipse, (n, 1)),
         parameters,
         centers=np.tile((position, 0.0), (n, 1)),
+        dmp=exploration.dmp,
         steps=exploration.grid_steps,
+        end=exploration.end,
+        fade=exploration.fade,
     )
     values = (outcome.clearance, outcome.goal_error, outcome.path_length)
     return _Grid(*(value.reshape(alpha.shape) for value in values)), n
@@ -229,7 +310,7 @@ def _choose(exploration: Exploration, grid: _Grid, clearance: float) -> tuple[fl
 
 
 def _solve_alpha(
-    exploration: Exploration, inputs: FloatArray, pairs: FloatArray, report: Progress
+    exploration: Exploration, inputs: FloatArray, pairs: FloatArray, report: Report
 ) -> tuple[FloatArray, BoolArray, int]:
     """The weakest alpha that keeps the clearance plus margin at given (kappa, psi).
 
@@ -246,7 +327,13 @@ def _solve_alpha(
         kappa, psi = pairs[rows].T
         centers = np.column_stack((inputs[rows, 3], np.zeros(len(rows))))
         outcome = planar_rollouts(
-            inputs[rows, :2], np.column_stack((alpha, psi, kappa)), centers=centers
+            inputs[rows, :2],
+            np.column_stack((alpha, psi, kappa)),
+            centers=centers,
+            dmp=exploration.dmp,
+            end=exploration.end,
+            fade=exploration.fade,
+            threshold=wanted[rows],
         )
         return outcome.clearance, outcome.goal_error
 
@@ -272,7 +359,7 @@ def _solve_alpha(
     return high, kept, n_rollouts
 
 
-def _limit(exploration: Exploration, inputs: FloatArray) -> ClearanceLimit:
+def _limit(exploration: Exploration, inputs: FloatArray) -> FloatArray:
     """Per ellipse the end of the unbroken run of clearances that were kept."""
     axes = (exploration.lambda1, exploration.lambda2, exploration.positions)
     kept = {tuple(row) for row in inputs[:, [0, 1, 3, 2]].tolist()}
@@ -283,4 +370,4 @@ def _limit(exploration: Exploration, inputs: FloatArray) -> ClearanceLimit:
             if (*ellipse, clearance) not in kept:
                 break
             table[cell] = clearance
-    return ClearanceLimit(*axes, table)
+    return table

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drake_oa.dmp import Dmp
 from drake_oa.regressor import ChainWeights
 from drake_oa.rollout import planar_rollouts
+from drake_oa.training.networks import Score
 from drake_oa.values import FloatArray
 
 
@@ -21,8 +23,8 @@ class Validation:
         kept: share that kept the asked clearance.
         excess_least: worst clearance minus asked clearance.
         excess_mean: mean clearance minus asked clearance.
-        arrived: share whose goal error at s = 1 is below 2e-3.
-        goal_error_largest: largest goal error at s = 1 of those without contact.
+        arrived: share whose goal error at the end is below 1e-3.
+        goal_error_largest: largest goal error at the end of those without contact.
         length_mean: mean path length of those without contact.
     """
 
@@ -37,7 +39,14 @@ class Validation:
 
 
 def validate(
-    chain: ChainWeights, *, scenes: int = 2000, beside: float = 0.0, seed: int = 1
+    chain: ChainWeights,
+    *,
+    scenes: int = 4000,
+    beside: float = 0.0,
+    dmp: Dmp | None = None,
+    end: float = 1.25,
+    fade: float = 0.3,
+    seed: int = 1,
 ) -> Validation:
     """Rolls out random queries in the chain's range.
 
@@ -46,6 +55,9 @@ def validate(
         scenes: number of scenes.
         beside: the centre lies up to this far beside the baseline, in L; the chain does
             not know. Start and goal keep at least the asked clearance.
+        dmp: the primitive, see `planar_rollouts`.
+        end: s at the end of the motion.
+        fade: of the coupling near the goal, see `planar_rollouts`.
         seed: of the scenes.
 
     Returns:
@@ -62,7 +74,15 @@ def validate(
             centers.append((query[3], beside * rng.uniform(-1.0, 1.0)))
             parameters.append(proposal.as_array()[0])
     queries = np.array(inputs)
-    outcome = planar_rollouts(queries[:, :2], np.array(parameters), centers=np.array(centers))
+    outcome = planar_rollouts(
+        queries[:, :2],
+        np.array(parameters),
+        centers=np.array(centers),
+        dmp=dmp,
+        end=end,
+        fade=fade,
+        precision="double",
+    )
     excess, free = outcome.clearance - queries[:, 2], ~outcome.contact
     return Validation(
         scenes,
@@ -70,7 +90,30 @@ def validate(
         float(np.mean(excess >= 0.0)),
         float(excess.min()),
         float(excess.mean()),
-        float(np.mean(outcome.goal_error < 2e-3)),
+        float(np.mean(outcome.goal_error < 1e-3)),
         float(outcome.goal_error[free].max()),
         float(outcome.path_length[free].mean()),
     )
+
+
+def score_table(scores: list[Score]) -> str:
+    """Markdown table of the networks' normalised mean squared errors."""
+    lines = ["| target | NMSE train | NMSE test | rows |", "|---|---|---|---|"]
+    lines += [f"| ln {s.target} | {s.train:.2g} | {s.test:.2g} | {s.rows:,} |" for s in scores]
+    return "\n".join(lines)
+
+
+def validation_table(outcomes: dict[str, Validation]) -> str:
+    """Markdown table of what the proposals did when rolled out; lengths in mm a metre."""
+    lines = [
+        "| centre | scenes | contacts | kept | excess worst | excess mean "
+        "| goal within 1 mm | goal worst | path ratio |",
+        "|---|---|---|---|---|---|---|---|---|",
+    ]
+    lines += [
+        f"| {name} | {v.scenes:,} | {v.contacts} | {v.kept:.2%} | {1e3 * v.excess_least:.1f} "
+        f"| {1e3 * v.excess_mean:.1f} | {v.arrived:.1%} | {1e3 * v.goal_error_largest:.1f} "
+        f"| {v.length_mean:.3f} |"
+        for name, v in outcomes.items()
+    ]
+    return "\n".join(lines)

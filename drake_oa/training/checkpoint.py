@@ -1,0 +1,120 @@
+"""What a training has computed so far, kept in a folder from which it goes on."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drake_oa.training.levenberg_marquardt import Progress
+
+Arrays = dict[str, np.ndarray[Any, Any]]
+
+_SETTINGS = "settings.json"
+
+
+class Checkpoint:
+    """A folder with the training's settings and one file a stage.
+
+    Files are replaced whole, so that an interruption leaves the one before.
+    """
+
+    def __init__(self, folder: Path, settings: Mapping[str, Any], *, restart: bool = False) -> None:
+        """Opens the folder, or makes it.
+
+        Args:
+            folder: where.
+            settings: all that decides the result (recipe, seed, ...), as JSON would
+                hold it.
+            restart: whether to throw away what is there.
+
+        Raises:
+            ValueError: if what is there was made with other settings, or is no
+                checkpoint.
+        """
+        self.folder = folder
+        wanted = json.loads(json.dumps(settings))
+        if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
+            self._check(wanted, restart)
+        self.resumed = folder.is_dir() and any(folder.iterdir())
+        folder.mkdir(parents=True, exist_ok=True)
+        if not self.resumed:
+            self._write(_SETTINGS, lambda path: path.write_text(json.dumps(wanted, indent=1)))
+
+    def _check(self, wanted: dict[str, Any], restart: bool) -> None:
+        path = self.folder / _SETTINGS
+        try:
+            found = json.loads(path.read_text())
+        except (OSError, ValueError):
+            raise ValueError(
+                f"{self.folder} exists and is no checkpoint: name another folder by --checkpoint"
+            ) from None
+        if restart:
+            self.remove()
+        elif found != wanted:
+            keys = sorted(k for k in {*found, *wanted} if found.get(k) != wanted.get(k))
+            raise ValueError(
+                f"{self.folder} holds a training with other settings ({', '.join(keys)} differ): "
+                "use those, name another folder by --checkpoint, or discard it by --restart"
+            )
+
+    def save(self, stage: str, **arrays: Any) -> None:
+        """Writes the arrays of a stage in place of those before."""
+
+        def write(path: Path) -> None:
+            with path.open("wb") as file:
+                np.savez(file, **arrays)
+
+        self._write(f"{stage}.npz", write)
+
+    def load(self, stage: str) -> Arrays | None:
+        """The arrays of a stage, None where there are none.
+
+        Raises:
+            ValueError: if the file is damaged.
+        """
+        path = self.folder / f"{stage}.npz"
+        if not path.is_file():
+            return None
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                return dict(file)
+        except Exception as error:
+            # NumPy and zipfile raise half a dozen types between them.
+            raise ValueError(f"{path} is damaged ({error}): start anew by --restart") from error
+
+    def save_progress(self, stage: str, state: Progress) -> None:
+        """Writes the state of a fit."""
+        self.save(
+            stage,
+            parameters=state.parameters,
+            damping=state.damping,
+            iteration=state.iteration,
+            stuck=state.stuck,
+        )
+
+    def load_progress(self, stage: str) -> Progress | None:
+        """The state of a fit, None where it has not begun."""
+        found = self.load(stage)
+        if found is None:
+            return None
+        return Progress(
+            found["parameters"],
+            float(found["damping"]),
+            int(found["iteration"]),
+            bool(found["stuck"]),
+        )
+
+    def remove(self) -> None:
+        """Deletes the folder."""
+        shutil.rmtree(self.folder)
+
+    def _write(self, name: str, write: Any) -> None:
+        beside = self.folder / f"{name}.part"
+        write(beside)
+        os.replace(beside, self.folder / name)

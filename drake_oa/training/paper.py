@@ -1,0 +1,274 @@
+"""The paper's recipe: RC(lambda') and RC(lambda', Delta) on the paper's own set."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from drake_oa.regressor import TARGETS, ChainWeights, Network
+from drake_oa.training.checkpoint import Checkpoint
+from drake_oa.training.levenberg_marquardt import Schedule
+from drake_oa.training.networks import (
+    HIDDEN,
+    TRAIN_SHARE,
+    Report,
+    Round,
+    Score,
+    nmse,
+    predict,
+    train_network,
+)
+from drake_oa.training.paper_set import (
+    KEPT,
+    NEAR_GOAL,
+    SATURATED,
+    PaperLattice,
+    PaperSet,
+    build_paper_set,
+    floor_of_means,
+    floor_of_windows,
+    group_means,
+)
+from drake_oa.values import BoolArray, FloatArray
+
+CHAINS = ("RC(lambda')", "RC(lambda', Delta)")
+"""The two chains of Table I."""
+
+PRINTED = {
+    CHAINS[0]: {"kappa": (0.539, 0.543), "psi": (0.802, 0.802), "alpha": (0.893, 0.897)},
+    CHAINS[1]: {"kappa": (0.251, 0.253), "psi": (0.244, 0.243), "alpha": (1.6e-4, 1.7e-4)},
+}
+"""Table I of the paper (tab:nn_training): NMSE on the train and on the test rows."""
+
+_STAGES = ("free", "asked")
+
+
+@dataclass(frozen=True)
+class PaperRecipe:
+    """What the paper's recipe does.
+
+    Attributes:
+        lattice: what is explored.
+        rounds: for each chain, of kappa, psi and alpha; for RC(lambda') the rows are
+            distinct inputs.
+        schedule: of Levenberg-Marquardt; its iterations are those of the rounds. Without
+            decay: alpha needs large weights.
+    """
+
+    lattice: PaperLattice = field(default_factory=PaperLattice)
+    rounds: dict[str, tuple[tuple[Round, ...], ...]] = field(
+        default_factory=lambda: {
+            CHAINS[0]: ((Round(60, 100),), (Round(60, 5000),), (Round(60, 5000), Round(20, 40000))),
+            CHAINS[1]: (
+                (Round(60, 5000), Round(20, 40000)),
+                (Round(60, 5000), Round(20, 40000)),
+                (Round(300, 5000), Round(100, 40000)),
+            ),
+        }
+    )
+    schedule: Schedule = field(default_factory=lambda: Schedule(decay=1e-8))
+
+    def limited(self, iterations: int) -> PaperRecipe:
+        """The same with no more than so many iterations a round."""
+        return replace(
+            self,
+            rounds={
+                name: tuple(
+                    tuple(replace(r, iterations=min(r.iterations, iterations)) for r in rounds)
+                    for rounds in networks
+                )
+                for name, networks in self.rounds.items()
+            },
+        )
+
+    def settings(self) -> dict[str, Any]:
+        """All of it, as JSON would hold it."""
+        return {
+            "lattice": {name: axis.tolist() for name, axis in vars(self.lattice).items()},
+            "rounds": {
+                name: [[asdict(r) for r in rounds] for rounds in networks]
+                for name, networks in self.rounds.items()
+            },
+            "schedule": asdict(self.schedule),
+        }
+
+
+def train_paper(
+    recipe: PaperRecipe,
+    seed: int,
+    *,
+    device: str = "cpu",
+    commit: str = "",
+    checkpoint: Checkpoint | None = None,
+    report: Report | None = None,
+) -> tuple[PaperSet, dict[str, ChainWeights], dict[str, list[Score]]]:
+    """Rolls out the set and trains both chains, each network on the true values before it.
+
+    Args:
+        recipe: what to do.
+        seed: of the split, of the rows drawn, and of the first weights.
+        device: "cpu", or a torch device.
+        commit: version of the code; recorded.
+        checkpoint: where to keep what was computed, and to go on from.
+        report: told how far it is.
+
+    Returns:
+        The set, and by name the chains and the scores of their networks.
+    """
+    rows = _load_set(checkpoint)
+    if rows is None:
+        rows = build_paper_set(recipe.lattice, report)
+        if checkpoint is not None:
+            checkpoint.save("set", **{name: np.asarray(v) for name, v in vars(rows).items()})
+    in_train = np.random.default_rng((seed, 0)).random(len(rows)) < TRAIN_SHARE
+    chains: dict[str, ChainWeights] = {}
+    scores: dict[str, list[Score]] = {}
+    for c, name in enumerate(CHAINS):
+        networks: dict[str, Network] = {}
+        scores[name] = []
+        for t, target in enumerate(TARGETS):
+            use, x, y, weight = _problem(recipe.lattice, rows, in_train, c, t, seed)
+            networks[target] = train_network(
+                f"{_STAGES[c]}-{target}",
+                x,
+                y,
+                recipe.schedule,
+                seed=(seed, 2, c, t),
+                rounds=recipe.rounds[name][t],
+                weight=weight,
+                bounds=_bounds(rows, use, c, t),
+                device=device,
+                checkpoint=checkpoint,
+                report=report,
+            )
+            scores[name].append(_score(rows, use, in_train, networks[target], c, t))
+        chains[name] = _chain(name, networks, rows, recipe, seed, scores[name], commit)
+    return rows, chains, scores
+
+
+def _load_set(checkpoint: Checkpoint | None) -> PaperSet | None:
+    found = checkpoint.load("set") if checkpoint else None
+    if found is None:
+        return None
+    return PaperSet(
+        found["index"],
+        found["values"],
+        found["clearance"],
+        found["goal_error"],
+        int(found["rollouts"]),
+    )
+
+
+def _inputs(rows: PaperSet, chain: int, target: int) -> FloatArray:
+    """(N, d) lambda1', lambda2', for RC(lambda', Delta) Delta, and the targets before."""
+    if chain == 0:
+        return rows.values[:, : 2 + target]
+    return np.column_stack((rows.values[:, :2], rows.clearance, rows.values[:, 2 : 2 + target]))
+
+
+def _used(rows: PaperSet, chain: int, target: int) -> BoolArray:
+    """(N,) the rows of a network: the reading by which Table I is reproduced."""
+    if chain == 1 and TARGETS[target] == "alpha":
+        return rows.near_goal & rows.unsaturated
+    return rows.near_goal
+
+
+def _problem(
+    lattice: PaperLattice, rows: PaperSet, in_train: BoolArray, chain: int, target: int, seed: int
+) -> tuple[BoolArray, FloatArray, FloatArray, FloatArray | None]:
+    """The rows used; shuffled inputs, targets and weights of those to fit."""
+    rng = np.random.default_rng((seed, 1, chain, target))
+    use, y = _used(rows, chain, target), rows.values[:, 2 + target]
+    if chain == 0:
+        groups, mean, count = group_means(rows.index[:, : 2 + target], y, use & in_train)
+        drawn = rng.permutation(len(groups))
+        places = groups[drawn].T
+        x = np.column_stack([axis[i] for axis, i in zip(lattice.axes, places, strict=False)])
+        return use, x, mean[drawn], count[drawn]
+    drawn = rng.permutation(np.flatnonzero(use & in_train))
+    return use, _inputs(rows, chain, target)[drawn], y[drawn], None
+
+
+def _bounds(
+    rows: PaperSet, use: BoolArray, chain: int, target: int
+) -> tuple[FloatArray, FloatArray]:
+    columns = np.column_stack((_inputs(rows, chain, target), rows.values[:, 2 + target]))[use]
+    return columns.min(axis=0), columns.max(axis=0)
+
+
+def _score(
+    rows: PaperSet, use: BoolArray, in_train: BoolArray, network: Network, chain: int, target: int
+) -> Score:
+    y, index = rows.values[:, 2 + target], rows.index[:, : 2 + target]
+    prediction = predict(network, _inputs(rows, chain, target))
+    if chain == 0:
+        floor = floor_of_means(index, y, use)
+    else:
+        # alpha has but a few rows for each of the inputs before it.
+        width = 3 if TARGETS[target] == "alpha" else 40
+        floor = floor_of_windows(index, rows.clearance, y, use, width)
+    return Score(
+        TARGETS[target],
+        nmse(y, prediction, use & in_train),
+        nmse(y, prediction, use & ~in_train),
+        int(use.sum()),
+        floor,
+    )
+
+
+def _chain(
+    name: str,
+    networks: dict[str, Network],
+    rows: PaperSet,
+    recipe: PaperRecipe,
+    seed: int,
+    scores: list[Score],
+    commit: str,
+) -> ChainWeights:
+    constrained = name == CHAINS[1]
+    explored = _inputs(rows, int(constrained), 0)
+    lower, upper = explored.min(axis=0), explored.max(axis=0)
+    metadata = {
+        "inputs": "lambda1'/L, lambda2'/L (semi-axes)" + (", Delta/L" if constrained else ""),
+        "units": {"kappa": "1/L^2", "psi": "rad", "alpha": "rad/s"},
+        "recipe": "paper",
+        "chain": name,
+        "action_level": "released code: tau^2 on the spring, 1000 steps of 3 ms",
+        "seed": seed,
+        "ranges": {"lower": lower.tolist(), "upper": upper.tolist()},
+        "rows": {s.target: s.rows for s in scores},
+        "rows_used": {
+            "all": f"clearance >= {KEPT} m, goal error at the end <= {NEAR_GOAL} m",
+            "alpha": f"also clearance < start's own - {SATURATED} m" if constrained else "",
+        },
+        "rollouts": rows.rollouts,
+        "training": {
+            "hidden": list(HIDDEN),
+            "train_share": TRAIN_SHARE,
+            **asdict(recipe.schedule),
+            "rounds": recipe.settings()["rounds"][name],
+        },
+        "nmse": {s.target: {"train": s.train, "test": s.test, "floor": s.floor} for s in scores},
+        "commit": commit,
+    }
+    return ChainWeights(networks, lower, upper, np.ones(len(lower)), frozenset(), metadata=metadata)
+
+
+def table_one(scores: dict[str, list[Score]]) -> str:
+    """Markdown: Table I of the paper beside what was reached and the floor of the set."""
+    lines = [
+        "| chain | target | train | test | printed train | printed test | floor | rows |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for name, networks in scores.items():
+        for s in networks:
+            printed = PRINTED[name][s.target]
+            figures = [_figure(v) for v in (s.train, s.test, *printed, s.floor)]
+            lines.append(f"| {name} | {s.target} | {' | '.join(figures)} | {s.rows:,} |")
+    return "\n".join(lines)
+
+
+def _figure(value: float) -> str:
+    return f"{value:.3f}" if value >= 0.01 else f"{value:.1e}"

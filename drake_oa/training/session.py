@@ -1,0 +1,129 @@
+"""What `drake-oa train` does: explores, trains, tells how good it is, writes the weights."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from dataclasses import asdict
+from typing import Any
+
+from drake_oa.provenance import source_commit
+from drake_oa.regressor import ChainWeights, save_chain
+from drake_oa.training.chain import train_chain
+from drake_oa.training.checkpoint import Checkpoint
+from drake_oa.training.dataset import Exploration, build_training_set
+from drake_oa.training.levenberg_marquardt import Schedule
+from drake_oa.training.normal_equations import choose_device
+from drake_oa.training.paper import PaperRecipe, table_one, train_paper
+from drake_oa.training.progress import StageBar
+from drake_oa.training.validation import score_table, validate, validation_table
+
+_INTERRUPTED = 130
+
+PAPER_FILES = {
+    "RC(lambda')": "paper_chain_unconstrained.npz",
+    "RC(lambda', Delta)": "paper_chain.npz",
+}
+"""Weights file of each chain of the paper."""
+
+PROJECT_FILE = "regressor_chain.npz"
+"""Weights file of the project's chain."""
+
+
+def train(options: argparse.Namespace) -> int:
+    """Trains as asked; returns the exit status.
+
+    Raises:
+        ValueError: for options that are out of range, a device that is not there, or a
+            checkpoint of other settings.
+    """
+    if options.iterations is not None and options.iterations < 1:
+        raise ValueError(f"--iterations must be at least 1, not {options.iterations}")
+    if options.seed < 0:
+        raise ValueError(f"--seed must not be negative, not {options.seed}")
+    device = choose_device(options.device)
+    options.out.mkdir(parents=True, exist_ok=True)
+    recipe = _Paper(options) if options.recipe == "paper" else _Project(options)
+    folder = options.checkpoint or options.out / f"{options.recipe}.checkpoint"
+    settings = {"recipe": options.recipe, "seed": options.seed, "device": device}
+    checkpoint = Checkpoint(folder, {**settings, **recipe.settings()}, restart=options.restart)
+    if checkpoint.resumed:
+        print(f"going on from {folder}", file=sys.stderr)
+    begin = time.perf_counter()
+    try:
+        with StageBar() as bar:
+            chains, tables = recipe.train(device, checkpoint, bar)
+    except KeyboardInterrupt:
+        print(
+            f"\ninterrupted; what was computed is in {folder}: the same command goes on from there",
+            file=sys.stderr,
+        )
+        return _INTERRUPTED
+    print(f"{tables}\n\nseed {options.seed}, {device}, {time.perf_counter() - begin:.0f} s")
+    for name, chain in chains.items():
+        save_chain(chain, options.out / name)
+        print(f"written: {options.out / name}")
+    checkpoint.remove()
+    return 0
+
+
+class _Paper:
+    def __init__(self, options: argparse.Namespace) -> None:
+        self._seed = options.seed
+        self._recipe = PaperRecipe()
+        if options.iterations is not None:
+            self._recipe = self._recipe.limited(options.iterations)
+
+    def settings(self) -> dict[str, Any]:
+        return self._recipe.settings()
+
+    def train(
+        self, device: str, checkpoint: Checkpoint, bar: StageBar
+    ) -> tuple[dict[str, ChainWeights], str]:
+        rows, chains, scores = train_paper(
+            self._recipe,
+            self._seed,
+            device=device,
+            commit=source_commit(),
+            checkpoint=checkpoint,
+            report=bar,
+        )
+        head = f"{rows.rollouts:,} roll-outs, {len(rows):,} rows\n\n"
+        files = {PAPER_FILES[name]: chain for name, chain in chains.items()}
+        return files, head + table_one(scores)
+
+
+class _Project:
+    def __init__(self, options: argparse.Namespace) -> None:
+        self._seed = options.seed
+        self._exploration = Exploration()
+        self._schedule = Schedule()
+        if options.iterations is not None:
+            self._schedule = Schedule(iterations=options.iterations)
+
+    def settings(self) -> dict[str, Any]:
+        return {"exploration": self._exploration.settings(), "schedule": asdict(self._schedule)}
+
+    def train(
+        self, device: str, checkpoint: Checkpoint, bar: StageBar
+    ) -> tuple[dict[str, ChainWeights], str]:
+        rows = build_training_set(self._exploration, self._seed, bar, checkpoint)
+        chain, scores = train_chain(
+            rows,
+            self._exploration,
+            self._seed,
+            self._schedule,
+            device=device,
+            commit=source_commit(),
+            checkpoint=checkpoint,
+            report=bar,
+        )
+        dmp, end, fade = (getattr(self._exploration, name) for name in ("dmp", "end", "fade"))
+        outcomes = {
+            "on the baseline": validate(chain, dmp=dmp, end=end, fade=fade),
+            "up to 0.2 L beside it": validate(chain, beside=0.2, dmp=dmp, end=end, fade=fade),
+        }
+        head = f"{rows.rollouts:,} roll-outs\n\n"
+        tables = f"{score_table(scores)}\n\n{validation_table(outcomes)}"
+        return {PROJECT_FILE: chain}, head + tables

@@ -1,0 +1,51 @@
+"""The folder of an unfinished training."""
+
+import numpy as np
+import pytest
+
+from drake_oa.training.checkpoint import Checkpoint
+from drake_oa.training.levenberg_marquardt import Progress
+
+SETTINGS = {"recipe": "test", "seed": 3, "axis": (1.0, 2.0)}
+
+
+def test_what_was_saved_is_found_again(tmp_path):
+    first = Checkpoint(tmp_path / "c", SETTINGS)
+    assert not first.resumed
+    assert first.load("set") is None
+    assert first.load_progress("kappa") is None
+    first.save("set", x=np.arange(3))
+    first.save_progress("kappa", Progress(np.arange(4.0), 0.1, 5, True))
+    again = Checkpoint(tmp_path / "c", SETTINGS)
+    assert again.resumed
+    np.testing.assert_array_equal(again.load("set")["x"], np.arange(3))
+    state = again.load_progress("kappa")
+    np.testing.assert_array_equal(state.parameters, np.arange(4.0))
+    assert (state.damping, state.iteration, state.stuck) == (0.1, 5, True)
+    again.remove()
+    assert not (tmp_path / "c").exists()
+
+
+def test_other_settings_are_refused_until_it_is_told_to_restart(tmp_path):
+    Checkpoint(tmp_path, SETTINGS).save("set", x=np.arange(3))
+    other = {**SETTINGS, "seed": 4}
+    with pytest.raises(ValueError, match=r"other settings \(seed differ\).*--restart"):
+        Checkpoint(tmp_path, other)
+    fresh = Checkpoint(tmp_path, other, restart=True)
+    assert not fresh.resumed
+    assert fresh.load("set") is None
+
+
+@pytest.mark.parametrize("restart", [False, True])
+def test_a_folder_of_something_else_is_left_alone(tmp_path, restart):
+    (tmp_path / "thesis.tex").write_text("42")
+    with pytest.raises(ValueError, match="is no checkpoint"):
+        Checkpoint(tmp_path, SETTINGS, restart=restart)
+    assert (tmp_path / "thesis.tex").read_text() == "42"
+
+
+def test_a_damaged_file_is_named(tmp_path):
+    checkpoint = Checkpoint(tmp_path, SETTINGS)
+    (tmp_path / "set.npz").write_bytes(b"PK\x03\x04 no more")
+    with pytest.raises(ValueError, match=r"set\.npz is damaged.*--restart"):
+        checkpoint.load("set")
