@@ -2,9 +2,13 @@
 
     camera, plant -> perception -> ellipsoid_descriptor -> cost_ring_selector,
                                                            regressor_chain, dmp_integrator
-    cost_ring_selector -> regressor_chain (decision), dmp_integrator (route)
     regressor_chain -> dmp_integrator -> controller -> plant
-    dmp_integrator -> cost_ring_selector (policy_state)
+    cost_ring_selector, regressor_chain -> taken_route -> overlay (route)
+    dmp_integrator -> cost_ring_selector, regressor_chain (policy_state)
+
+With `regulation: !Regressor` the sides are the cost rings':
+
+    cost_ring_selector -> regressor_chain, dmp_integrator (decision)
 
 The systems are made in `drake_oa.layers` from the scenario; this file wires them.
 """
@@ -22,6 +26,8 @@ from drake_oa.scenario import DepthCamera, GivenEllipsoids, GroundTruth, Scenari
 from drake_oa.station import RobotPlant, Station, make_robot_plant, make_station
 from drake_oa.systems.cartesian_inverse_dynamics import CartesianInverseDynamics
 from drake_oa.systems.dmp_integrator import DmpIntegrator
+from drake_oa.systems.taken_route import TakenRoute
+from drake_oa.systems.verified_chain import VerifiedRegressorChain
 
 LOG_PERIOD = 0.004
 
@@ -33,7 +39,7 @@ def build_avoidance(
 
     Subsystems by name: plant, scene_graph, rgbd_sensor_<camera>, perception,
     ellipsoid_descriptor, regressor_chain, cost_ring_selector, goal, dmp_integrator,
-    controller, log_<signal>, and overlay with a viewer; without a robot there is no
+    controller, log_<signal>, and overlay and taken_route with a viewer; without a robot there is no
     plant, camera, descriptor or controller. With `modulated=False` there are no
     obstacles to see, and nothing from perception to cost_ring_selector.
 
@@ -126,7 +132,7 @@ def _wire_decision(
     policy: DmpIntegrator,
     goal: ConstantVectorSource,
 ) -> None:
-    """Regressor chain and cost rings, between the ellipsoids and the policy."""
+    """Regulation and cost rings, between the ellipsoids and the policy."""
     chain = builder.AddNamedSystem("regressor_chain", layers.make_regressor_chain(scenario))
     rings = builder.AddNamedSystem("cost_ring_selector", layers.make_cost_ring_selector(scenario))
     for system in (chain, rings, policy):
@@ -137,7 +143,13 @@ def _wire_decision(
     builder.Connect(
         chain.GetOutputPort("coupling_parameters"), policy.GetInputPort("coupling_parameters")
     )
-    builder.Connect(rings.GetOutputPort("route"), policy.GetInputPort("route"))
+    if isinstance(chain, VerifiedRegressorChain):
+        builder.Connect(state, chain.GetInputPort("policy_state"))
+        builder.Connect(goal.get_output_port(), chain.GetInputPort("goal"))
+        for name in ("shortfall", "short_of"):
+            _log(builder, name, chain.GetOutputPort(name))
+        return
+    builder.Connect(rings.GetOutputPort("decision"), policy.GetInputPort("route"))
     if scenario.policy.descriptor == "route":
         builder.Connect(rings.GetOutputPort("decision"), chain.GetInputPort("route"))
     else:
@@ -170,14 +182,10 @@ def _wire_view(
 ) -> None:
     """Drake's own visualisation and the overlay of what our layers think."""
     overlay = builder.AddNamedSystem("overlay", layers.make_overlay(scenario, station, meshcat))
-    sources = {
-        "policy_state": ("dmp_integrator", "policy_state"),
-        "route": ("cost_ring_selector", "route"),
-    }
-    for port, (name, output) in sources.items():
-        if builder.HasSubsystemNamed(name):
-            system = builder.GetSubsystemByName(name)
-            builder.Connect(system.GetOutputPort(output), overlay.GetInputPort(port))
+    policy = builder.GetSubsystemByName("dmp_integrator")
+    builder.Connect(policy.GetOutputPort("policy_state"), overlay.GetInputPort("policy_state"))
+    if builder.HasSubsystemNamed("cost_ring_selector"):
+        builder.Connect(_shown_route(builder), overlay.GetInputPort("route"))
     if builder.HasSubsystemNamed("ellipsoid_descriptor"):
         seen = builder.GetSubsystemByName("ellipsoid_descriptor").GetOutputPort("ellipsoids_W")
         cloud = builder.GetSubsystemByName("perception").GetOutputPort("cloud")
@@ -201,3 +209,17 @@ def _wire_view(
     if isinstance(scenario.perception, DepthCamera) and station.cameras:
         pose = station.cameras[scenario.perception.camera].body_pose_in_world_output_port()
         builder.Connect(pose, overlay.GetInputPort("camera_pose"))
+
+
+def _shown_route(builder: DiagramBuilder) -> OutputPort:
+    """The route that the motion takes: a verified one need not take the rings' side."""
+    route = builder.GetSubsystemByName("cost_ring_selector").GetOutputPort("route")
+    chain = builder.GetSubsystemByName("regressor_chain")
+    if not isinstance(chain, VerifiedRegressorChain):
+        return route
+    taken = builder.AddNamedSystem("taken_route", TakenRoute())
+    builder.Connect(route, taken.GetInputPort("route"))
+    builder.Connect(
+        chain.GetOutputPort("coupling_parameters"), taken.GetInputPort("coupling_parameters")
+    )
+    return taken.get_output_port()

@@ -9,12 +9,10 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
-from pydrake.common.value import Value
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import LeafSystem
-from pydrake.systems.primitives import ConstantValueSource
 from pydrake.systems.sensors import CameraConfig, CameraInfo, RgbdSensor
 
 from drake_oa.action import ActionParameters
@@ -29,11 +27,14 @@ from drake_oa.scenario import (
     DepthCamera,
     GivenEllipsoids,
     GroundTruth,
+    Policy,
     RecordedClouds,
+    Regressor,
     Robot,
     Scenario,
     ScenarioError,
     Task,
+    Verified,
     package_file,
     segmentation_config,
 )
@@ -49,18 +50,23 @@ from drake_oa.systems.cost_ring_selector import CostRingSelector
 from drake_oa.systems.depth_perception import DepthPerception
 from drake_oa.systems.dmp_integrator import DmpIntegrator
 from drake_oa.systems.ellipsoid_descriptor import EllipsoidDescriptor
+from drake_oa.systems.given_ellipsoids import GivenEllipsoidSource
 from drake_oa.systems.ground_truth_perception import GroundTruthPerception
 from drake_oa.systems.meshcat_overlay import MeshcatOverlay, dress_scene
 from drake_oa.systems.recorded_perception import RecordedPerception
 from drake_oa.systems.regressor_chain import RegressorChain
+from drake_oa.systems.verified_chain import VerifiedRegressorChain
 from drake_oa.values import EllipsoidSet, FloatArray, TablePlane
-from drake_oa.workspace import tool_down_margin
+from drake_oa.verification import SearchParameters
+from drake_oa.workspace import tool_down_annulus, tool_down_margin
 
 _logger = logging.getLogger("drake_oa")
 
 _PANDA = "panda_arm_hand.urdf"
 _TOOL_DOWN_ANGLE = math.radians(15.0)
 """How far from straight down the tool may point for the tool-down workspace to hold."""
+_LEAST_STEPS, _MOST_STEPS = 250, 1000
+"""Steps of a roll-out a unit of normalised time."""
 
 
 def make_dmp(scenario: Scenario) -> Dmp:
@@ -134,7 +140,7 @@ def make_perception(
     """The perception source that the scenario's tagged block asks for."""
     source = scenario.perception
     if isinstance(source, GivenEllipsoids):
-        return ConstantValueSource(Value(given_ellipsoids(source)))
+        return GivenEllipsoidSource(given_ellipsoids(source))
     if station is None or robot_plant is None:
         raise ScenarioError(f"perception: !{type(source).__name__} needs a robot")
     _warn_without_obstacles(station)
@@ -250,17 +256,52 @@ def _table(scenario: Scenario) -> TablePlane | None:
     return None if scenario.table_height is None else TablePlane(offset=scenario.table_height)
 
 
-def make_regressor_chain(scenario: Scenario) -> RegressorChain:
-    """The regressor chain with the scenario's weights.
+def make_regressor_chain(scenario: Scenario) -> RegressorChain | VerifiedRegressorChain:
+    """The regulation that the scenario asks for, with its weights.
 
     Raises:
         ScenarioError: naming the file, if the weights are missing or do not fit.
     """
+    policy, clearance = scenario.policy, scenario.task.clearance
     try:
-        weights = load_chain(package_file(scenario.policy.weights))
+        weights = load_chain(package_file(policy.weights))
     except (OSError, ValueError) as error:
         raise ScenarioError(f"policy.weights: {error}") from None
-    return RegressorChain(weights, scenario.task.clearance)
+    if isinstance(scenario.regulation, Regressor):
+        return RegressorChain(weights, clearance)
+    dmp = make_dmp(scenario)
+    return VerifiedRegressorChain(
+        weights,
+        dmp,
+        clearance,
+        period=_perception_period(scenario),
+        parameters=_search_parameters(scenario.regulation, policy, dmp),
+        table_height=policy.table_height,
+        annulus=tool_down_annulus() if _has_known_workspace(scenario.robot) else None,
+    )
+
+
+def _search_parameters(regulation: Verified, policy: Policy, dmp: Dmp) -> SearchParameters:
+    # A step of a roll-out is one of the policy, where that is neither coarse nor costly.
+    steps = round(dmp.duration / policy.period)
+    return SearchParameters(
+        candidates=regulation.candidates,
+        rounds=regulation.rounds,
+        polish=regulation.polish,
+        retries=regulation.retries,
+        slack=regulation.slack,
+        steps=min(max(steps, _LEAST_STEPS), _MOST_STEPS),
+        fade=policy.fade,
+    )
+
+
+def _perception_period(scenario: Scenario) -> float:
+    source = scenario.perception
+    if isinstance(source, DepthCamera):
+        return 1.0 / _camera_config(scenario, source).fps
+    if isinstance(source, GivenEllipsoids):
+        return scenario.policy.route_period
+    return source.period
 
 
 def make_cost_ring_selector(scenario: Scenario) -> CostRingSelector:

@@ -35,6 +35,11 @@ class MotionLog:
         semi_axes: (F, M, 3) their semi-axes [m].
         out_of_range: (F,) for how many of them the regressor chain was asked for more
             than it was trained for.
+        regulation: what the coupling parameters came from, "Verified" or "Regressor"; ""
+            without modulation.
+        shortfall: (T,) what the verified motion lacked of the feasible clearance [m]; 0
+            where it was kept, or nothing was verified.
+        short_of: (T,) name of the obstacle that it lacked it to; -1: none.
         event_time: (E,) times at which a note of the policy changed [s].
         event: (E,) those notes; "" is "running freely again".
         stop_reason: why the motion ended: "goal", or what stopped it short.
@@ -59,6 +64,9 @@ class MotionLog:
     R_WO: FloatArray
     semi_axes: FloatArray
     out_of_range: IntArray
+    regulation: str
+    shortfall: FloatArray
+    short_of: IntArray
     event_time: FloatArray
     event: tuple[str, ...]
     stop_reason: str

@@ -31,7 +31,10 @@ def motion_report(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
     obstacles; None where there is none), `goal_error` (at the last instant),
     `torque_saturation` (fraction of logged steps), `duration`, `path_length`,
     `out_of_range` (fraction of observations with an obstacle beyond what the regressor
-    chain was trained for), `stop_reason`, `events`.
+    chain was trained for), `regulation` ("Verified", "Regressor", or None without
+    modulation), `shortfall_max` (most that the verified motion lacked of the feasible
+    clearance; None unless it was verified), `short_of` (name of the obstacle it lacked it
+    to, or None), `stop_reason`, `events`.
     """
     metrics = motion_metrics(scenario, log)
     reached = metrics.p_WE[-1] if len(metrics.p_WE) else np.asarray(scenario.task.start)
@@ -45,11 +48,21 @@ def motion_report(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
         "duration": log.duration,
         "path_length": path_length(metrics.p_WE),
         "out_of_range": float((log.out_of_range > 0).mean()) if len(log.out_of_range) else 0.0,
+        **_shortfall(log),
         "stop_reason": log.stop_reason,
         "events": [
             {"time": float(when), "note": note}
             for when, note in zip(log.event_time, log.event, strict=True)
         ],
+    }
+
+
+def _shortfall(log: MotionLog) -> dict[str, Any]:
+    most = float(log.shortfall.max(initial=0.0))
+    return {
+        "regulation": log.regulation or None,
+        "shortfall_max": most if log.regulation == "Verified" else None,
+        "short_of": int(log.short_of[log.shortfall.argmax()]) if most > 0.0 else None,
     }
 
 
@@ -79,15 +92,19 @@ _COLUMNS = (
     ("collisions", "collisions", "{:d}"),
     ("tool_clearance_min", "tool clearance [m]", "{:.3f}"),
     ("robot_clearance_min", "robot clearance [m]", "{:.3f}"),
+    ("shortfall_max", "shortfall [mm]", "{:.1f}"),
     ("goal_error", "goal error [mm]", "{:.2f}"),
     ("torque_saturation", "saturated [%]", "{:.1f}"),
     ("duration", "duration [s]", "{:.2f}"),
 )
-_SCALE = {"goal_error": 1e3, "torque_saturation": 1e2}
+_SCALE = {"shortfall_max": 1e3, "goal_error": 1e3, "torque_saturation": 1e2}
 
 
 def report_table(report: dict[str, Any]) -> str:
-    """The report as a text table, one row a motion, like the paper's Table III."""
+    """The report as a text table, one row a motion, like the paper's Table III.
+
+    Below it a line for each motion that could not keep the clearance.
+    """
     rows = [["", *(title for _, title, _ in _COLUMNS), "ended by"]]
     for motion in ("preplanned", "modulated"):
         if motion not in report:
@@ -97,8 +114,15 @@ def report_table(report: dict[str, Any]) -> str:
             value = report[motion][key]
             row.append("-" if value is None else form.format(value * _SCALE.get(key, 1)))
         rows.append([*row, report[motion]["stop_reason"]])
+    warnings = [
+        f"warning: {motion}: {1e3 * found['shortfall_max']:.1f} mm of the clearance to obstacle "
+        f"{found['short_of']} could not be kept"
+        for motion in ("preplanned", "modulated")
+        if (found := report.get(motion)) and found["shortfall_max"]
+    ]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    return "\n".join(
+    lines = [
         "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in rows
-    )
+    ]
+    return "\n".join(lines + warnings)

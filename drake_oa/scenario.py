@@ -20,9 +20,12 @@ from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load_typed
 from pydrake.multibody.parsing import ModelDirective
 from pydrake.systems.sensors import CameraConfig
 
+from drake_oa.dmp import ALPHA_K, ALPHA_X, BETA_X
 from drake_oa.point_cloud import SegmentationConfig
 from drake_oa.schema_check import ScenarioError, apply_override, check, read_yaml
+from drake_oa.verification import SearchParameters
 
+_SEARCH = SearchParameters()
 _SUFFIX = ".scenario.yaml"
 
 
@@ -41,6 +44,10 @@ def _number(
 
 def _choice(default: str, *others: str) -> Any:
     return dc.field(default=default, metadata={"choices": (default, *others)})
+
+
+def _count(default: int, low: int, high: int) -> Any:
+    return dc.field(default=default, metadata={"unit": "1", "low": low, "high": high})
 
 
 def _vector(default: list[float], unit: str, size: int | None = None) -> Any:
@@ -75,25 +82,25 @@ class Policy:
     # Step of the movement primitive [s].
     period: float = _number(0.008, "s", 1e-4, 0.1)
     # Transformation system: spring constants, per normalised time t / (tau T).
-    alpha_x: float = _number(80.0, "1", 0.0, 1e4, open_low=True)
-    beta_x: float = _number(20.0, "1", 0.0, 1e4, open_low=True)
+    alpha_x: float = _number(ALPHA_X, "1", 0.0, 1e4, open_low=True)
+    beta_x: float = _number(BETA_X, "1", 0.0, 1e4, open_low=True)
     # Canonical system: decay of the phase over the motion.
-    alpha_k: float = _number(math.log(100.0), "1", 0.0, 100.0, open_low=True)
+    alpha_k: float = _number(ALPHA_K, "1", 0.0, 100.0, open_low=True)
     # Basis functions of the forcing term.
-    n_basis: int = dc.field(default=35, metadata={"unit": "1", "low": 2, "high": 1000})
+    n_basis: int = _count(35, 2, 1000)
     # Weights of the regressor chain: package:// URL, or file relative to this one.
     weights: str = "package://drake_oa/weights/regressor_chain.npz"
     # How heading guidance fades near an obstacle (see docs/equations.md).
     guidance: str = _choice("counterphase", "printed")
     # Largest alpha of the guidance term.
     guidance_gain: float = _number(100.0, "1", 0.0, 1e6)
-    # What the regressor chain looks at: the obstacle as the chosen route meets it, or
-    # the section of the P-plane, as in the paper.
+    # What the regressor chain looks at with `regulation: !Regressor`: the obstacle as the
+    # chosen route meets it, or the section of the P-plane, as in the paper.
     descriptor: str = _choice("route", "section")
     # The coupling fades within this share of the baseline before the goal.
     fade: float = _number(0.3, "1", 0.0, 1.0)
     # Directions on a cost ring, and how often the route is reconsidered [s].
-    ring_directions: int = dc.field(default=36, metadata={"unit": "1", "low": 4, "high": 720})
+    ring_directions: int = _count(36, 4, 720)
     route_period: float = _number(1.0 / 15.0, "s", 1e-3, 10.0)
     # Height of the tool point above the table below which a route is forbidden [m].
     table_height: float = _number(0.05, "m", 0.0, 10.0)
@@ -101,6 +108,26 @@ class Policy:
     max_observation_age: float = _number(0.5, "s", 0.0, 1e6, open_low=True)
     # Time in which the motion ramps from full speed to a hold [s].
     hold_time: float = _number(0.25, "s", 0.0, 10.0, open_low=True)
+
+
+@dc.dataclass
+class Verified:
+    """Coupling parameters that roll-outs of the motion have checked."""
+
+    # Motions that are rolled out a round.
+    candidates: int = _count(_SEARCH.candidates, 32, 4096)
+    # Rounds of the search at most, and after the first motion that keeps the clearance.
+    rounds: int = _count(_SEARCH.rounds, 0, 1000)
+    polish: int = _count(_SEARCH.polish, 0, 1000)
+    # Searches again, finer and on every side, where it is not kept: seconds a decision.
+    retries: int = _count(_SEARCH.retries, 0, 10)
+    # A motion keeps the clearance when it is short of it by no more than this [m].
+    slack: float = _number(_SEARCH.slack, "m", 0.0, 0.1)
+
+
+@dc.dataclass
+class Regressor:
+    """Coupling parameters as the regressor chain gives them, sides by cost rings: the paper."""
 
 
 @dc.dataclass
@@ -197,7 +224,7 @@ class Scenario:
     description: str = ""
     # Kept with report and log, for noise models to come: nothing random depends on it
     # today, and the same scenario always runs the same.
-    seed: int = dc.field(default=0, metadata={"unit": "1", "low": 0, "high": 2**31 - 1})
+    seed: int = _count(0, 0, 2**31 - 1)
     # Step of the simulated plant and controller [s].
     plant_step: float = _number(0.002, "s", 1e-5, 0.01)
     task: Task = dc.field(default_factory=Task)
@@ -213,7 +240,8 @@ class Scenario:
     perception: DepthCamera | GroundTruth | RecordedClouds | GivenEllipsoids = dc.field(
         default_factory=GroundTruth
     )
-
+    # What the coupling parameters come from.
+    regulation: Verified | Regressor = dc.field(default_factory=Verified)
     # Height of the table in the world; null: there is none [m].
     table_height: float | None = dc.field(default=0.0, metadata={"unit": "m"})
 

@@ -127,7 +127,9 @@ def check(data: Any, schema: Any, where: str, metadata: Any) -> None:
         for name, value in data.items():
             full_name = f"{where}.{name}" if where else name
             if name not in known:
-                raise ScenarioError(f"{full_name} is not a field; valid here: {', '.join(known)}")
+                raise ScenarioError(
+                    f"{full_name} is not a field; valid here: {', '.join(known) or 'none'}"
+                )
             kind, extra = known[name]
             check(value, kind, full_name, extra)
 

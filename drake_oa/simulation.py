@@ -19,11 +19,18 @@ from drake_oa.provenance import software_versions
 from drake_oa.regressor import CouplingParameters
 from drake_oa.scenario import Scenario, scenario_text
 from drake_oa.values import EllipsoidSet, FloatArray, PolicyState
+from drake_oa.verification import SearchParameters
 
 LONGEST_HOLD = 5.0
 """A motion that is held for longer than this is ended [s]."""
 LONGEST_SCALING = 6.0
 """A motion that takes more than this many demonstrated durations is ended."""
+LATEST_END = 2.2
+"""Normalised time s at which a motion that has not arrived is ended."""
+ARRIVED = SearchParameters().tolerance
+"""A motion has arrived when s = 1 is over and it is this near to the goal [m], at a scaled
+velocity at which it would go no further than `STILL` times as far in a unit of s."""
+STILL = 20.0
 
 
 class MotionInterruptedError(RuntimeError):
@@ -54,7 +61,7 @@ class _Watcher:
         elif diagram.HasSubsystemNamed("perception"):
             self._ellipsoid_system = diagram.GetSubsystemByName("perception")
             self._ellipsoid_port = self._ellipsoid_system.get_output_port()
-        self._last_phase = math.exp(-scenario.policy.alpha_k)
+        self._alpha_k = scenario.policy.alpha_k
         self._period = scenario.policy.period
         self._end_time = end_time
         self._on_progress = on_progress
@@ -77,8 +84,12 @@ class _Watcher:
         self._record(root, now, policy)
         if self._on_progress is not None:
             self._on_progress(now, policy.phase)
-        if policy.phase <= self._last_phase * (1.0 + 1e-9):
+        s = -math.log(max(policy.phase, 1e-300)) / self._alpha_k
+        if s >= 1.0 - 1e-9 and _has_arrived(policy):
             return self._stop("goal")
+        if s >= LATEST_END:
+            error = math.dist(policy.p_WE, policy.p_WG)
+            return self._stop(f"goal missed by {1e3 * error:.1f} mm at s = {LATEST_END:g}")
         if self._held_since is not None and now - self._held_since > LONGEST_HOLD:
             return self._stop(f"held for {LONGEST_HOLD:g} s: {policy.note}")
         if now >= self._end_time:
@@ -112,6 +123,11 @@ class _Watcher:
         return EventStatus.ReachedTermination(self._diagram, reason)
 
 
+def _has_arrived(policy: PolicyState) -> bool:
+    error, speed = math.dist(policy.p_WE, policy.p_WG), math.hypot(*policy.z_W)
+    return error < ARRIVED and speed < STILL * ARRIVED
+
+
 def simulate(
     scenario: Scenario,
     *,
@@ -121,6 +137,9 @@ def simulate(
     on_progress: Callable[[float, float], None] | None = None,
 ) -> MotionLog:
     """Runs one motion of a scenario until the goal, a lasting hold or the time limit.
+
+    The goal is reached when the phase has passed s = 1 and the desired motion has
+    arrived; one that has not by `LATEST_END` is ended there.
 
     Args:
         scenario: what to run.
@@ -187,6 +206,9 @@ def _collect(
         R_WO=R_WO,
         semi_axes=semi_axes,
         out_of_range=np.array(watcher.out_of_range, dtype=np.int64),
+        regulation=type(scenario.regulation).__name__ if modulated else "",
+        shortfall=signals.get("shortfall", np.zeros((count, 1)))[:, 0],
+        short_of=signals.get("short_of", np.full((count, 1), -1.0))[:, 0].astype(np.int64),
         event_time=np.array([when for when, _ in watcher.events]),
         event=tuple(note for _, note in watcher.events),
         stop_reason=watcher.stop_reason,

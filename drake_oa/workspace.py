@@ -31,6 +31,15 @@ def tool_down_radii(height: FloatArray) -> tuple[FloatArray, FloatArray]:
     return np.interp(height, _HEIGHT, _INNER), np.interp(height, _HEIGHT, _OUTER)
 
 
+def tool_down_annulus() -> FloatArray:
+    """(3, n) heights above the base, and the least and largest distances there [m].
+
+    Between the heights `tool_down_radii` is linear. The sector that the first joint does
+    not reach is not in it.
+    """
+    return np.array([_HEIGHT, _INNER, _OUTER])
+
+
 def tool_down_margin(p_WQ: FloatArray, p_WB: FloatArray | None = None) -> FloatArray:
     """Signed margin of tool points to the edge of the tool-down workspace.
 

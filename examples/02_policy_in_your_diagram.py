@@ -46,7 +46,7 @@ def main() -> None:
     builder.Connect(
         chain.GetOutputPort("coupling_parameters"), policy.GetInputPort("coupling_parameters")
     )
-    builder.Connect(rings.GetOutputPort("route"), policy.GetInputPort("route"))
+    builder.Connect(rings.GetOutputPort("decision"), policy.GetInputPort("route"))
     log = LogVectorOutput(policy.GetOutputPort("desired_position"), builder, 0.01)
 
     simulator = Simulator(builder.Build())

@@ -34,6 +34,9 @@ def log_of(path: FloatArray, **changes: object) -> MotionLog:
         R_WO=np.zeros((0, 0, 3, 3)),
         semi_axes=np.zeros((0, 0, 3)),
         out_of_range=np.zeros(0, dtype=np.int64),
+        regulation="Verified",
+        shortfall=np.zeros(count),
+        short_of=np.full(count, -1),
         event_time=np.zeros(0),
         event=(),
         stop_reason="goal",
@@ -114,3 +117,24 @@ def test_the_table_shows_one_row_a_motion() -> None:
     assert table[2].endswith("goal")
     short = run_report("free_space", FREE, {"modulated": log_of(AROUND)})
     assert len(report_table(short).splitlines()) == 2
+
+
+def test_a_clearance_that_was_not_kept_is_reported_and_warned_of() -> None:
+    short = {"shortfall": np.array([0.0, 0.0123, 0.002]), "short_of": np.array([-1, 4, 5])}
+    logs = {
+        "preplanned": log_of(THROUGH, regulation=""),
+        "modulated": log_of(AROUND, **short),
+    }
+    report = run_report("free_space", FREE, logs)
+    found = report["modulated"]
+    assert found["regulation"] == "Verified"
+    assert (found["shortfall_max"], found["short_of"]) == (0.0123, 4)
+    assert report["preplanned"]["regulation"] is None
+    assert report["preplanned"]["shortfall_max"] is None
+    table = report_table(report).splitlines()
+    assert "shortfall [mm]" in table[0]
+    assert table[-1] == (
+        "warning: modulated: 12.3 mm of the clearance to obstacle 4 could not be kept"
+    )
+    paper = motion_report(FREE, log_of(AROUND, regulation="Regressor"))
+    assert (paper["shortfall_max"], paper["short_of"]) == (None, None)

@@ -9,8 +9,10 @@ from drake_oa.scenario import (
     GivenEllipsoids,
     GroundTruth,
     RecordedClouds,
+    Regressor,
     Scenario,
     ScenarioError,
+    Verified,
     load_scenario,
     parse_scenario,
     scenario_text,
@@ -51,6 +53,16 @@ def test_perception_is_swapped_by_its_block_alone() -> None:
         assert isinstance(scenario.perception, kind)
 
 
+def test_regulation_is_verified_unless_the_paper_s_is_asked_for() -> None:
+    assert isinstance(parse_scenario("{}").regulation, Verified)
+    # Without a tag it is the default one.
+    assert parse_scenario("regulation: {rounds: 7}").regulation == Verified(rounds=7)
+    assert parse_scenario("regulation: !Verified {slack: 0.001}").regulation == Verified(slack=1e-3)
+    paper = load_scenario("free_space", ["regulation=!Regressor {}"])
+    assert isinstance(paper.regulation, Regressor)
+    assert isinstance(parse_scenario(scenario_text(paper)).regulation, Regressor)
+
+
 def test_override_replaces_one_field() -> None:
     scenario = load_scenario("tabletop_box", ["task.clearance=0.1", "seed=7"])
     assert scenario.task.clearance == 0.1
@@ -69,6 +81,11 @@ def test_override_replaces_one_field() -> None:
         ("task: {goal: [1, 2]}", ["task.goal", "3 numbers", "2"]),
         ("task: {goal: [0.45, -0.45, 0.3]}", ["task.goal", "start"]),
         ("task: 3", ["task", "block"]),
+        ("regulation: !Sampled {}", ["regulation", "!Sampled", "!Verified", "!Regressor"]),
+        ("regulation: {candidates: 8}", ["regulation.candidates", "8", "[32, 4096]"]),
+        ("regulation: {rounds: 1.5}", ["regulation.rounds", "whole number"]),
+        ("regulation: {slack: -1}", ["regulation.slack", "-1", "[0, 0.1] [m]"]),
+        ("regulation: !Regressor {rounds: 3}", ["regulation.rounds is not a field"]),
         ("policy: {guidance: sideways}", ["policy.guidance", "counterphase", "printed"]),
         ("policy: {n_basis: 3.5}", ["policy.n_basis", "whole number"]),
         ("seed: {a: 1}", ["seed", "whole number"]),

@@ -246,7 +246,7 @@ def test_where_every_side_is_forbidden_the_motion_holds(
             table=TablePlane(offset=5.0),
         )
 
-    log = free_motion(walled)
+    log = free_motion(walled, "regulation=!Regressor {}")
     assert log.stop_reason == "held for 5 s: every side of obstacle 0 is forbidden"
     assert at_rest(log, HOLD)
 
@@ -343,7 +343,7 @@ def test_frames_without_a_valid_pixel_hold_the_motion(
     bad: float, caplog: pytest.LogCaptureFixture
 ) -> None:
     images = {True: table_from_above(None), False: table_from_above(bad)}
-    scenario = load_scenario("tabletop_box", [GROUND_TRUTH])
+    scenario = load_scenario("tabletop_box", [GROUND_TRUTH, "regulation=!Regressor {}"])
     builder = DiagramBuilder()
     image = builder.AddSystem(
         Scripted("depth_image", lambda t: images[t < 1.0 or t > 2.4], ImageDepth32F(WIDTH, HEIGHT))

@@ -1,0 +1,168 @@
+"""The regulation layer past the paper: coupling parameters that roll-outs have checked."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+from pydrake.common.value import AbstractValue, Value
+from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+
+from drake_oa.dmp import Dmp
+from drake_oa.regressor import ChainWeights, CouplingParameters
+from drake_oa.systems.ports import read_optional, read_value, valid_period
+from drake_oa.values import EllipsoidSet, FloatArray, PolicyState, TablePlane
+from drake_oa.verification import SearchParameters
+from drake_oa.verified_regulation import Regulation, Regulator, concern
+
+_LATER = 1e-3
+"""How long after the beginning of a period it is verified [s]."""
+
+_logger = logging.getLogger("drake_oa")
+
+
+class VerifiedRegressorChain(LeafSystem):
+    """Regulates the coupling terms by motions that have been rolled out beforehand.
+
+    .. pydrake_system::
+
+      name: VerifiedRegressorChain
+      input_ports:
+      - ellipsoids_W
+      - policy_state
+      - goal
+      - table (optional)
+      output_ports:
+      - coupling_parameters
+      - shortfall
+      - short_of
+
+    - ellipsoids_W: abstract `EllipsoidSet`, M dilated obstacles with their velocities; may
+      be empty.
+    - policy_state: abstract `PolicyState` of the movement primitive.
+    - goal: (3,) goal of the motion in the world frame [m].
+    - table (optional): abstract `TablePlane`; without it the plane that came with
+      the ellipsoids is used.
+    - coupling_parameters: abstract `CouplingParameters`, M rows. One avoidance term bends
+      the whole motion: it is on the row of the obstacle that the motion comes nearest to,
+      with the point it acts about and the normal of its plane; the other rows have
+      alpha 0. With it tau, and a note that holds the motion where none was found that
+      clears the obstacles.
+    - shortfall: (1,) what the verified motion lacks of the feasible clearance, min(Delta,
+      distance of E now, distance of the goal) of each obstacle [m]; 0 where it is kept.
+    - short_of: (1,) name of the obstacle that it lacks it to; -1 where it is kept.
+
+    The regressor chain proposes. Candidates, and what is in use, are rolled out from where
+    the policy is, among all obstacles with their velocities, above the table and within
+    the workspace; of those that keep the clearance and reach the goal the shortest is
+    taken, and another side than the one in use only where it is shorter by some
+    hysteresis: see `drake_oa.verification`. It has the place of `RegressorChain` in a
+    diagram; the `DmpIntegrator` that takes its parameters must have the same primitive and
+    fade, and needs no route.
+
+    The choice is abstract state. It is made at initialization and every `period`, shortly
+    after it so that an observation of the same instant counts; while obstacles, goal and
+    table stay as they were and nothing moves, it stands. Between choices an obstacle with
+    a name that was not there has alpha 0. There is no term while start and goal coincide
+    or nothing has been observed.
+    """
+
+    def __init__(
+        self,
+        weights: ChainWeights,
+        dmp: Dmp,
+        clearance: float,
+        *,
+        period: float = 1.0 / 15.0,
+        parameters: SearchParameters | None = None,
+        table_height: float = 0.05,
+        annulus: FloatArray | None = None,
+    ) -> None:
+        """Declares the ports.
+
+        Args:
+            weights: the trained chain, see `drake_oa.regressor.load_chain`.
+            dmp: the movement primitive whose motion is regulated.
+            clearance: asked distance Delta between tool and obstacle [m].
+            period: time between choices [s].
+            parameters: how far the search goes; None: the defaults.
+            table_height: least height of E above the table [m].
+            annulus: (3, n) heights, and least and largest distance of E from the world's
+                z axis there [m], see `drake_oa.workspace.tool_down_annulus`; None: E may
+                be anywhere.
+
+        Raises:
+            TypeError: if weights are no `ChainWeights`.
+            ValueError: if clearance or period are not finite and positive, the primitive
+                does not have three dimensions, or the annulus has another shape.
+        """
+        super().__init__()
+        if not isinstance(weights, ChainWeights):
+            raise TypeError(
+                f"weights must be ChainWeights (see load_chain), not {type(weights).__name__}"
+            )
+        if not 0.0 < clearance < np.inf:
+            raise ValueError(f"clearance must be finite and positive [m], not {clearance}")
+        if dmp.dimension != 3:
+            raise ValueError(f"dmp must have 3 dimensions, not {dmp.dimension}")
+        if annulus is not None and (np.ndim(annulus) != 2 or len(annulus) != 3):
+            raise ValueError(f"annulus must be (3, n), not {np.shape(annulus)}")
+        period = valid_period(period)
+        self._regulator = Regulator(
+            weights,
+            dmp,
+            float(clearance),
+            parameters=parameters or SearchParameters(),
+            table_height=table_height,
+            annulus=annulus,
+        )
+        self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
+        self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
+        self._goal = self.DeclareVectorInputPort("goal", 3)
+        self._table = self.DeclareAbstractInputPort("table", Value(TablePlane()))
+        self._chosen = self.DeclareAbstractState(Value(Regulation()))
+        chosen = self.abstract_state_ticket(self._chosen)
+        self.DeclareAbstractOutputPort(
+            "coupling_parameters",
+            lambda: Value(CouplingParameters()),
+            self._calc_parameters,
+            prerequisites_of_calc={self._ellipsoids.ticket(), chosen},
+        )
+        self.DeclareVectorOutputPort("shortfall", 1, self._calc_shortfall, {chosen})
+        self.DeclareVectorOutputPort("short_of", 1, self._calc_short_of, {chosen})
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._choose)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, _LATER, self._choose)
+
+    def _read(self, context: Context) -> Regulation:
+        return context.get_abstract_state(self._chosen).get_value()
+
+    def _choose(self, context: Context, state: State) -> EventStatus:
+        before = self._read(context)
+        ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
+        after = self._regulator.update(
+            before,
+            read_value(self, self._policy, context, PolicyState),
+            self._goal.Eval(context),
+            ellipsoids,
+            read_optional(self, self._table, context, TablePlane) or ellipsoids.table,
+        )
+        _log_change(before, after, context.get_time())
+        state.get_mutable_abstract_state(self._chosen).set_value(after)
+        return EventStatus.Succeeded()
+
+    def _calc_parameters(self, context: Context, output: AbstractValue) -> None:
+        ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
+        output.set_value(self._read(context).coupling(ellipsoids))
+
+    def _calc_shortfall(self, context: Context, output: BasicVector) -> None:
+        output.SetAtIndex(0, self._read(context).shortfall)
+
+    def _calc_short_of(self, context: Context, output: BasicVector) -> None:
+        output.SetAtIndex(0, self._read(context).short_of)
+
+
+def _log_change(before: Regulation, after: Regulation, time: float) -> None:
+    """Says once what a new choice does not do; why it holds, who holds says."""
+    said = "" if after.note else concern(after)
+    if said and (after.short_of != before.short_of or before.note or not concern(before)):
+        _logger.warning("t=%.3f s: %s", time, said)
