@@ -1,0 +1,302 @@
+"""`drake-oa evaluate`: runs methods on a suite of scenes and prints what they kept."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+# Suites, methods and kernels are imported where they are used: `--help` answers at once.
+if TYPE_CHECKING:
+    from drake_oa.experiments.dead_zone import Comparison
+    from drake_oa.experiments.evaluation import Evaluation, Outcome
+    from drake_oa.experiments.methods import Method
+    from drake_oa.experiments.motions import Motions
+    from drake_oa.experiments.scenes import Scenes
+    from drake_oa.values import FloatArray
+
+_FAILED, _INTERRUPTED = 1, 130
+
+_DESCRIPTION = """\
+Runs methods on the same scenes and prints, for each method:
+
+  collisions       scenes in which an obstacle was touched
+  clearance        least distance to an obstacle over the whole motion
+  short            scenes more than 1 mm short of the feasible clearance:
+                   min(Delta, distance of the start, distance of the goal)
+  goal error       distance to the goal at the end of the scaled duration
+  path ratio       length of the path over that of the straight line
+  step, seconds    computing time of a policy step, and of all scenes
+
+An independent float64 check judges the motions, on samples four times finer than theirs.
+"""
+
+_EPILOG = """\
+suites:
+{suites}
+
+methods (default: paper and verified; for dead-zone original and paper):
+  paper                the paper's own regressor chain, as printed
+  verified             proposals checked by roll-outs
+  original             the coupling term that the paper starts from
+  movement_primitives  the package of that name (pip install 'drake_oa[peers]')
+
+A scenes file (.npz) replaces the suite's scenes: `baseline` (N,), `center` (N, M, 3),
+`semi_axes` (N, M, 3), `R` (N, M, 3, 3), `velocity` (N, M, 3), `clearance` (N,), in metres
+and m/s, NaN rows for absent obstacles; the start is the origin, the goal (baseline, 0, 0).
+SUITE then only names the result; `familiar` runs the file's scenes in its 12 settings, each
+with its own clearance; `dead-zone` takes no file. --write-scenes writes the suite's scenes
+in the same form.
+
+--json writes {{"suite", "seed", "versions", "methods": {{NAME: {{...}}}}}}, after every method;
+what was computed so far is in it, with "complete": false, when a method fails or the command is
+interrupted. The figures of `familiar` are over the settings that ask for a clearance and
+scale the duration; "settings" has all twelve.
+
+Exit status: 0 when all was run, 1 when a method failed, 2 for bad input, 130 when
+interrupted.
+
+examples:
+  drake-oa evaluate novel --json novel.json --plot novel.png
+  drake-oa evaluate hit --method paper --method original --scenes 200 --seed 7
+  drake-oa evaluate clutter --scenes-file mine.npz --method verified
+"""
+
+_SUITES = {
+    "familiar": "the paper's 100 training ellipses, each in its 12 settings",
+    "novel": "the paper's random obstacles at baselines of 0.5, 1, 1.5 and 2 m (4000)",
+    "posed": "novel with random orientations (1000)",
+    "hit": "posed, with the straight line in collision (1000)",
+    "head-on": "posed, centres within 1 cm of the line or exactly on it (1000)",
+    "clutter": "six small ellipsoids, at least one in the way (1000)",
+    "moving": "one small ellipsoid that moves into the unmodulated robot (1000)",
+    "dead-zone": "a point obstacle on the line and up to 10 cm beside it (41), and both terms",
+}
+
+
+def add_parser(commands: Any) -> None:
+    """Adds the command `evaluate` to the subparsers of `drake-oa`."""
+    width = max(map(len, _SUITES))
+    suites = "\n".join(f"  {name:<{width}}  {text}" for name, text in _SUITES.items())
+    parser = commands.add_parser(
+        "evaluate",
+        help="compare methods on the paper's experiments and beyond",
+        description=_DESCRIPTION,
+        epilog=_EPILOG.format(suites=suites),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("suite", metavar="SUITE", help="which scenes, see below")
+    parser.add_argument(
+        "--method",
+        action="append",
+        metavar="M",
+        dest="methods",
+        help="a method, see below; may be repeated",
+    )
+    parser.add_argument(
+        "--scenes",
+        type=int,
+        metavar="N",
+        help="how many (familiar: a square, N ellipses); with --scenes-file, the first N",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, metavar="S", help="of the scenes (default 0)"
+    )
+    parser.add_argument("--scenes-file", type=Path, metavar="F.npz", help="run these scenes")
+    parser.add_argument("--write-scenes", type=Path, metavar="F.npz", help="write the scenes")
+    parser.add_argument("--json", type=Path, metavar="F", help="write the figures")
+    parser.add_argument("--plot", type=Path, metavar="F", help="write a plot: .png, .svg or .pdf")
+    parser.add_argument(
+        "--verbose", action="store_true", help="more messages, and a traceback with an error"
+    )
+    parser.set_defaults(action=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Runs the command; returns its exit status.
+
+    Raises:
+        ValueError: for bad input.
+        OSError: for a file that cannot be read or written.
+    """
+    from drake_oa.experiments.evaluation import evaluate
+    from drake_oa.experiments.figures import evaluation_figures
+    from drake_oa.experiments.scenes_file import save_scenes
+    from drake_oa.experiments.suites import find_suite
+    from drake_oa.experiments.tables import evaluation_table
+    from drake_oa.provenance import software_versions
+
+    suite = find_suite(options.suite)
+    methods = _methods(options.methods or suite.methods)
+    _check_outputs(options)
+    scenes = _scenes(options)
+    if options.write_scenes is not None:
+        save_scenes(options.write_scenes, scenes)
+    versions = software_versions()
+    seed = options.seed if options.scenes_file is None else None
+    terms = _terms(scenes) if options.suite == "dead-zone" else []
+    paths: dict[str, FloatArray] = {}
+
+    def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Any]:
+        found = evaluation_figures(options.suite, seed, versions, suite.cases, outcomes)
+        if terms and "original" in found["methods"]:
+            found["methods"]["original"]["terms"] = _term_figures(terms)
+        return found
+
+    def keep(outcomes: Mapping[str, Outcome]) -> None:
+        if options.json is not None:
+            _write_json(options.json, figures(outcomes))
+
+    def keep_paths(name: str, motions: Motions) -> None:
+        if terms:
+            paths.setdefault(name, motions.path)
+
+    with _bar(len(scenes) * len(suite.cases) * len(methods)) as on_progress:
+        evaluation = evaluate(
+            scenes,
+            suite.cases,
+            methods,
+            on_progress=on_progress,
+            on_method=keep,
+            on_motions=keep_paths,
+        )
+    print(_heading(options.suite, scenes))
+    print(evaluation_table(figures(evaluation.outcomes)))
+    if terms:
+        print(_term_text(terms))
+    if options.plot is not None:
+        from drake_oa.experiments.plots import plot_evaluation
+
+        plot_evaluation(
+            options.plot, options.suite, scenes, suite.cases, evaluation.outcomes, paths, terms
+        )
+    return _status(evaluation)
+
+
+def _methods(names: Sequence[str]) -> dict[str, Callable[[], Method]]:
+    """Name of each method -> what gives it; all are loaded before the first is run."""
+    from drake_oa.experiments.methods import check_method, load_method
+
+    for name in names:
+        check_method(name)
+    loaded = {name: load_method(name) for name in names}
+    return {name: (lambda name=name: loaded[name]) for name in loaded}  # type: ignore[misc]
+
+
+def _terms(scenes: Scenes) -> list[Comparison]:
+    from drake_oa.experiments.dead_zone import compare_terms
+
+    return compare_terms(scenes)
+
+
+def _term_figures(terms: Sequence[Comparison]) -> list[dict[str, float]]:
+    from drake_oa.experiments.dead_zone import term_figures
+
+    return term_figures(terms)
+
+
+def _term_text(terms: Sequence[Comparison]) -> str:
+    from drake_oa.experiments.dead_zone import term_figures, term_table
+
+    return f"\n{term_table(term_figures(terms))}"
+
+
+def _scenes(options: argparse.Namespace) -> Scenes:
+    from drake_oa.experiments.memory import check_memory
+    from drake_oa.experiments.scenes_file import load_scenes
+    from drake_oa.experiments.suites import draw_scenes, find_suite
+
+    if options.scenes is not None and options.scenes < 1:
+        raise ValueError(f"--scenes must be at least 1, not {options.scenes}")
+    if options.scenes_file is None:
+        if options.scenes is not None:
+            size = options.scenes * find_suite(options.suite).bytes_per_scene
+            check_memory(f"--scenes {options.scenes}", size)
+        return draw_scenes(options.suite, options.scenes, options.seed)
+    if options.suite == "dead-zone":
+        raise ValueError("dead-zone has scenes of its own: it takes no --scenes-file")
+    scenes = load_scenes(options.scenes_file)
+    if options.scenes is not None:
+        if options.scenes > len(scenes):
+            raise ValueError(
+                f"--scenes {options.scenes}: {options.scenes_file} holds {len(scenes)}"
+            )
+        scenes = scenes.rows(slice(options.scenes))
+    return scenes
+
+
+def _heading(suite: str, scenes: Scenes) -> str:
+    from drake_oa.experiments.sampling import line_hits
+
+    hit = int(line_hits(scenes).any(axis=1).sum())
+    return (
+        f"{suite}: {len(scenes)} scenes; in {hit} an obstacle is on the straight line at t = 0\n"
+        "where feasible: mean over the scenes in which Delta itself is feasible\n"
+    )
+
+
+def _status(evaluation: Evaluation) -> int:
+    for name, outcome in evaluation.outcomes.items():
+        if outcome.error is not None:
+            text = " ".join(outcome.error.split())
+            print(f"drake-oa: error: {name} failed: {text}", file=sys.stderr)
+    if evaluation.interrupted:
+        print("drake-oa: error: interrupted", file=sys.stderr)
+        return _INTERRUPTED
+    return 0 if all(o.complete for o in evaluation.outcomes.values()) else _FAILED
+
+
+def _write_json(path: Path, figures: dict[str, Any]) -> None:
+    """Replaces the file at once: an earlier one stays whole until the new one is."""
+    beside = path.with_name(f"{path.name}.part")
+    beside.write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n")
+    os.replace(beside, path)
+
+
+def _check_outputs(options: argparse.Namespace) -> None:
+    """Raises ValueError for a file that cannot be written, before a long computation."""
+    if options.plot is not None:
+        from drake_oa.experiments.plots import check_plot_file
+
+        check_plot_file(options.plot)
+    given = [p for p in (options.json, options.plot, options.write_scenes) if p is not None]
+    read = [] if options.scenes_file is None else [options.scenes_file]
+    if len({path.resolve() for path in given + read}) < len(given + read):
+        raise ValueError(
+            "--json, --plot, --write-scenes and --scenes-file must name different files"
+        )
+    for path in given:
+        known = path.exists()
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with path.open("ab"):
+                pass
+        except OSError as error:
+            raise ValueError(f"cannot write {path}: {error.strerror}") from None
+        if not known:
+            path.unlink()
+
+
+@contextmanager
+def _bar(total: int) -> Iterator[Any]:
+    """A progress bar with an estimate on a terminal; nothing when piped."""
+    from tqdm import tqdm
+
+    with tqdm(
+        total=total,
+        unit="scene",
+        disable=not sys.stderr.isatty(),
+        leave=False,
+        bar_format="{desc:20} {percentage:3.0f}% |{bar}| {n_fmt}/{total_fmt}, {remaining} left",
+    ) as bar:
+
+        def show(name: str, count: int) -> None:
+            bar.set_description_str(name, refresh=False)
+            bar.update(count)
+
+        yield show

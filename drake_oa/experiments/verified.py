@@ -1,0 +1,130 @@
+"""The project's own method: the regressor chain's proposals, verified by roll-outs."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from drake_oa.experiments.methods import Setting
+from drake_oa.experiments.motions import Motions
+from drake_oa.experiments.scenes import DURATION, Scenes, single_obstacle
+from drake_oa.regressor import load_chain
+from drake_oa.scenario import package_file
+from drake_oa.spatial_rollout import SpatialScenes, spatial_rollouts
+from drake_oa.values import FloatArray, IntArray
+from drake_oa.verification import SearchParameters, Verified, verify
+
+WEIGHTS = "package://drake_oa/weights/regressor_chain.npz"
+SAMPLES = 500
+"""Intervals in which the motions are handed over."""
+LEAST_CLEARANCE = 0.01
+"""Kept where no clearance is asked for: what the paper's training set calls free [m]."""
+PARAMETERS = SearchParameters(retries=2)
+
+
+def run(scenes: Scenes, setting: Setting) -> Motions:
+    """Decides once for each scene, from rest, and follows the motion that was verified.
+
+    Args:
+        scenes: N scenes.
+        setting: without `constrained`, `LEAST_CLEARANCE` is kept; without `scale_time`
+            tau is 1, which changes the path among moving obstacles only.
+
+    Returns:
+        The motions, from rest until they have arrived.
+    """
+    _warm_up()
+    begun = time.perf_counter()
+    posed = spatial_scenes(scenes, scenes.clearance if setting.constrained else LEAST_CLEARANCE)
+    found = verify(
+        posed, load_chain(package_file(WEIGHTS)), duration=DURATION, parameters=PARAMETERS
+    )
+    path, z, end, tau = _followed(posed, found, setting)
+    return Motions(
+        path=path,
+        velocity=z / (DURATION * tau)[:, None, None],
+        duration=DURATION * tau * end,
+        seconds=time.perf_counter() - begun,
+    )
+
+
+def spatial_scenes(scenes: Scenes, clearance: FloatArray | float) -> SpatialScenes:
+    """The scenes as roll-outs take them: at rest at the start, L = W.
+
+    Args:
+        scenes: N scenes.
+        clearance: () or (N,) asked of every obstacle [m].
+    """
+    count = len(scenes)
+    asked = np.broadcast_to(clearance, (count,))
+    return SpatialScenes(
+        p_WE=np.zeros((count, 3)),
+        z_W=np.zeros((count, 3)),
+        p_WG=scenes.goal,
+        R_WL=np.tile(np.eye(3), (count, 1, 1)),
+        baseline=scenes.baseline,
+        p_WO=scenes.center,
+        R_WO=scenes.R,
+        semi_axes=scenes.semi_axes,
+        v_WO=scenes.velocity,
+        clearance=np.repeat(asked[:, None], scenes.center.shape[1], axis=1),
+    )
+
+
+def _followed(
+    posed: SpatialScenes, found: Verified, setting: Setting
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Path (N, S + 1, 3), z there, normalised time of arrival (N,) and tau (N,)."""
+    count = len(posed)
+    tau = found.tau if setting.scale_time else np.ones(count)
+    path, z, end = np.empty((count, SAMPLES + 1, 3)), np.empty((count, SAMPLES + 1, 3)), tau.copy()
+    for steps in np.unique(found.steps):
+        rows = np.flatnonzero(found.steps == steps)
+        rolled = spatial_rollouts(
+            posed,
+            rows,
+            found.terms[rows, None],
+            seconds=DURATION * tau[rows],
+            steps=int(steps),
+            end=1.0,
+            horizon=PARAMETERS.horizon,
+            fade=PARAMETERS.fade,
+            tolerance=PARAMETERS.tolerance,
+            keep_path=True,
+        )
+        taken = rolled.steps.astype(np.int64)
+        path[rows], z[rows] = _resampled(rolled.path, rolled.velocity, taken, 1.0 / steps)
+        end[rows] = taken / steps
+    return path, z, end, tau
+
+
+def _resampled(
+    path: FloatArray, z: FloatArray, taken: IntArray, step: float
+) -> tuple[FloatArray, FloatArray]:
+    """Cubic Hermite interpolation at `SAMPLES` + 1 instants from the first to the last step."""
+    at = taken[:, None] * np.linspace(0.0, 1.0, SAMPLES + 1)
+    i = np.minimum(at.astype(np.int64), taken[:, None] - 1)
+    u = (at - i)[..., None]
+    row = np.arange(len(path))[:, None]
+    p0, p1, v0, v1 = path[row, i], path[row, i + 1], step * z[row, i], step * z[row, i + 1]
+    a = 2.0 * (p0 - p1) + v0 + v1
+    b = 3.0 * (p1 - p0) - 2.0 * v0 - v1
+    return p0 + u * (v0 + u * (b + u * a)), (v0 + u * (2.0 * b + 3.0 * u * a)) / step
+
+
+def _warm_up() -> None:
+    """Compiles or loads the kernels, so that it does not count as computing time."""
+    if _warm:
+        return
+    scene = single_obstacle(1.0, [[0.5, 0.0, 0.0]], [[0.05, 0.05, 0.05]])
+    verify(
+        spatial_scenes(scene, 0.05),
+        load_chain(package_file(WEIGHTS)),
+        duration=DURATION,
+        parameters=SearchParameters(rounds=1),
+    )
+    _warm.append(True)
+
+
+_warm: list[bool] = []
