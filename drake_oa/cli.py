@@ -20,7 +20,11 @@ from typing import TYPE_CHECKING, Any
 
 from threadpoolctl import threadpool_limits
 
+from drake_oa import benchmark_command as benchmark
+from drake_oa.experiments import command as evaluation
+from drake_oa.kernel_cache import announced_compilation
 from drake_oa.scenario import Scenario, ScenarioError, load_scenario, shipped_scenarios
+from drake_oa.training import command as training
 
 # Diagrams and simulation are imported where they are used: `scenarios` and `--help`
 # answer at once.
@@ -31,6 +35,14 @@ if TYPE_CHECKING:
 
 _RECORDING_RATE = 15.0
 _FAILED, _BAD_INPUT, _INTERRUPTED = 1, 2, 130
+
+_COMPILATION = {
+    "run": "1 to 2 minutes",
+    "evaluate": "1 minute",
+    "train": "half a minute",
+    "benchmark": "2 minutes",
+}
+"""About how long the kernels of a command take to compile."""
 
 _EXAMPLES = """\
 examples:
@@ -102,16 +114,9 @@ def _parser() -> argparse.ArgumentParser:
     graph.add_argument("--dot", action="store_true", help="the Graphviz source in any case")
     graph.set_defaults(action=_graph)
 
-    bench = commands.add_parser(
-        "benchmark",
-        help="time the layers and a run against Drake alone",
-        description="Prints the real-time factor of a scenario, the time of one policy step with "
-        "six obstacles and of one frame of perception, with a baseline measured in the same run.",
-    )
-    bench.add_argument("--scenario", default="tabletop_box", help="default: tabletop_box")
-    bench.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
-    _add_verbose(bench)
-    bench.set_defaults(action=_benchmark)
+    benchmark.add_parser(commands)
+    evaluation.add_parser(commands)
+    training.add_parser(commands)
     return parser
 
 
@@ -168,7 +173,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logging.getLogger("drake").setLevel(level)
     try:
         # Many small matrices: more BLAS threads only wait for each other.
-        with threadpool_limits(limits=1):
+        with threadpool_limits(limits=1), announced_compilation(_COMPILATION.get(options.command)):
             status: int = options.action(options)
             sys.stdout.flush()
             return status
@@ -223,7 +228,6 @@ def _run(options: argparse.Namespace) -> int:
         raise ScenarioError(f"--duration: {options.duration} must be positive [s]")
     _check_outputs(options.html, options.json, options.log)
     meshcat = _start_meshcat(options)
-    _announce_compilation(scenario)
     with _interrupt_between_steps() as raise_if_asked:
         logs, failure = _simulate_both(options, scenario, meshcat, raise_if_asked)
         status = _report(options, scenario, logs)
@@ -415,19 +419,6 @@ def _interrupt_between_steps() -> Iterator[Callable[[], None]]:
         signal.signal(signal.SIGINT, before)
 
 
-def _announce_compilation(scenario: Scenario) -> None:
-    """Says why the first run in a fresh installation starts late."""
-    from drake_oa.cartesian_kernels import law
-    from drake_oa.ellipsoid_kernels import nearest_points
-
-    kernel = nearest_points if scenario.robot is None else law
-    # A plain function where numba is told not to compile.
-    stats = getattr(kernel, "stats", None)
-    module = kernel.__module__.rpartition(".")[2]
-    if stats is not None and not any(Path(stats.cache_path).glob(f"{module}.*.nbi")):
-        print("compiling kernels, once: up to half a minute ...", file=sys.stderr)
-
-
 def _start_meshcat(options: argparse.Namespace) -> Meshcat | None:
     if not (options.meshcat or options.html):
         return None
@@ -438,19 +429,6 @@ def _start_meshcat(options: argparse.Namespace) -> Meshcat | None:
     if options.meshcat:
         print(f"viewer: {meshcat.web_url()}", file=sys.stderr)
     return meshcat
-
-
-def _benchmark(options: argparse.Namespace) -> int:
-    from drake_oa.benchmark import benchmark_table, run_benchmark
-
-    scenario = load_scenario(options.scenario)
-    _check_outputs(options.json)
-    _announce_compilation(scenario)
-    figures = run_benchmark(scenario)
-    print(benchmark_table(figures))
-    if options.json:
-        options.json.write_text(json.dumps(figures, indent=2) + "\n")
-    return 0
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept.
+"""Where compiled kernels are kept, and a word when they have to be compiled.
 
 Numba keeps them beside the source, or else in the user's cache folder, and refuses to
 load where it can write to neither: a read-only installation without a home.
@@ -7,7 +7,10 @@ load where it can write to neither: a read-only installation without a home.
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -40,3 +43,35 @@ def _is_writable(folder: Path) -> bool:
     except OSError:
         return False
     return os.access(folder, os.W_OK | os.X_OK)
+
+
+@contextmanager
+def announced_compilation(estimate: str | None = None) -> Iterator[None]:
+    """Says once on stderr when a kernel is compiled in here rather than read from the cache.
+
+    That is so in a fresh installation, and after an update of the package or of numba.
+
+    Args:
+        estimate: about how long all the kernels that are used take; None: not known.
+    """
+    # Not at the top: see provide_kernel_cache.
+    from numba.core import event
+
+    class Announcement(event.Listener):
+        said = False
+
+        def on_start(self, event: event.Event) -> None:
+            if self.said:
+                return
+            self.said = True
+            # Does not tear a progress bar.
+            from tqdm import tqdm
+
+            duration = f" (about {estimate})" if estimate else ""
+            tqdm.write(f"compiling kernels, once{duration} ...", file=sys.stderr)
+
+        def on_end(self, event: event.Event) -> None:
+            pass
+
+    with event.install_listener("numba:compile", Announcement()):
+        yield

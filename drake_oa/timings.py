@@ -18,11 +18,13 @@ from pydrake.systems.primitives import ZeroOrderHold
 from pydrake.systems.sensors import ImageDepth32F
 
 from drake_oa import layers
+from drake_oa.action import Segment
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.scenario import (
     DepthCamera,
     EllipsoidConfig,
     GivenEllipsoids,
+    Regressor,
     Robot,
     Scenario,
     ScenarioError,
@@ -30,6 +32,7 @@ from drake_oa.scenario import (
 )
 from drake_oa.simulation import simulate
 from drake_oa.station import home_positions, make_robot_plant, make_station
+from drake_oa.surroundings import Surroundings
 from drake_oa.values import FloatArray
 
 OBSTACLES = 6
@@ -145,8 +148,8 @@ def time_plant(scenario: Scenario, steps: int) -> list[float]:
 def six_obstacles(scenario: Scenario) -> Scenario:
     """The scenario's policy among six ellipsoids on a baseline of 1 m, no robot.
 
-    The baseline runs into all of them: each takes part in regressor chain, route and
-    coupling.
+    The baseline runs into all of them, and the coupling is the paper's: each takes part in
+    regressor chain, route and coupling. (Of verified motions at most one term acts.)
     """
     angles = np.arange(OBSTACLES) * (2.0 * np.pi / OBSTACLES)
     ellipsoids = [
@@ -165,6 +168,7 @@ def six_obstacles(scenario: Scenario) -> Scenario:
         cameras=[],
         task=Task(start=[0.0, 0.0, 0.0], goal=[1.0, 0.0, 0.0], clearance=0.1),
         perception=GivenEllipsoids(ellipsoids),
+        regulation=Regressor(),
     )
 
 
@@ -179,19 +183,27 @@ class _PolicyRun:
         among = six_obstacles(scenario)
         self.simulator = Simulator(build_avoidance(among))
         self.simulator.Initialize()
-        self._chain = self.context("regressor_chain")
+        self._layers = [
+            self.context(name)
+            for name in ("cost_ring_selector", "regressor_chain", "dmp_integrator")
+        ]
         self._period = scenario.policy.period
         self._step = _WARM_UP
         self.simulator.AdvanceTo(self._step * self._period)
 
+    def system(self, name: str) -> Any:
+        """A subsystem."""
+        diagram: Any = self.simulator.get_system()
+        return diagram.GetSubsystemByName(name)
+
     def context(self, name: str) -> Any:
         """The context of a subsystem."""
-        diagram: Any = self.simulator.get_system()
-        return diagram.GetSubsystemByName(name).GetMyContextFromRoot(self.simulator.get_context())
+        return self.system(name).GetMyContextFromRoot(self.simulator.get_context())
 
     def forget(self) -> None:
-        """Makes the regressor chain answer anew: while the route stays it need not."""
-        self._chain.SetAllCacheEntriesOutOfDate()
+        """Makes every layer answer anew: while the obstacles stay they need not."""
+        for context in self._layers:
+            context.SetAllCacheEntriesOutOfDate()
 
     def time_step(self) -> float:
         """Wall time of a policy step [us]; the run stands just after it."""
@@ -232,30 +244,77 @@ def time_policy(scenario: Scenario, steps: int) -> tuple[list[float], list[float
     """Wall times of policy steps, Simulator included, logs not [us].
 
     Returns:
-        Of steps in which every layer answers anew, and of steps as they come in a run,
-        where the regressor chain does so only when the route has changed.
+        Of steps in which every layer answers anew, as after each observation; and of
+        steps as they come in a run. In most of those the policy alone has something to
+        do; those just after a route decision cost as much as the first kind, so that
+        the mean is well above the median.
     """
     complete: list[float] = []
     running: list[float] = []
     run = _PolicyRun(scenario)
-    for i in range(2 * steps):
-        if i % 2 == 0:
-            run.forget()
-        (running if i % 2 else complete).append(run.time_step())
-        run.go_on()
-    run.check()
+    # One kind after the other, as most steps of a run follow one in which the policy alone
+    # had something to do: just after one in which every layer had, it is slower.
+    for times in (running, complete):
+        for _ in range(steps):
+            if times is complete:
+                run.forget()
+            times.append(run.time_step())
+            run.go_on()
+        run.check()
     return complete, running
+
+
+def time_kernel(scenario: Scenario, samples: int, steps: int = 100) -> list[float]:
+    """Wall times of the compiled policy step among six obstacles [us].
+
+    Each is the mean over as many steps as one call of the kernel takes, so that nothing of
+    Python is left in it.
+
+    Args:
+        scenario: whose policy it is.
+        samples: how many times.
+        steps: how many steps each is the mean of.
+
+    Raises:
+        ScenarioError: if the motion is held, so that there is less to do.
+    """
+    run = _PolicyRun(scenario)
+    policy, context = run.system("dmp_integrator"), run.context("dmp_integrator")
+    read = {
+        name: policy.GetInputPort(name).Eval(context)
+        for name in ("goal", "ellipsoids_W", "coupling_parameters", "route")
+    }
+    around = Surroundings.of(read["ellipsoids_W"], read["coupling_parameters"], read["route"])
+    before = Segment.resting(policy.GetOutputPort("policy_state").Eval(context))
+
+    def sample() -> float:
+        elapsed, after = _timed(
+            policy.level.step,
+            before,
+            read["goal"],
+            around,
+            before.end.stamp,
+            scenario.policy.period,
+            steps,
+        )
+        if after.note:
+            raise ScenarioError(f"policy: it is held among the obstacles: {after.note}")
+        return 1e6 * elapsed / steps
+
+    sample()
+    return [sample() for _ in range(samples)]
 
 
 def time_layers(scenario: Scenario, steps: int) -> dict[str, float]:
     """Median wall times [us] of the layers of a policy step, and of what surrounds it.
 
-    Keys: "route", "regressor chain" and "coupling and DMP" (with the Simulator) of each
-    policy step; "desired motion", interpolated for each step of the controller; "route
-    decision", at its own period, absent where it always coincides with a policy step.
+    Keys: "route" and "regressor chain", when they answer anew; "coupling and DMP" (with
+    the Simulator) of each policy step; "desired motion", interpolated for each step of the
+    controller; "route decision", at its own period, absent where it always coincides with
+    a policy step.
     """
     run = _PolicyRun(scenario)
-    route = run.timer("cost_ring_selector", "route")
+    route = run.timer("cost_ring_selector", "decision")
     chain = run.timer("regressor_chain", "coupling_parameters")
     desired = run.timer("dmp_integrator", *_DESIRED)
     selector = run.context("cost_ring_selector")
@@ -264,12 +323,17 @@ def time_layers(scenario: Scenario, steps: int) -> dict[str, float]:
     def keep(name: str, elapsed: float) -> None:
         times.setdefault(name, []).append(elapsed)
 
-    for _ in range(max(steps, int(2.0 * scenario.policy.route_period / scenario.policy.period))):
-        run.forget()
-        keep("route", route())
-        keep("regressor chain", chain())
-        # The other two's answers are in the cache now: the rest of the step remains.
-        keep("coupling and DMP", run.time_step())
+    for i in range(
+        max(2 * steps, int(2.0 * scenario.policy.route_period / scenario.policy.period))
+    ):
+        if i % 2 == 0:
+            run.forget()
+            keep("route", route())
+            keep("regressor chain", chain())
+            run.time_step()
+        else:
+            # The other two's answers are in the cache: the rest of the step remains.
+            keep("coupling and DMP", run.time_step())
         keep("desired motion", desired())
         # Its only state is the decision: another object once it has been taken anew.
         before = selector.get_abstract_state(0).get_value()

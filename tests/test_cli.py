@@ -264,7 +264,7 @@ def test_control_c_keeps_the_logs(tmp_path: Path) -> None:
     process = subprocess.Popen([*command, *long], stderr=subprocess.PIPE, text=True)
     try:
         # The first motion's log is there: the second one is under way.
-        given_up = time.monotonic() + 60.0
+        given_up = time.monotonic() + 240.0
         while not (log.exists() and log.stat().st_size) and time.monotonic() < given_up:
             time.sleep(0.02)
         time.sleep(0.3)
@@ -330,8 +330,8 @@ def test_benchmark_prints_its_table_and_writes_its_figures(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     benchmark = pytest.importorskip("drake_oa.benchmark")
-    monkeypatch.setattr(benchmark, "run_benchmark", lambda _: {"figure": 1.5}, raising=False)
-    monkeypatch.setattr(benchmark, "benchmark_table", lambda f: f"{f['figure']} ms", raising=False)
+    monkeypatch.setattr(benchmark, "run_benchmark", lambda *_, **__: {"figure": 1.5})
+    monkeypatch.setattr(benchmark, "benchmark_table", lambda f: f"{f['figure']} ms")
     out = tmp_path / "figures.json"
     assert run("benchmark", "--json", str(out)) == 0
     assert capsys.readouterr().out == "1.5 ms\n"

@@ -1,11 +1,15 @@
-"""Compiled kernels always have a place."""
+"""Compiled kernels always have a place, and who waits for them is told so."""
 
+import importlib.util
 import os
 from pathlib import Path
+from types import ModuleType
 
+import numba
 import pytest
 
-from drake_oa.kernel_cache import provide_kernel_cache
+from drake_oa.cli import main
+from drake_oa.kernel_cache import announced_compilation, provide_kernel_cache
 
 
 @pytest.fixture(autouse=True)
@@ -46,3 +50,60 @@ def test_what_the_user_chose_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setenv("NUMBA_CACHE_DIR", "/mine")
     assert provide_kernel_cache(read_only(tmp_path)) is None
     assert os.environ["NUMBA_CACHE_DIR"] == "/mine"
+
+
+SOURCE = """
+from numba import njit
+
+@njit(cache=True)
+def twice(x):
+    return 2 * x
+
+@njit(cache=True)
+def thrice(x):
+    return x + twice(x)
+"""
+
+
+def imported(source: Path) -> ModuleType:
+    """The module of a file, anew."""
+    spec = importlib.util.spec_from_file_location("compiled_kernels", source)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_compilation_is_announced_once_and_not_when_it_is_cached(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = tmp_path / "compiled_kernels.py"
+    source.write_text(SOURCE)
+    with announced_compilation("1 min"):
+        # Two kernels, one inside the other.
+        assert imported(source).thrice(2) == 6
+    assert capsys.readouterr().err == "compiling kernels, once (about 1 min) ...\n"
+    with announced_compilation("1 min"):
+        assert imported(source).thrice(2) == 6
+    assert capsys.readouterr().err == ""
+    source.write_text(SOURCE.replace("2 * x", "10 * x"))
+    with announced_compilation():
+        assert imported(source).thrice(2) == 22
+    assert capsys.readouterr().err == "compiling kernels, once ...\n"
+    assert imported(source).thrice(2.0) == 22.0
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_the_commands_announce_compilation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = tmp_path / "compiled_kernels.py"
+    source.write_text(SOURCE)
+    monkeypatch.setattr(
+        "drake_oa.cli.shipped_scenarios", lambda: {str(imported(source).twice(2)): tmp_path}
+    )
+    assert main(["scenarios", "--files"]) == 0
+    assert "compiling kernels" in capsys.readouterr().err

@@ -1,0 +1,128 @@
+"""The figures of `drake-oa benchmark`, and their table."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One measured figure beside its target and a baseline of the same run.
+
+    Attributes:
+        part: part of the benchmark that measured it.
+        name: short name.
+        value: what was measured, in `unit`.
+        unit: "" for a factor.
+        relation: ">=" or "<=": how the value has to stand to the target.
+        target: what is asked for, in `unit`; None: nothing is.
+        baseline: what the baseline takes, in `unit`; None: it could not be measured.
+        baseline_name: what the baseline is, or why there is none.
+        relative: whether it is `times_better` that is to reach the target instead.
+    """
+
+    part: str
+    name: str
+    value: float
+    unit: str
+    relation: str
+    target: float | None
+    baseline: float | None
+    baseline_name: str
+    relative: bool = False
+
+    @property
+    def ratio(self) -> float | None:
+        """Value over baseline."""
+        return None if self.baseline is None else self.value / self.baseline
+
+    @property
+    def times_better(self) -> float | None:
+        """How many times better than the baseline: as fast, for a time."""
+        ratio = self.ratio
+        return ratio if ratio is None or self.relation == ">=" else 1.0 / ratio
+
+    @property
+    def met(self) -> bool | None:
+        """Whether the target is reached; None where there is none, or nothing to compare."""
+        if self.target is None:
+            return None
+        if self.relative:
+            return None if self.times_better is None else self.times_better >= self.target
+        return (self.value >= self.target) if self.relation == ">=" else (self.value <= self.target)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The fields, and what follows from them."""
+        return asdict(self) | {
+            "ratio": self.ratio,
+            "times_better": self.times_better,
+            "met": self.met,
+        }
+
+
+@dataclass(frozen=True)
+class Share:
+    """Median time of one part of a step, a frame or a decision, in `unit`."""
+
+    part: str
+    layer: str
+    value: float
+    unit: str
+
+
+def benchmark_table(figures: dict[str, Any]) -> str:
+    """What `drake_oa.benchmark.run_benchmark` returned, as text."""
+    rows = [["", "measured", "target", "", "baseline", "times better", "baseline is"]]
+    for item in figures["figures"]:
+        rows.append(
+            [
+                item["name"],
+                _quantity(item["value"], item["unit"]),
+                _target(item),
+                {True: "met", False: "MISSED", None: ""}[item["met"]],
+                "-" if item["baseline"] is None else _quantity(item["baseline"], item["unit"]),
+                "-" if item["times_better"] is None else _quantity(item["times_better"], ""),
+                item["baseline_name"],
+            ]
+        )
+    shares = [["where it goes", "", "median"]]
+    shares += [
+        [item["part"], item["layer"], _quantity(item["value"], item["unit"])]
+        for item in figures["breakdown"]
+    ]
+    machine = figures["machine"]
+    versions = [f"{name} {number}" for name, number in figures["versions"].items()]
+    footer = [
+        *(f"{part}: {note}" for part, note in figures["notes"].items()),
+        f"{machine['cpu']}, {machine['cores']} cores, load {machine['load']:.1f} at the start, "
+        f"Python {machine['python']}",
+        ", ".join([*versions, f"commit {figures['commit'] or 'unknown'}"]),
+    ]
+    blocks = [_aligned(rows, "lrrlrrl"), ""]
+    if len(shares) > 1:
+        blocks += [_aligned(shares, "llr"), ""]
+    return "\n".join([*blocks, *footer])
+
+
+def _target(item: dict[str, Any]) -> str:
+    if item["target"] is None:
+        return ""
+    if item["relative"]:
+        return f"{item['target']:g} times better"
+    return f"{item['relation']} {_quantity(item['target'], item['unit'])}"
+
+
+def _quantity(value: float, unit: str) -> str:
+    return f"{value:.3g} {unit}".rstrip() if value < 100.0 else f"{value:.0f} {unit}".rstrip()
+
+
+def _aligned(rows: list[list[str]], sides: str) -> str:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return "\n".join(
+        "  ".join(
+            cell.rjust(width) if side == "r" else cell.ljust(width)
+            for cell, width, side in zip(row, widths, sides, strict=True)
+        ).rstrip()
+        for row in rows
+    )
