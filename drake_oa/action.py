@@ -277,6 +277,7 @@ def hold_reason(
     state: PolicyState,
     ellipsoids: EllipsoidSet | None,
     route: Route | None,
+    coupling: CouplingParameters | None = None,
     *,
     time: float,
     max_observation_age: float,
@@ -285,9 +286,10 @@ def hold_reason(
 
     It is held while nothing has been observed yet or the observation is too old;
     while the tool is inside an obstacle's ellipsoid, or the goal is; and while the
-    rings forbid every side of an obstacle, or no motion that clears it was found.
+    rings forbid every side of an obstacle, or the note of the coupling parameters says that
+    no motion that clears it was found.
     """
-    around = Surroundings.of(ellipsoids, None, route)
+    around = Surroundings.of(ellipsoids, coupling, route)
     code = kernels.hold_code(
         np.array(state.p_WE, dtype=float),
         np.array(state.p_WG, dtype=float),

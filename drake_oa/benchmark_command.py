@@ -8,6 +8,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from drake_oa.command_line import add_verbose
+from drake_oa.output_files import check_outputs
 from drake_oa.scenario import load_scenario
 
 _DESCRIPTION = """\
@@ -50,15 +52,13 @@ def add_parser(commands: Any) -> None:
         help="time this part only; may be repeated",
     )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
-    parser.add_argument(
-        "--verbose", action="store_true", help="more messages, and a traceback with an error"
-    )
+    add_verbose(parser)
     parser.set_defaults(action=_run)
 
 
 def _run(options: argparse.Namespace) -> int:
     scenario = load_scenario(options.scenario)
-    _check_output(options.json)
+    check_outputs(options.json)
     # Drake, the kernels and torch are imported where they are used: `--help` answers at once.
     from drake_oa.benchmark import benchmark_table, run_benchmark
 
@@ -71,18 +71,3 @@ def _run(options: argparse.Namespace) -> int:
 
 def _say(part: str) -> None:
     print(f"timing {part} ...", file=sys.stderr)
-
-
-def _check_output(path: Path | None) -> None:
-    """Raises ValueError for a file that cannot be written, before a long measurement."""
-    if path is None:
-        return
-    known = path.exists()
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("ab"):
-            pass
-    except OSError as error:
-        raise ValueError(f"cannot write {path}: {error.strerror}") from None
-    if not known:
-        path.unlink()

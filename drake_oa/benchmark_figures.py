@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from drake_oa.text_tables import aligned
+
 
 @dataclass(frozen=True)
 class Figure:
@@ -99,9 +101,9 @@ def benchmark_table(figures: dict[str, Any]) -> str:
         f"Python {machine['python']}",
         ", ".join([*versions, f"commit {figures['commit'] or 'unknown'}"]),
     ]
-    blocks = [_aligned(rows, "lrrlrrl"), ""]
+    blocks = [aligned(rows, "lrrlrrl"), ""]
     if len(shares) > 1:
-        blocks += [_aligned(shares, "llr"), ""]
+        blocks += [aligned(shares, "llr"), ""]
     return "\n".join([*blocks, *footer])
 
 
@@ -115,14 +117,3 @@ def _target(item: dict[str, Any]) -> str:
 
 def _quantity(value: float, unit: str) -> str:
     return f"{value:.3g} {unit}".rstrip() if value < 100.0 else f"{value:.0f} {unit}".rstrip()
-
-
-def _aligned(rows: list[list[str]], sides: str) -> str:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return "\n".join(
-        "  ".join(
-            cell.rjust(width) if side == "r" else cell.ljust(width)
-            for cell, width, side in zip(row, widths, sides, strict=True)
-        ).rstrip()
-        for row in rows
-    )

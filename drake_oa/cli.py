@@ -21,8 +21,10 @@ from typing import TYPE_CHECKING, Any
 from threadpoolctl import threadpool_limits
 
 from drake_oa import benchmark_command as benchmark
+from drake_oa.command_line import BAD_INPUT, FAILED, INTERRUPTED, add_verbose, complain
 from drake_oa.experiments import command as evaluation
 from drake_oa.kernel_cache import announced_compilation
+from drake_oa.output_files import check_outputs, same_file
 from drake_oa.scenario import Scenario, ScenarioError, load_scenario, shipped_scenarios
 from drake_oa.training import command as training
 
@@ -34,7 +36,6 @@ if TYPE_CHECKING:
     from drake_oa.motion_log import MotionLog
 
 _RECORDING_RATE = 15.0
-_FAILED, _BAD_INPUT, _INTERRUPTED = 1, 2, 130
 
 _COMPILATION = {
     "run": "1 to 2 minutes",
@@ -109,7 +110,7 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     _add_scenario(graph)
-    _add_verbose(graph)
+    add_verbose(graph)
     graph.add_argument("--depth", type=int, default=1, help="levels of nested diagrams (default 1)")
     graph.add_argument("--dot", action="store_true", help="the Graphviz source in any case")
     graph.set_defaults(action=_graph)
@@ -141,14 +142,8 @@ def _add_run(commands: Any) -> None:
     run.add_argument(
         "--duration", type=float, metavar="S", help="stop each motion after S simulated seconds"
     )
-    _add_verbose(run)
+    add_verbose(run)
     run.set_defaults(action=_run)
-
-
-def _add_verbose(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--verbose", action="store_true", help="more messages, and a traceback with an error"
-    )
 
 
 def _add_scenario(parser: argparse.ArgumentParser) -> None:
@@ -180,19 +175,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         # Whoever read our output has seen enough. Python flushes once more at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return _FAILED
+        return FAILED
     except (ScenarioError, ValueError, OSError) as error:
         if options.verbose:
             logging.getLogger(__name__).info("where it happened", exc_info=True)
-        _complain(str(error))
-        return _BAD_INPUT
+        complain(str(error))
+        return BAD_INPUT
     except KeyboardInterrupt:
-        _complain("interrupted")
-        return _INTERRUPTED
-
-
-def _complain(message: str) -> None:
-    print(f"drake-oa: error: {' '.join(message.split())}", file=sys.stderr)
+        complain("interrupted")
+        return INTERRUPTED
 
 
 def _scenarios(options: argparse.Namespace) -> int:
@@ -226,17 +217,20 @@ def _run(options: argparse.Namespace) -> int:
     scenario = load_scenario(options.scenario, options.overrides)
     if options.duration is not None and not 0.0 < options.duration < math.inf:
         raise ScenarioError(f"--duration: {options.duration} must be positive [s]")
-    _check_outputs(options.html, options.json, options.log)
+    outputs = (options.html, options.json, options.log)
+    if same_file(*outputs):
+        raise ScenarioError("--html, --json and --log must name different files")
+    check_outputs(*outputs)
     meshcat = _start_meshcat(options)
     with _interrupt_between_steps() as raise_if_asked:
         logs, failure = _simulate_both(options, scenario, meshcat, raise_if_asked)
         status = _report(options, scenario, logs)
     if isinstance(failure, KeyboardInterrupt):
-        _complain("interrupted")
-        return _INTERRUPTED
+        complain("interrupted")
+        return INTERRUPTED
     if failure is not None:
-        _complain(f"cut short: {next(reversed(logs.values())).stop_reason}")
-        return _FAILED
+        complain(f"cut short: {next(reversed(logs.values())).stop_reason}")
+        return FAILED
     if options.meshcat and sys.stdin.isatty():
         with contextlib.suppress(EOFError, KeyboardInterrupt):
             input("press Enter to close the viewer ")
@@ -298,24 +292,7 @@ def _report(options: argparse.Namespace, scenario: Scenario, logs: dict[str, Mot
     ended = {"goal"}
     if options.duration is not None:
         ended.add(f"time limit of {options.duration:g} s")
-    return 0 if all(log.stop_reason in ended for log in logs.values()) else _FAILED
-
-
-def _check_outputs(*paths: Path | None) -> None:
-    """Raises ScenarioError for a file that cannot be written, before a long simulation."""
-    given = [path for path in paths if path is not None]
-    if len({path.resolve() for path in given}) < len(given):
-        raise ScenarioError("--html, --json and --log must name different files")
-    for path in given:
-        known = path.exists()
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with path.open("ab"):
-                pass
-        except OSError as error:
-            raise ScenarioError(f"cannot write {path}: {error.strerror}") from None
-        if not known:
-            path.unlink()
+    return 0 if all(log.stop_reason in ended for log in logs.values()) else FAILED
 
 
 @contextlib.contextmanager

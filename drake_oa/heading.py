@@ -13,6 +13,7 @@ from numba import njit
 
 from drake_oa.ellipsoid import shape_matrix
 from drake_oa.ellipsoid_kernels import tangent_headings
+from drake_oa.kernel_arrays import kernel_arrays
 from drake_oa.values import EllipsoidSet, FloatArray, PolicyState
 
 
@@ -64,19 +65,10 @@ def desired_headings(
         (M, 3) unit headings or zero rows, in the world frame.
     """
     heading_W = np.zeros((len(ellipsoids), 3))
-    # Copies, so that the kernel is compiled for one kind of array.
     guide(
-        np.array(policy.p_WE, dtype=float),
-        np.array(policy.z_W, dtype=float),
-        np.array(policy.p_WG, dtype=float),
-        np.array(policy.R_WL, dtype=float).ravel(),
-        np.array(center_W, dtype=float),
-        np.array(normal_W, dtype=float),
-        np.array(direction_W, dtype=float),
-        np.array(clearance, dtype=float),
-        np.array(ellipsoids.p_WO, dtype=float),
-        np.array(ellipsoids.R_WO, dtype=float),
-        np.array(ellipsoids.semi_axes, dtype=float),
+        *kernel_arrays(policy.p_WE, policy.z_W, policy.p_WG, policy.R_WL.ravel()),
+        *kernel_arrays(center_W, normal_W, direction_W, clearance),
+        *kernel_arrays(ellipsoids.p_WO, ellipsoids.R_WO, ellipsoids.semi_axes),
         shape_matrix(ellipsoids.R_WO, ellipsoids.semi_axes),
         heading_W,
     )

@@ -267,6 +267,12 @@ def make_regressor_chain(scenario: Scenario) -> RegressorChain | VerifiedRegress
         weights = load_chain(package_file(policy.weights))
     except (OSError, ValueError) as error:
         raise ScenarioError(f"policy.weights: {error}") from None
+    unit = weights.metadata.get("units", {}).get("alpha", "1/T")
+    if unit != "1/T":
+        raise ScenarioError(
+            f"policy.weights: {policy.weights} counts alpha in {unit}, for the released code's "
+            "action level; the policy needs a chain of `drake-oa train --recipe project`"
+        )
     if isinstance(scenario.regulation, Regressor):
         return RegressorChain(weights, clearance)
     dmp = make_dmp(scenario)

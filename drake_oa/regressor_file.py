@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -55,6 +56,9 @@ def read_arrays(path: Path) -> tuple[dict[str, Any], str | None]:
             with safe_open(path, "numpy") as file:
                 header = (file.metadata() or {}).get("metadata")
                 return {key: file.get_tensor(key) for key in file.keys()}, header  # noqa: SIM118
+        if not zipfile.is_zipfile(path):
+            # NumPy would take it for a pickle, and say how to load that.
+            raise ValueError("it is no archive, or not a whole one")
         with np.load(path, allow_pickle=False) as file:
             arrays = dict(file)
     except Exception as error:

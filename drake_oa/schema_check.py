@@ -152,6 +152,10 @@ def _check_union(data: Any, options: tuple[Any, ...], where: str, metadata: Any)
         if _schema_fields(choice) is not None
     }
     tag = data.get("_tag") if isinstance(data, dict) else None
+    if not isinstance(data, dict) and len(tags) == len(choices) > 1:
+        raise ScenarioError(
+            f"{where}: expected one of {', '.join(tags)} with a block, not {data!r}"
+        )
     if tag is None or len(choices) == 1:
         check(data, choices[0], where, metadata)
     elif tag in tags:

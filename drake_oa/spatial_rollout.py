@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from drake_oa import spatial_kernels as kernels
 from drake_oa.coupling_kernels import ALPHA, GUIDANCE_ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
 from drake_oa.dmp import Dmp, imitate, minimum_jerk, spring_flow
+from drake_oa.kernel_arrays import kernel_arrays
 from drake_oa.lane_kernels import lane_kernel
 from drake_oa.values import BoolArray, FloatArray, Frozen
 
@@ -202,9 +203,9 @@ def spatial_rollouts(
     path, velocity = np.empty(shape), np.empty(shape)
     arguments = (
         index,
-        *_writable(scenes.p_WE, scenes.z_W, scenes.p_WG, scenes.R_WL, scenes.baseline),
-        *_writable(scenes.p_WO, scenes.R_WO, scenes.semi_axes, scenes.v_WO, scenes.clearance),
-        *_writable(plane, scenes.annulus),
+        *kernel_arrays(scenes.p_WE, scenes.z_W, scenes.p_WG, scenes.R_WL, scenes.baseline),
+        *kernel_arrays(scenes.p_WO, scenes.R_WO, scenes.semi_axes, scenes.v_WO, scenes.clearance),
+        *kernel_arrays(plane, scenes.annulus),
         table,
         np.array(np.broadcast_to(np.asarray(seconds, dtype=float), (N,))),
         _forcing(dmp, scenes.s, count, step),
@@ -241,8 +242,3 @@ def _check_terms(terms: FloatArray, count: int) -> None:
         if wrong.any():
             row, term = np.argwhere(wrong)[0]
             raise ValueError(f"terms {what}; term {term} of row {row} is {terms[row, term]}")
-
-
-def _writable(*arrays: FloatArray) -> list[FloatArray]:
-    """Copies as the kernel takes them: read-only arrays would compile it twice."""
-    return [np.array(array, dtype=float, order="C") for array in arrays]

@@ -116,6 +116,7 @@ def bare_station(scenario: Scenario, *, render: bool = True) -> Diagram:
 
 
 def real_time_factor(diagram: Diagram, seconds: float) -> float:
+    """Simulated over wall time of a diagram alone, over some simulated seconds."""
     simulator = Simulator(diagram)
     simulator.Initialize()
     # The first image loads the renderer.

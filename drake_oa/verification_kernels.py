@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from drake_oa.spatial_kernels import point_distance
 from drake_oa.values import FloatArray
@@ -23,7 +23,7 @@ def _planned(s: float) -> float:
     return s * s * s * (10.0 + s * (6.0 * s - 15.0))
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def shadows(
     p_WG: FloatArray,
     R_WL: FloatArray,
@@ -54,7 +54,7 @@ def shadows(
             nothing is in the way.
     """
     M = p_WO.shape[1]
-    for s in prange(len(baseline)):
+    for s in range(len(baseline)):
         L = baseline[s]
         x0, x1, x2 = R_WL[s, 0, 0], R_WL[s, 1, 0], R_WL[s, 2, 0]
         nearest = np.full(M, np.inf)
@@ -64,7 +64,7 @@ def shadows(
                 continue
             t = 0.0
             for i in range(_SAMPLES):
-                at = s_now + (1.0 - s_now) * i / (_SAMPLES - 1)
+                at = s_now + max(1.0 - s_now, 0.0) * i / (_SAMPLES - 1)
                 time = (at - s_now) * seconds
                 left = L * (_planned(at) - 1.0)
                 d, t = point_distance(

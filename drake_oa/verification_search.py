@@ -18,6 +18,7 @@ from drake_oa.coupling_kernels import KAPPA as KAPPA_COLUMN
 from drake_oa.coupling_kernels import N_COLUMNS, NORMAL
 from drake_oa.coupling_kernels import PSI as PSI_COLUMN
 from drake_oa.dmp import Dmp
+from drake_oa.kernel_arrays import kernel_arrays
 from drake_oa.regressor import ChainWeights
 from drake_oa.spatial_rollout import SpatialRollouts, SpatialScenes, spatial_rollouts
 from drake_oa.values import BoolArray, FloatArray, Frozen, IntArray
@@ -55,6 +56,8 @@ _BAD = 10.0
 _PRICE = 100.0
 """Cost of what is short of the clearance or the world's margin, a baseline's length."""
 _GOAL_PRICE = 30.0
+_MISS, _TOUCH = 2.0, 50.0
+"""Cost of not arriving, and of touching an obstacle."""
 _LATE = 0.05
 """Cost of a unit of normalised time after s = 1."""
 _HURRY = 0.02
@@ -89,7 +92,7 @@ class SearchParameters:
 
     candidates: int = 64
     rounds: int = 60
-    polish: int = 3
+    polish: int = 6
     retries: int = 0
     slack: float = 2e-4
     tolerance: float = 6e-4
@@ -148,12 +151,12 @@ class Verified(Frozen):
     steps: IntArray
     rollouts: int
 
-    def rows(self, mask: BoolArray) -> Verified:
-        """Some of the scenes."""
+    def rows(self, index: BoolArray | IntArray) -> Verified:
+        """Some of the scenes, by a mask or indices."""
         columns: dict[str, Any] = {"rollouts": self.rollouts}
         for item in fields(self):
             if item.name not in columns:
-                columns[item.name] = getattr(self, item.name)[mask]
+                columns[item.name] = getattr(self, item.name)[index]
         return Verified(**columns)
 
     def replaced(self, index: IntArray, other: Verified) -> Verified:
@@ -219,6 +222,8 @@ _OUTCOME = ("margin", "clearance", "goal_error", "path_length", "steps")
 
 
 class Search:
+    """One search, of the motions of all scenes at once; see `drake_oa.verification.verify`."""
+
     def __init__(
         self,
         scenes: SpatialScenes,
@@ -333,6 +338,8 @@ class Search:
         short = np.maximum(-found.margin - p.slack, 0.0) + np.maximum(-found.world_margin, 0.0)
         missed = np.maximum(np.minimum(found.goal_error, L) - p.tolerance, 0.0)
         bad = (_PRICE * short + _GOAL_PRICE * missed) / L
+        touched = (short > 0.0) & (found.clearance <= 0.0)
+        bad += _MISS * (missed > 0.0) + _TOUCH * touched
         late = np.maximum(found.steps / p.steps + self.scenes.s - 1.0, 0.0)
         hurry = np.where(self.moving[scene], np.abs(genes[:, TAU]), 0.0)
         # 0 for the side in use, 1 for its opposite; no side is in use before the first choice.
@@ -354,9 +361,11 @@ class Search:
         angles = np.arange(_N_ANGLES) * (2.0 * np.pi / _N_ANGLES)
         found = np.empty((count, _N_ANGLES, 4))
         shadows(
-            *_writable(scenes.p_WG, scenes.R_WL, scenes.baseline),
+            *kernel_arrays(scenes.p_WG, scenes.R_WL, scenes.baseline),
             scenes.s,
-            *_writable(scenes.p_WO, scenes.R_WO, scenes.semi_axes, scenes.v_WO, scenes.clearance),
+            *kernel_arrays(
+                scenes.p_WO, scenes.R_WO, scenes.semi_axes, scenes.v_WO, scenes.clearance
+            ),
             self.duration,
             angles,
             found,
@@ -454,8 +463,3 @@ def _draws(number: int, n: int) -> _Draws:
         fresh=low + (high - low) * rng.uniform(size=(n, N_GENES)),
         is_fresh=np.arange(n) >= n - _FRESH,
     )
-
-
-def _writable(*arrays: FloatArray) -> list[FloatArray]:
-    """Copies as the kernel takes them: read-only arrays would compile it twice."""
-    return [np.array(array, dtype=float, order="C") for array in arrays]

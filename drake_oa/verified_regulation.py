@@ -25,6 +25,8 @@ _OUTSIDE = 0.01
 """How far a motion may leave the world's limits, which hold centimetres in reserve [m]."""
 _MISSED = 5e-3
 """How far from the goal a motion may end without a word [m]."""
+_ASTRAY = 0.1
+"""How far from the goal the end of a motion is no arrival at all, in baselines."""
 _SAMPLES = 100
 """About how many points of a motion are looked at to tell which obstacle it comes near to."""
 
@@ -185,6 +187,7 @@ class Regulator:
             travelled=here.travelled,
             remaining=remaining,
             tau=self._scaling(here, remaining, baseline),
+            genes=_side(here),
         )
 
     def _scaling(self, here: Regulation, remaining: float, baseline: float) -> float:
@@ -223,19 +226,20 @@ class Regulator:
         feasible = np.minimum(self._clearance, np.minimum(start, goal))
         shortfall = float(found.shortfall[0])
         clear = (start > 0.0) & (goal > 0.0)
-        touched = clear.any() and float(found.clearance[0]) <= 0.0
+        # What holds start or goal is touched by any motion; the policy is held for that.
+        kept = float(found.clearance[0]) if clear.all() else least[clear].min(initial=np.inf)
+        touched = kept <= 0.0
         outside = not found.kept[0] and float(motion.world_margin[0]) < -_OUTSIDE
+        astray = clear.any() and float(found.goal_error[0]) > _ASTRAY * baseline
         note = ""
-        if touched or outside:
+        if touched or outside or astray:
             worst = int(np.where(clear, least, np.inf).argmin())
             where = " above the table and in the workspace" if outside else ""
             note = f"no motion that clears obstacle {here.ellipsoids.ids[worst]}{where} found"
         genes = np.array(found.genes[0])
         free = not genes[LOG_ALPHA] > -np.inf
         if free:
-            # The side stays known: who comes back to it is not to come back on the other.
-            genes = _no_genes()
-            genes[ANGLE] = here.genes[ANGLE]
+            genes = _side(here)
         moving = here.ellipsoids.v_WO.any()
         remaining = float(found.path_length[0])
         tau = float(found.tau[0]) if moving else self._scaling(here, remaining, baseline)
@@ -318,6 +322,13 @@ def concern(regulation: Regulation) -> str:
     if regulation.goal_error > _MISSED:
         found.append(f"the goal is missed by {1e3 * regulation.goal_error:.1f} mm")
     return " and ".join(found)
+
+
+def _side(regulation: Regulation) -> FloatArray:
+    """No genes but the side: who comes back to a term is not to come back on another side."""
+    genes = _no_genes()
+    genes[ANGLE] = regulation.genes[ANGLE]
+    return genes
 
 
 def _travelled(before: Regulation, policy: PolicyState) -> float:

@@ -189,6 +189,19 @@ def test_a_route_without_an_allowed_side_is_a_reason_to_hold() -> None:
     assert reason(one_ellipsoid(10.0), Route()) == ""
 
 
+def test_coupling_parameters_that_clear_nothing_are_a_reason_to_hold() -> None:
+    state = PolicyState(p_WE=START, p_WS=START, p_WG=GOAL)
+    found = hold_reason(
+        state,
+        one_ellipsoid(10.0),
+        None,
+        replace(coupling(), note="no motion that clears obstacle 7 found"),
+        time=10.0,
+        max_observation_age=0.5,
+    )
+    assert found == "no motion that clears obstacle 7 found"
+
+
 def test_a_hold_brings_the_motion_to_rest_within_the_hold_time() -> None:
     segments = run(400, sees=lambda time: one_ellipsoid(min(time, 0.3)), coupled=coupling())
     held = [bool(segment.state.note) for segment in segments]

@@ -208,14 +208,6 @@ def test_two_outputs_cannot_share_a_file(
     assert "different files" in capsys.readouterr().err
 
 
-def test_checking_an_output_leaves_nothing_behind(tmp_path: Path) -> None:
-    kept = tmp_path / "kept.json"
-    kept.write_text("before")
-    cli._check_outputs(kept, tmp_path / "fresh.json", None)
-    assert kept.read_text() == "before"
-    assert list(tmp_path.iterdir()) == [kept]
-
-
 def failing_simulate(fault: BaseException) -> object:
     """A `simulate` whose modulated motion is cut short by `fault` after 0.05 s."""
     original = simulation.simulate

@@ -82,6 +82,7 @@ def test_override_replaces_one_field() -> None:
         ("task: {goal: [0.45, -0.45, 0.3]}", ["task.goal", "start"]),
         ("task: 3", ["task", "block"]),
         ("regulation: !Sampled {}", ["regulation", "!Sampled", "!Verified", "!Regressor"]),
+        ("regulation: Verified", ["regulation", "!Verified, !Regressor", "'Verified'"]),
         ("regulation: {candidates: 8}", ["regulation.candidates", "8", "[32, 4096]"]),
         ("regulation: {rounds: 1.5}", ["regulation.rounds", "whole number"]),
         ("regulation: {slack: -1}", ["regulation.slack", "-1", "[0, 0.1] [m]"]),

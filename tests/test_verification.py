@@ -7,6 +7,7 @@ import pytest
 
 from drake_oa.coupling_kernels import ALPHA, NORMAL
 from drake_oa.ellipsoid import signed_distance
+from drake_oa.kernel_arrays import kernel_arrays
 from drake_oa.regressor import ChainWeights, load_chain
 from drake_oa.scenario import package_file
 from drake_oa.spatial_rollout import SpatialScenes, spatial_rollouts
@@ -18,6 +19,7 @@ from drake_oa.verification import (
     avoidance_terms,
     verify,
 )
+from drake_oa.verification_kernels import shadows
 
 DURATION = 3.0
 QUICK = SearchParameters(rounds=20)
@@ -168,6 +170,21 @@ def test_what_cannot_be_kept_is_said(chain: ChainWeights) -> None:
     assert not found.kept
     assert 0.03 < found.shortfall < 0.06
     assert found.clearance == pytest.approx(0.1 - found.shortfall, abs=1e-3)
+
+
+def test_past_the_demonstration_proposals_do_not_look_back_in_time() -> None:
+    posed = scenes([[1.0, 0.12, 0.0]], velocity=(0.0, 0.2, 0.0))
+    shadow = np.empty((2, 1, 4, 4))
+    for out, s in zip(shadow, (1.0, 1.6), strict=True):
+        shadows(
+            *kernel_arrays(posed.p_WG, posed.R_WL, posed.baseline),
+            s,
+            *kernel_arrays(posed.p_WO, posed.R_WO, posed.semi_axes, posed.v_WO, posed.clearance),
+            DURATION,
+            np.arange(4) * 0.5 * np.pi,
+            out,
+        )
+    np.testing.assert_array_equal(shadow[1], shadow[0])
 
 
 def test_the_choice_does_not_depend_on_the_company(chain: ChainWeights) -> None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from drake_oa.command_line import FAILED, INTERRUPTED, add_verbose, complain
+from drake_oa.output_files import check_outputs, replace_text, same_file
 
 # Suites, methods and kernels are imported where they are used: `--help` answers at once.
 if TYPE_CHECKING:
@@ -20,8 +22,6 @@ if TYPE_CHECKING:
     from drake_oa.experiments.scenes import Scenes
     from drake_oa.values import FloatArray
 
-_FAILED, _INTERRUPTED = 1, 130
-
 _DESCRIPTION = """\
 Runs methods on the same scenes and prints, for each method:
 
@@ -29,7 +29,8 @@ Runs methods on the same scenes and prints, for each method:
   clearance        least distance to an obstacle over the whole motion
   short            scenes more than 1 mm short of the feasible clearance:
                    min(Delta, distance of the start, distance of the goal)
-  goal error       distance to the goal at the end of the scaled duration
+  goal error       distance to the goal at the end of the motion: of the scaled duration
+                   tau T; `verified` goes on until it has arrived, to 2 tau T at most
   path ratio       length of the path over that of the straight line
   step, seconds    computing time of a policy step, and of all scenes
 
@@ -111,9 +112,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--write-scenes", type=Path, metavar="F.npz", help="write the scenes")
     parser.add_argument("--json", type=Path, metavar="F", help="write the figures")
     parser.add_argument("--plot", type=Path, metavar="F", help="write a plot: .png, .svg or .pdf")
-    parser.add_argument(
-        "--verbose", action="store_true", help="more messages, and a traceback with an error"
-    )
+    add_verbose(parser)
     parser.set_defaults(action=run)
 
 
@@ -150,7 +149,8 @@ def run(options: argparse.Namespace) -> int:
 
     def keep(outcomes: Mapping[str, Outcome]) -> None:
         if options.json is not None:
-            _write_json(options.json, figures(outcomes))
+            text = json.dumps(figures(outcomes), indent=2, allow_nan=False)
+            replace_text(options.json, text + "\n")
 
     def keep_paths(name: str, motions: Motions) -> None:
         if terms:
@@ -178,14 +178,13 @@ def run(options: argparse.Namespace) -> int:
     return _status(evaluation)
 
 
-def _methods(names: Sequence[str]) -> dict[str, Callable[[], Method]]:
-    """Name of each method -> what gives it; all are loaded before the first is run."""
+def _methods(names: Sequence[str]) -> dict[str, Method]:
+    """The methods by name; all names are checked before the first is loaded."""
     from drake_oa.experiments.methods import check_method, load_method
 
     for name in names:
         check_method(name)
-    loaded = {name: load_method(name) for name in names}
-    return {name: (lambda name=name: loaded[name]) for name in loaded}  # type: ignore[misc]
+    return {name: load_method(name) for name in names}
 
 
 def _terms(scenes: Scenes) -> list[Comparison]:
@@ -243,43 +242,24 @@ def _heading(suite: str, scenes: Scenes) -> str:
 def _status(evaluation: Evaluation) -> int:
     for name, outcome in evaluation.outcomes.items():
         if outcome.error is not None:
-            text = " ".join(outcome.error.split())
-            print(f"drake-oa: error: {name} failed: {text}", file=sys.stderr)
+            complain(f"{name} failed: {outcome.error}")
     if evaluation.interrupted:
-        print("drake-oa: error: interrupted", file=sys.stderr)
-        return _INTERRUPTED
-    return 0 if all(o.complete for o in evaluation.outcomes.values()) else _FAILED
-
-
-def _write_json(path: Path, figures: dict[str, Any]) -> None:
-    """Replaces the file at once: an earlier one stays whole until the new one is."""
-    beside = path.with_name(f"{path.name}.part")
-    beside.write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n")
-    os.replace(beside, path)
+        complain("interrupted")
+        return INTERRUPTED
+    return 0 if all(o.complete for o in evaluation.outcomes.values()) else FAILED
 
 
 def _check_outputs(options: argparse.Namespace) -> None:
-    """Raises ValueError for a file that cannot be written, before a long computation."""
     if options.plot is not None:
         from drake_oa.experiments.plots import check_plot_file
 
         check_plot_file(options.plot)
-    given = [p for p in (options.json, options.plot, options.write_scenes) if p is not None]
-    read = [] if options.scenes_file is None else [options.scenes_file]
-    if len({path.resolve() for path in given + read}) < len(given + read):
+    outputs = (options.json, options.plot, options.write_scenes)
+    if same_file(*outputs, options.scenes_file):
         raise ValueError(
             "--json, --plot, --write-scenes and --scenes-file must name different files"
         )
-    for path in given:
-        known = path.exists()
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with path.open("ab"):
-                pass
-        except OSError as error:
-            raise ValueError(f"cannot write {path}: {error.strerror}") from None
-        if not known:
-            path.unlink()
+    check_outputs(*outputs)
 
 
 @contextmanager

@@ -56,7 +56,7 @@ class Evaluation:
 def evaluate(
     scenes: Scenes,
     cases: Sequence[Case],
-    methods: Mapping[str, Callable[[], Method]],
+    methods: Mapping[str, Method],
     *,
     batch: int = BATCH,
     on_progress: Callable[[str, int], None] = lambda name, count: None,
@@ -81,10 +81,9 @@ def evaluate(
         The outcomes of the methods that were begun.
     """
     outcomes: dict[str, Outcome] = {}
-    for name, load in methods.items():
+    for name, method in methods.items():
         outcome = outcomes[name] = Outcome()
         try:
-            method = load()
             for part, motions in _judged_batches(outcome, scenes, cases, method, batch):
                 on_motions(name, motions)
                 on_progress(name, len(part))

@@ -76,7 +76,9 @@ def motion_figures(judged: Judgement) -> dict[str, Any]:
     `goal_error_max`, `path_ratio_mean`; and `goal_missed` (by more than 1 mm),
     `clearance_std`, `clearance_max`, `path_ratio_max`, `delta_feasible` (scenes where Delta
     itself is feasible) and over those `clearance_mean_feasible`, `short_worst` (most that
-    was lacking of the feasible clearance).
+    was lacking of the feasible clearance), `duration_mean`, `arrival_mean` and `arrival_max` (the
+    motion's duration over tau T with tau = path ratio, at least 1), `out_of_range` (scenes in
+    which the regressor chain was asked outside its trained range).
     """
     there = np.isfinite(judged.clearance)
     feasible: BoolArray = there & (judged.feasible >= judged.asked - 1e-12)
@@ -98,6 +100,10 @@ def motion_figures(judged: Judgement) -> dict[str, Any]:
         "short_worst": _most(lacking),
         "delta_feasible": int(feasible.sum()),
         "clearance_mean_feasible": _mean(judged.clearance[feasible]),
+        "duration_mean": _mean(judged.duration),
+        "arrival_mean": _mean(judged.arrival),
+        "arrival_max": _most(judged.arrival),
+        "out_of_range": int(judged.out_of_range.sum()),
     }
 
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from drake_oa.ellipsoid import signed_distance
 from drake_oa.experiments.motions import Motions
-from drake_oa.experiments.scenes import Scenes
+from drake_oa.experiments.scenes import DURATION, Scenes
+from drake_oa.kernel_arrays import kernel_arrays
 from drake_oa.values import BoolArray, FloatArray, Frozen
 
 SUBSTEPS = 4
@@ -32,6 +33,8 @@ class Judgement(Frozen):
         path_length: (N,) [m].
         baseline: (N,) distance from start to goal: the planned path's length [m].
         asked: (N,) the clearance Delta asked for [m].
+        duration: (N,) how long the motion lasts [s].
+        out_of_range: (N,) 1 where the regressor chain was asked outside its trained range.
     """
 
     clearance: FloatArray
@@ -40,6 +43,8 @@ class Judgement(Frozen):
     path_length: FloatArray
     baseline: FloatArray
     asked: FloatArray
+    duration: FloatArray
+    out_of_range: FloatArray
 
     def __len__(self) -> int:
         return len(self.clearance)
@@ -58,6 +63,11 @@ class Judgement(Frozen):
     def path_ratio(self) -> FloatArray:
         """(N,) length of the path over that of the planned one."""
         return self.path_length / self.baseline
+
+    @property
+    def arrival(self) -> FloatArray:
+        """(N,) duration over tau T, tau = path ratio, at least 1."""
+        return self.duration / (DURATION * np.maximum(self.path_ratio, 1.0))
 
     def rows(self, index: BoolArray | slice) -> Judgement:
         """Some of the motions, by a mask or a slice."""
@@ -98,8 +108,8 @@ def judge(scenes: Scenes, motions: Motions, substeps: int = SUBSTEPS) -> Judgeme
         raise ValueError(f"substeps must be at least 1, not {substeps}")
     out = np.empty((N, 2))
     judge_motions(
-        *_writable(motions.path, motions.velocity, motions.duration),
-        *_writable(scenes.center, scenes.R, scenes.semi_axes, scenes.velocity),
+        *kernel_arrays(motions.path, motions.velocity, motions.duration),
+        *kernel_arrays(scenes.center, scenes.R, scenes.semi_axes, scenes.velocity),
         substeps,
         out,
     )
@@ -115,6 +125,8 @@ def judge(scenes: Scenes, motions: Motions, substeps: int = SUBSTEPS) -> Judgeme
         path_length=out[:, 1].copy(),
         baseline=np.array(scenes.baseline),
         asked=np.array(scenes.clearance),
+        duration=np.array(motions.duration),
+        out_of_range=np.zeros(N) if motions.in_range is None else (~motions.in_range).astype(float),
     )
 
 
@@ -154,8 +166,3 @@ def _check(motions: Motions, count: int) -> None:
         raise ValueError(
             f"duration must be positive and finite: scene {row} has {motions.duration[row]} s"
         )
-
-
-def _writable(*arrays: FloatArray) -> list[FloatArray]:
-    """Copies as the kernels take them: read-only arrays would compile them twice."""
-    return [np.array(array, dtype=float, order="C") for array in arrays]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drake_oa.values import FloatArray, Frozen
+from drake_oa.values import BoolArray, FloatArray, Frozen
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,6 +17,8 @@ class Motions(Frozen):
         duration: (N,) tau T, the end of the scaled duration [s].
         seconds: computing time of the whole batch [s], regulation included,
             compilation excluded.
+        in_range: (N,) whether the regressor chain was asked within its trained range; None:
+            there is none, or it does not tell.
         policy_steps: steps of the policy in each motion; None: S of them.
     """
 
@@ -25,6 +27,7 @@ class Motions(Frozen):
     duration: FloatArray
     seconds: float
     policy_steps: int | None = None
+    in_range: BoolArray | None = None
 
     def __len__(self) -> int:
         return len(self.path)

@@ -41,6 +41,7 @@ from drake_oa.experiments import paper_kernels as kernels
 from drake_oa.experiments.methods import Setting
 from drake_oa.experiments.motions import Motions
 from drake_oa.experiments.scenes import Scenes
+from drake_oa.kernel_arrays import kernel_arrays
 from drake_oa.regressor import TARGETS, ChainWeights, load_chain
 from drake_oa.values import FloatArray, IntArray
 
@@ -88,9 +89,6 @@ class Reading:
 
 TABLE_TWO = Reading()
 """The reading that comes nearest to the paper's Table II."""
-
-DEMO = Reading(steps=500, step=0.005)
-"""The released demonstration program's."""
 
 
 def run(scenes: Scenes, setting: Setting) -> Motions:
@@ -173,6 +171,8 @@ def duration_scale(scenes: Scenes, reading: Reading = TABLE_TWO) -> FloatArray:
         (N,) tau.
     """
     there, goal = scenes.present, scenes.goal
+    if not there.any():
+        return np.ones(len(scenes))
     center = np.where(there[..., None], scenes.center, 0.0)
     if reading.way == "centers":
         to_goal = np.where(there[..., None], goal[:, None, :] - center, 0.0)
@@ -181,7 +181,7 @@ def duration_scale(scenes: Scenes, reading: Reading = TABLE_TWO) -> FloatArray:
         tau = (length + 2.0 * (widest + scenes.clearance)) / scenes.baseline
         return np.where(there.any(axis=1), tau, 1.0)
     across = np.empty(there.shape)
-    kernels.start_sections(*map(_writable, (scenes.center, scenes.R, scenes.semi_axes)), across)
+    kernels.start_sections(*kernel_arrays(scenes.center, scenes.R, scenes.semi_axes), across)
     offset = np.linalg.norm(center[..., 1:], axis=-1, keepdims=True)
     aside = np.where(offset > 0.0, -center[..., 1:] / np.where(offset > 0.0, offset, 1.0), (1, 0))
     point = center.copy()
@@ -304,9 +304,7 @@ def _motions(
     if len(scenes):
         # One step of one scene, so that what is timed is not the compilation.
         first = scenes.rows(slice(1))
-        _roll_out(
-            first, setting, reading, term, chain, parameters[:1].copy(), regulate, forcing[:1]
-        )
+        _roll_out(first, setting, reading, term, chain, parameters[:1], regulate, forcing[:1])
     begin = perf_counter()
     path, velocity, tau = _roll_out(
         scenes, setting, reading, term, chain, parameters, regulate, forcing
@@ -336,21 +334,11 @@ def _roll_out(
     kernels.roll_out(
         term,
         regulate,
-        *map(
-            _writable, (scenes.baseline, scenes.center, scenes.velocity, scenes.semi_axes, scenes.R)
-        ),
-        parameters,
-        _writable(scenes.clearance),
-        np.column_stack(scale),
-        _writable(forcing),
+        *kernel_arrays(scenes.baseline, scenes.center, scenes.velocity, scenes.semi_axes, scenes.R),
+        *kernel_arrays(parameters, scenes.clearance, np.column_stack(scale), forcing),
         np.array((ALPHA_X, BETA_X, reading.step)),
         *chain,
         path,
         velocity,
     )
     return path, velocity, tau
-
-
-def _writable(array: FloatArray) -> FloatArray:
-    """A copy as the kernels take it: a read-only array would compile them twice."""
-    return np.array(array, dtype=float, order="C")

@@ -160,7 +160,7 @@ def _histograms(figure: Figure, suite: str, outcomes: Mapping[str, Outcome]) -> 
         axes[0, 0].axvline(delta, color="0.5", linewidth=0.8, linestyle="--")
     axes[0, 0].axvline(0.0, color="black", linewidth=0.8)
     axes[0, 1].axvline(0.0, color="0.5", linewidth=0.8, linestyle="--")
-    if judged:
+    if axes[0, 0].get_legend_handles_labels()[1]:
         axes[0, 0].legend()
 
 

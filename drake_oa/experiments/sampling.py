@@ -8,6 +8,7 @@ from dataclasses import fields
 import numpy as np
 
 from drake_oa.experiments.scenes import Scenes
+from drake_oa.kernel_arrays import kernel_arrays
 from drake_oa.values import BoolArray, FloatArray
 
 Draw = Callable[[np.random.Generator, int], Scenes]
@@ -74,8 +75,7 @@ def segment_distance(
     from drake_oa.experiments.judge_kernels import segment_distances
 
     out = np.empty(len(center))
-    rows = (np.array(item, dtype=float, order="C") for item in (begin, end, center, R, semi_axes))
-    segment_distances(*rows, out)
+    segment_distances(*kernel_arrays(begin, end, center, R, semi_axes), out)
     return out
 
 

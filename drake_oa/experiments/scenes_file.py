@@ -177,7 +177,7 @@ def check_scenes(scenes: Scenes, source: str = "scenes") -> None:
         row = int(np.argmax(inside))
         raise ValueError(
             f"{source}: the start of scene {row} lies {-distance[row]:.3g} m inside an obstacle; "
-            f"it must be outside all of them ({int(inside.sum())} such scenes)"
+            f"it must be outside all of them{_more(inside)}"
         )
 
 
@@ -187,6 +187,10 @@ def _refuse(source: str, name: str, values: FloatArray, bad: Any, valid: str) ->
         return
     place = tuple(int(i) for i in np.unravel_index(int(np.argmax(bad)), bad.shape))
     where = f"scene {place[0]}" + (f", obstacle {place[1]}" if len(place) > 1 else "")
-    rows = f" ({int(bad.sum())} such rows)" if bad.sum() > 1 else ""
     shown = np.array2string(np.asarray(values[place]), separator=", ").replace("\n", "")
-    raise ValueError(f"{source}: {name} of {where} must be {valid}, not {shown}{rows}")
+    raise ValueError(f"{source}: {name} of {where} must be {valid}, not {shown}{_more(bad)}")
+
+
+def _more(bad: Any) -> str:
+    """How many rows are bad, where it is more than the one that is named."""
+    return f" ({int(bad.sum())} such rows)" if bad.sum() > 1 else ""

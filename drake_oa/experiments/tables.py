@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from drake_oa.text_tables import aligned
+
 TABLE_II: dict[float, dict[str, Any]] = {
     0.5: {
         "clearance_mean": 0.144,
@@ -110,11 +112,4 @@ def text_table(
             else:
                 row.append(form.format(value if isinstance(value, int) else value * factor))
         cells.append(row)
-    widths = [max(len(row[k]) for row in cells) for k in range(len(cells[0]))]
-    return "\n".join(
-        "  ".join(
-            cell.ljust(width) if k == 0 else cell.rjust(width)
-            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in cells
-    )
+    return aligned(cells, "l" + "r" * len(columns))

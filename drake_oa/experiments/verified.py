@@ -46,6 +46,7 @@ def run(scenes: Scenes, setting: Setting) -> Motions:
         velocity=z / (DURATION * tau)[:, None, None],
         duration=DURATION * tau * end,
         seconds=time.perf_counter() - begun,
+        in_range=found.in_range,
     )
 
 

@@ -25,11 +25,8 @@ from drake_oa.cost_rings import (
 from drake_oa.dmp import local_frame
 from drake_oa.heading import desired_headings, passing_normals
 from drake_oa.passing import passing
-from drake_oa.systems.ports import read_optional, read_value, valid_period
+from drake_oa.systems.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.values import EllipsoidSet, FloatArray, PolicyState, Route, TablePlane
-
-_LATER = 1e-3
-"""How long after the beginning of a period it is decided [s]."""
 
 _logger = logging.getLogger("drake_oa")
 
@@ -127,7 +124,7 @@ class CostRingSelector(LeafSystem):
                 self.abstract_state_ticket(self._decided),
             },
         )
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period, _LATER, self._decide)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, DECISION_OFFSET, self._decide)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._decide)
 
     def _weigh(self, context: Context, p_WS: FloatArray, p_WG: FloatArray) -> Route:

@@ -27,7 +27,8 @@ class GivenEllipsoidSource(LeafSystem):
         """Declares the port.
 
         Args:
-            ellipsoids: what is handed out.
+            ellipsoids: what is handed out; with a stamp of `np.inf` they are never out of
+                date, with another one the policy is held when it has become too old.
 
         Raises:
             TypeError: if it is no `EllipsoidSet`.

@@ -1,4 +1,4 @@
-"""Checks that systems share: abstract inputs, which Drake connects unchecked, and periods."""
+"""What systems share: checks of abstract inputs, which Drake connects unchecked, and periods."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ from typing import TypeVar
 from pydrake.systems.framework import Context, InputPort, LeafSystem
 
 T = TypeVar("T")
+
+DECISION_OFFSET = 1e-3
+"""How long after the beginning of a period a layer decides [s]: it sees what came just then."""
 
 
 def read_value(system: LeafSystem, port: InputPort, context: Context, kind: type[T]) -> T:

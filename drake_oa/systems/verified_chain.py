@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
@@ -10,13 +11,10 @@ from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSys
 
 from drake_oa.dmp import Dmp
 from drake_oa.regressor import ChainWeights, CouplingParameters
-from drake_oa.systems.ports import read_optional, read_value, valid_period
+from drake_oa.systems.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.values import EllipsoidSet, FloatArray, PolicyState, TablePlane
 from drake_oa.verification import SearchParameters
 from drake_oa.verified_regulation import Regulation, Regulator, concern
-
-_LATER = 1e-3
-"""How long after the beginning of a period it is verified [s]."""
 
 _logger = logging.getLogger("drake_oa")
 
@@ -46,8 +44,8 @@ class VerifiedRegressorChain(LeafSystem):
     - coupling_parameters: abstract `CouplingParameters`, M rows. One avoidance term bends
       the whole motion: it is on the row of the obstacle that the motion comes nearest to,
       with the point it acts about and the normal of its plane; the other rows have
-      alpha 0. With it tau, and a note that holds the motion where none was found that
-      clears the obstacles.
+      alpha 0. With it tau, at least 1, among moving obstacles at least 0.6; and a note
+      that holds the motion where none was found that clears the obstacles.
     - shortfall: (1,) what the verified motion lacks of the feasible clearance, min(Delta,
       distance of E now, distance of the goal) of each obstacle [m]; 0 where it is kept.
     - short_of: (1,) name of the obstacle that it lacks it to; -1 where it is kept.
@@ -87,14 +85,15 @@ class VerifiedRegressorChain(LeafSystem):
             period: time between choices [s].
             parameters: how far the search goes; None: the defaults.
             table_height: least height of E above the table [m].
-            annulus: (3, n) heights, and least and largest distance of E from the world's
-                z axis there [m], see `drake_oa.workspace.tool_down_annulus`; None: E may
-                be anywhere.
+            annulus: (3, n) heights, increasing, n at least 2, and least and largest distance
+                of E from the world's z axis there [m], see
+                `drake_oa.workspace.tool_down_annulus`; None: E may be anywhere.
 
         Raises:
             TypeError: if weights are no `ChainWeights`.
             ValueError: if clearance or period are not finite and positive, the primitive
-                does not have three dimensions, or the annulus has another shape.
+                does not have three dimensions, the height is not finite, or the annulus has
+                another shape or heights that do not increase.
         """
         super().__init__()
         if not isinstance(weights, ChainWeights):
@@ -105,8 +104,10 @@ class VerifiedRegressorChain(LeafSystem):
             raise ValueError(f"clearance must be finite and positive [m], not {clearance}")
         if dmp.dimension != 3:
             raise ValueError(f"dmp must have 3 dimensions, not {dmp.dimension}")
-        if annulus is not None and (np.ndim(annulus) != 2 or len(annulus) != 3):
-            raise ValueError(f"annulus must be (3, n), not {np.shape(annulus)}")
+        if annulus is not None:
+            _check_annulus(np.asarray(annulus, dtype=float))
+        if not math.isfinite(table_height):
+            raise ValueError(f"table_height must be finite [m], not {table_height}")
         period = valid_period(period)
         self._regulator = Regulator(
             weights,
@@ -131,7 +132,7 @@ class VerifiedRegressorChain(LeafSystem):
         self.DeclareVectorOutputPort("shortfall", 1, self._calc_shortfall, {chosen})
         self.DeclareVectorOutputPort("short_of", 1, self._calc_short_of, {chosen})
         self.DeclareInitializationUnrestrictedUpdateEvent(self._choose)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period, _LATER, self._choose)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, DECISION_OFFSET, self._choose)
 
     def _read(self, context: Context) -> Regulation:
         return context.get_abstract_state(self._chosen).get_value()
@@ -159,6 +160,13 @@ class VerifiedRegressorChain(LeafSystem):
 
     def _calc_short_of(self, context: Context, output: BasicVector) -> None:
         output.SetAtIndex(0, self._read(context).short_of)
+
+
+def _check_annulus(annulus: FloatArray) -> None:
+    if annulus.ndim != 2 or len(annulus) != 3 or annulus.shape[1] < 2:
+        raise ValueError(f"annulus must be (3, n) with n at least 2, not {annulus.shape}")
+    if not (np.isfinite(annulus).all() and (np.diff(annulus[0]) > 0.0).all()):
+        raise ValueError(f"annulus must be finite, its heights increasing [m], not {annulus}")
 
 
 def _log_change(before: Regulation, after: Regulation, time: float) -> None:

@@ -6,6 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from drake_oa.command_line import add_verbose
+
 _DESCRIPTION = """\
 Trains the regressor chain on roll-outs of the action level and writes its weights.
 
@@ -54,9 +56,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--restart", action="store_true", help="discard what an interrupted training has kept"
     )
-    parser.add_argument(
-        "--verbose", action="store_true", help="more messages, and a traceback with an error"
-    )
+    add_verbose(parser)
     parser.set_defaults(action=_run)
 
 

@@ -80,8 +80,8 @@ def train_network(
         y: (N,) targets.
         schedule: of Levenberg-Marquardt.
         seed: of the first weights.
-        rounds: how to go about it; their iterations stand for the schedule's. None: one
-            with all rows.
+        rounds: how to go about it; their iterations stand for the schedule's. Empty:
+            one with all rows.
         weight: (N,) of the rows; None: 1.
         bounds: (d + 1,) least and greatest inputs and target, for the scaling; None:
             those of the rows.

@@ -81,8 +81,3 @@ def unflatten(parameters: FloatArray, sizes: list[int]) -> Layers:
         layers.append((parameters[at:middle].reshape(n_out, n_in), parameters[middle:end]))
         at = end
     return layers
-
-
-def layer_sizes(layers: Layers) -> list[int]:
-    """Widths from input to output."""
-    return [layers[0][0].shape[1], *(len(bias) for _, bias in layers)]

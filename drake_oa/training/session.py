@@ -8,6 +8,8 @@ import time
 from dataclasses import asdict
 from typing import Any
 
+from drake_oa.command_line import INTERRUPTED
+from drake_oa.output_files import check_outputs
 from drake_oa.provenance import source_commit
 from drake_oa.regressor import ChainWeights, save_chain
 from drake_oa.training.chain import train_chain
@@ -18,8 +20,6 @@ from drake_oa.training.normal_equations import choose_device
 from drake_oa.training.paper import PaperRecipe, table_one, train_paper
 from drake_oa.training.progress import StageBar
 from drake_oa.training.validation import score_table, validate, validation_table
-
-_INTERRUPTED = 130
 
 PAPER_FILES = {
     "RC(lambda')": "paper_chain_unconstrained.npz",
@@ -35,16 +35,16 @@ def train(options: argparse.Namespace) -> int:
     """Trains as asked; returns the exit status.
 
     Raises:
-        ValueError: for options that are out of range, a device that is not there, or a
-            checkpoint of other settings.
+        ValueError: for options that are out of range, a device that is not there, a
+            checkpoint of other settings, or weights that cannot be written.
     """
     if options.iterations is not None and options.iterations < 1:
         raise ValueError(f"--iterations must be at least 1, not {options.iterations}")
     if options.seed < 0:
         raise ValueError(f"--seed must not be negative, not {options.seed}")
     device = choose_device(options.device)
-    options.out.mkdir(parents=True, exist_ok=True)
     recipe = _Paper(options) if options.recipe == "paper" else _Project(options)
+    check_outputs(*(options.out / name for name in recipe.files))
     folder = options.checkpoint or options.out / f"{options.recipe}.checkpoint"
     settings = {"recipe": options.recipe, "seed": options.seed, "device": device}
     checkpoint = Checkpoint(folder, {**settings, **recipe.settings()}, restart=options.restart)
@@ -59,7 +59,7 @@ def train(options: argparse.Namespace) -> int:
             f"\ninterrupted; what was computed is in {folder}: the same command goes on from there",
             file=sys.stderr,
         )
-        return _INTERRUPTED
+        return INTERRUPTED
     print(f"{tables}\n\nseed {options.seed}, {device}, {time.perf_counter() - begin:.0f} s")
     for name, chain in chains.items():
         save_chain(chain, options.out / name)
@@ -69,6 +69,8 @@ def train(options: argparse.Namespace) -> int:
 
 
 class _Paper:
+    files = tuple(PAPER_FILES.values())
+
     def __init__(self, options: argparse.Namespace) -> None:
         self._seed = options.seed
         self._recipe = PaperRecipe()
@@ -95,6 +97,8 @@ class _Paper:
 
 
 class _Project:
+    files = (PROJECT_FILE,)
+
     def __init__(self, options: argparse.Namespace) -> None:
         self._seed = options.seed
         self._exploration = Exploration()

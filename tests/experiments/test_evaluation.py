@@ -46,11 +46,11 @@ class Failing:
 def test_batches_do_not_matter(straight: Method) -> None:
     scenes = draw_scenes("novel", 50)
     seen: list[int] = []
-    whole = evaluate(scenes, NOVEL, {"straight": lambda: straight}).outcomes["straight"]
+    whole = evaluate(scenes, NOVEL, {"straight": straight}).outcomes["straight"]
     parts = evaluate(
         scenes,
         NOVEL,
-        {"straight": lambda: straight},
+        {"straight": straight},
         batch=7,
         on_progress=lambda name, count: seen.append(count),
     ).outcomes["straight"]
@@ -73,7 +73,7 @@ def test_a_failure_keeps_what_was_judged_and_the_other_methods(
     evaluation = evaluate(
         scenes,
         NOVEL,
-        {"failing": lambda: Failing(straight, 2, error), "straight": lambda: straight},
+        {"failing": Failing(straight, 2, error), "straight": straight},
         batch=10,
         on_method=lambda outcomes: told.append(list(outcomes)),
     )
@@ -90,7 +90,7 @@ def test_an_interruption_keeps_what_was_judged(straight: Method) -> None:
     evaluation = evaluate(
         draw_scenes("novel", 40),
         NOVEL,
-        {"one": lambda: Failing(straight, 3, KeyboardInterrupt()), "two": lambda: straight},
+        {"one": Failing(straight, 3, KeyboardInterrupt()), "two": straight},
         batch=10,
     )
     assert evaluation.interrupted
@@ -104,7 +104,7 @@ def test_motions_that_are_not_finite_are_a_failure(straight: Method) -> None:
         motions = straight(scenes, setting)
         return Motions(motions.path * np.nan, motions.velocity, motions.duration, 0.0)
 
-    outcome = evaluate(draw_scenes("novel", 4), NOVEL, {"broken": lambda: broken}).outcomes
+    outcome = evaluate(draw_scenes("novel", 4), NOVEL, {"broken": broken}).outcomes
     assert "path must be finite" in str(outcome["broken"].error)
     figures = method_figures(outcome["broken"], NOVEL)
     assert figures["scenes"] == 0
@@ -120,7 +120,7 @@ def test_familiar_has_every_setting_and_counts_those_that_ask(straight: Method) 
         told.append((float(scenes.clearance[0]), setting.constrained, setting.scale_time))
         return straight(scenes, setting)
 
-    outcome = evaluate(draw_scenes("familiar", 9), cases, {"m": lambda: method}).outcomes["m"]
+    outcome = evaluate(draw_scenes("familiar", 9), cases, {"m": method}).outcomes["m"]
     figures = method_figures(outcome, cases)
     assert len(set(told)) == 12
     assert len(figures["settings"]) == 12
@@ -137,6 +137,8 @@ def judgement(**changes: float) -> Judgement:
         "path_length": 1.0,
         "baseline": 1.0,
         "asked": 0.15,
+        "duration": 3.0,
+        "out_of_range": 0.0,
     }
     return Judgement(**{name: np.array([value]) for name, value in (values | changes).items()})
 
@@ -172,7 +174,7 @@ def test_the_table_sets_methods_side_by_side_and_the_papers_figures_below(
     straight: Method,
 ) -> None:
     scenes = draw_scenes("novel", 8)
-    methods = {"one": lambda: straight, "two": lambda: Failing(straight, 0, ValueError("no"))}
+    methods = {"one": straight, "two": Failing(straight, 0, ValueError("no"))}
     outcomes = evaluate(scenes, NOVEL, methods).outcomes
     figures = evaluation_figures("novel", 0, ("drake_oa 0.1.0", "commit abc"), NOVEL, outcomes)
     assert set(figures) == {"suite", "seed", "versions", "methods"}

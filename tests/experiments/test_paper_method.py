@@ -15,7 +15,6 @@ from drake_oa.experiments.methods import Setting
 from drake_oa.experiments.paper_method import (
     ALPHA_X,
     BETA_X,
-    DEMO,
     TABLE_TWO,
     Reading,
     constant_motions,
@@ -34,6 +33,8 @@ from drake_oa.released_code import euler_trajectory
 
 PARAMETERS = (9000.0, 0.77, 25.0)
 UNSCALED = Setting(scale_time=False)
+DEMO = Reading(steps=500, step=0.005)
+"""The released demonstration program's."""
 
 
 def random_network(rng, n_in, sizes=(7, 5, 6)):
@@ -290,6 +291,17 @@ def test_obstacles_at_the_start_and_absent_ones_are_no_trouble(authors_chain):
     assert duration_scale(scenes)[1] == 1.0
     assert (motions.path[1, :, 1:] == 0.0).all()
     assert np.linalg.norm(motions.path[1, -1] - scenes.goal[1]) < 0.01
+
+
+@pytest.mark.parametrize("way", ["centers", "extremes"])
+def test_scenes_without_a_place_for_obstacles_are_straight_lines(authors_chain, way):
+    none = np.zeros((2, 0, 3))
+    scenes = Scenes(np.ones(2), none, none, np.zeros((2, 0, 3, 3)), none, np.full(2, 0.15))
+    reading = Reading(way=way)
+    assert (duration_scale(scenes, reading) == 1.0).all()
+    motions = regulated_motions(scenes, Setting(), authors_chain, reading)
+    assert (motions.path[..., 1:] == 0.0).all()
+    assert np.linalg.norm(motions.path[:, -1] - scenes.goal, axis=1).max() < 0.01
 
 
 # The temporal scaling

@@ -155,7 +155,7 @@ def test_the_decision_is_in_the_context() -> None:
 
 def test_when_no_side_is_allowed_it_says_so(caplog: pytest.LogCaptureFixture) -> None:
     system = CostRingSelector(0.15, workspace=lambda p: np.full(p.shape[:-1], -1.0))
-    with caplog.at_level(logging.WARNING, "drake_oa"):
+    with caplog.at_level(logging.INFO, "drake_oa"):
         simulator = prepared(system, balls((0.5, 0.0, 0.3), ids=[3]))
         simulator.AdvanceTo(0.3)
     route = route_of(system, simulator.get_context())

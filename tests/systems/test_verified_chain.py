@@ -178,6 +178,27 @@ def test_the_side_is_kept_while_the_obstacle_trembles(bench: Bench) -> None:
         assert found.normal_W[0] @ first > 0.9
 
 
+def test_the_side_is_kept_when_the_obstacle_comes_back(
+    bench: Bench, weights: ChainWeights, dmp: Dmp
+) -> None:
+    bench.fix(ellipsoids_W=seen(((0.5, 0.0, 0.3), (0.1, 0.1, 0.1))))
+    bench.simulator.Initialize()
+    first = bench.parameters().normal_W[0]
+    bench.fix(ellipsoids_W=seen(stamp=0.1))
+    bench.simulator.AdvanceTo(0.15)
+    # It leaves less room on that side than on the other one.
+    omega = np.cross(first, [1.0, 0.0, 0.0])
+    center = tuple(np.array([0.5, 0.0, 0.3]) + 0.01 * omega)
+    back = seen((center, (0.1, 0.1, 0.1)), stamp=0.2)
+    bench.fix(ellipsoids_W=back)
+    bench.simulator.AdvanceTo(0.25)
+    assert bench.parameters().normal_W[0] @ first > 0.5
+    fresh = Bench(VerifiedRegressorChain(weights, dmp, CLEARANCE, parameters=QUICK))
+    fresh.fix(ellipsoids_W=back)
+    fresh.simulator.Initialize()
+    assert fresh.parameters().normal_W[0] @ first < 0.0
+
+
 def test_the_table_and_the_workspace_shut_sides(weights: ChainWeights, dmp: Dmp) -> None:
     # Under it is the shorter way.
     high = ((0.5, 0.0, 0.36), (0.1, 0.4, 0.1))
@@ -226,6 +247,16 @@ def test_where_no_way_is_found_the_motion_is_to_be_held(bench: Bench) -> None:
     assert bench.parameters().note == ""
 
 
+def test_the_note_is_not_about_what_holds_the_start(bench: Bench) -> None:
+    around_start = ((0.0, 0.0, 0.3), (0.1, 0.1, 0.1))
+    bench.fix(ellipsoids_W=seen(around_start, BALL))
+    bench.simulator.Initialize()
+    assert bench.parameters().note == ""
+    bench.fix(ellipsoids_W=seen(around_start, WALL, ids=[0, 2]))
+    bench.simulator.AdvanceTo(0.05)
+    assert bench.parameters().note == "no motion that clears obstacle 2 found"
+
+
 def test_the_choice_is_in_the_context_and_comes_out_the_same_again(
     bench: Bench, weights: ChainWeights, dmp: Dmp
 ) -> None:
@@ -261,7 +292,11 @@ def test_a_wrong_type_on_a_port_is_refused_by_its_name(bench: Bench, port: str) 
         ({"clearance": 0.0}, "clearance must be finite and positive"),
         ({"clearance": np.nan}, "clearance must be finite and positive"),
         ({"period": -1.0}, "period must be positive"),
-        ({"annulus": np.zeros((2, 4))}, r"annulus must be \(3, n\), not \(2, 4\)"),
+        ({"annulus": np.zeros((2, 4))}, r"annulus must be \(3, n\) .* not \(2, 4\)"),
+        ({"annulus": np.zeros((3, 1))}, r"annulus must be \(3, n\) .* not \(3, 1\)"),
+        ({"annulus": np.zeros((3, 2))}, "heights increasing"),
+        ({"annulus": np.full((3, 2), np.nan)}, "annulus must be finite"),
+        ({"table_height": np.nan}, "table_height must be finite"),
         ({"dmp": imitate(*minimum_jerk((0.0, 0.0), (1.0, 0.0)))}, "dmp must have 3 dimensions"),
     ],
 )

@@ -1,0 +1,57 @@
+"""Checking and replacing the files that commands write."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from drake_oa.output_files import check_outputs, replace_text, same_file
+
+
+def test_checking_leaves_nothing_behind_but_the_folder(tmp_path: Path) -> None:
+    kept = tmp_path / "kept.json"
+    kept.write_text("before")
+    check_outputs(kept, tmp_path / "new" / "fresh.json", None)
+    assert kept.read_text() == "before"
+    assert sorted(tmp_path.rglob("*")) == [kept, tmp_path / "new"]
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [("", "Is a directory"), ("file/x.json", "cannot make the folder"), ("a" * 300, "too long")],
+)
+def test_what_cannot_be_written_is_named(name: str, why: str, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    path = tmp_path / name
+    with pytest.raises(ValueError, match="cannot write") as error:
+        check_outputs(path)
+    assert str(path) in str(error.value)
+    assert why in str(error.value)
+
+
+def test_one_file_by_two_names_is_seen(tmp_path: Path) -> None:
+    path = tmp_path / "x"
+    assert same_file(path, None, tmp_path / "y" / ".." / "x")
+    assert not same_file(path, None, None, tmp_path / "y")
+
+
+def test_a_file_is_replaced_also_through_a_link(tmp_path: Path) -> None:
+    path, link = tmp_path / "x.json", tmp_path / "link.json"
+    link.symlink_to(path)
+    for text in ("first", "second"):
+        replace_text(link, text)
+        assert path.read_text() == text
+    assert link.is_symlink()
+    assert sorted(item.name for item in tmp_path.iterdir()) == ["link.json", "x.json"]
+
+
+def test_what_is_no_regular_file_is_written_to(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        replace_text(pipe, "text")
+        assert os.read(reader, 10) == b"text"
+    finally:
+        os.close(reader)
+    assert pipe.is_fifo()
