@@ -66,6 +66,7 @@ def verify(
     duration: float,
     dmp: Dmp | None = None,
     previous: FloatArray | None = None,
+    settled: bool = False,
     parameters: SearchParameters | None = None,
 ) -> Verified:
     """Chooses the motion of each scene, see the module.
@@ -77,6 +78,8 @@ def verify(
         dmp: the primitive; None: a straight minimum-jerk motion.
         previous: (S, 7) genes in use, rows of NaN for none. They are tried first, and
             another side has to be shorter by some hysteresis.
+        settled: whether a motion in use that will do is kept without a look at others;
+            the unmodulated motion is looked at nevertheless.
         parameters: how far the search goes; None: the defaults.
 
     Returns:
@@ -91,7 +94,7 @@ def verify(
         raise ValueError(f"previous must be ({len(scenes)}, {N_GENES}), not {previous.shape}")
     previous = np.full((len(scenes), N_GENES), np.nan) if previous is None else previous
     parameters = parameters or SearchParameters()
-    found = Search(scenes, duration, dmp, previous, parameters).run(weights)
+    found = Search(scenes, duration, dmp, previous, parameters, settled=settled).run(weights)
     finer = replace(parameters, candidates=2 * parameters.candidates, steps=2 * parameters.steps)
     for number in range(parameters.retries):
         left = np.flatnonzero(~found.kept)

@@ -64,6 +64,8 @@ _HURRY = 0.02
 """Cost of |ln tau| = 1 among moving obstacles."""
 _FLIP = 0.06
 """Cost of the opposite of the side in use: hysteresis."""
+_BRIEF = 1
+"""Rounds after the first motion that will do, where one is in use."""
 _MUCH = 0.02
 """By how much another motion has to cost less than one in use that will do."""
 
@@ -232,7 +234,10 @@ class Search:
         previous: FloatArray,
         parameters: SearchParameters,
         sides: int = 1,
+        *,
+        settled: bool = False,
     ) -> None:
+        self.settled = settled
         # With n sides, n consecutive scenes are one, each searched on one of them.
         self.sides = sides
         count = len(scenes)
@@ -259,10 +264,13 @@ class Search:
             first = np.concatenate([first, self.bounded(active, fresh)], axis=1)
         ranked = self.evaluate(active, first).best(_ELITES)
         since = np.zeros(len(active), dtype=int)
+        # Where a motion is in use its genes are near the best already.
+        polish = np.where(np.isfinite(self.previous).all(axis=1), _BRIEF, self.parameters.polish)
+        polish = np.minimum(polish, self.parameters.polish)
         for number in range(self.parameters.rounds + 1):
             self.keep_best(chosen, active, ranked)
             since += ranked.solved
-            through = np.bincount(active // self.sides, since > self.parameters.polish)
+            through = np.bincount(active // self.sides, since > polish[active])
             go_on = through[active // self.sides] == 0.0
             active, ranked, since = active[go_on], ranked.rows(go_on), since[go_on]
             if not len(active) or number == self.parameters.rounds:
@@ -282,8 +290,10 @@ class Search:
             return active
         same = self.evaluate(in_use, self.previous[in_use][:, None])
         in_use, same = in_use[same.solved], same.rows(same.solved)
-        other = self.evaluate(in_use, proposed[in_use], same).best(1)
-        stays = same.cost[:, 0] <= other.cost[:, 0] + _MUCH
+        stays = np.full(len(in_use), self.settled)
+        if not self.settled and len(in_use):
+            other = self.evaluate(in_use, proposed[in_use], same).best(1)
+            stays = same.cost[:, 0] <= other.cost[:, 0] + _MUCH
         self.keep_best(chosen, in_use[stays], same.rows(stays))
         return np.setdiff1d(active, in_use[stays])
 

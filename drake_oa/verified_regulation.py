@@ -23,6 +23,8 @@ from drake_oa.verification import ANGLE, N_GENES, TAU, SearchParameters, Verifie
 
 _OUTSIDE = 0.01
 """How far a motion may leave the world's limits, which hold centimetres in reserve [m]."""
+_NOISE = 5e-3
+"""By how much an obstacle at rest may seem to move or grow from frame to frame [m]."""
 _MISSED = 5e-3
 """How far from the goal a motion may end without a word [m]."""
 _ASTRAY = 0.1
@@ -173,6 +175,7 @@ class Regulator:
             duration=self._dmp.duration,
             dmp=self._dmp,
             previous=here.genes[None],
+            settled=_hardly_moved(before.ellipsoids, ellipsoids),
             parameters=self._parameters,
         )
         return self._kept(here, scene, found, baseline)
@@ -335,6 +338,15 @@ def _travelled(before: Regulation, policy: PolicyState) -> float:
     if before.tau == 0.0 or not np.array_equal(before.p_WS, policy.p_WS):
         return math.dist(policy.p_WE, policy.p_WS)
     return before.travelled + math.dist(policy.p_WE, before.p_WE)
+
+
+def _hardly_moved(before: EllipsoidSet, now: EllipsoidSet) -> bool:
+    """Whether the same obstacles are where they were, and as large, up to what noise does."""
+    if not np.array_equal(before.ids, now.ids):
+        return False
+    moved = np.abs(now.p_WO - before.p_WO).max(initial=0.0)
+    grown = np.abs(now.semi_axes - before.semi_axes).max(initial=0.0)
+    return bool(max(moved, grown) <= _NOISE)
 
 
 def _stays(before: Regulation, here: Regulation) -> bool:
