@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from drake_oa import benchmark_command as benchmark
 from drake_oa.command_line import BAD_INPUT, FAILED, INTERRUPTED, add_verbose, complain
+from drake_oa.dmp import normalised_time
 from drake_oa.experiments import command as evaluation
 from drake_oa.kernel_cache import announced_compilation
 from drake_oa.output_files import check_outputs, same_file
@@ -352,7 +353,7 @@ def _progress(
 
         def show(time: float, phase: float) -> None:
             each_step()
-            share = -math.log(max(phase, 1e-300)) / scenario.policy.alpha_k
+            share = normalised_time(phase, scenario.policy.alpha_k)
             if duration is not None:
                 share = max(share, time / duration)
             percent = min(100, int(100.0 * share))

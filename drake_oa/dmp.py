@@ -114,6 +114,11 @@ class Dmp(Frozen):
         return np.asarray(sums[:-1] * (k / sums[-1]))
 
 
+def normalised_time(k: float, alpha_k: float) -> float:
+    """Normalised time s at phase k: the inverse of `Dmp.phase`."""
+    return -math.log(max(k, 1e-300)) / alpha_k
+
+
 def local_frame(p_WS: ArrayLike, p_WG: ArrayLike) -> FloatArray:
     """Orientation R_WL of the local frame of a motion (section II-A).
 

@@ -11,6 +11,7 @@ from drake_oa.layers import given_ellipsoids
 from drake_oa.metrics import MotionMetrics, free_point_metrics, path_length, robot_metrics
 from drake_oa.motion_log import MotionLog
 from drake_oa.scenario import GivenEllipsoids, Scenario
+from drake_oa.text_tables import aligned
 from drake_oa.values import EllipsoidSet
 
 
@@ -120,9 +121,4 @@ def report_table(report: dict[str, Any]) -> str:
         for motion in ("preplanned", "modulated")
         if (found := report.get(motion)) and found["shortfall_max"]
     ]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-    lines = [
-        "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    ]
-    return "\n".join(lines + warnings)
+    return "\n".join([aligned(rows, "r" * len(rows[0])), *warnings])

@@ -13,6 +13,7 @@ from pydrake.systems.framework import Context, Diagram, EventStatus
 from pydrake.systems.primitives import VectorLogSink
 
 from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.dmp import normalised_time
 from drake_oa.layers import make_dmp
 from drake_oa.motion_log import MotionLog, pack_ellipsoids
 from drake_oa.provenance import software_versions
@@ -84,7 +85,7 @@ class _Watcher:
         self._record(root, now, policy)
         if self._on_progress is not None:
             self._on_progress(now, policy.phase)
-        s = -math.log(max(policy.phase, 1e-300)) / self._alpha_k
+        s = normalised_time(policy.phase, self._alpha_k)
         if s >= 1.0 - 1e-9 and _has_arrived(policy):
             return self._stop("goal")
         if s >= LATEST_END:

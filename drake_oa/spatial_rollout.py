@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -119,7 +119,7 @@ class SpatialRollouts(Frozen):
         return self.clearance <= 0.0
 
 
-@lru_cache(maxsize=4)
+@cache
 def default_dmp() -> Dmp:
     """A straight minimum-jerk motion of three dimensions, of unit baseline and duration."""
     return imitate(*minimum_jerk(np.zeros(3), (1.0, 0.0, 0.0)))

@@ -12,6 +12,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from drake_oa.coupling_kernels import ALPHA as ALPHA_COLUMN
 from drake_oa.coupling_kernels import KAPPA as KAPPA_COLUMN
@@ -189,6 +190,36 @@ def avoidance_terms(scenes: SpatialScenes, scene: IntArray, genes: FloatArray) -
     return terms
 
 
+def roll_out(
+    scenes: SpatialScenes,
+    scene: IntArray,
+    terms: FloatArray,
+    parameters: SearchParameters,
+    *,
+    seconds: ArrayLike,
+    dmp: Dmp | None = None,
+    longest: ArrayLike = math.inf,
+    shortest: ArrayLike = math.inf,
+    keep_path: bool = False,
+) -> SpatialRollouts:
+    """Motions until they arrive, as they are verified; arguments as of `spatial_rollouts`."""
+    return spatial_rollouts(
+        scenes,
+        scene,
+        terms,
+        seconds=seconds,
+        dmp=dmp,
+        steps=parameters.steps,
+        end=max(1.0, scenes.s),
+        horizon=max(parameters.horizon, scenes.s + 1.0),
+        fade=parameters.fade,
+        tolerance=parameters.tolerance,
+        longest=longest,
+        shortest=shortest,
+        keep_path=keep_path,
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class _Ranked:
     """The best candidates of A scenes, best first."""
@@ -321,18 +352,13 @@ class Search:
             # The goal's distance from a moving obstacle is not known before the end.
             shortest[active] = np.where(self.moving[active], np.inf, short)
             shortest += self.parameters.slack
-        p, s = self.parameters, self.scenes.s
-        found = spatial_rollouts(
+        found = roll_out(
             self.scenes,
             scene,
             avoidance_terms(self.scenes, scene, flat),
+            self.parameters,
             seconds=self.duration * np.exp(flat[:, TAU]),
             dmp=self.dmp,
-            steps=p.steps,
-            end=max(1.0, s),
-            horizon=max(p.horizon, s + 1.0),
-            fade=p.fade,
-            tolerance=p.tolerance,
             longest=longest,
             shortest=shortest,
         )

@@ -25,7 +25,7 @@ from drake_oa.spatial_rollout import (
 )
 from drake_oa.values import FloatArray
 from drake_oa.verification import N_GENES, SearchParameters, avoidance_terms, verify
-from drake_oa.verification_search import Search
+from drake_oa.verification_search import Search, roll_out
 
 CANDIDATES = 64
 """Motions that are rolled out at once."""
@@ -177,17 +177,8 @@ def candidate_rollouts(
     scene: SpatialScenes, terms: FloatArray, parameters: SearchParameters
 ) -> SpatialRollouts:
     """Rolls candidates out as a decision does, each to its end."""
-    return spatial_rollouts(
-        scene,
-        np.zeros(len(terms), dtype=np.int64),
-        terms,
-        seconds=DURATION,
-        steps=parameters.steps,
-        end=1.0,
-        horizon=parameters.horizon,
-        fade=parameters.fade,
-        tolerance=parameters.tolerance,
-    )
+    rows = np.zeros(len(terms), dtype=np.int64)
+    return roll_out(scene, rows, terms, parameters, seconds=DURATION)
 
 
 def readable_rollout(

@@ -13,13 +13,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from drake_oa.coupling_kernels import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
-from drake_oa.dmp import Dmp, local_frame, trajectory
+from drake_oa.dmp import Dmp, local_frame, normalised_time, trajectory
 from drake_oa.ellipsoid import signed_distance
 from drake_oa.regressor import ChainWeights, CouplingParameters
-from drake_oa.spatial_rollout import SpatialRollouts, SpatialScenes, spatial_rollouts
+from drake_oa.spatial_rollout import SpatialRollouts, SpatialScenes
 from drake_oa.values import EllipsoidSet, FloatArray, Frozen, PolicyState, Route, TablePlane
 from drake_oa.verification import ALPHA as LOG_ALPHA
 from drake_oa.verification import ANGLE, N_GENES, TAU, SearchParameters, Verified, verify
+from drake_oa.verification_search import roll_out
 
 _OUTSIDE = 0.01
 """How far a motion may leave the world's limits, which hold centimetres in reserve [m]."""
@@ -215,7 +216,7 @@ class Regulator:
             semi_axes=seen.semi_axes[None],
             v_WO=seen.v_WO[None],
             clearance=np.full((1, len(seen)), self._clearance),
-            s=max(0.0, -math.log(max(policy.phase, 1e-300)) / self._dmp.alpha_k),
+            s=max(0.0, normalised_time(policy.phase, self._dmp.alpha_k)),
             plane=plane,
             annulus=self._annulus,
         )
@@ -224,7 +225,15 @@ class Regulator:
         self, here: Regulation, scene: SpatialScenes, found: Verified, baseline: float
     ) -> Regulation:
         seconds = self._dmp.duration * math.exp(found.genes[0, TAU])
-        motion = self._roll_out(scene, found, seconds)
+        motion = roll_out(
+            scene,
+            np.zeros(1, dtype=np.int64),
+            found.terms[:, None],
+            self._parameters,
+            seconds=seconds,
+            dmp=self._dmp,
+            keep_path=True,
+        )
         least, start, goal = self._distances(scene, motion, seconds)
         feasible = np.minimum(self._clearance, np.minimum(start, goal))
         shortfall = float(found.shortfall[0])
@@ -258,22 +267,6 @@ class Regulator:
             short_of=int(here.ellipsoids.ids[(feasible - least).argmax()]) if shortfall else -1,
             goal_error=float(found.goal_error[0]),
             note=note,
-        )
-
-    def _roll_out(self, scene: SpatialScenes, found: Verified, seconds: float) -> SpatialRollouts:
-        p = self._parameters
-        return spatial_rollouts(
-            scene,
-            [0],
-            found.terms[:, None],
-            seconds=seconds,
-            dmp=self._dmp,
-            steps=p.steps,
-            end=max(1.0, scene.s),
-            horizon=max(p.horizon, scene.s + 1.0),
-            fade=p.fade,
-            tolerance=p.tolerance,
-            keep_path=True,
         )
 
     def _distances(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,9 +12,10 @@ from drake_oa.experiments.motions import Motions
 from drake_oa.experiments.scenes import DURATION, Scenes, single_obstacle
 from drake_oa.regressor import load_chain
 from drake_oa.scenario import package_file
-from drake_oa.spatial_rollout import SpatialScenes, spatial_rollouts
+from drake_oa.spatial_rollout import SpatialScenes
 from drake_oa.values import FloatArray, IntArray
 from drake_oa.verification import SearchParameters, Verified, verify
+from drake_oa.verification_search import roll_out
 
 WEIGHTS = "package://drake_oa/weights/regressor_chain.npz"
 SAMPLES = 500
@@ -82,16 +84,12 @@ def _followed(
     path, z, end = np.empty((count, SAMPLES + 1, 3)), np.empty((count, SAMPLES + 1, 3)), tau.copy()
     for steps in np.unique(found.steps):
         rows = np.flatnonzero(found.steps == steps)
-        rolled = spatial_rollouts(
+        rolled = roll_out(
             posed,
             rows,
             found.terms[rows, None],
+            replace(PARAMETERS, steps=int(steps)),
             seconds=DURATION * tau[rows],
-            steps=int(steps),
-            end=1.0,
-            horizon=PARAMETERS.horizon,
-            fade=PARAMETERS.fade,
-            tolerance=PARAMETERS.tolerance,
             keep_path=True,
         )
         taken = rolled.steps.astype(np.int64)
