@@ -12,6 +12,7 @@ from pydrake.geometry import (
     Capsule,
     QueryObject,
     ReadObjToTriangleSurfaceMesh,
+    Role,
     SceneGraph,
     Sphere,
 )
@@ -132,9 +133,9 @@ def _distance(shape, p: np.ndarray) -> np.ndarray:
     return np.linalg.norm(p, axis=1) - shape.radius()
 
 
-def _visual_points(link: str) -> np.ndarray:
+def _visual_points(link: str, kind: str = "") -> np.ndarray:
     """Vertices, edge points and centroids (N, 3) of a link's visual mesh, in the link's frame."""
-    file = MODELS / "panda" / "meshes" / f"{link.removeprefix('panda_')}.obj"
+    file = MODELS / "panda" / "meshes" / f"{link.removeprefix('panda_')}{kind}.obj"
     mesh = ReadObjToTriangleSurfaceMesh(str(file))
     vertices = np.asarray(mesh.vertices())
     corners = vertices[[[t.vertex(i) for i in range(3)] for t in mesh.triangles()]]
@@ -286,10 +287,35 @@ def test_gravity_with_hand_is_within_two_newton_metres_of_drakes_panda(
     assert np.abs(tau + data["tau_g7_fingers_closed"]).max() < 2.5
 
 
+@pytest.mark.parametrize(("kind", "tolerance"), [("", 1e-3), ("_coarse", 5e-3)])
 @pytest.mark.parametrize("link", SHELLS)
-def test_collision_geometry_encloses_the_visual(robot: Robot, link: str) -> None:
-    distance = robot.distance_to_collision_geometry([link], _visual_points(link))
-    assert distance.max() < 1e-3
+def test_collision_geometry_encloses_the_visual(
+    robot: Robot, link: str, kind: str, tolerance: float
+) -> None:
+    distance = robot.distance_to_collision_geometry([link], _visual_points(link, kind))
+    assert distance.max() < tolerance
+
+
+@pytest.mark.parametrize("link", SHELLS)
+def test_what_a_camera_renders_is_near_the_shell(link: str) -> None:
+    fine, coarse = _visual_points(link), _visual_points(link, "_coarse")
+    distance, _ = cKDTree(fine).query(coarse)
+    # Vertices and centroids lie on the mesh, up to 6 mm from a face and half an edge from a point of the shell.
+    assert distance.max() < 0.016
+
+
+@pytest.mark.parametrize(
+    ("role", "kind"), [(Role.kIllustration, ""), (Role.kPerception, "_coarse")]
+)
+def test_viewers_show_the_shell_and_cameras_render_the_coarse_one(
+    robot: Robot, role: Role, kind: str
+) -> None:
+    inspector = robot.scene_graph.model_inspector()
+    for link in SHELLS:
+        frame = robot.plant.GetBodyFrameIdOrThrow(robot.plant.GetBodyByName(link).index())
+        (geometry,) = inspector.GetGeometries(frame, role)
+        mesh = inspector.GetShape(geometry)
+        assert Path(mesh.source().path()).name == f"{link.removeprefix('panda_')}{kind}.obj"
 
 
 @pytest.mark.parametrize("link", ["panda_hand", *FINGERS])
@@ -363,8 +389,8 @@ def test_no_unfiltered_pair_of_links_overlaps_by_construction(robot: Robot) -> N
 def test_meshes_are_small_and_every_material_is_defined() -> None:
     folder = MODELS / "panda" / "meshes"
     files = sorted(folder.glob("*.obj"))
-    assert len(files) == len(SHELLS)
-    assert sum(file.stat().st_size for file in files) < 1.5e6
+    assert len(files) == 2 * len(SHELLS)
+    assert sum(file.stat().st_size for file in files) < 1.8e6
     defined = set(re.findall(r"newmtl (\w+)", (folder / "panda.mtl").read_text()))
     used = {name for file in files for name in re.findall(r"usemtl (\w+)", file.read_text())}
     assert used <= defined

@@ -12,6 +12,7 @@ from implicit import (
     Point,
     Solid,
     block,
+    coarsened,
     drum,
     grown,
     half_space,
@@ -298,6 +299,15 @@ def write_obj(path: Path, parts: list[Part]) -> None:
     path.write_text("\n".join(lines) + "\n")
 
 
+def write_coarse(path: Path, parts: list[Part], triangles: int) -> None:
+    """Writes the parts as one mesh of about that many triangles, without materials: for cameras."""
+    coarse = coarsened([part for _, part in parts], triangles)
+    lines = [f"v {x:.5f} {y:.5f} {z:.5f}" for x, y, z in coarse.vertices]
+    lines += [f"vn {x:.3f} {y:.3f} {z:.3f}" for x, y, z in coarse.normals]
+    lines += [f"f {a}//{a} {b}//{b} {c}//{c}" for a, b, c in (coarse.triangles + 1).tolist()]
+    path.write_text("\n".join(lines) + "\n")
+
+
 def write_mtl(path: Path) -> None:
     """Writes the materials: diffuse colour, a soft highlight."""
     entries = [
@@ -312,10 +322,11 @@ def main() -> None:
     FOLDER.mkdir(exist_ok=True)
     write_mtl(FOLDER / "panda.mtl")
     links = [link0, link1, link2, link3, link4, link5, link6, link7, hand]
-    for link in links:
-        write_obj(FOLDER / f"{link.__name__}.obj", link())
-    write_obj(FOLDER / "leftfinger.obj", finger(1.0))
-    write_obj(FOLDER / "rightfinger.obj", finger(-1.0))
+    shells = {link.__name__: (link(), 400) for link in links}
+    shells |= {"leftfinger": (finger(1.0), 150), "rightfinger": (finger(-1.0), 150)}
+    for name, (parts, triangles) in shells.items():
+        write_obj(FOLDER / f"{name}.obj", parts)
+        write_coarse(FOLDER / f"{name}_coarse.obj", parts, triangles)
 
 
 if __name__ == "__main__":

@@ -188,3 +188,19 @@ def mesh(solid: Solid, low: Point, high: Point, triangles: int, cell: float = 0.
     normals = _gradient(solid, vertices)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     return Mesh(vertices, normals, np.asarray(coarse.triangles))
+
+
+def coarsened(parts: list[Mesh], triangles: int) -> Mesh:
+    """Meshes as one, decimated to about that many triangles."""
+    whole = o3d.geometry.TriangleMesh()
+    for part in parts:
+        whole += o3d.geometry.TriangleMesh(
+            o3d.utility.Vector3dVector(part.vertices), o3d.utility.Vector3iVector(part.triangles)
+        )
+    coarse = whole.merge_close_vertices(1e-4).simplify_quadric_decimation(triangles)
+    coarse.remove_degenerate_triangles()
+    coarse.remove_unreferenced_vertices()
+    coarse.compute_vertex_normals()
+    return Mesh(
+        np.asarray(coarse.vertices), np.asarray(coarse.vertex_normals), np.asarray(coarse.triangles)
+    )
