@@ -10,7 +10,7 @@ from drake_oa import action_kernels as kernels
 from drake_oa.coupling import CouplingTerms
 from drake_oa.ellipsoid import shape_matrix
 from drake_oa.regressor import CouplingParameters
-from drake_oa.values import EllipsoidSet, FloatArray, Frozen, Route
+from drake_oa.values import PART, EllipsoidSet, FloatArray, Frozen, Route
 
 
 def _empty(*shape: int) -> FloatArray:
@@ -108,7 +108,7 @@ class Surroundings(Frozen):
             return self.blocked
         row, is_goal = divmod(code - kernels.INSIDE, 2)
         place = "goal" if is_goal else "tool"
-        return f"{place} inside obstacle {self.ellipsoids.ids[row]}"
+        return f"{place} inside obstacle {self.ellipsoids.ids[row] % PART}"
 
 
 def _blocked(coupling: CouplingParameters | None, route: Route | None) -> str:

@@ -17,7 +17,15 @@ from drake_oa.dmp import Dmp, local_frame, normalised_time, trajectory
 from drake_oa.ellipsoid import signed_distance
 from drake_oa.regressor import ChainWeights, CouplingParameters
 from drake_oa.spatial_rollout import SpatialRollouts, SpatialScenes
-from drake_oa.values import EllipsoidSet, FloatArray, Frozen, PolicyState, Route, TablePlane
+from drake_oa.values import (
+    PART,
+    EllipsoidSet,
+    FloatArray,
+    Frozen,
+    PolicyState,
+    Route,
+    TablePlane,
+)
 from drake_oa.verification import ALPHA as LOG_ALPHA
 from drake_oa.verification import ANGLE, N_GENES, TAU, SearchParameters, Verified, verify
 from drake_oa.verification_search import roll_out
@@ -163,7 +171,9 @@ class Regulator:
             p_WE=policy.p_WE,
             travelled=_travelled(before, policy),
         )
-        if _stays(before, here):
+        # A motion that is late is looked at again: the unmodulated rest may do.
+        late = normalised_time(policy.phase, self._dmp.alpha_k) >= 1.0
+        if not late and _stays(before, here):
             return here
         if not len(ellipsoids):
             # Nothing to go round; the spring leads to the goal.
@@ -247,7 +257,8 @@ class Regulator:
         if touched or outside or astray:
             worst = int(np.where(clear, least, np.inf).argmin())
             where = " above the table and in the workspace" if outside else ""
-            note = f"no motion that clears obstacle {here.ellipsoids.ids[worst]}{where} found"
+            name = here.ellipsoids.ids[worst] % PART
+            note = f"no motion that clears obstacle {name}{where} found"
         genes = np.array(found.genes[0])
         free = not genes[LOG_ALPHA] > -np.inf
         if free:
@@ -255,6 +266,7 @@ class Regulator:
         moving = here.ellipsoids.v_WO.any()
         remaining = float(found.path_length[0])
         tau = float(found.tau[0]) if moving else self._scaling(here, remaining, baseline)
+        shortest = here.ellipsoids.ids[(feasible - least).argmax()] % PART
         return replace(
             here,
             remaining=remaining,
@@ -264,7 +276,7 @@ class Regulator:
             in_range=bool(found.in_range[0]),
             genes=genes,
             shortfall=shortfall,
-            short_of=int(here.ellipsoids.ids[(feasible - least).argmax()]) if shortfall else -1,
+            short_of=int(shortest) if shortfall else -1,
             goal_error=float(found.goal_error[0]),
             note=note,
         )

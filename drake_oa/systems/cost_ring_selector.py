@@ -26,7 +26,7 @@ from drake_oa.dmp import local_frame
 from drake_oa.heading import desired_headings, passing_normals
 from drake_oa.passing import passing
 from drake_oa.systems.ports import DECISION_OFFSET, read_optional, read_value, valid_period
-from drake_oa.values import EllipsoidSet, FloatArray, PolicyState, Route, TablePlane
+from drake_oa.values import PART, EllipsoidSet, FloatArray, PolicyState, Route, TablePlane
 
 _logger = logging.getLogger("drake_oa")
 
@@ -209,5 +209,5 @@ class CostRingSelector(LeafSystem):
 def _blocked_note(ellipsoids: EllipsoidSet, selection: Selection) -> str:
     if not selection.blocked.any():
         return ""
-    ids = ", ".join(map(str, ellipsoids.ids[selection.blocked]))
+    ids = ", ".join(map(str, np.unique(ellipsoids.ids[selection.blocked] % PART)))
     return f"every side of obstacle {ids} is forbidden"

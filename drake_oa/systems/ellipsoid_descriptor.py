@@ -1,14 +1,17 @@
-"""The descriptor layer: obstacles and tool as one ellipsoid each."""
+"""The descriptor layer: obstacles and tool as ellipsoids."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
 from numpy.typing import ArrayLike
 from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import Context, LeafSystem
 
 from drake_oa.descriptor import Method, check_descriptor_arguments, describe
 from drake_oa.systems.ports import read_value
-from drake_oa.values import EllipsoidSet, ObstacleClouds
+from drake_oa.values import EllipsoidSet, FloatArray, ObstacleClouds
 
 
 class EllipsoidDescriptor(LeafSystem):
@@ -24,8 +27,9 @@ class EllipsoidDescriptor(LeafSystem):
 
     - obstacles_W: abstract `ObstacleClouds`, points of the obstacles in the world frame
       [m]; may be empty.
-    - ellipsoids_W: abstract `EllipsoidSet` in the world frame, with the stamp, names, table and
-      note of the clouds; an obstacle without a finite point is dropped and noted.
+    - ellipsoids_W: abstract `EllipsoidSet` in the world frame, with the stamp, names,
+      velocities, table and note of the clouds; an obstacle without a finite point is dropped
+      and noted. One that would hold a free point, or all but do so, has several rows.
 
     There is no state. The output is computed when it is asked for, once for each
     change of the input.
@@ -37,6 +41,8 @@ class EllipsoidDescriptor(LeafSystem):
         *,
         method: Method = "enclosing",
         minimum_semi_axis: float = 1e-3,
+        free_W: ArrayLike = (),
+        tool_parts: Sequence[FloatArray] = (),
     ) -> None:
         """Declares the ports.
 
@@ -47,15 +53,22 @@ class EllipsoidDescriptor(LeafSystem):
             method: "enclosing": the smallest ellipsoid that holds every dilated point.
                 "least_squares": the paper's fit, which leaves some outside.
             minimum_semi_axis: least semi-axis of an ellipsoid [m].
+            free_W: (F, 3) tool points that are known to be free: start and goal [m].
+            tool_parts: (K_i, 3) vertices of the tool's convex parts, for obstacles near
+                those points [m]; none: the whole tool.
 
         Raises:
-            ValueError: if the tool is empty, not (K, 3) or not finite, the method is
-                unknown, or minimum_semi_axis is not positive.
+            ValueError: if the tool or a part of it is empty, not (K, 3) or not finite, the
+                method is unknown, minimum_semi_axis is not positive, or free_W not finite.
         """
         super().__init__()
         if not minimum_semi_axis > 0.0:
             raise ValueError(f"minimum_semi_axis must be positive [m], not {minimum_semi_axis}")
         self._tool_W = check_descriptor_arguments(tool_W, method)
+        self._tool_parts = tuple(check_descriptor_arguments(p, method) for p in tool_parts)
+        self._free_W = np.array(free_W, dtype=float).reshape(-1, 3)
+        if not np.isfinite(self._free_W).all():
+            raise ValueError(f"free_W must be finite [m], not {self._free_W}")
         self._method: Method = method
         self._minimum_semi_axis = minimum_semi_axis
         self._obstacles = self.DeclareAbstractInputPort("obstacles_W", Value(ObstacleClouds()))
@@ -74,5 +87,7 @@ class EllipsoidDescriptor(LeafSystem):
                 self._tool_W,
                 method=self._method,
                 minimum_semi_axis=self._minimum_semi_axis,
+                free_W=self._free_W,
+                tool_parts=self._tool_parts,
             )
         )

@@ -153,3 +153,21 @@ def test_keeps_its_own_copy_of_the_tool(cloud):
     before = evaluate(system, clouds(cloud)).semi_axes
     tool *= 2.0
     np.testing.assert_array_equal(evaluate(system, clouds(cloud)).semi_axes, before)
+
+
+def test_velocities_are_handed_on_with_their_rows():
+    cube = np.array([[x, y, z] for x in (0.0, 0.1) for y in (0.0, 0.1) for z in (0.0, 0.1)])
+    v_WO = np.array([[0.1, 0.0, 0.0], [0.0, 0.2, 0.0], [0.0, 0.0, 0.3]])
+    clouds = (cube, np.full((4, 3), np.nan), cube + 0.5)
+    seen = descriptor.describe(
+        ObstacleClouds(1.0, clouds, np.array([4, 7, 9]), v_WO=v_WO), np.zeros((1, 3))
+    )
+    np.testing.assert_array_equal(seen.ids, [4, 9])
+    np.testing.assert_array_equal(seen.v_WO, v_WO[[0, 2]])
+    assert not descriptor.describe(
+        ObstacleClouds(1.0, clouds, np.arange(3)), np.zeros((1, 3))
+    ).v_WO.any()
+    with pytest.raises(ValueError, match="velocities"):
+        descriptor.describe(
+            ObstacleClouds(1.0, clouds, np.arange(3), v_WO=v_WO[:2]), np.zeros((1, 3))
+        )
