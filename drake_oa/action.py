@@ -22,6 +22,9 @@ from drake_oa.regressor import CouplingParameters
 from drake_oa.surroundings import Surroundings
 from drake_oa.values import EllipsoidSet, FloatArray, Frozen, PolicyState, Route
 
+SCALED_TO_REST = "speed_scale is 0"
+"""Note of a motion that is held because its speed is scaled to nothing from outside."""
+
 
 @dataclass(frozen=True)
 class ActionParameters:
@@ -215,6 +218,7 @@ class ActionLevel:
         time: float,
         step: float,
         count: int = 1,
+        speed_scale: float = 1.0,
     ) -> Segment:
         """Takes a step of the policy, or several, from the end of a segment.
 
@@ -225,6 +229,9 @@ class ActionLevel:
             time: now [s].
             step: length of a step [s].
             count: how many steps.
+            speed_scale: share of full speed, 1 / (tau T), at which the motion is to go; it
+                gets there at the rate of a hold. What is not in [0, 1] counts as the
+                nearest of them, NaN as 0.
 
         Returns:
             The motion in the last of the steps.
@@ -234,6 +241,7 @@ class ActionLevel:
         """
         if count < 1:
             raise ValueError(f"count must be at least 1, not {count}")
+        scale = min(float(speed_scale), 1.0) if speed_scale > 0.0 else 0.0
         gx, gy, gz = p_WG.tolist()
         motion = np.empty(kernels.N_MOTION)
         code = kernels.take_steps(
@@ -249,6 +257,7 @@ class ActionLevel:
             around.blocks,
             around.R_WO,
             around.B,
+            scale,
             time,
             step,
             count,
@@ -256,12 +265,15 @@ class ActionLevel:
         )
         if code < 0:
             if code == kernels.GOAL_MOVED:
-                return self.step(_toward(before, p_WG), p_WG, around, time, step, count)
+                before = _toward(before, p_WG)
+                return self.step(before, p_WG, around, time, step, count, scale)
             raise ValueError(
                 f"a step of {step} s at {before.motion[kernels.END + kernels.SPEED]} 1/s is not "
                 "finite and at least 0 in normalised time"
             )
-        return Segment(motion, around.reason(code) if code else "")
+        if code == kernels.FREE:
+            return Segment(motion, "" if scale > 0.0 else SCALED_TO_REST)
+        return Segment(motion, around.reason(code))
 
 
 def _toward(before: Segment, p_WG: FloatArray) -> Segment:

@@ -194,6 +194,7 @@ def take_steps(
     blocks: FloatArray,
     R_WO: FloatArray,
     B: FloatArray,
+    scale: float,
     time: float,
     step: float,
     count: int,
@@ -212,6 +213,7 @@ def take_steps(
         blocks: (7, M, 3) of the obstacles.
         R_WO: (M, 3, 3) rotations of the ellipsoids.
         B: (M, 3, 3) their shape matrices [m^2].
+        scale: share of full speed, 1 / (tau T), at which the motion is to go.
         time: now [s].
         step: length of a step [s].
         count: how many steps, at least 1.
@@ -239,6 +241,7 @@ def take_steps(
             blocks,
             R_WO,
             B,
+            scale,
             time,
             step,
             after,
@@ -262,6 +265,7 @@ def _take_step(
     blocks: FloatArray,
     R_WO: FloatArray,
     B: FloatArray,
+    scale: float,
     time: float,
     step: float,
     after: FloatArray,
@@ -295,7 +299,7 @@ def _take_step(
         tau = max(1.0, facts[PATH_LENGTH] / baseline)
     after[TAU] = tau
     duration = constants[DURATION]
-    target = 0.0 if code != FREE else 1.0 / (tau * duration)
+    target = 0.0 if code != FREE else scale / (tau * duration)
     most = step / (duration * constants[HOLD_TIME])
     speed = after[SPEED] + min(max(target - after[SPEED], -most), most)
     ds = 0.5 * (after[SPEED] + speed) * step

@@ -222,14 +222,21 @@ def surface_points(
 
 
 def _box_points(half: FloatArray, count: int) -> FloatArray:
-    side = max(2, round(np.sqrt(count / 6.0)) + 1)
-    t = np.linspace(-1.0, 1.0, side)
-    a, b = (grid.ravel() for grid in np.meshgrid(t, t))
+    # As far apart along a long edge as along a short one: nothing slips in between.
+    area = 8.0 * (half[0] * half[1] + half[1] * half[2] + half[2] * half[0])
+    sides = np.maximum(2, np.round(2.0 * half / np.sqrt(area / count)).astype(int) + 1)
     faces = []
     for axis in range(3):
+        first, second = (axis + 1) % 3, (axis + 2) % 3
+        a, b = (
+            grid.ravel()
+            for grid in np.meshgrid(
+                np.linspace(-1.0, 1.0, sides[first]), np.linspace(-1.0, 1.0, sides[second])
+            )
+        )
         for sign in (-1.0, 1.0):
             face = np.full((len(a), 3), sign)
-            face[:, (axis + 1) % 3], face[:, (axis + 2) % 3] = a, b
+            face[:, first], face[:, second] = a, b
             faces.append(face)
     return np.asarray(np.unique(np.concatenate(faces), axis=0) * half)
 

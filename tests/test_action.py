@@ -565,3 +565,54 @@ def test_parameters_that_cannot_be_used_are_refused(
 ) -> None:
     with pytest.raises(ValueError, match=said):
         Surroundings.of(one_ellipsoid(), replace(coupling(), **change), None)  # type: ignore[arg-type]
+
+
+# Speed scaled from outside.
+
+
+def scaled_path(scales: FloatArray, around: Surroundings) -> tuple[list[Segment], FloatArray]:
+    """Steps at given shares of full speed; normalised times s of their ends."""
+    level = ActionLevel(DMP, PARAMETERS)
+    segment = initial_segment(DMP, START, GOAL, 0.0)
+    found, s = [], []
+    for number, scale in enumerate(scales):
+        segment = level.step(segment, GOAL, around, number * STEP, STEP, speed_scale=float(scale))
+        found.append(segment)
+        s.append(-math.log(segment.end.phase) / DMP.alpha_k)
+    return found, np.array(s)
+
+
+@settings(max_examples=15)
+@given(seed=st.integers(0, 10_000), bent=st.booleans())
+def test_the_path_does_not_depend_on_the_speed(seed: int, bent: bool) -> None:
+    around = Surroundings.of(one_ellipsoid() if bent else None, coupling() if bent else None, None)
+    free, s_free = scaled_path(np.ones(480), around)
+    rng = np.random.default_rng(seed)
+    profile = np.repeat(rng.choice([0.0, 0.2, 0.6, 1.0], 24), 25)
+    scaled, s = scaled_path(profile, around)
+    expected = np.stack([np.interp(s, s_free, path(free)[:, axis]) for axis in range(3)], axis=1)
+    np.testing.assert_allclose(path(scaled), expected, atol=2e-3 if bent else 2e-4)
+
+
+def test_the_speed_follows_the_scale_at_the_rate_of_a_hold() -> None:
+    profile = np.concatenate([np.zeros(80), np.full(80, 0.5), np.ones(80)])
+    found, _ = scaled_path(profile, Surroundings())
+    speed = np.array([segment.end.speed for segment in found]) * DMP.duration
+    assert np.abs(np.diff(speed)).max() <= STEP / PARAMETERS.hold_time + 1e-12
+    np.testing.assert_allclose(speed[[79, 159, 239]], [0.0, 0.5, 1.0], atol=1e-12)
+    notes = [segment.note for segment in found]
+    assert notes[:80] == ["speed_scale is 0"] * 80
+    assert not any(notes[80:])
+
+
+@pytest.mark.parametrize(("scale", "meant"), [(-1.0, 0.0), (math.nan, 0.0), (7.0, 1.0)])
+def test_a_scale_out_of_range_is_taken_as_the_nearest(scale: float, meant: float) -> None:
+    found, _ = scaled_path(np.full(5, scale), Surroundings())
+    expected, _ = scaled_path(np.full(5, meant), Surroundings())
+    np.testing.assert_array_equal(path(found), path(expected))
+
+
+def test_a_reason_of_its_own_goes_before_the_scale() -> None:
+    around = Surroundings.of(EllipsoidSet(), None, None)
+    found, _ = scaled_path(np.zeros(1), around)
+    assert found[0].note == "no observation yet"

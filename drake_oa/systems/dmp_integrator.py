@@ -15,7 +15,13 @@ from pydrake.systems.framework import (
     ValueProducer,
 )
 
-from drake_oa.action import ActionLevel, ActionParameters, Segment, initial_segment
+from drake_oa.action import (
+    SCALED_TO_REST,
+    ActionLevel,
+    ActionParameters,
+    Segment,
+    initial_segment,
+)
 from drake_oa.dmp import Dmp
 from drake_oa.regressor import CouplingParameters
 from drake_oa.surroundings import Surroundings
@@ -37,6 +43,7 @@ class DmpIntegrator(LeafSystem):
       - ellipsoids_W (optional)
       - coupling_parameters (optional)
       - route (optional)
+      - speed_scale (optional)
       output_ports:
       - desired_position
       - desired_velocity
@@ -54,6 +61,9 @@ class DmpIntegrator(LeafSystem):
       decision, whose headings are then computed here from where the motion is at each
       step; or a route with headings of its own. Without it there is no guidance term,
       and the motion is not scaled in time.
+    - speed_scale (optional): (1,) share of full speed at which the motion is to go, in
+      [0, 1], as a `Supervisor` gives it. The rate of normalised time follows it at the rate
+      of a hold, and the path stays; at 0 the motion is held. Without it the share is 1.
     - desired_position: (3,) p_WE [m].
     - desired_velocity: (3,) v_WE [m/s].
     - desired_acceleration: (3,) a_WE [m/s^2].
@@ -102,6 +112,7 @@ class DmpIntegrator(LeafSystem):
             "coupling_parameters", Value(CouplingParameters())
         )
         self._route = self.DeclareAbstractInputPort("route", Value(Route()))
+        self._speed_scale = self.DeclareVectorInputPort("speed_scale", 1)
         # Perception and decision are much slower than the policy.
         self._surroundings = self.DeclareCacheEntry(
             "surroundings",
@@ -142,6 +153,10 @@ class DmpIntegrator(LeafSystem):
     def _read_segment(self, context: Context) -> Segment:
         return context.get_abstract_state(self._segment).get_value()
 
+    def _read_speed_scale(self, context: Context) -> float:
+        port = self._speed_scale
+        return float(port.Eval(context)[0]) if port.HasValue(context) else 1.0
+
     def _calc_phase(self, context: Context, output: BasicVector) -> None:
         output.SetAtIndex(0, self._read_segment(context).phase)
 
@@ -172,8 +187,10 @@ class DmpIntegrator(LeafSystem):
             self._surroundings.Eval(context),
             context.get_time(),
             self._period,
+            speed_scale=self._read_speed_scale(context),
         )
-        if after.note != before.note:
+        # Who scales the speed says why.
+        if after.note != before.note and SCALED_TO_REST not in (after.note, before.note):
             message = f"held: {after.note}" if after.note else "running again"
             _logger.warning("t=%.3f s: %s", context.get_time(), message)
         state.get_mutable_abstract_state(self._segment).set_value(after)

@@ -213,3 +213,24 @@ def test_a_goal_that_is_not_finite_is_refused(goal: float) -> None:
 def test_bad_construction_is_refused(start: FloatArray, period: float, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         DmpIntegrator(imitate(*minimum_jerk(START, GOAL)), start, period=period)
+
+
+def test_a_speed_scale_slows_holds_and_lets_go_on(caplog: pytest.LogCaptureFixture) -> None:
+    system = make_system()
+    run = simulator(system)
+    port = system.GetInputPort("speed_scale")
+    port.FixValue(run.get_mutable_context(), np.array([0.5]))
+    run.AdvanceTo(1.0)
+    slow = read(system, run.get_context(), "desired_position")
+    # Half the way in the whole duration, less what the ramp took in advance.
+    assert 0.4 < slow[0] < 0.8
+    with caplog.at_level(logging.WARNING, "drake_oa"):
+        port.FixValue(run.get_mutable_context(), np.array([0.0]))
+        run.AdvanceTo(2.0)
+        policy = system.GetOutputPort("policy_state").Eval(run.get_context())
+        assert (policy.speed, policy.note) == (0.0, "speed_scale is 0")
+        port.FixValue(run.get_mutable_context(), np.array([1.0]))
+        run.AdvanceTo(4.0)
+    # Who scales it says so.
+    assert caplog.messages == []
+    np.testing.assert_allclose(read(system, run.get_context(), "desired_position"), GOAL, atol=1e-3)
