@@ -1,0 +1,56 @@
+"""Makes the systems that bring a scenario's faults, and its moving obstacles, into a diagram."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drake_oa.faults import TorqueSaturation, camera_faults
+from drake_oa.obstacles import OBSTACLE_PREFIX
+from drake_oa.scenario import DepthCamera, Scenario
+from drake_oa.station import RobotPlant, Station, all_obstacles
+from drake_oa.systems.camera_faults import CameraFaults
+from drake_oa.systems.obstacle_mover import ObstacleMover
+from drake_oa.systems.weak_actuators import WeakActuators
+
+
+def make_camera_faults(
+    scenario: Scenario, station: Station, robot_plant: RobotPlant
+) -> CameraFaults | None:
+    """What is wrong with the camera that perception sees by; None: nothing."""
+    faults, source = camera_faults(scenario.faults), scenario.perception
+    if not faults or not isinstance(source, DepthCamera):
+        return None
+    config = next(item for item in scenario.cameras if item.name == source.camera)
+    sensor = station.cameras[source.camera]
+    return CameraFaults(
+        faults,
+        sensor.default_depth_render_camera().core().intrinsics(),
+        num_states=robot_plant.plant.num_multibody_states(robot_plant.instance),
+        table_height=scenario.table_height or 0.0,
+        # As perception has it: Drake's VTK renderer samples pixels at their centres.
+        pixel_center=0.5,
+        period=1.0 / config.fps,
+    )
+
+
+def make_weak_actuators(scenario: Scenario, station: Station) -> WeakActuators | None:
+    """What is wrong with the robot's actuators; None: nothing."""
+    faults = [fault for fault in scenario.faults if isinstance(fault, TorqueSaturation)]
+    if not faults:
+        return None
+    plant = station.plant
+    actuators = map(plant.get_joint_actuator, plant.GetJointActuatorIndices(station.robot))
+    return WeakActuators(faults, np.array([item.effort_limit() for item in actuators]))
+
+
+def make_obstacle_movers(scenario: Scenario, station: Station) -> dict[str, ObstacleMover]:
+    """Model instance -> what drives it, of every obstacle that moves."""
+    movers = {}
+    for obstacle in all_obstacles(scenario):
+        if obstacle.waypoints:
+            name = f"{OBSTACLE_PREFIX}_{obstacle.name}"
+            body = station.plant.GetBodyByName("body", station.plant.GetModelInstanceByName(name))
+            movers[name] = ObstacleMover(
+                np.array(obstacle.waypoints), mass=body.default_mass(), step=scenario.plant_step
+            )
+    return movers

@@ -1,0 +1,34 @@
+"""Fields of scenario blocks: a default with the unit and range that `check` holds it to."""
+
+# No postponed annotations here: yaml_load_typed reads the fields' types.
+import dataclasses as dc
+import math
+from typing import Any
+
+
+def number(
+    default: float,
+    unit: str,
+    low: float = -math.inf,
+    high: float = math.inf,
+    *,
+    open_low: bool = False,
+) -> Any:
+    return dc.field(
+        default=default, metadata={"unit": unit, "low": low, "high": high, "open_low": open_low}
+    )
+
+
+def choice(default: str, *others: str) -> Any:
+    return dc.field(default=default, metadata={"choices": (default, *others)})
+
+
+def count(default: int, low: int, high: int) -> Any:
+    return dc.field(default=default, metadata={"unit": "1", "low": low, "high": high})
+
+
+def vector(default: list[float], unit: str, size: int | None = None) -> Any:
+    return dc.field(
+        default_factory=lambda: list(default),
+        metadata={"unit": unit, "size": len(default) if size is None else size},
+    )

@@ -1,0 +1,204 @@
+"""Faults that a scenario asks for, in the whole diagram: what happens, and what is touched."""
+
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pydrake.multibody.tree import ModelInstanceIndex
+from pydrake.systems.framework import Diagram
+
+from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.experiments.faults import CASES, Case, main, markdown_table, run_case, what_it_did
+from drake_oa.motion_log import MotionLog
+from drake_oa.panda_inertias import UNIFORM_DENSITY
+from drake_oa.report import motion_metrics
+from drake_oa.scenario import Scenario, load_scenario
+from drake_oa.simulation import simulate
+
+GROUND_TRUTH = "perception=!GroundTruth {}"
+QUICK = "regulation=!Regressor {}"  # Nothing is searched for.
+ALL = (
+    "[!CameraDropout {start: 0.2, duration: 0.3}, !NanFrames {}, !FrameBurst {}, "
+    "!TableMissing {}, !GoalBlocked {}, !TorqueSaturation {}, !ModelError {}, !StartInContact {}]"
+)
+
+
+def run(fault: str, duration: float, *overrides: str) -> tuple[Scenario, MotionLog]:
+    scenario = load_scenario("tabletop_box", [f"faults=[{fault}]", *overrides])
+    return scenario, simulate(scenario, duration=duration)
+
+
+def frame_period(scenario: Scenario) -> float:
+    return 1.0 / scenario.cameras[0].fps
+
+
+@pytest.fixture(scope="module")
+def everything() -> Diagram:
+    """A diagram with every fault."""
+    return build_avoidance(load_scenario("tabletop_box", [f"faults={ALL}"]))
+
+
+def test_the_systems_that_inject_faults_document_their_ports(everything: Diagram) -> None:
+    file = Path(__file__).parents[1] / "systems" / "test_port_lists.py"
+    spec = importlib.util.spec_from_file_location("port_lists", file)
+    assert spec is not None
+    assert spec.loader is not None
+    port_lists: Any = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(port_lists)
+    for name in ("camera_faults", "weak_actuators", "mover_obstacle_fault4"):
+        system = everything.GetSubsystemByName(name)
+        listed = port_lists.documented_ports(type(system))
+        assert listed["input_ports"] == [
+            system.get_input_port(i).get_name() for i in range(system.num_input_ports())
+        ]
+        assert listed["output_ports"] == [
+            system.get_output_port(i).get_name() for i in range(system.num_output_ports())
+        ]
+
+
+def test_only_the_controllers_model_is_wrong() -> None:
+    diagram = build_avoidance(
+        load_scenario("tabletop_box", [GROUND_TRUTH, "faults=[!ModelError {}]"])
+    )
+    plant: Any = diagram.GetSubsystemByName("plant")
+    controller: Any = diagram.GetSubsystemByName("controller")
+    mass = UNIFORM_DENSITY["panda_link1"][0]
+    assert controller._plant.GetBodyByName("panda_link1").default_mass() == mass
+    assert plant.GetBodyByName("panda_link1").default_mass() > 1.5 * mass
+    assert plant.num_positions(ModelInstanceIndex(2)) == controller._plant.num_positions()
+
+
+def test_a_camera_that_stops_leaves_the_stamp_where_it_was() -> None:
+    scenario, log = run("!CameraDropout {start: 0.2, duration: 0.3}", 0.6, QUICK)
+    gap = np.diff(log.observation_stamp)
+    assert (gap > 0.0).all()
+    period = frame_period(scenario)
+    (row,) = np.flatnonzero(gap > 1.5 * period)
+    assert log.observation_stamp[row] < 0.2 <= log.observation_stamp[row] + period + 1e-9
+    assert 0.5 - 1e-9 <= log.observation_stamp[row + 1] < 0.5 + period
+    # What is seen again is what was seen before.
+    np.testing.assert_array_equal(log.obstacle_id[row + 1], log.obstacle_id[row])
+
+
+def test_late_frames_are_old_observations_in_order_and_nothing_seems_to_move() -> None:
+    scenario, log = run("!FrameBurst {start: 0.2, duration: 0.2}", 0.7, QUICK)
+    stamp, late = log.observation_stamp, log.observation_time - log.observation_stamp
+    assert (np.diff(stamp) > 0.0).all()
+    period = frame_period(scenario)
+    in_burst = (stamp >= 0.2 - 1e-9) & (stamp < 0.4 - 1e-9)
+    assert in_burst.sum() >= 0.2 / period - 1.0
+    assert (late[in_burst] >= 0.2 - 1e-6).all()
+    assert late[~in_burst].max() < period
+    seen = np.isfinite(log.p_WO).all(axis=2)
+    assert seen.any()
+    assert not log.v_WO[seen].any()
+
+
+def test_bad_frames_are_no_observations_and_what_was_seen_is_kept() -> None:
+    faults = "!NanFrames {start: 0.1, duration: 0.1}, !TableMissing {start: 0.3, frames: 2}"
+    scenario, log = run(faults, 0.55, QUICK)
+    period = frame_period(scenario)
+    lost = np.flatnonzero(np.diff(log.observation_stamp) > 1.5 * period)
+    assert len(lost) == 2
+    count = np.isfinite(log.p_WO).all(axis=2).sum(axis=1)
+    assert (count[1:] == count[-1]).all()
+    assert count[-1] >= 1
+
+
+def test_torques_are_cut_off_and_logged_as_applied() -> None:
+    _, log = run(
+        "!TorqueSaturation {start: 0.2, duration: 0.1, scale: 0.3}", 0.4, GROUND_TRUTH, QUICK
+    )
+    share = (np.abs(log.torque) / log.effort_limit).max(axis=1)
+    weak = (log.t >= 0.2) & (log.t < 0.3 - 1e-9)
+    assert share[weak].max() == pytest.approx(0.3)
+    assert share[log.t < 0.2].min() > 0.35
+
+
+def test_the_ball_that_blocks_the_goal_is_logged_and_holds_the_motion() -> None:
+    scenario, log = run("!GoalBlocked {start: 0.3, duration: 0.3}", 0.9, GROUND_TRUTH, QUICK)
+    ball = log.q_world[:, -3:]
+    there = (log.t >= 0.3) & (log.t <= 0.6)
+    assert np.abs(ball[there]).max() < 1e-6
+    assert np.abs(ball[log.t > 0.88]).max() > 0.8
+    held = [t for t, note in zip(log.event_time, log.event, strict=True) if "goal inside" in note]
+    assert held
+    assert 0.2 < held[0] < 0.4
+    assert not motion_metrics(scenario, log).contacts
+
+
+def test_a_contact_at_the_start_is_not_one_that_the_motion_made() -> None:
+    scenario, log = run("!StartInContact {}", 0.3, GROUND_TRUTH, QUICK)
+    metrics = motion_metrics(scenario, log)
+    assert metrics.initial_contacts == ("panda_hand - obstacle_fault0",)
+    assert metrics.made_contacts == ()
+    assert "tool inside obstacle" in log.event[-1]
+
+
+def test_a_wrong_model_still_reaches_the_goal() -> None:
+    report = run_case(Case("!ModelError {}", overrides=(GROUND_TRUTH, "task.duration=2.0")))
+    assert report["stop_reason"] == "goal"
+    assert report["contacts"] == []
+    assert report["tool_clearance_min"] > 0.15
+    assert report["goal_error"] < 2e-3
+
+
+def make_report(**changes: Any) -> dict[str, Any]:
+    return {
+        "fault": "!NanFrames {}",
+        "supervision": [],
+        "events": [],
+        "stop_reason": "goal",
+        "made_contacts": [],
+        "tool_clearance_min": 0.2,
+        "robot_clearance_min": None,
+        "goal_error": 1e-4,
+        "duration": 6.0,
+    } | changes
+
+
+def test_a_row_says_what_was_done_and_why_once() -> None:
+    report = make_report(
+        supervision=[
+            {"time": 1.1, "action": "slow", "reason": "obstacles not seen since t = 0.93 s"},
+            {"time": 1.4, "action": "hold", "reason": "obstacles not seen since t = 0.93 s"},
+            {"time": 2.0, "action": "slow", "reason": "obstacles not seen since t = 0.93 s"},
+            {"time": 3.0, "action": "run", "reason": ""},
+        ],
+        events=[
+            {"time": 1.4, "note": "supervisor: obstacles not seen since t = 0.93 s"},
+            {"time": 1.5, "note": "obstacles not seen since t = 0.93 s (no new image)"},
+            {"time": 2.0, "note": ""},
+            {"time": 4.0, "note": "goal inside obstacle 1"},
+        ],
+    )
+    assert what_it_did(report) == (
+        "slow at 1.10 s: obstacles not seen since t = 0.93 s; "
+        "hold at 1.40 s: obstacles not seen since t = 0.93 s; "
+        "hold at 4.00 s: goal inside obstacle 1"
+    )
+    table = markdown_table({"frames of NaN": make_report(), "none": make_report(fault="")})
+    assert table.splitlines()[2] == (
+        "| frames of NaN: `!NanFrames {}` | went on | goal | 0 | 0.200 | - | 0.10 | 6.00 |"
+    )
+
+
+def test_the_command_names_its_faults(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["--fault", "earthquake"])
+    assert "camera stops" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_each_fault_ends_as_it_should_without_a_contact(name: str) -> None:
+    case = CASES[name]
+    report = run_case(case)
+    assert report["made_contacts"] == []
+    assert report["stop_reason"].startswith(case.ends), report["stop_reason"]
+    if case.ends == ("goal",):
+        assert report["goal_error"] <= 1e-3
+    if "StartInContact" not in case.fault:
+        assert report["contacts"] == []
