@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drake_oa.command_line import FAILED, INTERRUPTED, add_verbose, complain
+from drake_oa.experiments import panda_command as panda
+from drake_oa.experiments.progress import progress_bar
 from drake_oa.output_files import check_outputs, replace_text, same_file
 
 # Suites, methods and kernels are imported where they are used: `--help` answers at once.
@@ -41,7 +41,8 @@ _EPILOG = """\
 suites:
 {suites}
 
-methods (default: paper and verified; for dead-zone original and paper):
+{panda}
+methods of the other suites (default: paper and verified; for dead-zone original and paper):
   paper                the paper's own regressor chain, as printed
   verified             proposals checked by roll-outs
   original             the coupling term that the paper starts from
@@ -66,6 +67,7 @@ examples:
   drake-oa evaluate novel --json novel.json --plot novel.png
   drake-oa evaluate hit --method paper --method original --scenes 200 --seed 7
   drake-oa evaluate clutter --scenes-file mine.npz --method verified
+  drake-oa evaluate panda --scenes 20 --perception truth --method verified --json panda.json
 """
 
 _SUITES = {
@@ -77,6 +79,7 @@ _SUITES = {
     "clutter": "six small ellipsoids, at least one in the way (1000)",
     "moving": "one small ellipsoid that moves into the unmodulated robot (1000)",
     "dead-zone": "a point obstacle on the line and up to 10 cm beside it (41), and both terms",
+    panda.SUITE: f"the whole robot, seeing, in random table-top scenes ({panda.DEFAULT_SCENES})",
 }
 
 
@@ -88,7 +91,7 @@ def add_parser(commands: Any) -> None:
         "evaluate",
         help="compare methods on the paper's experiments and beyond",
         description=_DESCRIPTION,
-        epilog=_EPILOG.format(suites=suites),
+        epilog=_EPILOG.format(suites=suites, panda=panda.EPILOG),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("suite", metavar="SUITE", help="which scenes, see below")
@@ -109,10 +112,16 @@ def add_parser(commands: Any) -> None:
         "--seed", type=int, default=0, metavar="S", help="of the scenes (default 0)"
     )
     parser.add_argument("--scenes-file", type=Path, metavar="F.npz", help="run these scenes")
-    parser.add_argument("--write-scenes", type=Path, metavar="F.npz", help="write the scenes")
+    parser.add_argument(
+        "--write-scenes",
+        type=Path,
+        metavar="F.npz",
+        help="write the scenes (panda: a folder of scenario files)",
+    )
     parser.add_argument("--json", type=Path, metavar="F", help="write the figures")
     parser.add_argument("--plot", type=Path, metavar="F", help="write a plot: .png, .svg or .pdf")
     add_verbose(parser)
+    panda.add_options(parser)
     parser.set_defaults(action=run)
 
 
@@ -123,6 +132,12 @@ def run(options: argparse.Namespace) -> int:
         ValueError: for bad input.
         OSError: for a file that cannot be read or written.
     """
+    if options.suite == panda.SUITE:
+        return panda.run(options)
+    if options.suite not in _SUITES:
+        raise ValueError(f"unknown suite {options.suite!r}; valid: {', '.join(_SUITES)}")
+    panda.refuse_options(options)
+
     from drake_oa.experiments.evaluation import evaluate
     from drake_oa.experiments.figures import evaluation_figures
     from drake_oa.experiments.scenes_file import save_scenes
@@ -156,7 +171,7 @@ def run(options: argparse.Namespace) -> int:
         if terms:
             paths.setdefault(name, motions.path)
 
-    with _bar(len(scenes) * len(suite.cases) * len(methods)) as on_progress:
+    with progress_bar(len(scenes) * len(suite.cases) * len(methods)) as on_progress:
         evaluation = evaluate(
             scenes,
             suite.cases,
@@ -260,23 +275,3 @@ def _check_outputs(options: argparse.Namespace) -> None:
             "--json, --plot, --write-scenes and --scenes-file must name different files"
         )
     check_outputs(*outputs)
-
-
-@contextmanager
-def _bar(total: int) -> Iterator[Any]:
-    """A progress bar with an estimate on a terminal; nothing when piped."""
-    from tqdm import tqdm
-
-    with tqdm(
-        total=total,
-        unit="scene",
-        disable=not sys.stderr.isatty(),
-        leave=False,
-        bar_format="{desc:20} {percentage:3.0f}% |{bar}| {n_fmt}/{total_fmt}, {remaining} left",
-    ) as bar:
-
-        def show(name: str, count: int) -> None:
-            bar.set_description_str(name, refresh=False)
-            bar.update(count)
-
-        yield show

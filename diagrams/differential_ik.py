@@ -1,0 +1,140 @@
+"""A peer: Drake's differential inverse kinematics follows the pre-planned motion.
+
+    goal -> dmp_integrator -> tool_pose -> desired_poses -> differential_ik
+    differential_ik -> commanded_position (integral), commanded_velocity (held)
+    commanded position and velocity -> controller -> actuation -> effort_limits -> plant
+    commanded_position -> differential_ik
+
+The program starts from the commanded positions, which the controller follows. Both are
+Drake's; `drake_oa.experiments.differential_ik` makes them from the scenario.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.systems.framework import Diagram, DiagramBuilder, OutputPort
+from pydrake.systems.primitives import (
+    BusCreator,
+    ConstantVectorSource,
+    DiscreteTimeIntegrator,
+    MatrixGain,
+    Multiplexer,
+    Saturation,
+    VectorLogSink,
+    ZeroOrderHold,
+)
+
+from drake_oa import layers
+from drake_oa.diagrams.avoidance import LOG_PERIOD
+from drake_oa.experiments import differential_ik as peer
+from drake_oa.scenario import Robot, Scenario, ScenarioError
+from drake_oa.station import Station, make_station
+from drake_oa.systems.tool_pose import ToolPose
+from drake_oa.values import FloatArray
+
+
+def build_differential_ik(
+    scenario: Scenario, q_start: FloatArray, parameters: peer.PeerParameters
+) -> Diagram:
+    """Wires the peer on a scenario's station.
+
+    Subsystems by name: plant, scene_graph, goal, dmp_integrator, tool_pose, desired_poses,
+    differential_ik, posture, commanded_position, commanded_velocity,
+    commanded_state, controller, actuation, effort_limits, log_<signal>.
+
+    Args:
+        scenario: with a robot; its perception is not used.
+        q_start: (n,) all positions of the robot at the start, and its posture.
+        parameters: of the method.
+
+    Raises:
+        ScenarioError: naming the field that does not fit.
+    """
+    if scenario.robot is None:
+        raise ScenarioError("robot: differential inverse kinematics needs one; it is null")
+    builder = DiagramBuilder()
+    station = make_station(builder, scenario, render=False)
+    station.plant.SetDefaultPositions(station.robot, q_start)
+    position, velocity = _wire_command(builder, scenario, scenario.robot, q_start, parameters)
+    _wire_controller(builder, station, position, velocity, parameters)
+    diagram = builder.Build()
+    diagram.set_name("differential_ik")
+    return diagram
+
+
+def _log(builder: DiagramBuilder, name: str, port: OutputPort) -> None:
+    sink = builder.AddNamedSystem(f"log_{name}", VectorLogSink(port.size(), LOG_PERIOD))
+    builder.Connect(port, sink.get_input_port())
+
+
+def _wire_command(
+    builder: DiagramBuilder,
+    scenario: Scenario,
+    robot: Robot,
+    q_start: FloatArray,
+    parameters: peer.PeerParameters,
+) -> tuple[OutputPort, OutputPort]:
+    """From the pre-planned motion to the commanded positions and velocities."""
+    period = scenario.policy.period
+    goal = builder.AddNamedSystem("goal", ConstantVectorSource(np.asarray(scenario.task.goal)))
+    policy = builder.AddNamedSystem("dmp_integrator", layers.make_dmp_integrator(scenario))
+    builder.Connect(goal.get_output_port(), policy.GetInputPort("goal"))
+    for name in ("desired_position", "desired_velocity", "desired_acceleration", "phase"):
+        _log(builder, name, policy.GetOutputPort(name))
+
+    R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix()
+    pose = builder.AddNamedSystem(
+        "tool_pose", ToolPose(R_WE, look_ahead=peer.look_ahead(period, parameters))
+    )
+    for name in ("desired_position", "desired_velocity"):
+        builder.Connect(policy.GetOutputPort(name), pose.GetInputPort(name))
+
+    checker = peer.make_collision_checker(scenario, parameters)
+    ik = builder.AddNamedSystem(
+        "differential_ik", peer.make_differential_ik(scenario, checker, parameters)
+    )
+    poses = builder.AddNamedSystem("desired_poses", BusCreator())
+    poses.DeclareAbstractInputPort(peer.tool_frame_name(checker.plant()), Value(RigidTransform()))
+    builder.Connect(pose.get_output_port(), poses.get_input_port(0))
+    builder.Connect(poses.get_output_port(), ik.GetInputPort("desired_cartesian_poses"))
+    q_posture = peer.posture(robot, q_start)
+    posture = builder.AddNamedSystem("posture", ConstantVectorSource(q_posture))
+    builder.Connect(posture.get_output_port(), ik.GetInputPort("nominal_posture"))
+
+    position = builder.AddNamedSystem(
+        "commanded_position", DiscreteTimeIntegrator(len(q_start), period)
+    )
+    velocity = builder.AddNamedSystem("commanded_velocity", ZeroOrderHold(period, len(q_start)))
+    for held in (position, velocity):
+        builder.Connect(ik.GetOutputPort("commanded_velocity"), held.get_input_port())
+    builder.Connect(position.get_output_port(), ik.GetInputPort("position"))
+    return position.get_output_port(), velocity.get_output_port()
+
+
+def _wire_controller(
+    builder: DiagramBuilder,
+    station: Station,
+    position: OutputPort,
+    velocity: OutputPort,
+    parameters: peer.PeerParameters,
+) -> None:
+    """From the commanded positions and velocities to the plant, and back."""
+    plant = station.plant
+    state = plant.get_state_output_port(station.robot)
+    n = position.size()
+    command = builder.AddNamedSystem("commanded_state", Multiplexer([n, n]))
+    builder.Connect(position, command.get_input_port(0))
+    builder.Connect(velocity, command.get_input_port(1))
+    controller = builder.AddNamedSystem("controller", peer.make_joint_controller(plant, parameters))
+    builder.Connect(state, controller.get_input_port_estimated_state())
+    builder.Connect(command.get_output_port(), controller.get_input_port_desired_state())
+    actuation = builder.AddNamedSystem("actuation", MatrixGain(peer.actuation_of_force(plant)))
+    effort = peer.effort_limits(plant)
+    limits = builder.AddNamedSystem("effort_limits", Saturation(-effort, effort))
+    builder.Connect(controller.get_output_port_control(), actuation.get_input_port())
+    builder.Connect(actuation.get_output_port(), limits.get_input_port())
+    builder.Connect(limits.get_output_port(), plant.get_actuation_input_port(station.robot))
+    _log(builder, "robot_state", state)
+    _log(builder, "actuation", limits.get_output_port())

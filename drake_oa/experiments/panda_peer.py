@@ -1,0 +1,174 @@
+"""The peer on the Panda: differential inverse kinematics with collision constraints.
+
+It knows the world exactly (ground truth), follows the same pre-planned motion as the
+project's methods, and is logged in the same form.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, Diagram, EventStatus
+
+from drake_oa.diagrams.differential_ik import build_differential_ik
+from drake_oa.dmp import normalised_time
+from drake_oa.experiments.differential_ik import PeerParameters
+from drake_oa.layers import make_dmp, start_positions
+from drake_oa.motion_log import MotionLog
+from drake_oa.scenario import Scenario, ScenarioError
+from drake_oa.simulation import (
+    ARRIVED,
+    LATEST_END,
+    LONGEST_SCALING,
+    STILL,
+    MotionWatcher,
+    run_motion,
+)
+from drake_oa.station import TOOL_FRAME, make_robot_plant
+from drake_oa.values import FloatArray, PolicyState
+
+STUCK_TIME = 1.0
+"""A tool that stands still for this long after the planned motion is over is stuck [s]."""
+STUCK_DISTANCE = 1e-3
+"""It stands still while it stays this near to where it was [m]."""
+METHOD = "DifferentialInverseKinematics"
+"""The log's `regulation`."""
+NO_VELOCITY = "held: no joint velocity keeps the distances"
+"""The note while the program has no solution: Drake then commands no velocity."""
+_AT_REST = 1e-5
+"""A command of exactly zero is no solution while the tool is asked further than this [m]."""
+
+
+class _PeerWatcher(MotionWatcher):
+    """Looks after each step at what was commanded and where the tool is; ends the run."""
+
+    def __init__(
+        self,
+        diagram: Diagram,
+        scenario: Scenario,
+        end_time: float,
+        on_progress: Callable[[float, float], None] | None,
+    ) -> None:
+        super().__init__(diagram, scenario, end_time, on_progress)
+        self._command = diagram.GetSubsystemByName("commanded_velocity")
+        self._plant = diagram.GetSubsystemByName("plant")
+        self._tool = self._plant.GetFrameByName(TOOL_FRAME)
+        self._duration = make_dmp(scenario).duration
+        self._recent: deque[tuple[float, FloatArray]] = deque()
+
+    def __call__(self, root: Context) -> EventStatus:
+        now = root.get_time()
+        if now < self._next_time:
+            return EventStatus.DidNothing()
+        self._next_time = now + 0.5 * self._period
+        policy: PolicyState = self._policy_port.Eval(self._policy_system.GetMyContextFromRoot(root))
+        p_WE = self._tool.CalcPoseInWorld(self._plant.GetMyContextFromRoot(root)).translation()
+        self._note(root, now, math.dist(policy.p_WE, p_WE))
+        if self._on_progress is not None:
+            self._on_progress(now, policy.phase)
+        s = normalised_time(policy.phase, self._alpha_k)
+        error = math.dist(p_WE, policy.p_WG)
+        if s >= 1.0 - 1e-9:
+            if error < ARRIVED and self._speed(now, p_WE) * self._duration < STILL * ARRIVED:
+                return self._stop("goal")
+            if self._stands_still(now, p_WE):
+                why = f" ({self.events[-1][1]})" if self.events and self.events[-1][1] else ""
+                return self._stop(f"stuck {1e3 * error:.1f} mm short of the goal{why}")
+        self._remember(now, p_WE)
+        if s >= LATEST_END:
+            return self._stop(f"goal missed by {1e3 * error:.1f} mm at s = {LATEST_END:g}")
+        if now >= self._end_time:
+            return self._stop(f"time limit of {self._end_time:g} s")
+        return EventStatus.DidNothing()
+
+    def _note(self, root: Context, now: float, lag: float) -> None:
+        command = self._command.get_output_port().Eval(self._command.GetMyContextFromRoot(root))
+        note = NO_VELOCITY if lag > _AT_REST and not command.any() else ""
+        if note != (self.events[-1][1] if self.events else ""):
+            self.events.append((now, note))
+
+    def _remember(self, now: float, p_WE: FloatArray) -> None:
+        self._recent.append((now, p_WE))
+        while now - self._recent[0][0] > STUCK_TIME:
+            self._recent.popleft()
+
+    def _speed(self, now: float, p_WE: FloatArray) -> float:
+        if not self._recent:
+            return math.inf
+        then, before = self._recent[-1]
+        return math.dist(p_WE, before) / (now - then)
+
+    def _stands_still(self, now: float, p_WE: FloatArray) -> bool:
+        long_enough = bool(self._recent) and now - self._recent[0][0] > STUCK_TIME - self._period
+        return long_enough and all(
+            math.dist(p_WE, before) < STUCK_DISTANCE for _, before in self._recent
+        )
+
+
+@contextlib.contextmanager
+def _without_solver_warnings() -> Iterator[None]:
+    """Drake warns at every step that has no solution; the log has one note for them all."""
+
+    def is_other(record: logging.LogRecord) -> bool:
+        return "QP failed to solve" not in record.getMessage()
+
+    logger = logging.getLogger("drake")
+    logger.addFilter(is_other)
+    try:
+        yield
+    finally:
+        logger.removeFilter(is_other)
+
+
+def simulate_differential_ik(
+    scenario: Scenario,
+    *,
+    duration: float | None = None,
+    on_progress: Callable[[float, float], None] | None = None,
+    parameters: PeerParameters | None = None,
+) -> MotionLog:
+    """Runs one motion of the peer until the goal, a standstill or the time limit.
+
+    Until the planned duration is over the tool is asked along the planned motion, and
+    then to the goal. The motion ends with the reason "goal" when the tool itself has
+    arrived as near as `drake_oa.simulation.simulate` asks of the desired motion,
+    "stuck ..." when it has stood still for `STUCK_TIME` after the planned duration,
+    and "goal missed ..." at `LATEST_END` durations. Where the program has no solution
+    the robot is held, and `event` says so.
+
+    Args:
+        scenario: with a robot; its perception and regulation are not used.
+        duration: time limit [s]; None: `LONGEST_SCALING` demonstrated durations.
+        on_progress: called with time [s] and phase, a few hundred times a second.
+        parameters: of the method; None: the defaults.
+
+    Returns:
+        The log; `regulation` is `METHOD`, and there are no observations.
+
+    Raises:
+        ScenarioError: if the scenario has no robot, its start or goal is out of reach,
+            or something besides the robot can move.
+        MotionInterruptedError: if the simulation raised or was interrupted; it
+            carries the log until then, and the cause.
+    """
+    if scenario.robot is None:
+        raise ScenarioError("robot: differential inverse kinematics needs one; it is null")
+    q_start = start_positions(make_robot_plant(scenario.robot), scenario)
+    diagram = build_differential_ik(scenario, q_start, parameters or PeerParameters())
+    simulator = Simulator(diagram)
+    root = simulator.get_mutable_context()
+    integral = diagram.GetSubsystemByName("commanded_position")
+    integral.set_integral_value(integral.GetMyMutableContextFromRoot(root), q_start)
+    end_time = make_dmp(scenario).duration * LONGEST_SCALING if duration is None else duration
+    watcher = _PeerWatcher(diagram, scenario, end_time, on_progress)
+    with _without_solver_warnings():
+        log = run_motion(scenario, simulator, watcher, end_time, modulated=True)
+    saturated = (np.abs(log.torque) >= log.effort_limit).any(axis=1).astype(float)
+    return replace(log, regulation=METHOD, saturated=saturated)

@@ -1,0 +1,224 @@
+"""One method on one scene of the Panda, simulated and judged.
+
+Methods:
+
+  preplanned       the planned motion, blind to obstacles
+  paper            the paper's regulation: a regressor chain at the obstacle's section by the
+                   P-plane, sides by cost rings, without a supervisor. The chain is the one
+                   trained for this action level, as the paper's own counts alpha in rad/s
+  verified         the project's: coupling parameters that roll-outs have checked
+  differential_ik  Drake's differential inverse kinematics with collision constraints, which
+                   knows the obstacles exactly, on the same planned motion; its tool is asked
+                   for the same clearance, as far as start and goal have it
+  differential_ik_near
+                   the same asked for 3 cm: most of its motions arrive with that
+
+Contacts are judged by SceneGraph at every logged instant (4 ms apart): each link, the hand
+and the fingers against obstacles and table. Links of the robot among themselves are not.
+
+A run is a `success` (no contact, and the tool point ends within 5 mm of the goal), a
+`contact`, or else `stopped`: it ended short of the goal without a contact. The reason of a
+stop is what ended the run, with "#" for its numbers; a run that raised an exception has that
+exception for a reason.
+"""
+
+from __future__ import annotations
+
+import copy
+import logging
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from drake_oa.experiments.differential_ik import PeerParameters
+from drake_oa.experiments.panda_cell import PandaCell
+from drake_oa.experiments.panda_scenes import check_perception
+from drake_oa.metrics import robot_metrics
+from drake_oa.motion_log import MotionLog
+from drake_oa.report import motion_report
+from drake_oa.scenario import GroundTruth, Regressor, Scenario, Verified
+from drake_oa.simulation import MotionInterruptedError, simulate
+
+GOAL_TOLERANCE = 5e-3
+"""Largest distance from the goal at the end of a success [m]."""
+METHODS = ("preplanned", "paper", "verified", "differential_ik", "differential_ik_near")
+DEFAULT_METHODS = METHODS
+TRUTH_ONLY = frozenset({"differential_ik", "differential_ik_near"})
+"""Methods that know the obstacles exactly, whatever the perception."""
+
+_NUMBER = re.compile(r"[-+]?\b\d+(?:\.\d+)?(?:e[-+]?\d+)?\b")
+
+_logger = logging.getLogger("drake_oa")
+
+
+@dataclass(frozen=True)
+class PandaRun:
+    """A judged run and, where it ran at all, its log.
+
+    Attributes:
+        result: plain data, as `run_panda_scene` describes it.
+        log: None where nothing could be simulated.
+    """
+
+    result: dict[str, Any]
+    log: MotionLog | None
+
+
+def check_panda_method(name: str) -> None:
+    """Raises ValueError for an unknown method."""
+    if name not in METHODS:
+        raise ValueError(f"unknown method {name!r}; panda has: {', '.join(METHODS)}")
+
+
+def with_perception(scenario: Scenario, perception: str) -> Scenario:
+    """The scenario as drawn with "depth", or with the obstacles as SceneGraph knows them."""
+    check_perception(perception)
+    scenario = copy.deepcopy(scenario)
+    if perception == "truth":
+        scenario.perception = GroundTruth()
+    return scenario
+
+
+def with_method(scenario: Scenario, method: str) -> Scenario:
+    """The scenario as a method runs it."""
+    check_panda_method(method)
+    scenario = copy.deepcopy(scenario)
+    if method == "paper":
+        scenario.regulation = Regressor()
+        scenario.policy.descriptor = "section"
+        scenario.supervisor = None
+    elif method == "verified" and not isinstance(scenario.regulation, Verified):
+        scenario.regulation = Verified()
+    return scenario
+
+
+def run_panda_scene(
+    scenario: Scenario, method: str, perception: str, *, duration: float | None = None
+) -> dict[str, Any]:
+    """Runs a method on a scene.
+
+    Args:
+        scenario: the scene.
+        method: one of `METHODS`.
+        perception: "depth" or "truth".
+        duration: time limit of the run [s]; None: that of `simulate`.
+
+    Returns:
+        `outcome` ("success", "contact" or "stopped"), `reason` (of what is no success: the
+        stop reason with "#" for numbers), `failed` (whether it raised), and of
+        `motion_report`: `contacts` ("link - thing"), `tool_clearance_min`,
+        `robot_clearance_min` (None without obstacles), `goal_error`, `duration`,
+        `path_length`, `torque_saturation`, `stop_reason`, `events`; besides `wall_time` [s]
+        and `real_time_factor` of the simulation.
+    """
+    return run_and_judge(scenario, method, perception, duration=duration).result
+
+
+def run_and_judge(
+    scenario: Scenario, method: str, perception: str, *, duration: float | None = None
+) -> PandaRun:
+    """`run_panda_scene`, and the log."""
+    scenario = with_method(with_perception(scenario, perception), method)
+    log: MotionLog | None = None
+    failed = False
+    try:
+        log = _simulate(scenario, method, duration)
+    except MotionInterruptedError as error:
+        if isinstance(error.__cause__, KeyboardInterrupt):
+            raise KeyboardInterrupt from error
+        log, failed = error.log, True
+        _logger.info("the run was cut short", exc_info=True)
+    except Exception as error:
+        # A scene that cannot be run is a result like any other, and ends no other scene.
+        _logger.info("the run could not start", exc_info=True)
+        return PandaRun(_not_run(scenario, error), None)
+    return PandaRun(_judge(scenario, log, failed), log)
+
+
+def _simulate(scenario: Scenario, method: str, duration: float | None) -> MotionLog:
+    if method in TRUTH_ONLY:
+        module = import_module("drake_oa.experiments.panda_peer")
+        peer: Callable[..., MotionLog] = module.simulate_differential_ik
+        parameters = PeerParameters()
+        if method == "differential_ik":
+            parameters = replace(parameters, tool_distance=_feasible_clearance(scenario))
+        return peer(scenario, duration=duration, parameters=parameters)
+    return simulate(scenario, modulated=method != "preplanned", duration=duration)
+
+
+def _feasible_clearance(scenario: Scenario) -> float:
+    """min(Delta, tool clearance at the start, at the goal), as SceneGraph knows it [m]."""
+    cell = PandaCell(scenario)
+    q = np.stack([cell.tool_down(np.asarray(p)) for p in (scenario.task.start, scenario.task.goal)])
+    tool = robot_metrics(scenario, q).tool_clearance
+    return float(max(min(scenario.task.clearance, tool.min()), 0.0))
+
+
+def _judge(scenario: Scenario, log: MotionLog, failed: bool) -> dict[str, Any]:
+    report = motion_report(scenario, log)
+    kept = (
+        "contacts",
+        "tool_clearance_min",
+        "robot_clearance_min",
+        "goal_error",
+        "duration",
+        "path_length",
+        "torque_saturation",
+        "stop_reason",
+        "events",
+    )
+    found = {key: report[key] for key in kept}
+    if found["contacts"]:
+        outcome = "contact"
+    elif found["goal_error"] <= GOAL_TOLERANCE and not failed:
+        outcome = "success"
+    else:
+        outcome = "stopped"
+    return {
+        "outcome": outcome,
+        "reason": "" if outcome == "success" else plain_reason(log.stop_reason),
+        "failed": failed,
+        **found,
+        "wall_time": log.wall_time,
+        "real_time_factor": log.duration / log.wall_time if log.wall_time > 0.0 else None,
+    }
+
+
+def _not_run(scenario: Scenario, error: Exception) -> dict[str, Any]:
+    reason = f"{type(error).__name__}: {error}".rstrip(": ")
+    return {
+        "outcome": "stopped",
+        "reason": plain_reason(reason),
+        "failed": True,
+        "contacts": [],
+        "tool_clearance_min": None,
+        "robot_clearance_min": None,
+        "goal_error": math.dist(scenario.task.start, scenario.task.goal),
+        "duration": 0.0,
+        "path_length": 0.0,
+        "torque_saturation": 0.0,
+        "stop_reason": reason,
+        "events": [],
+        "wall_time": 0.0,
+        "real_time_factor": None,
+    }
+
+
+def plain_reason(reason: str) -> str:
+    """A reason with "#" for its numbers, so that equal reasons can be counted."""
+    return _NUMBER.sub("#", reason).strip()
+
+
+def same_result(one: dict[str, Any], other: dict[str, Any]) -> bool:
+    """Whether two results agree in all but what a clock measured."""
+    clock = {"wall_time", "real_time_factor"}
+    return all(_equal(one[k], other[k]) for k in one.keys() | other.keys() if k not in clock)
+
+
+def _equal(one: Any, other: Any) -> bool:
+    return bool(np.all(one == other))

@@ -1,0 +1,107 @@
+"""Calls of one function carried out here, in processes, or on a Dask cluster.
+
+Each way yields the place of a call and what it returned as soon as it is done, in the order
+in which they are done. Exceptions pass through; what has not been started is then dropped.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from threadpoolctl import threadpool_limits
+
+CONNECT_TIMEOUT = 10.0
+"""How long a cluster may take to answer [s]."""
+
+Call = tuple[Any, ...]
+"""The positional arguments of a call."""
+
+
+def carry_out(
+    function: Callable[..., Any],
+    calls: Sequence[Call],
+    *,
+    jobs: int = 1,
+    scheduler: str | None = None,
+) -> Iterator[tuple[int, Any]]:
+    """Carries out `function(*call)` for each call.
+
+    Args:
+        function: picklable.
+        calls: the arguments, picklable.
+        jobs: processes at once; 1: in this process.
+        scheduler: address of a Dask scheduler, which replaces `jobs`.
+
+    Yields:
+        The call's place and its result.
+
+    Raises:
+        ValueError: if there is no such scheduler, or the package for it is missing.
+    """
+    if scheduler is not None:
+        return _on_cluster(function, calls, scheduler)
+    if jobs == 1 or len(calls) <= 1:
+        return ((place, function(*call)) for place, call in enumerate(calls))
+    return _in_processes(function, calls, min(jobs, len(calls)))
+
+
+def _placed(function: Callable[..., Any], place: int, call: Call) -> tuple[int, Any]:
+    """What a worker does: the interrupt of a terminal is the parent's business."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Many small matrices: more BLAS threads only wait for each other.
+    with threadpool_limits(limits=1):
+        return place, function(*call)
+
+
+def _in_processes(
+    function: Callable[..., Any], calls: Sequence[Call], jobs: int
+) -> Iterator[tuple[int, Any]]:
+    from joblib import Parallel, delayed, parallel_config
+    from joblib.externals.loky import get_reusable_executor
+
+    with parallel_config(backend="loky", inner_max_num_threads=1):
+        # Long calls: handed out one by one, and no more of them than there are workers.
+        pool = Parallel(
+            n_jobs=jobs, return_as="generator_unordered", batch_size=1, pre_dispatch=jobs
+        )
+        results = pool(delayed(_placed)(function, place, call) for place, call in enumerate(calls))
+    try:
+        yield from results
+    except BaseException:
+        get_reusable_executor().shutdown(wait=False, kill_workers=True)
+        raise
+    finally:
+        with contextlib.suppress(Exception):
+            results.close()
+
+
+def _on_cluster(
+    function: Callable[..., Any], calls: Sequence[Call], scheduler: str
+) -> Iterator[tuple[int, Any]]:
+    try:
+        from distributed import Client, as_completed
+    except ModuleNotFoundError:
+        raise ValueError(
+            "a scheduler needs the package distributed: pip install 'drake_oa[cluster]'"
+        ) from None
+    try:
+        client = Client(scheduler, timeout=CONNECT_TIMEOUT, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise ValueError(f"cannot reach a Dask scheduler at {scheduler}: {error}") from None
+    with client:
+        futures = [
+            client.submit(_placed, function, place, call, pure=False)
+            for place, call in enumerate(calls)
+        ]
+        try:
+            for future in as_completed(futures, loop=client.loop):
+                yield future.result()
+                future.release()
+        except BaseException:
+            client.cancel(futures, force=True)
+            raise
