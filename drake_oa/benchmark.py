@@ -15,24 +15,20 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from drake_oa.benchmark_figures import Figure, Share, benchmark_table
+from drake_oa.frame_timings import record, time_controller, time_frames
+from drake_oa.policy_timings import OBSTACLES, time_kernel, time_layers, time_policy
 from drake_oa.provenance import software_versions
 from drake_oa.rollout_timings import BASELINE_ROWS, PAPER_ROWS, ROWS, time_rollouts
-from drake_oa.scenario import Scenario
-from drake_oa.simulation import simulate
-from drake_oa.timings import (
-    OBSTACLES,
+from drake_oa.run_budget import LayerTime, time_run
+from drake_oa.run_timings import (
     bare_station,
     camera_rate,
     real_time_factor,
-    record,
-    time_controller,
-    time_frames,
-    time_kernel,
-    time_layers,
     time_plant,
-    time_policy,
     whole_real_time_factor,
 )
+from drake_oa.scenario import Scenario
+from drake_oa.simulation import simulate
 from drake_oa.verification_timings import CANDIDATES, time_verification
 
 __all__ = ["PARTS", "Effort", "benchmark_table", "run_benchmark"]
@@ -91,6 +87,7 @@ class Effort:
 class _Results:
     figures: list[Figure] = field(default_factory=list)
     breakdown: list[Share] = field(default_factory=list)
+    budget: list[LayerTime] = field(default_factory=list)
     notes: dict[str, str] = field(default_factory=dict)
 
 
@@ -113,8 +110,10 @@ def run_benchmark(
     Returns:
         `scenario` (its description), `machine`, `versions` and `commit` (None when
         unknown); `figures`, each with the fields of `Figure`, `ratio`, `times_better` and
-        `met`; `breakdown`, each with the fields of `Share`; `notes`, how a part was
-        measured. Times are medians, those of roll-outs the best of three.
+        `met`; `breakdown`, each with the fields of `Share`; `budget`, what each layer takes
+        of a run, with the fields of `LayerTime`, empty unless "run" was asked for; `notes`,
+        how a part was measured. Times are medians, those of roll-outs the best of three and
+        those of the budget means.
 
     Raises:
         ScenarioError: if the scenario lacks a robot or a depth camera that is needed, or
@@ -143,6 +142,7 @@ def run_benchmark(
         "versions": versions,
         "figures": [item.as_dict() for item in results.figures],
         "breakdown": [asdict(item) for item in results.breakdown],
+        "budget": [asdict(item) for item in results.budget],
         "notes": results.notes,
     }
 
@@ -304,11 +304,20 @@ def _run(scenario: Scenario, effort: Effort, results: _Results) -> None:
             "plant and camera alone, arm held by gravity compensation",
         )
     )
+    results.budget = time_run(scenario, effort.seconds)
+    frames = camera_rate(scenario)
+    results.notes["run"] = (
+        f"camera at {frames:g} Hz, no viewer; the budget is of another run, whose systems tell "
+        "a stopwatch when they work: each moment is that of the innermost one, so that rows add "
+        "up to the whole, the stopwatch's own few per cent included; the plant's row is the "
+        "median of its step at instants of the run times their number; the first frame and the "
+        "decision from rest are left out"
+    )
 
 
 def _perception(scenario: Scenario, effort: Effort, results: _Results) -> None:
     _warm_up(scenario)
-    recorded, rendering_times = record(scenario, effort.frames)
+    recorded, rendering_times, noise_times = record(scenario, effort.frames)
     rendering = statistics.median(rendering_times)
     seeing, describing = time_frames(scenario, recorded)
     results.figures.append(
@@ -327,6 +336,7 @@ def _perception(scenario: Scenario, effort: Effort, results: _Results) -> None:
     results.breakdown += [
         Share("control step", "controller", controller, "us"),
         Share("frame", "rendering", rendering, "ms"),
+        *([Share("frame", "noise", statistics.median(noise_times), "ms")] if noise_times else []),
         Share("frame", "segmentation and fusion", statistics.median(seeing), "ms"),
         Share("frame", "descriptor", statistics.median(describing), "ms"),
     ]

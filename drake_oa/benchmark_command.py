@@ -18,7 +18,8 @@ Times, each beside a baseline that is measured in the same run:
   rollouts      the paper's 12.5 million roll-outs of 1,000 steps, against NumPy and torch
   policy        one policy step with six obstacles, against movement_primitives' own
   verification  64 candidates rolled out among six obstacles, against the readable step
-  run           the real-time factor of a scenario, against plant and camera alone
+  run           the real-time factor of a scenario, against plant and camera alone, and
+                what each layer takes of a simulated second
   perception    one depth image to ellipsoids, against rendering it
 
 torch and movement_primitives (pip install 'drake_oa[peers]') are used where installed.

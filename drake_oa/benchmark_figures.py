@@ -94,6 +94,7 @@ def benchmark_table(figures: dict[str, Any]) -> str:
         for item in figures["breakdown"]
     ]
     machine = figures["machine"]
+    budget = figures["budget"]
     versions = [f"{name} {number}" for name, number in figures["versions"].items()]
     footer = [
         *(f"{part}: {note}" for part, note in figures["notes"].items()),
@@ -104,7 +105,32 @@ def benchmark_table(figures: dict[str, Any]) -> str:
     blocks = [aligned(rows, "lrrlrrl"), ""]
     if len(shares) > 1:
         blocks += [aligned(shares, "llr"), ""]
+    if budget:
+        blocks += [_budget_table(budget), ""]
     return "\n".join([*blocks, *footer])
+
+
+def _budget_table(budget: list[dict[str, Any]]) -> str:
+    """What each layer takes of a simulated second, and all together."""
+    rows = [["a simulated second of the run", "wall", "share", "processor", "each", ""]]
+    for item in budget:
+        rows.append(
+            [
+                item["layer"],
+                f"{item['wall']:.1f} ms",
+                f"{100.0 * item['share']:.1f} %",
+                f"{item['processor']:.1f} ms",
+                _quantity(item["wall"] / item["rate"], "ms") if item["rate"] else "",
+                f"a {item['every']}, {item['rate']:.4g} Hz" if item["rate"] else "",
+            ]
+        )
+    wall, processor = (sum(item[key] for item in budget) for key in ("wall", "processor"))
+    rows.append(["all", f"{wall:.1f} ms", "100.0 %", f"{processor:.1f} ms", "", ""])
+    factors = (
+        f"real time takes 1000 ms: a factor of {1e3 / wall:.2f} by wall time, "
+        f"{1e3 / processor:.2f} by processor time"
+    )
+    return aligned(rows, "lrrrrl") + "\n" + factors
 
 
 def _target(item: dict[str, Any]) -> str:

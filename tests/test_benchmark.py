@@ -25,8 +25,9 @@ from drake_oa.benchmark_command import PARTS as COMMAND_PARTS
 from drake_oa.benchmark_figures import Figure, benchmark_table
 from drake_oa.cli import main
 from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.policy_timings import OBSTACLES, six_obstacles, time_kernel, time_policy
+from drake_oa.run_timings import bare_station
 from drake_oa.scenario import ScenarioError, load_scenario
-from drake_oa.timings import OBSTACLES, bare_station, six_obstacles, time_kernel, time_policy
 
 
 @pytest.fixture(scope="module")
@@ -74,12 +75,37 @@ def test_the_breakdown_names_every_layer_once(figures):
         "coupling and DMP",
         "controller",
         "rendering",
+        "noise",
         "segmentation and fusion",
         "descriptor",
         "from rest, slowest scene",
     } <= {layer for _, layer in shares}
     assert all(math.isfinite(item["value"]) for item in figures["breakdown"])
     assert all(item["value"] > 0.0 for item in figures["breakdown"])
+
+
+def test_the_budget_of_a_run_has_every_layer_and_adds_up_to_the_whole(figures):
+    budget = {item["layer"]: item for item in figures["budget"]}
+    assert len(budget) == len(figures["budget"])
+    assert {
+        "rendering",
+        "noise",
+        "segmentation",
+        "tracking and fusion",
+        "descriptor",
+        "decision",
+        "route decision",
+        "policy",
+        "controller",
+        "supervisor",
+        "plant",
+        "Simulator and logs",
+    } <= set(budget)
+    assert sum(item["share"] for item in budget.values()) == pytest.approx(1.0)
+    assert budget["rendering"]["rate"] == 30.0
+    table = benchmark_table(figures)
+    assert "by processor time" in table
+    assert all(layer in table for layer in budget)
 
 
 @pytest.mark.parametrize("package", ["movement_primitives", "pytransform3d"])
@@ -108,6 +134,7 @@ def test_only_what_is_asked_for_is_timed():
     assert said == ["rollouts", "verification"]
     assert {item["part"] for item in found["figures"]} == set(said) == set(found["notes"])
     assert found["scenario"] is None
+    assert found["budget"] == []
     assert "scaled up" in benchmark_table(found)
 
 
