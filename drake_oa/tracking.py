@@ -1,159 +1,423 @@
-"""Obstacles from frame to frame: their names, and what an arm hides of them.
+"""Obstacles from frame to frame: what is remembered, their names, and their motion.
 
-A frame shows only what nothing stands in front of. Points seen before are kept
-while no ray reaches them, and dropped as soon as one passes through them.
+A frame shows only what nothing stands before, and shows it with noise. Each frame is
+joined with what was remembered:
+
+1. Position and velocity of each obstacle are predicted (`obstacle_filter`), and what is
+   remembered of a moving obstacle moves with it.
+2. Clusters are given to obstacles (`association`), by common points first.
+3. The obstacles' positions are measured by their sides (`sides`), and filtered.
+4. Each remembered point is confirmed, kept as hidden, or dropped (`occlusion`).
+5. What changed by more than noise is handed on (`cloud_hold`).
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_oa.clusters import connected_clusters, nearest_points, pixels_of, voxel_keys
+from drake_oa.association import Association, associate
+from drake_oa.cloud_hold import held_clouds, held_table
+from drake_oa.clusters import connected_clusters
+from drake_oa.obstacle_filter import first_seen
+from drake_oa.obstacle_memory import (
+    ObstacleMemory,
+    Points,
+    TrackingConfig,
+    Tracks,
+    appended,
+    taken,
+)
+from drake_oa.occlusion import hidden_by_itself, shown_at, weighed
 from drake_oa.point_cloud import Segmentation, SegmentationConfig
 from drake_oa.self_filter import PosedShapes
-from drake_oa.values import FloatArray, IntArray, ObstacleClouds
+from drake_oa.sides import View, seen_sides
+from drake_oa.track_motion import measured_tracks, predicted_tracks
+from drake_oa.tracking_kernels import AT, FREE, HIDDEN, OUT, absorb, hidden_beyond, mutual_nearest
+from drake_oa.values import BoolArray, FloatArray, IntArray, ObstacleClouds
 
-_NEAR = 0.03  # points this near to an old one speak for its obstacle [m]
-_JUMP = 0.1  # the farthest a centroid moves between two frames [m]
-_HIDDEN_MARGIN = 0.03  # depth difference that tells "in front of" from "at" [m]
+_SOLID = 2.0  # a new cluster of so many times the fewest voxels is believed at once
+_SLACK = 0.004  # points no farther beyond a side belong to it [m]
+_OFF = 0.003  # a correction of a position by more is looked at anew [m]
+_FADING = 0.9  # share of a doubt that is left a frame later
+_HIDDEN_SHARE = 0.3  # a side is not seen when so much beyond it is hidden
+_LEAST_SEEN = 0.2  # share of an obstacle that must be seen for it to be doubted
 
 
 def fuse(
-    previous: ObstacleClouds,
+    previous: ObstacleMemory,
     frame: Segmentation,
-    depth: NDArray[np.floating],
-    K: FloatArray,
+    depth: NDArray[np.floating] | None,
+    K: FloatArray | None,
     stamp: float,
     config: SegmentationConfig | None = None,
     robot: PosedShapes | None = None,
-    first_new_id: int = 0,
-) -> ObstacleClouds:
+    tracking: TrackingConfig | None = None,
+) -> ObstacleMemory:
     """Joins a new frame with what was known before it.
 
-    An old point is kept when the frame cannot tell: its pixel shows something in
-    front of it that is not its own obstacle (the arm, another obstacle), has no
-    depth (NaN), or lies outside the image; or the robot is where the point is. It
-    is dropped when the frame shows its place, empty or not: the frame's own points
-    then stand for it. An obstacle behind a parked arm is therefore remembered for
-    as long as the arm stays.
+    A remembered point is kept where the frame cannot tell: something stands before it
+    (the arm, another obstacle), its pixels have no depth, it lies outside the image, or
+    the robot is where it is. An obstacle behind a parked arm is therefore remembered for
+    as long as the arm stays. Two frames that show its place without it remove it.
+
+    - A frame with a note (no valid pixel, no table) changes nothing but the note: the
+      stamp tells how old the obstacles are.
+    - A frame with the stamp of the one before it is that frame again: nothing changes.
+    - A frame from before the last one begins anew: nothing is remembered, but no name is
+      given twice.
+    - After a gap of `TrackingConfig.longest_gap` obstacles are remembered, velocities not.
 
     Args:
-        previous: the obstacles known so far.
+        previous: what is remembered; `ObstacleMemory()` before the first frame.
         frame: the new frame, segmented; its X_WC is used.
-        depth: (H, W) the depth image of that frame [m]; inf counts as free space.
-        K: (4,) fx, fy, cx, cy [pixel].
+        depth: (H, W) the depth image of that frame [m]; inf counts as free space. None
+            for a cloud: it is taken to show everything, so that nothing is hidden.
+        K: (4,) fx, fy, cx, cy of the image [pixel]; None with a cloud.
         stamp: time of the frame [s].
         config: the parameters the frame was segmented with; None for the defaults.
         robot: the robot's primitives at that time, or None.
-        first_new_id: new obstacles are named from here on, or from the largest
-            previous name + 1 if that is larger.
+        tracking: how obstacles are followed; None for the defaults.
 
     Returns:
-        The obstacles after the frame, named as before where they match: by common
-        points, else by centroids less than 0.1 m apart.
+        What is remembered after the frame; its `obstacles` are to be handed on.
+
+    Raises:
+        ValueError: for a stamp that is not finite, or an image without intrinsics.
     """
-    config = config or SegmentationConfig()
-    score = _scores(previous, frame.clouds_W)
-    kept, owner = _unobservable(previous, frame, score, np.asarray(depth), K, config, robot)
-    new = np.concatenate([np.zeros((0, 3)), *frame.clouds_W])
-    if len(kept):
-        fresh = ~np.isin(voxel_keys(kept, config.voxel), voxel_keys(new, config.voxel))
-        kept, owner = kept[fresh], owner[fresh]
-    if not len(kept):
-        return _named(previous, frame.clouds_W, score, frame, stamp, first_new_id)
-    lengths = [len(cloud) for cloud in frame.clouds_W]
-    groups = np.concatenate([np.repeat(np.arange(len(lengths)), lengths), len(lengths) + owner])
-    points = np.concatenate([new, kept])
-    label = connected_clusters(points, config.cluster_tolerance, groups)
-    sizes = np.bincount(label)
-    names = np.flatnonzero(sizes >= config.min_cluster_voxels)
-    names = names[np.argsort(-sizes[names], kind="stable")]
-    clouds = tuple(points[label == name] for name in names)
-    return _named(previous, clouds, _scores(previous, clouds), frame, stamp, first_new_id)
+    if not math.isfinite(stamp):
+        raise ValueError(f"the stamp of a frame must be finite [s], not {stamp}")
+    if depth is not None and K is None:
+        raise ValueError("a depth image needs its intrinsics K = [fx, fy, cx, cy]")
+    if frame.note:
+        return replace(previous, obstacles=replace(previous.obstacles, note=frame.note))
+    before = previous.obstacles.stamp
+    if stamp == before:
+        return replace(previous, obstacles=replace(previous.obstacles, note=""))
+    if stamp < before:
+        previous = ObstacleMemory(next_id=previous.next_id)
+        before = -math.inf
+    view = None
+    if depth is not None and K is not None:
+        z = np.require(depth, np.float32, ["C", "W"])
+        view = View(z, *(np.require(a, np.float64, ["C", "W"]) for a in (K, frame.X_WC)))
+    first = before == -math.inf
+    step = _Step(
+        previous,
+        frame,
+        view,
+        0.0 if first else stamp - before,
+        config or SegmentationConfig(),
+        robot,
+        tracking or TrackingConfig(),
+        first,
+    )
+    return step.run(stamp)
 
 
-def track(
-    previous: ObstacleClouds, frame: Segmentation, stamp: float, first_new_id: int = 0
-) -> ObstacleClouds:
-    """Names the obstacles of a frame as `fuse` does, without memory of hidden ones."""
-    score = _scores(previous, frame.clouds_W)
-    return _named(previous, frame.clouds_W, score, frame, stamp, first_new_id)
+class _Step:
+    """One frame joined with the memory; lives as long as `fuse` runs."""
 
+    def __init__(
+        self,
+        previous: ObstacleMemory,
+        frame: Segmentation,
+        view: View | None,
+        dt: float,
+        config: SegmentationConfig,
+        robot: PosedShapes | None,
+        tracking: TrackingConfig,
+        first: bool,
+    ) -> None:
+        self.previous, self.frame, self.view, self.dt = previous, frame, view, dt
+        self.config, self.robot, self.tracking, self.first = config, robot, tracking, first
+        self.tracks, self.points = previous.tracks, previous.points
+        lengths = [len(cloud) for cloud in frame.clouds_W]
+        self.seen = np.concatenate([np.zeros((0, 3)), *frame.clouds_W])
+        self.cluster = np.repeat(np.arange(len(lengths)), lengths)
+        self.next_id = previous.next_id
 
-def _unobservable(
-    previous: ObstacleClouds,
-    frame: Segmentation,
-    score: FloatArray,
-    depth: NDArray[np.floating],
-    K: FloatArray,
-    config: SegmentationConfig,
-    robot: PosedShapes | None,
-) -> tuple[FloatArray, IntArray]:
-    """The old points (N, 3) that the frame cannot tell about, and whose they are."""
-    if not len(previous):
-        return np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
-    points, owner = _joined(previous)
-    X_WC = frame.X_WC
-    p_CQ = (points - X_WC[:3, 3]) @ X_WC[:3, :3]
-    pixel = pixels_of(p_CQ, depth.shape, K)
-    beyond = np.where(pixel >= 0, depth.ravel()[pixel], np.nan) - p_CQ[:, 2]
-    at_robot = np.zeros(len(points), dtype=bool)
-    if robot is not None:
-        at_robot = robot.contains(points, config.robot_margin)
-    shown = (np.abs(beyond) <= _HIDDEN_MARGIN) & ~at_robot
-    shown |= beyond > _HIDDEN_MARGIN
+    def run(self, stamp: float) -> ObstacleMemory:
+        """The memory after the frame."""
+        self.tracks = predicted_tracks(self.tracks, self.dt, self.tracking)
+        p_WQ = self._remembered()
+        near = self._nearest(p_WQ)
+        shows = self._shows(p_WQ, near[2])
+        association = associate(
+            self.seen,
+            self.cluster,
+            len(self.frame.clouds_W),
+            near[0],
+            p_WQ,
+            self.points.owner,
+            len(self.tracks),
+            self.tracking.gate,
+        )
+        known = len(self.tracks)
+        self._append_new(association)
+        shift = self.tracks.shift_W
+        behind = self._behind_itself(association, shows)
+        self._doubt(near[2], shows[0], behind)
+        hidden = (shows[0] != AT) & (shows[0] != FREE) & ~behind
+        self._measure(association, p_WQ, hidden)
+        if known and np.abs(self.tracks.shift_W - shift)[:known].max() > _OFF:
+            p_WQ = self._remembered()
+            near = self._nearest(p_WQ)
+            shows = self._shows(p_WQ, near[2])
+            behind = self._behind_itself(association, shows)
+        split = self._weigh(association, p_WQ, near[2], shows[0], behind)
+        self._remember(association, near)
+        self._split(split)
+        self._merge(association, known)
+        self._forget()
+        return self._handed_on(stamp)
 
-    # Hidden behind its own obstacle's new surface: the obstacle moved or turned.
-    showing = np.full(depth.size, -1, dtype=np.int32)
-    voted = np.where(score.max(axis=1) > 0.0, score.argmax(axis=1), -1)
-    for old, pixels in zip(voted, frame.pixels, strict=True):
-        showing[pixels] = old
-    shown |= (pixel >= 0) & (showing[pixel] == owner)
-    return points[~shown], owner[~shown]
+    def _remembered(self) -> FloatArray:
+        """(N, 3) where the remembered points should be in the world [m]."""
+        return self.points.p_OQ + self.tracks.shift_W[self.points.owner]
 
+    def _nearest(self, p_WQ: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+        radius, near = self.tracking.match_radius, self.tracking.support_radius
+        return mutual_nearest(self.seen, p_WQ, radius, min(near, radius))
 
-def _named(
-    previous: ObstacleClouds,
-    clouds: tuple[FloatArray, ...],
-    score: FloatArray,
-    frame: Segmentation,
-    stamp: float,
-    first_new_id: int,
-) -> ObstacleClouds:
-    ids = np.full(len(clouds), -1, dtype=np.int64)
-    left = score.copy()
-    for _ in range(min(left.shape)):
-        row, column = np.unravel_index(np.argmax(left), left.shape)
-        if left[row, column] <= 0.0:
-            break
-        ids[row] = previous.ids[column]
-        left[row], left[:, column] = 0.0, 0.0
-    unnamed = np.flatnonzero(ids < 0)
-    first = max(first_new_id, int(previous.ids.max(initial=-1)) + 1)
-    ids[unnamed] = first + np.arange(len(unnamed))
-    for cloud in clouds:
-        cloud.flags.writeable = False
-    return ObstacleClouds(stamp, clouds, ids, frame.table, frame.note)
+    def _shows(self, p_WQ: FloatArray, distance: FloatArray) -> tuple[IntArray, IntArray]:
+        return shown_at(
+            p_WQ,
+            distance >= self.tracking.support_radius,
+            self.view,
+            self.tracking.depth_margin,
+            self.robot,
+            self.config.robot_margin,
+        )
 
+    def _behind_itself(
+        self, association: Association, shows: tuple[IntArray, IntArray]
+    ) -> BoolArray:
+        surface = list(zip(association.cluster_row.tolist(), self.frame.pixels, strict=True))
+        return hidden_by_itself(*shows, self.points.owner, surface)
 
-def _scores(previous: ObstacleClouds, clouds: tuple[FloatArray, ...]) -> FloatArray:
-    """(M_new, M_old): common points; below 1, the nearness of the centroids."""
-    if not len(previous) or not clouds:
-        return np.zeros((len(clouds), len(previous)))
-    old, owner = _joined(previous)
-    center = np.stack([cloud.mean(axis=0) for cloud in previous.clouds_W])
-    score = np.zeros((len(clouds), len(previous)))
-    nearest = nearest_points(np.concatenate(clouds), old, _NEAR)
-    starts = np.cumsum([0, *map(len, clouds)])
-    for row, cloud in enumerate(clouds):
-        found = nearest[starts[row] : starts[row + 1]]
-        score[row] = np.bincount(owner[found[found >= 0]], minlength=len(previous))
-        gap = np.linalg.norm(center - cloud.mean(axis=0), axis=1)
-        score[row] += np.maximum(0.0, 1.0 - gap / _JUMP) * 0.999
-    return score
+    def _doubt(self, distance: FloatArray, seen: IntArray, behind: BoolArray) -> None:
+        """How much of each obstacle is not where it is remembered."""
+        points = self.points
+        asked = points.confirmed & ((seen == AT) | (seen == FREE) | behind)
+        count = len(self.tracks)
+        total = np.bincount(points.owner[asked], minlength=count)
+        asked &= distance >= self.tracking.support_radius
+        missed = np.bincount(points.owner[asked], minlength=count)
+        least = _LEAST_SEEN * np.bincount(points.owner, minlength=count)
+        share = missed / np.maximum(total, np.maximum(least, 1.0))
+        self.tracks = replace(self.tracks, doubt=np.maximum(share, _FADING * self.tracks.doubt))
 
+    def _append_new(self, association: Association) -> None:
+        count = len(association.new)
+        if not count:
+            return
+        p_W = np.stack([self.frame.clouds_W[c].mean(axis=0) for c in association.new])
+        integers, floats = np.zeros(count, dtype=np.int64), np.zeros(count)
+        new = Tracks(
+            ids=self.next_id + np.arange(count),
+            estimate=first_seen(p_W, self.tracking.filter),
+            shift_W=np.zeros((count, 3)),
+            p_shift_W=p_W,
+            sides=np.full((count, 3, 2), np.nan),
+            area=floats,
+            moving=np.zeros(count, dtype=bool),
+            doubt=floats,
+            significant=integers,
+            still=floats,
+            unseen=floats,
+            odd=integers,
+            apart=integers,
+            together=floats,
+        )
+        self.next_id += count
+        self.tracks = appended(self.tracks, new)
 
-def _joined(clouds: ObstacleClouds) -> tuple[FloatArray, IntArray]:
-    lengths = [len(cloud) for cloud in clouds.clouds_W]
-    return np.concatenate(clouds.clouds_W), np.repeat(np.arange(len(lengths)), lengths)
+    def _measure(self, association: Association, p_WQ: FloatArray, hidden: BoolArray) -> None:
+        tracks = self.tracks
+        rows = np.where(association.mixed, -1, association.cluster_row)
+        seen = seen_sides(
+            self.frame,
+            rows,
+            tracks.area,
+            self.view,
+            self.config.voxel,
+            self.tracking.depth_margin,
+        )
+        beyond = hidden_beyond(p_WQ, self.points.owner, hidden, seen.place, _SLACK)
+        seen = replace(seen, ends=seen.ends & (beyond < _HIDDEN_SHARE))
+        self.tracks = measured_tracks(tracks, seen, self.dt, self.tracking)
+
+    def _weigh(
+        self,
+        association: Association,
+        p_WQ: FloatArray,
+        distance: FloatArray,
+        seen: IntArray,
+        behind: BoolArray,
+    ) -> list[tuple[int, IntArray, FloatArray]]:
+        """Weighs the remembered points; returns the parts of obstacles that are apart."""
+        points, tracking = self.points, self.tracking
+        found = np.zeros(len(self.tracks), dtype=bool)
+        found[association.point_row] = True
+        parts = self._parts(association, p_WQ, (seen == HIDDEN) | (seen == OUT))
+        # `remember` still asks for these points by their places here.
+        self._kept = np.full(len(points), -1, dtype=np.int64)
+        marked = replace(points, weight=np.arange(len(points)))
+        left = weighed(
+            marked,
+            seen,
+            behind,
+            distance,
+            found,
+            self._settled(),
+            tracking.support_radius,
+            tracking.same_radius,
+        )
+        self._kept[left.weight] = np.arange(len(left))
+        self.points = replace(left, weight=points.weight[left.weight])
+        return parts
+
+    def _settled(self) -> BoolArray:
+        names = np.fromiter(self.previous.held, dtype=np.int64, count=len(self.previous.held))
+        return np.isin(self.tracks.ids, names) & ~self.tracks.moving
+
+    def _remember(
+        self, association: Association, near: tuple[IntArray, FloatArray, FloatArray]
+    ) -> None:
+        """Moves remembered points to what was seen of them, and adds what is new."""
+        nearest, distance, _ = near
+        kept = np.append(self._kept, -1)[nearest]
+        row = association.point_row
+        same = np.append(self.points.owner, -1)[kept] == row
+        p_OQ = np.array(self.points.p_OQ)
+        weight = np.array(self.points.weight)
+        local = self.seen - self.tracks.shift_W[row]
+        reach = self.tracking.same_radius
+        most = self.tracking.mean_frames
+        absorb(p_OQ, weight, local, np.where(same, kept, -1), distance, reach, most)
+        self.points = replace(self.points, p_OQ=p_OQ, weight=weight)
+        new = np.flatnonzero((kept < 0) | (distance > reach))
+        ones = np.ones(len(new), dtype=np.int64)
+        solid = np.zeros(len(self.tracks), dtype=bool)
+        sizes = np.array([len(self.frame.clouds_W[c]) for c in association.new], dtype=int)
+        believed = self.first | (sizes >= _SOLID * self.config.min_cluster_voxels)
+        solid[association.cluster_row[association.new]] = believed
+        added = Points(local[new], row[new], ones, ones, solid[row[new]])
+        self.points = appended(self.points, added)
+
+    def _parts(
+        self, association: Association, p_WQ: FloatArray, unseen: BoolArray
+    ) -> list[tuple[int, IntArray, FloatArray]]:
+        """Obstacles seen in several parts that nothing hidden connects.
+
+        Returns:
+            Row, the clusters of the smaller parts, and all points seen of the obstacle.
+        """
+        rows, count = np.unique(association.cluster_row, return_counts=True)
+        apart = np.zeros(len(self.tracks), dtype=np.int64)
+        parts = []
+        for row in rows[count > 1]:
+            clusters = np.flatnonzero((association.cluster_row == row) & ~association.mixed)
+            if len(clusters) < 2:
+                continue
+            mine = np.isin(self.cluster, clusters)
+            hidden = p_WQ[unseen & (self.points.owner == row)]
+            groups = np.concatenate(
+                [self.cluster[mine], len(self.frame.clouds_W) + np.arange(len(hidden))]
+            )
+            joined = np.concatenate([self.seen[mine], hidden])
+            label = connected_clusters(joined, self.config.cluster_tolerance, groups)
+            label = label[: int(mine.sum())]
+            largest = np.bincount(label).argmax()
+            if (label == largest).all():
+                continue
+            apart[row] = self.tracks.apart[row] + 1
+            if apart[row] >= self.tracking.split_frames:
+                parts.append((int(row), np.where(label == largest, -1, label), self.seen[mine]))
+        self.tracks = replace(self.tracks, apart=apart)
+        return parts
+
+    def _split(self, parts: list[tuple[int, IntArray, FloatArray]]) -> None:
+        """Makes the smaller parts obstacles of their own."""
+        for row, label, seen in parts:
+            mine = np.flatnonzero(self.points.owner == row)
+            p_WQ = self.points.p_OQ[mine] + self.tracks.shift_W[row]
+            nearest, _, _ = mutual_nearest(p_WQ, seen, self.config.unseen_gap, 0.0)
+            part = np.append(label, -1)[nearest]
+            for name in np.unique(part[part >= 0]):
+                new = len(self.tracks)
+                one = replace(
+                    taken(self.tracks, np.array([row])),
+                    ids=np.array([self.next_id]),
+                    sides=np.full((1, 3, 2), np.nan),
+                    area=np.zeros(1),
+                )
+                self.next_id += 1
+                self.tracks = appended(self.tracks, one)
+                owner = np.array(self.points.owner)
+                owner[mine[part == name]] = new
+                self.points = replace(self.points, owner=owner)
+            sides, area = np.array(self.tracks.sides), np.array(self.tracks.area)
+            sides[row], area[row] = np.nan, 0.0
+            apart = np.where(np.arange(len(self.tracks)) >= row, 0, self.tracks.apart)
+            self.tracks = replace(self.tracks, sides=sides, area=area, apart=apart)
+
+    def _merge(self, association: Association, known: int) -> None:
+        """Joins obstacles at rest that have been one cluster for long."""
+        tracks = self.tracks
+        partner = np.full(len(tracks), -1, dtype=np.int64)
+        partner[:known] = association.partner
+        rests = (partner >= 0) & ~tracks.moving & ~tracks.moving[partner]
+        together = np.where(rests, tracks.together + self.dt, 0.0)
+        self.tracks = replace(tracks, together=together)
+        for row in np.flatnonzero(together >= self.tracking.merge_time):
+            into = partner[row]
+            p_OQ, owner = np.array(self.points.p_OQ), np.array(self.points.owner)
+            mine = owner == row
+            p_OQ[mine] += tracks.shift_W[row] - tracks.shift_W[into]
+            owner[mine] = into
+            self.points = replace(self.points, p_OQ=p_OQ, owner=owner)
+            sides = np.array(self.tracks.sides)
+            sides[into] = np.nan
+            self.tracks = replace(self.tracks, sides=sides)
+
+    def _forget(self) -> None:
+        """Lets go of obstacles of which too little is left."""
+        count = np.bincount(self.points.owner, minlength=len(self.tracks))
+        left = count >= self._fewest()
+        if left.all():
+            return
+        row = np.cumsum(left) - 1
+        points = taken(self.points, left[self.points.owner])
+        self.points = replace(points, owner=row[points.owner])
+        self.tracks = taken(self.tracks, left)
+
+    def _fewest(self) -> int:
+        return max(4, self.config.min_cluster_voxels // 2)
+
+    def _handed_on(self, stamp: float) -> ObstacleMemory:
+        tracks, points = self.tracks, self.points
+        confirmed = np.bincount(points.owner[points.confirmed], minlength=len(tracks))
+        listed = confirmed >= self._fewest()
+        held = held_clouds(
+            tracks.ids, tracks.shift_W, points, listed, self.previous.held, self.tracking
+        )
+        moving = tracks.moving & (np.linalg.norm(tracks.estimate.v_W, axis=1) > 0.0)
+        late = np.flatnonzero(listed & moving & (tracks.unseen > self.tracking.mentioned_after))
+        note = "; ".join(
+            f"obstacle {tracks.ids[row]} has moved on unseen for {tracks.unseen[row]:.2f} s"
+            for row in late
+        )
+        obstacles = ObstacleClouds(
+            stamp,
+            tuple(held[name].p_WQ for name in tracks.ids[listed].tolist()),
+            tracks.ids[listed],
+            held_table(self.previous.obstacles.table, self.frame.table, self.tracking.table_shift),
+            note,
+            np.where(moving[:, None], tracks.estimate.v_W, 0.0)[listed],
+        )
+        return ObstacleMemory(obstacles, self.next_id, tracks, points, held)

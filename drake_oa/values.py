@@ -20,6 +20,10 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 
+PART = 2**20
+"""Rows that describe parts of one obstacle have names that differ by multiples of this."""
+
+
 @cache
 def _field_names(kind: type) -> tuple[str, ...]:
     return tuple(item.name for item in fields(kind))
@@ -81,6 +85,8 @@ class ObstacleClouds(Frozen):
         ids: (M,) integers that name the obstacles.
         table: the supporting plane, or None when no plane was found or known.
         note: empty, or why this frame is degraded (for example "no valid pixel").
+        v_WO: (M, 3) velocities in the world frame [m/s], exactly zero for an obstacle
+            that does not move significantly; zeros when not given.
     """
 
     stamp: float = -np.inf
@@ -88,6 +94,12 @@ class ObstacleClouds(Frozen):
     ids: IntArray = _integers()
     table: TablePlane | None = None
     note: str = ""
+    v_WO: FloatArray = _floats(0, 3)
+
+    def __post_init__(self) -> None:
+        if not len(self.v_WO) and len(self.clouds_W):
+            object.__setattr__(self, "v_WO", np.zeros((len(self.clouds_W), 3)))
+        super().__post_init__()
 
     def __len__(self) -> int:
         return len(self.clouds_W)
@@ -106,7 +118,8 @@ class EllipsoidSet(Frozen):
         R_WO: (M, 3, 3) rotations; the columns are the principal axes.
         semi_axes: (M, 3) semi-axes along those columns [m].
         v_WO: (M, 3) velocities of the centres in the world frame [m/s].
-        ids: (M,) integers that name the obstacles.
+        ids: (M,) integers that name the rows, each different: the obstacle's name, and a
+            multiple of `PART` more for the second and further parts of it.
         table: the supporting plane, handed through from perception, or None.
         note: empty, or why the observation is degraded.
     """

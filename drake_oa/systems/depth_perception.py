@@ -13,11 +13,14 @@ from pydrake.systems.framework import Context, LeafSystem, State
 from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 
 from drake_oa.collision_shapes import RobotModel
+from drake_oa.obstacle_memory import TrackingConfig
 from drake_oa.point_cloud import SegmentationConfig, segment_depth
 from drake_oa.self_filter import PosedShapes
 from drake_oa.systems.perception_state import PerceptionState, log_change
 from drake_oa.systems.ports import read_value, valid_period
 from drake_oa.tracking import fuse
+
+_NO_NEW_IMAGE = "no new image"
 
 
 class DepthPerception(LeafSystem):
@@ -30,6 +33,7 @@ class DepthPerception(LeafSystem):
       - depth_image
       - camera_pose
       - robot_state (optional)
+      - image_stamp (optional)
       output_ports:
       - obstacles_W
       - cloud
@@ -44,17 +48,22 @@ class DepthPerception(LeafSystem):
     and per s], whose own points are removed; while it is not connected nothing is
     removed. A system made without `robot` does not have this port.
 
-    Port `obstacles_W`: ObstacleClouds in the world frame [m].
+    Port `image_stamp` (optional): (1,) time at which the image was taken [s]; while it is
+    not connected, the time at which it is pulled. An image that was not taken after the last
+    good one is no new observation: nothing changes but the `note`.
+
+    Port `obstacles_W`: ObstacleClouds in the world frame [m], with names and velocities.
 
     Port `cloud`: PointCloud of every point above the table, in the world frame [m],
     the robot's own included: for viewing.
 
     The inputs are pulled at initialization and then every `period` (a simulated
     camera renders anew each time it is asked), and the outputs are held between.
-    Obstacles keep their names, and the points that an arm hides (see
-    `drake_oa.tracking.fuse`). A frame that shows no table leaves the obstacles and
-    their stamp as they were, and says why in `note`: a receiver tells from the
-    stamp how old they are.
+    Obstacles keep their names, and the points that an arm hides; an obstacle that does
+    not move keeps its cloud, bit for bit, until it is seen to reach farther or less far
+    (see `drake_oa.tracking.fuse`, also for frames that repeat or go back in time). A frame
+    that shows no table leaves the obstacles and their stamp as they were, and says why in
+    `note`: a receiver tells from the stamp how old they are.
     """
 
     def __init__(
@@ -62,6 +71,7 @@ class DepthPerception(LeafSystem):
         camera: CameraInfo | Sequence[float],
         *,
         config: SegmentationConfig | None = None,
+        tracking: TrackingConfig | None = None,
         robot: RobotModel | None = None,
         pixel_center: float = 0.0,
         period: float = 1.0 / 15.0,
@@ -72,6 +82,8 @@ class DepthPerception(LeafSystem):
             camera: the depth camera's intrinsics, or [fx, fy, cx, cy] [pixel].
             config: how frames are segmented; `table_height` there is the prior on
                 the table. None for the defaults.
+            tracking: how obstacles are followed, and with which noise; None for the
+                defaults.
             robot: from `collect_collision_shapes`; None for no self filter.
             pixel_center: image coordinates of the middle of the first pixel
                 [pixel]. 0 is the usual convention, and what CameraInfo documents;
@@ -95,6 +107,7 @@ class DepthPerception(LeafSystem):
             raise ValueError(f"pixel_center must lie in [-1, 1] pixels, not {pixel_center}")
         self._K[2:] -= pixel_center
         self._config = config or SegmentationConfig()
+        self._tracking = tracking or TrackingConfig()
         self._robot = robot
         period = valid_period(period)
         self._image_port = self.DeclareAbstractInputPort("depth_image", Value(ImageDepth32F()))
@@ -102,6 +115,7 @@ class DepthPerception(LeafSystem):
         self._robot_port = (
             None if robot is None else self.DeclareVectorInputPort("robot_state", robot.num_states)
         )
+        self._stamp_port = self.DeclareVectorInputPort("image_stamp", 1)
         self._state = PerceptionState.declare(self)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._update)
         # The first frame is the initialization's.
@@ -109,6 +123,16 @@ class DepthPerception(LeafSystem):
 
     def _update(self, context: Context, state: State) -> None:
         time = context.get_time()
+        previous = self._state.read(context)
+        before = previous.obstacles
+        stamp = time
+        if self._stamp_port.HasValue(context):
+            stamp = float(self._stamp_port.Eval(context)[0])
+            if not stamp > before.stamp:
+                log_change(self, before.note, _NO_NEW_IMAGE, time)
+                same = replace(before, note=_NO_NEW_IMAGE)
+                self._state.write(state, replace(previous, obstacles=same), None)
+                return
         image: Any = read_value(self, self._image_port, context, ImageDepth32F)
         pose: Any = read_value(self, self._pose_port, context, RigidTransform)
         depth, X_WC = image.data[:, :, 0], pose.GetAsMatrix4()
@@ -118,15 +142,10 @@ class DepthPerception(LeafSystem):
                 f"camera's intrinsics are for {self._size[1]}x{self._size[0]} pixels"
             )
         robot = self._posed_robot(context)
-        previous, next_id = self._state.read(context)
         frame = segment_depth(depth, self._K, X_WC, self._config, robot)
-        if frame.note:
-            obstacles, points_W = replace(previous, note=frame.note), None
-        else:
-            obstacles = fuse(previous, frame, depth, self._K, time, self._config, robot, next_id)
-            points_W = frame.points_W
-        log_change(self, previous.note, obstacles.note, time)
-        self._state.write(state, obstacles, points_W)
+        memory = fuse(previous, frame, depth, self._K, stamp, self._config, robot, self._tracking)
+        log_change(self, before.note, memory.obstacles.note, time)
+        self._state.write(state, memory, None if frame.note else frame.points_W)
 
     def _posed_robot(self, context: Context) -> PosedShapes | None:
         if self._robot is None or self._robot_port is None:

@@ -12,9 +12,13 @@ from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import Context, LeafSystem, State
 
 from drake_oa.collision_shapes import surface_points
+from drake_oa.obstacle_memory import ObstacleMemory
 from drake_oa.systems.perception_state import PerceptionState
 from drake_oa.systems.ports import read_value, valid_period
 from drake_oa.values import FloatArray, ObstacleClouds, TablePlane
+
+_AT_REST = 1e-3
+"""A slower obstacle is taken to rest [m/s]: contact lets a standing one tremble."""
 
 
 class GroundTruthPerception(LeafSystem):
@@ -37,7 +41,9 @@ class GroundTruthPerception(LeafSystem):
 
     Port `cloud`: PointCloud of all those points, in the world frame [m].
 
-    The poses are read at initialization and then every `period`.
+    The poses are read at initialization and then every `period`. The velocity of an
+    obstacle is how far the centroid of its points went since the last reading, and exactly
+    zero below 1 mm/s and at the first reading.
     """
 
     def __init__(
@@ -86,10 +92,24 @@ class GroundTruthPerception(LeafSystem):
                 placed.append(p_BQ @ X_WB[:3, :3].T + X_WB[:3, 3])
             clouds.append(np.concatenate(placed))
             clouds[-1].flags.writeable = False
+        time, before = context.get_time(), self._state.read(context).obstacles
+        v_WO = _velocities(before, clouds, time - before.stamp)
         obstacles = ObstacleClouds(
-            context.get_time(), tuple(clouds), np.arange(len(clouds)), self._table
+            time, tuple(clouds), np.arange(len(clouds)), self._table, v_WO=v_WO
         )
-        self._state.write(state, obstacles, np.concatenate([np.zeros((0, 3)), *clouds]))
+        memory = ObstacleMemory(obstacles)
+        self._state.write(state, memory, np.concatenate([np.zeros((0, 3)), *clouds]))
+
+
+def _velocities(before: ObstacleClouds, clouds: list[FloatArray], dt: float) -> FloatArray:
+    """(M, 3) velocities of the clouds' centroids [m/s]; zero where dt [s] tells none."""
+    v_WO = np.zeros((len(clouds), 3))
+    if not 0.0 < dt < np.inf:
+        return v_WO
+    for row, (old, new) in enumerate(zip(before.clouds_W, clouds, strict=True)):
+        v_WO[row] = (new - old).mean(axis=0) / dt
+    v_WO[np.linalg.norm(v_WO, axis=1) < _AT_REST] = 0.0
+    return v_WO
 
 
 def _body_fixed_samples(

@@ -12,6 +12,7 @@ from pydrake.common.value import AbstractValue, Value
 from pydrake.perception import PointCloud
 from pydrake.systems.framework import AbstractStateIndex, Context, LeafSystem, State
 
+from drake_oa.obstacle_memory import ObstacleMemory
 from drake_oa.values import Frozen, ObstacleClouds
 
 _logger = logging.getLogger("drake_oa")
@@ -29,12 +30,13 @@ class PerceptionState:
     Attributes:
         obstacles: index of the ObstacleClouds.
         points: index of the points to view.
-        next_id: index of the first name that was never given to an obstacle.
+        memory: index of the ObstacleMemory that the obstacles were taken from; an empty
+            one where a source needs none.
     """
 
     obstacles: AbstractStateIndex
     points: AbstractStateIndex
-    next_id: AbstractStateIndex
+    memory: AbstractStateIndex
 
     @staticmethod
     def declare(system: LeafSystem) -> PerceptionState:
@@ -42,7 +44,7 @@ class PerceptionState:
         indices = PerceptionState(
             system.DeclareAbstractState(Value(ObstacleClouds())),
             system.DeclareAbstractState(Value(_Points())),
-            system.DeclareAbstractState(Value(0)),
+            system.DeclareAbstractState(Value(ObstacleMemory())),
         )
         system.DeclareStateOutputPort("obstacles_W", indices.obstacles)
         system.DeclareAbstractOutputPort(
@@ -62,22 +64,19 @@ class PerceptionState:
         cloud.mutable_xyzs()[:] = points_W.T
         output.set_value(cloud)
 
-    def read(self, context: Context) -> tuple[ObstacleClouds, int]:
-        """The obstacles and the next name in a Context."""
+    def read(self, context: Context) -> ObstacleMemory:
+        """What is remembered in a Context."""
         values: Any = context.get_abstract_state()
-        return (
-            values.get_value(int(self.obstacles)).get_value(),
-            values.get_value(int(self.next_id)).get_value(),
-        )
+        memory: ObstacleMemory = values.get_value(int(self.memory)).get_value()
+        return memory
 
     def write(
-        self, state: State, obstacles: ObstacleClouds, points_W: NDArray[np.floating] | None
+        self, state: State, memory: ObstacleMemory, points_W: NDArray[np.floating] | None
     ) -> None:
-        """Stores the obstacles and, unless it is None, the cloud to view, (N, 3) [m]."""
+        """Stores the memory and, unless it is None, the cloud to view, (N, 3) [m]."""
         values: Any = state.get_mutable_abstract_state()
-        values.get_mutable_value(int(self.obstacles)).set_value(obstacles)
-        next_id = values.get_mutable_value(int(self.next_id))
-        next_id.set_value(max(next_id.get_value(), int(obstacles.ids.max(initial=-1)) + 1))
+        values.get_mutable_value(int(self.obstacles)).set_value(memory.obstacles)
+        values.get_mutable_value(int(self.memory)).set_value(memory)
         if points_W is not None:
             values.get_mutable_value(int(self.points)).set_value(_Points(points_W))
 

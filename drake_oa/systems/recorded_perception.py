@@ -12,11 +12,13 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem, State
 
 from drake_oa.collision_shapes import RobotModel
+from drake_oa.obstacle_memory import ObstacleMemory, TrackingConfig
 from drake_oa.point_cloud import Segmentation, SegmentationConfig, segment_depth, segment_points
 from drake_oa.recordings import RecordedFrame, read_recording
+from drake_oa.self_filter import PosedShapes
 from drake_oa.systems.perception_state import PerceptionState, log_change
 from drake_oa.systems.ports import valid_period
-from drake_oa.tracking import track
+from drake_oa.tracking import fuse
 
 
 class RecordedPerception(LeafSystem):
@@ -43,7 +45,9 @@ class RecordedPerception(LeafSystem):
     The camera's pose is taken from the frame's file, else from `X_WC`; where
     neither knows it, the table defines the world: z along its normal, the origin
     where the optical axis meets it, x along the camera's x axis. Files are
-    described in `drake_oa.recordings`.
+    described in `drake_oa.recordings`. Obstacles are followed as `DepthPerception` does; a
+    cloud is taken to show everything, so that nothing is hidden in it. What was seen before
+    a loop starts again is forgotten.
     """
 
     def __init__(
@@ -52,6 +56,7 @@ class RecordedPerception(LeafSystem):
         *,
         X_WC: RigidTransform | None = None,
         config: SegmentationConfig | None = None,
+        tracking: TrackingConfig | None = None,
         robot: RobotModel | None = None,
         period: float = 1.0 / 15.0,
         loop: bool = False,
@@ -63,6 +68,7 @@ class RecordedPerception(LeafSystem):
             X_WC: pose of the camera for files that do not hold one; the identity
                 for clouds already in the world frame; None when unknown.
             config: how frames are segmented; None for the defaults.
+            tracking: how obstacles are followed; None for the defaults.
             robot: from `collect_collision_shapes`: takes itself out of frames that
                 know its `robot_state`; None: they show no robot.
             period: time between updates, and between files without stamp [s].
@@ -79,6 +85,7 @@ class RecordedPerception(LeafSystem):
         self._start = np.array([frame.stamp for frame in self._frames]) - self._frames[0].stamp
         self._X_WC: Any = None if X_WC is None else X_WC.GetAsMatrix4()
         self._config = config or SegmentationConfig()
+        self._tracking = tracking or TrackingConfig()
         self._robot = robot
         self._loop = loop
         self._state = PerceptionState.declare(self)
@@ -95,22 +102,30 @@ class RecordedPerception(LeafSystem):
     def _update(self, context: Context, state: State) -> None:
         due, stamp = self._due(context.get_time())
         played: Any = state.get_mutable_abstract_state(int(self._played))
-        previous, next_id = self._state.read(context)
+        previous = self._state.read(context)
+        before = previous.obstacles
         if due == played.get_value():
-            if due == len(self._frames) - 1 and not self._loop and not previous.note:
-                self._state.write(state, replace(previous, stamp=context.get_time()), None)
+            if due == len(self._frames) - 1 and not self._loop and not before.note:
+                # Nothing is known of motion after the last frame.
+                at_rest = np.zeros_like(before.v_WO)
+                same = replace(before, stamp=context.get_time(), v_WO=at_rest)
+                self._state.write(state, replace(previous, obstacles=same), None)
             return
         played.set_value(due)
         recorded = self._frames[due % len(self._frames)]
-        frame = self._segment(recorded)
+        robot = self._posed_robot(recorded)
+        frame = self._segment(recorded, robot)
         if frame.note:
-            note = f"{recorded.path.name}: {frame.note}"
-            obstacles, points_W = replace(previous, note=note), None
-        else:
-            obstacles = track(previous, frame, stamp, next_id)
-            points_W = frame.points_W
-        log_change(self, previous.note, obstacles.note, context.get_time())
-        self._state.write(state, obstacles, points_W)
+            frame = replace(frame, note=f"{recorded.path.name}: {frame.note}")
+        if due > 0 and due % len(self._frames) == 0:
+            # The scene starts again: what was seen at its end is no longer there.
+            previous = ObstacleMemory(next_id=previous.next_id)
+        depth = None if recorded.K is None else recorded.depth
+        memory = fuse(
+            previous, frame, depth, recorded.K, stamp, self._config, robot, self._tracking
+        )
+        log_change(self, before.note, memory.obstacles.note, context.get_time())
+        self._state.write(state, memory, None if frame.note else frame.points_W)
 
     def _due(self, time: float) -> tuple[int, float]:
         """Number (counting on through loops) and due time [s] of the newest frame."""
@@ -124,11 +139,13 @@ class RecordedPerception(LeafSystem):
         index = int(np.searchsorted(self._start, time - begin, side="right")) - 1
         return rounds * len(self._frames) + index, begin + float(self._start[index])
 
-    def _segment(self, recorded: RecordedFrame) -> Segmentation:
+    def _posed_robot(self, recorded: RecordedFrame) -> PosedShapes | None:
+        if self._robot is None or recorded.robot_state is None:
+            return None
+        return self._robot.posed(recorded.robot_state)
+
+    def _segment(self, recorded: RecordedFrame, robot: PosedShapes | None) -> Segmentation:
         X_WC = self._X_WC if recorded.X_WC is None else recorded.X_WC
-        robot = None
-        if self._robot is not None and recorded.robot_state is not None:
-            robot = self._robot.posed(recorded.robot_state)
         if recorded.depth is not None and recorded.K is not None:
             return segment_depth(recorded.depth, recorded.K, X_WC, self._config, robot)
         return segment_points(np.asarray(recorded.points), X_WC, self._config, robot)

@@ -357,3 +357,24 @@ def test_a_pixel_center_that_is_none_is_refused():
 def test_invalid_intrinsics_are_refused(camera):
     with pytest.raises(ValueError, match="fx, fy, cx, cy"):
         DepthPerception(camera)
+
+
+def test_a_moving_obstacle_has_a_velocity_on_the_port_and_a_clone_goes_on_alike(cell):
+    playback = Playback(cell, box=-0.3)
+    speed = 0.3
+    for k in range(1, 9):
+        obstacles = playback.seen()
+        playback.place(2.0, -0.3 + speed * k * PERIOD)
+    row = int(np.argmax([cloud[:, 2].max() for cloud in obstacles.clouds_W]))
+    np.testing.assert_allclose(obstacles.v_WO[row], [0.0, speed, 0.0], atol=0.15 * speed)
+    assert not np.delete(obstacles.v_WO, row, axis=0).any()
+    results = []
+    for context in (playback.context.Clone(), playback.context.Clone()):
+        context.SetTime(playback.frames * PERIOD)
+        Simulator(cell.diagram, context).Initialize()
+        mine = cell.perception.GetMyContextFromRoot(context)
+        results.append(cell.perception.GetOutputPort("obstacles_W").Eval(mine))
+    one, other = results
+    np.testing.assert_array_equal(one.v_WO, other.v_WO)
+    for a, b in zip(one.clouds_W, other.clouds_W, strict=True):
+        np.testing.assert_array_equal(a, b)

@@ -116,3 +116,15 @@ def test_a_query_that_is_not_connected_is_an_error():
     context = perception.CreateDefaultContext()
     with pytest.raises(RuntimeError, match="query_object"):
         perception.ExecuteInitializationEvents(context)
+
+
+def test_velocities_are_those_of_the_bodies_and_zero_for_what_is_welded():
+    diagram, perception, context = make_scene(period=0.05)
+    simulator = Simulator(diagram, context)
+    simulator.Initialize()
+    np.testing.assert_array_equal(seen(perception, context).v_WO, np.zeros((2, 3)))
+    simulator.AdvanceTo(0.12)
+    falling, welded = seen(perception, context).v_WO
+    # The mean over the last period.
+    np.testing.assert_allclose(falling, [0.0, 0.0, -9.81 * 0.075], atol=5e-3)
+    assert not welded.any()
