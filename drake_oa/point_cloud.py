@@ -10,90 +10,29 @@ homogeneous matrices, as ``RigidTransform.GetAsMatrix4()`` gives them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_oa.clusters import connected_clusters, joined_across_unseen, voxel_keys
+from drake_oa.clusters import connected_clusters, joined_across_unseen
 from drake_oa.point_cloud_kernels import (
     back_projected,
+    cell_means,
+    cells_of,
     cropped_to_world,
     numbered,
     pixels_between,
+    pixels_to_world,
+    points_of_groups,
     sampled,
-    sums,
-    within_halfplanes,
 )
+from drake_oa.segmentation_config import SegmentationConfig as SegmentationConfig
 from drake_oa.self_filter import PosedShapes
+from drake_oa.table_extent import beyond_extent, plane_axes, seen_extent
 from drake_oa.table_plane import PlaneFit, fit_plane
 from drake_oa.values import BoolArray, FloatArray, IntArray, TablePlane
-
-_DIRECTIONS = 64  # half-planes that bound the table's extent
-
-
-@dataclass(frozen=True)
-class SegmentationConfig:
-    """How a frame is segmented. Lengths in metres, angles in radians."""
-
-    # Depths outside [near, far] are ignored.
-    near: float = 0.3
-    far: float = 2.5
-    # Standard deviation of depth at 1 m; it grows with the square of the depth.
-    depth_noise: float = 0.0015
-    # Largest tilt of the table against gravity when the camera's pose is known,
-    plane_tilt: float = np.deg2rad(5.0)
-    # and against the camera's up direction (-y) when it is not.
-    plane_tilt_unknown_pose: float = np.deg2rad(75.0)
-    # Distance from the plane at which a point (at depth 0) belongs to it.
-    plane_tolerance: float = 0.006
-    # Height of the table in the world, or None when unknown.
-    table_height: float | None = None
-    # How far the table may be from that height.
-    table_height_tolerance: float = 0.05
-    # Heights above the table that may be an obstacle (the lower limit at depth 0).
-    min_height: float = 0.008
-    max_height: float = 1.2
-    # How far beyond the table's seen extent an obstacle may stand.
-    table_margin: float = 0.02
-    # Edge of a voxel, and the fewest points that make one.
-    voxel: float = 0.01
-    min_occupancy: int = 2
-    # Points nearer to each other than this belong together.
-    cluster_tolerance: float = 0.025
-    # Clusters up to this far apart belong together too where nothing shows through
-    # the gap (the rim and the inside of a bowl).
-    unseen_gap: float = 0.06
-    # The fewest voxels that make an obstacle.
-    min_cluster_voxels: int = 12
-    # Points within this of the robot are the robot's.
-    robot_margin: float = 0.025
-    # The plane is searched on every stride-th row and column.
-    stride: int = 4
-
-    def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if value is None and item.name == "table_height":
-                continue
-            number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-            if not number or not np.isfinite(value):
-                raise ValueError(f"SegmentationConfig.{item.name} must be finite, not {value!r}")
-            if item.name != "table_height" and value < 0.0:
-                raise ValueError(f"SegmentationConfig.{item.name} must be >= 0, not {value!r}")
-        for name in ("voxel", "cluster_tolerance", "plane_tolerance", "table_height_tolerance"):
-            if getattr(self, name) <= 0.0:
-                raise ValueError(f"SegmentationConfig.{name} must be > 0")
-        for name in ("min_occupancy", "min_cluster_voxels", "stride"):
-            if getattr(self, name) < 1 or getattr(self, name) != int(getattr(self, name)):
-                raise ValueError(f"SegmentationConfig.{name} must be an integer >= 1")
-            object.__setattr__(self, name, int(getattr(self, name)))
-        for low, high in (("near", "far"), ("min_height", "max_height")):
-            if getattr(self, low) >= getattr(self, high):
-                raise ValueError(f"SegmentationConfig.{low} must be less than {high}")
-        for name in ("plane_tilt", "plane_tilt_unknown_pose"):
-            if not 0.0 < getattr(self, name) < np.pi / 2:
-                raise ValueError(f"SegmentationConfig.{name} must lie in (0, pi/2)")
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,10 +105,17 @@ def segment_depth(
         return Segmentation(X_WC=np.eye(4) if X_WC is None else X_WC, note=_NO_TABLE)
 
     grid = (-(-z.shape[0] // step), -(-z.shape[1] // step))
-    extent = sample[_row_ends(grid, on_grid, plane.inliers)]
+    extent = seen_extent(
+        grid,
+        on_grid,
+        plane.inliers,
+        sample,
+        plane.normal,
+        plane.offset,
+        (step / K[0], step / K[1]),
+    )
     index = _pixels_above(z, K, plane, config)
-    p_CQ = back_projected(z, index, K)
-    return _cluster_above(p_CQ, index, plane, extent, X_WC, config, robot, (z, K))
+    return _cluster_above(None, index, plane, extent, X_WC, config, robot, (z, K))
 
 
 def segment_points(
@@ -218,13 +164,25 @@ def segment_points(
 _NO_TABLE = "no supporting plane found"
 
 
+# Structured-light cameras bend a plane, most at the border of the image and far away:
+# in the scans of docs/results/real_scans.md by up to 6 standard deviations of the noise
+# within 1.1 m, and by 3 cm at 1.7 m. There a cluster needs a share of points higher up.
+_DEVIATIONS = 6.0
+_WARP_START = 1.1  # [m]
+_WARP = 0.15  # [1/m]
+_LARGEST_WARP = 0.04  # [m]
+_HIGHER_SHARE = 0.1
+# Of what juts out over the edge, the least share that is over the table.
+_OVER_TABLE = 0.15
+
+
 def _height_noise(config: SegmentationConfig, offset: float) -> float:
-    """What noise may look like a height (3 standard deviations), per metre of depth.
+    """What noise may look like a height, per metre of depth.
 
     The depth's deviation is ``depth_noise z**2``; of a plane's point, at the ray z r
     with z n . r = offset, the height's is that times abs(n . r) = abs(offset) / z.
     """
-    return 3.0 * config.depth_noise * abs(offset)
+    return _DEVIATIONS * config.depth_noise * abs(offset)
 
 
 def _find_table(
@@ -233,7 +191,16 @@ def _find_table(
     tolerance = config.plane_tolerance + config.depth_noise * distance**2
     if X_WC is None:
         up = np.array([0.0, -1.0, 0.0])
-        return fit_plane(sample, up, config.plane_tilt_unknown_pose, tolerance, origin_above=True)
+        fit = fit_plane(sample, up, config.plane_tilt_unknown_pose, tolerance, origin_above=True)
+        if fit is not None and np.mean(fit.inliers) > 0.4:
+            return fit
+        # A camera that looks straight down: its up direction lies in the table.
+        facing = fit_plane(
+            sample, np.array([0.0, 0.0, -1.0]), config.facing_tilt, tolerance, origin_above=True
+        )
+        if fit is None or facing is None:
+            return facing if fit is None else fit
+        return facing if facing.inliers.sum() > 2 * fit.inliers.sum() else fit
     up = X_WC[2, :3]
     height = None if config.table_height is None else config.table_height - X_WC[2, 3]
     return fit_plane(
@@ -247,39 +214,54 @@ def _find_table(
 
 
 def _cluster_above(
-    p_CQ: NDArray[np.floating],
+    p_CQ: FloatArray | None,
     index: IntArray,
     plane: PlaneFit,
     extent_C: FloatArray,
     X_WC: FloatArray | None,
     config: SegmentationConfig,
     robot: PosedShapes | None,
-    image: tuple[NDArray[np.floating], FloatArray] | None,
+    image: tuple[NDArray[np.float32], FloatArray] | None,
 ) -> Segmentation:
+    """What stands on the plane, of points in the camera frame or of an image's pixels."""
     X_WC = _pose_from_plane(plane) if X_WC is None else X_WC
     normal_W = X_WC[:3, :3] @ plane.normal
     table = TablePlane(normal_W, float(plane.offset + normal_W @ X_WC[:3, 3]))
     # A rectangle around the table is a quick crop; its convex extent comes later.
-    axes = _plane_axes(plane.normal)
+    axes = plane_axes(plane.normal)
     along = axes @ extent_C.T
     low, high = along.min(axis=1, initial=np.inf), along.max(axis=1, initial=-np.inf)
-    reach = np.column_stack([low - config.table_margin, high + config.table_margin])
-    p_WQ, index = cropped_to_world(p_CQ, index, axes, reach, X_WC)
+    beyond = config.table_margin + config.overhang
+    reach = np.column_stack([low - beyond, high + beyond])
+    if p_CQ is not None:
+        p_WQ, index = cropped_to_world(p_CQ, index, axes, reach, X_WC)
+    elif image is not None:
+        p_WQ, index = pixels_to_world(image[0], index, image[1], axes, reach, X_WC)
+    else:
+        raise ValueError("either points or an image are needed")
     if not len(index):
         return Segmentation((), (), table, p_WQ, plane.rms, X_WC)
 
     means, voxel_of, count = _voxel_means(p_WQ, config.voxel)
     extent_W = extent_C @ X_WC[:3, :3].T + X_WC[:3, 3]
     kept = np.flatnonzero(count >= config.min_occupancy)
-    kept = kept[_above_extent(means[kept], extent_W, normal_W, config.table_margin)]
     if robot is not None:
         kept = kept[~robot.contains(means[kept], config.robot_margin)]
+    outside = beyond_extent(means[kept], extent_W, normal_W)
+    kept, outside = kept[outside <= beyond], outside[outside <= beyond]
+    standing, found = _standing(
+        means[kept],
+        outside <= config.table_margin,
+        outside <= beyond - 2.0 * config.voxel,
+        config.cluster_tolerance,
+    )
+    kept = kept[standing]
+    points = means[kept]
     label = np.full(len(means), -1)
-    found = connected_clusters(means[kept], config.cluster_tolerance)
     if image is not None:
         label[kept] = found
         found = joined_across_unseen(
-            means[kept],
+            points,
             found,
             index,
             label[voxel_of],
@@ -289,16 +271,22 @@ def _cluster_above(
             voxel=config.voxel,
             min_size=config.min_cluster_voxels,
         )
-    label[kept] = found
-    sizes = np.bincount(label[kept], minlength=1)
-    names = np.flatnonzero(sizes >= config.min_cluster_voxels)
+    sizes = np.bincount(found, minlength=1)
+    higher = _risen(points, table, X_WC, config, image is not None)
+    least = np.maximum(_HIGHER_SHARE * sizes, 3)
+    names = np.flatnonzero(
+        (sizes >= config.min_cluster_voxels)
+        & (np.bincount(found, weights=higher, minlength=1) >= least)
+    )
     names = names[np.argsort(-sizes[names], kind="stable")]
-    point_label = label[voxel_of]
-    clustered = np.flatnonzero(point_label >= 0)
-    index, point_label = index[clustered], point_label[clustered]
+    place = np.full(len(sizes), -1)
+    place[names] = np.arange(len(names))
+    label[kept] = place[found]
+    pixels, begin = points_of_groups(label, voxel_of, index, len(names))
+    parts = [slice(*ends) for ends in pairwise(begin.tolist())]
     return Segmentation(
-        tuple(means[label == name] for name in names),
-        tuple(index[point_label == name] for name in names),
+        tuple(points[found == name] for name in names),
+        tuple(pixels[part] for part in parts),
         table,
         p_WQ,
         plane.rms,
@@ -306,39 +294,52 @@ def _cluster_above(
     )
 
 
-def _row_ends(shape: tuple[int, int], pixel: IntArray, on_table: BoolArray) -> IntArray:
-    """Which of the samples are the ends of the table's rows.
+def _risen(
+    p_WQ: FloatArray, table: TablePlane, X_WC: FloatArray, config: SegmentationConfig, image: bool
+) -> BoolArray:
+    """Which points (N, 3) [m] are higher over the table than the camera may bend it."""
+    p_CQ = (p_WQ - X_WC[:3, 3]) @ X_WC[:3, :3]
+    distance = p_CQ[:, 2] if image else np.linalg.norm(p_CQ, axis=1)
+    offset = table.offset - float(table.normal_W @ X_WC[:3, 3])
+    bend = np.minimum(_WARP * np.maximum(distance - _WARP_START, 0.0) ** 2, _LARGEST_WARP)
+    low = config.min_height + _height_noise(config, offset) * distance + bend
+    return np.asarray(p_WQ @ table.normal_W - table.offset > low)
 
-    Projection keeps convexity, so the ends of each row span the table's convex extent.
+
+def _standing(
+    points: FloatArray, inside: BoolArray, inner: BoolArray, tolerance: float
+) -> tuple[BoolArray, IntArray]:
+    """Which points belong to what stands over the table: inside, or jutting out from there.
+
+    A wall behind the table, which mostly is outside and goes on beyond all that is looked
+    at, does not jut out from an object that it touches; nor does what touches several.
 
     Args:
-        shape: rows and columns of the grid that was sampled.
-        pixel: (N,) flat index of each sample in that grid.
-        on_table: (N,) whether it lies on the table.
+        points: (N, 3) [m].
+        inside: (N,) whether each is over the table.
+        inner: (N,) whether it is not at the limit of what is looked at.
+        tolerance: points nearer to each other than this belong together [m].
+
+    Returns:
+        (N,) whether each stands there, and (S,) the clusters of those that do.
     """
-    table = np.zeros(shape, dtype=bool)
-    table.ravel()[pixel[on_table]] = True
-    # Opening removes the thin line where the plane cuts a wall.
-    table = _opened(table)
-    rows = np.flatnonzero(table.any(axis=1))
-    seen = table[rows]
-    last = shape[1] - 1 - seen[:, ::-1].argmax(axis=1)
-    ends = np.concatenate([seen.argmax(axis=1), last]) + np.tile(rows, 2) * shape[1]
-    return np.searchsorted(pixel, ends)
-
-
-def _opened(mask: BoolArray) -> BoolArray:
-    """Opening of a mask by a square of 3 x 3; outside the image is false."""
-    inner = mask[:-2] & mask[1:-1] & mask[2:]
-    eroded = np.zeros_like(mask)
-    eroded[1:-1, 1:-1] = inner[:, :-2] & inner[:, 1:-1] & inner[:, 2:]
-    wide = eroded.copy()
-    wide[:, 1:] |= eroded[:, :-1]
-    wide[:, :-1] |= eroded[:, 1:]
-    opened = wide.copy()
-    opened[1:] |= wide[:-1]
-    opened[:-1] |= wide[1:]
-    return opened
+    whole = connected_clusters(points, tolerance)
+    if inside.all():
+        return inside, whole
+    core = connected_clusters(points[inside], tolerance)
+    count = int(whole.max()) + 1
+    total = np.bincount(whole, minlength=count)
+    within = np.bincount(whole[inside], minlength=count)
+    whole_of_core = np.zeros(core.max(initial=-1) + 1, dtype=np.int64)
+    whole_of_core[core] = whole[inside]
+    objects = np.bincount(whole_of_core, minlength=count)
+    goes_on = np.bincount(whole[~inner], minlength=count) > 0
+    taken = (objects == 1) & (within >= np.where(goes_on, 0.5, _OVER_TABLE) * total)
+    taken_points = taken[whole]
+    cluster = np.where(taken_points, whole, -1)
+    cluster[inside] = np.where(taken_points[inside], whole[inside], count + core)
+    standing = inside | taken_points
+    return standing, numbered(cluster[standing])[1]
 
 
 def _pixels_above(
@@ -370,33 +371,8 @@ def _voxel_means(points: FloatArray, voxel: float) -> tuple[FloatArray, IntArray
     Returns:
         Means (M, 3), the voxel (N,) of each point, and counts (M,).
     """
-    keys, number = numbered(voxel_keys(points, voxel))
-    order = np.argsort(keys)
-    place = np.empty_like(order)
-    place[order] = np.arange(len(order))
-    voxel_of, count = place[number], np.zeros(len(order), dtype=np.int64)
-    total = np.zeros((len(order), 3))
-    sums(points, voxel_of, count, total)
-    return total / count[:, None], voxel_of, count
-
-
-def _plane_axes(normal: FloatArray) -> FloatArray:
-    """(2, 3) orthonormal axes of the plane with that normal."""
-    across = np.eye(3)[np.argmin(np.abs(normal))]
-    first = across - (across @ normal) * normal
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(normal, first)])
-
-
-def _above_extent(
-    p_WQ: FloatArray, table_W: FloatArray, normal_W: FloatArray, margin: float
-) -> BoolArray:
-    """Which points stand over the convex extent of the table's points."""
-    angle = np.arange(_DIRECTIONS) * (2.0 * np.pi / _DIRECTIONS)
-    directions = np.column_stack([np.cos(angle), np.sin(angle)])
-    axes = _plane_axes(normal_W)
-    reach = (directions @ (axes @ table_W.T)).max(axis=1) + margin
-    return within_halfplanes(p_WQ, axes, directions, reach)
+    keys, cell_of = cells_of(points, voxel)
+    return cell_means(points, cell_of, np.argsort(keys))
 
 
 def _pose_from_plane(plane: PlaneFit) -> FloatArray:

@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 
 from drake_oa.values import BoolArray, FloatArray, IntArray
 
+# The golden ratio's 64 bits: of the product the uppermost bits are mixed best.
+_MIXER = np.uint64(0x9E3779B97F4A7C15)
+
 
 @njit(cache=True, error_model="numpy")
 def sampled(
@@ -58,24 +61,31 @@ def pixels_between(
     """
     near, far, low, noise, high = limits
     # A mask first, then its places, both without branches: so the first loop uses
-    # vector instructions, and the second need not predict the outcomes.
-    inside = np.empty(z.shape, dtype=np.uint8)
-    count = 0
-    for row in range(z.shape[0]):
-        for column in range(z.shape[1]):
+    # vector instructions, and the second need not predict the outcomes. The mask's
+    # rows are whole words, of which most are empty.
+    rows, columns = z.shape
+    words = (columns + 7) // 8
+    inside = np.zeros((rows, 8 * words), dtype=np.uint8)
+    for row in range(rows):
+        for column in range(columns):
             depth = z[row, column]
             raised = depth * (u[column] + v[row])
             seen = (depth >= near) & (depth <= far)
             inside[row, column] = seen & (raised > low) & (raised + noise * depth < high)
-        for column in range(z.shape[1]):
-            count += inside[row, column]
-    out = np.empty(count + 1, dtype=np.int64)
+    flags = inside.ravel()
+    word = flags.view(np.uint64)
+    full, count = np.empty(len(word), dtype=np.int64), 0
+    for i in range(len(word)):
+        full[count] = i
+        count += word[i] != 0
+    out = np.empty(8 * count + 1, dtype=np.int64)
     n = 0
-    for row in range(z.shape[0]):
-        for column in range(z.shape[1]):
-            out[n] = row * z.shape[1] + column
-            n += inside[row, column]
-    return out[:count]
+    for i in full[:count]:
+        start = 8 * i - (i // words) * (8 * words - columns)
+        for bit in range(8):
+            out[n] = start + bit
+            n += flags[8 * i + bit]
+    return out[:n]
 
 
 @njit(cache=True, error_model="numpy")
@@ -96,6 +106,58 @@ def back_projected(z: NDArray[np.float32], index: IntArray, K: FloatArray) -> Fl
 
 
 @njit(cache=True, error_model="numpy")
+def row_hulls(z: NDArray[np.float32], index: IntArray) -> IntArray:
+    """Of the pixels with ascending flat indices (N,), those that may be on the convex hull.
+
+    The map from points to (column, row, 1 / depth) is projective, so it keeps convex
+    hulls, and what is inside the hull of its row there is inside the cloud's hull.
+    """
+    kept = np.empty(2 * len(index), dtype=np.int64)
+    inverse, depth = np.empty(z.shape[1]), z.ravel()
+    n, start, stop = 0, 0, 0
+    while start < len(index):
+        first = (index[start] // z.shape[1]) * z.shape[1]
+        while stop < len(index) and index[stop] < first + z.shape[1]:
+            inverse[index[stop] - first] = 1.0 / depth[index[stop]]
+            stop += 1
+        # Two monotone chains: the second one's ends are the first one's.
+        for side in (1.0, -1.0):
+            base = n
+            for i in range(start, stop):
+                u = index[i] - first
+                while n - base >= 2:
+                    b, c = kept[n - 2] - first, kept[n - 1] - first
+                    turn = (c - b) * (inverse[u] - inverse[b]) - (u - b) * (inverse[c] - inverse[b])
+                    # What is all but straight stays, for the sake of rounding.
+                    if side * turn > -1e-12:
+                        break
+                    n -= 1
+                kept[n] = index[i]
+                n += 1
+        start = stop
+    return np.unique(kept[:n])
+
+
+@njit(cache=True, error_model="numpy")
+def _placed(
+    p_C: tuple[float, float, float],
+    axes: FloatArray,
+    reach: FloatArray,
+    X_WC: FloatArray,
+    p_W: FloatArray,
+) -> bool:
+    """Writes a point in the world frame; whether its coordinates are in reach."""
+    x, y, z = p_C
+    inside = True
+    for k in range(2):
+        along = axes[k, 0] * x + axes[k, 1] * y + axes[k, 2] * z
+        inside &= (along >= reach[k, 0]) & (along <= reach[k, 1])
+    for k in range(3):
+        p_W[k] = X_WC[k, 0] * x + X_WC[k, 1] * y + X_WC[k, 2] * z + X_WC[k, 3]
+    return inside
+
+
+@njit(cache=True, error_model="numpy")
 def cropped_to_world(
     p_CQ: FloatArray, index: IntArray, axes: FloatArray, reach: FloatArray, X_WC: FloatArray
 ) -> tuple[FloatArray, IntArray]:
@@ -112,15 +174,33 @@ def cropped_to_world(
     kept = np.empty(len(index), dtype=np.int64)
     n = 0
     for i in range(len(index)):
-        x, y, z = p_CQ[i, 0], p_CQ[i, 1], p_CQ[i, 2]
-        inside = True
-        for k in range(2):
-            along = axes[k, 0] * x + axes[k, 1] * y + axes[k, 2] * z
-            inside &= (along >= reach[k, 0]) & (along <= reach[k, 1])
         kept[n] = index[i]
-        for k in range(3):
-            p_WQ[n, k] = X_WC[k, 0] * x + X_WC[k, 1] * y + X_WC[k, 2] * z + X_WC[k, 3]
-        n += inside
+        n += _placed((p_CQ[i, 0], p_CQ[i, 1], p_CQ[i, 2]), axes, reach, X_WC, p_WQ[n])
+    return p_WQ[:n], kept[:n]
+
+
+@njit(cache=True, error_model="numpy")
+def pixels_to_world(
+    z: NDArray[np.float32],
+    index: IntArray,
+    K: FloatArray,
+    axes: FloatArray,
+    reach: FloatArray,
+    X_WC: FloatArray,
+) -> tuple[FloatArray, IntArray]:
+    """`cropped_to_world` of the points of pixels with ascending flat indices (N,)."""
+    p_WQ = np.empty((len(index), 3))
+    kept = np.empty(len(index), dtype=np.int64)
+    n, row, start = 0, 0, 0
+    for i in range(len(index)):
+        while index[i] >= start + z.shape[1]:
+            row += 1
+            start += z.shape[1]
+        column = index[i] - start
+        depth = np.float64(z[row, column])
+        p_C = ((column - K[2]) * (depth / K[0]), (row - K[3]) * (depth / K[1]), depth)
+        kept[n] = index[i]
+        n += _placed(p_C, axes, reach, X_WC, p_WQ[n])
     return p_WQ[:n], kept[:n]
 
 
@@ -142,66 +222,141 @@ def cell_keys(points: FloatArray, edge: float) -> IntArray:
 
 
 @njit(cache=True, error_model="numpy")
-def numbered(keys: IntArray) -> tuple[IntArray, IntArray]:
-    """The different ones (M,) among keys (N,), by first appearance, and which each is (N,)."""
+def filed(keys: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """As `numbered`, and the hash table (a power of 2,) that finds them again."""
     different = np.empty(len(keys), dtype=np.int64)
     which = np.empty(len(keys), dtype=np.int64)
-    bits, found, done = 12, 0, False
-    while not done:
-        # A hash table that is at most half full; else once more with a larger one.
+    bits = 4
+    while (1 << bits) < min(2 * len(keys), 1 << 14):
         bits += 1
+    while True:
+        # A hash table that is at most half full; else once more with a larger one.
         slots = np.full(1 << bits, -1, dtype=np.int64)
-        found, done = 0, True
+        found, full = 0, False
         for i in range(len(keys)):
             key = keys[i]
-            mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
-            slot = np.int64(mixed >> np.uint64(64 - bits))
+            slot = np.int64((np.uint64(key) * _MIXER) >> np.uint64(64 - bits))
             while slots[slot] >= 0 and different[slots[slot]] != key:
                 slot = (slot + 1) & (len(slots) - 1)
             if slots[slot] < 0:
                 if 2 * found >= len(slots):
-                    done = False
+                    full = True
                     break
                 slots[slot] = found
                 different[found] = key
                 found += 1
             which[i] = slots[slot]
-    return different[:found].copy(), which
+        if not full:
+            return different[:found].copy(), which, slots
+        bits += 1
 
 
 @njit(cache=True, error_model="numpy")
-def sums(points: FloatArray, group: IntArray, count: IntArray, total: FloatArray) -> None:
-    """Adds points (N, 3), and their number, to the sums (M, 3) and counts (M,) of groups."""
-    for i in range(len(group)):
-        g = group[i]
-        count[g] += 1
+def place_of(key: int, different: IntArray, slots: IntArray, bits: int) -> int:
+    """The number of a key in a table of 2^bits from `filed`, -1 when it is not in there."""
+    slot = np.int64((np.uint64(key) * _MIXER) >> np.uint64(64 - bits))
+    while slots[slot] >= 0 and different[slots[slot]] != key:
+        slot = (slot + 1) & (len(slots) - 1)
+    return slots[slot]
+
+
+@njit(cache=True, error_model="numpy")
+def numbered(keys: IntArray) -> tuple[IntArray, IntArray]:
+    """The different ones (M,) among keys (N,), by first appearance, and which each is (N,)."""
+    different, which, _ = filed(keys)
+    return different, which
+
+
+@njit(cache=True, error_model="numpy")
+def cells_of(points: FloatArray, edge: float) -> tuple[IntArray, IntArray]:
+    """The keys (M,) of the cells that hold points (N, 3), and the cell (N,) of each."""
+    return numbered(cell_keys(points, edge))
+
+
+@njit(cache=True, error_model="numpy")
+def cell_means(
+    points: FloatArray, cell_of: IntArray, order: IntArray
+) -> tuple[FloatArray, IntArray, IntArray]:
+    """Means (M, 3), the place (N,) of each point's cell, and counts (M,) in a new order.
+
+    Args:
+        points: (N, 3) points [m].
+        cell_of: (N,) the cell of each, from `cells_of`; changed.
+        order: (M,) the cells in their new order.
+    """
+    place = np.empty(len(order), dtype=np.int64)
+    for m in range(len(order)):
+        place[order[m]] = m
+    means, count = np.zeros((len(order), 3)), np.zeros(len(order), dtype=np.int64)
+    for i in range(len(cell_of)):
+        m = place[cell_of[i]]
+        cell_of[i] = m
+        count[m] += 1
         for k in range(3):
-            total[g, k] += points[i, k]
+            means[m, k] += points[i, k]
+    for m in range(len(order)):
+        for k in range(3):
+            means[m, k] /= count[m]
+    return means, cell_of, count
 
 
 @njit(cache=True, error_model="numpy")
-def within_halfplanes(
+def points_of_groups(
+    group: IntArray, cell_of: IntArray, index: IntArray, count: int
+) -> tuple[IntArray, IntArray]:
+    """The numbers of the points of each group, one group after the other.
+
+    Args:
+        group: (M,) group of each cell, -1 for none.
+        cell_of: (N,) cell of each point.
+        index: (N,) its number.
+        count: C, how many groups there are.
+
+    Returns:
+        The numbers, and (C + 1,) where each group begins.
+    """
+    begin = np.zeros(count + 1, dtype=np.int64)
+    for i in range(len(cell_of)):
+        g = group[cell_of[i]]
+        if g >= 0:
+            begin[g + 1] += 1
+    for g in range(count):
+        begin[g + 1] += begin[g]
+    place, out = begin[:-1].copy(), np.empty(begin[-1], dtype=np.int64)
+    for i in range(len(cell_of)):
+        g = group[cell_of[i]]
+        if g >= 0:
+            out[place[g]] = index[i]
+            place[g] += 1
+    return out, begin
+
+
+@njit(cache=True, error_model="numpy")
+def beyond_halfplanes(
     points: FloatArray, axes: FloatArray, directions: FloatArray, reach: FloatArray
-) -> BoolArray:
-    """Which points lie, seen along a normal, in a convex region of the plane.
+) -> FloatArray:
+    """How far points lie, seen along a normal, beyond a convex region of the plane.
 
     Args:
         points: (N, 3) points [m].
         axes: (2, 3) axes of the plane.
         directions: (D, 2) outer normals of the half-planes, along these axes.
         reach: (D,) how far each half-plane reaches along its normal [m].
+
+    Returns:
+        (N,) the largest distance beyond a half-plane [m], negative inside.
     """
-    inside = np.ones(len(points), dtype=np.bool_)
+    beyond = np.empty(len(points))
     for i in range(len(points)):
         a, b = 0.0, 0.0
         for k in range(3):
             a += axes[0, k] * points[i, k]
             b += axes[1, k] * points[i, k]
+        largest = -np.inf
         for k in range(len(reach)):
-            if directions[k, 0] * a + directions[k, 1] * b > reach[k]:
-                inside[i] = False
-                break
-    return inside
+            largest = max(largest, directions[k, 0] * a + directions[k, 1] * b - reach[k])
+        beyond[i] = largest
+    return beyond
 
 
 @njit(cache=True, error_model="numpy")
@@ -287,121 +442,6 @@ def band_moments(
         for j in range(k):
             out[j, k] = out[k, j]
     return first if count >= 3 else -1
-
-
-@njit(cache=True, error_model="numpy")
-def _first_at_least(sorted_keys: IntArray, key: int) -> int:
-    low, high = 0, len(sorted_keys)
-    while low < high:
-        middle = (low + high) // 2
-        if sorted_keys[middle] < key:
-            low = middle + 1
-        else:
-            high = middle
-    return low
-
-
-@njit(cache=True, error_model="numpy")
-def _root(parent: IntArray, i: int) -> int:
-    while parent[i] != i:
-        parent[i] = parent[parent[i]]
-        i = parent[i]
-    return i
-
-
-@njit(cache=True, error_model="numpy")
-def unite_neighbours(
-    points: FloatArray, keys: IntArray, order: IntArray, tolerance: float, parent: IntArray
-) -> None:
-    """Unites, in a forest of parents, the points within a tolerance of each other.
-
-    Args:
-        points: (N, 3) points [m], sorted by key.
-        keys: (N,) their keys in cells of edge ``tolerance``, ascending, z in the
-            lowest bits: the cells of a column follow each other.
-        order: (N,) number of each sorted point in the forest.
-        tolerance: [m].
-        parent: (N,) the forest, changed: the root of a set is its least number, and
-            on return the parent of each of its members.
-    """
-    # Half of the neighbouring columns; the other half finds this cell itself.
-    columns = (np.int64(1) << 21, (np.int64(1) << 42) - (np.int64(1) << 21), np.int64(1) << 42,
-               (np.int64(1) << 42) + (np.int64(1) << 21))  # fmt: skip
-    n, start = len(keys), 0
-    while start < n:
-        key, stop = keys[start], start
-        while stop < n and keys[stop] == key:
-            stop += 1
-        for column in range(-1, 4):
-            if column < 0:
-                low, last = start, key + 1
-            else:
-                low, last = (
-                    _first_at_least(keys, key + columns[column] - 1),
-                    key + columns[column] + 1,
-                )
-            high = low
-            while high < n and keys[high] <= last:
-                high += 1
-            for i in range(start, stop):
-                own = _root(parent, order[i])
-                for j in range(max(low, i + 1), high):
-                    other = _root(parent, order[j])
-                    if own == other:
-                        continue
-                    distance2 = 0.0
-                    for k in range(3):
-                        distance2 += (points[i, k] - points[j, k]) ** 2
-                    if distance2 <= tolerance * tolerance:
-                        low_root = min(own, other)
-                        parent[max(own, other)] = low_root
-                        own = low_root
-        start = stop
-    for i in range(n):
-        parent[i] = _root(parent, i)
-
-
-@njit(cache=True, error_model="numpy")
-def nearest_within(
-    query: FloatArray, points: FloatArray, keys: IntArray, radius: float
-) -> IntArray:
-    """For each query the sorted place of the nearest point nearer than a radius, or -1.
-
-    Args:
-        query: (Q, 3) points [m].
-        points: (N, 3) points [m], sorted by key.
-        keys: (N,) their keys in cells of edge ``radius``, as in `unite_neighbours`.
-        radius: [m].
-    """
-    nearest = np.full(len(query), -1, dtype=np.int64)
-    cell, gap = np.empty(3, dtype=np.int64), np.empty((2, 3))
-    # The own column first: what it holds mostly rules out all others.
-    steps = (0, -1, 1)
-    for q in range(len(query)):
-        best = radius * radius
-        for k in range(2):
-            at = query[q, k] / radius
-            cell[k] = np.int64(np.floor(at))
-            below = (at - cell[k]) * radius
-            gap[k, 0], gap[k, 1], gap[k, 2] = 0.0, below * below, (radius - below) ** 2
-        cell[2] = np.int64(np.floor(query[q, 2] / radius))
-        for a in range(3):
-            for b in range(3):
-                if gap[0, a] + gap[1, b] >= best:
-                    continue
-                key = cell[0] + steps[a] + (1 << 20)
-                key = (key << 21) | (cell[1] + steps[b] + (1 << 20))
-                key = (key << 21) | (cell[2] + (1 << 20))
-                j = _first_at_least(keys, key - 1)
-                while j < len(keys) and keys[j] <= key + 1:
-                    distance2 = 0.0
-                    for k in range(3):
-                        distance2 += (query[q, k] - points[j, k]) ** 2
-                    if distance2 < best:
-                        best = distance2
-                        nearest[q] = j
-                    j += 1
-    return nearest
 
 
 @njit(cache=True, error_model="numpy")

@@ -5,7 +5,10 @@ A file is one frame:
 - ``.npz`` with ``depth`` (H, W) [m] and ``K`` = [fx, fy, cx, cy], or with ``points``
   (N, 3) [m]; in either case optionally ``X_WC`` (4, 4), ``stamp`` [s] and
   ``robot_state`` [q, v], by which the robot is taken out of the frame;
-- ``.pcd`` or ``.ply``: a cloud.
+- ``.pcd`` or ``.ply``: a cloud. One with the rows and columns of a depth image (a
+  .pcd file's HEIGHT above 1) is read as that image, its K being fitted to the points;
+- ``.png``: a 16-bit depth image whose K stands in a file beside it
+  (see `drake_oa.depth_image_files`).
 
 Where a file holds no stamp, the number at the end of its name is the stamp in
 seconds if it has a decimal point (``cloud_000.066.pcd``); otherwise the stamp is the
@@ -24,9 +27,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_oa.depth_image_files import DepthCoding, read_depth_png
 from drake_oa.values import FloatArray
 
-SUFFIXES = (".npz", ".pcd", ".ply")
+SUFFIXES = (".npz", ".pcd", ".ply", ".png")
+
+_PINHOLE_TOLERANCE = 0.5  # rms error [pixel] up to which a cloud is a depth image
 
 _STAMP = re.compile(r"(?:^|[^0-9.])([0-9]+\.[0-9]+)$")
 
@@ -40,7 +46,7 @@ class RecordedFrame:
         stamp: its time [s].
         depth: (H, W) [m], or None.
         K: (4,) fx, fy, cx, cy [pixel], or None.
-        points: (N, 3) in the camera frame [m], or None.
+        points: (N, 3) in the camera frame [m], not finite where missing, or None.
         X_WC: (4, 4) pose of the camera, or None when the file does not know it.
         robot_state: [q, v] of a robot in view, or None.
     """
@@ -57,7 +63,7 @@ class RecordedFrame:
 def read_recording(folder: str | Path, period: float = 1.0 / 15.0) -> tuple[RecordedFrame, ...]:
     """Reads all frames of a folder, sorted by stamp.
 
-    Hidden files and subfolders are ignored.
+    Hidden files, intrinsics files (.json, .yaml) and subfolders are ignored.
 
     Args:
         folder: the folder.
@@ -71,14 +77,15 @@ def read_recording(folder: str | Path, period: float = 1.0 / 15.0) -> tuple[Reco
     folder = Path(folder)
     if not folder.is_dir():
         raise FileNotFoundError(f"recording: there is no folder '{folder}'")
-    paths = sorted(
-        path for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")
-    )
+    paths = frame_files(folder)
     if not paths:
         raise FileNotFoundError(
             f"recording: the folder '{folder}' holds no file; valid are {', '.join(SUFFIXES)}"
         )
-    frames = [_read_frame(path, index * period) for index, path in enumerate(paths)]
+    try:
+        frames = [read_frame(path, index * period) for index, path in enumerate(paths)]
+    except ValueError as error:
+        raise ValueError(f"recording: {error}") from None
     frames.sort(key=lambda frame: frame.stamp)
     for first, second in itertools.pairwise(frames):
         if first.stamp == second.stamp:
@@ -89,17 +96,43 @@ def read_recording(folder: str | Path, period: float = 1.0 / 15.0) -> tuple[Reco
     return tuple(frames)
 
 
-def _read_frame(path: Path, default_stamp: float) -> RecordedFrame:
+def frame_files(folder: Path) -> list[Path]:
+    """The files of a folder in order of name, without hidden ones and intrinsics files."""
+    return sorted(
+        path
+        for path in folder.iterdir()
+        if path.is_file()
+        and not path.name.startswith(".")
+        and path.suffix not in (".json", ".yaml", ".yml")
+    )
+
+
+def read_frame(
+    path: Path, default_stamp: float = 0.0, coding: DepthCoding | None = None
+) -> RecordedFrame:
+    """Reads one file.
+
+    Args:
+        path: the file.
+        default_stamp: its time where neither file nor name holds one [s].
+        coding: intrinsics and scale of a .png image; None: from a file beside it.
+
+    Raises:
+        ValueError: naming the file, for an unknown suffix, an unreadable file, or
+            missing or malformed arrays.
+    """
     match = _STAMP.search(path.stem)
     stamp = float(match.group(1)) if match else default_stamp
     suffix = path.suffix.lower()
     if suffix == ".npz":
         return _read_npz(path, stamp)
     if suffix in (".pcd", ".ply"):
-        return RecordedFrame(path, stamp, points=_read_cloud(path))
+        return _read_cloud(path, stamp)
+    if suffix == ".png":
+        depth, K = read_depth_png(path, coding)
+        return RecordedFrame(path, stamp, depth, K)
     raise ValueError(
-        f"recording: '{path}' has the unknown suffix '{path.suffix}'; "
-        f"valid are {', '.join(SUFFIXES)}"
+        f"'{path}' has the unknown suffix '{path.suffix}'; valid are {', '.join(SUFFIXES)}"
     )
 
 
@@ -108,11 +141,11 @@ def _read_npz(path: Path, stamp: float) -> RecordedFrame:
         with np.load(path, allow_pickle=False) as archive:
             data = {name: archive[name] for name in archive.files}
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise ValueError(f"recording: '{path}' cannot be read as .npz: {error}") from None
+        raise ValueError(f"'{path}' cannot be read as .npz: {error}") from None
     depth, points = data.get("depth"), data.get("points")
     if (depth is None) == (points is None):
         raise ValueError(
-            f"recording: '{path}' must hold either 'depth' (with 'K') or 'points'; "
+            f"'{path}' must hold either 'depth' (with 'K') or 'points'; "
             f"it holds {', '.join(sorted(data)) or 'nothing'}"
         )
     K = None
@@ -120,7 +153,7 @@ def _read_npz(path: Path, stamp: float) -> RecordedFrame:
         _check_floats(path, "depth", depth, depth.ndim == 2, "(H, W)")
         K = _numbers(path, data, "K", (4,))
         if K is None or (K[:2] <= 0.0).any():
-            raise ValueError(f"recording: '{path}' needs 'K' = [fx, fy, cx, cy] with its depth")
+            raise ValueError(f"'{path}' needs 'K' = [fx, fy, cx, cy] with its depth")
     if points is not None:
         shape_fits = points.ndim == 2 and points.shape[1] == 3
         _check_floats(path, "points", points, shape_fits, "(N, 3)")
@@ -144,8 +177,7 @@ def _check_floats(
 ) -> None:
     if not fits or not np.issubdtype(array.dtype, np.floating):
         raise ValueError(
-            f"recording: '{name}' in '{path}' must be {shape} floats [m], "
-            f"not {array.dtype} {array.shape}"
+            f"'{name}' in '{path}' must be {shape} floats [m], not {array.dtype} {array.shape}"
         )
 
 
@@ -158,21 +190,60 @@ def _numbers(
     number = np.issubdtype(array.dtype, np.floating) or np.issubdtype(array.dtype, np.integer)
     if not number or array.shape != shape or not np.isfinite(array.astype(float)).all():
         raise ValueError(
-            f"recording: '{name}' in '{path}' must be finite numbers of shape {shape}, "
+            f"'{name}' in '{path}' must be finite numbers of shape {shape}, "
             f"not {array.dtype} {array.shape}"
         )
     return array.astype(float)
 
 
-def _read_cloud(path: Path) -> FloatArray:
+def _read_cloud(path: Path, stamp: float) -> RecordedFrame:
     import open3d
 
     # Open3D only warns, on standard output, about a file it cannot read.
     with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
-        cloud = open3d.io.read_point_cloud(
-            path, remove_nan_points=True, remove_infinite_points=True
-        )
-    points = np.asarray(cloud.points, dtype=float)
-    if not len(points):
-        raise ValueError(f"recording: '{path}' holds no readable point")
-    return points.copy()
+        points = np.array(open3d.io.read_point_cloud(path).points, dtype=float)
+    finite = np.isfinite(points).all(axis=1)
+    if not finite.any():
+        raise ValueError(f"'{path}' holds no readable point")
+    width, height = _organised_size(path)
+    if height > 1 and width * height == len(points):
+        image = _as_depth_image(points.reshape(height, width, 3))
+        if image is not None:
+            return RecordedFrame(path, stamp, *image)
+    return RecordedFrame(path, stamp, points=points)
+
+
+def _organised_size(path: Path) -> tuple[int, int]:
+    """WIDTH and HEIGHT of a .pcd file; (0, 0) of others."""
+    size = {"WIDTH": 0, "HEIGHT": 0}
+    if path.suffix.lower() == ".pcd":
+        with path.open("rb") as file:
+            for _, line in zip(range(40), file, strict=False):
+                words = line.decode("ascii", errors="replace").split()
+                if len(words) == 2 and words[0] in size and words[1].isdigit():
+                    size[words[0]] = int(words[1])
+                if words[:1] == ["DATA"]:
+                    break
+    return size["WIDTH"], size["HEIGHT"]
+
+
+def _as_depth_image(points: FloatArray) -> tuple[NDArray[np.float32], FloatArray] | None:
+    """Depth and K of a cloud (H, W, 3) in the camera's frame; None when it is in another.
+
+    A pinhole camera sees a point in column u = fx x / z + cx and row v = fy y / z + cy.
+    """
+    z = points[..., 2]
+    seen = np.isfinite(points).all(axis=2) & (z > 1e-3)
+    if np.count_nonzero(seen) < 10:
+        return None
+    K = np.zeros(4)
+    rows, columns = np.nonzero(seen)
+    for k, pixel in enumerate((columns, rows)):
+        ratio = points[rows, columns, k] / z[seen]
+        spread = ratio - ratio.mean()
+        K[k] = spread @ (pixel - pixel.mean()) / max(float(spread @ spread), 1e-12)
+        K[2 + k] = pixel.mean() - K[k] * ratio.mean()
+        error = K[k] * ratio + K[2 + k] - pixel
+        if K[k] <= 1.0 or np.sqrt(np.mean(error**2)) > _PINHOLE_TOLERANCE:
+            return None
+    return np.where(seen, z, np.nan).astype(np.float32), K

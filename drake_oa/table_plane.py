@@ -18,6 +18,14 @@ _HYPOTHESES = 400
 _SCORED_POINTS = 800
 _REFINED_POINTS = 4000
 _SEED = 20190701
+# A narrowing band sheds the feet of what stands on the plane.
+_BANDS = (1.0, 1.0, 0.7, 0.5, 0.5)
+# What is lower stands on a floor or table; what is higher and wide is a table on a floor.
+_OBJECT_HEIGHT = 0.45
+_TABLE_HEIGHT = 1.3
+_LEAST_TABLE = 0.1  # area [m^2]
+_LARGEST_TOP = 0.4  # of a box [m^2]
+_BIN = 0.01  # of a histogram of heights [m]
 
 
 @dataclass(frozen=True)
@@ -53,7 +61,9 @@ def fit_plane(
     Random triples (of a fixed seed: equal input gives equal output) propose
     planes; those tilted by more than ``max_tilt`` are dropped, the rest is scored
     by its number of inliers, and the best is refined by weighted least squares,
-    with weights ``1 / tolerance**2``.
+    with weights ``1 / tolerance**2``. Where ``height`` is not given, what has the most
+    points may be the floor round a small table, or the top of a large box on one:
+    see `_supporting_level`.
 
     Args:
         points: (N, 3) finite points [m], in any frame.
@@ -88,7 +98,72 @@ def fit_plane(
     )
     if best is None:
         return None
-    return _refined(points, allowed, tolerance, best, up, max_tilt, needed)
+    fit = _refined(points, allowed, tolerance, best, up, max_tilt, needed)
+    if fit is None or height is not None:
+        return fit
+    support = _supporting_level(points, fit, tolerance, needed)
+    if support is None:
+        return fit
+    other = _refined(points, allowed, tolerance, (fit.normal, support), up, max_tilt, needed)
+    # A level that is no plane leaves its height when it is refined.
+    if other is None or other.normal @ fit.normal < np.cos(np.deg2rad(5.0)):
+        return fit
+    return fit if origin_above and other.offset >= 0.0 else other
+
+
+def _supporting_level(
+    points: FloatArray, fit: PlaneFit, tolerance: FloatArray, needed: int
+) -> float | None:
+    """The offset of a plane parallel to a fit that supports what is seen, if another does.
+
+    - Above a floor: a wide level that is higher than objects are, and nearer to the
+      origin (where the camera is) than the floor: the table.
+    - Below a box: a level wider than the fit, within the height of objects, is what
+      the box stands on.
+
+    Args:
+        points: (N, 3) points [m].
+        fit: the plane with the most points on it.
+        tolerance: (N,) distance [m] at which a point belongs to a plane.
+        needed: number of points that makes a plane.
+    """
+    height = points @ fit.normal - fit.offset
+    edges = np.arange(-_OBJECT_HEIGHT, _TABLE_HEIGHT, _BIN)
+    bins = ((height + _OBJECT_HEIGHT) * (1.0 / _BIN)).astype(np.int64)
+    count = np.bincount(bins[(bins >= 0) & (bins < len(edges))], minlength=len(edges))
+    votes = np.convolve(count, np.ones(3, dtype=np.int64), mode="same")
+    middle = edges + 0.5 * _BIN
+    own = int(np.count_nonzero(fit.inliers))
+    above = np.where((middle > _OBJECT_HEIGHT) & (votes >= max(needed, own // 5)), votes, 0)
+    below = np.where((middle < -0.02) & (votes >= max(needed, own // 7)), votes, 0)
+    if not above.any() and not below.any():
+        return None
+    area = _spread_area(points[fit.inliers], fit.normal)
+    for level, is_above in ((above, True), (below, False)):
+        if not level.any():
+            continue
+        at = middle[int(np.argmax(level))]
+        on_level = points[np.abs(height - at) < 1.5 * _BIN]
+        wide = _spread_area(on_level, fit.normal)
+        if is_above:
+            own_distance = np.median(np.linalg.norm(points[fit.inliers], axis=1))
+            nearer = np.median(np.linalg.norm(on_level, axis=1)) < own_distance
+            if nearer and wide > _LEAST_TABLE:
+                return float(fit.offset + at)
+        elif area < _LARGEST_TOP and wide > area:
+            return float(fit.offset + at)
+    return None
+
+
+def _spread_area(points: FloatArray, normal: FloatArray) -> float:
+    """Area [m^2] of the rectangle with the points' variances along a plane."""
+    covariance = np.cov(points.T)
+    # The product of the two variances in the plane: the determinant of the rest.
+    trace, along = np.trace(covariance), float(normal @ covariance @ normal)
+    squares = np.einsum("ij,ij->", covariance, covariance)
+    cross = covariance @ normal
+    product = 0.5 * ((trace - along) ** 2 - (squares - 2.0 * (cross @ cross) + along**2))
+    return float(12.0 * np.sqrt(max(product, 0.0)))
 
 
 def _best_hypothesis(
@@ -131,8 +206,7 @@ def _refined(
     step = 1 + len(points) // _REFINED_POINTS
     chosen = step * np.flatnonzero(allowed[::step])
     some, some_tolerance, moments = points[chosen], tolerance[chosen], np.empty((4, 4))
-    # A narrowing band sheds the feet of what stands on the plane.
-    for band in (1.0, 0.7, 0.5, 0.5):
+    for band in _BANDS:
         first = band_moments(some, some_tolerance, np.append(normal, offset), band, moments)
         if first < 0:
             return None

@@ -6,8 +6,7 @@ from hypothesis import strategies as st
 from drake_oa import point_cloud_kernels as kernels
 from drake_oa.point_cloud import SegmentationConfig, segment_depth, segment_points
 from drake_oa.self_filter import RobotShapes
-from drake_oa.tracking import fuse
-from drake_oa.values import ObstacleClouds
+from drake_oa.tracking import ObstacleMemory, fuse
 
 
 @given(st.integers(0, 300), st.integers(1, 50), st.integers(0, 9999))
@@ -79,11 +78,14 @@ def test_each_kernel_is_compiled_once():
     posed = robot.posed(np.eye(4)[None])
     v, u = np.mgrid[:60, :80]
     points = np.stack([(u - K[2]) / K[0] * depth, (v - K[3]) / K[1] * depth, depth], axis=-1)
-    known = ObstacleClouds()
+    known, stamp = ObstacleMemory(), 0.0
     for config in (SegmentationConfig(min_occupancy=1), SegmentationConfig(table_height=0.0)):
         for pose in (X_WC, X_WC.astype(np.float32), None):
             frame = segment_depth(depth, K, pose, config, posed)
-            known = fuse(known, frame, depth, K, 0.0, config, posed)
+            stamp += 0.1
+            known = fuse(known, frame, depth, K, stamp, config, posed)
+            for pixels in frame.pixels:
+                kernels.row_hulls(depth.astype(np.float32), pixels)
             segment_points(points.reshape(-1, 3), pose, config, posed)
     compiled = {name: item for name, item in vars(kernels).items() if hasattr(item, "signatures")}
     assert len(compiled) > 10

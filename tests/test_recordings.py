@@ -115,3 +115,38 @@ def test_two_files_of_one_stamp_are_named(tmp_path):
     write_ply(tmp_path / "b_1.5.ply")
     with pytest.raises(ValueError, match=r"a_1\.50\.ply.*b_1\.5\.ply.*same stamp 1\.5 s"):
         read_recording(tmp_path)
+
+
+def write_pcd(path, points, width, height):
+    rows = "\n".join(" ".join(map(str, p)) for p in points.reshape(-1, 3))
+    path.write_text(
+        "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
+        f"WIDTH {width}\nHEIGHT {height}\nVIEWPOINT 0 0 0 1 0 0 0\n"
+        f"POINTS {width * height}\nDATA ascii\n{rows}\n"
+    )
+
+
+def test_an_organised_cloud_of_a_camera_is_its_depth_image(tmp_path):
+    z = np.random.default_rng(0).uniform(0.5, 1.5, (8, 10))
+    z[2, 3] = np.nan
+    v, u = np.mgrid[:8, :10]
+    points = np.stack([(u - K[2]) / K[0] * z, (v - K[3]) / K[1] * z, z], axis=-1)
+    write_pcd(tmp_path / "a.pcd", points, 10, 8)
+    write_pcd(tmp_path / "b.pcd", points @ np.diag([1.0, 1.0, -1.0]), 10, 8)
+    image, cloud = read_recording(tmp_path)
+    np.testing.assert_allclose(image.depth, z, rtol=1e-5)
+    np.testing.assert_allclose(image.K, K, rtol=1e-4)
+    # Behind the camera: in some other frame, so it stays a cloud.
+    assert cloud.depth is None
+    assert cloud.points.shape == (80, 3)
+    assert np.isfinite(cloud.points).all(axis=1).sum() == 79
+
+
+def test_intrinsics_files_in_a_folder_are_no_frames(tmp_path):
+    import open3d
+
+    values = np.full((4, 5), 1000, dtype=np.uint16)
+    open3d.io.write_image(str(tmp_path / "a_0.5.png"), open3d.geometry.Image(values))
+    (tmp_path / "intrinsics.json").write_text('{"fx": 9, "fy": 9, "cx": 2, "cy": 2}')
+    (frame,) = read_recording(tmp_path)
+    assert (frame.stamp, frame.depth[0, 0]) == (0.5, pytest.approx(1.0))

@@ -77,3 +77,32 @@ def test_without_a_plane_there_is_none():
     assert fit(np.zeros((0, 3))) is None
     assert fit(np.zeros((100, 3))) is None
     assert fit(np.linspace(0, 1, 300)[:, None] * [1.0, 0.0, 0.0]) is None
+
+
+def seen_from_above(rng, levels):
+    """Points of horizontal squares (height, half size, count) below the origin."""
+    parts = []
+    for height, half, count in levels:
+        xy = rng.uniform(-half, half, (count, 2))
+        parts.append(np.column_stack([xy, rng.normal(height, 0.002, count)]))
+    return np.concatenate(parts)
+
+
+def test_a_small_table_wins_over_the_floor_round_it():
+    points = seen_from_above(np.random.default_rng(0), [(-1.5, 1.5, 6000), (-0.8, 0.3, 2500)])
+    assert abs(fit(points, origin_above=True).offset + 0.8) < 2e-3
+
+
+def test_a_box_on_the_floor_is_no_table():
+    points = seen_from_above(np.random.default_rng(0), [(-1.5, 1.5, 4000), (-1.2, 0.3, 1500)])
+    assert abs(fit(points, origin_above=True).offset + 1.5) < 2e-3
+
+
+def test_the_table_wins_over_the_top_of_a_large_box_on_it():
+    points = seen_from_above(np.random.default_rng(0), [(-1.0, 0.6, 2500), (-0.75, 0.25, 5000)])
+    assert abs(fit(points, origin_above=True).offset + 1.0) < 2e-3
+
+
+def test_an_expected_height_settles_which_plane_it_is():
+    points = seen_from_above(np.random.default_rng(0), [(-1.0, 0.6, 2500), (-0.75, 0.25, 5000)])
+    assert abs(fit(points, height=-0.75).offset + 0.75) < 2e-3
