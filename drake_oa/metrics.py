@@ -6,13 +6,15 @@ own distance and contact queries: nothing that steered the motion judges it.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from pydrake.geometry import GeometryId, QueryObject
-from pydrake.multibody.tree import ModelInstanceIndex
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.geometry import GeometryId, HalfSpace, QueryObject, SceneGraphInspector
+from pydrake.multibody.tree import ModelInstanceIndex, RigidBody
+from pydrake.systems.framework import Context, DiagramBuilder
 
+from drake_oa.collision_shapes import outline_corners
 from drake_oa.ellipsoid import signed_distance
 from drake_oa.scenario import Scenario
 from drake_oa.station import TOOL_FRAME, make_station
@@ -26,6 +28,10 @@ class MotionMetrics:
     Attributes:
         contacts: "link - object" of every pair that touched, each once, in order of
             first contact.
+        initial_contacts: those of them that touched at the first instant: the motion
+            started in them.
+        made_contacts: those of them that came to touch after it, in order: the motion
+            made them. A pair that parted and met again is in both.
         tool_clearance: (T,) distance of the tool to the nearest obstacle [m];
             negative inside, inf where there is no obstacle.
         robot_clearance: (T,) the same for the whole robot.
@@ -33,9 +39,31 @@ class MotionMetrics:
     """
 
     contacts: tuple[str, ...]
+    initial_contacts: tuple[str, ...]
+    made_contacts: tuple[str, ...]
     tool_clearance: FloatArray
     robot_clearance: FloatArray
     p_WE: FloatArray
+
+
+class _ContactRecord:
+    """Tells contacts that a motion started in from those it made."""
+
+    def __init__(self) -> None:
+        self.contacts: dict[str, None] = {}
+        self.initial: tuple[str, ...] = ()
+        self.made: dict[str, None] = {}
+        self._before: set[str] | None = None
+
+    def add(self, touching: Iterable[str]) -> None:
+        """Takes what touches at the next instant."""
+        present = dict.fromkeys(touching)
+        if self._before is None:
+            self.initial = tuple(present)
+        else:
+            self.made |= {pair: None for pair in present if pair not in self._before}
+        self.contacts |= present
+        self._before = set(present)
 
 
 def path_length(path: FloatArray) -> float:
@@ -52,9 +80,23 @@ def free_point_metrics(p_WE: FloatArray, ellipsoids: EllipsoidSet) -> MotionMetr
             p_WE[:, None, :], ellipsoids.p_WO, ellipsoids.R_WO, ellipsoids.semi_axes
         )
     nearest = clearance.min(axis=1, initial=np.inf)
-    touched = ellipsoids.ids[(clearance <= 0.0).any(axis=0)]
+    names = np.array([f"tool point - ellipsoid {i}" for i in ellipsoids.ids], dtype=str)
+    record = _ContactRecord()
+    for touching in clearance <= 0.0:
+        record.add(names[touching].tolist())
+    return _metrics(record, nearest, nearest, p_WE)
+
+
+def _metrics(
+    record: _ContactRecord, tool: FloatArray, robot: FloatArray, p_WE: FloatArray
+) -> MotionMetrics:
     return MotionMetrics(
-        tuple(f"tool point - ellipsoid {i}" for i in touched), nearest, nearest, p_WE
+        contacts=tuple(record.contacts),
+        initial_contacts=record.initial,
+        made_contacts=tuple(record.made),
+        tool_clearance=tool,
+        robot_clearance=robot,
+        p_WE=p_WE,
     )
 
 
@@ -84,15 +126,23 @@ class _RobotJudge:
         obstacles = [
             g for g, b in self._body.items() if b.model_instance() in self._station.obstacles
         ]
-        self._pairs = [(a, b) for a in robot for b in obstacles]
+        inspector = graph.model_inspector()
+        self._robot_balls = _Balls(inspector, robot, self._body)
+        self._obstacle_balls = _Balls(inspector, obstacles, self._body)
         tool_links = scenario.robot.tool_links if scenario.robot else []
-        self._tool = np.array([self._body[a].name() in tool_links for a, _ in self._pairs], bool)
+        self._tool = np.array([self._body[g].name() in tool_links for g in robot], bool)
 
     def _is_robot(self, geometry: GeometryId) -> bool:
         return self._body[geometry].model_instance() == self._station.robot
 
-    def set_positions(self, q: FloatArray) -> QueryObject:
-        """Poses the robot; returns the query object."""
+    def num_positions(self) -> int:
+        """Of the whole world."""
+        return int(self._plant.num_positions())
+
+    def set_positions(self, q: FloatArray, q_world: FloatArray | None) -> QueryObject:
+        """Poses the world, or the robot alone, in it; returns the query object."""
+        if q_world is not None:
+            self._plant.SetPositions(self._plant_context, q_world)
         self._plant.SetPositions(self._plant_context, self._station.robot, q)
         return self._query_port.Eval(self._graph_context)
 
@@ -113,36 +163,90 @@ class _RobotJudge:
 
     def clearances(self, query: QueryObject) -> tuple[float, float]:
         """Least distance of the tool, and of the robot, to the obstacles [m]."""
-        if not self._pairs:
-            return np.inf, np.inf
-        distance = np.array(
-            [query.ComputeSignedDistancePairClosestPoints(a, b).distance for a, b in self._pairs]
-        )
-        return float(distance[self._tool].min(initial=np.inf)), float(distance.min())
+        ours, others = self._robot_balls, self._obstacle_balls
+        apart = ours.centers(self._plant_context)[:, None] - others.centers(self._plant_context)
+        # No pair is nearer than the balls round both.
+        bound = np.linalg.norm(apart, axis=2) - ours.radius[:, None] - others.radius
+        least, of_tool = np.inf, np.inf
+        for pair in np.argsort(bound, axis=None):
+            i, j = divmod(int(pair), len(others.radius))
+            if bound[i, j] >= of_tool:
+                break
+            if not self._tool[i] and bound[i, j] >= least:
+                continue
+            hit = query.ComputeSignedDistancePairClosestPoints(
+                ours.geometries[i], others.geometries[j]
+            )
+            least = min(least, hit.distance)
+            if self._tool[i]:
+                of_tool = min(of_tool, hit.distance)
+        return of_tool, least
 
 
-def robot_metrics(scenario: Scenario, q: FloatArray) -> MotionMetrics:
+class _Balls:
+    """Balls round geometries, fixed to their bodies."""
+
+    def __init__(
+        self,
+        inspector: SceneGraphInspector,
+        geometries: list[GeometryId],
+        body: dict[GeometryId, RigidBody],
+    ) -> None:
+        self.geometries = geometries
+        bodies = list({body[g].index(): body[g] for g in geometries}.values())
+        self._bodies = bodies
+        self._row = np.array([bodies.index(body[g]) for g in geometries], dtype=int)
+        self._p_BC, self.radius = np.zeros((len(geometries), 3)), np.zeros(len(geometries))
+        for row, geometry in enumerate(geometries):
+            if isinstance(inspector.GetShape(geometry), HalfSpace):
+                self.radius[row] = np.inf
+                continue
+            corners = outline_corners(inspector, geometry)
+            middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+            self._p_BC[row] = middle
+            self.radius[row] = np.linalg.norm(corners - middle, axis=1).max()
+
+    def centers(self, context: Context) -> FloatArray:
+        """(N, 3) in the world, in the order of the geometries [m]."""
+        X_WB = np.array(
+            [body.EvalPoseInWorld(context).GetAsMatrix34() for body in self._bodies]
+        ).reshape(-1, 3, 4)[self._row]
+        return np.asarray(np.einsum("nij,nj->ni", X_WB[:, :, :3], self._p_BC) + X_WB[:, :, 3])
+
+
+def robot_metrics(
+    scenario: Scenario, q: FloatArray, q_world: FloatArray | None = None
+) -> MotionMetrics:
     """Metrics of the robot in its station.
 
     Args:
-        scenario: with a robot; its directives say what stands in the world.
+        scenario: with a robot; it says what stands in the world.
         q: (T, nq) positions of the robot, in the plant's order.
+        q_world: (T, n) all positions of the station's plant, for a world in which more
+            than the robot moves; None or (T, 0): the rest stays where the scenario puts it.
 
     Returns:
         Clearances to the obstacles; contacts with obstacles and with anything else
         that is not the robot, the table for one.
 
     Raises:
-        ScenarioError: if the station cannot be built; for one, because an obstacle can
-            move: it is judged where the directives put it.
+        ScenarioError: if the station cannot be built.
+        ValueError: if q_world is not of this station.
     """
     judge = _RobotJudge(scenario)
-    contacts: dict[str, None] = {}
+    if q_world is not None and q_world.shape[1] == 0:
+        q_world = None
+    if q_world is not None and q_world.shape != (len(q), judge.num_positions()):
+        raise ValueError(
+            f"q_world: shape {q_world.shape} must be ({len(q)}, {judge.num_positions()}): an "
+            "instant a row, a position of the scenario's world a column"
+        )
+    record = _ContactRecord()
     tool_clearance, robot_clearance = np.empty((2, len(q)))
     p_WE = np.empty((len(q), 3))
     for row, positions in enumerate(q):
-        query = judge.set_positions(positions)
-        contacts |= dict.fromkeys(judge.contacts(query))
+        query = judge.set_positions(positions, None if q_world is None else q_world[row])
+        record.add(judge.contacts(query))
         tool_clearance[row], robot_clearance[row] = judge.clearances(query)
         p_WE[row] = judge.tool_point()
-    return MotionMetrics(tuple(contacts), tool_clearance, robot_clearance, p_WE)
+    return _metrics(record, tool_clearance, robot_clearance, p_WE)

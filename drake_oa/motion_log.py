@@ -1,53 +1,93 @@
 """The log of one motion, and its file.
 
-The file is a NumPy .npz archive; the keys are the attributes of `MotionLog`, and
-texts are zero-dimensional string arrays. It can be read with `numpy.load` alone.
+The file is a NumPy .npz archive of schema `SCHEMA_VERSION`: the key `schema_version`
+holds that number, and each motion has one key "MOTION/ATTRIBUTE" for every attribute
+of `MotionLog`, where MOTION is "preplanned" or "modulated". Texts are string arrays,
+zero-dimensional for a single text. `numpy.load` alone reads it, without pickle.
+
+W is the world frame, E the tool point, O an obstacle; nq, nv and nu are the robot's
+positions, velocities and actuators, 0 without a robot. SI units: m, rad, s, N, N m.
+
+=====================  =============  =======  ==========================================
+key                    shape          unit     content
+=====================  =============  =======  ==========================================
+t                      (T,)           s        simulated time
+q                      (T, nq)        rad, m   positions of the robot
+v                      (T, nv)        rad/s    velocities of the robot (m/s: sliding)
+torque                 (T, nu)        N m, N   actuation applied
+saturated              (T,)           1        1 where a torque limit was reached
+p_WE                   (T, 3)         m        actual tool point; without a robot the
+                                               desired one
+desired_position       (T, 3)         m        p_WE asked of the controller
+desired_velocity       (T, 3)         m/s      its derivative
+desired_acceleration   (T, 3)         m/s^2    its second derivative
+phase                  (T,)           1        canonical phase k, 1 falling to 0
+speed_scale            (T,)           1        the supervisor's share of full speed, in
+                                               [0, 1]; 1 without one
+tracking_error         (T,)           m        distance of E to where it was asked to be,
+                                               as the supervisor saw it; NaN without one
+q_world                (T, n)         rad, m   all positions of the station's plant, in its
+                                               order; (T, 0) where only the robot moves
+observation_time       (F,)           s        times at which observations arrived
+observation_stamp      (F,)           s        when the scene looked as they say; inf for
+                                               ellipsoids that are given
+p_WO                   (F, M, 3)      m        centres of the ellipsoids; NaN rows where an
+                                               observation has fewer than M
+R_WO                   (F, M, 3, 3)   1        their orientations, principal axes in columns
+semi_axes              (F, M, 3)      m        their semi-axes
+v_WO                   (F, M, 3)      m/s      velocities of their centres
+obstacle_id            (F, M)         -        their names; -1 where there is none
+out_of_range           (F,)           1        for how many of them the regressor chain was
+                                               asked for more than it was trained for
+regulation             ()             text     "Verified" or "Regressor"; "" unmodulated
+shortfall              (T,)           m        what the verified motion lacked of the
+                                               feasible clearance
+short_of               (T,)           -        name of the obstacle it lacked it to; -1: none
+event_time             (E,)           s        times at which a note of the policy changed
+event                  (E,)           text     those notes; "": running freely again
+supervision_time       (S,)           s        times at which the supervisor changed its mind
+supervision_action     (S,)           text     "run", "slow", "hold" or "stop" from then on
+supervision_reason     (S,)           text     why; "" for "run"
+position_name          (nq,)          text     names of the robot's positions
+position_lower         (nq,)          rad, m   their lower limits
+position_upper         (nq,)          rad, m   their upper limits
+velocity_limit         (nv,)          rad/s    greatest speed of each (m/s: sliding)
+actuator_name          (nu,)          text     names of the actuated joints
+effort_limit           (nu,)          N m, N   their greatest actuation; inf: none
+stop_reason            ()             text     "goal", or what ended the motion short of it
+wall_time              ()             s        real time that the simulation took
+modulated              ()             bool     whether the motion was bent round obstacles
+scenario               ()             text     the scenario as YAML, defaults included
+seed                   ()             1        the scenario's seed
+versions               (P,)           text     packages and commit, "name version" each
+=====================  =============  =======  ==========================================
 """
 
 from __future__ import annotations
 
+import zipfile
+import zlib
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from drake_oa.output_files import replace_file
 from drake_oa.values import EllipsoidSet, FloatArray, IntArray
+
+SCHEMA_VERSION = 2
+"""Of the files that are written and read; a file without one is of schema 1."""
+
+_SCHEMA_KEY = "schema_version"
 
 
 @dataclass(frozen=True, eq=False)
 class MotionLog:
     """What happened in one motion: T instants, F observations of up to M obstacles.
 
-    Attributes:
-        t: (T,) time [s].
-        q: (T, nq) positions of the robot [rad, m]; (T, 0) without a robot.
-        v: (T, nv) velocities of the robot.
-        torque: (T, nu) actuation applied [N m, N].
-        saturated: (T,) 1 where a torque limit was reached.
-        desired_position: (T, 3) p_WE asked of the controller [m].
-        desired_velocity: (T, 3) [m/s].
-        desired_acceleration: (T, 3) [m/s^2].
-        phase: (T,) canonical phase k.
-        observation_stamp: (F,) stamps of the observations [s].
-        p_WO: (F, M, 3) centres of the ellipsoids [m]; NaN rows where there are fewer.
-        R_WO: (F, M, 3, 3) their orientations.
-        semi_axes: (F, M, 3) their semi-axes [m].
-        out_of_range: (F,) for how many of them the regressor chain was asked for more
-            than it was trained for.
-        regulation: what the coupling parameters came from, "Verified" or "Regressor"; ""
-            without modulation.
-        shortfall: (T,) what the verified motion lacked of the feasible clearance [m]; 0
-            where it was kept, or nothing was verified.
-        short_of: (T,) name of the obstacle that it lacked it to; -1: none.
-        event_time: (E,) times at which a note of the policy changed [s].
-        event: (E,) those notes; "" is "running freely again".
-        stop_reason: why the motion ended: "goal", or what stopped it short.
-        wall_time: seconds of real time the simulation took.
-        modulated: whether the motion was bent round obstacles.
-        scenario: the scenario as YAML, defaults included.
-        seed: the scenario's seed.
-        versions: packages and commit, "name version" each.
+    The attributes are the keys of the file: the table above has the shape, unit and
+    frame of each.
     """
 
     t: FloatArray
@@ -55,20 +95,36 @@ class MotionLog:
     v: FloatArray
     torque: FloatArray
     saturated: FloatArray
+    p_WE: FloatArray
     desired_position: FloatArray
     desired_velocity: FloatArray
     desired_acceleration: FloatArray
     phase: FloatArray
+    speed_scale: FloatArray
+    tracking_error: FloatArray
+    q_world: FloatArray
+    observation_time: FloatArray
     observation_stamp: FloatArray
     p_WO: FloatArray
     R_WO: FloatArray
     semi_axes: FloatArray
+    v_WO: FloatArray
+    obstacle_id: IntArray
     out_of_range: IntArray
     regulation: str
     shortfall: FloatArray
     short_of: IntArray
     event_time: FloatArray
     event: tuple[str, ...]
+    supervision_time: FloatArray
+    supervision_action: tuple[str, ...]
+    supervision_reason: tuple[str, ...]
+    position_name: tuple[str, ...]
+    position_lower: FloatArray
+    position_upper: FloatArray
+    velocity_limit: FloatArray
+    actuator_name: tuple[str, ...]
+    effort_limit: FloatArray
     stop_reason: str
     wall_time: float
     modulated: bool
@@ -83,55 +139,114 @@ class MotionLog:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Every attribute as an array, as it goes into a file."""
-        return {item.name: np.asarray(getattr(self, item.name)) for item in fields(self)}
+        return {item.name: _as_array(getattr(self, item.name)) for item in fields(self)}
+
+    def observation(self, row: int) -> EllipsoidSet:
+        """What was seen in one of the F observations."""
+        there = np.isfinite(self.p_WO[row]).all(axis=1)
+        return EllipsoidSet(
+            stamp=float(self.observation_stamp[row]),
+            p_WO=self.p_WO[row][there],
+            R_WO=self.R_WO[row][there],
+            semi_axes=self.semi_axes[row][there],
+            v_WO=self.v_WO[row][there],
+            ids=self.obstacle_id[row][there],
+        )
 
 
-def pack_ellipsoids(
-    frames: list[EllipsoidSet],
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Stamps, centres, orientations and semi-axes of F sets, NaN where one has fewer."""
-    most = max((len(frame) for frame in frames), default=0)
-    stamp = np.array([frame.stamp for frame in frames], dtype=float)
-    centre = np.full((len(frames), most, 3), np.nan)
-    rotation = np.full((len(frames), most, 3, 3), np.nan)
-    axes = np.full((len(frames), most, 3), np.nan)
+def _as_array(value: Any) -> np.ndarray:
+    return np.array(value, dtype=str) if isinstance(value, tuple) else np.asarray(value)
+
+
+def pack_ellipsoids(frames: list[EllipsoidSet]) -> dict[str, Any]:
+    """F sets as the attributes of a log, NaN (names: -1) where one has fewer than M.
+
+    Returns:
+        `observation_stamp`, `p_WO`, `R_WO`, `semi_axes`, `v_WO` and `obstacle_id`.
+    """
+    count, most = len(frames), max((len(frame) for frame in frames), default=0)
+    packed = {
+        "p_WO": np.full((count, most, 3), np.nan),
+        "R_WO": np.full((count, most, 3, 3), np.nan),
+        "semi_axes": np.full((count, most, 3), np.nan),
+        "v_WO": np.full((count, most, 3), np.nan),
+    }
+    names = np.full((count, most), -1, dtype=np.int64)
     for row, frame in enumerate(frames):
-        count = len(frame)
-        centre[row, :count] = frame.p_WO
-        rotation[row, :count] = frame.R_WO
-        axes[row, :count] = frame.semi_axes
-    return stamp, centre, rotation, axes
+        for name, array in packed.items():
+            array[row, : len(frame)] = getattr(frame, name)
+        names[row, : len(frame)] = frame.ids
+    stamp = np.array([frame.stamp for frame in frames], dtype=float)
+    return {"observation_stamp": stamp, **packed, "obstacle_id": names}
 
 
 def save_logs(path: Path, logs: dict[str, MotionLog]) -> None:
-    """Writes motions into one archive; keys are "<name>/<attribute>"."""
+    """Writes motions into one archive; an earlier file stays whole until this one is."""
     arrays = {
         f"{name}/{key}": value for name, log in logs.items() for key, value in log.arrays().items()
     }
-    with path.open("wb") as file:
-        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+    arrays[_SCHEMA_KEY] = np.asarray(SCHEMA_VERSION)
+
+    def write(beside: Path) -> None:
+        with beside.open("wb") as file:
+            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+
+    replace_file(path, write)
 
 
 def load_logs(path: Path) -> dict[str, MotionLog]:
     """Reads what `save_logs` wrote.
 
     Raises:
-        ValueError: if the file is not such an archive; names what is missing.
+        OSError: if there is no such file, or it cannot be read.
+        ValueError: if it is no such archive, is damaged, or is of another schema.
     """
+    with path.open("rb") as file:
+        try:
+            archive = np.load(file, allow_pickle=False)
+            if not isinstance(archive, np.lib.npyio.NpzFile):
+                raise ValueError("it is one array, no .npz archive")
+            return _motions(path, archive)
+        except (
+            EOFError,
+            KeyError,
+            OSError,
+            TypeError,
+            ValueError,
+            zipfile.BadZipFile,
+            zlib.error,
+        ) as error:
+            if str(error).startswith(str(path)):
+                raise
+            # np.load takes what is no archive for a pickle.
+            why = "it is no .npz archive" if "pickle" in str(error) else str(error)
+            raise ValueError(f"{path} is not a motion log, or is damaged: {why}") from None
+
+
+def _motions(path: Path, archive: Any) -> dict[str, MotionLog]:
+    files = archive.files
     names = [item.name for item in fields(MotionLog)]
-    with np.load(path) as archive:
-        motions = dict.fromkeys(key.partition("/")[0] for key in archive.files)
-        logs = {}
-        for motion in motions:
-            missing = [name for name in names if f"{motion}/{name}" not in archive.files]
-            if missing:
-                raise ValueError(f"{path} is not a motion log: '{motion}' lacks {missing}")
-            values: dict[str, Any] = {n: _read(archive[f"{motion}/{n}"]) for n in names}
-            logs[motion] = MotionLog(**values)
+    motions = [key.removesuffix("/stop_reason") for key in files if key.endswith("/stop_reason")]
+    if not motions:
+        raise ValueError(f"{path} is not a motion log: it has no key MOTION/stop_reason")
+    version = int(archive[_SCHEMA_KEY]) if _SCHEMA_KEY in files else 1
+    if version != SCHEMA_VERSION:
+        age = "older" if version < SCHEMA_VERSION else "newer"
+        raise ValueError(
+            f"{path} is a log of schema {version}, {age} than the {SCHEMA_VERSION} that this "
+            "version of drake_oa reads; run the scenario again, or take the version named in "
+            "the log's versions"
+        )
+    logs = {}
+    for motion in motions:
+        missing = [name for name in names if f"{motion}/{name}" not in files]
+        if missing:
+            raise ValueError(f"{path} is not a motion log: '{motion}' lacks {missing}")
+        logs[motion] = MotionLog(**{n: _read(archive[f"{motion}/{n}"]) for n in names})
     return logs
 
 
-def _read(array: np.ndarray) -> object:
+def _read(array: np.ndarray) -> Any:
     if array.ndim == 0:
         return array.item()
     return tuple(array.tolist()) if array.dtype.kind == "U" else array

@@ -18,7 +18,7 @@ from drake_oa.values import EllipsoidSet
 def motion_metrics(scenario: Scenario, log: MotionLog) -> MotionMetrics:
     """Judges a logged motion: by SceneGraph, or by the given ellipsoids without a robot."""
     if scenario.robot is not None:
-        return robot_metrics(scenario, log.q)
+        return robot_metrics(scenario, log.q, log.q_world)
     source = scenario.perception
     given = given_ellipsoids(source) if isinstance(source, GivenEllipsoids) else EllipsoidSet()
     return free_point_metrics(log.desired_position, given)
@@ -28,20 +28,24 @@ def motion_report(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
     """The figures of one motion; distances in metres, times in seconds.
 
     Keys: `collisions` (pairs of a robot link and a thing that touched),
-    `contacts` (their names), `tool_clearance_min`, `robot_clearance_min` (to
+    `contacts` (their names), `initial_contacts` (those the motion started in),
+    `made_contacts` (those it made), `tool_clearance_min`, `robot_clearance_min` (to
     obstacles; None where there is none), `goal_error` (at the last instant),
     `torque_saturation` (fraction of logged steps), `duration`, `path_length`,
     `out_of_range` (fraction of observations with an obstacle beyond what the regressor
     chain was trained for), `regulation` ("Verified", "Regressor", or None without
     modulation), `shortfall_max` (most that the verified motion lacked of the feasible
     clearance; None unless it was verified), `short_of` (name of the obstacle it lacked it
-    to, or None), `stop_reason`, `events`.
+    to, or None), `stop_reason`, `events` (notes of the policy), `supervision` (what the
+    supervisor did, and why).
     """
     metrics = motion_metrics(scenario, log)
     reached = metrics.p_WE[-1] if len(metrics.p_WE) else np.asarray(scenario.task.start)
     return {
         "collisions": len(metrics.contacts),
         "contacts": list(metrics.contacts),
+        "initial_contacts": list(metrics.initial_contacts),
+        "made_contacts": list(metrics.made_contacts),
         "tool_clearance_min": _finite(metrics.tool_clearance.min(initial=math.inf)),
         "robot_clearance_min": _finite(metrics.robot_clearance.min(initial=math.inf)),
         "goal_error": float(np.linalg.norm(reached - scenario.task.goal)),
@@ -54,6 +58,12 @@ def motion_report(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
         "events": [
             {"time": float(when), "note": note}
             for when, note in zip(log.event_time, log.event, strict=True)
+        ],
+        "supervision": [
+            {"time": float(when), "action": action, "reason": reason}
+            for when, action, reason in zip(
+                log.supervision_time, log.supervision_action, log.supervision_reason, strict=True
+            )
         ],
     }
 

@@ -1,11 +1,16 @@
 """Fixtures shared by all tests."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import settings
+
+from drake_oa.motion_log import MotionLog, pack_ellipsoids
+from drake_oa.robot_limits import RobotLimits
+from drake_oa.scenario import load_scenario, scenario_text
 
 # The machine may be busy: no property is judged by the time an example takes.
 settings.register_profile("drake_oa", deadline=None)
@@ -50,3 +55,52 @@ def recording_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     points = np.concatenate([table, top, front]) + [0.45, 0.0, 0.0]
     np.savez(folder / "cloud_0.000.npz", points=points, X_WC=np.eye(4), stamp=0.0)
     return folder
+
+
+@pytest.fixture(scope="session")
+def straight_log() -> Callable[..., MotionLog]:
+    """Makes the log of a free point that goes from the start to the goal, 0.1 s a step.
+
+    `straight_log(count, **changes)`: instants, and attributes to replace.
+    """
+    scenario = scenario_text(load_scenario("free_space"))
+
+    def make(count: int = 51, **changes: object) -> MotionLog:
+        path = np.linspace([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], count)
+        none = np.zeros((count, 0))
+        log = MotionLog(
+            t=0.1 * np.arange(count),
+            q=none,
+            v=none,
+            torque=none,
+            saturated=np.zeros(count),
+            p_WE=path,
+            desired_position=path,
+            desired_velocity=np.tile([0.2, 0.0, 0.0], (count, 1)),
+            desired_acceleration=np.zeros((count, 3)),
+            phase=np.linspace(1.0, 0.01, count),
+            speed_scale=np.ones(count),
+            tracking_error=np.full(count, np.nan),
+            q_world=none,
+            observation_time=np.zeros(0),
+            **pack_ellipsoids([]),
+            out_of_range=np.zeros(0, dtype=np.int64),
+            regulation="Verified",
+            shortfall=np.zeros(count),
+            short_of=np.full(count, -1),
+            event_time=np.zeros(0),
+            event=(),
+            supervision_time=np.zeros(0),
+            supervision_action=(),
+            supervision_reason=(),
+            **vars(RobotLimits()),
+            stop_reason="goal",
+            wall_time=1.0,
+            modulated=True,
+            scenario=scenario,
+            seed=0,
+            versions=("drake_oa 0.1.0",),
+        )
+        return replace(log, **changes)
+
+    return make

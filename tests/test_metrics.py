@@ -61,6 +61,28 @@ def test_nothing_to_hit_is_infinitely_far() -> None:
     assert found.contacts == ()
 
 
+@pytest.mark.parametrize(
+    ("x", "initial", "made"),
+    [
+        ([0.0, 0.3, 0.5], False, True),
+        ([0.5, 0.3, 0.0], True, False),
+        ([0.5, 0.0, 0.5], True, True),
+        ([0.5], True, False),
+        ([0.0, 0.1], False, False),
+        ([], False, False),
+    ],
+)
+def test_contacts_of_the_start_are_told_from_those_the_motion_made(
+    x: list[float], initial: bool, made: bool
+) -> None:
+    path = np.column_stack([x, np.zeros((len(x), 2))])
+    found = free_point_metrics(path, balls((0.5, 0.0, 0.0)))
+    name = ("tool point - ellipsoid 10",)
+    assert found.initial_contacts == (name if initial else ())
+    assert found.made_contacts == (name if made else ())
+    assert found.contacts == (name if initial or made else ())
+
+
 @pytest.fixture(scope="module")
 def poses() -> dict[str, FloatArray]:
     """Positions with the tool over the box, in it, and in the table."""
@@ -110,3 +132,24 @@ def test_without_obstacles_the_robot_is_infinitely_far(poses: dict[str, FloatArr
     found = robot_metrics(scenario, poses["start"][None])
     assert np.isinf(found.robot_clearance).all()
     assert robot_metrics(scenario, np.zeros((0, 9))).p_WE.shape == (0, 3)
+
+
+def test_a_robot_that_starts_in_contact_did_not_make_it(poses: dict[str, FloatArray]) -> None:
+    scenario = load_scenario("tabletop_box", ["perception=!GroundTruth {}"])
+    found = robot_metrics(scenario, np.stack([poses["inside"], poses["start"], poses["table"]]))
+    assert any(name.endswith("obstacle_box") for name in found.initial_contacts)
+    assert set(found.initial_contacts).isdisjoint(found.made_contacts)
+    assert any("table" in name for name in found.made_contacts)
+    assert set(found.contacts) == {*found.initial_contacts, *found.made_contacts}
+
+
+def test_the_whole_world_is_posed_where_the_log_has_it(poses: dict[str, FloatArray]) -> None:
+    scenario = load_scenario("tabletop_box", ["perception=!GroundTruth {}"])
+    q = poses["start"][None]
+    alone = robot_metrics(scenario, q)
+    # Nothing but the robot moves here: the world's positions are the robot's.
+    for q_world in (np.zeros((1, 0)), q):
+        same = robot_metrics(scenario, q, q_world)
+        np.testing.assert_array_equal(same.robot_clearance, alone.robot_clearance)
+    with pytest.raises(ValueError, match=r"q_world: shape \(1, 3\) must be \(1, 9\)"):
+        robot_metrics(scenario, q, np.zeros((1, 3)))

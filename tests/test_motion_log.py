@@ -1,11 +1,13 @@
 """The log of a motion, and its file."""
 
+import re
 from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from drake_oa import motion_log
 from drake_oa.motion_log import MotionLog, load_logs, pack_ellipsoids, save_logs
 from drake_oa.values import EllipsoidSet
 
@@ -17,34 +19,44 @@ def ellipsoids(count: int, stamp: float = 0.0) -> EllipsoidSet:
         p_WO=rng.normal(size=(count, 3)),
         R_WO=np.tile(np.eye(3), (count, 1, 1)),
         semi_axes=rng.uniform(0.1, 0.2, (count, 3)),
-        v_WO=np.zeros((count, 3)),
-        ids=np.arange(count),
+        v_WO=rng.normal(size=(count, 3)),
+        ids=10 + np.arange(count),
     )
 
 
 def log(instants: int = 4, frames: int = 2) -> MotionLog:
     rng = np.random.default_rng(0)
-    stamp, p_WO, R_WO, semi_axes = pack_ellipsoids([ellipsoids(i, 0.1 * i) for i in range(frames)])
     return MotionLog(
         t=np.arange(instants) * 0.1,
         q=rng.normal(size=(instants, 9)),
         v=rng.normal(size=(instants, 9)),
         torque=rng.normal(size=(instants, 9)),
         saturated=np.zeros(instants),
+        p_WE=rng.normal(size=(instants, 3)),
         desired_position=rng.normal(size=(instants, 3)),
         desired_velocity=rng.normal(size=(instants, 3)),
         desired_acceleration=rng.normal(size=(instants, 3)),
         phase=np.linspace(1.0, 0.1, instants),
-        observation_stamp=stamp,
-        p_WO=p_WO,
-        R_WO=R_WO,
-        semi_axes=semi_axes,
+        speed_scale=np.ones(instants),
+        tracking_error=np.full(instants, np.nan),
+        q_world=rng.normal(size=(instants, 16)),
+        observation_time=0.05 + 0.1 * np.arange(frames),
+        **pack_ellipsoids([ellipsoids(i, 0.1 * i) for i in range(frames)]),
         out_of_range=np.arange(frames),
         regulation="Verified",
         shortfall=rng.uniform(size=instants),
         short_of=np.full(instants, -1),
         event_time=np.array([0.1, 0.2]),
         event=("obstacles not seen since t = 0.00 s", ""),
+        supervision_time=np.array([0.1, 0.3]),
+        supervision_action=("hold", "run"),
+        supervision_reason=("camera stopped", ""),
+        position_name=("joint1",),
+        position_lower=np.array([-1.0]),
+        position_upper=np.array([1.0]),
+        velocity_limit=np.array([2.0]),
+        actuator_name=("joint1",),
+        effort_limit=np.array([np.inf]),
         stop_reason="goal",
         wall_time=1.5,
         modulated=True,
@@ -55,7 +67,12 @@ def log(instants: int = 4, frames: int = 2) -> MotionLog:
 
 
 @pytest.mark.parametrize(
-    "one", [log(), log(0, 0), replace(log(), event=(), event_time=np.zeros(0))]
+    "one",
+    [
+        log(),
+        log(0, 0),
+        replace(log(), event=(), event_time=np.zeros(0), position_name=(), supervision_action=()),
+    ],
 )
 def test_what_is_written_is_read_back(one: MotionLog, tmp_path: Path) -> None:
     file = tmp_path / "run.npz"
@@ -68,7 +85,8 @@ def test_what_is_written_is_read_back(one: MotionLog, tmp_path: Path) -> None:
             np.testing.assert_array_equal(after, before)
             assert after.shape == before.shape
         elif isinstance(before, tuple):
-            assert tuple(after) == before
+            assert isinstance(after, tuple)
+            assert after == before
         else:
             assert after == before
             assert type(after) is type(before)
@@ -80,6 +98,31 @@ def test_numpy_alone_can_read_it(tmp_path: Path) -> None:
         assert archive["modulated/q"].shape == (4, 9)
         assert archive["modulated/stop_reason"].item() == "goal"
         assert archive["modulated/event"].tolist()[1] == ""
+        assert archive["schema_version"].item() == motion_log.SCHEMA_VERSION
+
+
+def test_the_table_lists_every_key_and_no_other() -> None:
+    table = (motion_log.__doc__ or "").split("\n=")[2]
+    listed = [row.split()[0] for row in table.splitlines()[1:] if row[:1].isalpha()]
+    assert listed == [item.name for item in fields(MotionLog)]
+    page = (Path(__file__).parents[1] / "docs" / "log.md").read_text()
+    assert re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE) == listed
+
+
+def test_a_log_that_cannot_be_written_leaves_the_one_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "run.npz"
+    save_logs(file, {"preplanned": log()})
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", full)
+    with pytest.raises(OSError, match="No space left"):
+        save_logs(file, {"modulated": log()})
+    assert list(load_logs(file)) == ["preplanned"]
+    assert list(tmp_path.iterdir()) == [file]
 
 
 def test_the_file_has_the_name_that_was_asked_for(tmp_path: Path) -> None:
@@ -87,21 +130,76 @@ def test_the_file_has_the_name_that_was_asked_for(tmp_path: Path) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["run.log"]
 
 
-def test_another_archive_is_refused_and_told_what_it_lacks(tmp_path: Path) -> None:
-    np.savez(tmp_path / "other.npz", **{"modulated/t": np.zeros(3)})
+def test_a_log_that_lacks_something_is_refused_and_told_what(tmp_path: Path) -> None:
+    keys = {"modulated/t": np.zeros(3), "modulated/stop_reason": "goal", "schema_version": 2}
+    np.savez(tmp_path / "other.npz", **keys)
     with pytest.raises(ValueError, match=r"other.npz is not a motion log: 'modulated' lacks .*'q'"):
         load_logs(tmp_path / "other.npz")
 
 
+@pytest.mark.parametrize(("version", "said"), [(None, "schema 1, older"), (3, "schema 3, newer")])
+def test_another_schema_is_refused_by_its_number(
+    version: int | None, said: str, tmp_path: Path
+) -> None:
+    keys = {} if version is None else {"schema_version": version}
+    np.savez(tmp_path / "run.npz", **{"modulated/stop_reason": "goal"}, **keys)
+    with pytest.raises(ValueError, match=said):
+        load_logs(tmp_path / "run.npz")
+
+
+def damaged(kind: str, folder: Path) -> Path:
+    file = folder / "run.npz"
+    if kind == "text":
+        file.write_text("no archive")
+    elif kind == "empty":
+        file.touch()
+    elif kind == "array":
+        with file.open("wb") as stream:
+            np.save(stream, np.zeros(3))
+    elif kind == "archive":
+        np.savez(file, points=np.zeros(3))
+    else:
+        save_logs(file, {"modulated": log(400)})
+        content = bytearray(file.read_bytes())
+        if kind == "cut off":
+            del content[len(content) // 2 :]
+        else:
+            content[len(content) // 8 : len(content) // 4] = bytes(len(content) // 8)
+        file.write_bytes(content)
+    return file
+
+
+@pytest.mark.parametrize("kind", ["text", "empty", "array", "archive", "cut off", "overwritten"])
+def test_what_is_no_log_is_refused_by_name(kind: str, tmp_path: Path) -> None:
+    file = damaged(kind, tmp_path)
+    with pytest.raises(ValueError, match=r"run.npz is not a motion log"):
+        load_logs(file)
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"none.npz"):
+        load_logs(tmp_path / "none.npz")
+
+
 def test_ellipsoids_are_packed_with_nan_rows_where_there_are_fewer() -> None:
     frames = [ellipsoids(2, 0.0), ellipsoids(0, 0.1), ellipsoids(3, 0.2)]
-    stamp, p_WO, R_WO, semi_axes = pack_ellipsoids(frames)
-    np.testing.assert_array_equal(stamp, [frame.stamp for frame in frames])
+    packed = pack_ellipsoids(frames)
+    np.testing.assert_array_equal(packed["observation_stamp"], [frame.stamp for frame in frames])
+    assert packed["obstacle_id"].tolist() == [[10, 11, -1], [-1, -1, -1], [10, 11, 12]]
     for row, frame in enumerate(frames):
-        packed = {"p_WO": p_WO[row], "R_WO": R_WO[row], "semi_axes": semi_axes[row]}
-        for name, values in packed.items():
+        for name in ("p_WO", "R_WO", "semi_axes", "v_WO"):
+            values = packed[name][row]
             np.testing.assert_array_equal(values[: len(frame)], getattr(frame, name))
             assert np.isnan(values[len(frame) :]).all()
+
+
+def test_an_observation_is_what_was_packed() -> None:
+    whole = replace(log(), **pack_ellipsoids([ellipsoids(2, 0.5), ellipsoids(3)]))
+    seen = whole.observation(0)
+    assert seen.stamp == 0.5
+    assert seen.ids.tolist() == [10, 11]
+    np.testing.assert_array_equal(seen.v_WO, ellipsoids(2).v_WO)
+    assert whole.observation(1).R_WO.shape == (3, 3, 3)
 
 
 def test_duration_is_the_last_instant() -> None:

@@ -5,7 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from drake_oa.output_files import check_outputs, replace_text, same_file
+from drake_oa.output_files import (
+    check_outputs,
+    check_space,
+    replace_file,
+    replace_text,
+    reserve_file,
+    same_file,
+)
 
 
 def test_checking_leaves_nothing_behind_but_the_folder(tmp_path: Path) -> None:
@@ -55,3 +62,35 @@ def test_what_is_no_regular_file_is_written_to(tmp_path: Path) -> None:
     finally:
         os.close(reader)
     assert pipe.is_fifo()
+
+
+def test_a_reserved_file_is_nobody_elses(tmp_path: Path) -> None:
+    files = [reserve_file(tmp_path / "runs", "box", ".npz") for _ in range(3)]
+    assert len(set(files)) == 3
+    assert all(file.is_file() and file.name.startswith("box-") for file in files)
+
+
+def test_a_folder_in_which_nothing_can_be_reserved_is_named(tmp_path: Path) -> None:
+    (tmp_path / "runs").write_text("")
+    with pytest.raises(ValueError, match="cannot write to the folder"):
+        reserve_file(tmp_path / "runs", "box", ".npz")
+
+
+def test_a_disk_without_the_needed_space_is_refused(tmp_path: Path) -> None:
+    check_space(tmp_path / "x", 0)
+    with pytest.raises(ValueError, match=r"cannot write .*x: .* MiB are free on its disk"):
+        check_space(tmp_path / "x", 2**62)
+
+
+def test_a_write_that_fails_leaves_the_file_and_nothing_beside(tmp_path: Path) -> None:
+    file = tmp_path / "kept"
+    file.write_text("before")
+
+    def fail(path: Path) -> None:
+        path.write_text("half")
+        raise OSError("full")
+
+    with pytest.raises(OSError, match="full"):
+        replace_file(file, fail)
+    assert file.read_text() == "before"
+    assert list(tmp_path.iterdir()) == [file]

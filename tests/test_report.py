@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drake_oa.motion_log import MotionLog
+from drake_oa.motion_log import MotionLog, pack_ellipsoids
 from drake_oa.report import motion_report, report_table, run_report
+from drake_oa.robot_limits import RobotLimits
 from drake_oa.scenario import load_scenario, parse_scenario, scenario_text
 from drake_oa.values import FloatArray
 
@@ -25,20 +26,26 @@ def log_of(path: FloatArray, **changes: object) -> MotionLog:
         v=none,
         torque=none,
         saturated=np.zeros(count),
+        p_WE=path,
         desired_position=path,
         desired_velocity=np.zeros((count, 3)),
         desired_acceleration=np.zeros((count, 3)),
         phase=np.linspace(1.0, 0.01, count),
-        observation_stamp=np.zeros(0),
-        p_WO=np.zeros((0, 0, 3)),
-        R_WO=np.zeros((0, 0, 3, 3)),
-        semi_axes=np.zeros((0, 0, 3)),
+        speed_scale=np.ones(count),
+        tracking_error=np.full(count, np.nan),
+        q_world=none,
+        observation_time=np.zeros(0),
+        **pack_ellipsoids([]),
         out_of_range=np.zeros(0, dtype=np.int64),
         regulation="Verified",
         shortfall=np.zeros(count),
         short_of=np.full(count, -1),
         event_time=np.zeros(0),
         event=(),
+        supervision_time=np.zeros(0),
+        supervision_action=(),
+        supervision_reason=(),
+        **vars(RobotLimits()),
         stop_reason="goal",
         wall_time=2.5,
         modulated=True,

@@ -1,0 +1,64 @@
+"""The diagram that shows a log."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from pydrake.geometry import Meshcat
+from pydrake.systems.analysis import Simulator
+
+from drake_oa.diagrams.replay import build_replay
+from drake_oa.motion_log import MotionLog
+from drake_oa.scenario import load_scenario
+from drake_oa.station import TOOL_FRAME, make_robot_plant
+
+
+@pytest.fixture(scope="module")
+def meshcat() -> Meshcat:
+    return Meshcat()
+
+
+def test_the_robot_is_where_the_log_has_it(
+    meshcat: Meshcat, straight_log: Callable[..., MotionLog]
+) -> None:
+    scenario = load_scenario("tabletop_box")
+    alone = make_robot_plant(scenario.robot)
+    context = alone.plant.CreateDefaultContext()
+    rng = np.random.default_rng(0)
+    q = rng.uniform(-0.3, 0.3, (11, 9))
+    diagram = build_replay(scenario, straight_log(11, q=q), meshcat)
+    simulator = Simulator(diagram)
+    simulator.AdvanceTo(0.5)
+
+    graph = diagram.GetSubsystemByName("scene_graph")
+    query = graph.get_query_output_port().Eval(graph.GetMyContextFromRoot(simulator.get_context()))
+    inspector = query.inspector()
+    alone.plant.SetPositions(context, q[5])
+    link = alone.plant.GetFrameByName(TOOL_FRAME).body()
+    (frame,) = (
+        f for f in inspector.GetAllFrameIds() if inspector.GetName(f).endswith(f"::{link.name()}")
+    )
+    np.testing.assert_allclose(
+        query.GetPoseInWorld(frame).GetAsMatrix4(),
+        alone.plant.EvalBodyPoseInWorld(context, link).GetAsMatrix4(),
+        atol=1e-12,
+    )
+
+
+def test_nothing_is_simulated(meshcat: Meshcat, straight_log: Callable[..., MotionLog]) -> None:
+    log = straight_log(11, q=np.zeros((11, 9)))
+    diagram = build_replay(load_scenario("tabletop_box"), log, meshcat)
+    names = [system.get_name() for system in diagram.GetSystems()]
+    assert "plant" not in names
+    assert "overlay" in names
+    assert diagram.CreateDefaultContext().num_continuous_states() == 0
+
+
+def test_a_free_point_has_the_overlay_alone(
+    meshcat: Meshcat, straight_log: Callable[..., MotionLog]
+) -> None:
+    diagram = build_replay(load_scenario("free_space"), straight_log(), meshcat)
+    assert [s.get_name() for s in diagram.GetSystems()] == ["log_player", "overlay"]
+    Simulator(diagram).AdvanceTo(0.2)
+    assert meshcat.HasPath("/drake_oa/planned/goal")
+    assert meshcat.HasPath("/drake_oa/executed")
