@@ -1,16 +1,27 @@
 """The whole diagram: a robot that sees obstacles and goes round them.
 
-    camera, plant -> perception -> ellipsoid_descriptor -> cost_ring_selector,
-                                                           regressor_chain, dmp_integrator
-    regressor_chain -> dmp_integrator -> controller -> plant
-    cost_ring_selector, regressor_chain -> taken_route -> overlay (route)
-    dmp_integrator -> cost_ring_selector, regressor_chain (policy_state)
+    camera -> depth_noise
+    depth_noise, plant -> perception -> ellipsoid_descriptor -> regressor_chain, dmp_integrator
+    regressor_chain -> dmp_integrator -> integral_action -> controller -> plant
+    perception, plant, controller, dmp_integrator -> supervisor -> dmp_integrator (speed_scale)
+    dmp_integrator -> regressor_chain (policy_state)
 
 With `regulation: !Regressor` the sides are the cost rings':
 
+    ellipsoid_descriptor, dmp_integrator -> cost_ring_selector
     cost_ring_selector -> regressor_chain, dmp_integrator (decision)
 
-The systems are made in `drake_oa.layers` from the scenario; this file wires them.
+With a viewer the cost rings are there in any case:
+
+    cost_ring_selector, regressor_chain -> taken_route -> overlay (route)
+
+With faults that touch them:
+
+    depth_noise, plant -> camera_faults -> perception
+    controller -> weak_actuators -> plant
+
+An obstacle that moves is driven by mover_<model instance>. The systems are made in
+`drake_oa.layers` and `drake_oa.fault_layers` from the scenario; this file wires them.
 """
 
 from __future__ import annotations
@@ -21,7 +32,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import ConstantVectorSource, VectorLogSink
 from pydrake.visualization import ApplyVisualizationConfig, VisualizationConfig
 
-from drake_oa import layers
+from drake_oa import fault_layers, layers
 from drake_oa.scenario import DepthCamera, GivenEllipsoids, GroundTruth, Scenario
 from drake_oa.station import RobotPlant, Station, make_robot_plant, make_station
 from drake_oa.systems.cartesian_inverse_dynamics import CartesianInverseDynamics
@@ -37,11 +48,14 @@ def build_avoidance(
 ) -> Diagram:
     """Wires a scenario.
 
-    Subsystems by name: plant, scene_graph, rgbd_sensor_<camera>, perception,
-    ellipsoid_descriptor, regressor_chain, cost_ring_selector, goal, dmp_integrator,
-    controller, log_<signal>, and overlay and taken_route with a viewer; without a robot there is no
-    plant, camera, descriptor or controller. With `modulated=False` there are no
-    obstacles to see, and nothing from perception to cost_ring_selector.
+    Subsystems by name: plant, scene_graph, camera_world, camera_scene_graph,
+    rgbd_sensor_<camera>, depth_noise, perception, ellipsoid_descriptor, regressor_chain, goal,
+    dmp_integrator, integral_action, controller, supervisor, log_<signal>; cost_ring_selector
+    with `regulation: !Regressor` or a viewer, and overlay and taken_route with a viewer;
+    camera_faults, weak_actuators and mover_<model instance> where the scenario asks
+    for them. Without a robot there is no plant, camera, descriptor, controller or supervisor.
+    With `modulated=False` there are no obstacles to see, nothing from perception to
+    regressor_chain, and no supervisor.
 
     The diagram exports dmp_integrator's desired_position, phase and policy_state.
 
@@ -71,12 +85,15 @@ def build_avoidance(
     seen: OutputPort | None = None
     if modulated:
         seen = _wire_perception(builder, scenario, station, robot_plant)
-        _wire_decision(builder, scenario, seen, policy, goal)
+        _wire_decision(builder, scenario, seen, policy, goal, shown=meshcat is not None)
     if station is not None and robot_plant is not None:
         q_start = layers.start_positions(robot_plant, scenario)
         station.plant.SetDefaultPositions(station.robot, q_start)
         controller = layers.make_controller(scenario, robot_plant, q_start)
-        _wire_robot(builder, station, policy, controller)
+        _wire_robot(builder, scenario, station, policy, controller)
+        _wire_movers(builder, scenario, station)
+        if modulated and scenario.supervisor is not None:
+            _wire_supervisor(builder, scenario, station, robot_plant)
     if meshcat is not None:
         _wire_view(builder, scenario, station, meshcat)
     diagram = builder.Build()
@@ -104,16 +121,27 @@ def _wire_perception(
         return perception.get_output_port()
     if isinstance(source, DepthCamera):
         sensor = station.cameras[source.camera]
-        builder.Connect(
-            sensor.depth_image_32F_output_port(), perception.GetInputPort("depth_image")
-        )
-        builder.Connect(
-            sensor.body_pose_in_world_output_port(), perception.GetInputPort("camera_pose")
-        )
-        builder.Connect(
-            station.plant.get_state_output_port(station.robot),
-            perception.GetInputPort("robot_state"),
-        )
+        pose = sensor.body_pose_in_world_output_port()
+        depth = sensor.depth_image_32F_output_port()
+        noise = layers.make_depth_noise(scenario, station)
+        if noise is not None:
+            builder.AddNamedSystem("depth_noise", noise)
+            builder.Connect(depth, noise.get_input_port())
+            depth = noise.get_output_port()
+        state = station.plant.get_state_output_port(station.robot)
+        faults = fault_layers.make_camera_faults(scenario, station, robot_plant)
+        if faults is not None:
+            builder.AddNamedSystem("camera_faults", faults)
+            builder.Connect(depth, faults.GetInputPort("depth_image"))
+            builder.Connect(pose, faults.GetInputPort("camera_pose"))
+            builder.Connect(state, faults.GetInputPort("robot_state"))
+            depth, state = faults.GetOutputPort("depth_image"), faults.GetOutputPort("robot_state")
+            builder.Connect(
+                faults.GetOutputPort("image_stamp"), perception.GetInputPort("image_stamp")
+            )
+        builder.Connect(depth, perception.GetInputPort("depth_image"))
+        builder.Connect(pose, perception.GetInputPort("camera_pose"))
+        builder.Connect(state, perception.GetInputPort("robot_state"))
     if isinstance(source, GroundTruth):
         builder.Connect(
             station.scene_graph.get_query_output_port(), perception.GetInputPort("query_object")
@@ -131,15 +159,21 @@ def _wire_decision(
     seen: OutputPort,
     policy: DmpIntegrator,
     goal: ConstantVectorSource,
+    *,
+    shown: bool,
 ) -> None:
-    """Regulation and cost rings, between the ellipsoids and the policy."""
+    """Regulation and, where they are used or shown, cost rings."""
     chain = builder.AddNamedSystem("regressor_chain", layers.make_regressor_chain(scenario))
-    rings = builder.AddNamedSystem("cost_ring_selector", layers.make_cost_ring_selector(scenario))
-    for system in (chain, rings, policy):
+    for system in (chain, policy):
         builder.Connect(seen, system.GetInputPort("ellipsoids_W"))
     state = policy.GetOutputPort("policy_state")
-    builder.Connect(state, rings.GetInputPort("policy_state"))
-    builder.Connect(goal.get_output_port(), rings.GetInputPort("goal"))
+    if shown or not isinstance(chain, VerifiedRegressorChain):
+        rings = builder.AddNamedSystem(
+            "cost_ring_selector", layers.make_cost_ring_selector(scenario)
+        )
+        builder.Connect(seen, rings.GetInputPort("ellipsoids_W"))
+        builder.Connect(state, rings.GetInputPort("policy_state"))
+        builder.Connect(goal.get_output_port(), rings.GetInputPort("goal"))
     builder.Connect(
         chain.GetOutputPort("coupling_parameters"), policy.GetInputPort("coupling_parameters")
     )
@@ -156,8 +190,22 @@ def _wire_decision(
         builder.Connect(state, chain.GetInputPort("policy_state"))
 
 
+def _wire_movers(builder: DiagramBuilder, scenario: Scenario, station: Station) -> None:
+    """What drives the obstacles that move; then the whole world is logged."""
+    plant = station.plant
+    movers = fault_layers.make_obstacle_movers(scenario, station)
+    for name, mover in movers.items():
+        builder.AddNamedSystem(f"mover_{name}", mover)
+        instance = plant.GetModelInstanceByName(name)
+        builder.Connect(plant.get_state_output_port(instance), mover.GetInputPort("obstacle_state"))
+        builder.Connect(mover.GetOutputPort("force"), plant.get_actuation_input_port(instance))
+    if movers:
+        _log(builder, "plant_state", plant.get_state_output_port())
+
+
 def _wire_robot(
     builder: DiagramBuilder,
+    scenario: Scenario,
     station: Station,
     policy: DmpIntegrator,
     controller: CartesianInverseDynamics,
@@ -166,15 +214,51 @@ def _wire_robot(
     builder.AddNamedSystem("controller", controller)
     state = station.plant.get_state_output_port(station.robot)
     builder.Connect(state, controller.GetInputPort("robot_state"))
-    for name in ("desired_position", "desired_velocity", "desired_acceleration"):
+    for name in ("desired_position", "desired_velocity"):
         builder.Connect(policy.GetOutputPort(name), controller.GetInputPort(name))
-    builder.Connect(
-        controller.GetOutputPort("actuation"),
-        station.plant.get_actuation_input_port(station.robot),
-    )
+    acceleration = policy.GetOutputPort("desired_acceleration")
+    integral = layers.make_integral_action(scenario)
+    if integral is not None:
+        builder.AddNamedSystem("integral_action", integral)
+        builder.Connect(
+            controller.GetOutputPort("tracking_error"), integral.GetInputPort("tracking_error")
+        )
+        builder.Connect(acceleration, integral.GetInputPort("desired_acceleration"))
+        acceleration = integral.get_output_port()
+    builder.Connect(acceleration, controller.GetInputPort("desired_acceleration"))
+    actuation = controller.GetOutputPort("actuation")
+    weak = fault_layers.make_weak_actuators(scenario, station)
+    if weak is not None:
+        builder.AddNamedSystem("weak_actuators", weak)
+        builder.Connect(actuation, weak.get_input_port())
+        actuation = weak.get_output_port()
+    builder.Connect(actuation, station.plant.get_actuation_input_port(station.robot))
     _log(builder, "robot_state", state)
-    for name in ("actuation", "torque_saturation"):
+    _log(builder, "actuation", actuation)
+    for name in ("torque_saturation", "tracking_error"):
         _log(builder, name, controller.GetOutputPort(name))
+
+
+def _wire_supervisor(
+    builder: DiagramBuilder, scenario: Scenario, station: Station, robot_plant: RobotPlant
+) -> None:
+    """What slows, holds or stops the policy; it sees the obstacles that the descriptor sees."""
+    supervisor = builder.AddNamedSystem("supervisor", layers.make_supervisor(scenario, robot_plant))
+    policy = builder.GetSubsystemByName("dmp_integrator")
+    controller = builder.GetSubsystemByName("controller")
+    builder.Connect(
+        station.plant.get_state_output_port(station.robot), supervisor.GetInputPort("robot_state")
+    )
+    builder.Connect(policy.GetOutputPort("policy_state"), supervisor.GetInputPort("policy_state"))
+    for name in ("tracking_error", "torque_saturation"):
+        builder.Connect(controller.GetOutputPort(name), supervisor.GetInputPort(name))
+    if builder.HasSubsystemNamed("ellipsoid_descriptor"):
+        descriptor = builder.GetSubsystemByName("ellipsoid_descriptor")
+        port = descriptor.GetInputPort("obstacles_W")
+        source, index = builder.connection_map()[(descriptor, port.get_index())]
+        builder.Connect(source.get_output_port(index), supervisor.GetInputPort("obstacles_W"))
+    builder.Connect(supervisor.GetOutputPort("speed_scale"), policy.GetInputPort("speed_scale"))
+    _log(builder, "speed_scale", supervisor.GetOutputPort("speed_scale"))
 
 
 def _wire_view(

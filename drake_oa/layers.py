@@ -20,7 +20,9 @@ from drake_oa.cartesian import CartesianGains
 from drake_oa.collision_shapes import RobotModel, collect_collision_shapes
 from drake_oa.coupling import GuidanceForm
 from drake_oa.dmp import Dmp, imitate, minimum_jerk, trajectory
+from drake_oa.faults import ModelError
 from drake_oa.inverse_kinematics import solve_tool_pose
+from drake_oa.parts import merged_parts
 from drake_oa.point_cloud import SegmentationConfig
 from drake_oa.regressor import load_chain
 from drake_oa.scenario import (
@@ -35,6 +37,7 @@ from drake_oa.scenario import (
     ScenarioError,
     Task,
     Verified,
+    noise_parameters,
     package_file,
     segmentation_config,
 )
@@ -43,18 +46,24 @@ from drake_oa.station import (
     RobotPlant,
     Station,
     home_positions,
+    make_robot_plant,
     tool_corners,
+    tool_link_corners,
 )
+from drake_oa.supervision import SupervisorParameters
 from drake_oa.systems.cartesian_inverse_dynamics import CartesianInverseDynamics
 from drake_oa.systems.cost_ring_selector import CostRingSelector
+from drake_oa.systems.depth_noise import DepthNoise
 from drake_oa.systems.depth_perception import DepthPerception
 from drake_oa.systems.dmp_integrator import DmpIntegrator
 from drake_oa.systems.ellipsoid_descriptor import EllipsoidDescriptor
 from drake_oa.systems.given_ellipsoids import GivenEllipsoidSource
 from drake_oa.systems.ground_truth_perception import GroundTruthPerception
+from drake_oa.systems.integral_action import IntegralAction
 from drake_oa.systems.meshcat_overlay import MeshcatOverlay, dress_scene
 from drake_oa.systems.recorded_perception import RecordedPerception
 from drake_oa.systems.regressor_chain import RegressorChain
+from drake_oa.systems.supervisor import Supervisor
 from drake_oa.systems.verified_chain import VerifiedRegressorChain
 from drake_oa.values import EllipsoidSet, FloatArray, TablePlane
 from drake_oa.verification import SearchParameters
@@ -65,6 +74,8 @@ _logger = logging.getLogger("drake_oa")
 _PANDA = "panda_arm_hand.urdf"
 _TOOL_DOWN_ANGLE = math.radians(15.0)
 """How far from straight down the tool may point for the tool-down workspace to hold."""
+_SURFACE_GAP = 0.01
+"""How far a link may come into a surface between the points that ground truth has of it [m]."""
 _LEAST_STEPS, _MOST_STEPS = 250, 1000
 """Steps of a roll-out a unit of normalised time."""
 
@@ -171,6 +182,18 @@ def make_perception(
     )
 
 
+def make_depth_noise(scenario: Scenario, station: Station) -> DepthNoise | None:
+    """The noise of the camera that perception looks through; None for an ideal one."""
+    source = scenario.perception
+    if not isinstance(source, DepthCamera) or source.noise is None:
+        return None
+    return DepthNoise(
+        _intrinsics(station.cameras[source.camera]),
+        parameters=noise_parameters(source.noise),
+        seed=scenario.seed,
+    )
+
+
 def _warn_without_obstacles(station: Station) -> None:
     if station.obstacles:
         return
@@ -226,7 +249,11 @@ def make_ellipsoid_descriptor(scenario: Scenario, robot_plant: RobotPlant) -> El
     """The descriptor, which dilates by the robot's tool."""
     if scenario.robot is None:
         raise ScenarioError("robot: the descriptor needs a tool; this scenario has null")
-    return EllipsoidDescriptor(tool_corners(robot_plant, scenario.robot))
+    return EllipsoidDescriptor(
+        tool_corners(robot_plant, scenario.robot),
+        free_W=[scenario.task.start, scenario.task.goal],
+        tool_parts=merged_parts(tool_link_corners(robot_plant, scenario.robot)),
+    )
 
 
 def _camera_config(scenario: Scenario, source: DepthCamera) -> CameraConfig:
@@ -357,14 +384,69 @@ def make_controller(
     robot = scenario.robot
     if robot is None:
         raise ScenarioError("robot: a controller needs a robot; this scenario has null")
+    if any(isinstance(fault, ModelError) for fault in scenario.faults):
+        robot_plant = make_robot_plant(robot, uniform_density=True)
     gains = robot.gains
     return CartesianInverseDynamics(
         robot_plant.plant,
         R_WE_desired=RollPitchYaw(robot.rpy_WE).ToRotationMatrix(),
         q_posture=q_start,
         tool_frame=robot_plant.tool_frame.name(),
-        gains=CartesianGains(**vars(gains)),
+        gains=CartesianGains(**{k: v for k, v in vars(gains).items() if k != "ki_position"}),
         finger_opening=robot.finger_opening,
+    )
+
+
+def make_integral_action(scenario: Scenario) -> IntegralAction | None:
+    """What takes away the error that a wrong model leaves; None: not asked for.
+
+    Raises:
+        ScenarioError: for a gain with which the law is not stable.
+    """
+    robot = scenario.robot
+    if robot is None or robot.gains.ki_position == 0.0:
+        return None
+    gains = robot.gains
+    if gains.ki_position >= gains.kp_position * gains.kd_position:
+        raise ScenarioError(
+            f"robot.gains.ki_position: {gains.ki_position:g} must be below kp_position times "
+            f"kd_position, {gains.kp_position * gains.kd_position:g} [1/s^3]"
+        )
+    return IntegralAction(gains.ki_position, period=scenario.policy.period)
+
+
+def make_supervisor(scenario: Scenario, robot_plant: RobotPlant) -> Supervisor:
+    """What watches the motion; it decides as often as the policy steps."""
+    given, policy, source = scenario.supervisor, scenario.policy, scenario.perception
+    if given is None:
+        raise ScenarioError("supervisor: this scenario has null")
+    if isinstance(source, (DepthCamera, RecordedClouds)):
+        padding = 0.5 * segmentation_config(source.segmentation).voxel
+    else:
+        padding = _SURFACE_GAP
+    return Supervisor(
+        collect_collision_shapes(
+            robot_plant.plant, robot_plant.scene_graph.model_inspector(), robot_plant.instance
+        ),
+        robot_plant.tool_frame.name(),
+        make_dmp(scenario).duration,
+        period=policy.period,
+        parameters=SupervisorParameters(
+            stop_distance=given.stop_distance,
+            padding=padding,
+            reaction_time=policy.hold_time + given.lag,
+            leave_scale=given.leave_scale,
+            frame_period=_perception_period(scenario),
+            stale_frames=given.stale_frames,
+            max_age=policy.max_observation_age,
+            joint_margin=given.joint_margin,
+            tracking_slow=given.tracking_slow,
+            tracking_hold=given.tracking_hold,
+            saturation_time=given.saturation_time,
+            recovery_time=given.recovery_time,
+            patience=given.patience,
+        ),
+        table=_table(scenario),
     )
 
 

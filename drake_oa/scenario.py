@@ -20,41 +20,21 @@ from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load_typed
 from pydrake.multibody.parsing import ModelDirective
 from pydrake.systems.sensors import CameraConfig
 
+from drake_oa.depth_noise import RANGES, DepthNoiseParameters
 from drake_oa.dmp import ALPHA_K, ALPHA_X, BETA_X
+from drake_oa.faults import CameraFault, Fault
+from drake_oa.obstacles import Obstacle, check_obstacles
 from drake_oa.point_cloud import SegmentationConfig
+from drake_oa.scenario_fields import choice as _choice
+from drake_oa.scenario_fields import count as _count
+from drake_oa.scenario_fields import number as _number
+from drake_oa.scenario_fields import vector as _vector
 from drake_oa.schema_check import ScenarioError, apply_override, check, read_yaml
 from drake_oa.verification import SearchParameters
 
 _SEARCH = SearchParameters()
+_NOISE = DepthNoiseParameters()
 _SUFFIX = ".scenario.yaml"
-
-
-def _number(
-    default: float,
-    unit: str,
-    low: float = -math.inf,
-    high: float = math.inf,
-    *,
-    open_low: bool = False,
-) -> Any:
-    return dc.field(
-        default=default, metadata={"unit": unit, "low": low, "high": high, "open_low": open_low}
-    )
-
-
-def _choice(default: str, *others: str) -> Any:
-    return dc.field(default=default, metadata={"choices": (default, *others)})
-
-
-def _count(default: int, low: int, high: int) -> Any:
-    return dc.field(default=default, metadata={"unit": "1", "low": low, "high": high})
-
-
-def _vector(default: list[float], unit: str, size: int | None = None) -> Any:
-    return dc.field(
-        default_factory=lambda: list(default),
-        metadata={"unit": unit, "size": len(default) if size is None else size},
-    )
 
 
 @dc.dataclass
@@ -131,12 +111,41 @@ class Regressor:
 
 
 @dc.dataclass
+class Supervisor:
+    """What slows, holds or stops a motion of the robot that is not safe."""
+
+    # Distance of a link to an obstacle or the table at which an approach is at rest [m].
+    stop_distance: float = _number(0.025, "m", 0.0, 1.0)
+    # The controller comes to rest this much later than the policy, whose own time
+    # is `policy.hold_time` [s].
+    lag: float = _number(0.05, "s", 0.0, 10.0)
+    # Share of full speed at which a link that is nearer may leave.
+    leave_scale: float = _number(0.2, "1", 0.0, 1.0, open_low=True)
+    # Frames that may be missed before the motion slows; it is held at the age
+    # `policy.max_observation_age`.
+    stale_frames: float = _number(2.5, "1", 1.0, 1e6)
+    # Distance of a joint from its position limit at which an approach is at rest [rad].
+    joint_margin: float = _number(0.02, "rad", 0.0, 3.0)
+    # Tracking error of the tool point that begins to slow the motion, and that holds it [m].
+    tracking_slow: float = _number(0.02, "m", 0.0, 1.0, open_low=True)
+    tracking_hold: float = _number(0.05, "m", 0.0, 1.0, open_low=True)
+    # Torque saturation that lasts longer slows the motion [s].
+    saturation_time: float = _number(0.1, "s", 0.0, 10.0, open_low=True)
+    # Time in which the speed rises from rest to full [s].
+    recovery_time: float = _number(1.0, "s", 0.0, 60.0, open_low=True)
+    # A hold that cannot end by itself becomes a stop after this time [s].
+    patience: float = _number(3.0, "s", 0.0, 600.0, open_low=True)
+
+
+@dc.dataclass
 class Gains:
     """Stiffness and damping of the Cartesian controller (critical by default)."""
 
     # Position [1/s^2] and [1/s].
     kp_position: float = _number(400.0, "1/s^2", 0.0, 1e5)
     kd_position: float = _number(40.0, "1/s", 0.0, 1e4)
+    # Of the position error's integral, below kp kd; 0: none [1/s^3].
+    ki_position: float = _number(1000.0, "1/s^3", 0.0, 1e6)
     # Orientation.
     kp_orientation: float = _number(400.0, "1/s^2", 0.0, 1e5)
     kd_orientation: float = _number(40.0, "1/s", 0.0, 1e4)
@@ -169,11 +178,51 @@ class Robot:
     gains: Gains = dc.field(default_factory=Gains)
 
 
+def _noise(name: str, unit: str) -> Any:
+    return _number(getattr(_NOISE, name), unit, *RANGES[name])
+
+
+@dc.dataclass
+class CameraNoise:
+    """Noise of a structured-light camera: see `DepthNoiseParameters` for the model."""
+
+    # Deviation along the optical axis: offset + growth (z - depth)^2, and more at an angle.
+    axial_offset: float = _noise("axial_offset", "m")
+    axial_growth: float = _noise("axial_growth", "1/m")
+    axial_depth: float = _noise("axial_depth", "m")
+    axial_angle: float = _noise("axial_angle", "m^1.5")
+    # Deviation of an edge's place in the image [pixel].
+    lateral: float = _noise("lateral", "pixel")
+    # Pixels over which the axial noise is smooth, along rows and columns.
+    correlation_u: int = _count(_NOISE.correlation_u, 1, 64)
+    correlation_v: int = _count(_NOISE.correlation_v, 1, 64)
+    # From camera to projector [m], and steps of disparity a pixel.
+    baseline: float = _noise("baseline", "m")
+    subpixels: float = _noise("subpixels", "1/pixel")
+    # Unit in which the driver hands out depths [m].
+    unit: float = _noise("unit", "m")
+    # What is nearer or farther is missing [m]; so is what the camera's own range leaves out.
+    near: float = _noise("near", "m")
+    far: float = _noise("far", "m")
+    # Incidence at which pixels begin to be missing, and from which all are [rad].
+    grazing_start: float = _noise("grazing_start", "rad")
+    grazing_end: float = _noise("grazing_end", "rad")
+    # Difference between neighbours that is an edge, as a share of depth.
+    edge_jump: float = _noise("edge_jump", "1")
+    # Shares of the pixels beside an edge: missing, and between both surfaces.
+    edge_dropout: float = _noise("edge_dropout", "1")
+    flying: float = _noise("flying", "1")
+    # Whether what the projector does not light is missing.
+    shadows: bool = _NOISE.shadows
+
+
 @dc.dataclass
 class DepthCamera:
     """Obstacles as a depth camera of `cameras` sees them."""
 
     camera: str = "camera"
+    # Noise of the camera, {} for the published figures; null: an ideal camera.
+    noise: CameraNoise | None = None
     # Changes to the segmentation's defaults: see `SegmentationConfig`.
     segmentation: dict[str, float] = dc.field(default_factory=dict)
 
@@ -222,8 +271,7 @@ class Scenario:
 
     # One line for `drake-oa scenarios`.
     description: str = ""
-    # Kept with report and log, for noise models to come: nothing random depends on it
-    # today, and the same scenario always runs the same.
+    # Of the camera's noise: the same scenario with the same seed always runs the same.
     seed: int = _count(0, 0, 2**31 - 1)
     # Step of the simulated plant and controller [s].
     plant_step: float = _number(0.002, "s", 1e-5, 0.01)
@@ -234,6 +282,8 @@ class Scenario:
     # What stands in the world besides the robot (Drake model directives).
     # Obstacles are the model instances whose name starts with "obstacle".
     directives: list[ModelDirective] = dc.field(default_factory=list)
+    # Obstacles of primitive shapes, written here.
+    obstacles: list[Obstacle] = dc.field(default_factory=list)
     # Drake's camera configurations, each with a name of its own.
     cameras: list[CameraConfig] = dc.field(default_factory=list)
     # Where obstacles come from.
@@ -242,8 +292,12 @@ class Scenario:
     )
     # What the coupling parameters come from.
     regulation: Verified | Regressor = dc.field(default_factory=Verified)
+    # What watches the motion of the robot, or null: nothing does.
+    supervisor: Supervisor | None = dc.field(default_factory=Supervisor)
     # Height of the table in the world; null: there is none [m].
     table_height: float | None = dc.field(default=0.0, metadata={"unit": "m"})
+    # What goes wrong, and when.
+    faults: list[Fault] = dc.field(default_factory=list)
 
 
 def shipped_scenarios() -> dict[str, Path]:
@@ -320,12 +374,16 @@ def _check_whole(scenario: Scenario) -> None:
     for name in names:
         if names.count(name) > 1:
             raise ScenarioError(f"cameras: two cameras are named '{name}'; each needs its own name")
+    check_obstacles(scenario.obstacles)
+    _check_faults(scenario)
     perception = scenario.perception
     if isinstance(perception, DepthCamera) and perception.camera not in names:
         raise ScenarioError(
             f"perception.camera: there is no camera '{perception.camera}'; "
             f"cameras has {', '.join(names) or 'none'}"
         )
+    if isinstance(perception, DepthCamera) and perception.noise is not None:
+        noise_parameters(perception.noise)
     if isinstance(perception, (DepthCamera, RecordedClouds)):
         segmentation_config(perception.segmentation)
     if isinstance(perception, RecordedClouds) and not perception.folder:
@@ -342,11 +400,30 @@ def _check_whole(scenario: Scenario) -> None:
             "robot: null (a free point) needs 'perception: !GivenEllipsoids'; "
             f"it has !{type(perception).__name__}"
         )
+    supervisor = scenario.supervisor
+    if supervisor is not None and supervisor.tracking_hold <= supervisor.tracking_slow:
+        raise ScenarioError(
+            f"supervisor.tracking_hold: {supervisor.tracking_hold} must be more than "
+            f"supervisor.tracking_slow, {supervisor.tracking_slow} [m]"
+        )
     start, goal = np.asarray(scenario.task.start), np.asarray(scenario.task.goal)
     if np.linalg.norm(goal - start) < 1e-3:
         raise ScenarioError(
             f"task.goal: {scenario.task.goal} is the start; they must be at least 1 mm apart"
         )
+
+
+def _check_faults(scenario: Scenario) -> None:
+    """Refuses faults of something that the scenario does not have."""
+    for number, fault in enumerate(scenario.faults):
+        what = f"faults[{number}]: !{type(fault).__name__}"
+        if isinstance(fault, CameraFault) and not isinstance(scenario.perception, DepthCamera):
+            raise ScenarioError(
+                f"{what} needs 'perception: !DepthCamera'; it has "
+                f"!{type(scenario.perception).__name__}"
+            )
+        if scenario.robot is None:
+            raise ScenarioError(f"{what} needs a robot; this scenario has null")
 
 
 def segmentation_config(changes: dict[str, float], **defaults: Any) -> SegmentationConfig:
@@ -363,6 +440,18 @@ def segmentation_config(changes: dict[str, float], **defaults: Any) -> Segmentat
     except (TypeError, ValueError) as error:
         valid = ", ".join(item.name for item in dc.fields(SegmentationConfig))
         raise ScenarioError(f"perception.segmentation: {error}; fields: {valid}") from None
+
+
+def noise_parameters(noise: CameraNoise) -> DepthNoiseParameters:
+    """The camera's noise as the model takes it.
+
+    Raises:
+        ScenarioError: for limits that do not fit each other.
+    """
+    try:
+        return DepthNoiseParameters(**vars(noise))
+    except ValueError as error:
+        raise ScenarioError(f"perception.noise.{error}") from None
 
 
 def _resolve_files(data: dict[str, Any], base: Path) -> None:
@@ -389,5 +478,28 @@ def package_file(url_or_file: str) -> Path:
 
 
 def scenario_text(scenario: Scenario) -> str:
-    """The scenario as YAML, defaults included, as it is written into a log."""
-    return yaml_dump_typed(scenario)
+    """The scenario as YAML, defaults included, as it is written into a log.
+
+    `parse_scenario` makes the same scenario of it.
+    """
+    text: str = yaml_dump_typed(scenario)
+    data = read_yaml(text)
+    # yaml_dump_typed leaves nulls out; reading that back would give the defaults.
+    return yaml_dump(data) if _add_nulls(scenario, data) else text
+
+
+def _add_nulls(value: Any, data: Any) -> bool:
+    """Writes the fields of a dataclass that are None into its mapping; says if any was."""
+    found = False
+    if isinstance(value, list):
+        for inner, place in zip(value, data, strict=True):
+            found |= _add_nulls(inner, place)
+    if not dc.is_dataclass(value):
+        return found
+    for item in dc.fields(value):
+        inner = getattr(value, item.name)
+        if inner is None:
+            data[item.name], found = None, True
+        elif item.name in data:
+            found |= _add_nulls(inner, data[item.name])
+    return found

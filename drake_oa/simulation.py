@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from pydrake.geometry import Meshcat
@@ -12,13 +13,17 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, EventStatus
 from pydrake.systems.primitives import VectorLogSink
 
+from drake_oa.action import SCALED_TO_REST
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.dmp import normalised_time
 from drake_oa.layers import make_dmp
 from drake_oa.motion_log import MotionLog, pack_ellipsoids
 from drake_oa.provenance import software_versions
 from drake_oa.regressor import CouplingParameters
+from drake_oa.robot_limits import RobotLimits, frame_path, robot_limits
 from drake_oa.scenario import Scenario, scenario_text
+from drake_oa.station import TOOL_FRAME
+from drake_oa.supervision import Supervision
 from drake_oa.values import EllipsoidSet, FloatArray, PolicyState
 from drake_oa.verification import SearchParameters
 
@@ -42,7 +47,7 @@ class MotionInterruptedError(RuntimeError):
         self.log = log
 
 
-class _Watcher:
+class MotionWatcher:
     """Looks at the policy after each step: records, reports progress, ends the run."""
 
     def __init__(
@@ -72,8 +77,10 @@ class _Watcher:
         if diagram.HasSubsystemNamed("regressor_chain"):
             self._chain = diagram.GetSubsystemByName("regressor_chain")
         self.frames: list[EllipsoidSet] = []
+        self.frame_times: list[float] = []
         self.out_of_range: list[int] = []
         self.events: list[tuple[float, str]] = []
+        self.supervision: list[tuple[float, str, str]] = []
         self.stop_reason = ""
 
     def __call__(self, root: Context) -> EventStatus:
@@ -82,12 +89,17 @@ class _Watcher:
             return EventStatus.DidNothing()
         self._next_time = now + 0.5 * self._period
         policy: PolicyState = self._policy_port.Eval(self._policy_system.GetMyContextFromRoot(root))
+        supervision = self._supervision(root)
+        if policy.note == SCALED_TO_REST and supervision.reason:
+            policy = replace(policy, note=f"supervisor: {supervision.reason}")
         self._record(root, now, policy)
         if self._on_progress is not None:
             self._on_progress(now, policy.phase)
         s = normalised_time(policy.phase, self._alpha_k)
         if s >= 1.0 - 1e-9 and _has_arrived(policy):
             return self._stop("goal")
+        if supervision.action == "stop" and policy.speed == 0.0:
+            return self._stop(f"stopped: {supervision.reason}")
         if s >= LATEST_END:
             error = math.dist(policy.p_WE, policy.p_WG)
             return self._stop(f"goal missed by {1e3 * error:.1f} mm at s = {LATEST_END:g}")
@@ -100,6 +112,7 @@ class _Watcher:
     def _record(self, root: Context, now: float, policy: PolicyState) -> None:
         if policy.note != (self.events[-1][1] if self.events else ""):
             self.events.append((now, policy.note))
+        self._record_supervision(root, now)
         if not policy.note:
             self._held_since = None
         elif self._held_since is None:
@@ -110,7 +123,23 @@ class _Watcher:
             )
             if seen.stamp > -math.inf and (not self.frames or seen.stamp != self.frames[-1].stamp):
                 self.frames.append(seen)
+                self.frame_times.append(now)
                 self.out_of_range.append(self._count_out_of_range(root))
+
+    def _supervision(self, root: Context) -> Supervision:
+        if not self._diagram.HasSubsystemNamed("supervisor"):
+            return Supervision()
+        system = self._diagram.GetSubsystemByName("supervisor")
+        said: Supervision = system.GetOutputPort("supervision").Eval(
+            system.GetMyContextFromRoot(root)
+        )
+        return said
+
+    def _record_supervision(self, root: Context, now: float) -> None:
+        said = self._supervision(root)
+        before = self.supervision[-1][1:] if self.supervision else ("run", "")
+        if (said.action, said.reason) != before:
+            self.supervision.append((now, said.action, said.reason))
 
     def _count_out_of_range(self, root: Context) -> int:
         if self._chain is None:
@@ -156,7 +185,30 @@ def simulate(
     diagram = build_avoidance(scenario, modulated=modulated, meshcat=meshcat)
     simulator = Simulator(diagram)
     end_time = make_dmp(scenario).duration * LONGEST_SCALING if duration is None else duration
-    watcher = _Watcher(diagram, scenario, end_time, on_progress)
+    watcher = MotionWatcher(diagram, scenario, end_time, on_progress)
+    return run_motion(scenario, simulator, watcher, end_time, modulated=modulated)
+
+
+def run_motion(
+    scenario: Scenario,
+    simulator: Simulator,
+    watcher: MotionWatcher,
+    end_time: float,
+    *,
+    modulated: bool,
+) -> MotionLog:
+    """Runs a diagram with a `dmp_integrator` until the watcher or the time ends it.
+
+    Args:
+        scenario: what the diagram was made from.
+        simulator: of the diagram, its Context as the motion starts.
+        watcher: the monitor.
+        end_time: time limit [s].
+        modulated: for the log.
+
+    Raises:
+        MotionInterruptedError: as `simulate` does.
+    """
     started = time.perf_counter()
     try:
         simulator.Initialize()
@@ -174,7 +226,7 @@ def simulate(
 def _collect(
     scenario: Scenario,
     simulator: Simulator,
-    watcher: _Watcher,
+    watcher: MotionWatcher,
     modulated: bool,
     wall_time: float,
 ) -> MotionLog:
@@ -189,29 +241,47 @@ def _collect(
             signals[system.get_name().removeprefix("log_")] = log.data().T.copy()
     count = len(t)
     empty = np.zeros((count, 0))
+
+    def scalar(name: str, otherwise: float) -> FloatArray:
+        return signals.get(name, np.full((count, 1), otherwise))[:, 0]
+
     state = signals.get("robot_state", empty)
     half = state.shape[1] // 2
-    stamp, p_WO, R_WO, semi_axes = pack_ellipsoids(watcher.frames)
+    q, q_world = state[:, :half], empty
+    p_WE, limits = signals["desired_position"], RobotLimits()
+    if scenario.robot is not None:
+        plant = diagram.GetSubsystemByName("plant")
+        robot = plant.GetFrameByName(TOOL_FRAME).model_instance()
+        p_WE, limits = frame_path(plant, robot, TOOL_FRAME, q), robot_limits(plant, robot)
+        q_world = signals.get("plant_state", empty)[:, : plant.num_positions()]
     return MotionLog(
         t=t,
-        q=state[:, :half],
+        q=q,
         v=state[:, half:],
         torque=signals.get("actuation", empty),
-        saturated=signals.get("torque_saturation", np.zeros((count, 1)))[:, 0],
+        saturated=scalar("torque_saturation", 0.0),
+        p_WE=p_WE,
         desired_position=signals["desired_position"],
         desired_velocity=signals["desired_velocity"],
         desired_acceleration=signals["desired_acceleration"],
         phase=signals["phase"][:, 0],
-        observation_stamp=stamp,
-        p_WO=p_WO,
-        R_WO=R_WO,
-        semi_axes=semi_axes,
+        speed_scale=scalar("speed_scale", 1.0),
+        tracking_error=np.linalg.norm(
+            signals.get("tracking_error", np.full((count, 1), math.nan)), axis=1
+        ),
+        q_world=q_world,
+        observation_time=np.array(watcher.frame_times),
+        **pack_ellipsoids(watcher.frames),
         out_of_range=np.array(watcher.out_of_range, dtype=np.int64),
         regulation=type(scenario.regulation).__name__ if modulated else "",
-        shortfall=signals.get("shortfall", np.zeros((count, 1)))[:, 0],
-        short_of=signals.get("short_of", np.full((count, 1), -1.0))[:, 0].astype(np.int64),
+        shortfall=scalar("shortfall", 0.0),
+        short_of=scalar("short_of", -1.0).astype(np.int64),
         event_time=np.array([when for when, _ in watcher.events]),
         event=tuple(note for _, note in watcher.events),
+        supervision_time=np.array([when for when, _, _ in watcher.supervision]),
+        supervision_action=tuple(action for _, action, _ in watcher.supervision),
+        supervision_reason=tuple(reason for _, _, reason in watcher.supervision),
+        **vars(limits),
         stop_reason=watcher.stop_reason,
         wall_time=wall_time,
         modulated=modulated,

@@ -26,14 +26,22 @@ from pydrake.multibody.plant import (
 )
 from pydrake.multibody.tree import FixedOffsetFrame, Frame, ModelInstanceIndex
 from pydrake.systems.framework import Diagram, DiagramBuilder
-from pydrake.systems.sensors import ApplyCameraConfig, CameraConfig, RgbdSensor
+from pydrake.systems.rendering import MultibodyPositionToGeometryPose
+from pydrake.systems.sensors import (
+    ApplyCameraConfig,
+    CameraConfig,
+    RgbdSensor,
+)
 
 from drake_oa.collision_shapes import outline_corners
+from drake_oa.fault_obstacles import goal_ball, start_plate
+from drake_oa.faults import GoalBlocked, StartInContact
+from drake_oa.obstacles import OBSTACLE_PREFIX, Obstacle, add_obstacle
+from drake_oa.panda_inertias import with_uniform_density
 from drake_oa.scenario import Robot, Scenario, ScenarioError
 from drake_oa.values import FloatArray
 
 TOOL_FRAME = "tool_point"
-OBSTACLE_PREFIX = "obstacle"
 
 
 def make_parser(plant: MultibodyPlant) -> Parser:
@@ -44,10 +52,19 @@ def make_parser(plant: MultibodyPlant) -> Parser:
     return parser
 
 
-def _add_robot(plant: MultibodyPlant, robot: Robot) -> ModelInstanceIndex:
+def _add_robot(
+    plant: MultibodyPlant, robot: Robot, *, uniform_density: bool = False
+) -> ModelInstanceIndex:
     """Adds the arm, welds its base to the world, adds the tool frame E."""
+    parser = make_parser(plant)
     try:
-        (instance,) = make_parser(plant).AddModels(url=robot.model)
+        if uniform_density:
+            urdf = Path(parser.package_map().ResolveUrl(robot.model)).read_text()
+            (instance,) = parser.AddModelsFromString(with_uniform_density(urdf), "urdf")
+        else:
+            (instance,) = parser.AddModels(url=robot.model)
+    except ScenarioError:
+        raise
     except (RuntimeError, ValueError) as error:
         raise ScenarioError(f"robot.model: cannot load '{robot.model}': {error}") from None
     for field, link in (("base_link", robot.base_link), ("hand_link", robot.hand_link)):
@@ -90,11 +107,17 @@ class RobotPlant:
         return self.plant.GetFrameByName(TOOL_FRAME)
 
 
-def make_robot_plant(robot: Robot) -> RobotPlant:
-    """The robot alone, welded to the world as in the station."""
+def make_robot_plant(robot: Robot, *, uniform_density: bool = False) -> RobotPlant:
+    """The robot alone, welded to the world as in the station.
+
+    Args:
+        robot: which, and its base.
+        uniform_density: whether it has the inertias of `drake_oa.panda_inertias` in place
+            of its own.
+    """
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
-    instance = _add_robot(plant, robot)
+    instance = _add_robot(plant, robot, uniform_density=uniform_density)
     plant.Finalize()
     return RobotPlant(builder.Build(), plant, scene_graph, instance)
 
@@ -106,6 +129,11 @@ def tool_corners(robot_plant: RobotPlant, robot: Robot) -> FloatArray:
     task: tool at `robot.rpy_WE`, fingers open by `robot.finger_opening`. A rounded
     shape gives the corners of the box round it.
     """
+    return np.concatenate(tool_link_corners(robot_plant, robot))
+
+
+def tool_link_corners(robot_plant: RobotPlant, robot: Robot) -> list[FloatArray]:
+    """The same link by link: (K_i, 3) each [m]."""
     plant = robot_plant.plant
     inspector = robot_plant.scene_graph.model_inspector()
     context = plant.CreateDefaultContext()
@@ -118,15 +146,18 @@ def tool_corners(robot_plant: RobotPlant, robot: Robot) -> FloatArray:
             raise ScenarioError(f"robot.tool_links: '{robot.model}' has no link '{link}'")
         body = plant.GetBodyByName(link, robot_plant.instance)
         X_EB = X_WE.inverse() @ plant.EvalBodyPoseInWorld(context, body)
+        of_link = []
         for geometry in plant.GetCollisionGeometriesForBody(body):
             try:
                 p_BQ = outline_corners(inspector, geometry)
             except ValueError as error:
                 raise ScenarioError(f"robot.tool_links: {error}") from None
-            corners.append((R_WE @ X_EB.multiply(p_BQ.T)).T)
+            of_link.append((R_WE @ X_EB.multiply(p_BQ.T)).T)
+        if of_link:
+            corners.append(np.concatenate(of_link))
     if not corners:
         raise ScenarioError(f"robot.tool_links: {robot.tool_links} have no collision geometry")
-    return np.concatenate(corners)
+    return corners
 
 
 def home_positions(robot_plant: RobotPlant, robot: Robot) -> FloatArray:
@@ -155,6 +186,46 @@ class Station:
     cameras: dict[str, RgbdSensor]
 
 
+def add_world(plant: MultibodyPlant, scenario: Scenario) -> ModelInstanceIndex:
+    """Adds the robot and everything else that stands in a scenario's world to a plant.
+
+    Args:
+        plant: registered with a scene graph, not finalized.
+        scenario: with a robot.
+
+    Returns:
+        The robot's model instance.
+
+    Raises:
+        ScenarioError: naming the field of the scenario that does not fit.
+    """
+    if scenario.robot is None:
+        raise ScenarioError("robot: a station needs a robot; this scenario has null")
+    robot = _add_robot(plant, scenario.robot)
+    try:
+        ProcessModelDirectives(ModelDirectives(directives=scenario.directives), make_parser(plant))
+    except RuntimeError as error:
+        raise ScenarioError(f"directives: {error}") from None
+    for obstacle in all_obstacles(scenario):
+        add_obstacle(plant, obstacle)
+    return robot
+
+
+def all_obstacles(scenario: Scenario) -> list[Obstacle]:
+    """The obstacles that a scenario writes out, then those that its faults bring."""
+    obstacles = list(scenario.obstacles)
+    robot, task = scenario.robot, scenario.task
+    for number, fault in enumerate(scenario.faults):
+        name = f"fault{number}"
+        if isinstance(fault, GoalBlocked):
+            obstacles.append(goal_ball(fault, np.asarray(task.start), np.asarray(task.goal), name))
+        elif isinstance(fault, StartInContact) and robot is not None:
+            corners = tool_corners(make_robot_plant(robot), robot)
+            start, goal = np.asarray(task.start), np.asarray(task.goal)
+            obstacles.append(start_plate(fault, corners, start, goal, name))
+    return obstacles
+
+
 def make_station(builder: DiagramBuilder, scenario: Scenario, *, render: bool = True) -> Station:
     """Adds the simulated cell of a scenario to a builder.
 
@@ -166,47 +237,75 @@ def make_station(builder: DiagramBuilder, scenario: Scenario, *, render: bool = 
     Raises:
         ScenarioError: naming the field of the scenario that does not fit.
     """
-    if scenario.robot is None:
-        raise ScenarioError("robot: a station needs a robot; this scenario has null")
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=scenario.plant_step)
     # Sampled ports would copy the diagram's whole state at each step (docs/design.md).
     plant.SetUseSampledOutputPorts(False)
-    robot = _add_robot(plant, scenario.robot)
-    try:
-        ProcessModelDirectives(ModelDirectives(directives=scenario.directives), make_parser(plant))
-    except RuntimeError as error:
-        raise ScenarioError(f"directives: {error}") from None
+    robot = add_world(plant, scenario)
     plant.Finalize()
-    cameras: dict[str, RgbdSensor] = {}
-    if render:
-        for config in scenario.cameras:
-            cameras[config.name] = _add_camera(builder, plant, scene_graph, config)
+    cameras = _add_cameras(builder, scenario, plant) if render else {}
     obstacles = tuple(
         instance
         for instance in map(ModelInstanceIndex, range(plant.num_model_instances()))
         if plant.GetModelInstanceName(instance).startswith(OBSTACLE_PREFIX)
     )
-    _refuse_movable(plant, obstacles)
+    _refuse_movable(plant, obstacles, all_obstacles(scenario))
     return Station(plant, scene_graph, robot, obstacles, cameras)
 
 
-def _refuse_movable(plant: MultibodyPlant, obstacles: tuple[ModelInstanceIndex, ...]) -> None:
-    """Metrics and ellipsoids take obstacles to stay where the directives put them."""
+def _refuse_movable(
+    plant: MultibodyPlant, obstacles: tuple[ModelInstanceIndex, ...], driven: list[Obstacle]
+) -> None:
+    """An obstacle that nothing drives would fall, or be pushed away, unlike a real one."""
+    on_course = {f"{OBSTACLE_PREFIX}_{item.name}" for item in driven if item.waypoints}
     for instance in obstacles:
         name = plant.GetModelInstanceName(instance)
+        if name in on_course:
+            continue
         for index in plant.GetBodyIndices(instance):
             body = plant.get_body(index)
             if not plant.IsAnchored(body):
                 raise ScenarioError(
                     f"directives: link '{body.name()}' of obstacle '{name}' can move; obstacles "
-                    "must stand still: weld it to the world by an add_weld"
+                    "must stand still: weld it to the world by an add_weld, or write it under "
+                    "`obstacles` with waypoints"
                 )
+
+
+def _add_cameras(
+    builder: DiagramBuilder, scenario: Scenario, plant: MultibodyPlant
+) -> dict[str, RgbdSensor]:
+    """Adds the cameras, in a scene graph of their own that follows the plant's positions.
+
+    In the plant's scene graph its every step would pose the renderer's geometry too.
+    """
+    if not scenario.cameras:
+        return {}
+    shown = MultibodyPlant(time_step=scenario.plant_step)
+    scene_graph = builder.AddNamedSystem("camera_scene_graph", SceneGraph())
+    shown.RegisterAsSourceForSceneGraph(scene_graph)
+    add_world(shown, scenario)
+    shown.Finalize()
+    poses = builder.AddNamedSystem(
+        "camera_world", MultibodyPositionToGeometryPose(shown, input_multibody_state=True)
+    )
+    builder.Connect(plant.get_state_output_port(), poses.get_input_port())
+    builder.Connect(
+        poses.get_output_port(), scene_graph.get_source_pose_port(shown.get_source_id())
+    )
+    return {
+        config.name: _add_camera(builder, shown, scene_graph, config) for config in scenario.cameras
+    }
 
 
 def _add_camera(
     builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph, config: CameraConfig
 ) -> RgbdSensor:
     """Adds one of Drake's configured cameras, without any image publisher."""
+    if config.output_delay > 0.0:
+        # Drake renders late images in a thread, in which its engines do not work.
+        raise ScenarioError(
+            f"cameras: camera '{config.name}' has output_delay {config.output_delay}; it must be 0"
+        )
     known = {system.get_name() for system in builder.GetSystems()}
     try:
         # A null message queue: otherwise a publisher is added that renders each frame anew.

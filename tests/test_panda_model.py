@@ -300,7 +300,7 @@ def test_collision_geometry_encloses_the_visual(
 def test_what_a_camera_renders_is_near_the_shell(link: str) -> None:
     fine, coarse = _visual_points(link), _visual_points(link, "_coarse")
     distance, _ = cKDTree(fine).query(coarse)
-    # Vertices and centroids lie on the mesh, up to 6 mm from a face and half an edge from a point of the shell.
+    # Up to 6 mm from a face of the shell, and half an edge more from a point of it.
     assert distance.max() < 0.016
 
 

@@ -4,7 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from drake_oa.depth_noise import DepthNoiseParameters
 from drake_oa.scenario import (
+    CameraNoise,
     DepthCamera,
     GivenEllipsoids,
     GroundTruth,
@@ -14,6 +16,7 @@ from drake_oa.scenario import (
     ScenarioError,
     Verified,
     load_scenario,
+    noise_parameters,
     parse_scenario,
     scenario_text,
     shipped_scenarios,
@@ -51,6 +54,35 @@ def test_perception_is_swapped_by_its_block_alone() -> None:
     ):
         scenario = load_scenario("tabletop_box", [f"perception={text}"])
         assert isinstance(scenario.perception, kind)
+
+
+def test_the_shipped_cameras_are_noisy_and_need_not_be() -> None:
+    for name in NAMES[1:]:
+        assert load_scenario(name).perception.noise == CameraNoise()
+    assert load_scenario("tabletop_box", ["perception.noise=null"]).perception.noise is None
+    changed = load_scenario("tabletop_box", ["perception.noise={far: 3.0, shadows: false}"])
+    assert changed.perception.noise == CameraNoise(far=3.0, shadows=False)
+    assert load_scenario("tabletop_box", ["perception=!DepthCamera {}"]).perception.noise is None
+
+
+def test_the_camera_s_noise_is_the_model_s_field_by_field() -> None:
+    assert noise_parameters(CameraNoise()) == DepthNoiseParameters()
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ("{lateral: -1}", ["perception.noise.lateral", "[0, 2]", "pixel"]),
+        ("{seed: 1}", ["perception.noise.seed is not a field", "axial_offset"]),
+        ("{correlation_u: 0.5}", ["perception.noise.correlation_u", "whole number"]),
+        ("{near: 3.0, far: 2.0}", ["perception.noise.near must be below far"]),
+        ("true", ["perception.noise", "expected a block"]),
+    ],
+)
+def test_unfit_noise_is_named(value: str, words: list[str]) -> None:
+    with pytest.raises(ScenarioError) as caught:
+        load_scenario("tabletop_box", [f"perception.noise={value}"])
+    assert all(word in str(caught.value) for word in words), caught.value
 
 
 def test_regulation_is_verified_unless_the_paper_s_is_asked_for() -> None:

@@ -50,17 +50,22 @@ def test_subsystems_have_the_documented_names() -> None:
     for name in (
         "plant",
         "scene_graph",
+        "camera_scene_graph",
         "rgbd_sensor_camera",
+        "depth_noise",
         "perception",
         "ellipsoid_descriptor",
         "regressor_chain",
-        "cost_ring_selector",
         "goal",
         "dmp_integrator",
         "controller",
+        "supervisor",
         "log_robot_state",
     ):
         assert diagram.HasSubsystemNamed(name)
+    assert not diagram.HasSubsystemNamed("cost_ring_selector")
+    rings = build_avoidance(load_scenario("tabletop_box", ["regulation=!Regressor {}"]))
+    assert rings.HasSubsystemNamed("cost_ring_selector")
     free = build_avoidance(load_scenario("free_space"), modulated=False)
     assert not free.HasSubsystemNamed("perception")
     assert not free.HasSubsystemNamed("plant")

@@ -45,7 +45,12 @@ def test_every_system_documents_its_ports() -> None:
 
 @pytest.mark.parametrize(
     "override",
-    ["perception=!DepthCamera {}", "perception=!GroundTruth {}", "recorded"],
+    [
+        "perception=!DepthCamera {}",
+        "perception=!DepthCamera {noise: {}}",
+        "perception=!GroundTruth {}",
+        "recorded",
+    ],
 )
 def test_documented_ports_are_the_declared_ones(override: str, recording_folder: Any) -> None:
     if override == "recorded":
@@ -62,4 +67,4 @@ def test_documented_ports_are_the_declared_ones(override: str, recording_folder:
             assert [str(p).split(" ")[0] for p in listed.get("input_ports") or []] == inputs
             assert [str(p).split(" ")[0] for p in listed["output_ports"]] == outputs
             checked += 1
-    assert checked == 6
+    assert checked == 8 + ("noise" in override)
