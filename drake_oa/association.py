@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from drake_oa.tracking_kernels import counted_votes
 from drake_oa.values import BoolArray, FloatArray, IntArray
 
 _FEW = 4  # common points that say nothing
@@ -61,10 +62,7 @@ def associate(
     """
     sizes = np.bincount(cluster, minlength=clusters)
     known = np.bincount(owner, minlength=tracks)
-    vote_row = np.append(owner, -1)[voted]
-    near = vote_row >= 0
-    votes = np.bincount(cluster[near] * tracks + vote_row[near], minlength=clusters * tracks)
-    votes = votes.reshape(clusters, tracks)
+    votes, vote_row = counted_votes(cluster, clusters, voted, owner, tracks)
     least = np.maximum(_FEW, _SHARE * np.minimum(sizes[:, None], known[None]))
     claims = votes >= least
     cluster_row = np.full(clusters, -1, dtype=np.int64)
@@ -123,7 +121,9 @@ def _divided(
     points: FloatArray, vote: IntArray, rows: IntArray, remembered: FloatArray, owner: IntArray
 ) -> IntArray:
     """Rows (Q,) for the points of one cluster that several obstacles claim."""
-    result = np.where(np.isin(vote, rows), vote, -1)
+    claiming = np.zeros(max(int(vote.max(initial=-1)), int(rows.max())) + 2, dtype=bool)
+    claiming[rows] = True  # of -1 the last place, which is no obstacle's
+    result = np.where(claiming[vote], vote, -1)
     far = np.flatnonzero(result < 0)
     if len(far):
         gaps = []

@@ -47,14 +47,24 @@ def held_clouds(
     owner = np.where(points.confirmed, points.owner, -1)
     reach = supports(points.p_OQ, owner, len(ids), _DIRECTIONS)
     count = np.bincount(owner[points.confirmed], minlength=len(ids))
-    held = {}
-    for row in np.flatnonzero(listed):
-        name = int(ids[row])
+    rows = np.flatnonzero(listed)
+    names = ids[rows].tolist()
+    known = [previous[name] for name in names if name in previous]
+    same, placed = _unchanged(
+        known,
+        reach,
+        shift_W,
+        count,
+        rows[np.array([name in previous for name in names], dtype=bool)],
+        config,
+    )
+    held, place = {}, 0
+    for row, name in zip(rows, names, strict=True):
         old = previous.get(name)
-        if old is None or _changed(old, reach[row], int(count[row]), config):
-            p_OQ = points.p_OQ[owner == row]
-            held[name] = _cloud(p_OQ, shift_W[row], reach[row])
-        elif not np.array_equal(old.shift_W, shift_W[row]):
+        place += old is not None
+        if old is None or not same[place - 1]:
+            held[name] = _cloud(points.p_OQ[owner == row], shift_W[row], reach[row])
+        elif not placed[place - 1]:
             held[name] = _cloud(old.p_OQ, shift_W[row], old.reach)
         else:
             held[name] = old
@@ -67,11 +77,22 @@ def _cloud(p_OQ: FloatArray, shift_W: FloatArray, reach: FloatArray) -> HeldClou
     return HeldCloud(p_OQ, p_WQ, np.array(shift_W), np.array(reach))
 
 
-def _changed(old: HeldCloud, reach: FloatArray, count: int, config: TrackingConfig) -> bool:
-    more = reach - old.reach
-    if more.max() > config.grown or more.min() < -config.shrunk:
-        return True
-    return abs(count - len(old.p_OQ)) > config.changed_share * len(old.p_OQ)
+def _unchanged(
+    known: list[HeldCloud],
+    reach: FloatArray,
+    shift_W: FloatArray,
+    count: IntArray,
+    rows: IntArray,
+    config: TrackingConfig,
+) -> tuple[BoolArray, BoolArray]:
+    """Which of K held clouds, of these rows, still do, and which are where they were."""
+    if not known:
+        return np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
+    more = reach[rows] - np.array([old.reach for old in known])
+    sizes = np.array([len(old.p_OQ) for old in known])
+    same = ((more <= config.grown) & (more >= -config.shrunk)).all(axis=1)
+    same &= np.abs(count[rows] - sizes) <= config.changed_share * sizes
+    return same, (shift_W[rows] == np.array([old.shift_W for old in known])).all(axis=1)
 
 
 def held_table(

@@ -11,8 +11,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from drake_oa.point_cloud_kernels import cell_keys, filed, place_of
 from drake_oa.values import FloatArray, IntArray
+from drake_oa.voxel_kernels import cell_keys, filed, members_of, place_of
 
 _BRIDGES = 16  # shortest connections between two clusters that are looked at
 _STEPS = 5  # places along each of them
@@ -73,15 +73,7 @@ def clustered(points: FloatArray, tolerance: float, parent: IntArray) -> IntArra
     bits = 0
     while (1 << bits) < len(slots):
         bits += 1
-    begin = np.zeros(len(cells) + 1, dtype=np.int64)
-    for i in range(len(points)):
-        begin[cell_of[i] + 1] += 1
-    for cell in range(len(cells)):
-        begin[cell + 1] += begin[cell]
-    members, place = np.empty(len(points), dtype=np.int64), begin.copy()
-    for i in range(len(points)):
-        members[place[cell_of[i]]] = i
-        place[cell_of[i]] += 1
+    begin, members = members_of(cell_of, len(cells))
     for cell in range(len(cells)):
         own = members[begin[cell] : begin[cell + 1]]
         _unite_cells(points, own, own, tolerance, parent)
@@ -166,9 +158,7 @@ def nearest_within(
 
 
 @njit(cache=True, error_model="numpy")
-def pixel_at(
-    x: float, y: float, z: float, rows: int, columns: int, K: FloatArray
-) -> int:
+def pixel_at(x: float, y: float, z: float, rows: int, columns: int, K: FloatArray) -> int:
     """Flat index of the pixel that shows a point of the camera frame; see `pixels_of`."""
     if not z > 1e-6:
         return -1
@@ -282,19 +272,12 @@ def joined(
 ) -> IntArray:
     """See `drake_oa.clusters.joined_across_unseen`; z is float32."""
     count = label.max() + 1 if len(label) else 0
-    begin = np.zeros(count + 1, dtype=np.int64)
+    begin, members = members_of(label, count)
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
     for i in range(len(label)):
         c = label[i]
-        begin[c + 1] += 1
         for k in range(3):
             low[c, k], high[c, k] = min(low[c, k], points[i, k]), max(high[c, k], points[i, k])
-    for c in range(count):
-        begin[c + 1] += begin[c]
-    members, place = np.empty(len(label), dtype=np.int64), begin.copy()
-    for i in range(len(label)):
-        members[place[label[i]]] = i
-        place[label[i]] += 1
     name = np.arange(count)
     for i in range(count):
         if begin[i + 1] - begin[i] < min_size:
@@ -312,9 +295,7 @@ def joined(
             opened = 0
             for b in range(len(pairs)):
                 start, end = points[pairs[b, 0]], points[pairs[b, 1]]
-                opened += _shows_through(
-                    start, end, (i, j), pixel, pixel_label, z, K, X_WC, voxel
-                )
+                opened += _shows_through(start, end, (i, j), pixel, pixel_label, z, K, X_WC, voxel)
             if len(pairs) and 2 * opened <= len(pairs):
                 old, new = name[i], name[j]
                 for c in range(count):

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_oa.cluster_kernels import clustered, joined, nearest_within, pixels_at
-from drake_oa.point_cloud_kernels import cell_keys
 from drake_oa.values import FloatArray, IntArray
+from drake_oa.voxel_kernels import cell_keys
 
 
 def voxel_keys(points: FloatArray, voxel: float) -> IntArray:

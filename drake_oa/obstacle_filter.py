@@ -6,8 +6,8 @@ spectral density q, so that a step of dt adds
     Q = q [[dt^3/3, dt^2/2], [dt^2/2, dt]]
 
 (Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and
-Navigation", 2001, eq. 6.2.2-12). The axes are those of the world. They do not mix, since
-what is measured of them does not.
+Navigation", 2001, ch. 6: continuous white noise acceleration). The axes are those of the
+world. They do not mix, since what is measured of them does not.
 """
 
 from __future__ import annotations
@@ -17,6 +17,9 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from drake_oa.values import BoolArray, FloatArray, Frozen
+
+_FASTEST = 2.0
+"""Largest deviation of a velocity that has become open [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +127,14 @@ def corrected(estimate: MotionEstimate, p_W: FloatArray, variance: FloatArray) -
 def is_outlier(
     estimate: MotionEstimate, p_W: FloatArray, variance: FloatArray, noise: FilterNoise
 ) -> BoolArray:
-    """(M,) whether any axis of a measurement is farther off than noise explains."""
+    """(M,) whether any axis of a measurement is farther off than noise explains.
+
+    Args:
+        estimate: the prediction.
+        p_W: (M, 3) measured positions [m]; NaN where there is none.
+        variance: (M, 3) of the measurement [m^2].
+        noise: of the filter; `outlier` counts.
+    """
     innovation = np.where(np.isfinite(p_W), p_W - estimate.p_W, 0.0)
     limit = noise.outlier**2 * (estimate.var_p + variance)
     return np.asarray((innovation**2 > limit).any(axis=1))
@@ -135,7 +145,15 @@ def unsettled(
 ) -> MotionEstimate:
     """Forgets how well some obstacles (M,) are known: they do what was not expected.
 
-    The measured jump is what the position may be off; the velocity is as open as at first.
+    The measured jump is what the position may be off. The velocity is as open as at first,
+    or half the jump's speed if that is more, up to 2 m/s.
+
+    Args:
+        estimate: the prediction.
+        which: (M,) the obstacles; the others stay as they are.
+        p_W: (M, 3) measured positions [m]; NaN where there is none.
+        dt: time since the last frame [s].
+        noise: of the filter.
     """
     jump = np.where(np.isfinite(p_W), p_W - estimate.p_W, 0.0)
     wide = which[:, None]
@@ -144,7 +162,7 @@ def unsettled(
         estimate,
         var_p=np.where(wide, estimate.var_p + jump**2, estimate.var_p),
         cov_pv=np.where(wide, 0.0, estimate.cov_pv),
-        var_v=np.where(wide, np.minimum(speed, 2.0) ** 2, estimate.var_v),
+        var_v=np.where(wide, np.minimum(speed, _FASTEST) ** 2, estimate.var_v),
     )
 
 

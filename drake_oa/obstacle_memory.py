@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, field, fields
 from typing import Any, TypeVar
 
 import numpy as np
@@ -173,14 +173,27 @@ class ObstacleMemory(Frozen):
 _Value = TypeVar("_Value", bound=Frozen)
 
 
+def changed(value: _Value, **parts: Any) -> _Value:
+    """As `dataclasses.replace`, without a look at what stays: that is locked already."""
+    kind: Any = type(value)
+    if not parts.keys() <= value.__dict__.keys():
+        raise TypeError(f"{kind.__name__} has no {sorted(parts.keys() - value.__dict__.keys())}")
+    result: _Value = object.__new__(kind)
+    result.__dict__.update(value.__dict__)
+    for name, part in parts.items():
+        if part.__class__ is np.ndarray and part.flags.writeable:
+            part = part.view()
+            part.flags.writeable = False
+        result.__dict__[name] = part
+    return result
+
+
 def taken(value: _Value, index: IntArray | BoolArray) -> _Value:
     """Some rows of a value of which every field has rows."""
     kind: Any = type(value)
     parts: dict[str, Any] = {}
-    for item in fields(kind):
-        part: Any = getattr(value, item.name)
-        rows: Any = taken if is_dataclass(part) else lambda array, at: array[at]
-        parts[item.name] = rows(part, index)
+    for name, part in value.__dict__.items():
+        parts[name] = taken(part, index) if isinstance(part, Frozen) else part[index]
     result: _Value = kind(**parts)
     return result
 
@@ -189,9 +202,9 @@ def appended(first: _Value, second: _Value) -> _Value:
     """The rows of one value, and then those of another."""
     kind: Any = type(first)
     parts: dict[str, Any] = {}
-    for item in fields(kind):
-        one, other = getattr(first, item.name), getattr(second, item.name)
-        join: Any = appended if is_dataclass(one) else lambda a, b: np.concatenate([a, b])
-        parts[item.name] = join(one, other)
+    for name, one in first.__dict__.items():
+        other = getattr(second, name)
+        nested = isinstance(one, Frozen)
+        parts[name] = appended(one, other) if nested else np.concatenate([one, other])
     result: _Value = kind(**parts)
     return result

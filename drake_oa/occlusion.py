@@ -10,14 +10,12 @@ obstacle) the evidence only decays.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
-from drake_oa.obstacle_memory import CERTAIN, CONFIRMED, Points, taken
+from drake_oa.obstacle_memory import CERTAIN, CONFIRMED, Points, changed, taken
 from drake_oa.self_filter import PosedShapes
 from drake_oa.sides import View
-from drake_oa.tracking_kernels import AT, FREE, HIDDEN, OUT, shown
+from drake_oa.tracking_kernels import AT, FREE, HIDDEN, OUT, evidence_after, shown
 from drake_oa.values import BoolArray, FloatArray, IntArray
 
 
@@ -99,18 +97,16 @@ def weighed(
         support_radius: a point of the frame this near supports a confirmed one [m].
         same_radius: and this near one that is not confirmed yet [m].
     """
-    hit = distance < np.where(points.confirmed, support_radius, same_radius)
-    gone = (seen == FREE) | ((seen == AT) & ~found[points.owner])
-    fading = (seen == AT) | behind_itself
-    evidence = np.where(
-        hit,
-        np.minimum(points.evidence + 1, CERTAIN),
-        np.where(
-            gone,
-            np.minimum(points.evidence, CONFIRMED) - 1,
-            np.where(fading, points.evidence - 1, points.evidence),
-        ),
+    evidence, confirmed = evidence_after(
+        points.owner,
+        points.evidence,
+        points.confirmed,
+        seen,
+        behind_itself,
+        distance,
+        found,
+        settled,
+        (support_radius, same_radius),
+        (CERTAIN, CONFIRMED),
     )
-    confirmed = points.confirmed | (evidence >= CONFIRMED + settled[points.owner])
-    evidence = np.where(~points.confirmed & ~hit & (gone | fading), 0, evidence)
-    return taken(replace(points, evidence=evidence, confirmed=confirmed), evidence > 0)
+    return taken(changed(points, evidence=evidence, confirmed=confirmed), evidence > 0)

@@ -19,13 +19,9 @@ from numpy.typing import NDArray
 from drake_oa.clusters import connected_clusters, joined_across_unseen
 from drake_oa.point_cloud_kernels import (
     back_projected,
-    cell_means,
-    cells_of,
     cropped_to_world,
-    numbered,
     pixels_between,
     pixels_to_world,
-    points_of_groups,
     sampled,
 )
 from drake_oa.segmentation_config import SegmentationConfig as SegmentationConfig
@@ -33,6 +29,7 @@ from drake_oa.self_filter import PosedShapes
 from drake_oa.table_extent import beyond_extent, plane_axes, seen_extent
 from drake_oa.table_plane import PlaneFit, fit_plane
 from drake_oa.values import BoolArray, FloatArray, IntArray, TablePlane
+from drake_oa.voxel_kernels import cell_means, cells_of, numbered, points_of_groups
 
 
 @dataclass(frozen=True, eq=False)

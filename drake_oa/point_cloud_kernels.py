@@ -1,4 +1,4 @@
-"""Compiled loops behind perception: images, voxels, neighbours, the robot's shapes.
+"""Compiled loops behind perception: images, planes, the robot's shapes.
 
 Call the functions of `point_cloud`, `table_plane`, `clusters` and `self_filter`
 instead. Every kernel takes writable C-contiguous arrays of one type (float64 and
@@ -13,9 +13,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 from drake_oa.values import BoolArray, FloatArray, IntArray
-
-# The golden ratio's 64 bits: of the product the uppermost bits are mixed best.
-_MIXER = np.uint64(0x9E3779B97F4A7C15)
 
 
 @njit(cache=True, error_model="numpy")
@@ -65,7 +62,8 @@ def pixels_between(
     # rows are whole words, of which most are empty.
     rows, columns = z.shape
     words = (columns + 7) // 8
-    inside = np.zeros((rows, 8 * words), dtype=np.uint8)
+    inside = np.empty((rows, 8 * words), dtype=np.uint8)
+    inside[:, columns:] = 0
     for row in range(rows):
         for column in range(columns):
             depth = z[row, column]
@@ -139,25 +137,6 @@ def row_hulls(z: NDArray[np.float32], index: IntArray) -> IntArray:
 
 
 @njit(cache=True, error_model="numpy")
-def _placed(
-    p_C: tuple[float, float, float],
-    axes: FloatArray,
-    reach: FloatArray,
-    X_WC: FloatArray,
-    p_W: FloatArray,
-) -> bool:
-    """Writes a point in the world frame; whether its coordinates are in reach."""
-    x, y, z = p_C
-    inside = True
-    for k in range(2):
-        along = axes[k, 0] * x + axes[k, 1] * y + axes[k, 2] * z
-        inside &= (along >= reach[k, 0]) & (along <= reach[k, 1])
-    for k in range(3):
-        p_W[k] = X_WC[k, 0] * x + X_WC[k, 1] * y + X_WC[k, 2] * z + X_WC[k, 3]
-    return inside
-
-
-@njit(cache=True, error_model="numpy")
 def cropped_to_world(
     p_CQ: FloatArray, index: IntArray, axes: FloatArray, reach: FloatArray, X_WC: FloatArray
 ) -> tuple[FloatArray, IntArray]:
@@ -174,8 +153,15 @@ def cropped_to_world(
     kept = np.empty(len(index), dtype=np.int64)
     n = 0
     for i in range(len(index)):
+        x, y, depth = p_CQ[i, 0], p_CQ[i, 1], p_CQ[i, 2]
+        inside = True
+        for k in range(2):
+            along = axes[k, 0] * x + axes[k, 1] * y + axes[k, 2] * depth
+            inside &= (along >= reach[k, 0]) & (along <= reach[k, 1])
         kept[n] = index[i]
-        n += _placed((p_CQ[i, 0], p_CQ[i, 1], p_CQ[i, 2]), axes, reach, X_WC, p_WQ[n])
+        for k in range(3):
+            p_WQ[n, k] = X_WC[k, 0] * x + X_WC[k, 1] * y + X_WC[k, 2] * depth + X_WC[k, 3]
+        n += inside
     return p_WQ[:n], kept[:n]
 
 
@@ -198,165 +184,16 @@ def pixels_to_world(
             start += z.shape[1]
         column = index[i] - start
         depth = np.float64(z[row, column])
-        p_C = ((column - K[2]) * (depth / K[0]), (row - K[3]) * (depth / K[1]), depth)
+        x, y = (column - K[2]) * (depth / K[0]), (row - K[3]) * (depth / K[1])
+        inside = True
+        for k in range(2):
+            along = axes[k, 0] * x + axes[k, 1] * y + axes[k, 2] * depth
+            inside &= (along >= reach[k, 0]) & (along <= reach[k, 1])
         kept[n] = index[i]
-        n += _placed(p_C, axes, reach, X_WC, p_WQ[n])
+        for k in range(3):
+            p_WQ[n, k] = X_WC[k, 0] * x + X_WC[k, 1] * y + X_WC[k, 2] * depth + X_WC[k, 3]
+        n += inside
     return p_WQ[:n], kept[:n]
-
-
-@njit(cache=True, error_model="numpy")
-def _key(points: FloatArray, i: int, edge: float) -> np.int64:
-    key = np.int64(0)
-    for k in range(3):
-        key = (key << 21) | (np.int64(np.floor(points[i, k] / edge)) + (1 << 20))
-    return key
-
-
-@njit(cache=True, error_model="numpy")
-def cell_keys(points: FloatArray, edge: float) -> IntArray:
-    """See `drake_oa.clusters.voxel_keys`."""
-    keys = np.empty(len(points), dtype=np.int64)
-    for i in range(len(points)):
-        keys[i] = _key(points, i, edge)
-    return keys
-
-
-@njit(cache=True, error_model="numpy")
-def filed(keys: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-    """As `numbered`, and the hash table (a power of 2,) that finds them again."""
-    different = np.empty(len(keys), dtype=np.int64)
-    which = np.empty(len(keys), dtype=np.int64)
-    bits = 4
-    while (1 << bits) < min(2 * len(keys), 1 << 14):
-        bits += 1
-    while True:
-        # A hash table that is at most half full; else once more with a larger one.
-        slots = np.full(1 << bits, -1, dtype=np.int64)
-        found, full = 0, False
-        for i in range(len(keys)):
-            key = keys[i]
-            slot = np.int64((np.uint64(key) * _MIXER) >> np.uint64(64 - bits))
-            while slots[slot] >= 0 and different[slots[slot]] != key:
-                slot = (slot + 1) & (len(slots) - 1)
-            if slots[slot] < 0:
-                if 2 * found >= len(slots):
-                    full = True
-                    break
-                slots[slot] = found
-                different[found] = key
-                found += 1
-            which[i] = slots[slot]
-        if not full:
-            return different[:found].copy(), which, slots
-        bits += 1
-
-
-@njit(cache=True, error_model="numpy")
-def place_of(key: int, different: IntArray, slots: IntArray, bits: int) -> int:
-    """The number of a key in a table of 2^bits from `filed`, -1 when it is not in there."""
-    slot = np.int64((np.uint64(key) * _MIXER) >> np.uint64(64 - bits))
-    while slots[slot] >= 0 and different[slots[slot]] != key:
-        slot = (slot + 1) & (len(slots) - 1)
-    return slots[slot]
-
-
-@njit(cache=True, error_model="numpy")
-def numbered(keys: IntArray) -> tuple[IntArray, IntArray]:
-    """The different ones (M,) among keys (N,), by first appearance, and which each is (N,)."""
-    different, which, _ = filed(keys)
-    return different, which
-
-
-@njit(cache=True, error_model="numpy")
-def cells_of(points: FloatArray, edge: float) -> tuple[IntArray, IntArray]:
-    """The keys (M,) of the cells that hold points (N, 3), and the cell (N,) of each."""
-    return numbered(cell_keys(points, edge))
-
-
-@njit(cache=True, error_model="numpy")
-def cell_means(
-    points: FloatArray, cell_of: IntArray, order: IntArray
-) -> tuple[FloatArray, IntArray, IntArray]:
-    """Means (M, 3), the place (N,) of each point's cell, and counts (M,) in a new order.
-
-    Args:
-        points: (N, 3) points [m].
-        cell_of: (N,) the cell of each, from `cells_of`; changed.
-        order: (M,) the cells in their new order.
-    """
-    place = np.empty(len(order), dtype=np.int64)
-    for m in range(len(order)):
-        place[order[m]] = m
-    means, count = np.zeros((len(order), 3)), np.zeros(len(order), dtype=np.int64)
-    for i in range(len(cell_of)):
-        m = place[cell_of[i]]
-        cell_of[i] = m
-        count[m] += 1
-        for k in range(3):
-            means[m, k] += points[i, k]
-    for m in range(len(order)):
-        for k in range(3):
-            means[m, k] /= count[m]
-    return means, cell_of, count
-
-
-@njit(cache=True, error_model="numpy")
-def points_of_groups(
-    group: IntArray, cell_of: IntArray, index: IntArray, count: int
-) -> tuple[IntArray, IntArray]:
-    """The numbers of the points of each group, one group after the other.
-
-    Args:
-        group: (M,) group of each cell, -1 for none.
-        cell_of: (N,) cell of each point.
-        index: (N,) its number.
-        count: C, how many groups there are.
-
-    Returns:
-        The numbers, and (C + 1,) where each group begins.
-    """
-    begin = np.zeros(count + 1, dtype=np.int64)
-    for i in range(len(cell_of)):
-        g = group[cell_of[i]]
-        if g >= 0:
-            begin[g + 1] += 1
-    for g in range(count):
-        begin[g + 1] += begin[g]
-    place, out = begin[:-1].copy(), np.empty(begin[-1], dtype=np.int64)
-    for i in range(len(cell_of)):
-        g = group[cell_of[i]]
-        if g >= 0:
-            out[place[g]] = index[i]
-            place[g] += 1
-    return out, begin
-
-
-@njit(cache=True, error_model="numpy")
-def beyond_halfplanes(
-    points: FloatArray, axes: FloatArray, directions: FloatArray, reach: FloatArray
-) -> FloatArray:
-    """How far points lie, seen along a normal, beyond a convex region of the plane.
-
-    Args:
-        points: (N, 3) points [m].
-        axes: (2, 3) axes of the plane.
-        directions: (D, 2) outer normals of the half-planes, along these axes.
-        reach: (D,) how far each half-plane reaches along its normal [m].
-
-    Returns:
-        (N,) the largest distance beyond a half-plane [m], negative inside.
-    """
-    beyond = np.empty(len(points))
-    for i in range(len(points)):
-        a, b = 0.0, 0.0
-        for k in range(3):
-            a += axes[0, k] * points[i, k]
-            b += axes[1, k] * points[i, k]
-        largest = -np.inf
-        for k in range(len(reach)):
-            largest = max(largest, directions[k, 0] * a + directions[k, 1] * b - reach[k])
-        beyond[i] = largest
-    return beyond
 
 
 @njit(cache=True, error_model="numpy")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_oa.point_cloud import Segmentation
-from drake_oa.tracking_kernels import open_sides, pixel_points, tail_places
+from drake_oa.surface_kernels import open_sides, owner_rows, surfaces, tail_places
 from drake_oa.values import BoolArray, FloatArray, IntArray, TablePlane
 
 _TAIL = 0.02  # share of an obstacle's area that lies beyond its side
@@ -77,38 +77,42 @@ def seen_sides(
         margin: depth difference that tells "before" and "behind" from "at" [m].
     """
     count = len(known_area)
-    used = np.flatnonzero(cluster_row >= 0)
+    pixels, begin = _joined(frame.pixels)
     if view is None:
+        used = np.flatnonzero(cluster_row >= 0)
         clouds = [frame.clouds_W[c] for c in used]
-        lengths, weights = [len(cloud) for cloud in clouds], [1.0] * len(clouds)
         points = np.concatenate([np.zeros((0, 3)), *clouds])
-        area, pixel = np.full(len(points), voxel**2), np.zeros(0, dtype=np.int64)
+        row = np.repeat(cluster_row[used], [len(cloud) for cloud in clouds]).astype(np.int64)
+        area, weight = np.full(len(points), voxel**2), np.ones(len(points))
+        pixel = row
     else:
-        steps = [max(1, len(frame.pixels[c]) // _PIXELS) for c in used]
-        parts = [frame.pixels[c][::step] for c, step in zip(used, steps, strict=True)]
-        lengths, weights = [len(part) for part in parts], [float(step) for step in steps]
-        pixel = np.concatenate([np.zeros(0, dtype=np.int64), *parts])
-        points, area = pixel_points(view.z, pixel, view.K, view.X_WC)
-    row = np.repeat(cluster_row[used], lengths).astype(np.int64)
-    pixels = np.bincount(row, minlength=count)
-    grain = np.sqrt(np.bincount(row, weights=area, minlength=count) / np.maximum(pixels, 1))
-    area = area * np.repeat(weights, lengths)
+        points, area, pixel, row, weight = surfaces(
+            pixels, begin, cluster_row, view.z, view.K, view.X_WC, _PIXELS
+        )
+    number = np.bincount(row, minlength=count)
+    grain = np.sqrt(np.bincount(row, weights=area, minlength=count) / np.maximum(number, 1))
+    area = area * weight
     seen = np.bincount(row, weights=area, minlength=count)
     tail = _TAIL * np.maximum(seen, known_area)
     place = tail_places(points, area, row, tail)
     if view is None:
         ends = np.isfinite(place)
     else:
-        owner = np.full(view.z.shape, -1, dtype=np.int16)
-        for c in used:
-            owner.ravel()[frame.pixels[c]] = cluster_row[c]
+        owner, top = owner_rows(pixels, begin, cluster_row, view.z.shape[1])
         table = frame.table or TablePlane(offset=-np.inf)
         plane = np.append(table.normal_W, table.offset)
         share = open_sides(
-            points, pixel, row, place, view.z, owner, view.K, view.X_WC, plane, margin
+            points, pixel, row, place, view.z, owner, top, view.K, view.X_WC, plane, margin
         )
         ends = share >= _OPEN
     return SeenSides(place, ends, np.asarray(seen, dtype=float), np.asarray(grain, dtype=float))
+
+
+def _joined(parts: tuple[IntArray, ...]) -> tuple[IntArray, IntArray]:
+    """Arrays one after the other, and (C + 1,) where each begins."""
+    begin = np.zeros(len(parts) + 1, dtype=np.int64)
+    np.cumsum([len(part) for part in parts], out=begin[1:])
+    return np.concatenate([np.zeros(0, dtype=np.int64), *parts]), begin
 
 
 def measured_position(

@@ -20,6 +20,11 @@ _REFINED_POINTS = 4000
 _SEED = 20190701
 # A narrowing band sheds the feet of what stands on the plane.
 _BANDS = (1.0, 1.0, 0.7, 0.5, 0.5)
+# From an expected plane that holds so much of what lies at its height within this share
+# of the tolerance, no other plane can be the one; there fewer steps suffice.
+_EXPECTED_SHARE = 0.5
+_EXPECTED_BAND = 0.5
+_EXPECTED_BANDS = (1.0, 0.5, 0.5)
 # What is lower stands on a floor or table; what is higher and wide is a table on a floor.
 _OBJECT_HEIGHT = 0.45
 _TABLE_HEIGHT = 1.3
@@ -61,7 +66,9 @@ def fit_plane(
     Random triples (of a fixed seed: equal input gives equal output) propose
     planes; those tilted by more than ``max_tilt`` are dropped, the rest is scored
     by its number of inliers, and the best is refined by weighted least squares,
-    with weights ``1 / tolerance**2``. Where ``height`` is not given, what has the most
+    with weights ``1 / tolerance**2``. Where ``height`` is given and most of what lies about
+    there lies on the level plane at that height, that plane is refined, without a search.
+    Where ``height`` is not given, what has the most
     points may be the floor round a small table, or the top of a large box on one:
     see `_supporting_level`.
 
@@ -82,11 +89,21 @@ def fit_plane(
     """
     points, tolerance = (np.require(x, np.float64, ["C", "W"]) for x in (points, tolerance))
     allowed = np.ones(len(points), dtype=bool)
+    needed = max(20, int(min_fraction * len(points)))
     if height is not None:
         level, reach = np.append(up, height), np.full(len(points), float(height_tolerance))
         on_plane(points, reach, level, allowed, allowed)
+        near = np.empty(len(points), dtype=bool)
+        on_plane(points, _EXPECTED_BAND * tolerance, level, allowed, near)
+        most = max(needed, _EXPECTED_SHARE * np.count_nonzero(allowed))
+        if np.count_nonzero(near) >= most and not (origin_above and height >= 0.0):
+            expected = (up, float(height))
+            fit = _refined(
+                points, allowed, tolerance, expected, up, max_tilt, needed, _EXPECTED_BANDS
+            )
+            if fit is not None:
+                return fit
     candidates = np.flatnonzero(allowed)
-    needed = max(20, int(min_fraction * len(points)))
     if len(candidates) < needed:
         return None
 
@@ -201,12 +218,13 @@ def _refined(
     up: FloatArray,
     max_tilt: float,
     needed: int,
+    bands: tuple[float, ...] = _BANDS,
 ) -> PlaneFit | None:
     normal, offset = plane
     step = 1 + len(points) // _REFINED_POINTS
     chosen = step * np.flatnonzero(allowed[::step])
     some, some_tolerance, moments = points[chosen], tolerance[chosen], np.empty((4, 4))
-    for band in _BANDS:
+    for band in bands:
         first = band_moments(some, some_tolerance, np.append(normal, offset), band, moments)
         if first < 0:
             return None

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from drake_oa.obstacle_filter import (
@@ -15,9 +13,9 @@ from drake_oa.obstacle_filter import (
     speed_statistic,
     unsettled,
 )
-from drake_oa.obstacle_memory import TrackingConfig, Tracks
+from drake_oa.obstacle_memory import TrackingConfig, Tracks, changed
 from drake_oa.sides import SeenSides, learned_sides, measured_position
-from drake_oa.values import BoolArray
+from drake_oa.values import BoolArray, FloatArray
 
 _MOVED = 0.004  # what must lie between a moving obstacle and its place at rest [m]
 _SETTLING = 0.1  # share of a frame in the place of an obstacle at rest
@@ -44,10 +42,10 @@ def predicted_tracks(tracks: Tracks, dt: float, config: TrackingConfig) -> Track
         estimate = MotionEstimate(estimate.p_W, **parts)
     # Where it does not move significantly, noise must not carry it away while hidden.
     still = (~moving & (tracks.unseen > 0.0))[:, None]
-    estimate = replace(estimate, v_W=np.where(still, 0.0, estimate.v_W))
+    estimate = changed(estimate, v_W=np.where(still, 0.0, estimate.v_W))
     estimate = predicted(estimate, min(dt, config.longest_gap), config.filter)
     step = np.where(moving[:, None], estimate.p_W - tracks.p_shift_W, 0.0)
-    return replace(
+    return changed(
         tracks,
         estimate=estimate,
         shift_W=tracks.shift_W + step,
@@ -71,7 +69,7 @@ def measured_tracks(tracks: Tracks, seen: SeenSides, dt: float, config: Tracking
     whole = seen.ends.all(axis=(1, 2))
     learned = learned_sides(seen, tracks.sides, estimate.p_W)
     return _decided(
-        replace(
+        changed(
             tracks,
             estimate=estimate,
             sides=np.where(off[:, None, None], tracks.sides, learned),
@@ -89,9 +87,9 @@ def _decided(tracks: Tracks, measured: BoolArray, dt: float, config: TrackingCon
     """Decides which obstacles move, and shifts the points of those that do."""
     noise, estimate = config.filter, tracks.estimate
     statistic = speed_statistic(estimate)
-    speed = np.linalg.norm(estimate.v_W, axis=1)
+    speed = _lengths(estimate.v_W)
     away = estimate.p_W - tracks.p_shift_W
-    distance = np.linalg.norm(away, axis=1)
+    distance = _lengths(away)
     doubted = tracks.moving | (tracks.doubt > config.doubt)
     starts = (statistic > noise.start) & (speed > noise.start_speed) & measured
     starts &= tracks.moving | (doubted & (distance > _MOVED))
@@ -103,7 +101,7 @@ def _decided(tracks: Tracks, measured: BoolArray, dt: float, config: TrackingCon
     follows = measured & (moving | (doubted & (distance > config.jump)))
     step = np.where(follows[:, None], away, 0.0)
     settling = np.where((measured & ~follows)[:, None], _SETTLING * away, 0.0)
-    return replace(
+    return changed(
         tracks,
         moving=moving,
         significant=significant,
@@ -111,3 +109,7 @@ def _decided(tracks: Tracks, measured: BoolArray, dt: float, config: TrackingCon
         shift_W=tracks.shift_W + step,
         p_shift_W=tracks.p_shift_W + step + settling,
     )
+
+
+def _lengths(vectors: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt((vectors * vectors).sum(axis=1)))

@@ -29,6 +29,7 @@ from drake_oa.obstacle_memory import (
     TrackingConfig,
     Tracks,
     appended,
+    changed,
     taken,
 )
 from drake_oa.occlusion import hidden_by_itself, shown_at, weighed
@@ -209,7 +210,7 @@ class _Step:
         missed = np.bincount(points.owner[asked], minlength=count)
         least = _LEAST_SEEN * np.bincount(points.owner, minlength=count)
         share = missed / np.maximum(total, np.maximum(least, 1.0))
-        self.tracks = replace(self.tracks, doubt=np.maximum(share, _FADING * self.tracks.doubt))
+        self.tracks = changed(self.tracks, doubt=np.maximum(share, _FADING * self.tracks.doubt))
 
     def _append_new(self, association: Association) -> None:
         count = len(association.new)
@@ -266,7 +267,7 @@ class _Step:
         parts = self._parts(association, p_WQ, (seen == HIDDEN) | (seen == OUT))
         # `remember` still asks for these points by their places here.
         self._kept = np.full(len(points), -1, dtype=np.int64)
-        marked = replace(points, weight=np.arange(len(points)))
+        marked = changed(points, weight=np.arange(len(points)))
         left = weighed(
             marked,
             seen,
@@ -278,12 +279,12 @@ class _Step:
             tracking.same_radius,
         )
         self._kept[left.weight] = np.arange(len(left))
-        self.points = replace(left, weight=points.weight[left.weight])
+        self.points = changed(left, weight=points.weight[left.weight])
         return parts
 
     def _settled(self) -> BoolArray:
-        names = np.fromiter(self.previous.held, dtype=np.int64, count=len(self.previous.held))
-        return np.isin(self.tracks.ids, names) & ~self.tracks.moving
+        known = [name in self.previous.held for name in self.tracks.ids.tolist()]
+        return np.array(known, dtype=bool) & ~self.tracks.moving
 
     def _remember(
         self, association: Association, near: tuple[IntArray, FloatArray, FloatArray]
@@ -299,7 +300,7 @@ class _Step:
         reach = self.tracking.same_radius
         most = self.tracking.mean_frames
         absorb(p_OQ, weight, local, np.where(same, kept, -1), distance, reach, most)
-        self.points = replace(self.points, p_OQ=p_OQ, weight=weight)
+        self.points = changed(self.points, p_OQ=p_OQ, weight=weight)
         new = np.flatnonzero((kept < 0) | (distance > reach))
         ones = np.ones(len(new), dtype=np.int64)
         solid = np.zeros(len(self.tracks), dtype=bool)
@@ -317,10 +318,10 @@ class _Step:
         Returns:
             Row, the clusters of the smaller parts, and all points seen of the obstacle.
         """
-        rows, count = np.unique(association.cluster_row, return_counts=True)
+        count = np.bincount(association.cluster_row, minlength=len(self.tracks))
         apart = np.zeros(len(self.tracks), dtype=np.int64)
         parts = []
-        for row in rows[count > 1]:
+        for row in np.flatnonzero(count > 1):
             clusters = np.flatnonzero((association.cluster_row == row) & ~association.mixed)
             if len(clusters) < 2:
                 continue
@@ -338,7 +339,7 @@ class _Step:
             apart[row] = self.tracks.apart[row] + 1
             if apart[row] >= self.tracking.split_frames:
                 parts.append((int(row), np.where(label == largest, -1, label), self.seen[mine]))
-        self.tracks = replace(self.tracks, apart=apart)
+        self.tracks = changed(self.tracks, apart=apart)
         return parts
 
     def _split(self, parts: list[tuple[int, IntArray, FloatArray]]) -> None:
@@ -350,7 +351,7 @@ class _Step:
             part = np.append(label, -1)[nearest]
             for name in np.unique(part[part >= 0]):
                 new = len(self.tracks)
-                one = replace(
+                one = changed(
                     taken(self.tracks, np.array([row])),
                     ids=np.array([self.next_id]),
                     sides=np.full((1, 3, 2), np.nan),
@@ -360,11 +361,11 @@ class _Step:
                 self.tracks = appended(self.tracks, one)
                 owner = np.array(self.points.owner)
                 owner[mine[part == name]] = new
-                self.points = replace(self.points, owner=owner)
+                self.points = changed(self.points, owner=owner)
             sides, area = np.array(self.tracks.sides), np.array(self.tracks.area)
             sides[row], area[row] = np.nan, 0.0
             apart = np.where(np.arange(len(self.tracks)) >= row, 0, self.tracks.apart)
-            self.tracks = replace(self.tracks, sides=sides, area=area, apart=apart)
+            self.tracks = changed(self.tracks, sides=sides, area=area, apart=apart)
 
     def _merge(self, association: Association, known: int) -> None:
         """Joins obstacles at rest that have been one cluster for long."""
@@ -373,17 +374,17 @@ class _Step:
         partner[:known] = association.partner
         rests = (partner >= 0) & ~tracks.moving & ~tracks.moving[partner]
         together = np.where(rests, tracks.together + self.dt, 0.0)
-        self.tracks = replace(tracks, together=together)
+        self.tracks = changed(tracks, together=together)
         for row in np.flatnonzero(together >= self.tracking.merge_time):
             into = partner[row]
             p_OQ, owner = np.array(self.points.p_OQ), np.array(self.points.owner)
             mine = owner == row
             p_OQ[mine] += tracks.shift_W[row] - tracks.shift_W[into]
             owner[mine] = into
-            self.points = replace(self.points, p_OQ=p_OQ, owner=owner)
+            self.points = changed(self.points, p_OQ=p_OQ, owner=owner)
             sides = np.array(self.tracks.sides)
             sides[into] = np.nan
-            self.tracks = replace(self.tracks, sides=sides)
+            self.tracks = changed(self.tracks, sides=sides)
 
     def _forget(self) -> None:
         """Lets go of obstacles of which too little is left."""
@@ -393,7 +394,7 @@ class _Step:
             return
         row = np.cumsum(left) - 1
         points = taken(self.points, left[self.points.owner])
-        self.points = replace(points, owner=row[points.owner])
+        self.points = changed(points, owner=row[points.owner])
         self.tracks = taken(self.tracks, left)
 
     def _fewest(self) -> int:
@@ -409,7 +410,8 @@ class _Step:
         moving = tracks.moving & (np.linalg.norm(tracks.estimate.v_W, axis=1) > 0.0)
         late = np.flatnonzero(listed & moving & (tracks.unseen > self.tracking.mentioned_after))
         note = "; ".join(
-            f"obstacle {tracks.ids[row]} has moved on unseen for {tracks.unseen[row]:.2f} s"
+            f"obstacle {tracks.ids[row]} has moved on unseen for {tracks.unseen[row]:.2f} s "
+            "at its last velocity"
             for row in late
         )
         obstacles = ObstacleClouds(

@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drake_oa import cluster_kernels, surface_kernels, table_kernels, voxel_kernels
 from drake_oa import point_cloud_kernels as kernels
 from drake_oa.point_cloud import SegmentationConfig, segment_depth, segment_points
 from drake_oa.self_filter import RobotShapes
@@ -12,7 +13,7 @@ from drake_oa.tracking import ObstacleMemory, fuse
 @given(st.integers(0, 300), st.integers(1, 50), st.integers(0, 9999))
 def test_keys_are_numbered_by_first_appearance(count, kinds, seed):
     keys = np.random.default_rng(seed).integers(0, kinds, count) * (1 << 21)
-    different, which = kernels.numbered(keys)
+    different, which = voxel_kernels.numbered(keys)
     np.testing.assert_array_equal(different[which], keys)
     assert len(np.unique(different)) == len(different)
     assert (np.diff(np.unique(which, return_index=True)[1]) > 0).all()
@@ -21,7 +22,7 @@ def test_keys_are_numbered_by_first_appearance(count, kinds, seed):
 @pytest.mark.parametrize("count", [4096, 4097, 30_000])
 def test_many_different_keys_are_told_apart(count):
     keys = np.arange(count) * (1 << 21)
-    different, which = kernels.numbered(np.concatenate([keys, keys]))
+    different, which = voxel_kernels.numbered(np.concatenate([keys, keys]))
     np.testing.assert_array_equal(different, keys)
     np.testing.assert_array_equal(which, np.tile(np.arange(count), 2))
 
@@ -87,7 +88,13 @@ def test_each_kernel_is_compiled_once():
             for pixels in frame.pixels:
                 kernels.row_hulls(depth.astype(np.float32), pixels)
             segment_points(points.reshape(-1, 3), pose, config, posed)
-    compiled = {name: item for name, item in vars(kernels).items() if hasattr(item, "signatures")}
-    assert len(compiled) > 10
+    modules = (kernels, voxel_kernels, cluster_kernels, table_kernels, surface_kernels)
+    compiled = {
+        name: item
+        for module in modules
+        for name, item in vars(module).items()
+        if hasattr(item, "signatures")
+    }
+    assert len(compiled) > 30
     for name, kernel in compiled.items():
         assert len(kernel.signatures) <= 1, (name, kernel.signatures)

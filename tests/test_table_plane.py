@@ -106,3 +106,16 @@ def test_the_table_wins_over_the_top_of_a_large_box_on_it():
 def test_an_expected_height_settles_which_plane_it_is():
     points = seen_from_above(np.random.default_rng(0), [(-1.0, 0.6, 2500), (-0.75, 0.25, 5000)])
     assert abs(fit(points, height=-0.75).offset + 0.75) < 2e-3
+
+
+def test_an_expected_plane_is_refined_to_the_one_that_a_search_finds():
+    rng = np.random.default_rng(0)
+    tilted = np.array([0.002, -0.003, 1.0]) / np.linalg.norm([0.002, -0.003, 1.0])
+    table = patch(rng, tilted, -1.0, 8000, 0.5, noise=0.001)
+    box = np.column_stack([rng.uniform(-0.1, 0.1, (500, 2)), rng.uniform(-1.0, -0.8, 500)])
+    points = np.concatenate([table, box])
+    # From 3 cm off a search is needed.
+    for height in (-1.0, -1.03):
+        plane = fit(points, height=height)
+        assert plane.normal @ tilted > np.cos(1e-3)
+        assert abs(plane.offset + 1.0) < 3e-4
