@@ -20,8 +20,8 @@ With faults that touch them:
     depth_noise, plant -> camera_faults -> perception
     controller -> weak_actuators -> plant
 
-An obstacle that moves is driven by mover_<model instance>. The systems are made in
-`drake_oa.layers` and `drake_oa.fault_layers` from the scenario; this file wires them.
+An obstacle that moves is driven by mover_<model instance>. The systems are made from the
+scenario in `drake_oa.layers`, `robot_layers` and `fault_layers`; this file wires them.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, OutputPort
 from pydrake.systems.primitives import ConstantVectorSource, VectorLogSink
 from pydrake.visualization import ApplyVisualizationConfig, VisualizationConfig
 
-from drake_oa import fault_layers, layers
+from drake_oa import fault_layers, layers, robot_layers
 from drake_oa.scenario import DepthCamera, GivenEllipsoids, GroundTruth, Scenario
 from drake_oa.station import RobotPlant, Station, make_robot_plant, make_station
 from drake_oa.systems.cartesian_inverse_dynamics import CartesianInverseDynamics
@@ -41,6 +41,7 @@ from drake_oa.systems.taken_route import TakenRoute
 from drake_oa.systems.verified_chain import VerifiedRegressorChain
 
 LOG_PERIOD = 0.004
+"""Time between logged instants [s]."""
 
 
 def build_avoidance(
@@ -48,11 +49,12 @@ def build_avoidance(
 ) -> Diagram:
     """Wires a scenario.
 
-    Subsystems by name: plant, scene_graph, camera_world, camera_scene_graph,
-    rgbd_sensor_<camera>, depth_noise, perception, ellipsoid_descriptor, regressor_chain, goal,
-    dmp_integrator, integral_action, controller, supervisor, log_<signal>; cost_ring_selector
-    with `regulation: !Regressor` or a viewer, and overlay and taken_route with a viewer;
-    camera_faults, weak_actuators and mover_<model instance> where the scenario asks
+    Subsystems by name: plant, scene_graph, camera_world, camera_scene_graph and
+    rgbd_sensor_<camera>, or late_<camera> and robot_at_image; depth_noise, perception,
+    ellipsoid_descriptor, regressor_chain, goal, dmp_integrator, integral_action, controller,
+    supervisor, log_<signal>; cost_ring_selector with `regulation: !Regressor` or a viewer, and
+    overlay and taken_route with a viewer; camera_faults, weak_actuators and
+    mover_<model instance> where the scenario asks
     for them. Without a robot there is no plant, camera, descriptor, controller or supervisor.
     With `modulated=False` there are no obstacles to see, nothing from perception to
     regressor_chain, and no supervisor.
@@ -78,7 +80,7 @@ def build_avoidance(
     policy = builder.AddNamedSystem("dmp_integrator", layers.make_dmp_integrator(scenario))
     builder.Connect(goal.get_output_port(), policy.GetInputPort("goal"))
     for name in ("desired_position", "desired_velocity", "desired_acceleration", "phase"):
-        _log(builder, name, policy.GetOutputPort(name))
+        log_signal(builder, name, policy.GetOutputPort(name))
     for name in ("desired_position", "phase", "policy_state"):
         builder.ExportOutput(policy.GetOutputPort(name), name)
 
@@ -87,9 +89,9 @@ def build_avoidance(
         seen = _wire_perception(builder, scenario, station, robot_plant)
         _wire_decision(builder, scenario, seen, policy, goal, shown=meshcat is not None)
     if station is not None and robot_plant is not None:
-        q_start = layers.start_positions(robot_plant, scenario)
+        q_start = robot_layers.start_positions(robot_plant, scenario)
         station.plant.SetDefaultPositions(station.robot, q_start)
-        controller = layers.make_controller(scenario, robot_plant, q_start)
+        controller = robot_layers.make_controller(scenario, robot_plant, q_start)
         _wire_robot(builder, scenario, station, policy, controller)
         _wire_movers(builder, scenario, station)
         if modulated and scenario.supervisor is not None:
@@ -101,7 +103,8 @@ def build_avoidance(
     return diagram
 
 
-def _log(builder: DiagramBuilder, name: str, port: OutputPort) -> None:
+def log_signal(builder: DiagramBuilder, name: str, port: OutputPort) -> None:
+    """Logs a vector port every `LOG_PERIOD` in a sink log_<name>."""
     sink = builder.AddNamedSystem(f"log_{name}", VectorLogSink(port.size(), LOG_PERIOD))
     builder.Connect(port, sink.get_input_port())
 
@@ -120,15 +123,20 @@ def _wire_perception(
     if station is None or robot_plant is None or isinstance(source, GivenEllipsoids):
         return perception.get_output_port()
     if isinstance(source, DepthCamera):
-        sensor = station.cameras[source.camera]
-        pose = sensor.body_pose_in_world_output_port()
-        depth = sensor.depth_image_32F_output_port()
+        camera = station.cameras[source.camera]
+        pose, depth = camera.pose, camera.depth_image
         noise = layers.make_depth_noise(scenario, station)
         if noise is not None:
             builder.AddNamedSystem("depth_noise", noise)
             builder.Connect(depth, noise.get_input_port())
             depth = noise.get_output_port()
         state = station.plant.get_state_output_port(station.robot)
+        if camera.image_time is not None and camera.plant_state is not None:
+            # The self filter takes the robot as it was when the image was taken.
+            then = builder.AddNamedSystem("robot_at_image", layers.make_robot_state(station))
+            builder.Connect(camera.plant_state, then.get_input_port())
+            builder.Connect(camera.image_time, perception.GetInputPort("image_stamp"))
+            state = then.get_output_port()
         faults = fault_layers.make_camera_faults(scenario, station, robot_plant)
         if faults is not None:
             builder.AddNamedSystem("camera_faults", faults)
@@ -181,7 +189,7 @@ def _wire_decision(
         builder.Connect(state, chain.GetInputPort("policy_state"))
         builder.Connect(goal.get_output_port(), chain.GetInputPort("goal"))
         for name in ("shortfall", "short_of"):
-            _log(builder, name, chain.GetOutputPort(name))
+            log_signal(builder, name, chain.GetOutputPort(name))
         return
     builder.Connect(rings.GetOutputPort("decision"), policy.GetInputPort("route"))
     if scenario.policy.descriptor == "route":
@@ -200,7 +208,7 @@ def _wire_movers(builder: DiagramBuilder, scenario: Scenario, station: Station) 
         builder.Connect(plant.get_state_output_port(instance), mover.GetInputPort("obstacle_state"))
         builder.Connect(mover.GetOutputPort("force"), plant.get_actuation_input_port(instance))
     if movers:
-        _log(builder, "plant_state", plant.get_state_output_port())
+        log_signal(builder, "plant_state", plant.get_state_output_port())
 
 
 def _wire_robot(
@@ -217,7 +225,7 @@ def _wire_robot(
     for name in ("desired_position", "desired_velocity"):
         builder.Connect(policy.GetOutputPort(name), controller.GetInputPort(name))
     acceleration = policy.GetOutputPort("desired_acceleration")
-    integral = layers.make_integral_action(scenario)
+    integral = robot_layers.make_integral_action(scenario)
     if integral is not None:
         builder.AddNamedSystem("integral_action", integral)
         builder.Connect(
@@ -233,17 +241,19 @@ def _wire_robot(
         builder.Connect(actuation, weak.get_input_port())
         actuation = weak.get_output_port()
     builder.Connect(actuation, station.plant.get_actuation_input_port(station.robot))
-    _log(builder, "robot_state", state)
-    _log(builder, "actuation", actuation)
+    log_signal(builder, "robot_state", state)
+    log_signal(builder, "actuation", actuation)
     for name in ("torque_saturation", "tracking_error"):
-        _log(builder, name, controller.GetOutputPort(name))
+        log_signal(builder, name, controller.GetOutputPort(name))
 
 
 def _wire_supervisor(
     builder: DiagramBuilder, scenario: Scenario, station: Station, robot_plant: RobotPlant
 ) -> None:
     """What slows, holds or stops the policy; it sees the obstacles that the descriptor sees."""
-    supervisor = builder.AddNamedSystem("supervisor", layers.make_supervisor(scenario, robot_plant))
+    supervisor = builder.AddNamedSystem(
+        "supervisor", robot_layers.make_supervisor(scenario, robot_plant)
+    )
     policy = builder.GetSubsystemByName("dmp_integrator")
     controller = builder.GetSubsystemByName("controller")
     builder.Connect(
@@ -258,7 +268,7 @@ def _wire_supervisor(
         source, index = builder.connection_map()[(descriptor, port.get_index())]
         builder.Connect(source.get_output_port(index), supervisor.GetInputPort("obstacles_W"))
     builder.Connect(supervisor.GetOutputPort("speed_scale"), policy.GetInputPort("speed_scale"))
-    _log(builder, "speed_scale", supervisor.GetOutputPort("speed_scale"))
+    log_signal(builder, "speed_scale", supervisor.GetOutputPort("speed_scale"))
 
 
 def _wire_view(
@@ -291,7 +301,7 @@ def _wire_view(
     )
     builder.Connect(station.plant.get_body_poses_output_port(), overlay.GetInputPort("body_poses"))
     if isinstance(scenario.perception, DepthCamera) and station.cameras:
-        pose = station.cameras[scenario.perception.camera].body_pose_in_world_output_port()
+        pose = station.cameras[scenario.perception.camera].pose
         builder.Connect(pose, overlay.GetInputPort("camera_pose"))
 
 

@@ -22,12 +22,11 @@ from pydrake.systems.primitives import (
     MatrixGain,
     Multiplexer,
     Saturation,
-    VectorLogSink,
     ZeroOrderHold,
 )
 
 from drake_oa import layers
-from drake_oa.diagrams.avoidance import LOG_PERIOD
+from drake_oa.diagrams.avoidance import log_signal
 from drake_oa.experiments import differential_ik as peer
 from drake_oa.scenario import Robot, Scenario, ScenarioError
 from drake_oa.station import Station, make_station
@@ -64,11 +63,6 @@ def build_differential_ik(
     return diagram
 
 
-def _log(builder: DiagramBuilder, name: str, port: OutputPort) -> None:
-    sink = builder.AddNamedSystem(f"log_{name}", VectorLogSink(port.size(), LOG_PERIOD))
-    builder.Connect(port, sink.get_input_port())
-
-
 def _wire_command(
     builder: DiagramBuilder,
     scenario: Scenario,
@@ -82,7 +76,7 @@ def _wire_command(
     policy = builder.AddNamedSystem("dmp_integrator", layers.make_dmp_integrator(scenario))
     builder.Connect(goal.get_output_port(), policy.GetInputPort("goal"))
     for name in ("desired_position", "desired_velocity", "desired_acceleration", "phase"):
-        _log(builder, name, policy.GetOutputPort(name))
+        log_signal(builder, name, policy.GetOutputPort(name))
 
     R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix()
     pose = builder.AddNamedSystem(
@@ -136,5 +130,5 @@ def _wire_controller(
     builder.Connect(controller.get_output_port_control(), actuation.get_input_port())
     builder.Connect(actuation.get_output_port(), limits.get_input_port())
     builder.Connect(limits.get_output_port(), plant.get_actuation_input_port(station.robot))
-    _log(builder, "robot_state", state)
-    _log(builder, "actuation", limits.get_output_port())
+    log_signal(builder, "robot_state", state)
+    log_signal(builder, "actuation", limits.get_output_port())

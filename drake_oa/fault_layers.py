@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drake_oa.faults import TorqueSaturation, camera_faults
+from drake_oa.layers import PIXEL_CENTER, camera_config
 from drake_oa.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario import DepthCamera, Scenario
 from drake_oa.station import RobotPlant, Station, all_obstacles
@@ -20,16 +21,14 @@ def make_camera_faults(
     faults, source = camera_faults(scenario.faults), scenario.perception
     if not faults or not isinstance(source, DepthCamera):
         return None
-    config = next(item for item in scenario.cameras if item.name == source.camera)
-    sensor = station.cameras[source.camera]
+    camera = station.cameras[source.camera]
     return CameraFaults(
         faults,
-        sensor.default_depth_render_camera().core().intrinsics(),
+        camera.intrinsics,
         num_states=robot_plant.plant.num_multibody_states(robot_plant.instance),
         table_height=scenario.table_height or 0.0,
-        # As perception has it: Drake's VTK renderer samples pixels at their centres.
-        pixel_center=0.5,
-        period=1.0 / config.fps,
+        pixel_center=PIXEL_CENTER,
+        period=1.0 / camera_config(scenario, source).fps,
     )
 
 

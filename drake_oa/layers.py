@@ -1,4 +1,7 @@
-"""The systems of a scenario: each function makes one layer from its part of the data."""
+"""The systems of a scenario: each function makes one layer from its part of the data.
+
+Perception, decision and action; the layers of the robot are in `drake_oa.robot_layers`.
+"""
 
 from __future__ import annotations
 
@@ -13,15 +16,13 @@ from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import LeafSystem
-from pydrake.systems.sensors import CameraConfig, CameraInfo, RgbdSensor
+from pydrake.systems.primitives import MatrixGain
+from pydrake.systems.sensors import CameraConfig
 
 from drake_oa.action import ActionParameters
-from drake_oa.cartesian import CartesianGains
 from drake_oa.collision_shapes import RobotModel, collect_collision_shapes
 from drake_oa.coupling import GuidanceForm
 from drake_oa.dmp import Dmp, imitate, minimum_jerk, trajectory
-from drake_oa.faults import ModelError
-from drake_oa.inverse_kinematics import solve_tool_pose
 from drake_oa.parts import merged_parts
 from drake_oa.point_cloud import SegmentationConfig
 from drake_oa.regressor import load_chain
@@ -37,21 +38,16 @@ from drake_oa.scenario import (
     ScenarioError,
     Task,
     Verified,
-    noise_parameters,
     package_file,
-    segmentation_config,
 )
+from drake_oa.scenario_perception import noise_parameters, segmentation_config
 from drake_oa.station import (
     OBSTACLE_PREFIX,
     RobotPlant,
     Station,
-    home_positions,
-    make_robot_plant,
     tool_corners,
     tool_link_corners,
 )
-from drake_oa.supervision import SupervisorParameters
-from drake_oa.systems.cartesian_inverse_dynamics import CartesianInverseDynamics
 from drake_oa.systems.cost_ring_selector import CostRingSelector
 from drake_oa.systems.depth_noise import DepthNoise
 from drake_oa.systems.depth_perception import DepthPerception
@@ -59,11 +55,9 @@ from drake_oa.systems.dmp_integrator import DmpIntegrator
 from drake_oa.systems.ellipsoid_descriptor import EllipsoidDescriptor
 from drake_oa.systems.given_ellipsoids import GivenEllipsoidSource
 from drake_oa.systems.ground_truth_perception import GroundTruthPerception
-from drake_oa.systems.integral_action import IntegralAction
 from drake_oa.systems.meshcat_overlay import MeshcatOverlay, dress_scene
 from drake_oa.systems.recorded_perception import RecordedPerception
 from drake_oa.systems.regressor_chain import RegressorChain
-from drake_oa.systems.supervisor import Supervisor
 from drake_oa.systems.verified_chain import VerifiedRegressorChain
 from drake_oa.values import EllipsoidSet, FloatArray, TablePlane
 from drake_oa.verification import SearchParameters
@@ -74,8 +68,8 @@ _logger = logging.getLogger("drake_oa")
 _PANDA = "panda_arm_hand.urdf"
 _TOOL_DOWN_ANGLE = math.radians(15.0)
 """How far from straight down the tool may point for the tool-down workspace to hold."""
-_SURFACE_GAP = 0.01
-"""How far a link may come into a surface between the points that ground truth has of it [m]."""
+PIXEL_CENTER = 0.5
+"""Where Drake's VTK renderer samples the first pixel: at its centre [pixel]."""
 _LEAST_STEPS, _MOST_STEPS = 250, 1000
 """Steps of a roll-out a unit of normalised time."""
 
@@ -120,31 +114,6 @@ def _demonstration(task: Task) -> tuple[FloatArray, FloatArray]:
         ) from None
 
 
-def start_positions(robot_plant: RobotPlant, scenario: Scenario) -> FloatArray:
-    """All positions of the robot with E at the start, and a check that the goal is in reach.
-
-    Raises:
-        ScenarioError: naming start or goal, if it is out of reach.
-    """
-    robot: Robot | None = scenario.robot
-    if robot is None:
-        raise ScenarioError("robot: a start pose needs a robot; this scenario has null")
-    R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix()
-    seed = home_positions(robot_plant, robot)
-    found = {}
-    for name, place in (("start", scenario.task.start), ("goal", scenario.task.goal)):
-        try:
-            found[name] = solve_tool_pose(
-                robot_plant.plant,
-                robot_plant.tool_frame.name(),
-                RigidTransform(R_WE, np.asarray(place)),
-                seed,
-            )
-        except ValueError as error:
-            raise ScenarioError(f"task.{name}: {error}") from None
-    return found["start"]
-
-
 def make_perception(
     scenario: Scenario, station: Station | None, robot_plant: RobotPlant | None
 ) -> LeafSystem:
@@ -160,7 +129,7 @@ def make_perception(
             station.plant,
             station.scene_graph.model_inspector(),
             station.obstacles,
-            table=_table(scenario),
+            table=table_plane(scenario),
             period=source.period,
         )
     prior = {} if scenario.table_height is None else {"table_height": scenario.table_height}
@@ -171,15 +140,27 @@ def make_perception(
         return _recorded_perception(
             source, segmentation_config(source.segmentation, **prior), robot
         )
-    camera = _camera_config(scenario, source)
+    camera = camera_config(scenario, source)
     return DepthPerception(
-        _intrinsics(station.cameras[source.camera]),
+        station.cameras[source.camera].intrinsics,
         config=segmentation_config(source.segmentation, **prior),
         robot=robot,
-        # Drake's VTK renderer samples pixels at their centres.
-        pixel_center=0.5,
+        pixel_center=PIXEL_CENTER,
         period=1.0 / camera.fps,
+        delay=station.cameras[source.camera].delay,
     )
+
+
+def make_robot_state(station: Station) -> MatrixGain:
+    """The robot's state [q, v] out of the whole plant's."""
+    plant, robot = station.plant, station.robot
+    n_q, n_v = plant.num_positions(robot), plant.num_velocities(robot)
+    D = np.zeros((n_q + n_v, plant.num_multibody_states()))
+    q = plant.GetPositionsFromArray(robot, np.arange(plant.num_positions()))
+    v = plant.GetVelocitiesFromArray(robot, np.arange(plant.num_velocities()))
+    D[np.arange(n_q), q.astype(int)] = 1.0
+    D[n_q + np.arange(n_v), plant.num_positions() + v.astype(int)] = 1.0
+    return MatrixGain(D)
 
 
 def make_depth_noise(scenario: Scenario, station: Station) -> DepthNoise | None:
@@ -188,7 +169,7 @@ def make_depth_noise(scenario: Scenario, station: Station) -> DepthNoise | None:
     if not isinstance(source, DepthCamera) or source.noise is None:
         return None
     return DepthNoise(
-        _intrinsics(station.cameras[source.camera]),
+        station.cameras[source.camera].intrinsics,
         parameters=noise_parameters(source.noise),
         seed=scenario.seed,
     )
@@ -256,12 +237,9 @@ def make_ellipsoid_descriptor(scenario: Scenario, robot_plant: RobotPlant) -> El
     )
 
 
-def _camera_config(scenario: Scenario, source: DepthCamera) -> CameraConfig:
+def camera_config(scenario: Scenario, source: DepthCamera) -> CameraConfig:
+    """Of the camera that perception sees by."""
     return next(config for config in scenario.cameras if config.name == source.camera)
-
-
-def _intrinsics(sensor: RgbdSensor) -> CameraInfo:
-    return sensor.default_depth_render_camera().core().intrinsics()
 
 
 def given_ellipsoids(source: GivenEllipsoids) -> EllipsoidSet:
@@ -279,7 +257,8 @@ def given_ellipsoids(source: GivenEllipsoids) -> EllipsoidSet:
     )
 
 
-def _table(scenario: Scenario) -> TablePlane | None:
+def table_plane(scenario: Scenario) -> TablePlane | None:
+    """The table that the scenario tells of, in the world; None where it has none."""
     return None if scenario.table_height is None else TablePlane(offset=scenario.table_height)
 
 
@@ -307,7 +286,7 @@ def make_regressor_chain(scenario: Scenario) -> RegressorChain | VerifiedRegress
         weights,
         dmp,
         clearance,
-        period=_perception_period(scenario),
+        period=perception_period(scenario),
         parameters=_search_parameters(scenario.regulation, policy, dmp),
         table_height=policy.table_height,
         annulus=tool_down_annulus() if _has_known_workspace(scenario.robot) else None,
@@ -328,10 +307,11 @@ def _search_parameters(regulation: Verified, policy: Policy, dmp: Dmp) -> Search
     )
 
 
-def _perception_period(scenario: Scenario) -> float:
+def perception_period(scenario: Scenario) -> float:
+    """Time between observations [s]."""
     source = scenario.perception
     if isinstance(source, DepthCamera):
-        return 1.0 / _camera_config(scenario, source).fps
+        return 1.0 / camera_config(scenario, source).fps
     if isinstance(source, GivenEllipsoids):
         return scenario.policy.route_period
     return source.period
@@ -377,79 +357,6 @@ def make_dmp_integrator(scenario: Scenario) -> DmpIntegrator:
     )
 
 
-def make_controller(
-    scenario: Scenario, robot_plant: RobotPlant, q_start: FloatArray
-) -> CartesianInverseDynamics:
-    """The control law; posture and tool orientation are those of the start."""
-    robot = scenario.robot
-    if robot is None:
-        raise ScenarioError("robot: a controller needs a robot; this scenario has null")
-    if any(isinstance(fault, ModelError) for fault in scenario.faults):
-        robot_plant = make_robot_plant(robot, uniform_density=True)
-    gains = robot.gains
-    return CartesianInverseDynamics(
-        robot_plant.plant,
-        R_WE_desired=RollPitchYaw(robot.rpy_WE).ToRotationMatrix(),
-        q_posture=q_start,
-        tool_frame=robot_plant.tool_frame.name(),
-        gains=CartesianGains(**{k: v for k, v in vars(gains).items() if k != "ki_position"}),
-        finger_opening=robot.finger_opening,
-    )
-
-
-def make_integral_action(scenario: Scenario) -> IntegralAction | None:
-    """What takes away the error that a wrong model leaves; None: not asked for.
-
-    Raises:
-        ScenarioError: for a gain with which the law is not stable.
-    """
-    robot = scenario.robot
-    if robot is None or robot.gains.ki_position == 0.0:
-        return None
-    gains = robot.gains
-    if gains.ki_position >= gains.kp_position * gains.kd_position:
-        raise ScenarioError(
-            f"robot.gains.ki_position: {gains.ki_position:g} must be below kp_position times "
-            f"kd_position, {gains.kp_position * gains.kd_position:g} [1/s^3]"
-        )
-    return IntegralAction(gains.ki_position, period=scenario.policy.period)
-
-
-def make_supervisor(scenario: Scenario, robot_plant: RobotPlant) -> Supervisor:
-    """What watches the motion; it decides as often as the policy steps."""
-    given, policy, source = scenario.supervisor, scenario.policy, scenario.perception
-    if given is None:
-        raise ScenarioError("supervisor: this scenario has null")
-    if isinstance(source, (DepthCamera, RecordedClouds)):
-        padding = 0.5 * segmentation_config(source.segmentation).voxel
-    else:
-        padding = _SURFACE_GAP
-    return Supervisor(
-        collect_collision_shapes(
-            robot_plant.plant, robot_plant.scene_graph.model_inspector(), robot_plant.instance
-        ),
-        robot_plant.tool_frame.name(),
-        make_dmp(scenario).duration,
-        period=policy.period,
-        parameters=SupervisorParameters(
-            stop_distance=given.stop_distance,
-            padding=padding,
-            reaction_time=policy.hold_time + given.lag,
-            leave_scale=given.leave_scale,
-            frame_period=_perception_period(scenario),
-            stale_frames=given.stale_frames,
-            max_age=policy.max_observation_age,
-            joint_margin=given.joint_margin,
-            tracking_slow=given.tracking_slow,
-            tracking_hold=given.tracking_hold,
-            saturation_time=given.saturation_time,
-            recovery_time=given.recovery_time,
-            patience=given.patience,
-        ),
-        table=_table(scenario),
-    )
-
-
 def make_overlay(scenario: Scenario, station: Station | None, meshcat: Meshcat) -> MeshcatOverlay:
     """What our layers think, drawn into the viewer; also dresses the scene."""
     dress_scene(meshcat)
@@ -461,11 +368,11 @@ def make_overlay(scenario: Scenario, station: Station | None, meshcat: Meshcat) 
     source = scenario.perception
     if not isinstance(source, DepthCamera) or source.camera not in station.cameras:
         return MeshcatOverlay(meshcat, planned_W=planned_W, body_index=hand.index(), p_BE=p_BE)
-    config = _camera_config(scenario, source)
+    config = camera_config(scenario, source)
     return MeshcatOverlay(
         meshcat,
         planned_W=planned_W,
-        camera_info=_intrinsics(station.cameras[source.camera]),
+        camera_info=station.cameras[source.camera].intrinsics,
         depth_range=(config.z_near, config.z_far),
         body_index=hand.index(),
         p_BE=p_BE,

@@ -175,7 +175,9 @@ def _watching(watch: Stopwatch, declare: Callable[..., Any], is_event: bool) -> 
         def watched(call: Callable[..., Any]) -> Callable[..., Any]:
             def called(*given: Any) -> Any:
                 name = system.get_name()
-                with watch.section(LAYERS.get(name, name)):
+                # What a late camera renders in the background is only waited for.
+                own = RENDERING if name.startswith("late_") else name
+                with watch.section(LAYERS.get(name, own)):
                     if given and (name == "depth_noise" or (name == "perception" and is_event)):
                         # Pulled here it is in the cache when the system itself asks for it.
                         with watch.section(RENDERING):

@@ -7,19 +7,18 @@ from pydrake.systems.controllers import InverseDynamics
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.primitives import ZeroOrderHold
 
-from drake_oa.scenario import (
-    DepthCamera,
-    Robot,
-    Scenario,
-    ScenarioError,
-)
+from drake_oa.scenario import DepthCamera, Robot, Scenario, ScenarioError
 from drake_oa.simulation import simulate
 from drake_oa.station import home_positions, make_robot_plant, make_station
 from drake_oa.timings import WARM_UP, timed
 
 
 def camera_rate(scenario: Scenario) -> float:
-    """Frames a second of the camera that perception looks through."""
+    """Frames a second of the camera that perception looks through.
+
+    Raises:
+        ScenarioError: if there is no robot or no depth camera.
+    """
     perception = scenario.perception
     if scenario.robot is None or not isinstance(perception, DepthCamera):
         raise ScenarioError(
@@ -64,14 +63,14 @@ def bare_station(scenario: Scenario, *, render: bool = True) -> Diagram:
     )
     builder.Connect(holder.get_output_port(), station.plant.get_actuation_input_port(station.robot))
     if render and isinstance(scenario.perception, DepthCamera):
-        image = station.cameras[scenario.perception.camera].depth_image_32F_output_port()
+        image = station.cameras[scenario.perception.camera].depth_image
         puller = builder.AddNamedSystem("puller", ZeroOrderHold(1.0 / rate, image.Allocate()))
         builder.Connect(image, puller.get_input_port())
     return builder.Build()
 
 
 def real_time_factor(diagram: Diagram, seconds: float) -> float:
-    """Simulated over wall time of a diagram alone, over some simulated seconds."""
+    """Simulated over wall time of a diagram alone, over so many simulated seconds [s]."""
     simulator = Simulator(diagram)
     simulator.Initialize()
     # The first image loads the renderer.
@@ -81,7 +80,7 @@ def real_time_factor(diagram: Diagram, seconds: float) -> float:
 
 
 def whole_real_time_factor(scenario: Scenario, seconds: float) -> float:
-    """As `drake-oa run` reports it: logs and supervision included, no viewer."""
+    """As `drake-oa run` reports it for so many seconds [s]: logs and supervision, no viewer."""
     log = simulate(scenario, duration=seconds)
     return log.duration / log.wall_time
 

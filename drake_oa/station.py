@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.geometry import SceneGraph
-from pydrake.lcm import DrakeLcm
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.parsing import (
     ModelDirectives,
@@ -26,12 +26,6 @@ from pydrake.multibody.plant import (
 )
 from pydrake.multibody.tree import FixedOffsetFrame, Frame, ModelInstanceIndex
 from pydrake.systems.framework import Diagram, DiagramBuilder
-from pydrake.systems.rendering import MultibodyPositionToGeometryPose
-from pydrake.systems.sensors import (
-    ApplyCameraConfig,
-    CameraConfig,
-    RgbdSensor,
-)
 
 from drake_oa.collision_shapes import outline_corners
 from drake_oa.fault_obstacles import goal_ball, start_plate
@@ -40,6 +34,9 @@ from drake_oa.obstacles import OBSTACLE_PREFIX, Obstacle, add_obstacle
 from drake_oa.panda_inertias import with_uniform_density
 from drake_oa.scenario import Robot, Scenario, ScenarioError
 from drake_oa.values import FloatArray
+
+if TYPE_CHECKING:
+    from drake_oa.cameras import Camera
 
 TOOL_FRAME = "tool_point"
 
@@ -176,14 +173,14 @@ class Station:
         scene_graph: its scene graph.
         robot: the robot's model instance.
         obstacles: the model instances of the obstacles.
-        cameras: name -> the camera's `RgbdSensor`.
+        cameras: name -> the camera.
     """
 
     plant: MultibodyPlant
     scene_graph: SceneGraph
     robot: ModelInstanceIndex
     obstacles: tuple[ModelInstanceIndex, ...]
-    cameras: dict[str, RgbdSensor]
+    cameras: dict[str, Camera]
 
 
 def add_world(plant: MultibodyPlant, scenario: Scenario) -> ModelInstanceIndex:
@@ -237,12 +234,15 @@ def make_station(builder: DiagramBuilder, scenario: Scenario, *, render: bool = 
     Raises:
         ScenarioError: naming the field of the scenario that does not fit.
     """
+    # Cameras are built from the world that is defined here.
+    from drake_oa.camera_layers import add_cameras
+
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=scenario.plant_step)
     # Sampled ports would copy the diagram's whole state at each step (docs/design.md).
     plant.SetUseSampledOutputPorts(False)
     robot = add_world(plant, scenario)
     plant.Finalize()
-    cameras = _add_cameras(builder, scenario, plant) if render else {}
+    cameras = add_cameras(builder, scenario, plant) if render else {}
     obstacles = tuple(
         instance
         for instance in map(ModelInstanceIndex, range(plant.num_model_instances()))
@@ -269,58 +269,3 @@ def _refuse_movable(
                     "must stand still: weld it to the world by an add_weld, or write it under "
                     "`obstacles` with waypoints"
                 )
-
-
-def _add_cameras(
-    builder: DiagramBuilder, scenario: Scenario, plant: MultibodyPlant
-) -> dict[str, RgbdSensor]:
-    """Adds the cameras, in a scene graph of their own that follows the plant's positions.
-
-    In the plant's scene graph its every step would pose the renderer's geometry too.
-    """
-    if not scenario.cameras:
-        return {}
-    shown = MultibodyPlant(time_step=scenario.plant_step)
-    scene_graph = builder.AddNamedSystem("camera_scene_graph", SceneGraph())
-    shown.RegisterAsSourceForSceneGraph(scene_graph)
-    add_world(shown, scenario)
-    shown.Finalize()
-    poses = builder.AddNamedSystem(
-        "camera_world", MultibodyPositionToGeometryPose(shown, input_multibody_state=True)
-    )
-    builder.Connect(plant.get_state_output_port(), poses.get_input_port())
-    builder.Connect(
-        poses.get_output_port(), scene_graph.get_source_pose_port(shown.get_source_id())
-    )
-    return {
-        config.name: _add_camera(builder, shown, scene_graph, config) for config in scenario.cameras
-    }
-
-
-def _add_camera(
-    builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph, config: CameraConfig
-) -> RgbdSensor:
-    """Adds one of Drake's configured cameras, without any image publisher."""
-    if config.output_delay > 0.0:
-        # Drake renders late images in a thread, in which its engines do not work.
-        raise ScenarioError(
-            f"cameras: camera '{config.name}' has output_delay {config.output_delay}; it must be 0"
-        )
-    known = {system.get_name() for system in builder.GetSystems()}
-    try:
-        # A null message queue: otherwise a publisher is added that renders each frame anew.
-        ApplyCameraConfig(
-            config=config,
-            builder=builder,
-            plant=plant,
-            scene_graph=scene_graph,
-            lcm=DrakeLcm("memq://null"),
-        )
-    except (RuntimeError, ValueError) as error:
-        raise ScenarioError(f"cameras: camera '{config.name}': {error}") from None
-    (sensor,) = (
-        system
-        for system in builder.GetSystems()
-        if system.get_name() not in known and isinstance(system, RgbdSensor)
-    )
-    return sensor

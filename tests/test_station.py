@@ -43,7 +43,7 @@ def test_the_camera_is_made_only_where_something_renders() -> None:
     builder = DiagramBuilder()
     station = make_station(builder, load_scenario("tabletop_box"))
     assert list(station.cameras) == ["camera"]
-    info = station.cameras["camera"].default_depth_render_camera().core().intrinsics()
+    info = station.cameras["camera"].intrinsics
     assert (info.width(), info.height()) == (640, 480)
     # No publisher that would render each frame anew.
     names = [type(system).__name__ for system in builder.GetSystems()]

@@ -21,6 +21,8 @@ from drake_oa.systems.ports import read_value, valid_period
 from drake_oa.tracking import fuse
 
 _NO_NEW_IMAGE = "no new image"
+_AFTER = 1e-4
+"""How long after an image has come it is looked at [s]."""
 
 
 class DepthPerception(LeafSystem):
@@ -75,6 +77,7 @@ class DepthPerception(LeafSystem):
         robot: RobotModel | None = None,
         pixel_center: float = 0.0,
         period: float = 1.0 / 15.0,
+        delay: float = 0.0,
     ) -> None:
         """Declares ports, state and events.
 
@@ -90,9 +93,10 @@ class DepthPerception(LeafSystem):
                 Drake 1.51's RenderEngineVtk renders as if it were 0.5, which
                 turns the scene by half a pixel where it is not allowed for.
             period: time between frames [s].
+            delay: how long after a period's beginning its image comes [s].
 
         Raises:
-            ValueError: for a period that is not positive or invalid intrinsics.
+            ValueError: for a period that is not positive, a negative delay or invalid intrinsics.
         """
         super().__init__()
         if isinstance(camera, CameraInfo):
@@ -106,6 +110,8 @@ class DepthPerception(LeafSystem):
         if not abs(pixel_center) <= 1.0:
             raise ValueError(f"pixel_center must lie in [-1, 1] pixels, not {pixel_center}")
         self._K[2:] -= pixel_center
+        if not 0.0 <= delay < np.inf:
+            raise ValueError(f"delay must be finite and not negative [s], not {delay}")
         self._config = config or SegmentationConfig()
         self._tracking = tracking or TrackingConfig()
         self._robot = robot
@@ -119,7 +125,8 @@ class DepthPerception(LeafSystem):
         self._state = PerceptionState.declare(self)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._update)
         # The first frame is the initialization's.
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._update)
+        offset = period + delay + _AFTER if delay else period
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, offset, self._update)
 
     def _update(self, context: Context, state: State) -> None:
         time = context.get_time()

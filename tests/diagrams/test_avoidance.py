@@ -50,8 +50,8 @@ def test_subsystems_have_the_documented_names() -> None:
     for name in (
         "plant",
         "scene_graph",
-        "camera_scene_graph",
-        "rgbd_sensor_camera",
+        "late_camera",
+        "robot_at_image",
         "depth_noise",
         "perception",
         "ellipsoid_descriptor",
@@ -64,6 +64,9 @@ def test_subsystems_have_the_documented_names() -> None:
     ):
         assert diagram.HasSubsystemNamed(name)
     assert not diagram.HasSubsystemNamed("cost_ring_selector")
+    present = load_scenario("tabletop_box")
+    present.cameras[0].output_delay = 0.0
+    assert build_avoidance(present).HasSubsystemNamed("rgbd_sensor_camera")
     rings = build_avoidance(load_scenario("tabletop_box", ["regulation=!Regressor {}"]))
     assert rings.HasSubsystemNamed("cost_ring_selector")
     free = build_avoidance(load_scenario("free_space"), modulated=False)

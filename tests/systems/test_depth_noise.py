@@ -112,13 +112,14 @@ def test_bad_arguments_and_inputs_are_named():
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_perception_sees_the_noisy_image_of_the_scenario_s_seed(seed):
-    diagram = build_avoidance(load_scenario("tabletop_box", [f"seed={seed}"]))
+    scenario = load_scenario("tabletop_box", [f"seed={seed}"])
+    diagram = build_avoidance(scenario)
     context = diagram.CreateDefaultContext()
     perception = diagram.GetSubsystemByName("perception")
     noise = diagram.GetSubsystemByName("depth_noise")
     seen = perception.GetInputPort("depth_image").Eval(perception.GetMyContextFromRoot(context))
     true = noise.GetInputPort("depth_image").Eval(noise.GetMyContextFromRoot(context)).data
-    camera = diagram.GetSubsystemByName("rgbd_sensor_camera").default_depth_render_camera()
+    _, camera = scenario.cameras[0].MakeCameras()
     info = camera.core().intrinsics()
     K = [info.focal_x(), info.focal_y(), info.center_x(), info.center_y()]
     expected = add_depth_noise(true[:, :, 0], K, seed=seed, frame=0)

@@ -50,6 +50,7 @@ def test_every_system_documents_its_ports() -> None:
         "perception=!DepthCamera {noise: {}}",
         "perception=!GroundTruth {}",
         "recorded",
+        "regulation=!Regressor {}",
     ],
 )
 def test_documented_ports_are_the_declared_ones(override: str, recording_folder: Any) -> None:
@@ -67,4 +68,6 @@ def test_documented_ports_are_the_declared_ones(override: str, recording_folder:
             assert [str(p).split(" ")[0] for p in listed.get("input_ports") or []] == inputs
             assert [str(p).split(" ")[0] for p in listed["output_ports"]] == outputs
             checked += 1
-    assert checked == 8 + ("noise" in override)
+    rings, depth = "Regressor" in override, "RecordedClouds" not in override
+    depth = depth and "GroundTruth" not in override
+    assert checked == 7 + depth + (depth and "DepthCamera {}" not in override) + rings

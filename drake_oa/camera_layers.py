@@ -1,0 +1,75 @@
+"""The cameras of a scenario, each as its data asks for it: of the present, or late."""
+
+from __future__ import annotations
+
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.sensors import CameraConfig
+
+from drake_oa.background_camera import BackgroundCamera
+from drake_oa.cameras import Camera, add_camera, add_camera_world
+from drake_oa.faults import camera_faults
+from drake_oa.scenario import Scenario, ScenarioError
+from drake_oa.systems.late_camera import LateCamera
+
+
+def add_cameras(
+    builder: DiagramBuilder, scenario: Scenario, plant: MultibodyPlant
+) -> dict[str, Camera]:
+    """Adds the cameras of a scenario, by name.
+
+    Args:
+        builder: receives camera_world, camera_scene_graph and rgbd_sensor_<name>; late_<name>
+            in their place for a camera with `output_delay`.
+        scenario: with cameras. Its faults are of frames that come as they are taken: with
+            any of the camera, no camera is late.
+        plant: the simulated one, in the builder.
+
+    Raises:
+        ScenarioError: naming the camera that does not fit.
+    """
+    on_time = bool(camera_faults(scenario.faults))
+    present = [c for c in scenario.cameras if on_time or c.output_delay == 0.0]
+    cameras = {
+        config.name: _late_camera(builder, scenario, plant, config)
+        for config in scenario.cameras
+        if config not in present
+    }
+    if not present:
+        return cameras
+    shown, scene_graph, poses = add_camera_world(builder, scenario)
+    builder.Connect(plant.get_state_output_port(), poses.get_input_port())
+    for config in present:
+        sensor = add_camera(builder, shown, scene_graph, config)
+        cameras[config.name] = Camera(
+            sensor.default_depth_render_camera().core().intrinsics(),
+            sensor.depth_image_32F_output_port(),
+            sensor.body_pose_in_world_output_port(),
+        )
+    return cameras
+
+
+def _late_camera(
+    builder: DiagramBuilder, scenario: Scenario, plant: MultibodyPlant, config: CameraConfig
+) -> Camera:
+    try:
+        _, depth = config.MakeCameras()
+        system = LateCamera(
+            BackgroundCamera(scenario, config),
+            depth.core().intrinsics(),
+            num_states=plant.num_multibody_states(),
+            period=1.0 / config.fps,
+            delay=config.output_delay,
+        )
+    except (RuntimeError, ValueError) as error:
+        raise ScenarioError(f"cameras: camera '{config.name}': {error}") from None
+    builder.AddNamedSystem(f"late_{config.name}", system)
+    builder.Connect(plant.get_state_output_port(), system.GetInputPort("plant_state"))
+    return Camera(
+        depth.core().intrinsics(),
+        system.GetOutputPort("depth_image"),
+        system.GetOutputPort("camera_pose"),
+        config.output_delay,
+        system.GetOutputPort("image_time"),
+        system.GetOutputPort("plant_state"),
+    )
