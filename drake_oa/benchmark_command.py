@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from drake_oa.command_line import add_verbose
-from drake_oa.output_files import check_outputs
+from drake_oa.output_files import check_outputs, replace_text
 from drake_oa.scenario import load_scenario
 
 _DESCRIPTION = """\
@@ -66,7 +66,7 @@ def _run(options: argparse.Namespace) -> int:
     figures = run_benchmark(scenario, options.only, on_part=_say)
     print(benchmark_table(figures))
     if options.json:
-        options.json.write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n")
+        replace_text(options.json, json.dumps(figures, indent=2, allow_nan=False) + "\n")
     return 0
 
 

@@ -31,7 +31,7 @@ from drake_oa.training import command as training
 
 _COMPILATION = {
     "run": "1 to 2 minutes",
-    "evaluate": "1 minute",
+    "evaluate": "1 to 2 minutes",
     "train": "half a minute",
     "benchmark": "2 minutes",
     "perceive": "half a minute",

@@ -32,7 +32,7 @@ class DepthNoiseParameters:
     """The noise of a depth camera. Lengths in metres, angles in radians.
 
     The deviation along the optical axis, of what the camera tells, at depth z and incidence
-    theta (Nguyen et al., eq. 3; fitted for 0.4-3 m and up to 80 deg):
+    theta (Nguyen et al., who measured up to 80 deg):
 
         sigma_z = axial_offset + axial_growth (z - axial_depth)^2
                   + axial_angle / sqrt(z) (theta / (pi/2 - theta))^2
@@ -47,9 +47,11 @@ class DepthNoiseParameters:
             out). It acts at edges only, and at most 2 pixels far: on a plane it is part of
             sigma_z.
         correlation_u: pixels along a row over which the axial noise is smooth; 1 makes
-            every pixel independent. The scans' residuals from the table are correlated by
-            0.7 at one pixel, 0.36 at four, 0.05 at eight.
-        correlation_v: the same along a column: 0.56 at one pixel, 0.13 at three, 0 at four.
+            every pixel independent. The scans' residuals from the table, less their mean
+            over 21 x 21 pixels, are correlated by 0.72 at one pixel, 0.38 at four, 0.08 at
+            eight.
+        correlation_v: the same along a column: 0.57 at one pixel, 0.12 at three, -0.02 at
+            four.
         baseline: from camera to projector, which is on its right [m] (Khoshelham and Oude
             Elberink: 0.075).
         subpixels: steps of disparity a pixel (Khoshelham and Oude Elberink: 8). A step is
@@ -163,7 +165,7 @@ def disparity_step(
 class NoiseRoom:
     """Arrays that `add_depth_noise` works in; what they hold before and after is of no meaning.
 
-    Made anew for each image, the system's pages for them cost a good part of a millisecond.
+    Kept between images, their memory need not be asked of the operating system anew.
 
     Args:
         height: of the images [pixel].

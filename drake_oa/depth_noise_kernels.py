@@ -113,7 +113,7 @@ def _measured(
     one, half = np.float32(1.0), np.float32(0.5)
     z = one / w
     away = z - z0
-    # pi / 2 - theta; the series is short of it by 0.3 at theta = 0, where it matters least.
+    # pi / 2 - theta; the series is short of it by 0.4 at theta = 0, where it matters least.
     grazing = cosine + cosine * cosine * cosine * np.float32(1.0 / 6.0)
     angle = (np.float32(0.5 * np.pi) - grazing) / grazing
     sigma = c0 + c2 * away * away + c_angle * np.sqrt(w) * angle * angle

@@ -85,7 +85,7 @@ def describe(
         free_W: (F, 3) tool points that are known to be free, start and goal for two [m]. An
             obstacle whose ellipsoid holds one, or leaves it less than 2 cm, is described by
             those of its parts (`drake_oa.parts`) if they leave more: rows whose names differ
-            by multiples of `values.PART`.
+            by multiples of `values.PART`. Of the method "enclosing" alone.
         tool_parts: (K_i, 3) vertices of the tool's convex parts; none: the tool itself.
 
     Raises:

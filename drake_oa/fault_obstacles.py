@@ -9,22 +9,26 @@ from drake_oa.obstacles import Box, Obstacle, Sphere
 from drake_oa.values import FloatArray
 
 PARKED_BEYOND = 1.2
-"""How far beyond the goal the ball of `GoalBlocked` waits, out of the arm's reach [m]."""
+"""How far beyond the goal the ball of `GoalBlocked` waits [m].
+
+From a goal in reach that is farther from the robot than the start, it is out of reach.
+"""
 _TRAVEL = 0.4
+"""Time of the ball's way to the goal, and of that back [s]."""
 _PLATE = (0.006, 0.05, 0.03)  # thickness, width, height [m]
 _NEAR = 0.005
+"""Corners of the tool this near to its farthest one face the plate [m]."""
 _FOAM = 1000.0
 """Stiffness of the plate, below that of the held tool [N/m]."""
 _COLOR = [0.75, 0.2, 0.2, 1.0]
 
 
 def goal_ball(fault: GoalBlocked, start: FloatArray, goal: FloatArray, name: str) -> Obstacle:
-    """The ball of a `GoalBlocked`, which takes 0.4 s for its way there and back again.
+    """The ball of a `GoalBlocked`, which takes 0.4 s for each of its ways, there and back.
 
-    It comes from beyond the goal, level, along the line from the start.
-
-    It is over the goal from `start` to `start + duration`; one that starts sooner than 0.4 s
-    comes faster, or is there at time 0.
+    It comes from beyond the goal, level, along the line from the start, and is over the goal
+    from `start` to `start + duration`; one that starts sooner than 0.4 s comes faster, or is
+    there at time 0.
 
     Args:
         fault: when, and how large.

@@ -14,12 +14,10 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import ImageDepth32F
 
-from drake_oa import layers
+from drake_oa import layers, robot_layers
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.run_timings import camera_rate, robot_of
-from drake_oa.scenario import (
-    Scenario,
-)
+from drake_oa.scenario import Scenario
 from drake_oa.station import make_robot_plant, make_station
 from drake_oa.timings import DESIRED, JUST_AFTER, WARM_UP, port_timer, timed
 from drake_oa.values import FloatArray
@@ -27,7 +25,14 @@ from drake_oa.values import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What perception and controller read at one instant of a run."""
+    """What perception and controller read at one instant of a run.
+
+    Attributes:
+        depth: (H, W) as measured [m].
+        X_WC: pose of the camera in the world.
+        robot_state: [q, v] of the robot [rad, m and per s].
+        desired: port of the policy, of `timings.DESIRED` -> its value.
+    """
 
     depth: NDArray[np.float32]
     X_WC: RigidTransform
@@ -38,9 +43,16 @@ class Frame:
 def record(scenario: Scenario, frames: int) -> tuple[list[Frame], list[float], list[float]]:
     """What perception reads in a run: one frame more than asked.
 
+    Args:
+        scenario: with a robot and a depth camera.
+        frames: how many.
+
     Returns:
         The frames, and of each the times that rendering and noise took [ms]; of noise none
         where the camera is ideal.
+
+    Raises:
+        ScenarioError: if the scenario has no robot or no depth camera.
     """
     rate = camera_rate(scenario)
     simulator = Simulator(build_avoidance(scenario))
@@ -80,7 +92,12 @@ def record(scenario: Scenario, frames: int) -> tuple[list[Frame], list[float], l
 
 
 def time_frames(scenario: Scenario, recorded: list[Frame]) -> tuple[list[float], list[float]]:
-    """Wall times of perception and of the descriptor, a frame each [ms]."""
+    """Wall times of perception and of the descriptor, a frame each [ms].
+
+    Args:
+        scenario: from which the frames are.
+        recorded: from `record`; the first one is not timed.
+    """
     cell = DiagramBuilder()
     station = make_station(cell, scenario)
     robot_plant = make_robot_plant(robot_of(scenario))
@@ -119,10 +136,10 @@ def _show(simulator: Simulator, frame: Frame) -> None:
 
 
 def time_controller(scenario: Scenario, recorded: list[Frame], steps: int) -> float:
-    """Median wall time of the control law, for states of the run [us]."""
+    """Median wall time of the control law over so many steps, for states of the run [us]."""
     robot_plant = make_robot_plant(robot_of(scenario))
-    controller = layers.make_controller(
-        scenario, robot_plant, layers.start_positions(robot_plant, scenario)
+    controller = robot_layers.make_controller(
+        scenario, robot_plant, robot_layers.start_positions(robot_plant, scenario)
     )
     context = controller.CreateDefaultContext()
     actuation = controller.GetOutputPort("actuation")

@@ -18,8 +18,6 @@ from drake_oa.motion_log import MotionLog
 from drake_oa.scenario import Scenario
 from drake_oa.values import FloatArray
 
-FORMATS = (".png", ".svg", ".pdf")
-
 _COLORS = {"modulated": "#00798c", "preplanned": "#111111"}
 _JOINT_COLORS = ("#000000", "#e69f00", "#56b4e9", "#009e73", "#cc79a7", "#0072b2", "#d55e00")
 """Okabe and Ito's palette, which colour-blind readers can tell apart."""
@@ -27,6 +25,8 @@ _OBSTACLE = "#d1495b"
 _PAUSE_COLORS = {"slow": "#f7e8b5", "hold": "#edae49", "held": "#edae49", "stop": "#d1495b"}
 _LEAST_ERROR = 1e-3
 """Tracking errors below this are drawn as this [mm]: zero has no logarithm."""
+_TOGETHER = 0.1
+"""Holds of supervisor and policy that begin, or end, this near to each other are one [s]."""
 _LISTED = 6
 """So many reasons of pauses are told at most."""
 _SEEN_AT_LEAST = 0.05
@@ -59,7 +59,8 @@ class Pause:
 def pauses(log: MotionLog) -> list[Pause]:
     """The pauses of a motion, in order of their beginning.
 
-    What the policy notes while the supervisor holds it is the same pause: it is told once.
+    A hold of the policy that lies within one of the supervisor's is the same pause: it is told
+    once.
     """
     said = zip(log.supervision_action, log.supervision_reason, strict=True)
     found = [
@@ -71,7 +72,9 @@ def pauses(log: MotionLog) -> list[Pause]:
     ]
     supervised = [(pause.start, pause.end) for pause in found if pause.kind != "slow"]
     for (start, end), note in zip(_spans(log.event_time, log.duration), log.event, strict=True):
-        known = any(low - 0.1 <= start <= high for low, high in supervised)
+        known = note.startswith("supervisor: ") or any(
+            low - _TOGETHER <= start and end <= high + _TOGETHER for low, high in supervised
+        )
         if note and not known:
             found.append(Pause(start, end, "held", note))
     return sorted(found, key=lambda pause: pause.start)
@@ -117,7 +120,7 @@ def draw_run(
     Without a robot there are neither torques nor a tracking error.
 
     Args:
-        figure: an empty figure with a constrained layout, some 13 x 10 inches.
+        figure: an empty figure with a constrained layout, some 14 x 10 inches.
         title: its title.
         scenario: the scenario of the logs.
         logs: the motions that have an instant, by name; pauses and joints are those of the
@@ -254,6 +257,7 @@ def _phase(ax: Axes, logs: Mapping[str, MotionLog], main: str) -> None:
             fontsize=7,
             ha="right",
             va="top",
+            multialignment="left",
             bbox={"facecolor": "white", "alpha": 0.75, "edgecolor": "none"},
         )
 

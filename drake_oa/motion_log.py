@@ -25,7 +25,7 @@ phase                  (T,)           1        canonical phase k, 1 falling to 0
 speed_scale            (T,)           1        the supervisor's share of full speed, in
                                                [0, 1]; 1 without one
 tracking_error         (T,)           m        distance of E to where it was asked to be,
-                                               as the supervisor saw it; NaN without one
+                                               as the controller tells it; NaN where none does
 q_world                (T, n)         rad, m   all positions of the station's plant, in its
                                                order; (T, 0) where only the robot moves
 observation_time       (F,)           s        times at which observations arrived
@@ -207,6 +207,8 @@ def load_logs(path: Path) -> dict[str, MotionLog]:
             if not isinstance(archive, np.lib.npyio.NpzFile):
                 raise ValueError("it is one array, no .npz archive")
             return _motions(path, archive)
+        except _RefusedError:
+            raise
         except (
             EOFError,
             KeyError,
@@ -216,11 +218,13 @@ def load_logs(path: Path) -> dict[str, MotionLog]:
             zipfile.BadZipFile,
             zlib.error,
         ) as error:
-            if str(error).startswith(str(path)):
-                raise
             # np.load takes what is no archive for a pickle.
             why = "it is no .npz archive" if "pickle" in str(error) else str(error)
             raise ValueError(f"{path} is not a motion log, or is damaged: {why}") from None
+
+
+class _RefusedError(ValueError):
+    """An archive that can be read, but is no motion log of this schema."""
 
 
 def _motions(path: Path, archive: Any) -> dict[str, MotionLog]:
@@ -228,11 +232,11 @@ def _motions(path: Path, archive: Any) -> dict[str, MotionLog]:
     names = [item.name for item in fields(MotionLog)]
     motions = [key.removesuffix("/stop_reason") for key in files if key.endswith("/stop_reason")]
     if not motions:
-        raise ValueError(f"{path} is not a motion log: it has no key MOTION/stop_reason")
+        raise _RefusedError(f"{path} is not a motion log: it has no key MOTION/stop_reason")
     version = int(archive[_SCHEMA_KEY]) if _SCHEMA_KEY in files else 1
     if version != SCHEMA_VERSION:
         age = "older" if version < SCHEMA_VERSION else "newer"
-        raise ValueError(
+        raise _RefusedError(
             f"{path} is a log of schema {version}, {age} than the {SCHEMA_VERSION} that this "
             "version of drake_oa reads; run the scenario again, or take the version named in "
             "the log's versions"
@@ -241,7 +245,7 @@ def _motions(path: Path, archive: Any) -> dict[str, MotionLog]:
     for motion in motions:
         missing = [name for name in names if f"{motion}/{name}" not in files]
         if missing:
-            raise ValueError(f"{path} is not a motion log: '{motion}' lacks {missing}")
+            raise _RefusedError(f"{path} is not a motion log: '{motion}' lacks {missing}")
         logs[motion] = MotionLog(**{n: _read(archive[f"{motion}/{n}"]) for n in names})
     return logs
 

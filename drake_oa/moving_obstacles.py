@@ -24,6 +24,10 @@ _FARTHEST = 10.0
 def check_waypoints(waypoints: Sequence[Sequence[float]], where: str) -> None:
     """Refuses a course that cannot be followed.
 
+    Args:
+        waypoints: rows t, x, y, z [s, m].
+        where: the field that they are in.
+
     Raises:
         ScenarioError: naming `where` and the row.
     """

@@ -2,8 +2,8 @@
 
 The package's model has the identified ones (C. Gaz et al., IEEE RA-L 4(4), 2019). The set
 here takes each link for a body of uniform density in the shape of its collision mesh, 18 kg
-in all (M. Krizmancic, franka_gazebo, README and panda_arm.xacro); Drake's own Panda has it.
-A controller that goes by it is off by what a real one without identification would be.
+without the hand (M. Krizmancic, franka_gazebo, README and panda_arm.xacro); Drake's own Panda
+has it. A controller that goes by it is off by what one without identification could be.
 """
 
 from __future__ import annotations

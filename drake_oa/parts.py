@@ -1,8 +1,8 @@
 """An obstacle described by several ellipsoids, where one would hold what is known to be free.
 
-One ellipsoid round an obstacle and the tool has about twice their volume; start or goal may
-lie inside it and be free. Halves of the cloud and parts of the tool are smaller, and so is
-what their ellipsoids enclose in vain.
+An ellipsoid holds more than what it is put round: of least volume round a box it has
+pi sqrt(3) / 2 = 2.7 times its volume. Start or goal may lie inside it and be free. Halves of
+the cloud and parts of the tool are smaller, and so is what their ellipsoids enclose in vain.
 """
 
 from __future__ import annotations
@@ -23,7 +23,16 @@ _MERGED = 1.3
 
 
 def cloud_parts(points: FloatArray, halvings: int) -> list[FloatArray]:
-    """Halves a cloud (N, 3) across its longest principal axis, and the halves again."""
+    """Halves a cloud across its longest principal axis, and the halves again.
+
+    Args:
+        points: (N, 3) points [m].
+        halvings: how often.
+
+    Returns:
+        At most 2^halvings clouds (N_i, 3), each point in one. Fewer than 8 points, or points
+        that are all equal, are not halved.
+    """
     if halvings == 0 or len(points) < _FEWEST:
         return [points]
     offset = points - points.mean(axis=0)
@@ -39,6 +48,9 @@ def merged_parts(parts: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
 
     Args:
         parts: (K_i, 3) vertices of each part [m].
+
+    Returns:
+        As many parts or fewer, with all the vertices.
     """
     merged = [np.asarray(part, dtype=float) for part in parts]
     i = 0

@@ -66,7 +66,7 @@ class PerceivedFrame:
             defines W.
         normal: (3,) unit normal of the table in C, towards its free side; NaN without.
         offset: ``normal . p_CQ`` of the table's points [m]; NaN without.
-        clusters: the largest first.
+        clusters: the one that shows the largest surface first.
         background: how many more were left out as background.
         valid: number of finite pixels (depth > 0) or points.
         milliseconds: processor time from the depth array to the ellipsoids, the median
@@ -104,6 +104,9 @@ def perceive(
         background: whether to keep clusters that are far away and cut by the border of
             what the camera saw.
         repeats: how often the work is timed, once more being run before.
+
+    Returns:
+        What is seen, in C.
 
     Raises:
         ValueError: for malformed arrays.

@@ -40,7 +40,8 @@ origin where the optical axis meets it, x along the camera's.
 """
 
 _EPILOG = """\
-JSON: {"tool", "versions", "files": [...]}, and for each file, in metres and in frame C:
+JSON: {"tool", "tool_W", "versions", "files": [...]}: tool_W holds the tool's corners [m]
+about its reference point in the orientation of W. For each file, in metres and in frame C:
 
   file          its path
   error         only if it cannot be used: why; then there is nothing else
@@ -49,7 +50,7 @@ JSON: {"tool", "versions", "files": [...]}, and for each file, in metres and in 
   X_WC          4 x 4 pose of C in W, given or from the table; null without a table
   plane         normal (towards the free side), offset (normal . p = offset), rms (of
                 the distances of its points); null when no table was found
-  clusters      the largest first, each with
+  clusters      the one that shows the largest surface first, each with
     points      number of its pixels or points
     mask        [[start, length], ...]: runs of its pixels by row-major index (row *
                 columns + column), or of its points by their place in the file
@@ -116,8 +117,8 @@ def add_parser(commands: Any) -> None:
         help="panda: the hand, pointing down (default); none: a point; LX,LY,LZ: a box [m] in "
         "the orientation of W",
     )
-    parser.add_argument("--near", type=float, metavar="M", help="least depth (default 0.3)")
-    parser.add_argument("--far", type=float, metavar="M", help="largest depth (default 2.5)")
+    parser.add_argument("--near", type=float, metavar="M", help="least depth [m] (default 0.3)")
+    parser.add_argument("--far", type=float, metavar="M", help="largest depth [m] (default 2.5)")
     parser.add_argument(
         "--background", action="store_true", help="keep what is far and cut by the border"
     )
@@ -144,6 +145,7 @@ def _run(options: argparse.Namespace) -> int:
         pictures = _pictures(options.plot, paths)
     figures: dict[str, Any] = {
         "tool": options.tool,
+        "tool_W": tool_W.tolist(),
         "versions": list(software_versions()),
         "files": [],
     }
@@ -280,7 +282,10 @@ def _config(options: argparse.Namespace) -> SegmentationConfig:
     from drake_oa.point_cloud import SegmentationConfig
 
     given = {"near": options.near, "far": options.far}
-    return SegmentationConfig(**{k: v for k, v in given.items() if v is not None})
+    try:
+        return SegmentationConfig(**{k: v for k, v in given.items() if v is not None})
+    except ValueError as error:
+        raise ValueError(f"--near, --far: {error}") from None
 
 
 def _pose(values: Sequence[float] | None) -> FloatArray | None:

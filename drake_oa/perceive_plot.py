@@ -112,6 +112,8 @@ def _draw_image(axes: Any, perceived: PerceivedFrame) -> None:
     axes.imshow(layer.reshape(*depth.shape, 4), interpolation="nearest")
     axes.set_xlim(-0.5, depth.shape[1] - 0.5)
     axes.set_ylim(depth.shape[0] - 0.5, -0.5)
+    axes.set_xlabel("column [pixel]")
+    axes.set_ylabel("row [pixel]")
 
 
 def _draw_cloud(axes: Any, perceived: PerceivedFrame) -> None:

@@ -10,7 +10,7 @@ from drake_oa.command_line import add_verbose, build_errors
 from drake_oa.output_files import check_outputs, replace_file, same_file
 
 FORMATS = (".png", ".svg", ".pdf")
-"""As in `drake_oa.log_plots`, which takes longer to import."""
+"""What the picture's name may end in."""
 
 _DESCRIPTION = """\
 Draws a logged run: clearance of tool and robot against the asked one, phase and share of

@@ -137,10 +137,14 @@ def read_frame(
 
 
 def _read_npz(path: Path, stamp: float) -> RecordedFrame:
+    # NumPy takes anything else for pickled objects, or for a single array.
+    if not zipfile.is_zipfile(path):
+        raise ValueError(f"'{path}' cannot be read as .npz: it is no archive of arrays")
     try:
         with np.load(path, allow_pickle=False) as archive:
-            data = {name: archive[name] for name in archive.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+            data = {name: np.asarray(archive[name]) for name in archive.files}
+    except Exception as error:
+        # What is damaged fails in the archive, its decompression, or the arrays' headers.
         raise ValueError(f"'{path}' cannot be read as .npz: {error}") from None
     depth, points = data.get("depth"), data.get("points")
     if (depth is None) == (points is None):
@@ -150,7 +154,7 @@ def _read_npz(path: Path, stamp: float) -> RecordedFrame:
         )
     K = None
     if depth is not None:
-        _check_floats(path, "depth", depth, depth.ndim == 2, "(H, W)")
+        _check_floats(path, "depth", depth, depth.ndim == 2 and depth.size > 0, "(H, W)")
         K = _numbers(path, data, "K", (4,))
         if K is None or (K[:2] <= 0.0).any():
             raise ValueError(f"'{path}' needs 'K' = [fx, fy, cx, cy] with its depth")
@@ -160,6 +164,9 @@ def _read_npz(path: Path, stamp: float) -> RecordedFrame:
     own_stamp = _numbers(path, data, "stamp", ())
     if own_stamp is not None:
         stamp = float(own_stamp)
+    X_WC = _numbers(path, data, "X_WC", (4, 4))
+    if X_WC is not None and not _is_rotation(X_WC[:3, :3]):
+        raise ValueError(f"'X_WC' in '{path}' must hold a rotation; its first 3 x 3 is none")
     state_shape = np.shape(data.get("robot_state", ()))[:1]
     return RecordedFrame(
         path,
@@ -167,7 +174,7 @@ def _read_npz(path: Path, stamp: float) -> RecordedFrame:
         depth,
         K,
         points,
-        _numbers(path, data, "X_WC", (4, 4)),
+        X_WC,
         _numbers(path, data, "robot_state", state_shape),
     )
 
@@ -194,6 +201,10 @@ def _numbers(
             f"not {array.dtype} {array.shape}"
         )
     return array.astype(float)
+
+
+def _is_rotation(R: FloatArray) -> bool:
+    return bool(np.abs(R @ R.T - np.eye(3)).max() <= 1e-6 and np.linalg.det(R) > 0.0)
 
 
 def _read_cloud(path: Path, stamp: float) -> RecordedFrame:

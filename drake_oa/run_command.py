@@ -25,7 +25,13 @@ from drake_oa.command_line import (
     complain,
 )
 from drake_oa.dmp import normalised_time
-from drake_oa.output_files import check_outputs, check_space, reserve_file, same_file
+from drake_oa.output_files import (
+    check_outputs,
+    check_space,
+    replace_text,
+    reserve_file,
+    same_file,
+)
 from drake_oa.scenario import Scenario, ScenarioError, load_scenario
 
 # Diagrams and simulation are imported where they are used: `--help` answers at once.
@@ -227,7 +233,7 @@ def _report(options: argparse.Namespace, scenario: Scenario, logs: dict[str, Mot
     report = run_report(_scenario_name(options), scenario, logs)
     print(report_table(report))
     if options.json:
-        options.json.write_text(json.dumps(report, indent=2) + "\n")
+        replace_text(options.json, json.dumps(report, indent=2) + "\n")
     ended = {"goal"}
     if options.duration is not None:
         ended.add(f"time limit of {options.duration:g} s")

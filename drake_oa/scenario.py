@@ -2,8 +2,9 @@
 
 A scenario file is read in three steps. The text becomes plain mappings
 (`pydrake.common.yaml.yaml_load`), overrides are merged into them, every key, tag,
-type and range is checked against the dataclasses below so that an error names the
-field and what would be valid, and `yaml_load_typed` builds the `Scenario`.
+type and range is checked against the dataclasses below, and those of
+`drake_oa.scenario_perception`, `drake_oa.obstacles` and `drake_oa.faults`, so that an error
+names the field and what would be valid, and `yaml_load_typed` builds the `Scenario`.
 """
 
 # No postponed annotations here: yaml_load_typed reads the fields' types.
@@ -15,25 +16,30 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydrake.common.schema import Transform
 from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load_typed
 from pydrake.multibody.parsing import ModelDirective
 from pydrake.systems.sensors import CameraConfig
 
-from drake_oa.depth_noise import RANGES, DepthNoiseParameters
 from drake_oa.dmp import ALPHA_K, ALPHA_X, BETA_X
 from drake_oa.faults import CameraFault, Fault
 from drake_oa.obstacles import Obstacle, check_obstacles
-from drake_oa.point_cloud import SegmentationConfig
 from drake_oa.scenario_fields import choice as _choice
 from drake_oa.scenario_fields import count as _count
 from drake_oa.scenario_fields import number as _number
 from drake_oa.scenario_fields import vector as _vector
+from drake_oa.scenario_perception import CameraNoise as CameraNoise
+from drake_oa.scenario_perception import (
+    DepthCamera,
+    GivenEllipsoids,
+    GroundTruth,
+    RecordedClouds,
+    check_perception,
+)
+from drake_oa.scenario_perception import EllipsoidConfig as EllipsoidConfig
 from drake_oa.schema_check import ScenarioError, apply_override, check, read_yaml
 from drake_oa.verification import SearchParameters
 
 _SEARCH = SearchParameters()
-_NOISE = DepthNoiseParameters()
 _SUFFIX = ".scenario.yaml"
 
 
@@ -178,93 +184,6 @@ class Robot:
     gains: Gains = dc.field(default_factory=Gains)
 
 
-def _noise(name: str, unit: str) -> Any:
-    return _number(getattr(_NOISE, name), unit, *RANGES[name])
-
-
-@dc.dataclass
-class CameraNoise:
-    """Noise of a structured-light camera: see `DepthNoiseParameters` for the model."""
-
-    # Deviation along the optical axis: offset + growth (z - depth)^2, and more at an angle.
-    axial_offset: float = _noise("axial_offset", "m")
-    axial_growth: float = _noise("axial_growth", "1/m")
-    axial_depth: float = _noise("axial_depth", "m")
-    axial_angle: float = _noise("axial_angle", "m^1.5")
-    # Deviation of an edge's place in the image [pixel].
-    lateral: float = _noise("lateral", "pixel")
-    # Pixels over which the axial noise is smooth, along rows and columns.
-    correlation_u: int = _count(_NOISE.correlation_u, 1, 64)
-    correlation_v: int = _count(_NOISE.correlation_v, 1, 64)
-    # From camera to projector [m], and steps of disparity a pixel.
-    baseline: float = _noise("baseline", "m")
-    subpixels: float = _noise("subpixels", "1/pixel")
-    # Unit in which the driver hands out depths [m].
-    unit: float = _noise("unit", "m")
-    # What is nearer or farther is missing [m]; so is what the camera's own range leaves out.
-    near: float = _noise("near", "m")
-    far: float = _noise("far", "m")
-    # Incidence at which pixels begin to be missing, and from which all are [rad].
-    grazing_start: float = _noise("grazing_start", "rad")
-    grazing_end: float = _noise("grazing_end", "rad")
-    # Difference between neighbours that is an edge, as a share of depth.
-    edge_jump: float = _noise("edge_jump", "1")
-    # Shares of the pixels beside an edge: missing, and between both surfaces.
-    edge_dropout: float = _noise("edge_dropout", "1")
-    flying: float = _noise("flying", "1")
-    # Whether what the projector does not light is missing.
-    shadows: bool = _NOISE.shadows
-
-
-@dc.dataclass
-class DepthCamera:
-    """Obstacles as a depth camera of `cameras` sees them."""
-
-    camera: str = "camera"
-    # Noise of the camera, {} for the published figures; null: an ideal camera.
-    noise: CameraNoise | None = None
-    # Changes to the segmentation's defaults: see `SegmentationConfig`.
-    segmentation: dict[str, float] = dc.field(default_factory=dict)
-
-
-@dc.dataclass
-class GroundTruth:
-    """Obstacles as SceneGraph knows them."""
-
-    period: float = _number(1.0 / 15.0, "s", 1e-3, 10.0)
-
-
-@dc.dataclass
-class RecordedClouds:
-    """Obstacles from a folder of recorded clouds or depth images."""
-
-    # Folder with .npz, .pcd or .ply files; relative to the scenario file.
-    folder: str = ""
-    # Pose of the camera in the world, for files that hold none; {} is the identity,
-    # for clouds already in the world frame.
-    X_WC: Transform | None = None
-    period: float = _number(1.0 / 15.0, "s", 1e-3, 10.0)
-    # Whether the recording starts again when it has ended.
-    loop: bool = False
-    segmentation: dict[str, float] = dc.field(default_factory=dict)
-
-
-@dc.dataclass
-class EllipsoidConfig:
-    """One given ellipsoid, already dilated."""
-
-    center: list[float] = _vector([0.0, 0.0, 0.0], "m")
-    semi_axes: list[float] = _vector([0.1, 0.1, 0.1], "m")
-    rpy: list[float] = _vector([0.0, 0.0, 0.0], "rad")
-
-
-@dc.dataclass
-class GivenEllipsoids:
-    """The descriptors themselves: the action level alone, without perception."""
-
-    ellipsoids: list[EllipsoidConfig] = dc.field(default_factory=list)
-
-
 @dc.dataclass
 class Scenario:
     """Everything a run needs. Each field has a default; a file states the rest."""
@@ -377,24 +296,7 @@ def _check_whole(scenario: Scenario) -> None:
     check_obstacles(scenario.obstacles)
     _check_faults(scenario)
     perception = scenario.perception
-    if isinstance(perception, DepthCamera) and perception.camera not in names:
-        raise ScenarioError(
-            f"perception.camera: there is no camera '{perception.camera}'; "
-            f"cameras has {', '.join(names) or 'none'}"
-        )
-    if isinstance(perception, DepthCamera) and perception.noise is not None:
-        noise_parameters(perception.noise)
-    if isinstance(perception, (DepthCamera, RecordedClouds)):
-        segmentation_config(perception.segmentation)
-    if isinstance(perception, RecordedClouds) and not perception.folder:
-        raise ScenarioError("perception.folder: is empty; it must name a folder of recordings")
-    if isinstance(perception, GivenEllipsoids):
-        for number, item in enumerate(perception.ellipsoids):
-            if min(item.semi_axes) <= 0.0:
-                raise ScenarioError(
-                    f"perception.ellipsoids[{number}].semi_axes: {item.semi_axes} "
-                    "must all be positive [m]"
-                )
+    check_perception(perception, names)
     if scenario.robot is None and not isinstance(perception, GivenEllipsoids):
         raise ScenarioError(
             "robot: null (a free point) needs 'perception: !GivenEllipsoids'; "
@@ -424,34 +326,6 @@ def _check_faults(scenario: Scenario) -> None:
             )
         if scenario.robot is None:
             raise ScenarioError(f"{what} needs a robot; this scenario has null")
-
-
-def segmentation_config(changes: dict[str, float], **defaults: Any) -> SegmentationConfig:
-    """The segmentation's parameters with a scenario's changes.
-
-    Raises:
-        ScenarioError: for an unknown field or a value out of range.
-    """
-    values: dict[str, Any] = defaults | {
-        name: int(value) if float(value).is_integer() else value for name, value in changes.items()
-    }
-    try:
-        return SegmentationConfig(**values)
-    except (TypeError, ValueError) as error:
-        valid = ", ".join(item.name for item in dc.fields(SegmentationConfig))
-        raise ScenarioError(f"perception.segmentation: {error}; fields: {valid}") from None
-
-
-def noise_parameters(noise: CameraNoise) -> DepthNoiseParameters:
-    """The camera's noise as the model takes it.
-
-    Raises:
-        ScenarioError: for limits that do not fit each other.
-    """
-    try:
-        return DepthNoiseParameters(**vars(noise))
-    except ValueError as error:
-        raise ScenarioError(f"perception.noise.{error}") from None
 
 
 def _resolve_files(data: dict[str, Any], base: Path) -> None:

@@ -14,20 +14,24 @@ def number(
     *,
     open_low: bool = False,
 ) -> Any:
+    """A finite number in [low, high], or in (low, high] with `open_low`."""
     return dc.field(
         default=default, metadata={"unit": unit, "low": low, "high": high, "open_low": open_low}
     )
 
 
 def choice(default: str, *others: str) -> Any:
+    """One of some words."""
     return dc.field(default=default, metadata={"choices": (default, *others)})
 
 
 def count(default: int, low: int, high: int) -> Any:
+    """A whole number in [low, high]."""
     return dc.field(default=default, metadata={"unit": "1", "low": low, "high": high})
 
 
 def vector(default: list[float], unit: str, size: int | None = None) -> Any:
+    """`size` finite numbers; None: as many as the default has."""
     return dc.field(
         default_factory=lambda: list(default),
         metadata={"unit": unit, "size": len(default) if size is None else size},

@@ -48,7 +48,16 @@ class MotionInterruptedError(RuntimeError):
 
 
 class MotionWatcher:
-    """Looks at the policy after each step: records, reports progress, ends the run."""
+    """Looks at the policy after each step: records, reports progress, ends the run.
+
+    Attributes:
+        frames: the observations, as they arrived.
+        frame_times: when each arrived [s].
+        out_of_range: of each, how many obstacles the regressor chain was not trained for.
+        events: (time [s], note) whenever the policy's note changed.
+        supervision: (time [s], action, reason) whenever the supervisor's decision changed.
+        stop_reason: what ended the run; "" until then.
+    """
 
     def __init__(
         self,
@@ -57,6 +66,15 @@ class MotionWatcher:
         end_time: float,
         on_progress: Callable[[float, float], None] | None,
     ) -> None:
+        """Finds what it looks at.
+
+        Args:
+            diagram: with a `dmp_integrator`; the other systems of `build_avoidance` are
+                looked at where they are there.
+            scenario: what the diagram was made from.
+            end_time: time limit [s].
+            on_progress: called with time [s] and phase, or None.
+        """
         self._diagram = diagram
         self._policy_system = diagram.GetSubsystemByName("dmp_integrator")
         self._policy_port = self._policy_system.GetOutputPort("policy_state")
@@ -76,6 +94,9 @@ class MotionWatcher:
         self._chain = None
         if diagram.HasSubsystemNamed("regressor_chain"):
             self._chain = diagram.GetSubsystemByName("regressor_chain")
+        self._supervisor = None
+        if diagram.HasSubsystemNamed("supervisor"):
+            self._supervisor = diagram.GetSubsystemByName("supervisor")
         self.frames: list[EllipsoidSet] = []
         self.frame_times: list[float] = []
         self.out_of_range: list[int] = []
@@ -127,12 +148,10 @@ class MotionWatcher:
                 self.out_of_range.append(self._count_out_of_range(root))
 
     def _supervision(self, root: Context) -> Supervision:
-        if not self._diagram.HasSubsystemNamed("supervisor"):
+        if self._supervisor is None:
             return Supervision()
-        system = self._diagram.GetSubsystemByName("supervisor")
-        said: Supervision = system.GetOutputPort("supervision").Eval(
-            system.GetMyContextFromRoot(root)
-        )
+        port = self._supervisor.GetOutputPort("supervision")
+        said: Supervision = port.Eval(self._supervisor.GetMyContextFromRoot(root))
         return said
 
     def _record_supervision(self, root: Context, now: float) -> None:
@@ -166,10 +185,12 @@ def simulate(
     meshcat: Meshcat | None = None,
     on_progress: Callable[[float, float], None] | None = None,
 ) -> MotionLog:
-    """Runs one motion of a scenario until the goal, a lasting hold or the time limit.
+    """Runs one motion of a scenario until the goal, a stop, a lasting hold or the time limit.
 
     The goal is reached when the phase has passed s = 1 and the desired motion has
-    arrived; one that has not by `LATEST_END` is ended there.
+    arrived; one that has not by `LATEST_END` is ended there. The log's `stop_reason` is
+    "goal", "stopped: ..." (by the supervisor), "held for ...", "goal missed by ...", "time
+    limit of ..." or, in what a `MotionInterruptedError` carries, what was raised.
 
     Args:
         scenario: what to run.
@@ -179,6 +200,7 @@ def simulate(
         on_progress: called with time [s] and phase, a few hundred times a second.
 
     Raises:
+        ScenarioError: naming the field that does not fit.
         MotionInterruptedError: if the simulation raised or was interrupted; it
             carries the log until then, and the cause.
     """

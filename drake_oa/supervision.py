@@ -6,7 +6,7 @@ and why. The least one counts. The path is a function of normalised time s alone
 a motion at another speed keeps its path.
 
 The watch of clearance asks of every pair of a point p of an obstacle and the nearest point of
-a link, at their distance d, closing at the speed c when the motion has full speed,
+a link, at their distance d less the padding, closing at the speed c at full speed,
 
     share * c + (speed of the obstacle towards the link) <= (d - d_stop) / T_reaction,
 
@@ -119,7 +119,8 @@ class Supervision(Frozen):
         since: since when action and reason are these [s].
         link: the body nearest to a limit of clearance; "" where none is.
         obstacle: name of the obstacle it is near to; -1: the table, or none.
-        distance: between them [m]; inf where nothing limits the motion.
+        distance: between them, less the padding of an obstacle's points [m]; inf where
+            nothing limits the motion.
     """
 
     action: Action = "run"

@@ -24,11 +24,11 @@ class ObstaclePoints(Frozen):
     Attributes:
         stamp: of the observation [s].
         ids: (M,) the obstacles' names.
-        v_WO: (M, 3) their velocities [m/s].
-        points: (N, 3) [m].
+        v_WO: (M, 3) their velocities in the world [m/s].
+        points: (N, 3) in the world [m].
         start: (K + 1,) where each block begins, and N.
         owner: (K,) the obstacle's row.
-        sphere: (K, 4) centre and radius of a sphere that holds the block [m].
+        sphere: (K, 4) centre, in the world, and radius of a sphere that holds the block [m].
         table: the supporting plane, or None.
     """
 

@@ -1,7 +1,7 @@
 """How fast a moving robot may go among points, compiled.
 
-Call the functions of `drake_oa.supervision` instead. Every kernel takes C-contiguous arrays
-of one type (float64 and int64), so that numba compiles each of them once.
+`drake_oa.supervision_watches` and `drake_oa.systems.supervisor` call them. Every kernel takes
+C-contiguous arrays of one type (float64 and int64), so that numba compiles each of them once.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ TABLE = -1
 NOTHING = -2
 """The obstacle's row where nothing limits the motion."""
 APPROACH = 1e-3
-"""Closing speeds at full speed below this are no approach [m/s]."""
+"""Closing speeds at full speed below this are no approach [m/s], nor are joint speeds [rad/s]."""
 _TINY = 1e-12
 """A point this near to a primitive's inner box has no direction away from it [m]."""
 AT_REST = 1e-3
@@ -306,16 +306,17 @@ def full_speed_motion(
     the arm moves as it does.
 
     Args:
-        J: (6, n) Jacobian of the tool's angular and linear velocity.
+        J: (6, n) Jacobian of the tool's angular and linear velocity in the world.
         v: (n,) joint velocities [rad/s].
-        v_WE: (3,) velocity of the tool point at full speed [m/s].
+        v_WE: (3,) velocity of the tool point at full speed, in the world [m/s].
         p_WE: (3,) the tool point [m].
         X_WB: (B, 4, 4) poses of the bodies.
         moved: (B, n) whether a joint moves a body.
         damping: of the least-squares solution, against singular postures [m^2].
 
     Returns:
-        (n,) joint velocities [rad/s]; (B, 6) angular and linear velocities of the bodies.
+        (n,) joint velocities [rad/s]; (B, 6) angular and linear velocities of the bodies in
+        the world [rad/s, m/s].
     """
     n = len(v)
     lacking = np.zeros(6)

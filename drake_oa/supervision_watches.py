@@ -55,12 +55,13 @@ def watch_clearance(
     parameters: SupervisorParameters,
     rules: FloatArray,
 ) -> Demand:
-    """Slows an approach of any link to an obstacle or the table: see the module's text.
+    """Slows an approach of any link to an obstacle or the table: see `drake_oa.supervision`.
 
     Args:
         bodies: the B bodies' names.
-        X_WB: (B, 4, 4) their poses.
-        V_WB: (B, 6) their angular and linear velocities at full speed [rad/s, m/s].
+        X_WB: (B, 4, 4) their poses in the world.
+        V_WB: (B, 6) their angular and linear velocities in the world at full speed
+            [rad/s, m/s].
         shapes: their primitives.
         obstacles: the points; they have moved on at their velocities since their stamp.
         table: the supporting plane, or None.
@@ -135,7 +136,7 @@ def watch_joints(
         joints: their limits.
         q: (n,) positions [rad].
         v: (n,) velocities [rad/s].
-        v_full: (n,) velocities at full speed, see `full_speed_velocity` [rad/s].
+        v_full: (n,) velocities at full speed, see `supervision_kernels.full_speed_motion` [rad/s].
         scale: share of full speed asked for now.
         parameters: what is kept.
     """

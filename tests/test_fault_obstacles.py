@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pydrake.systems.framework import DiagramBuilder
 
-from drake_oa import layers
+from drake_oa import robot_layers
 from drake_oa.fault_obstacles import PARKED_BEYOND, goal_ball
 from drake_oa.faults import GoalBlocked
 from drake_oa.moving_obstacles import check_waypoints, offset_at
@@ -59,7 +59,7 @@ def test_the_plate_touches_the_tool_at_the_start_and_nothing_else(overrides: lis
     diagram = builder.Build()
     root = diagram.CreateDefaultContext()
     plant_context = station.plant.GetMyMutableContextFromRoot(root)
-    q = layers.start_positions(make_robot_plant(scenario.robot), scenario)
+    q = robot_layers.start_positions(make_robot_plant(scenario.robot), scenario)
     station.plant.SetPositions(plant_context, station.robot, q)
     query = station.scene_graph.get_query_output_port().Eval(
         station.scene_graph.GetMyContextFromRoot(root)

@@ -52,13 +52,14 @@ def test_pauses_are_those_of_the_supervisor_and_of_the_policy_once(
         supervision_time=np.array([1.0, 2.0, 3.0]),
         supervision_action=("slow", "hold", "run"),
         supervision_reason=("near", "camera stopped", ""),
-        event_time=np.array([0.2, 0.5, 2.01, 3.0, 4.0]),
-        event=("blocked", "", "supervisor: camera stopped", "", "blocked"),
+        event_time=np.array([0.2, 0.5, 1.99, 2.01, 2.3, 3.4, 4.0]),
+        event=("blocked", "", "unseen", "supervisor: camera stopped", "goal", "", "blocked"),
     )
     assert pauses(log) == [
         Pause(0.2, 0.5, "held", "blocked"),
         Pause(1.0, 2.0, "slow", "near"),
         Pause(2.0, 3.0, "hold", "camera stopped"),
+        Pause(2.3, 3.4, "held", "goal"),
         Pause(4.0, 5.0, "held", "blocked"),
     ]
     assert pauses(straight_log()) == []

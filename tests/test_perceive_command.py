@@ -49,6 +49,7 @@ def test_figures_table_and_picture_of_a_folder(scan, tmp_path, capsys):
     image, npz = data["files"]
     assert [image["file"], npz["file"]] == [str(tmp_path / "image.png"), str(scan)]
     assert data["tool"] == "panda"
+    assert np.shape(data["tool_W"])[1:] == (3,)
     for frame in (image, npz):
         assert frame["size"] == list(SIZE)
         assert len(frame["clusters"]) == 1
@@ -113,7 +114,7 @@ def test_a_frame_without_measurements_is_reported(tmp_path, capsys, depth, note)
         (["--depth-scale", "0"], "--depth-scale must be positive"),
         (["--pose", "0", "0", "nan", "0", "0", "0"], "--pose must be six finite"),
         (["--repeats", "0"], "--repeats must be at least 1"),
-        (["--far", "0.1"], "near must be less than far"),
+        (["--far", "0.1"], "--near, --far: SegmentationConfig.near must be less than far"),
     ],
 )
 def test_options_that_make_no_sense_are_refused(scan, capsys, options, message):

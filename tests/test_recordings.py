@@ -81,6 +81,17 @@ def test_a_truncated_archive_is_named(tmp_path):
         read_recording(tmp_path)
 
 
+@pytest.mark.parametrize("damaged", [slice(60, 120), slice(200, 260), slice(-120, -90)])
+def test_a_damaged_archive_is_named(tmp_path, damaged):
+    path = tmp_path / "damaged.npz"
+    np.savez_compressed(path, points=np.random.default_rng(0).random((200, 3)))
+    data = bytearray(path.read_bytes())
+    data[damaged] = bytes(255 for _ in data[damaged])
+    path.write_bytes(data)
+    with pytest.raises(ValueError, match=r"damaged\.npz"):
+        read_recording(tmp_path)
+
+
 @pytest.mark.parametrize(
     ("arrays", "message"),
     [
@@ -91,7 +102,10 @@ def test_a_truncated_archive_is_named(tmp_path):
         ({"depth": np.ones((2, 2)), "K": K[:3]}, "'K' in"),
         ({"depth": np.ones(4), "K": K}, "'depth' in"),
         ({"depth": np.ones((2, 2), dtype=np.uint16), "K": K}, "'depth' in"),
+        ({"depth": np.ones((0, 2)), "K": K}, "'depth' in"),
         ({"points": POINTS.T}, "'points' in"),
+        ({"points": POINTS, "X_WC": np.zeros((4, 4))}, "'X_WC' in .* rotation"),
+        ({"points": POINTS, "X_WC": np.diag([1.0, 1.0, -1.0, 1.0])}, "'X_WC' in .* rotation"),
         ({"points": POINTS, "X_WC": np.eye(3)}, "'X_WC' in"),
         ({"points": POINTS, "stamp": np.nan}, "'stamp' in"),
         ({"points": POINTS, "stamp": "now"}, "'stamp' in"),
@@ -102,6 +116,13 @@ def test_malformed_arrays_are_named(tmp_path, arrays, message):
     with pytest.raises(ValueError, match=message) as error:
         read_recording(tmp_path)
     assert "frame.npz" in str(error.value)
+
+
+def test_a_single_array_is_no_archive(tmp_path):
+    with (tmp_path / "array.npz").open("wb") as file:
+        np.save(file, POINTS)
+    with pytest.raises(ValueError, match=r"array\.npz.* no archive"):
+        read_recording(tmp_path)
 
 
 def test_pickled_objects_are_not_loaded(tmp_path):

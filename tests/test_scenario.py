@@ -16,11 +16,11 @@ from drake_oa.scenario import (
     ScenarioError,
     Verified,
     load_scenario,
-    noise_parameters,
     parse_scenario,
     scenario_text,
     shipped_scenarios,
 )
+from drake_oa.scenario_perception import noise_parameters
 
 NAMES = ["free_space", "tabletop_box", "tabletop_clutter", "tabletop_irregular"]
 

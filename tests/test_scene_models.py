@@ -22,7 +22,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraInfo
 
 import drake_oa.models
-from drake_oa.layers import start_positions
+from drake_oa.robot_layers import start_positions
 from drake_oa.scenario import load_scenario
 from drake_oa.station import make_robot_plant
 

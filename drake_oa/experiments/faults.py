@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from drake_oa.command_line import BAD_INPUT, complain
 from drake_oa.output_files import check_outputs, replace_text
 from drake_oa.provenance import software_versions
 from drake_oa.report import motion_report
@@ -68,11 +69,20 @@ def run_case(case: Case, name: str = SCENARIO) -> dict[str, Any]:
 
     Further keys: `fault` (its block) and `overrides`. A simulation that raises is reported
     until then; its `stop_reason` says what it raised.
+
+    Args:
+        case: the fault.
+        name: of the scenario, or its file.
+
+    Raises:
+        ScenarioError: naming the field that does not fit.
     """
     scenario = case.scenario(name)
     try:
         log = simulate(scenario)
     except MotionInterruptedError as error:
+        if isinstance(error.__cause__, KeyboardInterrupt):
+            raise KeyboardInterrupt from error
         log = error.log
     return {
         "fault": case.fault,
@@ -150,14 +160,30 @@ def _parser() -> argparse.ArgumentParser:
         metavar="NAME",
         help=f"run only this; may be repeated; of: {', '.join(CASES)}",
     )
-    parser.add_argument("--scenario", default=SCENARIO, help=f"default: {SCENARIO}")
+    parser.add_argument(
+        "--scenario",
+        default=SCENARIO,
+        metavar="S",
+        help=f"a shipped name or a file (default: {SCENARIO})",
+    )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the reports there")
     return parser
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command; returns its exit status: 1 if a motion made a contact."""
+    """Runs the command; returns its exit status.
+
+    It is 1 if a motion made a contact or did not end as its case should, 2 for bad input.
+    """
     options = _parser().parse_args(arguments)
+    try:
+        return _run(options)
+    except (ValueError, OSError) as error:
+        complain(str(error))
+        return BAD_INPUT
+
+
+def _run(options: argparse.Namespace) -> int:
     check_outputs(options.json)
     reports: dict[str, dict[str, Any]] = {}
     names: Iterable[str] = options.fault or CASES
@@ -172,7 +198,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             }
             replace_text(options.json, json.dumps(result, indent=1) + "\n")
     print(markdown_table(reports))
-    return int(any(report["made_contacts"] for report in reports.values()))
+    return int(
+        any(
+            report["made_contacts"] or not report["stop_reason"].startswith(CASES[name].ends)
+            for name, report in reports.items()
+        )
+    )
 
 
 if __name__ == "__main__":

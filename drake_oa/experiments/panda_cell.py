@@ -20,11 +20,12 @@ from drake_oa.cartesian_kernels import rotation_vector
 from drake_oa.dmp import minimum_jerk
 from drake_oa.inverse_kinematics import solve_tool_pose
 from drake_oa.obstacles import Obstacle, pose, shape_geometry
-from drake_oa.scenario import Robot, Scenario
+from drake_oa.scenario import Robot, Scenario, ScenarioError
 from drake_oa.station import TOOL_FRAME, home_positions, make_robot_plant, make_station
 from drake_oa.values import FloatArray
 
 _STEPS = 60
+"""Steps of a straight motion."""
 _POSTURE_RATE = 0.2
 """Share of the way back to the posture that the null space goes in a step."""
 _LIMIT_MARGIN = 0.03
@@ -40,9 +41,13 @@ class PandaCell:
         """Builds the cell.
 
         Args:
-            scenario: with a robot and without obstacles.
+            scenario: with a robot. Obstacles of its own are no obstacles here.
+
+        Raises:
+            ScenarioError: if it has no robot, or its world cannot be built.
         """
-        assert scenario.robot is not None
+        if scenario.robot is None:
+            raise ScenarioError("robot: this cell needs one; this scenario has null")
         self._robot: Robot = scenario.robot
         self._duration = scenario.task.duration
         self._robot_plant = make_robot_plant(self._robot)
@@ -94,6 +99,9 @@ class PandaCell:
     def tool_down(self, p_WE: FloatArray) -> FloatArray:
         """(nq,) positions with the tool at a point, as a run starts there.
 
+        Args:
+            p_WE: (3,) the tool point in the world [m].
+
         Raises:
             ValueError: if it is out of reach.
         """
@@ -111,7 +119,7 @@ class PandaCell:
         the null space drawn back to the posture at the start.
 
         Args:
-            start: (3,) where the tool point starts [m].
+            start: (3,) where the tool point starts, in the world [m].
             goal: (3,) where it ends [m].
 
         Returns:
@@ -170,7 +178,10 @@ class PandaCell:
         return port.Eval(self._graph_context)
 
     def contacts(self, q: FloatArray) -> list[tuple[str, str, float]]:
-        """(link, thing, depth [m]) of what the robot touches; thing "" is no obstacle."""
+        """(link, thing, depth [m]) of what the robot touches at (nq,) positions q.
+
+        Things are named by what was put; "" is anything else.
+        """
         found = []
         for hit in self._query(q).ComputePointPairPenetration():
             for link, thing in ((hit.id_A, hit.id_B), (hit.id_B, hit.id_A)):
@@ -180,7 +191,7 @@ class PandaCell:
         return found
 
     def clearance(self, q: FloatArray) -> float:
-        """Least distance of the robot to the obstacles [m]; inf without any."""
+        """Least distance of the robot at (nq,) positions q to what was put [m]; inf for nothing."""
         query = self._query(q)
         return min(
             (

@@ -20,8 +20,9 @@ from pydrake.systems.framework import Context, Diagram, EventStatus
 from drake_oa.diagrams.differential_ik import build_differential_ik
 from drake_oa.dmp import normalised_time
 from drake_oa.experiments.differential_ik import PeerParameters
-from drake_oa.layers import make_dmp, start_positions
+from drake_oa.layers import make_dmp
 from drake_oa.motion_log import MotionLog
+from drake_oa.robot_layers import start_positions
 from drake_oa.scenario import Scenario, ScenarioError
 from drake_oa.simulation import (
     ARRIVED,

@@ -1,8 +1,8 @@
 """Random table-top scenes for the whole Panda; each is a scenario.
 
-A scene has 1 to 6 obstacles (see `panda_obstacles`) on the table, which the camera of the
-shipped table-top scenarios has in view, and a motion of 0.5 to 1.0 m whose straight line the
-arm can follow, tool down, within its joint limits. The number of obstacles is drawn once;
+A scene has 1 to 6 obstacles (see `panda_obstacles`) on the table, whose middles the camera of
+the shipped table-top scenarios has in view, and a motion of 0.5 to 1.0 m whose straight line
+the arm can follow, tool down, within its joint limits. The number of obstacles is drawn once;
 the rest is drawn again until
 
 - no two obstacles are nearer to each other than 2 cm (circles round them, seen from above),
@@ -55,15 +55,22 @@ directives:
 - add_directives: {file: package://drake_oa/scenes/camera_xtion.dmd.yaml}
 """
 _BASELINE = (0.5, 1.0)
+"""Distance of start and goal [m]."""
 _LOW = np.array([0.10, -0.70, 0.10])
 _HIGH = np.array([0.80, 0.70, 0.50])
 """Where start and goal are drawn [m]; the tool-down workspace is smaller."""
 _REACH_MARGIN = 0.02
+"""What the straight line keeps from the end of the tool-down workspace [m]."""
 _TABLE_X, _TABLE_Y = (0.22, 0.85), (-0.60, 0.60)
 """Where obstacles stand, seen from above [m]: their circles may reach beyond."""
 _BASE_RADIUS = 0.16
+"""Of a circle round the robot's base, seen from above [m]."""
 _GAP = 0.02
+"""Between the circles round two obstacles [m]."""
 _TOUCH = 5e-3
+"""How far a link must go into an obstacle on the straight motion [m]."""
+_ARM_WIDTH = 0.15
+"""How far the arm may be aside of the triangle of base, start and goal [m]."""
 _MOTIONS = 12
 """Motions tried among the same obstacles."""
 _MOST_PLACES = 20
@@ -84,7 +91,7 @@ def draw_panda_scene(
 
     Raises:
         ValueError: for an unknown kind or perception.
-        RuntimeError: if no scene was found; none of those tried is near that.
+        RuntimeError: if no scene was found in `_MOST_ATTEMPTS` attempts.
     """
     check_kind(kind)
     check_perception(perception)
@@ -224,9 +231,6 @@ def _line_is_far(start: FloatArray, goal: FloatArray, obstacles: Sequence[Obstac
         > footprint_radius(o) + _ARM_WIDTH
         for o in obstacles
     )
-
-
-_ARM_WIDTH = 0.15
 
 
 def _distance_to_triangle(p: FloatArray, corners: FloatArray) -> float:

@@ -65,9 +65,9 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     `success_rate`; `stop_reasons`, what the stopped ones were stopped by, and how often;
     `contact_pairs`, in how many scenes which link met what; `failed`, runs that raised;
     `tool_clearance_min` and `robot_clearance_min` over all scenes, `tool_clearance_median` of
-    the scenes' least ones; `goal_error_max` over
-    the scenes that were not stopped short, `goal_error_max_all` over all;
-    `real_time_factor`, the median, and `real_time_factor_min`, the least.
+    the scenes' least ones [m]; `goal_error_max` over the scenes that were not stopped short,
+    `goal_error_max_all` over all [m]; `real_time_factor`, the median, and
+    `real_time_factor_min`, the least; `seconds`, the wall time of all simulations together.
     """
     outcome = Counter(run["outcome"] for run in runs)
     arrived = [run["goal_error"] for run in runs if run["outcome"] != "stopped"]

@@ -76,6 +76,7 @@ def _in_processes(
         get_reusable_executor().shutdown(wait=False, kill_workers=True)
         raise
     finally:
+        # What has ended it is raised already.
         with contextlib.suppress(Exception):
             results.close()
 
@@ -85,11 +86,14 @@ def _on_cluster(
 ) -> Iterator[tuple[int, Any]]:
     try:
         from distributed import Client, as_completed
+        from distributed.comm import resolve_address
     except ModuleNotFoundError:
         raise ValueError(
             "a scheduler needs the package distributed: pip install 'drake_oa[cluster]'"
         ) from None
     try:
+        # First: a client that refuses an address hangs for a while when it is disposed of.
+        resolve_address(scheduler)
         client = Client(scheduler, timeout=CONNECT_TIMEOUT, set_as_default=False)
     except (OSError, ValueError) as error:
         raise ValueError(f"cannot reach a Dask scheduler at {scheduler}: {error}") from None

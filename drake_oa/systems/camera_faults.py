@@ -156,10 +156,10 @@ class CameraFaults(LeafSystem):
         self, context: Context, depth: NDArray[np.float32], number: int
     ) -> NDArray[np.float32]:
         pose: Any = read_value(self, self._pose_port, context, RigidTransform)
+        X_WC = pose.GetAsMatrix4()
         return damaged_frame(
-            self._faults, depth, number, self._period, self._K, pose.GetAsMatrix4(),
-            self._table_height,
-        )  # fmt: skip
+            self._faults, depth, number, self._period, self._K, X_WC, self._table_height
+        )
 
     def _calc_image(self, context: Context, output: AbstractValue) -> None:
         late = self._late_frame(context)

@@ -59,16 +59,18 @@ class EllipsoidDescriptor(LeafSystem):
 
         Raises:
             ValueError: if the tool or a part of it is empty, not (K, 3) or not finite, the
-                method is unknown, minimum_semi_axis is not positive, or free_W not finite.
+                method is unknown, minimum_semi_axis is not positive, or free_W is not (F, 3)
+                or not finite.
         """
         super().__init__()
         if not minimum_semi_axis > 0.0:
             raise ValueError(f"minimum_semi_axis must be positive [m], not {minimum_semi_axis}")
         self._tool_W = check_descriptor_arguments(tool_W, method)
         self._tool_parts = tuple(check_descriptor_arguments(p, method) for p in tool_parts)
-        self._free_W = np.array(free_W, dtype=float).reshape(-1, 3)
-        if not np.isfinite(self._free_W).all():
-            raise ValueError(f"free_W must be finite [m], not {self._free_W}")
+        free = np.array(free_W, dtype=float)
+        if free.size and (free.shape[1:] != (3,) or not np.isfinite(free).all()):
+            raise ValueError(f"free_W must be (F, 3) finite points [m], not {free}")
+        self._free_W = free.reshape(-1, 3)
         self._method: Method = method
         self._minimum_semi_axis = minimum_semi_axis
         self._obstacles = self.DeclareAbstractInputPort("obstacles_W", Value(ObstacleClouds()))

@@ -64,7 +64,7 @@ class RecordedPerception(LeafSystem):
         """Reads the folder, and declares ports, state and events.
 
         Args:
-            folder: with .npz, .pcd or .ply files.
+            folder: with .npz, .pcd, .ply or .png files.
             X_WC: pose of the camera for files that do not hold one; the identity
                 for clouds already in the world frame; None when unknown.
             config: how frames are segmented; None for the defaults.

@@ -107,7 +107,8 @@ class Supervisor(LeafSystem):
             table: the supporting plane until one is observed; None: none.
 
         Raises:
-            ValueError: if the plant has no such frame, or duration or period are not
+            ValueError: if the plant has no such frame, a joint of several degrees of
+                freedom, or none that moves the frame; or if duration or period are not
                 positive and finite.
         """
         super().__init__()
@@ -233,8 +234,12 @@ class Supervisor(LeafSystem):
 
 
 def _arm(robot: RobotModel, tool: int) -> tuple[IntArray, BoolArray, JointRange]:
-    """Where the joints that move the tool are in the plant's velocities, which of the robot's
-    bodies each moves (B, n), and their limits."""
+    """The joints that move the tool.
+
+    Returns:
+        (n,) where they are in the plant's velocities; (B, n) which of the robot's bodies each
+        moves; their limits.
+    """
     plant = robot.plant
     joints, moved = [], []
     for joint in map(plant.get_joint, plant.GetJointIndices(robot.model_instance)):
@@ -242,7 +247,9 @@ def _arm(robot: RobotModel, tool: int) -> tuple[IntArray, BoolArray, JointRange]
         if joint.num_velocities() == 1 and tool in bodies:
             joints.append(joint)
             moved.append([body in bodies for body in robot.bodies])
-    if not joints or plant.num_positions() != plant.num_velocities():
+    if plant.num_positions() != plant.num_velocities():
+        raise ValueError("robot: each joint must have one degree of freedom")
+    if not joints:
         raise ValueError("robot: no joint of one degree of freedom moves the tool frame")
     limits = JointRange(
         tuple(joint.name() for joint in joints),

@@ -191,6 +191,11 @@ def test_the_command_names_its_faults(capsys: pytest.CaptureFixture[str]) -> Non
     assert "camera stops" in capsys.readouterr().err
 
 
+def test_the_command_answers_bad_input_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--scenario", "nowhere"]) == 2
+    assert "error: unknown scenario 'nowhere'" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_each_fault_ends_as_it_should_without_a_contact(name: str) -> None:

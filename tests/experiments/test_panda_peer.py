@@ -8,9 +8,9 @@ import pytest
 from drake_oa.diagrams.differential_ik import build_differential_ik
 from drake_oa.experiments.differential_ik import PeerParameters, make_collision_checker
 from drake_oa.experiments.panda_peer import METHOD, NO_VELOCITY, simulate_differential_ik
-from drake_oa.layers import start_positions
 from drake_oa.metrics import robot_metrics
 from drake_oa.motion_log import load_logs, save_logs
+from drake_oa.robot_layers import start_positions
 from drake_oa.scenario import Scenario, ScenarioError, load_scenario
 from drake_oa.station import make_robot_plant
 

@@ -32,8 +32,9 @@ def test_an_exception_passes_through(jobs):
         list(carry_out(operator.truediv, [(1, 0), (1, 0), (1, 1)], jobs=jobs))
 
 
-def test_a_scheduler_that_is_not_there(monkeypatch):
+@pytest.mark.parametrize("address", ["tcp://localhost:1", "localhost", "nothing://localhost:1"])
+def test_a_scheduler_that_is_not_there(address, monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr("drake_oa.experiments.parallel_tasks.CONNECT_TIMEOUT", 0.2)
-    with pytest.raises(ValueError, match="cannot reach a Dask scheduler at tcp://localhost:1"):
-        list(carry_out(operator.pow, _CALLS, scheduler="tcp://localhost:1"))
+    with pytest.raises(ValueError, match=f"cannot reach a Dask scheduler at {address}: "):
+        list(carry_out(operator.pow, _CALLS, scheduler=address))

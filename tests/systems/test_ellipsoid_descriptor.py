@@ -126,6 +126,12 @@ def test_bad_minimum_semi_axis_is_refused():
         EllipsoidDescriptor(TOOL_W, minimum_semi_axis=0.0)
 
 
+@pytest.mark.parametrize("free_W", [[0.1, 0.2, 0.3], [[0.1, 0.2]], [[0.1, 0.2, np.nan]]])
+def test_bad_free_points_are_refused(free_W):
+    with pytest.raises(ValueError, match=r"free_W must be \(F, 3\) finite points"):
+        EllipsoidDescriptor(TOOL_W, free_W=free_W)
+
+
 def test_is_computed_once_for_each_input(cloud, monkeypatch):
     calls = []
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pydrake.systems.framework import BasicVector
 
-from drake_oa.layers import make_integral_action
+from drake_oa.robot_layers import make_integral_action
 from drake_oa.scenario import ScenarioError, load_scenario
 from drake_oa.systems.integral_action import (
     LARGEST_ACCELERATION,
