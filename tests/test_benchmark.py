@@ -94,7 +94,6 @@ def test_the_budget_of_a_run_has_every_layer_and_adds_up_to_the_whole(figures):
         "tracking and fusion",
         "descriptor",
         "decision",
-        "route decision",
         "policy",
         "controller",
         "supervisor",
