@@ -7,7 +7,6 @@ all of them, uses them and ends them.
 from __future__ import annotations
 
 import atexit
-import contextlib
 import queue
 import threading
 import weakref
@@ -96,13 +95,25 @@ class BackgroundCamera:
         Raises:
             ScenarioError: if the camera does not fit the world.
         """
+        self._scenario, self._config = scenario, config
         self._world: list[_CameraWorld] = []
-        world = self._world
-        _thread.submit(lambda: world.append(_CameraWorld(scenario, config))).result()
+        self._build()
         self._images: OrderedDict[bytes, Future[Rendered]] = OrderedDict()
         # The engine must end in its own thread as well.
-        weakref.finalize(self, _thread.forget, world)
+        weakref.finalize(self, _thread.forget, self._world)
+
+    def _build(self) -> None:
+        world, scenario, config = self._world, self._scenario, self._config
+        _thread.submit(lambda: world.append(_CameraWorld(scenario, config))).result()
         _thread.remember(world)
+
+    def release(self) -> None:
+        """Ends the engine and forgets the images; asked again, the camera begins anew.
+
+        A diagram of Python systems is never collected, and would keep them for ever.
+        """
+        _thread.forget(self._world)
+        self._images.clear()
 
     def ask(self, state: FloatArray) -> Future[Rendered]:
         """The image at a state [q, v] of the scenario's plant, when it is ready."""
@@ -110,6 +121,8 @@ class BackgroundCamera:
         found = self._images.get(key)
         if found is None:
             world, asked = self._world, np.array(state)
+            if not _thread.knows(world):
+                self._build()
             found = _thread.submit(lambda: world[0].render(asked))
             self._images[key] = found
             if len(self._images) > _KEPT:
@@ -146,11 +159,14 @@ class _RenderThread:
     def remember(self, world: list[_CameraWorld]) -> None:
         self._worlds.append(world)
 
+    def knows(self, world: list[_CameraWorld]) -> bool:
+        return any(one is world for one in self._worlds)
+
     def forget(self, world: list[_CameraWorld]) -> None:
         """Ends a world."""
-        with contextlib.suppress(ValueError):
-            self._worlds.remove(world)
-        self._tasks.put(world.clear)
+        if self.knows(world):
+            self._worlds = [one for one in self._worlds if one is not world]
+            self._tasks.put(world.clear)
 
     def close(self) -> None:
         """Ends all worlds, and the thread."""

@@ -24,6 +24,7 @@ from drake_oa.robot_limits import RobotLimits, frame_path, robot_limits
 from drake_oa.scenario import Scenario, scenario_text
 from drake_oa.station import TOOL_FRAME
 from drake_oa.supervision import Supervision
+from drake_oa.systems.late_camera import LateCamera
 from drake_oa.values import EllipsoidSet, FloatArray, PolicyState
 from drake_oa.verification import SearchParameters
 
@@ -241,6 +242,11 @@ def run_motion(
         watcher.stop_reason = f"{type(error).__name__}: {error}".rstrip(": ")
         log = _collect(scenario, simulator, watcher, modulated, time.perf_counter() - started)
         raise MotionInterruptedError(log) from error
+    finally:
+        simulator.clear_monitor()
+        for system in simulator.get_system().GetSystems():
+            if isinstance(system, LateCamera):
+                system.release()
     watcher.stop_reason = watcher.stop_reason or f"time limit of {end_time:g} s"
     return _collect(scenario, simulator, watcher, modulated, time.perf_counter() - started)
 

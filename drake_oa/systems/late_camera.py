@@ -94,6 +94,10 @@ class LateCamera(LeafSystem):
         self.DeclareInitializationUnrestrictedUpdateEvent(self._take)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._take)
 
+    def release(self) -> None:
+        """See `BackgroundCamera.release`."""
+        self._camera.release()
+
     def _read(self, context: Context) -> _Taken:
         taken: _Taken = context.get_abstract_state(self._taken).get_value()
         return taken

@@ -96,6 +96,15 @@ def test_asked_again_the_image_is_the_same(camera: BackgroundCamera) -> None:
     assert not np.array_equal(first[0], first[-1])
 
 
+def test_released_it_begins_anew(scenario: Scenario) -> None:
+    state = np.concatenate([READY, np.zeros(9)])
+    camera = BackgroundCamera(scenario, scenario.cameras[0])
+    before = camera.ask(state).result().depth
+    camera.release()
+    np.testing.assert_array_equal(camera.ask(state).result().depth, before)
+    camera.release()
+
+
 def test_a_cloned_context_goes_on_alike(moving: Diagram) -> None:
     simulator = Simulator(moving)
     simulator.Initialize()
