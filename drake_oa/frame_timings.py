@@ -16,7 +16,7 @@ from pydrake.systems.sensors import ImageDepth32F
 
 from drake_oa import layers, robot_layers
 from drake_oa.diagrams.avoidance import build_avoidance
-from drake_oa.run_timings import camera_rate, robot_of
+from drake_oa.run_timings import camera_rate, robot_of, with_present_images
 from drake_oa.scenario import Scenario
 from drake_oa.station import make_robot_plant, make_station
 from drake_oa.timings import DESIRED, JUST_AFTER, WARM_UP, port_timer, timed
@@ -55,7 +55,7 @@ def record(scenario: Scenario, frames: int) -> tuple[list[Frame], list[float], l
         ScenarioError: if the scenario has no robot or no depth camera.
     """
     rate = camera_rate(scenario)
-    simulator = Simulator(build_avoidance(scenario))
+    simulator = Simulator(build_avoidance(with_present_images(scenario)))
     simulator.Initialize()
     root = simulator.get_context()
     diagram: Any = simulator.get_system()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.controllers import InverseDynamics
 from pydrake.systems.framework import Diagram, DiagramBuilder
@@ -34,6 +36,14 @@ def robot_of(scenario: Scenario) -> Robot:
     return scenario.robot
 
 
+def with_present_images(scenario: Scenario) -> Scenario:
+    """The scenario with cameras that render when they are asked, and not beside the run."""
+    scenario = copy.deepcopy(scenario)
+    for camera in scenario.cameras:
+        camera.output_delay = 0.0
+    return scenario
+
+
 def bare_station(scenario: Scenario, *, render: bool = True) -> Diagram:
     """Drake alone: the scenario's plant and camera without our systems.
 
@@ -49,7 +59,7 @@ def bare_station(scenario: Scenario, *, render: bool = True) -> Diagram:
     """
     rate, robot = camera_rate(scenario), robot_of(scenario)
     builder = DiagramBuilder()
-    station = make_station(builder, scenario, render=render)
+    station = make_station(builder, with_present_images(scenario), render=render)
     robot_plant = make_robot_plant(robot)
     station.plant.SetDefaultPositions(station.robot, home_positions(robot_plant, robot))
     holder = builder.AddNamedSystem(
