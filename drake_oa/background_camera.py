@@ -66,6 +66,7 @@ class _CameraWorld:
         self._number = 0
 
     def render(self, state: FloatArray) -> Rendered:
+        """The image at a state [q, v]."""
         context = self._simulator.get_mutable_context()
         self._diagram.get_input_port().FixValue(context, state)
         if self._number == 0:
@@ -157,9 +158,11 @@ class _RenderThread:
         return future
 
     def remember(self, world: list[_CameraWorld]) -> None:
+        """Keeps a world in mind, to be ended when the interpreter ends."""
         self._worlds.append(world)
 
     def knows(self, world: list[_CameraWorld]) -> bool:
+        """Whether a world was remembered and not ended."""
         return any(one is world for one in self._worlds)
 
     def forget(self, world: list[_CameraWorld]) -> None:
