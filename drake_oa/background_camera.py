@@ -97,16 +97,17 @@ class BackgroundCamera:
             ScenarioError: if the camera does not fit the world.
         """
         self._scenario, self._config = scenario, config
-        self._world: list[_CameraWorld] = []
-        self._build()
         self._images: OrderedDict[bytes, Future[Rendered]] = OrderedDict()
-        # The engine must end in its own thread as well.
-        weakref.finalize(self, _thread.forget, self._world)
+        self._world = self._built()
 
-    def _build(self) -> None:
-        world, scenario, config = self._world, self._scenario, self._config
+    def _built(self) -> list[_CameraWorld]:
+        world: list[_CameraWorld] = []
+        scenario, config = self._scenario, self._config
         _thread.submit(lambda: world.append(_CameraWorld(scenario, config))).result()
         _thread.remember(world)
+        # The engine must end in its own thread as well.
+        weakref.finalize(self, _thread.forget, world)
+        return world
 
     def release(self) -> None:
         """Ends the engine and forgets the images; asked again, the camera begins anew.
@@ -114,6 +115,7 @@ class BackgroundCamera:
         A diagram of Python systems is never collected, and would keep them for ever.
         """
         _thread.forget(self._world)
+        self._world = []
         self._images.clear()
 
     def ask(self, state: FloatArray) -> Future[Rendered]:
@@ -121,9 +123,8 @@ class BackgroundCamera:
         key = np.ascontiguousarray(state).tobytes()
         found = self._images.get(key)
         if found is None:
+            self._world = self._world or self._built()
             world, asked = self._world, np.array(state)
-            if not _thread.knows(world):
-                self._build()
             found = _thread.submit(lambda: world[0].render(asked))
             self._images[key] = found
             if len(self._images) > _KEPT:
@@ -161,15 +162,10 @@ class _RenderThread:
         """Keeps a world in mind, to be ended when the interpreter ends."""
         self._worlds.append(world)
 
-    def knows(self, world: list[_CameraWorld]) -> bool:
-        """Whether a world was remembered and not ended."""
-        return any(one is world for one in self._worlds)
-
     def forget(self, world: list[_CameraWorld]) -> None:
-        """Ends a world."""
-        if self.knows(world):
-            self._worlds = [one for one in self._worlds if one is not world]
-            self._tasks.put(world.clear)
+        """Ends a world; again, it does nothing."""
+        self._worlds = [one for one in self._worlds if one is not world]
+        self._tasks.put(world.clear)
 
     def close(self) -> None:
         """Ends all worlds, and the thread."""
