@@ -1,7 +1,7 @@
 """The whole diagram: a robot that sees obstacles and goes round them.
 
-    camera -> depth_noise
-    depth_noise, plant -> perception -> ellipsoid_descriptor -> regressor_chain, dmp_integrator
+    late_camera -> perception; or, with images of the present, camera -> depth_noise -> perception
+    plant -> perception -> ellipsoid_descriptor -> regressor_chain, dmp_integrator
     regressor_chain -> dmp_integrator -> integral_action -> controller -> plant
     perception, plant, controller, dmp_integrator -> supervisor -> dmp_integrator (speed_scale)
     dmp_integrator -> regressor_chain (policy_state)

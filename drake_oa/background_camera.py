@@ -1,4 +1,4 @@
-"""A camera that is rendered in a thread of its own, beside the simulation.
+"""A camera that is rendered, and its noise added, in a thread beside the simulation.
 
 Drake's render engines work in the thread that made them, and only there: so one thread makes
 all of them, uses them and ends them.
@@ -26,6 +26,7 @@ from pydrake.systems.primitives import ZeroOrderHold
 from pydrake.systems.sensors import CameraConfig, ImageDepth32F
 
 from drake_oa.cameras import add_camera, add_camera_world
+from drake_oa.depth_noise import FrameNoise, NoiseRoom
 from drake_oa.scenario import Scenario
 from drake_oa.values import FloatArray
 
@@ -40,7 +41,7 @@ class Rendered:
     """An image.
 
     Attributes:
-        depth: (H, W) along the optical axis [m]; 0 is too near, inf too far.
+        depth: (H, W) along the optical axis [m]; 0 is too near, inf too far, NaN missing.
         X_WC: pose of the camera.
     """
 
@@ -82,22 +83,27 @@ class _CameraWorld:
 class BackgroundCamera:
     """One camera of a scenario, rendered in the background.
 
-    An image is a function of the state that it is asked for, so that asking early, twice or
-    not at all changes nothing but the time it takes.
+    An image is a function of the state and the time that it is asked for, so that asking
+    early, twice or not at all changes nothing but the time it takes.
     """
 
-    def __init__(self, scenario: Scenario, config: CameraConfig) -> None:
+    def __init__(
+        self, scenario: Scenario, config: CameraConfig, noise: FrameNoise | None = None
+    ) -> None:
         """Builds the world.
 
         Args:
             scenario: with a robot.
             config: of the camera.
+            noise: of its images; None: they are ideal.
 
         Raises:
             ScenarioError: if the camera does not fit the world.
         """
-        self._scenario, self._config = scenario, config
-        self._images: OrderedDict[bytes, Future[Rendered]] = OrderedDict()
+        self._scenario, self._config, self._noise = scenario, config, noise
+        # Of the render thread alone.
+        self._room = NoiseRoom(config.height, config.width)
+        self._images: OrderedDict[tuple[bytes, float], Future[Rendered]] = OrderedDict()
         self._world = self._built()
 
     def _built(self) -> list[_CameraWorld]:
@@ -118,18 +124,28 @@ class BackgroundCamera:
         self._world = []
         self._images.clear()
 
-    def ask(self, state: FloatArray) -> Future[Rendered]:
-        """The image at a state [q, v] of the scenario's plant, when it is ready."""
-        key = np.ascontiguousarray(state).tobytes()
+    def ask(self, state: FloatArray, time: float) -> Future[Rendered]:
+        """The image at a state [q, v] of the scenario's plant, when it is ready.
+
+        Args:
+            state: (n,) what it shows.
+            time: when it was taken [s]: of that its noise is a function too.
+        """
+        key = (np.ascontiguousarray(state).tobytes(), float(time))
         found = self._images.get(key)
         if found is None:
             self._world = self._world or self._built()
             world, asked = self._world, np.array(state)
-            found = _thread.submit(lambda: world[0].render(asked))
+            found = _thread.submit(lambda: self._measured(world[0].render(asked), time))
             self._images[key] = found
             if len(self._images) > _KEPT:
                 self._images.popitem(last=False)
         return found
+
+    def _measured(self, image: Rendered, time: float) -> Rendered:
+        if self._noise is not None:
+            self._noise(image.depth, time, out=image.depth, room=self._room)
+        return image
 
 
 class _RenderThread:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.sensors import CameraConfig
+from pydrake.systems.sensors import CameraConfig, CameraInfo
 
 from drake_oa.background_camera import BackgroundCamera
 from drake_oa.cameras import Camera, add_camera, add_camera_world
+from drake_oa.depth_noise import FrameNoise
 from drake_oa.faults import camera_faults
-from drake_oa.scenario import Scenario, ScenarioError
+from drake_oa.scenario import DepthCamera, Scenario, ScenarioError
+from drake_oa.scenario_perception import noise_parameters
 from drake_oa.systems.late_camera import LateCamera
 
 
@@ -54,9 +56,10 @@ def _late_camera(
 ) -> Camera:
     try:
         _, depth = config.MakeCameras()
+        intrinsics = depth.core().intrinsics()
         system = LateCamera(
-            BackgroundCamera(scenario, config),
-            depth.core().intrinsics(),
+            BackgroundCamera(scenario, config, _noise(scenario, config, intrinsics)),
+            intrinsics,
             num_states=plant.num_multibody_states(),
             period=1.0 / config.fps,
             delay=config.output_delay,
@@ -66,10 +69,21 @@ def _late_camera(
     builder.AddNamedSystem(f"late_{config.name}", system)
     builder.Connect(plant.get_state_output_port(), system.GetInputPort("plant_state"))
     return Camera(
-        depth.core().intrinsics(),
+        intrinsics,
         system.GetOutputPort("depth_image"),
         system.GetOutputPort("camera_pose"),
         config.output_delay,
         system.GetOutputPort("image_time"),
         system.GetOutputPort("plant_state"),
     )
+
+
+def _noise(scenario: Scenario, config: CameraConfig, intrinsics: CameraInfo) -> FrameNoise | None:
+    """Of the camera that perception looks through; None for another, or an ideal one."""
+    source = scenario.perception
+    if not isinstance(source, DepthCamera) or source.camera != config.name:
+        return None
+    if source.noise is None:
+        return None
+    K = [intrinsics.focal_x(), intrinsics.focal_y(), intrinsics.center_x(), intrinsics.center_y()]
+    return FrameNoise(K, noise_parameters(source.noise), seed=scenario.seed)

@@ -26,7 +26,7 @@ class Camera:
 
     Attributes:
         intrinsics: of its image.
-        depth_image: port of ImageDepth32F [m].
+        depth_image: port of ImageDepth32F [m]; late images come with the camera's noise.
         pose: port of RigidTransform X_WC.
         delay: how long after it was taken an image comes [s]; 0: it shows the present.
         image_time: port (1,) of the time at which the image was taken [s]; None without delay.

@@ -237,6 +237,48 @@ def add_depth_noise(
     return out
 
 
+class FrameNoise:
+    """The noise of one camera, image after image; what time it was taken tells them apart."""
+
+    def __init__(
+        self, K: ArrayLike, parameters: DepthNoiseParameters | None = None, *, seed: int = 0
+    ) -> None:
+        """Keeps what all images have in common.
+
+        Args:
+            K: (4,) fx, fy, cx, cy [pixel].
+            parameters: of the camera; None for the defaults.
+            seed: of the noise.
+
+        Raises:
+            ValueError: for invalid intrinsics or a negative seed.
+        """
+        self._K = np.array(K, dtype=float)
+        self._parameters = parameters or DepthNoiseParameters()
+        self._seed = seed
+        # Invalid arguments, and a kernel not compiled yet, tell here and not at the first frame.
+        self(np.ones((2, 2), dtype=np.float32), 0.0)
+
+    def __call__(
+        self,
+        depth: NDArray[np.floating],
+        time: float,
+        *,
+        out: NDArray[np.float32] | None = None,
+        room: NoiseRoom | None = None,
+    ) -> NDArray[np.float32]:
+        """`add_depth_noise` to the image of a time [s], counted in whole microseconds."""
+        return add_depth_noise(
+            depth,
+            self._K,
+            self._parameters,
+            seed=self._seed,
+            frame=max(round(1e6 * time), 0),
+            out=out,
+            room=room,
+        )
+
+
 def _packed(p: DepthNoiseParameters, focal: float) -> NDArray[np.float32]:
     """The parameters in the order of `depth_noise_kernels.add_noise`."""
     holes = min(max(p.edge_dropout, 1e-9), 1.0 - 1e-9)

@@ -43,7 +43,7 @@ def _beyond(last: Any, one_before: Any, share: Any) -> Any:
     return last + (last - one_before) if abs(last - one_before) <= share * last else last
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _inverse_depths(
     z: Image, near: Any, far: Any, share: Any, w: Image, valid: NDArray[np.uint8]
 ) -> None:
@@ -70,7 +70,7 @@ def _inverse_depths(
         w[height + 1, column] = _beyond(w[height, column], w[max(height - 1, 1), column], share)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _cast_shadows(w: Image, disparity: Any, counts: IntArray, valid: NDArray[np.uint8]) -> None:
     """Takes out what the projector, `disparity` f b [pixel m] to the right, does not light.
 
@@ -267,7 +267,7 @@ def _other_side(row: int, column: int, w: Image, least: Any) -> Any:
     return other
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _mark_jumps(w: Image, share: Any, jumps: NDArray[np.uint8], counts: IntArray) -> None:
     """`_jumps_row` of each row, and how many it found."""
     for row in range(len(counts)):
@@ -279,7 +279,7 @@ def _frame_key(seed: int, frame: int) -> Any:
     return mixed(mixed(np.uint64(seed) + np.uint64(0x9E3779B97F4A7C15)) + np.uint64(frame))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _measure(
     seed: int, frame: int, w: Image, valid: NDArray[np.uint8], K: Image, p: Image, out: Image
 ) -> None:
@@ -309,7 +309,7 @@ def _measure(
             _drop_grazing(key, row, cosine, p[9], p[10], out[row])
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _disturb_edges(
     seed: int,
     frame: int,

@@ -164,14 +164,18 @@ def make_robot_state(station: Station) -> MatrixGain:
 
 
 def make_depth_noise(scenario: Scenario, station: Station) -> DepthNoise | None:
-    """The noise of the camera that perception looks through; None for an ideal one."""
+    """The noise of the camera that perception looks through.
+
+    None for an ideal one, and for one whose images come late: they are made with it.
+    """
     source = scenario.perception
     if not isinstance(source, DepthCamera) or source.noise is None:
         return None
+    camera = station.cameras[source.camera]
+    if camera.delay > 0.0:
+        return None
     return DepthNoise(
-        station.cameras[source.camera].intrinsics,
-        parameters=noise_parameters(source.noise),
-        seed=scenario.seed,
+        camera.intrinsics, parameters=noise_parameters(source.noise), seed=scenario.seed
     )
 
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import Context, LeafSystem, ValueProducer
 from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 
-from drake_oa.depth_noise import DepthNoiseParameters, NoiseRoom, add_depth_noise
+from drake_oa.depth_noise import DepthNoiseParameters, FrameNoise, NoiseRoom
 from drake_oa.systems.ports import read_value
 
 
@@ -59,11 +58,7 @@ class DepthNoise(LeafSystem):
         if isinstance(camera, CameraInfo):
             width, height = camera.width(), camera.height()
             camera = [camera.focal_x(), camera.focal_y(), camera.center_x(), camera.center_y()]
-        self._K = np.array(camera, dtype=float)
-        self._parameters = parameters or DepthNoiseParameters()
-        self._seed = seed
-        # Invalid arguments, and a kernel not compiled yet, tell here and not at the first frame.
-        self._measured(np.ones((2, 2), dtype=np.float32), 0.0)
+        self._noise = FrameNoise(camera, parameters, seed=seed)
         # Kept in the Context: its memory is not asked for anew with each image.
         self._room = self.DeclareCacheEntry(
             "room for the noise to work in",
@@ -80,23 +75,6 @@ class DepthNoise(LeafSystem):
             prerequisites_of_calc={self._image_port.ticket(), self.time_ticket()},
         )
 
-    def _measured(
-        self,
-        depth: np.ndarray,
-        time: float,
-        out: np.ndarray | None = None,
-        room: NoiseRoom | None = None,
-    ) -> np.ndarray:
-        return add_depth_noise(
-            depth,
-            self._K,
-            self._parameters,
-            seed=self._seed,
-            frame=max(round(1e6 * time), 0),
-            out=out,
-            room=room,
-        )
-
     def _calc_image(self, context: Context, output: AbstractValue) -> None:
         image: Any = read_value(self, self._image_port, context, ImageDepth32F)
         measured: Any = output.get_mutable_value()
@@ -106,4 +84,4 @@ class DepthNoise(LeafSystem):
         room: Any = self._room.Eval(context)
         if room.shape != depth.shape:
             room = None
-        self._measured(depth, context.get_time(), measured.mutable_data[:, :, 0], room)
+        self._noise(depth, context.get_time(), out=measured.mutable_data[:, :, 0], room=room)

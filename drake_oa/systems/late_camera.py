@@ -39,14 +39,15 @@ class LateCamera(LeafSystem):
       - plant_state
 
     - plant_state (in): (n,) vector [q, v] of the simulated plant, everything that moves.
-    - depth_image: ImageDepth32F along the optical axis [m]; 0 is too near, inf too far.
+    - depth_image: ImageDepth32F along the optical axis [m]; 0 is too near, inf too far; with
+      noise NaN is missing, for whatever reason.
     - camera_pose: RigidTransform X_WC of the camera when the image was taken.
     - image_time: (1,) time at which it was taken [s].
     - plant_state (out): (n,) the state then.
 
     The first image is there at once: a camera runs before the robot does. The Context holds
-    times and states; the image is a function of the state, rendered in the background from
-    when it is taken on, and waited for where it is asked for before it is ready.
+    times and states; the image is a function of them, rendered in the background from when it
+    is taken on, with its noise, and waited for where it is asked for before it is ready.
     """
 
     def __init__(
@@ -105,7 +106,7 @@ class LateCamera(LeafSystem):
     def _take(self, context: Context, state: State) -> None:
         before = self._read(context)
         x = np.array(self._state_port.Eval(context))
-        self._camera.ask(x)
+        self._camera.ask(x, context.get_time())
         after = _Taken((*before.stamp[-1:], context.get_time()), (*before.state[-1:], x))
         state.get_mutable_abstract_state(self._taken).set_value(after)
 
@@ -119,7 +120,8 @@ class LateCamera(LeafSystem):
         return taken.stamp[row], taken.state[row]
 
     def _rendered(self, context: Context) -> Rendered:
-        return self._camera.ask(self._shown(context)[1]).result()
+        time, state = self._shown(context)
+        return self._camera.ask(state, time).result()
 
     def _calc_image(self, context: Context, output: AbstractValue) -> None:
         image: Any = output.get_mutable_value()

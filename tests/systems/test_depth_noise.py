@@ -113,6 +113,8 @@ def test_bad_arguments_and_inputs_are_named():
 @pytest.mark.parametrize("seed", [0, 1])
 def test_perception_sees_the_noisy_image_of_the_scenario_s_seed(seed):
     scenario = load_scenario("tabletop_box", [f"seed={seed}"])
+    # Late images come with their noise: tests/systems/test_late_camera.py.
+    scenario.cameras[0].output_delay = 0.0
     diagram = build_avoidance(scenario)
     context = diagram.CreateDefaultContext()
     perception = diagram.GetSubsystemByName("perception")

@@ -10,6 +10,7 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from drake_oa.background_camera import BackgroundCamera
 from drake_oa.cameras import add_camera, add_camera_world
+from drake_oa.depth_noise import FrameNoise, add_depth_noise
 from drake_oa.scenario import Scenario, ScenarioError, load_scenario
 from drake_oa.station import make_station
 from drake_oa.systems.late_camera import LateCamera
@@ -82,15 +83,15 @@ def test_it_shows_what_a_sensor_of_the_present_shows(
     poses.get_input_port().FixValue(poses.GetMyMutableContextFromRoot(root), state)
     image = sensor.depth_image_32F_output_port().Eval(sensor.GetMyContextFromRoot(root))
     X_WC = sensor.body_pose_in_world_output_port().Eval(sensor.GetMyContextFromRoot(root))
-    rendered = camera.ask(state).result()
+    rendered = camera.ask(state, 0.0).result()
     np.testing.assert_array_equal(rendered.depth, image.data[:, :, 0])
     assert rendered.X_WC.IsExactlyEqualTo(X_WC)
 
 
 def test_asked_again_the_image_is_the_same(camera: BackgroundCamera) -> None:
     states = [np.concatenate([READY + 0.05 * k, np.zeros(9)]) for k in range(6)]
-    first = [camera.ask(state).result().depth for state in states]
-    again = [camera.ask(state).result().depth for state in states[::-1]]
+    first = [camera.ask(state, 0.0).result().depth for state in states]
+    again = [camera.ask(state, 0.0).result().depth for state in states[::-1]]
     for one, other in zip(first, again[::-1], strict=True):
         np.testing.assert_array_equal(one, other)
     assert not np.array_equal(first[0], first[-1])
@@ -99,9 +100,9 @@ def test_asked_again_the_image_is_the_same(camera: BackgroundCamera) -> None:
 def test_released_it_begins_anew(scenario: Scenario) -> None:
     state = np.concatenate([READY, np.zeros(9)])
     camera = BackgroundCamera(scenario, scenario.cameras[0])
-    before = camera.ask(state).result().depth
+    before = camera.ask(state, 0.0).result().depth
     camera.release()
-    np.testing.assert_array_equal(camera.ask(state).result().depth, before)
+    np.testing.assert_array_equal(camera.ask(state, 0.0).result().depth, before)
     camera.release()
 
 
@@ -141,3 +142,17 @@ def test_a_camera_that_does_not_fit_is_named() -> None:
     scenario = load_scenario("tabletop_box", ["cameras=[{name: camera, output_delay: 0.5}]"])
     with pytest.raises(ScenarioError, match="camera 'camera'"):
         make_station(DiagramBuilder(), scenario)
+
+
+def test_noise_is_of_the_time_the_image_was_taken(scenario: Scenario) -> None:
+    _, depth = scenario.cameras[0].MakeCameras()
+    info = depth.core().intrinsics()
+    K = [info.focal_x(), info.focal_y(), info.center_x(), info.center_y()]
+    state = np.concatenate([READY, np.zeros(9)])
+    ideal = BackgroundCamera(scenario, scenario.cameras[0]).ask(state, 0.0).result().depth
+    camera = BackgroundCamera(scenario, scenario.cameras[0], FrameNoise(K, seed=3))
+    one, other, again = (camera.ask(state, time).result().depth for time in (0.1, 0.2, 0.1))
+    np.testing.assert_array_equal(one, again)
+    assert not np.array_equal(one, other, equal_nan=True)
+    expected = add_depth_noise(ideal, K, seed=3, frame=100_000)
+    np.testing.assert_array_equal(one, expected)
