@@ -129,19 +129,23 @@ class ArmState:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class DesiredMotion:
-    """The tool motion asked for, in the world frame; the orientation is at rest.
+    """The tool motion asked for, in the world frame.
 
     Attributes:
         p_WE: (3,) position [m].
         v_WE: (3,) velocity [m/s].
         a_WE: (3,) acceleration [m/s^2].
         R_WE: (3, 3) orientation.
+        w_WE: (3,) angular velocity [rad/s]; None: it does not turn.
+        alpha_WE: (3,) angular acceleration [rad/s^2]; None: none.
     """
 
     p_WE: FloatArray
     v_WE: FloatArray
     a_WE: FloatArray
     R_WE: FloatArray
+    w_WE: FloatArray | None = None
+    alpha_WE: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -197,23 +201,31 @@ def no_torque(count: int) -> JointTorque:
     return JointTorque(np.zeros(count), np.zeros(count, dtype=bool), True, unknown, unknown, 0.0)
 
 
+@functools.cache
+def _at_rest(n: int) -> FloatArray:
+    """What `law` is fed forward for a tool that does not turn and a posture at rest."""
+    return np.zeros(6 + 2 * n)
+
+
 def operational_space_torque(
     state: ArmState,
     desired: DesiredMotion,
     q_posture: FloatArray,
     limits: ArmLimits,
     gains: CartesianGains,
+    v_posture: FloatArray | None = None,
+    a_posture: FloatArray | None = None,
 ) -> JointTorque:
     """The law of this module.
 
     The task acceleration is A_c = (alpha_c, a_c) with
 
         a_c = a_d + kd_position (v_d - v) + kp_position (p_d - p),
-        alpha_c = kp_orientation log(R_d R^T) - kd_orientation omega,
+        alpha_c = alpha_d + kd_orientation (w_d - w) + kp_orientation log(R_d R^T),
 
     and the posture acceleration
 
-        a_0 = kp_posture (q_posture - q) - kd_posture v
+        a_0 = a_posture + kp_posture (q_posture - q) + kd_posture (v_posture - v)
               + kp_limit M^-1 diag(M) (clip(q) - q),
 
     where clip(q) keeps `limit_margin` away from the limits: the last term is a torque
@@ -231,7 +243,17 @@ def operational_space_torque(
         q_posture: (n,) posture that the null space is drawn to [rad].
         limits: of the joints.
         gains: of the law.
+        v_posture: (n,) its velocity [rad/s]; None: it is at rest.
+        a_posture: (n,) acceleration added in the null space [rad/s^2]; None: none.
     """
+    n = len(q_posture)
+    forward_fed = _at_rest(n)
+    if not (desired.w_WE is desired.alpha_WE is v_posture is a_posture is None):
+        parts = (desired.w_WE, desired.alpha_WE, v_posture, a_posture)
+        sizes = (3, 3, n, n)
+        forward_fed = np.concatenate(
+            [np.zeros(m) if x is None else x for x, m in zip(parts, sizes, strict=True)]
+        )
     finite, tau, saturated, error_p, error_R, singularity = law(
         state.q,
         state.v,
@@ -246,6 +268,7 @@ def operational_space_torque(
         desired.a_WE,
         np.ascontiguousarray(desired.R_WE),
         q_posture,
+        forward_fed,
         limits.q_lower,
         limits.q_upper,
         limits.effort,

@@ -47,6 +47,30 @@ def rotation_vector(R: FloatArray) -> FloatArray:
 
 
 @njit(cache=True, error_model="numpy")
+def rotation_of(quaternion: FloatArray) -> FloatArray:
+    """Rotation matrix (3, 3) of a quaternion (4,), w first, of any length but zero.
+
+    All NaN where the quaternion is zero or not finite.
+    """
+    largest = 0.0
+    for i in range(4):
+        largest = max(largest, abs(quaternion[i]))
+    # Divided by the largest first, no square of a finite number over- or underflows.
+    w, x, y, z = quaternion / largest
+    twice = 2.0 / (w * w + x * x + y * y + z * z)
+    R = np.empty((3, 3))
+    R[0, 0], R[1, 1], R[2, 2] = (
+        1.0 - twice * (y * y + z * z),
+        1.0 - twice * (x * x + z * z),
+        1.0 - twice * (x * x + y * y),
+    )
+    R[0, 1], R[1, 0] = twice * (x * y - w * z), twice * (x * y + w * z)
+    R[0, 2], R[2, 0] = twice * (x * z + w * y), twice * (x * z - w * y)
+    R[1, 2], R[2, 1] = twice * (y * z - w * x), twice * (y * z + w * x)
+    return R
+
+
+@njit(cache=True, error_model="numpy")
 def cholesky(A: FloatArray) -> tuple[bool, FloatArray]:
     """Whether A (n, n) is positive definite, and its factor: A = L L^T.
 
@@ -207,12 +231,16 @@ def law(
     a_d: FloatArray,
     R_d: FloatArray,
     q_posture: FloatArray,
+    forward_fed: FloatArray,
     q_lower: FloatArray,
     q_upper: FloatArray,
     effort: FloatArray,
     gains: tuple[float, ...],
 ) -> tuple[bool, FloatArray, np.ndarray, FloatArray, FloatArray, float]:
     """`drake_oa.cartesian.operational_space_torque` on plain arrays.
+
+    `forward_fed` (6 + 2n,) is what is zero for a tool that does not turn and a posture at
+    rest: w_d, alpha_d, v_posture and a_posture, one after the other.
 
     Returns:
         Whether it applies: all is finite and M positive definite, else the rest means
@@ -224,14 +252,14 @@ def law(
     error_p = p_d - p_WE
     # R_d R_WE^T.
     error_R = rotation_vector(gram(R_d.T.copy(), R_WE.T.copy()))
-    posture = kp_n * (q_posture - q) - kd_n * v
+    posture = kp_n * (q_posture - q) + kd_n * (forward_fed[6 : 6 + n] - v) + forward_fed[6 + n :]
     velocity, wanted = np.zeros(6), -Jdot_v
     for i in range(6):
         for j in range(n):
             velocity[i] += J[i, j] * v[j]
             wanted[i] -= J[i, j] * posture[j]
     for i in range(3):
-        wanted[i] += kp_R * error_R[i] - kd_R * velocity[i]
+        wanted[i] += kp_R * error_R[i] + kd_R * (forward_fed[i] - velocity[i]) + forward_fed[3 + i]
         wanted[3 + i] += a_d[i] + kd_p * (v_d[i] - velocity[3 + i]) + kp_p * error_p[i]
     # A sum is finite only if every term is; and finite inputs may still overflow.
     nothing = np.zeros(n), np.zeros(n, dtype=np.bool_)

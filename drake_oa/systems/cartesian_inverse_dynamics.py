@@ -22,6 +22,7 @@ from drake_oa.cartesian import (
     no_torque,
     operational_space_torque,
 )
+from drake_oa.cartesian_kernels import rotation_of
 from drake_oa.values import FloatArray, IntArray
 
 _ORIGIN = np.zeros(3)
@@ -49,6 +50,21 @@ class _Control:
         return self
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class _Asked:
+    """What the optional ports ask for, or else the constructor; shared on copy."""
+
+    R_WE: FloatArray
+    w_WE: FloatArray | None
+    alpha_WE: FloatArray | None
+    q_posture: FloatArray
+    v_posture: FloatArray | None
+    a_posture: FloatArray | None
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        return self
+
+
 class CartesianInverseDynamics(LeafSystem):
     """Follows a tool motion by operational-space inverse dynamics.
 
@@ -60,25 +76,41 @@ class CartesianInverseDynamics(LeafSystem):
       - desired_position
       - desired_velocity
       - desired_acceleration
+      - desired_orientation (optional)
+      - desired_angular_velocity (optional)
+      - desired_angular_acceleration (optional)
+      - desired_posture (optional)
+      - null_space_acceleration (optional)
       output_ports:
       - actuation
       - torque_saturation
       - tracking_error
       - stopping
+      - orientation_error
 
     - robot_state: positions and velocities of the robot, (2n,), 18 for the Panda with
       its hand [rad, m, rad/s, m/s].
     - desired_position: (3,) of the tool point in the world frame [m].
     - desired_velocity: (3,) of the tool point in the world frame [m/s].
     - desired_acceleration: (3,) of the tool point in the world frame [m/s^2].
+    - desired_orientation (optional): (4,) quaternion w, x, y, z of R_WE, of either sign and
+      any length but zero. Without it the orientation is the constructor's.
+    - desired_angular_velocity (optional): (3,) w_WE in the world frame [rad/s]; without it 0.
+    - desired_angular_acceleration (optional): (3,) in the world frame [rad/s^2]; without it 0.
+    - desired_posture (optional): (2m,) positions and velocities of the arm's m joints that the
+      null space is drawn to [rad, rad/s]. Without it the constructor's, at rest.
+    - null_space_acceleration (optional): (m,) of the arm's joints, added in the null space
+      [rad/s^2]; without it 0.
     - actuation: (n,) in the order of the plant's actuators [N m, N]: the law of
       `drake_oa.cartesian` for the arm; a spring and damper that hold the fingers.
     - torque_saturation: (1,) 1 while an arm joint is asked for more than its effort
       limit, else 0.
     - tracking_error: (3,) desired minus actual position in the world frame [m]; inf
       while it is not known.
-    - stopping: (1,) 1 while an input is not finite and the joints are braked instead
-      (`drake_oa.cartesian.braking_torque`), else 0.
+    - stopping: (1,) 1 while an input is not finite, or the quaternion zero, and the joints are
+      braked instead (`drake_oa.cartesian.braking_torque`), else 0.
+    - orientation_error: (3,) rotation vector from the actual to the desired orientation in
+      the world frame [rad]; inf while it is not known.
 
     The robot's model is in the Context, in a cache entry, and the law is evaluated
     once for all outputs.
@@ -102,9 +134,9 @@ class CartesianInverseDynamics(LeafSystem):
             plant: finalized plant of the robot alone, its base welded to the world,
                 every joint of one degree of freedom and actuated. It must outlive
                 the system.
-            R_WE_desired: orientation of the tool, held throughout.
-            q_posture: posture that the null space is drawn to: the arm's joints, or
-                all positions of the plant [rad].
+            R_WE_desired: orientation of the tool, held where no other is asked for.
+            q_posture: posture that the null space is drawn to, where no other is asked for:
+                the arm's joints, or all positions of the plant [rad].
             tool_frame: name of the frame E.
             gains: of the law; None: the defaults.
             finger_opening: set point of each joint that does not move the tool [m].
@@ -140,6 +172,17 @@ class CartesianInverseDynamics(LeafSystem):
             self.DeclareVectorInputPort(f"desired_{name}", 3)
             for name in ("position", "velocity", "acceleration")
         ]
+        arm = len(self._joints.limits.effort)
+        self._optional = [
+            self.DeclareVectorInputPort(f"desired_{name}", size)
+            for name, size in (
+                ("orientation", 4),
+                ("angular_velocity", 3),
+                ("angular_acceleration", 3),
+                ("posture", 2 * arm),
+            )
+        ]
+        self._optional.append(self.DeclareVectorInputPort("null_space_acceleration", arm))
         self._model = self.DeclareCacheEntry(
             "context of the robot's model",
             ValueProducer(
@@ -148,16 +191,26 @@ class CartesianInverseDynamics(LeafSystem):
             ),
             prerequisites_of_calc={self.nothing_ticket()},
         )
+        # Of its own, so that ports that nothing is connected to cost no look at each step.
+        self._asked = self.DeclareCacheEntry(
+            "what is asked by the optional ports",
+            ValueProducer(allocate=lambda: Value(object()), calc=self._calc_asked),
+            prerequisites_of_calc={port.ticket() for port in self._optional},
+        )
         self._law = self.DeclareCacheEntry(
             "operational-space law",
             ValueProducer(allocate=lambda: Value(object()), calc=self._calc_law),
-            prerequisites_of_calc={port.ticket() for port in (self._state, *self._desired)},
+            prerequisites_of_calc={
+                self._asked.ticket(),
+                *(port.ticket() for port in (self._state, *self._desired)),
+            },
         )
         for name, size, calc in (
             ("actuation", n, self._calc_actuation),
             ("torque_saturation", 1, self._calc_saturation),
             ("tracking_error", 3, self._calc_error),
             ("stopping", 1, self._calc_stopping),
+            ("orientation_error", 3, self._calc_orientation_error),
         ):
             self.DeclareVectorOutputPort(
                 name, size, calc, prerequisites_of_calc={self._law.ticket()}
@@ -191,17 +244,30 @@ class CartesianInverseDynamics(LeafSystem):
             Jdot_v=bias.get_coeffs(),
         )
 
+    def _calc_asked(self, context: Context, value: AbstractValue) -> None:
+        quaternion, w, alpha, posture, a_posture = (
+            port.Eval(context) if port.HasValue(context) else None for port in self._optional
+        )
+        q_posture, v_posture = self._q_posture, None
+        if posture is not None:
+            q_posture, v_posture = posture[: len(q_posture)], posture[len(q_posture) :]
+        R_WE = self._R_WE_desired if quaternion is None else rotation_of(quaternion)
+        value.set_value(_Asked(R_WE, w, alpha, q_posture, v_posture, a_posture))
+
     def _calc_law(self, context: Context, value: AbstractValue) -> None:
         x = self._state.Eval(context)
         limits = self._joints.limits
         if math.isfinite(x.dot(x)):
             p, v, a = (port.Eval(context) for port in self._desired)
+            asked: _Asked = self._asked.Eval(context)
             torque = operational_space_torque(
                 self._arm_state(context, x),
-                DesiredMotion(p, v, a, self._R_WE_desired),
-                self._q_posture,
+                DesiredMotion(p, v, a, asked.R_WE, asked.w_WE, asked.alpha_WE),
+                asked.q_posture,
                 limits,
                 self._gains,
+                asked.v_posture,
+                asked.a_posture,
             )
         else:
             torque = no_torque(len(limits.effort))
@@ -233,6 +299,9 @@ class CartesianInverseDynamics(LeafSystem):
 
     def _calc_error(self, context: Context, output: BasicVector) -> None:
         output.SetFromVector(self._eval(context).torque.position_error)
+
+    def _calc_orientation_error(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._eval(context).torque.orientation_error)
 
     def _calc_stopping(self, context: Context, output: BasicVector) -> None:
         output.SetAtIndex(0, float(self._eval(context).torque.stopping))

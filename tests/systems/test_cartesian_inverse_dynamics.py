@@ -356,3 +356,139 @@ def test_the_law_has_no_state(controller: CartesianInverseDynamics) -> None:
     context = controller.CreateDefaultContext()
     assert context.num_total_states() == 0
     assert context.num_abstract_states() == 0
+
+
+# The orientation and posture asked for by port.
+
+
+def asked(controller: CartesianInverseDynamics, context: Context, **ports: np.ndarray) -> Context:
+    for name, value in ports.items():
+        controller.GetInputPort(name).FixValue(context, value)
+    return context
+
+
+def test_ports_with_what_the_constructor_has_change_nothing(
+    controller: CartesianInverseDynamics,
+) -> None:
+    v = np.append(0.3 * np.arange(-3.0, 4.0), [0.0, 0.0])
+    plain = fixed(controller, v=v)
+    given = asked(
+        controller,
+        fixed(controller, v=v),
+        desired_orientation=DOWN.ToQuaternion().wxyz(),
+        desired_angular_velocity=REST,
+        desired_angular_acceleration=REST,
+        desired_posture=np.append(Q_ARM, np.zeros(7)),
+        null_space_acceleration=np.zeros(7),
+    )
+    for name in ("actuation", "orientation_error", "tracking_error"):
+        np.testing.assert_allclose(
+            read(controller, name, given), read(controller, name, plain), atol=1e-10
+        )
+
+
+@pytest.mark.parametrize("factor", [1.0, -1.0, -7.5, 1e-180])
+def test_the_orientation_is_the_quaternions_of_any_sign_and_length(
+    model: MultibodyPlant, controller: CartesianInverseDynamics, factor: float
+) -> None:
+    R = RollPitchYaw(2.9, 0.1, 0.3).ToRotationMatrix()
+    reference = CartesianInverseDynamics(model, R_WE_desired=R, q_posture=Q_ARM)
+    context = asked(
+        controller, fixed(controller), desired_orientation=factor * R.ToQuaternion().wxyz()
+    )
+    np.testing.assert_allclose(
+        read(controller, "actuation", context),
+        read(reference, "actuation", fixed(reference)),
+        atol=1e-9,
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "bad"),
+    [
+        ("desired_orientation", np.zeros(4)),
+        ("desired_orientation", np.array([1.0, np.nan, 0.0, 0.0])),
+        ("desired_orientation", np.array([np.inf, 0.0, 0.0, 0.0])),
+        ("desired_angular_velocity", np.array([0.0, np.nan, 0.0])),
+        ("desired_angular_acceleration", np.array([0.0, 0.0, np.inf])),
+        ("desired_posture", np.append(np.zeros(13), np.nan)),
+        ("desired_posture", np.append(np.inf, np.zeros(13))),
+        ("null_space_acceleration", np.full(7, np.nan)),
+    ],
+)
+def test_what_is_asked_and_not_finite_brakes(
+    controller: CartesianInverseDynamics, name: str, bad: np.ndarray
+) -> None:
+    context = asked(controller, fixed(controller), **{name: bad})
+    assert read(controller, "stopping", context) == 1.0
+    assert np.isfinite(read(controller, "actuation", context)).all()
+    assert np.isinf(read(controller, "orientation_error", context)).all()
+
+
+def test_angular_rates_are_fed_forward(
+    model: MultibodyPlant, controller: CartesianInverseDynamics
+) -> None:
+    w_d, alpha_d = np.array([0.1, -0.3, 0.2]), np.array([1.0, 2.0, -1.5])
+    context = asked(
+        controller,
+        fixed(controller),
+        desired_angular_velocity=w_d,
+        desired_angular_acceleration=alpha_d,
+    )
+    plant = model.CreateDefaultContext()
+    model.SetPositions(plant, Q_START)
+    frame = model.GetFrameByName("panda_hand_tcp")
+    model.get_actuation_input_port().FixValue(plant, read(controller, "actuation", context))
+    model.get_applied_generalized_force_input_port().FixValue(plant, np.zeros(9))
+    turning = frame.CalcSpatialAccelerationInWorld(plant).rotational()
+    R = frame.CalcPoseInWorld(plant).rotation()
+    e = rotation_vector(np.ascontiguousarray((DOWN @ R.inverse()).matrix()))
+    wanted = 400.0 * e + 40.0 * w_d + alpha_d
+    assert np.linalg.norm(turning - wanted) < 0.01 * np.linalg.norm(wanted)
+    np.testing.assert_allclose(read(controller, "orientation_error", context), e, atol=1e-12)
+
+
+def test_posture_and_null_space_do_not_move_the_tool(
+    model: MultibodyPlant, controller: CartesianInverseDynamics
+) -> None:
+    plant = model.CreateDefaultContext()
+    model.SetPositions(plant, Q_START)
+    frame = model.GetFrameByName("panda_hand_tcp")
+    model.get_applied_generalized_force_input_port().FixValue(plant, np.zeros(9))
+    found = []
+    for ports in (
+        {},
+        {"null_space_acceleration": np.array([2.0, 0.0, -2.0, 0.0, 1.0, 0.0, 0.0])},
+        {"desired_posture": np.append(Q_ARM + 0.1, np.full(7, -0.2))},
+    ):
+        context = asked(controller, fixed(controller), **ports)
+        model.get_actuation_input_port().FixValue(plant, read(controller, "actuation", context))
+        A = frame.CalcSpatialAccelerationInWorld(plant).get_coeffs()
+        found.append((A, model.get_generalized_acceleration_output_port().Eval(plant)[:7]))
+    for A, acceleration in found[1:]:
+        # The fingers, which the law takes as fixed to the hand, account for the rest.
+        np.testing.assert_allclose(A, found[0][0], atol=0.02)
+        assert np.abs(acceleration - found[0][1]).max() > 0.1
+
+
+@pytest.mark.parametrize("yaw", [0.3, -1.2, 2.0])
+def test_a_cell_turned_about_the_vertical_gets_the_same_torques(
+    controller: CartesianInverseDynamics, yaw: float
+) -> None:
+    tilted = RollPitchYaw(2.9, 0.1, 0.3).ToRotationMatrix()
+    w, alpha = np.array([0.1, -0.3, 0.2]), np.array([1.0, 2.0, -1.5])
+    torques = []
+    for angle in (0.0, yaw):
+        turn = RotationMatrix.MakeZRotation(angle)
+        q = Q_START.copy()
+        q[0] = angle
+        context = asked(
+            controller,
+            fixed(controller, q=q, p=turn @ START),
+            desired_orientation=(turn @ tilted).ToQuaternion().wxyz(),
+            desired_angular_velocity=turn @ w,
+            desired_angular_acceleration=turn @ alpha,
+            desired_posture=np.append(np.append(angle, Q_ARM[1:]), np.zeros(7)),
+        )
+        torques.append(read(controller, "actuation", context))
+    np.testing.assert_allclose(torques[1], torques[0], atol=1e-8)
