@@ -1,0 +1,141 @@
+"""An arm and its surroundings as arrays: what `drake_oa.posture_plan` plans with."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from drake_oa import arm_kernels as kernels
+from drake_oa.clusters import voxel_keys
+from drake_oa.kernel_arrays import kernel_arrays
+from drake_oa.supervision_geometry import ObstaclePoints
+from drake_oa.values import FloatArray, Frozen, IntArray, ObstacleClouds, TablePlane
+
+VOXEL = 0.02
+"""Edge of the voxels that an obstacle's points are thinned to [m]."""
+_DEEPEST = 0.08
+"""A thing that is seen from one side is taken to be at most so deep [m]."""
+_TOO_NEAR = 0.05
+"""A viewpoint so near above a thing says nothing of its depth [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class ArmModel(Frozen):
+    """An arm of n revolute joints in a row, as `drake_oa.arm_model.make_arm_model` reads it.
+
+    A body's frame is that of the joint that moves it; bodies are counted by their joint.
+
+    Attributes:
+        index: (n,) where its joints are in the plant's positions.
+        X_PJ: (n + 1, 4, 4) frame of each joint in the body before it (the first in the world),
+            its z axis being the joint's, and of the tool point E in the last body.
+        R_WE: (3, 3) orientation of the tool.
+        posture: (n,) that the null space is drawn to where nothing is in the way [rad].
+        mass: (n, n) mass matrix there, as a metric [kg m^2].
+        lower, upper: (n,) joint limits [rad].
+        speed: (n,) their velocity limits [rad/s].
+        shapes: what may touch obstacles, as `arm_kernels.nearest_point` takes it: body_sphere,
+            shape_body, X_BG, size, bound.
+        parts: what may touch each other, as `arm_kernels.self_distance` takes it: part_body,
+            part_first, part_sphere, rod, rod_radius, pairs.
+    """
+
+    index: IntArray
+    X_PJ: FloatArray
+    R_WE: FloatArray
+    posture: FloatArray
+    mass: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    speed: FloatArray
+    shapes: tuple[FloatArray | IntArray, ...]
+    parts: tuple[FloatArray | IntArray, ...]
+
+    def poses(self, q: FloatArray) -> FloatArray:
+        """(n + 1, 4, 4) poses of the bodies, and of E, in the world."""
+        X_WB = np.empty((len(self.posture) + 1, 4, 4))
+        kernels.poses(*kernel_arrays(q, self.X_PJ), X_WB)
+        return X_WB
+
+
+@dataclass(frozen=True, eq=False)
+class ArmSurroundings(Frozen):
+    """Obstacles as the arm's clearance is asked to them.
+
+    Attributes:
+        points: the obstacles' points, thinned out, in blocks.
+        table: (4,) unit normal and offset of the table [m]; NaN: there is none.
+        padding: a surface may lie this far outside the points that are left [m].
+    """
+
+    points: ObstaclePoints = field(default_factory=ObstaclePoints)
+    table: FloatArray = field(default_factory=lambda: np.full(4, np.nan))
+    padding: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Leaves the arrays unlocked: the kernels are compiled for such, and change none."""
+
+    @staticmethod
+    def of(
+        obstacles: ObstacleClouds,
+        table: TablePlane | None = None,
+        viewpoint_W: FloatArray | None = None,
+    ) -> ArmSurroundings:
+        """Thins the clouds out to one point a voxel of 2 cm.
+
+        Seen from one side, a thing is taken to be as deep as it is broad, up to 8 cm: links
+        go behind what they go round, where a tool that passes in front does not.
+
+        Args:
+            obstacles: what is seen.
+            table: the supporting plane; None: the one that came with it.
+            viewpoint_W: (3,) the camera [m]; None or (0,): the clouds are seen from all sides.
+
+        Raises:
+            ValueError: if a point or a velocity is not finite.
+        """
+        view = np.zeros(0) if viewpoint_W is None else viewpoint_W
+        thin = ObstacleClouds(
+            stamp=obstacles.stamp,
+            clouds_W=tuple(_deepened(_thinned(cloud), view) for cloud in obstacles.clouds_W),
+            ids=obstacles.ids,
+            v_WO=obstacles.v_WO,
+        )
+        plane = obstacles.table if table is None else table
+        row = np.full(4, np.nan) if plane is None else np.append(plane.normal_W, plane.offset)
+        # Of a sheet of points the surface is nearer by this in the middle of four of them,
+        # for a link that touches it in a point of the rounding of 6 cm.
+        return ArmSurroundings(ObstaclePoints.of(thin), row, padding=0.25 * VOXEL)
+
+    def lag(self, time: float) -> float:
+        """Time since the points were seen [s]."""
+        stamp = self.points.stamp
+        return max(time - stamp, 0.0) if math.isfinite(stamp) else 0.0
+
+
+def _deepened(cloud: FloatArray, viewpoint_W: FloatArray) -> FloatArray:
+    """The points, and behind them, horizontally, as many layers as it is deep."""
+    if not len(viewpoint_W) or not len(cloud):
+        return cloud
+    away = cloud.mean(axis=0)[:2] - viewpoint_W[:2]
+    distance = float(np.linalg.norm(away))
+    if distance < _TOO_NEAR:
+        return cloud
+    away /= distance
+    across = cloud[:, :2] @ np.array([-away[1], away[0]])
+    along = cloud[:, :2] @ away
+    depth = min(float(np.ptp(across)), _DEEPEST) - float(np.ptp(along))
+    if depth <= 0.0:
+        return cloud
+    layers = np.linspace(0.0, depth, 1 + math.ceil(depth / VOXEL))
+    moved = cloud + layers[:, None, None] * np.append(away, 0.0)
+    return _thinned(moved.reshape(-1, 3))
+
+
+def _thinned(cloud: FloatArray) -> FloatArray:
+    if len(cloud) < 2:
+        return np.array(cloud, dtype=float)
+    _, first = np.unique(voxel_keys(cloud, VOXEL), return_index=True)
+    return np.asarray(cloud[np.sort(first)], dtype=float)
