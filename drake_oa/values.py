@@ -174,6 +174,24 @@ class PolicyState(Frozen):
 
 
 @dataclass(frozen=True, eq=False)
+class PlannedMotion(Frozen):
+    """The motion that the regulation expects, from now to the goal.
+
+    Attributes:
+        s: (T,) normalised times, increasing; (0,): no motion is known.
+        p_WE: (T, 3) the tool point there in the world frame [m].
+        q: (T, n) positions of the arm's joints there [rad]; (0, n): none are planned.
+    """
+
+    s: FloatArray = _floats(0)
+    p_WE: FloatArray = _floats(0, 3)
+    q: FloatArray = _floats(0, 0)
+
+    def __len__(self) -> int:
+        return len(self.s)
+
+
+@dataclass(frozen=True, eq=False)
 class Route(Frozen):
     """The side to pass each obstacle on, and the rings it was chosen from.
 

@@ -1,0 +1,215 @@
+"""The arm's posture along a motion that is regulated: when it is planned anew."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from drake_oa.arm_motion import ArmModel, ArmSurroundings
+from drake_oa.posture_plan import (
+    REDUNDANT,
+    PostureParameters,
+    PosturePlan,
+    plan_posture,
+    reviewed,
+)
+from drake_oa.values import (
+    PART,
+    FloatArray,
+    Frozen,
+    ObstacleClouds,
+    PlannedMotion,
+    TablePlane,
+)
+
+_MOVED = 0.01
+"""A path of the tool that stays so near to the one that was planned along is the same [m]."""
+_CHANGED = 0.015
+"""Distances of the links may change by so much before the posture is planned anew [m]: a
+cloud of noisy points, thinned to voxels of 2 cm, changes them by less."""
+_SLOWER = (1.0, 1.5, 2.5)
+"""Shares by which a motion is made longer, in turn, until the arm can follow."""
+_RETRY = 0.5
+"""A posture that could not be found is looked for again after this time [s]."""
+_AT_EASE = 0.9
+"""Share of its allowed speed below which the arm is not short of time."""
+_GAINED = 0.002
+"""Where none works, what a slower motion has to gain [m]."""
+_ASTRAY = 0.35
+"""The arm may be so far from the planned posture [rad]."""
+
+
+@dataclass(frozen=True, eq=False)
+class ArmSight(Frozen):
+    """What is known when a posture is planned.
+
+    Attributes:
+        q: (n,) positions of the arm [rad].
+        obstacles: what is seen.
+        viewpoint_W: (3,) from where: what is behind is not seen; (0,): from all sides [m].
+    """
+
+    q: FloatArray
+    obstacles: ObstacleClouds
+    viewpoint_W: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+
+@dataclass(frozen=True, eq=False)
+class ArmWay(Frozen):
+    """A planned posture, and what it was planned for.
+
+    Attributes:
+        plan: the postures.
+        motion: the tool's motion, with them.
+        slower: share by which the motion has to take longer for the arm to follow, at least 1.
+        seen: the obstacles when it was looked at last.
+        since: when it was planned, or last tried to [s].
+        failed: whether then no posture reached all of the path; the plan is the one before.
+    """
+
+    plan: PosturePlan = field(default_factory=PosturePlan)
+    motion: PlannedMotion = field(default_factory=PlannedMotion)
+    slower: float = 1.0
+    seen: ObstacleClouds | None = None
+    since: float = -math.inf
+    failed: bool = False
+
+    @property
+    def concern(self) -> str:
+        """Why the arm cannot follow, or ""."""
+        plan = self.plan
+        if not len(self.motion) or self.seen is None or (plan.works and not self.failed):
+            return ""
+        if self.failed:
+            return "no posture of the arm reaches all of the path"
+        if not plan.short:
+            return "no posture of the arm is fast enough for the path"
+        row = int(plan.obstacle[int(plan.distance.argmin())])
+        what = "the table or itself" if row < 0 else f"obstacle {self.seen.ids[row] % PART}"
+        return f"no posture of the arm clears {what}: short by {1e3 * plan.short:.0f} mm"
+
+
+class WholeArm:
+    """Plans the posture of one arm."""
+
+    def __init__(
+        self,
+        arm: ArmModel,
+        parameters: PostureParameters | None = None,
+        orientation: Callable[[FloatArray], FloatArray] | None = None,
+    ) -> None:
+        """Keeps what does not change.
+
+        Args:
+            arm: of seven joints.
+            parameters: what is kept; None: the defaults.
+            orientation: (T, 3, 3) orientations of the tool at normalised times (T,); None:
+                the tool keeps the arm's.
+
+        Raises:
+            ValueError: for another number of joints.
+        """
+        if len(arm.posture) != 7:
+            raise ValueError(f"arm must have 7 joints, not {len(arm.posture)}")
+        self._arm = arm
+        self._parameters = parameters or PostureParameters()
+        self._orientation = orientation
+
+    def kept(
+        self,
+        before: ArmWay,
+        motion: PlannedMotion,
+        sight: ArmSight,
+        table: TablePlane | None,
+        *,
+        s: float,
+        seconds: float,
+        time: float,
+    ) -> ArmWay | None:
+        """The posture that is planned, while it will do.
+
+        Args:
+            before: what is planned.
+            motion: the motion that is wanted now.
+            sight: what is known.
+            table: the supporting plane, or None.
+            s: normalised time.
+            seconds: duration of a unit of it [s].
+            time: now [s].
+
+        Returns:
+            It, or None where it must be planned anew.
+        """
+        plan = before.plan
+        if before.failed:
+            # What was not possible need not be tried again with every frame.
+            return before if time - before.since <= _RETRY else None
+        if not len(plan) or not len(motion):
+            return None
+        if motion is not before.motion:
+            columns = [np.interp(motion.s, plan.s, p) for p in before.motion.p_WE.T]
+            apart = np.linalg.norm(np.column_stack(columns) - motion.p_WE, axis=1)
+            if apart.max() > _MOVED:
+                return None
+        wanted = np.interp(s, plan.s, plan.q[:, REDUNDANT])
+        if abs(sight.q[REDUNDANT] - wanted) > _ASTRAY:
+            return None
+        if sight.obstacles is before.seen:
+            return before
+        around = ArmSurroundings.of(sight.obstacles, table, sight.viewpoint_W)
+        again = reviewed(
+            plan,
+            self._arm,
+            around,
+            s=s,
+            seconds=seconds,
+            age=around.lag(time),
+            parameters=self._parameters,
+        )
+        was = plan.distance[len(plan) - len(again) :]
+        # The first two samples answer for nothing before them.
+        changed = np.abs(again.distance - was)[2:].max(initial=0.0) > _CHANGED
+        if changed or (plan.works and again.hurry > 1.1):
+            return None
+        return replace(before, seen=sight.obstacles)
+
+    def planned(
+        self,
+        motion: PlannedMotion,
+        sight: ArmSight,
+        table: TablePlane | None,
+        *,
+        seconds: float,
+        time: float,
+    ) -> ArmWay:
+        """Plans the posture along a motion; arguments as of `kept`.
+
+        Where the arm is too slow for it among resting obstacles, it is to be made slower.
+        """
+        if not len(motion):
+            return ArmWay(PosturePlan(), motion, seen=sight.obstacles, since=time)
+        around = ArmSurroundings.of(sight.obstacles, table, sight.viewpoint_W)
+        best = ArmWay(
+            PosturePlan(short=math.inf), motion, seen=sight.obstacles, since=time, failed=True
+        )
+        for slower in _SLOWER[:1] if around.points.v_WO.any() else _SLOWER:
+            plan = plan_posture(
+                self._arm,
+                around,
+                sight.q,
+                motion.s,
+                motion.p_WE,
+                seconds=slower * seconds,
+                age=around.lag(time),
+                R_WE=None if self._orientation is None else self._orientation(motion.s),
+                parameters=self._parameters,
+            )
+            if plan.works or plan.short < best.plan.short - _GAINED:
+                best = ArmWay(plan, replace(motion, q=plan.q), slower, sight.obstacles, time)
+            # Where the arm is not short of time, more of it is no help.
+            if plan.works or plan.hurry < _AT_EASE or not len(plan):
+                break
+        return best
