@@ -4,9 +4,11 @@
     plant -> perception -> ellipsoid_descriptor -> regressor_chain, dmp_integrator
     regressor_chain -> dmp_integrator -> integral_action -> controller -> plant
     perception, plant, controller, dmp_integrator -> supervisor -> dmp_integrator (speed_scale)
+    perception, plant, dmp_integrator, regressor_chain -> evasion -> dmp_integrator, supervisor
     dmp_integrator -> regressor_chain (policy_state)
+    dmp_integrator -> orientation_integrator -> controller, where the orientation changes
 
-With `regulation: !Regressor` the sides are the cost rings':
+With `regulation: !Regressor` the sides are the cost rings', unless it is not `guided`:
 
     ellipsoid_descriptor, dmp_integrator -> cost_ring_selector
     cost_ring_selector -> regressor_chain, dmp_integrator (decision)
@@ -20,25 +22,30 @@ With faults that touch them:
     depth_noise, plant -> camera_faults -> perception
     controller -> weak_actuators -> plant
 
-An obstacle that moves is driven by mover_<model instance>. The systems are made from the
-scenario in `drake_oa.layers`, `robot_layers` and `fault_layers`; this file wires them.
+    push -> plant
+
+An obstacle that moves, appears or vanishes is driven by mover_<model instance>.
+The systems are made from the scenario in `drake_oa.layers`, `robot_layers` and
+`fault_layers`; this file wires them.
 """
 
 from __future__ import annotations
 
-import numpy as np
 from pydrake.geometry import Meshcat
-from pydrake.systems.framework import Diagram, DiagramBuilder, OutputPort
-from pydrake.systems.primitives import ConstantVectorSource, VectorLogSink
+from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem, OutputPort
+from pydrake.systems.primitives import VectorLogSink
 from pydrake.visualization import ApplyVisualizationConfig, VisualizationConfig
 
 from drake_oa import fault_layers, layers, robot_layers
-from drake_oa.scenario import DepthCamera, GivenEllipsoids, GroundTruth, Scenario
+from drake_oa.diagrams.orienting import orientation_signals, wire_orientation
+from drake_oa.diagrams.turning import speed_scale_port, wire_turn
+from drake_oa.scenario import DepthCamera, GivenEllipsoids, GroundTruth, Regressor, Scenario
 from drake_oa.station import RobotPlant, Station, make_robot_plant, make_station
 from drake_oa.systems.cartesian_inverse_dynamics import CartesianInverseDynamics
 from drake_oa.systems.dmp_integrator import DmpIntegrator
 from drake_oa.systems.taken_route import TakenRoute
-from drake_oa.systems.verified_chain import VerifiedRegressorChain
+from drake_oa.systems.verified_chain import RobotArm, VerifiedRegressorChain
+from drake_oa.values import FloatArray
 
 LOG_PERIOD = 0.004
 """Time between logged instants [s]."""
@@ -52,10 +59,10 @@ def build_avoidance(
     Subsystems by name: plant, scene_graph, camera_world, camera_scene_graph and
     rgbd_sensor_<camera>, or late_<camera> and robot_at_image; depth_noise, perception,
     ellipsoid_descriptor, regressor_chain, goal, dmp_integrator, integral_action, controller,
-    supervisor, log_<signal>; cost_ring_selector with `regulation: !Regressor` or a viewer, and
-    overlay and taken_route with a viewer; camera_faults, weak_actuators and
-    mover_<model instance> where the scenario asks
-    for them. Without a robot there is no plant, camera, descriptor, controller or supervisor.
+    supervisor, evasion, log_<signal>; cost_ring_selector with `regulation: !Regressor` or a
+    viewer, and overlay and taken_route with a viewer; camera_faults, weak_actuators, push and
+    mover_<model instance> where the scenario asks for them. Without a robot there is no plant,
+    camera, descriptor, controller or supervisor.
     With `modulated=False` there are no obstacles to see, nothing from perception to
     regressor_chain, and no supervisor.
 
@@ -76,9 +83,10 @@ def build_avoidance(
         sees = modulated and isinstance(scenario.perception, DepthCamera)
         station = make_station(builder, scenario, render=sees)
 
-    goal = builder.AddNamedSystem("goal", ConstantVectorSource(np.asarray(scenario.task.goal)))
+    goal = builder.AddNamedSystem("goal", layers.make_goal(scenario))
     policy = builder.AddNamedSystem("dmp_integrator", layers.make_dmp_integrator(scenario))
     builder.Connect(goal.get_output_port(), policy.GetInputPort("goal"))
+    log_signal(builder, "goal", goal.get_output_port())
     for name in ("desired_position", "desired_velocity", "desired_acceleration", "phase"):
         log_signal(builder, name, policy.GetOutputPort(name))
     for name in ("desired_position", "phase", "policy_state"):
@@ -87,13 +95,28 @@ def build_avoidance(
     seen: OutputPort | None = None
     if modulated:
         seen = _wire_perception(builder, scenario, station, robot_plant)
-        _wire_decision(builder, scenario, seen, policy, goal, shown=meshcat is not None)
-    if station is not None and robot_plant is not None:
+        if scenario.task.goal_moves and builder.HasSubsystemNamed("ellipsoid_descriptor"):
+            descriptor = builder.GetSubsystemByName("ellipsoid_descriptor")
+            builder.Connect(goal.get_output_port(), descriptor.GetInputPort("goal"))
+    arm = None
+    if robot_plant is not None:
         q_start = robot_layers.start_positions(robot_plant, scenario)
+        arm = robot_layers.make_robot_arm(scenario, robot_plant, q_start) if modulated else None
+    if seen is not None:
+        _wire_decision(builder, scenario, seen, policy, goal, shown=meshcat is not None, arm=arm)
+    if station is not None and robot_plant is not None:
         station.plant.SetDefaultPositions(station.robot, q_start)
         controller = robot_layers.make_controller(scenario, robot_plant, q_start)
         _wire_robot(builder, scenario, station, policy, controller)
-        _wire_movers(builder, scenario, station)
+        if arm is not None:
+            _wire_posture(builder, scenario, station, arm, q_start)
+        wire_world(builder, scenario, station)
+        wire_orientation(builder, scenario)
+        if modulated:
+            for name, port in wire_turn(builder, scenario, robot_plant).items():
+                log_signal(builder, name, port)
+        for name, port in orientation_signals(builder).items():
+            log_signal(builder, name, port)
         if modulated and scenario.supervisor is not None:
             _wire_supervisor(builder, scenario, station, robot_plant)
     if meshcat is not None:
@@ -166,16 +189,18 @@ def _wire_decision(
     scenario: Scenario,
     seen: OutputPort,
     policy: DmpIntegrator,
-    goal: ConstantVectorSource,
+    goal: LeafSystem,
     *,
     shown: bool,
+    arm: RobotArm | None,
 ) -> None:
     """Regulation and, where they are used or shown, cost rings."""
-    chain = builder.AddNamedSystem("regressor_chain", layers.make_regressor_chain(scenario))
+    chain = builder.AddNamedSystem("regressor_chain", layers.make_regressor_chain(scenario, arm))
     for system in (chain, policy):
         builder.Connect(seen, system.GetInputPort("ellipsoids_W"))
     state = policy.GetOutputPort("policy_state")
-    if shown or not isinstance(chain, VerifiedRegressorChain):
+    unguided = isinstance(scenario.regulation, Regressor) and not scenario.regulation.guided
+    if shown or not (unguided or isinstance(chain, VerifiedRegressorChain)):
         rings = builder.AddNamedSystem(
             "cost_ring_selector", layers.make_cost_ring_selector(scenario)
         )
@@ -191,6 +216,9 @@ def _wire_decision(
         for name in ("shortfall", "short_of"):
             log_signal(builder, name, chain.GetOutputPort(name))
         return
+    if unguided:
+        builder.Connect(state, chain.GetInputPort("policy_state"))
+        return
     builder.Connect(rings.GetOutputPort("decision"), policy.GetInputPort("route"))
     if scenario.policy.descriptor == "route":
         builder.Connect(rings.GetOutputPort("decision"), chain.GetInputPort("route"))
@@ -198,9 +226,44 @@ def _wire_decision(
         builder.Connect(state, chain.GetInputPort("policy_state"))
 
 
-def _wire_movers(builder: DiagramBuilder, scenario: Scenario, station: Station) -> None:
-    """What drives the obstacles that move; then the whole world is logged."""
+def _wire_posture(
+    builder: DiagramBuilder,
+    scenario: Scenario,
+    station: Station,
+    arm: RobotArm,
+    q_start: FloatArray,
+) -> None:
+    """The posture that the regulation plans along the motion, to the controller."""
+    chain = builder.GetSubsystemByName("regressor_chain")
+    controller = builder.GetSubsystemByName("controller")
+    policy = builder.GetSubsystemByName("dmp_integrator")
+    builder.Connect(
+        station.plant.get_state_output_port(station.robot), chain.GetInputPort("robot_state")
+    )
+    if builder.HasSubsystemNamed("ellipsoid_descriptor"):
+        descriptor = builder.GetSubsystemByName("ellipsoid_descriptor")
+        port = descriptor.GetInputPort("obstacles_W")
+        source, index = builder.connection_map()[(descriptor, port.get_index())]
+        builder.Connect(source.get_output_port(index), chain.GetInputPort("obstacles_W"))
+    if isinstance(scenario.perception, DepthCamera):
+        pose = station.cameras[scenario.perception.camera].pose
+        builder.Connect(pose, chain.GetInputPort("camera_pose"))
+    follower = builder.AddNamedSystem(
+        "posture_follower", robot_layers.make_posture_follower(scenario, arm, q_start)
+    )
+    builder.Connect(chain.GetOutputPort("motion"), follower.GetInputPort("motion"))
+    builder.Connect(policy.GetOutputPort("policy_state"), follower.GetInputPort("policy_state"))
+    builder.Connect(follower.get_output_port(), controller.GetInputPort("desired_posture"))
+    log_signal(builder, "desired_posture", follower.get_output_port())
+
+
+def wire_world(builder: DiagramBuilder, scenario: Scenario, station: Station) -> None:
+    """What pushes the robot, and drives obstacles; these being there, the world is logged."""
     plant = station.plant
+    push = fault_layers.make_push(scenario, station)
+    if push is not None:
+        builder.AddNamedSystem("push", push)
+        builder.Connect(push.get_output_port(), plant.get_applied_spatial_force_input_port())
     movers = fault_layers.make_obstacle_movers(scenario, station)
     for name, mover in movers.items():
         builder.AddNamedSystem(f"mover_{name}", mover)
@@ -267,8 +330,34 @@ def _wire_supervisor(
         port = descriptor.GetInputPort("obstacles_W")
         source, index = builder.connection_map()[(descriptor, port.get_index())]
         builder.Connect(source.get_output_port(index), supervisor.GetInputPort("obstacles_W"))
-    builder.Connect(supervisor.GetOutputPort("speed_scale"), policy.GetInputPort("speed_scale"))
+        if scenario.evasion is not None:
+            _wire_evasion(builder, scenario, station, robot_plant, source.get_output_port(index))
+    builder.Connect(supervisor.GetOutputPort("speed_scale"), speed_scale_port(builder))
     log_signal(builder, "speed_scale", supervisor.GetOutputPort("speed_scale"))
+
+
+def _wire_evasion(
+    builder: DiagramBuilder,
+    scenario: Scenario,
+    station: Station,
+    robot_plant: RobotPlant,
+    obstacles: OutputPort,
+) -> None:
+    """What displaces the policy where slowing and holding it does not help."""
+    evasion = builder.AddNamedSystem("evasion", robot_layers.make_evasion(scenario, robot_plant))
+    policy = builder.GetSubsystemByName("dmp_integrator")
+    chain = builder.GetSubsystemByName("regressor_chain")
+    supervisor = builder.GetSubsystemByName("supervisor")
+    builder.Connect(
+        station.plant.get_state_output_port(station.robot), evasion.GetInputPort("robot_state")
+    )
+    builder.Connect(policy.GetOutputPort("policy_state"), evasion.GetInputPort("policy_state"))
+    builder.Connect(obstacles, evasion.GetInputPort("obstacles_W"))
+    if isinstance(chain, VerifiedRegressorChain):
+        builder.Connect(chain.GetOutputPort("motion"), evasion.GetInputPort("motion"))
+    builder.Connect(evasion.GetOutputPort("evasion"), policy.GetInputPort("evasion"))
+    builder.Connect(evasion.GetOutputPort("evading"), supervisor.GetInputPort("evading"))
+    log_signal(builder, "evasion", evasion.GetOutputPort("evasion"))
 
 
 def _wire_view(

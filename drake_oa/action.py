@@ -24,6 +24,7 @@ from drake_oa.values import EllipsoidSet, FloatArray, Frozen, PolicyState, Route
 
 SCALED_TO_REST = "speed_scale is 0"
 """Note of a motion that is held because its speed is scaled to nothing from outside."""
+_NO_EVASION = np.zeros(3)
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class Segment(Frozen):
     """The motion between two steps of the policy.
 
     Attributes:
-        motion: (46,) policy at both ends and interpolation between them, laid out as
+        motion: (52,) policy at both ends and interpolation between them, laid out as
             `drake_oa.action_kernels` says.
         note: empty, or why the motion is being held.
     """
@@ -219,6 +220,7 @@ class ActionLevel:
         step: float,
         count: int = 1,
         speed_scale: float = 1.0,
+        evasion: FloatArray | None = None,
     ) -> Segment:
         """Takes a step of the policy, or several, from the end of a segment.
 
@@ -232,6 +234,9 @@ class ActionLevel:
             speed_scale: share of full speed, 1 / (tau T), at which the motion is to go; it
                 gets there at the rate of a hold. What is not in [0, 1] counts as the
                 nearest of them, NaN as 0.
+            evasion: (3,) velocity [m/s] by which p_WE is displaced besides its motion, z and
+                phase being what they are; it changes linearly within the first step. None,
+                and what is not finite: not at all.
 
         Returns:
             The motion in the last of the steps.
@@ -243,6 +248,8 @@ class ActionLevel:
             raise ValueError(f"count must be at least 1, not {count}")
         scale = min(float(speed_scale), 1.0) if speed_scale > 0.0 else 0.0
         gx, gy, gz = p_WG.tolist()
+        if evasion is None or not math.isfinite(evasion.sum()):
+            evasion = _NO_EVASION
         motion = np.empty(kernels.N_MOTION)
         code = kernels.take_steps(
             before.motion,
@@ -258,6 +265,7 @@ class ActionLevel:
             around.R_WO,
             around.B,
             scale,
+            evasion,
             time,
             step,
             count,
@@ -266,7 +274,7 @@ class ActionLevel:
         if code < 0:
             if code == kernels.GOAL_MOVED:
                 before = _toward(before, p_WG)
-                return self.step(before, p_WG, around, time, step, count, scale)
+                return self.step(before, p_WG, around, time, step, count, scale, evasion)
             raise ValueError(
                 f"a step of {step} s at {before.motion[kernels.END + kernels.SPEED]} 1/s is not "
                 "finite and at least 0 in normalised time"

@@ -24,7 +24,9 @@ TAU, START, GOAL, FRAME = 18, 19, 22, 25
 """Where it holds tau, p_WS, p_WG and R_WL (row by row)."""
 V, V_END, DRIFT, ACCELERATION = 34, 37, 40, 43
 """Where it holds both velocities, and the coefficients of its interpolation."""
-N_MOTION = 46
+EVASION, EVASION_END = 46, 49
+"""Where it holds the velocities at both ends by which it is displaced besides."""
+N_MOTION = 52
 """Length of a motion."""
 
 ALPHA_X, BETA_X, ALPHA_K, DURATION = 0, 1, 2, 3
@@ -195,6 +197,7 @@ def take_steps(
     R_WO: FloatArray,
     B: FloatArray,
     scale: float,
+    evasion: FloatArray,
     time: float,
     step: float,
     count: int,
@@ -203,7 +206,7 @@ def take_steps(
     """Takes steps of the policy one after the other, see `drake_oa.action.advance`.
 
     Args:
-        before: (46,) the motion of the step before; its end is where the first one begins.
+        before: (52,) the motion of the step before; its end is where the first one begins.
         gx, gy, gz: goal [m].
         constants: (10,) of movement primitive and action level.
         basis: (5, N) centres, widths and weights of the basis functions.
@@ -214,10 +217,12 @@ def take_steps(
         R_WO: (M, 3, 3) rotations of the ellipsoids.
         B: (M, 3, 3) their shape matrices [m^2].
         scale: share of full speed, 1 / (tau T), at which the motion is to go.
+        evasion: (3,) velocity by which it is displaced besides, at the end of the first
+            step and after [m/s].
         time: now [s].
         step: length of a step [s].
         count: how many steps, at least 1.
-        after: (46,) the motion of the last step, to be filled.
+        after: (52,) the motion of the last step, to be filled.
 
     Returns:
         The reason to hold the motion in the last step; GOAL_MOVED or BAD_STEP if one
@@ -242,6 +247,7 @@ def take_steps(
             R_WO,
             B,
             scale,
+            evasion,
             time,
             step,
             after,
@@ -266,6 +272,7 @@ def _take_step(
     R_WO: FloatArray,
     B: FloatArray,
     scale: float,
+    evasion: FloatArray,
     time: float,
     step: float,
     after: FloatArray,
@@ -354,6 +361,11 @@ def _take_step(
             )
             end[3], end[4], end[5] = rotate(end[3], end[4], end[5], wx, wy, wz)
             _spring(end, rest, a, b, c, d, end)
+    for i in range(3):
+        begin, end_of = before[EVASION_END + i], evasion[i]
+        after[EVASION + i], after[EVASION_END + i] = begin, end_of
+        if begin != 0.0 or end_of != 0.0:
+            after[END + P + i] += 0.5 * (begin + end_of) * step
     _interpolation(after)
     return code
 
@@ -374,8 +386,8 @@ def _interpolation(motion: FloatArray) -> None:
     """Fills velocities and coefficients from the policy at both ends."""
     length = motion[END + STAMP] - motion[STAMP]
     for i in range(3):
-        v = motion[SPEED] * motion[Z + i]
-        v_end = motion[END + SPEED] * motion[END + Z + i]
+        v = motion[SPEED] * motion[Z + i] + motion[EVASION + i]
+        v_end = motion[END + SPEED] * motion[END + Z + i] + motion[EVASION_END + i]
         motion[V + i], motion[V_END + i] = v, v_end
         motion[DRIFT + i], motion[ACCELERATION + i] = v, 0.0
         if length > 0.0:

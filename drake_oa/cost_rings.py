@@ -6,13 +6,15 @@ is the side on which the obstacle is passed (Pairet et al. 2019, section IV-D):
 
     min_omega  eta_table(omega) + eta_length(omega) + eta_limits(omega)
 
-A ring is a function from a `RingScene` to an (M, K) array of costs in [0, 1];
-passing more of them to `select_directions` adds them to the sum.
+eta_limits is the sum of two rings that are nowhere both 1: what is out of reach, and what
+is reached only near a joint's limit. A ring is a function from a `RingScene` to an (M, K)
+array of costs in [0, 1]; passing more of them to `drake_oa.side_choice.select_directions` adds
+them to the sum.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +23,9 @@ from drake_oa.values import EllipsoidSet, FloatArray, IntArray, TablePlane
 
 FORBIDDEN = 1.0
 """Cost at which a ring forbids a direction."""
-_LEAST_SPREAD = 0.1
+JOINT_LIMITS = "joint_limits"
+"""Name of the ring of `joint_limits_ring`."""
+LEAST_SPREAD = 0.1
 """Spread of path lengths, in baselines, below which they count as near to each other."""
 
 
@@ -54,6 +58,8 @@ class RingScene:
 
 
 Ring = Callable[[RingScene], FloatArray]
+Margin = Callable[[FloatArray], FloatArray]
+"""Signed margin [m] of points (..., 3) -> (...), positive inside."""
 
 
 def ring_scene(
@@ -120,7 +126,7 @@ def length_ring(scene: RingScene) -> FloatArray:
     if not length.size:
         return length
     low, high = length.min(axis=1, keepdims=True), length.max(axis=1, keepdims=True)
-    least = _LEAST_SPREAD * float(np.linalg.norm(scene.p_WG - scene.p_WS))
+    least = LEAST_SPREAD * float(np.linalg.norm(scene.p_WG - scene.p_WS))
     return np.asarray((length - low) / np.maximum(high - low, least))
 
 
@@ -137,9 +143,7 @@ def table_ring(scene: RingScene, *, height: float) -> FloatArray:
     return np.where(scene.table.height(scene.p_WP) < height, FORBIDDEN, 0.0)
 
 
-def limits_ring(
-    scene: RingScene, *, workspace: Callable[[FloatArray], FloatArray], n_samples: int = 4
-) -> FloatArray:
+def limits_ring(scene: RingScene, *, workspace: Margin, n_samples: int = 12) -> FloatArray:
     """eta_limits: 1 where the way over the passing point leaves the workspace.
 
     Args:
@@ -159,97 +163,31 @@ def limits_ring(
     return np.where(np.any(workspace(legs) < 0.0, axis=0), FORBIDDEN, 0.0)
 
 
-def overlap_groups(ellipsoids: EllipsoidSet, clearance: float) -> IntArray:
-    """Numbers the groups of obstacles that leave no way between them, (M,).
-
-    Two obstacles belong together when their gap along the line of centres is less
-    than two clearances; groups are the connected components.
-    """
-    count = len(ellipsoids)
-    gap = ellipsoids.p_WO[:, None, :] - ellipsoids.p_WO[None, :, :]
-    distance = np.linalg.norm(gap, axis=2)
-    unit = np.divide(
-        gap, distance[:, :, None], out=np.zeros_like(gap), where=distance[:, :, None] > 0.0
-    )
-    in_axes = np.einsum("iab,ija->ijb", ellipsoids.R_WO, unit)
-    reach = np.linalg.norm(in_axes * ellipsoids.semi_axes[:, None, :], axis=2)
-    linked = distance < reach + reach.T + 2.0 * clearance
-    label = np.arange(count)
-    for _ in range(count):
-        spread = np.where(linked, label[None, :], count).min(axis=1, initial=count)
-        if np.array_equal(spread, label):
-            break
-        label = spread
-    return label
-
-
-@dataclass(frozen=True, eq=False)
-class Selection:
-    """The chosen side of each obstacle.
-
-    Attributes:
-        index: (M,) chosen column of the rings.
-        groups: (M,) numbers of the groups, see `overlap_groups`.
-        costs: name -> (M, K) each ring.
-        blocked: (M,) whether every direction is forbidden by some ring.
-    """
-
-    index: IntArray
-    groups: IntArray
-    costs: dict[str, FloatArray]
-    blocked: np.ndarray
-
-
-def select_directions(
+def joint_limits_ring(
     scene: RingScene,
-    rings: Mapping[str, Ring],
     *,
-    previous: IntArray | None = None,
-    hysteresis: float = 0.2,
-) -> Selection:
-    """Chooses omega_d: the direction of least total cost for each obstacle.
+    joints: Margin,
+    workspace: Margin,
+) -> FloatArray:
+    """1 where the way is in reach, but comes nearer to a joint's limit than it must.
 
-    Obstacles with no way between them (`overlap_groups`) are passed on one side:
-    the mean of their costs decides, and what one of them forbids is forbidden to
-    all. Equal costs are decided by the lowest angle, so the answer is definite.
+    A start or goal that lies beyond the margin is where the motion has to be: what lies no
+    farther beyond it is allowed.
 
     Args:
         scene: the scene.
-        rings: the rings by name.
-        previous: (M,) the columns chosen before, -1 where there was none. A group
-            keeps its side while that is allowed and dearer than the best one by
-            less than `hysteresis`.
-        hysteresis: in units of cost.
+        joints: signed margin [m] of points (..., 3) -> (...), positive where the arm keeps
+            its joints off their limits.
+        workspace: signed margin [m] to what it reaches at all, positive inside.
     """
-    count, width = scene.detour.shape
-    costs = {name: np.asarray(ring(scene), dtype=float) for name, ring in rings.items()}
-    for name, cost in costs.items():
-        if cost.shape != (count, width):
-            raise ValueError(
-                f"ring '{name}' returned shape {cost.shape}; it must be ({count}, {width}), "
-                "obstacles by directions"
-            )
-    index = np.zeros(count, dtype=np.int64)
-    blocked = np.zeros(count, dtype=bool)
-    groups = overlap_groups(scene.ellipsoids, scene.clearance)
-    total = sum(costs.values(), np.zeros((count, width)))
-    forbidden = np.zeros((count, width), dtype=bool)
-    for name, cost in costs.items():
-        if name != "length":
-            forbidden |= cost >= FORBIDDEN
-    for group in np.unique(groups):
-        rows = np.flatnonzero(groups == group)
-        shut = forbidden[rows].any(axis=0)
-        blocked[rows] = bool(shut.all())
-        # A forbidden direction never beats an allowed one, whatever the sum of the others.
-        shared = total[rows].mean(axis=0) + np.where(shut, float(len(costs)), 0.0)
-        best = int(np.argmin(shared))
-        if previous is not None:
-            kept = previous[rows][previous[rows] >= 0]
-            if kept.size and shared[kept[0]] < shared[best] + hysteresis:
-                best = int(kept[0])
-        index[rows] = best
-    return Selection(index, groups, costs, blocked)
+    near = limits_ring(scene, workspace=no_worse_than_the_ends(scene, joints))
+    return np.where(limits_ring(scene, workspace=workspace) >= FORBIDDEN, 0.0, near)
+
+
+def no_worse_than_the_ends(scene: RingScene, margin: Margin) -> Margin:
+    """A margin [m] that counts from its least at start and goal where that is negative."""
+    ends = float(margin(np.stack([scene.p_WS, scene.p_WG])).min())
+    return lambda p_WQ: margin(p_WQ) - min(ends, 0.0)
 
 
 def path_length(scene: RingScene, index: IntArray) -> float:

@@ -41,6 +41,30 @@ def check_descriptor_arguments(tool_W: ArrayLike, method: str) -> FloatArray:
     return np.array(checked_points(tool_W, "tool_W"))
 
 
+def turned_about(points: ArrayLike, axis: FloatArray, turn: float) -> FloatArray:
+    """Points (N, 3) turned about a unit axis (3,) through the origin, by an angle [rad].
+
+    For turn 0 they are the very same numbers. Rodrigues' formula.
+    """
+    p = np.array(points, dtype=float)
+    if turn == 0.0:
+        return p
+    along = (p @ axis)[:, None] * axis
+    return along + np.cos(turn) * (p - along) + np.sin(turn) * np.cross(axis, p)
+
+
+def unit_axis(axis_W: ArrayLike) -> FloatArray:
+    """(3,) of length 1.
+
+    Raises:
+        ValueError: if it is not three finite numbers, or all are 0.
+    """
+    axis = np.array(axis_W, dtype=float)
+    if axis.shape != (3,) or not 0.0 < np.linalg.norm(axis) < np.inf:
+        raise ValueError(f"the axis of a turn must be 3 finite numbers, not all 0, not {axis}")
+    return np.asarray(axis / np.linalg.norm(axis))
+
+
 def least_squares_ellipsoid(
     points: ArrayLike, *, tool: ArrayLike, minimum_semi_axis: float = 1e-3
 ) -> Ellipsoid:

@@ -29,6 +29,8 @@ RING_COLORS: Mapping[str, Color] = {
     "table": (0.96, 0.49, 0.05),
     "length": (0.07, 0.55, 0.34),
     "limits": (0.24, 0.26, 0.31),
+    "workspace": (0.24, 0.26, 0.31),
+    "joint_limits": (0.55, 0.27, 0.07),
 }
 """Colour of cost 1 on a ring, by the ring's name."""
 OTHER_RING: Color = (0.42, 0.32, 0.72)

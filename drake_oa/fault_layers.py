@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from drake_oa.faults import TorqueSaturation, camera_faults
+from drake_oa.faults import Push, TorqueSaturation, camera_faults
 from drake_oa.layers import PIXEL_CENTER, camera_config
 from drake_oa.obstacles import OBSTACLE_PREFIX
-from drake_oa.scenario import DepthCamera, Scenario
+from drake_oa.scenario import DepthCamera, Scenario, ScenarioError
 from drake_oa.station import RobotPlant, Station, all_obstacles
 from drake_oa.systems.camera_faults import CameraFaults
 from drake_oa.systems.obstacle_mover import ObstacleMover
+from drake_oa.systems.push import ExternalPush
 from drake_oa.systems.weak_actuators import WeakActuators
 
 
@@ -43,13 +44,36 @@ def make_weak_actuators(scenario: Scenario, station: Station) -> WeakActuators |
 
 
 def make_obstacle_movers(scenario: Scenario, station: Station) -> dict[str, ObstacleMover]:
-    """Model instance -> what drives it, of every obstacle that moves."""
+    """Model instance -> what drives it, of every obstacle that moves, appears or vanishes."""
     movers = {}
     for obstacle in all_obstacles(scenario):
-        if obstacle.waypoints:
+        if obstacle.driven:
             name = f"{OBSTACLE_PREFIX}_{obstacle.name}"
             body = station.plant.GetBodyByName("body", station.plant.GetModelInstanceByName(name))
             movers[name] = ObstacleMover(
-                np.array(obstacle.waypoints), mass=body.default_mass(), step=scenario.plant_step
+                np.array(obstacle.waypoints, dtype=float).reshape(-1, 4),
+                mass=body.default_mass(),
+                step=scenario.plant_step,
+                present=obstacle.present,
             )
     return movers
+
+
+def make_push(scenario: Scenario, station: Station) -> ExternalPush | None:
+    """What pushes the robot; None: nothing does.
+
+    Raises:
+        ScenarioError: naming the push of a link that the robot does not have.
+    """
+    plant, pushes = station.plant, []
+    for number, fault in enumerate(scenario.faults):
+        if not isinstance(fault, Push):
+            continue
+        if not plant.HasBodyNamed(fault.body, station.robot):
+            names = [plant.get_body(i).name() for i in plant.GetBodyIndices(station.robot)]
+            raise ScenarioError(
+                f"faults[{number}].body: the robot has no link '{fault.body}'; it has "
+                f"{', '.join(names)}"
+            )
+        pushes.append((fault, plant.GetBodyByName(fault.body, station.robot).index()))
+    return ExternalPush(pushes) if pushes else None

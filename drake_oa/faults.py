@@ -16,11 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_oa.scenario_fields import count, number
+from drake_oa.scenario_fields import count, number, vector
 from drake_oa.values import FloatArray
 
 _LATEST = 1e6
 _ROUNDING = 1e-6  # of a frame's period
+_NOW = 1e-9  # rounding of a time [s]
 TABLE_MARGIN = 0.015
 """Height up to which `TableMissing` takes a point for the table's [m]."""
 
@@ -108,6 +109,19 @@ class StartInContact:
     depth: float = number(0.0005, "m", 0.0, 0.01, open_low=True)
 
 
+@dc.dataclass
+class Push:
+    """Somebody pushes a link of the robot, with a wrench that is constant while it lasts."""
+
+    start: float = _start(1.0)
+    duration: float = _duration(0.2)
+    # In the world, at the origin of the link.
+    force: list[float] = vector([0.0, 20.0, 0.0], "N")
+    torque: list[float] = vector([0.0, 0.0, 0.0], "N m")
+    # The link.
+    body: str = "panda_hand"
+
+
 CameraFault = CameraDropout | NanFrames | FrameBurst | TableMissing
 # Written out: yaml_load_typed reads the tags' types from it.
 Fault = (
@@ -119,6 +133,7 @@ Fault = (
     | TorqueSaturation
     | ModelError
     | StartInContact
+    | Push
 )
 
 
@@ -236,6 +251,13 @@ def torque_scale(faults: Sequence[Fault], time: float) -> float:
         and fault.start <= time < fault.start + fault.duration
     ]
     return min(scales, default=1.0)
+
+
+def push_wrench(push: Push, time: float) -> FloatArray:
+    """(6,) torque [N m] and force [N] of a push in the world at a time [s]."""
+    if not push.start <= time + _NOW < push.start + push.duration:
+        return np.zeros(6)
+    return np.array([*push.torque, *push.force], dtype=float)
 
 
 def _first_frame(start: float, period: float) -> int:

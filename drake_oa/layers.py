@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import logging
 import math
-import zipfile
 from pathlib import Path
 from typing import cast
 
@@ -16,15 +15,19 @@ from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import LeafSystem
-from pydrake.systems.primitives import MatrixGain
+from pydrake.systems.primitives import ConstantVectorSource, MatrixGain, TrajectorySource
 from pydrake.systems.sensors import CameraConfig
 
 from drake_oa.action import ActionParameters
+from drake_oa.arm_model import make_arm_model
 from drake_oa.collision_shapes import RobotModel, collect_collision_shapes
 from drake_oa.coupling import GuidanceForm
+from drake_oa.demonstration import read_demonstration
 from drake_oa.dmp import Dmp, imitate, minimum_jerk, trajectory
+from drake_oa.goal_course import goal_trajectory
 from drake_oa.parts import merged_parts
 from drake_oa.point_cloud import SegmentationConfig
+from drake_oa.reachability import Reachability, reachability
 from drake_oa.regressor import load_chain
 from drake_oa.scenario import (
     DepthCamera,
@@ -36,7 +39,6 @@ from drake_oa.scenario import (
     Robot,
     Scenario,
     ScenarioError,
-    Task,
     Verified,
     package_file,
 )
@@ -45,7 +47,8 @@ from drake_oa.station import (
     OBSTACLE_PREFIX,
     RobotPlant,
     Station,
-    tool_corners,
+    home_positions,
+    make_robot_plant,
     tool_link_corners,
 )
 from drake_oa.systems.cost_ring_selector import CostRingSelector
@@ -58,10 +61,11 @@ from drake_oa.systems.ground_truth_perception import GroundTruthPerception
 from drake_oa.systems.meshcat_overlay import MeshcatOverlay, dress_scene
 from drake_oa.systems.recorded_perception import RecordedPerception
 from drake_oa.systems.regressor_chain import RegressorChain
-from drake_oa.systems.verified_chain import VerifiedRegressorChain
+from drake_oa.systems.verified_chain import RobotArm, VerifiedRegressorChain
+from drake_oa.tool_orientation import held_robots
 from drake_oa.values import EllipsoidSet, FloatArray, TablePlane
 from drake_oa.verification import SearchParameters
-from drake_oa.workspace import tool_down_annulus, tool_down_margin
+from drake_oa.workspace import tool_down_annulus
 
 _logger = logging.getLogger("drake_oa")
 
@@ -82,7 +86,8 @@ def make_dmp(scenario: Scenario) -> Dmp:
     """
     task, policy = scenario.task, scenario.policy
     if task.demonstration:
-        path, t = _demonstration(task)
+        shown = read_demonstration(task)
+        path, t = shown.path, shown.t
     else:
         path, t = minimum_jerk(task.start, task.goal, duration=task.duration)
     try:
@@ -95,23 +100,8 @@ def make_dmp(scenario: Scenario) -> Dmp:
             alpha_k=policy.alpha_k,
         )
     except ValueError as error:
-        field = "task.demonstration" if task.demonstration else "policy"
+        field = f"task.demonstration: '{task.demonstration}'" if task.demonstration else "policy"
         raise ScenarioError(f"{field}: {error}") from None
-
-
-def _demonstration(task: Task) -> tuple[FloatArray, FloatArray]:
-    try:
-        with np.load(task.demonstration) as archive:
-            path = archive["path"]
-            t = archive["t"] if "t" in archive.files else None
-        if path.ndim != 2 or path.shape[1] != 3:
-            raise ValueError(f"its path is {path.shape}")
-        return path, np.linspace(0.0, task.duration, len(path)) if t is None else t
-    except (OSError, EOFError, KeyError, ValueError, TypeError, zipfile.BadZipFile) as error:
-        raise ScenarioError(
-            f"task.demonstration: cannot read '{task.demonstration}': {error}; "
-            "it must be an .npz with `path` (T, 3) and optionally `t` (T,)"
-        ) from None
 
 
 def make_perception(
@@ -231,14 +221,26 @@ def _camera_pose(source: RecordedClouds) -> RigidTransform | None:
 
 
 def make_ellipsoid_descriptor(scenario: Scenario, robot_plant: RobotPlant) -> EllipsoidDescriptor:
-    """The descriptor, which dilates by the robot's tool."""
+    """The descriptor, which dilates by the robot's tool, in each of the ways it is held."""
     if scenario.robot is None:
         raise ScenarioError("robot: the descriptor needs a tool; this scenario has null")
+    task = scenario.task
+    held = [tool_link_corners(robot_plant, robot) for robot in held_robots(scenario)]
+    links = [np.concatenate(of_link) for of_link in zip(*held, strict=True)]
     return EllipsoidDescriptor(
-        tool_corners(robot_plant, scenario.robot),
-        free_W=[scenario.task.start, scenario.task.goal],
-        tool_parts=merged_parts(tool_link_corners(robot_plant, scenario.robot)),
+        np.concatenate(links),
+        # A goal that moves comes by a port.
+        free_W=[task.start] if task.goal_moves else [task.start, task.goal],
+        tool_parts=merged_parts(links),
+        turn_axis_W=(0.0, 0.0, 1.0) if scenario.policy.turn is None else scenario.policy.turn.axis,
     )
+
+
+def make_goal(scenario: Scenario) -> LeafSystem:
+    """What says where the goal is: it stays, or is moved in steps; one port of size 3 [m]."""
+    if not scenario.task.goal_moves:
+        return ConstantVectorSource(np.asarray(scenario.task.goal))
+    return TrajectorySource(goal_trajectory(scenario.task))
 
 
 def camera_config(scenario: Scenario, source: DepthCamera) -> CameraConfig:
@@ -266,8 +268,14 @@ def table_plane(scenario: Scenario) -> TablePlane | None:
     return None if scenario.table_height is None else TablePlane(offset=scenario.table_height)
 
 
-def make_regressor_chain(scenario: Scenario) -> RegressorChain | VerifiedRegressorChain:
+def make_regressor_chain(
+    scenario: Scenario, arm: RobotArm | None = None
+) -> RegressorChain | VerifiedRegressorChain:
     """The regulation that the scenario asks for, with its weights.
+
+    Args:
+        scenario: which.
+        arm: what plans the posture of the robot's arm; None: nothing does.
 
     Raises:
         ScenarioError: naming the file, if the weights are missing or do not fit.
@@ -291,13 +299,15 @@ def make_regressor_chain(scenario: Scenario) -> RegressorChain | VerifiedRegress
         dmp,
         clearance,
         period=perception_period(scenario),
-        parameters=_search_parameters(scenario.regulation, policy, dmp),
+        parameters=search_parameters(scenario.regulation, policy, dmp),
         table_height=policy.table_height,
-        annulus=tool_down_annulus() if _has_known_workspace(scenario.robot) else None,
+        annulus=held_annulus(scenario),
+        arm=arm,
     )
 
 
-def _search_parameters(regulation: Verified, policy: Policy, dmp: Dmp) -> SearchParameters:
+def search_parameters(regulation: Verified, policy: Policy, dmp: Dmp) -> SearchParameters:
+    """How far the search of a verified motion goes."""
     # A step of a roll-out is one of the policy, where that is neither coarse nor costly.
     steps = round(dmp.duration / policy.period)
     return SearchParameters(
@@ -322,15 +332,55 @@ def perception_period(scenario: Scenario) -> float:
 
 
 def make_cost_ring_selector(scenario: Scenario) -> CostRingSelector:
-    """The route selection; the workspace is a ring where it is known."""
+    """The route selection; what the robot reaches is mapped by inverse kinematics.
+
+    Of a tool that turns on the way, what it reaches as at the start or as at the goal counts.
+    """
     policy = scenario.policy
+    held = held_robots(scenario)
+    ends = {id(robot): robot for robot in (held[0], held[-1])} if held else {}
+    reach = [found for found in map(robot_reachability, ends.values()) if found is not None]
+
+    def workspace(p_WQ: FloatArray) -> FloatArray:
+        return np.asarray(np.max([each.reach_margin(p_WQ) for each in reach], axis=0))
+
+    def joint_limits(p_WQ: FloatArray) -> FloatArray:
+        return np.asarray(np.max([each.joint_margin(p_WQ) for each in reach], axis=0))
+
     return CostRingSelector(
         scenario.task.clearance,
         period=policy.route_period,
         n_directions=policy.ring_directions,
         table_height=policy.table_height,
-        workspace=tool_down_margin if _has_known_workspace(scenario.robot) else None,
+        workspace=workspace if reach else None,
+        joint_limits=joint_limits if reach else None,
+        followed=reach[0].followed if len(ends) == len(reach) == 1 else None,
     )
+
+
+def robot_reachability(robot: Robot | None) -> Reachability | None:
+    """Where the robot can hold its tool; None without a robot, or where it is not known.
+
+    It takes a second or two for each robot and tool orientation, once a process.
+    """
+    if robot is None:
+        return None
+    robot_plant = make_robot_plant(robot)
+    try:
+        arm = make_arm_model(
+            robot_plant.plant,
+            robot_plant.scene_graph.model_inspector(),
+            robot_plant.tool_frame,
+            RollPitchYaw(robot.rpy_WE).ToRotationMatrix(),
+            home_positions(robot_plant, robot),
+            collect_collision_shapes(
+                robot_plant.plant, robot_plant.scene_graph.model_inspector(), robot_plant.instance
+            ),
+        )
+        return reachability(arm)
+    except ValueError as error:
+        _logger.info("routes are chosen without the robot's limits: %s", error)
+        return None
 
 
 def _has_known_workspace(robot: Robot | None) -> bool:
@@ -342,6 +392,17 @@ def _has_known_workspace(robot: Robot | None) -> bool:
     if not known:
         _logger.info("routes are chosen without the robot's limits: known for a Panda, tool down")
     return known
+
+
+def robot_annulus(robot: Robot | None) -> FloatArray | None:
+    """Where the tool point can be, as `workspace.tool_down_annulus` has it; None: not known."""
+    return tool_down_annulus() if _has_known_workspace(robot) else None
+
+
+def held_annulus(scenario: Scenario) -> FloatArray | None:
+    """`robot_annulus` of a robot whose tool is down on the whole way; None: not known."""
+    annuli = [robot_annulus(robot) for robot in held_robots(scenario)]
+    return None if not annuli or any(a is None for a in annuli) else annuli[0]
 
 
 def make_dmp_integrator(scenario: Scenario) -> DmpIntegrator:

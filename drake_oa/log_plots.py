@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
 from drake_oa.dmp import local_frame
+from drake_oa.goal_course import goal_steps
 from drake_oa.metrics import MotionMetrics
 from drake_oa.motion_log import MotionLog
 from drake_oa.scenario import Scenario
@@ -334,8 +335,11 @@ def _path(ax: Axes, scenario: Scenario, logs: Mapping[str, MotionLog], P: FloatA
         ax.plot(*desired.T, color="#edae49", linewidth=3.5, label=wanted)
         wanted = None
         ax.plot(*actual.T, color=_color(name), linewidth=1.3, label=f"{name}, actual")
-    ends = (("start", scenario.task.start, "o"), ("goal", scenario.task.goal, "*"))
-    for name, p_WQ, marker in ends:
+    *before, last = goal_steps(scenario.task)[:, 1:]
+    for p_WG in before:
+        at = P @ p_WG
+        ax.plot(*at, color="#0072b2", marker="*", markersize=9, linestyle="none", alpha=_CLEAR)
+    for name, p_WQ, marker in (("start", scenario.task.start, "o"), ("goal", last, "*")):
         at = P @ np.asarray(p_WQ)
         ax.plot(*at, color="#0072b2", marker=marker, markersize=9, linestyle="none", label=name)
 

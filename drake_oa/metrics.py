@@ -14,8 +14,10 @@ from pydrake.geometry import GeometryId, HalfSpace, QueryObject, SceneGraphInspe
 from pydrake.multibody.tree import ModelInstanceIndex, RigidBody
 from pydrake.systems.framework import Context, DiagramBuilder
 
+from drake_oa.carried import tool_links
 from drake_oa.collision_shapes import outline_corners
 from drake_oa.ellipsoid import signed_distance
+from drake_oa.moving_obstacles import OUT_OF_WORLD
 from drake_oa.scenario import Scenario
 from drake_oa.station import TOOL_FRAME, make_station
 from drake_oa.values import EllipsoidSet, FloatArray
@@ -33,7 +35,7 @@ class MotionMetrics:
         made_contacts: those of them that came to touch after it, in order: the motion
             made them. A pair that parted and met again is in both.
         tool_clearance: (T,) distance of the tool to the nearest obstacle [m];
-            negative inside, inf where there is no obstacle.
+            negative inside, inf while there is no obstacle.
         robot_clearance: (T,) the same for the whole robot.
         p_WE: (T, 3) the tool point [m].
     """
@@ -129,8 +131,8 @@ class _RobotJudge:
         inspector = graph.model_inspector()
         self._robot_balls = _Balls(inspector, robot, self._body)
         self._obstacle_balls = _Balls(inspector, obstacles, self._body)
-        tool_links = scenario.robot.tool_links if scenario.robot else []
-        self._tool = np.array([self._body[g].name() in tool_links for g in robot], bool)
+        of_tool = tool_links(scenario.robot) if scenario.robot else []
+        self._tool = np.array([self._body[g].name() in of_tool for g in robot], bool)
 
     def _is_robot(self, geometry: GeometryId) -> bool:
         return self._body[geometry].model_instance() == self._station.robot
@@ -162,7 +164,7 @@ class _RobotJudge:
         return found
 
     def clearances(self, query: QueryObject) -> tuple[float, float]:
-        """Least distance of the tool, and of the robot, to the obstacles [m]."""
+        """Least distance of the tool, and of the robot, to the obstacles that are there [m]."""
         ours, others = self._robot_balls, self._obstacle_balls
         apart = ours.centers(self._plant_context)[:, None] - others.centers(self._plant_context)
         # No pair is nearer than the balls round both.
@@ -170,7 +172,7 @@ class _RobotJudge:
         least, of_tool = np.inf, np.inf
         for pair in np.argsort(bound, axis=None):
             i, j = divmod(int(pair), len(others.radius))
-            if bound[i, j] >= of_tool:
+            if bound[i, j] >= min(of_tool, OUT_OF_WORLD):
                 break
             if not self._tool[i] and bound[i, j] >= least:
                 continue

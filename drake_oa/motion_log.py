@@ -60,6 +60,15 @@ modulated              ()             bool     whether the motion was bent round
 scenario               ()             text     the scenario as YAML, defaults included
 seed                   ()             1        the scenario's seed
 versions               (P,)           text     packages and commit, "name version" each
+goal                   (T, 3)         m        where the goal was; (0, 3) where a file of before
+                                               it was logged has none
+tool_turn              (T,)           rad      turn of the tool about the axis of `policy.turn`;
+                                               (0,) where it is not turned
+planned_turn           (T,)           rad      turn in which it was to pass; (0,) likewise
+desired_orientation    (T, 4)         1        quaternion w, x, y, z of R_WE asked of the
+                                               controller; (0, 4) where it stays
+orientation_error      (T, 3)         rad      rotation vector from the actual to the desired
+                                               orientation in W; (0, 3) likewise
 =====================  =============  =======  ==========================================
 """
 
@@ -80,6 +89,10 @@ SCHEMA_VERSION = 2
 """Of the files that are written and read; a file without one is of schema 1."""
 
 _SCHEMA_KEY = "schema_version"
+_LATER = frozenset(
+    {"goal", "tool_turn", "planned_turn", "desired_orientation", "orientation_error"}
+)
+"""Attributes with defaults, which files of this schema may lack."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +144,11 @@ class MotionLog:
     scenario: str
     seed: int
     versions: tuple[str, ...] = field(default=())
+    goal: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    tool_turn: FloatArray = field(default_factory=lambda: np.zeros(0))
+    planned_turn: FloatArray = field(default_factory=lambda: np.zeros(0))
+    desired_orientation: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))
+    orientation_error: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def duration(self) -> float:
@@ -244,9 +262,10 @@ def _motions(path: Path, archive: Any) -> dict[str, MotionLog]:
     logs = {}
     for motion in motions:
         missing = [name for name in names if f"{motion}/{name}" not in files]
-        if missing:
+        if not _LATER.issuperset(missing):
             raise _RefusedError(f"{path} is not a motion log: '{motion}' lacks {missing}")
-        logs[motion] = MotionLog(**{n: _read(archive[f"{motion}/{n}"]) for n in names})
+        there = [name for name in names if name not in missing]
+        logs[motion] = MotionLog(**{n: _read(archive[f"{motion}/{n}"]) for n in there})
     return logs
 
 

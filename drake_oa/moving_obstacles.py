@@ -1,8 +1,10 @@
-"""Obstacles that move on a given course, and are as solid as any other.
+"""Obstacles that move on a given course, or appear and vanish, and are as solid as any other.
 
 Such an obstacle hangs on three slides along the world's axes. The force on each brings it,
 within one step of the plant, to where its course is then: it pushes what it meets, and is
-pushed off its course only by what a step's contact forces can do.
+pushed off its course only by what a step's contact forces can do. While it is absent it waits
+high above the world, from where it comes, and to where it goes, in one step: it is nowhere
+between.
 """
 
 from __future__ import annotations
@@ -19,6 +21,11 @@ from drake_oa.schema_check import ScenarioError
 from drake_oa.values import FloatArray
 
 _FARTHEST = 10.0
+ABSENT_HEIGHT = 50.0
+"""How far above its place an obstacle waits while it is absent [m]: out of any camera's sight."""
+OUT_OF_WORLD = 25.0
+"""What is farther from the world's origin counts as absent [m]."""
+_ROUNDING = 1e-9  # of a time [s]
 
 
 def check_waypoints(waypoints: Sequence[Sequence[float]], where: str) -> None:
@@ -50,17 +57,53 @@ def check_waypoints(waypoints: Sequence[Sequence[float]], where: str) -> None:
         before = waypoint[0]
 
 
-def offset_at(waypoints: FloatArray, time: float) -> FloatArray:
+def check_present(present: Sequence[float], where: str) -> None:
+    """Refuses a time of presence that is none.
+
+    Args:
+        present: empty, [from] or [from, until] [s].
+        where: the field that it is in.
+
+    Raises:
+        ScenarioError: naming `where`.
+    """
+    if len(present) > 2:
+        raise ScenarioError(
+            f"{where}: expected [from] or [from, until] [s], not {len(present)} numbers"
+        )
+    if present and present[0] < 0.0:
+        raise ScenarioError(f"{where}[0]: {present[0]:g} must be at least 0 [s]")
+    if len(present) == 2 and present[1] <= present[0]:
+        raise ScenarioError(
+            f"{where}[1]: {present[1]:g} must be later than {present[0]:g}, when it appears [s]"
+        )
+
+
+def is_present(present: Sequence[float], time: float) -> bool:
+    """Whether an obstacle is there at a time [s]: from <= time < until."""
+    if not present:
+        return True
+    after = present[1] if len(present) > 1 else math.inf
+    return present[0] <= time + _ROUNDING < after
+
+
+def offset_at(waypoints: FloatArray, time: float, present: Sequence[float] = ()) -> FloatArray:
     """Where a course is: straight and at a constant speed between waypoints, at rest outside.
 
     Args:
-        waypoints: (N, 4) rows t, x, y, z with increasing t [s, m].
+        waypoints: (N, 4) rows t, x, y, z with increasing t [s, m]; (0, 4): it stays.
         time: when [s].
+        present: [from] or [from, until] [s]; at other times it is `ABSENT_HEIGHT` higher.
 
     Returns:
         (3,) offset from where the obstacle was put, in the world [m].
     """
-    return np.array([np.interp(time, waypoints[:, 0], axis) for axis in waypoints.T[1:]])
+    offset = np.zeros(3)
+    if len(waypoints):
+        offset = np.array([np.interp(time, waypoints[:, 0], axis) for axis in waypoints.T[1:]])
+    if not is_present(present, time):
+        offset[2] += ABSENT_HEIGHT
+    return offset
 
 
 def drive_force(

@@ -4,14 +4,16 @@
 import dataclasses as dc
 import math
 
+import numpy as np
 import pydrake.geometry as geometry
 from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex, SpatialInertia, UnitInertia
 
-from drake_oa.moving_obstacles import check_waypoints, hang_on_slides
+from drake_oa.moving_obstacles import check_present, check_waypoints, hang_on_slides, offset_at
 from drake_oa.scenario_fields import number, vector
 from drake_oa.schema_check import ScenarioError
+from drake_oa.values import FloatArray
 
 OBSTACLE_PREFIX = "obstacle"
 """Obstacles are the model instances whose name starts with this."""
@@ -65,10 +67,23 @@ class Obstacle:
     # Where it moves: rows [t, x, y, z], at time t [s] it is that far from `translation`, in
     # the world [m]. Straight between, at rest before and after; without any it stands still.
     waypoints: list[list[float]] = dc.field(default_factory=list)
+    # When it is there: [from], or [from, until] [s]; empty: always. It appears and vanishes
+    # within a step of the plant.
+    present: list[float] = dc.field(default_factory=list, metadata={"unit": "s"})
     # Stiffness of its surface in a point contact [N/m]; null: Drake's default, which is hard.
     stiffness: float | None = dc.field(
         default=None, metadata={"unit": "N/m", "low": 0.0, "high": 1e12, "open_low": True}
     )
+
+    @property
+    def driven(self) -> bool:
+        """Whether it moves, appears or vanishes: then it hangs on slides."""
+        return bool(self.waypoints or self.present)
+
+    def offset_at(self, time: float) -> FloatArray:
+        """(3,) how far from `translation` it is at a time [s], in the world [m]."""
+        course = np.array(self.waypoints, dtype=float).reshape(-1, 4)
+        return offset_at(course, time, self.present)
 
 
 def check_obstacles(obstacles: list[Obstacle]) -> None:
@@ -90,13 +105,23 @@ def check_obstacles(obstacles: list[Obstacle]) -> None:
                 f"{where}.shapes: is empty; it needs at least one of !Box, !Cylinder, !Sphere"
             )
         check_waypoints(obstacle.waypoints, f"{where}.waypoints")
+        check_present(obstacle.present, f"{where}.present")
         if not all(0.0 <= value <= 1.0 for value in obstacle.color):
             raise ScenarioError(f"{where}.color: {obstacle.color} is outside [0, 1]")
-        for place, shape in enumerate(obstacle.shapes):
-            if isinstance(shape, Box) and not all(0.0 < edge <= _LARGEST for edge in shape.size):
-                raise ScenarioError(
-                    f"{where}.shapes[{place}].size: {shape.size} is outside (0, {_LARGEST:g}] [m]"
-                )
+        check_shapes(obstacle.shapes, f"{where}.shapes")
+
+
+def check_shapes(shapes: list[Box | Cylinder | Sphere], where: str) -> None:
+    """Refuses a box whose edges are out of range.
+
+    Raises:
+        ScenarioError: naming the shape.
+    """
+    for place, shape in enumerate(shapes):
+        if isinstance(shape, Box) and not all(0.0 < edge <= _LARGEST for edge in shape.size):
+            raise ScenarioError(
+                f"{where}[{place}].size: {shape.size} is outside (0, {_LARGEST:g}] [m]"
+            )
 
 
 def shape_geometry(shape: Box | Cylinder | Sphere) -> geometry.Shape:
@@ -142,8 +167,8 @@ def add_obstacle(plant: MultibodyPlant, obstacle: Obstacle) -> ModelInstanceInde
         X_OG, shape = pose(item), shape_geometry(item)
         plant.RegisterVisualGeometry(body, X_OG, shape, f"visual{row}", obstacle.color)
         plant.RegisterCollisionGeometry(body, X_OG, shape, f"collision{row}", properties)
-    if obstacle.waypoints:
-        hang_on_slides(plant, body, pose(obstacle), obstacle.waypoints[0][1:])
+    if obstacle.driven:
+        hang_on_slides(plant, body, pose(obstacle), obstacle.offset_at(0.0).tolist())
     else:
         plant.WeldFrames(plant.world_frame(), body.body_frame(), pose(obstacle))
     return instance

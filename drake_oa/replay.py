@@ -10,6 +10,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 
 from drake_oa.dmp import local_frame
+from drake_oa.goal_course import goal_at
 from drake_oa.motion_log import MotionLog
 from drake_oa.scenario import Scenario, ScenarioError, parse_scenario
 from drake_oa.values import EllipsoidSet, FloatArray, PolicyState
@@ -71,8 +72,7 @@ class LoggedMotion:
             raise ValueError(f"the log has no instant: {log.stop_reason}")
         self.log = log
         self._p_WS = np.asarray(scenario.task.start, dtype=float)
-        self._p_WG = np.asarray(scenario.task.goal, dtype=float)
-        self._R_WL = local_frame(self._p_WS, self._p_WG)
+        self._task = scenario.task
         self._seen = [log.observation(row) for row in range(len(log.observation_time))]
 
     def row(self, time: float) -> int:
@@ -91,14 +91,15 @@ class LoggedMotion:
         not in the log.
         """
         row, log = self.row(time), self.log
+        p_WG = goal_at(self._task, float(log.t[row]))
         event = int(np.searchsorted(log.event_time, time + _EARLY, side="right")) - 1
         return PolicyState(
             p_WE=log.desired_position[row],
             z_W=log.desired_velocity[row],
             phase=float(log.phase[row]),
             p_WS=self._p_WS,
-            p_WG=self._p_WG,
-            R_WL=self._R_WL,
+            p_WG=p_WG,
+            R_WL=local_frame(self._p_WS, p_WG),
             stamp=float(log.t[row]),
             note=log.event[event] if event >= 0 else "",
         )

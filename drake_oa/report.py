@@ -7,11 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from drake_oa.cartesian_kernels import rotation_vector
+from drake_oa.goal_course import goal_at
 from drake_oa.layers import given_ellipsoids
 from drake_oa.metrics import MotionMetrics, free_point_metrics, path_length, robot_metrics
 from drake_oa.motion_log import MotionLog
+from drake_oa.orientation_dmp import rotation_matrix
+from drake_oa.orientation_kernels import exponential
 from drake_oa.scenario import GivenEllipsoids, Scenario
 from drake_oa.text_tables import aligned
+from drake_oa.tool_orientation import end_rotations
 from drake_oa.values import EllipsoidSet
 
 
@@ -30,7 +35,9 @@ def motion_report(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
     Keys: `collisions` (pairs of a robot link and a thing that touched),
     `contacts` (their names), `initial_contacts` (those the motion started in),
     `made_contacts` (those it made), `tool_clearance_min`, `robot_clearance_min` (to
-    obstacles; None where there is none), `goal_error` (at the last instant),
+    obstacles; None where there is none), `goal_error` (at the last instant, to where
+    the goal is then), `orientation_error` (angle to that of the goal then [rad]; only where
+    the tool turns),
     `torque_saturation` (fraction of logged steps), `duration`, `path_length`,
     `out_of_range` (fraction of observations with an obstacle beyond what the regressor
     chain was trained for), `regulation` ("Verified", "Regressor", or None without
@@ -40,6 +47,7 @@ def motion_report(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
     supervisor did, and why).
     """
     metrics = motion_metrics(scenario, log)
+    goal = goal_at(scenario.task, log.duration)
     reached = metrics.p_WE[-1] if len(metrics.p_WE) else np.asarray(scenario.task.start)
     return {
         "collisions": len(metrics.contacts),
@@ -48,7 +56,8 @@ def motion_report(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
         "made_contacts": list(metrics.made_contacts),
         "tool_clearance_min": _finite(metrics.tool_clearance.min(initial=math.inf)),
         "robot_clearance_min": _finite(metrics.robot_clearance.min(initial=math.inf)),
-        "goal_error": float(np.linalg.norm(reached - scenario.task.goal)),
+        "goal_error": float(np.linalg.norm(reached - goal)),
+        **_orientation(scenario, log),
         "torque_saturation": float(log.saturated.mean()) if len(log.saturated) else 0.0,
         "duration": log.duration,
         "path_length": path_length(metrics.p_WE),
@@ -66,6 +75,18 @@ def motion_report(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
             )
         ],
     }
+
+
+def _orientation(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
+    if not len(log.desired_orientation):
+        return {}
+    desired = rotation_matrix(log.desired_orientation[-1])
+    # The logged error leads from the actual to the desired orientation.
+    off = exponential(np.ascontiguousarray(log.orientation_error[-1]))
+    actual = rotation_matrix(off).T @ desired
+    goal = end_rotations(scenario)[1].matrix()
+    left = rotation_vector(np.ascontiguousarray(goal @ actual.T))
+    return {"orientation_error": float(np.linalg.norm(left))}
 
 
 def _shortfall(log: MotionLog) -> dict[str, Any]:
@@ -105,10 +126,16 @@ _COLUMNS = (
     ("robot_clearance_min", "robot clearance [m]", "{:.3f}"),
     ("shortfall_max", "shortfall [mm]", "{:.1f}"),
     ("goal_error", "goal error [mm]", "{:.2f}"),
+    ("orientation_error", "turn error [deg]", "{:.2f}"),
     ("torque_saturation", "saturated [%]", "{:.1f}"),
     ("duration", "duration [s]", "{:.2f}"),
 )
-_SCALE = {"shortfall_max": 1e3, "goal_error": 1e3, "torque_saturation": 1e2}
+_SCALE = {
+    "shortfall_max": 1e3,
+    "goal_error": 1e3,
+    "orientation_error": math.degrees(1.0),
+    "torque_saturation": 1e2,
+}
 
 
 def report_table(report: dict[str, Any]) -> str:
@@ -116,13 +143,15 @@ def report_table(report: dict[str, Any]) -> str:
 
     Below it a line for each motion that could not keep the clearance.
     """
-    rows = [["", *(title for _, title, _ in _COLUMNS), "ended by"]]
+    shown = [motion for motion in ("preplanned", "modulated") if motion in report]
+    columns = [c for c in _COLUMNS if any(c[0] in report[motion] for motion in shown)]
+    rows = [["", *(title for _, title, _ in columns), "ended by"]]
     for motion in ("preplanned", "modulated"):
         if motion not in report:
             continue
         row: list[str] = [motion]
-        for key, _, form in _COLUMNS:
-            value = report[motion][key]
+        for key, _, form in columns:
+            value = report[motion].get(key)
             row.append("-" if value is None else form.format(value * _SCALE.get(key, 1)))
         rows.append([*row, report[motion]["stop_reason"]])
     warnings = [

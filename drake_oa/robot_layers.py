@@ -2,45 +2,68 @@
 
 from __future__ import annotations
 
-import numpy as np
-from pydrake.math import RigidTransform, RollPitchYaw
+import logging
 
+import numpy as np
+from pydrake.math import RigidTransform
+
+from drake_oa.arm_model import make_arm_model
+from drake_oa.carried import tool_links
 from drake_oa.cartesian import CartesianGains
 from drake_oa.collision_shapes import collect_collision_shapes
 from drake_oa.faults import ModelError
 from drake_oa.inverse_kinematics import solve_tool_pose
-from drake_oa.layers import make_dmp, perception_period, table_plane
-from drake_oa.scenario import DepthCamera, RecordedClouds, Robot, Scenario, ScenarioError
+from drake_oa.layers import held_annulus, make_dmp, perception_period, table_plane
+from drake_oa.lookout import EvasionParameters
+from drake_oa.posture_plan import PostureParameters
+from drake_oa.scenario import (
+    DepthCamera,
+    RecordedClouds,
+    Robot,
+    Scenario,
+    ScenarioError,
+    Verified,
+)
 from drake_oa.scenario_perception import segmentation_config
 from drake_oa.station import RobotPlant, home_positions, make_robot_plant
 from drake_oa.supervision import SupervisorParameters
 from drake_oa.systems.cartesian_inverse_dynamics import CartesianInverseDynamics
+from drake_oa.systems.evasion import ObstacleEvasion
 from drake_oa.systems.integral_action import IntegralAction
+from drake_oa.systems.posture_follower import PostureFollower
 from drake_oa.systems.supervisor import Supervisor
+from drake_oa.systems.verified_chain import RobotArm
+from drake_oa.tool_orientation import end_rotations, tool_orientation
 from drake_oa.values import FloatArray
+from drake_oa.whole_arm import WholeArm
 
+_logger = logging.getLogger("drake_oa")
+_NEARER = 0.01
+"""How much farther than the supervisor's stop a planned posture stays away [m]."""
 _SURFACE_GAP = 0.01
 """How far a link may come into a surface between the points that ground truth has of it [m]."""
 
 
 def start_positions(robot_plant: RobotPlant, scenario: Scenario) -> FloatArray:
-    """(nq,) positions of the robot with E at the start, and a check that the goal is in reach.
+    """(nq,) positions of the robot with E at the start, and a check that each goal is in reach.
 
     Raises:
-        ScenarioError: naming start or goal, if it is out of reach.
+        ScenarioError: naming start, goal or the move of the goal that is out of reach.
     """
     robot: Robot | None = scenario.robot
     if robot is None:
         raise ScenarioError("robot: a start pose needs a robot; this scenario has null")
-    R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix()
+    R_WS, R_WG = end_rotations(scenario)
     seed = home_positions(robot_plant, robot)
     found = {}
-    for name, place in (("start", scenario.task.start), ("goal", scenario.task.goal)):
+    places = {"start": scenario.task.start, "goal": scenario.task.goal}
+    places |= {f"goal_moves[{row}]": move[1:] for row, move in enumerate(scenario.task.goal_moves)}
+    for name, place in places.items():
         try:
             found[name] = solve_tool_pose(
                 robot_plant.plant,
                 robot_plant.tool_frame.name(),
-                RigidTransform(R_WE, np.asarray(place)),
+                RigidTransform(R_WS if name == "start" else R_WG, np.asarray(place)),
                 seed,
             )
         except ValueError as error:
@@ -69,12 +92,63 @@ def make_controller(
     gains = robot.gains
     return CartesianInverseDynamics(
         robot_plant.plant,
-        R_WE_desired=RollPitchYaw(robot.rpy_WE).ToRotationMatrix(),
+        R_WE_desired=end_rotations(scenario)[0],
         q_posture=q_start,
         tool_frame=robot_plant.tool_frame.name(),
         gains=CartesianGains(**{k: v for k, v in vars(gains).items() if k != "ki_position"}),
         finger_opening=robot.finger_opening,
     )
+
+
+def make_robot_arm(
+    scenario: Scenario, robot_plant: RobotPlant, q_start: FloatArray
+) -> RobotArm | None:
+    """What plans the posture of the arm; None: the scenario asks for none.
+
+    Args:
+        scenario: with a robot.
+        robot_plant: the robot alone, as the plant has it.
+        q_start: (nq,) its positions at the start, see `start_positions`.
+
+    An arm that does not have seven revolute joints in a row has no posture to plan.
+    """
+    robot = scenario.robot
+    if robot is None or robot.posture is None or not isinstance(scenario.regulation, Verified):
+        return None
+    plant, inspector = robot_plant.plant, robot_plant.scene_graph.model_inspector()
+    stop = 0.0 if scenario.supervisor is None else scenario.supervisor.stop_distance
+    stop += _padding(scenario.perception) + _NEARER
+    try:
+        arm = make_arm_model(
+            plant,
+            inspector,
+            robot_plant.tool_frame,
+            end_rotations(scenario)[0],
+            q_start,
+            collect_collision_shapes(plant, inspector, robot_plant.instance),
+            without=tool_links(robot),
+        )
+        held = tool_orientation(scenario)
+        planner = WholeArm(
+            arm,
+            # Nearer than the stop the supervisor would hold the motion.
+            PostureParameters(
+                clearance=max(robot.posture.clearance, stop + _NEARER), stop_distance=stop
+            ),
+            None if held is None else held.along,
+        )
+    except ValueError as error:
+        _logger.info("the posture of the arm is not planned: %s", error)
+        return None
+    return RobotArm(planner, tuple(arm.index.tolist()), plant.num_multibody_states())
+
+
+def make_posture_follower(
+    scenario: Scenario, arm: RobotArm, q_start: FloatArray
+) -> PostureFollower:
+    """What draws the null space to the planned posture; without one to that of the start."""
+    policy = scenario.policy
+    return PostureFollower(q_start[list(arm.positions)], policy.alpha_k, period=policy.period)
 
 
 def make_integral_action(scenario: Scenario) -> IntegralAction | None:
@@ -104,10 +178,6 @@ def make_supervisor(scenario: Scenario, robot_plant: RobotPlant) -> Supervisor:
     given, policy, source = scenario.supervisor, scenario.policy, scenario.perception
     if given is None:
         raise ScenarioError("supervisor: this scenario has null")
-    if isinstance(source, (DepthCamera, RecordedClouds)):
-        padding = 0.5 * segmentation_config(source.segmentation).voxel
-    else:
-        padding = _SURFACE_GAP
     return Supervisor(
         collect_collision_shapes(
             robot_plant.plant, robot_plant.scene_graph.model_inspector(), robot_plant.instance
@@ -117,7 +187,7 @@ def make_supervisor(scenario: Scenario, robot_plant: RobotPlant) -> Supervisor:
         period=policy.period,
         parameters=SupervisorParameters(
             stop_distance=given.stop_distance,
-            padding=padding,
+            padding=_padding(source),
             reaction_time=policy.hold_time + given.lag,
             leave_scale=given.leave_scale,
             frame_period=perception_period(scenario),
@@ -132,3 +202,42 @@ def make_supervisor(scenario: Scenario, robot_plant: RobotPlant) -> Supervisor:
         ),
         table=table_plane(scenario),
     )
+
+
+def make_evasion(scenario: Scenario, robot_plant: RobotPlant) -> ObstacleEvasion:
+    """What gets the tool out of the way of what moves; it decides with every observation.
+
+    Raises:
+        ScenarioError: if the scenario has none.
+    """
+    given, policy = scenario.evasion, scenario.policy
+    if given is None:
+        raise ScenarioError("evasion: this scenario has null")
+    return ObstacleEvasion(
+        collect_collision_shapes(
+            robot_plant.plant, robot_plant.scene_graph.model_inspector(), robot_plant.instance
+        ),
+        robot_plant.tool_frame.name(),
+        make_dmp(scenario),
+        period=perception_period(scenario),
+        step=policy.period,
+        max_age=policy.max_observation_age,
+        parameters=EvasionParameters(
+            margin=given.margin,
+            horizon=given.horizon,
+            speed=given.speed,
+            acceleration=given.acceleration,
+            padding=_padding(scenario.perception),
+            hold_time=policy.hold_time,
+        ),
+        table=table_plane(scenario),
+        table_height=policy.table_height,
+        annulus=held_annulus(scenario),
+    )
+
+
+def _padding(source: object) -> float:
+    """How far an obstacle's surface may lie outside the points that are seen of it [m]."""
+    if isinstance(source, (DepthCamera, RecordedClouds)):
+        return 0.5 * segmentation_config(source.segmentation).voxel
+    return _SURFACE_GAP

@@ -15,14 +15,14 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load_typed
 from pydrake.multibody.parsing import ModelDirective
 from pydrake.systems.sensors import CameraConfig
 
 from drake_oa.dmp import ALPHA_K, ALPHA_X, BETA_X
 from drake_oa.faults import CameraFault, Fault
-from drake_oa.obstacles import Obstacle, check_obstacles
+from drake_oa.goal_course import check_goals
+from drake_oa.obstacles import Box, Cylinder, Obstacle, Sphere, check_obstacles, check_shapes
 from drake_oa.scenario_fields import choice as _choice
 from drake_oa.scenario_fields import count as _count
 from drake_oa.scenario_fields import number as _number
@@ -50,15 +50,35 @@ class Task:
     # Where the tool point starts, and should end, in the world frame [m].
     start: list[float] = _vector([0.45, -0.45, 0.3], "m")
     goal: list[float] = _vector([0.45, 0.45, 0.3], "m")
+    # Where the goal is moved to, and when: rows [t, x, y, z]; from time t on it is there, in
+    # the world [s, m].
+    goal_moves: list[list[float]] = dc.field(default_factory=list)
     # Duration T of the demonstrated motion; the avoiding one takes tau T [s]. Ignored
     # where the demonstration brings its own `t`: then T is what that spans.
     duration: float = _number(5.0, "s", 0.0, 600.0, open_low=True)
     # Asked distance between tool and obstacle, Delta [m].
     clearance: float = _number(0.15, "m", 0.0, 2.0, open_low=True)
+    # Roll, pitch and yaw of R_WE at start and goal [rad]; null: what the demonstration has
+    # there, or without orientations in it `robot.rpy_WE`.
+    rpy_start: list[float] | None = dc.field(default=None, metadata={"unit": "rad", "size": 3})
+    rpy_goal: list[float] | None = dc.field(default=None, metadata={"unit": "rad", "size": 3})
     # A demonstrated path to imitate: .npz with `path` (T, 3) and, if uneven in
-    # time, `t` (T,) [s]; relative to the scenario file. Empty: minimum jerk along
-    # the straight line.
+    # time, `t` (T,) [s]; and, if the tool turns, its orientations R_WE as `quaternion` (T, 4),
+    # w first and of either sign, or `R` (T, 3, 3). Relative to the scenario file. Empty:
+    # minimum jerk along the straight line and about a fixed axis.
     demonstration: str = ""
+
+
+@dc.dataclass
+class Turn:
+    """Turns of the tool about an axis of the world through the tool point."""
+
+    axis: list[float] = _vector([0.0, 0.0, 1.0], "1")
+    # Largest turn either way, and the step between those that are tried [rad].
+    largest: float = _number(math.pi / 2.0, "rad", 0.0, math.pi, open_low=True)
+    step: float = _number(math.pi / 12.0, "rad", 0.05, math.pi)
+    # How fast the tool turns at most [rad/s].
+    speed: float = _number(1.0, "rad/s", 0.0, 10.0, open_low=True)
 
 
 @dc.dataclass
@@ -94,6 +114,8 @@ class Policy:
     max_observation_age: float = _number(0.5, "s", 0.0, 1e6, open_low=True)
     # Time in which the motion ramps from full speed to a hold [s].
     hold_time: float = _number(0.25, "s", 0.0, 10.0, open_low=True)
+    # How the tool may be turned to pass where it would not fit otherwise; null: it is not.
+    turn: Turn | None = None
 
 
 @dc.dataclass
@@ -114,6 +136,10 @@ class Verified:
 @dc.dataclass
 class Regressor:
     """Coupling parameters as the regressor chain gives them, sides by cost rings: the paper."""
+
+    # Whether the policy is given the route. Without it the motion only reacts: the term turns
+    # it about the section of the P-plane, to whatever side it happens to head for.
+    guided: bool = True
 
 
 @dc.dataclass
@@ -144,6 +170,19 @@ class Supervisor:
 
 
 @dc.dataclass
+class Evasion:
+    """What gets the tool out of the way of what moves."""
+
+    # Distance of any link to what moves below which the motion is not left as it is [m].
+    margin: float = _number(0.05, "m", 0.0, 1.0, open_low=True)
+    # How far ahead it is looked [s].
+    horizon: float = _number(1.2, "s", 0.1, 10.0)
+    # Greatest speed [m/s] and acceleration [m/s^2] of the tool while it evades.
+    speed: float = _number(0.4, "m/s", 0.0, 5.0, open_low=True)
+    acceleration: float = _number(2.0, "m/s^2", 0.0, 50.0, open_low=True)
+
+
+@dc.dataclass
 class Gains:
     """Stiffness and damping of the Cartesian controller (critical by default)."""
 
@@ -158,6 +197,14 @@ class Gains:
     # Posture, in the null space of the task.
     kp_posture: float = _number(25.0, "1/s^2", 0.0, 1e5)
     kd_posture: float = _number(10.0, "1/s", 0.0, 1e4)
+
+
+@dc.dataclass
+class Posture:
+    """Where the rest of the arm goes while the tool follows its path."""
+
+    # Distance that the links are to keep from obstacles and the table, where they can [m].
+    clearance: float = _number(0.1, "m", 0.0, 1.0, open_low=True)
 
 
 @dc.dataclass
@@ -181,7 +228,13 @@ class Robot:
     q_seed: list[float] = _vector([-0.7401, 0.1857, 0.0143, -1.9017, -0.003, 2.0874, 0.0608], "rad")
     # Opening of each finger [m]. At a joint's limit the plant's steps cost more.
     finger_opening: float = _number(0.005, "m", 0.0, 0.04)
+    # What the hand holds, posed in the frame of the hand link H; part of the tool.
+    carried: list[Box | Cylinder | Sphere] = dc.field(default_factory=list)
+    # Mass of all of it, shared out by volume [kg].
+    carried_mass: float = _number(0.5, "kg", 0.0, 20.0, open_low=True)
     gains: Gains = dc.field(default_factory=Gains)
+    # The posture of an arm of seven joints is planned; null: it is drawn to that of the start.
+    posture: Posture | None = dc.field(default_factory=Posture)
 
 
 @dc.dataclass
@@ -213,6 +266,9 @@ class Scenario:
     regulation: Verified | Regressor = dc.field(default_factory=Verified)
     # What watches the motion of the robot, or null: nothing does.
     supervisor: Supervisor | None = dc.field(default_factory=Supervisor)
+    # What gets the tool out of the way of what moves, or null: nothing does. It needs the
+    # supervisor.
+    evasion: Evasion | None = dc.field(default_factory=Evasion)
     # Height of the table in the world; null: there is none [m].
     table_height: float | None = dc.field(default=0.0, metadata={"unit": "m"})
     # What goes wrong, and when.
@@ -294,6 +350,9 @@ def _check_whole(scenario: Scenario) -> None:
         if names.count(name) > 1:
             raise ScenarioError(f"cameras: two cameras are named '{name}'; each needs its own name")
     check_obstacles(scenario.obstacles)
+    if scenario.robot is not None:
+        check_shapes(scenario.robot.carried, "robot.carried")
+    check_turn(scenario.policy.turn)
     _check_faults(scenario)
     perception = scenario.perception
     check_perception(perception, names)
@@ -308,11 +367,17 @@ def _check_whole(scenario: Scenario) -> None:
             f"supervisor.tracking_hold: {supervisor.tracking_hold} must be more than "
             f"supervisor.tracking_slow, {supervisor.tracking_slow} [m]"
         )
-    start, goal = np.asarray(scenario.task.start), np.asarray(scenario.task.goal)
-    if np.linalg.norm(goal - start) < 1e-3:
-        raise ScenarioError(
-            f"task.goal: {scenario.task.goal} is the start; they must be at least 1 mm apart"
-        )
+    check_goals(scenario.task.start, scenario.task.goal, scenario.task.goal_moves)
+
+
+def check_turn(turn: Turn | None) -> None:
+    """Refuses an axis without a direction.
+
+    Raises:
+        ScenarioError: naming the field.
+    """
+    if turn is not None and not math.hypot(*turn.axis) > 1e-6:
+        raise ScenarioError(f"policy.turn.axis: {turn.axis} has no direction")
 
 
 def _check_faults(scenario: Scenario) -> None:

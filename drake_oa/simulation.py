@@ -16,6 +16,7 @@ from pydrake.systems.primitives import VectorLogSink
 from drake_oa.action import SCALED_TO_REST
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.dmp import normalised_time
+from drake_oa.goal_course import goal_at, last_move
 from drake_oa.layers import make_dmp
 from drake_oa.motion_log import MotionLog, pack_ellipsoids
 from drake_oa.provenance import software_versions
@@ -29,15 +30,18 @@ from drake_oa.values import EllipsoidSet, FloatArray, PolicyState
 from drake_oa.verification import SearchParameters
 
 LONGEST_HOLD = 5.0
-"""A motion that is held for longer than this is ended [s]."""
+"""A motion that is held for longer than this, and after the last move of the goal, is ended [s]."""
 LONGEST_SCALING = 6.0
 """A motion that takes more than this many demonstrated durations is ended."""
 LATEST_END = 2.2
-"""Normalised time s at which a motion that has not arrived is ended."""
+"""Normalised time s at which a motion that has not arrived is ended; counted from s = 1 at
+the latest move of the goal, where that comes after it."""
 ARRIVED = SearchParameters().tolerance
 """A motion has arrived when s = 1 is over and it is this near to the goal [m], at a scaled
 velocity at which it would go no further than `STILL` times as far in a unit of s."""
 STILL = 20.0
+TURNED_BACK = 2e-3
+"""A tool that is turned by less has its orientation at the goal [rad]."""
 
 
 class MotionInterruptedError(RuntimeError):
@@ -91,10 +95,16 @@ class MotionWatcher:
         self._end_time = end_time
         self._on_progress = on_progress
         self._next_time = 0.0
+        self._last_move = last_move(scenario.task)
+        self._goal = goal_at(scenario.task, self._last_move)
+        self._latest_end = LATEST_END
         self._held_since: float | None = None
         self._chain = None
         if diagram.HasSubsystemNamed("regressor_chain"):
             self._chain = diagram.GetSubsystemByName("regressor_chain")
+        self._turned = None
+        if diagram.HasSubsystemNamed("tool_turn_selector"):
+            self._turned = diagram.GetSubsystemByName("orientation_integrator")
         self._supervisor = None
         if diagram.HasSubsystemNamed("supervisor"):
             self._supervisor = diagram.GetSubsystemByName("supervisor")
@@ -118,14 +128,21 @@ class MotionWatcher:
         if self._on_progress is not None:
             self._on_progress(now, policy.phase)
         s = normalised_time(policy.phase, self._alpha_k)
-        if s >= 1.0 - 1e-9 and _has_arrived(policy):
+        if now <= self._last_move:
+            self._latest_end = LATEST_END + max(0.0, s - 1.0)
+        elif s >= 1.0 - 1e-9 and _has_arrived(policy, self._goal) and not self._is_turned(root):
             return self._stop("goal")
         if supervision.action == "stop" and policy.speed == 0.0:
             return self._stop(f"stopped: {supervision.reason}")
-        if s >= LATEST_END:
-            error = math.dist(policy.p_WE, policy.p_WG)
-            return self._stop(f"goal missed by {1e3 * error:.1f} mm at s = {LATEST_END:g}")
-        if self._held_since is not None and now - self._held_since > LONGEST_HOLD:
+        if now > self._last_move and s >= self._latest_end:
+            error = math.dist(policy.p_WE, self._goal)
+            if _has_arrived(policy, self._goal):
+                return self._stop("at the goal, but the tool cannot be turned back there")
+            return self._stop(f"goal missed by {1e3 * error:.1f} mm at s = {self._latest_end:.3g}")
+        if (
+            self._held_since is not None
+            and now - max(self._held_since, self._last_move) > LONGEST_HOLD
+        ):
             return self._stop(f"held for {LONGEST_HOLD:g} s: {policy.note}")
         if now >= self._end_time:
             return self._stop(f"time limit of {self._end_time:g} s")
@@ -155,6 +172,13 @@ class MotionWatcher:
         said: Supervision = port.Eval(self._supervisor.GetMyContextFromRoot(root))
         return said
 
+    def _is_turned(self, root: Context) -> bool:
+        """Whether the tool is turned away from its orientation at the goal."""
+        if self._turned is None:
+            return False
+        turn = self._turned.GetOutputPort("tool_turn").Eval(self._turned.GetMyContextFromRoot(root))
+        return abs(float(turn[0])) > TURNED_BACK
+
     def _record_supervision(self, root: Context, now: float) -> None:
         said = self._supervision(root)
         before = self.supervision[-1][1:] if self.supervision else ("run", "")
@@ -173,8 +197,8 @@ class MotionWatcher:
         return EventStatus.ReachedTermination(self._diagram, reason)
 
 
-def _has_arrived(policy: PolicyState) -> bool:
-    error, speed = math.dist(policy.p_WE, policy.p_WG), math.hypot(*policy.z_W)
+def _has_arrived(policy: PolicyState, goal: FloatArray) -> bool:
+    error, speed = math.dist(policy.p_WE, goal), math.hypot(*policy.z_W)
     return error < ARRIVED and speed < STILL * ARRIVED
 
 
@@ -189,14 +213,16 @@ def simulate(
     """Runs one motion of a scenario until the goal, a stop, a lasting hold or the time limit.
 
     The goal is reached when the phase has passed s = 1 and the desired motion has
-    arrived; one that has not by `LATEST_END` is ended there. The log's `stop_reason` is
-    "goal", "stopped: ..." (by the supervisor), "held for ...", "goal missed by ...", "time
-    limit of ..." or, in what a `MotionInterruptedError` carries, what was raised.
+    arrived where the goal is at last; before its last move it goes on. One that has not by
+    `LATEST_END` is ended there. The log's `stop_reason` is "goal", "stopped: ..." (by the
+    supervisor), "held for ...", "goal missed by ...", "time limit of ..." or, in what a
+    `MotionInterruptedError` carries, what was raised.
 
     Args:
         scenario: what to run.
         modulated: False runs the pre-planned motion, blind to obstacles.
-        duration: time limit [s]; None: `LONGEST_SCALING` demonstrated durations.
+        duration: time limit [s]; None: `LONGEST_SCALING` demonstrated durations, from the last
+            move of the goal on.
         meshcat: viewer, or None.
         on_progress: called with time [s] and phase, a few hundred times a second.
 
@@ -207,7 +233,9 @@ def simulate(
     """
     diagram = build_avoidance(scenario, modulated=modulated, meshcat=meshcat)
     simulator = Simulator(diagram)
-    end_time = make_dmp(scenario).duration * LONGEST_SCALING if duration is None else duration
+    end_time = duration
+    if end_time is None:
+        end_time = make_dmp(scenario).duration * LONGEST_SCALING + last_move(scenario.task)
     watcher = MotionWatcher(diagram, scenario, end_time, on_progress)
     return run_motion(scenario, simulator, watcher, end_time, modulated=modulated)
 
@@ -316,4 +344,9 @@ def _collect(
         scenario=scenario_text(scenario),
         seed=scenario.seed,
         versions=software_versions(),
+        goal=signals.get("goal", np.tile(np.asarray(scenario.task.goal), (count, 1))),
+        tool_turn=signals.get("tool_turn", empty)[:, :1].ravel(),
+        planned_turn=signals.get("planned_turn", empty)[:, :1].ravel(),
+        desired_orientation=signals.get("desired_orientation", np.zeros((0, 4))),
+        orientation_error=signals.get("orientation_error", np.zeros((0, 3))),
     )

@@ -27,12 +27,14 @@ from pydrake.multibody.plant import (
 from pydrake.multibody.tree import FixedOffsetFrame, Frame, ModelInstanceIndex
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
+from drake_oa.carried import add_carried, part_carried, tool_links
 from drake_oa.collision_shapes import outline_corners
 from drake_oa.fault_obstacles import goal_ball, start_plate
 from drake_oa.faults import GoalBlocked, StartInContact
 from drake_oa.obstacles import OBSTACLE_PREFIX, Obstacle, add_obstacle
 from drake_oa.panda_inertias import with_uniform_density
 from drake_oa.scenario import Robot, Scenario, ScenarioError
+from drake_oa.tool_orientation import held_robots
 from drake_oa.values import FloatArray
 
 if TYPE_CHECKING:
@@ -78,6 +80,7 @@ def _add_robot(
             RigidTransform(robot.p_HE),
         )
     )
+    add_carried(plant, instance, robot)
     return instance
 
 
@@ -116,14 +119,15 @@ def make_robot_plant(robot: Robot, *, uniform_density: bool = False) -> RobotPla
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
     instance = _add_robot(plant, robot, uniform_density=uniform_density)
     plant.Finalize()
+    part_carried(plant, scene_graph, robot)
     return RobotPlant(builder.Build(), plant, scene_graph, instance)
 
 
 def tool_corners(robot_plant: RobotPlant, robot: Robot) -> FloatArray:
     """Corners of the tool about E, in the world's orientation, (K, 3) [m].
 
-    They come from the collision geometry of `robot.tool_links`, posed as in the
-    task: tool at `robot.rpy_WE`, fingers open by `robot.finger_opening`. A rounded
+    They come from the collision geometry of `robot.tool_links` and `robot.carried`, posed
+    as in the task: tool at `robot.rpy_WE`, fingers open by `robot.finger_opening`. A rounded
     shape gives the corners of the box round it.
     """
     return np.concatenate(tool_link_corners(robot_plant, robot))
@@ -138,7 +142,7 @@ def tool_link_corners(robot_plant: RobotPlant, robot: Robot) -> list[FloatArray]
     X_WE = robot_plant.tool_frame.CalcPoseInWorld(context)
     R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix()
     corners = []
-    for link in robot.tool_links:
+    for link in tool_links(robot):
         if not plant.HasBodyNamed(link, robot_plant.instance):
             raise ScenarioError(f"robot.tool_links: '{robot.model}' has no link '{link}'")
         body = plant.GetBodyByName(link, robot_plant.instance)
@@ -217,7 +221,7 @@ def all_obstacles(scenario: Scenario) -> list[Obstacle]:
         if isinstance(fault, GoalBlocked):
             obstacles.append(goal_ball(fault, np.asarray(task.start), np.asarray(task.goal), name))
         elif isinstance(fault, StartInContact) and robot is not None:
-            corners = tool_corners(make_robot_plant(robot), robot)
+            corners = tool_corners(make_robot_plant(robot), held_robots(scenario)[0])
             start, goal = np.asarray(task.start), np.asarray(task.goal)
             obstacles.append(start_plate(fault, corners, start, goal, name))
     return obstacles
@@ -242,6 +246,7 @@ def make_station(builder: DiagramBuilder, scenario: Scenario, *, render: bool = 
     plant.SetUseSampledOutputPorts(False)
     robot = add_world(plant, scenario)
     plant.Finalize()
+    part_carried(plant, scene_graph, scenario.robot)
     cameras = add_cameras(builder, scenario, plant) if render else {}
     obstacles = tuple(
         instance
@@ -256,7 +261,7 @@ def _refuse_movable(
     plant: MultibodyPlant, obstacles: tuple[ModelInstanceIndex, ...], driven: list[Obstacle]
 ) -> None:
     """An obstacle that nothing drives would fall, or be pushed away, unlike a real one."""
-    on_course = {f"{OBSTACLE_PREFIX}_{item.name}" for item in driven if item.waypoints}
+    on_course = {f"{OBSTACLE_PREFIX}_{item.name}" for item in driven if item.driven}
     for instance in obstacles:
         name = plant.GetModelInstanceName(instance)
         if name in on_course:

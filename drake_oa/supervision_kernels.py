@@ -16,7 +16,7 @@ from drake_oa.values import BoolArray, FloatArray, IntArray
 STOP_DISTANCE, PADDING, REACTION, LEAVE = 0, 1, 2, 3
 """Where the rules are: distance at which an approach is at rest [m], how far an obstacle's
 surface may lie outside its points [m], time in which the motion is brought to rest [s], and
-the share of full speed at which a body that is nearer may leave."""
+the share of full speed at which a body that is nearer to what rests may leave."""
 N_RULES = 4
 """Number of rules."""
 TABLE = -1
@@ -87,7 +87,8 @@ def allowed_scale(distance: float, closing: float, oncoming: float, rules: Float
     """
     left = distance - rules[STOP_DISTANCE]
     if closing <= APPROACH:
-        return 1.0 if left > 0.0 else rules[LEAVE]
+        # What comes nearer by itself is left as fast as can be.
+        return 1.0 if left > 0.0 or oncoming > 0.0 else rules[LEAVE]
     return min(1.0, max(0.0, (left / rules[REACTION] - oncoming) / closing))
 
 

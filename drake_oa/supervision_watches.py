@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drake_oa import supervision_kernels as kernels
+from drake_oa.evasion import Evasion
 from drake_oa.supervision import NO_DEMAND, Demand, SupervisorParameters, SupervisorState
 from drake_oa.supervision_geometry import GuardShapes, ObstaclePoints
 from drake_oa.values import FloatArray, TablePlane
@@ -73,7 +74,7 @@ def watch_clearance(
     if table is not None:
         plane[:3], plane[3] = table.normal_W, table.offset
     age = min(max(time - obstacles.stamp, 0.0), parameters.max_age)
-    scale, body, row, distance, oncoming = kernels.approach_limit(
+    scale, body, row, distance, _ = kernels.approach_limit(
         X_WB,
         V_WB,
         shapes.body_sphere,
@@ -99,7 +100,8 @@ def watch_clearance(
         scale=scale,
         cause=f"{link} near {thing}",
         reason=f"{link} within {max(distance, 0.0):.3f} m of {thing}",
-        lasting=oncoming == 0.0,
+        # What moves will be gone.
+        lasting=row == kernels.TABLE or not obstacles.v_WO[row].any(),
         link=link,
         obstacle=name,
         distance=distance,
@@ -167,6 +169,15 @@ def watch_joints(
         f"{name} fast",
         f"{name} would be faster than {joints.speed[fast]:.2f} rad/s",
     )
+
+
+def watch_evasion(evading: Evasion) -> Demand:
+    """Holds a motion while it waits for something that moves, or evades it."""
+    if evading.action in ("", "going on"):
+        return NO_DEMAND
+    what = f"obstacle {evading.obstacle}"
+    reason = f"waits for {what}" if evading.action == "waiting" else f"evades {what}"
+    return Demand(0.0, "evasion", reason, obstacle=evading.obstacle, distance=evading.clearance)
 
 
 def watch_tracking(error: float, parameters: SupervisorParameters) -> Demand:

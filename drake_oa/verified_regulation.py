@@ -22,6 +22,7 @@ from drake_oa.values import (
     EllipsoidSet,
     FloatArray,
     Frozen,
+    PlannedMotion,
     PolicyState,
     Route,
     TablePlane,
@@ -29,6 +30,7 @@ from drake_oa.values import (
 from drake_oa.verification import ALPHA as LOG_ALPHA
 from drake_oa.verification import ANGLE, N_GENES, TAU, SearchParameters, Verified, verify
 from drake_oa.verification_search import roll_out
+from drake_oa.whole_arm import ArmWay
 
 _OUTSIDE = 0.01
 """How far a motion may leave the world's limits, which hold centimetres in reserve [m]."""
@@ -38,6 +40,12 @@ _MISSED = 5e-3
 """How far from the goal a motion may end without a word [m]."""
 _ASTRAY = 0.1
 """How far from the goal the end of a motion is no arrival at all, in baselines."""
+_APART = 0.028
+"""Distance along the path between the samples of a planned motion, at most [m]."""
+_BETWEEN = 0.035
+"""Normalised time between them, at most."""
+_ROUNDS_A_FRAME = 5
+"""Rounds of a search that is begun anew with each frame: obstacles move."""
 _SAMPLES = 100
 """About how many points of a motion are looked at to tell which obstacle it comes near to."""
 
@@ -67,6 +75,8 @@ class Regulation(Frozen):
         short_of: name of the obstacle that it is missing of; -1: none.
         goal_error: distance to the goal at the motion's end [m].
         note: empty, or why the motion must not go on.
+        motion: the motion from then to the goal.
+        way: the arm's posture along it, where it is planned.
     """
 
     ellipsoids: EllipsoidSet = field(default_factory=EllipsoidSet)
@@ -85,6 +95,8 @@ class Regulation(Frozen):
     short_of: int = -1
     goal_error: float = 0.0
     note: str = ""
+    motion: PlannedMotion = field(default_factory=PlannedMotion)
+    way: ArmWay = field(default_factory=ArmWay)
 
     def coupling(self, ellipsoids: EllipsoidSet) -> CouplingParameters:
         """The parameters for obstacles now: one row an ellipsoid, at most one with a term."""
@@ -178,7 +190,11 @@ class Regulator:
         if not len(ellipsoids):
             # Nothing to go round; the spring leads to the goal.
             remaining = math.dist(p_WG, policy.p_WE)
-            return self._without_term(here, remaining, baseline)
+            free = self._without_term(here, remaining, baseline)
+            scene = self._scene(policy, here)
+            seconds = self._dmp.duration * free.tau
+            motion = self._roll_out(scene, np.zeros((1, 0, N_COLUMNS)), seconds)
+            return replace(free, motion=_planned(scene.s, motion, self._parameters.steps))
         scene = self._scene(policy, here)
         found = verify(
             scene,
@@ -187,9 +203,17 @@ class Regulator:
             dmp=self._dmp,
             previous=here.genes[None],
             settled=_hardly_moved(before.ellipsoids, ellipsoids),
-            parameters=self._parameters,
+            parameters=self._search(before, ellipsoids),
         )
         return self._kept(here, scene, found, baseline)
+
+    def _search(self, before: Regulation, ellipsoids: EllipsoidSet) -> SearchParameters:
+        """A search among the same moving obstacles goes on from frame to frame."""
+        under_way = before.tau != 0.0 and np.array_equal(before.ellipsoids.ids, ellipsoids.ids)
+        if not (under_way and ellipsoids.v_WO.any()):
+            return self._parameters
+        most = self._parameters
+        return replace(most, rounds=min(most.rounds, _ROUNDS_A_FRAME), retries=0)
 
     def _without_term(self, here: Regulation, remaining: float, baseline: float) -> Regulation:
         return Regulation(
@@ -235,15 +259,7 @@ class Regulator:
         self, here: Regulation, scene: SpatialScenes, found: Verified, baseline: float
     ) -> Regulation:
         seconds = self._dmp.duration * math.exp(found.genes[0, TAU])
-        motion = roll_out(
-            scene,
-            np.zeros(1, dtype=np.int64),
-            found.terms[:, None],
-            self._parameters,
-            seconds=seconds,
-            dmp=self._dmp,
-            keep_path=True,
-        )
+        motion = self._roll_out(scene, found.terms[:, None], seconds)
         least, start, goal = self._distances(scene, motion, seconds)
         feasible = np.minimum(self._clearance, np.minimum(start, goal))
         shortfall = float(found.shortfall[0])
@@ -279,6 +295,18 @@ class Regulator:
             short_of=int(shortest) if shortfall else -1,
             goal_error=float(found.goal_error[0]),
             note=note,
+            motion=_planned(scene.s, motion, self._parameters.steps),
+        )
+
+    def _roll_out(self, scene: SpatialScenes, terms: FloatArray, seconds: float) -> SpatialRollouts:
+        return roll_out(
+            scene,
+            np.zeros(1, dtype=np.int64),
+            terms,
+            self._parameters,
+            seconds=seconds,
+            dmp=self._dmp,
+            keep_path=True,
         )
 
     def _distances(
@@ -327,9 +355,22 @@ def concern(regulation: Regulation) -> str:
             f"{1e3 * regulation.shortfall:.1f} mm of the clearance to obstacle "
             f"{regulation.short_of} cannot be kept"
         )
+    if regulation.way.concern:
+        found.append(regulation.way.concern)
     if regulation.goal_error > _MISSED:
         found.append(f"the goal is missed by {1e3 * regulation.goal_error:.1f} mm")
     return " and ".join(found)
+
+
+def _planned(s: float, motion: SpatialRollouts, steps: int) -> PlannedMotion:
+    """Samples of a single roll-out from s on, its first and last point among them."""
+    path = motion.path[0, : int(motion.steps[0]) + 1]
+    length = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    # Grows by 1 at least from one sample to the next.
+    measure = np.append(0.0, np.cumsum(np.maximum(length / _APART, 1.0 / (steps * _BETWEEN))))
+    count = max(math.ceil(measure[-1]), 1)
+    at = np.unique(np.searchsorted(measure, np.linspace(0.0, measure[-1], count + 1)))
+    return PlannedMotion(s + at / steps, path[at])
 
 
 def _side(regulation: Regulation) -> FloatArray:
@@ -346,10 +387,11 @@ def _travelled(before: Regulation, policy: PolicyState) -> float:
 
 
 def _hardly_moved(before: EllipsoidSet, now: EllipsoidSet) -> bool:
-    """Whether the same obstacles are where they were, and as large, up to what noise does."""
+    """Whether the same obstacles are where they were expected, and as large, up to noise."""
     if not np.array_equal(before.ids, now.ids):
         return False
-    moved = np.abs(now.p_WO - before.p_WO).max(initial=0.0)
+    since = now.stamp - before.stamp if len(now) else 0.0
+    moved = np.abs(now.p_WO - before.p_WO - since * before.v_WO).max(initial=0.0)
     grown = np.abs(now.semi_axes - before.semi_axes).max(initial=0.0)
     return bool(max(moved, grown) <= _NOISE)
 

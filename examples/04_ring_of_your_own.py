@@ -4,14 +4,9 @@ from functools import partial
 
 import numpy as np
 
-from drake_oa.cost_rings import (
-    RingScene,
-    length_ring,
-    ring_scene,
-    select_directions,
-    table_ring,
-)
+from drake_oa.cost_rings import RingScene, length_ring, ring_scene, table_ring
 from drake_oa.dmp import local_frame
+from drake_oa.side_choice import select_directions
 from drake_oa.values import EllipsoidSet, FloatArray, TablePlane
 
 

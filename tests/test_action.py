@@ -616,3 +616,73 @@ def test_a_reason_of_its_own_goes_before_the_scale() -> None:
     around = Surroundings.of(EllipsoidSet(), None, None)
     found, _ = scaled_path(np.zeros(1), around)
     assert found[0].note == "no observation yet"
+
+
+# Displaced in real time.
+
+
+def displaced_steps(
+    velocity: FloatArray, *, scale: float = 1.0, evasion: bool = True
+) -> list[Segment]:
+    """Steps with a velocity (N, 3) of displacement at the end of each."""
+    level = ActionLevel(DMP, PARAMETERS)
+    segment = initial_segment(DMP, START, GOAL, 0.0)
+    found = []
+    for number, u in enumerate(velocity):
+        given = {"evasion": u} if evasion else {}
+        around = Surroundings()
+        segment = level.step(segment, GOAL, around, number * STEP, STEP, speed_scale=scale, **given)
+        found.append(segment)
+    return found
+
+
+def test_no_displacement_is_the_same_to_the_last_bit() -> None:
+    still = displaced_steps(np.zeros((100, 3)))
+    plain = displaced_steps(np.zeros((100, 3)), evasion=False)
+    for one, other in zip(still, plain, strict=True):
+        np.testing.assert_array_equal(one.motion, other.motion)
+
+
+def test_a_held_motion_is_displaced_and_keeps_phase_and_velocity() -> None:
+    hold = round(PARAMETERS.hold_time / STEP)
+    u = np.zeros((hold + 200, 3))
+    u[hold:] = np.sin(np.linspace(0.0, np.pi, 200))[:, None] * [0.0, 0.3, 0.1]
+    found = displaced_steps(u, scale=0.0)
+    before, after = found[hold - 1].end, found[-1].end
+    assert after.phase == before.phase
+    np.testing.assert_array_equal(after.z_W, before.z_W)
+    expected = STEP * (0.5 * (u[hold:] + u[hold - 1 : -1])).sum(axis=0)
+    np.testing.assert_allclose(after.p_WE - before.p_WE, expected, atol=1e-12)
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 10_000))
+def test_the_outputs_of_a_displaced_motion_are_consistent(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    u = np.cumsum(rng.normal(0.0, 0.01, (200, 3)), axis=0)
+    found = displaced_steps(u)
+    for one, other in pairwise(found):
+        np.testing.assert_array_equal(one.v_WE_end, other.v_WE)
+        np.testing.assert_array_equal(one.end.p_WE, other.state.p_WE)
+    segment, h = found[100], 1e-6
+    middle = segment.state.stamp + 0.5 * STEP
+    for derivative in (0, 1):
+        ends = [segment.interpolate(middle + sign * h, derivative) for sign in (-1, 1)]
+        rate = (ends[1] - ends[0]) / (2.0 * h)
+        np.testing.assert_allclose(
+            rate, segment.interpolate(middle, derivative + 1), atol=1e-3, rtol=1e-3
+        )
+
+
+def test_the_spring_leads_on_from_where_it_was_displaced_to() -> None:
+    u = np.zeros((1200, 3))
+    u[100:200, 1] = 0.3
+    found = displaced_steps(u)
+    assert path(found)[:, 1].max() > 0.05
+    np.testing.assert_allclose(path(found)[-1], GOAL, atol=1e-3)
+
+
+def test_a_displacement_that_is_not_finite_is_none() -> None:
+    found = displaced_steps(np.full((5, 3), np.nan))
+    plain = displaced_steps(np.zeros((5, 3)), evasion=False)
+    np.testing.assert_array_equal(path(found), path(plain))

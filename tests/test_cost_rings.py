@@ -11,12 +11,12 @@ from drake_oa.cost_rings import (
     RingScene,
     length_ring,
     limits_ring,
-    overlap_groups,
     path_length,
     ring_scene,
-    select_directions,
     table_ring,
 )
+from drake_oa.side_choice import select_directions
+from drake_oa.side_sequence import overlap_groups
 from drake_oa.values import EllipsoidSet, TablePlane
 
 START, GOAL = np.array([0.0, 0.0, 0.3]), np.array([1.0, 0.0, 0.3])
@@ -135,3 +135,29 @@ def test_passing_points_keep_the_clearance_and_rings_stay_in_their_range(
         assert ((cost >= 0.0) & (cost <= 1.0)).all()
     index = select_directions(scene, RINGS).index
     assert path_length(scene, index) >= 1.0 - 1e-12
+
+
+def test_a_side_that_the_arm_does_not_follow_to_is_given_up() -> None:
+    scene = scene_of(ball_set((0.5, 0.05, 0.3)))
+
+    def right_is_cut(way: np.ndarray) -> int:
+        return 1 if way[1, 1] < -1e-9 else len(way)
+
+    found = select_directions(scene, RINGS, followed=right_is_cut)
+    assert not found.blocked.any()
+    assert scene.directions_W[found.index[0], 1] >= -1e-9
+    assert found.costs["joint_limits"].max() == 1.0
+    assert found.costs["joint_limits"][0, found.index[0]] == 0.0
+    assert select_directions(scene, RINGS, followed=lambda way: 1).blocked.all()
+
+
+def test_the_side_at_which_a_way_ends_is_given_up() -> None:
+    far = ball_set((0.2, 0.02, 0.3), (0.8, 0.02, 0.3), radius=0.05)
+    scene = scene_of(far)
+
+    def second_is_cut(way: np.ndarray) -> int:
+        return 2 if way[2, 1] < -1e-9 else len(way)
+
+    found = select_directions(scene, RINGS, followed=second_is_cut)
+    assert not found.blocked.any()
+    assert scene.directions_W[found.index[1], 1] >= -1e-9

@@ -12,12 +12,14 @@ from drake_oa.faults import (
     GoalBlocked,
     ModelError,
     NanFrames,
+    Push,
     TableMissing,
     TorqueSaturation,
     camera_faults,
     damaged_frame,
     delivered_frame,
     frames_to_keep,
+    push_wrench,
     torque_scale,
     without_table,
 )
@@ -132,6 +134,17 @@ def test_a_camera_has_the_camera_faults() -> None:
     assert camera_faults(faults) == (NanFrames(), FrameBurst())
 
 
+@given(times, durations, times)
+def test_a_push_is_all_or_nothing(start: float, duration: float, time: float) -> None:
+    push = Push(start=start, duration=duration, torque=[1.0, 2.0, 3.0], force=[4.0, 5.0, 6.0])
+    wrench = push_wrench(push, time)
+    acts = start - 1e-6 <= time < start + duration + 1e-6
+    if not acts:
+        assert not wrench.any()
+    if start <= time < start + duration - 1e-6:
+        np.testing.assert_array_equal(wrench, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+
+
 # Scenario blocks.
 
 
@@ -149,6 +162,8 @@ def test_faults_are_read_and_written() -> None:
         (["faults=[!NanFrames {start: -1}]"], r"faults\[0\]\.start: -1 is outside \[0, .*\[s\]"),
         (["faults=[!TorqueSaturation {scale: 2}]"], r"scale: 2 is outside \[0, 1\]"),
         (["faults=[!ModelError {}, !FrameBurst {duration: 9}]"], r"faults\[1\]\.duration: 9"),
+        (["faults=[!Push {force: [1, 2]}]"], r"faults\[0\]\.force: expected 3 numbers, not 2"),
+        (["faults=[!Push {duration: 0}]"], r"duration: 0 is outside \(0, .*\[s\]"),
         (
             ["perception=!GroundTruth {}", "faults=[!NanFrames {}]"],
             r"faults\[0\]: !NanFrames needs 'perception: !DepthCamera'; it has !GroundTruth",

@@ -205,3 +205,12 @@ def test_an_observation_is_what_was_packed() -> None:
 def test_duration_is_the_last_instant() -> None:
     assert log().duration == pytest.approx(0.3)
     assert log(0).duration == 0.0
+
+
+def test_a_file_of_before_the_goal_was_logged_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "log.npz"
+    save_logs(path, {"modulated": log()})
+    with np.load(path) as archive:
+        kept = {key: archive[key] for key in archive.files if key != "modulated/goal"}
+    np.savez(path, **kept)
+    assert load_logs(path)["modulated"].goal.shape == (0, 3)

@@ -22,7 +22,21 @@ from drake_oa.scenario import (
 )
 from drake_oa.scenario_perception import noise_parameters
 
-NAMES = ["free_space", "tabletop_box", "tabletop_clutter", "tabletop_irregular"]
+NAMES = [
+    "free_space",
+    "guided_route",
+    "long_tool",
+    "moving_goal",
+    "moving_obstacle",
+    "pushed_robot",
+    "shelf_elbow",
+    "sudden_obstacle",
+    "tabletop_box",
+    "tabletop_clutter",
+    "tabletop_irregular",
+    "tilted_goal",
+    "vanishing_obstacle",
+]
 
 
 def test_ships_the_documented_scenarios() -> None:

@@ -10,8 +10,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from drake_oa import supervision_kernels as kernels
+from drake_oa.evasion import Evasion
 from drake_oa.self_filter import RobotShapes
 from drake_oa.supervision import (
+    NO_DEMAND,
     Demand,
     SupervisorParameters,
     SupervisorState,
@@ -21,6 +23,7 @@ from drake_oa.supervision_geometry import GuardShapes, ObstaclePoints
 from drake_oa.supervision_watches import (
     JointRange,
     watch_clearance,
+    watch_evasion,
     watch_joints,
     watch_observation,
     watch_torque,
@@ -191,6 +194,48 @@ def test_an_approaching_obstacle_counts_with_its_speed_and_the_age_of_the_frame(
     # What recedes counts as resting; after a while it is gone.
     assert clearance(-0.22, 0.5, obstacles=seen(point, v_WO=away)).scale == resting.scale
     assert clearance(-0.22, 0.5, obstacles=seen(point, v_WO=away), time=0.4).scale > resting.scale
+
+
+def test_what_moves_does_not_last_and_may_be_left_at_full_speed() -> None:
+    for v, lasting in (([0.0, 0.3, 0.0], False), ([0.0, 0.0, 0.0], True)):
+        obstacles = seen(np.zeros((1, 3)), v_WO=np.array([v]))
+        assert clearance(0.15, -0.4, obstacles=obstacles).lasting == lasting
+    coming = seen(np.zeros((1, 3)), v_WO=np.array([[0.2, 0.0, 0.0]]))
+    assert clearance(0.11, 0.4, obstacles=coming) is NO_DEMAND
+    assert clearance(0.11, 0.4).scale == PARAMETERS.leave_scale
+
+
+def test_what_rests_is_left_when_what_moves_is_taken_out() -> None:
+    clouds = [np.full((3, 3), 0.1), np.full((2, 3), 5.0), np.full((4, 3), -0.3)]
+    both = ObstaclePoints.of(
+        seen(*clouds, v_WO=np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.0, 0.0]]))
+    )
+    rests = both.resting()
+    assert rests.resting() is not None
+    np.testing.assert_array_equal(rests.ids, both.ids)
+    np.testing.assert_array_equal(np.unique(rests.owner), [0, 2])
+    np.testing.assert_array_equal(rests.points, np.concatenate([clouds[0], clouds[2]]))
+    assert rests.start[-1] == len(rests.points)
+    still = ObstaclePoints.of(seen(*clouds))
+    assert still.resting() is still
+    moving = ObstaclePoints.of(seen(clouds[0], v_WO=np.array([[0.1, 0.0, 0.0]]))).resting()
+    assert len(moving.points) == 0
+    np.testing.assert_array_equal(moving.start, [0])
+
+
+@pytest.mark.parametrize(
+    ("action", "scale", "said"),
+    [
+        ("", 1.0, ""),
+        ("going on", 1.0, ""),
+        ("waiting", 0.0, "waits for obstacle 4"),
+        ("evading", 0.0, "evades obstacle 4"),
+        ("caught", 0.0, "evades obstacle 4"),
+    ],
+)
+def test_a_motion_is_held_while_it_waits_or_evades(action: str, scale: float, said: str) -> None:
+    demand = watch_evasion(Evasion(action, obstacle=4))
+    assert (demand.scale, demand.reason, demand.lasting) == (scale, said, False)
 
 
 def test_the_table_is_kept_from() -> None:

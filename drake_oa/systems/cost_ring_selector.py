@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -13,18 +13,22 @@ from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from drake_oa.cost_rings import (
+    JOINT_LIMITS,
+    Margin,
     Ring,
-    Selection,
+    RingScene,
+    joint_limits_ring,
     length_ring,
     limits_ring,
+    no_worse_than_the_ends,
     path_length,
     ring_scene,
-    select_directions,
     table_ring,
 )
 from drake_oa.dmp import local_frame
 from drake_oa.heading import desired_headings, passing_normals
 from drake_oa.passing import passing
+from drake_oa.side_choice import Followed, Selection, select_directions
 from drake_oa.systems.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.values import PART, EllipsoidSet, FloatArray, PolicyState, Route, TablePlane
 
@@ -57,6 +61,10 @@ class CostRingSelector(LeafSystem):
       does not change with every step of the policy, so neither does what is computed from
       it; `DmpIntegrator` finds the headings itself.
 
+    The sides of several obstacles are chosen together (`drake_oa.side_sequence`). Where every
+    direction of an obstacle is forbidden, the route's note says so, and the policy holds
+    until one is free.
+
     The side is decided at initialization and every `period`, shortly after it so that
     an observation of the same instant counts, and kept by hysteresis: the decision is
     abstract state. Between decisions only the headings follow the motion; when the set
@@ -70,7 +78,9 @@ class CostRingSelector(LeafSystem):
         period: float = 1.0 / 15.0,
         n_directions: int = 36,
         table_height: float = 0.05,
-        workspace: Callable[[FloatArray], FloatArray] | None = None,
+        workspace: Margin | None = None,
+        joint_limits: Margin | None = None,
+        followed: Followed | None = None,
         extra_rings: Mapping[str, Ring] | None = None,
         hysteresis: float = 0.2,
     ) -> None:
@@ -83,6 +93,10 @@ class CostRingSelector(LeafSystem):
             table_height: least height of E above the table [m].
             workspace: signed margin [m] of world points (..., 3), positive inside;
                 None: no workspace ring.
+            joint_limits: the same, positive where the joints keep off their limits; None, or
+                without a workspace: no such ring.
+            followed: how far the arm follows a way, see `select_directions`; None: it is
+                not asked.
             extra_rings: more rings by name.
             hysteresis: how much dearer a side may be and still be kept.
 
@@ -103,8 +117,15 @@ class CostRingSelector(LeafSystem):
             "table": partial(table_ring, height=table_height),
             "length": length_ring,
         }
+        self._followed = followed
+        self._workspace, self._joint_limits = workspace, None
         if workspace is not None:
-            self._rings["limits"] = partial(limits_ring, workspace=workspace)
+            self._rings["workspace"] = partial(limits_ring, workspace=workspace)
+            if joint_limits is not None:
+                self._joint_limits = joint_limits
+                self._rings[JOINT_LIMITS] = partial(
+                    joint_limits_ring, joints=joint_limits, workspace=workspace
+                )
         self._rings |= dict(extra_rings or {})
 
         self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
@@ -127,6 +148,15 @@ class CostRingSelector(LeafSystem):
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, DECISION_OFFSET, self._decide)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._decide)
 
+    def _margins(self, scene: RingScene) -> dict[str, Margin]:
+        """Where legs between obstacles must not lead."""
+        margins = {}
+        if self._workspace is not None:
+            margins["workspace"] = self._workspace
+        if self._joint_limits is not None:
+            margins[JOINT_LIMITS] = no_worse_than_the_ends(scene, self._joint_limits)
+        return margins
+
     def _weigh(self, context: Context, p_WS: FloatArray, p_WG: FloatArray) -> Route:
         """Weighs the rings for a motion from p_WS to p_WG; the route without its headings."""
         ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
@@ -148,6 +178,8 @@ class CostRingSelector(LeafSystem):
             self._rings,
             previous=np.array([known.get(i, -1) for i in ellipsoids.ids.tolist()], dtype=np.int64),
             hysteresis=self._hysteresis,
+            margins=self._margins(scene),
+            followed=self._followed,
         )
         direction_W = scene.directions_W[selection.index]
         met = passing(p_WS, p_WG, R_WL, ellipsoids, direction_W, selection.groups, self._clearance)

@@ -44,6 +44,7 @@ class DmpIntegrator(LeafSystem):
       - coupling_parameters (optional)
       - route (optional)
       - speed_scale (optional)
+      - evasion (optional)
       output_ports:
       - desired_position
       - desired_velocity
@@ -64,6 +65,10 @@ class DmpIntegrator(LeafSystem):
     - speed_scale (optional): (1,) share of full speed at which the motion is to go, in
       [0, 1], as a `Supervisor` gives it. The rate of normalised time follows it at the rate
       of a hold, and the path stays; at 0 the motion is held. Without it the share is 1.
+    - evasion (optional): (3,) velocity in the world [m/s] by which p_WE is displaced besides
+      its motion, as an `ObstacleEvasion` gives it; phase and scaled velocity stay as they
+      are, and the spring leads on from where it has come to. It should be continuous: the
+      desired velocity follows it within a step.
     - desired_position: (3,) p_WE [m].
     - desired_velocity: (3,) v_WE [m/s].
     - desired_acceleration: (3,) a_WE [m/s^2].
@@ -113,6 +118,7 @@ class DmpIntegrator(LeafSystem):
         )
         self._route = self.DeclareAbstractInputPort("route", Value(Route()))
         self._speed_scale = self.DeclareVectorInputPort("speed_scale", 1)
+        self._evasion = self.DeclareVectorInputPort("evasion", 3)
         # Perception and decision are much slower than the policy.
         self._surroundings = self.DeclareCacheEntry(
             "surroundings",
@@ -188,6 +194,7 @@ class DmpIntegrator(LeafSystem):
             context.get_time(),
             self._period,
             speed_scale=self._read_speed_scale(context),
+            evasion=self._evasion.Eval(context) if self._evasion.HasValue(context) else None,
         )
         # Who scales the speed says why.
         if after.note != before.note and SCALED_TO_REST not in (after.note, before.note):

@@ -12,6 +12,7 @@ from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import Context, LeafSystem, State
 
 from drake_oa.collision_shapes import surface_points
+from drake_oa.moving_obstacles import OUT_OF_WORLD
 from drake_oa.obstacle_memory import ObstacleMemory
 from drake_oa.systems.perception_state import PerceptionState
 from drake_oa.systems.ports import read_value, valid_period
@@ -37,13 +38,14 @@ class GroundTruthPerception(LeafSystem):
 
     Port `obstacles_W`: ObstacleClouds in the world frame [m]: points all over the
     surface of each model instance, hidden sides included; its id is the place of
-    the instance in the constructor's list.
+    the instance in the constructor's list. What is farther from the world's origin than
+    `moving_obstacles.OUT_OF_WORLD` is absent, and left out.
 
     Port `cloud`: PointCloud of all those points, in the world frame [m].
 
     The poses are read at initialization and then every `period`. The velocity of an
     obstacle is how far the centroid of its points went since the last reading, and exactly
-    zero below 1 mm/s and at the first reading.
+    zero below 1 mm/s and at the first reading in which it is there.
     """
 
     def __init__(
@@ -84,30 +86,38 @@ class GroundTruthPerception(LeafSystem):
 
     def _update(self, context: Context, state: State) -> None:
         query = read_value(self, self._query_port, context, QueryObject)
-        clouds = []
-        for parts in self._samples:
+        clouds, ids = [], []
+        for name, parts in enumerate(self._samples):
             placed = []
             for frame, p_BQ in parts:
                 X_WB = query.GetPoseInWorld(frame).GetAsMatrix4()
                 placed.append(p_BQ @ X_WB[:3, :3].T + X_WB[:3, 3])
-            clouds.append(np.concatenate(placed))
-            clouds[-1].flags.writeable = False
+            cloud = np.concatenate(placed)
+            if np.abs(cloud[0]).max() > OUT_OF_WORLD:
+                continue
+            cloud.flags.writeable = False
+            clouds.append(cloud)
+            ids.append(name)
         time, before = context.get_time(), self._state.read(context).obstacles
-        v_WO = _velocities(before, clouds, time - before.stamp)
+        v_WO = _velocities(before, clouds, ids, time - before.stamp)
         obstacles = ObstacleClouds(
-            time, tuple(clouds), np.arange(len(clouds)), self._table, v_WO=v_WO
+            time, tuple(clouds), np.array(ids, dtype=np.int64), self._table, v_WO=v_WO
         )
         memory = ObstacleMemory(obstacles)
         self._state.write(state, memory, np.concatenate([np.zeros((0, 3)), *clouds]))
 
 
-def _velocities(before: ObstacleClouds, clouds: list[FloatArray], dt: float) -> FloatArray:
+def _velocities(
+    before: ObstacleClouds, clouds: list[FloatArray], ids: list[int], dt: float
+) -> FloatArray:
     """(M, 3) velocities of the clouds' centroids [m/s]; zero where dt [s] tells none."""
     v_WO = np.zeros((len(clouds), 3))
     if not 0.0 < dt < np.inf:
         return v_WO
-    for row, (old, new) in enumerate(zip(before.clouds_W, clouds, strict=True)):
-        v_WO[row] = (new - old).mean(axis=0) / dt
+    earlier = dict(zip(before.ids.tolist(), before.clouds_W, strict=True))
+    for row, (name, new) in enumerate(zip(ids, clouds, strict=True)):
+        if name in earlier:
+            v_WO[row] = (new - earlier[name]).mean(axis=0) / dt
     v_WO[np.linalg.norm(v_WO, axis=1) < _AT_REST] = 0.0
     return v_WO
 

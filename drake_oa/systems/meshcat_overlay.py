@@ -121,8 +121,8 @@ class MeshcatOverlay(LeafSystem):
     planned path. Red: the executed one. Round the point of the baseline where an
     obstacle's side is decided: the cost rings from inside to outside in the order of
     `Route.costs`, white where a direction costs nothing, in full colour (table orange,
-    length green, limits grey) where it costs 1; the magenta arrow is the chosen one.
-    Rings are shown of obstacles that bend the motion only.
+    length green, workspace grey, joint limits brown) where it costs 1; the magenta arrow is
+    the chosen one. Rings are shown of obstacles that bend the motion only.
 
     Everything is under "/drake_oa" in the scene tree and is recorded when Meshcat
     records: a recording holds transforms and properties but no objects, so whatever

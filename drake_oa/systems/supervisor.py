@@ -20,6 +20,7 @@ from pydrake.systems.framework import (
 
 from drake_oa.action import SCALED_TO_REST
 from drake_oa.collision_shapes import RobotModel
+from drake_oa.evasion import Evasion
 from drake_oa.supervision import (
     Demand,
     Supervision,
@@ -33,6 +34,7 @@ from drake_oa.supervision_kernels import full_speed_motion
 from drake_oa.supervision_watches import (
     JointRange,
     watch_clearance,
+    watch_evasion,
     watch_joints,
     watch_observation,
     watch_torque,
@@ -60,6 +62,7 @@ class Supervisor(LeafSystem):
       - obstacles_W (optional)
       - tracking_error (optional)
       - torque_saturation (optional)
+      - evading (optional)
       output_ports:
       - speed_scale
       - supervision
@@ -70,6 +73,10 @@ class Supervisor(LeafSystem):
       obstacles are watched; the table that was given still is.
     - tracking_error (optional): (3,) desired minus actual position of the tool point [m].
     - torque_saturation (optional): (1,) 1 while a joint torque is at its limit, else 0.
+    - evading (optional): abstract `drake_oa.evasion.Evasion`: what an `ObstacleEvasion` does
+      against what moves. While it lets the motion go on, obstacles that move do not slow it;
+      while it waits or evades, the motion is held; it is stopped before a contact that
+      cannot be evaded.
     - speed_scale: (1,) share of full speed, in [0, 1], for `DmpIntegrator`.
     - supervision: abstract `Supervision`: run, slow, hold or stop, and why.
 
@@ -123,7 +130,7 @@ class Supervisor(LeafSystem):
         self._bodies = [plant.get_body(index) for index in robot.bodies]
         self._names = tuple(body.name() for body in self._bodies)
         self._shapes = GuardShapes.of(robot.shapes, len(self._bodies))
-        self._arm, self._moved, self._joints = _arm(robot, self._frame.body().index())
+        self._arm, self._moved, self._joints = arm_joints(robot, self._frame.body().index())
         self._duration = float(duration)
         self._period = valid_period(period)
         self._parameters = parameters or SupervisorParameters()
@@ -135,6 +142,7 @@ class Supervisor(LeafSystem):
         self._obstacles = self.DeclareAbstractInputPort("obstacles_W", Value(ObstacleClouds()))
         self._error = self.DeclareVectorInputPort("tracking_error", 3)
         self._saturation = self.DeclareVectorInputPort("torque_saturation", 1)
+        self._evading = self.DeclareAbstractInputPort("evading", Value(Evasion()))
         self._model = self.DeclareCacheEntry(
             "context of the robot's model",
             ValueProducer(
@@ -184,7 +192,15 @@ class Supervisor(LeafSystem):
         if seen is not None:
             before = before.with_observation(seen)
             demands.append(watch_observation(before.obstacles, time, parameters, seen.note))
-        demands += self._watch_motion(context, before, x, v_WE)
+        evading = read_optional(self, self._evading, context, Evasion) or Evasion()
+        if evading.certain:
+            return stopped(
+                before, f"obstacle {evading.obstacle} cannot be evaded by this arm", time
+            )
+        demands.append(watch_evasion(evading))
+        demands += self._watch_motion(
+            context, before, x, v_WE, passing=evading.action == "going on"
+        )
         if self._error.HasValue(context):
             error = math.hypot(*self._error.Eval(context))
             if not math.isfinite(error):
@@ -198,9 +214,18 @@ class Supervisor(LeafSystem):
         return decide(before, demands, time, self._period, parameters, waits=waits)
 
     def _watch_motion(
-        self, context: Context, before: SupervisorState, x: FloatArray, v_WE: FloatArray
+        self,
+        context: Context,
+        before: SupervisorState,
+        x: FloatArray,
+        v_WE: FloatArray,
+        *,
+        passing: bool,
     ) -> list[Demand]:
-        """The watches that need the robot's kinematics at the state x."""
+        """The watches that need the robot's kinematics at the state x.
+
+        With `passing` what moves is left to who has looked ahead.
+        """
         plant, world, n = self._plant, self._world, self._n
         model = self._model.get_mutable_cache_entry_value(context).GetMutableValueOrThrow()
         plant.SetPositions(model, x[:n])
@@ -221,7 +246,7 @@ class Supervisor(LeafSystem):
                 X_WB,
                 V_WB,
                 self._shapes,
-                before.obstacles,
+                before.obstacles.resting() if passing else before.obstacles,
                 before.table,
                 context.get_time(),
                 self._parameters,
@@ -233,7 +258,7 @@ class Supervisor(LeafSystem):
         ]
 
 
-def _arm(robot: RobotModel, tool: int) -> tuple[IntArray, BoolArray, JointRange]:
+def arm_joints(robot: RobotModel, tool: int) -> tuple[IntArray, BoolArray, JointRange]:
     """The joints that move the tool.
 
     Returns:

@@ -4,19 +4,46 @@ from __future__ import annotations
 
 import logging
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
+from pydrake.math import RigidTransform
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
+from drake_oa.arm_regulation import ArmRegulator
 from drake_oa.dmp import Dmp
 from drake_oa.regressor import ChainWeights, CouplingParameters
 from drake_oa.systems.ports import DECISION_OFFSET, read_optional, read_value, valid_period
-from drake_oa.values import EllipsoidSet, FloatArray, PolicyState, TablePlane
+from drake_oa.values import (
+    EllipsoidSet,
+    FloatArray,
+    ObstacleClouds,
+    PlannedMotion,
+    PolicyState,
+    TablePlane,
+)
 from drake_oa.verification import SearchParameters
 from drake_oa.verified_regulation import Regulation, Regulator, concern
+from drake_oa.whole_arm import ArmSight, WholeArm
 
 _logger = logging.getLogger("drake_oa")
+_NOTHING_SEEN = ObstacleClouds()
+
+
+@dataclass(frozen=True, eq=False)
+class RobotArm:
+    """The arm of a robot whose posture is planned.
+
+    Attributes:
+        planner: plans it.
+        positions: where its joints are in the robot's state.
+        num_states: size of that state [q, v].
+    """
+
+    planner: WholeArm
+    positions: tuple[int, ...]
+    num_states: int
 
 
 class VerifiedRegressorChain(LeafSystem):
@@ -30,10 +57,14 @@ class VerifiedRegressorChain(LeafSystem):
       - policy_state
       - goal
       - table (optional)
+      - robot_state (optional)
+      - obstacles_W (optional)
+      - camera_pose (optional)
       output_ports:
       - coupling_parameters
       - shortfall
       - short_of
+      - motion
 
     - ellipsoids_W: abstract `EllipsoidSet`, M dilated obstacles with their velocities; may
       be empty.
@@ -41,6 +72,13 @@ class VerifiedRegressorChain(LeafSystem):
     - goal: (3,) goal of the motion in the world frame [m].
     - table (optional): abstract `TablePlane`; without it the plane that came with
       the ellipsoids is used.
+    - robot_state (optional): (2m,) positions and velocities of the robot whose arm's posture
+      is planned [rad, m, rad/s, m/s]; without it none is. Without an arm to plan for it has
+      size 1 and is not read.
+    - obstacles_W (optional): abstract `ObstacleClouds` that the arm must not touch; without
+      it the arm minds the table, its limits and itself.
+    - camera_pose (optional): abstract `RigidTransform` of the camera that sees them: what is
+      behind is not seen. Without it they are taken to be seen from all sides.
     - coupling_parameters: abstract `CouplingParameters`, M rows. One avoidance term bends
       the whole motion: it is on the row of the obstacle that the motion comes nearest to,
       with the point it acts about and the normal of its plane; the other rows have
@@ -49,6 +87,8 @@ class VerifiedRegressorChain(LeafSystem):
     - shortfall: (1,) what the verified motion lacks of the feasible clearance, min(Delta,
       distance of E now, distance of the goal) of each obstacle [m]; 0 where it is kept.
     - short_of: (1,) name of the obstacle that it lacks it to; -1 where it is kept.
+    - motion: abstract `PlannedMotion`, the motion that was verified, from the instant of
+      the choice to the goal; without samples while there is none.
 
     The regressor chain proposes. Candidates, and what is in use, are rolled out from where
     the policy is, among all obstacles with their velocities, above the table and within
@@ -75,6 +115,7 @@ class VerifiedRegressorChain(LeafSystem):
         parameters: SearchParameters | None = None,
         table_height: float = 0.05,
         annulus: FloatArray | None = None,
+        arm: RobotArm | None = None,
     ) -> None:
         """Declares the ports.
 
@@ -88,6 +129,7 @@ class VerifiedRegressorChain(LeafSystem):
             annulus: (3, n) heights, increasing, n at least 2, and least and largest distance
                 of E from the world's z axis there [m], see
                 `drake_oa.workspace.tool_down_annulus`; None: E may be anywhere.
+            arm: plans the posture along the motion; None: nothing does.
 
         Raises:
             TypeError: if weights are no `ChainWeights`.
@@ -117,10 +159,17 @@ class VerifiedRegressorChain(LeafSystem):
             table_height=table_height,
             annulus=annulus,
         )
+        self._arm = None if arm is None else ArmRegulator(self._regulator, arm.planner, dmp)
+        self._arm_positions = [] if arm is None else list(arm.positions)
         self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
         self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
         self._goal = self.DeclareVectorInputPort("goal", 3)
         self._table = self.DeclareAbstractInputPort("table", Value(TablePlane()))
+        self._robot = self.DeclareVectorInputPort(
+            "robot_state", 1 if arm is None else arm.num_states
+        )
+        self._obstacles = self.DeclareAbstractInputPort("obstacles_W", Value(ObstacleClouds()))
+        self._camera = self.DeclareAbstractInputPort("camera_pose", Value(RigidTransform()))
         self._chosen = self.DeclareAbstractState(Value(Regulation()))
         chosen = self.abstract_state_ticket(self._chosen)
         self.DeclareAbstractOutputPort(
@@ -131,6 +180,9 @@ class VerifiedRegressorChain(LeafSystem):
         )
         self.DeclareVectorOutputPort("shortfall", 1, self._calc_shortfall, {chosen})
         self.DeclareVectorOutputPort("short_of", 1, self._calc_short_of, {chosen})
+        self.DeclareAbstractOutputPort(
+            "motion", lambda: Value(PlannedMotion()), self._calc_motion, {chosen}
+        )
         self.DeclareInitializationUnrestrictedUpdateEvent(self._choose)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, DECISION_OFFSET, self._choose)
 
@@ -140,13 +192,21 @@ class VerifiedRegressorChain(LeafSystem):
     def _choose(self, context: Context, state: State) -> EventStatus:
         before = self._read(context)
         ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
-        after = self._regulator.update(
+        asked = (
             before,
             read_value(self, self._policy, context, PolicyState),
             self._goal.Eval(context),
             ellipsoids,
             read_optional(self, self._table, context, TablePlane) or ellipsoids.table,
         )
+        if self._arm is None or not self._robot.HasValue(context):
+            after = self._regulator.update(*asked)
+        else:
+            seen = read_optional(self, self._obstacles, context, ObstacleClouds)
+            q = self._robot.Eval(context)[self._arm_positions]
+            X_WC = read_optional(self, self._camera, context, RigidTransform)
+            view = np.zeros(0) if X_WC is None else X_WC.translation()
+            after = self._arm.update(*asked, ArmSight(q, seen or _NOTHING_SEEN, view))
         _log_change(before, after, context.get_time())
         state.get_mutable_abstract_state(self._chosen).set_value(after)
         return EventStatus.Succeeded()
@@ -160,6 +220,9 @@ class VerifiedRegressorChain(LeafSystem):
 
     def _calc_short_of(self, context: Context, output: BasicVector) -> None:
         output.SetAtIndex(0, self._read(context).short_of)
+
+    def _calc_motion(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(self._read(context).motion)
 
 
 def _check_annulus(annulus: FloatArray) -> None:

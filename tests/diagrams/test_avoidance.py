@@ -59,6 +59,7 @@ def test_subsystems_have_the_documented_names() -> None:
         "dmp_integrator",
         "controller",
         "supervisor",
+        "evasion",
         "log_robot_state",
     ):
         assert diagram.HasSubsystemNamed(name)

@@ -546,19 +546,38 @@ def test_a_recording_lies_where_the_scenario_says_its_camera_was(
     ("overrides", "limited"),
     [
         ([], True),
+        (["robot.rpy_WE=[0.0, 1.5708, 0.0]"], True),
+        (["robot=null", "perception=!GivenEllipsoids {}"], False),
+    ],
+)
+def test_the_limits_rings_are_those_of_the_robot_as_it_holds_its_tool(
+    overrides: list[str], limited: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given = {}
+    monkeypatch.setattr(layers, "CostRingSelector", lambda *_, **options: given.update(options))
+    layers.make_cost_ring_selector(load_scenario("tabletop_box", overrides))
+    for name in ("workspace", "joint_limits"):
+        assert (given[name] is not None) == limited
+    if limited:
+        at = np.array([[0.45, 0.0, 0.5], [2.0, 0.0, 0.5]])
+        assert given["workspace"](at).tolist() > [0.0, -2.0]
+        assert given["workspace"](at)[1] < -0.5
+
+
+@pytest.mark.parametrize(
+    ("overrides", "known"),
+    [
+        ([], True),
         (["robot.rpy_WE=[2.95, 0.0, 0.0]"], True),
         (["robot.rpy_WE=[2.8, 0.0, 0.0]"], False),
         (["robot.model=package://other/arm.urdf"], False),
         (["robot=null", "perception=!GivenEllipsoids {}"], False),
     ],
 )
-def test_the_limits_ring_is_that_of_a_panda_held_tool_down(
-    overrides: list[str], limited: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    given = {}
-    monkeypatch.setattr(layers, "CostRingSelector", lambda *_, **options: given.update(options))
-    layers.make_cost_ring_selector(load_scenario("tabletop_box", overrides))
-    assert (given["workspace"] is not None) == limited
+def test_the_annulus_is_that_of_a_panda_held_tool_down(overrides: list[str], known: bool) -> None:
+    assert (layers.robot_annulus(load_scenario("tabletop_box", overrides).robot) is not None) == (
+        known
+    )
 
 
 def test_a_world_without_obstacles_is_told(caplog: pytest.LogCaptureFixture) -> None:

@@ -177,3 +177,24 @@ def test_velocities_are_handed_on_with_their_rows():
         descriptor.describe(
             ObstacleClouds(1.0, clouds, np.arange(3), v_WO=v_WO[:2]), np.zeros((1, 3))
         )
+
+
+def test_a_goal_that_moves_is_known_to_be_free() -> None:
+    """As a free point that was given: an obstacle that would hold it has several rows."""
+    rng = np.random.default_rng(0)
+    wall = rng.uniform([-0.02, -0.3, 0.0], [0.02, 0.3, 0.02], (400, 3))
+    post = rng.uniform([-0.02, 0.28, 0.0], [0.02, 0.3, 0.4], (400, 3))
+    seen = clouds(np.concatenate([wall, post]))
+    tool = np.zeros((1, 3))
+    start, goal = [1.0, 0.0, 0.2], [0.0, 0.0, 0.15]
+    system = EllipsoidDescriptor(tool, free_W=[start])
+    context = system.CreateDefaultContext()
+    system.GetInputPort("obstacles_W").FixValue(context, Value(seen))
+    port = system.GetInputPort("goal")
+    for p_WG in (goal, start, goal):
+        port.FixValue(context, p_WG)
+        found = system.GetOutputPort("ellipsoids_W").Eval(context)
+        given = evaluate(EllipsoidDescriptor(tool, free_W=[start, p_WG]), seen)
+        np.testing.assert_array_equal(found.p_WO, given.p_WO)
+        np.testing.assert_array_equal(found.semi_axes, given.semi_axes)
+        assert (len(found) > 1) == (p_WG is goal)

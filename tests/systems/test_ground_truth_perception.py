@@ -128,3 +128,20 @@ def test_velocities_are_those_of_the_bodies_and_zero_for_what_is_welded():
     # The mean over the last period.
     np.testing.assert_allclose(falling, [0.0, 0.0, -9.81 * 0.075], atol=5e-3)
     assert not welded.any()
+
+
+def test_what_is_out_of_the_world_is_left_out_and_comes_to_rest_in_it():
+    diagram, perception, context = make_scene(period=0.05)
+    plant = next(s for s in diagram.GetSystems() if s.get_name() == "plant")
+    plant_context = plant.GetMyMutableContextFromRoot(context)
+    box = plant.GetBodyByName("box")
+    plant.SetFreeBodyPose(plant_context, box, RigidTransform([0.5, 0.0, 60.0]))
+    simulator = Simulator(diagram, context)
+    simulator.AdvanceTo(0.05)
+    np.testing.assert_array_equal(seen(perception, context).ids, [1])
+    plant.SetFreeBodyPose(plant_context, box, RigidTransform([0.5, 0.0, 1.0]))
+    simulator.AdvanceTo(0.1)
+    obstacles = seen(perception, context)
+    np.testing.assert_array_equal(obstacles.ids, [0, 1])
+    # It fell meanwhile, but from where nobody knows.
+    np.testing.assert_array_equal(obstacles.v_WO, np.zeros((2, 3)))

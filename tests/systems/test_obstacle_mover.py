@@ -11,7 +11,7 @@ from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from drake_oa.moving_obstacles import offset_at
+from drake_oa.moving_obstacles import ABSENT_HEIGHT, offset_at
 from drake_oa.obstacles import Obstacle, Sphere, add_obstacle
 from drake_oa.systems.obstacle_mover import ObstacleMover
 
@@ -80,17 +80,63 @@ def test_what_is_in_the_way_is_pushed_out_of_it() -> None:
     assert errors[-20:].max() < 1e-3
 
 
+def test_what_appears_is_nowhere_else_before_and_disturbs_nothing() -> None:
+    """A block rests under the sphere's place: nothing falls on it, nothing moves it."""
+    builder = DiagramBuilder()
+    plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=STEP)
+    plant.SetUseSampledOutputPorts(False)
+    ball = Obstacle(
+        name="ball", shapes=[Sphere(radius=0.05)], translation=[0.0, 0.0, 0.4], present=[0.1, 0.2]
+    )
+    instance = add_obstacle(plant, ball)
+    friction = CoulombFriction(0.5, 0.5)
+    plant.RegisterCollisionGeometry(
+        plant.world_body(), RigidTransform([0.0, 0.0, -0.5]), Box(2.0, 2.0, 1.0), "floor", friction
+    )
+    block = plant.AddRigidBody(
+        "block",
+        plant.AddModelInstance("block"),
+        SpatialInertia.SolidBoxWithMass(2.0, 0.1, 0.1, 0.1),
+    )
+    plant.RegisterCollisionGeometry(block, RigidTransform(), Box(0.1, 0.1, 0.1), "block", friction)
+    plant.SetDefaultFloatingBaseBodyPose(block, RigidTransform([0.02, 0.0, 0.05]))
+    plant.Finalize()
+    body = plant.GetBodyByName("body", instance)
+    mover = builder.AddSystem(
+        ObstacleMover(np.zeros((0, 4)), mass=body.default_mass(), step=STEP, present=ball.present)
+    )
+    builder.Connect(plant.get_state_output_port(instance), mover.get_input_port())
+    builder.Connect(mover.get_output_port(), plant.get_actuation_input_port(instance))
+    simulator = Simulator(builder.Build())
+    heights, moved = {}, []
+
+    def watch(root: Any) -> None:
+        context = plant.GetMyContextFromRoot(root)
+        heights[root.get_time()] = plant.EvalBodyPoseInWorld(context, body).translation()[2]
+        p_WB = plant.EvalBodyPoseInWorld(context, block).translation()
+        moved.append(np.linalg.norm(p_WB - [0.02, 0.0, 0.05]))
+
+    simulator.set_monitor(watch)
+    simulator.AdvanceTo(0.3)
+    for time, height in heights.items():
+        away = 0.0 if 0.1 - 1e-9 <= time < 0.2 - 1e-9 else ABSENT_HEIGHT
+        assert height == pytest.approx(0.4 + away, abs=1e-8)
+    assert max(moved) < 1e-3
+
+
 @pytest.mark.parametrize(
     ("waypoints", "options", "message"),
     [
         (np.zeros((0, 4)), {}, "must be \\(N, 4\\)"),
         (np.zeros((2, 4)), {}, "times must increase"),
+        (np.zeros((0, 4)), {"present": [2.0, 1.0]}, "present must be"),
+        (np.zeros((0, 4)), {"present": [1.0, 2.0, 3.0]}, "present must be"),
         (np.zeros((1, 4)), {"mass": 0.0}, "mass must be positive"),
         (np.zeros((1, 4)), {"step": 0.0}, "period must be positive"),
     ],
 )
 def test_bad_arguments_are_refused(
-    waypoints: np.ndarray, options: dict[str, float], message: str
+    waypoints: np.ndarray, options: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(ValueError, match=message):
         ObstacleMover(waypoints, **{"mass": 1.0, "step": STEP} | options)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import yaml
-from pydrake.systems.framework import LeafSystem
+from pydrake.systems.framework import Diagram, LeafSystem
 
 import drake_oa.systems
 from drake_oa.diagrams.avoidance import build_avoidance
@@ -43,21 +43,9 @@ def test_every_system_documents_its_ports() -> None:
         assert documented_ports(kind)["name"] == name
 
 
-@pytest.mark.parametrize(
-    "override",
-    [
-        "perception=!DepthCamera {}",
-        "perception=!DepthCamera {noise: {}}",
-        "perception=!GroundTruth {}",
-        "recorded",
-        "regulation=!Regressor {}",
-    ],
-)
-def test_documented_ports_are_the_declared_ones(override: str, recording_folder: Any) -> None:
-    if override == "recorded":
-        override = f"perception=!RecordedClouds {{folder: {recording_folder}}}"
-    diagram = build_avoidance(load_scenario("tabletop_box", [override]))
-    checked = 0
+def checked_systems(diagram: Diagram) -> set[str]:
+    """Names of our systems in a diagram, whose ports were compared."""
+    checked = set()
     for system in diagram.GetSystems():
         if type(system).__module__.startswith("drake_oa."):
             listed = documented_ports(type(system))
@@ -67,7 +55,35 @@ def test_documented_ports_are_the_declared_ones(override: str, recording_folder:
             ]
             assert [str(p).split(" ")[0] for p in listed.get("input_ports") or []] == inputs
             assert [str(p).split(" ")[0] for p in listed["output_ports"]] == outputs
-            checked += 1
-    rings, depth = "Regressor" in override, "RecordedClouds" not in override
-    depth = depth and "GroundTruth" not in override
-    assert checked == 7 + depth + (depth and "DepthCamera {}" not in override) + rings
+            checked.add(type(system).__name__)
+    return checked
+
+
+ALWAYS = {"CartesianInverseDynamics", "DmpIntegrator", "EllipsoidDescriptor", "Supervisor"}
+ALWAYS |= {"ObstacleEvasion"}
+
+
+@pytest.mark.parametrize(
+    ("override", "others"),
+    [
+        ("perception=!DepthCamera {}", {"DepthPerception", "VerifiedRegressorChain"}),
+        ("perception=!DepthCamera {noise: {}}", {"LateCamera"}),
+        ("perception=!GroundTruth {}", {"GroundTruthPerception"}),
+        ("recorded", {"RecordedPerception"}),
+        ("regulation=!Regressor {}", {"RegressorChain", "CostRingSelector"}),
+        ("task.rpy_goal=[3.0, 0.0, 1.0]", {"OrientationIntegrator"}),
+    ],
+)
+def test_documented_ports_are_the_declared_ones(
+    override: str, others: set[str], recording_folder: Any
+) -> None:
+    if override == "recorded":
+        override = f"perception=!RecordedClouds {{folder: {recording_folder}}}"
+    checked = checked_systems(build_avoidance(load_scenario("tabletop_box", [override])))
+    assert checked >= ALWAYS | others
+
+
+def test_so_are_those_of_a_tool_that_is_turned() -> None:
+    diagram = build_avoidance(load_scenario("long_tool", ["perception=!GroundTruth {}"]))
+    turning = {"ToolTurnSelector", "OrientationIntegrator", "Slowest"}
+    assert checked_systems(diagram) >= ALWAYS | turning

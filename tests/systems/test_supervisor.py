@@ -11,6 +11,7 @@ from pydrake.multibody.tree import JacobianWrtVariable
 from pydrake.systems.analysis import Simulator
 
 from drake_oa.collision_shapes import RobotModel, collect_collision_shapes
+from drake_oa.evasion import Evasion
 from drake_oa.scenario import Robot
 from drake_oa.station import RobotPlant, home_positions, make_robot_plant
 from drake_oa.supervision import Supervision, SupervisorParameters
@@ -318,3 +319,44 @@ def test_bad_construction_is_refused(
     values = {"tool_frame": robot[0].tool_frame.name(), "duration": 1.0} | change
     with pytest.raises(ValueError, match=said):
         Supervisor(robot[1], **values)
+
+
+def near(bench: Bench) -> None:
+    """A point that moves, close ahead of the tool."""
+    bench.see(bench.p_WE + np.array([[0.0, 0.05, -0.02]]), v_WO=np.array([[0.0, 0.1, 0.0]]))
+
+
+def test_who_is_told_to_go_on_is_not_slowed_by_what_moves(bench: Callable[..., Bench]) -> None:
+    b = bench()
+    near(b)
+    assert b.run(0.1).action in ("hold", "slow")
+    b = bench()
+    b.give("evading", Evasion("going on", obstacle=0))
+    near(b)
+    assert b.run(0.1).action == "run"
+    # What rests still counts.
+    b.see(b.p_WE + np.array([[0.0, 0.05, -0.02]]))
+    assert b.run(0.1).action in ("hold", "slow")
+
+
+def test_it_waits_while_it_is_told_to_and_goes_on_by_itself(bench: Callable[..., Bench]) -> None:
+    b = bench()
+    b.give("evading", Evasion("evading", np.array([0.1, 0.0, 0.0]), 0, 0.05))
+    found = b.run(4.0)
+    assert (found.action, found.reason) == ("hold", "evades obstacle 0")
+    b.give("evading", Evasion())
+    assert b.run(2.0).action == "run"
+
+
+def test_it_stops_before_what_cannot_be_evaded(
+    bench: Callable[..., Bench], caplog: pytest.LogCaptureFixture
+) -> None:
+    b = bench()
+    b.give("evading", Evasion("caught", np.array([0.1, 0.0, 0.0]), 5, -0.05, contact=1.0))
+    assert b.run(0.1).action == "hold"
+    b.give("evading", Evasion("caught", np.array([0.1, 0.0, 0.0]), 5, -0.05, contact=0.2))
+    with caplog.at_level(logging.WARNING, "drake_oa"):
+        found = b.run(0.1)
+    assert (found.action, found.speed_scale) == ("stop", 0.0)
+    assert found.reason == "obstacle 5 cannot be evaded by this arm"
+    assert any("stops: obstacle 5 cannot be evaded" in message for message in caplog.messages)

@@ -1,0 +1,74 @@
+"""Regulation that looks to the whole arm: a verified motion, and the posture along it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from drake_oa.dmp import Dmp, normalised_time
+from drake_oa.values import EllipsoidSet, FloatArray, ObstacleClouds, PolicyState, TablePlane
+from drake_oa.verified_regulation import Regulation, Regulator
+from drake_oa.whole_arm import ArmSight, WholeArm
+
+
+class ArmRegulator:
+    """Verifies motions, and plans the posture of the arm along them."""
+
+    def __init__(self, regulator: Regulator, arm: WholeArm, dmp: Dmp) -> None:
+        """Keeps what does not change.
+
+        Args:
+            regulator: verifies the motions of the tool.
+            arm: plans the postures.
+            dmp: the movement primitive.
+        """
+        self._regulator, self._arm, self._dmp = regulator, arm, dmp
+
+    def update(
+        self,
+        before: Regulation,
+        policy: PolicyState,
+        p_WG: FloatArray,
+        ellipsoids: EllipsoidSet,
+        table: TablePlane | None,
+        sight: ArmSight,
+    ) -> Regulation:
+        """As `Regulator.update`, with the arm's positions in the motion.
+
+        Args:
+            before, policy, p_WG, ellipsoids, table: see there.
+            sight: what is known of the arm and of what it must not touch. Points that are not
+                finite are as if nothing new had been seen.
+        """
+        if sight.obstacles is not before.way.seen and not _is_finite(sight.obstacles):
+            sight = replace(sight, obstacles=before.way.seen or ObstacleClouds())
+        # tau as it is for the tool alone.
+        of_tool = replace(before, tau=before.tau / before.way.slower)
+        after = self._regulator.update(of_tool, policy, p_WG, ellipsoids, table)
+        if not len(after.motion):
+            return after
+        s = normalised_time(policy.phase, self._dmp.alpha_k)
+        seconds = self._dmp.duration * after.tau
+        way = self._arm.kept(
+            before.way,
+            after.motion,
+            sight,
+            table,
+            s=s,
+            seconds=seconds * before.way.slower,
+            time=policy.stamp,
+        )
+        if way is None:
+            way = self._arm.planned(after.motion, sight, table, seconds=seconds, time=policy.stamp)
+            if way.failed and len(before.way.plan):
+                # Better the posture of before than that of the start.
+                way = replace(before.way, seen=way.seen, since=way.since, failed=True)
+        return replace(after, motion=way.motion, way=way, tau=after.tau * way.slower)
+
+
+def _is_finite(obstacles: ObstacleClouds) -> bool:
+    return bool(
+        np.isfinite(obstacles.v_WO).all()
+        and all(np.isfinite(cloud).all() for cloud in obstacles.clouds_W)
+    )

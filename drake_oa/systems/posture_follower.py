@@ -1,0 +1,94 @@
+"""What the null space of the arm is drawn to while its tool moves."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+
+from drake_oa.dmp import normalised_time
+from drake_oa.posture_course import PostureCourse
+from drake_oa.systems.ports import DECISION_OFFSET, read_value, valid_period
+from drake_oa.values import FloatArray, PlannedMotion, PolicyState
+
+
+class PostureFollower(LeafSystem):
+    """Follows the posture that is planned along the motion of the tool.
+
+    .. pydrake_system::
+
+      name: PostureFollower
+      input_ports:
+      - motion
+      - policy_state
+      output_ports:
+      - desired_posture
+
+    - motion: abstract `PlannedMotion` with the arm's positions, or without.
+    - policy_state: abstract `PolicyState` of the movement primitive.
+    - desired_posture: (2n,) positions [rad] and velocities [rad/s] of the arm's n joints, for
+      `CartesianInverseDynamics`.
+
+    The posture is that of the plan at the policy's normalised time, so that it rests while the
+    motion is held. A new plan is taken over smoothly; without one it is the posture given
+    here, at rest. The plan under way is abstract state.
+    """
+
+    def __init__(self, q_rest: FloatArray, alpha_k: float, *, period: float = 0.008) -> None:
+        """Declares the ports.
+
+        Args:
+            q_rest: (n,) posture while none is planned [rad].
+            alpha_k: decay of the policy's phase.
+            period: time between looks at the plan [s].
+
+        Raises:
+            ValueError: if the posture is not n finite numbers, or alpha_k or the period are
+                not positive.
+        """
+        super().__init__()
+        q_rest = np.array(q_rest, dtype=float)
+        if q_rest.ndim != 1 or not len(q_rest) or not np.isfinite(q_rest).all():
+            raise ValueError(f"q_rest must be finite numbers [rad], not {q_rest}")
+        if not 0.0 < alpha_k < np.inf:
+            raise ValueError(f"alpha_k must be positive and finite, not {alpha_k}")
+        period = valid_period(period)
+        self._alpha_k = float(alpha_k)
+        self._motion = self.DeclareAbstractInputPort("motion", Value(PlannedMotion()))
+        self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
+        self._course = self.DeclareAbstractState(Value(PostureCourse(q_rest)))
+        self.DeclareVectorOutputPort(
+            "desired_posture",
+            2 * len(q_rest),
+            self._calc,
+            {
+                self.time_ticket(),
+                self._policy.ticket(),
+                self.abstract_state_ticket(self._course),
+            },
+        )
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._take_over)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 2.0 * DECISION_OFFSET, self._take_over)
+
+    def _read(self, context: Context) -> PostureCourse:
+        return context.get_abstract_state(self._course).get_value()
+
+    def _now(self, context: Context) -> tuple[float, float, float]:
+        """Normalised time, its rate [1/s], and the time [s]."""
+        policy = read_value(self, self._policy, context, PolicyState)
+        time = context.get_time()
+        s = normalised_time(policy.phase, self._alpha_k)
+        # Between two of its steps the policy goes on at its rate.
+        return s + policy.speed * max(time - policy.stamp, 0.0), policy.speed, time
+
+    def _take_over(self, context: Context, state: State) -> EventStatus:
+        before = self._read(context)
+        motion = read_value(self, self._motion, context, PlannedMotion)
+        if motion is before.motion:
+            return EventStatus.DidNothing()
+        after = before.with_motion(motion, *self._now(context))
+        state.get_mutable_abstract_state(self._course).set_value(after)
+        return EventStatus.Succeeded()
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(np.concatenate(self._read(context).at(*self._now(context))))

@@ -1,0 +1,69 @@
+"""Guidance by cost rings on the robot: the paper's figure, and what happens without a way."""
+
+import logging
+
+import numpy as np
+import pytest
+
+from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.report import motion_report
+from drake_oa.scenario import load_scenario
+from drake_oa.simulation import simulate
+
+GROUND_TRUTH = "perception=!GroundTruth {}"
+
+
+def test_the_guided_motion_goes_over_the_beam() -> None:
+    scenario = load_scenario("guided_route", [GROUND_TRUTH])
+    log = simulate(scenario)
+    report = motion_report(scenario, log)
+    assert report["stop_reason"] == "goal"
+    assert report["collisions"] == 0
+    assert report["tool_clearance_min"] >= scenario.task.clearance
+    assert report["goal_error"] <= 0.005
+    beam_top = 0.35
+    assert log.p_WE[np.abs(log.p_WE[:, 1]).argmin(), 2] > beam_top
+
+
+def test_the_motion_that_only_reacts_hits_the_table() -> None:
+    scenario = load_scenario("guided_route", [GROUND_TRUTH, "regulation.guided=false"])
+    log = simulate(scenario)
+    report = motion_report(scenario, log)
+    first = report["made_contacts"][0]
+    assert "finger" in first
+    assert "table" in first
+    assert report["goal_error"] > 0.1
+
+
+def test_without_guidance_no_route_reaches_the_policy() -> None:
+    diagram = build_avoidance(load_scenario("guided_route", ["regulation.guided=false"]))
+    assert not diagram.HasSubsystemNamed("cost_ring_selector")
+    root = diagram.CreateDefaultContext()
+    for name, connected in (("route", False), ("ellipsoids_W", True)):
+        policy = diagram.GetSubsystemByName("dmp_integrator")
+        port = policy.GetInputPort(name)
+        assert port.HasValue(policy.GetMyContextFromRoot(root)) == connected
+
+
+WALL = (
+    "obstacles=[{name: wall, shapes: [!Box {size: [1.1, 0.05, 1.6]}], "
+    "translation: [0.75, 0.0, 0.8], present: [0.0, 1.5]}]"
+)
+
+
+def test_it_holds_while_every_side_is_forbidden_and_goes_on_when_one_is_free(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    """A wall as high and as wide as the robot reaches, taken away after 1.5 s."""
+    caplog.set_level(logging.INFO, logger="drake_oa")
+    scenario = load_scenario("guided_route", [GROUND_TRUTH, WALL])
+    log = simulate(scenario, duration=12.0)
+    told = [record.getMessage() for record in caplog.records]
+    assert any("held: every side of obstacle 0 is forbidden" in text for text in told)
+    assert any("running again" in text for text in told)
+    waiting = log.t < 1.4
+    np.testing.assert_allclose(log.p_WE[waiting], log.p_WE[:1].repeat(waiting.sum(), 0), atol=0.01)
+    report = motion_report(scenario, log)
+    assert report["stop_reason"] == "goal"
+    assert report["goal_error"] <= 0.005
+    assert report["collisions"] == 0

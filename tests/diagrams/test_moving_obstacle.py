@@ -1,0 +1,74 @@
+"""Things that cross the way of the robot, from what is seen to what is touched."""
+
+import numpy as np
+import pytest
+
+from drake_oa.metrics import robot_metrics
+from drake_oa.motion_log import MotionLog
+from drake_oa.obstacles import Obstacle, Sphere
+from drake_oa.scenario import GroundTruth, Scenario, load_scenario
+from drake_oa.simulation import simulate
+
+FEW = 5
+"""One logged instant in so many is judged."""
+
+
+def judged(scenario: Scenario, log: MotionLog) -> tuple[tuple[str, ...], float]:
+    found = robot_metrics(scenario, log.q[::FEW], log.q_world[::FEW])
+    return found.contacts, float(found.robot_clearance.min())
+
+
+def with_truth() -> Scenario:
+    scenario = load_scenario("moving_obstacle")
+    scenario.perception = GroundTruth()
+    return scenario
+
+
+def test_the_planned_motion_is_hit_by_both() -> None:
+    scenario = with_truth()
+    contacts, _ = judged(scenario, simulate(scenario, modulated=False))
+    hit = {contact.split(" - ")[1] for contact in contacts}
+    assert hit == {"obstacle_box", "obstacle_ball"}
+
+
+def test_both_are_passed_by_who_knows_them() -> None:
+    scenario = with_truth()
+    log = simulate(scenario)
+    assert log.stop_reason == "goal"
+    contacts, clearance = judged(scenario, log)
+    assert contacts == ()
+    assert clearance > 0.1
+
+
+@pytest.mark.slow
+def test_both_are_passed_from_depth_with_noise() -> None:
+    scenario = load_scenario("moving_obstacle")
+    log = simulate(scenario)
+    assert log.stop_reason == "goal"
+    contacts, clearance = judged(scenario, log)
+    assert contacts == ()
+    assert clearance > 0.05
+    assert np.linalg.norm(log.p_WE[-1] - scenario.task.goal) < 5e-3
+
+
+def test_what_is_faster_than_the_arm_is_told_and_the_robot_stopped(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    scenario = with_truth()
+    # At the shoulder, which cannot leave.
+    ahead = np.array([1.2, 0.3, 0.45])
+    way = np.array([0.0, 0.0, 0.45]) - ahead
+    time = float(np.linalg.norm(way)) / 2.5
+    scenario.obstacles = [
+        Obstacle(
+            name="fast",
+            shapes=[Sphere(radius=0.05)],
+            translation=ahead.tolist(),
+            waypoints=[[1.0, 0.0, 0.0, 0.0], [1.0 + time, *way.tolist()]],
+        )
+    ]
+    log = simulate(scenario)
+    assert log.stop_reason == "stopped: obstacle 0 cannot be evaded by this arm"
+    assert "supervisor stops: obstacle 0 cannot be evaded" in caplog.text
+    contacts, _ = judged(scenario, log)
+    assert contacts == ()

@@ -1,0 +1,41 @@
+"""The hand's path is free and the elbow's is not: with the posture planned the arm passes."""
+
+import numpy as np
+import pytest
+
+from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.metrics import robot_metrics
+from drake_oa.scenario import load_scenario
+from drake_oa.simulation import simulate
+
+GROUND_TRUTH = "perception=!GroundTruth {}"
+
+
+def test_without_a_planned_posture_the_elbow_is_held_at_the_board() -> None:
+    scenario = load_scenario("shelf_elbow", [GROUND_TRUTH, "robot.posture=null"])
+    log = simulate(scenario)
+    assert log.stop_reason.startswith("stopped: panda_link3 within")
+    assert not build_avoidance(scenario).HasSubsystemNamed("posture_follower")
+
+
+@pytest.mark.slow
+def test_with_it_the_arm_goes_round_from_depth_with_noise() -> None:
+    scenario = load_scenario("shelf_elbow")
+    log = simulate(scenario)
+    metrics = robot_metrics(scenario, log.q)
+    assert log.stop_reason == "goal"
+    assert metrics.contacts == ()
+    assert metrics.robot_clearance.min() > 0.08
+    assert np.linalg.norm(log.p_WE[-1] - scenario.task.goal) < 1e-3
+    assert (np.abs(log.v) < log.velocity_limit).all()
+
+
+def test_and_from_ground_truth() -> None:
+    scenario = load_scenario("shelf_elbow", [GROUND_TRUTH])
+    log = simulate(scenario)
+    metrics = robot_metrics(scenario, log.q)
+    assert log.stop_reason == "goal"
+    assert log.supervision_action == ()
+    assert metrics.contacts == ()
+    assert metrics.robot_clearance.min() > 0.08
+    assert np.linalg.norm(log.p_WE[-1] - scenario.task.goal) < 1e-3

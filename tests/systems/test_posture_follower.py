@@ -1,0 +1,110 @@
+"""The null space's course: smooth, at the plan's place, and without jumps."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydrake.common.value import Value
+from pydrake.systems.analysis import Simulator
+
+from drake_oa.posture_course import PostureCourse, monotone_slopes
+from drake_oa.systems.posture_follower import PostureFollower
+from drake_oa.values import PlannedMotion, PolicyState
+
+ALPHA_K = 4.0
+REST = np.zeros(2)
+
+
+def motion(*q: float) -> PlannedMotion:
+    rows = np.column_stack([q, -np.array(q)])
+    return PlannedMotion(np.linspace(0.0, 1.0, len(q)), np.zeros((len(q), 3)), rows)
+
+
+def policy(s: float, speed: float = 0.2, stamp: float = 0.0) -> PolicyState:
+    return PolicyState(phase=math.exp(-ALPHA_K * s), speed=speed, stamp=stamp)
+
+
+@given(st.lists(st.floats(-2.0, 2.0), min_size=2, max_size=8))
+def test_course_passes_the_samples_and_stays_between_them(values: list[float]) -> None:
+    course = PostureCourse(REST).with_motion(motion(*values), 0.0, 0.0, 0.0)
+    course = PostureCourse(REST, course.motion, course.slopes)
+    for i in range(len(values) - 1):
+        low, high = sorted(values[i : i + 2])
+        for x in np.linspace(0.0, 1.0, 7):
+            q, _ = course.at((i + x) / (len(values) - 1), 0.2, 0.0)
+            assert low - 1e-9 <= q[0] <= high + 1e-9
+            assert q[1] == pytest.approx(-q[0])
+
+
+def test_velocity_is_the_derivative() -> None:
+    course = PostureCourse(REST).with_motion(motion(0.0, 0.5, 0.6, -0.2), 0.0, 0.2, 0.0)
+    for time in np.linspace(0.01, 4.0, 30):
+        at = [course.at(0.2 * t, 0.2, t)[0] for t in (time - 1e-5, time + 1e-5)]
+        _, v = course.at(0.2 * time, 0.2, time)
+        np.testing.assert_allclose((at[1] - at[0]) / 2e-5, v, atol=1e-3)
+
+
+def test_a_new_plan_does_not_jump_and_is_reached() -> None:
+    one = PostureCourse(REST).with_motion(motion(0.0, 0.5, 0.9), 0.0, 0.2, 0.0)
+    two = one.with_motion(motion(1.0, -0.5, 0.0), 0.5, 0.2, 2.5)
+    for before, after in zip(one.at(0.5, 0.2, 2.5), two.at(0.5, 0.2, 2.5), strict=True):
+        np.testing.assert_allclose(before, after, atol=1e-12)
+    np.testing.assert_allclose(two.at(1.0, 0.2, 6.0)[0], [0.0, 0.0], atol=1e-4)
+    gone = two.with_motion(PlannedMotion(), 0.7, 0.2, 3.0)
+    np.testing.assert_allclose(gone.at(0.7, 0.2, 3.0)[0], two.at(0.7, 0.2, 3.0)[0], atol=1e-12)
+    np.testing.assert_allclose(gone.at(0.7, 0.2, 9.0)[0], REST, atol=1e-6)
+
+
+def test_slopes_do_not_overshoot_a_step() -> None:
+    slopes = monotone_slopes(np.array([0.0, 0.5, 0.6, 1.0]), np.array([[0.0], [0.0], [1.0], [1.0]]))
+    np.testing.assert_array_equal(slopes, 0.0)
+
+
+def test_without_a_plan_it_is_the_posture_at_rest() -> None:
+    follower = PostureFollower([0.3, -0.1], ALPHA_K)
+    context = follower.CreateDefaultContext()
+    follower.GetInputPort("motion").FixValue(context, Value(PlannedMotion()))
+    follower.GetInputPort("policy_state").FixValue(context, Value(policy(0.3)))
+    posture = follower.get_output_port().Eval(context)
+    np.testing.assert_array_equal(posture, [0.3, -0.1, 0.0, 0.0])
+
+
+def test_the_system_follows_and_rests_with_a_held_motion() -> None:
+    follower = PostureFollower(REST, ALPHA_K, period=0.01)
+    simulator = Simulator(follower)
+    context = simulator.get_mutable_context()
+    follower.GetInputPort("motion").FixValue(context, Value(motion(0.0, 0.4, 0.8)))
+    port = follower.GetInputPort("policy_state").FixValue(context, Value(policy(0.0)))
+    last = None
+    for step in range(1, 301):
+        time = 0.01 * step
+        s = min(0.2 * time, 0.5)
+        held = PolicyState(phase=math.exp(-ALPHA_K * s), speed=0.2 if s < 0.5 else 0.0, stamp=time)
+        simulator.AdvanceTo(time)
+        port.GetMutableData().set_value(held)
+        now = follower.get_output_port().Eval(context)
+        if last is not None:
+            assert np.abs(now[:2] - last[:2]).max() < 0.02
+        last = now
+    np.testing.assert_allclose(last, [0.4, -0.4, 0.0, 0.0], atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (([], ALPHA_K), "q_rest"),
+        (([0.0, np.nan], ALPHA_K), "q_rest"),
+        ((REST, 0.0), "alpha_k"),
+        ((REST, np.inf), "alpha_k"),
+    ],
+)
+def test_bad_arguments_are_refused(arguments: tuple, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        PostureFollower(*arguments)
+
+
+def test_a_plan_of_another_arm_is_refused() -> None:
+    with pytest.raises(ValueError, match="shape"):
+        PostureCourse(np.zeros(3)).with_motion(motion(0.0, 1.0), 0.0, 0.2, 0.0)
