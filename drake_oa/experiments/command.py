@@ -68,6 +68,7 @@ examples:
   drake-oa evaluate hit --method paper --method original --scenes 200 --seed 7
   drake-oa evaluate clutter --scenes-file mine.npz --method verified
   drake-oa evaluate panda --scenes 20 --perception truth --method verified --json panda.json
+  drake-oa evaluate panda --suite moving,elbow,clutter6 --jobs 2 --json changing.json
 """
 
 _SUITES = {
@@ -79,7 +80,7 @@ _SUITES = {
     "clutter": "six small ellipsoids, at least one in the way (1000)",
     "moving": "one small ellipsoid that moves into the unmodulated robot (1000)",
     "dead-zone": "a point obstacle on the line and up to 10 cm beside it (41), and both terms",
-    panda.SUITE: f"the whole robot, seeing, in random table-top scenes ({panda.DEFAULT_SCENES})",
+    panda.SUITE: f"the whole robot, seeing, in random scenes of 4 kinds ({panda.DEFAULT_SCENES})",
 }
 
 

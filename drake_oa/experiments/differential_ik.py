@@ -29,11 +29,12 @@ from pydrake.planning import (
 )
 from pydrake.systems.controllers import InverseDynamicsController
 
+from drake_oa.carried import part_carried, tool_links
 from drake_oa.dmp import trajectory
 from drake_oa.layers import make_dmp
 from drake_oa.scenario import Robot, Scenario, ScenarioError
-from drake_oa.station import OBSTACLE_PREFIX, TOOL_FRAME, add_world
-from drake_oa.values import FloatArray
+from drake_oa.station import OBSTACLE_PREFIX, TOOL_FRAME, add_world, all_obstacles
+from drake_oa.values import BoolArray, FloatArray
 
 _EDGE_STEP = 0.1
 """The collision checker wants a step for checks of edges, which are not used here [rad]."""
@@ -113,15 +114,24 @@ def posture(robot: Robot, q_start: FloatArray) -> FloatArray:
 def joint_limits(plant: MultibodyPlant, robot: Robot) -> JointLimits:
     """The plant's own limits, and no velocity for the joints of the hand."""
     limits = JointLimits(plant)
-    arm = np.arange(plant.num_velocities()) < len(robot.q_seed)
+    own = robot_dofs(plant)
+    arm = np.arange(own.sum()) < len(robot.q_seed)
     return JointLimits(
-        limits.position_lower(),
-        limits.position_upper(),
-        np.where(arm, limits.velocity_lower(), 0.0),
-        np.where(arm, limits.velocity_upper(), 0.0),
-        limits.acceleration_lower(),
-        limits.acceleration_upper(),
+        limits.position_lower()[own],
+        limits.position_upper()[own],
+        np.where(arm, limits.velocity_lower()[own], 0.0),
+        np.where(arm, limits.velocity_upper()[own], 0.0),
+        limits.acceleration_lower()[own],
+        limits.acceleration_upper()[own],
     )
+
+
+def robot_dofs(plant: MultibodyPlant) -> BoolArray:
+    """(nq,) which positions are the robot's."""
+    robot = plant.GetFrameByName(TOOL_FRAME).model_instance()
+    marked = np.zeros(plant.num_positions())
+    plant.SetPositionsInArray(robot, np.ones(plant.num_positions(robot)), marked)
+    return marked > 0.0
 
 
 def make_collision_checker(
@@ -132,17 +142,19 @@ def make_collision_checker(
     Links that no joint moves are left out: no velocity changes what they keep.
 
     Raises:
-        ScenarioError: if something besides the robot can move, which the method, as it
-            is in Drake, does not take into account.
+        ScenarioError: if something can move besides the robot and the obstacles that the
+            scenario drives, of which the method is told where they are.
     """
     builder = RobotDiagramBuilder(time_step=0.0)
     plant = builder.plant()
     instance = add_world(plant, scenario)
     plant.Finalize()
-    if plant.num_positions() != plant.num_positions(instance):
+    part_carried(plant, builder.scene_graph(), scenario.robot)
+    driven = sum(plant.num_positions(other) for other in _driven_instances(plant, scenario))
+    if plant.num_positions() != plant.num_positions(instance) + driven:
         raise ScenarioError(
-            "directives: something besides the robot can move; differential inverse "
-            "kinematics needs a world that stands still"
+            "directives: something besides the robot and the obstacles with waypoints can move; "
+            "differential inverse kinematics needs to know where everything is"
         )
     checker = SceneGraphCollisionChecker(
         model=builder.Build(), robot_model_instances=[instance], edge_step_size=_EDGE_STEP
@@ -158,16 +170,46 @@ def _pad(
     parameters: PeerParameters,
 ) -> None:
     plant = checker.plant()
-    tool_links = scenario.robot.tool_links if scenario.robot else []
+    of_tool = tool_links(scenario.robot) if scenario.robot else []
     checker.SetPaddingAllRobotEnvironmentPairs(parameters.arm_distance)
     checker.SetPaddingAllRobotRobotPairs(parameters.self_distance)
     for link in map(plant.get_body, plant.GetBodyIndices(instance)):
         if plant.IsAnchored(link):
             checker.SetCollisionFilteredWithAllBodies(link.index())
             continue
-        if link.name() in tool_links:
+        if link.name() in of_tool:
             for thing in _obstacle_bodies(plant):
                 checker.SetPaddingBetween(link.index(), thing.index(), parameters.tool_distance)
+
+
+def _driven_instances(plant: MultibodyPlant, scenario: Scenario) -> list[ModelInstanceIndex]:
+    return [
+        plant.GetModelInstanceByName(f"{OBSTACLE_PREFIX}_{obstacle.name}")
+        for obstacle in all_obstacles(scenario)
+        if obstacle.driven
+    ]
+
+
+def position_orders(plant: MultibodyPlant, scenario: Scenario) -> dict[str, FloatArray]:
+    """Model instance -> (nq, n) matrix that takes its positions to their places in the plant's.
+
+    Of the robot, the first, and of the obstacles that the scenario drives.
+    """
+    robot = plant.GetFrameByName(TOOL_FRAME).model_instance()
+    orders = {}
+    for instance in (robot, *_driven_instances(plant, scenario)):
+        columns = np.zeros((plant.num_positions(), plant.num_positions(instance)))
+        for row, unit in enumerate(np.eye(columns.shape[1])):
+            q = np.zeros(plant.num_positions())
+            plant.SetPositionsInArray(instance, unit, q)
+            columns[:, row] = q
+        orders[plant.GetModelInstanceName(instance)] = columns
+    return orders
+
+
+def of_state(order: FloatArray) -> FloatArray:
+    """(nq, 2 n) matrix that takes a state, positions and as many velocities, to (nq, n) order."""
+    return np.hstack([order, np.zeros_like(order)])
 
 
 def _obstacle_bodies(plant: MultibodyPlant) -> list[RigidBody]:
@@ -224,7 +266,7 @@ def make_differential_ik(
         recipe=recipe,
         task_frame=plant.world_frame().scoped_name().get_full(),
         collision_checker=checker,
-        active_dof=DofMask(plant.num_positions(), True),
+        active_dof=DofMask([bool(own) for own in robot_dofs(plant)]),
         time_step=parameters.horizon,
         # The system asks for gain (X - X_now) / time_step; the step is the policy's.
         K_VX=parameters.gain * parameters.horizon / scenario.policy.period,

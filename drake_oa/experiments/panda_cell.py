@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from pydrake.geometry import (
@@ -32,6 +32,14 @@ _LIMIT_MARGIN = 0.03
 """Distance that a motion keeps to the joint limits [rad]."""
 _ON_PATH = 1e-3
 """Largest distance from the asked pose, in position [m] and orientation [rad]."""
+
+
+def pose_at(obstacle: Obstacle, time: float) -> RigidTransform:
+    """Pose in the world of an obstacle, which may move, at a time [s]."""
+    X_WO = pose(obstacle)
+    if obstacle.driven:
+        X_WO.set_translation(X_WO.translation() + obstacle.offset_at(time))
+    return X_WO
 
 
 class PandaCell:
@@ -77,16 +85,22 @@ class PandaCell:
         instance = plant.GetModelInstanceByName(model)
         return plant.GetFrameByName(name, instance).CalcPoseInWorld(self._plant_context)
 
-    def put(self, obstacles: Sequence[Obstacle]) -> None:
-        """Replaces the obstacles that were put before."""
+    def put(self, obstacles: Sequence[Obstacle], time: float = 0.0) -> None:
+        """Replaces the obstacles that were put before.
+
+        Args:
+            obstacles: what to put.
+            time: those that move are put where they are then [s].
+        """
         graph = self._station.scene_graph
         for known in self._obstacles:
             graph.RemoveGeometry(self._graph_context, self._source, known)
         self._obstacles = {}
         for obstacle in obstacles:
+            X_WO = pose_at(obstacle, time)
             for row, shape in enumerate(obstacle.shapes):
                 instance = GeometryInstance(
-                    pose(obstacle) @ pose(shape), shape_geometry(shape), f"{obstacle.name}_{row}"
+                    X_WO @ pose(shape), shape_geometry(shape), f"{obstacle.name}_{row}"
                 )
                 properties = ProximityProperties()
                 AddContactMaterial(properties=properties)
@@ -96,11 +110,12 @@ class PandaCell:
                 )
                 self._obstacles[added] = obstacle.name
 
-    def tool_down(self, p_WE: FloatArray) -> FloatArray:
+    def tool_down(self, p_WE: FloatArray, q_seed: FloatArray | None = None) -> FloatArray:
         """(nq,) positions with the tool at a point, as a run starts there.
 
         Args:
             p_WE: (3,) the tool point in the world [m].
+            q_seed: (nq,) positions to stay near; None: those of the robot's seed.
 
         Raises:
             ValueError: if it is out of reach.
@@ -109,10 +124,12 @@ class PandaCell:
             self._robot_plant.plant,
             TOOL_FRAME,
             RigidTransform(self._R_WE, np.asarray(p_WE)),
-            self._seed,
+            self._seed if q_seed is None else q_seed,
         )
 
-    def straight_motion(self, start: FloatArray, goal: FloatArray) -> FloatArray | None:
+    def straight_motion(
+        self, start: FloatArray, goal: FloatArray, swing: float = 0.0
+    ) -> FloatArray | None:
         """The joints along the straight minimum-jerk motion of the tool.
 
         The Cartesian controller's motion without its dynamics: damped steps onto the path,
@@ -121,6 +138,8 @@ class PandaCell:
         Args:
             start: (3,) where the tool point starts, in the world [m].
             goal: (3,) where it ends [m].
+            swing: how far the arm goes along its null space on the way, and back [rad], in
+                place of its posture: the elbow swings to a side, the tool does not.
 
         Returns:
             (T, nq) positions; None where the arm cannot follow within its joint limits.
@@ -134,9 +153,17 @@ class PandaCell:
         upper = plant.GetPositionUpperLimits()[self._arm] - _LIMIT_MARGIN
         path, _ = minimum_jerk(start, goal, duration=self._duration, samples=_STEPS + 1)
         q = posture.copy()
+        share = np.sin(np.pi * np.linspace(0.0, 1.0, len(path))) ** 2
+        turn = np.diff(share, prepend=0.0)
+        aside = np.eye(len(self._robot.q_seed))[0]
         motion = np.empty((len(path), len(q)))
         for row, p_WE in enumerate(path):
-            q = self._follow(q, p_WE, posture)
+            if swing:
+                aside = self._null_direction(q, aside)
+                back = swing * turn[row] * aside
+            else:
+                back = _POSTURE_RATE * (posture - q)[self._arm]
+            q = self._follow(q, p_WE, back)
             error = self._pose_error(q, p_WE)
             joints = q[self._arm]
             if np.abs(error).max() > _ON_PATH or (joints < lower).any() or (joints > upper).any():
@@ -154,22 +181,36 @@ class PandaCell:
             [rotation_vector(np.ascontiguousarray(R_error)), p_WE - X_WE.translation()]
         )
 
-    def _follow(self, q: FloatArray, p_WE: FloatArray, posture: FloatArray) -> FloatArray:
+    def _jacobian(self) -> FloatArray:
+        """(6, n) of the tool by the arm's joints, at the positions set last."""
         plant, world = self._station.plant, self._station.plant.world_frame()
+        J = plant.CalcJacobianSpatialVelocity(
+            self._plant_context,
+            JacobianWrtVariable.kQDot,
+            self._tool_frame,
+            np.zeros(3),
+            world,
+            world,
+        )
+        return np.asarray(J[:, self._arm])
+
+    def _null_direction(self, q: FloatArray, like: FloatArray) -> FloatArray:
+        """(n,) unit velocity of the arm that leaves the tool where it is.
+
+        Of both that which has more of `like`, (n,).
+        """
+        self._station.plant.SetPositions(self._plant_context, self._station.robot, q)
+        direction = np.linalg.svd(self._jacobian())[2][-1]
+        return np.asarray(direction if direction @ like >= 0.0 else -direction)
+
+    def _follow(self, q: FloatArray, p_WE: FloatArray, back: FloatArray) -> FloatArray:
+        """Two steps onto the path; the first goes `back` (n,) in the null space besides."""
         q = q.copy()
-        for rate in (_POSTURE_RATE, 0.0):
+        for aside in (back, np.zeros_like(back)):
             error = self._pose_error(q, p_WE)
-            J = plant.CalcJacobianSpatialVelocity(
-                self._plant_context,
-                JacobianWrtVariable.kQDot,
-                self._tool_frame,
-                np.zeros(3),
-                world,
-                world,
-            )[:, self._arm]
+            J = self._jacobian()
             inverse = np.linalg.pinv(J, rcond=1e-4)
-            back = rate * (posture - q)[self._arm]
-            q[self._arm] += inverse @ error + back - inverse @ (J @ back)
+            q[self._arm] += inverse @ error + aside - inverse @ (J @ aside)
         return q
 
     def _query(self, q: FloatArray) -> QueryObject:
@@ -201,3 +242,77 @@ class PandaCell:
             ),
             default=np.inf,
         )
+
+    def nearby(self, q: FloatArray, limit: float) -> list[tuple[str, str, float]]:
+        """(link, thing, distance [m]) of what was put and is nearer than `limit` [m].
+
+        At (nq,) positions q; inside, the distance is negative. One for each pair of shapes.
+        """
+        return [
+            (self._links[link], self._obstacles[thing], distance)
+            for link, thing, distance in self._near_pairs(q, limit)
+            if link in self._links and thing in self._obstacles
+        ]
+
+    def is_free(self, q: FloatArray, clearance: float) -> bool:
+        """Whether the robot at (nq,) positions q keeps off everything.
+
+        That is `clearance` [m] to what was put, its joint limits, and no contact with the
+        table or of its own links.
+        """
+        joints = q[self._arm]
+        lower, upper = self.arm_limits
+        if (joints < lower).any() or (joints > upper).any():
+            return False
+        for link, thing, distance in self._near_pairs(q, clearance):
+            put = link in self._obstacles or thing in self._obstacles
+            if distance < (clearance if put else 0.0):
+                return False
+        return True
+
+    def _near_pairs(
+        self, q: FloatArray, limit: float
+    ) -> list[tuple[GeometryId, GeometryId, float]]:
+        """Pairs of which at least one is the robot's, that first."""
+        found = []
+        query = self._query(q)
+        for pair in query.ComputeSignedDistancePairwiseClosestPoints(limit):
+            a, b = pair.id_A, pair.id_B
+            if a in self._links or b in self._links:
+                found.append((*((a, b) if a in self._links else (b, a)), float(pair.distance)))
+        return found
+
+    def shape_centers(self, q: FloatArray, links: Collection[str] | None = None) -> FloatArray:
+        """(K, 3) centres of the shapes of some links, or of all, in the world [m].
+
+        At (nq,) positions q.
+        """
+        query = self._query(q)
+        return np.array(
+            [
+                query.GetPoseInWorld(geometry).translation()
+                for geometry, link in self._links.items()
+                if links is None or link in links
+            ]
+        )
+
+    def tool_point(self, q: FloatArray) -> FloatArray:
+        """(3,) p_WE at (nq,) positions q [m]."""
+        self._station.plant.SetPositions(self._plant_context, self._station.robot, q)
+        return np.asarray(self._tool_frame.CalcPoseInWorld(self._plant_context).translation())
+
+    @property
+    def num_positions(self) -> int:
+        """Of the robot."""
+        return len(self._seed)
+
+    @property
+    def arm_limits(self) -> tuple[FloatArray, FloatArray]:
+        """(n,) lowest and (n,) highest positions of the arm [rad]."""
+        plant = self._robot_plant.plant
+        return plant.GetPositionLowerLimits()[self._arm], plant.GetPositionUpperLimits()[self._arm]
+
+    @property
+    def arm_speeds(self) -> FloatArray:
+        """(n,) greatest speeds of the arm's joints [rad/s]."""
+        return np.asarray(self._robot_plant.plant.GetVelocityUpperLimits()[self._arm])

@@ -1,10 +1,11 @@
-"""`drake-oa evaluate panda`: methods on random table-top scenes of the whole robot."""
+"""`drake-oa evaluate panda`: methods on random scenes of the whole robot."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,8 +23,14 @@ RESULTS = Path("drake_oa_runs") / "evaluate-panda"
 """Where results go that nobody named, relative to the current folder."""
 
 EPILOG = """\
-panda: random table-top scenes of 1 to 6 things (boxes, cylinders, spheres, piles) in which
-the planned motion of 0.5 to 1.0 m would touch one. Its methods (all by default):
+panda: random scenes of kinds (--suite) in which the planned motion of 0.5 to 1.0 m would touch
+something:
+  tabletop             1 to 6 things on the table: boxes, cylinders, spheres, piles (default)
+  moving               1 or 2 things cross the way at 0.1 to 0.4 m/s, up to 2 more stand there
+  elbow                the hand's way is free by 5 cm and the elbow's is not: posts, boards
+                       in the air, boxes on stands
+  clutter6             six things on the table, three or more within 25 cm of the way
+Its methods (all by default; of tabletop all but planner):
   preplanned           the planned motion, blind to obstacles
   paper                the paper's regulation, which nothing checks, without a supervisor
   verified             proposals checked by roll-outs
@@ -31,10 +38,14 @@ the planned motion of 0.5 to 1.0 m would touch one. Its methods (all by default)
                        the same planned motion; it knows the obstacles exactly, and its tool
                        keeps the asked clearance as far as start and goal have it
   differential_ik_near the same, asked for 3 cm
+  planner              a sampling-based planner that knows the obstacles exactly: RRT-Connect of
+                       the package ompl (pip install 'drake_oa[peers]'), the whole robot 25 mm
+                       from everything; it is not simulated, and success means solved
 Its table:
   contacts             scenes in which a link, the hand or a finger touched an obstacle or the
                        table, by SceneGraph
   success              no contact, and the tool ends within 5 mm of the goal
+  of solved            success in the scenes that planner solves, where it is among the methods
   stopped              the others: ended short of the goal without a contact, and why
   clearance            least over all scenes, of hand and fingers (tool) and of any link
   goal error           largest of the scenes that were not stopped
@@ -45,6 +56,7 @@ A Dask cluster's workers need this package, and are best started with --nthreads
 """
 
 _ONLY = {
+    "kinds": "--suite",
     "perception": "--perception",
     "jobs": "--jobs",
     "scheduler": "--scheduler",
@@ -59,6 +71,13 @@ _ONLY = {
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Adds the options of the suite `panda` to `drake-oa evaluate`."""
     group = parser.add_argument_group("only with panda")
+    group.add_argument(
+        "--suite",
+        action="append",
+        metavar="KIND",
+        dest="kinds",
+        help="of the scenes, see below; may be repeated, or name several with commas",
+    )
     group.add_argument(
         "--perception", metavar="P", help="depth (the camera, default) or truth (SceneGraph)"
     )
@@ -111,43 +130,66 @@ def run(options: argparse.Namespace) -> int:
         raise ValueError(f"--jobs must be at least 1, not {options.jobs}")
 
     from drake_oa.experiments.panda_evaluation import evaluate_panda
-    from drake_oa.experiments.panda_tables import panda_figures, panda_table
+    from drake_oa.experiments.panda_tables import kinds_figures, panda_figures, panda_tables
     from drake_oa.provenance import software_versions
 
-    suite = _suite(options)
+    suites = _suites(options)
     check_outputs(options.json)
-    keeping = _keeping(options, suite)
+    keeping = _keeping(options, suites)
     jobs = 1 if options.scheduler is not None else options.jobs or _cores()
-    with progress_bar(suite.scenes * (1 + len(suite.methods))) as on_progress:
-        results = evaluate_panda(
-            suite, jobs=jobs, scheduler=options.scheduler, keeping=keeping, on_progress=on_progress
-        )
+    results = []
+    with progress_bar(sum(suite.scenes * (1 + len(suite.methods)) for suite in suites)) as progress:
+        for suite in suites:
+            results.append(
+                evaluate_panda(
+                    suite,
+                    jobs=jobs,
+                    scheduler=options.scheduler,
+                    keeping=keeping,
+                    on_progress=progress,
+                )
+            )
+            if results[-1].interrupted:
+                break
     shared = None if options.scheduler is not None else jobs
-    figures = panda_figures(results, software_versions(), shared)
+    versions = software_versions()
+    figures = [panda_figures(found, versions, shared) for found in results]
     if options.json is not None:
-        replace_text(options.json, json.dumps(figures, indent=2, allow_nan=False) + "\n")
+        text = json.dumps(kinds_figures(figures), indent=2, allow_nan=False)
+        replace_text(options.json, text + "\n")
     if options.write_scenes is not None:
-        _write_scenes(options.write_scenes, results)
+        for found in results:
+            _write_scenes(options.write_scenes, found)
     print(_heading(results))
-    print(panda_table(figures))
+    print(panda_tables(figures))
     return _status(results, keeping)
 
 
-def _suite(options: argparse.Namespace) -> PandaSuite:
+def _suites(options: argparse.Namespace) -> list[PandaSuite]:
+    """One for each kind of scenes that is asked for."""
     from drake_oa.experiments.panda_evaluation import PandaSuite
-    from drake_oa.experiments.panda_run import DEFAULT_METHODS
+    from drake_oa.experiments.panda_run import PLANNER, default_methods
 
-    methods = tuple(dict.fromkeys(options.methods or DEFAULT_METHODS))
-    return PandaSuite(
-        scenes=DEFAULT_SCENES if options.scenes is None else options.scenes,
-        seed=options.seed,
-        methods=methods,
-        perception=options.perception or "depth",
-        duration=options.duration,
-    )
+    named = ",".join(options.kinds or ["tabletop"]).split(",")
+    suites = [
+        PandaSuite(
+            scenes=DEFAULT_SCENES if options.scenes is None else options.scenes,
+            seed=options.seed,
+            methods=tuple(dict.fromkeys(options.methods or default_methods(kind))),
+            perception=options.perception or "depth",
+            kind=kind,
+            duration=options.duration,
+        )
+        for kind in dict.fromkeys(kind.strip() for kind in named)
+    ]
+    if any(PLANNER in suite.methods for suite in suites):
+        from drake_oa.experiments.sampling_planner import check_planner
+
+        check_planner()
+    return suites
 
 
-def _keeping(options: argparse.Namespace, suite: PandaSuite) -> Keeping:
+def _keeping(options: argparse.Namespace, suites: Sequence[PandaSuite]) -> Keeping:
     from drake_oa.experiments.panda_evaluation import Keeping
     from drake_oa.experiments.panda_results import ResultFolder
 
@@ -161,7 +203,8 @@ def _keeping(options: argparse.Namespace, suite: PandaSuite) -> Keeping:
         if other is not None:
             # Told apart from a file, and made, before anything is computed.
             ResultFolder(other)
-    shown = frozenset({"verified"} & set(suite.methods) or suite.methods)
+    methods = frozenset(method for suite in suites for method in suite.methods)
+    shown = frozenset({"verified"} & methods or methods)
     return Keeping(ResultFolder(folder), options.logs, options.html_dir, shown)
 
 
@@ -180,18 +223,24 @@ def _write_scenes(folder: Path, results: PandaResults) -> None:
         replace_text(file, scenario_text(seen))
 
 
-def _heading(results: PandaResults) -> str:
-    suite = results.suite
-    taken = f"; {results.resumed} runs were on disk" if results.resumed else ""
-    return f"panda: {suite.scenes} scenes of seed {suite.seed}, {suite.perception}{taken}\n"
+def _heading(results: Sequence[PandaResults]) -> str:
+    suite = results[0].suite
+    resumed = sum(found.resumed for found in results)
+    taken = f"; {resumed} runs were on disk" if resumed else ""
+    kinds = ", ".join(found.suite.kind for found in results)
+    return (
+        f"panda: {suite.scenes} scenes of seed {suite.seed}, {kinds}, {suite.perception}{taken}\n"
+    )
 
 
-def _status(results: PandaResults, keeping: Keeping) -> int:
-    runs: list[dict[str, Any]] = [run for of in results.runs.values() for run in of.values()]
+def _status(results: Sequence[PandaResults], keeping: Keeping) -> int:
+    runs: list[dict[str, Any]] = [
+        run for found in results for of in found.runs.values() for run in of.values()
+    ]
     failed = [run["stop_reason"] for run in runs if run["failed"]]
     if failed:
         complain(f"{len(failed)} of {len(runs)} runs failed; the first: {failed[0]}")
-    if results.interrupted:
+    if any(found.interrupted for found in results):
         where = keeping.folder.path if keeping.folder else "nowhere"
         complain(f"interrupted: {len(runs)} runs are in {where}; the same command resumes")
         return INTERRUPTED

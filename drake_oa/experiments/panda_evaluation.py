@@ -10,7 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from drake_oa.experiments.panda_results import ResultFolder, content_key, source_digest
-from drake_oa.experiments.panda_run import TRUTH_ONLY, check_panda_method, run_and_judge
+from drake_oa.experiments.panda_run import (
+    PLANNER,
+    TRUTH_ONLY,
+    check_panda_method,
+    run_and_judge,
+)
 from drake_oa.experiments.panda_scenes import (
     GENERATOR,
     check_kind,
@@ -106,7 +111,9 @@ class Keeping:
     page_methods: frozenset[str] = frozenset()
 
     def files(self, name: str, method: str) -> list[Path]:
-        """The files that a run is to leave besides its result."""
+        """The files that a run is to leave besides its result; the planner has no run."""
+        if method == PLANNER:
+            return []
         found = [] if self.logs is None else [self.logs / f"{name}.npz"]
         if self.pages is not None and method in self.page_methods:
             found.append(self.pages / f"{name}.html")
@@ -260,7 +267,8 @@ def _compile_kernels(calls: Sequence[tuple[Any, ...]]) -> None:
     """Runs the beginning of a scene by each method, so that the workers need not compile."""
     first: dict[str, tuple[Any, ...]] = {}
     for call in calls:
-        first.setdefault(call[1], call)
+        if call[1] != PLANNER:
+            first.setdefault(call[1], call)
     for text, method, sees, *_ in first.values():
         run_text(text, method, sees, _WARM_UP, False)
 

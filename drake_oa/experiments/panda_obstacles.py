@@ -14,7 +14,7 @@ SMALLEST, LARGEST = 0.04, 0.30
 """Least and largest dimension of a shape [m]; a pile is no higher than the largest."""
 
 _Shape = Box | Cylinder | Sphere
-_COLORS = (
+COLORS = (
     [0.76, 0.53, 0.31, 1.0],
     [0.29, 0.46, 0.66, 1.0],
     [0.75, 0.29, 0.24, 1.0],
@@ -41,7 +41,7 @@ def draw_obstacle(random: np.random.Generator, number: int) -> Obstacle:
         name=f"{kind}{number}",
         shapes=shapes,
         rpy=[0.0, 0.0, float(random.uniform(-math.pi, math.pi))],
-        color=list(_COLORS[number % len(_COLORS)]),
+        color=list(COLORS[number % len(COLORS)]),
     )
 
 
@@ -65,10 +65,10 @@ def _draw_shape(
 def _standing(shape: _Shape, ground: float = 0.0) -> _Shape:
     """The shape lifted so that its lowest point is at height `ground`."""
     x, y, _ = shape.translation
-    return replace(shape, translation=[x, y, ground + _half_height(shape)])
+    return replace(shape, translation=[x, y, ground + half_height(shape)])
 
 
-def _half_height(shape: _Shape) -> float:
+def half_height(shape: _Shape) -> float:
     """Height of the shape's highest point over its centre [m]."""
     z_S = pose(shape).rotation().matrix()[2]
     if isinstance(shape, Box):
@@ -95,7 +95,7 @@ def _draw_pile(random: np.random.Generator) -> list[_Shape]:
             item.rpy = [item.rpy[0], item.rpy[1], float(random.uniform(-math.pi, math.pi))]
             item.translation = [float(v) for v in random.uniform(-0.02, 0.02, 2)] + [0.0]
             shapes.append(_standing(item, top))
-            top += 2.0 * _half_height(item)
+            top += 2.0 * half_height(item)
             width = 0.0 if isinstance(item, Sphere) else 0.8 * width
     return shapes
 
@@ -121,7 +121,7 @@ def _leaning(random: np.random.Generator, bottom: Box, side: int) -> Box:
     # up along it and half its thickness out of it.
     foot = 0.5 * bottom.size[0] + height * math.tan(tilt)
     x = foot - 0.5 * length * math.sin(tilt) + 0.5 * thickness * math.cos(tilt)
-    board.translation = [side * x, 0.0, _half_height(board)]
+    board.translation = [side * x, 0.0, half_height(board)]
     return board
 
 
@@ -146,7 +146,7 @@ def _half_width(shape: _Shape) -> float:
 
 def height(obstacle: Obstacle) -> float:
     """Height of the obstacle's highest point [m]."""
-    return max(s.translation[2] + _half_height(s) for s in obstacle.shapes)
+    return max(s.translation[2] + half_height(s) for s in obstacle.shapes)
 
 
 def middle(obstacle: Obstacle) -> FloatArray:

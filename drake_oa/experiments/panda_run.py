@@ -12,6 +12,8 @@ Methods:
                    for the same clearance, as far as start and goal have it
   differential_ik_near
                    the same asked for 3 cm: most of its motions arrive with that
+  planner          a sampling-based planner that knows the obstacles exactly, to tell which
+                   scenes have a solution at all: see `sampling_planner`
 
 Contacts are judged by SceneGraph at every logged instant (4 ms apart): each link, the hand
 and the fingers against obstacles and table. Links of the robot among themselves are not.
@@ -46,10 +48,20 @@ from drake_oa.simulation import MotionInterruptedError, simulate
 
 GOAL_TOLERANCE = 5e-3
 """Largest distance from the goal at the end of a success [m]."""
-METHODS = ("preplanned", "paper", "verified", "differential_ik", "differential_ik_near")
-DEFAULT_METHODS = METHODS
-TRUTH_ONLY = frozenset({"differential_ik", "differential_ik_near"})
+PLANNER = "planner"
+DEFAULT_METHODS = ("preplanned", "paper", "verified", "differential_ik", "differential_ik_near")
+METHODS = (*DEFAULT_METHODS, PLANNER)
+TRUTH_ONLY = frozenset({"differential_ik", "differential_ik_near", PLANNER})
 """Methods that know the obstacles exactly, whatever the perception."""
+
+
+def default_methods(kind: str) -> tuple[str, ...]:
+    """The methods of a kind of scenes where none are named.
+
+    The table-top scenes are left as they were: without the planner.
+    """
+    return DEFAULT_METHODS if kind == "tabletop" else METHODS
+
 
 _NUMBER = re.compile(r"[-+]?\b\d+(?:\.\d+)?(?:e[-+]?\d+)?\b")
 
@@ -114,7 +126,7 @@ def run_panda_scene(
         `motion_report`: `contacts` ("link - thing"), `tool_clearance_min`,
         `robot_clearance_min` (None without obstacles), `goal_error`, `duration`,
         `path_length`, `torque_saturation`, `stop_reason`, `events`; besides `wall_time` [s]
-        and `real_time_factor` of the simulation.
+        and `real_time_factor` of the simulation. Of `planner` see `run_planner`.
     """
     return run_and_judge(scenario, method, perception, duration=duration).result
 
@@ -124,6 +136,8 @@ def run_and_judge(
 ) -> PandaRun:
     """`run_panda_scene`, and the log."""
     scenario = with_method(with_perception(scenario, perception), method)
+    if method == PLANNER:
+        return PandaRun(_plan(scenario), None)
     log: MotionLog | None = None
     failed = False
     try:
@@ -151,6 +165,19 @@ def _simulate(scenario: Scenario, method: str, duration: float | None) -> Motion
     return simulate(scenario, modulated=method != "preplanned", duration=duration)
 
 
+def _plan(scenario: Scenario) -> dict[str, Any]:
+    from drake_oa.experiments.panda_planner import run_planner
+
+    try:
+        found = run_planner(scenario)
+    except Exception as error:
+        _logger.info("the planner failed", exc_info=True)
+        return _not_run(scenario, error)
+    outcome = _outcome(found, failed=False)
+    reason = "" if outcome == "success" else plain_reason(found["stop_reason"])
+    return {"outcome": outcome, "reason": reason, "failed": False, **found}
+
+
 def _feasible_clearance(scenario: Scenario) -> float:
     """min(Delta, tool clearance at the start, at the goal), as SceneGraph knows it [m]."""
     cell = PandaCell(scenario)
@@ -173,12 +200,7 @@ def _judge(scenario: Scenario, log: MotionLog, failed: bool) -> dict[str, Any]:
         "events",
     )
     found = {key: report[key] for key in kept}
-    if found["contacts"]:
-        outcome = "contact"
-    elif found["goal_error"] <= GOAL_TOLERANCE and not failed:
-        outcome = "success"
-    else:
-        outcome = "stopped"
+    outcome = _outcome(found, failed)
     return {
         "outcome": outcome,
         "reason": "" if outcome == "success" else plain_reason(log.stop_reason),
@@ -187,6 +209,12 @@ def _judge(scenario: Scenario, log: MotionLog, failed: bool) -> dict[str, Any]:
         "wall_time": log.wall_time,
         "real_time_factor": log.duration / log.wall_time if log.wall_time > 0.0 else None,
     }
+
+
+def _outcome(found: dict[str, Any], failed: bool) -> str:
+    if found["contacts"]:
+        return "contact"
+    return "success" if found["goal_error"] <= GOAL_TOLERANCE and not failed else "stopped"
 
 
 def _not_run(scenario: Scenario, error: Exception) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from drake_oa.experiments.panda_evaluation import PandaResults
+from drake_oa.experiments.panda_run import PLANNER
 from drake_oa.experiments.tables import text_table
 
 _COLUMNS = (
@@ -17,6 +18,7 @@ _COLUMNS = (
     ("success", "success", "{:d}", 1.0),
     ("stopped", "stopped", "{:d}", 1.0),
     ("success_rate", "success [%]", "{:.1f}", 1e2),
+    ("success_rate_solved", "of solved [%]", "{:.1f}", 1e2),
     ("tool_clearance_min", "tool clearance [m]", "{:.3f}", 1.0),
     ("tool_clearance_median", "median", "{:.3f}", 1.0),
     ("robot_clearance_min", "robot clearance [m]", "{:.3f}", 1.0),
@@ -29,7 +31,12 @@ _COLUMNS = (
 def panda_figures(
     results: PandaResults, versions: Sequence[str], jobs: int | None = 1
 ) -> dict[str, Any]:
-    """{"suite", "seed", "kind", "perception", "jobs", "versions", "methods": {name: figures}}.
+    """{"suite", "seed", "kind", "perception", "jobs", "versions", "solved", "methods"}.
+
+    `methods` is {name: figures}.
+
+    `solved` is how many scenes the planner solves, None where it has not run on all; the
+    methods' `success_rate_solved` is their share of successes in those.
 
     Args:
         results: of the runs.
@@ -38,6 +45,7 @@ def panda_figures(
             cluster's.
     """
     suite = results.suite
+    solved = _solved(results)
     return {
         "suite": "panda",
         "seed": suite.seed,
@@ -46,9 +54,11 @@ def panda_figures(
         "duration": suite.duration,
         "jobs": jobs,
         "versions": dict(item.split(" ", 1) for item in versions),
+        "solved": None if solved is None else len(solved),
         "methods": {
             name: {
                 **run_figures(list(runs.values())),
+                "success_rate_solved": _share_of_solved(runs, solved),
                 "perception": suite.perception_of(name),
                 "complete": results.complete(name),
                 "runs": [{"scene": scene, **run} for scene, run in runs.items()],
@@ -56,6 +66,29 @@ def panda_figures(
             for name, runs in results.runs.items()
         },
     }
+
+
+def kinds_figures(figures: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """The figures of one kind of scenes as they are, of several {"suite", "kinds": {...}}."""
+    if len(figures) == 1:
+        return figures[0]
+    return {"suite": "panda", "kinds": {of["kind"]: of for of in figures}}
+
+
+def _solved(results: PandaResults) -> frozenset[int] | None:
+    """The scenes that the planner has solved; None: it has not run on all of them."""
+    if not results.complete(PLANNER):
+        return None
+    runs = results.runs[PLANNER]
+    return frozenset(scene for scene, run in runs.items() if run["outcome"] == "success")
+
+
+def _share_of_solved(
+    runs: Mapping[int, Mapping[str, Any]], solved: frozenset[int] | None
+) -> float | None:
+    """Share of successes in those of the solved scenes that a method has run on."""
+    counted = [run["outcome"] for scene, run in runs.items() if scene in (solved or ())]
+    return counted.count("success") / len(counted) if counted else None
 
 
 def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -110,20 +143,30 @@ def _median(values: Iterable[float | None]) -> float | None:
     return float(np.median(known)) if known else None
 
 
-def panda_table(figures: Mapping[str, Any]) -> str:
-    """The figures as a text table, and below it why runs were stopped and what was touched.
+def panda_tables(figures: Sequence[Mapping[str, Any]]) -> str:
+    """The figures of one or several kinds of scenes as one text table.
+
+    Below it: why runs were stopped and what was touched.
 
     Args:
-        figures: as `panda_figures` gives them.
+        figures: as `panda_figures` gives them, of each kind.
     """
-    methods = figures["methods"]
-    rows = [(f"{name}, {method['perception']}", method) for name, method in methods.items()]
-    lines = [text_table("method", rows, _COLUMNS)]
-    for name, method in methods.items():
-        for key, what in (("stop_reasons", "stopped"), ("contact_pairs", "contact")):
-            for reason, count in method[key].items():
-                lines.append(f"{name}: {what}, {count} scene{'s' * (count != 1)}: {reason}")
-    if figures["jobs"] != 1:
-        shared = "on a cluster" if figures["jobs"] is None else f"with {figures['jobs']} at once"
+    several = len(figures) > 1
+    rows, lines = [], []
+    for of in figures:
+        for name, method in of["methods"].items():
+            title = f"{of['kind']}: {name}" if several else name
+            rows.append((f"{title}, {method['perception']}", method))
+            for key, what in (("stop_reasons", "stopped"), ("contact_pairs", "contact")):
+                for reason, count in method[key].items():
+                    lines.append(f"{title}: {what}, {count} scene{'s' * (count != 1)}: {reason}")
+    jobs = figures[0]["jobs"]
+    if jobs != 1:
+        shared = "on a cluster" if jobs is None else f"with {jobs} at once"
         lines.append(f"real-time factors: of runs {shared}; lower than that of one alone")
-    return "\n".join(lines)
+    return "\n".join([text_table("method", rows, _COLUMNS), *lines])
+
+
+def panda_table(figures: Mapping[str, Any]) -> str:
+    """`panda_tables` of one kind of scenes."""
+    return panda_tables([figures])

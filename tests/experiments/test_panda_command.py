@@ -1,6 +1,7 @@
 """`drake-oa evaluate panda` on the command line."""
 
 import json
+import sys
 
 import pytest
 
@@ -14,7 +15,16 @@ def test_help_lists_the_suite(capsys):
     with pytest.raises(SystemExit):
         main(["evaluate", "--help"])
     text = capsys.readouterr().out
-    for word in ("panda", "--perception", "--jobs", "--scheduler", "differential_ik"):
+    for word in (
+        "panda",
+        "--suite",
+        "clutter6",
+        "planner",
+        "--perception",
+        "--jobs",
+        "--scheduler",
+        "differential_ik",
+    ):
         assert word in text
 
 
@@ -28,6 +38,9 @@ def test_help_lists_the_suite(capsys):
         (["panda", "--plot", "f.png"], "panda takes no --plot"),
         (["panda", "--method", "original"], "unknown method 'original'; panda has: preplanned"),
         (["panda", "--perception", "sonar"], "must be one of depth, truth"),
+        (["hit", "--suite", "elbow"], "--suite goes with the suite panda, not with hit"),
+        (["panda", "--suite", "elbow,maze"], "unknown kind of scenes 'maze': it must be one of"),
+        (["panda", "--suite", ""], "unknown kind of scenes ''"),
         (["panda", "--jobs", "0"], "--jobs must be at least 1"),
         (["panda", "--jobs", "2", "--scheduler", "tcp://x:1"], "exclude each other"),
         (["panda", "--scenes", "0"], "--scenes must be at least 1"),
@@ -58,3 +71,24 @@ def test_scenes_figures_and_pages_are_written_and_resumed(tmp_path, capsys):
     assert len(list((tmp_path / "p.scenes").glob("*.json"))) == 2
     assert main(command) == 0
     assert "1 runs were on disk" in capsys.readouterr().out
+
+
+def test_several_kinds_share_a_table(tmp_path, capsys):
+    file = tmp_path / "p.json"
+    command = [*_SHORT, "--method", "preplanned", "--suite", "tabletop,clutter6"]
+    assert main([*command, "--suite", "tabletop", "--json", str(file)]) == 0
+    out = capsys.readouterr().out
+    assert "tabletop: preplanned, truth" in out
+    assert "clutter6: preplanned, truth" in out
+    figures = json.loads(file.read_text())
+    assert list(figures["kinds"]) == ["tabletop", "clutter6"]
+    assert all(of["methods"]["preplanned"]["scenes"] == 1 for of in figures["kinds"].values())
+
+
+def test_without_ompl_the_error_says_what_to_install(monkeypatch, capsys, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    for name in ("ompl", "ompl.base"):
+        monkeypatch.setitem(sys.modules, name, None)
+    assert main(["evaluate", "panda", "--suite", "moving"]) == 2
+    assert "pip install 'drake_oa[peers]'" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

@@ -8,6 +8,7 @@ import pytest
 
 from drake_oa.experiments.panda_evaluation import (
     Keeping,
+    PandaResults,
     PandaSuite,
     evaluate_panda,
     run_name,
@@ -113,9 +114,34 @@ def test_an_interrupt_keeps_what_is_done(kept, tmp_path):
     assert "-" in panda_table(figures)
 
 
+def test_success_is_told_as_a_share_of_what_the_planner_solves():
+    suite = PandaSuite(scenes=3, seed=0, methods=("verified", "planner"), perception="truth")
+    results = PandaResults(
+        suite,
+        runs={
+            "verified": {
+                0: _run("success"),
+                1: _run("stopped", "held"),
+                2: _run("stopped", "held"),
+            },
+            "planner": {0: _run("success"), 1: _run("success"), 2: _run("stopped", "no path")},
+        },
+    )
+    figures = panda_figures(results, ["drake 1"])
+    assert figures["solved"] == 2
+    assert figures["methods"]["verified"]["success_rate_solved"] == 0.5
+    assert figures["methods"]["planner"]["success_rate_solved"] == 1.0
+    assert "of solved [%]" in panda_table(figures)
+    del results.runs["planner"][2]
+    figures = panda_figures(results, ["drake 1"])
+    assert figures["solved"] is None
+    assert figures["methods"]["verified"]["success_rate_solved"] is None
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
+        ({"kind": "maze"}, "unknown kind of scenes 'maze'"),
         ({"scenes": 0}, "--scenes must be at least 1"),
         ({"seed": -1}, "--seed must be 0 or more"),
         ({"duration": 0.0}, "--duration must be positive"),

@@ -121,3 +121,23 @@ def test_systems_have_names() -> None:
     diagram = build_differential_ik(scenario, q_start, PeerParameters())
     for name in ("plant", "dmp_integrator", "tool_pose", "differential_ik", "controller"):
         assert diagram.HasSubsystemNamed(name)
+
+
+def test_knows_where_a_moving_obstacle_is() -> None:
+    ball = (
+        "{name: ball, shapes: [!Sphere {radius: 0.05}], translation: [0.62, 0.3, 0.3], "
+        "waypoints: [[0.0, 0.0, 0.0, 0.0], [0.5, 0.0, -0.3, 0.0]]}"
+    )
+    scenario = scene(
+        "task.duration=2.0",
+        "task.start=[0.45,-0.2,0.3]",
+        "task.goal=[0.45,0.2,0.3]",
+        f"obstacles=[{ball}]",
+    )
+    log = simulate_differential_ik(scenario)
+    metrics = robot_metrics(scenario, log.q[::10], log.q_world[::10])
+    assert log.q_world.shape[1] == 12
+    np.testing.assert_allclose(log.q_world[-1, 9:], [0.0, -0.3, 0.0], atol=1e-3)
+    assert metrics.contacts == ()
+    assert np.linalg.norm(log.p_WE - log.desired_position, axis=1).max() > 0.01
+    assert log.stop_reason == "goal"

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from drake_oa.experiments import panda_scenes
+from drake_oa.experiments import panda_scene_parts, panda_tabletop_scenes
 from drake_oa.experiments.panda_obstacles import footprint_radius
 from drake_oa.experiments.panda_scenes import draw_panda_scene
 from drake_oa.metrics import robot_metrics
@@ -43,10 +43,12 @@ def test_the_ends_are_free_and_the_planned_motion_is_not_clear(scenes, place):
     assert 0.5 <= math.dist(task.start, task.goal) <= 1.0
     assert 1 <= len(scenario.obstacles) <= 6
     # Judged by the metrics of a run, in a world of their own.
-    motion = panda_scenes._cell().straight_motion(np.array(task.start), np.array(task.goal))
+    motion = panda_scene_parts.scene_cell().straight_motion(
+        np.array(task.start), np.array(task.goal)
+    )
     metrics = robot_metrics(scenario, motion)
     np.testing.assert_allclose(metrics.p_WE[[0, -1]], [task.start, task.goal], atol=1e-3)
-    assert metrics.robot_clearance[[0, -1]].min() >= panda_scenes.FREE - 1e-6
+    assert metrics.robot_clearance[[0, -1]].min() >= panda_scene_parts.FREE - 1e-6
     assert metrics.robot_clearance.min() < -1e-3
     assert metrics.contacts
     assert all("obstacle" in contact for contact in metrics.contacts)
@@ -65,14 +67,14 @@ def test_obstacles_stand_apart_and_in_view(scenes, place):
 
 
 def test_what_the_camera_looks_at_is_in_view_and_what_is_behind_it_is_not():
-    assert panda_scenes._in_view(np.array([0.45, 0.0, 0.2]))
-    assert not panda_scenes._in_view(np.array([2.0, 0.5, 0.5]))
-    assert not panda_scenes._in_view(np.array([-1.0, -1.5, 0.0]))
+    assert panda_scene_parts.in_view(np.array([0.45, 0.0, 0.2]))
+    assert not panda_scene_parts.in_view(np.array([2.0, 0.5, 0.5]))
+    assert not panda_scene_parts.in_view(np.array([-1.0, -1.5, 0.0]))
 
 
 def test_distance_to_a_triangle():
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    distance = panda_scenes._distance_to_triangle
+    distance = panda_tabletop_scenes._distance_to_triangle
     assert distance(np.array([0.2, 0.2]), corners) == 0.0
     assert distance(np.array([0.2, 0.2]), corners[::-1]) == 0.0
     assert distance(np.array([-0.3, 0.5]), corners) == pytest.approx(0.3)

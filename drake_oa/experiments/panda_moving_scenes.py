@@ -1,0 +1,221 @@
+"""Random scenes in which things cross the way while the robot moves.
+
+One or two boxes, spheres and cylinders of 5 to 15 cm move at 0.1 to 0.4 m/s, each along a
+straight, level course, on the table or in the air; they rest before and after. None to two
+things besides stand on the table. They are drawn again until
+
+- the first meets the pre-planned motion in time: some link of the robot, followed along the
+  straight line as it is planned, goes at least 5 mm into it while it moves;
+- where they rest at first, and for the first second, they leave the robot's start free (5 cm
+  of the whole robot), and where they rest at last, the robot's goal;
+- no course comes nearer than 2 cm to another thing at any time (spheres round the shapes), to
+  the robot's base, or leaves the camera's view.
+
+Nothing else is asked: a thing may pass where the robot would stand and wait.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from drake_oa.experiments.panda_cell import pose_at
+from drake_oa.experiments.panda_obstacles import COLORS, half_height
+from drake_oa.experiments.panda_scene_parts import (
+    BASE_RADIUS,
+    FREE,
+    GAP,
+    TOUCH,
+    Drawn,
+    base_scenario,
+    draw_ends,
+    draw_obstacles,
+    in_view,
+    scene_cell,
+)
+from drake_oa.obstacles import Box, Cylinder, Obstacle, Sphere, bounding_radius
+from drake_oa.values import FloatArray
+
+SMALLEST, LARGEST = 0.05, 0.15
+"""Least and largest dimension of a thing that moves [m]."""
+SLOWEST, FASTEST = 0.1, 0.4
+"""[m/s]."""
+MOST_MOVING, MOST_RESTING = 2, 2
+QUIET = 1.0
+"""So long nothing touches the robot where it stands at the start [s]."""
+
+_MET = (0.25, 0.75)
+"""When the robot is met, as a share of the planned duration."""
+_BEFORE, _AFTER = (0.5, 2.5), (0.5, 2.5)
+"""How long a thing moves before and after it meets the robot [s]."""
+_ASIDE = 0.05
+"""How far the middle of its course is from that of a link then, along each axis [m]."""
+_OFF_TABLE = 2e-3
+"""How high a thing slides over the table [m]: it does not rub."""
+_HIGHEST = 0.6
+"""Of the middle of anything [m]."""
+_HIT_LINKS = ("panda_link5", "panda_link6", "panda_link7", "panda_hand")
+"""Links of which one is met: those that reach out."""
+_SETS = 12
+"""Sets of things tried for the same motion."""
+_SAMPLE = 0.05
+"""Between the instants at which courses are looked at [s]."""
+_MOST_MOTIONS = 1000
+
+
+def draw_moving(random: np.random.Generator) -> Drawn:
+    """A scene with one or two moving things.
+
+    Raises:
+        RuntimeError: if none was found for `_MOST_MOTIONS` motions.
+    """
+    moving = int(random.integers(1, MOST_MOVING + 1))
+    resting = int(random.integers(MOST_RESTING + 1))
+    for _ in range(_MOST_MOTIONS):
+        ends = draw_ends(random)
+        motion = None if ends is None else scene_cell().straight_motion(*ends)
+        if ends is None or motion is None:
+            continue
+        for _ in range(_SETS):
+            obstacles = _draw_set(random, motion, moving, resting)
+            if obstacles is not None and _is_scene(motion, ends[1], obstacles):
+                return obstacles, *ends
+    raise RuntimeError(
+        f"no scene of {moving} moving and {resting} resting things found for "
+        f"{_MOST_MOTIONS} motions"
+    )
+
+
+def _draw_set(
+    random: np.random.Generator, motion: FloatArray, moving: int, resting: int
+) -> list[Obstacle] | None:
+    """Things that keep off each other, or None where there is no room for all."""
+    crossing = [_draw_crossing(random, motion, number) for number in range(moving)]
+    if not all(map(_course_fits, crossing)):
+        return None
+    standing = draw_obstacles(random, resting) if resting else []
+    if standing is None:
+        return None
+    for number, obstacle in enumerate(standing, start=moving):
+        obstacle.name = f"{obstacle.name.rstrip('0123456789')}{number}"
+        obstacle.color = list(COLORS[number % len(COLORS)])
+    things = [*crossing, *standing]
+    apart = all(
+        _gap(one, other) >= GAP for row, one in enumerate(crossing) for other in things[row + 1 :]
+    )
+    return things if apart else None
+
+
+def _draw_crossing(random: np.random.Generator, motion: FloatArray, number: int) -> Obstacle:
+    """A thing whose course passes the middle of a link when the robot is there."""
+    duration = base_scenario().task.duration
+    row = int(random.uniform(*_MET) * len(motion))
+    met = row * duration / (len(motion) - 1)
+    points = scene_cell().shape_centers(motion[row], _HIT_LINKS)
+    point = points[random.integers(len(points))] + random.uniform(-_ASIDE, _ASIDE, 3)
+    shape = _draw_shape(random)
+    lowest = half_height(shape) + _OFF_TABLE
+    # Near the table it slides on it.
+    z = float(point[2]) if point[2] > lowest + _ASIDE else lowest
+    speed, heading = random.uniform(SLOWEST, FASTEST), random.uniform(-math.pi, math.pi)
+    velocity = speed * np.array([math.cos(heading), math.sin(heading)])
+    begins = max(met - float(random.uniform(*_BEFORE)), 0.0)
+    ends = met + float(random.uniform(*_AFTER))
+    begins, ends = round(begins, 2), round(ends, 2)
+    x, y = point[:2] - velocity * (met - begins)
+    way = np.round(velocity * (ends - begins), 4)
+    return Obstacle(
+        name=f"moving{number}",
+        shapes=[shape],
+        translation=[round(float(x), 4), round(float(y), 4), round(z, 4)],
+        rpy=[0.0, 0.0, float(random.uniform(-math.pi, math.pi))],
+        color=list(COLORS[number % len(COLORS)]),
+        waypoints=[[begins, 0.0, 0.0, 0.0], [ends, *map(float, way), 0.0]],
+    )
+
+
+def _draw_shape(random: np.random.Generator) -> Box | Cylinder | Sphere:
+    x, y, z = (float(v) for v in random.uniform(SMALLEST, LARGEST, 3))
+    kind = random.integers(3)
+    if kind == 0:
+        return Box(size=[x, y, z])
+    return Cylinder(radius=0.5 * x, length=z) if kind == 1 else Sphere(radius=0.5 * x)
+
+
+def _ends(obstacle: Obstacle) -> tuple[FloatArray, FloatArray]:
+    """(3,) first and (3,) last place [m]."""
+    first, last = (np.asarray(obstacle.waypoints[row][1:]) for row in (0, -1))
+    return obstacle.translation + first, obstacle.translation + last
+
+
+def _course_fits(obstacle: Obstacle) -> bool:
+    """Whether a thing stays in view, off the base and low enough."""
+    line = np.linspace(*_ends(obstacle), 11)
+    radius = bounding_radius(obstacle.shapes[0])
+    return (
+        bool((line[:, 2] <= _HIGHEST).all())
+        and bool((np.hypot(line[:, 0], line[:, 1]) >= radius + BASE_RADIUS).all())
+        and all(map(in_view, line))
+    )
+
+
+def _gap(one: Obstacle, other: Obstacle) -> float:
+    """Least distance in time of the spheres round the shapes of two things [m]."""
+    end = max(item.waypoints[-1][0] for item in (one, other) if item.waypoints)
+    return min(
+        float(np.linalg.norm(a - b)) - bounding_radius(shape) - bounding_radius(thing)
+        for time in np.arange(0.0, end + _SAMPLE, _SAMPLE)
+        for shape, a in _centers(one, time)
+        for thing, b in _centers(other, time)
+    )
+
+
+def _centers(obstacle: Obstacle, time: float) -> list[tuple[Box | Cylinder | Sphere, FloatArray]]:
+    """The shapes and where they are [m]."""
+    X_WO = pose_at(obstacle, time)
+    return [(shape, X_WO @ np.asarray(shape.translation)) for shape in obstacle.shapes]
+
+
+def _is_scene(motion: FloatArray, goal: FloatArray, obstacles: Sequence[Obstacle]) -> bool:
+    return (
+        _is_met(motion, obstacles)
+        and _touches_no_table(motion)
+        and _start_is_free(motion[0], obstacles)
+        and _goal_is_free(motion[-1], goal, obstacles)
+    )
+
+
+def _is_met(motion: FloatArray, obstacles: Sequence[Obstacle]) -> bool:
+    """Whether the first thing hits the planned motion while it moves."""
+    cell, first = scene_cell(), obstacles[0]
+    begins, ends = first.waypoints[0][0], first.waypoints[-1][0]
+    times = np.linspace(0.0, base_scenario().task.duration, len(motion))
+    for q, time in zip(motion, times, strict=True):
+        if begins <= time <= ends:
+            cell.put([first], time)
+            if any(distance <= -TOUCH for _, _, distance in cell.nearby(q, 0.0)):
+                return True
+    return False
+
+
+def _touches_no_table(motion: FloatArray) -> bool:
+    cell = scene_cell()
+    cell.put([])
+    return not any(cell.contacts(q) for q in motion)
+
+
+def _start_is_free(q: FloatArray, obstacles: Sequence[Obstacle]) -> bool:
+    cell = scene_cell()
+    for time in np.arange(0.0, QUIET + _SAMPLE, _SAMPLE):
+        cell.put(obstacles, float(time))
+        if cell.nearby(q, FREE):
+            return False
+    return True
+
+
+def _goal_is_free(q: FloatArray, goal: FloatArray, obstacles: Sequence[Obstacle]) -> bool:
+    cell = scene_cell()
+    cell.put(obstacles, max(item.waypoints[-1][0] for item in obstacles if item.waypoints))
+    return not any(cell.nearby(positions, FREE) for positions in (q, cell.tool_down(goal)))
