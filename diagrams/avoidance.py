@@ -1,16 +1,32 @@
 """The whole diagram: a robot that sees obstacles and goes round them.
 
-    late_camera -> perception; or, with images of the present, camera -> depth_noise -> perception
-    plant -> perception -> ellipsoid_descriptor -> regressor_chain, dmp_integrator
-    regressor_chain -> dmp_integrator -> integral_action -> controller -> plant
+    late_<camera> -> perception; with images of the present rgbd_sensor_<camera> -> depth_noise
+    -> perception; from ground truth scene_graph -> perception
+    late_<camera> -> robot_at_image -> perception, or plant -> perception (robot_state)
+    perception -> ellipsoid_descriptor -> regressor_chain -> dmp_integrator
+    ellipsoid_descriptor -> dmp_integrator
+    dmp_integrator -> controller -> plant -> controller (robot_state)
+    dmp_integrator, controller -> integral_action -> controller (desired_acceleration)
+    goal -> dmp_integrator, regressor_chain, and ellipsoid_descriptor where it is moved
+    dmp_integrator -> regressor_chain (policy_state)
     perception, plant, controller, dmp_integrator -> supervisor -> dmp_integrator (speed_scale)
     perception, plant, dmp_integrator, regressor_chain -> evasion -> dmp_integrator, supervisor
-    dmp_integrator -> regressor_chain (policy_state)
-    dmp_integrator -> orientation_integrator -> controller, where the orientation changes
+
+With the posture planned, `robot.posture`:
+
+    perception, plant, camera -> regressor_chain
+    regressor_chain, dmp_integrator -> posture_follower -> controller
+
+With `robot.posture.coupling`:
+
+    perception, plant -> null_space_coupling -> controller
+
+Where the tool's orientation changes see `drake_oa.diagrams.orienting`, and where it is turned
+to pass `drake_oa.diagrams.turning`.
 
 With `regulation: !Regressor` the sides are the cost rings', unless it is not `guided`:
 
-    ellipsoid_descriptor, dmp_integrator -> cost_ring_selector
+    ellipsoid_descriptor, dmp_integrator, goal -> cost_ring_selector
     cost_ring_selector -> regressor_chain, dmp_integrator (decision)
 
 With a viewer the cost rings are there in any case:
@@ -19,9 +35,8 @@ With a viewer the cost rings are there in any case:
 
 With faults that touch them:
 
-    depth_noise, plant -> camera_faults -> perception
+    what perception is given of camera and robot -> camera_faults -> perception
     controller -> weak_actuators -> plant
-
     push -> plant
 
 An obstacle that moves, appears or vanishes is driven by mover_<model instance>.
@@ -38,6 +53,7 @@ from pydrake.visualization import ApplyVisualizationConfig, VisualizationConfig
 
 from drake_oa import fault_layers, layers, robot_layers
 from drake_oa.diagrams.orienting import orientation_signals, wire_orientation
+from drake_oa.diagrams.ports import obstacles_port
 from drake_oa.diagrams.turning import speed_scale_port, wire_turn
 from drake_oa.scenario import DepthCamera, GivenEllipsoids, GroundTruth, Regressor, Scenario
 from drake_oa.station import RobotPlant, Station, make_robot_plant, make_station
@@ -59,12 +75,13 @@ def build_avoidance(
     Subsystems by name: plant, scene_graph, camera_world, camera_scene_graph and
     rgbd_sensor_<camera>, or late_<camera> and robot_at_image; depth_noise, perception,
     ellipsoid_descriptor, regressor_chain, goal, dmp_integrator, integral_action, controller,
-    supervisor, evasion, log_<signal>; cost_ring_selector with `regulation: !Regressor` or a
-    viewer, and overlay and taken_route with a viewer; camera_faults, weak_actuators, push and
-    mover_<model instance> where the scenario asks for them. Without a robot there is no plant,
-    camera, descriptor, controller or supervisor.
-    With `modulated=False` there are no obstacles to see, nothing from perception to
-    regressor_chain, and no supervisor.
+    supervisor, evasion, posture_follower, log_<signal>; null_space_coupling with
+    `robot.posture.coupling`; cost_ring_selector with `regulation: !Regressor` or a viewer, and
+    overlay and taken_route with a viewer; orientation_integrator, tool_turn_selector, slowest,
+    camera_faults, weak_actuators, push and mover_<model instance> where the scenario asks for
+    them. Without a robot there is no plant, camera, descriptor, controller or supervisor.
+    With `modulated=False` there is nothing from perception to regressor_chain, and no
+    posture_follower, null_space_coupling, tool_turn_selector, supervisor or evasion.
 
     The diagram exports dmp_integrator's desired_position, phase and policy_state.
 
@@ -110,6 +127,8 @@ def build_avoidance(
         _wire_robot(builder, scenario, station, policy, controller)
         if arm is not None:
             _wire_posture(builder, scenario, station, arm, q_start)
+        if modulated:
+            _wire_null_space(builder, scenario, station, robot_plant, q_start)
         wire_world(builder, scenario, station)
         wire_orientation(builder, scenario)
         if modulated:
@@ -241,10 +260,7 @@ def _wire_posture(
         station.plant.get_state_output_port(station.robot), chain.GetInputPort("robot_state")
     )
     if builder.HasSubsystemNamed("ellipsoid_descriptor"):
-        descriptor = builder.GetSubsystemByName("ellipsoid_descriptor")
-        port = descriptor.GetInputPort("obstacles_W")
-        source, index = builder.connection_map()[(descriptor, port.get_index())]
-        builder.Connect(source.get_output_port(index), chain.GetInputPort("obstacles_W"))
+        builder.Connect(obstacles_port(builder), chain.GetInputPort("obstacles_W"))
     if isinstance(scenario.perception, DepthCamera):
         pose = station.cameras[scenario.perception.camera].pose
         builder.Connect(pose, chain.GetInputPort("camera_pose"))
@@ -255,6 +271,29 @@ def _wire_posture(
     builder.Connect(policy.GetOutputPort("policy_state"), follower.GetInputPort("policy_state"))
     builder.Connect(follower.get_output_port(), controller.GetInputPort("desired_posture"))
     log_signal(builder, "desired_posture", follower.get_output_port())
+
+
+def _wire_null_space(
+    builder: DiagramBuilder,
+    scenario: Scenario,
+    station: Station,
+    robot_plant: RobotPlant,
+    q_start: FloatArray,
+) -> None:
+    """What turns the links away from obstacles, to the controller, where it is asked for."""
+    if not builder.HasSubsystemNamed("ellipsoid_descriptor"):
+        return
+    coupling = robot_layers.make_null_space_coupling(scenario, robot_plant, q_start)
+    if coupling is None:
+        return
+    builder.AddNamedSystem("null_space_coupling", coupling)
+    controller = builder.GetSubsystemByName("controller")
+    state = station.plant.get_state_output_port(station.robot)
+    builder.Connect(state, coupling.GetInputPort("robot_state"))
+    builder.Connect(obstacles_port(builder), coupling.GetInputPort("obstacles_W"))
+    name = "null_space_acceleration"
+    builder.Connect(coupling.get_output_port(), controller.GetInputPort(name))
+    log_signal(builder, name, coupling.get_output_port())
 
 
 def wire_world(builder: DiagramBuilder, scenario: Scenario, station: Station) -> None:
@@ -326,22 +365,18 @@ def _wire_supervisor(
     for name in ("tracking_error", "torque_saturation"):
         builder.Connect(controller.GetOutputPort(name), supervisor.GetInputPort(name))
     if builder.HasSubsystemNamed("ellipsoid_descriptor"):
-        descriptor = builder.GetSubsystemByName("ellipsoid_descriptor")
-        port = descriptor.GetInputPort("obstacles_W")
-        source, index = builder.connection_map()[(descriptor, port.get_index())]
-        builder.Connect(source.get_output_port(index), supervisor.GetInputPort("obstacles_W"))
+        builder.Connect(obstacles_port(builder), supervisor.GetInputPort("obstacles_W"))
         if scenario.evasion is not None:
-            _wire_evasion(builder, scenario, station, robot_plant, source.get_output_port(index))
+            _wire_evasion(builder, scenario, station, robot_plant)
     builder.Connect(supervisor.GetOutputPort("speed_scale"), speed_scale_port(builder))
-    log_signal(builder, "speed_scale", supervisor.GetOutputPort("speed_scale"))
+    # With a tool that turns it is the lesser of two.
+    asked = (policy, policy.GetInputPort("speed_scale").get_index())
+    source, index = builder.connection_map()[asked]
+    log_signal(builder, "speed_scale", source.get_output_port(index))
 
 
 def _wire_evasion(
-    builder: DiagramBuilder,
-    scenario: Scenario,
-    station: Station,
-    robot_plant: RobotPlant,
-    obstacles: OutputPort,
+    builder: DiagramBuilder, scenario: Scenario, station: Station, robot_plant: RobotPlant
 ) -> None:
     """What displaces the policy where slowing and holding it does not help."""
     evasion = builder.AddNamedSystem("evasion", robot_layers.make_evasion(scenario, robot_plant))
@@ -352,7 +387,7 @@ def _wire_evasion(
         station.plant.get_state_output_port(station.robot), evasion.GetInputPort("robot_state")
     )
     builder.Connect(policy.GetOutputPort("policy_state"), evasion.GetInputPort("policy_state"))
-    builder.Connect(obstacles, evasion.GetInputPort("obstacles_W"))
+    builder.Connect(obstacles_port(builder), evasion.GetInputPort("obstacles_W"))
     if isinstance(chain, VerifiedRegressorChain):
         builder.Connect(chain.GetOutputPort("motion"), evasion.GetInputPort("motion"))
     builder.Connect(evasion.GetOutputPort("evasion"), policy.GetInputPort("evasion"))

@@ -9,6 +9,7 @@ from pydrake.systems.framework import DiagramBuilder, OutputPort
 
 from drake_oa.orientation_layers import make_orientation_integrator
 from drake_oa.scenario import Scenario
+from drake_oa.systems.orientation_integrator import OrientationIntegrator
 
 
 def wire_orientation(builder: DiagramBuilder, scenario: Scenario) -> None:
@@ -19,8 +20,17 @@ def wire_orientation(builder: DiagramBuilder, scenario: Scenario) -> None:
         scenario: with a robot.
     """
     system = make_orientation_integrator(scenario)
-    if system is None:
-        return
+    if system is not None:
+        add_orientation(builder, system)
+
+
+def add_orientation(builder: DiagramBuilder, system: OrientationIntegrator) -> None:
+    """Adds orientation_integrator between dmp_integrator and controller.
+
+    Args:
+        builder: with both.
+        system: that is added.
+    """
     builder.AddNamedSystem("orientation_integrator", system)
     policy = builder.GetSubsystemByName("dmp_integrator")
     controller = builder.GetSubsystemByName("controller")

@@ -1,7 +1,7 @@
 """What turns the tool, in a diagram that avoids obstacles.
 
 perception, dmp_integrator, goal -> tool_turn_selector -> orientation_integrator (turn)
-orientation_integrator -> controller, tool_turn_selector (tool_turn)
+dmp_integrator -> orientation_integrator -> controller, tool_turn_selector (tool_turn)
 tool_turn_selector -> ellipsoid_descriptor (planned_turn)
 tool_turn_selector, supervisor -> slowest -> dmp_integrator (speed_scale)
 """
@@ -11,6 +11,8 @@ from __future__ import annotations
 from pydrake.systems.framework import DiagramBuilder, InputPort, OutputPort
 
 from drake_oa import turn_layers
+from drake_oa.diagrams.orienting import add_orientation
+from drake_oa.diagrams.ports import obstacles_port
 from drake_oa.scenario import Scenario
 from drake_oa.station import RobotPlant
 from drake_oa.systems.slowest import Slowest
@@ -34,38 +36,31 @@ def wire_turn(
         return {}
     builder.AddNamedSystem("tool_turn_selector", selector)
     policy = builder.GetSubsystemByName("dmp_integrator")
-    state = policy.GetOutputPort("policy_state")
-    builder.Connect(state, selector.GetInputPort("policy_state"))
+    builder.Connect(policy.GetOutputPort("policy_state"), selector.GetInputPort("policy_state"))
     goal = builder.GetSubsystemByName("goal")
     builder.Connect(goal.get_output_port(0), selector.GetInputPort("goal"))
     descriptor = builder.GetSubsystemByName("ellipsoid_descriptor")
-    port = descriptor.GetInputPort("obstacles_W")
-    source, index = builder.connection_map()[(descriptor, port.get_index())]
-    builder.Connect(source.get_output_port(index), selector.GetInputPort("obstacles_W"))
+    builder.Connect(obstacles_port(builder), selector.GetInputPort("obstacles_W"))
     builder.Connect(selector.GetOutputPort("planned_turn"), descriptor.GetInputPort("tool_turn"))
 
     if not builder.HasSubsystemNamed("orientation_integrator"):
         # Besides its turn the tool keeps its orientation.
-        kept = turn_layers.make_kept_orientation(scenario)
-        builder.AddNamedSystem("orientation_integrator", kept)
-        builder.Connect(state, kept.GetInputPort("policy_state"))
-        controller = builder.GetSubsystemByName("controller")
-        for what in ("orientation", "angular_velocity", "angular_acceleration"):
-            name = f"desired_{what}"
-            builder.Connect(kept.GetOutputPort(name), controller.GetInputPort(name))
+        add_orientation(builder, turn_layers.make_kept_orientation(scenario))
     orientation = builder.GetSubsystemByName("orientation_integrator")
     builder.Connect(selector.GetOutputPort("turn"), orientation.GetInputPort("turn"))
     turned = orientation.GetOutputPort("tool_turn")
     builder.Connect(turned, selector.GetInputPort("tool_turn"))
 
     scale = selector.GetOutputPort("speed_scale")
+    signals = {"tool_turn": turned, "planned_turn": selector.GetOutputPort("planned_turn")}
     if scenario.supervisor is None:
         builder.Connect(scale, policy.GetInputPort("speed_scale"))
+        signals["speed_scale"] = scale
     else:
         slowest = builder.AddNamedSystem("slowest", Slowest())
         builder.Connect(scale, slowest.GetInputPort("turn_speed_scale"))
         builder.Connect(slowest.get_output_port(), policy.GetInputPort("speed_scale"))
-    return {"tool_turn": turned, "planned_turn": selector.GetOutputPort("planned_turn")}
+    return signals
 
 
 def speed_scale_port(builder: DiagramBuilder) -> InputPort:

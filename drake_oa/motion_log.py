@@ -22,8 +22,8 @@ desired_position       (T, 3)         m        p_WE asked of the controller
 desired_velocity       (T, 3)         m/s      its derivative
 desired_acceleration   (T, 3)         m/s^2    its second derivative
 phase                  (T,)           1        canonical phase k, 1 falling to 0
-speed_scale            (T,)           1        the supervisor's share of full speed, in
-                                               [0, 1]; 1 without one
+speed_scale            (T,)           1        share of full speed that supervisor and turn
+                                               leave, in [0, 1]; 1 without them
 tracking_error         (T,)           m        distance of E to where it was asked to be,
                                                as the controller tells it; NaN where none does
 q_world                (T, n)         rad, m   all positions of the station's plant, in its
@@ -69,6 +69,10 @@ desired_orientation    (T, 4)         1        quaternion w, x, y, z of R_WE ask
                                                controller; (0, 4) where it stays
 orientation_error      (T, 3)         rad      rotation vector from the actual to the desired
                                                orientation in W; (0, 3) likewise
+desired_posture        (T, 2n)        rad,     arm positions, then velocities, that the null space
+                                      rad/s    was drawn to; (T, 0) where none was planned
+evasion                (T, 3)         m/s      velocity of the tool point out of the way of what
+                                               moves; (0, 3) where nothing watches for it
 =====================  =============  =======  ==========================================
 """
 
@@ -90,7 +94,15 @@ SCHEMA_VERSION = 2
 
 _SCHEMA_KEY = "schema_version"
 _LATER = frozenset(
-    {"goal", "tool_turn", "planned_turn", "desired_orientation", "orientation_error"}
+    {
+        "goal",
+        "tool_turn",
+        "planned_turn",
+        "desired_orientation",
+        "orientation_error",
+        "desired_posture",
+        "evasion",
+    }
 )
 """Attributes with defaults, which files of this schema may lack."""
 
@@ -149,6 +161,8 @@ class MotionLog:
     planned_turn: FloatArray = field(default_factory=lambda: np.zeros(0))
     desired_orientation: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))
     orientation_error: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    desired_posture: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    evasion: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def duration(self) -> float:

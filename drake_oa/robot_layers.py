@@ -8,6 +8,7 @@ import numpy as np
 from pydrake.math import RigidTransform
 
 from drake_oa.arm_model import make_arm_model
+from drake_oa.arm_motion import ArmModel
 from drake_oa.carried import tool_links
 from drake_oa.cartesian import CartesianGains
 from drake_oa.collision_shapes import collect_collision_shapes
@@ -15,6 +16,7 @@ from drake_oa.faults import ModelError
 from drake_oa.inverse_kinematics import solve_tool_pose
 from drake_oa.layers import held_annulus, make_dmp, perception_period, table_plane
 from drake_oa.lookout import EvasionParameters
+from drake_oa.null_space_coupling import NullSpaceCouplingParameters
 from drake_oa.posture_plan import PostureParameters
 from drake_oa.scenario import (
     DepthCamera,
@@ -30,6 +32,7 @@ from drake_oa.supervision import SupervisorParameters
 from drake_oa.systems.cartesian_inverse_dynamics import CartesianInverseDynamics
 from drake_oa.systems.evasion import ObstacleEvasion
 from drake_oa.systems.integral_action import IntegralAction
+from drake_oa.systems.null_space_coupling import NullSpaceCoupling
 from drake_oa.systems.posture_follower import PostureFollower
 from drake_oa.systems.supervisor import Supervisor
 from drake_oa.systems.verified_chain import RobotArm
@@ -38,7 +41,7 @@ from drake_oa.values import FloatArray
 from drake_oa.whole_arm import WholeArm
 
 _logger = logging.getLogger("drake_oa")
-_NEARER = 0.01
+_FARTHER = 0.01
 """How much farther than the supervisor's stop a planned posture stays away [m]."""
 _SURFACE_GAP = 0.01
 """How far a link may come into a surface between the points that ground truth has of it [m]."""
@@ -105,42 +108,76 @@ def make_robot_arm(
 ) -> RobotArm | None:
     """What plans the posture of the arm; None: the scenario asks for none.
 
+    An arm that does not have seven revolute joints in a row has no posture to plan.
+
     Args:
         scenario: with a robot.
         robot_plant: the robot alone, as the plant has it.
         q_start: (nq,) its positions at the start, see `start_positions`.
-
-    An arm that does not have seven revolute joints in a row has no posture to plan.
     """
     robot = scenario.robot
     if robot is None or robot.posture is None or not isinstance(scenario.regulation, Verified):
         return None
-    plant, inspector = robot_plant.plant, robot_plant.scene_graph.model_inspector()
+    if not robot.posture.plan:
+        return None
     stop = 0.0 if scenario.supervisor is None else scenario.supervisor.stop_distance
-    stop += _padding(scenario.perception) + _NEARER
+    stop += _padding(scenario.perception) + _FARTHER
     try:
-        arm = make_arm_model(
-            plant,
-            inspector,
-            robot_plant.tool_frame,
-            end_rotations(scenario)[0],
-            q_start,
-            collect_collision_shapes(plant, inspector, robot_plant.instance),
-            without=tool_links(robot),
-        )
+        arm = _arm_model(scenario, robot, robot_plant, q_start)
         held = tool_orientation(scenario)
         planner = WholeArm(
             arm,
             # Nearer than the stop the supervisor would hold the motion.
             PostureParameters(
-                clearance=max(robot.posture.clearance, stop + _NEARER), stop_distance=stop
+                clearance=max(robot.posture.clearance, stop + _FARTHER), stop_distance=stop
             ),
             None if held is None else held.along,
         )
     except ValueError as error:
         _logger.info("the posture of the arm is not planned: %s", error)
         return None
-    return RobotArm(planner, tuple(arm.index.tolist()), plant.num_multibody_states())
+    return RobotArm(planner, tuple(arm.index.tolist()), robot_plant.plant.num_multibody_states())
+
+
+def _arm_model(
+    scenario: Scenario, robot: Robot, robot_plant: RobotPlant, q_start: FloatArray
+) -> ArmModel:
+    """The arm's links without the tool, which has a clearance of its own."""
+    plant, inspector = robot_plant.plant, robot_plant.scene_graph.model_inspector()
+    return make_arm_model(
+        plant,
+        inspector,
+        robot_plant.tool_frame,
+        end_rotations(scenario)[0],
+        q_start,
+        collect_collision_shapes(plant, inspector, robot_plant.instance),
+        without=tool_links(robot),
+    )
+
+
+def make_null_space_coupling(
+    scenario: Scenario, robot_plant: RobotPlant, q_start: FloatArray
+) -> NullSpaceCoupling | None:
+    """What turns the links away from obstacles; None: the scenario asks for none.
+
+    Raises:
+        ScenarioError: for an arm whose joints are not all revolute.
+    """
+    robot = scenario.robot
+    given = None if robot is None or robot.posture is None else robot.posture.coupling
+    if robot is None or given is None:
+        return None
+    try:
+        arm = _arm_model(scenario, robot, robot_plant, q_start)
+    except ValueError as error:
+        raise ScenarioError(f"robot.posture.coupling: {error}") from None
+    return NullSpaceCoupling(
+        arm,
+        robot_plant.plant.num_multibody_states(),
+        NullSpaceCouplingParameters(given.alpha, given.psi, given.kappa),
+        period=scenario.policy.period,
+        table=table_plane(scenario),
+    )
 
 
 def make_posture_follower(

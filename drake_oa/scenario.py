@@ -73,6 +73,7 @@ class Task:
 class Turn:
     """Turns of the tool about an axis of the world through the tool point."""
 
+    # The axis in the world, of any length but 0.
     axis: list[float] = _vector([0.0, 0.0, 1.0], "1")
     # Largest turn either way, and the step between those that are tried [rad].
     largest: float = _number(math.pi / 2.0, "rad", 0.0, math.pi, open_low=True)
@@ -175,8 +176,8 @@ class Evasion:
 
     # Distance of any link to what moves below which the motion is not left as it is [m].
     margin: float = _number(0.05, "m", 0.0, 1.0, open_low=True)
-    # How far ahead it is looked [s].
-    horizon: float = _number(1.2, "s", 0.1, 10.0)
+    # How far ahead it is looked, at least as far as a motion has to keep the margin [s].
+    horizon: float = _number(1.2, "s", 0.7, 10.0)
     # Greatest speed [m/s] and acceleration [m/s^2] of the tool while it evades.
     speed: float = _number(0.4, "m/s", 0.0, 5.0, open_low=True)
     acceleration: float = _number(2.0, "m/s^2", 0.0, 50.0, open_low=True)
@@ -200,11 +201,25 @@ class Gains:
 
 
 @dc.dataclass
+class NullSpaceCoupling:
+    """The coupling law on the links' points that are nearest to obstacles."""
+
+    # Strength [rad/s], width over the heading [rad], decay over the distance [1/m^2].
+    alpha: float = _number(300.0, "rad/s", 0.0, 1e4)
+    psi: float = _number(1.5, "rad", 0.0, 10.0, open_low=True)
+    kappa: float = _number(20.0, "1/m^2", 0.0, 1e4, open_low=True)
+
+
+@dc.dataclass
 class Posture:
     """Where the rest of the arm goes while the tool follows its path."""
 
     # Distance that the links are to keep from obstacles and the table, where they can [m].
     clearance: float = _number(0.1, "m", 0.0, 1.0, open_low=True)
+    # Whether it is planned along the verified motion; else it is drawn to that of the start.
+    plan: bool = True
+    # The paper's reaction of the links in the null space, besides; null: none.
+    coupling: NullSpaceCoupling | None = None
 
 
 @dc.dataclass
@@ -221,8 +236,9 @@ class Robot:
     tool_links: list[str] = dc.field(
         default_factory=lambda: ["panda_hand", "panda_leftfinger", "panda_rightfinger"]
     )
-    # Orientation of E, held throughout: roll, pitch, yaw [rad]. Tool down, fingers
-    # opening along the world's x: the hand is narrow along the motion.
+    # Orientation of E, held throughout where neither the task nor `policy.turn` turns it: roll,
+    # pitch, yaw [rad]. Tool down, fingers opening along the world's x: the hand is narrow along
+    # the motion.
     rpy_WE: list[float] = _vector([math.pi, 0.0, math.pi / 2.0], "rad")
     # Seed of the inverse kinematics and posture of the null space (7 joints) [rad].
     q_seed: list[float] = _vector([-0.7401, 0.1857, 0.0143, -1.9017, -0.003, 2.0874, 0.0608], "rad")
@@ -266,8 +282,8 @@ class Scenario:
     regulation: Verified | Regressor = dc.field(default_factory=Verified)
     # What watches the motion of the robot, or null: nothing does.
     supervisor: Supervisor | None = dc.field(default_factory=Supervisor)
-    # What gets the tool out of the way of what moves, or null: nothing does. It needs the
-    # supervisor.
+    # What gets the tool out of the way of what moves, or null: nothing does; nor does anything
+    # without a supervisor.
     evasion: Evasion | None = dc.field(default_factory=Evasion)
     # Height of the table in the world; null: there is none [m].
     table_height: float | None = dc.field(default=0.0, metadata={"unit": "m"})
@@ -352,7 +368,7 @@ def _check_whole(scenario: Scenario) -> None:
     check_obstacles(scenario.obstacles)
     if scenario.robot is not None:
         check_shapes(scenario.robot.carried, "robot.carried")
-    check_turn(scenario.policy.turn)
+    _check_turn(scenario.policy.turn)
     _check_faults(scenario)
     perception = scenario.perception
     check_perception(perception, names)
@@ -370,7 +386,7 @@ def _check_whole(scenario: Scenario) -> None:
     check_goals(scenario.task.start, scenario.task.goal, scenario.task.goal_moves)
 
 
-def check_turn(turn: Turn | None) -> None:
+def _check_turn(turn: Turn | None) -> None:
     """Refuses an axis without a direction.
 
     Raises:

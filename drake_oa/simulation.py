@@ -215,8 +215,9 @@ def simulate(
     The goal is reached when the phase has passed s = 1 and the desired motion has
     arrived where the goal is at last; before its last move it goes on. One that has not by
     `LATEST_END` is ended there. The log's `stop_reason` is "goal", "stopped: ..." (by the
-    supervisor), "held for ...", "goal missed by ...", "time limit of ..." or, in what a
-    `MotionInterruptedError` carries, what was raised.
+    supervisor), "held for ...", "goal missed by ...", "at the goal, but the tool cannot be turned
+    back there", "time limit of ..." or, in what a `MotionInterruptedError` carries, what was
+    raised.
 
     Args:
         scenario: what to run.
@@ -349,4 +350,6 @@ def _collect(
         planned_turn=signals.get("planned_turn", empty)[:, :1].ravel(),
         desired_orientation=signals.get("desired_orientation", np.zeros((0, 4))),
         orientation_error=signals.get("orientation_error", np.zeros((0, 3))),
+        desired_posture=signals.get("desired_posture", empty),
+        evasion=signals.get("evasion", np.zeros((0, 3))),
     )

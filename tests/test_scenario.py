@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from drake_oa.depth_noise import DepthNoiseParameters
+from drake_oa.lookout import EvasionParameters
 from drake_oa.scenario import (
     CameraNoise,
     DepthCamera,
@@ -164,6 +165,7 @@ def test_override_replaces_one_field() -> None:
         ),
         ("task: {clearance: 1e-1}", ["task.clearance", "write 0.1 or 1.0e-1"]),
         ("task: {goal: [.inf, 0, 0]}", ["task.goal[0]: must be a finite number [m], not inf"]),
+        ("evasion: {horizon: 0.5}", ["evasion.horizon", "0.7"]),
     ],
 )
 def test_bad_scenario_is_refused_with_the_field_and_what_is_valid(
@@ -173,6 +175,12 @@ def test_bad_scenario_is_refused_with_the_field_and_what_is_valid(
         parse_scenario(text)
     for words in said:
         assert words in str(error.value)
+
+
+def test_the_shortest_horizon_is_one_that_evasion_takes() -> None:
+    evasion = parse_scenario("evasion: {horizon: 0.7}").evasion
+    assert evasion is not None
+    assert EvasionParameters(horizon=evasion.horizon).times[-1] == 0.7
 
 
 def test_unknown_scenario_lists_the_shipped_ones() -> None:

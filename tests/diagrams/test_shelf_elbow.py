@@ -39,3 +39,14 @@ def test_and_from_ground_truth() -> None:
     assert metrics.contacts == ()
     assert metrics.robot_clearance.min() > 0.08
     assert np.linalg.norm(log.p_WE[-1] - scenario.task.goal) < 1e-3
+
+
+def test_the_papers_reaction_of_the_links_passes_it_without_a_plan() -> None:
+    posture = "robot.posture={plan: false, coupling: {}}"
+    scenario = load_scenario("shelf_elbow", [GROUND_TRUTH, posture])
+    log = simulate(scenario)
+    metrics = robot_metrics(scenario, log.q)
+    assert log.stop_reason == "goal"
+    assert metrics.contacts == ()
+    assert metrics.robot_clearance.min() > 0.05
+    assert (np.abs(log.v) < log.velocity_limit).all()

@@ -72,6 +72,8 @@ ALWAYS |= {"ObstacleEvasion"}
         ("recorded", {"RecordedPerception"}),
         ("regulation=!Regressor {}", {"RegressorChain", "CostRingSelector"}),
         ("task.rpy_goal=[3.0, 0.0, 1.0]", {"OrientationIntegrator"}),
+        ("robot.posture={coupling: {}}", {"NullSpaceCoupling", "PostureFollower"}),
+        ("faults=[!Push {}]", {"ExternalPush"}),
     ],
 )
 def test_documented_ports_are_the_declared_ones(
