@@ -68,7 +68,7 @@ def jacobian(X_WB: FloatArray, J: FloatArray) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _solve_in_place(A: FloatArray, b: FloatArray) -> bool:
+def solve_in_place(A: FloatArray, b: FloatArray) -> bool:
     """b becomes A^-1 b by Gaussian elimination with row pivots; False if A is singular."""
     n = len(b)
     for k in range(n):
@@ -148,7 +148,7 @@ def reach(
             if i != fixed:
                 for row in range(6):
                     A[row, i - (i > fixed)] = J[row, i]
-        if not _solve_in_place(A, e):
+        if not solve_in_place(A, e):
             return False
         longest = 0.0
         for i in range(n - 1):

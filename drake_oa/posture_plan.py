@@ -5,8 +5,11 @@ a grid, the values of one joint its columns; the six other joints follow by Newt
 from the neighbouring posture, so that the arm stays in its branch of the inverse kinematics.
 Viterbi's algorithm (A. J. Viterbi, IEEE Trans. Information Theory 13(2), 1967) finds the
 cheapest way through the grid from the present posture, first on a coarse grid over the
-joint's whole range, then on a fine one about that way. The cost is, with s normalised time,
-M the mass matrix at the posture q_0 that the null space rests in, and [x]_+ = max(0, x),
+joint's whole range, then on a fine one about that way. Where that way is not clear, the same
+is done with nodes along the null space itself (`posture_trace_kernels`), which also leads
+by the stretched shoulder, where that joint tells postures apart badly. The cost is, with s
+normalised time, M the mass matrix at the posture q_0 that the null space rests in, and
+[x]_+ = max(0, x),
 
     integral of (q - q_0)^T M (q - q_0)
         + w_d [(Delta_a - d) / (Delta_a - d_stop)]_+^2  and the same of the links' distance to
@@ -29,6 +32,7 @@ import numpy as np
 from drake_oa import posture_kernels as kernels
 from drake_oa.arm_motion import ArmModel, ArmSurroundings
 from drake_oa.kernel_arrays import kernel_arrays
+from drake_oa.posture_trace_kernels import plan_traced
 from drake_oa.values import FloatArray, Frozen, IntArray
 
 REDUNDANT = 2
@@ -48,7 +52,12 @@ second where the first turns out not to do [m]."""
 _HURRIED = 1.02
 """Shares of the allowed speed up to this are no more than the start's own error."""
 _FINE, _FINE_WINDOW = 9, 8
+_TRACE, _NODES = 0.1, 256
+"""How far apart the nodes of the coarse grid along the null space are [rad], and how many a
+layer has at most."""
 _FORBIDDEN, _SLOPE = 100.0, 300.0
+_STEEP = 3000.0
+"""The slope along the null space: rather a bit short for long than far short at one place."""
 
 
 @dataclass(frozen=True)
@@ -208,19 +217,35 @@ def plan_posture(
         )  # fmt: skip
         return cost
 
-    best = PosturePlan(s=s, q=np.zeros((0, _JOINTS)), short=math.inf)
-    for reserve in _RESERVES:
-        rules[kernels.RESERVE] = reserve
-        if not math.isfinite(search(values, np.zeros((0, _JOINTS)), _WINDOW)):
-            break
-        guess = way.copy()
-        fine = step * np.linspace(-1.0, 1.0, _FINE)
-        search(guess[:, REDUNDANT, None] + fine, guess, _FINE_WINDOW)
-        way[0] = q
-        plan = _described(arm, around, s, way, seconds, ages, rules, shared)
-        if plan.short < best.short:
-            best = plan
-        if best.short == 0.0 or parameters.clearance <= parameters.stop_distance + _RESERVES[1]:
+    def traced(guess: FloatArray, step: float, most: int) -> float:
+        cost: float = plan_traced(
+            *before, *kernel_arrays(start, guess), float(seconds), step, most, _NODES,
+            *shared[0], *shared[1], rules, way,
+        )  # fmt: skip
+        return cost
+
+    nothing, fine = np.zeros((0, _JOINTS)), step * np.linspace(-1.0, 1.0, _FINE)
+    best = PosturePlan(s=s, q=nothing, short=math.inf)
+    for by_trace in (False, True):
+        if by_trace:
+            rules[kernels.LEAP], rules[kernels.SLOPE] = _LEAP_OF_ANY, _STEEP
+        for reserve in _RESERVES:
+            rules[kernels.RESERVE] = reserve
+            cost = traced(nothing, _TRACE, _NODES) if by_trace else search(values, nothing, _WINDOW)
+            if not math.isfinite(cost):
+                break
+            guess = way.copy()
+            if by_trace:
+                traced(guess, 2.0 * _TRACE / (_FINE - 1), _FINE // 2)
+            else:
+                search(guess[:, REDUNDANT, None] + fine, guess, _FINE_WINDOW)
+            way[0] = q
+            plan = _described(arm, around, s, way, seconds, ages, rules, shared)
+            if plan.short < best.short:
+                best = plan
+            if best.short == 0.0 or parameters.clearance <= parameters.stop_distance + _RESERVES[1]:
+                break
+        if best.short == 0.0:
             break
     return best
 

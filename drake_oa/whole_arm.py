@@ -38,6 +38,8 @@ _AT_EASE = 0.9
 """Share of its allowed speed below which the arm is not short of time."""
 _GAINED = 0.002
 """Where none works, what a slower motion has to gain [m]."""
+_THERE = 0.02
+"""So near to the goal there is no way left to plan along [m]."""
 _ASTRAY = 0.35
 """The arm may be so far from the planned posture [rad]."""
 
@@ -149,6 +151,8 @@ class WholeArm:
             return before if time - before.since <= _RETRY else None
         if not len(plan) or not len(motion):
             return None
+        if math.dist(motion.p_WE[0], motion.p_WE[-1]) < _THERE:
+            return before
         if motion is not before.motion:
             columns = [np.interp(motion.s, plan.s, p) for p in before.motion.p_WE.T]
             apart = np.linalg.norm(np.column_stack(columns) - motion.p_WE, axis=1)
