@@ -28,7 +28,6 @@ NO_COST: Color = (0.80, 0.86, 0.91)
 RING_COLORS: Mapping[str, Color] = {
     "table": (0.96, 0.49, 0.05),
     "length": (0.07, 0.55, 0.34),
-    "limits": (0.24, 0.26, 0.31),
     "workspace": (0.24, 0.26, 0.31),
     "joint_limits": (0.55, 0.27, 0.07),
 }

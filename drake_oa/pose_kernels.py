@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numba import njit
 
-from drake_oa.arm_kernels import poses
+from drake_oa.arm_kernels import jacobian, poses
 from drake_oa.values import FloatArray
 
 _ITERATIONS = 14
@@ -59,16 +59,10 @@ def solve_pose(
         weight[i] = min(upper[i] - lower[i], 2.0 * math.pi) ** 2
     for _ in range(_ITERATIONS):
         poses(q, X_PJ, X_WB)
-        tool = X_WB[n]
-        if _pose_error(tool, p_WE, R_WE, e):
+        if _pose_error(X_WB[n], p_WE, R_WE, e):
             return True
+        jacobian(X_WB, J)
         for i in range(n):
-            ax, ay, az = X_WB[i, 0, 2], X_WB[i, 1, 2], X_WB[i, 2, 2]
-            rx = tool[0, 3] - X_WB[i, 0, 3]
-            ry = tool[1, 3] - X_WB[i, 1, 3]
-            rz = tool[2, 3] - X_WB[i, 2, 3]
-            J[0, i], J[1, i], J[2, i] = ax, ay, az
-            J[3, i], J[4, i], J[5, i] = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
             held[i] = False
             dq[i] = 0.0
             if upper[i] - lower[i] < 100.0:

@@ -136,8 +136,8 @@ def _mapped(data: tuple[bytes, ...], spacing: float, joint_margin: float) -> Rea
     shape = (2 * count + 1,) * 3
     state = np.zeros(shape, dtype=np.int64)
     found = np.zeros((*shape, n))
-    turn = np.minimum(upper, np.pi), np.maximum(lower, -np.pi)
-    seeds = np.vstack([posture, np.random.default_rng(0).uniform(*turn[::-1], (_SEEDS, n))])
+    turn = np.maximum(lower, -np.pi), np.minimum(upper, np.pi)
+    seeds = np.vstack([posture, np.random.default_rng(0).uniform(*turn, (_SEEDS, n))])
     limits = {kernels.REACHED: narrow, kernels.STRAINED: np.zeros(n)}
     for kind, off in limits.items():
         kernels.flood(

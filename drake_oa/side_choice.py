@@ -19,6 +19,7 @@ from drake_oa.side_sequence import (
 from drake_oa.values import BoolArray, FloatArray, IntArray
 
 Followed = Callable[[FloatArray], int]
+"""(P, 3) corners of a way [m] -> the first that the arm does not get to, P where it gets to all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +37,7 @@ class Selection:
     index: IntArray
     groups: IntArray
     costs: dict[str, FloatArray]
-    blocked: np.ndarray
+    blocked: BoolArray
 
 
 def select_directions(
@@ -67,8 +68,7 @@ def select_directions(
         hysteresis: in units of cost.
         margins: name -> signed margin [m] of points (..., 3), negative where a leg from
             one obstacle to the next must not lead.
-        followed: (P, 3) corners of a way -> the first that the arm does not get to, P
-            where it gets to all; None: it is not asked.
+        followed: how far the arm follows a way; None: it is not asked.
         together: whether the sides of several groups are chosen together; each by itself
             otherwise.
     """

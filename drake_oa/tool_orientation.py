@@ -94,7 +94,11 @@ def tool_orientation(scenario: Scenario) -> ToolOrientation | None:
 
 
 def end_rotations(scenario: Scenario) -> tuple[RotationMatrix, RotationMatrix]:
-    """R_WE at start and goal, of a scenario with a robot."""
+    """R_WE at start and goal.
+
+    Raises:
+        ScenarioError: if the scenario has no robot, or as `tool_orientation`.
+    """
     held = tool_orientation(scenario)
     if held is None:
         if scenario.robot is None:
@@ -110,7 +114,7 @@ def end_rotations(scenario: Scenario) -> tuple[RotationMatrix, RotationMatrix]:
 def held_robots(scenario: Scenario) -> list[Robot]:
     """The robot with each orientation that stands for the way as its `rpy_WE`; the start's first.
 
-    None without a robot, one where the orientation stays.
+    Empty without a robot, of one item where the orientation stays.
     """
     robot = scenario.robot
     if robot is None:

@@ -16,7 +16,6 @@ from drake_oa.scenario import (
     GivenEllipsoids,
     Scenario,
     ScenarioError,
-    Turn,
     Verified,
     package_file,
 )
@@ -112,11 +111,11 @@ def make_kept_orientation(scenario: Scenario) -> OrientationIntegrator:
     """An orientation that stays as it is at the start, besides its turn.
 
     Raises:
-        ScenarioError: if the scenario has no robot.
+        ScenarioError: if the scenario has no turn or no robot.
     """
-    turn, robot = scenario.policy.turn or Turn(), scenario.robot
-    if robot is None:
-        raise ScenarioError("policy.turn: needs a robot; this scenario has null")
+    turn, robot = scenario.policy.turn, scenario.robot
+    if turn is None or robot is None:
+        raise ScenarioError("policy.turn: this scenario has no turn, or no robot that has a tool")
     R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix().matrix()
     return OrientationIntegrator(
         minimum_jerk_orientation(alpha_k=scenario.policy.alpha_k),

@@ -172,7 +172,7 @@ def test_frame_of_no_direction_is_refused(axis):
 
 
 def test_rings_lie_in_the_yz_plane_between_their_radii():
-    costs = {"table": np.zeros(36), "length": np.linspace(0, 1, 36), "limits": np.ones(36)}
+    costs = {"table": np.zeros(36), "length": np.linspace(0, 1, 36), "workspace": np.ones(36)}
     sizes = {"inner_radius": 0.1, "band": 0.02, "gap": 0.005}
     mesh = drawing.ring_mesh(costs, np.arange(36) * np.pi / 18, **sizes)
     assert not mesh.vertices[0].any()

@@ -153,7 +153,7 @@ def make_collision_checker(
     driven = sum(plant.num_positions(other) for other in _driven_instances(plant, scenario))
     if plant.num_positions() != plant.num_positions(instance) + driven:
         raise ScenarioError(
-            "directives: something besides the robot and the obstacles with waypoints can move; "
+            "directives: something besides the robot and the obstacles that are driven can move; "
             "differential inverse kinematics needs to know where everything is"
         )
     checker = SceneGraphCollisionChecker(

@@ -56,10 +56,7 @@ TRUTH_ONLY = frozenset({"differential_ik", "differential_ik_near", PLANNER})
 
 
 def default_methods(kind: str) -> tuple[str, ...]:
-    """The methods of a kind of scenes where none are named.
-
-    The table-top scenes are left as they were: without the planner.
-    """
+    """The methods of a kind of scenes where none are named: of tabletop without the planner."""
     return DEFAULT_METHODS if kind == "tabletop" else METHODS
 
 

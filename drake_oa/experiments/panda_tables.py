@@ -165,8 +165,3 @@ def panda_tables(figures: Sequence[Mapping[str, Any]]) -> str:
         shared = "on a cluster" if jobs is None else f"with {jobs} at once"
         lines.append(f"real-time factors: of runs {shared}; lower than that of one alone")
     return "\n".join([text_table("method", rows, _COLUMNS), *lines])
-
-
-def panda_table(figures: Mapping[str, Any]) -> str:
-    """`panda_tables` of one kind of scenes."""
-    return panda_tables([figures])

@@ -45,7 +45,7 @@ class ObstacleMover(LeafSystem):
 
         Raises:
             ValueError: for waypoints of another shape, or times that do not increase; a mass
-                or step that is not positive; more than two times of presence.
+                or step that is not positive; a presence that is neither of these.
         """
         super().__init__()
         waypoints = np.array(waypoints, dtype=float)

@@ -92,7 +92,8 @@ class OrientationIntegrator(LeafSystem):
 
     The state is abstract, in the Context: the step under way (`OrientationSegment`). Between
     its ends the rotation vector is a cubic in time and the turn a parabola; angular velocity
-    and acceleration are the exact derivatives.
+    and acceleration are the exact derivatives. Both ends have to be known, so the orientation
+    along the primitive is two periods behind the policy.
 
     The turn follows what is wanted as a critically damped spring, within bounds on rate and
     acceleration (`drake_oa.orientation_kernels.turn_acceleration`).

@@ -88,7 +88,8 @@ class VerifiedRegressorChain(LeafSystem):
       distance of E now, distance of the goal) of each obstacle [m]; 0 where it is kept.
     - short_of: (1,) name of the obstacle that it lacks it to; -1 where it is kept.
     - motion: abstract `PlannedMotion`, the motion that was verified, from the instant of
-      the choice to the goal; without samples while there is none.
+      the choice to the goal; without samples while there is none. While a planned posture is
+      kept it is the motion that the posture was planned along, from that instant on.
 
     The regressor chain proposes. Candidates, and what is in use, are rolled out from where
     the policy is, among all obstacles with their velocities, above the table and within

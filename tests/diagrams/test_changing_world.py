@@ -1,8 +1,6 @@
 """A world that changes while the motion is under way, in the whole diagram."""
 
-import importlib.util
 import logging
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -243,20 +241,6 @@ def test_a_push_of_a_link_that_is_not_there_is_refused() -> None:
 
 
 # All of them, from depth.
-
-
-def test_the_systems_document_their_ports() -> None:
-    file = Path(__file__).parents[1] / "systems" / "test_port_lists.py"
-    spec = importlib.util.spec_from_file_location("port_lists", file)
-    assert spec is not None
-    assert spec.loader is not None
-    port_lists: Any = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(port_lists)
-    diagram = build_avoidance(load_scenario("pushed_robot", [GROUND_TRUTH]))
-    push = diagram.GetSubsystemByName("push")
-    assert port_lists.documented_ports(type(push))["output_ports"] == ["spatial_forces"]
-    assert push.get_output_port().get_name() == "spatial_forces"
-    assert push.num_input_ports() == 0
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from drake_oa.experiments.panda_evaluation import (
 )
 from drake_oa.experiments.panda_results import ResultFolder
 from drake_oa.experiments.panda_run import same_result
-from drake_oa.experiments.panda_tables import panda_figures, panda_table, run_figures
+from drake_oa.experiments.panda_tables import panda_figures, panda_tables, run_figures
 from drake_oa.motion_log import load_logs
 
 _SUITE = PandaSuite(
@@ -111,7 +111,7 @@ def test_an_interrupt_keeps_what_is_done(kept, tmp_path):
     assert figures["methods"]["preplanned"]["scenes"] == 1
     assert not figures["methods"]["preplanned"]["complete"]
     assert figures["methods"]["verified"]["scenes"] == 0
-    assert "-" in panda_table(figures)
+    assert "-" in panda_tables([figures])
 
 
 def test_success_is_told_as_a_share_of_what_the_planner_solves():
@@ -131,7 +131,7 @@ def test_success_is_told_as_a_share_of_what_the_planner_solves():
     assert figures["solved"] == 2
     assert figures["methods"]["verified"]["success_rate_solved"] == 0.5
     assert figures["methods"]["planner"]["success_rate_solved"] == 1.0
-    assert "of solved [%]" in panda_table(figures)
+    assert "of solved [%]" in panda_tables([figures])
     del results.runs["planner"][2]
     figures = panda_figures(results, ["drake 1"])
     assert figures["solved"] is None
