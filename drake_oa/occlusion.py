@@ -15,7 +15,7 @@ import numpy as np
 from drake_oa.obstacle_memory import CERTAIN, CONFIRMED, Points, changed, taken
 from drake_oa.self_filter import PosedShapes
 from drake_oa.sides import View
-from drake_oa.tracking_kernels import AT, FREE, HIDDEN, OUT, evidence_after, shown
+from drake_oa.tracking_kernels import AT, EMPTY, FREE, HIDDEN, OUT, evidence_after, shown
 from drake_oa.values import BoolArray, FloatArray, IntArray
 
 
@@ -38,7 +38,7 @@ def shown_at(
         robot_margin: points within this of the robot are the robot's [m].
 
     Returns:
-        (N,) HIDDEN, AT, FREE or OUT, and (N,) flat index of the pixel, -1 for none.
+        (N,) HIDDEN, AT, FREE, OUT or EMPTY, and (N,) flat index of the pixel, -1 for none.
     """
     pixel = np.full(len(p_WQ), -1, dtype=np.int64)
     if view is None:
@@ -46,7 +46,7 @@ def shown_at(
     seen = shown(p_WQ, view.X_WC, view.K, view.z, margin, pixel)
     if robot is not None:
         # Only what seems to be gone needs the robot's excuse.
-        asked = np.flatnonzero(missed & ((seen == AT) | (seen == FREE)))
+        asked = np.flatnonzero(missed & ((seen == AT) | (seen == FREE) | (seen == EMPTY)))
         seen[asked[robot.contains(p_WQ[asked], robot_margin)]] = OUT
     return seen, pixel
 
@@ -72,6 +72,22 @@ def hidden_by_itself(
             place = np.minimum(np.searchsorted(pixels, pixel[mine]), len(pixels) - 1)
             result[mine] |= pixels[place] == pixel[mine]
     return result
+
+
+def without_background(seen: IntArray, moved: BoolArray) -> IntArray:
+    """What a frame shows at points (N,), those decided that have nothing around them.
+
+    Missing pixels hide what rests. What moves on before a background that is too far away to
+    be measured leaves nothing else where it was: its points there are gone.
+
+    Args:
+        seen: (N,) from `shown_at`.
+        moved: (N,) whether they are of an obstacle that moves, and is seen in the frame.
+
+    Returns:
+        (N,) HIDDEN, AT, FREE or OUT.
+    """
+    return np.where(seen == EMPTY, np.where(moved, FREE, OUT), seen)
 
 
 def weighed(

@@ -15,6 +15,7 @@ from drake_oa.values import FloatArray, IntArray
 
 _BINS = 256
 _WALK = 24  # how far from an obstacle's side its surroundings are looked at [pixel]
+_EMPTY = 12  # so many pixels in a row without depth show that nothing is beside it
 _TAIL = 48  # pixels of a side that are looked at
 
 
@@ -175,7 +176,8 @@ def open_sides(
 
     From each pixel of a side the image is followed outward until it shows something
     else: what lies behind shows where the obstacle ends; what lies before it, what stands
-    beside it (the robot, another obstacle), or the image's border, does not.
+    beside it (the robot, another obstacle), or the image's border, does not. Where nothing
+    at all is shown for long, the background is too far away to be measured.
 
     Args:
         points: (P, 3) in the world frame [m].
@@ -225,13 +227,19 @@ def open_sides(
                     free[m, k, side] += 1.0
                     continue
                 du, dv = du / length, dv / length
+                empty = 0
                 for step in range(1, _WALK):
                     u, v = np.int64(np.rint(u0 + step * du)), np.int64(np.rint(v0 + step * dv))
                     if u < 0 or u >= columns or v < 0 or v >= rows:
                         break
                     other = z[v, u]
                     if not other > 0.0:
-                        continue
+                        empty += 1
+                        if empty < _EMPTY:
+                            continue
+                        free[m, k, side] += 1.0
+                        break
+                    empty = 0
                     if v >= top and v < bottom and owner[v - top, u] == m:
                         continue
                     if other > depth + margin:

@@ -32,12 +32,21 @@ from drake_oa.obstacle_memory import (
     changed,
     taken,
 )
-from drake_oa.occlusion import hidden_by_itself, shown_at, weighed
+from drake_oa.occlusion import hidden_by_itself, shown_at, weighed, without_background
 from drake_oa.point_cloud import Segmentation, SegmentationConfig
 from drake_oa.self_filter import PosedShapes
 from drake_oa.sides import View, seen_sides
 from drake_oa.track_motion import measured_tracks, predicted_tracks
-from drake_oa.tracking_kernels import AT, FREE, HIDDEN, OUT, absorb, hidden_beyond, mutual_nearest
+from drake_oa.tracking_kernels import (
+    AT,
+    EMPTY,
+    FREE,
+    HIDDEN,
+    OUT,
+    absorb,
+    hidden_beyond,
+    mutual_nearest,
+)
 from drake_oa.values import BoolArray, FloatArray, IntArray, ObstacleClouds
 
 _SOLID = 2.0  # a new cluster of so many times the fewest voxels is believed at once
@@ -162,7 +171,10 @@ class _Step:
         shift = self.tracks.shift_W
         behind = self._behind_itself(association, shows)
         self._doubt(near[2], shows[0], behind)
-        hidden = (shows[0] != AT) & (shows[0] != FREE) & ~behind
+        # Of what moves, missing pixels must not hide where it ends: it would go on for ever.
+        missing = (shows[0] == EMPTY) | ((shows[0] == OUT) & (shows[1] >= 0))
+        missing &= self.tracks.moving[self.points.owner]
+        hidden = (shows[0] != AT) & (shows[0] != FREE) & ~behind & ~missing
         self._measure(association, p_WQ, hidden)
         if known and np.abs(self.tracks.shift_W - shift)[:known].max() > _OFF:
             p_WQ = self._remembered()
@@ -203,7 +215,8 @@ class _Step:
     def _doubt(self, distance: FloatArray, seen: IntArray, behind: BoolArray) -> None:
         """How much of each obstacle is not where it is remembered."""
         points = self.points
-        asked = points.confirmed & ((seen == AT) | (seen == FREE) | behind)
+        told = (seen == AT) | (seen == FREE) | (seen == EMPTY) | behind
+        asked = points.confirmed & told
         count = len(self.tracks)
         total = np.bincount(points.owner[asked], minlength=count)
         asked &= distance >= self.tracking.support_radius
@@ -264,6 +277,7 @@ class _Step:
         points, tracking = self.points, self.tracking
         found = np.zeros(len(self.tracks), dtype=bool)
         found[association.point_row] = True
+        seen = without_background(seen, (found & self.tracks.moving)[points.owner])
         parts = self._parts(association, p_WQ, (seen == HIDDEN) | (seen == OUT))
         # `remember` still asks for these points by their places here.
         self._kept = np.full(len(points), -1, dtype=np.int64)

@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 from drake_oa.values import BoolArray, FloatArray, IntArray
 from drake_oa.voxel_kernels import members_of
 
-HIDDEN, AT, FREE, OUT = 0, 1, 2, 3
+HIDDEN, AT, FREE, OUT, EMPTY = 0, 1, 2, 3, 4
 """What an image shows where a point should be: something before it, something at its
-depth, only what is behind it, or nothing at all."""
+depth, only what is behind it, nothing at all, or nothing far around it either: as before a
+background that is too far away to be measured."""
+_AROUND = 12  # how far around it [pixel]: shadows beside what stands before it are narrower
 
 _CELLS = 60  # the most cells along an axis
 
@@ -128,7 +130,7 @@ def shown(
         pixel: (N,) written: flat index of each point's pixel, -1 outside the image.
 
     Returns:
-        (N,) HIDDEN, AT, FREE or OUT.
+        (N,) HIDDEN, AT, FREE, OUT or EMPTY.
     """
     rows, columns = z.shape[0], z.shape[1]
     seen = np.full(len(points), OUT, dtype=np.int64)
@@ -165,7 +167,21 @@ def shown(
             seen[i] = HIDDEN
         elif behind > 2:
             seen[i] = FREE
+        elif behind == 0 and _is_empty(z, v, u):
+            seen[i] = EMPTY
     return seen
+
+
+@njit(cache=True, error_model="numpy")
+def _is_empty(z: NDArray[np.float32], row: int, column: int) -> bool:
+    """Whether pixels all around a pixel have no depth; not where the image ends."""
+    rows, columns = z.shape
+    for i in range(-2, 3):
+        for j in range(-2, 3):
+            v, u = row + i * _AROUND // 2, column + j * _AROUND // 2
+            if v < 0 or v >= rows or u < 0 or u >= columns or z[v, u] > 0.0:
+                return False
+    return True
 
 
 @njit(cache=True, error_model="numpy")

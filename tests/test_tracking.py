@@ -307,6 +307,59 @@ def test_a_moving_obstacle_is_followed(make, start, velocity):
     assert len(now) == 2
 
 
+LEVEL = look_at([1.25, 0.1, 0.6], [0.0, 0.0, 0.45])  # sees over the table
+
+
+def before_nothing(depth: np.ndarray) -> np.ndarray:
+    """A camera that does not tell what is too far away from what is missing."""
+    return np.where(np.isinf(depth), np.float32(np.nan), depth)
+
+
+@pytest.mark.parametrize(
+    "make", [lambda p: box(p, [0.1, 0.1, 0.12]), lambda p: sphere(p, 0.05)], ids=["box", "ball"]
+)
+def test_what_moves_before_a_background_too_far_away_is_followed(make):
+    rng = np.random.default_rng(5)
+    memory = ObstacleMemory()
+    for k in range(45):
+        p_WO = np.array([0.1, 0.06 - 0.3 * FRAME * np.clip(k - 10, 0, 25), 0.5])
+        things = [make(p_WO), box([-0.2, 0.1, 0.05], [0.1] * 3)]
+        depth = before_nothing(noisy(render(*things, X_WC=LEVEL), rng))
+        memory = step(memory, depth, k * FRAME, X_WC=LEVEL)
+        now = memory.obstacles
+        row = named(now, p_WO)
+        assert (np.ptp(now.clouds_W[row], axis=0) < 0.17).all(), k
+        assert not np.delete(now.v_WO, row, axis=0).any()
+        if k < 10:
+            assert not now.v_WO.any()
+        elif 18 < k < 35:
+            # Its depth is less certain: a face that comes into sight may seem to be motion.
+            np.testing.assert_allclose(now.v_WO[row, 1:], [-0.3, 0.0], atol=0.06)
+            assert abs(middle(now.clouds_W[row])[1] - p_WO[1]) < 0.02, k
+    assert not now.v_WO.any()
+    assert abs(middle(now.clouds_W[row])[1] - p_WO[1]) < 0.02
+
+
+@pytest.mark.parametrize("share", [0.5, 1.0])
+def test_a_large_hole_in_the_image_moves_and_removes_nothing(share):
+    rng = np.random.default_rng(6)
+    memory = ObstacleMemory()
+    thing = box([0.1, 0.1, 0.5], [0.1, 0.16, 0.16])
+    mask = np.isfinite(render(thing, X_WC=LEVEL)) & ~np.isfinite(render(X_WC=LEVEL))
+    columns = np.flatnonzero(mask.any(axis=0))
+    end = int(columns[0] + share * (columns[-1] - columns[0])) + (30 if share == 1.0 else 0)
+    for k in range(40):
+        depth = before_nothing(noisy(render(thing, RIGHT, X_WC=LEVEL), rng))
+        if k >= 10:
+            depth[:, columns[0] - 30 : end] = np.nan
+        memory = step(memory, depth, k * FRAME, X_WC=LEVEL)
+        assert not memory.obstacles.v_WO.any(), k
+        if k == 9:
+            before = memory.obstacles.clouds_W[named(memory.obstacles, thing[1])]
+    after = memory.obstacles.clouds_W[named(memory.obstacles, thing[1])]
+    np.testing.assert_allclose(np.ptp(after, axis=0), np.ptp(before, axis=0), atol=0.01)
+
+
 def test_a_moving_obstacle_keeps_its_name_behind_the_arm():
     rng = np.random.default_rng(3)
     memory, names, unseen = ObstacleMemory(), set(), 0.0
