@@ -365,9 +365,10 @@ def _wire_supervisor(
     for name in ("tracking_error", "torque_saturation"):
         builder.Connect(controller.GetOutputPort(name), supervisor.GetInputPort(name))
     if builder.HasSubsystemNamed("ellipsoid_descriptor"):
-        builder.Connect(obstacles_port(builder), supervisor.GetInputPort("obstacles_W"))
+        obstacles = _wire_hidden_sides(builder, scenario, station)
+        builder.Connect(obstacles, supervisor.GetInputPort("obstacles_W"))
         if scenario.evasion is not None:
-            _wire_evasion(builder, scenario, station, robot_plant)
+            _wire_evasion(builder, scenario, station, robot_plant, obstacles)
     builder.Connect(supervisor.GetOutputPort("speed_scale"), speed_scale_port(builder))
     # With a tool that turns it is the lesser of two.
     asked = (policy, policy.GetInputPort("speed_scale").get_index())
@@ -375,8 +376,23 @@ def _wire_supervisor(
     log_signal(builder, "speed_scale", source.get_output_port(index))
 
 
+def _wire_hidden_sides(builder: DiagramBuilder, scenario: Scenario, station: Station) -> OutputPort:
+    """The obstacles; seen by a camera, what moves has a far side too."""
+    if not isinstance(scenario.perception, DepthCamera):
+        return obstacles_port(builder)
+    hidden = builder.AddNamedSystem("hidden_sides", layers.make_hidden_sides(scenario))
+    builder.Connect(obstacles_port(builder), hidden.GetInputPort("obstacles_W"))
+    pose = station.cameras[scenario.perception.camera].pose
+    builder.Connect(pose, hidden.GetInputPort("camera_pose"))
+    return hidden.get_output_port()
+
+
 def _wire_evasion(
-    builder: DiagramBuilder, scenario: Scenario, station: Station, robot_plant: RobotPlant
+    builder: DiagramBuilder,
+    scenario: Scenario,
+    station: Station,
+    robot_plant: RobotPlant,
+    obstacles: OutputPort,
 ) -> None:
     """What displaces the policy where slowing and holding it does not help."""
     evasion = builder.AddNamedSystem("evasion", robot_layers.make_evasion(scenario, robot_plant))
@@ -387,7 +403,7 @@ def _wire_evasion(
         station.plant.get_state_output_port(station.robot), evasion.GetInputPort("robot_state")
     )
     builder.Connect(policy.GetOutputPort("policy_state"), evasion.GetInputPort("policy_state"))
-    builder.Connect(obstacles_port(builder), evasion.GetInputPort("obstacles_W"))
+    builder.Connect(obstacles, evasion.GetInputPort("obstacles_W"))
     if isinstance(chain, VerifiedRegressorChain):
         builder.Connect(chain.GetOutputPort("motion"), evasion.GetInputPort("motion"))
     builder.Connect(evasion.GetOutputPort("evasion"), policy.GetInputPort("evasion"))

@@ -284,6 +284,33 @@ class ActionLevel:
         return Segment(motion, around.reason(code))
 
 
+def begun_anew(before: Segment, p_WG: FloatArray, time: float) -> Segment:
+    """A motion that rests, from where it is: its start moves there, and its phase back to 1.
+
+    A segment that does not rest, or has not left its start, stays as it is.
+
+    Args:
+        before: where it is.
+        p_WG: (3,) the goal [m].
+        time: now [s].
+    """
+    state = before.end
+    if state.speed > 0.0 or np.array_equal(state.p_WE, state.p_WS):
+        return before
+    if np.array_equal(state.p_WE, p_WG):
+        return before
+    return Segment.resting(
+        PolicyState(
+            p_WE=state.p_WE,
+            p_WS=state.p_WE,
+            p_WG=p_WG,
+            R_WL=local_frame(state.p_WE, p_WG),
+            stamp=time,
+            note=before.note,
+        )
+    )
+
+
 def _toward(before: Segment, p_WG: FloatArray) -> Segment:
     """The same segment, from the same start to another goal."""
     motion = before.motion.copy()

@@ -8,17 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from drake_oa import arm_kernels as kernels
-from drake_oa.clusters import voxel_keys
+from drake_oa.hidden_sides import VOXEL, deepened, thinned
 from drake_oa.kernel_arrays import kernel_arrays
 from drake_oa.supervision_geometry import ObstaclePoints
 from drake_oa.values import FloatArray, Frozen, IntArray, ObstacleClouds, TablePlane
-
-VOXEL = 0.02
-"""Edge of the voxels that an obstacle's points are thinned to [m]."""
-_DEEPEST = 0.08
-"""A thing that is seen from one side is taken to be at most so deep [m]."""
-_TOO_NEAR = 0.05
-"""A viewpoint so near above a thing says nothing of its depth [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +92,7 @@ class ArmSurroundings(Frozen):
         view = np.zeros(0) if viewpoint_W is None else viewpoint_W
         thin = ObstacleClouds(
             stamp=obstacles.stamp,
-            clouds_W=tuple(_deepened(_thinned(cloud), view) for cloud in obstacles.clouds_W),
+            clouds_W=tuple(deepened(thinned(cloud), view) for cloud in obstacles.clouds_W),
             ids=obstacles.ids,
             v_WO=obstacles.v_WO,
         )
@@ -113,29 +106,3 @@ class ArmSurroundings(Frozen):
         """Time since the points were seen [s]."""
         stamp = self.points.stamp
         return max(time - stamp, 0.0) if math.isfinite(stamp) else 0.0
-
-
-def _deepened(cloud: FloatArray, viewpoint_W: FloatArray) -> FloatArray:
-    """The points, and behind them, horizontally, as many layers as it is deep."""
-    if not len(viewpoint_W) or not len(cloud):
-        return cloud
-    away = cloud.mean(axis=0)[:2] - viewpoint_W[:2]
-    distance = float(np.linalg.norm(away))
-    if distance < _TOO_NEAR:
-        return cloud
-    away /= distance
-    across = cloud[:, :2] @ np.array([-away[1], away[0]])
-    along = cloud[:, :2] @ away
-    depth = min(float(np.ptp(across)), _DEEPEST) - float(np.ptp(along))
-    if depth <= 0.0:
-        return cloud
-    layers = np.linspace(0.0, depth, 1 + math.ceil(depth / VOXEL))
-    moved = cloud + layers[:, None, None] * np.append(away, 0.0)
-    return _thinned(moved.reshape(-1, 3))
-
-
-def _thinned(cloud: FloatArray) -> FloatArray:
-    if len(cloud) < 2:
-        return np.array(cloud, dtype=float)
-    _, first = np.unique(voxel_keys(cloud, VOXEL), return_index=True)
-    return np.asarray(cloud[np.sort(first)], dtype=float)

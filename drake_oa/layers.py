@@ -58,11 +58,12 @@ from drake_oa.systems.dmp_integrator import DmpIntegrator
 from drake_oa.systems.ellipsoid_descriptor import EllipsoidDescriptor
 from drake_oa.systems.given_ellipsoids import GivenEllipsoidSource
 from drake_oa.systems.ground_truth_perception import GroundTruthPerception
+from drake_oa.systems.hidden_sides import HiddenSides
 from drake_oa.systems.meshcat_overlay import MeshcatOverlay, dress_scene
 from drake_oa.systems.recorded_perception import RecordedPerception
 from drake_oa.systems.regressor_chain import RegressorChain
 from drake_oa.systems.verified_chain import RobotArm, VerifiedRegressorChain
-from drake_oa.tool_orientation import held_robots
+from drake_oa.tool_orientation import held_robots, tool_orientation
 from drake_oa.values import EllipsoidSet, FloatArray, TablePlane
 from drake_oa.verification import SearchParameters
 from drake_oa.workspace import tool_down_annulus
@@ -236,6 +237,11 @@ def make_ellipsoid_descriptor(scenario: Scenario, robot_plant: RobotPlant) -> El
     )
 
 
+def make_hidden_sides(scenario: Scenario) -> HiddenSides:
+    """What gives moving obstacles the side that a camera does not see."""
+    return HiddenSides(period=perception_period(scenario))
+
+
 def make_goal(scenario: Scenario) -> LeafSystem:
     """What says where the goal is: it stays, or is moved in steps; one port of size 3 [m]."""
     if not scenario.task.goal_moves:
@@ -303,6 +309,10 @@ def make_regressor_chain(
         table_height=policy.table_height,
         annulus=held_annulus(scenario),
         arm=arm,
+        # What was demonstrated is not to be begun again from its middle.
+        begins_anew=not scenario.task.demonstration
+        and policy.turn is None
+        and (scenario.robot is None or tool_orientation(scenario) is None),
     )
 
 

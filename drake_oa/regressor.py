@@ -59,6 +59,7 @@ class CouplingParameters(Frozen):
         tau: temporal scaling of the motion, which goes before the one from the route's
             length; 0: not given.
         note: empty, or why the motion must not go on.
+        anew: whether it is to begin anew from where it rests.
     """
 
     alpha: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -69,6 +70,7 @@ class CouplingParameters(Frozen):
     normal_W: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     tau: float = 0.0
     note: str = ""
+    anew: bool = False
 
     def __len__(self) -> int:
         return len(self.alpha)

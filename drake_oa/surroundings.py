@@ -24,12 +24,14 @@ class Surroundings(Frozen):
     Attributes:
         ellipsoids: the obstacles; None: there is no perception.
         blocked: empty, or why no way past the obstacles is known.
+        anew: whether a motion at rest is to begin anew from where it is.
         facts, parameters, clearance, blocks, R_WO, B: as `action_kernels.take_steps`
             takes them.
     """
 
     ellipsoids: EllipsoidSet | None = None
     blocked: str = ""
+    anew: bool = False
     facts: FloatArray = _empty(kernels.N_FACTS)
     parameters: FloatArray = _empty(0, 3)
     clearance: FloatArray = _empty(0)
@@ -87,6 +89,7 @@ class Surroundings(Frozen):
         return Surroundings(
             ellipsoids=ellipsoids,
             blocked=blocked,
+            anew=coupling is not None and coupling.anew,
             facts=facts,
             parameters=parameters,
             clearance=clearance,

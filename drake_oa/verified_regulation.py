@@ -46,6 +46,12 @@ _BETWEEN = 0.035
 """Normalised time between them, at most."""
 _ROUNDS_A_FRAME = 5
 """Rounds of a search that is begun anew with each frame: obstacles move."""
+_LEFT = 0.01
+"""A motion begins anew where it is farther than this from its start and its goal [m]."""
+_RETRY = 0.5
+"""How often it is looked whether it may [s]."""
+_OFF_PATH = 0.025
+"""A motion that is farther than this from the verified one is verified again [m]."""
 _SAMPLES = 100
 """About how many points of a motion are looked at to tell which obstacle it comes near to."""
 
@@ -75,6 +81,8 @@ class Regulation(Frozen):
         short_of: name of the obstacle that it is missing of; -1: none.
         goal_error: distance to the goal at the motion's end [m].
         note: empty, or why the motion must not go on.
+        anew: whether a motion that begins where this one rests will do in its place.
+        tried: when such a one was looked for last [s].
         motion: the motion from then to the goal.
         way: the arm's posture along it, where it is planned.
     """
@@ -95,6 +103,8 @@ class Regulation(Frozen):
     short_of: int = -1
     goal_error: float = 0.0
     note: str = ""
+    anew: bool = False
+    tried: float = -math.inf
     motion: PlannedMotion = field(default_factory=PlannedMotion)
     way: ArmWay = field(default_factory=ArmWay)
 
@@ -113,7 +123,15 @@ class Regulation(Frozen):
             center_W[same] = self.term[:3]
             normal_W[same] = self.term[NORMAL : NORMAL + 3]
         return CouplingParameters(
-            alpha, psi, kappa, in_range, center_W, normal_W, tau=self.tau, note=self.note
+            alpha,
+            psi,
+            kappa,
+            in_range,
+            center_W,
+            normal_W,
+            tau=self.tau,
+            note=self.note,
+            anew=self.anew,
         )
 
 
@@ -129,6 +147,7 @@ class Regulator:
         parameters: SearchParameters,
         table_height: float = 0.05,
         annulus: FloatArray | None = None,
+        begins_anew: bool = False,
     ) -> None:
         """Keeps what does not change.
 
@@ -140,7 +159,10 @@ class Regulator:
             table_height: least height of E above the table [m].
             annulus: (3, n) heights, and least and largest distance from the world's z axis
                 there [m]; None: anywhere.
+            begins_anew: whether a motion that rests, as none that clears the obstacles goes
+                on from it, is to begin anew where one from there does.
         """
+        self._begins_anew = begins_anew
         self._weights = weights
         self._dmp = dmp
         self._clearance = clearance
@@ -186,7 +208,7 @@ class Regulator:
         # A motion that is late is looked at again: the unmodulated rest may do.
         late = normalised_time(policy.phase, self._dmp.alpha_k) >= 1.0
         if not late and _stays(before, here):
-            return here
+            return self._looked_anew(here, policy) if here.note else here
         if not len(ellipsoids):
             # Nothing to go round; the spring leads to the goal.
             remaining = math.dist(p_WG, policy.p_WE)
@@ -205,7 +227,30 @@ class Regulator:
             settled=_hardly_moved(before.ellipsoids, ellipsoids),
             parameters=self._search(before, ellipsoids),
         )
-        return self._kept(here, scene, found, baseline)
+        return self._looked_anew(self._kept(here, scene, found, baseline), policy)
+
+    def _looked_anew(self, after: Regulation, policy: PolicyState) -> Regulation:
+        """Of a motion that rests, as none goes on from it: whether one begins where it is."""
+        after = replace(after, anew=False)
+        left = math.dist(policy.p_WE, policy.p_WS) > _LEFT
+        # At the goal there is none to begin.
+        left = left and math.dist(policy.p_WE, after.p_WG) > _LEFT
+        if not (self._begins_anew and after.note and policy.speed == 0.0 and left):
+            return after
+        if policy.stamp - after.tried < _RETRY:
+            return after
+        rests = replace(policy, p_WS=policy.p_WE, z_W=np.zeros(3), phase=1.0)
+        begun = replace(after, p_WS=policy.p_WE, travelled=0.0, genes=_no_genes())
+        scene = self._scene(rests, begun)
+        found = verify(
+            scene,
+            self._weights,
+            duration=self._dmp.duration,
+            dmp=self._dmp,
+            parameters=self._parameters,
+        )
+        does = not self._kept(begun, scene, found, float(scene.baseline[0])).note
+        return replace(after, anew=does, tried=policy.stamp)
 
     def _search(self, before: Regulation, ellipsoids: EllipsoidSet) -> SearchParameters:
         """A search among the same moving obstacles goes on from frame to frame."""
@@ -412,7 +457,19 @@ def _stays(before: Regulation, here: Regulation) -> bool:
             )
         )
         and _same_plane(before.table, here.table)
+        and _on_path(before.motion, here.p_WE)
     )
+
+
+def _on_path(motion: PlannedMotion, p_WE: FloatArray) -> bool:
+    """Whether the policy is where the motion goes: evasion displaces it."""
+    if len(motion) < 2:
+        return True
+    start, way = motion.p_WE[:-1], np.diff(motion.p_WE, axis=0)
+    square = np.maximum(np.einsum("ij,ij->i", way, way), 1e-18)
+    share = np.clip(np.einsum("ij,ij->i", p_WE - start, way) / square, 0.0, 1.0)
+    off = start + share[:, None] * way - p_WE
+    return bool(np.einsum("ij,ij->i", off, off).min() <= _OFF_PATH**2)
 
 
 def _same_plane(one: TablePlane | None, other: TablePlane | None) -> bool:

@@ -17,6 +17,7 @@ from drake_oa.action import (
     ActionParameters,
     Segment,
     advance,
+    begun_anew,
     goal_fade,
     hold_reason,
     initial_segment,
@@ -686,3 +687,29 @@ def test_a_displacement_that_is_not_finite_is_none() -> None:
     found = displaced_steps(np.full((5, 3), np.nan))
     plain = displaced_steps(np.zeros((5, 3)), evasion=False)
     np.testing.assert_array_equal(path(found), path(plain))
+
+
+def test_a_resting_motion_begins_anew_where_it_is() -> None:
+    state = PolicyState(
+        p_WE=np.array([0.4, 0.1, 0.3]),
+        z_W=np.array([0.2, 0.0, 0.1]),
+        phase=0.3,
+        p_WS=np.array([0.0, 0.0, 0.3]),
+        p_WG=np.array([0.9, 0.2, 0.3]),
+        note="held",
+    )
+    goal = np.array([0.9, 0.2, 0.4])
+    begun = begun_anew(Segment.resting(state), goal, 2.0).end
+    np.testing.assert_array_equal(begun.p_WE, state.p_WE)
+    np.testing.assert_array_equal(begun.p_WS, state.p_WE)
+    np.testing.assert_array_equal(begun.p_WG, goal)
+    np.testing.assert_allclose(begun.R_WL[:, 0] * math.dist(goal, state.p_WE), goal - state.p_WE)
+    assert (begun.phase, begun.speed, begun.stamp, begun.note) == (1.0, 0.0, 2.0, "held")
+    assert not begun.z_W.any()
+
+
+@pytest.mark.parametrize("change", [{"speed": 0.1}, {"p_WS": np.array([0.4, 0.1, 0.3])}])
+def test_a_motion_that_goes_or_is_at_its_start_is_left(change: dict[str, object]) -> None:
+    state = PolicyState(p_WE=np.array([0.4, 0.1, 0.3]), p_WG=np.array([0.9, 0.2, 0.3]), **change)
+    segment = Segment.resting(state)
+    assert begun_anew(segment, np.array([0.9, 0.2, 0.3]), 0.0) is segment

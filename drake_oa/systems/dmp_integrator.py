@@ -20,6 +20,7 @@ from drake_oa.action import (
     ActionLevel,
     ActionParameters,
     Segment,
+    begun_anew,
     initial_segment,
 )
 from drake_oa.dmp import Dmp
@@ -187,10 +188,13 @@ class DmpIntegrator(LeafSystem):
 
     def _step(self, context: Context, state: State) -> EventStatus:
         before = self._read_segment(context)
+        around = self._surroundings.Eval(context)
+        if around.anew:
+            before = begun_anew(before, self._goal.Eval(context), context.get_time())
         after = self._level.step(
             before,
             self._goal.Eval(context),
-            self._surroundings.Eval(context),
+            around,
             context.get_time(),
             self._period,
             speed_scale=self._read_speed_scale(context),

@@ -117,6 +117,7 @@ class VerifiedRegressorChain(LeafSystem):
         table_height: float = 0.05,
         annulus: FloatArray | None = None,
         arm: RobotArm | None = None,
+        begins_anew: bool = False,
     ) -> None:
         """Declares the ports.
 
@@ -131,6 +132,8 @@ class VerifiedRegressorChain(LeafSystem):
                 of E from the world's z axis there [m], see
                 `drake_oa.workspace.tool_down_annulus`; None: E may be anywhere.
             arm: plans the posture along the motion; None: nothing does.
+            begins_anew: whether a motion that rests, as none that clears the obstacles goes on
+                from it, begins anew from there where such a one does.
 
         Raises:
             TypeError: if weights are no `ChainWeights`.
@@ -159,6 +162,7 @@ class VerifiedRegressorChain(LeafSystem):
             parameters=parameters or SearchParameters(),
             table_height=table_height,
             annulus=annulus,
+            begins_anew=begins_anew,
         )
         self._arm = None if arm is None else ArmRegulator(self._regulator, arm.planner, dmp)
         self._arm_positions = [] if arm is None else list(arm.positions)

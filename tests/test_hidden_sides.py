@@ -1,0 +1,73 @@
+"""Far sides of what a camera sees from one side only."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydrake.common.value import AbstractValue
+from pydrake.math import RigidTransform
+
+from drake_oa.hidden_sides import deepened, with_hidden_sides
+from drake_oa.systems.hidden_sides import HiddenSides
+from drake_oa.values import ObstacleClouds
+
+CAMERA = np.array([1.2, 0.0, 1.0])
+
+
+def face(width: float = 0.06) -> np.ndarray:
+    """The front of a box that stands at x = 0.4, as a camera ahead sees it."""
+    y, z = np.meshgrid(np.linspace(0.0, width, 13), np.linspace(0.0, 0.2, 21))
+    return np.stack([np.full(y.size, 0.4), y.ravel(), z.ravel()], axis=1)
+
+
+def seen(*v_WO: tuple[float, float, float]) -> ObstacleClouds:
+    return ObstacleClouds(
+        stamp=1.0,
+        clouds_W=tuple(face() for _ in v_WO),
+        ids=np.arange(len(v_WO)),
+        v_WO=np.array(v_WO),
+    )
+
+
+def test_what_rests_is_left_as_it_is() -> None:
+    resting = seen((0.0, 0.0, 0.0))
+    assert with_hidden_sides(resting, CAMERA) is resting
+
+
+def test_what_moves_is_as_deep_as_broad() -> None:
+    one, other = with_hidden_sides(seen((0.0, 0.0, 0.0), (-0.2, 0.0, 0.0)), CAMERA).clouds_W
+    np.testing.assert_array_equal(one, face())
+    np.testing.assert_array_equal(other[: len(face())], face())
+    assert np.ptp(other[:, 0]) == pytest.approx(0.06, abs=0.005)
+    assert other[:, 0].max() == pytest.approx(0.4)
+    np.testing.assert_allclose(np.ptp(other[:, 2]), 0.2)
+
+
+@settings(max_examples=30, deadline=None)
+@given(angle=st.floats(-3.0, 3.0), width=st.floats(0.03, 0.3))
+def test_depth_turns_with_the_scene_and_is_bounded(angle: float, width: float) -> None:
+    c, s = np.cos(angle), np.sin(angle)
+    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    cloud = face(width)
+    plain, turned = deepened(cloud, CAMERA), deepened(cloud @ R.T, R @ CAMERA)
+    away = cloud.mean(axis=0)[:2] - CAMERA[:2]
+    away /= np.linalg.norm(away)
+    depth = float(np.ptp(plain[:, :2] @ away))
+    assert depth <= 0.08 + 0.02 * abs(away[1]) + 1e-9 or depth <= np.ptp(cloud[:, :2] @ away) + 1e-9
+    assert np.ptp(turned[:, :2] @ (R[:2, :2] @ away)) == pytest.approx(depth, abs=0.02)
+
+
+def test_the_system_alone() -> None:
+    system = HiddenSides(period=0.1)
+    context = system.CreateDefaultContext()
+    moving = seen((0.0, 0.3, 0.0))
+    system.GetInputPort("obstacles_W").FixValue(context, AbstractValue.Make(moving))
+    pose = RigidTransform(CAMERA)
+    system.GetInputPort("camera_pose").FixValue(context, AbstractValue.Make(pose))
+    system.ExecuteInitializationEvents(context)
+    shown = system.get_output_port().Eval(context)
+    expected = with_hidden_sides(moving, CAMERA)
+    np.testing.assert_array_equal(shown.clouds_W[0], expected.clouds_W[0])
+    assert shown.stamp == moving.stamp
+    with pytest.raises(ValueError, match="period"):
+        HiddenSides(period=0.0)
