@@ -11,6 +11,7 @@
     dmp_integrator -> regressor_chain (policy_state)
     perception, plant, controller, dmp_integrator -> supervisor -> dmp_integrator (speed_scale)
     perception, plant, dmp_integrator, regressor_chain -> evasion -> dmp_integrator, supervisor
+    perception, camera -> hidden_sides -> supervisor, evasion; with a depth camera
 
 With the posture planned, `robot.posture`:
 
@@ -41,30 +42,27 @@ With faults that touch them:
 
 An obstacle that moves, appears or vanishes is driven by mover_<model instance>.
 The systems are made from the scenario in `drake_oa.layers`, `robot_layers` and
-`fault_layers`; this file wires them.
+`fault_layers`; this file wires them, with `posture`, `safety`, `orienting` and `turning` beside it.
 """
 
 from __future__ import annotations
 
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem, OutputPort
-from pydrake.systems.primitives import VectorLogSink
 from pydrake.visualization import ApplyVisualizationConfig, VisualizationConfig
 
 from drake_oa import fault_layers, layers, robot_layers
 from drake_oa.diagrams.orienting import orientation_signals, wire_orientation
-from drake_oa.diagrams.ports import obstacles_port
-from drake_oa.diagrams.turning import speed_scale_port, wire_turn
+from drake_oa.diagrams.ports import log_signal
+from drake_oa.diagrams.posture import wire_null_space, wire_posture
+from drake_oa.diagrams.safety import wire_supervisor
+from drake_oa.diagrams.turning import wire_turn
 from drake_oa.scenario import DepthCamera, GivenEllipsoids, GroundTruth, Regressor, Scenario
 from drake_oa.station import RobotPlant, Station, make_robot_plant, make_station
 from drake_oa.systems.cartesian_inverse_dynamics import CartesianInverseDynamics
 from drake_oa.systems.dmp_integrator import DmpIntegrator
 from drake_oa.systems.taken_route import TakenRoute
 from drake_oa.systems.verified_chain import RobotArm, VerifiedRegressorChain
-from drake_oa.values import FloatArray
-
-LOG_PERIOD = 0.004
-"""Time between logged instants [s]."""
 
 
 def build_avoidance(
@@ -75,7 +73,7 @@ def build_avoidance(
     Subsystems by name: plant, scene_graph, camera_world, camera_scene_graph and
     rgbd_sensor_<camera>, or late_<camera> and robot_at_image; depth_noise, perception,
     ellipsoid_descriptor, regressor_chain, goal, dmp_integrator, integral_action, controller,
-    supervisor, evasion, posture_follower, log_<signal>; null_space_coupling with
+    supervisor, evasion, hidden_sides, posture_follower, log_<signal>; null_space_coupling with
     `robot.posture.coupling`; cost_ring_selector with `regulation: !Regressor` or a viewer, and
     overlay and taken_route with a viewer; orientation_integrator, tool_turn_selector, slowest,
     camera_faults, weak_actuators, push and mover_<model instance> where the scenario asks for
@@ -126,9 +124,9 @@ def build_avoidance(
         controller = robot_layers.make_controller(scenario, robot_plant, q_start)
         _wire_robot(builder, scenario, station, policy, controller)
         if arm is not None:
-            _wire_posture(builder, scenario, station, arm, q_start)
+            wire_posture(builder, scenario, station, arm, q_start)
         if modulated:
-            _wire_null_space(builder, scenario, station, robot_plant, q_start)
+            wire_null_space(builder, scenario, station, robot_plant, q_start)
         wire_world(builder, scenario, station)
         wire_orientation(builder, scenario)
         if modulated:
@@ -137,18 +135,12 @@ def build_avoidance(
         for name, port in orientation_signals(builder).items():
             log_signal(builder, name, port)
         if modulated and scenario.supervisor is not None:
-            _wire_supervisor(builder, scenario, station, robot_plant)
+            wire_supervisor(builder, scenario, station, robot_plant)
     if meshcat is not None:
         _wire_view(builder, scenario, station, meshcat)
     diagram = builder.Build()
     diagram.set_name("avoidance")
     return diagram
-
-
-def log_signal(builder: DiagramBuilder, name: str, port: OutputPort) -> None:
-    """Logs a vector port every `LOG_PERIOD` in a sink log_<name>."""
-    sink = builder.AddNamedSystem(f"log_{name}", VectorLogSink(port.size(), LOG_PERIOD))
-    builder.Connect(port, sink.get_input_port())
 
 
 def _wire_perception(
@@ -245,57 +237,6 @@ def _wire_decision(
         builder.Connect(state, chain.GetInputPort("policy_state"))
 
 
-def _wire_posture(
-    builder: DiagramBuilder,
-    scenario: Scenario,
-    station: Station,
-    arm: RobotArm,
-    q_start: FloatArray,
-) -> None:
-    """The posture that the regulation plans along the motion, to the controller."""
-    chain = builder.GetSubsystemByName("regressor_chain")
-    controller = builder.GetSubsystemByName("controller")
-    policy = builder.GetSubsystemByName("dmp_integrator")
-    builder.Connect(
-        station.plant.get_state_output_port(station.robot), chain.GetInputPort("robot_state")
-    )
-    if builder.HasSubsystemNamed("ellipsoid_descriptor"):
-        builder.Connect(obstacles_port(builder), chain.GetInputPort("obstacles_W"))
-    if isinstance(scenario.perception, DepthCamera):
-        pose = station.cameras[scenario.perception.camera].pose
-        builder.Connect(pose, chain.GetInputPort("camera_pose"))
-    follower = builder.AddNamedSystem(
-        "posture_follower", robot_layers.make_posture_follower(scenario, arm, q_start)
-    )
-    builder.Connect(chain.GetOutputPort("motion"), follower.GetInputPort("motion"))
-    builder.Connect(policy.GetOutputPort("policy_state"), follower.GetInputPort("policy_state"))
-    builder.Connect(follower.get_output_port(), controller.GetInputPort("desired_posture"))
-    log_signal(builder, "desired_posture", follower.get_output_port())
-
-
-def _wire_null_space(
-    builder: DiagramBuilder,
-    scenario: Scenario,
-    station: Station,
-    robot_plant: RobotPlant,
-    q_start: FloatArray,
-) -> None:
-    """What turns the links away from obstacles, to the controller, where it is asked for."""
-    if not builder.HasSubsystemNamed("ellipsoid_descriptor"):
-        return
-    coupling = robot_layers.make_null_space_coupling(scenario, robot_plant, q_start)
-    if coupling is None:
-        return
-    builder.AddNamedSystem("null_space_coupling", coupling)
-    controller = builder.GetSubsystemByName("controller")
-    state = station.plant.get_state_output_port(station.robot)
-    builder.Connect(state, coupling.GetInputPort("robot_state"))
-    builder.Connect(obstacles_port(builder), coupling.GetInputPort("obstacles_W"))
-    name = "null_space_acceleration"
-    builder.Connect(coupling.get_output_port(), controller.GetInputPort(name))
-    log_signal(builder, name, coupling.get_output_port())
-
-
 def wire_world(builder: DiagramBuilder, scenario: Scenario, station: Station) -> None:
     """What pushes the robot, and drives obstacles; these being there, the world is logged."""
     plant = station.plant
@@ -347,68 +288,6 @@ def _wire_robot(
     log_signal(builder, "actuation", actuation)
     for name in ("torque_saturation", "tracking_error"):
         log_signal(builder, name, controller.GetOutputPort(name))
-
-
-def _wire_supervisor(
-    builder: DiagramBuilder, scenario: Scenario, station: Station, robot_plant: RobotPlant
-) -> None:
-    """What slows, holds or stops the policy; it sees the obstacles that the descriptor sees."""
-    supervisor = builder.AddNamedSystem(
-        "supervisor", robot_layers.make_supervisor(scenario, robot_plant)
-    )
-    policy = builder.GetSubsystemByName("dmp_integrator")
-    controller = builder.GetSubsystemByName("controller")
-    builder.Connect(
-        station.plant.get_state_output_port(station.robot), supervisor.GetInputPort("robot_state")
-    )
-    builder.Connect(policy.GetOutputPort("policy_state"), supervisor.GetInputPort("policy_state"))
-    for name in ("tracking_error", "torque_saturation"):
-        builder.Connect(controller.GetOutputPort(name), supervisor.GetInputPort(name))
-    if builder.HasSubsystemNamed("ellipsoid_descriptor"):
-        obstacles = _wire_hidden_sides(builder, scenario, station)
-        builder.Connect(obstacles, supervisor.GetInputPort("obstacles_W"))
-        if scenario.evasion is not None:
-            _wire_evasion(builder, scenario, station, robot_plant, obstacles)
-    builder.Connect(supervisor.GetOutputPort("speed_scale"), speed_scale_port(builder))
-    # With a tool that turns it is the lesser of two.
-    asked = (policy, policy.GetInputPort("speed_scale").get_index())
-    source, index = builder.connection_map()[asked]
-    log_signal(builder, "speed_scale", source.get_output_port(index))
-
-
-def _wire_hidden_sides(builder: DiagramBuilder, scenario: Scenario, station: Station) -> OutputPort:
-    """The obstacles; seen by a camera, what moves has a far side too."""
-    if not isinstance(scenario.perception, DepthCamera):
-        return obstacles_port(builder)
-    hidden = builder.AddNamedSystem("hidden_sides", layers.make_hidden_sides(scenario))
-    builder.Connect(obstacles_port(builder), hidden.GetInputPort("obstacles_W"))
-    pose = station.cameras[scenario.perception.camera].pose
-    builder.Connect(pose, hidden.GetInputPort("camera_pose"))
-    return hidden.get_output_port()
-
-
-def _wire_evasion(
-    builder: DiagramBuilder,
-    scenario: Scenario,
-    station: Station,
-    robot_plant: RobotPlant,
-    obstacles: OutputPort,
-) -> None:
-    """What displaces the policy where slowing and holding it does not help."""
-    evasion = builder.AddNamedSystem("evasion", robot_layers.make_evasion(scenario, robot_plant))
-    policy = builder.GetSubsystemByName("dmp_integrator")
-    chain = builder.GetSubsystemByName("regressor_chain")
-    supervisor = builder.GetSubsystemByName("supervisor")
-    builder.Connect(
-        station.plant.get_state_output_port(station.robot), evasion.GetInputPort("robot_state")
-    )
-    builder.Connect(policy.GetOutputPort("policy_state"), evasion.GetInputPort("policy_state"))
-    builder.Connect(obstacles, evasion.GetInputPort("obstacles_W"))
-    if isinstance(chain, VerifiedRegressorChain):
-        builder.Connect(chain.GetOutputPort("motion"), evasion.GetInputPort("motion"))
-    builder.Connect(evasion.GetOutputPort("evasion"), policy.GetInputPort("evasion"))
-    builder.Connect(evasion.GetOutputPort("evading"), supervisor.GetInputPort("evading"))
-    log_signal(builder, "evasion", evasion.GetOutputPort("evasion"))
 
 
 def _wire_view(

@@ -27,7 +27,8 @@ from pydrake.systems.primitives import (
 )
 
 from drake_oa import layers
-from drake_oa.diagrams.avoidance import log_signal, wire_world
+from drake_oa.diagrams.avoidance import wire_world
+from drake_oa.diagrams.ports import log_signal
 from drake_oa.experiments import differential_ik as peer
 from drake_oa.scenario import Scenario, ScenarioError
 from drake_oa.station import Station, make_robot_plant, make_station

@@ -18,7 +18,8 @@ from pydrake.systems.primitives import ConstantValueSource
 from pydrake.systems.sensors import ImageDepth32F
 
 from drake_oa import layers
-from drake_oa.diagrams.avoidance import LOG_PERIOD, build_avoidance
+from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.diagrams.ports import LOG_PERIOD
 from drake_oa.motion_log import MotionLog
 from drake_oa.report import motion_report
 from drake_oa.scenario import Scenario, ScenarioError, load_scenario, package_file
