@@ -30,8 +30,8 @@ from drake_oa.scenario import ScenarioError, load_scenario, shipped_scenarios
 from drake_oa.training import command as training
 
 _COMPILATION = {
-    "run": "1 to 2 minutes",
-    "evaluate": "1 to 2 minutes",
+    "run": "2 to 4 minutes",
+    "evaluate": "2 to 4 minutes",
     "train": "half a minute",
     "benchmark": "2 minutes",
     "perceive": "half a minute",

@@ -89,7 +89,6 @@ def test_the_budget_of_a_run_has_every_layer_and_adds_up_to_the_whole(figures):
     assert len(budget) == len(figures["budget"])
     assert {
         "rendering",
-        "noise",
         "segmentation",
         "tracking and fusion",
         "descriptor",

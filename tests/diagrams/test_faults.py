@@ -322,7 +322,9 @@ def test_the_robot_holds_its_start_while_an_obstacle_is_over_it(
     log = robot_motion(lambda time: clouds(time, BOX + [0.0, -0.45, 0.15]), duration=1.0)
     assert log.event == ("tool inside obstacle 0",)
     assert_sound(log)
-    assert np.abs(log.q - log.q[0]).max() < 0.01
+    # The elbow may draw away from it in the null space.
+    assert np.abs(log.p_WE - log.p_WE[0]).max() < 1e-3
+    assert np.abs(log.q - log.q[0]).max() < 0.1
 
 
 # Faults while running: the depth image.
