@@ -18,26 +18,44 @@ _TOO_NEAR = 0.05
 """A viewpoint so near above a thing says nothing of its depth [m]."""
 
 
-def with_hidden_sides(obstacles: ObstacleClouds, viewpoint_W: FloatArray) -> ObstacleClouds:
-    """The obstacles, those that move with a far side.
+def with_hidden_sides(
+    obstacles: ObstacleClouds, viewpoint_W: FloatArray, moved: frozenset[int] = frozenset()
+) -> ObstacleClouds:
+    """The obstacles, those that move or have moved with a far side.
 
-    What moves toward a link from behind is nearer than the side of it that is seen. What rests
-    is left as it is: a link may pass behind it.
+    What moves toward a link from behind is nearer than the side of it that is seen, and is so
+    still when it has come to rest beside the link. What has always rested is left as it is: a
+    link may pass behind it.
 
     Args:
         obstacles: what is seen.
         viewpoint_W: (3,) from where [m].
+        moved: names of those that have moved.
 
     Returns:
-        `obstacles` itself where nothing moves.
+        `obstacles` itself where none has.
     """
-    if not obstacles.v_WO.any():
+    deep = [
+        bool(v_WO.any()) or int(name) in moved
+        for name, v_WO in zip(obstacles.ids, obstacles.v_WO, strict=True)
+    ]
+    if not any(deep):
         return obstacles
     clouds = tuple(
-        np.concatenate([cloud, deepened(thinned(cloud), viewpoint_W)]) if v_WO.any() else cloud
-        for cloud, v_WO in zip(obstacles.clouds_W, obstacles.v_WO, strict=True)
+        np.concatenate([cloud, deepened(thinned(cloud), viewpoint_W)]) if is_deep else cloud
+        for cloud, is_deep in zip(obstacles.clouds_W, deep, strict=True)
     )
     return replace(obstacles, clouds_W=clouds)
+
+
+def names_moved(obstacles: ObstacleClouds, before: frozenset[int]) -> frozenset[int]:
+    """The names of the obstacles that move now, or did before and are still there."""
+    moving = obstacles.v_WO.any(axis=1)
+    return frozenset(
+        int(name)
+        for name, moves in zip(obstacles.ids, moving, strict=True)
+        if moves or int(name) in before
+    )
 
 
 def deepened(cloud: FloatArray, viewpoint_W: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 
-from drake_oa.hidden_sides import deepened, with_hidden_sides
+from drake_oa.hidden_sides import deepened, names_moved, with_hidden_sides
 from drake_oa.systems.hidden_sides import HiddenSides
 from drake_oa.values import ObstacleClouds
 
@@ -25,7 +25,7 @@ def seen(*v_WO: tuple[float, float, float]) -> ObstacleClouds:
         stamp=1.0,
         clouds_W=tuple(face() for _ in v_WO),
         ids=np.arange(len(v_WO)),
-        v_WO=np.array(v_WO),
+        v_WO=np.array(v_WO).reshape(-1, 3),
     )
 
 
@@ -41,6 +41,18 @@ def test_what_moves_is_as_deep_as_broad() -> None:
     assert np.ptp(other[:, 0]) == pytest.approx(0.06, abs=0.005)
     assert other[:, 0].max() == pytest.approx(0.4)
     np.testing.assert_allclose(np.ptp(other[:, 2]), 0.2)
+
+
+def test_what_has_moved_keeps_its_far_side() -> None:
+    moving, resting = seen((-0.2, 0.0, 0.0), (0.0, 0.0, 0.0)), seen((0.0,) * 3, (0.0,) * 3)
+    moved = names_moved(moving, frozenset())
+    assert moved == {0}
+    assert names_moved(resting, moved) == {0}
+    one, other = with_hidden_sides(resting, CAMERA, moved).clouds_W
+    assert np.ptp(one[:, 0]) == pytest.approx(0.06, abs=0.005)
+    np.testing.assert_array_equal(other, face())
+    # Its name may be given again.
+    assert names_moved(seen(), moved) == frozenset()
 
 
 @settings(max_examples=30, deadline=None)
@@ -69,5 +81,9 @@ def test_the_system_alone() -> None:
     expected = with_hidden_sides(moving, CAMERA)
     np.testing.assert_array_equal(shown.clouds_W[0], expected.clouds_W[0])
     assert shown.stamp == moving.stamp
+    rests = AbstractValue.Make(seen((0.0, 0.0, 0.0)))
+    system.GetInputPort("obstacles_W").FixValue(context, rests)
+    shown = system.get_output_port().Eval(context)
+    np.testing.assert_array_equal(shown.clouds_W[0], expected.clouds_W[0])
     with pytest.raises(ValueError, match="period"):
         HiddenSides(period=0.0)
