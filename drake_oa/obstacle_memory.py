@@ -37,6 +37,8 @@ class TrackingConfig:
     jump: float = 0.01
     # An obstacle moves only when this share of its points is not found at its old place.
     doubt: float = 0.04
+    # With this share a slow motion is believed that is little beyond noise.
+    strong_doubt: float = 0.15
     # A moving obstacle that is not seen goes on for this long, and is then taken to rest;
     coast_time: float = 0.5
     # after this long it is mentioned in the note.
@@ -85,7 +87,8 @@ class Tracks(Frozen):
         moving: (M,) whether it moves.
         doubt: (M,) share of what should be seen of it that was not where it was
             remembered: the most of late.
-        significant: (M,) frames in a row whose velocity was significant.
+        significant: (M,) frames in a row whose velocity was significant, each counted
+            `FilterNoise.patience` times, and once where it was only likely.
         still: (M,) for how long it was not [s].
         unseen: (M,) for how long it was not measured [s].
         odd: (M,) outliers in a row.

@@ -91,12 +91,15 @@ def _decided(tracks: Tracks, measured: BoolArray, dt: float, config: TrackingCon
     away = estimate.p_W - tracks.p_shift_W
     distance = _lengths(away)
     doubted = tracks.moving | (tracks.doubt > config.doubt)
-    starts = (statistic > noise.start) & (speed > noise.start_speed) & measured
+    fast = (speed > noise.start_speed) & measured
+    starts = (statistic > noise.start) & fast
     starts &= tracks.moving | (doubted & (distance > _MOVED))
-    significant = np.where(starts, tracks.significant + 1, 0)
+    likely = (statistic > noise.stop) & fast & (tracks.doubt > config.strong_doubt)
+    count = tracks.significant + np.where(starts, noise.patience, 1)
+    significant = np.where(starts | likely, count, 0)
     calm = (statistic < noise.stop) | (speed < noise.floor)
     still = np.where(calm, tracks.still + dt, 0.0)
-    moving = tracks.moving | (significant >= noise.start_frames)
+    moving = tracks.moving | (significant >= noise.start_frames * noise.patience)
     moving &= still < noise.stop_time
     follows = measured & (moving | (doubted & (distance > config.jump)))
     step = np.where(follows[:, None], away, 0.0)

@@ -307,6 +307,25 @@ def test_a_moving_obstacle_is_followed(make, start, velocity):
     assert len(now) == 2
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("speed", [0.1, 0.13])
+def test_what_moves_slowly_is_seen_to_move(speed, seed):
+    # Little beyond the noise of a single velocity; what stays behind of it tells.
+    rng = np.random.default_rng(seed)
+    memory, direction = ObstacleMemory(), np.array([0.34, 0.94, 0.0])
+    for k in range(60):
+        p_WO = np.array([0.2, -0.2, 0.3]) + direction * speed * FRAME * max(k - 10, 0)
+        things = [sphere(p_WO, 0.048), box([-0.2, 0.3, 0.05], [0.1] * 3)]
+        memory = play(things, memory=memory, start=k * FRAME, rng=rng)
+        now = memory.obstacles
+        row = named(now, p_WO)
+        if k < 10:
+            assert not now.v_WO.any()
+        elif k > 40:
+            np.testing.assert_allclose(now.v_WO[row], speed * direction, atol=0.035)
+        assert not np.delete(now.v_WO, row, axis=0).any()
+
+
 LEVEL = look_at([1.25, 0.1, 0.6], [0.0, 0.0, 0.45])  # sees over the table
 
 
