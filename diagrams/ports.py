@@ -5,6 +5,10 @@ from __future__ import annotations
 from pydrake.systems.framework import DiagramBuilder, OutputPort
 from pydrake.systems.primitives import VectorLogSink
 
+from drake_oa import layers
+from drake_oa.scenario import DepthCamera, Scenario
+from drake_oa.station import Station
+
 LOG_PERIOD = 0.004
 """Time between logged instants [s]."""
 
@@ -25,3 +29,26 @@ def obstacles_port(builder: DiagramBuilder) -> OutputPort:
     port = descriptor.GetInputPort("obstacles_W")
     source, index = builder.connection_map()[(descriptor, port.get_index())]
     return source.get_output_port(index)
+
+
+def solid_obstacles_port(
+    builder: DiagramBuilder, scenario: Scenario, station: Station
+) -> OutputPort:
+    """The same clouds; seen by a camera, what moves or has moved has a far side too.
+
+    Adds hidden_sides where it is not there yet.
+
+    Args:
+        builder: as of `obstacles_port`.
+        scenario: with the perception.
+        station: with its camera.
+    """
+    if not isinstance(scenario.perception, DepthCamera):
+        return obstacles_port(builder)
+    if builder.HasSubsystemNamed("hidden_sides"):
+        return builder.GetSubsystemByName("hidden_sides").get_output_port()
+    hidden = builder.AddNamedSystem("hidden_sides", layers.make_hidden_sides(scenario))
+    builder.Connect(obstacles_port(builder), hidden.GetInputPort("obstacles_W"))
+    pose = station.cameras[scenario.perception.camera].pose
+    builder.Connect(pose, hidden.GetInputPort("camera_pose"))
+    return hidden.get_output_port()

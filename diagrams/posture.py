@@ -1,6 +1,6 @@
 """Wires what moves the arm in the null space of the tool's task.
 
-perception, plant, regressor_chain (motion) -> posture_follower -> controller
+perception (hidden_sides), plant, regressor_chain (motion) -> posture_follower -> controller
 perception, plant -> null_space_coupling -> controller
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 from pydrake.systems.framework import DiagramBuilder
 
 from drake_oa import robot_layers
-from drake_oa.diagrams.ports import log_signal, obstacles_port
+from drake_oa.diagrams.ports import log_signal, obstacles_port, solid_obstacles_port
 from drake_oa.scenario import DepthCamera, Scenario
 from drake_oa.station import RobotPlant, Station
 from drake_oa.systems.verified_chain import RobotArm
@@ -31,7 +31,8 @@ def wire_posture(
         station.plant.get_state_output_port(station.robot), chain.GetInputPort("robot_state")
     )
     if builder.HasSubsystemNamed("ellipsoid_descriptor"):
-        builder.Connect(obstacles_port(builder), chain.GetInputPort("obstacles_W"))
+        obstacles = solid_obstacles_port(builder, scenario, station)
+        builder.Connect(obstacles, chain.GetInputPort("obstacles_W"))
     if isinstance(scenario.perception, DepthCamera):
         pose = station.cameras[scenario.perception.camera].pose
         builder.Connect(pose, chain.GetInputPort("camera_pose"))
@@ -62,6 +63,5 @@ def wire_null_space(
     state = station.plant.get_state_output_port(station.robot)
     builder.Connect(state, coupling.GetInputPort("robot_state"))
     builder.Connect(obstacles_port(builder), coupling.GetInputPort("obstacles_W"))
-    name = "null_space_acceleration"
-    builder.Connect(coupling.get_output_port(), controller.GetInputPort(name))
-    log_signal(builder, name, coupling.get_output_port())
+    asked = controller.GetInputPort("null_space_acceleration")
+    builder.Connect(coupling.get_output_port(), asked)

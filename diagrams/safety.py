@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from pydrake.systems.framework import DiagramBuilder, OutputPort
 
-from drake_oa import layers, robot_layers
-from drake_oa.diagrams.ports import log_signal, obstacles_port
+from drake_oa import robot_layers
+from drake_oa.diagrams.ports import log_signal, solid_obstacles_port
 from drake_oa.diagrams.turning import speed_scale_port
-from drake_oa.scenario import DepthCamera, Scenario
+from drake_oa.scenario import Scenario
 from drake_oa.station import RobotPlant, Station
 from drake_oa.systems.verified_chain import VerifiedRegressorChain
 
@@ -33,7 +33,7 @@ def wire_supervisor(
     for name in ("tracking_error", "torque_saturation"):
         builder.Connect(controller.GetOutputPort(name), supervisor.GetInputPort(name))
     if builder.HasSubsystemNamed("ellipsoid_descriptor"):
-        obstacles = _wire_hidden_sides(builder, scenario, station)
+        obstacles = solid_obstacles_port(builder, scenario, station)
         builder.Connect(obstacles, supervisor.GetInputPort("obstacles_W"))
         if scenario.evasion is not None:
             _wire_evasion(builder, scenario, station, robot_plant, obstacles)
@@ -42,17 +42,6 @@ def wire_supervisor(
     asked = (policy, policy.GetInputPort("speed_scale").get_index())
     source, index = builder.connection_map()[asked]
     log_signal(builder, "speed_scale", source.get_output_port(index))
-
-
-def _wire_hidden_sides(builder: DiagramBuilder, scenario: Scenario, station: Station) -> OutputPort:
-    """The obstacles; seen by a camera, what moves has a far side too."""
-    if not isinstance(scenario.perception, DepthCamera):
-        return obstacles_port(builder)
-    hidden = builder.AddNamedSystem("hidden_sides", layers.make_hidden_sides(scenario))
-    builder.Connect(obstacles_port(builder), hidden.GetInputPort("obstacles_W"))
-    pose = station.cameras[scenario.perception.camera].pose
-    builder.Connect(pose, hidden.GetInputPort("camera_pose"))
-    return hidden.get_output_port()
 
 
 def _wire_evasion(

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
 from drake_oa.dmp import Dmp, normalised_time
+from drake_oa.regulation import Regulation
 from drake_oa.values import EllipsoidSet, FloatArray, ObstacleClouds, PolicyState, TablePlane
-from drake_oa.verified_regulation import Regulation, Regulator
-from drake_oa.whole_arm import ArmSight, WholeArm
+from drake_oa.verified_regulation import SEEK_AGAIN, Regulator
+from drake_oa.whole_arm import ArmSight, ArmWay, WholeArm
+
+_TRIED = 16
+"""So many other motions are tried in the place of one that the arm cannot follow."""
 
 
 class ArmRegulator:
@@ -64,7 +69,41 @@ class ArmRegulator:
             if way.failed and len(before.way.plan):
                 # Better the posture of before than that of the start.
                 way = replace(before.way, seen=way.seen, since=way.since, failed=True)
+        if way.concern and policy.stamp - after.sought >= SEEK_AGAIN:
+            after, way = self._sought(after, way, policy, sight, table)
         return replace(after, motion=way.motion, way=way, tau=after.tau * way.slower)
+
+    def _sought(
+        self,
+        after: Regulation,
+        way: ArmWay,
+        policy: PolicyState,
+        sight: ArmSight,
+        table: TablePlane | None,
+    ) -> tuple[Regulation, ArmWay]:
+        """Another motion of the tool, which the arm can follow, if there is one."""
+        asked = sight, table, policy.stamp
+        for other in islice(self._regulator.others(after, policy), _TRIED):
+            its = self._quickly_planned(other, *asked)
+            if its.plan.works:
+                return other, its
+        anew = any(
+            self._quickly_planned(other, *asked).plan.works
+            for other in islice(self._regulator.others_anew(after, policy), _TRIED)
+        )
+        return replace(after, sought=policy.stamp, anew=anew), way
+
+    def _quickly_planned(
+        self, other: Regulation, sight: ArmSight, table: TablePlane | None, time: float
+    ) -> ArmWay:
+        return self._arm.planned(
+            other.motion,
+            sight,
+            table,
+            seconds=self._dmp.duration * other.tau,
+            time=time,
+            thorough=False,
+        )
 
 
 def _is_finite(obstacles: ObstacleClouds) -> bool:

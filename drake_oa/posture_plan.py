@@ -49,6 +49,8 @@ _LEAP_OF_ANY = 0.3
 _RESERVES = (0.005, 0.02)
 """By how much more than the stop distance the samples keep, as between them it is less; the
 second where the first turns out not to do [m]."""
+_LOSS = 0.002
+"""What is within the stop distance is left where no sample is so much nearer than the last [m]."""
 _HURRIED = 1.02
 """Shares of the allowed speed up to this are no more than the start's own error."""
 _FINE, _FINE_WINDOW = 9, 8
@@ -166,6 +168,7 @@ def plan_posture(
     age: float = 0.0,
     R_WE: FloatArray | None = None,
     parameters: PostureParameters | None = None,
+    thorough: bool = True,
 ) -> PosturePlan:
     """Plans the arm's posture along a path.
 
@@ -179,6 +182,7 @@ def plan_posture(
         age: for how long the obstacles have moved since they were seen [s].
         R_WE: (T, 3, 3) or (3, 3) orientations; None: the arm's.
         parameters: what is kept; None: the defaults.
+        thorough: whether to look further where the first grid has no way that is clear.
 
     Returns:
         The plan; it is the best that there is where none keeps everything.
@@ -233,6 +237,8 @@ def plan_posture(
             rules[kernels.RESERVE] = reserve
             cost = traced(nothing, _TRACE, _NODES) if by_trace else search(values, nothing, _WINDOW)
             if not math.isfinite(cost):
+                if not thorough:
+                    return best
                 break
             guess = way.copy()
             if by_trace:
@@ -243,6 +249,8 @@ def plan_posture(
             plan = _described(arm, around, s, way, seconds, ages, rules, shared)
             if plan.short < best.short:
                 best = plan
+            if not thorough:
+                return best
             if best.short == 0.0 or parameters.clearance <= parameters.stop_distance + _RESERVES[1]:
                 break
         if best.short == 0.0:
@@ -313,14 +321,26 @@ def _described(
     if len(s) > 1:
         rate = np.abs(np.diff(way, axis=0)) / (np.diff(s)[:, None] * seconds)
         hurry = float((rate / (speed * rules[kernels.SPEED_SHARE])).max())
-    # Where the arm is now cannot be chosen.
-    ahead = slice(1, None) if len(s) > 1 else slice(None)
+    # Where the arm is now cannot be chosen; from too near it has to be left.
+    ahead = slice(_leaving(distance, float(rules[kernels.STOP])), None)
     short = max(
         float(rules[kernels.STOP] - distance[ahead].min()),
         float(rules[kernels.SELF_STOP] - apart[ahead].min()),
         0.0,
     )
     return PosturePlan(s, np.array(way), distance, nearest, apart, limit, hurry, short)
+
+
+def _leaving(distance: FloatArray, stop: float) -> int:
+    """How many samples from the first on lead away from within the stop distance."""
+    count = 1 if len(distance) > 1 else 0
+    while (
+        0 < count < len(distance) - 1
+        and distance[count] < stop
+        and distance[count] >= distance[count - 1] - _LOSS
+    ):
+        count += 1
+    return count
 
 
 def _check(

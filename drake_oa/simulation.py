@@ -26,7 +26,7 @@ from drake_oa.scenario import Scenario, scenario_text
 from drake_oa.station import TOOL_FRAME
 from drake_oa.supervision import Supervision
 from drake_oa.systems.late_camera import LateCamera
-from drake_oa.values import EllipsoidSet, FloatArray, PolicyState
+from drake_oa.values import EllipsoidSet, FloatArray, PlannedMotion, PolicyState
 from drake_oa.verification import SearchParameters
 
 LONGEST_HOLD = 5.0
@@ -35,7 +35,10 @@ LONGEST_SCALING = 6.0
 """A motion that takes more than this many demonstrated durations is ended."""
 LATEST_END = 2.2
 """Normalised time s at which a motion that has not arrived is ended; counted from s = 1 at
-the latest move of the goal, where that comes after it."""
+the latest move of the goal, where that comes after it. One that has been verified to arrive
+later may do so."""
+_LATE = 0.2
+"""How much later than verified a motion may arrive, in normalised time."""
 ARRIVED = SearchParameters().tolerance
 """A motion has arrived when s = 1 is over and it is this near to the goal [m], at a scaled
 velocity at which it would go no further than `STILL` times as far in a unit of s."""
@@ -135,6 +138,8 @@ class MotionWatcher:
         if supervision.action == "stop" and policy.speed == 0.0:
             return self._stop(f"stopped: {supervision.reason}")
         if now > self._last_move and s >= self._latest_end:
+            self._latest_end = max(self._latest_end, self._verified_end(root) + _LATE)
+        if now > self._last_move and s >= self._latest_end:
             error = math.dist(policy.p_WE, self._goal)
             if _has_arrived(policy, self._goal):
                 return self._stop("at the goal, but the tool cannot be turned back there")
@@ -191,6 +196,16 @@ class MotionWatcher:
         port = self._chain.GetOutputPort("coupling_parameters")
         coupling: CouplingParameters = port.Eval(self._chain.GetMyContextFromRoot(root))
         return int((~coupling.in_range).sum())
+
+    def _verified_end(self, root: Context) -> float:
+        """Normalised time at which the motion has been verified to arrive; 0: it has not."""
+        if self._chain is None or not self._chain.HasOutputPort("motion"):
+            return 0.0
+        port = self._chain.GetOutputPort("motion")
+        motion: PlannedMotion = port.Eval(self._chain.GetMyContextFromRoot(root))
+        if not len(motion) or math.dist(motion.p_WE[-1], self._goal) > ARRIVED:
+            return 0.0
+        return float(motion.s[-1])
 
     def _stop(self, reason: str) -> EventStatus:
         self.stop_reason = reason

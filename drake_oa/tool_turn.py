@@ -19,9 +19,10 @@ from drake_oa.clusters import voxel_keys
 from drake_oa.descriptor import describe, turned_about
 from drake_oa.ellipsoid import signed_distance
 from drake_oa.parts import merged_parts
+from drake_oa.regulation import Regulation
 from drake_oa.turning_tool import TurningTool, TurnParameters
 from drake_oa.values import EllipsoidSet, FloatArray, Frozen, ObstacleClouds, PolicyState
-from drake_oa.verified_regulation import Regulation, Regulator
+from drake_oa.verified_regulation import Regulator
 
 _MISSED = 5e-3
 """How far from the goal a motion may end that a turn is taken for [m]."""

@@ -31,6 +31,8 @@ _LOWER = np.array(
     [-np.inf, 0.01, -0.3, math.log(0.1), math.log(0.15), math.log(0.1), math.log(0.6)]
 )
 _UPPER = np.array([np.inf, 0.99, 0.0, math.log(3e3), math.log(5.0), 30.0, math.log(2.5)])
+GENE_RANGE = np.stack([_LOWER, _UPPER], axis=1)
+"""(7, 2) least and largest value of each gene."""
 _STRIDE = np.array([0.4, 0.08, 0.03, 0.6, 0.25, 0.8, 0.15])
 """Standard deviation of a full step of the search, gene by gene."""
 
@@ -226,7 +228,7 @@ class _Ranked:
 
     genes: FloatArray  # (A, n, 7)
     cost: FloatArray  # (A, n)
-    outcome: FloatArray  # (A, n, len(_OUTCOME))
+    outcome: FloatArray  # (A, n, len(OUTCOME))
 
     @property
     def solved(self) -> BoolArray:
@@ -251,7 +253,8 @@ class _Ranked:
         )
 
 
-_OUTCOME = ("margin", "clearance", "goal_error", "path_length", "steps")
+OUTCOME = ("margin", "clearance", "goal_error", "path_length", "steps", "world_margin")
+"""What is kept of a roll-out, see `SpatialRollouts`."""
 
 
 class Search:
@@ -290,7 +293,7 @@ class Search:
         active = self.keep_previous(chosen, np.flatnonzero(~chosen.solved), proposed)
         first = proposed[active]
         if self.sides > 1:
-            fresh = np.repeat(_draws(0, _SPREAD).fresh[None], len(active), axis=0)
+            fresh = np.repeat(draws(0, _SPREAD).fresh[None], len(active), axis=0)
             fresh[~self.moving[active], :, TAU] = 0.0
             first = np.concatenate([first, self.bounded(active, fresh)], axis=1)
         ranked = self.evaluate(active, first).best(_ELITES)
@@ -363,9 +366,9 @@ class Search:
             shortest=shortest,
         )
         self.rollouts += len(scene)
-        outcome = np.column_stack([getattr(found, name) for name in _OUTCOME])
+        outcome = np.column_stack([getattr(found, name) for name in OUTCOME])
         return _Ranked(
-            genes, self.cost(scene, flat, found).reshape(A, n), outcome.reshape(A, n, len(_OUTCOME))
+            genes, self.cost(scene, flat, found).reshape(A, n), outcome.reshape(A, n, len(OUTCOME))
         )
 
     def cost(self, scene: IntArray, genes: FloatArray, found: SpatialRollouts) -> FloatArray:
@@ -426,19 +429,19 @@ class Search:
 
     def children(self, active: IntArray, ranked: _Ranked, number: int) -> FloatArray:
         """The candidates of a round, (A, n, 7)."""
-        draws = _draws(number, self.parameters.candidates)
+        random = draws(number, self.parameters.candidates)
         n_kin = self.parameters.candidates - _LINE
         genes = ranked.genes
-        kin = genes[:, np.arange(n_kin) % _ELITES] + _STRIDE * draws.step[:n_kin]
-        apart = genes[:, draws.first[:n_kin]] - genes[:, draws.second[:n_kin]]
-        kin += draws.mixing[:n_kin, None] * np.nan_to_num(apart)
+        kin = genes[:, np.arange(n_kin) % _ELITES] + _STRIDE * random.step[:n_kin]
+        apart = genes[:, random.first[:n_kin]] - genes[:, random.second[:n_kin]]
+        kin += random.mixing[:n_kin, None] * np.nan_to_num(apart)
         # Along alpha from the best one: the least that keeps the clearance is shortest.
         line = np.repeat(genes[:, :1], _LINE, axis=1)
-        line[:, :, ALPHA] += draws.line
+        line[:, :, ALPHA] += random.line
         trial = np.concatenate([line, kin], axis=1)
         if number >= _FIRST_FRESH:
-            fresh = ~ranked.solved[:, None, None] & draws.is_fresh[:, None]
-            trial = np.where(fresh, draws.fresh, trial)
+            fresh = ~ranked.solved[:, None, None] & random.is_fresh[:, None]
+            trial = np.where(fresh, random.fresh, trial)
         trial[~self.moving[active], :, TAU] = 0.0
         return self.bounded(active, trial)
 
@@ -453,7 +456,7 @@ class Search:
 
     def answer(self, chosen: _Ranked, in_range: BoolArray) -> Verified:
         genes = chosen.genes[:, 0]
-        margin, clearance, goal_error, length, steps = chosen.outcome[:, 0].T
+        margin, clearance, goal_error, length, steps, _ = chosen.outcome[:, 0].T
         tau = np.maximum(1.0, length / self.scenes.baseline)
         return Verified(
             genes=genes,
@@ -486,7 +489,8 @@ class _Draws:
 
 
 @lru_cache(maxsize=256)
-def _draws(number: int, n: int) -> _Draws:
+def draws(number: int, n: int) -> _Draws:
+    """The random numbers of a round: the same in every search."""
     rng = np.random.default_rng((number, n))
     low = np.where(np.isfinite(_LOWER), _LOWER, 0.0)
     high = np.where(np.isfinite(_UPPER), _UPPER, 2.0 * np.pi)

@@ -8,36 +8,39 @@ avoidance term is put on the row of the obstacle that the motion comes nearest t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
-from drake_oa.coupling_kernels import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
+from drake_oa.coupling_kernels import N_COLUMNS
 from drake_oa.dmp import Dmp, local_frame, normalised_time, trajectory
 from drake_oa.ellipsoid import signed_distance
-from drake_oa.regressor import ChainWeights, CouplingParameters
+from drake_oa.regressor import ChainWeights
+from drake_oa.regulation import (
+    Regulation,
+    begun_anew,
+    hardly_moved,
+    side_only,
+    stays,
+    travelled,
+)
 from drake_oa.spatial_rollout import SpatialRollouts, SpatialScenes
 from drake_oa.values import (
     PART,
     EllipsoidSet,
     FloatArray,
-    Frozen,
     PlannedMotion,
     PolicyState,
-    Route,
     TablePlane,
 )
 from drake_oa.verification import ALPHA as LOG_ALPHA
-from drake_oa.verification import ANGLE, N_GENES, TAU, SearchParameters, Verified, verify
+from drake_oa.verification import TAU, SearchParameters, Verified, verify
 from drake_oa.verification_search import roll_out
-from drake_oa.whole_arm import ArmWay
+from drake_oa.verification_survey import assessed, survey
 
 _OUTSIDE = 0.01
 """How far a motion may leave the world's limits, which hold centimetres in reserve [m]."""
-_NOISE = 5e-3
-"""By how much an obstacle at rest may seem to move or grow from frame to frame [m]."""
-_MISSED = 5e-3
-"""How far from the goal a motion may end without a word [m]."""
 _ASTRAY = 0.1
 """How far from the goal the end of a motion is no arrival at all, in baselines."""
 _APART = 0.028
@@ -48,91 +51,16 @@ _ROUNDS_A_FRAME = 5
 """Rounds of a search that is begun anew with each frame: obstacles move."""
 _LEFT = 0.01
 """A motion begins anew where it is farther than this from its start and its goal [m]."""
+SEEK_AGAIN = 1.0
+"""How often a motion that the arm can follow is looked for [s]."""
 _RETRY = 0.5
 """How often it is looked whether it may [s]."""
-_OFF_PATH = 0.025
-"""A motion that is farther than this from the verified one is verified again [m]."""
+_LESS = 0.05
+"""Distance to obstacles that a motion for the arm's sake keeps at least [m]."""
+_SHORTER = 0.01
+"""By how much more it may come to lack of the feasible clearance [m]."""
 _SAMPLES = 100
 """About how many points of a motion are looked at to tell which obstacle it comes near to."""
-
-
-def _no_genes() -> FloatArray:
-    return np.full(N_GENES, np.nan)
-
-
-@dataclass(frozen=True, eq=False)
-class Regulation(Frozen):
-    """The motion that was verified last, and among what.
-
-    Attributes:
-        ellipsoids: the obstacles then.
-        table: the supporting plane then, or None.
-        p_WS: (3,) start of the motion [m].
-        p_WG: (3,) its goal then [m].
-        p_WE: (3,) where it was when it was looked at last [m].
-        travelled: length of the way until there [m].
-        remaining: length of the verified way from where it was verified [m].
-        row: row of the obstacle that the term is put on; -1: no term.
-        term: (13,) the avoidance term, see `coupling_kernels.turn_step`.
-        tau: temporal scaling; 0: nothing was verified.
-        in_range: whether the chain was asked within its trained range.
-        genes: (7,) of the choice, NaN where there are none.
-        shortfall: what is missing of the feasible clearance in the motion [m].
-        short_of: name of the obstacle that it is missing of; -1: none.
-        goal_error: distance to the goal at the motion's end [m].
-        note: empty, or why the motion must not go on.
-        anew: whether a motion that begins where this one rests will do in its place.
-        tried: when such a one was looked for last [s].
-        motion: the motion from then to the goal.
-        way: the arm's posture along it, where it is planned.
-    """
-
-    ellipsoids: EllipsoidSet = field(default_factory=EllipsoidSet)
-    table: TablePlane | None = None
-    p_WS: FloatArray = field(default_factory=lambda: np.zeros(3))
-    p_WG: FloatArray = field(default_factory=lambda: np.zeros(3))
-    p_WE: FloatArray = field(default_factory=lambda: np.zeros(3))
-    travelled: float = 0.0
-    remaining: float = 0.0
-    row: int = -1
-    term: FloatArray = field(default_factory=lambda: np.zeros(N_COLUMNS))
-    tau: float = 0.0
-    in_range: bool = True
-    genes: FloatArray = field(default_factory=_no_genes)
-    shortfall: float = 0.0
-    short_of: int = -1
-    goal_error: float = 0.0
-    note: str = ""
-    anew: bool = False
-    tried: float = -math.inf
-    motion: PlannedMotion = field(default_factory=PlannedMotion)
-    way: ArmWay = field(default_factory=ArmWay)
-
-    def coupling(self, ellipsoids: EllipsoidSet) -> CouplingParameters:
-        """The parameters for obstacles now: one row an ellipsoid, at most one with a term."""
-        count = len(ellipsoids)
-        alpha, psi, kappa = np.zeros(count), np.ones(count), np.zeros(count)
-        in_range = np.ones(count, dtype=bool)
-        center_W, normal_W = np.array(ellipsoids.p_WO), np.zeros((count, 3))
-        if self.row >= 0:
-            same = np.flatnonzero(ellipsoids.ids == self.ellipsoids.ids[self.row])[:1]
-            alpha[same] = self.term[ALPHA]
-            psi[same] = self.term[PSI]
-            kappa[same] = self.term[KAPPA]
-            in_range[same] = self.in_range
-            center_W[same] = self.term[:3]
-            normal_W[same] = self.term[NORMAL : NORMAL + 3]
-        return CouplingParameters(
-            alpha,
-            psi,
-            kappa,
-            in_range,
-            center_W,
-            normal_W,
-            tau=self.tau,
-            note=self.note,
-            anew=self.anew,
-        )
 
 
 class Regulator:
@@ -203,11 +131,14 @@ class Regulator:
             p_WS=policy.p_WS,
             p_WG=np.array(p_WG, dtype=float),
             p_WE=policy.p_WE,
-            travelled=_travelled(before, policy),
+            travelled=travelled(before, policy),
+            anew=False,
         )
+        if not np.array_equal(before.p_WS, policy.p_WS):
+            here = replace(here, for_arm=False, sought=-math.inf)
         # A motion that is late is looked at again: the unmodulated rest may do.
         late = normalised_time(policy.phase, self._dmp.alpha_k) >= 1.0
-        if not late and _stays(before, here):
+        if not late and stays(before, here):
             return self._looked_anew(here, policy) if here.note else here
         if not len(ellipsoids):
             # Nothing to go round; the spring leads to the goal.
@@ -218,29 +149,83 @@ class Regulator:
             motion = self._roll_out(scene, np.zeros((1, 0, N_COLUMNS)), seconds)
             return replace(free, motion=_planned(scene.s, motion, self._parameters.steps))
         scene = self._scene(policy, here)
+        if here.for_arm:
+            after = self._again(here, scene, baseline, policy.stamp)
+            if after is not None:
+                return after
+            here = replace(here, for_arm=False)
         found = verify(
             scene,
             self._weights,
             duration=self._dmp.duration,
             dmp=self._dmp,
             previous=here.genes[None],
-            settled=_hardly_moved(before.ellipsoids, ellipsoids),
+            settled=hardly_moved(before.ellipsoids, ellipsoids),
             parameters=self._search(before, ellipsoids),
         )
         return self._looked_anew(self._kept(here, scene, found, baseline), policy)
 
-    def _looked_anew(self, after: Regulation, policy: PolicyState) -> Regulation:
-        """Of a motion that rests, as none goes on from it: whether one begins where it is."""
-        after = replace(after, anew=False)
+    def _again(
+        self, here: Regulation, scene: SpatialScenes, baseline: float, time: float
+    ) -> Regulation | None:
+        """A motion for the arm's sake, while it will do; where something moves, for a while."""
+        if here.ellipsoids.v_WO.any() and time - here.sought >= SEEK_AGAIN:
+            return None
+        found = assessed(
+            scene,
+            here.genes[None],
+            duration=self._dmp.duration,
+            dmp=self._dmp,
+            previous=here.genes,
+            parameters=self._parameters,
+        )
+        after = self._kept(here, scene, found, baseline)
+        will_do = not after.note and after.shortfall <= here.shortfall + _SHORTER
+        return after if will_do else None
+
+    def others(self, after: Regulation, policy: PolicyState) -> Iterator[Regulation]:
+        """Motions in place of the one that was verified, the cheapest first.
+
+        They go other ways, are longer, or keep less of the clearance, but 5 cm.
+
+        Args:
+            after: what `update` returned.
+            policy: where the motion is, as there.
+        """
+        if not len(after.ellipsoids):
+            return
+        scene = self._scene(policy, after)
+        found = survey(
+            scene,
+            duration=self._dmp.duration,
+            clearance=_LESS,
+            dmp=self._dmp,
+            previous=after.genes,
+            parameters=self._parameters,
+        )
+        for row in range(len(found.cost)):
+            one = self._kept(after, scene, found.rows(np.array([row])), float(scene.baseline[0]))
+            if not one.note:
+                yield replace(one, for_arm=True, sought=policy.stamp)
+
+    def others_anew(self, after: Regulation, policy: PolicyState) -> Iterator[Regulation]:
+        """`others` that begin where the motion rests; none where it does not, or may not."""
+        if self._may_begin_anew(after, policy):
+            yield from self.others(*begun_anew(after, policy))
+
+    def _may_begin_anew(self, after: Regulation, policy: PolicyState) -> bool:
         left = math.dist(policy.p_WE, policy.p_WS) > _LEFT
         # At the goal there is none to begin.
         left = left and math.dist(policy.p_WE, after.p_WG) > _LEFT
-        if not (self._begins_anew and after.note and policy.speed == 0.0 and left):
+        return self._begins_anew and policy.speed == 0.0 and left
+
+    def _looked_anew(self, after: Regulation, policy: PolicyState) -> Regulation:
+        """Of a motion that rests, as none goes on from it: whether one begins where it is."""
+        if not (after.note and self._may_begin_anew(after, policy)):
             return after
         if policy.stamp - after.tried < _RETRY:
             return after
-        rests = replace(policy, p_WS=policy.p_WE, z_W=np.zeros(3), phase=1.0)
-        begun = replace(after, p_WS=policy.p_WE, travelled=0.0, genes=_no_genes())
+        begun, rests = begun_anew(after, policy)
         scene = self._scene(rests, begun)
         found = verify(
             scene,
@@ -270,7 +255,7 @@ class Regulator:
             travelled=here.travelled,
             remaining=remaining,
             tau=self._scaling(here, remaining, baseline),
-            genes=_side(here),
+            genes=side_only(here),
         )
 
     def _scaling(self, here: Regulation, remaining: float, baseline: float) -> float:
@@ -323,7 +308,7 @@ class Regulator:
         genes = np.array(found.genes[0])
         free = not genes[LOG_ALPHA] > -np.inf
         if free:
-            genes = _side(here)
+            genes = side_only(here)
         moving = here.ellipsoids.v_WO.any()
         remaining = float(found.path_length[0])
         tau = float(found.tau[0]) if moving else self._scaling(here, remaining, baseline)
@@ -367,46 +352,6 @@ class Regulator:
         return distance[:-1].min(axis=0), distance[0], distance[-1]
 
 
-def taken_route(route: Route, coupling: CouplingParameters) -> Route:
-    """The route with the side that coupling in given planes takes, see `TakenRoute`.
-
-    Raises:
-        ValueError: if the two do not have the same rows.
-    """
-    if len(route.ids) != len(coupling):
-        raise ValueError(
-            f"route has {len(route.ids)} rows, coupling_parameters {len(coupling)}: they must be "
-            "of the same obstacles"
-        )
-    bent = coupling.alpha > 0.0
-    direction_W, normal_W = np.array(route.direction_W), np.array(route.normal_W)
-    normal_W[bent] = coupling.normal_W[bent]
-    # The normal is x_L x omega.
-    direction_W[bent] = np.cross(coupling.normal_W[bent], route.R_WL[:, 0])
-    least = np.finfo(float).tiny
-    return replace(
-        route,
-        direction_W=direction_W,
-        normal_W=normal_W,
-        clearance=np.where(bent, np.maximum(route.clearance, least), 0.0),
-    )
-
-
-def concern(regulation: Regulation) -> str:
-    """What is to be said about a motion that does not do all that was asked, or ""."""
-    found = []
-    if regulation.shortfall > 0.0:
-        found.append(
-            f"{1e3 * regulation.shortfall:.1f} mm of the clearance to obstacle "
-            f"{regulation.short_of} cannot be kept"
-        )
-    if regulation.way.concern:
-        found.append(regulation.way.concern)
-    if regulation.goal_error > _MISSED:
-        found.append(f"the goal is missed by {1e3 * regulation.goal_error:.1f} mm")
-    return " and ".join(found)
-
-
 def _planned(s: float, motion: SpatialRollouts, steps: int) -> PlannedMotion:
     """Samples of a single roll-out from s on, its first and last point among them."""
     path = motion.path[0, : int(motion.steps[0]) + 1]
@@ -416,66 +361,6 @@ def _planned(s: float, motion: SpatialRollouts, steps: int) -> PlannedMotion:
     count = max(math.ceil(measure[-1]), 1)
     at = np.unique(np.searchsorted(measure, np.linspace(0.0, measure[-1], count + 1)))
     return PlannedMotion(s + at / steps, path[at])
-
-
-def _side(regulation: Regulation) -> FloatArray:
-    """No genes but the side: who comes back to a term is not to come back on another side."""
-    genes = _no_genes()
-    genes[ANGLE] = regulation.genes[ANGLE]
-    return genes
-
-
-def _travelled(before: Regulation, policy: PolicyState) -> float:
-    if before.tau == 0.0 or not np.array_equal(before.p_WS, policy.p_WS):
-        return math.dist(policy.p_WE, policy.p_WS)
-    return before.travelled + math.dist(policy.p_WE, before.p_WE)
-
-
-def _hardly_moved(before: EllipsoidSet, now: EllipsoidSet) -> bool:
-    """Whether the same obstacles are where they were expected, and as large, up to noise."""
-    if not np.array_equal(before.ids, now.ids):
-        return False
-    since = now.stamp - before.stamp if len(now) else 0.0
-    moved = np.abs(now.p_WO - before.p_WO - since * before.v_WO).max(initial=0.0)
-    grown = np.abs(now.semi_axes - before.semi_axes).max(initial=0.0)
-    return bool(max(moved, grown) <= _NOISE)
-
-
-def _stays(before: Regulation, here: Regulation) -> bool:
-    """Whether the motion that was verified goes on among the same resting obstacles."""
-    one, other = before.ellipsoids, here.ellipsoids
-    return (
-        before.tau != 0.0
-        and np.array_equal(before.p_WS, here.p_WS)
-        and np.array_equal(before.p_WG, here.p_WG)
-        and not other.v_WO.any()
-        and (
-            one is other
-            or all(
-                np.array_equal(getattr(one, name), getattr(other, name))
-                for name in ("ids", "p_WO", "R_WO", "semi_axes", "v_WO")
-            )
-        )
-        and _same_plane(before.table, here.table)
-        and _on_path(before.motion, here.p_WE)
-    )
-
-
-def _on_path(motion: PlannedMotion, p_WE: FloatArray) -> bool:
-    """Whether the policy is where the motion goes: evasion displaces it."""
-    if len(motion) < 2:
-        return True
-    start, way = motion.p_WE[:-1], np.diff(motion.p_WE, axis=0)
-    square = np.maximum(np.einsum("ij,ij->i", way, way), 1e-18)
-    share = np.clip(np.einsum("ij,ij->i", p_WE - start, way) / square, 0.0, 1.0)
-    off = start + share[:, None] * way - p_WE
-    return bool(np.einsum("ij,ij->i", off, off).min() <= _OFF_PATH**2)
-
-
-def _same_plane(one: TablePlane | None, other: TablePlane | None) -> bool:
-    if one is None or other is None:
-        return one is other
-    return one.offset == other.offset and np.array_equal(one.normal_W, other.normal_W)
 
 
 def _length(path: FloatArray) -> float:

@@ -188,8 +188,9 @@ class WholeArm:
         *,
         seconds: float,
         time: float,
+        thorough: bool = True,
     ) -> ArmWay:
-        """Plans the posture along a motion; arguments as of `kept`.
+        """Plans the posture along a motion; arguments as of `kept` and `plan_posture`.
 
         Where the arm is too slow for it among resting obstacles, it is to be made slower.
         """
@@ -210,6 +211,7 @@ class WholeArm:
                 age=around.lag(time),
                 R_WE=None if self._orientation is None else self._orientation(motion.s),
                 parameters=self._parameters,
+                thorough=thorough,
             )
             if plan.works or plan.short < best.plan.short - _GAINED:
                 best = ArmWay(plan, replace(motion, q=plan.q), slower, sight.obstacles, time)

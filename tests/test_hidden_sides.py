@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from pydrake.common.value import AbstractValue
 from pydrake.math import RigidTransform
 
-from drake_oa.hidden_sides import deepened, names_moved, with_hidden_sides
+from drake_oa.hidden_sides import VOXEL, deepened, names_moved, solid, with_hidden_sides
 from drake_oa.systems.hidden_sides import HiddenSides
 from drake_oa.values import ObstacleClouds
 
@@ -67,6 +67,18 @@ def test_depth_turns_with_the_scene_and_is_bounded(angle: float, width: float) -
     depth = float(np.ptp(plain[:, :2] @ away))
     assert depth <= 0.08 + 0.02 * abs(away[1]) + 1e-9 or depth <= np.ptp(cloud[:, :2] @ away) + 1e-9
     assert np.ptp(turned[:, :2] @ (R[:2, :2] @ away)) == pytest.approx(depth, abs=0.02)
+
+
+def test_below_a_top_it_is_solid() -> None:
+    x, y = (a.ravel() for a in np.meshgrid(np.arange(0.0, 0.1, 0.01), np.arange(0.0, 0.1, 0.01)))
+    top = np.stack([x, y, np.full(x.size, 0.3)], axis=1)
+    side = face(0.1) + [-0.4, 0.0, 0.1]
+    whole = solid(np.concatenate([top, side]))
+    inside = np.random.default_rng(0).uniform([0.0, 0.0, 0.1], [0.09, 0.09, 0.3], (200, 3))
+    nearest = np.linalg.norm(whole - inside[:, None], axis=2).min(axis=1)
+    assert nearest.max() < 1.2 * VOXEL
+    assert whole[:, 2].min() >= 0.1 - 1e-9
+    assert solid(np.zeros((0, 3))).shape == (0, 3)
 
 
 def test_the_system_alone() -> None:

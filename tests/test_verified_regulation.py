@@ -7,10 +7,11 @@ import pytest
 
 from drake_oa.dmp import Dmp, imitate, local_frame, minimum_jerk
 from drake_oa.regressor import load_chain
+from drake_oa.regulation import Regulation
 from drake_oa.scenario import package_file
 from drake_oa.values import EllipsoidSet, PolicyState
 from drake_oa.verification import SearchParameters
-from drake_oa.verified_regulation import Regulation, Regulator
+from drake_oa.verified_regulation import Regulator
 
 START, GOAL = np.array([0.0, 0.0, 0.3]), np.array([1.0, 0.0, 0.3])
 AT_START = PolicyState(p_WE=START, p_WS=START, p_WG=GOAL, R_WL=local_frame(START, GOAL), speed=0.2)
@@ -84,3 +85,41 @@ def test_a_motion_that_was_displaced_is_verified_again() -> None:
     aside = replace(on_way, p_WE=on_way.p_WE + [0.0, -0.06, 0.0])
     again = one.update(kept, aside, GOAL, BALL, None)
     np.testing.assert_allclose(again.motion.p_WE[0], aside.p_WE)
+
+
+def test_other_motions_make_detours_of_several_sizes() -> None:
+    one = regulator()
+    kept = one.update(Regulation(), AT_START, GOAL, BALL, None)
+    others = list(one.others(kept, AT_START))
+    assert len(others) > 8
+    for other in others:
+        assert other.for_arm
+        assert other.sought == AT_START.stamp
+        np.testing.assert_allclose(other.motion.p_WE[-1], GOAL, atol=2e-3)
+    assert max(other.remaining for other in others) > 1.3 * kept.remaining
+    assert list(one.others_anew(kept, AT_START)) == []
+
+
+def test_another_motion_is_kept_while_it_will_do() -> None:
+    one = regulator()
+    other = next(one.others(one.update(Regulation(), AT_START, GOAL, BALL, None), AT_START))
+    later = replace(AT_START, stamp=0.1)
+    noisy = replace(BALL, stamp=0.1, p_WO=BALL.p_WO + 1e-3)
+    np.testing.assert_array_equal(one.update(other, later, GOAL, noisy, None).genes, other.genes)
+    # It is no longer where the obstacle is in its way,
+    on_it = replace(BALL, stamp=0.1, p_WO=other.motion.p_WE[len(other.motion) // 2][None])
+    assert not one.update(other, later, GOAL, on_it, None).for_arm
+    # nor, where something moves, for long.
+    moving = replace(noisy, v_WO=np.array([[0.0, 0.02, 0.0]]))
+    assert one.update(other, later, GOAL, moving, None).for_arm
+    late = replace(AT_START, stamp=1.5)
+    assert not one.update(other, late, GOAL, replace(moving, stamp=1.5), None).for_arm
+
+
+def test_others_begin_anew_where_a_motion_rests(held: tuple[Regulation, PolicyState]) -> None:
+    before, policy = held
+    others = list(regulator().others_anew(before, policy))
+    assert others
+    for other in others:
+        np.testing.assert_allclose(other.motion.p_WE[0], policy.p_WE)
+    assert list(regulator(begins_anew=False).others_anew(before, policy)) == []

@@ -6,9 +6,9 @@ from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import Context, LeafSystem
 
 from drake_oa.regressor import CouplingParameters
+from drake_oa.regulation import taken_route
 from drake_oa.systems.ports import read_value
 from drake_oa.values import Route
-from drake_oa.verified_regulation import taken_route
 
 
 class TakenRoute(LeafSystem):

@@ -14,6 +14,7 @@ from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSys
 from drake_oa.arm_regulation import ArmRegulator
 from drake_oa.dmp import Dmp
 from drake_oa.regressor import ChainWeights, CouplingParameters
+from drake_oa.regulation import Regulation, concern
 from drake_oa.systems.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.values import (
     EllipsoidSet,
@@ -24,7 +25,7 @@ from drake_oa.values import (
     TablePlane,
 )
 from drake_oa.verification import SearchParameters
-from drake_oa.verified_regulation import Regulation, Regulator, concern
+from drake_oa.verified_regulation import Regulator
 from drake_oa.whole_arm import ArmSight, WholeArm
 
 _logger = logging.getLogger("drake_oa")

@@ -1,0 +1,153 @@
+"""Motions all round a scene: what else the tool may do where the cheapest motion will not.
+
+`drake_oa.verification.verify` finds the shortest motion of the tool. Where the arm that
+holds it cannot follow, longer ones are wanted that differ: on every side, with detours of
+every size. They are drawn from all over the ranges of the genes, the same ones in every
+scene, rolled out with coarse steps, and of each side and size of detour the cheapest is
+verified as any other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from drake_oa.dmp import Dmp
+from drake_oa.spatial_rollout import SpatialScenes
+from drake_oa.values import FloatArray
+from drake_oa.verification_search import (
+    ALPHA,
+    GENE_RANGE,
+    N_GENES,
+    OUTCOME,
+    TAU,
+    Search,
+    SearchParameters,
+    Verified,
+    draws,
+)
+
+_SIDES = 8
+_SPREAD = 512
+"""Candidates a side."""
+_COARSE = 250
+"""Steps a unit of normalised time that they are rolled out with."""
+_GENTLE = 8.0
+"""Largest ln alpha that is drawn: a stronger term holds the motion back before it lets it go."""
+_DETOURS = np.array([1.05, 1.15, 1.3, 1.6])
+"""Lengths over the distance that is left, between which detours are of one size."""
+_LATER = 0.5
+"""Cost of a unit of normalised time after s = 1: among the cheapest of all sides and sizes of
+detour there are some that creep."""
+_MISSED = 0.1
+"""A motion arrives when it ends this near to the goal, in baselines."""
+
+
+def assessed(
+    scene: SpatialScenes,
+    genes: FloatArray,
+    *,
+    duration: float,
+    dmp: Dmp | None = None,
+    previous: FloatArray | None = None,
+    parameters: SearchParameters | None = None,
+) -> Verified:
+    """What given candidates come to in one scene.
+
+    Args:
+        scene: a single one.
+        genes: (n, 7) of the candidates.
+        duration: T [s].
+        dmp: the primitive; None: a straight minimum-jerk motion.
+        previous: (7,) genes in use, for the price of another side; None: none are.
+        parameters: the roll-outs' steps and tolerances; None: the defaults.
+
+    Returns:
+        n rows.
+
+    Raises:
+        ValueError: for more than one scene.
+    """
+    if len(scene) != 1:
+        raise ValueError(f"scene must be a single one, not {len(scene)}")
+    count = len(genes)
+    in_use = np.full(N_GENES, np.nan) if previous is None else previous
+    search = Search(
+        scene.rows(np.zeros(count, dtype=np.int64)),
+        duration,
+        dmp,
+        np.tile(in_use, (count, 1)),
+        parameters or SearchParameters(),
+    )
+    ranked = search.evaluate(np.arange(count), genes[:, None])
+    return search.answer(ranked, np.ones(count, dtype=bool))
+
+
+def survey(
+    scene: SpatialScenes,
+    *,
+    duration: float,
+    clearance: float,
+    dmp: Dmp | None = None,
+    previous: FloatArray | None = None,
+    parameters: SearchParameters | None = None,
+) -> Verified:
+    """The cheapest motion of every side and size of detour.
+
+    Args:
+        scene: a single one.
+        duration: T [s].
+        clearance: what a motion has to keep of every obstacle, be it less than the feasible
+            clearance [m].
+        dmp, previous, parameters: as of `assessed`.
+
+    Returns:
+        A row each, the cheapest first; none where no motion keeps that and arrives.
+
+    Raises:
+        ValueError: for more than one scene.
+    """
+    if len(scene) != 1:
+        raise ValueError(f"scene must be a single one, not {len(scene)}")
+    parameters = parameters or SearchParameters()
+    in_use = np.full(N_GENES, np.nan) if previous is None else previous
+    search = Search(
+        scene.rows(np.zeros(_SIDES, dtype=np.int64)),
+        duration,
+        dmp,
+        np.tile(in_use, (_SIDES, 1)),
+        replace(parameters, steps=min(_COARSE, parameters.steps)),
+        _SIDES,
+    )
+    sides = np.arange(_SIDES)
+    fresh = np.repeat(draws(0, _SPREAD).fresh[None], _SIDES, axis=0)
+    fresh[~search.moving, :, TAU] = 0.0
+    fresh[:, :, ALPHA] = np.interp(
+        fresh[:, :, ALPHA], GENE_RANGE[ALPHA], [GENE_RANGE[ALPHA, 0], _GENTLE]
+    )
+    ranked = search.evaluate(sides, search.bounded(sides, fresh))
+    outcome = dict(zip(OUTCOME, np.moveaxis(ranked.outcome, 2, 0), strict=True))
+    L = float(scene.baseline[0])
+    will_do = (outcome["clearance"] > clearance) & (outcome["goal_error"] < _MISSED * L)
+    will_do &= outcome["world_margin"] >= 0.0
+    left = float(np.linalg.norm(scene.p_WG[0] - scene.p_WE[0]))
+    size = np.searchsorted(_DETOURS, outcome["path_length"] / max(left, 1e-6))
+    end = scene.s + outcome["steps"] / search.parameters.steps
+    price = ranked.cost + _LATER * np.maximum(end - max(scene.s, 1.0), 0.0)
+    chosen = []
+    for side in sides:
+        for detour in range(len(_DETOURS) + 1):
+            cost = np.where(will_do[side] & (size[side] == detour), price[side], np.inf)
+            if np.isfinite(cost.min()):
+                chosen.append(ranked.genes[side, cost.argmin()])
+    found = assessed(
+        scene,
+        np.array(chosen).reshape(-1, N_GENES),
+        duration=duration,
+        dmp=dmp,
+        previous=previous,
+        parameters=parameters,
+    )
+    price = found.cost + _LATER * np.maximum(found.end - max(scene.s, 1.0), 0.0)
+    return found.rows(np.argsort(price, kind="stable"))
