@@ -2,10 +2,14 @@
 
 import numpy as np
 import pytest
+from pydrake.systems.analysis import Simulator
 
 from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.experiments.panda_run import run_and_judge
+from drake_oa.experiments.panda_scenes import draw_panda_scene
 from drake_oa.metrics import robot_metrics
-from drake_oa.scenario import load_scenario
+from drake_oa.regulation import Regulation
+from drake_oa.scenario import GroundTruth, load_scenario
 from drake_oa.simulation import simulate
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
@@ -50,3 +54,27 @@ def test_the_papers_reaction_of_the_links_passes_it_without_a_plan() -> None:
     assert metrics.contacts == ()
     assert metrics.robot_clearance.min() > 0.05
     assert (np.abs(log.v) < log.velocity_limit).all()
+
+
+def test_where_no_posture_passes_on_the_straight_line_another_is_taken() -> None:
+    # The tool's way is free; a board leaves no posture of the arm along it.
+    scenario = draw_panda_scene(0, 69, kind="elbow")
+    scenario.perception = GroundTruth()
+    diagram = build_avoidance(scenario)
+    simulator = Simulator(diagram)
+    simulator.AdvanceTo(0.01)
+    chain = diagram.GetSubsystemByName("regressor_chain")
+    state = chain.GetMyContextFromRoot(simulator.get_context()).get_abstract_state()
+    chosen: Regulation = state.get_value(0).get_value()
+    assert chosen.for_arm
+    assert chosen.shortfall == 0.0
+    assert chosen.way.plan.works
+    assert chosen.way.concern == ""
+
+
+@pytest.mark.slow
+def test_and_the_arm_passes_on_it() -> None:
+    scenario = draw_panda_scene(0, 69, kind="elbow")
+    result = run_and_judge(scenario, "verified", "depth").result
+    assert result["outcome"] == "success"
+    assert result["contacts"] == []
