@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from drake_oa.cartesian_kernels import rotation_vector
-from drake_oa.supervision_kernels import deepest_point, point_distance, to_frame
+from drake_oa.supervision_kernels import deepest_point, point_distance, posed, to_frame
 from drake_oa.values import FloatArray, IntArray
 
 _LONGEST_STEP = 0.5
@@ -96,6 +96,31 @@ def solve_in_place(A: FloatArray, b: FloatArray) -> bool:
 
 
 @njit(cache=True, error_model="numpy")
+def pose_error(tool: FloatArray, p_WE: FloatArray, R_WE: FloatArray, e: FloatArray) -> float:
+    """Sets the first six of e to the turn and the way from a posed tool to where it is asked.
+
+    Args:
+        tool: (4, 4) its pose.
+        p_WE: (3,) the tool point that is asked [m].
+        R_WE: (3, 3) its orientation.
+        e: receives the rotation vector [rad] and the way [m].
+
+    Returns:
+        The largest of them.
+    """
+    R = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            R[i, j] = R_WE[i, 0] * tool[j, 0] + R_WE[i, 1] * tool[j, 1] + R_WE[i, 2] * tool[j, 2]
+    turn = rotation_vector(R)
+    largest = 0.0
+    for k in range(3):
+        e[k], e[3 + k] = turn[k], p_WE[k] - tool[k, 3]
+        largest = max(largest, abs(e[k]), abs(e[3 + k]))
+    return largest
+
+
+@njit(cache=True, error_model="numpy")
 def reach(
     q: FloatArray,
     p_WE: FloatArray,
@@ -125,21 +150,9 @@ def reach(
     e = np.empty(n - 1)
     J = np.empty((6, n))
     A = np.empty((n - 1, n - 1))
-    R = np.empty((3, 3))
     for number in range(steps + 1):
         poses(q, X_PJ, X_WB)
-        tool = X_WB[n]
-        for i in range(3):
-            for j in range(3):
-                R[i, j] = (
-                    R_WE[i, 0] * tool[j, 0] + R_WE[i, 1] * tool[j, 1] + R_WE[i, 2] * tool[j, 2]
-                )
-        turn = rotation_vector(R)
-        largest = 0.0
-        for k in range(3):
-            e[k], e[3 + k] = turn[k], p_WE[k] - tool[k, 3]
-            largest = max(largest, abs(e[k]), abs(e[3 + k]))
-        if largest <= tolerance:
+        if pose_error(X_WB[n], p_WE, R_WE, e) <= tolerance:
             return True
         if number == steps:
             break
@@ -231,11 +244,7 @@ def nearest_point(
         if candidates == 0:
             continue
         for shape in range(begin, last):
-            G = X_BG[shape]
-            for i in range(3):
-                for j in range(4):
-                    X_WG[i, j] = X[i, 0] * G[0, j] + X[i, 1] * G[1, j] + X[i, 2] * G[2, j]
-                X_WG[i, 3] += X[i, 3]
+            posed(X, X_BG[shape], X_WG)
             for candidate in range(candidates):
                 block = near[candidate]
                 owner = block_owner[block]
@@ -284,11 +293,7 @@ def lowest_height(
     for shape in range(len(shape_body)):
         if shape_body[shape] == 0:
             continue
-        X, G = X_WB[shape_body[shape]], X_BG[shape]
-        for i in range(3):
-            for j in range(4):
-                X_WG[i, j] = X[i, 0] * G[0, j] + X[i, 1] * G[1, j] + X[i, 2] * G[2, j]
-            X_WG[i, 3] += X[i, 3]
+        posed(X_WB[shape_body[shape]], X_BG[shape], X_WG)
         x, y, z = deepest_point(X_WG, size[shape], table[0], table[1], table[2])
         least = min(least, x * table[0] + y * table[1] + z * table[2] - table[3])
     return least

@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 
 from drake_oa.cartesian_kernels import rotation_vector
-from drake_oa.supervision_kernels import deepest_point, point_distance
+from drake_oa.supervision_kernels import deepest_point, point_distance, posed, to_frame
 from drake_oa.values import FloatArray, IntArray
 
 DAMPING, MISS, GROWTH, TABLE_ALLOWANCE, MOST = 0, 1, 2, 3, 4
@@ -157,11 +157,7 @@ def _nearest(
     least, nearest = limit, NOTHING
     X = np.empty((3, 4))
     for shape in range(len(joint)):
-        D, G = T[joint[shape]], X_WG[shape]
-        for i in range(3):
-            for j in range(4):
-                X[i, j] = D[i, 0] * G[0, j] + D[i, 1] * G[1, j] + D[i, 2] * G[2, j]
-            X[i, 3] += D[i, 3]
+        posed(T[joint[shape]], X_WG[shape], X)
         if not math.isnan(table[3]):
             x, y, z = deepest_point(X, size[shape], table[0], table[1], table[2])
             d = x * table[0] + y * table[1] + z * table[2] - table[3] + rules[TABLE_ALLOWANCE]
@@ -181,12 +177,8 @@ def _nearest(
                 continue
             for row in range(block_start[block], block_start[block + 1]):
                 x, y, z = points[row, 0] - ox, points[row, 1] - oy, points[row, 2] - oz
-                d = point_distance(
-                    X[0, 0] * x + X[1, 0] * y + X[2, 0] * z,
-                    X[0, 1] * x + X[1, 1] * y + X[2, 1] * z,
-                    X[0, 2] * x + X[1, 2] * y + X[2, 2] * z,
-                    size[shape],
-                )[0]
+                x, y, z = to_frame(X, x, y, z)
+                d = point_distance(x, y, z, size[shape])[0]
                 if d - less < least:
                     least, nearest = d - less, owner
     return least, nearest

@@ -10,7 +10,7 @@ from numba import njit
 
 from drake_oa.arm_kernels import nearest_point
 from drake_oa.coupling_kernels import avoidance_term, norm
-from drake_oa.supervision_kernels import point_distance, to_frame
+from drake_oa.supervision_kernels import point_distance, posed, to_frame
 from drake_oa.values import FloatArray, IntArray
 
 _AT_REST = 1e-6
@@ -56,12 +56,8 @@ def nearest_section(
     if shape < 0:
         return limit, -1
     body = shape_body[shape]
-    X, G = X_WB[body], X_BG[shape]
     X_WG = np.empty((3, 4))
-    for i in range(3):
-        for j in range(4):
-            X_WG[i, j] = X[i, 0] * G[0, j] + X[i, 1] * G[1, j] + X[i, 2] * G[2, j]
-        X_WG[i, 3] += X[i, 3]
+    posed(X_WB[body], X_BG[shape], X_WG)
     p_WQ = np.empty(3)
     for i in range(3):
         p_WQ[i] = points[row, i] + v_WO[owner, i] * age

@@ -15,8 +15,7 @@ import math
 import numpy as np
 from numba import njit
 
-from drake_oa.arm_kernels import jacobian, poses, solve_in_place
-from drake_oa.cartesian_kernels import rotation_vector
+from drake_oa.arm_kernels import jacobian, pose_error, poses, solve_in_place
 from drake_oa.posture_kernels import (
     LEAP_OF_ANY,
     LIMIT_STOP,
@@ -50,21 +49,10 @@ def project(
         Whether the pose is met; X_WB (8, 4, 4) then has the poses of the bodies.
     """
     n = len(q)
-    e, J, A, R = np.empty(n), np.empty((6, n)), np.empty((n, n)), np.empty((3, 3))
+    e, J, A = np.empty(n), np.empty((6, n)), np.empty((n, n))
     for number in range(STEPS + 1):
         poses(q, X_PJ, X_WB)
-        tool = X_WB[n]
-        for i in range(3):
-            for j in range(3):
-                R[i, j] = (
-                    R_WE[i, 0] * tool[j, 0] + R_WE[i, 1] * tool[j, 1] + R_WE[i, 2] * tool[j, 2]
-                )
-        turn = rotation_vector(R)
-        largest = 0.0
-        for k in range(3):
-            e[k], e[3 + k] = turn[k], p_WE[k] - tool[k, 3]
-            largest = max(largest, abs(e[k]), abs(e[3 + k]))
-        if largest <= TOLERANCE:
+        if pose_error(X_WB[n], p_WE, R_WE, e) <= TOLERANCE:
             return True
         if number == STEPS:
             break

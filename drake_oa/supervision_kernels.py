@@ -93,6 +93,17 @@ def allowed_scale(distance: float, closing: float, oncoming: float, rules: Float
 
 
 @njit(cache=True, error_model="numpy")
+def posed(X_WB: FloatArray, X_BG: FloatArray, X_WG: FloatArray) -> None:
+    """Sets X_WG, of which three rows and four columns are, to X_WB X_BG."""
+    for i in range(3):
+        for j in range(4):
+            X_WG[i, j] = (
+                X_WB[i, 0] * X_BG[0, j] + X_WB[i, 1] * X_BG[1, j] + X_WB[i, 2] * X_BG[2, j]
+            )
+        X_WG[i, 3] += X_WB[i, 3]
+
+
+@njit(cache=True, error_model="numpy")
 def to_frame(X_WG: FloatArray, x: float, y: float, z: float) -> tuple[float, float, float]:
     """A vector of the world in the frame that X_WG poses."""
     return (
@@ -232,11 +243,7 @@ def approach_limit(
                 near[candidates] = block
                 candidates += 1
         for shape in range(begin, last):
-            G = X_BG[shape]
-            for i in range(3):
-                for j in range(4):
-                    X_WG[i, j] = X[i, 0] * G[0, j] + X[i, 1] * G[1, j] + X[i, 2] * G[2, j]
-                X_WG[i, 3] += X[i, 3]
+            posed(X, X_BG[shape], X_WG)
             gx, gy, gz = X_WG[0, 3], X_WG[1, 3], X_WG[2, 3]
             fastest = largest_speed(X, V, gx, gy, gz, bound[shape])
             if has_table:
