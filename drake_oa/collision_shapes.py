@@ -20,6 +20,7 @@ from pydrake.geometry import (
 )
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
+from pydrake.systems.framework import Context
 
 from drake_oa.self_filter import PosedShapes, RobotShapes
 from drake_oa.values import FloatArray
@@ -62,11 +63,15 @@ class RobotModel:
             )
         context = self.plant.CreateDefaultContext()
         self.plant.SetPositionsAndVelocities(context, self.model_instance, values)
-        X_WB = np.zeros((len(self.bodies), 4, 4))
+        return self.shapes.posed(self.body_poses(context))
+
+    def body_poses(self, context: Context) -> FloatArray:
+        """(B, 4, 4) poses of the bodies in the world, in a context of the plant."""
+        X_WB = np.empty((len(self.bodies), 4, 4))
         for row, index in enumerate(self.bodies):
             body = self.plant.get_body(index)
             X_WB[row] = self.plant.EvalBodyPoseInWorld(context, body).GetAsMatrix4()
-        return self.shapes.posed(X_WB)
+        return X_WB
 
 
 def collect_collision_shapes(

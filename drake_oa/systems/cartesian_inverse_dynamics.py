@@ -23,6 +23,7 @@ from drake_oa.cartesian import (
     operational_space_torque,
 )
 from drake_oa.cartesian_kernels import rotation_of
+from drake_oa.systems.model_context import ModelContext
 from drake_oa.values import FloatArray, IntArray
 
 _ORIGIN = np.zeros(3)
@@ -183,14 +184,7 @@ class CartesianInverseDynamics(LeafSystem):
             )
         ]
         self._optional.append(self.DeclareVectorInputPort("null_space_acceleration", arm))
-        self._model = self.DeclareCacheEntry(
-            "context of the robot's model",
-            ValueProducer(
-                allocate=lambda: Value(plant.CreateDefaultContext()),
-                calc=ValueProducer.NoopCalc,
-            ),
-            prerequisites_of_calc={self.nothing_ticket()},
-        )
+        self._model = ModelContext(self, plant)
         # Of its own, so that ports that nothing is connected to cost no look at each step.
         self._asked = self.DeclareCacheEntry(
             "what is asked by the optional ports",
@@ -220,13 +214,9 @@ class CartesianInverseDynamics(LeafSystem):
         """The model evaluated at a finite state x."""
         plant, frame, world = self._plant, self._frame, self._world
         arm = self._joints.arm
-        entry = self._model.get_mutable_cache_entry_value(context)
-        model = entry.GetMutableValueOrThrow()
-        plant.SetPositionsAndVelocities(model, x)
+        model = self._model.at(context, x[: self._n], x[self._n :])
         X_WE = frame.CalcPoseInWorld(model)
-        J = plant.CalcJacobianSpatialVelocity(
-            model, JacobianWrtVariable.kV, frame, _ORIGIN, world, world
-        )
+        J = self._model.jacobian(model, frame)
         bias = plant.CalcBiasSpatialAcceleration(
             model, JacobianWrtVariable.kV, frame, _ORIGIN, world, world
         )

@@ -8,14 +8,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
-from pydrake.multibody.tree import JacobianWrtVariable
 from pydrake.systems.framework import (
     BasicVector,
     Context,
     EventStatus,
     LeafSystem,
     State,
-    ValueProducer,
 )
 
 from drake_oa.collision_shapes import RobotModel
@@ -23,6 +21,7 @@ from drake_oa.dmp import Dmp, normalised_time
 from drake_oa.evasion import NOTHING_MOVES, Evasion, choose, ramped
 from drake_oa.lookout import Arm, EvasionParameters, Lookout
 from drake_oa.supervision_geometry import GuardShapes, ObstaclePoints
+from drake_oa.systems.model_context import ModelContext
 from drake_oa.systems.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.systems.supervisor import arm_joints
 from drake_oa.values import (
@@ -35,7 +34,6 @@ from drake_oa.values import (
 )
 
 _logger = logging.getLogger("drake_oa")
-_ORIGIN = np.zeros(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,10 +111,9 @@ class ObstacleEvasion(LeafSystem):
         plant = robot.plant
         if not plant.HasFrameNamed(tool_frame):
             raise ValueError(f"tool_frame: the plant has no frame '{tool_frame}'")
-        self._plant, self._world = plant, plant.world_frame()
+        self._robot = robot
         self._frame = plant.GetFrameByName(tool_frame)
-        self._bodies = [plant.get_body(index) for index in robot.bodies]
-        self._shapes = GuardShapes.of(robot.shapes, len(self._bodies))
+        self._shapes = GuardShapes.of(robot.shapes, len(robot.bodies))
         self._joints, self._moved, self._limits = arm_joints(robot, self._frame.body().index())
         self._dmp, self._step_length = dmp, valid_period(step)
         self._max_age = max_age
@@ -129,14 +126,7 @@ class ObstacleEvasion(LeafSystem):
         self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
         self._clouds = self.DeclareAbstractInputPort("obstacles_W", Value(ObstacleClouds()))
         self._motion = self.DeclareAbstractInputPort("motion", Value(PlannedMotion()))
-        self._model = self.DeclareCacheEntry(
-            "context of the robot's model",
-            ValueProducer(
-                allocate=lambda: Value(plant.CreateDefaultContext()),
-                calc=ValueProducer.NoopCalc,
-            ),
-            prerequisites_of_calc={self.nothing_ticket()},
-        )
+        self._model = ModelContext(self, plant)
         self._state = self.DeclareAbstractState(Value(_Kept()))
         decided = {self.abstract_state_ticket(self._state)}
         self.DeclareVectorOutputPort("evasion", 3, self._calc_velocity, decided)
@@ -229,23 +219,15 @@ class ObstacleEvasion(LeafSystem):
         return replace(kept, evasion=evasion)
 
     def _arm(self, context: Context, x: FloatArray) -> Arm:
-        plant, world, n = self._plant, self._world, self._n
-        model = self._model.get_mutable_cache_entry_value(context).GetMutableValueOrThrow()
-        plant.SetPositions(model, x[:n])
-        J = plant.CalcJacobianSpatialVelocity(
-            model, JacobianWrtVariable.kV, self._frame, _ORIGIN, world, world
-        )
-        X_WB = np.empty((len(self._bodies), 4, 4))
-        for row, body in enumerate(self._bodies):
-            X_WB[row] = plant.EvalBodyPoseInWorld(model, body).GetAsMatrix4()
+        model = self._model.at(context, x[: self._n])
         limits = self._limits
         return Arm.of(
-            J[:, self._joints],
+            self._model.jacobian(model, self._frame)[:, self._joints],
             self._frame.CalcPoseInWorld(model).translation(),
             x[self._joints],
             (limits.lower, limits.upper, limits.speed),
             self._shapes,
-            X_WB,
+            self._robot.body_poses(model),
             self._moved,
         )
 

@@ -8,14 +8,12 @@ from collections.abc import Sequence
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
-from pydrake.multibody.tree import JacobianWrtVariable
 from pydrake.systems.framework import (
     BasicVector,
     Context,
     EventStatus,
     LeafSystem,
     State,
-    ValueProducer,
 )
 
 from drake_oa.action import SCALED_TO_REST
@@ -40,11 +38,11 @@ from drake_oa.supervision_watches import (
     watch_torque,
     watch_tracking,
 )
+from drake_oa.systems.model_context import ModelContext
 from drake_oa.systems.ports import read_optional, read_value, valid_period
 from drake_oa.values import BoolArray, FloatArray, IntArray, ObstacleClouds, PolicyState, TablePlane
 
 _logger = logging.getLogger("drake_oa")
-_ORIGIN = np.zeros(3)
 _DAMPING = 1e-6
 """Of the least-squares joint velocity, against singular postures [m^2]."""
 _SAID = {"slow": "slows", "hold": "holds", "stop": "stops"}
@@ -124,12 +122,10 @@ class Supervisor(LeafSystem):
             raise ValueError(f"tool_frame: the plant has no frame '{tool_frame}'")
         if not 0.0 < duration < math.inf:
             raise ValueError(f"duration must be finite and positive [s], not {duration}")
-        self._plant = plant
-        self._world = plant.world_frame()
+        self._robot = robot
         self._frame = plant.GetFrameByName(tool_frame)
-        self._bodies = [plant.get_body(index) for index in robot.bodies]
-        self._names = tuple(body.name() for body in self._bodies)
-        self._shapes = GuardShapes.of(robot.shapes, len(self._bodies))
+        self._names = tuple(plant.get_body(index).name() for index in robot.bodies)
+        self._shapes = GuardShapes.of(robot.shapes, len(robot.bodies))
         self._arm, self._moved, self._joints = arm_joints(robot, self._frame.body().index())
         self._duration = float(duration)
         self._period = valid_period(period)
@@ -143,14 +139,7 @@ class Supervisor(LeafSystem):
         self._error = self.DeclareVectorInputPort("tracking_error", 3)
         self._saturation = self.DeclareVectorInputPort("torque_saturation", 1)
         self._evading = self.DeclareAbstractInputPort("evading", Value(Evasion()))
-        self._model = self.DeclareCacheEntry(
-            "context of the robot's model",
-            ValueProducer(
-                allocate=lambda: Value(plant.CreateDefaultContext()),
-                calc=ValueProducer.NoopCalc,
-            ),
-            prerequisites_of_calc={self.nothing_ticket()},
-        )
+        self._model = ModelContext(self, plant)
         self._state = self.DeclareAbstractState(Value(SupervisorState(table=table)))
         decided = {self.abstract_state_ticket(self._state)}
         self.DeclareVectorOutputPort("speed_scale", 1, self._calc_scale, decided)
@@ -226,15 +215,10 @@ class Supervisor(LeafSystem):
 
         With `passing` what moves is left to who has looked ahead.
         """
-        plant, world, n = self._plant, self._world, self._n
-        model = self._model.get_mutable_cache_entry_value(context).GetMutableValueOrThrow()
-        plant.SetPositions(model, x[:n])
-        J = plant.CalcJacobianSpatialVelocity(
-            model, JacobianWrtVariable.kV, self._frame, _ORIGIN, world, world
-        )
-        X_WB = np.empty((len(self._bodies), 4, 4))
-        for row, body in enumerate(self._bodies):
-            X_WB[row] = plant.EvalBodyPoseInWorld(model, body).GetAsMatrix4()
+        n = self._n
+        model = self._model.at(context, x[:n])
+        J = self._model.jacobian(model, self._frame)
+        X_WB = self._robot.body_poses(model)
         q, v = x[self._arm], x[n + self._arm]
         p_WE = self._frame.CalcPoseInWorld(model).translation()
         v_full, V_WB = full_speed_motion(
