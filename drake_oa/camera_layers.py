@@ -10,6 +10,7 @@ from drake_oa.background_camera import BackgroundCamera
 from drake_oa.cameras import Camera, add_camera, add_camera_world
 from drake_oa.depth_noise import FrameNoise
 from drake_oa.faults import camera_faults
+from drake_oa.pinhole import pinhole
 from drake_oa.scenario import DepthCamera, Scenario, ScenarioError
 from drake_oa.scenario_perception import noise_parameters
 from drake_oa.systems.late_camera import LateCamera
@@ -85,5 +86,4 @@ def _noise(scenario: Scenario, config: CameraConfig, intrinsics: CameraInfo) -> 
         return None
     if source.noise is None:
         return None
-    K = [intrinsics.focal_x(), intrinsics.focal_y(), intrinsics.center_x(), intrinsics.center_y()]
-    return FrameNoise(K, noise_parameters(source.noise), seed=scenario.seed)
+    return FrameNoise(pinhole(intrinsics), noise_parameters(source.noise), seed=scenario.seed)

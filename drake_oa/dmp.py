@@ -216,8 +216,12 @@ def minimum_jerk(
     if samples < 2:
         raise ValueError(f"samples must be at least 2, not {samples}")
     s = np.linspace(0.0, 1.0, samples)
-    share = s**3 * (10.0 + s * (6.0 * s - 15.0))
-    return start + share[:, None] * (goal - start), duration * s
+    return start + minimum_jerk_share(s)[:, None] * (goal - start), duration * s
+
+
+def minimum_jerk_share(s: FloatArray) -> FloatArray:
+    """Share of its way that a minimum-jerk motion has gone at normalised times in [0, 1]."""
+    return np.asarray(s**3 * (10.0 + s * (6.0 * s - 15.0)))
 
 
 def imitate(

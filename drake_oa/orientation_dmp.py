@@ -25,7 +25,16 @@ from numpy.typing import ArrayLike
 
 from drake_oa import orientation_kernels as kernels
 from drake_oa.cartesian_kernels import rotation_of, rotation_vector
-from drake_oa.dmp import ALPHA_K, ALPHA_X, BETA_X, N_BASIS, Dmp, imitate, minimum_jerk
+from drake_oa.dmp import (
+    ALPHA_K,
+    ALPHA_X,
+    BETA_X,
+    N_BASIS,
+    Dmp,
+    imitate,
+    minimum_jerk,
+    minimum_jerk_share,
+)
 from drake_oa.values import FloatArray, Frozen
 
 LARGEST_ANGLE = math.radians(300.0)
@@ -168,7 +177,7 @@ def imitate_orientation(
     s = np.linspace(0.0, 1.0, count)
     if stamps.shape == (count,) and stamps[-1] > stamps[0]:
         s = (stamps - stamps[0]) / (stamps[-1] - stamps[0])
-    share = s**3 * (10.0 + s * (6.0 * s - 15.0))
+    share = minimum_jerk_share(s)
     # A path whose baseline is the first axis, and 1: nothing is turned or scaled.
     path = np.column_stack([share, r - share[:, None] * r[-1]])
     dmp = imitate(path, stamps, n_basis=n_basis, alpha_x=alpha_x, beta_x=beta_x, alpha_k=alpha_k)

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import Frame
+from pydrake.systems.framework import Context
 
 from drake_oa.descriptor import turned_about, unit_axis
 from drake_oa.inverse_kinematics import solve_tool_pose
@@ -50,6 +52,8 @@ def reachable_turns(
         The turns, in their order; 0 is always among them if it was asked about.
     """
     axis = unit_axis(axis)
+    frame, context = plant.GetFrameByName(tool_frame), plant.CreateDefaultContext()
+    joint = _last_joint(plant, frame)
     left, q = list(turns), np.array(q_seed, dtype=float)
     for place in path:
         try:
@@ -59,7 +63,8 @@ def reachable_turns(
         left = [
             turn
             for turn in left
-            if turn == 0.0 or _can_hold(plant, tool_frame, R_WE, place, q, axis, turn, margin)
+            if turn == 0.0
+            or _can_hold(context, plant, frame, joint, R_WE, place, q, axis, turn, margin)
         ]
     return left
 
@@ -69,8 +74,10 @@ def _pose(R_WE: FloatArray, place: FloatArray) -> RigidTransform:
 
 
 def _can_hold(
+    context: Context,
     plant: MultibodyPlant,
-    tool_frame: str,
+    frame: Frame,
+    joint: int,
     R_WE: FloatArray,
     place: FloatArray,
     q: FloatArray,
@@ -79,14 +86,12 @@ def _can_hold(
     margin: float,
 ) -> bool:
     turned = turned_about(np.asarray(R_WE).T, axis, turn).T
-    joint = _last_joint(plant, tool_frame)
     low, high = plant.GetPositionLowerLimits()[joint], plant.GetPositionUpperLimits()[joint]
-    context = plant.CreateDefaultContext()
     for sign in (1.0, -1.0):
         trial = q.copy()
         trial[joint] += sign * turn
         plant.SetPositions(context, trial)
-        X_WE = plant.GetFrameByName(tool_frame).CalcPoseInWorld(context)
+        X_WE = frame.CalcPoseInWorld(context)
         same = np.abs(X_WE.rotation().matrix() - turned).max() < _SAME
         if same and np.linalg.norm(X_WE.translation() - place) < _SAME:
             return bool(low + margin <= trial[joint] <= high - margin)
@@ -94,7 +99,7 @@ def _can_hold(
         before = q
         try:
             pose = _pose(turned_about(np.asarray(R_WE).T, axis, float(part)).T, place)
-            q = solve_tool_pose(plant, tool_frame, pose, before)
+            q = solve_tool_pose(plant, frame.name(), pose, before)
         except ValueError:
             return False
         if np.abs(q - before).max() > _JUMP:
@@ -102,9 +107,9 @@ def _can_hold(
     return True
 
 
-def _last_joint(plant: MultibodyPlant, tool_frame: str) -> int:
+def _last_joint(plant: MultibodyPlant, frame: Frame) -> int:
     """Position of the joint of one degree of freedom that moves the tool, and least else."""
-    tool = plant.GetFrameByName(tool_frame).body().index()
+    tool = frame.body().index()
     last, fewest = 0, plant.num_bodies() + 1
     for joint in map(plant.get_joint, plant.GetJointIndices()):
         if joint.num_velocities() != 1:

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from drake_oa.dmp import minimum_jerk_share
 from drake_oa.experiments.judge import scene_distance
 from drake_oa.experiments.methods import DEFAULT_METHODS, Setting
 from drake_oa.experiments.sampling import (
@@ -272,7 +273,7 @@ def _moving(rng: np.random.Generator, count: int) -> Scenes:
         inside = rng.standard_normal((n, 3))
         inside *= np.cbrt(rng.random((n, 1))) / np.linalg.norm(inside, axis=1, keepdims=True)
         met = np.zeros((n, 3))
-        met[:, 0] = s**3 * (10.0 + s * (6.0 * s - 15.0))
+        met[:, 0] = minimum_jerk_share(s)
         center = met + np.einsum("nij,nj->ni", R, a * inside) - (DURATION * s)[:, None] * velocity
         return single_obstacle(1.0, center, a, R=R, velocity=velocity, clearance=CLEARANCE)
 

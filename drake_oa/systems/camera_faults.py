@@ -20,6 +20,7 @@ from drake_oa.faults import (
     delivered_frame,
     frames_to_keep,
 )
+from drake_oa.pinhole import pinhole
 from drake_oa.systems.ports import read_value, valid_period
 from drake_oa.values import FloatArray, Frozen
 
@@ -93,8 +94,7 @@ class CameraFaults(LeafSystem):
         """
         super().__init__()
         self._faults = camera_faults(faults)
-        K = [camera.focal_x(), camera.focal_y(), camera.center_x(), camera.center_y()]
-        self._K = np.array(K) - [0.0, 0.0, pixel_center, pixel_center]
+        self._K = np.array(pinhole(camera)) - [0.0, 0.0, pixel_center, pixel_center]
         self._table_height = table_height
         self._period = period = valid_period(period)
         self._nothing = _Frame(

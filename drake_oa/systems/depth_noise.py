@@ -10,6 +10,7 @@ from pydrake.systems.framework import Context, LeafSystem, ValueProducer
 from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 
 from drake_oa.depth_noise import DepthNoiseParameters, FrameNoise, NoiseRoom
+from drake_oa.pinhole import pinhole
 from drake_oa.systems.ports import read_value
 
 
@@ -57,7 +58,7 @@ class DepthNoise(LeafSystem):
         width, height = 1, 1
         if isinstance(camera, CameraInfo):
             width, height = camera.width(), camera.height()
-            camera = [camera.focal_x(), camera.focal_y(), camera.center_x(), camera.center_y()]
+            camera = pinhole(camera)
         self._noise = FrameNoise(camera, parameters, seed=seed)
         # Kept in the Context: its memory is not asked for anew with each image.
         self._room = self.DeclareCacheEntry(

@@ -14,6 +14,7 @@ from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 
 from drake_oa.collision_shapes import RobotModel
 from drake_oa.obstacle_memory import TrackingConfig
+from drake_oa.pinhole import pinhole
 from drake_oa.point_cloud import SegmentationConfig, segment_depth
 from drake_oa.self_filter import PosedShapes
 from drake_oa.systems.perception_state import PerceptionState, log_change
@@ -101,7 +102,7 @@ class DepthPerception(LeafSystem):
         super().__init__()
         if isinstance(camera, CameraInfo):
             self._size: tuple[int, int] | None = (camera.height(), camera.width())
-            camera = [camera.focal_x(), camera.focal_y(), camera.center_x(), camera.center_y()]
+            camera = pinhole(camera)
         else:
             self._size = None
         self._K = np.array(camera, dtype=float)
