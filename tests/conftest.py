@@ -7,10 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import settings
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
+from drake_oa.arm_model import make_arm_model
+from drake_oa.arm_motion import ArmModel
+from drake_oa.collision_shapes import collect_collision_shapes
+from drake_oa.inverse_kinematics import solve_tool_pose
 from drake_oa.motion_log import MotionLog, pack_ellipsoids
 from drake_oa.robot_limits import RobotLimits
-from drake_oa.scenario import load_scenario, scenario_text
+from drake_oa.scenario import Robot, load_scenario, scenario_text
+from drake_oa.station import home_positions, make_robot_plant
 
 # The machine may be busy: no property is judged by the time an example takes.
 settings.register_profile("drake_oa", deadline=None)
@@ -39,6 +45,28 @@ def scan_files() -> list[Path]:
     if not files:
         pytest.skip("the real depth scans are not here")
     return files
+
+
+@pytest.fixture(scope="session")
+def posed_panda() -> Callable[[np.ndarray], ArmModel]:
+    """The Panda's arm with its tool point, pointing down, at a place; that is its posture."""
+
+    def posed(place: np.ndarray) -> ArmModel:
+        panda = make_robot_plant(Robot())
+        inspector = panda.scene_graph.model_inspector()
+        R_WE = RotationMatrix(RollPitchYaw(Robot().rpy_WE))
+        q = solve_tool_pose(
+            panda.plant,
+            panda.tool_frame.name(),
+            RigidTransform(R_WE, place),
+            home_positions(panda, Robot()),
+        )
+        shapes = collect_collision_shapes(panda.plant, inspector, panda.instance)
+        return make_arm_model(
+            panda.plant, inspector, panda.tool_frame, R_WE, q, shapes, without=Robot().tool_links
+        )
+
+    return posed
 
 
 @pytest.fixture(scope="session")

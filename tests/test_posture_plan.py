@@ -1,18 +1,16 @@
 """The posture along a path: free arms stay, others go round, limits are kept."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from pydrake.math import RotationMatrix
 
 from drake_oa import arm_kernels as kernels
-from drake_oa.arm_model import make_arm_model
 from drake_oa.arm_motion import ArmModel, ArmSurroundings
-from drake_oa.collision_shapes import collect_collision_shapes
-from drake_oa.inverse_kinematics import solve_tool_pose
 from drake_oa.posture_plan import (
     REDUNDANT,
     PostureParameters,
@@ -20,8 +18,6 @@ from drake_oa.posture_plan import (
     plan_posture,
     reviewed,
 )
-from drake_oa.scenario import Robot
-from drake_oa.station import home_positions, make_robot_plant
 from drake_oa.values import ObstacleClouds, TablePlane
 
 START, GOAL = np.array([0.6, -0.3, 0.3]), np.array([0.4, 0.3, 0.3])
@@ -30,21 +26,8 @@ BOARD = (np.array([0.1, 0.2, 0.7]), np.array([0.16, 0.22, 0.02]))
 
 
 @pytest.fixture(scope="module")
-def arm() -> ArmModel:
-    """The Panda, its posture that of the start."""
-    panda = make_robot_plant(Robot())
-    inspector = panda.scene_graph.model_inspector()
-    R_WE = RotationMatrix(RollPitchYaw(Robot().rpy_WE))
-    q = solve_tool_pose(
-        panda.plant,
-        panda.tool_frame.name(),
-        RigidTransform(R_WE, START),
-        home_positions(panda, Robot()),
-    )
-    shapes = collect_collision_shapes(panda.plant, inspector, panda.instance)
-    return make_arm_model(
-        panda.plant, inspector, panda.tool_frame, R_WE, q, shapes, without=Robot().tool_links
-    )
+def arm(posed_panda: Callable[[np.ndarray], ArmModel]) -> ArmModel:
+    return posed_panda(START)
 
 
 def box_cloud(center: np.ndarray, size: np.ndarray, apart: float = 0.01) -> np.ndarray:

@@ -1,21 +1,16 @@
 """Postures along the null space: equally far apart, on the tool's pose, all round."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
 from drake_oa import posture_trace_kernels as kernels
-from drake_oa.arm_model import make_arm_model
 from drake_oa.arm_motion import ArmModel, ArmSurroundings
-from drake_oa.collision_shapes import collect_collision_shapes
-from drake_oa.inverse_kinematics import solve_tool_pose
 from drake_oa.posture_plan import plan_posture
-from drake_oa.scenario import Robot
-from drake_oa.station import home_positions, make_robot_plant
 from drake_oa.values import ObstacleClouds, TablePlane
 
 START, GOAL = np.array([0.6, -0.3, 0.3]), np.array([0.4, 0.3, 0.3])
@@ -28,20 +23,8 @@ BOARD_Q = (0.4943, 0.8765, 0.3643, -1.2963, -0.3258, 2.1150, 0.1213)
 
 
 @pytest.fixture(scope="module")
-def arm() -> ArmModel:
-    panda = make_robot_plant(Robot())
-    inspector = panda.scene_graph.model_inspector()
-    R_WE = RotationMatrix(RollPitchYaw(Robot().rpy_WE))
-    q = solve_tool_pose(
-        panda.plant,
-        panda.tool_frame.name(),
-        RigidTransform(R_WE, START),
-        home_positions(panda, Robot()),
-    )
-    shapes = collect_collision_shapes(panda.plant, inspector, panda.instance)
-    return make_arm_model(
-        panda.plant, inspector, panda.tool_frame, R_WE, q, shapes, without=Robot().tool_links
-    )
+def arm(posed_panda: Callable[[np.ndarray], ArmModel]) -> ArmModel:
+    return posed_panda(START)
 
 
 def traced(

@@ -1,17 +1,12 @@
 """When the posture is planned anew, and what is said where there is none."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
-from drake_oa.arm_model import make_arm_model
 from drake_oa.arm_motion import ArmModel
-from drake_oa.collision_shapes import collect_collision_shapes
-from drake_oa.inverse_kinematics import solve_tool_pose
-from drake_oa.scenario import Robot
-from drake_oa.station import home_positions, make_robot_plant
 from drake_oa.values import ObstacleClouds, PlannedMotion, TablePlane
 from drake_oa.whole_arm import ArmSight, ArmWay, WholeArm
 
@@ -21,20 +16,8 @@ NOTHING = ObstacleClouds(stamp=0.0)
 
 
 @pytest.fixture(scope="module")
-def arm() -> ArmModel:
-    panda = make_robot_plant(Robot())
-    inspector = panda.scene_graph.model_inspector()
-    R_WE = RotationMatrix(RollPitchYaw(Robot().rpy_WE))
-    q = solve_tool_pose(
-        panda.plant,
-        panda.tool_frame.name(),
-        RigidTransform(R_WE, START),
-        home_positions(panda, Robot()),
-    )
-    shapes = collect_collision_shapes(panda.plant, inspector, panda.instance)
-    return make_arm_model(
-        panda.plant, inspector, panda.tool_frame, R_WE, q, shapes, without=Robot().tool_links
-    )
+def arm(posed_panda: Callable[[np.ndarray], ArmModel]) -> ArmModel:
+    return posed_panda(START)
 
 
 def motion(shift: float = 0.0) -> PlannedMotion:
