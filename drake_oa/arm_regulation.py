@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
 
@@ -14,7 +15,9 @@ from drake_oa.verified_regulation import SEEK_AGAIN, Regulator
 from drake_oa.whole_arm import ArmSight, ArmWay, WholeArm
 
 _TRIED = 16
-"""So many other motions are tried in the place of one that the arm cannot follow."""
+"""So many other motions are tried in the place of one that the arm cannot follow,"""
+_LOOKED_INTO = 4
+"""and the best so many of them once more, thoroughly."""
 
 
 class ArmRegulator:
@@ -83,26 +86,48 @@ class ArmRegulator:
     ) -> tuple[Regulation, ArmWay]:
         """Another motion of the tool, which the arm can follow, if there is one."""
         asked = sight, table, policy.stamp
-        for other in islice(self._regulator.others(after, policy), _TRIED):
-            its = self._quickly_planned(other, *asked)
-            if its.plan.works:
-                return other, its
-        anew = any(
-            self._quickly_planned(other, *asked).plan.works
-            for other in islice(self._regulator.others_anew(after, policy), _TRIED)
-        )
-        return replace(after, sought=policy.stamp, anew=anew), way
+        found = self._followed(self._regulator.others(after, policy), policy, *asked)
+        if found is not None:
+            return found
+        begun = self._followed(self._regulator.others_anew(after, policy), policy, *asked)
+        return replace(after, sought=policy.stamp, anew=begun is not None), way
 
-    def _quickly_planned(
-        self, other: Regulation, sight: ArmSight, table: TablePlane | None, time: float
+    def _followed(
+        self,
+        others: Iterator[Regulation],
+        policy: PolicyState,
+        sight: ArmSight,
+        table: TablePlane | None,
+        time: float,
+    ) -> tuple[Regulation, ArmWay] | None:
+        """The first of some motions that the arm can follow."""
+        tried = []
+        for other in islice(others, _TRIED):
+            way = self._planned(other, sight, table, time, thorough=False)
+            if way.plan.works:
+                return other, way
+            tried.append((way.plan.short, other))
+        if policy.speed > 0.0:
+            return None
+        # Who is held has the time to look further.
+        for _, other in sorted(tried, key=lambda one: one[0])[:_LOOKED_INTO]:
+            way = self._planned(other, sight, table, time, thorough=True)
+            if way.plan.works:
+                return other, way
+        return None
+
+    def _planned(
+        self,
+        other: Regulation,
+        sight: ArmSight,
+        table: TablePlane | None,
+        time: float,
+        *,
+        thorough: bool,
     ) -> ArmWay:
+        seconds = self._dmp.duration * other.tau
         return self._arm.planned(
-            other.motion,
-            sight,
-            table,
-            seconds=self._dmp.duration * other.tau,
-            time=time,
-            thorough=False,
+            other.motion, sight, table, seconds=seconds, time=time, thorough=thorough
         )
 
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from drake_oa.values import FloatArray, IntArray
 
 _BINS = 256
+_BEHIND = 0.015  # an obstacle's own surface is behind what would stand before it [m]
 _WALK = 24  # how far from an obstacle's side its surroundings are looked at [pixel]
 _EMPTY = 12  # so many pixels in a row without depth show that nothing is beside it
 _TAIL = 48  # pixels of a side that are looked at
@@ -177,7 +178,8 @@ def open_sides(
     From each pixel of a side the image is followed outward until it shows something
     else: what lies behind shows where the obstacle ends; what lies before it, what stands
     beside it (the robot, another obstacle), or the image's border, does not. Where nothing
-    at all is shown for long, the background is too far away to be measured.
+    at all is shown for long, the background is too far away to be measured. The obstacle itself
+    shows its end too, where it lies behind what it would have beyond the side.
 
     Args:
         points: (P, 3) in the world frame [m].
@@ -227,6 +229,8 @@ def open_sides(
                     free[m, k, side] += 1.0
                     continue
                 du, dv = du / length, dv / length
+                # By how much nearer the obstacle would be if it went on beyond the side [m/pixel].
+                nearer = -sign * X_WC[k, 2] * depth / length
                 empty = 0
                 for step in range(1, _WALK):
                     u, v = np.int64(np.rint(u0 + step * du)), np.int64(np.rint(v0 + step * dv))
@@ -241,6 +245,9 @@ def open_sides(
                         break
                     empty = 0
                     if v >= top and v < bottom and owner[v - top, u] == m:
+                        if other > depth - step * nearer + _BEHIND:
+                            free[m, k, side] += 1.0
+                            break
                         continue
                     if other > depth + margin:
                         free[m, k, side] += 1.0

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from drake_oa.dmp import Dmp
+from drake_oa.ellipsoid import signed_distance
 from drake_oa.spatial_rollout import SpatialScenes
 from drake_oa.values import FloatArray
 from drake_oa.verification_search import (
@@ -40,6 +41,8 @@ _DETOURS = np.array([1.05, 1.15, 1.3, 1.6])
 _LATER = 0.5
 """Cost of a unit of normalised time after s = 1: among the cheapest of all sides and sizes of
 detour there are some that creep."""
+_SHARE = 0.8
+"""Share that is to be kept of what start and goal have, where that is less."""
 _MISSED = 0.1
 """A motion arrives when it ends this near to the goal, in baselines."""
 
@@ -99,7 +102,7 @@ def survey(
         scene: a single one.
         duration: T [s].
         clearance: what a motion has to keep of every obstacle, be it less than the feasible
-            clearance [m].
+            clearance; or most of what it has where it is and at the goal [m].
         dmp, previous, parameters: as of `assessed`.
 
     Returns:
@@ -129,7 +132,8 @@ def survey(
     ranked = search.evaluate(sides, search.bounded(sides, fresh))
     outcome = dict(zip(OUTCOME, np.moveaxis(ranked.outcome, 2, 0), strict=True))
     L = float(scene.baseline[0])
-    will_do = (outcome["clearance"] > clearance) & (outcome["goal_error"] < _MISSED * L)
+    least = min(clearance, _SHARE * _ends_clearance(scene))
+    will_do = (outcome["clearance"] > max(least, 0.0)) & (outcome["goal_error"] < _MISSED * L)
     will_do &= outcome["world_margin"] >= 0.0
     left = float(np.linalg.norm(scene.p_WG[0] - scene.p_WE[0]))
     size = np.searchsorted(_DETOURS, outcome["path_length"] / max(left, 1e-6))
@@ -151,3 +155,10 @@ def survey(
     )
     price = found.cost + _LATER * np.maximum(found.end - max(scene.s, 1.0), 0.0)
     return found.rows(np.argsort(price, kind="stable"))
+
+
+def _ends_clearance(scene: SpatialScenes) -> float:
+    """Least distance of where it is, and of the goal, to any obstacle as it is now [m]."""
+    ends = np.concatenate([scene.p_WE, scene.p_WG])
+    among = scene.p_WO[0], scene.R_WO[0], scene.semi_axes[0]
+    return float(np.nanmin(signed_distance(ends[:, None], *among), initial=np.inf))
