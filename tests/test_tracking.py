@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from drake_oa.obstacle_memory import ObstacleMemory, TrackingConfig
 from drake_oa.point_cloud import Segmentation, SegmentationConfig, segment_depth, segment_points
 from drake_oa.self_filter import PosedShapes, RobotShapes
+from drake_oa.sides import View, seen_sides
 from drake_oa.tracking import fuse
 from drake_oa.values import ObstacleClouds, TablePlane
 
@@ -396,6 +397,19 @@ def test_a_moving_obstacle_keeps_its_name_behind_the_arm():
             assert memory.obstacles.v_WO[row, 1] == pytest.approx(0.4, abs=0.08)
     assert unseen > 0.1
     assert len(names) == 1
+
+
+def test_a_side_that_faces_the_camera_ends_there_though_the_arm_is_below_it():
+    # What would go on toward the camera would be seen before the side itself.
+    drawn, robot = arm([0.55, 0.1, 0.4], [0.06, 0.4, 0.1])
+    depth = render(box([0.0, 0.1, 0.2], [0.1, 0.12, 0.1]), drawn)
+    frame = segment_depth(depth, K, X_WC, CONFIG, robot)
+    view = View(np.require(depth, np.float32), K, X_WC)
+    sides = seen_sides(frame, np.array([0]), np.zeros(1), view, CONFIG.voxel, 0.03)
+    assert sides.place[0, 0, 1] == pytest.approx(0.05, abs=2e-3)
+    assert sides.ends[0, 0, 1]
+    # Its lowest side may go on behind the arm.
+    assert not sides.ends[0, 2, 0]
 
 
 def test_one_that_stops_rests_exactly_and_one_that_starts_is_noticed():
