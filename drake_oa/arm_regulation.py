@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
@@ -85,11 +86,18 @@ class ArmRegulator:
         table: TablePlane | None,
     ) -> tuple[Regulation, ArmWay]:
         """Another motion of the tool, which the arm can follow, if there is one."""
-        asked = sight, table, policy.stamp
-        found = self._followed(self._regulator.others(after, policy), policy, *asked)
+        # A motion that is only too fast for the arm is slowed: no clearance is given for that.
+        slow = way.plan.short == 0.0 and not way.failed
+        most = after.shortfall if slow else math.inf
+
+        def followed(others: Iterator[Regulation]) -> tuple[Regulation, ArmWay] | None:
+            keep = (other for other in others if other.shortfall <= most)
+            return self._followed(keep, policy, sight, table)
+
+        found = followed(self._regulator.others(after, policy))
         if found is not None:
             return found
-        begun = self._followed(self._regulator.others_anew(after, policy), policy, *asked)
+        begun = followed(self._regulator.others_anew(after, policy))
         return replace(after, sought=policy.stamp, anew=begun is not None), way
 
     def _followed(
@@ -98,10 +106,9 @@ class ArmRegulator:
         policy: PolicyState,
         sight: ArmSight,
         table: TablePlane | None,
-        time: float,
     ) -> tuple[Regulation, ArmWay] | None:
         """The first of some motions that the arm can follow."""
-        tried = []
+        tried, time = [], policy.stamp
         for other in islice(others, _TRIED):
             way = self._planned(other, sight, table, time, thorough=False)
             if way.plan.works:

@@ -58,6 +58,7 @@ class Regulation(Frozen):
         anew: whether a motion that begins where this one rests will do in its place.
         tried: when such a one was looked for last [s].
         for_arm: whether it was chosen as the arm cannot follow the shortest one.
+        lacked: its shortfall then [m].
         sought: when a motion that the arm can follow was looked for last [s].
         motion: the motion from then to the goal.
         way: the arm's posture along it, where it is planned.
@@ -82,6 +83,7 @@ class Regulation(Frozen):
     anew: bool = False
     tried: float = -math.inf
     for_arm: bool = False
+    lacked: float = 0.0
     sought: float = -math.inf
     motion: PlannedMotion = field(default_factory=PlannedMotion)
     way: ArmWay = field(default_factory=ArmWay)

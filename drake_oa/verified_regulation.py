@@ -180,7 +180,7 @@ class Regulator:
             parameters=self._parameters,
         )
         after = self._kept(here, scene, found, baseline)
-        will_do = not after.note and after.shortfall <= here.shortfall + _SHORTER
+        will_do = not after.note and after.shortfall <= here.lacked + _SHORTER
         return after if will_do else None
 
     def others(self, after: Regulation, policy: PolicyState) -> Iterator[Regulation]:
@@ -206,7 +206,7 @@ class Regulator:
         for row in range(len(found.cost)):
             one = self._kept(after, scene, found.rows(np.array([row])), float(scene.baseline[0]))
             if not one.note:
-                yield replace(one, for_arm=True, sought=policy.stamp)
+                yield replace(one, for_arm=True, lacked=one.shortfall, sought=policy.stamp)
 
     def others_anew(self, after: Regulation, policy: PolicyState) -> Iterator[Regulation]:
         """`others` that begin where the motion rests; none where it does not, or may not."""

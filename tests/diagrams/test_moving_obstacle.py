@@ -47,7 +47,9 @@ def test_both_are_passed_from_depth_with_noise() -> None:
     assert log.stop_reason == "goal"
     contacts, clearance = judged(scenario, log)
     assert contacts == ()
-    assert clearance > 0.05
+    # The arm is short of time on the way: no clearance is given for that.
+    assert log.shortfall.max() == 0.0
+    assert clearance > 0.14
     assert np.linalg.norm(log.p_WE[-1] - scenario.task.goal) < 5e-3
 
 
