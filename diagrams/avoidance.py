@@ -11,11 +11,11 @@
     dmp_integrator -> regressor_chain (policy_state)
     perception, plant, controller, dmp_integrator -> supervisor -> dmp_integrator (speed_scale)
     perception, plant, dmp_integrator, regressor_chain -> evasion -> dmp_integrator, supervisor
-    perception, camera -> hidden_sides -> supervisor, evasion; with a depth camera
+    perception, camera -> hidden_sides -> supervisor, evasion, regressor_chain; with a depth camera
 
 With the posture planned, `robot.posture`:
 
-    perception, plant, camera -> regressor_chain
+    perception or hidden_sides, plant, camera -> regressor_chain
     regressor_chain, dmp_integrator -> posture_follower -> controller
 
 With `robot.posture.coupling`:
@@ -79,7 +79,8 @@ def build_avoidance(
     camera_faults, weak_actuators, push and mover_<model instance> where the scenario asks for
     them. Without a robot there is no plant, camera, descriptor, controller or supervisor.
     With `modulated=False` there is nothing from perception to regressor_chain, and no
-    posture_follower, null_space_coupling, tool_turn_selector, supervisor or evasion.
+    hidden_sides, posture_follower, null_space_coupling, tool_turn_selector, supervisor or
+    evasion.
 
     The diagram exports dmp_integrator's desired_position, phase and policy_state.
 

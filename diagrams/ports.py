@@ -34,7 +34,7 @@ def obstacles_port(builder: DiagramBuilder) -> OutputPort:
 def solid_obstacles_port(
     builder: DiagramBuilder, scenario: Scenario, station: Station
 ) -> OutputPort:
-    """The same clouds; seen by a camera, what moves or has moved has a far side too.
+    """The clouds of `obstacles_port`; seen by a camera, what moves or has moved is solid.
 
     Adds hidden_sides where it is not there yet.
 

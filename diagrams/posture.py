@@ -1,6 +1,7 @@
 """Wires what moves the arm in the null space of the tool's task.
 
-perception (hidden_sides), plant, regressor_chain (motion) -> posture_follower -> controller
+hidden_sides (without a camera perception), plant, camera -> regressor_chain
+regressor_chain (motion), dmp_integrator -> posture_follower -> controller
 perception, plant -> null_space_coupling -> controller
 """
 

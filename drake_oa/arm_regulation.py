@@ -1,4 +1,8 @@
-"""Regulation that looks to the whole arm: a verified motion, and the posture along it."""
+"""Regulation that looks to the whole arm: a verified motion that it can follow, and its posture.
+
+Where no posture passes along the motion that the regulator chose, others of its motions are
+tried: `Regulator.others`, then those that begin anew where the arm rests.
+"""
 
 from __future__ import annotations
 
@@ -44,6 +48,8 @@ class ArmRegulator:
         sight: ArmSight,
     ) -> Regulation:
         """As `Regulator.update`, with the arm's positions in the motion.
+
+        Where the arm cannot follow it, it is another one, which may keep less of the clearance.
 
         Args:
             before, policy, p_WG, ellipsoids, table: see there.
@@ -98,7 +104,7 @@ class ArmRegulator:
         if found is not None:
             return found
         begun = followed(self._regulator.others_anew(after, policy))
-        return replace(after, sought=policy.stamp, anew=begun is not None), way
+        return replace(after, sought=policy.stamp, anew=after.anew or begun is not None), way
 
     def _followed(
         self,
@@ -108,16 +114,16 @@ class ArmRegulator:
         table: TablePlane | None,
     ) -> tuple[Regulation, ArmWay] | None:
         """The first of some motions that the arm can follow."""
-        tried, time = [], policy.stamp
+        short, time = [], policy.stamp
         for other in islice(others, _TRIED):
             way = self._planned(other, sight, table, time, thorough=False)
             if way.plan.works:
                 return other, way
-            tried.append((way.plan.short, other))
+            short.append((way.plan.short, other))
         if policy.speed > 0.0:
             return None
         # Who is held has the time to look further.
-        for _, other in sorted(tried, key=lambda one: one[0])[:_LOOKED_INTO]:
+        for _, other in sorted(short, key=lambda one: one[0])[:_LOOKED_INTO]:
             way = self._planned(other, sight, table, time, thorough=True)
             if way.plan.works:
                 return other, way

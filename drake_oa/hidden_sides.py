@@ -1,4 +1,8 @@
-"""What a camera does not see: the far side of a thing, as deep as the thing is broad."""
+"""What a camera does not see: the far side of a thing, and what is below its top.
+
+A thing is taken to be as deep as it is broad, up to a bound. What is not finite stays as it is:
+who watches the links says so.
+"""
 
 from __future__ import annotations
 
@@ -38,8 +42,8 @@ def with_hidden_sides(
         `obstacles` itself where none has.
     """
     deep = [
-        bool(v_WO.any()) or int(name) in moved
-        for name, v_WO in zip(obstacles.ids, obstacles.v_WO, strict=True)
+        (_moves(v_WO) or int(name) in moved) and bool(np.isfinite(cloud).all())
+        for name, v_WO, cloud in zip(obstacles.ids, obstacles.v_WO, obstacles.clouds_W, strict=True)
     ]
     if not any(deep):
         return obstacles
@@ -57,8 +61,12 @@ def names_moved(obstacles: ObstacleClouds, before: frozenset[int]) -> frozenset[
     return frozenset(
         int(name)
         for name, v_WO in zip(obstacles.ids, obstacles.v_WO, strict=True)
-        if v_WO.any() or int(name) in before
+        if _moves(v_WO) or int(name) in before
     )
+
+
+def _moves(v_WO: FloatArray) -> bool:
+    return bool(np.isfinite(v_WO).all() and v_WO.any())
 
 
 def deepened(cloud: FloatArray, viewpoint_W: FloatArray, deepest: float = _DEEPEST) -> FloatArray:
@@ -90,8 +98,9 @@ def deepened(cloud: FloatArray, viewpoint_W: FloatArray, deepest: float = _DEEPE
 
 
 def solid(cloud: FloatArray) -> FloatArray:
-    """The points, and below them more, down to the lowest: of a top only its near edge shows the
-    side below it.
+    """The points, and below them more, down to the lowest.
+
+    Of a top only the near edge shows the side below it.
 
     Args:
         cloud: (N, 3) points of a thing [m].

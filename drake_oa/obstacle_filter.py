@@ -41,9 +41,10 @@ class FilterNoise:
     stop: float = 7.8
     # So often in a row: frames to start, seconds to stop.
     start_frames: int = 2
-    # Where much is not where it was, a statistic above `stop` will do so many times as often.
-    patience: int = 3
     stop_time: float = 0.1
+    # Where much is not where it was, a statistic above `stop` will do in `patience` times as
+    # many frames.
+    patience: int = 3
     # A measurement farther off than this many standard deviations is an outlier; the
     # second in a row is a manoeuvre.
     outlier: float = 5.0

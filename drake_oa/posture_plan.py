@@ -50,7 +50,7 @@ _RESERVES = (0.005, 0.02)
 """By how much more than the stop distance the samples keep, as between them it is less; the
 second where the first turns out not to do [m]."""
 _LOSS = 0.002
-"""What is within the stop distance is left where no sample is so much nearer than the last [m]."""
+"""Who leaves what is too near comes nearer than before by no more than this [m]."""
 _HURRIED = 1.02
 """Shares of the allowed speed up to this are no more than the start's own error."""
 _FINE, _FINE_WINDOW = 9, 8
@@ -322,22 +322,26 @@ def _described(
         rate = np.abs(np.diff(way, axis=0)) / (np.diff(s)[:, None] * seconds)
         hurry = float((rate / (speed * rules[kernels.SPEED_SHARE])).max())
     # Where the arm is now cannot be chosen; from too near it has to be left.
-    ahead = slice(_leaving(distance, float(rules[kernels.STOP])), None)
+    first = 1 if len(s) > 1 else 0
+    left = _leaving(distance, float(rules[kernels.STOP]))
     short = max(
-        float(rules[kernels.STOP] - distance[ahead].min()),
-        float(rules[kernels.SELF_STOP] - apart[ahead].min()),
+        float(rules[kernels.STOP] - distance[left:].min()),
+        float(rules[kernels.SELF_STOP] - apart[first:].min()),
         0.0,
     )
     return PosturePlan(s, np.array(way), distance, nearest, apart, limit, hurry, short)
 
 
 def _leaving(distance: FloatArray, stop: float) -> int:
-    """How many samples from the first on lead away from within the stop distance."""
+    """How many samples from the first on lead away from within the stop distance.
+
+    At least the first one, where there are more; the last is never among them.
+    """
     count = 1 if len(distance) > 1 else 0
     while (
         0 < count < len(distance) - 1
         and distance[count] < stop
-        and distance[count] >= distance[count - 1] - _LOSS
+        and distance[count] >= distance[:count].max() - _LOSS
     ):
         count += 1
     return count

@@ -1,4 +1,8 @@
-"""What was verified last, among what, and whether it still stands."""
+"""What was verified last, among what, and whether it still stands; what others make of it.
+
+`Regulation.coupling` are the parameters that the action level takes, `taken_route` the sides
+that are drawn, `concern` what is logged.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +53,8 @@ class Regulation(Frozen):
         row: row of the obstacle that the term is put on; -1: no term.
         term: (13,) the avoidance term, see `coupling_kernels.turn_step`.
         tau: temporal scaling; 0: nothing was verified.
-        in_range: whether the chain was asked within its trained range.
+        in_range: whether the chain was asked within its trained range; so too where a motion
+            for the arm's sake was drawn without it.
         genes: (7,) of the choice, NaN where there are none.
         shortfall: what is missing of the feasible clearance in the motion [m].
         short_of: name of the obstacle that it is missing of; -1: none.

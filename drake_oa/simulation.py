@@ -37,7 +37,7 @@ LATEST_END = 2.2
 """Normalised time s at which a motion that has not arrived is ended; counted from s = 1 at
 the latest move of the goal, where that comes after it. One that has been verified to arrive
 later may do so."""
-_LATE = 0.2
+_GRACE = 0.2
 """How much later than verified a motion may arrive, in normalised time."""
 ARRIVED = SearchParameters().tolerance
 """A motion has arrived when s = 1 is over and it is this near to the goal [m], at a scaled
@@ -138,7 +138,7 @@ class MotionWatcher:
         if supervision.action == "stop" and policy.speed == 0.0:
             return self._stop(f"stopped: {supervision.reason}")
         if now > self._last_move and s >= self._latest_end:
-            self._latest_end = max(self._latest_end, self._verified_end(root) + _LATE)
+            self._latest_end = max(self._latest_end, self._verified_end(root) + _GRACE)
         if now > self._last_move and s >= self._latest_end:
             error = math.dist(policy.p_WE, self._goal)
             if _has_arrived(policy, self._goal):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from drake_oa.values import FloatArray, IntArray
 
 _BINS = 256
-_BEHIND = 0.015  # an obstacle's own surface is behind what would stand before it [m]
+_BEHIND = 0.01  # an obstacle's own surface is behind what would stand before it, at 1 m [m]
 _WALK = 24  # how far from an obstacle's side its surroundings are looked at [pixel]
 _EMPTY = 12  # so many pixels in a row without depth show that nothing is beside it
 _TAIL = 48  # pixels of a side that are looked at
@@ -245,7 +245,8 @@ def open_sides(
                         break
                     empty = 0
                     if v >= top and v < bottom and owner[v - top, u] == m:
-                        if other > depth - step * nearer + _BEHIND:
+                        # The noise of a depth grows with its square.
+                        if other > depth - step * nearer + _BEHIND * depth * depth:
                             free[m, k, side] += 1.0
                             break
                         continue

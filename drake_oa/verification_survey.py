@@ -72,17 +72,8 @@ def assessed(
     Raises:
         ValueError: for more than one scene.
     """
-    if len(scene) != 1:
-        raise ValueError(f"scene must be a single one, not {len(scene)}")
     count = len(genes)
-    in_use = np.full(N_GENES, np.nan) if previous is None else previous
-    search = Search(
-        scene.rows(np.zeros(count, dtype=np.int64)),
-        duration,
-        dmp,
-        np.tile(in_use, (count, 1)),
-        parameters or SearchParameters(),
-    )
+    search = _search(scene, count, duration, dmp, previous, parameters or SearchParameters())
     ranked = search.evaluate(np.arange(count), genes[:, None])
     return search.answer(ranked, np.ones(count, dtype=bool))
 
@@ -102,7 +93,7 @@ def survey(
         scene: a single one.
         duration: T [s].
         clearance: what a motion has to keep of every obstacle, be it less than the feasible
-            clearance; or most of what it has where it is and at the goal [m].
+            clearance; where it is, or its goal, nearer to one as it is now, most of that [m].
         dmp, previous, parameters: as of `assessed`.
 
     Returns:
@@ -111,18 +102,9 @@ def survey(
     Raises:
         ValueError: for more than one scene.
     """
-    if len(scene) != 1:
-        raise ValueError(f"scene must be a single one, not {len(scene)}")
     parameters = parameters or SearchParameters()
-    in_use = np.full(N_GENES, np.nan) if previous is None else previous
-    search = Search(
-        scene.rows(np.zeros(_SIDES, dtype=np.int64)),
-        duration,
-        dmp,
-        np.tile(in_use, (_SIDES, 1)),
-        replace(parameters, steps=min(_COARSE, parameters.steps)),
-        _SIDES,
-    )
+    coarse = replace(parameters, steps=min(_COARSE, parameters.steps))
+    search = _search(scene, _SIDES, duration, dmp, previous, coarse, sides=_SIDES)
     sides = np.arange(_SIDES)
     fresh = np.repeat(draws(0, _SPREAD).fresh[None], _SIDES, axis=0)
     fresh[~search.moving, :, TAU] = 0.0
@@ -162,3 +144,20 @@ def _ends_clearance(scene: SpatialScenes) -> float:
     ends = np.concatenate([scene.p_WE, scene.p_WG])
     among = scene.p_WO[0], scene.R_WO[0], scene.semi_axes[0]
     return float(np.nanmin(signed_distance(ends[:, None], *among), initial=np.inf))
+
+
+def _search(
+    scene: SpatialScenes,
+    count: int,
+    duration: float,
+    dmp: Dmp | None,
+    previous: FloatArray | None,
+    parameters: SearchParameters,
+    sides: int = 1,
+) -> Search:
+    """A search in so many copies of one scene."""
+    if len(scene) != 1:
+        raise ValueError(f"scene must be a single one, not {len(scene)}")
+    in_use = np.full(N_GENES, np.nan) if previous is None else previous
+    copies = scene.rows(np.zeros(count, dtype=np.int64))
+    return Search(copies, duration, dmp, np.tile(in_use, (count, 1)), parameters, sides)

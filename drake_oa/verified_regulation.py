@@ -3,6 +3,9 @@
 What `drake_oa.verification.verify` chooses for a motion under way is kept while nothing
 changes, and asked for anew, beginning with what is in use, when the obstacles do. The
 avoidance term is put on the row of the obstacle that the motion comes nearest to.
+
+Where the arm cannot follow that motion there are others (`Regulator.others`); one that was
+taken is kept while it will do.
 """
 
 from __future__ import annotations
@@ -21,6 +24,7 @@ from drake_oa.regulation import (
     Regulation,
     begun_anew,
     hardly_moved,
+    no_genes,
     side_only,
     stays,
     travelled,
@@ -51,14 +55,16 @@ _ROUNDS_A_FRAME = 5
 """Rounds of a search that is begun anew with each frame: obstacles move."""
 _LEFT = 0.01
 """A motion begins anew where it is farther than this from its start and its goal [m]."""
-SEEK_AGAIN = 1.0
-"""How often a motion that the arm can follow is looked for [s]."""
 _RETRY = 0.5
 """How often it is looked whether it may [s]."""
+SEEK_AGAIN = 1.0
+"""How often a motion that the arm can follow is looked for: it takes some 0.3 s [s]."""
 _LESS = 0.05
 """Distance to obstacles that a motion for the arm's sake keeps at least [m]."""
-_SHORTER = 0.01
-"""By how much more it may come to lack of the feasible clearance [m]."""
+_MAY_LOSE = 0.01
+"""By how much more than at its choice it may lack of the feasible clearance [m]."""
+_SHORT_OF_GOAL = 0.02
+"""So far from the goal it may end within the horizon: its last part is verified again [m]."""
 _SAMPLES = 100
 """About how many points of a motion are looked at to tell which obstacle it comes near to."""
 
@@ -87,8 +93,8 @@ class Regulator:
             table_height: least height of E above the table [m].
             annulus: (3, n) heights, and least and largest distance from the world's z axis
                 there [m]; None: anywhere.
-            begins_anew: whether a motion that rests, as none that clears the obstacles goes
-                on from it, is to begin anew where one from there does.
+            begins_anew: whether a motion that rests, as none that clears the obstacles or that
+                the arm can follow goes on from it, is to begin anew where one from there does.
         """
         self._begins_anew = begins_anew
         self._weights = weights
@@ -135,7 +141,8 @@ class Regulator:
             anew=False,
         )
         if not np.array_equal(before.p_WS, policy.p_WS):
-            here = replace(here, for_arm=False, sought=-math.inf)
+            # As who looked whether it may begin anew did.
+            here = replace(here, genes=no_genes(), for_arm=False, sought=-math.inf)
         # A motion that is late is looked at again: the unmodulated rest may do.
         late = normalised_time(policy.phase, self._dmp.alpha_k) >= 1.0
         if not late and stays(before, here):
@@ -180,7 +187,8 @@ class Regulator:
             parameters=self._parameters,
         )
         after = self._kept(here, scene, found, baseline)
-        will_do = not after.note and after.shortfall <= here.lacked + _SHORTER
+        will_do = not after.note and after.goal_error <= self._missed(here)
+        will_do = will_do and after.shortfall <= here.lacked + _MAY_LOSE
         return after if will_do else None
 
     def others(self, after: Regulation, policy: PolicyState) -> Iterator[Regulation]:
@@ -205,8 +213,13 @@ class Regulator:
         )
         for row in range(len(found.cost)):
             one = self._kept(after, scene, found.rows(np.array([row])), float(scene.baseline[0]))
-            if not one.note:
-                yield replace(one, for_arm=True, lacked=one.shortfall, sought=policy.stamp)
+            if one.note or one.goal_error > self._missed(after):
+                continue
+            yield replace(one, anew=False, for_arm=True, lacked=one.shortfall, sought=policy.stamp)
+
+    def _missed(self, before: Regulation) -> float:
+        """How far from the goal a motion in the place of another may end [m]."""
+        return max(_SHORT_OF_GOAL, before.goal_error)
 
     def others_anew(self, after: Regulation, policy: PolicyState) -> Iterator[Regulation]:
         """`others` that begin where the motion rests; none where it does not, or may not."""

@@ -1,5 +1,7 @@
 """Far sides of what a camera sees from one side only."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -79,6 +81,20 @@ def test_below_a_top_it_is_solid() -> None:
     assert nearest.max() < 1.2 * VOXEL
     assert whole[:, 2].min() >= 0.1 - 1e-9
     assert solid(np.zeros((0, 3))).shape == (0, 3)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("axis", [0, 2])
+def test_what_is_not_finite_is_handed_on_for_others_to_see(value: float, axis: int) -> None:
+    bad = face()
+    bad[3, axis] = value
+    moving = replace(seen((0.0, 0.3, 0.0)), clouds_W=(bad,))
+    assert with_hidden_sides(moving, CAMERA).clouds_W[0] is bad
+    lost = seen((np.nan, 0.0, 0.0))
+    assert names_moved(lost, frozenset()) == frozenset()
+    assert with_hidden_sides(lost, CAMERA) is lost
+    empty = replace(seen((0.0, 0.3, 0.0)), clouds_W=(np.zeros((0, 3)),))
+    assert len(with_hidden_sides(empty, CAMERA).clouds_W[0]) == 0
 
 
 def test_the_system_alone() -> None:

@@ -15,6 +15,7 @@ from drake_oa.posture_plan import (
     REDUNDANT,
     PostureParameters,
     PosturePlan,
+    _leaving,
     plan_posture,
     reviewed,
 )
@@ -198,3 +199,25 @@ def test_bad_parameters_are_refused(changes: dict) -> None:
 def test_an_arm_of_six_joints_is_refused(arm: ArmModel) -> None:
     with pytest.raises(ValueError, match="7 joints"):
         planned(replace(arm, posture=np.zeros(6)), around())
+
+
+def test_what_is_too_near_at_the_start_may_be_left_but_not_approached() -> None:
+    stop = 0.035
+    assert _leaving(np.array([0.02, 0.025, 0.03, 0.05, 0.01]), stop) == 3
+    assert _leaving(np.array([0.05, 0.03, 0.02]), stop) == 1
+    # By little each time, and yet nearer and nearer.
+    assert _leaving(0.03 - 0.0015 * np.arange(15), stop) == 2
+    assert _leaving(np.array([0.02]), stop) == 0
+    assert _leaving(np.array([0.02, 0.03]), stop) == 1
+
+
+def test_a_quick_plan_is_that_of_the_first_grid(arm: ArmModel) -> None:
+    s = np.linspace(0.0, 1.0, 20)
+    way = START + s[:, None] * [-0.1, 0.3, 0.0]
+    free = ArmSurroundings.of(ObstacleClouds(stamp=0.0), TablePlane(), np.zeros(0))
+    asked = (arm, free, np.array(arm.posture), s, way)
+    quick = plan_posture(*asked, seconds=5.0, thorough=False)
+    assert quick.works
+    np.testing.assert_array_equal(quick.q, plan_posture(*asked, seconds=5.0).q)
+    far = plan_posture(*asked[:4], way * [3.0, 1.0, 1.0], seconds=5.0, thorough=False)
+    assert not len(far)

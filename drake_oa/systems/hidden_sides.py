@@ -37,8 +37,8 @@ class HiddenSides(LeafSystem):
     - obstacles_W (in): abstract `ObstacleClouds`.
     - camera_pose: RigidTransform X_WC of the camera that sees them.
     - obstacles_W (out): abstract `ObstacleClouds`; where nothing has moved that of the input,
-      else what moves or has moved has as many points more as make it as deep as it is broad,
-      see `drake_oa.hidden_sides`.
+      else what moves or has moved has more points, which make it as deep as it is broad, at
+      most 15 cm, and solid below its top, see `drake_oa.hidden_sides`.
 
     The Context holds the camera's place and the names of what has moved, read every `period`:
     the pose depends on time, and the output is to change with an observation only.

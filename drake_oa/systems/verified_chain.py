@@ -76,8 +76,9 @@ class VerifiedRegressorChain(LeafSystem):
     - robot_state (optional): (2m,) positions and velocities of the robot whose arm's posture
       is planned [rad, m, rad/s, m/s]; without it none is. Without an arm to plan for it has
       size 1 and is not read.
-    - obstacles_W (optional): abstract `ObstacleClouds` that the arm must not touch; without
-      it the arm minds the table, its limits and itself.
+    - obstacles_W (optional): abstract `ObstacleClouds` that the arm must not touch, with the
+      far sides that `HiddenSides` gives to what moves; without it the arm minds the table,
+      its limits and itself.
     - camera_pose (optional): abstract `RigidTransform` of the camera that sees them: what is
       behind is not seen. Without it they are taken to be seen from all sides.
     - coupling_parameters: abstract `CouplingParameters`, M rows. One avoidance term bends
@@ -96,9 +97,11 @@ class VerifiedRegressorChain(LeafSystem):
     the policy is, among all obstacles with their velocities, above the table and within
     the workspace; of those that keep the clearance and reach the goal the shortest is
     taken, and another side than the one in use only where it is shorter by some
-    hysteresis: see `drake_oa.verification`. It has the place of `RegressorChain` in a
-    diagram; the `DmpIntegrator` that takes its parameters must have the same primitive and
-    fade, and needs no route.
+    hysteresis: see `drake_oa.verification`. Where the arm cannot follow it, another motion is
+    looked for every second, longer or with less of the clearance, but 5 cm.
+
+    It has the place of `RegressorChain` in a diagram; the `DmpIntegrator` that takes its
+    parameters must have the same primitive and fade, and needs no route.
 
     The choice is abstract state. It is made at initialization and every `period`, shortly
     after it so that an observation of the same instant counts; while obstacles, goal and
@@ -133,8 +136,8 @@ class VerifiedRegressorChain(LeafSystem):
                 of E from the world's z axis there [m], see
                 `drake_oa.workspace.tool_down_annulus`; None: E may be anywhere.
             arm: plans the posture along the motion; None: nothing does.
-            begins_anew: whether a motion that rests, as none that clears the obstacles goes on
-                from it, begins anew from there where such a one does.
+            begins_anew: whether a motion that rests, as none that clears the obstacles or that
+                the arm can follow goes on from it, begins anew from there where such a one does.
 
         Raises:
             TypeError: if weights are no `ChainWeights`.
