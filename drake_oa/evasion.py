@@ -39,8 +39,6 @@ _STEADY = 0.5
 _FULL, _HALF = 1.0, 0.5
 _CERTAIN = 0.4
 """A contact that cannot be evaded is certain when it is no farther ahead than this [s]."""
-_DEEP = 0.03
-"""How far links and obstacle have to meet for it: the far side of what moves is guessed [m]."""
 _AHEAD = 1.0
 """What a velocity along that of the obstacle costs besides, as a share of it."""
 _SLOW = 0.03
@@ -80,8 +78,7 @@ class Evasion(Frozen):
     @property
     def certain(self) -> bool:
         """Whether a contact is near that cannot be evaded."""
-        near = self.contact <= _CERTAIN and self.clearance <= -_DEEP
-        return self.action == "caught" and near
+        return self.action == "caught" and self.contact <= _CERTAIN
 
 
 NOTHING_MOVES = Evasion()
