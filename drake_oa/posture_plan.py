@@ -230,15 +230,13 @@ def plan_posture(
 
     nothing, fine = np.zeros((0, _JOINTS)), step * np.linspace(-1.0, 1.0, _FINE)
     best = PosturePlan(s=s, q=nothing, short=math.inf)
-    for by_trace in (False, True):
+    for by_trace in (False, True) if thorough else (False,):
         if by_trace:
             rules[kernels.LEAP], rules[kernels.SLOPE] = _LEAP_OF_ANY, _STEEP
-        for reserve in _RESERVES:
+        for reserve in _RESERVES if thorough else _RESERVES[:1]:
             rules[kernels.RESERVE] = reserve
             cost = traced(nothing, _TRACE, _NODES) if by_trace else search(values, nothing, _WINDOW)
             if not math.isfinite(cost):
-                if not thorough:
-                    return best
                 break
             guess = way.copy()
             if by_trace:
@@ -249,8 +247,6 @@ def plan_posture(
             plan = _described(arm, around, s, way, seconds, ages, rules, shared)
             if plan.short < best.short:
                 best = plan
-            if not thorough:
-                return best
             if best.short == 0.0 or parameters.clearance <= parameters.stop_distance + _RESERVES[1]:
                 break
         if best.short == 0.0:

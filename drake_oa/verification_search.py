@@ -293,9 +293,7 @@ class Search:
         active = self.keep_previous(chosen, np.flatnonzero(~chosen.solved), proposed)
         first = proposed[active]
         if self.sides > 1:
-            fresh = np.repeat(draws(0, _SPREAD).fresh[None], len(active), axis=0)
-            fresh[~self.moving[active], :, TAU] = 0.0
-            first = np.concatenate([first, self.bounded(active, fresh)], axis=1)
+            first = np.concatenate([first, self.spread(active, _SPREAD)], axis=1)
         ranked = self.evaluate(active, first).best(_ELITES)
         since = np.zeros(len(active), dtype=int)
         # Where a motion is in use its genes are near the best already.
@@ -429,7 +427,7 @@ class Search:
 
     def children(self, active: IntArray, ranked: _Ranked, number: int) -> FloatArray:
         """The candidates of a round, (A, n, 7)."""
-        random = draws(number, self.parameters.candidates)
+        random = _draws(number, self.parameters.candidates)
         n_kin = self.parameters.candidates - _LINE
         genes = ranked.genes
         kin = genes[:, np.arange(n_kin) % _ELITES] + _STRIDE * random.step[:n_kin]
@@ -444,6 +442,12 @@ class Search:
             trial = np.where(fresh, random.fresh, trial)
         trial[~self.moving[active], :, TAU] = 0.0
         return self.bounded(active, trial)
+
+    def spread(self, active: IntArray, count: int) -> FloatArray:
+        """Candidates (A, count, 7) all over the ranges, the same in every search."""
+        fresh = np.repeat(_draws(0, count).fresh[None], len(active), axis=0)
+        fresh[~self.moving[active], :, TAU] = 0.0
+        return self.bounded(active, fresh)
 
     def bounded(self, active: IntArray, genes: FloatArray) -> FloatArray:
         """Genes (A, n, 7) moved into their ranges."""
@@ -489,8 +493,7 @@ class _Draws:
 
 
 @lru_cache(maxsize=256)
-def draws(number: int, n: int) -> _Draws:
-    """The random numbers of a round: the same in every search."""
+def _draws(number: int, n: int) -> _Draws:
     rng = np.random.default_rng((number, n))
     low = np.where(np.isfinite(_LOWER), _LOWER, 0.0)
     high = np.where(np.isfinite(_UPPER), _UPPER, 2.0 * np.pi)

@@ -22,11 +22,9 @@ from drake_oa.verification_search import (
     GENE_RANGE,
     N_GENES,
     OUTCOME,
-    TAU,
     Search,
     SearchParameters,
     Verified,
-    draws,
 )
 
 _SIDES = 8
@@ -106,12 +104,11 @@ def survey(
     coarse = replace(parameters, steps=min(_COARSE, parameters.steps))
     search = _search(scene, _SIDES, duration, dmp, previous, coarse, sides=_SIDES)
     sides = np.arange(_SIDES)
-    fresh = np.repeat(draws(0, _SPREAD).fresh[None], _SIDES, axis=0)
-    fresh[~search.moving, :, TAU] = 0.0
+    fresh = search.spread(sides, _SPREAD)
     fresh[:, :, ALPHA] = np.interp(
         fresh[:, :, ALPHA], GENE_RANGE[ALPHA], [GENE_RANGE[ALPHA, 0], _GENTLE]
     )
-    ranked = search.evaluate(sides, search.bounded(sides, fresh))
+    ranked = search.evaluate(sides, fresh)
     outcome = dict(zip(OUTCOME, np.moveaxis(ranked.outcome, 2, 0), strict=True))
     L = float(scene.baseline[0])
     least = min(clearance, _SHARE * _ends_clearance(scene))
@@ -120,7 +117,7 @@ def survey(
     left = float(np.linalg.norm(scene.p_WG[0] - scene.p_WE[0]))
     size = np.searchsorted(_DETOURS, outcome["path_length"] / max(left, 1e-6))
     end = scene.s + outcome["steps"] / search.parameters.steps
-    price = ranked.cost + _LATER * np.maximum(end - max(scene.s, 1.0), 0.0)
+    price = _price(ranked.cost, end, scene.s)
     chosen = []
     for side in sides:
         for detour in range(len(_DETOURS) + 1):
@@ -135,8 +132,12 @@ def survey(
         previous=previous,
         parameters=parameters,
     )
-    price = found.cost + _LATER * np.maximum(found.end - max(scene.s, 1.0), 0.0)
-    return found.rows(np.argsort(price, kind="stable"))
+    return found.rows(np.argsort(_price(found.cost, found.end, scene.s), kind="stable"))
+
+
+def _price(cost: FloatArray, end: FloatArray, s: float) -> FloatArray:
+    """The cost, and what arriving late adds to it."""
+    return np.asarray(cost + _LATER * np.maximum(end - max(s, 1.0), 0.0))
 
 
 def _ends_clearance(scene: SpatialScenes) -> float:
