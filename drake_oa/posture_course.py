@@ -11,17 +11,14 @@ where e_0 is what the old course was away from it at the change t_0.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
+from drake_oa.kernel_arrays import kernel_arrays
+from drake_oa.posture_course_kernels import course_at
 from drake_oa.values import FloatArray, Frozen, PlannedMotion
-
-_RATE = 4.0
-"""How fast a new plan is taken over, w [1/s]."""
-_SETTLED = 12.0
-"""After this many times 1 / w nothing of the old one is left."""
 
 
 def monotone_slopes(s: FloatArray, q: FloatArray) -> FloatArray:
@@ -52,7 +49,7 @@ class PostureCourse(Frozen):
         motion: the plan.
         slopes: (T, n) dq/ds at its samples [rad].
         since: when it was taken over [s].
-        away, drift: (n,) what was left of the course before then [rad, rad/s].
+        away: (2n,) what was left of the course before then [rad, rad/s].
     """
 
     rest: FloatArray
@@ -60,39 +57,24 @@ class PostureCourse(Frozen):
     slopes: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     since: float = 0.0
     away: FloatArray = field(default_factory=lambda: np.zeros(0))
-    drift: FloatArray = field(default_factory=lambda: np.zeros(0))
 
-    def at(self, s: float, speed: float, time: float) -> tuple[FloatArray, FloatArray]:
-        """Positions [rad] and velocities [rad/s], (n,) each.
+    @cached_property
+    def _arrays(self) -> list[FloatArray]:
+        """What `course_at` takes first; without a plan the rest is its only sample."""
+        away = self.away if len(self.away) else np.zeros(2 * len(self.rest))
+        if not len(self.motion.q):
+            return kernel_arrays([0.0], self.rest[None], np.zeros((1, len(self.rest))), away)
+        return kernel_arrays(self.motion.s, self.motion.q, self.slopes, away)
+
+    def at(self, s: float, speed: float, time: float) -> FloatArray:
+        """(2n,) positions [rad] and velocities [rad/s].
 
         Args:
             s: normalised time.
             speed: ds/dt [1/s].
             time: now [s].
         """
-        q, v = self._planned(s, speed)
-        tau = time - self.since
-        if not len(self.away) or _RATE * tau > _SETTLED:
-            return q, v
-        share = math.exp(-_RATE * tau)
-        pushed = self.drift + _RATE * self.away
-        left = self.away + pushed * tau
-        return q + share * left, v + share * (pushed - _RATE * left)
-
-    def _planned(self, s: float, speed: float) -> tuple[FloatArray, FloatArray]:
-        times, q = self.motion.s, self.motion.q
-        if not len(q):
-            return self.rest, np.zeros(len(self.rest))
-        if len(times) == 1 or not times[0] < s < times[-1]:
-            return q[0 if s <= times[0] else -1], np.zeros(q.shape[1])
-        i = int(np.searchsorted(times, s, side="right")) - 1
-        h = float(times[i + 1] - times[i])
-        x = (s - float(times[i])) / h
-        step = q[i + 1] - q[i]
-        a, b = h * self.slopes[i], h * self.slopes[i + 1]
-        c2, c3 = 3.0 * step - 2.0 * a - b, a + b - 2.0 * step
-        position = q[i] + x * (a + x * (c2 + x * c3))
-        return position, (speed / h) * (a + x * (2.0 * c2 + 3.0 * x * c3))
+        return course_at(*self._arrays, s, speed, time - self.since)
 
     def with_motion(
         self, motion: PlannedMotion, s: float, speed: float, time: float
@@ -109,13 +91,9 @@ class PostureCourse(Frozen):
                 f"motion: q has shape {motion.q.shape}; it must be "
                 f"{(len(motion.s), len(self.rest))}, or (0, n)"
             )
-        q, v = self.at(s, speed, time)
         if not len(motion.q) and not len(self.motion.q):
             return self
-        after = PostureCourse(
-            self.rest, motion, monotone_slopes(motion.s, motion.q) if len(motion.q) else motion.q
-        )
-        q_new, v_new = after._planned(s, speed)
-        return PostureCourse(
-            self.rest, motion, after.slopes, since=time, away=q - q_new, drift=v - v_new
-        )
+        slopes = monotone_slopes(motion.s, motion.q) if len(motion.q) else motion.q
+        anew = PostureCourse(self.rest, motion, slopes, since=time)
+        away = self.at(s, speed, time) - anew.at(s, speed, time)
+        return PostureCourse(self.rest, motion, slopes, since=time, away=away)

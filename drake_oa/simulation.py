@@ -122,7 +122,8 @@ class MotionWatcher:
         now = root.get_time()
         if now < self._next_time:
             return EventStatus.DidNothing()
-        self._next_time = now + 0.5 * self._period
+        # Policy and supervisor step once a period, and the look comes right after.
+        self._next_time = now + 0.9 * self._period
         policy: PolicyState = self._policy_port.Eval(self._policy_system.GetMyContextFromRoot(root))
         supervision = self._supervision(root)
         if policy.note == SCALED_TO_REST and supervision.reason:

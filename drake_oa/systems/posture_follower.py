@@ -91,4 +91,4 @@ class PostureFollower(LeafSystem):
         return EventStatus.Succeeded()
 
     def _calc(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(np.concatenate(self._read(context).at(*self._now(context))))
+        output.SetFromVector(self._read(context).at(*self._now(context)))
