@@ -1,7 +1,8 @@
 """Regulation that looks to the whole arm: a verified motion that it can follow, and its posture.
 
 Where no posture passes along the motion that the regulator chose, others of its motions are
-tried: `Regulator.others`, then those that begin anew where the arm rests.
+tried: `Regulator.others`, then those that begin anew where the arm rests, and, among obstacles
+at rest, those that begin at a point beside it, to which the tool then goes first.
 """
 
 from __future__ import annotations
@@ -13,8 +14,10 @@ from itertools import islice
 
 import numpy as np
 
+from drake_oa.action import SCALED_TO_REST
 from drake_oa.dmp import Dmp, normalised_time
 from drake_oa.regulation import Regulation
+from drake_oa.stepping_aside import points_aside, straight_motion
 from drake_oa.values import EllipsoidSet, FloatArray, ObstacleClouds, PolicyState, TablePlane
 from drake_oa.verified_regulation import SEEK_AGAIN, Regulator
 from drake_oa.whole_arm import ArmSight, ArmWay, WholeArm
@@ -23,6 +26,16 @@ _TRIED = 16
 """So many other motions are tried in the place of one that the arm cannot follow,"""
 _LOOKED_INTO = 4
 """and the best so many of them once more, thoroughly."""
+_POINTS = 3
+"""So many points beside are looked at in one search,"""
+_TRIED_THERE = 8
+"""and from each so many motions."""
+_RECENT = 0.2
+"""where what is seen is no older than this [s]."""
+_STUCK = 0.5
+"""A motion that is slowed to rest for so long is stuck, though the arm could follow it [s]."""
+_THERE = 0.01
+"""So near to such a point it has been reached [m]."""
 
 
 class ArmRegulator:
@@ -58,9 +71,14 @@ class ArmRegulator:
         """
         if sight.obstacles is not before.way.seen and not _is_finite(sight.obstacles):
             sight = replace(sight, obstacles=before.way.seen or ObstacleClouds())
+        goal = p_WG
+        if len(before.p_WV):
+            if math.dist(policy.p_WE, before.p_WV) <= _THERE:
+                return _at_point(before, policy)
+            goal = before.p_WV
         # tau as it is for the tool alone.
         of_tool = replace(before, tau=before.tau / before.way.slower)
-        after = self._regulator.update(of_tool, policy, p_WG, ellipsoids, table)
+        after = self._regulator.update(of_tool, policy, goal, ellipsoids, table)
         if not len(after.motion):
             return after
         s = normalised_time(policy.phase, self._dmp.alpha_k)
@@ -79,8 +97,12 @@ class ArmRegulator:
             if way.failed and len(before.way.plan):
                 # Better the posture of before than that of the start.
                 way = replace(before.way, seen=way.seen, since=way.since, failed=True)
-        if way.concern and policy.stamp - after.sought >= SEEK_AGAIN:
-            after, way = self._sought(after, way, policy, sight, table)
+        after = replace(after, rests_since=_rests_since(before, policy))
+        if policy.stamp - after.sought >= SEEK_AGAIN:
+            if way.concern:
+                after, way = self._sought(after, way, policy, p_WG, sight, table)
+            elif policy.note == SCALED_TO_REST and policy.stamp - after.rests_since >= _STUCK:
+                after = self._aside(after, policy, p_WG, sight, table)
         return replace(after, motion=way.motion, way=way, tau=after.tau * way.slower)
 
     def _sought(
@@ -88,6 +110,7 @@ class ArmRegulator:
         after: Regulation,
         way: ArmWay,
         policy: PolicyState,
+        p_WG: FloatArray,
         sight: ArmSight,
         table: TablePlane | None,
     ) -> tuple[Regulation, ArmWay]:
@@ -103,8 +126,41 @@ class ArmRegulator:
         found = followed(self._regulator.others(after, policy))
         if found is not None:
             return found
-        begun = followed(self._regulator.others_anew(after, policy))
-        return replace(after, sought=policy.stamp, anew=after.anew or begun is not None), way
+        if followed(self._regulator.others_anew(after, policy)) is not None:
+            return replace(after, anew=True, sought=policy.stamp), way
+        return self._aside(after, policy, p_WG, sight, table), way
+
+    def _aside(
+        self,
+        after: Regulation,
+        policy: PolicyState,
+        p_WG: FloatArray,
+        sight: ArmSight,
+        table: TablePlane | None,
+    ) -> Regulation:
+        """Where the tool is to go first, if there is a point from which the arm can go on."""
+        seen, time = after.ellipsoids, policy.stamp
+        after = replace(after, sought=time)
+        if policy.speed > 0.0 or not len(seen) or seen.v_WO.any() or time - seen.stamp > _RECENT:
+            return after
+        nearest = np.linalg.norm(seen.p_WO - policy.p_WE, axis=1).argmin()
+        points = points_aside(policy.p_WE, seen.p_WO[nearest])
+        looked_at = 0
+        for row in range(after.asides, len(points)):
+            leg = straight_motion(policy.p_WE, points[row])
+            seconds = self._dmp.duration
+            way = self._arm.planned(leg, sight, table, seconds=seconds, time=time, thorough=False)
+            if not way.plan.works:
+                continue
+            there = replace(sight, q=way.plan.q[-1])
+            others = self._regulator.others_from(after, policy, points[row], p_WG)
+            for other in islice(others, _TRIED_THERE):
+                if self._planned(other, there, table, time, thorough=False).plan.works:
+                    return replace(after, anew=True, p_WV=points[row], asides=row + 1)
+            looked_at += 1
+            if looked_at == _POINTS:
+                return replace(after, asides=row + 1)
+        return replace(after, asides=0)
 
     def _followed(
         self,
@@ -142,6 +198,17 @@ class ArmRegulator:
         return self._arm.planned(
             other.motion, sight, table, seconds=seconds, time=time, thorough=thorough
         )
+
+
+def _at_point(before: Regulation, policy: PolicyState) -> Regulation:
+    """Holds the motion at the point beside; once it rests, it is to begin anew to the goal."""
+    if policy.speed > 0.0:
+        return replace(before, p_WE=policy.p_WE, note="at the point beside the obstacle")
+    return replace(before, p_WE=policy.p_WE, note="", anew=True, p_WV=np.zeros(0), asides=0)
+
+
+def _rests_since(before: Regulation, policy: PolicyState) -> float:
+    return min(before.rests_since, policy.stamp) if policy.speed == 0.0 else math.inf
 
 
 def _is_finite(obstacles: ObstacleClouds) -> bool:

@@ -60,6 +60,7 @@ class CouplingParameters(Frozen):
             length; 0: not given.
         note: empty, or why the motion must not go on.
         anew: whether it is to begin anew from where it rests.
+        p_WV: (3,) the point V that it goes to in place of the goal [m]; (0,): none.
     """
 
     alpha: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -71,6 +72,7 @@ class CouplingParameters(Frozen):
     tau: float = 0.0
     note: str = ""
     anew: bool = False
+    p_WV: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def __len__(self) -> int:
         return len(self.alpha)

@@ -61,6 +61,9 @@ class Regulation(Frozen):
         goal_error: distance to the goal at the motion's end [m].
         note: empty, or why the motion must not go on.
         anew: whether a motion that begins where this one rests will do in its place.
+        p_WV: (3,) point V beside an obstacle that the motion goes to first [m]; (0,): none.
+        asides: how many such points have been tried.
+        rests_since: since when the policy rests [s]; inf: it does not.
         tried: when such a one was looked for last [s].
         for_arm: whether it was chosen as the arm cannot follow the shortest one.
         lacked: its shortfall then [m].
@@ -86,6 +89,9 @@ class Regulation(Frozen):
     goal_error: float = 0.0
     note: str = ""
     anew: bool = False
+    p_WV: FloatArray = field(default_factory=lambda: np.zeros(0))
+    asides: int = 0
+    rests_since: float = math.inf
     tried: float = -math.inf
     for_arm: bool = False
     lacked: float = 0.0
@@ -117,6 +123,7 @@ class Regulation(Frozen):
             tau=self.tau,
             note=self.note,
             anew=self.anew,
+            p_WV=self.p_WV,
         )
 
 

@@ -153,7 +153,7 @@ class Supervisor:
     # is `policy.hold_time` [s].
     lag: float = _number(0.05, "s", 0.0, 10.0)
     # Share of full speed at which a link that is nearer may leave.
-    leave_scale: float = _number(0.2, "1", 0.0, 1.0, open_low=True)
+    leave_scale: float = _number(0.3, "1", 0.0, 1.0, open_low=True)
     # Frames that may be missed before the motion slows; it is held at the age
     # `policy.max_observation_age`.
     stale_frames: float = _number(2.5, "1", 1.0, 1e6)

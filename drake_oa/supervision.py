@@ -44,7 +44,8 @@ class SupervisorParameters:
             approach has come to rest [m].
         padding: how far an obstacle's surface may lie outside its points [m].
         reaction_time: time in which the motion comes to rest from full speed [s].
-        leave_scale: share of full speed at which a link nearer than that may leave.
+        leave_scale: share of full speed at which a link nearer than that may leave; a motion
+            that is held does so only if it is `resume_above` at least.
         frame_period: time between observations [s].
         stale_frames: an observation older than this many periods slows the motion.
         max_age: one older than this holds it [s].
@@ -65,7 +66,7 @@ class SupervisorParameters:
     stop_distance: float = 0.025
     padding: float = 0.005
     reaction_time: float = 0.3
-    leave_scale: float = 0.2
+    leave_scale: float = 0.3
     frame_period: float = 1.0 / 15.0
     stale_frames: float = 2.5
     max_age: float = 0.5

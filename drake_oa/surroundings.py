@@ -25,6 +25,7 @@ class Surroundings(Frozen):
         ellipsoids: the obstacles; None: there is no perception.
         blocked: empty, or why no way past the obstacles is known.
         anew: whether a motion at rest is to begin anew from where it is.
+        p_WV: (3,) the point that it goes to in place of the goal [m]; (0,): none.
         facts, parameters, clearance, blocks, R_WO, B: as `action_kernels.take_steps`
             takes them.
     """
@@ -32,6 +33,7 @@ class Surroundings(Frozen):
     ellipsoids: EllipsoidSet | None = None
     blocked: str = ""
     anew: bool = False
+    p_WV: FloatArray = _empty(0)
     facts: FloatArray = _empty(kernels.N_FACTS)
     parameters: FloatArray = _empty(0, 3)
     clearance: FloatArray = _empty(0)
@@ -90,6 +92,7 @@ class Surroundings(Frozen):
             ellipsoids=ellipsoids,
             blocked=blocked,
             anew=coupling is not None and coupling.anew,
+            p_WV=np.zeros(0) if coupling is None else coupling.p_WV,
             facts=facts,
             parameters=parameters,
             clearance=clearance,

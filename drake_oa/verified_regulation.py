@@ -226,6 +226,17 @@ class Regulator:
         if self._may_begin_anew(after, policy):
             yield from self.others(*begun_anew(after, policy))
 
+    def others_from(
+        self, after: Regulation, policy: PolicyState, p_WV: FloatArray, p_WG: FloatArray
+    ) -> Iterator[Regulation]:
+        """`others` to a goal p_WG (3,) that begin at V, p_WV (3,), were the tool at rest there [m].
+
+        None where the motion does not rest, or may not begin anew.
+        """
+        if self._begins_anew and policy.speed == 0.0:
+            begun, there = begun_anew(after, replace(policy, p_WE=p_WV))
+            yield from self.others(replace(begun, p_WG=p_WG, p_WE=p_WV), there)
+
     def _may_begin_anew(self, after: Regulation, policy: PolicyState) -> bool:
         left = math.dist(policy.p_WE, policy.p_WS) > _LEFT
         # At the goal there is none to begin.

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from drake_oa.action import SCALED_TO_REST
 from drake_oa.arm_motion import ArmModel
 from drake_oa.arm_regulation import ArmRegulator
 from drake_oa.dmp import imitate, local_frame, minimum_jerk
@@ -84,3 +85,62 @@ def test_points_that_are_not_finite_are_as_if_nothing_new_was_seen(
     again = regulator.update(first, replace(UNDER_WAY, stamp=0.03), GOAL, BALL, TABLE, lost)
     assert again.way.seen is first.way.seen
     np.testing.assert_array_equal(again.motion.q, first.motion.q)
+
+
+def test_it_goes_to_a_point_beside_rests_there_and_begins_anew(
+    arm: ArmModel, regulator: ArmRegulator
+) -> None:
+    point = START + [0.0, 0.0, 0.15]
+    first = regulator.update(Regulation(), UNDER_WAY, GOAL, BALL, TABLE, sight(arm))
+    toward = replace(first, p_WV=point)
+    on_its_way = replace(UNDER_WAY, p_WG=point, R_WL=local_frame(START, point))
+    after = regulator.update(toward, on_its_way, GOAL, BALL, TABLE, sight(arm))
+    np.testing.assert_allclose(after.motion.p_WE[-1], point, atol=1e-3)
+    np.testing.assert_array_equal(after.coupling(BALL).p_WV, point)
+    there = replace(on_its_way, p_WE=point - [0.0, 0.0, 0.005])
+    held = regulator.update(after, there, GOAL, BALL, TABLE, sight(arm))
+    assert held.note == "at the point beside the obstacle"
+    np.testing.assert_array_equal(held.p_WV, point)
+    anew = regulator.update(held, replace(there, speed=0.0), GOAL, BALL, TABLE, sight(arm))
+    assert (anew.note, anew.anew, len(anew.p_WV)) == ("", True, 0)
+
+
+def test_points_beside_are_tried_in_turn_where_it_is_kept_at_rest(
+    arm: ArmModel, regulator: ArmRegulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[np.ndarray] = []
+
+    def none_from(_: Regulator, *known: np.ndarray) -> list[Regulation]:
+        asked.append(known[2])
+        return []
+
+    monkeypatch.setattr(Regulator, "others_from", none_from)
+    cloud = np.full((40, 3), [0.0, 0.6, 0.3])
+    rests = replace(UNDER_WAY, speed=0.0, note=SCALED_TO_REST)
+
+    def later(before: Regulation, time: float, seen: float) -> Regulation:
+        ball, policy = replace(BALL, stamp=seen), replace(rests, stamp=time)
+        return regulator.update(before, policy, GOAL, ball, TABLE, sight(arm, cloud))
+
+    first = later(Regulation(), 0.0, 0.0)
+    assert first.way.plan.works
+    assert later(first, 0.3, 0.3).sought == -np.inf
+    # What was not seen for a while is no ground to go by.
+    assert later(first, 1.0, 0.5).asides == 0
+    assert not asked
+    once = later(first, 1.0, 1.0)
+    assert 3 <= once.asides < 52
+    assert len(asked) == 3
+    again = later(once, 2.0, 2.0)
+    assert again.asides > once.asides
+    assert len(np.unique(asked, axis=0)) == 6
+
+
+def test_from_within_a_cloud_no_way_leads_aside(
+    arm: ArmModel, regulator: ArmRegulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Regulator, "others_from", lambda *_: pytest.fail("no leg works"))
+    block = np.random.default_rng(0).uniform(-0.15, 0.15, (2000, 3)) + [0.0, 0.0, 0.5]
+    rests = replace(UNDER_WAY, speed=0.0)
+    stuck = regulator.update(Regulation(), rests, GOAL, BALL, TABLE, sight(arm, block))
+    assert (stuck.sought, stuck.asides, len(stuck.p_WV)) == (0.0, 0, 0)

@@ -58,7 +58,8 @@ class DmpIntegrator(LeafSystem):
       it the motion is the pre-planned one.
     - coupling_parameters (optional): abstract `CouplingParameters`, one row an
       ellipsoid. Without it there is no avoidance term. Its normals and its tau, where it
-      gives them, go before the route's; while it has a note the motion is held.
+      gives them, go before the route's, and its point p_WV before the goal; while it has a
+      note the motion is held.
     - route (optional): abstract `Route`, one row an ellipsoid: `CostRingSelector`'s
       decision, whose headings are then computed here from where the motion is at each
       step; or a route with headings of its own. Without it there is no guidance term,
@@ -189,11 +190,12 @@ class DmpIntegrator(LeafSystem):
     def _step(self, context: Context, state: State) -> EventStatus:
         before = self._read_segment(context)
         around = self._surroundings.Eval(context)
+        goal = around.p_WV if len(around.p_WV) else self._goal.Eval(context)
         if around.anew:
-            before = begun_anew(before, self._goal.Eval(context), context.get_time())
+            before = begun_anew(before, goal, context.get_time())
         after = self._level.step(
             before,
-            self._goal.Eval(context),
+            goal,
             around,
             context.get_time(),
             self._period,

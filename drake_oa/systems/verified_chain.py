@@ -98,7 +98,8 @@ class VerifiedRegressorChain(LeafSystem):
     the workspace; of those that keep the clearance and reach the goal the shortest is
     taken, and another side than the one in use only where it is shorter by some
     hysteresis: see `drake_oa.verification`. Where the arm cannot follow it, another motion is
-    looked for every second, longer or with less of the clearance, but 5 cm.
+    looked for every second, longer or with less of the clearance, but 5 cm; where the arm is
+    stuck beside what rests, also by way of a point up to 20 cm aside.
 
     It has the place of `RegressorChain` in a diagram; the `DmpIntegrator` that takes its
     parameters must have the same primitive and fade, and needs no route.
