@@ -161,7 +161,7 @@ class WholeArm:
         wanted = np.interp(s, plan.s, plan.q[:, REDUNDANT])
         if abs(sight.q[REDUNDANT] - wanted) > _ASTRAY:
             return None
-        if sight.obstacles is before.seen:
+        if _unchanged(before.seen, sight.obstacles):
             return before
         around = ArmSurroundings.of(sight.obstacles, table, sight.viewpoint_W)
         again = reviewed(
@@ -219,3 +219,12 @@ class WholeArm:
             if plan.works or plan.hurry < _AT_EASE or not len(plan):
                 break
         return best
+
+
+def _unchanged(before: ObstacleClouds | None, now: ObstacleClouds) -> bool:
+    """Whether nothing moves and all is where it was; perception hands on what it holds."""
+    if before is None or len(before) != len(now) or before.table is not now.table:
+        return before is now
+    if now.v_WO.any() or before.v_WO.any() or not np.array_equal(before.ids, now.ids):
+        return before is now
+    return all(one is other for one, other in zip(before.clouds_W, now.clouds_W, strict=True))

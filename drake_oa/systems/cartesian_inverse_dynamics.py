@@ -63,8 +63,6 @@ class _Asked:
     R_WE: FloatArray
     w_WE: FloatArray | None
     alpha_WE: FloatArray | None
-    q_posture: FloatArray
-    v_posture: FloatArray | None
     a_posture: FloatArray | None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
@@ -185,9 +183,9 @@ class CartesianInverseDynamics(LeafSystem):
                 ("orientation", 4),
                 ("angular_velocity", 3),
                 ("angular_acceleration", 3),
-                ("posture", 2 * arm),
             )
         ]
+        self._posture = self.DeclareVectorInputPort("desired_posture", 2 * arm)
         self._optional.append(self.DeclareVectorInputPort("null_space_acceleration", arm))
         self._model = ModelContext(self, plant)
         # Of its own, so that ports that nothing is connected to cost no look at each step.
@@ -201,7 +199,7 @@ class CartesianInverseDynamics(LeafSystem):
             ValueProducer(allocate=lambda: Value(object()), calc=self._calc_law),
             prerequisites_of_calc={
                 self._asked.ticket(),
-                *(port.ticket() for port in (self._state, *self._desired)),
+                *(port.ticket() for port in (self._state, *self._desired, self._posture)),
             },
         )
         for name, size, calc in (
@@ -240,14 +238,11 @@ class CartesianInverseDynamics(LeafSystem):
         )
 
     def _calc_asked(self, context: Context, value: AbstractValue) -> None:
-        quaternion, w, alpha, posture, a_posture = (
+        quaternion, w, alpha, a_posture = (
             port.Eval(context) if port.HasValue(context) else None for port in self._optional
         )
-        q_posture, v_posture = self._q_posture, None
-        if posture is not None:
-            q_posture, v_posture = posture[: len(q_posture)], posture[len(q_posture) :]
         R_WE = self._R_WE_desired if quaternion is None else rotation_of(quaternion)
-        value.set_value(_Asked(R_WE, w, alpha, q_posture, v_posture, a_posture))
+        value.set_value(_Asked(R_WE, w, alpha, a_posture))
 
     def _calc_law(self, context: Context, value: AbstractValue) -> None:
         x = self._state.Eval(context)
@@ -260,13 +255,17 @@ class CartesianInverseDynamics(LeafSystem):
             arm = before.arm if known else self._arm_state(context, x)
             p, v, a = (port.Eval(context) for port in self._desired)
             asked: _Asked = self._asked.Eval(context)
+            q_posture, v_posture = self._q_posture, None
+            if self._posture.HasValue(context):
+                posture = self._posture.Eval(context)
+                q_posture, v_posture = posture[: len(q_posture)], posture[len(q_posture) :]
             torque = operational_space_torque(
                 arm,
                 DesiredMotion(p, v, a, asked.R_WE, asked.w_WE, asked.alpha_WE),
-                asked.q_posture,
+                q_posture,
                 limits,
                 self._gains,
-                asked.v_posture,
+                v_posture,
                 asked.a_posture,
             )
         else:
