@@ -54,6 +54,14 @@ def test_it_is_planned_anew_when_something_changes(arm: ArmModel) -> None:
     assert not stays(way.motion, sight(arm, board(0.62)))
     assert not stays(way.motion, ArmSight(arm.posture + 0.5, first.obstacles))
     assert planner.kept(ArmWay(), motion(), first, TABLE, s=0.0, **given) is None
+    # Another observation of the same clouds is nothing new; another table is.
+    again = replace(first.obstacles, stamp=0.1)
+    kept = planner.kept(way, way.motion, replace(first, obstacles=again), TABLE, s=0.0, **given)
+    assert kept is way
+    lower = replace(again, table=TablePlane(offset=-0.1))
+    kept = planner.kept(way, way.motion, replace(first, obstacles=lower), TABLE, s=0.0, **given)
+    assert kept is not None
+    assert kept.seen is lower
 
 
 def test_a_motion_that_is_too_fast_for_the_arm_is_made_slower(arm: ArmModel) -> None:

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from drake_oa.experiments.panda_run import run_and_judge
+from drake_oa.experiments.panda_scenes import draw_panda_scene
 from drake_oa.metrics import robot_metrics
 from drake_oa.motion_log import MotionLog
 from drake_oa.obstacles import Obstacle, Sphere
@@ -74,3 +76,13 @@ def test_what_is_faster_than_the_arm_is_told_and_the_robot_stopped(
     assert "supervisor stops: obstacle 0 cannot be evaded" in caplog.text
     contacts, _ = judged(scenario, log)
     assert contacts == ()
+
+
+@pytest.mark.slow
+def test_stuck_beside_what_came_to_rest_it_steps_aside_and_arrives() -> None:
+    # Links 5 and 6 rest beside it, and no motion from there lets the arm by.
+    result = run_and_judge(draw_panda_scene(0, 85, kind="moving"), "verified", "depth").result
+    assert result["outcome"] == "success"
+    assert result["contacts"] == []
+    notes = [event["note"] for event in result["events"]]
+    assert "at the point beside the obstacle" in notes
