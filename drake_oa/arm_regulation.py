@@ -26,16 +26,22 @@ _TRIED = 16
 """So many other motions are tried in the place of one that the arm cannot follow,"""
 _LOOKED_INTO = 4
 """and the best so many of them once more, thoroughly."""
-_POINTS = 3
-"""So many points beside are looked at in one search,"""
+_LEGS, _POINTS = 16, 3
+"""So many points beside are looked at in one search, and so many to which the arm can go;"""
 _TRIED_THERE = 8
-"""and from each so many motions."""
+"""from each of these so many motions are tried,"""
 _RECENT = 0.2
 """where what is seen is no older than this [s]."""
+_BESIDE = 0.04
+"""A supervisor lets no link come nearer than some 3 cm [m]."""
+_ELSEWHERE = 0.03
+"""So far from where it was stuck last all points are tried again [m]."""
 _STUCK = 0.5
 """A motion that is slowed to rest for so long is stuck, though the arm could follow it [s]."""
 _THERE = 0.01
 """So near to such a point it has been reached [m]."""
+_AT_POINT = "at the point beside the obstacle"
+_GIVEN_UP = "the way to the point beside the obstacle is given up"
 
 
 class ArmRegulator:
@@ -71,11 +77,16 @@ class ArmRegulator:
         """
         if sight.obstacles is not before.way.seen and not _is_finite(sight.obstacles):
             sight = replace(sight, obstacles=before.way.seen or ObstacleClouds())
-        goal = p_WG
-        if len(before.p_WV):
-            if math.dist(policy.p_WE, before.p_WV) <= _THERE:
-                return _at_point(before, policy)
-            goal = before.p_WV
+        before = replace(before, rests_since=_rests_since(before, policy))
+        goal, aside = p_WG, before.aside
+        if len(aside.p_WV):
+            if math.dist(policy.p_WE, aside.p_WV) <= _THERE:
+                return _to_goal(before, policy, _AT_POINT)
+            held = policy.note not in ("", SCALED_TO_REST)
+            held = held and policy.stamp - before.rests_since >= _STUCK
+            if held or not np.array_equal(aside.p_WG, p_WG):
+                return _to_goal(before, policy, _GIVEN_UP)
+            goal = aside.p_WV
         # tau as it is for the tool alone.
         of_tool = replace(before, tau=before.tau / before.way.slower)
         after = self._regulator.update(of_tool, policy, goal, ellipsoids, table)
@@ -96,13 +107,13 @@ class ArmRegulator:
             way = self._arm.planned(after.motion, sight, table, seconds=seconds, time=policy.stamp)
             if way.failed and len(before.way.plan):
                 # Better the posture of before than that of the start.
-                way = replace(before.way, seen=way.seen, since=way.since, failed=True)
-        after = replace(after, rests_since=_rests_since(before, policy))
+                way = replace(way, plan=before.way.plan, motion=before.way.motion, failed=True)
+                way = replace(way, slower=before.way.slower)
         if policy.stamp - after.sought >= SEEK_AGAIN:
             if way.concern:
                 after, way = self._sought(after, way, policy, p_WG, sight, table)
             elif policy.note == SCALED_TO_REST and policy.stamp - after.rests_since >= _STUCK:
-                after = self._aside(after, policy, p_WG, sight, table)
+                after = self._aside(after, policy, p_WG, sight, table, near=_BESIDE)
         return replace(after, motion=way.motion, way=way, tau=after.tau * way.slower)
 
     def _sought(
@@ -137,30 +148,50 @@ class ArmRegulator:
         p_WG: FloatArray,
         sight: ArmSight,
         table: TablePlane | None,
+        *,
+        near: float = math.inf,
     ) -> Regulation:
-        """Where the tool is to go first, if there is a point from which the arm can go on."""
+        """Where the tool is to go first, if there is a point from which the arm can go on.
+
+        Args:
+            near: only where a link is nearer than this to something [m].
+        """
         seen, time = after.ellipsoids, policy.stamp
         after = replace(after, sought=time)
-        if policy.speed > 0.0 or not len(seen) or seen.v_WO.any() or time - seen.stamp > _RECENT:
+        rests = policy.speed == 0.0 and not seen.v_WO.any()
+        if not (rests and self._regulator.begins_anew and len(seen)):
             return after
-        nearest = np.linalg.norm(seen.p_WO - policy.p_WE, axis=1).argmin()
-        points = points_aside(policy.p_WE, seen.p_WO[nearest])
+        if time - seen.stamp > _RECENT:
+            return after
+        aside = after.aside
+        if not len(aside.p_WE) or math.dist(policy.p_WE, aside.p_WE) > _ELSEWHERE:
+            aside = replace(aside, p_WE=policy.p_WE, row=0)
+        nearest = np.linalg.norm(seen.p_WO - aside.p_WE, axis=1).argmin()
+        points = points_aside(aside.p_WE, seen.p_WO[nearest])
+        rows = np.flatnonzero(self._regulator.inside(points, table))
         looked_at = 0
-        for row in range(after.asides, len(points)):
+        for row in rows[rows >= aside.row][:_LEGS]:
+            aside = replace(aside, row=int(row) + 1)
             leg = straight_motion(policy.p_WE, points[row])
             seconds = self._dmp.duration
             way = self._arm.planned(leg, sight, table, seconds=seconds, time=time, thorough=False)
+            if len(way.plan) and way.plan.distance[0] > near:
+                return after
             if not way.plan.works:
                 continue
             there = replace(sight, q=way.plan.q[-1])
             others = self._regulator.others_from(after, policy, points[row], p_WG)
             for other in islice(others, _TRIED_THERE):
                 if self._planned(other, there, table, time, thorough=False).plan.works:
-                    return replace(after, anew=True, p_WV=points[row], asides=row + 1)
+                    aside = replace(aside, p_WV=points[row], p_WG=np.array(p_WG, dtype=float))
+                    return replace(after, anew=True, aside=aside)
             looked_at += 1
             if looked_at == _POINTS:
-                return replace(after, asides=row + 1)
-        return replace(after, asides=0)
+                break
+        else:
+            if not (rows >= aside.row).any():
+                aside = replace(aside, row=0)
+        return replace(after, aside=aside)
 
     def _followed(
         self,
@@ -200,11 +231,12 @@ class ArmRegulator:
         )
 
 
-def _at_point(before: Regulation, policy: PolicyState) -> Regulation:
-    """Holds the motion at the point beside; once it rests, it is to begin anew to the goal."""
+def _to_goal(before: Regulation, policy: PolicyState, why: str) -> Regulation:
+    """Holds a motion to the point beside; once it rests, it is to begin anew to the goal."""
     if policy.speed > 0.0:
-        return replace(before, p_WE=policy.p_WE, note="at the point beside the obstacle")
-    return replace(before, p_WE=policy.p_WE, note="", anew=True, p_WV=np.zeros(0), asides=0)
+        return replace(before, p_WE=policy.p_WE, note=why)
+    aside = replace(before.aside, p_WV=np.zeros(0), p_WG=np.zeros(0))
+    return replace(before, p_WE=policy.p_WE, note="", anew=True, aside=aside)
 
 
 def _rests_since(before: Regulation, policy: PolicyState) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 from drake_oa import evasion_kernels as kernels
 from drake_oa.supervision_geometry import GuardShapes, ObstaclePoints
 from drake_oa.values import BoolArray, FloatArray, IntArray
+from drake_oa.workspace import annulus_margin
 
 _TABLE_ALLOWANCE = 0.06
 """A distance to the table counts as this much more than one to an obstacle [m]."""
@@ -255,10 +256,6 @@ class Lookout:
         margin = np.full(p_WE.shape[:-1], np.inf)
         if not math.isnan(self._table[3]):
             margin = p_WE @ self._table[:3] - self._table[3] - self._height
-        if self._annulus is not None and self._annulus.shape[1]:
-            heights, inner, outer = self._annulus
-            radius = np.hypot(p_WE[..., 0], p_WE[..., 1])
-            z = p_WE[..., 2]
-            margin = np.minimum(margin, radius - np.interp(z, heights, inner))
-            margin = np.minimum(margin, np.interp(z, heights, outer) - radius)
+        if self._annulus is not None:
+            margin = np.minimum(margin, annulus_margin(p_WE, self._annulus))
         return np.asarray(margin)

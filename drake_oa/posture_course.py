@@ -77,9 +77,19 @@ class PostureCourse(Frozen):
         return course_at(*self._arrays, s, speed, time - self.since)
 
     def with_motion(
-        self, motion: PlannedMotion, s: float, speed: float, time: float
+        self,
+        motion: PlannedMotion,
+        s: float,
+        speed: float,
+        time: float,
+        left: FloatArray | None = None,
     ) -> PostureCourse:
-        """The course that takes over another plan now; arguments as of `at`.
+        """The course that takes over another plan now.
+
+        Args:
+            motion: with the plan.
+            s, speed, time: now, as of `at`.
+            left: (2n,) what this course is at now; None: what it is at s.
 
         Raises:
             ValueError: if the plan is of another number of joints.
@@ -95,5 +105,6 @@ class PostureCourse(Frozen):
             return self
         slopes = monotone_slopes(motion.s, motion.q) if len(motion.q) else motion.q
         anew = PostureCourse(self.rest, motion, slopes, since=time)
-        away = self.at(s, speed, time) - anew.at(s, speed, time)
+        left = self.at(s, speed, time) if left is None else left
+        away = left - anew.at(s, speed, time)
         return PostureCourse(self.rest, motion, slopes, since=time, away=away)

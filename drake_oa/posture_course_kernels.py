@@ -9,7 +9,7 @@ from numba import njit
 
 from drake_oa.values import FloatArray
 
-RATE = 4.0
+_RATE = 4.0
 """How fast a new plan is taken over, w [1/s]."""
 _SETTLED = 12.0
 """After this many times 1 / w nothing of the old one is left."""
@@ -54,11 +54,11 @@ def course_at(
             c2, c3 = 3.0 * step - 2.0 * a - b, a + b - 2.0 * step
             course[j] = q[i, j] + x * (a + x * (c2 + x * c3))
             course[n + j] = (speed / h) * (a + x * (2.0 * c2 + 3.0 * x * c3))
-    if RATE * elapsed <= _SETTLED:
-        share = math.exp(-RATE * elapsed)
+    if _RATE * elapsed <= _SETTLED:
+        share = math.exp(-_RATE * elapsed)
         for j in range(n):
-            pushed = away[n + j] + RATE * away[j]
+            pushed = away[n + j] + _RATE * away[j]
             left = away[j] + pushed * elapsed
             course[j] += share * left
-            course[n + j] += share * (pushed - RATE * left)
+            course[n + j] += share * (pushed - _RATE * left)
     return course

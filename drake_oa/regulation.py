@@ -13,6 +13,7 @@ import numpy as np
 
 from drake_oa.coupling_kernels import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
 from drake_oa.regressor import CouplingParameters
+from drake_oa.stepping_aside import Aside
 from drake_oa.values import (
     EllipsoidSet,
     FloatArray,
@@ -46,7 +47,7 @@ class Regulation(Frozen):
         ellipsoids: the obstacles then.
         table: the supporting plane then, or None.
         p_WS: (3,) start of the motion [m].
-        p_WG: (3,) its goal then [m].
+        p_WG: (3,) its goal then, or the point that it goes to first [m].
         p_WE: (3,) where it was when it was looked at last [m].
         travelled: length of the way until there [m].
         remaining: length of the verified way from where it was verified [m].
@@ -61,10 +62,9 @@ class Regulation(Frozen):
         goal_error: distance to the goal at the motion's end [m].
         note: empty, or why the motion must not go on.
         anew: whether a motion that begins where this one rests will do in its place.
-        p_WV: (3,) point V beside an obstacle that the motion goes to first [m]; (0,): none.
-        asides: how many such points have been tried.
-        rests_since: since when the policy rests [s]; inf: it does not.
         tried: when such a one was looked for last [s].
+        aside: the point V that the motion goes to first, which then is its p_WG.
+        rests_since: since when the policy rests [s]; inf: it does not.
         for_arm: whether it was chosen as the arm cannot follow the shortest one.
         lacked: its shortfall then [m].
         sought: when a motion that the arm can follow was looked for last [s].
@@ -89,10 +89,9 @@ class Regulation(Frozen):
     goal_error: float = 0.0
     note: str = ""
     anew: bool = False
-    p_WV: FloatArray = field(default_factory=lambda: np.zeros(0))
-    asides: int = 0
-    rests_since: float = math.inf
     tried: float = -math.inf
+    aside: Aside = field(default_factory=Aside)
+    rests_since: float = math.inf
     for_arm: bool = False
     lacked: float = 0.0
     sought: float = -math.inf
@@ -123,7 +122,7 @@ class Regulation(Frozen):
             tau=self.tau,
             note=self.note,
             anew=self.anew,
-            p_WV=self.p_WV,
+            p_WV=self.aside.p_WV,
         )
 
 

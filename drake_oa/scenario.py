@@ -152,7 +152,8 @@ class Supervisor:
     # The controller comes to rest this much later than the policy, whose own time
     # is `policy.hold_time` [s].
     lag: float = _number(0.05, "s", 0.0, 10.0)
-    # Share of full speed at which a link that is nearer may leave.
+    # Share of full speed at which a link that is nearer may leave; one where the motion is held
+    # leaves only with 0.3 or more.
     leave_scale: float = _number(0.3, "1", 0.0, 1.0, open_low=True)
     # Frames that may be missed before the motion slows; it is held at the age
     # `policy.max_observation_age`.

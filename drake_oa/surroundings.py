@@ -54,9 +54,14 @@ class Surroundings(Frozen):
 
         Raises:
             ValueError: if coupling or route do not have one row an ellipsoid, or a
-                parameter is out of its range.
+                parameter is out of its range or of another shape.
         """
         count = 0 if ellipsoids is None else len(ellipsoids)
+        p_WV = np.zeros(0) if coupling is None else coupling.p_WV
+        if p_WV.shape not in ((0,), (3,)) or not np.isfinite(p_WV).all():
+            raise ValueError(
+                f"coupling_parameters' p_WV must be 3 finite numbers [m] or none, not {p_WV}"
+            )
         blocked = _blocked(coupling, route)
         facts = np.zeros(kernels.N_FACTS)
         facts[kernels.PATH_LENGTH] = -1.0 if route is None else route.path_length
@@ -92,7 +97,7 @@ class Surroundings(Frozen):
             ellipsoids=ellipsoids,
             blocked=blocked,
             anew=coupling is not None and coupling.anew,
-            p_WV=np.zeros(0) if coupling is None else coupling.p_WV,
+            p_WV=p_WV,
             facts=facts,
             parameters=parameters,
             clearance=clearance,

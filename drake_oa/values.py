@@ -148,7 +148,7 @@ class PolicyState(Frozen):
         phase: canonical phase k, 1 at the start and falling to 0.
         tau: temporal scaling (1: the demonstrated duration).
         p_WS: (3,) start of the motion [m].
-        p_WG: (3,) goal [m].
+        p_WG: (3,) goal, or the point that the motion goes to first [m].
         R_WL: (3, 3) local frame: x from start to goal, z up.
         stamp: time of this state [s].
         speed: ds/dt, the rate of normalised time [1/s]; 1 / (tau T) when running
@@ -175,17 +175,20 @@ class PolicyState(Frozen):
 
 @dataclass(frozen=True, eq=False)
 class PlannedMotion(Frozen):
-    """The motion that the regulation expects, from now to the goal.
+    """The motion that the regulation expects, from now to the goal or to a point before it.
 
     Attributes:
         s: (T,) normalised times, increasing; (0,): no motion is known.
         p_WE: (T, 3) the tool point there in the world frame [m].
         q: (T, n) positions of the arm's joints there [rad]; (0, n): none are planned.
+        p_WS: (3,) start of the motion that the times belong to, in the world frame [m]; (0,):
+            they belong to the one under way.
     """
 
     s: FloatArray = _floats(0)
     p_WE: FloatArray = _floats(0, 3)
     q: FloatArray = _floats(0, 0)
+    p_WS: FloatArray = _floats(0)
 
     def __len__(self) -> int:
         return len(self.s)

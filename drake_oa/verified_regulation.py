@@ -32,6 +32,7 @@ from drake_oa.regulation import (
 from drake_oa.spatial_rollout import SpatialRollouts, SpatialScenes
 from drake_oa.values import (
     PART,
+    BoolArray,
     EllipsoidSet,
     FloatArray,
     PlannedMotion,
@@ -42,6 +43,7 @@ from drake_oa.verification import ALPHA as LOG_ALPHA
 from drake_oa.verification import TAU, SearchParameters, Verified, verify
 from drake_oa.verification_search import roll_out
 from drake_oa.verification_survey import assessed, survey
+from drake_oa.workspace import annulus_margin
 
 _OUTSIDE = 0.01
 """How far a motion may leave the world's limits, which hold centimetres in reserve [m]."""
@@ -58,7 +60,7 @@ _LEFT = 0.01
 _RETRY = 0.5
 """How often it is looked whether it may [s]."""
 SEEK_AGAIN = 1.0
-"""How often a motion that the arm can follow is looked for: it takes some 0.3 s [s]."""
+"""How often a motion that the arm can follow is looked for: it takes 0.3 s and more [s]."""
 _LESS = 0.05
 """Distance to obstacles that a motion for the arm's sake keeps at least [m]."""
 _MAY_LOSE = 0.01
@@ -94,9 +96,10 @@ class Regulator:
             annulus: (3, n) heights, and least and largest distance from the world's z axis
                 there [m]; None: anywhere.
             begins_anew: whether a motion that rests, as none that clears the obstacles or that
-                the arm can follow goes on from it, is to begin anew where one from there does.
+                the arm can follow goes on from it, is to begin anew where one from there does,
+                and may step aside first.
         """
-        self._begins_anew = begins_anew
+        self.begins_anew = begins_anew
         self._weights = weights
         self._dmp = dmp
         self._clearance = clearance
@@ -154,7 +157,8 @@ class Regulator:
             scene = self._scene(policy, here)
             seconds = self._dmp.duration * free.tau
             motion = self._roll_out(scene, np.zeros((1, 0, N_COLUMNS)), seconds)
-            return replace(free, motion=_planned(scene.s, motion, self._parameters.steps))
+            planned = _planned(scene.s, motion, self._parameters.steps, here.p_WS)
+            return replace(free, motion=planned)
         scene = self._scene(policy, here)
         if here.for_arm:
             after = self._again(here, scene, baseline, policy.stamp)
@@ -217,6 +221,13 @@ class Regulator:
                 continue
             yield replace(one, anew=False, for_arm=True, lacked=one.shortfall, sought=policy.stamp)
 
+    def inside(self, p_WE: FloatArray, table: TablePlane | None) -> BoolArray:
+        """Which points of E, (N, 3) in the world [m], are high enough and in the workspace."""
+        inside = annulus_margin(p_WE, self._annulus) >= 0.0
+        if table is not None:
+            inside &= p_WE @ table.normal_W - table.offset >= self._table_height
+        return inside
+
     def _missed(self, before: Regulation) -> float:
         """How far from the goal a motion in the place of another may end [m]."""
         return max(_SHORT_OF_GOAL, before.goal_error)
@@ -229,11 +240,16 @@ class Regulator:
     def others_from(
         self, after: Regulation, policy: PolicyState, p_WV: FloatArray, p_WG: FloatArray
     ) -> Iterator[Regulation]:
-        """`others` to a goal p_WG (3,) that begin at V, p_WV (3,), were the tool at rest there [m].
+        """`others` that begin at a point V, were the tool at rest there.
 
-        None where the motion does not rest, or may not begin anew.
+        Yields none where the motion does not rest, or may not begin anew.
+
+        Args:
+            after, policy: as of `others`.
+            p_WV: (3,) the point in the world [m].
+            p_WG: (3,) the goal from there in the world [m].
         """
-        if self._begins_anew and policy.speed == 0.0:
+        if self.begins_anew and policy.speed == 0.0:
             begun, there = begun_anew(after, replace(policy, p_WE=p_WV))
             yield from self.others(replace(begun, p_WG=p_WG, p_WE=p_WV), there)
 
@@ -241,7 +257,7 @@ class Regulator:
         left = math.dist(policy.p_WE, policy.p_WS) > _LEFT
         # At the goal there is none to begin.
         left = left and math.dist(policy.p_WE, after.p_WG) > _LEFT
-        return self._begins_anew and policy.speed == 0.0 and left
+        return self.begins_anew and policy.speed == 0.0 and left
 
     def _looked_anew(self, after: Regulation, policy: PolicyState) -> Regulation:
         """Of a motion that rests, as none goes on from it: whether one begins where it is."""
@@ -280,6 +296,7 @@ class Regulator:
             remaining=remaining,
             tau=self._scaling(here, remaining, baseline),
             genes=side_only(here),
+            aside=here.aside,
         )
 
     def _scaling(self, here: Regulation, remaining: float, baseline: float) -> float:
@@ -349,7 +366,7 @@ class Regulator:
             short_of=int(shortest) if shortfall else -1,
             goal_error=float(found.goal_error[0]),
             note=note,
-            motion=_planned(scene.s, motion, self._parameters.steps),
+            motion=_planned(scene.s, motion, self._parameters.steps, here.p_WS),
         )
 
     def _roll_out(self, scene: SpatialScenes, terms: FloatArray, seconds: float) -> SpatialRollouts:
@@ -376,7 +393,7 @@ class Regulator:
         return distance[:-1].min(axis=0), distance[0], distance[-1]
 
 
-def _planned(s: float, motion: SpatialRollouts, steps: int) -> PlannedMotion:
+def _planned(s: float, motion: SpatialRollouts, steps: int, p_WS: FloatArray) -> PlannedMotion:
     """Samples of a single roll-out from s on, its first and last point among them."""
     path = motion.path[0, : int(motion.steps[0]) + 1]
     length = np.linalg.norm(np.diff(path, axis=0), axis=1)
@@ -384,7 +401,7 @@ def _planned(s: float, motion: SpatialRollouts, steps: int) -> PlannedMotion:
     measure = np.append(0.0, np.cumsum(np.maximum(length / _APART, 1.0 / (steps * _BETWEEN))))
     count = max(math.ceil(measure[-1]), 1)
     at = np.unique(np.searchsorted(measure, np.linspace(0.0, measure[-1], count + 1)))
-    return PlannedMotion(s + at / steps, path[at])
+    return PlannedMotion(s + at / steps, path[at], p_WS=p_WS)
 
 
 def _length(path: FloatArray) -> float:

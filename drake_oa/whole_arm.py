@@ -67,7 +67,8 @@ class ArmWay(Frozen):
         plan: the postures.
         motion: the tool's motion, with them.
         slower: share by which the motion has to take longer for the arm to follow, at least 1.
-        seen: the obstacles when it was looked at last.
+        seen, table, viewpoint_W: the obstacles, the table and from where they were seen [m],
+            when it was looked at last.
         since: when it was planned, or last tried to [s].
         failed: whether then no posture reached all of the path; the plan is the one before.
     """
@@ -76,6 +77,8 @@ class ArmWay(Frozen):
     motion: PlannedMotion = field(default_factory=PlannedMotion)
     slower: float = 1.0
     seen: ObstacleClouds | None = None
+    table: TablePlane | None = None
+    viewpoint_W: FloatArray = field(default_factory=lambda: np.zeros(0))
     since: float = -math.inf
     failed: bool = False
 
@@ -161,7 +164,7 @@ class WholeArm:
         wanted = np.interp(s, plan.s, plan.q[:, REDUNDANT])
         if abs(sight.q[REDUNDANT] - wanted) > _ASTRAY:
             return None
-        if _unchanged(before.seen, sight.obstacles):
+        if _unchanged(before, sight, table):
             return before
         around = ArmSurroundings.of(sight.obstacles, table, sight.viewpoint_W)
         again = reviewed(
@@ -178,7 +181,7 @@ class WholeArm:
         changed = np.abs(again.distance - was)[2:].max(initial=0.0) > _CHANGED
         if changed or (plan.works and again.hurry > 1.1):
             return None
-        return replace(before, seen=sight.obstacles)
+        return replace(before, seen=sight.obstacles, table=table, viewpoint_W=sight.viewpoint_W)
 
     def planned(
         self,
@@ -194,12 +197,17 @@ class WholeArm:
 
         Where the arm is too slow for it among resting obstacles, it is to be made slower.
         """
-        if not len(motion):
-            return ArmWay(PosturePlan(), motion, seen=sight.obstacles, since=time)
-        around = ArmSurroundings.of(sight.obstacles, table, sight.viewpoint_W)
-        best = ArmWay(
-            PosturePlan(short=math.inf), motion, seen=sight.obstacles, since=time, failed=True
+        now = ArmWay(
+            motion=motion,
+            seen=sight.obstacles,
+            table=table,
+            viewpoint_W=sight.viewpoint_W,
+            since=time,
         )
+        if not len(motion):
+            return now
+        around = ArmSurroundings.of(sight.obstacles, table, sight.viewpoint_W)
+        best = replace(now, plan=PosturePlan(short=math.inf), failed=True)
         for slower in _SLOWER[:1] if around.points.v_WO.any() else _SLOWER:
             plan = plan_posture(
                 self._arm,
@@ -214,17 +222,25 @@ class WholeArm:
                 thorough=thorough,
             )
             if plan.works or plan.short < best.plan.short - _GAINED:
-                best = ArmWay(plan, replace(motion, q=plan.q), slower, sight.obstacles, time)
+                best = replace(now, plan=plan, motion=replace(motion, q=plan.q), slower=slower)
             # Where the arm is not short of time, more of it is no help.
             if plan.works or plan.hurry < _AT_EASE or not len(plan):
                 break
         return best
 
 
-def _unchanged(before: ObstacleClouds | None, now: ObstacleClouds) -> bool:
-    """Whether nothing moves and all is where it was; perception hands on what it holds."""
-    if before is None or len(before) != len(now) or before.table is not now.table:
-        return before is now
-    if now.v_WO.any() or before.v_WO.any() or not np.array_equal(before.ids, now.ids):
-        return before is now
-    return all(one is other for one, other in zip(before.clouds_W, now.clouds_W, strict=True))
+def _unchanged(before: ArmWay, sight: ArmSight, table: TablePlane | None) -> bool:
+    """Whether nothing moves, and all is where it was when the posture was looked at.
+
+    Perception from depth hands on the clouds that it holds: the same arrays.
+    """
+    one, other = before.seen, sight.obstacles
+    if one is None or before.table is not table or len(one) != len(other):
+        return False
+    if one is not other and (one.v_WO.any() or other.v_WO.any()):
+        return False
+    return (
+        np.array_equal(before.viewpoint_W, sight.viewpoint_W)
+        and np.array_equal(one.ids, other.ids)
+        and all(a is b for a, b in zip(one.clouds_W, other.clouds_W, strict=True))
+    )

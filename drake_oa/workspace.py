@@ -40,6 +40,24 @@ def tool_down_annulus() -> FloatArray:
     return np.array([_HEIGHT, _INNER, _OUTER])
 
 
+def annulus_margin(p_WQ: FloatArray, annulus: FloatArray) -> FloatArray:
+    """Horizontal distance of points to the radii of an annulus.
+
+    Args:
+        p_WQ: (..., 3) points in the world frame [m].
+        annulus: (3, n) as `tool_down_annulus` gives it; (3, 0): there is none.
+
+    Returns:
+        (...) margin [m], positive inside; inf without annulus.
+    """
+    if not annulus.shape[1]:
+        return np.full(p_WQ.shape[:-1], np.inf)
+    heights, inner, outer = annulus
+    radius = np.hypot(p_WQ[..., 0], p_WQ[..., 1])
+    z = p_WQ[..., 2]
+    return np.minimum(radius - np.interp(z, heights, inner), np.interp(z, heights, outer) - radius)
+
+
 def tool_down_margin(p_WQ: FloatArray, p_WB: FloatArray | None = None) -> FloatArray:
     """Signed margin of tool points to the edge of the tool-down workspace.
 

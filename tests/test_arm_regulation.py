@@ -13,6 +13,7 @@ from drake_oa.dmp import imitate, local_frame, minimum_jerk
 from drake_oa.regressor import load_chain
 from drake_oa.regulation import Regulation
 from drake_oa.scenario import package_file
+from drake_oa.stepping_aside import Aside
 from drake_oa.values import EllipsoidSet, ObstacleClouds, PolicyState, TablePlane
 from drake_oa.verification import SearchParameters
 from drake_oa.verified_regulation import SEEK_AGAIN, Regulator
@@ -30,6 +31,8 @@ BALL = EllipsoidSet(
     ids=np.array([0]),
 )
 
+EMPTY = EllipsoidSet(stamp=0.0)
+
 
 @pytest.fixture(scope="module")
 def arm(posed_panda: Callable[[np.ndarray], ArmModel]) -> ArmModel:
@@ -41,7 +44,7 @@ def regulator(arm: ArmModel) -> ArmRegulator:
     dmp = imitate(*minimum_jerk(START, GOAL, duration=5.0))
     weights = load_chain(package_file("package://drake_oa/weights/regressor_chain.npz"))
     quick = SearchParameters(candidates=32, rounds=12, polish=0, steps=250)
-    of_tool = Regulator(weights, dmp, 0.1, parameters=quick)
+    of_tool = Regulator(weights, dmp, 0.1, parameters=quick, begins_anew=True)
     return ArmRegulator(of_tool, WholeArm(arm), dmp)
 
 
@@ -87,26 +90,83 @@ def test_points_that_are_not_finite_are_as_if_nothing_new_was_seen(
     np.testing.assert_array_equal(again.motion.q, first.motion.q)
 
 
+def held_on(policy: PolicyState) -> PolicyState:
+    return replace(policy, speed=0.0, note=SCALED_TO_REST)
+
+
 def test_it_goes_to_a_point_beside_rests_there_and_begins_anew(
     arm: ArmModel, regulator: ArmRegulator
 ) -> None:
     point = START + [0.0, 0.0, 0.15]
     first = regulator.update(Regulation(), UNDER_WAY, GOAL, BALL, TABLE, sight(arm))
-    toward = replace(first, p_WV=point)
+    toward = replace(first, aside=Aside(p_WV=point, p_WG=GOAL))
     on_its_way = replace(UNDER_WAY, p_WG=point, R_WL=local_frame(START, point))
     after = regulator.update(toward, on_its_way, GOAL, BALL, TABLE, sight(arm))
     np.testing.assert_allclose(after.motion.p_WE[-1], point, atol=1e-3)
     np.testing.assert_array_equal(after.coupling(BALL).p_WV, point)
+    # Nothing in view is no reason to forget it.
+    alone = regulator.update(toward, on_its_way, GOAL, EMPTY, TABLE, sight(arm))
+    np.testing.assert_array_equal(alone.coupling(EMPTY).p_WV, point)
     there = replace(on_its_way, p_WE=point - [0.0, 0.0, 0.005])
     held = regulator.update(after, there, GOAL, BALL, TABLE, sight(arm))
     assert held.note == "at the point beside the obstacle"
-    np.testing.assert_array_equal(held.p_WV, point)
-    anew = regulator.update(held, replace(there, speed=0.0), GOAL, BALL, TABLE, sight(arm))
-    assert (anew.note, anew.anew, len(anew.p_WV)) == ("", True, 0)
+    np.testing.assert_array_equal(held.aside.p_WV, point)
+    rests = replace(there, speed=0.0, note=held.note)
+    anew = regulator.update(held, rests, GOAL, BALL, TABLE, sight(arm))
+    assert (anew.note, anew.anew, len(anew.aside.p_WV)) == ("", True, 0)
 
 
-def test_points_beside_are_tried_in_turn_where_it_is_kept_at_rest(
-    arm: ArmModel, regulator: ArmRegulator, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("note", "goal", "kept"),
+    [
+        ("", GOAL, True),
+        (SCALED_TO_REST, GOAL, True),
+        ("goal inside obstacle 0", GOAL, False),
+        ("", GOAL + [0.0, 0.05, 0.0], False),
+    ],
+)
+def test_a_way_aside_that_is_of_no_use_is_given_up(
+    arm: ArmModel, regulator: ArmRegulator, note: str, goal: np.ndarray, kept: bool
+) -> None:
+    point = START + [0.0, 0.0, 0.15]
+    first = regulator.update(Regulation(), UNDER_WAY, GOAL, BALL, TABLE, sight(arm))
+    toward = replace(first, aside=Aside(p_WV=point, p_WG=GOAL), rests_since=0.0)
+    rests = replace(UNDER_WAY, p_WG=point, speed=0.0, note=note, stamp=0.6)
+    after = regulator.update(toward, rests, goal, BALL, TABLE, sight(arm))
+    assert (len(after.aside.p_WV) > 0) == kept
+    assert after.anew != kept
+
+
+@pytest.fixture(scope="module")
+def beside(arm: ArmModel) -> ArmSight:
+    """The arm, and a little thing 35 mm beside its last link."""
+    return sight(arm, np.full((40, 3), START + [0.0, -0.1, 0.2]))
+
+
+def test_where_it_is_kept_beside_something_it_steps_aside(
+    regulator: ArmRegulator, beside: ArmSight
+) -> None:
+    def later(before: Regulation, time: float, seen: float) -> Regulation:
+        ball, policy = replace(BALL, stamp=seen), replace(held_on(UNDER_WAY), stamp=time)
+        return regulator.update(before, policy, GOAL, ball, TABLE, beside)
+
+    first = later(Regulation(), 0.0, 0.0)
+    assert first.way.plan.works
+    assert first.way.plan.distance[0] == pytest.approx(0.035, abs=0.002)
+    assert later(first, 0.3, 0.3).sought == -np.inf
+    # What was not seen for a while is no ground to go by.
+    assert later(first, 1.0, 0.5).aside.row == 0
+    found = later(first, 1.0, 1.0)
+    assert found.anew
+    np.testing.assert_array_equal(found.aside.p_WG, GOAL)
+    assert np.linalg.norm(found.aside.p_WV - START) == pytest.approx(0.2)
+    # Found in vain, the points after it are tried.
+    again = later(replace(found, aside=replace(found.aside, p_WV=np.zeros(0))), 2.1, 2.1)
+    assert again.aside.row > found.aside.row
+
+
+def test_points_that_lead_nowhere_are_tried_in_turn(
+    regulator: ArmRegulator, beside: ArmSight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[np.ndarray] = []
 
@@ -115,25 +175,35 @@ def test_points_beside_are_tried_in_turn_where_it_is_kept_at_rest(
         return []
 
     monkeypatch.setattr(Regulator, "others_from", none_from)
-    cloud = np.full((40, 3), [0.0, 0.6, 0.3])
-    rests = replace(UNDER_WAY, speed=0.0, note=SCALED_TO_REST)
-
-    def later(before: Regulation, time: float, seen: float) -> Regulation:
-        ball, policy = replace(BALL, stamp=seen), replace(rests, stamp=time)
-        return regulator.update(before, policy, GOAL, ball, TABLE, sight(arm, cloud))
-
-    first = later(Regulation(), 0.0, 0.0)
-    assert first.way.plan.works
-    assert later(first, 0.3, 0.3).sought == -np.inf
-    # What was not seen for a while is no ground to go by.
-    assert later(first, 1.0, 0.5).asides == 0
-    assert not asked
-    once = later(first, 1.0, 1.0)
-    assert 3 <= once.asides < 52
-    assert len(asked) == 3
-    again = later(once, 2.0, 2.0)
-    assert again.asides > once.asides
+    after = regulator.update(Regulation(), held_on(UNDER_WAY), GOAL, BALL, TABLE, beside)
+    for time in (1.0, 2.0):
+        ball, policy = replace(BALL, stamp=time), replace(held_on(UNDER_WAY), stamp=time)
+        after = regulator.update(after, policy, GOAL, ball, TABLE, beside)
     assert len(np.unique(asked, axis=0)) == 6
+
+
+def test_held_with_nothing_near_it_stays(arm: ArmModel, regulator: ArmRegulator) -> None:
+    seen = sight(arm, np.full((40, 3), [0.0, 0.6, 0.3]))
+    rests = held_on(UNDER_WAY)
+    first = regulator.update(Regulation(), rests, GOAL, BALL, TABLE, seen)
+    later = replace(rests, stamp=1.0)
+    after = regulator.update(first, later, GOAL, replace(BALL, stamp=1.0), TABLE, seen)
+    assert after.sought == 1.0
+    assert (after.aside.row, len(after.aside.p_WV), after.anew) == (0, 0, False)
+
+
+def test_a_point_has_to_be_over_the_table_and_in_the_workspace(regulator: ArmRegulator) -> None:
+    of_tool = Regulator(
+        load_chain(package_file("package://drake_oa/weights/regressor_chain.npz")),
+        imitate(*minimum_jerk(START, GOAL, duration=5.0)),
+        0.1,
+        parameters=SearchParameters(),
+        table_height=0.05,
+        annulus=np.array([[0.0, 1.0], [0.3, 0.3], [0.7, 0.7]]),
+    )
+    points = np.array([[0.5, 0.0, 0.1], [0.5, 0.0, 0.04], [0.2, 0.0, 0.1], [0.8, 0.0, 0.1]])
+    np.testing.assert_array_equal(of_tool.inside(points, TABLE), [True, False, False, False])
+    np.testing.assert_array_equal(of_tool.inside(points, None), [True, True, False, False])
 
 
 def test_from_within_a_cloud_no_way_leads_aside(
@@ -143,4 +213,4 @@ def test_from_within_a_cloud_no_way_leads_aside(
     block = np.random.default_rng(0).uniform(-0.15, 0.15, (2000, 3)) + [0.0, 0.0, 0.5]
     rests = replace(UNDER_WAY, speed=0.0)
     stuck = regulator.update(Regulation(), rests, GOAL, BALL, TABLE, sight(arm, block))
-    assert (stuck.sought, stuck.asides, len(stuck.p_WV)) == (0.0, 0, 0)
+    assert (stuck.sought, len(stuck.aside.p_WV)) == (0.0, 0)

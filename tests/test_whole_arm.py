@@ -58,10 +58,11 @@ def test_it_is_planned_anew_when_something_changes(arm: ArmModel) -> None:
     again = replace(first.obstacles, stamp=0.1)
     kept = planner.kept(way, way.motion, replace(first, obstacles=again), TABLE, s=0.0, **given)
     assert kept is way
-    lower = replace(again, table=TablePlane(offset=-0.1))
-    kept = planner.kept(way, way.motion, replace(first, obstacles=lower), TABLE, s=0.0, **given)
-    assert kept is not None
-    assert kept.seen is lower
+    now = replace(first, obstacles=again)
+    lower = TablePlane(offset=-0.1)
+    assert planner.kept(way, way.motion, now, lower, s=0.0, **given).table is lower
+    aside = replace(now, viewpoint_W=np.array([2.0, 0.0, 0.6]))
+    assert planner.kept(way, way.motion, aside, TABLE, s=0.0, **given) is not way
 
 
 def test_a_motion_that_is_too_fast_for_the_arm_is_made_slower(arm: ArmModel) -> None:

@@ -30,8 +30,9 @@ class PostureFollower(LeafSystem):
       `CartesianInverseDynamics`.
 
     The posture is that of the plan at the policy's normalised time, so that it rests while the
-    motion is held. A new plan is taken over smoothly; without one it is the posture given
-    here, at rest. The plan under way is abstract state.
+    motion is held, and where it begins anew until there is a plan for that. A new plan is taken
+    over smoothly; without one it is the posture given here, at rest. The plan under way is
+    abstract state.
     """
 
     def __init__(self, q_rest: FloatArray, alpha_k: float, *, period: float = 0.008) -> None:
@@ -73,10 +74,14 @@ class PostureFollower(LeafSystem):
     def _read(self, context: Context) -> PostureCourse:
         return context.get_abstract_state(self._course).get_value()
 
-    def _now(self, context: Context) -> tuple[float, float, float]:
-        """Normalised time, its rate [1/s], and the time [s]."""
+    def _now(self, context: Context, motion: PlannedMotion) -> tuple[float, float, float]:
+        """Normalised time of a motion, its rate [1/s], and the time [s]."""
         policy = read_value(self, self._policy, context, PolicyState)
         time = context.get_time()
+        if len(motion.p_WS) and not (motion.p_WS == policy.p_WS).all():
+            # The policy has begun anew since: where it rested.
+            off = np.linalg.norm(motion.p_WE - policy.p_WE, axis=1)
+            return float(motion.s[off.argmin()]), 0.0, time
         s = normalised_time(policy.phase, self._alpha_k)
         # Between two of its steps the policy goes on at its rate.
         return s + policy.speed * max(time - policy.stamp, 0.0), policy.speed, time
@@ -86,9 +91,11 @@ class PostureFollower(LeafSystem):
         motion = read_value(self, self._motion, context, PlannedMotion)
         if motion is before.motion:
             return EventStatus.DidNothing()
-        after = before.with_motion(motion, *self._now(context))
+        left = before.at(*self._now(context, before.motion))
+        after = before.with_motion(motion, *self._now(context, motion), left)
         state.get_mutable_abstract_state(self._course).set_value(after)
         return EventStatus.Succeeded()
 
     def _calc(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._read(context).at(*self._now(context)))
+        course = self._read(context)
+        output.SetFromVector(course.at(*self._now(context, course.motion)))

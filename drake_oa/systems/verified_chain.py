@@ -84,8 +84,9 @@ class VerifiedRegressorChain(LeafSystem):
     - coupling_parameters: abstract `CouplingParameters`, M rows. One avoidance term bends
       the whole motion: it is on the row of the obstacle that the motion comes nearest to,
       with the point it acts about and the normal of its plane; the other rows have
-      alpha 0. With it tau, at least 1, among moving obstacles at least 0.6; and a note
-      that holds the motion where none was found that clears the obstacles.
+      alpha 0. With it tau, at least 1, among moving obstacles at least 0.6; a note that
+      holds the motion where none was found that clears the obstacles; whether a motion that
+      rests is to begin anew; and p_WV, where it is to go to a point aside first.
     - shortfall: (1,) what the verified motion lacks of the feasible clearance, min(Delta,
       distance of E now, distance of the goal) of each obstacle [m]; 0 where it is kept.
     - short_of: (1,) name of the obstacle that it lacks it to; -1 where it is kept.
@@ -138,7 +139,8 @@ class VerifiedRegressorChain(LeafSystem):
                 `drake_oa.workspace.tool_down_annulus`; None: E may be anywhere.
             arm: plans the posture along the motion; None: nothing does.
             begins_anew: whether a motion that rests, as none that clears the obstacles or that
-                the arm can follow goes on from it, begins anew from there where such a one does.
+                the arm can follow goes on from it, begins anew from there where such a one
+                does, and may step aside first.
 
         Raises:
             TypeError: if weights are no `ChainWeights`.

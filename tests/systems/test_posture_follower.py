@@ -1,6 +1,7 @@
 """The null space's course: smooth, at the plan's place, and without jumps."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -88,6 +89,35 @@ def test_the_system_follows_and_rests_with_a_held_motion() -> None:
             assert np.abs(now[:2] - last[:2]).max() < 0.02
         last = now
     np.testing.assert_allclose(last, [0.4, -0.4, 0.0, 0.0], atol=1e-3)
+
+
+def test_where_the_motion_begins_anew_it_stays_until_there_is_a_plan_for_that() -> None:
+    start, here = np.zeros(3), np.array([0.0, 0.0, 0.5])
+    plan = PlannedMotion(
+        np.linspace(0.0, 1.0, 3),
+        np.linspace([0.0, 0.0, 0.0], [0.0, 0.0, 1.0], 3),
+        np.array([[0.0, 0.0], [0.4, -0.4], [0.8, -0.8]]),
+        start,
+    )
+    follower = PostureFollower(REST, ALPHA_K, period=0.01)
+    simulator = Simulator(follower)
+    context = simulator.get_mutable_context()
+    motion_port = follower.GetInputPort("motion").FixValue(context, Value(plan))
+    under_way = replace(policy(0.5, speed=0.0), p_WS=start, p_WE=here)
+    port = follower.GetInputPort("policy_state").FixValue(context, Value(under_way))
+    simulator.AdvanceTo(5.0)
+    before = np.array(follower.get_output_port().Eval(context))
+    np.testing.assert_allclose(before[:2], [0.4, -0.4], atol=1e-6)
+    port.GetMutableData().set_value(PolicyState(phase=1.0, p_WS=here, p_WE=here, stamp=5.0))
+    simulator.AdvanceTo(5.03)
+    held = follower.get_output_port().Eval(context)
+    np.testing.assert_allclose(held, [0.4, -0.4, 0.0, 0.0], atol=1e-6)
+    other = PlannedMotion(plan.s, plan.p_WE, np.tile([0.6, 0.0], (3, 1)), here)
+    motion_port.GetMutableData().set_value(other)
+    simulator.AdvanceTo(5.05)
+    np.testing.assert_allclose(follower.get_output_port().Eval(context)[:2], held[:2], atol=0.01)
+    simulator.AdvanceTo(10.0)
+    np.testing.assert_allclose(follower.get_output_port().Eval(context)[:2], [0.6, 0.0], atol=1e-6)
 
 
 @pytest.mark.parametrize(
