@@ -46,8 +46,8 @@ class EvasionParameters:
     notice: float = 0.7
     horizon: float = 1.2
     instants: int = 12
-    speed: float = 0.4
-    acceleration: float = 2.0
+    speed: float = 0.6
+    acceleration: float = 6.0
     growth: float = 0.02
     padding: float = 0.01
     hold_time: float = 0.25

@@ -180,8 +180,8 @@ class Evasion:
     # How far ahead it is looked, at least as far as a motion has to keep the margin [s].
     horizon: float = _number(1.2, "s", 0.7, 10.0)
     # Greatest speed [m/s] and acceleration [m/s^2] of the tool while it evades.
-    speed: float = _number(0.4, "m/s", 0.0, 5.0, open_low=True)
-    acceleration: float = _number(2.0, "m/s^2", 0.0, 50.0, open_low=True)
+    speed: float = _number(0.6, "m/s", 0.0, 5.0, open_low=True)
+    acceleration: float = _number(6.0, "m/s^2", 0.0, 50.0, open_low=True)
 
 
 @dc.dataclass
