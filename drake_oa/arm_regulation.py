@@ -107,8 +107,8 @@ class ArmRegulator:
             way = self._arm.planned(after.motion, sight, table, seconds=seconds, time=policy.stamp)
             if way.failed and len(before.way.plan):
                 # Better the posture of before than that of the start.
-                way = replace(way, plan=before.way.plan, motion=before.way.motion, failed=True)
-                way = replace(way, slower=before.way.slower)
+                old = before.way
+                way = replace(way, plan=old.plan, motion=old.motion, slower=old.slower)
         if policy.stamp - after.sought >= SEEK_AGAIN:
             if way.concern:
                 after, way = self._sought(after, way, policy, p_WG, sight, table)

@@ -181,7 +181,8 @@ class Lookout:
         """
         self._arm, self._obstacles, self._table = arm, obstacles, table
         self._age, self._parameters = age, parameters
-        self._height, self._annulus = table_height, annulus
+        self._height = table_height
+        self._annulus = np.zeros((3, 0)) if annulus is None else annulus
         self._times = parameters.times
         self._most = parameters.margin + parameters.release + parameters.padding + 0.03
         self._rules = np.zeros(kernels.N_RULES)
@@ -256,6 +257,4 @@ class Lookout:
         margin = np.full(p_WE.shape[:-1], np.inf)
         if not math.isnan(self._table[3]):
             margin = p_WE @ self._table[:3] - self._table[3] - self._height
-        if self._annulus is not None:
-            margin = np.minimum(margin, annulus_margin(p_WE, self._annulus))
-        return np.asarray(margin)
+        return np.minimum(margin, annulus_margin(p_WE, self._annulus))

@@ -242,16 +242,13 @@ class Regulator:
     ) -> Iterator[Regulation]:
         """`others` that begin at a point V, were the tool at rest there.
 
-        Yields none where the motion does not rest, or may not begin anew.
-
         Args:
             after, policy: as of `others`.
             p_WV: (3,) the point in the world [m].
             p_WG: (3,) the goal from there in the world [m].
         """
-        if self.begins_anew and policy.speed == 0.0:
-            begun, there = begun_anew(after, replace(policy, p_WE=p_WV))
-            yield from self.others(replace(begun, p_WG=p_WG, p_WE=p_WV), there)
+        begun, there = begun_anew(after, replace(policy, p_WE=p_WV))
+        return self.others(replace(begun, p_WG=p_WG, p_WE=p_WV), there)
 
     def _may_begin_anew(self, after: Regulation, policy: PolicyState) -> bool:
         left = math.dist(policy.p_WE, policy.p_WS) > _LEFT

@@ -81,8 +81,7 @@ def tool_down_margin(p_WQ: FloatArray, p_WB: FloatArray | None = None) -> FloatA
         p_BQ = p_BQ - p_WB
     x, y, z = p_BQ[..., 0], p_BQ[..., 1], p_BQ[..., 2]
     radius = np.hypot(x, y)
-    inner, outer = tool_down_radii(z)
-    margin = np.minimum(radius - inner, outer - radius)
+    margin = annulus_margin(p_BQ, tool_down_annulus())
     margin = np.minimum(margin, np.minimum(z - _HEIGHT[0], _HEIGHT[-1] - z))
     arc = radius * (_AZIMUTH - np.abs(np.arctan2(y, x)))
     return np.asarray(np.minimum(margin, arc))
