@@ -2,7 +2,7 @@
 
 perception, camera -> hidden_sides -> supervisor, evasion
 plant, controller, dmp_integrator -> supervisor -> dmp_integrator (speed_scale)
-plant, dmp_integrator, regressor_chain -> evasion -> dmp_integrator, supervisor
+plant, dmp_integrator, regressor_chain -> evasion -> dmp_integrator, supervisor, posture_follower
 """
 
 from __future__ import annotations
@@ -51,8 +51,11 @@ def _wire_evasion(
     robot_plant: RobotPlant,
     obstacles: OutputPort,
 ) -> None:
-    """What displaces the policy where slowing and holding it does not help."""
-    evasion = builder.AddNamedSystem("evasion", robot_layers.make_evasion(scenario, robot_plant))
+    """What displaces policy and posture where slowing and holding does not help."""
+    turns = builder.HasSubsystemNamed("posture_follower")
+    evasion = builder.AddNamedSystem(
+        "evasion", robot_layers.make_evasion(scenario, robot_plant, turns=turns)
+    )
     policy = builder.GetSubsystemByName("dmp_integrator")
     chain = builder.GetSubsystemByName("regressor_chain")
     supervisor = builder.GetSubsystemByName("supervisor")
@@ -64,5 +67,9 @@ def _wire_evasion(
     if isinstance(chain, VerifiedRegressorChain):
         builder.Connect(chain.GetOutputPort("motion"), evasion.GetInputPort("motion"))
     builder.Connect(evasion.GetOutputPort("evasion"), policy.GetInputPort("evasion"))
-    builder.Connect(evasion.GetOutputPort("evading"), supervisor.GetInputPort("evading"))
+    evading = evasion.GetOutputPort("evading")
+    builder.Connect(evading, supervisor.GetInputPort("evading"))
+    if turns:
+        follower = builder.GetSubsystemByName("posture_follower")
+        builder.Connect(evading, follower.GetInputPort("evading"))
     log_signal(builder, "evasion", evasion.GetOutputPort("evasion"))

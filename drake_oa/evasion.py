@@ -1,13 +1,15 @@
-"""How the tool gets out of the way of what moves toward the arm.
+"""How the arm gets out of the way of what moves toward it.
 
 Slowing and holding keep a motion off what rests; what moves comes at a held robot. Several
-ways of the tool over the next second or so are followed with the whole arm
-(`drake_oa.evasion_kernels`), among obstacles that go on at their velocities:
+ways of the arm over the next second or so are looked at (`drake_oa.evasion_kernels`), among
+obstacles that go on at their velocities:
 
 - the motion as it goes, which is left so while it keeps the margin for some time;
 - the motion at full speed;
 - the motion held;
-- held, and the tool displaced at a velocity of a fixed set of directions and two speeds.
+- at full speed or held, and the arm turned in the null space of the tool's task;
+- held, and the tool displaced at a velocity of a fixed set of directions and two speeds, at
+  the greater one also for a short way only, and with the arm turned.
 
 The first of them that keeps the margin is taken; full speed, where standing still is not
 better, also with less. Of the displacements it is the one that keeps most, and among those
@@ -36,7 +38,11 @@ _AS_GOOD = 5e-3
 """Clearances that differ by less are alike [m]."""
 _STEADY = 0.5
 """What a change of velocity costs, as a share of the velocity."""
+_TURNING = 0.2
+"""What turning the arm costs beside displacing the tool [m/rad]."""
 _FULL, _HALF = 1.0, 0.5
+_SHORT_WAY = 0.2
+"""So far it goes where the arm may not reach farther [m]."""
 _CERTAIN = 0.4
 """A contact that cannot be evaded is certain when it is no farther ahead than this [s]."""
 _AHEAD = 1.0
@@ -53,6 +59,9 @@ def _directions() -> FloatArray:
 
 
 DIRECTIONS = _directions()
+_FACES = DIRECTIONS[np.count_nonzero(DIRECTIONS, axis=1) == 1]
+_LEFT: tuple[Evading, Evading] = ("going on", "waiting")
+"""What becomes of the motion while only the arm turns, the better one first."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +73,8 @@ class Evasion(Frozen):
             "waiting": it is held; "evading": it is held, and the tool displaced; "caught":
             the same, but no way was found without a contact.
         velocity: (3,) wanted of the displacement, in the world [m/s].
+        turn: (n,) velocity wanted of the arm's joints in the null space of the tool's task, in
+            place of the planned posture's [rad/s]; (0,) leaves them to the plan.
         obstacle: name of the obstacle; -1: none.
         clearance: least distance that is expected [m].
         contact: in how long the contact is expected, of "caught" [s]; else inf.
@@ -71,6 +82,7 @@ class Evasion(Frozen):
 
     action: Evading = ""
     velocity: FloatArray = field(default_factory=lambda: np.zeros(3))
+    turn: FloatArray = field(default_factory=lambda: np.zeros(0))
     obstacle: int = -1
     clearance: float = math.inf
     contact: float = math.inf
@@ -91,13 +103,13 @@ def displaced(
     """How far a displacement has led.
 
     Args:
-        velocity: (3,) what it has now [m/s].
-        wanted: (C, 3) velocities that it is brought to at a constant acceleration [m/s].
+        velocity: (m,) what it has now [m/s, rad/s].
+        wanted: (C, m) velocities that it is brought to at a constant acceleration.
         times: (K,) [s].
-        acceleration: [m/s^2].
+        acceleration: [m/s^2, rad/s^2].
 
     Returns:
-        (C, K, 3) [m].
+        (C, K, m) [m, rad].
     """
     change = wanted - velocity
     size = np.linalg.norm(change, axis=1)
@@ -108,13 +120,10 @@ def displaced(
     return np.asarray(velocity * t + rate * ramp * (0.5 * ramp + np.maximum(t - until, 0.0)))
 
 
-def ramped(
-    velocity: FloatArray, wanted: FloatArray, acceleration: float, step: float
-) -> FloatArray:
-    """(3,) the velocity a step [s] later, on its way to the wanted one [m/s]."""
+def ramped(velocity: FloatArray, wanted: FloatArray, most: float) -> FloatArray:
+    """(m,) a velocity on its way to the wanted one, changed by a norm of `most` or less."""
     change = wanted - velocity
     size = float(np.linalg.norm(change))
-    most = acceleration * step
     return np.array(wanted if size <= most else velocity + change * (most / size))
 
 
@@ -152,9 +161,48 @@ def stopping_shift(v_WE: FloatArray, times: FloatArray, hold_time: float) -> Flo
     return np.asarray((t - 0.5 * t * t / hold_time)[:, None] * v_WE)
 
 
+@dataclass(frozen=True, eq=False)
+class _Now:
+    """What is known of the arm and its motion; all ways have (K, .) displacements.
+
+    Attributes:
+        before: what was decided last.
+        velocity, turning: what the displacement and the null space have now.
+        policy: the motion under way.
+        full, held: (K, 3) where the motion leads at full speed, and where it comes to rest.
+        full_rate: normalised time a second at full speed [1/s].
+        ahead: from where the arm is.
+        parameters: what is kept.
+    """
+
+    before: Evasion
+    velocity: FloatArray
+    turning: FloatArray
+    policy: PolicyState
+    full: FloatArray
+    held: FloatArray
+    full_rate: float
+    ahead: Lookout
+    parameters: EvasionParameters
+
+    def turned(self, turns: FloatArray) -> FloatArray:
+        """(C, K, n) how far velocities (C, n) of the null space lead [rad]."""
+        p = self.parameters
+        return displaced(self.turning, turns, p.times, p.turn_acceleration)
+
+    def left(
+        self, action: Evading, obstacle: int, clearance: float, turn: FloatArray | None = None
+    ) -> Evasion:
+        """A decision that leaves the tool to its motion, or to where that is held."""
+        # A posture that has been left is not taken up again before the obstacle is past.
+        turn = np.zeros_like(self.before.turn) if turn is None else turn
+        return Evasion(action, np.zeros(3), turn, obstacle, float(clearance))
+
+
 def choose(
     before: Evasion,
     velocity: FloatArray,
+    turning: FloatArray,
     policy: PolicyState,
     motion: PlannedMotion | None,
     s: float,
@@ -168,6 +216,7 @@ def choose(
     Args:
         before: what was decided last.
         velocity: (3,) what the displacement has now [m/s].
+        turning: (n,) velocity of the arm's joints; its part in the null space counts [rad/s].
         policy: the motion under way.
         motion: what is expected of it, or None.
         s: normalised time now.
@@ -181,11 +230,21 @@ def choose(
     times, p = parameters.times, parameters
     rest = displaced(velocity, np.zeros((1, 3)), times, p.acceleration)[0]
     goes = rest + planned_shift(policy, motion, s, policy.speed, times)
-    full = rest + planned_shift(policy, motion, s, full_rate, times)
-    held = rest + stopping_shift(policy.speed * policy.z_W, times, p.hold_time)
+    now = _Now(
+        before,
+        velocity,
+        ahead.free @ (ahead.free.T @ turning),
+        policy,
+        full=rest + planned_shift(policy, motion, s, full_rate, times),
+        held=rest + stopping_shift(policy.speed * policy.z_W, times, p.hold_time),
+        full_rate=full_rate,
+        ahead=ahead,
+        parameters=p,
+    )
+    steady = now.turned(np.zeros((1, len(turning))))
     least = p.margin + (p.release if before.action else 0.0)
     # What of the world rests is the supervisor's; nothing is done for it here.
-    soon = ahead.look(goes[None], until=p.notice)
+    soon = ahead.look(goes[None], steady, until=p.notice)
     threat = int(soon.row[0])
     moves = _moves(obstacles, threat)
     # What has come to rest close by is left room for.
@@ -194,50 +253,85 @@ def choose(
         least = p.margin
     if soon.clearance[0] >= least or not (moves or (stopped and threat >= 0)):
         return NOTHING_MOVES
-    found = ahead.look(np.stack([goes, full, held]))
-    clear = found.clearance
+    ways = np.stack([goes, now.full, now.held])
+    clear = ahead.look(ways, np.repeat(steady, 3, axis=0)).clearance
     name = _name(obstacles, threat)
-
-    def told(action: Evading, way: int) -> Evasion:
-        return Evasion(action, np.zeros(3), name, float(clear[way]))
-
     if clear[1] >= least:
-        return told("going on", 1)
+        return now.left("going on", name, clear[1])
     if clear[2] >= least:
-        return told("waiting", 2)
+        return now.left("waiting", name, clear[2])
     if clear[1] >= max(_PASSING * p.margin, float(clear[2])):
-        return told("going on", 1)
-    wanted = _candidates(before, policy, full_rate, p)
-    shifts = displaced(velocity, wanted, times, p.acceleration)
-    shifts += stopping_shift(policy.speed * policy.z_W, times, p.hold_time)
-    ways = ahead.look(shifts, plenty=least, behind=_AS_GOOD)
+        return now.left("going on", name, clear[1])
+    turned = _turned(now, name, least)
+    if turned is not None:
+        return turned
+    v_WO = obstacles.v_WO[threat] if moves else None
+    return _displaced(now, name, v_WO, float(clear[1]), float(clear[2]), least)
+
+
+def _turned(now: _Now, obstacle: int, least: float) -> Evasion | None:
+    """Turns the arm, at full speed or held, where that is enough; else None."""
+    turns = _turns(now)
+    if not len(turns):
+        return None
+    shifts = np.repeat([now.full, now.held], len(turns), axis=0)
+    found = now.ahead.look(shifts, np.tile(now.turned(turns), (2, 1, 1)), plenty=least)
+    cost = _cost(turns, now.before.turn)
+    for action, kept in zip(_LEFT, found.clearance.reshape(2, -1), strict=True):
+        if kept.max() >= least:
+            way = int(np.where(kept >= least, cost, np.inf).argmin())
+            return now.left(action, obstacle, kept[way], turns[way])
+    return None
+
+
+def _displaced(
+    now: _Now, obstacle: int, v_WO: FloatArray | None, goes_on: float, stands: float, least: float
+) -> Evasion:
+    """Displaces the tool where that is better than to go on or to stand still.
+
+    Args:
+        now: see there.
+        obstacle: its name.
+        v_WO: (3,) its velocity [m/s]; None: it has come to rest.
+        goes_on, stands: the clearance at full speed and held [m].
+        least: more is no better [m].
+    """
+    p = now.parameters
+    wanted, turns, reach = _candidates(now)
+    shifts = displaced(now.velocity, wanted, p.times, p.acceleration)
+    far = np.linalg.norm(shifts, axis=2, keepdims=True)
+    shifts *= np.minimum(1.0, reach[:, None, None] / np.maximum(far, 1e-12))
+    shifts += stopping_shift(now.policy.speed * now.policy.z_W, p.times, p.hold_time)
+    ways = now.ahead.look(shifts, now.turned(turns), plenty=least, behind=_AS_GOOD)
     # Beyond the margin more is not better; and what stands still can always do so.
     worth = np.minimum(ways.clearance, least)
-    still = min(float(clear[2]), least) if math.isfinite(clear[2]) else float(worth[0])
+    still = min(stands, least) if math.isfinite(stands) else float(worth[0])
     best = max(float(worth.max()), still)
-    if min(float(clear[1]), least) >= best - _AS_GOOD and clear[1] > 0.0:
-        return told("going on", 1)
+    if min(goes_on, least) >= best - _AS_GOOD and goes_on > 0.0:
+        return now.left("going on", obstacle, goes_on)
     good = worth >= max(best - _AS_GOOD, still)
     if not good.any():
-        return told("waiting", 2)
-    cost = np.linalg.norm(wanted, axis=1)
-    cost = cost + _STEADY * np.linalg.norm(wanted - before.velocity, axis=1)
-    if moves:
+        return now.left("waiting", obstacle, stands)
+    cost = _cost(wanted, now.before.velocity) + _TURNING * _cost(turns, now.before.turn)
+    if v_WO is not None:
         # Who runs ahead of it is followed; who steps aside is passed.
-        v_WO = obstacles.v_WO[threat]
         cost = cost + _AHEAD * np.maximum(wanted @ (v_WO / np.linalg.norm(v_WO)), 0.0)
     way = int(np.where(good, cost, np.inf).argmin())
-    if stopped and np.linalg.norm(wanted[way]) < _SLOW:
+    if v_WO is None and not turns[way].any() and np.linalg.norm(wanted[way]) < _SLOW:
         return NOTHING_MOVES
     clearance = float(ways.clearance[way])
-    caught = clearance + p.growth * float(ways.when[way]) + p.padding <= 0.0 and moves
-    return Evasion(
-        "caught" if caught else "evading",
-        wanted[way],
-        name,
-        clearance,
-        float(ways.when[way]) if caught else math.inf,
-    )
+    when = float(ways.when[way])
+    caught = clearance + p.growth * when + p.padding <= 0.0 and v_WO is not None
+    action: Evading = "caught" if caught else "evading"
+    contact = when if caught else math.inf
+    turn = turns[way] if turns[way].any() else np.zeros_like(now.before.turn)
+    return Evasion(action, wanted[way], turn, obstacle, clearance, contact)
+
+
+def _cost(wanted: FloatArray, before: FloatArray) -> FloatArray:
+    """(C,) of velocities (C, m): slow ones, and those like the last one, are cheap."""
+    change = wanted - before if len(before) else wanted
+    return np.asarray(np.linalg.norm(wanted, axis=1) + _STEADY * np.linalg.norm(change, axis=1))
 
 
 def _name(obstacles: ObstaclePoints, row: int) -> int:
@@ -248,14 +342,44 @@ def _moves(obstacles: ObstaclePoints, row: int) -> bool:
     return row >= 0 and bool(obstacles.v_WO[row].any())
 
 
-def _candidates(
-    before: Evasion, policy: PolicyState, full_rate: float, parameters: EvasionParameters
-) -> FloatArray:
-    """(C, 3) velocities of displacements [m/s]; the first is none, the second the last one."""
-    along = full_rate * policy.z_W
+def _turns(now: _Now) -> FloatArray:
+    """(C, n) velocities of the null space [rad/s], the last one first; or none at all."""
+    free, most = now.ahead.free, now.parameters.turn_speed
+    if most == 0.0 or not free.shape[1]:
+        return np.zeros((0, len(now.turning)))
+    turns = [share * most * sign * free.T for share in (_FULL, _HALF) for sign in (1.0, -1.0)]
+    if now.before.turn.any():
+        turns.insert(0, (free @ (free.T @ now.before.turn))[None])
+    return np.concatenate(turns)
+
+
+def _candidates(now: _Now) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Displacements that are looked at.
+
+    Returns:
+        (C, 3) velocities of the tool [m/s]: none, the last one, and others; (C, n) of the null
+        space that go with them [rad/s], those of the first being none; and (C,) how far the
+        tool goes [m].
+    """
+    p = now.parameters
+    along = now.full_rate * now.policy.z_W
     speed = float(np.linalg.norm(along))
-    wanted = [np.zeros((1, 3)), before.velocity[None]]
+    first = [np.zeros((1, 3)), now.before.velocity[None]]
+    wanted = list(first)
     if speed > 1e-3:
-        wanted.append(along[None] * min(1.0, parameters.speed / speed))
-    wanted += [share * parameters.speed * DIRECTIONS for share in (_FULL, _HALF)]
-    return np.concatenate(wanted)
+        wanted.append(along[None] * min(1.0, p.speed / speed))
+    wanted += [_FULL * p.speed * DIRECTIONS, _HALF * p.speed * DIRECTIONS]
+    short = [_FULL * p.speed * DIRECTIONS]
+    plain = np.concatenate(wanted + short)
+    reach = np.full(len(plain), np.inf)
+    reach[-len(DIRECTIONS) :] = _SHORT_WAY
+    turns = _turns(now)
+    turning = np.concatenate([*first, p.speed * _FACES])
+    count = len(turning) * len(turns)
+    return (
+        np.concatenate([plain, np.repeat(turning, len(turns), axis=0)]),
+        np.concatenate(
+            [np.zeros((len(plain), len(now.turning))), np.tile(turns, (len(turning), 1))]
+        ),
+        np.concatenate([reach, np.full(count, _SHORT_WAY)]),
+    )

@@ -99,11 +99,15 @@ def _step_to(
     p_WE: FloatArray,
     target: FloatArray,
     damping: float,
+    turn: FloatArray,
     dq: FloatArray,
     T: FloatArray,
     moved: FloatArray,
 ) -> None:
-    """A damped Newton step of dq that brings the tool to a point, turned as it is at dq = 0."""
+    """A damped Newton step of dq that brings the tool to a point, turned as it is at dq = 0.
+
+    Of turn (n,) what does not move the tool comes on top.
+    """
     n = len(dq)
     arm_at(screws, dq, T, moved)
     R = T[n]
@@ -123,6 +127,9 @@ def _step_to(
         J[3, k] = v[0] + w[1] * p[2] - w[2] * p[1]
         J[4, k] = v[1] + w[2] * p[0] - w[0] * p[2]
         J[5, k] = v[2] + w[0] * p[1] - w[1] * p[0]
+        dq[k] += turn[k]
+        for i in range(6):
+            e[i] -= J[i, k] * turn[k]
     A = np.zeros((6, 6))
     for i in range(6):
         for j in range(6):
@@ -187,6 +194,7 @@ def _nearest(
 @njit(cache=True, error_model="numpy")
 def clearance_ahead(
     shifts: FloatArray,
+    turns: FloatArray,
     times: FloatArray,
     screws: FloatArray,
     p_WE: FloatArray,
@@ -214,6 +222,8 @@ def clearance_ahead(
 
     Args:
         shifts: (C, K, 3) how far each way has led the tool at each time, in the world [m].
+        turns: (C, K, n) how far the joints have turned besides, of which what does not move
+            the tool counts [rad, m].
         times: (K,) increasing [s].
         screws: (n, 6) of the joints, see `arm_at`.
         p_WE: (3,) where the tool point is [m].
@@ -233,6 +243,7 @@ def clearance_ahead(
     n, K = len(q), len(times)
     T, moved = np.empty((n + 1, 3, 4)), np.empty((n, 6))
     dq, before, target = np.empty(n), np.empty(n), np.empty(3)
+    turn, no_turn = np.empty(n), np.zeros(n)
     best = -np.inf
     for way in range(len(shifts)):
         least, when, row, able = rules[MOST], 0.0, NOTHING, True
@@ -242,8 +253,11 @@ def clearance_ahead(
             before[:] = dq
             for i in range(3):
                 target[i] = p_WE[i] + shifts[way, k, i]
-            for _ in range(_NEWTON):
-                _step_to(screws, p_WE, target, rules[DAMPING], dq, T, moved)
+            for i in range(n):
+                turn[i] = turns[way, k, i] - (turns[way, k - 1, i] if k > 0 else 0.0)
+            for step in range(_NEWTON):
+                first = turn if step == 0 else no_turn
+                _step_to(screws, p_WE, target, rules[DAMPING], first, dq, T, moved)
             arm_at(screws, dq, T, moved)
             miss = 0.0
             for i in range(3):

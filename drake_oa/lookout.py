@@ -1,4 +1,4 @@
-"""How near an arm will come to what is around it on ways of its tool, for `drake_oa.evasion`."""
+"""How near an arm will come to what is around it on ways of it, for `drake_oa.evasion`."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from drake_oa import evasion_kernels as kernels
+from drake_oa.null_space_coupling import null_space_basis
 from drake_oa.supervision_geometry import GuardShapes, ObstaclePoints
 from drake_oa.values import BoolArray, FloatArray, IntArray
 from drake_oa.workspace import annulus_margin
@@ -33,6 +34,9 @@ class EvasionParameters:
         instants: how many instants until then.
         speed: greatest speed of a displacement [m/s].
         acceleration: greatest change of it [m/s^2].
+        turn_speed: greatest speed of the joints in the null space of the tool's task, the norm
+            of all [rad/s]; 0: the arm is not turned.
+        turn_acceleration: greatest change of it [rad/s^2].
         growth: how much nearer an obstacle that moves may be, a second ahead [m/s].
         padding: how far an obstacle's surface may lie outside its points [m].
         hold_time: time in which the motion comes to rest [s].
@@ -48,6 +52,8 @@ class EvasionParameters:
     instants: int = 12
     speed: float = 0.6
     acceleration: float = 6.0
+    turn_speed: float = 0.0
+    turn_acceleration: float = 10.0
     growth: float = 0.02
     padding: float = 0.01
     hold_time: float = 0.25
@@ -59,7 +65,7 @@ class EvasionParameters:
             raise ValueError(f"notice {self.notice} must be at most horizon {self.horizon} [s]")
         for item in fields(self):
             value = getattr(self, item.name)
-            may_be_zero = item.name in ("release", "growth", "padding")
+            may_be_zero = item.name in ("release", "growth", "padding", "turn_speed")
             if not (0.0 < value < math.inf or (may_be_zero and value == 0.0)):
                 kind = "not negative" if may_be_zero else "positive"
                 raise ValueError(f"{item.name} must be finite and {kind}, not {value}")
@@ -79,6 +85,7 @@ class Arm:
         p_WE: (3,) the tool point [m].
         q, lower, upper: (n,) positions of the joints and their limits [rad, m].
         speed: (n,) their greatest speeds [rad/s, m/s].
+        free: (n, m) orthonormal velocities of the joints that do not move the tool.
         joint: (S,) how many of the joints move each primitive, at least one.
         X_WG: (S, 4, 4) the primitives' poses.
         size, bound: their sizes, see `supervision_geometry.GuardShapes`.
@@ -90,6 +97,7 @@ class Arm:
     lower: FloatArray
     upper: FloatArray
     speed: FloatArray
+    free: FloatArray
     joint: IntArray
     X_WG: FloatArray
     size: FloatArray
@@ -130,6 +138,7 @@ class Arm:
             lower=lower + _JOINT_MARGIN,
             upper=upper - _JOINT_MARGIN,
             speed=_SHARE * speed,
+            free=null_space_basis(J),
             joint=joint[on],
             X_WG=np.ascontiguousarray(X_WG),
             size=np.ascontiguousarray(shapes.size[on]),
@@ -139,7 +148,7 @@ class Arm:
 
 @dataclass(frozen=True, eq=False)
 class Ways:
-    """What is expected of C ways of the tool.
+    """What is expected of C ways of the arm.
 
     Attributes:
         clearance: (C,) least distance on each [m]; -inf where the arm cannot go it, or it was
@@ -192,29 +201,40 @@ class Lookout:
         self._rules[kernels.TABLE_ALLOWANCE] = _TABLE_ALLOWANCE
         self._rules[kernels.MOST] = self._most
 
+    @property
+    def free(self) -> FloatArray:
+        """(n, m) orthonormal velocities of the joints that do not move the tool."""
+        return self._arm.free
+
     def look(
         self,
         shifts: FloatArray,
+        turns: FloatArray | None = None,
         *,
         plenty: float = math.inf,
         behind: float = math.inf,
         until: float = math.inf,
     ) -> Ways:
-        """What is expected of ways of the tool.
+        """What is expected of ways of the arm.
 
         Args:
-            shifts: (C, K, 3) from where it is, at the times that are looked at [m].
+            shifts: (C, K, 3) of the tool from where it is, at the times that are looked at [m].
+            turns: (C, K, n) how far the joints have turned besides, of which what does not move
+                the tool counts [rad]; None: they do not.
             plenty, behind: see `evasion_kernels.clearance_ahead` [m].
             until: only so far ahead [s].
         """
         arm, obstacles = self._arm, self._obstacles
         times = self._times[self._times <= until + 1e-9]
         shifts = shifts[:, : len(times)]
+        if turns is None:
+            turns = np.zeros((*shifts.shape[:2], len(arm.q)))
         # The others are not to put an end to the ways that are looked at.
         inside = np.flatnonzero(self._inside(shifts))
         found, out = np.empty((len(inside), 4)), np.zeros((len(shifts), 4))
         kernels.clearance_ahead(
             np.ascontiguousarray(shifts[inside]),
+            np.ascontiguousarray(turns[inside, : len(times)]),
             times,
             arm.screws,
             arm.p_WE,

@@ -6,19 +6,24 @@ lies between two safe postures is not left. A new plan q*(t) is taken over criti
 
     q(t) = q*(t) + (e_0 + (de_0/dt + w e_0) (t - t_0)) exp(-w (t - t_0)),
 
-where e_0 is what the old course was away from it at the change t_0.
+where e_0 is what the old course was away from it at the change t_0. A plan can also be left,
+at a velocity in place of de_0/dt and with w = 0, and is taken over so again.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
+from drake_oa.evasion import ramped
 from drake_oa.kernel_arrays import kernel_arrays
 from drake_oa.posture_course_kernels import course_at
 from drake_oa.values import FloatArray, Frozen, PlannedMotion
+
+TAKE_OVER = 4.0
+"""How fast a new plan is taken over, w [1/s]."""
 
 
 def monotone_slopes(s: FloatArray, q: FloatArray) -> FloatArray:
@@ -50,6 +55,7 @@ class PostureCourse(Frozen):
         slopes: (T, n) dq/ds at its samples [rad].
         since: when it was taken over [s].
         away: (2n,) what was left of the course before then [rad, rad/s].
+        rate: how fast the plan is taken over, w [1/s]; 0: it is left, at that velocity.
     """
 
     rest: FloatArray
@@ -57,6 +63,7 @@ class PostureCourse(Frozen):
     slopes: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     since: float = 0.0
     away: FloatArray = field(default_factory=lambda: np.zeros(0))
+    rate: float = TAKE_OVER
 
     @cached_property
     def _arrays(self) -> list[FloatArray]:
@@ -74,7 +81,7 @@ class PostureCourse(Frozen):
             speed: ds/dt [1/s].
             time: now [s].
         """
-        return course_at(*self._arrays, s, speed, time - self.since)
+        return course_at(*self._arrays, self.rate, s, speed, time - self.since)
 
     def with_motion(
         self,
@@ -104,7 +111,31 @@ class PostureCourse(Frozen):
         if not len(motion.q) and not len(self.motion.q):
             return self
         slopes = monotone_slopes(motion.s, motion.q) if len(motion.q) else motion.q
-        anew = PostureCourse(self.rest, motion, slopes, since=time)
         left = self.at(s, speed, time) if left is None else left
-        away = left - anew.at(s, speed, time)
-        return PostureCourse(self.rest, motion, slopes, since=time, away=away)
+        return PostureCourse(self.rest, motion, slopes)._from(left, s, speed, time)
+
+    def turned(
+        self, velocity: FloatArray, most: float, s: float, speed: float, time: float
+    ) -> PostureCourse:
+        """The course that leaves its plan.
+
+        Args:
+            velocity: (n,) that it is to have; 0: it stays where it is [rad/s].
+            most: greatest change of it now, the norm [rad/s].
+            s, speed, time: now, as of `at`.
+        """
+        here = self.at(s, speed, time)
+        n = len(self.rest)
+        goes_on = np.concatenate([here[:n], ramped(here[n:], velocity, most)])
+        return replace(self._from(goes_on, s, speed, time), rate=0.0)
+
+    def taken_up(self, s: float, speed: float, time: float) -> PostureCourse:
+        """The course that comes back to the plan that it has left; arguments as of `at`."""
+        if self.rate:
+            return self
+        return replace(self._from(self.at(s, speed, time), s, speed, time), rate=TAKE_OVER)
+
+    def _from(self, here: FloatArray, s: float, speed: float, time: float) -> PostureCourse:
+        """The course to the same plan from positions and velocities (2n,) now."""
+        anew = replace(self, since=time, away=np.zeros(0))
+        return replace(anew, away=here - anew.at(s, speed, time))

@@ -9,8 +9,6 @@ from numba import njit
 
 from drake_oa.values import FloatArray
 
-_RATE = 4.0
-"""How fast a new plan is taken over, w [1/s]."""
 _SETTLED = 12.0
 """After this many times 1 / w nothing of the old one is left."""
 
@@ -21,6 +19,7 @@ def course_at(
     q: FloatArray,
     slopes: FloatArray,
     away: FloatArray,
+    rate: float,
     s: float,
     speed: float,
     elapsed: float,
@@ -32,6 +31,7 @@ def course_at(
         q: (T, n) positions there [rad].
         slopes: (T, n) dq/ds there [rad].
         away: (2n,) what was left of another course, e_0 and de_0/dt [rad, rad/s].
+        rate: how fast it is taken over, w [1/s]; 0: what is left stays, at its velocity.
         s: normalised time.
         speed: ds/dt [1/s].
         elapsed: since that other course was left [s].
@@ -54,11 +54,11 @@ def course_at(
             c2, c3 = 3.0 * step - 2.0 * a - b, a + b - 2.0 * step
             course[j] = q[i, j] + x * (a + x * (c2 + x * c3))
             course[n + j] = (speed / h) * (a + x * (2.0 * c2 + 3.0 * x * c3))
-    if _RATE * elapsed <= _SETTLED:
-        share = math.exp(-_RATE * elapsed)
+    if rate * elapsed <= _SETTLED:
+        share = math.exp(-rate * elapsed)
         for j in range(n):
-            pushed = away[n + j] + _RATE * away[j]
+            pushed = away[n + j] + rate * away[j]
             left = away[j] + pushed * elapsed
             course[j] += share * left
-            course[n + j] += share * (pushed - _RATE * left)
+            course[n + j] += share * (pushed - rate * left)
     return course

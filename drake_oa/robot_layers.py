@@ -184,8 +184,11 @@ def make_posture_follower(
     scenario: Scenario, arm: RobotArm, q_start: FloatArray
 ) -> PostureFollower:
     """What draws the null space to the planned posture; without one to that of the start."""
-    policy = scenario.policy
-    return PostureFollower(q_start[list(arm.positions)], policy.alpha_k, period=policy.period)
+    policy, evasion = scenario.policy, scenario.evasion
+    turn = {} if evasion is None else {"turn_acceleration": evasion.turn_acceleration}
+    return PostureFollower(
+        q_start[list(arm.positions)], policy.alpha_k, period=policy.period, **turn
+    )
 
 
 def make_integral_action(scenario: Scenario) -> IntegralAction | None:
@@ -241,8 +244,15 @@ def make_supervisor(scenario: Scenario, robot_plant: RobotPlant) -> Supervisor:
     )
 
 
-def make_evasion(scenario: Scenario, robot_plant: RobotPlant) -> ObstacleEvasion:
-    """What gets the tool out of the way of what moves; it decides with every observation.
+def make_evasion(
+    scenario: Scenario, robot_plant: RobotPlant, *, turns: bool = True
+) -> ObstacleEvasion:
+    """What gets the arm out of the way of what moves; it decides with every observation.
+
+    Args:
+        scenario: of the robot.
+        robot_plant: the robot.
+        turns: whether there is a posture follower, which turns the arm.
 
     Raises:
         ScenarioError: if the scenario has none.
@@ -264,6 +274,8 @@ def make_evasion(scenario: Scenario, robot_plant: RobotPlant) -> ObstacleEvasion
             horizon=given.horizon,
             speed=given.speed,
             acceleration=given.acceleration,
+            turn_speed=given.turn_speed if turns else 0.0,
+            turn_acceleration=given.turn_acceleration,
             padding=_padding(scenario.perception),
             hold_time=policy.hold_time,
         ),

@@ -173,7 +173,7 @@ class Supervisor:
 
 @dc.dataclass
 class Evasion:
-    """What gets the tool out of the way of what moves."""
+    """What gets the arm out of the way of what moves."""
 
     # Distance of any link to what moves below which the motion is not left as it is [m].
     margin: float = _number(0.05, "m", 0.0, 1.0, open_low=True)
@@ -182,6 +182,9 @@ class Evasion:
     # Greatest speed [m/s] and acceleration [m/s^2] of the tool while it evades.
     speed: float = _number(0.6, "m/s", 0.0, 5.0, open_low=True)
     acceleration: float = _number(6.0, "m/s^2", 0.0, 50.0, open_low=True)
+    # Of the joints in the null space of the tool's task, the norm of all; 0: none.
+    turn_speed: float = _number(1.5, "rad/s", 0.0, 10.0)
+    turn_acceleration: float = _number(10.0, "rad/s^2", 0.0, 100.0, open_low=True)
 
 
 @dc.dataclass

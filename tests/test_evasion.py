@@ -94,6 +94,7 @@ def decide(
     before: Evasion = NOTHING_MOVES,
     speed: float = 0.0,
     motion: PlannedMotion | None = None,
+    parameters: EvasionParameters = PARAMETERS,
 ) -> Evasion:
     """At the home posture, held unless a speed is given."""
     z = np.zeros(3) if z_W is None else z_W
@@ -101,13 +102,14 @@ def decide(
     return choose(
         before,
         before.velocity,
+        np.zeros(7),
         policy,
         motion,
         0.3,
         RATE,
-        lookout(obstacles),
+        lookout(obstacles, parameters),
         obstacles,
-        PARAMETERS,
+        parameters,
     )
 
 
@@ -174,7 +176,7 @@ def test_a_displacement_is_the_integral_of_its_velocity(seed: int) -> None:
     a, step = 2.0, 1e-4
     shift, velocity, found = np.zeros(3), u, []
     for _ in range(4000):
-        after = ramped(velocity, wanted, a, step)
+        after = ramped(velocity, wanted, a * step)
         assert np.linalg.norm(after - velocity) <= a * step + 1e-12
         shift = shift + 0.5 * step * (velocity + after)
         velocity = after

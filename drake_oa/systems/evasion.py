@@ -1,4 +1,4 @@
-"""The evasion layer: gets the tool out of the way of what moves toward the arm."""
+"""The evasion layer: gets the arm out of the way of what moves toward it."""
 
 from __future__ import annotations
 
@@ -67,7 +67,8 @@ class ObstacleEvasion(LeafSystem):
     - motion (optional): abstract `PlannedMotion`, what is expected of the motion; without
       it, that it goes straight on.
     - evasion: (3,) velocity of the displacement in the world [m/s], for `DmpIntegrator`.
-    - evading: abstract `drake_oa.evasion.Evasion`, for `Supervisor`: what was decided.
+    - evading: abstract `drake_oa.evasion.Evasion`: what was decided, for `Supervisor`, and for
+      `PostureFollower`, which turns the arm.
 
     It decides every `period`, shortly after it so that an observation of the same instant
     counts; the velocity follows every `step` at a bounded acceleration. While nothing moves
@@ -156,8 +157,7 @@ class ObstacleEvasion(LeafSystem):
         velocity = ramped(
             kept.velocity,
             kept.evasion.velocity,
-            self._parameters.acceleration,
-            self._step_length,
+            self._parameters.acceleration * self._step_length,
         )
         state.get_mutable_abstract_state(self._state).set_value(replace(kept, velocity=velocity))
         return EventStatus.Succeeded()
@@ -208,6 +208,7 @@ class ObstacleEvasion(LeafSystem):
         evasion = choose(
             before.evasion,
             kept.velocity,
+            x[self._n :][self._joints],
             policy,
             read_optional(self, self._motion, context, PlannedMotion),
             max(0.0, normalised_time(policy.phase, self._dmp.alpha_k)),

@@ -7,8 +7,9 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
 from drake_oa.dmp import normalised_time
+from drake_oa.evasion import Evasion
 from drake_oa.posture_course import PostureCourse
-from drake_oa.systems.ports import DECISION_OFFSET, read_value, valid_period
+from drake_oa.systems.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.values import FloatArray, PlannedMotion, PolicyState
 
 
@@ -21,11 +22,14 @@ class PostureFollower(LeafSystem):
       input_ports:
       - motion
       - policy_state
+      - evading (optional)
       output_ports:
       - desired_posture
 
     - motion: abstract `PlannedMotion` with the arm's positions, or without.
     - policy_state: abstract `PolicyState` of the movement primitive.
+    - evading (optional): abstract `drake_oa.evasion.Evasion`: a velocity with which the posture
+      leaves the plan, and until when it stays away.
     - desired_posture: (2n,) positions [rad] and velocities [rad/s] of the arm's n joints, for
       `CartesianInverseDynamics`.
 
@@ -35,17 +39,26 @@ class PostureFollower(LeafSystem):
     abstract state.
     """
 
-    def __init__(self, q_rest: FloatArray, alpha_k: float, *, period: float = 0.008) -> None:
+    def __init__(
+        self,
+        q_rest: FloatArray,
+        alpha_k: float,
+        *,
+        period: float = 0.008,
+        turn_acceleration: float = 10.0,
+    ) -> None:
         """Declares the ports.
 
         Args:
             q_rest: (n,) posture while none is planned [rad].
             alpha_k: decay of the policy's phase.
-            period: time between looks at the plan [s].
+            period: time between looks at the plan and at what is evaded [s].
+            turn_acceleration: greatest change of the velocity with which the plan is left
+                [rad/s^2].
 
         Raises:
-            ValueError: if the posture is not n finite numbers, or alpha_k or the period are
-                not positive.
+            ValueError: if the posture is not n finite numbers, or one of the others is not
+                positive.
         """
         super().__init__()
         q_rest = np.array(q_rest, dtype=float)
@@ -53,10 +66,16 @@ class PostureFollower(LeafSystem):
             raise ValueError(f"q_rest must be finite numbers [rad], not {q_rest}")
         if not 0.0 < alpha_k < np.inf:
             raise ValueError(f"alpha_k must be positive and finite, not {alpha_k}")
+        if not 0.0 < turn_acceleration < np.inf:
+            raise ValueError(
+                f"turn_acceleration must be positive and finite, not {turn_acceleration}"
+            )
         period = valid_period(period)
         self._alpha_k = float(alpha_k)
+        self._turn_step = turn_acceleration * period
         self._motion = self.DeclareAbstractInputPort("motion", Value(PlannedMotion()))
         self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
+        self._evading = self.DeclareAbstractInputPort("evading", Value(Evasion()))
         self._course = self.DeclareAbstractState(Value(PostureCourse(q_rest)))
         self.DeclareVectorOutputPort(
             "desired_posture",
@@ -89,10 +108,17 @@ class PostureFollower(LeafSystem):
     def _take_over(self, context: Context, state: State) -> EventStatus:
         before = self._read(context)
         motion = read_value(self, self._motion, context, PlannedMotion)
-        if motion is before.motion:
+        now, after = self._now(context, motion), before
+        if motion is not before.motion:
+            left = before.at(*self._now(context, before.motion))
+            after = before.with_motion(motion, *now, left)
+        evading = read_optional(self, self._evading, context, Evasion)
+        if evading is not None and len(evading.turn):
+            after = after.turned(evading.turn, self._turn_step, *now)
+        else:
+            after = after.taken_up(*now)
+        if after is before:
             return EventStatus.DidNothing()
-        left = before.at(*self._now(context, before.motion))
-        after = before.with_motion(motion, *self._now(context, motion), left)
         state.get_mutable_abstract_state(self._course).set_value(after)
         return EventStatus.Succeeded()
 
