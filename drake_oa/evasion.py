@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -42,7 +42,9 @@ _TURNING = 0.2
 """What turning the arm costs beside displacing the tool [m/rad]."""
 _FULL, _HALF = 1.0, 0.5
 _SHORT_WAY = 0.2
-"""So far it goes where the arm may not reach farther [m]."""
+"""So far the tool goes where the arm may not reach farther [m]."""
+_SHORT_TURN = 0.7
+"""So far the joints turn where they may not turn farther, the norm of all [rad]."""
 _CERTAIN = 0.4
 """A contact that cannot be evaded is certain when it is no farther ahead than this [s]."""
 _AHEAD = 1.0
@@ -58,6 +60,8 @@ def _directions() -> FloatArray:
     return np.asarray(grid / np.linalg.norm(grid, axis=1, keepdims=True))
 
 
+_Wanted: TypeAlias = tuple[FloatArray, FloatArray]
+"""(C, m) velocities, and (C,) how far each leads; inf: as far as there is time."""
 DIRECTIONS = _directions()
 _FACES = DIRECTIONS[np.count_nonzero(DIRECTIONS, axis=1) == 1]
 _LEFT: tuple[Evading, Evading] = ("going on", "waiting")
@@ -118,6 +122,13 @@ def displaced(
     ramp = np.minimum(t, until)
     rate = (change / np.maximum(size, 1e-12)[:, None] * acceleration)[:, None]
     return np.asarray(velocity * t + rate * ramp * (0.5 * ramp + np.maximum(t - until, 0.0)))
+
+
+def shortened(ways: FloatArray, reach: FloatArray | float) -> FloatArray:
+    """(C, K, m) ways that end where they have led as far as `reach`, (C,) or of all."""
+    far = np.maximum(np.linalg.norm(ways, axis=2), 1e-12)
+    share = np.minimum(1.0, np.reshape(reach, (-1, 1)) / far)
+    return np.asarray(ways * share[:, :, None])
 
 
 def ramped(velocity: FloatArray, wanted: FloatArray, most: float) -> FloatArray:
@@ -185,10 +196,11 @@ class _Now:
     ahead: Lookout
     parameters: EvasionParameters
 
-    def turned(self, turns: FloatArray) -> FloatArray:
+    def turned(self, turns: FloatArray, reach: FloatArray | float = math.inf) -> FloatArray:
         """(C, K, n) how far velocities (C, n) of the null space lead [rad]."""
         p = self.parameters
-        return displaced(self.turning, turns, p.times, p.turn_acceleration)
+        ways = displaced(self.turning, turns, p.times, p.turn_acceleration)
+        return shortened(ways, reach)
 
     def left(
         self, action: Evading, obstacle: int, clearance: float, turn: FloatArray | None = None
@@ -271,11 +283,11 @@ def choose(
 
 def _turned(now: _Now, obstacle: int, least: float) -> Evasion | None:
     """Turns the arm, at full speed or held, where that is enough; else None."""
-    turns = _turns(now)
+    turns, reach = _turns(now)
     if not len(turns):
         return None
     shifts = np.repeat([now.full, now.held], len(turns), axis=0)
-    found = now.ahead.look(shifts, np.tile(now.turned(turns), (2, 1, 1)), plenty=least)
+    found = now.ahead.look(shifts, np.tile(now.turned(turns, reach), (2, 1, 1)), plenty=least)
     cost = _cost(turns, now.before.turn)
     for action, kept in zip(_LEFT, found.clearance.reshape(2, -1), strict=True):
         if kept.max() >= least:
@@ -297,12 +309,10 @@ def _displaced(
         least: more is no better [m].
     """
     p = now.parameters
-    wanted, turns, reach = _candidates(now)
-    shifts = displaced(now.velocity, wanted, p.times, p.acceleration)
-    far = np.linalg.norm(shifts, axis=2, keepdims=True)
-    shifts *= np.minimum(1.0, reach[:, None, None] / np.maximum(far, 1e-12))
+    (wanted, far), (turns, swing) = _candidates(now)
+    shifts = shortened(displaced(now.velocity, wanted, p.times, p.acceleration), far)
     shifts += stopping_shift(now.policy.speed * now.policy.z_W, p.times, p.hold_time)
-    ways = now.ahead.look(shifts, now.turned(turns), plenty=least, behind=_AS_GOOD)
+    ways = now.ahead.look(shifts, now.turned(turns, swing), plenty=least, behind=_AS_GOOD)
     # Beyond the margin more is not better; and what stands still can always do so.
     worth = np.minimum(ways.clearance, least)
     still = min(stands, least) if math.isfinite(stands) else float(worth[0])
@@ -342,44 +352,43 @@ def _moves(obstacles: ObstaclePoints, row: int) -> bool:
     return row >= 0 and bool(obstacles.v_WO[row].any())
 
 
-def _turns(now: _Now) -> FloatArray:
-    """(C, n) velocities of the null space [rad/s], the last one first; or none at all."""
+def _turns(now: _Now) -> _Wanted:
+    """Velocities of the null space [rad/s] that are looked at, the last one first; or none."""
     free, most = now.ahead.free, now.parameters.turn_speed
     if most == 0.0 or not free.shape[1]:
-        return np.zeros((0, len(now.turning)))
-    turns = [share * most * sign * free.T for share in (_FULL, _HALF) for sign in (1.0, -1.0)]
+        return np.zeros((0, len(now.turning))), np.zeros(0)
+    both = np.concatenate([free.T, -free.T])
+    shares, reach = (_FULL, _FULL, _HALF), (math.inf, _SHORT_TURN, math.inf)
+    turns = np.concatenate([share * most * both for share in shares])
+    far = np.repeat(reach, len(both))
     if now.before.turn.any():
-        turns.insert(0, (free @ (free.T @ now.before.turn))[None])
-    return np.concatenate(turns)
+        last = free @ (free.T @ now.before.turn)
+        return np.concatenate([last[None], turns]), np.concatenate([[math.inf], far])
+    return turns, far
 
 
-def _candidates(now: _Now) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Displacements that are looked at.
+def _candidates(now: _Now) -> tuple[_Wanted, _Wanted]:
+    """Velocities of the tool [m/s], and of the null space [rad/s], that are looked at.
 
-    Returns:
-        (C, 3) velocities of the tool [m/s]: none, the last one, and others; (C, n) of the null
-        space that go with them [rad/s], those of the first being none; and (C,) how far the
-        tool goes [m].
+    The first way has none at all, the second the last one of the tool.
     """
     p = now.parameters
+    first = np.stack([np.zeros(3), now.before.velocity])
     along = now.full_rate * now.policy.z_W
     speed = float(np.linalg.norm(along))
-    first = [np.zeros((1, 3)), now.before.velocity[None]]
-    wanted = list(first)
     if speed > 1e-3:
-        wanted.append(along[None] * min(1.0, p.speed / speed))
-    wanted += [_FULL * p.speed * DIRECTIONS, _HALF * p.speed * DIRECTIONS]
-    short = [_FULL * p.speed * DIRECTIONS]
-    plain = np.concatenate(wanted + short)
-    reach = np.full(len(plain), np.inf)
-    reach[-len(DIRECTIONS) :] = _SHORT_WAY
-    turns = _turns(now)
-    turning = np.concatenate([*first, p.speed * _FACES])
-    count = len(turning) * len(turns)
+        along = along * min(1.0, p.speed / speed)
+    fast, slow = (share * p.speed * DIRECTIONS for share in (_FULL, _HALF))
+    plain = np.concatenate([first, along[None], fast, slow, fast])
+    far = np.full(len(plain), np.inf)
+    far[-len(fast) :] = _SHORT_WAY
+    turns, swing = _turns(now)
+    with_turn = np.concatenate([first, p.speed * _FACES])
+    none, both = np.zeros((len(plain), len(now.turning))), len(with_turn) * len(turns)
     return (
-        np.concatenate([plain, np.repeat(turning, len(turns), axis=0)]),
-        np.concatenate(
-            [np.zeros((len(plain), len(now.turning))), np.tile(turns, (len(turning), 1))]
-        ),
-        np.concatenate([reach, np.full(count, _SHORT_WAY)]),
+        np.concatenate([plain, np.repeat(with_turn, len(turns), axis=0)]),
+        np.concatenate([far, np.full(both, _SHORT_WAY)]),
+    ), (
+        np.concatenate([none, np.tile(turns, (len(with_turn), 1))]),
+        np.concatenate([np.full(len(plain), np.inf), np.tile(swing, len(with_turn))]),
     )

@@ -94,7 +94,7 @@ def arm_at(screws: FloatArray, dq: FloatArray, T: FloatArray, moved: FloatArray)
 
 
 @njit(cache=True, error_model="numpy")
-def _step_to(
+def step_to(
     screws: FloatArray,
     p_WE: FloatArray,
     target: FloatArray,
@@ -257,7 +257,7 @@ def clearance_ahead(
                 turn[i] = turns[way, k, i] - (turns[way, k - 1, i] if k > 0 else 0.0)
             for step in range(_NEWTON):
                 first = turn if step == 0 else no_turn
-                _step_to(screws, p_WE, target, rules[DAMPING], first, dq, T, moved)
+                step_to(screws, p_WE, target, rules[DAMPING], first, dq, T, moved)
             arm_at(screws, dq, T, moved)
             miss = 0.0
             for i in range(3):

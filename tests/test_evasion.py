@@ -165,6 +165,24 @@ def test_what_the_arm_cannot_follow_is_no_way() -> None:
     assert inside.look(0.1 * down).clearance[0] > 0.0
 
 
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_turning_in_the_null_space_leaves_the_tool_where_it_is(seed: int) -> None:
+    arm, times = home(), PARAMETERS.times
+    speed = np.random.default_rng(seed).uniform(-1.0, 1.0, 7)
+    n = len(arm.q)
+    turn = 0.1 * (arm.free @ (arm.free.T @ speed))
+    dq, T, moved = np.zeros(n), np.empty((n + 1, 3, 4)), np.empty((n, 6))
+    for _ in times:
+        for step in (turn, np.zeros(n)):
+            kernels.step_to(arm.screws, arm.p_WE, arm.p_WE, 1e-5, step, dq, T, moved)
+    kernels.arm_at(arm.screws, dq, T, moved)
+    np.testing.assert_allclose(T[n, :, :3], np.eye(3), atol=1e-3)
+    np.testing.assert_allclose(T[n] @ [*arm.p_WE, 1.0], arm.p_WE, atol=1e-3)
+    # Nor does it stand still.
+    assert dq @ turn > 0.5 * len(times) * (turn @ turn)
+
+
 # Ways.
 
 
@@ -258,6 +276,32 @@ def test_what_is_faster_than_the_arm_cannot_be_evaded() -> None:
     assert decide(ball(center + 0.1 * velocity, velocity)).certain
 
 
+def at_the_elbow() -> ObstaclePoints:
+    """A ball that comes at the elbow from the side, which the hand need not step aside for."""
+    arm = home()
+    elbow = arm.X_WG[arm.joint == 4][:, :3, 3].mean(axis=0)
+    return ball(elbow + [0.18, 0.27, -0.04], np.array([-0.08, -0.11, -0.05]), 0.04)
+
+
+def test_an_elbow_that_is_come_at_turns_out_of_the_way_and_the_tool_stays() -> None:
+    obstacles = at_the_elbow()
+    turns = EvasionParameters(padding=0.0, turn_speed=1.5)
+    found = decide(obstacles, parameters=turns)
+    assert found.action in ("going on", "waiting")
+    assert not found.velocity.any()
+    assert np.linalg.norm(found.turn) <= turns.turn_speed + 1e-9
+    free = home().free
+    np.testing.assert_allclose(free @ (free.T @ found.turn), found.turn, atol=1e-12)
+    assert found.clearance >= turns.margin
+    elsewhere = ball(home().p_WE + [2.0, 0.0, 0.0], np.array([0.1, 0.0, 0.0]))
+    assert decide(elsewhere, before=found, parameters=turns) is NOTHING_MOVES
+
+
+def test_without_a_null_space_or_a_speed_the_tool_is_displaced() -> None:
+    found = decide(at_the_elbow())
+    assert (found.action, len(found.turn)) == ("evading", 0)
+
+
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 100_000))
 def test_it_is_never_worse_than_standing_still(seed: int) -> None:
@@ -270,9 +314,7 @@ def test_it_is_never_worse_than_standing_still(seed: int) -> None:
     found = decide(obstacles)
     look = lookout(obstacles)
     still = look.look(np.zeros((1, PARAMETERS.instants, 3))).clearance[0]
-    shift = displaced(np.zeros(3), found.velocity[None], PARAMETERS.times, PARAMETERS.acceleration)
-    chosen = look.look(shift).clearance[0]
-    assert chosen >= min(still, PARAMETERS.margin) - 1e-9
+    assert found.clearance >= min(still, PARAMETERS.margin) - 1e-9
     assert np.linalg.norm(found.velocity) <= PARAMETERS.speed + 1e-9
     # And the same each time.
     np.testing.assert_array_equal(decide(obstacles).velocity, found.velocity)
