@@ -2,7 +2,7 @@
 
 Where no posture passes along the motion that the regulator chose, others of its motions are
 tried: `Regulator.others`, then those that begin anew where the arm rests, and, among obstacles
-at rest, those that begin at a point beside it, to which the tool then goes first.
+at rest, those that begin at a point to which the tool then goes first, in one or more legs.
 """
 
 from __future__ import annotations
@@ -16,9 +16,18 @@ import numpy as np
 
 from drake_oa.action import SCALED_TO_REST
 from drake_oa.dmp import Dmp, normalised_time
+from drake_oa.leg_tree import LegTree, grown, shortened_way, straight_motion
 from drake_oa.regulation import Regulation
-from drake_oa.stepping_aside import points_aside, straight_motion
-from drake_oa.values import EllipsoidSet, FloatArray, ObstacleClouds, PolicyState, TablePlane
+from drake_oa.stepping_aside import Aside
+from drake_oa.values import (
+    BoolArray,
+    EllipsoidSet,
+    FloatArray,
+    ObstacleClouds,
+    PlannedMotion,
+    PolicyState,
+    TablePlane,
+)
 from drake_oa.verified_regulation import SEEK_AGAIN, Regulator
 from drake_oa.whole_arm import ArmSight, ArmWay, WholeArm
 
@@ -26,20 +35,26 @@ _TRIED = 16
 """So many other motions are tried in the place of one that the arm cannot follow,"""
 _LOOKED_INTO = 4
 """and the best so many of them once more, thoroughly."""
-_LEGS, _POINTS = 16, 3
-"""So many points beside are looked at in one search, and so many to which the arm can go;"""
+_LEGS = 40
+"""So many legs are looked at in one search;"""
 _TRIED_THERE = 8
-"""from each of these so many motions are tried,"""
+"""where they lead to the goal so many motions from the last point are tried,"""
+_LEG_PACE = 0.5
+"""and a leg takes this share of the motion's duration, as it is short,"""
 _RECENT = 0.2
 """where what is seen is no older than this [s]."""
 _BESIDE = 0.04
 """A supervisor lets no link come nearer than some 3 cm [m]."""
 _ELSEWHERE = 0.03
-"""So far from where it was stuck last all points are tried again [m]."""
+"""So far from where it was stuck last all is tried again [m]."""
+_OTHERWISE = 0.1
+"""Or where a joint is so far from its position then [rad]."""
 _STUCK = 0.5
 """A motion that is slowed to rest for so long is stuck, though the arm could follow it [s]."""
 _THERE = 0.01
 """So near to such a point it has been reached [m]."""
+_NEAR_OLD = 0.05
+"""So near to its old motion the arm keeps the posture of that, where it finds no other [m]."""
 _AT_POINT = "at the point beside the obstacle"
 _GIVEN_UP = "the way to the point beside the obstacle is given up"
 
@@ -81,11 +96,11 @@ class ArmRegulator:
         goal, aside = p_WG, before.aside
         if len(aside.p_WV):
             if math.dist(policy.p_WE, aside.p_WV) <= _THERE:
-                return _to_goal(before, policy, _AT_POINT)
+                return _held_for(before, policy, _AT_POINT, aside.reached())
             held = policy.note not in ("", SCALED_TO_REST)
             held = held and policy.stamp - before.rests_since >= _STUCK
             if held or not np.array_equal(aside.p_WG, p_WG):
-                return _to_goal(before, policy, _GIVEN_UP)
+                return _held_for(before, policy, _GIVEN_UP, Aside())
             goal = aside.p_WV
         # tau as it is for the tool alone.
         of_tool = replace(before, tau=before.tau / before.way.slower)
@@ -104,11 +119,16 @@ class ArmRegulator:
             time=policy.stamp,
         )
         if way is None:
-            way = self._arm.planned(after.motion, sight, table, seconds=seconds, time=policy.stamp)
-            if way.failed and len(before.way.plan):
-                # Better the posture of before than that of the start.
-                old = before.way
-                way = replace(way, plan=old.plan, motion=old.motion, slower=old.slower)
+            way = self._arm.planned(
+                after.motion,
+                sight,
+                table,
+                seconds=seconds,
+                time=policy.stamp,
+                pace=_LEG_PACE if len(aside.p_WV) else 1.0,
+            )
+            if way.failed:
+                way = _as_before(way, before.way, after.motion, s, policy, sight)
         if policy.stamp - after.sought >= SEEK_AGAIN:
             if way.concern:
                 after, way = self._sought(after, way, policy, p_WG, sight, table)
@@ -163,35 +183,30 @@ class ArmRegulator:
             return after
         if time - seen.stamp > _RECENT:
             return after
-        aside = after.aside
-        if not len(aside.p_WE) or math.dist(policy.p_WE, aside.p_WE) > _ELSEWHERE:
-            aside = replace(aside, p_WE=policy.p_WE, row=0)
-        nearest = np.linalg.norm(seen.p_WO - aside.p_WE, axis=1).argmin()
-        points = points_aside(aside.p_WE, seen.p_WO[nearest])
-        rows = np.flatnonzero(self._regulator.inside(points, table))
-        looked_at = 0
-        for row in rows[rows >= aside.row][:_LEGS]:
-            aside = replace(aside, row=int(row) + 1)
-            leg = straight_motion(policy.p_WE, points[row])
-            seconds = self._dmp.duration
-            way = self._arm.planned(leg, sight, table, seconds=seconds, time=time, thorough=False)
-            if len(way.plan) and way.plan.distance[0] > near:
-                return after
-            if not way.plan.works:
-                continue
-            there = replace(sight, q=way.plan.q[-1])
-            others = self._regulator.others_from(after, policy, points[row], p_WG)
-            for other in islice(others, _TRIED_THERE):
-                if self._planned(other, there, table, time, thorough=False).plan.works:
-                    aside = replace(aside, p_WV=points[row], p_WG=np.array(p_WG, dtype=float))
-                    return replace(after, anew=True, aside=aside)
-            looked_at += 1
-            if looked_at == _POINTS:
-                break
-        else:
-            if not (rows >= aside.row).any():
-                aside = replace(aside, row=0)
-        return replace(after, aside=aside)
+        plan = self._arm.leg_planner(sight, table, seconds=self._dmp.duration, time=time)
+        here = plan(sight.q, straight_motion(policy.p_WE, policy.p_WE))
+        if len(here) and here.distance[0] > near:
+            return after
+        tree = after.aside.tree
+        if not (len(tree) and _same_place(tree, policy.p_WE, sight.q, p_WG)):
+            nearest = np.linalg.norm(seen.p_WO - policy.p_WE, axis=1).argmin()
+            tree = LegTree.at(policy.p_WE, sight.q, p_WG, seen.p_WO[nearest])
+
+        def inside(points: FloatArray) -> BoolArray:
+            return self._regulator.inside(points, table)
+
+        tree, row = grown(tree, plan, inside, self._arm.stop_distance, _LEGS)
+        aside = replace(after.aside, tree=tree)
+        after = replace(after, aside=aside)
+        if row < 0:
+            return after
+        points, q = shortened_way(tree, row, plan)
+        there = replace(sight, q=q)
+        others = self._regulator.others_from(after, policy, points[-1], p_WG)
+        for other in islice(others, _TRIED_THERE):
+            if self._planned(other, there, table, time, thorough=False).plan.works:
+                return replace(after, anew=True, aside=aside.by(points, p_WG))
+        return after
 
     def _followed(
         self,
@@ -231,12 +246,38 @@ class ArmRegulator:
         )
 
 
-def _to_goal(before: Regulation, policy: PolicyState, why: str) -> Regulation:
-    """Holds a motion to the point beside; once it rests, it is to begin anew to the goal."""
+def _held_for(before: Regulation, policy: PolicyState, why: str, aside: Aside) -> Regulation:
+    """Holds a motion to a point; once it rests, another is to begin where it is."""
     if policy.speed > 0.0:
         return replace(before, p_WE=policy.p_WE, note=why)
-    aside = replace(before.aside, p_WV=np.zeros(0), p_WG=np.zeros(0))
     return replace(before, p_WE=policy.p_WE, note="", anew=True, aside=aside)
+
+
+def _as_before(
+    way: ArmWay,
+    before: ArmWay,
+    motion: PlannedMotion,
+    s: float,
+    policy: PolicyState,
+    sight: ArmSight,
+) -> ArmWay:
+    """A way without a posture: with that of before, while it belongs to where the tool is."""
+    old = before.motion
+    if len(before.plan) and len(old):
+        there = [np.interp(s, old.s, column) for column in old.p_WE.T]
+        if math.dist(there, policy.p_WE) <= _NEAR_OLD:
+            return replace(way, plan=before.plan, motion=old, slower=before.slower)
+    q = np.tile(sight.q, (len(motion), 1))
+    return replace(way, plan=replace(way.plan, s=motion.s, q=q), motion=replace(motion, q=q))
+
+
+def _same_place(tree: LegTree, p_WE: FloatArray, q: FloatArray, p_WG: FloatArray) -> bool:
+    """Whether the arm is stuck where a tree began, on its way to the same goal."""
+    return (
+        math.dist(tree.p_WV[0], p_WE) <= _ELSEWHERE
+        and float(np.abs(tree.q[0] - q).max()) <= _OTHERWISE
+        and np.array_equal(tree.p_WG, p_WG)
+    )
 
 
 def _rests_since(before: Regulation, policy: PolicyState) -> float:

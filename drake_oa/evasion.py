@@ -242,10 +242,13 @@ def choose(
     times, p = parameters.times, parameters
     rest = displaced(velocity, np.zeros((1, 3)), times, p.acceleration)[0]
     goes = rest + planned_shift(policy, motion, s, policy.speed, times)
+    turning = ahead.free @ (ahead.free.T @ turning)
+    # The planned posture may turn faster; that is brought to rest by its own law.
+    turning *= min(1.0, p.turn_speed / max(float(np.linalg.norm(turning)), 1e-9))
     now = _Now(
         before,
         velocity,
-        ahead.free @ (ahead.free.T @ turning),
+        turning,
         policy,
         full=rest + planned_shift(policy, motion, s, full_rate, times),
         held=rest + stopping_shift(policy.speed * policy.z_W, times, p.hold_time),
@@ -317,6 +320,8 @@ def _displaced(
     worth = np.minimum(ways.clearance, least)
     still = min(stands, least) if math.isfinite(stands) else float(worth[0])
     best = max(float(worth.max()), still)
+    if not math.isfinite(best):
+        return now.left("waiting", obstacle, stands)
     if min(goes_on, least) >= best - _AS_GOOD and goes_on > 0.0:
         return now.left("going on", obstacle, goes_on)
     good = worth >= max(best - _AS_GOOD, still)

@@ -1,20 +1,13 @@
-"""Where the tool may step aside to, so that the arm gets past what it is stuck beside."""
+"""A step aside of the tool, so that the arm gets past what it is stuck beside."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from drake_oa.evasion import DIRECTIONS
-from drake_oa.values import FloatArray, Frozen, PlannedMotion
-
-_STEPS = (0.2, 0.1)
-"""How far from where it rests [m]."""
-_UP = 0.5
-"""What a way up counts beside one away from the obstacle: most things stand on the table."""
-_APART = 0.025
-"""Distance between the samples of a straight way [m]."""
+from drake_oa.leg_tree import LegTree
+from drake_oa.values import FloatArray, Frozen
 
 
 def _nowhere() -> FloatArray:
@@ -27,36 +20,23 @@ class Aside(Frozen):
 
     Attributes:
         p_WV: (3,) point V that the tool goes to first [m]; (0,): none.
-        p_WG: (3,) goal that it was chosen for [m]; (0,) without one.
-        p_WE: (3,) where the tool was stuck last [m]; (0,): nowhere.
-        row: of `points_aside` from there, which is to be tried next.
+        further: (k, 3) points that it goes to from there, in turn [m].
+        p_WG: (3,) goal that they were chosen for [m]; (0,) without one.
+        tree: of the legs that were looked at where the tool was stuck last.
     """
 
     p_WV: FloatArray = _nowhere()
+    further: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     p_WG: FloatArray = _nowhere()
-    p_WE: FloatArray = _nowhere()
-    row: int = 0
+    tree: LegTree = field(default_factory=LegTree)
 
+    def by(self, points: FloatArray, p_WG: FloatArray) -> Aside:
+        """That leads by points (k, 3), one at least, to a goal (3,) [m]."""
+        p_WG = np.array(p_WG, dtype=float)
+        return replace(self, p_WV=points[0], further=points[1:], p_WG=p_WG)
 
-def points_aside(p_WE: FloatArray, p_WO: FloatArray) -> FloatArray:
-    """Points V that are tried in turn, those away from an obstacle and above first.
-
-    Args:
-        p_WE: (3,) where the tool rests [m].
-        p_WO: (3,) centre of the obstacle [m].
-
-    Returns:
-        (52, 3) p_WV [m]: all of one distance, then all of the next.
-    """
-    away = p_WE - p_WO
-    wanted = away / max(float(np.linalg.norm(away)), 1e-9) + [0.0, 0.0, _UP]
-    order = np.argsort(-(DIRECTIONS @ wanted), kind="stable")
-    return np.concatenate([p_WE + step * DIRECTIONS[order] for step in _STEPS])
-
-
-def straight_motion(p_WE: FloatArray, p_WV: FloatArray) -> PlannedMotion:
-    """The motion of the tool straight from E to V, (3,) each [m]."""
-    way = p_WV - p_WE
-    count = 2 + int(np.linalg.norm(way) / _APART)
-    s = np.linspace(0.0, 1.0, count)
-    return PlannedMotion(s, p_WE + s[:, None] * way)
+    def reached(self) -> Aside:
+        """That goes on from V; with no further point there is none."""
+        if len(self.further):
+            return replace(self, p_WV=self.further[0], further=self.further[1:])
+        return Aside()

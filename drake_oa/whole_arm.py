@@ -66,7 +66,8 @@ class ArmWay(Frozen):
     Attributes:
         plan: the postures.
         motion: the tool's motion, with them.
-        slower: share by which the motion has to take longer for the arm to follow, at least 1.
+        slower: share by which the motion has to take longer for the arm to follow; below 1
+            where it may take less.
         seen, table, viewpoint_W: the obstacles, the table and from where they were seen [m],
             when it was looked at last.
         since: when it was planned, or last tried to [s].
@@ -122,6 +123,45 @@ class WholeArm:
         self._arm = arm
         self._parameters = parameters or PostureParameters()
         self._orientation = orientation
+
+    @property
+    def stop_distance(self) -> float:
+        """What a posture keeps at least [m]."""
+        return self._parameters.stop_distance
+
+    def leg_planner(
+        self, sight: ArmSight, table: TablePlane | None, *, seconds: float, time: float
+    ) -> Callable[[FloatArray, PlannedMotion], PosturePlan]:
+        """What plans the posture along motions from given postures, as of `planned`."""
+        around = ArmSurroundings.of(sight.obstacles, table, sight.viewpoint_W)
+
+        def plan(q: FloatArray, motion: PlannedMotion) -> PosturePlan:
+            return self._plan(around, q, motion, seconds, time, thorough=False)
+
+        return plan
+
+    def _plan(
+        self,
+        around: ArmSurroundings,
+        q: FloatArray,
+        motion: PlannedMotion,
+        seconds: float,
+        time: float,
+        *,
+        thorough: bool,
+    ) -> PosturePlan:
+        return plan_posture(
+            self._arm,
+            around,
+            q,
+            motion.s,
+            motion.p_WE,
+            seconds=seconds,
+            age=around.lag(time),
+            R_WE=None if self._orientation is None else self._orientation(motion.s),
+            parameters=self._parameters,
+            thorough=thorough,
+        )
 
     def kept(
         self,
@@ -192,10 +232,14 @@ class WholeArm:
         seconds: float,
         time: float,
         thorough: bool = True,
+        pace: float = 1.0,
     ) -> ArmWay:
-        """Plans the posture along a motion; arguments as of `kept` and `plan_posture`.
+        """Plans the posture along a motion; other arguments as of `kept` and `plan_posture`.
 
         Where the arm is too slow for it among resting obstacles, it is to be made slower.
+
+        Args:
+            pace: share of its duration that it may take, if the arm can; at most 1.
         """
         now = ArmWay(
             motion=motion,
@@ -208,19 +252,9 @@ class WholeArm:
             return now
         around = ArmSurroundings.of(sight.obstacles, table, sight.viewpoint_W)
         best = replace(now, plan=PosturePlan(short=math.inf), failed=True)
-        for slower in _SLOWER[:1] if around.points.v_WO.any() else _SLOWER:
-            plan = plan_posture(
-                self._arm,
-                around,
-                sight.q,
-                motion.s,
-                motion.p_WE,
-                seconds=slower * seconds,
-                age=around.lag(time),
-                R_WE=None if self._orientation is None else self._orientation(motion.s),
-                parameters=self._parameters,
-                thorough=thorough,
-            )
+        shares = _SLOWER[:1] if around.points.v_WO.any() else _SLOWER
+        for slower in shares if pace >= 1.0 else (pace, *shares):
+            plan = self._plan(around, sight.q, motion, slower * seconds, time, thorough=thorough)
             if plan.works or plan.short < best.plan.short - _GAINED:
                 best = replace(now, plan=plan, motion=replace(motion, q=plan.q), slower=slower)
             # Where the arm is not short of time, more of it is no help.

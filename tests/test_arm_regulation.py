@@ -17,7 +17,7 @@ from drake_oa.stepping_aside import Aside
 from drake_oa.values import EllipsoidSet, ObstacleClouds, PolicyState, TablePlane
 from drake_oa.verification import SearchParameters
 from drake_oa.verified_regulation import SEEK_AGAIN, Regulator
-from drake_oa.whole_arm import ArmSight, WholeArm
+from drake_oa.whole_arm import ArmSight, ArmWay, WholeArm
 
 START, GOAL = np.array([0.6, -0.3, 0.3]), np.array([0.4, 0.3, 0.3])
 TABLE = TablePlane()
@@ -90,6 +90,26 @@ def test_points_that_are_not_finite_are_as_if_nothing_new_was_seen(
     np.testing.assert_array_equal(again.motion.q, first.motion.q)
 
 
+def test_without_a_posture_it_keeps_the_one_of_before_or_stays(
+    arm: ArmModel, regulator: ArmRegulator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = sight(arm, np.full((40, 3), [0.0, 0.6, 0.3]))
+    first = regulator.update(Regulation(), UNDER_WAY, GOAL, BALL, TABLE, seen)
+
+    def no_way(*_: object, **__: object) -> ArmWay:
+        return ArmWay(failed=True, seen=seen.obstacles)
+
+    monkeypatch.setattr(WholeArm, "kept", lambda *_, **__: None)
+    monkeypatch.setattr(WholeArm, "planned", no_way)
+    after = regulator.update(first, replace(UNDER_WAY, stamp=0.1), GOAL, BALL, TABLE, seen)
+    assert after.way.motion is first.way.motion
+    # Displaced by 10 cm the old posture is that of somewhere else.
+    off = replace(UNDER_WAY, p_WE=START + [0.0, 0.0, 0.1], stamp=0.1)
+    after = regulator.update(first, off, GOAL, BALL, TABLE, seen)
+    np.testing.assert_array_equal(after.motion.q, np.tile(seen.q, (len(after.motion), 1)))
+    assert after.way.concern == "no posture of the arm reaches all of the path"
+
+
 def held_on(policy: PolicyState) -> PolicyState:
     return replace(policy, speed=0.0, note=SCALED_TO_REST)
 
@@ -114,6 +134,13 @@ def test_it_goes_to_a_point_beside_rests_there_and_begins_anew(
     rests = replace(there, speed=0.0, note=held.note)
     anew = regulator.update(held, rests, GOAL, BALL, TABLE, sight(arm))
     assert (anew.note, anew.anew, len(anew.aside.p_WV)) == ("", True, 0)
+    # By way of a further point it begins anew toward that.
+    beyond = point + [0.0, 0.1, 0.0]
+    two = replace(held, aside=Aside().by(np.array([point, beyond]), GOAL))
+    anew = regulator.update(two, rests, GOAL, BALL, TABLE, sight(arm))
+    assert anew.anew
+    np.testing.assert_array_equal(anew.coupling(BALL).p_WV, beyond)
+    assert not len(anew.aside.further)
 
 
 @pytest.mark.parametrize(
@@ -155,14 +182,16 @@ def test_where_it_is_kept_beside_something_it_steps_aside(
     assert first.way.plan.distance[0] == pytest.approx(0.035, abs=0.002)
     assert later(first, 0.3, 0.3).sought == -np.inf
     # What was not seen for a while is no ground to go by.
-    assert later(first, 1.0, 0.5).aside.row == 0
+    assert not len(later(first, 1.0, 0.5).aside.tree)
     found = later(first, 1.0, 1.0)
     assert found.anew
     np.testing.assert_array_equal(found.aside.p_WG, GOAL)
-    assert np.linalg.norm(found.aside.p_WV - START) == pytest.approx(0.2)
-    # Found in vain, the points after it are tried.
+    assert 0.04 <= np.linalg.norm(found.aside.p_WV - START) <= 0.25
+    assert later(first, 1.0, 1.0).aside.p_WV.tobytes() == found.aside.p_WV.tobytes()
+    # Found in vain, the tree grows on.
     again = later(replace(found, aside=replace(found.aside, p_WV=np.zeros(0))), 2.1, 2.1)
-    assert again.aside.row > found.aside.row
+    assert again.aside.tree.tried > found.aside.tree.tried
+    np.testing.assert_array_equal(again.aside.tree.p_WV[0], START)
 
 
 def test_points_that_lead_nowhere_are_tried_in_turn(
@@ -179,7 +208,7 @@ def test_points_that_lead_nowhere_are_tried_in_turn(
     for time in (1.0, 2.0):
         ball, policy = replace(BALL, stamp=time), replace(held_on(UNDER_WAY), stamp=time)
         after = regulator.update(after, policy, GOAL, ball, TABLE, beside)
-    assert len(np.unique(asked, axis=0)) == 6
+    assert len(np.unique(asked, axis=0)) == 2
 
 
 def test_held_with_nothing_near_it_stays(arm: ArmModel, regulator: ArmRegulator) -> None:
@@ -189,7 +218,7 @@ def test_held_with_nothing_near_it_stays(arm: ArmModel, regulator: ArmRegulator)
     later = replace(rests, stamp=1.0)
     after = regulator.update(first, later, GOAL, replace(BALL, stamp=1.0), TABLE, seen)
     assert after.sought == 1.0
-    assert (after.aside.row, len(after.aside.p_WV), after.anew) == (0, 0, False)
+    assert (len(after.aside.tree), len(after.aside.p_WV), after.anew) == (0, 0, False)
 
 
 def test_a_point_has_to_be_over_the_table_and_in_the_workspace(regulator: ArmRegulator) -> None:

@@ -1,0 +1,109 @@
+"""A tree of legs, on a point that moves among walls in the place of an arm."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drake_oa.leg_tree import LegTree, grown, shortened_way, straight_motion
+from drake_oa.posture_plan import PosturePlan
+from drake_oa.values import BoolArray, FloatArray, PlannedMotion
+
+START, GOAL, STOP = np.zeros(3), np.array([0.6, 0.0, 0.0]), 0.03
+
+
+def wall(p: FloatArray) -> FloatArray:
+    """(N,) distance to a wall across the way, 0.3 m high and open above [m]."""
+    off = np.abs(p - [0.3, 0.0, 0.0]) - [0.02, 1.0, 0.3]
+    out = np.linalg.norm(np.maximum(off, 0.0), axis=-1)
+    return np.asarray(out + np.minimum(off.max(axis=-1), 0.0))
+
+
+def plan(q: FloatArray, motion: PlannedMotion) -> PosturePlan:
+    """The posture of a point is where it is."""
+    np.testing.assert_allclose(q, motion.p_WE[0])
+    distance = wall(motion.p_WE)
+    return PosturePlan(
+        s=motion.s,
+        q=motion.p_WE,
+        distance=distance,
+        apart=np.ones(len(motion)),
+        hurry=0.5,
+        short=max(0.0, STOP - float(distance.min())),
+    )
+
+
+def anywhere(points: FloatArray) -> BoolArray:
+    return points[:, 2] >= -0.2
+
+
+def grow(inside=anywhere, legs: int = 300) -> tuple[LegTree, int]:
+    return grown(LegTree.at(START, START, GOAL, [0.3, 0.0, 0.0]), plan, inside, STOP, legs)
+
+
+def test_it_finds_the_way_over_a_wall() -> None:
+    tree, row = grow()
+    assert row > 0
+    assert plan(tree.q[row], straight_motion(tree.p_WV[row], GOAL)).works
+    way = np.concatenate([START[None], tree.way(row), GOAL[None]])
+    for one, other in itertools.pairwise(way):
+        assert plan(one, straight_motion(one, other)).works
+    assert way[:, 2].max() > 0.3
+    assert anywhere(tree.p_WV).all()
+
+
+def test_what_is_no_need_is_left_out() -> None:
+    tree, row = grow()
+    points, q = shortened_way(tree, row, plan)
+    assert 1 <= len(points) <= len(tree.way(row))
+    np.testing.assert_array_equal(points[-1], q)
+    way = np.concatenate([START[None], points, GOAL[None]])
+    for one, other in itertools.pairwise(way):
+        assert plan(one, straight_motion(one, other)).works
+
+
+def test_it_grows_on_and_each_time_in_the_same_way() -> None:
+    whole, row = grow()
+    tree, found = LegTree.at(START, START, GOAL, [0.3, 0.0, 0.0]), -1
+    while found < 0:
+        tried = tree.tried
+        tree, found = grown(tree, plan, anywhere, STOP, 10)
+        assert tree.tried > tried
+    again = grow()
+    assert again[1] == row
+    np.testing.assert_array_equal(again[0].p_WV, whole.p_WV)
+    # In steps the greedy legs are cut short, and the points are the same.
+    np.testing.assert_array_equal(tree.aims(), whole.aims())
+
+
+def test_where_nothing_leads_on_there_is_none() -> None:
+    tree, row = grow(lambda points: np.zeros(len(points), dtype=bool))
+    assert (row, len(tree), tree.tried) == (-1, 1, len(tree.aims()))
+
+
+def test_a_blocked_leg_counts_as_far_as_it_leads() -> None:
+    tree, row = grow(legs=2)
+    assert row == -1
+    assert wall(tree.p_WV).min() >= STOP
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_the_first_aims_lead_away_from_what_is_near_and_up(seed: int) -> None:
+    p_WE, p_WO, p_WG = np.random.default_rng(seed).uniform(-1.0, 1.0, (3, 3))
+    first = LegTree.at(p_WE, np.zeros(7), p_WG, p_WO).aims()[:8] - p_WE
+    np.testing.assert_allclose(np.linalg.norm(first, axis=1), 0.2)
+    away = (p_WE - p_WO) / np.linalg.norm(p_WE - p_WO) + [0.0, 0.0, 0.5]
+    assert (first @ away > 0.0).all()
+
+
+@pytest.mark.parametrize("length", [0.0, 0.01, 0.2, 0.21])
+def test_the_way_is_straight_and_closely_sampled(length: float) -> None:
+    p_WE = np.array([0.4, 0.1, 0.3])
+    motion = straight_motion(p_WE, p_WE + [0.0, length, 0.0])
+    np.testing.assert_array_equal(motion.p_WE[0], p_WE)
+    np.testing.assert_allclose(motion.p_WE[-1], p_WE + [0.0, length, 0.0])
+    assert (motion.s[0], motion.s[-1]) == (0.0, 1.0)
+    assert np.linalg.norm(np.diff(motion.p_WE, axis=0), axis=1).max() <= 0.025
