@@ -77,19 +77,19 @@ class Evasion(Frozen):
             "waiting": it is held; "evading": it is held, and the tool displaced; "caught":
             the same, but no way was found without a contact.
         velocity: (3,) wanted of the displacement, in the world [m/s].
-        turn: (n,) velocity wanted of the arm's joints in the null space of the tool's task, in
-            place of the planned posture's [rad/s]; (0,) leaves them to the plan.
         obstacle: name of the obstacle; -1: none.
         clearance: least distance that is expected [m].
         contact: in how long the contact is expected, of "caught" [s]; else inf.
+        turn: (n,) velocity wanted of the arm's joints in the null space of the tool's task, in
+            place of the planned posture's [rad/s]; (0,) leaves them to the plan.
     """
 
     action: Evading = ""
     velocity: FloatArray = field(default_factory=lambda: np.zeros(3))
-    turn: FloatArray = field(default_factory=lambda: np.zeros(0))
     obstacle: int = -1
     clearance: float = math.inf
     contact: float = math.inf
+    turn: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def certain(self) -> bool:
@@ -208,7 +208,7 @@ class _Now:
         """A decision that leaves the tool to its motion, or to where that is held."""
         # A posture that has been left is not taken up again before the obstacle is past.
         turn = np.zeros_like(self.before.turn) if turn is None else turn
-        return Evasion(action, np.zeros(3), turn, obstacle, float(clearance))
+        return Evasion(action, np.zeros(3), obstacle, float(clearance), turn=turn)
 
 
 def choose(
@@ -340,7 +340,7 @@ def _displaced(
     action: Evading = "caught" if caught else "evading"
     contact = when if caught else math.inf
     turn = turns[way] if turns[way].any() else np.zeros_like(now.before.turn)
-    return Evasion(action, wanted[way], turn, obstacle, clearance, contact)
+    return Evasion(action, wanted[way], obstacle, clearance, contact, turn)
 
 
 def _cost(wanted: FloatArray, before: FloatArray) -> FloatArray:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import signal
 import threading
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -64,6 +65,8 @@ def _in_processes(
     from joblib import Parallel, delayed, parallel_config
     from joblib.externals.loky import get_reusable_executor
 
+    # A worker that has grown is renewed, and no call is lost by it.
+    warnings.filterwarnings("ignore", message="A worker stopped while some jobs")
     with parallel_config(backend="loky", inner_max_num_threads=1):
         # Long calls: handed out one by one, and no more of them than there are workers.
         pool = Parallel(

@@ -100,7 +100,7 @@ class VerifiedRegressorChain(LeafSystem):
     taken, and another side than the one in use only where it is shorter by some
     hysteresis: see `drake_oa.verification`. Where the arm cannot follow it, another motion is
     looked for every second, longer or with less of the clearance, but 5 cm; where the arm is
-    stuck beside what rests, also by way of a point up to 20 cm aside.
+    stuck beside what rests, also by way of points aside: see `drake_oa.leg_tree`.
 
     It has the place of `RegressorChain` in a diagram; the `DmpIntegrator` that takes its
     parameters must have the same primitive and fade, and needs no route.
