@@ -16,8 +16,9 @@ import numpy as np
 
 from drake_oa.action import SCALED_TO_REST
 from drake_oa.dmp import Dmp, normalised_time
-from drake_oa.leg_tree import LegTree, grown, shortened_way, straight_motion
-from drake_oa.regulation import Regulation
+from drake_oa.ellipsoid import signed_distance
+from drake_oa.leg_tree import Legs, LegTree, grown, shortened_way, straight_motion
+from drake_oa.regulation import Regulation, hardly_moved
 from drake_oa.stepping_aside import Aside
 from drake_oa.values import (
     BoolArray,
@@ -35,7 +36,7 @@ _TRIED = 16
 """So many other motions are tried in the place of one that the arm cannot follow,"""
 _LOOKED_INTO = 4
 """and the best so many of them once more, thoroughly."""
-_LEGS = 40
+_LEGS = 100
 """So many legs are looked at in one search;"""
 _TRIED_THERE = 8
 """where they lead to the goal so many motions from the last point are tried,"""
@@ -51,8 +52,10 @@ _OTHERWISE = 0.1
 """Or where a joint is so far from its position then [rad]."""
 _STUCK = 0.5
 """A motion that is slowed to rest for so long is stuck, though the arm could follow it [s]."""
-_THERE = 0.01
+_THERE = 0.02
 """So near to such a point it has been reached [m]."""
+_CLEAR = 0.03
+"""A leg keeps the tool so far from the obstacles [m]."""
 _NEAR_OLD = 0.05
 """So near to its old motion the arm keeps the posture of that, where it finds no other [m]."""
 _AT_POINT = "at the point beside the obstacle"
@@ -100,7 +103,7 @@ class ArmRegulator:
             held = policy.note not in ("", SCALED_TO_REST)
             held = held and policy.stamp - before.rests_since >= _STUCK
             if held or not np.array_equal(aside.p_WG, p_WG):
-                return _held_for(before, policy, _GIVEN_UP, Aside())
+                return _held_for(before, policy, _GIVEN_UP, aside.given_up())
             goal = aside.p_WV
         # tau as it is for the tool alone.
         of_tool = replace(before, tau=before.tau / before.way.slower)
@@ -128,7 +131,7 @@ class ArmRegulator:
                 pace=_LEG_PACE if len(aside.p_WV) else 1.0,
             )
             if way.failed:
-                way = _as_before(way, before.way, after.motion, s, policy, sight)
+                way = _as_before(way, before.way, after.motion, policy, sight)
         if policy.stamp - after.sought >= SEEK_AGAIN:
             if way.concern:
                 after, way = self._sought(after, way, policy, p_WG, sight, table)
@@ -184,23 +187,26 @@ class ArmRegulator:
         if time - seen.stamp > _RECENT:
             return after
         plan = self._arm.leg_planner(sight, table, seconds=self._dmp.duration, time=time)
-        here = plan(sight.q, straight_motion(policy.p_WE, policy.p_WE))
-        if len(here) and here.distance[0] > near:
-            return after
-        tree = after.aside.tree
-        if not (len(tree) and _same_place(tree, policy.p_WE, sight.q, p_WG)):
+        if math.isfinite(near):
+            here = plan(sight.q, straight_motion(policy.p_WE, policy.p_WE))
+            if len(here) and here.distance[0] > near:
+                return after
+        aside = after.aside
+        if not _same_place(aside, policy.p_WE, sight.q, p_WG, seen):
             nearest = np.linalg.norm(seen.p_WO - policy.p_WE, axis=1).argmin()
             tree = LegTree.at(policy.p_WE, sight.q, p_WG, seen.p_WO[nearest])
-
-        def inside(points: FloatArray) -> BoolArray:
-            return self._regulator.inside(points, table)
-
-        tree, row = grown(tree, plan, inside, self._arm.stop_distance, _LEGS)
-        aside = replace(after.aside, tree=tree)
+            aside = Aside(tree=tree, seen=seen)
+        legs = Legs(
+            plan, lambda points: self._regulator.inside(points, table) & _clear(points, seen)
+        )
+        tree, row = grown(aside.tree, legs, _LEGS)
+        aside = replace(aside, tree=tree)
         after = replace(after, aside=aside)
         if row < 0:
             return after
-        points, q = shortened_way(tree, row, plan)
+        points, q = shortened_way(tree, row, legs)
+        if not len(points):
+            return after
         there = replace(sight, q=q)
         others = self._regulator.others_from(after, policy, points[-1], p_WG)
         for other in islice(others, _TRIED_THERE):
@@ -254,29 +260,37 @@ def _held_for(before: Regulation, policy: PolicyState, why: str, aside: Aside) -
 
 
 def _as_before(
-    way: ArmWay,
-    before: ArmWay,
-    motion: PlannedMotion,
-    s: float,
-    policy: PolicyState,
-    sight: ArmSight,
+    way: ArmWay, before: ArmWay, motion: PlannedMotion, policy: PolicyState, sight: ArmSight
 ) -> ArmWay:
     """A way without a posture: with that of before, while it belongs to where the tool is."""
     old = before.motion
     if len(before.plan) and len(old):
-        there = [np.interp(s, old.s, column) for column in old.p_WE.T]
-        if math.dist(there, policy.p_WE) <= _NEAR_OLD:
-            return replace(way, plan=before.plan, motion=old, slower=before.slower)
+        off = np.linalg.norm(old.p_WE - policy.p_WE, axis=1)
+        if np.array_equal(old.p_WS, policy.p_WS) and off.min() <= _NEAR_OLD:
+            return replace(way, plan=before.plan, motion=old, slower=max(before.slower, 1.0))
     q = np.tile(sight.q, (len(motion), 1))
     return replace(way, plan=replace(way.plan, s=motion.s, q=q), motion=replace(motion, q=q))
 
 
-def _same_place(tree: LegTree, p_WE: FloatArray, q: FloatArray, p_WG: FloatArray) -> bool:
-    """Whether the arm is stuck where a tree began, on its way to the same goal."""
+def _clear(p_WE: FloatArray, ellipsoids: EllipsoidSet) -> BoolArray:
+    """Which points (N, 3) the tool may be at; the obstacles are dilated by it."""
+    distance = signed_distance(
+        p_WE[:, None], ellipsoids.p_WO, ellipsoids.R_WO, ellipsoids.semi_axes
+    )
+    return np.asarray(distance.min(axis=1) >= _CLEAR)
+
+
+def _same_place(
+    aside: Aside, p_WE: FloatArray, q: FloatArray, p_WG: FloatArray, seen: EllipsoidSet
+) -> bool:
+    """Whether the arm is stuck where it was, on its way to the same goal."""
+    tree = aside.tree
     return (
-        math.dist(tree.p_WV[0], p_WE) <= _ELSEWHERE
+        len(tree) > 0
+        and math.dist(tree.p_WV[0], p_WE) <= _ELSEWHERE
         and float(np.abs(tree.q[0] - q).max()) <= _OTHERWISE
         and np.array_equal(tree.p_WG, p_WG)
+        and hardly_moved(aside.seen, seen)
     )
 
 

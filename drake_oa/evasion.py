@@ -21,12 +21,13 @@ than standing still is not taken.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
 
-from drake_oa.lookout import EvasionParameters, Lookout
+from drake_oa.evasion_kernels import NOTHING
+from drake_oa.lookout import EvasionParameters, Lookout, Ways
 from drake_oa.supervision_geometry import ObstaclePoints
 from drake_oa.values import FloatArray, Frozen, PlannedMotion, PolicyState
 
@@ -41,7 +42,7 @@ _STEADY = 0.5
 _TURNING = 0.2
 """What turning the arm costs beside displacing the tool [m/rad]."""
 _FULL, _HALF = 1.0, 0.5
-_SHORT_WAY = 0.2
+_SHORT_WAYS = (0.2, 0.08)
 """So far the tool goes where the arm may not reach farther [m]."""
 _SHORT_TURN = 0.7
 """So far the joints turn where they may not turn farther, the norm of all [rad]."""
@@ -99,6 +100,11 @@ class Evasion(Frozen):
 
 NOTHING_MOVES = Evasion()
 """There is nothing to evade."""
+
+
+def left_alone(before: Evasion) -> Evasion:
+    """The motion goes on, and a posture that has left its plan stays where it is."""
+    return replace(NOTHING_MOVES, turn=np.zeros_like(before.turn))
 
 
 def displaced(
@@ -267,7 +273,8 @@ def choose(
     if stopped:
         least = p.margin
     if soon.clearance[0] >= least or not (moves or (stopped and threat >= 0)):
-        return NOTHING_MOVES
+        passed = not len(before.turn) or ahead.look(goes[None], steady).row[0] == NOTHING
+        return NOTHING_MOVES if passed else left_alone(before)
     ways = np.stack([goes, now.full, now.held])
     clear = ahead.look(ways, np.repeat(steady, 3, axis=0)).clearance
     name = _name(obstacles, threat)
@@ -290,7 +297,8 @@ def _turned(now: _Now, obstacle: int, least: float) -> Evasion | None:
     if not len(turns):
         return None
     shifts = np.repeat([now.full, now.held], len(turns), axis=0)
-    found = now.ahead.look(shifts, np.tile(now.turned(turns, reach), (2, 1, 1)), plenty=least)
+    turned = np.tile(now.turned(turns, reach), (2, 1, 1))
+    found = now.ahead.look(shifts, turned, plenty=least, behind=0.0)
     cost = _cost(turns, now.before.turn)
     for action, kept in zip(_LEFT, found.clearance.reshape(2, -1), strict=True):
         if kept.max() >= least:
@@ -318,10 +326,10 @@ def _displaced(
     ways = now.ahead.look(shifts, now.turned(turns, swing), plenty=least, behind=_AS_GOOD)
     # Beyond the margin more is not better; and what stands still can always do so.
     worth = np.minimum(ways.clearance, least)
-    still = min(stands, least) if math.isfinite(stands) else float(worth[0])
+    still = min(stands, least)
     best = max(float(worth.max()), still)
     if not math.isfinite(best):
-        return now.left("waiting", obstacle, stands)
+        return _at_its_limits(now, obstacle, ways, v_WO)
     if min(goes_on, least) >= best - _AS_GOOD and goes_on > 0.0:
         return now.left("going on", obstacle, goes_on)
     good = worth >= max(best - _AS_GOOD, still)
@@ -334,13 +342,25 @@ def _displaced(
     way = int(np.where(good, cost, np.inf).argmin())
     if v_WO is None and not turns[way].any() and np.linalg.norm(wanted[way]) < _SLOW:
         return NOTHING_MOVES
-    clearance = float(ways.clearance[way])
-    when = float(ways.when[way])
-    caught = clearance + p.growth * when + p.padding <= 0.0 and v_WO is not None
-    action: Evading = "caught" if caught else "evading"
-    contact = when if caught else math.inf
     turn = turns[way] if turns[way].any() else np.zeros_like(now.before.turn)
-    return Evasion(action, wanted[way], obstacle, clearance, contact, turn)
+    contact = _contact(now, ways, way, v_WO)
+    action: Evading = "evading" if math.isinf(contact) else "caught"
+    return Evasion(action, wanted[way], obstacle, float(ways.clearance[way]), contact, turn)
+
+
+def _contact(now: _Now, ways: Ways, way: int, v_WO: FloatArray | None) -> float:
+    """In how long a way ends in a contact with what moves [s]; inf: it does not."""
+    distance, when = float(ways.distance[way]), float(ways.when[way])
+    p = now.parameters
+    touches = distance + p.growth * when + p.padding <= 0.0 and v_WO is not None
+    return when if touches else math.inf
+
+
+def _at_its_limits(now: _Now, obstacle: int, ways: Ways, v_WO: FloatArray | None) -> Evasion:
+    """Holds an arm that can go none of the ways, and tells what its first one would lead to."""
+    held = now.left("waiting", obstacle, ways.distance[0])
+    contact = _contact(now, ways, 0, v_WO)
+    return held if math.isinf(contact) else replace(held, action="caught", contact=contact)
 
 
 def _cost(wanted: FloatArray, before: FloatArray) -> FloatArray:
@@ -384,15 +404,15 @@ def _candidates(now: _Now) -> tuple[_Wanted, _Wanted]:
     if speed > 1e-3:
         along = along * min(1.0, p.speed / speed)
     fast, slow = (share * p.speed * DIRECTIONS for share in (_FULL, _HALF))
-    plain = np.concatenate([first, along[None], fast, slow, fast])
+    plain = np.concatenate([first, along[None], fast, slow, *[fast] * len(_SHORT_WAYS)])
     far = np.full(len(plain), np.inf)
-    far[-len(fast) :] = _SHORT_WAY
+    far[-len(fast) * len(_SHORT_WAYS) :] = np.repeat(_SHORT_WAYS, len(fast))
     turns, swing = _turns(now)
     with_turn = np.concatenate([first, p.speed * _FACES])
     none, both = np.zeros((len(plain), len(now.turning))), len(with_turn) * len(turns)
     return (
         np.concatenate([plain, np.repeat(with_turn, len(turns), axis=0)]),
-        np.concatenate([far, np.full(both, _SHORT_WAY)]),
+        np.concatenate([far, np.full(both, _SHORT_WAYS[0])]),
     ), (
         np.concatenate([none, np.tile(turns, (len(with_turn), 1))]),
         np.concatenate([np.full(len(plain), np.inf), np.tile(swing, len(with_turn))]),

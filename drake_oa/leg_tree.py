@@ -10,7 +10,6 @@ that the same tree grows each time.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -19,7 +18,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from drake_oa.evasion import DIRECTIONS
-from drake_oa.posture_plan import PosturePlan
+from drake_oa.posture_plan import PlanMotion
 from drake_oa.values import BoolArray, FloatArray, Frozen, IntArray, PlannedMotion
 
 _LENGTH = 0.25
@@ -31,15 +30,13 @@ _FIRST_LEGS = 8
 _UP = 0.5
 """What a way up counts beside one away from the obstacle: most things stand on the table."""
 _LEAST = 0.04
-"""A leg that is blocked sooner is of no use, nor is a node so near another [m]."""
+"""A node so near another is of no use [m]."""
 _AROUND = 0.4
 """How far beside start and goal points lie [m]."""
 _APART = 0.025
 """Distance between the samples of a straight way [m]."""
 _POINTS = 4096
-
-PlanLeg = Callable[[FloatArray, PlannedMotion], PosturePlan]
-"""Plans the posture along a straight motion from a posture (n,) on."""
+"""So many of the points there are."""
 
 
 def straight_motion(p_WE: FloatArray, p_WV: FloatArray) -> PlannedMotion:
@@ -98,6 +95,10 @@ class LegTree(Frozen):
         spread = low + _halton() * (high - low)
         return np.concatenate([root + _FIRST * DIRECTIONS[order], spread])
 
+    def is_new(self, p_WV: FloatArray) -> bool:
+        """Whether a point is no node yet, nor near one."""
+        return float(np.linalg.norm(self.p_WV - p_WV, axis=1).min()) >= _LEAST
+
     def with_node(self, parent: int, p_WV: FloatArray, q: FloatArray) -> LegTree:
         """The tree with one node more."""
         return replace(
@@ -116,29 +117,56 @@ def _halton() -> FloatArray:
     return points
 
 
-def grown(
-    tree: LegTree,
-    plan: PlanLeg,
-    inside: Callable[[FloatArray], BoolArray],
-    stop_distance: float,
-    legs: int,
-) -> tuple[LegTree, int]:
+@dataclass(frozen=True)
+class Legs:
+    """What a leg may be.
+
+    Attributes:
+        plan: plans the arm's posture along it.
+        inside: which points (N, 3) the tool may be at.
+    """
+
+    plan: PlanMotion
+    inside: Callable[[FloatArray], BoolArray]
+
+    def gone(
+        self, p_WE: FloatArray, q: FloatArray, p_WV: FloatArray
+    ) -> tuple[FloatArray, FloatArray, bool]:
+        """How far the arm can go a leg, if need be slowly.
+
+        Args:
+            p_WE, q: (3,) and (n,) from where and in which posture [m, rad].
+            p_WV: (3,) where to [m].
+
+        Returns:
+            (3,) and (n,) where it gets to and in which posture, and whether that is the end.
+        """
+        motion = straight_motion(p_WE, p_WV)
+        found = self.plan(q, motion)
+        may = np.array(self.inside(motion.p_WE))
+        # Who is outside may come in.
+        may[: int(may.argmax())] = True
+        count = min(found.free, len(may) if may.all() else int(may.argmin()))
+        if count < 2:
+            return p_WE, q, False
+        return motion.p_WE[count - 1], found.q[count - 1], count == len(motion)
+
+
+def grown(tree: LegTree, legs: Legs, count: int) -> tuple[LegTree, int]:
     """Grows a tree until a leg leads to the goal.
 
     Args:
         tree: as it is.
-        plan: plans a leg.
-        inside: which points (N, 3) the tool may be at.
-        stop_distance: what a blocked leg keeps as far as it is gone [m].
-        legs: about so many are planned.
+        legs: what a leg may be.
+        count: about so many are looked at.
 
     Returns:
         The tree, and the node from which a leg leads to the goal; -1: there is none.
     """
     aims = tree.aims()
-    allowed = inside(aims)
-    planned = 0
-    while planned < legs and tree.tried < len(aims):
+    allowed = legs.inside(aims)
+    looked_at = 0
+    while looked_at < count and tree.tried < len(aims):
         aim, may = aims[tree.tried], allowed[tree.tried]
         tree = replace(tree, tried=tree.tried + 1)
         if not may:
@@ -147,71 +175,52 @@ def grown(
         row = int(off.argmin())
         share = min(1.0, _LENGTH / max(float(off[row]), 1e-9))
         end = tree.p_WV[row] + share * (aim - tree.p_WV[row])
-        if not inside(end[None])[0]:
-            continue
-        planned += 1
-        tree, new = _extended(tree, row, end, plan, stop_distance)
-        while new >= 0 and planned < legs:
-            planned += 1
-            motion = straight_motion(tree.p_WV[new], tree.p_WG)
-            found = plan(tree.q[new], motion)
-            if found.works:
-                return tree, new
-            tree, new = _added(tree, new, motion, found, stop_distance)
+        p_WV, q, _ = legs.gone(tree.p_WV[row], tree.q[row], end)
+        looked_at += 1
+        while tree.is_new(p_WV):
+            tree, row = tree.with_node(row, p_WV, q), len(tree)
+            p_WV, q, whole = legs.gone(p_WV, q, tree.p_WG)
+            looked_at += 1
+            if whole:
+                return tree, row
     return tree, -1
 
 
-def _extended(
-    tree: LegTree, row: int, end: FloatArray, plan: PlanLeg, stop_distance: float
-) -> tuple[LegTree, int]:
-    motion = straight_motion(tree.p_WV[row], end)
-    return _added(tree, row, motion, plan(tree.q[row], motion), stop_distance)
-
-
-def _added(
-    tree: LegTree, row: int, motion: PlannedMotion, found: PosturePlan, stop_distance: float
-) -> tuple[LegTree, int]:
-    """The tree with what of a leg can be gone, and the new node; -1: none of it."""
-    last = len(found) - 1 if found.works else _free(found, stop_distance) - 1
-    if last < 1:
-        return tree, -1
-    end = motion.p_WE[last]
-    if float(np.linalg.norm(tree.p_WV - end, axis=1).min()) < _LEAST:
-        return tree, -1
-    return tree.with_node(row, end, found.q[last]), len(tree)
-
-
-def _free(found: PosturePlan, stop_distance: float) -> int:
-    """How many samples of a plan come before what is too near or too fast."""
-    if not len(found) or not math.isfinite(found.hurry):
-        return 0
-    free = (found.distance >= stop_distance) & (found.apart > 0.0)
-    free[0] = True
-    return int(len(free) if free.all() else free.argmin())
-
-
-def shortened_way(tree: LegTree, row: int, plan: PlanLeg) -> tuple[FloatArray, FloatArray]:
+def shortened_way(tree: LegTree, row: int, legs: Legs) -> tuple[FloatArray, FloatArray]:
     """The points of the way to a node that the arm needs to get to it and on to the goal.
 
     Args:
         tree: grown so that a leg leads from the node to the goal.
         row: the node, not the first one.
-        plan: plans a leg.
+        legs: what a leg may be.
 
     Returns:
-        (k, 3) the points [m], one at least, and (n,) the posture at the last one [rad].
+        (k, 3) the points [m] and (n,) the posture at the last one [rad]; no points where the
+        way cannot be gone any more.
     """
     whole = tree.way(row)
-    p_WE, q, kept, at = tree.p_WV[0], tree.q[0], [], -1
-    while at < len(whole) - 1:
-        for ahead in range(len(whole) - 1, at, -1):
-            found = plan(q, straight_motion(p_WE, whole[ahead]))
-            if found.works:
+    for points in (_needed(tree, whole, legs), whole):
+        p_WE, q = tree.p_WV[0], tree.q[0]
+        for p_WV in points:
+            p_WE, q, goes = legs.gone(p_WE, q, p_WV)
+            if not goes:
                 break
         else:
-            return whole, tree.q[row]
-        p_WE, q, at = whole[ahead], found.q[-1], ahead
+            if legs.gone(p_WE, q, tree.p_WG)[2]:
+                return points, q
+    return np.zeros((0, 3)), tree.q[0]
+
+
+def _needed(tree: LegTree, whole: FloatArray, legs: Legs) -> FloatArray:
+    """Of points (k, 3) those that are left when from each the farthest one is gone to."""
+    p_WE, q, kept, at = tree.p_WV[0], tree.q[0], [], 0
+    while at < len(whole):
+        for ahead in range(len(whole) - 1, at - 1, -1):
+            reached, posture, goes = legs.gone(p_WE, q, whole[ahead])
+            if goes:
+                break
+        else:
+            return whole
+        p_WE, q, at = reached, posture, ahead + 1
         kept.append(p_WE)
-    if not plan(q, straight_motion(p_WE, tree.p_WG)).works:
-        return whole, tree.q[row]
-    return np.array(kept), q
+    return np.array(kept)

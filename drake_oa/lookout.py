@@ -153,11 +153,13 @@ class Ways:
     Attributes:
         clearance: (C,) least distance on each [m]; -inf where the arm cannot go it, or it was
             not looked at to its end.
+        distance: (C,) the same as far as it was looked at, whether or not the arm can go it [m].
         when: (C,) when it is least [s].
         row: (C,) the obstacle's row, see `evasion_kernels.NOTHING`.
     """
 
     clearance: FloatArray
+    distance: FloatArray
     when: FloatArray
     row: IntArray
 
@@ -260,11 +262,9 @@ class Lookout:
         )
         out[:, 2] = kernels.NOTHING
         out[inside] = found
-        clearance = out[:, 0] - self._parameters.padding
-        able = out[:, 3] > 0.0
-        return Ways(
-            np.where(able, clearance, -np.inf), out[:, 1].copy(), out[:, 2].astype(np.int64)
-        )
+        distance = out[:, 0] - self._parameters.padding
+        clearance = np.where(out[:, 3] > 0.0, distance, -np.inf)
+        return Ways(clearance, distance, out[:, 1].copy(), out[:, 2].astype(np.int64))
 
     def _inside(self, shifts: FloatArray) -> BoolArray:
         """Whether ways stay in the workspace, or at least do not leave it further."""

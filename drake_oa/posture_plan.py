@@ -24,8 +24,9 @@ that an arm that nothing is near to stays where it would be without a plan.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -33,7 +34,7 @@ from drake_oa import posture_kernels as kernels
 from drake_oa.arm_motion import ArmModel, ArmSurroundings
 from drake_oa.kernel_arrays import kernel_arrays
 from drake_oa.posture_trace_kernels import plan_traced
-from drake_oa.values import FloatArray, Frozen, IntArray
+from drake_oa.values import FloatArray, Frozen, IntArray, PlannedMotion
 
 REDUNDANT = 2
 """The joint whose value tells the postures of a 7R arm apart: the upper arm's roll."""
@@ -137,6 +138,7 @@ class PosturePlan(Frozen):
         hurry: largest share of a joint's allowed speed that is needed; inf without postures.
         short: what is missing of the stop distance, of the obstacles or the links
             themselves [m]; 0: the arm can go.
+        free: how many samples from the first on nothing is missing of.
     """
 
     s: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -147,6 +149,7 @@ class PosturePlan(Frozen):
     limit: FloatArray = field(default_factory=lambda: np.zeros(0))
     hurry: float = math.inf
     short: float = 0.0
+    free: int = 0
 
     def __len__(self) -> int:
         return len(self.q)
@@ -155,6 +158,10 @@ class PosturePlan(Frozen):
     def works(self) -> bool:
         """Whether the arm can follow the path by it."""
         return len(self.q) > 0 and self.short == 0.0 and self.hurry <= _HURRIED
+
+
+PlanMotion: TypeAlias = Callable[[FloatArray, PlannedMotion], PosturePlan]
+"""Plans the posture along a motion, from a posture (n,) on."""
 
 
 def plan_posture(
@@ -320,12 +327,12 @@ def _described(
     # Where the arm is now cannot be chosen; from too near it has to be left.
     first = 1 if len(s) > 1 else 0
     left = _leaving(distance, float(rules[kernels.STOP]))
-    short = max(
-        float(rules[kernels.STOP] - distance[left:].min()),
-        float(rules[kernels.SELF_STOP] - apart[first:].min()),
-        0.0,
-    )
-    return PosturePlan(s, np.array(way), distance, nearest, apart, limit, hurry, short)
+    lacks = np.zeros(len(s))
+    lacks[left:] = rules[kernels.STOP] - distance[left:]
+    lacks[first:] = np.maximum(lacks[first:], rules[kernels.SELF_STOP] - apart[first:])
+    short = max(float(lacks.max()), 0.0)
+    free = int((lacks > 0.0).argmax()) if short else len(s)
+    return PosturePlan(s, np.array(way), distance, nearest, apart, limit, hurry, short, free)
 
 
 def _leaving(distance: FloatArray, stop: float) -> int:

@@ -286,7 +286,7 @@ class Scenario:
     regulation: Verified | Regressor = dc.field(default_factory=Verified)
     # What watches the motion of the robot, or null: nothing does.
     supervisor: Supervisor | None = dc.field(default_factory=Supervisor)
-    # What gets the tool out of the way of what moves, or null: nothing does; nor does anything
+    # What gets the arm out of the way of what moves, or null: nothing does; nor does anything
     # without a supervisor.
     evasion: Evasion | None = dc.field(default_factory=Evasion)
     # Height of the table in the world; null: there is none [m].

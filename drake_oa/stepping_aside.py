@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from drake_oa.leg_tree import LegTree
-from drake_oa.values import FloatArray, Frozen
+from drake_oa.values import EllipsoidSet, FloatArray, Frozen
 
 
 def _nowhere() -> FloatArray:
@@ -23,12 +23,14 @@ class Aside(Frozen):
         further: (k, 3) points that it goes to from there, in turn [m].
         p_WG: (3,) goal that they were chosen for [m]; (0,) without one.
         tree: of the legs that were looked at where the tool was stuck last.
+        seen: the obstacles then.
     """
 
     p_WV: FloatArray = _nowhere()
     further: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     p_WG: FloatArray = _nowhere()
     tree: LegTree = field(default_factory=LegTree)
+    seen: EllipsoidSet = field(default_factory=EllipsoidSet)
 
     def by(self, points: FloatArray, p_WG: FloatArray) -> Aside:
         """That leads by points (k, 3), one at least, to a goal (3,) [m]."""
@@ -39,4 +41,8 @@ class Aside(Frozen):
         """That goes on from V; with no further point there is none."""
         if len(self.further):
             return replace(self, p_WV=self.further[0], further=self.further[1:])
-        return Aside()
+        return self.given_up()
+
+    def given_up(self) -> Aside:
+        """None; what has been tried is not forgotten."""
+        return Aside(tree=self.tree, seen=self.seen)

@@ -11,6 +11,7 @@ import numpy as np
 from drake_oa.arm_motion import ArmModel, ArmSurroundings
 from drake_oa.posture_plan import (
     REDUNDANT,
+    PlanMotion,
     PostureParameters,
     PosturePlan,
     plan_posture,
@@ -124,14 +125,9 @@ class WholeArm:
         self._parameters = parameters or PostureParameters()
         self._orientation = orientation
 
-    @property
-    def stop_distance(self) -> float:
-        """What a posture keeps at least [m]."""
-        return self._parameters.stop_distance
-
     def leg_planner(
         self, sight: ArmSight, table: TablePlane | None, *, seconds: float, time: float
-    ) -> Callable[[FloatArray, PlannedMotion], PosturePlan]:
+    ) -> PlanMotion:
         """What plans the posture along motions from given postures, as of `planned`."""
         around = ArmSurroundings.of(sight.obstacles, table, sight.viewpoint_W)
 
@@ -252,8 +248,9 @@ class WholeArm:
             return now
         around = ArmSurroundings.of(sight.obstacles, table, sight.viewpoint_W)
         best = replace(now, plan=PosturePlan(short=math.inf), failed=True)
-        shares = _SLOWER[:1] if around.points.v_WO.any() else _SLOWER
-        for slower in shares if pace >= 1.0 else (pace, *shares):
+        shares = (pace, *_SLOWER) if pace < 1.0 else _SLOWER
+        # Among moving obstacles a motion is verified at its own pace.
+        for slower in _SLOWER[:1] if around.points.v_WO.any() else shares:
             plan = self._plan(around, sight.q, motion, slower * seconds, time, thorough=thorough)
             if plan.works or plan.short < best.plan.short - _GAINED:
                 best = replace(now, plan=plan, motion=replace(motion, q=plan.q), slower=slower)

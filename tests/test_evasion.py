@@ -1,6 +1,7 @@
 """Getting out of the way of what moves: looking ahead, and choosing."""
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -18,6 +19,7 @@ from drake_oa.evasion import (
     displaced,
     planned_shift,
     ramped,
+    shortened,
     stopping_shift,
 )
 from drake_oa.lookout import Arm, EvasionParameters, Lookout
@@ -293,13 +295,49 @@ def test_an_elbow_that_is_come_at_turns_out_of_the_way_and_the_tool_stays() -> N
     free = home().free
     np.testing.assert_allclose(free @ (free.T @ found.turn), found.turn, atol=1e-12)
     assert found.clearance >= turns.margin
+    # It keeps the posture that it has turned to until nothing that moves is near any more.
+    leaving = ball(home().p_WE + [0.16, 0.0, 0.0], np.array([0.02, 0.0, 0.0]))
+    after = decide(leaving, before=found, parameters=turns)
+    assert (after.action, after.turn.tolist()) == ("", [0.0] * 7)
     elsewhere = ball(home().p_WE + [2.0, 0.0, 0.0], np.array([0.1, 0.0, 0.0]))
-    assert decide(elsewhere, before=found, parameters=turns) is NOTHING_MOVES
+    assert decide(elsewhere, before=after, parameters=turns) is NOTHING_MOVES
 
 
 def test_without_a_null_space_or_a_speed_the_tool_is_displaced() -> None:
     found = decide(at_the_elbow())
     assert (found.action, len(found.turn)) == ("evading", 0)
+    stiff = replace(home(), free=np.zeros((7, 0)))
+    turns, obstacles = EvasionParameters(padding=0.0, turn_speed=1.5), at_the_elbow()
+    policy = PolicyState(p_WE=stiff.p_WE)
+    ahead = Lookout(stiff, obstacles, NO_TABLE, 0.0, turns)
+    same = choose(
+        NOTHING_MOVES, np.zeros(3), np.ones(7), policy, None, 0.3, RATE, ahead, obstacles, turns
+    )
+    assert (same.action, len(same.turn)) == ("evading", 0)
+    np.testing.assert_array_equal(same.velocity, found.velocity)
+
+
+def test_an_arm_that_can_go_no_way_is_held_or_caught() -> None:
+    # Beyond all of its limits, so that not even standing still is allowed.
+    stuck = replace(home(), lower=home().q + 1.0, speed=np.zeros(7))
+    for center, action in ((0.12, "caught"), (0.25, "waiting")):
+        obstacles = ball(stuck.p_WE + [center, 0.0, 0.0], np.array([-0.1, 0.0, 0.0]), 0.05)
+        ahead = Lookout(stuck, obstacles, NO_TABLE, 0.0, PARAMETERS)
+        policy = PolicyState(p_WE=stuck.p_WE)
+        found = choose(
+            NOTHING_MOVES,
+            np.array([0.1, 0.0, 0.0]),
+            np.zeros(7),
+            policy,
+            None,
+            0.3,
+            RATE,
+            ahead,
+            obstacles,
+            PARAMETERS,
+        )
+        assert (found.action, found.velocity.tolist()) == (action, [0.0] * 3)
+        assert math.isfinite(found.clearance)
 
 
 @settings(max_examples=25, deadline=None)
@@ -314,7 +352,10 @@ def test_it_is_never_worse_than_standing_still(seed: int) -> None:
     found = decide(obstacles)
     look = lookout(obstacles)
     still = look.look(np.zeros((1, PARAMETERS.instants, 3))).clearance[0]
-    assert found.clearance >= min(still, PARAMETERS.margin) - 1e-9
+    shift = displaced(np.zeros(3), found.velocity[None], PARAMETERS.times, PARAMETERS.acceleration)
+    ways = np.concatenate([shift, shortened(shift, 0.2)])
+    chosen = look.look(ways).clearance.max()
+    assert chosen >= min(still, PARAMETERS.margin) - 1e-9
     assert np.linalg.norm(found.velocity) <= PARAMETERS.speed + 1e-9
     # And the same each time.
     np.testing.assert_array_equal(decide(obstacles).velocity, found.velocity)

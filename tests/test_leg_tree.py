@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drake_oa.leg_tree import LegTree, grown, shortened_way, straight_motion
+from drake_oa.leg_tree import Legs, LegTree, grown, shortened_way, straight_motion
 from drake_oa.posture_plan import PosturePlan
 from drake_oa.values import BoolArray, FloatArray, PlannedMotion
 
@@ -29,9 +29,8 @@ def plan(q: FloatArray, motion: PlannedMotion) -> PosturePlan:
         s=motion.s,
         q=motion.p_WE,
         distance=distance,
-        apart=np.ones(len(motion)),
-        hurry=0.5,
         short=max(0.0, STOP - float(distance.min())),
+        free=len(motion) if (distance >= STOP).all() else int((distance < STOP).argmax()),
     )
 
 
@@ -39,54 +38,76 @@ def anywhere(points: FloatArray) -> BoolArray:
     return points[:, 2] >= -0.2
 
 
-def grow(inside=anywhere, legs: int = 300) -> tuple[LegTree, int]:
-    return grown(LegTree.at(START, START, GOAL, [0.3, 0.0, 0.0]), plan, inside, STOP, legs)
+def start() -> LegTree:
+    return LegTree.at(START, START, GOAL, [0.3, 0.0, 0.0])
+
+
+LEGS = Legs(plan, anywhere)
 
 
 def test_it_finds_the_way_over_a_wall() -> None:
-    tree, row = grow()
+    tree, row = grown(start(), LEGS, 300)
     assert row > 0
-    assert plan(tree.q[row], straight_motion(tree.p_WV[row], GOAL)).works
     way = np.concatenate([START[None], tree.way(row), GOAL[None]])
     for one, other in itertools.pairwise(way):
-        assert plan(one, straight_motion(one, other)).works
+        assert LEGS.gone(one, one, other)[2]
     assert way[:, 2].max() > 0.3
     assert anywhere(tree.p_WV).all()
 
 
 def test_what_is_no_need_is_left_out() -> None:
-    tree, row = grow()
-    points, q = shortened_way(tree, row, plan)
+    tree, row = grown(start(), LEGS, 300)
+    points, q = shortened_way(tree, row, LEGS)
     assert 1 <= len(points) <= len(tree.way(row))
     np.testing.assert_array_equal(points[-1], q)
     way = np.concatenate([START[None], points, GOAL[None]])
     for one, other in itertools.pairwise(way):
-        assert plan(one, straight_motion(one, other)).works
+        assert LEGS.gone(one, one, other)[2]
+
+
+def test_a_way_that_can_not_be_gone_any_more_is_none() -> None:
+    tree, row = grown(start(), LEGS, 300)
+    higher = Legs(plan, lambda points: points[:, 2] <= 0.2)
+    assert len(shortened_way(tree, row, higher)[0]) == 0
 
 
 def test_it_grows_on_and_each_time_in_the_same_way() -> None:
-    whole, row = grow()
-    tree, found = LegTree.at(START, START, GOAL, [0.3, 0.0, 0.0]), -1
+    whole, row = grown(start(), LEGS, 300)
+    tree, found = start(), -1
     while found < 0:
         tried = tree.tried
-        tree, found = grown(tree, plan, anywhere, STOP, 10)
+        tree, found = grown(tree, LEGS, 10)
         assert tree.tried > tried
-    again = grow()
-    assert again[1] == row
-    np.testing.assert_array_equal(again[0].p_WV, whole.p_WV)
-    # In steps the greedy legs are cut short, and the points are the same.
-    np.testing.assert_array_equal(tree.aims(), whole.aims())
+    assert found == row
+    np.testing.assert_array_equal(tree.p_WV, whole.p_WV)
 
 
 def test_where_nothing_leads_on_there_is_none() -> None:
-    tree, row = grow(lambda points: np.zeros(len(points), dtype=bool))
+    nowhere = Legs(plan, lambda points: np.zeros(len(points), dtype=bool))
+    tree, row = grown(start(), nowhere, 300)
     assert (row, len(tree), tree.tried) == (-1, 1, len(tree.aims()))
 
 
 def test_a_blocked_leg_counts_as_far_as_it_leads() -> None:
-    tree, row = grow(legs=2)
-    assert row == -1
+    reached, q, whole = LEGS.gone(START, START, GOAL)
+    assert not whole
+    # The wall begins at 0.28 m; samples are up to 25 mm apart.
+    assert 0.22 < reached[0] <= 0.25
+    np.testing.assert_array_equal(reached, q)
+    # The first node leads away; from it and from the others the goal is tried.
+    tree, _ = grown(start(), LEGS, 3)
+    assert len(tree) >= 3
     assert wall(tree.p_WV).min() >= STOP
+
+
+def test_no_leg_leads_through_where_the_tool_may_not_be() -> None:
+    hole = Legs(plan, lambda points: np.linalg.norm(points - [0.0, 0.3, 0.0], axis=1) > 0.1)
+    reached, _, whole = hole.gone(START, START, np.array([0.0, 0.6, 0.0]))
+    assert not whole
+    assert 0.15 < reached[1] <= 0.2
+    # Who is in it may come out.
+    inside, out = np.array([0.0, 0.3, 0.0]), np.array([0.0, 0.5, 0.0])
+    assert hole.gone(inside, inside, out)[2]
 
 
 @settings(max_examples=30, deadline=None)

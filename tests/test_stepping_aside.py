@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from drake_oa.leg_tree import LegTree
 from drake_oa.stepping_aside import Aside
 
 
@@ -13,4 +14,11 @@ def test_it_leads_from_point_to_point_and_ends() -> None:
         np.testing.assert_array_equal(aside.further, points[row + 1 :])
         np.testing.assert_array_equal(aside.p_WG, [1.0, 2.0, 3.0])
         aside = aside.reached()
-    assert (len(aside.p_WV), len(aside.p_WG), len(aside.tree)) == (0, 0, 0)
+    assert (len(aside.p_WV), len(aside.p_WG)) == (0, 0)
+
+
+def test_given_up_what_has_been_tried_is_kept() -> None:
+    tree = LegTree.at(np.zeros(3), np.zeros(7), np.ones(3), np.ones(3))
+    aside = Aside(tree=tree).by(np.ones((2, 3)), np.ones(3)).given_up()
+    assert (len(aside.p_WV), len(aside.further), len(aside.p_WG)) == (0, 0, 0)
+    assert aside.tree is tree

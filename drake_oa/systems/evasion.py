@@ -18,7 +18,7 @@ from pydrake.systems.framework import (
 
 from drake_oa.collision_shapes import RobotModel
 from drake_oa.dmp import Dmp, normalised_time
-from drake_oa.evasion import NOTHING_MOVES, Evasion, choose, ramped
+from drake_oa.evasion import NOTHING_MOVES, Evasion, choose, left_alone, ramped
 from drake_oa.lookout import Arm, EvasionParameters, Lookout
 from drake_oa.supervision_geometry import GuardShapes, ObstaclePoints
 from drake_oa.systems.model_context import ModelContext
@@ -184,14 +184,14 @@ class ObstacleEvasion(LeafSystem):
         time, obstacles = context.get_time(), kept.obstacles
         policy = read_value(self, self._policy, context, PolicyState)
         x = self._robot_state.Eval(context)
-        if (
-            not (obstacles.v_WO.any() or kept.evasion.action)
-            or time - obstacles.stamp > self._max_age
-            or not math.isfinite(x.sum() + policy.z_W.sum())
-        ):
+        unknown = time - obstacles.stamp > self._max_age or not math.isfinite(
+            x.sum() + policy.z_W.sum()
+        )
+        if unknown or not (obstacles.v_WO.any() or kept.evasion.action):
             if before.evasion is NOTHING_MOVES and kept is before:
                 return before
-            return replace(kept, evasion=NOTHING_MOVES)
+            turned = unknown and len(before.evasion.turn) > 0
+            return replace(kept, evasion=left_alone(before.evasion) if turned else NOTHING_MOVES)
         table = obstacles.table or self._table
         plane = np.full(4, np.nan)
         if table is not None:

@@ -34,9 +34,10 @@ class PostureFollower(LeafSystem):
       `CartesianInverseDynamics`.
 
     The posture is that of the plan at the policy's normalised time, so that it rests while the
-    motion is held, and where it begins anew until there is a plan for that. A new plan is taken
-    over smoothly; without one it is the posture given here, at rest. The plan under way is
-    abstract state.
+    motion is held, and where it begins anew until there is a plan for that; but for what is
+    evaded it leaves the plan, also while the motion is held. A new plan, or one that was left, is
+    taken over smoothly (`drake_oa.posture_course`); without one it is the posture given here,
+    at rest. The plan under way is abstract state.
     """
 
     def __init__(
