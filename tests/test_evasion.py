@@ -353,7 +353,7 @@ def test_it_is_never_worse_than_standing_still(seed: int) -> None:
     look = lookout(obstacles)
     still = look.look(np.zeros((1, PARAMETERS.instants, 3))).clearance[0]
     shift = displaced(np.zeros(3), found.velocity[None], PARAMETERS.times, PARAMETERS.acceleration)
-    ways = np.concatenate([shift, shortened(shift, 0.2)])
+    ways = np.concatenate([shift, shortened(shift, 0.2), shortened(shift, 0.08)])
     chosen = look.look(ways).clearance.max()
     assert chosen >= min(still, PARAMETERS.margin) - 1e-9
     assert np.linalg.norm(found.velocity) <= PARAMETERS.speed + 1e-9
