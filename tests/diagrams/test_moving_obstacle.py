@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.experiments.panda_run import run_and_judge
 from drake_oa.experiments.panda_scenes import draw_panda_scene
 from drake_oa.metrics import robot_metrics
@@ -86,3 +87,18 @@ def test_stuck_beside_what_came_to_rest_it_steps_aside_and_arrives() -> None:
     assert result["contacts"] == []
     notes = [event["note"] for event in result["events"]]
     assert "at the point beside the obstacle" in notes
+
+
+def test_what_evades_turns_the_arm_too() -> None:
+    diagram = build_avoidance(with_truth())
+    follower = diagram.GetSubsystemByName("posture_follower")
+    context = follower.GetMyContextFromRoot(diagram.CreateDefaultContext())
+    assert follower.GetInputPort("evading").HasValue(context)
+
+
+@pytest.mark.slow
+def test_a_ball_that_comes_at_the_elbow_is_let_past() -> None:
+    # No displacement of the tool alone keeps link 4 off it.
+    result = run_and_judge(draw_panda_scene(0, 38, kind="moving"), "verified", "depth").result
+    assert result["outcome"] == "success"
+    assert result["contacts"] == []
