@@ -30,6 +30,13 @@ from drake_oa.evasion_kernels import NOTHING
 from drake_oa.lookout import EvasionParameters, Lookout, Ways
 from drake_oa.supervision_geometry import ObstaclePoints
 from drake_oa.values import FloatArray, Frozen, PlannedMotion, PolicyState
+from drake_oa.ways_ahead import (
+    DIRECTIONS,
+    displaced,
+    planned_shift,
+    shortened,
+    stopping_shift,
+)
 
 Evading = Literal["", "going on", "waiting", "evading", "caught"]
 
@@ -54,16 +61,8 @@ _SLOW = 0.03
 """A displacement below this does not lead away from what has come to rest [m/s]."""
 
 
-def _directions() -> FloatArray:
-    """(26, 3) unit vectors to the faces, edges and corners of a cube."""
-    grid = np.array(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3, indexing="ij")).reshape(3, -1).T
-    grid = grid[np.any(grid != 0.0, axis=1)]
-    return np.asarray(grid / np.linalg.norm(grid, axis=1, keepdims=True))
-
-
 _Wanted: TypeAlias = tuple[FloatArray, FloatArray]
 """(C, m) velocities, and (C,) how far each leads; inf: as far as there is time."""
-DIRECTIONS = _directions()
 _FACES = DIRECTIONS[np.count_nonzero(DIRECTIONS, axis=1) == 1]
 _LEFT: tuple[Evading, Evading] = ("going on", "waiting")
 """What becomes of the motion while only the arm turns, the better one first."""
@@ -105,77 +104,6 @@ NOTHING_MOVES = Evasion()
 def left_alone(before: Evasion) -> Evasion:
     """The motion goes on, and a posture that has left its plan stays where it is."""
     return replace(NOTHING_MOVES, turn=np.zeros_like(before.turn))
-
-
-def displaced(
-    velocity: FloatArray, wanted: FloatArray, times: FloatArray, acceleration: float
-) -> FloatArray:
-    """How far a displacement has led.
-
-    Args:
-        velocity: (m,) what it has now [m/s, rad/s].
-        wanted: (C, m) velocities that it is brought to at a constant acceleration.
-        times: (K,) [s].
-        acceleration: [m/s^2, rad/s^2].
-
-    Returns:
-        (C, K, m) [m, rad].
-    """
-    change = wanted - velocity
-    size = np.linalg.norm(change, axis=1)
-    until = (size / acceleration)[:, None, None]
-    t = times[None, :, None]
-    ramp = np.minimum(t, until)
-    rate = (change / np.maximum(size, 1e-12)[:, None] * acceleration)[:, None]
-    return np.asarray(velocity * t + rate * ramp * (0.5 * ramp + np.maximum(t - until, 0.0)))
-
-
-def shortened(ways: FloatArray, reach: FloatArray | float) -> FloatArray:
-    """(C, K, m) ways that end where they have led as far as `reach`, (C,) or of all."""
-    far = np.maximum(np.linalg.norm(ways, axis=2), 1e-12)
-    share = np.minimum(1.0, np.reshape(reach, (-1, 1)) / far)
-    return np.asarray(ways * share[:, :, None])
-
-
-def ramped(velocity: FloatArray, wanted: FloatArray, most: float) -> FloatArray:
-    """(m,) a velocity on its way to the wanted one, changed by a norm of `most` or less."""
-    change = wanted - velocity
-    size = float(np.linalg.norm(change))
-    return np.array(wanted if size <= most else velocity + change * (most / size))
-
-
-def planned_shift(
-    policy: PolicyState,
-    motion: PlannedMotion | None,
-    s: float,
-    rate: float,
-    times: FloatArray,
-) -> FloatArray:
-    """How far the motion leads the tool at a rate of normalised time.
-
-    Args:
-        policy: where it is.
-        motion: what is expected of it, or None: it goes straight on.
-        s: normalised time now.
-        rate: ds/dt [1/s].
-        times: (K,) [s].
-
-    Returns:
-        (K, 3) [m].
-    """
-    if motion is None or len(motion) < 2 or s >= motion.s[-1]:
-        left = np.minimum(rate * times, max(1.0 - s, 0.0))
-        return np.asarray(left[:, None] * policy.z_W)
-    at = s + rate * times
-    path = np.stack([np.interp(at, motion.s, axis) for axis in motion.p_WE.T], axis=-1)
-    here = np.array([np.interp(s, motion.s, axis) for axis in motion.p_WE.T])
-    return np.asarray(path - here)
-
-
-def stopping_shift(v_WE: FloatArray, times: FloatArray, hold_time: float) -> FloatArray:
-    """(K, 3) how far a motion at v_WE (3,) still leads while it is brought to rest [m]."""
-    t = np.minimum(times, hold_time)
-    return np.asarray((t - 0.5 * t * t / hold_time)[:, None] * v_WE)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,9 +17,9 @@ from functools import cache
 import numpy as np
 from scipy.stats import qmc
 
-from drake_oa.evasion import DIRECTIONS
 from drake_oa.posture_plan import PlanMotion
 from drake_oa.values import BoolArray, FloatArray, Frozen, IntArray, PlannedMotion
+from drake_oa.ways_ahead import DIRECTIONS
 
 _LENGTH = 0.25
 """A leg toward a point leads no farther [m]."""

@@ -17,10 +17,10 @@ from functools import cached_property
 
 import numpy as np
 
-from drake_oa.evasion import ramped
 from drake_oa.kernel_arrays import kernel_arrays
 from drake_oa.posture_course_kernels import course_at
 from drake_oa.values import FloatArray, Frozen, PlannedMotion
+from drake_oa.ways_ahead import ramped
 
 TAKE_OVER = 4.0
 """How fast a new plan is taken over, w [1/s]."""

@@ -12,22 +12,14 @@ from pydrake.multibody.tree import JacobianWrtVariable
 
 from drake_oa import evasion_kernels as kernels
 from drake_oa.collision_shapes import collect_collision_shapes
-from drake_oa.evasion import (
-    NOTHING_MOVES,
-    Evasion,
-    choose,
-    displaced,
-    planned_shift,
-    ramped,
-    shortened,
-    stopping_shift,
-)
+from drake_oa.evasion import NOTHING_MOVES, Evasion, choose
 from drake_oa.lookout import Arm, EvasionParameters, Lookout
 from drake_oa.scenario import Robot
 from drake_oa.station import home_positions, make_robot_plant
 from drake_oa.supervision_geometry import GuardShapes, ObstaclePoints
 from drake_oa.systems.supervisor import arm_joints
 from drake_oa.values import FloatArray, ObstacleClouds, PlannedMotion, PolicyState
+from drake_oa.ways_ahead import displaced, planned_shift, ramped, shortened, stopping_shift
 
 PARAMETERS = EvasionParameters(padding=0.0)
 NO_TABLE = np.full(4, np.nan)

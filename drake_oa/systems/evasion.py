@@ -18,7 +18,7 @@ from pydrake.systems.framework import (
 
 from drake_oa.collision_shapes import RobotModel
 from drake_oa.dmp import Dmp, normalised_time
-from drake_oa.evasion import NOTHING_MOVES, Evasion, choose, left_alone, ramped
+from drake_oa.evasion import NOTHING_MOVES, Evasion, choose, left_alone
 from drake_oa.lookout import Arm, EvasionParameters, Lookout
 from drake_oa.supervision_geometry import GuardShapes, ObstaclePoints
 from drake_oa.systems.model_context import ModelContext
@@ -32,6 +32,7 @@ from drake_oa.values import (
     PolicyState,
     TablePlane,
 )
+from drake_oa.ways_ahead import ramped
 
 _logger = logging.getLogger("drake_oa")
 
