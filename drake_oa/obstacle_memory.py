@@ -43,6 +43,9 @@ class TrackingConfig:
     coast_time: float = 0.5
     # after this long it is mentioned in the note.
     mentioned_after: float = 0.3
+    # An obstacle that does not move has no velocity along an axis that it was not measured
+    # along for this long.
+    blind_time: float = 0.2
     # After a gap longer than this between frames no velocity is believed.
     longest_gap: float = 1.0
     # Parts of an obstacle that are apart for so many frames are two.
@@ -91,6 +94,7 @@ class Tracks(Frozen):
             `FilterNoise.patience` times, and once where it was only likely.
         still: (M,) for how long it was not [s].
         unseen: (M,) for how long it was not measured [s].
+        blind: (M, 3) for how long it was not along each axis of the world [s].
         odd: (M,) outliers in a row.
         apart: (M,) frames in a row in which it was seen in parts.
         together: (M,) for how long it is one cluster with a larger one [s].
@@ -107,6 +111,7 @@ class Tracks(Frozen):
     significant: IntArray = _zeros(0, kind=np.int64)
     still: FloatArray = _zeros(0)
     unseen: FloatArray = _zeros(0)
+    blind: FloatArray = _zeros(0, 3)
     odd: IntArray = _zeros(0, kind=np.int64)
     apart: IntArray = _zeros(0, kind=np.int64)
     together: FloatArray = _zeros(0)

@@ -41,7 +41,8 @@ def predicted_tracks(tracks: Tracks, dt: float, config: TrackingConfig) -> Track
         }
         estimate = MotionEstimate(estimate.p_W, **parts)
     # Where it does not move significantly, noise must not carry it away while hidden.
-    still = (~moving & (tracks.unseen > 0.0))[:, None]
+    hidden = (tracks.unseen > 0.0)[:, None] | (tracks.blind > config.blind_time)
+    still = ~moving[:, None] & hidden
     estimate = changed(estimate, v_W=np.where(still, 0.0, estimate.v_W))
     estimate = predicted(estimate, min(dt, config.longest_gap), config.filter)
     step = np.where(moving[:, None], estimate.p_W - tracks.p_shift_W, 0.0)
@@ -75,6 +76,7 @@ def measured_tracks(tracks: Tracks, seen: SeenSides, dt: float, config: Tracking
             sides=np.where(off[:, None, None], tracks.sides, learned),
             area=np.maximum(seen.area, np.where(whole, _SHRINKING, 1.0) * tracks.area),
             unseen=np.where(measured, 0.0, tracks.unseen + dt),
+            blind=np.where(np.isfinite(p_W), 0.0, tracks.blind + dt),
             odd=np.where(off, tracks.odd + 1, 0),
         ),
         measured,
@@ -101,8 +103,10 @@ def _decided(tracks: Tracks, measured: BoolArray, dt: float, config: TrackingCon
     still = np.where(calm, tracks.still + dt, 0.0)
     moving = tracks.moving | (significant >= noise.start_frames * noise.patience)
     moving &= still < noise.stop_time
-    follows = measured & (moving | (doubted & (distance > config.jump)))
-    step = np.where(follows[:, None], away, 0.0)
+    # What is at rest is found elsewhere only along what was measured.
+    found = np.where(moving[:, None] | (tracks.blind == 0.0), away, 0.0)
+    follows = measured & (moving | (doubted & (_lengths(found) > config.jump)))
+    step = np.where(follows[:, None], found, 0.0)
     settling = np.where((measured & ~follows)[:, None], _SETTLING * away, 0.0)
     return changed(
         tracks,

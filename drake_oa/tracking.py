@@ -243,6 +243,7 @@ class _Step:
             significant=integers,
             still=floats,
             unseen=floats,
+            blind=np.zeros((count, 3)),
             odd=integers,
             apart=integers,
             together=floats,
