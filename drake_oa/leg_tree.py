@@ -199,28 +199,25 @@ def shortened_way(tree: LegTree, row: int, legs: Legs) -> tuple[FloatArray, Floa
         way cannot be gone any more.
     """
     whole = tree.way(row)
-    for points in (_needed(tree, whole, legs), whole):
-        p_WE, q = tree.p_WV[0], tree.q[0]
-        for p_WV in points:
-            p_WE, q, goes = legs.gone(p_WE, q, p_WV)
-            if not goes:
-                break
-        else:
-            if legs.gone(p_WE, q, tree.p_WG)[2]:
-                return points, q
+    for skips in (True, False):
+        found = _walked(tree, whole, legs, skips=skips)
+        if found is not None:
+            return found
     return np.zeros((0, 3)), tree.q[0]
 
 
-def _needed(tree: LegTree, whole: FloatArray, legs: Legs) -> FloatArray:
-    """Of points (k, 3) those that are left when from each the farthest one is gone to."""
+def _walked(
+    tree: LegTree, whole: FloatArray, legs: Legs, *, skips: bool
+) -> tuple[FloatArray, FloatArray] | None:
+    """Goes by points (k, 3) to the goal; `skips`: from each on to the farthest that it can."""
     p_WE, q, kept, at = tree.p_WV[0], tree.q[0], [], 0
     while at < len(whole):
-        for ahead in range(len(whole) - 1, at - 1, -1):
+        for ahead in range(len(whole) - 1 if skips else at, at - 1, -1):
             reached, posture, goes = legs.gone(p_WE, q, whole[ahead])
             if goes:
                 break
         else:
-            return whole
+            return None
         p_WE, q, at = reached, posture, ahead + 1
         kept.append(p_WE)
-    return np.array(kept)
+    return (np.array(kept), q) if legs.gone(p_WE, q, tree.p_WG)[2] else None
