@@ -57,7 +57,7 @@ class SupervisorParameters:
         recovery_time: time in which the speed rises from rest to full [s].
         hold_below: a demand below this share of full speed holds the motion.
         resume_above: a held motion goes on when all demands are above this.
-        patience: a hold that will not end by itself becomes a stop after this time [s].
+        patience: a hold that will not end by itself is called a stop after this time [s].
 
     Raises:
         ValueError: for a value out of range.
@@ -114,7 +114,8 @@ class Supervision(Frozen):
     """What the supervisor has decided.
 
     Attributes:
-        action: "run"; "slow"; "hold": at rest until it is safe; "stop": at rest for good.
+        action: "run"; "slow"; "hold": at rest until it is safe; "stop": the same, where that
+            is not to be expected.
         speed_scale: share of full speed asked of the policy, in [0, 1].
         reason: why it does not run; "" while it does.
         since: since when action and reason are these [s].
@@ -142,6 +143,7 @@ class Demand:
         cause: what the watch calls it; two demands of one cause are the same event.
         reason: the same with its figures.
         lasting: whether it stays while the motion is at rest.
+        urgent: whether it is told even shortly after another event of the same action.
         link, obstacle, distance: see `Supervision`.
     """
 
@@ -149,6 +151,7 @@ class Demand:
     cause: str = ""
     reason: str = ""
     lasting: bool = False
+    urgent: bool = False
     link: str = ""
     obstacle: int = -1
     distance: float = math.inf
@@ -171,6 +174,7 @@ class SupervisorState(Frozen):
         blocked_since: since when the motion is held for something lasting [s].
         saturated_since: since when a torque is saturated, or since it last slowed [s].
         torque_scale: share of full speed that torque saturation leaves.
+        broken: whether nothing can be watched any more; a stop for that is for good.
     """
 
     supervision: Supervision = field(default_factory=Supervision)
@@ -181,6 +185,7 @@ class SupervisorState(Frozen):
     blocked_since: float = math.inf
     saturated_since: float = math.inf
     torque_scale: float = 1.0
+    broken: bool = False
 
     def with_observation(self, seen: ObstacleClouds) -> SupervisorState:
         """Takes over an observation that is new, good and not older than the last one.
@@ -200,8 +205,12 @@ class SupervisorState(Frozen):
         return replace(self, seen=seen, obstacles=obstacles, table=table)
 
 
-def stopped(state: SupervisorState, reason: str, time: float) -> SupervisorState:
-    """The state after a stop for good."""
+def broken(state: SupervisorState, reason: str, time: float) -> SupervisorState:
+    """The state after a stop for good: what is to be watched cannot be."""
+    return replace(_stopped(state, reason, time), broken=True)
+
+
+def _stopped(state: SupervisorState, reason: str, time: float) -> SupervisorState:
     supervision = replace(
         state.supervision, action="stop", speed_scale=0.0, reason=reason, since=time
     )
@@ -221,7 +230,7 @@ def decide(
 
     The speed asked for falls at once (the policy ramps it) and rises at a bounded rate. A
     demand below `hold_below` holds the motion until all are above `resume_above`; held for
-    something lasting for `patience`, it is stopped. A stop is final.
+    something lasting for `patience`, it is stopped, and goes on by itself as from a hold.
 
     Args:
         state: before.
@@ -233,11 +242,11 @@ def decide(
             to the policy, and no patience is lost.
     """
     before = state.supervision
-    if before.action == "stop":
-        return state
     tightest = min(demands, key=lambda demand: demand.scale)
-    held = before.action == "hold"
+    held = before.action in ("hold", "stop")
     holds = tightest.scale < (parameters.resume_above if held else parameters.hold_below)
+    if state.broken or (holds and before.action == "stop"):
+        return state
     target = 0.0 if holds else tightest.scale
     scale = min(target, before.speed_scale + elapsed / parameters.recovery_time)
     action: Action = "run"
@@ -255,12 +264,13 @@ def decide(
     ):
         blocked_since = min(state.blocked_since, time)
         if time - blocked_since >= parameters.patience:
-            return stopped(state, tightest.reason if tightest.lasting else before.reason, time)
+            return _stopped(state, tightest.reason if tightest.lasting else before.reason, time)
     cause, reason = tightest.cause, tightest.reason
     if action == "run":
         cause = reason = ""
     elif tightest.scale >= 1.0 or (
-        action == before.action and (cause == state.cause or time - before.since < _DWELL)
+        action == before.action
+        and (cause == state.cause or (time - before.since < _DWELL and not tightest.urgent))
     ):
         # The same event, or the way back from it: its first figures stay.
         cause, reason = state.cause, before.reason

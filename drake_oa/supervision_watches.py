@@ -172,12 +172,17 @@ def watch_joints(
 
 
 def watch_evasion(evading: Evasion) -> Demand:
-    """Holds a motion while it waits for something that moves, or evades it."""
+    """Holds a motion while it waits for something that moves, or evades it, or cannot."""
     if evading.action in ("", "going on"):
         return NO_DEMAND
     what = f"obstacle {evading.obstacle}"
-    reason = f"waits for {what}" if evading.action == "waiting" else f"evades {what}"
-    return Demand(0.0, "evasion", reason, obstacle=evading.obstacle, distance=evading.clearance)
+    held = Demand(0.0, "evasion", obstacle=evading.obstacle, distance=evading.clearance)
+    if evading.certain:
+        return replace(
+            held, cause="caught", reason=f"{what} cannot be evaded by this arm", urgent=True
+        )
+    waits = evading.action == "waiting"
+    return replace(held, reason=f"waits for {what}" if waits else f"evades {what}")
 
 
 def watch_tracking(error: float, parameters: SupervisorParameters) -> Demand:

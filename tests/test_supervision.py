@@ -17,6 +17,7 @@ from drake_oa.supervision import (
     Demand,
     SupervisorParameters,
     SupervisorState,
+    broken,
     decide,
 )
 from drake_oa.supervision_geometry import GuardShapes, ObstaclePoints
@@ -378,8 +379,15 @@ def test_patience_ends_for_what_stays(lasting: bool, action: str) -> None:
     assert held[-1].supervision.action == action
     if lasting:
         after = run([Demand()], 300, held[-1], 10.0)
-        assert after[-1].supervision.action == "stop"
-        assert after[-1].supervision.speed_scale == 0.0
+        assert after[0].supervision.action == "slow"
+        assert after[-1].supervision.action == "run"
+
+
+def test_what_cannot_be_watched_is_stopped_for_good() -> None:
+    stop = broken(SupervisorState(), "the robot state is not finite", 1.0)
+    (after,) = run([Demand()], 1, stop, 10.0)
+    assert after is stop
+    assert (stop.supervision.action, stop.supervision.speed_scale) == ("stop", 0.0)
 
 
 def test_patience_is_not_lost_while_the_policy_waits() -> None:

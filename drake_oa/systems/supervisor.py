@@ -24,8 +24,8 @@ from drake_oa.supervision import (
     Supervision,
     SupervisorParameters,
     SupervisorState,
+    broken,
     decide,
-    stopped,
 )
 from drake_oa.supervision_geometry import GuardShapes
 from drake_oa.supervision_kernels import full_speed_motion
@@ -73,8 +73,7 @@ class Supervisor(LeafSystem):
     - torque_saturation (optional): (1,) 1 while a joint torque is at its limit, else 0.
     - evading (optional): abstract `drake_oa.evasion.Evasion`: what an `ObstacleEvasion` does
       against what moves. While it lets the motion go on, obstacles that move do not slow it;
-      while it waits or evades, the motion is held; it is stopped before a contact that
-      cannot be evaded.
+      while it waits or evades, or none of its ways avoids a contact, the motion is held.
     - speed_scale: (1,) share of full speed, in [0, 1], for `DmpIntegrator`.
     - supervision: abstract `Supervision`: run, slow, hold or stop, and why.
 
@@ -83,8 +82,8 @@ class Supervisor(LeafSystem):
     take it at full speed; the joints' limits of position and speed; the tracking error;
     lasting torque saturation. A value that is not finite stops the motion. See
     `drake_oa.supervision`. A motion that is slowed or held goes on by itself when it is
-    safe; one that is held for something that does not go away by itself is stopped for good
-    after some patience. Each change is logged once.
+    safe; one that is held for something that does not go away by itself is stopped
+    after some patience, and goes on should it go away after all. Each change is logged once.
 
     A link that is too near from the start, or touches, may not come nearer, but may leave
     slowly. The decision is abstract state, the outputs are that of the last step.
@@ -159,7 +158,7 @@ class Supervisor(LeafSystem):
 
     def _step(self, context: Context, state: State) -> EventStatus:
         before = self._read(context)
-        if before.supervision.action == "stop":
+        if before.broken:
             return EventStatus.DidNothing()
         after = self._update(context, before)
         if after is before:
@@ -175,17 +174,13 @@ class Supervisor(LeafSystem):
         v_WE = policy.z_W / (policy.tau * self._duration)
         for name, value in (("robot state", x), ("policy state", v_WE)):
             if not math.isfinite(value.dot(value)):
-                return stopped(before, f"the {name} is not finite", time)
+                return broken(before, f"the {name} is not finite", time)
         demands: list[Demand] = []
         seen = read_optional(self, self._obstacles, context, ObstacleClouds)
         if seen is not None:
             before = before.with_observation(seen)
             demands.append(watch_observation(before.obstacles, time, parameters, seen.note))
         evading = read_optional(self, self._evading, context, Evasion) or Evasion()
-        if evading.certain:
-            return stopped(
-                before, f"obstacle {evading.obstacle} cannot be evaded by this arm", time
-            )
         demands.append(watch_evasion(evading))
         demands += self._watch_motion(
             context, before, x, v_WE, passing=evading.action == "going on"
@@ -193,7 +188,7 @@ class Supervisor(LeafSystem):
         if self._error.HasValue(context):
             error = math.hypot(*self._error.Eval(context))
             if not math.isfinite(error):
-                return stopped(before, "the tracking error is not finite", time)
+                return broken(before, "the tracking error is not finite", time)
             demands.append(watch_tracking(error, parameters))
         if self._saturation.HasValue(context):
             saturated = bool(self._saturation.Eval(context)[0] > 0.0)
