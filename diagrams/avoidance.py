@@ -225,7 +225,7 @@ def _wire_decision(
     if isinstance(chain, VerifiedRegressorChain):
         builder.Connect(state, chain.GetInputPort("policy_state"))
         builder.Connect(goal.get_output_port(), chain.GetInputPort("goal"))
-        for name in ("shortfall", "short_of"):
+        for name in ("shortfall", "short_of", "lowered"):
             log_signal(builder, name, chain.GetOutputPort(name))
         return
     if unguided:

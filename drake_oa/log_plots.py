@@ -67,12 +67,14 @@ def pauses(log: MotionLog) -> list[Pause]:
     found = [
         Pause(start, end, action, reason)
         for (start, end), (action, reason) in zip(
-            _spans(log.supervision_time, log.duration), said, strict=True
+            _spans(log.supervision_time, log.simulated_time), said, strict=True
         )
         if action != "run"
     ]
     supervised = [(pause.start, pause.end) for pause in found if pause.kind != "slow"]
-    for (start, end), note in zip(_spans(log.event_time, log.duration), log.event, strict=True):
+    for (start, end), note in zip(
+        _spans(log.event_time, log.simulated_time), log.event, strict=True
+    ):
         known = note.startswith("supervisor: ") or any(
             low - _TOGETHER <= start and end <= high + _TOGETHER for low, high in supervised
         )
@@ -149,7 +151,7 @@ def draw_run(
         _shade(ax, pauses(logs[main]), labelled=number == 1)
     _head(panels[1], "phase and speed", columns=3)
     panels[-1].set_xlabel("time [s]")
-    panels[0].set_xlim(0.0, max(log.duration for log in logs.values()) or 1.0)
+    panels[0].set_xlim(0.0, max(log.simulated_time for log in logs.values()) or 1.0)
 
     horizontal = local_frame(scenario.task.start, scenario.task.goal)[:, 0] * [1.0, 1.0, 0.0]
     length = float(np.linalg.norm(horizontal))
@@ -246,7 +248,7 @@ def _phase(ax: Axes, logs: Mapping[str, MotionLog], main: str) -> None:
     last = -np.inf
     for number, pause in enumerate(told[:_LISTED], start=1):
         middle = 0.5 * (pause.start + pause.end)
-        if middle - last > _NUMBER_SPACE * log.duration:
+        if middle - last > _NUMBER_SPACE * log.simulated_time:
             ax.text(middle, 1.01, str(number), ha="center", va="bottom", fontsize=7)
             last = middle
     if lines:

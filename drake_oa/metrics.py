@@ -34,8 +34,10 @@ class MotionMetrics:
             started in them.
         made_contacts: those of them that came to touch after it, in order: the motion
             made them. A pair that parted and met again is in both.
+        self_contacts: "link - link" of the robot's own that touched, in order.
         tool_clearance: (T,) distance of the tool to the nearest obstacle [m];
             negative inside, inf while there is no obstacle.
+        resting_clearance: (T,) the same to those obstacles that never move.
         robot_clearance: (T,) the same for the whole robot.
         p_WE: (T, 3) the tool point [m].
     """
@@ -43,7 +45,9 @@ class MotionMetrics:
     contacts: tuple[str, ...]
     initial_contacts: tuple[str, ...]
     made_contacts: tuple[str, ...]
+    self_contacts: tuple[str, ...]
     tool_clearance: FloatArray
+    resting_clearance: FloatArray
     robot_clearance: FloatArray
     p_WE: FloatArray
 
@@ -82,21 +86,29 @@ def free_point_metrics(p_WE: FloatArray, ellipsoids: EllipsoidSet) -> MotionMetr
             p_WE[:, None, :], ellipsoids.p_WO, ellipsoids.R_WO, ellipsoids.semi_axes
         )
     nearest = clearance.min(axis=1, initial=np.inf)
+    resting = clearance[:, ~ellipsoids.v_WO.any(axis=1)].min(axis=1, initial=np.inf)
     names = np.array([f"tool point - ellipsoid {i}" for i in ellipsoids.ids], dtype=str)
     record = _ContactRecord()
     for touching in clearance <= 0.0:
         record.add(names[touching].tolist())
-    return _metrics(record, nearest, nearest, p_WE)
+    return _metrics(record, np.stack([nearest, nearest, resting]), p_WE)
 
 
 def _metrics(
-    record: _ContactRecord, tool: FloatArray, robot: FloatArray, p_WE: FloatArray
+    record: _ContactRecord,
+    clearance: FloatArray,
+    p_WE: FloatArray,
+    self_contacts: Iterable[str] = (),
 ) -> MotionMetrics:
+    """From the (3, T) clearances of robot, tool, and tool to what rests."""
+    robot, tool, resting = clearance
     return MotionMetrics(
         contacts=tuple(record.contacts),
         initial_contacts=record.initial,
         made_contacts=tuple(record.made),
+        self_contacts=tuple(self_contacts),
         tool_clearance=tool,
+        resting_clearance=resting,
         robot_clearance=robot,
         p_WE=p_WE,
     )
@@ -133,6 +145,11 @@ class _RobotJudge:
         self._obstacle_balls = _Balls(inspector, obstacles, self._body)
         of_tool = tool_links(scenario.robot) if scenario.robot else []
         self._tool = np.array([self._body[g].name() in of_tool for g in robot], bool)
+        # What is driven hangs on slides.
+        self._rests = np.array(
+            [self._plant.num_positions(self._body[g].model_instance()) == 0 for g in obstacles],
+            bool,
+        )
 
     def _is_robot(self, geometry: GeometryId) -> bool:
         return self._body[geometry].model_instance() == self._station.robot
@@ -152,37 +169,44 @@ class _RobotJudge:
         """p_WE of the pose set last."""
         return self._tool_frame.CalcPoseInWorld(self._plant_context).translation()
 
-    def contacts(self, query: QueryObject) -> list[str]:
-        """ "link - thing" of what touches the robot."""
-        found = []
+    def contacts(self, query: QueryObject) -> tuple[list[str], list[str]]:
+        """ "link - thing" of what touches the robot, and "link - link" of its own that touch."""
+        found: list[str] = []
+        own: list[str] = []
         for hit in query.ComputePointPairPenetration():
             a, b = hit.id_A, hit.id_B
             if self._is_robot(a) != self._is_robot(b):
                 link, thing = (a, b) if self._is_robot(a) else (b, a)
                 model = self._plant.GetModelInstanceName(self._body[thing].model_instance())
                 found.append(f"{self._body[link].name()} - {model}")
-        return found
+            elif self._is_robot(a):
+                own.append(" - ".join(sorted((self._body[a].name(), self._body[b].name()))))
+        return found, own
 
-    def clearances(self, query: QueryObject) -> tuple[float, float]:
-        """Least distance of the tool, and of the robot, to the obstacles that are there [m]."""
+    def clearances(self, query: QueryObject) -> FloatArray:
+        """(3,) least distance to the obstacles that are there [m].
+
+        Of the robot, of the tool, and of the tool to what never moves.
+        """
         ours, others = self._robot_balls, self._obstacle_balls
         apart = ours.centers(self._plant_context)[:, None] - others.centers(self._plant_context)
         # No pair is nearer than the balls round both.
         bound = np.linalg.norm(apart, axis=2) - ours.radius[:, None] - others.radius
-        least, of_tool = np.inf, np.inf
+        least = np.full(3, np.inf)
+        sought = np.array([True, self._tool.any(), bool(self._tool.any() and self._rests.any())])
         for pair in np.argsort(bound, axis=None):
             i, j = divmod(int(pair), len(others.radius))
-            if bound[i, j] >= min(of_tool, OUT_OF_WORLD):
+            if bound[i, j] >= min(least[sought].max(), OUT_OF_WORLD):
                 break
-            if not self._tool[i] and bound[i, j] >= least:
+            counts = np.array([True, self._tool[i], self._tool[i] and self._rests[j]])
+            counts &= bound[i, j] < least
+            if not counts.any():
                 continue
             hit = query.ComputeSignedDistancePairClosestPoints(
                 ours.geometries[i], others.geometries[j]
             )
-            least = min(least, hit.distance)
-            if self._tool[i]:
-                of_tool = min(of_tool, hit.distance)
-        return of_tool, least
+            least[counts] = np.minimum(least[counts], hit.distance)
+        return least
 
 
 class _Balls:
@@ -229,7 +253,8 @@ def robot_metrics(
 
     Returns:
         Clearances to the obstacles; contacts with obstacles and with anything else
-        that is not the robot, the table for one.
+        that is not the robot, the table for one, and of the robot with itself, but for
+        links that a joint connects.
 
     Raises:
         ScenarioError: if the station cannot be built.
@@ -243,12 +268,13 @@ def robot_metrics(
             f"q_world: shape {q_world.shape} must be ({len(q)}, {judge.num_positions()}): an "
             "instant a row, a position of the scenario's world a column"
         )
-    record = _ContactRecord()
-    tool_clearance, robot_clearance = np.empty((2, len(q)))
-    p_WE = np.empty((len(q), 3))
+    record, own = _ContactRecord(), dict[str, None]()
+    clearance, p_WE = np.empty((3, len(q))), np.empty((len(q), 3))
     for row, positions in enumerate(q):
         query = judge.set_positions(positions, None if q_world is None else q_world[row])
-        record.add(judge.contacts(query))
-        tool_clearance[row], robot_clearance[row] = judge.clearances(query)
+        others, themselves = judge.contacts(query)
+        record.add(others)
+        own |= dict.fromkeys(themselves)
+        clearance[:, row] = judge.clearances(query)
         p_WE[row] = judge.tool_point()
-    return _metrics(record, tool_clearance, robot_clearance, p_WE)
+    return _metrics(record, clearance, p_WE, own)

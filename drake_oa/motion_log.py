@@ -41,7 +41,7 @@ out_of_range           (F,)           1        for how many of them the regresso
                                                asked for more than it was trained for
 regulation             ()             text     "Verified" or "Regressor"; "" unmodulated
 shortfall              (T,)           m        what the verified motion lacked of the
-                                               feasible clearance
+                                               feasible clearance, as regulation believed
 short_of               (T,)           -        name of the obstacle it lacked it to; -1: none
 event_time             (E,)           s        times at which a note of the policy changed
 event                  (E,)           text     those notes; "": running freely again
@@ -73,11 +73,17 @@ desired_posture        (T, 2n)        rad,     arm positions, then velocities, t
                                       rad/s    was drawn to; (T, 0) where none was planned
 evasion                (T, 3)         m/s      velocity of the tool point out of the way of what
                                                moves; (0, 3) where nothing watches for it
+lowered                (T,)           m        by how much regulation had lowered the asked
+                                               clearance; (0,) where a file does not tell
+motion_end             ()             s        when the motion ended; the world goes on after it
+                                               until all is at rest; NaN where a file does not tell
+settled                ()             bool     whether all came to rest
 =====================  =============  =======  ==========================================
 """
 
 from __future__ import annotations
 
+import math
 import zipfile
 import zlib
 from dataclasses import dataclass, field, fields
@@ -102,6 +108,9 @@ _LATER = frozenset(
         "orientation_error",
         "desired_posture",
         "evasion",
+        "lowered",
+        "motion_end",
+        "settled",
     }
 )
 """Attributes with defaults, which files of this schema may lack."""
@@ -163,11 +172,24 @@ class MotionLog:
     orientation_error: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     desired_posture: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     evasion: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    lowered: FloatArray = field(default_factory=lambda: np.zeros(0))
+    motion_end: float = math.nan
+    settled: bool = False
+
+    @property
+    def simulated_time(self) -> float:
+        """Until all was at rest, or the run was ended [s]."""
+        return float(self.t[-1]) if len(self.t) else 0.0
 
     @property
     def duration(self) -> float:
-        """Simulated time [s]."""
-        return float(self.t[-1]) if len(self.t) else 0.0
+        """Of the motion, to its end [s]."""
+        return self.simulated_time if math.isnan(self.motion_end) else self.motion_end
+
+    @property
+    def moving(self) -> slice:
+        """The instants of the motion, without what came after its end."""
+        return slice(int(np.searchsorted(self.t, self.duration, side="right")))
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Every attribute as an array, as it goes into a file."""

@@ -80,6 +80,11 @@ class Obstacle:
         """Whether it moves, appears or vanishes: then it hangs on slides."""
         return bool(self.waypoints or self.present)
 
+    @property
+    def last_change(self) -> float:
+        """When it has ended its course, and comes and goes no more [s]; 0: it never moves."""
+        return max(0.0, *(waypoint[0] for waypoint in self.waypoints), *self.present)
+
     def offset_at(self, time: float) -> FloatArray:
         """(3,) how far from `translation` it is at a time [s], in the world [m]."""
         course = np.array(self.waypoints, dtype=float).reshape(-1, 4)

@@ -59,6 +59,8 @@ class Regulation(Frozen):
         genes: (7,) of the choice, NaN where there are none.
         shortfall: what is missing of the feasible clearance in the motion [m].
         short_of: name of the obstacle that it is missing of; -1: none.
+        lowered: by how much the feasible clearance is less than the asked one [m].
+        lowered_for: name of the obstacle that it is least of; -1: none.
         goal_error: distance to the goal at the motion's end [m].
         note: empty, or why the motion must not go on.
         anew: whether a motion that begins where this one rests will do in its place.
@@ -86,6 +88,8 @@ class Regulation(Frozen):
     genes: FloatArray = field(default_factory=no_genes)
     shortfall: float = 0.0
     short_of: int = -1
+    lowered: float = 0.0
+    lowered_for: int = -1
     goal_error: float = 0.0
     note: str = ""
     anew: bool = False
@@ -164,6 +168,11 @@ def concern(regulation: Regulation) -> str:
         found.append(
             f"{1e3 * regulation.shortfall:.1f} mm of the clearance to obstacle "
             f"{regulation.short_of} cannot be kept"
+        )
+    if regulation.lowered > _NOISE:
+        found.append(
+            f"the asked clearance is lowered by {1e3 * regulation.lowered:.1f} mm, as here or at "
+            f"the goal obstacle {regulation.lowered_for} is taken to be that near"
         )
     if regulation.way.concern:
         found.append(regulation.way.concern)

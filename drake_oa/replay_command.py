@@ -83,7 +83,7 @@ def _replay(options: argparse.Namespace) -> int:
     if options.meshcat:
         simulator.set_target_realtime_rate(1.0)
     with recording(meshcat, options.html):
-        simulator.AdvanceTo(log.duration / options.speed)
+        simulator.AdvanceTo(log.simulated_time / options.speed)
     print(f"{motion}: {log.duration:.2f} s, ended by {log.stop_reason}")
     if options.meshcat:
         wait_for_viewer()

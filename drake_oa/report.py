@@ -14,56 +14,97 @@ from drake_oa.metrics import MotionMetrics, free_point_metrics, path_length, rob
 from drake_oa.motion_log import MotionLog
 from drake_oa.orientation_dmp import rotation_matrix
 from drake_oa.orientation_kernels import exponential
+from drake_oa.robot_layers import end_positions
 from drake_oa.scenario import GivenEllipsoids, Scenario
+from drake_oa.station import make_robot_plant
 from drake_oa.text_tables import aligned
 from drake_oa.tool_orientation import end_rotations
-from drake_oa.values import EllipsoidSet
+from drake_oa.values import EllipsoidSet, FloatArray
+
+TOLD = 1e-3
+"""Clearance that is missing by more than this is told, and counts as missing [m]."""
 
 
 def motion_metrics(scenario: Scenario, log: MotionLog) -> MotionMetrics:
     """Judges a logged motion: by SceneGraph, or by the given ellipsoids without a robot."""
     if scenario.robot is not None:
         return robot_metrics(scenario, log.q, log.q_world)
-    source = scenario.perception
-    given = given_ellipsoids(source) if isinstance(source, GivenEllipsoids) else EllipsoidSet()
-    return free_point_metrics(log.desired_position, given)
+    return free_point_metrics(log.desired_position, _given(scenario))
 
 
-def motion_report(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
+def feasible_clearance(scenario: Scenario) -> float:
+    """min(Delta, true clearance of the tool at the start, at the goal) to what rests [m].
+
+    Nobody can keep more; 0 where start or goal touches. Of a goal that moves, the last counts.
+
+    Raises:
+        ScenarioError: if start or goal is out of reach.
+    """
+    task = scenario.task
+    if scenario.robot is None:
+        ends = np.array([task.start, goal_at(task, math.inf)], dtype=float)
+        left = free_point_metrics(ends, _given(scenario)).resting_clearance
+    else:
+        ends = np.stack(end_positions(make_robot_plant(scenario.robot), scenario))
+        left = robot_metrics(scenario, ends).resting_clearance
+    return float(max(min(task.clearance, left.min()), 0.0))
+
+
+def motion_report(
+    scenario: Scenario, log: MotionLog, feasible: float | None = None
+) -> dict[str, Any]:
     """The figures of one motion; distances in metres, times in seconds.
+
+    Contacts and clearances are judged until all was at rest; what is of the motion
+    itself, to its end.
 
     Keys: `collisions` (pairs of a robot link and a thing that touched),
     `contacts` (their names), `initial_contacts` (those the motion started in),
-    `made_contacts` (those it made), `tool_clearance_min`, `robot_clearance_min` (to
-    obstacles; None where there is none), `goal_error` (at the last instant, to where
-    the goal is then), `orientation_error` (angle to that of the goal then [rad]; only where
-    the tool turns),
-    `torque_saturation` (fraction of logged steps), `duration`, `path_length`,
+    `made_contacts` (those it made), `self_contacts` (links of the robot that touched each
+    other), `tool_clearance_min`, `robot_clearance_min` (to obstacles; None where there is
+    none), `asked_clearance`, `feasible_clearance`, `resting_clearance_min` (of the tool to what
+    never moves; None where there is none), `short_of_feasible` (what that lacks of the feasible
+    one), `goal_error` (at the motion's end or when all is at rest, the greater one),
+    `orientation_error` (angle to that of the goal when all is at rest [rad]; only where the
+    tool turns), `torque_saturation` (fraction of logged steps), `duration`, `path_length`,
     `out_of_range` (fraction of observations with an obstacle beyond what the regressor
     chain was trained for), `regulation` ("Verified", "Regressor", or None without
-    modulation), `shortfall_max` (most that the verified motion lacked of the feasible
-    clearance; None unless it was verified), `short_of` (name of the obstacle it lacked it
-    to, or None), `stop_reason`, `events` (notes of the policy), `supervision` (what the
-    supervisor did, and why).
+    modulation), `believed_shortfall` (most that the verified motion lacked of what regulation
+    believed feasible; None unless it was verified), `believed_short_of` (name of the obstacle it
+    lacked it to, or None), `lowered` (by how much regulation lowered the asked clearance at
+    most; None unless verified), `stop_reason`, `settled` (whether all came to rest), `events`
+    (notes of the policy), `supervision` (what the supervisor did, and why).
+
+    Args:
+        scenario: what was run.
+        log: of the motion.
+        feasible: `feasible_clearance` of the scenario; None: it is asked for.
     """
     metrics = motion_metrics(scenario, log)
-    goal = goal_at(scenario.task, log.duration)
-    reached = metrics.p_WE[-1] if len(metrics.p_WE) else np.asarray(scenario.task.start)
+    if feasible is None:
+        feasible = feasible_clearance(scenario)
+    kept = float(metrics.resting_clearance.min(initial=math.inf))
     return {
         "collisions": len(metrics.contacts),
         "contacts": list(metrics.contacts),
         "initial_contacts": list(metrics.initial_contacts),
         "made_contacts": list(metrics.made_contacts),
+        "self_contacts": list(metrics.self_contacts),
         "tool_clearance_min": _finite(metrics.tool_clearance.min(initial=math.inf)),
         "robot_clearance_min": _finite(metrics.robot_clearance.min(initial=math.inf)),
-        "goal_error": float(np.linalg.norm(reached - goal)),
+        "asked_clearance": scenario.task.clearance,
+        "feasible_clearance": feasible,
+        "resting_clearance_min": _finite(kept),
+        "short_of_feasible": max(feasible - kept, 0.0),
+        "goal_error": _goal_error(scenario, log, metrics.p_WE),
         **_orientation(scenario, log),
-        "torque_saturation": float(log.saturated.mean()) if len(log.saturated) else 0.0,
+        "torque_saturation": float(log.saturated[log.moving].mean()) if len(log.t) else 0.0,
         "duration": log.duration,
-        "path_length": path_length(metrics.p_WE),
+        "path_length": path_length(metrics.p_WE[log.moving]),
         "out_of_range": float((log.out_of_range > 0).mean()) if len(log.out_of_range) else 0.0,
-        **_shortfall(log),
+        **_believed(log),
         "stop_reason": log.stop_reason,
+        "settled": log.settled,
         "events": [
             {"time": float(when), "note": note}
             for when, note in zip(log.event_time, log.event, strict=True)
@@ -89,13 +130,27 @@ def _orientation(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
     return {"orientation_error": float(np.linalg.norm(left))}
 
 
-def _shortfall(log: MotionLog) -> dict[str, Any]:
+def _believed(log: MotionLog) -> dict[str, Any]:
+    """What regulation took the clearance for, by its own geometry."""
     most = float(log.shortfall.max(initial=0.0))
+    verified = log.regulation == "Verified"
     return {
         "regulation": log.regulation or None,
-        "shortfall_max": most if log.regulation == "Verified" else None,
-        "short_of": int(log.short_of[log.shortfall.argmax()]) if most > 0.0 else None,
+        "believed_shortfall": most if verified else None,
+        "believed_short_of": int(log.short_of[log.shortfall.argmax()]) if most > 0.0 else None,
+        "lowered": float(log.lowered.max(initial=0.0)) if verified else None,
     }
+
+
+def _goal_error(scenario: Scenario, log: MotionLog, p_WE: FloatArray) -> float:
+    reached = p_WE[[log.moving.stop - 1, -1]] if len(p_WE) else np.array([scenario.task.start])
+    goal = goal_at(scenario.task, log.duration)
+    return float(np.linalg.norm(reached - goal, axis=1).max())
+
+
+def _given(scenario: Scenario) -> EllipsoidSet:
+    source = scenario.perception
+    return given_ellipsoids(source) if isinstance(source, GivenEllipsoids) else EllipsoidSet()
 
 
 def _finite(value: float) -> float | None:
@@ -111,9 +166,12 @@ def run_report(name: str, scenario: Scenario, logs: dict[str, MotionLog]) -> dic
         logs: "preplanned" and "modulated" -> their logs.
     """
     report: dict[str, Any] = {"scenario": name, "seed": scenario.seed}
-    report |= {motion: motion_report(scenario, log) for motion, log in logs.items()}
+    feasible = feasible_clearance(scenario)
+    report |= {motion: motion_report(scenario, log, feasible) for motion, log in logs.items()}
     last = logs.get("modulated") or next(iter(logs.values()))
-    report["real_time_factor"] = last.duration / last.wall_time if last.wall_time > 0.0 else None
+    report["real_time_factor"] = (
+        last.simulated_time / last.wall_time if last.wall_time > 0.0 else None
+    )
     versions = dict(item.split(" ", 1) for item in last.versions)
     report["commit"] = versions.pop("commit", None)
     report["versions"] = versions
@@ -124,14 +182,15 @@ _COLUMNS = (
     ("collisions", "collisions", "{:d}"),
     ("tool_clearance_min", "tool clearance [m]", "{:.3f}"),
     ("robot_clearance_min", "robot clearance [m]", "{:.3f}"),
-    ("shortfall_max", "shortfall [mm]", "{:.1f}"),
+    ("feasible_clearance", "feasible [m]", "{:.3f}"),
+    ("short_of_feasible", "short by [mm]", "{:.1f}"),
     ("goal_error", "goal error [mm]", "{:.2f}"),
     ("orientation_error", "turn error [deg]", "{:.2f}"),
     ("torque_saturation", "saturated [%]", "{:.1f}"),
     ("duration", "duration [s]", "{:.2f}"),
 )
 _SCALE = {
-    "shortfall_max": 1e3,
+    "short_of_feasible": 1e3,
     "goal_error": 1e3,
     "orientation_error": math.degrees(1.0),
     "torque_saturation": 1e2,
@@ -141,7 +200,8 @@ _SCALE = {
 def report_table(report: dict[str, Any]) -> str:
     """The report as a text table, one row a motion, like the paper's Table III.
 
-    Below it a line for each motion that could not keep the clearance.
+    Below it what was asked and could not be had, or was not kept, and what regulation took
+    the clearance for.
     """
     shown = [motion for motion in ("preplanned", "modulated") if motion in report]
     columns = [c for c in _COLUMNS if any(c[0] in report[motion] for motion in shown)]
@@ -154,10 +214,33 @@ def report_table(report: dict[str, Any]) -> str:
             value = report[motion].get(key)
             row.append("-" if value is None else form.format(value * _SCALE.get(key, 1)))
         rows.append([*row, report[motion]["stop_reason"]])
-    warnings = [
-        f"warning: {motion}: {1e3 * found['shortfall_max']:.1f} mm of the clearance to obstacle "
-        f"{found['short_of']} could not be kept"
-        for motion in ("preplanned", "modulated")
-        if (found := report.get(motion)) and found["shortfall_max"]
-    ]
-    return "\n".join([aligned(rows, "r" * len(rows[0])), *warnings])
+    notes = [note for motion in shown for note in _notes(motion, report[motion])]
+    return "\n".join([aligned(rows, "r" * len(rows[0])), *dict.fromkeys(notes)])
+
+
+def _notes(motion: str, found: dict[str, Any]) -> list[str]:
+    """What is to be said of one motion's clearance; less than `TOLD` is not."""
+    notes = []
+    asked, feasible = found["asked_clearance"], found["feasible_clearance"]
+    if asked - feasible > TOLD:
+        notes.append(f"note: start and goal leave {feasible:.3f} m of the asked {asked:g} m")
+    if found["self_contacts"]:
+        notes.append(f"warning: {motion}: the robot touched itself: {found['self_contacts']}")
+    if not found["regulation"]:
+        return notes
+    if found["short_of_feasible"] > TOLD:
+        notes.append(
+            f"warning: {motion}: kept {found['resting_clearance_min']:.3f} m to what rests, "
+            f"{1e3 * found['short_of_feasible']:.1f} mm less than start and goal leave"
+        )
+    if (found["lowered"] or 0.0) > max(TOLD, asked - feasible + TOLD):
+        notes.append(
+            f"note: {motion}: regulation lowered the asked clearance by up to "
+            f"{1e3 * found['lowered']:.1f} mm: it took an obstacle to be that near"
+        )
+    if (found["believed_shortfall"] or 0.0) > TOLD:
+        notes.append(
+            f"note: {motion}: regulation believed to lack {1e3 * found['believed_shortfall']:.1f} "
+            f"mm of the clearance to obstacle {found['believed_short_of']}"
+        )
+    return notes

@@ -48,7 +48,12 @@ _SURFACE_GAP = 0.01
 
 
 def start_positions(robot_plant: RobotPlant, scenario: Scenario) -> FloatArray:
-    """(nq,) positions of the robot with E at the start, and a check that each goal is in reach.
+    """(nq,) positions of the robot with E at the start; raises as `end_positions` does."""
+    return end_positions(robot_plant, scenario)[0]
+
+
+def end_positions(robot_plant: RobotPlant, scenario: Scenario) -> tuple[FloatArray, FloatArray]:
+    """(nq,) positions with E at the start, and at the last goal; each goal must be in reach.
 
     Raises:
         ScenarioError: naming start, goal or the move of the goal that is out of reach.
@@ -71,7 +76,7 @@ def start_positions(robot_plant: RobotPlant, scenario: Scenario) -> FloatArray:
             )
         except ValueError as error:
             raise ScenarioError(f"task.{name}: {error}") from None
-    return found["start"]
+    return found["start"], found[name]
 
 
 def make_controller(

@@ -92,7 +92,7 @@ def real_time_factor(diagram: Diagram, seconds: float) -> float:
 def whole_real_time_factor(scenario: Scenario, seconds: float) -> float:
     """As `drake-oa run` reports it for so many seconds [s]: logs and supervision, no viewer."""
     log = simulate(scenario, duration=seconds)
-    return log.duration / log.wall_time
+    return log.simulated_time / log.wall_time
 
 
 def time_plant(scenario: Scenario, steps: int) -> list[float]:

@@ -26,6 +26,8 @@ from drake_oa.scenario import Scenario, scenario_text
 from drake_oa.station import TOOL_FRAME
 from drake_oa.supervision import Supervision
 from drake_oa.systems.late_camera import LateCamera
+from drake_oa.systems.obstacle_mover import ObstacleMover
+from drake_oa.systems.push import ExternalPush
 from drake_oa.values import EllipsoidSet, FloatArray, PlannedMotion, PolicyState
 from drake_oa.verification import SearchParameters
 
@@ -43,6 +45,14 @@ ARRIVED = SearchParameters().tolerance
 """A motion has arrived when s = 1 is over and it is this near to the goal [m], at a scaled
 velocity at which it would go no further than `STILL` times as far in a unit of s."""
 STILL = 20.0
+AT_GOAL = 5e-3
+"""The tool is at the goal when its point is nearer than this [m]."""
+AT_REST = 0.01
+"""A robot whose joints are all slower than this rests [rad/s, m/s]."""
+REST_TIME = 1.0
+"""A run is over when all has been at rest for so long [s]."""
+LONGEST_SETTLING = 5.0
+"""One that never comes to rest is over so long after its end and that of all courses [s]."""
 TURNED_BACK = 2e-3
 """A tool that is turned by less has its orientation at the goal [rad]."""
 
@@ -56,7 +66,11 @@ class MotionInterruptedError(RuntimeError):
 
 
 class MotionWatcher:
-    """Looks at the policy after each step: records, reports progress, ends the run.
+    """Looks at the motion after each step: records, reports progress, ends the run.
+
+    The motion's end is not the run's: the world goes on until all obstacles have ended
+    their courses and everything has been at rest for `REST_TIME`, so that what is touched
+    then counts. A motion that was stopped or held, and goes on meanwhile, has not ended.
 
     Attributes:
         frames: the observations, as they arrived.
@@ -64,7 +78,9 @@ class MotionWatcher:
         out_of_range: of each, how many obstacles the regressor chain was not trained for.
         events: (time [s], note) whenever the policy's note changed.
         supervision: (time [s], action, reason) whenever the supervisor's decision changed.
-        stop_reason: what ended the run; "" until then.
+        stop_reason: what ended the motion; "" until then.
+        motion_end: when it did [s]; NaN until then.
+        settled: whether all has come to rest since.
     """
 
     def __init__(
@@ -73,6 +89,8 @@ class MotionWatcher:
         scenario: Scenario,
         end_time: float,
         on_progress: Callable[[float, float], None] | None,
+        *,
+        settles: bool = True,
     ) -> None:
         """Finds what it looks at.
 
@@ -80,10 +98,12 @@ class MotionWatcher:
             diagram: with a `dmp_integrator`; the other systems of `build_avoidance` are
                 looked at where they are there.
             scenario: what the diagram was made from.
-            end_time: time limit [s].
+            end_time: time limit of the motion [s].
             on_progress: called with time [s] and phase, or None.
+            settles: whether the run goes on after the motion's end; else it ends there.
         """
         self._diagram = diagram
+        self._settles = settles
         self._policy_system = diagram.GetSubsystemByName("dmp_integrator")
         self._policy_port = self._policy_system.GetOutputPort("policy_state")
         self._ellipsoid_port = None
@@ -117,6 +137,26 @@ class MotionWatcher:
         self.events: list[tuple[float, str]] = []
         self.supervision: list[tuple[float, str, str]] = []
         self.stop_reason = ""
+        self.motion_end = math.nan
+        self.settled = False
+        self._passing = False
+        self._rest_since = math.inf
+        movers = [
+            one for one in diagram.GetSystems() if isinstance(one, ObstacleMover | ExternalPush)
+        ]
+        self.world_end = max((one.last_change for one in movers), default=0.0)
+        self._plant = None
+        if scenario.robot is not None:
+            self._plant = diagram.GetSubsystemByName("plant")
+            self._tool_frame = self._plant.GetFrameByName(TOOL_FRAME)
+            self._robot = self._tool_frame.model_instance()
+
+    @property
+    def latest_time(self) -> float:
+        """When the run is over, come what may [s]."""
+        if not self._settles:
+            return self._end_time
+        return max(self._end_time, self.world_end) + LONGEST_SETTLING
 
     def __call__(self, root: Context) -> EventStatus:
         now = root.get_time()
@@ -131,28 +171,81 @@ class MotionWatcher:
         self._record(root, now, policy)
         if self._on_progress is not None:
             self._on_progress(now, policy.phase)
+        if self._passing and not policy.note:
+            self.stop_reason, self.motion_end = "", math.nan
+        if not self.stop_reason:
+            self._end(now, *self._why_ended(root, now, policy, supervision))
+        self._look_for_rest(root, now, policy)
+        if self.stop_reason and (self.settled or not self._settles):
+            return self._over(root, policy)
+        return EventStatus.DidNothing()
+
+    def finish(self) -> None:
+        """Says why a motion has ended that only the end of the run has ended."""
+        if not self.stop_reason:
+            self._end(self._end_time, f"time limit of {self._end_time:g} s")
+
+    def _end(self, now: float, reason: str, passing: bool = False) -> None:
+        """Takes down that the motion has ended, if it has; `passing`: it may yet go on."""
+        if reason:
+            self.stop_reason, self.motion_end, self._passing = reason, now, passing
+
+    def _why_ended(
+        self, root: Context, now: float, policy: PolicyState, supervision: Supervision
+    ) -> tuple[str, bool]:
+        """Why the motion has ended, "" if it has not, and whether it may yet go on."""
         s = normalised_time(policy.phase, self._alpha_k)
         if now <= self._last_move:
             self._latest_end = LATEST_END + max(0.0, s - 1.0)
-        elif s >= 1.0 - 1e-9 and _has_arrived(policy, self._goal) and not self._is_turned(root):
-            return self._stop("goal")
+        elif (
+            s >= 1.0 - 1e-9
+            and _has_arrived(policy, self._goal)
+            and self._goal_error(root, policy) <= AT_GOAL
+            and not self._is_turned(root)
+        ):
+            return "goal", False
         if supervision.action == "stop" and policy.speed == 0.0:
-            return self._stop(f"stopped: {supervision.reason}")
+            return f"stopped: {supervision.reason}", True
         if now > self._last_move and s >= self._latest_end:
             self._latest_end = max(self._latest_end, self._verified_end(root) + _GRACE)
         if now > self._last_move and s >= self._latest_end:
-            error = math.dist(policy.p_WE, self._goal)
-            if _has_arrived(policy, self._goal):
-                return self._stop("at the goal, but the tool cannot be turned back there")
-            return self._stop(f"goal missed by {1e3 * error:.1f} mm at s = {self._latest_end:.3g}")
+            error = self._goal_error(root, policy)
+            if _has_arrived(policy, self._goal) and error <= AT_GOAL:
+                return "at the goal, but the tool cannot be turned back there", False
+            return f"goal missed by {1e3 * error:.1f} mm at s = {self._latest_end:.3g}", False
         if (
             self._held_since is not None
             and now - max(self._held_since, self._last_move) > LONGEST_HOLD
         ):
-            return self._stop(f"held for {LONGEST_HOLD:g} s: {policy.note}")
-        if now >= self._end_time:
-            return self._stop(f"time limit of {self._end_time:g} s")
-        return EventStatus.DidNothing()
+            return f"held for {LONGEST_HOLD:g} s: {policy.note}", True
+        return (f"time limit of {self._end_time:g} s" if now >= self._end_time else ""), False
+
+    def _look_for_rest(self, root: Context, now: float, policy: PolicyState) -> None:
+        """Whether nothing has moved, nor anything will, for `REST_TIME`."""
+        fastest = math.hypot(*policy.z_W) * policy.speed
+        if self._plant is not None:
+            context = self._plant.GetMyContextFromRoot(root)
+            fastest = np.abs(self._plant.GetVelocities(context, self._robot)).max()
+        moves = now < self.world_end or not self.stop_reason or fastest > AT_REST
+        self._rest_since = math.inf if moves else min(self._rest_since, now)
+        self.settled = now - self._rest_since >= REST_TIME
+
+    def _tool_point(self, root: Context, policy: PolicyState) -> FloatArray:
+        """(3,) the actual tool point; without a robot the desired one [m]."""
+        if self._plant is None:
+            return policy.p_WE
+        context = self._plant.GetMyContextFromRoot(root)
+        p_WE: FloatArray = self._tool_frame.CalcPoseInWorld(context).translation()
+        return p_WE
+
+    def _goal_error(self, root: Context, policy: PolicyState) -> float:
+        return math.dist(self._tool_point(root, policy), self._goal)
+
+    def _over(self, root: Context, policy: PolicyState) -> EventStatus:
+        error = self._goal_error(root, policy)
+        if self.stop_reason == "goal" and error > AT_GOAL:
+            self.stop_reason = f"goal left by {1e3 * error:.1f} mm"
+        return EventStatus.ReachedTermination(self._diagram, self.stop_reason)
 
     def _record(self, root: Context, now: float, policy: PolicyState) -> None:
         if policy.note != (self.events[-1][1] if self.events else ""):
@@ -208,10 +301,6 @@ class MotionWatcher:
             return 0.0
         return float(motion.s[-1])
 
-    def _stop(self, reason: str) -> EventStatus:
-        self.stop_reason = reason
-        return EventStatus.ReachedTermination(self._diagram, reason)
-
 
 def _has_arrived(policy: PolicyState, goal: FloatArray) -> bool:
     error, speed = math.dist(policy.p_WE, goal), math.hypot(*policy.z_W)
@@ -226,20 +315,27 @@ def simulate(
     meshcat: Meshcat | None = None,
     on_progress: Callable[[float, float], None] | None = None,
 ) -> MotionLog:
-    """Runs one motion of a scenario until the goal, a stop, a lasting hold or the time limit.
+    """Runs one motion of a scenario until nothing moves any more, nor will.
 
-    The goal is reached when the phase has passed s = 1 and the desired motion has
-    arrived where the goal is at last; before its last move it goes on. One that has not by
-    `LATEST_END` is ended there. The log's `stop_reason` is "goal", "stopped: ..." (by the
-    supervisor), "held for ...", "goal missed by ...", "at the goal, but the tool cannot be turned
-    back there", "time limit of ..." or, in what a `MotionInterruptedError` carries, what was
-    raised.
+    The motion ends at the goal, with a stop, a lasting hold or at its time limit; the log's
+    `motion_end` is when. The world then goes on until all obstacles have ended their courses
+    and all has been at rest for `REST_TIME`; a motion that was stopped or held, and can go
+    on meanwhile, does.
+
+    The goal is reached when the phase has passed s = 1, the desired motion has arrived where
+    the goal is at last, and the tool is within `AT_GOAL` of it; before its last move it goes on.
+    One that has not by `LATEST_END` is ended there. The log's `stop_reason` is "goal",
+    "stopped: ..." (by the supervisor), "held for ...", "goal missed by ...", "goal left by ..."
+    (where it had to evade there, and did not come back), "at the goal, but the tool cannot be
+    turned back there", "time limit of ..." or, in what a `MotionInterruptedError` carries,
+    "interrupted" or what was raised.
 
     Args:
         scenario: what to run.
         modulated: False runs the pre-planned motion, blind to obstacles.
-        duration: time limit [s]; None: `LONGEST_SCALING` demonstrated durations, from the last
-            move of the goal on.
+        duration: the run is ended after this time, whatever moves then [s]; None: the
+            motion's time limit is `LONGEST_SCALING` demonstrated durations, from the last move of
+            the goal on.
         meshcat: viewer, or None.
         on_progress: called with time [s] and phase, a few hundred times a second.
 
@@ -253,25 +349,23 @@ def simulate(
     end_time = duration
     if end_time is None:
         end_time = make_dmp(scenario).duration * LONGEST_SCALING + last_move(scenario.task)
-    watcher = MotionWatcher(diagram, scenario, end_time, on_progress)
-    return run_motion(scenario, simulator, watcher, end_time, modulated=modulated)
+    watcher = MotionWatcher(diagram, scenario, end_time, on_progress, settles=duration is None)
+    return run_motion(scenario, simulator, watcher, modulated=modulated)
 
 
 def run_motion(
     scenario: Scenario,
     simulator: Simulator,
     watcher: MotionWatcher,
-    end_time: float,
     *,
     modulated: bool,
 ) -> MotionLog:
-    """Runs a diagram with a `dmp_integrator` until the watcher or the time ends it.
+    """Runs a diagram with a `dmp_integrator` until the watcher ends it.
 
     Args:
         scenario: what the diagram was made from.
         simulator: of the diagram, its Context as the motion starts.
         watcher: the monitor.
-        end_time: time limit [s].
         modulated: for the log.
 
     Raises:
@@ -282,9 +376,10 @@ def run_motion(
         simulator.Initialize()
         simulator.set_monitor(watcher)
         started = time.perf_counter()
-        simulator.AdvanceTo(end_time)
+        simulator.AdvanceTo(watcher.latest_time)
     except (Exception, KeyboardInterrupt) as error:
         watcher.stop_reason = f"{type(error).__name__}: {error}".rstrip(": ")
+        watcher.motion_end = math.nan
         log = _collect(scenario, simulator, watcher, modulated, time.perf_counter() - started)
         raise MotionInterruptedError(log) from error
     finally:
@@ -292,7 +387,7 @@ def run_motion(
         for system in simulator.get_system().GetSystems():
             if isinstance(system, LateCamera):
                 system.release()
-    watcher.stop_reason = watcher.stop_reason or f"time limit of {end_time:g} s"
+    watcher.finish()
     return _collect(scenario, simulator, watcher, modulated, time.perf_counter() - started)
 
 
@@ -349,6 +444,7 @@ def _collect(
         regulation=type(scenario.regulation).__name__ if modulated else "",
         shortfall=scalar("shortfall", 0.0),
         short_of=scalar("short_of", -1.0).astype(np.int64),
+        lowered=scalar("lowered", 0.0),
         event_time=np.array([when for when, _ in watcher.events]),
         event=tuple(note for _, note in watcher.events),
         supervision_time=np.array([when for when, _, _ in watcher.supervision]),
@@ -356,6 +452,8 @@ def _collect(
         supervision_reason=tuple(reason for _, _, reason in watcher.supervision),
         **vars(limits),
         stop_reason=watcher.stop_reason,
+        motion_end=watcher.motion_end,
+        settled=watcher.settled,
         wall_time=wall_time,
         modulated=modulated,
         scenario=scenario_text(scenario),

@@ -351,6 +351,7 @@ class Regulator:
         remaining = float(found.path_length[0])
         tau = float(found.tau[0]) if moving else self._scaling(here, remaining, baseline)
         shortest = here.ellipsoids.ids[(feasible - least).argmax()] % PART
+        lowered = self._clearance - max(float(feasible.min()), 0.0)
         return replace(
             here,
             remaining=remaining,
@@ -361,6 +362,8 @@ class Regulator:
             genes=genes,
             shortfall=shortfall,
             short_of=int(shortest) if shortfall else -1,
+            lowered=lowered,
+            lowered_for=int(here.ellipsoids.ids[feasible.argmin()] % PART) if lowered else -1,
             goal_error=float(found.goal_error[0]),
             note=note,
             motion=_planned(scene.s, motion, self._parameters.steps, here.p_WS),

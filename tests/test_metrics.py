@@ -8,6 +8,8 @@ from pydrake.math import RigidTransform, RollPitchYaw
 
 from drake_oa.inverse_kinematics import solve_tool_pose
 from drake_oa.metrics import free_point_metrics, path_length, robot_metrics
+from drake_oa.obstacles import Obstacle, Sphere
+from drake_oa.report import feasible_clearance
 from drake_oa.scenario import Robot, load_scenario
 from drake_oa.station import home_positions, make_robot_plant
 from drake_oa.values import EllipsoidSet, FloatArray
@@ -116,6 +118,37 @@ def test_the_robot_is_judged_by_scene_graph(poses: dict[str, FloatArray]) -> Non
     assert any(name.endswith("obstacle_box") for name in found.contacts)
     assert any("table" in name for name in found.contacts)
     assert len(set(found.contacts)) == len(found.contacts)
+
+
+def test_the_robot_may_touch_itself(poses: dict[str, FloatArray]) -> None:
+    folded = np.r_[0.0, 0.0, 0.0, -1.6, 0.0, -0.0175, 0.785, 0.02, 0.02]
+    found = robot_metrics(load_scenario("tabletop_box"), np.stack([poses["start"], folded]))
+    assert found.self_contacts == ("panda_hand - panda_link5",)
+    assert found.contacts == ()
+
+
+def test_clearance_to_what_rests_is_told_apart_from_that_to_what_moves(
+    poses: dict[str, FloatArray],
+) -> None:
+    start = np.array([0.45, -0.45, 0.3])
+    scenario = load_scenario("tabletop_box")
+    alone = robot_metrics(scenario, poses["start"][None])
+    assert alone.resting_clearance[0] == alone.tool_clearance[0]
+    scenario.obstacles = [
+        Obstacle(
+            name="ball",
+            shapes=[Sphere(radius=0.02)],
+            translation=(start - [0.0, 0.2, 0.0]).tolist(),
+            waypoints=[[1.0, 0.0, 0.0, 0.0]],
+        )
+    ]
+    both = robot_metrics(scenario, poses["start"][None])
+    assert both.resting_clearance[0] == alone.tool_clearance[0]
+    assert both.tool_clearance[0] < alone.tool_clearance[0]
+    # Start and goal leave what rests there leaves.
+    assert feasible_clearance(scenario) == pytest.approx(scenario.task.clearance)
+    scenario.task.clearance = 1.0
+    assert feasible_clearance(scenario) <= both.resting_clearance[0]
 
 
 def test_a_robot_at_its_start_touches_nothing(poses: dict[str, FloatArray]) -> None:

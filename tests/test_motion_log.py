@@ -1,5 +1,6 @@
 """The log of a motion, and its file."""
 
+import math
 import re
 from dataclasses import fields, replace
 from pathlib import Path
@@ -63,6 +64,7 @@ def log(instants: int = 4, frames: int = 2) -> MotionLog:
         scenario="task:\n  clearance: 0.15\n",
         seed=3,
         versions=("drake 1.51.1", "commit abc"),
+        motion_end=0.2,
     )
 
 
@@ -90,6 +92,14 @@ def test_what_is_written_is_read_back(one: MotionLog, tmp_path: Path) -> None:
         else:
             assert after == before
             assert type(after) is type(before)
+
+
+def test_the_motion_may_end_before_the_run() -> None:
+    one = log()
+    assert (one.duration, one.simulated_time) == (0.2, pytest.approx(0.3))
+    assert one.t[one.moving].tolist() == pytest.approx([0.0, 0.1, 0.2])
+    assert replace(one, motion_end=math.nan).duration == one.simulated_time
+    assert log(0).simulated_time == 0.0
 
 
 def test_numpy_alone_can_read_it(tmp_path: Path) -> None:
@@ -200,11 +210,6 @@ def test_an_observation_is_what_was_packed() -> None:
     assert seen.ids.tolist() == [10, 11]
     np.testing.assert_array_equal(seen.v_WO, ellipsoids(2).v_WO)
     assert whole.observation(1).R_WO.shape == (3, 3, 3)
-
-
-def test_duration_is_the_last_instant() -> None:
-    assert log().duration == pytest.approx(0.3)
-    assert log(0).duration == 0.0
 
 
 def test_a_file_of_before_the_goal_was_logged_is_read(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drake_oa.motion_log import MotionLog, pack_ellipsoids
-from drake_oa.report import motion_report, report_table, run_report
+from drake_oa.report import TOLD, motion_report, report_table, run_report
 from drake_oa.robot_limits import RobotLimits
 from drake_oa.scenario import load_scenario, parse_scenario, scenario_text
 from drake_oa.values import FloatArray
@@ -115,7 +115,7 @@ def test_the_report_has_the_documented_keys_and_is_json() -> None:
 
 
 def test_the_table_shows_one_row_a_motion() -> None:
-    logs = {"preplanned": log_of(THROUGH), "modulated": log_of(AROUND)}
+    logs = {"preplanned": log_of(THROUGH, regulation=""), "modulated": log_of(AROUND)}
     table = report_table(run_report("free_space", FREE, logs)).splitlines()
     assert len(table) == 3
     assert "tool clearance [m]" in table[0]
@@ -126,22 +126,47 @@ def test_the_table_shows_one_row_a_motion() -> None:
     assert len(report_table(short).splitlines()) == 2
 
 
-def test_a_clearance_that_was_not_kept_is_reported_and_warned_of() -> None:
-    short = {"shortfall": np.array([0.0, 0.0123, 0.002]), "short_of": np.array([-1, 4, 5])}
+def test_what_regulation_believes_is_told_apart_from_what_was_kept() -> None:
+    believed = {
+        "shortfall": np.array([0.0, 0.0123, 0.002]),
+        "short_of": np.array([-1, 4, 5]),
+        "lowered": np.array([0.0, 0.02, 0.0]),
+    }
     logs = {
         "preplanned": log_of(THROUGH, regulation=""),
-        "modulated": log_of(AROUND, **short),
+        "modulated": log_of(AROUND, **believed),
     }
     report = run_report("free_space", FREE, logs)
     found = report["modulated"]
     assert found["regulation"] == "Verified"
-    assert (found["shortfall_max"], found["short_of"]) == (0.0123, 4)
-    assert report["preplanned"]["regulation"] is None
-    assert report["preplanned"]["shortfall_max"] is None
-    table = report_table(report).splitlines()
-    assert "shortfall [mm]" in table[0]
-    assert table[-1] == (
-        "warning: modulated: 12.3 mm of the clearance to obstacle 4 could not be kept"
+    assert (found["believed_shortfall"], found["believed_short_of"]) == (0.0123, 4)
+    assert found["lowered"] == 0.02
+    # The truth is that it was kept.
+    assert found["feasible_clearance"] == found["asked_clearance"]
+    assert found["short_of_feasible"] == 0.0
+    blind = report["preplanned"]
+    assert (blind["regulation"], blind["believed_shortfall"], blind["lowered"]) == (
+        None,
+        None,
+        None,
+    )
+    assert blind["short_of_feasible"] > blind["feasible_clearance"]
+    *_, lowered, lacked = report_table(report).splitlines()
+    assert lowered.startswith("note: modulated: regulation lowered the asked clearance")
+    assert lacked == (
+        "note: modulated: regulation believed to lack 12.3 mm of the clearance to obstacle 4"
     )
     paper = motion_report(FREE, log_of(AROUND, regulation="Regressor"))
-    assert (paper["shortfall_max"], paper["short_of"]) == (None, None)
+    assert (paper["believed_shortfall"], paper["believed_short_of"]) == (None, None)
+
+
+def test_a_clearance_that_start_and_goal_do_not_leave_or_that_was_not_kept_is_told() -> None:
+    far = parse_scenario(scenario_text(FREE), ["task.clearance=1.0"])
+    report = run_report("far", far, {"modulated": log_of(AROUND)})
+    found = report["modulated"]
+    assert found["asked_clearance"] == 1.0
+    assert found["feasible_clearance"] < 0.5
+    assert found["short_of_feasible"] > TOLD
+    asked, kept = report_table(report).splitlines()[-2:]
+    assert asked.startswith(f"note: start and goal leave {found['feasible_clearance']:.3f} m")
+    assert kept.startswith(f"warning: modulated: kept {found['resting_clearance_min']:.3f} m")

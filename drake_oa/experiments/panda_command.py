@@ -42,12 +42,17 @@ Its methods (all by default; of tabletop all but planner):
                        the package ompl (pip install 'drake_oa[peers]'), the whole robot 25 mm
                        from everything; it is not simulated, and success means solved
 Its table:
-  contacts             scenes in which a link, the hand or a finger touched an obstacle or the
-                       table, by SceneGraph
+  contacts             scenes in which a link, the hand or a finger touched an obstacle, the
+                       table or another of the robot's, by SceneGraph, until all was at rest
   success              no contact, and the tool ends within 5 mm of the goal
   of solved            success in the scenes that planner solves, where it is among the methods
   stopped              the others: ended short of the goal without a contact, and why
+  time limit           scenes that ended by it, arrived or not
+  self                 scenes in which the robot touched itself
+  short                scenes in which the tool came more than 1 mm nearer to what stands at rest
+                       than start and goal leave of the asked clearance, and by how much at most
   clearance            least over all scenes, of hand and fingers (tool) and of any link
+  duration             of the motion, median and longest scene
   goal error           largest of the scenes that were not stopped
   real-time factor     simulated over real time, median and least scene
 Every scene is on disk as soon as it is done (--results), and the same command resumes.

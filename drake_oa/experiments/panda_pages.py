@@ -30,4 +30,4 @@ def write_page(path: Path, log: MotionLog) -> None:
     meshcat.Delete()
     diagram = build_replay(parse_scenario(log.scenario), log, meshcat)
     with recording(meshcat, path):
-        Simulator(diagram).AdvanceTo(log.duration)
+        Simulator(diagram).AdvanceTo(log.simulated_time)

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context, Diagram, EventStatus
+from pydrake.systems.framework import Context, Diagram
 
 from drake_oa.diagrams.differential_ik import build_differential_ik
 from drake_oa.dmp import normalised_time
@@ -32,7 +32,8 @@ from drake_oa.simulation import (
     MotionWatcher,
     run_motion,
 )
-from drake_oa.station import TOOL_FRAME, make_robot_plant
+from drake_oa.station import make_robot_plant
+from drake_oa.supervision import Supervision
 from drake_oa.values import FloatArray, PolicyState
 
 STUCK_TIME = 1.0
@@ -56,38 +57,33 @@ class _PeerWatcher(MotionWatcher):
         scenario: Scenario,
         end_time: float,
         on_progress: Callable[[float, float], None] | None,
+        *,
+        settles: bool,
     ) -> None:
-        super().__init__(diagram, scenario, end_time, on_progress)
+        super().__init__(diagram, scenario, end_time, on_progress, settles=settles)
         self._command = diagram.GetSubsystemByName("commanded_velocity")
-        self._plant = diagram.GetSubsystemByName("plant")
-        self._tool = self._plant.GetFrameByName(TOOL_FRAME)
         self._duration = make_dmp(scenario).duration
         self._recent: deque[tuple[float, FloatArray]] = deque()
 
-    def __call__(self, root: Context) -> EventStatus:
-        now = root.get_time()
-        if now < self._next_time:
-            return EventStatus.DidNothing()
-        self._next_time = now + 0.5 * self._period
-        policy: PolicyState = self._policy_port.Eval(self._policy_system.GetMyContextFromRoot(root))
-        p_WE = self._tool.CalcPoseInWorld(self._plant.GetMyContextFromRoot(root)).translation()
-        self._note(root, now, math.dist(policy.p_WE, p_WE))
-        if self._on_progress is not None:
-            self._on_progress(now, policy.phase)
+    def _record(self, root: Context, now: float, policy: PolicyState) -> None:
+        self._note(root, now, math.dist(policy.p_WE, self._tool_point(root, policy)))
+
+    def _why_ended(
+        self, root: Context, now: float, policy: PolicyState, supervision: Supervision
+    ) -> tuple[str, bool]:
+        p_WE = self._tool_point(root, policy)
         s = normalised_time(policy.phase, self._alpha_k)
         error = math.dist(p_WE, policy.p_WG)
         if s >= 1.0 - 1e-9:
             if error < ARRIVED and self._speed(now, p_WE) * self._duration < STILL * ARRIVED:
-                return self._stop("goal")
+                return "goal", False
             if self._stands_still(now, p_WE):
                 why = f" ({self.events[-1][1]})" if self.events and self.events[-1][1] else ""
-                return self._stop(f"stuck {1e3 * error:.1f} mm short of the goal{why}")
+                return f"stuck {1e3 * error:.1f} mm short of the goal{why}", False
         self._remember(now, p_WE)
         if s >= LATEST_END:
-            return self._stop(f"goal missed by {1e3 * error:.1f} mm at s = {LATEST_END:g}")
-        if now >= self._end_time:
-            return self._stop(f"time limit of {self._end_time:g} s")
-        return EventStatus.DidNothing()
+            return f"goal missed by {1e3 * error:.1f} mm at s = {LATEST_END:g}", False
+        return (f"time limit of {self._end_time:g} s" if now >= self._end_time else ""), False
 
     def _note(self, root: Context, now: float, lag: float) -> None:
         command = self._command.get_output_port().Eval(self._command.GetMyContextFromRoot(root))
@@ -168,8 +164,8 @@ def simulate_differential_ik(
     integral = diagram.GetSubsystemByName("commanded_position")
     integral.set_integral_value(integral.GetMyMutableContextFromRoot(root), q_start)
     end_time = make_dmp(scenario).duration * LONGEST_SCALING if duration is None else duration
-    watcher = _PeerWatcher(diagram, scenario, end_time, on_progress)
+    watcher = _PeerWatcher(diagram, scenario, end_time, on_progress, settles=duration is None)
     with _without_solver_warnings():
-        log = run_motion(scenario, simulator, watcher, end_time, modulated=True)
+        log = run_motion(scenario, simulator, watcher, modulated=True)
     saturated = (np.abs(log.torque) >= log.effort_limit).any(axis=1).astype(float)
     return replace(log, regulation=METHOD, saturated=saturated)

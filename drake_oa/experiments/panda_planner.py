@@ -20,6 +20,8 @@ from drake_oa.values import FloatArray
 
 _FINE = 4
 """Instants that are judged for each step of a plan."""
+_WAITING = 0.01
+"""Time between those that are judged after it [s]."""
 
 
 def run_planner(
@@ -45,6 +47,7 @@ def run_planner(
     seconds = perf_counter() - begin
     found: dict[str, Any] = {
         "contacts": [],
+        "self_contacts": [],
         "tool_clearance_min": None,
         "robot_clearance_min": None,
         "goal_error": math.dist(scenario.task.start, scenario.task.goal),
@@ -60,10 +63,14 @@ def run_planner(
 
 
 def _judged(scenario: Scenario, plan: Plan) -> dict[str, Any]:
+    """Until all obstacles have ended their courses, the robot at rest at the plan's end."""
     rows = np.arange(len(plan.t))
     fine = np.linspace(0.0, rows[-1], _FINE * rows[-1] + 1)
     q = np.stack([np.interp(fine, rows, joint) for joint in plan.q.T], axis=1)
     t = np.interp(fine, rows, plan.t)
+    last = max((item.last_change for item in scenario.obstacles), default=0.0)
+    waits = np.arange(t[-1], last, _WAITING)[1:]
+    t, q = np.append(t, waits), np.concatenate([q, np.tile(q[-1], (len(waits), 1))])
     metrics = robot_metrics(scenario, q, world_positions(scenario, t))
 
     def least(clearance: FloatArray) -> float | None:
@@ -71,6 +78,7 @@ def _judged(scenario: Scenario, plan: Plan) -> dict[str, Any]:
 
     return {
         "contacts": list(metrics.contacts),
+        "self_contacts": list(metrics.self_contacts),
         "tool_clearance_min": least(metrics.tool_clearance),
         "robot_clearance_min": least(metrics.robot_clearance),
         "goal_error": math.dist(metrics.p_WE[-1], scenario.task.goal),

@@ -15,11 +15,13 @@ Methods:
   planner          a sampling-based planner that knows the obstacles exactly, to tell which
                    scenes have a solution at all: see `sampling_planner`
 
-Contacts are judged by SceneGraph at every logged instant (4 ms apart): each link, the hand
-and the fingers against obstacles and table. Links of the robot among themselves are not.
+Contacts are judged by SceneGraph at every logged instant (4 ms apart) until everything has
+been at rest for a second: each link, the hand and the fingers against obstacles, table and each
+other.
 
 A run is a `success` (no contact, and the tool point ends within 5 mm of the goal), a
-`contact`, or else `stopped`: it ended short of the goal without a contact. The reason of a
+`contact` with the scene or with itself, or else `stopped`: it ended short of the goal without
+a contact. The reason of a
 stop is what ended the run, with "#" for its numbers; a run that raised an exception has that
 exception for a reason.
 """
@@ -38,21 +40,38 @@ from typing import Any
 import numpy as np
 
 from drake_oa.experiments.differential_ik import PeerParameters
-from drake_oa.experiments.panda_cell import PandaCell
 from drake_oa.experiments.panda_scenes import check_perception
-from drake_oa.metrics import robot_metrics
 from drake_oa.motion_log import MotionLog
-from drake_oa.report import motion_report
+from drake_oa.report import feasible_clearance, motion_report
 from drake_oa.scenario import GroundTruth, Regressor, Scenario, Verified
-from drake_oa.simulation import MotionInterruptedError, simulate
+from drake_oa.simulation import AT_GOAL, MotionInterruptedError, simulate
 
-GOAL_TOLERANCE = 5e-3
-"""Largest distance from the goal at the end of a success [m]."""
 PLANNER = "planner"
 DEFAULT_METHODS = ("preplanned", "paper", "verified", "differential_ik", "differential_ik_near")
 METHODS = (*DEFAULT_METHODS, PLANNER)
 TRUTH_ONLY = frozenset({"differential_ik", "differential_ik_near", PLANNER})
 """Methods that know the obstacles exactly, whatever the perception."""
+
+
+_KEPT = (
+    "contacts",
+    "self_contacts",
+    "tool_clearance_min",
+    "robot_clearance_min",
+    "asked_clearance",
+    "feasible_clearance",
+    "short_of_feasible",
+    "believed_shortfall",
+    "lowered",
+    "goal_error",
+    "duration",
+    "path_length",
+    "torque_saturation",
+    "stop_reason",
+    "settled",
+    "events",
+)
+"""What of `motion_report` a result holds."""
 
 
 def default_methods(kind: str) -> tuple[str, ...]:
@@ -120,10 +139,8 @@ def run_panda_scene(
     Returns:
         `outcome` ("success", "contact" or "stopped"), `reason` (of what is no success: the
         stop reason with "#" for numbers), `failed` (whether it raised), and of
-        `motion_report`: `contacts` ("link - thing"), `tool_clearance_min`,
-        `robot_clearance_min` (None without obstacles), `goal_error`, `duration`,
-        `path_length`, `torque_saturation`, `stop_reason`, `events`; besides `wall_time` [s]
-        and `real_time_factor` of the simulation. Of `planner` see `run_planner`.
+        `motion_report` those of `_KEPT`; besides `wall_time` [s] and `real_time_factor` of the
+        simulation. Of `planner` see `run_planner`.
     """
     return run_and_judge(scenario, method, perception, duration=duration).result
 
@@ -157,7 +174,7 @@ def _simulate(scenario: Scenario, method: str, duration: float | None) -> Motion
         peer: Callable[..., MotionLog] = module.simulate_differential_ik
         parameters = PeerParameters()
         if method == "differential_ik":
-            parameters = replace(parameters, tool_distance=_feasible_clearance(scenario))
+            parameters = replace(parameters, tool_distance=feasible_clearance(scenario))
         return peer(scenario, duration=duration, parameters=parameters)
     return simulate(scenario, modulated=method != "preplanned", duration=duration)
 
@@ -172,31 +189,18 @@ def _plan(scenario: Scenario) -> dict[str, Any]:
         return _not_run(scenario, error)
     outcome = _outcome(found, failed=False)
     reason = "" if outcome == "success" else plain_reason(found["stop_reason"])
-    return {"outcome": outcome, "reason": reason, "failed": False, **found}
-
-
-def _feasible_clearance(scenario: Scenario) -> float:
-    """min(Delta, tool clearance at the start, at the goal), as SceneGraph knows it [m]."""
-    cell = PandaCell(scenario)
-    q = np.stack([cell.tool_down(np.asarray(p)) for p in (scenario.task.start, scenario.task.goal)])
-    tool = robot_metrics(scenario, q).tool_clearance
-    return float(max(min(scenario.task.clearance, tool.min()), 0.0))
+    return {
+        **dict.fromkeys(_KEPT),
+        "outcome": outcome,
+        "reason": reason,
+        "failed": False,
+        **found,
+    }
 
 
 def _judge(scenario: Scenario, log: MotionLog, failed: bool) -> dict[str, Any]:
     report = motion_report(scenario, log)
-    kept = (
-        "contacts",
-        "tool_clearance_min",
-        "robot_clearance_min",
-        "goal_error",
-        "duration",
-        "path_length",
-        "torque_saturation",
-        "stop_reason",
-        "events",
-    )
-    found = {key: report[key] for key in kept}
+    found = {key: report[key] for key in _KEPT}
     outcome = _outcome(found, failed)
     return {
         "outcome": outcome,
@@ -204,14 +208,14 @@ def _judge(scenario: Scenario, log: MotionLog, failed: bool) -> dict[str, Any]:
         "failed": failed,
         **found,
         "wall_time": log.wall_time,
-        "real_time_factor": log.duration / log.wall_time if log.wall_time > 0.0 else None,
+        "real_time_factor": log.simulated_time / log.wall_time if log.wall_time > 0.0 else None,
     }
 
 
 def _outcome(found: dict[str, Any], failed: bool) -> str:
-    if found["contacts"]:
+    if found["contacts"] or found["self_contacts"]:
         return "contact"
-    return "success" if found["goal_error"] <= GOAL_TOLERANCE and not failed else "stopped"
+    return "success" if found["goal_error"] <= AT_GOAL and not failed else "stopped"
 
 
 def _not_run(scenario: Scenario, error: Exception) -> dict[str, Any]:
@@ -220,9 +224,9 @@ def _not_run(scenario: Scenario, error: Exception) -> dict[str, Any]:
         "outcome": "stopped",
         "reason": plain_reason(reason),
         "failed": True,
+        **dict.fromkeys(_KEPT),
         "contacts": [],
-        "tool_clearance_min": None,
-        "robot_clearance_min": None,
+        "self_contacts": [],
         "goal_error": math.dist(scenario.task.start, scenario.task.goal),
         "duration": 0.0,
         "path_length": 0.0,

@@ -11,18 +11,25 @@ import numpy as np
 from drake_oa.experiments.panda_evaluation import PandaResults
 from drake_oa.experiments.panda_run import PLANNER
 from drake_oa.experiments.tables import text_table
+from drake_oa.report import TOLD
 
 _COLUMNS = (
     ("scenes", "scenes", "{:d}", 1.0),
     ("contacts", "contacts", "{:d}", 1.0),
     ("success", "success", "{:d}", 1.0),
     ("stopped", "stopped", "{:d}", 1.0),
+    ("time_limits", "time limit", "{:d}", 1.0),
+    ("self_contacts", "self", "{:d}", 1.0),
     ("success_rate", "success [%]", "{:.1f}", 1e2),
     ("success_rate_solved", "of solved [%]", "{:.1f}", 1e2),
+    ("short_of_feasible", "short", "{:d}", 1.0),
+    ("short_of_feasible_max", "by [mm]", "{:.1f}", 1e3),
     ("tool_clearance_min", "tool clearance [m]", "{:.3f}", 1.0),
     ("tool_clearance_median", "median", "{:.3f}", 1.0),
     ("robot_clearance_min", "robot clearance [m]", "{:.3f}", 1.0),
     ("goal_error_max", "goal error [mm]", "{:.2f}", 1e3),
+    ("duration_median", "duration [s]", "{:.1f}", 1.0),
+    ("duration_max", "most", "{:.1f}", 1.0),
     ("real_time_factor", "real-time factor", "{:.2f}", 1.0),
     ("real_time_factor_min", "least", "{:.2f}", 1.0),
 )
@@ -96,7 +103,12 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
     Keys: `scenes`; `contacts`, `success` and `stopped`, which sum to it (see `panda_run`);
     `success_rate`; `stop_reasons`, what the stopped ones were stopped by, and how often;
-    `contact_pairs`, in how many scenes which link met what; `failed`, runs that raised;
+    `contact_pairs`, in how many scenes which link met what; `self_contacts`, in how many the
+    robot met itself; `time_limits`, how many ended by their time limit, arrived or not; `failed`,
+    runs that raised; `short_of_feasible`, in how many the tool came more than 1 mm nearer to what
+    rests than start and goal leave of the asked clearance, `short_of_feasible_max` by how much,
+    and `feasible_clearance_median`, what they leave [m]; `duration_median` and `duration_max` of
+    the motions [s];
     `tool_clearance_min` and `robot_clearance_min` over all scenes, `tool_clearance_median` of
     the scenes' least ones [m]; `goal_error_max` over the scenes that were not stopped short,
     `goal_error_max_all` over all [m]; `real_time_factor`, the median, and
@@ -112,7 +124,19 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "stopped": outcome["stopped"],
         "success_rate": outcome["success"] / len(runs) if runs else None,
         "stop_reasons": _counted(run["reason"] for run in runs if run["outcome"] == "stopped"),
-        "contact_pairs": _counted(pair for run in runs for pair in _pairs(run["contacts"])),
+        "contact_pairs": _counted(
+            pair for run in runs for pair in _pairs([*run["contacts"], *run["self_contacts"]])
+        ),
+        "self_contacts": sum(bool(run["self_contacts"]) for run in runs),
+        "time_limits": sum(run["stop_reason"].startswith("time limit") for run in runs),
+        "short_of_feasible": sum((run["short_of_feasible"] or 0.0) > TOLD for run in runs),
+        "short_of_feasible_max": max(
+            (run["short_of_feasible"] for run in runs if run["short_of_feasible"] is not None),
+            default=None,
+        ),
+        "feasible_clearance_median": _median(run["feasible_clearance"] for run in runs),
+        "duration_median": _median(run["duration"] for run in runs),
+        "duration_max": max((run["duration"] for run in runs), default=None),
         "failed": sum(bool(run["failed"]) for run in runs),
         "tool_clearance_min": _least(run["tool_clearance_min"] for run in runs),
         "tool_clearance_median": _median(run["tool_clearance_min"] for run in runs),

@@ -65,6 +65,7 @@ class VerifiedRegressorChain(LeafSystem):
       - coupling_parameters
       - shortfall
       - short_of
+      - lowered
       - motion
 
     - ellipsoids_W: abstract `EllipsoidSet`, M dilated obstacles with their velocities; may
@@ -90,6 +91,7 @@ class VerifiedRegressorChain(LeafSystem):
     - shortfall: (1,) what the verified motion lacks of the feasible clearance, min(Delta,
       distance of E now, distance of the goal) of each obstacle [m]; 0 where it is kept.
     - short_of: (1,) name of the obstacle that it lacks it to; -1 where it is kept.
+    - lowered: (1,) by how much the least of these feasible clearances is below Delta [m].
     - motion: abstract `PlannedMotion`, the motion that was verified, from the instant of
       the choice to the goal; without samples while there is none. While a planned posture is
       kept it is the motion that the posture was planned along, from that instant on.
@@ -192,6 +194,7 @@ class VerifiedRegressorChain(LeafSystem):
         )
         self.DeclareVectorOutputPort("shortfall", 1, self._calc_shortfall, {chosen})
         self.DeclareVectorOutputPort("short_of", 1, self._calc_short_of, {chosen})
+        self.DeclareVectorOutputPort("lowered", 1, self._calc_lowered, {chosen})
         self.DeclareAbstractOutputPort(
             "motion", lambda: Value(PlannedMotion()), self._calc_motion, {chosen}
         )
@@ -233,6 +236,9 @@ class VerifiedRegressorChain(LeafSystem):
     def _calc_short_of(self, context: Context, output: BasicVector) -> None:
         output.SetAtIndex(0, self._read(context).short_of)
 
+    def _calc_lowered(self, context: Context, output: BasicVector) -> None:
+        output.SetAtIndex(0, self._read(context).lowered)
+
     def _calc_motion(self, context: Context, output: AbstractValue) -> None:
         output.set_value(self._read(context).motion)
 
@@ -247,5 +253,6 @@ def _check_annulus(annulus: FloatArray) -> None:
 def _log_change(before: Regulation, after: Regulation, time: float) -> None:
     """Says once what a new choice does not do; why it holds, who holds says."""
     said = "" if after.note else concern(after)
-    if said and (after.short_of != before.short_of or before.note or not concern(before)):
+    was, now = ((one.short_of, one.lowered_for) for one in (before, after))
+    if said and (now != was or before.note or not concern(before)):
         _logger.warning("t=%.3f s: %s", time, said)
