@@ -10,7 +10,7 @@ STAMP := $(VENV)/.installed
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test lint setup clean
+.PHONY: demo test slow lint setup clean
 
 demo: $(STAMP)
 	@mkdir -p $(OUT)
@@ -20,6 +20,10 @@ demo: $(STAMP)
 
 test: $(STAMP)
 	$(VENV)/bin/python -m pytest -n $(JOBS)
+
+# Longer experiments: whole runs from depth, the gallery's figures, real scans.
+slow: $(STAMP)
+	$(VENV)/bin/python -m pytest -n $(JOBS) -m slow
 
 lint: $(STAMP)
 	$(VENV)/bin/ruff check .

@@ -44,7 +44,9 @@ suites:
 {panda}
 methods of the other suites (default: paper and verified; for dead-zone original and paper):
   paper                the paper's own regressor chain, as printed
-  verified             proposals checked by roll-outs
+  verified             proposals checked by roll-outs, as the running system does it
+  verified_constant    the same with a chain that always proposes the same, to tell what the
+                       trained networks add
   original             the coupling term that the paper starts from
   movement_primitives  the package of that name (pip install 'drake_oa[peers]')
 

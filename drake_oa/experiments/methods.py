@@ -32,9 +32,9 @@ class Setting:
 Method = Callable[[Scenes, Setting], Motions]
 
 
-def _imported(module: str) -> Method:
+def _imported(module: str, name: str = "run") -> Method:
     try:
-        run: Method = import_module(f"drake_oa.experiments.{module}").run
+        run: Method = getattr(import_module(f"drake_oa.experiments.{module}"), name)
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] != "movement_primitives":
             raise
@@ -48,6 +48,7 @@ def _imported(module: str) -> Method:
 METHODS: dict[str, Callable[[], Method]] = {
     "paper": partial(_imported, "paper_method"),
     "verified": partial(_imported, "verified"),
+    "verified_constant": partial(_imported, "verified", "run_constant"),
     "original": partial(_imported, "original_method"),
     "movement_primitives": partial(_imported, "peers"),
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import replace
 
@@ -10,7 +11,7 @@ import numpy as np
 from drake_oa.experiments.methods import Setting
 from drake_oa.experiments.motions import Motions
 from drake_oa.experiments.scenes import DURATION, Scenes, single_obstacle
-from drake_oa.regressor import load_chain
+from drake_oa.regressor import ChainWeights, load_chain
 from drake_oa.scenario import package_file
 from drake_oa.spatial_rollout import SpatialScenes
 from drake_oa.values import FloatArray, IntArray
@@ -22,7 +23,12 @@ SAMPLES = 500
 """Intervals in which the motions are handed over."""
 LEAST_CLEARANCE = 0.01
 """Kept where no clearance is asked for: what the paper's training set calls free [m]."""
-PARAMETERS = SearchParameters(retries=2)
+PARAMETERS = SearchParameters()
+"""As the running system has them."""
+
+
+CONSTANT = {"alpha": 30.0, "psi": 1.4, "kappa": 3.0}
+"""What `run_constant` proposes; kappa is kappa L^2."""
 
 
 def run(scenes: Scenes, setting: Setting) -> Motions:
@@ -36,12 +42,34 @@ def run(scenes: Scenes, setting: Setting) -> Motions:
     Returns:
         The motions, from rest until they have arrived.
     """
+    return _run(scenes, setting, load_chain(package_file(WEIGHTS)))
+
+
+def run_constant(scenes: Scenes, setting: Setting) -> Motions:
+    """`run` with a chain that always proposes `CONSTANT`: what the trained networks add."""
+    return _run(scenes, setting, constant_chain(load_chain(package_file(WEIGHTS))))
+
+
+def constant_chain(chain: ChainWeights) -> ChainWeights:
+    """A chain of the same inputs that gives `CONSTANT` whatever they are."""
+    networks = {}
+    for target, network in chain.networks.items():
+        value = CONSTANT[target]
+        handled = math.log(value) if target in chain.log_targets else value
+        last = np.full(1, (handled - network.out_offset) * network.out_gain + network.out_min)
+        networks[target] = replace(
+            network,
+            weights=(*network.weights[:-1], np.zeros_like(network.weights[-1])),
+            biases=(*network.biases[:-1], last),
+        )
+    return replace(chain, networks=networks)
+
+
+def _run(scenes: Scenes, setting: Setting, chain: ChainWeights) -> Motions:
     _warm_up()
     begun = time.perf_counter()
     posed = spatial_scenes(scenes, scenes.clearance if setting.constrained else LEAST_CLEARANCE)
-    found = verify(
-        posed, load_chain(package_file(WEIGHTS)), duration=DURATION, parameters=PARAMETERS
-    )
+    found = verify(posed, chain, duration=DURATION, parameters=PARAMETERS)
     path, z, end, tau = _followed(posed, found, setting)
     return Motions(
         path=path,

@@ -7,7 +7,17 @@ from drake_oa.experiments.judge import judge
 from drake_oa.experiments.methods import Setting, load_method
 from drake_oa.experiments.scenes import DURATION, Scenes, single_obstacle
 from drake_oa.experiments.suites import draw_scenes
-from drake_oa.experiments.verified import LEAST_CLEARANCE, PARAMETERS, run
+from drake_oa.experiments.verified import (
+    CONSTANT,
+    LEAST_CLEARANCE,
+    PARAMETERS,
+    WEIGHTS,
+    constant_chain,
+    run,
+)
+from drake_oa.regressor import load_chain
+from drake_oa.scenario import package_file
+from drake_oa.verification import SearchParameters
 
 
 @pytest.mark.parametrize("suite", ["novel", "posed", "hit", "head-on", "clutter", "moving"])
@@ -71,3 +81,14 @@ def test_a_scene_gets_the_same_motion_in_any_batch() -> None:
     scenes = draw_scenes("posed", 8, 1)
     whole, part = run(scenes, Setting()), run(scenes.rows([5]), Setting())
     np.testing.assert_array_equal(whole.path[5], part.path[0])
+
+
+def test_the_search_is_that_of_the_running_system() -> None:
+    assert SearchParameters() == PARAMETERS
+
+
+def test_a_constant_chain_says_the_same_whatever_it_is_asked() -> None:
+    chain = constant_chain(load_chain(package_file(WEIGHTS)))
+    inputs = np.random.default_rng(0).uniform(chain.lower, chain.upper, (5, len(chain.lower)))
+    said = [[CONSTANT[name] for name in ("alpha", "psi", "kappa")]] * 5
+    np.testing.assert_allclose(chain.evaluate(inputs), said, rtol=1e-12)
