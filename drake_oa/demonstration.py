@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import zipfile
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from drake_oa.memory import check_archive
 from drake_oa.orientation_dmp import OrientationDmp, imitate_orientation
 from drake_oa.scenario import Policy, Scenario, ScenarioError, Task
 from drake_oa.values import FloatArray
@@ -41,6 +43,7 @@ def read_demonstration(task: Task) -> Demonstration:
         ScenarioError: naming the file, if it cannot be read or holds something else.
     """
     try:
+        check_archive(Path(task.demonstration))
         with np.load(task.demonstration) as archive:
             path = archive["path"]
             t = archive["t"] if "t" in archive.files else None

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_oa.depth_image_files import DepthCoding, read_depth_png
+from drake_oa.memory import check_archive
 from drake_oa.values import FloatArray
 
 SUFFIXES = (".npz", ".pcd", ".ply", ".png")
@@ -141,6 +142,7 @@ def _read_npz(path: Path, stamp: float) -> RecordedFrame:
     if not zipfile.is_zipfile(path):
         raise ValueError(f"'{path}' cannot be read as .npz: it is no archive of arrays")
     try:
+        check_archive(path)
         with np.load(path, allow_pickle=False) as archive:
             data = {name: np.asarray(archive[name]) for name in archive.files}
     except Exception as error:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from drake_oa.memory import check_archive
 from drake_oa.values import FloatArray
 
 
@@ -59,6 +60,7 @@ def read_arrays(path: Path) -> tuple[dict[str, Any], str | None]:
         if not zipfile.is_zipfile(path):
             # NumPy would take it for a pickle, and say how to load that.
             raise ValueError("it is no archive, or not a whole one")
+        check_archive(path)
         with np.load(path, allow_pickle=False) as file:
             arrays = dict(file)
     except Exception as error:

@@ -1,3 +1,5 @@
+import zipfile
+
 import numpy as np
 import pytest
 
@@ -70,6 +72,15 @@ def test_an_unknown_suffix_is_named(tmp_path):
 def test_an_unreadable_file_is_named(tmp_path, suffix, content):
     (tmp_path / f"broken.{suffix}").write_bytes(content)
     with pytest.raises(ValueError, match=f"broken.{suffix}"):
+        read_recording(tmp_path)
+
+
+def test_more_than_memory_is_refused_before_it_is_read(tmp_path):
+    with zipfile.ZipFile(tmp_path / "huge.npz", "w") as archive:
+        header = {"descr": "<f8", "fortran_order": False, "shape": (10**13, 3)}
+        with archive.open("points.npy", "w") as file:
+            np.lib.format.write_array_header_1_0(file, header)
+    with pytest.raises(ValueError, match=r"huge\.npz.* GB of memory; .* are available"):
         read_recording(tmp_path)
 
 

@@ -224,9 +224,9 @@ def _term_text(terms: Sequence[Comparison]) -> str:
 
 
 def _scenes(options: argparse.Namespace) -> Scenes:
-    from drake_oa.experiments.memory import check_memory
     from drake_oa.experiments.scenes_file import load_scenes
     from drake_oa.experiments.suites import draw_scenes, find_suite
+    from drake_oa.memory import check_memory
 
     if options.scenes is not None and options.scenes < 1:
         raise ValueError(f"--scenes must be at least 1, not {options.scenes}")

@@ -11,13 +11,13 @@ import zipfile
 import zlib
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from drake_oa.experiments.judge import scene_distance
-from drake_oa.experiments.memory import check_memory
 from drake_oa.experiments.scenes import Scenes
+from drake_oa.memory import ArrayHeader, archive_headers, check_memory
 from drake_oa.values import FloatArray
 
 _TRAILING: dict[str, tuple[int, ...]] = {
@@ -30,11 +30,10 @@ _KEYS = tuple(item.name for item in fields(Scenes))
 _COPIES = 4
 """How many times the arrays are held while they are read and checked."""
 _ORTHONORMAL = 1e-6
-
-
-class _Header(NamedTuple):
-    shape: tuple[int, ...]
-    dtype: np.dtype[Any]
+_LONGEST = 100.0
+"""Greatest baseline of a scene [m]."""
+_FARTHEST = 100.0
+"""A centre may be farther from the start than this many baselines in no scene."""
 
 
 def save_scenes(path: Path, scenes: Scenes) -> None:
@@ -58,7 +57,7 @@ def load_scenes(path: Path) -> Scenes:
             cannot be (naming scene and obstacle), or there is not enough memory for it.
     """
     try:
-        headers = _headers(path)
+        headers = archive_headers(path)
         _check_shapes(path, headers)
         size = sum(8 * int(np.prod(headers[name].shape)) for name in _KEYS)
         N, M = headers["center"].shape[:2]
@@ -74,26 +73,7 @@ def load_scenes(path: Path) -> Scenes:
     return scenes
 
 
-def _headers(path: Path) -> dict[str, _Header]:
-    """Shapes and types of the arrays, without reading them."""
-    found: dict[str, _Header] = {}
-    with zipfile.ZipFile(path) as archive:
-        for entry in archive.namelist():
-            if not entry.endswith(".npy"):
-                continue
-            with archive.open(entry) as file:
-                version = np.lib.format.read_magic(file)
-                reader = (
-                    np.lib.format.read_array_header_1_0
-                    if version == (1, 0)
-                    else np.lib.format.read_array_header_2_0
-                )
-                shape, _, dtype = reader(file)
-            found[entry.removesuffix(".npy")] = _Header(shape, dtype)
-    return found
-
-
-def _check_shapes(path: Path, headers: dict[str, _Header]) -> None:
+def _check_shapes(path: Path, headers: dict[str, ArrayHeader]) -> None:
     missing = [name for name in _KEYS if name not in headers]
     if missing:
         there = ", ".join(headers) or "none"
@@ -131,8 +111,8 @@ def check_scenes(scenes: Scenes, source: str = "scenes") -> None:
         source,
         "baseline",
         scenes.baseline,
-        ~(np.isfinite(scenes.baseline) & (scenes.baseline > 0.0)),
-        "positive and finite [m]",
+        ~((scenes.baseline > 0.0) & (scenes.baseline <= _LONGEST)),
+        f"positive and at most {_LONGEST:g} [m]",
     )
     _refuse(
         source,
@@ -161,6 +141,14 @@ def check_scenes(scenes: Scenes, source: str = "scenes") -> None:
         scenes.semi_axes,
         complete & ~(scenes.semi_axes > 0.0).all(axis=-1),
         "positive [m]",
+    )
+    distance = np.linalg.norm(scenes.center, axis=-1)
+    _refuse(
+        source,
+        "center",
+        scenes.center,
+        complete & (distance > _FARTHEST * scenes.baseline[:, None]),
+        f"within {_FARTHEST:g} baselines of the start [m] (is it in millimetres?)",
     )
     R = np.where(complete[..., None, None], scenes.R, np.eye(3))
     off = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2), initial=0.0)

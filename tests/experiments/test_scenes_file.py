@@ -62,6 +62,8 @@ def changed(name: str, place: tuple, value: float | np.ndarray) -> dict[str, np.
         (changed("center", (1, 2, 0), np.nan), "scene 1, obstacle 2 must be finite, or NaN"),
         (changed("baseline", (1,), 0.0), "baseline of scene 1 must be positive"),
         (changed("baseline", (1,), np.nan), "baseline of scene 1 must be positive"),
+        (changed("baseline", (1,), 500.0), r"baseline of scene 1 must be .* at most 100 \[m\]"),
+        (changed("center", (2, 1), [450, 30, 0]), "center of scene 2, obstacle 1 .*millimetres"),
         (changed("clearance", (0,), 0.0), "clearance of scene 0 must be positive and at most"),
         (changed("clearance", (2,), -0.1), "clearance of scene 2 must be positive"),
         (changed("clearance", (2,), 1.5), "clearance of scene 2 must be .* at most the baseline"),

@@ -2,8 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import os
+import zipfile
 from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+
+class ArrayHeader(NamedTuple):
+    """What an array of an archive is."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
 
 
 def available_memory() -> int | None:
@@ -20,6 +32,38 @@ def check_memory(what: str, size: int) -> None:
             f"{what}: would take about {size / 1e9:.3g} GB of memory; {there / 1e9:.3g} GB "
             f"are available"
         )
+
+
+def archive_headers(path: Path) -> dict[str, ArrayHeader]:
+    """Name -> header of an .npz archive's arrays, without reading them.
+
+    Raises:
+        OSError, ValueError, zipfile.BadZipFile: if it cannot be read.
+    """
+    found: dict[str, ArrayHeader] = {}
+    with zipfile.ZipFile(path) as archive:
+        for entry in archive.namelist():
+            if not entry.endswith(".npy"):
+                continue
+            with archive.open(entry) as file:
+                version = np.lib.format.read_magic(file)
+                reader = (
+                    np.lib.format.read_array_header_1_0
+                    if version == (1, 0)
+                    else np.lib.format.read_array_header_2_0
+                )
+                shape, _, dtype = reader(file)
+            found[entry.removesuffix(".npy")] = ArrayHeader(shape, dtype)
+    return found
+
+
+def check_archive(path: Path) -> None:
+    """Raises ValueError where the arrays of an .npz archive claim more memory than there is.
+
+    Raises also what `archive_headers` does.
+    """
+    sizes = [math.prod(item.shape) * item.dtype.itemsize for item in archive_headers(path).values()]
+    check_memory("its arrays", sum(sizes))
 
 
 def _of_machine() -> int | None:
