@@ -27,6 +27,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_oa.cloud_files import read_cloud_file
 from drake_oa.depth_image_files import DepthCoding, read_depth_png
 from drake_oa.memory import check_archive
 from drake_oa.values import FloatArray
@@ -210,34 +211,12 @@ def _is_rotation(R: FloatArray) -> bool:
 
 
 def _read_cloud(path: Path, stamp: float) -> RecordedFrame:
-    import open3d
-
-    # Open3D only warns, on standard output, about a file it cannot read.
-    with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
-        points = np.array(open3d.io.read_point_cloud(path).points, dtype=float)
-    finite = np.isfinite(points).all(axis=1)
-    if not finite.any():
-        raise ValueError(f"'{path}' holds no readable point")
-    width, height = _organised_size(path)
+    points, (width, height) = read_cloud_file(path)
     if height > 1 and width * height == len(points):
         image = _as_depth_image(points.reshape(height, width, 3))
         if image is not None:
             return RecordedFrame(path, stamp, *image)
     return RecordedFrame(path, stamp, points=points)
-
-
-def _organised_size(path: Path) -> tuple[int, int]:
-    """WIDTH and HEIGHT of a .pcd file; (0, 0) of others."""
-    size = {"WIDTH": 0, "HEIGHT": 0}
-    if path.suffix.lower() == ".pcd":
-        with path.open("rb") as file:
-            for _, line in zip(range(40), file, strict=False):
-                words = line.decode("ascii", errors="replace").split()
-                if len(words) == 2 and words[0] in size and words[1].isdigit():
-                    size[words[0]] = int(words[1])
-                if words[:1] == ["DATA"]:
-                    break
-    return size["WIDTH"], size["HEIGHT"]
 
 
 def _as_depth_image(points: FloatArray) -> tuple[NDArray[np.float32], FloatArray] | None:
