@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
+from drake_oa.schema_check import read_yaml
 from drake_oa.values import FloatArray
 
 INTRINSICS_NAMES = (
@@ -125,8 +125,8 @@ def _coding_beside(path: Path) -> DepthCoding:
 def _read_coding(path: Path) -> DepthCoding:
     try:
         text = path.read_text()
-        data = json.loads(text) if path.suffix == ".json" else yaml.safe_load(text)
-    except (OSError, ValueError, yaml.YAMLError) as error:
+        data = json.loads(text) if path.suffix == ".json" else read_yaml(text)
+    except (OSError, ValueError, RecursionError) as error:
         raise ValueError(f"'{path}' cannot be read: {error}") from None
     if not isinstance(data, Mapping):
         raise ValueError(f"'{path}' must hold fx, fy, cx, cy or a camera matrix by name")

@@ -33,6 +33,7 @@ from drake_oa.scenario_perception import (
     GivenEllipsoids,
     GroundTruth,
     RecordedClouds,
+    check_cameras,
     check_perception,
 )
 from drake_oa.scenario_perception import EllipsoidConfig as EllipsoidConfig
@@ -331,8 +332,8 @@ def load_scenario(name_or_file: str, overrides: typing.Sequence[str] = ()) -> Sc
     """
     path = scenario_path(name_or_file)
     try:
-        return parse_scenario(path.read_text(), overrides, folder=path.parent)
-    except ScenarioError as error:
+        return parse_scenario(path.read_text("utf-8"), overrides, folder=path.parent)
+    except (ScenarioError, UnicodeDecodeError) as error:
         raise ScenarioError(f"{path.name}: {error}") from None
 
 
@@ -366,9 +367,7 @@ def parse_scenario(
 def _check_whole(scenario: Scenario) -> None:
     """What no single field can tell."""
     names = [camera.name for camera in scenario.cameras]
-    for name in names:
-        if names.count(name) > 1:
-            raise ScenarioError(f"cameras: two cameras are named '{name}'; each needs its own name")
+    check_cameras(scenario.cameras)
     check_obstacles(scenario.obstacles)
     if scenario.robot is not None:
         check_shapes(scenario.robot.carried, "robot.carried")

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from pydrake.common.schema import Transform
+from pydrake.systems.sensors import CameraConfig
 
 from drake_oa.depth_noise import RANGES, DepthNoiseParameters
 from drake_oa.point_cloud import SegmentationConfig
@@ -13,6 +14,8 @@ from drake_oa.scenario_fields import count, number, vector
 from drake_oa.schema_check import ScenarioError
 
 _NOISE = DepthNoiseParameters()
+_MOST_PIXELS = 4096
+"""Most columns or rows of a simulated image."""
 
 
 def _noise(name: str, unit: str) -> Any:
@@ -100,6 +103,26 @@ class GivenEllipsoids:
     """The descriptors themselves: the action level alone, without perception."""
 
     ellipsoids: list[EllipsoidConfig] = dc.field(default_factory=list)
+
+
+def check_cameras(cameras: Sequence[CameraConfig]) -> None:
+    """What Drake's schema of a camera does not tell.
+
+    Raises:
+        ScenarioError: naming the field and what would be valid.
+    """
+    names = [camera.name for camera in cameras]
+    for row, camera in enumerate(cameras):
+        if names.count(camera.name) > 1:
+            raise ScenarioError(
+                f"cameras: two cameras are named '{camera.name}'; each needs its own name"
+            )
+        for field in ("width", "height"):
+            pixels = getattr(camera, field)
+            if not 1 <= pixels <= _MOST_PIXELS:
+                raise ScenarioError(
+                    f"cameras[{row}].{field}: {pixels} is outside [1, {_MOST_PIXELS}] [pixel]"
+                )
 
 
 def check_perception(

@@ -17,6 +17,9 @@ import numpy as np
 import yaml
 from pydrake.common.yaml import yaml_load
 
+_MOST = 100_000
+"""Most values of a YAML text, counted again wherever an alias stands for them."""
+
 
 class ScenarioError(ValueError):
     """A scenario that cannot be run: says which field, and what would be valid."""
@@ -25,17 +28,40 @@ class ScenarioError(ValueError):
 def read_yaml(text: str) -> Any:
     """Plain data of a YAML text, a block's tag under the key "_tag"."""
     try:
-        _check_nodes(yaml.compose(text, Loader=yaml.SafeLoader))
+        root = yaml.compose(text, Loader=yaml.SafeLoader)
+        if root is None:
+            # Drake takes an empty text for no text at all.
+            return None
+        _check_size(root)
+        _check_nodes(root)
         return yaml_load(data=text)
     except ScenarioError:
         raise
+    except RecursionError:
+        raise ScenarioError("not valid YAML: too many blocks or lists within each other") from None
     except (yaml.YAMLError, ValueError) as error:
         raise ScenarioError(f"not valid YAML: {error}") from None
 
 
-def _check_nodes(node: yaml.Node | None, where: str = "") -> None:
+def _check_size(root: yaml.Node) -> None:
+    """Refuses what aliases blow up, or what holds itself, before anything follows them."""
+    count, left = 0, [root]
+    while left:
+        node = left.pop()
+        count += 1
+        if count > _MOST:
+            raise ScenarioError(
+                f"holds more than {_MOST} values (what an alias repeats is counted again)"
+            )
+        if isinstance(node, yaml.MappingNode):
+            left += [item for pair in node.value for item in pair]
+        elif isinstance(node, yaml.SequenceNode):
+            left += node.value
+
+
+def _check_nodes(node: yaml.Node, where: str = "") -> None:
     """Refuses what would be lost, or not be understood, in plain data."""
-    if node is not None and node.tag.startswith("!") and not isinstance(node, yaml.MappingNode):
+    if node.tag.startswith("!") and not isinstance(node, yaml.MappingNode):
         prefix = f"{where.rstrip('.')}: " if where else ""
         raise ScenarioError(f"{prefix}tag {node.tag} needs a block: write '{node.tag} {{}}'")
     if isinstance(node, yaml.MappingNode):
@@ -61,7 +87,7 @@ def apply_override(data: dict[str, Any], override: str) -> None:
     A block without a tag is merged into the block that is there.
     """
     key, equals, text = override.partition("=")
-    if not equals or not key:
+    if not equals or not all(map(str.strip, key.split("."))):
         raise ScenarioError(f"override '{override}' must have the form field.subfield=value")
     try:
         value = read_yaml(f"value: {text}")["value"]

@@ -56,6 +56,7 @@ def test_the_file_beside_may_name_the_scale(image):
     [
         ("[1, 2]", "by name"),
         ("{", "cannot be read"),
+        ("[" * 10**5, "cannot be read"),
         ('{"width": 3}', "it holds width"),
         ('{"K": [1, 2, 3]}', "3 x 3 camera matrix"),
         ('{"K": [0, 1, 1, 1]}', "positive focal lengths"),
@@ -71,6 +72,14 @@ def test_a_file_of_intrinsics_that_makes_no_sense_is_named(image, content, messa
 
 def test_an_image_without_intrinsics_says_what_it_needs(image):
     with pytest.raises(ValueError, match=r"scene\.png' needs intrinsics.*intrinsics\.json"):
+        read_depth_png(image)
+
+
+def test_intrinsics_that_aliases_blow_up_are_named(image):
+    rows = ["k0: &k0 [1, 1, 1, 1, 1, 1, 1, 1, 1]"]
+    rows += [f"k{n}: &k{n} [{', '.join([f'*k{n - 1}'] * 9)}]" for n in range(1, 9)]
+    image.with_name("scene.yaml").write_text("\n".join([*rows, "K: *k8"]))
+    with pytest.raises(ValueError, match=r"scene\.yaml' cannot be read: holds more than"):
         read_depth_png(image)
 
 

@@ -1,5 +1,6 @@
 """Reading scenarios: what is valid, and what each error says."""
 
+import itertools
 from pathlib import Path
 
 import pytest
@@ -140,6 +141,8 @@ def test_override_replaces_one_field() -> None:
         ("robot: {q_seed: [0, 0]}", ["robot.q_seed", "7"]),
         ("robot: null", ["robot", "GivenEllipsoids"]),
         ("cameras: [{name: a}, {name: a}]", ["cameras", "'a'", "own name"]),
+        ("cameras: [{width: 100000}]", ["cameras[0].width: 100000", "[1, 4096] [pixel]"]),
+        ("cameras: [{}, {name: b, height: 0}]", ["cameras[1].height: 0", "[1, 4096] [pixel]"]),
         ("cameras: [{name: a, widht: 3}]", ["cameras[0].widht", "width"]),
         ("{cameras: [], perception: !DepthCamera {camera: left}}", ["'left'", "none"]),
         ("{seed: 1, seed: 2}", ["seed", "twice"]),
@@ -181,6 +184,39 @@ def test_the_shortest_horizon_is_one_that_evasion_takes() -> None:
     evasion = parse_scenario("evasion: {horizon: 0.7}").evasion
     assert evasion is not None
     assert EvasionParameters(horizon=evasion.horizon).times[-1] == 0.7
+
+
+@pytest.mark.parametrize("text", ["", "\n", "# nothing but words\n"])
+def test_a_file_that_states_nothing_is_all_defaults(text: str, tmp_path: Path) -> None:
+    file = tmp_path / "empty.scenario.yaml"
+    file.write_text(text)
+    assert load_scenario(str(file)) == Scenario()
+
+
+def alias_bomb(levels: int = 9, width: int = 9) -> str:
+    """Lists of aliases of lists: width^levels values in a few lines."""
+    names = [f"a{k}" for k in range(levels)]
+    rows = [f"a0: &a0 [{', '.join('x' * width)}]"]
+    for inner, name in itertools.pairwise(names):
+        rows.append(f"{name}: &{name} [{', '.join([f'*{inner}'] * width)}]")
+    return "\n".join(rows) + "\n"
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (alias_bomb().encode(), "more than 100000 values"),
+        (b"task: &a {goal: *a}", "more than 100000 values"),
+        (b"cameras: " + b"[" * 3000 + b"]" * 3000, "too many blocks or lists within each other"),
+        (b"\x7fELF\xc5\x00", "can't decode byte 0xc5"),
+    ],
+)
+def test_a_file_that_is_no_scenario_is_named(content: bytes, said: str, tmp_path: Path) -> None:
+    file = tmp_path / "odd.scenario.yaml"
+    file.write_bytes(content)
+    with pytest.raises(ScenarioError, match=said) as caught:
+        load_scenario(str(file))
+    assert str(caught.value).startswith(file.name)
 
 
 def test_unknown_scenario_lists_the_shipped_ones() -> None:
