@@ -92,6 +92,7 @@ from typing import Any
 
 import numpy as np
 
+from drake_oa.memory import check_archive
 from drake_oa.output_files import replace_file
 from drake_oa.values import EllipsoidSet, FloatArray, IntArray
 
@@ -114,6 +115,19 @@ _LATER = frozenset(
     }
 )
 """Attributes with defaults, which files of this schema may lack."""
+
+_COUNTED = {
+    "t": "t q v torque saturated p_WE desired_position desired_velocity desired_acceleration "
+    "phase speed_scale tracking_error q_world shortfall short_of goal tool_turn planned_turn "
+    "desired_orientation orientation_error desired_posture evasion",
+    "observation_time": "observation_stamp p_WO R_WO semi_axes v_WO obstacle_id out_of_range",
+    "event_time": "event",
+    "supervision_time": "supervision_action supervision_reason",
+}
+"""Attribute -> those that have as many rows."""
+_POINTS = frozenset({"p_WE", "desired_position", "desired_velocity", "goal", "p_WO", "semi_axes"})
+_FINITE = ("t", "q", "q_world", "p_WE", "desired_position", "desired_velocity", "phase")
+"""Attributes without which nothing can be shown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,13 +267,15 @@ def load_logs(path: Path) -> dict[str, MotionLog]:
 
     Raises:
         OSError: if there is no such file, or it cannot be read.
-        ValueError: if it is no such archive, is damaged, or is of another schema.
+        ValueError: if it is no such archive, is damaged, is of another schema, or its
+            arrays do not go together or hold a pose that is no finite number.
     """
     with path.open("rb") as file:
         try:
             archive = np.load(file, allow_pickle=False)
             if not isinstance(archive, np.lib.npyio.NpzFile):
                 raise ValueError("it is one array, no .npz archive")
+            check_archive(path)
             return _motions(path, archive)
         except _RefusedError:
             raise
@@ -302,7 +318,31 @@ def _motions(path: Path, archive: Any) -> dict[str, MotionLog]:
             raise _RefusedError(f"{path} is not a motion log: '{motion}' lacks {missing}")
         there = [name for name in names if name not in missing]
         logs[motion] = MotionLog(**{n: _read(archive[f"{motion}/{n}"]) for n in there})
+        _check_motion(f"{path}: {motion}", logs[motion])
     return logs
+
+
+def _check_motion(where: str, log: MotionLog) -> None:
+    """Raises _RefusedError for what neither Drake nor matplotlib would name."""
+    arrays = log.arrays()
+    for counter, names in _COUNTED.items():
+        rows = len(arrays[counter])
+        for name in names.split():
+            shape = arrays[name].shape
+            if shape[:1] != (rows,) and not (name in _LATER and shape[:1] == (0,)):
+                raise _RefusedError(
+                    f"{where}/{name} must have a row for each of the {rows} of {counter}; its "
+                    f"shape is {shape}"
+                )
+            if name in _POINTS and (len(shape) < 2 or shape[-1] != 3):
+                raise _RefusedError(f"{where}/{name} must hold x, y, z [m]; its shape is {shape}")
+    for name in _FINITE:
+        bad = ~np.isfinite(arrays[name]).all(axis=tuple(range(1, arrays[name].ndim)))
+        if bad.any():
+            row = int(bad.argmax())
+            raise _RefusedError(f"{where}/{name} must be finite; in row {row} it is not")
+    if (np.diff(log.t) < 0.0).any():
+        raise _RefusedError(f"{where}/t must not fall [s]")
 
 
 def _read(array: np.ndarray) -> Any:

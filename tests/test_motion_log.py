@@ -73,7 +73,7 @@ def log(instants: int = 4, frames: int = 2) -> MotionLog:
     [
         log(),
         log(0, 0),
-        replace(log(), event=(), event_time=np.zeros(0), position_name=(), supervision_action=()),
+        replace(log(), event=(), event_time=np.zeros(0), position_name=()),
     ],
 )
 def test_what_is_written_is_read_back(one: MotionLog, tmp_path: Path) -> None:
@@ -133,6 +133,28 @@ def test_a_log_that_cannot_be_written_leaves_the_one_before(
         save_logs(file, {"modulated": log()})
     assert list(load_logs(file)) == ["preplanned"]
     assert list(tmp_path.iterdir()) == [file]
+
+
+def with_nan(array: np.ndarray) -> np.ndarray:
+    return np.where(np.arange(array.size).reshape(array.shape) == array.size - 1, np.nan, array)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"q": with_nan(log().q)}, "modulated/q must be finite; in row 3 it is not"),
+        ({"p_WE": with_nan(log().p_WE)}, "modulated/p_WE must be finite"),
+        ({"torque": log().torque[:2]}, r"modulated/torque must have a row .* 4 of t.*\(2, 9\)"),
+        ({"p_WO": log().p_WO[:1]}, "modulated/p_WO must have a row .* 2 of observation_time"),
+        ({"event": ("one",)}, "modulated/event must have a row .* 2 of event_time"),
+        ({"goal": np.zeros((4, 2))}, "modulated/goal must hold x, y, z"),
+        ({"t": -log().t}, "modulated/t must not fall"),
+    ],
+)
+def test_what_cannot_be_shown_is_named(changes: dict, said: str, tmp_path: Path) -> None:
+    save_logs(tmp_path / "run.npz", {"modulated": replace(log(), **changes)})
+    with pytest.raises(ValueError, match=rf"run\.npz: {said}"):
+        load_logs(tmp_path / "run.npz")
 
 
 def test_the_file_has_the_name_that_was_asked_for(tmp_path: Path) -> None:
