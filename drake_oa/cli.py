@@ -76,16 +76,16 @@ def _parser() -> argparse.ArgumentParser:
 
     graph = commands.add_parser(
         "graph",
-        help="print a scenario's wiring: SVG when Graphviz' dot is installed, else dot source",
-        description="Prints the diagram of a scenario's modulated motion as SVG, or as Graphviz "
-        "source where `dot` is not installed.",
+        help="print a scenario's wiring as SVG, by Graphviz' dot, or as dot source",
+        description="Prints the diagram of a scenario's modulated motion as SVG, which takes "
+        "`dot` of Graphviz, or with --dot as Graphviz source, which takes nothing.",
         epilog="example:\n  drake-oa graph tabletop_box > wiring.svg\n",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_scenario(graph)
     add_verbose(graph)
     graph.add_argument("--depth", type=int, default=1, help="levels of nested diagrams (default 1)")
-    graph.add_argument("--dot", action="store_true", help="the Graphviz source in any case")
+    graph.add_argument("--dot", action="store_true", help="print the Graphviz source")
     graph.set_defaults(action=_graph)
 
     perceive_command.add_parser(commands)
@@ -132,11 +132,17 @@ def _scenarios(options: argparse.Namespace) -> int:
 def _graph(options: argparse.Namespace) -> int:
     from drake_oa.diagrams.avoidance import build_avoidance
 
+    if options.depth < 0:
+        raise ValueError(f"--depth must be at least 0, not {options.depth}")
     scenario = load_scenario(options.scenario, options.overrides)
+    dot = None if options.dot else shutil.which("dot")
+    if dot is None and not options.dot:
+        raise ValueError(
+            "an SVG takes Graphviz, whose `dot` is not on the PATH; --dot prints the source"
+        )
     with build_errors():
         diagram = build_avoidance(scenario)
     text = diagram.GetGraphvizString(max_depth=options.depth)
-    dot = None if options.dot else shutil.which("dot")
     if dot:
         answer = subprocess.run(
             [dot, "-Tsvg"], input=text, capture_output=True, text=True, check=False

@@ -274,6 +274,24 @@ def test_graph_is_graphviz_source_on_request(
         assert name in source
 
 
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [((), "Graphviz, whose `dot` is not on the PATH; --dot"), (("--depth", "-1"), "--depth must")],
+)
+def test_a_graph_that_cannot_be_drawn_is_one_clear_line(
+    arguments: tuple[str, ...],
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(shutil, "which", lambda _: None)
+    assert run("graph", "free_space", *arguments) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert said in told.err
+    assert len(told.err.splitlines()) == 1
+
+
 @pytest.mark.skipif(shutil.which("dot") is None, reason="Graphviz is not here")
 def test_graph_is_svg_where_dot_is_installed(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("graph", "free_space") == 0
@@ -281,7 +299,7 @@ def test_graph_is_svg_where_dot_is_installed(capsys: pytest.CaptureFixture[str])
 
 
 def test_a_closed_pipe_is_no_error() -> None:
-    source = "from drake_oa.cli import main; import sys; sys.exit(main(['graph', 'free_space']))"
+    source = "from drake_oa.cli import main; main(['graph', 'free_space', '--dot'])"
     process = subprocess.run(
         ["bash", "-c", f'"{sys.executable}" -c "{source}" | head -c 1'],
         capture_output=True,
