@@ -100,7 +100,8 @@ def replace_file(path: Path, write: Callable[[Path], object]) -> None:
         write(path)
         return
     path = path.resolve()
-    beside = path.with_name(f"{path.name}.part")
+    # Of this process alone: another may be writing the same file.
+    beside = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:
         write(beside)
         os.replace(beside, path)

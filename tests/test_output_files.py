@@ -94,3 +94,22 @@ def test_a_write_that_fails_leaves_the_file_and_nothing_beside(tmp_path: Path) -
         replace_file(file, fail)
     assert file.read_text() == "before"
     assert list(tmp_path.iterdir()) == [file]
+
+
+def test_two_processes_that_write_one_file_do_not_write_into_each_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, beside = tmp_path / "run.json", []
+
+    def write(path: Path) -> None:
+        beside.append(path)
+        path.write_text(f"{len(beside)}")
+        if len(beside) == 1:
+            # Another process comes in between.
+            monkeypatch.setattr(os, "getpid", lambda: -1)
+            replace_file(file, write)
+            assert file.read_text() == "2"
+
+    replace_file(file, write)
+    assert file.read_text() == "1"
+    assert list(tmp_path.iterdir()) == [file]
