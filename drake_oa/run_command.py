@@ -297,6 +297,9 @@ def _progress(
 class Terminated(KeyboardInterrupt):
     """SIGTERM or SIGHUP: ends a run as Ctrl-C does."""
 
+    def __str__(self) -> str:
+        return "terminated"
+
 
 @contextlib.contextmanager
 def _stop_between_steps() -> Iterator[Callable[[], None]]:

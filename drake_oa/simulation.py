@@ -378,7 +378,10 @@ def run_motion(
         started = time.perf_counter()
         simulator.AdvanceTo(watcher.latest_time)
     except (Exception, KeyboardInterrupt) as error:
-        watcher.stop_reason = f"{type(error).__name__}: {error}".rstrip(": ")
+        if isinstance(error, KeyboardInterrupt):
+            watcher.stop_reason = str(error) or "interrupted"
+        else:
+            watcher.stop_reason = f"{type(error).__name__}: {error}".rstrip(": ")
         watcher.motion_end = math.nan
         log = _collect(scenario, simulator, watcher, modulated, time.perf_counter() - started)
         raise MotionInterruptedError(log) from error
