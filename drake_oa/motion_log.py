@@ -118,8 +118,8 @@ _LATER = frozenset(
 
 _COUNTED = {
     "t": "t q v torque saturated p_WE desired_position desired_velocity desired_acceleration "
-    "phase speed_scale tracking_error q_world shortfall short_of goal tool_turn planned_turn "
-    "desired_orientation orientation_error desired_posture evasion",
+    "phase speed_scale tracking_error q_world shortfall short_of lowered goal tool_turn "
+    "planned_turn desired_orientation orientation_error desired_posture evasion",
     "observation_time": "observation_stamp p_WO R_WO semi_axes v_WO obstacle_id out_of_range",
     "event_time": "event",
     "supervision_time": "supervision_action supervision_reason",
