@@ -5,17 +5,20 @@ from __future__ import annotations
 import argparse
 import contextlib
 import sys
+import textwrap
 from collections.abc import Iterator
 
 from drake_oa.scenario import ScenarioError
 
 FAILED, BAD_INPUT, INTERRUPTED, TERMINATED = 1, 2, 130, 143
 """Exit statuses other than 0."""
+_LONGEST = 2000
 
 
 def complain(message: str) -> None:
-    """Prints an error as one line on stderr."""
-    print(f"drake-oa: error: {' '.join(message.split())}", file=sys.stderr)
+    """Prints an error as one line on stderr; of a very long one, the first `_LONGEST` letters."""
+    line = textwrap.shorten(message, _LONGEST, placeholder=" ...")
+    print(f"drake-oa: error: {line}", file=sys.stderr)
 
 
 def add_verbose(parser: argparse.ArgumentParser) -> None:

@@ -309,6 +309,16 @@ def test_a_closed_pipe_is_no_error() -> None:
     assert process.stderr == ""
 
 
+def test_a_file_that_is_no_scenario_is_not_told_whole(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "cloud.pcd").write_text("0.123 0.456 0.789\n" * 1000)
+    assert run("run", str(tmp_path / "cloud.pcd")) == 2
+    told = capsys.readouterr().err
+    assert "cloud.pcd: expected a block of field: value, not the str" in told
+    assert len(told) < 2100
+
+
 def test_help_and_scenarios_start_without_the_heavy_packages() -> None:
     source = (
         "import sys, drake_oa.cli as cli; cli.main(['scenarios'])\n"
