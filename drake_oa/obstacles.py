@@ -83,7 +83,7 @@ class Obstacle:
     @property
     def last_change(self) -> float:
         """When it has ended its course, and comes and goes no more [s]; 0: it never moves."""
-        return max(0.0, *(waypoint[0] for waypoint in self.waypoints), *self.present)
+        return max([0.0, *(waypoint[0] for waypoint in self.waypoints), *self.present])
 
     def offset_at(self, time: float) -> FloatArray:
         """(3,) how far from `translation` it is at a time [s], in the world [m]."""

@@ -125,7 +125,7 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "success_rate": outcome["success"] / len(runs) if runs else None,
         "stop_reasons": _counted(run["reason"] for run in runs if run["outcome"] == "stopped"),
         "contact_pairs": _counted(
-            pair for run in runs for pair in _pairs([*run["contacts"], *run["self_contacts"]])
+            pair for run in runs for pair in (*_pairs(run["contacts"]), *set(run["self_contacts"]))
         ),
         "self_contacts": sum(bool(run["self_contacts"]) for run in runs),
         "time_limits": sum(run["stop_reason"].startswith("time limit") for run in runs),

@@ -65,7 +65,7 @@ class ObstacleMover(LeafSystem):
     @property
     def last_change(self) -> float:
         """When the obstacle has ended its course, and comes and goes no more [s]."""
-        return max(0.0, *self._waypoints[-1:, 0], *self._present)
+        return max([*self._waypoints[-1:, 0].tolist(), *self._present])
 
     def _calc_force(self, context: Context, output: BasicVector) -> None:
         x = self._state.Eval(context)

@@ -155,7 +155,7 @@ def test_bad_settings_are_refused(changes, message):
         PandaSuite(**settings)
 
 
-def _run(outcome, reason="", goal_error=1e-4, contacts=(), clearance=0.1, speed=1.0):
+def _run(outcome, reason="", goal_error=1e-4, contacts=(), clearance=0.1, speed=1.0, **more):
     return {
         "outcome": outcome,
         "reason": reason,
@@ -166,28 +166,45 @@ def _run(outcome, reason="", goal_error=1e-4, contacts=(), clearance=0.1, speed=
         "goal_error": goal_error,
         "real_time_factor": speed,
         "wall_time": 1.0,
+        "self_contacts": [],
+        "feasible_clearance": 0.15,
+        "short_of_feasible": 0.0,
+        "duration": 5.0,
+        "stop_reason": reason or "goal",
+        **more,
     }
 
 
 def test_figures_count_outcomes_reasons_and_pairs():
     figures = run_figures(
         [
-            _run("success", speed=3.0),
+            _run("success", speed=3.0, short_of_feasible=0.02),
             _run("stopped", "held", goal_error=0.5, clearance=None, speed=None),
-            _run("stopped", "held", goal_error=0.4),
+            _run(
+                "stopped", "held", goal_error=0.4, duration=30.0, stop_reason="time limit of 30 s"
+            ),
             _run(
                 "contact",
                 "goal",
                 goal_error=2e-3,
                 contacts=["hand - obstacle_box1", "hand - obstacle_box12", "link6 - table"],
                 clearance=-0.01,
+                self_contacts=["hand - link5"],
+                short_of_feasible=0.5e-3,
             ),
         ]
     )
     assert (figures["scenes"], figures["success"]) == (4, 1)
     assert (figures["contacts"], figures["stopped"]) == (1, 2)
     assert figures["stop_reasons"] == {"held": 2}
-    assert figures["contact_pairs"] == {"hand - obstacle_box": 1, "link6 - table": 1}
+    assert figures["contact_pairs"] == {
+        "hand - link5": 1,
+        "hand - obstacle_box": 1,
+        "link6 - table": 1,
+    }
+    assert figures["self_contacts"] == 1
+    assert (figures["time_limits"], figures["duration_max"]) == (1, 30.0)
+    assert (figures["short_of_feasible"], figures["short_of_feasible_max"]) == (1, 0.02)
     assert figures["goal_error_max"] == 2e-3
     assert figures["goal_error_max_all"] == 0.5
     assert figures["robot_clearance_min"] == -0.01
