@@ -13,6 +13,7 @@ import numpy as np
 from drake_oa.experiments.panda_obstacles import footprint_radius, height
 from drake_oa.experiments.panda_scene_parts import Drawn
 from drake_oa.experiments.panda_tabletop_scenes import draw_on_table
+from drake_oa.experiments.tally import Tally
 from drake_oa.obstacles import Obstacle
 from drake_oa.values import FloatArray
 
@@ -23,18 +24,18 @@ NEAR, NEAR_OBSTACLES = 0.25, 3
 _SAMPLES = 41
 
 
-def draw_clutter(random: np.random.Generator) -> Drawn:
+def draw_clutter(random: np.random.Generator, tally: Tally) -> Drawn:
     """A scene of six obstacles.
 
     Raises:
         RuntimeError: if none was found.
     """
-    return draw_on_table(random, OBSTACLES, _is_cluttered)
+    return draw_on_table(random, tally, OBSTACLES, _uncluttered)
 
 
-def _is_cluttered(start: FloatArray, goal: FloatArray, obstacles: Sequence[Obstacle]) -> bool:
+def _uncluttered(start: FloatArray, goal: FloatArray, obstacles: Sequence[Obstacle]) -> str:
     near = sum(distance_to_line(start, goal, obstacle) < NEAR for obstacle in obstacles)
-    return near >= NEAR_OBSTACLES
+    return "" if near >= NEAR_OBSTACLES else "fewer than three things within 25 cm of the way"
 
 
 def distance_to_line(start: FloatArray, goal: FloatArray, obstacle: Obstacle) -> float:

@@ -55,6 +55,8 @@ Its table:
   duration             of the motion, median and longest scene
   goal error           largest of the scenes that were not stopped
   real-time factor     simulated over real time, median and least scene
+Below it: why runs were stopped, what was touched, and of what was looked at when the scenes
+were drawn, what share was dropped for which reason.
 Every scene is on disk as soon as it is done (--results), and the same command resumes.
 --write-scenes DIR writes the scenes as scenario files for `drake-oa run`.
 A Dask cluster's workers need this package, and are best started with --nthreads 1.

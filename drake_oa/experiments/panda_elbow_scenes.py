@@ -23,16 +23,22 @@ from scipy.spatial import cKDTree
 from drake_oa.experiments.panda_obstacles import COLORS, footprint_radius, half_height
 from drake_oa.experiments.panda_scene_parts import (
     BASE_RADIUS,
+    ENDS_TAKEN,
     FREE,
-    GAP,
+    ON_BASE,
+    OUT_OF_VIEW,
+    TOO_NEAR,
     TOUCH,
+    TOUCHES_TABLE,
     Drawn,
     base_scenario,
-    draw_ends,
+    draw_motion,
     ends_are_free,
     in_view,
     scene_cell,
+    stands_apart,
 )
+from drake_oa.experiments.tally import Tally
 from drake_oa.obstacles import Box, Cylinder, Obstacle, Sphere
 from drake_oa.values import FloatArray
 
@@ -71,8 +77,12 @@ _PLACES = 160
 """Things tried for the same motion."""
 _MOST_MOTIONS = 1000
 
+# Why candidates are dropped.
+NOT_SWUNG = "the arm cannot follow with its elbow aside"
+NOWHERE = "nowhere passes the elbow alone"
 
-def draw_elbow(random: np.random.Generator) -> Drawn:
+
+def draw_elbow(random: np.random.Generator, tally: Tally) -> Drawn:
     """A scene with a thing in the elbow's way, and a second one where it finds room.
 
     Raises:
@@ -80,24 +90,28 @@ def draw_elbow(random: np.random.Generator) -> Drawn:
     """
     cell = scene_cell()
     for _ in range(_MOST_MOTIONS):
-        ends = draw_ends(random)
-        motion = None if ends is None else cell.straight_motion(*ends)
-        if ends is None or motion is None:
+        drawn = draw_motion(random, tally)
+        if drawn is None:
             continue
-        swung = cell.straight_motion(*ends, float(random.choice(SWINGS)))
-        if swung is None:
+        start, goal, motion = drawn
+        swung = cell.straight_motion(start, goal, float(random.choice(SWINGS)))
+        places = np.empty((0, 2, 3)) if swung is None else _places(motion, swung)
+        nowhere = NOT_SWUNG if swung is None else NOWHERE if not len(places) else ""
+        if not tally.takes("elbow motions", nowhere) or swung is None:
             continue
-        places = _places(motion, swung)
         obstacles: list[Obstacle] = []
-        for _ in range(_PLACES if len(places) else 0):
+        for _ in range(_PLACES):
             obstacle = _draw_obstacle(random, places, len(obstacles))
             tried = [*obstacles, obstacle]
-            if _fits(obstacle, obstacles) and _is_scene(motion, swung, ends[1], tried):
+            if tally.takes(
+                "things for the elbow",
+                _misfit(obstacle, obstacles) or _no_scene(motion, swung, goal, tried),
+            ):
                 obstacles = tried
             if len(obstacles) == MOST_OBSTACLES:
                 break
         if obstacles:
-            return obstacles, *ends
+            return obstacles, start, goal
     raise RuntimeError(f"no scene found for {_MOST_MOTIONS} motions")
 
 
@@ -160,19 +174,20 @@ def _draw_obstacle(random: np.random.Generator, places: FloatArray, number: int)
     )
 
 
-def _fits(obstacle: Obstacle, others: Sequence[Obstacle]) -> bool:
-    """Whether it is in view, beside the others, and where it stands beside the robot's base."""
+def _misfit(obstacle: Obstacle, others: Sequence[Obstacle]) -> str:
+    """Why it cannot be there.
+
+    "": it is in view, beside the others, and where it stands beside the robot's base.
+    """
     place, radius = obstacle.translation[:2], footprint_radius(obstacle)
     in_air = len(obstacle.shapes) == 1 and half_height(obstacle.shapes[0]) < obstacle.translation[2]
-    return (
-        (in_air or math.hypot(*place) >= radius + BASE_RADIUS)
-        and obstacle.translation[2] + half_height(obstacle.shapes[0]) <= _HIGHEST
-        and all(
-            math.dist(place, other.translation[:2]) >= radius + footprint_radius(other) + GAP
-            for other in others
-        )
-        and all(in_view(point, ELBOW_LIKE) for point in _seen(obstacle))
-    )
+    if not in_air and math.hypot(*place) < radius + BASE_RADIUS:
+        return ON_BASE
+    if obstacle.translation[2] + half_height(obstacle.shapes[0]) > _HIGHEST:
+        return "above 0.9 m"
+    if not stands_apart(obstacle, others):
+        return TOO_NEAR
+    return "" if all(in_view(point, ELBOW_LIKE) for point in _seen(obstacle)) else OUT_OF_VIEW
 
 
 def _seen(obstacle: Obstacle) -> list[FloatArray]:
@@ -188,24 +203,25 @@ def _hand_links() -> list[str]:
     return robot.tool_links if robot is not None else []
 
 
-def _is_scene(
+def _no_scene(
     motion: FloatArray, swung: FloatArray, goal: FloatArray, obstacles: Sequence[Obstacle]
-) -> bool:
-    """Whether the elbow touches on the motion, and nothing does on the other one."""
+) -> str:
+    """Why not; "": the elbow touches on the motion, and nothing does on the other one."""
     cell = scene_cell()
     cell.put(obstacles)
     if any(cell.nearby(q, FREE) for q in motion[[0, -1]]):
-        return False
+        return ENDS_TAKEN
     # A coarse look first: most sets fail at the hand or on the other motion.
     for step in (6, 1):
         if not all(cell.is_free(q, SWUNG_FREE) for q in swung[::step]):
-            return False
+            return "the motion with the elbow aside leaves less than 2.5 cm"
         if not all(map(_hand_is_free, motion[::step])):
-            return False
+            return "the planned motion leaves the hand less than 5 cm or the wrist 3 cm"
         if step > 1 and not any(map(_elbow_touches, motion[::2])):
-            return False
-    touched = [thing for q in motion for _, thing, _ in cell.contacts(q)]
-    return all(touched) and ends_are_free(motion, goal)
+            return "the elbow does not touch it"
+    if not all(thing for q in motion for _, thing, _ in cell.contacts(q)):
+        return TOUCHES_TABLE
+    return "" if ends_are_free(motion, goal) else ENDS_TAKEN
 
 
 def _hand_is_free(q: FloatArray) -> bool:

@@ -23,6 +23,7 @@ from drake_oa.experiments.panda_scenes import (
     draw_panda_scene,
 )
 from drake_oa.experiments.parallel_tasks import carry_out
+from drake_oa.experiments.tally import Counts, Tally
 from drake_oa.motion_log import MotionLog, save_logs
 from drake_oa.scenario import Scenario, parse_scenario, scenario_text
 
@@ -78,6 +79,7 @@ class PandaResults:
     Attributes:
         suite: what is evaluated.
         scenarios: scene -> the scenario's text, as it was drawn.
+        tallies: scene -> what was dropped while it was drawn, see `tally`.
         runs: method -> scene -> result, see `run_panda_scene`.
         resumed: results that were on disk.
         interrupted: whether it was ended by an interrupt.
@@ -85,6 +87,7 @@ class PandaResults:
 
     suite: PandaSuite
     scenarios: dict[int, str] = field(default_factory=dict)
+    tallies: dict[int, Counts] = field(default_factory=dict)
     runs: dict[str, dict[int, dict[str, Any]]] = field(default_factory=dict)
     resumed: int = 0
     interrupted: bool = False
@@ -184,19 +187,21 @@ def _draw_all(
         for scene in range(suite.scenes)
     }
     for scene, key in keys.items():
-        text = folder.load(scene_name(suite, scene), key) if folder else None
-        if isinstance(text, str):
-            results.scenarios[scene] = text
+        known = folder.load(scene_name(suite, scene), key) if folder else None
+        if isinstance(known, dict):
+            results.scenarios[scene], results.tallies[scene] = known["scenario"], known["tally"]
     missing = [scene for scene in keys if scene not in results.scenarios]
     on_progress("scenes drawn", len(results.scenarios))
     calls = [(suite.seed, scene, suite.kind) for scene in missing]
-    for place, text in carry_out(draw_text, calls, jobs=jobs, scheduler=scheduler):
+    for place, (text, counts) in carry_out(draw_text, calls, jobs=jobs, scheduler=scheduler):
         scene = missing[place]
-        results.scenarios[scene] = text
+        results.scenarios[scene], results.tallies[scene] = text, counts
         if folder:
-            folder.save(scene_name(suite, scene), keys[scene], text)
+            content = {"scenario": text, "tally": counts}
+            folder.save(scene_name(suite, scene), keys[scene], content)
         on_progress("scenes drawn", 1)
     results.scenarios = dict(sorted(results.scenarios.items()))
+    results.tallies = dict(sorted(results.tallies.items()))
 
 
 def _run_all(
@@ -273,9 +278,10 @@ def _compile_kernels(calls: Sequence[tuple[Any, ...]]) -> None:
         run_text(text, method, sees, _WARM_UP, False)
 
 
-def draw_text(seed: int, scene: int, kind: str) -> str:
-    """A scene's scenario as text."""
-    return scenario_text(draw_panda_scene(seed, scene, kind=kind))
+def draw_text(seed: int, scene: int, kind: str) -> tuple[str, Counts]:
+    """A scene's scenario as text, and what was dropped while it was drawn."""
+    tally = Tally()
+    return scenario_text(draw_panda_scene(seed, scene, kind=kind, tally=tally)), tally.counts
 
 
 def run_text(

@@ -27,14 +27,18 @@ from drake_oa.experiments.panda_scene_parts import (
     BASE_RADIUS,
     FREE,
     GAP,
+    OUT_OF_VIEW,
+    TOO_NEAR,
     TOUCH,
+    TOUCHES_TABLE,
     Drawn,
     base_scenario,
-    draw_ends,
+    draw_motion,
     draw_obstacles,
     in_view,
     scene_cell,
 )
+from drake_oa.experiments.tally import Tally
 from drake_oa.obstacles import Box, Cylinder, Obstacle, Sphere, bounding_radius
 from drake_oa.values import FloatArray
 
@@ -65,7 +69,7 @@ _SAMPLE = 0.05
 _MOST_MOTIONS = 1000
 
 
-def draw_moving(random: np.random.Generator) -> Drawn:
+def draw_moving(random: np.random.Generator, tally: Tally) -> Drawn:
     """A scene with one or two moving things.
 
     Raises:
@@ -74,14 +78,14 @@ def draw_moving(random: np.random.Generator) -> Drawn:
     moving = int(random.integers(1, MOST_MOVING + 1))
     resting = int(random.integers(MOST_RESTING + 1))
     for _ in range(_MOST_MOTIONS):
-        ends = draw_ends(random)
-        motion = None if ends is None else scene_cell().straight_motion(*ends)
-        if ends is None or motion is None:
+        drawn = draw_motion(random, tally)
+        if drawn is None:
             continue
+        start, goal, motion = drawn
         for _ in range(_SETS):
-            obstacles = _draw_set(random, motion, moving, resting)
-            if obstacles is not None and _is_scene(motion, ends[1], obstacles):
-                return obstacles, *ends
+            obstacles = _draw_set(random, tally, motion, moving, resting)
+            if obstacles is not None and tally.takes("scenes", _no_scene(motion, goal, obstacles)):
+                return obstacles, start, goal
     raise RuntimeError(
         f"no scene of {moving} moving and {resting} resting things found for "
         f"{_MOST_MOTIONS} motions"
@@ -89,13 +93,14 @@ def draw_moving(random: np.random.Generator) -> Drawn:
 
 
 def _draw_set(
-    random: np.random.Generator, motion: FloatArray, moving: int, resting: int
+    random: np.random.Generator, tally: Tally, motion: FloatArray, moving: int, resting: int
 ) -> list[Obstacle] | None:
     """Things that keep off each other, or None where there is no room for all."""
     crossing = [_draw_crossing(random, motion, number) for number in range(moving)]
-    if not all(map(_course_fits, crossing)):
+    fit = [tally.takes("courses", _misfit(obstacle)) for obstacle in crossing]
+    if not all(fit):
         return None
-    standing = draw_obstacles(random, resting) if resting else []
+    standing = draw_obstacles(random, resting, tally) if resting else []
     if standing is None:
         return None
     for number, obstacle in enumerate(standing, start=moving):
@@ -105,7 +110,7 @@ def _draw_set(
     apart = all(
         _gap(one, other) >= GAP for row, one in enumerate(crossing) for other in things[row + 1 :]
     )
-    return things if apart else None
+    return things if tally.takes("sets of things", "" if apart else TOO_NEAR) else None
 
 
 def _draw_crossing(random: np.random.Generator, motion: FloatArray, number: int) -> Obstacle:
@@ -150,15 +155,15 @@ def _ends(obstacle: Obstacle) -> tuple[FloatArray, FloatArray]:
     return obstacle.translation + first, obstacle.translation + last
 
 
-def _course_fits(obstacle: Obstacle) -> bool:
-    """Whether a thing stays in view, off the base and low enough."""
+def _misfit(obstacle: Obstacle) -> str:
+    """Why its course will not do; "": it stays in view, off the base and low enough."""
     line = np.linspace(*_ends(obstacle), 11)
     radius = bounding_radius(obstacle.shapes[0])
-    return (
-        bool((line[:, 2] <= _HIGHEST).all())
-        and bool((np.hypot(line[:, 0], line[:, 1]) >= radius + BASE_RADIUS).all())
-        and all(map(in_view, line))
-    )
+    if (line[:, 2] > _HIGHEST).any():
+        return "above 0.6 m"
+    if (np.hypot(line[:, 0], line[:, 1]) < radius + BASE_RADIUS).any():
+        return "through the robot's base"
+    return "" if all(map(in_view, line)) else OUT_OF_VIEW
 
 
 def _gap(one: Obstacle, other: Obstacle) -> float:
@@ -178,13 +183,16 @@ def _centers(obstacle: Obstacle, time: float) -> list[tuple[Box | Cylinder | Sph
     return [(shape, X_WO @ np.asarray(shape.translation)) for shape in obstacle.shapes]
 
 
-def _is_scene(motion: FloatArray, goal: FloatArray, obstacles: Sequence[Obstacle]) -> bool:
-    return (
-        _is_met(motion, obstacles)
-        and _touches_no_table(motion)
-        and _start_is_free(motion[0], obstacles)
-        and _goal_is_free(motion[-1], goal, obstacles)
-    )
+def _no_scene(motion: FloatArray, goal: FloatArray, obstacles: Sequence[Obstacle]) -> str:
+    if not _is_met(motion, obstacles):
+        return "nothing that moves touches the planned motion"
+    if not _touches_no_table(motion):
+        return TOUCHES_TABLE
+    if not _start_is_free(motion[0], obstacles):
+        return "in the first second the start leaves the robot less than 5 cm"
+    if not _goal_is_free(motion[-1], goal, obstacles):
+        return "at last the goal leaves the robot less than 5 cm"
+    return ""
 
 
 def _is_met(motion: FloatArray, obstacles: Sequence[Obstacle]) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 
 from drake_oa.experiments.panda_cell import PandaCell
 from drake_oa.experiments.panda_obstacles import draw_obstacle, footprint_radius, middle
+from drake_oa.experiments.tally import Tally
 from drake_oa.obstacles import Obstacle
 from drake_oa.scenario import Scenario, load_scenario, parse_scenario
 from drake_oa.values import FloatArray
@@ -47,6 +48,14 @@ _REACH_MARGIN = 0.02
 _MOST_PLACES = 20
 """Obstacles tried for each that is asked for."""
 
+# Why candidates are dropped.
+ON_BASE = "on the robot's base"
+TOO_NEAR = "nearer than 2 cm to another thing"
+OUT_OF_VIEW = "out of the camera's view"
+NOT_FOLLOWED = "the arm cannot follow the straight line"
+TOUCHES_TABLE = "the planned motion touches the table"
+ENDS_TAKEN = "start or goal leave the robot less than 5 cm"
+
 drawing = threading.Lock()
 """There is one cell a process, and a cluster's worker may have threads."""
 
@@ -66,30 +75,35 @@ def scene_cell() -> PandaCell:
     return PandaCell(base_scenario())
 
 
-def draw_obstacles(random: np.random.Generator, count: int) -> list[Obstacle] | None:
+def draw_obstacles(random: np.random.Generator, count: int, tally: Tally) -> list[Obstacle] | None:
     """Obstacles apart from each other on the table, or None where there is no room for all."""
     obstacles: list[Obstacle] = []
     for _ in range(_MOST_PLACES * count):
         obstacle = draw_obstacle(random, len(obstacles))
         x, y = (float(random.uniform(*side)) for side in (TABLE_X, TABLE_Y))
         obstacle.translation = [round(x, 4), round(y, 4), 0.0]
-        if _fits(obstacle, obstacles):
+        if tally.takes("places on the table", _misfit(obstacle, obstacles)):
             obstacles.append(obstacle)
         if len(obstacles) == count:
             return obstacles
     return None
 
 
-def _fits(obstacle: Obstacle, others: Sequence[Obstacle]) -> bool:
-    """Whether it stands in view of the camera, beside the robot's base and the others."""
+def _misfit(obstacle: Obstacle, others: Sequence[Obstacle]) -> str:
+    """Why it cannot stand there; "": it stands in view, beside the robot's base and the others."""
+    if math.hypot(*obstacle.translation[:2]) < footprint_radius(obstacle) + BASE_RADIUS:
+        return ON_BASE
+    if not stands_apart(obstacle, others):
+        return TOO_NEAR
+    return "" if in_view(middle(obstacle)) else OUT_OF_VIEW
+
+
+def stands_apart(obstacle: Obstacle, others: Sequence[Obstacle]) -> bool:
+    """Whether the circle round it, seen from above, keeps `GAP` to those round the others."""
     place, radius = obstacle.translation[:2], footprint_radius(obstacle)
-    return (
-        math.hypot(*place) >= radius + BASE_RADIUS
-        and all(
-            math.dist(place, other.translation[:2]) >= radius + footprint_radius(other) + GAP
-            for other in others
-        )
-        and in_view(middle(obstacle))
+    return all(
+        math.dist(place, other.translation[:2]) >= radius + footprint_radius(other) + GAP
+        for other in others
     )
 
 
@@ -105,14 +119,31 @@ def in_view(p_WQ: FloatArray, like: str = LIKE) -> bool:
     return bool(0.0 <= u <= camera.width and 0.0 <= v <= camera.height)
 
 
-def draw_ends(random: np.random.Generator) -> tuple[FloatArray, FloatArray] | None:
+def draw_ends(random: np.random.Generator, tally: Tally) -> tuple[FloatArray, FloatArray] | None:
     """Start and goal of a motion within the tool-down workspace, or None."""
     # Four decimals, as the scenario has them: what is checked is what runs.
     start, goal = np.round(random.uniform(_LOW, _HIGH, (2, 3)), 4)
+    return (start, goal) if tally.takes("pairs of start and goal", _not_ends(start, goal)) else None
+
+
+def _not_ends(start: FloatArray, goal: FloatArray) -> str:
     if not _BASELINE[0] <= np.linalg.norm(goal - start) <= _BASELINE[1]:
+        return "not 0.5 to 1.0 m apart"
+    if tool_down_margin(np.linspace(start, goal, 41)).min() < _REACH_MARGIN:
+        return "the line leaves the workspace of a tool that points down"
+    return ""
+
+
+def draw_motion(
+    random: np.random.Generator, tally: Tally
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """(3,) start, (3,) goal and the (T, nq) straight motion between them, or None."""
+    ends = draw_ends(random, tally)
+    if ends is None:
         return None
-    line = np.linspace(start, goal, 41)
-    return None if tool_down_margin(line).min() < _REACH_MARGIN else (start, goal)
+    motion = scene_cell().straight_motion(*ends)
+    taken = tally.takes("straight motions", NOT_FOLLOWED if motion is None else "")
+    return (*ends, motion) if taken and motion is not None else None
 
 
 def ends_are_free(motion: FloatArray, goal: FloatArray) -> bool:

@@ -29,6 +29,7 @@ from drake_oa.experiments.panda_elbow_scenes import ELBOW_LIKE, draw_elbow
 from drake_oa.experiments.panda_moving_scenes import draw_moving
 from drake_oa.experiments.panda_scene_parts import LIKE, Drawn, base_scenario, drawing
 from drake_oa.experiments.panda_tabletop_scenes import draw_tabletop
+from drake_oa.experiments.tally import Tally
 from drake_oa.scenario import GroundTruth, Scenario
 
 GENERATOR = 1
@@ -41,13 +42,13 @@ class _Kind:
     """How scenes of a kind are drawn, and what they are called.
 
     Attributes:
-        draw: draws one.
+        draw: draws one, and counts what it drops.
         title: of the kind.
         stream: its own random numbers.
         like: the shipped scenario whose camera, robot and constants they have.
     """
 
-    draw: Callable[[np.random.Generator], Drawn]
+    draw: Callable[[np.random.Generator, Tally], Drawn]
     title: str
     stream: tuple[int, ...]
     like: str = LIKE
@@ -63,7 +64,12 @@ KINDS = tuple(_KINDS)
 
 
 def draw_panda_scene(
-    seed: int, index: int, *, kind: str = "tabletop", perception: str = "depth"
+    seed: int,
+    index: int,
+    *,
+    kind: str = "tabletop",
+    perception: str = "depth",
+    tally: Tally | None = None,
 ) -> Scenario:
     """One random scene.
 
@@ -72,6 +78,7 @@ def draw_panda_scene(
         index: of the scene, >= 0.
         kind: one of `KINDS`.
         perception: "depth", the camera as the shipped scenarios have it, or "truth".
+        tally: counts the candidates, and why they were dropped; None: nobody asks.
 
     Raises:
         ValueError: for an unknown kind or perception.
@@ -84,7 +91,7 @@ def draw_panda_scene(
     random = np.random.default_rng(np.random.SeedSequence([seed, index, *of_kind.stream]))
     scenario.seed = int(random.integers(2**31))
     with drawing:
-        scenario.obstacles, start, goal = of_kind.draw(random)
+        scenario.obstacles, start, goal = of_kind.draw(random, tally or Tally())
     scenario.task.start = [round(float(v), 4) for v in start]
     scenario.task.goal = [round(float(v), 4) for v in goal]
     scenario.description = f"random {of_kind.title} scene {index} of seed {seed}"

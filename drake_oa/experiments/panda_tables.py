@@ -11,6 +11,7 @@ import numpy as np
 from drake_oa.experiments.panda_evaluation import PandaResults
 from drake_oa.experiments.panda_run import PLANNER
 from drake_oa.experiments.tables import text_table
+from drake_oa.experiments.tally import drawn_figures, drawn_lines
 from drake_oa.report import TOLD
 
 _COLUMNS = (
@@ -38,9 +39,12 @@ _COLUMNS = (
 def panda_figures(
     results: PandaResults, versions: Sequence[str], jobs: int | None = 1
 ) -> dict[str, Any]:
-    """{"suite", "seed", "kind", "perception", "jobs", "versions", "solved", "methods"}.
+    """{"suite", "seed", "kind", "perception", "jobs", "versions", "drawn", "solved", "methods"}.
 
     `methods` is {name: figures}.
+
+    `drawn` tells of what was looked at when the scenes were drawn, how much and what share of
+    it was dropped for which reason.
 
     `solved` is how many scenes the planner solves, None where it has not run on all; the
     methods' `success_rate_solved` is their share of successes in those.
@@ -61,6 +65,7 @@ def panda_figures(
         "duration": suite.duration,
         "jobs": jobs,
         "versions": dict(item.split(" ", 1) for item in versions),
+        "drawn": drawn_figures(results.tallies.values()),
         "solved": None if solved is None else len(solved),
         "methods": {
             name: {
@@ -170,7 +175,8 @@ def _median(values: Iterable[float | None]) -> float | None:
 def panda_tables(figures: Sequence[Mapping[str, Any]]) -> str:
     """The figures of one or several kinds of scenes as one text table.
 
-    Below it: why runs were stopped and what was touched.
+    Below it: why runs were stopped, what was touched, and what was dropped when the scenes
+    were drawn.
 
     Args:
         figures: as `panda_figures` gives them, of each kind.
@@ -184,6 +190,7 @@ def panda_tables(figures: Sequence[Mapping[str, Any]]) -> str:
             for key, what in (("stop_reasons", "stopped"), ("contact_pairs", "contact")):
                 for reason, count in method[key].items():
                     lines.append(f"{title}: {what}, {count} scene{'s' * (count != 1)}: {reason}")
+        lines += [f"{of['kind']}: {line}" for line in drawn_lines(of["drawn"])]
     jobs = figures[0]["jobs"]
     if jobs != 1:
         shared = "on a cluster" if jobs is None else f"with {jobs} at once"

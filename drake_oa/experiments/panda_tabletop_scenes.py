@@ -19,13 +19,17 @@ import numpy as np
 
 from drake_oa.experiments.panda_obstacles import footprint_radius
 from drake_oa.experiments.panda_scene_parts import (
+    ENDS_TAKEN,
+    NOT_FOLLOWED,
     TOUCH,
+    TOUCHES_TABLE,
     Drawn,
     draw_ends,
     draw_obstacles,
     ends_are_free,
     scene_cell,
 )
+from drake_oa.experiments.tally import Tally
 from drake_oa.obstacles import Obstacle
 from drake_oa.values import FloatArray
 
@@ -37,21 +41,24 @@ _MOTIONS = 12
 """Motions tried among the same obstacles."""
 _MOST_ATTEMPTS = 2000
 
-Condition = Callable[[FloatArray, FloatArray, Sequence[Obstacle]], bool]
-"""Of start, goal and obstacles."""
+Condition = Callable[[FloatArray, FloatArray, Sequence[Obstacle]], str]
+"""Why start, goal and obstacles are no scene; "": they may be one."""
 
 
-def draw_tabletop(random: np.random.Generator) -> Drawn:
+def draw_tabletop(random: np.random.Generator, tally: Tally) -> Drawn:
     """A scene of 1 to 6 obstacles.
 
     Raises:
         RuntimeError: if none was found in `_MOST_ATTEMPTS` attempts.
     """
-    return draw_on_table(random, int(random.integers(1, MOST_OBSTACLES + 1)))
+    return draw_on_table(random, tally, int(random.integers(1, MOST_OBSTACLES + 1)))
 
 
 def draw_on_table(
-    random: np.random.Generator, count: int, condition: Condition | None = None
+    random: np.random.Generator,
+    tally: Tally,
+    count: int,
+    condition: Condition = lambda start, goal, obstacles: "",
 ) -> Drawn:
     """A scene of so many obstacles, of which a further condition may be asked.
 
@@ -59,31 +66,34 @@ def draw_on_table(
         RuntimeError: if none was found in `_MOST_ATTEMPTS` attempts.
     """
     for _ in range(_MOST_ATTEMPTS):
-        obstacles = draw_obstacles(random, count)
+        obstacles = draw_obstacles(random, count, tally)
         if obstacles is None:
             continue
         scene_cell().put(obstacles)
         for _ in range(_MOTIONS):
-            ends = draw_ends(random)
-            if ends is None or (condition is not None and not condition(*ends, obstacles)):
+            ends = draw_ends(random, tally)
+            if ends is None:
                 continue
-            if _is_scene(*ends, obstacles):
+            if tally.takes("scenes", condition(*ends, obstacles) or _no_scene(*ends, obstacles)):
                 return obstacles, *ends
     raise RuntimeError(f"no scene of {count} obstacles found in {_MOST_ATTEMPTS} attempts")
 
 
-def _is_scene(start: FloatArray, goal: FloatArray, obstacles: Sequence[Obstacle]) -> bool:
-    """Whether start and goal are free and the straight motion is feasible, but not clear."""
+def _no_scene(start: FloatArray, goal: FloatArray, obstacles: Sequence[Obstacle]) -> str:
+    """Why not; "": start and goal are free and the straight motion is feasible, but not clear."""
+    clear = "the planned motion is clear"
     if _line_is_far(start, goal, obstacles):
-        return False
+        return clear
     cell = scene_cell()
     motion = cell.straight_motion(start, goal)
     if motion is None:
-        return False
+        return NOT_FOLLOWED
     touched = [hit for q in motion for hit in cell.contacts(q)]
     if not any(thing and depth >= TOUCH for _, thing, depth in touched):
-        return False
-    return all(thing for _, thing, _ in touched) and ends_are_free(motion, goal)
+        return clear
+    if not all(thing for _, thing, _ in touched):
+        return TOUCHES_TABLE
+    return "" if ends_are_free(motion, goal) else ENDS_TAKEN
 
 
 def _line_is_far(start: FloatArray, goal: FloatArray, obstacles: Sequence[Obstacle]) -> bool:

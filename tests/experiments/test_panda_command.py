@@ -58,8 +58,11 @@ def test_scenes_figures_and_pages_are_written_and_resumed(tmp_path, capsys):
     file, pages, scenes = tmp_path / "p.json", tmp_path / "pages", tmp_path / "scenes"
     command = [*_SHORT, "--method", "preplanned", "--json", str(file)]
     assert main([*command, "--html-dir", str(pages), "--write-scenes", str(scenes)]) == 0
-    assert "preplanned: stopped, 1 scene: time limit of # s" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "preplanned: stopped, 1 scene: time limit of # s" in out
     figures = json.loads(file.read_text())
+    looked_at = figures["drawn"]["scenes"]["looked_at"]
+    assert f"tabletop: scenes looked at: {looked_at}; dropped: " in out
     assert (figures["suite"], figures["seed"], figures["perception"]) == ("panda", 0, "truth")
     method = figures["methods"]["preplanned"]
     assert (method["scenes"], method["stopped"], method["complete"]) == (1, 1, True)

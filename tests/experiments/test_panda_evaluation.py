@@ -67,6 +67,9 @@ def test_an_evaluation_resumes_and_makes_what_is_damaged_anew(kept, caplog):
     assert "is made anew" in caplog.text
     _same(results, again)
     assert sum(count for _, count in seen) == 2 + 4
+    drawn = panda_figures(again, ["drake 1"])["drawn"]
+    assert drawn == panda_figures(results, ["drake 1"])["drawn"]
+    assert drawn["scenes"]["looked_at"] >= 2
 
 
 def test_other_settings_take_no_result_of_these(kept):
