@@ -10,8 +10,9 @@ Where obstacles move, path and timing are planned one after the other (Kant and 
 1986): RRT-Connect finds paths among the resting obstacles, with the moving ones left out and
 frozen at several instants of their courses; the straight motion is tried first. Along each
 path the robot may then go on, back or wait, in steps of time: a search of the grid of
-configurations and instants finds the earliest arrival. That finds no motion which none of
-these paths carries: what it solves has a solution, what it does not solve may have one.
+configurations and instants finds the earliest arrival after which the robot can stay at the
+goal until all courses have ended. That finds no motion which none of these paths carries: what
+it solves has a solution, what it does not solve may have one.
 
 The same scenario, seed and limits give the same plan: the limits count states, not seconds.
 
@@ -302,7 +303,7 @@ def _last_change(obstacles: Sequence[Obstacle]) -> float:
 def _in_time(
     cell: PandaCell, obstacles: Sequence[Obstacle], path: FloatArray, clearance: float
 ) -> tuple[FloatArray, FloatArray] | None:
-    """The earliest arrival along a path, on a grid of its configurations and of time.
+    """The earliest arrival to stay along a path, on a grid of its configurations and of time.
 
     Within a step of time the robot goes on or back by one configuration, or waits.
 
@@ -313,7 +314,9 @@ def _in_time(
     places = np.arange(0.0, paced[-1] + _TICK, _TICK)
     q = np.stack([np.interp(places, paced, joint) for joint in path.T], axis=1)
     end = _last_change(obstacles)
-    layers = int(np.ceil(end / _TICK)) + len(q) + 1
+    ticks = int(np.ceil(end / _TICK))
+    stays = _stays_free(cell, obstacles, q[-1], ticks, clearance)
+    layers = ticks + len(q) + 1
     reached = np.zeros((layers, len(q)), bool)
     at_rest: dict[int, bool] = {}
     reached[0, 0] = True
@@ -335,9 +338,20 @@ def _in_time(
                     at_rest[place] = cell.is_free(q[place], clearance)
                 free = at_rest[place]
             reached[layer, place] = free
-        if reached[layer, -1]:
+        if reached[layer, -1] and layer >= stays:
             return _traced(reached[: layer + 1], q)
     return None
+
+
+def _stays_free(
+    cell: PandaCell, obstacles: Sequence[Obstacle], q: FloatArray, last: int, clearance: float
+) -> float:
+    """The first tick after which (nq,) positions q are free up to the last one; inf: none."""
+    for tick in range(last, -1, -1):
+        cell.put(obstacles, tick * _TICK)
+        if not cell.is_free(q, clearance):
+            return tick + 1 if tick < last else np.inf
+    return 0
 
 
 def _traced(reached: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:

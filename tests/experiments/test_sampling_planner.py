@@ -71,6 +71,14 @@ def test_a_ball_that_comes_to_stay_at_the_goal_before_the_robot_can_has_no_plan(
     assert len(plan.t) == 0
 
 
+def test_does_not_stay_at_the_goal_where_a_ball_passes_later():
+    # The straight way takes about a second; the ball is at the goal after two.
+    course = ([0.0, 0.0, 1.0, 0.0], [2.0, 0.0, 0.3, 0.0], [3.0, 0.0, 1.0, 0.0])
+    plan = plan_motion(scene(crossing(*course)), states=2000)
+    assert plan.reason == ""
+    assert 2.0 < plan.t[-1] < 4.0
+
+
 def test_the_world_is_put_where_the_obstacles_are_then():
     scenario = scene(
         _POST.replace("0.0, 0.25", "0.4, 0.25"), crossing([0.0, 0, 0, 0], [1.0, 0, 0, 1])
