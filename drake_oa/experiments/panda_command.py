@@ -30,6 +30,9 @@ something:
   elbow                the hand's way is free by 5 cm and the elbow's is not: posts, boards
                        in the air, boxes on stands
   clutter6             six things on the table, three or more within 25 cm of the way
+  moving_hard          2 to 4 things of 5 to 30 cm at 0.1 to 0.8 m/s enter from outside the image,
+                       change speed, turn, stop, come back; up to 2 more stand there; not every
+                       scene has a solution
 Its methods (all by default; of tabletop all but planner):
   preplanned           the planned motion, blind to obstacles
   paper                the paper's regulation, which nothing checks, without a supervisor

@@ -21,12 +21,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from drake_oa.experiments.panda_cell import pose_at
 from drake_oa.experiments.panda_obstacles import COLORS, half_height
 from drake_oa.experiments.panda_scene_parts import (
     BASE_RADIUS,
     FREE,
     GAP,
+    ON_BASE,
     OUT_OF_VIEW,
     TOO_NEAR,
     TOUCH,
@@ -39,7 +39,7 @@ from drake_oa.experiments.panda_scene_parts import (
     scene_cell,
 )
 from drake_oa.experiments.tally import Tally
-from drake_oa.obstacles import Box, Cylinder, Obstacle, Sphere, bounding_radius
+from drake_oa.obstacles import Box, Cylinder, Obstacle, Sphere, bounding_radius, pose
 from drake_oa.values import FloatArray
 
 SMALLEST, LARGEST = 0.05, 0.15
@@ -50,23 +50,29 @@ MOST_MOVING, MOST_RESTING = 2, 2
 QUIET = 1.0
 """So long nothing touches the robot where it stands at the start [s]."""
 
-_MET = (0.25, 0.75)
+MET = (0.25, 0.75)
 """When the robot is met, as a share of the planned duration."""
 _BEFORE, _AFTER = (0.5, 2.5), (0.5, 2.5)
 """How long a thing moves before and after it meets the robot [s]."""
-_ASIDE = 0.05
+AIMED_ASIDE = (-0.05, 0.05)
 """How far the middle of its course is from that of a link then, along each axis [m]."""
+_NEAR_TABLE = 0.05
+"""What is aimed at no higher than this over its lowest place slides on the table [m]."""
 _OFF_TABLE = 2e-3
 """How high a thing slides over the table [m]: it does not rub."""
-_HIGHEST = 0.6
+HIGHEST = 0.6
 """Of the middle of anything [m]."""
-_HIT_LINKS = ("panda_link5", "panda_link6", "panda_link7", "panda_hand")
+HIT_LINKS = ("panda_link5", "panda_link6", "panda_link7", "panda_hand")
 """Links of which one is met: those that reach out."""
 _SETS = 12
 """Sets of things tried for the same motion."""
 _SAMPLE = 0.05
 """Between the instants at which courses are looked at [s]."""
 _MOST_MOTIONS = 1000
+
+# Why candidates are dropped.
+TOO_HIGH = "above 0.6 m"
+NOT_MET = "the first thing that moves does not touch the planned motion"
 
 
 def draw_moving(random: np.random.Generator, tally: Tally) -> Drawn:
@@ -103,27 +109,32 @@ def _draw_set(
     standing = draw_obstacles(random, resting, tally) if resting else []
     if standing is None:
         return None
-    for number, obstacle in enumerate(standing, start=moving):
-        obstacle.name = f"{obstacle.name.rstrip('0123456789')}{number}"
-        obstacle.color = list(COLORS[number % len(COLORS)])
+    number_things(standing, moving)
     things = [*crossing, *standing]
     apart = all(
-        _gap(one, other) >= GAP for row, one in enumerate(crossing) for other in things[row + 1 :]
+        course_gap(one, other) >= GAP
+        for row, one in enumerate(crossing)
+        for other in things[row + 1 :]
     )
     return things if tally.takes("sets of things", "" if apart else TOO_NEAR) else None
+
+
+def number_things(things: Sequence[Obstacle], start: int) -> None:
+    """Names and colours things by their number from `start` on."""
+    for number, thing in enumerate(things, start=start):
+        thing.name = f"{thing.name.rstrip('0123456789')}{number}"
+        thing.color = list(COLORS[number % len(COLORS)])
 
 
 def _draw_crossing(random: np.random.Generator, motion: FloatArray, number: int) -> Obstacle:
     """A thing whose course passes the middle of a link when the robot is there."""
     duration = base_scenario().task.duration
-    row = int(random.uniform(*_MET) * len(motion))
+    row = int(random.uniform(*MET) * len(motion))
     met = row * duration / (len(motion) - 1)
-    points = scene_cell().shape_centers(motion[row], _HIT_LINKS)
-    point = points[random.integers(len(points))] + random.uniform(-_ASIDE, _ASIDE, 3)
-    shape = _draw_shape(random)
-    lowest = half_height(shape) + _OFF_TABLE
-    # Near the table it slides on it.
-    z = float(point[2]) if point[2] > lowest + _ASIDE else lowest
+    points = scene_cell().shape_centers(motion[row], HIT_LINKS)
+    point = points[random.integers(len(points))] + random.uniform(*AIMED_ASIDE, 3)
+    shape = draw_shape(random, SMALLEST, LARGEST)
+    z = level_height(shape, float(point[2]))
     speed, heading = random.uniform(SLOWEST, FASTEST), random.uniform(-math.pi, math.pi)
     velocity = speed * np.array([math.cos(heading), math.sin(heading)])
     begins = max(met - float(random.uniform(*_BEFORE)), 0.0)
@@ -141,8 +152,17 @@ def _draw_crossing(random: np.random.Generator, motion: FloatArray, number: int)
     )
 
 
-def _draw_shape(random: np.random.Generator) -> Box | Cylinder | Sphere:
-    x, y, z = (float(v) for v in random.uniform(SMALLEST, LARGEST, 3))
+def level_height(shape: Box | Cylinder | Sphere, z: float) -> float:
+    """Height of a shape's middle on a course at about height z [m]: near the table it slides."""
+    lowest = half_height(shape) + _OFF_TABLE
+    return z if z > lowest + _NEAR_TABLE else lowest
+
+
+def draw_shape(
+    random: np.random.Generator, smallest: float, largest: float
+) -> Box | Cylinder | Sphere:
+    """A box, a cylinder or a sphere whose dimensions are within two lengths [m]."""
+    x, y, z = (float(v) for v in random.uniform(smallest, largest, 3))
     kind = random.integers(3)
     if kind == 0:
         return Box(size=[x, y, z])
@@ -159,34 +179,39 @@ def _misfit(obstacle: Obstacle) -> str:
     """Why its course will not do; "": it stays in view, off the base and low enough."""
     line = np.linspace(*_ends(obstacle), 11)
     radius = bounding_radius(obstacle.shapes[0])
-    if (line[:, 2] > _HIGHEST).any():
-        return "above 0.6 m"
+    if (line[:, 2] > HIGHEST).any():
+        return TOO_HIGH
     if (np.hypot(line[:, 0], line[:, 1]) < radius + BASE_RADIUS).any():
-        return "through the robot's base"
+        return ON_BASE
     return "" if all(map(in_view, line)) else OUT_OF_VIEW
 
 
-def _gap(one: Obstacle, other: Obstacle) -> float:
+def course_gap(one: Obstacle, other: Obstacle) -> float:
     """Least distance in time of the spheres round the shapes of two things [m]."""
     end = max(item.waypoints[-1][0] for item in (one, other) if item.waypoints)
+    times = np.arange(0.0, end + _SAMPLE, _SAMPLE)
     return min(
-        float(np.linalg.norm(a - b)) - bounding_radius(shape) - bounding_radius(thing)
-        for time in np.arange(0.0, end + _SAMPLE, _SAMPLE)
-        for shape, a in _centers(one, time)
-        for thing, b in _centers(other, time)
+        float(np.linalg.norm(a - b, axis=1).min()) - bounding_radius(shape) - bounding_radius(thing)
+        for shape, a in course_tracks(one, times)
+        for thing, b in course_tracks(other, times)
     )
 
 
-def _centers(obstacle: Obstacle, time: float) -> list[tuple[Box | Cylinder | Sphere, FloatArray]]:
-    """The shapes and where they are [m]."""
-    X_WO = pose_at(obstacle, time)
-    return [(shape, X_WO @ np.asarray(shape.translation)) for shape in obstacle.shapes]
+def course_tracks(
+    obstacle: Obstacle, times: FloatArray
+) -> list[tuple[Box | Cylinder | Sphere, FloatArray]]:
+    """The shapes and the (T, 3) places of their middles at (T,) times [m]."""
+    X_WO, offsets = pose(obstacle), np.zeros((len(times), 3))
+    if obstacle.waypoints:
+        t, *axes = np.array(obstacle.waypoints).T
+        offsets = np.stack([np.interp(times, t, axis) for axis in axes], axis=1)
+    return [(shape, X_WO @ np.asarray(shape.translation) + offsets) for shape in obstacle.shapes]
 
 
 def _no_scene(motion: FloatArray, goal: FloatArray, obstacles: Sequence[Obstacle]) -> str:
-    if not _is_met(motion, obstacles):
-        return "nothing that moves touches the planned motion"
-    if not _touches_no_table(motion):
+    if not is_met(motion, obstacles):
+        return NOT_MET
+    if not touches_no_table(motion):
         return TOUCHES_TABLE
     if not _start_is_free(motion[0], obstacles):
         return "in the first second the start leaves the robot less than 5 cm"
@@ -195,7 +220,7 @@ def _no_scene(motion: FloatArray, goal: FloatArray, obstacles: Sequence[Obstacle
     return ""
 
 
-def _is_met(motion: FloatArray, obstacles: Sequence[Obstacle]) -> bool:
+def is_met(motion: FloatArray, obstacles: Sequence[Obstacle]) -> bool:
     """Whether the first thing hits the planned motion while it moves."""
     cell, first = scene_cell(), obstacles[0]
     begins, ends = first.waypoints[0][0], first.waypoints[-1][0]
@@ -208,7 +233,8 @@ def _is_met(motion: FloatArray, obstacles: Sequence[Obstacle]) -> bool:
     return False
 
 
-def _touches_no_table(motion: FloatArray) -> bool:
+def touches_no_table(motion: FloatArray) -> bool:
+    """Whether the planned motion keeps off the table and whatever else is not put."""
     cell = scene_cell()
     cell.put([])
     return not any(cell.contacts(q) for q in motion)

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
+from pydrake.systems.sensors import CameraConfig
 
 from drake_oa.experiments.panda_cell import PandaCell
 from drake_oa.experiments.panda_obstacles import draw_obstacle, footprint_radius, middle
@@ -49,7 +50,7 @@ _MOST_PLACES = 20
 """Obstacles tried for each that is asked for."""
 
 # Why candidates are dropped.
-ON_BASE = "on the robot's base"
+ON_BASE = "at the robot's base"
 TOO_NEAR = "nearer than 2 cm to another thing"
 OUT_OF_VIEW = "out of the camera's view"
 NOT_FOLLOWED = "the arm cannot follow the straight line"
@@ -109,14 +110,34 @@ def stands_apart(obstacle: Obstacle, others: Sequence[Obstacle]) -> bool:
 
 def in_view(p_WQ: FloatArray, like: str = LIKE) -> bool:
     """Whether a point is in the image of a shipped scenario's camera."""
-    camera = base_scenario(like).cameras[0]
-    X_WC = scene_cell().frame_pose(camera.X_PB.base_frame) @ camera.X_PB.GetDeterministicValue()
-    x, y, z = X_WC.inverse() @ p_WQ
+    camera, (x, y, z) = _seen_from_camera(p_WQ, like)
     if not camera.z_near < z < camera.z_far:
         return False
     u = camera.focal_x() * x / z + camera.principal_point()[0]
     v = camera.focal_y() * y / z + camera.principal_point()[1]
     return bool(0.0 <= u <= camera.width and 0.0 <= v <= camera.height)
+
+
+def is_outside_image(p_WQ: FloatArray, radius: float, like: str = LIKE) -> bool:
+    """Whether a ball round a point is wholly outside the image, near and far alike [m]."""
+    camera, (x, y, z) = _seen_from_camera(p_WQ, like)
+    u, v = camera.principal_point()
+    return any(
+        (focal * aside - to_edge * z) / math.hypot(focal, to_edge) > radius
+        for focal, aside, to_edge in (
+            (camera.focal_x(), -x, u),
+            (camera.focal_x(), x, camera.width - u),
+            (camera.focal_y(), -y, v),
+            (camera.focal_y(), y, camera.height - v),
+        )
+    )
+
+
+def _seen_from_camera(p_WQ: FloatArray, like: str) -> tuple[CameraConfig, FloatArray]:
+    """The camera of a shipped scenario, and the point in its frame [m]."""
+    camera = base_scenario(like).cameras[0]
+    X_WC = scene_cell().frame_pose(camera.X_PB.base_frame) @ camera.X_PB.GetDeterministicValue()
+    return camera, X_WC.inverse() @ p_WQ
 
 
 def draw_ends(random: np.random.Generator, tally: Tally) -> tuple[FloatArray, FloatArray] | None:

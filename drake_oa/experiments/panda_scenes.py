@@ -7,11 +7,14 @@ Kinds:
              `panda_moving_scenes`
   elbow      the hand's way is free and the elbow's is not: `panda_elbow_scenes`
   clutter6   six things on the table, three or more beside the way: `panda_clutter_scenes`
+  moving_hard
+             2 to 4 larger and faster things enter, change speed, turn, stop and come back:
+             `panda_hard_scenes`
 
-In all of them the camera has the obstacles' middles in view; that of the elbow's kind, which
-looks less steeply down, their tops too. The motion is 0.5 to 1.0 m long, along a straight line
-that the arm can follow, tool down, within its joint limits. The whole robot keeps 5 cm to every
-obstacle at start and goal.
+The motion is 0.5 to 1.0 m long, along a straight line that the arm can follow, tool down, within
+its joint limits. In all but moving_hard the camera has the obstacles' middles in view; that of
+the elbow's kind, which looks less steeply down, their tops too; and the whole robot keeps 5 cm
+to every obstacle at start and goal.
 
 Scene i of a seed depends on nothing else, and not on perception or method.
 """
@@ -26,6 +29,7 @@ import numpy as np
 
 from drake_oa.experiments.panda_clutter_scenes import draw_clutter
 from drake_oa.experiments.panda_elbow_scenes import ELBOW_LIKE, draw_elbow
+from drake_oa.experiments.panda_hard_scenes import draw_hard
 from drake_oa.experiments.panda_moving_scenes import draw_moving
 from drake_oa.experiments.panda_scene_parts import LIKE, Drawn, base_scenario, drawing
 from drake_oa.experiments.panda_tabletop_scenes import draw_tabletop
@@ -59,6 +63,7 @@ _KINDS = {
     "moving": _Kind(draw_moving, "moving", (1,)),
     "elbow": _Kind(draw_elbow, "elbow", (2,), ELBOW_LIKE),
     "clutter6": _Kind(draw_clutter, "clutter", (3,)),
+    "moving_hard": _Kind(draw_hard, "hard moving", (4,)),
 }
 KINDS = tuple(_KINDS)
 

@@ -22,7 +22,8 @@ _FREE = 0.05
 
 @pytest.fixture(scope="module")
 def scenes():
-    return {kind: draw_panda_scene(0, 0, kind=kind) for kind in ("moving", "elbow", "clutter6")}
+    kinds = ("moving", "elbow", "clutter6", "moving_hard")
+    return {kind: draw_panda_scene(0, 0, kind=kind) for kind in kinds}
 
 
 def ends(scenario):
@@ -36,14 +37,14 @@ def cell_of(scenario):
     return cell
 
 
-@pytest.mark.parametrize("kind", ["moving", "clutter6"])
+@pytest.mark.parametrize("kind", ["moving", "clutter6", "moving_hard"])
 def test_a_scene_depends_on_kind_seed_and_index_alone(kind, scenes):
     text = scenario_text(scenes[kind])
     assert scenario_text(parse_scenario(text)) == text
     assert scenario_text(draw_panda_scene(0, 0, kind=kind)) == text
     other = draw_panda_scene(0, 1, kind=kind)
     assert other.task != scenes[kind].task
-    assert len({scene.seed for scene in (*scenes.values(), other)}) == 4
+    assert len({scene.seed for scene in (*scenes.values(), other)}) == 5
 
 
 @pytest.mark.parametrize("kind", ["moving", "elbow", "clutter6"])

@@ -10,12 +10,12 @@ from drake_oa.experiments.panda_scenes import draw_panda_scene
 from drake_oa.experiments.tally import Tally, drawn_figures, drawn_lines
 
 _DIGESTS = {
-    "tabletop": "c9c08301e5fd",
-    "moving": "7326749abb02",
-    "elbow": "91d9e02c0e47",
-    "clutter6": "5230127ba9b3",
+    "tabletop": "0d7868a80228",
+    "moving": "d10e717e8fdd",
+    "elbow": "a4283f503dec",
+    "clutter6": "1d3045b732f9",
 }
-"""Of scene 1 of seed 0 of each kind."""
+"""Of scene 0 of seed 0 of each kind."""
 
 
 def digest(scenario):
@@ -27,11 +27,7 @@ def digest(scenario):
 
 @pytest.mark.parametrize("kind", _DIGESTS)
 def test_a_seed_gives_the_scenes_that_it_always_gave(kind):
-    tally = Tally()
-    assert digest(draw_panda_scene(0, 1, kind=kind, tally=tally)) == _DIGESTS[kind]
-    again = Tally()
-    draw_panda_scene(0, 1, kind=kind, tally=again)
-    assert again.counts == tally.counts
+    assert digest(draw_panda_scene(0, 0, kind=kind)) == _DIGESTS[kind]
 
 
 def test_shares_are_of_all_scenes_the_greatest_first():
@@ -64,5 +60,8 @@ def test_scenes_that_are_looked_at_are_taken_or_dropped_for_a_reason():
         "the arm cannot follow the straight line",
         "start or goal leave the robot less than 5 cm",
     }
+    again = Tally()
+    draw_panda_scene(0, 1, tally=again)
+    assert again.counts == tally.counts
     pairs = tally.counts["pairs of start and goal"]
     assert pairs[""] == sum(scenes.values())
