@@ -284,7 +284,7 @@ def _candidates(
         straight = _dense(straight)
         if all(map(is_free, straight)):
             yield straight
-    end = _last_change(moving)
+    end = max((item.last_change for item in moving), default=0.0)
     worlds: list[tuple[Sequence[Obstacle], float]] = [(resting, 0.0)]
     worlds += [(obstacles, share * end) for share in _INSTANTS]
     for number, (world, time) in enumerate(worlds):
@@ -292,12 +292,6 @@ def _candidates(
         path, _ = _connect(cell, is_free, q_start, goals, states, seed + number)
         if path is not None:
             yield path
-
-
-def _last_change(obstacles: Sequence[Obstacle]) -> float:
-    """When the last obstacle comes to rest, appears or vanishes [s]."""
-    times = [row[0] for item in obstacles for row in item.waypoints]
-    return max(times + [time for item in obstacles for time in item.present], default=0.0)
 
 
 def _in_time(
@@ -313,7 +307,7 @@ def _in_time(
     paced = _paced(cell, path)
     places = np.arange(0.0, paced[-1] + _TICK, _TICK)
     q = np.stack([np.interp(places, paced, joint) for joint in path.T], axis=1)
-    end = _last_change(obstacles)
+    end = max((item.last_change for item in obstacles), default=0.0)
     ticks = int(np.ceil(end / _TICK))
     stays = _stays_free(cell, obstacles, q[-1], ticks, clearance)
     layers = ticks + len(q) + 1
