@@ -18,7 +18,7 @@ from drake_oa.action import SCALED_TO_REST
 from drake_oa.dmp import Dmp, normalised_time
 from drake_oa.ellipsoid import signed_distance
 from drake_oa.leg_tree import Legs, LegTree, grown, shortened_way, straight_motion
-from drake_oa.regulation import Regulation, hardly_moved
+from drake_oa.regulation import DECIDING, Regulation, hardly_moved
 from drake_oa.stepping_aside import Aside
 from drake_oa.values import (
     BoolArray,
@@ -100,7 +100,7 @@ class ArmRegulator:
         if len(aside.p_WV):
             if math.dist(policy.p_WE, aside.p_WV) <= _THERE:
                 return _held_for(before, policy, _AT_POINT, aside.reached())
-            held = policy.note not in ("", SCALED_TO_REST)
+            held = policy.note not in ("", SCALED_TO_REST, DECIDING)
             held = held and policy.stamp - before.rests_since >= _STUCK
             if held or not np.array_equal(aside.p_WG, p_WG):
                 return _held_for(before, policy, _GIVEN_UP, aside.given_up())

@@ -237,8 +237,9 @@ def clearance_ahead(
         plenty: a greater distance is no better [m].
         behind: a way that comes nearer than the best one by more than this is looked at no
             further, and is none [m]; inf: each is looked at to its end.
-        out: (C, 4) receives the distance [m], at most `MOST`; when it is that [s]; the
-            obstacle's row, see `NOTHING`; and whether the arm can go that way (1 or 0).
+        out: (C, 5) receives the distance [m], at most `MOST`; when it is that [s]; the
+            obstacle's row, see `NOTHING`; whether the arm can go that way (1 or 0); and how
+            many instants were looked at.
     """
     n, K = len(q), len(times)
     T, moved = np.empty((n + 1, 3, 4)), np.empty((n, 6))
@@ -248,8 +249,9 @@ def clearance_ahead(
     for way in range(len(shifts)):
         least, when, row, able = rules[MOST], 0.0, NOTHING, True
         dq[:] = 0.0
-        past = 0.0
+        past, seen = 0.0, 0
         for k in range(K):
+            seen += 1
             before[:] = dq
             for i in range(3):
                 target[i] = p_WE[i] + shifts[way, k, i]
@@ -297,4 +299,4 @@ def clearance_ahead(
         if able:
             best = max(best, min(least, plenty))
         out[way, 0], out[way, 1], out[way, 2] = least, when, row
-        out[way, 3] = 1.0 if able else 0.0
+        out[way, 3], out[way, 4] = 1.0 if able else 0.0, seen

@@ -309,6 +309,8 @@ def make_regressor_chain(
         table_height=policy.table_height,
         annulus=held_annulus(scenario),
         arm=arm,
+        thinking=scenario.thinking,
+        step=policy.period,
         # What was demonstrated is not to be begun again from its middle.
         begins_anew=not scenario.task.demonstration
         and policy.turn is None

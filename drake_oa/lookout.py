@@ -11,6 +11,7 @@ from drake_oa import evasion_kernels as kernels
 from drake_oa.null_space_coupling import null_space_basis
 from drake_oa.supervision_geometry import GuardShapes, ObstaclePoints
 from drake_oa.values import BoolArray, FloatArray, IntArray
+from drake_oa.work import count
 from drake_oa.workspace import annulus_margin
 
 _TABLE_ALLOWANCE = 0.06
@@ -233,7 +234,7 @@ class Lookout:
             turns = np.zeros((*shifts.shape[:2], len(arm.q)))
         # The others are not to put an end to the ways that are looked at.
         inside = np.flatnonzero(self._inside(shifts))
-        found, out = np.empty((len(inside), 4)), np.zeros((len(shifts), 4))
+        found, out = np.empty((len(inside), 5)), np.zeros((len(shifts), 5))
         kernels.clearance_ahead(
             np.ascontiguousarray(shifts[inside]),
             np.ascontiguousarray(turns[inside, : len(times)]),
@@ -260,6 +261,7 @@ class Lookout:
             behind,
             found,
         )
+        count(poses=int(found[:, 4].sum()))
         out[:, 2] = kernels.NOTHING
         out[inside] = found
         distance = out[:, 0] - self._parameters.padding

@@ -305,7 +305,7 @@ def plan_rows(
     part_sphere: FloatArray, rod: FloatArray, rod_radius: FloatArray, pairs: IntArray,
     points: FloatArray, block_start: IntArray, block_owner: IntArray, block_sphere: FloatArray,
     v_WO: FloatArray, table: FloatArray, rules: FloatArray, way: FloatArray,
-) -> float:  # fmt: skip
+) -> tuple[float, int]:  # fmt: skip
     """The cheapest way of an arm along a path of its tool through a grid of postures.
 
     Args:
@@ -322,7 +322,7 @@ def plan_rows(
         way: (T, n) receives the postures [rad].
 
     Returns:
-        The cost; inf where there is no way.
+        The cost, inf where there is no way, and how many postures were measured.
     """
     T, N = values.shape
     n = len(start)
@@ -330,6 +330,7 @@ def plan_rows(
     cost = np.full((T, N), np.inf)
     X_WB = np.empty((n + 1, 4, 4))
     seeds, seeded = np.zeros((N, n)), np.zeros(N, dtype=np.bool_)
+    measured = 0
     first = N // 2 if len(guess) > 0 else np.abs(values[0] - start[fixed]).argmin()
     for t in range(T):
         if len(guess) > 0:
@@ -352,6 +353,7 @@ def plan_rows(
                     part_first, part_sphere, rod, rod_radius, pairs, points, block_start,
                     block_owner, block_sphere, v_WO, table, rules,
                 )  # fmt: skip
+                measured += 1
                 cost[t, j] = price(
                     q[t, j], posture, mass, lower, upper, distance, apart, s[t] - s[t - 1], rules
                 )
@@ -363,7 +365,7 @@ def plan_rows(
         way[0] = start
         for t in range(1, T):
             way[t] = q[t, chosen[t]]
-    return answer
+    return answer, measured
 
 
 @njit(cache=True, error_model="numpy")

@@ -35,6 +35,7 @@ from drake_oa.arm_motion import ArmModel, ArmSurroundings
 from drake_oa.kernel_arrays import kernel_arrays
 from drake_oa.posture_trace_kernels import plan_traced
 from drake_oa.values import FloatArray, Frozen, IntArray, PlannedMotion
+from drake_oa.work import count
 
 REDUNDANT = 2
 """The joint whose value tells the postures of a 7R arm apart: the upper arm's roll."""
@@ -222,18 +223,20 @@ def plan_posture(
     before = kernel_arrays(path, R, s, ages)
 
     def search(values: FloatArray, guess: FloatArray, window: int) -> float:
-        cost: float = kernels.plan_rows(
+        cost, measured = kernels.plan_rows(
             *before, *kernel_arrays(values, start, guess), float(seconds), window, REDUNDANT,
             *shared[0], *shared[1], rules, way,
         )  # fmt: skip
-        return cost
+        count(postures=measured)
+        return float(cost)
 
     def traced(guess: FloatArray, step: float, most: int) -> float:
-        cost: float = plan_traced(
+        cost, measured = plan_traced(
             *before, *kernel_arrays(start, guess), float(seconds), step, most, _NODES,
             *shared[0], *shared[1], rules, way,
         )  # fmt: skip
-        return cost
+        count(postures=measured)
+        return float(cost)
 
     nothing, fine = np.zeros((0, _JOINTS)), step * np.linspace(-1.0, 1.0, _FINE)
     best = PosturePlan(s=s, q=nothing, short=math.inf)
@@ -304,6 +307,7 @@ def _described(
     rules: FloatArray,
     shared: tuple[list[FloatArray], list[Any]],
 ) -> PosturePlan:
+    count(postures=2 * len(s) - 1)
     kept, nearest = np.empty((len(s), 3)), np.empty(len(s), dtype=np.int64)
     X_PJ, _, _, lower, upper, speed = shared[0]
     kernels.measure_way(

@@ -203,7 +203,7 @@ def plan_traced(
     part_sphere: FloatArray, rod: FloatArray, rod_radius: FloatArray, pairs: IntArray,
     points: FloatArray, block_start: IntArray, block_owner: IntArray, block_sphere: FloatArray,
     v_WO: FloatArray, table: FloatArray, rules: FloatArray, way: FloatArray,
-) -> float:  # fmt: skip
+) -> tuple[float, int]:  # fmt: skip
     """As `posture_kernels.plan_rows`, with nodes along the null space.
 
     Args:
@@ -214,13 +214,13 @@ def plan_traced(
         way: (T, 7) receives the postures [rad].
 
     Returns:
-        The cost; inf where there is no way.
+        The cost, inf where there is no way, and how many postures were measured.
     """
     T, n = len(s), len(start)
     q, direction = np.zeros((T, N, n)), np.zeros((N, n))
     total, back = np.full((T, N), np.inf), np.zeros((T, N), dtype=np.int64)
     count, known = np.zeros(T, dtype=np.int64), np.zeros((N, n))
-    X_WB, along = np.empty((n + 1, 4, 4)), np.zeros(n)
+    X_WB, along, measured = np.empty((n + 1, 4, 4)), np.zeros(n), 0
     q[0, 0], total[0, 0], count[0], known[0, 2] = start, 0.0, 1, 1.0
     poses(start, X_PJ, X_WB)
     for joint in (2, 0, 6, 4, 1, 3, 5):
@@ -260,6 +260,7 @@ def plan_traced(
                 part_sphere, rod, rod_radius, pairs, points, block_start, block_owner,
                 block_sphere, v_WO, table, rules,
             )  # fmt: skip
+            measured += 1
             total[t, j] = best + price(
                 q[t, j], posture, mass, lower, upper, distance, apart, ds, rules
             )
@@ -270,4 +271,4 @@ def plan_traced(
             way[t] = q[t, last]
             last = back[t, last]
         way[0] = start
-    return answer
+    return answer, measured

@@ -30,6 +30,8 @@ _NOISE = 5e-3
 """By how much an obstacle at rest may seem to move or grow from frame to frame [m]."""
 _MISSED = 5e-3
 """How far from the goal a motion may end without a word [m]."""
+DECIDING = "no motion from here is verified yet"
+"""Why a motion is held while its first one is being decided on."""
 _OFF_PATH = 0.025
 """A motion that is farther than this from the verified one is verified again [m]."""
 

@@ -287,6 +287,7 @@ def make_evasion(
         table=table_plane(scenario),
         table_height=policy.table_height,
         annulus=held_annulus(scenario),
+        thinking=scenario.thinking,
     )
 
 

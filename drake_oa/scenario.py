@@ -39,6 +39,7 @@ from drake_oa.scenario_perception import (
 from drake_oa.scenario_perception import EllipsoidConfig as EllipsoidConfig
 from drake_oa.schema_check import ScenarioError, apply_override, check, read_yaml
 from drake_oa.verification import SearchParameters
+from drake_oa.work import Thinking
 
 _SEARCH = SearchParameters()
 _SUFFIX = ".scenario.yaml"
@@ -290,6 +291,8 @@ class Scenario:
     # What gets the arm out of the way of what moves, or null: nothing does; nor does anything
     # without a supervisor.
     evasion: Evasion | None = dc.field(default_factory=Evasion)
+    # What decisions cost in simulated time, or null: they are in force at once.
+    thinking: Thinking | None = dc.field(default_factory=Thinking)
     # Height of the table in the world; null: there is none [m].
     table_height: float | None = dc.field(default=0.0, metadata={"unit": "m"})
     # What goes wrong, and when.

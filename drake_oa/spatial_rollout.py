@@ -21,6 +21,7 @@ from drake_oa.dmp import Dmp, imitate, minimum_jerk, spring_flow
 from drake_oa.kernel_arrays import kernel_arrays
 from drake_oa.lane_kernels import lane_kernel
 from drake_oa.values import BoolArray, FloatArray, Frozen
+from drake_oa.work import count
 
 STEPS = 500
 """Default number of steps a unit of normalised time."""
@@ -196,10 +197,10 @@ def spatial_rollouts(
             f"{end} and {horizon}"
         )
     step = 1.0 / steps
-    count = max(round((horizon - scenes.s) * steps), 1)
+    most = max(round((horizon - scenes.s) * steps), 1)
     plane = scenes.plane if len(scenes.plane) else np.zeros((len(scenes), 4))
     out = np.empty((N, kernels.N_OUTCOMES))
-    shape = (N if keep_path else 0, count + 1 if keep_path else 1, 3)
+    shape = (N if keep_path else 0, most + 1 if keep_path else 1, 3)
     path, velocity = np.empty(shape), np.empty(shape)
     arguments = (
         index,
@@ -208,7 +209,7 @@ def spatial_rollouts(
         *kernel_arrays(plane, scenes.annulus),
         table,
         np.array(np.broadcast_to(np.asarray(seconds, dtype=float), (N,))),
-        _forcing(dmp, scenes.s, count, step),
+        _forcing(dmp, scenes.s, most, step),
         np.array(spring_flow(dmp.alpha_x, dmp.beta_x, 0.5 * step)),
         step,
         round((end - scenes.s) * steps),
@@ -223,6 +224,7 @@ def spatial_rollouts(
     else:
         kernels.spatial_kernel(*arguments, path, velocity)
     margin, clearance, goal_error, path_length, taken, world = (np.array(c) for c in out.T)
+    count(searches=1, steps=int(taken.sum()) * max(scenes.p_WO.shape[1], 1))
     return SpatialRollouts(margin, clearance, goal_error, path_length, taken, world, path, velocity)
 
 

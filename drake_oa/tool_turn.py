@@ -23,6 +23,7 @@ from drake_oa.regulation import Regulation
 from drake_oa.turning_tool import TurningTool, TurnParameters
 from drake_oa.values import EllipsoidSet, FloatArray, Frozen, ObstacleClouds, PolicyState
 from drake_oa.verified_regulation import Regulator
+from drake_oa.work import count
 
 _MISSED = 5e-3
 """How far from the goal a motion may end that a turn is taken for [m]."""
@@ -287,6 +288,7 @@ class ToolTurner:
         return bool(clearance.min() >= min(self._parameters.margin, clearance[0] - _ROOM))
 
     def _clearance(self, points: FloatArray, places: FloatArray, turns: FloatArray) -> FloatArray:
+        count(postures=len(places) * len(turns))
         return self._tool.clearance(points, places, turns, self._parameters.margin + 0.01)
 
 

@@ -104,7 +104,12 @@ def make_tool_turn_selector(
         turns=turns,
         free_W=np.array([task.start]),
     )
-    return ToolTurnSelector(turner, period=layers.perception_period(scenario))
+    return ToolTurnSelector(
+        turner,
+        period=layers.perception_period(scenario),
+        thinking=scenario.thinking,
+        step=scenario.policy.period,
+    )
 
 
 def make_kept_orientation(scenario: Scenario) -> OrientationIntegrator:

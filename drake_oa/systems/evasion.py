@@ -24,6 +24,7 @@ from drake_oa.supervision_geometry import GuardShapes, ObstaclePoints
 from drake_oa.systems.model_context import ModelContext
 from drake_oa.systems.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.systems.supervisor import arm_joints
+from drake_oa.systems.thoughts import Thoughts
 from drake_oa.values import (
     FloatArray,
     Frozen,
@@ -33,6 +34,7 @@ from drake_oa.values import (
     TablePlane,
 )
 from drake_oa.ways_ahead import ramped
+from drake_oa.work import Thinking
 
 _logger = logging.getLogger("drake_oa")
 
@@ -41,10 +43,15 @@ _logger = logging.getLogger("drake_oa")
 class _Kept(Frozen):
     """What is kept from step to step: what was decided, and the velocity now [m/s]."""
 
-    evasion: Evasion = NOTHING_MOVES
+    thoughts: Thoughts[Evasion] = field(default_factory=lambda: Thoughts(NOTHING_MOVES))
     velocity: FloatArray = field(default_factory=lambda: np.zeros(3))
     seen: ObstacleClouds | None = None
     obstacles: ObstaclePoints = field(default_factory=ObstaclePoints)
+
+    @property
+    def evasion(self) -> Evasion:
+        """What is in force."""
+        return self.thoughts.in_force
 
 
 class ObstacleEvasion(LeafSystem):
@@ -61,6 +68,7 @@ class ObstacleEvasion(LeafSystem):
       output_ports:
       - evasion
       - evading
+      - decision
 
     - robot_state: positions and velocities of the robot, (2n,) [rad, m, rad/s, m/s].
     - policy_state: abstract `PolicyState` of the movement primitive.
@@ -70,10 +78,13 @@ class ObstacleEvasion(LeafSystem):
     - evasion: (3,) velocity of the displacement in the world [m/s], for `DmpIntegrator`.
     - evading: abstract `drake_oa.evasion.Evasion`: what was decided, for `Supervisor`, and for
       `PostureFollower`, which turns the arm.
+    - decision: (2,) when the last decision began (NaN: none has) and the time that it takes
+      [s]; NaN and 0 where thinking costs none.
 
     It decides every `period`, shortly after it so that an observation of the same instant
     counts; the velocity follows every `step` at a bounded acceleration. While nothing moves
-    it is exactly zero. See `drake_oa.evasion`. Each change is logged once.
+    it is exactly zero. Where thinking costs time, a decision is in force from the first `step`
+    after that, and no other begins before. See `drake_oa.evasion`. Each change is logged once.
     """
 
     def __init__(
@@ -89,6 +100,7 @@ class ObstacleEvasion(LeafSystem):
         table: TablePlane | None = None,
         table_height: float = -math.inf,
         annulus: FloatArray | None = None,
+        thinking: Thinking | None = None,
     ) -> None:
         """Declares the ports.
 
@@ -104,6 +116,7 @@ class ObstacleEvasion(LeafSystem):
             table: the supporting plane until one is observed; None: none.
             table_height: least height of the tool point over the table [m].
             annulus: workspace of the tool point, see `drake_oa.evasion.Lookout`.
+            thinking: what decisions cost in simulated time; None: none.
 
         Raises:
             ValueError: if the plant has no such frame, a joint of several degrees of
@@ -122,6 +135,7 @@ class ObstacleEvasion(LeafSystem):
         self._parameters = parameters or EvasionParameters()
         self._table, self._table_height = table, table_height
         self._annulus = None if annulus is None else np.array(annulus, dtype=float)
+        self._thinking = thinking
         self._n = n = plant.num_velocities()
 
         self._robot_state = self.DeclareVectorInputPort("robot_state", 2 * n)
@@ -135,6 +149,7 @@ class ObstacleEvasion(LeafSystem):
         self.DeclareAbstractOutputPort(
             "evading", lambda: Value(Evasion()), self._calc_evading, decided
         )
+        self.DeclareVectorOutputPort("decision", 2, self._calc_decision, decided)
         self.DeclarePeriodicUnrestrictedUpdateEvent(
             valid_period(period), DECISION_OFFSET, self._decide
         )
@@ -149,50 +164,70 @@ class ObstacleEvasion(LeafSystem):
     def _calc_evading(self, context: Context, output: AbstractValue) -> None:
         output.set_value(self._read(context).evasion)
 
+    def _calc_decision(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._read(context).thoughts.last)
+
     def _follow(self, context: Context, state: State) -> EventStatus:
-        kept = self._read(context)
+        # Not the Context's: the other event of the same instant may have come first.
+        held = state.get_mutable_abstract_state(self._state)
+        kept: _Kept = held.get_value()
+        time = context.get_time()
+        made = kept.thoughts.made(time)
+        if made is not None:
+            _log_change(kept.evasion, made, time)
+            kept = replace(kept, thoughts=kept.thoughts.taken())
+            held.set_value(kept)
         if kept.velocity is kept.evasion.velocity or not (
             kept.velocity.any() or kept.evasion.velocity.any()
         ):
-            return EventStatus.DidNothing()
+            return EventStatus.DidNothing() if made is None else EventStatus.Succeeded()
         velocity = ramped(
             kept.velocity,
             kept.evasion.velocity,
             self._parameters.acceleration * self._step_length,
         )
-        state.get_mutable_abstract_state(self._state).set_value(replace(kept, velocity=velocity))
+        held.set_value(replace(kept, velocity=velocity))
         return EventStatus.Succeeded()
 
     def _decide(self, context: Context, state: State) -> EventStatus:
-        before = self._read(context)
-        after = self._update(context, before)
-        if after is before:
+        held = state.get_mutable_abstract_state(self._state)
+        before: _Kept = held.get_value()
+        if before.thoughts.pending is not None:
             return EventStatus.DidNothing()
-        _log_change(before.evasion, after.evasion, context.get_time())
-        state.get_mutable_abstract_state(self._state).set_value(after)
+        time = context.get_time()
+        kept = self._seen(context, before)
+        after = replace(
+            kept,
+            thoughts=kept.thoughts.thought(
+                lambda evasion: self._choose(context, kept, evasion), time, self._thinking
+            ),
+        )
+        _log_change(before.evasion, after.evasion, time)
+        held.set_value(after)
         return EventStatus.Succeeded()
 
-    def _update(self, context: Context, before: _Kept) -> _Kept:
+    def _seen(self, context: Context, before: _Kept) -> _Kept:
+        """With what is seen now."""
         seen = read_value(self, self._clouds, context, ObstacleClouds)
-        kept = before
-        if seen is not before.seen and seen.stamp >= before.obstacles.stamp:
-            try:
-                active = before.evasion.action != ""
-                kept = replace(before, seen=seen, obstacles=_points(seen, active))
-            except ValueError:
-                # What is not finite leaves what was seen before: it ages.
-                kept = replace(before, seen=seen)
+        if seen is before.seen or seen.stamp < before.obstacles.stamp:
+            return before
+        try:
+            active = before.evasion.action != ""
+            return replace(before, seen=seen, obstacles=_points(seen, active))
+        except ValueError:
+            # What is not finite leaves what was seen before: it ages.
+            return replace(before, seen=seen)
+
+    def _choose(self, context: Context, kept: _Kept, before: Evasion) -> Evasion:
         time, obstacles = context.get_time(), kept.obstacles
         policy = read_value(self, self._policy, context, PolicyState)
         x = self._robot_state.Eval(context)
         unknown = time - obstacles.stamp > self._max_age or not math.isfinite(
             x.sum() + policy.z_W.sum()
         )
-        if unknown or not (obstacles.v_WO.any() or kept.evasion.action):
-            if before.evasion is NOTHING_MOVES and kept is before:
-                return before
-            turned = unknown and len(before.evasion.turn) > 0
-            return replace(kept, evasion=left_alone(before.evasion) if turned else NOTHING_MOVES)
+        if unknown or not (obstacles.v_WO.any() or before.action):
+            turned = unknown and len(before.turn) > 0
+            return left_alone(before) if turned else NOTHING_MOVES
         table = obstacles.table or self._table
         plane = np.full(4, np.nan)
         if table is not None:
@@ -206,8 +241,8 @@ class ObstacleEvasion(LeafSystem):
             table_height=self._table_height,
             annulus=self._annulus,
         )
-        evasion = choose(
-            before.evasion,
+        return choose(
+            before,
             kept.velocity,
             x[self._n :][self._joints],
             policy,
@@ -218,7 +253,6 @@ class ObstacleEvasion(LeafSystem):
             obstacles,
             self._parameters,
         )
-        return replace(kept, evasion=evasion)
 
     def _arm(self, context: Context, x: FloatArray) -> Arm:
         model = self._model.at(context, x[: self._n])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
@@ -14,11 +14,13 @@ from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSys
 from drake_oa.arm_regulation import ArmRegulator
 from drake_oa.dmp import Dmp
 from drake_oa.regressor import ChainWeights, CouplingParameters
-from drake_oa.regulation import Regulation, concern
+from drake_oa.regulation import DECIDING, Regulation, concern
 from drake_oa.systems.ports import DECISION_OFFSET, read_optional, read_value, valid_period
+from drake_oa.systems.thoughts import ForMotion, Thoughts
 from drake_oa.values import (
     EllipsoidSet,
     FloatArray,
+    Frozen,
     ObstacleClouds,
     PlannedMotion,
     PolicyState,
@@ -27,6 +29,7 @@ from drake_oa.values import (
 from drake_oa.verification import SearchParameters
 from drake_oa.verified_regulation import Regulator
 from drake_oa.whole_arm import ArmSight, WholeArm
+from drake_oa.work import Thinking
 
 _logger = logging.getLogger("drake_oa")
 _NOTHING_SEEN = ObstacleClouds()
@@ -45,6 +48,28 @@ class RobotArm:
     planner: WholeArm
     positions: tuple[int, ...]
     num_states: int
+
+
+@dataclass(frozen=True, eq=False)
+class _State(Frozen):
+    """What has been chosen; `holds`: the motion has begun anew since, and waits for a choice."""
+
+    thoughts: Thoughts[ForMotion[Regulation]] = field(
+        default_factory=lambda: Thoughts(ForMotion(Regulation()))
+    )
+    holds: bool = False
+
+    @property
+    def regulation(self) -> Regulation:
+        """What is in force."""
+        return self.thoughts.in_force.decision
+
+    @property
+    def waits(self) -> bool:
+        """Whether no motion has been verified yet from where the policy is."""
+        if self.holds or self.thoughts.pending is None:
+            return self.holds
+        return self.regulation.tau == 0.0 and self.thoughts.pending.decision.tau != 0.0
 
 
 class VerifiedRegressorChain(LeafSystem):
@@ -67,6 +92,7 @@ class VerifiedRegressorChain(LeafSystem):
       - short_of
       - lowered
       - motion
+      - decision
 
     - ellipsoids_W: abstract `EllipsoidSet`, M dilated obstacles with their velocities; may
       be empty.
@@ -95,6 +121,8 @@ class VerifiedRegressorChain(LeafSystem):
     - motion: abstract `PlannedMotion`, the motion that was verified, from the instant of
       the choice to the goal; without samples while there is none. While a planned posture is
       kept it is the motion that the posture was planned along, from that instant on.
+    - decision: (2,) when the last choice began (NaN: none has) and the time that it takes [s];
+      NaN and 0 where thinking costs none.
 
     The regressor chain proposes. Candidates, and what is in use, are rolled out from where
     the policy is, among all obstacles with their velocities, above the table and within
@@ -109,7 +137,11 @@ class VerifiedRegressorChain(LeafSystem):
 
     The choice is abstract state. It is made at initialization and every `period`, shortly
     after it so that an observation of the same instant counts; while obstacles, goal and
-    table stay as they were and nothing moves, it stands. Between choices an obstacle with
+    table stay as they were and nothing moves, it stands. Where thinking costs time, a choice
+    is in force from the first `step` of the policy after that, and no other begins before;
+    one for a goal or a start that are others by then is dropped. The motion is held until the
+    first choice is in force, and from where it begins anew until the first one from there is.
+    Between choices an obstacle with
     a name that was not there has alpha 0. There is no term while start and goal coincide
     or nothing has been observed.
     """
@@ -126,6 +158,8 @@ class VerifiedRegressorChain(LeafSystem):
         annulus: FloatArray | None = None,
         arm: RobotArm | None = None,
         begins_anew: bool = False,
+        thinking: Thinking | None = None,
+        step: float = 0.008,
     ) -> None:
         """Declares the ports.
 
@@ -143,10 +177,12 @@ class VerifiedRegressorChain(LeafSystem):
             begins_anew: whether a motion that rests, as none that clears the obstacles or that
                 the arm can follow goes on from it, begins anew from there where such a one
                 does, and may step aside first.
+            thinking: what choices cost in simulated time; None: none.
+            step: of the policy, at which choices come into force then [s].
 
         Raises:
             TypeError: if weights are no `ChainWeights`.
-            ValueError: if clearance or period are not finite and positive, the primitive
+            ValueError: if clearance, period or step are not finite and positive, the primitive
                 does not have three dimensions, the height is not finite, or the annulus has
                 another shape or heights that do not increase.
         """
@@ -184,7 +220,8 @@ class VerifiedRegressorChain(LeafSystem):
         )
         self._obstacles = self.DeclareAbstractInputPort("obstacles_W", Value(ObstacleClouds()))
         self._camera = self.DeclareAbstractInputPort("camera_pose", Value(RigidTransform()))
-        self._chosen = self.DeclareAbstractState(Value(Regulation()))
+        self._thinking = thinking
+        self._chosen = self.DeclareAbstractState(Value(_State()))
         chosen = self.abstract_state_ticket(self._chosen)
         self.DeclareAbstractOutputPort(
             "coupling_parameters",
@@ -198,19 +235,70 @@ class VerifiedRegressorChain(LeafSystem):
         self.DeclareAbstractOutputPort(
             "motion", lambda: Value(PlannedMotion()), self._calc_motion, {chosen}
         )
+        self.DeclareVectorOutputPort("decision", 2, self._calc_decision, {chosen})
         self.DeclareInitializationUnrestrictedUpdateEvent(self._choose)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, DECISION_OFFSET, self._choose)
+        if thinking is not None:
+            step = valid_period(step)
+            # Just before the policy looks.
+            self.DeclarePeriodicUnrestrictedUpdateEvent(
+                step, step - min(DECISION_OFFSET, 0.5 * step), self._take_effect
+            )
 
-    def _read(self, context: Context) -> Regulation:
+    def _read(self, context: Context) -> _State:
         return context.get_abstract_state(self._chosen).get_value()
 
     def _choose(self, context: Context, state: State) -> EventStatus:
-        before = self._read(context)
+        # Not the Context's: the other event of the same instant may have come first.
+        held = state.get_mutable_abstract_state(self._chosen)
+        kept: _State = held.get_value()
+        time = context.get_time()
+        thoughts = kept.thoughts.thought(
+            lambda before: self._decide(context, before.decision), time, self._thinking
+        )
+        if thoughts is kept.thoughts:
+            return EventStatus.DidNothing()
+        _log_change(kept.regulation, thoughts.in_force.decision, time)
+        held.set_value(replace(kept, thoughts=thoughts))
+        return EventStatus.Succeeded()
+
+    def _take_effect(self, context: Context, state: State) -> EventStatus:
+        held = state.get_mutable_abstract_state(self._chosen)
+        kept: _State = held.get_value()
+        time = context.get_time()
+        made = kept.thoughts.made(time)
+        if made is None and not kept.regulation.anew:
+            return EventStatus.DidNothing()
+        if made is not None and not self._is_outdated(context, made):
+            _log_change(kept.regulation, made.decision, time)
+            held.set_value(_State(kept.thoughts.taken()))
+            return EventStatus.Succeeded()
+        if made is not None:
+            _logger.info("t=%.3f s: a decision of t=%.3f s is dropped", time, kept.thoughts.begun)
+            kept = replace(kept, thoughts=kept.thoughts.dropped())
+        if kept.regulation.anew:
+            # The policy has looked once, and is not to begin anew from where it comes to next.
+            begun = replace(kept.regulation, anew=False)
+            in_force = replace(kept.thoughts.in_force, decision=begun)
+            kept = _State(replace(kept.thoughts, in_force=in_force), holds=True)
+        held.set_value(kept)
+        return EventStatus.Succeeded()
+
+    def _is_outdated(self, context: Context, made: ForMotion[Regulation]) -> bool:
+        """Whether a choice is for another motion than the one that is under way now."""
+        policy = read_value(self, self._policy, context, PolicyState)
+        if not made.fits(policy, self._goal.Eval(context)):
+            return True
+        return made.decision.anew and policy.speed > 0.0
+
+    def _decide(self, context: Context, before: Regulation) -> ForMotion[Regulation]:
+        policy = read_value(self, self._policy, context, PolicyState)
+        goal = self._goal.Eval(context)
         ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
         asked = (
             before,
-            read_value(self, self._policy, context, PolicyState),
-            self._goal.Eval(context),
+            policy,
+            goal,
             ellipsoids,
             read_optional(self, self._table, context, TablePlane) or ellipsoids.table,
         )
@@ -222,25 +310,30 @@ class VerifiedRegressorChain(LeafSystem):
             X_WC = read_optional(self, self._camera, context, RigidTransform)
             view = np.zeros(0) if X_WC is None else X_WC.translation()
             after = self._arm.update(*asked, ArmSight(q, seen or _NOTHING_SEEN, view))
-        _log_change(before, after, context.get_time())
-        state.get_mutable_abstract_state(self._chosen).set_value(after)
-        return EventStatus.Succeeded()
+        return ForMotion(after, policy.p_WS, np.array(goal))
 
     def _calc_parameters(self, context: Context, output: AbstractValue) -> None:
         ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
-        output.set_value(self._read(context).coupling(ellipsoids))
+        kept = self._read(context)
+        coupling = kept.regulation.coupling(ellipsoids)
+        if kept.waits and not coupling.note:
+            coupling = replace(coupling, note=DECIDING)
+        output.set_value(coupling)
 
     def _calc_shortfall(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, self._read(context).shortfall)
+        output.SetAtIndex(0, self._read(context).regulation.shortfall)
 
     def _calc_short_of(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, self._read(context).short_of)
+        output.SetAtIndex(0, self._read(context).regulation.short_of)
 
     def _calc_lowered(self, context: Context, output: BasicVector) -> None:
         output.SetAtIndex(0, self._read(context).lowered)
 
     def _calc_motion(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self._read(context).motion)
+        output.set_value(self._read(context).regulation.motion)
+
+    def _calc_decision(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._read(context).thoughts.last)
 
 
 def _check_annulus(annulus: FloatArray) -> None:
