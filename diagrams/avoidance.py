@@ -227,6 +227,7 @@ def _wire_decision(
         builder.Connect(goal.get_output_port(), chain.GetInputPort("goal"))
         for name in ("shortfall", "short_of", "lowered"):
             log_signal(builder, name, chain.GetOutputPort(name))
+        log_signal(builder, "decision_regulation", chain.GetOutputPort("decision"))
         return
     if unguided:
         builder.Connect(state, chain.GetInputPort("policy_state"))

@@ -73,3 +73,4 @@ def _wire_evasion(
         follower = builder.GetSubsystemByName("posture_follower")
         builder.Connect(evading, follower.GetInputPort("evading"))
     log_signal(builder, "evasion", evasion.GetOutputPort("evasion"))
+    log_signal(builder, "decision_evasion", evasion.GetOutputPort("decision"))

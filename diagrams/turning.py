@@ -52,7 +52,11 @@ def wire_turn(
     builder.Connect(turned, selector.GetInputPort("tool_turn"))
 
     scale = selector.GetOutputPort("speed_scale")
-    signals = {"tool_turn": turned, "planned_turn": selector.GetOutputPort("planned_turn")}
+    signals = {
+        "tool_turn": turned,
+        "planned_turn": selector.GetOutputPort("planned_turn"),
+        "decision_turn": selector.GetOutputPort("decision"),
+    }
     if scenario.supervisor is None:
         builder.Connect(scale, policy.GetInputPort("speed_scale"))
         signals["speed_scale"] = scale

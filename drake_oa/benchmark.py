@@ -29,6 +29,7 @@ from drake_oa.run_timings import (
 )
 from drake_oa.scenario import Scenario
 from drake_oa.simulation import simulate
+from drake_oa.thinking_timings import time_thinking
 from drake_oa.verification_timings import CANDIDATES, time_verification
 
 __all__ = ["PARTS", "Effort", "benchmark_table", "run_benchmark"]
@@ -60,6 +61,7 @@ class Effort:
         rows: roll-outs of the paper's motion.
         baseline_rows: how many of them NumPy and torch are timed on.
         scenes: scenes that a motion is verified in.
+        runs: runs whose decisions are timed.
         readable_rows: of 64 candidates, how many are rolled out by the readable reference.
 
     Raises:
@@ -73,6 +75,7 @@ class Effort:
     baseline_rows: int = BASELINE_ROWS
     scenes: int = 20
     readable_rows: int = 4
+    runs: int = 2
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
@@ -342,12 +345,38 @@ def _perception(scenario: Scenario, effort: Effort, results: _Results) -> None:
     ]
 
 
+def _thinking(scenario: Scenario, effort: Effort, results: _Results) -> None:
+    _warm_up(scenario)
+    found = time_thinking(scenario, effort.runs)
+    results.figures.append(
+        Figure(
+            "thinking",
+            "decisions of a run, processor time",
+            found.measured,
+            "s",
+            "<=",
+            None,
+            found.modelled,
+            "the simulated time that they cost",
+        )
+    )
+    results.breakdown += [
+        Share("thinking", f"{name}, least squares", 1e6 * value, "us")
+        for name, value in vars(found.fitted).items()
+    ]
+    results.notes["thinking"] = (
+        f"{found.decisions} decisions, each the quickest of {effort.runs} runs; constants without "
+        "work in this run, or hardly any, are not told by it"
+    )
+
+
 PARTS: dict[str, Callable[[Scenario, Effort, _Results], None]] = {
     "rollouts": _rollouts,
     "policy": _policy,
     "verification": _verification,
     "run": _run,
     "perception": _perception,
+    "thinking": _thinking,
 }
 """What can be timed, in order."""
 

@@ -21,6 +21,8 @@ Times, each beside a baseline that is measured in the same run:
   run           the real-time factor of a scenario, against plant and camera alone, and
                 what each layer takes of a simulated second
   perception    one depth image to ellipsoids, against rendering it
+  thinking      the processor time of a run's decisions, against the simulated time that their
+                work costs, and what that would be if it were calibrated on this run
 
 torch and movement_primitives (pip install 'drake_oa[peers]') are used where installed.
 """
@@ -31,7 +33,7 @@ examples:
   drake-oa benchmark --only rollouts --only verification
 """
 
-PARTS = ("rollouts", "policy", "verification", "run", "perception")
+PARTS = ("rollouts", "policy", "verification", "run", "perception", "thinking")
 """As in `drake_oa.benchmark.PARTS`, which takes longer to import."""
 
 

@@ -78,6 +78,10 @@ lowered                (T,)           m        by how much regulation had lowere
 motion_end             ()             s        when the motion ended; the world goes on after it
                                                until all is at rest; NaN where a file does not tell
 settled                ()             bool     whether all came to rest
+decision_time          (D,)           s        when decisions began; (0,) where a file does
+                                               not tell, or they cost no time
+decision_cost          (D,)           s        the simulated time that each takes
+decision_layer         (D,)           text     whose it is: "regulation", "evasion" or "turn"
 =====================  =============  =======  ==========================================
 """
 
@@ -112,6 +116,9 @@ _LATER = frozenset(
         "lowered",
         "motion_end",
         "settled",
+        "decision_time",
+        "decision_cost",
+        "decision_layer",
     }
 )
 """Attributes with defaults, which files of this schema may lack."""
@@ -189,6 +196,9 @@ class MotionLog:
     lowered: FloatArray = field(default_factory=lambda: np.zeros(0))
     motion_end: float = math.nan
     settled: bool = False
+    decision_time: FloatArray = field(default_factory=lambda: np.zeros(0))
+    decision_cost: FloatArray = field(default_factory=lambda: np.zeros(0))
+    decision_layer: tuple[str, ...] = ()
 
     @property
     def simulated_time(self) -> float:

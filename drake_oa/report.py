@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from drake_oa.cartesian_kernels import rotation_vector
+from drake_oa.decision_costs import decision_figures
 from drake_oa.goal_course import goal_at
 from drake_oa.layers import given_ellipsoids
 from drake_oa.metrics import MotionMetrics, free_point_metrics, path_length, robot_metrics
@@ -72,8 +73,9 @@ def motion_report(
     modulation), `believed_shortfall` (most that the verified motion lacked of what regulation
     believed feasible; None unless it was verified), `believed_short_of` (name of the obstacle it
     lacked it to, or None), `lowered` (by how much regulation lowered the asked clearance at
-    most; None unless verified), `stop_reason`, `settled` (whether all came to rest), `events`
-    (notes of the policy), `supervision` (what the supervisor did, and why).
+    most; None unless verified), what decisions cost (see `decision_figures`), `stop_reason`,
+    `settled` (whether all came to rest), `events` (notes of the policy), `supervision` (what the
+    supervisor did, and why).
 
     Args:
         scenario: what was run.
@@ -103,6 +105,7 @@ def motion_report(
         "path_length": path_length(metrics.p_WE[log.moving]),
         "out_of_range": float((log.out_of_range > 0).mean()) if len(log.out_of_range) else 0.0,
         **_believed(log),
+        **decision_figures(scenario, log),
         "stop_reason": log.stop_reason,
         "settled": log.settled,
         "events": [
@@ -218,6 +221,14 @@ def report_table(report: dict[str, Any]) -> str:
     return "\n".join([aligned(rows, "r" * len(rows[0])), *dict.fromkeys(notes)])
 
 
+def _thinking(cost: dict[str, float]) -> str:
+    return (
+        f"decisions took {1e3 * cost['median']:.0f} ms (median), 99 % within "
+        f"{1e3 * cost['p99']:.0f} ms, at most {1e3 * cost['max']:.0f} ms; "
+        f"{1e2 * cost['share_over_period']:.1f} % of them longer than a frame"
+    )
+
+
 def _notes(motion: str, found: dict[str, Any]) -> list[str]:
     """What is to be said of one motion's clearance; less than `TOLD` is not."""
     notes = []
@@ -228,6 +239,8 @@ def _notes(motion: str, found: dict[str, Any]) -> list[str]:
         notes.append(f"warning: {motion}: the robot touched itself: {found['self_contacts']}")
     if not found["regulation"]:
         return notes
+    if found["decision_cost"]:
+        notes.append(f"note: {motion}: {_thinking(found['decision_cost'])}")
     if found["short_of_feasible"] > TOLD:
         notes.append(
             f"warning: {motion}: kept {found['resting_clearance_min']:.3f} m to what rests, "

@@ -14,6 +14,7 @@ from pydrake.systems.framework import Context, Diagram, EventStatus
 from pydrake.systems.primitives import VectorLogSink
 
 from drake_oa.action import SCALED_TO_REST
+from drake_oa.decision_costs import logged_decisions
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.dmp import normalised_time
 from drake_oa.goal_course import goal_at, last_move
@@ -443,6 +444,7 @@ def _collect(
         q_world=q_world,
         observation_time=np.array(watcher.frame_times),
         **pack_ellipsoids(watcher.frames),
+        **logged_decisions(signals),
         out_of_range=np.array(watcher.out_of_range, dtype=np.int64),
         regulation=type(scenario.regulation).__name__ if modulated else "",
         shortfall=scalar("shortfall", 0.0),

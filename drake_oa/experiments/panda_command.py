@@ -57,6 +57,8 @@ Its table:
   clearance            least over all scenes, of hand and fingers (tool) and of any link
   duration             of the motion, median and longest scene
   goal error           largest of the scenes that were not stopped
+  decision             what the regulation's decisions cost in simulated time: 99 % of them,
+                       the longest, and the share that took longer than a frame
   real-time factor     simulated over real time, median and least scene
 Below it: why runs were stopped, what was touched, and of what was looked at when the scenes
 were drawn, what share was dropped for which reason.

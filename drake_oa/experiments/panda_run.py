@@ -39,6 +39,7 @@ from typing import Any
 
 import numpy as np
 
+from drake_oa.decision_costs import layer_costs
 from drake_oa.experiments.differential_ik import PeerParameters
 from drake_oa.experiments.panda_scenes import check_perception
 from drake_oa.motion_log import MotionLog
@@ -69,6 +70,8 @@ _KEPT = (
     "torque_saturation",
     "stop_reason",
     "settled",
+    "decision_cost",
+    "evasion_cost",
     "events",
 )
 """What of `motion_report` a result holds."""
@@ -207,6 +210,8 @@ def _judge(scenario: Scenario, log: MotionLog, failed: bool) -> dict[str, Any]:
         "reason": "" if outcome == "success" else plain_reason(log.stop_reason),
         "failed": failed,
         **found,
+        # To a tenth of a millisecond: to be taken together over scenes.
+        "decision_costs": np.round(layer_costs(log), 4).tolist(),
         "wall_time": log.wall_time,
         "real_time_factor": log.simulated_time / log.wall_time if log.wall_time > 0.0 else None,
     }

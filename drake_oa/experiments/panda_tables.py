@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from drake_oa.decision_costs import pooled_figures
 from drake_oa.experiments.panda_evaluation import PandaResults
 from drake_oa.experiments.panda_run import PLANNER
 from drake_oa.experiments.tables import text_table
@@ -31,6 +32,9 @@ _COLUMNS = (
     ("goal_error_max", "goal error [mm]", "{:.2f}", 1e3),
     ("duration_median", "duration [s]", "{:.1f}", 1.0),
     ("duration_max", "most", "{:.1f}", 1.0),
+    ("decision_p99", "decision p99 [ms]", "{:.0f}", 1e3),
+    ("decision_max", "most", "{:.0f}", 1e3),
+    ("decision_share_over_period", "over a frame [%]", "{:.1f}", 1e2),
     ("real_time_factor", "real-time factor", "{:.2f}", 1.0),
     ("real_time_factor_min", "least", "{:.2f}", 1.0),
 )
@@ -73,7 +77,10 @@ def panda_figures(
                 "success_rate_solved": _share_of_solved(runs, solved),
                 "perception": suite.perception_of(name),
                 "complete": results.complete(name),
-                "runs": [{"scene": scene, **run} for scene, run in runs.items()],
+                "runs": [
+                    {"scene": scene, **{k: v for k, v in run.items() if k != "decision_costs"}}
+                    for scene, run in runs.items()
+                ],
             }
             for name, runs in results.runs.items()
         },
@@ -113,7 +120,8 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     runs that raised; `short_of_feasible`, in how many the tool came more than 1 mm nearer to what
     rests than start and goal leave of the asked clearance, `short_of_feasible_max` by how much,
     and `feasible_clearance_median`, what they leave [m]; `duration_median` and `duration_max` of
-    the motions [s];
+    the motions [s]; `decision_cost`, what the regulation's decisions of all scenes cost (see
+    `cost_figures`; None where they cost no time);
     `tool_clearance_min` and `robot_clearance_min` over all scenes, `tool_clearance_median` of
     the scenes' least ones [m]; `goal_error_max` over the scenes that were not stopped short,
     `goal_error_max_all` over all [m]; `real_time_factor`, the median, and
@@ -142,6 +150,7 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "feasible_clearance_median": _median(run["feasible_clearance"] for run in runs),
         "duration_median": _median(run["duration"] for run in runs),
         "duration_max": max((run["duration"] for run in runs), default=None),
+        "decision_cost": pooled_figures(runs),
         "failed": sum(bool(run["failed"]) for run in runs),
         "tool_clearance_min": _least(run["tool_clearance_min"] for run in runs),
         "tool_clearance_median": _median(run["tool_clearance_min"] for run in runs),
@@ -186,7 +195,8 @@ def panda_tables(figures: Sequence[Mapping[str, Any]]) -> str:
     for of in figures:
         for name, method in of["methods"].items():
             title = f"{of['kind']}: {name}" if several else name
-            rows.append((f"{title}, {method['perception']}", method))
+            costs = {f"decision_{k}": v for k, v in (method["decision_cost"] or {}).items()}
+            rows.append((f"{title}, {method['perception']}", {**method, **costs}))
             for key, what in (("stop_reasons", "stopped"), ("contact_pairs", "contact")):
                 for reason, count in method[key].items():
                     lines.append(f"{title}: {what}, {count} scene{'s' * (count != 1)}: {reason}")

@@ -25,6 +25,7 @@ from drake_oa.action import (
 )
 from drake_oa.dmp import Dmp
 from drake_oa.regressor import CouplingParameters
+from drake_oa.regulation import DECIDING
 from drake_oa.surroundings import Surroundings
 from drake_oa.systems.ports import read_optional, valid_period
 from drake_oa.values import EllipsoidSet, FloatArray, PolicyState, Route
@@ -205,6 +206,8 @@ class DmpIntegrator(LeafSystem):
         # Who scales the speed says why.
         if after.note != before.note and SCALED_TO_REST not in (after.note, before.note):
             message = f"held: {after.note}" if after.note else "running again"
-            _logger.warning("t=%.3f s: %s", context.get_time(), message)
+            # To think before a motion is nothing to warn of.
+            level = logging.INFO if DECIDING in (after.note, before.note) else logging.WARNING
+            _logger.log(level, "t=%.3f s: %s", context.get_time(), message)
         state.get_mutable_abstract_state(self._segment).set_value(after)
         return _SUCCEEDED

@@ -327,7 +327,7 @@ class VerifiedRegressorChain(LeafSystem):
         output.SetAtIndex(0, self._read(context).regulation.short_of)
 
     def _calc_lowered(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, self._read(context).lowered)
+        output.SetAtIndex(0, self._read(context).regulation.lowered)
 
     def _calc_motion(self, context: Context, output: AbstractValue) -> None:
         output.set_value(self._read(context).regulation.motion)
