@@ -20,6 +20,7 @@ from drake_oa.supervision_geometry import GuardShapes, ObstaclePoints
 from drake_oa.systems.supervisor import arm_joints
 from drake_oa.values import FloatArray, ObstacleClouds, PlannedMotion, PolicyState
 from drake_oa.ways_ahead import displaced, planned_shift, ramped, shortened, stopping_shift
+from drake_oa.work import counted
 
 PARAMETERS = EvasionParameters(padding=0.0)
 NO_TABLE = np.full(4, np.nan)
@@ -133,7 +134,10 @@ def test_a_ball_that_comes_is_as_near_as_it_will_be() -> None:
     coming = lookout(ball(p_WE + [0.6, 0.0, 0.0], np.array([-0.5, 0.0, 0.0])))
     still = np.zeros((1, PARAMETERS.instants, 3))
     assert far.look(still).row[0] == kernels.NOTHING
-    found = coming.look(still)
+    with counted() as work:
+        found = coming.look(still)
+    # Each way at each instant.
+    assert work.poses == still.shape[0] * still.shape[1]
     assert (found.row[0], found.clearance[0] < 0.0) == (0, True)
     # Whoever flees at its speed keeps the distance.
     away = PARAMETERS.times[None, :, None] * np.array([-0.1, 0.0, 0.0])

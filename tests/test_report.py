@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from drake_oa.decision_costs import cost_figures, layer_costs, logged_decisions, pooled_figures
 from drake_oa.motion_log import MotionLog, pack_ellipsoids
 from drake_oa.report import TOLD, motion_report, report_table, run_report
 from drake_oa.robot_limits import RobotLimits
@@ -170,3 +171,57 @@ def test_a_clearance_that_start_and_goal_do_not_leave_or_that_was_not_kept_is_to
     asked, kept = report_table(report).splitlines()[-2:]
     assert asked.startswith(f"note: start and goal leave {found['feasible_clearance']:.3f} m")
     assert kept.startswith(f"warning: modulated: kept {found['resting_clearance_min']:.3f} m")
+
+
+def test_what_decisions_cost_is_reported_of_the_motion() -> None:
+    costs = np.array([0.002, 0.3, 0.002, 0.1, 0.004, 9.0])
+    log = log_of(
+        AROUND,
+        decision_time=np.array([0.0, 0.1, 0.1, 0.4, 1.0, 5.5]),
+        decision_cost=costs,
+        decision_layer=(
+            "regulation",
+            "regulation",
+            "evasion",
+            "regulation",
+            "evasion",
+            "regulation",
+        ),
+    )
+    found = motion_report(FREE, log)
+    assert found["decision_cost"] == {
+        "median": 0.1,
+        "p99": pytest.approx(0.296),
+        "max": 0.3,
+        # A period of this scenario is 1 / 15 s; what began after the motion does not count.
+        "share_over_period": pytest.approx(2.0 / 3.0),
+        "count": 3,
+    }
+    assert found["evasion_cost"]["max"] == 0.004
+    assert found["turn_cost"] is None
+    table = report_table({"modulated": found})
+    assert "decisions took 100 ms (median), 99 % within 296 ms, at most 300 ms; 66.7 %" in table
+    assert motion_report(FREE, log_of(AROUND))["decision_cost"] is None
+    runs = [
+        {"decision_cost": found["decision_cost"], "decision_costs": layer_costs(log).tolist()},
+        {"decision_cost": None, "decision_costs": []},
+        {"decision_cost": cost_figures([0.01], 0.033), "decision_costs": [0.01]},
+    ]
+    together = pooled_figures(runs)
+    assert together is not None
+    assert together["median"] == pytest.approx(0.055)
+    assert (together["count"], together["max"]) == (4, 0.3)
+    assert together["share_over_period"] == pytest.approx(0.5)
+
+
+def test_decisions_are_read_from_what_was_logged() -> None:
+    ports = {
+        "decision_turn": np.array([[np.nan, 0.0], [0.1, 0.02], [0.1, 0.02]]),
+        "decision_regulation": np.array([[0.0, 0.05], [0.0, 0.05], [0.2, 0.001]]),
+        "goal": np.zeros((3, 3)),
+    }
+    found = logged_decisions(ports)
+    assert found["decision_time"].tolist() == [0.0, 0.1, 0.2]
+    assert found["decision_cost"].tolist() == [0.05, 0.02, 0.001]
+    assert found["decision_layer"] == ("regulation", "turn", "regulation")
+    assert logged_decisions({})["decision_layer"] == ()

@@ -16,6 +16,7 @@ from drake_oa.scenario import Robot
 from drake_oa.station import RobotPlant, home_positions, make_robot_plant
 from drake_oa.systems.evasion import ObstacleEvasion
 from drake_oa.values import FloatArray, ObstacleClouds, PolicyState
+from drake_oa.work import Thinking
 
 PARAMETERS = EvasionParameters()
 STEP, FRAME = 0.008, 1.0 / 30.0
@@ -32,7 +33,7 @@ def robot() -> tuple[RobotPlant, RobotModel]:
 class Bench:
     """A robot held at its home posture; what it sees can be changed."""
 
-    def __init__(self) -> None:
+    def __init__(self, thinking: Thinking | None = None) -> None:
         made, shapes = robot()
         q = home_positions(made, Robot())
         context = made.plant.CreateDefaultContext()
@@ -44,6 +45,7 @@ class Bench:
             imitate(*minimum_jerk(np.zeros(3), [1.0, 0.0, 0.0], duration=5.0)),
             period=FRAME,
             step=STEP,
+            thinking=thinking,
         )
         self.simulator = Simulator(self.system)
         self.context = self.simulator.get_mutable_context()
@@ -103,6 +105,27 @@ def test_it_evades_smoothly_and_comes_to_rest_again(caplog: pytest.LogCaptureFix
         "evades obstacle 3",
         "nothing to evade",
     ]
+
+
+def test_it_evades_when_it_has_thought(caplog: pytest.LogCaptureFixture) -> None:
+    thinking = Thinking(decision=0.05)
+    bench, at_once = Bench(thinking), Bench()
+    for one in (bench, at_once):
+        one.see(*COMING)
+    with caplog.at_level(logging.WARNING, "drake_oa"):
+        late = bench.run(0.4)
+    begun, cost = bench.system.GetOutputPort("decision").Eval(bench.context)
+    # It looks at many ways, and makes one decision after the other.
+    assert begun > 0.1
+    assert thinking.decision < cost < 0.3
+    first = int(late.any(axis=1).argmax())
+    assert np.ceil(0.051 / STEP) <= first <= 0.3 / STEP
+    soon = at_once.run(0.4)
+    assert soon[:first].any()
+    # What was decided from the same is the same.
+    np.testing.assert_array_equal(late[first], soon[soon.any(axis=1).argmax()])
+    assert caplog.messages[0].endswith("evades obstacle 3")
+    assert float(caplog.messages[0][2:7]) == pytest.approx(first * STEP)
 
 
 def test_what_was_seen_long_ago_or_is_not_finite_is_not_evaded() -> None:
