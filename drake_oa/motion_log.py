@@ -130,6 +130,7 @@ _COUNTED = {
     "observation_time": "observation_stamp p_WO R_WO semi_axes v_WO obstacle_id out_of_range",
     "event_time": "event",
     "supervision_time": "supervision_action supervision_reason",
+    "decision_time": "decision_cost decision_layer",
 }
 """Attribute -> those that have as many rows."""
 _POINTS = frozenset({"p_WE", "desired_position", "desired_velocity", "goal", "p_WO", "semi_axes"})

@@ -120,11 +120,12 @@ def test_the_table_lists_every_key_and_no_other() -> None:
 
 
 def test_what_the_table_counts_by_one_letter_has_to_have_as_many_rows() -> None:
-    shapes = re.findall(r"^(\w+) +\(([TFES]),", motion_log.__doc__ or "", re.MULTILINE)
+    shapes = re.findall(r"^(\w+) +\(([TFESD]),", motion_log.__doc__ or "", re.MULTILINE)
     rows = {
         name: counter for counter, names in motion_log._COUNTED.items() for name in names.split()
     }
     counters = {"T": "t", "F": "observation_time", "E": "event_time", "S": "supervision_time"}
+    counters["D"] = "decision_time"
     counted = {name: counters[letter] for name, letter in shapes}
     assert {n: c for n, c in counted.items() if n != c} == {n: c for n, c in rows.items() if n != c}
 
