@@ -55,7 +55,7 @@ class Effort:
     """How much is timed.
 
     Attributes:
-        seconds: simulated time that the real-time factors are measured over [s].
+        seconds: simulated time of runs that are timed [s].
         steps: policy steps, and steps of the plant.
         frames: images.
         rows: roll-outs of the paper's motion.
@@ -347,7 +347,7 @@ def _perception(scenario: Scenario, effort: Effort, results: _Results) -> None:
 
 def _thinking(scenario: Scenario, effort: Effort, results: _Results) -> None:
     _warm_up(scenario)
-    found = time_thinking(scenario, effort.runs)
+    found = time_thinking(scenario, effort.seconds, effort.runs)
     results.figures.append(
         Figure(
             "thinking",
@@ -363,10 +363,11 @@ def _thinking(scenario: Scenario, effort: Effort, results: _Results) -> None:
     results.breakdown += [
         Share("thinking", f"{name}, least squares", 1e6 * value, "us")
         for name, value in vars(found.fitted).items()
+        if value > 0.0
     ]
     results.notes["thinking"] = (
-        f"{found.decisions} decisions, each the quickest of {effort.runs} runs; constants without "
-        "work in this run, or hardly any, are not told by it"
+        f"{found.decisions} decisions, each the quickest of {effort.runs} runs; constants are not "
+        "told by a run with little work of their kind"
     )
 
 

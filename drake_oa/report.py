@@ -239,7 +239,7 @@ def _notes(motion: str, found: dict[str, Any]) -> list[str]:
         notes.append(f"warning: {motion}: the robot touched itself: {found['self_contacts']}")
     if not found["regulation"]:
         return notes
-    if found["decision_cost"]:
+    if (found["decision_cost"] or {}).get("share_over_period", 0.0) > 0.0:
         notes.append(f"note: {motion}: {_thinking(found['decision_cost'])}")
     if found["short_of_feasible"] > TOLD:
         notes.append(

@@ -36,17 +36,25 @@ class ThinkingTimings:
     fitted: Thinking
 
 
-def time_thinking(scenario: Scenario, runs: int = 2) -> ThinkingTimings:
+def time_thinking(
+    scenario: Scenario, duration: float | None = None, runs: int = 2
+) -> ThinkingTimings:
     """Times the decisions of a scenario's motion, each the quickest of some runs.
+
+    Args:
+        scenario: whose.
+        duration: time limit of a run [s]; None: that of `simulate`.
+        runs: how many there are, at least 1.
 
     Raises:
         ValueError: if none costs time: the scenario's `thinking` is null.
     """
     if scenario.thinking is None:
         raise ValueError("thinking: this scenario has null, and its decisions cost no time")
-    each = [_timed_run(scenario) for _ in range(max(runs, 1))]
+    each = [_timed_run(scenario, duration) for _ in range(runs)]
     work = each[0][0]
     seconds = np.min([taken for _, taken in each], axis=0)
+    # The columns are in the order of `Thinking`.
     amounts = np.column_stack([np.ones(len(work)), [astuple(one) for one in work]])
     weight = 1.0 / np.sqrt(np.maximum(seconds, _LEAST))
     fitted, _ = nnls(amounts * weight[:, None], seconds * weight)
@@ -58,7 +66,7 @@ def time_thinking(scenario: Scenario, runs: int = 2) -> ThinkingTimings:
     )
 
 
-def _timed_run(scenario: Scenario) -> tuple[list[Work], list[float]]:
+def _timed_run(scenario: Scenario, duration: float | None) -> tuple[list[Work], list[float]]:
     """The work of each decision of a run, the same in every run, and its processor time [s]."""
     work: list[Work] = []
     taken: list[float] = []
@@ -74,7 +82,7 @@ def _timed_run(scenario: Scenario) -> tuple[list[Work], list[float]]:
 
     thoughts.counted = timed
     try:
-        simulate(scenario)
+        simulate(scenario, duration=duration)
     finally:
         thoughts.counted = plain
     return work, taken

@@ -63,6 +63,7 @@ def test_every_figure_has_a_target_and_a_baseline(figures):
         "verification": [VERIFICATION_TARGET],
         "run": [REAL_TIME_TARGET],
         "perception": [FRAME_TARGET],
+        "thinking": [None],
     }
 
 

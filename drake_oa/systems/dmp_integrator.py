@@ -207,7 +207,8 @@ class DmpIntegrator(LeafSystem):
         if after.note != before.note and SCALED_TO_REST not in (after.note, before.note):
             message = f"held: {after.note}" if after.note else "running again"
             # To think before a motion is nothing to warn of.
-            level = logging.INFO if DECIDING in (after.note, before.note) else logging.WARNING
+            quiet = DECIDING in (after.note, after.note or before.note)
+            level = logging.INFO if quiet else logging.WARNING
             _logger.log(level, "t=%.3f s: %s", context.get_time(), message)
         state.get_mutable_abstract_state(self._segment).set_value(after)
         return _SUCCEEDED

@@ -17,11 +17,14 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class ForMotion(Frozen, Generic[T]):
-    """A decision on a motion, and the start and goal (3,) that the motion had then [m]."""
+    """A decision on a motion, and the start and goal (3,) that the motion had then [m].
+
+    They are NaN of one that was made before there was a motion.
+    """
 
     decision: T
-    p_WS: FloatArray = field(default_factory=lambda: np.zeros(3))
-    p_WG: FloatArray = field(default_factory=lambda: np.zeros(3))
+    p_WS: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    p_WG: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
 
     def fits(self, policy: PolicyState, p_WG: FloatArray) -> bool:
         """Whether the motion that is under way now is the same."""

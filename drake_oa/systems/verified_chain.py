@@ -67,9 +67,9 @@ class _State(Frozen):
     @property
     def waits(self) -> bool:
         """Whether no motion has been verified yet from where the policy is."""
-        if self.holds or self.thoughts.pending is None:
-            return self.holds
-        return self.regulation.tau == 0.0 and self.thoughts.pending.decision.tau != 0.0
+        in_force = self.thoughts.in_force
+        leads_away = not np.array_equal(in_force.p_WS, in_force.p_WG)
+        return self.holds or (self.regulation.tau == 0.0 and leads_away)
 
 
 class VerifiedRegressorChain(LeafSystem):
@@ -316,7 +316,7 @@ class VerifiedRegressorChain(LeafSystem):
         ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
         kept = self._read(context)
         coupling = kept.regulation.coupling(ellipsoids)
-        if kept.waits and not coupling.note:
+        if self._thinking is not None and kept.waits and not coupling.note:
             coupling = replace(coupling, note=DECIDING)
         output.set_value(coupling)
 

@@ -11,6 +11,7 @@ from pydrake.systems.framework import Context, Diagram
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.metrics import robot_metrics
 from drake_oa.motion_log import MotionLog
+from drake_oa.regulation import DECIDING
 from drake_oa.report import motion_report
 from drake_oa.scenario import load_scenario, shipped_scenarios
 from drake_oa.simulation import simulate
@@ -30,7 +31,8 @@ def test_each_shipped_scenario_runs(name: str, modulated: bool) -> None:
     assert np.isfinite(log.torque).all()
     assert log.q.shape == (len(log.t), 0 if scenario.robot is None else 9)
     assert (len(log.observation_stamp) > 0) == modulated
-    assert log.event == ()
+    # It is held until the first decision is made, and for nothing else.
+    assert set(log.event) <= {DECIDING, ""}
 
 
 @pytest.mark.parametrize("kind", ["GroundTruth", "DepthCamera", "RecordedClouds"])
@@ -42,7 +44,7 @@ def test_perception_is_changed_by_its_block_alone(kind: str, recording_folder: P
     # The box stands across the middle of the baseline.
     np.testing.assert_allclose(log.p_WO[0, 0, :2], [0.45, 0.0], atol=0.06)
     assert np.isfinite(log.torque).all()
-    assert log.event == ()
+    assert log.event == (DECIDING, "")
 
 
 def test_subsystems_have_the_documented_names() -> None:
@@ -127,7 +129,7 @@ def test_the_obstacles_are_passed_with_the_asked_clearance(
     log = request.getfixturevalue(run)
     report = motion_report(load_scenario(name), log)
     assert report["stop_reason"] == "goal"
-    assert report["events"] == []
+    assert [event["note"] for event in report["events"]] == [DECIDING, ""]
     assert report["collisions"] == 0
     assert report["tool_clearance_min"] >= 0.15
     assert report["goal_error"] <= 0.005

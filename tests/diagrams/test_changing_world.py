@@ -12,6 +12,7 @@ from drake_oa.goal_course import goal_at
 from drake_oa.layers import make_dmp
 from drake_oa.metrics import path_length, robot_metrics
 from drake_oa.motion_log import MotionLog
+from drake_oa.regulation import DECIDING
 from drake_oa.report import motion_report
 from drake_oa.scenario import Scenario, ScenarioError, load_scenario
 from drake_oa.simulation import simulate
@@ -34,7 +35,7 @@ def present_box(*present: float) -> str:
 def ended_well(report: dict[str, Any]) -> None:
     assert report["contacts"] == []
     assert report["stop_reason"] == "goal"
-    assert report["events"] == []
+    assert [event["note"] for event in report["events"]] == [DECIDING, ""]
     assert report["goal_error"] <= 1e-3
 
 
@@ -66,7 +67,7 @@ def test_the_box_appears_right_ahead_and_is_gone_round(
     scenario, log = sudden
     distance, speed = ahead_when_it_appears(scenario, log)
     # 0.3 m from the tool point, in the middle of the motion.
-    assert distance == pytest.approx(0.3, abs=0.01)
+    assert distance == pytest.approx(0.3, abs=0.02)
     assert speed > 0.3
     assert 0.3 < (log.p_WE[np.searchsorted(log.t, 2.0), 1] + 0.45) / 0.9 < 0.7
     report = motion_report(scenario, log)
@@ -158,7 +159,8 @@ def test_a_goal_moved_into_an_obstacle_is_waited_for(caplog: pytest.LogCaptureFi
     with caplog.at_level(logging.WARNING, logger="drake_oa"):
         log = simulate(load_scenario("free_space", [f"task.goal_moves={moves}"]))
     assert log.stop_reason == "goal"
-    said = list(zip(log.event_time.round(1).tolist(), log.event, strict=True))
+    # The first two are of the first decision.
+    said = list(zip(log.event_time.round(1).tolist(), log.event, strict=True))[2:]
     assert [when for when, _ in said] == [0.5, 3.0]
     assert said[0][1].startswith("goal inside obstacle")
     assert said[1][1] == ""
@@ -253,7 +255,7 @@ def test_each_change_is_coped_with_from_depth(name: str) -> None:
     assert report["supervision"] == []
     if name == "sudden_obstacle":
         distance, _ = ahead_when_it_appears(scenario, log)
-        assert distance == pytest.approx(0.3, abs=0.01)
+        assert distance == pytest.approx(0.3, abs=0.02)
         assert report["tool_clearance_min"] >= 0.05
     elif name != "vanishing_obstacle":
         assert report["tool_clearance_min"] >= scenario.task.clearance

@@ -21,6 +21,7 @@ from drake_oa import layers
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.diagrams.ports import LOG_PERIOD
 from drake_oa.motion_log import MotionLog
+from drake_oa.regulation import DECIDING
 from drake_oa.report import motion_report
 from drake_oa.scenario import Scenario, ScenarioError, load_scenario, package_file
 from drake_oa.simulation import MotionInterruptedError, simulate
@@ -148,7 +149,7 @@ def test_an_observation_that_goes_stale_holds_and_a_fresh_one_resumes(
     held = (log.t > 1.5 + AGE + HOLD + 0.02) & (log.t < 3.5)
     assert not log.desired_velocity[held].any()
     assert np.ptp(log.desired_position[held], axis=0).max() == 0.0
-    assert log.event == ("obstacles not seen since t = 1.47 s", "")
+    assert log.event == (DECIDING, "", "obstacles not seen since t = 1.47 s", "")
     assert "held: obstacles not seen since" in caplog.text
     assert "running again" in caplog.text
     assert log.stop_reason == "goal"
@@ -182,7 +183,7 @@ def test_without_any_observation_the_motion_never_begins(
 def test_an_empty_scene_is_passed_straight(free_motion: Callable[..., MotionLog]) -> None:
     log = free_motion(lambda time: ellipsoids(frame_time(time)))
     assert log.stop_reason == "goal"
-    assert log.event == ()
+    assert log.event == (DECIDING, "")
     assert np.abs(log.desired_position[:, 1:]).max() < 1e-9
 
 
@@ -226,7 +227,7 @@ def test_an_obstacle_that_appears_on_the_tool_stops_it_and_lets_it_go(
 
     log = free_motion(appears)
     assert_sound(log)
-    assert log.event == ("tool inside obstacle 0", "")
+    assert log.event == (DECIDING, "", "tool inside obstacle 0", "")
     still = (log.t > 1.8 + HOLD + 0.02) & (log.t < 3.0)
     assert not log.desired_velocity[still].any()
     assert log.stop_reason == "goal"
@@ -277,7 +278,7 @@ def test_clusters_without_volume_are_obstacles_too(
     assert_sound(log)
     assert log.p_WO.shape[1] == 1
     assert (log.semi_axes > 0.0).all()
-    assert log.event == ()
+    assert log.event == (DECIDING, "")
 
 
 def test_the_robot_stops_when_its_source_dies_and_goes_on_when_it_is_back(
@@ -290,8 +291,8 @@ def test_the_robot_stops_when_its_source_dies_and_goes_on_when_it_is_back(
 
     log = robot_motion(dies)
     assert_sound(log)
-    assert "not seen since" in log.event[0]
-    assert "no valid pixel" in log.event[0]
+    assert "not seen since" in log.event[2]
+    assert "no valid pixel" in log.event[2]
     stopped = (log.t > 2.0 + AGE + HOLD + 0.5) & (log.t < 4.0)
     assert np.abs(log.v[stopped][:, :7]).max() < 0.02
     report = motion_report(load_scenario("tabletop_box"), log)
@@ -319,8 +320,8 @@ def test_points_that_are_not_finite_never_reach_the_torques(
 def test_the_robot_holds_its_start_while_an_obstacle_is_over_it(
     robot_motion: Callable[..., MotionLog],
 ) -> None:
-    log = robot_motion(lambda time: clouds(time, BOX + [0.0, -0.45, 0.15]), duration=1.0)
-    assert log.event == ("tool inside obstacle 0",)
+    log = robot_motion(lambda time: clouds(time, BOX + [0.0, -0.45, 0.15]), duration=1.5)
+    assert log.event == (DECIDING, "tool inside obstacle 0")
     assert_sound(log)
     # The elbow may draw away from it in the null space.
     assert np.abs(log.p_WE - log.p_WE[0]).max() < 1e-3

@@ -60,12 +60,13 @@ def test_where_no_posture_passes_on_the_straight_line_another_is_taken() -> None
     # The tool's way is free; a board leaves no posture of the arm along it.
     scenario = draw_panda_scene(0, 69, kind="elbow")
     scenario.perception = GroundTruth()
+    scenario.thinking = None
     diagram = build_avoidance(scenario)
     simulator = Simulator(diagram)
     simulator.AdvanceTo(0.01)
     chain = diagram.GetSubsystemByName("regressor_chain")
     state = chain.GetMyContextFromRoot(simulator.get_context()).get_abstract_state()
-    chosen: Regulation = state.get_value(0).get_value()
+    chosen: Regulation = state.get_value(0).get_value().regulation
     assert chosen.for_arm
     assert chosen.shortfall == 0.0
     assert chosen.way.plan.works

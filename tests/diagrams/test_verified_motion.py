@@ -16,7 +16,7 @@ from drake_oa import layers
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.ellipsoid import signed_distance
 from drake_oa.motion_log import MotionLog
-from drake_oa.regulation import Regulation
+from drake_oa.regulation import DECIDING, Regulation
 from drake_oa.report import motion_report
 from drake_oa.scenario import GivenEllipsoids, load_scenario
 from drake_oa.simulation import LATEST_END, simulate
@@ -73,13 +73,14 @@ def kept(p_WE: FloatArray, true: EllipsoidSet) -> float:
 
 
 def test_the_executed_motion_is_the_one_that_was_rolled_out() -> None:
-    scenario = load_scenario("free_space")
+    # Thinking would let the first motion begin later.
+    scenario = load_scenario("free_space", ["thinking=null"])
     diagram = build_avoidance(scenario)
     simulator = Simulator(diagram)
     simulator.AdvanceTo(0.005)
     chain = diagram.GetSubsystemByName("regressor_chain")
     state = chain.GetMyContextFromRoot(simulator.get_context()).get_abstract_state()
-    chosen: Regulation = state.get_value(0).get_value()
+    chosen: Regulation = state.get_value(0).get_value().regulation
     assert chosen.row >= 0
     assert isinstance(scenario.perception, GivenEllipsoids)
     true = layers.given_ellipsoids(scenario.perception)
@@ -152,7 +153,7 @@ def test_noise_on_what_is_seen_neither_flips_the_side_nor_touches(
 
     log = observed_motion(trembling)
     assert log.stop_reason == "goal"
-    assert log.event == ()
+    assert log.event == (DECIDING, "")
     assert kept(log.desired_position, true) > CLEARANCE - 0.012
     # One side all the way: the motion is on one half of the local YZ plane.
     off = log.desired_position[:, 1:]
@@ -166,7 +167,7 @@ def test_an_obstacle_that_appears_is_gone_round(
     obstacle = balls((0.65, 0.02, 0.0))
     log = observed_motion(lambda frame: obstacle if frame >= 15 else balls())
     assert log.stop_reason == "goal"
-    assert log.event == ()
+    assert log.event == (DECIDING, "")
     assert log.shortfall.max() == 0.0
     since = log.t >= 15 * FRAME
     assert np.abs(log.desired_position[~since, 1:]).max() < 1e-9

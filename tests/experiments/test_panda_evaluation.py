@@ -172,6 +172,7 @@ def _run(outcome, reason="", goal_error=1e-4, contacts=(), clearance=0.1, speed=
         "self_contacts": [],
         "feasible_clearance": 0.15,
         "short_of_feasible": 0.0,
+        "decision_cost": None,
         "duration": 5.0,
         "stop_reason": reason or "goal",
         **more,
