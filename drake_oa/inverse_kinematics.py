@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.inverse_kinematics import InverseKinematics
@@ -9,6 +11,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame, JacobianWrtVariable
 from pydrake.solvers import Solve
 from pydrake.systems.framework import Context
+from scipy.optimize import lsq_linear
 
 from drake_oa.cartesian_kernels import rotation_vector
 from drake_oa.values import FloatArray
@@ -18,7 +21,17 @@ PANDA_REACH = 0.855
 """Distance from the Panda's shoulder that its data sheet states [m]."""
 
 _SEEDS = 8
+_MORE_SEEDS, _FEW = 400, 30
+"""Seeds of the search by bounded steps, where the solver finds nothing from the first ones: of
+poses at the joint limits one seed in thirty led to a solution. So many at most, and few ..."""
+_FAR_OFF = 0.2
+"""... where none of these comes as near as this [m, rad]."""
 _NEWTON_STEPS = 10
+_MORE_STEPS = 60
+_TRUST = 0.5
+"""Largest step of a joint [rad or m]."""
+_STALLED = 0.995
+"""A step that leaves more than this share of the error is the last one."""
 _DISTANCE_WEIGHT = 1e4
 _POSITION_BOUND = 1e-4
 """Half width of the solver's position constraint [m], narrowed by the Newton steps."""
@@ -34,12 +47,14 @@ def solve_tool_pose(
     *,
     position_tolerance: float = 1e-6,
     orientation_tolerance: float = 1e-6,
+    thorough: bool = True,
 ) -> FloatArray:
     """Positions, within the joint limits, that put the tool frame E at a pose.
 
     Drake's `InverseKinematics` finds the solution nearest to the seed; Newton steps
-    then bring it onto the pose. The same arguments give the same answer. Joints that
-    do not move the tool keep their seed.
+    then bring it onto the pose. Where it finds none from a few seeds, as for a pose at the
+    joint limits, steps within the limits alone go on from many more. The same arguments give
+    the same answer. Joints that do not move the tool keep their seed.
 
     Args:
         plant: finalized plant of the robot alone.
@@ -48,6 +63,8 @@ def solve_tool_pose(
         q_seed: (n,) positions to start from and to stay near [rad].
         position_tolerance: largest distance from the asked position [m].
         orientation_tolerance: largest angle from the asked orientation [rad].
+        thorough: whether to look further where the solver finds none: it takes seconds to
+            refuse what is just out of reach.
 
     Returns:
         (n,) positions.
@@ -66,13 +83,28 @@ def solve_tool_pose(
     if not np.isfinite(p_WE).all():
         raise ValueError(f"X_WE: the position {p_WE} must be finite [m]")
     frame = plant.GetFrameByName(tool_frame)
-    for seed in _seeds(plant, q_seed):
-        q = _nearest_solution(plant, frame, X_WE, seed, q_seed)
+    tolerance = np.array([position_tolerance, orientation_tolerance])
+
+    def solved(guess: FloatArray) -> FloatArray | None:
+        q = _nearest_solution(plant, frame, X_WE, guess, q_seed)
         if q is None:
-            continue
-        q, error_p, error_R = _refine(plant, frame, X_WE, q)
-        if error_p <= position_tolerance and error_R <= orientation_tolerance:
+            return None
+        q, left = _refine(plant, frame, X_WE, q, _NEWTON_STEPS)
+        return q if (left <= tolerance).all() else None
+
+    for seed in _seeds(plant, frame, q_seed, _SEEDS):
+        q = solved(seed)
+        if q is not None:
             return q
+    nearest = math.inf
+    for number, seed in enumerate(_seeds(plant, frame, q_seed, _MORE_SEEDS if thorough else 0)):
+        q, left = _refine(plant, frame, X_WE, seed, _MORE_STEPS)
+        if (left <= tolerance).all():
+            nearer = solved(q)
+            return q if nearer is None else nearer
+        nearest = min(nearest, float(np.linalg.norm(left)))
+        if number >= _FEW and nearest > _FAR_OFF:
+            break
     raise ValueError(_out_of_reach(plant, frame, X_WE, q_seed))
 
 
@@ -83,13 +115,19 @@ def check_reachable(
     solve_tool_pose(plant, tool_frame, X_WE, q_seed)
 
 
-def _seeds(plant: MultibodyPlant, q_seed: FloatArray) -> list[FloatArray]:
-    """The given seed, the middle of the joint ranges, and fixed random places."""
+def _seeds(plant: MultibodyPlant, frame: Frame, q_seed: FloatArray, count: int) -> list[FloatArray]:
+    """The given seed, the middle of the joint ranges, and fixed random places.
+
+    Joints that do not move the frame are where the given seed has them.
+    """
+    context = plant.CreateDefaultContext()
+    plant.SetPositions(context, q_seed)
+    moves = _jacobian(plant, context, frame).any(axis=0)
     lower, upper = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
-    bounded = np.isfinite(lower) & np.isfinite(upper)
+    bounded = moves & np.isfinite(lower) & np.isfinite(upper)
     lower, upper = np.where(bounded, lower, q_seed), np.where(bounded, upper, q_seed)
     random = np.random.default_rng(0)
-    spread = [random.uniform(lower, upper) for _ in range(_SEEDS)]
+    spread = [random.uniform(lower, upper) for _ in range(count)]
     return [q_seed, 0.5 * (lower + upper), *spread]
 
 
@@ -137,25 +175,50 @@ def _pose_error(
 
 
 def _refine(
-    plant: MultibodyPlant, frame: Frame, X_WE: RigidTransform, q: FloatArray
-) -> tuple[FloatArray, float, float]:
-    """Newton steps onto the pose within the limits; positions, distance, angle left."""
+    plant: MultibodyPlant, frame: Frame, X_WE: RigidTransform, q: FloatArray, steps: int
+) -> tuple[FloatArray, FloatArray]:
+    """Newton steps onto the pose within the limits; positions, (2,) distance, angle left."""
     context = plant.CreateDefaultContext()
-    world = plant.world_frame()
     lower, upper = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
-    q = np.clip(q, lower, upper)
+    q, trust = np.clip(q, lower, upper), _TRUST
     error = _pose_error(plant, context, frame, X_WE, q)
-    for _ in range(_NEWTON_STEPS):
-        J = plant.CalcJacobianSpatialVelocity(
+    for _ in range(steps):
+        if not error.any():
+            break
+        plant.SetPositions(context, q)
+        J = _jacobian(plant, context, frame)
+        step = _bounded_step(J, error, np.maximum(lower - q, -trust), np.minimum(upper - q, trust))
+        left = _pose_error(plant, context, frame, X_WE, q + step)
+        gained = np.linalg.norm(left) / np.linalg.norm(error)
+        if gained < 1.0:
+            q, error = np.clip(q + step, lower, upper), left
+        elif trust > _TRUST / 64.0:
+            trust *= 0.25
+            continue
+        if gained > _STALLED:
+            break
+        trust = min(2.0 * trust, _TRUST)
+    return q, np.linalg.norm(error.reshape(2, 3), axis=1)[::-1]
+
+
+def _jacobian(plant: MultibodyPlant, context: Context, frame: Frame) -> FloatArray:
+    """(6, n) of the frame's origin in the world, angular part first."""
+    world = plant.world_frame()
+    return np.asarray(
+        plant.CalcJacobianSpatialVelocity(
             context, JacobianWrtVariable.kQDot, frame, np.zeros(3), world, world
         )
-        step = np.linalg.lstsq(J, error, rcond=1e-6)[0]
-        trial = np.clip(q + step, lower, upper)
-        left = _pose_error(plant, context, frame, X_WE, trial)
-        if not np.linalg.norm(left) < np.linalg.norm(error):
-            break
-        q, error = trial, left
-    return q, float(np.linalg.norm(error[3:])), float(np.linalg.norm(error[:3]))
+    )
+
+
+def _bounded_step(
+    J: FloatArray, error: FloatArray, lower: FloatArray, upper: FloatArray
+) -> FloatArray:
+    """The (n,) step within bounds that makes up the most of an error (6,)."""
+    step = np.linalg.lstsq(J, error, rcond=1e-6)[0]
+    if (step >= lower).all() and (step <= upper).all():
+        return np.asarray(step)
+    return np.asarray(lsq_linear(J, error, bounds=(lower, upper), method="bvls").x)
 
 
 def _out_of_reach(
@@ -168,7 +231,7 @@ def _out_of_reach(
     )
     context = plant.CreateDefaultContext()
     nearest, p_WF = np.inf, np.zeros(3)
-    for seed in _seeds(plant, q_seed):
+    for seed in _seeds(plant, frame, q_seed, _SEEDS):
         result = Solve(problem.prog(), seed)
         if result.is_success():
             q = result.GetSolution(problem.q())

@@ -57,7 +57,7 @@ def reachable_turns(
     left, q = list(turns), np.array(q_seed, dtype=float)
     for place in path:
         try:
-            q = solve_tool_pose(plant, tool_frame, _pose(R_WE, place), q)
+            q = solve_tool_pose(plant, tool_frame, _pose(R_WE, place), q, thorough=False)
         except ValueError:
             continue
         left = [
@@ -99,7 +99,7 @@ def _can_hold(
         before = q
         try:
             pose = _pose(turned_about(np.asarray(R_WE).T, axis, float(part)).T, place)
-            q = solve_tool_pose(plant, frame.name(), pose, before)
+            q = solve_tool_pose(plant, frame.name(), pose, before, thorough=False)
         except ValueError:
             return False
         if np.abs(q - before).max() > _JUMP:

@@ -72,6 +72,24 @@ def test_another_orientation_is_solved(plant: MultibodyPlant) -> None:
     np.testing.assert_allclose(X.rotation().matrix(), R.matrix(), atol=1e-6)
 
 
+def test_what_is_within_reach_is_found(plant: MultibodyPlant) -> None:
+    """Poses of random configurations; every second one has two joints at their limits."""
+    random = np.random.default_rng(8)
+    lower, upper = plant.GetPositionLowerLimits()[:7], plant.GetPositionUpperLimits()[:7]
+    for number in range(300):
+        q = Q_START.copy()
+        q[:7] = random.uniform(lower, upper)
+        if number % 2 == 0:
+            joints = random.integers(7, size=2)
+            q[joints] = np.where(random.random(2) < 0.5, lower[joints], upper[joints])
+        X = pose(plant, q)
+        found = solve_tool_pose(plant, TOOL, X, Q_START)
+        assert pose(plant, found).IsNearlyEqualTo(X, 2e-6), number
+        np.testing.assert_allclose(found[7:], Q_START[7:], atol=1e-3)
+        assert (found >= plant.GetPositionLowerLimits()).all()
+        assert (found <= plant.GetPositionUpperLimits()).all()
+
+
 def test_a_pose_out_of_reach_is_refused_with_what_is_possible(plant: MultibodyPlant) -> None:
     with pytest.raises(ValueError, match=r"out of reach: panda_hand_tcp .*1\.2.*0\.404 m.*0\.78"):
         solve(plant, [1.2, 0.0, 0.3])

@@ -53,10 +53,12 @@ def test_about_another_axis_inverse_kinematics_is_asked(
     place, turns = [0.45, 0.0, 0.3], [0.0, 0.2, -0.4]
     assert asked(panda, [place], turns, axis=sideways) == turns
 
-    def stiff(plant: object, frame: str, X_WE: RigidTransform, q: np.ndarray) -> np.ndarray:
+    def stiff(
+        plant: object, frame: str, X_WE: RigidTransform, q: np.ndarray, *, thorough: bool
+    ) -> np.ndarray:
         if not np.isclose(X_WE.rotation().matrix()[2, 2], -1.0, atol=0.05):
             raise ValueError("out of reach")
-        return solve_tool_pose(panda.plant, frame, X_WE, q)
+        return solve_tool_pose(panda.plant, frame, X_WE, q, thorough=thorough)
 
     monkeypatch.setattr("drake_oa.reachable_turns.solve_tool_pose", stiff)
     assert asked(panda, [place], turns, axis=sideways) == [0.0, 0.2]

@@ -125,6 +125,8 @@ class PandaCell:
             TOOL_FRAME,
             RigidTransform(self._R_WE, np.asarray(p_WE)),
             self._seed if q_seed is None else q_seed,
+            # What is drawn for a seed hangs on it.
+            thorough=False,
         )
 
     def straight_motion(
