@@ -18,6 +18,10 @@ With the posture planned, `robot.posture`:
     perception or hidden_sides, plant, camera -> regressor_chain
     regressor_chain, dmp_integrator -> posture_follower -> controller
 
+Without, where the task gives the joints at the goal:
+
+    posture_guide, dmp_integrator -> guide_follower -> controller
+
 With `robot.posture.coupling`:
 
     perception, plant -> null_space_coupling -> controller
@@ -54,7 +58,7 @@ from pydrake.visualization import ApplyVisualizationConfig, VisualizationConfig
 from drake_oa import fault_layers, layers, robot_layers
 from drake_oa.diagrams.orienting import orientation_signals, wire_orientation
 from drake_oa.diagrams.ports import log_signal
-from drake_oa.diagrams.posture import wire_null_space, wire_posture
+from drake_oa.diagrams.posture import wire_guide, wire_null_space, wire_posture
 from drake_oa.diagrams.safety import wire_supervisor
 from drake_oa.diagrams.turning import wire_turn
 from drake_oa.scenario import DepthCamera, GivenEllipsoids, GroundTruth, Regressor, Scenario
@@ -74,10 +78,11 @@ def build_avoidance(
     rgbd_sensor_<camera>, or late_<camera> and robot_at_image; depth_noise, perception,
     ellipsoid_descriptor, regressor_chain, goal, dmp_integrator, integral_action, controller,
     supervisor, evasion, hidden_sides, posture_follower, log_<signal>; null_space_coupling with
-    `robot.posture.coupling`; cost_ring_selector with `regulation: !Regressor` or a viewer, and
-    overlay and taken_route with a viewer; orientation_integrator, tool_turn_selector, slowest,
-    camera_faults, weak_actuators, push and mover_<model instance> where the scenario asks for
-    them. Without a robot there is no plant, camera, descriptor, controller or supervisor.
+    `robot.posture.coupling`; posture_guide and guide_follower; cost_ring_selector with `regulation:
+    !Regressor` or a viewer, and overlay and taken_route with a viewer; orientation_integrator,
+    tool_turn_selector, slowest, camera_faults, weak_actuators, push and mover_<model instance>
+    where the scenario asks for them. Without a robot there is no plant, camera, descriptor,
+    controller or supervisor.
     With `modulated=False` there is nothing from perception to regressor_chain, and no
     hidden_sides, posture_follower, null_space_coupling, tool_turn_selector, supervisor or
     evasion.
@@ -126,6 +131,8 @@ def build_avoidance(
         _wire_robot(builder, scenario, station, policy, controller)
         if arm is not None:
             wire_posture(builder, scenario, station, arm, q_start)
+        else:
+            wire_guide(builder, scenario, q_start)
         if modulated:
             wire_null_space(builder, scenario, station, robot_plant, q_start)
         wire_world(builder, scenario, station)

@@ -2,6 +2,7 @@
 
 hidden_sides (without a camera perception), plant, camera -> regressor_chain
 regressor_chain (motion), dmp_integrator -> posture_follower -> controller
+posture_guide, dmp_integrator -> guide_follower -> controller; without a plan
 perception, plant -> null_space_coupling -> controller
 """
 
@@ -41,6 +42,21 @@ def wire_posture(
         "posture_follower", robot_layers.make_posture_follower(scenario, arm, q_start)
     )
     builder.Connect(chain.GetOutputPort("motion"), follower.GetInputPort("motion"))
+    builder.Connect(policy.GetOutputPort("policy_state"), follower.GetInputPort("policy_state"))
+    builder.Connect(follower.get_output_port(), controller.GetInputPort("desired_posture"))
+    log_signal(builder, "desired_posture", follower.get_output_port())
+
+
+def wire_guide(builder: DiagramBuilder, scenario: Scenario, q_start: FloatArray) -> None:
+    """The posture from the task's joints at the start to those at the goal, to the controller."""
+    made = robot_layers.make_guide_follower(scenario, q_start)
+    if made is None:
+        return
+    follower = builder.AddNamedSystem("guide_follower", made[0])
+    guide = builder.AddNamedSystem("posture_guide", made[1])
+    policy = builder.GetSubsystemByName("dmp_integrator")
+    controller = builder.GetSubsystemByName("controller")
+    builder.Connect(guide.get_output_port(), follower.GetInputPort("motion"))
     builder.Connect(policy.GetOutputPort("policy_state"), follower.GetInputPort("policy_state"))
     builder.Connect(follower.get_output_port(), controller.GetInputPort("desired_posture"))
     log_signal(builder, "desired_posture", follower.get_output_port())

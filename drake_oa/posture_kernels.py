@@ -319,6 +319,7 @@ def plan_rows(
             each layer begins at the solutions of the one before it.
         seconds, window: see `best_way`.
         fixed: the joint that is given.
+        posture: (T, n) what the null space rests in [rad].
         way: (T, n) receives the postures [rad].
 
     Returns:
@@ -355,7 +356,7 @@ def plan_rows(
                 )  # fmt: skip
                 measured += 1
                 cost[t, j] = price(
-                    q[t, j], posture, mass, lower, upper, distance, apart, s[t] - s[t - 1], rules
+                    q[t, j], posture[t], mass, lower, upper, distance, apart, s[t] - s[t - 1], rules
                 )
     chosen = np.zeros(T, dtype=np.int64)
     answer = best_way(

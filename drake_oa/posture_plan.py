@@ -175,6 +175,7 @@ def plan_posture(
     seconds: float,
     age: float = 0.0,
     R_WE: FloatArray | None = None,
+    posture: FloatArray | None = None,
     parameters: PostureParameters | None = None,
     thorough: bool = True,
 ) -> PosturePlan:
@@ -189,6 +190,7 @@ def plan_posture(
         seconds: duration of a unit of s, tau T [s].
         age: for how long the obstacles have moved since they were seen [s].
         R_WE: (T, 3, 3) or (3, 3) orientations; None: the arm's.
+        posture: (T, 7) or (7,) q_0, what the null space rests in [rad]; None: the arm's.
         parameters: what is kept; None: the defaults.
         thorough: whether to look further where the first grid has no way that is clear.
 
@@ -207,9 +209,10 @@ def plan_posture(
     if T < 2:
         return PosturePlan(s=s, q=q[None][:T])
     R = np.broadcast_to(R, (T, 3, 3))
+    rest = np.broadcast_to(arm.posture if posture is None else posture, (T, _JOINTS))
     ages = age + (s - s[0]) * seconds
     rules = parameters.rules(around.padding)
-    shared = _shared(arm, around)
+    shared = _shared(arm, around, rest)
     start = np.clip(q, arm.lower + rules[kernels.LIMIT_STOP], arm.upper - rules[kernels.LIMIT_STOP])
     low, high = start[REDUNDANT], start[REDUNDANT]
     low = min(low, arm.lower[REDUNDANT] + parameters.limit_stop)
@@ -282,12 +285,16 @@ def reviewed(
     times, way = np.array(plan.s[left]), np.array(plan.q[left])
     ages = age + (times - s) * seconds
     rules = parameters.rules(around.padding)
-    return _described(arm, around, times, way, seconds, ages, rules, _shared(arm, around))
+    return _described(
+        arm, around, times, way, seconds, ages, rules, _shared(arm, around, arm.posture[None])
+    )
 
 
-def _shared(arm: ArmModel, around: ArmSurroundings) -> tuple[list[FloatArray], list[Any]]:
-    """What the kernels take of the arm's joints, and of everything that may touch."""
-    joints = kernel_arrays(arm.X_PJ, arm.posture, arm.mass, arm.lower, arm.upper, arm.speed)
+def _shared(
+    arm: ArmModel, around: ArmSurroundings, rest: FloatArray
+) -> tuple[list[FloatArray], list[Any]]:
+    """What the kernels take of the arm's joints, at rest in (T, 7), and of all that may touch."""
+    joints = kernel_arrays(arm.X_PJ, rest, arm.mass, arm.lower, arm.upper, arm.speed)
     seen = around.points
     touching = [
         *(np.array(a) for a in (*arm.shapes, *arm.parts)),

@@ -207,7 +207,7 @@ def plan_traced(
     """As `posture_kernels.plan_rows`, with nodes along the null space.
 
     Args:
-        path, R_WE, s, ages, start, seconds, rules: see there.
+        path, R_WE, s, ages, start, seconds, posture, rules: see there.
         guess: (T, 7) postures about which the nodes are; (0, 7): anywhere.
         step, most: see `trace`.
         N: nodes of a layer, at most.
@@ -262,7 +262,7 @@ def plan_traced(
             )  # fmt: skip
             measured += 1
             total[t, j] = best + price(
-                q[t, j], posture, mass, lower, upper, distance, apart, ds, rules
+                q[t, j], posture[t], mass, lower, upper, distance, apart, ds, rules
             )
     last = total[T - 1].argmin()
     answer = total[T - 1, last]

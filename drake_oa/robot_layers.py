@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 
 import numpy as np
+from pydrake.common.value import Value
 from pydrake.math import RigidTransform
+from pydrake.systems.primitives import ConstantValueSource
 
 from drake_oa.arm_model import make_arm_model
 from drake_oa.arm_motion import ArmModel
@@ -36,13 +39,16 @@ from drake_oa.systems.null_space_coupling import NullSpaceCoupling
 from drake_oa.systems.posture_follower import PostureFollower
 from drake_oa.systems.supervisor import Supervisor
 from drake_oa.systems.verified_chain import RobotArm
+from drake_oa.task_joints import check_agreement, joint_ends, posture_guide
 from drake_oa.tool_orientation import end_rotations, tool_orientation
-from drake_oa.values import FloatArray
+from drake_oa.values import FloatArray, PlannedMotion
 from drake_oa.whole_arm import WholeArm
 
 _logger = logging.getLogger("drake_oa")
 _FARTHER = 0.01
 """How much farther than the supervisor's stop a planned posture stays away [m]."""
+_GUIDE_SAMPLES = 41
+"""Of a posture that is not planned, along the motion."""
 _SURFACE_GAP = 0.01
 """How far a link may come into a surface between the points that ground truth has of it [m]."""
 
@@ -55,24 +61,28 @@ def start_positions(robot_plant: RobotPlant, scenario: Scenario) -> FloatArray:
 def end_positions(robot_plant: RobotPlant, scenario: Scenario) -> tuple[FloatArray, FloatArray]:
     """(nq,) positions with E at the start, and at the last goal; each goal must be in reach.
 
+    Those of `task.q_start`, where they are given.
+
     Raises:
-        ScenarioError: naming start, goal or the move of the goal that is out of reach.
+        ScenarioError: naming start, goal or the move of the goal that is out of reach, or that
+            does not agree with `task.q_start` or `task.q_goal`.
     """
     robot: Robot | None = scenario.robot
     if robot is None:
         raise ScenarioError("robot: a start pose needs a robot; this scenario has null")
     R_WS, R_WG = end_rotations(scenario)
     seed = home_positions(robot_plant, robot)
-    found = {}
+    found = joint_ends(robot_plant, scenario)
     places = {"start": scenario.task.start, "goal": scenario.task.goal}
     places |= {f"goal_moves[{row}]": move[1:] for row, move in enumerate(scenario.task.goal_moves)}
     for name, place in places.items():
+        X_WE = RigidTransform(R_WS if name == "start" else R_WG, np.asarray(place))
+        if name in found:
+            check_agreement(robot_plant, name, found[name], X_WE)
+            continue
         try:
             found[name] = solve_tool_pose(
-                robot_plant.plant,
-                robot_plant.tool_frame.name(),
-                RigidTransform(R_WS if name == "start" else R_WG, np.asarray(place)),
-                seed,
+                robot_plant.plant, robot_plant.tool_frame.name(), X_WE, seed
             )
         except ValueError as error:
             raise ScenarioError(f"task.{name}: {error}") from None
@@ -137,6 +147,7 @@ def make_robot_arm(
                 clearance=max(robot.posture.clearance, stop + _FARTHER), stop_distance=stop
             ),
             None if held is None else held.along,
+            make_posture_guide(scenario, arm.posture),
         )
     except ValueError as error:
         _logger.info("the posture of the arm is not planned: %s", error)
@@ -158,6 +169,22 @@ def _arm_model(
         collect_collision_shapes(plant, inspector, robot_plant.instance),
         without=tool_links(robot),
     )
+
+
+def make_posture_guide(
+    scenario: Scenario, q_start: FloatArray
+) -> Callable[[FloatArray], FloatArray] | None:
+    """(T, n) postures that the null space is drawn to at normalised times (T,).
+
+    Args:
+        scenario: with a robot.
+        q_start: (n,) positions of the arm at the start [rad].
+
+    Returns:
+        None where the task does not give the joints at the goal: the posture of the start.
+    """
+    q_goal = scenario.task.q_goal
+    return None if q_goal is None else lambda s: posture_guide(s, q_start, np.asarray(q_goal))
 
 
 def make_null_space_coupling(
@@ -194,6 +221,30 @@ def make_posture_follower(
     return PostureFollower(
         q_start[list(arm.positions)], policy.alpha_k, period=policy.period, **turn
     )
+
+
+def make_guide_follower(
+    scenario: Scenario, q_start: FloatArray
+) -> tuple[PostureFollower, ConstantValueSource] | None:
+    """What draws the null space from the joints at the start to those at the goal, unplanned.
+
+    Args:
+        scenario: with a robot.
+        q_start: (nq,) its positions at the start.
+
+    Returns:
+        The follower and its motion; None where the task does not give the joints at the goal.
+    """
+    robot = scenario.robot
+    if (
+        robot is None
+        or (guide := make_posture_guide(scenario, q_start[: len(robot.q_seed)])) is None
+    ):
+        return None
+    s = np.linspace(0.0, 1.0, _GUIDE_SAMPLES)
+    motion = PlannedMotion(s, np.zeros((len(s), 3)), guide(s))
+    follower = PostureFollower(motion.q[0], scenario.policy.alpha_k, period=scenario.policy.period)
+    return follower, ConstantValueSource(Value(motion))
 
 
 def make_integral_action(scenario: Scenario) -> IntegralAction | None:

@@ -64,6 +64,12 @@ class Task:
     # there, or without orientations in it `robot.rpy_WE`.
     rpy_start: list[float] | None = dc.field(default=None, metadata={"unit": "rad", "size": 3})
     rpy_goal: list[float] | None = dc.field(default=None, metadata={"unit": "rad", "size": 3})
+    # Joints of the arm at start and goal, as many as `robot.q_seed` has [rad]; null: what
+    # inverse kinematics finds near that. What is not stated of start, goal and their
+    # orientations follows from them, and what is must agree. The posture leads from one to
+    # the other.
+    q_start: list[float] | None = dc.field(default=None, metadata={"unit": "rad"})
+    q_goal: list[float] | None = dc.field(default=None, metadata={"unit": "rad"})
     # A demonstrated path to imitate: .npz with `path` (T, 3) and, if uneven in
     # time, `t` (T,) [s]; and, if the tool turns, its orientations R_WE as `quaternion` (T, 4),
     # w first and of either sign, or `R` (T, 3, 3). Relative to the scenario file. Empty:
@@ -246,8 +252,12 @@ class Robot:
     # pitch, yaw [rad]. Tool down, fingers opening along the world's x: the hand is narrow along
     # the motion.
     rpy_WE: list[float] = _vector([math.pi, 0.0, math.pi / 2.0], "rad")
-    # Seed of the inverse kinematics and posture of the null space (7 joints) [rad].
-    q_seed: list[float] = _vector([-0.7401, 0.1857, 0.0143, -1.9017, -0.003, 2.0874, 0.0608], "rad")
+    # Seed of the inverse kinematics and posture of the null space, a number for each joint of the
+    # arm: these are the first of the model's joints [rad].
+    q_seed: list[float] = dc.field(
+        default_factory=lambda: [-0.7401, 0.1857, 0.0143, -1.9017, -0.003, 2.0874, 0.0608],
+        metadata={"unit": "rad"},
+    )
     # Opening of each finger [m]. At a joint's limit the plant's steps cost more.
     finger_opening: float = _number(0.005, "m", 0.0, 0.04)
     # What the hand holds, posed in the frame of the hand link H; part of the tool.
@@ -364,6 +374,12 @@ def parse_scenario(
     except (RuntimeError, ValueError, TypeError) as error:
         raise ScenarioError(str(error)) from None
     _check_whole(scenario)
+    # The robot's plant is built from the scenario that is defined here.
+    from drake_oa.task_joints import follow_joints
+
+    follow_joints(
+        scenario, {name for name, value in data.get("task", {}).items() if value is not None}
+    )
     return scenario
 
 

@@ -114,13 +114,32 @@ def make_robot_plant(robot: Robot, *, uniform_density: bool = False) -> RobotPla
         robot: which, and its base.
         uniform_density: whether it has the inertias of `drake_oa.panda_inertias` in place
             of its own.
+
+    Raises:
+        ScenarioError: naming the field of the robot that does not fit.
     """
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
     instance = _add_robot(plant, robot, uniform_density=uniform_density)
     plant.Finalize()
+    _check_seed(plant, robot)
     part_carried(plant, scene_graph, robot)
     return RobotPlant(builder.Build(), plant, scene_graph, instance)
+
+
+def _check_seed(plant: MultibodyPlant, robot: Robot) -> None:
+    """Refuses a seed that is not of the arm's joints."""
+    tool = plant.GetFrameByName(TOOL_FRAME).body().index()
+    arm = [
+        joint.name()
+        for joint in map(plant.get_joint, plant.GetJointIndices())
+        if joint.num_positions() and tool in plant.GetBodiesKinematicallyAffectedBy([joint.index()])
+    ]
+    if len(robot.q_seed) != len(arm):
+        raise ScenarioError(
+            f"robot.q_seed: expected {len(arm)} numbers, of {', '.join(arm)}, "
+            f"not {len(robot.q_seed)}"
+        )
 
 
 def tool_corners(robot_plant: RobotPlant, robot: Robot) -> FloatArray:

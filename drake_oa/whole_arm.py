@@ -107,6 +107,7 @@ class WholeArm:
         arm: ArmModel,
         parameters: PostureParameters | None = None,
         orientation: Callable[[FloatArray], FloatArray] | None = None,
+        posture: Callable[[FloatArray], FloatArray] | None = None,
     ) -> None:
         """Keeps what does not change.
 
@@ -115,6 +116,8 @@ class WholeArm:
             parameters: what is kept; None: the defaults.
             orientation: (T, 3, 3) orientations of the tool at normalised times (T,); None:
                 the tool keeps the arm's.
+            posture: (T, 7) postures that the null space is drawn to at normalised times (T,)
+                [rad]; None: the arm's.
 
         Raises:
             ValueError: for another number of joints.
@@ -124,6 +127,7 @@ class WholeArm:
         self._arm = arm
         self._parameters = parameters or PostureParameters()
         self._orientation = orientation
+        self._posture = posture
 
     def leg_planner(
         self, sight: ArmSight, table: TablePlane | None, *, seconds: float, time: float
@@ -155,6 +159,7 @@ class WholeArm:
             seconds=seconds,
             age=around.lag(time),
             R_WE=None if self._orientation is None else self._orientation(motion.s),
+            posture=None if self._posture is None else self._posture(motion.s),
             parameters=self._parameters,
             thorough=thorough,
         )

@@ -138,7 +138,7 @@ def test_override_replaces_one_field() -> None:
         ("policy: {guidance: sideways}", ["policy.guidance", "counterphase", "printed"]),
         ("policy: {n_basis: 3.5}", ["policy.n_basis", "whole number"]),
         ("seed: {a: 1}", ["seed", "whole number"]),
-        ("robot: {q_seed: [0, 0]}", ["robot.q_seed", "7"]),
+        ("robot: {q_seed: [0, .inf]}", ["robot.q_seed[1]", "finite"]),
         ("robot: null", ["robot", "GivenEllipsoids"]),
         ("cameras: [{name: a}, {name: a}]", ["cameras", "'a'", "own name"]),
         ("cameras: [{width: 100000}]", ["cameras[0].width: 100000", "[1, 4096] [pixel]"]),
