@@ -12,7 +12,7 @@ from pydrake.geometry import (
     ProximityProperties,
     QueryObject,
 )
-from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.tree import JacobianWrtVariable
 from pydrake.systems.framework import DiagramBuilder
 
@@ -110,12 +110,24 @@ class PandaCell:
                 )
                 self._obstacles[added] = obstacle.name
 
-    def tool_down(self, p_WE: FloatArray, q_seed: FloatArray | None = None) -> FloatArray:
+    def positions(self, joints: Sequence[float]) -> FloatArray:
+        """(nq,) positions with the arm's joints as given (n,) [rad]."""
+        q = self._seed.copy()
+        q[self._arm] = joints
+        return q
+
+    def tool_down(
+        self,
+        p_WE: FloatArray,
+        q_seed: FloatArray | None = None,
+        R_WE: RotationMatrix | None = None,
+    ) -> FloatArray:
         """(nq,) positions with the tool at a point, as a run starts there.
 
         Args:
             p_WE: (3,) the tool point in the world [m].
             q_seed: (nq,) positions to stay near; None: those of the robot's seed.
+            R_WE: orientation of the tool; None: the robot's, which is down in random scenes.
 
         Raises:
             ValueError: if it is out of reach.
@@ -123,7 +135,7 @@ class PandaCell:
         return solve_tool_pose(
             self._robot_plant.plant,
             TOOL_FRAME,
-            RigidTransform(self._R_WE, np.asarray(p_WE)),
+            RigidTransform(self._R_WE if R_WE is None else R_WE, np.asarray(p_WE)),
             self._seed if q_seed is None else q_seed,
             # What is drawn for a seed hangs on it.
             thorough=False,

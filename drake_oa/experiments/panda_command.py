@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -82,7 +82,7 @@ _ONLY = {
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Adds the options of the suite `panda` to `drake-oa evaluate`."""
-    group = parser.add_argument_group("only with panda")
+    group = parser.add_argument_group("only with panda; of mbm from --jobs on")
     group.add_argument(
         "--suite",
         action="append",
@@ -120,7 +120,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def refuse_options(options: argparse.Namespace) -> None:
-    """For the other suites: raises ValueError for an option that only panda takes."""
+    """For the other suites: raises ValueError for an option that only panda and mbm take."""
     for name, flag in _ONLY.items():
         if getattr(options, name) is not None:
             raise ValueError(f"{flag} goes with the suite panda, not with {options.suite}")
@@ -133,19 +133,40 @@ def run(options: argparse.Namespace) -> int:
         ValueError: for bad input.
         OSError: for a file that cannot be written.
     """
+    from drake_oa.experiments.panda_tables import kinds_figures
+
     for value, flag in ((options.scenes_file, "--scenes-file"), (options.plot, "--plot")):
         if value is not None:
             raise ValueError(f"panda takes no {flag}")
+    return run_suites(options, _suites, kinds_figures)
+
+
+def run_suites(
+    options: argparse.Namespace,
+    make_suites: Callable[[argparse.Namespace], Sequence[PandaSuite]],
+    together: Callable[[Sequence[dict[str, Any]]], dict[str, Any]],
+) -> int:
+    """Runs several suites of the whole robot, and tells; returns the exit status.
+
+    Args:
+        options: of the command.
+        make_suites: makes the suites.
+        together: what is written of the figures of each.
+    """
     if options.jobs is not None and options.scheduler is not None:
         raise ValueError("--jobs and --scheduler exclude each other")
     if options.jobs is not None and options.jobs < 1:
         raise ValueError(f"--jobs must be at least 1, not {options.jobs}")
 
     from drake_oa.experiments.panda_evaluation import evaluate_panda
-    from drake_oa.experiments.panda_tables import kinds_figures, panda_figures, panda_tables
+    from drake_oa.experiments.panda_run import PLANNER
+    from drake_oa.experiments.panda_tables import panda_figures, panda_tables
+    from drake_oa.experiments.sampling_planner import check_planner
     from drake_oa.provenance import software_versions
 
-    suites = _suites(options)
+    suites = make_suites(options)
+    if any(PLANNER in suite.methods for suite in suites):
+        check_planner()
     check_outputs(options.json)
     keeping = _keeping(options, suites)
     jobs = 1 if options.scheduler is not None else options.jobs or _cores()
@@ -166,21 +187,22 @@ def run(options: argparse.Namespace) -> int:
     shared = None if options.scheduler is not None else jobs
     versions = software_versions()
     figures = [panda_figures(found, versions, shared) for found in results]
+    whole = together(figures)
     if options.json is not None:
-        text = json.dumps(kinds_figures(figures), indent=2, allow_nan=False)
+        text = json.dumps(whole, indent=2, allow_nan=False)
         replace_text(options.json, text + "\n")
     if options.write_scenes is not None:
         for found in results:
             _write_scenes(options.write_scenes, found)
     print(_heading(results))
-    print(panda_tables(figures))
+    print(panda_tables([*figures, *([whole["all"]] if "all" in whole else [])]))
     return _status(results, keeping)
 
 
 def _suites(options: argparse.Namespace) -> list[PandaSuite]:
     """One for each kind of scenes that is asked for."""
     from drake_oa.experiments.panda_evaluation import PandaSuite
-    from drake_oa.experiments.panda_run import PLANNER, default_methods
+    from drake_oa.experiments.panda_run import default_methods
 
     named = ",".join(options.kinds or ["tabletop"]).split(",")
     suites = [
@@ -194,10 +216,6 @@ def _suites(options: argparse.Namespace) -> list[PandaSuite]:
         )
         for kind in dict.fromkeys(kind.strip() for kind in named)
     ]
-    if any(PLANNER in suite.methods for suite in suites):
-        from drake_oa.experiments.sampling_planner import check_planner
-
-        check_planner()
     return suites
 
 
@@ -225,13 +243,12 @@ def _cores() -> int:
 
 
 def _write_scenes(folder: Path, results: PandaResults) -> None:
-    from drake_oa.experiments.panda_evaluation import scene_name
     from drake_oa.experiments.panda_run import with_perception
     from drake_oa.scenario import parse_scenario, scenario_text
 
     for scene, text in results.scenarios.items():
         seen = with_perception(parse_scenario(text), results.suite.perception)
-        file = folder / f"{scene_name(results.suite, scene)}.scenario.yaml"
+        file = folder / f"{results.suite.scene_name(scene)}.scenario.yaml"
         replace_text(file, scenario_text(seen))
 
 
@@ -240,6 +257,9 @@ def _heading(results: Sequence[PandaResults]) -> str:
     resumed = sum(found.resumed for found in results)
     taken = f"; {resumed} runs were on disk" if resumed else ""
     kinds = ", ".join(found.suite.kind for found in results)
+    if suite.name != "panda":
+        scenes = sum(found.suite.scenes for found in results)
+        return f"{suite.name}: {scenes} problems, {kinds}, {suite.perception}{taken}\n"
     return (
         f"panda: {suite.scenes} scenes of seed {suite.seed}, {kinds}, {suite.perception}{taken}\n"
     )

@@ -7,12 +7,13 @@ import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from drake_oa.experiments.panda_results import ResultFolder, content_key, source_digest
 from drake_oa.experiments.panda_run import (
     PLANNER,
     TRUTH_ONLY,
+    Criteria,
     check_panda_method,
     run_and_judge,
 )
@@ -26,6 +27,9 @@ from drake_oa.experiments.parallel_tasks import carry_out
 from drake_oa.experiments.tally import Counts, Tally
 from drake_oa.motion_log import MotionLog, save_logs
 from drake_oa.scenario import Scenario, parse_scenario, scenario_text
+
+Drawing = Callable[..., tuple[str, Counts]]
+"""Makes a scenario's text, and tells what was dropped while it was drawn."""
 
 _WARM_UP = 0.02
 """Simulated time in which all kernels of a method are used once [s]."""
@@ -48,6 +52,7 @@ class PandaSuite:
             not positive.
     """
 
+    name: ClassVar[str] = "panda"
     scenes: int
     seed: int
     methods: tuple[str, ...]
@@ -62,10 +67,31 @@ class PandaSuite:
             raise ValueError(f"--seed must be 0 or more, not {self.seed}")
         if self.duration is not None and not 0.0 < self.duration < float("inf"):
             raise ValueError(f"--duration must be positive [s], not {self.duration}")
-        check_kind(self.kind)
+        self._check_kind()
         check_perception(self.perception)
         for method in self.methods:
             check_panda_method(method)
+
+    def _check_kind(self) -> None:
+        check_kind(self.kind)
+
+    @property
+    def numbers(self) -> Sequence[int]:
+        """Of the scenes."""
+        return range(self.scenes)
+
+    @property
+    def criteria(self) -> Criteria:
+        """What runs are judged by."""
+        return Criteria()
+
+    def scene_name(self, scene: int) -> str:
+        """Name of a scene's files."""
+        return f"{self.kind}-seed{self.seed}-scene{scene:04d}"
+
+    def drawing(self, scene: int) -> tuple[Drawing, tuple[Any, ...]]:
+        """What draws a scene, and its arguments, on which alone that depends."""
+        return draw_text, (self.seed, scene, self.kind)
 
     def perception_of(self, method: str) -> str:
         """What a method sees by."""
@@ -163,14 +189,9 @@ def evaluate_panda(
     return results
 
 
-def scene_name(suite: PandaSuite, scene: int) -> str:
-    """Name of a scene's files."""
-    return f"{suite.kind}-seed{suite.seed}-scene{scene:04d}"
-
-
 def run_name(suite: PandaSuite, scene: int, method: str) -> str:
     """Name of a run's files: that of the scene, the method and what it sees by."""
-    return f"{scene_name(suite, scene)}-{method}-{suite.perception_of(method)}"
+    return f"{suite.scene_name(scene)}-{method}-{suite.perception_of(method)}"
 
 
 def _draw_all(
@@ -182,26 +203,31 @@ def _draw_all(
     on_progress: Callable[[str, int], None],
 ) -> None:
     suite = results.suite
+    draws = {scene: suite.drawing(scene) for scene in suite.numbers}
     keys = {
-        scene: content_key("scene", digest, GENERATOR, suite.kind, suite.seed, scene)
-        for scene in range(suite.scenes)
+        scene: content_key("scene", digest, GENERATOR, draw.__name__, repr(arguments))
+        for scene, (draw, arguments) in draws.items()
     }
     for scene, key in keys.items():
-        known = folder.load(scene_name(suite, scene), key) if folder else None
+        known = folder.load(suite.scene_name(scene), key) if folder else None
         if isinstance(known, dict):
             results.scenarios[scene], results.tallies[scene] = known["scenario"], known["tally"]
     missing = [scene for scene in keys if scene not in results.scenarios]
     on_progress("scenes drawn", len(results.scenarios))
-    calls = [(suite.seed, scene, suite.kind) for scene in missing]
-    for place, (text, counts) in carry_out(draw_text, calls, jobs=jobs, scheduler=scheduler):
+    calls = [draws[scene] for scene in missing]
+    for place, (text, counts) in carry_out(_draw, calls, jobs=jobs, scheduler=scheduler):
         scene = missing[place]
         results.scenarios[scene], results.tallies[scene] = text, counts
         if folder:
             content = {"scenario": text, "tally": counts}
-            folder.save(scene_name(suite, scene), keys[scene], content)
+            folder.save(suite.scene_name(scene), keys[scene], content)
         on_progress("scenes drawn", 1)
     results.scenarios = dict(sorted(results.scenarios.items()))
     results.tallies = dict(sorted(results.tallies.items()))
+
+
+def _draw(draw: Drawing, arguments: tuple[Any, ...]) -> tuple[str, Counts]:
+    return draw(*arguments)
 
 
 def _run_all(
@@ -217,7 +243,9 @@ def _run_all(
     for scene, text in results.scenarios.items():
         for method in suite.methods:
             sees = suite.perception_of(method)
-            key = content_key("run", digest, text, method, sees, suite.duration)
+            key = content_key(
+                "run", digest, text, method, sees, suite.duration, repr(suite.criteria)
+            )
             name = run_name(suite, scene, method)
             known = folder.load(name, key) if folder else None
             files = keeping.files(name, method)
@@ -234,6 +262,7 @@ def _run_all(
             suite.perception_of(method),
             suite.duration,
             bool(keeping.files("", method)),
+            suite.criteria,
         )
         for scene, method, _ in todo
     ]
@@ -274,8 +303,8 @@ def _compile_kernels(calls: Sequence[tuple[Any, ...]]) -> None:
     for call in calls:
         if call[1] != PLANNER:
             first.setdefault(call[1], call)
-    for text, method, sees, *_ in first.values():
-        run_text(text, method, sees, _WARM_UP, False)
+    for text, method, sees, *_, criteria in first.values():
+        run_text(text, method, sees, _WARM_UP, False, criteria)
 
 
 def draw_text(seed: int, scene: int, kind: str) -> tuple[str, Counts]:
@@ -285,12 +314,17 @@ def draw_text(seed: int, scene: int, kind: str) -> tuple[str, Counts]:
 
 
 def run_text(
-    text: str, method: str, perception: str, duration: float | None, wants_log: bool
+    text: str,
+    method: str,
+    perception: str,
+    duration: float | None,
+    wants_log: bool,
+    criteria: Criteria,
 ) -> tuple[dict[str, Any], MotionLog | None]:
     """Runs a scenario's text; the result, and the log if it is wanted."""
     with _quiet():
         scenario: Scenario = parse_scenario(text)
-        run = run_and_judge(scenario, method, perception, duration=duration)
+        run = run_and_judge(scenario, method, perception, duration=duration, criteria=criteria)
     return run.result, run.log if wants_log else None
 
 

@@ -32,7 +32,7 @@ import copy
 import logging
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any
@@ -65,6 +65,7 @@ _KEPT = (
     "believed_shortfall",
     "lowered",
     "goal_error",
+    "orientation_error",
     "duration",
     "path_length",
     "torque_saturation",
@@ -85,6 +86,34 @@ def default_methods(kind: str) -> tuple[str, ...]:
 _NUMBER = re.compile(r"[-+]?\b\d+(?:\.\d+)?(?:e[-+]?\d+)?\b")
 
 _logger = logging.getLogger("drake_oa")
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """What a run is judged by, besides contacts.
+
+    Attributes:
+        goal_error: largest distance from the goal [m].
+        orientation_error: largest angle from the goal's orientation [rad].
+        beyond_limits: how far a joint of the arm may have been beyond its limit [rad].
+        planner_asked: whether the planner's robot keeps what the task asks of the tool; else
+            `sampling_planner.CLEARANCE`.
+    """
+
+    goal_error: float = AT_GOAL
+    orientation_error: float = math.inf
+    beyond_limits: float = math.inf
+    planner_asked: bool = False
+
+    def lacks(self, found: Mapping[str, Any]) -> str:
+        """Why a run without a contact is no success; "" if it is one."""
+        if found["goal_error"] > self.goal_error:
+            return found["stop_reason"] or "short of the goal"
+        if (found["orientation_error"] or 0.0) > self.orientation_error:
+            return f"{math.degrees(found['orientation_error']):.1f} degrees from the goal"
+        if (found["beyond_limits"] or 0.0) > self.beyond_limits:
+            return f"a joint went {found['beyond_limits']:.4f} rad beyond its limit"
+        return ""
 
 
 @dataclass(frozen=True)
@@ -149,12 +178,18 @@ def run_panda_scene(
 
 
 def run_and_judge(
-    scenario: Scenario, method: str, perception: str, *, duration: float | None = None
+    scenario: Scenario,
+    method: str,
+    perception: str,
+    *,
+    duration: float | None = None,
+    criteria: Criteria | None = None,
 ) -> PandaRun:
     """`run_panda_scene`, and the log."""
+    criteria = criteria or Criteria()
     scenario = with_method(with_perception(scenario, perception), method)
     if method == PLANNER:
-        return PandaRun(_plan(scenario), None)
+        return PandaRun(_plan(scenario, criteria), None)
     log: MotionLog | None = None
     failed = False
     try:
@@ -168,7 +203,7 @@ def run_and_judge(
         # A scene that cannot be run is a result like any other, and ends no other scene.
         _logger.info("the run could not start", exc_info=True)
         return PandaRun(_not_run(scenario, error), None)
-    return PandaRun(_judge(scenario, log, failed), log)
+    return PandaRun(_judge(scenario, log, failed, criteria), log)
 
 
 def _simulate(scenario: Scenario, method: str, duration: float | None) -> MotionLog:
@@ -182,32 +217,26 @@ def _simulate(scenario: Scenario, method: str, duration: float | None) -> Motion
     return simulate(scenario, modulated=method != "preplanned", duration=duration)
 
 
-def _plan(scenario: Scenario) -> dict[str, Any]:
+def _plan(scenario: Scenario, criteria: Criteria) -> dict[str, Any]:
     from drake_oa.experiments.panda_planner import run_planner
+    from drake_oa.experiments.sampling_planner import CLEARANCE
 
+    clearance = scenario.task.clearance if criteria.planner_asked else CLEARANCE
     try:
-        found = run_planner(scenario)
+        found = run_planner(scenario, clearance=clearance)
     except Exception as error:
         _logger.info("the planner failed", exc_info=True)
         return _not_run(scenario, error)
-    outcome = _outcome(found, failed=False)
-    reason = "" if outcome == "success" else plain_reason(found["stop_reason"])
-    return {
-        **dict.fromkeys(_KEPT),
-        "outcome": outcome,
-        "reason": reason,
-        "failed": False,
-        **found,
-    }
+    found = dict.fromkeys((*_KEPT, "beyond_limits")) | found
+    return {**_outcome(found, False, criteria), "failed": False, **found}
 
 
-def _judge(scenario: Scenario, log: MotionLog, failed: bool) -> dict[str, Any]:
+def _judge(scenario: Scenario, log: MotionLog, failed: bool, criteria: Criteria) -> dict[str, Any]:
     report = motion_report(scenario, log)
-    found = {key: report[key] for key in _KEPT}
-    outcome = _outcome(found, failed)
+    found = {key: report.get(key) for key in _KEPT}
+    found["beyond_limits"] = _beyond_limits(scenario, log)
     return {
-        "outcome": outcome,
-        "reason": "" if outcome == "success" else plain_reason(log.stop_reason),
+        **_outcome(found, failed, criteria),
         "failed": failed,
         **found,
         # To a tenth of a millisecond: to be taken together over scenes.
@@ -217,10 +246,19 @@ def _judge(scenario: Scenario, log: MotionLog, failed: bool) -> dict[str, Any]:
     }
 
 
-def _outcome(found: dict[str, Any], failed: bool) -> str:
+def _beyond_limits(scenario: Scenario, log: MotionLog) -> float:
+    """How far a joint of the arm went beyond its limit at most [rad]."""
+    arm = len(scenario.robot.q_seed) if scenario.robot else 0
+    q, lower, upper = log.q[:, :arm], log.position_lower[:arm], log.position_upper[:arm]
+    return float(np.maximum(lower - q, q - upper).max(initial=0.0))
+
+
+def _outcome(found: dict[str, Any], failed: bool, criteria: Criteria) -> dict[str, str]:
+    """`outcome` and `reason`."""
     if found["contacts"] or found["self_contacts"]:
-        return "contact"
-    return "success" if found["goal_error"] <= AT_GOAL and not failed else "stopped"
+        return {"outcome": "contact", "reason": plain_reason(found["stop_reason"])}
+    lacks = criteria.lacks(found) or (found["stop_reason"] if failed else "")
+    return {"outcome": "stopped" if lacks else "success", "reason": plain_reason(lacks)}
 
 
 def _not_run(scenario: Scenario, error: Exception) -> dict[str, Any]:
@@ -229,7 +267,7 @@ def _not_run(scenario: Scenario, error: Exception) -> dict[str, Any]:
         "outcome": "stopped",
         "reason": plain_reason(reason),
         "failed": True,
-        **dict.fromkeys(_KEPT),
+        **dict.fromkeys((*_KEPT, "beyond_limits")),
         "contacts": [],
         "self_contacts": [],
         "goal_error": math.dist(scenario.task.start, scenario.task.goal),

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -14,6 +14,11 @@ from drake_oa.experiments.panda_run import PLANNER
 from drake_oa.experiments.tables import text_table
 from drake_oa.experiments.tally import drawn_figures, drawn_lines
 from drake_oa.report import TOLD
+
+ALL = "all"
+"""Kind of the figures of several kinds together."""
+
+_Scene = TypeVar("_Scene", int, tuple[str, int])
 
 _COLUMNS = (
     ("scenes", "scenes", "{:d}", 1.0),
@@ -60,9 +65,18 @@ def panda_figures(
             cluster's.
     """
     suite = results.suite
-    solved = _solved(results)
+    complete = {name: results.complete(name) for name in results.runs}
+    figures = methods_figures(results.runs, complete)
+    for name, runs in results.runs.items():
+        figures["methods"][name] |= {
+            "perception": suite.perception_of(name),
+            "runs": [
+                {"scene": scene, **{k: v for k, v in run.items() if k != "decision_costs"}}
+                for scene, run in runs.items()
+            ],
+        }
     return {
-        "suite": "panda",
+        "suite": suite.name,
         "seed": suite.seed,
         "kind": suite.kind,
         "perception": suite.perception,
@@ -70,19 +84,31 @@ def panda_figures(
         "jobs": jobs,
         "versions": dict(item.split(" ", 1) for item in versions),
         "drawn": drawn_figures(results.tallies.values()),
+        **figures,
+    }
+
+
+def methods_figures(
+    runs: Mapping[str, Mapping[_Scene, Mapping[str, Any]]], complete: Mapping[str, bool]
+) -> dict[str, Any]:
+    """{"solved", "methods": {name: figures}}.
+
+    Args:
+        runs: method -> scene -> result.
+        complete: method -> whether it has run on all scenes.
+    """
+    solved = None
+    if complete.get(PLANNER):
+        solved = {scene for scene, run in runs[PLANNER].items() if run["outcome"] == "success"}
+    return {
         "solved": None if solved is None else len(solved),
         "methods": {
             name: {
-                **run_figures(list(runs.values())),
-                "success_rate_solved": _share_of_solved(runs, solved),
-                "perception": suite.perception_of(name),
-                "complete": results.complete(name),
-                "runs": [
-                    {"scene": scene, **{k: v for k, v in run.items() if k != "decision_costs"}}
-                    for scene, run in runs.items()
-                ],
+                **run_figures(list(of.values())),
+                "success_rate_solved": _share_of_solved(of, solved),
+                "complete": complete[name],
             }
-            for name, runs in results.runs.items()
+            for name, of in runs.items()
         },
     }
 
@@ -94,16 +120,8 @@ def kinds_figures(figures: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return {"suite": "panda", "kinds": {of["kind"]: of for of in figures}}
 
 
-def _solved(results: PandaResults) -> frozenset[int] | None:
-    """The scenes that the planner has solved; None: it has not run on all of them."""
-    if not results.complete(PLANNER):
-        return None
-    runs = results.runs[PLANNER]
-    return frozenset(scene for scene, run in runs.items() if run["outcome"] == "success")
-
-
 def _share_of_solved(
-    runs: Mapping[int, Mapping[str, Any]], solved: frozenset[int] | None
+    runs: Mapping[_Scene, Mapping[str, Any]], solved: Collection[_Scene] | None
 ) -> float | None:
     """Share of successes in those of the solved scenes that a method has run on."""
     counted = [run["outcome"] for scene, run in runs.items() if scene in (solved or ())]
@@ -197,10 +215,12 @@ def panda_tables(figures: Sequence[Mapping[str, Any]]) -> str:
             title = f"{of['kind']}: {name}" if several else name
             costs = {f"decision_{k}": v for k, v in (method["decision_cost"] or {}).items()}
             rows.append((f"{title}, {method['perception']}", {**method, **costs}))
+            if of["kind"] == ALL:
+                continue
             for key, what in (("stop_reasons", "stopped"), ("contact_pairs", "contact")):
                 for reason, count in method[key].items():
                     lines.append(f"{title}: {what}, {count} scene{'s' * (count != 1)}: {reason}")
-        lines += [f"{of['kind']}: {line}" for line in drawn_lines(of["drawn"])]
+        lines += [f"{of['kind']}: {line}" for line in drawn_lines(of.get("drawn", {}))]
     jobs = figures[0]["jobs"]
     if jobs != 1:
         shared = "on a cluster" if jobs is None else f"with {jobs} at once"

@@ -1,7 +1,8 @@
 """A sampling-based planner on the Panda: which scenes have a solution at all.
 
 OMPL's RRT-Connect (Kuffner and LaValle, ICRA 2000) in the joints of the arm, from the start's
-configuration to configurations with the tool, pointing down, at the goal. On the way the tool
+configuration to configurations with the tool, held as the task asks, at the goal, or to the
+task's joints there. On the way the tool
 may turn as it likes: the planner may do all that the methods may, and more. A state is valid
 where the whole robot keeps the clearance to every obstacle, its joint limits, and off the
 table and itself.
@@ -28,10 +29,12 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from pydrake.math import RotationMatrix
 
 from drake_oa.experiments.panda_cell import PandaCell
 from drake_oa.obstacles import Obstacle
 from drake_oa.scenario import Scenario
+from drake_oa.tool_orientation import end_rotations
 from drake_oa.values import FloatArray
 
 CLEARANCE = 0.025
@@ -126,8 +129,16 @@ def plan_motion(
     cell = PandaCell(scenario_without_obstacles(scenario))
     moving = [item for item in scenario.obstacles if item.driven]
     start, goal = (np.asarray(p, dtype=float) for p in (scenario.task.start, scenario.task.goal))
+    task, (R_WS, R_WG) = scenario.task, end_rotations(scenario)
     try:
-        q_start, goals = cell.tool_down(start), _goal_positions(cell, goal, seed)
+        if task.q_start is None:
+            q_start = cell.tool_down(start, R_WE=R_WS)
+        else:
+            q_start = cell.positions(task.q_start)
+        if task.q_goal is None:
+            goals = _goal_positions(cell, goal, R_WG, seed)
+        else:
+            goals = [cell.positions(task.q_goal)]
     except ValueError as error:
         return _no_plan(cell, f"{error}", 0)
     is_free = _Counted(lambda q: cell.is_free(q, clearance))
@@ -157,19 +168,21 @@ def _no_plan(cell: PandaCell, reason: str, states: int) -> Plan:
     return Plan(np.empty((0, cell.num_positions)), np.empty(0), reason, states)
 
 
-def _goal_positions(cell: PandaCell, goal: FloatArray, seed: int) -> list[FloatArray]:
+def _goal_positions(
+    cell: PandaCell, goal: FloatArray, R_WG: RotationMatrix, seed: int
+) -> list[FloatArray]:
     """Configurations of the tool at the goal, as different ones as a few seeds give.
 
     Raises:
         ValueError: if the goal is out of reach.
     """
-    found = [cell.tool_down(goal)]
+    found = [cell.tool_down(goal, R_WE=R_WG)]
     random, (lower, upper) = np.random.default_rng(seed), cell.arm_limits
     for _ in range(_GOALS):
         q_seed = found[0].copy()
         q_seed[: len(lower)] = random.uniform(lower, upper)
         try:
-            q = cell.tool_down(goal, q_seed)
+            q = cell.tool_down(goal, q_seed, R_WG)
         except ValueError:
             continue
         if all(np.abs(q - other).max() > _SAME for other in found):

@@ -12,7 +12,6 @@ from drake_oa.experiments.panda_evaluation import (
     PandaSuite,
     evaluate_panda,
     run_name,
-    scene_name,
 )
 from drake_oa.experiments.panda_results import ResultFolder
 from drake_oa.experiments.panda_run import same_result
@@ -44,7 +43,7 @@ def test_each_run_is_on_disk_with_its_log(kept):
     results, folder = kept
     assert not results.interrupted
     for scene in (0, 1):
-        assert (folder / f"{scene_name(_SUITE, scene)}.json").is_file()
+        assert (folder / f"{_SUITE.scene_name(scene)}.json").is_file()
         for method in _SUITE.methods:
             name = run_name(_SUITE, scene, method)
             on_disk = json.loads((folder / f"{name}.json").read_text())
