@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drake_oa.command_line import FAILED, INTERRUPTED, add_verbose, complain
+from drake_oa.experiments import mbm_command as mbm
 from drake_oa.experiments import panda_command as panda
 from drake_oa.experiments.progress import progress_bar
 from drake_oa.output_files import check_outputs, replace_text, same_file
@@ -42,6 +43,7 @@ suites:
 {suites}
 
 {panda}
+{mbm}
 methods of the other suites (default: paper and verified; for dead-zone original and paper):
   paper                the paper's own regressor chain, as printed
   verified             proposals checked by roll-outs, as the running system does it
@@ -71,6 +73,7 @@ examples:
   drake-oa evaluate clutter --scenes-file mine.npz --method verified
   drake-oa evaluate panda --scenes 20 --perception truth --method verified --json panda.json
   drake-oa evaluate panda --suite moving,elbow,clutter6 --jobs 2 --json changing.json
+  drake-oa evaluate mbm --problems motionbenchmaker_panda.tar.bz2 --scenes 6 --json mbm.json
 """
 
 _SUITES = {
@@ -83,6 +86,7 @@ _SUITES = {
     "moving": "one small ellipsoid that moves into the unmodulated robot (1000)",
     "dead-zone": "a point obstacle on the line and up to 10 cm beside it (41), and both terms",
     panda.SUITE: f"the whole robot, seeing, in random scenes of 4 kinds ({panda.DEFAULT_SCENES})",
+    mbm.SUITE: "the whole robot on MotionBenchMaker's problems, of a file (all in it)",
 }
 
 
@@ -94,7 +98,7 @@ def add_parser(commands: Any) -> None:
         "evaluate",
         help="compare methods on the paper's experiments and beyond",
         description=_DESCRIPTION,
-        epilog=_EPILOG.format(suites=suites, panda=panda.EPILOG),
+        epilog=_EPILOG.format(suites=suites, panda=panda.EPILOG, mbm=mbm.EPILOG),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("suite", metavar="SUITE", help="which scenes, see below")
@@ -125,6 +129,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--plot", type=Path, metavar="F", help="write a plot: .png, .svg or .pdf")
     add_verbose(parser)
     panda.add_options(parser)
+    mbm.add_options(parser)
     parser.set_defaults(action=run)
 
 
@@ -135,6 +140,9 @@ def run(options: argparse.Namespace) -> int:
         ValueError: for bad input.
         OSError: for a file that cannot be read or written.
     """
+    if options.suite == mbm.SUITE:
+        return mbm.run(options)
+    mbm.refuse_options(options)
     if options.suite == panda.SUITE:
         return panda.run(options)
     if options.suite not in _SUITES:

@@ -138,20 +138,20 @@ def run(options: argparse.Namespace) -> int:
     for value, flag in ((options.scenes_file, "--scenes-file"), (options.plot, "--plot")):
         if value is not None:
             raise ValueError(f"panda takes no {flag}")
-    return run_suites(options, _suites, kinds_figures)
+    return run_suites(options, _suites, lambda _, figures: kinds_figures(figures))
 
 
 def run_suites(
     options: argparse.Namespace,
     make_suites: Callable[[argparse.Namespace], Sequence[PandaSuite]],
-    together: Callable[[Sequence[dict[str, Any]]], dict[str, Any]],
+    together: Callable[[Sequence[PandaResults], Sequence[dict[str, Any]]], dict[str, Any]],
 ) -> int:
     """Runs several suites of the whole robot, and tells; returns the exit status.
 
     Args:
         options: of the command.
         make_suites: makes the suites.
-        together: what is written of the figures of each.
+        together: what is written of the results and figures of each.
     """
     if options.jobs is not None and options.scheduler is not None:
         raise ValueError("--jobs and --scheduler exclude each other")
@@ -187,7 +187,7 @@ def run_suites(
     shared = None if options.scheduler is not None else jobs
     versions = software_versions()
     figures = [panda_figures(found, versions, shared) for found in results]
-    whole = together(figures)
+    whole = together(results, figures)
     if options.json is not None:
         text = json.dumps(whole, indent=2, allow_nan=False)
         replace_text(options.json, text + "\n")
