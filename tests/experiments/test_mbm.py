@@ -242,7 +242,6 @@ def test_success_is_within_a_centimetre_15_degrees_and_the_limits():
     assert "beyond its limit" in criteria.lacks(found | {"beyond_limits": 0.01})
 
 
-@pytest.mark.slow
 def test_the_first_problem_of_each_real_set_runs():
     if not _REAL.is_file():
         pytest.skip("the problems are not here")
