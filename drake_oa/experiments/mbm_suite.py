@@ -18,8 +18,10 @@ _CRITERIA = Criteria(
     orientation_error=math.radians(15.0),
     beyond_limits=1e-3,
     planner_asked=True,
+    planner_states=200_000,
 )
-"""As the benchmarks on these problems count; a joint whose goal is its limit settles about it."""
+"""As the benchmarks on these problems count; a joint whose goal is its limit settles about it.
+Three of the first six problems of `cage` take more than the 40 000 states of the random scenes."""
 
 
 @dataclass(frozen=True)

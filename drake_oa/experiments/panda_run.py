@@ -98,12 +98,14 @@ class Criteria:
         beyond_limits: how far a joint of the arm may have been beyond its limit [rad].
         planner_asked: whether the planner's robot keeps what the task asks of the tool; else
             `sampling_planner.CLEARANCE`.
+        planner_states: that the planner may look at; None: `sampling_planner.STATES`.
     """
 
     goal_error: float = AT_GOAL
     orientation_error: float = math.inf
     beyond_limits: float = math.inf
     planner_asked: bool = False
+    planner_states: int | None = None
 
     def lacks(self, found: Mapping[str, Any]) -> str:
         """Why a run without a contact is no success; "" if it is one."""
@@ -223,7 +225,7 @@ def _plan(scenario: Scenario, criteria: Criteria) -> dict[str, Any]:
 
     clearance = scenario.task.clearance if criteria.planner_asked else CLEARANCE
     try:
-        found = run_planner(scenario, clearance=clearance)
+        found = run_planner(scenario, clearance=clearance, states=criteria.planner_states)
     except Exception as error:
         _logger.info("the planner failed", exc_info=True)
         return _not_run(scenario, error)
