@@ -124,7 +124,7 @@ def test_progress_of_both_motions_is_shown_on_a_terminal(
 
 def test_a_whole_motion_ends_well(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("run", "free_space") == 0
-    last = capsys.readouterr().out.splitlines()[-1]
+    last = capsys.readouterr().out.splitlines()[2]
     assert last.split()[0] == "modulated"
     assert last.endswith("goal")
 
