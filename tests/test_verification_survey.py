@@ -38,7 +38,10 @@ def test_given_genes_come_to_what_the_search_says_of_them(chain: ChainWeights) -
     found = verify(ball(), chain, duration=DURATION, parameters=QUICK)
     again = assessed(ball(), found.genes, duration=DURATION, parameters=QUICK)
     for name in ("terms", "tau", "end", "clearance", "shortfall", "kept", "path_length", "cost"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(found, name), err_msg=name)
+        # One row and many are two kernels, which a processor's instructions may round apart.
+        np.testing.assert_allclose(
+            getattr(again, name), getattr(found, name), rtol=1e-12, err_msg=name
+        )
 
 
 @pytest.mark.parametrize("y", [0.0, 0.4])

@@ -48,9 +48,9 @@ def _imported(module: str, name: str = "run") -> Method:
 METHODS: dict[str, Callable[[], Method]] = {
     "paper": partial(_imported, "paper_method"),
     "verified": partial(_imported, "verified"),
-    "verified_constant": partial(_imported, "verified", "run_constant"),
     "original": partial(_imported, "original_method"),
     "movement_primitives": partial(_imported, "peers"),
+    "verified_constant": partial(_imported, "verified", "run_constant"),
 }
 """Name of a method -> what imports it."""
 
