@@ -97,7 +97,8 @@ def solve_tool_pose(
         if q is not None:
             return q
     nearest = math.inf
-    for number, seed in enumerate(_seeds(plant, frame, q_seed, _MORE_SEEDS if thorough else 0)):
+    more = _seeds(plant, frame, q_seed, _MORE_SEEDS) if thorough else []
+    for number, seed in enumerate(more):
         q, left = _refine(plant, frame, X_WE, seed, _MORE_STEPS)
         if (left <= tolerance).all():
             nearer = solved(q)

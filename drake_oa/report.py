@@ -147,8 +147,9 @@ def _believed(log: MotionLog) -> dict[str, Any]:
 
 def _goal_error(scenario: Scenario, log: MotionLog, p_WE: FloatArray) -> float:
     reached = p_WE[[log.moving.stop - 1, -1]] if len(p_WE) else np.array([scenario.task.start])
-    goal = goal_at(scenario.task, log.duration)
-    return float(np.linalg.norm(reached - goal, axis=1).max())
+    times = (log.duration, log.simulated_time)[: len(reached)]
+    goals = np.array([goal_at(scenario.task, time) for time in times])
+    return float(np.linalg.norm(reached - goals, axis=1).max())
 
 
 def _given(scenario: Scenario) -> EllipsoidSet:

@@ -32,7 +32,7 @@ def read_yaml(text: str) -> Any:
         if root is None:
             # Drake takes an empty text for no text at all.
             return None
-        _check_size(root)
+        check_size(root)
         _check_nodes(root)
         return yaml_load(data=text)
     except ScenarioError:
@@ -43,8 +43,12 @@ def read_yaml(text: str) -> Any:
         raise ScenarioError(f"not valid YAML: {error}") from None
 
 
-def _check_size(root: yaml.Node) -> None:
-    """Refuses what aliases blow up, or what holds itself, before anything follows them."""
+def check_size(root: yaml.Node) -> None:
+    """Refuses what aliases blow up, or what holds itself, before anything follows them.
+
+    Raises:
+        ScenarioError: if there are more than `_MOST` values.
+    """
     count, left = 0, [root]
     while left:
         node = left.pop()

@@ -17,11 +17,13 @@ from drake_oa.action import SCALED_TO_REST
 from drake_oa.decision_costs import logged_decisions
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.dmp import normalised_time
+from drake_oa.faults import CameraDropout, FrameBurst, NanFrames, TorqueSaturation
 from drake_oa.goal_course import goal_at, last_move
 from drake_oa.layers import make_dmp
 from drake_oa.motion_log import MotionLog, pack_ellipsoids
 from drake_oa.provenance import software_versions
 from drake_oa.regressor import CouplingParameters
+from drake_oa.regulation import DECIDING
 from drake_oa.robot_limits import RobotLimits, frame_path, robot_limits
 from drake_oa.scenario import Scenario, scenario_text
 from drake_oa.station import TOOL_FRAME
@@ -91,7 +93,7 @@ class MotionWatcher:
         end_time: float,
         on_progress: Callable[[float, float], None] | None,
         *,
-        settles: bool = True,
+        latest_time: float | None = None,
     ) -> None:
         """Finds what it looks at.
 
@@ -101,10 +103,10 @@ class MotionWatcher:
             scenario: what the diagram was made from.
             end_time: time limit of the motion [s].
             on_progress: called with time [s] and phase, or None.
-            settles: whether the run goes on after the motion's end; else it ends there.
+            latest_time: when the run is over, whatever moves then [s]; None:
+                `LONGEST_SETTLING` after the time limit and all that is to happen.
         """
         self._diagram = diagram
-        self._settles = settles
         self._policy_system = diagram.GetSubsystemByName("dmp_integrator")
         self._policy_port = self._policy_system.GetOutputPort("policy_state")
         self._ellipsoid_port = None
@@ -145,19 +147,22 @@ class MotionWatcher:
         movers = [
             one for one in diagram.GetSystems() if isinstance(one, ObstacleMover | ExternalPush)
         ]
-        self.world_end = max((one.last_change for one in movers), default=0.0)
+        changes = [one.last_change for one in movers] + [last_move(scenario.task)]
+        ends = [
+            fault.start + fault.duration
+            for fault in scenario.faults
+            if isinstance(fault, CameraDropout | NanFrames | FrameBurst | TorqueSaturation)
+        ]
+        # What outlasts the motion's time is no reason to wait.
+        self.world_end = max([*changes, *(end for end in ends if end < end_time)])
+        self.latest_time = latest_time
+        if latest_time is None:
+            self.latest_time = max(end_time, self.world_end) + LONGEST_SETTLING
         self._plant = None
         if scenario.robot is not None:
             self._plant = diagram.GetSubsystemByName("plant")
             self._tool_frame = self._plant.GetFrameByName(TOOL_FRAME)
             self._robot = self._tool_frame.model_instance()
-
-    @property
-    def latest_time(self) -> float:
-        """When the run is over, come what may [s]."""
-        if not self._settles:
-            return self._end_time
-        return max(self._end_time, self.world_end) + LONGEST_SETTLING
 
     def __call__(self, root: Context) -> EventStatus:
         now = root.get_time()
@@ -177,14 +182,18 @@ class MotionWatcher:
         if not self.stop_reason:
             self._end(now, *self._why_ended(root, now, policy, supervision))
         self._look_for_rest(root, now, policy)
-        if self.stop_reason and (self.settled or not self._settles):
-            return self._over(root, policy)
+        if self.settled:
+            return EventStatus.ReachedTermination(self._diagram, self.stop_reason)
         return EventStatus.DidNothing()
 
-    def finish(self) -> None:
-        """Says why a motion has ended that only the end of the run has ended."""
+    def finish(self, root: Context) -> None:
+        """Says what the end of the run makes of the motion's."""
         if not self.stop_reason:
             self._end(self._end_time, f"time limit of {self._end_time:g} s")
+        policy: PolicyState = self._policy_port.Eval(self._policy_system.GetMyContextFromRoot(root))
+        error = self._goal_error(root, policy)
+        if self.stop_reason == "goal" and error > AT_GOAL:
+            self.stop_reason = f"goal left by {1e3 * error:.1f} mm"
 
     def _end(self, now: float, reason: str, passing: bool = False) -> None:
         """Takes down that the motion has ended, if it has; `passing`: it may yet go on."""
@@ -222,14 +231,18 @@ class MotionWatcher:
         return (f"time limit of {self._end_time:g} s" if now >= self._end_time else ""), False
 
     def _look_for_rest(self, root: Context, now: float, policy: PolicyState) -> None:
-        """Whether nothing has moved, nor anything will, for `REST_TIME`."""
+        """Whether nothing has moved for `REST_TIME`, nor anything will.
+
+        One that may yet go on is given `LONGEST_HOLD`: a decision may take seconds.
+        """
         fastest = math.hypot(*policy.z_W) * policy.speed
         if self._plant is not None:
             context = self._plant.GetMyContextFromRoot(root)
             fastest = np.abs(self._plant.GetVelocities(context, self._robot)).max()
         moves = now < self.world_end or not self.stop_reason or fastest > AT_REST
         self._rest_since = math.inf if moves else min(self._rest_since, now)
-        self.settled = now - self._rest_since >= REST_TIME
+        rest = LONGEST_HOLD if self._passing else REST_TIME
+        self.settled = now - self._rest_since >= rest
 
     def _tool_point(self, root: Context, policy: PolicyState) -> FloatArray:
         """(3,) the actual tool point; without a robot the desired one [m]."""
@@ -242,17 +255,11 @@ class MotionWatcher:
     def _goal_error(self, root: Context, policy: PolicyState) -> float:
         return math.dist(self._tool_point(root, policy), self._goal)
 
-    def _over(self, root: Context, policy: PolicyState) -> EventStatus:
-        error = self._goal_error(root, policy)
-        if self.stop_reason == "goal" and error > AT_GOAL:
-            self.stop_reason = f"goal left by {1e3 * error:.1f} mm"
-        return EventStatus.ReachedTermination(self._diagram, self.stop_reason)
-
     def _record(self, root: Context, now: float, policy: PolicyState) -> None:
         if policy.note != (self.events[-1][1] if self.events else ""):
             self.events.append((now, policy.note))
         self._record_supervision(root, now)
-        if not policy.note:
+        if policy.note in ("", DECIDING):
             self._held_since = None
         elif self._held_since is None:
             self._held_since = now
@@ -334,9 +341,9 @@ def simulate(
     Args:
         scenario: what to run.
         modulated: False runs the pre-planned motion, blind to obstacles.
-        duration: the run is ended after this time, whatever moves then [s]; None: the
-            motion's time limit is `LONGEST_SCALING` demonstrated durations, from the last move of
-            the goal on.
+        duration: time limit of the motion, at which the run is over, whatever moves then [s];
+            None: `LONGEST_SCALING` demonstrated durations, from the last move of the goal on, and
+            the run goes on.
         meshcat: viewer, or None.
         on_progress: called with time [s] and phase, a few hundred times a second.
 
@@ -350,7 +357,7 @@ def simulate(
     end_time = duration
     if end_time is None:
         end_time = make_dmp(scenario).duration * LONGEST_SCALING + last_move(scenario.task)
-    watcher = MotionWatcher(diagram, scenario, end_time, on_progress, settles=duration is None)
+    watcher = MotionWatcher(diagram, scenario, end_time, on_progress, latest_time=duration)
     return run_motion(scenario, simulator, watcher, modulated=modulated)
 
 
@@ -391,7 +398,7 @@ def run_motion(
         for system in simulator.get_system().GetSystems():
             if isinstance(system, LateCamera):
                 system.release()
-    watcher.finish()
+    watcher.finish(simulator.get_context())
     return _collect(scenario, simulator, watcher, modulated, time.perf_counter() - started)
 
 

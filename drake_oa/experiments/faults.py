@@ -200,7 +200,9 @@ def _run(options: argparse.Namespace) -> int:
     print(markdown_table(reports))
     return int(
         any(
-            report["made_contacts"] or not report["stop_reason"].startswith(CASES[name].ends)
+            report["made_contacts"]
+            or report["self_contacts"]
+            or not report["stop_reason"].startswith(CASES[name].ends)
             for name, report in reports.items()
         )
     )

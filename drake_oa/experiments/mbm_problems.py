@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import bz2
 import io
+import math
 import re
+import reprlib
 import tarfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -24,6 +26,7 @@ from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw, RotationMatrix
 
 from drake_oa.obstacles import Box, Cylinder, Obstacle, Sphere, check_obstacles
+from drake_oa.schema_check import check_size
 
 LARGEST_ARCHIVE, LARGEST_FILE = 256 * 2**20, 2**20
 """More is not unpacked, of an archive and of a file in it [bytes]."""
@@ -170,6 +173,9 @@ def parse_problem(text: ProblemText) -> Problem:
 
 def _read(text: str) -> Any:
     try:
+        root = yaml.compose(text, Loader=yaml.CSafeLoader)
+        if root is not None:
+            check_size(root)
         return yaml.load(text, Loader=yaml.CSafeLoader)
     except (yaml.YAMLError, RecursionError) as error:
         raise ValueError(f"not valid YAML: {error}") from None
@@ -190,9 +196,14 @@ def _list(data: Any, where: str) -> list[Any]:
 
 
 def _number(data: Any, where: str) -> float:
-    if isinstance(data, bool) or not isinstance(data, int | float) or not np.isfinite(data):
-        raise ValueError(f"{where}: expected a finite number, not {str(data)[:80]!r}")
-    return float(data)
+    try:
+        if not isinstance(data, bool) and isinstance(data, int | float):
+            value = float(data)
+            if math.isfinite(value):
+                return value
+    except OverflowError:
+        pass
+    raise ValueError(f"{where}: expected a finite number, not {reprlib.repr(data)}")
 
 
 def _numbers(data: Any, count: int, where: str) -> list[float]:
@@ -227,7 +238,7 @@ def _shape(shape: Any, X: Any, where: str) -> Box | Cylinder:
     if kind == "cylinder":
         height, radius = _positive(_numbers(size, 2, f"{where}, cylinder"), where)
         return Cylinder(radius=radius, length=height, translation=translation, rpy=rpy)
-    raise ValueError(f"{where}: a primitive is a {str(kind)[:80]!r}; it must be box or cylinder")
+    raise ValueError(f"{where}: a primitive is a {reprlib.repr(kind)}; it must be box or cylinder")
 
 
 def _positive(size: Sequence[float], where: str) -> list[float]:

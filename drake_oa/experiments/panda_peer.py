@@ -58,9 +58,9 @@ class _PeerWatcher(MotionWatcher):
         end_time: float,
         on_progress: Callable[[float, float], None] | None,
         *,
-        settles: bool,
+        latest_time: float | None,
     ) -> None:
-        super().__init__(diagram, scenario, end_time, on_progress, settles=settles)
+        super().__init__(diagram, scenario, end_time, on_progress, latest_time=latest_time)
         self._command = diagram.GetSubsystemByName("commanded_velocity")
         self._duration = make_dmp(scenario).duration
         self._recent: deque[tuple[float, FloatArray]] = deque()
@@ -77,11 +77,11 @@ class _PeerWatcher(MotionWatcher):
         if s >= 1.0 - 1e-9:
             if error < ARRIVED and self._speed(now, p_WE) * self._duration < STILL * ARRIVED:
                 return "goal", False
-            if self._stands_still(now, p_WE):
+            if now >= self.world_end and self._stands_still(now, p_WE):
                 why = f" ({self.events[-1][1]})" if self.events and self.events[-1][1] else ""
                 return f"stuck {1e3 * error:.1f} mm short of the goal{why}", False
         self._remember(now, p_WE)
-        if s >= LATEST_END:
+        if s >= LATEST_END and now >= self.world_end:
             return f"goal missed by {1e3 * error:.1f} mm at s = {LATEST_END:g}", False
         return (f"time limit of {self._end_time:g} s" if now >= self._end_time else ""), False
 
@@ -164,7 +164,7 @@ def simulate_differential_ik(
     integral = diagram.GetSubsystemByName("commanded_position")
     integral.set_integral_value(integral.GetMyMutableContextFromRoot(root), q_start)
     end_time = make_dmp(scenario).duration * LONGEST_SCALING if duration is None else duration
-    watcher = _PeerWatcher(diagram, scenario, end_time, on_progress, settles=duration is None)
+    watcher = _PeerWatcher(diagram, scenario, end_time, on_progress, latest_time=duration)
     with _without_solver_warnings():
         log = run_motion(scenario, simulator, watcher, modulated=True)
     saturated = (np.abs(log.torque) >= log.effort_limit).any(axis=1).astype(float)

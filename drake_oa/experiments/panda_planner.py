@@ -51,7 +51,7 @@ def run_planner(
         "tool_clearance_min": None,
         "robot_clearance_min": None,
         "goal_error": math.dist(scenario.task.start, scenario.task.goal),
-        "duration": 0.0,
+        "duration": None,
         "path_length": 0.0,
         "torque_saturation": 0.0,
         "stop_reason": plan.reason,

@@ -109,13 +109,15 @@ class Criteria:
 
     def lacks(self, found: Mapping[str, Any]) -> str:
         """Why a run without a contact is no success; "" if it is one."""
-        if found["goal_error"] > self.goal_error:
+        # NaN is no success.
+        if not found["goal_error"] <= self.goal_error:
             return found["stop_reason"] or "short of the goal"
-        if (found["orientation_error"] or 0.0) > self.orientation_error:
+        if not (found["orientation_error"] or 0.0) <= self.orientation_error:
             return f"{math.degrees(found['orientation_error']):.1f} degrees from the goal"
-        if (found["beyond_limits"] or 0.0) > self.beyond_limits:
+        if not (found["beyond_limits"] or 0.0) <= self.beyond_limits:
             return f"a joint went {found['beyond_limits']:.4f} rad beyond its limit"
-        return ""
+        # A plan is not simulated, and tells nothing of it.
+        return "never at rest" if found["settled"] is False else ""
 
 
 @dataclass(frozen=True)
@@ -273,7 +275,6 @@ def _not_run(scenario: Scenario, error: Exception) -> dict[str, Any]:
         "contacts": [],
         "self_contacts": [],
         "goal_error": math.dist(scenario.task.start, scenario.task.goal),
-        "duration": 0.0,
         "path_length": 0.0,
         "torque_saturation": 0.0,
         "stop_reason": reason,

@@ -138,8 +138,8 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     runs that raised; `short_of_feasible`, in how many the tool came more than 1 mm nearer to what
     rests than start and goal leave of the asked clearance, `short_of_feasible_max` by how much,
     and `feasible_clearance_median`, what they leave [m]; `duration_median` and `duration_max` of
-    the motions [s]; `decision_cost`, what the regulation's decisions of all scenes cost (see
-    `cost_figures`; None where they cost no time);
+    the motions, to where they arrived or were stopped [s]; `decision_cost`, what the
+    regulation's decisions of all scenes cost (see `cost_figures`; None where they cost no time);
     `tool_clearance_min` and `robot_clearance_min` over all scenes, `tool_clearance_median` of
     the scenes' least ones [m]; `goal_error_max` over the scenes that were not stopped short,
     `goal_error_max_all` over all [m]; `real_time_factor`, the median, and
@@ -167,7 +167,9 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         ),
         "feasible_clearance_median": _median(run["feasible_clearance"] for run in runs),
         "duration_median": _median(run["duration"] for run in runs),
-        "duration_max": max((run["duration"] for run in runs), default=None),
+        "duration_max": max(
+            (run["duration"] for run in runs if run["duration"] is not None), default=None
+        ),
         "decision_cost": pooled_figures(runs),
         "failed": sum(bool(run["failed"]) for run in runs),
         "tool_clearance_min": _least(run["tool_clearance_min"] for run in runs),

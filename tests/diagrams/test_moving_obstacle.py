@@ -9,8 +9,9 @@ from drake_oa.experiments.panda_scenes import draw_panda_scene
 from drake_oa.metrics import robot_metrics
 from drake_oa.motion_log import MotionLog
 from drake_oa.obstacles import Obstacle, Sphere
+from drake_oa.report import motion_report
 from drake_oa.scenario import GroundTruth, Scenario, load_scenario
-from drake_oa.simulation import REST_TIME, simulate
+from drake_oa.simulation import AT_GOAL, REST_TIME, simulate
 
 
 def judged(scenario: Scenario, log: MotionLog) -> tuple[tuple[str, ...], float]:
@@ -76,6 +77,37 @@ def test_what_is_faster_than_the_arm_is_told_and_its_contacts_count(
     contacts, clearance = judged(scenario, log)
     assert {contact.split(" - ")[0] for contact in contacts} >= {"panda_link2", "panda_link3"}
     assert clearance < -0.03
+
+
+@pytest.mark.slow
+def test_what_comes_to_the_goal_after_the_arm_counts() -> None:
+    scenario = load_scenario("tabletop_box")
+    scenario.perception = GroundTruth()
+    scenario.obstacles = [
+        Obstacle(
+            name="late",
+            shapes=[Sphere(radius=0.08)],
+            translation=[0.45, 1.2, 0.3],
+            waypoints=[[8.0, 0.0, 0.0, 0.0], [8.8, 0.0, -0.75, 0.0]],
+        )
+    ]
+    log = simulate(scenario)
+    assert log.motion_end < 8.0
+    assert log.simulated_time >= 8.8 + REST_TIME
+    # It has to leave, and the ball stays.
+    assert log.stop_reason.startswith("goal left by")
+    assert motion_report(scenario, log)["goal_error"] > AT_GOAL
+
+
+@pytest.mark.slow
+def test_what_is_held_when_all_is_at_rest_is_given_time_to_go_on() -> None:
+    block = (
+        "{name: block, shapes: [!Box {size: [0.12, 0.12, 0.5]}], translation: [0.45, 0.45, 0.25]"
+    )
+    scenario = load_scenario("tabletop_box", [f"obstacles=[{block}, present: [0.0, 11.5]}}]"])
+    log = simulate(scenario)
+    assert log.stop_reason == "goal"
+    assert log.motion_end > 11.5
 
 
 @pytest.mark.slow

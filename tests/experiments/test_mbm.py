@@ -234,12 +234,20 @@ def test_figures_are_of_each_set_and_of_all(tmp_path, capsys):
 
 
 def test_success_is_within_a_centimetre_15_degrees_and_the_limits():
-    found = {"goal_error": 0.009, "orientation_error": 0.2, "beyond_limits": 0.0, "stop_reason": ""}
+    found = {
+        "goal_error": 0.009,
+        "orientation_error": 0.2,
+        "beyond_limits": 0.0,
+        "stop_reason": "",
+        "settled": True,
+    }
     criteria = Criteria(goal_error=0.01, orientation_error=math.radians(15.0), beyond_limits=1e-3)
     assert criteria.lacks(found) == ""
     assert criteria.lacks(found | {"goal_error": 0.011}) == "short of the goal"
     assert "degrees" in criteria.lacks(found | {"orientation_error": 0.3})
     assert "beyond its limit" in criteria.lacks(found | {"beyond_limits": 0.01})
+    assert criteria.lacks(found | {"goal_error": math.nan}) == "short of the goal"
+    assert criteria.lacks(found | {"settled": False}) == "never at rest"
 
 
 def test_the_first_problem_of_each_real_set_runs():
