@@ -6,7 +6,7 @@ random order: it
 
 - enters from outside the camera's image, and is on its way from the outset;
 - changes its speed, within 0.1 to 0.8 m/s, at 1 to 3 m/s^2, as it does at its begin and end;
-- turns, by 30 to 120 degrees, on an arc of 20 to 50 cm radius;
+- turns, by 30 to 120 degrees, on an arc of 20 to 50 cm radius, less on a short way;
 - stops for 0.5 to 2 s, and goes on;
 - comes back the way that it went.
 

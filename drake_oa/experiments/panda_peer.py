@@ -150,8 +150,7 @@ def simulate_differential_ik(
         The log; `regulation` is `METHOD`, and there are no observations.
 
     Raises:
-        ScenarioError: if the scenario has no robot, its start or goal is out of reach,
-            or something besides the robot can move.
+        ScenarioError: if the scenario has no robot, or its start or goal is out of reach.
         MotionInterruptedError: if the simulation raised or was interrupted; it
             carries the log until then, and the cause.
     """
