@@ -83,6 +83,11 @@ def _of_container() -> int | None:
     folder = Path("/sys/fs/cgroup")
     try:
         limit = int((folder / "memory.max").read_text())
-        return max(limit - int((folder / "memory.current").read_text()), 0)
-    except (OSError, ValueError):
+        used = int((folder / "memory.current").read_text())
+        lines = (folder / "memory.stat").read_text().splitlines()
+        stat = dict(line.split(" ", 1) for line in lines)
+        # The cache of files gives way.
+        cache = int(stat["active_file"]) + int(stat["inactive_file"])
+    except (KeyError, OSError, ValueError):
         return None
+    return max(limit - used + cache, 0)
