@@ -3,6 +3,7 @@
 # No postponed annotations here: yaml_load_typed reads the fields' types.
 import dataclasses as dc
 import math
+from collections.abc import Iterable
 
 import numpy as np
 import pydrake.geometry as geometry
@@ -89,6 +90,11 @@ class Obstacle:
         """(3,) how far from `translation` it is at a time [s], in the world [m]."""
         course = np.array(self.waypoints, dtype=float).reshape(-1, 4)
         return offset_at(course, time, self.present)
+
+
+def last_change(obstacles: Iterable[Obstacle]) -> float:
+    """When all have ended their courses, and come and go no more [s]; 0: none ever moves."""
+    return max((obstacle.last_change for obstacle in obstacles), default=0.0)
 
 
 def check_obstacles(obstacles: list[Obstacle]) -> None:

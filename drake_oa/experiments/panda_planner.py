@@ -14,6 +14,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from drake_oa.experiments.sampling_planner import CLEARANCE, Plan, plan_motion
 from drake_oa.metrics import path_length, robot_metrics
+from drake_oa.obstacles import last_change
 from drake_oa.scenario import Scenario
 from drake_oa.station import OBSTACLE_PREFIX, make_station
 from drake_oa.values import FloatArray
@@ -68,7 +69,7 @@ def _judged(scenario: Scenario, plan: Plan) -> dict[str, Any]:
     fine = np.linspace(0.0, rows[-1], _FINE * rows[-1] + 1)
     q = np.stack([np.interp(fine, rows, joint) for joint in plan.q.T], axis=1)
     t = np.interp(fine, rows, plan.t)
-    last = max((item.last_change for item in scenario.obstacles), default=0.0)
+    last = last_change(scenario.obstacles)
     waits = np.arange(t[-1], last, _WAITING)[1:]
     t, q = np.append(t, waits), np.concatenate([q, np.tile(q[-1], (len(waits), 1))])
     metrics = robot_metrics(scenario, q, world_positions(scenario, t))

@@ -32,7 +32,7 @@ import numpy as np
 from pydrake.math import RotationMatrix
 
 from drake_oa.experiments.panda_cell import PandaCell
-from drake_oa.obstacles import Obstacle
+from drake_oa.obstacles import Obstacle, last_change
 from drake_oa.scenario import Scenario
 from drake_oa.tool_orientation import end_rotations
 from drake_oa.values import FloatArray
@@ -297,7 +297,7 @@ def _candidates(
         straight = _dense(straight)
         if all(map(is_free, straight)):
             yield straight
-    end = max((item.last_change for item in moving), default=0.0)
+    end = last_change(moving)
     worlds: list[tuple[Sequence[Obstacle], float]] = [(resting, 0.0)]
     worlds += [(obstacles, share * end) for share in _INSTANTS]
     for number, (world, time) in enumerate(worlds):
@@ -320,7 +320,7 @@ def _in_time(
     paced = _paced(cell, path)
     places = np.arange(0.0, paced[-1] + _TICK, _TICK)
     q = np.stack([np.interp(places, paced, joint) for joint in path.T], axis=1)
-    end = max((item.last_change for item in obstacles), default=0.0)
+    end = last_change(obstacles)
     ticks = int(np.ceil(end / _TICK))
     stays = _stays_free(cell, obstacles, q[-1], ticks, clearance)
     layers = ticks + len(q) + 1
