@@ -17,20 +17,19 @@ from drake_oa.action import SCALED_TO_REST
 from drake_oa.decision_costs import logged_decisions
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.dmp import normalised_time
-from drake_oa.faults import CameraDropout, FrameBurst, NanFrames, TorqueSaturation
+from drake_oa.faults import CameraDropout, FrameBurst, NanFrames, Push, TorqueSaturation
 from drake_oa.goal_course import goal_at, last_move
 from drake_oa.layers import make_dmp
 from drake_oa.motion_log import MotionLog, pack_ellipsoids
+from drake_oa.obstacles import last_change
 from drake_oa.provenance import software_versions
 from drake_oa.regressor import CouplingParameters
 from drake_oa.regulation import DECIDING
 from drake_oa.robot_limits import RobotLimits, frame_path, robot_limits
 from drake_oa.scenario import Scenario, scenario_text
-from drake_oa.station import TOOL_FRAME
+from drake_oa.station import TOOL_FRAME, all_obstacles
 from drake_oa.supervision import Supervision
 from drake_oa.systems.late_camera import LateCamera
-from drake_oa.systems.obstacle_mover import ObstacleMover
-from drake_oa.systems.push import ExternalPush
 from drake_oa.values import EllipsoidSet, FloatArray, PlannedMotion, PolicyState
 from drake_oa.verification import SearchParameters
 
@@ -144,17 +143,7 @@ class MotionWatcher:
         self.settled = False
         self._passing = False
         self._rest_since = math.inf
-        movers = [
-            one for one in diagram.GetSystems() if isinstance(one, ObstacleMover | ExternalPush)
-        ]
-        changes = [one.last_change for one in movers] + [last_move(scenario.task)]
-        ends = [
-            fault.start + fault.duration
-            for fault in scenario.faults
-            if isinstance(fault, CameraDropout | NanFrames | FrameBurst | TorqueSaturation)
-        ]
-        # What outlasts the motion's time is no reason to wait.
-        self.world_end = max([*changes, *(end for end in ends if end < end_time)])
+        self.world_end = _last_change(scenario, end_time)
         self.latest_time = latest_time
         if latest_time is None:
             self.latest_time = max(end_time, self.world_end) + LONGEST_SETTLING
@@ -308,6 +297,19 @@ class MotionWatcher:
         if not len(motion) or math.dist(motion.p_WE[-1], self._goal) > ARRIVED:
             return 0.0
         return float(motion.s[-1])
+
+
+def _last_change(scenario: Scenario, end_time: float) -> float:
+    """When all courses, pushes, moves of the goal and passing faults are over [s]."""
+    changes = [last_change(all_obstacles(scenario)), last_move(scenario.task)]
+    for fault in scenario.faults:
+        if isinstance(fault, Push):
+            changes.append(fault.start + fault.duration)
+        elif isinstance(fault, CameraDropout | NanFrames | FrameBurst | TorqueSaturation):
+            end = fault.start + fault.duration
+            # What outlasts the motion's time is no reason to wait.
+            changes.append(end if end < end_time else 0.0)
+    return max(changes)
 
 
 def _has_arrived(policy: PolicyState, goal: FloatArray) -> bool:

@@ -62,11 +62,6 @@ class ObstacleMover(LeafSystem):
         self._state = self.DeclareVectorInputPort("obstacle_state", 6)
         self.DeclareVectorOutputPort("force", 3, self._calc_force)
 
-    @property
-    def last_change(self) -> float:
-        """When the obstacle has ended its course, and comes and goes no more [s]."""
-        return max([*self._waypoints[-1:, 0].tolist(), *self._present])
-
     def _calc_force(self, context: Context, output: BasicVector) -> None:
         x = self._state.Eval(context)
         target = offset_at(self._waypoints, context.get_time() + self._step, self._present)

@@ -49,11 +49,6 @@ class ExternalPush(LeafSystem):
             {self.time_ticket()},
         )
 
-    @property
-    def last_change(self) -> float:
-        """When the last push is over [s]."""
-        return max(push.start + push.duration for push, _ in self._pushes)
-
     def _calc(self, context: Context, output: AbstractValue) -> None:
         forces = []
         for push, body in self._pushes:
