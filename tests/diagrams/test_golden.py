@@ -1,0 +1,90 @@
+"""What the shipped scenarios did when last somebody meant to change it.
+
+Each has a table of its diagram's connections and a log of its first two seconds beside this
+folder, in `tests/golden`. Where a change is meant, `GOLDEN=write python -m pytest
+tests/diagrams/test_golden.py -m ''` writes them anew, and their difference is part of the change.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import llvmlite.binding as llvm
+import numpy as np
+import pytest
+from pydrake.systems.framework import Diagram
+
+from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.motion_log import MotionLog
+from drake_oa.scenario import GroundTruth, Scenario, load_scenario, shipped_scenarios
+from drake_oa.simulation import simulate
+
+_GOLDEN = Path(__file__).resolve().parents[1] / "golden"
+_WRITES = os.environ.get("GOLDEN") == "write"
+_SAMPLED = 40
+"""Of an array over time every so many rows are kept."""
+_NOT_COMPARED = {"wall_time", "versions", "scenario", "stop_reason", "motion_end", "settled"}
+_TRUTH = "tabletop_box-truth"
+_NAMES = [*shipped_scenarios(), _TRUTH]
+# Another processor rounds otherwise, and what is decided by the last bit goes another way.
+_PROCESSOR = llvm.get_host_cpu_name() + "," + llvm.get_host_cpu_features().flatten()
+_ELSEWHERE = 0.1
+"""For how long another processor's run is compared [s]."""
+
+
+def _scenario(name: str) -> Scenario:
+    if name == _TRUTH:
+        return replace(load_scenario("tabletop_box"), perception=GroundTruth())
+    return load_scenario(name)
+
+
+def _connections(diagram: Diagram) -> str:
+    """One line a connection, sorted."""
+    return "".join(
+        sorted(
+            f"{source.get_name()}.{source.get_output_port(out).get_name()} -> "
+            f"{target.get_name()}.{target.get_input_port(into).get_name()}\n"
+            for (target, into), (source, out) in diagram.connection_map().items()
+        )
+    )
+
+
+def _kept(log: MotionLog) -> dict[str, np.ndarray]:
+    arrays = {key: value for key, value in log.arrays().items() if key not in _NOT_COMPARED}
+    count = len(log.t)
+    return {
+        key: value[::_SAMPLED] if value.ndim and len(value) == count else value
+        for key, value in arrays.items()
+    }
+
+
+@pytest.mark.parametrize("name", _NAMES)
+def test_is_wired_as_before(name: str) -> None:
+    found = _connections(build_avoidance(_scenario(name)))
+    path = _GOLDEN / f"{name}.connections.txt"
+    if _WRITES:
+        path.write_text(found)
+    assert found == path.read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", _NAMES)
+def test_moves_as_before(name: str) -> None:
+    found = _kept(simulate(_scenario(name), duration=2.0)) | {"processor": np.array(_PROCESSOR)}
+    path = _GOLDEN / f"{name}.npz"
+    if _WRITES:
+        np.savez_compressed(path, **found)
+    with np.load(path) as archive:
+        golden = dict(archive)
+    same = str(golden.pop("processor")) == str(found.pop("processor"))
+    assert found.keys() == golden.keys()
+    soon = int(np.sum(golden["t"] <= _ELSEWHERE))
+    for key, value in golden.items():
+        if same:
+            np.testing.assert_array_equal(found[key], value, err_msg=key)
+        elif value.ndim and len(value) == len(golden["t"]) and value.dtype.kind == "f":
+            np.testing.assert_allclose(
+                found[key][:soon], value[:soon], rtol=1e-6, atol=1e-9, err_msg=key
+            )
