@@ -28,7 +28,10 @@ slow: $(STAMP)
 lint: $(STAMP)
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
-	$(VENV)/bin/mypy
+	@rm -rf build/lint && mkdir -p build/lint/drake_oa
+	@ln -s $(CURDIR)/drake_oa/* $(CURDIR)/diagrams $(CURDIR)/models build/lint/drake_oa
+	cd build/lint && PYTHONPATH=. $(abspath $(VENV))/bin/lint-imports --config $(CURDIR)/pyproject.toml
+	cd build/lint && MYPYPATH=. $(abspath $(VENV))/bin/mypy --config-file $(CURDIR)/pyproject.toml -p drake_oa
 
 setup: $(STAMP)
 

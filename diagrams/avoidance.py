@@ -45,7 +45,7 @@ With faults that touch them:
     push -> plant
 
 An obstacle that moves, appears or vanishes is driven by mover_<model instance>.
-The systems are made from the scenario in `drake_oa.layers`, `robot_layers` and
+The systems are made from the scenario in `drake_oa.diagrams.layers`, `robot_layers` and
 `fault_layers`; this file wires them, with `posture`, `safety`, `orienting` and `turning` beside it.
 """
 
@@ -55,18 +55,25 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem, OutputPort
 from pydrake.visualization import ApplyVisualizationConfig, VisualizationConfig
 
-from drake_oa import fault_layers, layers, robot_layers
+from drake_oa.control.cartesian_inverse_dynamics import CartesianInverseDynamics
+from drake_oa.diagrams import fault_layers, layers, robot_layers
 from drake_oa.diagrams.orienting import orientation_signals, wire_orientation
 from drake_oa.diagrams.ports import log_signal
 from drake_oa.diagrams.posture import wire_guide, wire_null_space, wire_posture
 from drake_oa.diagrams.safety import wire_supervisor
 from drake_oa.diagrams.turning import wire_turn
-from drake_oa.scenario import DepthCamera, GivenEllipsoids, GroundTruth, Regressor, Scenario
-from drake_oa.station import RobotPlant, Station, make_robot_plant, make_station
-from drake_oa.systems.cartesian_inverse_dynamics import CartesianInverseDynamics
-from drake_oa.systems.dmp_integrator import DmpIntegrator
-from drake_oa.systems.taken_route import TakenRoute
-from drake_oa.systems.verified_chain import RobotArm, VerifiedRegressorChain
+from drake_oa.policy.dmp_integrator import DmpIntegrator
+from drake_oa.regulation.verified_regressor_chain import RobotArm, VerifiedRegressorChain
+from drake_oa.robot.plant import RobotPlant, make_robot_plant
+from drake_oa.route.selected_route import TakenRoute
+from drake_oa.scenario.scenario import (
+    DepthCamera,
+    GivenEllipsoids,
+    GroundTruth,
+    Regressor,
+    Scenario,
+)
+from drake_oa.world.station import Station, make_station
 
 
 def build_avoidance(

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from pydrake.systems.framework import DiagramBuilder, OutputPort
 
-from drake_oa.orientation_layers import make_orientation_integrator
-from drake_oa.scenario import Scenario
-from drake_oa.systems.orientation_integrator import OrientationIntegrator
+from drake_oa.diagrams.orientation_layers import make_orientation_integrator
+from drake_oa.policy.orientation_integrator import OrientationIntegrator
+from drake_oa.scenario.scenario import Scenario
 
 
 def wire_orientation(builder: DiagramBuilder, scenario: Scenario) -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pydrake.systems.framework import DiagramBuilder, OutputPort
 from pydrake.systems.primitives import VectorLogSink
 
-from drake_oa import layers
-from drake_oa.scenario import DepthCamera, Scenario
-from drake_oa.station import Station
+from drake_oa.diagrams import layers
+from drake_oa.scenario.scenario import DepthCamera, Scenario
+from drake_oa.world.station import Station
 
 LOG_PERIOD = 0.004
 """Time between logged instants [s]."""

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from pydrake.systems.framework import DiagramBuilder
 
-from drake_oa import robot_layers
+from drake_oa.common.messages import FloatArray
+from drake_oa.diagrams import robot_layers
 from drake_oa.diagrams.ports import log_signal, obstacles_port, solid_obstacles_port
-from drake_oa.scenario import DepthCamera, Scenario
-from drake_oa.station import RobotPlant, Station
-from drake_oa.systems.verified_chain import RobotArm
-from drake_oa.values import FloatArray
+from drake_oa.regulation.verified_regressor_chain import RobotArm
+from drake_oa.robot.plant import RobotPlant
+from drake_oa.scenario.scenario import DepthCamera, Scenario
+from drake_oa.world.station import Station
 
 
 def wire_posture(

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from pydrake.systems.framework import DiagramBuilder, OutputPort
 
-from drake_oa import robot_layers
+from drake_oa.diagrams import robot_layers
 from drake_oa.diagrams.ports import log_signal, solid_obstacles_port
 from drake_oa.diagrams.turning import speed_scale_port
-from drake_oa.scenario import Scenario
-from drake_oa.station import RobotPlant, Station
-from drake_oa.systems.verified_chain import VerifiedRegressorChain
+from drake_oa.regulation.verified_regressor_chain import VerifiedRegressorChain
+from drake_oa.robot.plant import RobotPlant
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.world.station import Station
 
 
 def wire_supervisor(

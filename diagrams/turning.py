@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from pydrake.systems.framework import DiagramBuilder, InputPort, OutputPort
 
-from drake_oa import turn_layers
+from drake_oa.control.min_speed_scale import Slowest
+from drake_oa.diagrams import turn_layers
 from drake_oa.diagrams.orienting import add_orientation
 from drake_oa.diagrams.ports import obstacles_port
-from drake_oa.scenario import Scenario
-from drake_oa.station import RobotPlant
-from drake_oa.systems.slowest import Slowest
+from drake_oa.robot.plant import RobotPlant
+from drake_oa.scenario.scenario import Scenario
 
 
 def wire_turn(

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from drake_oa.systems.ellipsoid_descriptor import EllipsoidDescriptor
-from drake_oa.values import ObstacleClouds
+from drake_oa.common.messages import ObstacleClouds
+from drake_oa.descriptor.ellipsoid_descriptor import EllipsoidDescriptor
 
 
 def main() -> None:

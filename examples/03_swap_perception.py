@@ -1,8 +1,8 @@
 """The same scenario with another perception source: one block changes."""
 
-from drake_oa.report import report_table, run_report
-from drake_oa.scenario import load_scenario
-from drake_oa.simulation import simulate
+from drake_oa.runs.report import report_table, run_report
+from drake_oa.runs.simulation import simulate
+from drake_oa.scenario.loading import load_scenario
 
 
 def main(duration: float | None = None) -> None:

@@ -4,10 +4,10 @@ from functools import partial
 
 import numpy as np
 
-from drake_oa.cost_rings import RingScene, length_ring, ring_scene, table_ring
-from drake_oa.dmp import local_frame
-from drake_oa.side_choice import select_directions
-from drake_oa.values import EllipsoidSet, FloatArray, TablePlane
+from drake_oa.common.messages import EllipsoidSet, FloatArray, TablePlane
+from drake_oa.policy.dmp import local_frame
+from drake_oa.route.cost_rings import RingScene, length_ring, ring_scene, table_ring
+from drake_oa.route.side_choice import select_directions
 
 
 def never_above(scene: RingScene) -> FloatArray:

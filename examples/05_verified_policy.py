@@ -5,13 +5,13 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput
 
-from drake_oa.dmp import imitate, minimum_jerk
-from drake_oa.regressor import load_chain
-from drake_oa.scenario import package_file
-from drake_oa.systems.dmp_integrator import DmpIntegrator
-from drake_oa.systems.given_ellipsoids import GivenEllipsoidSource
-from drake_oa.systems.verified_chain import VerifiedRegressorChain
-from drake_oa.values import EllipsoidSet
+from drake_oa.common.messages import EllipsoidSet
+from drake_oa.descriptor.given_ellipsoids import GivenEllipsoidSource
+from drake_oa.policy.dmp import imitate, minimum_jerk
+from drake_oa.policy.dmp_integrator import DmpIntegrator
+from drake_oa.regulation.regressor import load_chain
+from drake_oa.regulation.verified_regressor_chain import VerifiedRegressorChain
+from drake_oa.scenario.loading import package_file
 
 START, GOAL = np.zeros(3), np.array([1.0, 0.0, 0.0])
 CLEARANCE = 0.1

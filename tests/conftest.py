@@ -9,14 +9,15 @@ import pytest
 from hypothesis import settings
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
-from drake_oa.arm_model import make_arm_model
-from drake_oa.arm_motion import ArmModel
-from drake_oa.collision_shapes import collect_collision_shapes
-from drake_oa.inverse_kinematics import solve_tool_pose
-from drake_oa.motion_log import MotionLog, pack_ellipsoids
-from drake_oa.robot_limits import RobotLimits
-from drake_oa.scenario import Robot, load_scenario, scenario_text
-from drake_oa.station import home_positions, make_robot_plant
+from drake_oa.geometry.collision_shapes import collect_collision_shapes
+from drake_oa.robot.arm_model import make_arm_model
+from drake_oa.robot.arm_motion import ArmModel
+from drake_oa.robot.config import Robot
+from drake_oa.robot.inverse_kinematics import solve_tool_pose
+from drake_oa.robot.limits import RobotLimits
+from drake_oa.robot.plant import home_positions, make_robot_plant
+from drake_oa.runs.motion_log import MotionLog, pack_ellipsoids
+from drake_oa.scenario.loading import load_scenario, scenario_text
 
 # The machine may be busy: no property is judged by the time an example takes.
 settings.register_profile("drake_oa", deadline=None)

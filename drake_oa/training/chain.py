@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from drake_oa.regressor import TARGETS, ChainWeights
+from drake_oa.regulation.regressor import TARGETS, ChainWeights
 from drake_oa.training.checkpoint import Checkpoint
 from drake_oa.training.dataset import Exploration, TrainingSet
 from drake_oa.training.levenberg_marquardt import Schedule

@@ -29,12 +29,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_oa.dmp import ALPHA_X, Dmp, imitate, minimum_jerk
-from drake_oa.regressor import ClearanceLimit
-from drake_oa.rollout import planar_rollouts
+from drake_oa.common.messages import BoolArray, FloatArray, Frozen
+from drake_oa.policy.dmp import ALPHA_X, Dmp, imitate, minimum_jerk
+from drake_oa.regulation.regressor import ClearanceLimit
 from drake_oa.training.checkpoint import Checkpoint
 from drake_oa.training.networks import Report
-from drake_oa.values import BoolArray, FloatArray, Frozen
+from drake_oa.training.planar_rollout import planar_rollouts
 
 _CHUNK = 16
 """Ellipses explored between two writes of the checkpoint."""
@@ -63,7 +63,7 @@ class Exploration(Frozen):
         alpha_x: spring constant of the action level that the chain is for; critically
             damped.
         fade: the coupling fades within this many baselines of the goal, as in
-            `drake_oa.action`.
+            `drake_oa.policy.action`.
         degree: of the polynomial that smooths the choices.
         goal_price: cost of the goal error at the end, as a length a length.
         temperature: of the weights over candidates, as a length.

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
+from drake_oa.common.messages import FloatArray, Frozen
 from drake_oa.training.normal_equations import LeastSquares
-from drake_oa.values import FloatArray, Frozen
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from drake_oa.regressor import Network
+from drake_oa.common.messages import BoolArray, FloatArray
+from drake_oa.regulation.regressor import Network
 from drake_oa.training.checkpoint import Checkpoint
 from drake_oa.training.levenberg_marquardt import Progress, Schedule, fit
 from drake_oa.training.normal_equations import least_squares
 from drake_oa.training.perceptron import flatten, initial_layers, unflatten
-from drake_oa.values import BoolArray, FloatArray
 
 HIDDEN = (24, 24, 24)
 """Widths of the tanh layers, as in the paper."""

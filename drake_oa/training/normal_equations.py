@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 
+from drake_oa.common.messages import FloatArray
 from drake_oa.training.perceptron import forward, jacobian, unflatten
-from drake_oa.values import FloatArray
 
 if TYPE_CHECKING:
     import torch

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from drake_oa.regressor import TARGETS, ChainWeights, Network
+from drake_oa.common.messages import BoolArray, FloatArray
+from drake_oa.regulation.regressor import TARGETS, ChainWeights, Network
 from drake_oa.training.checkpoint import Checkpoint
 from drake_oa.training.levenberg_marquardt import Schedule
 from drake_oa.training.networks import (
@@ -31,7 +32,6 @@ from drake_oa.training.paper_set import (
     floor_of_windows,
     group_means,
 )
-from drake_oa.values import BoolArray, FloatArray
 
 CHAINS = ("RC(lambda')", "RC(lambda', Delta)")
 """The two chains of Table I."""

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from drake_oa.rollout import released_lattice
+from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
 from drake_oa.training.networks import Report
-from drake_oa.values import BoolArray, FloatArray, Frozen, IntArray
+from drake_oa.training.planar_rollout import released_lattice
 
 KEPT = 0.01
 """Least clearance of a row [m]."""

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from drake_oa.values import FloatArray
+from drake_oa.common.messages import FloatArray
 
 Layers = list[tuple[FloatArray, FloatArray]]
 """(n_out, n_in) weights and (n_out,) biases, layer by layer."""

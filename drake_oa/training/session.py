@@ -8,10 +8,10 @@ import time
 from dataclasses import asdict
 from typing import Any
 
-from drake_oa.command_line import INTERRUPTED
-from drake_oa.output_files import check_outputs
-from drake_oa.provenance import source_commit
-from drake_oa.regressor import ChainWeights, save_chain
+from drake_oa.common.console import INTERRUPTED
+from drake_oa.common.files import check_outputs
+from drake_oa.common.provenance import source_commit
+from drake_oa.regulation.regressor import ChainWeights, save_chain
 from drake_oa.training.chain import train_chain
 from drake_oa.training.checkpoint import Checkpoint
 from drake_oa.training.dataset import Exploration, build_training_set

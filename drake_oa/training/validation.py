@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drake_oa.dmp import Dmp
-from drake_oa.regressor import ChainWeights
-from drake_oa.rollout import planar_rollouts
+from drake_oa.common.messages import FloatArray
+from drake_oa.policy.dmp import Dmp
+from drake_oa.regulation.regressor import ChainWeights
 from drake_oa.training.networks import Score
-from drake_oa.values import FloatArray
+from drake_oa.training.planar_rollout import planar_rollouts
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Writes meshes/*.obj, the visual shells of the Panda: `python models/panda/generate_meshes.py`.
 
 Each link is composed of smooth solids in its own frame (metres) and meshed; collision geometry in
-panda_arm_hand.urdf encloses them, which tests/test_panda_model.py checks.
+panda_arm_hand.urdf encloses them, which tests/robot/test_panda_model.py checks.
 """
 
 from pathlib import Path

@@ -8,14 +8,13 @@ import pytest
 from pydrake.systems.analysis import InitializeParams, Simulator
 from pydrake.systems.framework import Context, Diagram
 
+from drake_oa.common.messages import DECIDING, FloatArray
 from drake_oa.diagrams.avoidance import build_avoidance
-from drake_oa.metrics import robot_metrics
-from drake_oa.motion_log import MotionLog
-from drake_oa.regulation import DECIDING
-from drake_oa.report import motion_report
-from drake_oa.scenario import load_scenario, shipped_scenarios
-from drake_oa.simulation import simulate
-from drake_oa.values import FloatArray
+from drake_oa.runs.metrics import robot_metrics
+from drake_oa.runs.motion_log import MotionLog
+from drake_oa.runs.report import motion_report
+from drake_oa.runs.simulation import simulate
+from drake_oa.scenario.loading import load_scenario, shipped_scenarios
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
 

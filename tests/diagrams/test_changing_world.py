@@ -7,15 +7,17 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import InitializeParams, Simulator
 
+from drake_oa.common.messages import DECIDING
+from drake_oa.common.schema_check import ScenarioError
 from drake_oa.diagrams.avoidance import build_avoidance
-from drake_oa.goal_course import goal_at
-from drake_oa.layers import make_dmp
-from drake_oa.metrics import path_length, robot_metrics
-from drake_oa.motion_log import MotionLog
-from drake_oa.regulation import DECIDING
-from drake_oa.report import motion_report
-from drake_oa.scenario import Scenario, ScenarioError, load_scenario
-from drake_oa.simulation import simulate
+from drake_oa.diagrams.layers import make_dmp
+from drake_oa.runs.metrics import path_length, robot_metrics
+from drake_oa.runs.motion_log import MotionLog
+from drake_oa.runs.report import motion_report
+from drake_oa.runs.simulation import simulate
+from drake_oa.scenario.loading import load_scenario
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.task import goal_at
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
 QUICK = "regulation=!Regressor {}"  # Nothing is searched for.

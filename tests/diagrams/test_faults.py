@@ -17,19 +17,27 @@ from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem, State
 from pydrake.systems.primitives import ConstantValueSource
 from pydrake.systems.sensors import ImageDepth32F
 
-from drake_oa import layers
+from drake_oa.common.messages import (
+    DECIDING,
+    EllipsoidSet,
+    FloatArray,
+    ObstacleClouds,
+    PolicyState,
+    TablePlane,
+)
+from drake_oa.common.schema_check import ScenarioError
+from drake_oa.descriptor.ellipsoid_descriptor import EllipsoidDescriptor
+from drake_oa.diagrams import layers
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.diagrams.ports import LOG_PERIOD
-from drake_oa.motion_log import MotionLog
-from drake_oa.regulation import DECIDING
-from drake_oa.report import motion_report
-from drake_oa.scenario import Scenario, ScenarioError, load_scenario, package_file
-from drake_oa.simulation import MotionInterruptedError, simulate
-from drake_oa.station import make_station
-from drake_oa.systems.depth_perception import DepthPerception
-from drake_oa.systems.ellipsoid_descriptor import EllipsoidDescriptor
-from drake_oa.values import EllipsoidSet, FloatArray, ObstacleClouds, PolicyState, TablePlane
-from drake_oa.verification import SearchParameters
+from drake_oa.perception.depth_perception import DepthPerception
+from drake_oa.regulation.verification import SearchParameters
+from drake_oa.runs.motion_log import MotionLog
+from drake_oa.runs.report import motion_report
+from drake_oa.runs.simulation import MotionInterruptedError, simulate
+from drake_oa.scenario.loading import load_scenario, package_file
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.world.station import make_station
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
 FRAME = 1.0 / 15.0

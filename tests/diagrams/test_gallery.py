@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from drake_oa.report import run_report
-from drake_oa.scenario import load_scenario, shipped_scenarios
-from drake_oa.simulation import simulate
+from drake_oa.runs.report import run_report
+from drake_oa.runs.simulation import simulate
+from drake_oa.scenario.loading import load_scenario, shipped_scenarios
 
 README = Path(__file__).parents[2] / "README.md"
 

@@ -17,9 +17,10 @@ import pytest
 from pydrake.systems.framework import Diagram
 
 from drake_oa.diagrams.avoidance import build_avoidance
-from drake_oa.motion_log import MotionLog
-from drake_oa.scenario import GroundTruth, Scenario, load_scenario, shipped_scenarios
-from drake_oa.simulation import simulate
+from drake_oa.runs.motion_log import MotionLog
+from drake_oa.runs.simulation import simulate
+from drake_oa.scenario.loading import load_scenario, shipped_scenarios
+from drake_oa.scenario.scenario import GroundTruth, Scenario
 
 _GOLDEN = Path(__file__).resolve().parents[1] / "golden"
 _WRITES = os.environ.get("GOLDEN") == "write"
@@ -82,9 +83,13 @@ def test_moves_as_before(name: str) -> None:
     assert found.keys() == golden.keys()
     soon = int(np.sum(golden["t"] <= _ELSEWHERE))
     for key, value in golden.items():
-        if same:
-            np.testing.assert_array_equal(found[key], value, err_msg=key)
-        elif value.ndim and len(value) == len(golden["t"]) and value.dtype.kind == "f":
+        if value.dtype.kind != "f":
+            if same:
+                np.testing.assert_array_equal(found[key], value, err_msg=key)
+        elif same:
+            # Not to the bit: a kernel that is compiled from another place may round otherwise.
+            np.testing.assert_allclose(found[key], value, rtol=1e-9, atol=1e-10, err_msg=key)
+        elif value.ndim and len(value) == len(golden["t"]):
             np.testing.assert_allclose(
                 found[key][:soon], value[:soon], rtol=1e-6, atol=1e-9, err_msg=key
             )

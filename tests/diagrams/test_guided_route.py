@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from drake_oa.diagrams.avoidance import build_avoidance
-from drake_oa.report import motion_report
-from drake_oa.scenario import load_scenario
-from drake_oa.simulation import simulate
+from drake_oa.runs.report import motion_report
+from drake_oa.runs.simulation import simulate
+from drake_oa.scenario.loading import load_scenario
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
 

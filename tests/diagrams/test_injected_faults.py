@@ -10,12 +10,13 @@ from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import Diagram
 
 from drake_oa.diagrams.avoidance import build_avoidance
-from drake_oa.experiments.faults import CASES, Case, main, markdown_table, run_case, what_it_did
-from drake_oa.motion_log import MotionLog
-from drake_oa.panda_inertias import UNIFORM_DENSITY
-from drake_oa.report import motion_metrics
-from drake_oa.scenario import Scenario, load_scenario
-from drake_oa.simulation import simulate
+from drake_oa.robot.panda_inertias import UNIFORM_DENSITY
+from drake_oa.runs.motion_log import MotionLog
+from drake_oa.runs.report import motion_metrics
+from drake_oa.runs.simulation import simulate
+from drake_oa.scenario.loading import load_scenario
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.studies.panda.faults import CASES, Case, main, markdown_table, run_case, what_it_did
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
 QUICK = "regulation=!Regressor {}"  # Nothing is searched for.
@@ -41,7 +42,7 @@ def everything() -> Diagram:
 
 
 def test_the_systems_that_inject_faults_document_their_ports(everything: Diagram) -> None:
-    file = Path(__file__).parents[1] / "systems" / "test_port_lists.py"
+    file = Path(__file__).parents[1] / "test_port_lists.py"
     spec = importlib.util.spec_from_file_location("port_lists", file)
     assert spec is not None
     assert spec.loader is not None

@@ -5,12 +5,14 @@ import pytest
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
+from drake_oa.common.schema_check import ScenarioError
 from drake_oa.diagrams.avoidance import build_avoidance
-from drake_oa.metrics import robot_metrics
-from drake_oa.motion_log import MotionLog
-from drake_oa.scenario import Scenario, ScenarioError, load_scenario
-from drake_oa.simulation import simulate
-from drake_oa.station import TOOL_FRAME, make_robot_plant
+from drake_oa.robot.plant import TOOL_FRAME, make_robot_plant
+from drake_oa.runs.metrics import robot_metrics
+from drake_oa.runs.motion_log import MotionLog
+from drake_oa.runs.simulation import simulate
+from drake_oa.scenario.loading import load_scenario
+from drake_oa.scenario.scenario import Scenario
 
 QUICK = ["perception=!GroundTruth {}", "task.duration=4"]
 

@@ -4,14 +4,16 @@ import numpy as np
 import pytest
 
 from drake_oa.diagrams.avoidance import build_avoidance
-from drake_oa.experiments.panda_run import run_and_judge
-from drake_oa.experiments.panda_scenes import draw_panda_scene
-from drake_oa.metrics import robot_metrics
-from drake_oa.motion_log import MotionLog
-from drake_oa.obstacles import Obstacle, Sphere
-from drake_oa.report import motion_report
-from drake_oa.scenario import GroundTruth, Scenario, load_scenario
-from drake_oa.simulation import AT_GOAL, REST_TIME, simulate
+from drake_oa.geometry.shapes import Sphere
+from drake_oa.runs.metrics import robot_metrics
+from drake_oa.runs.motion_log import MotionLog
+from drake_oa.runs.report import motion_report
+from drake_oa.runs.simulation import AT_GOAL, REST_TIME, simulate
+from drake_oa.scenario.loading import load_scenario
+from drake_oa.scenario.obstacles import Obstacle
+from drake_oa.scenario.scenario import GroundTruth, Scenario
+from drake_oa.studies.panda.run import run_and_judge
+from drake_oa.studies.panda.scenes import draw_panda_scene
 
 
 def judged(scenario: Scenario, log: MotionLog) -> tuple[tuple[str, ...], float]:

@@ -10,12 +10,12 @@ from pydrake.math import RollPitchYaw
 from pydrake.systems.analysis import Simulator
 
 from drake_oa.diagrams.avoidance import build_avoidance
-from drake_oa.motion_log import MotionLog
-from drake_oa.orientation_dmp import goal_vector, orientation_along, rotation_matrix
-from drake_oa.report import motion_report, report_table, run_report
-from drake_oa.scenario import load_scenario
-from drake_oa.simulation import simulate
-from drake_oa.tool_orientation import tool_orientation
+from drake_oa.policy.orientation_dmp import goal_vector, orientation_along, rotation_matrix
+from drake_oa.runs.motion_log import MotionLog
+from drake_oa.runs.report import motion_report, report_table, run_report
+from drake_oa.runs.simulation import simulate
+from drake_oa.scenario.loading import load_scenario
+from drake_oa.scenario.tool_orientation import tool_orientation
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
 

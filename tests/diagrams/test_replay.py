@@ -7,10 +7,10 @@ import pytest
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 
-from drake_oa.diagrams.replay import build_replay
-from drake_oa.motion_log import MotionLog
-from drake_oa.scenario import load_scenario
-from drake_oa.station import TOOL_FRAME, make_robot_plant
+from drake_oa.robot.plant import TOOL_FRAME, make_robot_plant
+from drake_oa.runs.motion_log import MotionLog
+from drake_oa.runs.replay_diagram import build_replay
+from drake_oa.scenario.loading import load_scenario
 
 
 @pytest.fixture(scope="module")

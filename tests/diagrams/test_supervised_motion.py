@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from drake_oa.metrics import robot_metrics
-from drake_oa.scenario import ScenarioError, load_scenario, parse_scenario, scenario_text
-from drake_oa.simulation import simulate
+from drake_oa.common.schema_check import ScenarioError
+from drake_oa.runs.metrics import robot_metrics
+from drake_oa.runs.simulation import simulate
+from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
 
 # The tool passes a thin pole at a good distance, the forearm does not.
 POLE = """

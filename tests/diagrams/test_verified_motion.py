@@ -12,17 +12,18 @@ from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, LeafSystem, State
 
-from drake_oa import layers
+from drake_oa.common.messages import DECIDING, EllipsoidSet, FloatArray, PolicyState
+from drake_oa.diagrams import layers
 from drake_oa.diagrams.avoidance import build_avoidance
-from drake_oa.ellipsoid import signed_distance
-from drake_oa.motion_log import MotionLog
-from drake_oa.regulation import DECIDING, Regulation
-from drake_oa.report import motion_report
-from drake_oa.scenario import GivenEllipsoids, load_scenario
-from drake_oa.simulation import LATEST_END, simulate
-from drake_oa.spatial_rollout import SpatialScenes, spatial_rollouts
-from drake_oa.systems.regressor_chain import RegressorChain
-from drake_oa.values import EllipsoidSet, FloatArray, PolicyState
+from drake_oa.geometry.ellipsoid import signed_distance
+from drake_oa.regulation.regressor_chain import RegressorChain
+from drake_oa.regulation.regulation import Regulation
+from drake_oa.regulation.rollout import SpatialScenes, spatial_rollouts
+from drake_oa.runs.motion_log import MotionLog
+from drake_oa.runs.report import motion_report
+from drake_oa.runs.simulation import LATEST_END, simulate
+from drake_oa.scenario.loading import load_scenario
+from drake_oa.scenario.scenario import GivenEllipsoids
 
 FRAME = 1.0 / 15.0
 CLEARANCE = 0.15

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from drake_oa.regressor import ClearanceLimit
+from drake_oa.regulation.regressor import ClearanceLimit
 from drake_oa.training.chain import train_chain
 from drake_oa.training.checkpoint import Checkpoint
 from drake_oa.training.dataset import Exploration, TrainingSet

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from drake_oa.rollout import planar_rollouts
 from drake_oa.training import dataset
 from drake_oa.training.checkpoint import Checkpoint
 from drake_oa.training.dataset import Exploration, build_training_set
+from drake_oa.training.planar_rollout import planar_rollouts
 
 SMALL = Exploration(
     lambda1=np.array([0.05, 0.15, 0.25]),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from drake_oa.regressor import load_chain, save_chain
+from drake_oa.regulation.regressor import load_chain, save_chain
 from drake_oa.training.checkpoint import Checkpoint
 from drake_oa.training.networks import Round
 from drake_oa.training.paper import CHAINS, PaperRecipe, table_one, train_paper

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from drake_oa.cli import main
-from drake_oa.regressor import load_chain
+from drake_oa.app.cli import main
+from drake_oa.regulation.regressor import load_chain
 from drake_oa.training import session
 from drake_oa.training.chain import train_chain
 from drake_oa.training.dataset import Exploration

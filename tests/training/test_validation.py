@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from drake_oa.regressor import load_chain
+from drake_oa.regulation.regressor import load_chain
 from drake_oa.training.dataset import Exploration
 from drake_oa.training.validation import validate
 
@@ -30,7 +30,7 @@ def test_the_shipped_chain_keeps_clearances_and_arrives():
 
 
 def test_the_spring_it_was_trained_for_is_the_scenarios():
-    from drake_oa.scenario import Policy
+    from drake_oa.scenario.scenario import Policy
 
     chain = load_chain(SHIPPED)
     explored = chain.metadata["exploration"]

@@ -1,0 +1,82 @@
+"""Makes the systems that bring a scenario's faults, and its moving obstacles, into a diagram."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drake_oa.common.schema_check import ScenarioError
+from drake_oa.diagrams.layers import PIXEL_CENTER, camera_config
+from drake_oa.robot.plant import RobotPlant
+from drake_oa.scenario.faults import Push, TorqueSaturation, camera_faults
+from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
+from drake_oa.scenario.scenario import DepthCamera, Scenario
+from drake_oa.world.camera_faults import CameraFaults
+from drake_oa.world.obstacle_mover import ObstacleMover
+from drake_oa.world.push import ExternalPush
+from drake_oa.world.station import Station
+from drake_oa.world.weak_actuators import WeakActuators
+from drake_oa.world.world_model import all_obstacles
+
+
+def make_camera_faults(
+    scenario: Scenario, station: Station, robot_plant: RobotPlant
+) -> CameraFaults | None:
+    """What is wrong with the camera that perception sees by; None: nothing."""
+    faults, source = camera_faults(scenario.faults), scenario.perception
+    if not faults or not isinstance(source, DepthCamera):
+        return None
+    camera = station.cameras[source.camera]
+    return CameraFaults(
+        faults,
+        camera.intrinsics,
+        num_states=robot_plant.plant.num_multibody_states(robot_plant.instance),
+        table_height=scenario.table_height or 0.0,
+        pixel_center=PIXEL_CENTER,
+        period=1.0 / camera_config(scenario, source).fps,
+    )
+
+
+def make_weak_actuators(scenario: Scenario, station: Station) -> WeakActuators | None:
+    """What is wrong with the robot's actuators; None: nothing."""
+    faults = [fault for fault in scenario.faults if isinstance(fault, TorqueSaturation)]
+    if not faults:
+        return None
+    plant = station.plant
+    actuators = map(plant.get_joint_actuator, plant.GetJointActuatorIndices(station.robot))
+    return WeakActuators(faults, np.array([item.effort_limit() for item in actuators]))
+
+
+def make_obstacle_movers(scenario: Scenario, station: Station) -> dict[str, ObstacleMover]:
+    """Model instance -> what drives it, of every obstacle that moves, appears or vanishes."""
+    movers = {}
+    for obstacle in all_obstacles(scenario):
+        if obstacle.driven:
+            name = f"{OBSTACLE_PREFIX}_{obstacle.name}"
+            body = station.plant.GetBodyByName("body", station.plant.GetModelInstanceByName(name))
+            movers[name] = ObstacleMover(
+                np.array(obstacle.waypoints, dtype=float).reshape(-1, 4),
+                mass=body.default_mass(),
+                step=scenario.plant_step,
+                present=obstacle.present,
+            )
+    return movers
+
+
+def make_push(scenario: Scenario, station: Station) -> ExternalPush | None:
+    """What pushes the robot; None: nothing does.
+
+    Raises:
+        ScenarioError: naming the push of a link that the robot does not have.
+    """
+    plant, pushes = station.plant, []
+    for number, fault in enumerate(scenario.faults):
+        if not isinstance(fault, Push):
+            continue
+        if not plant.HasBodyNamed(fault.body, station.robot):
+            names = [plant.get_body(i).name() for i in plant.GetBodyIndices(station.robot)]
+            raise ScenarioError(
+                f"faults[{number}].body: the robot has no link '{fault.body}'; it has "
+                f"{', '.join(names)}"
+            )
+        pushes.append((fault, plant.GetBodyByName(fault.body, station.robot).index()))
+    return ExternalPush(pushes) if pushes else None

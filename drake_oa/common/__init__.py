@@ -1,0 +1,1 @@
+"""What every layer uses: messages between systems, ports, configuration checks, files."""

@@ -1,0 +1,333 @@
+"""Frozen values that travel between the layers on abstract ports.
+
+Every value is one immutable struct of arrays. Copying it is free
+(``__deepcopy__`` returns the value itself), so a Drake Context that holds one
+clones in constant time, and no receiver can change what another one reads.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields
+from functools import cache
+from typing import Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+
+PART = 2**20
+"""Rows that describe parts of one obstacle have names that differ by multiples of this."""
+
+
+@cache
+def _field_names(kind: type) -> tuple[str, ...]:
+    return tuple(item.name for item in fields(kind))
+
+
+class Frozen:
+    """Shares itself on copy and locks its arrays on construction."""
+
+    def __post_init__(self) -> None:
+        kind: Any = type(self)
+        for name in _field_names(kind):
+            value = getattr(self, name)
+            if value.__class__ is np.ndarray and value.flags.writeable:
+                value = value.view()
+                value.flags.writeable = False
+                object.__setattr__(self, name, value)
+
+    def __copy__(self) -> Self:
+        return self
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        return self
+
+
+def _floats(*shape: int) -> Any:
+    return field(default_factory=lambda: np.zeros(shape))
+
+
+def _integers() -> Any:
+    return field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+
+@dataclass(frozen=True, eq=False)
+class TablePlane(Frozen):
+    """The supporting plane ``normal_W . p_WQ = offset``.
+
+    Attributes:
+        normal_W: (3,) unit normal in the world frame, pointing to free space.
+        offset: distance of the plane from the world origin along it [m].
+    """
+
+    normal_W: FloatArray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    offset: float = 0.0
+
+    def height(self, p_WQ: FloatArray) -> FloatArray:
+        """Signed height [m] above the plane of points p_WQ, (..., 3) -> (...)."""
+        return np.asarray(p_WQ @ self.normal_W - self.offset)
+
+
+@dataclass(frozen=True, eq=False)
+class ObstacleClouds(Frozen):
+    """What a perception source saw at one instant.
+
+    Attributes:
+        stamp: simulation time at which the scene looked so [s]; -inf before the
+            first frame.
+        clouds_W: one (N_i, 3) array of surface points in the world frame [m] an
+            obstacle; empty when nothing stands on the table.
+        ids: (M,) integers that name the obstacles.
+        table: the supporting plane, or None when no plane was found or known.
+        note: empty, or why this frame is degraded (for example "no valid pixel").
+        v_WO: (M, 3) velocities in the world frame [m/s], exactly zero for an obstacle
+            that does not move significantly; zeros when not given.
+    """
+
+    stamp: float = -np.inf
+    clouds_W: tuple[FloatArray, ...] = ()
+    ids: IntArray = _integers()
+    table: TablePlane | None = None
+    note: str = ""
+    v_WO: FloatArray = _floats(0, 3)
+
+    def __post_init__(self) -> None:
+        if not len(self.v_WO) and len(self.clouds_W):
+            object.__setattr__(self, "v_WO", np.zeros((len(self.clouds_W), 3)))
+        super().__post_init__()
+
+    def __len__(self) -> int:
+        return len(self.clouds_W)
+
+
+@dataclass(frozen=True, eq=False)
+class EllipsoidSet(Frozen):
+    """The unified system-obstacle descriptors: M ellipsoids.
+
+    Each is the obstacle dilated by the tool, so that the tool may be treated as
+    the point E.
+
+    Attributes:
+        stamp: stamp of the observation it was made from [s].
+        p_WO: (M, 3) centres in the world frame [m].
+        R_WO: (M, 3, 3) rotations; the columns are the principal axes.
+        semi_axes: (M, 3) semi-axes along those columns [m].
+        v_WO: (M, 3) velocities of the centres in the world frame [m/s].
+        ids: (M,) integers that name the rows, each different: the obstacle's name, and a
+            multiple of `PART` more for the second and further parts of it.
+        table: the supporting plane, handed through from perception, or None.
+        note: empty, or why the observation is degraded.
+    """
+
+    stamp: float = -np.inf
+    p_WO: FloatArray = _floats(0, 3)
+    R_WO: FloatArray = _floats(0, 3, 3)
+    semi_axes: FloatArray = _floats(0, 3)
+    v_WO: FloatArray = _floats(0, 3)
+    ids: IntArray = _integers()
+    table: TablePlane | None = None
+    note: str = ""
+
+    def __len__(self) -> int:
+        return len(self.p_WO)
+
+
+@dataclass(frozen=True, eq=False)
+class PolicyState(Frozen):
+    """Where the dynamic movement primitive is.
+
+    Attributes:
+        p_WE: (3,) position of the end effector E in the world frame [m].
+        z_W: (3,) scaled velocity, the derivative of p_WE by normalised time
+            s = t / (tau T), in the world frame [m].
+        phase: canonical phase k, 1 at the start and falling to 0.
+        tau: temporal scaling (1: the demonstrated duration).
+        p_WS: (3,) start of the motion [m].
+        p_WG: (3,) goal, or the point that the motion goes to first [m].
+        R_WL: (3, 3) local frame: x from start to goal, z up.
+        stamp: time of this state [s].
+        speed: ds/dt, the rate of normalised time [1/s]; 1 / (tau T) when running
+            freely, 0 when held.
+        note: empty, or why the motion is being held.
+    """
+
+    p_WE: FloatArray = _floats(3)
+    z_W: FloatArray = _floats(3)
+    phase: float = 1.0
+    tau: float = 1.0
+    p_WS: FloatArray = _floats(3)
+    p_WG: FloatArray = _floats(3)
+    R_WL: FloatArray = field(default_factory=lambda: np.eye(3))
+    stamp: float = 0.0
+    speed: float = 0.0
+    note: str = ""
+
+    @property
+    def baseline(self) -> float:
+        """Distance from start to goal [m]."""
+        return math.dist(self.p_WG, self.p_WS)
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedMotion(Frozen):
+    """The motion that the regulation expects, from now to the goal or to a point before it.
+
+    Attributes:
+        s: (T,) normalised times, increasing; (0,): no motion is known.
+        p_WE: (T, 3) the tool point there in the world frame [m].
+        q: (T, n) positions of the arm's joints there [rad]; (0, n): none are planned.
+        p_WS: (3,) start of the motion that the times belong to, in the world frame [m]; (0,):
+            they belong to the one under way.
+    """
+
+    s: FloatArray = _floats(0)
+    p_WE: FloatArray = _floats(0, 3)
+    q: FloatArray = _floats(0, 0)
+    p_WS: FloatArray = _floats(0)
+
+    def __len__(self) -> int:
+        return len(self.s)
+
+
+@dataclass(frozen=True, eq=False)
+class Route(Frozen):
+    """The side to pass each obstacle on, and the rings it was chosen from.
+
+    Rows follow the rows of the EllipsoidSet that it was made for.
+
+    Attributes:
+        heading_W: (M, 3) desired unit heading v_d for each obstacle; a zero row
+            where the present heading needs no guidance. (0, 3): it follows the motion,
+            and is found from the other fields at each step.
+        direction_W: (M, 3) chosen direction omega_d on the local YZ circle, as a
+            unit vector in the world frame.
+        normal_W: (M, 3) unit normal x_L x omega_d of the plane in which each obstacle
+            is passed: turning about it turns from the baseline toward the chosen side.
+        center_W: (M, 3) where the coupling terms act about: on the baseline [m].
+        extents: (M, 2) lambda', the obstacle's semi-axes about that centre, along the
+            baseline and across it toward the chosen side [m].
+        clearance: (M,) clearance to keep from them [m]; 0: no coupling needed.
+        weight: (M,) share of the coupling term that the obstacle has.
+        index: (M,) the chosen column of the rings.
+        angles: (K,) angles of the circle [rad], 0 along local y, pi/2 along z.
+        costs: name of a ring -> (M, K) its cost in [0, 1] on that circle.
+        path_length: estimated length of the avoiding path [m].
+        p_WS: (3,) start of the motion that it was decided for [m].
+        p_WG: (3,) goal of that motion [m].
+        R_WL: (3, 3) local frame of that motion.
+        ids: (M,) the obstacles' names.
+        note: empty, or why no side is allowed.
+    """
+
+    heading_W: FloatArray = _floats(0, 3)
+    direction_W: FloatArray = _floats(0, 3)
+    normal_W: FloatArray = _floats(0, 3)
+    center_W: FloatArray = _floats(0, 3)
+    extents: FloatArray = _floats(0, 2)
+    clearance: FloatArray = _floats(0)
+    weight: FloatArray = _floats(0)
+    index: IntArray = _integers()
+    angles: FloatArray = _floats(0)
+    costs: dict[str, FloatArray] = field(default_factory=dict)
+    path_length: float = 0.0
+    p_WS: FloatArray = _floats(3)
+    p_WG: FloatArray = _floats(3)
+    R_WL: FloatArray = field(default_factory=lambda: np.eye(3))
+    ids: IntArray = _integers()
+    note: str = ""
+
+    @property
+    def baseline(self) -> float:
+        """Distance from start to goal [m]; 0 when nothing was decided yet."""
+        return math.dist(self.p_WG, self.p_WS)
+
+
+OUT_OF_WORLD = 25.0
+"""What is farther from the world's origin counts as absent [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class CouplingParameters(Frozen):
+    """Parameters of the dead-zone free term, one row an obstacle.
+
+    Attributes:
+        alpha: (M,) strength: turning rate in units of 1/T, T the demonstrated
+            duration.
+        psi: (M,) width of the response to the heading [rad].
+        kappa: (M,) decay with the squared distance [1/m^2].
+        in_range: (M,) False where the query lay outside what the chain was trained
+            for: it was then evaluated at the nearest input inside.
+        center_W: (M, 3) the points the terms act about [m]; (0, 3): the obstacles'
+            centres.
+        normal_W: (M, 3) normals of the planes in which to pass; they go before the
+            route's, and where there is one the route does not guide. A zero row, or
+            (0, 3): not given.
+        tau: temporal scaling of the motion, which goes before the one from the route's
+            length; 0: not given.
+        note: empty, or why the motion must not go on.
+        anew: whether it is to begin anew from where it rests.
+        p_WV: (3,) the point V that it goes to in place of the goal [m]; (0,): none.
+    """
+
+    alpha: FloatArray = field(default_factory=lambda: np.zeros(0))
+    psi: FloatArray = field(default_factory=lambda: np.zeros(0))
+    kappa: FloatArray = field(default_factory=lambda: np.zeros(0))
+    in_range: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    center_W: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    normal_W: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    tau: float = 0.0
+    note: str = ""
+    anew: bool = False
+    p_WV: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    def __len__(self) -> int:
+        return len(self.alpha)
+
+    def as_array(self) -> FloatArray:
+        """(M, 3) rows of alpha, psi, kappa."""
+        return np.column_stack((self.alpha, self.psi, self.kappa))
+
+
+DECIDING = "no motion from here is verified yet"
+"""Why a motion is held while its first one is being decided on."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evasion(Frozen):
+    """What has been decided against what moves.
+
+    Attributes:
+        action: ""; "going on": the motion goes on at full speed past what comes near;
+            "waiting": it is held; "evading": it is held, and the tool displaced; "caught":
+            the same, but no way was found without a contact.
+        velocity: (3,) wanted of the displacement, in the world [m/s].
+        obstacle: name of the obstacle; -1: none.
+        clearance: least distance that is expected [m].
+        contact: in how long the contact is expected, of "caught" [s]; else inf.
+        turn: (n,) velocity wanted of the arm's joints in the null space of the tool's task, in
+            place of the planned posture's [rad/s]; (0,) leaves them to the plan.
+    """
+
+    action: Evading = ""
+    velocity: FloatArray = field(default_factory=lambda: np.zeros(3))
+    obstacle: int = -1
+    clearance: float = math.inf
+    contact: float = math.inf
+    turn: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def certain(self) -> bool:
+        """Whether a contact is near that cannot be evaded."""
+        return self.action == "caught" and self.contact <= _CERTAIN
+
+
+Evading = Literal["", "going on", "waiting", "evading", "caught"]
+
+
+_CERTAIN = 0.4
+"""A contact that cannot be evaded is certain when it is no farther ahead than this [s]."""

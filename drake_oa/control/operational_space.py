@@ -1,0 +1,279 @@
+"""Operational-space inverse dynamics: joint torques that move the tool as asked.
+
+With the arm's equation of motion M(q) dv/dt + h(q, v) = tau and the tool's spatial
+acceleration A = J dv/dt + dJ/dt v, a task acceleration A_c and a posture
+acceleration a_0 give (Khatib, IEEE J. Robotics and Automation 3(1), 1987)
+
+    dv/dt_c = a_0 + J# (A_c - dJ/dt v - J a_0),    tau = M dv/dt_c + h,
+
+with J# = M^-1 J^T (J M^-1 J^T)^-1, the dynamically consistent inverse: what a_0
+contributes produces no acceleration of the tool.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from drake_oa.common.messages import BoolArray, FloatArray
+from drake_oa.control.operational_space_kernels import law, limit_torque
+
+
+@dataclass(frozen=True)
+class CartesianGains:
+    """Gains of the law. All are finite and none is negative.
+
+    Stiffness and damping act on accelerations, so the error of a free tool obeys
+    e'' + kd e' + kp e = 0 whatever the arm's inertia; the defaults are critically
+    damped.
+
+    Attributes:
+        kp_position: stiffness of the tool point [1/s^2].
+        kd_position: damping of the tool point [1/s].
+        kp_orientation: stiffness of the tool's orientation [1/s^2].
+        kd_orientation: damping of the tool's orientation [1/s].
+        kp_posture: stiffness towards the posture, in the null space [1/s^2].
+        kd_posture: damping in the null space [1/s].
+        kp_limit: stiffness away from a joint limit nearer than `limit_margin`, in
+            the null space [1/s^2]; 0 turns it off.
+        limit_margin: where that begins [rad].
+        max_effective_mass: heaviest direction of the task that is still driven
+            exactly [kg]; beyond it the arm is near singular and the inverse damped.
+        rotation_length: length by which angles are weighed against distances when
+            directions of the task are compared [m].
+        kd_stop: damping of all joints when the law cannot be followed [1/s];
+            positive.
+    """
+
+    kp_position: float = 400.0
+    kd_position: float = 40.0
+    kp_orientation: float = 400.0
+    kd_orientation: float = 40.0
+    kp_posture: float = 25.0
+    kd_posture: float = 10.0
+    kp_limit: float = 100.0
+    limit_margin: float = 0.1
+    max_effective_mass: float = 100.0
+    rotation_length: float = 0.25
+    kd_stop: float = 10.0
+
+    def __post_init__(self) -> None:
+        positive = {"max_effective_mass", "rotation_length", "kd_stop"}
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if not math.isfinite(value) or value < 0.0:
+                raise ValueError(
+                    f"CartesianGains.{item.name} is {value}; it must be finite and not negative"
+                )
+            if item.name in positive and value == 0.0:
+                raise ValueError(f"CartesianGains.{item.name} is 0; it must be positive")
+
+    @functools.cached_property
+    def of_law(self) -> tuple[float, ...]:
+        """Every gain but `kd_stop`, in the order of the fields, as `law` takes them."""
+        return tuple(float(getattr(self, item.name)) for item in fields(self)[:-1])
+
+
+@dataclass(frozen=True, eq=False)
+class ArmLimits:
+    """What the n joints of the arm can do.
+
+    Attributes:
+        q_lower: (n,) lower position limits [rad].
+        q_upper: (n,) upper position limits [rad].
+        effort: (n,) largest torque either way [N m], positive; inf where unlimited.
+    """
+
+    q_lower: FloatArray
+    q_upper: FloatArray
+    effort: FloatArray
+
+    def __post_init__(self) -> None:
+        if not np.all(self.q_lower <= self.q_upper):
+            raise ValueError(
+                f"ArmLimits: q_lower {self.q_lower} must not exceed q_upper {self.q_upper}"
+            )
+        if not np.all(self.effort > 0.0):
+            raise ValueError(f"ArmLimits: effort {self.effort} must be positive [N m]")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ArmState:
+    """The arm and its dynamics at one instant; n joints, tool frame E, world W.
+
+    Spatial quantities have Drake's order, rotation before translation.
+
+    Attributes:
+        q: (n,) positions [rad].
+        v: (n,) velocities [rad/s].
+        p_WE: (3,) tool point [m].
+        R_WE: (3, 3) tool orientation.
+        M: (n, n) mass matrix, reflected rotor inertia included [kg m^2].
+        h: (n,) Coriolis and centrifugal minus gravity and joint friction [N m].
+        J: (6, n) Jacobian: V_WE = J v.
+        Jdot_v: (6,) its bias: A_WE = J dv/dt + Jdot_v.
+    """
+
+    q: FloatArray
+    v: FloatArray
+    p_WE: FloatArray
+    R_WE: FloatArray
+    M: FloatArray
+    h: FloatArray
+    J: FloatArray
+    Jdot_v: FloatArray
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class DesiredMotion:
+    """The tool motion asked for, in the world frame.
+
+    Attributes:
+        p_WE: (3,) position [m].
+        v_WE: (3,) velocity [m/s].
+        a_WE: (3,) acceleration [m/s^2].
+        R_WE: (3, 3) orientation.
+        w_WE: (3,) angular velocity [rad/s]; None: it does not turn.
+        alpha_WE: (3,) angular acceleration [rad/s^2]; None: none.
+    """
+
+    p_WE: FloatArray
+    v_WE: FloatArray
+    a_WE: FloatArray
+    R_WE: FloatArray
+    w_WE: FloatArray | None = None
+    alpha_WE: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class JointTorque:
+    """What the law answers.
+
+    Attributes:
+        tau: (n,) torques, finite and within the limits [N m].
+        saturated: (n,) the joints that were asked for more than they have.
+        stopping: whether the law could not be followed and the joints are braked.
+        position_error: (3,) desired minus actual tool point in W [m]; inf when it
+            is not known, so that any threshold on it trips.
+        orientation_error: (3,) rotation vector from the actual to the desired
+            orientation in W [rad]; inf when it is not known.
+        singularity: share, 0 to 1, of damping in the worst direction of the task;
+            0 when no direction is near singular.
+    """
+
+    tau: FloatArray
+    saturated: BoolArray
+    stopping: bool
+    position_error: FloatArray
+    orientation_error: FloatArray
+    singularity: float
+
+
+def braking_torque(state: ArmState, limits: ArmLimits, gains: CartesianGains) -> JointTorque:
+    """Carries the arm and brakes every joint: tau = h - kd_stop M v, within the limits.
+
+    For when the desired motion is not finite. When the state is not either, see
+    `no_torque`.
+
+    Args:
+        state: the arm.
+        limits: effort limits.
+        gains: `kd_stop`.
+    """
+    drive = -gains.kd_stop * (state.M @ state.v)
+    if not math.isfinite(float(drive.sum() + state.h.sum())):
+        return no_torque(len(limits.effort))
+    tau, saturated = limit_torque(state.h, drive, limits.effort)
+    unknown = np.full(3, np.inf)
+    return JointTorque(tau, saturated, True, unknown, unknown, 0.0)
+
+
+def no_torque(count: int) -> JointTorque:
+    """Zero torque for `count` joints, for when the state itself is not finite.
+
+    Carrying the arm would mean guessing where it is, and could push as hard as it
+    should hold; a robot's own brakes are the answer to a lost encoder.
+    """
+    unknown = np.full(3, np.inf)
+    return JointTorque(np.zeros(count), np.zeros(count, dtype=bool), True, unknown, unknown, 0.0)
+
+
+@functools.cache
+def _at_rest(n: int) -> FloatArray:
+    """What `law` is fed forward for a tool that does not turn and a posture at rest."""
+    return np.zeros(6 + 2 * n)
+
+
+def operational_space_torque(
+    state: ArmState,
+    desired: DesiredMotion,
+    q_posture: FloatArray,
+    limits: ArmLimits,
+    gains: CartesianGains,
+    v_posture: FloatArray | None = None,
+    a_posture: FloatArray | None = None,
+) -> JointTorque:
+    """The law of this module.
+
+    The task acceleration is A_c = (alpha_c, a_c) with
+
+        a_c = a_d + kd_position (v_d - v) + kp_position (p_d - p),
+        alpha_c = alpha_d + kd_orientation (w_d - w) + kp_orientation log(R_d R^T),
+
+    and the posture acceleration
+
+        a_0 = a_posture + kp_posture (q_posture - q) + kd_posture (v_posture - v)
+              + kp_limit M^-1 diag(M) (clip(q) - q),
+
+    where clip(q) keeps `limit_margin` away from the limits: the last term is a torque
+    away from them, so its share in the null space never points towards the limit. The
+    task inertia is damped near singularities (`cartesian_kernels.damped_task_force`),
+    and the torque is fitted into the effort limits without bending the motion
+    (`cartesian_kernels.limit_torque`).
+
+    Torques are never NaN: an input that is not finite, or so
+    large that the law overflows, gives `braking_torque`.
+
+    Args:
+        state: the arm.
+        desired: the tool motion asked for.
+        q_posture: (n,) posture that the null space is drawn to [rad].
+        limits: of the joints.
+        gains: of the law.
+        v_posture: (n,) its velocity [rad/s]; None: it is at rest.
+        a_posture: (n,) acceleration added in the null space [rad/s^2]; None: none.
+    """
+    n = len(q_posture)
+    forward_fed = _at_rest(n)
+    if not (desired.w_WE is desired.alpha_WE is v_posture is a_posture is None):
+        parts = (desired.w_WE, desired.alpha_WE, v_posture, a_posture)
+        sizes = (3, 3, n, n)
+        forward_fed = np.concatenate(
+            [np.zeros(m) if x is None else x for x, m in zip(parts, sizes, strict=True)]
+        )
+    finite, tau, saturated, error_p, error_R, singularity = law(
+        state.q,
+        state.v,
+        state.p_WE,
+        np.ascontiguousarray(state.R_WE),
+        np.ascontiguousarray(state.M),
+        state.h,
+        np.ascontiguousarray(state.J),
+        state.Jdot_v,
+        desired.p_WE,
+        desired.v_WE,
+        desired.a_WE,
+        np.ascontiguousarray(desired.R_WE),
+        q_posture,
+        forward_fed,
+        limits.q_lower,
+        limits.q_upper,
+        limits.effort,
+        gains.of_law,
+    )
+    if not finite:
+        return braking_torque(state, limits, gains)
+    return JointTorque(tau, saturated, False, error_p, error_R, singularity)

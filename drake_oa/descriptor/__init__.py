@@ -1,0 +1,1 @@
+"""From obstacles to the ellipsoids that enclose them, dilated by the tool."""

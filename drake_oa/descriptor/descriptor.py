@@ -1,0 +1,182 @@
+"""From obstacle clouds to descriptors: an ellipsoid an obstacle, the tool included.
+
+Where that one ellipsoid holds a point that is known to be free, the obstacle gets several.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from drake_oa.common.messages import PART, EllipsoidSet, FloatArray, ObstacleClouds
+from drake_oa.descriptor.convex_decomposition import HALVINGS, ellipsoids_of_parts
+from drake_oa.geometry.ellipsoid import (
+    Ellipsoid,
+    checked_points,
+    dilate,
+    enclosing_ellipsoid,
+    right_handed,
+    signed_distance,
+)
+from drake_oa.geometry.superquadric import fit_superquadric
+
+Method = Literal["enclosing", "least_squares"]
+
+_ROOM = 0.02
+"""Ellipsoids that leave less room than this to a point that is free are too large [m]."""
+
+
+def check_descriptor_arguments(tool_W: ArrayLike, method: str) -> FloatArray:
+    """The tool's vertices as an array of their own.
+
+    Raises:
+        ValueError: if the tool is empty, not (K, 3) or not finite, or the method unknown.
+    """
+    if method not in get_args(Method):
+        raise ValueError(f"method '{method}'; it must be one of {', '.join(get_args(Method))}")
+    return np.array(checked_points(tool_W, "tool_W"))
+
+
+def least_squares_ellipsoid(
+    points: ArrayLike, *, tool: ArrayLike, minimum_semi_axis: float = 1e-3
+) -> Ellipsoid:
+    """The paper's descriptor: eq. sq_min, squared, with lambda_4 = lambda_5 = 1.
+
+    Fitted to the support points of the dilated cloud. It runs through the cloud, not
+    round it: parts of the obstacle stay outside, and `gauge` is left unchecked (inf).
+
+    Args:
+        points: (N, 3) points in W [m].
+        tool: (K, 3) vertices of the tool, as in `ellipsoid.dilate` [m].
+        minimum_semi_axis: least semi-axis [m].
+
+    Raises:
+        ValueError: if points or tool are empty, not (., 3) or not finite.
+    """
+    fit = fit_superquadric(dilate(points, tool), minimum_semi_axis=minimum_semi_axis).shape
+    order = np.argsort(-fit.semi_axes, kind="stable")
+    return Ellipsoid(fit.center, right_handed(fit.R[:, order]), fit.semi_axes[order], np.inf)
+
+
+def describe(
+    obstacles: ObstacleClouds,
+    tool_W: ArrayLike,
+    *,
+    method: Method = "enclosing",
+    minimum_semi_axis: float = 1e-3,
+    free_W: ArrayLike = (),
+    tool_parts: Sequence[FloatArray] = (),
+) -> EllipsoidSet:
+    """The unified system-obstacle descriptors of all clouds.
+
+    Points that are not finite are left out and noted; an obstacle without any
+    other point is dropped and noted. Velocities are those of the clouds.
+
+    Args:
+        obstacles: M clouds in W [m], their names, velocities, stamp, table and note.
+        tool_W: (K, 3) vertices of the tool's convex geometry from the TCP, in W
+            orientation [m].
+        method: "enclosing" (`ellipsoid.enclosing_ellipsoid`) or "least_squares".
+        minimum_semi_axis: least semi-axis [m].
+        free_W: (F, 3) tool points that are known to be free, start and goal for two [m]. An
+            obstacle whose ellipsoid holds one, or leaves it less than 2 cm, is described by
+            those of its parts (`drake_oa.descriptor.convex_decomposition`) if they leave more: rows
+            whose names differ by multiples of `messages.PART`. Of the method "enclosing" alone.
+        tool_parts: (K_i, 3) vertices of the tool's convex parts; none: the tool itself.
+
+    Raises:
+        ValueError: for a bad tool or method, clouds that are not (N, 3), or another number of
+            ids or velocities than of clouds.
+    """
+    tool = check_descriptor_arguments(tool_W, method)
+    if len(obstacles.ids) != len(obstacles.clouds_W):
+        raise ValueError(
+            f"obstacles_W holds {len(obstacles.clouds_W)} clouds but {len(obstacles.ids)} ids"
+        )
+    if obstacles.v_WO.shape != (len(obstacles.clouds_W), 3):
+        raise ValueError(
+            f"obstacles_W holds {len(obstacles.clouds_W)} clouds but velocities of shape "
+            f"{obstacles.v_WO.shape}; one row of 3 a cloud is needed"
+        )
+    free = np.asarray(free_W, dtype=float).reshape(-1, 3)
+    tools = tuple(_key(part) for part in (tool_parts or (tool,)))
+    found: list[Ellipsoid] = []
+    rows: list[int] = []
+    part_names: list[int] = []
+    notes = [obstacles.note] if obstacles.note else []
+    names = obstacles.ids.tolist()
+    for row, (name, cloud) in enumerate(zip(names, obstacles.clouds_W, strict=True)):
+        points = np.asarray(cloud, dtype=float)
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise ValueError(f"cloud of obstacle {name} must be (N, 3), not {points.shape}")
+        finite = np.isfinite(points).all(axis=1)
+        if not finite.any():
+            notes.append(f"obstacle {name} dropped: none of its {len(points)} points is finite")
+            continue
+        if not finite.all():
+            lost = len(points) - int(finite.sum())
+            notes.append(f"obstacle {name}: {lost} of {len(points)} points are not finite")
+            points = points[finite]
+        # A perception source hands on the same cloud while it sees nothing new.
+        whole = _whole(_key(points), _key(tool), method, minimum_semi_axis)
+        described = [whole]
+        room = _room(free, described)
+        for halvings in HALVINGS if method == "enclosing" else ():
+            if room >= _ROOM:
+                break
+            parts = _parts(_key(points), tools, halvings, minimum_semi_axis)
+            if _room(free, parts) > room:
+                described, room = parts, _room(free, parts)
+        found += described
+        rows += [row] * len(described)
+        part_names += [name + PART * part for part in range(len(described))]
+    return EllipsoidSet(
+        stamp=obstacles.stamp,
+        p_WO=np.array([e.center for e in found]).reshape(-1, 3),
+        R_WO=np.array([e.R for e in found]).reshape(-1, 3, 3),
+        semi_axes=np.array([e.semi_axes for e in found]).reshape(-1, 3),
+        v_WO=obstacles.v_WO[rows],
+        ids=np.array(part_names, dtype=np.int64),
+        table=obstacles.table,
+        note="; ".join(notes),
+    )
+
+
+_Key = tuple[bytes, int]
+
+
+def _key(points: FloatArray) -> _Key:
+    """An array (N, 3) as what a cache can look up."""
+    return np.ascontiguousarray(points, dtype=float).tobytes(), len(points)
+
+
+def _array(key: _Key) -> FloatArray:
+    return np.frombuffer(key[0]).reshape(key[1], 3)
+
+
+@lru_cache(maxsize=64)
+def _whole(points: _Key, tool: _Key, method: Method, minimum_semi_axis: float) -> Ellipsoid:
+    fit = enclosing_ellipsoid if method == "enclosing" else least_squares_ellipsoid
+    return fit(_array(points), tool=_array(tool), minimum_semi_axis=minimum_semi_axis)
+
+
+@lru_cache(maxsize=64)
+def _parts(
+    points: _Key, tools: tuple[_Key, ...], halvings: int, minimum_semi_axis: float
+) -> list[Ellipsoid]:
+    return ellipsoids_of_parts(
+        _array(points),
+        [_array(tool) for tool in tools],
+        halvings,
+        minimum_semi_axis=minimum_semi_axis,
+    )
+
+
+def _room(free: FloatArray, ellipsoids: Sequence[Ellipsoid]) -> float:
+    """Least distance of the points (F, 3) to the ellipsoids [m]; inf without points."""
+    distances = [signed_distance(free, e.center, e.R, e.semi_axes) for e in ellipsoids]
+    return float(np.min(distances, initial=np.inf))

@@ -1,0 +1,115 @@
+"""The descriptor layer: obstacles and tool as ellipsoids."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydrake.common.value import AbstractValue, Value
+from pydrake.systems.framework import Context, LeafSystem
+
+from drake_oa.common.messages import EllipsoidSet, FloatArray, ObstacleClouds
+from drake_oa.common.ports import read_value
+from drake_oa.descriptor.descriptor import Method, check_descriptor_arguments, describe
+from drake_oa.geometry.rotation import turned_about, unit_axis
+
+
+class EllipsoidDescriptor(LeafSystem):
+    """Dilates each obstacle by the tool and encloses the result in an ellipsoid.
+
+    .. pydrake_system::
+
+      name: EllipsoidDescriptor
+      input_ports:
+      - obstacles_W
+      - goal (optional)
+      - tool_turn (optional)
+      output_ports:
+      - ellipsoids_W
+
+    - obstacles_W: abstract `ObstacleClouds`, points of the obstacles in the world frame
+      [m]; may be empty.
+    - goal (optional): (3,) a tool point that is known to be free besides `free_W`, the goal
+      of a motion whose goal may be moved [m].
+    - tool_turn (optional): (1,) turn of the tool about `turn_axis_W` [rad]; without it 0.
+    - ellipsoids_W: abstract `EllipsoidSet` in the world frame, with the stamp, names,
+      velocities, table and note of the clouds; an obstacle without a finite point is dropped
+      and noted. One that would hold a free point, or all but do so, has several rows.
+
+    There is no state. The output is computed when it is asked for, once for each
+    change of the input.
+    """
+
+    def __init__(
+        self,
+        tool_W: ArrayLike,
+        *,
+        method: Method = "enclosing",
+        minimum_semi_axis: float = 1e-3,
+        free_W: ArrayLike = (),
+        tool_parts: Sequence[FloatArray] = (),
+        turn_axis_W: ArrayLike = (0.0, 0.0, 1.0),
+    ) -> None:
+        """Declares the ports.
+
+        Args:
+            tool_W: (K, 3) vertices of the tool's convex geometry from the TCP, in world
+                orientation [m]: the tool keeps it while it passes obstacles.
+                [[0, 0, 0]] for a point.
+            method: "enclosing": the smallest ellipsoid that holds every dilated point.
+                "least_squares": the paper's fit, which leaves some outside.
+            minimum_semi_axis: least semi-axis of an ellipsoid [m].
+            free_W: (F, 3) tool points that are known to be free: start and goal [m].
+            tool_parts: (K_i, 3) vertices of the tool's convex parts, for obstacles near
+                those points [m]; none: the whole tool.
+            turn_axis_W: (3,) axis through the tool point that the tool is turned about, of
+                any length but 0.
+
+        Raises:
+            ValueError: if the tool or a part of it is empty, not (K, 3) or not finite, the
+                method is unknown, minimum_semi_axis is not positive, free_W is not (F, 3)
+                or not finite, or turn_axis_W has no direction.
+        """
+        super().__init__()
+        if not minimum_semi_axis > 0.0:
+            raise ValueError(f"minimum_semi_axis must be positive [m], not {minimum_semi_axis}")
+        self._tool_W = check_descriptor_arguments(tool_W, method)
+        self._tool_parts = tuple(check_descriptor_arguments(p, method) for p in tool_parts)
+        free = np.array(free_W, dtype=float)
+        if free.size and (free.shape[1:] != (3,) or not np.isfinite(free).all()):
+            raise ValueError(f"free_W must be (F, 3) finite points [m], not {free}")
+        self._free_W = free.reshape(-1, 3)
+        self._axis = unit_axis(turn_axis_W)
+        self._method: Method = method
+        self._minimum_semi_axis = minimum_semi_axis
+        self._obstacles = self.DeclareAbstractInputPort("obstacles_W", Value(ObstacleClouds()))
+        self._goal = self.DeclareVectorInputPort("goal", 3)
+        self._turn = self.DeclareVectorInputPort("tool_turn", 1)
+        self.DeclareAbstractOutputPort(
+            "ellipsoids_W",
+            lambda: Value(EllipsoidSet()),
+            self._calc_ellipsoids,
+            prerequisites_of_calc={
+                self._obstacles.ticket(),
+                self._goal.ticket(),
+                self._turn.ticket(),
+            },
+        )
+
+    def _calc_ellipsoids(self, context: Context, output: AbstractValue) -> None:
+        obstacles = read_value(self, self._obstacles, context, ObstacleClouds)
+        free_W = self._free_W
+        if self._goal.HasValue(context):
+            free_W = np.vstack([free_W, self._goal.Eval(context)])
+        turn = float(self._turn.Eval(context)[0]) if self._turn.HasValue(context) else 0.0
+        output.set_value(
+            describe(
+                obstacles,
+                turned_about(self._tool_W, self._axis, turn),
+                method=self._method,
+                minimum_semi_axis=self._minimum_semi_axis,
+                free_W=free_W,
+                tool_parts=[turned_about(p, self._axis, turn) for p in self._tool_parts],
+            )
+        )

@@ -1,1 +1,0 @@
-"""The paper's experiments and those beyond it: suites of scenes, methods, and their judge."""

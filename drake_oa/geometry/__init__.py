@@ -1,0 +1,1 @@
+"""Ellipsoids, superquadrics, primitives, voxels and clusters: geometry without a robot."""

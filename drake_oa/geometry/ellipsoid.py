@@ -1,0 +1,478 @@
+"""Ellipsoids as descriptors of an obstacle and the tool together.
+
+The obstacle's points are dilated by the tool, one ellipsoid encloses the result,
+and the other layers then treat the tool as the point E (Pairet et al. 2019,
+section IV-B; lambda_4 = lambda_5 = 1 in eq. sq). An ellipsoid O is a centre p_WO,
+a rotation R_WO whose columns are its principal axes, and semi-axes a:
+
+    x inside  <=>  gauge(x) = | diag(1/a) R_WO^T (x - p_WO) | <= 1.
+
+Functions of many ellipsoids broadcast their leading shapes as NumPy does: centres
+(M, 3), rotations (M, 3, 3) and semi-axes (M, 3) against one point (3,) give (M,);
+for N points against M ellipsoids pass the points as (N, 1, 3).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import ConvexHull
+
+from drake_oa.common.messages import FloatArray, Frozen
+from drake_oa.geometry import ellipsoid_kernels as kernels
+
+_MAX_STEPS = 100_000
+_MAX_ROUNDS = 20
+_TRAILING = ((), (3,), (3, 3))
+
+
+@dataclass(frozen=True, eq=False)
+class Ellipsoid(Frozen):
+    """One ellipsoid in the world frame.
+
+    Attributes:
+        center: (3,) centre p_WO [m].
+        R: (3, 3) rotation R_WO; its columns are the principal axes, right-handed.
+        semi_axes: (3,) semi-axes along those columns, largest first [m].
+        gauge: largest gauge of any point dilated by any corner of the tool, computed
+            from the three fields above. At most 1 certifies that all are enclosed.
+    """
+
+    center: FloatArray = field(default_factory=lambda: np.zeros(3))
+    R: FloatArray = field(default_factory=lambda: np.eye(3))
+    semi_axes: FloatArray = field(default_factory=lambda: np.ones(3))
+    gauge: float = 0.0
+
+    @property
+    def volume(self) -> float:
+        """Volume [m^3]."""
+        return float(4.0 / 3.0 * np.pi * np.prod(self.semi_axes))
+
+
+class Projection(NamedTuple):
+    """Nearest points on ellipsoids.
+
+    Attributes:
+        distance: (...) signed Euclidean distance, negative inside [m].
+        point: (..., 3) nearest point of the surface [m].
+        normal: (..., 3) outward unit normal there: the gradient of the distance.
+    """
+
+    distance: FloatArray
+    point: FloatArray
+    normal: FloatArray
+
+
+class Section(NamedTuple):
+    """Plane sections of ellipsoids: ellipses.
+
+    Attributes:
+        semi_axes: (..., 2) semi-axes [m]: of the principal axis within 45 degrees of
+            e1, then of the other one. Zeros for an empty section.
+        angle: (...) angle of the former from e1 toward e2, in [-pi/4, pi/4] [rad].
+        empty: (...) whether the plane misses the ellipsoid.
+        center: (..., 3) centre of the section from the ellipsoid's centre, in W [m].
+        axes: (..., 2, 3) unit principal axes in W, one a row.
+    """
+
+    semi_axes: FloatArray
+    angle: FloatArray
+    empty: np.ndarray
+    center: FloatArray
+    axes: FloatArray
+
+
+@cache
+def unit_directions(count: int = 162) -> FloatArray:
+    """Unit vectors (count, 3) spread over the sphere: a subdivided icosahedron.
+
+    The second half are the first half's opposites.
+
+    Args:
+        count: 12, 42, 162, 642 or 2562.
+
+    Raises:
+        ValueError: for another count.
+    """
+    sizes = [10 * 4**level + 2 for level in range(5)]
+    if count not in sizes:
+        raise ValueError(f"unit_directions: count is {count}; it must be one of {sizes}")
+    golden = 0.5 * (1.0 + np.sqrt(5.0))
+    block = np.array([[0.0, s, t * golden] for s in (1.0, -1.0) for t in (1.0, -1.0)])
+    points = np.concatenate([np.roll(block, shift, axis=1) for shift in range(3)])
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    while len(points) < count:
+        faces = ConvexHull(points).simplices
+        edges = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)), axis=0)
+        middle = points[edges].sum(axis=1)
+        points = np.concatenate([points, middle / np.linalg.norm(middle, axis=1, keepdims=True)])
+    half = points[np.lexsort(points.T)[len(points) // 2 :]]
+    points = np.concatenate([half, -half])
+    points.flags.writeable = False
+    return points
+
+
+def dilate(points: ArrayLike, tool: ArrayLike, n_directions: int = 162) -> FloatArray:
+    """Points on the C-obstacle O + (-E) of a point cloud O and a convex tool E.
+
+    The tool's reference point may be nowhere in the C-obstacle (Lozano-Perez), hence
+    the reflection. In each direction u the support point of a Minkowski sum is the sum
+    of the support points; so no hull is needed, and one point, a line or a plane of
+    points is as good as any other cloud.
+
+    Args:
+        points: (N, 3) surface points in W [m].
+        tool: (K, 3) vertices of the tool's convex geometry from its reference point
+            (the TCP), in W orientation [m]; [[0, 0, 0]] for a point.
+        n_directions: how many directions, see `unit_directions`.
+
+    Returns:
+        (S, 3) distinct support points in W [m], S <= n_directions.
+
+    Raises:
+        ValueError: if points or tool are empty, not (., 3), or not finite.
+    """
+    points, tool = checked_points(points, "points"), checked_points(tool, "tool")
+    half = unit_directions(n_directions)[: n_directions // 2]
+    along, corner_along = half @ points.T, half @ tool.T
+    high = along.argmax(axis=1) * len(tool) + corner_along.argmin(axis=1)
+    low = along.argmin(axis=1) * len(tool) + corner_along.argmax(axis=1)
+    pairs = np.unique(np.concatenate([high, low]))
+    return np.asarray(points[pairs // len(tool)] - tool[pairs % len(tool)])
+
+
+def enclosing_ellipsoid(
+    points: ArrayLike,
+    tolerance: float = 1e-2,
+    *,
+    tool: ArrayLike | None = None,
+    minimum_semi_axis: float = 1e-3,
+) -> Ellipsoid:
+    """Ellipsoid of least volume round a cloud dilated by a tool, with a certificate.
+
+    Khachiyan's algorithm with the away steps of Todd and Yildirim (2007) on the
+    support points of `dilate`; the farthest dilated point that they left out joins them
+    until none is farther out than the tolerance. Last, the ellipsoid is scaled about
+    its centre until it touches the farthest of all N x K points, and checked.
+
+    Args:
+        points: (N, 3) points in W [m].
+        tolerance: relative optimality of the dual; the squared gauge of the fit exceeds
+            1 by at most about this before the scaling.
+        tool: (K, 3) vertices of the tool as in `dilate`; None: a point.
+        minimum_semi_axis: least semi-axis [m]. A cloud thinner than a hundredth of it in
+            some principal direction is fitted in the others alone.
+
+    Returns:
+        The ellipsoid, with gauge <= 1.
+
+    Raises:
+        ValueError: if points or tool are empty, not (., 3), or not finite; if tolerance
+            or minimum_semi_axis is not positive.
+    """
+    if not (tolerance > 0.0 and minimum_semi_axis > 0.0):
+        raise ValueError(
+            f"enclosing_ellipsoid: tolerance {tolerance} and minimum_semi_axis "
+            f"{minimum_semi_axis} must be positive"
+        )
+    cloud = checked_points(points, "points")
+    corners = checked_points(np.zeros((1, 3)) if tool is None else tool, "tool")
+    # Near their centre: far from the origin the sums would lose digits.
+    origin = cloud.mean(axis=0)
+    cloud = cloud - origin
+    support = dilate(cloud, corners)
+    center, R, semi_axes, gauge = np.zeros(3), np.eye(3), np.ones(3), 0.0
+    for _ in range(_MAX_ROUNDS):
+        center, R, semi_axes = _least_volume(support, tolerance, minimum_semi_axis)
+        gauge, i, j = _farthest(cloud, corners, center, R, semi_axes)
+        if gauge**2 <= 1.0 + 2.0 * tolerance:
+            break
+        support = np.concatenate([support, (cloud[i] - corners[j])[None, :]])
+    semi_axes = np.maximum(semi_axes * gauge, minimum_semi_axis)
+    center += origin
+    return certified(Ellipsoid(center, R, semi_axes), points, corners)
+
+
+def certified(
+    ellipsoid: Ellipsoid, points: ArrayLike, tool: ArrayLike, *, inflate: bool = True
+) -> Ellipsoid:
+    """The ellipsoid with its gauge over every point and tool corner computed.
+
+    Args:
+        ellipsoid: any ellipsoid.
+        points: (N, 3) points in W [m].
+        tool: (K, 3) vertices of the tool as in `dilate`.
+        inflate: scale it about its centre, where needed, until the gauge is at most 1.
+
+    Raises:
+        ValueError: if points or tool are empty, not (., 3), or not finite.
+    """
+    cloud, corners = checked_points(points, "points"), checked_points(tool, "tool")
+    center, R, semi_axes = ellipsoid.center, ellipsoid.R, ellipsoid.semi_axes
+    gauge, _, _ = _farthest(cloud, corners, center, R, semi_axes)
+    while inflate and gauge > 1.0:
+        # A little more than needed, else rounding could leave it a digit above 1.
+        semi_axes = semi_axes * (gauge * (1.0 + 1e-13))
+        gauge, _, _ = _farthest(cloud, corners, center, R, semi_axes)
+    return Ellipsoid(center, R, semi_axes, gauge)
+
+
+def shape_matrix(R: FloatArray, semi_axes: FloatArray) -> FloatArray:
+    """B = R diag(a^2) R^T, (..., 3, 3) [m^2]: h(n)^2 = n^T B n for the support function h."""
+    scaled = np.asarray(R) * np.asarray(semi_axes)[..., None, :]
+    return np.asarray(scaled @ np.swapaxes(scaled, -1, -2))
+
+
+def support(direction: FloatArray, R: FloatArray, semi_axes: FloatArray) -> FloatArray:
+    """Support function about the centre: h(n) = | diag(a) R^T n | [m].
+
+    For a unit n it is also the half-width of the ellipsoid's shadow (its orthogonal
+    projection on a line or plane) along n.
+
+    Args:
+        direction: (..., 3) directions n in W.
+        R: (..., 3, 3) rotations R_WO.
+        semi_axes: (..., 3) semi-axes [m].
+
+    Returns:
+        (...) half-widths [m] by broadcasting.
+    """
+    scaled = np.einsum("...ji,...j->...i", R, direction) * semi_axes
+    return np.asarray(np.sqrt(np.einsum("...i,...i->...", scaled, scaled)))
+
+
+def signed_distance(
+    p: ArrayLike, center: ArrayLike, R: ArrayLike, semi_axes: ArrayLike
+) -> FloatArray:
+    """Euclidean distance of points to ellipsoids, negative inside.
+
+    Args:
+        p: (..., 3) points in W [m].
+        center: (..., 3) centres p_WO [m].
+        R: (..., 3, 3) rotations R_WO.
+        semi_axes: (..., 3) positive semi-axes [m].
+
+    Returns:
+        (...) distances [m]: the leading shapes, broadcast. NaN for a point that is NaN.
+
+    Raises:
+        ValueError: for a semi-axis that is not positive, or shapes that do not fit.
+    """
+    return nearest(p, center, R, semi_axes).distance
+
+
+def nearest(p: ArrayLike, center: ArrayLike, R: ArrayLike, semi_axes: ArrayLike) -> Projection:
+    """Signed distance, nearest point and outward normal; arguments as `signed_distance`.
+
+    The secular equation of the nearest point (Eberly) is solved in the ellipsoid's
+    axes by a monotone Newton iteration. Where several points are nearest (a point on
+    the medial axis), it is the one on the positive side of the principal axis.
+    """
+    shape, (p_, c_, R_, a_) = _rows((p, 1), (center, 1), (R, 2), (semi_axes, 1))
+    count = math.prod(shape)
+    distance, point, normal = np.empty(count), np.empty((count, 3)), np.empty((count, 3))
+    if not kernels.nearest_points(p_, c_, R_, a_, np.empty((4, 3)), distance, point, normal):
+        raise ValueError(f"signed_distance: semi_axes must be positive, not {semi_axes!r}")
+    if len(shape) != 1:
+        distance = distance.reshape(shape)
+        point, normal = point.reshape(*shape, 3), normal.reshape(*shape, 3)
+    return Projection(distance, point, normal)
+
+
+def plane_section(
+    R: ArrayLike, semi_axes: ArrayLike, e1: ArrayLike, e2: ArrayLike, offset: ArrayLike = 0.0
+) -> Section:
+    """Section by the plane spanned by e1, e2, at `offset` from the ellipsoid's centre.
+
+    With A = R diag(1/a^2) R^T, U = [e1, e2] and S = U^T A U the section through the centre
+    has the principal semi-axes eig(S)^(-1/2). A parallel section at the offset delta along
+    n = e1 x e2 is the same ellipse scaled by sqrt(1 - delta^2 / n^T B n), with its centre
+    at delta B n / n^T B n. These are the descriptors lambda' of the P-plane.
+
+    Args:
+        R: (..., 3, 3) rotations R_WO.
+        semi_axes: (..., 3) positive semi-axes [m].
+        e1: (..., 3) unit vector in W; on the P-plane, toward the obstacle's centre.
+        e2: (..., 3) unit vector in W perpendicular to it.
+        offset: (...) signed distance of the plane from the centre along e1 x e2 [m].
+
+    Raises:
+        ValueError: if e1, e2 are not orthonormal to 1e-6, a semi-axis is not positive, or
+            shapes do not fit.
+    """
+    shape, (R_, a_, e1_, e2_, d_) = _rows((R, 2), (semi_axes, 1), (e1, 1), (e2, 1), (offset, 0))
+    out = np.empty((math.prod(shape), 13))
+    fault = kernels.plane_sections(R_, a_, e1_, e2_, d_, out)
+    if fault == 1:
+        raise ValueError(f"plane_section: semi_axes must be positive, not {semi_axes!r}")
+    if fault == 2:
+        raise ValueError("plane_section: e1, e2 must be unit vectors perpendicular to each other")
+    out = out.reshape(*shape, 13)
+    return Section(
+        out[..., :2],
+        out[..., 2],
+        out[..., 3] > 0.0,
+        out[..., 4:7],
+        out[..., 7:].reshape(*shape, 2, 3),
+    )
+
+
+def tangent_heading(
+    p: ArrayLike, center: ArrayLike, B: ArrayLike, direction: ArrayLike, clearance: ArrayLike
+) -> tuple[FloatArray, np.ndarray, FloatArray]:
+    """Heading from p past each ellipsoid, at a clearance, on a chosen side.
+
+    In the plane of e1 = unit(p_WO - p) and e2, the part of the direction omega
+    perpendicular to e1, the ellipsoid's shadow grown by the clearance Delta has the
+    support function h(n) + Delta, h(n)^2 = n^T B n. The line through p that supports it on
+    the side of omega has the normal n with n . (p - p_WO) = h(n) + Delta, and the half
+    space beyond it keeps Delta from the ellipsoid in all three dimensions. The heading is
+    along that line, past the obstacle.
+
+    Within the grown shadow there is no such line: n is then the direction in the
+    plane of the shortest way out, and the heading, perpendicular to it, leans outward by
+    up to 45 degrees in proportion to the depth below the clearance.
+
+    Args:
+        p: (3,) the point in W [m].
+        center: (M, 3) centres p_WO [m].
+        B: (M, 3, 3) shape matrices [m^2], see `shape_matrix`.
+        direction: (M, 3) chosen sides omega in W. Parallel to e1 or zero: any side.
+        clearance: () or (M,) clearances Delta >= 0 [m].
+
+    Returns:
+        heading (M, 3): unit headings v_t in W; inside (M,) bool: p is within the grown
+        shadow; normal (M, 3): unit normals n in W.
+
+    Raises:
+        ValueError: for shapes that do not fit.
+    """
+    p_, B_ = np.array(p, dtype=float), np.array(B, dtype=float)
+    center_, direction_ = np.array(center, dtype=float), np.array(direction, dtype=float)
+    count = len(center_)
+    if (
+        p_.shape != (3,)
+        or center_.shape != (count, 3)
+        or direction_.shape != (count, 3)
+        or B_.shape != (count, 3, 3)
+    ):
+        raise ValueError(
+            "tangent_heading: p must be (3,), center and direction (M, 3), B (M, 3, 3), not "
+            f"{p_.shape}, {center_.shape}, {direction_.shape}, {B_.shape}"
+        )
+    delta = np.array(clearance, dtype=float).reshape(-1)
+    if len(delta) not in (1, count):
+        raise ValueError(f"tangent_heading: clearance must be () or ({count},), not {delta.shape}")
+    heading, normal, inside = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
+    kernels.tangent_headings(
+        p_, center_, B_, direction_, delta, np.empty((7, 3)), heading, inside, normal
+    )
+    return heading, inside > 0.0, normal
+
+
+def checked_points(points: ArrayLike, name: str) -> FloatArray:
+    """The points as an array of floats, not copied where they are one already.
+
+    Args:
+        points: (N, 3) points, N >= 1.
+        name: what an error calls them.
+
+    Raises:
+        ValueError: if they are empty, not (N, 3) or not finite.
+    """
+    array = np.asarray(points, dtype=float)
+    if array.ndim != 2 or array.shape[1] != 3 or len(array) == 0:
+        raise ValueError(f"{name} must be a non-empty (N, 3) array, not of shape {array.shape}")
+    if not np.isfinite(array).all():
+        bad = int((~np.isfinite(array).all(axis=1)).sum())
+        raise ValueError(f"{name} must be finite; {bad} of {len(array)} rows are not")
+    return array
+
+
+def _least_volume(
+    points: FloatArray, tolerance: float, minimum: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Centre, rotation and semi-axes of the optimum, up to the tolerance."""
+    mean = points.mean(axis=0)
+    spread = points - mean
+    variance, V = np.linalg.eigh(spread.T @ spread / len(points))
+    V = V[:, ::-1]
+    scale = np.sqrt(np.maximum(variance[::-1], 0.0))
+    local = spread @ V
+    flat = np.abs(local).max(axis=0) <= max(0.01 * minimum, 1e-9 * float(scale[0]))
+    rank = 3 - int(flat.sum())
+    whitened = np.where(flat, 0.0, local / np.where(flat, 1.0, scale))
+    u = np.empty(len(points))
+    kernels.optimal_weights(whitened, rank, tolerance, _MAX_STEPS, u)
+    middle = u @ whitened
+    offset = whitened - middle
+    moment = (offset * u[:, None]).T @ offset * np.outer(scale, scale) * max(rank, 1)
+    moment[flat, :] = 0.0
+    moment[:, flat] = 0.0
+    moment[flat, flat] = minimum * minimum
+    squared, W = np.linalg.eigh(moment)
+    R = right_handed(V @ W[:, ::-1])
+    semi_axes = np.maximum(np.sqrt(np.maximum(squared[::-1], 0.0)), minimum)
+    return mean + V @ (middle * scale), R, semi_axes
+
+
+def right_handed(axes: FloatArray) -> FloatArray:
+    """A rotation from orthonormal columns of any sign, as an eigensolver leaves them.
+
+    Each column is turned so that its entry of largest magnitude is positive, whatever
+    sign the solver chose; then the last one is turned if the columns are left-handed.
+
+    Args:
+        axes: (3, 3) orthonormal columns.
+
+    Returns:
+        (3, 3) rotation.
+    """
+    peak = axes[np.argmax(np.abs(axes), axis=0), range(3)]
+    R = axes * np.where(peak < 0.0, -1.0, 1.0)
+    if np.linalg.det(R) < 0.0:
+        R[:, 2] = -R[:, 2]
+    return R
+
+
+def _farthest(
+    points: FloatArray, tool: FloatArray, center: FloatArray, R: FloatArray, semi_axes: FloatArray
+) -> tuple[float, int, int]:
+    """Largest gauge of points - tool, and the rows where it is."""
+    value, i, j = kernels.farthest_pair(
+        np.ascontiguousarray(((points - center) @ R) / semi_axes),
+        np.ascontiguousarray((tool @ R) / semi_axes),
+    )
+    return float(np.sqrt(value)), int(i), int(j)
+
+
+def _rows(*arrays: tuple[ArrayLike, int]) -> tuple[tuple[int, ...], list[FloatArray]]:
+    """Leading shape by broadcasting, and each array as rows: of that many, or just one.
+
+    Args:
+        arrays: each with the number of its trailing dimensions, all of size 3.
+    """
+    own, shape, mixed = [], (), False
+    for array, core in arrays:
+        copy = np.array(array, dtype=float, order="C")
+        split = copy.ndim - core
+        lead = copy.shape[:split] if split > 0 else ()
+        if copy.shape[len(lead) :] != _TRAILING[core]:
+            raise ValueError(f"expected trailing shape {_TRAILING[core]}, not shape {copy.shape}")
+        if lead and lead != shape:
+            mixed = mixed or bool(shape)
+            shape = lead
+        own.append((copy, core, lead))
+    if mixed:
+        shape = np.broadcast_shapes(*(lead for _, _, lead in own))
+    rows = []
+    for copy, core, lead in own:
+        if mixed and lead and lead != shape:
+            copy = np.array(np.broadcast_to(copy, shape + _TRAILING[core]), order="C")
+        rows.append(copy if copy.ndim == core + 1 else copy.reshape((-1,) + _TRAILING[core]))
+    return shape, rows

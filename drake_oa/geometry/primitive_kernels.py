@@ -1,0 +1,358 @@
+"""How fast a moving robot may go among points, compiled.
+
+`drake_oa.safety.monitors` and `drake_oa.safety.supervisor` call them. Every kernel takes
+C-contiguous arrays of one type (float64 and int64), so that numba compiles each of them once.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from drake_oa.common.messages import BoolArray, FloatArray, IntArray
+
+STOP_DISTANCE, PADDING, REACTION, LEAVE = 0, 1, 2, 3
+"""Where the rules are: distance at which an approach is at rest [m], how far an obstacle's
+surface may lie outside its points [m], time in which the motion is brought to rest [s], and
+the share of full speed at which a body that is nearer to what rests may leave."""
+N_RULES = 4
+"""Number of rules."""
+TABLE = -1
+"""The obstacle's row that stands for the table."""
+NOTHING = -2
+"""The obstacle's row where nothing limits the motion."""
+APPROACH = 1e-3
+"""Closing speeds at full speed below this are no approach [m/s], nor are joint speeds [rad/s]."""
+_TINY = 1e-12
+"""A point this near to a primitive's inner box has no direction away from it [m]."""
+AT_REST = 1e-3
+"""A body no point of which is faster at full speed does not move [m/s]."""
+
+
+@njit(cache=True, error_model="numpy")
+def point_distance(
+    x: float, y: float, z: float, size: FloatArray
+) -> tuple[float, float, float, float]:
+    """Signed distance of a point to a primitive, and the direction away from it.
+
+    Args:
+        x, y, z: the point in the primitive's frame [m].
+        size: (5,) half extents of the inner box and rounding radius [m], then 0; or radius,
+            0, half length, 0 of a cylinder about z [m], then 1.
+
+    Returns:
+        Distance [m], negative inside; unit gradient of it in that frame.
+    """
+    if size[4] != 0.0:
+        rho = math.sqrt(x * x + y * y)
+        ux, uy = (x / rho, y / rho) if rho > _TINY else (1.0, 0.0)
+        a, c = rho - size[0], abs(z) - size[2]
+        sz = 1.0 if z >= 0.0 else -1.0
+        if a <= _TINY and c <= _TINY:
+            if a > c:
+                return a, ux, uy, 0.0
+            return c, 0.0, 0.0, sz
+        a, c = max(a, 0.0), max(c, 0.0)
+        d = math.sqrt(a * a + c * c)
+        return d, ux * a / d, uy * a / d, sz * c / d
+    sx = 1.0 if x >= 0.0 else -1.0
+    sy = 1.0 if y >= 0.0 else -1.0
+    sz = 1.0 if z >= 0.0 else -1.0
+    a, b, c = abs(x) - size[0], abs(y) - size[1], abs(z) - size[2]
+    if a <= _TINY and b <= _TINY and c <= _TINY:
+        if a >= b and a >= c:
+            return a - size[3], sx, 0.0, 0.0
+        if b >= c:
+            return b - size[3], 0.0, sy, 0.0
+        return c - size[3], 0.0, 0.0, sz
+    a, b, c = max(a, 0.0), max(b, 0.0), max(c, 0.0)
+    d = math.sqrt(a * a + b * b + c * c)
+    return d - size[3], sx * a / d, sy * b / d, sz * c / d
+
+
+@njit(cache=True, error_model="numpy")
+def allowed_scale(distance: float, closing: float, oncoming: float, rules: FloatArray) -> float:
+    """Share of full speed at which a pair can be brought to rest in time.
+
+    While the motion approaches, share * closing + oncoming <= (distance - stop) / reaction;
+    so a resting obstacle is approached exponentially and never nearer than the stop distance.
+
+    Args:
+        distance: between the two [m].
+        closing: speed at which the robot's point approaches at full speed [m/s].
+        oncoming: speed at which the obstacle approaches [m/s], at least 0.
+        rules: (4,) see `STOP_DISTANCE`.
+    """
+    left = distance - rules[STOP_DISTANCE]
+    if closing <= APPROACH:
+        # What comes nearer by itself is left as fast as can be.
+        return 1.0 if left > 0.0 or oncoming > 0.0 else rules[LEAVE]
+    return min(1.0, max(0.0, (left / rules[REACTION] - oncoming) / closing))
+
+
+@njit(cache=True, error_model="numpy")
+def posed(X_WB: FloatArray, X_BG: FloatArray, X_WG: FloatArray) -> None:
+    """Sets X_WG, of which three rows and four columns are, to X_WB X_BG."""
+    for i in range(3):
+        for j in range(4):
+            X_WG[i, j] = X_WB[i, 0] * X_BG[0, j] + X_WB[i, 1] * X_BG[1, j] + X_WB[i, 2] * X_BG[2, j]
+        X_WG[i, 3] += X_WB[i, 3]
+
+
+@njit(cache=True, error_model="numpy")
+def to_frame(X_WG: FloatArray, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """A vector of the world in the frame that X_WG poses."""
+    return (
+        X_WG[0, 0] * x + X_WG[1, 0] * y + X_WG[2, 0] * z,
+        X_WG[0, 1] * x + X_WG[1, 1] * y + X_WG[2, 1] * z,
+        X_WG[0, 2] * x + X_WG[1, 2] * y + X_WG[2, 2] * z,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def speed_along(
+    X_WB: FloatArray,
+    V_WB: FloatArray,
+    x: float,
+    y: float,
+    z: float,
+    nx: float,
+    ny: float,
+    nz: float,
+) -> float:
+    """Speed along n of a body's point at (x, y, z) in the world [m/s]."""
+    x, y, z = x - X_WB[0, 3], y - X_WB[1, 3], z - X_WB[2, 3]
+    return (
+        nx * (V_WB[3] + V_WB[1] * z - V_WB[2] * y)
+        + ny * (V_WB[4] + V_WB[2] * x - V_WB[0] * z)
+        + nz * (V_WB[5] + V_WB[0] * y - V_WB[1] * x)
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def largest_speed(
+    X_WB: FloatArray, V_WB: FloatArray, x: float, y: float, z: float, radius: float
+) -> float:
+    """A bound on the speed of a body's points within a radius of (x, y, z) [m/s]."""
+    vx = speed_along(X_WB, V_WB, x, y, z, 1.0, 0.0, 0.0)
+    vy = speed_along(X_WB, V_WB, x, y, z, 0.0, 1.0, 0.0)
+    vz = speed_along(X_WB, V_WB, x, y, z, 0.0, 0.0, 1.0)
+    turning = math.sqrt(V_WB[0] ** 2 + V_WB[1] ** 2 + V_WB[2] ** 2)
+    return math.sqrt(vx * vx + vy * vy + vz * vz) + radius * turning
+
+
+@njit(cache=True, error_model="numpy")
+def deepest_point(
+    X_WG: FloatArray, size: FloatArray, nx: float, ny: float, nz: float
+) -> tuple[float, float, float]:
+    """The point of a posed primitive that is lowest along n, see `point_distance` for it."""
+    a, b, c = to_frame(X_WG, nx, ny, nz)
+    if size[4] != 0.0:
+        across = math.sqrt(a * a + b * b)
+        shift = size[0] / across if across > 0.0 else 0.0
+        x, y = -a * shift, -b * shift
+    else:
+        x = -math.copysign(size[0], a)
+        y = -math.copysign(size[1], b)
+    z = -math.copysign(size[2], c)
+    return (
+        X_WG[0, 0] * x + X_WG[0, 1] * y + X_WG[0, 2] * z + X_WG[0, 3] - size[3] * nx,
+        X_WG[1, 0] * x + X_WG[1, 1] * y + X_WG[1, 2] * z + X_WG[1, 3] - size[3] * ny,
+        X_WG[2, 0] * x + X_WG[2, 1] * y + X_WG[2, 2] * z + X_WG[2, 3] - size[3] * nz,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def approach_limit(
+    X_WB: FloatArray,
+    V_WB: FloatArray,
+    body_sphere: FloatArray,
+    shape_body: IntArray,
+    X_BG: FloatArray,
+    size: FloatArray,
+    bound: FloatArray,
+    points: FloatArray,
+    block_start: IntArray,
+    block_owner: IntArray,
+    block_sphere: FloatArray,
+    v_WO: FloatArray,
+    age: float,
+    table: FloatArray,
+    rules: FloatArray,
+) -> tuple[float, int, int, float, float]:
+    """The tightest of `allowed_scale` of any point of the robot and of the obstacles.
+
+    Args:
+        X_WB: (B, 4, 4) poses of the bodies.
+        V_WB: (B, 6) their angular and linear velocities at full speed [rad/s, m/s].
+        body_sphere: (B, 4) centre, in the body's frame, and radius of a sphere that holds
+            its primitives [m].
+        shape_body: (S,) the body of each primitive, ascending.
+        X_BG: (S, 4, 4) poses of the primitives in their bodies.
+        size: (S, 5) see `point_distance`.
+        bound: (S,) radii of spheres about the primitives' centres that hold them [m].
+        points: (N, 3) on the obstacles [m].
+        block_start: (K + 1,) where each block of points begins, and N.
+        block_owner: (K,) the obstacle's row.
+        block_sphere: (K, 4) centre and radius of a sphere that holds its points [m].
+        v_WO: (M, 3) velocities of the obstacles [m/s].
+        age: for how long they have moved so since the points were seen [s].
+        table: (4,) unit normal and offset of the plane [m]; NaN: there is none.
+        rules: (4,) see `STOP_DISTANCE`.
+
+    Returns:
+        Share of full speed, the row of the body and that of the obstacle that limit it
+        (`TABLE`, or `NOTHING`), their distance [m], and the obstacle's own share of the
+        closing speed [m/s].
+    """
+    best, best_body, best_obstacle, best_distance, best_oncoming = 1.0, -1, NOTHING, np.inf, 0.0
+    clear = rules[STOP_DISTANCE] + rules[PADDING]
+    X_WG, V_G = np.empty((3, 4)), np.empty(6)
+    near = np.empty(len(block_owner), dtype=np.int64)
+    has_table = not math.isnan(table[3])
+    first = 0
+    for body in range(len(X_WB)):
+        last = first
+        while last < len(shape_body) and shape_body[last] == body:
+            last += 1
+        begin, first = first, last
+        X, V = X_WB[body], V_WB[body]
+        bx, by, bz, radius = body_sphere[body]
+        cx = X[0, 0] * bx + X[0, 1] * by + X[0, 2] * bz + X[0, 3]
+        cy = X[1, 0] * bx + X[1, 1] * by + X[1, 2] * bz + X[1, 3]
+        cz = X[2, 0] * bx + X[2, 1] * by + X[2, 2] * bz + X[2, 3]
+        fastest = largest_speed(X, V, cx, cy, cz, radius)
+        if fastest <= AT_REST:
+            continue
+        candidates = 0
+        for block in range(len(block_owner)):
+            owner = block_owner[block]
+            ux, uy, uz = v_WO[owner, 0], v_WO[owner, 1], v_WO[owner, 2]
+            speed = math.sqrt(ux * ux + uy * uy + uz * uz)
+            dx = block_sphere[block, 0] + ux * age - cx
+            dy = block_sphere[block, 1] + uy * age - cy
+            dz = block_sphere[block, 2] + uz * age - cz
+            # Nothing farther away than this can be tighter than the best yet.
+            reach = clear + rules[REACTION] * (best * fastest + speed)
+            most = radius + block_sphere[block, 3] + reach
+            if dx * dx + dy * dy + dz * dz <= most * most:
+                near[candidates] = block
+                candidates += 1
+        for shape in range(begin, last):
+            posed(X, X_BG[shape], X_WG)
+            gx, gy, gz = X_WG[0, 3], X_WG[1, 3], X_WG[2, 3]
+            fastest = largest_speed(X, V, gx, gy, gz, bound[shape])
+            if has_table:
+                px, py, pz = deepest_point(X_WG, size[shape], table[0], table[1], table[2])
+                distance = px * table[0] + py * table[1] + pz * table[2] - table[3]
+                closing = -speed_along(X, V, px, py, pz, table[0], table[1], table[2])
+                scale = allowed_scale(distance, closing, 0.0, rules)
+                if scale < best:
+                    best, best_body, best_obstacle = scale, body, TABLE
+                    best_distance, best_oncoming = distance, 0.0
+            # The body's motion about the primitive's origin, and all else, in its frame.
+            V_G[:3] = to_frame(X_WG, V[0], V[1], V[2])
+            V_G[3] = speed_along(X, V, gx, gy, gz, X_WG[0, 0], X_WG[1, 0], X_WG[2, 0])
+            V_G[4] = speed_along(X, V, gx, gy, gz, X_WG[0, 1], X_WG[1, 1], X_WG[2, 1])
+            V_G[5] = speed_along(X, V, gx, gy, gz, X_WG[0, 2], X_WG[1, 2], X_WG[2, 2])
+            for candidate in range(candidates):
+                block = near[candidate]
+                owner = block_owner[block]
+                ux, uy, uz = v_WO[owner, 0], v_WO[owner, 1], v_WO[owner, 2]
+                speed = math.sqrt(ux * ux + uy * uy + uz * uz)
+                reach = clear + rules[REACTION] * (best * fastest + speed)
+                ox, oy, oz = gx - ux * age, gy - uy * age, gz - uz * age
+                dx = block_sphere[block, 0] - ox
+                dy = block_sphere[block, 1] - oy
+                dz = block_sphere[block, 2] - oz
+                most = bound[shape] + block_sphere[block, 3] + reach
+                if dx * dx + dy * dy + dz * dz > most * most:
+                    continue
+                x, y, z = to_frame(X_WG, dx, dy, dz)
+                distance, nx, ny, nz = point_distance(x, y, z, size[shape])
+                if distance > block_sphere[block, 3] + reach:
+                    continue
+                ux, uy, uz = to_frame(X_WG, ux, uy, uz)
+                for row in range(block_start[block], block_start[block + 1]):
+                    dx, dy, dz = points[row, 0] - ox, points[row, 1] - oy, points[row, 2] - oz
+                    x, y, z = to_frame(X_WG, dx, dy, dz)
+                    distance, nx, ny, nz = point_distance(x, y, z, size[shape])
+                    if distance > reach:
+                        continue
+                    x, y, z = x - distance * nx, y - distance * ny, z - distance * nz
+                    closing = (
+                        nx * (V_G[3] + V_G[1] * z - V_G[2] * y)
+                        + ny * (V_G[4] + V_G[2] * x - V_G[0] * z)
+                        + nz * (V_G[5] + V_G[0] * y - V_G[1] * x)
+                    )
+                    oncoming = max(0.0, -(nx * ux + ny * uy + nz * uz))
+                    distance -= rules[PADDING]
+                    scale = allowed_scale(distance, closing, oncoming, rules)
+                    if scale < best:
+                        best, best_body, best_obstacle = scale, body, owner
+                        best_distance, best_oncoming = distance, oncoming
+    return best, best_body, best_obstacle, best_distance, best_oncoming
+
+
+@njit(cache=True, error_model="numpy")
+def full_speed_motion(
+    J: FloatArray,
+    v: FloatArray,
+    v_WE: FloatArray,
+    p_WE: FloatArray,
+    X_WB: FloatArray,
+    moved: BoolArray,
+    damping: float,
+) -> tuple[FloatArray, FloatArray]:
+    """Velocities of joints and bodies if the policy ran at full speed.
+
+    The tool point moves as the policy wants, without turning; in the null space of the tool
+    the arm moves as it does.
+
+    Args:
+        J: (6, n) Jacobian of the tool's angular and linear velocity in the world.
+        v: (n,) joint velocities [rad/s].
+        v_WE: (3,) velocity of the tool point at full speed, in the world [m/s].
+        p_WE: (3,) the tool point [m].
+        X_WB: (B, 4, 4) poses of the bodies.
+        moved: (B, n) whether a joint moves a body.
+        damping: of the least-squares solution, against singular postures [m^2].
+
+    Returns:
+        (n,) joint velocities [rad/s]; (B, 6) angular and linear velocities of the bodies in
+        the world [rad/s, m/s].
+    """
+    n = len(v)
+    lacking = np.zeros(6)
+    square = np.zeros((6, 6))
+    for i in range(6):
+        lacking[i] = v_WE[i - 3] if i >= 3 else 0.0
+        for k in range(n):
+            lacking[i] -= J[i, k] * v[k]
+        for j in range(6):
+            for k in range(n):
+                square[i, j] += J[i, k] * J[j, k]
+        square[i, i] += damping
+    share = np.linalg.solve(square, lacking)
+    joint = v.copy()
+    for k in range(n):
+        for i in range(6):
+            joint[k] += J[i, k] * share[i]
+    V_WB = np.zeros((len(X_WB), 6))
+    for body in range(len(X_WB)):
+        x = X_WB[body, 0, 3] - p_WE[0]
+        y = X_WB[body, 1, 3] - p_WE[1]
+        z = X_WB[body, 2, 3] - p_WE[2]
+        V = V_WB[body]
+        for k in range(n):
+            if moved[body, k]:
+                wx, wy, wz = J[0, k], J[1, k], J[2, k]
+                V[0] += joint[k] * wx
+                V[1] += joint[k] * wy
+                V[2] += joint[k] * wz
+                V[3] += joint[k] * (J[3, k] + wy * z - wz * y)
+                V[4] += joint[k] * (J[4, k] + wz * x - wx * z)
+                V[5] += joint[k] * (J[5, k] + wx * y - wy * x)
+    return joint, V_WB

@@ -1,0 +1,91 @@
+"""Rotations: vectors, matrices and quaternions, and what is turned by them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike
+
+from drake_oa.common.messages import FloatArray
+
+
+@njit(cache=True, error_model="numpy")
+def rotation_vector(R: FloatArray) -> FloatArray:
+    """Log map of a rotation: unit axis times angle, the angle in [0, pi].
+
+    Args:
+        R: (3, 3) rotation matrix.
+
+    Returns:
+        (3,) rotation vector [rad].
+    """
+    twice = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    sine = 0.5 * math.sqrt(twice[0] ** 2 + twice[1] ** 2 + twice[2] ** 2)
+    cosine = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)
+    angle = math.atan2(sine, cosine)
+    if cosine > 0.0:
+        scale = 0.5 * angle / sine if sine > 1e-8 else 0.5
+        return scale * twice
+    # Towards half a turn the antisymmetric part fades; the symmetric part is
+    # cos I + (1 - cos) a a^T, from whose largest column the axis a follows.
+    k = 0
+    for i in range(1, 3):
+        if R[i, i] > R[k, k]:
+            k = i
+    axis = np.empty(3)
+    for i in range(3):
+        axis[i] = 0.5 * (R[i, k] + R[k, i])
+    axis[k] -= cosine
+    norm = math.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
+    sense = axis[0] * twice[0] + axis[1] * twice[1] + axis[2] * twice[2]
+    return (angle / norm if sense >= 0.0 else -angle / norm) * axis
+
+
+@njit(cache=True, error_model="numpy")
+def rotation_of(quaternion: FloatArray) -> FloatArray:
+    """Rotation matrix (3, 3) of a quaternion (4,), w first, of any length but zero.
+
+    All NaN where the quaternion is zero or not finite.
+    """
+    largest = 0.0
+    for i in range(4):
+        largest = max(largest, abs(quaternion[i]))
+    # Divided by the largest first, no square of a finite number over- or underflows.
+    w, x, y, z = quaternion / largest
+    twice = 2.0 / (w * w + x * x + y * y + z * z)
+    R = np.empty((3, 3))
+    R[0, 0], R[1, 1], R[2, 2] = (
+        1.0 - twice * (y * y + z * z),
+        1.0 - twice * (x * x + z * z),
+        1.0 - twice * (x * x + y * y),
+    )
+    R[0, 1], R[1, 0] = twice * (x * y - w * z), twice * (x * y + w * z)
+    R[0, 2], R[2, 0] = twice * (x * z + w * y), twice * (x * z - w * y)
+    R[1, 2], R[2, 1] = twice * (y * z - w * x), twice * (y * z + w * x)
+    return R
+
+
+def turned_about(points: ArrayLike, axis: FloatArray, turn: float) -> FloatArray:
+    """Points (N, 3) turned about a unit axis (3,) through the origin, by an angle [rad].
+
+    For turn 0 they are the very same numbers. Rodrigues' formula.
+    """
+    p = np.array(points, dtype=float)
+    if turn == 0.0:
+        return p
+    along = (p @ axis)[:, None] * axis
+    return along + np.cos(turn) * (p - along) + np.sin(turn) * np.cross(axis, p)
+
+
+def unit_axis(axis_W: ArrayLike) -> FloatArray:
+    """(3,) of length 1.
+
+    Raises:
+        ValueError: if it is not three finite numbers, or all are 0.
+    """
+    axis = np.array(axis_W, dtype=float)
+    if axis.shape != (3,) or not 0.0 < np.linalg.norm(axis) < np.inf:
+        raise ValueError(f"the axis of a turn must be 3 finite numbers, not all 0, not {axis}")
+    return np.asarray(axis / np.linalg.norm(axis))

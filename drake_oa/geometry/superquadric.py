@@ -1,0 +1,308 @@
+"""Superquadrics and their least-squares fit (Pairet et al. 2019, eq. sq, eq. sq_min).
+
+In its own frame a superquadric of semi-axes lambda_1..3 and exponents lambda_4,
+lambda_5 is the set F <= 1 of
+
+    F(x, y, z) = ((x/lambda_1)^(2/lambda_5) + (y/lambda_2)^(2/lambda_5))^(lambda_5/lambda_4)
+                 + (z/lambda_3)^(2/lambda_4)                               (eq. sq)
+
+with absolute values in the powers' bases: 1 and 1 is an ellipsoid, 0.1 nearly a box,
+2 a double cone. F^(lambda_4/2) is homogeneous of degree one: a gauge, like a norm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from drake_oa.common.messages import FloatArray, Frozen
+from drake_oa.geometry.ellipsoid import checked_points, right_handed, unit_directions
+
+EXPONENT_RANGE = (0.1, 2.0)
+"""Range of lambda_4 and lambda_5: the convex superquadrics, short of singular ones."""
+
+Residual = Literal["bajcsy", "printed"]
+
+
+@dataclass(frozen=True, eq=False)
+class Superquadric(Frozen):
+    """One superquadric in the world frame.
+
+    Attributes:
+        center: (3,) centre p_WO [m].
+        R: (3, 3) rotation R_WO; the columns are the axes x, y, z of eq. sq.
+        semi_axes: (3,) lambda_1, lambda_2, lambda_3 [m].
+        exponents: (2,) lambda_4, lambda_5.
+    """
+
+    center: FloatArray = field(default_factory=lambda: np.zeros(3))
+    R: FloatArray = field(default_factory=lambda: np.eye(3))
+    semi_axes: FloatArray = field(default_factory=lambda: np.ones(3))
+    exponents: FloatArray = field(default_factory=lambda: np.ones(2))
+
+    def local(self, p: ArrayLike) -> FloatArray:
+        """Points p (..., 3) of W in the superquadric's own frame [m]."""
+        return np.asarray((np.asarray(p, dtype=float) - self.center) @ self.R)
+
+
+@dataclass(frozen=True, eq=False)
+class SuperquadricFit(Frozen):
+    """A fitted superquadric and how well it fits.
+
+    Attributes:
+        shape: the superquadric.
+        residual: root mean square of the residuals of the objective [m^1.5].
+        coverage: fraction of the points with F <= 1.
+        protrusion: largest radial distance of a point outside; 0 if all are inside [m].
+        converged: whether the solver met its tolerances.
+    """
+
+    shape: Superquadric
+    residual: float
+    coverage: float
+    protrusion: float
+    converged: bool
+
+
+def log_inside_outside(p_O: ArrayLike, semi_axes: ArrayLike, exponents: ArrayLike) -> FloatArray:
+    """ln F (eq. sq); finite wherever the point is not the centre, there -inf.
+
+    With lambda_5 = 0.1 a point at 20 semi-axes already has a term of 20^20; sums
+    of logarithms neither overflow nor lose the smaller term.
+
+    Args:
+        p_O: (..., 3) points in the superquadric's frame [m].
+        semi_axes: (3,) lambda_1..3 > 0 [m].
+        exponents: (2,) lambda_4, lambda_5 > 0.
+    """
+    l4, l5 = np.asarray(exponents, dtype=float)
+    with np.errstate(divide="ignore"):
+        log = np.log(np.abs(np.asarray(p_O, dtype=float)) / np.asarray(semi_axes, dtype=float))
+    across = np.logaddexp(2.0 / l5 * log[..., 0], 2.0 / l5 * log[..., 1]) * (l5 / l4)
+    return np.asarray(np.logaddexp(across, 2.0 / l4 * log[..., 2]))
+
+
+def inside_outside(shape: Superquadric, p: ArrayLike) -> FloatArray:
+    """F (eq. sq): below 1 inside, 1 on the surface, above 1 outside.
+
+    Args:
+        shape: the superquadric.
+        p: (..., 3) points in W [m].
+
+    Returns:
+        (...) values; inf where F itself is not a double any more.
+    """
+    with np.errstate(over="ignore"):
+        return np.exp(log_inside_outside(shape.local(p), shape.semi_axes, shape.exponents))
+
+
+def radial_distance(shape: Superquadric, p: ArrayLike) -> FloatArray:
+    """Distance to the surface along the ray from the centre, negative inside, (...) [m].
+
+    |p| (1 - F^(-lambda_4/2)), the usual approximation of the Euclidean distance: exact
+    for spheres and on the axes, too large elsewhere. At the centre it is minus the
+    smallest semi-axis.
+    """
+    local = shape.local(p)
+    reach = np.sqrt(np.sum(local * local, axis=-1))
+    log = log_inside_outside(local, shape.semi_axes, shape.exponents)
+    at_center = reach == 0.0
+    scale = np.exp(-0.5 * shape.exponents[0] * np.where(at_center, 0.0, log))
+    return np.asarray(np.where(at_center, -shape.semi_axes.min(), reach * (1.0 - scale)))
+
+
+def surface_points(shape: Superquadric, count: int = 642) -> FloatArray:
+    """(count, 3) points of the surface in W [m], one along each of `unit_directions`.
+
+    The directions are stretched by the semi-axes, so that flat shapes are covered too.
+    """
+    rays = unit_directions(count) * shape.semi_axes
+    log = log_inside_outside(rays, shape.semi_axes, shape.exponents)
+    local = rays * np.exp(-0.5 * shape.exponents[0] * log)[:, None]
+    return np.asarray(shape.center + local @ shape.R.T)
+
+
+def fit_superquadric(
+    points: ArrayLike,
+    *,
+    exponents: tuple[float, float] | None = (1.0, 1.0),
+    residual: Residual = "bajcsy",
+    minimum_semi_axis: float = 1e-3,
+) -> SuperquadricFit:
+    """Least-squares superquadric of a (dilated) cloud.
+
+    The print of eq. sq_min has no square: its sum is unbounded below, and grows more
+    negative with every larger superquadric. Here, after Solina and Bajcsy (1990),
+
+        min  sum_i r_i^2,   r_i = sqrt(lambda_1 lambda_2 lambda_3) (F_i^p - 1),
+
+    with p = lambda_4 ("bajcsy"; F^lambda_4 grows with the square of the distance
+    whatever the exponents) or p = 1 ("printed"). For ellipsoids the two are one.
+    Centre, rotation, semi-axes and, where they are free, exponents are sought together
+    from the cloud's principal axes; with free exponents once for each choice of
+    the z axis, which eq. sq treats apart.
+
+    Args:
+        points: (N, 3) points in W [m].
+        exponents: fixed (lambda_4, lambda_5), or None to fit them in `EXPONENT_RANGE`.
+        residual: which p.
+        minimum_semi_axis: least semi-axis [m]; thin clouds need one.
+
+    Raises:
+        ValueError: if points are empty, not (N, 3) or not finite; if the exponents are
+            out of range, the residual unknown, or minimum_semi_axis not positive.
+    """
+    cloud = checked_points(points, "points")
+    low, high = EXPONENT_RANGE
+    if exponents is not None and not all(low <= value <= high for value in exponents):
+        raise ValueError(f"fit_superquadric: exponents {exponents} must lie in [{low}, {high}]")
+    if residual not in ("bajcsy", "printed"):
+        raise ValueError(f"fit_superquadric: residual '{residual}'; it must be bajcsy or printed")
+    if not minimum_semi_axis > 0.0:
+        raise ValueError(f"fit_superquadric: minimum_semi_axis {minimum_semi_axis} is not positive")
+    mean = cloud.mean(axis=0)
+    _, V = np.linalg.eigh((cloud - mean).T @ (cloud - mean))
+    R = right_handed(V[:, ::-1])
+    local = (cloud - mean) @ R
+    box = np.ptp(local, axis=0)
+    problem = _Problem(
+        local,
+        middle=0.5 * (local.max(axis=0) + local.min(axis=0)),
+        half=np.maximum(0.5 * box, minimum_semi_axis),
+        minimum=minimum_semi_axis,
+        exponents=exponents,
+        power=residual,
+    )
+    turns = [(0, 1, 2)] if exponents is not None else [(0, 1, 2), (1, 2, 0), (2, 0, 1)]
+    solutions = [problem.solve(turn) for turn in turns]
+    best = min(solutions, key=lambda solution: solution[0])
+    cost, center, turn_R, semi_axes, powers, converged = best
+    shape = Superquadric(mean + R @ center, R @ turn_R, semi_axes, powers)
+    outside = radial_distance(shape, cloud)
+    return SuperquadricFit(
+        shape=shape,
+        residual=float(np.sqrt(2.0 * cost / len(cloud))),
+        coverage=float(np.mean(outside <= 0.0)),
+        protrusion=max(0.0, float(outside.max())),
+        converged=converged,
+    )
+
+
+_Solution = tuple[float, FloatArray, FloatArray, FloatArray, FloatArray, bool]
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """The least-squares problem in the cloud's principal axes.
+
+    Unknowns: centre in half extents, rotation vector, logarithms of the semi-axes
+    over the half extents, and the exponents where they are free.
+    """
+
+    points: FloatArray
+    middle: FloatArray
+    half: FloatArray
+    minimum: float
+    exponents: tuple[float, float] | None
+    power: Residual
+
+    def solve(self, turn: tuple[int, int, int]) -> _Solution:
+        """Solves from the axes in the order of `turn`."""
+        half = self.half[list(turn)]
+        # Far beyond what a good fit needs, but short of shapes without end.
+        least = np.log(np.minimum(self.minimum / half, 0.999))
+        lower = np.concatenate([np.full(3, -3.0), np.full(3, -np.inf), least])
+        upper = np.concatenate([np.full(3, 3.0), np.full(3, np.inf), np.full(3, np.log(10.0))])
+        start = np.zeros(9)
+        if self.exponents is None:
+            lower = np.concatenate([lower, np.full(2, EXPONENT_RANGE[0])])
+            upper = np.concatenate([upper, np.full(2, EXPONENT_RANGE[1])])
+            start = np.concatenate([start, [1.0, 1.0]])
+        found = least_squares(
+            self.residuals,
+            start,
+            self.jacobian,
+            bounds=(lower, upper),
+            max_nfev=200,
+            kwargs={"turn": turn},
+        )
+        center, rotation, semi_axes, powers = self._read(found.x, turn)
+        semi_axes = np.maximum(semi_axes, self.minimum)
+        return float(found.cost), center, rotation, semi_axes, powers, bool(found.status > 0)
+
+    def residuals(self, x: FloatArray, turn: tuple[int, int, int] = (0, 1, 2)) -> FloatArray:
+        """(N,) residuals of the unknowns x."""
+        center, rotation, semi_axes, powers = self._read(x, turn)
+        log = log_inside_outside((self.points - center) @ rotation, semi_axes, powers)
+        return np.asarray(np.sqrt(np.prod(semi_axes)) * (self._grown(log, powers) - 1.0))
+
+    def jacobian(self, x: FloatArray, turn: tuple[int, int, int] = (0, 1, 2)) -> FloatArray:
+        """(N, 9 or 11) derivatives of the residuals."""
+        center, rotation, semi_axes, powers = self._read(x, turn)
+        local = (self.points - center) @ rotation
+        log, by_log, by_powers = _log_derivatives(local, semi_axes, powers)
+        size, grown = np.sqrt(np.prod(semi_axes)), self._grown(log, powers)
+        degree = powers[0] if self.power == "bajcsy" else 1.0
+        slope = size * degree * grown
+        gradient = np.divide(by_log, local, out=np.zeros_like(local), where=local != 0.0)
+        columns = [
+            -slope[:, None] * (gradient @ rotation.T) * self.half,
+            slope[:, None] * (np.cross(gradient, local) @ _right_jacobian(x[3:6])),
+            0.5 * size * (grown - 1.0)[:, None] - slope[:, None] * by_log,
+        ]
+        if self.exponents is None:
+            columns.append(slope[:, None] * by_powers)
+            if self.power == "bajcsy":
+                columns[-1][:, 0] += size * grown * np.where(grown > 0.0, log, 0.0)
+        return np.concatenate(columns, axis=1)
+
+    def _read(
+        self, x: FloatArray, turn: tuple[int, int, int]
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Centre, rotation, semi-axes and exponents of the unknowns x."""
+        order = list(turn)
+        powers = x[9:] if self.exponents is None else np.asarray(self.exponents, dtype=float)
+        rotation = Rotation.from_rotvec(x[3:6]).as_matrix()[np.argsort(order)]
+        return self.middle + self.half * x[:3], rotation, self.half[order] * np.exp(x[6:9]), powers
+
+    def _grown(self, log: FloatArray, powers: FloatArray) -> FloatArray:
+        # The ceiling keeps a trial step far off finite; no solution is near it.
+        return np.exp(np.minimum((powers[0] if self.power == "bajcsy" else 1.0) * log, 200.0))
+
+
+def _log_derivatives(
+    p_O: FloatArray, semi_axes: FloatArray, exponents: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """ln F (N,); its derivatives by ln |p_i| (N, 3) and by lambda_4, lambda_5 (N, 2)."""
+    l4, l5 = exponents
+    with np.errstate(divide="ignore", invalid="ignore"):
+        terms = 2.0 / l5 * np.log(np.abs(p_O) / semi_axes)
+        across = np.logaddexp(terms[:, 0], terms[:, 1])
+        parts = np.stack([across, terms[:, 2]], axis=1) * (l5 / l4)
+        log = np.logaddexp(parts[:, 0], parts[:, 1])
+        # A share of nothing (on the z axis, at the centre) is zero, not a NaN.
+        share = np.nan_to_num(np.exp(parts - log[:, None]))
+        inner = np.nan_to_num(np.exp(terms[:, :2] - across[:, None]))
+        weighted = np.where(share > 0.0, share * parts, 0.0).sum(axis=1)
+        spread = across - np.where(inner > 0.0, inner * terms[:, :2], 0.0).sum(axis=1)
+        by_l5 = np.where(share[:, 0] > 0.0, share[:, 0] * spread, 0.0) / l4
+    by_log = 2.0 / l4 * np.concatenate([share[:, :1] * inner, share[:, 1:]], axis=1)
+    return log, by_log, np.stack([-weighted / l4, by_l5], axis=1)
+
+
+def _right_jacobian(r: FloatArray) -> FloatArray:
+    """J with exp(r + d) = exp(r) exp(J d) to first order in d, for rotation vectors."""
+    angle = float(np.linalg.norm(r))
+    skew = np.array([[0.0, -r[2], r[1]], [r[2], 0.0, -r[0]], [-r[1], r[0], 0.0]])
+    if angle < 1e-4:
+        return np.eye(3) - 0.5 * skew + skew @ skew / 6.0
+    return np.asarray(
+        np.eye(3)
+        - (1.0 - np.cos(angle)) / angle**2 * skew
+        + (angle - np.sin(angle)) / angle**3 * skew @ skew
+    )

@@ -1,0 +1,1 @@
+"""From a depth image or a point cloud to obstacles with velocities."""

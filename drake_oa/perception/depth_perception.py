@@ -1,0 +1,164 @@
+"""Obstacles from a depth camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context, LeafSystem, State
+from pydrake.systems.sensors import CameraInfo, ImageDepth32F
+
+from drake_oa.common.ports import read_value, valid_period
+from drake_oa.geometry.collision_shapes import RobotModel
+from drake_oa.geometry.pinhole import pinhole
+from drake_oa.geometry.self_filter import PosedShapes
+from drake_oa.perception.obstacle_memory import TrackingConfig
+from drake_oa.perception.perception_state import PerceptionState, log_change
+from drake_oa.perception.point_cloud import SegmentationConfig, segment_depth
+from drake_oa.perception.tracking import fuse
+
+_NO_NEW_IMAGE = "no new image"
+_AFTER = 1e-4
+"""How long after an image has come it is looked at [s]."""
+
+
+class DepthPerception(LeafSystem):
+    """Sees what stands on the table: one cluster of points for each obstacle.
+
+    .. pydrake_system::
+
+      name: DepthPerception
+      input_ports:
+      - depth_image
+      - camera_pose
+      - robot_state (optional)
+      - image_stamp (optional)
+      output_ports:
+      - obstacles_W
+      - cloud
+
+    Port `depth_image`: ImageDepth32F, depth along the optical axis [m]; 0 is too
+    near, inf too far, NaN missing.
+
+    Port `camera_pose`: RigidTransform X_WC of the depth camera (x right, y down,
+    z forward) in the world.
+
+    Port `robot_state` (optional): (num_states,) vector [q, v] of the robot [rad, m
+    and per s], whose own points are removed; while it is not connected nothing is
+    removed. A system made without `robot` does not have this port.
+
+    Port `image_stamp` (optional): (1,) time at which the image was taken [s]; while it is
+    not connected, the time at which it is pulled. An image that was not taken after the last
+    good one is no new observation: nothing changes but the `note`.
+
+    Port `obstacles_W`: ObstacleClouds in the world frame [m], with names and velocities.
+
+    Port `cloud`: PointCloud of every point above the table, in the world frame [m],
+    the robot's own included: for viewing.
+
+    The inputs are pulled at initialization and then every `period` (a simulated
+    camera renders anew each time it is asked), and the outputs are held between.
+    Obstacles keep their names, and the points that an arm hides; an obstacle that does
+    not move keeps its cloud, bit for bit, until it is seen to reach farther or less far
+    (see `drake_oa.perception.tracking.fuse`, also for frames that repeat or go back in time). A
+    frame that shows no table leaves the obstacles and their stamp as they were, and says why in
+    `note`: a receiver tells from the stamp how old they are.
+    """
+
+    def __init__(
+        self,
+        camera: CameraInfo | Sequence[float],
+        *,
+        config: SegmentationConfig | None = None,
+        tracking: TrackingConfig | None = None,
+        robot: RobotModel | None = None,
+        pixel_center: float = 0.0,
+        period: float = 1.0 / 15.0,
+        delay: float = 0.0,
+    ) -> None:
+        """Declares ports, state and events.
+
+        Args:
+            camera: the depth camera's intrinsics, or [fx, fy, cx, cy] [pixel].
+            config: how frames are segmented; `table_height` there is the prior on
+                the table. None for the defaults.
+            tracking: how obstacles are followed, and with which noise; None for the
+                defaults.
+            robot: from `collect_collision_shapes`; None for no self filter.
+            pixel_center: image coordinates of the middle of the first pixel
+                [pixel]. 0 is the usual convention, and what CameraInfo documents;
+                Drake 1.51's RenderEngineVtk renders as if it were 0.5, which
+                turns the scene by half a pixel where it is not allowed for.
+            period: time between frames [s].
+            delay: how long after a period's beginning its image comes [s].
+
+        Raises:
+            ValueError: for a period that is not positive, a negative delay or invalid intrinsics.
+        """
+        super().__init__()
+        if isinstance(camera, CameraInfo):
+            self._size: tuple[int, int] | None = (camera.height(), camera.width())
+            camera = pinhole(camera)
+        else:
+            self._size = None
+        self._K = np.array(camera, dtype=float)
+        if self._K.shape != (4,) or not np.isfinite(self._K).all() or (self._K[:2] <= 0.0).any():
+            raise ValueError(f"camera must be [fx, fy, cx, cy] in pixels, not {camera}")
+        if not abs(pixel_center) <= 1.0:
+            raise ValueError(f"pixel_center must lie in [-1, 1] pixels, not {pixel_center}")
+        self._K[2:] -= pixel_center
+        if not 0.0 <= delay < np.inf:
+            raise ValueError(f"delay must be finite and not negative [s], not {delay}")
+        self._config = config or SegmentationConfig()
+        self._tracking = tracking or TrackingConfig()
+        self._robot = robot
+        period = valid_period(period)
+        self._image_port = self.DeclareAbstractInputPort("depth_image", Value(ImageDepth32F()))
+        self._pose_port = self.DeclareAbstractInputPort("camera_pose", Value(RigidTransform()))
+        self._robot_port = (
+            None if robot is None else self.DeclareVectorInputPort("robot_state", robot.num_states)
+        )
+        self._stamp_port = self.DeclareVectorInputPort("image_stamp", 1)
+        self._state = PerceptionState.declare(self)
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._update)
+        # The first frame is the initialization's.
+        offset = period + delay + _AFTER if delay else period
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, offset, self._update)
+
+    def _update(self, context: Context, state: State) -> None:
+        time = context.get_time()
+        previous = self._state.read(context)
+        before = previous.obstacles
+        stamp = time
+        if self._stamp_port.HasValue(context):
+            stamp = float(self._stamp_port.Eval(context)[0])
+            if not stamp > before.stamp:
+                log_change(self, before.note, _NO_NEW_IMAGE, time)
+                same = replace(before, note=_NO_NEW_IMAGE)
+                self._state.write(state, replace(previous, obstacles=same), None)
+                return
+        image: Any = read_value(self, self._image_port, context, ImageDepth32F)
+        pose: Any = read_value(self, self._pose_port, context, RigidTransform)
+        depth, X_WC = image.data[:, :, 0], pose.GetAsMatrix4()
+        if self._size is not None and depth.shape != self._size:
+            raise ValueError(
+                f"{self.get_name()}: depth_image is {depth.shape[1]}x{depth.shape[0]}; the "
+                f"camera's intrinsics are for {self._size[1]}x{self._size[0]} pixels"
+            )
+        robot = self._posed_robot(context)
+        frame = segment_depth(depth, self._K, X_WC, self._config, robot)
+        memory = fuse(previous, frame, depth, self._K, stamp, self._config, robot, self._tracking)
+        log_change(self, before.note, memory.obstacles.note, time)
+        self._state.write(state, memory, None if frame.note else frame.points_W)
+
+    def _posed_robot(self, context: Context) -> PosedShapes | None:
+        if self._robot is None or self._robot_port is None:
+            return None
+        if not self._robot_port.HasValue(context):
+            return None
+        robot_state: Any = self._robot_port.Eval(context)
+        return self._robot.posed(robot_state)

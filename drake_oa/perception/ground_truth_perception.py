@@ -1,0 +1,142 @@
+"""Obstacles as the simulated world knows them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.geometry import FrameId, QueryObject, SceneGraphInspector
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import ModelInstanceIndex
+from pydrake.systems.framework import Context, LeafSystem, State
+
+from drake_oa.common.messages import OUT_OF_WORLD, FloatArray, ObstacleClouds, TablePlane
+from drake_oa.common.ports import read_value, valid_period
+from drake_oa.geometry.collision_shapes import surface_points
+from drake_oa.perception.obstacle_memory import ObstacleMemory
+from drake_oa.perception.perception_state import PerceptionState
+
+_AT_REST = 1e-3
+"""A slower obstacle is taken to rest [m/s]: contact lets a standing one tremble."""
+
+
+class GroundTruthPerception(LeafSystem):
+    """Knows the obstacles' collision geometry and asks SceneGraph where it is.
+
+    .. pydrake_system::
+
+      name: GroundTruthPerception
+      input_ports:
+      - query_object
+      output_ports:
+      - obstacles_W
+      - cloud
+
+    Port `query_object`: QueryObject of the scene graph that holds the obstacles.
+
+    Port `obstacles_W`: ObstacleClouds in the world frame [m]: points all over the
+    surface of each model instance, hidden sides included; its id is the place of
+    the instance in the constructor's list. What is farther from the world's origin than
+    `moving_obstacles.OUT_OF_WORLD` is absent, and left out.
+
+    Port `cloud`: PointCloud of all those points, in the world frame [m].
+
+    The poses are read at initialization and then every `period`. The velocity of an
+    obstacle is how far the centroid of its points went since the last reading, and exactly
+    zero below 1 mm/s and at the first reading in which it is there.
+    """
+
+    def __init__(
+        self,
+        plant: MultibodyPlant,
+        inspector: SceneGraphInspector,
+        obstacles: Sequence[ModelInstanceIndex],
+        *,
+        table: TablePlane | None = None,
+        points_per_geometry: int = 300,
+        period: float = 1.0 / 15.0,
+    ) -> None:
+        """Samples the obstacles' surfaces, and declares ports, state and events.
+
+        Args:
+            plant: finalized plant that holds the obstacles.
+            inspector: of its scene graph.
+            obstacles: one model instance an obstacle.
+            table: the supporting plane handed on; None for no table.
+            points_per_geometry: about how many points sample each geometry, >= 30.
+            period: time between updates [s].
+
+        Raises:
+            ValueError: for an obstacle without collision geometry, of an unbounded
+                shape, or a period that is not positive.
+        """
+        super().__init__()
+        self._table = table
+        self._samples = tuple(
+            _body_fixed_samples(plant, inspector, instance, points_per_geometry)
+            for instance in obstacles
+        )
+        period = valid_period(period)
+        self._query_port = self.DeclareAbstractInputPort("query_object", Value(QueryObject()))
+        self._state = PerceptionState.declare(self)
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._update)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._update)
+
+    def _update(self, context: Context, state: State) -> None:
+        query = read_value(self, self._query_port, context, QueryObject)
+        clouds, ids = [], []
+        for name, parts in enumerate(self._samples):
+            placed = []
+            for frame, p_BQ in parts:
+                X_WB = query.GetPoseInWorld(frame).GetAsMatrix4()
+                placed.append(p_BQ @ X_WB[:3, :3].T + X_WB[:3, 3])
+            cloud = np.concatenate(placed)
+            if np.abs(cloud[0]).max() > OUT_OF_WORLD:
+                continue
+            cloud.flags.writeable = False
+            clouds.append(cloud)
+            ids.append(name)
+        time, before = context.get_time(), self._state.read(context).obstacles
+        v_WO = _velocities(before, clouds, ids, time - before.stamp)
+        obstacles = ObstacleClouds(
+            time, tuple(clouds), np.array(ids, dtype=np.int64), self._table, v_WO=v_WO
+        )
+        memory = ObstacleMemory(obstacles)
+        self._state.write(state, memory, np.concatenate([np.zeros((0, 3)), *clouds]))
+
+
+def _velocities(
+    before: ObstacleClouds, clouds: list[FloatArray], ids: list[int], dt: float
+) -> FloatArray:
+    """(M, 3) velocities of the clouds' centroids [m/s]; zero where dt [s] tells none."""
+    v_WO = np.zeros((len(clouds), 3))
+    if not 0.0 < dt < np.inf:
+        return v_WO
+    earlier = dict(zip(before.ids.tolist(), before.clouds_W, strict=True))
+    for row, (name, new) in enumerate(zip(ids, clouds, strict=True)):
+        if name in earlier:
+            v_WO[row] = (new - earlier[name]).mean(axis=0) / dt
+    v_WO[np.linalg.norm(v_WO, axis=1) < _AT_REST] = 0.0
+    return v_WO
+
+
+def _body_fixed_samples(
+    plant: MultibodyPlant,
+    inspector: SceneGraphInspector,
+    instance: ModelInstanceIndex,
+    count: int,
+) -> tuple[tuple[FrameId, FloatArray], ...]:
+    parts = []
+    for index in plant.GetBodyIndices(instance):
+        geometries = plant.GetCollisionGeometriesForBody(plant.get_body(index))
+        if geometries:
+            points = [surface_points(inspector, geometry, count) for geometry in geometries]
+            frame = plant.GetBodyFrameIdOrThrow(index)
+            parts.append((frame, np.concatenate(points)))
+    if not parts:
+        raise ValueError(
+            f"obstacle '{plant.GetModelInstanceName(instance)}' has no collision geometry; "
+            "ground truth needs at least one"
+        )
+    return tuple(parts)

@@ -1,0 +1,410 @@
+"""From a depth image or a cloud to one cluster of points for each obstacle.
+
+The order keeps a 640x480 frame cheap: the supporting plane from a subsample,
+the height of every pixel above it (one linear map on the image), then points,
+voxels and clusters of only those pixels that stand on the plane.
+
+Frames: W world, C depth camera (x right, y down, z forward). Poses are (4, 4)
+homogeneous matrices, as ``RigidTransform.GetAsMatrix4()`` gives them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_oa.common.messages import BoolArray, FloatArray, IntArray, TablePlane
+from drake_oa.geometry.clusters import connected_clusters, joined_across_unseen
+from drake_oa.geometry.self_filter import PosedShapes
+from drake_oa.geometry.voxel_kernels import cell_means, cells_of, numbered, points_of_groups
+from drake_oa.perception.point_cloud_kernels import (
+    back_projected,
+    cropped_to_world,
+    pixels_between,
+    pixels_to_world,
+    sampled,
+)
+from drake_oa.perception.segmentation_config import SegmentationConfig as SegmentationConfig
+from drake_oa.perception.table_extent import beyond_extent, plane_axes, seen_extent
+from drake_oa.perception.table_plane import PlaneFit, fit_plane
+
+
+@dataclass(frozen=True, eq=False)
+class Segmentation:
+    """What stands on the table in one frame.
+
+    Attributes:
+        clouds_W: one (N_i, 3) array an obstacle: the mean point of each voxel, in
+            the world frame [m]; the largest cluster first.
+        pixels: for each cluster the flat indices (row-major) of its pixels, or of
+            its input points when the frame was a cloud.
+        table: the supporting plane in the world frame, or None.
+        points_W: (N, 3) every single point over the table, the robot's included, in
+            the world frame [m]: for viewing.
+        plane_rms: rms distance of the plane's points from it [m]; NaN without plane.
+        X_WC: (4, 4) the camera's pose; when it was not given, the pose that makes
+            the table the plane z = 0 (see `segment_depth`).
+        note: empty, or why there is no plane.
+    """
+
+    clouds_W: tuple[FloatArray, ...] = ()
+    pixels: tuple[IntArray, ...] = ()
+    table: TablePlane | None = None
+    points_W: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    plane_rms: float = np.nan
+    X_WC: FloatArray = field(default_factory=lambda: np.eye(4))
+    note: str = ""
+
+
+def segment_depth(
+    depth: NDArray[np.floating],
+    K: FloatArray,
+    X_WC: FloatArray | None,
+    config: SegmentationConfig | None = None,
+    robot: PosedShapes | None = None,
+) -> Segmentation:
+    """Segments a depth image into the table and one cluster an obstacle.
+
+    When the pose of the camera is unknown the table defines the world: z along its
+    normal (towards the camera), the origin where the optical axis meets it (or at
+    the foot of the camera when it does not), x along the camera's x axis.
+
+    Args:
+        depth: (H, W) depth along the optical axis [m]; 0 (too near), inf (too far)
+            and NaN (missing) are ignored.
+        K: (4,) fx, fy, cx, cy [pixel].
+        X_WC: (4, 4) pose of the camera, or None when unknown.
+        config: the parameters; None for the defaults.
+        robot: the robot's primitives at the time of the image, or None.
+
+    Returns:
+        The segmentation. A frame that shows no table is no error: it has no clouds
+        and a note.
+
+    Raises:
+        ValueError: for an array of the wrong shape or type, an invalid K or X_WC.
+    """
+    config = config or SegmentationConfig()
+    depth = np.asarray(depth)
+    K = _valid_intrinsics(depth, K)
+    X_WC = _valid_pose(X_WC)
+    z = np.require(depth, np.float32, ["C", "W"])
+    step = config.stride
+    on_grid, pixels = sampled(z, step, float(config.near), float(config.far))
+    if not len(on_grid):
+        return Segmentation(X_WC=np.eye(4) if X_WC is None else X_WC, note="no valid pixel")
+    sample = back_projected(z, pixels, K)
+    plane = _find_table(sample, sample[:, 2], X_WC, config)
+    if plane is None:
+        return Segmentation(X_WC=np.eye(4) if X_WC is None else X_WC, note=_NO_TABLE)
+
+    grid = (-(-z.shape[0] // step), -(-z.shape[1] // step))
+    extent = seen_extent(
+        grid,
+        on_grid,
+        plane.inliers,
+        sample,
+        plane.normal,
+        plane.offset,
+        (step / K[0], step / K[1]),
+    )
+    index = _pixels_above(z, K, plane, config)
+    return _cluster_above(None, index, plane, extent, X_WC, config, robot, (z, K))
+
+
+def segment_points(
+    points: FloatArray,
+    X_WC: FloatArray | None,
+    config: SegmentationConfig | None = None,
+    robot: PosedShapes | None = None,
+) -> Segmentation:
+    """Segments a cloud without image structure; otherwise as `segment_depth`.
+
+    Args:
+        points: (N, 3) points [m] in the frame C that X_WC places: the camera's, or
+            the world itself with the identity. Rows that are not finite, or all
+            zero, are ignored; there is no crop by depth.
+        X_WC: (4, 4) pose of that frame, or None when unknown.
+        config: the parameters; None for the defaults.
+        robot: the robot's primitives at the time of the cloud, or None.
+
+    Raises:
+        ValueError: for an array of the wrong shape or type or an invalid X_WC.
+    """
+    config = config or SegmentationConfig()
+    points = np.asarray(points)
+    if points.ndim != 2 or points.shape[1] != 3 or not np.issubdtype(points.dtype, np.floating):
+        raise ValueError(
+            f"points must be an (N, 3) array of floats, not {points.dtype} {points.shape}"
+        )
+    X_WC = _valid_pose(X_WC)
+    index = np.flatnonzero(np.isfinite(points).all(axis=1) & (points != 0.0).any(axis=1))
+    if not len(index):
+        return Segmentation(X_WC=np.eye(4) if X_WC is None else X_WC, note="no valid point")
+    p_CQ = np.require(points[index], np.float64, ["C", "W"])
+    distance = np.linalg.norm(p_CQ, axis=1)
+    step = max(1, len(index) // 20_000)
+    sample = p_CQ[::step]
+    plane = _find_table(sample, distance[::step], X_WC, config)
+    if plane is None:
+        return Segmentation(X_WC=np.eye(4) if X_WC is None else X_WC, note=_NO_TABLE)
+    height = p_CQ @ plane.normal - plane.offset
+    low = config.min_height + _height_noise(config, plane.offset) * distance
+    above = np.flatnonzero((height > low) & (height < config.max_height))
+    extent = sample[plane.inliers]
+    return _cluster_above(p_CQ[above], index[above], plane, extent, X_WC, config, robot, None)
+
+
+_NO_TABLE = "no supporting plane found"
+
+
+# Structured-light cameras bend a plane, most at the border of the image and far away:
+# in the scans of docs/results/real_scans.md by up to 6 standard deviations of the noise
+# within 1.1 m, and by 3 cm at 1.7 m. There a cluster needs a share of points higher up.
+_DEVIATIONS = 6.0
+_WARP_START = 1.1  # [m]
+_WARP = 0.15  # [1/m]
+_LARGEST_WARP = 0.04  # [m]
+_HIGHER_SHARE = 0.1
+# Of what juts out over the edge, the least share that is over the table.
+_OVER_TABLE = 0.15
+
+
+def _height_noise(config: SegmentationConfig, offset: float) -> float:
+    """What noise may look like a height, per metre of depth.
+
+    The depth's deviation is ``depth_noise z**2``; of a plane's point, at the ray z r
+    with z n . r = offset, the height's is that times abs(n . r) = abs(offset) / z.
+    """
+    return _DEVIATIONS * config.depth_noise * abs(offset)
+
+
+def _find_table(
+    sample: FloatArray, distance: FloatArray, X_WC: FloatArray | None, config: SegmentationConfig
+) -> PlaneFit | None:
+    tolerance = config.plane_tolerance + config.depth_noise * distance**2
+    if X_WC is None:
+        up = np.array([0.0, -1.0, 0.0])
+        fit = fit_plane(sample, up, config.plane_tilt_unknown_pose, tolerance, origin_above=True)
+        if fit is not None and np.mean(fit.inliers) > 0.4:
+            return fit
+        # A camera that looks straight down: its up direction lies in the table.
+        facing = fit_plane(
+            sample, np.array([0.0, 0.0, -1.0]), config.facing_tilt, tolerance, origin_above=True
+        )
+        if fit is None or facing is None:
+            return facing if fit is None else fit
+        return facing if facing.inliers.sum() > 2 * fit.inliers.sum() else fit
+    up = X_WC[2, :3]
+    height = None if config.table_height is None else config.table_height - X_WC[2, 3]
+    return fit_plane(
+        sample,
+        up,
+        config.plane_tilt,
+        tolerance,
+        height=height,
+        height_tolerance=config.table_height_tolerance,
+    )
+
+
+def _cluster_above(
+    p_CQ: FloatArray | None,
+    index: IntArray,
+    plane: PlaneFit,
+    extent_C: FloatArray,
+    X_WC: FloatArray | None,
+    config: SegmentationConfig,
+    robot: PosedShapes | None,
+    image: tuple[NDArray[np.float32], FloatArray] | None,
+) -> Segmentation:
+    """What stands on the plane, of points in the camera frame or of an image's pixels."""
+    X_WC = _pose_from_plane(plane) if X_WC is None else X_WC
+    normal_W = X_WC[:3, :3] @ plane.normal
+    table = TablePlane(normal_W, float(plane.offset + normal_W @ X_WC[:3, 3]))
+    # A rectangle around the table is a quick crop; its convex extent comes later.
+    axes = plane_axes(plane.normal)
+    along = axes @ extent_C.T
+    low, high = along.min(axis=1, initial=np.inf), along.max(axis=1, initial=-np.inf)
+    beyond = config.table_margin + config.overhang
+    reach = np.column_stack([low - beyond, high + beyond])
+    if p_CQ is not None:
+        p_WQ, index = cropped_to_world(p_CQ, index, axes, reach, X_WC)
+    elif image is not None:
+        p_WQ, index = pixels_to_world(image[0], index, image[1], axes, reach, X_WC)
+    else:
+        raise ValueError("either points or an image are needed")
+    if not len(index):
+        return Segmentation((), (), table, p_WQ, plane.rms, X_WC)
+
+    means, voxel_of, count = _voxel_means(p_WQ, config.voxel)
+    extent_W = extent_C @ X_WC[:3, :3].T + X_WC[:3, 3]
+    kept = np.flatnonzero(count >= config.min_occupancy)
+    if robot is not None:
+        kept = kept[~robot.contains(means[kept], config.robot_margin)]
+    outside = beyond_extent(means[kept], extent_W, normal_W)
+    kept, outside = kept[outside <= beyond], outside[outside <= beyond]
+    standing, found = _standing(
+        means[kept],
+        outside <= config.table_margin,
+        outside <= beyond - 2.0 * config.voxel,
+        config.cluster_tolerance,
+    )
+    kept = kept[standing]
+    points = means[kept]
+    label = np.full(len(means), -1)
+    if image is not None:
+        label[kept] = found
+        found = joined_across_unseen(
+            points,
+            found,
+            index,
+            label[voxel_of],
+            *image,
+            X_WC,
+            gap=config.unseen_gap,
+            voxel=config.voxel,
+            min_size=config.min_cluster_voxels,
+        )
+    sizes = np.bincount(found, minlength=1)
+    higher = _risen(points, table, X_WC, config, image is not None)
+    least = np.maximum(_HIGHER_SHARE * sizes, 3)
+    names = np.flatnonzero(
+        (sizes >= config.min_cluster_voxels)
+        & (np.bincount(found, weights=higher, minlength=1) >= least)
+    )
+    names = names[np.argsort(-sizes[names], kind="stable")]
+    place = np.full(len(sizes), -1)
+    place[names] = np.arange(len(names))
+    label[kept] = place[found]
+    pixels, begin = points_of_groups(label, voxel_of, index, len(names))
+    parts = [slice(*ends) for ends in pairwise(begin.tolist())]
+    return Segmentation(
+        tuple(points[found == name] for name in names),
+        tuple(pixels[part] for part in parts),
+        table,
+        p_WQ,
+        plane.rms,
+        X_WC,
+    )
+
+
+def _risen(
+    p_WQ: FloatArray, table: TablePlane, X_WC: FloatArray, config: SegmentationConfig, image: bool
+) -> BoolArray:
+    """Which points (N, 3) [m] are higher over the table than the camera may bend it."""
+    p_CQ = (p_WQ - X_WC[:3, 3]) @ X_WC[:3, :3]
+    distance = p_CQ[:, 2] if image else np.linalg.norm(p_CQ, axis=1)
+    offset = table.offset - float(table.normal_W @ X_WC[:3, 3])
+    bend = np.minimum(_WARP * np.maximum(distance - _WARP_START, 0.0) ** 2, _LARGEST_WARP)
+    low = config.min_height + _height_noise(config, offset) * distance + bend
+    return np.asarray(p_WQ @ table.normal_W - table.offset > low)
+
+
+def _standing(
+    points: FloatArray, inside: BoolArray, inner: BoolArray, tolerance: float
+) -> tuple[BoolArray, IntArray]:
+    """Which points belong to what stands over the table: inside, or jutting out from there.
+
+    A wall behind the table, which mostly is outside and goes on beyond all that is looked
+    at, does not jut out from an object that it touches; nor does what touches several.
+
+    Args:
+        points: (N, 3) [m].
+        inside: (N,) whether each is over the table.
+        inner: (N,) whether it is not at the limit of what is looked at.
+        tolerance: points nearer to each other than this belong together [m].
+
+    Returns:
+        (N,) whether each stands there, and (S,) the clusters of those that do.
+    """
+    whole = connected_clusters(points, tolerance)
+    if inside.all():
+        return inside, whole
+    core = connected_clusters(points[inside], tolerance)
+    count = int(whole.max()) + 1
+    total = np.bincount(whole, minlength=count)
+    within = np.bincount(whole[inside], minlength=count)
+    whole_of_core = np.zeros(core.max(initial=-1) + 1, dtype=np.int64)
+    whole_of_core[core] = whole[inside]
+    objects = np.bincount(whole_of_core, minlength=count)
+    goes_on = np.bincount(whole[~inner], minlength=count) > 0
+    taken = (objects == 1) & (within >= np.where(goes_on, 0.5, _OVER_TABLE) * total)
+    taken_points = taken[whole]
+    cluster = np.where(taken_points, whole, -1)
+    cluster[inside] = np.where(taken_points[inside], whole[inside], count + core)
+    standing = inside | taken_points
+    return standing, numbered(cluster[standing])[1]
+
+
+def _pixels_above(
+    z: NDArray[np.float32], K: FloatArray, plane: PlaneFit, config: SegmentationConfig
+) -> IntArray:
+    """Flat indices of the pixels whose height over the plane may be an obstacle's."""
+    # height = n . p_C - offset = z (a u + b v + c) - offset > min_height + noise z
+    fx, fy, cx, cy = K
+    n, offset = plane.normal, plane.offset
+    a, b = n[0] / fx, n[1] / fy
+    noise = _height_noise(config, offset)
+    u = a * np.arange(z.shape[1]) + (n[2] - a * cx - b * cy - noise)
+    v = b * np.arange(z.shape[0])
+    limits = [
+        config.near,
+        config.far,
+        offset + config.min_height,
+        noise,
+        offset + config.max_height,
+    ]
+    return pixels_between(
+        z, u.astype(np.float32), v.astype(np.float32), np.array(limits, dtype=np.float32)
+    )
+
+
+def _voxel_means(points: FloatArray, voxel: float) -> tuple[FloatArray, IntArray, IntArray]:
+    """Voxels of points (N, 3) in order of their keys.
+
+    Returns:
+        Means (M, 3), the voxel (N,) of each point, and counts (M,).
+    """
+    keys, cell_of = cells_of(points, voxel)
+    return cell_means(points, cell_of, np.argsort(keys))
+
+
+def _pose_from_plane(plane: PlaneFit) -> FloatArray:
+    """X_WC of the world that a table defines, see `segment_depth`."""
+    n = plane.normal
+    # Where the ray (0, 0, t) meets n . p = offset, if in front and not grazing.
+    t = plane.offset / n[2] if abs(n[2]) > 0.05 else -1.0
+    origin_C = np.array([0.0, 0.0, t]) if t > 0.0 else plane.offset * n
+    x = np.array([1.0, 0.0, 0.0]) - n[0] * n
+    x /= np.linalg.norm(x)
+    R_WC = np.stack([x, np.cross(n, x), n])
+    X_WC = np.eye(4)
+    X_WC[:3, :3] = R_WC
+    X_WC[:3, 3] = -R_WC @ origin_C
+    return X_WC
+
+
+def _valid_intrinsics(depth: NDArray[np.floating], K: FloatArray) -> FloatArray:
+    if depth.ndim != 2 or not np.issubdtype(depth.dtype, np.floating):
+        raise ValueError(
+            f"depth must be an (H, W) array of floats in metres, not {depth.dtype} {depth.shape}"
+        )
+    K = np.require(K, np.float64, ["C", "W"])
+    if K.shape != (4,) or not np.isfinite(K).all() or (K[:2] <= 0.0).any():
+        raise ValueError(f"K must be [fx, fy, cx, cy] with positive focal lengths, not {K}")
+    return K
+
+
+def _valid_pose(X_WC: FloatArray | None) -> FloatArray | None:
+    if X_WC is None:
+        return None
+    X_WC = np.require(X_WC, np.float64, ["C", "W"])
+    if X_WC.shape != (4, 4) or not np.isfinite(X_WC).all():
+        raise ValueError(f"X_WC must be a finite (4, 4) pose, not one of shape {X_WC.shape}")
+    R = X_WC[:3, :3]
+    if np.abs(R @ R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(R) < 0.0:
+        raise ValueError("X_WC must hold a rotation: its upper left block is not orthonormal")
+    return X_WC

@@ -1,0 +1,281 @@
+"""Compiled loops behind perception: images, planes, the robot's shapes.
+
+Call the functions of `point_cloud`, `table_plane`, `clusters` and `self_filter`
+instead. Every kernel takes writable C-contiguous arrays of one type (float64 and
+int64 unless a comment says otherwise), so that numba compiles each of them once,
+and caches it on disk.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from drake_oa.common.messages import BoolArray, FloatArray, IntArray
+
+
+@njit(cache=True, error_model="numpy")
+def sampled(
+    z: NDArray[np.float32], stride: int, near: float, far: float
+) -> tuple[IntArray, IntArray]:
+    """The pixels with a depth in [near, far] on every stride-th row and column.
+
+    Returns:
+        (N,) their flat indices in that coarser image, and (N,) in the image itself.
+    """
+    rows, columns = (z.shape[0] - 1) // stride + 1, (z.shape[1] - 1) // stride + 1
+    coarse = np.empty(rows * columns, dtype=np.int64)
+    fine = np.empty(rows * columns, dtype=np.int64)
+    n = 0
+    for row in range(rows):
+        for column in range(columns):
+            depth = z[row * stride, column * stride]
+            if depth >= near and depth <= far:
+                coarse[n] = row * columns + column
+                fine[n] = row * stride * z.shape[1] + column * stride
+                n += 1
+    return coarse[:n].copy(), fine[:n].copy()
+
+
+@njit(cache=True, error_model="numpy")
+def pixels_between(
+    z: NDArray[np.float32],
+    u: NDArray[np.float32],
+    v: NDArray[np.float32],
+    limits: NDArray[np.float32],
+) -> IntArray:
+    """Flat indices of the pixels whose height over a plane is within limits.
+
+    The height above the plane less the noise is ``z (u + v) - offset``.
+
+    Args:
+        z: (H, W) float32 depth [m].
+        u: (W,) float32 share of the column.
+        v: (H,) float32 share of the row.
+        limits: (5,) float32 near, far, lowest ``z (u + v)``, noise per depth, and
+            highest ``z (u + v + noise)``.
+    """
+    near, far, low, noise, high = limits
+    # A mask first, then its places, both without branches: so the first loop uses
+    # vector instructions, and the second need not predict the outcomes. The mask's
+    # rows are whole words, of which most are empty.
+    rows, columns = z.shape
+    words = (columns + 7) // 8
+    inside = np.empty((rows, 8 * words), dtype=np.uint8)
+    inside[:, columns:] = 0
+    for row in range(rows):
+        for column in range(columns):
+            depth = z[row, column]
+            raised = depth * (u[column] + v[row])
+            seen = (depth >= near) & (depth <= far)
+            inside[row, column] = seen & (raised > low) & (raised + noise * depth < high)
+    flags = inside.ravel()
+    word = flags.view(np.uint64)
+    full, count = np.empty(len(word), dtype=np.int64), 0
+    for i in range(len(word)):
+        full[count] = i
+        count += word[i] != 0
+    out = np.empty(8 * count + 1, dtype=np.int64)
+    n = 0
+    for i in full[:count]:
+        start = 8 * i - (i // words) * (8 * words - columns)
+        for bit in range(8):
+            out[n] = start + bit
+            n += flags[8 * i + bit]
+    return out[:n]
+
+
+@njit(cache=True, error_model="numpy")
+def back_projected(z: NDArray[np.float32], index: IntArray, K: FloatArray) -> FloatArray:
+    """Points (N, 3) in the camera frame of the pixels with ascending flat indices (N,)."""
+    p_CQ = np.empty((len(index), 3))
+    row, start = 0, 0
+    for i in range(len(index)):
+        while index[i] >= start + z.shape[1]:
+            row += 1
+            start += z.shape[1]
+        column = index[i] - start
+        depth = z[row, column]
+        p_CQ[i, 0] = (column - K[2]) * (depth / K[0])
+        p_CQ[i, 1] = (row - K[3]) * (depth / K[1])
+        p_CQ[i, 2] = depth
+    return p_CQ
+
+
+@njit(cache=True, error_model="numpy")
+def row_hulls(z: NDArray[np.float32], index: IntArray) -> IntArray:
+    """Of the pixels with ascending flat indices (N,), those that may be on the convex hull.
+
+    The map from points to (column, row, 1 / depth) is projective, so it keeps convex
+    hulls, and what is inside the hull of its row there is inside the cloud's hull.
+    """
+    kept = np.empty(2 * len(index), dtype=np.int64)
+    inverse, depth = np.empty(z.shape[1]), z.ravel()
+    n, start, stop = 0, 0, 0
+    while start < len(index):
+        first = (index[start] // z.shape[1]) * z.shape[1]
+        while stop < len(index) and index[stop] < first + z.shape[1]:
+            inverse[index[stop] - first] = 1.0 / depth[index[stop]]
+            stop += 1
+        # Two monotone chains: the second one's ends are the first one's.
+        for side in (1.0, -1.0):
+            base = n
+            for i in range(start, stop):
+                u = index[i] - first
+                while n - base >= 2:
+                    b, c = kept[n - 2] - first, kept[n - 1] - first
+                    turn = (c - b) * (inverse[u] - inverse[b]) - (u - b) * (inverse[c] - inverse[b])
+                    # What is all but straight stays, for the sake of rounding.
+                    if side * turn > -1e-12:
+                        break
+                    n -= 1
+                kept[n] = index[i]
+                n += 1
+        start = stop
+    return np.unique(kept[:n])
+
+
+@njit(cache=True, error_model="numpy")
+def cropped_to_world(
+    p_CQ: FloatArray, index: IntArray, axes: FloatArray, reach: FloatArray, X_WC: FloatArray
+) -> tuple[FloatArray, IntArray]:
+    """The points whose coordinates along two axes are in reach, in the world frame.
+
+    Args:
+        p_CQ: (N, 3) points in the camera frame [m].
+        index: (N,) their numbers, handed through.
+        axes: (2, 3) unit vectors in the camera frame.
+        reach: (2, 2) lowest and highest coordinate along each axis [m].
+        X_WC: (4, 4) pose of the camera.
+    """
+    p_WQ = np.empty(p_CQ.shape)
+    kept = np.empty(len(index), dtype=np.int64)
+    n = 0
+    for i in range(len(index)):
+        x, y, depth = p_CQ[i, 0], p_CQ[i, 1], p_CQ[i, 2]
+        inside = True
+        for k in range(2):
+            along = axes[k, 0] * x + axes[k, 1] * y + axes[k, 2] * depth
+            inside &= (along >= reach[k, 0]) & (along <= reach[k, 1])
+        kept[n] = index[i]
+        for k in range(3):
+            p_WQ[n, k] = X_WC[k, 0] * x + X_WC[k, 1] * y + X_WC[k, 2] * depth + X_WC[k, 3]
+        n += inside
+    return p_WQ[:n], kept[:n]
+
+
+@njit(cache=True, error_model="numpy")
+def pixels_to_world(
+    z: NDArray[np.float32],
+    index: IntArray,
+    K: FloatArray,
+    axes: FloatArray,
+    reach: FloatArray,
+    X_WC: FloatArray,
+) -> tuple[FloatArray, IntArray]:
+    """`cropped_to_world` of the points of pixels with ascending flat indices (N,)."""
+    p_WQ = np.empty((len(index), 3))
+    kept = np.empty(len(index), dtype=np.int64)
+    n, row, start = 0, 0, 0
+    for i in range(len(index)):
+        while index[i] >= start + z.shape[1]:
+            row += 1
+            start += z.shape[1]
+        column = index[i] - start
+        depth = np.float64(z[row, column])
+        x, y = (column - K[2]) * (depth / K[0]), (row - K[3]) * (depth / K[1])
+        inside = True
+        for k in range(2):
+            along = axes[k, 0] * x + axes[k, 1] * y + axes[k, 2] * depth
+            inside &= (along >= reach[k, 0]) & (along <= reach[k, 1])
+        kept[n] = index[i]
+        for k in range(3):
+            p_WQ[n, k] = X_WC[k, 0] * x + X_WC[k, 1] * y + X_WC[k, 2] * depth + X_WC[k, 3]
+        n += inside
+    return p_WQ[:n], kept[:n]
+
+
+@njit(cache=True, error_model="numpy")
+def votes_for_planes(
+    normals: FloatArray, offsets: FloatArray, points: FloatArray, tolerance: FloatArray
+) -> IntArray:
+    """How many points (N, 3) lie within their tolerance (N,) of each plane (M,)."""
+    votes = np.zeros(len(offsets), dtype=np.int64)
+    # The points' coordinates in rows: a loop along them uses vector instructions.
+    x, y, z = points[:, 0].copy(), points[:, 1].copy(), points[:, 2].copy()
+    for m in range(len(offsets)):
+        a, b, c, offset = normals[m, 0], normals[m, 1], normals[m, 2], offsets[m]
+        n = 0
+        for i in range(len(tolerance)):
+            n += abs(a * x[i] + b * y[i] + c * z[i] - offset) < tolerance[i]
+        votes[m] = n
+    return votes
+
+
+@njit(cache=True, error_model="numpy")
+def on_plane(
+    points: FloatArray, tolerance: FloatArray, plane: FloatArray, among: BoolArray, out: BoolArray
+) -> float:
+    """Marks, of some points (N, 3), those nearer to a plane than their tolerance (N,).
+
+    Args:
+        points: (N, 3) points [m].
+        tolerance: (N,) [m].
+        plane: (4,) unit normal and offset.
+        among: (N,) which points are asked about.
+        out: (N,) written.
+
+    Returns:
+        The sum of their squared distances [m^2].
+    """
+    total = 0.0
+    for i in range(len(tolerance)):
+        height = -plane[3]
+        for k in range(3):
+            height += plane[k] * points[i, k]
+        out[i] = among[i] and abs(height) < tolerance[i]
+        total += height * height if out[i] else 0.0
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def band_moments(
+    points: FloatArray, tolerance: FloatArray, plane: FloatArray, band: float, out: FloatArray
+) -> int:
+    """Weighted moments of the points within ``band * tolerance`` of a plane.
+
+    Args:
+        points: (N, 3) points [m].
+        tolerance: (N,) [m]; the weights are 1 / tolerance^2.
+        plane: (4,) unit normal and offset.
+        band: share of the tolerance.
+        out: (4, 4) written: the sum of w p p^T with p = (x, y, z, 1), each point
+            taken from the first one of the band for the sake of precision; its
+            index is returned.
+
+    Returns:
+        The index of that point, or -1 when there are fewer than 3.
+    """
+    out[:] = 0.0
+    first, count = -1, 0
+    p = np.ones(4)
+    for i in range(len(tolerance)):
+        height = -plane[3]
+        for k in range(3):
+            height += plane[k] * points[i, k]
+        if abs(height) >= band * tolerance[i]:
+            continue
+        if first < 0:
+            first = i
+        count += 1
+        weight = 1.0 / (tolerance[i] * tolerance[i])
+        for k in range(3):
+            p[k] = points[i, k] - points[first, k]
+        for k in range(4):
+            for j in range(k + 1):
+                out[k, j] += weight * p[k] * p[j]
+    for k in range(4):
+        for j in range(k):
+            out[j, k] = out[k, j]
+    return first if count >= 3 else -1

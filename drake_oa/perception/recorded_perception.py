@@ -1,0 +1,156 @@
+"""Obstacles from a recording."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context, LeafSystem, State
+
+from drake_oa.common.ports import valid_period
+from drake_oa.geometry.collision_shapes import RobotModel
+from drake_oa.geometry.self_filter import PosedShapes
+from drake_oa.perception.obstacle_memory import ObstacleMemory, TrackingConfig
+from drake_oa.perception.perception_state import PerceptionState, log_change
+from drake_oa.perception.point_cloud import (
+    Segmentation,
+    SegmentationConfig,
+    segment_depth,
+    segment_points,
+)
+from drake_oa.perception.recordings import RecordedFrame, read_recording
+from drake_oa.perception.tracking import fuse
+
+
+class RecordedPerception(LeafSystem):
+    """Plays back a folder of recorded depth images or clouds.
+
+    .. pydrake_system::
+
+      name: RecordedPerception
+      output_ports:
+      - obstacles_W
+      - cloud
+
+    Port `obstacles_W`: ObstacleClouds in the world frame [m], stamped with the
+    simulation time at which the frame was due.
+
+    Port `cloud`: PointCloud of every point above the table, in the world frame [m].
+
+    The first frame is due at time 0, each other one as long after it as it was
+    recorded; the newest frame due is looked up at initialization and then every
+    `period`. A held frame keeps its stamp. When the recording has ended the scene is
+    taken to stay as it was seen last, stamped anew, or the recording starts again
+    (`loop`), one period after its end.
+
+    The camera's pose is taken from the frame's file, else from `X_WC`; where
+    neither knows it, the table defines the world: z along its normal, the origin
+    where the optical axis meets it, x along the camera's x axis. Files are
+    described in `drake_oa.perception.recordings`. Obstacles are followed as `DepthPerception` does;
+    a cloud is taken to show everything, so that nothing is hidden in it. What was seen before
+    a loop starts again is forgotten.
+    """
+
+    def __init__(
+        self,
+        folder: str | Path,
+        *,
+        X_WC: RigidTransform | None = None,
+        config: SegmentationConfig | None = None,
+        tracking: TrackingConfig | None = None,
+        robot: RobotModel | None = None,
+        period: float = 1.0 / 15.0,
+        loop: bool = False,
+    ) -> None:
+        """Reads the folder, and declares ports, state and events.
+
+        Args:
+            folder: with .npz, .pcd, .ply or .png files.
+            X_WC: pose of the camera for files that do not hold one; the identity
+                for clouds already in the world frame; None when unknown.
+            config: how frames are segmented; None for the defaults.
+            tracking: how obstacles are followed; None for the defaults.
+            robot: from `collect_collision_shapes`: takes itself out of frames that
+                know its `robot_state`; None: they show no robot.
+            period: time between updates, and between files without stamp [s].
+            loop: whether the recording starts again when it has ended.
+
+        Raises:
+            FileNotFoundError: if the folder does not exist or is empty.
+            ValueError: naming the file that cannot be used, or for a period that is
+                not positive.
+        """
+        super().__init__()
+        self._period = valid_period(period)
+        self._frames = read_recording(folder, self._period)
+        self._start = np.array([frame.stamp for frame in self._frames]) - self._frames[0].stamp
+        self._X_WC: Any = None if X_WC is None else X_WC.GetAsMatrix4()
+        self._config = config or SegmentationConfig()
+        self._tracking = tracking or TrackingConfig()
+        self._robot = robot
+        self._loop = loop
+        self._state = PerceptionState.declare(self)
+        # Counts the frames due so far; -1 before the first.
+        self._played = self.DeclareAbstractState(Value(-1))
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._update)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(self._period, self._period, self._update)
+
+    @property
+    def files_without_pose(self) -> tuple[Path, ...]:
+        """The files that do not know where the camera was, in order of time."""
+        return tuple(frame.path for frame in self._frames if frame.X_WC is None)
+
+    def _update(self, context: Context, state: State) -> None:
+        due, stamp = self._due(context.get_time())
+        played: Any = state.get_mutable_abstract_state(int(self._played))
+        previous = self._state.read(context)
+        before = previous.obstacles
+        if due == played.get_value():
+            if due == len(self._frames) - 1 and not self._loop and not before.note:
+                # Nothing is known of motion after the last frame.
+                at_rest = np.zeros_like(before.v_WO)
+                same = replace(before, stamp=context.get_time(), v_WO=at_rest)
+                self._state.write(state, replace(previous, obstacles=same), None)
+            return
+        played.set_value(due)
+        recorded = self._frames[due % len(self._frames)]
+        robot = self._posed_robot(recorded)
+        frame = self._segment(recorded, robot)
+        if frame.note:
+            frame = replace(frame, note=f"{recorded.path.name}: {frame.note}")
+        if due > 0 and due % len(self._frames) == 0:
+            # The scene starts again: what was seen at its end is no longer there.
+            previous = ObstacleMemory(next_id=previous.next_id)
+        depth = None if recorded.K is None else recorded.depth
+        memory = fuse(
+            previous, frame, depth, recorded.K, stamp, self._config, robot, self._tracking
+        )
+        log_change(self, before.note, memory.obstacles.note, context.get_time())
+        self._state.write(state, memory, None if frame.note else frame.points_W)
+
+    def _due(self, time: float) -> tuple[int, float]:
+        """Number (counting on through loops) and due time [s] of the newest frame."""
+        # Update times are sums of the period: allow for their rounding.
+        time += 1e-9
+        rounds, begin = 0, 0.0
+        if self._loop:
+            length = self._start[-1] + self._period
+            rounds = int(time // length)
+            begin = rounds * length
+        index = int(np.searchsorted(self._start, time - begin, side="right")) - 1
+        return rounds * len(self._frames) + index, begin + float(self._start[index])
+
+    def _posed_robot(self, recorded: RecordedFrame) -> PosedShapes | None:
+        if self._robot is None or recorded.robot_state is None:
+            return None
+        return self._robot.posed(recorded.robot_state)
+
+    def _segment(self, recorded: RecordedFrame, robot: PosedShapes | None) -> Segmentation:
+        X_WC = self._X_WC if recorded.X_WC is None else recorded.X_WC
+        if recorded.depth is not None and recorded.K is not None:
+            return segment_depth(recorded.depth, recorded.K, X_WC, self._config, robot)
+        return segment_points(np.asarray(recorded.points), X_WC, self._config, robot)

@@ -1,0 +1,241 @@
+"""Folders of recorded depth images and clouds, read into frames in order of time.
+
+A file is one frame:
+
+- ``.npz`` with ``depth`` (H, W) [m] and ``K`` = [fx, fy, cx, cy], or with ``points``
+  (N, 3) [m]; in either case optionally ``X_WC`` (4, 4), ``stamp`` [s] and
+  ``robot_state`` [q, v], by which the robot is taken out of the frame;
+- ``.pcd`` or ``.ply``: a cloud. One with the rows and columns of a depth image (a
+  .pcd file's HEIGHT above 1) is read as that image, its K being fitted to the points;
+- ``.png``: a 16-bit depth image whose K stands in a file beside it
+  (see `drake_oa.perception.depth_image_files`).
+
+Where a file holds no stamp, the number at the end of its name is the stamp in
+seconds if it has a decimal point (``cloud_000.066.pcd``); otherwise the stamp is the
+file's place in the folder, in order of name, times the period.
+"""
+
+from __future__ import annotations
+
+import itertools
+import re
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_oa.common.memory import check_archive
+from drake_oa.common.messages import FloatArray
+from drake_oa.perception.cloud_files import read_cloud_file
+from drake_oa.perception.depth_image_files import DepthCoding, read_depth_png
+
+SUFFIXES = (".npz", ".pcd", ".ply", ".png")
+
+_PINHOLE_TOLERANCE = 0.5  # rms error [pixel] up to which a cloud is a depth image
+
+_STAMP = re.compile(r"(?:^|[^0-9.])([0-9]+\.[0-9]+)$")
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedFrame:
+    """One recorded frame: a depth image with K, or points.
+
+    Attributes:
+        path: the file.
+        stamp: its time [s].
+        depth: (H, W) [m], or None.
+        K: (4,) fx, fy, cx, cy [pixel], or None.
+        points: (N, 3) in the camera frame [m], not finite where missing, or None.
+        X_WC: (4, 4) pose of the camera, or None when the file does not know it.
+        robot_state: [q, v] of a robot in view, or None.
+    """
+
+    path: Path
+    stamp: float
+    depth: NDArray[np.floating] | None = None
+    K: FloatArray | None = None
+    points: NDArray[np.floating] | None = None
+    X_WC: FloatArray | None = None
+    robot_state: FloatArray | None = None
+
+
+def read_recording(folder: str | Path, period: float = 1.0 / 15.0) -> tuple[RecordedFrame, ...]:
+    """Reads all frames of a folder, sorted by stamp.
+
+    Hidden files, intrinsics files (.json, .yaml) and subfolders are ignored.
+
+    Args:
+        folder: the folder.
+        period: time between files that carry no stamp [s].
+
+    Raises:
+        FileNotFoundError: if the folder does not exist or holds no file.
+        ValueError: naming the file, for an unknown suffix, an unreadable file,
+            missing or malformed arrays, or a stamp that two files share.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise FileNotFoundError(f"recording: there is no folder '{folder}'")
+    paths = frame_files(folder)
+    if not paths:
+        raise FileNotFoundError(
+            f"recording: the folder '{folder}' holds no file; valid are {', '.join(SUFFIXES)}"
+        )
+    try:
+        frames = [read_frame(path, index * period) for index, path in enumerate(paths)]
+    except ValueError as error:
+        raise ValueError(f"recording: {error}") from None
+    frames.sort(key=lambda frame: frame.stamp)
+    for first, second in itertools.pairwise(frames):
+        if first.stamp == second.stamp:
+            raise ValueError(
+                f"recording: '{first.path}' and '{second.path.name}' have the same stamp "
+                f"{first.stamp} s; each frame needs its own"
+            )
+    return tuple(frames)
+
+
+def frame_files(folder: Path) -> list[Path]:
+    """The files of a folder in order of name, without hidden ones and intrinsics files."""
+    return sorted(
+        path
+        for path in folder.iterdir()
+        if path.is_file()
+        and not path.name.startswith(".")
+        and path.suffix not in (".json", ".yaml", ".yml")
+    )
+
+
+def read_frame(
+    path: Path, default_stamp: float = 0.0, coding: DepthCoding | None = None
+) -> RecordedFrame:
+    """Reads one file.
+
+    Args:
+        path: the file.
+        default_stamp: its time where neither file nor name holds one [s].
+        coding: intrinsics and scale of a .png image; None: from a file beside it.
+
+    Raises:
+        ValueError: naming the file, for an unknown suffix, an unreadable file, or
+            missing or malformed arrays.
+    """
+    match = _STAMP.search(path.stem)
+    stamp = float(match.group(1)) if match else default_stamp
+    suffix = path.suffix.lower()
+    if suffix == ".npz":
+        return _read_npz(path, stamp)
+    if suffix in (".pcd", ".ply"):
+        return _read_cloud(path, stamp)
+    if suffix == ".png":
+        depth, K = read_depth_png(path, coding)
+        return RecordedFrame(path, stamp, depth, K)
+    raise ValueError(
+        f"'{path}' has the unknown suffix '{path.suffix}'; valid are {', '.join(SUFFIXES)}"
+    )
+
+
+def _read_npz(path: Path, stamp: float) -> RecordedFrame:
+    # NumPy takes anything else for pickled objects, or for a single array.
+    if not zipfile.is_zipfile(path):
+        raise ValueError(f"'{path}' cannot be read as .npz: it is no archive of arrays")
+    try:
+        check_archive(path)
+        with np.load(path, allow_pickle=False) as archive:
+            data = {name: np.asarray(archive[name]) for name in archive.files}
+    except Exception as error:
+        # What is damaged fails in the archive, its decompression, or the arrays' headers.
+        raise ValueError(f"'{path}' cannot be read as .npz: {error}") from None
+    depth, points = data.get("depth"), data.get("points")
+    if (depth is None) == (points is None):
+        raise ValueError(
+            f"'{path}' must hold either 'depth' (with 'K') or 'points'; "
+            f"it holds {', '.join(sorted(data)) or 'nothing'}"
+        )
+    K = None
+    if depth is not None:
+        _check_floats(path, "depth", depth, depth.ndim == 2 and depth.size > 0, "(H, W)")
+        K = _numbers(path, data, "K", (4,))
+        if K is None or (K[:2] <= 0.0).any():
+            raise ValueError(f"'{path}' needs 'K' = [fx, fy, cx, cy] with its depth")
+    if points is not None:
+        shape_fits = points.ndim == 2 and points.shape[1] == 3
+        _check_floats(path, "points", points, shape_fits, "(N, 3)")
+    own_stamp = _numbers(path, data, "stamp", ())
+    if own_stamp is not None:
+        stamp = float(own_stamp)
+    X_WC = _numbers(path, data, "X_WC", (4, 4))
+    if X_WC is not None and not _is_rotation(X_WC[:3, :3]):
+        raise ValueError(f"'X_WC' in '{path}' must hold a rotation; its first 3 x 3 is none")
+    state_shape = np.shape(data.get("robot_state", ()))[:1]
+    return RecordedFrame(
+        path,
+        stamp,
+        depth,
+        K,
+        points,
+        X_WC,
+        _numbers(path, data, "robot_state", state_shape),
+    )
+
+
+def _check_floats(
+    path: Path, name: str, array: NDArray[np.generic], fits: bool, shape: str
+) -> None:
+    if not fits or not np.issubdtype(array.dtype, np.floating):
+        raise ValueError(
+            f"'{name}' in '{path}' must be {shape} floats [m], not {array.dtype} {array.shape}"
+        )
+
+
+def _numbers(
+    path: Path, data: Mapping[str, NDArray[np.generic]], name: str, shape: tuple[int, ...]
+) -> FloatArray | None:
+    if name not in data:
+        return None
+    array = data[name]
+    number = np.issubdtype(array.dtype, np.floating) or np.issubdtype(array.dtype, np.integer)
+    if not number or array.shape != shape or not np.isfinite(array.astype(float)).all():
+        raise ValueError(
+            f"'{name}' in '{path}' must be finite numbers of shape {shape}, "
+            f"not {array.dtype} {array.shape}"
+        )
+    return array.astype(float)
+
+
+def _is_rotation(R: FloatArray) -> bool:
+    return bool(np.abs(R @ R.T - np.eye(3)).max() <= 1e-6 and np.linalg.det(R) > 0.0)
+
+
+def _read_cloud(path: Path, stamp: float) -> RecordedFrame:
+    points, (width, height) = read_cloud_file(path)
+    if height > 1 and width * height == len(points):
+        image = _as_depth_image(points.reshape(height, width, 3))
+        if image is not None:
+            return RecordedFrame(path, stamp, *image)
+    return RecordedFrame(path, stamp, points=points)
+
+
+def _as_depth_image(points: FloatArray) -> tuple[NDArray[np.float32], FloatArray] | None:
+    """Depth and K of a cloud (H, W, 3) in the camera's frame; None when it is in another.
+
+    A pinhole camera sees a point in column u = fx x / z + cx and row v = fy y / z + cy.
+    """
+    z = points[..., 2]
+    seen = np.isfinite(points).all(axis=2) & (z > 1e-3)
+    if np.count_nonzero(seen) < 10:
+        return None
+    K = np.zeros(4)
+    rows, columns = np.nonzero(seen)
+    for k, pixel in enumerate((columns, rows)):
+        ratio = points[rows, columns, k] / z[seen]
+        spread = ratio - ratio.mean()
+        K[k] = spread @ (pixel - pixel.mean()) / max(float(spread @ spread), 1e-12)
+        K[2 + k] = pixel.mean() - K[k] * ratio.mean()
+        error = K[k] * ratio + K[2 + k] - pixel
+        if K[k] <= 1.0 or np.sqrt(np.mean(error**2)) > _PINHOLE_TOLERANCE:
+            return None
+    return np.where(seen, z, np.nan).astype(np.float32), K

@@ -1,0 +1,122 @@
+"""From where obstacles are measured to whether they move, and where to."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drake_oa.common.messages import BoolArray, FloatArray
+from drake_oa.perception.obstacle_filter import (
+    MotionEstimate,
+    corrected,
+    first_seen,
+    is_outlier,
+    predicted,
+    speed_statistic,
+    unsettled,
+)
+from drake_oa.perception.obstacle_memory import TrackingConfig, Tracks, changed
+from drake_oa.perception.sides import SeenSides, learned_sides, measured_position
+
+_MOVED = 0.004  # what must lie between a moving obstacle and its place at rest [m]
+_SETTLING = 0.1  # share of a frame in the place of an obstacle at rest
+_SHRINKING = 0.99  # of the area of an obstacle that is seen whole, a frame
+
+
+def predicted_tracks(tracks: Tracks, dt: float, config: TrackingConfig) -> Tracks:
+    """Obstacles dt [s] >= 0 later; those that move take their points along.
+
+    One that was not measured for `TrackingConfig.coast_time` stops where it is then, and
+    all do after a gap of `TrackingConfig.longest_gap`.
+    """
+    gap = dt > config.longest_gap
+    moving = tracks.moving & (tracks.unseen + dt <= config.coast_time) & (not gap)
+    estimate = tracks.estimate
+    lost = (tracks.moving & ~moving) | gap
+    if lost.any():
+        # Nothing is known of what it did meanwhile.
+        rest = first_seen(estimate.p_W, config.filter)
+        parts = {
+            name: np.where(lost[:, None], getattr(rest, name), getattr(estimate, name))
+            for name in ("v_W", "var_p", "cov_pv", "var_v")
+        }
+        estimate = MotionEstimate(estimate.p_W, **parts)
+    # Where it does not move significantly, noise must not carry it away while hidden.
+    hidden = (tracks.unseen > 0.0)[:, None] | (tracks.blind > config.blind_time)
+    still = ~moving[:, None] & hidden
+    estimate = changed(estimate, v_W=np.where(still, 0.0, estimate.v_W))
+    estimate = predicted(estimate, min(dt, config.longest_gap), config.filter)
+    step = np.where(moving[:, None], estimate.p_W - tracks.p_shift_W, 0.0)
+    return changed(
+        tracks,
+        estimate=estimate,
+        shift_W=tracks.shift_W + step,
+        p_shift_W=tracks.p_shift_W + step,
+        moving=moving,
+    )
+
+
+def measured_tracks(tracks: Tracks, seen: SeenSides, dt: float, config: TrackingConfig) -> Tracks:
+    """Obstacles after their sides were seen, dt [s] after the frame before."""
+    noise = config.filter
+    p_W, variance = measured_position(seen, tracks.sides, tracks.area, noise.side)
+    estimate = tracks.estimate
+    off = is_outlier(estimate, p_W, variance, noise)
+    again = off & (tracks.odd > 0)
+    if again.any():
+        estimate = unsettled(estimate, again, p_W, dt, noise)
+    p_W = np.where((off & ~again)[:, None], np.nan, p_W)
+    measured: BoolArray = np.asarray(np.isfinite(p_W).any(axis=1))
+    estimate = corrected(estimate, p_W, variance)
+    whole = seen.ends.all(axis=(1, 2))
+    learned = learned_sides(seen, tracks.sides, estimate.p_W)
+    return _decided(
+        changed(
+            tracks,
+            estimate=estimate,
+            sides=np.where(off[:, None, None], tracks.sides, learned),
+            area=np.maximum(seen.area, np.where(whole, _SHRINKING, 1.0) * tracks.area),
+            unseen=np.where(measured, 0.0, tracks.unseen + dt),
+            blind=np.where(np.isfinite(p_W), 0.0, tracks.blind + dt),
+            odd=np.where(off, tracks.odd + 1, 0),
+        ),
+        measured,
+        dt,
+        config,
+    )
+
+
+def _decided(tracks: Tracks, measured: BoolArray, dt: float, config: TrackingConfig) -> Tracks:
+    """Decides which obstacles move, and shifts the points of those that do."""
+    noise, estimate = config.filter, tracks.estimate
+    statistic = speed_statistic(estimate)
+    speed = _lengths(estimate.v_W)
+    away = estimate.p_W - tracks.p_shift_W
+    distance = _lengths(away)
+    doubted = tracks.moving | (tracks.doubt > config.doubt)
+    fast = (speed > noise.start_speed) & measured
+    starts = (statistic > noise.start) & fast
+    starts &= tracks.moving | (doubted & (distance > _MOVED))
+    likely = (statistic > noise.stop) & fast & (tracks.doubt > config.strong_doubt)
+    count = tracks.significant + np.where(starts, noise.patience, 1)
+    significant = np.where(starts | likely, count, 0)
+    calm = (statistic < noise.stop) | (speed < noise.floor)
+    still = np.where(calm, tracks.still + dt, 0.0)
+    moving = tracks.moving | (significant >= noise.start_frames * noise.patience)
+    moving &= still < noise.stop_time
+    # What is at rest is found elsewhere only along what was measured.
+    found = np.where(moving[:, None] | (tracks.blind == 0.0), away, 0.0)
+    follows = measured & (moving | (doubted & (_lengths(found) > config.jump)))
+    step = np.where(follows[:, None], found, 0.0)
+    settling = np.where((measured & ~follows)[:, None], _SETTLING * away, 0.0)
+    return changed(
+        tracks,
+        moving=moving,
+        significant=significant,
+        still=still,
+        shift_W=tracks.shift_W + step,
+        p_shift_W=tracks.p_shift_W + step + settling,
+    )
+
+
+def _lengths(vectors: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt((vectors * vectors).sum(axis=1)))

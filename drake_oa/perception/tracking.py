@@ -1,0 +1,440 @@
+"""Obstacles from frame to frame: what is remembered, their names, and their motion.
+
+A frame shows only what nothing stands before, and shows it with noise. Each frame is
+joined with what was remembered:
+
+1. Position and velocity of each obstacle are predicted (`obstacle_filter`), and what is
+   remembered of a moving obstacle moves with it.
+2. Clusters are given to obstacles (`association`), by common points first.
+3. The obstacles' positions are measured by their sides (`sides`), and filtered.
+4. Each remembered point is confirmed, kept as hidden, or dropped (`occlusion`).
+5. What changed by more than noise is handed on (`cloud_hold`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_oa.common.messages import BoolArray, FloatArray, IntArray, ObstacleClouds
+from drake_oa.geometry.clusters import connected_clusters
+from drake_oa.geometry.self_filter import PosedShapes
+from drake_oa.perception.association import Association, associate
+from drake_oa.perception.cloud_hold import held_clouds, held_table
+from drake_oa.perception.obstacle_filter import first_seen
+from drake_oa.perception.obstacle_memory import (
+    ObstacleMemory,
+    Points,
+    TrackingConfig,
+    Tracks,
+    appended,
+    changed,
+    taken,
+)
+from drake_oa.perception.occlusion import hidden_by_itself, shown_at, weighed, without_background
+from drake_oa.perception.point_cloud import Segmentation, SegmentationConfig
+from drake_oa.perception.sides import View, seen_sides
+from drake_oa.perception.track_motion import measured_tracks, predicted_tracks
+from drake_oa.perception.tracking_kernels import (
+    AT,
+    EMPTY,
+    FREE,
+    HIDDEN,
+    OUT,
+    absorb,
+    hidden_beyond,
+    mutual_nearest,
+)
+
+_SOLID = 2.0  # a new cluster of so many times the fewest voxels is believed at once
+_SLACK = 0.004  # points no farther beyond a side belong to it [m]
+_OFF = 0.003  # a correction of a position by more is looked at anew [m]
+_FADING = 0.9  # share of a doubt that is left a frame later
+_HIDDEN_SHARE = 0.3  # a side is not seen when so much beyond it is hidden
+_LEAST_SEEN = 0.2  # share of an obstacle that must be seen for it to be doubted
+
+
+def fuse(
+    previous: ObstacleMemory,
+    frame: Segmentation,
+    depth: NDArray[np.floating] | None,
+    K: FloatArray | None,
+    stamp: float,
+    config: SegmentationConfig | None = None,
+    robot: PosedShapes | None = None,
+    tracking: TrackingConfig | None = None,
+) -> ObstacleMemory:
+    """Joins a new frame with what was known before it.
+
+    A remembered point is kept where the frame cannot tell: something stands before it
+    (the arm, another obstacle), its pixels have no depth, it lies outside the image, or
+    the robot is where it is. An obstacle behind a parked arm is therefore remembered for
+    as long as the arm stays. Two frames that show its place without it remove it.
+
+    - A frame with a note (no valid pixel, no table) changes nothing but the note: the
+      stamp tells how old the obstacles are.
+    - A frame with the stamp of the one before it is that frame again: nothing changes.
+    - A frame from before the last one begins anew: nothing is remembered, but no name is
+      given twice.
+    - After a gap of `TrackingConfig.longest_gap` obstacles are remembered, velocities not.
+
+    Args:
+        previous: what is remembered; `ObstacleMemory()` before the first frame.
+        frame: the new frame, segmented; its X_WC is used.
+        depth: (H, W) the depth image of that frame [m]; inf counts as free space. None
+            for a cloud: it is taken to show everything, so that nothing is hidden.
+        K: (4,) fx, fy, cx, cy of the image [pixel]; None with a cloud.
+        stamp: time of the frame [s].
+        config: the parameters the frame was segmented with; None for the defaults.
+        robot: the robot's primitives at that time, or None.
+        tracking: how obstacles are followed; None for the defaults.
+
+    Returns:
+        What is remembered after the frame; its `obstacles` are to be handed on.
+
+    Raises:
+        ValueError: for a stamp that is not finite, or an image without intrinsics.
+    """
+    if not math.isfinite(stamp):
+        raise ValueError(f"the stamp of a frame must be finite [s], not {stamp}")
+    if depth is not None and K is None:
+        raise ValueError("a depth image needs its intrinsics K = [fx, fy, cx, cy]")
+    if frame.note:
+        return replace(previous, obstacles=replace(previous.obstacles, note=frame.note))
+    before = previous.obstacles.stamp
+    if stamp == before:
+        return replace(previous, obstacles=replace(previous.obstacles, note=""))
+    if stamp < before:
+        previous = ObstacleMemory(next_id=previous.next_id)
+        before = -math.inf
+    view = None
+    if depth is not None and K is not None:
+        z = np.require(depth, np.float32, ["C", "W"])
+        view = View(z, *(np.require(a, np.float64, ["C", "W"]) for a in (K, frame.X_WC)))
+    first = before == -math.inf
+    step = _Step(
+        previous,
+        frame,
+        view,
+        0.0 if first else stamp - before,
+        config or SegmentationConfig(),
+        robot,
+        tracking or TrackingConfig(),
+        first,
+    )
+    return step.run(stamp)
+
+
+class _Step:
+    """One frame joined with the memory; lives as long as `fuse` runs."""
+
+    def __init__(
+        self,
+        previous: ObstacleMemory,
+        frame: Segmentation,
+        view: View | None,
+        dt: float,
+        config: SegmentationConfig,
+        robot: PosedShapes | None,
+        tracking: TrackingConfig,
+        first: bool,
+    ) -> None:
+        self.previous, self.frame, self.view, self.dt = previous, frame, view, dt
+        self.config, self.robot, self.tracking, self.first = config, robot, tracking, first
+        self.tracks, self.points = previous.tracks, previous.points
+        lengths = [len(cloud) for cloud in frame.clouds_W]
+        self.seen = np.concatenate([np.zeros((0, 3)), *frame.clouds_W])
+        self.cluster = np.repeat(np.arange(len(lengths)), lengths)
+        self.next_id = previous.next_id
+
+    def run(self, stamp: float) -> ObstacleMemory:
+        """The memory after the frame."""
+        self.tracks = predicted_tracks(self.tracks, self.dt, self.tracking)
+        p_WQ = self._remembered()
+        near = self._nearest(p_WQ)
+        shows = self._shows(p_WQ, near[2])
+        association = associate(
+            self.seen,
+            self.cluster,
+            len(self.frame.clouds_W),
+            near[0],
+            p_WQ,
+            self.points.owner,
+            len(self.tracks),
+            self.tracking.gate,
+        )
+        known = len(self.tracks)
+        self._append_new(association)
+        shift = self.tracks.shift_W
+        behind = self._behind_itself(association, shows)
+        self._doubt(near[2], shows[0], behind)
+        # Of what moves, missing pixels must not hide where it ends: it would go on for ever.
+        missing = (shows[0] == EMPTY) | ((shows[0] == OUT) & (shows[1] >= 0))
+        missing &= self.tracks.moving[self.points.owner]
+        hidden = (shows[0] != AT) & (shows[0] != FREE) & ~behind & ~missing
+        self._measure(association, p_WQ, hidden)
+        if known and np.abs(self.tracks.shift_W - shift)[:known].max() > _OFF:
+            p_WQ = self._remembered()
+            near = self._nearest(p_WQ)
+            shows = self._shows(p_WQ, near[2])
+            behind = self._behind_itself(association, shows)
+        split = self._weigh(association, p_WQ, near[2], shows[0], behind)
+        self._remember(association, near)
+        self._split(split)
+        self._merge(association, known)
+        self._forget()
+        return self._handed_on(stamp)
+
+    def _remembered(self) -> FloatArray:
+        """(N, 3) where the remembered points should be in the world [m]."""
+        return self.points.p_OQ + self.tracks.shift_W[self.points.owner]
+
+    def _nearest(self, p_WQ: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+        radius, near = self.tracking.match_radius, self.tracking.support_radius
+        return mutual_nearest(self.seen, p_WQ, radius, min(near, radius))
+
+    def _shows(self, p_WQ: FloatArray, distance: FloatArray) -> tuple[IntArray, IntArray]:
+        return shown_at(
+            p_WQ,
+            distance >= self.tracking.support_radius,
+            self.view,
+            self.tracking.depth_margin,
+            self.robot,
+            self.config.robot_margin,
+        )
+
+    def _behind_itself(
+        self, association: Association, shows: tuple[IntArray, IntArray]
+    ) -> BoolArray:
+        surface = list(zip(association.cluster_row.tolist(), self.frame.pixels, strict=True))
+        return hidden_by_itself(*shows, self.points.owner, surface)
+
+    def _doubt(self, distance: FloatArray, seen: IntArray, behind: BoolArray) -> None:
+        """How much of each obstacle is not where it is remembered."""
+        points = self.points
+        told = (seen == AT) | (seen == FREE) | (seen == EMPTY) | behind
+        asked = points.confirmed & told
+        count = len(self.tracks)
+        total = np.bincount(points.owner[asked], minlength=count)
+        asked &= distance >= self.tracking.support_radius
+        missed = np.bincount(points.owner[asked], minlength=count)
+        least = _LEAST_SEEN * np.bincount(points.owner, minlength=count)
+        share = missed / np.maximum(total, np.maximum(least, 1.0))
+        self.tracks = changed(self.tracks, doubt=np.maximum(share, _FADING * self.tracks.doubt))
+
+    def _append_new(self, association: Association) -> None:
+        count = len(association.new)
+        if not count:
+            return
+        p_W = np.stack([self.frame.clouds_W[c].mean(axis=0) for c in association.new])
+        integers, floats = np.zeros(count, dtype=np.int64), np.zeros(count)
+        new = Tracks(
+            ids=self.next_id + np.arange(count),
+            estimate=first_seen(p_W, self.tracking.filter),
+            shift_W=np.zeros((count, 3)),
+            p_shift_W=p_W,
+            sides=np.full((count, 3, 2), np.nan),
+            area=floats,
+            moving=np.zeros(count, dtype=bool),
+            doubt=floats,
+            significant=integers,
+            still=floats,
+            unseen=floats,
+            blind=np.zeros((count, 3)),
+            odd=integers,
+            apart=integers,
+            together=floats,
+        )
+        self.next_id += count
+        self.tracks = appended(self.tracks, new)
+
+    def _measure(self, association: Association, p_WQ: FloatArray, hidden: BoolArray) -> None:
+        tracks = self.tracks
+        rows = np.where(association.mixed, -1, association.cluster_row)
+        seen = seen_sides(
+            self.frame,
+            rows,
+            tracks.area,
+            self.view,
+            self.config.voxel,
+            self.tracking.depth_margin,
+        )
+        beyond = hidden_beyond(p_WQ, self.points.owner, hidden, seen.place, _SLACK)
+        seen = replace(seen, ends=seen.ends & (beyond < _HIDDEN_SHARE))
+        self.tracks = measured_tracks(tracks, seen, self.dt, self.tracking)
+
+    def _weigh(
+        self,
+        association: Association,
+        p_WQ: FloatArray,
+        distance: FloatArray,
+        seen: IntArray,
+        behind: BoolArray,
+    ) -> list[tuple[int, IntArray, FloatArray]]:
+        """Weighs the remembered points; returns the parts of obstacles that are apart."""
+        points, tracking = self.points, self.tracking
+        found = np.zeros(len(self.tracks), dtype=bool)
+        found[association.point_row] = True
+        seen = without_background(seen, (found & self.tracks.moving)[points.owner])
+        parts = self._parts(association, p_WQ, (seen == HIDDEN) | (seen == OUT))
+        # `remember` still asks for these points by their places here.
+        self._kept = np.full(len(points), -1, dtype=np.int64)
+        marked = changed(points, weight=np.arange(len(points)))
+        left = weighed(
+            marked,
+            seen,
+            behind,
+            distance,
+            found,
+            self._settled(),
+            tracking.support_radius,
+            tracking.same_radius,
+        )
+        self._kept[left.weight] = np.arange(len(left))
+        self.points = changed(left, weight=points.weight[left.weight])
+        return parts
+
+    def _settled(self) -> BoolArray:
+        known = [name in self.previous.held for name in self.tracks.ids.tolist()]
+        return np.array(known, dtype=bool) & ~self.tracks.moving
+
+    def _remember(
+        self, association: Association, near: tuple[IntArray, FloatArray, FloatArray]
+    ) -> None:
+        """Moves remembered points to what was seen of them, and adds what is new."""
+        nearest, distance, _ = near
+        kept = np.append(self._kept, -1)[nearest]
+        row = association.point_row
+        same = np.append(self.points.owner, -1)[kept] == row
+        p_OQ = np.array(self.points.p_OQ)
+        weight = np.array(self.points.weight)
+        local = self.seen - self.tracks.shift_W[row]
+        reach = self.tracking.same_radius
+        most = self.tracking.mean_frames
+        absorb(p_OQ, weight, local, np.where(same, kept, -1), distance, reach, most)
+        self.points = changed(self.points, p_OQ=p_OQ, weight=weight)
+        new = np.flatnonzero((kept < 0) | (distance > reach))
+        ones = np.ones(len(new), dtype=np.int64)
+        solid = np.zeros(len(self.tracks), dtype=bool)
+        sizes = np.array([len(self.frame.clouds_W[c]) for c in association.new], dtype=int)
+        believed = self.first | (sizes >= _SOLID * self.config.min_cluster_voxels)
+        solid[association.cluster_row[association.new]] = believed
+        added = Points(local[new], row[new], ones, ones, solid[row[new]])
+        self.points = appended(self.points, added)
+
+    def _parts(
+        self, association: Association, p_WQ: FloatArray, unseen: BoolArray
+    ) -> list[tuple[int, IntArray, FloatArray]]:
+        """Obstacles seen in several parts that nothing hidden connects.
+
+        Returns:
+            Row, the clusters of the smaller parts, and all points seen of the obstacle.
+        """
+        count = np.bincount(association.cluster_row, minlength=len(self.tracks))
+        apart = np.zeros(len(self.tracks), dtype=np.int64)
+        parts = []
+        for row in np.flatnonzero(count > 1):
+            clusters = np.flatnonzero((association.cluster_row == row) & ~association.mixed)
+            if len(clusters) < 2:
+                continue
+            mine = np.isin(self.cluster, clusters)
+            hidden = p_WQ[unseen & (self.points.owner == row)]
+            groups = np.concatenate(
+                [self.cluster[mine], len(self.frame.clouds_W) + np.arange(len(hidden))]
+            )
+            joined = np.concatenate([self.seen[mine], hidden])
+            label = connected_clusters(joined, self.config.cluster_tolerance, groups)
+            label = label[: int(mine.sum())]
+            largest = np.bincount(label).argmax()
+            if (label == largest).all():
+                continue
+            apart[row] = self.tracks.apart[row] + 1
+            if apart[row] >= self.tracking.split_frames:
+                parts.append((int(row), np.where(label == largest, -1, label), self.seen[mine]))
+        self.tracks = changed(self.tracks, apart=apart)
+        return parts
+
+    def _split(self, parts: list[tuple[int, IntArray, FloatArray]]) -> None:
+        """Makes the smaller parts obstacles of their own."""
+        for row, label, seen in parts:
+            mine = np.flatnonzero(self.points.owner == row)
+            p_WQ = self.points.p_OQ[mine] + self.tracks.shift_W[row]
+            nearest, _, _ = mutual_nearest(p_WQ, seen, self.config.unseen_gap, 0.0)
+            part = np.append(label, -1)[nearest]
+            for name in np.unique(part[part >= 0]):
+                new = len(self.tracks)
+                one = changed(
+                    taken(self.tracks, np.array([row])),
+                    ids=np.array([self.next_id]),
+                    sides=np.full((1, 3, 2), np.nan),
+                    area=np.zeros(1),
+                )
+                self.next_id += 1
+                self.tracks = appended(self.tracks, one)
+                owner = np.array(self.points.owner)
+                owner[mine[part == name]] = new
+                self.points = changed(self.points, owner=owner)
+            sides, area = np.array(self.tracks.sides), np.array(self.tracks.area)
+            sides[row], area[row] = np.nan, 0.0
+            apart = np.where(np.arange(len(self.tracks)) >= row, 0, self.tracks.apart)
+            self.tracks = changed(self.tracks, sides=sides, area=area, apart=apart)
+
+    def _merge(self, association: Association, known: int) -> None:
+        """Joins obstacles at rest that have been one cluster for long."""
+        tracks = self.tracks
+        partner = np.full(len(tracks), -1, dtype=np.int64)
+        partner[:known] = association.partner
+        rests = (partner >= 0) & ~tracks.moving & ~tracks.moving[partner]
+        together = np.where(rests, tracks.together + self.dt, 0.0)
+        self.tracks = changed(tracks, together=together)
+        for row in np.flatnonzero(together >= self.tracking.merge_time):
+            into = partner[row]
+            p_OQ, owner = np.array(self.points.p_OQ), np.array(self.points.owner)
+            mine = owner == row
+            p_OQ[mine] += tracks.shift_W[row] - tracks.shift_W[into]
+            owner[mine] = into
+            self.points = changed(self.points, p_OQ=p_OQ, owner=owner)
+            sides = np.array(self.tracks.sides)
+            sides[into] = np.nan
+            self.tracks = changed(self.tracks, sides=sides)
+
+    def _forget(self) -> None:
+        """Lets go of obstacles of which too little is left."""
+        count = np.bincount(self.points.owner, minlength=len(self.tracks))
+        left = count >= self._fewest()
+        if left.all():
+            return
+        row = np.cumsum(left) - 1
+        points = taken(self.points, left[self.points.owner])
+        self.points = changed(points, owner=row[points.owner])
+        self.tracks = taken(self.tracks, left)
+
+    def _fewest(self) -> int:
+        return max(4, self.config.min_cluster_voxels // 2)
+
+    def _handed_on(self, stamp: float) -> ObstacleMemory:
+        tracks, points = self.tracks, self.points
+        confirmed = np.bincount(points.owner[points.confirmed], minlength=len(tracks))
+        listed = confirmed >= self._fewest()
+        held = held_clouds(
+            tracks.ids, tracks.shift_W, points, listed, self.previous.held, self.tracking
+        )
+        moving = tracks.moving & (np.linalg.norm(tracks.estimate.v_W, axis=1) > 0.0)
+        late = np.flatnonzero(listed & moving & (tracks.unseen > self.tracking.mentioned_after))
+        note = "; ".join(
+            f"obstacle {tracks.ids[row]} has moved on unseen for {tracks.unseen[row]:.2f} s "
+            "at its last velocity"
+            for row in late
+        )
+        obstacles = ObstacleClouds(
+            stamp,
+            tuple(held[name].p_WQ for name in tracks.ids[listed].tolist()),
+            tracks.ids[listed],
+            held_table(self.previous.obstacles.table, self.frame.table, self.tracking.table_shift),
+            note,
+            np.where(moving[:, None], tracks.estimate.v_W, 0.0)[listed],
+        )
+        return ObstacleMemory(obstacles, self.next_id, tracks, points, held)

@@ -1,0 +1,337 @@
+"""Compiled loops behind the memory of obstacles.
+
+Call the functions of `tracking`, `association`, `occlusion` and `cloud_hold`. Every kernel takes
+C-contiguous arrays of float64 and int64 (images: float32), so that numba compiles each
+of them once, and caches it on disk.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from drake_oa.common.messages import BoolArray, FloatArray, IntArray
+from drake_oa.geometry.voxel_kernels import members_of
+
+HIDDEN, AT, FREE, OUT, EMPTY = 0, 1, 2, 3, 4
+"""What an image shows where a point should be: something before it, something at its
+depth, only what is behind it, nothing at all, or nothing far around it either: as before a
+background that is too far away to be measured."""
+_AROUND = 12  # how far around it [pixel]: shadows beside what stands before it are narrower
+
+_CELLS = 60  # the most cells along an axis
+
+
+@njit(cache=True, error_model="numpy")
+def mutual_nearest(
+    query: FloatArray, points: FloatArray, radius: float, near: float
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """The nearest point to each query in reach, and how near any query is to each point.
+
+    Args:
+        query: (Q, 3) [m].
+        points: (N, 3) [m].
+        radius: a point is in reach of a query when it is nearer than this [m].
+        near: a query is in reach of a point when it is nearer than this, <= radius [m];
+            one that is farther may be overlooked.
+
+    Returns:
+        (Q,) index of the nearest point, -1 where none is in reach; (Q,) its distance and
+        (N,) the distance of the nearest query, ``radius`` where there is none [m].
+    """
+    nearest = np.full(len(query), -1, dtype=np.int64)
+    from_query = np.full(len(query), radius * radius)
+    from_point = np.full(len(points), radius * radius)
+    if len(points) == 0:
+        return nearest, np.sqrt(from_query), np.sqrt(from_point)
+    # Cells of a grid round the points: what is in reach is in the 27 about a query.
+    low, high = points[0].copy(), points[0].copy()
+    for i in range(len(points)):
+        for k in range(3):
+            low[k], high[k] = min(low[k], points[i, k]), max(high[k], points[i, k])
+    edge = (1.0 + 1e-9) * radius
+    for k in range(3):
+        edge = max(edge, (high[k] - low[k]) / _CELLS)
+    rows, columns, layers = (
+        int((high[0] - low[0]) / edge) + 1,
+        int((high[1] - low[1]) / edge) + 1,
+        int((high[2] - low[2]) / edge) + 1,
+    )
+    cell_of = np.empty(len(points), dtype=np.int64)
+    for i in range(len(points)):
+        a, b = int((points[i, 0] - low[0]) / edge), int((points[i, 1] - low[1]) / edge)
+        cell_of[i] = (a * columns + b) * layers + int((points[i, 2] - low[2]) / edge)
+    begin, members = members_of(cell_of, rows * columns * layers)
+    ordered = np.empty((len(points), 3))
+    for place in range(len(points)):
+        for k in range(3):
+            ordered[place, k] = points[members[place], k]
+    least = np.full(len(points), radius * radius)
+    # The own column first: what it holds mostly rules out the others.
+    steps = (0, -1, 1)
+    for q in range(len(query)):
+        x, y, z = query[q, 0], query[q, 1], query[q, 2]
+        a = int(np.floor((x - low[0]) / edge))
+        b = int(np.floor((y - low[1]) / edge))
+        c = int(np.floor((z - low[2]) / edge))
+        first, last = max(c - 1, 0), min(c + 2, layers)
+        if first >= last:
+            continue
+        below_x, below_y = x - low[0] - a * edge, y - low[1] - b * edge
+        gap_x = (0.0, below_x * below_x, (edge - below_x) ** 2)
+        gap_y = (0.0, below_y * below_y, (edge - below_y) ** 2)
+        best, found = radius * radius, -1
+        for i in range(3):
+            row = a + steps[i]
+            for j in range(3):
+                column = b + steps[j]
+                if gap_x[i] + gap_y[j] >= max(best, near * near):
+                    continue
+                if row < 0 or row >= rows or column < 0 or column >= columns:
+                    continue
+                base = (row * columns + column) * layers
+                # The cells above each other are one run.
+                for place in range(begin[base + first], begin[base + last]):
+                    d2 = (ordered[place, 0] - x) ** 2
+                    d2 += (ordered[place, 1] - y) ** 2
+                    d2 += (ordered[place, 2] - z) ** 2
+                    least[place] = d2 if d2 < least[place] else least[place]
+                    if d2 < best:
+                        best, found = d2, place
+        from_query[q] = best
+        if found >= 0:
+            nearest[q] = members[found]
+    for place in range(len(points)):
+        from_point[members[place]] = least[place]
+    return nearest, np.sqrt(from_query), np.sqrt(from_point)
+
+
+@njit(cache=True, error_model="numpy")
+def shown(
+    points: FloatArray,
+    X_WC: FloatArray,
+    K: FloatArray,
+    z: NDArray[np.float32],
+    margin: float,
+    pixel: IntArray,
+) -> IntArray:
+    """What a depth image shows where points should be.
+
+    Nine pixels are asked about each point, so that one that is missing, or flies,
+    decides nothing.
+
+    Args:
+        points: (N, 3) in the world frame [m].
+        X_WC: (4, 4) pose of the camera.
+        K: (4,) fx, fy, cx, cy [pixel].
+        z: (H, W) float32 depth [m].
+        margin: depth difference that tells "before" and "behind" from "at" [m].
+        pixel: (N,) written: flat index of each point's pixel, -1 outside the image.
+
+    Returns:
+        (N,) HIDDEN, AT, FREE, OUT or EMPTY.
+    """
+    rows, columns = z.shape[0], z.shape[1]
+    seen = np.full(len(points), OUT, dtype=np.int64)
+    p = np.empty(3)
+    for i in range(len(points)):
+        pixel[i] = -1
+        for k in range(3):
+            p[k] = 0.0
+            for m in range(3):
+                p[k] += X_WC[m, k] * (points[i, m] - X_WC[m, 3])
+        if p[2] < 1e-6:
+            continue
+        u = int(np.floor(K[0] * p[0] / p[2] + K[2] + 0.5))
+        v = int(np.floor(K[1] * p[1] / p[2] + K[3] + 0.5))
+        if u < 0 or u >= columns or v < 0 or v >= rows:
+            continue
+        pixel[i] = v * columns + u
+        at, before, behind = 0, 0, 0
+        for row in range(max(0, v - 1), min(rows, v + 2)):
+            for column in range(max(0, u - 1), min(columns, u + 2)):
+                depth = z[row, column]
+                if not depth > 0.0:
+                    continue
+                beyond = depth - p[2]
+                if beyond > margin:
+                    behind += 1
+                elif beyond < -margin:
+                    before += 1
+                else:
+                    at += 1
+        if at > 0:
+            seen[i] = AT
+        elif before > 0:
+            seen[i] = HIDDEN
+        elif behind > 2:
+            seen[i] = FREE
+        elif behind == 0 and _is_empty(z, v, u):
+            seen[i] = EMPTY
+    return seen
+
+
+@njit(cache=True, error_model="numpy")
+def _is_empty(z: NDArray[np.float32], row: int, column: int) -> bool:
+    """Whether pixels all around a pixel have no depth; not where the image ends."""
+    rows, columns = z.shape
+    for i in range(-2, 3):
+        for j in range(-2, 3):
+            v, u = row + i * _AROUND // 2, column + j * _AROUND // 2
+            if v < 0 or v >= rows or u < 0 or u >= columns or z[v, u] > 0.0:
+                return False
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def hidden_beyond(
+    points: FloatArray, owner: IntArray, hidden: BoolArray, sides: FloatArray, slack: float
+) -> FloatArray:
+    """How much of what is remembered beyond each side is hidden in the frame.
+
+    Args:
+        points: (N, 3) remembered points in the world [m].
+        owner: (N,) their obstacles.
+        hidden: (N,) which of them the frame does not show.
+        sides: (M, 3, 2) from `drake_oa.perception.surface_kernels.tail_places` [m].
+        slack: points no farther beyond a side belong to it [m].
+
+    Returns:
+        (M, 3, 2) shares in [0, 1]; 0 where nothing is remembered.
+    """
+    beyond, unseen = np.zeros(sides.shape), np.zeros(sides.shape)
+    for i in range(len(points)):
+        m = owner[i]
+        for k in range(3):
+            if points[i, k] < sides[m, k, 0] - slack:
+                beyond[m, k, 0] += 1.0
+                unseen[m, k, 0] += hidden[i]
+            elif points[i, k] > sides[m, k, 1] + slack:
+                beyond[m, k, 1] += 1.0
+                unseen[m, k, 1] += hidden[i]
+    return unseen / np.maximum(beyond, 1.0)
+
+
+@njit(cache=True, error_model="numpy")
+def absorb(
+    points: FloatArray,
+    weight: IntArray,
+    query: FloatArray,
+    nearest: IntArray,
+    distance: FloatArray,
+    reach: float,
+    most: int,
+) -> None:
+    """Moves remembered points to the mean of what was seen of them.
+
+    Args:
+        points: (N, 3) remembered points, changed [m].
+        weight: (N,) how many frames each is the mean of, changed.
+        query: (Q, 3) points of the frame [m].
+        nearest: (Q,) the remembered point nearest to each, -1: none.
+        distance: (Q,) and how far it is [m].
+        reach: farther ones are other points [m].
+        most: a mean never weighs more frames than this.
+    """
+    total, count = np.zeros(points.shape), np.zeros(len(points), dtype=np.int64)
+    for q in range(len(query)):
+        i = nearest[q]
+        if i >= 0 and distance[q] <= reach:
+            count[i] += 1
+            for k in range(3):
+                total[i, k] += query[q, k]
+    for i in range(len(points)):
+        if count[i] > 0:
+            weight[i] = min(weight[i] + 1, most)
+            for k in range(3):
+                points[i, k] += (total[i, k] / count[i] - points[i, k]) / weight[i]
+
+
+@njit(cache=True, error_model="numpy")
+def supports(points: FloatArray, row: IntArray, count: int, directions: FloatArray) -> FloatArray:
+    """(M, D) how far the points (N, 3) of each of M obstacles reach along directions (D, 3)."""
+    out = np.full((count, len(directions)), -np.inf)
+    # Their coordinates in rows: a loop along them uses vector instructions.
+    a, b, c = directions[:, 0].copy(), directions[:, 1].copy(), directions[:, 2].copy()
+    for i in range(len(points)):
+        if row[i] >= 0:
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            own = out[row[i]]
+            for d in range(len(a)):
+                reach = a[d] * x + b[d] * y + c[d] * z
+                own[d] = reach if reach > own[d] else own[d]
+    return out
+
+
+@njit(cache=True, error_model="numpy")
+def evidence_after(
+    owner: IntArray,
+    evidence: IntArray,
+    confirmed: BoolArray,
+    seen: IntArray,
+    behind_itself: BoolArray,
+    distance: FloatArray,
+    found: BoolArray,
+    settled: BoolArray,
+    radii: tuple[float, float],
+    levels: tuple[int, int],
+) -> tuple[IntArray, BoolArray]:
+    """The evidence of remembered points after a frame; see `drake_oa.perception.occlusion.weighed`.
+
+    Args:
+        owner: (N,) obstacles of the points.
+        evidence: (N,) before the frame.
+        confirmed: (N,) before the frame.
+        seen: (N,) what the frame shows there.
+        behind_itself: (N,) whether the own obstacle hides it.
+        distance: (N,) from the frame's nearest point [m].
+        found: (M,) obstacles that have a cluster in the frame.
+        settled: (M,) those of which what is new needs one frame more.
+        radii: below which a point of the frame supports a confirmed one, and another [m].
+        levels: the most evidence, and that from which on a point is confirmed.
+
+    Returns:
+        (N,) evidence, 0 for points to be left out; (N,) which are confirmed.
+    """
+    after, sure = np.empty(len(owner), dtype=np.int64), np.empty(len(owner), dtype=np.bool_)
+    certain, enough = levels
+    for i in range(len(owner)):
+        hit = distance[i] < (radii[0] if confirmed[i] else radii[1])
+        gone = seen[i] == FREE or (seen[i] == AT and not found[owner[i]])
+        fading = seen[i] == AT or behind_itself[i]
+        if hit:
+            after[i] = min(evidence[i] + 1, certain)
+        elif gone:
+            after[i] = min(evidence[i], enough) - 1
+        else:
+            after[i] = evidence[i] - fading
+        sure[i] = confirmed[i] or after[i] >= enough + settled[owner[i]]
+        if not confirmed[i] and not hit and (gone or fading):
+            after[i] = 0
+    return after, sure
+
+
+@njit(cache=True, error_model="numpy")
+def counted_votes(
+    cluster: IntArray, clusters: int, voted: IntArray, owner: IntArray, tracks: int
+) -> tuple[IntArray, IntArray]:
+    """The votes of a frame's points for obstacles.
+
+    Args:
+        cluster: (Q,) clusters of the points.
+        clusters: C, how many there are.
+        voted: (Q,) the remembered point nearest to each, -1: none near.
+        owner: (N,) obstacles of the remembered points.
+        tracks: M, how many there are.
+
+    Returns:
+        (C, M) the votes, and (Q,) the obstacle that each point votes for, -1: none.
+    """
+    votes = np.zeros((clusters, tracks), dtype=np.int64)
+    row = np.full(len(cluster), -1, dtype=np.int64)
+    for q in range(len(cluster)):
+        if voted[q] >= 0:
+            row[q] = owner[voted[q]]
+            votes[cluster[q], row[q]] += 1
+    return votes, row

@@ -1,0 +1,1 @@
+"""The movement primitives of position and orientation, with their coupling terms."""

@@ -1,0 +1,490 @@
+"""Dynamic movement primitives: the motion that the coupling terms bend.
+
+Time. T is the demonstrated duration in seconds and tau the temporal scaling
+relative to it; s = t / (tau T) is normalised time, 1 at the end of the motion. In it
+
+    dz/ds = alpha_x (beta_x (g - x) - z) + f(k) + C      (eq. dmp_1)
+    dx/ds = z                                            (eq. dmp_2)
+    dk/ds = -alpha_k k,  k(0) = 1                        (eq. canonicalsystem)
+
+which are the paper's equations with tau T for its tau. So z is in metres, the
+velocity is z / (tau T), and nothing here depends on tau.
+
+Space. The forcing term is learnt in the demonstration's local frame L and divided by
+its baseline, and is placed along the baseline at hand: f_W = baseline R_WL f(k).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import make_interp_spline
+
+from drake_oa.common.messages import FloatArray, Frozen
+from drake_oa.policy.coupling import rotate
+
+ALPHA_X = 48.0
+"""Default spring constant alpha_x, per normalised time."""
+BETA_X = ALPHA_X / 4.0
+"""Default spring constant beta_x: critical damping."""
+ALPHA_K = math.log(100.0)
+"""Default decay of the phase: 1 % is left at the end of the motion."""
+N_BASIS = 35
+"""Default number of basis functions."""
+
+Turn = Callable[[FloatArray, FloatArray, float], FloatArray]
+"""Turn (3,) [rad] of z over a step, of p_WE (3,) [m], z_W (3,) [m] and the step in s."""
+
+
+@dataclass(frozen=True, eq=False)
+class Dmp(Frozen):
+    """A movement primitive of D dimensions, for a baseline of length 1.
+
+    Attributes:
+        alpha_x: spring constant, per normalised time.
+        beta_x: spring constant; alpha_x / 4 for critical damping.
+        alpha_k: decay of the phase, per normalised time.
+        centers: (N,) centres c_i of the basis functions over the phase.
+        widths: (N,) widths h_i, above 0.
+        weights: (D, N) weights in the local frame, divided by the baseline.
+        duration: T, how long the demonstration took [s].
+
+    Raises:
+        ValueError: for wrong shapes, values that are not finite, or constants that
+            are not positive.
+    """
+
+    alpha_x: float
+    beta_x: float
+    alpha_k: float
+    centers: FloatArray
+    widths: FloatArray
+    weights: FloatArray
+    duration: float = 1.0
+    _stacked: FloatArray = field(init=False, repr=False, default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("alpha_x", "beta_x", "alpha_k", "duration"):
+            _check_positive(name, getattr(self, name))
+        N = self.centers.size
+        if self.centers.shape != (N,) or self.widths.shape != (N,) or N == 0:
+            raise ValueError(
+                f"centers and widths must be (N,) with N >= 1, not {self.centers.shape} "
+                f"and {self.widths.shape}"
+            )
+        if self.weights.ndim != 2 or self.weights.shape[1] != N:
+            raise ValueError(f"weights must be (D, {N}), not {self.weights.shape}")
+        if not (np.isfinite(self.centers).all() and np.isfinite(self.weights).all()):
+            raise ValueError("centers and weights must be finite")
+        if not (np.isfinite(self.widths).all() and self.widths.min() > 0.0):
+            raise ValueError("widths must be finite and positive")
+        # One product yields the weighted sums and, in its last row, the plain sum.
+        object.__setattr__(self, "_stacked", np.vstack([self.weights, np.ones(N)]))
+
+    @property
+    def dimension(self) -> int:
+        """D, the number of dimensions."""
+        return len(self.weights)
+
+    def phase(self, s: ArrayLike) -> FloatArray:
+        """Phase k at normalised time s, (eq. canonicalsystem): exp(-alpha_k s)."""
+        return np.asarray(np.exp(-self.alpha_k * np.asarray(s, dtype=float)))
+
+    def forcing(self, k: float) -> FloatArray:
+        """Forcing term f(k), (eq. dmp_rbf), in the local frame, (D,).
+
+        Args:
+            k: phase, in [0, 1].
+
+        Returns:
+            (D,) force for a baseline of 1 m [m].
+        """
+        offset = k - self.centers
+        exponent = -self.widths * offset * offset
+        sums = self._stacked @ np.exp(exponent)
+        if sums[-1] < 1e-200:
+            # Far from every centre: the quotient exists, its parts underflow.
+            sums = self._stacked @ np.exp(exponent - exponent.max())
+        return np.asarray(sums[:-1] * (k / sums[-1]))
+
+
+def normalised_time(k: float, alpha_k: float) -> float:
+    """Normalised time s at phase k: the inverse of `Dmp.phase`."""
+    return -math.log(max(k, 1e-300)) / alpha_k
+
+
+def local_frame(p_WS: ArrayLike, p_WG: ArrayLike) -> FloatArray:
+    """Orientation R_WL of the local frame of a motion (section II-A).
+
+    x points from start to goal, z upward and orthogonal to it, y completes the
+    right-handed frame. For a vertical baseline y is the world's y axis, which is the
+    limit of baselines in the world's xz plane that point toward +x.
+
+    Args:
+        p_WS: (3,) start [m].
+        p_WG: (3,) goal [m].
+
+    Returns:
+        (3, 3) rotation matrix.
+
+    Raises:
+        ValueError: if start and goal coincide or are not finite.
+    """
+    x, y, z = _direction(p_WS, p_WG, 3)
+    flat = math.hypot(x, y)
+    if flat > 1e-12:
+        yx, yy = -y / flat, x / flat
+    else:
+        yx, yy = 0.0, 1.0
+    return np.array(
+        (
+            (x, yx, -z * yy),
+            (y, yy, z * yx),
+            (z, 0.0, x * yy - y * yx),
+        )
+    )
+
+
+def baseline_frame(start: ArrayLike, goal: ArrayLike) -> FloatArray:
+    """Rotation of the local frame of a motion in D dimensions.
+
+    In three dimensions this is `local_frame`. In others it is the rotation that takes
+    the first axis to the baseline and leaves alone all that is orthogonal to both (in
+    the plane of the first two axes where they are opposite); in one dimension, the sign.
+
+    Args:
+        start: (D,).
+        goal: (D,).
+
+    Returns:
+        (D, D); its first column is the unit vector from start to goal.
+
+    Raises:
+        ValueError: if start and goal coincide or are not finite.
+    """
+    D = np.size(start)
+    if D == 3:
+        return local_frame(start, goal)
+    u = np.array(_direction(start, goal, D))
+    if D == 1:
+        return u[:, None]
+    across = u.copy()
+    across[0] = 0.0
+    sin = float(np.linalg.norm(across))
+    if sin > 0.0:
+        across /= sin
+    else:
+        across[1] = 1.0
+    cos = float(u[0])
+    first = np.eye(D)[0]
+    # Rotation by (cos, sin) in the plane of `first` and `across`.
+    return np.asarray(
+        np.eye(D)
+        + (cos - 1.0) * (np.outer(first, first) + np.outer(across, across))
+        + sin * (np.outer(across, first) - np.outer(first, across))
+    )
+
+
+def minimum_jerk(
+    start: ArrayLike, goal: ArrayLike, *, duration: float = 1.0, samples: int = 201
+) -> tuple[FloatArray, FloatArray]:
+    """The straight, rest-to-rest path of least jerk: the default demonstration.
+
+    Args:
+        start: (D,) start [m].
+        goal: (D,) goal [m].
+        duration: [s].
+        samples: number of samples, at least 2.
+
+    Returns:
+        path (samples, D) [m] and its stamps (samples,) [s].
+
+    Raises:
+        ValueError: for shapes that differ, a duration that is not positive, or fewer
+            than two samples.
+    """
+    start, goal = np.atleast_1d(start).astype(float), np.atleast_1d(goal).astype(float)
+    if start.ndim != 1 or start.shape != goal.shape:
+        raise ValueError(f"start and goal must both be (D,), not {start.shape} and {goal.shape}")
+    _check_positive("duration", duration)
+    if samples < 2:
+        raise ValueError(f"samples must be at least 2, not {samples}")
+    s = np.linspace(0.0, 1.0, samples)
+    return start + minimum_jerk_share(s)[:, None] * (goal - start), duration * s
+
+
+def minimum_jerk_share(s: FloatArray) -> FloatArray:
+    """Share of its way that a minimum-jerk motion has gone at normalised times in [0, 1]."""
+    return np.asarray(s**3 * (10.0 + s * (6.0 * s - 15.0)))
+
+
+def imitate(
+    path: ArrayLike,
+    t: ArrayLike | None = None,
+    *,
+    n_basis: int = N_BASIS,
+    alpha_x: float = ALPHA_X,
+    beta_x: float = BETA_X,
+    alpha_k: float = ALPHA_K,
+) -> Dmp:
+    """Learns a movement primitive from one demonstrated path.
+
+    The forcing term that makes (eq. dmp_1) follow the demonstration is sampled on a
+    quintic (or for few samples lower) interpolating spline and fitted by linear least
+    squares over all basis functions at once.
+
+    Args:
+        path: (T, D) positions; T at least 2.
+        t: (T,) stamps [s], increasing, at any spacing; None: evenly over one second.
+        n_basis: number of basis functions, evenly spaced in time.
+        alpha_x: spring constant, per normalised time.
+        beta_x: spring constant, per normalised time.
+        alpha_k: decay of the phase, per normalised time.
+
+    Returns:
+        The primitive; its duration is that of the demonstration.
+
+    Raises:
+        ValueError: for fewer than two samples, values that are not finite, stamps that
+            do not increase, a path that ends where it starts, or constants that are
+            not positive.
+    """
+    path, t = _checked_demonstration(path, t)
+    if n_basis < 2:
+        raise ValueError(f"n_basis must be at least 2, not {n_basis}")
+    for name, value in (("alpha_x", alpha_x), ("beta_x", beta_x), ("alpha_k", alpha_k)):
+        _check_positive(name, value)
+    duration = float(t[-1] - t[0])
+    baseline = float(np.linalg.norm(path[-1] - path[0]))
+    extent = float(np.ptp(path, axis=0).max())
+    if not baseline > 1e-6 * extent:
+        raise ValueError(
+            f"the path must end away from where it starts: its baseline is {baseline} m, "
+            f"its extent {extent} m"
+        )
+    local = (path - path[-1]) @ baseline_frame(path[0], path[-1]) / baseline
+
+    degree = min(5, len(path) - 1) if len(path) != 5 else 3
+    spline = make_interp_spline((t - t[0]) / duration, local, k=degree)
+    s = np.linspace(0.0, 1.0, max(501, 10 * n_basis))
+    x, z, dz = (spline(s, derivative) for derivative in (0, 1, 2))
+    target = dz + alpha_x * (z + beta_x * x)
+
+    # One centre before the start: without it the fit is poorest there, where an error
+    # decides the first heading.
+    gap = 1.0 / max(n_basis - 2, 1)
+    centers = np.exp(-alpha_k * np.linspace(-gap, 1.0, n_basis))
+    gaps = -np.diff(centers)
+    widths = 0.7 / np.append(gaps, gaps[-1]) ** 2
+    k = np.exp(-alpha_k * s)[:, None]
+    basis = np.exp(-widths * (k - centers) ** 2)
+    basis *= k / basis.sum(axis=1, keepdims=True)
+    weights = np.linalg.lstsq(basis, target, rcond=None)[0].T
+    return Dmp(
+        alpha_x=float(alpha_x),
+        beta_x=float(beta_x),
+        alpha_k=float(alpha_k),
+        centers=centers,
+        widths=widths,
+        weights=np.ascontiguousarray(weights),
+        duration=duration,
+    )
+
+
+def _checked_demonstration(path: ArrayLike, t: ArrayLike | None) -> tuple[FloatArray, FloatArray]:
+    path = np.asarray(path, dtype=float)
+    if path.ndim != 2 or path.shape[1] == 0:
+        raise ValueError(f"path must be (T, D) with D >= 1, not {path.shape}")
+    if len(path) < 2:
+        raise ValueError(f"path must have at least 2 samples, not {len(path)}")
+    t = np.linspace(0.0, 1.0, len(path)) if t is None else np.asarray(t, dtype=float)
+    if t.shape != (len(path),):
+        raise ValueError(f"t must be one stamp a sample, ({len(path)},), not {t.shape}")
+    for name, values in (("path", path), ("t", t)):
+        finite = np.isfinite(values).reshape(len(path), -1).all(axis=1)
+        if not finite.all():
+            raise ValueError(f"{name} must be finite: sample {int(np.argmin(finite))} is not")
+    rising = np.diff(t) > 0.0
+    if not rising.all():
+        row = int(np.argmin(rising))
+        raise ValueError(
+            f"stamps must increase: sample {row + 1} at {t[row + 1]} s follows {t[row]} s"
+        )
+    return path, t
+
+
+def spring_flow(alpha_x: float, beta_x: float, step: float) -> tuple[float, float, float, float]:
+    """Exact flow of the spring dz/ds = -alpha_x (beta_x e + z), de/ds = z over a step.
+
+    Args:
+        alpha_x: spring constant.
+        beta_x: spring constant; any damping.
+        step: length of the step, at least 0.
+
+    Returns:
+        a, b, c, d with e <- a e + b z and z <- c e + d z.
+    """
+    stiffness, half = alpha_x * beta_x, 0.5 * alpha_x
+    square = half * half - stiffness
+    if abs(square) <= 1e-14 * half * half:
+        cosine = math.exp(-half * step)
+        sine = cosine * step
+    elif square < 0.0:
+        omega = math.sqrt(-square)
+        decay = math.exp(-half * step)
+        cosine = decay * math.cos(omega * step)
+        sine = decay * math.sin(omega * step) / omega
+    else:
+        omega = math.sqrt(square)
+        # half - omega without cancellation.
+        slow = math.exp(-step * stiffness / (half + omega))
+        fast = math.exp(-step * (half + omega))
+        cosine = 0.5 * (slow + fast)
+        sine = 0.5 * (slow - fast) / omega
+    return cosine + half * sine, sine, -stiffness * sine, cosine - half * sine
+
+
+def step(
+    dmp: Dmp,
+    p: FloatArray,
+    z: FloatArray,
+    k: float,
+    ds: float,
+    goal: FloatArray,
+    *,
+    frame: FloatArray,
+    baseline: float,
+    turn: Turn | None = None,
+) -> tuple[FloatArray, FloatArray, float]:
+    """One step of the whole action level over ds = dt / (tau T).
+
+    Half a step of the spring, a turn of z by the coupling terms, half a step of the
+    spring. Both parts are exact flows: the turn keeps the length of z, and without
+    forcing the energy alpha_x beta_x |g - x|^2 / 2 + |z|^2 / 2 never rises, whatever
+    the turn. The forcing term is held at its value in the middle of the step.
+
+    Args:
+        dmp: the movement primitive, of D dimensions.
+        p: (D,) position [m].
+        z: (D,) scaled velocity [m].
+        k: phase.
+        ds: step of normalised time, at least 0.
+        goal: (D,) goal [m].
+        frame: (D, D) R_WL of this motion, see `baseline_frame`.
+        baseline: distance from start to goal of this motion [m].
+        turn: turn of z over a step, for example `CouplingTerms.turn`; D must be 3
+            then. None: no coupling.
+
+    Returns:
+        p, z and k at the end of the step.
+
+    Raises:
+        ValueError: for a step that is negative or not finite.
+    """
+    if not 0.0 <= ds < math.inf:
+        raise ValueError(f"ds must be finite and at least 0, not {ds}")
+    if ds == 0.0:
+        return p, z, k
+    middle = k * math.exp(-0.5 * dmp.alpha_k * ds)
+    force = (frame @ dmp.forcing(middle)) * (baseline / (dmp.alpha_x * dmp.beta_x))
+    rest = (goal + force).tolist()
+    flow = spring_flow(dmp.alpha_x, dmp.beta_x, ds if turn is None else 0.5 * ds)
+    position, velocity = _spring(p.tolist(), z.tolist(), rest, flow)
+    if turn is not None:
+        p_W, z_W = np.array(position), np.array(velocity)
+        velocity = rotate(z_W, turn(p_W, z_W, ds)).tolist()
+        position, velocity = _spring(position, velocity, rest, flow)
+    return np.array(position), np.array(velocity), k * math.exp(-dmp.alpha_k * ds)
+
+
+def _spring(
+    x: list[float], z: list[float], rest: list[float], flow: tuple[float, float, float, float]
+) -> tuple[list[float], list[float]]:
+    a, b, c, d = flow
+    position = [r + a * (q - r) + b * v for q, v, r in zip(x, z, rest, strict=True)]
+    velocity = [c * (q - r) + d * v for q, v, r in zip(x, z, rest, strict=True)]
+    return position, velocity
+
+
+class Trajectory(NamedTuple):
+    """A motion sampled in normalised time.
+
+    Attributes:
+        s: (n + 1,) normalised time.
+        p: (n + 1, D) position [m].
+        z: (n + 1, D) scaled velocity dp/ds [m].
+        k: (n + 1,) phase.
+    """
+
+    s: FloatArray
+    p: FloatArray
+    z: FloatArray
+    k: FloatArray
+
+
+def trajectory(
+    dmp: Dmp,
+    start: ArrayLike,
+    goal: ArrayLike,
+    *,
+    steps: int = 500,
+    end: float = 1.0,
+    turn: Turn | None = None,
+) -> Trajectory:
+    """Rolls the action level forward from rest; without a turn, the planned motion.
+
+    Args:
+        dmp: the movement primitive, of D dimensions.
+        start: (D,) start [m].
+        goal: (D,) goal [m].
+        steps: number of steps, at least 1.
+        end: normalised time at the end.
+        turn: as in `step`.
+
+    Returns:
+        The motion at steps + 1 instants.
+
+    Raises:
+        ValueError: if start and goal coincide, or do not fit the primitive.
+    """
+    p, g = np.array(start, dtype=float), np.array(goal, dtype=float)
+    if p.shape != (dmp.dimension,) or g.shape != p.shape:
+        raise ValueError(f"start and goal must be ({dmp.dimension},), not {p.shape} and {g.shape}")
+    if steps < 1:
+        raise ValueError(f"steps must be at least 1, not {steps}")
+    _check_positive("end", end)
+    frame = baseline_frame(p, g)
+    baseline = float(np.linalg.norm(g - p))
+    z, k, ds = np.zeros_like(p), 1.0, end / steps
+    samples = [(p, z, k)]
+    for _ in range(steps):
+        p, z, k = step(dmp, p, z, k, ds, g, frame=frame, baseline=baseline, turn=turn)
+        samples.append((p, z, k))
+    return Trajectory(
+        np.linspace(0.0, end, steps + 1),
+        *(np.array(column) for column in zip(*samples, strict=True)),
+    )
+
+
+def _direction(start: ArrayLike, goal: ArrayLike, D: int) -> list[float]:
+    a, b = np.asarray(start, dtype=float), np.asarray(goal, dtype=float)
+    if a.shape != (D,) or b.shape != (D,):
+        raise ValueError(f"start and goal must be ({D},), not {a.shape} and {b.shape}")
+    way = (b - a).tolist()
+    length = math.hypot(*way)
+    if not 0.0 < length < math.inf:
+        raise ValueError(
+            f"start and goal must be finite and apart, not {a.tolist()} and {b.tolist()}"
+        )
+    return [component / length for component in way]
+
+
+def _check_positive(name: str, value: float) -> None:
+    if not 0.0 < value < math.inf:
+        raise ValueError(f"{name} must be positive and finite, not {value}")

@@ -1,0 +1,219 @@
+"""The action layer: a movement primitive bent by coupling terms."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+from pydrake.common.value import AbstractValue, Value
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    EventStatus,
+    LeafSystem,
+    State,
+    ValueProducer,
+)
+
+from drake_oa.common.messages import (
+    DECIDING,
+    CouplingParameters,
+    EllipsoidSet,
+    FloatArray,
+    PolicyState,
+    Route,
+)
+from drake_oa.common.ports import read_optional, valid_period
+from drake_oa.policy.action import (
+    SCALED_TO_REST,
+    ActionLevel,
+    ActionParameters,
+    Segment,
+    begun_anew,
+    initial_segment,
+)
+from drake_oa.policy.dmp import Dmp
+from drake_oa.policy.policy_inputs import Surroundings
+
+_logger = logging.getLogger("drake_oa")
+_SUCCEEDED = EventStatus.Succeeded()
+
+
+class DmpIntegrator(LeafSystem):
+    """Integrates the movement primitive with its coupling terms.
+
+    .. pydrake_system::
+
+      name: DmpIntegrator
+      input_ports:
+      - goal
+      - ellipsoids_W (optional)
+      - coupling_parameters (optional)
+      - route (optional)
+      - speed_scale (optional)
+      - evasion (optional)
+      output_ports:
+      - desired_position
+      - desired_velocity
+      - desired_acceleration
+      - phase
+      - policy_state
+
+    - goal: (3,) goal of the motion in the world frame [m].
+    - ellipsoids_W (optional): abstract `EllipsoidSet`, the dilated obstacles. Without
+      it the motion is the pre-planned one.
+    - coupling_parameters (optional): abstract `CouplingParameters`, one row an
+      ellipsoid. Without it there is no avoidance term. Its normals and its tau, where it
+      gives them, go before the route's, and its point p_WV before the goal; while it has a
+      note the motion is held.
+    - route (optional): abstract `Route`, one row an ellipsoid: `CostRingSelector`'s
+      decision, whose headings are then computed here from where the motion is at each
+      step; or a route with headings of its own. Without it there is no guidance term,
+      and the motion is not scaled in time.
+    - speed_scale (optional): (1,) share of full speed at which the motion is to go, in
+      [0, 1], as a `Supervisor` gives it. The rate of normalised time follows it at the rate
+      of a hold, and the path stays; at 0 the motion is held. Without it the share is 1.
+    - evasion (optional): (3,) velocity in the world [m/s] by which p_WE is displaced besides
+      its motion, as an `ObstacleEvasion` gives it; phase and scaled velocity stay as they
+      are, and the spring leads on from where it has come to. It should be continuous: the
+      desired velocity follows it within a step.
+    - desired_position: (3,) p_WE [m].
+    - desired_velocity: (3,) v_WE [m/s].
+    - desired_acceleration: (3,) a_WE [m/s^2].
+    - phase: (1,) the canonical phase k.
+    - policy_state: abstract `PolicyState` at the last step.
+
+    The state is abstract, in the Context: the step under way (`Segment`), between
+    whose ends the desired motion is interpolated, so that a controller may run faster
+    than the policy. A simulator that takes over a Context goes on with its motion. The
+    motion is held (its normalised time slows down to a stop, on the path) while it
+    would not be safe: see `drake_oa.policy.action.hold_reason`.
+    """
+
+    def __init__(
+        self,
+        dmp: Dmp,
+        start: FloatArray,
+        *,
+        period: float = 0.005,
+        parameters: ActionParameters | None = None,
+    ) -> None:
+        """Declares the ports.
+
+        Args:
+            dmp: the movement primitive.
+            start: (3,) where the motion starts [m].
+            period: step of the policy [s].
+            parameters: how coupling terms and holds act; None: the defaults.
+
+        Raises:
+            ValueError: if the start is not three finite numbers, the primitive does not
+                have three dimensions, or the period is not positive.
+        """
+        super().__init__()
+        start = np.asarray(start, dtype=float)
+        if start.shape != (3,) or not np.isfinite(start).all():
+            raise ValueError(f"start must be 3 finite numbers [m], not {start}")
+        self._dmp = dmp
+        self._level = ActionLevel(dmp, parameters or ActionParameters())
+        self._start = start
+        self._period = valid_period(period)
+
+        self._goal = self.DeclareVectorInputPort("goal", 3)
+        self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
+        self._coupling = self.DeclareAbstractInputPort(
+            "coupling_parameters", Value(CouplingParameters())
+        )
+        self._route = self.DeclareAbstractInputPort("route", Value(Route()))
+        self._speed_scale = self.DeclareVectorInputPort("speed_scale", 1)
+        self._evasion = self.DeclareVectorInputPort("evasion", 3)
+        # Perception and decision are much slower than the policy.
+        self._surroundings = self.DeclareCacheEntry(
+            "surroundings",
+            ValueProducer(lambda: Value(Surroundings()), self._calc_surroundings),
+            {self._ellipsoids.ticket(), self._coupling.ticket(), self._route.ticket()},
+        )
+        self._segment = self.DeclareAbstractState(Value(Segment.at_rest(start)))
+        moving = {self.time_ticket(), self.abstract_state_ticket(self._segment)}
+        for name, derivative in (
+            ("desired_position", 0),
+            ("desired_velocity", 1),
+            ("desired_acceleration", 2),
+        ):
+            self.DeclareVectorOutputPort(
+                name,
+                3,
+                lambda context, output, derivative=derivative: output.SetFromVector(
+                    self._read_segment(context).interpolate(context.get_time(), derivative)
+                ),
+                moving,
+            )
+        stepped = {self.abstract_state_ticket(self._segment)}
+        self.DeclareVectorOutputPort("phase", 1, self._calc_phase, stepped)
+        self.DeclareAbstractOutputPort(
+            "policy_state",
+            lambda: Value(PolicyState()),
+            lambda context, output: output.set_value(self._read_segment(context).state),
+            stepped,
+        )
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._initialize)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._step)
+
+    @property
+    def level(self) -> ActionLevel:
+        """What takes the steps."""
+        return self._level
+
+    def _read_segment(self, context: Context) -> Segment:
+        return context.get_abstract_state(self._segment).get_value()
+
+    def _read_speed_scale(self, context: Context) -> float:
+        port = self._speed_scale
+        return float(port.Eval(context)[0]) if port.HasValue(context) else 1.0
+
+    def _calc_phase(self, context: Context, output: BasicVector) -> None:
+        output.SetAtIndex(0, self._read_segment(context).phase)
+
+    def _initialize(self, context: Context, state: State) -> EventStatus:
+        if self._read_segment(context).state.baseline > 0.0:
+            # A motion under way, in a Context that another simulator takes over.
+            return EventStatus.DidNothing()
+        segment = initial_segment(
+            self._dmp, self._start, self._goal.Eval(context), context.get_time()
+        )
+        state.get_mutable_abstract_state(self._segment).set_value(segment)
+        return EventStatus.Succeeded()
+
+    def _calc_surroundings(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(
+            Surroundings.of(
+                read_optional(self, self._ellipsoids, context, EllipsoidSet),
+                read_optional(self, self._coupling, context, CouplingParameters),
+                read_optional(self, self._route, context, Route),
+            )
+        )
+
+    def _step(self, context: Context, state: State) -> EventStatus:
+        before = self._read_segment(context)
+        around = self._surroundings.Eval(context)
+        goal = around.p_WV if len(around.p_WV) else self._goal.Eval(context)
+        if around.anew:
+            before = begun_anew(before, goal, context.get_time())
+        after = self._level.step(
+            before,
+            goal,
+            around,
+            context.get_time(),
+            self._period,
+            speed_scale=self._read_speed_scale(context),
+            evasion=self._evasion.Eval(context) if self._evasion.HasValue(context) else None,
+        )
+        # Who scales the speed says why.
+        if after.note != before.note and SCALED_TO_REST not in (after.note, before.note):
+            message = f"held: {after.note}" if after.note else "running again"
+            # To think before a motion is nothing to warn of.
+            quiet = DECIDING in (after.note, after.note or before.note)
+            level = logging.INFO if quiet else logging.WARNING
+            _logger.log(level, "t=%.3f s: %s", context.get_time(), message)
+        state.get_mutable_abstract_state(self._segment).set_value(after)
+        return _SUCCEEDED

@@ -1,0 +1,181 @@
+"""The desired heading v_d of the guidance term (eq. oa_rs).
+
+The paper leaves open which heading leads the motion along a chosen direction
+omega_d, and for how long. Here v_d is the heading along the line through E that
+supports the obstacle at the asked clearance on the chosen side: the shortest way
+past it. It is asked for only while the avoidance term would lead past another side.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from drake_oa.common.kernel_arrays import kernel_arrays
+from drake_oa.common.messages import EllipsoidSet, FloatArray, PolicyState
+from drake_oa.geometry.ellipsoid import shape_matrix
+from drake_oa.geometry.ellipsoid_kernels import tangent_headings
+
+
+def passing_normals(direction_W: FloatArray, R_WL: FloatArray) -> FloatArray:
+    """Normals x_L x omega of the planes in which the obstacles are passed, (M, 3).
+
+    Turning about one by the right-hand rule turns from the baseline toward the chosen
+    direction omega, which is orthogonal to the baseline.
+    """
+    return _cross(np.broadcast_to(R_WL[:, 0], direction_W.shape), direction_W)
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    return np.stack(
+        [
+            a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1],
+            a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2],
+            a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0],
+        ],
+        axis=1,
+    )
+
+
+def desired_headings(
+    policy: PolicyState,
+    ellipsoids: EllipsoidSet,
+    direction_W: FloatArray,
+    normal_W: FloatArray,
+    center_W: FloatArray,
+    clearance: FloatArray,
+) -> FloatArray:
+    """v_d for each obstacle; a zero row where the heading needs no guidance.
+
+    Guidance is needed where the motion is on its way into the obstacle's clearance and
+    the avoidance term would turn it to another side than the chosen one: with e the way
+    to the centre and u the heading, the P-plane's normal e x u then leans away from the
+    normal of the passing plane. v_d goes over from u to the supporting heading as it
+    leans by up to 30 degrees below the right angle.
+
+    Args:
+        policy: position, scaled velocity and goal of the motion.
+        ellipsoids: the M obstacles, dilated by the tool.
+        direction_W: (M, 3) chosen unit directions omega_d.
+        normal_W: (M, 3) normals of the passing planes, see `passing_normals`.
+        center_W: (M, 3) points that the avoidance terms act about [m].
+        clearance: (M,) distance to keep [m].
+
+    Returns:
+        (M, 3) unit headings or zero rows, in the world frame.
+    """
+    heading_W = np.zeros((len(ellipsoids), 3))
+    guide(
+        *kernel_arrays(policy.p_WE, policy.z_W, policy.p_WG, policy.R_WL.ravel()),
+        *kernel_arrays(center_W, normal_W, direction_W, clearance),
+        *kernel_arrays(ellipsoids.p_WO, ellipsoids.R_WO, ellipsoids.semi_axes),
+        shape_matrix(ellipsoids.R_WO, ellipsoids.semi_axes),
+        heading_W,
+    )
+    return heading_W
+
+
+@njit(cache=True, error_model="numpy")
+def guide(
+    p_WE: FloatArray,
+    z_W: FloatArray,
+    p_WG: FloatArray,
+    R_WL: FloatArray,
+    center_W: FloatArray,
+    normal_W: FloatArray,
+    direction_W: FloatArray,
+    clearance: FloatArray,
+    p_WO: FloatArray,
+    R_WO: FloatArray,
+    semi_axes: FloatArray,
+    B: FloatArray,
+    heading_W: FloatArray,
+) -> None:
+    """Sets the rows of heading_W (M, 3) that need guidance, see `desired_headings`.
+
+    At rest the heading u is the baseline: the motion is about to set out along it.
+
+    Args:
+        p_WE, z_W, p_WG: (3,) of the policy.
+        R_WL: (9,) its local frame, row by row.
+        center_W, normal_W, direction_W, clearance: as in `desired_headings`.
+        p_WO, R_WO, semi_axes, B: the ellipsoids, and their shape matrices (M, 3, 3).
+        heading_W: (M, 3) what is set.
+    """
+    u = np.empty(3)
+    speed = np.sqrt(z_W[0] ** 2 + z_W[1] ** 2 + z_W[2] ** 2)
+    distance_G = 0.0
+    for k in range(3):
+        u[k] = z_W[k] / speed if speed > 0.0 else R_WL[3 * k]
+        distance_G += (p_WG[k] - p_WE[k]) ** 2
+    distance_G = np.sqrt(distance_G)
+    for row in range(len(center_W)):
+        if not clearance[row] > 0.0:
+            continue
+        share = _wrong_side(p_WE, u, center_W[row], normal_W[row])
+        if share == 0.0:
+            continue
+        entry = _ray_entry(p_WE, u, p_WO[row], R_WO[row], semi_axes[row], clearance[row])
+        if not entry < distance_G:
+            continue
+        one = slice(row, row + 1)
+        tangent = np.empty((1, 3))
+        tangent_headings(
+            p_WE,
+            p_WO[one],
+            B[one],
+            direction_W[one],
+            clearance[one],
+            np.empty((7, 3)),
+            tangent,
+            np.empty(1),
+            np.empty((1, 3)),
+        )
+        size = 0.0
+        for k in range(3):
+            tangent[0, k] = u[k] + share * (tangent[0, k] - u[k])
+            size += tangent[0, k] ** 2
+        size = np.sqrt(size)
+        if size > 0.0:
+            for k in range(3):
+                heading_W[row, k] = tangent[0, k] / size
+
+
+@njit(cache=True, error_model="numpy")
+def _wrong_side(p_WE: FloatArray, u: FloatArray, center: FloatArray, normal: FloatArray) -> float:
+    """How far the guidance has gone over from u to the supporting heading, 0 to 1."""
+    e0, e1, e2 = center[0] - p_WE[0], center[1] - p_WE[1], center[2] - p_WE[2]
+    x, y, z = e1 * u[2] - e2 * u[1], e2 * u[0] - e0 * u[2], e0 * u[1] - e1 * u[0]
+    size = np.sqrt(x * x + y * y + z * z)
+    # Straight at the centre: the turn about the normal goes to the chosen side by itself.
+    if size <= 1e-9 * np.sqrt(e0 * e0 + e1 * e1 + e2 * e2):
+        return 0.0
+    lean = -(x * normal[0] + y * normal[1] + z * normal[2])
+    return min(2.0 * lean / size, 1.0) if lean > 1e-9 * size else 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def _ray_entry(
+    p_WE: FloatArray,
+    u: FloatArray,
+    center: FloatArray,
+    R: FloatArray,
+    semi_axes: FloatArray,
+    clearance: float,
+) -> float:
+    """How far along u the ray from E meets a grown ellipsoid; inf where it misses it."""
+    a, b, c = 0.0, 0.0, -1.0
+    for axis in range(3):
+        p, w = 0.0, 0.0
+        for k in range(3):
+            p += R[k, axis] * (p_WE[k] - center[k])
+            w += R[k, axis] * u[k]
+        length = semi_axes[axis] + clearance
+        p, w = p / length, w / length
+        a += w * w
+        b += p * w
+        c += p * p
+    discriminant = b * b - a * c
+    if discriminant <= 0.0 or b >= 0.0:
+        return np.inf
+    return max((-b - np.sqrt(discriminant)) / a, 0.0)

@@ -1,0 +1,297 @@
+"""A movement primitive for the orientation of the tool, on the phase of the position's.
+
+The orientation is R_WE = R_WS exp([r]), with r the rotation vector from the start S in S, and
+r obeys the linear system of `drake_oa.policy.dmp`, in normalised time s and with the same phase k,
+
+    dz/ds = alpha_x (beta_x (g - r) - z) + f_0(k) g + f(k),    dr/ds = z,
+
+with g the rotation vector of the goal. f_0 is learnt from the least-jerk share m(s) that rises
+from 0 to 1, and f from what the demonstration has besides: r(s) - m(s) r(1). So a motion to
+another goal is m(s) g + (r(s) - m(s) r(1)), also where start and goal have the same
+orientation. A step is exact, as the position's is, and the exponential map has no
+singularity: only learning from orientations, and naming a goal, take logarithms.
+
+Departure from Ude et al. (ICRA 2014), who let a spring act on 2 log(g q*): there the system
+is not linear, so that it has no closed-form step.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from drake_oa.common.messages import FloatArray, Frozen
+from drake_oa.geometry.rotation import rotation_of, rotation_vector
+from drake_oa.policy import orientation_kernels as kernels
+from drake_oa.policy.dmp import (
+    ALPHA_K,
+    ALPHA_X,
+    BETA_X,
+    N_BASIS,
+    Dmp,
+    imitate,
+    minimum_jerk,
+    minimum_jerk_share,
+)
+
+LARGEST_ANGLE = math.radians(300.0)
+"""Furthest that a demonstration may turn from its start: rotation vectors end at 360 degrees."""
+_HALF_TURN = math.pi - 1e-6
+"""Rotations of more than this have no way round of their own [rad]."""
+_STEP = 1.0 / 500.0
+"""Step of `orientation_along`, in normalised time."""
+
+
+@dataclass(frozen=True, eq=False)
+class OrientationDmp(Frozen):
+    """A movement primitive of the orientation.
+
+    Attributes:
+        dmp: of four dimensions: the share f_0 of the goal's rotation vector, and f [rad].
+        total: (3,) rotation vector from the demonstration's start to its end, continued
+            from sample to sample; zero where nothing was demonstrated [rad].
+        first: (3, 3) orientation that the demonstration starts with.
+        last: (3, 3) orientation that it ends with.
+
+    Raises:
+        ValueError: if the primitive does not have four dimensions.
+    """
+
+    dmp: Dmp
+    total: FloatArray = field(default_factory=lambda: np.zeros(3))
+    first: FloatArray = field(default_factory=lambda: np.eye(3))
+    last: FloatArray = field(default_factory=lambda: np.eye(3))
+    constants: FloatArray = field(init=False, repr=False, default_factory=lambda: np.zeros(3))
+    basis: FloatArray = field(init=False, repr=False, default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        dmp = self.dmp
+        if dmp.dimension != 4:
+            raise ValueError(f"dmp must have 4 dimensions, not {dmp.dimension}")
+        # As the kernels take them; they must stay writeable for those.
+        super().__post_init__()
+        constants = np.array([dmp.alpha_x, dmp.beta_x, dmp.alpha_k])
+        object.__setattr__(self, "constants", constants)
+        object.__setattr__(self, "basis", np.vstack([dmp.centers, dmp.widths, dmp.weights]))
+
+
+def rotation_matrix(orientation: ArrayLike) -> FloatArray:
+    """Rotation matrix (3, 3) of a quaternion (4,), w first, of either sign and any length.
+
+    Raises:
+        ValueError: for another shape, or a quaternion that is zero or not finite.
+    """
+    quaternion = np.array(orientation, dtype=float)
+    if quaternion.shape != (4,):
+        raise ValueError(f"a quaternion must be (4,), w first, not {quaternion.shape}")
+    if not (np.isfinite(quaternion).all() and quaternion.any()):
+        raise ValueError(f"a quaternion must be finite and not zero, not {quaternion.tolist()}")
+    return np.asarray(rotation_of(quaternion))
+
+
+def goal_vector(start: ArrayLike, goal: ArrayLike, near: ArrayLike | None = None) -> FloatArray:
+    """Rotation vector from one orientation to another, in the frame of the first.
+
+    Args:
+        start: (3, 3) R_WS.
+        goal: (3, 3) R_WG.
+        near: (3,) which of the vectors that lead there is taken: the nearest to this one
+            [rad]. None: the shortest.
+
+    Returns:
+        (3,) [rad].
+
+    Raises:
+        ValueError: if they are half a turn apart and `near` does not tell the way round.
+    """
+    R = np.ascontiguousarray(np.asarray(start, dtype=float).T @ np.asarray(goal, dtype=float))
+    r = rotation_vector(R)
+    angle = float(np.linalg.norm(r))
+    if near is None:
+        if angle > _HALF_TURN:
+            raise ValueError(
+                "start and goal orientation are half a turn apart, which leaves open which way "
+                "round: demonstrate it, or give a goal that is nearer"
+            )
+        return r
+    return _nearest(r, np.asarray(near, dtype=float))
+
+
+def _nearest(r: FloatArray, near: FloatArray) -> FloatArray:
+    """The rotation vector of the same rotation as r that is nearest to another one."""
+    angle = float(np.linalg.norm(r))
+    length = float(np.linalg.norm(near))
+    # No rotation has no axis: any will do.
+    axis = r / angle if angle > 1e-9 else near / length if length > 0.0 else np.eye(3)[0]
+    turns = round((float(axis @ near) - angle) / (2.0 * math.pi))
+    return r if turns == 0 else np.asarray((angle + 2.0 * math.pi * turns) * axis)
+
+
+def imitate_orientation(
+    orientations: ArrayLike,
+    t: ArrayLike | None = None,
+    *,
+    n_basis: int = N_BASIS,
+    alpha_x: float = ALPHA_X,
+    beta_x: float = BETA_X,
+    alpha_k: float = ALPHA_K,
+) -> OrientationDmp:
+    """Learns a movement primitive of the orientation from one demonstration.
+
+    Args:
+        orientations: (T, 4) quaternions R_WE, w first, of any sign and length, each sign
+            for itself; or (T, 3, 3) rotation matrices. T at least 2.
+        t: (T,) stamps [s], increasing; None: evenly over one second.
+        n_basis: number of basis functions.
+        alpha_x: spring constant, per normalised time.
+        beta_x: spring constant, per normalised time.
+        alpha_k: decay of the phase; the position's.
+
+    Raises:
+        ValueError: for a wrong shape, fewer than two samples, a sample that is no
+            rotation, stamps that do not increase, half a turn or more between two samples,
+            or a motion that turns further than `LARGEST_ANGLE` from its start.
+    """
+    R = _rotations(orientations)
+    r = np.zeros((len(R), 3))
+    for row in range(1, len(R)):
+        step = float(np.linalg.norm(rotation_vector(np.ascontiguousarray(R[row - 1].T @ R[row]))))
+        if step > _HALF_TURN:
+            raise ValueError(
+                f"orientations: samples {row - 1} and {row} are half a turn apart, which leaves "
+                "open which way round; sample more often"
+            )
+        of_start = rotation_vector(np.ascontiguousarray(R[0].T @ R[row]))
+        r[row] = _nearest(of_start, r[row - 1])
+        angle = float(np.linalg.norm(r[row]))
+        if angle > LARGEST_ANGLE:
+            raise ValueError(
+                f"orientations: sample {row} has turned {math.degrees(angle):.0f} degrees from "
+                f"the first; at most {math.degrees(LARGEST_ANGLE):.0f} can be imitated"
+            )
+    count = len(R)
+    stamps = np.linspace(0.0, 1.0, count) if t is None else np.asarray(t, dtype=float)
+    s = np.linspace(0.0, 1.0, count)
+    if stamps.shape == (count,) and stamps[-1] > stamps[0]:
+        s = (stamps - stamps[0]) / (stamps[-1] - stamps[0])
+    share = minimum_jerk_share(s)
+    # A path whose baseline is the first axis, and 1: nothing is turned or scaled.
+    path = np.column_stack([share, r - share[:, None] * r[-1]])
+    dmp = imitate(path, stamps, n_basis=n_basis, alpha_x=alpha_x, beta_x=beta_x, alpha_k=alpha_k)
+    return OrientationDmp(dmp, total=r[-1].copy(), first=R[0].copy(), last=R[-1].copy())
+
+
+def minimum_jerk_orientation(
+    *,
+    n_basis: int = N_BASIS,
+    alpha_x: float = ALPHA_X,
+    beta_x: float = BETA_X,
+    alpha_k: float = ALPHA_K,
+) -> OrientationDmp:
+    """The primitive of a turn about a fixed axis with least jerk: the default.
+
+    Raises:
+        ValueError: for constants that are not positive.
+    """
+    share, t = minimum_jerk([0.0], [1.0])
+    path = np.column_stack([share, np.zeros((len(share), 3))])
+    return OrientationDmp(
+        imitate(path, t, n_basis=n_basis, alpha_x=alpha_x, beta_x=beta_x, alpha_k=alpha_k)
+    )
+
+
+def _rotations(orientations: ArrayLike) -> FloatArray:
+    """(T, 3, 3) checked rotation matrices of a demonstration."""
+    given = np.asarray(orientations, dtype=float)
+    if given.shape[1:] not in ((4,), (3, 3)):
+        raise ValueError(
+            "orientations must be (T, 4) quaternions, w first, or (T, 3, 3) rotation matrices, "
+            f"not {given.shape}"
+        )
+    if len(given) < 2:
+        raise ValueError(f"orientations must have at least 2 samples, not {len(given)}")
+    finite = np.isfinite(given).reshape(len(given), -1).all(axis=1)
+    if not finite.all():
+        raise ValueError(f"orientations must be finite: sample {int(np.argmin(finite))} is not")
+    if given.ndim == 2:
+        there = given.any(axis=1)
+        if not there.all():
+            raise ValueError(f"orientations: the quaternion of sample {int(np.argmin(there))} is 0")
+        return np.array([rotation_of(row) for row in np.ascontiguousarray(given)])
+    error = np.abs(given @ given.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    good = (error < 1e-6) & (np.linalg.det(given) > 0.0)
+    if not good.all():
+        raise ValueError(f"orientations: sample {int(np.argmin(good))} is no rotation matrix")
+    return given
+
+
+def step(
+    primitive: OrientationDmp,
+    r: FloatArray,
+    z: FloatArray,
+    k: float,
+    ds: float,
+    goal: FloatArray,
+) -> tuple[FloatArray, FloatArray, float]:
+    """One step over ds = dt / (tau T), exact but for the forcing, held at its middle value.
+
+    Args:
+        primitive: the movement primitive.
+        r: (3,) rotation vector from the start's orientation, in its frame [rad].
+        z: (3,) its derivative by normalised time [rad].
+        k: phase.
+        ds: step of normalised time, at least 0.
+        goal: (3,) rotation vector of the goal, see `goal_vector` [rad].
+
+    Returns:
+        r, z and k at the end of the step.
+
+    Raises:
+        ValueError: for a step that is negative or not finite.
+    """
+    if not 0.0 <= ds < math.inf:
+        raise ValueError(f"ds must be finite and at least 0, not {ds}")
+    state = np.concatenate([r, z, [k]])
+    if ds > 0.0:
+        target = np.array(goal, dtype=float)
+        kernels.take_step(state, target, primitive.constants, primitive.basis, float(ds))
+    return state[:3], state[3:6], float(state[6])
+
+
+def orientation_along(
+    primitive: OrientationDmp,
+    start: ArrayLike,
+    goal: ArrayLike,
+    s: ArrayLike,
+) -> FloatArray:
+    """Orientations that the motion has at normalised times.
+
+    Args:
+        primitive: the movement primitive.
+        start: (3, 3) R_WE at the start.
+        goal: (3, 3) R_WE at the goal; the way round is the demonstration's.
+        s: (T,) normalised times, at least 0 and not falling.
+
+    Returns:
+        (T, 3, 3) R_WE.
+
+    Raises:
+        ValueError: if the times fall or are not finite and at least 0, or as `goal_vector`.
+    """
+    times = np.atleast_1d(np.array(s, dtype=float))
+    if times.ndim != 1 or not (
+        np.isfinite(times).all() and (np.diff(times, prepend=0.0) >= 0.0).all()
+    ):
+        raise ValueError(f"s must be (T,), finite, at least 0 and not falling, not {times}")
+    R_WS = np.asarray(start, dtype=float)
+    target = demonstrated_goal(primitive, R_WS, goal)
+    r = kernels.roll(target, primitive.constants, primitive.basis, times, _STEP)[:, :3]
+    return np.array([R_WS @ rotation_of(kernels.exponential(row)) for row in r])
+
+
+def demonstrated_goal(primitive: OrientationDmp, start: ArrayLike, goal: ArrayLike) -> FloatArray:
+    """`goal_vector` the way round that was demonstrated; the shortest where nothing was."""
+    return goal_vector(start, goal, primitive.total if primitive.total.any() else None)

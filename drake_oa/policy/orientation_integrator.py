@@ -1,0 +1,237 @@
+"""The action layer of the orientation: a movement primitive, and a turn besides."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydrake.common.value import AbstractValue, Value
+from pydrake.systems.framework import (
+    Context,
+    EventStatus,
+    LeafSystem,
+    State,
+    ValueProducer,
+)
+
+from drake_oa.common.messages import FloatArray, Frozen, PolicyState
+from drake_oa.common.ports import read_value, valid_period
+from drake_oa.geometry.rotation import rotation_vector
+from drake_oa.policy import orientation_kernels as kernels
+from drake_oa.policy.dmp import normalised_time
+from drake_oa.policy.orientation_dmp import (
+    OrientationDmp,
+    demonstrated_goal,
+    goal_vector,
+    rotation_matrix,
+    step,
+)
+
+_SUCCEEDED = EventStatus.Succeeded()
+
+
+@dataclass(frozen=True, eq=False)
+class OrientationSegment(Frozen):
+    """The turning between two steps.
+
+    Attributes:
+        motion: (17,) as `drake_oa.policy.orientation_kernels` lays it out.
+        r: (3,) rotation vector from the start's orientation at the end of it [rad].
+        z: (3,) its derivative by normalised time [rad].
+        phase: canonical phase of the policy, as last seen.
+        goal: (3,) rotation vector of the goal [rad].
+        asked: (4,) quaternion that asked for that goal; NaN: none did.
+    """
+
+    motion: FloatArray = field(default_factory=lambda: np.zeros(kernels.N_MOTION))
+    r: FloatArray = field(default_factory=lambda: np.zeros(3))
+    z: FloatArray = field(default_factory=lambda: np.zeros(3))
+    phase: float = 1.0
+    goal: FloatArray = field(default_factory=lambda: np.zeros(3))
+    asked: FloatArray = field(default_factory=lambda: np.full(4, np.nan))
+
+
+@dataclass(frozen=True, eq=False)
+class _Now(Frozen):
+    """What `kernels.evaluate` says of one instant."""
+
+    values: FloatArray
+
+
+class OrientationIntegrator(LeafSystem):
+    """Turns the tool along a movement primitive, and about a fixed axis as it is told to.
+
+    .. pydrake_system::
+
+      name: OrientationIntegrator
+      input_ports:
+      - policy_state
+      - goal_orientation (optional)
+      - turn (optional)
+      output_ports:
+      - desired_orientation
+      - desired_angular_velocity
+      - desired_angular_acceleration
+      - tool_turn
+
+    - policy_state: abstract `PolicyState`: the primitive goes by its normalised time, so that
+      what scales or holds the motion does so to the orientation.
+    - goal_orientation (optional): (4,) quaternion w, x, y, z of R_WG, of either sign. A new
+      one is approached from where the motion is, the way round that is nearest to the
+      present goal's. Without it the goal is the constructor's.
+    - turn (optional): (1,) wanted turn about the axis [rad], reached in real time, also while
+      the motion is held; what is not finite leaves the turn as it is wanted to be now.
+      Without it there is no turn.
+    - desired_orientation: (4,) quaternion w, x, y, z of R_WE = R(axis, turn) R_dmp, which
+      changes sign nowhere along a motion.
+    - desired_angular_velocity: (3,) w_WE in the world frame [rad/s].
+    - desired_angular_acceleration: (3,) in the world frame [rad/s^2].
+    - tool_turn: (1,) the turn now [rad].
+
+    The state is abstract, in the Context: the step under way (`OrientationSegment`). Between
+    its ends the rotation vector is a cubic in time and the turn a parabola; angular velocity
+    and acceleration are the exact derivatives. Both ends have to be known, so the orientation
+    along the primitive is two periods behind the policy.
+
+    The turn follows what is wanted as a critically damped spring, within bounds on rate and
+    acceleration (`drake_oa.policy.orientation_kernels.turn_acceleration`).
+    """
+
+    def __init__(
+        self,
+        primitive: OrientationDmp,
+        start: ArrayLike,
+        goal: ArrayLike,
+        *,
+        period: float = 0.005,
+        turn_axis_W: ArrayLike = (0.0, 0.0, 1.0),
+        turn_rate: float = 1.0,
+        turn_acceleration: float = 3.0,
+    ) -> None:
+        """Declares the ports.
+
+        Args:
+            primitive: the movement primitive.
+            start: (3, 3) R_WE at the start.
+            goal: (3, 3) R_WE at the goal.
+            period: step; that of the policy [s].
+            turn_axis_W: (3,) the axis of the turn in the world frame, of any length but 0.
+            turn_rate: largest rate of the turn [rad/s].
+            turn_acceleration: largest acceleration of the turn [rad/s^2].
+
+        Raises:
+            ValueError: if start or goal is no rotation, or they are half a turn apart and
+                no demonstration tells the way round; or for an axis without a direction or
+                a bound or period that is not positive.
+        """
+        super().__init__()
+        self._primitive = primitive
+        self._R_WS = _rotation("start", start)
+        self._goal = demonstrated_goal(primitive, self._R_WS, _rotation("goal", goal))
+        self._start = kernels.exponential(rotation_vector(self._R_WS))
+        axis = np.array(turn_axis_W, dtype=float)
+        length = float(np.linalg.norm(axis))
+        if axis.shape != (3,) or not 0.0 < length < math.inf:
+            raise ValueError(f"turn_axis_W must be 3 finite numbers, not all 0; it is {axis}")
+        self._axis_W = axis / length
+        for name, value in (("turn_rate", turn_rate), ("turn_acceleration", turn_acceleration)):
+            if not 0.0 < value < math.inf:
+                raise ValueError(f"{name} must be positive and finite, not {value}")
+        self._turn_bounds = float(turn_rate), float(turn_acceleration)
+        self._period = valid_period(period)
+
+        self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
+        self._goal_port = self.DeclareVectorInputPort("goal_orientation", 4)
+        self._turn = self.DeclareVectorInputPort("turn", 1)
+        self._segment = self.DeclareAbstractState(Value(OrientationSegment(goal=self._goal)))
+        self._now = self.DeclareCacheEntry(
+            "orientation now",
+            ValueProducer(lambda: Value(object()), self._calc_now),
+            {self.time_ticket(), self.abstract_state_ticket(self._segment)},
+        )
+        for name, begin, size in (
+            ("desired_orientation", kernels.QUATERNION, 4),
+            ("desired_angular_velocity", kernels.W, 3),
+            ("desired_angular_acceleration", kernels.ALPHA, 3),
+            ("tool_turn", kernels.TURN_NOW, 1),
+        ):
+            self.DeclareVectorOutputPort(
+                name,
+                size,
+                lambda context, output, begin=begin, end=begin + size: output.SetFromVector(
+                    self._now.Eval(context).values[begin:end]
+                ),
+                {self._now.ticket()},
+            )
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.0, self._step)
+
+    def _read_segment(self, context: Context) -> OrientationSegment:
+        return context.get_abstract_state(self._segment).get_value()
+
+    def _calc_now(self, context: Context, value: AbstractValue) -> None:
+        motion = self._read_segment(context).motion
+        now = kernels.evaluate(motion, self._start, self._axis_W, context.get_time())
+        value.set_value(_Now(now))
+
+    def _goal_now(self, context: Context, before: OrientationSegment) -> tuple[FloatArray, ...]:
+        """The goal's rotation vector, and the quaternion that asked for it."""
+        if not self._goal_port.HasValue(context):
+            return before.goal, before.asked
+        asked = self._goal_port.Eval(context)
+        if np.array_equal(asked, before.asked):
+            return before.goal, before.asked
+        try:
+            R_WG = rotation_matrix(asked)
+        except ValueError as error:
+            raise ValueError(f"{self.get_name()}: goal_orientation: {error}") from None
+        return goal_vector(self._R_WS, R_WG, before.goal), np.array(asked)
+
+    def _step(self, context: Context, state: State) -> EventStatus:
+        before, time = self._read_segment(context), context.get_time()
+        policy = read_value(self, self._policy, context, PolicyState)
+        goal, asked = self._goal_now(context, before)
+        alpha_k = self._primitive.dmp.alpha_k
+        passed = normalised_time(policy.phase, alpha_k) - normalised_time(before.phase, alpha_k)
+        ds = max(passed, 0.0)
+        r, z, _ = step(self._primitive, before.r, before.z, before.phase, ds, goal)
+
+        now = kernels.evaluate(before.motion, self._start, self._axis_W, time)
+        motion = np.empty(kernels.N_MOTION)
+        motion[kernels.BEGIN], motion[kernels.LENGTH] = time, self._period
+        motion[kernels.R : kernels.RATE] = before.r
+        motion[kernels.RATE : kernels.R_END] = before.motion[kernels.RATE_END : kernels.TURN]
+        motion[kernels.R_END : kernels.RATE_END] = r
+        motion[kernels.RATE_END : kernels.TURN] = policy.speed * z
+        motion[kernels.TURN :] = self._next_turn(context, before.motion, float(now[-1]))
+        state.get_mutable_abstract_state(self._segment).set_value(
+            OrientationSegment(motion, r, z, policy.phase, goal, asked)
+        )
+        return _SUCCEEDED
+
+    def _next_turn(
+        self, context: Context, before: FloatArray, turn: float
+    ) -> tuple[float, float, float]:
+        """Angle, rate and acceleration of the turn from now on."""
+        rate = before[kernels.TURN_RATE]
+        rate += before[kernels.LENGTH] * before[kernels.TURN_ACCELERATION]
+        wanted = turn
+        if self._turn.HasValue(context):
+            wanted = float(self._turn.Eval(context)[0])
+            if not math.isfinite(wanted):
+                wanted = turn
+        acceleration = kernels.turn_acceleration(
+            turn, float(rate), wanted, self._period, *self._turn_bounds
+        )
+        return turn, float(rate), acceleration
+
+
+def _rotation(name: str, R: ArrayLike) -> FloatArray:
+    matrix = np.array(R, dtype=float)
+    good = matrix.shape == (3, 3) and np.isfinite(matrix).all()
+    if not (
+        good and np.abs(matrix @ matrix.T - np.eye(3)).max() < 1e-6 and np.linalg.det(matrix) > 0
+    ):
+        raise ValueError(f"{name} must be a rotation matrix (3, 3), not {matrix.tolist()}")
+    return matrix

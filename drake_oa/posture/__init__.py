@@ -1,0 +1,1 @@
+"""The arm's posture along a motion: planned, followed, turned from obstacles."""

@@ -1,0 +1,127 @@
+"""What the null space of the arm is drawn to while its tool moves."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+
+from drake_oa.common.messages import Evasion, FloatArray, PlannedMotion, PolicyState
+from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
+from drake_oa.policy.dmp import normalised_time
+from drake_oa.posture.posture_course import PostureCourse
+
+
+class PostureFollower(LeafSystem):
+    """Follows the posture that is planned along the motion of the tool.
+
+    .. pydrake_system::
+
+      name: PostureFollower
+      input_ports:
+      - motion
+      - policy_state
+      - evading (optional)
+      output_ports:
+      - desired_posture
+
+    - motion: abstract `PlannedMotion` with the arm's positions, or without.
+    - policy_state: abstract `PolicyState` of the movement primitive.
+    - evading (optional): abstract `drake_oa.safety.evasion.Evasion`: a velocity with which the
+      posture leaves the plan, and until when it stays away.
+    - desired_posture: (2n,) positions [rad] and velocities [rad/s] of the arm's n joints, for
+      `CartesianInverseDynamics`.
+
+    The posture is that of the plan at the policy's normalised time, so that it rests while the
+    motion is held, and where it begins anew until there is a plan for that; but for what is
+    evaded it leaves the plan, also while the motion is held. A new plan, or one that was left, is
+    taken over smoothly (`drake_oa.posture.posture_course`); without one it is the posture given
+    here, at rest. The plan under way is abstract state.
+    """
+
+    def __init__(
+        self,
+        q_rest: FloatArray,
+        alpha_k: float,
+        *,
+        period: float = 0.008,
+        turn_acceleration: float = 10.0,
+    ) -> None:
+        """Declares the ports.
+
+        Args:
+            q_rest: (n,) posture while none is planned [rad].
+            alpha_k: decay of the policy's phase.
+            period: time between looks at the plan and at what is evaded [s].
+            turn_acceleration: greatest change of the velocity with which the plan is left
+                [rad/s^2].
+
+        Raises:
+            ValueError: if the posture is not n finite numbers, or one of the others is not
+                positive.
+        """
+        super().__init__()
+        q_rest = np.array(q_rest, dtype=float)
+        if q_rest.ndim != 1 or not len(q_rest) or not np.isfinite(q_rest).all():
+            raise ValueError(f"q_rest must be finite numbers [rad], not {q_rest}")
+        if not 0.0 < alpha_k < np.inf:
+            raise ValueError(f"alpha_k must be positive and finite, not {alpha_k}")
+        if not 0.0 < turn_acceleration < np.inf:
+            raise ValueError(
+                f"turn_acceleration must be positive and finite, not {turn_acceleration}"
+            )
+        period = valid_period(period)
+        self._alpha_k = float(alpha_k)
+        self._turn_step = turn_acceleration * period
+        self._motion = self.DeclareAbstractInputPort("motion", Value(PlannedMotion()))
+        self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
+        self._evading = self.DeclareAbstractInputPort("evading", Value(Evasion()))
+        self._course = self.DeclareAbstractState(Value(PostureCourse(q_rest)))
+        self.DeclareVectorOutputPort(
+            "desired_posture",
+            2 * len(q_rest),
+            self._calc,
+            {
+                self.time_ticket(),
+                self._policy.ticket(),
+                self.abstract_state_ticket(self._course),
+            },
+        )
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._take_over)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 2.0 * DECISION_OFFSET, self._take_over)
+
+    def _read(self, context: Context) -> PostureCourse:
+        return context.get_abstract_state(self._course).get_value()
+
+    def _now(self, context: Context, motion: PlannedMotion) -> tuple[float, float, float]:
+        """Normalised time of a motion, its rate [1/s], and the time [s]."""
+        policy = read_value(self, self._policy, context, PolicyState)
+        time = context.get_time()
+        if len(motion.p_WS) and not (motion.p_WS == policy.p_WS).all():
+            # The policy has begun anew since: where it rested.
+            off = np.linalg.norm(motion.p_WE - policy.p_WE, axis=1)
+            return float(motion.s[off.argmin()]), 0.0, time
+        s = normalised_time(policy.phase, self._alpha_k)
+        # Between two of its steps the policy goes on at its rate.
+        return s + policy.speed * max(time - policy.stamp, 0.0), policy.speed, time
+
+    def _take_over(self, context: Context, state: State) -> EventStatus:
+        before = self._read(context)
+        motion = read_value(self, self._motion, context, PlannedMotion)
+        now, after = self._now(context, motion), before
+        if motion is not before.motion:
+            left = before.at(*self._now(context, before.motion))
+            after = before.with_motion(motion, *now, left)
+        evading = read_optional(self, self._evading, context, Evasion)
+        if evading is not None and len(evading.turn):
+            after = after.turned(evading.turn, self._turn_step, *now)
+        else:
+            after = after.taken_up(*now)
+        if after is before:
+            return EventStatus.DidNothing()
+        state.get_mutable_abstract_state(self._course).set_value(after)
+        return EventStatus.Succeeded()
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        course = self._read(context)
+        output.SetFromVector(course.at(*self._now(context, course.motion)))

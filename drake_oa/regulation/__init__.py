@@ -1,0 +1,1 @@
+"""The coupling terms' parameters: the regressor chain, and the search that verifies it."""

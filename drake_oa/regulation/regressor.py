@@ -1,0 +1,404 @@
+"""The regressor chain: from the shape of an obstacle to coupling parameters.
+
+Three small networks are evaluated one after the other (sec. "Geometry-conditioned
+Parameter Regressor" of the paper)::
+
+    Y1: h               -> kappa
+    Y2: (h, kappa)      -> psi
+    Y3: (h, kappa, psi) -> alpha
+
+The paper's input is h = (lambda1', lambda2', Delta), or h = (lambda1', lambda2') for the
+chain that knows of no clearance. The project's own chain has a fourth input, the place
+of the obstacle's centre along the baseline: the same parameters that keep the clearance
+from an obstacle in the middle fall short of it, or touch, nearer to the start, where the
+motion is slow and has little way left to turn.
+
+Lengths are divided by the baseline L, since the coupling law is scale free:
+h/L -> (kappa L^2, psi, alpha) is one map for every L. alpha is counted per
+demonstrated duration T: the turning rate in units of 1/T.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from drake_oa.common.messages import CouplingParameters, FloatArray, Frozen
+from drake_oa.regulation.regressor_file import array_of, read_arrays, write_arrays
+from drake_oa.regulation.regressor_kernels import clamp_rows, section_rows
+
+TARGETS = ("kappa", "psi", "alpha")
+"""The order of the chain."""
+
+_SATURATED = 40.0
+"""Where tanh is 1 to the last bit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Network(Frozen):
+    """A perceptron with tanh layers, a linear output and min-max scaling.
+
+    With x the input, the layers see ``(x - in_offset) * in_gain + in_min``, and their
+    answer y becomes ``(y - out_min) / out_gain + out_offset``.
+
+    Attributes:
+        weights: one (n_out, n_in) matrix a layer.
+        biases: one (n_out,) vector a layer.
+        in_offset: (d,) smallest inputs.
+        in_gain: (d,) scale of the inputs.
+        out_offset: smallest target.
+        out_gain: scale of the target.
+        in_min: where in_offset is mapped to.
+        out_min: where out_offset is mapped from.
+    """
+
+    weights: tuple[FloatArray, ...]
+    biases: tuple[FloatArray, ...]
+    in_offset: FloatArray
+    in_gain: FloatArray
+    out_offset: float
+    out_gain: float
+    in_min: float = -1.0
+    out_min: float = -1.0
+    _layers: tuple[FloatArray, ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        weights, biases = list(self.weights), list(self.biases)
+        # The scalings are affine: the first and the last layer take them up.
+        biases[0] = biases[0] + weights[0] @ (self.in_min - self.in_offset * self.in_gain)
+        weights[0] = weights[0] * self.in_gain
+        biases[-1] = (biases[-1] - self.out_min) / self.out_gain + self.out_offset
+        weights[-1] = weights[-1] / self.out_gain
+        # A last input held at 1 carries the bias, tanh(_SATURATED) = 1 hands it on.
+        layers = [np.column_stack(pair) for pair in zip(weights, biases, strict=True)]
+        for i, layer in enumerate(layers[:-1]):
+            constant = np.append(np.zeros(layer.shape[1] - 1), _SATURATED)
+            layers[i] = np.vstack((layer, constant))
+        object.__setattr__(self, "_layers", tuple(layers))
+        super().__post_init__()
+
+    @property
+    def n_inputs(self) -> int:
+        """Number d of inputs."""
+        return len(self.in_offset)
+
+    def evaluate(self, columns: FloatArray) -> FloatArray:
+        """The network at N inputs: (d + 1, N), the last row ones -> (N,)."""
+        y = columns
+        for layer in self._layers[:-1]:
+            y = layer.dot(y)
+            np.tanh(y, y)
+        return self._layers[-1].dot(y)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class ClearanceLimit(Frozen):
+    """The largest clearance that training found attainable, per ellipse.
+
+    Attributes:
+        lambda1: (n,) increasing lambda1'/L; empty where nothing was recorded.
+        lambda2: (m,) increasing lambda2'/L.
+        position: (p,) increasing place of the centre along the baseline, in L.
+        clearance: (n, m, p) largest attainable Delta/L.
+    """
+
+    lambda1: FloatArray = field(default_factory=lambda: np.zeros(0))
+    lambda2: FloatArray = field(default_factory=lambda: np.zeros(0))
+    position: FloatArray = field(default_factory=lambda: np.zeros(0))
+    clearance: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 0)))
+
+
+@dataclass(frozen=True, eq=False)
+class ChainWeights(Frozen):
+    """The three networks of the chain, what they accept, and where they come from.
+
+    Attributes:
+        networks: the networks by target name, see `TARGETS`.
+        lower: (d,) least lambda1'/L, lambda2'/L and, if d >= 3, Delta/L and, if d = 4,
+            position/L of the training set.
+        upper: (d,) the greatest of them.
+        input_scale: (d,) factors on the inputs before the networks (2 on lambda' for a
+            chain trained on full widths).
+        log_targets: targets that the chain handles (learns, and hands on as inputs)
+            as their natural logarithm.
+        limit: largest attainable clearance.
+        metadata: units, ranges, recipe, configuration, seed, NMSE, commit.
+    """
+
+    networks: Mapping[str, Network]
+    lower: FloatArray
+    upper: FloatArray
+    input_scale: FloatArray
+    log_targets: frozenset[str] = frozenset()
+    limit: ClearanceLimit = field(default_factory=ClearanceLimit)
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+
+    def evaluate(self, inputs: FloatArray) -> FloatArray:
+        """The bare chain, without any check of its range.
+
+        Args:
+            inputs: (N, d) lambda1'/L, lambda2'/L and, if d >= 3, Delta/L and, if d = 4,
+                position/L.
+
+        Returns:
+            (N, 3) alpha, psi, kappa L^2.
+        """
+        columns = np.empty((len(self.lower) + 3, len(inputs)))
+        columns[:-3] = inputs.T
+        return np.array(self._evaluate_columns(columns)).T
+
+    def _evaluate_columns(self, columns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """alpha, psi, kappa L^2 at inputs in the first d of d + 3 rows, all overwritten."""
+        columns[:-3] *= self.input_scale[:, None]
+        columns[-3] = 1.0
+        kappa = columns[-3] = self.networks["kappa"].evaluate(columns[:-2])
+        columns[-2] = 1.0
+        psi = columns[-2] = self.networks["psi"].evaluate(columns[:-1])
+        columns[-1] = 1.0
+        alpha = self.networks["alpha"].evaluate(columns)
+        log = self.log_targets
+        return (
+            np.exp(alpha) if "alpha" in log else alpha,
+            np.exp(psi) if "psi" in log else psi,
+            np.exp(kappa) if "kappa" in log else kappa,
+        )
+
+    def parameters(
+        self,
+        extents: ArrayLike,
+        clearance: ArrayLike,
+        baseline: float,
+        position: ArrayLike | None = None,
+    ) -> CouplingParameters:
+        """Coupling parameters for obstacles of given section, in physical units.
+
+        A query outside the trained range, or for a clearance that training found
+        out of reach, is evaluated at the nearest input inside and flagged.
+
+        Args:
+            extents: (M, 2) lambda' along and across the baseline [m], see
+                `section_extents`.
+            clearance: asked clearance Delta, one for all or (M,) [m]. Where it is 0
+                no coupling is needed, and alpha is 0. A chain of two inputs knows no more
+                of it.
+            baseline: distance L from start to goal [m].
+            position: where along the baseline the centres are, from the start, one for
+                all or (M,) [m]; None: in the middle. A chain of two or three inputs does
+                not use it.
+
+        Returns:
+            One row an obstacle.
+
+        Raises:
+            ValueError: if a shape is wrong, an extent or the baseline is not finite and
+                positive, a clearance is negative, or a value is not finite.
+        """
+        extents = np.asarray(extents, dtype=float)
+        if extents.ndim != 2 or extents.shape[1] != 2:
+            raise ValueError(f"extents must have the shape (M, 2), not {extents.shape}")
+        asked = _per_row("clearance", clearance, len(extents))
+        if not 0.0 < baseline < np.inf:
+            raise ValueError(f"baseline must be finite and positive [m], not {baseline}")
+        place = _per_row("position", 0.5 * baseline if position is None else position, len(extents))
+        if not len(extents):
+            return CouplingParameters()
+        columns = np.empty((len(self.lower) + 3, len(extents)))
+        table = self.limit
+        in_range, needed, valid = clamp_rows(
+            extents,
+            asked,
+            place,
+            baseline,
+            self.lower,
+            self.upper,
+            table.lambda1,
+            table.lambda2,
+            table.position,
+            table.clearance,
+            columns,
+        )
+        if not valid:
+            raise ValueError(_first_bad_row(extents, asked, place, baseline))
+        alpha, psi, kappa = self._evaluate_columns(columns)
+        alpha *= needed
+        kappa /= baseline * baseline
+        return CouplingParameters(alpha, psi, kappa, in_range)
+
+
+def _per_row(name: str, value: ArrayLike, n_rows: int) -> FloatArray:
+    array = np.asarray(value, dtype=float)
+    if array.shape == (n_rows,):
+        return array
+    if array.shape:
+        raise ValueError(f"{name} must be one number or ({n_rows},), not {array.shape}")
+    return np.full(n_rows, array)
+
+
+def _first_bad_row(
+    extents: FloatArray, clearance: FloatArray, position: FloatArray, baseline: float
+) -> str:
+    values = np.column_stack((extents, clearance, position))
+    # Over a tiny baseline a finite length may overflow.
+    with np.errstate(over="ignore"):
+        good = np.isfinite(values.sum(axis=1) / baseline) & (extents / baseline > 0.0).all(axis=1)
+    row = int(np.argmin(good & (clearance >= 0.0)))
+    lambda1, lambda2, asked, place = values[row].tolist()
+    return (
+        "extents must be positive, clearances not negative, and both and positions finite [m]; "
+        f"row {row} has extents {lambda1} and {lambda2}, clearance {asked}, position {place}"
+    )
+
+
+def section_extents(
+    p_WE: FloatArray,
+    z_W: FloatArray,
+    R_WL: FloatArray,
+    p_WO: FloatArray,
+    R_WO: FloatArray,
+    semi_axes: FloatArray,
+) -> FloatArray:
+    """lambda': half-extents of ellipsoids' sections by the plane of actuation.
+
+    The P-plane of an obstacle is spanned by ``p_WO - p_WE`` and the scaled velocity
+    ``z_W``; where these do not span a plane, it is spanned by the local frame's x and
+    z axes. With U = [u1, u2] orthonormal in that plane, u1 along the projection of
+    the baseline, the section is ``{a : a^T S a <= 1}``, ``S = U^T A U``,
+    ``A = R diag(1/l^2) R^T``, and its half-extents are the support function
+    ``sqrt(u^T S^-1 u)`` along u1 and u2. They vary continuously when an obstacle
+    turns, which principal semi-axes matched to directions would not.
+
+    Args:
+        p_WE: (3,) position of the end effector [m].
+        z_W: (3,) scaled velocity [m].
+        R_WL: (3, 3) local frame, x from start to goal, z up.
+        p_WO: (M, 3) centres [m].
+        R_WO: (M, 3, 3) rotations, principal axes in the columns.
+        semi_axes: (M, 3) semi-axes [m].
+
+    Returns:
+        (M, 2) half-extents along and across the baseline [m].
+    """
+    return section_rows(p_WE, z_W, R_WL, p_WO, R_WO, semi_axes)
+
+
+def save_chain(chain: ChainWeights, path: str | Path) -> None:
+    """Writes a chain as .npz or .safetensors, its metadata inside.
+
+    Raises:
+        ValueError: for any other file name extension.
+    """
+    path = Path(path)
+    arrays: dict[str, FloatArray] = {}
+    for name, network in chain.networks.items():
+        for i, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True), 1):
+            arrays[f"{name}_W{i}"] = weight
+            arrays[f"{name}_b{i}"] = bias
+        for key in _SCALING:
+            arrays[f"{name}_{key}"] = np.asarray(getattr(network, key), dtype=float)
+    arrays |= {key: getattr(chain, key) for key in ("lower", "upper", "input_scale")}
+    if chain.limit.lambda1.size:
+        arrays |= {f"limit_{key}": getattr(chain.limit, key) for key in _LIMIT}
+    own = {"format": _FORMAT, "log_targets": sorted(chain.log_targets)}
+    header = json.dumps({**chain.metadata, **own})
+    write_arrays(path, arrays, header)
+
+
+def load_chain(path: str | Path) -> ChainWeights:
+    """Reads a chain written by `save_chain`, of two, three or four inputs.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if it is not such a file, or an array or a metadata entry is
+            missing, misshapen or not finite; the message names it.
+    """
+    path = Path(path)
+    arrays, header = read_arrays(path)
+    if header is None:
+        raise ValueError(
+            f"{path} has no metadata: it is no weights file of `save_chain`; for the plain "
+            "layout of full widths use `load_width_chain`"
+        )
+    try:
+        metadata = json.loads(header)
+        log_targets = frozenset(metadata.pop("log_targets"))
+        written = metadata.pop("format", None)
+    except (ValueError, KeyError, AttributeError, TypeError) as error:
+        raise ValueError(f"{path}: the metadata are damaged or lack 'log_targets'") from error
+    if written != _FORMAT:
+        raise ValueError(f"{path} is of the format {written!r}, this version reads {_FORMAT!r}")
+    if not log_targets <= set(TARGETS):
+        raise ValueError(f"{path}: log_targets holds {sorted(log_targets)}, valid are {TARGETS}")
+    lower = array_of(path, arrays, "lower", (None,))
+    if lower.size not in (2, 3, 4):
+        raise ValueError(f"{path}: 'lower' has {lower.size} entries, it must have 2, 3 or 4")
+    upper, scale = (array_of(path, arrays, key, lower.shape) for key in ("upper", "input_scale"))
+    if not ((lower < upper).all() and (scale != 0.0).all()):
+        raise ValueError(f"{path}: 'upper' must exceed 'lower', and 'input_scale' not be zero")
+    limit = ClearanceLimit()
+    if any(f"limit_{key}" in arrays for key in _LIMIT):
+        axes = [array_of(path, arrays, f"limit_{key}", (None,)) for key in _LIMIT[:3]]
+        shape = tuple(axis.size for axis in axes)
+        if min(shape) < 2 or not all((np.diff(axis) > 0.0).all() for axis in axes):
+            raise ValueError(f"{path}: limit_lambda1, _lambda2 and _position must increase")
+        if lower.size < 4:
+            raise ValueError(f"{path}: a chain of {lower.size} inputs has no 'limit_clearance'")
+        table = array_of(path, arrays, "limit_clearance", shape)
+        limit = ClearanceLimit(axes[0], axes[1], axes[2], table)
+    networks = _networks(path, arrays, lower.size)
+    return ChainWeights(networks, lower, upper, scale, log_targets, limit, metadata)
+
+
+def load_width_chain(path: str | Path) -> ChainWeights:
+    """Reads a chain in the plain layout: trained on full widths and a 1 m baseline.
+
+    The keys are ``{kappa,psi,alpha}_{W1.., b1.., in_offset, in_gain, in_min,
+    out_offset, out_gain, out_min}``; the range is that of the min-max scaling.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if an array is missing, misshapen or not finite.
+    """
+    path = Path(path)
+    arrays, _ = read_arrays(path)
+    networks = _networks(path, arrays, 3)
+    first = networks["kappa"]
+    scale = np.array([2.0, 2.0, 1.0])
+    upper = first.in_offset - 2.0 * first.in_min / first.in_gain
+    return ChainWeights(networks, first.in_offset / scale, upper / scale, scale)
+
+
+_FORMAT = "drake_oa regressor chain 1"
+_SCALING = ("in_offset", "in_gain", "in_min", "out_offset", "out_gain", "out_min")
+_LIMIT = ("lambda1", "lambda2", "position", "clearance")
+
+
+def _networks(path: Path, arrays: Mapping[str, Any], n_inputs: int) -> dict[str, Network]:
+    networks = {}
+    for i, name in enumerate(TARGETS):
+        n_layers = 1
+        while f"{name}_W{n_layers + 1}" in arrays:
+            n_layers += 1
+        n_in, weights, biases = n_inputs + i, [], []
+        for layer in range(1, n_layers + 1):
+            n_out = 1 if layer == n_layers else None
+            weight = array_of(path, arrays, f"{name}_W{layer}", (n_out, n_in))
+            n_in = len(weight)
+            weights.append(weight)
+            biases.append(array_of(path, arrays, f"{name}_b{layer}", (n_in,)))
+        offset, gain = (
+            array_of(path, arrays, f"{name}_{key}", (n_inputs + i,)) for key in _SCALING[:2]
+        )
+        scalars = {
+            key: float(array_of(path, arrays, f"{name}_{key}", ()))
+            for key in ("in_min", "out_offset", "out_gain", "out_min")
+        }
+        if scalars["out_gain"] == 0.0 or not gain.all():
+            raise ValueError(f"{path}: a scale of '{name}' (in_gain, out_gain) is zero")
+        networks[name] = Network(tuple(weights), tuple(biases), offset, gain, **scalars)
+    return networks

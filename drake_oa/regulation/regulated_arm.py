@@ -1,0 +1,306 @@
+"""Regulation that looks to the whole arm: a verified motion that it can follow, and its posture.
+
+Where no posture passes along the motion that the regulator chose, others of its motions are
+tried: `Regulator.others`, then those that begin anew where the arm rests, and, among obstacles
+at rest, those that begin at a point to which the tool then goes first, in one or more legs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice
+
+import numpy as np
+
+from drake_oa.common.messages import (
+    DECIDING,
+    BoolArray,
+    EllipsoidSet,
+    FloatArray,
+    ObstacleClouds,
+    PlannedMotion,
+    PolicyState,
+    TablePlane,
+)
+from drake_oa.geometry.ellipsoid import signed_distance
+from drake_oa.policy.action import SCALED_TO_REST
+from drake_oa.policy.dmp import Dmp, normalised_time
+from drake_oa.posture.posture_planner import ArmSight, ArmWay, WholeArm
+from drake_oa.posture.stepping_aside import Aside
+from drake_oa.posture.waypoint_tree import Legs, LegTree, grown, shortened_way, straight_motion
+from drake_oa.regulation.regulation import Regulation, hardly_moved
+from drake_oa.regulation.regulator import SEEK_AGAIN, Regulator
+
+_TRIED = 16
+"""So many other motions are tried in the place of one that the arm cannot follow,"""
+_LOOKED_INTO = 4
+"""and the best so many of them once more, thoroughly."""
+_LEGS = 100
+"""So many legs are looked at in one search;"""
+_TRIED_THERE = 8
+"""where they lead to the goal so many motions from the last point are tried,"""
+_LEG_PACE = 0.5
+"""and a leg takes this share of the motion's duration, as it is short,"""
+_RECENT = 0.2
+"""where what is seen is no older than this [s]."""
+_BESIDE = 0.04
+"""A supervisor lets no link come nearer than some 3 cm [m]."""
+_ELSEWHERE = 0.03
+"""So far from where it was stuck last all is tried again [m]."""
+_OTHERWISE = 0.1
+"""Or where a joint is so far from its position then [rad]."""
+_STUCK = 0.5
+"""A motion that is slowed to rest for so long is stuck, though the arm could follow it [s]."""
+_THERE = 0.02
+"""So near to such a point it has been reached [m]."""
+_CLEAR = 0.03
+"""A leg keeps the tool so far from the obstacles [m]."""
+_NEAR_OLD = 0.05
+"""So near to its old motion the arm keeps the posture of that, where it finds no other [m]."""
+_AT_POINT = "at the point beside the obstacle"
+_GIVEN_UP = "the way to the point beside the obstacle is given up"
+
+
+class ArmRegulator:
+    """Verifies motions, and plans the posture of the arm along them."""
+
+    def __init__(self, regulator: Regulator, arm: WholeArm, dmp: Dmp) -> None:
+        """Keeps what does not change.
+
+        Args:
+            regulator: verifies the motions of the tool.
+            arm: plans the postures.
+            dmp: the movement primitive.
+        """
+        self._regulator, self._arm, self._dmp = regulator, arm, dmp
+
+    def update(
+        self,
+        before: Regulation,
+        policy: PolicyState,
+        p_WG: FloatArray,
+        ellipsoids: EllipsoidSet,
+        table: TablePlane | None,
+        sight: ArmSight,
+    ) -> Regulation:
+        """As `Regulator.update`, with the arm's positions in the motion.
+
+        Where the arm cannot follow it, it is another one, which may keep less of the clearance.
+
+        Args:
+            before, policy, p_WG, ellipsoids, table: see there.
+            sight: what is known of the arm and of what it must not touch. Points that are not
+                finite are as if nothing new had been seen.
+        """
+        if sight.obstacles is not before.way.seen and not _is_finite(sight.obstacles):
+            sight = replace(sight, obstacles=before.way.seen or ObstacleClouds())
+        before = replace(before, rests_since=_rests_since(before, policy))
+        goal, aside = p_WG, before.aside
+        if len(aside.p_WV):
+            if math.dist(policy.p_WE, aside.p_WV) <= _THERE:
+                return _held_for(before, policy, _AT_POINT, aside.reached())
+            held = policy.note not in ("", SCALED_TO_REST, DECIDING)
+            held = held and policy.stamp - before.rests_since >= _STUCK
+            if held or not np.array_equal(aside.p_WG, p_WG):
+                return _held_for(before, policy, _GIVEN_UP, aside.given_up())
+            goal = aside.p_WV
+        # tau as it is for the tool alone.
+        of_tool = replace(before, tau=before.tau / before.way.slower)
+        after = self._regulator.update(of_tool, policy, goal, ellipsoids, table)
+        if not len(after.motion):
+            return after
+        s = normalised_time(policy.phase, self._dmp.alpha_k)
+        seconds = self._dmp.duration * after.tau
+        way = self._arm.kept(
+            before.way,
+            after.motion,
+            sight,
+            table,
+            s=s,
+            seconds=seconds * before.way.slower,
+            time=policy.stamp,
+        )
+        if way is None:
+            way = self._arm.planned(
+                after.motion,
+                sight,
+                table,
+                seconds=seconds,
+                time=policy.stamp,
+                pace=_LEG_PACE if len(aside.p_WV) else 1.0,
+            )
+            if way.failed:
+                way = _as_before(way, before.way, after.motion, policy, sight)
+        if policy.stamp - after.sought >= SEEK_AGAIN:
+            if way.concern:
+                after, way = self._sought(after, way, policy, p_WG, sight, table)
+            elif policy.note == SCALED_TO_REST and policy.stamp - after.rests_since >= _STUCK:
+                after = self._aside(after, policy, p_WG, sight, table, near=_BESIDE)
+        return replace(after, motion=way.motion, way=way, tau=after.tau * way.slower)
+
+    def _sought(
+        self,
+        after: Regulation,
+        way: ArmWay,
+        policy: PolicyState,
+        p_WG: FloatArray,
+        sight: ArmSight,
+        table: TablePlane | None,
+    ) -> tuple[Regulation, ArmWay]:
+        """Another motion of the tool, which the arm can follow, if there is one."""
+        # A motion that is only too fast for the arm is slowed: no clearance is given for that.
+        slow = way.plan.short == 0.0 and not way.failed
+        most = after.shortfall if slow else math.inf
+
+        def followed(others: Iterator[Regulation]) -> tuple[Regulation, ArmWay] | None:
+            keep = (other for other in others if other.shortfall <= most)
+            return self._followed(keep, policy, sight, table)
+
+        found = followed(self._regulator.others(after, policy))
+        if found is not None:
+            return found
+        if followed(self._regulator.others_anew(after, policy)) is not None:
+            return replace(after, anew=True, sought=policy.stamp), way
+        return self._aside(after, policy, p_WG, sight, table), way
+
+    def _aside(
+        self,
+        after: Regulation,
+        policy: PolicyState,
+        p_WG: FloatArray,
+        sight: ArmSight,
+        table: TablePlane | None,
+        *,
+        near: float = math.inf,
+    ) -> Regulation:
+        """Where the tool is to go first, if there is a point from which the arm can go on.
+
+        Args:
+            near: only where a link is nearer than this to something [m].
+        """
+        seen, time = after.ellipsoids, policy.stamp
+        after = replace(after, sought=time)
+        rests = policy.speed == 0.0 and not seen.v_WO.any()
+        if not (rests and self._regulator.begins_anew and len(seen)):
+            return after
+        if time - seen.stamp > _RECENT:
+            return after
+        plan = self._arm.leg_planner(sight, table, seconds=self._dmp.duration, time=time)
+        if math.isfinite(near):
+            here = plan(sight.q, straight_motion(policy.p_WE, policy.p_WE))
+            if len(here) and here.distance[0] > near:
+                return after
+        aside = after.aside
+        if not _same_place(aside, policy.p_WE, sight.q, p_WG, seen):
+            nearest = np.linalg.norm(seen.p_WO - policy.p_WE, axis=1).argmin()
+            tree = LegTree.at(policy.p_WE, sight.q, p_WG, seen.p_WO[nearest])
+            aside = Aside(tree=tree, seen=seen)
+        legs = Legs(
+            plan, lambda points: self._regulator.inside(points, table) & _clear(points, seen)
+        )
+        tree, row = grown(aside.tree, legs, _LEGS)
+        aside = replace(aside, tree=tree)
+        after = replace(after, aside=aside)
+        if row < 0:
+            return after
+        points, q = shortened_way(tree, row, legs)
+        if not len(points):
+            return after
+        there = replace(sight, q=q)
+        others = self._regulator.others_from(after, policy, points[-1], p_WG)
+        for other in islice(others, _TRIED_THERE):
+            if self._planned(other, there, table, time, thorough=False).plan.works:
+                return replace(after, anew=True, aside=aside.by(points, p_WG))
+        return after
+
+    def _followed(
+        self,
+        others: Iterator[Regulation],
+        policy: PolicyState,
+        sight: ArmSight,
+        table: TablePlane | None,
+    ) -> tuple[Regulation, ArmWay] | None:
+        """The first of some motions that the arm can follow."""
+        short, time = [], policy.stamp
+        for other in islice(others, _TRIED):
+            way = self._planned(other, sight, table, time, thorough=False)
+            if way.plan.works:
+                return other, way
+            short.append((way.plan.short, other))
+        if policy.speed > 0.0:
+            return None
+        # Who is held has the time to look further.
+        for _, other in sorted(short, key=lambda one: one[0])[:_LOOKED_INTO]:
+            way = self._planned(other, sight, table, time, thorough=True)
+            if way.plan.works:
+                return other, way
+        return None
+
+    def _planned(
+        self,
+        other: Regulation,
+        sight: ArmSight,
+        table: TablePlane | None,
+        time: float,
+        *,
+        thorough: bool,
+    ) -> ArmWay:
+        seconds = self._dmp.duration * other.tau
+        return self._arm.planned(
+            other.motion, sight, table, seconds=seconds, time=time, thorough=thorough
+        )
+
+
+def _held_for(before: Regulation, policy: PolicyState, why: str, aside: Aside) -> Regulation:
+    """Holds a motion to a point; once it rests, another is to begin where it is."""
+    if policy.speed > 0.0:
+        return replace(before, p_WE=policy.p_WE, note=why)
+    return replace(before, p_WE=policy.p_WE, note="", anew=True, aside=aside)
+
+
+def _as_before(
+    way: ArmWay, before: ArmWay, motion: PlannedMotion, policy: PolicyState, sight: ArmSight
+) -> ArmWay:
+    """A way without a posture: with that of before, while it belongs to where the tool is."""
+    old = before.motion
+    if len(before.plan) and len(old):
+        off = np.linalg.norm(old.p_WE - policy.p_WE, axis=1)
+        if np.array_equal(old.p_WS, policy.p_WS) and off.min() <= _NEAR_OLD:
+            return replace(way, plan=before.plan, motion=old, slower=max(before.slower, 1.0))
+    q = np.tile(sight.q, (len(motion), 1))
+    return replace(way, plan=replace(way.plan, s=motion.s, q=q), motion=replace(motion, q=q))
+
+
+def _clear(p_WE: FloatArray, ellipsoids: EllipsoidSet) -> BoolArray:
+    """Which points (N, 3) the tool may be at; the obstacles are dilated by it."""
+    distance = signed_distance(
+        p_WE[:, None], ellipsoids.p_WO, ellipsoids.R_WO, ellipsoids.semi_axes
+    )
+    return np.asarray(distance.min(axis=1) >= _CLEAR)
+
+
+def _same_place(
+    aside: Aside, p_WE: FloatArray, q: FloatArray, p_WG: FloatArray, seen: EllipsoidSet
+) -> bool:
+    """Whether the arm is stuck where it was, on its way to the same goal."""
+    tree = aside.tree
+    return (
+        len(tree) > 0
+        and math.dist(tree.p_WV[0], p_WE) <= _ELSEWHERE
+        and float(np.abs(tree.q[0] - q).max()) <= _OTHERWISE
+        and np.array_equal(tree.p_WG, p_WG)
+        and hardly_moved(aside.seen, seen)
+    )
+
+
+def _rests_since(before: Regulation, policy: PolicyState) -> float:
+    return min(before.rests_since, policy.stamp) if policy.speed == 0.0 else math.inf
+
+
+def _is_finite(obstacles: ObstacleClouds) -> bool:
+    return bool(
+        np.isfinite(obstacles.v_WO).all()
+        and all(np.isfinite(cloud).all() for cloud in obstacles.clouds_W)
+    )

@@ -1,0 +1,235 @@
+"""The arm of a Drake plant as arrays, see `drake_oa.robot.arm_motion`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from pydrake.geometry import SceneGraphInspector
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import BodyIndex, Frame, RevoluteJoint
+from pydrake.systems.framework import Context
+
+from drake_oa.common.messages import FloatArray, IntArray
+from drake_oa.geometry.collision_shapes import RobotModel
+from drake_oa.geometry.point_blocks import GuardShapes
+from drake_oa.geometry.self_filter import RobotShapes
+from drake_oa.robot.arm_motion import ArmModel
+
+
+def make_arm_model(
+    plant: MultibodyPlant,
+    inspector: SceneGraphInspector,
+    tool_frame: Frame,
+    R_WE: RotationMatrix,
+    q: FloatArray,
+    robot: RobotModel,
+    without: Sequence[str] = (),
+) -> ArmModel:
+    """Reads the joints between the world and the tool, and the shapes that they move.
+
+    Args:
+        plant: finalized plant of the robot alone, its base welded to the world.
+        inspector: of its scene graph: it knows which links are not to be tested against
+            each other.
+        tool_frame: the frame E.
+        R_WE: orientation that the tool keeps.
+        q: (nq,) posture; joints that do not move the tool stay as they are here [rad, m].
+        robot: the robot's collision geometry.
+        without: names of bodies that may come near to obstacles: the tool, which has a
+            clearance of its own. They count against the other links.
+
+    Raises:
+        ValueError: if a joint that moves the tool is not revolute.
+    """
+    context = plant.CreateDefaultContext()
+    q = np.asarray(q, dtype=float)
+    plant.SetPositions(context, q)
+    joints = _joints_to(plant, tool_frame)
+    index = np.array([joint.position_start() for joint in joints])
+    X_WJ = [joint.child_body().EvalPoseInWorld(context) @ _axis_frame(joint) for joint in joints]
+    before = RigidTransform()
+    X_PJ = np.zeros((len(joints) + 1, 4, 4))
+    for i in range(len(joints)):
+        turned = RigidTransform(RotationMatrix.MakeZRotation(q[index[i]]), np.zeros(3))
+        X_PJ[i] = (before.inverse() @ X_WJ[i] @ turned.inverse()).GetAsMatrix4()
+        before = X_WJ[i]
+    X_PJ[-1] = (before.inverse() @ tool_frame.CalcPoseInWorld(context)).GetAsMatrix4()
+    moved = _moved_by(plant, joints)
+    return ArmModel(
+        index=index,
+        X_PJ=X_PJ,
+        R_WE=np.array(R_WE.matrix()),
+        posture=q[index],
+        mass=plant.CalcMassMatrix(context)[np.ix_(index, index)],
+        lower=plant.GetPositionLowerLimits()[index],
+        upper=plant.GetPositionUpperLimits()[index],
+        speed=plant.GetVelocityUpperLimits()[[joint.velocity_start() for joint in joints]],
+        shapes=_shapes(plant, context, X_WJ, moved, robot, without),
+        parts=_parts(plant, inspector, context, X_WJ, moved, robot),
+    )
+
+
+def _joints_to(plant: MultibodyPlant, tool_frame: Frame) -> list[RevoluteJoint]:
+    """The moving joints from the world to the tool, in that order."""
+    moving = [
+        joint
+        for joint in map(plant.get_joint, plant.GetJointIndices())
+        if joint.num_velocities() > 0
+        and tool_frame.body().index() in plant.GetBodiesKinematicallyAffectedBy([joint.index()])
+    ]
+    for joint in moving:
+        if not isinstance(joint, RevoluteJoint):
+            raise ValueError(
+                f"plant: joint '{joint.name()}' moves '{tool_frame.name()}' and is of type "
+                f"{joint.type_name()}; the arm's joints must be revolute"
+            )
+    return moving
+
+
+def _axis_frame(joint: RevoluteJoint) -> RigidTransform:
+    """Pose in the child body of a frame whose z axis is the joint's."""
+    X_BM = joint.frame_on_child().GetFixedPoseInBodyFrame()
+    return X_BM @ RigidTransform(
+        RotationMatrix.MakeFromOneVector(joint.revolute_axis(), 2), [0] * 3
+    )
+
+
+def _moved_by(plant: MultibodyPlant, joints: list[RevoluteJoint]) -> dict[BodyIndex, int]:
+    """The last joint that moves each body that any of them moves."""
+    moved = {}
+    for i, joint in enumerate(joints):
+        for body in plant.GetBodiesKinematicallyAffectedBy([joint.index()]):
+            moved[body] = i
+    return moved
+
+
+def _in_joint_frame(
+    plant: MultibodyPlant,
+    context: Context,
+    X_WJ: list[RigidTransform],
+    moved: dict[BodyIndex, int],
+    body: BodyIndex,
+) -> FloatArray:
+    """(4, 4) pose of a body in the frame of the joint that moves it, or in the world."""
+    X_WB = plant.get_body(body).EvalPoseInWorld(context)
+    at = moved.get(body, -1)
+    return (X_WB if at < 0 else X_WJ[at].inverse() @ X_WB).GetAsMatrix4()
+
+
+def _shapes(
+    plant: MultibodyPlant,
+    context: Context,
+    X_WJ: list[RigidTransform],
+    moved: dict[BodyIndex, int],
+    robot: RobotModel,
+    without: Sequence[str],
+) -> tuple[FloatArray | IntArray, ...]:
+    """What may touch obstacles."""
+    shapes = robot.shapes
+    taken = [body in moved and plant.get_body(body).name() not in without for body in robot.bodies]
+    frame = [_in_joint_frame(plant, context, X_WJ, moved, body) for body in robot.bodies]
+    box = [row for row, body in enumerate(shapes.box_body) if taken[body]]
+    cylinder = [row for row, body in enumerate(shapes.cylinder_body) if taken[body]]
+
+    def joints_of(bodies: IntArray) -> IntArray:
+        return np.array([moved[robot.bodies[row]] for row in bodies], dtype=np.int64)
+
+    def in_frame(bodies: IntArray, X_BG: FloatArray) -> FloatArray:
+        posed = [frame[row] @ X for row, X in zip(bodies, X_BG, strict=True)]
+        return np.array(posed).reshape(-1, 4, 4)
+
+    laid = GuardShapes.of(
+        RobotShapes(
+            joints_of(shapes.box_body[box]),
+            in_frame(shapes.box_body[box], shapes.X_BG_box[box]),
+            shapes.half_extents[box],
+            shapes.radius[box],
+            joints_of(shapes.cylinder_body[cylinder]),
+            in_frame(shapes.cylinder_body[cylinder], shapes.X_BG_cylinder[cylinder]),
+            shapes.cylinder_size[cylinder],
+        ),
+        len(X_WJ),
+    )
+    return laid.body_sphere, laid.shape_body, laid.X_BG, laid.size, laid.bound
+
+
+def _parts(
+    plant: MultibodyPlant,
+    inspector: SceneGraphInspector,
+    context: Context,
+    X_WJ: list[RigidTransform],
+    moved: dict[BodyIndex, int],
+    robot: RobotModel,
+) -> tuple[FloatArray | IntArray, ...]:
+    """What may touch each other: each body a part, each shape a capsule that holds it."""
+    shapes = robot.shapes
+    rods: list[FloatArray] = []
+    radii: list[float] = []
+    first, spheres = [0], []
+    for row, body in enumerate(robot.bodies):
+        X_JB = _in_joint_frame(plant, context, X_WJ, moved, body)
+        begin = len(rods)
+        for k in np.flatnonzero(shapes.box_body == row):
+            half = shapes.half_extents[k]
+            longest = int(half.argmax())
+            across = float(np.linalg.norm(np.delete(half, longest)))
+            # The ball at either end reaches the corners there.
+            _add_rod(
+                rods,
+                radii,
+                X_JB @ shapes.X_BG_box[k],
+                longest,
+                half[longest],
+                across + shapes.radius[k],
+            )
+        for k in np.flatnonzero(shapes.cylinder_body == row):
+            radius, half_length = shapes.cylinder_size[k]
+            _add_rod(rods, radii, X_JB @ shapes.X_BG_cylinder[k], 2, half_length, radius)
+        mine = np.array(rods[begin:]).reshape(-1, 2, 3)
+        center = mine.reshape(-1, 3).mean(axis=0)
+        away = np.linalg.norm(mine - center, axis=2).max(axis=1)
+        spheres.append(np.append(center, (away + radii[begin:]).max()))
+        first.append(len(rods))
+    pairs = [
+        (i, j)
+        for i in range(len(robot.bodies))
+        for j in range(i)
+        if _may_touch(plant, inspector, moved, robot.bodies[i], robot.bodies[j])
+    ]
+    return (
+        np.array([moved.get(body, -1) for body in robot.bodies], dtype=np.int64),
+        np.array(first, dtype=np.int64),
+        np.array(spheres),
+        np.array(rods).reshape(-1, 6),
+        np.array(radii),
+        np.array(pairs, dtype=np.int64).reshape(-1, 2),
+    )
+
+
+def _add_rod(
+    rods: list[FloatArray],
+    radii: list[float],
+    X: FloatArray,
+    axis: int,
+    half_length: float,
+    radius: float,
+) -> None:
+    ends = [X[:3, 3] + sign * half_length * X[:3, axis] for sign in (-1.0, 1.0)]
+    rods.append(np.concatenate(ends))
+    radii.append(radius)
+
+
+def _may_touch(
+    plant: MultibodyPlant,
+    inspector: SceneGraphInspector,
+    moved: dict[BodyIndex, int],
+    one: BodyIndex,
+    other: BodyIndex,
+) -> bool:
+    """Whether two bodies are not neighbours and the model does not exclude them."""
+    if abs(moved.get(one, -1) - moved.get(other, -1)) <= 1:
+        return False
+    a, b = (plant.GetCollisionGeometriesForBody(plant.get_body(body))[0] for body in (one, other))
+    return not inspector.CollisionFiltered(a, b)

@@ -1,0 +1,82 @@
+"""The `robot` block of a scenario: model, tool, gains and posture."""
+
+import dataclasses as dc
+import math
+
+from drake_oa.common.scenario_fields import number as _number
+from drake_oa.common.scenario_fields import vector as _vector
+from drake_oa.geometry.shapes import Box, Cylinder, Sphere
+
+
+@dc.dataclass
+class Gains:
+    """Stiffness and damping of the Cartesian controller (critical by default)."""
+
+    # Position [1/s^2] and [1/s].
+    kp_position: float = _number(400.0, "1/s^2", 0.0, 1e5)
+    kd_position: float = _number(40.0, "1/s", 0.0, 1e4)
+    # Of the position error's integral, below kp kd; 0: none [1/s^3].
+    ki_position: float = _number(1000.0, "1/s^3", 0.0, 1e6)
+    # Orientation.
+    kp_orientation: float = _number(400.0, "1/s^2", 0.0, 1e5)
+    kd_orientation: float = _number(40.0, "1/s", 0.0, 1e4)
+    # Posture, in the null space of the task.
+    kp_posture: float = _number(25.0, "1/s^2", 0.0, 1e5)
+    kd_posture: float = _number(10.0, "1/s", 0.0, 1e4)
+
+
+@dc.dataclass
+class NullSpaceCoupling:
+    """The coupling law on the links' points that are nearest to obstacles."""
+
+    # Strength [rad/s], width over the heading [rad], decay over the distance [1/m^2].
+    alpha: float = _number(300.0, "rad/s", 0.0, 1e4)
+    psi: float = _number(1.5, "rad", 0.0, 10.0, open_low=True)
+    kappa: float = _number(20.0, "1/m^2", 0.0, 1e4, open_low=True)
+
+
+@dc.dataclass
+class Posture:
+    """Where the rest of the arm goes while the tool follows its path."""
+
+    # Distance that the links are to keep from obstacles and the table, where they can [m].
+    clearance: float = _number(0.1, "m", 0.0, 1.0, open_low=True)
+    # Whether it is planned along the verified motion; else it is drawn to that of the start.
+    plan: bool = True
+    # The paper's reaction of the links in the null space, besides; null: none.
+    coupling: NullSpaceCoupling | None = None
+
+
+@dc.dataclass
+class Robot:
+    """The arm that carries the tool. Welded to the world by `base_link`."""
+
+    # Drake's own Panda is package://drake_models/franka_description/urdf/panda_arm_hand.urdf
+    model: str = "package://drake_oa/panda/panda_arm_hand.urdf"
+    base_link: str = "panda_link0"
+    # The tool point E is p_HE in the frame of the hand link H.
+    hand_link: str = "panda_hand"
+    p_HE: list[float] = _vector([0.0, 0.0, 0.1034], "m")
+    # Bodies that make up the tool: they dilate the obstacles.
+    tool_links: list[str] = dc.field(
+        default_factory=lambda: ["panda_hand", "panda_leftfinger", "panda_rightfinger"]
+    )
+    # Orientation of E, held throughout where neither the task nor `policy.turn` turns it: roll,
+    # pitch, yaw [rad]. Tool down, fingers opening along the world's x: the hand is narrow along
+    # the motion.
+    rpy_WE: list[float] = _vector([math.pi, 0.0, math.pi / 2.0], "rad")
+    # Seed of the inverse kinematics and posture of the null space, a number for each joint of the
+    # arm: these are the first of the model's joints [rad].
+    q_seed: list[float] = dc.field(
+        default_factory=lambda: [-0.7401, 0.1857, 0.0143, -1.9017, -0.003, 2.0874, 0.0608],
+        metadata={"unit": "rad"},
+    )
+    # Opening of each finger [m]. At a joint's limit the plant's steps cost more.
+    finger_opening: float = _number(0.005, "m", 0.0, 0.04)
+    # What the hand holds, posed in the frame of the hand link H; part of the tool.
+    carried: list[Box | Cylinder | Sphere] = dc.field(default_factory=list)
+    # Mass of all of it, shared out by volume [kg].
+    carried_mass: float = _number(0.5, "kg", 0.0, 20.0, open_low=True)
+    gains: Gains = dc.field(default_factory=Gains)
+    # The posture of an arm of seven joints is planned; null: it is drawn to that of the start.
+    posture: Posture | None = dc.field(default_factory=Posture)

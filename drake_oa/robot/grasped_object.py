@@ -1,0 +1,100 @@
+"""What the robot holds in its gripper: primitive shapes fixed to the hand."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydrake.geometry import CollisionFilterDeclaration, GeometrySet, SceneGraph
+from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
+from pydrake.multibody.tree import ModelInstanceIndex, SpatialInertia
+
+from drake_oa.geometry.shapes import Box, Cylinder, Sphere, pose, shape_geometry
+
+if TYPE_CHECKING:
+    from drake_oa.robot.config import Robot
+
+Shape = Box | Cylinder | Sphere
+
+_COLOR = np.array([0.25, 0.35, 0.6, 1.0])
+_FRICTION = 0.7
+
+
+def carried_links(robot: Robot) -> list[str]:
+    """Names of the bodies that `add_carried` adds, one a shape."""
+    return [f"carried{row}" for row in range(len(robot.carried))]
+
+
+def tool_links(robot: Robot) -> list[str]:
+    """The bodies that make up the tool: those of the model, and what is carried."""
+    return [*robot.tool_links, *carried_links(robot)]
+
+
+def add_carried(plant: MultibodyPlant, instance: ModelInstanceIndex, robot: Robot) -> None:
+    """Adds `robot.carried` to the robot's model instance, welded to the hand link.
+
+    Each shape is a body of its own, posed in the frame of the hand link H; the mass is shared
+    out by volume.
+
+    Args:
+        plant: with the arm, not finalized.
+        instance: the robot.
+        robot: its `hand_link` and `tool_links` are in the plant.
+    """
+    if not robot.carried:
+        return
+    hand = plant.GetFrameByName(robot.hand_link, instance)
+    volumes = np.array([shape_volume(shape) for shape in robot.carried])
+    masses = robot.carried_mass * volumes / volumes.sum()
+    shown = plant.geometry_source_is_registered()
+    for name, shape, mass in zip(carried_links(robot), robot.carried, masses, strict=True):
+        body = plant.AddRigidBody(name, instance, _inertia(shape, float(mass)))
+        plant.WeldFrames(hand, body.body_frame(), pose(shape))
+        if shown:
+            geometry, identity = shape_geometry(shape), pose(type(shape)())
+            friction = CoulombFriction(_FRICTION, _FRICTION)
+            plant.RegisterVisualGeometry(body, identity, geometry, f"{name}_visual", _COLOR)
+            plant.RegisterCollisionGeometry(body, identity, geometry, name, friction)
+
+
+def part_carried(plant: MultibodyPlant, scene_graph: SceneGraph, robot: Robot | None) -> None:
+    """Lets what is held and the tool that holds it pass through one another.
+
+    Args:
+        plant: finalized, with `robot.carried`.
+        scene_graph: its own; no Context of it has been made.
+        robot: or None, for which there is nothing to do.
+    """
+    if robot is None or not robot.carried:
+        return
+    instance = plant.GetBodyByName(carried_links(robot)[0]).model_instance()
+    links = {robot.hand_link, *tool_links(robot)}
+    held = [
+        geometry
+        for link in sorted(links)
+        if plant.HasBodyNamed(link, instance)
+        for geometry in plant.GetCollisionGeometriesForBody(plant.GetBodyByName(link, instance))
+    ]
+    scene_graph.collision_filter_manager().Apply(
+        CollisionFilterDeclaration().ExcludeWithin(GeometrySet(held))
+    )
+
+
+def shape_volume(shape: Shape) -> float:
+    """Volume [m^3]."""
+    if isinstance(shape, Box):
+        return math.prod(shape.size)
+    if isinstance(shape, Cylinder):
+        return math.pi * shape.radius**2 * shape.length
+    return 4.0 / 3.0 * math.pi * shape.radius**3
+
+
+def _inertia(shape: Shape, mass: float) -> SpatialInertia:
+    if isinstance(shape, Box):
+        return SpatialInertia.SolidBoxWithMass(mass, *shape.size)
+    if isinstance(shape, Cylinder):
+        return SpatialInertia.SolidCylinderWithMass(
+            mass, shape.radius, shape.length, np.array([0.0, 0.0, 1.0])
+        )
+    return SpatialInertia.SolidSphereWithMass(mass, shape.radius)

@@ -1,0 +1,266 @@
+"""Joint positions that put the tool where it is asked for."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.inverse_kinematics import InverseKinematics
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import Frame, JacobianWrtVariable
+from pydrake.solvers import Solve
+from pydrake.systems.framework import Context
+from scipy.optimize import lsq_linear
+
+from drake_oa.common.messages import FloatArray
+from drake_oa.geometry.rotation import rotation_vector
+from drake_oa.robot.workspace import tool_down_radii
+
+PANDA_REACH = 0.855
+"""Distance from the Panda's shoulder that its data sheet states [m]."""
+
+_SEEDS = 8
+_MORE_SEEDS, _FEW = 400, 30
+"""Seeds of the search by bounded steps, where the solver finds nothing from the first ones: of
+poses at the joint limits one seed in thirty led to a solution. So many at most, and few ..."""
+_FAR_OFF = 0.2
+"""... where none of these comes as near as this [m, rad]."""
+_NEWTON_STEPS = 10
+_MORE_STEPS = 60
+_TRUST = 0.5
+"""Largest step of a joint [rad or m]."""
+_STALLED = 0.995
+"""A step that leaves more than this share of the error is the last one."""
+_DISTANCE_WEIGHT = 1e4
+_POSITION_BOUND = 1e-4
+"""Half width of the solver's position constraint [m], narrowed by the Newton steps."""
+_ORIENTATION_BOUND = 0.01
+"""Width of the solver's orientation constraint [rad], narrowed by the Newton steps."""
+
+
+def solve_tool_pose(
+    plant: MultibodyPlant,
+    tool_frame: str,
+    X_WE: RigidTransform,
+    q_seed: FloatArray,
+    *,
+    position_tolerance: float = 1e-6,
+    orientation_tolerance: float = 1e-6,
+    thorough: bool = True,
+) -> FloatArray:
+    """Positions, within the joint limits, that put the tool frame E at a pose.
+
+    Drake's `InverseKinematics` finds the solution nearest to the seed; Newton steps
+    then bring it onto the pose. Where it finds none from a few seeds, as for a pose at the
+    joint limits, steps within the limits alone go on from many more. The same arguments give
+    the same answer. Joints that do not move the tool keep their seed.
+
+    Args:
+        plant: finalized plant of the robot alone.
+        tool_frame: name of the frame E.
+        X_WE: asked pose.
+        q_seed: (n,) positions to start from and to stay near [rad].
+        position_tolerance: largest distance from the asked position [m].
+        orientation_tolerance: largest angle from the asked orientation [rad].
+        thorough: whether to look further where the solver finds none: it takes seconds to
+            refuse what is just out of reach.
+
+    Returns:
+        (n,) positions.
+
+    Raises:
+        ValueError: "out of reach: ..." when there is none, with how near the tool
+            comes; or when the seed or the frame does not fit the plant.
+    """
+    q_seed = np.array(q_seed, dtype=float)
+    n = plant.num_positions()
+    if q_seed.shape != (n,) or not np.isfinite(q_seed).all():
+        raise ValueError(f"q_seed is {q_seed}; it must hold {n} finite numbers for this plant")
+    if not plant.HasFrameNamed(tool_frame):
+        raise ValueError(f"tool_frame: the plant has no frame '{tool_frame}'")
+    p_WE = X_WE.translation()
+    if not np.isfinite(p_WE).all():
+        raise ValueError(f"X_WE: the position {p_WE} must be finite [m]")
+    frame = plant.GetFrameByName(tool_frame)
+    tolerance = np.array([position_tolerance, orientation_tolerance])
+
+    def solved(guess: FloatArray) -> FloatArray | None:
+        q = _nearest_solution(plant, frame, X_WE, guess, q_seed)
+        if q is None:
+            return None
+        q, left = _refine(plant, frame, X_WE, q, _NEWTON_STEPS)
+        return q if (left <= tolerance).all() else None
+
+    for seed in _seeds(plant, frame, q_seed, _SEEDS):
+        q = solved(seed)
+        if q is not None:
+            return q
+    nearest = math.inf
+    more = _seeds(plant, frame, q_seed, _MORE_SEEDS) if thorough else []
+    for number, seed in enumerate(more):
+        q, left = _refine(plant, frame, X_WE, seed, _MORE_STEPS)
+        if (left <= tolerance).all():
+            nearer = solved(q)
+            return q if nearer is None else nearer
+        nearest = min(nearest, float(np.linalg.norm(left)))
+        if number >= _FEW and nearest > _FAR_OFF:
+            break
+    raise ValueError(_out_of_reach(plant, frame, X_WE, q_seed))
+
+
+def check_reachable(
+    plant: MultibodyPlant, tool_frame: str, X_WE: RigidTransform, q_seed: FloatArray
+) -> None:
+    """Raises the ValueError of `solve_tool_pose` if a pose is out of reach."""
+    solve_tool_pose(plant, tool_frame, X_WE, q_seed)
+
+
+def _seeds(plant: MultibodyPlant, frame: Frame, q_seed: FloatArray, count: int) -> list[FloatArray]:
+    """The given seed, the middle of the joint ranges, and fixed random places.
+
+    Joints that do not move the frame are where the given seed has them.
+    """
+    context = plant.CreateDefaultContext()
+    plant.SetPositions(context, q_seed)
+    moves = _jacobian(plant, context, frame).any(axis=0)
+    lower, upper = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
+    bounded = moves & np.isfinite(lower) & np.isfinite(upper)
+    lower, upper = np.where(bounded, lower, q_seed), np.where(bounded, upper, q_seed)
+    random = np.random.default_rng(0)
+    spread = [random.uniform(lower, upper) for _ in range(count)]
+    return [q_seed, 0.5 * (lower + upper), *spread]
+
+
+def _program(
+    plant: MultibodyPlant, frame: Frame, X_WE: RigidTransform, q_seed: FloatArray
+) -> InverseKinematics:
+    """Joint limits, the asked orientation, and as near to the seed as can be."""
+    problem = InverseKinematics(plant, with_joint_limits=True)
+    problem.AddOrientationConstraint(
+        plant.world_frame(), X_WE.rotation(), frame, RotationMatrix(), _ORIENTATION_BOUND
+    )
+    # It also keeps the joints that do not move the tool where they were.
+    weight = np.eye(plant.num_positions())
+    problem.prog().AddQuadraticErrorCost(weight, q_seed, problem.q())
+    return problem
+
+
+def _nearest_solution(
+    plant: MultibodyPlant,
+    frame: Frame,
+    X_WE: RigidTransform,
+    guess: FloatArray,
+    q_seed: FloatArray,
+) -> FloatArray | None:
+    """The solver's answer from one initial guess, or None."""
+    problem = _program(plant, frame, X_WE, q_seed)
+    p_WE = X_WE.translation()
+    problem.AddPositionConstraint(
+        frame, np.zeros(3), plant.world_frame(), p_WE - _POSITION_BOUND, p_WE + _POSITION_BOUND
+    )
+    result = Solve(problem.prog(), guess)
+    return np.array(result.GetSolution(problem.q())) if result.is_success() else None
+
+
+def _pose_error(
+    plant: MultibodyPlant, context: Context, frame: Frame, X_WE: RigidTransform, q: FloatArray
+) -> FloatArray:
+    """(6,) rotation vector [rad] and translation [m] from the pose at q to the asked one."""
+    plant.SetPositions(context, q)
+    X_WF = frame.CalcPoseInWorld(context)
+    R_error = X_WE.rotation().matrix() @ X_WF.rotation().matrix().T
+    return np.concatenate(
+        [rotation_vector(np.ascontiguousarray(R_error)), X_WE.translation() - X_WF.translation()]
+    )
+
+
+def _refine(
+    plant: MultibodyPlant, frame: Frame, X_WE: RigidTransform, q: FloatArray, steps: int
+) -> tuple[FloatArray, FloatArray]:
+    """Newton steps onto the pose within the limits; positions, (2,) distance, angle left."""
+    context = plant.CreateDefaultContext()
+    lower, upper = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
+    q, trust = np.clip(q, lower, upper), _TRUST
+    error = _pose_error(plant, context, frame, X_WE, q)
+    for _ in range(steps):
+        if not error.any():
+            break
+        plant.SetPositions(context, q)
+        J = _jacobian(plant, context, frame)
+        step = _bounded_step(J, error, np.maximum(lower - q, -trust), np.minimum(upper - q, trust))
+        left = _pose_error(plant, context, frame, X_WE, q + step)
+        gained = np.linalg.norm(left) / np.linalg.norm(error)
+        if gained < 1.0:
+            q, error = np.clip(q + step, lower, upper), left
+        elif trust > _TRUST / 64.0:
+            trust *= 0.25
+            continue
+        if gained > _STALLED:
+            break
+        trust = min(2.0 * trust, _TRUST)
+    return q, np.linalg.norm(error.reshape(2, 3), axis=1)[::-1]
+
+
+def _jacobian(plant: MultibodyPlant, context: Context, frame: Frame) -> FloatArray:
+    """(6, n) of the frame's origin in the world, angular part first."""
+    world = plant.world_frame()
+    return np.asarray(
+        plant.CalcJacobianSpatialVelocity(
+            context, JacobianWrtVariable.kQDot, frame, np.zeros(3), world, world
+        )
+    )
+
+
+def _bounded_step(
+    J: FloatArray, error: FloatArray, lower: FloatArray, upper: FloatArray
+) -> FloatArray:
+    """The (n,) step within bounds that makes up the most of an error (6,)."""
+    step = np.linalg.lstsq(J, error, rcond=1e-6)[0]
+    if (step >= lower).all() and (step <= upper).all():
+        return np.asarray(step)
+    return np.asarray(lsq_linear(J, error, bounds=(lower, upper), method="bvls").x)
+
+
+def _out_of_reach(
+    plant: MultibodyPlant, frame: Frame, X_WE: RigidTransform, q_seed: FloatArray
+) -> str:
+    """What to tell about a pose that has no solution: how near the tool comes."""
+    problem = _program(plant, frame, X_WE, q_seed)
+    problem.AddPositionCost(
+        plant.world_frame(), X_WE.translation(), frame, np.zeros(3), _DISTANCE_WEIGHT * np.eye(3)
+    )
+    context = plant.CreateDefaultContext()
+    nearest, p_WF = np.inf, np.zeros(3)
+    for seed in _seeds(plant, frame, q_seed, _SEEDS):
+        result = Solve(problem.prog(), seed)
+        if result.is_success():
+            q = result.GetSolution(problem.q())
+            distance = float(np.linalg.norm(_pose_error(plant, context, frame, X_WE, q)[3:]))
+            if distance < nearest:
+                nearest, p_WF = distance, frame.CalcPoseInWorld(context).translation()
+    p_WE = X_WE.translation()
+    rpy = X_WE.rotation().ToRollPitchYaw().vector()
+    comes = (
+        "no configuration with this orientation was found"
+        if nearest == np.inf
+        else f"with this orientation it comes as near as {nearest:.3f} m, "
+        f"to {(np.round(p_WF, 3) + 0.0).tolist()}"
+    )
+    return (
+        f"out of reach: {frame.name()} cannot be at {np.round(p_WE, 4).tolist()} m in the world, "
+        f"roll, pitch, yaw {np.round(rpy, 3).tolist()} rad; {comes}"
+        f"{_panda_reach(plant, frame, p_WE[2])}"
+    )
+
+
+def _panda_reach(plant: MultibodyPlant, frame: Frame, height: float) -> str:
+    """What is known of the reach, for the robot that it is known of."""
+    if plant.GetModelInstanceName(frame.model_instance()) != "panda":
+        return ""
+    inner, outer = tool_down_radii(np.asarray(height))
+    return (
+        f". The Panda reaches {PANDA_REACH} m from its shoulder; with the tool down, "
+        f"{inner:.2f} to {outer:.2f} m from its base axis at a height of "
+        f"{np.clip(height, -0.2, 0.8):.2f} m"
+    )

@@ -1,0 +1,173 @@
+"""The robot alone in a plant, as the controller and the self filter know it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+from pydrake.geometry import SceneGraph
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.parsing import (
+    Parser,
+)
+from pydrake.multibody.plant import (
+    AddMultibodyPlantSceneGraph,
+    MultibodyPlant,
+)
+from pydrake.multibody.tree import FixedOffsetFrame, Frame, ModelInstanceIndex
+from pydrake.systems.framework import Diagram, DiagramBuilder
+
+from drake_oa.common.messages import FloatArray
+from drake_oa.common.schema_check import ScenarioError
+from drake_oa.geometry.collision_shapes import outline_corners
+from drake_oa.robot.config import Robot
+from drake_oa.robot.grasped_object import add_carried, part_carried, tool_links
+from drake_oa.robot.panda_inertias import with_uniform_density
+
+TOOL_FRAME = "tool_point"
+
+
+def make_parser(plant: MultibodyPlant) -> Parser:
+    """A parser that knows `package://drake_oa`."""
+    parser = Parser(plant)
+    package = Path(str(resources.files("drake_oa.models"))) / "package.xml"
+    parser.package_map().AddPackageXml(str(package))
+    return parser
+
+
+def add_robot(
+    plant: MultibodyPlant, robot: Robot, *, uniform_density: bool = False
+) -> ModelInstanceIndex:
+    """Adds the arm, welds its base to the world, adds the tool frame E."""
+    parser = make_parser(plant)
+    try:
+        if uniform_density:
+            urdf = Path(parser.package_map().ResolveUrl(robot.model)).read_text()
+            (instance,) = parser.AddModelsFromString(with_uniform_density(urdf), "urdf")
+        else:
+            (instance,) = parser.AddModels(url=robot.model)
+    except ScenarioError:
+        raise
+    except (RuntimeError, ValueError) as error:
+        raise ScenarioError(f"robot.model: cannot load '{robot.model}': {error}") from None
+    for field, link in (("base_link", robot.base_link), ("hand_link", robot.hand_link)):
+        if not plant.HasBodyNamed(link, instance):
+            names = [plant.get_body(i).name() for i in plant.GetBodyIndices(instance)]
+            raise ScenarioError(
+                f"robot.{field}: '{robot.model}' has no link '{link}'; it has {', '.join(names)}"
+            )
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(robot.base_link, instance))
+    plant.AddFrame(
+        FixedOffsetFrame(
+            TOOL_FRAME,
+            plant.GetFrameByName(robot.hand_link, instance),
+            RigidTransform(robot.p_HE),
+        )
+    )
+    add_carried(plant, instance, robot)
+    return instance
+
+
+@dataclass(frozen=True)
+class RobotPlant:
+    """The robot alone, for kinematics and the control law.
+
+    Attributes:
+        diagram: owns plant and scene graph.
+        plant: finalized plant of arm and hand.
+        scene_graph: its geometry.
+        instance: the robot's model instance.
+        tool_frame: the frame E.
+    """
+
+    diagram: Diagram
+    plant: MultibodyPlant
+    scene_graph: SceneGraph
+    instance: ModelInstanceIndex
+
+    @property
+    def tool_frame(self) -> Frame:
+        """The tool point's frame E."""
+        return self.plant.GetFrameByName(TOOL_FRAME)
+
+
+def make_robot_plant(robot: Robot, *, uniform_density: bool = False) -> RobotPlant:
+    """The robot alone, welded to the world as in the station.
+
+    Args:
+        robot: which, and its base.
+        uniform_density: whether it has the inertias of `drake_oa.robot.panda_inertias` in place
+            of its own.
+
+    Raises:
+        ScenarioError: naming the field of the robot that does not fit.
+    """
+    builder = DiagramBuilder()
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
+    instance = add_robot(plant, robot, uniform_density=uniform_density)
+    plant.Finalize()
+    _check_seed(plant, robot)
+    part_carried(plant, scene_graph, robot)
+    return RobotPlant(builder.Build(), plant, scene_graph, instance)
+
+
+def _check_seed(plant: MultibodyPlant, robot: Robot) -> None:
+    """Refuses a seed that is not of the arm's joints."""
+    tool = plant.GetFrameByName(TOOL_FRAME).body().index()
+    arm = [
+        joint.name()
+        for joint in map(plant.get_joint, plant.GetJointIndices())
+        if joint.num_positions() and tool in plant.GetBodiesKinematicallyAffectedBy([joint.index()])
+    ]
+    if len(robot.q_seed) != len(arm):
+        raise ScenarioError(
+            f"robot.q_seed: expected {len(arm)} numbers, of {', '.join(arm)}, "
+            f"not {len(robot.q_seed)}"
+        )
+
+
+def tool_corners(robot_plant: RobotPlant, robot: Robot) -> FloatArray:
+    """Corners of the tool about E, in the world's orientation, (K, 3) [m].
+
+    They come from the collision geometry of `robot.tool_links` and `robot.carried`, posed
+    as in the task: tool at `robot.rpy_WE`, fingers open by `robot.finger_opening`. A rounded
+    shape gives the corners of the box round it.
+    """
+    return np.concatenate(tool_link_corners(robot_plant, robot))
+
+
+def tool_link_corners(robot_plant: RobotPlant, robot: Robot) -> list[FloatArray]:
+    """The same link by link: (K_i, 3) each [m]."""
+    plant = robot_plant.plant
+    inspector = robot_plant.scene_graph.model_inspector()
+    context = plant.CreateDefaultContext()
+    plant.SetPositions(context, robot_plant.instance, home_positions(robot_plant, robot))
+    X_WE = robot_plant.tool_frame.CalcPoseInWorld(context)
+    R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix()
+    corners = []
+    for link in tool_links(robot):
+        if not plant.HasBodyNamed(link, robot_plant.instance):
+            raise ScenarioError(f"robot.tool_links: '{robot.model}' has no link '{link}'")
+        body = plant.GetBodyByName(link, robot_plant.instance)
+        X_EB = X_WE.inverse() @ plant.EvalBodyPoseInWorld(context, body)
+        of_link = []
+        for geometry in plant.GetCollisionGeometriesForBody(body):
+            try:
+                p_BQ = outline_corners(inspector, geometry)
+            except ValueError as error:
+                raise ScenarioError(f"robot.tool_links: {error}") from None
+            of_link.append((R_WE @ X_EB.multiply(p_BQ.T)).T)
+        if of_link:
+            corners.append(np.concatenate(of_link))
+    if not corners:
+        raise ScenarioError(f"robot.tool_links: {robot.tool_links} have no collision geometry")
+    return corners
+
+
+def home_positions(robot_plant: RobotPlant, robot: Robot) -> FloatArray:
+    """All positions of the robot at `q_seed`, fingers at their opening."""
+    q = np.full(robot_plant.plant.num_positions(robot_plant.instance), robot.finger_opening)
+    q[: len(robot.q_seed)] = robot.q_seed
+    return q

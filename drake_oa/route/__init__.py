@@ -1,0 +1,1 @@
+"""On which side of each obstacle the motion passes: the paper's cost rings."""

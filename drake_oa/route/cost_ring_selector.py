@@ -1,0 +1,245 @@
+"""The decision layer: on which side to pass each obstacle."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from pydrake.common.value import AbstractValue, Value
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from drake_oa.common.messages import PART, EllipsoidSet, FloatArray, PolicyState, Route, TablePlane
+from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
+from drake_oa.policy.dmp import local_frame
+from drake_oa.policy.guidance import desired_headings, passing_normals
+from drake_oa.route.baseline_section import passing
+from drake_oa.route.cost_rings import (
+    JOINT_LIMITS,
+    Margin,
+    Ring,
+    RingScene,
+    joint_limits_ring,
+    length_ring,
+    limits_ring,
+    no_worse_than_the_ends,
+    path_length,
+    ring_scene,
+    table_ring,
+)
+from drake_oa.route.side_choice import Followed, Selection, select_directions
+
+_logger = logging.getLogger("drake_oa")
+
+
+class CostRingSelector(LeafSystem):
+    """Chooses the side of each obstacle by cost rings, and the heading past it.
+
+    .. pydrake_system::
+
+      name: CostRingSelector
+      input_ports:
+      - ellipsoids_W
+      - policy_state
+      - goal
+      - table (optional)
+      output_ports:
+      - route
+      - decision
+
+    - ellipsoids_W: abstract `EllipsoidSet`, the dilated obstacles in the world frame.
+    - policy_state: abstract `PolicyState` of the movement primitive.
+    - goal: (3,) goal of the motion in the world frame [m].
+    - table (optional): abstract `TablePlane`; without it the plane that came with
+      the ellipsoids is used.
+    - route: abstract `Route`: for each obstacle the chosen direction omega_d, the
+      desired heading v_d, the plane's normal, the obstacle as it is met; and the rings.
+    - decision: abstract `Route` without headings (0, 3), empty before initialization. It
+      does not change with every step of the policy, so neither does what is computed from
+      it; `DmpIntegrator` finds the headings itself.
+
+    The sides of several obstacles are chosen together (`drake_oa.route.side_sequence`). Where every
+    direction of an obstacle is forbidden, the route's note says so, and the policy holds
+    until one is free.
+
+    The side is decided at initialization and every `period`, shortly after it so that
+    an observation of the same instant counts, and kept by hysteresis: the decision is
+    abstract state. Between decisions only the headings follow the motion; when the set
+    of obstacles changes, it is decided at once.
+    """
+
+    def __init__(
+        self,
+        clearance: float,
+        *,
+        period: float = 1.0 / 15.0,
+        n_directions: int = 36,
+        table_height: float = 0.05,
+        workspace: Margin | None = None,
+        joint_limits: Margin | None = None,
+        followed: Followed | None = None,
+        extra_rings: Mapping[str, Ring] | None = None,
+        hysteresis: float = 0.2,
+    ) -> None:
+        """Declares the ports.
+
+        Args:
+            clearance: asked distance Delta between tool and obstacle [m].
+            period: time between decisions [s].
+            n_directions: directions on a ring.
+            table_height: least height of E above the table [m].
+            workspace: signed margin [m] of world points (..., 3), positive inside;
+                None: no workspace ring.
+            joint_limits: the same, positive where the joints keep off their limits; None, or
+                without a workspace: no such ring.
+            followed: how far the arm follows a way, see `select_directions`; None: it is
+                not asked.
+            extra_rings: more rings by name.
+            hysteresis: how much dearer a side may be and still be kept.
+
+        Raises:
+            ValueError: if the clearance or the period is not finite and positive, or
+                there is no direction.
+        """
+        super().__init__()
+        if not 0.0 < clearance < math.inf:
+            raise ValueError(f"clearance must be finite and positive [m], not {clearance}")
+        if n_directions < 1:
+            raise ValueError(f"n_directions must be at least 1, not {n_directions}")
+        period = valid_period(period)
+        self._clearance = clearance
+        self._n_directions = n_directions
+        self._hysteresis = hysteresis
+        self._rings: dict[str, Ring] = {
+            "table": partial(table_ring, height=table_height),
+            "length": length_ring,
+        }
+        self._followed = followed
+        self._workspace, self._joint_limits = workspace, None
+        if workspace is not None:
+            self._rings["workspace"] = partial(limits_ring, workspace=workspace)
+            if joint_limits is not None:
+                self._joint_limits = joint_limits
+                self._rings[JOINT_LIMITS] = partial(
+                    joint_limits_ring, joints=joint_limits, workspace=workspace
+                )
+        self._rings |= dict(extra_rings or {})
+
+        self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
+        self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
+        self._goal = self.DeclareVectorInputPort("goal", 3)
+        self._table = self.DeclareAbstractInputPort("table", Value(TablePlane()))
+        self._decided = self.DeclareAbstractState(Value(Route()))
+        self.DeclareAbstractOutputPort("route", lambda: Value(Route()), self._calc_route)
+        self.DeclareAbstractOutputPort(
+            "decision",
+            lambda: Value(Route()),
+            self._calc_decision,
+            # Not the goal: a constant source counts as new at every instant.
+            prerequisites_of_calc={
+                self._ellipsoids.ticket(),
+                self._table.ticket(),
+                self.abstract_state_ticket(self._decided),
+            },
+        )
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, DECISION_OFFSET, self._decide)
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._decide)
+
+    def _margins(self, scene: RingScene) -> dict[str, Margin]:
+        """Where legs between obstacles must not lead."""
+        margins = {}
+        if self._workspace is not None:
+            margins["workspace"] = self._workspace
+        if self._joint_limits is not None:
+            margins[JOINT_LIMITS] = no_worse_than_the_ends(scene, self._joint_limits)
+        return margins
+
+    def _weigh(self, context: Context, p_WS: FloatArray, p_WG: FloatArray) -> Route:
+        """Weighs the rings for a motion from p_WS to p_WG; the route without its headings."""
+        ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
+        R_WL = local_frame(p_WS, p_WG)
+        table = read_optional(self, self._table, context, TablePlane) or ellipsoids.table
+        scene = ring_scene(
+            p_WS,
+            p_WG,
+            R_WL,
+            ellipsoids,
+            table,
+            clearance=self._clearance,
+            n_directions=self._n_directions,
+        )
+        decided: Route = context.get_abstract_state(self._decided).get_value()
+        known = dict(zip(decided.ids.tolist(), decided.index.tolist(), strict=True))
+        selection = select_directions(
+            scene,
+            self._rings,
+            previous=np.array([known.get(i, -1) for i in ellipsoids.ids.tolist()], dtype=np.int64),
+            hysteresis=self._hysteresis,
+            margins=self._margins(scene),
+            followed=self._followed,
+        )
+        direction_W = scene.directions_W[selection.index]
+        met = passing(p_WS, p_WG, R_WL, ellipsoids, direction_W, selection.groups, self._clearance)
+        return Route(
+            direction_W=direction_W,
+            normal_W=passing_normals(direction_W, R_WL),
+            center_W=met.center_W,
+            extents=met.extents,
+            clearance=met.clearance,
+            weight=met.weight,
+            index=selection.index,
+            angles=scene.angles,
+            costs=selection.costs,
+            path_length=path_length(scene, selection.index),
+            p_WS=p_WS,
+            p_WG=p_WG,
+            R_WL=R_WL,
+            ids=ellipsoids.ids,
+            note=_blocked_note(ellipsoids, selection),
+        )
+
+    def _decide(self, context: Context, state: State) -> EventStatus:
+        before: Route = context.get_abstract_state(self._decided).get_value()
+        policy = read_value(self, self._policy, context, PolicyState)
+        route = self._weigh(context, policy.p_WS, self._goal.Eval(context))
+        if route.note and route.note != before.note:
+            _logger.info("t=%.3f s: %s", context.get_time(), route.note)
+        state.get_mutable_abstract_state(self._decided).set_value(route)
+        return EventStatus.Succeeded()
+
+    def _current(self, context: Context) -> Route:
+        """The decision in the Context, or for the same motion past other obstacles, if so."""
+        ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
+        decided: Route = context.get_abstract_state(self._decided).get_value()
+        if decided.baseline == 0.0 or np.array_equal(decided.ids, ellipsoids.ids):
+            return decided
+        return self._weigh(context, decided.p_WS, decided.p_WG)
+
+    def _calc_decision(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(self._current(context))
+
+    def _calc_route(self, context: Context, output: AbstractValue) -> None:
+        ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
+        policy = read_value(self, self._policy, context, PolicyState)
+        route = self._current(context)
+        if route.baseline == 0.0:
+            route = self._weigh(context, policy.p_WS, self._goal.Eval(context))
+        heading_W = desired_headings(
+            policy,
+            ellipsoids,
+            route.direction_W,
+            route.normal_W,
+            route.center_W,
+            route.clearance,
+        )
+        output.set_value(replace(route, heading_W=heading_W))
+
+
+def _blocked_note(ellipsoids: EllipsoidSet, selection: Selection) -> str:
+    if not selection.blocked.any():
+        return ""
+    ids = ", ".join(map(str, np.unique(ellipsoids.ids[selection.blocked] % PART)))
+    return f"every side of obstacle {ids} is forbidden"

@@ -1,0 +1,1 @@
+"""Simulating a scenario; its log, metrics, report, plots and replay."""

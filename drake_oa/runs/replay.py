@@ -1,0 +1,154 @@
+"""A logged motion as a function of time: what was where, and what had been seen."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import ModelInstanceIndex
+
+from drake_oa.common.messages import EllipsoidSet, FloatArray, PolicyState
+from drake_oa.common.schema_check import ScenarioError
+from drake_oa.policy.dmp import local_frame
+from drake_oa.runs.motion_log import MotionLog
+from drake_oa.scenario.loading import parse_scenario
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.task import goal_at
+
+_EARLY = 1e-9
+"""What was logged up to this much later [s] counts as logged: times are rounded."""
+
+
+def logged_scenario(path: Path, log: MotionLog) -> Scenario:
+    """The scenario that a log was made with.
+
+    Args:
+        path: the log's file, for errors.
+        log: the log.
+
+    Raises:
+        ScenarioError: if this version does not know the scenario's fields.
+    """
+    try:
+        # Its file names were made absolute when it was read first.
+        return parse_scenario(log.scenario)
+    except ScenarioError as error:
+        made = ", ".join(log.versions[:1])
+        raise ScenarioError(f"the scenario in {path} (made with {made}): {error}") from None
+
+
+def choose_motion(path: Path, logs: dict[str, MotionLog], name: str | None) -> str:
+    """The motion to show: the one asked for, else the modulated one if it was started.
+
+    Args:
+        path: the log's file, for errors.
+        logs: the motions in it.
+        name: the motion asked for, or None.
+
+    Raises:
+        ValueError: if there is no such motion, or nothing was logged of it.
+    """
+    chosen = ("modulated" if "modulated" in logs else next(iter(logs))) if name is None else name
+    if chosen not in logs:
+        raise ValueError(f"{path} has no motion '{chosen}'; it has {', '.join(logs)}")
+    if not len(logs[chosen].t):
+        raise ValueError(
+            f"{path}: the {chosen} motion was ended before its first instant: "
+            f"{logs[chosen].stop_reason}"
+        )
+    return chosen
+
+
+class LoggedMotion:
+    """Looks up what a log says of an instant; holds no state."""
+
+    def __init__(self, scenario: Scenario, log: MotionLog) -> None:
+        """Keeps both.
+
+        Raises:
+            ValueError: if the log has no instant.
+        """
+        if not len(log.t):
+            raise ValueError(f"the log has no instant: {log.stop_reason}")
+        self.log = log
+        self._p_WS = np.asarray(scenario.task.start, dtype=float)
+        self._task = scenario.task
+        self._seen = [log.observation(row) for row in range(len(log.observation_time))]
+
+    def row(self, time: float) -> int:
+        """The row of what was logged last at a time [s]; the first one before it."""
+        return max(0, int(np.searchsorted(self.log.t, time + _EARLY, side="right")) - 1)
+
+    def ellipsoids(self, time: float) -> EllipsoidSet:
+        """The observation that had arrived last at a time [s]; empty before the first."""
+        row = int(np.searchsorted(self.log.observation_time, time + _EARLY, side="right")) - 1
+        return self._seen[row] if row >= 0 else EllipsoidSet()
+
+    def policy_state(self, time: float) -> PolicyState:
+        """Where the movement primitive was at a time [s].
+
+        z_W is the desired velocity [m/s], which has its direction: the scale, tau T, is
+        not in the log.
+        """
+        row, log = self.row(time), self.log
+        p_WG = goal_at(self._task, float(log.t[row]))
+        event = int(np.searchsorted(log.event_time, time + _EARLY, side="right")) - 1
+        return PolicyState(
+            p_WE=log.desired_position[row],
+            z_W=log.desired_velocity[row],
+            phase=float(log.phase[row]),
+            p_WS=self._p_WS,
+            p_WG=p_WG,
+            R_WL=local_frame(self._p_WS, p_WG),
+            stamp=float(log.t[row]),
+            note=log.event[event] if event >= 0 else "",
+        )
+
+
+def world_positions(plant: MultibodyPlant, robot: ModelInstanceIndex, log: MotionLog) -> FloatArray:
+    """(T, n) positions of a scenario's world at the instants of a log [rad, m].
+
+    Args:
+        plant: the finalized plant of the world.
+        robot: the robot's model instance.
+        log: the log; where it has only the robot's positions, the rest stays where the
+            plant has it by default.
+
+    Raises:
+        ValueError: if the log is not of this world.
+    """
+    n, n_robot = plant.num_positions(), plant.num_positions(robot)
+    if log.q.shape[1] != n_robot or log.q_world.shape[1] not in (0, n):
+        raise ValueError(
+            f"the log has {log.q.shape[1]} positions of the robot and {log.q_world.shape[1]} of "
+            f"the world; its scenario has {n_robot} and {n}: was the robot's model changed?"
+        )
+    if log.q_world.shape[1]:
+        return log.q_world
+    world = np.tile(plant.GetPositions(plant.CreateDefaultContext()), (len(log.q), 1))
+    for row, q in zip(world, log.q, strict=True):
+        plant.SetPositionsInArray(robot, q, row)
+    return world
+
+
+def planned_path(
+    scenario: Scenario, logs: dict[str, MotionLog], *, points: int = 200
+) -> FloatArray | None:
+    """The planned path as the pre-planned motion was asked to go; None: a straight line.
+
+    Args:
+        scenario: the scenario of the logs.
+        logs: the motions of a run.
+        points: how many to keep at most.
+
+    Returns:
+        (N, 3) points [m], or None where the line from start to goal was planned, or the
+        demonstrated path is not in the log whole.
+    """
+    log = logs.get("preplanned")
+    if not scenario.task.demonstration or log is None or log.stop_reason != "goal":
+        return None
+    step = math.ceil(len(log.t) / points)
+    return log.desired_position[::step]

@@ -1,0 +1,260 @@
+"""The report of a run: what the pre-planned and the modulated motion kept and touched."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from drake_oa.common.messages import EllipsoidSet, FloatArray
+from drake_oa.common.text_tables import aligned
+from drake_oa.diagrams.layers import given_ellipsoids
+from drake_oa.diagrams.robot_layers import end_positions
+from drake_oa.geometry.rotation import rotation_vector
+from drake_oa.policy.orientation_dmp import rotation_matrix
+from drake_oa.policy.orientation_kernels import exponential
+from drake_oa.robot.plant import make_robot_plant
+from drake_oa.runs.decision_costs import decision_figures
+from drake_oa.runs.metrics import MotionMetrics, free_point_metrics, path_length, robot_metrics
+from drake_oa.runs.motion_log import MotionLog
+from drake_oa.scenario.scenario import GivenEllipsoids, Scenario
+from drake_oa.scenario.task import goal_at
+from drake_oa.scenario.tool_orientation import end_rotations
+
+TOLD = 1e-3
+"""Clearance that is missing by more than this is told, and counts as missing [m]."""
+
+
+def motion_metrics(scenario: Scenario, log: MotionLog) -> MotionMetrics:
+    """Judges a logged motion: by SceneGraph, or by the given ellipsoids without a robot."""
+    if scenario.robot is not None:
+        return robot_metrics(scenario, log.q, log.q_world)
+    return free_point_metrics(log.desired_position, _given(scenario))
+
+
+def feasible_clearance(scenario: Scenario) -> float:
+    """min(Delta, true clearance of the tool at the start, at the goal) to what rests [m].
+
+    Nobody can keep more; 0 where start or goal touches. Of a goal that moves, the last counts.
+
+    Raises:
+        ScenarioError: if start or goal is out of reach.
+    """
+    task = scenario.task
+    if scenario.robot is None:
+        ends = np.array([task.start, goal_at(task, math.inf)], dtype=float)
+        left = free_point_metrics(ends, _given(scenario)).resting_clearance
+    else:
+        ends = np.stack(end_positions(make_robot_plant(scenario.robot), scenario))
+        left = robot_metrics(scenario, ends).resting_clearance
+    return float(max(min(task.clearance, left.min()), 0.0))
+
+
+def motion_report(
+    scenario: Scenario, log: MotionLog, feasible: float | None = None
+) -> dict[str, Any]:
+    """The figures of one motion; distances in metres, times in seconds.
+
+    Contacts and clearances are judged until all was at rest; what is of the motion
+    itself, to its end.
+
+    Keys: `collisions` (pairs of a robot link and a thing that touched),
+    `contacts` (their names), `initial_contacts` (those the motion started in),
+    `made_contacts` (those it made), `self_contacts` (links of the robot that touched each
+    other), `tool_clearance_min`, `robot_clearance_min` (to obstacles; None where there is
+    none), `asked_clearance`, `feasible_clearance`, `resting_clearance_min` (of the tool to what
+    never moves; None where there is none), `short_of_feasible` (what that lacks of the feasible
+    one), `goal_error` (at the motion's end or when all is at rest, the greater one),
+    `orientation_error` (angle to that of the goal when all is at rest [rad]; only where the
+    tool turns), `torque_saturation` (fraction of logged steps), `duration`, `path_length`,
+    `out_of_range` (fraction of observations with an obstacle beyond what the regressor
+    chain was trained for), `regulation` ("Verified", "Regressor", or None without
+    modulation), `believed_shortfall` (most that the verified motion lacked of what regulation
+    believed feasible; None unless it was verified), `believed_short_of` (name of the obstacle it
+    lacked it to, or None), `lowered` (by how much regulation lowered the asked clearance at
+    most; None unless verified), what decisions cost (see `decision_figures`), `stop_reason`,
+    `settled` (whether all came to rest), `events` (notes of the policy), `supervision` (what the
+    supervisor did, and why).
+
+    Args:
+        scenario: what was run.
+        log: of the motion.
+        feasible: `feasible_clearance` of the scenario; None: it is asked for.
+    """
+    metrics = motion_metrics(scenario, log)
+    if feasible is None:
+        feasible = feasible_clearance(scenario)
+    kept = float(metrics.resting_clearance.min(initial=math.inf))
+    return {
+        "collisions": len(metrics.contacts),
+        "contacts": list(metrics.contacts),
+        "initial_contacts": list(metrics.initial_contacts),
+        "made_contacts": list(metrics.made_contacts),
+        "self_contacts": list(metrics.self_contacts),
+        "tool_clearance_min": _finite(metrics.tool_clearance.min(initial=math.inf)),
+        "robot_clearance_min": _finite(metrics.robot_clearance.min(initial=math.inf)),
+        "asked_clearance": scenario.task.clearance,
+        "feasible_clearance": feasible,
+        "resting_clearance_min": _finite(kept),
+        "short_of_feasible": max(feasible - kept, 0.0),
+        "goal_error": _goal_error(scenario, log, metrics.p_WE),
+        **_orientation(scenario, log),
+        "torque_saturation": float(log.saturated[log.moving].mean()) if len(log.t) else 0.0,
+        "duration": log.duration,
+        "path_length": path_length(metrics.p_WE[log.moving]),
+        "out_of_range": float((log.out_of_range > 0).mean()) if len(log.out_of_range) else 0.0,
+        **_believed(log),
+        **decision_figures(scenario, log),
+        "stop_reason": log.stop_reason,
+        "settled": log.settled,
+        "events": [
+            {"time": float(when), "note": note}
+            for when, note in zip(log.event_time, log.event, strict=True)
+        ],
+        "supervision": [
+            {"time": float(when), "action": action, "reason": reason}
+            for when, action, reason in zip(
+                log.supervision_time, log.supervision_action, log.supervision_reason, strict=True
+            )
+        ],
+    }
+
+
+def _orientation(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
+    if not len(log.desired_orientation):
+        return {}
+    desired = rotation_matrix(log.desired_orientation[-1])
+    # The logged error leads from the actual to the desired orientation.
+    off = exponential(np.ascontiguousarray(log.orientation_error[-1]))
+    actual = rotation_matrix(off).T @ desired
+    goal = end_rotations(scenario)[1].matrix()
+    left = rotation_vector(np.ascontiguousarray(goal @ actual.T))
+    return {"orientation_error": float(np.linalg.norm(left))}
+
+
+def _believed(log: MotionLog) -> dict[str, Any]:
+    """What regulation took the clearance for, by its own geometry."""
+    most = float(log.shortfall.max(initial=0.0))
+    verified = log.regulation == "Verified"
+    return {
+        "regulation": log.regulation or None,
+        "believed_shortfall": most if verified else None,
+        "believed_short_of": int(log.short_of[log.shortfall.argmax()]) if most > 0.0 else None,
+        "lowered": float(log.lowered.max(initial=0.0)) if verified else None,
+    }
+
+
+def _goal_error(scenario: Scenario, log: MotionLog, p_WE: FloatArray) -> float:
+    reached = p_WE[[log.moving.stop - 1, -1]] if len(p_WE) else np.array([scenario.task.start])
+    times = (log.duration, log.simulated_time)[: len(reached)]
+    goals = np.array([goal_at(scenario.task, time) for time in times])
+    return float(np.linalg.norm(reached - goals, axis=1).max())
+
+
+def _given(scenario: Scenario) -> EllipsoidSet:
+    source = scenario.perception
+    return given_ellipsoids(source) if isinstance(source, GivenEllipsoids) else EllipsoidSet()
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def run_report(name: str, scenario: Scenario, logs: dict[str, MotionLog]) -> dict[str, Any]:
+    """The report of `drake-oa run --json`; see `motion_report` for each motion.
+
+    Args:
+        name: the scenario's name.
+        scenario: the scenario.
+        logs: "preplanned" and "modulated" -> their logs.
+    """
+    report: dict[str, Any] = {"scenario": name, "seed": scenario.seed}
+    feasible = feasible_clearance(scenario)
+    report |= {motion: motion_report(scenario, log, feasible) for motion, log in logs.items()}
+    last = logs.get("modulated") or next(iter(logs.values()))
+    report["real_time_factor"] = (
+        last.simulated_time / last.wall_time if last.wall_time > 0.0 else None
+    )
+    versions = dict(item.split(" ", 1) for item in last.versions)
+    report["commit"] = versions.pop("commit", None)
+    report["versions"] = versions
+    return report
+
+
+_COLUMNS = (
+    ("collisions", "collisions", "{:d}"),
+    ("tool_clearance_min", "tool clearance [m]", "{:.3f}"),
+    ("robot_clearance_min", "robot clearance [m]", "{:.3f}"),
+    ("feasible_clearance", "feasible [m]", "{:.3f}"),
+    ("short_of_feasible", "short by [mm]", "{:.1f}"),
+    ("goal_error", "goal error [mm]", "{:.2f}"),
+    ("orientation_error", "turn error [deg]", "{:.2f}"),
+    ("torque_saturation", "saturated [%]", "{:.1f}"),
+    ("duration", "duration [s]", "{:.2f}"),
+)
+_SCALE = {
+    "short_of_feasible": 1e3,
+    "goal_error": 1e3,
+    "orientation_error": math.degrees(1.0),
+    "torque_saturation": 1e2,
+}
+
+
+def report_table(report: dict[str, Any]) -> str:
+    """The report as a text table, one row a motion, like the paper's Table III.
+
+    Below it what was asked and could not be had, or was not kept, and what regulation took
+    the clearance for.
+    """
+    shown = [motion for motion in ("preplanned", "modulated") if motion in report]
+    columns = [c for c in _COLUMNS if any(c[0] in report[motion] for motion in shown)]
+    rows = [["", *(title for _, title, _ in columns), "ended by"]]
+    for motion in ("preplanned", "modulated"):
+        if motion not in report:
+            continue
+        row: list[str] = [motion]
+        for key, _, form in columns:
+            value = report[motion].get(key)
+            row.append("-" if value is None else form.format(value * _SCALE.get(key, 1)))
+        rows.append([*row, report[motion]["stop_reason"]])
+    notes = [note for motion in shown for note in _notes(motion, report[motion])]
+    return "\n".join([aligned(rows, "r" * len(rows[0])), *dict.fromkeys(notes)])
+
+
+def _thinking(cost: dict[str, float]) -> str:
+    return (
+        f"decisions took {1e3 * cost['median']:.0f} ms (median), 99 % within "
+        f"{1e3 * cost['p99']:.0f} ms, at most {1e3 * cost['max']:.0f} ms; "
+        f"{1e2 * cost['share_over_period']:.1f} % of them longer than a frame"
+    )
+
+
+def _notes(motion: str, found: dict[str, Any]) -> list[str]:
+    """What is to be said of one motion's clearance; less than `TOLD` is not."""
+    notes = []
+    asked, feasible = found["asked_clearance"], found["feasible_clearance"]
+    if asked - feasible > TOLD:
+        notes.append(f"note: start and goal leave {feasible:.3f} m of the asked {asked:g} m")
+    if found["self_contacts"]:
+        notes.append(f"warning: {motion}: the robot touched itself: {found['self_contacts']}")
+    if not found["regulation"]:
+        return notes
+    if (found["decision_cost"] or {}).get("share_over_period", 0.0) > 0.0:
+        notes.append(f"note: {motion}: {_thinking(found['decision_cost'])}")
+    if found["short_of_feasible"] > TOLD:
+        notes.append(
+            f"warning: {motion}: kept {found['resting_clearance_min']:.3f} m to what rests, "
+            f"{1e3 * found['short_of_feasible']:.1f} mm less than start and goal leave"
+        )
+    if (found["lowered"] or 0.0) > max(TOLD, asked - feasible + TOLD):
+        notes.append(
+            f"note: {motion}: regulation lowered the asked clearance by up to "
+            f"{1e3 * found['lowered']:.1f} mm: it took an obstacle to be that near"
+        )
+    if (found["believed_shortfall"] or 0.0) > TOLD:
+        notes.append(
+            f"note: {motion}: regulation believed to lack {1e3 * found['believed_shortfall']:.1f} "
+            f"mm of the clearance to obstacle {found['believed_short_of']}"
+        )
+    return notes

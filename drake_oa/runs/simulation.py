@@ -1,0 +1,490 @@
+"""Runs a scenario's diagram to its end and keeps the log."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from pydrake.geometry import Meshcat
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, Diagram, EventStatus
+from pydrake.systems.primitives import VectorLogSink
+
+from drake_oa.common.messages import (
+    DECIDING,
+    CouplingParameters,
+    EllipsoidSet,
+    FloatArray,
+    PlannedMotion,
+    PolicyState,
+)
+from drake_oa.common.provenance import software_versions
+from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.diagrams.layers import make_dmp
+from drake_oa.policy.action import SCALED_TO_REST
+from drake_oa.policy.dmp import normalised_time
+from drake_oa.regulation.verification import SearchParameters
+from drake_oa.robot.limits import RobotLimits, frame_path, robot_limits
+from drake_oa.robot.plant import TOOL_FRAME
+from drake_oa.runs.decision_costs import logged_decisions
+from drake_oa.runs.motion_log import MotionLog, pack_ellipsoids
+from drake_oa.safety.supervision import Supervision
+from drake_oa.scenario.faults import CameraDropout, FrameBurst, NanFrames, Push, TorqueSaturation
+from drake_oa.scenario.loading import scenario_text
+from drake_oa.scenario.obstacles import last_change
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.task import goal_at, last_move
+from drake_oa.world.late_camera import LateCamera
+from drake_oa.world.world_model import all_obstacles
+
+LONGEST_HOLD = 5.0
+"""A motion that is held for longer than this, and after the last move of the goal, is ended [s]."""
+LONGEST_SCALING = 6.0
+"""A motion that takes more than this many demonstrated durations is ended."""
+LATEST_END = 2.2
+"""Normalised time s at which a motion that has not arrived is ended; counted from s = 1 at
+the latest move of the goal, where that comes after it. One that has been verified to arrive
+later may do so."""
+_GRACE = 0.2
+"""How much later than verified a motion may arrive, in normalised time."""
+ARRIVED = SearchParameters().tolerance
+"""A motion has arrived when s = 1 is over and it is this near to the goal [m], at a scaled
+velocity at which it would go no further than `STILL` times as far in a unit of s."""
+STILL = 20.0
+AT_GOAL = 5e-3
+"""The tool is at the goal when its point is nearer than this [m]."""
+AT_REST = 0.01
+"""A robot whose joints are all slower than this rests [rad/s, m/s]."""
+REST_TIME = 1.0
+"""A run is over when all has been at rest for so long [s]."""
+LONGEST_SETTLING = 5.0
+"""One that never comes to rest is over so long after its end and that of all courses [s]."""
+TURNED_BACK = 2e-3
+"""A tool that is turned by less has its orientation at the goal [rad]."""
+
+
+class MotionInterruptedError(RuntimeError):
+    """A simulation that did not end by itself; `log` holds what happened until then."""
+
+    def __init__(self, log: MotionLog) -> None:
+        super().__init__(log.stop_reason)
+        self.log = log
+
+
+class MotionWatcher:
+    """Looks at the motion after each step: records, reports progress, ends the run.
+
+    The motion's end is not the run's: the world goes on until all obstacles have ended
+    their courses and everything has been at rest for `REST_TIME`, so that what is touched
+    then counts. A motion that was stopped or held, and goes on meanwhile, has not ended.
+
+    Attributes:
+        frames: the observations, as they arrived.
+        frame_times: when each arrived [s].
+        out_of_range: of each, how many obstacles the regressor chain was not trained for.
+        events: (time [s], note) whenever the policy's note changed.
+        supervision: (time [s], action, reason) whenever the supervisor's decision changed.
+        stop_reason: what ended the motion; "" until then.
+        motion_end: when it did [s]; NaN until then.
+        settled: whether all has come to rest since.
+    """
+
+    def __init__(
+        self,
+        diagram: Diagram,
+        scenario: Scenario,
+        end_time: float,
+        on_progress: Callable[[float, float], None] | None,
+        *,
+        latest_time: float | None = None,
+    ) -> None:
+        """Finds what it looks at.
+
+        Args:
+            diagram: with a `dmp_integrator`; the other systems of `build_avoidance` are
+                looked at where they are there.
+            scenario: what the diagram was made from.
+            end_time: time limit of the motion [s].
+            on_progress: called with time [s] and phase, or None.
+            latest_time: when the run is over, whatever moves then [s]; None:
+                `LONGEST_SETTLING` after the time limit and all that is to happen.
+        """
+        self._diagram = diagram
+        self._policy_system = diagram.GetSubsystemByName("dmp_integrator")
+        self._policy_port = self._policy_system.GetOutputPort("policy_state")
+        self._ellipsoid_port = None
+        if diagram.HasSubsystemNamed("ellipsoid_descriptor"):
+            self._ellipsoid_system = diagram.GetSubsystemByName("ellipsoid_descriptor")
+            self._ellipsoid_port = self._ellipsoid_system.GetOutputPort("ellipsoids_W")
+        elif diagram.HasSubsystemNamed("perception"):
+            self._ellipsoid_system = diagram.GetSubsystemByName("perception")
+            self._ellipsoid_port = self._ellipsoid_system.get_output_port()
+        self._alpha_k = scenario.policy.alpha_k
+        self._period = scenario.policy.period
+        self._end_time = end_time
+        self._on_progress = on_progress
+        self._next_time = 0.0
+        self._last_move = last_move(scenario.task)
+        self._goal = goal_at(scenario.task, self._last_move)
+        self._latest_end = LATEST_END
+        self._held_since: float | None = None
+        self._chain = None
+        if diagram.HasSubsystemNamed("regressor_chain"):
+            self._chain = diagram.GetSubsystemByName("regressor_chain")
+        self._turned = None
+        if diagram.HasSubsystemNamed("tool_turn_selector"):
+            self._turned = diagram.GetSubsystemByName("orientation_integrator")
+        self._supervisor = None
+        if diagram.HasSubsystemNamed("supervisor"):
+            self._supervisor = diagram.GetSubsystemByName("supervisor")
+        self.frames: list[EllipsoidSet] = []
+        self.frame_times: list[float] = []
+        self.out_of_range: list[int] = []
+        self.events: list[tuple[float, str]] = []
+        self.supervision: list[tuple[float, str, str]] = []
+        self.stop_reason = ""
+        self.motion_end = math.nan
+        self.settled = False
+        self._passing = False
+        self._rest_since = math.inf
+        self.world_end = _last_change(scenario, end_time)
+        self.latest_time = latest_time
+        if latest_time is None:
+            self.latest_time = max(end_time, self.world_end) + LONGEST_SETTLING
+        self._plant = None
+        if scenario.robot is not None:
+            self._plant = diagram.GetSubsystemByName("plant")
+            self._tool_frame = self._plant.GetFrameByName(TOOL_FRAME)
+            self._robot = self._tool_frame.model_instance()
+
+    def __call__(self, root: Context) -> EventStatus:
+        now = root.get_time()
+        if now < self._next_time:
+            return EventStatus.DidNothing()
+        # Policy and supervisor step once a period, and the look comes right after.
+        self._next_time = now + 0.9 * self._period
+        policy: PolicyState = self._policy_port.Eval(self._policy_system.GetMyContextFromRoot(root))
+        supervision = self._supervision(root)
+        if policy.note == SCALED_TO_REST and supervision.reason:
+            policy = replace(policy, note=f"supervisor: {supervision.reason}")
+        self._record(root, now, policy)
+        if self._on_progress is not None:
+            self._on_progress(now, policy.phase)
+        if self._passing and not policy.note:
+            self.stop_reason, self.motion_end = "", math.nan
+        if not self.stop_reason:
+            self._end(now, *self._why_ended(root, now, policy, supervision))
+        self._look_for_rest(root, now, policy)
+        if self.settled:
+            return EventStatus.ReachedTermination(self._diagram, self.stop_reason)
+        return EventStatus.DidNothing()
+
+    def finish(self, root: Context) -> None:
+        """Says what the end of the run makes of the motion's."""
+        if not self.stop_reason:
+            self._end(self._end_time, f"time limit of {self._end_time:g} s")
+        policy: PolicyState = self._policy_port.Eval(self._policy_system.GetMyContextFromRoot(root))
+        error = self._goal_error(root, policy)
+        if self.stop_reason == "goal" and error > AT_GOAL:
+            self.stop_reason = f"goal left by {1e3 * error:.1f} mm"
+
+    def _end(self, now: float, reason: str, passing: bool = False) -> None:
+        """Takes down that the motion has ended, if it has; `passing`: it may yet go on."""
+        if reason:
+            self.stop_reason, self.motion_end, self._passing = reason, now, passing
+
+    def _why_ended(
+        self, root: Context, now: float, policy: PolicyState, supervision: Supervision
+    ) -> tuple[str, bool]:
+        """Why the motion has ended, "" if it has not, and whether it may yet go on."""
+        s = normalised_time(policy.phase, self._alpha_k)
+        if now <= self._last_move:
+            self._latest_end = LATEST_END + max(0.0, s - 1.0)
+        elif (
+            s >= 1.0 - 1e-9
+            and _has_arrived(policy, self._goal)
+            and self._goal_error(root, policy) <= AT_GOAL
+            and not self._is_turned(root)
+        ):
+            return "goal", False
+        if supervision.action == "stop" and policy.speed == 0.0:
+            return f"stopped: {supervision.reason}", True
+        if now > self._last_move and s >= self._latest_end:
+            self._latest_end = max(self._latest_end, self._verified_end(root) + _GRACE)
+        if now > self._last_move and s >= self._latest_end:
+            error = self._goal_error(root, policy)
+            if _has_arrived(policy, self._goal) and error <= AT_GOAL:
+                return "at the goal, but the tool cannot be turned back there", False
+            return f"goal missed by {1e3 * error:.1f} mm at s = {self._latest_end:.3g}", False
+        if (
+            self._held_since is not None
+            and now - max(self._held_since, self._last_move) > LONGEST_HOLD
+        ):
+            return f"held for {LONGEST_HOLD:g} s: {policy.note}", True
+        return (f"time limit of {self._end_time:g} s" if now >= self._end_time else ""), False
+
+    def _look_for_rest(self, root: Context, now: float, policy: PolicyState) -> None:
+        """Whether nothing has moved for `REST_TIME`, nor anything will.
+
+        One that may yet go on is given `LONGEST_HOLD`: a decision may take seconds.
+        """
+        fastest = math.hypot(*policy.z_W) * policy.speed
+        if self._plant is not None:
+            context = self._plant.GetMyContextFromRoot(root)
+            fastest = np.abs(self._plant.GetVelocities(context, self._robot)).max()
+        moves = now < self.world_end or not self.stop_reason or fastest > AT_REST
+        self._rest_since = math.inf if moves else min(self._rest_since, now)
+        rest = LONGEST_HOLD if self._passing else REST_TIME
+        self.settled = now - self._rest_since >= rest
+
+    def _tool_point(self, root: Context, policy: PolicyState) -> FloatArray:
+        """(3,) the actual tool point; without a robot the desired one [m]."""
+        if self._plant is None:
+            return policy.p_WE
+        context = self._plant.GetMyContextFromRoot(root)
+        p_WE: FloatArray = self._tool_frame.CalcPoseInWorld(context).translation()
+        return p_WE
+
+    def _goal_error(self, root: Context, policy: PolicyState) -> float:
+        return math.dist(self._tool_point(root, policy), self._goal)
+
+    def _record(self, root: Context, now: float, policy: PolicyState) -> None:
+        if policy.note != (self.events[-1][1] if self.events else ""):
+            self.events.append((now, policy.note))
+        self._record_supervision(root, now)
+        if policy.note in ("", DECIDING):
+            self._held_since = None
+        elif self._held_since is None:
+            self._held_since = now
+        if self._ellipsoid_port is not None:
+            seen: EllipsoidSet = self._ellipsoid_port.Eval(
+                self._ellipsoid_system.GetMyContextFromRoot(root)
+            )
+            if seen.stamp > -math.inf and (not self.frames or seen.stamp != self.frames[-1].stamp):
+                self.frames.append(seen)
+                self.frame_times.append(now)
+                self.out_of_range.append(self._count_out_of_range(root))
+
+    def _supervision(self, root: Context) -> Supervision:
+        if self._supervisor is None:
+            return Supervision()
+        port = self._supervisor.GetOutputPort("supervision")
+        said: Supervision = port.Eval(self._supervisor.GetMyContextFromRoot(root))
+        return said
+
+    def _is_turned(self, root: Context) -> bool:
+        """Whether the tool is turned away from its orientation at the goal."""
+        if self._turned is None:
+            return False
+        turn = self._turned.GetOutputPort("tool_turn").Eval(self._turned.GetMyContextFromRoot(root))
+        return abs(float(turn[0])) > TURNED_BACK
+
+    def _record_supervision(self, root: Context, now: float) -> None:
+        said = self._supervision(root)
+        before = self.supervision[-1][1:] if self.supervision else ("run", "")
+        if (said.action, said.reason) != before:
+            self.supervision.append((now, said.action, said.reason))
+
+    def _count_out_of_range(self, root: Context) -> int:
+        if self._chain is None:
+            return 0
+        port = self._chain.GetOutputPort("coupling_parameters")
+        coupling: CouplingParameters = port.Eval(self._chain.GetMyContextFromRoot(root))
+        return int((~coupling.in_range).sum())
+
+    def _verified_end(self, root: Context) -> float:
+        """Normalised time at which the motion has been verified to arrive; 0: it has not."""
+        if self._chain is None or not self._chain.HasOutputPort("motion"):
+            return 0.0
+        port = self._chain.GetOutputPort("motion")
+        motion: PlannedMotion = port.Eval(self._chain.GetMyContextFromRoot(root))
+        if not len(motion) or math.dist(motion.p_WE[-1], self._goal) > ARRIVED:
+            return 0.0
+        return float(motion.s[-1])
+
+
+def _last_change(scenario: Scenario, end_time: float) -> float:
+    """When all courses, pushes, moves of the goal and passing faults are over [s]."""
+    changes = [last_change(all_obstacles(scenario)), last_move(scenario.task)]
+    for fault in scenario.faults:
+        if isinstance(fault, Push):
+            changes.append(fault.start + fault.duration)
+        elif isinstance(fault, CameraDropout | NanFrames | FrameBurst | TorqueSaturation):
+            end = fault.start + fault.duration
+            # What outlasts the motion's time is no reason to wait.
+            changes.append(end if end < end_time else 0.0)
+    return max(changes)
+
+
+def _has_arrived(policy: PolicyState, goal: FloatArray) -> bool:
+    error, speed = math.dist(policy.p_WE, goal), math.hypot(*policy.z_W)
+    return error < ARRIVED and speed < STILL * ARRIVED
+
+
+def simulate(
+    scenario: Scenario,
+    *,
+    modulated: bool = True,
+    duration: float | None = None,
+    meshcat: Meshcat | None = None,
+    on_progress: Callable[[float, float], None] | None = None,
+) -> MotionLog:
+    """Runs one motion of a scenario until nothing moves any more, nor will.
+
+    The motion ends at the goal, with a stop, a lasting hold or at its time limit; the log's
+    `motion_end` is when. The world then goes on until all obstacles have ended their courses
+    and all has been at rest for `REST_TIME`; a motion that was stopped or held, and can go
+    on meanwhile, does.
+
+    The goal is reached when the phase has passed s = 1, the desired motion has arrived where
+    the goal is at last, and the tool is within `AT_GOAL` of it; before its last move it goes on.
+    One that has not by `LATEST_END` is ended there. The log's `stop_reason` is "goal",
+    "stopped: ..." (by the supervisor), "held for ...", "goal missed by ...", "goal left by ..."
+    (where it had to evade there, and did not come back), "at the goal, but the tool cannot be
+    turned back there", "time limit of ..." or, in what a `MotionInterruptedError` carries,
+    "interrupted" or what was raised.
+
+    Args:
+        scenario: what to run.
+        modulated: False runs the pre-planned motion, blind to obstacles.
+        duration: time limit of the motion, at which the run is over, whatever moves then [s];
+            None: `LONGEST_SCALING` demonstrated durations, from the last move of the goal on, and
+            the run goes on.
+        meshcat: viewer, or None.
+        on_progress: called with time [s] and phase, a few hundred times a second.
+
+    Raises:
+        ScenarioError: naming the field that does not fit.
+        MotionInterruptedError: if the simulation raised or was interrupted; it
+            carries the log until then, and the cause.
+    """
+    diagram = build_avoidance(scenario, modulated=modulated, meshcat=meshcat)
+    simulator = Simulator(diagram)
+    end_time = duration
+    if end_time is None:
+        end_time = make_dmp(scenario).duration * LONGEST_SCALING + last_move(scenario.task)
+    watcher = MotionWatcher(diagram, scenario, end_time, on_progress, latest_time=duration)
+    return run_motion(scenario, simulator, watcher, modulated=modulated)
+
+
+def run_motion(
+    scenario: Scenario,
+    simulator: Simulator,
+    watcher: MotionWatcher,
+    *,
+    modulated: bool,
+) -> MotionLog:
+    """Runs a diagram with a `dmp_integrator` until the watcher ends it.
+
+    Args:
+        scenario: what the diagram was made from.
+        simulator: of the diagram, its Context as the motion starts.
+        watcher: the monitor.
+        modulated: for the log.
+
+    Raises:
+        MotionInterruptedError: as `simulate` does.
+    """
+    started = time.perf_counter()
+    try:
+        simulator.Initialize()
+        simulator.set_monitor(watcher)
+        started = time.perf_counter()
+        simulator.AdvanceTo(watcher.latest_time)
+    except (Exception, KeyboardInterrupt) as error:
+        if isinstance(error, KeyboardInterrupt):
+            watcher.stop_reason = str(error) or "interrupted"
+        else:
+            watcher.stop_reason = f"{type(error).__name__}: {error}".rstrip(": ")
+        watcher.motion_end = math.nan
+        log = _collect(scenario, simulator, watcher, modulated, time.perf_counter() - started)
+        raise MotionInterruptedError(log) from error
+    finally:
+        simulator.clear_monitor()
+        for system in simulator.get_system().GetSystems():
+            if isinstance(system, LateCamera):
+                system.release()
+    watcher.finish(simulator.get_context())
+    return _collect(scenario, simulator, watcher, modulated, time.perf_counter() - started)
+
+
+def _collect(
+    scenario: Scenario,
+    simulator: Simulator,
+    watcher: MotionWatcher,
+    modulated: bool,
+    wall_time: float,
+) -> MotionLog:
+    root = simulator.get_context()
+    diagram = simulator.get_system()
+    signals: dict[str, FloatArray] = {}
+    t = np.zeros(0)
+    for system in diagram.GetSystems():
+        if isinstance(system, VectorLogSink):
+            log = system.FindLog(root)
+            t = log.sample_times().copy()
+            signals[system.get_name().removeprefix("log_")] = log.data().T.copy()
+    count = len(t)
+    empty = np.zeros((count, 0))
+
+    def scalar(name: str, otherwise: float) -> FloatArray:
+        return signals.get(name, np.full((count, 1), otherwise))[:, 0]
+
+    state = signals.get("robot_state", empty)
+    half = state.shape[1] // 2
+    q, q_world = state[:, :half], empty
+    p_WE, limits = signals["desired_position"], RobotLimits()
+    if scenario.robot is not None:
+        plant = diagram.GetSubsystemByName("plant")
+        robot = plant.GetFrameByName(TOOL_FRAME).model_instance()
+        p_WE, limits = frame_path(plant, robot, TOOL_FRAME, q), robot_limits(plant, robot)
+        q_world = signals.get("plant_state", empty)[:, : plant.num_positions()]
+    return MotionLog(
+        t=t,
+        q=q,
+        v=state[:, half:],
+        torque=signals.get("actuation", empty),
+        saturated=scalar("torque_saturation", 0.0),
+        p_WE=p_WE,
+        desired_position=signals["desired_position"],
+        desired_velocity=signals["desired_velocity"],
+        desired_acceleration=signals["desired_acceleration"],
+        phase=signals["phase"][:, 0],
+        speed_scale=scalar("speed_scale", 1.0),
+        tracking_error=np.linalg.norm(
+            signals.get("tracking_error", np.full((count, 1), math.nan)), axis=1
+        ),
+        q_world=q_world,
+        observation_time=np.array(watcher.frame_times),
+        **pack_ellipsoids(watcher.frames),
+        **logged_decisions(signals),
+        out_of_range=np.array(watcher.out_of_range, dtype=np.int64),
+        regulation=type(scenario.regulation).__name__ if modulated else "",
+        shortfall=scalar("shortfall", 0.0),
+        short_of=scalar("short_of", -1.0).astype(np.int64),
+        lowered=scalar("lowered", 0.0),
+        event_time=np.array([when for when, _ in watcher.events]),
+        event=tuple(note for _, note in watcher.events),
+        supervision_time=np.array([when for when, _, _ in watcher.supervision]),
+        supervision_action=tuple(action for _, action, _ in watcher.supervision),
+        supervision_reason=tuple(reason for _, _, reason in watcher.supervision),
+        **vars(limits),
+        stop_reason=watcher.stop_reason,
+        motion_end=watcher.motion_end,
+        settled=watcher.settled,
+        wall_time=wall_time,
+        modulated=modulated,
+        scenario=scenario_text(scenario),
+        seed=scenario.seed,
+        versions=software_versions(),
+        goal=signals.get("goal", np.tile(np.asarray(scenario.task.goal), (count, 1))),
+        tool_turn=signals.get("tool_turn", empty)[:, :1].ravel(),
+        planned_turn=signals.get("planned_turn", empty)[:, :1].ravel(),
+        desired_orientation=signals.get("desired_orientation", np.zeros((0, 4))),
+        orientation_error=signals.get("orientation_error", np.zeros((0, 3))),
+        desired_posture=signals.get("desired_posture", empty),
+        evasion=signals.get("evasion", np.zeros((0, 3))),
+    )

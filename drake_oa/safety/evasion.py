@@ -1,0 +1,309 @@
+"""How the arm gets out of the way of what moves toward it.
+
+Slowing and holding keep a motion off what rests; what moves comes at a held robot. Several
+ways of the arm over the next second or so are looked at (`drake_oa.safety.lookahead_kernels`),
+among obstacles that go on at their velocities:
+
+- the motion as it goes, which is left so while it keeps the margin for some time;
+- the motion at full speed;
+- the motion held;
+- at full speed or held, and the arm turned in the null space of the tool's task;
+- held, and the tool displaced at a velocity of a fixed set of directions and two speeds, at
+  the greater one also for a short way only, and with the arm turned.
+
+The first of them that keeps the margin is taken; full speed, where standing still is not
+better, also with less. Of the displacements it is the one that keeps most, and among those
+about as good the slowest and the nearest to what is in use. What the arm cannot follow within
+its joints' limits of position and speed, what leaves the workspace, and what comes nearer
+than standing still is not taken.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+
+from drake_oa.common.messages import Evading, Evasion, FloatArray, PlannedMotion, PolicyState
+from drake_oa.geometry.directions import DIRECTIONS
+from drake_oa.geometry.point_blocks import ObstaclePoints
+from drake_oa.safety.evasion_candidates import displaced, planned_shift, shortened, stopping_shift
+from drake_oa.safety.lookahead import EvasionParameters, Lookout, Ways
+from drake_oa.safety.lookahead_kernels import NOTHING
+
+_PASSING = 0.6
+"""Share of the margin with which the motion goes on rather than evades."""
+_AS_GOOD = 5e-3
+"""Clearances that differ by less are alike [m]."""
+_STEADY = 0.5
+"""What a change of velocity costs, as a share of the velocity."""
+_TURNING = 0.2
+"""What turning the arm costs beside displacing the tool [m/rad]."""
+_FULL, _HALF = 1.0, 0.5
+_SHORT_WAYS = (0.2, 0.08)
+"""So far the tool goes where the arm may not reach farther [m]."""
+_SHORT_TURN = 0.7
+"""So far the joints turn where they may not turn farther, the norm of all [rad]."""
+_AHEAD = 1.0
+"""What a velocity along that of the obstacle costs besides, as a share of it."""
+_SLOW = 0.03
+"""A displacement below this does not lead away from what has come to rest [m/s]."""
+
+
+_Wanted: TypeAlias = tuple[FloatArray, FloatArray]
+"""(C, m) velocities, and (C,) how far each leads; inf: as far as there is time."""
+_FACES = DIRECTIONS[np.count_nonzero(DIRECTIONS, axis=1) == 1]
+_LEFT: tuple[Evading, Evading] = ("going on", "waiting")
+"""What becomes of the motion while only the arm turns, the better one first."""
+
+
+NOTHING_MOVES = Evasion()
+"""There is nothing to evade."""
+
+
+def left_alone(before: Evasion) -> Evasion:
+    """The motion goes on, and a posture that has left its plan stays where it is."""
+    return replace(NOTHING_MOVES, turn=np.zeros_like(before.turn))
+
+
+@dataclass(frozen=True, eq=False)
+class _Now:
+    """What is known of the arm and its motion; all ways have (K, .) displacements.
+
+    Attributes:
+        before: what was decided last.
+        velocity, turning: what the displacement and the null space have now.
+        policy: the motion under way.
+        full, held: (K, 3) where the motion leads at full speed, and where it comes to rest.
+        full_rate: normalised time a second at full speed [1/s].
+        ahead: from where the arm is.
+        parameters: what is kept.
+    """
+
+    before: Evasion
+    velocity: FloatArray
+    turning: FloatArray
+    policy: PolicyState
+    full: FloatArray
+    held: FloatArray
+    full_rate: float
+    ahead: Lookout
+    parameters: EvasionParameters
+
+    def turned(self, turns: FloatArray, reach: FloatArray | float = math.inf) -> FloatArray:
+        """(C, K, n) how far velocities (C, n) of the null space lead [rad]."""
+        p = self.parameters
+        ways = displaced(self.turning, turns, p.times, p.turn_acceleration)
+        return shortened(ways, reach)
+
+    def left(
+        self, action: Evading, obstacle: int, clearance: float, turn: FloatArray | None = None
+    ) -> Evasion:
+        """A decision that leaves the tool to its motion, or to where that is held."""
+        # A posture that has been left is not taken up again before the obstacle is past.
+        turn = np.zeros_like(self.before.turn) if turn is None else turn
+        return Evasion(action, np.zeros(3), obstacle, float(clearance), turn=turn)
+
+
+def choose(
+    before: Evasion,
+    velocity: FloatArray,
+    turning: FloatArray,
+    policy: PolicyState,
+    motion: PlannedMotion | None,
+    s: float,
+    full_rate: float,
+    ahead: Lookout,
+    obstacles: ObstaclePoints,
+    parameters: EvasionParameters,
+) -> Evasion:
+    """What to do now about what moves, see the module.
+
+    Args:
+        before: what was decided last.
+        velocity: (3,) what the displacement has now [m/s].
+        turning: (n,) velocity of the arm's joints; its part in the null space counts [rad/s].
+        policy: the motion under way.
+        motion: what is expected of it, or None.
+        s: normalised time now.
+        full_rate: its rate at full speed, 1 / (tau T) [1/s].
+        ahead: from where the arm is.
+        obstacles: what it looks at.
+        parameters: what is kept.
+    """
+    if not (obstacles.v_WO.any() or before.action):
+        return NOTHING_MOVES
+    times, p = parameters.times, parameters
+    rest = displaced(velocity, np.zeros((1, 3)), times, p.acceleration)[0]
+    goes = rest + planned_shift(policy, motion, s, policy.speed, times)
+    turning = ahead.free @ (ahead.free.T @ turning)
+    # The planned posture may turn faster; that is brought to rest by its own law.
+    turning *= min(1.0, p.turn_speed / max(float(np.linalg.norm(turning)), 1e-9))
+    now = _Now(
+        before,
+        velocity,
+        turning,
+        policy,
+        full=rest + planned_shift(policy, motion, s, full_rate, times),
+        held=rest + stopping_shift(policy.speed * policy.z_W, times, p.hold_time),
+        full_rate=full_rate,
+        ahead=ahead,
+        parameters=p,
+    )
+    steady = now.turned(np.zeros((1, len(turning))))
+    least = p.margin + (p.release if before.action else 0.0)
+    # What of the world rests is the supervisor's; nothing is done for it here.
+    soon = ahead.look(goes[None], steady, until=p.notice)
+    threat = int(soon.row[0])
+    moves = _moves(obstacles, threat)
+    # What has come to rest close by is left room for.
+    stopped = not moves and before.action != "" and _name(obstacles, threat) == before.obstacle
+    if stopped:
+        least = p.margin
+    if soon.clearance[0] >= least or not (moves or (stopped and threat >= 0)):
+        passed = not len(before.turn) or ahead.look(goes[None], steady).row[0] == NOTHING
+        return NOTHING_MOVES if passed else left_alone(before)
+    ways = np.stack([goes, now.full, now.held])
+    clear = ahead.look(ways, np.repeat(steady, 3, axis=0)).clearance
+    name = _name(obstacles, threat)
+    if clear[1] >= least:
+        return now.left("going on", name, clear[1])
+    if clear[2] >= least:
+        return now.left("waiting", name, clear[2])
+    if clear[1] >= max(_PASSING * p.margin, float(clear[2])):
+        return now.left("going on", name, clear[1])
+    turned = _turned(now, name, least)
+    if turned is not None:
+        return turned
+    v_WO = obstacles.v_WO[threat] if moves else None
+    return _displaced(now, name, v_WO, float(clear[1]), float(clear[2]), least)
+
+
+def _turned(now: _Now, obstacle: int, least: float) -> Evasion | None:
+    """Turns the arm, at full speed or held, where that is enough; else None."""
+    turns, reach = _turns(now)
+    if not len(turns):
+        return None
+    shifts = np.repeat([now.full, now.held], len(turns), axis=0)
+    turned = np.tile(now.turned(turns, reach), (2, 1, 1))
+    found = now.ahead.look(shifts, turned, plenty=least, behind=0.0)
+    cost = _cost(turns, now.before.turn)
+    for action, kept in zip(_LEFT, found.clearance.reshape(2, -1), strict=True):
+        if kept.max() >= least:
+            way = int(np.where(kept >= least, cost, np.inf).argmin())
+            return now.left(action, obstacle, kept[way], turns[way])
+    return None
+
+
+def _displaced(
+    now: _Now, obstacle: int, v_WO: FloatArray | None, goes_on: float, stands: float, least: float
+) -> Evasion:
+    """Displaces the tool where that is better than to go on or to stand still.
+
+    Args:
+        now: see there.
+        obstacle: its name.
+        v_WO: (3,) its velocity [m/s]; None: it has come to rest.
+        goes_on, stands: the clearance at full speed and held [m].
+        least: more is no better [m].
+    """
+    p = now.parameters
+    (wanted, far), (turns, swing) = _candidates(now)
+    shifts = shortened(displaced(now.velocity, wanted, p.times, p.acceleration), far)
+    shifts += stopping_shift(now.policy.speed * now.policy.z_W, p.times, p.hold_time)
+    ways = now.ahead.look(shifts, now.turned(turns, swing), plenty=least, behind=_AS_GOOD)
+    # Beyond the margin more is not better; and what stands still can always do so.
+    worth = np.minimum(ways.clearance, least)
+    still = min(stands, least)
+    best = max(float(worth.max()), still)
+    if not math.isfinite(best):
+        return _at_its_limits(now, obstacle, ways, v_WO)
+    if min(goes_on, least) >= best - _AS_GOOD and goes_on > 0.0:
+        return now.left("going on", obstacle, goes_on)
+    good = worth >= max(best - _AS_GOOD, still)
+    if not good.any():
+        return now.left("waiting", obstacle, stands)
+    cost = _cost(wanted, now.before.velocity) + _TURNING * _cost(turns, now.before.turn)
+    if v_WO is not None:
+        # Who runs ahead of it is followed; who steps aside is passed.
+        cost = cost + _AHEAD * np.maximum(wanted @ (v_WO / np.linalg.norm(v_WO)), 0.0)
+    way = int(np.where(good, cost, np.inf).argmin())
+    if v_WO is None and not turns[way].any() and np.linalg.norm(wanted[way]) < _SLOW:
+        return NOTHING_MOVES
+    turn = turns[way] if turns[way].any() else np.zeros_like(now.before.turn)
+    contact = _contact(now, ways, way, v_WO)
+    action: Evading = "evading" if math.isinf(contact) else "caught"
+    return Evasion(action, wanted[way], obstacle, float(ways.clearance[way]), contact, turn)
+
+
+def _contact(now: _Now, ways: Ways, way: int, v_WO: FloatArray | None) -> float:
+    """In how long a way ends in a contact with what moves [s]; inf: it does not."""
+    distance, when = float(ways.distance[way]), float(ways.when[way])
+    p = now.parameters
+    touches = distance + p.growth * when + p.padding <= 0.0 and v_WO is not None
+    return when if touches else math.inf
+
+
+def _at_its_limits(now: _Now, obstacle: int, ways: Ways, v_WO: FloatArray | None) -> Evasion:
+    """Holds an arm that can go none of the ways, and tells what its first one would lead to."""
+    held = now.left("waiting", obstacle, ways.distance[0])
+    contact = _contact(now, ways, 0, v_WO)
+    return held if math.isinf(contact) else replace(held, action="caught", contact=contact)
+
+
+def _cost(wanted: FloatArray, before: FloatArray) -> FloatArray:
+    """(C,) of velocities (C, m): slow ones, and those like the last one, are cheap."""
+    change = wanted - before if len(before) else wanted
+    return np.asarray(np.linalg.norm(wanted, axis=1) + _STEADY * np.linalg.norm(change, axis=1))
+
+
+def _name(obstacles: ObstaclePoints, row: int) -> int:
+    return int(obstacles.ids[row]) if row >= 0 else -1
+
+
+def _moves(obstacles: ObstaclePoints, row: int) -> bool:
+    return row >= 0 and bool(obstacles.v_WO[row].any())
+
+
+def _turns(now: _Now) -> _Wanted:
+    """Velocities of the null space [rad/s] that are looked at, the last one first; or none."""
+    free, most = now.ahead.free, now.parameters.turn_speed
+    if most == 0.0 or not free.shape[1]:
+        return np.zeros((0, len(now.turning))), np.zeros(0)
+    both = np.concatenate([free.T, -free.T])
+    shares, reach = (_FULL, _FULL, _HALF), (math.inf, _SHORT_TURN, math.inf)
+    turns = np.concatenate([share * most * both for share in shares])
+    far = np.repeat(reach, len(both))
+    if now.before.turn.any():
+        last = free @ (free.T @ now.before.turn)
+        return np.concatenate([last[None], turns]), np.concatenate([[math.inf], far])
+    return turns, far
+
+
+def _candidates(now: _Now) -> tuple[_Wanted, _Wanted]:
+    """Velocities of the tool [m/s], and of the null space [rad/s], that are looked at.
+
+    The first way has none at all, the second the last one of the tool.
+    """
+    p = now.parameters
+    first = np.stack([np.zeros(3), now.before.velocity])
+    along = now.full_rate * now.policy.z_W
+    speed = float(np.linalg.norm(along))
+    if speed > 1e-3:
+        along = along * min(1.0, p.speed / speed)
+    fast, slow = (share * p.speed * DIRECTIONS for share in (_FULL, _HALF))
+    plain = np.concatenate([first, along[None], fast, slow, *[fast] * len(_SHORT_WAYS)])
+    far = np.full(len(plain), np.inf)
+    far[-len(fast) * len(_SHORT_WAYS) :] = np.repeat(_SHORT_WAYS, len(fast))
+    turns, swing = _turns(now)
+    with_turn = np.concatenate([first, p.speed * _FACES])
+    none, both = np.zeros((len(plain), len(now.turning))), len(with_turn) * len(turns)
+    return (
+        np.concatenate([plain, np.repeat(with_turn, len(turns), axis=0)]),
+        np.concatenate([far, np.full(both, _SHORT_WAYS[0])]),
+    ), (
+        np.concatenate([none, np.tile(turns, (len(with_turn), 1))]),
+        np.concatenate([np.full(len(plain), np.inf), np.tile(swing, len(with_turn))]),
+    )

@@ -1,0 +1,71 @@
+"""Ways that lead on from now, as arrays: what `drake_oa.safety.evasion` looks at and goes by."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drake_oa.common.messages import FloatArray, PlannedMotion, PolicyState
+
+
+def displaced(
+    velocity: FloatArray, wanted: FloatArray, times: FloatArray, acceleration: float
+) -> FloatArray:
+    """How far a displacement has led.
+
+    Args:
+        velocity: (m,) what it has now [m/s, rad/s].
+        wanted: (C, m) velocities that it is brought to at a constant acceleration.
+        times: (K,) [s].
+        acceleration: [m/s^2, rad/s^2].
+
+    Returns:
+        (C, K, m) [m, rad].
+    """
+    change = wanted - velocity
+    size = np.linalg.norm(change, axis=1)
+    until = (size / acceleration)[:, None, None]
+    t = times[None, :, None]
+    ramp = np.minimum(t, until)
+    rate = (change / np.maximum(size, 1e-12)[:, None] * acceleration)[:, None]
+    return np.asarray(velocity * t + rate * ramp * (0.5 * ramp + np.maximum(t - until, 0.0)))
+
+
+def shortened(ways: FloatArray, reach: FloatArray | float) -> FloatArray:
+    """(C, K, m) ways that end where they have led as far as `reach`, (C,) or of all."""
+    far = np.maximum(np.linalg.norm(ways, axis=2), 1e-12)
+    share = np.minimum(1.0, np.reshape(reach, (-1, 1)) / far)
+    return np.asarray(ways * share[:, :, None])
+
+
+def planned_shift(
+    policy: PolicyState,
+    motion: PlannedMotion | None,
+    s: float,
+    rate: float,
+    times: FloatArray,
+) -> FloatArray:
+    """How far the motion leads the tool at a rate of normalised time.
+
+    Args:
+        policy: where it is.
+        motion: what is expected of it, or None: it goes straight on.
+        s: normalised time now.
+        rate: ds/dt [1/s].
+        times: (K,) [s].
+
+    Returns:
+        (K, 3) [m].
+    """
+    if motion is None or len(motion) < 2 or s >= motion.s[-1]:
+        left = np.minimum(rate * times, max(1.0 - s, 0.0))
+        return np.asarray(left[:, None] * policy.z_W)
+    at = s + rate * times
+    path = np.stack([np.interp(at, motion.s, axis) for axis in motion.p_WE.T], axis=-1)
+    here = np.array([np.interp(s, motion.s, axis) for axis in motion.p_WE.T])
+    return np.asarray(path - here)
+
+
+def stopping_shift(v_WE: FloatArray, times: FloatArray, hold_time: float) -> FloatArray:
+    """(K, 3) how far a motion at v_WE (3,) still leads while it is brought to rest [m]."""
+    t = np.minimum(times, hold_time)
+    return np.asarray((t - 0.5 * t * t / hold_time)[:, None] * v_WE)

@@ -1,0 +1,282 @@
+"""How near an arm will come to what is around it on ways of it, for `drake_oa.safety.evasion`."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from drake_oa.common.messages import BoolArray, FloatArray, IntArray
+from drake_oa.common.work import count
+from drake_oa.geometry.point_blocks import GuardShapes, ObstaclePoints
+from drake_oa.posture.null_space_coupling import null_space_basis
+from drake_oa.robot.workspace import annulus_margin
+from drake_oa.safety import lookahead_kernels as kernels
+
+_TABLE_ALLOWANCE = 0.06
+"""A distance to the table counts as this much more than one to an obstacle [m]."""
+_JOINT_MARGIN = 0.1
+"""What a way keeps from the joints' limits [rad]."""
+_SHARE = 0.9
+"""Share of the joints' speed limits that a way may take."""
+
+
+@dataclass(frozen=True)
+class EvasionParameters:
+    """What is kept from what moves.
+
+    Attributes:
+        margin: distance of any link to what moves below which the motion is not left as it
+            is [m].
+        release: how much more it has to be before it is left to itself again [m].
+        notice: the motion is left as it is while it keeps the margin for this long [s].
+        horizon: how far ahead other ways are looked at, at least that [s].
+        instants: how many instants until then.
+        speed: greatest speed of a displacement [m/s].
+        acceleration: greatest change of it [m/s^2].
+        turn_speed: greatest speed of the joints in the null space of the tool's task, the norm
+            of all [rad/s]; 0: the arm is not turned.
+        turn_acceleration: greatest change of it [rad/s^2].
+        growth: how much nearer an obstacle that moves may be, a second ahead [m/s].
+        padding: how far an obstacle's surface may lie outside its points [m].
+        hold_time: time in which the motion comes to rest [s].
+
+    Raises:
+        ValueError: for a value out of range.
+    """
+
+    margin: float = 0.05
+    release: float = 0.02
+    notice: float = 0.7
+    horizon: float = 1.2
+    instants: int = 12
+    speed: float = 0.6
+    acceleration: float = 6.0
+    turn_speed: float = 0.0
+    turn_acceleration: float = 10.0
+    growth: float = 0.02
+    padding: float = 0.01
+    hold_time: float = 0.25
+
+    def __post_init__(self) -> None:
+        if self.instants < 2:
+            raise ValueError(f"instants must be at least 2, not {self.instants}")
+        if self.notice > self.horizon:
+            raise ValueError(f"notice {self.notice} must be at most horizon {self.horizon} [s]")
+        for item in fields(self):
+            value = getattr(self, item.name)
+            may_be_zero = item.name in ("release", "growth", "padding", "turn_speed")
+            if not (0.0 < value < math.inf or (may_be_zero and value == 0.0)):
+                kind = "not negative" if may_be_zero else "positive"
+                raise ValueError(f"{item.name} must be finite and {kind}, not {value}")
+
+    @property
+    def times(self) -> FloatArray:
+        """(K,) instants that are looked at [s]."""
+        return np.linspace(0.0, self.horizon, self.instants + 1)[1:]
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """An arm of n joints as it is posed now.
+
+    Attributes:
+        screws: (n, 6) of the joints in the world, from the base on, w first.
+        p_WE: (3,) the tool point [m].
+        q, lower, upper: (n,) positions of the joints and their limits [rad, m].
+        speed: (n,) their greatest speeds [rad/s, m/s].
+        free: (n, m) orthonormal velocities of the joints that do not move the tool.
+        joint: (S,) how many of the joints move each primitive, at least one.
+        X_WG: (S, 4, 4) the primitives' poses.
+        size, bound: their sizes, see `supervision_geometry.GuardShapes`.
+    """
+
+    screws: FloatArray
+    p_WE: FloatArray
+    q: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    speed: FloatArray
+    free: FloatArray
+    joint: IntArray
+    X_WG: FloatArray
+    size: FloatArray
+    bound: FloatArray
+
+    @staticmethod
+    def of(
+        J: FloatArray,
+        p_WE: FloatArray,
+        q: FloatArray,
+        limits: tuple[FloatArray, FloatArray, FloatArray],
+        shapes: GuardShapes,
+        X_WB: FloatArray,
+        moved: BoolArray,
+    ) -> Arm:
+        """Lays out an arm.
+
+        Args:
+            J: (6, n) Jacobian of the tool point's angular and linear velocity in the world.
+            p_WE: (3,) the tool point [m].
+            q: (n,) positions.
+            limits: lower and upper limits of position, and of speed.
+            shapes: the robot's primitives.
+            X_WB: (B, 4, 4) poses of its bodies.
+            moved: (B, n) whether a joint moves a body; the joints are in a row.
+        """
+        screws = np.array(J.T, order="C")
+        # The velocity of the point of each joint's body that is at the origin.
+        screws[:, 3:] -= np.cross(screws[:, :3], p_WE)
+        joint = moved.sum(axis=1).astype(np.int64)[shapes.shape_body]
+        on = joint > 0
+        X_WG = X_WB[shapes.shape_body[on]] @ shapes.X_BG[on]
+        lower, upper, speed = (np.array(limit, dtype=float) for limit in limits)
+        return Arm(
+            screws=screws,
+            p_WE=np.array(p_WE, dtype=float),
+            q=np.array(q, dtype=float),
+            lower=lower + _JOINT_MARGIN,
+            upper=upper - _JOINT_MARGIN,
+            speed=_SHARE * speed,
+            free=null_space_basis(J),
+            joint=joint[on],
+            X_WG=np.ascontiguousarray(X_WG),
+            size=np.ascontiguousarray(shapes.size[on]),
+            bound=np.ascontiguousarray(shapes.bound[on]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Ways:
+    """What is expected of C ways of the arm.
+
+    Attributes:
+        clearance: (C,) least distance on each [m]; -inf where the arm cannot go it, or it was
+            not looked at to its end.
+        distance: (C,) the same as far as it was looked at, whether or not the arm can go it [m].
+        when: (C,) when it is least [s].
+        row: (C,) the obstacle's row, see `evasion_kernels.NOTHING`.
+    """
+
+    clearance: FloatArray
+    distance: FloatArray
+    when: FloatArray
+    row: IntArray
+
+
+class Lookout:
+    """Looks ahead from one instant of a motion."""
+
+    def __init__(
+        self,
+        arm: Arm,
+        obstacles: ObstaclePoints,
+        table: FloatArray,
+        age: float,
+        parameters: EvasionParameters,
+        *,
+        table_height: float = -math.inf,
+        annulus: FloatArray | None = None,
+    ) -> None:
+        """Takes what does not depend on the way.
+
+        Args:
+            arm: as it is posed.
+            obstacles: their points and velocities.
+            table: (4,) unit normal and offset of the plane [m]; NaN: there is none.
+            age: time since the obstacles were seen [s].
+            parameters: what is kept.
+            table_height: least height of the tool point over the table [m].
+            annulus: (3, n) heights, and least and largest distance of the tool point from
+                the world's z axis there [m]; None: anywhere.
+        """
+        self._arm, self._obstacles, self._table = arm, obstacles, table
+        self._age, self._parameters = age, parameters
+        self._height = table_height
+        self._annulus = np.zeros((3, 0)) if annulus is None else annulus
+        self._times = parameters.times
+        self._most = parameters.margin + parameters.release + parameters.padding + 0.03
+        self._rules = np.zeros(kernels.N_RULES)
+        self._rules[kernels.DAMPING] = 1e-5
+        self._rules[kernels.MISS] = 0.015
+        self._rules[kernels.GROWTH] = parameters.growth
+        self._rules[kernels.TABLE_ALLOWANCE] = _TABLE_ALLOWANCE
+        self._rules[kernels.MOST] = self._most
+
+    @property
+    def free(self) -> FloatArray:
+        """(n, m) orthonormal velocities of the joints that do not move the tool."""
+        return self._arm.free
+
+    def look(
+        self,
+        shifts: FloatArray,
+        turns: FloatArray | None = None,
+        *,
+        plenty: float = math.inf,
+        behind: float = math.inf,
+        until: float = math.inf,
+    ) -> Ways:
+        """What is expected of ways of the arm.
+
+        Args:
+            shifts: (C, K, 3) of the tool from where it is, at the times that are looked at [m].
+            turns: (C, K, n) how far the joints have turned besides, of which what does not move
+                the tool counts [rad]; None: they do not.
+            plenty, behind: see `evasion_kernels.clearance_ahead` [m].
+            until: only so far ahead [s].
+        """
+        arm, obstacles = self._arm, self._obstacles
+        times = self._times[self._times <= until + 1e-9]
+        shifts = shifts[:, : len(times)]
+        if turns is None:
+            turns = np.zeros((*shifts.shape[:2], len(arm.q)))
+        # The others are not to put an end to the ways that are looked at.
+        inside = np.flatnonzero(self._inside(shifts))
+        found, out = np.empty((len(inside), 5)), np.zeros((len(shifts), 5))
+        kernels.clearance_ahead(
+            np.ascontiguousarray(shifts[inside]),
+            np.ascontiguousarray(turns[inside, : len(times)]),
+            times,
+            arm.screws,
+            arm.p_WE,
+            arm.q,
+            arm.lower,
+            arm.upper,
+            arm.speed,
+            arm.joint,
+            arm.X_WG,
+            arm.size,
+            arm.bound,
+            obstacles.points,
+            obstacles.start,
+            obstacles.owner,
+            obstacles.sphere,
+            obstacles.v_WO,
+            self._age,
+            self._table,
+            self._rules,
+            plenty + self._parameters.padding,
+            behind,
+            found,
+        )
+        count(poses=int(found[:, 4].sum()))
+        out[:, 2] = kernels.NOTHING
+        out[inside] = found
+        distance = out[:, 0] - self._parameters.padding
+        clearance = np.where(out[:, 3] > 0.0, distance, -np.inf)
+        return Ways(clearance, distance, out[:, 1].copy(), out[:, 2].astype(np.int64))
+
+    def _inside(self, shifts: FloatArray) -> BoolArray:
+        """Whether ways stay in the workspace, or at least do not leave it further."""
+        p_WE = self._arm.p_WE + shifts
+        return np.asarray(
+            (self._margin(p_WE) >= min(float(self._margin(self._arm.p_WE)), 0.0) - 1e-9).all(axis=1)
+        )
+
+    def _margin(self, p_WE: FloatArray) -> FloatArray:
+        margin = np.full(p_WE.shape[:-1], np.inf)
+        if not math.isnan(self._table[3]):
+            margin = p_WE @ self._table[:3] - self._table[3] - self._height
+        return np.minimum(margin, annulus_margin(p_WE, self._annulus))

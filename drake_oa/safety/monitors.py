@@ -1,0 +1,223 @@
+"""The watches of the supervisor: each says how fast a motion may go, and why."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drake_oa.common.messages import Evasion, FloatArray, TablePlane
+from drake_oa.geometry import primitive_kernels as kernels
+from drake_oa.geometry.point_blocks import GuardShapes, ObstaclePoints
+from drake_oa.safety.supervision import NO_DEMAND, Demand, SupervisorParameters, SupervisorState
+
+_SLOWEST = 0.1
+"""Old frames, torque saturation and speed limits of joints do not slow a motion below this."""
+_BACK_OFF = 0.7
+"""Each `saturation_time` of torque saturation slows the motion by this factor."""
+
+
+def watch_observation(
+    obstacles: ObstaclePoints, time: float, parameters: SupervisorParameters, note: str = ""
+) -> Demand:
+    """Slows by the age of the last good observation, and holds beyond `max_age`.
+
+    Args:
+        obstacles: the last good observation.
+        time: now [s].
+        parameters: what is kept.
+        note: why there is no better one, or "".
+    """
+    why = f" ({note})" if note else ""
+    if obstacles.stamp == -math.inf:
+        return Demand(0.0, "unobserved", f"no observation yet{why}")
+    age = time - obstacles.stamp
+    fresh = min(parameters.stale_frames * parameters.frame_period, 0.9 * parameters.max_age)
+    if age <= fresh:
+        return NO_DEMAND
+    reason = f"obstacles not seen since t = {obstacles.stamp:.2f} s{why}"
+    if age > parameters.max_age:
+        return Demand(0.0, "unseen", reason)
+    # The hold itself begins at that age, where the policy's own does.
+    scale = max(_SLOWEST, 1.0 - (age - fresh) / (parameters.max_age - fresh))
+    return Demand(scale, "unseen", reason)
+
+
+def watch_clearance(
+    bodies: tuple[str, ...],
+    X_WB: FloatArray,
+    V_WB: FloatArray,
+    shapes: GuardShapes,
+    obstacles: ObstaclePoints,
+    table: TablePlane | None,
+    time: float,
+    parameters: SupervisorParameters,
+    rules: FloatArray,
+) -> Demand:
+    """Slows an approach of any link to an obstacle or the table: see `drake_oa.safety.supervision`.
+
+    Args:
+        bodies: the B bodies' names.
+        X_WB: (B, 4, 4) their poses in the world.
+        V_WB: (B, 6) their angular and linear velocities in the world at full speed
+            [rad/s, m/s].
+        shapes: their primitives.
+        obstacles: the points; they have moved on at their velocities since their stamp.
+        table: the supporting plane, or None.
+        time: now [s].
+        parameters: what is kept; `rules` are its own.
+        rules: (4,) `SupervisorParameters.rules`.
+    """
+    plane = np.full(4, np.nan)
+    if table is not None:
+        plane[:3], plane[3] = table.normal_W, table.offset
+    age = min(max(time - obstacles.stamp, 0.0), parameters.max_age)
+    scale, body, row, distance, _ = kernels.approach_limit(
+        X_WB,
+        V_WB,
+        shapes.body_sphere,
+        shapes.shape_body,
+        shapes.X_BG,
+        shapes.size,
+        shapes.bound,
+        obstacles.points,
+        obstacles.start,
+        obstacles.owner,
+        obstacles.sphere,
+        obstacles.v_WO,
+        age,
+        plane,
+        rules,
+    )
+    if row == kernels.NOTHING:
+        return NO_DEMAND
+    name = -1 if row == kernels.TABLE else int(obstacles.ids[row])
+    thing = "the table" if row == kernels.TABLE else f"obstacle {name}"
+    link = bodies[body]
+    return Demand(
+        scale=scale,
+        cause=f"{link} near {thing}",
+        reason=f"{link} within {max(distance, 0.0):.3f} m of {thing}",
+        # What moves will be gone.
+        lasting=row == kernels.TABLE or not obstacles.v_WO[row].any(),
+        link=link,
+        obstacle=name,
+        distance=distance,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class JointRange:
+    """Limits of the n joints of the arm.
+
+    Attributes:
+        names: the joints' names.
+        lower, upper: (n,) positions [rad].
+        speed: (n,) largest speed [rad/s].
+    """
+
+    names: tuple[str, ...]
+    lower: FloatArray
+    upper: FloatArray
+    speed: FloatArray
+
+
+def watch_joints(
+    joints: JointRange,
+    q: FloatArray,
+    v: FloatArray,
+    v_full: FloatArray,
+    scale: float,
+    parameters: SupervisorParameters,
+) -> Demand:
+    """Slows a joint that approaches a position limit, or goes faster than its own.
+
+    Args:
+        joints: their limits.
+        q: (n,) positions [rad].
+        v: (n,) velocities [rad/s].
+        v_full: (n,) velocities at full speed, see `supervision_kernels.full_speed_motion` [rad/s].
+        scale: share of full speed asked for now.
+        parameters: what is kept.
+    """
+    left = np.where(v_full > 0.0, joints.upper - q, q - joints.lower)
+    allowed = np.maximum(left - parameters.joint_margin, 0.0) / parameters.reaction_time
+    speed = np.abs(v_full)
+    # As fast as the position limit lets it, and as the speed limit does.
+    position = np.where(speed > kernels.APPROACH, allowed / np.maximum(speed, 1e-9), 1.0)
+    rate = joints.speed / np.maximum(speed, 1e-9)
+    now = np.abs(v)
+    over = now > joints.speed
+    if over.any():
+        rate = np.where(over, np.minimum(rate, scale * joints.speed / np.maximum(now, 1e-9)), rate)
+    near, fast = int(position.argmin()), int(rate.argmin())
+    if position[near] >= 1.0 and rate[fast] >= 1.0:
+        return NO_DEMAND
+    if position[near] <= rate[fast]:
+        name = joints.names[near]
+        return Demand(
+            float(position[near]),
+            f"{name} near its limit",
+            f"{name} {max(float(left[near]), 0.0):.3f} rad from its position limit",
+            lasting=True,
+        )
+    name = joints.names[fast]
+    return Demand(
+        max(float(rate[fast]), _SLOWEST),
+        f"{name} fast",
+        f"{name} would be faster than {joints.speed[fast]:.2f} rad/s",
+    )
+
+
+def watch_evasion(evading: Evasion) -> Demand:
+    """Holds a motion while it waits for something that moves, or evades it, or cannot."""
+    if evading.action in ("", "going on"):
+        return NO_DEMAND
+    what = f"obstacle {evading.obstacle}"
+    held = Demand(0.0, "evasion", obstacle=evading.obstacle, distance=evading.clearance)
+    if evading.certain:
+        return replace(
+            held, cause="caught", reason=f"{what} cannot be evaded by this arm", urgent=True
+        )
+    waits = evading.action == "waiting"
+    return replace(held, reason=f"waits for {what}" if waits else f"evades {what}")
+
+
+def watch_tracking(error: float, parameters: SupervisorParameters) -> Demand:
+    """Slows from `tracking_slow` on, and holds from `tracking_hold`; error [m]."""
+    least, most = parameters.tracking_slow, parameters.tracking_hold
+    if error <= least:
+        return NO_DEMAND
+    scale = max(0.0, (most - error) / (most - least))
+    return Demand(scale, "tracking", f"tracking error {error:.3f} m", lasting=True)
+
+
+def watch_torque(
+    state: SupervisorState,
+    saturated: bool,
+    time: float,
+    elapsed: float,
+    parameters: SupervisorParameters,
+) -> tuple[SupervisorState, Demand]:
+    """Slows while torques are saturated: by a factor each time, then linearly back.
+
+    Args:
+        state: of the supervisor.
+        saturated: whether a joint is asked for more than its effort limit.
+        time: now [s].
+        elapsed: time since the step before [s].
+        parameters: what is kept.
+    """
+    since, scale = state.saturated_since, state.torque_scale
+    if not saturated:
+        since, scale = math.inf, min(1.0, scale + elapsed / parameters.recovery_time)
+    elif since == math.inf:
+        since = time
+    elif time - since >= parameters.saturation_time - 1e-9:
+        since, scale = time, max(_SLOWEST, _BACK_OFF * scale)
+    if since != state.saturated_since or scale != state.torque_scale:
+        state = replace(state, saturated_since=since, torque_scale=scale)
+    if scale >= 1.0:
+        return state, NO_DEMAND
+    return state, Demand(scale, "torque", "a joint torque is at its limit")

@@ -1,0 +1,295 @@
+"""When a motion must be slowed, held or stopped: the decisions of the supervisor.
+
+`drake_oa.safety.supervisor` evaluates the robot, each watch of `drake_oa.safety.monitors`
+gives a `Demand`: the share of full speed, ds/dt = 1 / (tau T), at which the motion may go,
+and why. The least one counts. The path is a function of normalised time s alone, so that
+a motion at another speed keeps its path.
+
+The watch of clearance asks of every pair of a point p of an obstacle and the nearest point of
+a link, at their distance d less the padding, closing at the speed c at full speed,
+
+    share * c + (speed of the obstacle towards the link) <= (d - d_stop) / T_reaction,
+
+where T_reaction is the time in which the policy comes to rest from full speed, and the
+controller with it. A resting obstacle is thereby approached exponentially, at a rate
+that the policy can follow, and never nearer than d_stop.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields, replace
+from typing import Literal
+
+import numpy as np
+
+from drake_oa.common.messages import FloatArray, Frozen, ObstacleClouds, TablePlane
+from drake_oa.geometry import primitive_kernels as kernels
+from drake_oa.geometry.point_blocks import ObstaclePoints
+
+Action = Literal["run", "slow", "hold", "stop"]
+
+_RUNNING, _SLOW = 0.99, 0.95
+"""A motion is slow below the second, and again free above the first."""
+_DWELL = 0.5
+"""An event lasts this long at least before another of the same action is told [s]."""
+
+
+@dataclass(frozen=True)
+class SupervisorParameters:
+    """What a supervised motion keeps.
+
+    Attributes:
+        stop_distance: distance between a link and an obstacle or the table at which an
+            approach has come to rest [m].
+        padding: how far an obstacle's surface may lie outside its points [m].
+        reaction_time: time in which the motion comes to rest from full speed [s].
+        leave_scale: share of full speed at which a link nearer than that may leave; a motion
+            that is held does so only if it is `resume_above` at least.
+        frame_period: time between observations [s].
+        stale_frames: an observation older than this many periods slows the motion.
+        max_age: one older than this holds it [s].
+        joint_margin: distance of a joint from its position limit at which an
+            approach has come to rest [rad].
+        tracking_slow, tracking_hold: tracking error of the tool point that begins to slow
+            the motion, and that holds it [m].
+        saturation_time: torque saturation that lasts longer slows the motion [s].
+        recovery_time: time in which the speed rises from rest to full [s].
+        hold_below: a demand below this share of full speed holds the motion.
+        resume_above: a held motion goes on when all demands are above this.
+        patience: a hold that will not end by itself is called a stop after this time [s].
+
+    Raises:
+        ValueError: for a value out of range.
+    """
+
+    stop_distance: float = 0.025
+    padding: float = 0.005
+    reaction_time: float = 0.3
+    leave_scale: float = 0.3
+    frame_period: float = 1.0 / 15.0
+    stale_frames: float = 2.5
+    max_age: float = 0.5
+    joint_margin: float = 0.02
+    tracking_slow: float = 0.02
+    tracking_hold: float = 0.05
+    saturation_time: float = 0.1
+    recovery_time: float = 1.0
+    hold_below: float = 0.05
+    resume_above: float = 0.3
+    patience: float = 3.0
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            least = 0.0 if item.name in ("stop_distance", "padding", "joint_margin") else None
+            if not (0.0 < value < math.inf or value == least):
+                kind = "positive" if least is None else "not negative"
+                raise ValueError(f"{item.name} must be finite and {kind}, not {value}")
+        if not self.tracking_slow < self.tracking_hold:
+            raise ValueError(
+                f"tracking_hold {self.tracking_hold} must be more than tracking_slow "
+                f"{self.tracking_slow} [m]"
+            )
+        if not self.hold_below <= self.resume_above < 1.0 or self.leave_scale > 1.0:
+            raise ValueError(
+                f"hold_below {self.hold_below}, resume_above {self.resume_above}, leave_scale "
+                f"{self.leave_scale}: the first must be at most the second, and that below 1; "
+                "the last at most 1"
+            )
+
+    @property
+    def rules(self) -> FloatArray:
+        """(4,) what `supervision_kernels.approach_limit` goes by."""
+        rules = np.empty(kernels.N_RULES)
+        rules[kernels.STOP_DISTANCE] = self.stop_distance
+        rules[kernels.PADDING] = self.padding
+        rules[kernels.REACTION] = self.reaction_time
+        rules[kernels.LEAVE] = self.leave_scale
+        return rules
+
+
+@dataclass(frozen=True, eq=False)
+class Supervision(Frozen):
+    """What the supervisor has decided.
+
+    Attributes:
+        action: "run"; "slow"; "hold": at rest until it is safe; "stop": the same, where that
+            is not to be expected.
+        speed_scale: share of full speed asked of the policy, in [0, 1].
+        reason: why it does not run; "" while it does.
+        since: since when action and reason are these [s].
+        link: the body nearest to a limit of clearance; "" where none is.
+        obstacle: name of the obstacle it is near to; -1: the table, or none.
+        distance: between them, less the padding of an obstacle's points [m]; inf where
+            nothing limits the motion.
+    """
+
+    action: Action = "run"
+    speed_scale: float = 1.0
+    reason: str = ""
+    since: float = 0.0
+    link: str = ""
+    obstacle: int = -1
+    distance: float = math.inf
+
+
+@dataclass(frozen=True)
+class Demand:
+    """What one watch asks for.
+
+    Attributes:
+        scale: share of full speed, in [0, 1].
+        cause: what the watch calls it; two demands of one cause are the same event.
+        reason: the same with its figures.
+        lasting: whether it stays while the motion is at rest.
+        urgent: whether it is told even shortly after another event of the same action.
+        link, obstacle, distance: see `Supervision`.
+    """
+
+    scale: float = 1.0
+    cause: str = ""
+    reason: str = ""
+    lasting: bool = False
+    urgent: bool = False
+    link: str = ""
+    obstacle: int = -1
+    distance: float = math.inf
+
+
+NO_DEMAND = Demand()
+"""Of a watch that has nothing to say."""
+
+
+@dataclass(frozen=True, eq=False)
+class SupervisorState(Frozen):
+    """What the supervisor keeps from step to step.
+
+    Attributes:
+        supervision: its decision.
+        cause: what it was made for; see `Demand`.
+        seen: the observation that was last on the port.
+        obstacles: the last good one.
+        table: the last known supporting plane, or None.
+        blocked_since: since when the motion is held for something lasting [s].
+        saturated_since: since when a torque is saturated, or since it last slowed [s].
+        torque_scale: share of full speed that torque saturation leaves.
+        broken: whether nothing can be watched any more; a stop for that is for good.
+    """
+
+    supervision: Supervision = field(default_factory=Supervision)
+    cause: str = ""
+    seen: ObstacleClouds | None = None
+    obstacles: ObstaclePoints = field(default_factory=ObstaclePoints)
+    table: TablePlane | None = None
+    blocked_since: float = math.inf
+    saturated_since: float = math.inf
+    torque_scale: float = 1.0
+    broken: bool = False
+
+    def with_observation(self, seen: ObstacleClouds) -> SupervisorState:
+        """Takes over an observation that is new, good and not older than the last one.
+
+        A frame that is not finite, or that comes late, leaves what was seen before: it
+        ages. A frame without a table leaves the table.
+        """
+        if seen is self.seen:
+            return self
+        obstacles = self.obstacles
+        if seen.stamp >= obstacles.stamp:
+            try:
+                obstacles = ObstaclePoints.of(seen)
+            except ValueError:
+                return replace(self, seen=seen)
+        table = self.table if obstacles.table is None else obstacles.table
+        return replace(self, seen=seen, obstacles=obstacles, table=table)
+
+
+def broken(state: SupervisorState, reason: str, time: float) -> SupervisorState:
+    """The state after a stop for good: what is to be watched cannot be."""
+    return replace(_stopped(state, reason, time), broken=True)
+
+
+def _stopped(state: SupervisorState, reason: str, time: float) -> SupervisorState:
+    supervision = replace(
+        state.supervision, action="stop", speed_scale=0.0, reason=reason, since=time
+    )
+    return replace(state, supervision=supervision, cause=reason)
+
+
+def decide(
+    state: SupervisorState,
+    demands: list[Demand],
+    time: float,
+    elapsed: float,
+    parameters: SupervisorParameters,
+    *,
+    waits: bool = False,
+) -> SupervisorState:
+    """What follows from the demands of all watches.
+
+    The speed asked for falls at once (the policy ramps it) and rises at a bounded rate. A
+    demand below `hold_below` holds the motion until all are above `resume_above`; held for
+    something lasting for `patience`, it is stopped, and goes on by itself as from a hold.
+
+    Args:
+        state: before.
+        demands: one at least.
+        time: now [s].
+        elapsed: time since the step before [s].
+        parameters: what is kept.
+        waits: whether the policy holds the motion for a reason of its own: then it is left
+            to the policy, and no patience is lost.
+    """
+    before = state.supervision
+    tightest = min(demands, key=lambda demand: demand.scale)
+    held = before.action in ("hold", "stop")
+    holds = tightest.scale < (parameters.resume_above if held else parameters.hold_below)
+    if state.broken or (holds and before.action == "stop"):
+        return state
+    target = 0.0 if holds else tightest.scale
+    scale = min(target, before.speed_scale + elapsed / parameters.recovery_time)
+    action: Action = "run"
+    if holds:
+        action = "hold"
+    elif before.action == "run":
+        action = "slow" if scale < _SLOW else "run"
+    elif scale < _RUNNING or held or time - before.since < _DWELL:
+        action = "slow"
+    blocked_since = math.inf
+    if (
+        holds
+        and not waits
+        and any(d.lasting and d.scale < parameters.resume_above for d in demands)
+    ):
+        blocked_since = min(state.blocked_since, time)
+        if time - blocked_since >= parameters.patience:
+            return _stopped(state, tightest.reason if tightest.lasting else before.reason, time)
+    cause, reason = tightest.cause, tightest.reason
+    if action == "run":
+        cause = reason = ""
+    elif tightest.scale >= 1.0 or (
+        action == before.action
+        and (cause == state.cause or (time - before.since < _DWELL and not tightest.urgent))
+    ):
+        # The same event, or the way back from it: its first figures stay.
+        cause, reason = state.cause, before.reason
+    same = action == before.action and cause == state.cause
+    if (
+        same
+        and scale == before.speed_scale
+        and blocked_since == state.blocked_since
+        and tightest.link == before.link
+        and tightest.distance == before.distance
+    ):
+        return state
+    supervision = Supervision(
+        action=action,
+        speed_scale=scale,
+        reason=reason,
+        since=before.since if same else time,
+        link=tightest.link,
+        obstacle=tightest.obstacle,
+        distance=tightest.distance,
+    )
+    return replace(state, supervision=supervision, cause=cause, blocked_since=blocked_since)

@@ -1,0 +1,1 @@
+"""The YAML file that says what is built and run."""

@@ -1,0 +1,202 @@
+"""Reads scenarios from files, and writes them as text.
+
+The text becomes plain mappings (`pydrake.common.yaml.yaml_load`), overrides are merged into
+them, every key, tag, type and range is checked against the dataclasses of
+`drake_oa.scenario.scenario`, so that an error names the field and what would be valid, and
+`yaml_load_typed` builds the `Scenario`.
+"""
+
+import dataclasses as dc
+import math
+import typing
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load_typed
+
+from drake_oa.common.schema_check import ScenarioError, apply_override, check, read_yaml
+from drake_oa.geometry.shapes import check_shapes
+from drake_oa.scenario.faults import CameraFault
+from drake_oa.scenario.obstacles import check_obstacles
+from drake_oa.scenario.perception import (
+    DepthCamera,
+    GivenEllipsoids,
+    check_cameras,
+    check_perception,
+)
+from drake_oa.scenario.scenario import Scenario, Turn
+from drake_oa.scenario.task import check_goals
+from drake_oa.scenario.task_joints import follow_joints
+
+_SUFFIX = ".scenario.yaml"
+
+
+def shipped_scenarios() -> dict[str, Path]:
+    """Name -> file of the scenarios that come with the package."""
+    folder = Path(str(resources.files("drake_oa.diagrams")))
+    return {p.name.removesuffix(_SUFFIX): p for p in sorted(folder.glob(f"*{_SUFFIX}"))}
+
+
+def scenario_path(name_or_file: str) -> Path:
+    """Finds a scenario by shipped name or by file.
+
+    Raises:
+        ScenarioError: if it is neither; lists the shipped names.
+    """
+    shipped = shipped_scenarios()
+    if name_or_file in shipped:
+        return shipped[name_or_file]
+    path = Path(name_or_file)
+    if path.is_file():
+        return path
+    raise ScenarioError(
+        f"unknown scenario '{name_or_file}': it is neither a file nor one of {', '.join(shipped)}"
+    )
+
+
+def load_scenario(name_or_file: str, overrides: typing.Sequence[str] = ()) -> Scenario:
+    """Reads a scenario and applies overrides.
+
+    Args:
+        name_or_file: a shipped name (see `shipped_scenarios`) or a path.
+        overrides: texts "a.b=c": c, read as YAML, replaces field b of block a.
+            A value with a tag ("perception=!GroundTruth {}") replaces the block.
+
+    Raises:
+        ScenarioError: naming the field and what would be valid.
+    """
+    path = scenario_path(name_or_file)
+    try:
+        return parse_scenario(path.read_text("utf-8"), overrides, folder=path.parent)
+    except (ScenarioError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{path.name}: {error}") from None
+
+
+def parse_scenario(
+    text: str, overrides: typing.Sequence[str] = (), *, folder: Path | None = None
+) -> Scenario:
+    """Builds a `Scenario` from YAML text; see `load_scenario`.
+
+    Relative file names in it are relative to `folder` (None: the current directory),
+    those in overrides to the current directory.
+    """
+    data = read_yaml(text)
+    data = {} if data is None else data
+    if not isinstance(data, dict):
+        raise ScenarioError(
+            f"expected a block of field: value, not the {type(data).__name__} {data!r}"
+        )
+    _resolve_files(data, folder or Path())
+    for override in overrides:
+        apply_override(data, override)
+    _resolve_files(data, Path())
+    check(data, Scenario, "", {})
+    try:
+        scenario = yaml_load_typed(schema=Scenario, data=yaml_dump(data), defaults=Scenario())
+    except (RuntimeError, ValueError, TypeError) as error:
+        raise ScenarioError(str(error)) from None
+    _check_whole(scenario)
+    follow_joints(
+        scenario, {name for name, value in data.get("task", {}).items() if value is not None}
+    )
+    return scenario
+
+
+def _check_whole(scenario: Scenario) -> None:
+    """What no single field can tell."""
+    names = [camera.name for camera in scenario.cameras]
+    check_cameras(scenario.cameras)
+    check_obstacles(scenario.obstacles)
+    if scenario.robot is not None:
+        check_shapes(scenario.robot.carried, "robot.carried")
+    _check_turn(scenario.policy.turn)
+    _check_faults(scenario)
+    perception = scenario.perception
+    check_perception(perception, names)
+    if scenario.robot is None and not isinstance(perception, GivenEllipsoids):
+        raise ScenarioError(
+            "robot: null (a free point) needs 'perception: !GivenEllipsoids'; "
+            f"it has !{type(perception).__name__}"
+        )
+    supervisor = scenario.supervisor
+    if supervisor is not None and supervisor.tracking_hold <= supervisor.tracking_slow:
+        raise ScenarioError(
+            f"supervisor.tracking_hold: {supervisor.tracking_hold} must be more than "
+            f"supervisor.tracking_slow, {supervisor.tracking_slow} [m]"
+        )
+    check_goals(scenario.task.start, scenario.task.goal, scenario.task.goal_moves)
+
+
+def _check_turn(turn: Turn | None) -> None:
+    """Refuses an axis without a direction.
+
+    Raises:
+        ScenarioError: naming the field.
+    """
+    if turn is not None and not math.hypot(*turn.axis) > 1e-6:
+        raise ScenarioError(f"policy.turn.axis: {turn.axis} has no direction")
+
+
+def _check_faults(scenario: Scenario) -> None:
+    """Refuses faults of something that the scenario does not have."""
+    for number, fault in enumerate(scenario.faults):
+        what = f"faults[{number}]: !{type(fault).__name__}"
+        if isinstance(fault, CameraFault) and not isinstance(scenario.perception, DepthCamera):
+            raise ScenarioError(
+                f"{what} needs 'perception: !DepthCamera'; it has "
+                f"!{type(scenario.perception).__name__}"
+            )
+        if scenario.robot is None:
+            raise ScenarioError(f"{what} needs a robot; this scenario has null")
+
+
+def _resolve_files(data: dict[str, Any], base: Path) -> None:
+    """Makes relative file names absolute; URLs, and what is no text, stay."""
+    for name, field in (
+        ("perception", "folder"),
+        ("task", "demonstration"),
+        ("policy", "weights"),
+    ):
+        block = data.get(name)
+        if not isinstance(block, dict):
+            continue
+        file = block.get(field)
+        if isinstance(file, str) and file and "://" not in file:
+            block[field] = str(base.absolute() / Path(file).expanduser())
+
+
+def package_file(url_or_file: str) -> Path:
+    """The file behind a `package://drake_oa/...` URL, or the path itself."""
+    prefix = "package://drake_oa/"
+    if url_or_file.startswith(prefix):
+        return Path(str(resources.files("drake_oa.models"))) / url_or_file.removeprefix(prefix)
+    return Path(url_or_file)
+
+
+def scenario_text(scenario: Scenario) -> str:
+    """The scenario as YAML, defaults included, as it is written into a log.
+
+    `parse_scenario` makes the same scenario of it.
+    """
+    text: str = yaml_dump_typed(scenario)
+    data = read_yaml(text)
+    # yaml_dump_typed leaves nulls out; reading that back would give the defaults.
+    return yaml_dump(data) if _add_nulls(scenario, data) else text
+
+
+def _add_nulls(value: Any, data: Any) -> bool:
+    """Writes the fields of a dataclass that are None into its mapping; says if any was."""
+    found = False
+    if isinstance(value, list):
+        for inner, place in zip(value, data, strict=True):
+            found |= _add_nulls(inner, place)
+    if not dc.is_dataclass(value):
+        return found
+    for item in dc.fields(value):
+        inner = getattr(value, item.name)
+        if inner is None:
+            data[item.name], found = None, True
+        elif item.name in data:
+            found |= _add_nulls(inner, data[item.name])
+    return found

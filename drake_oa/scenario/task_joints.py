@@ -1,0 +1,115 @@
+"""Start and goal of a task that are given as joints: where they put the tool, and what follows."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+import numpy as np
+from pydrake.math import RigidTransform, RollPitchYaw
+
+from drake_oa.common.messages import FloatArray
+from drake_oa.common.schema_check import ScenarioError
+from drake_oa.policy.dmp import minimum_jerk_share
+from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
+from drake_oa.scenario.scenario import Scenario
+
+_APART, _TURNED = 1e-3, 0.01
+"""Stated poses agree with those of the joints within this [m, rad]."""
+_ENDS = ("start", "goal")
+
+
+def joint_ends(robot_plant: RobotPlant, scenario: Scenario) -> dict[str, FloatArray]:
+    """(nq,) positions of the robot at "start" and "goal", of those that are given as joints.
+
+    Raises:
+        ScenarioError: for another number of joints than the arm has, or one beyond its limits.
+    """
+    robot, found = scenario.robot, {}
+    for end in _ENDS:
+        joints = getattr(scenario.task, f"q_{end}")
+        if joints is None or robot is None:
+            continue
+        count = len(robot.q_seed)
+        if len(joints) != count:
+            raise ScenarioError(
+                f"task.q_{end}: expected {count} numbers, as robot.q_seed has, not {len(joints)}"
+            )
+        plant = robot_plant.plant
+        lower, upper = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
+        for row, value in enumerate(joints):
+            if not lower[row] <= value <= upper[row]:
+                raise ScenarioError(
+                    f"task.q_{end}[{row}]: {value:g} is outside [{lower[row]:g}, "
+                    f"{upper[row]:g}], the joint's limits [rad]"
+                )
+        q = home_positions(robot_plant, robot)
+        q[:count] = joints
+        found[end] = q
+    return found
+
+
+def tool_pose(robot_plant: RobotPlant, q: FloatArray) -> RigidTransform:
+    """X_WE at (nq,) positions of the robot."""
+    context = robot_plant.plant.CreateDefaultContext()
+    robot_plant.plant.SetPositions(context, robot_plant.instance, q)
+    return robot_plant.tool_frame.CalcPoseInWorld(context)
+
+
+def follow_joints(scenario: Scenario, stated: Collection[str] = ()) -> None:
+    """Puts start, goal and their orientations where `q_start` and `q_goal` have the tool.
+
+    Args:
+        scenario: to be changed.
+        stated: names of fields of the task that are to be left: `check_agreement` is of them.
+
+    Raises:
+        ScenarioError: as `joint_ends`, and if there is no robot.
+    """
+    task = scenario.task
+    if task.q_start is None and task.q_goal is None:
+        return
+    if scenario.robot is None:
+        end = "goal" if task.q_start is None else "start"
+        raise ScenarioError(f"task.q_{end}: needs a robot; this scenario has null")
+    robot_plant = make_robot_plant(scenario.robot)
+    for end, q in joint_ends(robot_plant, scenario).items():
+        X_WE = tool_pose(robot_plant, q)
+        if end not in stated:
+            setattr(task, end, X_WE.translation().tolist())
+        if f"rpy_{end}" not in stated:
+            setattr(task, f"rpy_{end}", RollPitchYaw(X_WE.rotation()).vector().tolist())
+
+
+def check_agreement(robot_plant: RobotPlant, end: str, q: FloatArray, X_WE: RigidTransform) -> None:
+    """Refuses a pose of the task that is not that of its joints.
+
+    Args:
+        robot_plant: the robot alone.
+        end: "start" or "goal".
+        q: (nq,) the robot's positions there.
+        X_WE: the pose that the task asks for.
+
+    Raises:
+        ScenarioError: naming the field.
+    """
+    of_joints = tool_pose(robot_plant, q)
+    apart = float(np.linalg.norm(of_joints.translation() - X_WE.translation()))
+    if apart > _APART:
+        raise ScenarioError(
+            f"task.{end}: {np.round(X_WE.translation(), 4).tolist()} is {1e3 * apart:.1f} mm from "
+            f"where task.q_{end} has the tool, {np.round(of_joints.translation(), 4).tolist()} m; "
+            "leave one of the two out"
+        )
+    off = of_joints.rotation().InvertAndCompose(X_WE.rotation()).ToAngleAxis().angle()
+    if off > _TURNED:
+        rpy = np.round(RollPitchYaw(of_joints.rotation()).vector(), 4).tolist()
+        raise ScenarioError(
+            f"task.rpy_{end}: the orientation is {np.rad2deg(off):.1f} degrees from that of "
+            f"task.q_{end}, {rpy} rad; leave one of the two out"
+        )
+
+
+def posture_guide(s: FloatArray, q_start: FloatArray, q_goal: FloatArray) -> FloatArray:
+    """(T, n) postures from start to goal at normalised times (T,), of minimum jerk."""
+    share = minimum_jerk_share(np.clip(s, 0.0, 1.0))
+    return q_start + share[:, None] * (q_goal - q_start)

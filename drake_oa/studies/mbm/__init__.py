@@ -1,0 +1,1 @@
+"""MotionBenchMaker's problems."""

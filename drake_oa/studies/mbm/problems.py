@@ -1,0 +1,259 @@
+"""Problems of MotionBenchMaker in an archive, read where it lies.
+
+C. Chamzas et al., "MotionBenchMaker: A Tool to Generate and Benchmark Motion Planning Datasets",
+RA-L 7(2), 2022; the data is BSD-3-Clause, Rice University. The repository of VAMP (Kavraki Lab)
+carries them as .tar.bz2. In it are folders `<set>_<robot>` with pairs of files of MoveIt,
+`scene0001.yaml` (boxes [x, y, z] and cylinders [height, radius] in the frame of the robot's
+base [m]) and `request0001.yaml` (joint values at start and goal [rad]).
+"""
+
+from __future__ import annotations
+
+import bz2
+import io
+import math
+import re
+import reprlib
+import tarfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.math import RollPitchYaw, RotationMatrix
+
+from drake_oa.common.schema_check import check_size
+from drake_oa.geometry.shapes import Box, Cylinder, Sphere
+from drake_oa.scenario.obstacles import Obstacle, check_obstacles
+
+LARGEST_ARCHIVE, LARGEST_FILE = 256 * 2**20, 2**20
+"""More is not unpacked, of an archive and of a file in it [bytes]."""
+
+_MEMBER = re.compile(r"(?:.*/)?(?P<set>[^/]+)/(?P<kind>scene|request)(?P<number>\d{1,9})\.yaml")
+_UNIT = 1e-3
+"""A quaternion's length is 1 within this."""
+
+
+@dataclass(frozen=True)
+class ProblemText:
+    """One problem as it is in the archive.
+
+    Attributes:
+        name: "<set>/scene<number>", for messages.
+        number: of the problem in its set.
+        scene: YAML of the scene.
+        request: YAML of start and goal.
+    """
+
+    name: str
+    number: int
+    scene: str
+    request: str
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What a problem says.
+
+    Attributes:
+        name: "<set>/scene<number>".
+        obstacles: in the frame of the robot's base.
+        start: joint -> its value at the start [rad, m].
+        goal: joint -> its value at the goal.
+    """
+
+    name: str
+    obstacles: list[Obstacle]
+    start: Mapping[str, float]
+    goal: Mapping[str, float]
+
+
+def read_archive(file: Path) -> dict[str, list[ProblemText]]:
+    """The problems of each set, in the order of their numbers.
+
+    Args:
+        file: a .tar.bz2; nothing is unpacked to the disk.
+
+    Raises:
+        OSError: if it cannot be read.
+        ValueError: if it is no such archive, or too large, or a file lacks its counterpart.
+    """
+    found: dict[str, dict[int, dict[str, str]]] = {}
+    try:
+        with bz2.open(file) as packed:
+            data = packed.read(LARGEST_ARCHIVE + 1)
+        if len(data) > LARGEST_ARCHIVE:
+            raise ValueError(f"{file}: unpacked it is larger than {LARGEST_ARCHIVE // 2**20} MiB")
+        with tarfile.open(fileobj=io.BytesIO(data), mode="r:") as archive:
+            for member in archive:
+                named = _MEMBER.fullmatch(member.name)
+                if named is None or not member.isreg():
+                    continue
+                if member.size > LARGEST_FILE:
+                    raise ValueError(
+                        f"{file}: {member.name} is larger than {LARGEST_FILE // 2**20} MiB"
+                    )
+                content = archive.extractfile(member)
+                text = b"" if content is None else content.read()
+                of_set = found.setdefault(named["set"], {})
+                of_set.setdefault(int(named["number"]), {})[named["kind"]] = text.decode()
+    except (tarfile.TarError, EOFError) as error:
+        raise ValueError(f"{file}: not a .tar.bz2 archive: {error}") from None
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{file}: {member.name} is not text: {error}") from None
+    except OSError as error:
+        if error.errno is not None:
+            raise
+        # What bz2 says of other data has no number.
+        raise ValueError(f"{file}: not a .tar.bz2 archive: {error}") from None
+    if not found:
+        raise ValueError(
+            f"{file}: holds no problems: there must be <set>_<robot>/scene0001.yaml and "
+            "request0001.yaml"
+        )
+    robots = {name.rpartition("_")[2] for name in found}
+    suffix = f"_{robots.pop()}" if len(robots) == 1 else ""
+    return {name.removesuffix(suffix): _paired(file, name, found[name]) for name in sorted(found)}
+
+
+def _paired(file: Path, name: str, texts: Mapping[int, Mapping[str, str]]) -> list[ProblemText]:
+    problems = []
+    for number in sorted(texts):
+        of = texts[number]
+        for kind, other in (("scene", "request"), ("request", "scene")):
+            if kind not in of:
+                raise ValueError(
+                    f"{file}: {name}/{other}{number:04d}.yaml has no {kind}{number:04d}.yaml"
+                )
+        label = f"{name}/scene{number:04d}"
+        problems.append(ProblemText(label, number, of["scene"], of["request"]))
+    return problems
+
+
+def parse_problem(text: ProblemText) -> Problem:
+    """Reads a problem.
+
+    Raises:
+        ValueError: naming the problem and what is off.
+    """
+    try:
+        scene, request = (_read(part) for part in (text.scene, text.request))
+        obstacles = [
+            _obstacle(item, f"world.collision_objects[{row}]")
+            for row, item in enumerate(_list(_at(scene, "world", "collision_objects"), "objects"))
+        ]
+        check_obstacles(obstacles)
+        state = _at(request, "start_state", "joint_state")
+        names, values = _list(_at(state, "name"), "name"), _list(_at(state, "position"), "position")
+        if len(names) != len(values):
+            raise ValueError(
+                f"start_state: {len(names)} names of joints and {len(values)} positions"
+            )
+        goals = _list(_at(request, "goal_constraints"), "goal_constraints")
+        if len(goals) != 1:
+            raise ValueError(f"goal_constraints: expected one, not {len(goals)}")
+        joints = _list(_at(goals[0], "joint_constraints"), "joint_constraints")
+        return Problem(
+            text.name,
+            obstacles,
+            {
+                str(name): _number(value, str(name))
+                for name, value in zip(names, values, strict=True)
+            },
+            {
+                str(_at(of, "joint_name")): _number(_at(of, "position"), "joint_constraints")
+                for of in joints
+            },
+        )
+    except ValueError as error:
+        raise ValueError(f"{text.name}: {error}") from None
+
+
+def _read(text: str) -> Any:
+    try:
+        root = yaml.compose(text, Loader=yaml.CSafeLoader)
+        if root is not None:
+            check_size(root)
+        return yaml.load(text, Loader=yaml.CSafeLoader)
+    except (yaml.YAMLError, RecursionError) as error:
+        raise ValueError(f"not valid YAML: {error}") from None
+
+
+def _at(data: Any, *keys: str) -> Any:
+    for key in keys:
+        if not isinstance(data, dict) or key not in data:
+            raise ValueError(f"'{key}' is missing")
+        data = data[key]
+    return data
+
+
+def _list(data: Any, where: str) -> list[Any]:
+    if not isinstance(data, list):
+        raise ValueError(f"{where}: expected a list, not {type(data).__name__}")
+    return data
+
+
+def _number(data: Any, where: str) -> float:
+    try:
+        if not isinstance(data, bool) and isinstance(data, int | float):
+            value = float(data)
+            if math.isfinite(value):
+                return value
+    except OverflowError:
+        pass
+    raise ValueError(f"{where}: expected a finite number, not {reprlib.repr(data)}")
+
+
+def _numbers(data: Any, count: int, where: str) -> list[float]:
+    values = [_number(value, where) for value in _list(data, where)]
+    if len(values) != count:
+        raise ValueError(f"{where}: expected {count} numbers, not {len(values)}")
+    return values
+
+
+def _obstacle(item: Any, where: str) -> Obstacle:
+    name = str(_at(item, "id"))
+    for other in ("meshes", "planes"):
+        if item.get(other):
+            raise ValueError(f"{where} ({name}): has {other}; it must be of boxes and cylinders")
+    shapes = _list(_at(item, "primitives"), f"{where}.primitives")
+    poses = _list(_at(item, "primitive_poses"), f"{where}.primitive_poses")
+    if len(shapes) != len(poses):
+        raise ValueError(f"{where} ({name}): {len(shapes)} primitives and {len(poses)} poses")
+    placed: list[Box | Cylinder | Sphere] = [
+        _shape(shape, X, f"{where} ({name})") for shape, X in zip(shapes, poses, strict=True)
+    ]
+    translation, rpy = _pose(item["pose"], f"{where}.pose") if "pose" in item else ([0.0] * 3,) * 2
+    return Obstacle(name=name, shapes=placed, translation=translation, rpy=rpy)
+
+
+def _shape(shape: Any, X: Any, where: str) -> Box | Cylinder:
+    kind, size = _at(shape, "type"), _at(shape, "dimensions")
+    translation, rpy = _pose(X, f"{where}.primitive_poses")
+    if kind == "box":
+        edges = _positive(_numbers(size, 3, f"{where}, box"), where)
+        return Box(size=edges, translation=translation, rpy=rpy)
+    if kind == "cylinder":
+        height, radius = _positive(_numbers(size, 2, f"{where}, cylinder"), where)
+        return Cylinder(radius=radius, length=height, translation=translation, rpy=rpy)
+    raise ValueError(f"{where}: a primitive is a {reprlib.repr(kind)}; it must be box or cylinder")
+
+
+def _positive(size: Sequence[float], where: str) -> list[float]:
+    if min(size) <= 0.0:
+        raise ValueError(f"{where}: dimensions {list(size)} must be positive [m]")
+    return list(size)
+
+
+def _pose(data: Any, where: str) -> tuple[list[float], list[float]]:
+    """Translation [m] and roll, pitch, yaw [rad] of a position and an orientation x, y, z, w."""
+    position = _numbers(_at(data, "position"), 3, f"{where}.position")
+    x, y, z, w = quaternion = _numbers(_at(data, "orientation"), 4, f"{where}.orientation")
+    length = float(np.linalg.norm(quaternion))
+    if abs(length - 1.0) > _UNIT:
+        raise ValueError(f"{where}.orientation: {quaternion} has length {length:.3g}, not 1")
+    R = RotationMatrix(Quaternion(np.array([w, x, y, z]) / length))
+    return position, RollPitchYaw(R).vector().tolist()

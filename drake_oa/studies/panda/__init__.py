@@ -1,0 +1,1 @@
+"""Random scenes of the simulated Panda, and peers to compare with."""

@@ -1,0 +1,238 @@
+"""Random scenes in which the hand's way is free and the elbow's is not.
+
+One or two tall things stand, or hang as a shelf's board does, where the arm's middle links
+go, ahead of the base: a post, a board in the air, a box on a stand. They are drawn again
+until, on the straight motion in the controller's own posture,
+
+- hand and fingers keep 5 cm to everything, the wrist 3 cm, and
+- one of the links 2 to 5 goes at least 5 mm into something;
+- start and goal are free (5 cm of the whole robot), and so is the base;
+- the camera has the middle and the top of each in view;
+- another posture is free all along: with the elbow swung aside in the null space, and the
+  tool on the same way, the whole robot keeps 2.5 cm.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from drake_oa.common.messages import FloatArray
+from drake_oa.geometry.shapes import Box, Cylinder, Sphere
+from drake_oa.scenario.obstacles import Obstacle
+from drake_oa.studies.panda.obstacles import COLORS, footprint_radius, half_height
+from drake_oa.studies.panda.scene_parts import (
+    BASE_RADIUS,
+    ENDS_TAKEN,
+    FREE,
+    ON_BASE,
+    OUT_OF_VIEW,
+    TOO_NEAR,
+    TOUCH,
+    TOUCHES_TABLE,
+    Drawn,
+    base_scenario,
+    draw_motion,
+    ends_are_free,
+    in_view,
+    scene_cell,
+    stands_apart,
+)
+from drake_oa.studies.tally import Tally
+
+HAND_FREE = 0.05
+"""What hand and fingers keep on the straight motion [m]."""
+SWUNG_FREE = 0.025
+"""What the whole robot keeps on the motion with its elbow aside [m]."""
+WRIST_FREE = 0.03
+"""What links 6 and 7 keep there [m]: the tool holds them, whatever the elbow does."""
+WRIST_LINKS = ("panda_link6", "panda_link7")
+ELBOW_LINKS = tuple(f"panda_link{number}" for number in (2, 3, 4, 5))
+"""Links of which one touches."""
+SWINGS = (1.0, -1.0, 2.0, -2.0, 3.0, -3.0)
+"""How the elbow may swing, see `PandaCell.straight_motion` [rad]."""
+
+ELBOW_LIKE = "shelf_elbow"
+"""The shipped scenario whose camera the scenes have: it looks higher than the table-top ones'."""
+KINDS = ("post", "board", "stand")
+MOST_OBSTACLES = 2
+
+_HIGHEST = 0.9
+"""Of anything [m]."""
+_LOWEST = 0.2
+"""Of the points of the arm at which things are put [m]."""
+_OFF = 0.06
+"""What such a point keeps from what is to stay free of the robot [m], see `_places`."""
+_FROM_AXIS = 0.2
+"""What it keeps from the axis of the base [m]."""
+_AHEAD = 0.0
+"""How far ahead of the base it is at least [m]: behind it the arm hides what the camera sees."""
+_AWAY = (0.0, 0.10)
+"""How much further off a thing is put [m]."""
+_ASIDE = 0.04
+"""How far from there, along each axis [m]."""
+_PLACES = 160
+"""Things tried for the same motion."""
+_MOST_MOTIONS = 1000
+
+# Why candidates are dropped.
+NOT_SWUNG = "the arm cannot follow with its elbow aside"
+NOWHERE = "nowhere passes the elbow alone"
+
+
+def draw_elbow(random: np.random.Generator, tally: Tally) -> Drawn:
+    """A scene with a thing in the elbow's way, and a second one where it finds room.
+
+    Raises:
+        RuntimeError: if none was found for `_MOST_MOTIONS` motions.
+    """
+    cell = scene_cell()
+    for _ in range(_MOST_MOTIONS):
+        drawn = draw_motion(random, tally)
+        if drawn is None:
+            continue
+        start, goal, motion = drawn
+        swung = cell.straight_motion(start, goal, float(random.choice(SWINGS)))
+        places = np.empty((0, 2, 3)) if swung is None else _places(motion, swung)
+        nowhere = NOT_SWUNG if swung is None else NOWHERE if not len(places) else ""
+        if not tally.takes("elbow motions", nowhere) or swung is None:
+            continue
+        obstacles: list[Obstacle] = []
+        for _ in range(_PLACES):
+            obstacle = _draw_obstacle(random, places, len(obstacles))
+            tried = [*obstacles, obstacle]
+            if tally.takes(
+                "things for the elbow",
+                _misfit(obstacle, obstacles) or _no_scene(motion, swung, goal, tried),
+            ):
+                obstacles = tried
+            if len(obstacles) == MOST_OBSTACLES:
+                break
+        if obstacles:
+            return obstacles, start, goal
+    raise RuntimeError(f"no scene found for {_MOST_MOTIONS} motions")
+
+
+def _places(motion: FloatArray, swung: FloatArray) -> FloatArray:
+    """(K, 2, 3) where the elbow passes and nothing else of the robot, and the way off there.
+
+    The first are points [m] of the elbow's links on the motion, the second the unit vectors
+    to them from the nearest point that is to stay free: of the robot at both ends, of its
+    wrist and hand on the motion, and of all of it on the other motion.
+    """
+    cell = scene_cell()
+    held = (*_hand_links(), *WRIST_LINKS)
+    passed = np.concatenate([cell.shape_centers(q, ELBOW_LINKS) for q in motion[::2]])
+    free = [cell.shape_centers(q) for q in (*motion[[0, -1]], *swung[::2])]
+    free += [cell.shape_centers(q, held) for q in motion[::2]]
+    tree = cKDTree(np.concatenate(free))
+    distance, nearest = tree.query(passed)
+    from_axis = np.hypot(passed[:, 0], passed[:, 1])
+    found = (distance >= _OFF) & (passed[:, 2] >= _LOWEST) & (from_axis >= _FROM_AXIS)
+    found &= passed[:, 0] >= _AHEAD
+    away = (passed - tree.data[nearest])[found] / distance[found, None]
+    return np.stack([passed[found], away], axis=1)
+
+
+def _draw_obstacle(random: np.random.Generator, places: FloatArray, number: int) -> Obstacle:
+    """A post, a board in the air or a box on a stand at one of the places.
+
+    Args:
+        random: where the numbers come from.
+        places: see `_places`.
+        number: its place among the obstacles: name and colour follow from it.
+    """
+    point, away = places[random.integers(len(places))]
+    point = point + random.uniform(*_AWAY) * away + random.uniform(-_ASIDE, _ASIDE, 3)
+    kind = KINDS[random.integers(len(KINDS))] if in_view(point, ELBOW_LIKE) else "post"
+    x, y, z = (round(float(v), 4) for v in point)
+    shapes: list[Box | Cylinder | Sphere]
+    if kind == "post":
+        tall = min(z + float(random.uniform(0.02, 0.15)), _HIGHEST)
+        width, depth = (float(v) for v in random.uniform(0.03, 0.08, 2))
+        round_post = Cylinder(radius=0.5 * width, length=tall)
+        shapes = [round_post if random.random() < 0.5 else Box(size=[width, depth, tall])]
+        z = 0.5 * tall
+    elif kind == "board":
+        size = [random.uniform(0.06, 0.15), random.uniform(0.08, 0.25), random.uniform(0.02, 0.03)]
+        shapes = [Box(size=[float(edge) for edge in size])]
+    else:
+        edges = [float(v) for v in random.uniform(0.05, 0.12, 3)]
+        foot = max(z - 0.5 * edges[2], 0.05)
+        z = foot + 0.5 * edges[2]
+        stand = Cylinder(radius=float(random.uniform(0.015, 0.03)), length=foot)
+        stand.translation = [0.0, 0.0, 0.5 * foot - z]
+        shapes = [Box(size=edges), stand]
+    return Obstacle(
+        name=f"{kind}{number}",
+        shapes=shapes,
+        translation=[x, y, round(z, 4)],
+        rpy=[0.0, 0.0, float(random.uniform(-math.pi, math.pi))],
+        color=list(COLORS[number % len(COLORS)]),
+    )
+
+
+def _misfit(obstacle: Obstacle, others: Sequence[Obstacle]) -> str:
+    """Why it cannot be there.
+
+    "": it is in view, beside the others, and where it stands beside the robot's base.
+    """
+    place, radius = obstacle.translation[:2], footprint_radius(obstacle)
+    in_air = len(obstacle.shapes) == 1 and half_height(obstacle.shapes[0]) < obstacle.translation[2]
+    if not in_air and math.hypot(*place) < radius + BASE_RADIUS:
+        return ON_BASE
+    if obstacle.translation[2] + half_height(obstacle.shapes[0]) > _HIGHEST:
+        return "above 0.9 m"
+    if not stands_apart(obstacle, others):
+        return TOO_NEAR
+    return "" if all(in_view(point, ELBOW_LIKE) for point in _seen(obstacle)) else OUT_OF_VIEW
+
+
+def _seen(obstacle: Obstacle) -> list[FloatArray]:
+    """Its middle and its highest points: what sticks out of the image nobody can go round."""
+    middle = np.asarray(obstacle.translation)
+    radius, height = footprint_radius(obstacle), half_height(obstacle.shapes[0])
+    corners = [(x, y, height) for x in (-radius, radius) for y in (-radius, radius)]
+    return [middle, *(middle + np.asarray(corner) for corner in corners)]
+
+
+def _hand_links() -> list[str]:
+    robot = base_scenario().robot
+    return robot.tool_links if robot is not None else []
+
+
+def _no_scene(
+    motion: FloatArray, swung: FloatArray, goal: FloatArray, obstacles: Sequence[Obstacle]
+) -> str:
+    """Why not; "": the elbow touches on the motion, and nothing does on the other one."""
+    cell = scene_cell()
+    cell.put(obstacles)
+    if any(cell.nearby(q, FREE) for q in motion[[0, -1]]):
+        return ENDS_TAKEN
+    # A coarse look first: most sets fail at the hand or on the other motion.
+    for step in (6, 1):
+        if not all(cell.is_free(q, SWUNG_FREE) for q in swung[::step]):
+            return "the motion with the elbow aside leaves less than 2.5 cm"
+        if not all(map(_hand_is_free, motion[::step])):
+            return "the planned motion leaves the hand less than 5 cm or the wrist 3 cm"
+        if step > 1 and not any(map(_elbow_touches, motion[::2])):
+            return "the elbow does not touch it"
+    if not all(thing for q in motion for _, thing, _ in cell.contacts(q)):
+        return TOUCHES_TABLE
+    return "" if ends_are_free(motion, goal) else ENDS_TAKEN
+
+
+def _hand_is_free(q: FloatArray) -> bool:
+    tool_links = _hand_links()
+    return not any(
+        link in tool_links or (link in WRIST_LINKS and distance < WRIST_FREE)
+        for link, _, distance in scene_cell().nearby(q, HAND_FREE)
+    )
+
+
+def _elbow_touches(q: FloatArray) -> bool:
+    touched = scene_cell().nearby(q, 0.0)
+    return any(link in ELBOW_LINKS and distance <= -TOUCH for link, _, distance in touched)

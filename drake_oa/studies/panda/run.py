@@ -1,0 +1,299 @@
+"""One method on one scene of the Panda, simulated and judged.
+
+Methods:
+
+  preplanned       the planned motion, blind to obstacles
+  paper            the paper's regulation: a regressor chain at the obstacle's section by the
+                   P-plane, sides by cost rings, without a supervisor. The chain is the one
+                   trained for this action level, as the paper's own counts alpha in rad/s
+  verified         the project's: coupling parameters that roll-outs have checked
+  differential_ik  Drake's differential inverse kinematics with collision constraints, which
+                   knows the obstacles exactly, on the same planned motion; its tool is asked
+                   for the same clearance, as far as start and goal have it
+  differential_ik_near
+                   the same asked for 3 cm: most of its motions arrive with that
+  planner          a sampling-based planner that knows the obstacles exactly, to tell which
+                   scenes have a solution at all: see `sampling_planner`
+
+Contacts are judged by SceneGraph at every logged instant (4 ms apart) until everything has
+been at rest for a second: each link, the hand and the fingers against obstacles, table and each
+other.
+
+A run is a `success` (no contact, and the tool point ends within 5 mm of the goal), a
+`contact` with the scene or with itself, or else `stopped`: it ended short of the goal without
+a contact. The reason of a
+stop is what ended the run, with "#" for its numbers; a run that raised an exception has that
+exception for a reason.
+"""
+
+from __future__ import annotations
+
+import copy
+import logging
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from drake_oa.runs.decision_costs import layer_costs
+from drake_oa.runs.motion_log import MotionLog
+from drake_oa.runs.report import feasible_clearance, motion_report
+from drake_oa.runs.simulation import AT_GOAL, MotionInterruptedError, simulate
+from drake_oa.scenario.scenario import GroundTruth, Regressor, Scenario, Verified
+from drake_oa.studies.panda.differential_ik import PeerParameters
+from drake_oa.studies.panda.scenes import check_perception
+
+PLANNER = "planner"
+DEFAULT_METHODS = ("preplanned", "paper", "verified", "differential_ik", "differential_ik_near")
+METHODS = (*DEFAULT_METHODS, PLANNER)
+TRUTH_ONLY = frozenset({"differential_ik", "differential_ik_near", PLANNER})
+"""Methods that know the obstacles exactly, whatever the perception."""
+
+
+_KEPT = (
+    "contacts",
+    "self_contacts",
+    "tool_clearance_min",
+    "robot_clearance_min",
+    "asked_clearance",
+    "feasible_clearance",
+    "short_of_feasible",
+    "believed_shortfall",
+    "lowered",
+    "goal_error",
+    "orientation_error",
+    "duration",
+    "path_length",
+    "torque_saturation",
+    "stop_reason",
+    "settled",
+    "decision_cost",
+    "evasion_cost",
+    "events",
+)
+"""What of `motion_report` a result holds."""
+
+
+def default_methods(kind: str) -> tuple[str, ...]:
+    """The methods of a kind of scenes where none are named: of tabletop without the planner."""
+    return DEFAULT_METHODS if kind == "tabletop" else METHODS
+
+
+_NUMBER = re.compile(r"[-+]?\b\d+(?:\.\d+)?(?:e[-+]?\d+)?\b")
+
+_logger = logging.getLogger("drake_oa")
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """What a run is judged by, besides contacts.
+
+    Attributes:
+        goal_error: largest distance from the goal [m].
+        orientation_error: largest angle from the goal's orientation [rad].
+        beyond_limits: how far a joint of the arm may have been beyond its limit [rad].
+        planner_asked: whether the planner's robot keeps what the task asks of the tool; else
+            `sampling_planner.CLEARANCE`.
+        planner_states: that the planner may look at; None: `sampling_planner.STATES`.
+    """
+
+    goal_error: float = AT_GOAL
+    orientation_error: float = math.inf
+    beyond_limits: float = math.inf
+    planner_asked: bool = False
+    planner_states: int | None = None
+
+    def lacks(self, found: Mapping[str, Any]) -> str:
+        """Why a run without a contact is no success; "" if it is one."""
+        # NaN is no success.
+        if not found["goal_error"] <= self.goal_error:
+            return found["stop_reason"] or "short of the goal"
+        if not (found["orientation_error"] or 0.0) <= self.orientation_error:
+            return f"{math.degrees(found['orientation_error']):.1f} degrees from the goal"
+        if not (found["beyond_limits"] or 0.0) <= self.beyond_limits:
+            return f"a joint went {found['beyond_limits']:.4f} rad beyond its limit"
+        # A plan is not simulated, and tells nothing of it.
+        return "never at rest" if found["settled"] is False else ""
+
+
+@dataclass(frozen=True)
+class PandaRun:
+    """A judged run and, where it ran at all, its log.
+
+    Attributes:
+        result: plain data, as `run_panda_scene` describes it.
+        log: None where nothing could be simulated.
+    """
+
+    result: dict[str, Any]
+    log: MotionLog | None
+
+
+def check_panda_method(name: str) -> None:
+    """Raises ValueError for an unknown method."""
+    if name not in METHODS:
+        raise ValueError(f"unknown method {name!r}; panda has: {', '.join(METHODS)}")
+
+
+def with_perception(scenario: Scenario, perception: str) -> Scenario:
+    """The scenario as drawn with "depth", or with the obstacles as SceneGraph knows them."""
+    check_perception(perception)
+    scenario = copy.deepcopy(scenario)
+    if perception == "truth":
+        scenario.perception = GroundTruth()
+    return scenario
+
+
+def with_method(scenario: Scenario, method: str) -> Scenario:
+    """The scenario as a method runs it."""
+    check_panda_method(method)
+    scenario = copy.deepcopy(scenario)
+    if method == "paper":
+        scenario.regulation = Regressor()
+        scenario.policy.descriptor = "section"
+        scenario.supervisor = None
+    elif method == "verified" and not isinstance(scenario.regulation, Verified):
+        scenario.regulation = Verified()
+    return scenario
+
+
+def run_panda_scene(
+    scenario: Scenario, method: str, perception: str, *, duration: float | None = None
+) -> dict[str, Any]:
+    """Runs a method on a scene.
+
+    Args:
+        scenario: the scene.
+        method: one of `METHODS`.
+        perception: "depth" or "truth".
+        duration: time limit of the run [s]; None: that of `simulate`.
+
+    Returns:
+        `outcome` ("success", "contact" or "stopped"), `reason` (of what is no success: the
+        stop reason with "#" for numbers), `failed` (whether it raised), and of
+        `motion_report` those of `_KEPT`; besides `wall_time` [s] and `real_time_factor` of the
+        simulation. Of `planner` see `run_planner`.
+    """
+    return run_and_judge(scenario, method, perception, duration=duration).result
+
+
+def run_and_judge(
+    scenario: Scenario,
+    method: str,
+    perception: str,
+    *,
+    duration: float | None = None,
+    criteria: Criteria | None = None,
+) -> PandaRun:
+    """`run_panda_scene`, and the log."""
+    criteria = criteria or Criteria()
+    scenario = with_method(with_perception(scenario, perception), method)
+    if method == PLANNER:
+        return PandaRun(_plan(scenario, criteria), None)
+    log: MotionLog | None = None
+    failed = False
+    try:
+        log = _simulate(scenario, method, duration)
+    except MotionInterruptedError as error:
+        if isinstance(error.__cause__, KeyboardInterrupt):
+            raise KeyboardInterrupt from error
+        log, failed = error.log, True
+        _logger.info("the run was cut short", exc_info=True)
+    except Exception as error:
+        # A scene that cannot be run is a result like any other, and ends no other scene.
+        _logger.info("the run could not start", exc_info=True)
+        return PandaRun(_not_run(scenario, error), None)
+    return PandaRun(_judge(scenario, log, failed, criteria), log)
+
+
+def _simulate(scenario: Scenario, method: str, duration: float | None) -> MotionLog:
+    if method in TRUTH_ONLY:
+        module = import_module("drake_oa.studies.panda.peer")
+        peer: Callable[..., MotionLog] = module.simulate_differential_ik
+        parameters = PeerParameters()
+        if method == "differential_ik":
+            parameters = replace(parameters, tool_distance=feasible_clearance(scenario))
+        return peer(scenario, duration=duration, parameters=parameters)
+    return simulate(scenario, modulated=method != "preplanned", duration=duration)
+
+
+def _plan(scenario: Scenario, criteria: Criteria) -> dict[str, Any]:
+    from drake_oa.studies.panda.planner import run_planner
+    from drake_oa.studies.panda.sampling_planner import CLEARANCE
+
+    clearance = scenario.task.clearance if criteria.planner_asked else CLEARANCE
+    try:
+        found = run_planner(scenario, clearance=clearance, states=criteria.planner_states)
+    except Exception as error:
+        _logger.info("the planner failed", exc_info=True)
+        return _not_run(scenario, error)
+    found = dict.fromkeys((*_KEPT, "beyond_limits")) | found
+    return {**_outcome(found, False, criteria), "failed": False, **found}
+
+
+def _judge(scenario: Scenario, log: MotionLog, failed: bool, criteria: Criteria) -> dict[str, Any]:
+    report = motion_report(scenario, log)
+    found = {key: report.get(key) for key in _KEPT}
+    found["beyond_limits"] = _beyond_limits(scenario, log)
+    return {
+        **_outcome(found, failed, criteria),
+        "failed": failed,
+        **found,
+        # To a tenth of a millisecond: to be taken together over scenes.
+        "decision_costs": np.round(layer_costs(log), 4).tolist(),
+        "wall_time": log.wall_time,
+        "real_time_factor": log.simulated_time / log.wall_time if log.wall_time > 0.0 else None,
+    }
+
+
+def _beyond_limits(scenario: Scenario, log: MotionLog) -> float:
+    """How far a joint of the arm went beyond its limit at most [rad]."""
+    arm = len(scenario.robot.q_seed) if scenario.robot else 0
+    q, lower, upper = log.q[:, :arm], log.position_lower[:arm], log.position_upper[:arm]
+    return float(np.maximum(lower - q, q - upper).max(initial=0.0))
+
+
+def _outcome(found: dict[str, Any], failed: bool, criteria: Criteria) -> dict[str, str]:
+    """`outcome` and `reason`."""
+    if found["contacts"] or found["self_contacts"]:
+        return {"outcome": "contact", "reason": plain_reason(found["stop_reason"])}
+    lacks = criteria.lacks(found) or (found["stop_reason"] if failed else "")
+    return {"outcome": "stopped" if lacks else "success", "reason": plain_reason(lacks)}
+
+
+def _not_run(scenario: Scenario, error: Exception) -> dict[str, Any]:
+    reason = f"{type(error).__name__}: {error}".rstrip(": ")
+    return {
+        "outcome": "stopped",
+        "reason": plain_reason(reason),
+        "failed": True,
+        **dict.fromkeys((*_KEPT, "beyond_limits")),
+        "contacts": [],
+        "self_contacts": [],
+        "goal_error": math.dist(scenario.task.start, scenario.task.goal),
+        "path_length": 0.0,
+        "torque_saturation": 0.0,
+        "stop_reason": reason,
+        "events": [],
+        "wall_time": 0.0,
+        "real_time_factor": None,
+    }
+
+
+def plain_reason(reason: str) -> str:
+    """A reason with "#" for its numbers, so that equal reasons can be counted."""
+    return _NUMBER.sub("#", reason).strip()
+
+
+def same_result(one: dict[str, Any], other: dict[str, Any]) -> bool:
+    """Whether two results agree in all but what a clock measured."""
+    clock = {"wall_time", "real_time_factor"}
+    return all(_equal(one[k], other[k]) for k in one.keys() | other.keys() if k not in clock)
+
+
+def _equal(one: Any, other: Any) -> bool:
+    return bool(np.all(one == other))

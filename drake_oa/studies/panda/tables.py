@@ -1,0 +1,230 @@
+"""The figures of an evaluation on the Panda, and their table; metres and seconds."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+
+from drake_oa.runs.decision_costs import pooled_figures
+from drake_oa.runs.report import TOLD
+from drake_oa.studies.panda.evaluation import PandaResults
+from drake_oa.studies.panda.run import PLANNER
+from drake_oa.studies.scenes.tables import text_table
+from drake_oa.studies.tally import drawn_figures, drawn_lines
+
+ALL = "all"
+"""Kind of the figures of several kinds together."""
+
+_Scene = TypeVar("_Scene", int, tuple[str, int])
+
+_COLUMNS = (
+    ("scenes", "scenes", "{:d}", 1.0),
+    ("contacts", "contacts", "{:d}", 1.0),
+    ("success", "success", "{:d}", 1.0),
+    ("stopped", "stopped", "{:d}", 1.0),
+    ("time_limits", "time limit", "{:d}", 1.0),
+    ("self_contacts", "self", "{:d}", 1.0),
+    ("success_rate", "success [%]", "{:.1f}", 1e2),
+    ("success_rate_solved", "of solved [%]", "{:.1f}", 1e2),
+    ("short_of_feasible", "short", "{:d}", 1.0),
+    ("short_of_feasible_max", "by [mm]", "{:.1f}", 1e3),
+    ("tool_clearance_min", "tool clearance [m]", "{:.3f}", 1.0),
+    ("tool_clearance_median", "median", "{:.3f}", 1.0),
+    ("robot_clearance_min", "robot clearance [m]", "{:.3f}", 1.0),
+    ("goal_error_max", "goal error [mm]", "{:.2f}", 1e3),
+    ("duration_median", "duration [s]", "{:.1f}", 1.0),
+    ("duration_max", "most", "{:.1f}", 1.0),
+    ("decision_p99", "decision p99 [ms]", "{:.0f}", 1e3),
+    ("decision_max", "most", "{:.0f}", 1e3),
+    ("decision_share_over_period", "over a frame [%]", "{:.1f}", 1e2),
+    ("real_time_factor", "real-time factor", "{:.2f}", 1.0),
+    ("real_time_factor_min", "least", "{:.2f}", 1.0),
+)
+
+
+def panda_figures(
+    results: PandaResults, versions: Sequence[str], jobs: int | None = 1
+) -> dict[str, Any]:
+    """{"suite", "seed", "kind", "perception", "jobs", "versions", "drawn", "solved", "methods"}.
+
+    `methods` is {name: figures}.
+
+    `drawn` tells of what was looked at when the scenes were drawn, how much and what share of
+    it was dropped for which reason.
+
+    `solved` is how many scenes the planner solves, None where it has not run on all; the
+    methods' `success_rate_solved` is their share of successes in those.
+
+    Args:
+        results: of the runs.
+        versions: "name version" each.
+        jobs: how many runs shared the machine, which real-time factors tell; None: a
+            cluster's.
+    """
+    suite = results.suite
+    complete = {name: results.complete(name) for name in results.runs}
+    figures = methods_figures(results.runs, complete)
+    for name, runs in results.runs.items():
+        figures["methods"][name] |= {
+            "perception": suite.perception_of(name),
+            "runs": [
+                {"scene": scene, **{k: v for k, v in run.items() if k != "decision_costs"}}
+                for scene, run in runs.items()
+            ],
+        }
+    return {
+        "suite": suite.name,
+        "seed": suite.seed,
+        "kind": suite.kind,
+        "perception": suite.perception,
+        "duration": suite.duration,
+        "jobs": jobs,
+        "versions": dict(item.split(" ", 1) for item in versions),
+        "drawn": drawn_figures(results.tallies.values()),
+        **figures,
+    }
+
+
+def methods_figures(
+    runs: Mapping[str, Mapping[_Scene, Mapping[str, Any]]], complete: Mapping[str, bool]
+) -> dict[str, Any]:
+    """{"solved", "methods": {name: figures}}.
+
+    Args:
+        runs: method -> scene -> result.
+        complete: method -> whether it has run on all scenes.
+    """
+    solved = None
+    if complete.get(PLANNER):
+        solved = {scene for scene, run in runs[PLANNER].items() if run["outcome"] == "success"}
+    return {
+        "solved": None if solved is None else len(solved),
+        "methods": {
+            name: {
+                **run_figures(list(of.values())),
+                "success_rate_solved": _share_of_solved(of, solved),
+                "complete": complete[name],
+            }
+            for name, of in runs.items()
+        },
+    }
+
+
+def kinds_figures(figures: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """The figures of one kind of scenes as they are, of several {"suite", "kinds": {...}}."""
+    if len(figures) == 1:
+        return figures[0]
+    return {"suite": "panda", "kinds": {of["kind"]: of for of in figures}}
+
+
+def _share_of_solved(
+    runs: Mapping[_Scene, Mapping[str, Any]], solved: Collection[_Scene] | None
+) -> float | None:
+    """Share of successes in those of the solved scenes that a method has run on."""
+    counted = [run["outcome"] for scene, run in runs.items() if scene in (solved or ())]
+    return counted.count("success") / len(counted) if counted else None
+
+
+def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Figures of a method's runs; None where there is nothing to take them over.
+
+    Keys: `scenes`; `contacts`, `success` and `stopped`, which sum to it (see `panda_run`);
+    `success_rate`; `stop_reasons`, what the stopped ones were stopped by, and how often;
+    `contact_pairs`, in how many scenes which link met what; `self_contacts`, in how many the
+    robot met itself; `time_limits`, how many ended by their time limit, arrived or not; `failed`,
+    runs that raised; `short_of_feasible`, in how many the tool came more than 1 mm nearer to what
+    rests than start and goal leave of the asked clearance, `short_of_feasible_max` by how much,
+    and `feasible_clearance_median`, what they leave [m]; `duration_median` and `duration_max` of
+    the motions, to where they arrived or were stopped [s]; `decision_cost`, what the
+    regulation's decisions of all scenes cost (see `cost_figures`; None where they cost no time);
+    `tool_clearance_min` and `robot_clearance_min` over all scenes, `tool_clearance_median` of
+    the scenes' least ones [m]; `goal_error_max` over the scenes that were not stopped short,
+    `goal_error_max_all` over all [m]; `real_time_factor`, the median, and
+    `real_time_factor_min`, the least; `seconds`, the wall time of all simulations together.
+    """
+    outcome = Counter(run["outcome"] for run in runs)
+    arrived = [run["goal_error"] for run in runs if run["outcome"] != "stopped"]
+    speed = [run["real_time_factor"] for run in runs if run["real_time_factor"] is not None]
+    return {
+        "scenes": len(runs),
+        "contacts": outcome["contact"],
+        "success": outcome["success"],
+        "stopped": outcome["stopped"],
+        "success_rate": outcome["success"] / len(runs) if runs else None,
+        "stop_reasons": _counted(run["reason"] for run in runs if run["outcome"] == "stopped"),
+        "contact_pairs": _counted(
+            pair for run in runs for pair in (*_pairs(run["contacts"]), *set(run["self_contacts"]))
+        ),
+        "self_contacts": sum(bool(run["self_contacts"]) for run in runs),
+        "time_limits": sum(run["stop_reason"].startswith("time limit") for run in runs),
+        "short_of_feasible": sum((run["short_of_feasible"] or 0.0) > TOLD for run in runs),
+        "short_of_feasible_max": max(
+            (run["short_of_feasible"] for run in runs if run["short_of_feasible"] is not None),
+            default=None,
+        ),
+        "feasible_clearance_median": _median(run["feasible_clearance"] for run in runs),
+        "duration_median": _median(run["duration"] for run in runs),
+        "duration_max": max(
+            (run["duration"] for run in runs if run["duration"] is not None), default=None
+        ),
+        "decision_cost": pooled_figures(runs),
+        "failed": sum(bool(run["failed"]) for run in runs),
+        "tool_clearance_min": _least(run["tool_clearance_min"] for run in runs),
+        "tool_clearance_median": _median(run["tool_clearance_min"] for run in runs),
+        "robot_clearance_min": _least(run["robot_clearance_min"] for run in runs),
+        "goal_error_max": max(arrived, default=None),
+        "goal_error_max_all": max((run["goal_error"] for run in runs), default=None),
+        "real_time_factor": float(np.median(speed)) if speed else None,
+        "real_time_factor_min": min(speed, default=None),
+        "seconds": float(sum(run["wall_time"] for run in runs)),
+    }
+
+
+def _pairs(contacts: Sequence[str]) -> list[str]:
+    """Each pair once, an obstacle's number left out."""
+    return sorted({contact.rstrip("0123456789") for contact in contacts})
+
+
+def _counted(values: Iterable[str]) -> dict[str, int]:
+    return dict(Counter(values).most_common())
+
+
+def _least(values: Iterable[float | None]) -> float | None:
+    return min((value for value in values if value is not None), default=None)
+
+
+def _median(values: Iterable[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.median(known)) if known else None
+
+
+def panda_tables(figures: Sequence[Mapping[str, Any]]) -> str:
+    """The figures of one or several kinds of scenes as one text table.
+
+    Below it: why runs were stopped, what was touched, and what was dropped when the scenes
+    were drawn.
+
+    Args:
+        figures: as `panda_figures` gives them, of each kind.
+    """
+    several = len(figures) > 1
+    rows, lines = [], []
+    for of in figures:
+        for name, method in of["methods"].items():
+            title = f"{of['kind']}: {name}" if several else name
+            costs = {f"decision_{k}": v for k, v in (method["decision_cost"] or {}).items()}
+            rows.append((f"{title}, {method['perception']}", {**method, **costs}))
+            if of["kind"] == ALL:
+                continue
+            for key, what in (("stop_reasons", "stopped"), ("contact_pairs", "contact")):
+                for reason, count in method[key].items():
+                    lines.append(f"{title}: {what}, {count} scene{'s' * (count != 1)}: {reason}")
+        lines += [f"{of['kind']}: {line}" for line in drawn_lines(of.get("drawn", {}))]
+    jobs = figures[0]["jobs"]
+    if jobs != 1:
+        shared = "on a cluster" if jobs is None else f"with {jobs} at once"
+        lines.append(f"real-time factors: of runs {shared}; lower than that of one alone")
+    return "\n".join([text_table("method", rows, _COLUMNS), *lines])

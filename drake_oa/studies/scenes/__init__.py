@@ -1,0 +1,1 @@
+"""Synthetic scenes of ellipsoids: suites, methods, and their judge."""

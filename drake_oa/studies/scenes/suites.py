@@ -1,0 +1,325 @@
+"""The suites: which scenes are sampled, and in which settings methods run on them.
+
+Lengths in metres. "The paper's box": the obstacle anywhere along x between start and
+goal so that its extent along x leaves 5 cm to both, its centre's y and z within 0.4 m of
+the baseline, semi-axes of 2.5-25 cm (along x 20 cm at most at the 0.5 m baseline); see the
+paper's section on novel scenarios. Scene i has the baseline BASELINES[i mod 4], so that
+any number of scenes is spread evenly.
+
+Seeded by `numpy.random.default_rng`: the same name, count and seed give the same scenes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drake_oa.common.messages import BoolArray, FloatArray
+from drake_oa.policy.dmp import minimum_jerk_share
+from drake_oa.studies.scenes.judge import scene_distance
+from drake_oa.studies.scenes.methods import DEFAULT_METHODS, Setting
+from drake_oa.studies.scenes.sampling import (
+    accepted,
+    extent_along_x,
+    joined,
+    line_distance,
+    line_hits,
+    random_rotations,
+    segment_distance,
+)
+from drake_oa.studies.scenes.scenes import DURATION, Scenes, single_obstacle
+
+BASELINES = (0.5, 1.0, 1.5, 2.0)
+CLEARANCE = 0.15
+"""Delta of the suites that do not vary it."""
+FAMILIAR_CLEARANCES = (0.05, 0.10, 0.15, 0.20, 0.25)
+MARGIN = 0.05
+POINT_RADIUS = 0.025
+"""Radius of the dead-zone figure's point obstacle: the smallest that was trained."""
+
+_ASIDE = 0.4
+_SEMI_AXES = (0.025, 0.25)
+_SMALL_SEMI_AXES = (0.025, 0.10)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One way in which every scene of a suite is run.
+
+    Attributes:
+        label: its name, in the paper's notation.
+        setting: what the method is told.
+        clearance: Delta asked in every scene; None: as the scenes have it.
+    """
+
+    label: str
+    setting: Setting
+    clearance: float | None = None
+
+    def of(self, scenes: Scenes) -> Scenes:
+        """The scenes as this case asks for them."""
+        if self.clearance is None:
+            return scenes
+        return replace(scenes, clearance=np.full(len(scenes), self.clearance))
+
+
+@dataclass(frozen=True)
+class Suite:
+    """A family of scenes.
+
+    Attributes:
+        sample: (generator, count) -> scenes.
+        count: how many by default.
+        cases: how each scene is run.
+        methods: the methods compared by default.
+        bytes_per_scene: memory that sampling takes for each scene, about.
+    """
+
+    sample: Callable[[np.random.Generator, int], Scenes]
+    count: int
+    cases: tuple[Case, ...] = (Case("RC(lambda',Delta)", Setting()),)
+    methods: tuple[str, ...] = DEFAULT_METHODS
+    bytes_per_scene: int = 2_000
+
+
+def draw_scenes(name: str, count: int | None = None, seed: int = 0) -> Scenes:
+    """Scenes of a suite.
+
+    Args:
+        name: a key of `SUITES`.
+        count: how many, at least 1; None: the suite's default.
+        seed: of the generator, at least 0.
+
+    Raises:
+        ValueError: for an unknown name, a count or a seed out of range, and for
+            `familiar` a count that is not a square.
+    """
+    suite = find_suite(name)
+    count = suite.count if count is None else count
+    if count < 1:
+        raise ValueError(f"the number of scenes must be at least 1, not {count}")
+    if seed < 0:
+        raise ValueError(f"the seed must be at least 0, not {seed}")
+    return suite.sample(np.random.default_rng(seed), count)
+
+
+def find_suite(name: str) -> Suite:
+    """The suite of a name.
+
+    Raises:
+        ValueError: for an unknown name.
+    """
+    if name not in SUITES:
+        raise ValueError(f"unknown suite {name!r}; valid: {', '.join(SUITES)}")
+    return SUITES[name]
+
+
+def _familiar(_: np.random.Generator, count: int) -> Scenes:
+    """Ellipses of the training set: a lattice of semi-axes, midway on a 1 m baseline.
+
+    Semi-axes (lambda1', lambda2') on k x k points of linspace(0.025, 0.25, k); the third
+    is the second, so that every plane through the baseline shows the same ellipse.
+    """
+    k = math.isqrt(count)
+    if k * k != count or k < 2:
+        raise ValueError(
+            f"familiar has a k x k lattice of ellipses: the number of scenes must be a square "
+            f"of at least 4, not {count}"
+        )
+    lattice = np.linspace(*_SEMI_AXES, k)
+    first, second = (grid.ravel() for grid in np.meshgrid(lattice, lattice, indexing="ij"))
+    center = np.tile((0.5, 0.0, 0.0), (count, 1))
+    return single_obstacle(1.0, center, np.column_stack([first, second, second]))
+
+
+def _boxed(rng: np.random.Generator, count: int, baseline: float, posed: bool) -> Scenes:
+    """Proposals in the paper's box; NaN centres where the obstacle is too long for it."""
+    a = rng.uniform(*_SEMI_AXES, (count, 3))
+    longest = 0.5 * baseline - MARGIN
+    if longest < _SEMI_AXES[1]:
+        a[:, 0] = rng.uniform(_SEMI_AXES[0], longest, count)
+    R = random_rotations(rng, count) if posed else np.tile(np.eye(3), (count, 1, 1))
+    extent = extent_along_x(R, a)
+    room = baseline - 2.0 * (MARGIN + extent)
+    center = rng.uniform(-_ASIDE, _ASIDE, (count, 3))
+    center[:, 0] = MARGIN + extent + rng.random(count) * room
+    # 1e-12: the longest one has no room but that of rounding.
+    center[room < -1e-12] = np.nan
+    return single_obstacle(baseline, center, a, R=R, clearance=CLEARANCE)
+
+
+def _single(posed: bool, limit: float) -> Callable[[np.random.Generator, int], Scenes]:
+    """Sampler of the paper's box whose straight line comes nearer than a limit."""
+
+    def sample(rng: np.random.Generator, count: int) -> Scenes:
+        return _over_baselines(
+            rng,
+            count,
+            lambda rng, n, L: accepted(
+                rng,
+                n,
+                lambda rng, k: _boxed(rng, k, L, posed),
+                lambda scenes: line_distance(scenes)[:, 0] < limit,
+            ),
+        )
+
+    return sample
+
+
+def _over_baselines(
+    rng: np.random.Generator,
+    count: int,
+    sample: Callable[[np.random.Generator, int, float], Scenes],
+) -> Scenes:
+    parts, places = [], []
+    for k, baseline in enumerate(BASELINES):
+        rows = np.arange(k, count, len(BASELINES))
+        if len(rows):
+            parts.append(sample(rng, len(rows), baseline))
+            places.append(rows)
+    return joined(parts).rows(np.argsort(np.concatenate(places)))
+
+
+def _head_on(rng: np.random.Generator, count: int) -> Scenes:
+    """The paper's box with random poses, but centres on the line, or within 1 cm of it.
+
+    Every other group of four scenes (one a baseline) has centres exactly on the line;
+    in the others they are uniform over the disc of 1 cm about it.
+    """
+
+    def present(scenes: Scenes) -> BoolArray:
+        return scenes.present[:, 0]
+
+    scenes = _over_baselines(
+        rng,
+        count,
+        lambda rng, n, L: accepted(rng, n, lambda rng, k: _boxed(rng, k, L, True), present),
+    )
+    radius = 0.01 * np.sqrt(rng.random(count))
+    angle = rng.uniform(0.0, 2.0 * np.pi, count)
+    radius[(np.arange(count) // len(BASELINES)) % 2 == 0] = 0.0
+    center = scenes.center.copy()
+    center[:, 0, 1] = radius * np.cos(angle)
+    center[:, 0, 2] = radius * np.sin(angle)
+    return replace(scenes, center=center)
+
+
+def _clutter(rng: np.random.Generator, count: int) -> Scenes:
+    """Six ellipsoids on a 1 m baseline, at least one of them in its way.
+
+    Semi-axes of 2.5-10 cm, random poses, centres uniform over 0 <= x <= 1, |y|, |z| <= 0.4;
+    start and goal at least 5 cm from each. They may overlap each other.
+    """
+    number = 6
+
+    def one(rng: np.random.Generator, n: int) -> Scenes:
+        center = rng.uniform((0.0, -_ASIDE, -_ASIDE), (1.0, _ASIDE, _ASIDE), (n, 3))
+        a = rng.uniform(*_SMALL_SEMI_AXES, (n, 3))
+        return single_obstacle(1.0, center, a, R=random_rotations(rng, n), clearance=CLEARANCE)
+
+    def ends_free(scenes: Scenes) -> BoolArray:
+        now = np.zeros(len(scenes))
+        start = scene_distance(scenes, np.zeros((len(scenes), 3)), now)
+        return np.minimum(start, scene_distance(scenes, scenes.goal, now)) >= MARGIN
+
+    def six(rng: np.random.Generator, n: int) -> Scenes:
+        # Batches of many scenes would take memory in proportion.
+        n = min(n, 20_000)
+        flat = accepted(rng, number * n, one, ends_free)
+        grouped = (n, number)
+        return Scenes(
+            baseline=np.ones(n),
+            center=flat.center.reshape(*grouped, 3),
+            semi_axes=flat.semi_axes.reshape(*grouped, 3),
+            R=flat.R.reshape(*grouped, 3, 3),
+            velocity=flat.velocity.reshape(*grouped, 3),
+            clearance=np.full(n, CLEARANCE),
+        )
+
+    return accepted(rng, count, six, lambda scenes: np.asarray(line_hits(scenes).any(axis=1)))
+
+
+def _end_distance(scenes: Scenes, x: float, begin: float, end: float) -> FloatArray:
+    """Distance (N,) of (x, 0, 0) to the one obstacle while it moves from `begin` to `end` [s]."""
+    p = np.tile((x, 0.0, 0.0), (len(scenes), 1))
+    v = scenes.velocity[:, 0]
+    return segment_distance(
+        p - begin * v, p - end * v, scenes.center[:, 0], scenes.R[:, 0], scenes.semi_axes[:, 0]
+    )
+
+
+def _moving(rng: np.random.Generator, count: int) -> Scenes:
+    """One ellipsoid on a 1 m baseline that moves into the unmodulated robot.
+
+    Semi-axes of 2.5-10 cm, random pose, speed uniform in 0.1-0.4 m/s, direction uniform over
+    the sphere. It meets the unmodulated minimum-jerk motion (T = 3 s) at a time uniform in
+    0.3-0.7 T (16-84 % of the way): the robot is then at a point uniform in its volume. Kept
+    where it stays 5 cm or more from the goal over 3T/4 <= t <= 2T (any motion of tau <= 2 can
+    end), and, over 0 <= t <= T/4 (the robot has gone a tenth of the way then), 5 cm or more
+    from the start and no nearer to it than min(Delta, its distance at t = 0): what sweeps
+    over a robot that is only setting out leaves it no clearance to keep.
+    """
+
+    def draw(rng: np.random.Generator, n: int) -> Scenes:
+        a = rng.uniform(*_SMALL_SEMI_AXES, (n, 3))
+        R = random_rotations(rng, n)
+        direction = rng.standard_normal((n, 3))
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        velocity = rng.uniform(0.1, 0.4, (n, 1)) * direction
+        s = rng.uniform(0.3, 0.7, n)
+        inside = rng.standard_normal((n, 3))
+        inside *= np.cbrt(rng.random((n, 1))) / np.linalg.norm(inside, axis=1, keepdims=True)
+        met = np.zeros((n, 3))
+        met[:, 0] = minimum_jerk_share(s)
+        center = met + np.einsum("nij,nj->ni", R, a * inside) - (DURATION * s)[:, None] * velocity
+        return single_obstacle(1.0, center, a, R=R, velocity=velocity, clearance=CLEARANCE)
+
+    def ends_free(scenes: Scenes) -> BoolArray:
+        start = _end_distance(scenes, 0.0, 0.0, 0.25 * DURATION)
+        goal = _end_distance(scenes, 1.0, 0.75 * DURATION, 2.0 * DURATION)
+        asked = np.minimum(CLEARANCE, _end_distance(scenes, 0.0, 0.0, 0.0))
+        return (np.minimum(start, goal) >= MARGIN) & (start >= asked - 1e-9)
+
+    return accepted(rng, count, draw, ends_free)
+
+
+def _dead_zone(_: np.random.Generator, count: int) -> Scenes:
+    """A point obstacle midway on a 1 m baseline, on it and then beside it.
+
+    The point has the size of the smallest obstacle trained (a sphere of 2.5 cm), as it
+    has one in the paper's figure. It is exactly on the line in the first scene, and off it by
+    10 um to 10 cm in equal ratios in the others; 5 cm are asked for.
+    """
+    center = np.tile((0.5, 0.0, 0.0), (count, 1))
+    center[1:, 1] = np.geomspace(1e-5, 0.1, count - 1)
+    return single_obstacle(1.0, center, np.full((count, 3), POINT_RADIUS), clearance=0.05)
+
+
+def familiar_cases() -> tuple[Case, ...]:
+    """The paper's 12 settings: six models, with the duration scaled and not.
+
+    RC(lambda') asks for no clearance: its scenes have Delta = 0.
+    """
+    models = [("RC(lambda')", False, 0.0)]
+    models += [(f"RC(lambda',{delta:g})", True, delta) for delta in FAMILIAR_CLEARANCES]
+    return tuple(
+        Case(f"{label}, tau {'scaled' if scaled else '= 1'}", Setting(constrained, scaled), delta)
+        for scaled in (True, False)
+        for label, constrained, delta in models
+    )
+
+
+SUITES: dict[str, Suite] = {
+    "familiar": Suite(_familiar, 100, familiar_cases()),
+    "novel": Suite(_single(False, CLEARANCE), 4000),
+    "posed": Suite(_single(True, CLEARANCE), 1000),
+    "hit": Suite(_single(True, 0.0), 1000),
+    "head-on": Suite(_head_on, 1000),
+    "clutter": Suite(_clutter, 1000, bytes_per_scene=20_000),
+    "moving": Suite(_moving, 1000),
+    "dead-zone": Suite(_dead_zone, 41, methods=("original", "paper")),
+}
+"""Name of a suite -> the suite; `drake-oa evaluate --help` tells what each is."""

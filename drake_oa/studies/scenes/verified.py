@@ -1,0 +1,157 @@
+"""The project's own method: the regressor chain's proposals, verified by roll-outs."""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from drake_oa.common.messages import FloatArray, IntArray
+from drake_oa.regulation.regressor import ChainWeights, load_chain
+from drake_oa.regulation.rollout import SpatialScenes
+from drake_oa.regulation.search import roll_out
+from drake_oa.regulation.verification import SearchParameters, Verified, verify
+from drake_oa.scenario.loading import package_file
+from drake_oa.studies.scenes.methods import Setting
+from drake_oa.studies.scenes.motions import Motions
+from drake_oa.studies.scenes.scenes import DURATION, Scenes, single_obstacle
+
+WEIGHTS = "package://drake_oa/weights/regressor_chain.npz"
+SAMPLES = 500
+"""Intervals in which the motions are handed over."""
+LEAST_CLEARANCE = 0.01
+"""Kept where no clearance is asked for: what the paper's training set calls free [m]."""
+PARAMETERS = SearchParameters()
+"""As the running system has them."""
+
+
+CONSTANT = {"alpha": 30.0, "psi": 1.4, "kappa": 3.0}
+"""What `run_constant` proposes; kappa is kappa L^2."""
+
+
+def run(scenes: Scenes, setting: Setting) -> Motions:
+    """Decides once for each scene, from rest, and follows the motion that was verified.
+
+    Args:
+        scenes: N scenes.
+        setting: without `constrained`, `LEAST_CLEARANCE` is kept; without `scale_time`
+            tau is 1, which changes the path among moving obstacles only.
+
+    Returns:
+        The motions, from rest until they have arrived.
+    """
+    return _run(scenes, setting, load_chain(package_file(WEIGHTS)))
+
+
+def run_constant(scenes: Scenes, setting: Setting) -> Motions:
+    """`run` with a chain that always proposes `CONSTANT`: what the trained networks add."""
+    return _run(scenes, setting, constant_chain(load_chain(package_file(WEIGHTS))))
+
+
+def constant_chain(chain: ChainWeights) -> ChainWeights:
+    """A chain of the same inputs that gives `CONSTANT` whatever they are."""
+    networks = {}
+    for target, network in chain.networks.items():
+        value = CONSTANT[target]
+        handled = math.log(value) if target in chain.log_targets else value
+        last = np.full(1, (handled - network.out_offset) * network.out_gain + network.out_min)
+        networks[target] = replace(
+            network,
+            weights=(*network.weights[:-1], np.zeros_like(network.weights[-1])),
+            biases=(*network.biases[:-1], last),
+        )
+    return replace(chain, networks=networks)
+
+
+def _run(scenes: Scenes, setting: Setting, chain: ChainWeights) -> Motions:
+    _warm_up()
+    begun = time.perf_counter()
+    posed = spatial_scenes(scenes, scenes.clearance if setting.constrained else LEAST_CLEARANCE)
+    found = verify(posed, chain, duration=DURATION, parameters=PARAMETERS)
+    path, z, end, tau = _followed(posed, found, setting)
+    return Motions(
+        path=path,
+        velocity=z / (DURATION * tau)[:, None, None],
+        duration=DURATION * tau * end,
+        seconds=time.perf_counter() - begun,
+        in_range=found.in_range,
+    )
+
+
+def spatial_scenes(scenes: Scenes, clearance: FloatArray | float) -> SpatialScenes:
+    """The scenes as roll-outs take them: at rest at the start, L = W.
+
+    Args:
+        scenes: N scenes.
+        clearance: () or (N,) asked of every obstacle [m].
+    """
+    count = len(scenes)
+    asked = np.broadcast_to(clearance, (count,))
+    return SpatialScenes(
+        p_WE=np.zeros((count, 3)),
+        z_W=np.zeros((count, 3)),
+        p_WG=scenes.goal,
+        R_WL=np.tile(np.eye(3), (count, 1, 1)),
+        baseline=scenes.baseline,
+        p_WO=scenes.center,
+        R_WO=scenes.R,
+        semi_axes=scenes.semi_axes,
+        v_WO=scenes.velocity,
+        clearance=np.repeat(asked[:, None], scenes.center.shape[1], axis=1),
+    )
+
+
+def _followed(
+    posed: SpatialScenes, found: Verified, setting: Setting
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Path (N, S + 1, 3), z there, normalised time of arrival (N,) and tau (N,)."""
+    count = len(posed)
+    tau = found.tau if setting.scale_time else np.ones(count)
+    path, z, end = np.empty((count, SAMPLES + 1, 3)), np.empty((count, SAMPLES + 1, 3)), tau.copy()
+    for steps in np.unique(found.steps):
+        rows = np.flatnonzero(found.steps == steps)
+        rolled = roll_out(
+            posed,
+            rows,
+            found.terms[rows, None],
+            replace(PARAMETERS, steps=int(steps)),
+            seconds=DURATION * tau[rows],
+            keep_path=True,
+        )
+        taken = rolled.steps.astype(np.int64)
+        path[rows], z[rows] = _resampled(rolled.path, rolled.velocity, taken, 1.0 / steps)
+        end[rows] = taken / steps
+    return path, z, end, tau
+
+
+def _resampled(
+    path: FloatArray, z: FloatArray, taken: IntArray, step: float
+) -> tuple[FloatArray, FloatArray]:
+    """Cubic Hermite interpolation at `SAMPLES` + 1 instants from the first to the last step."""
+    at = taken[:, None] * np.linspace(0.0, 1.0, SAMPLES + 1)
+    i = np.minimum(at.astype(np.int64), taken[:, None] - 1)
+    u = (at - i)[..., None]
+    row = np.arange(len(path))[:, None]
+    p0, p1, v0, v1 = path[row, i], path[row, i + 1], step * z[row, i], step * z[row, i + 1]
+    a = 2.0 * (p0 - p1) + v0 + v1
+    b = 3.0 * (p1 - p0) - 2.0 * v0 - v1
+    return p0 + u * (v0 + u * (b + u * a)), (v0 + u * (2.0 * b + 3.0 * u * a)) / step
+
+
+def _warm_up() -> None:
+    """Compiles or loads the kernels, so that it does not count as computing time."""
+    if _warm:
+        return
+    scene = single_obstacle(1.0, [[0.5, 0.0, 0.0]], [[0.05, 0.05, 0.05]])
+    verify(
+        spatial_scenes(scene, 0.05),
+        load_chain(package_file(WEIGHTS)),
+        duration=DURATION,
+        parameters=SearchParameters(rounds=1),
+    )
+    _warm.append(True)
+
+
+_warm: list[bool] = []

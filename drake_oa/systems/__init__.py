@@ -1,1 +1,0 @@
-"""The layers, one Drake LeafSystem a file."""

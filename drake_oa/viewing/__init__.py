@@ -1,0 +1,1 @@
+"""What the layers think, drawn into Meshcat."""

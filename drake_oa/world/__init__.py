@@ -1,0 +1,1 @@
+"""The simulated station: robot and obstacles in a plant, cameras, noise and faults."""

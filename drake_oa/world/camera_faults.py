@@ -1,0 +1,182 @@
+"""The faults of a depth camera, between it and perception."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.value import AbstractValue, Value
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import BasicVector, Context, LeafSystem, State
+from pydrake.systems.sensors import CameraInfo, ImageDepth32F
+
+from drake_oa.common.messages import FloatArray, Frozen
+from drake_oa.common.ports import read_value, valid_period
+from drake_oa.geometry.pinhole import pinhole
+from drake_oa.scenario.faults import CameraFault, camera_faults
+from drake_oa.world.faults import damaged_frame, delivered_frame, frames_to_keep
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame(Frozen):
+    """An image and the robot's state when it was taken."""
+
+    stamp: float
+    depth: NDArray[np.float32]
+    robot_state: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Kept(Frozen):
+    """Number -> frame, of those that have yet to arrive or are handed out again."""
+
+    frames: dict[int, _Frame] = field(default_factory=dict)
+
+
+class CameraFaults(LeafSystem):
+    """What a camera's driver hands out while something is wrong with it.
+
+    .. pydrake_system::
+
+      name: CameraFaults
+      input_ports:
+      - depth_image
+      - camera_pose
+      - robot_state
+      output_ports:
+      - depth_image
+      - image_stamp
+      - robot_state
+
+    - depth_image (in): ImageDepth32F as the camera takes it [m].
+    - camera_pose: RigidTransform X_WC of the camera, which stands still.
+    - robot_state (in): (num_states,) vector [q, v] of the robot.
+    - depth_image (out): ImageDepth32F that arrives [m]: the newest one delivered, as the
+      faults leave it; all NaN while there was none.
+    - image_stamp: (1,) time at which that image was taken [s]; -inf while there was none.
+    - robot_state (out): the robot's state at that time, as a driver pairs them.
+
+    Without a fault the outputs are the inputs. A frame is taken every `period`, and the
+    images that are asked for between are live as well. The frames that are needed later are
+    kept in the Context.
+    """
+
+    def __init__(
+        self,
+        faults: Sequence[CameraFault],
+        camera: CameraInfo,
+        *,
+        num_states: int,
+        table_height: float = 0.0,
+        pixel_center: float = 0.0,
+        period: float = 1.0 / 15.0,
+    ) -> None:
+        """Declares ports, state and events.
+
+        Args:
+            faults: see `drake_oa.world.faults`.
+            camera: the depth camera's intrinsics.
+            num_states: size of the robot's state.
+            table_height: of the table in the world [m].
+            pixel_center: image coordinates of the middle of the first pixel [pixel].
+            period: time between frames, that of the perception behind [s].
+
+        Raises:
+            ValueError: for a period that is not positive.
+        """
+        super().__init__()
+        self._faults = camera_faults(faults)
+        self._K = np.array(pinhole(camera)) - [0.0, 0.0, pixel_center, pixel_center]
+        self._table_height = table_height
+        self._period = period = valid_period(period)
+        self._nothing = _Frame(
+            -np.inf,
+            np.full((camera.height(), camera.width()), np.nan, dtype=np.float32),
+            np.zeros(num_states),
+        )
+        self._image_port = self.DeclareAbstractInputPort("depth_image", Value(ImageDepth32F()))
+        self._pose_port = self.DeclareAbstractInputPort("camera_pose", Value(RigidTransform()))
+        self._robot_port = self.DeclareVectorInputPort("robot_state", num_states)
+        self._kept = self.DeclareAbstractState(Value(_Kept()))
+        late = {self.time_ticket(), self.abstract_state_ticket(self._kept)}
+        self.DeclareAbstractOutputPort(
+            "depth_image",
+            lambda: Value(ImageDepth32F()),
+            self._calc_image,
+            {*late, self._image_port.ticket(), self._pose_port.ticket()},
+        )
+        self.DeclareVectorOutputPort("image_stamp", 1, self._calc_stamp, late)
+        self.DeclareVectorOutputPort(
+            "robot_state", num_states, self._calc_robot, {*late, self._robot_port.ticket()}
+        )
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._keep)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._keep)
+
+    def _number(self, context: Context) -> int:
+        """Of the frame that was taken last."""
+        return int(np.floor(context.get_time() / self._period + 1e-6))
+
+    def _late_frame(self, context: Context) -> _Frame | None:
+        """The frame that arrives in place of the one taken at this time; None: that one."""
+        number = self._number(context)
+        arrives = delivered_frame(self._faults, number, self._period)
+        if arrives == number:
+            return None
+        values: Any = context.get_abstract_state()
+        frames = values.get_value(int(self._kept)).get_value().frames
+        found: _Frame = frames.get(arrives, self._nothing)
+        return found
+
+    def _keep(self, context: Context, state: State) -> None:
+        number = self._number(context)
+        values: Any = state.get_mutable_abstract_state()
+        kept = values.get_mutable_value(int(self._kept))
+        before = kept.get_value().frames
+        wanted = frames_to_keep(self._faults, number, self._period)
+        frames = {n: frame for n, frame in before.items() if n in wanted}
+        if number in wanted:
+            image: Any = read_value(self, self._image_port, context, ImageDepth32F)
+            frames[number] = _Frame(
+                context.get_time(),
+                self._damaged(context, image.data[:, :, 0], number).copy(),
+                np.array(self._robot_port.Eval(context)),
+            )
+        if frames.keys() != before.keys():
+            kept.set_value(_Kept(frames))
+
+    def _damaged(
+        self, context: Context, depth: NDArray[np.float32], number: int
+    ) -> NDArray[np.float32]:
+        pose: Any = read_value(self, self._pose_port, context, RigidTransform)
+        X_WC = pose.GetAsMatrix4()
+        return damaged_frame(
+            self._faults, depth, number, self._period, self._K, X_WC, self._table_height
+        )
+
+    def _calc_image(self, context: Context, output: AbstractValue) -> None:
+        late = self._late_frame(context)
+        if late is not None:
+            output.set_value(_image(late.depth))
+            return
+        live: Any = read_value(self, self._image_port, context, ImageDepth32F)
+        depth = live.data[:, :, 0]
+        shown = self._damaged(context, depth, self._number(context))
+        output.set_value(live if shown is depth else _image(shown))
+
+    def _calc_stamp(self, context: Context, output: BasicVector) -> None:
+        late = self._late_frame(context)
+        output.SetAtIndex(0, context.get_time() if late is None else late.stamp)
+
+    def _calc_robot(self, context: Context, output: BasicVector) -> None:
+        late = self._late_frame(context)
+        x: Any = self._robot_port.Eval(context) if late is None else late.robot_state
+        output.SetFromVector(x)
+
+
+def _image(depth: NDArray[np.float32]) -> ImageDepth32F:
+    image: Any = ImageDepth32F(depth.shape[1], depth.shape[0])
+    image.mutable_data[:, :, 0] = depth
+    return image

@@ -1,0 +1,92 @@
+"""A scenario's cameras, and the world that they see.
+
+The world is a scene graph of its own that follows the positions of the simulated one: in the
+plant's scene graph every step of the plant would pose the renderer's geometry too.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+
+from pydrake.geometry import SceneGraph
+from pydrake.lcm import DrakeLcm
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.framework import DiagramBuilder, OutputPort
+from pydrake.systems.rendering import MultibodyPositionToGeometryPose
+from pydrake.systems.sensors import ApplyCameraConfig, CameraConfig, CameraInfo, RgbdSensor
+
+from drake_oa.common.schema_check import ScenarioError
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.world.world_model import add_world
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A depth camera of the station.
+
+    Attributes:
+        intrinsics: of its image.
+        depth_image: port of ImageDepth32F [m]; late images come with the camera's noise.
+        pose: port of RigidTransform X_WC.
+        delay: how long after it was taken an image comes [s]; 0: it shows the present.
+        image_time: port (1,) of the time at which the image was taken [s]; None without delay.
+        plant_state: port (n,) of the plant's state then; None without delay.
+    """
+
+    intrinsics: CameraInfo
+    depth_image: OutputPort
+    pose: OutputPort
+    delay: float = 0.0
+    image_time: OutputPort | None = None
+    plant_state: OutputPort | None = None
+
+
+def add_camera_world(
+    builder: DiagramBuilder, scenario: Scenario
+) -> tuple[MultibodyPlant, SceneGraph, MultibodyPositionToGeometryPose]:
+    """Adds a scene graph that is posed by the state of a plant, and no plant.
+
+    Returns:
+        The plant that the world was read by, which is not in the builder; the scene graph; and
+        the system whose input is the state [q, v] of such a plant.
+    """
+    shown = MultibodyPlant(time_step=scenario.plant_step)
+    scene_graph = builder.AddNamedSystem("camera_scene_graph", SceneGraph())
+    shown.RegisterAsSourceForSceneGraph(scene_graph)
+    add_world(shown, scenario)
+    shown.Finalize()
+    poses = builder.AddNamedSystem(
+        "camera_world", MultibodyPositionToGeometryPose(shown, input_multibody_state=True)
+    )
+    builder.Connect(
+        poses.get_output_port(), scene_graph.get_source_pose_port(shown.get_source_id())
+    )
+    return shown, scene_graph, poses
+
+
+def add_camera(
+    builder: DiagramBuilder, plant: MultibodyPlant, scene_graph: SceneGraph, config: CameraConfig
+) -> RgbdSensor:
+    """Adds one of Drake's configured cameras, without any image publisher."""
+    # Drake would render late images in a thread of its own, in which its engines do not work.
+    config = copy.copy(config)
+    config.output_delay = 0.0
+    known = {system.get_name() for system in builder.GetSystems()}
+    try:
+        # A null message queue: otherwise a publisher is added that renders each frame anew.
+        ApplyCameraConfig(
+            config=config,
+            builder=builder,
+            plant=plant,
+            scene_graph=scene_graph,
+            lcm=DrakeLcm("memq://null"),
+        )
+    except (RuntimeError, ValueError) as error:
+        raise ScenarioError(f"cameras: camera '{config.name}': {error}") from None
+    (sensor,) = (
+        system
+        for system in builder.GetSystems()
+        if system.get_name() not in known and isinstance(system, RgbdSensor)
+    )
+    return sensor

@@ -1,0 +1,203 @@
+"""What a structured-light depth camera (Kinect, Xtion) makes of a true depth image.
+
+Sources of the model and its figures:
+
+- C. V. Nguyen, S. Izadi, D. Lovell, "Modeling Kinect sensor noise for improved 3D
+  reconstruction and tracking", 3DIMPVT 2012: axial and lateral deviation.
+- K. Khoshelham, S. Oude Elberink, "Accuracy and resolution of Kinect depth data for
+  indoor mapping applications", Sensors 12(2), 2012: depth from disparity in steps.
+- The scans of docs/results/real_scans.md, where a figure has no published source.
+
+A measured image holds NaN where the camera tells nothing, as the ROS drivers of these
+cameras do for float images, whatever the reason.
+"""
+
+from __future__ import annotations
+
+import math
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from drake_oa.scenario.camera_noise import DepthNoiseParameters
+from drake_oa.world.depth_noise_kernels import add_noise
+from drake_oa.world.random_field_kernels import PATCH_BITS
+
+_FRAMES = 2**63
+
+
+def axial_deviation(
+    depth: ArrayLike, incidence: ArrayLike, parameters: DepthNoiseParameters | None = None
+) -> NDArray[np.float64]:
+    """Standard deviation of measured depth [m]: sigma_z of `DepthNoiseParameters`.
+
+    Args:
+        depth: true depth [m], any shape.
+        incidence: angle between the ray and the surface's normal [rad], below pi / 2.
+        parameters: of the camera; None for the defaults.
+    """
+    p = parameters or DepthNoiseParameters()
+    z, theta = np.asarray(depth, dtype=float), np.asarray(incidence, dtype=float)
+    steep = theta / (0.5 * math.pi - theta)
+    flat = p.axial_offset + p.axial_growth * (z - p.axial_depth) ** 2
+    return np.asarray(flat + p.axial_angle / np.sqrt(z) * steep**2)
+
+
+def disparity_step(
+    depth: ArrayLike, focal: float, parameters: DepthNoiseParameters | None = None
+) -> NDArray[np.float64]:
+    """Difference of depth between two steps of disparity [m], z^2 / (subpixels f b).
+
+    Args:
+        depth: [m], any shape.
+        focal: focal length of the camera [pixel].
+        parameters: of the camera; None for the defaults.
+    """
+    p = parameters or DepthNoiseParameters()
+    return np.asarray(np.asarray(depth, float) ** 2 / (p.subpixels * focal * p.baseline))
+
+
+class NoiseRoom:
+    """Arrays that `add_depth_noise` works in; what they hold before and after is of no meaning.
+
+    Kept between images, their memory need not be asked of the operating system anew.
+
+    Args:
+        height: of the images [pixel].
+        width: of the images [pixel].
+    """
+
+    def __init__(self, height: int, width: int) -> None:
+        patch = 1 << PATCH_BITS
+        self.shape = (height, width)
+        self.w = np.empty((height + 2, width + 2), dtype=np.float32)
+        self.valid = np.empty((height, width), dtype=np.uint8)
+        self.marks = np.empty((2, height, -(-width // patch) * patch), dtype=np.uint8)
+
+
+def add_depth_noise(
+    depth: NDArray[np.floating],
+    K: ArrayLike,
+    parameters: DepthNoiseParameters | None = None,
+    *,
+    seed: int = 0,
+    frame: int = 0,
+    out: NDArray[np.float32] | None = None,
+    room: NoiseRoom | None = None,
+) -> NDArray[np.float32]:
+    """The depth image that a structured-light camera would have measured.
+
+    The result depends on the arguments alone: the same seed, frame and image give the
+    same noise, another frame gives another.
+
+    Args:
+        depth: (H, W) true depth along the optical axis [m]; 0 is too near, inf too far,
+            NaN missing.
+        K: (4,) fx, fy, cx, cy [pixel].
+        parameters: of the camera; None for the defaults.
+        seed: whole number in [0, 2^63).
+        frame: whole number in [0, 2^63) that tells images apart, such as their time in
+            microseconds.
+        out: (H, W) float32 to be filled, C-contiguous; None makes one. It may be `depth`.
+        room: to work in, for images of this size; None makes one.
+
+    Returns:
+        (H, W) measured depth [m]; NaN is missing.
+
+    Raises:
+        ValueError: for a wrong shape, intrinsics that are not finite or have a focal
+            length that is not positive, a seed or frame out of range, or an unfit `out`
+            or `room`.
+    """
+    p = parameters or DepthNoiseParameters()
+    if depth.ndim != 2 or min(depth.shape) < 1:
+        raise ValueError(f"depth must be an image (H, W), not of shape {depth.shape}")
+    camera = np.array(K, dtype=np.float32)
+    if camera.shape != (4,) or not np.isfinite(camera).all() or (camera[:2] <= 0.0).any():
+        raise ValueError(f"K must be [fx, fy, cx, cy] in pixels, not {K!r}")
+    for name, value in (("seed", seed), ("frame", frame)):
+        if not 0 <= value < _FRAMES:
+            raise ValueError(f"{name} must lie in [0, 2^63), not {value}")
+    if out is None:
+        out = np.empty(depth.shape, dtype=np.float32)
+    elif out.shape != depth.shape or out.dtype != np.float32 or not out.flags.carray:
+        raise ValueError(f"out must be a C-contiguous float32 image of shape {depth.shape}")
+    np.copyto(out, depth, casting="same_kind")
+    if room is None:
+        room = NoiseRoom(*depth.shape)
+    elif room.shape != depth.shape:
+        raise ValueError(f"room is for images {room.shape}, not {depth.shape}")
+    packed = _packed(p, float(camera[0]))
+    add_noise(out, camera, int(seed), int(frame), packed, room.w, room.valid, room.marks)
+    return out
+
+
+class FrameNoise:
+    """The noise of one camera, image after image; what time it was taken tells them apart."""
+
+    def __init__(
+        self, K: ArrayLike, parameters: DepthNoiseParameters | None = None, *, seed: int = 0
+    ) -> None:
+        """Keeps what all images have in common.
+
+        Args:
+            K: (4,) fx, fy, cx, cy [pixel].
+            parameters: of the camera; None for the defaults.
+            seed: of the noise.
+
+        Raises:
+            ValueError: for invalid intrinsics or a negative seed.
+        """
+        self._K = np.array(K, dtype=float)
+        self._parameters = parameters or DepthNoiseParameters()
+        self._seed = seed
+        # Invalid arguments, and a kernel not compiled yet, tell here and not at the first frame.
+        self(np.ones((2, 2), dtype=np.float32), 0.0)
+
+    def __call__(
+        self,
+        depth: NDArray[np.floating],
+        time: float,
+        *,
+        out: NDArray[np.float32] | None = None,
+        room: NoiseRoom | None = None,
+    ) -> NDArray[np.float32]:
+        """`add_depth_noise` to the image of a time [s], counted in whole microseconds."""
+        return add_depth_noise(
+            depth,
+            self._K,
+            self._parameters,
+            seed=self._seed,
+            frame=max(round(1e6 * time), 0),
+            out=out,
+            room=room,
+        )
+
+
+def _packed(p: DepthNoiseParameters, focal: float) -> NDArray[np.float32]:
+    """The parameters in the order of `depth_noise_kernels.add_noise`."""
+    holes = min(max(p.edge_dropout, 1e-9), 1.0 - 1e-9)
+    return np.array(
+        [
+            p.near,
+            p.far,
+            p.axial_offset,
+            p.axial_growth,
+            p.axial_depth,
+            p.axial_angle,
+            1.0 / (p.subpixels * focal * p.baseline),
+            p.unit,
+            p.edge_jump,
+            math.cos(p.grazing_start),
+            math.cos(p.grazing_end),
+            p.lateral,
+            NormalDist().inv_cdf(holes),
+            p.flying,
+            1.0 / p.far,
+            focal * p.baseline if p.shadows else 0.0,
+            p.correlation_u,
+            p.correlation_v,
+        ],
+        dtype=np.float32,
+    )

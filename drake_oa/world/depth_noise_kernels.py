@@ -1,0 +1,405 @@
+"""Compiled loops of the depth camera's noise; call `drake_oa.world.depth_noise` instead.
+
+The random numbers are hashes (`drake_oa.world.random_field_kernels`) whose key is that of a
+seed and a frame. Images are float32 and C-contiguous. Depth is handled as w = 1 / z,
+which is linear in the image over a plane and proportional to disparity.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from drake_oa.common.messages import IntArray
+from drake_oa.world.random_field_kernels import (
+    FLYING,
+    GRAZING,
+    MOVED,
+    PATCH_BITS,
+    Image,
+    fill_between,
+    hashed,
+    lattice_along,
+    lattice_nodes,
+    mixed,
+    normal,
+    patch_nodes,
+    spread_over,
+    uniform,
+)
+
+_COUNTS = {"reassoc"}
+"""Lets loops that count, in float32 for speed, use vector instructions: whole numbers are exact."""
+_BAND = 2
+"""Pixels beside an edge which its uncertain place reaches."""
+
+
+@njit(cache=True, error_model="numpy")
+def _beyond(last: Any, one_before: Any, share: Any) -> Any:
+    """What follows on the same surface; the last one again where an edge is between both."""
+    return last + (last - one_before) if abs(last - one_before) <= share * last else last
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _inverse_depths(
+    z: Image, near: Any, far: Any, share: Any, w: Image, valid: NDArray[np.uint8]
+) -> None:
+    """Fills w (H + 2, W + 2) with 1 / z; the border goes on with the image's surfaces.
+
+    Beyond `far`, and missing, is 0; nearer than `near`, where 0 too counts, is 1 / near:
+    what is too near to be measured throws a shadow all the same.
+    """
+    height, width = z.shape
+    nothing, one, nearest = np.float32(0.0), np.float32(1.0), np.float32(1.0 / near)
+    least, most = np.float32(near), np.float32(far)
+    for row in range(height):
+        for column in range(width):
+            depth = z[row, column]
+            inside = (depth >= least) & (depth <= most)
+            valid[row, column] = inside
+            w[row + 1, column + 1] = (
+                one / depth if inside else (nearest if depth < least else nothing)
+            )
+        w[row + 1, 0] = _beyond(w[row + 1, 1], w[row + 1, min(2, width)], share)
+        w[row + 1, width + 1] = _beyond(w[row + 1, width], w[row + 1, max(width - 1, 1)], share)
+    for column in range(width + 2):
+        w[0, column] = _beyond(w[1, column], w[min(2, height), column], share)
+        w[height + 1, column] = _beyond(w[height, column], w[max(height - 1, 1), column], share)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cast_shadows(w: Image, disparity: Any, counts: IntArray, valid: NDArray[np.uint8]) -> None:
+    """Takes out what the projector, `disparity` f b [pixel m] to the right, does not light.
+
+    Along a row from the right a lit point is further left in the projector's image than
+    all before it: where that is not so something nearer stands in its light. Rows whose
+    counts of edges are 0 have no shadow.
+    """
+    height, width = valid.shape
+    for row in range(0, height, 2):
+        other = min(row + 1, height - 1)
+        if counts[row] == 0 and counts[other] == 0:
+            continue
+        # Two rows at a time: each pixel of one waits for the pixel before.
+        lit, lit_other = np.float32(np.inf), np.float32(np.inf)
+        for i in range(width):
+            column = width - 1 - i
+            place = np.float32(column) - disparity * w[row + 1, column + 1]
+            place_other = np.float32(column) - disparity * w[other + 1, column + 1]
+            valid[row, column] &= place <= lit
+            valid[other, column] &= place_other <= lit_other
+            lit = min(lit, place)
+            lit_other = min(lit_other, place_other)
+
+
+@njit(cache=True, error_model="numpy")
+def _measured(
+    w: Any,
+    cosine: Any,
+    g: Any,
+    c0: Any,
+    c2: Any,
+    z0: Any,
+    c_angle: Any,
+    step: Any,
+    unit: Any,
+    per_step: Any,
+    per_unit: Any,
+) -> Any:
+    """Depth [m] as the camera tells it: noise g, then steps of disparity and of the unit."""
+    one, half = np.float32(1.0), np.float32(0.5)
+    z = one / w
+    away = z - z0
+    # pi / 2 - theta; the series is short of it by 0.4 at theta = 0, where it matters least.
+    grazing = cosine + cosine * cosine * cosine * np.float32(1.0 / 6.0)
+    angle = (np.float32(0.5 * np.pi) - grazing) / grazing
+    sigma = c0 + c2 * away * away + c_angle * np.sqrt(w) * angle * angle
+    # The published deviation holds for what the camera tells, rounding included.
+    coarse = z * z * step
+    rounding = (coarse * coarse + unit * unit) * np.float32(1.0 / 12.0)
+    sigma = np.sqrt(max(sigma * sigma - rounding, np.float32(0.0)))
+    # 1 / (z + error), to second order.
+    error = g * sigma * w
+    levels = np.float32(np.int32(w * (one - error + error * error) * per_step + half))
+    return np.float32(np.int32(per_unit / (max(levels, one) * step) + half)) * unit
+
+
+@njit(cache=True, error_model="numpy")
+def _slope(before: Any, after: Any) -> Any:
+    # The smaller of both differences: the other one may lie across an edge.
+    return before if abs(before) < abs(after) else after
+
+
+@njit(cache=True, error_model="numpy", fastmath=_COUNTS)
+def _incidence_row(
+    above: Image,
+    centre: Image,
+    below: Image,
+    rays: Image,
+    y: Any,
+    fx: Any,
+    fy: Any,
+    steep: Any,
+    cosine: Image,
+) -> Any:
+    """Fills cosine (W,) with those of incidence of one row; counts the ones below steep."""
+    one, tiny = np.float32(1.0), np.float32(1e-20)
+    count, nothing = np.float32(0.0), np.float32(0.0)
+    for i in range(len(cosine)):
+        w, x = centre[i + 1], rays[i]
+        n_x = fx * _slope(w - centre[i], centre[i + 2] - w)
+        n_y = fy * _slope(w - above[i + 1], below[i + 1] - w)
+        n_z = w - n_x * x - n_y * y
+        length = (n_x * n_x + n_y * n_y + n_z * n_z) * (one + x * x + y * y)
+        cos = w / np.sqrt(length + tiny)
+        cosine[i] = cos
+        count += one if (cos < steep) & (w > tiny) else nothing
+    return count
+
+
+@njit(cache=True, error_model="numpy", fastmath=_COUNTS)
+def _jumps_row(
+    above: Image, centre: Image, below: Image, share: Any, jumps: NDArray[np.uint8]
+) -> Any:
+    """Marks the pixels of a row that differ from a neighbour by a share; counts them."""
+    count, one, nothing = np.float32(0.0), np.float32(1.0), np.float32(0.0)
+    for i in range(len(centre) - 2):
+        w = centre[i + 1]
+        across = max(abs(w - centre[i]), abs(w - centre[i + 2]))
+        jump = max(max(abs(w - above[i + 1]), abs(w - below[i + 1])), across) > share * w
+        jumps[i] = jump
+        count += one if jump else nothing
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def _measure_row(
+    centre: Image,
+    cosine: Image,
+    valid: NDArray[np.uint8],
+    g: Image,
+    p: Image,
+    out: Image,
+) -> None:
+    """One row of measured depths."""
+    c0, c2, z0, c_angle, step, unit = p[2], p[3], p[4], p[5], p[6], p[7]
+    per_step, per_unit = np.float32(1.0) / step, np.float32(1.0) / unit
+    missing, least = np.float32(np.nan), np.float32(0.02)
+    for i in range(len(out)):
+        z = _measured(
+            centre[i + 1],
+            max(cosine[i], least),
+            g[i],
+            c0,
+            c2,
+            z0,
+            c_angle,
+            step,
+            unit,
+            per_step,
+            per_unit,
+        )
+        out[i] = z if valid[i] else missing
+
+
+@njit(cache=True, error_model="numpy")
+def _drop_grazing(key: Any, row: int, cosine: Image, start: float, end: float, out: Image) -> None:
+    """Takes out more and more pixels, two by two, between two cosines of incidence."""
+    for i in range(len(out)):
+        if cosine[i] < start:
+            chance = (start - cosine[i]) / (start - end)
+            if uniform(hashed(key, GRAZING, row >> 1, i >> 1)) < chance:
+                out[i] = np.float32(np.nan)
+
+
+@njit(cache=True, error_model="numpy")
+def _join(marks: NDArray[np.uint8], others: NDArray[np.uint8]) -> None:
+    for i in range(min(len(marks), len(others))):
+        marks[i] |= others[i]
+
+
+@njit(cache=True, error_model="numpy")
+def _mark_band(
+    jumps: NDArray[np.uint8], counts: IntArray, width: int, near: NDArray[np.uint8]
+) -> None:
+    """Marks the pixels at most _BAND rows and columns from an edge, of which rows have counts."""
+    height = len(jumps)
+    wide = np.zeros(width + 2 * _BAND, dtype=np.uint8)
+    for row in range(height):
+        if not counts[row]:
+            continue
+        wide[:] = 0
+        for shift in range(2 * _BAND + 1):
+            _join(wide[shift:], jumps[row])
+        for r in range(max(row - _BAND, 0), min(row + _BAND + 1, height)):
+            _join(near[r], wide[_BAND : _BAND + width])
+
+
+@njit(cache=True, error_model="numpy")
+def _rounded(value: Any) -> int:
+    return int(value + np.float32(1000.5)) - 1000
+
+
+@njit(cache=True, error_model="numpy")
+def _clamped(value: int, size: int) -> int:
+    return min(max(value, 0), size - 1)
+
+
+@njit(cache=True, error_model="numpy")
+def _facing(w: Any, g: Any, p: Any) -> Any:
+    """`_measured` at normal incidence."""
+    one = np.float32(1.0)
+    return _measured(w, one, g, p[2], p[3], p[4], p[5], p[6], p[7], one / p[6], one / p[7])
+
+
+@njit(cache=True, error_model="numpy")
+def _other_side(row: int, column: int, w: Image, least: Any) -> Any:
+    """The neighbour's w that differs most, of those in range."""
+    here = w[row, column]
+    other = here
+    for k in range(4):
+        beside = w[row + (k == 0) - (k == 1), column + (k == 2) - (k == 3)]
+        if beside >= least and abs(beside - here) > abs(other - here):
+            other = beside
+    return other
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mark_jumps(w: Image, share: Any, jumps: NDArray[np.uint8], counts: IntArray) -> None:
+    """`_jumps_row` of each row, and how many it found."""
+    for row in range(len(counts)):
+        counts[row] = int(_jumps_row(w[row], w[row + 1], w[row + 2], share, jumps[row]))
+
+
+@njit(cache=True, error_model="numpy")
+def _frame_key(seed: int, frame: int) -> Any:
+    return mixed(mixed(np.uint64(seed) + np.uint64(0x9E3779B97F4A7C15)) + np.uint64(frame))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _measure(
+    seed: int, frame: int, w: Image, valid: NDArray[np.uint8], K: Image, p: Image, out: Image
+) -> None:
+    """Depths as measured where no edge is near, and the pixels lost to grazing incidence."""
+    height, width = out.shape
+    key = _frame_key(seed, frame)
+    cell, share = lattice_along(key, 0, int(p[16]), width)
+    line, share_down = lattice_along(key, 1, int(p[17]), height)
+    nodes = lattice_nodes(key, line[height - 1] + 2, cell[width - 1] + 2)
+    rays = ((np.arange(width) - K[2]) / K[0]).astype(np.float32)
+    above_g, below_g = np.empty(width, dtype=np.float32), np.empty(width, dtype=np.float32)
+    spread = line[0] - 1
+    spread_over(nodes[0], cell, share, below_g)
+    g = np.empty(width, dtype=np.float32)
+    cosine = np.empty(width, dtype=np.float32)
+    for row in range(height):
+        above, centre, below = w[row], w[row + 1], w[row + 2]
+        y = (np.float32(row) - K[3]) / K[1]
+        grazing = _incidence_row(above, centre, below, rays, y, K[0], K[1], p[9], cosine)
+        if line[row] != spread:
+            spread = line[row]
+            above_g, below_g = below_g, above_g
+            spread_over(nodes[spread + 1], cell, share, below_g)
+        fill_between(above_g, below_g, share_down[0, row], share_down[1, row], g)
+        _measure_row(centre, cosine, valid[row], g, p, out[row])
+        if grazing > np.float32(0.0):
+            _drop_grazing(key, row, cosine, p[9], p[10], out[row])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _disturb_edges(
+    seed: int,
+    frame: int,
+    w: Image,
+    valid: NDArray[np.uint8],
+    jumps: NDArray[np.uint8],
+    counts: IntArray,
+    near: NDArray[np.uint8],
+    p: Image,
+    out: Image,
+) -> None:
+    """Writes what the pixels near an edge show; near is room to mark them in."""
+    height, width = valid.shape
+    key = _frame_key(seed, frame)
+    patches = patch_nodes(key, height, width)
+    near[:] = 0
+    _mark_band(jumps, counts, width, near)
+    # Looked through a patch's width at a time: few pixels are near an edge.
+    fours = near.view(np.uint32)
+    missing, nothing = np.float32(np.nan), np.float32(0.0)
+    for row in range(height):
+        for k in range(fours.shape[1]):
+            if fours[row, k] == np.uint32(0):
+                continue
+            # An edge is displaced by patches; its holes come in patches, flying pixels alone.
+            i, first = row >> PATCH_BITS, k << PATCH_BITS
+            r = _clamped(row + _rounded(p[11] * patches[i, k, 0]), height)
+            shift = _rounded(p[11] * patches[i, k, 1])
+            hole = patches[i, k, 2] < p[12]
+            for column in range(first, min(first + (1 << PATCH_BITS), width)):
+                if near[row, column] == 0:
+                    continue
+                here = w[row + 1, column + 1]
+                if jumps[row, column] and valid[row, column]:
+                    if hole:
+                        out[row, column] = missing
+                        continue
+                    bits = hashed(key, FLYING, row, column)
+                    if uniform(bits) < p[13]:
+                        share = np.float32(bits & np.uint64(0xFFFF)) * np.float32(1.0 / 65536.0)
+                        other = _other_side(row + 1, column + 1, w, p[14])
+                        out[row, column] = _facing(here + share * (other - here), nothing, p)
+                        continue
+                c = _clamped(column + shift, width)
+                there = w[r + 1, c + 1]
+                alike = abs(there - here) <= p[8] * max(here, there)
+                if alike & (valid[r, c] == valid[row, column]):
+                    continue
+                if valid[r, c]:
+                    g = normal(hashed(key, MOVED, row, column))
+                    out[row, column] = _facing(there, g, p)
+                else:
+                    out[row, column] = missing
+
+
+def add_noise(
+    z: Image,
+    K: Image,
+    seed: int,
+    frame: int,
+    p: Image,
+    w: Image,
+    valid: NDArray[np.uint8],
+    marks: NDArray[np.uint8],
+) -> None:
+    """Turns a true depth image, in place, into what a structured-light camera tells.
+
+    Args:
+        z: (H, W) depth [m]; afterwards NaN is missing.
+        K: (4,) fx, fy, cx, cy [pixel].
+        seed: of the noise; a whole number.
+        frame: of the image; a whole number.
+        p: (18,) parameters: near, far [m], axial deviation [m], its growth [1/m], depth of
+            the least deviation [m], growth with the angle [m^1.5], step of 1 / z [1/m],
+            unit of depth [m], share of w that is an edge, cosines of incidence where pixels
+            begin to be missing and all are, lateral deviation [pixel], normal quantile of
+            the edge's holes, share of flying pixels, least w, disparity f b that throws
+            shadows [pixel m], spacing of the noise's lattice across and down [pixel].
+        w, valid, marks: room to work in, (H + 2, W + 2), (H, W) and (2, H, W4), W4 being W
+            rounded up to whole patches; whatever it holds is overwritten.
+    """
+    # Calls from Python, microseconds each: as one kernel the stages are inlined, and lose a
+    # third of their speed.
+    _inverse_depths(z, p[0], p[1], p[8], w, valid)
+    # All that follows reads w alone.
+    out, counts = z, np.empty(len(z), dtype=np.int64)
+    jumps, near = marks
+    _mark_jumps(w, p[8], jumps, counts)
+    if p[15] > 0.0:
+        _cast_shadows(w, p[15], counts, valid)
+    _measure(seed, frame, w, valid, K, p, out)
+    if counts.any():
+        _disturb_edges(seed, frame, w, valid, jumps, counts, near, p, out)

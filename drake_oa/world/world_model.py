@@ -1,0 +1,62 @@
+"""What stands in the world of a scenario, added to a plant."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydrake.multibody.parsing import (
+    ModelDirectives,
+    ProcessModelDirectives,
+)
+from pydrake.multibody.plant import (
+    MultibodyPlant,
+)
+from pydrake.multibody.tree import ModelInstanceIndex
+
+from drake_oa.common.schema_check import ScenarioError
+from drake_oa.robot.plant import add_robot, make_parser, make_robot_plant, tool_corners
+from drake_oa.scenario.faults import GoalBlocked, StartInContact
+from drake_oa.scenario.obstacles import Obstacle
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.tool_orientation import held_robots
+from drake_oa.world.fault_obstacles import goal_ball, start_plate
+from drake_oa.world.obstacles import add_obstacle
+
+
+def add_world(plant: MultibodyPlant, scenario: Scenario) -> ModelInstanceIndex:
+    """Adds the robot and everything else that stands in a scenario's world to a plant.
+
+    Args:
+        plant: registered with a scene graph, not finalized.
+        scenario: with a robot.
+
+    Returns:
+        The robot's model instance.
+
+    Raises:
+        ScenarioError: naming the field of the scenario that does not fit.
+    """
+    if scenario.robot is None:
+        raise ScenarioError("robot: a station needs a robot; this scenario has null")
+    robot = add_robot(plant, scenario.robot)
+    try:
+        ProcessModelDirectives(ModelDirectives(directives=scenario.directives), make_parser(plant))
+    except RuntimeError as error:
+        raise ScenarioError(f"directives: {error}") from None
+    for obstacle in all_obstacles(scenario):
+        add_obstacle(plant, obstacle)
+    return robot
+
+
+def all_obstacles(scenario: Scenario) -> list[Obstacle]:
+    """The obstacles that a scenario writes out, then those that its faults bring."""
+    obstacles = list(scenario.obstacles)
+    robot, task = scenario.robot, scenario.task
+    for number, fault in enumerate(scenario.faults):
+        name = f"fault{number}"
+        if isinstance(fault, GoalBlocked):
+            obstacles.append(goal_ball(fault, np.asarray(task.start), np.asarray(task.goal), name))
+        elif isinstance(fault, StartInContact) and robot is not None:
+            corners = tool_corners(make_robot_plant(robot), held_robots(scenario)[0])
+            start, goal = np.asarray(task.start), np.asarray(task.goal)
+            obstacles.append(start_plate(fault, corners, start, goal, name))
+    return obstacles

@@ -1,0 +1,350 @@
+"""What `drake-oa` prints, writes, refuses and returns."""
+
+import io
+import json
+import logging
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drake_oa.app import cli
+from drake_oa.runs import simulation
+from drake_oa.runs.motion_log import load_logs
+from drake_oa.scenario.loading import shipped_scenarios
+
+FIGURES = {
+    "collisions",
+    "tool_clearance_min",
+    "robot_clearance_min",
+    "goal_error",
+    "torque_saturation",
+    "duration",
+}
+
+
+@pytest.fixture(autouse=True)
+def _restore_logging() -> None:
+    """The command sets levels for its own process."""
+    drake = logging.getLogger("drake")
+    level = drake.level
+    yield
+    drake.setLevel(level)
+
+
+@pytest.fixture(autouse=True)
+def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run leaves its log in the current folder."""
+    monkeypatch.chdir(tmp_path)
+
+
+def run(*arguments: str) -> int:
+    """Exit status, also where argparse exits by itself."""
+    try:
+        return cli.main(arguments)
+    except SystemExit as done:
+        return int(done.code or 0)
+
+
+@pytest.mark.parametrize("command", [(), ("run",), ("scenarios",), ("graph",), ("benchmark",)])
+def test_help_of_each_command_explains_it(
+    command: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(*command, "--help") == 0
+    shown = capsys.readouterr().out
+    assert "usage: drake-oa" in shown
+    assert len(shown.splitlines()) > 6
+
+
+def test_help_names_every_exit_status(capsys: pytest.CaptureFixture[str]) -> None:
+    run("run", "--help")
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "Exit status: 0 when" in shown
+    for status in ("1 when", "2 for bad input", "130 when interrupted"):
+        assert status in shown
+
+
+def test_version_names_the_package_and_drake(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("--version") == 0
+    assert capsys.readouterr().out.startswith("drake-oa 0.1.0 (drake ")
+
+
+def test_scenarios_lists_every_shipped_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("scenarios") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == list(shipped_scenarios())
+    assert all(len(line.split()) > 3 for line in lines)
+
+
+def test_scenarios_can_name_the_files(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("scenarios", "--files") == 0
+    files = [Path(line.split(maxsplit=1)[1]) for line in capsys.readouterr().out.splitlines()]
+    assert all(path.is_file() for path in files)
+
+
+def test_report_has_the_agreed_keys(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, log = tmp_path / "new" / "report.json", tmp_path / "run.npz"
+    status = run("run", "free_space", "--duration", "0.2", "--json", str(out), "--log", str(log))
+    assert status == 0
+    report = json.loads(out.read_text())
+    assert {"scenario", "seed", "preplanned", "modulated", "versions"} < set(report)
+    assert {"real_time_factor", "commit"} < set(report)
+    assert report["scenario"] == "free_space"
+    for motion in ("preplanned", "modulated"):
+        assert set(report[motion]) >= FIGURES
+        assert report[motion]["duration"] == pytest.approx(0.2, abs=0.01)
+    assert {"drake_oa", "drake", "numpy"} <= set(report["versions"])
+    assert list(load_logs(log)) == ["preplanned", "modulated"]
+    printed = capsys.readouterr()
+    rows = [line.split()[0] for line in printed.out.splitlines()]
+    assert rows == ["collisions", "preplanned", "modulated"]
+    assert "%|" not in printed.err  # No progress bar when piped.
+
+
+class Terminal(io.StringIO):
+    """What a person would see."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_progress_of_both_motions_is_shown_on_a_terminal(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    screen = Terminal()
+    monkeypatch.setattr(sys, "stderr", screen)
+    assert run("run", "free_space", "--duration", "0.2") == 0
+    for motion in ("preplanned", "modulated"):
+        assert re.search(rf"{motion}.*%\|", screen.getvalue())
+    assert "%|" not in capsys.readouterr().out
+
+
+def test_a_whole_motion_ends_well(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("run", "free_space") == 0
+    last = capsys.readouterr().out.splitlines()[2]
+    assert last.split()[0] == "modulated"
+    assert last.endswith("goal")
+
+
+def test_set_replaces_a_field_of_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mine = tmp_path / "mine.scenario.yaml"
+    shutil.copy(shipped_scenarios()["free_space"], mine)
+    out = tmp_path / "report.json"
+    arguments = ("run", str(mine), "--duration", "0.1", "--json", str(out), "--set", "seed=7")
+    assert run(*arguments, "--set", "perception=!GivenEllipsoids {}") == 0
+    report = json.loads(out.read_text())
+    assert (report["scenario"], report["seed"]) == ("mine", 7)
+    assert report["modulated"]["tool_clearance_min"] is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("run", "nowhere"), "tabletop_box"),
+        (("graph", "nowhere"), "tabletop_box"),
+        (("benchmark", "--scenario", "nowhere"), "tabletop_box"),
+        (("run", "free_space", "--set", "task.clearence=1"), "clearance"),
+        (("run", "free_space", "--set", "policy.weights=none.npz"), "policy.weights"),
+        (("run", "free_space", "--duration", "-1"), "--duration"),
+        (("run", "free_space", "--duration", "nan"), "--duration"),
+        (("run", "tabletop_box", "--set", "robot.model=package://none/x.urdf"), "robot.model"),
+        (
+            ("run", "tabletop_box", "--set", "directives=[{add_model: {name: a, file: b.sdf}}]"),
+            "b.sdf",
+        ),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(
+    arguments: tuple[str, ...], named: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(*arguments) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    (line,) = [line for line in printed.err.splitlines() if "compiling" not in line]
+    assert line.startswith("drake-oa: error: ")
+    assert named in line
+
+
+@pytest.mark.parametrize("option", ["--json", "--log", "--html"])
+def test_an_output_that_cannot_be_written_is_refused_before_the_run(
+    option: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(simulation, "simulate", lambda *_, **__: pytest.fail("it was started"))
+    assert run("run", "free_space", option, str(tmp_path)) == 2
+    assert f"cannot write {tmp_path}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("override", "named"),
+    [
+        ("policy.weights=none.npz", "policy.weights"),
+        ("perception=!RecordedClouds {folder: /nowhere}", "perception.folder"),
+    ],
+)
+def test_what_only_the_second_motion_needs_is_missed_before_the_first(
+    override: str,
+    named: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(simulation, "simulate", lambda *_, **__: pytest.fail("it was started"))
+    assert run("run", "tabletop_box", "--set", override) == 2
+    assert named in capsys.readouterr().err
+
+
+def test_a_warning_is_given_once(caplog: pytest.LogCaptureFixture) -> None:
+    bare = ("--set", "perception=!GroundTruth {}", "--set", "directives=[]")
+    assert run("run", "tabletop_box", *bare, "--duration", "0.01") == 0
+    assert len([r for r in caplog.records if "no model instance" in r.getMessage()]) == 1
+
+
+def test_two_outputs_cannot_share_a_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = str(tmp_path / "x")
+    assert run("run", "free_space", "--json", file, "--log", file) == 2
+    assert "different files" in capsys.readouterr().err
+
+
+def failing_simulate(fault: BaseException) -> object:
+    """A `simulate` whose modulated motion is cut short by `fault` after 0.05 s."""
+    original = simulation.simulate
+
+    def simulate(scenario: object, *, modulated: bool, **options: object) -> object:
+        log = original(scenario, modulated=modulated, **options)
+        if not modulated:
+            return log
+        raise simulation.MotionInterruptedError(log) from fault
+
+    return simulate
+
+
+@pytest.mark.parametrize(
+    ("fault", "status", "said"),
+    [(KeyboardInterrupt(), 130, "interrupted"), (RuntimeError("boom"), 1, "cut short")],
+)
+def test_what_ran_until_a_fault_is_reported_and_written(
+    fault: BaseException,
+    status: int,
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(simulation, "simulate", failing_simulate(fault))
+    out, log = tmp_path / "report.json", tmp_path / "run.npz"
+    arguments = ("--duration", "0.05", "--json", str(out), "--log", str(log))
+    assert run("run", "free_space", *arguments) == status
+    assert said in capsys.readouterr().err.splitlines()[-1]
+    assert set(json.loads(out.read_text())) >= {"preplanned", "modulated"}
+    assert list(load_logs(log)) == ["preplanned", "modulated"]
+
+
+def test_a_motion_that_does_not_arrive_is_status_1(capsys: pytest.CaptureFixture[str]) -> None:
+    # The start is inside the obstacle: the motion is held there.
+    inside = "perception=!GivenEllipsoids {ellipsoids: [{center: [0, 0, 0]}]}"
+    assert run("run", "free_space", "--set", inside) == 1
+    assert "held for" in capsys.readouterr().out
+
+
+def test_html_is_one_page_with_a_recording(tmp_path: Path) -> None:
+    page = tmp_path / "run.html"
+    arguments = ("--duration", "0.1", "--html", str(page))
+    assert run("run", "tabletop_box", "--set", "perception=!GroundTruth {}", *arguments) == 0
+    text = page.read_text()
+    assert "set_animation" in text
+    assert "http://localhost" not in text
+    assert page.stat().st_size < 12e6
+
+
+@pytest.mark.parametrize("scenario", ["free_space", "tabletop_box"])
+def test_graph_is_graphviz_source_on_request(
+    scenario: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("graph", scenario, "--dot") == 0
+    source = capsys.readouterr().out
+    assert source.startswith("digraph")
+    for name in ("perception", "regressor_chain", "dmp_integrator"):
+        assert name in source
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [((), "Graphviz, whose `dot` is not on the PATH; --dot"), (("--depth", "-1"), "--depth must")],
+)
+def test_a_graph_that_cannot_be_drawn_is_one_clear_line(
+    arguments: tuple[str, ...],
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(shutil, "which", lambda _: None)
+    assert run("graph", "free_space", *arguments) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert said in told.err
+    assert len(told.err.splitlines()) == 1
+
+
+@pytest.mark.skipif(shutil.which("dot") is None, reason="Graphviz is not here")
+def test_graph_is_svg_where_dot_is_installed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("graph", "free_space") == 0
+    assert "<svg" in capsys.readouterr().out
+
+
+def test_a_closed_pipe_is_no_error() -> None:
+    source = "from drake_oa.app.cli import main; main(['graph', 'free_space', '--dot'])"
+    process = subprocess.run(
+        ["bash", "-c", f'"{sys.executable}" -c "{source}" | head -c 1'],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert process.stderr == ""
+
+
+def test_a_file_that_is_no_scenario_is_not_told_whole(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "cloud.pcd").write_text("0.123 0.456 0.789\n" * 1000)
+    assert run("run", str(tmp_path / "cloud.pcd")) == 2
+    told = capsys.readouterr().err
+    assert "cloud.pcd: expected a block of field: value, not the str" in told
+    assert len(told) < 2100
+
+
+def test_help_and_scenarios_start_without_the_heavy_packages() -> None:
+    source = (
+        "import sys, drake_oa.app.cli as cli; cli.main(['scenarios'])\n"
+        "print([name for name in ('open3d', 'torch', 'matplotlib') if name in sys.modules])"
+    )
+    answer = subprocess.run(
+        [sys.executable, "-c", source], capture_output=True, text=True, check=True
+    )
+    assert answer.stdout.splitlines()[-1] == "[]"
+
+
+def test_benchmark_prints_its_table_and_writes_its_figures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    benchmark = pytest.importorskip("drake_oa.benchmark.benchmark")
+    monkeypatch.setattr(benchmark, "run_benchmark", lambda *_, **__: {"figure": 1.5})
+    monkeypatch.setattr(benchmark, "benchmark_table", lambda f: f"{f['figure']} ms")
+    out = tmp_path / "figures.json"
+    assert run("benchmark", "--json", str(out)) == 0
+    assert capsys.readouterr().out == "1.5 ms\n"
+    assert json.loads(out.read_text()) == {"figure": 1.5}
+
+
+def test_logs_read_without_the_package(tmp_path: Path) -> None:
+    log = tmp_path / "run.npz"
+    assert run("run", "free_space", "--duration", "0.05", "--log", str(log)) == 0
+    with np.load(log) as archive:
+        assert archive["modulated/desired_position"].shape[1] == 3

@@ -1,0 +1,310 @@
+"""`drake-oa run` leaves a log; `drake-oa replay` and `drake-oa plot` show it."""
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drake_oa.app import cli
+from drake_oa.runs.motion_log import load_logs, save_logs
+
+BOX = ("tabletop_box", "--set", "perception=!GroundTruth {}", "--duration", "0.25")
+
+
+def run(*arguments: object) -> int:
+    """Exit status, also where argparse exits by itself."""
+    try:
+        return cli.main([str(a) for a in arguments])
+    except SystemExit as done:
+        return int(done.code or 0)
+
+
+@pytest.fixture(autouse=True)
+def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def box_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The log of a robot among obstacles, cut short by its time limit."""
+    file = tmp_path_factory.mktemp("logs") / "box.npz"
+    assert run("run", *BOX, "--log", file) == 0
+    return file
+
+
+@pytest.fixture(scope="module")
+def point_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The log of a free point."""
+    file = tmp_path_factory.mktemp("logs") / "point.npz"
+    assert run("run", "free_space", "--duration", "0.5", "--log", file) == 0
+    return file
+
+
+# The file -----------------------------------------------------------------------------
+
+
+def test_a_run_leaves_a_log_that_says_what_it_was(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for _ in range(2):
+        assert run("run", "free_space", "--duration", "0.1", "--set", "seed=5") == 0
+    first, second = sorted((tmp_path / "drake_oa_runs").iterdir(), key=os.path.getmtime)
+    for file in (first, second):
+        assert re.fullmatch(r"free_space-\d{8}T\d{6}Z(-\d+)?\.npz", file.name)
+    assert capsys.readouterr().err.splitlines()[-1] == f"log: drake_oa_runs/{second.name}"
+    for log in load_logs(first).values():
+        assert log.seed == 5
+        assert "seed: 5" in log.scenario
+        assert any(item.startswith("drake_oa ") for item in log.versions)
+
+
+def test_no_log_writes_none(tmp_path: Path) -> None:
+    assert run("run", "free_space", "--duration", "0.1", "--no-log") == 0
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_run_that_cannot_start_leaves_nothing(tmp_path: Path) -> None:
+    assert run("run", "free_space", "--set", "policy.weights=none.npz") == 2
+    assert list((tmp_path / "drake_oa_runs").iterdir()) == []
+
+
+def test_an_earlier_log_is_replaced_only_if_named_and_not_silently(
+    point_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copy(point_log, tmp_path / "run.npz")
+    capsys.readouterr()
+    assert run("run", "free_space", "--duration", "0.1", "--log", "run.npz") == 0
+    assert "run.npz will be replaced" in capsys.readouterr().err
+    assert load_logs(tmp_path / "run.npz")["modulated"].duration < 0.2
+
+
+def test_a_folder_that_cannot_be_made_is_told_before_the_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "drake_oa_runs").write_text("in the way")
+    assert run("run", "free_space", "--duration", "0.1") == 2
+    told = capsys.readouterr()
+    assert "cannot write to the folder drake_oa_runs" in told.err
+    assert "--no-log" in told.err
+    assert told.out == ""
+
+
+@pytest.mark.parametrize("arguments", [(), ("--log", "run.npz")])
+def test_a_full_disk_is_told_before_the_run(
+    arguments: tuple[str, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    usage = shutil.disk_usage(tmp_path)._replace(free=1000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
+    assert run("run", "free_space", "--duration", "0.1", *arguments) == 2
+    told = capsys.readouterr()
+    assert "0.0 MiB are free" in told.err
+    assert told.out == ""
+    assert not list(tmp_path.rglob("*.npz"))
+
+
+def test_a_disk_that_is_full_at_the_end_does_not_cost_the_report(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("drake_oa.runs.motion_log.save_logs", full)
+    assert run("run", "free_space", "--duration", "0.1", "--log", "run.npz") == 1
+    told = capsys.readouterr()
+    assert "modulated" in told.out
+    assert told.err.splitlines()[-1].endswith("cannot write run.npz: No space left on device")
+
+
+@pytest.mark.parametrize(
+    ("number", "status", "said"),
+    [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")],
+)
+def test_a_run_that_is_stopped_leaves_the_motion_under_way(
+    number: signal.Signals, status: int, said: str, tmp_path: Path
+) -> None:
+    # The start is inside the obstacle: the second motion is held there, and would not end.
+    script = (
+        "import signal, sys, drake_oa.app.cli as cli, drake_oa.runs.simulation as simulation\n"
+        # A shell's background job would leave it ignored.
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "whole = simulation.simulate\n"
+        "def simulate(scenario, **options):\n"
+        "    if options['modulated']:\n"
+        "        options['duration'] = 1e4\n"
+        "        print('under way', flush=True)\n"
+        "    return whole(scenario, **options)\n"
+        "simulation.simulate, simulation.LONGEST_HOLD = simulate, 1e4\n"
+        "sys.exit(cli.main(['run', 'free_space', '--duration', '0.3', *sys.argv[1:]]))\n"
+    )
+    inside = "perception=!GivenEllipsoids {ellipsoids: [{center: [0, 0, 0]}]}"
+    process = subprocess.Popen(
+        [sys.executable, "-c", script, "--set", inside],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "under way\n"
+        time.sleep(0.5)
+        process.send_signal(number)
+        _, told = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == status, told
+    assert told.splitlines()[-1] == f"drake-oa: error: {said}"
+    (file,) = (tmp_path / "drake_oa_runs").iterdir()
+    logs = load_logs(file)
+    assert list(logs) == ["preplanned", "modulated"]
+    assert logs["modulated"].duration > 0.0
+    assert logs["modulated"].stop_reason == said
+
+
+# Replay and plot ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("motion", ["modulated", "preplanned"])
+def test_a_replay_is_one_page_with_a_recording(
+    box_log: Path, motion: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = tmp_path / "new" / "replay.html"
+    assert run("replay", box_log, "--html", page, "--motion", motion, "--speed", "0.5") == 0
+    assert "set_animation" in page.read_text()
+    assert capsys.readouterr().out == f"{motion}: 0.25 s, ended by time limit of 0.25 s\n"
+
+
+def test_a_replay_can_be_repeated(box_log: Path, tmp_path: Path) -> None:
+    pages = [tmp_path / name for name in ("a.html", "b.html")]
+    for page in pages:
+        assert run("replay", box_log, "--html", page) == 0
+    assert pages[0].read_bytes() == pages[1].read_bytes()
+
+
+def test_a_replay_can_be_watched(point_log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("replay", point_log, "--meshcat", "--speed", "5") == 0
+    assert "viewer: http://localhost" in capsys.readouterr().err
+
+
+def test_a_free_point_is_replayed_without_a_robot(point_log: Path) -> None:
+    assert run("replay", point_log, "--html", "point.html") == 0
+    assert Path("point.html").stat().st_size > 1e5
+
+
+def test_a_plot_is_written_in_the_asked_format(
+    point_log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    capsys.readouterr()
+    assert run("plot", point_log, "--out", "plot.svg") == 0
+    assert Path("plot.svg").read_text().startswith("<?xml")
+    assert capsys.readouterr().out == "plot: plot.svg\n"
+
+
+def test_a_plot_of_a_robot_goes_beside_the_log_by_default(box_log: Path, tmp_path: Path) -> None:
+    log = Path(shutil.copy(box_log, tmp_path / "mine.npz"))
+    assert run("plot", log) == 0
+    assert (tmp_path / "mine.png").stat().st_size > 20_000
+
+
+def test_a_run_cut_short_in_its_first_motion_can_be_shown(point_log: Path) -> None:
+    first = load_logs(point_log)["preplanned"]
+    save_logs(Path("cut.npz"), {"preplanned": replace(first, stop_reason="interrupted")})
+    assert run("replay", "cut.npz", "--html", "cut.html") == 0
+    assert run("plot", "cut.npz") == 0
+
+
+def empty_log(file: Path, like: Path) -> None:
+    """A log of a run that ended before anything was logged."""
+    log = load_logs(like)["modulated"]
+    none = {
+        name: getattr(log, name)[:0]
+        for name, array in log.arrays().items()
+        if array.ndim and len(array) == len(log.t)
+    }
+    save_logs(file, {"modulated": replace(log, **none)})
+
+
+@pytest.mark.parametrize("command", ["replay", "plot"])
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        ("missing", "No such file"),
+        ("text", "is not a motion log"),
+        ("cut off", "is not a motion log, or is damaged"),
+        ("empty", "ended before its first instant"),
+        ("other robot", "the scenario in log.npz"),
+        ("other model", "cannot load"),
+    ],
+)
+def test_what_cannot_be_shown_is_one_clear_line(
+    command: str,
+    kind: str,
+    said: str,
+    point_log: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    file = Path("log.npz")
+    log = load_logs(point_log)["modulated"]
+    if kind == "text":
+        file.write_text("no log")
+    elif kind == "cut off":
+        file.write_bytes(point_log.read_bytes()[:3000])
+    elif kind == "empty":
+        empty_log(file, point_log)
+    elif kind == "other robot":
+        save_logs(file, {"modulated": replace(log, scenario="robott: null")})
+    elif kind == "other model":
+        text = "{robot: {model: package://none/x.urdf}, perception: !GivenEllipsoids {}}"
+        save_logs(file, {"modulated": replace(log, scenario=text)})
+    capsys.readouterr()
+    out = ["--html", "x.html"] if command == "replay" else ["--out", "x.png"]
+    assert run(command, file, *out) == 2
+    told = capsys.readouterr().err
+    assert said in told
+    assert len(told.splitlines()) == 1
+    assert not Path(out[1]).exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("replay", "LOG"), "--meshcat"),
+        (("replay", "LOG", "--html", "x.html", "--motion", "nothing"), "preplanned, modulated"),
+        (("replay", "LOG", "--html", "x.html", "--speed", "0"), "--speed"),
+        (("replay", "LOG", "--html", "LOG"), "must not name the log"),
+        (("plot", "LOG", "--out", "x.txt"), ".png, .svg, .pdf"),
+        (("plot", "LOG", "--out", "x.txt/y.png"), "cannot write"),
+    ],
+)
+def test_a_wrong_option_is_answered_with_the_valid_ones(
+    arguments: tuple[str, ...],
+    said: str,
+    point_log: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    Path("x.txt").touch()
+    before = point_log.read_bytes()
+    assert run(*(str(point_log) if a == "LOG" else a for a in arguments)) == 2
+    assert said in capsys.readouterr().err
+    assert point_log.read_bytes() == before
+
+
+def test_the_log_alone_tells_the_torques_against_their_limits(box_log: Path) -> None:
+    with np.load(box_log) as archive:
+        torque, limit = archive["modulated/torque"], archive["modulated/effort_limit"]
+        np.testing.assert_array_equal(limit, [87, 87, 87, 87, 12, 12, 12, 20, 20])
+        assert (np.abs(torque) <= limit).all()
+        p_WE = archive["modulated/p_WE"]
+        np.testing.assert_allclose(p_WE[0], [0.45, -0.45, 0.3], atol=1e-6)
+        assert archive["modulated/position_name"].tolist()[0] == "panda_joint1"

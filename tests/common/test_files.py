@@ -1,0 +1,115 @@
+"""Checking and replacing the files that commands write."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from drake_oa.common.files import (
+    check_outputs,
+    check_space,
+    replace_file,
+    replace_text,
+    reserve_file,
+    same_file,
+)
+
+
+def test_checking_leaves_nothing_behind_but_the_folder(tmp_path: Path) -> None:
+    kept = tmp_path / "kept.json"
+    kept.write_text("before")
+    check_outputs(kept, tmp_path / "new" / "fresh.json", None)
+    assert kept.read_text() == "before"
+    assert sorted(tmp_path.rglob("*")) == [kept, tmp_path / "new"]
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [("", "Is a directory"), ("file/x.json", "cannot make the folder"), ("a" * 300, "too long")],
+)
+def test_what_cannot_be_written_is_named(name: str, why: str, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    path = tmp_path / name
+    with pytest.raises(ValueError, match="cannot write") as error:
+        check_outputs(path)
+    assert str(path) in str(error.value)
+    assert why in str(error.value)
+
+
+def test_one_file_by_two_names_is_seen(tmp_path: Path) -> None:
+    path = tmp_path / "x"
+    assert same_file(path, None, tmp_path / "y" / ".." / "x")
+    assert not same_file(path, None, None, tmp_path / "y")
+
+
+def test_a_file_is_replaced_also_through_a_link(tmp_path: Path) -> None:
+    path, link = tmp_path / "x.json", tmp_path / "link.json"
+    link.symlink_to(path)
+    for text in ("first", "second"):
+        replace_text(link, text)
+        assert path.read_text() == text
+    assert link.is_symlink()
+    assert sorted(item.name for item in tmp_path.iterdir()) == ["link.json", "x.json"]
+
+
+def test_what_is_no_regular_file_is_written_to(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        replace_text(pipe, "text")
+        assert os.read(reader, 10) == b"text"
+    finally:
+        os.close(reader)
+    assert pipe.is_fifo()
+
+
+def test_a_reserved_file_is_nobody_elses(tmp_path: Path) -> None:
+    files = [reserve_file(tmp_path / "runs", "box", ".npz") for _ in range(3)]
+    assert len(set(files)) == 3
+    assert all(file.is_file() and file.name.startswith("box-") for file in files)
+
+
+def test_a_folder_in_which_nothing_can_be_reserved_is_named(tmp_path: Path) -> None:
+    (tmp_path / "runs").write_text("")
+    with pytest.raises(ValueError, match="cannot write to the folder"):
+        reserve_file(tmp_path / "runs", "box", ".npz")
+
+
+def test_a_disk_without_the_needed_space_is_refused(tmp_path: Path) -> None:
+    check_space(tmp_path / "x", 0)
+    with pytest.raises(ValueError, match=r"cannot write .*x: .* MiB are free on its disk"):
+        check_space(tmp_path / "x", 2**62)
+
+
+def test_a_write_that_fails_leaves_the_file_and_nothing_beside(tmp_path: Path) -> None:
+    file = tmp_path / "kept"
+    file.write_text("before")
+
+    def fail(path: Path) -> None:
+        path.write_text("half")
+        raise OSError("full")
+
+    with pytest.raises(OSError, match="full"):
+        replace_file(file, fail)
+    assert file.read_text() == "before"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_two_processes_that_write_one_file_do_not_write_into_each_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, beside = tmp_path / "run.json", []
+
+    def write(path: Path) -> None:
+        beside.append(path)
+        path.write_text(f"{len(beside)}")
+        if len(beside) == 1:
+            # Another process comes in between.
+            monkeypatch.setattr(os, "getpid", lambda: -1)
+            replace_file(file, write)
+            assert file.read_text() == "2"
+
+    replace_file(file, write)
+    assert file.read_text() == "1"
+    assert list(tmp_path.iterdir()) == [file]

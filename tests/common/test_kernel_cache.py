@@ -1,0 +1,109 @@
+"""Compiled kernels always have a place, and who waits for them is told so."""
+
+import importlib.util
+import os
+from pathlib import Path
+from types import ModuleType
+
+import numba
+import pytest
+
+from drake_oa.app.cli import main
+from drake_oa.common.kernel_cache import announced_compilation, provide_kernel_cache
+
+
+@pytest.fixture(autouse=True)
+def _own_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Set first, so that what the function sets is undone afterwards.
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
+    monkeypatch.setenv("XDG_CACHE_HOME", os.devnull)
+
+
+def read_only(package: Path) -> Path:
+    """A package beside whose source nothing can be kept, not even by root."""
+    (package / "__pycache__").touch()
+    return package
+
+
+def test_beside_the_source_by_default(tmp_path: Path) -> None:
+    assert provide_kernel_cache(tmp_path) is None
+    assert not os.environ["NUMBA_CACHE_DIR"]
+
+
+def test_in_the_users_cache_of_a_read_only_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    assert provide_kernel_cache(read_only(tmp_path)) is None
+    assert not os.environ["NUMBA_CACHE_DIR"]
+
+
+def test_in_a_temporary_folder_where_nothing_else_can_be_written(tmp_path: Path) -> None:
+    folder = provide_kernel_cache(read_only(tmp_path))
+    assert folder is not None
+    assert os.environ["NUMBA_CACHE_DIR"] == folder.name
+    assert Path(folder.name).stat().st_mode & 0o777 == 0o700
+    folder.cleanup()
+
+
+def test_what_the_user_chose_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "/mine")
+    assert provide_kernel_cache(read_only(tmp_path)) is None
+    assert os.environ["NUMBA_CACHE_DIR"] == "/mine"
+
+
+SOURCE = """
+from numba import njit
+
+@njit(cache=True)
+def twice(x):
+    return 2 * x
+
+@njit(cache=True)
+def thrice(x):
+    return x + twice(x)
+"""
+
+
+def imported(source: Path) -> ModuleType:
+    """The module of a file, anew."""
+    spec = importlib.util.spec_from_file_location("compiled_kernels", source)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_compilation_is_announced_once_and_not_when_it_is_cached(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = tmp_path / "compiled_kernels.py"
+    source.write_text(SOURCE)
+    with announced_compilation("1 min"):
+        # Two kernels, one inside the other.
+        assert imported(source).thrice(2) == 6
+    assert capsys.readouterr().err == "compiling kernels, once (about 1 min) ...\n"
+    with announced_compilation("1 min"):
+        assert imported(source).thrice(2) == 6
+    assert capsys.readouterr().err == ""
+    source.write_text(SOURCE.replace("2 * x", "10 * x"))
+    with announced_compilation():
+        assert imported(source).thrice(2) == 22
+    assert capsys.readouterr().err == "compiling kernels, once ...\n"
+    assert imported(source).thrice(2.0) == 22.0
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_the_commands_announce_compilation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = tmp_path / "compiled_kernels.py"
+    source.write_text(SOURCE)
+    monkeypatch.setattr(
+        "drake_oa.app.cli.shipped_scenarios", lambda: {str(imported(source).twice(2)): tmp_path}
+    )
+    assert main(["scenarios", "--files"]) == 0
+    assert "compiling kernels" in capsys.readouterr().err

@@ -1,0 +1,97 @@
+"""Obstacles in parts: what they enclose, and when they are used."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drake_oa.common.messages import PART, FloatArray, ObstacleClouds
+from drake_oa.descriptor.convex_decomposition import cloud_parts, ellipsoids_of_parts, merged_parts
+from drake_oa.descriptor.descriptor import describe
+from drake_oa.geometry.ellipsoid import signed_distance
+
+HAND = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.03, 0.03) for z in (0.04, 0.1)])
+FINGERS = np.array([[x, y, z] for x in (-0.03, 0.03) for y in (-0.01, 0.01) for z in (0.0, 0.04)])
+TOOL = np.concatenate([HAND, FINGERS])
+
+
+def box_cloud(size: tuple[float, float, float], spacing: float = 0.02) -> FloatArray:
+    axes = [np.linspace(-s / 2, s / 2, max(2, round(s / spacing))) for s in size]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    face = (np.abs(grid) > np.array(size) / 2 - 1e-9).any(axis=1)
+    return grid[face] + np.array([0.5, 0.0, size[2] / 2])
+
+
+@given(seed=st.integers(0, 10_000), count=st.integers(1, 60), halvings=st.integers(0, 3))
+@settings(max_examples=50, deadline=None)
+def test_parts_are_the_cloud(seed: int, count: int, halvings: int) -> None:
+    cloud = np.random.default_rng(seed).normal(size=(count, 3))
+    parts = cloud_parts(cloud, halvings)
+    assert 1 <= len(parts) <= 2**halvings
+    joined = np.concatenate(parts)
+    np.testing.assert_array_equal(np.unique(joined, axis=0), np.unique(cloud, axis=0))
+
+
+def test_equal_points_are_one_part() -> None:
+    assert len(cloud_parts(np.ones((20, 3)), 2)) == 1
+
+
+@given(seed=st.integers(0, 10_000))
+@settings(max_examples=10, deadline=None)
+def test_the_ellipsoids_hold_every_point_dilated_by_every_part(seed: int) -> None:
+    cloud = np.random.default_rng(seed).uniform(-0.1, 0.1, (40, 3))
+    found = ellipsoids_of_parts(cloud, [HAND, FINGERS], 2)
+    dilated = (cloud[:, None] - TOOL).reshape(-1, 3)
+    distance = np.min([signed_distance(dilated, e.center, e.R, e.semi_axes) for e in found], axis=0)
+    assert distance.max() <= 1e-9
+
+
+def test_parts_of_a_tool_are_merged_where_they_fill_their_box() -> None:
+    left, right = FINGERS[FINGERS[:, 0] < 0.0], FINGERS[FINGERS[:, 0] > 0.0]
+    left = np.concatenate([left, left + [0.028, 0.0, 0.0]])
+    right = np.concatenate([right, right - [0.028, 0.0, 0.0]])
+    hand, fingers = merged_parts([HAND, left, right])
+    np.testing.assert_array_equal(hand, HAND)
+    assert len(fingers) == len(left) + len(right)
+
+
+@pytest.fixture
+def beside_a_box() -> tuple[ObstacleClouds, FloatArray]:
+    """A box, and a point that the ellipsoid round it holds though the tool touches nothing."""
+    cloud = box_cloud((0.2, 0.3, 0.2))
+    return ObstacleClouds(0.0, (cloud,), np.array([7])), np.array([0.5, -0.25, 0.1])
+
+
+def test_an_obstacle_near_a_free_point_has_several_rows(
+    beside_a_box: tuple[ObstacleClouds, FloatArray],
+) -> None:
+    obstacles, free = beside_a_box
+    one = describe(obstacles, TOOL)
+    assert len(one) == 1
+    assert signed_distance(free, one.p_WO[0], one.R_WO[0], one.semi_axes[0]) < 0.0
+
+    several = describe(obstacles, TOOL, free_W=[free], tool_parts=[HAND, FINGERS])
+    assert len(several) > 1
+    assert len(set(several.ids.tolist())) == len(several)
+    assert set((several.ids % PART).tolist()) == {7}
+    assert several.v_WO.shape == (len(several), 3)
+    room = signed_distance(free, several.p_WO, several.R_WO, several.semi_axes)
+    assert room.min() > 0.0
+
+
+def test_an_obstacle_away_from_the_free_points_has_one_row(
+    beside_a_box: tuple[ObstacleClouds, FloatArray],
+) -> None:
+    obstacles, _ = beside_a_box
+    far = describe(obstacles, TOOL, free_W=[[0.5, 0.9, 0.1]], tool_parts=[HAND, FINGERS])
+    np.testing.assert_array_equal(far.p_WO, describe(obstacles, TOOL).p_WO)
+
+
+def test_a_point_in_the_middle_stays_inside_whatever_the_parts(
+    beside_a_box: tuple[ObstacleClouds, FloatArray],
+) -> None:
+    obstacles, _ = beside_a_box
+    whole = describe(obstacles, TOOL)
+    middle = describe(obstacles, TOOL, free_W=whole.p_WO, tool_parts=[TOOL])
+    distance = signed_distance(whole.p_WO[0], middle.p_WO, middle.R_WO, middle.semi_axes)
+    assert distance.min() < 0.0

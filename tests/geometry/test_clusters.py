@@ -1,0 +1,94 @@
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.sparse.csgraph import connected_components
+
+from drake_oa.geometry.clusters import (
+    connected_clusters,
+    joined_across_unseen,
+    nearest_points,
+    pixels_of,
+    voxel_keys,
+)
+
+K = np.array([260.0, 260.0, 159.5, 119.5])
+SIZE = (240, 320)
+
+
+@given(st.lists(st.tuples(*[st.integers(-1000, 1000)] * 3), min_size=1, max_size=50))
+def test_voxel_keys_tell_voxels_apart(cells):
+    centers = (np.array(cells) + 0.5) * 0.01
+    assert len(np.unique(voxel_keys(centers, 0.01))) == len(set(cells))
+
+
+def test_clusters_join_by_nearness_and_by_group():
+    points = np.array([[0.0, 0, 0], [0.02, 0, 0], [0.1, 0, 0], [0.3, 0, 0]])
+    label = connected_clusters(points, 0.03)
+    assert label[0] == label[1]
+    assert len(set(label)) == 3
+    label = connected_clusters(points, 0.03, np.array([0, 1, 0, 2]))
+    assert label[0] == label[1] == label[2] != label[3]
+    assert len(connected_clusters(np.zeros((0, 3)), 0.03)) == 0
+
+
+@given(st.integers(0, 120), st.floats(0.02, 0.3), st.integers(0, 9999))
+def test_clusters_are_the_components_of_the_graph_of_near_points(count, tolerance, seed):
+    points = np.random.default_rng(seed).uniform(-0.5, 0.5, (count, 3))
+    near = np.linalg.norm(points[:, None] - points, axis=-1) <= tolerance
+    expected = connected_components(near, directed=False)[1] if count else np.zeros(0)
+    np.testing.assert_array_equal(connected_clusters(points, tolerance), expected)
+
+
+@given(st.integers(0, 60), st.integers(0, 60), st.floats(0.02, 0.5), st.integers(0, 9999))
+def test_the_nearest_point_in_reach_is_found(queries, count, radius, seed):
+    rng = np.random.default_rng(seed)
+    query, points = rng.uniform(-0.5, 0.5, (queries, 3)), rng.uniform(-0.5, 0.5, (count, 3))
+    distance = np.linalg.norm(query[:, None] - points, axis=-1)
+    best = distance.min(axis=1, initial=np.inf)
+    expected = np.where(best < radius, distance.argmin(axis=1) if count else -1, -1)
+    np.testing.assert_array_equal(nearest_points(query, points, radius), expected)
+
+
+def test_projection_finds_the_pixel_a_point_came_from():
+    index = np.arange(0, SIZE[0] * SIZE[1], 997)
+    row, column = np.divmod(index, SIZE[1])
+    p_CQ = np.stack([(column - K[2]) / K[0], (row - K[3]) / K[1], np.ones(len(index))], axis=1)
+    np.testing.assert_array_equal(pixels_of(1.7 * p_CQ, SIZE, K), index)
+    assert (pixels_of(-p_CQ, SIZE, K) == -1).all()
+    assert pixels_of(np.array([[9.0, 0.0, 1.0]]), SIZE, K)[0] == -1
+
+
+def join(background: float, label_behind: int) -> np.ndarray:
+    """Two strips 4 cm apart at 1 m, with something at `background` in the gap."""
+    strip = np.stack(np.meshgrid(np.arange(5) * 0.01, np.arange(5) * 0.01, [1.0]), -1)
+    strip = strip.reshape(-1, 3)
+    left, right = strip - np.array([0.06, 0, 0]), strip + np.array([0.02, 0, 0])
+    depth, pixel_label = np.full(SIZE, background), np.full(SIZE[0] * SIZE[1], label_behind)
+    points = np.concatenate([left, right])
+    label = np.repeat([0, 1], 25)
+    pixel = pixels_of(points, SIZE, K)
+    depth.ravel()[pixel], pixel_label[pixel] = 1.0, label
+    shown = np.flatnonzero(pixel_label >= 0)
+    return joined_across_unseen(
+        points,
+        label,
+        shown,
+        pixel_label[shown],
+        depth,
+        K,
+        np.eye(4),
+        gap=0.06,
+        voxel=0.01,
+        min_size=10,
+    )
+
+
+def test_a_gap_through_which_the_table_shows_separates():
+    assert len(set(join(1.2, -1))) == 2
+    assert len(set(join(np.inf, -1))) == 2
+
+
+def test_a_gap_without_depth_or_with_the_clusters_themselves_behind_joins():
+    assert len(set(join(np.nan, -1))) == 1
+    assert len(set(join(1.2, 1))) == 1
+    assert len(set(join(0.5, -1))) == 1

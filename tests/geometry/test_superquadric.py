@@ -1,0 +1,208 @@
+"""Superquadrics: eq. sq, distances, samples, and the least-squares fit."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from drake_oa.geometry.ellipsoid import dilate, signed_distance, unit_directions
+from drake_oa.geometry.superquadric import (
+    Superquadric,
+    _Problem,
+    fit_superquadric,
+    inside_outside,
+    log_inside_outside,
+    radial_distance,
+    surface_points,
+)
+
+# The first call compiles.
+untimed = settings(deadline=None)
+exponent = st.floats(0.1, 2.0)
+semi_axis = st.floats(0.02, 0.5)
+seed = st.integers(0, 10**6)
+
+
+def superquadric(seed: int, semi_axes: tuple, exponents: tuple) -> Superquadric:
+    rng = np.random.default_rng(seed)
+    return Superquadric(
+        rng.uniform(-1.0, 1.0, 3),
+        Rotation.random(rng=rng).as_matrix(),
+        np.array(semi_axes),
+        np.array(exponents),
+    )
+
+
+@untimed
+@given(seed, st.tuples(semi_axis, semi_axis, semi_axis), st.tuples(exponent, exponent))
+def test_surface_points_have_f_one_and_zero_distance(seed, semi_axes, exponents):
+    shape = superquadric(seed, semi_axes, exponents)
+    points = surface_points(shape, 162)
+    np.testing.assert_allclose(inside_outside(shape, points), 1.0, atol=1e-9)
+    np.testing.assert_allclose(radial_distance(shape, points), 0.0, atol=1e-12)
+
+
+@untimed
+@given(st.floats(0.5, 2.0), st.floats(0.5, 2.0), seed)
+def test_f_equals_the_print_where_the_print_is_a_number(l4, l5, seed):
+    rng = np.random.default_rng(seed)
+    axes = rng.uniform(0.05, 0.3, 3)
+    p = rng.uniform(-0.5, 0.5, (20, 3))
+    x, y, z = np.abs(p.T) / axes[:, None]
+    printed = (x ** (2 / l5) + y ** (2 / l5)) ** (l5 / l4) + z ** (2 / l4)
+    shape = Superquadric(semi_axes=axes, exponents=np.array([l4, l5]))
+    np.testing.assert_allclose(inside_outside(shape, p), printed, rtol=1e-11)
+
+
+@untimed
+@given(st.tuples(exponent, exponent), st.floats(-12.0, 12.0), seed)
+def test_gauge_is_homogeneous_near_and_far(exponents, decades, seed):
+    ray = np.random.default_rng(seed).normal(size=3)
+    one = log_inside_outside(ray, [0.1, 0.2, 0.3], exponents)
+    scaled = log_inside_outside(ray * 10.0**decades, [0.1, 0.2, 0.3], exponents)
+    assert np.isfinite(scaled)
+    expected = 2.0 / exponents[0] * decades * np.log(10.0)
+    assert scaled - one == pytest.approx(expected, rel=1e-11, abs=1e-8)
+
+
+def test_points_on_the_axes_and_at_the_centre_are_no_special_case():
+    axes = np.array([0.1, 0.2, 0.3])
+    for exponents in ([0.1, 2.0], [2.0, 0.1], [1.0, 1.0]):
+        shape = Superquadric(semi_axes=axes, exponents=np.array(exponents))
+        with np.errstate(all="raise"):
+            values = inside_outside(shape, np.vstack([np.diag(axes), np.zeros(3)]))
+        np.testing.assert_allclose(values, [1.0, 1.0, 1.0, 0.0], atol=1e-12)
+        assert radial_distance(shape, np.zeros(3)) == -0.1
+        np.testing.assert_allclose(radial_distance(shape, 2.0 * np.diag(axes)), axes)
+
+
+def test_radial_distance_bounds_the_euclidean_one():
+    rng = np.random.default_rng(0)
+    shape = superquadric(1, (0.3, 0.2, 0.05), (1.0, 1.0))
+    points = shape.center + rng.uniform(-0.5, 0.5, (500, 3))
+    euclidean = signed_distance(points, shape.center, shape.R, shape.semi_axes)
+    radial = radial_distance(shape, points)
+    np.testing.assert_array_equal(np.sign(radial), np.sign(euclidean))
+    assert (np.abs(radial) >= np.abs(euclidean) - 1e-12).all()
+    ball = superquadric(2, (0.2, 0.2, 0.2), (1.0, 1.0))
+    np.testing.assert_allclose(
+        radial_distance(ball, points),
+        np.linalg.norm(points - ball.center, axis=1) - 0.2,
+        atol=1e-12,
+    )
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed, st.tuples(semi_axis, semi_axis, semi_axis))
+def test_fit_recovers_an_ellipsoid(seed, semi_axes):
+    shape = superquadric(seed, semi_axes, (1.0, 1.0))
+    fit = fit_superquadric(surface_points(shape, 162))
+    assert fit.converged
+    assert fit.residual < 1e-6
+    np.testing.assert_allclose(np.sort(fit.shape.semi_axes), np.sort(semi_axes), rtol=1e-4)
+    np.testing.assert_allclose(fit.shape.center, shape.center, atol=1e-5)
+    assert np.linalg.det(fit.shape.R) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("exponents", [(0.3, 1.2), (1.0, 0.2), (1.5, 0.7)])
+def test_fit_recovers_free_exponents(exponents):
+    shape = superquadric(7, (0.1, 0.2, 0.15), exponents)
+    fit = fit_superquadric(surface_points(shape, 642), exponents=None)
+    assert fit.residual < 1e-9
+    np.testing.assert_allclose(inside_outside(fit.shape, surface_points(shape)), 1.0, atol=1e-5)
+
+
+@pytest.mark.parametrize("residual", ["bajcsy", "printed"])
+def test_fixed_exponents_stay_fixed_and_the_box_is_better_for_a_box(residual):
+    rng = np.random.default_rng(4)
+    box = rng.uniform(-1.0, 1.0, (400, 3))
+    box[np.arange(400), np.arange(400) % 3] = rng.choice([-1.0, 1.0], 400)
+    box *= [0.1, 0.15, 0.2]
+    round_fit = fit_superquadric(box, residual=residual)
+    box_fit = fit_superquadric(box, exponents=(0.1, 0.1), residual="bajcsy")
+    np.testing.assert_array_equal(round_fit.shape.exponents, [1.0, 1.0])
+    np.testing.assert_array_equal(box_fit.shape.exponents, [0.1, 0.1])
+    assert box_fit.protrusion < round_fit.protrusion
+    assert 0.0 < round_fit.coverage < 1.0
+
+
+def test_residuals_agree_for_ellipsoids():
+    points = dilate(np.random.default_rng(5).normal(size=(50, 3)) * 0.1, np.zeros((1, 3)))
+    squared, printed = (
+        fit_superquadric(points, residual="bajcsy"),
+        fit_superquadric(points, residual="printed"),
+    )
+    np.testing.assert_allclose(squared.shape.semi_axes, printed.shape.semi_axes, rtol=1e-9)
+    assert squared.residual == pytest.approx(printed.residual)
+
+
+def test_fit_moves_with_the_cloud():
+    points = dilate(np.random.default_rng(6).normal(size=(60, 3)) * [0.1, 0.2, 0.05], [[0, 0, 0]])
+    R, p = Rotation.from_euler("xyz", [0.4, -1.0, 2.0]).as_matrix(), np.array([0.3, -0.2, 0.9])
+    one, other = fit_superquadric(points).shape, fit_superquadric(points @ R.T + p).shape
+    np.testing.assert_allclose(other.center, R @ one.center + p, atol=1e-4)
+    np.testing.assert_allclose(np.sort(other.semi_axes), np.sort(one.semi_axes), rtol=1e-3)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed, st.sampled_from(["bajcsy", "printed"]), st.booleans(), st.permutations(range(3)))
+def test_jacobian_is_the_derivative(seed, power, free, turn):
+    rng = np.random.default_rng(seed)
+    problem = _Problem(
+        rng.uniform(-0.3, 0.3, (20, 3)),
+        middle=np.zeros(3),
+        half=np.array([0.3, 0.2, 0.1]),
+        minimum=1e-3,
+        exponents=None if free else (0.8, 1.2),
+        power=power,
+    )
+    x = rng.uniform(-0.4, 0.4, 9)
+    if free:
+        x = np.concatenate([x, rng.uniform(0.6, 1.6, 2)])
+    found = problem.jacobian(x, tuple(turn))
+    for k, step in enumerate(1e-6 * np.eye(len(x))):
+        ahead = problem.residuals(x + step, tuple(turn))
+        behind = problem.residuals(x - step, tuple(turn))
+        scale = np.abs(ahead).max() + np.abs(found).max()
+        np.testing.assert_allclose(found[:, k], (ahead - behind) / 2e-6, atol=1e-5 * scale)
+
+
+@pytest.mark.parametrize("power", ["bajcsy", "printed"])
+def test_jacobian_is_finite_on_the_axes_and_at_the_centre(power):
+    points = np.vstack([np.zeros(3), np.eye(3), -np.eye(3)])
+    problem = _Problem(points, np.zeros(3), np.ones(3), 1e-3, exponents=None, power=power)
+    assert np.isfinite(problem.jacobian(np.array([0.0] * 9 + [1.0, 1.0]))).all()
+
+
+@pytest.mark.parametrize("exponents", [(1.0, 1.0), None])
+@pytest.mark.parametrize("rank", [0, 1, 2])
+def test_thin_clouds_have_a_finite_fit(exponents, rank):
+    points = np.random.default_rng(8).uniform(-0.1, 0.1, (30, 3)) * (np.arange(3) < rank)
+    fit = fit_superquadric(points + 0.4, exponents=exponents)
+    assert np.isfinite(fit.shape.semi_axes).all()
+    assert (fit.shape.semi_axes >= 1e-3).all()
+    assert np.isfinite([fit.residual, fit.coverage, fit.protrusion]).all()
+
+
+@pytest.mark.parametrize(
+    ("points", "kwargs", "message"),
+    [
+        (np.zeros((0, 3)), {}, "points must be a non-empty"),
+        (np.full((4, 3), np.inf), {}, "points must be finite; 4 of 4 rows"),
+        (np.zeros((4, 3)), {"exponents": (0.05, 1.0)}, r"must lie in \[0.1, 2.0\]"),
+        (np.zeros((4, 3)), {"residual": "cubed"}, "must be bajcsy or printed"),
+        (np.zeros((4, 3)), {"minimum_semi_axis": 0.0}, "is not positive"),
+    ],
+)
+def test_bad_arguments_are_named(points, kwargs, message):
+    with pytest.raises(ValueError, match=message):
+        fit_superquadric(points, **kwargs)
+
+
+def test_surface_of_a_box_is_a_box():
+    shape = Superquadric(semi_axes=np.array([0.3, 0.2, 0.1]), exponents=np.array([0.1, 0.1]))
+    reach = np.abs(surface_points(shape, 642)) / shape.semi_axes
+    assert reach.max() <= 1.0 + 1e-12
+    assert reach.max(axis=1).min() > 0.85
+    assert len(unit_directions(642)) == 642

@@ -1,0 +1,147 @@
+import numpy as np
+import pytest
+from pydrake.geometry import Box, Sphere
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
+from pydrake.multibody.tree import SpatialInertia
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+
+from drake_oa.common.messages import TablePlane
+from drake_oa.perception.ground_truth_perception import GroundTruthPerception
+
+
+def make_scene(**options):
+    """A box of two parts that falls freely, and a fixed ball."""
+    builder = DiagramBuilder()
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
+    box, ball = plant.AddModelInstance("box"), plant.AddModelInstance("ball")
+    body = plant.AddRigidBody("box", box, SpatialInertia.SolidBoxWithMass(1.0, 0.1, 0.1, 0.1))
+    friction = CoulombFriction()
+    for x in (0.0, 0.1):
+        plant.RegisterCollisionGeometry(
+            body, RigidTransform([x, 0.0, 0.0]), Box(0.1, 0.1, 0.2), f"part{x}", friction
+        )
+    fixed = plant.AddRigidBody("ball", ball, SpatialInertia.SolidSphereWithMass(1.0, 0.1))
+    plant.WeldFrames(plant.world_frame(), fixed.body_frame(), RigidTransform([0.0, 1.0, 0.1]))
+    plant.RegisterCollisionGeometry(fixed, RigidTransform(), Sphere(0.1), "ball", friction)
+    empty = plant.AddModelInstance("empty")
+    plant.AddRigidBody("empty", empty, SpatialInertia.SolidSphereWithMass(1.0, 0.1))
+    plant.Finalize()
+    names = options.pop("obstacles", ("box", "ball"))
+    perception = builder.AddSystem(
+        GroundTruthPerception(
+            plant,
+            scene_graph.model_inspector(),
+            [plant.GetModelInstanceByName(name) for name in names],
+            **options,
+        )
+    )
+    builder.Connect(scene_graph.get_query_output_port(), perception.GetInputPort("query_object"))
+    diagram = builder.Build()
+    context = diagram.CreateDefaultContext()
+    plant.SetFreeBodyPose(
+        plant.GetMyMutableContextFromRoot(context), body, RigidTransform([0.5, 0.0, 1.0])
+    )
+    return diagram, perception, context
+
+
+def seen(perception, context):
+    return perception.GetOutputPort("obstacles_W").Eval(perception.GetMyContextFromRoot(context))
+
+
+def test_one_cloud_a_model_instance_where_scene_graph_has_it():
+    diagram, perception, context = make_scene()
+    Simulator(diagram, context).Initialize()
+    obstacles = seen(perception, context)
+    assert obstacles.stamp == 0.0
+    np.testing.assert_array_equal(obstacles.ids, [0, 1])
+    box, ball = obstacles.clouds_W
+    np.testing.assert_allclose(box.min(axis=0), [0.45, -0.05, 0.9], atol=1e-12)
+    np.testing.assert_allclose(box.max(axis=0), [0.65, 0.05, 1.1], atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(ball - [0.0, 1.0, 0.1], axis=1), 0.1, atol=1e-12)
+    assert not box.flags.writeable
+
+
+def test_clouds_follow_the_bodies_at_the_period():
+    diagram, perception, context = make_scene(period=0.05)
+    Simulator(diagram, context).AdvanceTo(0.12)
+    obstacles = seen(perception, context)
+    assert obstacles.stamp == pytest.approx(0.1)
+    fallen = 9.81 / 2 * 0.1**2
+    assert obstacles.clouds_W[0][:, 2].max() == pytest.approx(1.1 - fallen, abs=1e-4)
+
+
+def test_the_table_is_handed_on():
+    table = TablePlane(np.array([0.0, 0.0, 1.0]), 0.4)
+    diagram, perception, context = make_scene(table=table)
+    Simulator(diagram, context).Initialize()
+    assert seen(perception, context).table is table
+
+
+def test_there_is_no_table_where_none_is_given():
+    diagram, perception, context = make_scene()
+    Simulator(diagram, context).Initialize()
+    assert seen(perception, context).table is None
+
+
+def test_the_cloud_for_viewing_holds_all_points():
+    diagram, perception, context = make_scene()
+    Simulator(diagram, context).Initialize()
+    cloud = perception.GetOutputPort("cloud").Eval(perception.GetMyContextFromRoot(context))
+    points = np.concatenate(seen(perception, context).clouds_W)
+    np.testing.assert_allclose(cloud.xyzs().T, points, atol=1e-6)
+
+
+def test_no_obstacle_is_fine():
+    diagram, perception, context = make_scene(obstacles=())
+    Simulator(diagram, context).Initialize()
+    assert len(seen(perception, context)) == 0
+    assert seen(perception, context).stamp == 0.0
+
+
+def test_an_obstacle_without_geometry_is_refused():
+    with pytest.raises(ValueError, match="'empty' has no collision geometry"):
+        make_scene(obstacles=("box", "empty"))
+
+
+@pytest.mark.parametrize("period", [0.0, -1.0, np.nan])
+def test_a_period_that_is_none_is_refused(period):
+    with pytest.raises(ValueError, match="period"):
+        make_scene(period=period)
+
+
+def test_a_query_that_is_not_connected_is_an_error():
+    _, perception, _ = make_scene()
+    context = perception.CreateDefaultContext()
+    with pytest.raises(RuntimeError, match="query_object"):
+        perception.ExecuteInitializationEvents(context)
+
+
+def test_velocities_are_those_of_the_bodies_and_zero_for_what_is_welded():
+    diagram, perception, context = make_scene(period=0.05)
+    simulator = Simulator(diagram, context)
+    simulator.Initialize()
+    np.testing.assert_array_equal(seen(perception, context).v_WO, np.zeros((2, 3)))
+    simulator.AdvanceTo(0.12)
+    falling, welded = seen(perception, context).v_WO
+    # The mean over the last period.
+    np.testing.assert_allclose(falling, [0.0, 0.0, -9.81 * 0.075], atol=5e-3)
+    assert not welded.any()
+
+
+def test_what_is_out_of_the_world_is_left_out_and_comes_to_rest_in_it():
+    diagram, perception, context = make_scene(period=0.05)
+    plant = next(s for s in diagram.GetSystems() if s.get_name() == "plant")
+    plant_context = plant.GetMyMutableContextFromRoot(context)
+    box = plant.GetBodyByName("box")
+    plant.SetFreeBodyPose(plant_context, box, RigidTransform([0.5, 0.0, 60.0]))
+    simulator = Simulator(diagram, context)
+    simulator.AdvanceTo(0.05)
+    np.testing.assert_array_equal(seen(perception, context).ids, [1])
+    plant.SetFreeBodyPose(plant_context, box, RigidTransform([0.5, 0.0, 1.0]))
+    simulator.AdvanceTo(0.1)
+    obstacles = seen(perception, context)
+    np.testing.assert_array_equal(obstacles.ids, [0, 1])
+    # It fell meanwhile, but from where nobody knows.
+    np.testing.assert_array_equal(obstacles.v_WO, np.zeros((2, 3)))

@@ -1,0 +1,293 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drake_oa.geometry.self_filter import RobotShapes
+from drake_oa.perception.point_cloud import SegmentationConfig, segment_depth, segment_points
+
+K = np.array([260.0, 260.0, 159.5, 119.5])
+SIZE = (240, 320)
+
+# Scan -> number of groups on the table; some reach beyond it, so 1.5 m is enough.
+GROUPS = {
+    "mosd_test0": 2,
+    "mosd_learn34": 3,
+    "mosd_test35": 2,
+    "pcl_milk_cartoon_all_small_clorox": 3,
+}
+NEAR = SegmentationConfig(far=1.5)
+
+
+def camera_pose(height: float = 0.8, pitch: float = 0.8, yaw: float = 0.0) -> np.ndarray:
+    """X_WC of a camera at (0, 0, height) that looks down by pitch, towards yaw."""
+    c, s = np.cos(pitch), np.sin(pitch)
+    z = np.array([c * np.cos(yaw), c * np.sin(yaw), -s])
+    x = np.array([np.sin(yaw), -np.cos(yaw), 0.0])
+    X_WC = np.eye(4)
+    X_WC[:3, :3] = np.column_stack([x, np.cross(z, x), z])
+    X_WC[2, 3] = height
+    return X_WC
+
+
+def ray_cast(X_WC: np.ndarray, boxes, table=(0.0, 0.0, 9.0, 9.0)) -> np.ndarray:
+    """Exact depth of the rectangle z = 0 (x, y, half sizes) and of axis-aligned boxes."""
+    v, u = np.mgrid[: SIZE[0], : SIZE[1]]
+    rays = np.stack([(u - K[2]) / K[0], (v - K[3]) / K[1], np.ones(SIZE)], axis=-1)
+    rays = rays @ X_WC[:3, :3].T
+    origin = X_WC[:3, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = -origin[2] / rays[..., 2]
+        hit = origin + depth[..., None] * rays
+        off = np.abs(hit[..., :2] - table[:2]) > table[2:]
+        depth = np.where((depth > 0) & ~off.any(axis=-1), depth, np.inf)
+        for low, high in boxes:
+            t = np.sort([(low - origin) / rays, (high - origin) / rays], axis=0)
+            enter, leave = t[0].max(axis=-1), t[1].min(axis=-1)
+            depth = np.where((enter > 0) & (enter < leave), np.minimum(depth, enter), depth)
+    return depth.astype(np.float32)
+
+
+def box(x: float, y: float, size=(0.1, 0.1, 0.15), z: float = 0.0):
+    half = np.array([size[0] / 2, size[1] / 2, 0.0])
+    return np.array([x, y, z]) - half, np.array([x, y, z + size[2]]) + half
+
+
+X_WC = camera_pose()
+TWO = (box(0.8, -0.15), box(0.9, 0.2, (0.12, 0.08, 0.06)))
+
+
+def test_each_box_becomes_one_cluster_inside_it():
+    found = segment_depth(ray_cast(X_WC, TWO), K, X_WC)
+    assert found.note == ""
+    assert len(found.clouds_W) == 2
+    assert abs(found.table.offset) < 1e-3
+    assert found.plane_rms < 1e-3
+    for cloud, (low, high) in zip(found.clouds_W, TWO, strict=True):
+        assert (cloud > low - 2e-3).all()
+        assert (cloud < high + 2e-3).all()
+        assert cloud[:, 2].max() > high[2] - 5e-3
+
+
+def test_pixels_are_those_of_the_clusters():
+    depth = ray_cast(X_WC, TWO)
+    background = ray_cast(X_WC, ())
+    found = segment_depth(depth, K, X_WC)
+    on_box = np.flatnonzero(depth.ravel() < background.ravel() - 1e-4)
+    assert not np.intersect1d(*found.pixels).size
+    assert np.isin(np.concatenate(found.pixels), on_box).all()
+
+
+def test_the_result_is_the_same_each_time():
+    depth = ray_cast(X_WC, TWO)
+    one, other = segment_depth(depth, K, X_WC), segment_depth(depth, K, X_WC)
+    for a, b in zip(one.clouds_W, other.clouds_W, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    pitch=st.floats(0.7, 1.2),
+    yaw=st.floats(-3.0, 3.0),
+    height=st.floats(0.6, 0.9),
+    seed=st.integers(0, 1000),
+)
+def test_a_noisy_box_is_found_from_any_side(pitch, yaw, height, seed):
+    X = camera_pose(height, pitch, yaw)
+    distance = height / np.tan(pitch)
+    target = box(distance * np.cos(yaw), distance * np.sin(yaw), (0.12, 0.12, 0.1))
+    depth = ray_cast(X, [target])
+    noise = np.random.default_rng(seed).normal(scale=0.001, size=SIZE)
+    depth = np.where(depth < 4.0, depth, np.inf)
+    depth[depth < 4.0] += (noise * depth**2)[depth < 4.0]
+    found = segment_depth(depth, K, X)
+    assert len(found.clouds_W) == 1
+    assert np.abs(found.clouds_W[0].mean(axis=0)[:2] - (target[0] + target[1])[:2] / 2).max() < 0.06
+    assert abs(found.table.offset) < 5e-3
+
+
+def test_a_large_wall_does_not_win_over_a_small_table():
+    wall = box(1.0, 0.0, (0.02, 6.0, 2.0), z=-1.0)
+    depth = ray_cast(camera_pose(0.5, 0.35), [wall, box(0.75, 0.0)], (0.7, 0.0, 0.25, 0.3))
+    for pose in (camera_pose(0.5, 0.35), None):
+        found = segment_depth(depth, K, pose)
+        assert len(found.clouds_W) == 1
+        assert abs(abs(found.table.normal_W[2]) - 1.0) < 1e-3
+
+
+def test_nothing_beside_the_table_is_an_obstacle():
+    beside = box(0.9, 0.6, (0.1, 0.1, 0.9), z=-0.7)
+    found = segment_depth(ray_cast(X_WC, [TWO[0], beside], (0.8, -0.1, 0.3, 0.4)), K, X_WC)
+    assert len(found.clouds_W) == 1
+
+
+def test_the_expected_height_picks_the_table_among_parallel_planes():
+    floor = box(0.8, 0.0, (8.0, 8.0, 0.1), z=-0.5)
+    depth = ray_cast(X_WC, [floor, box(0.8, -0.05)], (0.8, 0.0, 0.2, 0.2))
+    found = segment_depth(depth, K, X_WC, SegmentationConfig(table_height=0.0))
+    assert abs(found.table.offset) < 2e-3
+    assert len(found.clouds_W) == 1
+    nowhere = segment_depth(depth, K, X_WC, SegmentationConfig(table_height=0.3))
+    assert nowhere.note == "no supporting plane found"
+
+
+def test_the_robot_is_taken_out():
+    shapes = RobotShapes(
+        np.array([0]), np.eye(4)[None], np.array([[0.05, 0.05, 0.08]]), np.array([0.0])
+    )
+    X_WB = np.eye(4)
+    X_WB[:3, 3] = [0.8, -0.15, 0.08]
+    found = segment_depth(ray_cast(X_WC, TWO), K, X_WC, None, shapes.posed(X_WB[None]))
+    assert len(found.clouds_W) == 1
+    assert found.clouds_W[0][:, 1].min() > 0.0
+
+
+def test_an_unknown_pose_makes_the_table_the_world():
+    found = segment_depth(ray_cast(X_WC, TWO), K, None)
+    assert len(found.clouds_W) == 2
+    np.testing.assert_allclose(found.table.normal_W, [0.0, 0.0, 1.0], atol=1e-9)
+    assert abs(found.table.offset) < 1e-9
+    # The origin lies where the optical axis meets the table, y points away.
+    np.testing.assert_allclose(found.X_WC[0, 3], 0.0, atol=1e-4)
+    assert found.X_WC[1, 3] < 0.0
+    assert found.X_WC[2, 3] == pytest.approx(0.8, abs=2e-3)
+
+
+def test_a_cloud_gives_what_its_image_gives():
+    depth = ray_cast(X_WC, TWO)
+    v, u = np.nonzero(np.isfinite(depth) & (depth < 2.5))
+    z = depth[v, u]
+    p_CQ = np.stack([(u - K[2]) / K[0] * z, (v - K[3]) / K[1] * z, z], axis=1)
+    image = segment_depth(depth, K, X_WC)
+    p_WQ = p_CQ @ X_WC[:3, :3].T + X_WC[:3, 3]
+    assert len(segment_points(p_CQ, None).clouds_W) == 2
+    for points, pose in ((p_CQ, X_WC), (p_WQ, np.eye(4))):
+        found = segment_points(points, pose)
+        assert len(found.clouds_W) == 2
+        for a, b in zip(image.clouds_W, found.clouds_W, strict=True):
+            assert abs(len(a) - len(b)) < 0.1 * len(a)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 0.0, 0.1, 50.0])
+def test_an_image_without_valid_pixel_says_so(value):
+    found = segment_depth(np.full(SIZE, value, dtype=np.float32), K, X_WC)
+    assert found.clouds_W == ()
+    assert found.table is None
+    assert found.note == "no valid pixel"
+
+
+def test_an_empty_image_and_an_empty_cloud_say_so():
+    assert segment_depth(np.zeros((0, 0)), K, None).note == "no valid pixel"
+    assert segment_points(np.zeros((0, 3)), None).note == "no valid point"
+    assert segment_points(np.full((9, 3), np.nan), None).note == "no valid point"
+
+
+def test_a_wall_alone_is_no_table():
+    for pose in (X_WC, None):
+        found = segment_depth(np.full(SIZE, 1.0, dtype=np.float32), K, camera_pose(0.8, 0.0))
+        assert found.note == "no supporting plane found", pose
+
+
+def test_a_bare_table_is_no_fault():
+    found = segment_depth(ray_cast(X_WC, ()), K, X_WC)
+    assert (found.note, found.clouds_W) == ("", ())
+    assert found.table is not None
+
+
+def test_a_table_too_narrow_to_have_an_extent_holds_nothing():
+    found = segment_depth(ray_cast(X_WC, (), (0.8, 0.0, 0.4, 0.012)), K, X_WC)
+    assert (found.note, found.clouds_W) == ("", ())
+
+
+def test_arrays_that_are_read_only_or_of_other_layout_give_the_same():
+    depth = ray_cast(X_WC, TWO)
+    expected = segment_depth(depth, K, X_WC)
+    frozen = [np.asfortranarray(depth), K.copy(), np.asfortranarray(X_WC)]
+    for array in frozen:
+        array.flags.writeable = False
+    found = segment_depth(*frozen)
+    for a, b in zip(expected.clouds_W, found.clouds_W, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_missing_pixels_do_no_harm():
+    depth = ray_cast(X_WC, TWO)
+    rng = np.random.default_rng(1)
+    for value in (np.nan, 0.0, np.inf):
+        depth[rng.random(SIZE) < 0.1] = value
+    assert len(segment_depth(depth, K, X_WC).clouds_W) == 2
+
+
+@pytest.mark.parametrize(
+    "depth", [np.zeros((4, 4, 1)), np.zeros(4), np.zeros((4, 4), dtype=np.uint16)]
+)
+def test_depth_of_another_shape_or_type_is_refused(depth):
+    with pytest.raises(ValueError, match="depth must be"):
+        segment_depth(depth, K, None)
+
+
+@pytest.mark.parametrize("points", [np.zeros((4, 4)), np.zeros(3), np.zeros((4, 3), dtype=int)])
+def test_points_of_another_shape_or_type_are_refused(points):
+    with pytest.raises(ValueError, match="points must be"):
+        segment_points(points, None)
+
+
+@pytest.mark.parametrize("bad", [np.zeros(3), [0.0, 1.0, 1.0, 1.0], np.full(4, np.nan)])
+def test_invalid_intrinsics_are_refused(bad):
+    with pytest.raises(ValueError, match="K must be"):
+        segment_depth(np.ones(SIZE), bad, None)
+
+
+@pytest.mark.parametrize("bad", [np.eye(3), np.full((4, 4), np.nan), 2.0 * np.eye(4)])
+def test_an_invalid_pose_is_refused(bad):
+    with pytest.raises(ValueError, match="X_WC must"):
+        segment_depth(np.ones(SIZE), K, bad)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("near", -0.1),
+        ("near", 9.0),
+        ("far", np.inf),
+        ("voxel", 0.0),
+        ("voxel", "small"),
+        ("min_occupancy", 1.5),
+        ("min_occupancy", 0),
+        ("min_height", 3.0),
+        ("plane_tilt", 2.0),
+        ("table_height", np.nan),
+        ("stride", True),
+    ],
+)
+def test_an_invalid_parameter_is_named(name, value):
+    with pytest.raises(ValueError, match="SegmentationConfig"):
+        SegmentationConfig(**{name: value})
+
+
+def test_whole_numbers_may_come_as_floats():
+    config = SegmentationConfig(stride=4.0, min_occupancy=3.0)
+    assert isinstance(config.stride, int)
+    assert len(segment_depth(ray_cast(X_WC, TWO), K, X_WC, config).clouds_W) == 2
+
+
+def test_real_scans_every_object_is_found(scan_files):
+    for path in scan_files:
+        with np.load(path) as scan:
+            found = segment_depth(scan["depth"], scan["K"], None, NEAR)
+            label = scan["label"].ravel() if "label" in scan else None
+            valid = np.isfinite(scan["depth"]).ravel()
+        assert len(found.clouds_W) == GROUPS[path.stem], path.stem
+        assert found.plane_rms < 3e-3
+        if label is None:
+            continue
+        cluster = np.zeros(len(label), dtype=int)
+        for number, pixels in enumerate(found.pixels, start=1):
+            cluster[pixels] = number
+        table = (label >= 1) & (label < 10)
+        assert np.count_nonzero(cluster[table]) <= 1e-3 * np.count_nonzero(cluster)
+        for name in np.unique(label[label >= 20] // 10):
+            pixels = (label // 10 == name) & valid
+            covered = np.bincount(cluster[pixels])[1:].max(initial=0)
+            # What is not covered lies within a centimetre of the table.
+            assert covered > 0.88 * np.count_nonzero(pixels), (path.stem, name)

@@ -1,0 +1,134 @@
+import shutil
+
+import numpy as np
+import open3d
+import pytest
+from pydrake.math import RigidTransform
+from pydrake.systems.analysis import Simulator
+
+from drake_oa.perception.point_cloud import SegmentationConfig
+from drake_oa.perception.recorded_perception import RecordedPerception
+
+PERIOD = 0.1
+GROUPS = {
+    "mosd_test0": 2,
+    "mosd_learn34": 3,
+    "mosd_test35": 2,
+    "pcl_milk_cartoon_all_small_clorox": 3,
+}
+
+
+def scene(*centers: tuple[float, float], size: float = 0.1) -> np.ndarray:
+    """Points in the world: a table, and on it the top and two sides of cubes."""
+    grid = np.arange(-0.4, 0.4, 0.008)
+    x, y = (axis.ravel() for axis in np.meshgrid(grid, grid))
+    free = np.ones(len(x), dtype=bool)
+    parts = []
+    side = np.arange(0.0, size, 0.004)
+    a, b = (axis.ravel() for axis in np.meshgrid(side, side))
+    for cx, cy in centers:
+        low = np.array([cx, cy, 0.0]) - [size / 2, size / 2, 0.0]
+        free &= (np.abs(x - cx) > size / 2) | (np.abs(y - cy) > size / 2)
+        end = np.full(len(a), size)
+        parts += [low + np.stack(face, axis=1) for face in ((a, b, end), (end, a, b), (a, end, b))]
+    table = np.stack([x[free], y[free], np.zeros(free.sum())], axis=1)
+    return np.concatenate([table, *parts])
+
+
+def write_cloud(path, points: np.ndarray) -> None:
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
+    open3d.io.write_point_cloud(str(path), cloud)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """No cube at 0 s (.npz), one at 0.1 s (.pcd), two at 0.3 s (.ply)."""
+    np.savez(tmp_path / "start.npz", points=scene(), X_WC=np.eye(4), stamp=0.0)
+    write_cloud(tmp_path / "cloud_000.100.pcd", scene((0.1, 0.0)))
+    write_cloud(tmp_path / "cloud_000.300.ply", scene((0.12, 0.0), (-0.2, 0.1)))
+    return tmp_path
+
+
+def play(folder, times, **options):
+    system = RecordedPerception(folder, period=PERIOD, X_WC=RigidTransform(), **options)
+    simulator = Simulator(system)
+    seen = []
+    for time in times:
+        simulator.AdvanceTo(time)
+        seen.append(system.GetOutputPort("obstacles_W").Eval(simulator.get_context()))
+    return seen
+
+
+def test_frames_come_when_they_are_due_and_the_last_one_stays_current(folder):
+    seen = play(folder, [0.05, 0.15, 0.25, 0.35, 0.95])
+    assert [len(obstacles) for obstacles in seen] == [0, 1, 1, 2, 2]
+    np.testing.assert_allclose([s.stamp for s in seen], [0.0, 0.1, 0.1, 0.3, 0.9])
+    assert abs(seen[-1].table.offset) < 1e-3
+
+
+def test_names_stay_with_the_obstacles(folder):
+    seen = play(folder, [0.15, 0.35])
+    (name,) = seen[0].ids
+    right = [cloud[:, 0].mean() > 0.0 for cloud in seen[1].clouds_W]
+    assert seen[1].ids[right.index(True)] == name
+    assert len(set(seen[1].ids)) == 2
+
+
+def test_a_loop_starts_again_a_period_after_the_end(folder):
+    seen = play(folder, [0.35, 0.45, 0.55, 0.75], loop=True)
+    assert [len(obstacles) for obstacles in seen] == [2, 0, 1, 2]
+    np.testing.assert_allclose([s.stamp for s in seen], [0.3, 0.4, 0.5, 0.7])
+
+
+def test_a_degraded_frame_keeps_the_last_obstacles_and_names_the_file(folder):
+    np.savez(folder / "bad.npz", points=np.full((9, 3), np.nan), stamp=0.2)
+    before, during, after = play(folder, [0.15, 0.25, 0.35])
+    assert during.note == "bad.npz: no valid point"
+    assert during.stamp == before.stamp
+    np.testing.assert_array_equal(during.clouds_W[0], before.clouds_W[0])
+    assert (len(after), after.note) == (2, "")
+
+
+def test_the_cloud_for_viewing_holds_the_points_above_the_table(folder):
+    system = RecordedPerception(folder, period=PERIOD, X_WC=RigidTransform())
+    simulator = Simulator(system)
+    simulator.AdvanceTo(0.15)
+    points = system.GetOutputPort("cloud").Eval(simulator.get_context()).xyzs()
+    assert points.shape[1] > 500
+    assert points[2].min() > 0.0
+
+
+def test_playing_again_gives_the_same(folder):
+    for one, other in zip(play(folder, [0.15, 0.35]), play(folder, [0.15, 0.35]), strict=True):
+        for a, b in zip(one.clouds_W, other.clouds_W, strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("period", [0.0, -1.0, np.nan])
+def test_a_period_that_is_none_is_refused(folder, period):
+    with pytest.raises(ValueError, match="period"):
+        RecordedPerception(folder, period=period)
+
+
+def test_a_folder_that_is_missing_is_an_error(tmp_path):
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        RecordedPerception(tmp_path / "nowhere")
+
+
+def test_files_without_a_pose_are_known(folder):
+    system = RecordedPerception(folder, period=PERIOD)
+    names = [path.name for path in system.files_without_pose]
+    assert names == ["cloud_000.100.pcd", "cloud_000.300.ply"]
+
+
+def test_real_scans_every_object_is_found(scan_files, tmp_path):
+    for path in scan_files:
+        folder = tmp_path / path.stem
+        folder.mkdir()
+        shutil.copy(path, folder)
+        system = RecordedPerception(folder, config=SegmentationConfig(far=1.5))
+        simulator = Simulator(system)
+        simulator.Initialize()
+        obstacles = system.GetOutputPort("obstacles_W").Eval(simulator.get_context())
+        assert len(obstacles) == GROUPS[path.stem], path.stem
+        np.testing.assert_allclose(obstacles.table.normal_W, [0.0, 0.0, 1.0], atol=1e-9)

@@ -1,0 +1,184 @@
+import zipfile
+
+import numpy as np
+import pytest
+
+from drake_oa.perception.recordings import read_recording
+
+K = np.array([100.0, 100.0, 4.5, 3.5])
+POINTS = np.arange(12.0).reshape(4, 3)
+HEADER = """ply
+format ascii 1.0
+element vertex {count}
+property float x
+property float y
+property float z
+end_header
+"""
+
+
+def write_ply(path, points=POINTS):
+    rows = "".join(f"{x} {y} {z}\n" for x, y, z in points)
+    path.write_text(HEADER.format(count=len(points)) + rows)
+
+
+def test_every_kind_of_file_is_read_in_order_of_stamp(tmp_path):
+    import open3d
+
+    cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(POINTS))
+    open3d.io.write_point_cloud(str(tmp_path / "cloud_000.066.pcd"), cloud)
+    write_ply(tmp_path / "cloud_000.033.ply")
+    depth = np.ones((8, 10), dtype=np.float32)
+    np.savez(tmp_path / "depth.npz", depth=depth, K=K, X_WC=np.eye(4), stamp=0.1)
+    np.savez(tmp_path / "points_0.05.npz", points=POINTS)
+    (tmp_path / ".hidden").write_text("")
+    (tmp_path / "folder").mkdir()
+    frames = read_recording(tmp_path)
+    assert [frame.stamp for frame in frames] == [0.033, 0.05, 0.066, 0.1]
+    for frame in frames[:3]:
+        np.testing.assert_allclose(frame.points, POINTS)
+        assert frame.X_WC is None
+    assert frames[3].depth.dtype == np.float32
+    np.testing.assert_array_equal(frames[3].K, K)
+    np.testing.assert_array_equal(frames[3].X_WC, np.eye(4))
+
+
+def test_without_stamps_the_order_of_names_and_the_period_count(tmp_path):
+    for name in ("b_2", "a_10", "c"):
+        write_ply(tmp_path / f"{name}.ply")
+    frames = read_recording(tmp_path, period=0.5)
+    assert [(frame.path.stem, frame.stamp) for frame in frames] == [
+        ("a_10", 0.0),
+        ("b_2", 0.5),
+        ("c", 1.0),
+    ]
+
+
+def test_a_folder_that_is_missing_or_empty_is_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"no folder .*nowhere"):
+        read_recording(tmp_path / "nowhere")
+    with pytest.raises(FileNotFoundError, match="holds no file"):
+        read_recording(tmp_path)
+
+
+def test_an_unknown_suffix_is_named(tmp_path):
+    (tmp_path / "notes.txt").write_text("")
+    with pytest.raises(ValueError, match=r"notes.txt.*unknown suffix '.txt'.*\.npz"):
+        read_recording(tmp_path)
+
+
+@pytest.mark.parametrize("suffix", ["npz", "pcd", "ply"])
+@pytest.mark.parametrize("content", [b"", b"no such data", b"\x93NUMPY"])
+def test_an_unreadable_file_is_named(tmp_path, suffix, content):
+    (tmp_path / f"broken.{suffix}").write_bytes(content)
+    with pytest.raises(ValueError, match=f"broken.{suffix}"):
+        read_recording(tmp_path)
+
+
+def test_more_than_memory_is_refused_before_it_is_read(tmp_path):
+    with zipfile.ZipFile(tmp_path / "huge.npz", "w") as archive:
+        header = {"descr": "<f8", "fortran_order": False, "shape": (10**13, 3)}
+        with archive.open("points.npy", "w") as file:
+            np.lib.format.write_array_header_1_0(file, header)
+    with pytest.raises(ValueError, match=r"huge\.npz.* GB of memory; .* are available"):
+        read_recording(tmp_path)
+
+
+def test_a_truncated_archive_is_named(tmp_path):
+    path = tmp_path / "short.npz"
+    np.savez(path, points=POINTS)
+    path.write_bytes(path.read_bytes()[:150])
+    with pytest.raises(ValueError, match=r"short\.npz"):
+        read_recording(tmp_path)
+
+
+@pytest.mark.parametrize("damaged", [slice(60, 120), slice(200, 260), slice(-120, -90)])
+def test_a_damaged_archive_is_named(tmp_path, damaged):
+    path = tmp_path / "damaged.npz"
+    np.savez_compressed(path, points=np.random.default_rng(0).random((200, 3)))
+    data = bytearray(path.read_bytes())
+    data[damaged] = bytes(255 for _ in data[damaged])
+    path.write_bytes(data)
+    with pytest.raises(ValueError, match=r"damaged\.npz"):
+        read_recording(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "message"),
+    [
+        ({"other": POINTS}, "either 'depth'"),
+        ({"depth": np.ones((2, 2)), "points": POINTS, "K": K}, "either 'depth'"),
+        ({"depth": np.ones((2, 2))}, "needs 'K'"),
+        ({"depth": np.ones((2, 2)), "K": -K}, "needs 'K'"),
+        ({"depth": np.ones((2, 2)), "K": K[:3]}, "'K' in"),
+        ({"depth": np.ones(4), "K": K}, "'depth' in"),
+        ({"depth": np.ones((2, 2), dtype=np.uint16), "K": K}, "'depth' in"),
+        ({"depth": np.ones((0, 2)), "K": K}, "'depth' in"),
+        ({"points": POINTS.T}, "'points' in"),
+        ({"points": POINTS, "X_WC": np.zeros((4, 4))}, "'X_WC' in .* rotation"),
+        ({"points": POINTS, "X_WC": np.diag([1.0, 1.0, -1.0, 1.0])}, "'X_WC' in .* rotation"),
+        ({"points": POINTS, "X_WC": np.eye(3)}, "'X_WC' in"),
+        ({"points": POINTS, "stamp": np.nan}, "'stamp' in"),
+        ({"points": POINTS, "stamp": "now"}, "'stamp' in"),
+    ],
+)
+def test_malformed_arrays_are_named(tmp_path, arrays, message):
+    np.savez(tmp_path / "frame.npz", **arrays)
+    with pytest.raises(ValueError, match=message) as error:
+        read_recording(tmp_path)
+    assert "frame.npz" in str(error.value)
+
+
+def test_a_single_array_is_no_archive(tmp_path):
+    with (tmp_path / "array.npz").open("wb") as file:
+        np.save(file, POINTS)
+    with pytest.raises(ValueError, match=r"array\.npz.* no archive"):
+        read_recording(tmp_path)
+
+
+def test_pickled_objects_are_not_loaded(tmp_path):
+    np.savez(tmp_path / "objects.npz", points=np.array([{}], dtype=object))
+    with pytest.raises(ValueError, match=r"objects\.npz"):
+        read_recording(tmp_path)
+
+
+def test_two_files_of_one_stamp_are_named(tmp_path):
+    write_ply(tmp_path / "a_1.50.ply")
+    write_ply(tmp_path / "b_1.5.ply")
+    with pytest.raises(ValueError, match=r"a_1\.50\.ply.*b_1\.5\.ply.*same stamp 1\.5 s"):
+        read_recording(tmp_path)
+
+
+def write_pcd(path, points, width, height):
+    rows = "\n".join(" ".join(map(str, p)) for p in points.reshape(-1, 3))
+    path.write_text(
+        "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
+        f"WIDTH {width}\nHEIGHT {height}\nVIEWPOINT 0 0 0 1 0 0 0\n"
+        f"POINTS {width * height}\nDATA ascii\n{rows}\n"
+    )
+
+
+def test_an_organised_cloud_of_a_camera_is_its_depth_image(tmp_path):
+    z = np.random.default_rng(0).uniform(0.5, 1.5, (8, 10))
+    z[2, 3] = np.nan
+    v, u = np.mgrid[:8, :10]
+    points = np.stack([(u - K[2]) / K[0] * z, (v - K[3]) / K[1] * z, z], axis=-1)
+    write_pcd(tmp_path / "a.pcd", points, 10, 8)
+    write_pcd(tmp_path / "b.pcd", points @ np.diag([1.0, 1.0, -1.0]), 10, 8)
+    image, cloud = read_recording(tmp_path)
+    np.testing.assert_allclose(image.depth, z, rtol=1e-5)
+    np.testing.assert_allclose(image.K, K, rtol=1e-4)
+    # Behind the camera: in some other frame, so it stays a cloud.
+    assert cloud.depth is None
+    assert cloud.points.shape == (80, 3)
+    assert np.isfinite(cloud.points).all(axis=1).sum() == 79
+
+
+def test_intrinsics_files_in_a_folder_are_no_frames(tmp_path):
+    import open3d
+
+    values = np.full((4, 5), 1000, dtype=np.uint16)
+    open3d.io.write_image(str(tmp_path / "a_0.5.png"), open3d.geometry.Image(values))
+    (tmp_path / "intrinsics.json").write_text('{"fx": 9, "fy": 9, "cx": 2, "cy": 2}')
+    (frame,) = read_recording(tmp_path)
+    assert (frame.stamp, frame.depth[0, 0]) == (0.5, pytest.approx(1.0))

@@ -1,0 +1,121 @@
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drake_oa.perception.table_plane import fit_plane
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def patch(rng, normal, offset, count, size=1.0, noise=0.0):
+    """Random points of a plane within a square, with noise along its normal."""
+    first = np.cross(normal, [0.3, 0.9, 0.1])
+    first /= np.linalg.norm(first)
+    second = np.cross(normal, first)
+    a, b = rng.uniform(-size, size, (2, count))
+    return (
+        a[:, None] * first
+        + b[:, None] * second
+        + (offset + rng.normal(scale=noise, size=count))[:, None] * normal
+        if noise
+        else a[:, None] * first + b[:, None] * second + offset * normal
+    )
+
+
+def fit(points, **options):
+    options = {"max_tilt": np.deg2rad(10.0)} | options
+    return fit_plane(points, UP, options.pop("max_tilt"), np.full(len(points), 0.01), **options)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    tilt=st.floats(0.0, 0.15),
+    azimuth=st.floats(0.0, 6.28),
+    offset=st.floats(-2.0, 2.0),
+    seed=st.integers(0, 99),
+)
+def test_a_plane_in_clutter_is_recovered(tilt, azimuth, offset, seed):
+    rng = np.random.default_rng(seed)
+    normal = np.array(
+        [np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), np.cos(tilt)]
+    )
+    clutter = rng.uniform(-1.5, 1.5, (1500, 3)) + offset * normal
+    plane = fit(np.concatenate([patch(rng, normal, offset, 2000, noise=0.002), clutter]))
+    assert plane is not None
+    assert np.arccos(min(1.0, plane.normal @ normal)) < 2e-3
+    assert abs(plane.offset - offset) < 2e-3
+    assert plane.rms < 5e-3
+
+
+def test_the_larger_wall_does_not_win():
+    rng = np.random.default_rng(0)
+    wall = patch(rng, np.array([1.0, 0.0, 0.0]), 1.0, 5000)
+    plane = fit(np.concatenate([patch(rng, UP, 0.0, 1000, 0.5), wall]))
+    assert plane is not None
+    assert plane.normal @ UP > 0.9999
+
+
+def test_the_expected_height_chooses_among_parallel_planes():
+    rng = np.random.default_rng(0)
+    points = np.concatenate([patch(rng, UP, 0.0, 1000, 0.5), patch(rng, UP, -0.7, 3000)])
+    assert abs(fit(points).offset + 0.7) < 1e-6
+    assert abs(fit(points, height=0.02).offset) < 1e-6
+    assert fit(points, height=0.4) is None
+
+
+def test_the_normal_points_up_and_inliers_are_marked():
+    rng = np.random.default_rng(0)
+    points = np.concatenate([patch(rng, UP, 0.3, 500), patch(rng, UP, 0.6, 100)])
+    plane = fit(points)
+    assert plane.normal[2] > 0.0
+    np.testing.assert_array_equal(np.flatnonzero(plane.inliers), np.arange(500))
+
+
+def test_without_a_plane_there_is_none():
+    rng = np.random.default_rng(0)
+    assert fit(patch(rng, np.array([1.0, 0.0, 0.0]), 1.0, 1000)) is None
+    assert fit(np.zeros((0, 3))) is None
+    assert fit(np.zeros((100, 3))) is None
+    assert fit(np.linspace(0, 1, 300)[:, None] * [1.0, 0.0, 0.0]) is None
+
+
+def seen_from_above(rng, levels):
+    """Points of horizontal squares (height, half size, count) below the origin."""
+    parts = []
+    for height, half, count in levels:
+        xy = rng.uniform(-half, half, (count, 2))
+        parts.append(np.column_stack([xy, rng.normal(height, 0.002, count)]))
+    return np.concatenate(parts)
+
+
+def test_a_small_table_wins_over_the_floor_round_it():
+    points = seen_from_above(np.random.default_rng(0), [(-1.5, 1.5, 6000), (-0.8, 0.3, 2500)])
+    assert abs(fit(points, origin_above=True).offset + 0.8) < 2e-3
+
+
+def test_a_box_on_the_floor_is_no_table():
+    points = seen_from_above(np.random.default_rng(0), [(-1.5, 1.5, 4000), (-1.2, 0.3, 1500)])
+    assert abs(fit(points, origin_above=True).offset + 1.5) < 2e-3
+
+
+def test_the_table_wins_over_the_top_of_a_large_box_on_it():
+    points = seen_from_above(np.random.default_rng(0), [(-1.0, 0.6, 2500), (-0.75, 0.25, 5000)])
+    assert abs(fit(points, origin_above=True).offset + 1.0) < 2e-3
+
+
+def test_an_expected_height_settles_which_plane_it_is():
+    points = seen_from_above(np.random.default_rng(0), [(-1.0, 0.6, 2500), (-0.75, 0.25, 5000)])
+    assert abs(fit(points, height=-0.75).offset + 0.75) < 2e-3
+
+
+def test_an_expected_plane_is_refined_to_the_one_that_a_search_finds():
+    rng = np.random.default_rng(0)
+    tilted = np.array([0.002, -0.003, 1.0]) / np.linalg.norm([0.002, -0.003, 1.0])
+    table = patch(rng, tilted, -1.0, 8000, 0.5, noise=0.001)
+    box = np.column_stack([rng.uniform(-0.1, 0.1, (500, 2)), rng.uniform(-1.0, -0.8, 500)])
+    points = np.concatenate([table, box])
+    # From 3 cm off a search is needed.
+    for height in (-1.0, -1.03):
+        plane = fit(points, height=height)
+        assert plane.normal @ tilted > np.cos(1e-3)
+        assert abs(plane.offset + 1.0) < 3e-4

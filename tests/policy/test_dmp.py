@@ -1,0 +1,317 @@
+"""The movement primitive without coupling terms."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drake_oa.policy.dmp import (
+    ALPHA_K,
+    ALPHA_X,
+    BETA_X,
+    Dmp,
+    baseline_frame,
+    imitate,
+    local_frame,
+    minimum_jerk,
+    spring_flow,
+    step,
+    trajectory,
+)
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def default_dmp(dimension: int = 3) -> Dmp:
+    return imitate(*minimum_jerk(np.zeros(dimension), np.eye(dimension)[0]))
+
+
+def smooth_path(rng: np.random.Generator, dimension: int, samples: int):
+    """A curved path from rest to rest with uneven stamps, and the path at any s."""
+    t = np.sort(rng.uniform(0.0, 1.0, samples))
+    t = 0.5 * t + 0.5 * np.linspace(0.0, 1.0, samples)
+    t = (t - t[0]) / (t[-1] - t[0])
+    start = rng.normal(size=dimension)
+    goal = start + rng.uniform(0.3, 2.0) * unit(rng, dimension)
+    size = 0.2 * np.linalg.norm(goal - start)
+    bends = size * rng.normal(size=(3, dimension))
+
+    def at(s):
+        share = s**3 * (10.0 + s * (6.0 * s - 15.0))
+        waves = np.stack([np.sin(np.pi * n * share) for n in (1, 2, 3)], axis=-1)
+        return start + share[:, None] * (goal - start) + waves @ bends
+
+    return t, at
+
+
+def unit(rng: np.random.Generator, dimension: int):
+    v = rng.normal(size=dimension)
+    return v / np.linalg.norm(v)
+
+
+def nmse(path, reference):
+    spread = ((reference - reference.mean(axis=0)) ** 2).sum()
+    return ((path - reference) ** 2).sum() / spread
+
+
+# Imitation
+
+
+def test_minimum_jerk_is_followed_to_the_goal():
+    start, goal = np.array([0.45, -0.4, 0.3]), np.array([0.45, 0.4, 0.3])
+    motion = trajectory(default_dmp(), start, goal)
+    reference, _ = minimum_jerk(start, goal, samples=501)
+    assert nmse(motion.p, reference) < 1e-7
+    assert np.linalg.norm(motion.p[-1] - goal) < 1e-4 * 0.8
+    assert np.linalg.norm(motion.z[-1]) < 1e-3 * 0.8
+    assert np.isclose(motion.k[-1], 0.01)
+    assert (motion.p @ (goal - start) >= start @ (goal - start)).all()
+
+
+def test_motion_comes_to_rest_at_the_goal_after_its_end():
+    motion = trajectory(default_dmp(), [0.0, 0, 0], [1.0, 0, 0], steps=1000, end=3.0)
+    assert np.abs(motion.p[motion.s >= 1.0] - [1, 0, 0]).max() < 3e-4
+    assert np.abs(motion.p[-1] - [1, 0, 0]).max() < 1e-7
+    assert np.abs(motion.z[-1]).max() < 1e-6
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=seeds, dimension=st.integers(1, 6), samples=st.integers(60, 300))
+def test_smooth_paths_are_imitated_in_any_dimension_and_at_uneven_stamps(seed, dimension, samples):
+    t, at = smooth_path(np.random.default_rng(seed), dimension, samples)
+    dmp = imitate(at(t), 7.0 + 2.5 * t)
+    s = np.linspace(0.0, 1.0, 301)
+    reference = at(s)
+    motion = trajectory(dmp, reference[0], reference[-1], steps=300)
+    assert np.isclose(dmp.duration, 2.5)
+    assert nmse(motion.p, reference) < 1e-4
+    baseline = np.linalg.norm(reference[-1] - reference[0])
+    assert np.linalg.norm(motion.p[-1] - reference[-1]) < 1e-3 * baseline
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=seeds)
+def test_new_start_and_goal_turn_and_scale_the_path(seed):
+    rng = np.random.default_rng(seed)
+    t, at = smooth_path(rng, 3, 100)
+    dmp = imitate(at(t), t)
+    ends = rng.normal(size=(2, 2, 3))
+    shapes = []
+    for start, goal in ends:
+        p = trajectory(dmp, start, goal, steps=60).p
+        shapes.append((p - start) @ local_frame(start, goal) / np.linalg.norm(goal - start))
+    np.testing.assert_allclose(shapes[0], shapes[1], atol=1e-9)
+
+
+def test_two_samples_are_a_demonstration():
+    dmp = imitate([[0.0, 0.0], [1.0, 2.0]], [0.0, 3.0])
+    motion = trajectory(dmp, [0.0, 0.0], [1.0, 2.0], steps=600, end=3.0)
+    assert np.abs(motion.p @ [2.0, -1.0]).max() < 1e-9
+    assert np.linalg.norm(motion.p[-1] - [1.0, 2.0]) < 1e-3
+
+
+def test_a_demonstration_that_ends_moving_still_comes_to_the_goal():
+    s = np.linspace(0.0, 1.0, 50)
+    motion = trajectory(imitate(s[:, None]), [0.0], [1.0], steps=900, end=3.0)
+    assert abs(motion.p[-1, 0] - 1.0) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("path", "t", "message"),
+    [
+        ([[0.0, 0.0]], None, "at least 2 samples"),
+        ([0.0, 1.0], None, r"must be \(T, D\)"),
+        ([[0.0], [1.0], [2.0]], [0.0, 1.0, 1.0], "sample 2 at 1.0 s follows 1.0 s"),
+        ([[0.0], [1.0], [2.0]], [0.0, 2.0, 1.0], "stamps must increase"),
+        ([[0.0], [1.0]], [0.0, 1.0, 2.0], "one stamp a sample"),
+        ([[0.0], [np.nan], [2.0]], None, "path must be finite: sample 1"),
+        ([[0.0], [1.0], [2.0]], [0.0, 1.0, np.inf], "t must be finite: sample 2"),
+        ([[0.0], [1.0], [0.0]], None, "end away from where it starts"),
+        ([[1.0, 1.0], [1.0, 1.0]], None, "end away from where it starts"),
+    ],
+)
+def test_unusable_demonstrations_are_refused(path, t, message):
+    with pytest.raises(ValueError, match=message):
+        imitate(path, t)
+
+
+@pytest.mark.parametrize(
+    "constants", [{"n_basis": 1}, {"alpha_x": 0.0}, {"beta_x": -1.0}, {"alpha_k": np.inf}]
+)
+def test_unusable_constants_are_refused(constants):
+    with pytest.raises(ValueError, match=next(iter(constants))):
+        imitate([[0.0], [1.0]], **constants)
+
+
+# Forcing term and canonical system
+
+
+def test_forcing_is_the_normalised_weighted_sum_times_the_phase():
+    dmp = Dmp(80.0, 20.0, 4.6, np.array([1.0, 0.5]), np.array([4.0, 8.0]), np.array([[3.0, -2.0]]))
+    k = 0.7
+    basis = np.exp([-4.0 * 0.3**2, -8.0 * 0.2**2])
+    expected = (3.0 * basis[0] - 2.0 * basis[1]) / basis.sum() * k
+    np.testing.assert_allclose(dmp.forcing(k), [expected], rtol=1e-14)
+
+
+def test_forcing_far_from_every_centre_is_that_of_the_nearest():
+    narrow = np.full(2, 1e9)
+    dmp = Dmp(80.0, 20.0, 4.6, np.array([1.0, 0.5]), narrow, np.array([[3.0, -2.0]]))
+    np.testing.assert_allclose(dmp.forcing(0.1), [-0.2], rtol=1e-14)
+    np.testing.assert_allclose(dmp.forcing(0.0), [0.0])
+
+
+def test_phase_decays_exponentially_whatever_the_step():
+    dmp = default_dmp(1)
+    np.testing.assert_allclose(dmp.phase([0.0, 0.5, 1.0]), [1.0, 0.1, 0.01])
+    motion = trajectory(dmp, [0.0], [1.0], steps=7)
+    np.testing.assert_allclose(motion.k, dmp.phase(motion.s), rtol=1e-13)
+
+
+def test_defaults_are_critically_damped_and_leave_a_hundredth_of_the_phase():
+    assert BETA_X == ALPHA_X / 4.0
+    assert np.isclose(np.exp(-ALPHA_K), 0.01)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"widths": np.array([1.0, 0.0])}, "widths"),
+        ({"widths": np.ones(3)}, "centers and widths"),
+        ({"weights": np.ones((1, 3))}, "weights"),
+        ({"weights": np.array([[1.0, np.nan]])}, "finite"),
+        ({"duration": 0.0}, "duration"),
+    ],
+)
+def test_malformed_primitives_are_refused(change, message):
+    good = {
+        "alpha_x": 80.0,
+        "beta_x": 20.0,
+        "alpha_k": 4.6,
+        "centers": np.array([1.0, 0.1]),
+        "widths": np.ones(2),
+        "weights": np.ones((1, 2)),
+    }
+    with pytest.raises(ValueError, match=message):
+        Dmp(**(good | change))
+
+
+# Spring
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    alpha=st.floats(0.1, 200.0),
+    ratio=st.sampled_from([0.01, 0.1, 0.25, 0.25000001, 0.5, 4.0]),
+    h=st.floats(0.0, 2.0),
+)
+def test_spring_flow_is_the_matrix_exponential(alpha, ratio, h):
+    from scipy.linalg import expm
+
+    beta = ratio * alpha
+    exact = expm(np.array([[0.0, 1.0], [-alpha * beta, -alpha]]) * h)
+    flow = np.array(spring_flow(alpha, beta, h)).reshape(2, 2)
+    np.testing.assert_allclose(flow, exact, atol=1e-9 * max(1.0, alpha * beta))
+
+
+@settings(max_examples=100, deadline=None)
+@given(seed=seeds, alpha=st.floats(0.1, 1e4), ratio=st.floats(1e-3, 1e3), h=st.floats(0.0, 10.0))
+def test_energy_of_the_unforced_spring_never_rises(seed, alpha, ratio, h):
+    e, z = np.random.default_rng(seed).normal(size=(2, 3))
+    beta = ratio * alpha
+    a, b, c, d = spring_flow(alpha, beta, h)
+    after = (a * e + b * z, c * e + d * z)
+    energies = [0.5 * alpha * beta * (x @ x) + 0.5 * (v @ v) for x, v in ((e, z), after)]
+    assert energies[1] <= energies[0] * (1.0 + 1e-12)
+
+
+def test_one_long_step_equals_many_short_ones_without_forcing():
+    dmp = Dmp(80.0, 20.0, 4.6, np.ones(1), np.ones(1), np.zeros((2, 1)))
+    args = {"frame": np.eye(2), "baseline": 1.0}
+    goal, p, z = np.array([1.0, 0.5]), np.zeros(2), np.array([0.3, -2.0])
+    one = step(dmp, p, z, 1.0, 0.1, goal, **args)
+    k = 1.0
+    for _ in range(10):
+        p, z, k = step(dmp, p, z, k, 0.01, goal, **args)
+    for a, b in zip(one, (p, z, k), strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-12)
+
+
+def test_no_time_no_motion():
+    dmp = default_dmp()
+    p, z = np.array([0.1, 0.2, 0.3]), np.array([1.0, 0.0, 0.5])
+    after = step(dmp, p, z, 0.5, 0.0, np.ones(3), frame=np.eye(3), baseline=1.0)
+    np.testing.assert_array_equal(after[0], p)
+    np.testing.assert_array_equal(after[1], z)
+    assert after[2] == 0.5
+
+
+@pytest.mark.parametrize("ds", [-1e-3, np.nan, np.inf])
+def test_a_step_backward_or_undefined_is_refused(ds):
+    with pytest.raises(ValueError, match="ds"):
+        step(
+            default_dmp(1),
+            *(np.zeros(1), np.zeros(1), 1.0),
+            *(ds, np.ones(1)),
+            frame=np.eye(1),
+            baseline=1.0,
+        )
+
+
+# Local frame
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    start=st.lists(st.floats(-10, 10), min_size=3, max_size=3),
+    way=st.lists(st.floats(-1, 1), min_size=3, max_size=3),
+)
+def test_local_frame_is_right_handed_with_x_to_the_goal_and_z_up(start, way):
+    start, way = np.array(start), np.array(way)
+    if np.linalg.norm(way) < 1e-6:
+        way = np.array([0.0, 0.0, -0.5])
+    goal = start + way
+    R = local_frame(start, goal)
+    np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-12)
+    assert np.isclose(np.linalg.det(R), 1.0)
+    np.testing.assert_allclose(R[:, 0] * np.linalg.norm(goal - start), goal - start, atol=1e-12)
+    assert R[2, 2] >= -1e-12
+    assert R[2, 1] == 0.0
+
+
+@pytest.mark.parametrize("up", [1.0, -1.0])
+def test_local_frame_of_a_vertical_baseline_keeps_the_worlds_y(up):
+    R = local_frame([1.0, 2.0, 3.0], [1.0, 2.0, 3.0 + up])
+    np.testing.assert_allclose(R, [[0, 0, -up], [0, 1, 0], [up, 0, 0]], atol=1e-15)
+    leaning = local_frame([0.0, 0, 0], [1e-6, 0, up])
+    np.testing.assert_allclose(R, leaning, atol=1e-5)
+
+
+@settings(max_examples=50, deadline=None)
+@given(seed=seeds, dimension=st.integers(1, 7), back=st.booleans())
+def test_baseline_frame_is_a_rotation_with_its_first_axis_to_the_goal(seed, dimension, back):
+    rng = np.random.default_rng(seed)
+    start = rng.normal(size=dimension)
+    way = -np.eye(dimension)[0] if back else unit(rng, dimension)
+    R = baseline_frame(start, start + 2.0 * way)
+    np.testing.assert_allclose(R.T @ R, np.eye(dimension), atol=1e-12)
+    np.testing.assert_allclose(R[:, 0], way, atol=1e-12)
+    if dimension > 1:
+        assert np.isclose(np.linalg.det(R), 1.0)
+
+
+@pytest.mark.parametrize("goal", [[0.1, 0.2, 0.3], [np.nan, 0, 0], [np.inf, 0, 0]])
+def test_a_baseline_without_length_is_refused(goal):
+    with pytest.raises(ValueError, match="apart"):
+        local_frame([0.1, 0.2, 0.3], goal)
+
+
+def test_shapes_that_do_not_fit_the_primitive_are_refused():
+    with pytest.raises(ValueError, match="start and goal"):
+        trajectory(default_dmp(3), [0.0, 0.0], [1.0, 0.0])
+    with pytest.raises(ValueError, match="steps"):
+        trajectory(default_dmp(1), [0.0], [1.0], steps=0)
+    with pytest.raises(ValueError, match="start and goal"):
+        minimum_jerk([0.0], [1.0, 2.0])
+    with pytest.raises(ValueError, match="samples"):
+        minimum_jerk([0.0], [1.0], samples=1)

@@ -1,0 +1,194 @@
+"""The links' coupling law: orthogonal, bounded, and out of the tool's way."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from pydrake.math import RotationMatrix
+from pydrake.multibody.tree import JacobianWrtVariable
+
+from drake_oa.common.messages import ObstacleClouds
+from drake_oa.geometry.collision_shapes import collect_collision_shapes
+from drake_oa.policy.coupling import dead_zone_free_rate
+from drake_oa.posture import null_space_coupling_kernels as kernels
+from drake_oa.posture.arm_surroundings import ArmSurroundings
+from drake_oa.posture.null_space_coupling import (
+    NullSpaceCouplingParameters,
+    null_space_acceleration,
+    null_space_basis,
+    section_acceleration,
+)
+from drake_oa.robot.arm_kernels import jacobian
+from drake_oa.robot.arm_model import make_arm_model
+from drake_oa.robot.arm_motion import ArmModel
+from drake_oa.robot.config import Robot
+from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
+
+LAW = NullSpaceCouplingParameters(alpha=30.0, psi=0.8, kappa=20.0)
+STEP = 0.008
+vectors = st.tuples(*[st.floats(-1.0, 1.0)] * 3).map(np.array)
+
+
+@pytest.fixture(scope="module")
+def panda() -> RobotPlant:
+    return make_robot_plant(Robot())
+
+
+@pytest.fixture(scope="module")
+def arm(panda: RobotPlant) -> ArmModel:
+    inspector = panda.scene_graph.model_inspector()
+    return make_arm_model(
+        panda.plant,
+        inspector,
+        panda.tool_frame,
+        RotationMatrix(),
+        home_positions(panda, Robot()),
+        collect_collision_shapes(panda.plant, inspector, panda.instance),
+        without=Robot().tool_links,
+    )
+
+
+def unit(v: np.ndarray) -> np.ndarray:
+    assume(np.linalg.norm(v) > 0.1)
+    return v / np.linalg.norm(v)
+
+
+def elbow(arm: ArmModel) -> np.ndarray:
+    """Where the fourth joint is."""
+    return arm.poses(arm.posture)[3, :3, 3]
+
+
+def post(p_WQ: Sequence[float], v_WO: Sequence[float] = (0.0, 0.0, 0.0)) -> ArmSurroundings:
+    cloud = np.asarray(p_WQ) + 0.03 * np.array([[0, 0, z] for z in range(-3, 4)], dtype=float)
+    clouds = ObstacleClouds(
+        stamp=0.0, clouds_W=(cloud,), ids=np.arange(1), v_WO=np.array([v_WO], dtype=float)
+    )
+    return ArmSurroundings.of(clouds)
+
+
+@given(vectors, vectors, st.floats(0.0, 0.5))
+def test_it_turns_the_velocity_away_and_does_not_push_it(
+    v: np.ndarray, to: np.ndarray, distance: float
+) -> None:
+    u = unit(to)
+    a = section_acceleration(v, u, distance, LAW, STEP)
+    assert abs(a @ v) <= 1e-9 * (1.0 + np.linalg.norm(a))
+    assert a @ u <= 1e-9
+    if v @ u <= 0.0:
+        assert not a.any()
+
+
+@given(vectors, vectors, st.floats(0.0, 0.5))
+def test_its_rate_is_the_papers(v: np.ndarray, to: np.ndarray, distance: float) -> None:
+    u, e = unit(to), unit(v)
+    theta = math.acos(min(max(float(e @ u), -1.0), 1.0))
+    assume(0.01 < theta < 1.36)
+    # In a short step nothing limits it, and it does not fade yet.
+    rate = np.linalg.norm(section_acceleration(v, u, distance, LAW, 1e-6)) / np.linalg.norm(v)
+    expected = dead_zone_free_rate(theta, distance, LAW.alpha, LAW.psi, LAW.kappa)
+    assert rate == pytest.approx(float(expected), rel=1e-3)
+
+
+@given(vectors, vectors, vectors, st.floats(-3.0, 3.0))
+def test_a_turned_frame_turns_it(
+    v: np.ndarray, to: np.ndarray, axis: np.ndarray, angle: float
+) -> None:
+    u = unit(to)
+    assume(np.linalg.norm(np.cross(unit(v), u)) > 1e-3)
+    n = unit(axis)
+    K = np.array([[0, -n[2], n[1]], [n[2], 0, -n[0]], [-n[1], n[0], 0]])
+    R = np.eye(3) + math.sin(angle) * K + (1.0 - math.cos(angle)) * K @ K
+    expected = R @ section_acceleration(v, u, 0.1, LAW, STEP)
+    found = section_acceleration(R @ v, R @ u, 0.1, LAW, STEP)
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+def test_nothing_at_rest_far_away_or_without_strength() -> None:
+    u, v = np.array([1.0, 0.0, 0.0]), np.array([0.2, 0.1, 0.0])
+    assert section_acceleration(v, u, 0.1, LAW, STEP).any()
+    assert not section_acceleration(np.zeros(3), u, 0.1, LAW, STEP).any()
+    assert not section_acceleration(v, u, LAW.reach, LAW, STEP).any()
+    none = NullSpaceCouplingParameters(alpha=0.0, psi=1.0, kappa=1.0)
+    assert not section_acceleration(v, u, 0.1, none, STEP).any()
+
+
+def test_a_heading_straight_at_it_turns_the_fastest() -> None:
+    u = np.array([1.0, 0.0, 0.0])
+    a = section_acceleration(0.3 * u, u, 0.0, LAW, 1e-6)
+    assert np.linalg.norm(a) == pytest.approx(LAW.alpha * 0.3, rel=1e-3)
+
+
+def test_the_section_is_the_nearest_and_its_jacobian_drakes(
+    panda: RobotPlant, arm: ArmModel
+) -> None:
+    plant = panda.plant
+    context = plant.CreateDefaultContext()
+    q = arm.posture
+    plant.SetPositions(context, np.append(q, [0.01, 0.01]))
+    X_WB, seen = arm.poses(q), post(elbow(arm) + [0.0, 0.25, 0.0]).points
+    p, u, J = np.empty(3), np.empty(3), np.empty((3, 7))
+    distance, body = kernels.nearest_section(
+        X_WB, *(np.array(a) for a in arm.shapes), seen.points, seen.start, seen.owner,
+        seen.sphere, seen.v_WO, 0.0, 0, 1.0, p, u,
+    )  # fmt: skip
+    assert np.linalg.norm(u) == pytest.approx(1.0)
+    assert np.abs(seen.points - (p + distance * u)).sum(axis=1).min() < 1e-9
+    kernels.point_jacobian(X_WB, body, p, J)
+    frame = plant.GetBodyByName(f"panda_link{body + 1}").body_frame()
+    p_BS = plant.CalcPointsPositions(context, plant.world_frame(), p, frame)
+    world = plant.world_frame()
+    expected = plant.CalcJacobianTranslationalVelocity(
+        context, JacobianWrtVariable.kV, frame, p_BS, world, world
+    )
+    np.testing.assert_allclose(J, expected[:, :7], atol=1e-9)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.tuples(*[st.floats(-0.5, 0.5)] * 7).map(np.array), vectors)
+def test_none_of_it_moves_the_tool_and_it_is_bounded(
+    arm: ArmModel, v: np.ndarray, v_WO: np.ndarray
+) -> None:
+    law = NullSpaceCouplingParameters(alpha=300.0, psi=1.5, kappa=5.0, most=7.0)
+    around = post(elbow(arm) + [0.0, 0.2, 0.0], v_WO)
+    a = null_space_acceleration(arm, around, arm.posture, v, law, time=0.0, step=STEP)
+    J = np.empty((6, 7))
+    jacobian(arm.poses(arm.posture), J)
+    np.testing.assert_allclose(J @ a, 0.0, atol=1e-9)
+    assert np.linalg.norm(a) <= 7.0 + 1e-9
+
+
+def test_what_comes_at_a_still_elbow_moves_it(arm: ArmModel) -> None:
+    still = np.zeros(7)
+    around = post(elbow(arm) + [0.05, 0.2, 0.0], (0.0, -0.4, 0.0))
+    a = null_space_acceleration(arm, around, arm.posture, still, LAW, time=0.0, step=STEP)
+    assert np.linalg.norm(a) > 0.01
+    rests = post(elbow(arm) + [0.05, 0.2, 0.0])
+    a = null_space_acceleration(arm, rests, arm.posture, still, LAW, time=0.0, step=STEP)
+    assert not a.any()
+
+
+def test_without_obstacles_there_is_none(arm: ArmModel) -> None:
+    none = ArmSurroundings.of(ObstacleClouds())
+    a = null_space_acceleration(arm, none, arm.posture, np.ones(7), LAW, time=0.0, step=STEP)
+    assert not a.any()
+
+
+def test_the_basis_of_a_null_space() -> None:
+    J = np.random.default_rng(0).normal(size=(6, 7))
+    Z = null_space_basis(J)
+    assert Z.shape == (7, 1)
+    np.testing.assert_allclose(J @ Z, 0.0, atol=1e-12)
+    J[5] = J[4]
+    assert null_space_basis(J).shape == (7, 2)
+    assert null_space_basis(np.eye(6)).shape == (6, 0)
+
+
+@pytest.mark.parametrize("name", ["alpha", "psi", "kappa", "most"])
+@pytest.mark.parametrize("value", [-1.0, math.nan, math.inf])
+def test_bad_parameters_are_refused(name: str, value: float) -> None:
+    given = {"alpha": 1.0, "psi": 1.0, "kappa": 1.0, "most": 1.0, name: value}
+    with pytest.raises(ValueError, match=name):
+        NullSpaceCouplingParameters(**given)

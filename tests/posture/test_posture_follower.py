@@ -1,0 +1,177 @@
+"""The null space's course: smooth, at the plan's place, and without jumps."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydrake.common.value import Value
+from pydrake.systems.analysis import Simulator
+
+from drake_oa.common.messages import Evasion, PlannedMotion, PolicyState
+from drake_oa.posture.posture_course import PostureCourse, monotone_slopes
+from drake_oa.posture.posture_follower import PostureFollower
+
+ALPHA_K = 4.0
+REST = np.zeros(2)
+
+
+def motion(*q: float) -> PlannedMotion:
+    rows = np.column_stack([q, -np.array(q)])
+    return PlannedMotion(np.linspace(0.0, 1.0, len(q)), np.zeros((len(q), 3)), rows)
+
+
+def policy(s: float, speed: float = 0.2, stamp: float = 0.0) -> PolicyState:
+    return PolicyState(phase=math.exp(-ALPHA_K * s), speed=speed, stamp=stamp)
+
+
+@given(st.lists(st.floats(-2.0, 2.0), min_size=2, max_size=8))
+def test_course_passes_the_samples_and_stays_between_them(values: list[float]) -> None:
+    course = PostureCourse(REST).with_motion(motion(*values), 0.0, 0.0, 0.0)
+    course = PostureCourse(REST, course.motion, course.slopes)
+    for i in range(len(values) - 1):
+        low, high = sorted(values[i : i + 2])
+        for x in np.linspace(0.0, 1.0, 7):
+            q = course.at((i + x) / (len(values) - 1), 0.2, 0.0)
+            assert low - 1e-9 <= q[0] <= high + 1e-9
+            assert q[1] == pytest.approx(-q[0])
+
+
+def test_velocity_is_the_derivative() -> None:
+    course = PostureCourse(REST).with_motion(motion(0.0, 0.5, 0.6, -0.2), 0.0, 0.2, 0.0)
+    for time in np.linspace(0.01, 4.0, 30):
+        at = [course.at(0.2 * t, 0.2, t)[:2] for t in (time - 1e-5, time + 1e-5)]
+        v = course.at(0.2 * time, 0.2, time)[2:]
+        np.testing.assert_allclose((at[1] - at[0]) / 2e-5, v, atol=1e-3)
+
+
+def test_a_new_plan_does_not_jump_and_is_reached() -> None:
+    one = PostureCourse(REST).with_motion(motion(0.0, 0.5, 0.9), 0.0, 0.2, 0.0)
+    two = one.with_motion(motion(1.0, -0.5, 0.0), 0.5, 0.2, 2.5)
+    np.testing.assert_allclose(one.at(0.5, 0.2, 2.5), two.at(0.5, 0.2, 2.5), atol=1e-12)
+    np.testing.assert_allclose(two.at(1.0, 0.2, 6.0)[:2], [0.0, 0.0], atol=1e-4)
+    gone = two.with_motion(PlannedMotion(), 0.7, 0.2, 3.0)
+    np.testing.assert_allclose(gone.at(0.7, 0.2, 3.0), two.at(0.7, 0.2, 3.0), atol=1e-12)
+    np.testing.assert_allclose(gone.at(0.7, 0.2, 9.0)[:2], REST, atol=1e-6)
+
+
+def test_slopes_do_not_overshoot_a_step() -> None:
+    slopes = monotone_slopes(np.array([0.0, 0.5, 0.6, 1.0]), np.array([[0.0], [0.0], [1.0], [1.0]]))
+    np.testing.assert_array_equal(slopes, 0.0)
+
+
+def test_without_a_plan_it_is_the_posture_at_rest() -> None:
+    follower = PostureFollower([0.3, -0.1], ALPHA_K)
+    context = follower.CreateDefaultContext()
+    follower.GetInputPort("motion").FixValue(context, Value(PlannedMotion()))
+    follower.GetInputPort("policy_state").FixValue(context, Value(policy(0.3)))
+    posture = follower.get_output_port().Eval(context)
+    np.testing.assert_array_equal(posture, [0.3, -0.1, 0.0, 0.0])
+
+
+def test_the_system_follows_and_rests_with_a_held_motion() -> None:
+    follower = PostureFollower(REST, ALPHA_K, period=0.01)
+    simulator = Simulator(follower)
+    context = simulator.get_mutable_context()
+    follower.GetInputPort("motion").FixValue(context, Value(motion(0.0, 0.4, 0.8)))
+    port = follower.GetInputPort("policy_state").FixValue(context, Value(policy(0.0)))
+    last = None
+    for step in range(1, 301):
+        time = 0.01 * step
+        s = min(0.2 * time, 0.5)
+        held = PolicyState(phase=math.exp(-ALPHA_K * s), speed=0.2 if s < 0.5 else 0.0, stamp=time)
+        simulator.AdvanceTo(time)
+        port.GetMutableData().set_value(held)
+        now = follower.get_output_port().Eval(context)
+        if last is not None:
+            assert np.abs(now[:2] - last[:2]).max() < 0.02
+        last = now
+    np.testing.assert_allclose(last, [0.4, -0.4, 0.0, 0.0], atol=1e-3)
+
+
+def test_where_the_motion_begins_anew_it_stays_until_there_is_a_plan_for_that() -> None:
+    start, here = np.zeros(3), np.array([0.0, 0.0, 0.5])
+    plan = PlannedMotion(
+        np.linspace(0.0, 1.0, 3),
+        np.linspace([0.0, 0.0, 0.0], [0.0, 0.0, 1.0], 3),
+        np.array([[0.0, 0.0], [0.4, -0.4], [0.8, -0.8]]),
+        start,
+    )
+    follower = PostureFollower(REST, ALPHA_K, period=0.01)
+    simulator = Simulator(follower)
+    context = simulator.get_mutable_context()
+    motion_port = follower.GetInputPort("motion").FixValue(context, Value(plan))
+    under_way = replace(policy(0.5, speed=0.0), p_WS=start, p_WE=here)
+    port = follower.GetInputPort("policy_state").FixValue(context, Value(under_way))
+    simulator.AdvanceTo(5.0)
+    before = np.array(follower.get_output_port().Eval(context))
+    np.testing.assert_allclose(before[:2], [0.4, -0.4], atol=1e-6)
+    port.GetMutableData().set_value(PolicyState(phase=1.0, p_WS=here, p_WE=here, stamp=5.0))
+    simulator.AdvanceTo(5.03)
+    held = follower.get_output_port().Eval(context)
+    np.testing.assert_allclose(held, [0.4, -0.4, 0.0, 0.0], atol=1e-6)
+    other = PlannedMotion(plan.s, plan.p_WE, np.tile([0.6, 0.0], (3, 1)), here)
+    motion_port.GetMutableData().set_value(other)
+    simulator.AdvanceTo(5.05)
+    np.testing.assert_allclose(follower.get_output_port().Eval(context)[:2], held[:2], atol=0.01)
+    simulator.AdvanceTo(10.0)
+    np.testing.assert_allclose(follower.get_output_port().Eval(context)[:2], [0.6, 0.0], atol=1e-6)
+
+
+def test_what_is_evaded_makes_it_leave_the_plan_and_come_back() -> None:
+    follower = PostureFollower(REST, ALPHA_K, period=0.01, turn_acceleration=4.0)
+    simulator = Simulator(follower)
+    context = simulator.get_mutable_context()
+    follower.GetInputPort("motion").FixValue(context, Value(motion(0.0, 0.4, 0.8)))
+    follower.GetInputPort("policy_state").FixValue(context, Value(policy(0.5, speed=0.0)))
+    port = follower.GetInputPort("evading").FixValue(context, Value(Evasion()))
+
+    def run(evading: Evasion, duration: float) -> np.ndarray:
+        port.GetMutableData().set_value(evading)
+        begin, courses = context.get_time(), []
+        for step in range(1, round(duration / 0.01) + 1):
+            simulator.AdvanceTo(begin + 0.01 * step)
+            courses.append(follower.get_output_port().Eval(context))
+        return np.array(courses)
+
+    planned = run(Evasion(), 5.0)[-1]
+    np.testing.assert_allclose(planned, [0.4, -0.4, 0.0, 0.0], atol=1e-6)
+    turn = np.array([0.6, 0.8])
+    turning = run(Evasion("waiting", turn=turn), 1.0)
+    np.testing.assert_allclose(turning[-1, 2:], turn, atol=1e-9)
+    # Reached at its acceleration, after a quarter of a second.
+    np.testing.assert_allclose(turning[-1, :2] - planned[:2], 0.875 * turn, atol=0.03)
+    held = run(Evasion("waiting", turn=np.zeros(2)), 1.0)
+    np.testing.assert_allclose(held[-1, 2:], 0.0, atol=1e-9)
+    np.testing.assert_allclose(held[-1], held[-30], atol=1e-9)
+    back = run(Evasion(), 4.0)
+    np.testing.assert_allclose(back[-1], planned, atol=1e-4)
+    whole = np.concatenate([turning, held, back])
+    # The way back begins at 16 times as far per second squared.
+    assert np.abs(np.diff(whole[:, 2:], axis=0)).max() < 0.16 * 0.875 + 0.02
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (([], ALPHA_K), "q_rest"),
+        (([0.0, np.nan], ALPHA_K), "q_rest"),
+        ((REST, 0.0), "alpha_k"),
+        ((REST, np.inf), "alpha_k"),
+    ],
+)
+def test_bad_arguments_are_refused(arguments: tuple, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        PostureFollower(*arguments)
+
+
+def test_a_turn_acceleration_has_to_be_positive() -> None:
+    with pytest.raises(ValueError, match="turn_acceleration must be positive"):
+        PostureFollower(REST, ALPHA_K, turn_acceleration=0.0)
+
+
+def test_a_plan_of_another_arm_is_refused() -> None:
+    with pytest.raises(ValueError, match="shape"):
+        PostureCourse(np.zeros(3)).with_motion(motion(0.0, 1.0), 0.0, 0.2, 0.0)

@@ -1,0 +1,420 @@
+"""The regressor chain: forward pass, weights files, sections of ellipsoids."""
+
+import copy
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from drake_oa.common.messages import CouplingParameters
+from drake_oa.regulation.regressor import (
+    TARGETS,
+    ChainWeights,
+    ClearanceLimit,
+    Network,
+    load_chain,
+    load_width_chain,
+    save_chain,
+    section_extents,
+)
+
+WEIGHTS = Path(__file__).resolve().parents[2] / "models" / "weights"
+SHIPPED = WEIGHTS / "regressor_chain.npz"
+
+
+def network(n_inputs, rng, scale=0.3):
+    sizes = [n_inputs, 24, 24, 24, 1]
+    pairs = list(zip(sizes[1:], sizes[:-1], strict=True))
+    return Network(
+        tuple(scale * rng.standard_normal(shape) for shape in pairs),
+        tuple(scale * rng.standard_normal(rows) for rows, _ in pairs),
+        in_offset=rng.uniform(0.0, 0.1, n_inputs),
+        in_gain=rng.uniform(2.0, 5.0, n_inputs),
+        out_offset=0.3,
+        out_gain=0.7,
+    )
+
+
+@pytest.fixture
+def chain():
+    rng = np.random.default_rng(3)
+    networks = {name: network(4 + i, rng) for i, name in enumerate(TARGETS)}
+    return ChainWeights(
+        networks,
+        np.array([0.02, 0.02, 0.02, 0.2]),
+        np.array([0.4, 0.5, 0.35, 0.8]),
+        np.ones(4),
+        frozenset(("kappa", "alpha")),
+        metadata={"recipe": "test", "seed": 3},
+    )
+
+
+def plain_forward(net, x):
+    """The network as the docstring states it, row by row."""
+    y = (x - net.in_offset) * net.in_gain + net.in_min
+    for weight, bias in zip(net.weights[:-1], net.biases[:-1], strict=True):
+        y = np.tanh(weight @ y + bias)
+    y = net.weights[-1] @ y + net.biases[-1]
+    return (y[0] - net.out_min) / net.out_gain + net.out_offset
+
+
+def test_chain_is_the_plain_networks_one_after_the_other(chain):
+    query = np.array([0.1, 0.2, 0.15, 0.4])
+    kappa = plain_forward(chain.networks["kappa"], query)
+    psi = plain_forward(chain.networks["psi"], np.append(query, kappa))
+    alpha = plain_forward(chain.networks["alpha"], np.append(query, (kappa, psi)))
+    expected = (np.exp(alpha), psi, np.exp(kappa))
+    np.testing.assert_allclose(chain.evaluate(query[None])[0], expected, rtol=1e-12)
+
+
+def test_reproduces_the_reference_samples(reference):
+    chain = load_width_chain(reference("authors_rc.npz"))
+    samples = np.load(reference("authors_rc_samples.npz"))
+    inputs = np.column_stack((samples["widths"] / 2.0, samples["clearance"]))
+    alpha, psi, kappa = chain.evaluate(inputs).T
+    np.testing.assert_allclose(alpha, samples["alpha"], rtol=1e-9)
+    np.testing.assert_allclose(psi, samples["psi"], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(kappa, samples["kappa"], rtol=0.0, atol=1e-9)
+
+
+@settings(max_examples=30, deadline=None)
+@given(scale=st.floats(0.1, 10.0), seed=st.integers(0, 1000))
+def test_parameters_scale_with_the_scene(scale, seed):
+    rng = np.random.default_rng(3)
+    networks = {name: network(3 + i, rng) for i, name in enumerate(TARGETS)}
+    chain = ChainWeights(networks, np.full(3, 0.02), np.full(3, 0.4), np.ones(3))
+    extents = np.random.default_rng(seed).uniform(0.03, 0.35, (4, 2))
+    unit = chain.parameters(extents, 0.1, 1.0)
+    scaled = chain.parameters(scale * extents, scale * 0.1, scale)
+    np.testing.assert_allclose(scaled.alpha, unit.alpha, rtol=1e-9)
+    np.testing.assert_allclose(scaled.psi, unit.psi, rtol=1e-9)
+    np.testing.assert_allclose(scaled.kappa * scale**2, unit.kappa, rtol=1e-9)
+
+
+def test_a_query_outside_is_flagged_and_evaluated_at_the_border(chain):
+    outside = chain.parameters([[0.1, 0.7], [0.1, 0.5], [0.001, 0.1]], 0.1, 1.0)
+    assert outside.in_range.tolist() == [False, True, False]
+    assert outside.alpha[0] == pytest.approx(outside.alpha[1], rel=1e-12)
+
+
+def test_the_border_itself_is_inside(chain):
+    corners = 3.0 * np.array((chain.lower[:2], chain.upper[:2]))
+    for clearance in (3.0 * chain.lower[2], 3.0 * chain.upper[2]):
+        assert chain.parameters(corners, clearance, 3.0).in_range.all()
+
+
+def test_an_unattainable_clearance_is_lowered_to_the_limit_and_flagged(chain):
+    table = np.repeat(np.array([[0.3, 0.1], [0.1, 0.0]])[:, :, None], 2, axis=2)
+    limit = ClearanceLimit(
+        np.array([0.02, 0.4]), np.array([0.02, 0.5]), np.array([0.2, 0.8]), table
+    )
+    limited = replace(chain, limit=limit)
+    assert limited.parameters([[0.02, 0.02]], 0.3, 1.0).in_range[0]
+    middle = limited.parameters([[0.21, 0.26]], 0.2, 1.0)
+    assert not middle.in_range[0]
+    at_limit = chain.parameters([[0.21, 0.26]], 0.125, 1.0)
+    np.testing.assert_allclose(middle.as_array(), at_limit.as_array(), rtol=1e-12)
+    # Nothing at all is attainable for the largest ellipse.
+    assert not limited.parameters([[0.4, 0.5]], 0.02, 1.0).in_range[0]
+
+
+def test_the_place_along_the_baseline_is_an_input_and_in_the_middle_by_default(chain):
+    extents = np.array([[0.1, 0.2]])
+    default = chain.parameters(extents, 0.1, 2.0)
+    np.testing.assert_array_equal(
+        default.as_array(), chain.parameters(extents, 0.1, 2.0, 1.0).as_array()
+    )
+    near_start = chain.parameters(extents, 0.1, 2.0, 0.5)
+    expected = chain.evaluate(np.array([[0.05, 0.1, 0.05, 0.25]]))[0] / (1.0, 1.0, 4.0)
+    np.testing.assert_allclose(near_start.as_array()[0], expected, rtol=1e-12)
+    assert not chain.parameters(extents, 0.1, 2.0, 0.1).in_range[0]
+    with pytest.raises(ValueError, match="positions finite"):
+        chain.parameters(extents, 0.1, 2.0, np.nan)
+
+
+def test_each_obstacle_may_have_its_own_clearance_and_none_needs_no_coupling(chain):
+    extents = np.array([[0.1, 0.1], [0.2, 0.1], [0.1, 0.2]])
+    found = chain.parameters(extents, np.array([0.1, 0.0, 0.2]), 1.0)
+    assert found.alpha[1] == 0.0
+    assert found.in_range.all()
+    for row, clearance in ((0, 0.1), (2, 0.2)):
+        alone = chain.parameters(extents[row : row + 1], clearance, 1.0)
+        np.testing.assert_allclose(found.as_array()[row], alone.as_array()[0], rtol=1e-12)
+
+
+def test_no_obstacles_give_no_rows(chain):
+    assert len(chain.parameters(np.zeros((0, 2)), 0.1, 1.0)) == 0
+
+
+@pytest.mark.parametrize(
+    ("extents", "clearance", "baseline", "message"),
+    [
+        ([[0.1, 0.1, 0.1]], 0.1, 1.0, r"shape \(M, 2\)"),
+        ([[0.1, np.nan]], 0.1, 1.0, "extents must be positive"),
+        ([[0.1, np.inf]], 0.1, 1.0, "extents must be positive"),
+        ([[0.1, -0.1]], 0.1, 1.0, "extents must be positive"),
+        ([[0.1, 0.1]], -0.1, 1.0, "clearances not negative"),
+        ([[0.1, 0.1]], np.nan, 1.0, "clearances not negative"),
+        ([[0.1, 0.1]], 0.1, 0.0, "baseline must be finite and positive"),
+        ([[0.1, 0.1]], [0.1, 0.1], 1.0, "clearance must be one number"),
+    ],
+)
+def test_bad_queries_are_named(chain, extents, clearance, baseline, message):
+    with pytest.raises(ValueError, match=message):
+        chain.parameters(extents, clearance, baseline)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"extents": (0.1, np.nan)}, "extents 0.1 and nan, clearance 0.3, position 0.4"),
+        ({"extents": (-0.1, 0.2)}, "extents -0.1 and 0.2, clearance 0.3, position 0.4"),
+        ({"clearance": -2.0}, "extents 0.1 and 0.2, clearance -2.0, position 0.4"),
+        ({"position": np.inf}, "extents 0.1 and 0.2, clearance 0.3, position inf"),
+    ],
+)
+def test_the_first_bad_row_is_named(chain, change, named):
+    columns = {
+        "extents": np.tile((0.1, 0.2), (1000, 1)),
+        "clearance": np.full(1000, 0.3),
+        "position": np.full(1000, 0.4),
+    }
+    for name, value in change.items():
+        columns[name][[7, 500]] = value
+    with pytest.raises(ValueError, match="row 7 has") as error:
+        chain.parameters(columns["extents"], columns["clearance"], 1.0, columns["position"])
+    assert str(error.value).endswith(named)
+    assert len(str(error.value)) < 200
+
+
+def test_parameters_are_immutable_and_shared_on_copy():
+    value = CouplingParameters(np.ones(2), np.ones(2), np.ones(2), np.ones(2, dtype=bool))
+    assert copy.deepcopy(value) is value
+    assert value.as_array().shape == (2, 3)
+    with pytest.raises(ValueError, match="read-only"):
+        value.alpha[0] = 2.0
+
+
+@pytest.mark.parametrize("n_inputs", [2, 3, 4])
+def test_chains_of_fewer_inputs_load_and_ignore_the_rest(tmp_path, n_inputs):
+    rng = np.random.default_rng(1)
+    networks = {name: network(n_inputs + i, rng) for i, name in enumerate(TARGETS)}
+    lower, upper = np.full(n_inputs, 0.02), np.full(n_inputs, 0.6)
+    path = tmp_path / "chain.npz"
+    save_chain(ChainWeights(networks, lower, upper, np.ones(n_inputs)), path)
+    chain = load_chain(path)
+    query = (np.array([[0.1, 0.2]]), 0.05, 2.0)
+    base = chain.parameters(*query, 0.6)
+    assert base.in_range.all()
+    expected = chain.evaluate(np.array([[0.05, 0.1, 0.025, 0.3]])[:, :n_inputs])[0]
+    np.testing.assert_allclose(base.as_array()[0], expected / (1.0, 1.0, 4.0), rtol=1e-12)
+    other_place = chain.parameters(*query, 1.0).as_array()
+    assert (other_place == base.as_array()).all() == (n_inputs < 4)
+    other_clearance = chain.parameters(query[0], 0.3, 2.0, 0.6).as_array()
+    assert (other_clearance == base.as_array()).all() == (n_inputs < 3)
+    # Without a clearance to keep, no coupling is needed.
+    assert chain.parameters(query[0], 0.0, 2.0).alpha[0] == 0.0
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".safetensors"])
+def test_a_file_gives_back_the_chain(chain, tmp_path, suffix):
+    axis = np.array([0.1, 0.2])
+    limit = ClearanceLimit(axis, axis, axis, np.full((2, 2, 2), 0.2))
+    path = tmp_path / f"chain{suffix}"
+    save_chain(replace(chain, limit=limit), path)
+    loaded = load_chain(path)
+    inputs = np.random.default_rng(0).uniform(0.05, 0.3, (20, 4))
+    np.testing.assert_array_equal(loaded.evaluate(inputs), chain.evaluate(inputs))
+    assert loaded.log_targets == chain.log_targets
+    assert loaded.metadata == chain.metadata
+    np.testing.assert_array_equal(loaded.upper, chain.upper)
+    np.testing.assert_array_equal(loaded.limit.clearance, limit.clearance)
+
+
+def test_the_shipped_file_says_where_it_comes_from():
+    chain = load_chain(SHIPPED)
+    assert chain.metadata["units"] == {"kappa": "1/L^2", "psi": "rad", "alpha": "1/T"}
+    assert {"recipe", "seed", "nmse", "commit", "exploration", "training"} <= set(chain.metadata)
+    assert all(chain.metadata["nmse"][name]["test"] < 0.02 for name in TARGETS)
+
+
+@pytest.mark.parametrize(
+    ("name", "n_inputs", "printed"),
+    [
+        ("paper_chain", 3, {"kappa": 0.251, "psi": 0.244}),
+        ("paper_chain_unconstrained", 2, {"kappa": 0.539, "psi": 0.802, "alpha": 0.893}),
+    ],
+)
+def test_the_papers_chains_are_shipped_and_score_as_printed(name, n_inputs, printed):
+    chain = load_chain(WEIGHTS / f"{name}.npz")
+    assert chain.lower.size == n_inputs
+    assert chain.metadata["recipe"] == "paper"
+    assert chain.metadata["units"]["alpha"] == "rad/s"
+    for target, value in printed.items():
+        for part in ("train", "test"):
+            assert chain.metadata["nmse"][target][part] == pytest.approx(value, abs=0.01)
+    if n_inputs == 3:
+        assert chain.metadata["nmse"]["alpha"]["test"] <= 5e-4
+
+
+def test_another_kind_of_file_name_is_refused(chain, tmp_path):
+    with pytest.raises(ValueError, match=r"\.npz or \.safetensors, not 'chain.mat'"):
+        save_chain(chain, tmp_path / "chain.mat")
+
+
+def test_a_missing_file_is_named_with_the_way_to_get_one(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"nowhere.npz.*drake-oa train --out"):
+        load_chain(tmp_path / "nowhere.npz")
+
+
+@pytest.mark.parametrize("name", ["noise.npz", "noise.safetensors", "empty.npz"])
+def test_a_file_that_is_no_weights_file_is_named(tmp_path, name):
+    path = tmp_path / name
+    path.write_bytes(b"" if name.startswith("empty") else b"not weights at all")
+    with pytest.raises(ValueError, match=f"{name} cannot be read"):
+        load_chain(path)
+
+
+def header(**changes):
+    own = {"log_targets": ["kappa"], "format": "drake_oa regressor chain 1"}
+    return np.array(json.dumps({**own, **changes}))
+
+
+def _damaged(chain, path, key, value):
+    save_chain(chain, path)
+    with np.load(path) as file:
+        arrays = dict(file)
+    if value is None:
+        del arrays[key]
+    else:
+        arrays[key] = value
+    np.savez(path, **arrays)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("psi_W2", None, "lacks the array 'psi_b1'|'psi_W1' has the shape"),
+        ("alpha_b3", None, "lacks the array 'alpha_b3'"),
+        ("kappa_W2", np.zeros((24, 23)), r"'kappa_W2' has the shape \(24, 23\)"),
+        ("alpha_in_gain", np.ones(3), r"'alpha_in_gain' has the shape \(3,\)"),
+        ("kappa_b1", np.full(24, np.nan), "'kappa_b1' must hold finite numbers"),
+        ("psi_out_gain", np.array(0.0), "scale of 'psi'"),
+        ("upper", np.ones(2), r"'upper' has the shape \(2,\)"),
+        ("lower", np.ones(5), "'lower' has 5 entries"),
+        ("lower", np.full(4, 9.0), "'upper' must exceed 'lower'"),
+        ("input_scale", np.zeros(4), "'input_scale' not be zero"),
+        ("lower", np.array(["a", "b", "c"]), "'lower' must hold finite numbers"),
+        ("metadata", None, "has no metadata"),
+        ("metadata", np.array("{"), "metadata are damaged"),
+        ("metadata", np.array("{}"), "lack 'log_targets'"),
+        ("metadata", header(log_targets=["beta"]), "valid are"),
+        ("metadata", header(format="someone else's 3"), 'format "someone else\'s 3"'),
+        ("metadata", header(format=None), "of the format None"),
+        ("limit_lambda1", np.ones(2), "lacks the array 'limit_lambda2'"),
+    ],
+)
+def test_a_damaged_file_is_named_with_what_is_wrong(chain, tmp_path, key, value, message):
+    path = tmp_path / "chain.npz"
+    _damaged(chain, path, key, value)
+    with pytest.raises(ValueError, match=message):
+        load_chain(path)
+
+
+def brute_extents(p, z, R_WL, center, R_WO, axes):
+    """Half-extents of the section measured on 100,000 of its points."""
+    e = center - p
+    basis = np.linalg.qr(np.column_stack((e, z)))[0]
+    angle = np.linspace(0.0, 2.0 * np.pi, 100001)
+    ray = np.column_stack((np.cos(angle), np.sin(angle))) @ basis.T
+    points = ray / np.linalg.norm(ray @ R_WO / axes, axis=1)[:, None]
+    normal = np.cross(e, z)
+    normal /= np.linalg.norm(normal)
+    along = R_WL[:, 0] - (R_WL[:, 0] @ normal) * normal
+    along /= np.linalg.norm(along)
+    return np.array([(points @ along).max(), (points @ np.cross(normal, along)).max()])
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_section_extents_are_those_of_the_section(seed):
+    rng = np.random.default_rng(seed)
+    p, z = rng.normal(size=3), rng.normal(size=3)
+    R_WL = Rotation.random(random_state=rng).as_matrix()
+    centers, axes = rng.normal(size=(2, 3)), rng.uniform(0.05, 0.5, (2, 3))
+    R_WO = Rotation.random(2, random_state=rng).as_matrix()
+    extents = section_extents(p, z, R_WL, centers, R_WO, axes)
+    for row in range(2):
+        expected = brute_extents(p, z, R_WL, centers[row], R_WO[row], axes[row])
+        np.testing.assert_allclose(extents[row], expected, rtol=1e-6)
+
+
+def test_section_of_an_aligned_ellipsoid_is_its_semi_axes():
+    extents = section_extents(
+        np.zeros(3),
+        np.array([1.0, 0.2, 0.0]),
+        np.eye(3),
+        np.array([[0.5, 0.0, 0.0]]),
+        np.eye(3)[None],
+        np.array([[0.1, 0.2, 0.3]]),
+    )
+    np.testing.assert_allclose(extents, [[0.1, 0.2]], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("p", "z"),
+    [
+        ([0.0, 0.0, 0.0], [1.0, 0.0, 0.0]),
+        ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0]),
+        ([0.5, 0.0, 0.0], [1.0, 0.3, 0.0]),
+    ],
+    ids=["heading at the centre", "at rest", "at the centre"],
+)
+def test_without_a_plane_the_local_vertical_one_is_cut(p, z):
+    extents = section_extents(
+        np.array(p),
+        np.array(z),
+        np.eye(3),
+        np.array([[0.5, 0.0, 0.0]]),
+        np.eye(3)[None],
+        np.array([[0.1, 0.2, 0.3]]),
+    )
+    np.testing.assert_allclose(extents, [[0.1, 0.3]], rtol=1e-12)
+
+
+def test_a_plane_square_to_the_baseline_still_has_a_section():
+    extents = section_extents(
+        np.zeros(3),
+        np.array([0.0, 0.0, 1.0]),
+        np.eye(3),
+        np.array([[0.0, 0.5, 0.0]]),
+        np.eye(3)[None],
+        np.array([[0.1, 0.2, 0.3]]),
+    )
+    np.testing.assert_allclose(extents, [[0.2, 0.3]], rtol=1e-12)
+
+
+def test_section_extents_do_not_jump_when_the_obstacle_turns():
+    angles = np.linspace(0.0, np.pi, 721)
+    R_WO = Rotation.from_rotvec(angles[:, None] * (0.0, 0.0, 1.0)).as_matrix()
+    n = len(angles)
+    extents = section_extents(
+        np.zeros(3),
+        np.array([1.0, 0.1, 0.0]),
+        np.eye(3),
+        np.tile([0.5, 0.0, 0.0], (n, 1)),
+        R_WO,
+        np.tile([0.05, 0.25, 0.1], (n, 1)),
+    )
+    assert np.abs(np.diff(extents, axis=0)).max() < 2e-3
+
+
+def test_no_obstacles_have_no_sections():
+    empty = np.zeros((0, 3))
+    result = section_extents(np.zeros(3), np.ones(3), np.eye(3), empty, np.zeros((0, 3, 3)), empty)
+    assert result.shape == (0, 2)

@@ -1,0 +1,275 @@
+"""Verified regulation: what is chosen keeps the clearance, by measures of our own."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drake_oa.common.kernel_arrays import kernel_arrays
+from drake_oa.geometry.ellipsoid import signed_distance
+from drake_oa.policy.coupling_kernels import ALPHA, NORMAL
+from drake_oa.regulation.regressor import ChainWeights, load_chain
+from drake_oa.regulation.rollout import SpatialScenes, spatial_rollouts
+from drake_oa.regulation.verification import (
+    ANGLE,
+    N_GENES,
+    SearchParameters,
+    Verified,
+    avoidance_terms,
+    verify,
+)
+from drake_oa.regulation.verification_kernels import shadows
+from drake_oa.scenario.loading import package_file
+
+DURATION = 3.0
+QUICK = SearchParameters(rounds=20)
+
+
+@pytest.fixture(scope="module")
+def chain() -> ChainWeights:
+    return load_chain(package_file("package://drake_oa/weights/regressor_chain.npz"))
+
+
+def scenes(
+    center: list[list[float]],
+    semi_axes: float | list[float] = 0.08,
+    velocity: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    clearance: float = 0.1,
+) -> SpatialScenes:
+    """One scene, 1 m along x, with an axis-aligned ellipsoid at each centre."""
+    count = len(center)
+    axes = np.broadcast_to(semi_axes, (count, 3))
+    return SpatialScenes(
+        p_WE=np.zeros((1, 3)),
+        z_W=np.zeros((1, 3)),
+        p_WG=np.array([[1.0, 0.0, 0.0]]),
+        R_WL=np.eye(3)[None],
+        baseline=np.ones(1),
+        p_WO=np.array(center).reshape(1, count, 3),
+        R_WO=np.tile(np.eye(3), (1, count, 1, 1)),
+        semi_axes=np.array(axes)[None],
+        v_WO=np.tile(velocity, (1, count, 1)),
+        clearance=np.full((1, count), clearance),
+    )
+
+
+def followed(posed: SpatialScenes, found: Verified) -> tuple[np.ndarray, np.ndarray]:
+    """Path (n, 3) and stamps (n,) of the motion that was chosen."""
+    rolled = spatial_rollouts(
+        posed,
+        [0],
+        found.terms[None],
+        seconds=DURATION * found.tau,
+        steps=int(found.steps[0]),
+        horizon=2.0,
+        fade=QUICK.fade,
+        tolerance=QUICK.tolerance,
+        keep_path=True,
+    )
+    count = int(rolled.steps[0]) + 1
+    stamps = np.arange(count) / found.steps[0] * DURATION * found.tau[0]
+    return rolled.path[0, :count], stamps
+
+
+def least_distance(posed: SpatialScenes, path: np.ndarray, stamps: np.ndarray) -> float:
+    return min(
+        float(
+            signed_distance(
+                path - stamps[:, None] * posed.v_WO[0, j],
+                posed.p_WO[0, j],
+                posed.R_WO[0, j],
+                posed.semi_axes[0, j],
+            ).min()
+        )
+        for j in range(posed.p_WO.shape[1])
+    )
+
+
+@pytest.mark.parametrize(
+    ("center", "semi_axes"),
+    [
+        ([[0.5, 0.0, 0.0]], 0.08),
+        ([[0.5, 0.0, 0.0]], [0.05, 0.2, 0.25]),
+        ([[0.4, 0.05, 0.02], [0.7, -0.06, 0.0]], 0.06),
+        ([[0.8, 0.01, 0.0]], 0.06),
+        ([[0.2, 0.0, 0.03]], 0.07),
+    ],
+)
+def test_the_asked_clearance_is_kept_and_not_much_more(
+    chain: ChainWeights, center: list[list[float]], semi_axes: float | list[float]
+) -> None:
+    posed = scenes(center, semi_axes)
+    found = verify(posed, chain, duration=DURATION, parameters=QUICK)
+    assert found.kept.all()
+    assert found.shortfall == 0.0
+    path, stamps = followed(posed, found)
+    assert 0.0995 <= least_distance(posed, path, stamps) <= 0.11
+    assert np.linalg.norm(path[-1] - posed.p_WG[0]) <= 7e-4
+    assert found.clearance == pytest.approx(least_distance(posed, path, stamps), abs=1e-4)
+
+
+def test_nothing_is_done_where_nothing_is_in_the_way(chain: ChainWeights) -> None:
+    found = verify(scenes([[0.5, 0.3, 0.0]]), chain, duration=DURATION)
+    assert found.kept
+    assert found.terms[0, ALPHA] == 0.0
+    assert found.tau == pytest.approx(1.0, abs=1e-4)
+    assert found.in_range
+    assert found.rollouts == 1
+
+
+def test_a_scene_without_obstacles_is_free(chain: ChainWeights) -> None:
+    found = verify(scenes([[np.nan, np.nan, np.nan]]), chain, duration=DURATION)
+    assert found.kept
+    assert found.terms[0, ALPHA] == 0.0
+
+
+def test_a_moving_obstacle_is_met_where_it_will_be(chain: ChainWeights) -> None:
+    # It crosses the baseline's middle at t = 1.5 s, and is far from it now.
+    posed = scenes([[0.5, 0.45, 0.0]], velocity=(0.0, -0.3, 0.0))
+    still = replace(posed, v_WO=np.zeros((1, 1, 3)))
+    assert verify(still, chain, duration=DURATION).terms[0, ALPHA] == 0.0
+    found = verify(posed, chain, duration=DURATION, parameters=QUICK)
+    assert found.kept
+    path, stamps = followed(posed, found)
+    assert least_distance(posed, path, stamps) >= 0.0995
+
+
+def test_the_table_is_respected(chain: ChainWeights) -> None:
+    # The flat obstacle is passed below at least cost, unless a table is there.
+    posed = scenes([[0.5, 0.0, 0.06]], [0.1, 0.3, 0.1])
+    below = verify(posed, chain, duration=DURATION, parameters=QUICK)
+    assert followed(posed, below)[0][:, 2].min() < -0.1
+    table = replace(posed, plane=np.array([[0.0, 0.0, 1.0, -0.05]]))
+    above = verify(table, chain, duration=DURATION, parameters=QUICK)
+    assert above.kept
+    assert followed(table, above)[0][:, 2].min() >= -0.05 - 1e-6
+
+
+def test_the_workspace_is_respected(chain: ChainWeights) -> None:
+    posed = scenes([[0.5, 0.0, 0.0]])
+    # Round the world's z axis: the baseline is 0.5 m from it, what is nearer is out of reach.
+    moved = replace(
+        posed,
+        p_WE=np.array([[-0.5, 0.5, 0.0]]),
+        p_WG=np.array([[0.5, 0.5, 0.0]]),
+        p_WO=np.array([[[0.0, 0.52, 0.0]]]),
+        semi_axes=np.array([[[0.08, 0.08, 0.4]]]),
+    )
+    assert (followed(moved, verify(moved, chain, duration=DURATION))[0][:, 1]).min() < 0.45
+    annulus = np.array([[-1.0, 1.0], [0.45, 0.45], [2.0, 2.0]])
+    found = verify(replace(moved, annulus=annulus), chain, duration=DURATION, parameters=QUICK)
+    assert found.kept
+    assert followed(moved, found)[0][:, 1].min() > 0.44
+
+
+def test_what_cannot_be_kept_is_said(chain: ChainWeights) -> None:
+    # Between two plates 0.12 m apart nobody keeps 0.1 m; the world around is forbidden.
+    posed = scenes([[0.5, 3.06, 0.0], [0.5, -3.06, 0.0]], [0.2, 3.0, 2.0])
+    annulus = np.array([[-0.05, 0.05], [0.0, 0.0], [1.1, 1.1]])
+    found = verify(replace(posed, annulus=annulus), chain, duration=DURATION, parameters=QUICK)
+    assert not found.kept
+    assert 0.03 < found.shortfall < 0.06
+    assert found.clearance == pytest.approx(0.1 - found.shortfall, abs=1e-3)
+
+
+def test_past_the_demonstration_proposals_do_not_look_back_in_time() -> None:
+    posed = scenes([[1.0, 0.12, 0.0]], velocity=(0.0, 0.2, 0.0))
+    shadow = np.empty((2, 1, 4, 4))
+    for out, s in zip(shadow, (1.0, 1.6), strict=True):
+        shadows(
+            *kernel_arrays(posed.p_WG, posed.R_WL, posed.baseline),
+            s,
+            *kernel_arrays(posed.p_WO, posed.R_WO, posed.semi_axes, posed.v_WO, posed.clearance),
+            DURATION,
+            np.arange(4) * 0.5 * np.pi,
+            out,
+        )
+    np.testing.assert_array_equal(shadow[1], shadow[0])
+
+
+def test_the_choice_does_not_depend_on_the_company(chain: ChainWeights) -> None:
+    alone = scenes([[0.5, 0.02, 0.0]])
+    other = scenes([[0.6, 0.0, -0.05]], 0.12)
+    both = SpatialScenes(
+        **{
+            name: np.concatenate([getattr(other, name), getattr(alone, name)])
+            for name in (
+                *("p_WE", "z_W", "p_WG", "R_WL", "baseline"),
+                *("p_WO", "R_WO", "semi_axes", "v_WO", "clearance"),
+            )
+        }
+    )
+    first = verify(alone, chain, duration=DURATION)
+    second = verify(both, chain, duration=DURATION)
+    np.testing.assert_array_equal(first.genes[0], second.genes[1])
+    np.testing.assert_array_equal(first.terms, verify(alone, chain, duration=DURATION).terms)
+
+
+def test_the_side_in_use_is_kept_unless_another_is_much_shorter(chain: ChainWeights) -> None:
+    rng = np.random.default_rng(0)
+    found = verify(scenes([[0.5, 0.0, 0.0]]), chain, duration=DURATION)
+    side = found.genes[0, ANGLE]
+    for _ in range(8):
+        noisy = scenes([(np.array([0.5, 0.0, 0.0]) + 0.003 * rng.standard_normal(3)).tolist()])
+        found = verify(noisy, chain, duration=DURATION, previous=found.genes)
+        assert found.kept
+        assert np.cos(found.genes[0, ANGLE] - side) > 0.7
+        side = found.genes[0, ANGLE]
+    # Now 0.15 m over to the chosen side: the other one is much shorter.
+    over = 0.15 * np.array([0.0, np.cos(side), np.sin(side)]) + [0.5, 0.0, 0.0]
+    found = verify(scenes([over.tolist()]), chain, duration=DURATION, previous=found.genes)
+    assert np.cos(found.genes[0, ANGLE] - side) < 0.0
+
+
+def test_it_goes_on_from_the_middle_of_a_motion(chain: ChainWeights) -> None:
+    posed = scenes([[0.6, 0.0, 0.0]])
+    found = verify(posed, chain, duration=DURATION)
+    first = spatial_rollouts(posed, [0], found.terms[None], fade=0.3, keep_path=True)
+    half = replace(posed, p_WE=first.path[:, 200], z_W=first.velocity[:, 200], s=0.4)
+    again = verify(half, chain, duration=DURATION, previous=found.genes)
+    assert again.kept
+    rest = spatial_rollouts(half, [0], again.terms[None], fade=0.3, horizon=2.0, keep_path=True)
+    path = rest.path[0][: int(rest.steps[0]) + 1]
+    assert signed_distance(path, [0.6, 0.0, 0.0], np.eye(3), [0.08] * 3).min() >= 0.0995
+
+
+def test_scenes_not_kept_are_searched_again(chain: ChainWeights) -> None:
+    posed = scenes([[0.5, 0.0, 0.0]])
+    once = SearchParameters(rounds=0, candidates=32)
+    plane = np.array([[0.0, 0.0, 1.0, 0.2]])
+    hopeless = replace(posed, plane=plane, clearance=np.full((1, 1), 5.0))
+    found = verify(hopeless, chain, duration=DURATION, parameters=replace(once, retries=1))
+    assert found.rollouts > verify(hopeless, chain, duration=DURATION, parameters=once).rollouts
+
+
+def test_a_turn_about_the_normal_goes_to_the_side() -> None:
+    genes = np.zeros((1, N_GENES))
+    genes[0, ANGLE] = 0.3
+    terms = avoidance_terms(scenes([[0.5, 0.0, 0.0]]), np.zeros(1, dtype=np.int64), genes)
+    omega = np.cross(terms[0, 0, NORMAL : NORMAL + 3], [1.0, 0.0, 0.0])
+    np.testing.assert_allclose(omega, [0.0, np.cos(0.3), np.sin(0.3)], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"candidates": 8},
+        {"rounds": -1},
+        {"steps": 10},
+        {"slack": -1.0},
+        {"tolerance": float("nan")},
+        {"horizon": 0.5},
+    ],
+)
+def test_parameters_are_checked(wrong: dict[str, float]) -> None:
+    (name,) = wrong
+    with pytest.raises(ValueError, match=name):
+        SearchParameters(**wrong)  # type: ignore[arg-type]
+
+
+def test_arguments_are_checked(chain: ChainWeights) -> None:
+    posed = scenes([[0.5, 0.0, 0.0]])
+    with pytest.raises(ValueError, match="duration"):
+        verify(posed, chain, duration=0.0)
+    with pytest.raises(ValueError, match="previous"):
+        verify(posed, chain, duration=1.0, previous=np.zeros((2, 7)))

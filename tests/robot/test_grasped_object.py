@@ -1,0 +1,104 @@
+"""What the hand holds: in every plant, part of the tool, and out of its own way."""
+
+import numpy as np
+import pytest
+from pydrake.systems.framework import DiagramBuilder
+
+from drake_oa.common.schema_check import ScenarioError
+from drake_oa.diagrams.robot_layers import start_positions
+from drake_oa.geometry.collision_shapes import collect_collision_shapes
+from drake_oa.geometry.shapes import Box, Cylinder, Sphere
+from drake_oa.robot.config import Robot
+from drake_oa.robot.grasped_object import shape_volume, tool_links
+from drake_oa.robot.plant import make_robot_plant, tool_corners
+from drake_oa.runs.metrics import robot_metrics
+from drake_oa.scenario.loading import parse_scenario
+from drake_oa.scenario.obstacles import Obstacle
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.world.station import make_station
+
+BAR = Box(size=[0.02, 0.5, 0.02], translation=[0.0, 0.0, 0.12])
+# Between the fingers, through the fingertips.
+STEM = Box(size=[0.02, 0.012, 0.05], translation=[0.0, 0.0, 0.1])
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    found = Scenario()
+    assert found.robot is not None
+    found.robot.carried = [BAR, STEM]
+    found.robot.carried_mass = 0.6
+    return found
+
+
+def test_the_tool_reaches_as_far_as_the_bar(scenario: Scenario) -> None:
+    corners = tool_corners(make_robot_plant(scenario.robot), scenario.robot)
+    bare = tool_corners(make_robot_plant(Robot()), Robot())
+    # Fingers open along the world's x.
+    np.testing.assert_allclose(np.abs(corners[:, 0]).max(), 0.25, atol=1e-9)
+    np.testing.assert_allclose(corners[:, 1].max(), bare[:, 1].max(), atol=1e-9)
+    np.testing.assert_allclose(corners[:, 2].min(), 0.1034 - 0.13, atol=1e-9)
+
+
+def test_it_is_in_the_plant_with_its_mass_and_in_every_list_of_shapes(scenario: Scenario) -> None:
+    held, bare = make_robot_plant(scenario.robot), make_robot_plant(Robot())
+    masses = [
+        p.plant.CalcTotalMass(p.plant.CreateDefaultContext(), [p.instance]) for p in (held, bare)
+    ]
+    assert masses[0] - masses[1] == pytest.approx(0.6)
+    assert held.plant.num_positions() == bare.plant.num_positions()
+    shapes = [
+        collect_collision_shapes(p.plant, p.scene_graph.model_inspector(), p.instance)
+        for p in (held, bare)
+    ]
+    assert len(shapes[0].shapes) == len(shapes[1].shapes) + 2
+    names = [held.plant.get_body(index).name() for index in shapes[0].bodies]
+    assert set(tool_links(scenario.robot)) <= set(names)
+    builder = DiagramBuilder()
+    station = make_station(builder, scenario, render=False)
+    assert station.plant.HasBodyNamed("carried1", station.robot)
+
+
+def test_what_is_held_does_not_touch_what_holds_it(scenario: Scenario) -> None:
+    held = make_robot_plant(scenario.robot)
+    root = held.diagram.CreateDefaultContext()
+    plant = held.plant.GetMyMutableContextFromRoot(root)
+    held.plant.SetPositions(plant, held.instance, start_positions(held, scenario))
+    query = held.scene_graph.get_query_output_port().Eval(
+        held.scene_graph.GetMyContextFromRoot(root)
+    )
+    inspector = held.scene_graph.model_inspector()
+    names = [
+        inspector.GetName(hit.id_A) + inspector.GetName(hit.id_B)
+        for hit in query.ComputePointPairPenetration()
+    ]
+    assert not any("carried" in name for name in names)
+
+
+def test_what_it_touches_counts_as_the_tool(scenario: Scenario) -> None:
+    ball = Obstacle(name="ball", shapes=[Sphere(radius=0.02)])
+    start = np.array(scenario.task.start)
+    ball.translation = [*(start + [0.3, 0.0, -0.0166])]
+    here = Scenario()
+    here.robot, here.obstacles = scenario.robot, [ball]
+    q = start_positions(make_robot_plant(here.robot), here)
+    found = robot_metrics(here, q[None])
+    # The bar ends 5 cm from the middle of the ball.
+    np.testing.assert_allclose(found.tool_clearance, [0.03], atol=2e-3)
+    assert found.contacts == ()
+
+
+def test_volumes() -> None:
+    assert shape_volume(Box(size=[1.0, 2.0, 3.0])) == 6.0
+    assert shape_volume(Cylinder(radius=2.0, length=3.0)) == pytest.approx(12.0 * np.pi)
+    assert shape_volume(Sphere(radius=3.0)) == pytest.approx(36.0 * np.pi)
+
+
+def test_refuses_a_box_without_volume() -> None:
+    with pytest.raises(ScenarioError, match=r"robot.carried\[0\].size.*outside \(0, 10\]"):
+        parse_scenario("robot: {carried: [!Box {size: [0.1, 0.0, 0.1]}]}")
+
+
+def test_refuses_an_axis_without_direction() -> None:
+    with pytest.raises(ScenarioError, match=r"policy\.turn\.axis"):
+        parse_scenario("policy: {turn: {axis: [0, 0, 0]}}")

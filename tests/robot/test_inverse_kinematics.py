@@ -1,0 +1,181 @@
+"""Inverse kinematics of the Panda and the cheap picture of its workspace."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+
+from drake_oa.robot.inverse_kinematics import check_reachable, solve_tool_pose
+from drake_oa.robot.workspace import tool_down_margin, tool_down_radii
+
+DOWN = RollPitchYaw(np.pi, 0.0, 0.0).ToRotationMatrix()
+Q_START = np.array([-0.7401, 0.1857, 0.0143, -1.9017, -0.003, 2.0874, 0.0608, 0.02, 0.03])
+TOOL = "panda_hand_tcp"
+
+
+@pytest.fixture(scope="module")
+def plant() -> MultibodyPlant:
+    plant = MultibodyPlant(0.0)
+    parser = Parser(plant)
+    models = Path(str(resources.files("drake_oa.models")))
+    parser.package_map().AddPackageXml(str(models / "package.xml"))
+    parser.AddModels(url="package://drake_oa/panda/panda_arm_hand.urdf")
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("panda_link0"))
+    plant.Finalize()
+    return plant
+
+
+def solve(
+    plant: MultibodyPlant, p: list[float] | np.ndarray, R: RotationMatrix = DOWN
+) -> np.ndarray:
+    return solve_tool_pose(plant, TOOL, RigidTransform(R, p), Q_START)
+
+
+def pose(plant: MultibodyPlant, q: np.ndarray) -> RigidTransform:
+    context = plant.CreateDefaultContext()
+    plant.SetPositions(context, q)
+    return plant.GetFrameByName(TOOL).CalcPoseInWorld(context)
+
+
+@pytest.mark.parametrize(
+    "p", [[0.45, -0.4, 0.3], [0.45, 0.4, 0.3], [0.45, 0.0, 0.6], [0.25, 0.0, 0.3], [0.75, 0.0, 0.3]]
+)
+def test_the_solution_is_on_the_pose_and_within_the_limits(
+    plant: MultibodyPlant, p: list[float]
+) -> None:
+    q = solve(plant, p)
+    X = pose(plant, q)
+    np.testing.assert_allclose(X.translation(), p, atol=1e-6)
+    np.testing.assert_allclose(X.rotation().matrix(), DOWN.matrix(), atol=1e-6)
+    assert np.all(q >= plant.GetPositionLowerLimits())
+    assert np.all(q <= plant.GetPositionUpperLimits())
+    np.testing.assert_allclose(q[7:], Q_START[7:], atol=1e-6)
+
+
+def test_the_solution_stays_near_the_seed_and_is_repeatable(plant: MultibodyPlant) -> None:
+    q = solve(plant, [0.45, -0.4, 0.3])
+    np.testing.assert_allclose(q, Q_START, atol=1e-2)
+    np.testing.assert_array_equal(q, solve(plant, [0.45, -0.4, 0.3]))
+
+
+def test_another_orientation_is_solved(plant: MultibodyPlant) -> None:
+    R = DOWN @ RotationMatrix(RollPitchYaw(0.3, -0.4, 0.5))
+    X = pose(plant, solve(plant, [0.5, 0.1, 0.4], R))
+    np.testing.assert_allclose(X.rotation().matrix(), R.matrix(), atol=1e-6)
+
+
+def test_what_is_within_reach_is_found(plant: MultibodyPlant) -> None:
+    """Poses of random configurations; every second one has two joints at their limits."""
+    random = np.random.default_rng(8)
+    lower, upper = plant.GetPositionLowerLimits()[:7], plant.GetPositionUpperLimits()[:7]
+    for number in range(300):
+        q = Q_START.copy()
+        q[:7] = random.uniform(lower, upper)
+        if number % 2 == 0:
+            joints = random.integers(7, size=2)
+            q[joints] = np.where(random.random(2) < 0.5, lower[joints], upper[joints])
+        X = pose(plant, q)
+        found = solve_tool_pose(plant, TOOL, X, Q_START)
+        assert pose(plant, found).IsNearlyEqualTo(X, 2e-6), number
+        np.testing.assert_allclose(found[7:], Q_START[7:], atol=1e-3)
+        assert (found >= plant.GetPositionLowerLimits()).all()
+        assert (found <= plant.GetPositionUpperLimits()).all()
+
+
+def test_a_pose_out_of_reach_is_refused_with_what_is_possible(plant: MultibodyPlant) -> None:
+    with pytest.raises(ValueError, match=r"out of reach: panda_hand_tcp .*1\.2.*0\.404 m.*0\.78"):
+        solve(plant, [1.2, 0.0, 0.3])
+    with pytest.raises(ValueError, match="out of reach"):
+        check_reachable(plant, TOOL, RigidTransform(DOWN, [0.05, 0.0, 0.2]), Q_START)
+    check_reachable(plant, TOOL, RigidTransform(DOWN, [0.5, 0.0, 0.2]), Q_START)
+
+
+def test_only_a_panda_is_told_the_panda_s_reach() -> None:
+    other = MultibodyPlant(0.0)
+    arm = """<robot name="other"><link name="base"/><link name="tip"/>
+        <joint name="lift" type="prismatic"><parent link="base"/><child link="tip"/>
+        <axis xyz="0 0 1"/><limit lower="0" upper="0.5" effort="1"/></joint></robot>"""
+    Parser(other).AddModelsFromString(arm, "urdf")
+    other.WeldFrames(other.world_frame(), other.GetFrameByName("base"))
+    other.Finalize()
+    with pytest.raises(ValueError, match=r"as near as 1\.500 m, to \[0\.0, 0\.0, 0\.5\]$"):
+        solve_tool_pose(other, "tip", RigidTransform([0.0, 0.0, 2.0]), np.zeros(1))
+
+
+def test_wrong_arguments_say_what_is_valid(plant: MultibodyPlant) -> None:
+    X = RigidTransform(DOWN, [0.5, 0.0, 0.3])
+    with pytest.raises(ValueError, match="must hold 9"):
+        solve_tool_pose(plant, TOOL, X, np.zeros(7))
+    with pytest.raises(ValueError, match="no frame 'gripper'"):
+        solve_tool_pose(plant, "gripper", X, Q_START)
+    with pytest.raises(ValueError, match="finite"):
+        solve_tool_pose(plant, TOOL, RigidTransform(DOWN, [np.nan, 0.0, 0.3]), Q_START)
+
+
+@pytest.mark.parametrize(
+    ("height", "inner", "outer"),
+    [(0.1, 0.33, 0.80), (0.3, 0.23, 0.78), (0.5, 0.15, 0.68), (0.7, 0.15, 0.50)],
+)
+def test_the_radii_are_those_of_the_reference(height: float, inner: float, outer: float) -> None:
+    assert tool_down_radii(np.array(height)) == (pytest.approx(inner), pytest.approx(outer))
+
+
+@pytest.mark.parametrize("height", [-0.15, 0.0, 0.1, 0.2, 0.3, 0.45, 0.6, 0.7])
+def test_the_inside_is_in_reach_and_well_outside_is_not(
+    plant: MultibodyPlant, height: float
+) -> None:
+    inner, outer = tool_down_radii(np.array(height))
+    for radius in (inner + 0.005, 0.5 * (inner + outer), outer - 0.005):
+        for azimuth in (-1.0, 0.6):
+            p = np.array([radius * np.cos(azimuth), radius * np.sin(azimuth), height])
+            assert tool_down_margin(p) > 0.0
+            # The tool may turn about the vertical: here it turns with the arm.
+            solve(plant, p, RotationMatrix.MakeZRotation(azimuth) @ DOWN)
+    beyond = np.array([outer + 0.05, 0.0, height])
+    assert tool_down_margin(beyond) < 0.0
+    with pytest.raises(ValueError, match="out of reach"):
+        solve(plant, beyond)
+
+
+@given(
+    st.lists(st.tuples(*[st.floats(-1.5, 1.5)] * 3), min_size=1, max_size=10),
+)
+@settings(deadline=None)
+def test_the_margin_of_many_points_is_that_of_each(points: list[tuple[float, ...]]) -> None:
+    p = np.array(points)
+    margin = tool_down_margin(p)
+    assert margin.shape == (len(points),)
+    np.testing.assert_array_equal(margin, [tool_down_margin(row) for row in p])
+    np.testing.assert_array_equal(tool_down_margin(np.stack([p, p])), np.stack([margin, margin]))
+    shift = np.array([0.1, -0.2, 0.3])
+    np.testing.assert_allclose(tool_down_margin(p + shift, shift), margin, atol=1e-9)
+
+
+def test_the_margin_is_a_distance_across_the_annulus() -> None:
+    np.testing.assert_allclose(
+        tool_down_margin(
+            np.array([[0.33, 0, 0.3], [0.68, 0, 0.3], [0.13, 0, 0.3], [0.88, 0, 0.3]])
+        ),
+        [0.1, 0.1, -0.1, -0.1],
+        atol=1e-12,
+    )
+
+
+def test_behind_the_base_above_and_below_are_outside() -> None:
+    outside = np.array([[-0.5, 0.0, 0.3], [0.3, 0.0, 0.9], [0.5, 0.0, -0.3], [0.0, 0.0, 0.3]])
+    assert np.all(tool_down_margin(outside) < 0.0)
+
+
+def test_points_that_are_not_finite_or_not_points() -> None:
+    assert np.isnan(tool_down_margin(np.array([np.nan, 0.0, 0.3])))
+    assert tool_down_margin(np.zeros((0, 3))).shape == (0,)
+    with pytest.raises(ValueError, match=r"must be \(\.\.\., 3\)"):
+        tool_down_margin(np.zeros((3, 2)))

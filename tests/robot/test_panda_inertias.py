@@ -1,0 +1,72 @@
+"""The Panda of uniform density: Drake's own, and how far it is from the identified one."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drake_oa.common.schema_check import ScenarioError
+from drake_oa.robot.config import Robot
+from drake_oa.robot.panda_inertias import UNIFORM_DENSITY, with_uniform_density
+from drake_oa.robot.plant import RobotPlant, make_robot_plant
+from drake_oa.scenario.loading import package_file
+
+
+@pytest.fixture(scope="module")
+def plants() -> tuple[RobotPlant, RobotPlant]:
+    """Identified, and of uniform density."""
+    return make_robot_plant(Robot()), make_robot_plant(Robot(), uniform_density=True)
+
+
+def test_its_links_weigh_what_the_table_says(plants: tuple[RobotPlant, RobotPlant]) -> None:
+    own, other = (item.plant for item in plants)
+    for name, (mass, _, _) in UNIFORM_DENSITY.items():
+        assert other.GetBodyByName(name).default_mass() == mass
+        assert own.GetBodyByName(name).default_mass() != mass or name == "panda_hand"
+    arm = sum(UNIFORM_DENSITY[f"panda_link{i}"][0] for i in range(8))
+    assert arm == pytest.approx(18.0, abs=0.02)
+
+
+def test_kinematics_and_geometry_are_the_same(plants: tuple[RobotPlant, RobotPlant]) -> None:
+    q = np.array([0.3, -0.4, 0.2, -1.8, 0.1, 1.9, 0.5, 0.01, 0.02])
+    poses = []
+    for item in plants:
+        context = item.plant.CreateDefaultContext()
+        item.plant.SetPositions(context, q)
+        poses.append(item.tool_frame.CalcPoseInWorld(context).GetAsMatrix4())
+        assert item.scene_graph.model_inspector().num_geometries() > 20
+    np.testing.assert_array_equal(poses[0], poses[1])
+
+
+def test_it_is_drakes_panda_and_as_far_off_as_known(
+    plants: tuple[RobotPlant, RobotPlant], reference: Callable[[str], Path]
+) -> None:
+    expected = np.load(reference("panda_reference.npz"))
+    mass_error, gravity_error = [], []
+    contexts = [item.plant.CreateDefaultContext() for item in plants]
+    for row, q in enumerate(expected["q"]):
+        M, g = [], []
+        for item, context in zip(plants, contexts, strict=True):
+            item.plant.SetPositions(context, np.concatenate([q[:7], [0.0, 0.0]]))
+            M.append(item.plant.CalcMassMatrix(context)[:7, :7])
+            g.append(item.plant.CalcGravityGeneralizedForces(context)[:7])
+        np.testing.assert_allclose(M[1], expected["M7_fingers_closed"][row], atol=1e-9)
+        np.testing.assert_allclose(
+            np.abs(g[1]), np.abs(expected["tau_g7_fingers_closed"][row]), atol=1e-9
+        )
+        rotors = np.diag(expected["reflected_inertia"][:7])
+        mass_error.append(np.linalg.norm(M[1] - M[0]) / np.linalg.norm(M[0] - rotors))
+        gravity_error.append(np.abs(g[1] - g[0]).max())
+    assert 0.03 < np.mean(mass_error) < 0.06
+    assert 1.8 < np.max(gravity_error) < 2.1
+
+
+def test_another_robot_is_refused() -> None:
+    with pytest.raises(ScenarioError, match=r"knows the Panda; robot\.model has no panda_link0"):
+        with_uniform_density("<robot name='other'><link name='base'/></robot>")
+
+
+def test_drake_still_reads_its_own_elements() -> None:
+    urdf = package_file("package://drake_oa/panda/panda_arm_hand.urdf").read_text()
+    assert urdf.count("<drake:") == with_uniform_density(urdf).count("<drake:") > 10

@@ -1,0 +1,221 @@
+"""The decision layer alone."""
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydrake.common.value import Value
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context
+
+from drake_oa.common.messages import EllipsoidSet, FloatArray, PolicyState, Route, TablePlane
+from drake_oa.route.cost_ring_selector import CostRingSelector
+from drake_oa.route.cost_rings import RingScene
+
+START, GOAL = np.array([0.0, 0.0, 0.3]), np.array([1.0, 0.0, 0.3])
+POLICY = PolicyState(p_WE=START, p_WS=START, p_WG=GOAL)
+Center = tuple[float, float, float]
+
+
+def balls(
+    *centers: Center, ids: list[int] | None = None, table: TablePlane | None = None
+) -> EllipsoidSet:
+    count = len(centers)
+    return EllipsoidSet(
+        stamp=0.0,
+        p_WO=np.array(centers, dtype=float).reshape(count, 3),
+        R_WO=np.tile(np.eye(3), (count, 1, 1)),
+        semi_axes=np.full((count, 3), 0.1),
+        v_WO=np.zeros((count, 3)),
+        ids=np.arange(count) if ids is None else np.array(ids),
+        table=table,
+    )
+
+
+def fix(system: CostRingSelector, context: Context, **inputs: object) -> None:
+    for name, value in inputs.items():
+        system.GetInputPort(name).FixValue(context, Value(value))
+
+
+def prepared(system: CostRingSelector, ellipsoids: EllipsoidSet, **inputs: object) -> Simulator:
+    simulator = Simulator(system)
+    context = simulator.get_mutable_context()
+    system.GetInputPort("goal").FixValue(context, GOAL)
+    fix(system, context, ellipsoids_W=ellipsoids, policy_state=POLICY, **inputs)
+    simulator.Initialize()
+    return simulator
+
+
+def route_of(system: CostRingSelector, context: Context) -> Route:
+    return system.GetOutputPort("route").Eval(context)
+
+
+def decided(system: CostRingSelector, ellipsoids: EllipsoidSet, **inputs: object) -> Route:
+    return route_of(system, prepared(system, ellipsoids, **inputs).get_context())
+
+
+def test_it_passes_on_the_side_that_is_shorter() -> None:
+    route = decided(CostRingSelector(0.15), balls((0.5, 0.05, 0.3)))
+    np.testing.assert_allclose(route.direction_W[0], [0.0, -1.0, 0.0], atol=1e-12)
+    assert set(route.costs) == {"table", "length"}
+    assert route.costs["length"].shape == (1, 36)
+    assert route.path_length > 1.0
+    assert route.note == ""
+
+
+def test_each_field_of_the_route_has_one_row_an_obstacle() -> None:
+    for count in (0, 1, 3):
+        some = balls(*[(0.3 + 0.2 * i, 0.02, 0.3) for i in range(count)])
+        route = decided(CostRingSelector(0.15), some)
+        for name in ("heading_W", "direction_W", "normal_W", "center_W", "extents"):
+            assert len(getattr(route, name)) == count
+        for name in ("clearance", "weight", "index", "ids"):
+            assert getattr(route, name).shape == (count,)
+
+
+def test_the_decision_is_the_route_without_headings() -> None:
+    system = CostRingSelector(0.15)
+    simulator = prepared(system, balls((0.4, 0.02, 0.3), (0.6, 0.02, 0.3)))
+    context = simulator.get_mutable_context()
+    decision = system.GetOutputPort("decision").Eval(context)
+    assert decision.heading_W.shape == (0, 3)
+    np.testing.assert_array_equal(decision.direction_W, route_of(system, context).direction_W)
+    # It does not follow the motion.
+    fix(system, context, policy_state=PolicyState(p_WE=START + 0.1, p_WS=START, p_WG=GOAL))
+    assert system.GetOutputPort("decision").Eval(context) is decision
+
+
+def test_an_extra_ring_takes_part_in_the_choice() -> None:
+    def only_up(scene: RingScene) -> FloatArray:
+        up = scene.directions_W[:, 2] > 0.999
+        return np.broadcast_to(~up, scene.detour.shape).astype(float)
+
+    system = CostRingSelector(0.15, extra_rings={"only_up": only_up})
+    route = decided(system, balls((0.5, 0.05, 0.3)))
+    np.testing.assert_allclose(route.direction_W[0], [0.0, 0.0, 1.0], atol=1e-12)
+    assert "only_up" in route.costs
+
+
+def test_a_workspace_is_a_ring() -> None:
+    system = CostRingSelector(0.15, workspace=lambda p: p[..., 1] + 0.05)
+    route = decided(system, balls((0.5, 0.05, 0.3)))
+    assert route.direction_W[0, 1] > -0.5
+    assert set(route.costs) == {"table", "length", "workspace"}
+
+
+def test_joint_limits_are_a_ring_of_their_own() -> None:
+    def workspace(p: FloatArray) -> FloatArray:
+        return np.asarray(p[..., 1] + 0.3)
+
+    def joints(p: FloatArray) -> FloatArray:
+        return np.asarray(p[..., 1] + 0.05)
+
+    system = CostRingSelector(0.15, workspace=workspace, joint_limits=joints)
+    route = decided(system, balls((0.5, 0.05, 0.3)))
+    assert route.direction_W[0, 1] > -0.5
+    beyond, strained = route.costs["workspace"][0] >= 1.0, route.costs["joint_limits"][0] >= 1.0
+    assert strained.any()
+    assert not (beyond & strained).any()
+    # Where the start is strained itself, its surroundings are no worse.
+    strained_start = CostRingSelector(
+        0.15, workspace=workspace, joint_limits=lambda p: p[..., 1] - 1.0
+    )
+    assert not decided(strained_start, balls((0.5, -0.05, 0.3))).note
+
+
+def test_the_sides_of_two_obstacles_are_chosen_together_and_kept() -> None:
+    some = balls((0.25, 0.02, 0.3), (0.8, -0.02, 0.3))
+    some = replace(some, semi_axes=np.full((2, 3), 0.05))
+    system = CostRingSelector(0.05, period=0.1)
+    simulator = prepared(system, some)
+    route = route_of(system, simulator.get_context())
+    assert route.direction_W[0] @ route.direction_W[1] > 0.8
+    swapped = replace(some, p_WO=some.p_WO * [1.0, -1.0, 1.0])
+    fix(system, simulator.get_mutable_context(), ellipsoids_W=swapped)
+    simulator.AdvanceTo(0.25)
+    kept = route_of(system, simulator.get_context())
+    np.testing.assert_array_equal(kept.index, route.index)
+
+
+def test_the_table_port_goes_before_the_table_that_was_seen() -> None:
+    # Over it is longer than under it, but for the table.
+    high = balls((0.5, 0.0, 0.35), table=TablePlane(offset=-1.0))
+    system = CostRingSelector(0.15)
+    assert decided(system, high).direction_W[0, 2] == pytest.approx(-1.0)
+    near = decided(system, high, table=TablePlane(offset=0.2))
+    assert near.direction_W[0, 2] > -0.5
+    assert near.costs["table"].any()
+
+
+def test_the_side_is_kept_while_the_obstacle_drifts_a_little() -> None:
+    system = CostRingSelector(0.15, period=0.1)
+    simulator = prepared(system, balls((0.5, 0.02, 0.3)))
+    first = route_of(system, simulator.get_context()).direction_W
+    assert first[0, 1] < -0.9
+    fix(system, simulator.get_mutable_context(), ellipsoids_W=balls((0.5, -0.01, 0.3)))
+    simulator.AdvanceTo(0.25)
+    np.testing.assert_array_equal(route_of(system, simulator.get_context()).direction_W, first)
+    # Without memory it would go the other way; far enough over, it does.
+    assert decided(system, balls((0.5, -0.01, 0.3))).direction_W[0, 1] > 0.9
+    fix(system, simulator.get_mutable_context(), ellipsoids_W=balls((0.5, -0.09, 0.3)))
+    simulator.AdvanceTo(0.45)
+    assert route_of(system, simulator.get_context()).direction_W[0, 1] > 0.9
+
+
+def test_a_new_obstacle_is_decided_at_once() -> None:
+    system = CostRingSelector(0.15, period=10.0)
+    simulator = prepared(system, balls((0.3, 0.05, 0.3)))
+    simulator.AdvanceTo(0.01)
+    fix(
+        system,
+        simulator.get_mutable_context(),
+        ellipsoids_W=balls((0.3, 0.05, 0.3), (0.7, -0.05, 0.3), ids=[0, 4]),
+    )
+    route = route_of(system, simulator.get_context())
+    assert route.ids.tolist() == [0, 4]
+    assert len(route.heading_W) == len(route.center_W) == 2
+    fix(system, simulator.get_mutable_context(), ellipsoids_W=balls())
+    assert len(route_of(system, simulator.get_context()).ids) == 0
+
+
+def test_the_decision_is_in_the_context() -> None:
+    system = CostRingSelector(0.15, period=0.1)
+    simulator = prepared(system, balls((0.5, 0.02, 0.3)))
+    clone = simulator.get_context().Clone()
+    fix(system, simulator.get_mutable_context(), ellipsoids_W=balls((0.5, -0.3, 0.3)))
+    simulator.AdvanceTo(0.2)
+    assert route_of(system, clone).direction_W[0, 1] < -0.9
+
+
+def test_when_no_side_is_allowed_it_says_so(caplog: pytest.LogCaptureFixture) -> None:
+    system = CostRingSelector(0.15, workspace=lambda p: np.full(p.shape[:-1], -1.0))
+    with caplog.at_level(logging.INFO, "drake_oa"):
+        simulator = prepared(system, balls((0.5, 0.0, 0.3), ids=[3]))
+        simulator.AdvanceTo(0.3)
+    route = route_of(system, simulator.get_context())
+    assert route.note == "every side of obstacle 3 is forbidden"
+    assert np.isfinite(route.heading_W).all()
+    assert len(caplog.records) == 1
+    assert route.note in caplog.text
+
+
+@pytest.mark.parametrize("port", ["ellipsoids_W", "policy_state", "table"])
+def test_a_wrong_type_on_a_port_is_refused_by_its_name(port: str) -> None:
+    system = CostRingSelector(0.15)
+    simulator = prepared(system, balls((0.5, 0.0, 0.3)))
+    fix(system, simulator.get_mutable_context(), **{port: Route()})
+    with pytest.raises(TypeError, match=rf"'{port}' holds a Route; it must be a "):
+        simulator.AdvanceTo(0.2)
+
+
+def test_a_ring_of_the_wrong_shape_is_refused_by_its_name() -> None:
+    system = CostRingSelector(0.15, extra_rings={"flat": lambda scene: np.zeros(3)})
+    with pytest.raises(ValueError, match="'flat'"):
+        prepared(system, balls((0.5, 0.0, 0.3)))
+
+
+@pytest.mark.parametrize("clearance", [0.0, -0.1, np.nan, np.inf])
+def test_a_clearance_that_is_not_positive_is_refused(clearance: float) -> None:
+    with pytest.raises(ValueError, match="clearance must be finite and positive"):
+        CostRingSelector(clearance)

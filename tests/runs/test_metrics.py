@@ -1,0 +1,190 @@
+"""Collisions, clearance and path length of finished motions."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydrake.math import RigidTransform, RollPitchYaw
+
+from drake_oa.common.messages import EllipsoidSet, FloatArray
+from drake_oa.geometry.shapes import Sphere
+from drake_oa.robot.config import Robot
+from drake_oa.robot.inverse_kinematics import solve_tool_pose
+from drake_oa.robot.plant import home_positions, make_robot_plant
+from drake_oa.runs.metrics import free_point_metrics, path_length, robot_metrics
+from drake_oa.runs.report import feasible_clearance
+from drake_oa.scenario.loading import load_scenario
+from drake_oa.scenario.obstacles import Obstacle
+
+
+def balls(*centers: tuple[float, float, float]) -> EllipsoidSet:
+    count = len(centers)
+    return EllipsoidSet(
+        stamp=0.0,
+        p_WO=np.array(centers, dtype=float).reshape(count, 3),
+        R_WO=np.tile(np.eye(3), (count, 1, 1)),
+        semi_axes=np.full((count, 3), 0.1),
+        v_WO=np.zeros((count, 3)),
+        ids=10 + np.arange(count),
+    )
+
+
+@given(
+    points=st.lists(st.tuples(*[st.floats(-1, 1)] * 3), min_size=2, max_size=8),
+)
+def test_a_path_is_no_shorter_than_its_chord(points: list[tuple[float, float, float]]) -> None:
+    path = np.array(points)
+    chord = np.linalg.norm(path[-1] - path[0])
+    assert path_length(path) >= chord - 1e-12
+    assert path_length(path[::-1]) == pytest.approx(path_length(path))
+
+
+def test_length_of_a_square_and_of_a_point() -> None:
+    square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 0]], dtype=float)
+    assert path_length(square) == pytest.approx(4.0)
+    assert path_length(square[:1]) == 0.0
+
+
+def test_clearance_of_a_point_is_to_the_nearest_ellipsoid() -> None:
+    path = np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]])
+    found = free_point_metrics(path, balls((0.5, 0.3, 0.0), (1.0, 0.0, 0.0)))
+    np.testing.assert_allclose(found.tool_clearance, [np.hypot(0.5, 0.3) - 0.1, 0.2], atol=1e-12)
+    assert found.contacts == ()
+
+
+def test_each_ellipsoid_that_was_touched_is_named_once() -> None:
+    path = np.linspace([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], 50)
+    found = free_point_metrics(path, balls((0.5, 0.05, 0.0), (0.5, 0.5, 0.0)))
+    assert found.contacts == ("tool point - ellipsoid 10",)
+    assert found.tool_clearance.min() < 0.0
+
+
+def test_nothing_to_hit_is_infinitely_far() -> None:
+    found = free_point_metrics(np.zeros((3, 3)), EllipsoidSet())
+    assert np.isinf(found.tool_clearance).all()
+    assert found.contacts == ()
+
+
+@pytest.mark.parametrize(
+    ("x", "initial", "made"),
+    [
+        ([0.0, 0.3, 0.5], False, True),
+        ([0.5, 0.3, 0.0], True, False),
+        ([0.5, 0.0, 0.5], True, True),
+        ([0.5], True, False),
+        ([0.0, 0.1], False, False),
+        ([], False, False),
+    ],
+)
+def test_contacts_of_the_start_are_told_from_those_the_motion_made(
+    x: list[float], initial: bool, made: bool
+) -> None:
+    path = np.column_stack([x, np.zeros((len(x), 2))])
+    found = free_point_metrics(path, balls((0.5, 0.0, 0.0)))
+    name = ("tool point - ellipsoid 10",)
+    assert found.initial_contacts == (name if initial else ())
+    assert found.made_contacts == (name if made else ())
+    assert found.contacts == (name if initial or made else ())
+
+
+@pytest.fixture(scope="module")
+def poses() -> dict[str, FloatArray]:
+    """Positions with the tool over the box, in it, and in the table."""
+    robot = Robot()
+    plant = make_robot_plant(robot)
+    R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix()
+    places = {
+        "start": [0.45, -0.45, 0.3],
+        "inside": [0.45, 0.0, 0.15],
+        "table": [0.45, -0.45, -0.02],
+    }
+    return {
+        name: solve_tool_pose(
+            plant.plant,
+            plant.tool_frame.name(),
+            RigidTransform(R_WE, place),
+            home_positions(plant, robot),
+        )
+        for name, place in places.items()
+    }
+
+
+def test_the_robot_is_judged_by_scene_graph(poses: dict[str, FloatArray]) -> None:
+    scenario = load_scenario("tabletop_box", ["perception=!GroundTruth {}"])
+    found = robot_metrics(scenario, np.stack([poses["start"], poses["inside"], poses["table"]]))
+    np.testing.assert_allclose(found.p_WE[0], [0.45, -0.45, 0.3], atol=1e-6)
+    assert found.tool_clearance[0] > 0.2
+    assert found.tool_clearance[1] < 0.0
+    assert found.tool_clearance[2] > 0.0
+    assert (found.robot_clearance <= found.tool_clearance).all()
+    assert any(name.endswith("obstacle_box") for name in found.contacts)
+    assert any("table" in name for name in found.contacts)
+    assert len(set(found.contacts)) == len(found.contacts)
+
+
+def test_the_robot_may_touch_itself(poses: dict[str, FloatArray]) -> None:
+    folded = np.r_[0.0, 0.0, 0.0, -1.6, 0.0, -0.0175, 0.785, 0.02, 0.02]
+    found = robot_metrics(load_scenario("tabletop_box"), np.stack([poses["start"], folded]))
+    assert found.self_contacts == ("panda_hand - panda_link5",)
+    assert found.contacts == ()
+
+
+def test_clearance_to_what_rests_is_told_apart_from_that_to_what_moves(
+    poses: dict[str, FloatArray],
+) -> None:
+    start = np.array([0.45, -0.45, 0.3])
+    scenario = load_scenario("tabletop_box")
+    alone = robot_metrics(scenario, poses["start"][None])
+    assert alone.resting_clearance[0] == alone.tool_clearance[0]
+    scenario.obstacles = [
+        Obstacle(
+            name="ball",
+            shapes=[Sphere(radius=0.02)],
+            translation=(start - [0.0, 0.2, 0.0]).tolist(),
+            waypoints=[[1.0, 0.0, 0.0, 0.0]],
+        )
+    ]
+    both = robot_metrics(scenario, poses["start"][None])
+    assert both.resting_clearance[0] == alone.tool_clearance[0]
+    assert both.tool_clearance[0] < alone.tool_clearance[0]
+    # Start and goal leave what rests there leaves.
+    assert feasible_clearance(scenario) == pytest.approx(scenario.task.clearance)
+    scenario.task.clearance = 1.0
+    assert feasible_clearance(scenario) <= both.resting_clearance[0]
+
+
+def test_a_robot_at_its_start_touches_nothing(poses: dict[str, FloatArray]) -> None:
+    for name in ("tabletop_box", "tabletop_irregular", "tabletop_clutter"):
+        found = robot_metrics(load_scenario(name), poses["start"][None])
+        assert found.contacts == ()
+        assert found.robot_clearance[0] > 0.0
+
+
+def test_without_obstacles_the_robot_is_infinitely_far(poses: dict[str, FloatArray]) -> None:
+    scenario = load_scenario(
+        "tabletop_box", ["directives=[]", "perception=!GroundTruth {}", "cameras=[]"]
+    )
+    found = robot_metrics(scenario, poses["start"][None])
+    assert np.isinf(found.robot_clearance).all()
+    assert robot_metrics(scenario, np.zeros((0, 9))).p_WE.shape == (0, 3)
+
+
+def test_a_robot_that_starts_in_contact_did_not_make_it(poses: dict[str, FloatArray]) -> None:
+    scenario = load_scenario("tabletop_box", ["perception=!GroundTruth {}"])
+    found = robot_metrics(scenario, np.stack([poses["inside"], poses["start"], poses["table"]]))
+    assert any(name.endswith("obstacle_box") for name in found.initial_contacts)
+    assert set(found.initial_contacts).isdisjoint(found.made_contacts)
+    assert any("table" in name for name in found.made_contacts)
+    assert set(found.contacts) == {*found.initial_contacts, *found.made_contacts}
+
+
+def test_the_whole_world_is_posed_where_the_log_has_it(poses: dict[str, FloatArray]) -> None:
+    scenario = load_scenario("tabletop_box", ["perception=!GroundTruth {}"])
+    q = poses["start"][None]
+    alone = robot_metrics(scenario, q)
+    # Nothing but the robot moves here: the world's positions are the robot's.
+    for q_world in (np.zeros((1, 0)), q):
+        same = robot_metrics(scenario, q, q_world)
+        np.testing.assert_array_equal(same.robot_clearance, alone.robot_clearance)
+    with pytest.raises(ValueError, match=r"q_world: shape \(1, 3\) must be \(1, 9\)"):
+        robot_metrics(scenario, q, np.zeros((1, 3)))

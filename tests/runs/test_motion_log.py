@@ -1,0 +1,254 @@
+"""The log of a motion, and its file."""
+
+import math
+import re
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drake_oa.common.messages import EllipsoidSet
+from drake_oa.runs import motion_log
+from drake_oa.runs.motion_log import MotionLog, load_logs, pack_ellipsoids, save_logs
+
+
+def ellipsoids(count: int, stamp: float = 0.0) -> EllipsoidSet:
+    rng = np.random.default_rng(count)
+    return EllipsoidSet(
+        stamp=stamp,
+        p_WO=rng.normal(size=(count, 3)),
+        R_WO=np.tile(np.eye(3), (count, 1, 1)),
+        semi_axes=rng.uniform(0.1, 0.2, (count, 3)),
+        v_WO=rng.normal(size=(count, 3)),
+        ids=10 + np.arange(count),
+    )
+
+
+def log(instants: int = 4, frames: int = 2) -> MotionLog:
+    rng = np.random.default_rng(0)
+    return MotionLog(
+        t=np.arange(instants) * 0.1,
+        q=rng.normal(size=(instants, 9)),
+        v=rng.normal(size=(instants, 9)),
+        torque=rng.normal(size=(instants, 9)),
+        saturated=np.zeros(instants),
+        p_WE=rng.normal(size=(instants, 3)),
+        desired_position=rng.normal(size=(instants, 3)),
+        desired_velocity=rng.normal(size=(instants, 3)),
+        desired_acceleration=rng.normal(size=(instants, 3)),
+        phase=np.linspace(1.0, 0.1, instants),
+        speed_scale=np.ones(instants),
+        tracking_error=np.full(instants, np.nan),
+        q_world=rng.normal(size=(instants, 16)),
+        observation_time=0.05 + 0.1 * np.arange(frames),
+        **pack_ellipsoids([ellipsoids(i, 0.1 * i) for i in range(frames)]),
+        out_of_range=np.arange(frames),
+        regulation="Verified",
+        shortfall=rng.uniform(size=instants),
+        short_of=np.full(instants, -1),
+        event_time=np.array([0.1, 0.2]),
+        event=("obstacles not seen since t = 0.00 s", ""),
+        supervision_time=np.array([0.1, 0.3]),
+        supervision_action=("hold", "run"),
+        supervision_reason=("camera stopped", ""),
+        position_name=("joint1",),
+        position_lower=np.array([-1.0]),
+        position_upper=np.array([1.0]),
+        velocity_limit=np.array([2.0]),
+        actuator_name=("joint1",),
+        effort_limit=np.array([np.inf]),
+        stop_reason="goal",
+        wall_time=1.5,
+        modulated=True,
+        scenario="task:\n  clearance: 0.15\n",
+        seed=3,
+        versions=("drake 1.51.1", "commit abc"),
+        motion_end=0.2,
+    )
+
+
+@pytest.mark.parametrize(
+    "one",
+    [
+        log(),
+        log(0, 0),
+        replace(log(), event=(), event_time=np.zeros(0), position_name=()),
+    ],
+)
+def test_what_is_written_is_read_back(one: MotionLog, tmp_path: Path) -> None:
+    file = tmp_path / "run.npz"
+    save_logs(file, {"preplanned": log(2, 0), "modulated": one})
+    back = load_logs(file)
+    assert list(back) == ["preplanned", "modulated"]
+    for item in fields(MotionLog):
+        before, after = getattr(one, item.name), getattr(back["modulated"], item.name)
+        if isinstance(before, np.ndarray):
+            np.testing.assert_array_equal(after, before)
+            assert after.shape == before.shape
+        elif isinstance(before, tuple):
+            assert isinstance(after, tuple)
+            assert after == before
+        else:
+            assert after == before
+            assert type(after) is type(before)
+
+
+def test_the_motion_may_end_before_the_run() -> None:
+    one = log()
+    assert (one.duration, one.simulated_time) == (0.2, pytest.approx(0.3))
+    assert one.t[one.moving].tolist() == pytest.approx([0.0, 0.1, 0.2])
+    assert replace(one, motion_end=math.nan).duration == one.simulated_time
+    assert log(0).simulated_time == 0.0
+
+
+def test_numpy_alone_can_read_it(tmp_path: Path) -> None:
+    save_logs(tmp_path / "run.npz", {"modulated": log()})
+    with np.load(tmp_path / "run.npz", allow_pickle=False) as archive:
+        assert archive["modulated/q"].shape == (4, 9)
+        assert archive["modulated/stop_reason"].item() == "goal"
+        assert archive["modulated/event"].tolist()[1] == ""
+        assert archive["schema_version"].item() == motion_log.SCHEMA_VERSION
+
+
+def test_the_table_lists_every_key_and_no_other() -> None:
+    table = (motion_log.__doc__ or "").split("\n=")[2]
+    listed = [row.split()[0] for row in table.splitlines()[1:] if row[:1].isalpha()]
+    assert listed == [item.name for item in fields(MotionLog)]
+    page = (Path(__file__).parents[2] / "docs" / "log.md").read_text()
+    assert re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE) == listed
+
+
+def test_what_the_table_counts_by_one_letter_has_to_have_as_many_rows() -> None:
+    shapes = re.findall(r"^(\w+) +\(([TFESD]),", motion_log.__doc__ or "", re.MULTILINE)
+    rows = {
+        name: counter for counter, names in motion_log._COUNTED.items() for name in names.split()
+    }
+    counters = {"T": "t", "F": "observation_time", "E": "event_time", "S": "supervision_time"}
+    counters["D"] = "decision_time"
+    counted = {name: counters[letter] for name, letter in shapes}
+    assert {n: c for n, c in counted.items() if n != c} == {n: c for n, c in rows.items() if n != c}
+
+
+def test_a_log_that_cannot_be_written_leaves_the_one_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "run.npz"
+    save_logs(file, {"preplanned": log()})
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", full)
+    with pytest.raises(OSError, match="No space left"):
+        save_logs(file, {"modulated": log()})
+    assert list(load_logs(file)) == ["preplanned"]
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def with_nan(array: np.ndarray) -> np.ndarray:
+    return np.where(np.arange(array.size).reshape(array.shape) == array.size - 1, np.nan, array)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"q": with_nan(log().q)}, "modulated/q must be finite; in row 3 it is not"),
+        ({"p_WE": with_nan(log().p_WE)}, "modulated/p_WE must be finite"),
+        ({"torque": log().torque[:2]}, r"modulated/torque must have a row .* 4 of t.*\(2, 9\)"),
+        ({"p_WO": log().p_WO[:1]}, "modulated/p_WO must have a row .* 2 of observation_time"),
+        ({"event": ("one",)}, "modulated/event must have a row .* 2 of event_time"),
+        ({"goal": np.zeros((4, 2))}, "modulated/goal must hold x, y, z"),
+        ({"t": -log().t}, "modulated/t must not fall"),
+    ],
+)
+def test_what_cannot_be_shown_is_named(changes: dict, said: str, tmp_path: Path) -> None:
+    save_logs(tmp_path / "run.npz", {"modulated": replace(log(), **changes)})
+    with pytest.raises(ValueError, match=rf"run\.npz: {said}"):
+        load_logs(tmp_path / "run.npz")
+
+
+def test_the_file_has_the_name_that_was_asked_for(tmp_path: Path) -> None:
+    save_logs(tmp_path / "run.log", {"modulated": log()})
+    assert [p.name for p in tmp_path.iterdir()] == ["run.log"]
+
+
+def test_a_log_that_lacks_something_is_refused_and_told_what(tmp_path: Path) -> None:
+    keys = {"modulated/t": np.zeros(3), "modulated/stop_reason": "goal", "schema_version": 2}
+    np.savez(tmp_path / "other.npz", **keys)
+    with pytest.raises(ValueError, match=r"other.npz is not a motion log: 'modulated' lacks .*'q'"):
+        load_logs(tmp_path / "other.npz")
+
+
+@pytest.mark.parametrize(("version", "said"), [(None, "schema 1, older"), (3, "schema 3, newer")])
+def test_another_schema_is_refused_by_its_number(
+    version: int | None, said: str, tmp_path: Path
+) -> None:
+    keys = {} if version is None else {"schema_version": version}
+    np.savez(tmp_path / "run.npz", **{"modulated/stop_reason": "goal"}, **keys)
+    with pytest.raises(ValueError, match=said):
+        load_logs(tmp_path / "run.npz")
+
+
+def damaged(kind: str, folder: Path) -> Path:
+    file = folder / "run.npz"
+    if kind == "text":
+        file.write_text("no archive")
+    elif kind == "empty":
+        file.touch()
+    elif kind == "array":
+        with file.open("wb") as stream:
+            np.save(stream, np.zeros(3))
+    elif kind == "archive":
+        np.savez(file, points=np.zeros(3))
+    else:
+        save_logs(file, {"modulated": log(400)})
+        content = bytearray(file.read_bytes())
+        if kind == "cut off":
+            del content[len(content) // 2 :]
+        else:
+            content[len(content) // 8 : len(content) // 4] = bytes(len(content) // 8)
+        file.write_bytes(content)
+    return file
+
+
+@pytest.mark.parametrize("kind", ["text", "empty", "array", "archive", "cut off", "overwritten"])
+def test_what_is_no_log_is_refused_by_name(kind: str, tmp_path: Path) -> None:
+    file = damaged(kind, tmp_path)
+    with pytest.raises(ValueError, match=r"run.npz is not a motion log"):
+        load_logs(file)
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"none.npz"):
+        load_logs(tmp_path / "none.npz")
+
+
+def test_ellipsoids_are_packed_with_nan_rows_where_there_are_fewer() -> None:
+    frames = [ellipsoids(2, 0.0), ellipsoids(0, 0.1), ellipsoids(3, 0.2)]
+    packed = pack_ellipsoids(frames)
+    np.testing.assert_array_equal(packed["observation_stamp"], [frame.stamp for frame in frames])
+    assert packed["obstacle_id"].tolist() == [[10, 11, -1], [-1, -1, -1], [10, 11, 12]]
+    for row, frame in enumerate(frames):
+        for name in ("p_WO", "R_WO", "semi_axes", "v_WO"):
+            values = packed[name][row]
+            np.testing.assert_array_equal(values[: len(frame)], getattr(frame, name))
+            assert np.isnan(values[len(frame) :]).all()
+
+
+def test_an_observation_is_what_was_packed() -> None:
+    whole = replace(log(), **pack_ellipsoids([ellipsoids(2, 0.5), ellipsoids(3)]))
+    seen = whole.observation(0)
+    assert seen.stamp == 0.5
+    assert seen.ids.tolist() == [10, 11]
+    np.testing.assert_array_equal(seen.v_WO, ellipsoids(2).v_WO)
+    assert whole.observation(1).R_WO.shape == (3, 3, 3)
+
+
+def test_a_file_of_before_the_goal_was_logged_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "log.npz"
+    save_logs(path, {"modulated": log()})
+    with np.load(path) as archive:
+        kept = {key: archive[key] for key in archive.files if key != "modulated/goal"}
+    np.savez(path, **kept)
+    assert load_logs(path)["modulated"].goal.shape == (0, 3)

@@ -1,0 +1,227 @@
+"""The report of a run."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drake_oa.common.messages import FloatArray
+from drake_oa.robot.limits import RobotLimits
+from drake_oa.runs.decision_costs import cost_figures, layer_costs, logged_decisions, pooled_figures
+from drake_oa.runs.motion_log import MotionLog, pack_ellipsoids
+from drake_oa.runs.report import TOLD, motion_report, report_table, run_report
+from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
+
+FREE = load_scenario("free_space")
+AROUND = np.array([[0.0, 0.0, 0.0], [0.5, -0.5, 0.0], [1.0, 0.0, 0.0]])
+THROUGH = np.linspace([0.0, 0.0, 0.0], [0.999, 0.0, 0.0], 50)
+
+
+def log_of(path: FloatArray, **changes: object) -> MotionLog:
+    count = len(path)
+    none = np.zeros((count, 0))
+    log = MotionLog(
+        t=np.linspace(0.0, 5.0, count),
+        q=none,
+        v=none,
+        torque=none,
+        saturated=np.zeros(count),
+        p_WE=path,
+        desired_position=path,
+        desired_velocity=np.zeros((count, 3)),
+        desired_acceleration=np.zeros((count, 3)),
+        phase=np.linspace(1.0, 0.01, count),
+        speed_scale=np.ones(count),
+        tracking_error=np.full(count, np.nan),
+        q_world=none,
+        observation_time=np.zeros(0),
+        **pack_ellipsoids([]),
+        out_of_range=np.zeros(0, dtype=np.int64),
+        regulation="Verified",
+        shortfall=np.zeros(count),
+        short_of=np.full(count, -1),
+        event_time=np.zeros(0),
+        event=(),
+        supervision_time=np.zeros(0),
+        supervision_action=(),
+        supervision_reason=(),
+        **vars(RobotLimits()),
+        stop_reason="goal",
+        wall_time=2.5,
+        modulated=True,
+        scenario=scenario_text(FREE),
+        seed=0,
+        versions=("drake 1.51.1", "commit abc1234"),
+    )
+    return replace(log, **changes)
+
+
+def test_a_motion_through_an_ellipsoid_collides_even_if_it_saw_none() -> None:
+    found = motion_report(FREE, log_of(THROUGH))
+    assert found["collisions"] == 1
+    assert found["contacts"] == ["tool point - ellipsoid 0"]
+    assert found["tool_clearance_min"] < 0.0
+    assert found["goal_error"] == pytest.approx(1e-3)
+
+
+def test_a_motion_round_it_keeps_its_distance() -> None:
+    found = motion_report(FREE, log_of(AROUND))
+    assert found["collisions"] == 0
+    assert found["tool_clearance_min"] > 0.15
+    assert found["path_length"] == pytest.approx(2.0 * np.sqrt(0.5))
+    assert found["duration"] == 5.0
+
+
+def test_without_obstacles_there_is_no_clearance_to_report() -> None:
+    scenario = parse_scenario("{robot: null, perception: !GivenEllipsoids {}}")
+    found = motion_report(scenario, log_of(AROUND))
+    assert found["tool_clearance_min"] is None
+    assert found["robot_clearance_min"] is None
+
+
+def test_an_empty_log_can_be_reported() -> None:
+    found = motion_report(FREE, log_of(np.zeros((0, 3)), stop_reason="KeyboardInterrupt"))
+    assert found["duration"] == 0.0
+    assert found["goal_error"] == pytest.approx(1.0)
+    json.dumps(found, allow_nan=False)
+
+
+def test_the_report_has_the_documented_keys_and_is_json() -> None:
+    events = {"event_time": np.array([1.0, 2.0]), "event": ("obstacles not seen", "")}
+    logs = {"preplanned": log_of(THROUGH), "modulated": log_of(AROUND, **events)}
+    report = json.loads(json.dumps(run_report("free_space", FREE, logs), allow_nan=False))
+    assert set(report) == {
+        "scenario",
+        "seed",
+        "preplanned",
+        "modulated",
+        "real_time_factor",
+        "versions",
+        "commit",
+    }
+    assert report["real_time_factor"] == 2.0
+    assert report["commit"] == "abc1234"
+    assert report["versions"] == {"drake": "1.51.1"}
+    assert report["modulated"]["events"][0] == {"time": 1.0, "note": "obstacles not seen"}
+    for motion in ("preplanned", "modulated"):
+        assert {
+            "collisions",
+            "tool_clearance_min",
+            "robot_clearance_min",
+            "goal_error",
+            "torque_saturation",
+            "duration",
+        } <= set(report[motion])
+
+
+def test_the_table_shows_one_row_a_motion() -> None:
+    logs = {"preplanned": log_of(THROUGH, regulation=""), "modulated": log_of(AROUND)}
+    table = report_table(run_report("free_space", FREE, logs)).splitlines()
+    assert len(table) == 3
+    assert "tool clearance [m]" in table[0]
+    assert table[1].split()[:2] == ["preplanned", "1"]
+    assert table[2].split()[:2] == ["modulated", "0"]
+    assert table[2].endswith("goal")
+    short = run_report("free_space", FREE, {"modulated": log_of(AROUND)})
+    assert len(report_table(short).splitlines()) == 2
+
+
+def test_what_regulation_believes_is_told_apart_from_what_was_kept() -> None:
+    believed = {
+        "shortfall": np.array([0.0, 0.0123, 0.002]),
+        "short_of": np.array([-1, 4, 5]),
+        "lowered": np.array([0.0, 0.02, 0.0]),
+    }
+    logs = {
+        "preplanned": log_of(THROUGH, regulation=""),
+        "modulated": log_of(AROUND, **believed),
+    }
+    report = run_report("free_space", FREE, logs)
+    found = report["modulated"]
+    assert found["regulation"] == "Verified"
+    assert (found["believed_shortfall"], found["believed_short_of"]) == (0.0123, 4)
+    assert found["lowered"] == 0.02
+    # The truth is that it was kept.
+    assert found["feasible_clearance"] == found["asked_clearance"]
+    assert found["short_of_feasible"] == 0.0
+    blind = report["preplanned"]
+    assert (blind["regulation"], blind["believed_shortfall"], blind["lowered"]) == (
+        None,
+        None,
+        None,
+    )
+    assert blind["short_of_feasible"] > blind["feasible_clearance"]
+    *_, lowered, lacked = report_table(report).splitlines()
+    assert lowered.startswith("note: modulated: regulation lowered the asked clearance")
+    assert lacked == (
+        "note: modulated: regulation believed to lack 12.3 mm of the clearance to obstacle 4"
+    )
+    paper = motion_report(FREE, log_of(AROUND, regulation="Regressor"))
+    assert (paper["believed_shortfall"], paper["believed_short_of"]) == (None, None)
+
+
+def test_a_clearance_that_start_and_goal_do_not_leave_or_that_was_not_kept_is_told() -> None:
+    far = parse_scenario(scenario_text(FREE), ["task.clearance=1.0"])
+    report = run_report("far", far, {"modulated": log_of(AROUND)})
+    found = report["modulated"]
+    assert found["asked_clearance"] == 1.0
+    assert found["feasible_clearance"] < 0.5
+    assert found["short_of_feasible"] > TOLD
+    asked, kept = report_table(report).splitlines()[-2:]
+    assert asked.startswith(f"note: start and goal leave {found['feasible_clearance']:.3f} m")
+    assert kept.startswith(f"warning: modulated: kept {found['resting_clearance_min']:.3f} m")
+
+
+def test_what_decisions_cost_is_reported_of_the_motion() -> None:
+    costs = np.array([0.002, 0.3, 0.002, 0.1, 0.004, 9.0])
+    log = log_of(
+        AROUND,
+        decision_time=np.array([0.0, 0.1, 0.1, 0.4, 1.0, 5.5]),
+        decision_cost=costs,
+        decision_layer=(
+            "regulation",
+            "regulation",
+            "evasion",
+            "regulation",
+            "evasion",
+            "regulation",
+        ),
+    )
+    found = motion_report(FREE, log)
+    assert found["decision_cost"] == {
+        "median": 0.1,
+        "p99": pytest.approx(0.296),
+        "max": 0.3,
+        # A period of this scenario is 1 / 15 s; what began after the motion does not count.
+        "share_over_period": pytest.approx(2.0 / 3.0),
+        "count": 3,
+    }
+    assert found["evasion_cost"]["max"] == 0.004
+    assert found["turn_cost"] is None
+    table = report_table({"modulated": found})
+    assert "decisions took 100 ms (median), 99 % within 296 ms, at most 300 ms; 66.7 %" in table
+    assert motion_report(FREE, log_of(AROUND))["decision_cost"] is None
+    runs = [
+        {"decision_cost": found["decision_cost"], "decision_costs": layer_costs(log).tolist()},
+        {"decision_cost": None, "decision_costs": []},
+        {"decision_cost": cost_figures([0.01], 0.033), "decision_costs": [0.01]},
+    ]
+    together = pooled_figures(runs)
+    assert together is not None
+    assert together["median"] == pytest.approx(0.055)
+    assert (together["count"], together["max"]) == (4, 0.3)
+    assert together["share_over_period"] == pytest.approx(0.5)
+
+
+def test_decisions_are_read_from_what_was_logged() -> None:
+    ports = {
+        "decision_turn": np.array([[np.nan, 0.0], [0.1, 0.02], [0.1, 0.02]]),
+        "decision_regulation": np.array([[0.0, 0.05], [0.0, 0.05], [0.2, 0.001]]),
+        "goal": np.zeros((3, 3)),
+    }
+    found = logged_decisions(ports)
+    assert found["decision_time"].tolist() == [0.0, 0.1, 0.2]
+    assert found["decision_cost"].tolist() == [0.05, 0.02, 0.001]
+    assert found["decision_layer"] == ("regulation", "turn", "regulation")
+    assert logged_decisions({})["decision_layer"] == ()

@@ -1,0 +1,83 @@
+"""Start and goal of a task given as joints."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drake_oa.common.schema_check import ScenarioError
+from drake_oa.diagrams.robot_layers import start_positions
+from drake_oa.robot.plant import make_robot_plant
+from drake_oa.runs.simulation import simulate
+from drake_oa.scenario.loading import parse_scenario, scenario_text
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.task_joints import posture_guide, tool_pose
+
+Q_START = [0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785]
+Q_GOAL = [0.4, -0.5, 0.3, -2.1, 0.2, 1.8, 0.6]
+JOINTS = f"task: {{q_start: {Q_START}, q_goal: {Q_GOAL}"
+
+
+def start(scenario: Scenario) -> np.ndarray:
+    return start_positions(make_robot_plant(scenario.robot), scenario)
+
+
+def test_start_goal_and_orientations_follow_from_joints() -> None:
+    scenario = parse_scenario(JOINTS + "}")
+    robot = make_robot_plant(scenario.robot)
+    q = start(scenario)
+    np.testing.assert_array_equal(q[:7], Q_START)
+    np.testing.assert_allclose(tool_pose(robot, q).translation(), scenario.task.start)
+    q[:7] = Q_GOAL
+    X_WG = tool_pose(robot, q)
+    np.testing.assert_allclose(X_WG.translation(), scenario.task.goal)
+    np.testing.assert_allclose(X_WG.rotation().ToRollPitchYaw().vector(), scenario.task.rpy_goal)
+    again = parse_scenario(scenario_text(scenario))
+    assert again == scenario
+    start(again)
+
+
+def test_what_is_stated_besides_must_agree() -> None:
+    with pytest.raises(ScenarioError, match=r"task\.goal: \[0\.5, .*mm from where task\.q_goal"):
+        start(parse_scenario(JOINTS + ", goal: [0.5, 0.1, 0.4]}"))
+    with pytest.raises(ScenarioError, match=r"task\.rpy_start: .*degrees from .*task\.q_start"):
+        start(parse_scenario(JOINTS + ", rpy_start: [3.1, 0.0, 0.5]}"))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("task: {q_start: [0.0, 0.1]}", r"task\.q_start: expected 7 numbers.* not 2"),
+        (f"task: {{q_goal: {[*Q_GOAL[:6], 3.0]}}}", r"task\.q_goal\[6\]: 3 is outside \[-2\.8973"),
+        ("task: {q_goal: right}", r"task\.q_goal: expected a list"),
+        ("robot: {q_seed: [0, 0]}", r"robot\.q_seed: expected 7 numbers, of panda_joint1, .*not 2"),
+    ],
+)
+def test_bad_joints_are_named(text: str, message: str) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        start(parse_scenario(text))
+
+
+def test_joints_need_a_robot() -> None:
+    text = "robot: null\nperception: !GivenEllipsoids {}\ntask: {q_goal: [0.0]}"
+    with pytest.raises(ScenarioError, match="needs a robot"):
+        parse_scenario(text)
+
+
+def test_the_guide_leads_from_start_to_goal() -> None:
+    q = posture_guide(np.array([-0.1, 0.0, 0.5, 1.0, 1.3]), np.zeros(2), np.array([1.0, -2.0]))
+    np.testing.assert_allclose(q[:, 0], [0.0, 0.0, 0.5, 1.0, 1.0])
+    np.testing.assert_allclose(q[:, 1], -2.0 * q[:, 0])
+
+
+@pytest.mark.parametrize("modulated", [False, True])
+def test_the_arm_goes_from_the_joints_at_the_start_towards_those_at_the_goal(
+    modulated: bool,
+) -> None:
+    scenario = parse_scenario(JOINTS + ", duration: 2.0}\nperception: !GroundTruth {}")
+    scenario.table_height = None
+    log = simulate(scenario, modulated=modulated)
+    assert log.stop_reason == "goal"
+    np.testing.assert_array_equal(log.q[0, :7], Q_START)
+    # Drawn to the posture of the start alone it ends more than 0.13 rad away.
+    assert np.abs(log.q[-1, :7] - Q_GOAL).max() < 0.02

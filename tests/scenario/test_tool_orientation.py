@@ -1,0 +1,195 @@
+"""How a scenario's tool is held: fields, demonstrations, and what is made of them."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydrake.math import RollPitchYaw, RotationMatrix
+
+from drake_oa.common.messages import FloatArray
+from drake_oa.common.schema_check import ScenarioError
+from drake_oa.diagrams import layers
+from drake_oa.diagrams.orientation_layers import make_orientation_integrator
+from drake_oa.diagrams.robot_layers import start_positions
+from drake_oa.policy.orientation_dmp import goal_vector, orientation_along
+from drake_oa.robot.plant import make_robot_plant, tool_corners
+from drake_oa.scenario.demonstration import demonstrated_orientation, read_demonstration
+from drake_oa.scenario.loading import load_scenario
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.tool_orientation import end_rotations, held_robots, tool_orientation
+
+DOWN = [np.pi, 0.0, np.pi / 2.0]
+S = np.linspace(0.0, 1.0, 51)
+
+
+def scenario(*overrides: str, name: str = "tabletop_box") -> Scenario:
+    return load_scenario(name, ["perception=!GroundTruth {}", *overrides])
+
+
+def matrix(rpy: list[float]) -> FloatArray:
+    return np.array(RollPitchYaw(rpy).ToRotationMatrix().matrix())
+
+
+def path() -> FloatArray:
+    share = S**3 * (10.0 - 15.0 * S + 6.0 * S**2)
+    return np.column_stack([0.1 * np.sin(np.pi * share), share, np.zeros(51)])
+
+
+def rotations() -> FloatArray:
+    """(51, 3, 3) that tilt by 0.5 rad and yaw by 0.3 rad, from tool down."""
+    return np.array([matrix([np.pi - 0.5 * x, 0.0, 0.5 + 0.3 * x]) for x in path()[:, 1]])
+
+
+def shown(folder: Path, **arrays: FloatArray) -> str:
+    file = folder / "shown.npz"
+    np.savez(file, **({"path": path()} | arrays))
+    return f"task.demonstration={file}"
+
+
+def test_the_orientation_stays_where_nothing_else_is_asked_for() -> None:
+    plain = scenario()
+    assert tool_orientation(plain) is None
+    assert make_orientation_integrator(plain) is None
+    assert held_robots(plain) == [plain.robot]
+    for end in end_rotations(plain):
+        np.testing.assert_array_equal(end.matrix(), matrix(DOWN))
+    assert held_robots(load_scenario("free_space")) == []
+
+
+def test_start_and_goal_are_asked_for_each_by_itself() -> None:
+    start, goal = end_rotations(scenario("task.rpy_start=[2.9, 0.1, 1.0]"))
+    np.testing.assert_allclose(start.matrix(), matrix([2.9, 0.1, 1.0]), atol=1e-12)
+    np.testing.assert_allclose(goal.matrix(), matrix(DOWN), atol=1e-12)
+    start, goal = end_rotations(scenario("task.rpy_goal=[2.9, 0.1, 1.0]"))
+    np.testing.assert_allclose(start.matrix(), matrix(DOWN), atol=1e-12)
+    np.testing.assert_allclose(goal.matrix(), matrix([2.9, 0.1, 1.0]), atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["quaternion", "R"])
+def test_a_demonstration_tells_start_goal_and_way(kind: str, tmp_path: Path) -> None:
+    R = rotations()
+    signs = np.where(np.arange(51) % 3, 1.0, -1.0)[:, None]
+    q = signs * [RotationMatrix(m).ToQuaternion().wxyz() for m in R]
+    taught = scenario(shown(tmp_path, **{kind: q if kind == "quaternion" else R}))
+    held = tool_orientation(taught)
+    assert held is not None
+    way = orientation_along(held.primitive, held.R_WS, held.R_WG, S)
+    assert max(np.linalg.norm(goal_vector(a, b)) for a, b in zip(way, R, strict=True)) < 5e-3
+    # And between other ends, what the scenario asks for.
+    other = tool_orientation(scenario(shown(tmp_path, R=R), "task.rpy_goal=[3.0, 0.0, 0.5]"))
+    assert other is not None
+    np.testing.assert_allclose(other.R_WS, R[0], atol=1e-12)
+    np.testing.assert_allclose(other.R_WG, matrix([3.0, 0.0, 0.5]), atol=1e-12)
+
+
+def test_a_demonstration_of_positions_alone_keeps_the_orientation(tmp_path: Path) -> None:
+    plain = scenario(shown(tmp_path))
+    assert read_demonstration(plain.task).orientations is None
+    assert demonstrated_orientation(plain) is None
+    assert tool_orientation(plain) is None
+
+
+@pytest.mark.parametrize(
+    ("arrays", "words"),
+    [
+        ({"path": path()[:1]}, ["at least 2 samples, not 1"]),
+        ({"t": np.zeros(51)}, ["sample 1 at 0.0 s follows 0.0 s"]),
+        ({"t": np.append(np.arange(50.0), 49.0)}, ["sample 50 at 49.0 s follows 49.0 s"]),
+        ({"t": np.append(np.arange(50.0), 3.0)}, ["sample 50 at 3.0 s follows 49.0 s"]),
+        ({"path": np.zeros((51, 3))}, ["must end away from where it starts"]),
+        ({"path": np.full((51, 3), np.nan)}, ["sample 0 is not"]),
+        ({"path": np.zeros((51, 2))}, ["cannot read", "its path is (51, 2)"]),
+        ({"R": rotations()[:9]}, ["51 positions and 9 orientations", "`quaternion` (T, 4)"]),
+        ({"R": rotations(), "quaternion": np.ones((51, 4))}, ["both `quaternion` and `R`"]),
+        ({"quaternion": np.zeros((51, 4))}, ["the quaternion of sample 0 is 0"]),
+        ({"quaternion": np.ones((51, 3))}, ["(T, 4) quaternions", "not (51, 3)"]),
+        ({"quaternion": np.full((51, 4), np.inf)}, ["sample 0 is not"]),
+        ({"R": np.zeros((51, 3, 3))}, ["sample 0 is no rotation matrix"]),
+    ],
+)
+def test_a_bad_demonstration_is_named_with_what_is_wrong(
+    arrays: dict[str, FloatArray], words: list[str], tmp_path: Path
+) -> None:
+    bad = scenario(shown(tmp_path, **arrays))
+
+    def teach() -> None:
+        layers.make_dmp(bad)
+        tool_orientation(bad)
+
+    with pytest.raises(ScenarioError) as error:
+        teach()
+    for word in ("task.demonstration", "shown.npz", *words):
+        assert word in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (["task.rpy_goal=[1.0, 2.0]"], ["task.rpy_goal", "3 numbers"]),
+        (["task.rpy_start=[1.0, 2.0, .nan]"], ["task.rpy_start[2]", "finite", "rad"]),
+    ],
+)
+def test_bad_angles_are_refused(overrides: list[str], words: list[str]) -> None:
+    with pytest.raises(ScenarioError) as error:
+        scenario(*overrides)
+    for word in words:
+        assert word in str(error.value)
+
+
+def test_what_does_not_go_together_is_refused() -> None:
+    half = scenario("task.rpy_goal=[3.141592653589793, 0.0, -1.5707963267948966]")
+    with pytest.raises(ScenarioError, match=r"task\.rpy_goal: .*half a turn apart"):
+        tool_orientation(half)
+    with pytest.raises(ScenarioError, match=r"task\.rpy_start: needs a robot"):
+        tool_orientation(load_scenario("free_space", ["task.rpy_start=[0, 0, 0]"]))
+    both = scenario("task.rpy_goal=[3.0, 0.0, 1.5]", "policy.turn={}")
+    with pytest.raises(ScenarioError, match=r"policy\.turn: needs a tool that keeps"):
+        tool_orientation(both)
+
+
+def test_the_robot_starts_as_the_tool_is_to_be_held() -> None:
+    tilted = scenario("task.rpy_start=[2.8, 0.1, 1.2]")
+    assert tilted.robot is not None
+    robot_plant = make_robot_plant(tilted.robot)
+    q = start_positions(robot_plant, tilted)
+    context = robot_plant.plant.CreateDefaultContext()
+    robot_plant.plant.SetPositions(context, q)
+    X_WE = robot_plant.tool_frame.CalcPoseInWorld(context)
+    np.testing.assert_allclose(X_WE.rotation().matrix(), matrix([2.8, 0.1, 1.2]), atol=1e-5)
+    np.testing.assert_allclose(X_WE.translation(), tilted.task.start, atol=1e-5)
+
+
+def test_a_goal_orientation_out_of_reach_is_refused_by_name() -> None:
+    upward = scenario("task.rpy_goal=[0.1, 0.0, 0.0]", "task.goal=[0.6, 0.45, 0.02]")
+    assert upward.robot is not None
+    with pytest.raises(ScenarioError, match=r"task\.goal: out of reach"):
+        start_positions(make_robot_plant(upward.robot), upward)
+
+
+def test_obstacles_are_dilated_by_the_tool_in_every_orientation_of_the_way() -> None:
+    turning = scenario(name="tilted_goal")
+    assert turning.robot is not None
+    robots = held_robots(turning)
+    assert len(robots) >= 5
+    ends = [matrix(robot.rpy_WE) for robot in (robots[0], robots[-1])]
+    np.testing.assert_allclose(ends, [e.matrix() for e in end_rotations(turning)], atol=1e-4)
+    steps = [
+        np.linalg.norm(goal_vector(matrix(a.rpy_WE), matrix(b.rpy_WE))) for a, b in pairwise(robots)
+    ]
+    assert max(steps) < np.radians(12.0)
+    robot_plant = make_robot_plant(turning.robot)
+    descriptor = layers.make_ellipsoid_descriptor(turning, robot_plant)
+    one = tool_corners(robot_plant, turning.robot)
+    assert len(descriptor._tool_W) == len(robots) * len(one)
+    outline = np.concatenate([tool_corners(robot_plant, robot) for robot in robots])
+    np.testing.assert_allclose(np.sort(descriptor._tool_W, axis=0), np.sort(outline, axis=0))
+
+
+def test_the_tool_down_workspace_is_left_where_the_tool_is_tilted() -> None:
+    assert layers.held_annulus(scenario()) is not None
+    assert layers.held_annulus(scenario("task.rpy_goal=[3.0, 0.0, 1.0]")) is not None
+    assert layers.held_annulus(scenario(name="tilted_goal")) is None
+    assert layers.held_annulus(load_scenario("free_space")) is None

@@ -1,0 +1,265 @@
+"""Problems of MotionBenchMaker: read from an archive, made scenarios, run and judged."""
+
+import io
+import json
+import math
+import re
+import tarfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drake_oa.app.cli import main
+from drake_oa.diagrams.robot_layers import end_positions
+from drake_oa.robot.config import Robot
+from drake_oa.robot.plant import make_robot_plant
+from drake_oa.runs.metrics import robot_metrics
+from drake_oa.scenario.loading import parse_scenario, scenario_text
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.studies.mbm.problems import parse_problem, read_archive
+from drake_oa.studies.mbm.scenes import load_robot, problem_scenario
+from drake_oa.studies.panda.run import Criteria, run_panda_scene
+
+JOINTS = [f"panda_joint{i}" for i in range(1, 8)]
+START = [0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785]
+GOAL = [0.6, -0.5, 0.0, -2.4, 0.0, 1.9, 1.4]
+_REAL = Path(__file__).resolve().parents[4] / "shared/problems/motionbenchmaker_panda.tar.bz2"
+
+
+def scene(*objects: str) -> str:
+    return "world:\n  collision_objects:\n" + "\n".join(f"  - {item}" for item in objects)
+
+
+def thing(name: str, kind: str, size: list[float], position: list[float], more: str = "") -> str:
+    return (
+        f"{{id: {name}, primitives: [{{type: {kind}, dimensions: {size}}}], primitive_poses: "
+        f"[{{position: {position}, orientation: [0, 0, 0.6, 0.8]}}]{more}}}"
+    )
+
+
+BOX = thing("shelf", "box", [0.1, 0.2, 0.3], [0.6, -0.3, 0.2])
+CYLINDER = thing("can", "cylinder", [0.1, 0.02], [0.6, 0.4, 0.1])
+SCENE = scene(BOX, CYLINDER)
+
+
+def request(names: list[str] = JOINTS, goal: list[float] = GOAL) -> str:
+    joints = ", ".join(
+        f"{{joint_name: {name}, position: {q}}}" for name, q in zip(names, goal, strict=True)
+    )
+    positions = [*START[: len(names)], 0.065]
+    return (
+        f"start_state: {{joint_state: {{name: {[*names, 'panda_finger_joint1']}, "
+        f"position: {positions}}}}}\ngoal_constraints: [{{joint_constraints: [{joints}]}}]\n"
+    )
+
+
+def archive(file: Path, texts: dict[str, str | bytes]) -> Path:
+    with tarfile.open(file, "w:bz2") as made:
+        for name, text in texts.items():
+            data = text if isinstance(text, bytes) else text.encode()
+            member = tarfile.TarInfo(name)
+            member.size = len(data)
+            made.addfile(member, io.BytesIO(data))
+    return file
+
+
+def one(file: Path, scene_text: str = SCENE, request_text: str | None = None) -> Path:
+    texts = {"./box_panda/scene0001.yaml": scene_text}
+    texts["./box_panda/request0001.yaml"] = request() if request_text is None else request_text
+    return archive(file, texts)
+
+
+def scenario_of(file: Path, robot: Robot | None = None) -> Scenario:
+    (texts,) = read_archive(file).values()
+    return problem_scenario(parse_problem(texts[0]), robot or Robot())
+
+
+def test_a_problem_becomes_a_scenario(tmp_path):
+    scenario = scenario_of(one(tmp_path / "p.tar.bz2"))
+    assert scenario.task.q_start == START
+    assert scenario.task.q_goal == GOAL
+    assert scenario.task.duration == 5.0
+    assert scenario.task.clearance == 0.03
+    assert scenario.table_height is None
+    assert scenario.directives == []
+    assert scenario.robot.finger_opening == pytest.approx(0.039)
+    shelf, can = scenario.obstacles
+    assert (shelf.name, shelf.shapes[0].size) == ("shelf", [0.1, 0.2, 0.3])
+    assert (can.shapes[0].length, can.shapes[0].radius) == (0.1, 0.02)
+    np.testing.assert_allclose(can.shapes[0].rpy, [0.0, 0.0, 2.0 * math.asin(0.6)], atol=1e-12)
+    # It runs as it is written.
+    again = parse_scenario(scenario_text(scenario))
+    assert again == scenario
+    end_positions(make_robot_plant(again.robot), again)
+
+
+def test_the_pose_of_an_object_carries_its_shapes(tmp_path):
+    turned = thing(
+        "beam", "box", [0.1, 0.1, 0.1], [0.5, 0.0, 0.2],
+        ", pose: {position: [0, 0, 0.1], orientation: [0, 0, 1, 0]}",
+    )  # fmt: skip
+    plain = scenario_of(
+        one(tmp_path / "a.tar.bz2", scene(thing("beam", "box", [0.1] * 3, [-0.5, 0.0, 0.3])))
+    )
+    given = scenario_of(one(tmp_path / "b.tar.bz2", scene(turned)))
+    fingers = [given.robot.finger_opening] * 2
+    clearance = [
+        robot_metrics(of, np.array([[*START, *fingers]])).robot_clearance for of in (plain, given)
+    ]
+    np.testing.assert_allclose(clearance[0], clearance[1], atol=1e-9)
+
+
+def test_what_the_goal_grasps_is_left_out_and_little_room_is_asked_for(tmp_path):
+    free = scenario_of(one(tmp_path / "a.tar.bz2"))
+    goal = free.task.goal
+    grasped = thing("mug", "cylinder", [0.1, 0.02], goal)
+    beside = thing("wall", "box", [0.03, 0.03, 0.03], [goal[0], goal[1], goal[2] - 0.02])
+    scenario = scenario_of(one(tmp_path / "b.tar.bz2", scene(grasped, beside)))
+    assert [item.name for item in scenario.obstacles] == ["wall"]
+    left = robot_metrics(
+        scenario, np.stack(end_positions(make_robot_plant(scenario.robot), scenario))
+    ).robot_clearance.min()
+    assert 0.001 < left < 0.03
+    assert left - 1e-4 <= scenario.task.clearance <= left
+    assert scenario.supervisor.stop_distance == scenario.task.clearance
+
+
+def test_a_goal_beyond_the_limits_is_asked_for_as_a_pose(tmp_path):
+    beyond = request(goal=[*GOAL[:3], -0.05, *GOAL[4:]])
+    scenario = scenario_of(one(tmp_path / "p.tar.bz2", SCENE, beyond))
+    assert scenario.task.q_goal is None
+    assert scenario.task.rpy_goal is not None
+
+
+@pytest.mark.parametrize(
+    ("texts", "message"),
+    [
+        ({}, "holds no problems: there must be"),
+        ({"box_panda/scene0001.yaml": SCENE}, r"box_panda/scene0001.yaml has no request0001.yaml"),
+        ({"box_panda/request0001.yaml": request()}, r"request0001.yaml has no scene0001.yaml"),
+        ({"box_panda/scene0001.yaml": b"\xff\xfe"}, "is not text"),
+        ({"box_panda/scene0001.yaml": b" " * (2**20 + 1)}, "is larger than 1 MiB"),
+    ],
+)
+def test_an_archive_that_is_off_is_refused(tmp_path, texts, message):
+    with pytest.raises(ValueError, match=message):
+        read_archive(archive(tmp_path / "p.tar.bz2", texts))
+
+
+@pytest.mark.parametrize("data", [b"", b"words", b"BZh91AY&SY", b"\x1f\x8b"])
+def test_what_is_no_archive_is_refused(tmp_path, data):
+    file = tmp_path / "p.tar.bz2"
+    file.write_bytes(data)
+    with pytest.raises(ValueError, match=r"p\.tar\.bz2: (not a \.tar\.bz2 archive|holds no prob)"):
+        read_archive(file)
+    whole = one(tmp_path / "q.tar.bz2").read_bytes()
+    file.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(ValueError, match=r"not a \.tar\.bz2 archive"):
+        read_archive(file)
+
+
+@pytest.mark.parametrize(
+    ("scene_text", "request_text", "message"),
+    [
+        (scene(thing("ball", "sphere", [0.1], [0, 0, 1])), None, "'sphere'; it must be box or cyl"),
+        (scene(thing("b", "box", [0.1, 0.1], [0, 0, 1])), None, "box: expected 3 numbers, not 2"),
+        (scene(thing("b", "box", [0.1, 0.1, -1], [0, 0, 1])), None, "must be positive"),
+        (scene(thing("b", "box", [0.1] * 3, [0, 0, ".nan"])), None, "list|finite number"),
+        (scene(BOX, BOX), None, "two obstacles are named 'shelf'"),
+        (SCENE.replace("0.6, 0.8]", "0.6, 0.9]"), None, "has length 1.08, not 1"),
+        (SCENE.replace("world", "planet"), None, "'world' is missing"),
+        (scene(BOX[:-1] + ", meshes: [1]}"), None, "has meshes"),
+        ("world: [", None, "not valid YAML"),
+        ("[" * 5000, None, "not valid YAML"),
+        (SCENE, "start_state: {}", "'joint_state' is missing"),
+        (SCENE, request().replace("goal_constraints: [", "goal_constraints: [1, "), "expected one"),
+        (SCENE, request(["shoulder"], [0.1]), "is of the joints shoulder, .*--robot SCENARIO"),
+    ],
+)
+def test_a_problem_that_is_off_is_named(tmp_path, scene_text, request_text, message):
+    with pytest.raises(ValueError, match=rf"box_panda/scene0001: .*({message})"):
+        scenario_of(one(tmp_path / "p.tar.bz2", scene_text, request_text))
+
+
+def test_the_robot_of_a_scenario_takes_the_place_of_the_panda(tmp_path):
+    file = tmp_path / "mine.scenario.yaml"
+    file.write_text("robot: {p_HE: [0.0, 0.0, 0.2], gains: {kp_position: 300.0}}\n")
+    problems = one(tmp_path / "p.tar.bz2")
+    mine, panda = (scenario_of(problems, load_robot(name)) for name in (str(file), "panda"))
+    assert mine.robot.gains.kp_position == 300.0
+    assert math.dist(mine.task.goal, panda.task.goal) == pytest.approx(0.2 - 0.1034)
+    with pytest.raises(ValueError, match="robot: is null"):
+        load_robot("free_space")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["mbm"], "mbm needs --problems FILE.tar.bz2"),
+        (["mbm", "--sets", "shed"], "unknown set 'shed'; .* has: box"),
+        (["mbm", "--scenes", "2"], "--scenes 2: the set box has 1"),
+        (["mbm", "--method", "paper"], "unknown method 'paper'; mbm has: verified"),
+        (["mbm", "--perception", "truth"], "mbm takes no --perception"),
+        (["mbm", "--seed", "1"], "mbm takes no --seed"),
+        (["hit"], "--problems goes with the suite mbm, not with hit"),
+    ],
+)
+def test_what_does_not_go_together_is_said(arguments, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    file = one(tmp_path / "p.tar.bz2")
+    if arguments != ["mbm"]:
+        arguments = [*arguments, "--problems", str(file)]
+    assert main(["evaluate", *arguments]) == 2
+    assert re.search(message, capsys.readouterr().err)
+
+
+def test_figures_are_of_each_set_and_of_all(tmp_path, capsys):
+    texts = {}
+    for name in ("box", "cage"):
+        texts[f"{name}_panda/scene0001.yaml"] = SCENE
+        texts[f"{name}_panda/request0001.yaml"] = request()
+    file, written = archive(tmp_path / "p.tar.bz2", texts), tmp_path / "m.json"
+    command = ["evaluate", "mbm", "--problems", str(file), "--json", str(written)]
+    command += ["--method", "preplanned", "--method", "planner", "--duration", "0.02"]
+    assert main([*command, "--jobs", "1"]) == 0
+    figures = json.loads(written.read_text())
+    assert figures["suite"] == "mbm"
+    assert list(figures["sets"]) == ["box", "cage"]
+    assert figures["all"]["solved"] == figures["all"]["methods"]["planner"]["success"] == 2
+    assert figures["all"]["methods"]["preplanned"]["stopped"] == 2
+    assert figures["sets"]["cage"]["methods"]["planner"]["runs"][0]["scene"] == 1
+    table = capsys.readouterr().out
+    assert "all: planner, truth" in table
+    assert main([*command, "--sets", "cage"]) == 0
+    assert "2 runs were on disk" in capsys.readouterr().out
+
+
+def test_success_is_within_a_centimetre_15_degrees_and_the_limits():
+    found = {
+        "goal_error": 0.009,
+        "orientation_error": 0.2,
+        "beyond_limits": 0.0,
+        "stop_reason": "",
+        "settled": True,
+    }
+    criteria = Criteria(goal_error=0.01, orientation_error=math.radians(15.0), beyond_limits=1e-3)
+    assert criteria.lacks(found) == ""
+    assert criteria.lacks(found | {"goal_error": 0.011}) == "short of the goal"
+    assert "degrees" in criteria.lacks(found | {"orientation_error": 0.3})
+    assert "beyond its limit" in criteria.lacks(found | {"beyond_limits": 0.01})
+    assert criteria.lacks(found | {"goal_error": math.nan}) == "short of the goal"
+    assert criteria.lacks(found | {"settled": False}) == "never at rest"
+
+
+def test_the_first_problem_of_each_real_set_runs():
+    if not _REAL.is_file():
+        pytest.skip("the problems are not here")
+    sets = read_archive(_REAL)
+    assert {len(texts) for texts in sets.values()} == {50}
+    assert len(sets) == 7
+    for texts in sets.values():
+        scenario = problem_scenario(parse_problem(texts[0]), Robot())
+        found = run_panda_scene(scenario, "verified", "truth", duration=0.05)
+        assert not found["failed"], found["stop_reason"]
+        assert found["contacts"] == found["self_contacts"] == []

@@ -1,0 +1,145 @@
+"""The peer: differential inverse kinematics with collision constraints on the Panda."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drake_oa.common.schema_check import ScenarioError
+from drake_oa.diagrams.robot_layers import start_positions
+from drake_oa.robot.plant import make_robot_plant
+from drake_oa.runs.metrics import robot_metrics
+from drake_oa.runs.motion_log import load_logs, save_logs
+from drake_oa.scenario.loading import load_scenario
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.studies.panda.differential_ik import PeerParameters, make_collision_checker
+from drake_oa.studies.panda.differential_ik_diagram import build_differential_ik
+from drake_oa.studies.panda.peer import METHOD, NO_VELOCITY, simulate_differential_ik
+
+_BARE = ["directives=[]", "cameras=[]", "perception=!GroundTruth {}"]
+
+
+def scene(*overrides: str) -> Scenario:
+    return load_scenario("tabletop_box", [*_BARE, *overrides])
+
+
+def box(name: str, size: list[float], at: list[float]) -> str:
+    return f"{{name: {name}, shapes: [!Box {{size: {size}}}], translation: {at}}}"
+
+
+def test_follows_the_planned_motion_where_nothing_stands(tmp_path: Path) -> None:
+    scenario = scene(
+        "task.duration=1.5", "task.start=[0.45,-0.15,0.3]", "task.goal=[0.45,0.15,0.3]"
+    )
+    log = simulate_differential_ik(scenario)
+    assert log.stop_reason == "goal"
+    assert log.duration == pytest.approx(1.5, abs=0.1)
+    assert np.linalg.norm(log.p_WE - log.desired_position, axis=1).max() < 1e-3
+    assert np.linalg.norm(log.p_WE[-1] - scenario.task.goal) < 6e-4
+    assert log.regulation == METHOD
+    assert log.event == ()
+    assert not log.saturated.any()
+    T = len(log.t)
+    assert log.q.shape == log.v.shape == log.torque.shape == (T, 9)
+    assert log.phase.shape == log.saturated.shape == (T,)
+    assert np.isfinite(log.torque).all()
+    assert (np.diff(log.t) > 0.0).all()
+
+    save_logs(tmp_path / "log.npz", {"modulated": log})
+    again = load_logs(tmp_path / "log.npz")["modulated"]
+    np.testing.assert_array_equal(again.q, log.q)
+    assert again.stop_reason == "goal"
+
+
+def test_goes_round_a_ball_beside_the_line() -> None:
+    ball = "{name: ball, shapes: [!Sphere {radius: 0.05}], translation: [0.62, 0.0, 0.3]}"
+    scenario = scene(
+        "task.duration=2.0",
+        "task.start=[0.45,-0.2,0.3]",
+        "task.goal=[0.45,0.2,0.3]",
+        f"obstacles=[{ball}]",
+    )
+    log = simulate_differential_ik(scenario)
+    metrics = robot_metrics(scenario, log.q[::10])
+    assert metrics.contacts == ()
+    assert metrics.robot_clearance.min() > 0.0
+    assert np.linalg.norm(log.p_WE - log.desired_position, axis=1).max() > 0.01
+    assert log.stop_reason == "goal"
+
+
+def test_runs_the_same_twice() -> None:
+    near = box("near", [0.1, 0.1, 0.3], [0.45, 0.0, 0.15])
+    scenario = scene(
+        "task.duration=1.0",
+        "task.start=[0.45,-0.15,0.3]",
+        "task.goal=[0.45,0.2,0.3]",
+        f"obstacles=[{near}]",
+    )
+    one, two = (simulate_differential_ik(scenario, duration=0.5) for _ in range(2))
+    assert one.stop_reason == "time limit of 0.5 s"
+    np.testing.assert_array_equal(one.q, two.q)
+    np.testing.assert_array_equal(one.torque, two.torque)
+
+
+def test_stands_still_where_no_velocity_keeps_the_distances() -> None:
+    # The hand is between two walls, nearer to both than it may be.
+    walls = [box(f"wall{y}", [0.3, 0.02, 0.2], [0.45, -0.45 + y, 0.3]) for y in (-0.06, 0.06)]
+    scenario = scene("task.duration=0.6", f"obstacles=[{', '.join(walls)}]")
+    log = simulate_differential_ik(scenario)
+    assert log.event[0] == NO_VELOCITY
+    assert log.stop_reason.startswith(("stuck", "goal missed"))
+    assert np.isfinite(log.q).all()
+    held = log.t < log.event_time[1] if len(log.event) > 1 else log.t >= 0.0
+    assert np.abs(log.q[held] - log.q[0]).max() < 1e-3
+
+
+def test_links_that_do_not_move_are_left_out() -> None:
+    checker = make_collision_checker(scene(), PeerParameters())
+    plant = checker.plant()
+    base, hand = (plant.GetBodyByName(f"panda_{name}").index() for name in ("link0", "hand"))
+    world = plant.world_body().index()
+    assert checker.IsCollisionFilteredBetween(base, world)
+    assert not checker.IsCollisionFilteredBetween(hand, world)
+
+
+@pytest.mark.parametrize(("field", "value"), [("gain", 0.0), ("horizon", -1.0), ("kp", np.nan)])
+def test_parameters_out_of_range_are_named(field: str, value: float) -> None:
+    with pytest.raises(ValueError, match=rf"PeerParameters\.{field}"):
+        PeerParameters(**{field: value})
+
+
+def test_without_a_robot_there_is_one_clear_error() -> None:
+    scenario = load_scenario("free_space")
+    with pytest.raises(ScenarioError, match="robot"):
+        simulate_differential_ik(scenario)
+    with pytest.raises(ScenarioError, match="robot"):
+        build_differential_ik(scenario, np.zeros(9), PeerParameters())
+
+
+def test_systems_have_names() -> None:
+    scenario = scene()
+    assert scenario.robot is not None
+    q_start = start_positions(make_robot_plant(scenario.robot), scenario)
+    diagram = build_differential_ik(scenario, q_start, PeerParameters())
+    for name in ("plant", "dmp_integrator", "tool_pose", "differential_ik", "controller"):
+        assert diagram.HasSubsystemNamed(name)
+
+
+def test_knows_where_a_moving_obstacle_is() -> None:
+    ball = (
+        "{name: ball, shapes: [!Sphere {radius: 0.05}], translation: [0.62, 0.3, 0.3], "
+        "waypoints: [[0.0, 0.0, 0.0, 0.0], [0.5, 0.0, -0.3, 0.0]]}"
+    )
+    scenario = scene(
+        "task.duration=2.0",
+        "task.start=[0.45,-0.2,0.3]",
+        "task.goal=[0.45,0.2,0.3]",
+        f"obstacles=[{ball}]",
+    )
+    log = simulate_differential_ik(scenario)
+    metrics = robot_metrics(scenario, log.q[::10], log.q_world[::10])
+    assert log.q_world.shape[1] == 12
+    np.testing.assert_allclose(log.q_world[-1, 9:], [0.0, -0.3, 0.0], atol=1e-3)
+    assert metrics.contacts == ()
+    assert np.linalg.norm(log.p_WE - log.desired_position, axis=1).max() > 0.01
+    assert log.stop_reason == "goal"

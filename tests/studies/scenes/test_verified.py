@@ -1,0 +1,94 @@
+"""The project's own method keeps what the suites ask for, as the independent judge sees it."""
+
+import numpy as np
+import pytest
+
+from drake_oa.regulation.regressor import load_chain
+from drake_oa.regulation.verification import SearchParameters
+from drake_oa.scenario.loading import package_file
+from drake_oa.studies.scenes.judge import judge
+from drake_oa.studies.scenes.methods import Setting, load_method
+from drake_oa.studies.scenes.scenes import DURATION, Scenes, single_obstacle
+from drake_oa.studies.scenes.suites import draw_scenes
+from drake_oa.studies.scenes.verified import (
+    CONSTANT,
+    LEAST_CLEARANCE,
+    PARAMETERS,
+    WEIGHTS,
+    constant_chain,
+    run,
+)
+
+
+@pytest.mark.parametrize("suite", ["novel", "posed", "hit", "head-on", "clutter", "moving"])
+def test_it_keeps_the_feasible_clearance_and_arrives(suite: str) -> None:
+    scenes = draw_scenes(suite, 12, 5)
+    verdict = judge(scenes, run(scenes, Setting()))
+    assert not verdict.collided.any()
+    assert not verdict.short.any()
+    assert verdict.goal_error.max() <= 1e-3
+
+
+def test_it_does_not_keep_much_more_than_asked() -> None:
+    scenes = draw_scenes("novel", 12, 5)
+    verdict = judge(scenes, run(scenes, Setting()))
+    asked = verdict.feasible >= 0.1499
+    assert verdict.clearance[asked].mean() <= 0.165
+
+
+def test_motions_start_at_rest_and_last_as_long_as_they_say() -> None:
+    scenes = draw_scenes("hit", 4, 0)
+    motions = run(scenes, Setting())
+    np.testing.assert_array_equal(motions.path[:, 0], 0.0)
+    np.testing.assert_array_equal(motions.velocity[:, 0], 0.0)
+    # The velocity is that of the path.
+    time = np.linspace(0.0, 1.0, motions.path.shape[1]) * motions.duration[:, None]
+    slope = np.diff(motions.path, axis=1) / np.diff(time, axis=1)[..., None]
+    middle = 0.5 * (motions.velocity[:, 1:] + motions.velocity[:, :-1])
+    np.testing.assert_allclose(slope, middle, atol=0.02)
+
+
+def test_time_is_scaled_by_the_length_of_the_path_if_asked() -> None:
+    scenes = draw_scenes("hit", 4, 0)
+    scaled, unscaled = run(scenes, Setting()), run(scenes, Setting(scale_time=False))
+    np.testing.assert_allclose(scaled.path, unscaled.path, atol=1e-9)
+    ratio = scaled.duration / unscaled.duration
+    np.testing.assert_allclose(ratio, judge(scenes, scaled).path_ratio, rtol=1e-3)
+
+
+def test_without_a_clearance_to_keep_it_stays_clear_nevertheless() -> None:
+    scenes = single_obstacle(1.0, [[0.5, 0.0, 0.0]], [[0.1, 0.1, 0.1]], clearance=0.0)
+    verdict = judge(scenes, run(scenes, Setting(constrained=False)))
+    assert verdict.clearance[0] >= LEAST_CLEARANCE - PARAMETERS.slack
+
+
+def test_a_scene_without_obstacles_is_a_straight_line() -> None:
+    absent = np.full((1, 2, 3), np.nan)
+    scenes = Scenes(
+        baseline=np.array([0.8]),
+        center=absent,
+        semi_axes=absent,
+        R=np.full((1, 2, 3, 3), np.nan),
+        velocity=absent,
+        clearance=np.array([0.1]),
+    )
+    motions = load_method("verified")(scenes, Setting())
+    assert np.abs(motions.path[0, :, 1:]).max() == 0.0
+    assert motions.duration[0] == pytest.approx(DURATION, rel=1e-4)
+
+
+def test_a_scene_gets_the_same_motion_in_any_batch() -> None:
+    scenes = draw_scenes("posed", 8, 1)
+    whole, part = run(scenes, Setting()), run(scenes.rows([5]), Setting())
+    np.testing.assert_array_equal(whole.path[5], part.path[0])
+
+
+def test_the_search_is_that_of_the_running_system() -> None:
+    assert SearchParameters() == PARAMETERS
+
+
+def test_a_constant_chain_says_the_same_whatever_it_is_asked() -> None:
+    chain = constant_chain(load_chain(package_file(WEIGHTS)))
+    inputs = np.random.default_rng(0).uniform(chain.lower, chain.upper, (5, len(chain.lower)))
+    said = [[CONSTANT[name] for name in ("alpha", "psi", "kappa")]] * 5
+    np.testing.assert_allclose(chain.evaluate(inputs), said, rtol=1e-12)

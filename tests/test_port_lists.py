@@ -1,0 +1,92 @@
+"""The port list in each system's docstring is the list of its declared ports."""
+
+import importlib
+import inspect
+import pkgutil
+import re
+import textwrap
+from typing import Any
+
+import pytest
+import yaml
+from pydrake.systems.framework import Diagram, LeafSystem
+
+import drake_oa
+from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.scenario.loading import load_scenario
+
+
+def system_classes() -> dict[str, type[LeafSystem]]:
+    found = {}
+    for module in pkgutil.walk_packages(drake_oa.__path__, "drake_oa."):
+        if module.name == "drake_oa.studies.scenes.peers":
+            continue  # Needs a package that is not ours.
+        for name, member in vars(importlib.import_module(module.name)).items():
+            if (
+                inspect.isclass(member)
+                and issubclass(member, LeafSystem)
+                and member.__module__ == module.name
+            ):
+                found[name] = member
+    return found
+
+
+def documented_ports(kind: type[LeafSystem]) -> dict[str, Any]:
+    text = textwrap.dedent(inspect.getdoc(kind) or "")
+    block = re.search(r"\.\. pydrake_system::\n\n((?: +.*\n|\n)+)", text)
+    if block is None:
+        raise LookupError(f"{kind.__name__} has no pydrake_system block")
+    return yaml.safe_load(textwrap.dedent(block.group(1)))
+
+
+def test_every_system_documents_its_ports() -> None:
+    for name, kind in system_classes().items():
+        assert documented_ports(kind)["name"] == name
+
+
+def checked_systems(diagram: Diagram) -> set[str]:
+    """Names of our systems in a diagram, whose ports were compared."""
+    checked = set()
+    for system in diagram.GetSystems():
+        if type(system).__module__.startswith("drake_oa."):
+            listed = documented_ports(type(system))
+            inputs = [system.get_input_port(i).get_name() for i in range(system.num_input_ports())]
+            outputs = [
+                system.get_output_port(i).get_name() for i in range(system.num_output_ports())
+            ]
+            assert [str(p).split(" ")[0] for p in listed.get("input_ports") or []] == inputs
+            assert [str(p).split(" ")[0] for p in listed["output_ports"]] == outputs
+            checked.add(type(system).__name__)
+    return checked
+
+
+ALWAYS = {"CartesianInverseDynamics", "DmpIntegrator", "EllipsoidDescriptor", "Supervisor"}
+ALWAYS |= {"ObstacleEvasion"}
+
+
+@pytest.mark.parametrize(
+    ("override", "others"),
+    [
+        ("perception=!DepthCamera {}", {"DepthPerception", "VerifiedRegressorChain"}),
+        ("perception=!DepthCamera {noise: {}}", {"LateCamera"}),
+        ("perception=!GroundTruth {}", {"GroundTruthPerception"}),
+        ("recorded", {"RecordedPerception"}),
+        ("regulation=!Regressor {}", {"RegressorChain", "CostRingSelector"}),
+        ("task.rpy_goal=[3.0, 0.0, 1.0]", {"OrientationIntegrator"}),
+        ("robot.posture={coupling: {}}", {"NullSpaceCoupling", "PostureFollower"}),
+        ("faults=[!Push {}]", {"ExternalPush"}),
+    ],
+)
+def test_documented_ports_are_the_declared_ones(
+    override: str, others: set[str], recording_folder: Any
+) -> None:
+    if override == "recorded":
+        override = f"perception=!RecordedClouds {{folder: {recording_folder}}}"
+    checked = checked_systems(build_avoidance(load_scenario("tabletop_box", [override])))
+    assert checked >= ALWAYS | others
+
+
+def test_so_are_those_of_a_tool_that_is_turned() -> None:
+    diagram = build_avoidance(load_scenario("long_tool", ["perception=!GroundTruth {}"]))
+    turning = {"ToolTurnSelector", "OrientationIntegrator", "Slowest"}
+    assert checked_systems(diagram) >= ALWAYS | turning

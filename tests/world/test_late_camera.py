@@ -1,0 +1,160 @@
+"""LateCamera: what it shows when, and that rendering in the background changes nothing."""
+
+import numpy as np
+import pytest
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder
+from pydrake.systems.primitives import TrajectorySource
+from pydrake.systems.sensors import ImageDepth32F
+from pydrake.trajectories import PiecewisePolynomial
+
+from drake_oa.common.schema_check import ScenarioError
+from drake_oa.scenario.loading import load_scenario
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.world.background_camera import BackgroundCamera
+from drake_oa.world.cameras import add_camera, add_camera_world
+from drake_oa.world.depth_noise import FrameNoise, add_depth_noise
+from drake_oa.world.late_camera import LateCamera
+from drake_oa.world.station import make_station
+
+PERIOD, DELAY = 0.1, 0.08
+READY = np.array([-0.74, 0.19, 0.01, -1.9, 0.0, 2.09, 0.06, 0.005, 0.005])
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    scenario = load_scenario("tabletop_box")
+    scenario.cameras[0].width, scenario.cameras[0].height = 64, 48
+    return scenario
+
+
+@pytest.fixture(scope="module")
+def camera(scenario: Scenario) -> BackgroundCamera:
+    return BackgroundCamera(scenario, scenario.cameras[0])
+
+
+@pytest.fixture
+def moving(scenario: Scenario, camera: BackgroundCamera) -> Diagram:
+    """A late camera; the first joint turns by 1 rad/s."""
+    builder = DiagramBuilder()
+    _, depth = scenario.cameras[0].MakeCameras()
+    late = LateCamera(camera, depth.core().intrinsics(), num_states=18, period=PERIOD, delay=DELAY)
+    builder.AddNamedSystem("late", late)
+    ends = np.zeros((18, 2))
+    ends[:9] = READY[:, None]
+    ends[0, 1] += 1.0
+    source = builder.AddSystem(TrajectorySource(PiecewisePolynomial.FirstOrderHold([0, 1], ends)))
+    builder.Connect(source.get_output_port(), late.get_input_port())
+    return builder.Build()
+
+
+def outputs(diagram: Diagram, root: Context) -> tuple[float, np.ndarray, np.ndarray]:
+    late = diagram.GetSubsystemByName("late")
+    context = late.GetMyContextFromRoot(root)
+    return (
+        float(late.GetOutputPort("image_time").Eval(context)[0]),
+        np.array(late.GetOutputPort("plant_state").Eval(context)),
+        np.array(late.GetOutputPort("depth_image").Eval(context).data[:, :, 0]),
+    )
+
+
+@pytest.mark.parametrize(
+    ("time", "taken"), [(0.0, 0.0), (0.17, 0.0), (0.19, 0.1), (0.27, 0.1), (0.3, 0.2)]
+)
+def test_an_image_comes_after_the_delay_and_the_first_at_once(
+    moving: Diagram, time: float, taken: float
+) -> None:
+    simulator = Simulator(moving)
+    simulator.Initialize()
+    simulator.AdvanceTo(time)
+    stamp, state, image = outputs(moving, simulator.get_context())
+    assert stamp == pytest.approx(taken)
+    assert state[0] == pytest.approx(READY[0] + taken)
+    assert np.isfinite(image).mean() > 0.5
+
+
+def test_it_shows_what_a_sensor_of_the_present_shows(
+    scenario: Scenario, camera: BackgroundCamera
+) -> None:
+    builder = DiagramBuilder()
+    shown, scene_graph, poses = add_camera_world(builder, scenario)
+    sensor = add_camera(builder, shown, scene_graph, scenario.cameras[0])
+    diagram = builder.Build()
+    root = diagram.CreateDefaultContext()
+    state = np.concatenate([READY, np.zeros(9)])
+    poses.get_input_port().FixValue(poses.GetMyMutableContextFromRoot(root), state)
+    image = sensor.depth_image_32F_output_port().Eval(sensor.GetMyContextFromRoot(root))
+    X_WC = sensor.body_pose_in_world_output_port().Eval(sensor.GetMyContextFromRoot(root))
+    rendered = camera.ask(state, 0.0).result()
+    np.testing.assert_array_equal(rendered.depth, image.data[:, :, 0])
+    assert rendered.X_WC.IsExactlyEqualTo(X_WC)
+
+
+def test_asked_again_the_image_is_the_same(camera: BackgroundCamera) -> None:
+    states = [np.concatenate([READY + 0.05 * k, np.zeros(9)]) for k in range(6)]
+    first = [camera.ask(state, 0.0).result().depth for state in states]
+    again = [camera.ask(state, 0.0).result().depth for state in states[::-1]]
+    for one, other in zip(first, again[::-1], strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert not np.array_equal(first[0], first[-1])
+
+
+def test_released_it_begins_anew(scenario: Scenario) -> None:
+    state = np.concatenate([READY, np.zeros(9)])
+    camera = BackgroundCamera(scenario, scenario.cameras[0])
+    before = camera.ask(state, 0.0).result().depth
+    camera.release()
+    np.testing.assert_array_equal(camera.ask(state, 0.0).result().depth, before)
+    camera.release()
+
+
+def test_a_cloned_context_goes_on_alike(moving: Diagram) -> None:
+    simulator = Simulator(moving)
+    simulator.Initialize()
+    simulator.AdvanceTo(0.25)
+    other = Simulator(moving, simulator.get_context().Clone())
+    for run in (simulator, other):
+        run.AdvanceTo(0.45)
+    one, two = (outputs(moving, run.get_context()) for run in (simulator, other))
+    assert one[0] == two[0]
+    np.testing.assert_array_equal(one[2], two[2])
+
+
+def test_alone_with_a_fixed_state(camera: BackgroundCamera, scenario: Scenario) -> None:
+    _, depth = scenario.cameras[0].MakeCameras()
+    late = LateCamera(camera, depth.core().intrinsics(), num_states=18, period=0.1, delay=0.05)
+    context = late.CreateDefaultContext()
+    late.get_input_port().FixValue(context, np.concatenate([READY, np.zeros(9)]))
+    image = late.GetOutputPort("depth_image").Eval(context)
+    assert isinstance(image, ImageDepth32F)
+    assert image.width() == 64
+    assert late.GetOutputPort("camera_pose").Eval(context).translation()[2] > 0.5
+
+
+@pytest.mark.parametrize("delay", [0.0, -0.01, 0.1, np.nan])
+def test_a_delay_must_be_shorter_than_the_period(
+    camera: BackgroundCamera, scenario: Scenario, delay: float
+) -> None:
+    _, depth = scenario.cameras[0].MakeCameras()
+    with pytest.raises(ValueError, match="delay must be between 0 and the period"):
+        LateCamera(camera, depth.core().intrinsics(), num_states=18, period=0.1, delay=delay)
+
+
+def test_a_camera_that_does_not_fit_is_named() -> None:
+    scenario = load_scenario("tabletop_box", ["cameras=[{name: camera, output_delay: 0.5}]"])
+    with pytest.raises(ScenarioError, match="camera 'camera'"):
+        make_station(DiagramBuilder(), scenario)
+
+
+def test_noise_is_of_the_time_the_image_was_taken(scenario: Scenario) -> None:
+    _, depth = scenario.cameras[0].MakeCameras()
+    info = depth.core().intrinsics()
+    K = [info.focal_x(), info.focal_y(), info.center_x(), info.center_y()]
+    state = np.concatenate([READY, np.zeros(9)])
+    ideal = BackgroundCamera(scenario, scenario.cameras[0]).ask(state, 0.0).result().depth
+    camera = BackgroundCamera(scenario, scenario.cameras[0], FrameNoise(K, seed=3))
+    one, other, again = (camera.ask(state, time).result().depth for time in (0.1, 0.2, 0.1))
+    np.testing.assert_array_equal(one, again)
+    assert not np.array_equal(one, other, equal_nan=True)
+    expected = add_depth_noise(ideal, K, seed=3, frame=100_000)
+    np.testing.assert_array_equal(one, expected)
