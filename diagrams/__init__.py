@@ -1,1 +1,27 @@
-"""Diagrams (wiring) and the scenarios beside them."""
+"""The wiring: what joins the layers into a diagram, and the scenarios that come with it.
+
+In: a `Scenario`. Out: a Drake `Diagram` with the simulated station, all layers between its
+camera and its torques, and loggers.
+
+One module a layer, in the order data flows: station, perception, descriptor, policy, route,
+regulation, posture, safety, control; besides them faults and view. Each has an `add_<layer>(wires,
+scenario, station)` that makes the layer's systems from their blocks of the scenario and adds them
+to `drake_oa.common.wires.Wires`, where signals have names, and all is connected at the end. A
+layer's own folder knows neither scenario nor station; only these modules join them.
+
+Signals, with who offers them (`avoidance.Layers` says who reads them):
+
+    robot_state, plant_state, query_object, body_poses     station: the plant
+    depth_image, camera_pose, image_stamp                  station: the camera
+    obstacles_W, cloud                                     perception
+    solid_obstacles_W                                      hidden_sides; else obstacles_W
+    ellipsoids_W                                           ellipsoid_descriptor
+    goal, policy_state, phase, desired_*                   goal, dmp_integrator
+    route                                                  cost_ring_selector
+    coupling_parameters, motion                            regressor_chain
+    desired_posture, null_space_acceleration               posture_follower, null_space_coupling
+    speed_scale, evasion, evading                          supervisor, evasion
+    actuation, tracking_error, torque_saturation           controller
+
+The files `*.scenario.yaml` are the shipped scenarios. Read `avoidance` first.
+"""

@@ -1,85 +1,107 @@
-"""Wires what moves the arm in the null space of the tool's task.
-
-hidden_sides (without a camera perception), plant, camera -> regressor_chain
-regressor_chain (motion), dmp_integrator -> posture_follower -> controller
-posture_guide, dmp_integrator -> guide_follower -> controller; without a plan
-perception, plant -> null_space_coupling -> controller
-"""
+"""Posture: what moves the arm in the null space of the tool's task."""
 
 from __future__ import annotations
 
-from pydrake.systems.framework import DiagramBuilder
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.primitives import (
+    ConstantValueSource,
+)
 
-from drake_oa.common.messages import FloatArray
-from drake_oa.diagrams import robot_layers
-from drake_oa.diagrams.ports import log_signal, obstacles_port, solid_obstacles_port
+from drake_oa.common.messages import FloatArray, PlannedMotion
+from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.wires import Wires
+from drake_oa.diagrams.arm import arm_model, make_posture_guide
+from drake_oa.diagrams.station import Cell
+from drake_oa.posture.null_space_coupling import NullSpaceCouplingParameters
+from drake_oa.posture.null_space_coupling_system import NullSpaceCoupling
+from drake_oa.posture.posture_follower import PostureFollower
 from drake_oa.regulation.verified_regressor_chain import RobotArm
 from drake_oa.robot.plant import RobotPlant
-from drake_oa.scenario.scenario import DepthCamera, Scenario
-from drake_oa.world.station import Station
+from drake_oa.scenario.scenario import (
+    Scenario,
+)
+from drake_oa.scenario.sources import table_plane
+
+_GUIDE_SAMPLES = 41
+"""Of a posture that is not planned, along the motion."""
 
 
-def wire_posture(
-    builder: DiagramBuilder,
-    scenario: Scenario,
-    station: Station,
-    arm: RobotArm,
-    q_start: FloatArray,
-) -> None:
-    """The posture that the regulation plans along the motion, to the controller."""
-    chain = builder.GetSubsystemByName("regressor_chain")
-    controller = builder.GetSubsystemByName("controller")
-    policy = builder.GetSubsystemByName("dmp_integrator")
-    builder.Connect(
-        station.plant.get_state_output_port(station.robot), chain.GetInputPort("robot_state")
+def add_posture(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
+    """Adds what draws the arm's posture: posture_follower, guide_follower, null_space_coupling.
+
+    Offers desired_posture and null_space_acceleration, which the controller takes.
+    """
+    if cell is None:
+        return
+    if "motion" in wires and cell.arm is not None:
+        wires.add("posture_follower", make_posture_follower(scenario, cell.arm, cell.q_start))
+    elif (made := make_guide_follower(scenario, cell.q_start)) is not None:
+        follower, guide = made
+        wires.add("posture_guide", guide, offers={"y0": "guided_posture"})
+        wires.add("guide_follower", follower, reads={"motion": "guided_posture", "evading": None})
+    wires.log("desired_posture")
+    if "obstacles_W" in wires:
+        coupling = make_null_space_coupling(scenario, cell.robot_plant, cell.q_start)
+        if coupling is not None:
+            wires.add("null_space_coupling", coupling)
+
+
+def make_null_space_coupling(
+    scenario: Scenario, robot_plant: RobotPlant, q_start: FloatArray
+) -> NullSpaceCoupling | None:
+    """What turns the links away from obstacles; None: the scenario asks for none.
+
+    Raises:
+        ScenarioError: for an arm whose joints are not all revolute.
+    """
+    robot = scenario.robot
+    given = None if robot is None or robot.posture is None else robot.posture.coupling
+    if robot is None or given is None:
+        return None
+    try:
+        arm = arm_model(scenario, robot, robot_plant, q_start)
+    except ValueError as error:
+        raise ScenarioError(f"robot.posture.coupling: {error}") from None
+    return NullSpaceCoupling(
+        arm,
+        robot_plant.plant.num_multibody_states(),
+        NullSpaceCouplingParameters(given.alpha, given.psi, given.kappa),
+        period=scenario.policy.period,
+        table=table_plane(scenario),
     )
-    if builder.HasSubsystemNamed("ellipsoid_descriptor"):
-        obstacles = solid_obstacles_port(builder, scenario, station)
-        builder.Connect(obstacles, chain.GetInputPort("obstacles_W"))
-    if isinstance(scenario.perception, DepthCamera):
-        pose = station.cameras[scenario.perception.camera].pose
-        builder.Connect(pose, chain.GetInputPort("camera_pose"))
-    follower = builder.AddNamedSystem(
-        "posture_follower", robot_layers.make_posture_follower(scenario, arm, q_start)
+
+
+def make_posture_follower(
+    scenario: Scenario, arm: RobotArm, q_start: FloatArray
+) -> PostureFollower:
+    """What draws the null space to the planned posture; without one to that of the start."""
+    policy, evasion = scenario.policy, scenario.evasion
+    turn = {} if evasion is None else {"turn_acceleration": evasion.turn_acceleration}
+    return PostureFollower(
+        q_start[list(arm.positions)], policy.alpha_k, period=policy.period, **turn
     )
-    builder.Connect(chain.GetOutputPort("motion"), follower.GetInputPort("motion"))
-    builder.Connect(policy.GetOutputPort("policy_state"), follower.GetInputPort("policy_state"))
-    builder.Connect(follower.get_output_port(), controller.GetInputPort("desired_posture"))
-    log_signal(builder, "desired_posture", follower.get_output_port())
 
 
-def wire_guide(builder: DiagramBuilder, scenario: Scenario, q_start: FloatArray) -> None:
-    """The posture from the task's joints at the start to those at the goal, to the controller."""
-    made = robot_layers.make_guide_follower(scenario, q_start)
-    if made is None:
-        return
-    follower = builder.AddNamedSystem("guide_follower", made[0])
-    guide = builder.AddNamedSystem("posture_guide", made[1])
-    policy = builder.GetSubsystemByName("dmp_integrator")
-    controller = builder.GetSubsystemByName("controller")
-    builder.Connect(guide.get_output_port(), follower.GetInputPort("motion"))
-    builder.Connect(policy.GetOutputPort("policy_state"), follower.GetInputPort("policy_state"))
-    builder.Connect(follower.get_output_port(), controller.GetInputPort("desired_posture"))
-    log_signal(builder, "desired_posture", follower.get_output_port())
+def make_guide_follower(
+    scenario: Scenario, q_start: FloatArray
+) -> tuple[PostureFollower, ConstantValueSource] | None:
+    """What draws the null space from the joints at the start to those at the goal, unplanned.
 
+    Args:
+        scenario: with a robot.
+        q_start: (nq,) its positions at the start.
 
-def wire_null_space(
-    builder: DiagramBuilder,
-    scenario: Scenario,
-    station: Station,
-    robot_plant: RobotPlant,
-    q_start: FloatArray,
-) -> None:
-    """What turns the links away from obstacles, to the controller, where it is asked for."""
-    if not builder.HasSubsystemNamed("ellipsoid_descriptor"):
-        return
-    coupling = robot_layers.make_null_space_coupling(scenario, robot_plant, q_start)
-    if coupling is None:
-        return
-    builder.AddNamedSystem("null_space_coupling", coupling)
-    controller = builder.GetSubsystemByName("controller")
-    state = station.plant.get_state_output_port(station.robot)
-    builder.Connect(state, coupling.GetInputPort("robot_state"))
-    builder.Connect(obstacles_port(builder), coupling.GetInputPort("obstacles_W"))
-    asked = controller.GetInputPort("null_space_acceleration")
-    builder.Connect(coupling.get_output_port(), asked)
+    Returns:
+        The follower and its motion; None where the task does not give the joints at the goal.
+    """
+    robot = scenario.robot
+    if (
+        robot is None
+        or (guide := make_posture_guide(scenario, q_start[: len(robot.q_seed)])) is None
+    ):
+        return None
+    s = np.linspace(0.0, 1.0, _GUIDE_SAMPLES)
+    motion = PlannedMotion(s, np.zeros((len(s), 3)), guide(s))
+    follower = PostureFollower(motion.q[0], scenario.policy.alpha_k, period=scenario.policy.period)
+    return follower, ConstantValueSource(Value(motion))

@@ -1,77 +1,116 @@
-"""Wires what watches the motion: supervisor, evasion, and what they see.
-
-perception, camera -> hidden_sides -> supervisor, evasion
-plant, controller, dmp_integrator -> supervisor -> dmp_integrator (speed_scale)
-plant, dmp_integrator, regressor_chain -> evasion -> dmp_integrator, supervisor, posture_follower
-"""
+"""Safety: what slows, holds or stops the motion, and gets the arm out of the way."""
 
 from __future__ import annotations
 
-from pydrake.systems.framework import DiagramBuilder, OutputPort
-
-from drake_oa.diagrams import robot_layers
-from drake_oa.diagrams.ports import log_signal, solid_obstacles_port
-from drake_oa.diagrams.turning import speed_scale_port
-from drake_oa.regulation.verified_regressor_chain import VerifiedRegressorChain
+from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.wires import Wires
+from drake_oa.diagrams.policy import make_dmp
+from drake_oa.diagrams.route import held_annulus
+from drake_oa.diagrams.station import Cell
+from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.robot.plant import RobotPlant
-from drake_oa.scenario.scenario import Scenario
-from drake_oa.world.station import Station
+from drake_oa.safety.lookahead import EvasionParameters
+from drake_oa.safety.obstacle_evasion import ObstacleEvasion
+from drake_oa.safety.supervision import SupervisorParameters
+from drake_oa.safety.supervisor import Supervisor
+from drake_oa.scenario.scenario import (
+    Scenario,
+)
+from drake_oa.scenario.sources import padding, perception_period, table_plane
 
 
-def wire_supervisor(
-    builder: DiagramBuilder, scenario: Scenario, station: Station, robot_plant: RobotPlant
-) -> None:
-    """What slows, holds or stops the policy; it sees the obstacles that the descriptor sees."""
-    supervisor = builder.AddNamedSystem(
-        "supervisor", robot_layers.make_supervisor(scenario, robot_plant)
-    )
-    policy = builder.GetSubsystemByName("dmp_integrator")
-    controller = builder.GetSubsystemByName("controller")
-    builder.Connect(
-        station.plant.get_state_output_port(station.robot), supervisor.GetInputPort("robot_state")
-    )
-    builder.Connect(policy.GetOutputPort("policy_state"), supervisor.GetInputPort("policy_state"))
-    for name in ("tracking_error", "torque_saturation"):
-        builder.Connect(controller.GetOutputPort(name), supervisor.GetInputPort(name))
-    if builder.HasSubsystemNamed("ellipsoid_descriptor"):
-        obstacles = solid_obstacles_port(builder, scenario, station)
-        builder.Connect(obstacles, supervisor.GetInputPort("obstacles_W"))
-        if scenario.evasion is not None:
-            _wire_evasion(builder, scenario, station, robot_plant, obstacles)
-    builder.Connect(supervisor.GetOutputPort("speed_scale"), speed_scale_port(builder))
-    # With a tool that turns it is the lesser of two.
-    asked = (policy, policy.GetInputPort("speed_scale").get_index())
-    source, index = builder.connection_map()[asked]
-    log_signal(builder, "speed_scale", source.get_output_port(index))
+def add_safety(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
+    """Adds supervisor and evasion.
+
+    They read solid_obstacles_W, robot_state, policy_state, motion and what the controller says of
+    itself; they offer speed_scale, evasion and evading.
+    """
+    if cell is None or scenario.supervisor is None:
+        return
+    solid = {"obstacles_W": "solid_obstacles_W"}
+    wires.add("supervisor", make_supervisor(scenario, cell.robot_plant), reads=solid)
+    if "obstacles_W" in wires and scenario.evasion is not None:
+        wires.add(
+            "evasion",
+            make_evasion(scenario, cell.robot_plant, turns=cell.arm is not None),
+            reads=solid,
+            offers={"decision": "decision_evasion"},
+        )
+    wires.log("speed_scale", "evasion", "decision_evasion")
 
 
-def _wire_evasion(
-    builder: DiagramBuilder,
-    scenario: Scenario,
-    station: Station,
-    robot_plant: RobotPlant,
-    obstacles: OutputPort,
-) -> None:
-    """What displaces policy and posture where slowing and holding does not help."""
-    turns = builder.HasSubsystemNamed("posture_follower")
-    evasion = builder.AddNamedSystem(
-        "evasion", robot_layers.make_evasion(scenario, robot_plant, turns=turns)
+def make_supervisor(scenario: Scenario, robot_plant: RobotPlant) -> Supervisor:
+    """What watches the motion; it decides as often as the policy steps.
+
+    Raises:
+        ScenarioError: if the scenario has no supervisor.
+    """
+    given, policy, source = scenario.supervisor, scenario.policy, scenario.perception
+    if given is None:
+        raise ScenarioError("supervisor: this scenario has null")
+    return Supervisor(
+        collect_collision_shapes(
+            robot_plant.plant, robot_plant.scene_graph.model_inspector(), robot_plant.instance
+        ),
+        robot_plant.tool_frame.name(),
+        make_dmp(scenario).duration,
+        period=policy.period,
+        parameters=SupervisorParameters(
+            stop_distance=given.stop_distance,
+            padding=padding(source),
+            reaction_time=policy.hold_time + given.lag,
+            leave_scale=given.leave_scale,
+            frame_period=perception_period(scenario),
+            stale_frames=given.stale_frames,
+            max_age=policy.max_observation_age,
+            joint_margin=given.joint_margin,
+            tracking_slow=given.tracking_slow,
+            tracking_hold=given.tracking_hold,
+            saturation_time=given.saturation_time,
+            recovery_time=given.recovery_time,
+            patience=given.patience,
+        ),
+        table=table_plane(scenario),
     )
-    policy = builder.GetSubsystemByName("dmp_integrator")
-    chain = builder.GetSubsystemByName("regressor_chain")
-    supervisor = builder.GetSubsystemByName("supervisor")
-    builder.Connect(
-        station.plant.get_state_output_port(station.robot), evasion.GetInputPort("robot_state")
+
+
+def make_evasion(
+    scenario: Scenario, robot_plant: RobotPlant, *, turns: bool = True
+) -> ObstacleEvasion:
+    """What gets the arm out of the way of what moves; it decides with every observation.
+
+    Args:
+        scenario: of the robot.
+        robot_plant: the robot.
+        turns: whether there is a posture follower, which turns the arm.
+
+    Raises:
+        ScenarioError: if the scenario has none.
+    """
+    given, policy = scenario.evasion, scenario.policy
+    if given is None:
+        raise ScenarioError("evasion: this scenario has null")
+    return ObstacleEvasion(
+        collect_collision_shapes(
+            robot_plant.plant, robot_plant.scene_graph.model_inspector(), robot_plant.instance
+        ),
+        robot_plant.tool_frame.name(),
+        make_dmp(scenario),
+        period=perception_period(scenario),
+        step=policy.period,
+        max_age=policy.max_observation_age,
+        parameters=EvasionParameters(
+            margin=given.margin,
+            horizon=given.horizon,
+            speed=given.speed,
+            acceleration=given.acceleration,
+            turn_speed=given.turn_speed if turns else 0.0,
+            turn_acceleration=given.turn_acceleration,
+            padding=padding(scenario.perception),
+            hold_time=policy.hold_time,
+        ),
+        table=table_plane(scenario),
+        table_height=policy.table_height,
+        annulus=held_annulus(scenario),
+        thinking=scenario.thinking,
     )
-    builder.Connect(policy.GetOutputPort("policy_state"), evasion.GetInputPort("policy_state"))
-    builder.Connect(obstacles, evasion.GetInputPort("obstacles_W"))
-    if isinstance(chain, VerifiedRegressorChain):
-        builder.Connect(chain.GetOutputPort("motion"), evasion.GetInputPort("motion"))
-    builder.Connect(evasion.GetOutputPort("evasion"), policy.GetInputPort("evasion"))
-    evading = evasion.GetOutputPort("evading")
-    builder.Connect(evading, supervisor.GetInputPort("evading"))
-    if turns:
-        follower = builder.GetSubsystemByName("posture_follower")
-        builder.Connect(evading, follower.GetInputPort("evading"))
-    log_signal(builder, "evasion", evasion.GetOutputPort("evasion"))
-    log_signal(builder, "decision_evasion", evasion.GetOutputPort("decision"))

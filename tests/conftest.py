@@ -18,6 +18,9 @@ from drake_oa.robot.limits import RobotLimits
 from drake_oa.robot.plant import home_positions, make_robot_plant
 from drake_oa.runs.motion_log import MotionLog, pack_ellipsoids
 from drake_oa.scenario.loading import load_scenario, scenario_text
+from drake_oa.studies.scenes.methods import Setting
+from drake_oa.studies.scenes.motions import Motions
+from drake_oa.studies.scenes.scenes import DURATION, Scenes
 
 # The machine may be busy: no property is judged by the time an example takes.
 settings.register_profile("drake_oa", deadline=None)
@@ -133,3 +136,23 @@ def straight_log() -> Callable[..., MotionLog]:
         return replace(log, **changes)
 
     return make
+
+
+_STEPS = 100
+
+
+def straight_motions(scenes: Scenes, setting: Setting) -> Motions:
+    """The unmodulated minimum-jerk motion, which avoids nothing."""
+    s = np.linspace(0.0, 1.0, _STEPS + 1)
+    path = np.zeros((len(scenes), _STEPS + 1, 3))
+    velocity = np.zeros_like(path)
+    path[..., 0] = scenes.baseline[:, None] * s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
+    velocity[..., 0] = scenes.baseline[:, None] * 30.0 * (s * (1.0 - s)) ** 2 / DURATION
+    seconds = 1e-6 * _STEPS * len(scenes)
+    return Motions(path, velocity, np.full(len(scenes), DURATION), seconds)
+
+
+@pytest.fixture
+def straight() -> Callable[[Scenes, Setting], Motions]:
+    """The unmodulated motion as a method: a microsecond a step."""
+    return straight_motions

@@ -7,7 +7,7 @@ from types import ModuleType
 import pytest
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[1] / "examples").glob("*.py"))
-ARGUMENTS = {"03_swap_perception": {"duration": 0.05}}
+ARGUMENTS = {name: {"duration": 0.05} for name in ("03_swap_perception", "06_put_a_system_between")}
 
 
 def load(path: Path) -> ModuleType:

@@ -18,10 +18,16 @@ from pydrake.systems.sensors import ImageDepth32F
 from drake_oa.benchmark.run_timings import camera_rate, robot_of, with_present_images
 from drake_oa.benchmark.timings import DESIRED, JUST_AFTER, WARM_UP, port_timer, timed
 from drake_oa.common.messages import FloatArray
-from drake_oa.diagrams import layers, robot_layers
 from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.diagrams.control import make_controller
+from drake_oa.diagrams.descriptor import make_ellipsoid_descriptor
+from drake_oa.diagrams.perception import PIXEL_CENTER, robot_shapes
+from drake_oa.perception.depth_perception import DepthPerception
 from drake_oa.robot.plant import make_robot_plant
+from drake_oa.scenario.perception import DepthCamera, segmentation_config
 from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.sources import perception_period
+from drake_oa.scenario.task_joints import start_positions
 from drake_oa.world.station import make_station
 
 
@@ -104,11 +110,23 @@ def time_frames(scenario: Scenario, recorded: list[Frame]) -> tuple[list[float],
     station = make_station(cell, scenario)
     robot_plant = make_robot_plant(robot_of(scenario))
     builder = DiagramBuilder()
+    source = scenario.perception
+    if not isinstance(source, DepthCamera):
+        raise TypeError("frames are of a scenario with a depth camera")
+    camera = station.cameras[source.camera]
     perception = builder.AddNamedSystem(
-        "perception", layers.make_perception(scenario, station, robot_plant)
+        "perception",
+        DepthPerception(
+            camera.intrinsics,
+            config=segmentation_config(source.segmentation),
+            robot=robot_shapes(robot_plant),
+            pixel_center=PIXEL_CENTER,
+            period=perception_period(scenario),
+            delay=camera.delay,
+        ),
     )
     descriptor = builder.AddNamedSystem(
-        "descriptor", layers.make_ellipsoid_descriptor(scenario, robot_plant)
+        "descriptor", make_ellipsoid_descriptor(scenario, robot_plant)
     )
     builder.Connect(perception.GetOutputPort("obstacles_W"), descriptor.GetInputPort("obstacles_W"))
     for name in ("depth_image", "camera_pose", "robot_state"):
@@ -140,9 +158,7 @@ def _show(simulator: Simulator, frame: Frame) -> None:
 def time_controller(scenario: Scenario, recorded: list[Frame], steps: int) -> float:
     """Median wall time of the control law over so many steps, for states of the run [us]."""
     robot_plant = make_robot_plant(robot_of(scenario))
-    controller = robot_layers.make_controller(
-        scenario, robot_plant, robot_layers.start_positions(robot_plant, scenario)
-    )
+    controller = make_controller(scenario, robot_plant, start_positions(robot_plant, scenario))
     context = controller.CreateDefaultContext()
     actuation = controller.GetOutputPort("actuation")
     times = []

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.diagrams.layers import perception_period
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.sources import perception_period
 
 SIGNAL = "decision_"
 """The log of a layer's port `decision` is named so, and by the layer."""

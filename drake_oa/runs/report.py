@@ -9,8 +9,6 @@ import numpy as np
 
 from drake_oa.common.messages import EllipsoidSet, FloatArray
 from drake_oa.common.text_tables import aligned
-from drake_oa.diagrams.layers import given_ellipsoids
-from drake_oa.diagrams.robot_layers import end_positions
 from drake_oa.geometry.rotation import rotation_vector
 from drake_oa.policy.orientation_dmp import rotation_matrix
 from drake_oa.policy.orientation_kernels import exponential
@@ -19,7 +17,9 @@ from drake_oa.runs.decision_costs import decision_figures
 from drake_oa.runs.metrics import MotionMetrics, free_point_metrics, path_length, robot_metrics
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.scenario.scenario import GivenEllipsoids, Scenario
+from drake_oa.scenario.sources import given_ellipsoids
 from drake_oa.scenario.task import goal_at
+from drake_oa.scenario.task_joints import end_positions
 from drake_oa.scenario.tool_orientation import end_rotations
 
 TOLD = 1e-3

@@ -22,8 +22,9 @@ from drake_oa.common.messages import (
     PolicyState,
 )
 from drake_oa.common.provenance import software_versions
-from drake_oa.diagrams.avoidance import build_avoidance
-from drake_oa.diagrams.layers import make_dmp
+from drake_oa.common.wires import Wires
+from drake_oa.diagrams.avoidance import Layers, build_avoidance
+from drake_oa.diagrams.policy import make_dmp
 from drake_oa.policy.action import SCALED_TO_REST
 from drake_oa.policy.dmp import normalised_time
 from drake_oa.regulation.verification import SearchParameters
@@ -331,6 +332,8 @@ def simulate(
     duration: float | None = None,
     meshcat: Meshcat | None = None,
     on_progress: Callable[[float, float], None] | None = None,
+    layers: Layers | None = None,
+    customize: Callable[[Wires], None] | None = None,
 ) -> MotionLog:
     """Runs one motion of a scenario until nothing moves any more, nor will.
 
@@ -355,13 +358,17 @@ def simulate(
             the run goes on.
         meshcat: viewer, or None.
         on_progress: called with time [s] and phase, a few hundred times a second.
+        layers: as for `build_avoidance`.
+        customize: likewise.
 
     Raises:
         ScenarioError: naming the field that does not fit.
         MotionInterruptedError: if the simulation raised or was interrupted; it
             carries the log until then, and the cause.
     """
-    diagram = build_avoidance(scenario, modulated=modulated, meshcat=meshcat)
+    diagram = build_avoidance(
+        scenario, modulated=modulated, layers=layers, customize=customize, meshcat=meshcat
+    )
     simulator = Simulator(diagram)
     end_time = duration
     if end_time is None:

@@ -189,3 +189,18 @@ class Scenario:
     table_height: float | None = dc.field(default=0.0, metadata={"unit": "m"})
     # What goes wrong, and when.
     faults: list[Fault] = dc.field(default_factory=list)
+
+
+def allow_perception(block: type) -> None:
+    """Makes a dataclass a valid block of `perception`, under its class's name as a tag.
+
+    Raises:
+        TypeError: if it is no dataclass, or has no `period`.
+    """
+    if not dc.is_dataclass(block) or "period" not in {item.name for item in dc.fields(block)}:
+        raise TypeError(
+            f"{block.__name__}: a perception block is a dataclass with a field 'period'"
+        )
+    item = next(item for item in dc.fields(Scenario) if item.name == "perception")
+    item.type = item.type | block
+    Scenario.__annotations__["perception"] = item.type

@@ -10,8 +10,11 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.schema_check import ScenarioError
 from drake_oa.policy.dmp import minimum_jerk_share
+from drake_oa.robot.config import Robot
+from drake_oa.robot.inverse_kinematics import solve_tool_pose
 from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
 from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.tool_orientation import end_rotations
 
 _APART, _TURNED = 1e-3, 0.01
 """Stated poses agree with those of the joints within this [m, rad]."""
@@ -113,3 +116,39 @@ def posture_guide(s: FloatArray, q_start: FloatArray, q_goal: FloatArray) -> Flo
     """(T, n) postures from start to goal at normalised times (T,), of minimum jerk."""
     share = minimum_jerk_share(np.clip(s, 0.0, 1.0))
     return q_start + share[:, None] * (q_goal - q_start)
+
+
+def start_positions(robot_plant: RobotPlant, scenario: Scenario) -> FloatArray:
+    """(nq,) positions of the robot with E at the start; raises as `end_positions` does."""
+    return end_positions(robot_plant, scenario)[0]
+
+
+def end_positions(robot_plant: RobotPlant, scenario: Scenario) -> tuple[FloatArray, FloatArray]:
+    """(nq,) positions with E at the start, and at the last goal; each goal must be in reach.
+
+    Those of `task.q_start`, where they are given.
+
+    Raises:
+        ScenarioError: naming start, goal or the move of the goal that is out of reach, or that
+            does not agree with `task.q_start` or `task.q_goal`.
+    """
+    robot: Robot | None = scenario.robot
+    if robot is None:
+        raise ScenarioError("robot: a start pose needs a robot; this scenario has null")
+    R_WS, R_WG = end_rotations(scenario)
+    seed = home_positions(robot_plant, robot)
+    found = joint_ends(robot_plant, scenario)
+    places = {"start": scenario.task.start, "goal": scenario.task.goal}
+    places |= {f"goal_moves[{row}]": move[1:] for row, move in enumerate(scenario.task.goal_moves)}
+    for name, place in places.items():
+        X_WE = RigidTransform(R_WS if name == "start" else R_WG, np.asarray(place))
+        if name in found:
+            check_agreement(robot_plant, name, found[name], X_WE)
+            continue
+        try:
+            found[name] = solve_tool_pose(
+                robot_plant.plant, robot_plant.tool_frame.name(), X_WE, seed
+            )
+        except ValueError as error:
+            raise ScenarioError(f"task.{name}: {error}") from None
+    return found["start"], found[name]

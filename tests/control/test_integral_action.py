@@ -6,7 +6,7 @@ from pydrake.systems.framework import BasicVector
 
 from drake_oa.common.schema_check import ScenarioError
 from drake_oa.control.integral_action import LARGEST_ACCELERATION, LARGEST_ERROR, IntegralAction
-from drake_oa.diagrams.robot_layers import make_integral_action
+from drake_oa.diagrams.control import make_integral_action
 from drake_oa.scenario.loading import load_scenario
 
 PERIOD = 0.008

@@ -6,6 +6,7 @@ Observations are switched by small source systems; everything behind them is rea
 import logging
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,10 +27,13 @@ from drake_oa.common.messages import (
     TablePlane,
 )
 from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.wires import LOG_PERIOD
 from drake_oa.descriptor.ellipsoid_descriptor import EllipsoidDescriptor
-from drake_oa.diagrams import layers
-from drake_oa.diagrams.avoidance import build_avoidance
-from drake_oa.diagrams.ports import LOG_PERIOD
+from drake_oa.diagrams import policy, route, view
+from drake_oa.diagrams.avoidance import Layers, build_avoidance
+from drake_oa.diagrams.policy import make_dmp, make_dmp_integrator
+from drake_oa.diagrams.regulation import make_regressor_chain
+from drake_oa.diagrams.route import make_cost_ring_selector, robot_annulus
 from drake_oa.perception.depth_perception import DepthPerception
 from drake_oa.regulation.verification import SearchParameters
 from drake_oa.runs.motion_log import MotionLog
@@ -75,6 +79,11 @@ class ScriptedFrames(LeafSystem):
         state.get_mutable_abstract_state(self._seen).set_value(seen)
 
 
+def seen_by(source: LeafSystem) -> Layers:
+    """The layers, with a perception source of one's own."""
+    return replace(Layers(), perception=lambda wires, *_: wires.add("perception", source))
+
+
 def frame_time(time: float) -> float:
     """Time of the last frame of a 15 Hz source."""
     return FRAME * math.floor(time / FRAME + 1e-9)
@@ -96,34 +105,26 @@ def ellipsoids(
 
 
 @pytest.fixture
-def free_motion(monkeypatch: pytest.MonkeyPatch) -> Callable[..., MotionLog]:
+def free_motion() -> Callable[..., MotionLog]:
     """Runs `free_space` (from x = 0 to x = 1 m in 5 s) on scripted ellipsoids."""
 
     def run(script: Callable[[float], EllipsoidSet], *overrides: str, **options: object) -> object:
-        monkeypatch.setattr(
-            layers,
-            "make_perception",
-            lambda *_: Scripted("ellipsoids_W", script, EllipsoidSet()),
-        )
-        return simulate(load_scenario("free_space", list(overrides)), **options)
+        source = Scripted("ellipsoids_W", script, EllipsoidSet())
+        scenario = load_scenario("free_space", list(overrides))
+        return simulate(scenario, layers=seen_by(source), **options)
 
     return run
 
 
 @pytest.fixture
-def robot_motion(
-    monkeypatch: pytest.MonkeyPatch, recording_folder: Path
-) -> Callable[..., MotionLog]:
+def robot_motion(recording_folder: Path) -> Callable[..., MotionLog]:
     """Runs `tabletop_box` on scripted clouds, wired as a recording is."""
 
     def run(script: Callable[[float], ObstacleClouds], **options: object) -> MotionLog:
-        monkeypatch.setattr(
-            layers,
-            "make_perception",
-            lambda *_: ScriptedFrames("obstacles_W", script, ObstacleClouds()),
-        )
+        source = ScriptedFrames("obstacles_W", script, ObstacleClouds())
         folder = f"perception=!RecordedClouds {{folder: {recording_folder}}}"
-        return simulate(load_scenario("tabletop_box", [folder]), **options)
+        scenario = load_scenario("tabletop_box", [folder])
+        return simulate(scenario, layers=seen_by(source), **options)
 
     return run
 
@@ -367,9 +368,9 @@ def test_frames_without_a_valid_pixel_hold_the_motion(
     )
     sees = builder.AddSystem(DepthPerception([150.0, 150.0, 79.5, 59.5]))
     describes = builder.AddSystem(EllipsoidDescriptor([[0.0, 0.0, 0.0]]))
-    chain = builder.AddSystem(layers.make_regressor_chain(scenario))
-    rings = builder.AddSystem(layers.make_cost_ring_selector(scenario))
-    policy = builder.AddSystem(layers.make_dmp_integrator(scenario))
+    chain = builder.AddSystem(make_regressor_chain(scenario))
+    rings = builder.AddSystem(make_cost_ring_selector(scenario))
+    policy = builder.AddSystem(make_dmp_integrator(scenario))
     builder.Connect(image.get_output_port(), sees.GetInputPort("depth_image"))
     builder.Connect(pose.get_output_port(), sees.GetInputPort("camera_pose"))
     builder.Connect(sees.GetOutputPort("obstacles_W"), describes.GetInputPort("obstacles_W"))
@@ -503,9 +504,9 @@ def test_without_a_demonstration_none_is_blamed(monkeypatch: pytest.MonkeyPatch)
     def imitate(*_: object, **__: object) -> None:
         raise ValueError("does not fit")
 
-    monkeypatch.setattr(layers, "imitate", imitate)
+    monkeypatch.setattr(policy, "imitate", imitate)
     with pytest.raises(ScenarioError, match=r"^policy: does not fit"):
-        layers.make_dmp(load_scenario("free_space"))
+        make_dmp(load_scenario("free_space"))
 
 
 @pytest.mark.parametrize(("stamps", "duration"), [({}, 5.0), ({"t": [0.0, 1.0, 3.0]}, 3.0)])
@@ -514,7 +515,7 @@ def test_stamps_of_a_demonstration_are_its_duration(
 ) -> None:
     np.savez(tmp_path / "demo.npz", path=np.eye(3), **stamps)
     override = f"task.demonstration={tmp_path}/demo.npz"
-    assert layers.make_dmp(load_scenario("free_space", [override])).duration == duration
+    assert make_dmp(load_scenario("free_space", [override])).duration == duration
 
 
 def recorded(recording_folder: Path, tmp_path: Path, block: str) -> Scenario:
@@ -566,8 +567,8 @@ def test_the_limits_rings_are_those_of_the_robot_as_it_holds_its_tool(
     overrides: list[str], limited: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     given = {}
-    monkeypatch.setattr(layers, "CostRingSelector", lambda *_, **options: given.update(options))
-    layers.make_cost_ring_selector(load_scenario("tabletop_box", overrides))
+    monkeypatch.setattr(route, "CostRingSelector", lambda *_, **options: given.update(options))
+    make_cost_ring_selector(load_scenario("tabletop_box", overrides))
     for name in ("workspace", "joint_limits"):
         assert (given[name] is not None) == limited
     if limited:
@@ -588,9 +589,7 @@ def test_the_limits_rings_are_those_of_the_robot_as_it_holds_its_tool(
     ],
 )
 def test_the_annulus_is_that_of_a_panda_held_tool_down(overrides: list[str], known: bool) -> None:
-    assert (layers.robot_annulus(load_scenario("tabletop_box", overrides).robot) is not None) == (
-        known
-    )
+    assert (robot_annulus(load_scenario("tabletop_box", overrides).robot) is not None) == (known)
 
 
 def test_a_world_without_obstacles_is_told(caplog: pytest.LogCaptureFixture) -> None:
@@ -607,14 +606,14 @@ def test_the_viewer_shows_the_motion_that_was_planned(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     given = {}
-    monkeypatch.setattr(layers, "dress_scene", lambda _: None)
-    monkeypatch.setattr(layers, "MeshcatOverlay", lambda _, **options: given.update(options))
+    monkeypatch.setattr(view, "dress_scene", lambda _: None)
+    monkeypatch.setattr(view, "MeshcatOverlay", lambda _, **options: given.update(options))
     angle = np.linspace(0.0, np.pi, 50)[:, None]
     np.savez(tmp_path / "arc.npz", path=np.hstack([-np.cos(angle), 0.0 * angle, np.sin(angle)]))
     scenario = load_scenario("tabletop_box", [f"task.demonstration={tmp_path}/arc.npz"])
     scenario.cameras[0].z_near, scenario.cameras[0].z_far = 0.5, 2.5
     station = make_station(DiagramBuilder(), scenario)
-    layers.make_overlay(scenario, station, None)
+    view.make_overlay(scenario, station, None)
     assert given["depth_range"] == (0.5, 2.5)
     planned_W = given["planned_W"]
     np.testing.assert_allclose(planned_W[0], scenario.task.start)

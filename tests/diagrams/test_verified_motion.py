@@ -13,8 +13,8 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, LeafSystem, State
 
 from drake_oa.common.messages import DECIDING, EllipsoidSet, FloatArray, PolicyState
-from drake_oa.diagrams import layers
-from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.diagrams.avoidance import Layers, build_avoidance
+from drake_oa.diagrams.policy import make_dmp
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.regulation.regressor_chain import RegressorChain
 from drake_oa.regulation.regulation import Regulation
@@ -24,6 +24,7 @@ from drake_oa.runs.report import motion_report
 from drake_oa.runs.simulation import LATEST_END, simulate
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import GivenEllipsoids
+from drake_oa.scenario.sources import given_ellipsoids
 
 FRAME = 1.0 / 15.0
 CLEARANCE = 0.15
@@ -48,12 +49,12 @@ class Observed(LeafSystem):
 
 
 @pytest.fixture
-def observed_motion(monkeypatch: pytest.MonkeyPatch) -> Callable[..., MotionLog]:
+def observed_motion() -> Callable[..., MotionLog]:
     """Runs `free_space`, from x = 0 to x = 1 m in 5 s, on what is seen."""
 
     def run(script: Callable[[int], EllipsoidSet], *overrides: str) -> MotionLog:
-        monkeypatch.setattr(layers, "make_perception", lambda *_: Observed(script))
-        return simulate(load_scenario("free_space", list(overrides)))
+        seen = replace(Layers(), perception=lambda w, *_: w.add("perception", Observed(script)))
+        return simulate(load_scenario("free_space", list(overrides)), layers=seen)
 
     return run
 
@@ -84,8 +85,8 @@ def test_the_executed_motion_is_the_one_that_was_rolled_out() -> None:
     chosen: Regulation = state.get_value(0).get_value().regulation
     assert chosen.row >= 0
     assert isinstance(scenario.perception, GivenEllipsoids)
-    true = layers.given_ellipsoids(scenario.perception)
-    dmp = layers.make_dmp(scenario)
+    true = given_ellipsoids(scenario.perception)
+    dmp = make_dmp(scenario)
     # At rest at the origin, goal on the x axis.
     scene = SpatialScenes(
         p_WE=np.zeros((1, 3)),

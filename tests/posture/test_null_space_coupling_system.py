@@ -7,12 +7,14 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.analysis import Simulator
 
 from drake_oa.common.messages import ObstacleClouds
-from drake_oa.diagrams import robot_layers
 from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.diagrams.control import make_controller
+from drake_oa.diagrams.posture import make_null_space_coupling
 from drake_oa.posture.null_space_coupling_system import NullSpaceCoupling
 from drake_oa.robot.plant import RobotPlant, make_robot_plant
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.task_joints import start_positions
 
 TRUTH = "perception=!GroundTruth {}"
 
@@ -29,12 +31,12 @@ def panda(scenario: Scenario) -> RobotPlant:
 
 @pytest.fixture(scope="module")
 def q_start(panda: RobotPlant, scenario: Scenario) -> np.ndarray:
-    return robot_layers.start_positions(panda, scenario)
+    return start_positions(panda, scenario)
 
 
 @pytest.fixture(scope="module")
 def coupling(panda: RobotPlant, scenario: Scenario, q_start: np.ndarray) -> NullSpaceCoupling:
-    found = robot_layers.make_null_space_coupling(scenario, panda, q_start)
+    found = make_null_space_coupling(scenario, panda, q_start)
     assert found is not None
     return found
 
@@ -94,7 +96,7 @@ def test_on_the_controllers_port_it_moves_the_elbow_and_not_the_tool(
     plant = panda.plant
     x = np.append(q_start, np.zeros(9))
     a_0 = answer(coupling, simulated(coupling, x, beside_the_elbow(plant, q_start)))
-    controller = robot_layers.make_controller(scenario, panda, q_start)
+    controller = make_controller(scenario, panda, q_start)
     root = panda.diagram.CreateDefaultContext()
     model = plant.GetMyMutableContextFromRoot(root)
     plant.SetPositionsAndVelocities(model, x)

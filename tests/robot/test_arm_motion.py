@@ -15,7 +15,7 @@ from drake_oa.robot import arm_kernels as kernels
 from drake_oa.robot.arm_model import make_arm_model
 from drake_oa.robot.arm_motion import ArmModel
 from drake_oa.robot.config import Robot
-from drake_oa.robot.plant import RobotPlant, _add_robot, home_positions, make_robot_plant
+from drake_oa.robot.plant import RobotPlant, add_robot, home_positions, make_robot_plant
 
 TOOL = ("panda_hand", "panda_leftfinger", "panda_rightfinger")
 
@@ -60,7 +60,7 @@ def test_forward_kinematics_are_drakes(panda: RobotPlant, arm: ArmModel) -> None
 def test_clearance_is_scene_graphs(arm: ArmModel) -> None:
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
-    instance = _add_robot(plant, Robot())
+    instance = add_robot(plant, Robot())
     p_WQ = np.array([0.3, 0.25, 0.5])
     point = plant.RegisterCollisionGeometry(
         plant.world_body(), RigidTransform(p_WQ), Sphere(1e-9), "point", CoulombFriction()

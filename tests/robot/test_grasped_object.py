@@ -5,7 +5,6 @@ import pytest
 from pydrake.systems.framework import DiagramBuilder
 
 from drake_oa.common.schema_check import ScenarioError
-from drake_oa.diagrams.robot_layers import start_positions
 from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere
 from drake_oa.robot.config import Robot
@@ -15,6 +14,7 @@ from drake_oa.runs.metrics import robot_metrics
 from drake_oa.scenario.loading import parse_scenario
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.task_joints import start_positions
 from drake_oa.world.station import make_station
 
 BAR = Box(size=[0.02, 0.5, 0.02], translation=[0.0, 0.0, 0.12])

@@ -11,7 +11,7 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
 from drake_oa.common.kernel_arrays import kernel_arrays
 from drake_oa.common.messages import FloatArray
-from drake_oa.diagrams.layers import robot_reachability
+from drake_oa.diagrams.route import robot_reachability
 from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.robot import reachability_kernels as kernels
 from drake_oa.robot.arm_kernels import poses

@@ -11,14 +11,15 @@ from pydrake.math import RollPitchYaw, RotationMatrix
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.schema_check import ScenarioError
-from drake_oa.diagrams import layers
-from drake_oa.diagrams.orientation_layers import make_orientation_integrator
-from drake_oa.diagrams.robot_layers import start_positions
+from drake_oa.diagrams.descriptor import make_ellipsoid_descriptor
+from drake_oa.diagrams.policy import make_dmp, make_orientation_integrator
+from drake_oa.diagrams.route import held_annulus
 from drake_oa.policy.orientation_dmp import goal_vector, orientation_along
 from drake_oa.robot.plant import make_robot_plant, tool_corners
 from drake_oa.scenario.demonstration import demonstrated_orientation, read_demonstration
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.task_joints import start_positions
 from drake_oa.scenario.tool_orientation import end_rotations, held_robots, tool_orientation
 
 DOWN = [np.pi, 0.0, np.pi / 2.0]
@@ -116,7 +117,7 @@ def test_a_bad_demonstration_is_named_with_what_is_wrong(
     bad = scenario(shown(tmp_path, **arrays))
 
     def teach() -> None:
-        layers.make_dmp(bad)
+        make_dmp(bad)
         tool_orientation(bad)
 
     with pytest.raises(ScenarioError) as error:
@@ -181,7 +182,7 @@ def test_obstacles_are_dilated_by_the_tool_in_every_orientation_of_the_way() -> 
     ]
     assert max(steps) < np.radians(12.0)
     robot_plant = make_robot_plant(turning.robot)
-    descriptor = layers.make_ellipsoid_descriptor(turning, robot_plant)
+    descriptor = make_ellipsoid_descriptor(turning, robot_plant)
     one = tool_corners(robot_plant, turning.robot)
     assert len(descriptor._tool_W) == len(robots) * len(one)
     outline = np.concatenate([tool_corners(robot_plant, robot) for robot in robots])
@@ -189,7 +190,7 @@ def test_obstacles_are_dilated_by_the_tool_in_every_orientation_of_the_way() -> 
 
 
 def test_the_tool_down_workspace_is_left_where_the_tool_is_tilted() -> None:
-    assert layers.held_annulus(scenario()) is not None
-    assert layers.held_annulus(scenario("task.rpy_goal=[3.0, 0.0, 1.0]")) is not None
-    assert layers.held_annulus(scenario(name="tilted_goal")) is None
-    assert layers.held_annulus(load_scenario("free_space")) is None
+    assert held_annulus(scenario()) is not None
+    assert held_annulus(scenario("task.rpy_goal=[3.0, 0.0, 1.0]")) is not None
+    assert held_annulus(scenario(name="tilted_goal")) is None
+    assert held_annulus(load_scenario("free_space")) is None

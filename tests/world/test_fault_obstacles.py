@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from pydrake.systems.framework import DiagramBuilder
 
-from drake_oa.diagrams import robot_layers
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.scenario.faults import GoalBlocked
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.obstacles import check_waypoints, offset_at
+from drake_oa.scenario.task_joints import start_positions
 from drake_oa.world.fault_obstacles import PARKED_BEYOND, goal_ball
 from drake_oa.world.station import make_station
 from drake_oa.world.world_model import all_obstacles
@@ -61,7 +61,7 @@ def test_the_plate_touches_the_tool_at_the_start_and_nothing_else(overrides: lis
     diagram = builder.Build()
     root = diagram.CreateDefaultContext()
     plant_context = station.plant.GetMyMutableContextFromRoot(root)
-    q = robot_layers.start_positions(make_robot_plant(scenario.robot), scenario)
+    q = start_positions(make_robot_plant(scenario.robot), scenario)
     station.plant.SetPositions(plant_context, station.robot, q)
     query = station.scene_graph.get_query_output_port().Eval(
         station.scene_graph.GetMyContextFromRoot(root)

@@ -22,9 +22,9 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraInfo
 
 import drake_oa.models
-from drake_oa.diagrams.robot_layers import start_positions
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.scenario.loading import load_scenario
+from drake_oa.scenario.task_joints import start_positions
 
 MODELS = Path(next(iter(drake_oa.models.__path__)))
 OBSTACLES = {"tabletop_box": 1, "tabletop_irregular": 4, "tabletop_clutter": 6}

@@ -31,7 +31,7 @@ from pydrake.systems.controllers import InverseDynamicsController
 
 from drake_oa.common.messages import BoolArray, FloatArray
 from drake_oa.common.schema_check import ScenarioError
-from drake_oa.diagrams.layers import make_dmp
+from drake_oa.diagrams.policy import make_dmp
 from drake_oa.policy.dmp import trajectory
 from drake_oa.robot.config import Robot
 from drake_oa.robot.grasped_object import part_carried, tool_links

@@ -28,9 +28,9 @@ from pydrake.systems.primitives import (
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.schema_check import ScenarioError
-from drake_oa.diagrams import layers
-from drake_oa.diagrams.avoidance import wire_world
-from drake_oa.diagrams.ports import log_signal
+from drake_oa.common.wires import Wires
+from drake_oa.diagrams.faults import add_drivers
+from drake_oa.diagrams.policy import make_dmp_integrator, make_goal
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.studies.panda import differential_ik as peer
@@ -61,12 +61,15 @@ def build_differential_ik(
     builder = DiagramBuilder()
     station = make_station(builder, scenario, render=False)
     station.plant.SetDefaultPositions(station.robot, q_start)
-    position, velocity = _wire_command(builder, scenario, station, q_start, parameters)
+    wires = Wires(builder)
+    wires.offer("plant_state", station.plant.get_state_output_port())
+    add_drivers(wires, scenario, station)
+    position, velocity = _wire_command(wires, scenario, station, q_start, parameters)
     # The arm's dynamics are its own: of driven obstacles the controller need not know.
     alone = station.plant.num_positions() == len(q_start)
     model = station.plant if alone else make_robot_plant(scenario.robot).plant
-    _wire_controller(builder, station, model, position, velocity, parameters)
-    wire_world(builder, scenario, station)
+    _wire_controller(wires, station, model, position, velocity, parameters)
+    wires.connect()
     diagram = builder.Build()
     diagram.set_name("differential_ik")
     return diagram
@@ -97,7 +100,7 @@ def _wire_positions(
 
 
 def _wire_command(
-    builder: DiagramBuilder,
+    wires: Wires,
     scenario: Scenario,
     station: Station,
     q_start: FloatArray,
@@ -108,19 +111,14 @@ def _wire_command(
     if robot is None:
         raise ScenarioError("robot: differential inverse kinematics needs one; it is null")
     period = scenario.policy.period
-    goal = builder.AddNamedSystem("goal", layers.make_goal(scenario))
-    policy = builder.AddNamedSystem("dmp_integrator", layers.make_dmp_integrator(scenario))
-    builder.Connect(goal.get_output_port(), policy.GetInputPort("goal"))
-    log_signal(builder, "goal", goal.get_output_port())
-    for name in ("desired_position", "desired_velocity", "desired_acceleration", "phase"):
-        log_signal(builder, name, policy.GetOutputPort(name))
+    builder = wires.builder
+    wires.add("goal", make_goal(scenario), offers={"y0": "goal"})
+    wires.add("dmp_integrator", make_dmp_integrator(scenario))
+    wires.log("goal", "desired_position", "desired_velocity", "desired_acceleration", "phase")
 
     R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix()
-    pose = builder.AddNamedSystem(
-        "tool_pose", ToolPose(R_WE, look_ahead=peer.look_ahead(period, parameters))
-    )
-    for name in ("desired_position", "desired_velocity"):
-        builder.Connect(policy.GetOutputPort(name), pose.GetInputPort(name))
+    look_ahead = peer.look_ahead(period, parameters)
+    pose = wires.add("tool_pose", ToolPose(R_WE, look_ahead=look_ahead))
 
     checker = peer.make_collision_checker(scenario, parameters)
     ik = builder.AddNamedSystem(
@@ -128,7 +126,7 @@ def _wire_command(
     )
     poses = builder.AddNamedSystem("desired_poses", BusCreator())
     poses.DeclareAbstractInputPort(peer.tool_frame_name(checker.plant()), Value(RigidTransform()))
-    builder.Connect(pose.get_output_port(), poses.get_input_port(0))
+    wires.take(pose.get_output_port().get_name(), poses.get_input_port(0))
     builder.Connect(poses.get_output_port(), ik.GetInputPort("desired_cartesian_poses"))
     orders = peer.position_orders(checker.plant(), scenario)
     # The obstacles have none: of their zeros nothing is asked.
@@ -148,7 +146,7 @@ def _wire_command(
 
 
 def _wire_controller(
-    builder: DiagramBuilder,
+    wires: Wires,
     station: Station,
     model: MultibodyPlant,
     position: OutputPort,
@@ -156,6 +154,7 @@ def _wire_controller(
     parameters: peer.PeerParameters,
 ) -> None:
     """From the commanded positions and velocities to the plant, and back; model: of the robot."""
+    builder = wires.builder
     plant = station.plant
     state = plant.get_state_output_port(station.robot)
     n = position.size()
@@ -171,5 +170,6 @@ def _wire_controller(
     builder.Connect(controller.get_output_port_control(), actuation.get_input_port())
     builder.Connect(actuation.get_output_port(), limits.get_input_port())
     builder.Connect(limits.get_output_port(), plant.get_actuation_input_port(station.robot))
-    log_signal(builder, "robot_state", state)
-    log_signal(builder, "actuation", limits.get_output_port())
+    wires.offer("robot_state", state)
+    wires.offer("actuation", limits.get_output_port())
+    wires.log("robot_state", "actuation")

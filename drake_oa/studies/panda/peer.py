@@ -19,8 +19,7 @@ from pydrake.systems.framework import Context, Diagram
 
 from drake_oa.common.messages import FloatArray, PolicyState
 from drake_oa.common.schema_check import ScenarioError
-from drake_oa.diagrams.layers import make_dmp
-from drake_oa.diagrams.robot_layers import start_positions
+from drake_oa.diagrams.policy import make_dmp
 from drake_oa.policy.dmp import normalised_time
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.motion_log import MotionLog
@@ -34,6 +33,7 @@ from drake_oa.runs.simulation import (
 )
 from drake_oa.safety.supervision import Supervision
 from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.task_joints import start_positions
 from drake_oa.studies.panda.differential_ik import PeerParameters
 from drake_oa.studies.panda.differential_ik_diagram import build_differential_ik
 

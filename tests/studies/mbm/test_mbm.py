@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from drake_oa.app.cli import main
-from drake_oa.diagrams.robot_layers import end_positions
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.task_joints import end_positions
 from drake_oa.studies.mbm.problems import parse_problem, read_archive
 from drake_oa.studies.mbm.scenes import load_robot, problem_scenario
 from drake_oa.studies.panda.run import Criteria, run_panda_scene

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from drake_oa.common.schema_check import ScenarioError
-from drake_oa.diagrams.robot_layers import start_positions
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.runs.motion_log import load_logs, save_logs
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.task_joints import start_positions
 from drake_oa.studies.panda.differential_ik import PeerParameters, make_collision_checker
 from drake_oa.studies.panda.differential_ik_diagram import build_differential_ik
 from drake_oa.studies.panda.peer import METHOD, NO_VELOCITY, simulate_differential_ik

@@ -1,21 +1,69 @@
-"""Makes the systems that bring a scenario's faults, and its moving obstacles, into a diagram."""
+"""What goes wrong, and what moves the obstacles: the simulated world's part."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from drake_oa.common.schema_check import ScenarioError
-from drake_oa.diagrams.layers import PIXEL_CENTER, camera_config
+from drake_oa.common.wires import Wires
+from drake_oa.diagrams.perception import PIXEL_CENTER
+from drake_oa.diagrams.station import Cell
 from drake_oa.robot.plant import RobotPlant
 from drake_oa.scenario.faults import Push, TorqueSaturation, camera_faults
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
-from drake_oa.scenario.scenario import DepthCamera, Scenario
+from drake_oa.scenario.scenario import (
+    DepthCamera,
+    Scenario,
+)
+from drake_oa.scenario.sources import camera_config
 from drake_oa.world.camera_faults import CameraFaults
 from drake_oa.world.obstacle_mover import ObstacleMover
 from drake_oa.world.push import ExternalPush
 from drake_oa.world.station import Station
 from drake_oa.world.weak_actuators import WeakActuators
 from drake_oa.world.world_model import all_obstacles
+
+
+def add_faults(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
+    """Puts what goes wrong between the signals that it befalls, and drives the obstacles."""
+    if cell is None:
+        return
+    if "depth_image" in wires:
+        camera = make_camera_faults(scenario, cell, cell.robot_plant)
+        if camera is not None:
+            wires.interpose(
+                ("depth_image", "robot_state_at_image"),
+                "camera_faults",
+                camera,
+                reads={"robot_state": "robot_state_at_image"},
+                offers={"robot_state": "robot_state_at_image"},
+            )
+    weak = make_weak_actuators(scenario, cell)
+    if weak is not None:
+        wires.interpose("actuation", "weak_actuators", weak)
+    add_drivers(wires, scenario, cell)
+
+
+def add_drivers(wires: Wires, scenario: Scenario, station: Station) -> None:
+    """Adds push and mover_<model instance>; where these drive obstacles, the world is logged."""
+    plant = station.plant
+    push = make_push(scenario, station)
+    if push is not None:
+        wires.add("push", push)
+        wires.take("spatial_forces", plant.get_applied_spatial_force_input_port())
+    movers = make_obstacle_movers(scenario, station)
+    for name, mover in movers.items():
+        instance = plant.GetModelInstanceByName(name)
+        wires.offer(f"{name}_state", plant.get_state_output_port(instance))
+        wires.add(
+            f"mover_{name}",
+            mover,
+            reads={"obstacle_state": f"{name}_state"},
+            offers={"force": f"{name}_force"},
+        )
+        wires.take(f"{name}_force", plant.get_actuation_input_port(instance))
+    if movers:
+        wires.log("plant_state")
 
 
 def make_camera_faults(

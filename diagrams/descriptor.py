@@ -1,0 +1,44 @@
+"""Descriptor: obstacles as ellipsoids that the tool dilates."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.wires import Wires
+from drake_oa.descriptor.convex_decomposition import merged_parts
+from drake_oa.descriptor.ellipsoid_descriptor import EllipsoidDescriptor
+from drake_oa.diagrams.station import Cell
+from drake_oa.robot.plant import RobotPlant, tool_link_corners
+from drake_oa.scenario.scenario import (
+    Scenario,
+)
+from drake_oa.scenario.tool_orientation import held_robots
+
+
+def add_descriptor(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
+    """Adds ellipsoid_descriptor where there are obstacles: obstacles_W -> ellipsoids_W."""
+    if cell is None or "obstacles_W" not in wires:
+        return
+    goal = None if not scenario.task.goal_moves else "goal"
+    wires.add(
+        "ellipsoid_descriptor",
+        make_ellipsoid_descriptor(scenario, cell.robot_plant),
+        reads={"goal": goal, "tool_turn": "planned_turn"},
+    )
+
+
+def make_ellipsoid_descriptor(scenario: Scenario, robot_plant: RobotPlant) -> EllipsoidDescriptor:
+    """The descriptor, which dilates by the robot's tool, in each of the ways it is held."""
+    if scenario.robot is None:
+        raise ScenarioError("robot: the descriptor needs a tool; this scenario has null")
+    task = scenario.task
+    held = [tool_link_corners(robot_plant, robot) for robot in held_robots(scenario)]
+    links = [np.concatenate(of_link) for of_link in zip(*held, strict=True)]
+    return EllipsoidDescriptor(
+        np.concatenate(links),
+        # A goal that moves comes by a port.
+        free_W=[task.start] if task.goal_moves else [task.start, task.goal],
+        tool_parts=merged_parts(links),
+        turn_axis_W=(0.0, 0.0, 1.0) if scenario.policy.turn is None else scenario.policy.turn.axis,
+    )

@@ -1,0 +1,233 @@
+"""Perception: where obstacles come from."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from pydrake.math import RigidTransform
+from pydrake.multibody.tree import ModelInstanceIndex
+from pydrake.systems.primitives import (
+    MatrixGain,
+)
+
+from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.wires import Wires
+from drake_oa.descriptor.given_ellipsoids import GivenEllipsoidSource
+from drake_oa.diagrams.station import Cell
+from drake_oa.geometry.collision_shapes import RobotModel, collect_collision_shapes
+from drake_oa.perception.depth_perception import DepthPerception
+from drake_oa.perception.ground_truth_perception import GroundTruthPerception
+from drake_oa.perception.hidden_sides_system import HiddenSides
+from drake_oa.perception.point_cloud import SegmentationConfig
+from drake_oa.perception.recorded_perception import RecordedPerception
+from drake_oa.robot.plant import RobotPlant
+from drake_oa.scenario.camera_noise import noise_parameters
+from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
+from drake_oa.scenario.perception import segmentation_config
+from drake_oa.scenario.scenario import (
+    DepthCamera,
+    GivenEllipsoids,
+    GroundTruth,
+    RecordedClouds,
+    Scenario,
+    allow_perception,
+)
+from drake_oa.scenario.sources import given_ellipsoids, perception_period, table_plane
+from drake_oa.world.depth_noise_system import DepthNoise
+from drake_oa.world.station import Station
+
+_logger = logging.getLogger("drake_oa")
+
+PIXEL_CENTER = 0.5
+"""Where Drake's VTK renderer samples the first pixel: at its centre [pixel]."""
+
+
+AddSource = Callable[[Wires, Any, Scenario, Cell | None], None]
+"""Adds what makes obstacles of a scenario's block: wires, block, scenario, station."""
+
+SOURCES: dict[type, AddSource] = {}
+"""Block of `perception` -> what adds its systems; see `register_source`."""
+
+
+def register_source(block: type, add: AddSource) -> None:
+    """Makes a tagged block known to scenario files, and says what is built from it.
+
+    Args:
+        block: a dataclass, whose `period` is the time between observations [s]; a file writes
+            `perception: !<name of the class> {<field>: <value>}`.
+        add: adds the systems. They offer obstacles_W (`ObstacleClouds`), and cloud for a viewer.
+    """
+    allow_perception(block)
+    SOURCES[block] = add
+
+
+def add_perception(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
+    """Adds the source that the scenario's tagged block asks for.
+
+    Offers obstacles_W, or ellipsoids_W where these are given; and solid_obstacles_W: what a
+    camera sees one side of is closed there, once it has moved.
+
+    Raises:
+        ScenarioError: naming the field that does not fit.
+    """
+    SOURCES[type(scenario.perception)](wires, scenario.perception, scenario, cell)
+
+
+def _add_given(
+    wires: Wires, source: GivenEllipsoids, scenario: Scenario, cell: Cell | None
+) -> None:
+    wires.add("perception", GivenEllipsoidSource(given_ellipsoids(source)))
+
+
+def _add_ground_truth(
+    wires: Wires, source: GroundTruth, scenario: Scenario, cell: Cell | None
+) -> None:
+    cell = _of_robot(source, cell)
+    _warn_without_obstacles(cell)
+    system = GroundTruthPerception(
+        cell.plant,
+        cell.scene_graph.model_inspector(),
+        cell.obstacles,
+        table=table_plane(scenario),
+        period=source.period,
+    )
+    wires.add("perception", system)
+
+
+def _add_recorded_clouds(
+    wires: Wires, source: RecordedClouds, scenario: Scenario, cell: Cell | None
+) -> None:
+    cell = _of_robot(source, cell)
+    _warn_without_obstacles(cell)
+    config = segmentation_config(source.segmentation, **_prior(scenario))
+    wires.add("perception", _recorded_perception(source, config, robot_shapes(cell.robot_plant)))
+
+
+def _add_depth_camera(
+    wires: Wires, source: DepthCamera, scenario: Scenario, cell: Cell | None
+) -> None:
+    cell = _of_robot(source, cell)
+    _warn_without_obstacles(cell)
+    camera = cell.cameras[source.camera]
+    # The self filter takes the robot as it was when the image was taken.
+    wires.otherwise("robot_state_at_image", "robot_state")
+    if camera.image_time is not None:
+        wires.add(
+            "robot_at_image",
+            make_robot_state(cell),
+            reads={"u0": "plant_state_at_image"},
+            offers={"y0": "robot_state_at_image"},
+        )
+    # Images that come late are made with their noise.
+    if source.noise is not None and camera.delay == 0.0:
+        noise = DepthNoise(
+            camera.intrinsics, parameters=noise_parameters(source.noise), seed=scenario.seed
+        )
+        wires.interpose("depth_image", "depth_noise", noise)
+    perception = DepthPerception(
+        camera.intrinsics,
+        config=segmentation_config(source.segmentation, **_prior(scenario)),
+        robot=robot_shapes(cell.robot_plant),
+        pixel_center=PIXEL_CENTER,
+        period=perception_period(scenario),
+        delay=camera.delay,
+    )
+    wires.add("perception", perception, reads={"robot_state": "robot_state_at_image"})
+    wires.add(
+        "hidden_sides",
+        HiddenSides(period=perception_period(scenario)),
+        offers={"obstacles_W": "solid_obstacles_W"},
+        if_read=True,
+    )
+
+
+SOURCES |= {
+    DepthCamera: _add_depth_camera,
+    GroundTruth: _add_ground_truth,
+    RecordedClouds: _add_recorded_clouds,
+    GivenEllipsoids: _add_given,
+}
+
+
+def _of_robot(source: object, cell: Cell | None) -> Cell:
+    if cell is None:
+        raise ScenarioError(f"perception: !{type(source).__name__} needs a robot")
+    return cell
+
+
+def _prior(scenario: Scenario) -> dict[str, float]:
+    """What the scenario knows beforehand."""
+    return {} if scenario.table_height is None else {"table_height": scenario.table_height}
+
+
+def robot_shapes(robot_plant: RobotPlant) -> RobotModel:
+    """The robot, which perception does not take for an obstacle."""
+    return collect_collision_shapes(
+        robot_plant.plant, robot_plant.scene_graph.model_inspector(), robot_plant.instance
+    )
+
+
+def make_robot_state(station: Station) -> MatrixGain:
+    """The robot's state [q, v] out of the whole plant's."""
+    plant, robot = station.plant, station.robot
+    n_q, n_v = plant.num_positions(robot), plant.num_velocities(robot)
+    D = np.zeros((n_q + n_v, plant.num_multibody_states()))
+    q = plant.GetPositionsFromArray(robot, np.arange(plant.num_positions()))
+    v = plant.GetVelocitiesFromArray(robot, np.arange(plant.num_velocities()))
+    D[np.arange(n_q), q.astype(int)] = 1.0
+    D[n_q + np.arange(n_v), plant.num_positions() + v.astype(int)] = 1.0
+    return MatrixGain(D)
+
+
+def _warn_without_obstacles(station: Station) -> None:
+    if station.obstacles:
+        return
+    count = station.plant.num_model_instances()
+    names = [station.plant.GetModelInstanceName(ModelInstanceIndex(i)) for i in range(2, count)]
+    _logger.warning(
+        "directives: no model instance is named '%s...': ground truth sees no obstacle, and "
+        "none is reported on; there are %s",
+        OBSTACLE_PREFIX,
+        ", ".join(names),
+    )
+
+
+def _recorded_perception(
+    source: RecordedClouds, config: SegmentationConfig, robot: RobotModel
+) -> RecordedPerception:
+    X_WC = _camera_pose(source)
+    try:
+        perception = RecordedPerception(
+            source.folder,
+            X_WC=X_WC,
+            config=config,
+            robot=robot,
+            period=source.period,
+            loop=source.loop,
+        )
+    except (OSError, ValueError) as error:
+        raise ScenarioError(f"perception.folder: {error}") from None
+    if X_WC is None and perception.files_without_pose:
+        # By the table alone the scene would lie somewhere else than the robot.
+        raise ScenarioError(
+            f"perception.X_WC: '{perception.files_without_pose[0]}' holds no X_WC, and the robot "
+            "must know where the camera was: give 'X_WC: {translation: [x, y, z], "
+            "rotation: !Rpy {deg: [r, p, y]}}', or 'X_WC: {}' for a cloud in the world frame"
+        )
+    return perception
+
+
+def _camera_pose(source: RecordedClouds) -> RigidTransform | None:
+    if source.X_WC is None:
+        return None
+    if source.X_WC.base_frame not in (None, "", "world"):
+        raise ScenarioError(
+            f"perception.X_WC.base_frame: '{source.X_WC.base_frame}' is not valid here; "
+            "the pose is in the world frame: leave it out"
+        )
+    if not source.X_WC.IsDeterministic():
+        raise ScenarioError("perception.X_WC: is random; it must be the one pose the camera had")
+    return source.X_WC.GetDeterministicValue()

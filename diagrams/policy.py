@@ -1,0 +1,133 @@
+"""Policy: the goal, and the movement primitives that go there."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import numpy as np
+from pydrake.math import RollPitchYaw
+from pydrake.systems.framework import LeafSystem
+from pydrake.systems.primitives import (
+    ConstantVectorSource,
+    TrajectorySource,
+)
+
+from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.wires import Wires
+from drake_oa.diagrams.station import Cell
+from drake_oa.policy.action import ActionParameters
+from drake_oa.policy.coupling import GuidanceForm
+from drake_oa.policy.dmp import Dmp, imitate, minimum_jerk
+from drake_oa.policy.dmp_integrator import DmpIntegrator
+from drake_oa.policy.orientation_dmp import minimum_jerk_orientation
+from drake_oa.policy.orientation_integrator import OrientationIntegrator
+from drake_oa.scenario.demonstration import read_demonstration
+from drake_oa.scenario.scenario import (
+    Scenario,
+)
+from drake_oa.scenario.task import goal_trajectory
+from drake_oa.scenario.tool_orientation import tool_orientation
+
+
+def add_policy(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
+    """Adds goal, dmp_integrator and, where the tool's orientation changes, its integrator.
+
+    Reads ellipsoids_W, coupling_parameters, route, speed_scale and evasion, each if offered.
+    """
+    wires.add("goal", make_goal(scenario), offers={"y0": "goal"})
+    wires.add("dmp_integrator", make_dmp_integrator(scenario))
+    wires.log("goal", "desired_position", "desired_velocity", "desired_acceleration", "phase")
+    wires.export("desired_position", "phase", "policy_state")
+    orientation = None if cell is None else make_orientation_integrator(scenario)
+    if orientation is not None:
+        add_orientation(wires, orientation)
+
+
+def add_orientation(wires: Wires, system: OrientationIntegrator) -> None:
+    """Adds orientation_integrator, which the controller follows."""
+    wires.add("orientation_integrator", system)
+    wires.log("desired_orientation", "orientation_error")
+
+
+def make_dmp(scenario: Scenario) -> Dmp:
+    """The movement primitive of the task: a demonstrated path, or minimum jerk.
+
+    Raises:
+        ScenarioError: naming the file, if the demonstration cannot be read.
+    """
+    task, policy = scenario.task, scenario.policy
+    if task.demonstration:
+        shown = read_demonstration(task)
+        path, t = shown.path, shown.t
+    else:
+        path, t = minimum_jerk(task.start, task.goal, duration=task.duration)
+    try:
+        return imitate(
+            path,
+            t,
+            n_basis=policy.n_basis,
+            alpha_x=policy.alpha_x,
+            beta_x=policy.beta_x,
+            alpha_k=policy.alpha_k,
+        )
+    except ValueError as error:
+        field = f"task.demonstration: '{task.demonstration}'" if task.demonstration else "policy"
+        raise ScenarioError(f"{field}: {error}") from None
+
+
+def make_goal(scenario: Scenario) -> LeafSystem:
+    """What says where the goal is: it stays, or is moved in steps; one port of size 3 [m]."""
+    if not scenario.task.goal_moves:
+        return ConstantVectorSource(np.asarray(scenario.task.goal))
+    return TrajectorySource(goal_trajectory(scenario.task))
+
+
+def make_dmp_integrator(scenario: Scenario) -> DmpIntegrator:
+    """The action level."""
+    policy = scenario.policy
+    return DmpIntegrator(
+        make_dmp(scenario),
+        np.asarray(scenario.task.start, dtype=float),
+        period=policy.period,
+        parameters=ActionParameters(
+            guidance=cast(GuidanceForm, policy.guidance),
+            guidance_gain=policy.guidance_gain,
+            fade=policy.fade,
+            max_observation_age=policy.max_observation_age,
+            hold_time=policy.hold_time,
+        ),
+    )
+
+
+def make_orientation_integrator(scenario: Scenario) -> OrientationIntegrator | None:
+    """The action level of the orientation; None: the tool keeps `robot.rpy_WE`.
+
+    Raises:
+        ScenarioError: naming the field that does not fit.
+    """
+    held = tool_orientation(scenario)
+    if held is None:
+        return None
+    return OrientationIntegrator(
+        held.primitive, held.R_WS, held.R_WG, period=scenario.policy.period
+    )
+
+
+def make_kept_orientation(scenario: Scenario) -> OrientationIntegrator:
+    """An orientation that stays as it is at the start, besides its turn.
+
+    Raises:
+        ScenarioError: if the scenario has no turn or no robot.
+    """
+    turn, robot = scenario.policy.turn, scenario.robot
+    if turn is None or robot is None:
+        raise ScenarioError("policy.turn: this scenario has no turn, or no robot that has a tool")
+    R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix().matrix()
+    return OrientationIntegrator(
+        minimum_jerk_orientation(alpha_k=scenario.policy.alpha_k),
+        R_WE,
+        R_WE,
+        period=scenario.policy.period,
+        turn_axis_W=turn.axis,
+        turn_rate=turn.speed,
+    )

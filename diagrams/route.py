@@ -1,0 +1,119 @@
+"""Route: on which side of the obstacles."""
+
+from __future__ import annotations
+
+import logging
+import math
+from pathlib import Path
+
+import numpy as np
+from pydrake.math import RollPitchYaw
+
+from drake_oa.common.messages import FloatArray
+from drake_oa.common.wires import Wires
+from drake_oa.diagrams.station import Cell
+from drake_oa.geometry.collision_shapes import collect_collision_shapes
+from drake_oa.robot.arm_model import make_arm_model
+from drake_oa.robot.config import Robot
+from drake_oa.robot.plant import home_positions, make_robot_plant
+from drake_oa.robot.reachability import Reachability, reachability
+from drake_oa.robot.workspace import tool_down_annulus
+from drake_oa.route.cost_ring_selector import CostRingSelector
+from drake_oa.scenario.scenario import (
+    Regressor,
+    Scenario,
+)
+from drake_oa.scenario.tool_orientation import held_robots
+
+_logger = logging.getLogger("drake_oa")
+
+_PANDA = "panda_arm_hand.urdf"
+
+
+_TOOL_DOWN_ANGLE = math.radians(15.0)
+"""How far from straight down the tool may point for the tool-down workspace to hold."""
+
+
+def add_route(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
+    """Adds cost_ring_selector where it leads the motion: ellipsoids_W, goal -> route."""
+    regulation = scenario.regulation
+    if "ellipsoids_W" in wires and isinstance(regulation, Regressor) and regulation.guided:
+        wires.add(
+            "cost_ring_selector",
+            make_cost_ring_selector(scenario),
+            offers={"decision": "route", "route": "shown_route"},
+        )
+
+
+def make_cost_ring_selector(scenario: Scenario) -> CostRingSelector:
+    """The route selection; what the robot reaches is mapped by inverse kinematics.
+
+    Of a tool that turns on the way, what it reaches as at the start or as at the goal counts.
+    """
+    policy = scenario.policy
+    held = held_robots(scenario)
+    ends = {id(robot): robot for robot in (held[0], held[-1])} if held else {}
+    reach = [found for found in map(robot_reachability, ends.values()) if found is not None]
+
+    def workspace(p_WQ: FloatArray) -> FloatArray:
+        return np.asarray(np.max([each.reach_margin(p_WQ) for each in reach], axis=0))
+
+    def joint_limits(p_WQ: FloatArray) -> FloatArray:
+        return np.asarray(np.max([each.joint_margin(p_WQ) for each in reach], axis=0))
+
+    return CostRingSelector(
+        scenario.task.clearance,
+        period=policy.route_period,
+        n_directions=policy.ring_directions,
+        table_height=policy.table_height,
+        workspace=workspace if reach else None,
+        joint_limits=joint_limits if reach else None,
+        followed=reach[0].followed if len(ends) == len(reach) == 1 else None,
+    )
+
+
+def robot_reachability(robot: Robot | None) -> Reachability | None:
+    """Where the robot can hold its tool; None without a robot, or where it is not known.
+
+    It takes a second or two for each robot and tool orientation, once a process.
+    """
+    if robot is None:
+        return None
+    robot_plant = make_robot_plant(robot)
+    try:
+        arm = make_arm_model(
+            robot_plant.plant,
+            robot_plant.scene_graph.model_inspector(),
+            robot_plant.tool_frame,
+            RollPitchYaw(robot.rpy_WE).ToRotationMatrix(),
+            home_positions(robot_plant, robot),
+            collect_collision_shapes(
+                robot_plant.plant, robot_plant.scene_graph.model_inspector(), robot_plant.instance
+            ),
+        )
+        return reachability(arm)
+    except ValueError as error:
+        _logger.info("routes are chosen without the robot's limits: %s", error)
+        return None
+
+
+def _has_known_workspace(robot: Robot | None) -> bool:
+    """Whether this is a Panda, held tool down."""
+    if robot is None:
+        return False
+    down = -float(RollPitchYaw(robot.rpy_WE).ToRotationMatrix().matrix()[2, 2])
+    known = Path(robot.model).name == _PANDA and down >= math.cos(_TOOL_DOWN_ANGLE)
+    if not known:
+        _logger.info("routes are chosen without the robot's limits: known for a Panda, tool down")
+    return known
+
+
+def robot_annulus(robot: Robot | None) -> FloatArray | None:
+    """Where the tool point can be, as `workspace.tool_down_annulus` has it; None: not known."""
+    return tool_down_annulus() if _has_known_workspace(robot) else None
+
+
+def held_annulus(scenario: Scenario) -> FloatArray | None:
+    """`robot_annulus` of a robot whose tool is down on the whole way; None: not known."""
+    annuli = [robot_annulus(robot) for robot in held_robots(scenario)]
+    return None if not annuli or any(a is None for a in annuli) else annuli[0]

@@ -1,0 +1,70 @@
+"""The station: the simulated cell, and what is known of the robot in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from drake_oa.common.messages import FloatArray
+from drake_oa.common.wires import Wires
+from drake_oa.diagrams.arm import make_robot_arm
+from drake_oa.regulation.verified_regressor_chain import RobotArm
+from drake_oa.robot.plant import RobotPlant, make_robot_plant
+from drake_oa.scenario.scenario import DepthCamera, Scenario
+from drake_oa.scenario.task_joints import start_positions
+from drake_oa.world.station import Station, make_station
+
+
+@dataclass(frozen=True)
+class Cell(Station):
+    """A station with the robot alone beside it, as the layers know it.
+
+    Attributes:
+        scenario: what it was made from.
+        robot_plant: the robot alone.
+        q_start: (nq,) its positions with E at the start.
+    """
+
+    scenario: Scenario
+    robot_plant: RobotPlant
+    q_start: FloatArray
+
+    @cached_property
+    def arm(self) -> RobotArm | None:
+        """What plans the posture of the arm; None: the scenario asks for none."""
+        return make_robot_arm(self.scenario, self.robot_plant, self.q_start)
+
+
+def add_station(wires: Wires, scenario: Scenario, *, modulated: bool = True) -> Cell | None:
+    """Adds plant, scene graph and, where perception looks through one, the camera.
+
+    Offers robot_state, plant_state, query_object and body_poses, and of the camera depth_image,
+    camera_pose and, where images come late, image_stamp and plant_state_at_image.
+
+    Returns:
+        None without a robot.
+
+    Raises:
+        ScenarioError: naming the field that does not fit.
+    """
+    if scenario.robot is None:
+        return None
+    robot_plant = make_robot_plant(scenario.robot)
+    source = scenario.perception
+    sees = modulated and isinstance(source, DepthCamera)
+    station = make_station(wires.builder, scenario, render=sees)
+    q_start = start_positions(robot_plant, scenario)
+    plant = station.plant
+    plant.SetDefaultPositions(station.robot, q_start)
+    wires.offer("robot_state", plant.get_state_output_port(station.robot))
+    wires.offer("plant_state", plant.get_state_output_port())
+    wires.offer("body_poses", plant.get_body_poses_output_port())
+    wires.offer("query_object", station.scene_graph.get_query_output_port())
+    if isinstance(source, DepthCamera) and source.camera in station.cameras:
+        camera = station.cameras[source.camera]
+        wires.offer("depth_image", camera.depth_image)
+        wires.offer("camera_pose", camera.pose)
+        if camera.image_time is not None and camera.plant_state is not None:
+            wires.offer("image_stamp", camera.image_time)
+            wires.offer("plant_state_at_image", camera.plant_state)
+    return Cell(**vars(station), scenario=scenario, robot_plant=robot_plant, q_start=q_start)

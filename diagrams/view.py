@@ -1,0 +1,81 @@
+"""View: Drake's own visualisation, and the overlay of what the layers think."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydrake.geometry import Meshcat
+from pydrake.visualization import ApplyVisualizationConfig, VisualizationConfig
+
+from drake_oa.common.messages import FloatArray
+from drake_oa.common.wires import Wires
+from drake_oa.diagrams.policy import make_dmp
+from drake_oa.diagrams.route import make_cost_ring_selector
+from drake_oa.diagrams.station import Cell
+from drake_oa.policy.dmp import trajectory
+from drake_oa.route.selected_route import TakenRoute
+from drake_oa.scenario.scenario import DepthCamera, Scenario, Verified
+from drake_oa.scenario.sources import camera_config
+from drake_oa.viewing.meshcat_overlay import MeshcatOverlay, dress_scene
+
+_FRAME = 1.0 / 30.0
+"""Time between pictures [s]."""
+
+
+def add_view(wires: Wires, scenario: Scenario, cell: Cell | None, meshcat: Meshcat) -> None:
+    """Adds overlay, and the cost rings that it draws where none lead the motion."""
+    if "coupling_parameters" in wires and "shown_route" not in wires:
+        verified = isinstance(scenario.regulation, Verified)
+        wires.add(
+            "cost_ring_selector",
+            make_cost_ring_selector(scenario),
+            offers={"decision": None, "route": "ring_route" if verified else "shown_route"},
+        )
+        if verified:
+            # A verified motion need not take the side of the rings.
+            wires.add(
+                "taken_route",
+                TakenRoute(),
+                reads={"route": "ring_route"},
+                offers={"route_taken": "shown_route"},
+            )
+    wires.add("overlay", make_overlay(scenario, cell, meshcat), reads={"route": "shown_route"})
+    if cell is not None:
+        ApplyVisualizationConfig(
+            VisualizationConfig(
+                publish_period=_FRAME, publish_contacts=False, publish_proximity=False
+            ),
+            wires.builder,
+            plant=cell.plant,
+            scene_graph=cell.scene_graph,
+            meshcat=meshcat,
+        )
+
+
+def make_overlay(scenario: Scenario, cell: Cell | None, meshcat: Meshcat) -> MeshcatOverlay:
+    """What our layers think, drawn into the viewer; also dresses the scene."""
+    dress_scene(meshcat)
+    planned_W = _planned_path(scenario)
+    if cell is None or scenario.robot is None:
+        return MeshcatOverlay(meshcat, planned_W=planned_W)
+    hand = cell.plant.GetBodyByName(scenario.robot.hand_link, cell.robot)
+    p_BE = np.asarray(scenario.robot.p_HE)
+    source = scenario.perception
+    if not isinstance(source, DepthCamera) or source.camera not in cell.cameras:
+        return MeshcatOverlay(meshcat, planned_W=planned_W, body_index=hand.index(), p_BE=p_BE)
+    config = camera_config(scenario, source)
+    return MeshcatOverlay(
+        meshcat,
+        planned_W=planned_W,
+        camera_info=cell.cameras[source.camera].intrinsics,
+        depth_range=(config.z_near, config.z_far),
+        body_index=hand.index(),
+        p_BE=p_BE,
+    )
+
+
+def _planned_path(scenario: Scenario) -> FloatArray | None:
+    """(T, 3) the planned motion in the world; None for the straight line."""
+    task = scenario.task
+    if not task.demonstration:
+        return None
+    return trajectory(make_dmp(scenario), task.start, task.goal).p

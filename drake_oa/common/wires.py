@@ -1,0 +1,272 @@
+"""A diagram's signals by name: who offers each, who reads it, and what is put between.
+
+A system offers its outputs, and reads its inputs, under the names of their ports; all is
+connected at the end, so that the order in which systems are added does not matter. A signal
+that nobody offers leaves the inputs open that would read it: optional ones are meant to be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from pydrake.systems.framework import Diagram, DiagramBuilder, InputPort, OutputPort, System
+from pydrake.systems.primitives import VectorLogSink
+
+LOG_PERIOD = 0.004
+"""Time between logged instants [s]."""
+
+_Added = TypeVar("_Added", bound=System)
+_Port = TypeVar("_Port", InputPort, OutputPort)
+
+Names = Mapping[str, str | None]
+"""Port -> signal, where it is not the port's own name; None: it is left open."""
+
+
+@dataclass
+class _Wired:
+    """A system, and the signals of its ports."""
+
+    system: System
+    reads: Names = field(default_factory=dict)
+    offers: Names = field(default_factory=dict)
+    behind: tuple[str, ...] = ()
+    if_read: bool = False
+
+    def inputs(self) -> dict[str, InputPort]:
+        ports = map(self.system.get_input_port, range(self.system.num_input_ports()))
+        return self._named({port.get_name(): port for port in ports}, self.reads)
+
+    def outputs(self) -> dict[str, OutputPort]:
+        ports = map(self.system.get_output_port, range(self.system.num_output_ports()))
+        return self._named({port.get_name(): port for port in ports}, self.offers)
+
+    def _named(self, ports: dict[str, _Port], names: Names) -> dict[str, _Port]:
+        if len(ports) == 1 == len(self.behind) and not names:
+            return dict(zip(self.behind, ports.values(), strict=True))
+        signals = {names.get(name, name): port for name, port in ports.items()}
+        return {signal: port for signal, port in signals.items() if signal is not None}
+
+
+class Wires:
+    """Adds systems to a builder and connects them by the names of their signals."""
+
+    def __init__(self, builder: DiagramBuilder) -> None:
+        """Wires nothing yet.
+
+        Args:
+            builder: receives the systems with `connect`.
+        """
+        self.builder = builder
+        self._systems: dict[str, _Wired] = {}
+        self._offered: dict[str, OutputPort] = {}
+        self._taken: list[tuple[str, InputPort]] = []
+        self._otherwise: dict[str, str] = {}
+        self._logged: list[str] = []
+        self._exported: list[str] = []
+
+    def offer(self, signal: str, port: OutputPort) -> None:
+        """Makes the port of a system that is in the builder already the source of a signal.
+
+        Raises:
+            ValueError: if the signal has a source.
+        """
+        self._refuse_second(signal)
+        self._offered[signal] = port
+
+    def take(self, signal: str, port: InputPort) -> None:
+        """Has an input of a system that is in the builder already read a signal."""
+        self._taken.append((signal, port))
+
+    def otherwise(self, signal: str, instead: str) -> None:
+        """Has those who read a signal that nobody offers read another one."""
+        self._otherwise[signal] = instead
+
+    def add(
+        self,
+        name: str,
+        system: _Added,
+        *,
+        reads: Names | None = None,
+        offers: Names | None = None,
+        if_read: bool = False,
+    ) -> _Added:
+        """Adds a system, which offers and reads signals by the names of its ports.
+
+        Args:
+            name: of the subsystem.
+            system: that is added.
+            reads: input port -> signal, where it is another name; None leaves the port open.
+            offers: output port -> signal, likewise.
+            if_read: whether it is left out where nobody reads what it offers.
+
+        Returns:
+            The system.
+
+        Raises:
+            ValueError: if there is a subsystem of that name, or a signal has a source.
+        """
+        if name in self._systems or self.builder.HasSubsystemNamed(name):
+            raise ValueError(f"there is a system '{name}' already; Wires.replace takes its place")
+        self._add(name, _Wired(system, reads or {}, offers or {}, if_read=if_read))
+        return system
+
+    def replace(
+        self, name: str, system: _Added, *, reads: Names | None = None, offers: Names | None = None
+    ) -> _Added:
+        """Puts a system in the place of one that was added under this name.
+
+        Args:
+            name: of the subsystem.
+            system: that is there from now on.
+            reads: as for `add`; None: as of the system before.
+            offers: likewise.
+
+        Raises:
+            ValueError: if there is none of that name, or a signal has another source.
+        """
+        if name not in self._systems:
+            raise ValueError(f"there is no system '{name}'; there are {', '.join(self._systems)}")
+        following = list(self._systems)
+        following = following[following.index(name) + 1 :]
+        before = self._systems.pop(name)
+        reads = before.reads if reads is None else reads
+        offers = before.offers if offers is None else offers
+        self._add(name, _Wired(system, reads, offers, before.behind))
+        # In the place of the one before, which is that of its events at equal times.
+        for later in following:
+            self._systems[later] = self._systems.pop(later)
+        return system
+
+    def interpose(
+        self,
+        signal: str | Sequence[str],
+        name: str,
+        system: _Added,
+        *,
+        reads: Names | None = None,
+        offers: Names | None = None,
+    ) -> _Added:
+        """Puts a system between a signal's source and all that read it.
+
+        The system reads the signal as it was and offers what it is from now on, by ports of the
+        signal's name, or by its only ones. What is interposed later comes behind.
+
+        Args:
+            signal: which, or several.
+            name: of the subsystem.
+            system: that is added.
+            reads: as for `add`.
+            offers: as for `add`.
+
+        Raises:
+            ValueError: if there is a subsystem of that name, or it does not offer the signal.
+        """
+        signals = (signal,) if isinstance(signal, str) else tuple(signal)
+        wired = _Wired(system, reads or {}, offers or {}, signals)
+        for one in signals:
+            if one not in wired.outputs():
+                raise ValueError(
+                    f"'{name}' cannot be put behind '{one}': it offers "
+                    f"{', '.join(wired.outputs()) or 'nothing'}"
+                )
+        if name in self._systems or self.builder.HasSubsystemNamed(name):
+            raise ValueError(f"there is a system '{name}' already")
+        self._add(name, wired)
+        return system
+
+    def log(self, *signals: str) -> None:
+        """Logs vector signals every `LOG_PERIOD` in sinks log_<signal>, those that are offered."""
+        self._logged += signals
+
+    def export(self, *signals: str) -> None:
+        """Makes signals outputs of the diagram."""
+        self._exported += signals
+
+    def __contains__(self, signal: str) -> bool:
+        """Whether anybody offers a signal so far."""
+        return self._source(signal) is not None
+
+    def connect(self) -> None:
+        """Adds the systems to the builder and connects what reads a signal to its source.
+
+        Raises:
+            ValueError: if a system is put behind a signal that nobody offers.
+        """
+        self._leave_out_unread()
+        for name, wired in self._systems.items():
+            self.builder.AddNamedSystem(name, wired.system)
+        for name, wired in self._systems.items():
+            for signal, port in wired.inputs().items():
+                source = self._source(signal, name if signal in wired.behind else None)
+                if source is not None:
+                    self.builder.Connect(source, port)
+                elif signal in wired.behind:
+                    raise ValueError(
+                        f"'{name}' is put behind '{signal}', which nothing offers; there are "
+                        f"{', '.join(sorted(self._signals()))}"
+                    )
+        for signal, port in self._taken:
+            if (source := self._source(signal)) is not None:
+                self.builder.Connect(source, port)
+        for signal in self._logged:
+            if (source := self._source(signal)) is not None:
+                sink = VectorLogSink(source.size(), LOG_PERIOD)
+                self.builder.AddNamedSystem(f"log_{signal}", sink)
+                self.builder.Connect(source, sink.get_input_port())
+        for signal in self._exported:
+            if (source := self._source(signal)) is not None:
+                self.builder.ExportOutput(source, signal)
+
+    def _add(self, name: str, wired: _Wired) -> None:
+        for signal in wired.outputs():
+            if signal not in wired.behind:
+                self._refuse_second(signal)
+        self._systems[name] = wired
+
+    def _refuse_second(self, signal: str) -> None:
+        if signal in self._signals():
+            raise ValueError(
+                f"the signal '{signal}' has a source already; Wires.interpose puts a system behind "
+                "it, Wires.replace in its place"
+            )
+
+    def _leave_out_unread(self) -> None:
+        for name, wired in list(self._systems.items()):
+            others = [other for key, other in self._systems.items() if key != name]
+            read = {signal for other in others for signal in other.inputs()}
+            read |= {signal for signal, _ in self._taken} | set(self._logged + self._exported)
+            if wired.if_read and not read & set(wired.outputs()):
+                del self._systems[name]
+
+    def _signals(self) -> set[str]:
+        systems = self._systems.values()
+        offered = {s for wired in systems for s in wired.outputs() if s not in wired.behind}
+        return offered | set(self._offered)
+
+    def _source(self, signal: str, before: str | None = None) -> OutputPort | None:
+        """The port that a signal comes from; as `before` reads it, which is put behind it."""
+        found = self._offered.get(signal)
+        for wired in self._systems.values():
+            if signal not in wired.behind and signal in (outputs := wired.outputs()):
+                found = outputs[signal]
+        if found is None and signal in self._otherwise:
+            found = self._source(self._otherwise[signal], before)
+        for name, wired in self._systems.items():
+            if name == before:
+                break
+            if signal in wired.behind:
+                found = wired.outputs()[signal]
+        return found
+
+
+def connections(diagram: Diagram) -> list[tuple[str, str]]:
+    """Source and reader of each connection of a diagram, as "system.port", sorted."""
+    return sorted(
+        (
+            f"{source.get_name()}.{source.get_output_port(out).get_name()}",
+            f"{reader.get_name()}.{reader.get_input_port(into).get_name()}",
+        )
+        for (reader, into), (source, out) in diagram.connection_map().items()
+    )

@@ -1,0 +1,61 @@
+"""What follows from a scenario's perception block and the task: periods, margins, given things."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydrake.math import RollPitchYaw
+from pydrake.systems.sensors import CameraConfig
+
+from drake_oa.common.messages import EllipsoidSet, TablePlane
+from drake_oa.scenario.perception import (
+    DepthCamera,
+    GivenEllipsoids,
+    RecordedClouds,
+    segmentation_config,
+)
+from drake_oa.scenario.scenario import Scenario
+
+_SURFACE_GAP = 0.01
+"""How far a link may come into a surface between the points that ground truth has of it [m]."""
+
+
+def camera_config(scenario: Scenario, source: DepthCamera) -> CameraConfig:
+    """Of the camera that perception sees by."""
+    return next(config for config in scenario.cameras if config.name == source.camera)
+
+
+def given_ellipsoids(source: GivenEllipsoids) -> EllipsoidSet:
+    """The ellipsoids of a `!GivenEllipsoids` block; they are never out of date."""
+    items = source.ellipsoids
+    return EllipsoidSet(
+        stamp=np.inf,
+        p_WO=np.array([item.center for item in items], dtype=float).reshape(-1, 3),
+        R_WO=np.array(
+            [RollPitchYaw(item.rpy).ToRotationMatrix().matrix() for item in items]
+        ).reshape(-1, 3, 3),
+        semi_axes=np.array([item.semi_axes for item in items], dtype=float).reshape(-1, 3),
+        v_WO=np.zeros((len(items), 3)),
+        ids=np.arange(len(items)),
+    )
+
+
+def table_plane(scenario: Scenario) -> TablePlane | None:
+    """The table that the scenario tells of, in the world; None where it has none."""
+    return None if scenario.table_height is None else TablePlane(offset=scenario.table_height)
+
+
+def perception_period(scenario: Scenario) -> float:
+    """Time between observations [s]."""
+    source = scenario.perception
+    if isinstance(source, DepthCamera):
+        return 1.0 / camera_config(scenario, source).fps
+    if isinstance(source, GivenEllipsoids):
+        return scenario.policy.route_period
+    return source.period
+
+
+def padding(source: object) -> float:
+    """How far an obstacle's surface may lie outside the points that are seen of it [m]."""
+    if isinstance(source, (DepthCamera, RecordedClouds)):
+        return 0.5 * segmentation_config(source.segmentation).voxel
+    return _SURFACE_GAP

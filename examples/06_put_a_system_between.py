@@ -1,0 +1,40 @@
+"""A system of one's own between two layers: here one that keeps the obstacles a little larger."""
+
+from dataclasses import replace
+
+from pydrake.common.value import Value
+from pydrake.systems.framework import LeafSystem
+
+from drake_oa.common.messages import EllipsoidSet
+from drake_oa.runs.report import report_table, run_report
+from drake_oa.runs.simulation import simulate
+from drake_oa.scenario.loading import load_scenario
+
+
+class Larger(LeafSystem):
+    """Adds a margin to each semi-axis of the ellipsoids."""
+
+    def __init__(self, margin: float) -> None:
+        super().__init__()
+        self._margin = margin
+        self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
+        self.DeclareAbstractOutputPort("ellipsoids_W", lambda: Value(EllipsoidSet()), self._calc)
+
+    def _calc(self, context, output) -> None:
+        seen = self.GetInputPort("ellipsoids_W").Eval(context)
+        output.set_value(replace(seen, semi_axes=seen.semi_axes + self._margin))
+
+
+def main(duration: float | None = None) -> None:
+    """Runs tabletop_box with it; all that read the ellipsoids read what it makes of them."""
+    scenario = load_scenario("tabletop_box")
+    log = simulate(
+        scenario,
+        duration=duration,
+        customize=lambda wires: wires.interpose("ellipsoids_W", "larger", Larger(0.02)),
+    )
+    print(report_table(run_report("larger obstacles", scenario, {"modulated": log})))
+
+
+if __name__ == "__main__":
+    main()
