@@ -1,4 +1,4 @@
-"""The README's table of scenarios tells what a run gives."""
+"""The table of the shipped scenarios tells what a run gives."""
 
 import re
 from pathlib import Path
@@ -10,7 +10,7 @@ from drake_oa.runs.report import run_report
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import load_scenario, shipped_scenarios
 
-README = Path(__file__).parents[2] / "README.md"
+PAGE = Path(__file__).parents[2] / "docs" / "results" / "scenarios.md"
 
 # Last words of a header, or of a part of it -> motion, key of its report, and the unit.
 FIGURES = {
@@ -26,8 +26,8 @@ FIGURES = {
 
 
 def gallery() -> dict[str, dict[str, str]]:
-    """Scenario -> figure -> its number as the README has it."""
-    tables = re.findall(r"(?:^\|.*\n)+", README.read_text("utf-8"), re.MULTILINE)
+    """Scenario -> figure -> its number as the page has it."""
+    tables = re.findall(r"(?:^\|.*\n)+", PAGE.read_text("utf-8"), re.MULTILINE)
     (table,) = (table for table in tables if "| scenario |" in table.splitlines()[0])
     head, _, *rows = (
         [cell.strip() for cell in line[1:-1].split("|")] for line in table.split("\n")[:-1]
@@ -71,5 +71,5 @@ def test_a_run_gives_what_its_row_says(name: str) -> None:
         motion, key, unit = FIGURES[figure]
         value = report[motion][key] / unit
         if differs(written, value):
-            stale.append(f"{figure} is {value:.6g}, README.md has {written}")
+            stale.append(f"{figure} is {value:.6g}, the page has {written}")
     assert not stale, f"{name}: {'; '.join(stale)}"
