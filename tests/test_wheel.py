@@ -123,12 +123,14 @@ def test_installed_code_is_the_wheels(site: Path, tmp_path: Path) -> None:
         assert Path(line.split(maxsplit=1)[1]).is_relative_to(site)
 
 
+@pytest.mark.slow
 def test_installed_command_runs_in_an_empty_folder(site: Path, tmp_path: Path) -> None:
     printed = installed(site, tmp_path, "run", "tabletop_box", "--duration", "0.05")
     assert [line.split()[0] for line in printed.splitlines()[1:3]] == ["preplanned", "modulated"]
     assert [path.name for path in tmp_path.iterdir()] == ["drake_oa_runs"]
 
 
+@pytest.mark.slow
 def test_installed_code_loads_where_nothing_can_be_written(site: Path, tmp_path: Path) -> None:
     frozen = tmp_path / "site"
     shutil.copytree(site, frozen, ignore=shutil.ignore_patterns("__pycache__"))

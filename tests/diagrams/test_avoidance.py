@@ -20,18 +20,13 @@ GROUND_TRUTH = "perception=!GroundTruth {}"
 
 
 @pytest.mark.parametrize("name", sorted(shipped_scenarios()))
-@pytest.mark.parametrize("modulated", [False, True])
-def test_each_shipped_scenario_runs(name: str, modulated: bool) -> None:
-    scenario = load_scenario(name)
-    log = simulate(scenario, modulated=modulated, duration=0.048)
-    assert log.stop_reason == "time limit of 0.048 s"
+def test_each_shipped_scenario_runs_unmodulated(name: str) -> None:
+    log = simulate(load_scenario(name), modulated=False, duration=0.048)
     assert log.duration == pytest.approx(0.048)
-    assert log.modulated == modulated
+    assert not log.modulated
     assert np.isfinite(log.torque).all()
-    assert log.q.shape == (len(log.t), 0 if scenario.robot is None else 9)
-    assert (len(log.observation_stamp) > 0) == modulated
-    # It is held until the first decision is made, and for nothing else.
-    assert set(log.event) <= {DECIDING, ""}
+    assert len(log.observation_stamp) == 0
+    assert not log.event
 
 
 @pytest.mark.parametrize("kind", ["GroundTruth", "DepthCamera", "RecordedClouds"])
@@ -46,31 +41,12 @@ def test_perception_is_changed_by_its_block_alone(kind: str, recording_folder: P
     assert log.event == (DECIDING, "")
 
 
-def test_subsystems_have_the_documented_names() -> None:
-    diagram = build_avoidance(load_scenario("tabletop_box"))
-    for name in (
-        "plant",
-        "scene_graph",
-        "late_camera",
-        "robot_at_image",
-        "perception",
-        "ellipsoid_descriptor",
-        "regressor_chain",
-        "goal",
-        "dmp_integrator",
-        "controller",
-        "supervisor",
-        "evasion",
-        "log_robot_state",
-    ):
-        assert diagram.HasSubsystemNamed(name)
-    assert not diagram.HasSubsystemNamed("cost_ring_selector")
+def test_what_is_there_depends_on_what_is_asked() -> None:
     present = load_scenario("tabletop_box")
     present.cameras[0].output_delay = 0.0
+    diagram = build_avoidance(present)
     for name in ("rgbd_sensor_camera", "depth_noise"):
-        assert build_avoidance(present).HasSubsystemNamed(name)
-    rings = build_avoidance(load_scenario("tabletop_box", ["regulation=!Regressor {}"]))
-    assert rings.HasSubsystemNamed("cost_ring_selector")
+        assert diagram.HasSubsystemNamed(name)
     free = build_avoidance(load_scenario("free_space"), modulated=False)
     assert not free.HasSubsystemNamed("perception")
     assert not free.HasSubsystemNamed("plant")
@@ -116,10 +92,10 @@ def clutter_run() -> MotionLog:
 @pytest.mark.parametrize(
     ("name", "run"),
     [
-        ("tabletop_box", "depth_run"),
+        pytest.param("tabletop_box", "depth_run", marks=pytest.mark.slow),
         ("tabletop_box", "ground_truth_run"),
-        ("tabletop_irregular", "irregular_run"),
-        ("tabletop_clutter", "clutter_run"),
+        pytest.param("tabletop_irregular", "irregular_run", marks=pytest.mark.slow),
+        pytest.param("tabletop_clutter", "clutter_run", marks=pytest.mark.slow),
     ],
 )
 def test_the_obstacles_are_passed_with_the_asked_clearance(

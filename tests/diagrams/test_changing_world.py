@@ -107,6 +107,7 @@ def test_what_appears_is_seen_at_rest_and_forgotten_when_it_is_gone() -> None:
     assert not log.v_WO[seen].any()
 
 
+@pytest.mark.slow
 def test_the_motion_relaxes_when_the_obstacle_is_gone() -> None:
     gone, stays = (
         simulate(load_scenario("vanishing_obstacle", [GROUND_TRUTH, *more]))

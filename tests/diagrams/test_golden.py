@@ -14,11 +14,13 @@ from pathlib import Path
 import llvmlite.binding as llvm
 import numpy as np
 import pytest
-from pydrake.systems.framework import Diagram
+from pydrake.systems.analysis import Simulator
 
+from drake_oa.common.messages import DECIDING
+from drake_oa.common.wires import connections
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.runs.motion_log import MotionLog
-from drake_oa.runs.simulation import simulate
+from drake_oa.runs.simulation import MotionWatcher, run_motion, simulate
 from drake_oa.scenario.loading import load_scenario, shipped_scenarios
 from drake_oa.scenario.scenario import GroundTruth, Scenario
 
@@ -41,17 +43,6 @@ def _scenario(name: str) -> Scenario:
     return load_scenario(name)
 
 
-def _connections(diagram: Diagram) -> str:
-    """One line a connection, sorted."""
-    return "".join(
-        sorted(
-            f"{source.get_name()}.{source.get_output_port(out).get_name()} -> "
-            f"{target.get_name()}.{target.get_input_port(into).get_name()}\n"
-            for (target, into), (source, out) in diagram.connection_map().items()
-        )
-    )
-
-
 def _kept(log: MotionLog) -> dict[str, np.ndarray]:
     arrays = {key: value for key, value in log.arrays().items() if key not in _NOT_COMPARED}
     count = len(log.t)
@@ -62,12 +53,22 @@ def _kept(log: MotionLog) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", _NAMES)
-def test_is_wired_as_before(name: str) -> None:
-    found = _connections(build_avoidance(_scenario(name)))
+def test_is_wired_as_before_and_runs(name: str) -> None:
+    scenario = _scenario(name)
+    diagram = build_avoidance(scenario)
+    found = "".join(f"{source} -> {reader}\n" for source, reader in connections(diagram))
     path = _GOLDEN / f"{name}.connections.txt"
     if _WRITES:
         path.write_text(found)
     assert found == path.read_text()
+    watcher = MotionWatcher(diagram, scenario, 0.048, None, latest_time=0.048)
+    log = run_motion(scenario, Simulator(diagram), watcher, modulated=True)
+    assert log.stop_reason == "time limit of 0.048 s"
+    assert np.isfinite(log.torque).all()
+    assert log.q.shape == (len(log.t), 0 if scenario.robot is None else 9)
+    assert len(log.observation_stamp) > 0
+    # It is held until the first decision is made, and for nothing else.
+    assert set(log.event) <= {DECIDING, ""}
 
 
 @pytest.mark.slow

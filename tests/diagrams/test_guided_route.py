@@ -25,6 +25,7 @@ def test_the_guided_motion_goes_over_the_beam() -> None:
     assert log.p_WE[np.abs(log.p_WE[:, 1]).argmin(), 2] > beam_top
 
 
+@pytest.mark.slow
 def test_the_motion_that_only_reacts_hits_the_table() -> None:
     scenario = load_scenario("guided_route", [GROUND_TRUTH, "regulation.guided=false"])
     log = simulate(scenario)
@@ -51,6 +52,7 @@ WALL = (
 )
 
 
+@pytest.mark.slow
 def test_it_holds_while_every_side_is_forbidden_and_goes_on_when_one_is_free(
     caplog: pytest.LogCaptureFixture,
 ) -> None:

@@ -83,6 +83,7 @@ def test_a_camera_that_stops_leaves_the_stamp_where_it_was() -> None:
     np.testing.assert_array_equal(log.obstacle_id[row + 1], log.obstacle_id[row])
 
 
+@pytest.mark.slow
 def test_late_frames_are_old_observations_in_order_and_nothing_seems_to_move() -> None:
     scenario, log = run("!FrameBurst {start: 0.2, duration: 0.2}", 0.7, QUICK)
     stamp, late = log.observation_stamp, log.observation_time - log.observation_stamp
@@ -97,6 +98,7 @@ def test_late_frames_are_old_observations_in_order_and_nothing_seems_to_move() -
     assert not log.v_WO[seen].any()
 
 
+@pytest.mark.slow
 def test_bad_frames_are_no_observations_and_what_was_seen_is_kept() -> None:
     faults = "!NanFrames {start: 0.1, duration: 0.1}, !TableMissing {start: 0.3, frames: 2}"
     scenario, log = run(faults, 0.55, QUICK)
@@ -118,6 +120,7 @@ def test_torques_are_cut_off_and_logged_as_applied() -> None:
     assert share[log.t < 0.2].min() > 0.35
 
 
+@pytest.mark.slow
 def test_the_ball_that_blocks_the_goal_is_logged_and_holds_the_motion() -> None:
     scenario, log = run("!GoalBlocked {start: 0.3, duration: 0.3}", 0.9, GROUND_TRUTH, QUICK)
     ball = log.q_world[:, -3:]
@@ -138,6 +141,7 @@ def test_a_contact_at_the_start_is_not_one_that_the_motion_made() -> None:
     assert "tool inside obstacle" in log.event[-1]
 
 
+@pytest.mark.slow
 def test_a_wrong_model_still_reaches_the_goal() -> None:
     report = run_case(Case("!ModelError {}", overrides=(GROUND_TRUTH, "task.duration=2.0")))
     assert report["stop_reason"] == "goal"

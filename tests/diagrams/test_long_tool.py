@@ -50,10 +50,12 @@ def passes(scenario: Scenario) -> None:
     assert np.abs(rate).max() <= scenario.policy.turn.speed * (1.0 + 1e-6)
 
 
+@pytest.mark.slow
 def test_passes_turned() -> None:
     passes(load_scenario("long_tool", QUICK))
 
 
+@pytest.mark.slow
 def test_goes_astray_otherwise() -> None:
     scenario = load_scenario("long_tool", [*QUICK, "policy.turn=null"])
     log = simulate(scenario, duration=6.0)

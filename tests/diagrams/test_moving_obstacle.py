@@ -34,6 +34,7 @@ def test_the_planned_motion_is_hit_by_both() -> None:
     assert hit == {"obstacle_box", "obstacle_ball"}
 
 
+@pytest.mark.slow
 def test_both_are_passed_by_who_knows_them() -> None:
     scenario = with_truth()
     log = simulate(scenario)
@@ -56,6 +57,7 @@ def test_both_are_passed_from_depth_with_noise() -> None:
     assert np.linalg.norm(log.p_WE[-1] - scenario.task.goal) < 5e-3
 
 
+@pytest.mark.slow
 def test_what_is_faster_than_the_arm_is_told_and_its_contacts_count(
     caplog: pytest.LogCaptureFixture,
 ) -> None:

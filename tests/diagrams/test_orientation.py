@@ -25,6 +25,7 @@ def run() -> MotionLog:
     return simulate(load_scenario("tilted_goal", [GROUND_TRUTH]))
 
 
+@pytest.mark.slow
 def test_the_tool_passes_the_box_and_arrives_turned(run: MotionLog) -> None:
     scenario = load_scenario("tilted_goal", [GROUND_TRUTH])
     report = motion_report(scenario, run)

@@ -16,6 +16,7 @@ from drake_oa.studies.panda.scenes import draw_panda_scene
 GROUND_TRUTH = "perception=!GroundTruth {}"
 
 
+@pytest.mark.slow
 def test_without_a_planned_posture_the_elbow_is_held_at_the_board() -> None:
     scenario = load_scenario("shelf_elbow", [GROUND_TRUTH, "robot.posture=null"])
     log = simulate(scenario)
@@ -35,6 +36,7 @@ def test_with_it_the_arm_goes_round_from_depth_with_noise() -> None:
     assert (np.abs(log.v) < log.velocity_limit).all()
 
 
+@pytest.mark.slow
 def test_and_from_ground_truth() -> None:
     scenario = load_scenario("shelf_elbow", [GROUND_TRUTH])
     log = simulate(scenario)
@@ -46,6 +48,7 @@ def test_and_from_ground_truth() -> None:
     assert np.linalg.norm(log.p_WE[-1] - scenario.task.goal) < 1e-3
 
 
+@pytest.mark.slow
 def test_the_papers_reaction_of_the_links_passes_it_without_a_plan() -> None:
     posture = "robot.posture={plan: false, coupling: {}}"
     scenario = load_scenario("shelf_elbow", [GROUND_TRUTH, posture])

@@ -33,6 +33,7 @@ def test_the_forearm_stops_before_a_pole() -> None:
     assert found.robot_clearance.min() > scenario.supervisor.stop_distance
 
 
+@pytest.mark.slow
 def test_without_a_supervisor_it_hits_the_pole() -> None:
     scenario = parse_scenario(POLE, ["supervisor=null"])
     log = simulate(scenario)
