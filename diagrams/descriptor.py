@@ -6,7 +6,7 @@ import numpy as np
 
 from drake_oa.common.schema_check import ScenarioError
 from drake_oa.common.wires import Wires
-from drake_oa.descriptor.convex_decomposition import merged_parts
+from drake_oa.descriptor.descriptor import merged_parts
 from drake_oa.descriptor.ellipsoid_descriptor import EllipsoidDescriptor
 from drake_oa.diagrams.station import Cell
 from drake_oa.robot.plant import RobotPlant, tool_link_corners

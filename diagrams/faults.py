@@ -16,11 +16,9 @@ from drake_oa.scenario.scenario import (
     Scenario,
 )
 from drake_oa.scenario.sources import camera_config
-from drake_oa.world.camera_faults import CameraFaults
-from drake_oa.world.obstacle_mover import ObstacleMover
-from drake_oa.world.push import ExternalPush
+from drake_oa.world.fault_systems import CameraFaults, ExternalPush, WeakActuators
+from drake_oa.world.obstacles import ObstacleMover
 from drake_oa.world.station import Station
-from drake_oa.world.weak_actuators import WeakActuators
 from drake_oa.world.world_model import all_obstacles
 
 

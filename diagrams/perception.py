@@ -15,14 +15,14 @@ from pydrake.systems.primitives import (
 
 from drake_oa.common.schema_check import ScenarioError
 from drake_oa.common.wires import Wires
-from drake_oa.descriptor.given_ellipsoids import GivenEllipsoidSource
+from drake_oa.descriptor.ellipsoid_descriptor import GivenEllipsoidSource
 from drake_oa.diagrams.station import Cell
 from drake_oa.geometry.collision_shapes import RobotModel, collect_collision_shapes
 from drake_oa.perception.depth_perception import DepthPerception
 from drake_oa.perception.ground_truth_perception import GroundTruthPerception
-from drake_oa.perception.hidden_sides_system import HiddenSides
-from drake_oa.perception.point_cloud import SegmentationConfig
+from drake_oa.perception.hidden_sides import HiddenSides
 from drake_oa.perception.recorded_perception import RecordedPerception
+from drake_oa.perception.segmentation import SegmentationConfig
 from drake_oa.robot.plant import RobotPlant
 from drake_oa.scenario.camera_noise import noise_parameters
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
@@ -36,7 +36,7 @@ from drake_oa.scenario.scenario import (
     allow_perception,
 )
 from drake_oa.scenario.sources import given_ellipsoids, perception_period, table_plane
-from drake_oa.world.depth_noise_system import DepthNoise
+from drake_oa.world.depth_noise import DepthNoise
 from drake_oa.world.station import Station
 
 _logger = logging.getLogger("drake_oa")

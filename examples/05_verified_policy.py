@@ -6,7 +6,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput
 
 from drake_oa.common.messages import EllipsoidSet
-from drake_oa.descriptor.given_ellipsoids import GivenEllipsoidSource
+from drake_oa.descriptor.ellipsoid_descriptor import GivenEllipsoidSource
 from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.regulation.regressor import load_chain

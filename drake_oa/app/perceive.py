@@ -1,7 +1,7 @@
 """One recorded frame to clusters, ellipsoids and figures: what `drake-oa perceive` reports.
 
 Frames: C is the camera's, or that of the cloud's points; W the world of X_WC. Where
-X_WC is not known the table defines W (see `drake_oa.perception.point_cloud.segment_depth`). The
+X_WC is not known the table defines W (see `drake_oa.perception.segmentation.segment_depth`). The
 tool is given in W orientation, and all that is reported is in C.
 """
 
@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 from drake_oa.common.messages import FloatArray, IntArray
 from drake_oa.geometry.ellipsoid import Ellipsoid, enclosing_ellipsoid
 from drake_oa.geometry.ellipsoid_kernels import farthest_pair
-from drake_oa.perception.point_cloud import (
+from drake_oa.perception.depth_image import back_projected, row_hulls
+from drake_oa.perception.recordings import RecordedFrame
+from drake_oa.perception.segmentation import (
     Segmentation,
     SegmentationConfig,
     segment_depth,
     segment_points,
 )
-from drake_oa.perception.point_cloud_kernels import back_projected, row_hulls
-from drake_oa.perception.recordings import RecordedFrame
 
 _BACKGROUND = 1.5  # [m]
 _BORDER = 5  # [pixel]

@@ -19,8 +19,8 @@ from drake_oa.common.text_tables import aligned
 
 if TYPE_CHECKING:
     from drake_oa.app.perceive import PerceivedFrame
-    from drake_oa.perception.depth_image_files import DepthCoding
-    from drake_oa.perception.point_cloud import SegmentationConfig
+    from drake_oa.perception.recordings import DepthCoding
+    from drake_oa.perception.segmentation import SegmentationConfig
 
 _DESCRIPTION = """\
 Finds the table (or floor) in depth images and clouds, the clusters of points that stand
@@ -269,7 +269,7 @@ def _tool(text: str) -> FloatArray:
 
 
 def _coding(options: argparse.Namespace) -> DepthCoding:
-    from drake_oa.perception.depth_image_files import DepthCoding, checked_intrinsics
+    from drake_oa.perception.recordings import DepthCoding, checked_intrinsics
 
     scale = options.depth_scale
     if scale is not None and not 0.0 < scale < math.inf:
@@ -280,7 +280,7 @@ def _coding(options: argparse.Namespace) -> DepthCoding:
 
 
 def _config(options: argparse.Namespace) -> SegmentationConfig:
-    from drake_oa.perception.point_cloud import SegmentationConfig
+    from drake_oa.perception.segmentation import SegmentationConfig
 
     given = {"near": options.near, "far": options.far}
     try:

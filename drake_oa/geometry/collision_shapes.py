@@ -23,7 +23,7 @@ from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
 from pydrake.systems.framework import Context
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.geometry.self_filter import PosedShapes, RobotShapes
+from drake_oa.geometry.primitives import PosedShapes, RobotShapes
 
 _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 _CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])

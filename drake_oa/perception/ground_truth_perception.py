@@ -14,8 +14,8 @@ from pydrake.systems.framework import Context, LeafSystem, State
 from drake_oa.common.messages import OUT_OF_WORLD, FloatArray, ObstacleClouds, TablePlane
 from drake_oa.common.ports import read_value, valid_period
 from drake_oa.geometry.collision_shapes import surface_points
-from drake_oa.perception.obstacle_memory import ObstacleMemory
-from drake_oa.perception.perception_state import PerceptionState
+from drake_oa.perception.depth_perception import PerceptionState
+from drake_oa.perception.memory import ObstacleMemory
 
 _AT_REST = 1e-3
 """A slower obstacle is taken to rest [m/s]: contact lets a standing one tremble."""
@@ -38,7 +38,7 @@ class GroundTruthPerception(LeafSystem):
     Port `obstacles_W`: ObstacleClouds in the world frame [m]: points all over the
     surface of each model instance, hidden sides included; its id is the place of
     the instance in the constructor's list. What is farther from the world's origin than
-    `moving_obstacles.OUT_OF_WORLD` is absent, and left out.
+    `messages.OUT_OF_WORLD` is absent, and left out.
 
     Port `cloud`: PointCloud of all those points, in the world frame [m].
 

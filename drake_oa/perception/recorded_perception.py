@@ -13,16 +13,16 @@ from pydrake.systems.framework import Context, LeafSystem, State
 
 from drake_oa.common.ports import valid_period
 from drake_oa.geometry.collision_shapes import RobotModel
-from drake_oa.geometry.self_filter import PosedShapes
-from drake_oa.perception.obstacle_memory import ObstacleMemory, TrackingConfig
-from drake_oa.perception.perception_state import PerceptionState, log_change
-from drake_oa.perception.point_cloud import (
+from drake_oa.geometry.primitives import PosedShapes
+from drake_oa.perception.depth_perception import PerceptionState, log_change
+from drake_oa.perception.memory import ObstacleMemory, TrackingConfig
+from drake_oa.perception.recordings import RecordedFrame, read_recording
+from drake_oa.perception.segmentation import (
     Segmentation,
     SegmentationConfig,
     segment_depth,
     segment_points,
 )
-from drake_oa.perception.recordings import RecordedFrame, read_recording
 from drake_oa.perception.tracking import fuse
 
 

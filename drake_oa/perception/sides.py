@@ -10,34 +10,266 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray, TablePlane
-from drake_oa.perception.point_cloud import Segmentation
-from drake_oa.perception.surface_kernels import open_sides, owner_rows, surfaces, tail_places
+from drake_oa.geometry.pinhole import View
+from drake_oa.perception.segmentation import Segmentation
 
-_TAIL = 0.02  # share of an obstacle's area that lies beyond its side
+_BINS = 256
+_BEHIND = 0.01  # an obstacle's own surface is behind what would stand before it, at 1 m [m]
+_WALK = 24  # how far from an obstacle's side its surroundings are looked at [pixel]
+_EMPTY = 12  # so many pixels in a row without depth show that nothing is beside it
+_SIDE_PIXELS = 48  # pixels of a side that are looked at
+
+
+@njit(cache=True, error_model="numpy")
+def surfaces(
+    pixel: IntArray,
+    begin: IntArray,
+    cluster_row: IntArray,
+    view: View,
+    most: int,
+) -> tuple[FloatArray, FloatArray, IntArray, IntArray, FloatArray]:
+    """What a frame shows of obstacles, by some of their pixels.
+
+    Args:
+        pixel: (P,) pixels of C clusters, one after the other, ascending in each.
+        begin: (C + 1,) where each of them begins.
+        cluster_row: (C,) obstacle of each, -1: not asked for.
+        view: the depth image.
+        most: about how many pixels of a cluster are taken.
+
+    Returns:
+        The points (S, 3) in the world frame [m]; the area (S,) that a pixel covers at
+        each of them [m^2]; their pixels (S,) and obstacles (S,); for how many pixels
+        each stands (S,).
+    """
+    z, K, X_WC = view
+    count = 0
+    for c in range(len(cluster_row)):
+        size = begin[c + 1] - begin[c]
+        if cluster_row[c] >= 0:
+            step = max(1, size // most)
+            count += (size + step - 1) // step
+    points, area = np.empty((count, 3)), np.empty(count)
+    taken, owner = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
+    weight, n = np.empty(count), 0
+    for c in range(len(cluster_row)):
+        if cluster_row[c] < 0:
+            continue
+        step, row = max(1, (begin[c + 1] - begin[c]) // most), 0
+        for i in range(begin[c], begin[c + 1], step):
+            while pixel[i] >= (row + 1) * z.shape[1]:
+                row += 1
+            column = pixel[i] - row * z.shape[1]
+            depth = z[row, column]
+            x = (column - K[2]) * (depth / K[0])
+            y = (row - K[3]) * (depth / K[1])
+            for k in range(3):
+                points[n, k] = X_WC[k, 0] * x + X_WC[k, 1] * y + X_WC[k, 2] * depth + X_WC[k, 3]
+            area[n] = depth * depth / (K[0] * K[1])
+            taken[n], owner[n], weight[n] = pixel[i], cluster_row[c], step
+            n += 1
+    return points, area, taken, owner, weight
+
+
+@njit(cache=True, error_model="numpy")
+def owner_rows(
+    pixel: IntArray, begin: IntArray, cluster_row: IntArray, columns: int
+) -> tuple[NDArray[np.int16], int]:
+    """The obstacles (R, W) in the rows of an image that show any, and the first such row.
+
+    Args:
+        pixel: (P,) as in `surfaces`.
+        begin: (C + 1,)
+        cluster_row: (C,)
+        columns: W.
+    """
+    low, high = 1 << 60, -1
+    for c in range(len(cluster_row)):
+        if cluster_row[c] >= 0 and begin[c + 1] > begin[c]:
+            low, high = min(low, pixel[begin[c]]), max(high, pixel[begin[c + 1] - 1])
+    if high < 0:
+        return np.empty((0, columns), dtype=np.int16), 0
+    top, bottom = low // columns, high // columns + 1
+    owner = np.full((bottom - top) * columns, -1, dtype=np.int16)
+    for c in range(len(cluster_row)):
+        if cluster_row[c] >= 0:
+            for i in range(begin[c], begin[c + 1]):
+                owner[pixel[i] - top * columns] = cluster_row[c]
+    return owner.reshape(bottom - top, columns), top
+
+
+@njit(cache=True, error_model="numpy")
+def tail_places(
+    points: FloatArray, area: FloatArray, row: IntArray, tail: FloatArray
+) -> FloatArray:
+    """Where the obstacles' sides are: beyond it lies a given area of what is seen of them.
+
+    Args:
+        points: (P, 3) [m].
+        area: (P,) that each stands for [m^2].
+        row: (P,) obstacle of each, -1: none.
+        tail: (M,) that area [m^2].
+
+    Returns:
+        (M, 3, 2) lowest and highest place along each axis [m]; NaN for an obstacle of
+        which nothing is seen.
+    """
+    count = len(tail)
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    for i in range(len(points)):
+        if row[i] >= 0:
+            for k in range(3):
+                low[row[i], k] = min(low[row[i], k], points[i, k])
+                high[row[i], k] = max(high[row[i], k], points[i, k])
+    histogram = np.zeros((count, 3, _BINS))
+    scale = np.zeros((count, 3))
+    for m in range(count):
+        for k in range(3):
+            if high[m, k] > low[m, k]:
+                scale[m, k] = (_BINS - 1) / (high[m, k] - low[m, k])
+    for i in range(len(points)):
+        m = row[i]
+        if m >= 0:
+            for k in range(3):
+                place = np.int64((points[i, k] - low[m, k]) * scale[m, k])
+                histogram[m, k, place] += area[i]
+    sides = np.full((count, 3, 2), np.nan)
+    for m in range(count):
+        for k in range(3):
+            if not high[m, k] >= low[m, k]:
+                continue
+            if scale[m, k] == 0.0:
+                sides[m, k, 0] = sides[m, k, 1] = low[m, k]
+                continue
+            total, n = 0.0, 0
+            while n < _BINS - 1 and total + histogram[m, k, n] < tail[m]:
+                total += histogram[m, k, n]
+                n += 1
+            part = (tail[m] - total) / max(histogram[m, k, n], 1e-12)
+            sides[m, k, 0] = low[m, k] + (n + min(part, 1.0)) / scale[m, k]
+            total, n = 0.0, _BINS - 1
+            while n > 0 and total + histogram[m, k, n] < tail[m]:
+                total += histogram[m, k, n]
+                n -= 1
+            part = (tail[m] - total) / max(histogram[m, k, n], 1e-12)
+            sides[m, k, 1] = low[m, k] + (n + 1 - min(part, 1.0)) / scale[m, k]
+    return sides
+
+
+@njit(cache=True, error_model="numpy")
+def open_sides(
+    points: FloatArray,
+    pixel: IntArray,
+    row: IntArray,
+    sides: FloatArray,
+    view: View,
+    owner: NDArray[np.int16],
+    top: int,
+    plane: FloatArray,
+    margin: float,
+) -> FloatArray:
+    """How much of each side ends at free space, not at what hides the rest of it.
+
+    From each pixel of a side the image is followed outward until it shows something
+    else: what lies behind shows where the obstacle ends; what lies before it, what stands
+    beside it (the robot, another obstacle), or the image's border, does not. Where nothing
+    at all is shown for long, the background is too far away to be measured. The obstacle itself
+    shows its end too, where it lies behind what it would have beyond the side.
+
+    Args:
+        points: (P, 3) in the world frame [m].
+        pixel: (P,) their pixels (flat indices).
+        row: (P,) obstacle of each, -1: none.
+        sides: (M, 3, 2) from `tail_places` [m].
+        view: the depth image.
+        owner: (R, W) int16 obstacle that each pixel of some rows shows, -1: none. The
+            other rows show none.
+        top: the first of those rows.
+        plane: (4,) the table's normal and offset in the world.
+        margin: depth difference that tells "before" and "behind" from "at", and height of
+            what stands on the table [m].
+
+    Returns:
+        (M, 3, 2) shares in [0, 1].
+    """
+    z, K, X_WC = view
+    asked, free = np.zeros(sides.shape), np.zeros(sides.shape)
+    rows, columns = z.shape
+    bottom = top + len(owner)
+    for i in range(len(points)):
+        m = row[i]
+        if m < 0:
+            continue
+        for k in range(3):
+            for side in range(2):
+                if side == 0:
+                    beyond = points[i, k] <= sides[m, k, 0]
+                else:
+                    beyond = points[i, k] >= sides[m, k, 1]
+                if not beyond or asked[m, k, side] >= _SIDE_PIXELS:
+                    continue
+                v0 = pixel[i] // columns
+                u0 = pixel[i] - v0 * columns
+                depth = z[v0, u0]
+                # The image of the axis, outward.
+                sign = 1.0 if side == 1 else -1.0
+                x, y = (u0 - K[2]) / K[0], (v0 - K[3]) / K[1]
+                du = sign * K[0] * (X_WC[k, 0] - x * X_WC[k, 2])
+                dv = sign * K[1] * (X_WC[k, 1] - y * X_WC[k, 2])
+                length = np.sqrt(du * du + dv * dv)
+                asked[m, k, side] += 1.0
+                if length < 0.3 * K[0]:
+                    # Along the line of sight: nothing beside it tells.
+                    free[m, k, side] += 1.0
+                    continue
+                du, dv = du / length, dv / length
+                # By how much nearer the obstacle would be if it went on beyond the side [m/pixel].
+                nearer = -sign * X_WC[k, 2] * depth / length
+                empty = 0
+                for step in range(1, _WALK):
+                    u, v = np.int64(np.rint(u0 + step * du)), np.int64(np.rint(v0 + step * dv))
+                    if u < 0 or u >= columns or v < 0 or v >= rows:
+                        break
+                    other = z[v, u]
+                    if not other > 0.0:
+                        empty += 1
+                        if empty < _EMPTY:
+                            continue
+                        free[m, k, side] += 1.0
+                        break
+                    empty = 0
+                    if v >= top and v < bottom and owner[v - top, u] == m:
+                        # The noise of a depth grows with its square.
+                        if other > depth - step * nearer + _BEHIND * depth * depth:
+                            free[m, k, side] += 1.0
+                            break
+                        continue
+                    if other > depth + margin:
+                        free[m, k, side] += 1.0
+                        break
+                    if other < depth - margin:
+                        break
+                    a, b = other * (u - K[2]) / K[0], other * (v - K[3]) / K[1]
+                    height = -plane[3]
+                    for c in range(3):
+                        at = X_WC[c, 0] * a + X_WC[c, 1] * b + X_WC[c, 2] * other + X_WC[c, 3]
+                        height += plane[c] * at
+                    if height > margin:
+                        break
+    return free / np.maximum(asked, 1.0)
+
+
+_TAIL_SHARE = 0.02  # share of an obstacle's area that lies beyond its side
 _OPEN = 0.7  # share of a side that must end at free space
 _LEAST_AREA = 0.15  # share of an obstacle that must be seen for it to be measured
 _PIXELS = 800  # about how many pixels of a cluster are looked at
 _HIDDEN_FACTOR = 3.0  # how much wider the deviation is of what is almost all hidden
 _GRAIN = 0.7  # standard deviation of a side in pixels
 _LEARNING = 0.05  # share of a frame in the remembered distance between two sides
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """A depth image, and where it was taken from.
-
-    Attributes:
-        z: (H, W) depth [m].
-        K: (4,) fx, fy, cx, cy [pixel].
-        X_WC: (4, 4) pose of the camera.
-    """
-
-    z: NDArray[np.float32]
-    K: FloatArray
-    X_WC: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,14 +318,12 @@ def seen_sides(
         area, weight = np.full(len(points), voxel**2), np.ones(len(points))
         pixel = row
     else:
-        points, area, pixel, row, weight = surfaces(
-            pixels, begin, cluster_row, view.z, view.K, view.X_WC, _PIXELS
-        )
+        points, area, pixel, row, weight = surfaces(pixels, begin, cluster_row, view, _PIXELS)
     number = np.bincount(row, minlength=count)
     grain = np.sqrt(np.bincount(row, weights=area, minlength=count) / np.maximum(number, 1))
     area = area * weight
     seen = np.bincount(row, weights=area, minlength=count)
-    tail = _TAIL * np.maximum(seen, known_area)
+    tail = _TAIL_SHARE * np.maximum(seen, known_area)
     place = tail_places(points, area, row, tail)
     if view is None:
         ends = np.isfinite(place)
@@ -101,9 +331,7 @@ def seen_sides(
         owner, top = owner_rows(pixels, begin, cluster_row, view.z.shape[1])
         table = frame.table or TablePlane(offset=-np.inf)
         plane = np.append(table.normal_W, table.offset)
-        share = open_sides(
-            points, pixel, row, place, view.z, owner, top, view.K, view.X_WC, plane, margin
-        )
+        share = open_sides(points, pixel, row, place, view, owner, top, plane, margin)
         ends = share >= _OPEN
     return SeenSides(place, ends, np.asarray(seen, dtype=float), np.asarray(grain, dtype=float))
 

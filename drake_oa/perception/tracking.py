@@ -3,51 +3,182 @@
 A frame shows only what nothing stands before, and shows it with noise. Each frame is
 joined with what was remembered:
 
-1. Position and velocity of each obstacle are predicted (`obstacle_filter`), and what is
+1. Position and velocity of each obstacle are predicted (`velocity`), and what is
    remembered of a moving obstacle moves with it.
-2. Clusters are given to obstacles (`association`), by common points first.
+2. Clusters are given to obstacles (`associate`), by common points first.
 3. The obstacles' positions are measured by their sides (`sides`), and filtered.
-4. Each remembered point is confirmed, kept as hidden, or dropped (`occlusion`).
-5. What changed by more than noise is handed on (`cloud_hold`).
+4. Each remembered point is confirmed, kept as hidden, or dropped (`visibility`).
+5. What changed by more than noise is handed on (`memory`).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
 
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray, ObstacleClouds
-from drake_oa.geometry.clusters import connected_clusters
-from drake_oa.geometry.self_filter import PosedShapes
-from drake_oa.perception.association import Association, associate
-from drake_oa.perception.cloud_hold import held_clouds, held_table
-from drake_oa.perception.obstacle_filter import first_seen
-from drake_oa.perception.obstacle_memory import (
+from drake_oa.geometry.pinhole import View
+from drake_oa.geometry.primitives import PosedShapes
+from drake_oa.geometry.voxels import connected_clusters
+from drake_oa.perception.memory import (
     ObstacleMemory,
     Points,
     TrackingConfig,
     Tracks,
     appended,
     changed,
+    held_clouds,
+    held_table,
     taken,
 )
-from drake_oa.perception.occlusion import hidden_by_itself, shown_at, weighed, without_background
-from drake_oa.perception.point_cloud import Segmentation, SegmentationConfig
-from drake_oa.perception.sides import View, seen_sides
-from drake_oa.perception.track_motion import measured_tracks, predicted_tracks
-from drake_oa.perception.tracking_kernels import (
+from drake_oa.perception.segmentation import Segmentation, SegmentationConfig
+from drake_oa.perception.sides import seen_sides
+from drake_oa.perception.velocity import first_seen, measured_tracks, predicted_tracks
+from drake_oa.perception.visibility import (
     AT,
     EMPTY,
     FREE,
     HIDDEN,
     OUT,
     absorb,
+    counted_votes,
     hidden_beyond,
+    hidden_by_itself,
     mutual_nearest,
+    shown_at,
+    weighed,
+    without_background,
 )
+
+_FEW = 4  # common points that say nothing
+_SHARE = 0.25  # of the smaller of the two that must be common
+
+
+@dataclass(frozen=True, eq=False)
+class Association:
+    """Rows of obstacles for the points and clusters of a frame.
+
+    Attributes:
+        point_row: (Q,) obstacle of each point; those not known before follow the others.
+        cluster_row: (C,) obstacle that most of each cluster belongs to.
+        mixed: (C,) whether a cluster holds points of several obstacles.
+        new: the clusters that are new obstacles, in the order of their rows.
+        partner: (M,) the largest obstacle in a cluster with this one, -1: none.
+    """
+
+    point_row: IntArray
+    cluster_row: IntArray
+    mixed: BoolArray
+    new: IntArray
+    partner: IntArray
+
+
+def associate(
+    points: FloatArray,
+    cluster: IntArray,
+    clusters: int,
+    voted: IntArray,
+    remembered: FloatArray,
+    owner: IntArray,
+    tracks: int,
+    gate: float,
+) -> Association:
+    """Gives clusters to obstacles: by common points, else by predicted centroids.
+
+    An obstacle takes every cluster that has points in common with it, 25 % of the smaller
+    of the two. A cluster that two obstacles claim is divided between them, each point to
+    that of the nearest remembered point. The rest is matched by the least total distance
+    of centroids below the gate; what then is left is new.
+
+    Args:
+        points: (Q, 3) of the frame in the world [m].
+        cluster: (Q,) their clusters.
+        clusters: C, how many there are.
+        voted: (Q,) the remembered point nearest to each, -1: none near.
+        remembered: (N, 3) where remembered points should be in the world [m].
+        owner: (N,) their obstacles.
+        tracks: M, how many there are.
+        gate: the largest distance of centroids [m].
+    """
+    sizes = np.bincount(cluster, minlength=clusters)
+    known = np.bincount(owner, minlength=tracks)
+    votes, vote_row = counted_votes(cluster, clusters, voted, owner, tracks)
+    least = np.maximum(_FEW, _SHARE * np.minimum(sizes[:, None], known[None]))
+    claims = votes >= least
+    cluster_row = np.full(clusters, -1, dtype=np.int64)
+    if tracks:
+        claimed = claims.any(axis=1)
+        cluster_row[claimed] = np.where(claims, votes, -1)[claimed].argmax(axis=1)
+        _match_centroids(
+            cluster_row,
+            np.asarray(claims.any(axis=0)),
+            points,
+            cluster,
+            sizes,
+            remembered,
+            owner,
+            known,
+            gate,
+        )
+    new = np.flatnonzero(cluster_row < 0)
+    cluster_row[new] = tracks + np.arange(len(new))
+    mixed = claims.sum(axis=1) > 1
+    point_row = cluster_row[cluster]
+    partner = np.full(tracks, -1, dtype=np.int64)
+    for c in np.flatnonzero(mixed):
+        inside = np.flatnonzero(cluster == c)
+        rows = np.flatnonzero(claims[c])
+        point_row[inside] = _divided(points[inside], vote_row[inside], rows, remembered, owner)
+        largest = rows[known[rows].argmax()]
+        partner[rows[rows != largest]] = largest
+    return Association(point_row, cluster_row, mixed, new, partner)
+
+
+def _match_centroids(
+    cluster_row: IntArray,
+    taken: BoolArray,
+    points: FloatArray,
+    cluster: IntArray,
+    sizes: IntArray,
+    remembered: FloatArray,
+    owner: IntArray,
+    known: IntArray,
+    gate: float,
+) -> None:
+    left, lost = np.flatnonzero(cluster_row < 0), np.flatnonzero(~taken & (known > 0))
+    if not len(left) or not len(lost):
+        return
+    seen = np.stack([points[cluster == c].mean(axis=0) for c in left])
+    expected = np.stack([remembered[owner == m].mean(axis=0) for m in lost])
+    gap = np.linalg.norm(seen[:, None] - expected[None], axis=2)
+    # Pairs beyond the gate cost more than any number of pairs within it.
+    rows, columns = linear_sum_assignment(np.where(gap < gate, gap, 1e3 * gate))
+    near = gap[rows, columns] < gate
+    cluster_row[left[rows[near]]] = lost[columns[near]]
+
+
+def _divided(
+    points: FloatArray, vote: IntArray, rows: IntArray, remembered: FloatArray, owner: IntArray
+) -> IntArray:
+    """Rows (Q,) for the points of one cluster that several obstacles claim."""
+    claiming = np.zeros(max(int(vote.max(initial=-1)), int(rows.max())) + 2, dtype=bool)
+    claiming[rows] = True  # of -1 the last place, which is no obstacle's
+    result = np.where(claiming[vote], vote, -1)
+    far = np.flatnonzero(result < 0)
+    if len(far):
+        gaps = []
+        for m in rows:
+            mine = remembered[owner == m]
+            low, high = mine.min(axis=0), mine.max(axis=0)
+            outside = np.maximum(0.0, np.maximum(low - points[far], points[far] - high))
+            gaps.append(np.linalg.norm(outside, axis=1))
+        result[far] = rows[np.argmin(gaps, axis=0)]
+    return np.asarray(result, dtype=np.int64)
+
 
 _SOLID = 2.0  # a new cluster of so many times the fewest voxels is believed at once
 _SLACK = 0.004  # points no farther beyond a side belong to it [m]
@@ -112,8 +243,7 @@ def fuse(
         before = -math.inf
     view = None
     if depth is not None and K is not None:
-        z = np.require(depth, np.float32, ["C", "W"])
-        view = View(z, *(np.require(a, np.float64, ["C", "W"]) for a in (K, frame.X_WC)))
+        view = View.of(depth, K, frame.X_WC)
     first = before == -math.inf
     step = _Step(
         previous,

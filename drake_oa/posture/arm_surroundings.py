@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from drake_oa.common.messages import FloatArray, Frozen, ObstacleClouds, TablePlane
-from drake_oa.geometry.point_blocks import ObstaclePoints
+from drake_oa.geometry.points import ObstaclePoints
 from drake_oa.geometry.voxels import VOXEL, thinned
 from drake_oa.perception.hidden_sides import deepened
 

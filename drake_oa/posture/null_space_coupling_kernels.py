@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from drake_oa.common.messages import FloatArray, IntArray
-from drake_oa.geometry.primitive_kernels import point_distance, posed, to_frame
+from drake_oa.geometry.primitives import point_distance, posed, to_frame
 from drake_oa.policy.coupling_kernels import avoidance_term, norm
 from drake_oa.robot.arm_kernels import nearest_point
 

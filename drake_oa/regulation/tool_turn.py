@@ -17,11 +17,10 @@ import numpy as np
 
 from drake_oa.common.messages import EllipsoidSet, FloatArray, Frozen, ObstacleClouds, PolicyState
 from drake_oa.common.work import count
-from drake_oa.descriptor.convex_decomposition import merged_parts
-from drake_oa.descriptor.descriptor import describe
-from drake_oa.geometry.clusters import voxel_keys
+from drake_oa.descriptor.descriptor import describe, merged_parts
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.geometry.rotation import turned_about
+from drake_oa.geometry.voxels import thinned
 from drake_oa.regulation.regulation import Regulation
 from drake_oa.regulation.regulator import Regulator
 from drake_oa.regulation.turning_tool import TurningTool, TurnParameters
@@ -323,9 +322,7 @@ def _thinned(obstacles: ObstacleClouds) -> FloatArray:
     clouds = [np.asarray(cloud, dtype=float) for cloud in obstacles.clouds_W]
     points = np.concatenate([np.zeros((0, 3)), *clouds])
     points = points[np.isfinite(points).all(axis=1)]
-    if not len(points):
-        return points
-    return points[np.unique(voxel_keys(points, _VOXEL), return_index=True)[1]]
+    return thinned(points, _VOXEL)
 
 
 def _same_clouds(one: ObstacleClouds, other: ObstacleClouds) -> bool:

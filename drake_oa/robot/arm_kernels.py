@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from drake_oa.common.messages import FloatArray, IntArray
-from drake_oa.geometry.primitive_kernels import deepest_point, point_distance, posed, to_frame
+from drake_oa.geometry.primitives import deepest_point, point_distance, posed, to_frame
 from drake_oa.geometry.rotation import rotation_vector
 
 _LONGEST_STEP = 0.5
@@ -199,7 +199,7 @@ def nearest_point(
             its shapes [m]; a negative radius: it has none.
         shape_body: (S,) the body of each shape, ascending.
         X_BG: (S, 4, 4) poses of the shapes in their bodies.
-        size: (S, 5) see `drake_oa.geometry.primitive_kernels.point_distance`.
+        size: (S, 5) see `drake_oa.geometry.primitives.point_distance`.
         bound: (S,) radii of spheres about the shapes' centres that hold them [m].
         points: (N, 3) on the obstacles [m].
         block_start: (K + 1,) where each block of points begins, and N.

@@ -13,8 +13,8 @@ from pydrake.systems.framework import Context
 
 from drake_oa.common.messages import FloatArray, IntArray
 from drake_oa.geometry.collision_shapes import RobotModel
-from drake_oa.geometry.point_blocks import GuardShapes
-from drake_oa.geometry.self_filter import RobotShapes
+from drake_oa.geometry.points import GuardShapes
+from drake_oa.geometry.primitives import RobotShapes
 from drake_oa.robot.arm_motion import ArmModel
 
 

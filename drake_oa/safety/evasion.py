@@ -28,7 +28,7 @@ import numpy as np
 
 from drake_oa.common.messages import Evading, Evasion, FloatArray, PlannedMotion, PolicyState
 from drake_oa.geometry.directions import DIRECTIONS
-from drake_oa.geometry.point_blocks import ObstaclePoints
+from drake_oa.geometry.points import ObstaclePoints
 from drake_oa.safety.evasion_candidates import displaced, planned_shift, shortened, stopping_shift
 from drake_oa.safety.lookahead import EvasionParameters, Lookout, Ways
 from drake_oa.safety.lookahead_kernels import NOTHING

@@ -9,7 +9,7 @@ import numpy as np
 
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
 from drake_oa.common.work import count
-from drake_oa.geometry.point_blocks import GuardShapes, ObstaclePoints
+from drake_oa.geometry.points import GuardShapes, ObstaclePoints
 from drake_oa.posture.null_space_coupling import null_space_basis
 from drake_oa.robot.workspace import annulus_margin
 from drake_oa.safety import lookahead_kernels as kernels

@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 
 from drake_oa.common.messages import FloatArray, IntArray
-from drake_oa.geometry.primitive_kernels import deepest_point, point_distance, posed, to_frame
+from drake_oa.geometry.primitives import deepest_point, point_distance, posed, to_frame
 from drake_oa.geometry.rotation import rotation_vector
 
 DAMPING, MISS, GROWTH, TABLE_ALLOWANCE, MOST = 0, 1, 2, 3, 4

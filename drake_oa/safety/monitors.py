@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drake_oa.common.messages import Evasion, FloatArray, TablePlane
-from drake_oa.geometry import primitive_kernels as kernels
-from drake_oa.geometry.point_blocks import GuardShapes, ObstaclePoints
+from drake_oa.geometry.points import GuardShapes, ObstaclePoints
+from drake_oa.safety import approach_kernels as kernels
 from drake_oa.safety.supervision import NO_DEMAND, Demand, SupervisorParameters, SupervisorState
 
 _SLOWEST = 0.1

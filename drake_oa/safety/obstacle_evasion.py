@@ -31,7 +31,7 @@ from drake_oa.common.thoughts import Thoughts
 from drake_oa.common.work import Thinking
 from drake_oa.geometry.collision_shapes import RobotModel
 from drake_oa.geometry.directions import ramped
-from drake_oa.geometry.point_blocks import GuardShapes, ObstaclePoints
+from drake_oa.geometry.points import GuardShapes, ObstaclePoints
 from drake_oa.policy.dmp import Dmp, normalised_time
 from drake_oa.safety.evasion import NOTHING_MOVES, choose, left_alone
 from drake_oa.safety.lookahead import Arm, EvasionParameters, Lookout

@@ -24,8 +24,8 @@ from typing import Literal
 import numpy as np
 
 from drake_oa.common.messages import FloatArray, Frozen, ObstacleClouds, TablePlane
-from drake_oa.geometry import primitive_kernels as kernels
-from drake_oa.geometry.point_blocks import ObstaclePoints
+from drake_oa.geometry.points import ObstaclePoints
+from drake_oa.safety import approach_kernels as kernels
 
 Action = Literal["run", "slow", "hold", "stop"]
 

@@ -28,9 +28,9 @@ from drake_oa.common.messages import (
 from drake_oa.common.model_context import ModelContext
 from drake_oa.common.ports import read_optional, read_value, valid_period
 from drake_oa.geometry.collision_shapes import RobotModel
-from drake_oa.geometry.point_blocks import GuardShapes
-from drake_oa.geometry.primitive_kernels import full_speed_motion
+from drake_oa.geometry.points import GuardShapes
 from drake_oa.policy.action import SCALED_TO_REST
+from drake_oa.safety.approach_kernels import full_speed_motion
 from drake_oa.safety.monitors import (
     JointRange,
     watch_clearance,

@@ -10,7 +10,7 @@ from pydrake.systems.sensors import CameraConfig
 
 from drake_oa.common.scenario_fields import number, vector
 from drake_oa.common.schema_check import ScenarioError
-from drake_oa.perception.point_cloud import SegmentationConfig
+from drake_oa.perception.segmentation import SegmentationConfig
 from drake_oa.scenario.camera_noise import (
     CameraNoise,
     noise_parameters,

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from drake_oa.common.messages import FloatArray, IntArray
 from drake_oa.geometry.ellipsoid import plane_section
+from drake_oa.geometry.voxels import first_in_voxels
 
 Color = tuple[float, float, float]
 
@@ -389,14 +390,7 @@ def thin_points(points: ArrayLike, *, most: int, spacing: float) -> IntArray:
         raise ValueError(f"most and spacing must be positive, not {most} and {spacing}")
     points = np.asarray(points, dtype=float)
     rows = np.flatnonzero(np.isfinite(points).all(axis=1))
-    if not rows.size:
-        return rows
-    cubes = np.floor(points[rows] / spacing).astype(np.int64)
-    cubes -= cubes.min(axis=0)
-    extent = cubes.max(axis=0) + 1
-    key = (cubes[:, 0] * extent[1] + cubes[:, 1]) * extent[2] + cubes[:, 2]
-    _, first = np.unique(key, return_index=True)
-    chosen = np.sort(rows[first])
+    chosen = rows[first_in_voxels(points[rows], spacing)]
     if chosen.size > most:
         chosen = chosen[np.linspace(0, chosen.size - 1, most).round().astype(np.int64)]
     return chosen

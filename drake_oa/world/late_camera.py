@@ -1,19 +1,204 @@
-"""A depth camera whose images come late, as a real one's, and are rendered meanwhile."""
+"""A depth camera whose images come late, as a real one's, and are rendered meanwhile.
+
+Rendering, and the noise, run in a thread beside the simulation. Drake's render engines work in
+the thread that made them, and only there: so one thread makes all of them, uses them and ends
+them.
+"""
 
 from __future__ import annotations
 
+import atexit
+import queue
+import threading
+import weakref
+from collections import OrderedDict
+from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue, Value
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import BasicVector, Context, LeafSystem, State
-from pydrake.systems.sensors import CameraInfo, ImageDepth32F
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, LeafSystem, State
+from pydrake.systems.primitives import ZeroOrderHold
+from pydrake.systems.sensors import CameraConfig, CameraInfo, ImageDepth32F
 
 from drake_oa.common.messages import FloatArray, Frozen
 from drake_oa.common.ports import valid_period
-from drake_oa.world.background_camera import BackgroundCamera, Rendered
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.world.cameras import add_camera, add_camera_world
+from drake_oa.world.depth_noise import FrameNoise, NoiseRoom
+
+_T = TypeVar("_T")
+
+_KEPT = 4
+"""Images that are kept for being asked for again."""
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """An image.
+
+    Attributes:
+        depth: (H, W) along the optical axis [m]; 0 is too near, inf too far, NaN missing.
+        X_WC: pose of the camera.
+    """
+
+    depth: NDArray[np.float32]
+    X_WC: RigidTransform
+
+
+class _CameraWorld:
+    """Renders the world at one state after another."""
+
+    def __init__(self, scenario: Scenario, config: CameraConfig) -> None:
+        builder = DiagramBuilder()
+        self._shown, scene_graph, poses = add_camera_world(builder, scenario)
+        builder.ExportInput(poses.get_input_port(), "state")
+        self._sensor = add_camera(builder, self._shown, scene_graph, config)
+        # Advancing a diagram does not hold Python's lock, evaluating a port would.
+        image = ImageDepth32F(config.width, config.height)
+        puller = builder.AddNamedSystem("puller", ZeroOrderHold(1.0, Value(image)))
+        builder.Connect(self._sensor.depth_image_32F_output_port(), puller.get_input_port())
+        builder.ExportOutput(puller.get_output_port(), "image")
+        self._diagram = builder.Build()
+        self._simulator = Simulator(self._diagram)
+        self._number = 0
+
+    def render(self, state: FloatArray) -> Rendered:
+        """The image at a state [q, v]."""
+        context = self._simulator.get_mutable_context()
+        self._diagram.get_input_port().FixValue(context, state)
+        if self._number == 0:
+            self._simulator.Initialize()
+        self._number += 1
+        self._simulator.AdvanceTo(self._number + 0.5)
+        image = self._diagram.get_output_port().Eval(context)
+        pose = self._sensor.body_pose_in_world_output_port()
+        X_WC = pose.Eval(self._sensor.GetMyContextFromRoot(context))
+        return Rendered(np.array(image.data[:, :, 0]), X_WC)
+
+
+class BackgroundCamera:
+    """One camera of a scenario, rendered in the background.
+
+    An image is a function of the state and the time that it is asked for, so that asking
+    early, twice or not at all changes nothing but the time it takes.
+    """
+
+    def __init__(
+        self, scenario: Scenario, config: CameraConfig, noise: FrameNoise | None = None
+    ) -> None:
+        """Builds the world.
+
+        Args:
+            scenario: with a robot.
+            config: of the camera.
+            noise: of its images; None: they are ideal.
+
+        Raises:
+            ScenarioError: if the camera does not fit the world.
+        """
+        self._scenario, self._config, self._noise = scenario, config, noise
+        # Of the render thread alone.
+        self._room = NoiseRoom(config.height, config.width)
+        self._images: OrderedDict[tuple[bytes, float], Future[Rendered]] = OrderedDict()
+        self._world = self._built()
+
+    def _built(self) -> list[_CameraWorld]:
+        world: list[_CameraWorld] = []
+        scenario, config = self._scenario, self._config
+        _thread.submit(lambda: world.append(_CameraWorld(scenario, config))).result()
+        _thread.remember(world)
+        # The engine must end in its own thread as well.
+        weakref.finalize(self, _thread.forget, world)
+        return world
+
+    def release(self) -> None:
+        """Ends the engine and forgets the images; asked again, the camera begins anew.
+
+        A diagram of Python systems is never collected, and would keep them for ever.
+        """
+        _thread.forget(self._world)
+        self._world = []
+        self._images.clear()
+
+    def ask(self, state: FloatArray, time: float) -> Future[Rendered]:
+        """The image at a state [q, v] of the scenario's plant, when it is ready.
+
+        Args:
+            state: (n,) what it shows.
+            time: when it was taken [s]: of that its noise is a function too.
+        """
+        key = (np.ascontiguousarray(state).tobytes(), float(time))
+        found = self._images.get(key)
+        if found is None:
+            self._world = self._world or self._built()
+            world, asked = self._world, np.array(state)
+            found = _thread.submit(lambda: self._measured(world[0].render(asked), time))
+            self._images[key] = found
+            if len(self._images) > _KEPT:
+                self._images.popitem(last=False)
+        return found
+
+    def _measured(self, image: Rendered, time: float) -> Rendered:
+        if self._noise is not None:
+            self._noise(image.depth, time, out=image.depth, room=self._room)
+        return image
+
+
+class _RenderThread:
+    """The one thread in which all that renders is made, used and ended."""
+
+    def __init__(self) -> None:
+        self._tasks: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._thread: threading.Thread | None = None
+        self._worlds: list[list[_CameraWorld]] = []
+
+    def submit(self, call: Callable[[], _T]) -> Future[_T]:
+        """Runs a function there."""
+        if self._thread is None:
+            # Not to be waited for by the interpreter: `close` ends it in good order.
+            self._thread = threading.Thread(target=self._run, name="render", daemon=True)
+            self._thread.start()
+            atexit.register(self.close)
+        future: Future[_T] = Future()
+
+        def run() -> None:
+            try:
+                future.set_result(call())
+            except BaseException as error:
+                future.set_exception(error)
+
+        self._tasks.put(run)
+        return future
+
+    def remember(self, world: list[_CameraWorld]) -> None:
+        """Keeps a world in mind, to be ended when the interpreter ends."""
+        self._worlds.append(world)
+
+    def forget(self, world: list[_CameraWorld]) -> None:
+        """Ends a world; again, it does nothing."""
+        self._worlds = [one for one in self._worlds if one is not world]
+        self._tasks.put(world.clear)
+
+    def close(self) -> None:
+        """Ends all worlds, and the thread."""
+        for world in self._worlds:
+            self._tasks.put(world.clear)
+        self._tasks.put(None)
+        if self._thread is not None:
+            self._thread.join(timeout=10.0)
+
+    def _run(self) -> None:
+        while (task := self._tasks.get()) is not None:
+            task()
+
+
+_thread = _RenderThread()
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,17 +1,97 @@
-"""Obstacles written in a scenario: primitive shapes that stand in the world."""
+"""Obstacles written in a scenario: they stand, or move on a course, appear and vanish.
+
+One that moves hangs on three slides along the world's axes. The force on each brings it, within
+one step of the plant, to where its course is then: it pushes what it meets, and is pushed off
+its course only by what a step's contact forces can do. While it is absent it waits high above
+the world, from where it comes, and to where it goes, in one step: it is nowhere between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pydrake.geometry as geometry
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
+from pydrake.multibody.tree import (
+    FixedOffsetFrame,
+    ModelInstanceIndex,
+    PrismaticJoint,
+    RigidBody,
+    SpatialInertia,
+    UnitInertia,
+)
+from pydrake.systems.framework import BasicVector, Context, LeafSystem
+
+from drake_oa.common.messages import FloatArray
+from drake_oa.common.ports import valid_period
+from drake_oa.common.schema_check import ScenarioError
+from drake_oa.geometry.shapes import pose, shape_geometry
+from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle, offset_at
+
+
+def drive_force(
+    offset: FloatArray, velocity: FloatArray, target: FloatArray, mass: float, step: float
+) -> FloatArray:
+    """The force that brings a free mass to a target in one step.
+
+    The plant steps v+ = v + step f / m, then x+ = x + step v+; hence
+    f = m ((target - x) / step - v) / step.
+
+    Args:
+        offset: (3,) x [m].
+        velocity: (3,) v [m/s].
+        target: (3,) where it is to be a step later [m].
+        mass: m [kg].
+        step: [s].
+
+    Returns:
+        (3,) f [N].
+    """
+    return mass * ((target - offset) / step - velocity) / step
+
+
+def hang_on_slides(
+    plant: MultibodyPlant, body: RigidBody, X_WO: RigidTransform, offset: Sequence[float]
+) -> None:
+    """Joins an obstacle to the world by actuated slides along the world's axes.
+
+    Gravity does not act on it. The positions of its model instance are its offset (3,).
+
+    Args:
+        plant: not finalized.
+        body: the obstacle, alone in its model instance.
+        X_WO: its pose where the offset is zero.
+        offset: (3,) where it is at first [m].
+    """
+    instance = body.model_instance()
+    place = FixedOffsetFrame(
+        f"{plant.GetModelInstanceName(instance)}_place",
+        plant.world_frame(),
+        RigidTransform(RotationMatrix(), X_WO.translation()),
+        instance,
+    )
+    # The slides run along the world's axes whichever way the obstacle is turned.
+    end = FixedOffsetFrame(
+        "slides", body.body_frame(), RigidTransform(X_WO.rotation().inverse(), [0.0, 0.0, 0.0])
+    )
+    slides = [
+        plant.AddRigidBody(f"slide_{name}", instance, SpatialInertia.Zero()).body_frame()
+        for name in "xy"
+    ]
+    frames = [plant.AddFrame(place), *slides, plant.AddFrame(end)]
+    for number, name in enumerate("xyz"):
+        joint = plant.AddJoint(
+            PrismaticJoint(name, frames[number], frames[number + 1], np.eye(3)[number])
+        )
+        joint.set_default_translation(float(offset[number]))
+        plant.AddJointActuator(name, joint)
+    plant.set_gravity_enabled(instance, False)
+
 
 # No postponed annotations here: yaml_load_typed reads the fields' types.
 
-import pydrake.geometry as geometry
-from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex, SpatialInertia, UnitInertia
-
-from drake_oa.common.schema_check import ScenarioError
-from drake_oa.geometry.shapes import pose, shape_geometry
-from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
-from drake_oa.world.moving_obstacles import (
-    hang_on_slides,
-)
 
 _FRICTION = 0.7
 
@@ -50,3 +130,59 @@ def add_obstacle(plant: MultibodyPlant, obstacle: Obstacle) -> ModelInstanceInde
     else:
         plant.WeldFrames(plant.world_frame(), body.body_frame(), pose(obstacle))
     return instance
+
+
+class ObstacleMover(LeafSystem):
+    """Drives an obstacle on slides along its waypoints, and away while it is absent.
+
+    .. pydrake_system::
+
+      name: ObstacleMover
+      input_ports:
+      - obstacle_state
+      output_ports:
+      - force
+
+    - obstacle_state: (6,) offset and velocity of the obstacle in the world [m, m/s].
+    - force: (3,) on its slides [N], with which it is on its course a step of the plant later.
+    """
+
+    def __init__(
+        self,
+        waypoints: FloatArray,
+        *,
+        mass: float,
+        step: float,
+        present: Sequence[float] = (),
+    ) -> None:
+        """Declares the ports.
+
+        Args:
+            waypoints: (N, 4) rows t, x, y, z with increasing t [s, m].
+            mass: of the obstacle [kg].
+            step: of the plant [s].
+            present: [from] or [from, until], when it is there [s]; empty: always. N >= 1 then.
+
+        Raises:
+            ValueError: for waypoints of another shape, or times that do not increase; a mass
+                or step that is not positive; a presence that is neither of these.
+        """
+        super().__init__()
+        waypoints = np.array(waypoints, dtype=float)
+        if waypoints.ndim != 2 or waypoints.shape[1] != 4 or not (len(waypoints) or present):
+            raise ValueError(f"waypoints must be (N, 4) with N >= 1, not {waypoints.shape}")
+        if len(present) > 2 or (np.diff(present) <= 0.0).any():
+            raise ValueError(f"present must be [from] or [from, until] [s], not {present}")
+        if not np.isfinite(waypoints).all() or (np.diff(waypoints[:, 0]) <= 0.0).any():
+            raise ValueError("waypoints must be finite, and their times must increase")
+        if not mass > 0.0:
+            raise ValueError(f"mass must be positive [kg], not {mass}")
+        self._waypoints, self._mass, self._step = waypoints, float(mass), valid_period(step)
+        self._present = tuple(present)
+        self._state = self.DeclareVectorInputPort("obstacle_state", 6)
+        self.DeclareVectorOutputPort("force", 3, self._calc_force)
+
+    def _calc_force(self, context: Context, output: BasicVector) -> None:
+        x = self._state.Eval(context)
+        target = offset_at(self._waypoints, context.get_time() + self._step, self._present)
+        output.SetFromVector(drive_force(x[:3], x[3:], target, self._mass, self._step))

@@ -18,7 +18,7 @@ from drake_oa.scenario.faults import GoalBlocked, StartInContact
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.tool_orientation import held_robots
-from drake_oa.world.fault_obstacles import goal_ball, start_plate
+from drake_oa.world.faults import goal_ball, start_plate
 from drake_oa.world.obstacles import add_obstacle
 
 

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from drake_oa.app.perceive import as_json, box_corners, perceive, run_lengths
 from drake_oa.app.perceive_plot import outline
-from drake_oa.perception.point_cloud_kernels import back_projected, row_hulls
+from drake_oa.perception.depth_image import back_projected, row_hulls
 from drake_oa.perception.recordings import RecordedFrame, read_frame
 
 K = np.array([260.0, 260.0, 159.5, 119.5])

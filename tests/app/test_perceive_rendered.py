@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_erosion, maximum_filter, minimum_filter
 
-from drake_oa.perception.point_cloud import Segmentation, segment_depth
+from drake_oa.perception.segmentation import Segmentation, segment_depth
 
 SIZE = (480, 640)
 K = np.array([525.0, 525.0, 319.5, 239.5])

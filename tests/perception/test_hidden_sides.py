@@ -11,8 +11,13 @@ from pydrake.math import RigidTransform
 
 from drake_oa.common.messages import ObstacleClouds
 from drake_oa.geometry.voxels import VOXEL
-from drake_oa.perception.hidden_sides import deepened, names_moved, solid, with_hidden_sides
-from drake_oa.perception.hidden_sides_system import HiddenSides
+from drake_oa.perception.hidden_sides import (
+    HiddenSides,
+    deepened,
+    names_moved,
+    solid,
+    with_hidden_sides,
+)
 
 CAMERA = np.array([1.2, 0.0, 1.0])
 

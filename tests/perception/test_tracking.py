@@ -9,18 +9,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drake_oa.common.messages import ObstacleClouds, TablePlane
-from drake_oa.geometry.self_filter import PosedShapes, RobotShapes
-from drake_oa.perception.obstacle_filter import first_seen
-from drake_oa.perception.obstacle_memory import ObstacleMemory, TrackingConfig, Tracks, changed
-from drake_oa.perception.point_cloud import (
+from drake_oa.geometry.pinhole import View
+from drake_oa.geometry.primitives import PosedShapes, RobotShapes
+from drake_oa.perception.memory import ObstacleMemory, TrackingConfig, Tracks, changed
+from drake_oa.perception.segmentation import (
     Segmentation,
     SegmentationConfig,
     segment_depth,
     segment_points,
 )
-from drake_oa.perception.sides import SeenSides, View, seen_sides
-from drake_oa.perception.track_motion import measured_tracks, predicted_tracks
+from drake_oa.perception.sides import SeenSides, seen_sides
 from drake_oa.perception.tracking import fuse
+from drake_oa.perception.velocity import first_seen, measured_tracks, predicted_tracks
 
 SHAPE = (240, 320)
 K = np.array([400.0, 400.0, 159.5, 119.5])

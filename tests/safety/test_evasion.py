@@ -14,7 +14,7 @@ from drake_oa.common.messages import Evasion, FloatArray, ObstacleClouds, Planne
 from drake_oa.common.work import counted
 from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.geometry.directions import ramped
-from drake_oa.geometry.point_blocks import GuardShapes, ObstaclePoints
+from drake_oa.geometry.points import GuardShapes, ObstaclePoints
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import home_positions, make_robot_plant
 from drake_oa.safety import lookahead_kernels as kernels

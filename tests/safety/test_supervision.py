@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import Evasion, FloatArray, ObstacleClouds, TablePlane
-from drake_oa.geometry import primitive_kernels as kernels
-from drake_oa.geometry.point_blocks import GuardShapes, ObstaclePoints
-from drake_oa.geometry.self_filter import RobotShapes
+from drake_oa.geometry.points import GuardShapes, ObstaclePoints
+from drake_oa.geometry.primitives import RobotShapes, point_distance
+from drake_oa.safety.approach_kernels import allowed_scale
 from drake_oa.safety.monitors import (
     JointRange,
     watch_clearance,
@@ -92,10 +92,10 @@ def clearance(
 @settings(max_examples=40)
 def test_the_direction_leads_to_the_surface(kind: str, x: float, y: float, z: float) -> None:
     size = np.array(SIZES[kind])
-    d, *n = kernels.point_distance(x, y, z, size)
+    d, *n = point_distance(x, y, z, size)
     assert math.hypot(*n) == pytest.approx(1.0)
     foot = np.array([x, y, z]) - d * np.array(n)
-    on_surface, *_ = kernels.point_distance(*foot, size)
+    on_surface, *_ = point_distance(*foot, size)
     assert on_surface == pytest.approx(0.0, abs=1e-9)
 
 
@@ -129,15 +129,13 @@ def test_no_pair_is_missed(seed: int, moving: bool) -> None:
         for cloud, v in zip(clouds, v_WO, strict=True):
             for p in cloud + 0.1 * v:
                 local = X[:3, :3].T @ (p - X[:3, 3])
-                d, *n = kernels.point_distance(*local, shapes.size[row])
+                d, *n = point_distance(*local, shapes.size[row])
                 n_W = X[:3, :3] @ n
                 foot = p - d * n_W
                 arm = foot - X_WB[body, :3, 3]
                 closing = n_W @ (V_WB[body, 3:] + np.cross(V_WB[body, :3], arm))
                 oncoming = max(0.0, -n_W @ v)
-                scale = kernels.allowed_scale(
-                    d - PARAMETERS.padding, closing, oncoming, PARAMETERS.rules
-                )
+                scale = allowed_scale(d - PARAMETERS.padding, closing, oncoming, PARAMETERS.rules)
                 least = min(least, scale)
     without_table = watch_clearance(
         ("a", "b"), X_WB, V_WB, shapes, points, None, 0.1, PARAMETERS, PARAMETERS.rules

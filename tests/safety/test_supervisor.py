@@ -12,9 +12,9 @@ from pydrake.systems.analysis import Simulator
 
 from drake_oa.common.messages import Evasion, FloatArray, ObstacleClouds, PolicyState, TablePlane
 from drake_oa.geometry.collision_shapes import RobotModel, collect_collision_shapes
-from drake_oa.geometry.primitive_kernels import full_speed_motion
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
+from drake_oa.safety.approach_kernels import full_speed_motion
 from drake_oa.safety.supervision import Supervision, SupervisorParameters
 from drake_oa.safety.supervisor import Supervisor
 

@@ -11,10 +11,9 @@ from pydrake.trajectories import PiecewisePolynomial
 from drake_oa.common.schema_check import ScenarioError
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.world.background_camera import BackgroundCamera
 from drake_oa.world.cameras import add_camera, add_camera_world
 from drake_oa.world.depth_noise import FrameNoise, add_depth_noise
-from drake_oa.world.late_camera import LateCamera
+from drake_oa.world.late_camera import BackgroundCamera, LateCamera
 from drake_oa.world.station import make_station
 
 PERIOD, DELAY = 0.1, 0.08

@@ -1,15 +1,25 @@
 """Obstacles written in a scenario, and what the station makes of them."""
 
+from typing import Any
+
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydrake import geometry
 from pydrake.geometry import Role
-from pydrake.math import RollPitchYaw
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
+from pydrake.multibody.tree import SpatialInertia
+from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from drake_oa.common.schema_check import ScenarioError
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere, bounding_radius
 from drake_oa.runs.metrics import robot_metrics
-from drake_oa.scenario.loading import parse_scenario, scenario_text
+from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
+from drake_oa.scenario.obstacles import ABSENT_HEIGHT, Obstacle, is_present, offset_at
+from drake_oa.world.obstacles import ObstacleMover, add_obstacle, drive_force
 from drake_oa.world.station import make_station
 
 _TEXT = """
@@ -116,3 +126,223 @@ obstacles: [{name: box, shapes: [!Sphere {}]}]
 )
 def test_bounding_radius(shape, radius):
     assert bounding_radius(shape) == pytest.approx(radius)
+
+
+numbers = st.floats(-5.0, 5.0)
+triples = st.tuples(numbers, numbers, numbers).map(np.array)
+
+
+def test_a_course_is_straight_between_waypoints_and_rests_outside() -> None:
+    course = np.array([[1.0, 0.0, 0.0, 1.0], [2.0, 1.0, -2.0, 1.0], [4.0, 1.0, 2.0, 1.0]])
+    for time, offset in (
+        (0.0, [0.0, 0.0, 1.0]),
+        (1.5, [0.5, -1.0, 1.0]),
+        (3.0, [1.0, 0.0, 1.0]),
+        (9.0, [1.0, 2.0, 1.0]),
+    ):
+        np.testing.assert_allclose(offset_at(course, time), offset)
+
+
+@given(triples, triples, triples, st.floats(0.01, 100.0), st.floats(1e-4, 0.01))
+def test_the_force_reaches_the_target_in_one_step(
+    x: np.ndarray, v: np.ndarray, target: np.ndarray, mass: float, step: float
+) -> None:
+    v_next = v + step * drive_force(x, v, target, mass, step) / mass
+    np.testing.assert_allclose(x + step * v_next, target, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("waypoints", "message"),
+    [
+        ("[[0, 0, 0]]", r"obstacles\[0\]\.waypoints\[0\]: expected 4 numbers"),
+        ("[[1, 0, 0, 0], [1, 1, 0, 0]]", r"waypoints\[1\]: its time 1 s must be at least 0"),
+        ("[[-1, 0, 0, 0]]", r"waypoints\[0\]: its time -1 s"),
+        ("[[0, 0, 0, 20]]", r"waypoints\[0\]: \[0.0, 0.0, 20.0\] is outside \[-10, 10\] \[m\]"),
+        ("[[0, 0, .nan, 0]]", r"waypoints\[0\]\[2\]: must be a finite number"),
+        ("[3]", r"waypoints\[0\]: expected a list, not 3"),
+    ],
+)
+def test_bad_waypoints_are_refused(waypoints: str, message: str) -> None:
+    obstacle = f"{{name: a, shapes: [!Sphere {{}}], waypoints: {waypoints}}}"
+    with pytest.raises(ScenarioError, match=message):
+        load_scenario("tabletop_box", [f"obstacles=[{obstacle}]"])
+
+
+@pytest.mark.parametrize(
+    ("present", "there"),
+    [([], [0.0, 1.0, 2.0, 9.0]), ([1.0], [1.0, 2.0, 9.0]), ([1.0, 2.0], [1.0]), ([0, 2], [0, 1])],
+)
+def test_an_obstacle_is_there_from_and_until(present: list[float], there: list[float]) -> None:
+    assert [time for time in (0.0, 1.0, 2.0, 9.0) if is_present(present, time)] == there
+
+
+@given(triples, triples, st.floats(0.0, 5.0), st.floats(0.01, 5.0), st.floats(0.0, 12.0))
+def test_presence_does_not_change_the_course(
+    one: np.ndarray, other: np.ndarray, begin: float, lasts: float, time: float
+) -> None:
+    obstacle = Obstacle(
+        waypoints=[[1.0, *one.tolist()], [2.0, *other.tolist()]], present=[begin, begin + lasts]
+    )
+    course = offset_at(np.array(obstacle.waypoints), time)
+    away = 0.0 if is_present(obstacle.present, time) else ABSENT_HEIGHT
+    np.testing.assert_array_equal(obstacle.offset_at(time), course + [0.0, 0.0, away])
+    assert obstacle.driven
+
+
+def test_what_stays_for_good_is_not_driven() -> None:
+    assert not Obstacle().driven
+    np.testing.assert_array_equal(Obstacle().offset_at(3.0), np.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("present", "message"),
+    [
+        ("[-1]", r"obstacles\[0\]\.present\[0\]: -1 must be at least 0 \[s\]"),
+        ("[2, 2]", r"present\[1\]: 2 must be later than 2"),
+        ("[1, 2, 3]", r"present: expected \[from\] or \[from, until\] \[s\], not 3 numbers"),
+        ("[.nan]", r"present\[0\]: must be a finite number \[s\]"),
+        ("3", r"present: expected a list, not 3"),
+    ],
+)
+def test_bad_presence_is_refused(present: str, message: str) -> None:
+    obstacle = f"{{name: a, shapes: [!Sphere {{}}], present: {present}}}"
+    with pytest.raises(ScenarioError, match=message):
+        load_scenario("tabletop_box", [f"obstacles=[{obstacle}]"])
+
+
+def test_presence_is_written_with_the_scenario() -> None:
+    scenario = load_scenario("vanishing_obstacle")
+    assert parse_scenario(scenario_text(scenario)).obstacles == scenario.obstacles
+
+
+STEP = 0.002
+BALL = Obstacle(
+    name="ball",
+    shapes=[Sphere(radius=0.05)],
+    translation=[0.1, 0.2, 0.3],
+    rpy=[0.4, -0.3, 0.8],
+    waypoints=[[0.1, 0.0, 0.0, 0.5], [0.3, 0.4, 0.0, 0.0], [0.5, 0.4, -0.3, 0.0]],
+)
+
+
+def follow(block: Any = None) -> tuple[np.ndarray, float]:
+    """Distances to the course at every step, and how far the block went [m]."""
+    builder = DiagramBuilder()
+    plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=STEP)
+    plant.SetUseSampledOutputPorts(False)
+    instance = add_obstacle(plant, BALL)
+    if block is not None:
+        blocks = plant.AddModelInstance("block")
+        body = plant.AddRigidBody(
+            "block", blocks, SpatialInertia.SolidBoxWithMass(2.0, 0.1, 0.1, 0.1)
+        )
+        plant.RegisterCollisionGeometry(
+            body, RigidTransform(), geometry.Box(0.1, 0.1, 0.1), "block", CoulombFriction(0.5, 0.5)
+        )
+        plant.SetDefaultFloatingBaseBodyPose(body, RigidTransform(block))
+        plant.set_gravity_enabled(body.model_instance(), False)
+    plant.Finalize()
+    ball = plant.GetBodyByName("body", instance)
+    course = np.array(BALL.waypoints)
+    mover = builder.AddSystem(ObstacleMover(course, mass=ball.default_mass(), step=STEP))
+    builder.Connect(plant.get_state_output_port(instance), mover.get_input_port())
+    builder.Connect(mover.get_output_port(), plant.get_actuation_input_port(instance))
+    simulator = Simulator(builder.Build())
+    errors = []
+
+    def watch(root: Any) -> None:
+        context = plant.GetMyContextFromRoot(root)
+        where = np.asarray(BALL.translation) + offset_at(course, root.get_time())
+        X_WO = plant.EvalBodyPoseInWorld(context, ball)
+        errors.append(np.linalg.norm(X_WO.translation() - where))
+
+    simulator.set_monitor(watch)
+    simulator.AdvanceTo(0.6)
+    moved = 0.0
+    if block is not None:
+        context = plant.GetMyContextFromRoot(simulator.get_context())
+        p_WB = plant.EvalBodyPoseInWorld(context, plant.GetBodyByName("block")).translation()
+        moved = float(np.linalg.norm(p_WB - block))
+    return np.array(errors), moved
+
+
+def test_a_free_obstacle_is_on_its_course_at_every_step() -> None:
+    errors, _ = follow()
+    assert len(errors) > 300
+    assert errors.max() < 1e-9
+
+
+def test_what_is_in_the_way_is_pushed_out_of_it() -> None:
+    # On the second leg, 0.2 m before its end.
+    errors, moved = follow(np.array([0.5, 0.1, 0.3]))
+    assert moved > 0.1
+    assert errors.max() < 0.005
+    assert errors[-20:].max() < 1e-3
+
+
+def test_what_appears_is_nowhere_else_before_and_disturbs_nothing() -> None:
+    """A block rests under the sphere's place: nothing falls on it, nothing moves it."""
+    builder = DiagramBuilder()
+    plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=STEP)
+    plant.SetUseSampledOutputPorts(False)
+    ball = Obstacle(
+        name="ball", shapes=[Sphere(radius=0.05)], translation=[0.0, 0.0, 0.4], present=[0.1, 0.2]
+    )
+    instance = add_obstacle(plant, ball)
+    friction = CoulombFriction(0.5, 0.5)
+    plant.RegisterCollisionGeometry(
+        plant.world_body(),
+        RigidTransform([0.0, 0.0, -0.5]),
+        geometry.Box(2.0, 2.0, 1.0),
+        "floor",
+        friction,
+    )
+    block = plant.AddRigidBody(
+        "block",
+        plant.AddModelInstance("block"),
+        SpatialInertia.SolidBoxWithMass(2.0, 0.1, 0.1, 0.1),
+    )
+    plant.RegisterCollisionGeometry(
+        block, RigidTransform(), geometry.Box(0.1, 0.1, 0.1), "block", friction
+    )
+    plant.SetDefaultFloatingBaseBodyPose(block, RigidTransform([0.02, 0.0, 0.05]))
+    plant.Finalize()
+    body = plant.GetBodyByName("body", instance)
+    mover = builder.AddSystem(
+        ObstacleMover(np.zeros((0, 4)), mass=body.default_mass(), step=STEP, present=ball.present)
+    )
+    builder.Connect(plant.get_state_output_port(instance), mover.get_input_port())
+    builder.Connect(mover.get_output_port(), plant.get_actuation_input_port(instance))
+    simulator = Simulator(builder.Build())
+    heights, moved = {}, []
+
+    def watch(root: Any) -> None:
+        context = plant.GetMyContextFromRoot(root)
+        heights[root.get_time()] = plant.EvalBodyPoseInWorld(context, body).translation()[2]
+        p_WB = plant.EvalBodyPoseInWorld(context, block).translation()
+        moved.append(np.linalg.norm(p_WB - [0.02, 0.0, 0.05]))
+
+    simulator.set_monitor(watch)
+    simulator.AdvanceTo(0.3)
+    for time, height in heights.items():
+        away = 0.0 if 0.1 - 1e-9 <= time < 0.2 - 1e-9 else ABSENT_HEIGHT
+        assert height == pytest.approx(0.4 + away, abs=1e-8)
+    assert max(moved) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("waypoints", "options", "message"),
+    [
+        (np.zeros((0, 4)), {}, "must be \\(N, 4\\)"),
+        (np.zeros((2, 4)), {}, "times must increase"),
+        (np.zeros((0, 4)), {"present": [2.0, 1.0]}, "present must be"),
+        (np.zeros((0, 4)), {"present": [1.0, 2.0, 3.0]}, "present must be"),
+        (np.zeros((1, 4)), {"mass": 0.0}, "mass must be positive"),
+        (np.zeros((1, 4)), {"step": 0.0}, "period must be positive"),
+    ],
+)
+def test_bad_arguments_are_refused(
+    waypoints: np.ndarray, options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        ObstacleMover(waypoints, **{"mass": 1.0, "step": STEP} | options)

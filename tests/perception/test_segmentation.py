@@ -3,8 +3,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drake_oa.geometry.self_filter import RobotShapes
-from drake_oa.perception.point_cloud import SegmentationConfig, segment_depth, segment_points
+from drake_oa.geometry import pinhole, voxels
+from drake_oa.geometry.primitives import RobotShapes
+from drake_oa.perception import depth_image, sides, table, visibility
+from drake_oa.perception.memory import ObstacleMemory
+from drake_oa.perception.segmentation import SegmentationConfig, segment_depth, segment_points
+from drake_oa.perception.tracking import fuse
 
 K = np.array([260.0, 260.0, 159.5, 119.5])
 SIZE = (240, 320)
@@ -291,3 +295,33 @@ def test_real_scans_every_object_is_found(scan_files):
             covered = np.bincount(cluster[pixels])[1:].max(initial=0)
             # What is not covered lies within a centimetre of the table.
             assert covered > 0.88 * np.count_nonzero(pixels), (path.stem, name)
+
+
+def test_each_kernel_is_compiled_once():
+    K, X_WC = np.array([60.0, 60.0, 39.5, 29.5]), np.diag([1.0, -1.0, -1.0, 1.0])
+    X_WC[2, 3] = 1.0
+    depth = np.ones((60, 80))
+    depth[20:40, 20:30], depth[20:40, 32:60] = 0.9, 0.8
+    robot = RobotShapes(np.array([0]), np.eye(4)[None], np.full((1, 3), 0.05), np.zeros(1))
+    posed = robot.posed(np.eye(4)[None])
+    v, u = np.mgrid[:60, :80]
+    points = np.stack([(u - K[2]) / K[0] * depth, (v - K[3]) / K[1] * depth, depth], axis=-1)
+    known, stamp = ObstacleMemory(), 0.0
+    for config in (SegmentationConfig(min_occupancy=1), SegmentationConfig(table_height=0.0)):
+        for pose in (X_WC, X_WC.astype(np.float32), None):
+            frame = segment_depth(depth, K, pose, config, posed)
+            stamp += 0.1
+            known = fuse(known, frame, depth, K, stamp, config, posed)
+            for pixels in frame.pixels:
+                depth_image.row_hulls(depth.astype(np.float32), pixels)
+            segment_points(points.reshape(-1, 3), pose, config, posed)
+    modules = (pinhole, voxels, depth_image, table, sides, visibility)
+    compiled = {
+        name: item
+        for module in modules
+        for name, item in vars(module).items()
+        if hasattr(item, "signatures")
+    }
+    assert len(compiled) > 30
+    for name, kernel in compiled.items():
+        assert len(kernel.signatures) <= 1, (name, kernel.signatures)

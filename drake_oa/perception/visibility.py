@@ -1,8 +1,11 @@
-"""Compiled loops behind the memory of obstacles.
+"""What a frame says about remembered points: shown again, shown to be gone, or hidden.
 
-Call the functions of `tracking`, `association`, `occlusion` and `cloud_hold`. Every kernel takes
-C-contiguous arrays of float64 and int64 (images: float32), so that numba compiles each
-of them once, and caches it on disk.
+Each point carries evidence. A frame that shows it adds one; a frame whose rays pass
+through it takes away all but one, and the next such frame the rest: two frames confirm
+a point, two remove it. One that is hidden (by the arm, another obstacle, a missing
+pixel, the border of the image) stays as it is. Where the image shows something at the
+point's depth but no cluster has a point there (grazing surfaces, the foot of an
+obstacle) the evidence only decays.
 """
 
 from __future__ import annotations
@@ -12,7 +15,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
-from drake_oa.geometry.voxel_kernels import members_of
+from drake_oa.geometry.pinhole import View
+from drake_oa.geometry.primitives import PosedShapes
+from drake_oa.geometry.voxels import members_of
+from drake_oa.perception.memory import CERTAIN, CONFIRMED, Points, changed, taken
 
 HIDDEN, AT, FREE, OUT, EMPTY = 0, 1, 2, 3, 4
 """What an image shows where a point should be: something before it, something at its
@@ -108,14 +114,7 @@ def mutual_nearest(
 
 
 @njit(cache=True, error_model="numpy")
-def shown(
-    points: FloatArray,
-    X_WC: FloatArray,
-    K: FloatArray,
-    z: NDArray[np.float32],
-    margin: float,
-    pixel: IntArray,
-) -> IntArray:
+def shown(points: FloatArray, view: View, margin: float, pixel: IntArray) -> IntArray:
     """What a depth image shows where points should be.
 
     Nine pixels are asked about each point, so that one that is missing, or flies,
@@ -123,16 +122,15 @@ def shown(
 
     Args:
         points: (N, 3) in the world frame [m].
-        X_WC: (4, 4) pose of the camera.
-        K: (4,) fx, fy, cx, cy [pixel].
-        z: (H, W) float32 depth [m].
+        view: the depth image.
         margin: depth difference that tells "before" and "behind" from "at" [m].
         pixel: (N,) written: flat index of each point's pixel, -1 outside the image.
 
     Returns:
         (N,) HIDDEN, AT, FREE, OUT or EMPTY.
     """
-    rows, columns = z.shape[0], z.shape[1]
+    z, K, X_WC = view
+    rows, columns = z.shape
     seen = np.full(len(points), OUT, dtype=np.int64)
     p = np.empty(3)
     for i in range(len(points)):
@@ -194,7 +192,7 @@ def hidden_beyond(
         points: (N, 3) remembered points in the world [m].
         owner: (N,) their obstacles.
         hidden: (N,) which of them the frame does not show.
-        sides: (M, 3, 2) from `drake_oa.perception.surface_kernels.tail_places` [m].
+        sides: (M, 3, 2) from `drake_oa.perception.sides.tail_places` [m].
         slack: points no farther beyond a side belong to it [m].
 
     Returns:
@@ -249,22 +247,6 @@ def absorb(
 
 
 @njit(cache=True, error_model="numpy")
-def supports(points: FloatArray, row: IntArray, count: int, directions: FloatArray) -> FloatArray:
-    """(M, D) how far the points (N, 3) of each of M obstacles reach along directions (D, 3)."""
-    out = np.full((count, len(directions)), -np.inf)
-    # Their coordinates in rows: a loop along them uses vector instructions.
-    a, b, c = directions[:, 0].copy(), directions[:, 1].copy(), directions[:, 2].copy()
-    for i in range(len(points)):
-        if row[i] >= 0:
-            x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            own = out[row[i]]
-            for d in range(len(a)):
-                reach = a[d] * x + b[d] * y + c[d] * z
-                own[d] = reach if reach > own[d] else own[d]
-    return out
-
-
-@njit(cache=True, error_model="numpy")
 def evidence_after(
     owner: IntArray,
     evidence: IntArray,
@@ -277,7 +259,7 @@ def evidence_after(
     radii: tuple[float, float],
     levels: tuple[int, int],
 ) -> tuple[IntArray, BoolArray]:
-    """The evidence of remembered points after a frame; see `drake_oa.perception.occlusion.weighed`.
+    """The evidence of remembered points after a frame; see `weighed`.
 
     Args:
         owner: (N,) obstacles of the points.
@@ -335,3 +317,112 @@ def counted_votes(
             row[q] = owner[voted[q]]
             votes[cluster[q], row[q]] += 1
     return votes, row
+
+
+def shown_at(
+    p_WQ: FloatArray,
+    missed: BoolArray,
+    view: View | None,
+    margin: float,
+    robot: PosedShapes | None,
+    robot_margin: float,
+) -> tuple[IntArray, IntArray]:
+    """What a frame shows where points (N, 3) should be.
+
+    Args:
+        p_WQ: in the world [m].
+        missed: (N,) which of them no point of the frame supports.
+        view: the image; None: a cloud, which is taken to show every point.
+        margin: depth difference that tells "before" and "behind" from "at" [m].
+        robot: the robot's primitives, or None: what is in it is hidden.
+        robot_margin: points within this of the robot are the robot's [m].
+
+    Returns:
+        (N,) HIDDEN, AT, FREE, OUT or EMPTY, and (N,) flat index of the pixel, -1 for none.
+    """
+    pixel = np.full(len(p_WQ), -1, dtype=np.int64)
+    if view is None:
+        return np.full(len(p_WQ), AT, dtype=np.int64), pixel
+    seen = shown(p_WQ, view, margin, pixel)
+    if robot is not None:
+        # Only what seems to be gone needs the robot's excuse.
+        asked = np.flatnonzero(missed & ((seen == AT) | (seen == FREE) | (seen == EMPTY)))
+        seen[asked[robot.contains(p_WQ[asked], robot_margin)]] = OUT
+    return seen, pixel
+
+
+def hidden_by_itself(
+    seen: IntArray, pixel: IntArray, owner: IntArray, surface: list[tuple[int, IntArray]]
+) -> BoolArray:
+    """Which hidden points (N,) have their own obstacle before them: it moved or turned.
+
+    Args:
+        seen: (N,) from `shown_at`.
+        pixel: (N,) their pixels.
+        owner: (N,) their obstacles.
+        surface: obstacle and ascending pixels of each cluster.
+    """
+    result = np.zeros(len(seen), dtype=bool)
+    hidden = np.flatnonzero(seen == HIDDEN)
+    if not len(hidden):
+        return result
+    for row, pixels in surface:
+        mine = hidden[owner[hidden] == row]
+        if len(mine) and len(pixels):
+            place = np.minimum(np.searchsorted(pixels, pixel[mine]), len(pixels) - 1)
+            result[mine] |= pixels[place] == pixel[mine]
+    return result
+
+
+def without_background(seen: IntArray, moved: BoolArray) -> IntArray:
+    """What a frame shows at points (N,), those decided that have nothing around them.
+
+    Missing pixels hide what rests. What moves on before a background that is too far away to
+    be measured leaves nothing else where it was: its points there are gone.
+
+    Args:
+        seen: (N,) from `shown_at`.
+        moved: (N,) whether they are of an obstacle that moves, and is seen in the frame.
+
+    Returns:
+        (N,) HIDDEN, AT, FREE or OUT.
+    """
+    return np.where(seen == EMPTY, np.where(moved, FREE, OUT), seen)
+
+
+def weighed(
+    points: Points,
+    seen: IntArray,
+    behind_itself: BoolArray,
+    distance: FloatArray,
+    found: BoolArray,
+    settled: BoolArray,
+    support_radius: float,
+    same_radius: float,
+) -> Points:
+    """Remembered points with the evidence of a frame; those without any are left out.
+
+    Args:
+        points: N of them.
+        seen: (N,) what the frame shows at them.
+        behind_itself: (N,) from `hidden_by_itself`.
+        distance: (N,) from the frame's nearest point [m].
+        found: (M,) obstacles that have a cluster in the frame.
+        settled: (M,) those that rest, and are handed on: what is new of them is confirmed by
+            a third frame.
+        support_radius: a point of the frame this near supports a confirmed one [m].
+        same_radius: and this near one that is not confirmed yet [m].
+    """
+    evidence, confirmed = evidence_after(
+        points.owner,
+        points.evidence,
+        points.confirmed,
+        seen,
+        behind_itself,
+        distance,
+        found,
+        settled,
+        (support_radius, same_radius),
+        (CERTAIN, CONFIRMED),
+    )
+    return taken(changed(points, evidence=evidence, confirmed=confirmed), evidence > 0)

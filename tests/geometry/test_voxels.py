@@ -1,13 +1,15 @@
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse.csgraph import connected_components
 
-from drake_oa.geometry.clusters import (
+from drake_oa.geometry.pinhole import View, pixel_at
+from drake_oa.geometry.voxels import (
     connected_clusters,
     joined_across_unseen,
-    nearest_points,
-    pixels_of,
+    numbered,
+    thinned,
     voxel_keys,
 )
 
@@ -39,23 +41,21 @@ def test_clusters_are_the_components_of_the_graph_of_near_points(count, toleranc
     np.testing.assert_array_equal(connected_clusters(points, tolerance), expected)
 
 
-@given(st.integers(0, 60), st.integers(0, 60), st.floats(0.02, 0.5), st.integers(0, 9999))
-def test_the_nearest_point_in_reach_is_found(queries, count, radius, seed):
-    rng = np.random.default_rng(seed)
-    query, points = rng.uniform(-0.5, 0.5, (queries, 3)), rng.uniform(-0.5, 0.5, (count, 3))
-    distance = np.linalg.norm(query[:, None] - points, axis=-1)
-    best = distance.min(axis=1, initial=np.inf)
-    expected = np.where(best < radius, distance.argmin(axis=1) if count else -1, -1)
-    np.testing.assert_array_equal(nearest_points(query, points, radius), expected)
+@given(st.integers(0, 300), st.integers(1, 50), st.integers(0, 9999))
+def test_keys_are_numbered_by_first_appearance(count, kinds, seed):
+    keys = np.random.default_rng(seed).integers(0, kinds, count) * (1 << 21)
+    different, which = numbered(keys)
+    np.testing.assert_array_equal(different[which], keys)
+    assert len(np.unique(different)) == len(different)
+    assert (np.diff(np.unique(which, return_index=True)[1]) > 0).all()
 
 
-def test_projection_finds_the_pixel_a_point_came_from():
-    index = np.arange(0, SIZE[0] * SIZE[1], 997)
-    row, column = np.divmod(index, SIZE[1])
-    p_CQ = np.stack([(column - K[2]) / K[0], (row - K[3]) / K[1], np.ones(len(index))], axis=1)
-    np.testing.assert_array_equal(pixels_of(1.7 * p_CQ, SIZE, K), index)
-    assert (pixels_of(-p_CQ, SIZE, K) == -1).all()
-    assert pixels_of(np.array([[9.0, 0.0, 1.0]]), SIZE, K)[0] == -1
+@pytest.mark.parametrize("count", [4096, 4097, 30_000])
+def test_many_different_keys_are_told_apart(count):
+    keys = np.arange(count) * (1 << 21)
+    different, which = numbered(np.concatenate([keys, keys]))
+    np.testing.assert_array_equal(different, keys)
+    np.testing.assert_array_equal(which, np.tile(np.arange(count), 2))
 
 
 def join(background: float, label_behind: int) -> np.ndarray:
@@ -66,7 +66,7 @@ def join(background: float, label_behind: int) -> np.ndarray:
     depth, pixel_label = np.full(SIZE, background), np.full(SIZE[0] * SIZE[1], label_behind)
     points = np.concatenate([left, right])
     label = np.repeat([0, 1], 25)
-    pixel = pixels_of(points, SIZE, K)
+    pixel = np.array([pixel_at(*point, *SIZE, K) for point in points])
     depth.ravel()[pixel], pixel_label[pixel] = 1.0, label
     shown = np.flatnonzero(pixel_label >= 0)
     return joined_across_unseen(
@@ -74,12 +74,10 @@ def join(background: float, label_behind: int) -> np.ndarray:
         label,
         shown,
         pixel_label[shown],
-        depth,
-        K,
-        np.eye(4),
-        gap=0.06,
-        voxel=0.01,
-        min_size=10,
+        View.of(depth, K, np.eye(4)),
+        0.06,
+        0.01,
+        10,
     )
 
 
@@ -92,3 +90,10 @@ def test_a_gap_without_depth_or_with_the_clusters_themselves_behind_joins():
     assert len(set(join(np.nan, -1))) == 1
     assert len(set(join(1.2, 1))) == 1
     assert len(set(join(0.5, -1))) == 1
+
+
+def test_a_thinned_cloud_keeps_the_first_point_of_each_voxel_in_order():
+    cloud = np.array([[0.031, 0, 0], [0.001, 0, 0], [0.039, 0, 0], [0.019, 0, 0]])
+    np.testing.assert_array_equal(thinned(cloud), cloud[:2])
+    np.testing.assert_array_equal(thinned(cloud, 0.005), cloud)
+    assert thinned(np.zeros((0, 3))).shape == (0, 3)

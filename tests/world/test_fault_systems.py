@@ -7,13 +7,24 @@ import numpy as np
 import pytest
 from pydrake.common.value import AbstractValue, Value
 from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.multibody.tree import BodyIndex, SpatialInertia
 from pydrake.systems.analysis import InitializeParams, Simulator
 from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, LeafSystem, State
 from pydrake.systems.primitives import ConstantValueSource
 from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 
-from drake_oa.scenario.faults import CameraDropout, CameraFault, FrameBurst, NanFrames, TableMissing
-from drake_oa.world.camera_faults import CameraFaults
+from drake_oa.scenario.faults import (
+    CameraDropout,
+    CameraFault,
+    FrameBurst,
+    ModelError,
+    NanFrames,
+    Push,
+    TableMissing,
+    TorqueSaturation,
+)
+from drake_oa.world.fault_systems import CameraFaults, ExternalPush, WeakActuators
 
 PERIOD = 0.1
 CAMERA = CameraInfo(8, 6, np.deg2rad(60.0))
@@ -144,3 +155,69 @@ def test_a_cloned_context_goes_on_with_the_same_frames() -> None:
     other.Initialize(InitializeParams(suppress_initialization_events=True))
     other.AdvanceTo(1.05)
     np.testing.assert_array_equal(pulled(simulator, consumer), pulled(other, consumer))
+
+
+PUSH = Push(start=1.0, duration=0.2, force=[1.0, -2.0, 3.0], torque=[0.1, 0.2, 0.3])
+
+
+@pytest.mark.parametrize(
+    ("time", "share"), [(0.0, 0.0), (0.99, 0.0), (1.0, 1.0), (1.19, 1.0), (1.2, 0.0), (9.0, 0.0)]
+)
+def test_it_acts_while_it_lasts(time: float, share: float) -> None:
+    system = ExternalPush([(PUSH, BodyIndex(3))])
+    context = system.CreateDefaultContext()
+    context.SetTime(time)
+    (applied,) = system.get_output_port().Eval(context)
+    assert applied.body_index == BodyIndex(3)
+    np.testing.assert_array_equal(applied.F_Bq_W.translational(), share * np.array(PUSH.force))
+    np.testing.assert_array_equal(applied.F_Bq_W.rotational(), share * np.array(PUSH.torque))
+
+
+def test_two_pushes_are_two_forces() -> None:
+    system = ExternalPush([(PUSH, BodyIndex(3)), (Push(start=5.0), BodyIndex(4))])
+    context = system.CreateDefaultContext()
+    context.SetTime(5.1)
+    forces = [item.F_Bq_W.translational()[1] for item in system.get_output_port().Eval(context)]
+    assert forces == [0.0, 20.0]
+
+
+def test_a_free_body_gets_its_momentum() -> None:
+    builder = DiagramBuilder()
+    plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.002)
+    body = plant.AddRigidBody("body", SpatialInertia.SolidSphereWithMass(2.0, 0.1))
+    plant.set_gravity_enabled(body.model_instance(), False)
+    plant.Finalize()
+    push = builder.AddSystem(ExternalPush([(PUSH, body.index())]))
+    builder.Connect(push.get_output_port(), plant.get_applied_spatial_force_input_port())
+    simulator = Simulator(builder.Build())
+    simulator.AdvanceTo(1.5)
+    context = plant.GetMyContextFromRoot(simulator.get_context())
+    v = plant.EvalBodySpatialVelocityInWorld(context, body).translational()
+    # Force times duration over mass.
+    np.testing.assert_allclose(v, np.array(PUSH.force) * 0.2 / 2.0, rtol=0.02)
+
+
+def test_there_is_a_push() -> None:
+    with pytest.raises(ValueError, match="pushes is empty"):
+        ExternalPush([])
+
+
+LIMITS = np.array([87.0, 12.0, 20.0])
+ASKED = np.array([50.0, -11.0, 3.0])
+
+
+@pytest.mark.parametrize(
+    ("time", "given"),
+    [(0.9, ASKED), (1.0, [43.5, -6.0, 3.0]), (1.99, [43.5, -6.0, 3.0]), (2.0, ASKED)],
+)
+def test_torques_are_cut_off_while_the_fault_lasts(time: float, given: np.ndarray) -> None:
+    system = WeakActuators([ModelError(), TorqueSaturation(1.0, 1.0, 0.5)], LIMITS)
+    context = system.CreateDefaultContext()
+    system.get_input_port().FixValue(context, ASKED)
+    context.SetTime(time)
+    np.testing.assert_array_equal(system.get_output_port().Eval(context), given)
+
+
+def test_limits_must_be_positive() -> None:
+    with pytest.raises(ValueError, match="effort_limits must be"):
+        WeakActuators([], np.array([87.0, 0.0]))

@@ -1,4 +1,4 @@
-"""The faults of a depth camera, between it and perception."""
+"""The systems that bring faults in: of the camera, of the actuators, and pushes from outside."""
 
 from __future__ import annotations
 
@@ -10,14 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue, Value
 from pydrake.math import RigidTransform
+from pydrake.multibody.math import SpatialForce
+from pydrake.multibody.plant import ExternallyAppliedSpatialForce
+from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import BasicVector, Context, LeafSystem, State
 from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 
 from drake_oa.common.messages import FloatArray, Frozen
 from drake_oa.common.ports import read_value, valid_period
 from drake_oa.geometry.pinhole import pinhole
-from drake_oa.scenario.faults import CameraFault, camera_faults
-from drake_oa.world.faults import damaged_frame, delivered_frame, frames_to_keep
+from drake_oa.scenario.faults import CameraFault, Fault, Push, camera_faults
+from drake_oa.world.faults import (
+    damaged_frame,
+    delivered_frame,
+    frames_to_keep,
+    push_wrench,
+    torque_scale,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,3 +189,93 @@ def _image(depth: NDArray[np.float32]) -> ImageDepth32F:
     image: Any = ImageDepth32F(depth.shape[1], depth.shape[0])
     image.mutable_data[:, :, 0] = depth
     return image
+
+
+class ExternalPush(LeafSystem):
+    """Applies the wrenches of pushes to bodies of a plant.
+
+    .. pydrake_system::
+
+      name: ExternalPush
+      input_ports:
+      output_ports:
+      - spatial_forces
+
+    - spatial_forces: abstract list of `ExternallyAppliedSpatialForce`, one a push, at the
+      origin of its body, in the world frame [N, N m]; zero before and after it. For the port
+      `applied_spatial_force` of a `MultibodyPlant`.
+    """
+
+    def __init__(self, pushes: Sequence[tuple[Push, BodyIndex]]) -> None:
+        """Declares the port.
+
+        Args:
+            pushes: each with the body that it acts on.
+
+        Raises:
+            ValueError: if there is none.
+        """
+        super().__init__()
+        if not pushes:
+            raise ValueError("pushes is empty; there must be at least one")
+        self._pushes = tuple(pushes)
+        self.DeclareAbstractOutputPort(
+            "spatial_forces",
+            lambda: AbstractValue.Make([ExternallyAppliedSpatialForce()]),
+            self._calc,
+            {self.time_ticket()},
+        )
+
+    def _calc(self, context: Context, output: AbstractValue) -> None:
+        forces = []
+        for push, body in self._pushes:
+            wrench = push_wrench(push, context.get_time())
+            applied = ExternallyAppliedSpatialForce()
+            applied.body_index = body
+            applied.p_BoBq_B = np.zeros(3)
+            applied.F_Bq_W = SpatialForce(tau=wrench[:3], f=wrench[3:])
+            forces.append(applied)
+        output.set_value(forces)
+
+
+class WeakActuators(LeafSystem):
+    """Cuts the actuation off at shrunken effort limits while a fault says so.
+
+    .. pydrake_system::
+
+      name: WeakActuators
+      input_ports:
+      - actuation
+      output_ports:
+      - actuation
+
+    - actuation (in): (n,) what the controller asks for [N m, N].
+    - actuation (out): (n,) what the actuators give: not more than `scale` of the effort
+      limits while a `TorqueSaturation` lasts, else all of it.
+    """
+
+    def __init__(self, faults: Sequence[Fault], effort_limits: FloatArray) -> None:
+        """Declares the ports.
+
+        Args:
+            faults: see `drake_oa.world.faults`.
+            effort_limits: (n,) of the actuators, in the plant's order [N m, N].
+
+        Raises:
+            ValueError: for limits that are not positive numbers.
+        """
+        super().__init__()
+        limits = np.array(effort_limits, dtype=float)
+        if limits.ndim != 1 or not (limits > 0.0).all():
+            raise ValueError(f"effort_limits must be (n,) and positive, not {effort_limits}")
+        self._faults, self._limits = tuple(faults), limits
+        self._asked = self.DeclareVectorInputPort("actuation", len(limits))
+        self.DeclareVectorOutputPort(
+            "actuation", len(limits), self._calc, {self.time_ticket(), self._asked.ticket()}
+        )
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        asked = self._asked.Eval(context)
+        scale = torque_scale(self._faults, context.get_time())
+        most = scale * self._limits
+        output.SetFromVector(asked if scale >= 1.0 else np.clip(asked, -most, most))

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
+from drake_oa.geometry.primitives import deepest_point, point_distance, posed, to_frame
 
 STOP_DISTANCE, PADDING, REACTION, LEAVE = 0, 1, 2, 3
 """Where the rules are: distance at which an approach is at rest [m], how far an obstacle's
@@ -25,51 +26,8 @@ NOTHING = -2
 """The obstacle's row where nothing limits the motion."""
 APPROACH = 1e-3
 """Closing speeds at full speed below this are no approach [m/s], nor are joint speeds [rad/s]."""
-_TINY = 1e-12
-"""A point this near to a primitive's inner box has no direction away from it [m]."""
 AT_REST = 1e-3
 """A body no point of which is faster at full speed does not move [m/s]."""
-
-
-@njit(cache=True, error_model="numpy")
-def point_distance(
-    x: float, y: float, z: float, size: FloatArray
-) -> tuple[float, float, float, float]:
-    """Signed distance of a point to a primitive, and the direction away from it.
-
-    Args:
-        x, y, z: the point in the primitive's frame [m].
-        size: (5,) half extents of the inner box and rounding radius [m], then 0; or radius,
-            0, half length, 0 of a cylinder about z [m], then 1.
-
-    Returns:
-        Distance [m], negative inside; unit gradient of it in that frame.
-    """
-    if size[4] != 0.0:
-        rho = math.sqrt(x * x + y * y)
-        ux, uy = (x / rho, y / rho) if rho > _TINY else (1.0, 0.0)
-        a, c = rho - size[0], abs(z) - size[2]
-        sz = 1.0 if z >= 0.0 else -1.0
-        if a <= _TINY and c <= _TINY:
-            if a > c:
-                return a, ux, uy, 0.0
-            return c, 0.0, 0.0, sz
-        a, c = max(a, 0.0), max(c, 0.0)
-        d = math.sqrt(a * a + c * c)
-        return d, ux * a / d, uy * a / d, sz * c / d
-    sx = 1.0 if x >= 0.0 else -1.0
-    sy = 1.0 if y >= 0.0 else -1.0
-    sz = 1.0 if z >= 0.0 else -1.0
-    a, b, c = abs(x) - size[0], abs(y) - size[1], abs(z) - size[2]
-    if a <= _TINY and b <= _TINY and c <= _TINY:
-        if a >= b and a >= c:
-            return a - size[3], sx, 0.0, 0.0
-        if b >= c:
-            return b - size[3], 0.0, sy, 0.0
-        return c - size[3], 0.0, 0.0, sz
-    a, b, c = max(a, 0.0), max(b, 0.0), max(c, 0.0)
-    d = math.sqrt(a * a + b * b + c * c)
-    return d - size[3], sx * a / d, sy * b / d, sz * c / d
 
 
 @njit(cache=True, error_model="numpy")
@@ -90,25 +48,6 @@ def allowed_scale(distance: float, closing: float, oncoming: float, rules: Float
         # What comes nearer by itself is left as fast as can be.
         return 1.0 if left > 0.0 or oncoming > 0.0 else rules[LEAVE]
     return min(1.0, max(0.0, (left / rules[REACTION] - oncoming) / closing))
-
-
-@njit(cache=True, error_model="numpy")
-def posed(X_WB: FloatArray, X_BG: FloatArray, X_WG: FloatArray) -> None:
-    """Sets X_WG, of which three rows and four columns are, to X_WB X_BG."""
-    for i in range(3):
-        for j in range(4):
-            X_WG[i, j] = X_WB[i, 0] * X_BG[0, j] + X_WB[i, 1] * X_BG[1, j] + X_WB[i, 2] * X_BG[2, j]
-        X_WG[i, 3] += X_WB[i, 3]
-
-
-@njit(cache=True, error_model="numpy")
-def to_frame(X_WG: FloatArray, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """A vector of the world in the frame that X_WG poses."""
-    return (
-        X_WG[0, 0] * x + X_WG[1, 0] * y + X_WG[2, 0] * z,
-        X_WG[0, 1] * x + X_WG[1, 1] * y + X_WG[2, 1] * z,
-        X_WG[0, 2] * x + X_WG[1, 2] * y + X_WG[2, 2] * z,
-    )
 
 
 @njit(cache=True, error_model="numpy")
@@ -141,27 +80,6 @@ def largest_speed(
     vz = speed_along(X_WB, V_WB, x, y, z, 0.0, 0.0, 1.0)
     turning = math.sqrt(V_WB[0] ** 2 + V_WB[1] ** 2 + V_WB[2] ** 2)
     return math.sqrt(vx * vx + vy * vy + vz * vz) + radius * turning
-
-
-@njit(cache=True, error_model="numpy")
-def deepest_point(
-    X_WG: FloatArray, size: FloatArray, nx: float, ny: float, nz: float
-) -> tuple[float, float, float]:
-    """The point of a posed primitive that is lowest along n, see `point_distance` for it."""
-    a, b, c = to_frame(X_WG, nx, ny, nz)
-    if size[4] != 0.0:
-        across = math.sqrt(a * a + b * b)
-        shift = size[0] / across if across > 0.0 else 0.0
-        x, y = -a * shift, -b * shift
-    else:
-        x = -math.copysign(size[0], a)
-        y = -math.copysign(size[1], b)
-    z = -math.copysign(size[2], c)
-    return (
-        X_WG[0, 0] * x + X_WG[0, 1] * y + X_WG[0, 2] * z + X_WG[0, 3] - size[3] * nx,
-        X_WG[1, 0] * x + X_WG[1, 1] * y + X_WG[1, 2] * z + X_WG[1, 3] - size[3] * ny,
-        X_WG[2, 0] * x + X_WG[2, 1] * y + X_WG[2, 2] * z + X_WG[2, 3] - size[3] * nz,
-    )
 
 
 @njit(cache=True, error_model="numpy")

@@ -1,10 +1,4 @@
-"""Compiled loops behind perception: images, planes, the robot's shapes.
-
-Call the functions of `point_cloud`, `table_plane`, `clusters` and `self_filter`
-instead. Every kernel takes writable C-contiguous arrays of one type (float64 and
-int64 unless a comment says otherwise), so that numba compiles each of them once,
-and caches it on disk.
-"""
+"""Compiled loops over depth images: pixels to points, and points to the table's surroundings."""
 
 from __future__ import annotations
 
@@ -12,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from drake_oa.common.messages import BoolArray, FloatArray, IntArray
+from drake_oa.common.messages import FloatArray, IntArray
 
 
 @njit(cache=True, error_model="numpy")
@@ -163,119 +157,3 @@ def cropped_to_world(
             p_WQ[n, k] = X_WC[k, 0] * x + X_WC[k, 1] * y + X_WC[k, 2] * depth + X_WC[k, 3]
         n += inside
     return p_WQ[:n], kept[:n]
-
-
-@njit(cache=True, error_model="numpy")
-def pixels_to_world(
-    z: NDArray[np.float32],
-    index: IntArray,
-    K: FloatArray,
-    axes: FloatArray,
-    reach: FloatArray,
-    X_WC: FloatArray,
-) -> tuple[FloatArray, IntArray]:
-    """`cropped_to_world` of the points of pixels with ascending flat indices (N,)."""
-    p_WQ = np.empty((len(index), 3))
-    kept = np.empty(len(index), dtype=np.int64)
-    n, row, start = 0, 0, 0
-    for i in range(len(index)):
-        while index[i] >= start + z.shape[1]:
-            row += 1
-            start += z.shape[1]
-        column = index[i] - start
-        depth = np.float64(z[row, column])
-        x, y = (column - K[2]) * (depth / K[0]), (row - K[3]) * (depth / K[1])
-        inside = True
-        for k in range(2):
-            along = axes[k, 0] * x + axes[k, 1] * y + axes[k, 2] * depth
-            inside &= (along >= reach[k, 0]) & (along <= reach[k, 1])
-        kept[n] = index[i]
-        for k in range(3):
-            p_WQ[n, k] = X_WC[k, 0] * x + X_WC[k, 1] * y + X_WC[k, 2] * depth + X_WC[k, 3]
-        n += inside
-    return p_WQ[:n], kept[:n]
-
-
-@njit(cache=True, error_model="numpy")
-def votes_for_planes(
-    normals: FloatArray, offsets: FloatArray, points: FloatArray, tolerance: FloatArray
-) -> IntArray:
-    """How many points (N, 3) lie within their tolerance (N,) of each plane (M,)."""
-    votes = np.zeros(len(offsets), dtype=np.int64)
-    # The points' coordinates in rows: a loop along them uses vector instructions.
-    x, y, z = points[:, 0].copy(), points[:, 1].copy(), points[:, 2].copy()
-    for m in range(len(offsets)):
-        a, b, c, offset = normals[m, 0], normals[m, 1], normals[m, 2], offsets[m]
-        n = 0
-        for i in range(len(tolerance)):
-            n += abs(a * x[i] + b * y[i] + c * z[i] - offset) < tolerance[i]
-        votes[m] = n
-    return votes
-
-
-@njit(cache=True, error_model="numpy")
-def on_plane(
-    points: FloatArray, tolerance: FloatArray, plane: FloatArray, among: BoolArray, out: BoolArray
-) -> float:
-    """Marks, of some points (N, 3), those nearer to a plane than their tolerance (N,).
-
-    Args:
-        points: (N, 3) points [m].
-        tolerance: (N,) [m].
-        plane: (4,) unit normal and offset.
-        among: (N,) which points are asked about.
-        out: (N,) written.
-
-    Returns:
-        The sum of their squared distances [m^2].
-    """
-    total = 0.0
-    for i in range(len(tolerance)):
-        height = -plane[3]
-        for k in range(3):
-            height += plane[k] * points[i, k]
-        out[i] = among[i] and abs(height) < tolerance[i]
-        total += height * height if out[i] else 0.0
-    return total
-
-
-@njit(cache=True, error_model="numpy")
-def band_moments(
-    points: FloatArray, tolerance: FloatArray, plane: FloatArray, band: float, out: FloatArray
-) -> int:
-    """Weighted moments of the points within ``band * tolerance`` of a plane.
-
-    Args:
-        points: (N, 3) points [m].
-        tolerance: (N,) [m]; the weights are 1 / tolerance^2.
-        plane: (4,) unit normal and offset.
-        band: share of the tolerance.
-        out: (4, 4) written: the sum of w p p^T with p = (x, y, z, 1), each point
-            taken from the first one of the band for the sake of precision; its
-            index is returned.
-
-    Returns:
-        The index of that point, or -1 when there are fewer than 3.
-    """
-    out[:] = 0.0
-    first, count = -1, 0
-    p = np.ones(4)
-    for i in range(len(tolerance)):
-        height = -plane[3]
-        for k in range(3):
-            height += plane[k] * points[i, k]
-        if abs(height) >= band * tolerance[i]:
-            continue
-        if first < 0:
-            first = i
-        count += 1
-        weight = 1.0 / (tolerance[i] * tolerance[i])
-        for k in range(3):
-            p[k] = points[i, k] - points[first, k]
-        for k in range(4):
-            for j in range(k + 1):
-                out[k, j] += weight * p[k] * p[j]
-    for k in range(4):
-        for j in range(k):
-            out[j, k] = out[k, j]
-    return first if count >= 3 else -1

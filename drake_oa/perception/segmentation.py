@@ -10,26 +10,99 @@ homogeneous matrices, as ``RigidTransform.GetAsMatrix4()`` gives them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray, TablePlane
-from drake_oa.geometry.clusters import connected_clusters, joined_across_unseen
-from drake_oa.geometry.self_filter import PosedShapes
-from drake_oa.geometry.voxel_kernels import cell_means, cells_of, numbered, points_of_groups
-from drake_oa.perception.point_cloud_kernels import (
+from drake_oa.geometry.pinhole import View
+from drake_oa.geometry.primitives import PosedShapes
+from drake_oa.geometry.voxels import (
+    cell_means,
+    cells_of,
+    connected_clusters,
+    joined_across_unseen,
+    numbered,
+    points_of_groups,
+)
+from drake_oa.perception.depth_image import (
     back_projected,
     cropped_to_world,
     pixels_between,
-    pixels_to_world,
     sampled,
 )
-from drake_oa.perception.segmentation_config import SegmentationConfig as SegmentationConfig
-from drake_oa.perception.table_extent import beyond_extent, plane_axes, seen_extent
-from drake_oa.perception.table_plane import PlaneFit, fit_plane
+from drake_oa.perception.table import PlaneFit, beyond_extent, fit_plane, plane_axes, seen_extent
+
+
+@dataclass(frozen=True)
+class SegmentationConfig:
+    """How a frame is segmented. Lengths in metres, angles in radians."""
+
+    # Depths outside [near, far] are ignored.
+    near: float = 0.3
+    far: float = 2.5
+    # Standard deviation of depth at 1 m; it grows with the square of the depth.
+    depth_noise: float = 0.0015
+    # Largest tilt of the table against gravity when the camera's pose is known,
+    plane_tilt: float = np.deg2rad(5.0)
+    # and against the camera's up direction (-y) when it is not.
+    plane_tilt_unknown_pose: float = np.deg2rad(75.0)
+    # Where that shows little, against the direction towards the camera (-z).
+    facing_tilt: float = np.deg2rad(15.0)
+    # Distance from the plane at which a point (at depth 0) belongs to it.
+    plane_tolerance: float = 0.006
+    # Height of the table in the world, or None when unknown.
+    table_height: float | None = None
+    # How far the table may be from that height.
+    table_height_tolerance: float = 0.05
+    # Heights above the table that may be an obstacle (the lower limit at depth 0; what
+    # noise may look like is added to it).
+    min_height: float = 0.004
+    max_height: float = 1.2
+    # How far beyond the table's seen extent an obstacle may stand,
+    table_margin: float = 0.02
+    # and how far one that stands over it may jut out.
+    overhang: float = 0.15
+    # Edge of a voxel, and the fewest points that make one.
+    voxel: float = 0.01
+    min_occupancy: int = 2
+    # Points nearer to each other than this belong together.
+    cluster_tolerance: float = 0.025
+    # Clusters up to this far apart belong together too where nothing shows through
+    # the gap (the rim and the inside of a bowl).
+    unseen_gap: float = 0.06
+    # The fewest voxels that make an obstacle.
+    min_cluster_voxels: int = 12
+    # Points within this of the robot are the robot's.
+    robot_margin: float = 0.025
+    # The plane is searched on every stride-th row and column.
+    stride: int = 4
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if value is None and item.name == "table_height":
+                continue
+            number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+            if not number or not np.isfinite(value):
+                raise ValueError(f"SegmentationConfig.{item.name} must be finite, not {value!r}")
+            if item.name != "table_height" and value < 0.0:
+                raise ValueError(f"SegmentationConfig.{item.name} must be >= 0, not {value!r}")
+        for name in ("voxel", "cluster_tolerance", "plane_tolerance", "table_height_tolerance"):
+            if getattr(self, name) <= 0.0:
+                raise ValueError(f"SegmentationConfig.{name} must be > 0")
+        for name in ("min_occupancy", "min_cluster_voxels", "stride"):
+            if getattr(self, name) < 1 or getattr(self, name) != int(getattr(self, name)):
+                raise ValueError(f"SegmentationConfig.{name} must be an integer >= 1")
+            object.__setattr__(self, name, int(getattr(self, name)))
+        for low, high in (("near", "far"), ("min_height", "max_height")):
+            if getattr(self, low) >= getattr(self, high):
+                raise ValueError(f"SegmentationConfig.{low} must be less than {high}")
+        for name in ("plane_tilt", "plane_tilt_unknown_pose", "facing_tilt"):
+            if not 0.0 < getattr(self, name) < np.pi / 2:
+                raise ValueError(f"SegmentationConfig.{name} must lie in (0, pi/2)")
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +185,8 @@ def segment_depth(
         (step / K[0], step / K[1]),
     )
     index = _pixels_above(z, K, plane, config)
-    return _cluster_above(None, index, plane, extent, X_WC, config, robot, (z, K))
+    above = back_projected(z, index, K)
+    return _cluster_above(above, index, plane, extent, X_WC, config, robot, (z, K))
 
 
 def segment_points(
@@ -211,7 +285,7 @@ def _find_table(
 
 
 def _cluster_above(
-    p_CQ: FloatArray | None,
+    p_CQ: FloatArray,
     index: IntArray,
     plane: PlaneFit,
     extent_C: FloatArray,
@@ -220,7 +294,10 @@ def _cluster_above(
     robot: PosedShapes | None,
     image: tuple[NDArray[np.float32], FloatArray] | None,
 ) -> Segmentation:
-    """What stands on the plane, of points in the camera frame or of an image's pixels."""
+    """What stands on the plane, of points (N, 3) in the camera frame, with their numbers (N,).
+
+    Depth z and intrinsics K where they are an image's pixels.
+    """
     X_WC = _pose_from_plane(plane) if X_WC is None else X_WC
     normal_W = X_WC[:3, :3] @ plane.normal
     table = TablePlane(normal_W, float(plane.offset + normal_W @ X_WC[:3, 3]))
@@ -230,12 +307,7 @@ def _cluster_above(
     low, high = along.min(axis=1, initial=np.inf), along.max(axis=1, initial=-np.inf)
     beyond = config.table_margin + config.overhang
     reach = np.column_stack([low - beyond, high + beyond])
-    if p_CQ is not None:
-        p_WQ, index = cropped_to_world(p_CQ, index, axes, reach, X_WC)
-    elif image is not None:
-        p_WQ, index = pixels_to_world(image[0], index, image[1], axes, reach, X_WC)
-    else:
-        raise ValueError("either points or an image are needed")
+    p_WQ, index = cropped_to_world(p_CQ, index, axes, reach, X_WC)
     if not len(index):
         return Segmentation((), (), table, p_WQ, plane.rms, X_WC)
 
@@ -262,11 +334,10 @@ def _cluster_above(
             found,
             index,
             label[voxel_of],
-            *image,
-            X_WC,
-            gap=config.unseen_gap,
-            voxel=config.voxel,
-            min_size=config.min_cluster_voxels,
+            View.of(*image, X_WC),
+            float(config.unseen_gap),
+            float(config.voxel),
+            config.min_cluster_voxels,
         )
     sizes = np.bincount(found, minlength=1)
     higher = _risen(points, table, X_WC, config, image is not None)

@@ -1,4 +1,10 @@
-"""What is remembered of the obstacles from frame to frame, as frozen values."""
+"""What is remembered of the obstacles from frame to frame, as frozen values.
+
+The remembered points of an obstacle follow the camera's noise from frame to frame. What is
+handed on is a copy, renewed only when the obstacle reaches farther, or less far, than the copy
+by more than noise does (`held_clouds`): receivers that compare see no change, and need not plan
+again.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +12,77 @@ from dataclasses import dataclass, field, fields
 from typing import Any, TypeVar
 
 import numpy as np
+from numba import njit
 
-from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray, ObstacleClouds
-from drake_oa.perception.obstacle_filter import FilterNoise, MotionEstimate
+from drake_oa.common.messages import (
+    BoolArray,
+    FloatArray,
+    Frozen,
+    IntArray,
+    ObstacleClouds,
+    TablePlane,
+)
+from drake_oa.geometry.directions import DIRECTIONS
+
+
+@dataclass(frozen=True)
+class FilterNoise:
+    """What the filter takes as noise, and what as motion."""
+
+    # Spectral density of the acceleration, each axis [m^2/s^3].
+    acceleration: float = 0.01
+    # Standard deviation of the measured place of one side of an obstacle [m].
+    side: float = 0.0015
+    # Standard deviation of the velocity of an obstacle that was not known before [m/s].
+    initial_speed: float = 0.4
+    # An obstacle moves when its speed is above `start_speed` [m/s] and significant: v^T P^-1 v
+    # above `start` (chi-square of 3 degrees of freedom; 21.1 is exceeded once in 10,000),
+    start_speed: float = 0.03
+    start: float = 21.1
+    # and rests again when it is below `floor` [m/s] or the statistic below `stop`.
+    floor: float = 0.02
+    stop: float = 7.8
+    # So often in a row: frames to start, seconds to stop.
+    start_frames: int = 2
+    stop_time: float = 0.1
+    # Where much is not where it was, a statistic above `stop` will do in `patience` times as
+    # many frames.
+    patience: int = 3
+    # A measurement farther off than this many standard deviations is an outlier; the
+    # second in a row is a manoeuvre.
+    outlier: float = 5.0
+
+    def __post_init__(self) -> None:
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if not np.isfinite(value) or value <= 0.0:
+                raise ValueError(f"FilterNoise.{item.name} must be positive, not {value!r}")
+        for low, high in (("floor", "start_speed"), ("stop", "start")):
+            if getattr(self, low) > getattr(self, high):
+                raise ValueError(f"FilterNoise.{low} must not be above {high}")
+
+
+@dataclass(frozen=True, eq=False)
+class MotionEstimate(Frozen):
+    """Position and velocity of M obstacles.
+
+    Attributes:
+        p_W: (M, 3) positions [m].
+        v_W: (M, 3) velocities [m/s].
+        var_p: (M, 3) variances of the positions [m^2].
+        cov_pv: (M, 3) covariances of position and velocity [m^2/s].
+        var_v: (M, 3) variances of the velocities [m^2/s^2].
+    """
+
+    p_W: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    v_W: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    var_p: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    cov_pv: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    var_v: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+
+    def __len__(self) -> int:
+        return len(self.p_W)
+
 
 CERTAIN = 4
 """The most evidence that a point can have."""
@@ -150,7 +224,7 @@ class HeldCloud(Frozen):
         p_OQ: (N, 3) in the obstacle's frame O [m].
         p_WQ: (N, 3) in the world [m].
         shift_W: (3,) from the one to the other [m].
-        reach: (D,) how far it reaches in the directions of `drake_oa.perception.cloud_hold`, in O
+        reach: (D,) how far it reaches in the directions of `drake_oa.perception.memory`, in O
         [m].
     """
 
@@ -217,3 +291,102 @@ def appended(first: _Value, second: _Value) -> _Value:
         parts[name] = appended(one, other) if nested else np.concatenate([one, other])
     result: _Value = kind(**parts)
     return result
+
+
+def held_clouds(
+    ids: IntArray,
+    shift_W: FloatArray,
+    points: Points,
+    listed: BoolArray,
+    previous: dict[int, HeldCloud],
+    config: TrackingConfig,
+) -> dict[int, HeldCloud]:
+    """The clouds to hand on, by name.
+
+    Args:
+        ids: (M,) names of the obstacles.
+        shift_W: (M, 3) from the frame O of each obstacle's points to the world [m].
+        points: the remembered points; only the confirmed are handed on.
+        listed: (M,) which obstacles to hand on.
+        previous: what was handed on last.
+        config: how much may change unnoticed.
+    """
+    owner = np.where(points.confirmed, points.owner, -1)
+    reach = supports(points.p_OQ, owner, len(ids), DIRECTIONS)
+    count = np.bincount(owner[points.confirmed], minlength=len(ids))
+    rows = np.flatnonzero(listed)
+    names = ids[rows].tolist()
+    known = [previous[name] for name in names if name in previous]
+    same, placed = _unchanged(
+        known,
+        reach,
+        shift_W,
+        count,
+        rows[np.array([name in previous for name in names], dtype=bool)],
+        config,
+    )
+    held, place = {}, 0
+    for row, name in zip(rows, names, strict=True):
+        old = previous.get(name)
+        place += old is not None
+        if old is None or not same[place - 1]:
+            held[name] = _cloud(points.p_OQ[owner == row], shift_W[row], reach[row])
+        elif not placed[place - 1]:
+            held[name] = _cloud(old.p_OQ, shift_W[row], old.reach)
+        else:
+            held[name] = old
+    return held
+
+
+def _cloud(p_OQ: FloatArray, shift_W: FloatArray, reach: FloatArray) -> HeldCloud:
+    p_WQ = p_OQ + shift_W
+    p_WQ.flags.writeable = False
+    return HeldCloud(p_OQ, p_WQ, np.array(shift_W), np.array(reach))
+
+
+def _unchanged(
+    known: list[HeldCloud],
+    reach: FloatArray,
+    shift_W: FloatArray,
+    count: IntArray,
+    rows: IntArray,
+    config: TrackingConfig,
+) -> tuple[BoolArray, BoolArray]:
+    """Which of K held clouds, of these rows, still do, and which are where they were."""
+    if not known:
+        return np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
+    more = reach[rows] - np.array([old.reach for old in known])
+    sizes = np.array([len(old.p_OQ) for old in known])
+    same = ((more <= config.grown) & (more >= -config.shrunk)).all(axis=1)
+    same &= np.abs(count[rows] - sizes) <= config.changed_share * sizes
+    return same, (shift_W[rows] == np.array([old.shift_W for old in known])).all(axis=1)
+
+
+def held_table(
+    previous: TablePlane | None, seen: TablePlane | None, shift: float
+) -> TablePlane | None:
+    """The previous plane unless the new one is farther from it than ``shift`` [m].
+
+    The planes are compared below the world's origin and at a reach of 1 m from there.
+    """
+    if previous is None or seen is None:
+        return seen
+    apart = abs(seen.offset - previous.offset)
+    apart += float(np.linalg.norm(seen.normal_W - previous.normal_W))
+    return seen if apart > shift else previous
+
+
+@njit(cache=True, error_model="numpy")
+def supports(points: FloatArray, row: IntArray, count: int, directions: FloatArray) -> FloatArray:
+    """(M, D) how far the points (N, 3) of each of M obstacles reach along directions (D, 3)."""
+    out = np.full((count, len(directions)), -np.inf)
+    # Their coordinates in rows: a loop along them uses vector instructions.
+    a, b, c = directions[:, 0].copy(), directions[:, 1].copy(), directions[:, 2].copy()
+    for i in range(len(points)):
+        if row[i] >= 0:
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            own = out[row[i]]
+            for d in range(len(a)):
+                reach = a[d] * x + b[d] * y + c[d] * z
+                own[d] = reach if reach > own[d] else own[d]
+    return out

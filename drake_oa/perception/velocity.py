@@ -1,21 +1,123 @@
-"""From where obstacles are measured to whether they move, and where to."""
+"""A constant-velocity Kalman filter for each obstacle.
+
+The state of one axis is (position, velocity). Acceleration is taken as white noise of
+spectral density q, so that a step of dt adds
+
+    Q = q [[dt^3/3, dt^2/2], [dt^2/2, dt]]
+
+(Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and
+Navigation", 2001, ch. 6: continuous white noise acceleration). The axes are those of the
+world. They do not mix, since what is measured of them does not.
+
+From the filter's velocity and its significance follows whether an obstacle moves, and where to.
+"""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
 from drake_oa.common.messages import BoolArray, FloatArray
-from drake_oa.perception.obstacle_filter import (
-    MotionEstimate,
-    corrected,
-    first_seen,
-    is_outlier,
-    predicted,
-    speed_statistic,
-    unsettled,
-)
-from drake_oa.perception.obstacle_memory import TrackingConfig, Tracks, changed
+from drake_oa.perception.memory import FilterNoise, MotionEstimate, TrackingConfig, Tracks, changed
 from drake_oa.perception.sides import SeenSides, learned_sides, measured_position
+
+_FASTEST = 2.0
+"""Largest deviation of a velocity that has become open [m/s]."""
+
+
+def first_seen(p_W: FloatArray, noise: FilterNoise) -> MotionEstimate:
+    """Obstacles at p_W (M, 3) [m] of unknown velocity."""
+    shape = p_W.shape
+    return MotionEstimate(
+        p_W,
+        np.zeros(shape),
+        np.full(shape, noise.side**2),
+        np.zeros(shape),
+        np.full(shape, noise.initial_speed**2),
+    )
+
+
+def predicted(estimate: MotionEstimate, dt: float, noise: FilterNoise) -> MotionEstimate:
+    """The estimate dt [s] >= 0 later."""
+    q = noise.acceleration
+    return MotionEstimate(
+        estimate.p_W + dt * estimate.v_W,
+        estimate.v_W,
+        estimate.var_p + dt * (2.0 * estimate.cov_pv + dt * estimate.var_v) + q * dt**3 / 3.0,
+        estimate.cov_pv + dt * estimate.var_v + q * dt**2 / 2.0,
+        estimate.var_v + q * dt,
+    )
+
+
+def corrected(estimate: MotionEstimate, p_W: FloatArray, variance: FloatArray) -> MotionEstimate:
+    """The estimate after a measurement.
+
+    Args:
+        estimate: the prediction.
+        p_W: (M, 3) measured positions [m]; NaN where there is none.
+        variance: (M, 3) of the measurement [m^2].
+    """
+    known = np.isfinite(p_W)
+    innovation = np.where(known, p_W - estimate.p_W, 0.0)
+    total = estimate.var_p + variance
+    gain_p = np.where(known, estimate.var_p / total, 0.0)
+    gain_v = np.where(known, estimate.cov_pv / total, 0.0)
+    return MotionEstimate(
+        estimate.p_W + gain_p * innovation,
+        estimate.v_W + gain_v * innovation,
+        (1.0 - gain_p) * estimate.var_p,
+        (1.0 - gain_p) * estimate.cov_pv,
+        estimate.var_v - gain_v * estimate.cov_pv,
+    )
+
+
+def is_outlier(
+    estimate: MotionEstimate, p_W: FloatArray, variance: FloatArray, noise: FilterNoise
+) -> BoolArray:
+    """(M,) whether any axis of a measurement is farther off than noise explains.
+
+    Args:
+        estimate: the prediction.
+        p_W: (M, 3) measured positions [m]; NaN where there is none.
+        variance: (M, 3) of the measurement [m^2].
+        noise: of the filter; `outlier` counts.
+    """
+    innovation = np.where(np.isfinite(p_W), p_W - estimate.p_W, 0.0)
+    limit = noise.outlier**2 * (estimate.var_p + variance)
+    return np.asarray((innovation**2 > limit).any(axis=1))
+
+
+def unsettled(
+    estimate: MotionEstimate, which: BoolArray, p_W: FloatArray, dt: float, noise: FilterNoise
+) -> MotionEstimate:
+    """Forgets how well some obstacles (M,) are known: they do what was not expected.
+
+    The measured jump is what the position may be off. The velocity is as open as at first,
+    or half the jump's speed if that is more, up to 2 m/s.
+
+    Args:
+        estimate: the prediction.
+        which: (M,) the obstacles; the others stay as they are.
+        p_W: (M, 3) measured positions [m]; NaN where there is none.
+        dt: time since the last frame [s].
+        noise: of the filter.
+    """
+    jump = np.where(np.isfinite(p_W), p_W - estimate.p_W, 0.0)
+    wide = which[:, None]
+    speed = np.maximum(noise.initial_speed, np.abs(jump) / max(dt, 1e-3) * 0.5)
+    return replace(
+        estimate,
+        var_p=np.where(wide, estimate.var_p + jump**2, estimate.var_p),
+        cov_pv=np.where(wide, 0.0, estimate.cov_pv),
+        var_v=np.where(wide, np.minimum(speed, _FASTEST) ** 2, estimate.var_v),
+    )
+
+
+def speed_statistic(estimate: MotionEstimate) -> FloatArray:
+    """(M,) v^T P_v^-1 v: chi-square of 3 degrees of freedom for an obstacle at rest."""
+    return np.asarray((estimate.v_W**2 / estimate.var_v).sum(axis=1))
+
 
 _MOVED = 0.004  # what must lie between a moving obstacle and its place at rest [m]
 _SETTLING = 0.1  # share of a frame in the place of an obstacle at rest

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from drake_oa.geometry.self_filter import RobotShapes
+from drake_oa.geometry.primitives import RobotShapes
 
 
 def pose(p, rotation=None):

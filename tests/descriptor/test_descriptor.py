@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drake_oa.common.messages import PART, FloatArray, ObstacleClouds
-from drake_oa.descriptor.convex_decomposition import cloud_parts, ellipsoids_of_parts, merged_parts
-from drake_oa.descriptor.descriptor import describe
+from drake_oa.descriptor.descriptor import cloud_parts, describe, ellipsoids_of_parts, merged_parts
 from drake_oa.geometry.ellipsoid import signed_distance
 
 HAND = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.03, 0.03) for z in (0.04, 0.1)])

@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drake_oa.perception.tracking_kernels import mutual_nearest
+from drake_oa.perception.visibility import mutual_nearest
 
 
 @settings(deadline=None)

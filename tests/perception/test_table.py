@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drake_oa.perception.table_plane import fit_plane
+from drake_oa.perception.table import band_moments, fit_plane
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -119,3 +119,14 @@ def test_an_expected_plane_is_refined_to_the_one_that_a_search_finds():
         plane = fit(points, height=height)
         assert plane.normal @ tilted > np.cos(1e-3)
         assert abs(plane.offset + 1.0) < 3e-4
+
+
+def test_moments_keep_their_precision_far_from_the_origin():
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(100, 3)) * [1.0, 1.0, 0.0] + [1e4, -1e4, 5.0]
+    moments, plane = np.empty((4, 4)), np.array([0.0, 0.0, 1.0, 5.0])
+    first = band_moments(points, np.full(100, 0.5), plane, 1.0, moments)
+    local = np.column_stack([points - points[first], np.ones(100)])
+    np.testing.assert_allclose(moments, 4.0 * local.T @ local, rtol=1e-12, atol=1e-12)
+    plane[3] = 7.0
+    assert band_moments(points, np.full(100, 0.5), plane, 1.0, moments) == -1

@@ -1,0 +1,545 @@
+"""The supporting plane of a scene: a robust fit that knows which way is up.
+
+A plane is ``normal . p = offset`` with a unit normal that points to the free
+side. Hypotheses that contradict gravity are dropped before they are scored, so
+that a wall never wins over a table that covers fewer pixels.
+
+It reaches as far as the convex region of its plane that holds what was seen of it: projection
+keeps convexity, so the ends of the table's rows in the image span that region. A table that the
+border of the image cuts goes on beyond it: the feet of what stands in front of the lowest row
+are not seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from drake_oa.common.messages import BoolArray, FloatArray, IntArray
+
+
+@njit(cache=True, error_model="numpy")
+def votes_for_planes(
+    normals: FloatArray, offsets: FloatArray, points: FloatArray, tolerance: FloatArray
+) -> IntArray:
+    """How many points (N, 3) lie within their tolerance (N,) of each plane (M,)."""
+    votes = np.zeros(len(offsets), dtype=np.int64)
+    # The points' coordinates in rows: a loop along them uses vector instructions.
+    x, y, z = points[:, 0].copy(), points[:, 1].copy(), points[:, 2].copy()
+    for m in range(len(offsets)):
+        a, b, c, offset = normals[m, 0], normals[m, 1], normals[m, 2], offsets[m]
+        n = 0
+        for i in range(len(tolerance)):
+            n += abs(a * x[i] + b * y[i] + c * z[i] - offset) < tolerance[i]
+        votes[m] = n
+    return votes
+
+
+@njit(cache=True, error_model="numpy")
+def on_plane(
+    points: FloatArray, tolerance: FloatArray, plane: FloatArray, among: BoolArray, out: BoolArray
+) -> float:
+    """Marks, of some points (N, 3), those nearer to a plane than their tolerance (N,).
+
+    Args:
+        points: (N, 3) points [m].
+        tolerance: (N,) [m].
+        plane: (4,) unit normal and offset.
+        among: (N,) which points are asked about.
+        out: (N,) written.
+
+    Returns:
+        The sum of their squared distances [m^2].
+    """
+    total = 0.0
+    for i in range(len(tolerance)):
+        height = -plane[3]
+        for k in range(3):
+            height += plane[k] * points[i, k]
+        out[i] = among[i] and abs(height) < tolerance[i]
+        total += height * height if out[i] else 0.0
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def band_moments(
+    points: FloatArray, tolerance: FloatArray, plane: FloatArray, band: float, out: FloatArray
+) -> int:
+    """Weighted moments of the points within ``band * tolerance`` of a plane.
+
+    Args:
+        points: (N, 3) points [m].
+        tolerance: (N,) [m]; the weights are 1 / tolerance^2.
+        plane: (4,) unit normal and offset.
+        band: share of the tolerance.
+        out: (4, 4) written: the sum of w p p^T with p = (x, y, z, 1), each point
+            taken from the first one of the band for the sake of precision; its
+            index is returned.
+
+    Returns:
+        The index of that point, or -1 when there are fewer than 3.
+    """
+    out[:] = 0.0
+    first, count = -1, 0
+    p = np.ones(4)
+    for i in range(len(tolerance)):
+        height = -plane[3]
+        for k in range(3):
+            height += plane[k] * points[i, k]
+        if abs(height) >= band * tolerance[i]:
+            continue
+        if first < 0:
+            first = i
+        count += 1
+        weight = 1.0 / (tolerance[i] * tolerance[i])
+        for k in range(3):
+            p[k] = points[i, k] - points[first, k]
+        for k in range(4):
+            for j in range(k + 1):
+                out[k, j] += weight * p[k] * p[j]
+    for k in range(4):
+        for j in range(k):
+            out[j, k] = out[k, j]
+    return first if count >= 3 else -1
+
+
+_UNSEEN = 0.3  # how far a table is taken to go on beyond the border of the image [m]
+_BEYOND = 0.5  # how far beyond the border, in sizes of the image, that is looked up
+_BORDER = 2  # rows and columns of the grid that are the border
+
+
+@njit(cache=True, error_model="numpy")
+def _row_ends(grid: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Rows that the table is in, and its first and last column there.
+
+    The table's mask is opened by a square of 3 x 3, which removes the thin line where its
+    plane cuts a wall; outside the image is no table.
+
+    Args:
+        grid: (H, W) which sample shows the table there, -1 for none.
+    """
+    rows, columns = grid.shape
+    # Of the mask eroded by the square: every place all round which the table is seen.
+    first = np.full(rows + 2, columns, dtype=np.int64)
+    last = np.full(rows + 2, -1, dtype=np.int64)
+    for row in range(1, rows - 1):
+        for side in (1, -1):
+            column = 1 if side == 1 else columns - 2
+            while column > 0 and column < columns - 1:
+                here = True
+                for r in range(row - 1, row + 2):
+                    for c in range(column - 1, column + 2):
+                        here &= grid[r, c] >= 0
+                if here:
+                    if side == 1:
+                        first[row + 1] = column
+                    else:
+                        last[row + 1] = column
+                    break
+                column += side
+    found, n = np.empty(rows, dtype=np.int64), 0
+    left, right = np.empty(rows, dtype=np.int64), np.empty(rows, dtype=np.int64)
+    for row in range(rows):
+        low = min(first[row], first[row + 1], first[row + 2])
+        if low < columns:
+            found[n], left[n] = row, low - 1
+            right[n] = max(last[row], last[row + 1], last[row + 2]) + 1
+            n += 1
+    return found[:n], left[:n], right[:n]
+
+
+@njit(cache=True, error_model="numpy")
+def extent_points(
+    rows: int,
+    columns: int,
+    pixel: IntArray,
+    on_table: BoolArray,
+    p_CQ: FloatArray,
+    plane: FloatArray,
+    pitch: FloatArray,
+) -> FloatArray:
+    """See `drake_oa.perception.table.seen_extent`; plane (4,) is its normal and offset."""
+    grid = np.full(rows * columns, -1, dtype=np.int64)
+    bottom, left, right, start = -1, columns, -1, 0
+    for i in range(len(pixel)):
+        while pixel[i] >= start + columns:
+            start += columns
+        column = pixel[i] - start
+        left, right = min(left, column), max(right, column)
+        if on_table[i]:
+            grid[pixel[i]] = i
+    if len(pixel):
+        bottom = pixel[-1] // columns
+    row, first, last = _row_ends(grid.reshape(rows, columns))
+    out, n = np.empty((8 * len(row), 3)), 0
+    step = np.empty(3)
+    for side in (0, 1):
+        for i in range(len(row)):
+            column = first[i] if side == 0 else last[i]
+            p = p_CQ[grid[row[i] * columns + column]]
+            out[n] = p
+            n += 1
+            # Not beyond the upper border: what is there is farther away than its feet are.
+            for border in range(3):
+                step[:] = 0.0
+                if border == 0 and row[i] >= bottom - _BORDER:
+                    step[1] = _BEYOND * rows * pitch[1]
+                elif border == 1 and column <= left + _BORDER:
+                    step[0] = -_BEYOND * columns * pitch[0]
+                elif border == 2 and column >= right - _BORDER:
+                    step[0] = _BEYOND * columns * pitch[0]
+                else:
+                    continue
+                _beyond(p, step, plane, out[n])
+                n += 1
+    return out[:n].copy()
+
+
+@njit(cache=True, error_model="numpy")
+def _beyond(border: FloatArray, step: FloatArray, plane: FloatArray, out: FloatArray) -> None:
+    """A point of the table beyond the border: where a ray further out meets the plane.
+
+    Args:
+        border: (3,) point of the table at the border [m].
+        step: (3,) tangents from the border outwards.
+        plane: (4,) normal and offset of the table.
+        out: (3,) written.
+    """
+    along = 0.0
+    for k in range(3):
+        along += (border[k] / border[2] + step[k]) * plane[k]
+    # Rays that do not meet the plane in front of the camera go on as far as any may.
+    met = along * np.sign(plane[3]) > 1e-3
+    across = 0.0
+    for k in range(3):
+        hit = (border[k] / border[2] + step[k]) * (plane[3] / along)
+        out[k] = hit - border[k] if met else step[k]
+        across += out[k] * plane[k]
+    length = 0.0
+    for k in range(3):
+        out[k] -= across * plane[k]
+        length += out[k] * out[k]
+    length = np.sqrt(length)
+    reach = min(length, _UNSEEN) if met else _UNSEEN
+    for k in range(3):
+        out[k] = border[k] + out[k] * (reach / max(length, 1e-9))
+
+
+@njit(cache=True, error_model="numpy")
+def beyond_halfplanes(
+    points: FloatArray, axes: FloatArray, directions: FloatArray, reach: FloatArray
+) -> FloatArray:
+    """How far points lie, seen along a normal, beyond a convex region of the plane.
+
+    Args:
+        points: (N, 3) points [m].
+        axes: (2, 3) axes of the plane.
+        directions: (D, 2) outer normals of the half-planes, along these axes.
+        reach: (D,) how far each half-plane reaches along its normal [m].
+
+    Returns:
+        (N,) the largest distance beyond a half-plane [m], negative inside.
+    """
+    a, b = np.zeros(len(points)), np.zeros(len(points))
+    for i in range(len(points)):
+        for k in range(3):
+            a[i] += axes[0, k] * points[i, k]
+            b[i] += axes[1, k] * points[i, k]
+    beyond = np.full(len(points), -np.inf)
+    for d in range(len(reach)):
+        x, y, limit = directions[d, 0], directions[d, 1], reach[d]
+        # A loop along the points uses vector instructions.
+        for i in range(len(points)):
+            distance = x * a[i] + y * b[i] - limit
+            beyond[i] = distance if distance > beyond[i] else beyond[i]
+    return beyond
+
+
+# Outer normals of the half-planes that bound the region.
+_OUTWARD = np.column_stack([f(np.arange(64) * (2.0 * np.pi / 64)) for f in (np.cos, np.sin)])
+
+
+def seen_extent(
+    shape: tuple[int, int],
+    pixel: IntArray,
+    on_table: BoolArray,
+    p_CQ: FloatArray,
+    normal: FloatArray,
+    offset: float,
+    pitch: tuple[float, float],
+) -> FloatArray:
+    """Points (E, 3) on the plane, in the camera frame [m], that span the table's extent.
+
+    Args:
+        shape: rows and columns of the grid of samples.
+        pixel: (N,) ascending flat index of each sample in that grid.
+        on_table: (N,) whether it lies on the table.
+        p_CQ: (N, 3) the samples in the camera frame [m].
+        normal: (3,) the table's unit normal in the camera frame.
+        offset: ``normal . p`` of its points [m].
+        pitch: tangents x / z and y / z from a column and a row of the grid to the next.
+    """
+    plane = np.append(normal, offset)
+    return np.asarray(extent_points(*shape, pixel, on_table, p_CQ, plane, np.array(pitch)))
+
+
+def beyond_extent(p_WQ: FloatArray, table_W: FloatArray, normal_W: FloatArray) -> FloatArray:
+    """How far points stand beyond the convex extent of the table's points.
+
+    Args:
+        p_WQ: (N, 3) points [m].
+        table_W: (E, 3) points of the table [m].
+        normal_W: (3,) its unit normal.
+
+    Returns:
+        (N,) largest distance, along the plane, beyond any of the half-planes that bound
+        the extent [m]: negative inside; infinite where the table has no extent.
+    """
+    if not len(table_W):
+        return np.full(len(p_WQ), np.inf)
+    axes = plane_axes(normal_W)
+    reach = (_OUTWARD @ (axes @ table_W.T)).max(axis=1)
+    return np.asarray(beyond_halfplanes(p_WQ, axes, _OUTWARD, reach))
+
+
+def plane_axes(normal: FloatArray) -> FloatArray:
+    """(2, 3) orthonormal axes of the plane with that normal."""
+    a, b, c = normal
+    smallest = int(np.argmin(np.abs(normal)))
+    first = -normal[smallest] * normal
+    first[smallest] += 1.0
+    first /= np.sqrt(first @ first)
+    x, y, z = first
+    # NumPy's cross product takes long for so few numbers.
+    return np.array([first, [b * z - c * y, c * x - a * z, a * y - b * x]])
+
+
+_HYPOTHESES = 400
+_SCORED_POINTS = 800
+_REFINED_POINTS = 4000
+_SEED = 20190701
+# A narrowing band sheds the feet of what stands on the plane.
+_BANDS = (1.0, 1.0, 0.7, 0.5, 0.5)
+# From an expected plane that holds so much of what lies at its height within this share
+# of the tolerance, no other plane can be the one; there fewer steps suffice.
+_EXPECTED_SHARE = 0.5
+_EXPECTED_BAND = 0.5
+_EXPECTED_BANDS = (1.0, 0.5, 0.5)
+# What is lower stands on a floor or table; what is higher and wide is a table on a floor.
+_OBJECT_HEIGHT = 0.45
+_TABLE_HEIGHT = 1.3
+_LEAST_TABLE = 0.1  # area [m^2]
+_LARGEST_TOP = 0.4  # of a box [m^2]
+_BIN = 0.01  # of a histogram of heights [m]
+
+
+@dataclass(frozen=True)
+class PlaneFit:
+    """A plane ``normal . p = offset`` fitted to points.
+
+    Attributes:
+        normal: (3,) unit normal in the frame of the points.
+        offset: distance of the plane from the origin along the normal [m].
+        rms: root mean square distance of the inliers from the plane [m].
+        inliers: (N,) which of the given points lie on the plane.
+    """
+
+    normal: FloatArray
+    offset: float
+    rms: float
+    inliers: BoolArray
+
+
+def fit_plane(
+    points: FloatArray,
+    up: FloatArray,
+    max_tilt: float,
+    tolerance: FloatArray,
+    *,
+    height: float | None = None,
+    height_tolerance: float = 0.05,
+    origin_above: bool = False,
+    min_fraction: float = 0.05,
+) -> PlaneFit | None:
+    """Finds the plane with the most points on it among those that face ``up``.
+
+    Random triples (of a fixed seed: equal input gives equal output) propose
+    planes; those tilted by more than ``max_tilt`` are dropped, the rest is scored
+    by its number of inliers, and the best is refined by weighted least squares,
+    with weights ``1 / tolerance**2``. Where ``height`` is given and most of what lies about
+    there lies on the level plane at that height, that plane is refined, without a search.
+    Where ``height`` is not given, what has the most
+    points may be the floor round a small table, or the top of a large box on one:
+    see `_supporting_level`.
+
+    Args:
+        points: (N, 3) finite points [m], in any frame.
+        up: (3,) unit vector that the normal roughly follows, same frame.
+        max_tilt: largest angle between the normal and ``up`` [rad], below pi/2.
+        tolerance: (N,) distance from the plane at which each point still belongs
+            to it [m], positive.
+        height: expected offset along ``up`` at the foot of the origin [m]; only
+            points within ``height_tolerance`` of it are considered. None: unknown.
+        height_tolerance: see ``height`` [m].
+        origin_above: whether the origin (the camera) must be on the free side.
+        min_fraction: smallest share of the points that makes a plane.
+
+    Returns:
+        The plane, or None when no plane is supported by enough points.
+    """
+    points, tolerance = (np.require(x, np.float64, ["C", "W"]) for x in (points, tolerance))
+    allowed = np.ones(len(points), dtype=bool)
+    needed = max(20, int(min_fraction * len(points)))
+    if height is not None:
+        level, reach = np.append(up, height), np.full(len(points), float(height_tolerance))
+        on_plane(points, reach, level, allowed, allowed)
+        near = np.empty(len(points), dtype=bool)
+        on_plane(points, _EXPECTED_BAND * tolerance, level, allowed, near)
+        most = max(needed, _EXPECTED_SHARE * np.count_nonzero(allowed))
+        if np.count_nonzero(near) >= most and not (origin_above and height >= 0.0):
+            expected = (up, float(height))
+            fit = _refined(
+                points, allowed, tolerance, expected, up, max_tilt, needed, _EXPECTED_BANDS
+            )
+            if fit is not None:
+                return fit
+    candidates = np.flatnonzero(allowed)
+    if len(candidates) < needed:
+        return None
+
+    rng = np.random.default_rng(_SEED)
+    if len(candidates) > _SCORED_POINTS:
+        candidates = rng.choice(candidates, _SCORED_POINTS, replace=False)
+    best = _best_hypothesis(
+        points[candidates], up, max_tilt, tolerance[candidates], origin_above, rng
+    )
+    if best is None:
+        return None
+    fit = _refined(points, allowed, tolerance, best, up, max_tilt, needed)
+    if fit is None or height is not None:
+        return fit
+    support = _supporting_level(points, fit, tolerance, needed)
+    if support is None:
+        return fit
+    other = _refined(points, allowed, tolerance, (fit.normal, support), up, max_tilt, needed)
+    # A level that is no plane leaves its height when it is refined.
+    if other is None or other.normal @ fit.normal < np.cos(np.deg2rad(5.0)):
+        return fit
+    return fit if origin_above and other.offset >= 0.0 else other
+
+
+def _supporting_level(
+    points: FloatArray, fit: PlaneFit, tolerance: FloatArray, needed: int
+) -> float | None:
+    """The offset of a plane parallel to a fit that supports what is seen, if another does.
+
+    - Above a floor: a wide level that is higher than objects are, and nearer to the
+      origin (where the camera is) than the floor: the table.
+    - Below a box: a level wider than the fit, within the height of objects, is what
+      the box stands on.
+
+    Args:
+        points: (N, 3) points [m].
+        fit: the plane with the most points on it.
+        tolerance: (N,) distance [m] at which a point belongs to a plane.
+        needed: number of points that makes a plane.
+    """
+    height = points @ fit.normal - fit.offset
+    edges = np.arange(-_OBJECT_HEIGHT, _TABLE_HEIGHT, _BIN)
+    bins = ((height + _OBJECT_HEIGHT) * (1.0 / _BIN)).astype(np.int64)
+    count = np.bincount(bins[(bins >= 0) & (bins < len(edges))], minlength=len(edges))
+    votes = np.convolve(count, np.ones(3, dtype=np.int64), mode="same")
+    middle = edges + 0.5 * _BIN
+    own = int(np.count_nonzero(fit.inliers))
+    above = np.where((middle > _OBJECT_HEIGHT) & (votes >= max(needed, own // 5)), votes, 0)
+    below = np.where((middle < -0.02) & (votes >= max(needed, own // 7)), votes, 0)
+    if not above.any() and not below.any():
+        return None
+    area = _spread_area(points[fit.inliers], fit.normal)
+    for level, is_above in ((above, True), (below, False)):
+        if not level.any():
+            continue
+        at = middle[int(np.argmax(level))]
+        on_level = points[np.abs(height - at) < 1.5 * _BIN]
+        wide = _spread_area(on_level, fit.normal)
+        if is_above:
+            own_distance = np.median(np.linalg.norm(points[fit.inliers], axis=1))
+            nearer = np.median(np.linalg.norm(on_level, axis=1)) < own_distance
+            if nearer and wide > _LEAST_TABLE:
+                return float(fit.offset + at)
+        elif area < _LARGEST_TOP and wide > area:
+            return float(fit.offset + at)
+    return None
+
+
+def _spread_area(points: FloatArray, normal: FloatArray) -> float:
+    """Area [m^2] of the rectangle with the points' variances along a plane."""
+    covariance = np.cov(points.T)
+    # The product of the two variances in the plane: the determinant of the rest.
+    trace, along = np.trace(covariance), float(normal @ covariance @ normal)
+    squares = np.einsum("ij,ij->", covariance, covariance)
+    cross = covariance @ normal
+    product = 0.5 * ((trace - along) ** 2 - (squares - 2.0 * (cross @ cross) + along**2))
+    return float(12.0 * np.sqrt(max(product, 0.0)))
+
+
+def _best_hypothesis(
+    points: FloatArray,
+    up: FloatArray,
+    max_tilt: float,
+    tolerance: FloatArray,
+    origin_above: bool,
+    rng: np.random.Generator,
+) -> tuple[FloatArray, float] | None:
+    a, b, c = points[rng.integers(len(points), size=(3, _HYPOTHESES))]
+    normals = np.cross(b - a, c - a)
+    length = np.linalg.norm(normals, axis=1)
+    usable = length > 1e-9
+    normals, a = normals[usable] / length[usable, None], a[usable]
+    cosine = normals @ up
+    normals = np.where(cosine[:, None] < 0.0, -normals, normals)
+    offsets = np.einsum("ij,ij->i", normals, a)
+    upright = np.abs(cosine) >= np.cos(max_tilt)
+    if origin_above:
+        upright &= offsets < 0.0
+    normals, offsets = normals[upright], offsets[upright]
+    if not len(normals):
+        return None
+    votes = votes_for_planes(normals, offsets, points, tolerance)
+    winner = int(np.argmax(votes))
+    return normals[winner], float(offsets[winner])
+
+
+def _refined(
+    points: FloatArray,
+    allowed: BoolArray,
+    tolerance: FloatArray,
+    plane: tuple[FloatArray, float],
+    up: FloatArray,
+    max_tilt: float,
+    needed: int,
+    bands: tuple[float, ...] = _BANDS,
+) -> PlaneFit | None:
+    normal, offset = plane
+    step = 1 + len(points) // _REFINED_POINTS
+    chosen = step * np.flatnonzero(allowed[::step])
+    some, some_tolerance, moments = points[chosen], tolerance[chosen], np.empty((4, 4))
+    for band in bands:
+        first = band_moments(some, some_tolerance, np.append(normal, offset), band, moments)
+        if first < 0:
+            return None
+        mean = moments[3, :3] / moments[3, 3]
+        _, axes = np.linalg.eigh(moments[:3, :3] - moments[3, 3] * np.outer(mean, mean))
+        normal = axes[:, 0] if axes[:, 0] @ up >= 0.0 else -axes[:, 0]
+        offset = float(normal @ (some[first] + mean))
+    if normal @ up < np.cos(max_tilt):
+        return None
+    inliers = np.empty(len(points), dtype=bool)
+    total = on_plane(points, tolerance, np.append(normal, offset), allowed, inliers)
+    count = np.count_nonzero(inliers)
+    if count < needed:
+        return None
+    rms = float(np.sqrt(total / count))
+    return PlaneFit(normal, offset, rms, inliers)

@@ -1,0 +1,15 @@
+import numpy as np
+
+from drake_oa.geometry.pinhole import pixel_at
+
+K = np.array([260.0, 260.0, 159.5, 119.5])
+SIZE = (240, 320)
+
+
+def test_a_point_is_shown_by_the_pixel_it_came_from():
+    for index in range(0, SIZE[0] * SIZE[1], 997):
+        row, column = divmod(index, SIZE[1])
+        x, y = 1.7 * (column - K[2]) / K[0], 1.7 * (row - K[3]) / K[1]
+        assert pixel_at(x, y, 1.7, *SIZE, K) == index
+        assert pixel_at(-x, -y, -1.7, *SIZE, K) == -1
+    assert pixel_at(9.0, 0.0, 1.0, *SIZE, K) == -1
