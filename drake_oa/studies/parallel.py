@@ -1,8 +1,4 @@
-"""Calls of one function carried out here, in processes, or on a Dask cluster.
-
-Each way yields the place of a call and what it returned as soon as it is done, in the order
-in which they are done. Exceptions pass through; what has not been started is then dropped.
-"""
+"""Calls of one function carried out here, in processes, or on a Dask cluster."""
 
 from __future__ import annotations
 
@@ -29,7 +25,9 @@ def carry_out(
     jobs: int = 1,
     scheduler: str | None = None,
 ) -> Iterator[tuple[int, Any]]:
-    """Carries out `function(*call)` for each call.
+    """Carries out `function(*call)` for each call, and yields place and result as each is done.
+
+    Exceptions pass through; what has not been started is then dropped.
 
     Args:
         function: picklable.
@@ -37,17 +35,42 @@ def carry_out(
         jobs: processes at once; 1: in this process.
         scheduler: address of a Dask scheduler, which replaces `jobs`.
 
-    Yields:
-        The call's place and its result.
-
     Raises:
         ValueError: if there is no such scheduler, or the package for it is missing.
     """
-    if scheduler is not None:
-        return _on_cluster(function, calls, scheduler)
-    if jobs == 1 or len(calls) <= 1:
-        return ((place, function(*call)) for place, call in enumerate(calls))
-    return _in_processes(function, calls, min(jobs, len(calls)))
+    if scheduler is None and (jobs == 1 or len(calls) <= 1):
+        for place, call in enumerate(calls):
+            yield place, function(*call)
+        return
+    from joblib import Parallel, delayed, parallel_config
+
+    # A worker that has grown is renewed, and no call is lost by it.
+    warnings.filterwarnings("ignore", message="A worker stopped while some jobs")
+    with contextlib.ExitStack() as stack:
+        ahead: int | str = min(jobs, len(calls))
+        if scheduler is None:
+            stack.enter_context(parallel_config("loky", n_jobs=ahead, inner_max_num_threads=1))
+        else:
+            # A cluster may grow on the way: it is told of all calls at once.
+            ahead = "all"
+            stack.enter_context(
+                parallel_config("dask", client=stack.enter_context(_client(scheduler)))
+            )
+        # Long calls: handed out one by one, and no more of them than there are processes.
+        pool = Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch=ahead)
+        results = pool(delayed(_placed)(function, place, call) for place, call in enumerate(calls))
+        try:
+            yield from results
+        except BaseException:
+            if scheduler is None:
+                from joblib.externals.loky import get_reusable_executor
+
+                get_reusable_executor().shutdown(wait=False, kill_workers=True)
+            raise
+        finally:
+            # What has ended it is raised already.
+            with contextlib.suppress(Exception):
+                results.close()
 
 
 def _placed(function: Callable[..., Any], place: int, call: Call) -> tuple[int, Any]:
@@ -59,36 +82,9 @@ def _placed(function: Callable[..., Any], place: int, call: Call) -> tuple[int, 
         return place, function(*call)
 
 
-def _in_processes(
-    function: Callable[..., Any], calls: Sequence[Call], jobs: int
-) -> Iterator[tuple[int, Any]]:
-    from joblib import Parallel, delayed, parallel_config
-    from joblib.externals.loky import get_reusable_executor
-
-    # A worker that has grown is renewed, and no call is lost by it.
-    warnings.filterwarnings("ignore", message="A worker stopped while some jobs")
-    with parallel_config(backend="loky", inner_max_num_threads=1):
-        # Long calls: handed out one by one, and no more of them than there are workers.
-        pool = Parallel(
-            n_jobs=jobs, return_as="generator_unordered", batch_size=1, pre_dispatch=jobs
-        )
-        results = pool(delayed(_placed)(function, place, call) for place, call in enumerate(calls))
+def _client(scheduler: str) -> Any:
     try:
-        yield from results
-    except BaseException:
-        get_reusable_executor().shutdown(wait=False, kill_workers=True)
-        raise
-    finally:
-        # What has ended it is raised already.
-        with contextlib.suppress(Exception):
-            results.close()
-
-
-def _on_cluster(
-    function: Callable[..., Any], calls: Sequence[Call], scheduler: str
-) -> Iterator[tuple[int, Any]]:
-    try:
-        from distributed import Client, as_completed
+        from distributed import Client
         from distributed.comm import resolve_address
     except ModuleNotFoundError:
         raise ValueError(
@@ -97,18 +93,6 @@ def _on_cluster(
     try:
         # First: a client that refuses an address hangs for a while when it is disposed of.
         resolve_address(scheduler)
-        client = Client(scheduler, timeout=CONNECT_TIMEOUT, set_as_default=False)
+        return Client(scheduler, timeout=CONNECT_TIMEOUT, set_as_default=False)
     except (OSError, ValueError) as error:
         raise ValueError(f"cannot reach a Dask scheduler at {scheduler}: {error}") from None
-    with client:
-        futures = [
-            client.submit(_placed, function, place, call, pure=False)
-            for place, call in enumerate(calls)
-        ]
-        try:
-            for future in as_completed(futures, loop=client.loop):
-                yield future.result()
-                future.release()
-        except BaseException:
-            client.cancel(futures, force=True)
-            raise

@@ -10,9 +10,27 @@ _CALLS = [(k, 2) for k in range(5)]
 _EXPECTED = {k: k**2 for k in range(5)}
 
 
+@pytest.fixture(scope="module")
+def cluster():
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as made:
+        yield made.scheduler_address
+
+
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_every_call_comes_back_with_its_place(jobs):
     assert dict(carry_out(operator.pow, _CALLS, jobs=jobs)) == _EXPECTED
+    with pytest.raises(ZeroDivisionError):
+        list(carry_out(operator.truediv, [(1, 0), (1, 0), (1, 1)], jobs=jobs))
+
+
+def test_a_cluster_does_the_same(cluster):
+    assert dict(carry_out(operator.pow, _CALLS, scheduler=cluster)) == _EXPECTED
+    assert list(carry_out(operator.pow, [], scheduler=cluster)) == []
+    with pytest.raises(ZeroDivisionError):
+        list(carry_out(operator.truediv, [(1, 1), (1, 0), (1, 1)], scheduler=cluster))
 
 
 def test_here_they_come_one_by_one():
@@ -20,16 +38,7 @@ def test_here_they_come_one_by_one():
     results = carry_out(done.append, [(1,), (2,)], jobs=1)
     next(results)
     assert done == [1]
-
-
-def test_nothing_to_do():
     assert list(carry_out(operator.pow, [], jobs=3)) == []
-
-
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_an_exception_passes_through(jobs):
-    with pytest.raises(ZeroDivisionError):
-        list(carry_out(operator.truediv, [(1, 0), (1, 0), (1, 1)], jobs=jobs))
 
 
 @pytest.mark.parametrize("address", ["tcp://localhost:1", "localhost", "nothing://localhost:1"])
