@@ -195,11 +195,16 @@ def allow_perception(block: type) -> None:
     """Makes a dataclass a valid block of `perception`, under its class's name as a tag.
 
     Raises:
-        TypeError: if it is no dataclass, or has no `period`.
+        TypeError: if it is no dataclass, has no `period`, or its module postpones annotations.
     """
     if not dc.is_dataclass(block) or "period" not in {item.name for item in dc.fields(block)}:
         raise TypeError(
             f"{block.__name__}: a perception block is a dataclass with a field 'period'"
+        )
+    if any(isinstance(item.type, str) for item in dc.fields(block)):
+        raise TypeError(
+            f"{block.__name__}: its module postpones annotations, of which Drake's YAML reader "
+            "knows nothing: leave out `from __future__ import annotations` there"
         )
     item = next(item for item in dc.fields(Scenario) if item.name == "perception")
     item.type = item.type | block

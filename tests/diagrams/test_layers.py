@@ -1,0 +1,92 @@
+"""Layers and blocks of one's own: what goes wrong is told, and nothing else changes."""
+
+import dataclasses as dc
+
+import pytest
+from pydrake.common.value import Value
+from pydrake.systems.framework import LeafSystem
+from pydrake.systems.primitives import ConstantValueSource
+from pydrake.systems.sensors import ImageDepth32F
+
+from drake_oa.common.messages import ObstacleClouds
+from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.wires import connections
+from drake_oa.diagrams.avoidance import Layers, build_avoidance, nothing
+from drake_oa.diagrams.perception import SOURCES, register_source
+from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
+from drake_oa.scenario.scenario import Scenario, allow_perception
+
+
+@dc.dataclass
+class Nobody:
+    """A source that sees nothing."""
+
+    period: float = dc.field(default=0.1, metadata={"unit": "s", "low": 1e-3, "high": 1.0})
+
+
+@pytest.fixture
+def nobody():
+    """The block, known while the test runs."""
+    field = next(item for item in dc.fields(Scenario) if item.name == "perception")
+    before = field.type
+
+    def add(wires, block, scenario, station) -> None:
+        source = ConstantValueSource(Value(ObstacleClouds()))
+        wires.add("perception", source, offers={"y0": "obstacles_W"})
+
+    register_source(Nobody, add)
+    yield
+    field.type = Scenario.__annotations__["perception"] = before
+    del SOURCES[Nobody]
+
+
+@pytest.mark.usefixtures("nobody")
+def test_a_registered_block_is_read_checked_written_and_built() -> None:
+    scenario = load_scenario("tabletop_box", ["perception=!Nobody {period: 0.2}"])
+    assert scenario.perception == Nobody(period=0.2)
+    assert parse_scenario(scenario_text(scenario)).perception == scenario.perception
+    with pytest.raises(ScenarioError, match=r"perception.period: 7.* 1"):
+        load_scenario("tabletop_box", ["perception=!Nobody {period: 7}"])
+    edges = connections(build_avoidance(scenario))
+    assert ("perception.y0", "ellipsoid_descriptor.obstacles_W") in edges
+    # Nothing is known of a camera's view: what watches sees what the descriptor sees.
+    assert ("perception.y0", "supervisor.obstacles_W") in edges
+
+
+def test_what_cannot_be_a_block_is_refused() -> None:
+    with pytest.raises(TypeError, match="int: a perception block is a dataclass"):
+        allow_perception(int)
+    postponed = dc.make_dataclass("Postponed", [("period", "float", 0.1)])
+    with pytest.raises(TypeError, match="Postponed: its module postpones annotations"):
+        allow_perception(postponed)
+
+
+def test_a_layer_that_adds_nothing_leaves_its_signals_open() -> None:
+    layers = dc.replace(Layers(), safety=nothing, posture=nothing)
+    diagram = build_avoidance(
+        load_scenario("tabletop_box", ["perception=!GroundTruth {}"]), layers=layers
+    )
+    names = {system.get_name() for system in diagram.GetSystems()}
+    assert not names & {"supervisor", "evasion", "posture_follower", "log_speed_scale"}
+    readers = {reader for _, reader in connections(diagram)}
+    assert "dmp_integrator.speed_scale" not in readers
+    assert "controller.desired_posture" not in readers
+
+
+def test_a_system_put_behind_the_camera_changes_what_perception_sees() -> None:
+    class Blind(LeafSystem):
+        def __init__(self) -> None:
+            super().__init__()
+            self.DeclareAbstractInputPort("depth_image", Value(ImageDepth32F()))
+            self.DeclareAbstractOutputPort(
+                "depth_image", lambda: Value(ImageDepth32F(2, 2)), lambda _, out: out
+            )
+
+    diagram = build_avoidance(
+        load_scenario("tabletop_box"),
+        customize=lambda wires: wires.interpose("depth_image", "blind", Blind()),
+    )
+    edges = connections(diagram)
+    assert ("blind.depth_image", "perception.depth_image") in edges
+    assert ("late_camera.depth_image", "blind.depth_image") in edges
+    assert ("late_camera.depth_image", "perception.depth_image") not in edges
