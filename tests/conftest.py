@@ -18,8 +18,7 @@ from drake_oa.robot.limits import RobotLimits
 from drake_oa.robot.plant import home_positions, make_robot_plant
 from drake_oa.runs.motion_log import MotionLog, pack_ellipsoids
 from drake_oa.scenario.loading import load_scenario, scenario_text
-from drake_oa.studies.scenes.methods import Setting
-from drake_oa.studies.scenes.motions import Motions
+from drake_oa.studies.scenes.methods import Motions, Setting
 from drake_oa.studies.scenes.scenes import DURATION, Scenes
 
 # The machine may be busy: no property is judged by the time an example takes.

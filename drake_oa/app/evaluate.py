@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from drake_oa.common.messages import FloatArray
     from drake_oa.studies.scenes.dead_zone import Comparison
     from drake_oa.studies.scenes.evaluation import Evaluation, Outcome
-    from drake_oa.studies.scenes.methods import Method
-    from drake_oa.studies.scenes.motions import Motions
+    from drake_oa.studies.scenes.methods import Method, Motions
     from drake_oa.studies.scenes.scenes import Scenes
 
 _DESCRIPTION = """\
@@ -152,10 +151,9 @@ def run(options: argparse.Namespace) -> int:
 
     from drake_oa.common.provenance import software_versions
     from drake_oa.studies.scenes.evaluation import evaluate
-    from drake_oa.studies.scenes.figures import evaluation_figures
-    from drake_oa.studies.scenes.scenes_file import save_scenes
+    from drake_oa.studies.scenes.figures import evaluation_figures, evaluation_table
+    from drake_oa.studies.scenes.scenes import save_scenes
     from drake_oa.studies.scenes.suites import find_suite
-    from drake_oa.studies.scenes.tables import evaluation_table
 
     suite = find_suite(options.suite)
     methods = _methods(options.methods or suite.methods)
@@ -234,7 +232,7 @@ def _term_text(terms: Sequence[Comparison]) -> str:
 
 def _scenes(options: argparse.Namespace) -> Scenes:
     from drake_oa.common.memory import check_memory
-    from drake_oa.studies.scenes.scenes_file import load_scenes
+    from drake_oa.studies.scenes.scenes import load_scenes
     from drake_oa.studies.scenes.suites import draw_scenes, find_suite
 
     if options.scenes is not None and options.scenes < 1:

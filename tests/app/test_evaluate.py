@@ -9,8 +9,7 @@ import pytest
 
 from drake_oa.app import cli
 from drake_oa.studies.scenes import methods
-from drake_oa.studies.scenes.methods import Setting
-from drake_oa.studies.scenes.motions import Motions
+from drake_oa.studies.scenes.methods import Motions, Setting
 from drake_oa.studies.scenes.scenes import Scenes
 from drake_oa.studies.scenes.suites import SUITES
 

@@ -12,7 +12,7 @@ from drake_oa.runs.decision_costs import pooled_figures
 from drake_oa.runs.report import TOLD
 from drake_oa.studies.panda.evaluation import PandaResults
 from drake_oa.studies.panda.run import PLANNER
-from drake_oa.studies.scenes.tables import text_table
+from drake_oa.studies.tables import text_table
 from drake_oa.studies.tally import drawn_figures, drawn_lines
 
 ALL = "all"

@@ -17,10 +17,9 @@ import numpy as np
 from drake_oa.common.messages import FloatArray
 from drake_oa.studies.scenes.judge import judge
 from drake_oa.studies.scenes.methods import Setting
-from drake_oa.studies.scenes.original_method import BETA
-from drake_oa.studies.scenes.paper_method import constant_motions
+from drake_oa.studies.scenes.paper_method import BETA, constant_motions
 from drake_oa.studies.scenes.scenes import Scenes
-from drake_oa.studies.scenes.tables import text_table
+from drake_oa.studies.tables import text_table
 
 GAMMAS = (10.0, 30.0, 100.0, 300.0, 1000.0)
 

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 from time import perf_counter
 
 from drake_oa.studies.scenes.judge import Judgement, joined, judge
-from drake_oa.studies.scenes.methods import Method
-from drake_oa.studies.scenes.motions import Motions
+from drake_oa.studies.scenes.methods import Method, Motions
 from drake_oa.studies.scenes.scenes import Scenes
 from drake_oa.studies.scenes.suites import Case
 

@@ -1,4 +1,4 @@
-"""The figures of an evaluation, as its JSON holds them; lengths in metres, times in seconds."""
+"""The figures of an evaluation, as its JSON holds them, and their table; metres and seconds."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from drake_oa.common.messages import BoolArray, FloatArray
+from drake_oa.common.messages import BoolArray
 from drake_oa.studies.scenes.evaluation import Outcome
 from drake_oa.studies.scenes.judge import Judgement
 from drake_oa.studies.scenes.suites import Case
+from drake_oa.studies.tables import over, text_table
 
 _ARRIVED = 1e-3
 
@@ -87,33 +88,81 @@ def motion_figures(judged: Judgement) -> dict[str, Any]:
     return {
         "scenes": len(judged),
         "collisions": int(judged.collided.sum()),
-        "clearance_mean": _mean(clearance),
-        "clearance_min": _least(clearance),
+        "clearance_mean": over(np.mean, clearance),
+        "clearance_min": over(np.min, clearance),
         "short_of_feasible": int(judged.short.sum()),
-        "goal_error_mean": _mean(judged.goal_error),
-        "goal_error_max": _most(judged.goal_error),
-        "path_ratio_mean": _mean(judged.path_ratio),
+        "goal_error_mean": over(np.mean, judged.goal_error),
+        "goal_error_max": over(np.max, judged.goal_error),
+        "path_ratio_mean": over(np.mean, judged.path_ratio),
         "goal_missed": int((judged.goal_error > _ARRIVED).sum()),
-        "clearance_std": float(clearance.std()) if len(clearance) else None,
-        "clearance_max": _most(clearance),
-        "path_ratio_max": _most(judged.path_ratio),
-        "short_worst": _most(lacking),
+        "clearance_std": over(np.std, clearance),
+        "clearance_max": over(np.max, clearance),
+        "path_ratio_max": over(np.max, judged.path_ratio),
+        "short_worst": over(np.max, lacking),
         "delta_feasible": int(feasible.sum()),
-        "clearance_mean_feasible": _mean(judged.clearance[feasible]),
-        "duration_mean": _mean(judged.duration),
-        "arrival_mean": _mean(judged.arrival),
-        "arrival_max": _most(judged.arrival),
+        "clearance_mean_feasible": over(np.mean, judged.clearance[feasible]),
+        "duration_mean": over(np.mean, judged.duration),
+        "arrival_mean": over(np.mean, judged.arrival),
+        "arrival_max": over(np.max, judged.arrival),
         "out_of_range": int(judged.out_of_range.sum()),
     }
 
 
-def _mean(values: FloatArray) -> float | None:
-    return float(values.mean()) if len(values) else None
+_PRINTED = ("clearance_mean", "clearance_min", "goal_error_mean", "goal_error_max", "collisions")
+TABLE_II: dict[float, dict[str, Any]] = {
+    0.5: dict(zip(_PRINTED, (0.144, -5.01e-4, 4.41e-4, 0.017, 2), strict=True)),
+    1.0: dict(zip(_PRINTED, (0.184, 0.060, 4.23e-4, 0.017, 0), strict=True)),
+    1.5: dict(zip(_PRINTED, (0.196, 0.068, 5.22e-4, 0.023, 0), strict=True)),
+    2.0: dict(zip(_PRINTED, (0.202, 0.076, 6.49e-4, 0.027, 0), strict=True)),
+}
+"""What the paper prints for its 4 x 1,000 novel scenes (tab:results_unseen_metrics)."""
+
+_COLUMNS = (
+    ("scenes", "scenes", "{:d}", 1.0),
+    ("collisions", "collisions", "{:d}", 1.0),
+    ("clearance_mean", "clearance mean [m]", "{:.3f}", 1.0),
+    ("clearance_min", "min [m]", "{:.4f}", 1.0),
+    ("short_of_feasible", "short", "{:d}", 1.0),
+    ("goal_error_mean", "goal error mean [mm]", "{:.3f}", 1e3),
+    ("goal_error_max", "max [mm]", "{:.3f}", 1e3),
+    ("path_ratio_mean", "path ratio", "{:.3f}", 1.0),
+)
+_WHOLE = (
+    *_COLUMNS[:3],
+    ("clearance_mean_feasible", "where feasible [m]", "{:.3f}", 1.0),
+    *_COLUMNS[3:],
+    ("step_us", "step [us]", "{:.3g}", 1.0),
+    ("seconds", "seconds", "{:.2f}", 1.0),
+)
 
 
-def _least(values: FloatArray) -> float | None:
-    return float(values.min()) if len(values) else None
+def evaluation_table(figures: Mapping[str, Any]) -> str:
+    """All methods side by side; then each setting, or each baseline with the paper's figures.
+
+    Args:
+        figures: as `evaluation_figures` makes them.
+    """
+    methods: Mapping[str, Any] = figures["methods"]
+    rows = [
+        (name if method["complete"] else f"{name} (not complete)", method)
+        for name, method in methods.items()
+    ]
+    blocks = [text_table("method", rows, _WHOLE)]
+    covered = next((m["covers"] for m in methods.values() if "covers" in m), None)
+    if covered:
+        blocks[0] += f"\n(over: {'; '.join(covered)}; seconds: all settings)"
+    for name, method in methods.items():
+        if "settings" in method:
+            blocks.append(text_table(name, list(method["settings"].items()), _COLUMNS))
+        if "by_baseline" in method:
+            blocks.append(text_table(name, _baseline_rows(figures["suite"], method), _COLUMNS))
+    return "\n\n".join(blocks)
 
 
-def _most(values: FloatArray) -> float | None:
-    return float(values.max()) if len(values) else None
+def _baseline_rows(suite: str, method: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+    rows: list[tuple[str, Mapping[str, Any]]] = []
+    for part in method["by_baseline"]:
+        rows.append((f"goal at {part['baseline']:g} m", part))
+        if suite == "novel" and part["baseline"] in TABLE_II:
+            rows.append(("  the paper prints", TABLE_II[part["baseline"]]))
+    return rows

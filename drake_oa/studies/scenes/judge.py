@@ -9,9 +9,9 @@ import numpy as np
 
 from drake_oa.common.kernel_arrays import kernel_arrays
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen
-from drake_oa.geometry.ellipsoid import signed_distance
-from drake_oa.studies.scenes.motions import Motions
-from drake_oa.studies.scenes.scenes import DURATION, Scenes
+from drake_oa.studies.scenes.judge_kernels import Bodies, Curves, judge_motions
+from drake_oa.studies.scenes.methods import Motions
+from drake_oa.studies.scenes.scenes import DURATION, Scenes, scene_distance
 
 SUBSTEPS = 4
 """Samples judged in each interval of a motion."""
@@ -100,16 +100,14 @@ def judge(scenes: Scenes, motions: Motions, substeps: int = SUBSTEPS) -> Judgeme
     Raises:
         ValueError: if shapes disagree, or a motion is not finite or has no duration.
     """
-    from drake_oa.studies.scenes.judge_kernels import judge_motions
-
     N = len(scenes)
     _check(motions, N)
     if substeps < 1:
         raise ValueError(f"substeps must be at least 1, not {substeps}")
     out = np.empty((N, 2))
     judge_motions(
-        *kernel_arrays(motions.path, motions.velocity, motions.duration),
-        *kernel_arrays(scenes.center, scenes.R, scenes.semi_axes, scenes.velocity),
+        Curves(*kernel_arrays(motions.path, motions.velocity, motions.duration / motions.steps)),
+        Bodies(*kernel_arrays(scenes.center, scenes.R, scenes.semi_axes, scenes.velocity)),
         substeps,
         out,
     )
@@ -128,23 +126,6 @@ def judge(scenes: Scenes, motions: Motions, substeps: int = SUBSTEPS) -> Judgeme
         duration=np.array(motions.duration),
         out_of_range=np.zeros(N) if motions.in_range is None else (~motions.in_range).astype(float),
     )
-
-
-def scene_distance(scenes: Scenes, points: FloatArray, time: FloatArray) -> FloatArray:
-    """Signed distance of a point (N, 3) a scene to its nearest obstacle at a time (N,).
-
-    Returns:
-        (N,) [m]; inf without obstacles.
-    """
-    center = scenes.center + time[:, None, None] * scenes.velocity
-    distance = np.full(center.shape[:2], np.inf)
-    there = scenes.present
-    p = np.broadcast_to(points[:, None, :], center.shape)
-    if there.any():
-        distance[there] = signed_distance(
-            p[there], center[there], scenes.R[there], scenes.semi_axes[there]
-        )
-    return distance.min(axis=1, initial=np.inf)
 
 
 def _check(motions: Motions, count: int) -> None:

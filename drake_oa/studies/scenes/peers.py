@@ -22,21 +22,11 @@ import numpy as np
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.policy.dmp import minimum_jerk
-from drake_oa.studies.scenes.methods import Setting
-from drake_oa.studies.scenes.motions import Motions
+from drake_oa.studies.scenes.methods import Motions, Setting
 from drake_oa.studies.scenes.scenes import DURATION, Scenes
 
-try:
-    # The package does not name pytransform3d as a dependency, but imports it.
-    _package: Any = import_module("movement_primitives.dmp")
-except ModuleNotFoundError as error:
-    if (error.name or "").partition(".")[0] not in ("movement_primitives", "pytransform3d"):
-        raise
-    raise ModuleNotFoundError(
-        f"the method movement_primitives needs the package {error.name}: "
-        "pip install 'drake_oa[peers]'",
-        name="movement_primitives",
-    ) from error
+# The package does not name pytransform3d as a dependency, but imports it.
+_package: Any = import_module("movement_primitives.dmp")
 
 STEP = 0.01
 """The package's default step [s]."""

@@ -14,7 +14,7 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.policy.coupling import dead_zone_free_rate, original_rate
 from drake_oa.studies.scenes.dead_zone import Comparison, matched_term
 from drake_oa.studies.scenes.evaluation import Outcome
-from drake_oa.studies.scenes.original_method import BETA, GAMMA
+from drake_oa.studies.scenes.paper_method import BETA, GAMMA
 from drake_oa.studies.scenes.scenes import Scenes
 from drake_oa.studies.scenes.suites import FAMILIAR_CLEARANCES, Case
 

@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import fields
+from collections.abc import Callable
 
 import numpy as np
 
 from drake_oa.common.kernel_arrays import kernel_arrays
 from drake_oa.common.messages import BoolArray, FloatArray
-from drake_oa.studies.scenes.scenes import Scenes
+from drake_oa.studies.scenes.judge_kernels import Bodies, segment_distances
+from drake_oa.studies.scenes.scenes import Scenes, joined
 
 Draw = Callable[[np.random.Generator, int], Scenes]
-
-
-def joined(parts: Sequence[Scenes]) -> Scenes:
-    """Several batches of scenes with as many obstacles as one."""
-    columns = ([getattr(part, item.name) for part in parts] for item in fields(Scenes))
-    return Scenes(*map(np.concatenate, columns))
 
 
 def accepted(
@@ -52,30 +46,13 @@ def random_rotations(rng: np.random.Generator, count: int) -> FloatArray:
     return R
 
 
-def extent_along_x(R: FloatArray, semi_axes: FloatArray) -> FloatArray:
-    """Half-width of ellipsoids along x: (..., 3, 3), (..., 3) -> (...) [m]."""
-    return np.asarray(np.linalg.norm(R[..., 0, :] * semi_axes, axis=-1))
-
-
 def segment_distance(
     begin: FloatArray, end: FloatArray, center: FloatArray, R: FloatArray, semi_axes: FloatArray
 ) -> FloatArray:
-    """Least signed distance of segments to ellipsoids, row by row.
-
-    Args:
-        begin: (N, 3) [m].
-        end: (N, 3) [m].
-        center: (N, 3) [m].
-        R: (N, 3, 3).
-        semi_axes: (N, 3) [m].
-
-    Returns:
-        (N,) [m].
-    """
-    from drake_oa.studies.scenes.judge_kernels import segment_distances
-
+    """Least signed distance (N,) of segments (N, 3) to (N, 3) to N ellipsoids at rest [m]."""
+    bodies = Bodies(*kernel_arrays(center, R, semi_axes, np.zeros_like(center)))
     out = np.empty(len(center))
-    segment_distances(*kernel_arrays(begin, end, center, R, semi_axes), out)
+    segment_distances(*kernel_arrays(begin, end), bodies, out)
     return out
 
 

@@ -1,18 +1,27 @@
-"""Many obstacle-avoidance scenes as one struct of arrays.
+"""Many obstacle-avoidance scenes as one struct of arrays, and their files (.npz).
 
 Each is in the local frame L of its motion, which is the world frame: the start at rest
 in the origin, the goal at (baseline, 0, 0), z up. The demonstration is a straight
 minimum-jerk motion of `DURATION`. The tool is a point: obstacles are dilated already.
+
+A scenes file holds the fields of `Scenes` by name; it is checked on reading.
 """
 
 from __future__ import annotations
 
+import math
+import zipfile
+import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from drake_oa.common.memory import ArrayHeader, archive_headers, check_memory
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen
+from drake_oa.geometry.ellipsoid import signed_distance
 
 DURATION = 3.0
 """Demonstrated duration T [s]."""
@@ -59,6 +68,12 @@ class Scenes(Frozen):
         return Scenes(*(getattr(self, item.name)[chosen] for item in fields(self)))
 
 
+def joined(parts: Sequence[Scenes]) -> Scenes:
+    """Several batches of scenes with as many obstacles as one."""
+    columns = ([getattr(part, item.name) for part in parts] for item in fields(Scenes))
+    return Scenes(*map(np.concatenate, columns))
+
+
 def single_obstacle(
     baseline: ArrayLike,
     center: ArrayLike,
@@ -93,3 +108,154 @@ def single_obstacle(
         velocity=np.broadcast_to(moving, (N, 3))[:, None].copy(),
         clearance=np.full(N, float(clearance)),
     )
+
+
+def scene_distance(scenes: Scenes, points: FloatArray, time: FloatArray) -> FloatArray:
+    """Signed distance of a point (N, 3) a scene to its nearest obstacle at a time (N,).
+
+    Returns:
+        (N,) [m]; inf without obstacles.
+    """
+    center = scenes.center + time[:, None, None] * scenes.velocity
+    distance = np.full(center.shape[:2], np.inf)
+    there = scenes.present
+    p = np.broadcast_to(points[:, None, :], center.shape)
+    if there.any():
+        distance[there] = signed_distance(
+            p[there], center[there], scenes.R[there], scenes.semi_axes[there]
+        )
+    return distance.min(axis=1, initial=np.inf)
+
+
+_SHAPES: dict[str, tuple[int, ...]] = {
+    "baseline": (),
+    "center": (3,),
+    "semi_axes": (3,),
+    "R": (3, 3),
+    "velocity": (3,),
+    "clearance": (),
+}
+"""Of a file's arrays, after (N, M), or after (N,) for ()."""
+_COPIES = 4
+"""How many times the arrays are held while they are read and checked."""
+_ORTHONORMAL = 1e-6
+_LONGEST = 100.0
+"""Greatest baseline of a scene [m]."""
+_FARTHEST = 100.0
+"""A centre may be farther from the start than this many baselines in no scene."""
+
+
+def save_scenes(path: Path, scenes: Scenes) -> None:
+    """Writes a scenes file."""
+    with path.open("wb") as file:
+        np.savez_compressed(file, **{name: getattr(scenes, name) for name in _SHAPES})
+
+
+def load_scenes(path: Path) -> Scenes:
+    """Reads and checks a scenes file.
+
+    Raises:
+        OSError: if the file cannot be read.
+        ValueError: if it is no .npz file, a key is missing, a shape does not fit, a value
+            cannot be (naming scene and obstacle), or there is not enough memory for it.
+    """
+    try:
+        headers = archive_headers(path)
+        N, M = _checked_shape(path, headers)
+        size = sum(8 * math.prod(headers[name].shape) for name in _SHAPES)
+        check_memory(f"{path}: {N} scenes of {M} obstacles", _COPIES * size)
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: np.array(file[name], dtype=float, order="C") for name in _SHAPES}
+    except (zipfile.BadZipFile, zlib.error, EOFError) as error:
+        raise ValueError(f"{path} is not a whole .npz file: {error}") from error
+    except MemoryError as error:
+        raise ValueError(f"{path}: not enough memory for its arrays") from error
+    scenes = Scenes(**arrays)
+    check_scenes(scenes, str(path))
+    return scenes
+
+
+def _checked_shape(path: Path, headers: dict[str, ArrayHeader]) -> tuple[int, int]:
+    """N and M."""
+    missing = [name for name in _SHAPES if name not in headers]
+    if missing:
+        there = ", ".join(headers) or "none"
+        raise ValueError(
+            f"{path} lacks {', '.join(missing)}; needed: {', '.join(_SHAPES)}; there: {there}"
+        )
+    baseline, center = headers["baseline"].shape, headers["center"].shape
+    N = baseline[0] if len(baseline) == 1 else -1
+    M = center[1] if len(center) == 3 else -1
+    for name, trailing in _SHAPES.items():
+        shape, kind = headers[name].shape, headers[name].dtype
+        if kind.kind not in "fiu":
+            raise ValueError(f"{path}: {name} must hold real numbers, not {kind}")
+        if shape != ((N, M, *trailing) if trailing else (N,)):
+            asked = ", ".join(("N", "M", *map(str, trailing))) if trailing else "N,"
+            known = [f"N = {N}"] * (N >= 0) + [f"M = {M}"] * (M >= 0 and bool(trailing))
+            given = f" with {', '.join(known)}" if known else ""
+            raise ValueError(f"{path}: {name} must be ({asked}){given}, not {shape}")
+    if N == 0:
+        raise ValueError(f"{path} holds no scene")
+    return N, M
+
+
+def check_scenes(scenes: Scenes, source: str = "scenes") -> None:
+    """Raises ValueError, naming scene and obstacle, where a value cannot be.
+
+    Args:
+        scenes: scenes of the right shapes.
+        source: what they were read from.
+    """
+    L, there = scenes.baseline, scenes.center.shape[:2]
+    flat = np.concatenate(
+        [getattr(scenes, name).reshape(*there, math.prod(t)) for name, t in _SHAPES.items() if t],
+        axis=2,
+    )
+    absent, complete = np.isnan(flat).all(axis=2), np.isfinite(flat).all(axis=2)
+    far = np.linalg.norm(scenes.center, axis=-1) > _FARTHEST * L[:, None]
+    R = np.where(complete[..., None, None], scenes.R, np.eye(3))
+    off = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2), initial=0.0)
+    bad_clearance = ~((scenes.clearance > 0.0) & (scenes.clearance <= L))
+    negative = ~(scenes.semi_axes > 0.0).all(axis=-1)
+    for bad, name, valid in (
+        (~((L > 0.0) & (L <= _LONGEST)), "baseline", f"positive and at most {_LONGEST:g} [m]"),
+        (bad_clearance, "clearance", "positive and at most the baseline [m]"),
+        (
+            ~(absent | complete),
+            "center, semi_axes, R or velocity",
+            "finite, or NaN in all four where it is absent",
+        ),
+        (complete & negative, "semi_axes", "positive [m]"),
+        (
+            complete & far,
+            "center",
+            f"within {_FARTHEST:g} baselines of the start [m] (is it in millimetres?)",
+        ),
+        (
+            complete & ((off > _ORTHONORMAL) | (np.linalg.det(R) < 0.0)),
+            "R",
+            "a rotation: orthonormal to 1e-6, right-handed",
+        ),
+    ):
+        if bad.any():
+            place = tuple(int(i) for i in np.unravel_index(int(np.argmax(bad)), bad.shape))
+            where = f"scene {place[0]}" + (f", obstacle {place[1]}" if len(place) > 1 else "")
+            value = getattr(scenes, name.partition(",")[0])[place]
+            shown = np.array2string(np.asarray(value), separator=", ").replace("\n", "")
+            raise ValueError(
+                f"{source}: {name} of {where} must be {valid}, not {shown}{_more(bad)}"
+            )
+    distance = scene_distance(scenes, np.zeros((len(scenes), 3)), np.zeros(len(scenes)))
+    inside = distance <= 0.0
+    if inside.any():
+        row = int(np.argmax(inside))
+        raise ValueError(
+            f"{source}: the start of scene {row} lies {-distance[row]:.3g} m inside an obstacle; "
+            f"it must be outside all of them{_more(inside)}"
+        )
+
+
+def _more(bad: BoolArray) -> str:
+    """How many rows are bad, where it is more than the one that is named."""
+    return f" ({int(bad.sum())} such rows)" if bad.sum() > 1 else ""

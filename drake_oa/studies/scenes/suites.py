@@ -19,18 +19,21 @@ import numpy as np
 
 from drake_oa.common.messages import BoolArray, FloatArray
 from drake_oa.policy.dmp import minimum_jerk_share
-from drake_oa.studies.scenes.judge import scene_distance
 from drake_oa.studies.scenes.methods import DEFAULT_METHODS, Setting
 from drake_oa.studies.scenes.sampling import (
     accepted,
-    extent_along_x,
-    joined,
     line_distance,
     line_hits,
     random_rotations,
     segment_distance,
 )
-from drake_oa.studies.scenes.scenes import DURATION, Scenes, single_obstacle
+from drake_oa.studies.scenes.scenes import (
+    DURATION,
+    Scenes,
+    joined,
+    scene_distance,
+    single_obstacle,
+)
 
 BASELINES = (0.5, 1.0, 1.5, 2.0)
 CLEARANCE = 0.15
@@ -142,7 +145,7 @@ def _boxed(rng: np.random.Generator, count: int, baseline: float, posed: bool) -
     if longest < _SEMI_AXES[1]:
         a[:, 0] = rng.uniform(_SEMI_AXES[0], longest, count)
     R = random_rotations(rng, count) if posed else np.tile(np.eye(3), (count, 1, 1))
-    extent = extent_along_x(R, a)
+    extent = np.linalg.norm(R[:, 0] * a, axis=-1)
     room = baseline - 2.0 * (MARGIN + extent)
     center = rng.uniform(-_ASIDE, _ASIDE, (count, 3))
     center[:, 0] = MARGIN + extent + rng.random(count) * room

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -12,10 +13,9 @@ from drake_oa.common.messages import FloatArray, IntArray
 from drake_oa.regulation.regressor import ChainWeights, load_chain
 from drake_oa.regulation.rollout import SpatialScenes
 from drake_oa.regulation.search import roll_out
-from drake_oa.regulation.verification import SearchParameters, Verified, verify
+from drake_oa.regulation.verification import SearchParameters, verify
 from drake_oa.scenario.loading import package_file
-from drake_oa.studies.scenes.methods import Setting
-from drake_oa.studies.scenes.motions import Motions
+from drake_oa.studies.scenes.methods import Motions, Setting
 from drake_oa.studies.scenes.scenes import DURATION, Scenes, single_obstacle
 
 WEIGHTS = "package://drake_oa/weights/regressor_chain.npz"
@@ -70,11 +70,26 @@ def _run(scenes: Scenes, setting: Setting, chain: ChainWeights) -> Motions:
     begun = time.perf_counter()
     posed = spatial_scenes(scenes, scenes.clearance if setting.constrained else LEAST_CLEARANCE)
     found = verify(posed, chain, duration=DURATION, parameters=PARAMETERS)
-    path, z, end, tau = _followed(posed, found, setting)
+    tau = found.tau if setting.scale_time else np.ones(len(scenes))
+    path, z = np.empty((2, len(scenes), SAMPLES + 1, 3))
+    duration = np.empty(len(scenes))
+    for steps in np.unique(found.steps):
+        rows = np.flatnonzero(found.steps == steps)
+        rolled = roll_out(
+            posed,
+            rows,
+            found.terms[rows, None],
+            replace(PARAMETERS, steps=int(steps)),
+            seconds=DURATION * tau[rows],
+            keep_path=True,
+        )
+        taken = rolled.steps.astype(np.int64)
+        path[rows], z[rows] = _resampled(rolled.path, rolled.velocity, taken, 1.0 / steps)
+        duration[rows] = DURATION * tau[rows] * taken / steps
     return Motions(
         path=path,
         velocity=z / (DURATION * tau)[:, None, None],
-        duration=DURATION * tau * end,
+        duration=duration,
         seconds=time.perf_counter() - begun,
         in_range=found.in_range,
     )
@@ -103,29 +118,6 @@ def spatial_scenes(scenes: Scenes, clearance: FloatArray | float) -> SpatialScen
     )
 
 
-def _followed(
-    posed: SpatialScenes, found: Verified, setting: Setting
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Path (N, S + 1, 3), z there, normalised time of arrival (N,) and tau (N,)."""
-    count = len(posed)
-    tau = found.tau if setting.scale_time else np.ones(count)
-    path, z, end = np.empty((count, SAMPLES + 1, 3)), np.empty((count, SAMPLES + 1, 3)), tau.copy()
-    for steps in np.unique(found.steps):
-        rows = np.flatnonzero(found.steps == steps)
-        rolled = roll_out(
-            posed,
-            rows,
-            found.terms[rows, None],
-            replace(PARAMETERS, steps=int(steps)),
-            seconds=DURATION * tau[rows],
-            keep_path=True,
-        )
-        taken = rolled.steps.astype(np.int64)
-        path[rows], z[rows] = _resampled(rolled.path, rolled.velocity, taken, 1.0 / steps)
-        end[rows] = taken / steps
-    return path, z, end, tau
-
-
 def _resampled(
     path: FloatArray, z: FloatArray, taken: IntArray, step: float
 ) -> tuple[FloatArray, FloatArray]:
@@ -140,18 +132,10 @@ def _resampled(
     return p0 + u * (v0 + u * (b + u * a)), (v0 + u * (2.0 * b + 3.0 * u * a)) / step
 
 
+@cache
 def _warm_up() -> None:
     """Compiles or loads the kernels, so that it does not count as computing time."""
-    if _warm:
-        return
     scene = single_obstacle(1.0, [[0.5, 0.0, 0.0]], [[0.05, 0.05, 0.05]])
-    verify(
-        spatial_scenes(scene, 0.05),
-        load_chain(package_file(WEIGHTS)),
-        duration=DURATION,
-        parameters=SearchParameters(rounds=1),
-    )
-    _warm.append(True)
-
-
-_warm: list[bool] = []
+    chain = load_chain(package_file(WEIGHTS))
+    rounds = SearchParameters(rounds=1)
+    verify(spatial_scenes(scene, 0.05), chain, duration=DURATION, parameters=rounds)

@@ -5,7 +5,7 @@ import pytest
 
 from drake_oa.policy.coupling import dead_zone_free_rate, original_rate
 from drake_oa.studies.scenes.dead_zone import compare_terms, matched_term, term_figures, term_table
-from drake_oa.studies.scenes.original_method import BETA
+from drake_oa.studies.scenes.paper_method import BETA
 from drake_oa.studies.scenes.suites import draw_scenes
 
 

@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 
 from drake_oa.studies.scenes.evaluation import evaluate
-from drake_oa.studies.scenes.figures import evaluation_figures, method_figures, motion_figures
+from drake_oa.studies.scenes.figures import (
+    evaluation_figures,
+    evaluation_table,
+    method_figures,
+    motion_figures,
+)
 from drake_oa.studies.scenes.judge import Judgement, joined
-from drake_oa.studies.scenes.methods import METHODS, Setting, load_method
-from drake_oa.studies.scenes.motions import Motions
+from drake_oa.studies.scenes.methods import METHODS, Motions, Setting, load_method
 from drake_oa.studies.scenes.scenes import Scenes
 from drake_oa.studies.scenes.suites import SUITES, draw_scenes
-from drake_oa.studies.scenes.tables import evaluation_table
 
 Method = Callable[[Scenes, Setting], Motions]
 AGREED = {

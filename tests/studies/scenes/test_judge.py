@@ -7,10 +7,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from drake_oa.studies.scenes.judge import joined, judge, scene_distance
-from drake_oa.studies.scenes.motions import Motions
+from drake_oa.studies.scenes.judge import joined, judge
+from drake_oa.studies.scenes.methods import Motions
 from drake_oa.studies.scenes.sampling import random_rotations, segment_distance
-from drake_oa.studies.scenes.scenes import Scenes, single_obstacle
+from drake_oa.studies.scenes.scenes import Scenes, scene_distance, single_obstacle
 
 Array = NDArray[np.float64]
 

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drake_oa.studies.scenes.scenes import Scenes
-from drake_oa.studies.scenes.scenes_file import load_scenes, save_scenes
+from drake_oa.studies.scenes.scenes import Scenes, load_scenes, save_scenes
 from drake_oa.studies.scenes.suites import draw_scenes
 
 NAMES = [item.name for item in fields(Scenes)]

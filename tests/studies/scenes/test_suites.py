@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 from drake_oa.geometry.ellipsoid import support
-from drake_oa.studies.scenes.judge import judge, scene_distance
-from drake_oa.studies.scenes.methods import Setting
-from drake_oa.studies.scenes.motions import Motions
+from drake_oa.studies.scenes.judge import judge
+from drake_oa.studies.scenes.methods import Motions, Setting
 from drake_oa.studies.scenes.sampling import line_distance, line_hits, random_rotations
-from drake_oa.studies.scenes.scenes import DURATION, Scenes
-from drake_oa.studies.scenes.scenes_file import check_scenes
+from drake_oa.studies.scenes.scenes import DURATION, Scenes, check_scenes, scene_distance
 from drake_oa.studies.scenes.suites import (
     BASELINES,
     FAMILIAR_CLEARANCES,
