@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,15 +19,13 @@ from drake_oa.common.wires import Wires
 from drake_oa.descriptor.ellipsoid_descriptor import GivenEllipsoidSource
 from drake_oa.diagrams.station import Cell
 from drake_oa.geometry.collision_shapes import RobotModel, collect_collision_shapes
+from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.depth_perception import DepthPerception
 from drake_oa.perception.ground_truth_perception import GroundTruthPerception
 from drake_oa.perception.hidden_sides import HiddenSides
 from drake_oa.perception.recorded_perception import RecordedPerception
-from drake_oa.perception.segmentation import SegmentationConfig
 from drake_oa.robot.plant import RobotPlant
-from drake_oa.scenario.camera_noise import noise_parameters
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
-from drake_oa.scenario.perception import segmentation_config
 from drake_oa.scenario.scenario import (
     DepthCamera,
     GivenEllipsoids,
@@ -102,7 +101,7 @@ def _add_recorded_clouds(
 ) -> None:
     cell = _of_robot(source, cell)
     _warn_without_obstacles(cell)
-    config = segmentation_config(source.segmentation, **_prior(scenario))
+    config = _segmentation(source, scenario)
     wires.add("perception", _recorded_perception(source, config, robot_shapes(cell.robot_plant)))
 
 
@@ -123,13 +122,12 @@ def _add_depth_camera(
         )
     # Images that come late are made with their noise.
     if source.noise is not None and camera.delay == 0.0:
-        noise = DepthNoise(
-            camera.intrinsics, parameters=noise_parameters(source.noise), seed=scenario.seed
-        )
+        noise = DepthNoise(camera.intrinsics, parameters=source.noise, seed=scenario.seed)
         wires.interpose("depth_image", "depth_noise", noise)
     perception = DepthPerception(
         camera.intrinsics,
-        config=segmentation_config(source.segmentation, **_prior(scenario)),
+        config=_segmentation(source, scenario),
+        tracking=source.tracking,
         robot=robot_shapes(cell.robot_plant),
         pixel_center=PIXEL_CENTER,
         period=perception_period(scenario),
@@ -158,9 +156,11 @@ def _of_robot(source: object, cell: Cell | None) -> Cell:
     return cell
 
 
-def _prior(scenario: Scenario) -> dict[str, float]:
-    """What the scenario knows beforehand."""
-    return {} if scenario.table_height is None else {"table_height": scenario.table_height}
+def _segmentation(source: DepthCamera | RecordedClouds, scenario: Scenario) -> SegmentationConfig:
+    """The block's parameters, with the height of the table that the scenario knows."""
+    if source.segmentation.table_height is not None:
+        return source.segmentation
+    return replace(source.segmentation, table_height=scenario.table_height)
 
 
 def robot_shapes(robot_plant: RobotPlant) -> RobotModel:
@@ -204,6 +204,7 @@ def _recorded_perception(
             source.folder,
             X_WC=X_WC,
             config=config,
+            tracking=source.tracking,
             robot=robot,
             period=source.period,
             loop=source.loop,

@@ -19,8 +19,8 @@ from drake_oa.common.text_tables import aligned
 
 if TYPE_CHECKING:
     from drake_oa.app.perceive import PerceivedFrame
+    from drake_oa.perception.config import SegmentationConfig
     from drake_oa.perception.recordings import DepthCoding
-    from drake_oa.perception.segmentation import SegmentationConfig
 
 _DESCRIPTION = """\
 Finds the table (or floor) in depth images and clouds, the clusters of points that stand
@@ -280,13 +280,16 @@ def _coding(options: argparse.Namespace) -> DepthCoding:
 
 
 def _config(options: argparse.Namespace) -> SegmentationConfig:
-    from drake_oa.perception.segmentation import SegmentationConfig
+    from drake_oa.common.schema_check import check_values
+    from drake_oa.perception.config import SegmentationConfig
 
     given = {"near": options.near, "far": options.far}
+    config = SegmentationConfig(**{k: v for k, v in given.items() if v is not None})
     try:
-        return SegmentationConfig(**{k: v for k, v in given.items() if v is not None})
+        check_values(config)
     except ValueError as error:
         raise ValueError(f"--near, --far: {error}") from None
+    return config
 
 
 def _pose(values: Sequence[float] | None) -> FloatArray | None:

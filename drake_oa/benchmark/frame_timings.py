@@ -22,9 +22,9 @@ from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.diagrams.control import make_controller
 from drake_oa.diagrams.descriptor import make_ellipsoid_descriptor
 from drake_oa.diagrams.perception import PIXEL_CENTER, robot_shapes
+from drake_oa.perception.config import DepthCamera
 from drake_oa.perception.depth_perception import DepthPerception
 from drake_oa.robot.plant import make_robot_plant
-from drake_oa.scenario.perception import DepthCamera, segmentation_config
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import perception_period
 from drake_oa.scenario.task_joints import start_positions
@@ -118,7 +118,7 @@ def time_frames(scenario: Scenario, recorded: list[Frame]) -> tuple[list[float],
         "perception",
         DepthPerception(
             camera.intrinsics,
-            config=segmentation_config(source.segmentation),
+            config=source.segmentation,
             robot=robot_shapes(robot_plant),
             pixel_center=PIXEL_CENTER,
             period=perception_period(scenario),

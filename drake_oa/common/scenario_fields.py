@@ -13,11 +13,14 @@ def number(
     high: float = math.inf,
     *,
     open_low: bool = False,
+    below: str = "",
 ) -> Any:
-    """A finite number in [low, high], or in (low, high] with `open_low`."""
-    return dc.field(
-        default=default, metadata={"unit": unit, "low": low, "high": high, "open_low": open_low}
-    )
+    """A finite number in [low, high], or in (low, high] with `open_low`.
+
+    With `below` it must be less than the field of that name, see `schema_check.check_values`.
+    """
+    metadata = {"unit": unit, "low": low, "high": high, "open_low": open_low, "below": below}
+    return dc.field(default=default, metadata=metadata)
 
 
 def choice(default: str, *others: str) -> Any:

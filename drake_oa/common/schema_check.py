@@ -2,7 +2,7 @@
 
 `read_yaml` and `apply_override` make plain mappings, a block's tag under "_tag"; `check`
 compares them with dataclasses (and Drake's own schemas). A field's metadata may hold
-`unit`, `low`, `high`, `open_low`, `size` and `choices`.
+`unit`, `low`, `high`, `open_low`, `below`, `size` and `choices`.
 """
 
 from __future__ import annotations
@@ -162,6 +162,33 @@ def check(data: Any, schema: Any, where: str, metadata: Any) -> None:
                 )
             kind, extra = known[name]
             check(value, kind, full_name, extra)
+
+
+def check_values(config: Any, where: str = "") -> None:
+    """Holds a configuration that was made in Python against its fields, as `check` does a file's.
+
+    What no single field can tell is checked too: a field whose metadata has `below` must be less
+    than the field that this names.
+
+    Args:
+        config: a dataclass.
+        where: its full name; empty: that of its class.
+
+    Raises:
+        ScenarioError: naming the field and what would be valid.
+    """
+    where = where or type(config).__name__
+    for name, (kind, metadata) in (_schema_fields(type(config)) or {}).items():
+        value, full_name = getattr(config, name), f"{where}.{name}"
+        parts = value if isinstance(value, list) else [value]
+        if any(map(dc.is_dataclass, parts)):
+            for row, part in enumerate(parts):
+                check_values(part, f"{full_name}[{row}]" if parts is value else full_name)
+        elif not hasattr(type(value), "__fields__"):
+            check(value, kind, full_name, metadata)
+        other = metadata.get("below")
+        if other and not value < (limit := getattr(config, other)):
+            raise ScenarioError(f"{full_name} must be less than {other}, not {value} and {limit}")
 
 
 def _check_block(data: Any, where: str) -> None:

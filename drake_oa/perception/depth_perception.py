@@ -17,11 +17,13 @@ from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 
 from drake_oa.common.messages import Frozen, ObstacleClouds
 from drake_oa.common.ports import read_value, valid_period
+from drake_oa.common.schema_check import check_values
 from drake_oa.geometry.collision_shapes import RobotModel
 from drake_oa.geometry.pinhole import pinhole
 from drake_oa.geometry.primitives import PosedShapes
-from drake_oa.perception.memory import ObstacleMemory, TrackingConfig
-from drake_oa.perception.segmentation import SegmentationConfig, segment_depth
+from drake_oa.perception.config import SegmentationConfig, TrackingConfig
+from drake_oa.perception.memory import ObstacleMemory
+from drake_oa.perception.segmentation import segment_depth
 from drake_oa.perception.tracking import fuse
 
 _logger = logging.getLogger("drake_oa")
@@ -195,6 +197,8 @@ class DepthPerception(LeafSystem):
             raise ValueError(f"delay must be finite and not negative [s], not {delay}")
         self._config = config or SegmentationConfig()
         self._tracking = tracking or TrackingConfig()
+        for values in (self._config, self._tracking):
+            check_values(values)
         self._robot = robot
         period = valid_period(period)
         self._image_port = self.DeclareAbstractInputPort("depth_image", Value(ImageDepth32F()))

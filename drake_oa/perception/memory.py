@@ -8,7 +8,7 @@ again.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import numpy as np
@@ -23,43 +23,7 @@ from drake_oa.common.messages import (
     TablePlane,
 )
 from drake_oa.geometry.directions import DIRECTIONS
-
-
-@dataclass(frozen=True)
-class FilterNoise:
-    """What the filter takes as noise, and what as motion."""
-
-    # Spectral density of the acceleration, each axis [m^2/s^3].
-    acceleration: float = 0.01
-    # Standard deviation of the measured place of one side of an obstacle [m].
-    side: float = 0.0015
-    # Standard deviation of the velocity of an obstacle that was not known before [m/s].
-    initial_speed: float = 0.4
-    # An obstacle moves when its speed is above `start_speed` [m/s] and significant: v^T P^-1 v
-    # above `start` (chi-square of 3 degrees of freedom; 21.1 is exceeded once in 10,000),
-    start_speed: float = 0.03
-    start: float = 21.1
-    # and rests again when it is below `floor` [m/s] or the statistic below `stop`.
-    floor: float = 0.02
-    stop: float = 7.8
-    # So often in a row: frames to start, seconds to stop.
-    start_frames: int = 2
-    stop_time: float = 0.1
-    # Where much is not where it was, a statistic above `stop` will do in `patience` times as
-    # many frames.
-    patience: int = 3
-    # A measurement farther off than this many standard deviations is an outlier; the
-    # second in a row is a manoeuvre.
-    outlier: float = 5.0
-
-    def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if not np.isfinite(value) or value <= 0.0:
-                raise ValueError(f"FilterNoise.{item.name} must be positive, not {value!r}")
-        for low, high in (("floor", "start_speed"), ("stop", "start")):
-            if getattr(self, low) > getattr(self, high):
-                raise ValueError(f"FilterNoise.{low} must not be above {high}")
+from drake_oa.perception.config import TrackingConfig
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,59 +52,6 @@ CERTAIN = 4
 """The most evidence that a point can have."""
 CONFIRMED = 2
 """From this much evidence on a point is handed on."""
-
-
-@dataclass(frozen=True)
-class TrackingConfig:
-    """How obstacles are followed. Lengths in metres, times in seconds."""
-
-    filter: FilterNoise = field(default_factory=FilterNoise)
-    # Depth difference that tells "before" and "behind" from "at".
-    depth_margin: float = 0.03
-    # A point of a frame this near to a remembered one speaks for its obstacle,
-    match_radius: float = 0.02
-    # this near it supports the point, and this near it is the same point.
-    support_radius: float = 0.012
-    same_radius: float = 0.008
-    # A cluster without a common point belongs to the obstacle whose predicted centroid is
-    # nearest, and nearer than this.
-    gate: float = 0.1
-    # A remembered point is the mean of at most so many frames.
-    mean_frames: int = 20
-    # An obstacle at rest that is found farther off than this was moved.
-    jump: float = 0.01
-    # An obstacle moves only when this share of its points is not found at its old place.
-    doubt: float = 0.04
-    # With this share a slow motion is believed that is little beyond noise.
-    strong_doubt: float = 0.15
-    # A moving obstacle that is not seen goes on for this long, and is then taken to rest;
-    coast_time: float = 0.5
-    # after this long it is mentioned in the note.
-    mentioned_after: float = 0.3
-    # An obstacle that does not move has no velocity along an axis that it was not measured
-    # along for this long.
-    blind_time: float = 0.2
-    # After a gap longer than this between frames no velocity is believed.
-    longest_gap: float = 1.0
-    # Parts of an obstacle that are apart for so many frames are two.
-    split_frames: int = 3
-    # Obstacles at rest that are one cluster for this long are one.
-    merge_time: float = 0.5
-    # The cloud of an obstacle is handed on anew when it reaches this much farther
-    # or less far in any direction, or when this share of its points is new or gone.
-    grown: float = 0.0025
-    shrunk: float = 0.005
-    changed_share: float = 0.1
-    # The table is handed on anew when it moved by more than this within its reach, 1 m.
-    table_shift: float = 0.003
-
-    def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if item.name == "filter":
-                continue
-            if not np.isfinite(value) or value <= 0.0:
-                raise ValueError(f"TrackingConfig.{item.name} must be positive, not {value!r}")
 
 
 def _zeros(*shape: int, kind: Any = float) -> Any:

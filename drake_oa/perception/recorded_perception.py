@@ -12,17 +12,14 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem, State
 
 from drake_oa.common.ports import valid_period
+from drake_oa.common.schema_check import check_values
 from drake_oa.geometry.collision_shapes import RobotModel
 from drake_oa.geometry.primitives import PosedShapes
+from drake_oa.perception.config import SegmentationConfig, TrackingConfig
 from drake_oa.perception.depth_perception import PerceptionState, log_change
-from drake_oa.perception.memory import ObstacleMemory, TrackingConfig
+from drake_oa.perception.memory import ObstacleMemory
 from drake_oa.perception.recordings import RecordedFrame, read_recording
-from drake_oa.perception.segmentation import (
-    Segmentation,
-    SegmentationConfig,
-    segment_depth,
-    segment_points,
-)
+from drake_oa.perception.segmentation import Segmentation, segment_depth, segment_points
 from drake_oa.perception.tracking import fuse
 
 
@@ -91,6 +88,8 @@ class RecordedPerception(LeafSystem):
         self._X_WC: Any = None if X_WC is None else X_WC.GetAsMatrix4()
         self._config = config or SegmentationConfig()
         self._tracking = tracking or TrackingConfig()
+        for values in (self._config, self._tracking):
+            check_values(values)
         self._robot = robot
         self._loop = loop
         self._state = PerceptionState.declare(self)

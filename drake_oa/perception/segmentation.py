@@ -10,7 +10,7 @@ homogeneous matrices, as ``RigidTransform.GetAsMatrix4()`` gives them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -27,6 +27,7 @@ from drake_oa.geometry.voxels import (
     numbered,
     points_of_groups,
 )
+from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.depth_image import (
     back_projected,
     cropped_to_world,
@@ -34,75 +35,6 @@ from drake_oa.perception.depth_image import (
     sampled,
 )
 from drake_oa.perception.table import PlaneFit, beyond_extent, fit_plane, plane_axes, seen_extent
-
-
-@dataclass(frozen=True)
-class SegmentationConfig:
-    """How a frame is segmented. Lengths in metres, angles in radians."""
-
-    # Depths outside [near, far] are ignored.
-    near: float = 0.3
-    far: float = 2.5
-    # Standard deviation of depth at 1 m; it grows with the square of the depth.
-    depth_noise: float = 0.0015
-    # Largest tilt of the table against gravity when the camera's pose is known,
-    plane_tilt: float = np.deg2rad(5.0)
-    # and against the camera's up direction (-y) when it is not.
-    plane_tilt_unknown_pose: float = np.deg2rad(75.0)
-    # Where that shows little, against the direction towards the camera (-z).
-    facing_tilt: float = np.deg2rad(15.0)
-    # Distance from the plane at which a point (at depth 0) belongs to it.
-    plane_tolerance: float = 0.006
-    # Height of the table in the world, or None when unknown.
-    table_height: float | None = None
-    # How far the table may be from that height.
-    table_height_tolerance: float = 0.05
-    # Heights above the table that may be an obstacle (the lower limit at depth 0; what
-    # noise may look like is added to it).
-    min_height: float = 0.004
-    max_height: float = 1.2
-    # How far beyond the table's seen extent an obstacle may stand,
-    table_margin: float = 0.02
-    # and how far one that stands over it may jut out.
-    overhang: float = 0.15
-    # Edge of a voxel, and the fewest points that make one.
-    voxel: float = 0.01
-    min_occupancy: int = 2
-    # Points nearer to each other than this belong together.
-    cluster_tolerance: float = 0.025
-    # Clusters up to this far apart belong together too where nothing shows through
-    # the gap (the rim and the inside of a bowl).
-    unseen_gap: float = 0.06
-    # The fewest voxels that make an obstacle.
-    min_cluster_voxels: int = 12
-    # Points within this of the robot are the robot's.
-    robot_margin: float = 0.025
-    # The plane is searched on every stride-th row and column.
-    stride: int = 4
-
-    def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if value is None and item.name == "table_height":
-                continue
-            number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-            if not number or not np.isfinite(value):
-                raise ValueError(f"SegmentationConfig.{item.name} must be finite, not {value!r}")
-            if item.name != "table_height" and value < 0.0:
-                raise ValueError(f"SegmentationConfig.{item.name} must be >= 0, not {value!r}")
-        for name in ("voxel", "cluster_tolerance", "plane_tolerance", "table_height_tolerance"):
-            if getattr(self, name) <= 0.0:
-                raise ValueError(f"SegmentationConfig.{name} must be > 0")
-        for name in ("min_occupancy", "min_cluster_voxels", "stride"):
-            if getattr(self, name) < 1 or getattr(self, name) != int(getattr(self, name)):
-                raise ValueError(f"SegmentationConfig.{name} must be an integer >= 1")
-            object.__setattr__(self, name, int(getattr(self, name)))
-        for low, high in (("near", "far"), ("min_height", "max_height")):
-            if getattr(self, low) >= getattr(self, high):
-                raise ValueError(f"SegmentationConfig.{low} must be less than {high}")
-        for name in ("plane_tilt", "plane_tilt_unknown_pose", "facing_tilt"):
-            if not 0.0 < getattr(self, name) < np.pi / 2:
-                raise ValueError(f"SegmentationConfig.{name} must lie in (0, pi/2)")
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,25 +167,13 @@ def segment_points(
 _NO_TABLE = "no supporting plane found"
 
 
-# Structured-light cameras bend a plane, most at the border of the image and far away:
-# in the scans of docs/results/real_scans.md by up to 6 standard deviations of the noise
-# within 1.1 m, and by 3 cm at 1.7 m. There a cluster needs a share of points higher up.
-_DEVIATIONS = 6.0
-_WARP_START = 1.1  # [m]
-_WARP = 0.15  # [1/m]
-_LARGEST_WARP = 0.04  # [m]
-_HIGHER_SHARE = 0.1
-# Of what juts out over the edge, the least share that is over the table.
-_OVER_TABLE = 0.15
-
-
 def _height_noise(config: SegmentationConfig, offset: float) -> float:
     """What noise may look like a height, per metre of depth.
 
     The depth's deviation is ``depth_noise z**2``; of a plane's point, at the ray z r
     with z n . r = offset, the height's is that times abs(n . r) = abs(offset) / z.
     """
-    return _DEVIATIONS * config.depth_noise * abs(offset)
+    return config.deviations * config.depth_noise * abs(offset)
 
 
 def _find_table(
@@ -262,12 +182,19 @@ def _find_table(
     tolerance = config.plane_tolerance + config.depth_noise * distance**2
     if X_WC is None:
         up = np.array([0.0, -1.0, 0.0])
-        fit = fit_plane(sample, up, config.plane_tilt_unknown_pose, tolerance, origin_above=True)
+        fit = fit_plane(
+            sample, up, config.plane_tilt_unknown_pose, tolerance, config.plane, origin_above=True
+        )
         if fit is not None and np.mean(fit.inliers) > 0.4:
             return fit
         # A camera that looks straight down: its up direction lies in the table.
         facing = fit_plane(
-            sample, np.array([0.0, 0.0, -1.0]), config.facing_tilt, tolerance, origin_above=True
+            sample,
+            np.array([0.0, 0.0, -1.0]),
+            config.facing_tilt,
+            tolerance,
+            config.plane,
+            origin_above=True,
         )
         if fit is None or facing is None:
             return facing if fit is None else fit
@@ -279,6 +206,7 @@ def _find_table(
         up,
         config.plane_tilt,
         tolerance,
+        config.plane,
         height=height,
         height_tolerance=config.table_height_tolerance,
     )
@@ -322,7 +250,7 @@ def _cluster_above(
         means[kept],
         outside <= config.table_margin,
         outside <= beyond - 2.0 * config.voxel,
-        config.cluster_tolerance,
+        config,
     )
     kept = kept[standing]
     points = means[kept]
@@ -341,7 +269,7 @@ def _cluster_above(
         )
     sizes = np.bincount(found, minlength=1)
     higher = _risen(points, table, X_WC, config, image is not None)
-    least = np.maximum(_HIGHER_SHARE * sizes, 3)
+    least = np.maximum(config.higher_share * sizes, 3)
     names = np.flatnonzero(
         (sizes >= config.min_cluster_voxels)
         & (np.bincount(found, weights=higher, minlength=1) >= least)
@@ -369,13 +297,14 @@ def _risen(
     p_CQ = (p_WQ - X_WC[:3, 3]) @ X_WC[:3, :3]
     distance = p_CQ[:, 2] if image else np.linalg.norm(p_CQ, axis=1)
     offset = table.offset - float(table.normal_W @ X_WC[:3, 3])
-    bend = np.minimum(_WARP * np.maximum(distance - _WARP_START, 0.0) ** 2, _LARGEST_WARP)
-    low = config.min_height + _height_noise(config, offset) * distance + bend
+    bend = config.warp * np.maximum(distance - config.warp_start, 0.0) ** 2
+    low = config.min_height + _height_noise(config, offset) * distance
+    low += np.minimum(bend, config.largest_warp)
     return np.asarray(p_WQ @ table.normal_W - table.offset > low)
 
 
 def _standing(
-    points: FloatArray, inside: BoolArray, inner: BoolArray, tolerance: float
+    points: FloatArray, inside: BoolArray, inner: BoolArray, config: SegmentationConfig
 ) -> tuple[BoolArray, IntArray]:
     """Which points belong to what stands over the table: inside, or jutting out from there.
 
@@ -386,15 +315,15 @@ def _standing(
         points: (N, 3) [m].
         inside: (N,) whether each is over the table.
         inner: (N,) whether it is not at the limit of what is looked at.
-        tolerance: points nearer to each other than this belong together [m].
+        config: `cluster_tolerance` and `over_table` count.
 
     Returns:
         (N,) whether each stands there, and (S,) the clusters of those that do.
     """
-    whole = connected_clusters(points, tolerance)
+    whole = connected_clusters(points, config.cluster_tolerance)
     if inside.all():
         return inside, whole
-    core = connected_clusters(points[inside], tolerance)
+    core = connected_clusters(points[inside], config.cluster_tolerance)
     count = int(whole.max()) + 1
     total = np.bincount(whole, minlength=count)
     within = np.bincount(whole[inside], minlength=count)
@@ -402,7 +331,7 @@ def _standing(
     whole_of_core[core] = whole[inside]
     objects = np.bincount(whole_of_core, minlength=count)
     goes_on = np.bincount(whole[~inner], minlength=count) > 0
-    taken = (objects == 1) & (within >= np.where(goes_on, 0.5, _OVER_TABLE) * total)
+    taken = (objects == 1) & (within >= np.where(goes_on, 0.5, config.over_table) * total)
     taken_points = taken[whole]
     cluster = np.where(taken_points, whole, -1)
     cluster[inside] = np.where(taken_points[inside], whole[inside], count + core)

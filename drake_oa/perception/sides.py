@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray, TablePlane
 from drake_oa.geometry.pinhole import View
+from drake_oa.perception.config import TrackingConfig
 from drake_oa.perception.segmentation import Segmentation
 
 _BINS = 256
@@ -263,13 +264,7 @@ def open_sides(
     return free / np.maximum(asked, 1.0)
 
 
-_TAIL_SHARE = 0.02  # share of an obstacle's area that lies beyond its side
-_OPEN = 0.7  # share of a side that must end at free space
-_LEAST_AREA = 0.15  # share of an obstacle that must be seen for it to be measured
 _PIXELS = 800  # about how many pixels of a cluster are looked at
-_HIDDEN_FACTOR = 3.0  # how much wider the deviation is of what is almost all hidden
-_GRAIN = 0.7  # standard deviation of a side in pixels
-_LEARNING = 0.05  # share of a frame in the remembered distance between two sides
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,7 +291,7 @@ def seen_sides(
     known_area: FloatArray,
     view: View | None,
     voxel: float,
-    margin: float,
+    config: TrackingConfig,
 ) -> SeenSides:
     """Finds the sides in a frame.
 
@@ -306,7 +301,7 @@ def seen_sides(
         known_area: (M,) largest area seen of each obstacle before [m^2].
         view: its image; None: a cloud, of which every side is taken to be seen.
         voxel: edge of a voxel, for clouds [m].
-        margin: depth difference that tells "before" and "behind" from "at" [m].
+        config: how obstacles are followed.
     """
     count = len(known_area)
     pixels, begin = _joined(frame.pixels)
@@ -323,7 +318,7 @@ def seen_sides(
     grain = np.sqrt(np.bincount(row, weights=area, minlength=count) / np.maximum(number, 1))
     area = area * weight
     seen = np.bincount(row, weights=area, minlength=count)
-    tail = _TAIL_SHARE * np.maximum(seen, known_area)
+    tail = config.side_tail * np.maximum(seen, known_area)
     place = tail_places(points, area, row, tail)
     if view is None:
         ends = np.isfinite(place)
@@ -331,8 +326,8 @@ def seen_sides(
         owner, top = owner_rows(pixels, begin, cluster_row, view.z.shape[1])
         table = frame.table or TablePlane(offset=-np.inf)
         plane = np.append(table.normal_W, table.offset)
-        share = open_sides(points, pixel, row, place, view, owner, top, plane, margin)
-        ends = share >= _OPEN
+        share = open_sides(points, pixel, row, place, view, owner, top, plane, config.depth_margin)
+        ends = share >= config.open_share
     return SeenSides(place, ends, np.asarray(seen, dtype=float), np.asarray(grain, dtype=float))
 
 
@@ -344,7 +339,7 @@ def _joined(parts: tuple[IntArray, ...]) -> tuple[IntArray, IntArray]:
 
 
 def measured_position(
-    seen: SeenSides, sides: FloatArray, known_area: FloatArray, deviation: float
+    seen: SeenSides, sides: FloatArray, known_area: FloatArray, config: TrackingConfig
 ) -> tuple[FloatArray, FloatArray]:
     """Positions (M, 3) of obstacles by their sides [m], and their variances [m^2].
 
@@ -352,7 +347,7 @@ def measured_position(
         seen: the sides in this frame.
         sides: (M, 3, 2) where they were, from the position [m]; NaN: unknown.
         known_area: (M,) largest area seen of each before [m^2].
-        deviation: standard deviation of the place of one side [m]; the grain adds to it.
+        config: how obstacles are followed, and with which noise.
 
     Returns:
         The positions, NaN along an axis of which no known side is seen.
@@ -360,23 +355,26 @@ def measured_position(
     position = seen.place - sides
     usable = seen.ends & np.isfinite(position)
     share = seen.area / np.maximum(known_area, 1e-12)
-    usable &= (share >= _LEAST_AREA)[:, None, None]
+    usable &= (share >= config.least_area)[:, None, None]
     count = usable.sum(axis=2)
     total = np.where(usable, position, 0.0).sum(axis=2)
     hidden = np.clip(1.0 - share, 0.0, 1.0)[:, None]
-    wide = np.hypot(deviation, _GRAIN * seen.grain)[:, None] * (1.0 + _HIDDEN_FACTOR * hidden)
+    wide = np.hypot(config.filter.side, config.side_grain * seen.grain)[:, None]
+    wide = wide * (1.0 + config.hidden_factor * hidden)
     variance = wide**2 / np.maximum(count, 1)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan), variance
 
 
-def learned_sides(seen: SeenSides, sides: FloatArray, p_W: FloatArray) -> FloatArray:
+def learned_sides(
+    seen: SeenSides, sides: FloatArray, p_W: FloatArray, learning: float
+) -> FloatArray:
     """The sides (M, 3, 2) from the position p_W (M, 3), after this frame [m].
 
     A side that is seen for the first time is placed; of two that are known only the
-    distance is learned: it must not move the position.
+    distance is learned, a share of it a frame: it must not move the position.
     """
     found = np.where(seen.ends, seen.place - p_W[:, :, None], np.nan)
     error = found - sides
     error -= error.mean(axis=2, keepdims=True)
-    learned = sides + _LEARNING * np.where(np.isfinite(error), error, 0.0)
+    learned = sides + learning * np.where(np.isfinite(error), error, 0.0)
     return np.where(np.isnan(sides), found, learned)

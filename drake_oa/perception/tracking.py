@@ -24,10 +24,10 @@ from drake_oa.common.messages import BoolArray, FloatArray, IntArray, ObstacleCl
 from drake_oa.geometry.pinhole import View
 from drake_oa.geometry.primitives import PosedShapes
 from drake_oa.geometry.voxels import connected_clusters
+from drake_oa.perception.config import SegmentationConfig, TrackingConfig
 from drake_oa.perception.memory import (
     ObstacleMemory,
     Points,
-    TrackingConfig,
     Tracks,
     appended,
     changed,
@@ -35,7 +35,7 @@ from drake_oa.perception.memory import (
     held_table,
     taken,
 )
-from drake_oa.perception.segmentation import Segmentation, SegmentationConfig
+from drake_oa.perception.segmentation import Segmentation
 from drake_oa.perception.sides import seen_sides
 from drake_oa.perception.velocity import first_seen, measured_tracks, predicted_tracks
 from drake_oa.perception.visibility import (
@@ -53,9 +53,6 @@ from drake_oa.perception.visibility import (
     weighed,
     without_background,
 )
-
-_FEW = 4  # common points that say nothing
-_SHARE = 0.25  # of the smaller of the two that must be common
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,11 +82,11 @@ def associate(
     remembered: FloatArray,
     owner: IntArray,
     tracks: int,
-    gate: float,
+    config: TrackingConfig,
 ) -> Association:
     """Gives clusters to obstacles: by common points, else by predicted centroids.
 
-    An obstacle takes every cluster that has points in common with it, 25 % of the smaller
+    An obstacle takes every cluster that has points in common with it, a share of the smaller
     of the two. A cluster that two obstacles claim is divided between them, each point to
     that of the nearest remembered point. The rest is matched by the least total distance
     of centroids below the gate; what then is left is new.
@@ -102,12 +99,14 @@ def associate(
         remembered: (N, 3) where remembered points should be in the world [m].
         owner: (N,) their obstacles.
         tracks: M, how many there are.
-        gate: the largest distance of centroids [m].
+        config: `common_points`, `common_share` and `gate` count.
     """
     sizes = np.bincount(cluster, minlength=clusters)
     known = np.bincount(owner, minlength=tracks)
     votes, vote_row = counted_votes(cluster, clusters, voted, owner, tracks)
-    least = np.maximum(_FEW, _SHARE * np.minimum(sizes[:, None], known[None]))
+    least = np.maximum(
+        config.common_points, config.common_share * np.minimum(sizes[:, None], known[None])
+    )
     claims = votes >= least
     cluster_row = np.full(clusters, -1, dtype=np.int64)
     if tracks:
@@ -122,7 +121,7 @@ def associate(
             remembered,
             owner,
             known,
-            gate,
+            config.gate,
         )
     new = np.flatnonzero(cluster_row < 0)
     cluster_row[new] = tracks + np.arange(len(new))
@@ -178,14 +177,6 @@ def _divided(
             gaps.append(np.linalg.norm(outside, axis=1))
         result[far] = rows[np.argmin(gaps, axis=0)]
     return np.asarray(result, dtype=np.int64)
-
-
-_SOLID = 2.0  # a new cluster of so many times the fewest voxels is believed at once
-_SLACK = 0.004  # points no farther beyond a side belong to it [m]
-_OFF = 0.003  # a correction of a position by more is looked at anew [m]
-_FADING = 0.9  # share of a doubt that is left a frame later
-_HIDDEN_SHARE = 0.3  # a side is not seen when so much beyond it is hidden
-_LEAST_SEEN = 0.2  # share of an obstacle that must be seen for it to be doubted
 
 
 def fuse(
@@ -294,7 +285,7 @@ class _Step:
             p_WQ,
             self.points.owner,
             len(self.tracks),
-            self.tracking.gate,
+            self.tracking,
         )
         known = len(self.tracks)
         self._append_new(association)
@@ -306,7 +297,7 @@ class _Step:
         missing &= self.tracks.moving[self.points.owner]
         hidden = (shows[0] != AT) & (shows[0] != FREE) & ~behind & ~missing
         self._measure(association, p_WQ, hidden)
-        if known and np.abs(self.tracks.shift_W - shift)[:known].max() > _OFF:
+        if known and np.abs(self.tracks.shift_W - shift)[:known].max() > self.tracking.correction:
             p_WQ = self._remembered()
             near = self._nearest(p_WQ)
             shows = self._shows(p_WQ, near[2])
@@ -351,9 +342,10 @@ class _Step:
         total = np.bincount(points.owner[asked], minlength=count)
         asked &= distance >= self.tracking.support_radius
         missed = np.bincount(points.owner[asked], minlength=count)
-        least = _LEAST_SEEN * np.bincount(points.owner, minlength=count)
+        least = self.tracking.least_seen * np.bincount(points.owner, minlength=count)
         share = missed / np.maximum(total, np.maximum(least, 1.0))
-        self.tracks = changed(self.tracks, doubt=np.maximum(share, _FADING * self.tracks.doubt))
+        left = self.tracking.fading * self.tracks.doubt
+        self.tracks = changed(self.tracks, doubt=np.maximum(share, left))
 
     def _append_new(self, association: Association) -> None:
         count = len(association.new)
@@ -390,10 +382,12 @@ class _Step:
             tracks.area,
             self.view,
             self.config.voxel,
-            self.tracking.depth_margin,
+            self.tracking,
         )
-        beyond = hidden_beyond(p_WQ, self.points.owner, hidden, seen.place, _SLACK)
-        seen = replace(seen, ends=seen.ends & (beyond < _HIDDEN_SHARE))
+        beyond = hidden_beyond(
+            p_WQ, self.points.owner, hidden, seen.place, self.tracking.side_slack
+        )
+        seen = replace(seen, ends=seen.ends & (beyond < self.tracking.hidden_share))
         self.tracks = measured_tracks(tracks, seen, self.dt, self.tracking)
 
     def _weigh(
@@ -450,7 +444,7 @@ class _Step:
         ones = np.ones(len(new), dtype=np.int64)
         solid = np.zeros(len(self.tracks), dtype=bool)
         sizes = np.array([len(self.frame.clouds_W[c]) for c in association.new], dtype=int)
-        believed = self.first | (sizes >= _SOLID * self.config.min_cluster_voxels)
+        believed = self.first | (sizes >= self.tracking.solid * self.config.min_cluster_voxels)
         solid[association.cluster_row[association.new]] = believed
         added = Points(local[new], row[new], ones, ones, solid[row[new]])
         self.points = appended(self.points, added)

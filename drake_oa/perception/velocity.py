@@ -19,11 +19,9 @@ from dataclasses import replace
 import numpy as np
 
 from drake_oa.common.messages import BoolArray, FloatArray
-from drake_oa.perception.memory import FilterNoise, MotionEstimate, TrackingConfig, Tracks, changed
+from drake_oa.perception.config import FilterNoise, TrackingConfig
+from drake_oa.perception.memory import MotionEstimate, Tracks, changed
 from drake_oa.perception.sides import SeenSides, learned_sides, measured_position
-
-_FASTEST = 2.0
-"""Largest deviation of a velocity that has become open [m/s]."""
 
 
 def first_seen(p_W: FloatArray, noise: FilterNoise) -> MotionEstimate:
@@ -110,7 +108,7 @@ def unsettled(
         estimate,
         var_p=np.where(wide, estimate.var_p + jump**2, estimate.var_p),
         cov_pv=np.where(wide, 0.0, estimate.cov_pv),
-        var_v=np.where(wide, np.minimum(speed, _FASTEST) ** 2, estimate.var_v),
+        var_v=np.where(wide, np.minimum(speed, noise.largest_speed) ** 2, estimate.var_v),
     )
 
 
@@ -119,8 +117,6 @@ def speed_statistic(estimate: MotionEstimate) -> FloatArray:
     return np.asarray((estimate.v_W**2 / estimate.var_v).sum(axis=1))
 
 
-_MOVED = 0.004  # what must lie between a moving obstacle and its place at rest [m]
-_SETTLING = 0.1  # share of a frame in the place of an obstacle at rest
 _SHRINKING = 0.99  # of the area of an obstacle that is seen whole, a frame
 
 
@@ -160,7 +156,7 @@ def predicted_tracks(tracks: Tracks, dt: float, config: TrackingConfig) -> Track
 def measured_tracks(tracks: Tracks, seen: SeenSides, dt: float, config: TrackingConfig) -> Tracks:
     """Obstacles after their sides were seen, dt [s] after the frame before."""
     noise = config.filter
-    p_W, variance = measured_position(seen, tracks.sides, tracks.area, noise.side)
+    p_W, variance = measured_position(seen, tracks.sides, tracks.area, config)
     estimate = tracks.estimate
     off = is_outlier(estimate, p_W, variance, noise)
     again = off & (tracks.odd > 0)
@@ -170,7 +166,7 @@ def measured_tracks(tracks: Tracks, seen: SeenSides, dt: float, config: Tracking
     measured: BoolArray = np.asarray(np.isfinite(p_W).any(axis=1))
     estimate = corrected(estimate, p_W, variance)
     whole = seen.ends.all(axis=(1, 2))
-    learned = learned_sides(seen, tracks.sides, estimate.p_W)
+    learned = learned_sides(seen, tracks.sides, estimate.p_W, config.side_learning)
     return _decided(
         changed(
             tracks,
@@ -197,7 +193,7 @@ def _decided(tracks: Tracks, measured: BoolArray, dt: float, config: TrackingCon
     doubted = tracks.moving | (tracks.doubt > config.doubt)
     fast = (speed > noise.start_speed) & measured
     starts = (statistic > noise.start) & fast
-    starts &= tracks.moving | (doubted & (distance > _MOVED))
+    starts &= tracks.moving | (doubted & (distance > config.moved))
     likely = (statistic > noise.stop) & fast & (tracks.doubt > config.strong_doubt)
     count = tracks.significant + np.where(starts, noise.patience, 1)
     significant = np.where(starts | likely, count, 0)
@@ -209,7 +205,7 @@ def _decided(tracks: Tracks, measured: BoolArray, dt: float, config: TrackingCon
     found = np.where(moving[:, None] | (tracks.blind == 0.0), away, 0.0)
     follows = measured & (moving | (doubted & (_lengths(found) > config.jump)))
     step = np.where(follows[:, None], found, 0.0)
-    settling = np.where((measured & ~follows)[:, None], _SETTLING * away, 0.0)
+    settling = np.where((measured & ~follows)[:, None], config.settling * away, 0.0)
     return changed(
         tracks,
         moving=moving,

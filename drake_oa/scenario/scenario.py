@@ -15,19 +15,15 @@ from drake_oa.common.scenario_fields import count as _count
 from drake_oa.common.scenario_fields import number as _number
 from drake_oa.common.scenario_fields import vector as _vector
 from drake_oa.common.work import Thinking
+from drake_oa.perception.config import CameraNoise as CameraNoise
+from drake_oa.perception.config import DepthCamera, GroundTruth, RecordedClouds
 from drake_oa.policy.dmp import ALPHA_K, ALPHA_X, BETA_X
 from drake_oa.regulation.verification import SearchParameters
 from drake_oa.robot.config import Robot
-from drake_oa.scenario.camera_noise import CameraNoise as CameraNoise
 from drake_oa.scenario.faults import Fault
 from drake_oa.scenario.obstacles import Obstacle
-from drake_oa.scenario.perception import (
-    DepthCamera,
-    GivenEllipsoids,
-    GroundTruth,
-    RecordedClouds,
-)
 from drake_oa.scenario.perception import EllipsoidConfig as EllipsoidConfig
+from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.task import Task
 
 _SEARCH = SearchParameters()

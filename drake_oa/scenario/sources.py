@@ -7,12 +7,8 @@ from pydrake.math import RollPitchYaw
 from pydrake.systems.sensors import CameraConfig
 
 from drake_oa.common.messages import EllipsoidSet, TablePlane
-from drake_oa.scenario.perception import (
-    DepthCamera,
-    GivenEllipsoids,
-    RecordedClouds,
-    segmentation_config,
-)
+from drake_oa.perception.config import DepthCamera, RecordedClouds
+from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
 
 _SURFACE_GAP = 0.01
@@ -57,5 +53,5 @@ def perception_period(scenario: Scenario) -> float:
 def padding(source: object) -> float:
     """How far an obstacle's surface may lie outside the points that are seen of it [m]."""
     if isinstance(source, (DepthCamera, RecordedClouds)):
-        return 0.5 * segmentation_config(source.segmentation).voxel
+        return 0.5 * source.segmentation.voxel
     return _SURFACE_GAP

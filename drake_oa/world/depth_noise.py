@@ -26,42 +26,12 @@ from pydrake.systems.framework import Context, LeafSystem, ValueProducer
 from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 
 from drake_oa.common.ports import read_value
+from drake_oa.common.schema_check import check_values
 from drake_oa.geometry.pinhole import pinhole
-from drake_oa.scenario.camera_noise import DepthNoiseParameters
+from drake_oa.perception.config import CameraNoise
 from drake_oa.world.depth_noise_kernels import PATCH_BITS, add_noise
 
 _FRAMES = 2**63
-
-
-def axial_deviation(
-    depth: ArrayLike, incidence: ArrayLike, parameters: DepthNoiseParameters | None = None
-) -> NDArray[np.float64]:
-    """Standard deviation of measured depth [m]: sigma_z of `DepthNoiseParameters`.
-
-    Args:
-        depth: true depth [m], any shape.
-        incidence: angle between the ray and the surface's normal [rad], below pi / 2.
-        parameters: of the camera; None for the defaults.
-    """
-    p = parameters or DepthNoiseParameters()
-    z, theta = np.asarray(depth, dtype=float), np.asarray(incidence, dtype=float)
-    steep = theta / (0.5 * math.pi - theta)
-    flat = p.axial_offset + p.axial_growth * (z - p.axial_depth) ** 2
-    return np.asarray(flat + p.axial_angle / np.sqrt(z) * steep**2)
-
-
-def disparity_step(
-    depth: ArrayLike, focal: float, parameters: DepthNoiseParameters | None = None
-) -> NDArray[np.float64]:
-    """Difference of depth between two steps of disparity [m], z^2 / (subpixels f b).
-
-    Args:
-        depth: [m], any shape.
-        focal: focal length of the camera [pixel].
-        parameters: of the camera; None for the defaults.
-    """
-    p = parameters or DepthNoiseParameters()
-    return np.asarray(np.asarray(depth, float) ** 2 / (p.subpixels * focal * p.baseline))
 
 
 class NoiseRoom:
@@ -85,7 +55,7 @@ class NoiseRoom:
 def add_depth_noise(
     depth: NDArray[np.floating],
     K: ArrayLike,
-    parameters: DepthNoiseParameters | None = None,
+    parameters: CameraNoise | None = None,
     *,
     seed: int = 0,
     frame: int = 0,
@@ -116,7 +86,7 @@ def add_depth_noise(
             length that is not positive, a seed or frame out of range, or an unfit `out`
             or `room`.
     """
-    p = parameters or DepthNoiseParameters()
+    p = parameters or CameraNoise()
     if depth.ndim != 2 or min(depth.shape) < 1:
         raise ValueError(f"depth must be an image (H, W), not of shape {depth.shape}")
     camera = np.array(K, dtype=np.float32)
@@ -143,7 +113,7 @@ class FrameNoise:
     """The noise of one camera, image after image; what time it was taken tells them apart."""
 
     def __init__(
-        self, K: ArrayLike, parameters: DepthNoiseParameters | None = None, *, seed: int = 0
+        self, K: ArrayLike, parameters: CameraNoise | None = None, *, seed: int = 0
     ) -> None:
         """Keeps what all images have in common.
 
@@ -156,7 +126,8 @@ class FrameNoise:
             ValueError: for invalid intrinsics or a negative seed.
         """
         self._K = np.array(K, dtype=float)
-        self._parameters = parameters or DepthNoiseParameters()
+        self._parameters = parameters or CameraNoise()
+        check_values(self._parameters)
         self._seed = seed
         # Invalid arguments, and a kernel not compiled yet, tell here and not at the first frame.
         self(np.ones((2, 2), dtype=np.float32), 0.0)
@@ -181,7 +152,7 @@ class FrameNoise:
         )
 
 
-def _packed(p: DepthNoiseParameters, focal: float) -> NDArray[np.float32]:
+def _packed(p: CameraNoise, focal: float) -> NDArray[np.float32]:
     """The parameters in the order of `depth_noise_kernels.add_noise`."""
     holes = min(max(p.edge_dropout, 1e-9), 1.0 - 1e-9)
     return np.array(
@@ -227,7 +198,7 @@ class DepthNoise(LeafSystem):
     whatever reason.
 
     The model, its parameters and their sources are
-    `drake_oa.world.depth_noise.DepthNoiseParameters`. Nothing is kept: the noise is a function of
+    `drake_oa.perception.config.CameraNoise`. Nothing is kept: the noise is a function of
     the seed, the Context's time in whole microseconds, and the image. The output is computed when
     it is asked for, so that the camera renders as often as without this system.
     """
@@ -236,7 +207,7 @@ class DepthNoise(LeafSystem):
         self,
         camera: CameraInfo | Sequence[float],
         *,
-        parameters: DepthNoiseParameters | None = None,
+        parameters: CameraNoise | None = None,
         seed: int = 0,
     ) -> None:
         """Declares the ports.

@@ -21,7 +21,6 @@ from pydrake.systems.sensors import CameraConfig, CameraInfo
 from drake_oa.common.schema_check import ScenarioError
 from drake_oa.geometry.pinhole import pinhole
 from drake_oa.robot.grasped_object import part_carried
-from drake_oa.scenario.camera_noise import noise_parameters
 from drake_oa.scenario.faults import camera_faults
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
 from drake_oa.scenario.scenario import DepthCamera, Scenario
@@ -101,7 +100,7 @@ def _noise(scenario: Scenario, config: CameraConfig, intrinsics: CameraInfo) -> 
         return None
     if source.noise is None:
         return None
-    return FrameNoise(pinhole(intrinsics), noise_parameters(source.noise), seed=scenario.seed)
+    return FrameNoise(pinhole(intrinsics), source.noise, seed=scenario.seed)
 
 
 @dataclass(frozen=True)

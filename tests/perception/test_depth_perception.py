@@ -25,8 +25,8 @@ from pydrake.systems.sensors import CameraInfo, ImageDepth32F, RgbdSensor
 
 from drake_oa.common.messages import ObstacleClouds
 from drake_oa.geometry.collision_shapes import RobotModel, collect_collision_shapes
+from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.depth_perception import DepthPerception
-from drake_oa.perception.segmentation import SegmentationConfig
 
 CAMERA = CameraInfo(320, 240, np.deg2rad(45.0))
 TALL = np.array([0.10, 0.16, 0.30])  # box behind the arm's way

@@ -12,8 +12,9 @@ import pytest
 from pydrake.systems.analysis import Simulator
 
 from drake_oa.common.messages import ObstacleClouds
+from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.recorded_perception import RecordedPerception
-from drake_oa.perception.segmentation import Segmentation, SegmentationConfig, segment_depth
+from drake_oa.perception.segmentation import Segmentation, segment_depth
 
 # Scan -> groups of objects that stand on the plane; objects that touch are one.
 GROUPS = {

@@ -6,8 +6,8 @@ import pytest
 from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 
+from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.recorded_perception import RecordedPerception
-from drake_oa.perception.segmentation import SegmentationConfig
 
 PERIOD = 0.1
 GROUPS = {

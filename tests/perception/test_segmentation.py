@@ -3,11 +3,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drake_oa.common.schema_check import check_values
 from drake_oa.geometry import pinhole, voxels
 from drake_oa.geometry.primitives import RobotShapes
 from drake_oa.perception import depth_image, sides, table, visibility
+from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.memory import ObstacleMemory
-from drake_oa.perception.segmentation import SegmentationConfig, segment_depth, segment_points
+from drake_oa.perception.segmentation import segment_depth, segment_points
 from drake_oa.perception.tracking import fuse
 
 K = np.array([260.0, 260.0, 159.5, 119.5])
@@ -266,13 +268,7 @@ def test_an_invalid_pose_is_refused(bad):
 )
 def test_an_invalid_parameter_is_named(name, value):
     with pytest.raises(ValueError, match="SegmentationConfig"):
-        SegmentationConfig(**{name: value})
-
-
-def test_whole_numbers_may_come_as_floats():
-    config = SegmentationConfig(stride=4.0, min_occupancy=3.0)
-    assert isinstance(config.stride, int)
-    assert len(segment_depth(ray_cast(X_WC, TWO), K, X_WC, config).clouds_W) == 2
+        check_values(SegmentationConfig(**{name: value}))
 
 
 def test_real_scans_every_object_is_found(scan_files):

@@ -9,15 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drake_oa.common.messages import ObstacleClouds, TablePlane
+from drake_oa.common.schema_check import check_values
 from drake_oa.geometry.pinhole import View
 from drake_oa.geometry.primitives import PosedShapes, RobotShapes
-from drake_oa.perception.memory import ObstacleMemory, TrackingConfig, Tracks, changed
-from drake_oa.perception.segmentation import (
-    Segmentation,
-    SegmentationConfig,
-    segment_depth,
-    segment_points,
-)
+from drake_oa.perception.config import SegmentationConfig, TrackingConfig
+from drake_oa.perception.memory import ObstacleMemory, Tracks, changed
+from drake_oa.perception.segmentation import Segmentation, segment_depth, segment_points
 from drake_oa.perception.sides import SeenSides, seen_sides
 from drake_oa.perception.tracking import fuse
 from drake_oa.perception.velocity import first_seen, measured_tracks, predicted_tracks
@@ -413,7 +410,7 @@ def test_a_side_that_faces_the_camera_ends_there_though_the_arm_is_below_it():
     depth = render(box([0.0, 0.1, 0.2], [0.1, 0.12, 0.1]), drawn)
     frame = segment_depth(depth, K, X_WC, CONFIG, robot)
     view = View(np.require(depth, np.float32), K, X_WC)
-    sides = seen_sides(frame, np.array([0]), np.zeros(1), view, CONFIG.voxel, 0.03)
+    sides = seen_sides(frame, np.array([0]), np.zeros(1), view, CONFIG.voxel, TrackingConfig())
     assert sides.place[0, 0, 1] == pytest.approx(0.05, abs=2e-3)
     assert sides.ends[0, 0, 1]
     # Its lowest side may go on behind the arm.
@@ -609,7 +606,7 @@ def test_an_image_without_intrinsics_is_refused():
 @pytest.mark.parametrize("name", ["gate", "coast_time", "same_radius"])
 def test_parameters_that_cannot_be_are_refused(name):
     with pytest.raises(ValueError, match=name):
-        TrackingConfig(**{name: -1.0})
+        check_values(TrackingConfig(**{name: -1.0}))
 
 
 @settings(max_examples=12)

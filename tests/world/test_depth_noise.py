@@ -11,21 +11,31 @@ from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem
 from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 
 from drake_oa.diagrams.avoidance import build_avoidance
-from drake_oa.scenario.camera_noise import RANGES, DepthNoiseParameters
+from drake_oa.perception.config import CameraNoise
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.world.depth_noise import (
     DepthNoise,
     NoiseRoom,
     add_depth_noise,
-    axial_deviation,
-    disparity_step,
 )
 
 K = np.array([577.0, 579.0, 319.5, 239.5])
 SHAPE = (240, 320)
-QUIET = DepthNoiseParameters(
+QUIET = CameraNoise(
     axial_offset=0.0, axial_growth=0.0, axial_angle=0.0, unit=1e-5, subpixels=1000.0
 )
+
+
+def axial_deviation(z, theta, p=CameraNoise()):  # noqa: B008
+    """Published sigma_z [m] at depth z and incidence theta, see `CameraNoise`."""
+    steep = theta / (0.5 * np.pi - theta)
+    flat = p.axial_offset + p.axial_growth * (z - p.axial_depth) ** 2
+    return flat + p.axial_angle / np.sqrt(z) * steep**2
+
+
+def disparity_step(z, focal, p=CameraNoise()):  # noqa: B008
+    """Difference of depth between two steps of disparity [m]."""
+    return z**2 / (p.subpixels * focal * p.baseline)
 
 
 def wall(z: float, tilt: float = 0.0, shape: tuple[int, int] = SHAPE) -> np.ndarray:
@@ -104,7 +114,7 @@ def test_noise_is_smooth_over_a_few_pixels_and_fresh_in_each_frame():
     assert abs(correlation(0, 6, 0)) < 0.05
     assert abs(correlation(1, 0, 0)) < 0.05
     # Independent where asked, and nowhere more or less noisy for the lattice.
-    white = DepthNoiseParameters(correlation_u=1, correlation_v=1)
+    white = CameraNoise(correlation_u=1, correlation_v=1)
     error = add_depth_noise(wall(1.0), K, white) - 1.0
     assert abs(np.corrcoef(error[:, 1:].ravel(), error[:, :-1].ravel())[0, 1]) < 0.05
     assert errors.std(axis=(0, 1)).min() > 0.75
@@ -139,7 +149,7 @@ def test_holes_flying_pixels_and_shadow_are_at_edges_only():
 
 
 def test_without_shadows_the_share_of_flying_pixels_is_the_given_one():
-    p = DepthNoiseParameters(shadows=False, edge_dropout=0.0, lateral=0.0, flying=0.5)
+    p = CameraNoise(shadows=False, edge_dropout=0.0, lateral=0.0, flying=0.5)
     frames = np.stack([add_depth_noise(step(1.0, 2.0), K, p, frame=k) for k in range(10)])
     assert np.isfinite(frames).all()
     beside = frames[:, :, 159:161]
@@ -149,7 +159,7 @@ def test_without_shadows_the_share_of_flying_pixels_is_the_given_one():
 
 
 def test_the_share_of_missing_pixels_at_edges_is_the_given_one():
-    p = DepthNoiseParameters(shadows=False, edge_dropout=0.3, lateral=0.0, flying=0.0)
+    p = CameraNoise(shadows=False, edge_dropout=0.3, lateral=0.0, flying=0.0)
     frames = np.stack([add_depth_noise(step(1.0, 2.0), K, p, frame=k) for k in range(20)])
     assert np.isnan(frames[:, :, 159:161]).mean() == pytest.approx(0.3, abs=0.04)
     assert np.isfinite(np.delete(frames, [159, 160], axis=2)).all()
@@ -212,24 +222,28 @@ def test_out_is_filled_and_may_be_the_image_and_room_is_only_worked_in():
 
 
 def test_every_number_has_a_range_and_its_default_lies_within():
-    numbers = {item.name for item in fields(DepthNoiseParameters)} - {"shadows"}
-    assert numbers == set(RANGES)
+    for item in fields(CameraNoise):
+        if item.name != "shadows":
+            assert item.metadata["low"] <= item.default <= item.metadata["high"]
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"axial_offset": -0.1}, r"axial_offset must lie in \[0, 0.1\], not -0.1"),
-        ({"lateral": float("nan")}, "lateral must lie in"),
+        ({"axial_offset": -0.1}, r"CameraNoise.axial_offset: -0.1 is outside \[0, 0.1\] \[m\]"),
+        ({"lateral": float("nan")}, "lateral: must be a finite number"),
         ({"correlation_u": 0}, "correlation_u"),
-        ({"correlation_v": 2.5}, "correlation_v must be a whole number"),
-        ({"near": 3.0, "far": 2.0}, "near must be below far"),
-        ({"grazing_start": 1.4, "grazing_end": 1.3}, "grazing_start must be below grazing_end"),
+        ({"correlation_v": 2.5}, "correlation_v: expected a whole number"),
+        ({"near": 3.0, "far": 2.0}, "near must be less than far, not 3.0 and 2.0"),
+        (
+            {"grazing_start": 1.4, "grazing_end": 1.3},
+            "start must be less than grazing_end",
+        ),
     ],
 )
 def test_bad_parameters_are_named(changes, message):
     with pytest.raises(ValueError, match=message):
-        DepthNoiseParameters(**changes)
+        DepthNoise(CAMERA, parameters=CameraNoise(**changes))
 
 
 @pytest.mark.parametrize(
@@ -271,7 +285,7 @@ def fixed(system: DepthNoise, value: ImageDepth32F) -> Context:
 
 
 def test_gives_what_the_function_gives_at_the_time_in_microseconds():
-    parameters = DepthNoiseParameters(lateral=0.3)
+    parameters = CameraNoise(lateral=0.3)
     system = DepthNoise(CAMERA, parameters=parameters, seed=5)
     context = fixed(system, image())
     context.SetTime(1.0 / 30.0)
