@@ -1,8 +1,51 @@
-"""Reactive obstacle avoidance as Drake systems (Pairet et al., RA-L 2019)."""
+"""Reactive obstacle avoidance as Drake systems (Pairet et al., RA-L 2019).
 
+`from drake_oa import DepthPerception` finds each layer's system, from the folder of its layer;
+it is imported when it is asked for.
+"""
+
+from importlib import import_module as _import_module
 from pathlib import Path as _Path
 
 from drake_oa.common.kernel_cache import provide_kernel_cache as _provide_kernel_cache
 
 # Before any module that compiles is imported.
 _KERNEL_CACHE = _provide_kernel_cache(_Path(__file__).parent)
+
+_SYSTEMS = {
+    "DepthPerception": "perception.depth_perception",
+    "GroundTruthPerception": "perception.ground_truth_perception",
+    "RecordedPerception": "perception.recorded_perception",
+    "HiddenSides": "perception.hidden_sides_system",
+    "EllipsoidDescriptor": "descriptor.ellipsoid_descriptor",
+    "GivenEllipsoidSource": "descriptor.given_ellipsoids",
+    "CostRingSelector": "route.cost_ring_selector",
+    "TakenRoute": "route.selected_route",
+    "RegressorChain": "regulation.regressor_chain",
+    "VerifiedRegressorChain": "regulation.verified_regressor_chain",
+    "ToolTurnSelector": "regulation.tool_turn_selector",
+    "DmpIntegrator": "policy.dmp_integrator",
+    "OrientationIntegrator": "policy.orientation_integrator",
+    "PostureFollower": "posture.posture_follower",
+    "NullSpaceCoupling": "posture.null_space_coupling_system",
+    "Supervisor": "safety.supervisor",
+    "ObstacleEvasion": "safety.obstacle_evasion",
+    "CartesianInverseDynamics": "control.cartesian_inverse_dynamics",
+    "IntegralAction": "control.integral_action",
+    "Slowest": "control.min_speed_scale",
+    "MeshcatOverlay": "viewing.meshcat_overlay",
+}
+"""Class -> its module below this package."""
+
+__all__ = list(_SYSTEMS)
+
+
+def __getattr__(name: str) -> type:
+    if name not in _SYSTEMS:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    system: type = getattr(_import_module(f"{__name__}.{_SYSTEMS[name]}"), name)
+    return system
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *_SYSTEMS]

@@ -2,204 +2,181 @@
 
 from __future__ import annotations
 
-import argparse
-import json
-from collections.abc import Mapping, Sequence
+import json as json_text
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from drake_oa.app import evaluate_mbm as mbm
-from drake_oa.app import evaluate_panda as panda
-from drake_oa.app.command_line import add_verbose
-from drake_oa.common.console import FAILED, INTERRUPTED, complain
+from cyclopts import App, Parameter
+
+from drake_oa.common.console import FAILED, INTERRUPTED, complain, progress_bar
 from drake_oa.common.files import check_outputs, replace_text, same_file
-from drake_oa.studies.scenes.progress import progress_bar
 
 # Suites, methods and kernels are imported where they are used: `--help` answers at once.
 if TYPE_CHECKING:
     from drake_oa.common.messages import FloatArray
-    from drake_oa.studies.scenes.dead_zone import Comparison
+    from drake_oa.studies.mbm.suite import MbmSuite
+    from drake_oa.studies.panda.evaluation import Keeping, PandaResults, PandaSuite
     from drake_oa.studies.scenes.evaluation import Evaluation, Outcome
     from drake_oa.studies.scenes.methods import Method, Motions
     from drake_oa.studies.scenes.scenes import Scenes
 
-_DESCRIPTION = """\
-Runs methods on the same scenes and prints, for each method:
+RESULTS = Path("drake_oa_runs") / "evaluate-panda"
+"""Where results go that nobody named, relative to the current folder."""
 
-  collisions       scenes in which an obstacle was touched
-  clearance        least distance to an obstacle over the whole motion
-  short            scenes more than 1 mm short of the feasible clearance:
-                   min(Delta, distance of the start, distance of the goal)
-  goal error       distance to the goal at the end of the motion: of the scaled duration
-                   tau T; `verified` goes on until it has arrived, to 2 tau T at most
-  path ratio       length of the path over that of the straight line
-  step, seconds    computing time of a policy step, and of all scenes
+MBM_METHODS = ("verified", "preplanned", "planner")
 
-An independent float64 check judges the motions, on samples four times finer than theirs.
-"""
+Methods = Annotated[tuple[str, ...], Parameter(name="--method")]
+"""Names of methods; the option may be repeated."""
 
-_EPILOG = """\
-suites:
-{suites}
-
-{panda}
-{mbm}
-methods of the other suites (default: paper and verified; for dead-zone original and paper):
-  paper                the paper's own regressor chain, as printed
-  verified             proposals checked by roll-outs, as the running system does it
-  verified_constant    the same with a chain that always proposes the same, to tell what the
-                       trained networks add
-  original             the coupling term that the paper starts from
-  movement_primitives  the package of that name (pip install 'drake_oa[peers]')
-
-A scenes file (.npz) replaces the suite's scenes: `baseline` (N,), `center` (N, M, 3),
-`semi_axes` (N, M, 3), `R` (N, M, 3, 3), `velocity` (N, M, 3), `clearance` (N,), in metres
-and m/s, NaN rows for absent obstacles; the start is the origin, the goal (baseline, 0, 0).
-SUITE then only names the result; `familiar` runs the file's scenes in its 12 settings, each
-with its own clearance; `dead-zone` takes no file. --write-scenes writes the suite's scenes
-in the same form.
-
---json writes {{"suite", "seed", "versions", "methods": {{NAME: {{...}}}}}}, after every method;
-what was computed so far is in it, with "complete": false, when a method fails or the command is
-interrupted. The figures of `familiar` are over the settings that ask for a clearance and
-scale the duration; "settings" has all twelve.
-
-Exit status: 0 when all was run, 1 when a method failed, 2 for bad input, 130 when
-interrupted.
-
-examples:
-  drake-oa evaluate novel --json novel.json --plot novel.png
-  drake-oa evaluate hit --method paper --method original --scenes 200 --seed 7
-  drake-oa evaluate clutter --scenes-file mine.npz --method verified
-  drake-oa evaluate panda --scenes 20 --perception truth --method verified --json panda.json
-  drake-oa evaluate panda --suite moving,elbow,clutter6 --jobs 2 --json changing.json
-  drake-oa evaluate mbm --problems motionbenchmaker_panda.tar.bz2 --scenes 6 --json mbm.json
-"""
-
-_SUITES = {
-    "familiar": "the paper's 100 training ellipses, each in its 12 settings",
-    "novel": "the paper's random obstacles at baselines of 0.5, 1, 1.5 and 2 m (4000)",
-    "posed": "novel with random orientations (1000)",
-    "hit": "posed, with the straight line in collision (1000)",
-    "head-on": "posed, centres within 1 cm of the line or exactly on it (1000)",
-    "clutter": "six small ellipsoids, at least one in the way (1000)",
-    "moving": "one small ellipsoid that moves into the unmodulated robot (1000)",
-    "dead-zone": "a point obstacle on the line and up to 10 cm beside it (41), and both terms",
-    panda.SUITE: f"the whole robot, seeing, in random scenes of 4 kinds ({panda.DEFAULT_SCENES})",
-    mbm.SUITE: "the whole robot on MotionBenchMaker's problems, of a file (all in it)",
-}
+evaluate = App(name="evaluate")
 
 
-def add_parser(commands: Any) -> None:
-    """Adds the command `evaluate` to the subparsers of `drake-oa`."""
-    width = max(map(len, _SUITES))
-    suites = "\n".join(f"  {name:<{width}}  {text}" for name, text in _SUITES.items())
-    parser = commands.add_parser(
-        "evaluate",
-        help="compare methods on the paper's experiments and beyond",
-        description=_DESCRIPTION,
-        epilog=_EPILOG.format(suites=suites, panda=panda.EPILOG, mbm=mbm.EPILOG),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("suite", metavar="SUITE", help="which scenes, see below")
-    parser.add_argument(
-        "--method",
-        action="append",
-        metavar="M",
-        dest="methods",
-        help="a method, see below; may be repeated",
-    )
-    parser.add_argument(
-        "--scenes",
-        type=int,
-        metavar="N",
-        help="how many (familiar: a square, N ellipses); with --scenes-file, the first N",
-    )
-    parser.add_argument(
-        "--seed", type=int, default=0, metavar="S", help="of the scenes (default 0)"
-    )
-    parser.add_argument("--scenes-file", type=Path, metavar="F.npz", help="run these scenes")
-    parser.add_argument(
-        "--write-scenes",
-        type=Path,
-        metavar="F.npz",
-        help="write the scenes (panda: a folder of scenario files)",
-    )
-    parser.add_argument("--json", type=Path, metavar="F", help="write the figures")
-    parser.add_argument("--plot", type=Path, metavar="F", help="write a plot: .png, .svg or .pdf")
-    add_verbose(parser)
-    panda.add_options(parser)
-    mbm.add_options(parser)
-    parser.set_defaults(action=run)
+# Scenes of ellipsoids -------------------------------------------------------------------
 
 
-def run(options: argparse.Namespace) -> int:
-    """Runs the command; returns its exit status.
+@evaluate.default
+def synthetic(
+    suite: str,
+    /,
+    *,
+    methods: Methods = (),
+    scenes: int | None = None,
+    seed: int = 0,
+    scenes_file: Path | None = None,
+    write_scenes: Path | None = None,
+    json: Path | None = None,
+    plot: Path | None = None,
+) -> int:
+    """Compare methods on the paper's experiments and beyond.
 
-    Raises:
-        ValueError: for bad input.
-        OSError: for a file that cannot be read or written.
+    These are scenes of ellipsoids; panda and mbm, commands of their own, move the whole robot. For
+    each method it prints:
+
+      collisions       scenes in which an obstacle was touched
+      clearance        least distance to an obstacle over the whole motion
+      short            scenes more than 1 mm short of the feasible clearance:
+                       min(Delta, distance of the start, distance of the goal)
+      goal error       distance to the goal at the end of the motion: of the scaled
+                       duration tau T; `verified` goes on until it has arrived, to
+                       2 tau T at most
+      path ratio       length of the path over that of the straight line
+      step, seconds    computing time of a policy step, and of all scenes
+
+    An independent float64 check judges the motions, on samples four times finer.
+
+    Suites:
+
+      familiar   the paper's 100 training ellipses, each in its 12 settings
+      novel      the paper's random obstacles at baselines of 0.5 to 2 m (4000)
+      posed      novel with random orientations (1000)
+      hit        posed, with the straight line in collision (1000)
+      head-on    posed, centres within 1 cm of the line or exactly on it (1000)
+      clutter    six small ellipsoids, at least one in the way (1000)
+      moving     one small ellipsoid that moves into the unmodulated robot (1000)
+      dead-zone  a point obstacle on the line and up to 10 cm beside it (41)
+
+    Methods (default: paper and verified; for dead-zone original and paper):
+
+      paper                the paper's own regressor chain, as printed
+      verified             proposals checked by roll-outs, as the running system does
+      verified_constant    the same with a chain that always proposes the same, to tell
+                           what the trained networks add
+      original             the coupling term that the paper starts from
+      movement_primitives  the package of that name (pip install 'drake_oa[peers]')
+
+    A scenes file (.npz) replaces the suite's scenes: `baseline` (N,), `center` (N, M, 3),
+    `semi_axes` (N, M, 3), `R` (N, M, 3, 3), `velocity` (N, M, 3), `clearance` (N,), in
+    metres and m/s, NaN rows for absent obstacles; the start is the origin, the goal
+    (baseline, 0, 0). SUITE then only names the result; `familiar` runs the file's scenes
+    in its 12 settings, each with its own clearance; `dead-zone` takes no file.
+
+    --json writes {"suite", "seed", "versions", "methods": {NAME: {...}}}, after every
+    method; what was computed so far is in it, with "complete": false, when a method fails
+    or the command is interrupted. The figures of `familiar` are over the settings that
+    ask for a clearance and scale the duration; "settings" has all twelve.
+
+    Exit status: 0 when all was run, 1 when a method failed, 2 for bad input, 130 when
+    interrupted.
+
+    For example:
+
+        drake-oa evaluate novel --json novel.json --plot novel.png
+        drake-oa evaluate hit --method paper --method original --scenes 200 --seed 7
+        drake-oa evaluate clutter --scenes-file mine.npz --method verified
+
+    Args:
+        suite: which scenes, see above.
+        methods: a method, see above; may be repeated.
+        scenes: how many (familiar: a square, N ellipses); with --scenes-file, the first N.
+        seed: of the scenes.
+        scenes_file: run these scenes.
+        write_scenes: write the scenes in the same form.
+        json: write the figures.
+        plot: write a plot: .png, .svg or .pdf.
     """
-    if options.suite == mbm.SUITE:
-        return mbm.run(options)
-    mbm.refuse_options(options)
-    if options.suite == panda.SUITE:
-        return panda.run(options)
-    if options.suite not in _SUITES:
-        raise ValueError(f"unknown suite {options.suite!r}; valid: {', '.join(_SUITES)}")
-    panda.refuse_options(options)
-
     from drake_oa.common.provenance import software_versions
-    from drake_oa.studies.scenes.evaluation import evaluate
+    from drake_oa.studies.scenes.dead_zone import compare_terms, term_figures, term_table
+    from drake_oa.studies.scenes.evaluation import evaluate as evaluate_scenes
     from drake_oa.studies.scenes.figures import evaluation_figures, evaluation_table
+    from drake_oa.studies.scenes.plots import check_plot_file, plot_evaluation
     from drake_oa.studies.scenes.scenes import save_scenes
-    from drake_oa.studies.scenes.suites import find_suite
+    from drake_oa.studies.scenes.suites import SUITES, find_suite
 
-    suite = find_suite(options.suite)
-    methods = _methods(options.methods or suite.methods)
-    _check_outputs(options)
-    scenes = _scenes(options)
-    if options.write_scenes is not None:
-        save_scenes(options.write_scenes, scenes)
+    if suite in evaluate:
+        raise ValueError(f"the suite comes first: drake-oa evaluate {suite} ...")
+    if suite not in SUITES:
+        known = ", ".join([*SUITES, "panda", "mbm"])
+        raise ValueError(f"unknown suite {suite!r}; valid: {known}")
+    found_suite = find_suite(suite)
+    chosen = _methods(methods or found_suite.methods)
+    if plot is not None:
+        check_plot_file(plot)
+    if same_file(json, plot, write_scenes, scenes_file):
+        raise ValueError(
+            "--json, --plot, --write-scenes and --scenes-file must name different files"
+        )
+    check_outputs(json, plot, write_scenes)
+    drawn = _scenes(suite, scenes, seed, scenes_file)
+    if write_scenes is not None:
+        save_scenes(write_scenes, drawn)
     versions = software_versions()
-    seed = options.seed if options.scenes_file is None else None
-    terms = _terms(scenes) if options.suite == "dead-zone" else []
+    of_seed = seed if scenes_file is None else None
+    terms = compare_terms(drawn) if suite == "dead-zone" else []
     paths: dict[str, FloatArray] = {}
 
     def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Any]:
-        found = evaluation_figures(options.suite, seed, versions, suite.cases, outcomes)
+        found = evaluation_figures(suite, of_seed, versions, found_suite.cases, outcomes)
         if terms and "original" in found["methods"]:
-            found["methods"]["original"]["terms"] = _term_figures(terms)
+            found["methods"]["original"]["terms"] = term_figures(terms)
         return found
 
     def keep(outcomes: Mapping[str, Outcome]) -> None:
-        if options.json is not None:
-            text = json.dumps(figures(outcomes), indent=2, allow_nan=False)
-            replace_text(options.json, text + "\n")
+        if json is not None:
+            _write_json(json, figures(outcomes))
 
     def keep_paths(name: str, motions: Motions) -> None:
         if terms:
             paths.setdefault(name, motions.path)
 
-    with progress_bar(len(scenes) * len(suite.cases) * len(methods)) as on_progress:
-        evaluation = evaluate(
-            scenes,
-            suite.cases,
-            methods,
+    with _counted(len(drawn) * len(found_suite.cases) * len(chosen)) as on_progress:
+        evaluation = evaluate_scenes(
+            drawn,
+            found_suite.cases,
+            chosen,
             on_progress=on_progress,
             on_method=keep,
             on_motions=keep_paths,
         )
-    print(_heading(options.suite, scenes))
+    print(_heading(suite, drawn))
     print(evaluation_table(figures(evaluation.outcomes)))
     if terms:
-        print(_term_text(terms))
-    if options.plot is not None:
-        from drake_oa.studies.scenes.plots import plot_evaluation
-
-        plot_evaluation(
-            options.plot, options.suite, scenes, suite.cases, evaluation.outcomes, paths, terms
-        )
+        print(f"\n{term_table(term_figures(terms))}")
+    if plot is not None:
+        plot_evaluation(plot, suite, drawn, found_suite.cases, evaluation.outcomes, paths, terms)
     return _status(evaluation)
 
 
@@ -212,45 +189,24 @@ def _methods(names: Sequence[str]) -> dict[str, Method]:
     return {name: load_method(name) for name in names}
 
 
-def _terms(scenes: Scenes) -> list[Comparison]:
-    from drake_oa.studies.scenes.dead_zone import compare_terms
-
-    return compare_terms(scenes)
-
-
-def _term_figures(terms: Sequence[Comparison]) -> list[dict[str, float]]:
-    from drake_oa.studies.scenes.dead_zone import term_figures
-
-    return term_figures(terms)
-
-
-def _term_text(terms: Sequence[Comparison]) -> str:
-    from drake_oa.studies.scenes.dead_zone import term_figures, term_table
-
-    return f"\n{term_table(term_figures(terms))}"
-
-
-def _scenes(options: argparse.Namespace) -> Scenes:
+def _scenes(suite: str, count: int | None, seed: int, file: Path | None) -> Scenes:
     from drake_oa.common.memory import check_memory
     from drake_oa.studies.scenes.scenes import load_scenes
     from drake_oa.studies.scenes.suites import draw_scenes, find_suite
 
-    if options.scenes is not None and options.scenes < 1:
-        raise ValueError(f"--scenes must be at least 1, not {options.scenes}")
-    if options.scenes_file is None:
-        if options.scenes is not None:
-            size = options.scenes * find_suite(options.suite).bytes_per_scene
-            check_memory(f"--scenes {options.scenes}", size)
-        return draw_scenes(options.suite, options.scenes, options.seed)
-    if options.suite == "dead-zone":
+    if count is not None and count < 1:
+        raise ValueError(f"--scenes must be at least 1, not {count}")
+    if file is None:
+        if count is not None:
+            check_memory(f"--scenes {count}", count * find_suite(suite).bytes_per_scene)
+        return draw_scenes(suite, count, seed)
+    if suite == "dead-zone":
         raise ValueError("dead-zone has scenes of its own: it takes no --scenes-file")
-    scenes = load_scenes(options.scenes_file)
-    if options.scenes is not None:
-        if options.scenes > len(scenes):
-            raise ValueError(
-                f"--scenes {options.scenes}: {options.scenes_file} holds {len(scenes)}"
-            )
-        scenes = scenes.rows(slice(options.scenes))
+    scenes = load_scenes(file)
+    if count is not None:
+        if count > len(scenes):
+            raise ValueError(f"--scenes {count}: {file} holds {len(scenes)}")
+        scenes = scenes.rows(slice(count))
     return scenes
 
 
@@ -274,14 +230,361 @@ def _status(evaluation: Evaluation) -> int:
     return 0 if all(o.complete for o in evaluation.outcomes.values()) else FAILED
 
 
-def _check_outputs(options: argparse.Namespace) -> None:
-    if options.plot is not None:
-        from drake_oa.studies.scenes.plots import check_plot_file
+@contextmanager
+def _counted(total: int) -> Iterator[Callable[[str, int], None]]:
+    """A progress bar that is told how many more were done, and of what."""
+    done = 0
+    with progress_bar(total) as update:
 
-        check_plot_file(options.plot)
-    outputs = (options.json, options.plot, options.write_scenes)
-    if same_file(*outputs, options.scenes_file):
-        raise ValueError(
-            "--json, --plot, --write-scenes and --scenes-file must name different files"
+        def advance(name: str, count: int) -> None:
+            nonlocal done
+            done += count
+            update(f"{name} {done}/{total}", done)
+
+        yield advance
+
+
+def _write_json(file: Path, figures: Mapping[str, Any]) -> None:
+    replace_text(file, json_text.dumps(figures, indent=2, allow_nan=False) + "\n")
+
+
+# The whole robot ------------------------------------------------------------------------
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class Runs:
+    """How runs of the whole robot are made, and what is kept of them.
+
+    Attributes:
+        jobs: processes at once (default: cores).
+        scheduler: send the scenes to a running Dask cluster, as tcp://host:8786
+            (pip install 'drake_oa[cluster]').
+        duration: end each run after so many simulated seconds.
+        json: write the figures.
+        results: folder of the results, scene by scene (default: beside --json as STEM.scenes,
+            or drake_oa_runs/evaluate-panda).
+        logs: keep each run's log (.npz) in this folder.
+        html_dir: write a page to play in a browser for each run of verified (or, without it, of
+            each method) to this folder.
+        write_scenes: write the scenes as scenario files for `drake-oa run` to this folder.
+    """
+
+    jobs: int | None = None
+    scheduler: str | None = None
+    duration: float | None = None
+    json: Path | None = None
+    results: Path | None = None
+    logs: Path | None = None
+    html_dir: Path | None = None
+    write_scenes: Path | None = None
+
+
+_RUNS = Runs()
+
+
+@evaluate.command
+def panda(
+    *,
+    kinds: Annotated[tuple[str, ...], Parameter(name="--suite")] = ("tabletop",),
+    methods: Methods = (),
+    scenes: int = 100,
+    seed: int = 0,
+    perception: Literal["depth", "truth"] = "depth",
+    runs: Runs = _RUNS,
+) -> int:
+    """Run the whole robot, seeing, in random scenes of several kinds.
+
+    In each the planned motion of 0.5 to 1.0 m would touch something. Kinds (--suite):
+
+      tabletop     1 to 6 things on the table: boxes, cylinders, spheres, piles
+      moving       1 or 2 things cross the way at 0.1 to 0.4 m/s, up to 2 more stand there
+      elbow        the hand's way is free by 5 cm and the elbow's is not: posts, boards in
+                   the air, boxes on stands
+      clutter6     six things on the table, three or more within 25 cm of the way
+      moving_hard  2 to 4 things of 5 to 30 cm at 0.1 to 0.8 m/s enter from outside the
+                   image, change speed, turn, stop, come back; up to 2 more stand there;
+                   not every scene has a solution
+
+    Methods (all by default; of tabletop all but planner):
+
+      preplanned            the planned motion, blind to obstacles
+      paper                 the paper's regulation, which nothing checks, without a
+                            supervisor
+      verified              proposals checked by roll-outs
+      differential_ik       Drake's differential inverse kinematics with collision
+                            constraints, on the same planned motion; it knows the
+                            obstacles exactly, and its tool keeps the asked clearance as
+                            far as start and goal have it
+      differential_ik_near  the same, asked for 3 cm
+      planner               a sampling-based planner that knows the obstacles exactly:
+                            RRT-Connect of the package ompl (pip install
+                            'drake_oa[peers]'), the whole robot 25 mm from everything; it
+                            is not simulated, and success means solved
+
+    It prints:
+
+      contacts    scenes in which a link, the hand or a finger touched an obstacle, the
+                  table or another of the robot's, by SceneGraph, until all was at rest
+      success     no contact, and the tool ends within 5 mm of the goal
+      of solved   success in the scenes that planner solves, where it is a method
+      stopped     the others: ended short of the goal without a contact, and why
+      time limit  scenes that ended by it, arrived or not
+      self        scenes in which the robot touched itself
+      short       scenes in which the tool came more than 1 mm nearer to what stands at
+                  rest than start and goal leave of the asked clearance, by how much
+      clearance   least over all scenes, of hand and fingers (tool) and of any link
+      duration    of the motion, median and longest scene
+      goal error  largest of the scenes that were not stopped
+      decision    what the regulation's decisions cost in simulated time: 99 % of them,
+                  the longest, and the share that took longer than a frame
+      real-time factor     simulated over real time, median and least scene
+
+    Below it: why runs were stopped, what was touched, and of what was looked at when the
+    scenes were drawn, what share was dropped for which reason.
+
+    Every scene is on disk as soon as it is done (--results), and the same command
+    resumes. A Dask cluster's workers need this package, and are best started with
+    --nthreads 1.
+
+    For example:
+
+        drake-oa evaluate panda --scenes 20 --perception truth --method verified
+        drake-oa evaluate panda --suite moving,elbow,clutter6 --jobs 2 --json changing.json
+
+    Args:
+        kinds: of the scenes; may be repeated, or name several with commas.
+        methods: a method, see above; may be repeated.
+        scenes: how many of each kind.
+        seed: of the scenes.
+        perception: depth (the camera) or truth (SceneGraph).
+        runs: how runs are made.
+    """
+    from drake_oa.studies.panda.evaluation import PandaSuite
+    from drake_oa.studies.panda.run import default_methods
+    from drake_oa.studies.panda.tables import kinds_figures
+
+    suites = [
+        PandaSuite(
+            scenes=scenes,
+            seed=seed,
+            methods=tuple(dict.fromkeys(methods or default_methods(kind))),
+            perception=perception,
+            kind=kind,
+            duration=runs.duration,
         )
-    check_outputs(*outputs)
+        for kind in _named(kinds)
+    ]
+    heading = f"panda: {scenes} scenes of seed {seed}"
+    return _run_suites(runs, suites, heading, lambda _, figures: kinds_figures(figures))
+
+
+@evaluate.command
+def mbm(
+    *,
+    problems: Path,
+    robot: str | None = None,
+    sets: tuple[str, ...] = (),
+    methods: Methods = ("verified", "planner"),
+    scenes: int | None = None,
+    runs: Runs = _RUNS,
+) -> int:
+    """Run the whole robot on MotionBenchMaker's problems, of a file.
+
+    They are those of Chamzas et al., RA-L 2022 (data BSD-3-Clause, Rice University), as VAMP's
+    repository (github.com/KavrakiLab/vamp) carries them: a .tar.bz2 with folders <set>_<robot> of
+    scene0001.yaml and request0001.yaml. Sets of the Panda: table_pick, table_under_pick,
+    bookshelf_small, bookshelf_tall, bookshelf_thin, box, cage.
+
+    The demonstration is the tool's straight minimum-jerk motion from FK(start) to
+    FK(goal), 5 s, with the turn between them; the posture leads from the start's joints
+    to the goal's. The obstacles are known exactly; what the goal grasps (the tool point is
+    inside) is left out. Asked for are 3 cm, or what the whole robot has at start and goal,
+    and the supervisor stops no farther from obstacles.
+
+    Success: the simulated arm ends within 1 cm and 15 degrees of the goal, no contact
+    with the scene or itself, and no joint is more than 1 mrad beyond its limit. Methods:
+
+      verified, preplanned  as of `drake-oa evaluate panda`
+      planner               RRT-Connect from the start's joints to the goal's, the whole
+                            robot at the asked clearance from the same shapes, 200 000
+                            states at most; not simulated
+
+    --json has a block for each set, and `all`.
+
+    For example:
+
+        drake-oa evaluate mbm --problems motionbenchmaker_panda.tar.bz2 --scenes 6
+
+    Args:
+        problems: the file, .tar.bz2.
+        robot: panda (default), or a scenario whose robot block is of the problems' robot.
+        sets: of the problems (default: all); may be repeated, or name several with commas.
+        methods: a method, see above; may be repeated.
+        scenes: the first N of each set.
+        runs: how runs are made.
+    """
+    from drake_oa.studies.mbm.suite import mbm_figures
+
+    suites = _mbm_suites(problems, robot, sets, methods, scenes, runs.duration)
+    heading = f"mbm: {sum(suite.scenes for suite in suites)} problems"
+    return _run_suites(runs, suites, heading, mbm_figures)
+
+
+def _named(texts: Sequence[str]) -> list[str]:
+    """The names in options that may each hold several, each once."""
+    return list(dict.fromkeys(name.strip() for name in ",".join(texts).split(",")))
+
+
+def _mbm_suites(
+    file: Path,
+    robot: str | None,
+    sets: Sequence[str],
+    methods: Sequence[str],
+    scenes: int | None,
+    duration: float | None,
+) -> list[MbmSuite]:
+    """One for each set that is asked for."""
+    from drake_oa.studies.mbm.problems import parse_problem, read_archive
+    from drake_oa.studies.mbm.scenes import PANDA, load_robot, problem_scenario, robot_text
+    from drake_oa.studies.mbm.suite import MbmSuite
+
+    for method in methods:
+        if method not in MBM_METHODS:
+            raise ValueError(f"unknown method {method!r}; mbm has: {', '.join(MBM_METHODS)}")
+    if scenes is not None and scenes < 1:
+        raise ValueError(f"--scenes must be at least 1, not {scenes}")
+    arm = load_robot(robot or PANDA)
+    known = read_archive(file)
+    chosen = {}
+    for name in _named(sets or list(known)):
+        if name not in known:
+            raise ValueError(f"unknown set {name!r}; {file} has: {', '.join(known)}")
+        if scenes is not None and scenes > len(known[name]):
+            raise ValueError(f"--scenes {scenes}: the set {name} has {len(known[name])}")
+        chosen[name] = tuple(known[name][:scenes])
+        for text in chosen[name]:
+            parse_problem(text)
+        # Another robot's joints are told before anything is computed.
+        problem_scenario(parse_problem(chosen[name][0]), arm)
+    return [
+        MbmSuite(
+            scenes=len(texts),
+            seed=0,
+            methods=tuple(dict.fromkeys(methods)),
+            perception="truth",
+            kind=name,
+            duration=duration,
+            problems=texts,
+            robot=robot_text(arm),
+        )
+        for name, texts in chosen.items()
+    ]
+
+
+def _run_suites(
+    runs: Runs,
+    suites: Sequence[PandaSuite],
+    heading: str,
+    together: Callable[[Sequence[PandaResults], Sequence[dict[str, Any]]], dict[str, Any]],
+) -> int:
+    """Runs several suites of the whole robot, and tells; returns the exit status.
+
+    Args:
+        runs: how.
+        suites: the suites.
+        heading: begins the line above the table.
+        together: what is written of the results and figures of each.
+    """
+    if runs.jobs is not None and runs.scheduler is not None:
+        raise ValueError("--jobs and --scheduler exclude each other")
+    if runs.jobs is not None and runs.jobs < 1:
+        raise ValueError(f"--jobs must be at least 1, not {runs.jobs}")
+
+    from drake_oa.common.provenance import software_versions
+    from drake_oa.studies.panda.evaluation import evaluate_panda
+    from drake_oa.studies.panda.run import PLANNER
+    from drake_oa.studies.panda.sampling_planner import check_planner
+    from drake_oa.studies.panda.tables import panda_figures, panda_tables
+
+    if any(PLANNER in suite.methods for suite in suites):
+        check_planner()
+    check_outputs(runs.json)
+    keeping = _keeping(runs, suites)
+    jobs = 1 if runs.scheduler is not None else runs.jobs or _cores()
+    results: list[PandaResults] = []
+    with _counted(sum(suite.scenes * (1 + len(suite.methods)) for suite in suites)) as progress:
+        for suite in suites:
+            results.append(
+                evaluate_panda(
+                    suite,
+                    jobs=jobs,
+                    scheduler=runs.scheduler,
+                    keeping=keeping,
+                    on_progress=progress,
+                )
+            )
+            if results[-1].interrupted:
+                break
+    shared = None if runs.scheduler is not None else jobs
+    versions = software_versions()
+    figures = [panda_figures(found, versions, shared) for found in results]
+    whole = together(results, figures)
+    if runs.json is not None:
+        _write_json(runs.json, whole)
+    if runs.write_scenes is not None:
+        for found in results:
+            _write_scenes(runs.write_scenes, found)
+    resumed = sum(found.resumed for found in results)
+    taken = f"; {resumed} runs were on disk" if resumed else ""
+    kinds = ", ".join(found.suite.kind for found in results)
+    print(f"{heading}, {kinds}, {results[0].suite.perception}{taken}\n")
+    print(panda_tables([*figures, *([whole["all"]] if "all" in whole else [])]))
+    return _runs_status(results, keeping)
+
+
+def _keeping(runs: Runs, suites: Sequence[PandaSuite]) -> Keeping:
+    from drake_oa.studies.panda.evaluation import Keeping
+    from drake_oa.studies.panda.results import ResultFolder
+
+    folder = runs.results
+    if folder is None:
+        file = runs.json
+        # A device, as /dev/stdout, has no place beside it.
+        beside = file is not None and (file.is_file() or not file.exists())
+        folder = file.with_name(f"{file.stem}.scenes") if file is not None and beside else RESULTS
+    for other in (runs.logs, runs.html_dir, runs.write_scenes):
+        if other is not None:
+            # Told apart from a file, and made, before anything is computed.
+            ResultFolder(other)
+    methods = frozenset(method for suite in suites for method in suite.methods)
+    shown = frozenset({"verified"} & methods or methods)
+    return Keeping(ResultFolder(folder), runs.logs, runs.html_dir, shown)
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _write_scenes(folder: Path, results: PandaResults) -> None:
+    from drake_oa.scenario.loading import parse_scenario, scenario_text
+    from drake_oa.studies.panda.run import with_perception
+
+    for scene, text in results.scenarios.items():
+        seen = with_perception(parse_scenario(text), results.suite.perception)
+        file = folder / f"{results.suite.scene_name(scene)}.scenario.yaml"
+        replace_text(file, scenario_text(seen))
+
+
+def _runs_status(results: Sequence[PandaResults], keeping: Keeping) -> int:
+    runs: list[dict[str, Any]] = [
+        run for found in results for of in found.runs.values() for run in of.values()
+    ]
+    failed = [run["stop_reason"] for run in runs if run["failed"]]
+    if failed:
+        complain(f"{len(failed)} of {len(runs)} runs failed; the first: {failed[0]}")
+    if any(found.interrupted for found in results):
+        where = keeping.folder.path if keeping.folder else "nowhere"
+        complain(f"interrupted: {len(runs)} runs are in {where}; the same command resumes")
+        return INTERRUPTED
+    return FAILED if failed else 0

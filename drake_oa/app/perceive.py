@@ -1,270 +1,281 @@
-"""One recorded frame to clusters, ellipsoids and figures: what `drake-oa perceive` reports.
-
-Frames: C is the camera's, or that of the cloud's points; W the world of X_WC. Where
-X_WC is not known the table defines W (see `drake_oa.perception.segmentation.segment_depth`). The
-tool is given in W orientation, and all that is reported is in C.
-"""
+"""The command `drake-oa perceive`."""
 
 from __future__ import annotations
 
-import statistics
-import time
-from dataclasses import dataclass
+import json as json_text
+import math
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
+from drake_oa.common.console import BAD_INPUT, FAILED, TextTable, complain, show
+from drake_oa.common.files import check_outputs, replace_text
 
-from drake_oa.common.messages import FloatArray, IntArray
-from drake_oa.geometry.ellipsoid import Ellipsoid, enclosing_ellipsoid
-from drake_oa.geometry.ellipsoid_kernels import farthest_pair
-from drake_oa.perception.config import SegmentationConfig
-from drake_oa.perception.depth_image import back_projected, row_hulls
-from drake_oa.perception.recordings import RecordedFrame
-from drake_oa.perception.segmentation import Segmentation, segment_depth, segment_points
-
-_BACKGROUND = 1.5  # [m]
-_BORDER = 5  # [pixel]
-_LEAST_SHARE = 0.1  # of a row or column that shows something
-
-ENCLOSED_TOLERANCE = 1e-9
-"""By how much a dilated point's gauge may exceed 1 and the point still count as inside."""
-
-
-@dataclass(frozen=True, eq=False)
-class PerceivedCluster:
-    """One cluster and its ellipsoid, in the frame C of the points.
-
-    Attributes:
-        pixels: (N,) ascending flat indices (row-major) of its pixels, or of its points
-            in the file's order when the frame is a cloud.
-        p_CQ: (N, 3) its observed points [m].
-        ellipsoid: of least volume round these points dilated by the tool.
-        gauge: largest gauge of any point dilated by any corner of the tool, computed
-            anew in C.
-    """
-
-    pixels: IntArray
-    p_CQ: FloatArray
-    ellipsoid: Ellipsoid
-    gauge: float
-
-    @property
-    def enclosed(self) -> bool:
-        """Whether every observed point dilated by the tool is inside the ellipsoid."""
-        return self.gauge <= 1.0 + ENCLOSED_TOLERANCE
-
-
-@dataclass(frozen=True, eq=False)
-class PerceivedFrame:
-    """What is seen in one frame.
-
-    Attributes:
-        path: the file.
-        frame: what it holds.
-        segmentation: its table and clusters; X_WC is there, also when the table
-            defines W.
-        normal: (3,) unit normal of the table in C, towards its free side; NaN without.
-        offset: ``normal . p_CQ`` of the table's points [m]; NaN without.
-        clusters: the one that shows the largest surface first.
-        background: how many more were left out as background.
-        valid: number of finite pixels (depth > 0) or points.
-        milliseconds: processor time from the depth array to the ellipsoids, the median
-            of the repetitions.
-    """
-
-    path: Path
-    frame: RecordedFrame
-    segmentation: Segmentation
-    normal: FloatArray
-    offset: float
-    clusters: tuple[PerceivedCluster, ...]
-    background: int
-    valid: int
-    milliseconds: float
+# NumPy, Drake and the kernels are imported where they are used: `--help` answers at once.
+if TYPE_CHECKING:
+    from drake_oa.app.perceive_frame import PerceivedFrame
+    from drake_oa.common.messages import FloatArray
+    from drake_oa.perception.config import SegmentationConfig
+    from drake_oa.perception.recordings import DepthCoding
 
 
 def perceive(
-    frame: RecordedFrame,
-    tool_W: FloatArray,
+    files: list[Path],
+    /,
     *,
-    X_WC: FloatArray | None = None,
-    config: SegmentationConfig | None = None,
+    json: Path | None = None,
+    plot: Path | None = None,
+    intrinsics: tuple[float, float, float, float] | None = None,
+    depth_scale: float | None = None,
+    pose: tuple[float, float, float, float, float, float] | None = None,
+    tool: str = "panda",
+    near: float | None = None,
+    far: float | None = None,
     background: bool = False,
     repeats: int = 5,
-) -> PerceivedFrame:
-    """Segments a frame, encloses its clusters, checks the ellipsoids and takes the time.
+) -> int:
+    """Find table, clusters and ellipsoids in depth images and clouds.
+
+    Finds the table (or floor), the clusters of points that stand on it, and for each cluster the
+    ellipsoid of least volume round its points dilated by the tool. Files, or folders of them:
+
+      .npz        depth (H, W) [m] and K = [fx, fy, cx, cy], or points (N, 3) [m];
+                  optionally X_WC (4, 4)
+      .pcd .ply   a cloud [m]; an organised .pcd (HEIGHT above 1) in the camera's frame is
+                  read as the depth image it is
+      .png        16-bit depth, 0 where missing; with --intrinsics, or a file beside it:
+                  NAME.json, NAME.yaml, intrinsics.json, camera_info.yaml, ... that holds
+                  fx, fy, cx, cy or K, camera_matrix (ROS), and optionally depth_scale
+
+    Frames: C is the camera's (x right, y down, z forward) or that of the cloud's points, W
+    the world of X_WC. Where X_WC is not known the table defines W: z along its normal, the
+    origin where the optical axis meets it, x along the camera's.
+
+    JSON: {"tool", "tool_W", "versions", "files": [...]}: tool_W holds the tool's corners [m]
+    about its reference point in the orientation of W. For each file, in metres and in frame C:
+
+      file          its path
+      error         only if it cannot be used: why; then there is nothing else
+      size, K       [rows, columns] and [fx, fy, cx, cy] of an image; null for a cloud
+      count, valid  number of pixels or points, and of those that hold a measurement
+      X_WC          4 x 4 pose of C in W, given or from the table; null without a table
+      plane         normal (towards the free side), offset (normal . p = offset), rms (of
+                    the distances of its points); null when no table was found
+      clusters      the one that shows the largest surface first, each with
+        points      number of its pixels or points
+        mask        [[start, length], ...]: runs of its pixels by row-major index (row *
+                    columns + column), or of its points by their place in the file
+        ellipsoid   center, R (its columns are the principal axes), semi_axes (along
+                    these, largest first), round the cluster dilated by the tool
+        enclosed    whether every observed point, dilated by every corner of the tool, was
+                    found to be inside, up to 1e-9
+      background    how many more clusters were left out: beyond 1.5 m and cut by the
+                    border of what the camera saw (--background keeps them)
+      milliseconds  processor time from the depth array to the ellipsoids, median of
+                    --repeats; reading the file is not in it
+      note          empty, or why there is no plane
+
+    Exit status: 0 when each file showed a table, 1 when one did not, 2 for bad input: then
+    the other files are processed all the same.
+
+    For example:
+
+        drake-oa perceive scans/*.npz --json scans.json --plot pictures
+        drake-oa perceive depth.png --intrinsics 525 525 319.5 239.5 --depth-scale 0.001
+        drake-oa perceive clouds/ --pose 0 0 0 0 0 0 --tool none
 
     Args:
-        frame: a depth image with K, or points.
-        tool_W: (K, 3) corners of the tool about its reference point, in W orientation
-            [m]; [[0, 0, 0]] for a point.
-        X_WC: (4, 4) pose of the camera for a frame that does not hold one; None: unknown.
-        config: how frames are segmented; None for the defaults.
-        background: whether to keep clusters that are far away and cut by the border of
-            what the camera saw.
-        repeats: how often the work is timed, once more being run before.
-
-    Returns:
-        What is seen, in C.
-
-    Raises:
-        ValueError: for malformed arrays.
+        files: files or folders.
+        json: write the figures.
+        plot: write a picture of each file to this folder.
+        intrinsics: of .png images [pixel].
+        depth_scale: metres a unit of .png images (default 0.001).
+        pose: X_WC of files that hold none, x, y, z [m], roll, pitch, yaw [rad]; all zero: clouds
+            in the world frame, z up.
+        tool: panda: the hand, pointing down; none: a point; LX,LY,LZ: a box [m] in the
+            orientation of W.
+        near: least depth [m] (default 0.3).
+        far: largest depth [m] (default 2.5).
+        background: keep what is far and cut by the border.
+        repeats: times a file is timed.
     """
-    pose = frame.X_WC if frame.X_WC is not None else X_WC
-    segmentation, found = _processed(frame, pose, tool_W, config, background)
-    elapsed = []
-    for _ in range(repeats):
-        # Processor time: one thread works, and others may be busy beside it.
-        started = time.process_time()
-        _processed(frame, pose, tool_W, config, background)
-        elapsed.append(time.process_time() - started)
-    X = segmentation.X_WC
-    tool_C = np.ascontiguousarray(tool_W @ X[:3, :3])
-    normal, offset = np.full(3, np.nan), np.nan
-    if segmentation.table is not None:
-        normal = X[:3, :3].T @ segmentation.table.normal_W
-        offset = float(segmentation.table.offset - segmentation.table.normal_W @ X[:3, 3])
-    clusters = []
-    for pixels, ellipsoid in found:
-        points = _observed(frame, pixels)
-        in_C = Ellipsoid(
-            X[:3, :3].T @ (ellipsoid.center - X[:3, 3]),
-            X[:3, :3].T @ ellipsoid.R,
-            ellipsoid.semi_axes,
-            ellipsoid.gauge,
-        )
-        clusters.append(PerceivedCluster(pixels, points, in_C, _gauge(points, tool_C, in_C)))
-    return PerceivedFrame(
-        frame.path,
-        frame,
-        segmentation,
-        normal,
-        offset,
-        tuple(clusters),
-        len(segmentation.pixels) - len(clusters),
-        _count_valid(frame),
-        1e3 * statistics.median(elapsed) if elapsed else float("nan"),
-    )
+    from drake_oa.app.perceive_frame import as_json, plot_frame
+    from drake_oa.app.perceive_frame import perceive as perceive_frame
+    from drake_oa.common.provenance import software_versions
+    from drake_oa.perception.recordings import read_frame
 
-
-def as_json(perceived: PerceivedFrame) -> dict[str, Any]:
-    """The frame's figures as JSON holds them; see `drake-oa perceive --help`."""
-    depth, points = perceived.frame.depth, perceived.frame.points
-    plane = None
-    if perceived.segmentation.table is not None:
-        plane = {
-            "normal": perceived.normal.tolist(),
-            "offset": perceived.offset,
-            "rms": perceived.segmentation.plane_rms,
-        }
-    return {
-        "file": str(perceived.path),
-        "size": None if depth is None else list(depth.shape),
-        "K": None if perceived.frame.K is None else perceived.frame.K.tolist(),
-        "count": int(depth.size if depth is not None else len(np.asarray(points))),
-        "valid": perceived.valid,
-        "X_WC": perceived.segmentation.X_WC.tolist() if plane else None,
-        "plane": plane,
-        "clusters": [
-            {
-                "points": len(cluster.pixels),
-                "ellipsoid": {
-                    "center": cluster.ellipsoid.center.tolist(),
-                    "R": cluster.ellipsoid.R.tolist(),
-                    "semi_axes": cluster.ellipsoid.semi_axes.tolist(),
-                },
-                "enclosed": cluster.enclosed,
-                "mask": run_lengths(cluster.pixels).tolist(),
-            }
-            for cluster in perceived.clusters
-        ],
-        "background": perceived.background,
-        "milliseconds": perceived.milliseconds,
-        "note": perceived.segmentation.note,
+    tool_W = _tool(tool)
+    coding, config = _coding(intrinsics, depth_scale), _config(near, far)
+    X_WC = None if pose is None else _pose(pose)
+    if repeats < 1:
+        raise ValueError(f"--repeats must be at least 1, not {repeats}")
+    paths, status = _expanded(files)
+    check_outputs(json)
+    pictures = {} if plot is None else _pictures(plot, paths)
+    figures: dict[str, Any] = {
+        "tool": tool,
+        "tool_W": tool_W.tolist(),
+        "versions": list(software_versions()),
+        "files": [],
     }
-
-
-def run_lengths(indices: IntArray) -> IntArray:
-    """Runs (R, 2) of [start, length] of ascending integers (N,)."""
-    if not len(indices):
-        return np.zeros((0, 2), dtype=np.int64)
-    breaks = np.flatnonzero(np.diff(indices) != 1) + 1
-    first = np.concatenate([[0], breaks])
-    length = np.diff(np.append(first, len(indices)))
-    return np.column_stack([indices[first], length]).astype(np.int64)
-
-
-def box_corners(size: FloatArray) -> FloatArray:
-    """(8, 3) corners of a box of that size (3,) [m] about its middle."""
-    signs = np.stack(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5]), axis=-1).reshape(-1, 3)
-    return np.asarray(signs * size)
-
-
-def _processed(
-    frame: RecordedFrame,
-    X_WC: FloatArray | None,
-    tool_W: FloatArray,
-    config: SegmentationConfig | None,
-    background: bool,
-) -> tuple[Segmentation, list[tuple[IntArray, Ellipsoid]]]:
-    """The segmentation; of each cluster that is reported its pixels and ellipsoid in W."""
-    z = None
-    if frame.depth is not None and frame.K is not None:
-        z = np.require(frame.depth, np.float32, ["C", "W"])
-        found = segment_depth(z, frame.K, X_WC, config)
-    else:
-        found = segment_points(np.asarray(frame.points), X_WC, config)
-    reported = []
-    for pixels in found.pixels:
-        if z is not None and not background and _is_background(z, pixels):
+    seen: list[PerceivedFrame] = []
+    for path in paths:
+        try:
+            found = perceive_frame(
+                read_frame(path, coding=coding),
+                tool_W,
+                X_WC=X_WC,
+                config=config,
+                background=background,
+                repeats=repeats,
+            )
+        except (ValueError, OSError) as error:
+            complain(str(error))
+            figures["files"].append({"file": str(path), "error": str(error)})
+            status = BAD_INPUT
             continue
-        # What encloses the hull encloses all; `PerceivedCluster.gauge` is over all.
-        p_CQ = _observed(frame, pixels if z is None else row_hulls(z, pixels))
-        p_WQ = p_CQ @ found.X_WC[:3, :3].T + found.X_WC[:3, 3]
-        reported.append((pixels, enclosing_ellipsoid(p_WQ, tool=tool_W)))
-    return found, reported
+        seen.append(found)
+        figures["files"].append(as_json(found))
+        if found.segmentation.note:
+            complain(f"'{path}': {found.segmentation.note}")
+            status = max(status, FAILED)
+        if path in pictures:
+            plot_frame(found, pictures[path])
+    if seen:
+        show(_table(seen))
+    if json is not None:
+        replace_text(json, json_text.dumps(figures, indent=1, allow_nan=False) + "\n")
+    return status
 
 
-def _is_background(z: NDArray[np.float32], pixels: IntArray) -> bool:
-    """Whether pixels show what is far away and cut by the border of what the camera saw."""
-    if np.median(z.ravel()[pixels]) < _BACKGROUND:
-        return False
-    rows, columns = np.divmod(pixels, z.shape[1])
-    others = np.isfinite(z) & (z > 0.0)
-    others.ravel()[pixels] = False
-    for at, axis in ((rows, 1), (columns, 0)):
-        # Stray pixels beside what juts out are no border.
-        lines = np.flatnonzero(np.mean(others, axis=axis) > _LEAST_SHARE)
-        # What juts out beyond all others, over the edge of a table, is not cut.
-        if len(lines) and (
-            abs(at.min() - lines[0]) <= _BORDER or abs(at.max() - lines[-1]) <= _BORDER
-        ):
-            return True
-    return False
+def _table(seen: Sequence[PerceivedFrame]) -> TextTable:
+    """A row for each cluster; those of a file follow its name."""
+    header = [
+        "file",
+        "plane rms [mm]",
+        "cluster",
+        "points",
+        "largest semi-axis [m]",
+        "inside",
+        "ms",
+    ]
+    rows = []
+    for frame in seen:
+        rms = frame.segmentation.plane_rms
+        head = [frame.path.name, "-" if math.isnan(rms) else f"{1e3 * rms:.2f}"]
+        time = f"{frame.milliseconds:.1f}"
+        if not frame.clusters:
+            rows.append([*head, "none", "", "", "", time])
+        for number, cluster in enumerate(frame.clusters, start=1):
+            rows.append(
+                [
+                    *(head if number == 1 else ["", ""]),
+                    str(number),
+                    str(len(cluster.pixels)),
+                    f"{cluster.ellipsoid.semi_axes[0]:.3f}",
+                    "all" if cluster.enclosed else "NOT ALL",
+                    time if number == 1 else "",
+                ]
+            )
+    return TextTable(header, rows, "lrrrrrr")
 
 
-def _observed(frame: RecordedFrame, pixels: IntArray) -> FloatArray:
-    """Points (N, 3) in C of pixels, or of points by their index."""
-    if frame.depth is not None and frame.K is not None:
-        z = np.require(frame.depth, np.float32, ["C", "W"])
-        return np.asarray(back_projected(z, pixels, np.require(frame.K, np.float64, ["C", "W"])))
-    return np.asarray(np.asarray(frame.points, dtype=float)[pixels])
+def _expanded(files: Sequence[Path]) -> tuple[list[Path], int]:
+    """The files, folders being replaced by what they hold; and the exit status so far."""
+    from drake_oa.perception.recordings import SUFFIXES, frame_files
+
+    paths: list[Path] = []
+    status = 0
+    for file in files:
+        if not file.is_dir():
+            if file.exists():
+                paths.append(file)
+                continue
+            complain(f"there is no file '{file}'")
+            status = BAD_INPUT
+            continue
+        found = [path for path in frame_files(file) if path.suffix.lower() in SUFFIXES]
+        if not found:
+            complain(f"the folder '{file}' holds no file to read; valid are {', '.join(SUFFIXES)}")
+            status = BAD_INPUT
+        paths.extend(found)
+    return list(dict.fromkeys(paths)), status
 
 
-def _gauge(points: FloatArray, tool: FloatArray, ellipsoid: Ellipsoid) -> float:
-    """Largest gauge of points - tool, all (N, 3), (K, 3) and the ellipsoid in one frame."""
-    R, semi_axes = ellipsoid.R, ellipsoid.semi_axes
-    squared, _, _ = farthest_pair(
-        np.ascontiguousarray(((points - ellipsoid.center) @ R) / semi_axes),
-        np.ascontiguousarray((tool @ R) / semi_axes),
+def _pictures(folder: Path, paths: Sequence[Path]) -> dict[Path, Path]:
+    """Where each file's picture goes; files of one name do not overwrite each other."""
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"--plot: '{folder}' is a file; it must be a folder")
+    pictures: dict[Path, Path] = {}
+    taken: set[str] = set()
+    for path in paths:
+        name, number = path.stem, 2
+        while name in taken:
+            name, number = f"{path.stem}_{number}", number + 1
+        taken.add(name)
+        pictures[path] = folder / f"{name}.png"
+        if pictures[path].resolve() == path.resolve():
+            raise ValueError(f"--plot: the picture of '{path}' would replace it")
+    check_outputs(*pictures.values())
+    return pictures
+
+
+def _tool(text: str) -> FloatArray:
+    """Corners of the tool (K, 3) in W orientation [m]."""
+    import numpy as np
+
+    from drake_oa.app.perceive_frame import box_corners
+
+    if text == "none":
+        return np.zeros((1, 3))
+    if text == "panda":
+        from drake_oa.robot.config import Robot
+        from drake_oa.robot.plant import make_robot_plant, tool_corners
+
+        robot = Robot()
+        return tool_corners(make_robot_plant(robot), robot)
+    try:
+        size = np.array([float(word) for word in text.split(",")])
+    except ValueError:
+        size = np.zeros(0)
+    if size.shape != (3,) or not np.isfinite(size).all() or (size < 0.0).any():
+        raise ValueError(f"--tool must be panda, none or LX,LY,LZ [m], not '{text}'")
+    return box_corners(size)
+
+
+def _coding(intrinsics: Sequence[float] | None, scale: float | None) -> DepthCoding:
+    from drake_oa.perception.recordings import DepthCoding, checked_intrinsics
+
+    if scale is not None and not 0.0 < scale < math.inf:
+        raise ValueError(f"--depth-scale must be positive [m a unit], not {scale}")
+    if intrinsics is None:
+        return DepthCoding(None, scale)
+    return DepthCoding(checked_intrinsics(intrinsics, "--intrinsics"), scale)
+
+
+def _config(near: float | None, far: float | None) -> SegmentationConfig:
+    from drake_oa.common.schema_check import check_values
+    from drake_oa.perception.config import SegmentationConfig
+
+    default = SegmentationConfig()
+    config = replace(
+        default,
+        near=default.near if near is None else near,
+        far=default.far if far is None else far,
     )
-    return float(np.sqrt(squared))
+    try:
+        check_values(config)
+    except ValueError as error:
+        raise ValueError(f"--near, --far: {error}") from None
+    return config
 
 
-def _count_valid(frame: RecordedFrame) -> int:
-    if frame.depth is not None:
-        with np.errstate(invalid="ignore"):
-            return int(np.count_nonzero(np.isfinite(frame.depth) & (frame.depth > 0.0)))
-    return int(np.count_nonzero(np.isfinite(np.asarray(frame.points)).all(axis=1)))
+def _pose(values: Sequence[float]) -> FloatArray:
+    """X_WC (4, 4) from x, y, z [m], roll, pitch, yaw [rad]."""
+    import numpy as np
+    from pydrake.math import RigidTransform, RollPitchYaw
+
+    if not np.isfinite(values).all():
+        raise ValueError(f"--pose must be six finite numbers, not {list(values)}")
+    return np.array(RigidTransform(RollPitchYaw(values[3:]), values[:3]).GetAsMatrix4())

@@ -64,11 +64,8 @@ def announced_compilation(estimate: str | None = None) -> Iterator[None]:
             if self.said:
                 return
             self.said = True
-            # Does not tear a progress bar.
-            from tqdm import tqdm
-
             duration = f" (about {estimate})" if estimate else ""
-            tqdm.write(f"compiling kernels, once{duration} ...", file=sys.stderr)
+            print(f"compiling kernels, once{duration} ...", file=sys.stderr)
 
         def on_end(self, event: event.Event) -> None:
             pass

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from drake_oa.common.console import TextTable
 from drake_oa.common.messages import EllipsoidSet, FloatArray
-from drake_oa.common.text_tables import aligned
 from drake_oa.geometry.rotation import rotation_vector
 from drake_oa.policy.orientation_dmp import rotation_matrix
 from drake_oa.policy.orientation_kernels import exponential
@@ -182,7 +182,7 @@ def run_report(name: str, scenario: Scenario, logs: dict[str, MotionLog]) -> dic
     return report
 
 
-_COLUMNS = (
+_ROWS = (
     ("collisions", "collisions", "{:d}"),
     ("tool_clearance_min", "tool clearance [m]", "{:.3f}"),
     ("robot_clearance_min", "robot clearance [m]", "{:.3f}"),
@@ -201,25 +201,22 @@ _SCALE = {
 }
 
 
-def report_table(report: dict[str, Any]) -> str:
-    """The report as a text table, one row a motion, like the paper's Table III.
+def report_table(report: dict[str, Any]) -> TextTable:
+    """The report as a table, one column a motion.
 
     Below it what was asked and could not be had, or was not kept, and what regulation took
     the clearance for.
     """
-    shown = [motion for motion in ("preplanned", "modulated") if motion in report]
-    columns = [c for c in _COLUMNS if any(c[0] in report[motion] for motion in shown)]
-    rows = [["", *(title for _, title, _ in columns), "ended by"]]
-    for motion in ("preplanned", "modulated"):
-        if motion not in report:
-            continue
-        row: list[str] = [motion]
-        for key, _, form in columns:
-            value = report[motion].get(key)
-            row.append("-" if value is None else form.format(value * _SCALE.get(key, 1)))
-        rows.append([*row, report[motion]["stop_reason"]])
-    notes = [note for motion in shown for note in _notes(motion, report[motion])]
-    return "\n".join([aligned(rows, "r" * len(rows[0])), *dict.fromkeys(notes)])
+    motions = [motion for motion in ("preplanned", "modulated") if motion in report]
+    rows = []
+    for key, title, form in _ROWS:
+        if any(key in report[motion] for motion in motions):
+            values = [report[motion].get(key) for motion in motions]
+            scale = _SCALE.get(key, 1)
+            rows.append([title, *("-" if v is None else form.format(v * scale) for v in values)])
+    rows.append(["ended by", *(report[motion]["stop_reason"] for motion in motions)])
+    notes = [note for motion in motions for note in _notes(motion, report[motion])]
+    return TextTable(["", *motions], rows, "l" + "r" * len(motions), list(dict.fromkeys(notes)))
 
 
 def _thinking(cost: dict[str, float]) -> str:

@@ -22,16 +22,9 @@ from drake_oa.scenario.faults import CameraFault
 from drake_oa.scenario.obstacles import check_obstacles
 from drake_oa.scenario.perception import GivenEllipsoids, check_cameras, check_perception
 from drake_oa.scenario.scenario import Scenario, Turn
+from drake_oa.scenario.shipped import shipped_scenarios
 from drake_oa.scenario.task import check_goals
 from drake_oa.scenario.task_joints import follow_joints
-
-_SUFFIX = ".scenario.yaml"
-
-
-def shipped_scenarios() -> dict[str, Path]:
-    """Name -> file of the scenarios that come with the package."""
-    folder = Path(str(resources.files("drake_oa.diagrams")))
-    return {p.name.removesuffix(_SUFFIX): p for p in sorted(folder.glob(f"*{_SUFFIX}"))}
 
 
 def scenario_path(name_or_file: str) -> Path:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
-from drake_oa.common.text_tables import aligned
+from drake_oa.common.console import TextTable
 
 Column = tuple[str, str, str, float]
 """A figure's key, its heading, its format and what it is multiplied by before."""
@@ -29,7 +29,7 @@ def text_table(
         rows: name and figures each.
         columns: key, heading, format and factor each.
     """
-    cells = [[title, *(heading for _, heading, _, _ in columns)]]
+    cells = []
     for name, figures in rows:
         row = [name]
         for key, _, form, factor in columns:
@@ -39,4 +39,5 @@ def text_table(
             else:
                 row.append(form.format(value if isinstance(value, int) else value * factor))
         cells.append(row)
-    return aligned(cells, "l" + "r" * len(columns))
+    header = [title, *(heading for _, heading, _, _ in columns)]
+    return str(TextTable(header, cells, "l" + "r" * len(columns)))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
-from drake_oa.common.console import INTERRUPTED
+from drake_oa.common.console import INTERRUPTED, progress_bar
 from drake_oa.common.files import check_outputs
 from drake_oa.common.provenance import source_commit
 from drake_oa.regulation.regressor import ChainWeights, save_chain
@@ -16,9 +16,9 @@ from drake_oa.training.chain import train_chain
 from drake_oa.training.checkpoint import Checkpoint
 from drake_oa.training.dataset import Exploration, build_training_set
 from drake_oa.training.levenberg_marquardt import Schedule
+from drake_oa.training.networks import Report
 from drake_oa.training.normal_equations import choose_device
 from drake_oa.training.paper import PaperRecipe, table_one, train_paper
-from drake_oa.training.progress import StageBar
 from drake_oa.training.validation import score_table, validate, validation_table
 
 PAPER_FILES = {
@@ -31,57 +31,66 @@ PROJECT_FILE = "regressor_chain.npz"
 """Weights file of the project's chain."""
 
 
-def train(options: argparse.Namespace) -> int:
-    """Trains as asked; returns the exit status.
+def train(
+    recipe: str,
+    out: Path,
+    *,
+    seed: int = 0,
+    iterations: int | None = None,
+    device: str = "auto",
+    checkpoint: Path | None = None,
+    restart: bool = False,
+) -> int:
+    """Trains as asked, see `drake-oa train`; returns the exit status.
 
     Raises:
         ValueError: for options that are out of range, a device that is not there, a
             checkpoint of other settings, or weights that cannot be written.
     """
-    if options.iterations is not None and options.iterations < 1:
-        raise ValueError(f"--iterations must be at least 1, not {options.iterations}")
-    if options.seed < 0:
-        raise ValueError(f"--seed must not be negative, not {options.seed}")
-    device = choose_device(options.device)
-    recipe = _Paper(options) if options.recipe == "paper" else _Project(options)
-    check_outputs(*(options.out / name for name in recipe.files))
-    folder = options.checkpoint or options.out / f"{options.recipe}.checkpoint"
-    settings = {"recipe": options.recipe, "seed": options.seed, "device": device}
-    checkpoint = Checkpoint(folder, {**settings, **recipe.settings()}, restart=options.restart)
-    if checkpoint.resumed:
+    if iterations is not None and iterations < 1:
+        raise ValueError(f"--iterations must be at least 1, not {iterations}")
+    if seed < 0:
+        raise ValueError(f"--seed must not be negative, not {seed}")
+    device = choose_device(device)
+    trained = (_Paper if recipe == "paper" else _Project)(seed, iterations)
+    check_outputs(*(out / name for name in trained.files))
+    folder = checkpoint or out / f"{recipe}.checkpoint"
+    settings = {"recipe": recipe, "seed": seed, "device": device, **trained.settings()}
+    kept = Checkpoint(folder, settings, restart=restart)
+    if kept.resumed:
         print(f"going on from {folder}", file=sys.stderr)
     begin = time.perf_counter()
     try:
-        with StageBar() as bar:
-            chains, tables = recipe.train(device, checkpoint, bar)
+        with progress_bar(1.0) as bar:
+            chains, tables = trained.train(device, kept, bar)
     except KeyboardInterrupt:
         print(
             f"\ninterrupted; what was computed is in {folder}: the same command goes on from there",
             file=sys.stderr,
         )
         return INTERRUPTED
-    print(f"{tables}\n\nseed {options.seed}, {device}, {time.perf_counter() - begin:.0f} s")
+    print(f"{tables}\n\nseed {seed}, {device}, {time.perf_counter() - begin:.0f} s")
     for name, chain in chains.items():
-        save_chain(chain, options.out / name)
-        print(f"written: {options.out / name}")
-    checkpoint.remove()
+        save_chain(chain, out / name)
+        print(f"written: {out / name}")
+    kept.remove()
     return 0
 
 
 class _Paper:
     files = tuple(PAPER_FILES.values())
 
-    def __init__(self, options: argparse.Namespace) -> None:
-        self._seed = options.seed
+    def __init__(self, seed: int, iterations: int | None) -> None:
+        self._seed = seed
         self._recipe = PaperRecipe()
-        if options.iterations is not None:
-            self._recipe = self._recipe.limited(options.iterations)
+        if iterations is not None:
+            self._recipe = self._recipe.limited(iterations)
 
     def settings(self) -> dict[str, Any]:
         return self._recipe.settings()
 
     def train(
-        self, device: str, checkpoint: Checkpoint, bar: StageBar
+        self, device: str, checkpoint: Checkpoint, bar: Report
     ) -> tuple[dict[str, ChainWeights], str]:
         rows, chains, scores = train_paper(
             self._recipe,
@@ -99,18 +108,18 @@ class _Paper:
 class _Project:
     files = (PROJECT_FILE,)
 
-    def __init__(self, options: argparse.Namespace) -> None:
-        self._seed = options.seed
+    def __init__(self, seed: int, iterations: int | None) -> None:
+        self._seed = seed
         self._exploration = Exploration()
         self._schedule = Schedule()
-        if options.iterations is not None:
-            self._schedule = Schedule(iterations=options.iterations)
+        if iterations is not None:
+            self._schedule = Schedule(iterations=iterations)
 
     def settings(self) -> dict[str, Any]:
         return {"exploration": self._exploration.settings(), "schedule": asdict(self._schedule)}
 
     def train(
-        self, device: str, checkpoint: Checkpoint, bar: StageBar
+        self, device: str, checkpoint: Checkpoint, bar: Report
     ) -> tuple[dict[str, ChainWeights], str]:
         rows = build_training_set(self._exploration, self._seed, bar, checkpoint)
         chain, scores = train_chain(

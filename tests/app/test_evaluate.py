@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drake_oa.app import cli
+from drake_oa.app import main as cli
 from drake_oa.studies.scenes import methods
 from drake_oa.studies.scenes.methods import Motions, Setting
 from drake_oa.studies.scenes.scenes import Scenes
@@ -72,6 +72,7 @@ def test_help_lists_suites_and_methods(capsys: pytest.CaptureFixture[str]) -> No
     shown = capsys.readouterr().out
     for name in (*SUITES, "paper", "verified", "original", "movement_primitives"):
         assert f"\n  {name} " in shown
+    assert all(f"\n  {name}: " in shown for name in ("panda", "mbm"))
 
 
 def test_methods_share_the_scenes_of_a_seed(tmp_path: Path) -> None:

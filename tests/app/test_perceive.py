@@ -1,174 +1,129 @@
+import json
+
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from numpy.testing import assert_allclose, assert_array_equal
 
-from drake_oa.app.perceive import as_json, box_corners, perceive, run_lengths
-from drake_oa.app.perceive_plot import outline
-from drake_oa.perception.depth_image import back_projected, row_hulls
-from drake_oa.perception.recordings import RecordedFrame, read_frame
+from drake_oa.app.main import main
 
-K = np.array([260.0, 260.0, 159.5, 119.5])
-SIZE = (240, 320)
-TOOL = box_corners(np.array([0.2, 0.06, 0.12]))
+SIZE = (120, 160)
+K = [130.0, 130.0, 79.5, 59.5]
 
 
-def table_and_boxes(boxes, far_edge=9.0, pitch=0.8, height=0.8):
-    """Depth of the plane z = 0 up to x = far_edge and of boxes (low, high), and X_WC."""
-    c, s = np.cos(pitch), np.sin(pitch)
-    X_WC = np.eye(4)
-    X_WC[:3, :3] = np.array([[0.0, -s, c], [-1.0, 0.0, 0.0], [0.0, -c, -s]])
-    X_WC[2, 3] = height
+def depth_image() -> np.ndarray:
+    """A table seen from 0.8 m above, 45 degrees down, and a box on it."""
     v, u = np.mgrid[: SIZE[0], : SIZE[1]]
-    rays = np.stack([(u - K[2]) / K[0], (v - K[3]) / K[1], np.ones(SIZE)], axis=-1)
-    rays = rays @ X_WC[:3, :3].T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        depth = -height / rays[..., 2]
-        depth = np.where((depth > 0) & (depth * rays[..., 0] < far_edge), depth, np.nan)
-        for low, high in boxes:
-            t = np.sort([(bound - X_WC[:3, 3]) / rays for bound in (low, high)], axis=0)
-            enter, leave = t[0].max(axis=-1), t[1].min(axis=-1)
-            hit = (enter > 0) & (enter < leave)
-            depth = np.where(hit, np.fmin(depth, enter), depth)
-    return depth.astype(np.float32), X_WC
+    x, y = (u - K[2]) / K[0], (v - K[3]) / K[1]
+    s = np.sqrt(0.5)
+    height, depth = 0.8, 0.8 / (s * y + s)
+    # The front of a box 1 m away, 0.16 m wide and 0.2 m high, and its top.
+    front = 0.8 / (s - s * y)
+    up = height - front * (s * y + s)
+    depth = np.where((up > 0.0) & (up < 0.2) & (np.abs(front * x) < 0.08), front, depth)
+    top = 0.6 / (s * y + s)
+    along = top * (s - s * y)
+    on_top = (along > 0.8) & (along < 0.95) & (np.abs(top * x) < 0.08)
+    return np.where(on_top, top, depth).astype(np.float32)
 
 
-def frame_of(tmp_path, boxes, **options):
-    depth, X_WC = table_and_boxes(boxes, **options)
-    return RecordedFrame(tmp_path / "frame.npz", 0.0, depth, K), X_WC
+@pytest.fixture
+def scan(tmp_path):
+    path = tmp_path / "scan.npz"
+    np.savez(path, depth=depth_image(), K=np.array(K))
+    return path
 
 
-BOXES = (
-    (np.array([0.75, -0.2, 0.0]), np.array([0.85, -0.1, 0.15])),
-    (np.array([0.85, 0.15, 0.0]), np.array([0.95, 0.27, 0.06])),
+def write_png(path, depth, scale=0.001, dtype=np.uint16):
+    import open3d
+
+    values = np.nan_to_num(depth / scale).astype(dtype)
+    open3d.io.write_image(str(path), open3d.geometry.Image(values))
+
+
+def test_figures_table_and_picture_of_a_folder(scan, tmp_path, capsys):
+    answer, pictures = tmp_path / "out" / "a.json", tmp_path / "pictures"
+    write_png(tmp_path / "image.png", depth_image())
+    (tmp_path / "image.json").write_text(json.dumps(dict(zip("fx fy cx cy".split(), K))))  # noqa: B905, SIM905
+    arguments = ["perceive", str(tmp_path), "--json", str(answer), "--plot", str(pictures)]
+    assert main([*arguments, "--repeats", "1"]) == 0
+    data = json.loads(answer.read_text())
+    image, npz = data["files"]
+    assert [image["file"], npz["file"]] == [str(tmp_path / "image.png"), str(scan)]
+    assert data["tool"] == "panda"
+    assert np.shape(data["tool_W"])[1:] == (3,)
+    for frame in (image, npz):
+        assert frame["size"] == list(SIZE)
+        assert len(frame["clusters"]) == 1
+        assert frame["clusters"][0]["enclosed"]
+        assert frame["milliseconds"] > 0.0
+        assert frame["plane"]["rms"] < 3e-3
+    np.testing.assert_allclose(image["plane"]["normal"], npz["plane"]["normal"], atol=5e-3)
+    assert "scan.npz" in capsys.readouterr().out
+    assert sorted(p.name for p in pictures.iterdir()) == ["image.png", "scan.png"]
+
+
+def test_pose_tool_and_intrinsics_as_options(scan, tmp_path):
+    write_png(tmp_path / "image.png", depth_image(), 0.0002)
+    answer = tmp_path / "a.json"
+    pose = ["--pose", "1", "2", "0.8", str(-0.75 * np.pi), "0", str(-np.pi / 2)]
+    arguments = ["perceive", str(tmp_path / "image.png"), "--json", str(answer), *pose]
+    options = ["--intrinsics", *map(str, K), "--depth-scale", "0.0002", "--tool", "0.1,0.1,0.2"]
+    assert main([*arguments, *options, "--repeats", "1"]) == 0
+    (frame,) = json.loads(answer.read_text())["files"]
+    assert frame["X_WC"][0][3] == 1.0
+    assert frame["plane"]["offset"] == pytest.approx(-0.8, abs=3e-3)
+    box = frame["clusters"][0]["ellipsoid"]["semi_axes"]
+    assert main([*arguments, *options[:-1], "none", "--repeats", "1"]) == 0
+    (frame,) = json.loads(answer.read_text())["files"]
+    assert frame["clusters"][0]["ellipsoid"]["semi_axes"][0] < box[0]
+
+
+def test_a_file_that_cannot_be_used_is_named_and_the_others_are_processed(scan, tmp_path, capsys):
+    broken, text = tmp_path / "broken.npz", tmp_path / "notes.txt"
+    broken.write_bytes(b"no such data")
+    text.write_text("")
+    answer = tmp_path / "a.json"
+    files = [str(broken), str(text), str(tmp_path / "none.npz"), str(scan)]
+    assert main(["perceive", *files, "--json", str(answer), "--tool", "none"]) == 2
+    error = capsys.readouterr().err
+    assert "broken.npz" in error
+    assert "'.txt'; valid are .npz, .pcd, .ply, .png" in error
+    assert "none.npz" in error
+    frames = json.loads(answer.read_text())["files"]
+    assert [("error" in frame) for frame in frames] == [True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("depth", "note"),
+    [(np.full(SIZE, np.nan), "no valid pixel"), (np.zeros(SIZE), "no valid pixel")],
 )
+def test_a_frame_without_measurements_is_reported(tmp_path, capsys, depth, note):
+    path, answer = tmp_path / "empty.npz", tmp_path / "a.json"
+    np.savez(path, depth=depth, K=np.array(K))
+    assert main(["perceive", str(path), "--json", str(answer), "--plot", str(tmp_path / "p")]) == 1
+    assert note in capsys.readouterr().err
+    (frame,) = json.loads(answer.read_text())["files"]
+    assert (frame["plane"], frame["clusters"], frame["note"]) == (None, [], note)
+    assert (tmp_path / "p" / "empty.png").is_file()
 
 
-@given(st.lists(st.integers(0, 300), unique=True))
-def test_run_lengths_hold_the_indices(indices):
-    indices = np.array(sorted(indices), dtype=np.int64)
-    runs = run_lengths(indices)
-    assert_array_equal(np.concatenate([np.arange(a, a + n) for a, n in runs] or [indices]), indices)
-    assert (runs[1:, 0] > runs[:-1].sum(axis=1)).all()
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--tool", "hammer"], "--tool must be panda, none or LX,LY,LZ"),
+        (["--intrinsics", "0", "1", "1", "1"], "--intrinsics: intrinsics must be"),
+        (["--depth-scale", "0"], "--depth-scale must be positive"),
+        (["--pose", "0", "0", "nan", "0", "0", "0"], "--pose must be six finite"),
+        (["--repeats", "0"], "--repeats must be at least 1"),
+        (["--far", "0.1"], "--near, --far: SegmentationConfig.near must be less than far"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(scan, capsys, options, message):
+    assert main(["perceive", str(scan), "--tool", "none", *options]) == 2
+    assert message in capsys.readouterr().err
 
 
-@settings(max_examples=30)
-@given(st.integers(0, 9999))
-def test_the_hulls_of_the_rows_have_the_support_of_all(seed):
-    rng = np.random.default_rng(seed)
-    z = rng.uniform(0.5, 1.5, (12, 17)).astype(np.float32)
-    index = np.flatnonzero(rng.random(z.size) < 0.6)
-    intrinsics = np.array([9.0, 8.0, 8.2, 5.9])
-    kept = row_hulls(z, index)
-    assert np.isin(kept, index).all()
-    assert (np.diff(kept) > 0).all()
-    directions = rng.normal(size=(200, 3))
-    every, some = (directions @ back_projected(z, i, intrinsics).T for i in (index, kept))
-    assert_allclose(some.max(axis=1), every.max(axis=1), atol=1e-12)
-
-
-@pytest.mark.parametrize("known", [False, True])
-def test_clusters_are_enclosed_with_the_tool_and_named_by_their_pixels(tmp_path, known):
-    frame, X_WC = frame_of(tmp_path, BOXES)
-    found = perceive(frame, TOOL, X_WC=X_WC if known else None, repeats=1)
-    answer = as_json(found)
-    assert len(answer["clusters"]) == 2
-    assert answer["note"] == ""
-    assert answer["valid"] == np.isfinite(frame.depth).sum()
-    assert_allclose(answer["plane"]["normal"], X_WC[2, :3], atol=2e-3)
-    assert answer["plane"]["offset"] == pytest.approx(-0.8, abs=2e-3)
-    if known:
-        assert_allclose(answer["X_WC"], X_WC)
-    v, u = np.mgrid[: SIZE[0], : SIZE[1]]
-    rays = np.stack([(u - K[2]) / K[0], (v - K[3]) / K[1], np.ones(SIZE)], axis=-1)
-    p_CQ = (rays * frame.depth[..., None].astype(float)).reshape(-1, 3)
-    tool_C = TOOL @ np.array(answer["X_WC"])[:3, :3]
-    for cluster in answer["clusters"]:
-        pixels = np.concatenate([np.arange(a, a + n) for a, n in cluster["mask"]])
-        assert len(pixels) == cluster["points"]
-        assert (p_CQ[pixels] @ X_WC[2, :3] + 0.8 > 5e-3).all()
-        e = cluster["ellipsoid"]
-        R = np.array(e["R"])
-        assert_allclose(R.T @ R, np.eye(3), atol=1e-9)
-        assert np.linalg.det(R) > 0.0
-        dilated = p_CQ[pixels][:, None] - tool_C
-        gauge = np.linalg.norm((dilated - e["center"]) @ R / e["semi_axes"], axis=-1)
-        assert gauge.max() <= 1.0 + 1e-9
-        assert cluster["enclosed"]
-
-
-def test_a_cloud_gives_clusters_by_the_places_of_its_points(tmp_path):
-    frame, X_WC = frame_of(tmp_path, BOXES)
-    z = frame.depth.astype(float)
-    v, u = np.mgrid[: SIZE[0], : SIZE[1]]
-    points = np.stack([(u - K[2]) / K[0] * z, (v - K[3]) / K[1] * z, z], axis=-1).reshape(-1, 3)
-    found = perceive(RecordedFrame(frame.path, 0.0, points=points), TOOL, X_WC=X_WC, repeats=1)
-    assert len(found.clusters) == 2
-    assert all(cluster.enclosed for cluster in found.clusters)
-    assert as_json(found)["size"] is None
-    assert_array_equal(found.clusters[0].p_CQ, points[found.clusters[0].pixels])
-
-
-def test_what_is_far_and_cut_by_the_border_is_background(tmp_path):
-    wide = (np.array([1.75, -0.05, 0.0]), np.array([1.85, 0.1, 2.0]))
-    frame, X_WC = frame_of(tmp_path, (*BOXES, wide), far_edge=99.0, pitch=0.5)
-    found = perceive(frame, TOOL, X_WC=X_WC, repeats=1)
-    assert (len(found.clusters), found.background) == (2, 1)
-    kept = perceive(frame, TOOL, X_WC=X_WC, background=True, repeats=1)
-    assert (len(kept.clusters), kept.background) == (3, 0)
-
-
-def test_what_juts_out_over_the_far_edge_is_no_background(tmp_path):
-    tall = (np.array([1.65, -0.05, 0.0]), np.array([1.75, 0.1, 0.2]))
-    frame, X_WC = frame_of(tmp_path, (*BOXES, tall), far_edge=1.8, pitch=0.5)
-    assert len(perceive(frame, TOOL, X_WC=X_WC, repeats=1).clusters) == 3
-
-
-@settings(max_examples=30)
-@given(st.integers(0, 9999))
-def test_the_outline_touches_the_shadow_of_the_ellipsoid(seed):
-    rng = np.random.default_rng(seed)
-    R, _ = np.linalg.qr(rng.normal(size=(3, 3)))
-    semi_axes = rng.uniform(0.05, 0.25, 3)
-    center = np.array([*rng.uniform(-0.4, 0.4, 2), rng.uniform(0.5, 1.5)])
-    edge = outline(center, R, semi_axes, K)
-    direction = rng.normal(size=(4000, 3))
-    surface = center + (direction / np.linalg.norm(direction, axis=1)[:, None] * semi_axes) @ R.T
-    pixel = surface[:, :2] / surface[:, 2:] * K[:2] + K[2:]
-    for side in ([1.0, 0.0], [0.0, 1.0], [0.6, -0.8]):
-        size = np.ptp(edge @ side)
-        assert (pixel @ side).max() <= (edge @ side).max() + 1e-3 * size
-        assert (pixel @ side).max() >= (edge @ side).max() - 0.05 * size
-
-
-def test_an_ellipsoid_round_the_camera_has_no_outline():
-    assert outline(np.array([0.0, 0.0, 0.1]), np.eye(3), np.full(3, 0.2), K) is None
-    assert outline(np.array([0.0, 0.0, -1.0]), np.eye(3), np.full(3, 0.2), K) is None
-
-
-# Scan -> groups of objects that stand on the table or floor.
-GROUPS = {
-    "mosd_learn34": 3,
-    "mosd_test0": 2,
-    "mosd_test35": 2,
-    "pcl_milk_cartoon_all_small_clorox": 3,
-}
-
-
-def test_in_real_scans_no_object_is_lost_and_no_table_taken(scan_files):
-    for path in scan_files:
-        found = perceive(read_frame(path), TOOL, repeats=1)
-        assert len(found.clusters) == GROUPS[path.stem], path.stem
-        assert all(cluster.enclosed for cluster in found.clusters)
-        assert found.segmentation.plane_rms < 3e-3
-        with np.load(path) as scan:
-            if "label" not in scan:
-                continue
-            label, valid = scan["label"].ravel(), np.isfinite(scan["depth"]).ravel()
-        taken = np.zeros(label.size, dtype=bool)
-        for cluster in found.clusters:
-            taken[cluster.pixels] = True
-        assert not taken[(label >= 1) & (label < 20)].any()
-        for name in np.unique(label[label >= 20] // 10):
-            assert taken[(label // 10 == name) & valid].mean() > 0.9, (path.stem, name)
+def test_pictures_do_not_replace_images(tmp_path, capsys):
+    write_png(tmp_path / "image.png", depth_image())
+    path = str(tmp_path / "image.png")
+    assert main(["perceive", path, "--plot", str(tmp_path), "--tool", "none"]) == 2
+    assert "would replace it" in capsys.readouterr().err

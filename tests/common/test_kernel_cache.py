@@ -8,7 +8,7 @@ from types import ModuleType
 import numba
 import pytest
 
-from drake_oa.app.cli import main
+from drake_oa.app.main import main
 from drake_oa.common.kernel_cache import announced_compilation, provide_kernel_cache
 
 
@@ -102,8 +102,14 @@ def test_the_commands_announce_compilation(
 ) -> None:
     source = tmp_path / "compiled_kernels.py"
     source.write_text(SOURCE)
-    monkeypatch.setattr(
-        "drake_oa.app.cli.shipped_scenarios", lambda: {str(imported(source).twice(2)): tmp_path}
-    )
-    assert main(["scenarios", "--files"]) == 0
+    from drake_oa.diagrams import avoidance
+
+    build = avoidance.build_avoidance
+
+    def compiling(scenario: object) -> object:
+        imported(source).twice(2)
+        return build(scenario)
+
+    monkeypatch.setattr(avoidance, "build_avoidance", compiling)
+    assert main(["graph", "free_space", "--dot"]) == 0
     assert "compiling kernels" in capsys.readouterr().err

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from drake_oa.app.cli import main
+from drake_oa.app.main import main
 from drake_oa.regulation.regressor import load_chain
 from drake_oa.training import session
 from drake_oa.training.chain import train_chain

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drake_oa.app import cli
+from drake_oa.app import main as cli
 from drake_oa.runs import simulation
 from drake_oa.runs.motion_log import load_logs
 from drake_oa.scenario.loading import shipped_scenarios
@@ -50,13 +50,13 @@ def run(*arguments: str) -> int:
         return int(done.code or 0)
 
 
-@pytest.mark.parametrize("command", [(), ("run",), ("scenarios",), ("graph",), ("benchmark",)])
+@pytest.mark.parametrize("command", [(), *((name,) for name in cli._COMMANDS)])
 def test_help_of_each_command_explains_it(
     command: tuple[str, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(*command, "--help") == 0
     shown = capsys.readouterr().out
-    assert "usage: drake-oa" in shown
+    assert "Usage: drake-oa" in shown
     assert len(shown.splitlines()) > 6
 
 
@@ -100,9 +100,11 @@ def test_report_has_the_agreed_keys(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert {"drake_oa", "drake", "numpy"} <= set(report["versions"])
     assert list(load_logs(log)) == ["preplanned", "modulated"]
     printed = capsys.readouterr()
-    rows = [line.split()[0] for line in printed.out.splitlines()]
-    assert rows == ["collisions", "preplanned", "modulated"]
-    assert "%|" not in printed.err  # No progress bar when piped.
+    heading, first, *_ = (line.split() for line in printed.out.splitlines())
+    assert heading == ["preplanned", "modulated"]
+    assert first[0] == "collisions"
+    assert "\x1b" not in printed.out
+    assert "%" not in printed.err  # No progress bar when piped.
 
 
 class Terminal(io.StringIO):
@@ -119,15 +121,14 @@ def test_progress_of_both_motions_is_shown_on_a_terminal(
     monkeypatch.setattr(sys, "stderr", screen)
     assert run("run", "free_space", "--duration", "0.2") == 0
     for motion in ("preplanned", "modulated"):
-        assert re.search(rf"{motion}.*%\|", screen.getvalue())
-    assert "%|" not in capsys.readouterr().out
+        assert re.search(rf"{motion} .*\d%", screen.getvalue())
+    assert "\x1b" not in capsys.readouterr().out
 
 
 def test_a_whole_motion_ends_well(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("run", "free_space") == 0
-    last = capsys.readouterr().out.splitlines()[2]
-    assert last.split()[0] == "modulated"
-    assert last.endswith("goal")
+    *_, ended = (line for line in capsys.readouterr().out.splitlines() if "ended by" in line)
+    assert ended.split() == ["ended", "by", "goal", "goal"]
 
 
 def test_set_replaces_a_field_of_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -300,7 +301,7 @@ def test_graph_is_svg_where_dot_is_installed(capsys: pytest.CaptureFixture[str])
 
 
 def test_a_closed_pipe_is_no_error() -> None:
-    source = "from drake_oa.app.cli import main; main(['graph', 'free_space', '--dot'])"
+    source = "from drake_oa.app.main import main; main(['graph', 'free_space', '--dot'])"
     process = subprocess.run(
         ["bash", "-c", f'"{sys.executable}" -c "{source}" | head -c 1'],
         capture_output=True,
@@ -320,27 +321,65 @@ def test_a_file_that_is_no_scenario_is_not_told_whole(
     assert len(told) < 2100
 
 
-def test_help_and_scenarios_start_without_the_heavy_packages() -> None:
+@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["scenarios"]])
+def test_help_and_scenarios_answer_at_once(arguments: list[str]) -> None:
     source = (
-        "import sys, drake_oa.app.cli as cli; cli.main(['scenarios'])\n"
-        "print([name for name in ('open3d', 'torch', 'matplotlib') if name in sys.modules])"
+        f"import resource, sys, drake_oa.app.main as cli; cli.main({arguments})\n"
+        "heavy = ('numpy', 'numba', 'pydrake', 'open3d', 'torch', 'matplotlib', 'scipy')\n"
+        "used = resource.getrusage(resource.RUSAGE_SELF)\n"
+        "print([name for name in heavy if name in sys.modules], used.ru_utime + used.ru_stime)"
     )
     answer = subprocess.run(
         [sys.executable, "-c", source], capture_output=True, text=True, check=True
     )
-    assert answer.stdout.splitlines()[-1] == "[]"
+    loaded, seconds = answer.stdout.splitlines()[-1].rsplit(maxsplit=1)
+    assert loaded == "[]"
+    assert float(seconds) < 1.0  # 0.2 s where nothing else is at work.
 
 
-def test_benchmark_prints_its_table_and_writes_its_figures(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("rnu", "free_space"), "Did you mean"),
+        (("run",), "SCENARIO"),
+        (("run", "free_space", "--jsno", "x"), "--jsno"),
+        (("run", "free_space", "--duration", "long"), "--duration"),
+        (("run", "free_space", "more"), "more"),
+        (("train", "--recipe", "mine"), "--recipe"),
+        (("run", "free_space", "--log", "x.npz", "--no-log"), "exclude each other"),
+    ],
+)
+def test_a_wrong_command_line_is_one_line_and_status_2(
+    arguments: tuple[str, ...], named: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    benchmark = pytest.importorskip("drake_oa.benchmark.benchmark")
-    monkeypatch.setattr(benchmark, "run_benchmark", lambda *_, **__: {"figure": 1.5})
-    monkeypatch.setattr(benchmark, "benchmark_table", lambda f: f"{f['figure']} ms")
-    out = tmp_path / "figures.json"
-    assert run("benchmark", "--json", str(out)) == 0
-    assert capsys.readouterr().out == "1.5 ms\n"
-    assert json.loads(out.read_text()) == {"figure": 1.5}
+    assert run(*arguments) == 2
+    told = capsys.readouterr()
+    (line,) = told.err.splitlines()
+    assert line.startswith("drake-oa: error: ")
+    assert named in line
+    assert told.out == ""
+
+
+def test_no_command_is_answered_with_all_of_them_and_status_2(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run() == 2
+    shown = capsys.readouterr().out
+    assert all(f"  {name}: " in shown for name in cli._COMMANDS)
+
+
+def test_benchmark_prints_its_tables_and_writes_its_figures(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "new" / "figures.json"
+    asked = ("--scenario", "free_space", "--seconds", "0.05")
+    assert run("benchmark", *asked, "--only", "run", "--json", str(out)) == 0
+    printed = capsys.readouterr()
+    assert "timing free_space: run" in printed.err
+    assert "real-time factor" in printed.out
+    assert list(json.loads(out.read_text())["scenarios"]["free_space"]) == ["run"]
+    assert run("benchmark", "--json", str(tmp_path)) == 2
+    assert "cannot write" in capsys.readouterr().err
 
 
 def test_logs_read_without_the_package(tmp_path: Path) -> None:

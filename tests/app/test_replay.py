@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drake_oa.app import cli
+from drake_oa.app import main as cli
 from drake_oa.runs.motion_log import load_logs, save_logs
 
 BOX = ("tabletop_box", "--set", "perception=!GroundTruth {}", "--duration", "0.25")
@@ -135,7 +135,7 @@ def test_a_run_that_is_stopped_leaves_the_motion_under_way(
 ) -> None:
     # The start is inside the obstacle: the second motion is held there, and would not end.
     script = (
-        "import signal, sys, drake_oa.app.cli as cli, drake_oa.runs.simulation as simulation\n"
+        "import signal, sys, drake_oa.app.main as cli, drake_oa.runs.simulation as simulation\n"
         # A shell's background job would leave it ignored.
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "whole = simulation.simulate\n"

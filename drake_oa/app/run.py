@@ -1,0 +1,314 @@
+"""The command `drake-oa run`."""
+
+from __future__ import annotations
+
+import contextlib
+import json as json_text
+import logging
+import math
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING
+
+from drake_oa.app.scenarios import Overrides, build_errors, quiet, scenario_name
+from drake_oa.common.console import (
+    FAILED,
+    INTERRUPTED,
+    TERMINATED,
+    complain,
+    progress_bar,
+    show,
+)
+from drake_oa.common.files import check_outputs, check_space, replace_text, reserve_file, same_file
+
+# Diagrams and simulation are imported where they are used: `--help` answers at once.
+if TYPE_CHECKING:
+    from pydrake.geometry import Meshcat
+
+    from drake_oa.runs.motion_log import MotionLog
+    from drake_oa.scenario.scenario import Scenario
+
+LOG_FOLDER = Path("drake_oa_runs")
+"""Where logs go that nobody named, relative to the current folder."""
+
+_LOG_SPACE = 32 * 2**20
+"""Space that a log may need [byte]; one of two motions of 20 s takes some 4 MB."""
+
+
+@dataclass(frozen=True)
+class _Outputs:
+    """What a run is to show and write."""
+
+    meshcat: bool
+    html: Path | None
+    json: Path | None
+    duration: float | None
+
+
+def run(
+    scenario: str,
+    /,
+    *,
+    overrides: Overrides = (),
+    meshcat: bool = False,
+    html: Path | None = None,
+    json: Path | None = None,
+    log: Path | None = None,
+    no_log: bool = False,
+    duration: float | None = None,
+) -> int:
+    """Simulate a scenario and print what was kept and touched.
+
+    Simulates two motions from start to goal, the pre-planned one, blind to obstacles,
+    and the modulated one, bent round what perception sees, and prints for each:
+
+      collisions       pairs of a robot link and an obstacle or the table that touched
+      tool clearance   least distance of hand and fingers to an obstacle
+      robot clearance  least distance of any link to an obstacle
+      feasible         the asked clearance, or what start and goal leave the tool
+      short by         what the tool lacked of that to what stands at rest
+      goal error       distance of the tool point to the goal at the end
+      saturated        share of steps in which a torque limit was reached
+
+    All of it by the true geometry, until all that moves has come to rest.
+
+    Both motions go into one log, which `drake-oa replay` shows again and `drake-oa plot`
+    draws: drake_oa_runs/SCENARIO-TIME.npz unless --log names another file.
+
+    Exit status: 0 when the tool of the modulated motion reached the goal (or the asked
+    --duration), 1 when it did not (it failed, was held for good or ran out of time), 2 for
+    bad input, 130 when interrupted (143 by SIGTERM); what ran until then is reported and
+    written all the same.
+
+    A.B=C replaces field B of block A of the scenario; C is YAML, a tag swaps the block.
+    A mistyped name is answered with the valid ones.
+
+      --set task.clearance=0.1
+      --set 'task.goal=[0.5, 0.4, 0.35]'
+      --set 'perception=!GroundTruth {}'
+      --set 'perception=!RecordedClouds {folder: /data/clouds, loop: true}'
+
+    Args:
+        scenario: a shipped name (see `drake-oa scenarios`) or a file.
+        overrides: A.B=C replaces a field of the scenario; may be repeated.
+        meshcat: show it in a browser while it runs.
+        html: write the modulated motion as one page to play and pause in a browser.
+        json: write the report.
+        log: write the log here, in place of an earlier one.
+        no_log: write no log.
+        duration: stop each motion after so many simulated seconds.
+    """
+    from drake_oa.scenario.loading import load_scenario
+
+    chosen = load_scenario(scenario, overrides)
+    if duration is not None and not 0.0 < duration < math.inf:
+        raise ValueError(f"--duration: {duration} must be positive [s]")
+    if log is not None and no_log:
+        raise ValueError("--log and --no-log exclude each other")
+    outputs = _Outputs(meshcat, html, json, duration)
+    if same_file(html, json, log):
+        raise ValueError("--html, --json and --log must name different files")
+    check_outputs(html, json, log)
+    name = scenario_name(scenario)
+    with (
+        contextlib.nullcontext() if no_log else _log_file(log, name) as log_file,
+        _stop_between_steps() as raise_if_asked,
+    ):
+        logs, failure, log_error = _simulate_both(outputs, chosen, log_file, raise_if_asked)
+        status = _report(outputs, name, chosen, logs)
+        if log_file is not None and log_error is None:
+            print(f"log: {log_file}", file=sys.stderr)
+    if log_error is not None:
+        complain(log_error)
+        status = FAILED
+    if isinstance(failure, Terminated):
+        complain("terminated")
+        return TERMINATED
+    if isinstance(failure, KeyboardInterrupt):
+        complain("interrupted")
+        return INTERRUPTED
+    if failure is not None:
+        complain(f"cut short: {next(reversed(logs.values())).stop_reason}")
+        return FAILED
+    if meshcat:
+        from drake_oa.viewing.viewer import wait_for_viewer
+
+        wait_for_viewer()
+    return status
+
+
+@contextlib.contextmanager
+def _log_file(named: Path | None, scenario: str) -> Iterator[Path]:
+    """The log's file: the one that was named, or one that is nobody else's."""
+    if named is not None:
+        check_space(named, _LOG_SPACE)
+        if named.is_file() and named.stat().st_size:
+            print(f"{named} will be replaced by this run's log", file=sys.stderr)
+        yield named
+        return
+    otherwise = "--log names another file, --no-log writes none"
+    try:
+        # Two runs may start within one second: whoever comes second takes another name.
+        file = reserve_file(LOG_FOLDER, scenario, ".npz")
+    except ValueError as error:
+        raise ValueError(f"{error}; {otherwise}") from None
+    try:
+        try:
+            check_space(file, _LOG_SPACE)
+        except ValueError as error:
+            raise ValueError(f"{error}; {otherwise}") from None
+        yield file
+    finally:
+        if file.stat().st_size == 0:
+            file.unlink()
+
+
+def _simulate_both(
+    outputs: _Outputs,
+    scenario: Scenario,
+    log_file: Path | None,
+    raise_if_asked: Callable[[], None],
+) -> tuple[dict[str, MotionLog], BaseException | None, str | None]:
+    """The logs of both motions, or of what ran until one was cut short, and by what.
+
+    The third value says why the log could not be written, or is None.
+    """
+    from drake_oa.diagrams.avoidance import build_avoidance
+    from drake_oa.runs.motion_log import save_logs
+    from drake_oa.runs.simulation import MotionInterruptedError, simulate
+    from drake_oa.viewing.viewer import recording
+
+    with build_errors(), quiet():
+        # What the modulated motion lacks is told before the first one is simulated.
+        build_avoidance(scenario)
+    meshcat = _viewer(outputs)
+    logs: dict[str, MotionLog] = {}
+    failure: BaseException | None = None
+    log_error: str | None = None
+    for motion in ("preplanned", "modulated"):
+        shown = meshcat if motion == "modulated" else None
+        try:
+            with (
+                build_errors(),
+                recording(shown, outputs.html),
+                _progress(motion, scenario, outputs.duration, raise_if_asked) as on_progress,
+            ):
+                logs[motion] = simulate(
+                    scenario,
+                    modulated=motion == "modulated",
+                    duration=outputs.duration,
+                    meshcat=shown,
+                    on_progress=on_progress,
+                )
+        except MotionInterruptedError as error:
+            logs[motion], failure = error.log, error.__cause__ or error
+            logging.getLogger(__name__).info("where it happened", exc_info=True)
+        if log_file is not None:
+            # After each motion, so that nothing is lost by what comes next.
+            try:
+                save_logs(log_file, logs)
+                log_error = None
+            except OSError as error:
+                # A disk that is full by now must not cost the report as well.
+                log_error = f"cannot write {log_file}: {error.strerror or error}"
+        if failure is not None:
+            break
+    return logs, failure, log_error
+
+
+def _report(outputs: _Outputs, name: str, scenario: Scenario, logs: dict[str, MotionLog]) -> int:
+    """Prints and writes the report; the status says whether all motions got there."""
+    from drake_oa.runs.report import report_table, run_report
+
+    report = run_report(name, scenario, logs)
+    show(report_table(report))
+    if outputs.json:
+        replace_text(outputs.json, json_text.dumps(report, indent=2) + "\n")
+    ended = {"goal"}
+    if outputs.duration is not None:
+        ended.add(f"time limit of {outputs.duration:g} s")
+    # The pre-planned motion may end at what it runs into.
+    last = logs.get("modulated") or next(iter(logs.values()))
+    return 0 if last.stop_reason in ended else FAILED
+
+
+def _viewer(outputs: _Outputs) -> Meshcat | None:
+    if not (outputs.meshcat or outputs.html):
+        return None
+    from drake_oa.viewing.viewer import start_viewer
+
+    return start_viewer(announce=outputs.meshcat)
+
+
+@contextlib.contextmanager
+def _progress(
+    motion: str, scenario: Scenario, duration: float | None, each_step: Callable[[], None]
+) -> Iterator[Callable[[float, float], None]]:
+    """A bar over the motion on a terminal; nothing when piped."""
+    from drake_oa.policy.dmp import normalised_time
+
+    percent = 0
+    with progress_bar(100.0) as update:
+
+        def advance(time: float, phase: float) -> None:
+            nonlocal percent
+            each_step()
+            share = normalised_time(phase, scenario.policy.alpha_k)
+            if duration is not None:
+                share = max(share, time / duration)
+            if min(100, int(100.0 * share)) > percent:
+                percent = min(100, int(100.0 * share))
+                update(f"{motion:>10} {time:6.2f} s", percent)
+
+        yield advance
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM or SIGHUP: ends a run as Ctrl-C does."""
+
+    def __str__(self) -> str:
+        return "terminated"
+
+
+@contextlib.contextmanager
+def _stop_between_steps() -> Iterator[Callable[[], None]]:
+    """Holds Ctrl-C and SIGTERM back until asked for, by what this yields, between two steps.
+
+    Raised anywhere, it would also strike inside numba's and Drake's own callbacks, and
+    leave them half done. A second one is raised at once.
+    """
+    asked: list[type[KeyboardInterrupt]] = []
+
+    def ask(number: int, _: FrameType | None) -> None:
+        kind = KeyboardInterrupt if number == signal.SIGINT else Terminated
+        if asked:
+            raise kind
+        asked.append(kind)
+        again = "Ctrl-C again: at once" if kind is KeyboardInterrupt else "terminated"
+        print(f"\nstopping ({again}) ...", file=sys.stderr)
+
+    def raise_if_asked() -> None:
+        if asked:
+            raise asked[0]
+
+    # What somebody else handles, or ignores as nohup does, stays theirs.
+    default = (signal.default_int_handler, signal.SIG_DFL)
+    before = {
+        number: signal.getsignal(number)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    }
+    ours = [number for number, handler in before.items() if handler in default]
+    if threading.current_thread() is not threading.main_thread():
+        ours = []
+    for number in ours:
+        signal.signal(number, ask)
+    try:
+        yield raise_if_asked
+    finally:
+        for number in ours:
+            signal.signal(number, before[number])
