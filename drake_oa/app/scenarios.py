@@ -68,35 +68,53 @@ def scenarios(*, files: bool = False) -> None:
 
 
 def graph(
-    scenario: str, /, *, overrides: Overrides = (), depth: int = 1, dot: bool = False
+    scenario: str,
+    /,
+    *,
+    overrides: Overrides = (),
+    depth: int = 1,
+    dot: bool = False,
+    signals: bool = False,
 ) -> None:
-    """Print a scenario's wiring as SVG, by Graphviz' dot, or as dot source.
+    """Print a scenario's wiring as SVG, by Graphviz' dot, as dot source, or as a table.
 
     The diagram is that of the scenario's modulated motion.
 
     For example:
 
         drake-oa graph tabletop_box > wiring.svg
+        drake-oa graph tabletop_box --signals
 
     Args:
         scenario: a shipped name (see `drake-oa scenarios`) or a file.
         overrides: A.B=C replaces field B of block A of the scenario; may be repeated.
         depth: levels of nested diagrams.
         dot: print the Graphviz source, which takes no Graphviz.
+        signals: print each output port with the inputs that read it, loggers left out.
     """
+    from drake_oa.common.wires import connections
     from drake_oa.diagrams.avoidance import build_avoidance
     from drake_oa.scenario.loading import load_scenario
 
     if depth < 0:
         raise ValueError(f"--depth must be at least 0, not {depth}")
     chosen = load_scenario(scenario, overrides)
-    program = None if dot else shutil.which("dot")
-    if program is None and not dot:
+    program = None if dot or signals else shutil.which("dot")
+    if program is None and not (dot or signals):
         raise ValueError(
-            "an SVG takes Graphviz, whose `dot` is not on the PATH; --dot prints the source"
+            "an SVG takes Graphviz, whose `dot` is not on the PATH; --dot prints the source, "
+            "--signals a table"
         )
     with build_errors():
         diagram = build_avoidance(chosen)
+    if signals:
+        readers: dict[str, list[str]] = {}
+        for source, reader in connections(diagram):
+            if not reader.startswith("log_"):
+                readers.setdefault(source, []).append(reader)
+        rows = [(source, ", ".join(names)) for source, names in readers.items()]
+        show(TextTable(("output", "read by"), rows, "ll"))
+        return
     text = diagram.GetGraphvizString(max_depth=depth)
     if program:
         answer = subprocess.run(

@@ -294,6 +294,14 @@ def test_a_graph_that_cannot_be_drawn_is_one_clear_line(
     assert len(told.err.splitlines()) == 1
 
 
+def test_graph_lists_the_signals(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("graph", "free_space", "--signals") == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert lines[0] == ["output", "read", "by"]
+    assert ["goal.y0", "dmp_integrator.goal,", "regressor_chain.goal"] in lines
+    assert not any("log_" in word for line in lines for word in line)
+
+
 @pytest.mark.skipif(shutil.which("dot") is None, reason="Graphviz is not here")
 def test_graph_is_svg_where_dot_is_installed(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("graph", "free_space") == 0
