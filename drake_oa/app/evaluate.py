@@ -503,8 +503,8 @@ def _run_suites(
 
     from drake_oa.common.provenance import software_versions
     from drake_oa.studies.panda.evaluation import evaluate_panda
+    from drake_oa.studies.panda.planner import check_planner
     from drake_oa.studies.panda.run import PLANNER
-    from drake_oa.studies.panda.sampling_planner import check_planner
     from drake_oa.studies.panda.tables import panda_figures, panda_tables
 
     if any(PLANNER in suite.methods for suite in suites):
@@ -545,7 +545,7 @@ def _run_suites(
 
 def _keeping(runs: Runs, suites: Sequence[PandaSuite]) -> Keeping:
     from drake_oa.studies.panda.evaluation import Keeping
-    from drake_oa.studies.panda.results import ResultFolder
+    from drake_oa.studies.results import ResultFolder
 
     folder = runs.results
     if folder is None:

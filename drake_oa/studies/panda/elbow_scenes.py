@@ -37,8 +37,9 @@ from drake_oa.studies.panda.scene_parts import (
     base_scenario,
     draw_motion,
     ends_are_free,
+    first_drawn,
     in_view,
-    scene_cell,
+    planning_scene,
     stands_apart,
 )
 from drake_oa.studies.tally import Tally
@@ -53,7 +54,7 @@ WRIST_LINKS = ("panda_link6", "panda_link7")
 ELBOW_LINKS = tuple(f"panda_link{number}" for number in (2, 3, 4, 5))
 """Links of which one touches."""
 SWINGS = (1.0, -1.0, 2.0, -2.0, 3.0, -3.0)
-"""How the elbow may swing, see `PandaCell.straight_motion` [rad]."""
+"""How the elbow may swing, see `PlanningScene.straight_motion` [rad]."""
 
 ELBOW_LIKE = "shelf_elbow"
 """The shipped scenario whose camera the scenes have: it looks higher than the table-top ones'."""
@@ -84,36 +85,30 @@ NOWHERE = "nowhere passes the elbow alone"
 
 
 def draw_elbow(random: np.random.Generator, tally: Tally) -> Drawn:
-    """A scene with a thing in the elbow's way, and a second one where it finds room.
+    """A scene with a thing in the elbow's way, and a second where it finds room: `first_drawn`."""
 
-    Raises:
-        RuntimeError: if none was found for `_MOST_MOTIONS` motions.
-    """
-    cell = scene_cell()
-    for _ in range(_MOST_MOTIONS):
+    def attempt() -> Drawn | None:
         drawn = draw_motion(random, tally)
         if drawn is None:
-            continue
+            return None
         start, goal, motion = drawn
-        swung = cell.straight_motion(start, goal, float(random.choice(SWINGS)))
+        swung = planning_scene().straight_motion(start, goal, float(random.choice(SWINGS)))
         places = np.empty((0, 2, 3)) if swung is None else _places(motion, swung)
         nowhere = NOT_SWUNG if swung is None else NOWHERE if not len(places) else ""
         if not tally.takes("elbow motions", nowhere) or swung is None:
-            continue
+            return None
         obstacles: list[Obstacle] = []
         for _ in range(_PLACES):
             obstacle = _draw_obstacle(random, places, len(obstacles))
             tried = [*obstacles, obstacle]
-            if tally.takes(
-                "things for the elbow",
-                _misfit(obstacle, obstacles) or _no_scene(motion, swung, goal, tried),
-            ):
+            misfit = _misfit(obstacle, obstacles) or _no_scene(motion, swung, goal, tried)
+            if tally.takes("things for the elbow", misfit):
                 obstacles = tried
             if len(obstacles) == MOST_OBSTACLES:
                 break
-        if obstacles:
-            return obstacles, start, goal
-    raise RuntimeError(f"no scene found for {_MOST_MOTIONS} motions")
+        return (obstacles, start, goal) if obstacles else None
+
+    return first_drawn(attempt, _MOST_MOTIONS, "things that only the elbow meets")
 
 
 def _places(motion: FloatArray, swung: FloatArray) -> FloatArray:
@@ -123,7 +118,7 @@ def _places(motion: FloatArray, swung: FloatArray) -> FloatArray:
     to them from the nearest point that is to stay free: of the robot at both ends, of its
     wrist and hand on the motion, and of all of it on the other motion.
     """
-    cell = scene_cell()
+    cell = planning_scene()
     held = (*_hand_links(), *WRIST_LINKS)
     passed = np.concatenate([cell.shape_centers(q, ELBOW_LINKS) for q in motion[::2]])
     free = [cell.shape_centers(q) for q in (*motion[[0, -1]], *swung[::2])]
@@ -208,7 +203,7 @@ def _no_scene(
     motion: FloatArray, swung: FloatArray, goal: FloatArray, obstacles: Sequence[Obstacle]
 ) -> str:
     """Why not; "": the elbow touches on the motion, and nothing does on the other one."""
-    cell = scene_cell()
+    cell = planning_scene()
     cell.put(obstacles)
     if any(cell.nearby(q, FREE) for q in motion[[0, -1]]):
         return ENDS_TAKEN
@@ -229,10 +224,10 @@ def _hand_is_free(q: FloatArray) -> bool:
     tool_links = _hand_links()
     return not any(
         link in tool_links or (link in WRIST_LINKS and distance < WRIST_FREE)
-        for link, _, distance in scene_cell().nearby(q, HAND_FREE)
+        for link, _, distance in planning_scene().nearby(q, HAND_FREE)
     )
 
 
 def _elbow_touches(q: FloatArray) -> bool:
-    touched = scene_cell().nearby(q, 0.0)
+    touched = planning_scene().nearby(q, 0.0)
     return any(link in ELBOW_LINKS and distance <= -TOUCH for link, _, distance in touched)

@@ -6,13 +6,15 @@ import contextlib
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, ClassVar
+
+from pydrake.geometry import Meshcat
 
 from drake_oa.runs.motion_log import MotionLog, save_logs
 from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.studies.panda.results import ResultFolder, content_key, source_digest
 from drake_oa.studies.panda.run import (
     PLANNER,
     TRUTH_ONLY,
@@ -21,7 +23,8 @@ from drake_oa.studies.panda.run import (
     run_and_judge,
 )
 from drake_oa.studies.panda.scenes import GENERATOR, check_kind, check_perception, draw_panda_scene
-from drake_oa.studies.parallel import carry_out
+from drake_oa.studies.parallel import Call
+from drake_oa.studies.results import ResultFolder, Task, content_key, resumed
 from drake_oa.studies.tally import Counts, Tally
 
 Drawing = Callable[..., tuple[str, Counts]]
@@ -102,7 +105,7 @@ class PandaResults:
         suite: what is evaluated.
         scenarios: scene -> the scenario's text, as it was drawn.
         tallies: scene -> what was dropped while it was drawn, see `tally`.
-        runs: method -> scene -> result, see `run_panda_scene`.
+        runs: method -> scene -> result, see `run_and_judge`.
         resumed: results that were on disk.
         interrupted: whether it was ended by an interrupt.
     """
@@ -176,12 +179,23 @@ def evaluate_panda(
     keeping = keeping or Keeping()
     on_progress = on_progress or (lambda what, count: None)
     results = PandaResults(suite, runs={method: {} for method in suite.methods})
-    digest = source_digest()
+    results_of = partial(resumed, folder=keeping.folder, jobs=jobs, scheduler=scheduler)
     try:
-        _draw_all(results, digest, jobs, scheduler, keeping.folder, on_progress)
-        _run_all(results, digest, jobs, scheduler, keeping, on_progress)
+        for scene, drawn, _, _ in results_of(_draw, _drawing_tasks(suite)):
+            results.scenarios[scene], results.tallies[scene] = drawn["scenario"], drawn["tally"]
+            on_progress("scenes drawn", 1)
+        tasks = _run_tasks(results, keeping)
+        for place, result, log, known in results_of(run_text, tasks, prepare=_compile_kernels):
+            scene, method = place
+            results.runs[method][scene] = result
+            results.resumed += known
+            if log is not None:
+                _write_files(tasks[place].files, log)
+            on_progress(method, 1)
     except KeyboardInterrupt:
         results.interrupted = True
+    results.scenarios = dict(sorted(results.scenarios.items()))
+    results.runs = {method: dict(sorted(runs.items())) for method, runs in results.runs.items()}
     return results
 
 
@@ -190,90 +204,31 @@ def run_name(suite: PandaSuite, scene: int, method: str) -> str:
     return f"{suite.scene_name(scene)}-{method}-{suite.perception_of(method)}"
 
 
-def _draw_all(
-    results: PandaResults,
-    digest: str,
-    jobs: int,
-    scheduler: str | None,
-    folder: ResultFolder | None,
-    on_progress: Callable[[str, int], None],
-) -> None:
-    suite = results.suite
-    draws = {scene: suite.drawing(scene) for scene in suite.numbers}
-    keys = {
-        scene: content_key("scene", digest, GENERATOR, draw.__name__, repr(arguments))
-        for scene, (draw, arguments) in draws.items()
-    }
-    for scene, key in keys.items():
-        known = folder.load(suite.scene_name(scene), key) if folder else None
-        if isinstance(known, dict):
-            results.scenarios[scene], results.tallies[scene] = known["scenario"], known["tally"]
-    missing = [scene for scene in keys if scene not in results.scenarios]
-    on_progress("scenes drawn", len(results.scenarios))
-    calls = [draws[scene] for scene in missing]
-    for place, (text, counts) in carry_out(_draw, calls, jobs=jobs, scheduler=scheduler):
-        scene = missing[place]
-        results.scenarios[scene], results.tallies[scene] = text, counts
-        if folder:
-            content = {"scenario": text, "tally": counts}
-            folder.save(suite.scene_name(scene), keys[scene], content)
-        on_progress("scenes drawn", 1)
-    results.scenarios = dict(sorted(results.scenarios.items()))
-    results.tallies = dict(sorted(results.tallies.items()))
+def _drawing_tasks(suite: PandaSuite) -> dict[int, Task]:
+    tasks = {}
+    for scene in suite.numbers:
+        draw, arguments = suite.drawing(scene)
+        key = content_key("scene", GENERATOR, draw.__name__, repr(arguments))
+        tasks[scene] = Task(suite.scene_name(scene), key, (draw, arguments))
+    return tasks
 
 
-def _draw(draw: Drawing, arguments: tuple[Any, ...]) -> tuple[str, Counts]:
-    return draw(*arguments)
+def _draw(draw: Drawing, arguments: tuple[Any, ...]) -> tuple[dict[str, Any], None]:
+    text, counts = draw(*arguments)
+    return {"scenario": text, "tally": counts}, None
 
 
-def _run_all(
-    results: PandaResults,
-    digest: str,
-    jobs: int,
-    scheduler: str | None,
-    keeping: Keeping,
-    on_progress: Callable[[str, int], None],
-) -> None:
-    suite, folder = results.suite, keeping.folder
-    todo: list[tuple[int, str, str]] = []
-    for scene, text in results.scenarios.items():
+def _run_tasks(results: PandaResults, keeping: Keeping) -> dict[tuple[int, str], Task]:
+    """(scene, method) -> its run."""
+    suite, tasks = results.suite, {}
+    for scene, text in sorted(results.scenarios.items()):
         for method in suite.methods:
-            sees = suite.perception_of(method)
-            key = content_key(
-                "run", digest, text, method, sees, suite.duration, repr(suite.criteria)
-            )
-            name = run_name(suite, scene, method)
-            known = folder.load(name, key) if folder else None
-            files = keeping.files(name, method)
-            if not isinstance(known, dict) or not all(file.exists() for file in files):
-                todo.append((scene, method, key))
-                continue
-            results.runs[method][scene] = known
-            results.resumed += 1
-            on_progress(method, 1)
-    calls = [
-        (
-            results.scenarios[scene],
-            method,
-            suite.perception_of(method),
-            suite.duration,
-            bool(keeping.files("", method)),
-            suite.criteria,
-        )
-        for scene, method, _ in todo
-    ]
-    if jobs > 1 and scheduler is None and len(todo) > 1:
-        _compile_kernels(calls)
-    for place, (result, log) in carry_out(run_text, calls, jobs=jobs, scheduler=scheduler):
-        scene, method, key = todo[place]
-        results.runs[method][scene] = result
-        name = run_name(suite, scene, method)
-        if log is not None:
-            _write_files(keeping.files(name, method), log)
-        if folder:
-            folder.save(name, key, result)
-        on_progress(method, 1)
-    results.runs = {method: dict(sorted(runs.items())) for method, runs in results.runs.items()}
+            sees, name = suite.perception_of(method), run_name(suite, scene, method)
+            key = content_key("run", text, method, sees, suite.duration, repr(suite.criteria))
+            files = tuple(keeping.files(name, method))
+            call = (text, method, sees, suite.duration, bool(files), suite.criteria)
+            tasks[scene, method] = Task(name, key, call, files)
+    return tasks
 
 
 def _write_files(files: Sequence[Path], log: MotionLog) -> None:
@@ -283,9 +238,7 @@ def _write_files(files: Sequence[Path], log: MotionLog) -> None:
         if file.suffix == ".npz":
             save_logs(file, {log_name(log): log})
         elif len(log.t):
-            from drake_oa.studies.panda.pages import write_page
-
-            write_page(file, log)
+            _write_page(file, log)
 
 
 def log_name(log: MotionLog) -> str:
@@ -293,14 +246,32 @@ def log_name(log: MotionLog) -> str:
     return "modulated" if log.modulated else "preplanned"
 
 
-def _compile_kernels(calls: Sequence[tuple[Any, ...]]) -> None:
+def _write_page(path: Path, log: MotionLog) -> None:
+    """Replays a log into a page to play and pause in a browser."""
+    from pydrake.systems.analysis import Simulator
+
+    from drake_oa.runs.replay_diagram import build_replay
+    from drake_oa.viewing.viewer import recording
+
+    meshcat = _viewer()
+    meshcat.Delete()
+    diagram = build_replay(parse_scenario(log.scenario), log, meshcat)
+    with recording(meshcat, path):
+        Simulator(diagram).AdvanceTo(log.simulated_time)
+
+
+@cache
+def _viewer() -> Meshcat:
+    from drake_oa.viewing.viewer import start_viewer
+
+    return start_viewer(announce=False)
+
+
+def _compile_kernels(calls: Sequence[Call]) -> None:
     """Runs the beginning of a scene by each method, so that the workers need not compile."""
-    first: dict[str, tuple[Any, ...]] = {}
-    for call in calls:
-        if call[1] != PLANNER:
-            first.setdefault(call[1], call)
-    for text, method, sees, *_, criteria in first.values():
-        run_text(text, method, sees, _WARM_UP, False, criteria)
+    for text, method, sees, *_, criteria in {call[1]: call for call in calls}.values():
+        if method != PLANNER:
+            run_text(text, method, sees, _WARM_UP, False, criteria)
 
 
 def draw_text(seed: int, scene: int, kind: str) -> tuple[str, Counts]:

@@ -46,7 +46,7 @@ def pose_at(obstacle: Obstacle, time: float) -> RigidTransform:
     return X_WO
 
 
-class PandaCell:
+class PlanningScene:
     """A scenario's robot and what stands there, with other obstacles put in at will."""
 
     def __init__(self, scenario: Scenario) -> None:
@@ -59,7 +59,7 @@ class PandaCell:
             ScenarioError: if it has no robot, or its world cannot be built.
         """
         if scenario.robot is None:
-            raise ScenarioError("robot: this cell needs one; this scenario has null")
+            raise ScenarioError("robot: a planning scene needs one; this scenario has null")
         self._robot: Robot = scenario.robot
         self._duration = scenario.task.duration
         self._robot_plant = make_robot_plant(self._robot)

@@ -13,7 +13,7 @@ Methods:
   differential_ik_near
                    the same asked for 3 cm: most of its motions arrive with that
   planner          a sampling-based planner that knows the obstacles exactly, to tell which
-                   scenes have a solution at all: see `sampling_planner`
+                   scenes have a solution at all: see `planner`
 
 Contacts are judged by SceneGraph at every logged instant (4 ms apart) until everything has
 been at rest for a second: each link, the hand and the fingers against obstacles, table and each
@@ -32,9 +32,8 @@ import copy
 import logging
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -97,8 +96,8 @@ class Criteria:
         orientation_error: largest angle from the goal's orientation [rad].
         beyond_limits: how far a joint of the arm may have been beyond its limit [rad].
         planner_asked: whether the planner's robot keeps what the task asks of the tool; else
-            `sampling_planner.CLEARANCE`.
-        planner_states: that the planner may look at; None: `sampling_planner.STATES`.
+            `planner.CLEARANCE`.
+        planner_states: that the planner may look at; None: `planner.STATES`.
     """
 
     goal_error: float = AT_GOAL
@@ -125,7 +124,7 @@ class PandaRun:
     """A judged run and, where it ran at all, its log.
 
     Attributes:
-        result: plain data, as `run_panda_scene` describes it.
+        result: plain data, as `run_and_judge` describes it.
         log: None where nothing could be simulated.
     """
 
@@ -161,26 +160,6 @@ def with_method(scenario: Scenario, method: str) -> Scenario:
     return scenario
 
 
-def run_panda_scene(
-    scenario: Scenario, method: str, perception: str, *, duration: float | None = None
-) -> dict[str, Any]:
-    """Runs a method on a scene.
-
-    Args:
-        scenario: the scene.
-        method: one of `METHODS`.
-        perception: "depth" or "truth".
-        duration: time limit of the run [s]; None: that of `simulate`.
-
-    Returns:
-        `outcome` ("success", "contact" or "stopped"), `reason` (of what is no success: the
-        stop reason with "#" for numbers), `failed` (whether it raised), and of
-        `motion_report` those of `_KEPT`; besides `wall_time` [s] and `real_time_factor` of the
-        simulation. Of `planner` see `run_planner`.
-    """
-    return run_and_judge(scenario, method, perception, duration=duration).result
-
-
 def run_and_judge(
     scenario: Scenario,
     method: str,
@@ -189,15 +168,29 @@ def run_and_judge(
     duration: float | None = None,
     criteria: Criteria | None = None,
 ) -> PandaRun:
-    """`run_panda_scene`, and the log."""
+    """Runs a method on a scene.
+
+    The result has `outcome` ("success", "contact" or "stopped"), `reason` (of what is no success:
+    the stop reason with "#" for numbers), `failed` (whether it raised), and of `motion_report`
+    those of `_KEPT`; besides `wall_time` [s] and `real_time_factor` of the simulation. Of
+    `planner` see `run_planner`.
+
+    Args:
+        scenario: the scene.
+        method: one of `METHODS`.
+        perception: "depth" or "truth".
+        duration: time limit of the run [s]; None: that of `simulate`.
+        criteria: what is a success; None: the defaults.
+    """
     criteria = criteria or Criteria()
     scenario = with_method(with_perception(scenario, perception), method)
     if method == PLANNER:
         return PandaRun(_plan(scenario, criteria), None)
-    log: MotionLog | None = None
-    failed = False
+    feasible, failed = None, False
     try:
-        log = _simulate(scenario, method, duration)
+        if method == "differential_ik":
+            feasible = feasible_clearance(scenario)
+        log = _simulate(scenario, method, duration, feasible)
     except MotionInterruptedError as error:
         if isinstance(error.__cause__, KeyboardInterrupt):
             raise KeyboardInterrupt from error
@@ -207,23 +200,24 @@ def run_and_judge(
         # A scene that cannot be run is a result like any other, and ends no other scene.
         _logger.info("the run could not start", exc_info=True)
         return PandaRun(_not_run(scenario, error), None)
-    return PandaRun(_judge(scenario, log, failed, criteria), log)
+    return PandaRun(_judge(scenario, log, feasible, failed, criteria), log)
 
 
-def _simulate(scenario: Scenario, method: str, duration: float | None) -> MotionLog:
+def _simulate(
+    scenario: Scenario, method: str, duration: float | None, feasible: float | None
+) -> MotionLog:
     if method in TRUTH_ONLY:
-        module = import_module("drake_oa.studies.panda.peer")
-        peer: Callable[..., MotionLog] = module.simulate_differential_ik
+        from drake_oa.studies.panda.peer import simulate_differential_ik
+
         parameters = PeerParameters()
-        if method == "differential_ik":
-            parameters = replace(parameters, tool_distance=feasible_clearance(scenario))
-        return peer(scenario, duration=duration, parameters=parameters)
+        if feasible is not None:
+            parameters = replace(parameters, tool_distance=feasible)
+        return simulate_differential_ik(scenario, duration=duration, parameters=parameters)
     return simulate(scenario, modulated=method != "preplanned", duration=duration)
 
 
 def _plan(scenario: Scenario, criteria: Criteria) -> dict[str, Any]:
-    from drake_oa.studies.panda.planner import run_planner
-    from drake_oa.studies.panda.sampling_planner import CLEARANCE
+    from drake_oa.studies.panda.planner import CLEARANCE, run_planner
 
     clearance = scenario.task.clearance if criteria.planner_asked else CLEARANCE
     try:
@@ -235,8 +229,14 @@ def _plan(scenario: Scenario, criteria: Criteria) -> dict[str, Any]:
     return {**_outcome(found, False, criteria), "failed": False, **found}
 
 
-def _judge(scenario: Scenario, log: MotionLog, failed: bool, criteria: Criteria) -> dict[str, Any]:
-    report = motion_report(scenario, log)
+def _judge(
+    scenario: Scenario,
+    log: MotionLog,
+    feasible: float | None,
+    failed: bool,
+    criteria: Criteria,
+) -> dict[str, Any]:
+    report = motion_report(scenario, log, feasible)
     found = {key: report.get(key) for key in _KEPT}
     found["beyond_limits"] = _beyond_limits(scenario, log)
     return {
@@ -287,13 +287,3 @@ def _not_run(scenario: Scenario, error: Exception) -> dict[str, Any]:
 def plain_reason(reason: str) -> str:
     """A reason with "#" for its numbers, so that equal reasons can be counted."""
     return _NUMBER.sub("#", reason).strip()
-
-
-def same_result(one: dict[str, Any], other: dict[str, Any]) -> bool:
-    """Whether two results agree in all but what a clock measured."""
-    clock = {"wall_time", "real_time_factor"}
-    return all(_equal(one[k], other[k]) for k in one.keys() | other.keys() if k not in clock)
-
-
-def _equal(one: Any, other: Any) -> bool:
-    return bool(np.all(one == other))

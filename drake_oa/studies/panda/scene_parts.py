@@ -1,10 +1,15 @@
-"""What random scenes of the Panda have in common: their world, and what they are drawn from."""
+"""What random scenes of the Panda have in common: their world, and what they are drawn from.
+
+Every kind draws by one skeleton: attempts until one gives a scene (`first_drawn`), each with a
+motion (`draw_ends`, `draw_motion`) and things (`draw_obstacles`) that are tried for it, and a
+tally of what was dropped and why. Which numbers are drawn, and in which order, is part of a scene.
+"""
 
 from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -16,7 +21,7 @@ from drake_oa.scenario.loading import load_scenario, parse_scenario
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.studies.panda.obstacles import draw_obstacle, footprint_radius, middle
-from drake_oa.studies.panda.planning_scene import PandaCell
+from drake_oa.studies.panda.planning_scene import PlanningScene
 from drake_oa.studies.tally import Tally
 
 FREE = 0.05
@@ -72,14 +77,29 @@ def base_scenario(like: str = LIKE) -> Scenario:
 
 
 @lru_cache(maxsize=1)
-def scene_cell() -> PandaCell:
+def planning_scene() -> PlanningScene:
     """The robot on its table; to be asked under `drawing` only."""
-    return PandaCell(base_scenario())
+    return PlanningScene(base_scenario())
+
+
+def first_drawn(attempt: Callable[[], Drawn | None], most: int, what: str) -> Drawn:
+    """The first scene that an attempt gives.
+
+    Raises:
+        RuntimeError: if none of so many did.
+    """
+    for _ in range(most):
+        drawn = attempt()
+        if drawn is not None:
+            return drawn
+    raise RuntimeError(f"no scene of {what} found in {most} attempts")
 
 
 def draw_obstacles(random: np.random.Generator, count: int, tally: Tally) -> list[Obstacle] | None:
     """Obstacles apart from each other on the table, or None where there is no room for all."""
     obstacles: list[Obstacle] = []
+    if not count:
+        return obstacles
     for _ in range(_MOST_PLACES * count):
         obstacle = draw_obstacle(random, len(obstacles))
         x, y = (float(random.uniform(*side)) for side in (TABLE_X, TABLE_Y))
@@ -137,7 +157,7 @@ def is_outside_image(p_WQ: FloatArray, radius: float, like: str = LIKE) -> bool:
 def _seen_from_camera(p_WQ: FloatArray, like: str) -> tuple[CameraConfig, FloatArray]:
     """The camera of a shipped scenario, and the point in its frame [m]."""
     camera = base_scenario(like).cameras[0]
-    X_WC = scene_cell().frame_pose(camera.X_PB.base_frame) @ camera.X_PB.GetDeterministicValue()
+    X_WC = planning_scene().frame_pose(camera.X_PB.base_frame) @ camera.X_PB.GetDeterministicValue()
     return camera, X_WC.inverse() @ p_WQ
 
 
@@ -163,7 +183,7 @@ def draw_motion(
     ends = draw_ends(random, tally)
     if ends is None:
         return None
-    motion = scene_cell().straight_motion(*ends)
+    motion = planning_scene().straight_motion(*ends)
     taken = tally.takes("straight motions", NOT_FOLLOWED if motion is None else "")
     return (*ends, motion) if taken and motion is not None else None
 
@@ -172,10 +192,10 @@ def ends_are_free(motion: FloatArray, goal: FloatArray) -> bool:
     """Whether the whole robot keeps `FREE` to what was put at both ends of a motion.
 
     Args:
-        motion: (T, nq) positions of the robot in `scene_cell`.
+        motion: (T, nq) positions of the robot in `planning_scene`.
         goal: (3,) where the motion ends [m]: the robot is posed there in one step, too.
     """
-    cell = scene_cell()
+    cell = planning_scene()
     return all(
         not cell.contacts(q) and cell.clearance(q) >= FREE
         for q in (motion[0], motion[-1], cell.tool_down(goal))

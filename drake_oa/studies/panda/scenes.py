@@ -28,12 +28,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from drake_oa.scenario.scenario import GroundTruth, Scenario
-from drake_oa.studies.panda.clutter_scenes import draw_clutter
 from drake_oa.studies.panda.elbow_scenes import ELBOW_LIKE, draw_elbow
-from drake_oa.studies.panda.hard_scenes import draw_hard
-from drake_oa.studies.panda.moving_scenes import draw_moving
+from drake_oa.studies.panda.moving_scenes import draw_hard, draw_moving
 from drake_oa.studies.panda.scene_parts import LIKE, Drawn, base_scenario, drawing
-from drake_oa.studies.panda.tabletop_scenes import draw_tabletop
+from drake_oa.studies.panda.table_scenes import draw_clutter, draw_tabletop
 from drake_oa.studies.tally import Tally
 
 GENERATOR = 1

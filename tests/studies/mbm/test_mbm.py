@@ -19,7 +19,7 @@ from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task_joints import end_positions
 from drake_oa.studies.mbm.problems import parse_problem, read_archive
 from drake_oa.studies.mbm.scenes import load_robot, problem_scenario
-from drake_oa.studies.panda.run import Criteria, run_panda_scene
+from drake_oa.studies.panda.run import Criteria, run_and_judge
 
 JOINTS = [f"panda_joint{i}" for i in range(1, 8)]
 START = [0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785]
@@ -260,6 +260,6 @@ def test_the_first_problem_of_each_real_set_runs():
     assert len(sets) == 7
     for texts in sets.values():
         scenario = problem_scenario(parse_problem(texts[0]), Robot())
-        found = run_panda_scene(scenario, "verified", "truth", duration=0.05)
+        found = run_and_judge(scenario, "verified", "truth", duration=0.05).result
         assert not found["failed"], found["stop_reason"]
         assert found["contacts"] == found["self_contacts"] == []

@@ -7,9 +7,9 @@ import pytest
 
 from drake_oa.geometry.shapes import Box, Sphere, bounding_radius
 from drake_oa.scenario.scenario import DepthCamera
-from drake_oa.studies.panda.hard_scenes import LONGEST
-from drake_oa.studies.panda.run import run_panda_scene
-from drake_oa.studies.panda.scene_parts import in_view, is_outside_image, scene_cell
+from drake_oa.studies.panda.moving_scenes import LONGEST
+from drake_oa.studies.panda.run import run_and_judge
+from drake_oa.studies.panda.scene_parts import in_view, is_outside_image, planning_scene
 from drake_oa.studies.panda.scenes import draw_panda_scene
 
 _SCENES = 8
@@ -88,7 +88,7 @@ def test_things_enter_speed_up_turn_stop_and_come_back(movers):
 
 @pytest.mark.parametrize("index", range(3))
 def test_the_first_is_met_and_the_ends_are_free_of_what_rests(scenes, index):
-    scene, cell = scenes[index], scene_cell()
+    scene, cell = scenes[index], planning_scene()
     start, goal = np.array(scene.task.start), np.array(scene.task.goal)
     motion = cell.straight_motion(start, goal)
     deepest = 0.0
@@ -111,6 +111,6 @@ def test_a_ball_is_outside_the_image_when_all_of_it_is():
 
 
 def test_a_scene_runs(scenes):
-    result = run_panda_scene(scenes[0], "preplanned", "depth", duration=0.05)
+    result = run_and_judge(scenes[0], "preplanned", "depth", duration=0.05).result
     assert not result["failed"]
     assert result["duration"] == pytest.approx(0.05, abs=0.01)

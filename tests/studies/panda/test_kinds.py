@@ -8,10 +8,10 @@ import pytest
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere, bounding_radius
 from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.scenario.obstacles import Obstacle
-from drake_oa.studies.panda.clutter_scenes import NEAR, NEAR_OBSTACLES, distance_to_line
 from drake_oa.studies.panda.elbow_scenes import ELBOW_LINKS, HAND_FREE, SWINGS, SWUNG_FREE
-from drake_oa.studies.panda.planning_scene import PandaCell
+from drake_oa.studies.panda.planning_scene import PlanningScene
 from drake_oa.studies.panda.scenes import draw_panda_scene
+from drake_oa.studies.panda.table_scenes import NEAR, NEAR_OBSTACLES, distance_to_line
 
 _FREE = 0.05
 
@@ -28,7 +28,7 @@ def ends(scenario):
 
 def cell_of(scenario):
     """A cell of its own, with the scenario's obstacles where they are at first."""
-    cell = PandaCell(draw_panda_scene(0, 2))
+    cell = PlanningScene(draw_panda_scene(0, 2))
     cell.put(scenario.obstacles)
     return cell
 

@@ -1,9 +1,11 @@
 """The peer: differential inverse kinematics with collision constraints on the Panda."""
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
+from pydrake.math import RollPitchYaw
 
 from drake_oa.common.schema_check import ScenarioError
 from drake_oa.robot.plant import make_robot_plant
@@ -13,8 +15,13 @@ from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task_joints import start_positions
 from drake_oa.studies.panda.differential_ik import PeerParameters, make_collision_checker
-from drake_oa.studies.panda.differential_ik_diagram import build_differential_ik
-from drake_oa.studies.panda.peer import METHOD, NO_VELOCITY, simulate_differential_ik
+from drake_oa.studies.panda.peer import (
+    METHOD,
+    NO_VELOCITY,
+    ToolPose,
+    build_differential_ik,
+    simulate_differential_ik,
+)
 
 _BARE = ["directives=[]", "cameras=[]", "perception=!GroundTruth {}"]
 
@@ -143,3 +150,16 @@ def test_knows_where_a_moving_obstacle_is() -> None:
     assert metrics.contacts == ()
     assert np.linalg.norm(log.p_WE - log.desired_position, axis=1).max() > 0.01
     assert log.stop_reason == "goal"
+
+
+def test_the_asked_pose_is_ahead_of_the_plan() -> None:
+    R_WE = RollPitchYaw(math.pi, 0.0, 0.5).ToRotationMatrix()
+    system = ToolPose(R_WE, look_ahead=0.1)
+    context = system.CreateDefaultContext()
+    system.GetInputPort("desired_position").FixValue(context, [1.0, 2.0, 3.0])
+    system.GetInputPort("desired_velocity").FixValue(context, [0.0, -1.0, 2.0])
+    X_WE = system.GetOutputPort("desired_pose").Eval(context)
+    np.testing.assert_allclose(X_WE.translation(), [1.0, 1.9, 3.2])
+    np.testing.assert_array_equal(X_WE.rotation().matrix(), R_WE.matrix())
+    with pytest.raises(ValueError, match="look_ahead must be finite"):
+        ToolPose(R_WE, look_ahead=math.nan)

@@ -12,7 +12,7 @@ from drake_oa.studies.panda import (
     scene_parts as panda_scene_parts,
 )
 from drake_oa.studies.panda import (
-    tabletop_scenes as panda_tabletop_scenes,
+    table_scenes as panda_tabletop_scenes,
 )
 from drake_oa.studies.panda.obstacles import footprint_radius
 from drake_oa.studies.panda.scenes import draw_panda_scene
@@ -49,7 +49,7 @@ def test_the_ends_are_free_and_the_planned_motion_is_not_clear(scenes, place):
     assert 0.5 <= math.dist(task.start, task.goal) <= 1.0
     assert 1 <= len(scenario.obstacles) <= 6
     # Judged by the metrics of a run, in a world of their own.
-    motion = panda_scene_parts.scene_cell().straight_motion(
+    motion = panda_scene_parts.planning_scene().straight_motion(
         np.array(task.start), np.array(task.goal)
     )
     metrics = robot_metrics(scenario, motion)

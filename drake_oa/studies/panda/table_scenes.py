@@ -1,6 +1,6 @@
-"""Random table-top scenes: 1 to 6 things on the table, some of them in the way.
+"""Random scenes of things on a table, some of them in the way: table-top scenes and clutter.
 
-The number of obstacles is drawn once; the rest is drawn again until
+A table-top scene has 1 to 6 things. The number is drawn once; the rest is drawn again until
 
 - no two obstacles are nearer to each other than 2 cm (circles round them, seen from above),
   and none stands on the robot's base;
@@ -9,6 +9,8 @@ The number of obstacles is drawn once; the rest is drawn again until
 - the pre-planned motion is not clear: followed along the straight line, some link of the
   robot goes at least 5 mm into an obstacle (by SceneGraph, with the joints that the arm
   takes there).
+
+Clutter is the same with exactly six things, three or more of them beside the way.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ import numpy as np
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.scenario.obstacles import Obstacle
-from drake_oa.studies.panda.obstacles import footprint_radius
+from drake_oa.studies.panda.obstacles import footprint_radius, height
 from drake_oa.studies.panda.scene_parts import (
     ENDS_TAKEN,
     NOT_FOLLOWED,
@@ -29,54 +31,68 @@ from drake_oa.studies.panda.scene_parts import (
     draw_ends,
     draw_obstacles,
     ends_are_free,
-    scene_cell,
+    first_drawn,
+    planning_scene,
 )
 from drake_oa.studies.tally import Tally
 
 MOST_OBSTACLES = 6
+NEAR, NEAR_OBSTACLES = 0.25, 3
+"""In clutter so many obstacles are nearer than this to the straight line [m]."""
 
 _ARM_WIDTH = 0.15
 """How far the arm may be aside of the triangle of base, start and goal [m]."""
 _MOTIONS = 12
 """Motions tried among the same obstacles."""
 _MOST_ATTEMPTS = 2000
+_SAMPLES = 41
+"""Of the straight line."""
 
 Condition = Callable[[FloatArray, FloatArray, Sequence[Obstacle]], str]
 """Why start, goal and obstacles are no scene; "": they may be one."""
 
 
 def draw_tabletop(random: np.random.Generator, tally: Tally) -> Drawn:
-    """A scene of 1 to 6 obstacles.
-
-    Raises:
-        RuntimeError: if none was found in `_MOST_ATTEMPTS` attempts.
-    """
-    return draw_on_table(random, tally, int(random.integers(1, MOST_OBSTACLES + 1)))
+    """A scene of 1 to 6 obstacles, see `first_drawn`."""
+    return _draw_on_table(random, tally, int(random.integers(1, MOST_OBSTACLES + 1)), _no_scene)
 
 
-def draw_on_table(
-    random: np.random.Generator,
-    tally: Tally,
-    count: int,
-    condition: Condition = lambda start, goal, obstacles: "",
+def draw_clutter(random: np.random.Generator, tally: Tally) -> Drawn:
+    """A scene of six obstacles, see `first_drawn`."""
+    return _draw_on_table(random, tally, MOST_OBSTACLES, _no_clutter)
+
+
+def _draw_on_table(
+    random: np.random.Generator, tally: Tally, count: int, no_scene: Condition
 ) -> Drawn:
-    """A scene of so many obstacles, of which a further condition may be asked.
-
-    Raises:
-        RuntimeError: if none was found in `_MOST_ATTEMPTS` attempts.
-    """
-    for _ in range(_MOST_ATTEMPTS):
+    def attempt() -> Drawn | None:
         obstacles = draw_obstacles(random, count, tally)
         if obstacles is None:
-            continue
-        scene_cell().put(obstacles)
+            return None
+        planning_scene().put(obstacles)
         for _ in range(_MOTIONS):
             ends = draw_ends(random, tally)
-            if ends is None:
-                continue
-            if tally.takes("scenes", condition(*ends, obstacles) or _no_scene(*ends, obstacles)):
+            if ends is not None and tally.takes("scenes", no_scene(*ends, obstacles)):
                 return obstacles, *ends
-    raise RuntimeError(f"no scene of {count} obstacles found in {_MOST_ATTEMPTS} attempts")
+        return None
+
+    return first_drawn(attempt, _MOST_ATTEMPTS, f"{count} obstacles")
+
+
+def _no_clutter(start: FloatArray, goal: FloatArray, obstacles: Sequence[Obstacle]) -> str:
+    near = sum(distance_to_line(start, goal, obstacle) < NEAR for obstacle in obstacles)
+    if near < NEAR_OBSTACLES:
+        return "fewer than three things within 25 cm of the way"
+    return _no_scene(start, goal, obstacles)
+
+
+def distance_to_line(start: FloatArray, goal: FloatArray, obstacle: Obstacle) -> float:
+    """Least distance of the upright cylinder round an obstacle to the line of the tool [m]."""
+    line = np.linspace(start, goal, _SAMPLES)
+    aside = np.linalg.norm(line[:, :2] - obstacle.translation[:2], axis=1)
+    aside = np.maximum(aside - footprint_radius(obstacle), 0.0)
+    above = np.maximum(line[:, 2] - height(obstacle), 0.0)
+    return float(np.hypot(aside, above).min())
 
 
 def _no_scene(start: FloatArray, goal: FloatArray, obstacles: Sequence[Obstacle]) -> str:
@@ -84,7 +100,7 @@ def _no_scene(start: FloatArray, goal: FloatArray, obstacles: Sequence[Obstacle]
     clear = "the planned motion is clear"
     if _line_is_far(start, goal, obstacles):
         return clear
-    cell = scene_cell()
+    cell = planning_scene()
     motion = cell.straight_motion(start, goal)
     if motion is None:
         return NOT_FOLLOWED

@@ -9,14 +9,18 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from drake_oa.common.files import replace_text
+from drake_oa.studies.parallel import Call, carry_out
 
+_Place = TypeVar("_Place")
 _logger = logging.getLogger("drake_oa")
 
 _SOURCES = {
@@ -45,8 +49,9 @@ def source_digest() -> str:
 
 
 def content_key(*parts: object) -> str:
-    """Digest of plain data."""
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+    """Digest of plain data and of `source_digest`."""
+    text = json.dumps([source_digest(), *parts], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 class ResultFolder:
@@ -58,7 +63,7 @@ class ResultFolder:
         Raises:
             ValueError: if it cannot be made or written to.
         """
-        self._folder = folder
+        self.path = folder
         try:
             folder.mkdir(parents=True, exist_ok=True)
             trial = folder / ".writable"
@@ -67,28 +72,78 @@ class ResultFolder:
         except OSError as error:
             raise ValueError(f"cannot write results to {folder}: {error.strerror}") from None
 
-    @property
-    def path(self) -> Path:
-        """The folder."""
-        return self._folder
-
     def load(self, name: str, key: str) -> Any:
         """The content of a name, or None where there is none of this key.
 
         A file that cannot be read is warned of and counts as none.
         """
-        path = self._folder / f"{name}.json"
+        path = self.path / f"{name}.json"
         try:
             found = json.loads(path.read_text())
-            same, content = found["key"] == key, found["content"]
+            return found["content"] if found["key"] == key else None
         except FileNotFoundError:
             return None
         except (OSError, ValueError, KeyError, TypeError) as error:
             _logger.warning("%s cannot be read and is made anew: %r", path, error)
             return None
-        return content if same else None
 
     def save(self, name: str, key: str, content: Any) -> None:
         """Writes a content in one piece."""
         text = json.dumps({"key": key, "content": content}, indent=1, allow_nan=False)
-        replace_text(self._folder / f"{name}.json", text + "\n")
+        replace_text(self.path / f"{name}.json", text + "\n")
+
+
+@dataclass(frozen=True)
+class Task:
+    """A call, and where its result is kept.
+
+    Attributes:
+        name: of the result in its folder.
+        key: see `content_key`.
+        call: arguments of the function.
+        files: that it is to leave besides, or it is done anew.
+    """
+
+    name: str
+    key: str
+    call: Call
+    files: tuple[Path, ...] = ()
+
+
+def resumed(
+    function: Callable[..., tuple[Any, Any]],
+    tasks: Mapping[_Place, Task],
+    folder: ResultFolder | None,
+    *,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    prepare: Callable[[Sequence[Call]], None] | None = None,
+) -> Iterator[tuple[_Place, Any, Any, bool]]:
+    """Carries out what is not on disk yet, and writes each result as soon as it is done.
+
+    Args:
+        function: gives the result to keep and something that is not kept.
+        tasks: place -> task.
+        folder: of the results; None: nothing is kept.
+        jobs: see `carry_out`.
+        scheduler: see `carry_out`.
+        prepare: called with the arguments of what is to be done, before processes share it.
+
+    Yields:
+        Place, result, what is not kept, and whether the result was on disk: those first.
+    """
+    todo = []
+    for place, task in tasks.items():
+        known = folder.load(task.name, task.key) if folder else None
+        if isinstance(known, dict) and all(file.exists() for file in task.files):
+            yield place, known, None, True
+        else:
+            todo.append(place)
+    calls = [tasks[place].call for place in todo]
+    if prepare is not None and jobs > 1 and scheduler is None and len(calls) > 1:
+        prepare(calls)
+    for number, (content, rest) in carry_out(function, calls, jobs=jobs, scheduler=scheduler):
+        task = tasks[todo[number]]
+        if folder:
+            folder.save(task.name, task.key, content)
+        yield todo[number], content, rest, False

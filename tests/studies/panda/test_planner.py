@@ -5,9 +5,8 @@ import pytest
 
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.studies.panda.planner import run_planner, world_positions
-from drake_oa.studies.panda.run import run_panda_scene
-from drake_oa.studies.panda.sampling_planner import CLEARANCE, plan_motion
+from drake_oa.studies.panda.planner import CLEARANCE, plan_motion, run_planner, world_positions
+from drake_oa.studies.panda.run import run_and_judge
 
 pytest.importorskip("ompl")
 
@@ -43,7 +42,7 @@ def test_goes_round_a_post_with_the_clearance_and_the_same_twice():
 
 def test_a_goal_inside_a_box_has_no_plan():
     box = "{name: box, shapes: [!Box {size: [0.3, 0.3, 0.3]}], translation: [0.45, 0.3, 0.3]}"
-    result = run_panda_scene(scene(box), "planner", "truth")
+    result = run_and_judge(scene(box), "planner", "truth").result
     assert (result["outcome"], result["failed"]) == ("stopped", False)
     assert result["reason"] == "no configuration at the goal is free"
 

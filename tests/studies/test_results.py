@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from drake_oa.studies.panda.results import ResultFolder, content_key, source_digest
+from drake_oa.studies.results import ResultFolder, content_key, source_digest
 
 
 def test_a_result_comes_back_by_its_key_only(tmp_path):
