@@ -1,1 +1,23 @@
-"""Ellipsoids, superquadrics, primitives, voxels and clusters: geometry without a robot."""
+"""Geometry as functions of arrays: rotations, ellipsoids, superquadrics, primitives, points.
+
+No systems and no state. Lengths are in metres, angles in radians; `p_WQ` are points Q in the
+world frame W, `X_WG` (4, 4) and `R_WO` (3, 3) poses and rotations, all of float64.
+
+- `ellipsoid`: the unified system-obstacle descriptor (Pairet et al. 2019, section IV-B). A cloud
+  dilated by the tool, O + (-E), and the ellipsoid of least volume round it (Todd and Yildirim
+  2007), certified against every point and corner; distances, sections, tangent headings. Its
+  loops are in `ellipsoid_kernels`.
+- `superquadric`: the paper's least-squares fit (Solina and Bajcsy 1990).
+- `primitives`: rounded boxes and cylinders of a robot: distance of a point, points inside.
+- `collision_shapes`: what Drake knows of a robot's or an obstacle's shape, as arrays.
+- `shapes`: `!Box`, `!Cylinder` and `!Sphere`, the blocks of a scenario.
+- `points`: an observation's points in blocks with bounding spheres, for fast distance queries.
+- `voxels`: cells of a grid: thinning, means, clusters (union of near points), gaps in the image.
+- `pinhole`: the camera's projection, and a `View`: image, intrinsics and pose together.
+- `rotation`, `directions`: rotation vectors, quaternions, turns about an axis; 26 directions.
+
+Compiled kernels take C-contiguous arrays of one type each, so that numba compiles each of them
+once and caches it on disk; a NamedTuple such as `View` counts as one argument.
+
+Begin with `ellipsoid.enclosing_ellipsoid`.
+"""

@@ -48,11 +48,6 @@ class Ellipsoid(Frozen):
     semi_axes: FloatArray = field(default_factory=lambda: np.ones(3))
     gauge: float = 0.0
 
-    @property
-    def volume(self) -> float:
-        """Volume [m^3]."""
-        return float(4.0 / 3.0 * np.pi * np.prod(self.semi_axes))
-
 
 class Projection(NamedTuple):
     """Nearest points on ellipsoids.
@@ -228,24 +223,6 @@ def shape_matrix(R: FloatArray, semi_axes: FloatArray) -> FloatArray:
     return np.asarray(scaled @ np.swapaxes(scaled, -1, -2))
 
 
-def support(direction: FloatArray, R: FloatArray, semi_axes: FloatArray) -> FloatArray:
-    """Support function about the centre: h(n) = | diag(a) R^T n | [m].
-
-    For a unit n it is also the half-width of the ellipsoid's shadow (its orthogonal
-    projection on a line or plane) along n.
-
-    Args:
-        direction: (..., 3) directions n in W.
-        R: (..., 3, 3) rotations R_WO.
-        semi_axes: (..., 3) semi-axes [m].
-
-    Returns:
-        (...) half-widths [m] by broadcasting.
-    """
-    scaled = np.einsum("...ji,...j->...i", R, direction) * semi_axes
-    return np.asarray(np.sqrt(np.einsum("...i,...i->...", scaled, scaled)))
-
-
 def signed_distance(
     p: ArrayLike, center: ArrayLike, R: ArrayLike, semi_axes: ArrayLike
 ) -> FloatArray:
@@ -320,59 +297,6 @@ def plane_section(
         out[..., 4:7],
         out[..., 7:].reshape(*shape, 2, 3),
     )
-
-
-def tangent_heading(
-    p: ArrayLike, center: ArrayLike, B: ArrayLike, direction: ArrayLike, clearance: ArrayLike
-) -> tuple[FloatArray, np.ndarray, FloatArray]:
-    """Heading from p past each ellipsoid, at a clearance, on a chosen side.
-
-    In the plane of e1 = unit(p_WO - p) and e2, the part of the direction omega
-    perpendicular to e1, the ellipsoid's shadow grown by the clearance Delta has the
-    support function h(n) + Delta, h(n)^2 = n^T B n. The line through p that supports it on
-    the side of omega has the normal n with n . (p - p_WO) = h(n) + Delta, and the half
-    space beyond it keeps Delta from the ellipsoid in all three dimensions. The heading is
-    along that line, past the obstacle.
-
-    Within the grown shadow there is no such line: n is then the direction in the
-    plane of the shortest way out, and the heading, perpendicular to it, leans outward by
-    up to 45 degrees in proportion to the depth below the clearance.
-
-    Args:
-        p: (3,) the point in W [m].
-        center: (M, 3) centres p_WO [m].
-        B: (M, 3, 3) shape matrices [m^2], see `shape_matrix`.
-        direction: (M, 3) chosen sides omega in W. Parallel to e1 or zero: any side.
-        clearance: () or (M,) clearances Delta >= 0 [m].
-
-    Returns:
-        heading (M, 3): unit headings v_t in W; inside (M,) bool: p is within the grown
-        shadow; normal (M, 3): unit normals n in W.
-
-    Raises:
-        ValueError: for shapes that do not fit.
-    """
-    p_, B_ = np.array(p, dtype=float), np.array(B, dtype=float)
-    center_, direction_ = np.array(center, dtype=float), np.array(direction, dtype=float)
-    count = len(center_)
-    if (
-        p_.shape != (3,)
-        or center_.shape != (count, 3)
-        or direction_.shape != (count, 3)
-        or B_.shape != (count, 3, 3)
-    ):
-        raise ValueError(
-            "tangent_heading: p must be (3,), center and direction (M, 3), B (M, 3, 3), not "
-            f"{p_.shape}, {center_.shape}, {direction_.shape}, {B_.shape}"
-        )
-    delta = np.array(clearance, dtype=float).reshape(-1)
-    if len(delta) not in (1, count):
-        raise ValueError(f"tangent_heading: clearance must be () or ({count},), not {delta.shape}")
-    heading, normal, inside = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
-    kernels.tangent_headings(
-        p_, center_, B_, direction_, delta, np.empty((7, 3)), heading, inside, normal
-    )
-    return heading, inside > 0.0, normal
 
 
 def checked_points(points: ArrayLike, name: str) -> FloatArray:

@@ -374,7 +374,29 @@ def tangent_headings(
     inside: FloatArray,
     normal: FloatArray,
 ) -> None:
-    """See `drake_oa.geometry.ellipsoid.tangent_heading`; work is (7, 3) scratch."""
+    """Headings from p past M ellipsoids, at a clearance, on a chosen side.
+
+    In the plane of e1 = unit(p_WO - p) and e2, the part of the direction omega perpendicular to
+    e1, the ellipsoid's shadow grown by the clearance Delta has the support function h(n) + Delta,
+    h(n)^2 = n^T B n. The line through p that supports it on the side of omega has the normal n
+    with n . (p - p_WO) = h(n) + Delta, and the half space beyond it keeps Delta from the ellipsoid
+    in all three dimensions. The heading is along that line, past the obstacle.
+
+    Within the grown shadow there is no such line: n is then the direction in the plane of the
+    shortest way out, and the heading, perpendicular to it, leans outward by up to 45 degrees in
+    proportion to the depth below the clearance.
+
+    Args:
+        p: (3,) the point in W [m].
+        center: (M, 3) centres p_WO [m].
+        B: (M, 3, 3) shape matrices [m^2], see `ellipsoid.shape_matrix`.
+        direction: (M, 3) chosen sides omega in W. Parallel to e1 or zero: any side.
+        clearance: (1,) or (M,) clearances Delta >= 0 [m].
+        work: (7, 3) scratch.
+        heading: (M, 3) written: unit headings in W.
+        inside: (M,) written: 1 where p is within the grown shadow, else 0.
+        normal: (M, 3) written: unit normals n in W.
+    """
     e1, e2, to_center = work[0], work[1], work[2]
     axes, y, w, x = work[3], work[4], work[5], work[6]
     for m in range(heading.shape[0]):

@@ -21,7 +21,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray, Frozen
-from drake_oa.geometry.ellipsoid import checked_points, right_handed, unit_directions
+from drake_oa.geometry.ellipsoid import checked_points, right_handed
 
 EXPONENT_RANGE = (0.1, 2.0)
 """Range of lambda_4 and lambda_5: the convex superquadrics, short of singular ones."""
@@ -87,20 +87,6 @@ def log_inside_outside(p_O: ArrayLike, semi_axes: ArrayLike, exponents: ArrayLik
     return np.asarray(np.logaddexp(across, 2.0 / l4 * log[..., 2]))
 
 
-def inside_outside(shape: Superquadric, p: ArrayLike) -> FloatArray:
-    """F (eq. sq): below 1 inside, 1 on the surface, above 1 outside.
-
-    Args:
-        shape: the superquadric.
-        p: (..., 3) points in W [m].
-
-    Returns:
-        (...) values; inf where F itself is not a double any more.
-    """
-    with np.errstate(over="ignore"):
-        return np.exp(log_inside_outside(shape.local(p), shape.semi_axes, shape.exponents))
-
-
 def radial_distance(shape: Superquadric, p: ArrayLike) -> FloatArray:
     """Distance to the surface along the ray from the centre, negative inside, (...) [m].
 
@@ -114,17 +100,6 @@ def radial_distance(shape: Superquadric, p: ArrayLike) -> FloatArray:
     at_center = reach == 0.0
     scale = np.exp(-0.5 * shape.exponents[0] * np.where(at_center, 0.0, log))
     return np.asarray(np.where(at_center, -shape.semi_axes.min(), reach * (1.0 - scale)))
-
-
-def surface_points(shape: Superquadric, count: int = 642) -> FloatArray:
-    """(count, 3) points of the surface in W [m], one along each of `unit_directions`.
-
-    The directions are stretched by the semi-axes, so that flat shapes are covered too.
-    """
-    rays = unit_directions(count) * shape.semi_axes
-    log = log_inside_outside(rays, shape.semi_axes, shape.exponents)
-    local = rays * np.exp(-0.5 * shape.exponents[0] * log)[:, None]
-    return np.asarray(shape.center + local @ shape.R.T)
 
 
 def fit_superquadric(

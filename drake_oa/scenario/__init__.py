@@ -7,7 +7,7 @@ once, when it is read. An error names the field and what would be valid.
     task           start, goal, demonstration, asked clearance      `task.Task`
     policy         movement primitive and coupling terms            `scenario.Policy`
     robot          model, tool, gains, posture                      `robot.config.Robot`
-    perception     tagged: where obstacles come from                `perception`
+    perception     tagged: where obstacles come from    `perception.config`, `perception`
     regulation     tagged: !Verified or !Regressor                  `scenario.Verified`, `Regressor`
     supervisor, evasion                                             `scenario`
     cameras, directives                                             Drake's own

@@ -1,1 +1,23 @@
-"""The simulated station: robot and obstacles in a plant, cameras, noise and faults."""
+"""The SIMULATED station: plant, cameras, noise, moving obstacles and faults.
+
+On a real robot this folder is replaced by drivers, and nothing above it changes: it offers the
+robot's state [q, v], an ImageDepth32F [m] with its time and the camera's pose X_WC, and takes
+torques [N m]. Frames: W world, C camera (x right, y down, z forward).
+
+- `station.make_station` adds a scenario's plant, scene graph and cameras to a diagram;
+  `world_model` is what stands in it, `obstacles` those that are written in the scenario.
+  `ObstacleMover` drives one on its course, at the plant's step.
+- `cameras` renders in a scene graph of its own. `LateCamera` takes an image every period and
+  hands it out some time after; it is rendered meanwhile in a thread.
+- `DepthNoise` makes of a true depth image what a structured-light camera tells (Nguyen, Izadi and
+  Lovell 2012; Khoshelham and Oude Elberink 2012): steps of disparity, axial noise smooth over a
+  few pixels, shadows, flying and missing pixels. It is a function of seed, time and image: runs
+  repeat.
+- `faults` says what goes wrong and when; `fault_systems` brings it in: `CameraFaults` (frames
+  that are late, lost or damaged), `WeakActuators`, `ExternalPush`.
+
+Configuration: the blocks `obstacles`, `cameras`, `directives` and `faults` of a scenario, and
+`perception.noise` (`drake_oa.perception.config.CameraNoise`).
+
+Begin with `station.make_station`.
+"""

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from drake_oa.geometry.ellipsoid import support
+from drake_oa.geometry.ellipsoid import shape_matrix
 from drake_oa.studies.scenes.judge import judge
 from drake_oa.studies.scenes.methods import Motions, Setting
 from drake_oa.studies.scenes.sampling import line_distance, line_hits, random_rotations
@@ -44,7 +44,7 @@ def test_the_seed_decides(name: str) -> None:
 def test_obstacles_keep_to_the_papers_box(name: str) -> None:
     scenes = draw_scenes(name, 200)
     center, a = scenes.center[:, 0], scenes.semi_axes[:, 0]
-    extent = support(np.array([1.0, 0.0, 0.0]), scenes.R[:, 0], a)
+    extent = np.sqrt(shape_matrix(scenes.R[:, 0], a)[:, 0, 0])
     assert (center[:, 0] - extent > 0.05 - 1e-9).all()
     assert (center[:, 0] + extent < scenes.baseline - 0.05 + 1e-9).all()
     assert (np.abs(center[:, 1:]) <= 0.4).all()
