@@ -13,8 +13,7 @@ from drake_oa.common.schema_check import ScenarioError
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.arm import arm_model, make_posture_guide
 from drake_oa.diagrams.station import Cell
-from drake_oa.posture.null_space_coupling import NullSpaceCouplingParameters
-from drake_oa.posture.null_space_coupling_system import NullSpaceCoupling
+from drake_oa.posture.null_space_coupling import NullSpaceCoupling, NullSpaceCouplingParameters
 from drake_oa.posture.posture_follower import PostureFollower
 from drake_oa.regulation.verified_regressor_chain import RobotArm
 from drake_oa.robot.plant import RobotPlant

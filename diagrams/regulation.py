@@ -18,10 +18,9 @@ from drake_oa.policy.dmp import Dmp
 from drake_oa.regulation.regressor import load_chain
 from drake_oa.regulation.regressor_chain import RegressorChain
 from drake_oa.regulation.regulator import Regulator
-from drake_oa.regulation.tool_turn import ToolTurner
+from drake_oa.regulation.search import SearchParameters
+from drake_oa.regulation.tool_turn import ToolTurner, TurningTool, TurnParameters
 from drake_oa.regulation.tool_turn_selector import ToolTurnSelector
-from drake_oa.regulation.turning_tool import TurningTool, TurnParameters
-from drake_oa.regulation.verification import SearchParameters
 from drake_oa.regulation.verified_regressor_chain import RobotArm, VerifiedRegressorChain
 from drake_oa.robot.plant import RobotPlant, home_positions, tool_link_corners
 from drake_oa.robot.reachable_turns import reachable_turns

@@ -21,16 +21,141 @@ is what the controller adds: none of it moves the tool.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
+from numba import njit
+from pydrake.common.value import Value
+from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
 from drake_oa.common.kernel_arrays import kernel_arrays
-from drake_oa.common.messages import FloatArray, Frozen
-from drake_oa.posture import null_space_coupling_kernels as kernels
+from drake_oa.common.messages import FloatArray, Frozen, IntArray, ObstacleClouds, TablePlane
+from drake_oa.common.ports import DECISION_OFFSET, read_value, valid_period
+from drake_oa.geometry.primitives import point_distance, posed, to_frame
+from drake_oa.policy.coupling_kernels import avoidance_term, norm
 from drake_oa.posture.arm_surroundings import ArmSurroundings
-from drake_oa.robot.arm_kernels import jacobian
+from drake_oa.robot.arm_kernels import jacobian, nearest_point
 from drake_oa.robot.arm_motion import ArmModel
+
+_AT_REST = 1e-6
+"""Speeds below this have no direction [m/s]."""
+_FADES = 0.2
+"""Cosine of the heading from which on the reaction fades to that of no approach, 0."""
+
+
+@njit(cache=True, error_model="numpy")
+def nearest_section(
+    X_WB: FloatArray,
+    body_sphere: FloatArray,
+    shape_body: IntArray,
+    X_BG: FloatArray,
+    size: FloatArray,
+    bound: FloatArray,
+    points: FloatArray,
+    block_start: IntArray,
+    block_owner: IntArray,
+    block_sphere: FloatArray,
+    v_WO: FloatArray,
+    age: float,
+    only: int,
+    limit: float,
+    p_WS: FloatArray,
+    u_W: FloatArray,
+) -> tuple[float, int]:
+    """The point S of an arm's shapes that is nearest to an obstacle.
+
+    Args:
+        X_WB, ..., limit: as of `arm_kernels.nearest_point`; `only` is an obstacle's row.
+        p_WS: (3,) receives S in the world [m].
+        u_W: (3,) receives the unit direction from there to the obstacle.
+
+    Returns:
+        The distance [m], negative inside, and the body; the limit and -1 where all of the
+        obstacle is farther away.
+    """
+    distance, shape, owner, row = nearest_point(
+        X_WB, body_sphere, shape_body, X_BG, size, bound, points, block_start, block_owner,
+        block_sphere, v_WO, age, only, limit,
+    )  # fmt: skip
+    if shape < 0:
+        return limit, -1
+    body = shape_body[shape]
+    X_WG = np.empty((3, 4))
+    posed(X_WB[body], X_BG[shape], X_WG)
+    p_WQ = np.empty(3)
+    for i in range(3):
+        p_WQ[i] = points[row, i] + v_WO[owner, i] * age
+    x, y, z = to_frame(X_WG, p_WQ[0] - X_WG[0, 3], p_WQ[1] - X_WG[1, 3], p_WQ[2] - X_WG[2, 3])
+    _, ux, uy, uz = point_distance(x, y, z, size[shape])
+    for i in range(3):
+        u_W[i] = X_WG[i, 0] * ux + X_WG[i, 1] * uy + X_WG[i, 2] * uz
+        p_WS[i] = p_WQ[i] - distance * u_W[i]
+    return distance, body
+
+
+@njit(cache=True, error_model="numpy")
+def point_jacobian(X_WB: FloatArray, body: int, p_WS: FloatArray, J: FloatArray) -> None:
+    """Jacobian of the velocity of a body's point.
+
+    Args:
+        X_WB: (n + 1, 4, 4) as `arm_kernels.poses` leaves them.
+        body: the body's row.
+        p_WS: (3,) the point in the world [m].
+        J: (3, n) receives it.
+    """
+    for i in range(J.shape[1]):
+        if i > body:
+            J[0, i], J[1, i], J[2, i] = 0.0, 0.0, 0.0
+            continue
+        ax, ay, az = X_WB[i, 0, 2], X_WB[i, 1, 2], X_WB[i, 2, 2]
+        rx, ry, rz = p_WS[0] - X_WB[i, 0, 3], p_WS[1] - X_WB[i, 1, 3], p_WS[2] - X_WB[i, 2, 3]
+        J[0, i], J[1, i], J[2, i] = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
+
+
+@njit(cache=True, error_model="numpy")
+def turned_away(
+    v_W: FloatArray,
+    u_W: FloatArray,
+    distance: float,
+    alpha: float,
+    psi: float,
+    kappa: float,
+    step: float,
+    a_W: FloatArray,
+) -> None:
+    """The acceleration Omega x v that turns a point away from what is nearest to it.
+
+    Args:
+        v_W: (3,) its velocity relative to the obstacle's [m/s].
+        u_W: (3,) unit direction to the obstacle.
+        distance: to its surface [m].
+        alpha, psi, kappa: of (eq. oa_complete) [rad/s, rad, 1/m^2].
+        step: how long the acceleration is held [s]; in it the heading does not turn past
+            the direction straight away.
+        a_W: (3,) receives it [m/s^2].
+    """
+    a_W[:] = 0.0
+    speed = norm(v_W[0], v_W[1], v_W[2])
+    if not speed > _AT_REST:
+        return
+    ex, ey, ez = v_W[0] / speed, v_W[1] / speed, v_W[2] / speed
+    toward = ex * u_W[0] + ey * u_W[1] + ez * u_W[2]
+    if toward <= 0.0:
+        return
+    near = max(distance, 0.0)
+    ax, ay, az, explicit, divisor = avoidance_term(
+        u_W[0], u_W[1], u_W[2], ex, ey, ez, 0.0, 0.0, 0.0,
+        alpha, psi, kappa * near * near, False, step,
+    )  # fmt: skip
+    if divisor == 0.0:
+        return
+    # It ends with the approach, and without a jump.
+    rate = min(toward / _FADES, 1.0) * explicit / divisor / step
+    a_W[0] = rate * (ay * v_W[2] - az * v_W[1])
+    a_W[1] = rate * (az * v_W[0] - ax * v_W[2])
+    a_W[2] = rate * (ax * v_W[1] - ay * v_W[0])
+
 
 DAMPING = 0.1
 """Of the damped inverse [m]: a section that the null space moves by less a radian than this
@@ -97,7 +222,7 @@ def section_acceleration(
     if distance < parameters.reach:
         p = parameters
         v, u = kernel_arrays(v_W, u_W)
-        kernels.turned_away(v, u, distance, p.alpha, p.psi, p.kappa, step, a_W)
+        turned_away(v, u, distance, p.alpha, p.psi, p.kappa, step, a_W)
     return a_W
 
 
@@ -141,13 +266,13 @@ def null_space_acceleration(
     shapes = [np.array(array, order="C") for array in arm.shapes]
     p_WS, u_W, J_S, Z = np.empty(3), np.empty(3), np.empty((3, n)), np.empty((n, 0))
     for row, v_WO in enumerate(seen.v_WO):
-        distance, body = kernels.nearest_section(
+        distance, body = nearest_section(
             X_WB, *shapes, seen.points, seen.start, seen.owner, seen.sphere, seen.v_WO,
             age, row, parameters.reach + around.padding, p_WS, u_W,
         )  # fmt: skip
         if body < 0:
             continue
-        kernels.point_jacobian(X_WB, body, p_WS, J_S)
+        point_jacobian(X_WB, body, p_WS, J_S)
         a_S = section_acceleration(J_S @ v - v_WO, u_W, distance - around.padding, parameters, step)
         if not a_S.any():
             continue
@@ -162,3 +287,98 @@ def null_space_acceleration(
         total += Z @ np.linalg.solve(square, moves.T @ a_S)
     size = float(np.linalg.norm(total))
     return total if size <= parameters.most else total * (parameters.most / size)
+
+
+@dataclass(frozen=True, eq=False)
+class _Held(Frozen):
+    """What is kept from step to step: the obstacles, laid out, and the answer [rad/s^2]."""
+
+    acceleration: FloatArray
+    seen: ObstacleClouds | None = None
+    around: ArmSurroundings = field(default_factory=ArmSurroundings)
+
+
+class NullSpaceCoupling(LeafSystem):
+    """Applies the coupling law to the links, as `drake_oa.posture.null_space_coupling` describes
+    it.
+
+    .. pydrake_system::
+
+      name: NullSpaceCoupling
+      input_ports:
+      - robot_state
+      - obstacles_W
+      output_ports:
+      - null_space_acceleration
+
+    - robot_state: positions and velocities of the robot, (2m,) [rad, m, rad/s, m/s].
+    - obstacles_W: abstract `ObstacleClouds`, with their velocities.
+    - null_space_acceleration: (n,) of the arm's n joints, for `CartesianInverseDynamics`
+      [rad/s^2]; 0 where nothing is near or approached, or the state is not finite.
+
+    It is decided every `period` and held in between. What is held is abstract state.
+    """
+
+    def __init__(
+        self,
+        arm: ArmModel,
+        num_states: int,
+        parameters: NullSpaceCouplingParameters,
+        *,
+        period: float = 0.008,
+        table: TablePlane | None = None,
+    ) -> None:
+        """Declares the ports.
+
+        Args:
+            arm: whose links.
+            num_states: 2m, size of the robot's state; velocities are in the order of the
+                positions.
+            parameters: of the law.
+            period: time between decisions [s].
+            table: the supporting plane, where it is known.
+
+        Raises:
+            ValueError: if the state does not hold the arm's joints, or the period is not
+                positive.
+        """
+        super().__init__()
+        if num_states % 2 or num_states < 2 * (int(arm.index.max()) + 1):
+            raise ValueError(f"num_states must hold the arm's joints, not {num_states}")
+        self._period = valid_period(period)
+        self._arm, self._parameters, self._table = arm, parameters, table
+        self._index: Sequence[int] = arm.index.tolist()
+        self._count = num_states // 2
+        n = len(self._index)
+        self._robot = self.DeclareVectorInputPort("robot_state", num_states)
+        self._obstacles = self.DeclareAbstractInputPort("obstacles_W", Value(ObstacleClouds()))
+        self._held = self.DeclareAbstractState(Value(_Held(np.zeros(n))))
+        self.DeclareVectorOutputPort(
+            "null_space_acceleration", n, self._calc, {self.abstract_state_ticket(self._held)}
+        )
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._decide)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(self._period, DECISION_OFFSET, self._decide)
+
+    def _decide(self, context: Context, state: State) -> EventStatus:
+        held: _Held = context.get_abstract_state(self._held).get_value()
+        seen = read_value(self, self._obstacles, context, ObstacleClouds)
+        around = held.around
+        if seen is not held.seen:
+            around = ArmSurroundings.of(seen, self._table)
+        x = self._robot.Eval(context)
+        acceleration = np.zeros(len(self._index))
+        if np.isfinite(x).all():
+            acceleration = null_space_acceleration(
+                self._arm,
+                around,
+                x[self._index],
+                x[self._count :][self._index],
+                self._parameters,
+                time=context.get_time(),
+                step=self._period,
+            )
+        state.get_mutable_abstract_state(self._held).set_value(_Held(acceleration, seen, around))
+        return EventStatus.Succeeded()
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(context.get_abstract_state(self._held).get_value().acceleration)

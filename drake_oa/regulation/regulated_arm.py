@@ -28,8 +28,14 @@ from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.policy.action import SCALED_TO_REST
 from drake_oa.policy.dmp import Dmp, normalised_time
 from drake_oa.posture.posture_planner import ArmSight, ArmWay, WholeArm
-from drake_oa.posture.stepping_aside import Aside
-from drake_oa.posture.waypoint_tree import Legs, LegTree, grown, shortened_way, straight_motion
+from drake_oa.posture.waypoint_tree import (
+    Aside,
+    Legs,
+    LegTree,
+    grown,
+    shortened_way,
+    straight_motion,
+)
 from drake_oa.regulation.regulation import Regulation, hardly_moved
 from drake_oa.regulation.regulator import SEEK_AGAIN, Regulator
 

@@ -22,8 +22,8 @@ from drake_oa.common.messages import (
 )
 from drake_oa.policy.coupling_kernels import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
 from drake_oa.posture.posture_planner import ArmWay
-from drake_oa.posture.stepping_aside import Aside
-from drake_oa.regulation.verification import ANGLE, N_GENES
+from drake_oa.posture.waypoint_tree import Aside
+from drake_oa.regulation.proposals import ANGLE, N_GENES
 
 _NOISE = 5e-3
 """By how much an obstacle at rest may seem to move or grow from frame to frame [m]."""

@@ -1,6 +1,6 @@
 """Regulation by verified motions, from one observation to the next.
 
-What `drake_oa.regulation.verification.verify` chooses for a motion under way is kept while nothing
+What `drake_oa.regulation.search.verify` chooses for a motion under way is kept while nothing
 changes, and asked for anew, beginning with what is in use, when the obstacles do. The
 avoidance term is put on the row of the obstacle that the motion comes nearest to.
 
@@ -28,6 +28,8 @@ from drake_oa.common.messages import (
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.policy.coupling_kernels import N_COLUMNS
 from drake_oa.policy.dmp import Dmp, local_frame, normalised_time, trajectory
+from drake_oa.regulation.proposals import ALPHA as LOG_ALPHA
+from drake_oa.regulation.proposals import TAU
 from drake_oa.regulation.regressor import ChainWeights
 from drake_oa.regulation.regulation import (
     Regulation,
@@ -39,10 +41,14 @@ from drake_oa.regulation.regulation import (
     travelled,
 )
 from drake_oa.regulation.rollout import SpatialRollouts, SpatialScenes
-from drake_oa.regulation.search import roll_out
-from drake_oa.regulation.survey import assessed, survey
-from drake_oa.regulation.verification import ALPHA as LOG_ALPHA
-from drake_oa.regulation.verification import TAU, SearchParameters, Verified, verify
+from drake_oa.regulation.search import (
+    SearchParameters,
+    Verified,
+    assessed,
+    roll_out,
+    survey,
+    verify,
+)
 from drake_oa.robot.workspace import annulus_margin
 
 _OUTSIDE = 0.01
@@ -156,7 +162,7 @@ class Regulator:
             free = self._without_term(here, remaining, baseline)
             scene = self._scene(policy, here)
             seconds = self._dmp.duration * free.tau
-            motion = self._roll_out(scene, np.zeros((1, 0, N_COLUMNS)), seconds)
+            motion = self._roll_out(scene, np.zeros((1, N_COLUMNS)), seconds)
             planned = _planned(scene.s, motion, self._parameters.steps, here.p_WS)
             return replace(free, motion=planned)
         scene = self._scene(policy, here)
@@ -327,7 +333,7 @@ class Regulator:
         self, here: Regulation, scene: SpatialScenes, found: Verified, baseline: float
     ) -> Regulation:
         seconds = self._dmp.duration * math.exp(found.genes[0, TAU])
-        motion = self._roll_out(scene, found.terms[:, None], seconds)
+        motion = self._roll_out(scene, found.terms, seconds)
         least, start, goal = self._distances(scene, motion, seconds)
         feasible = np.minimum(self._clearance, np.minimum(start, goal))
         shortfall = float(found.shortfall[0])

@@ -1,9 +1,12 @@
 """Many action-level trajectories in space at once, among any number of ellipsoids.
 
-Each row does what the DmpIntegrator does with the coupling terms of that row: half a step
-of the spring in closed form, the turn of z by the avoidance terms, the spring's other half
-(`drake_oa.policy.dmp.step`, `drake_oa.policy.coupling.CouplingTerms` with `in_plane`). Obstacles
-may move at constant velocity; then the motion's duration tau T matters, else it does not.
+Each row does what the DmpIntegrator does with one avoidance term (eq. oa_complete, in its plane):
+half a step of the spring in closed form, the turn of z, the spring's other half. Obstacles may
+move at constant velocity; then the motion's duration tau T matters, else it does not.
+
+Rows of one scene are advanced `LANES` together as a structure of arrays
+(`drake_oa.regulation.rollout_kernels`). Distances to an obstacle are asked for only where the
+motion may have come nearer.
 """
 
 from __future__ import annotations
@@ -11,20 +14,121 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, fields, replace
 from functools import cache, lru_cache
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit, prange
 from numpy.typing import ArrayLike
 
 from drake_oa.common.kernel_arrays import kernel_arrays
-from drake_oa.common.messages import BoolArray, FloatArray, Frozen
+from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
 from drake_oa.common.work import count
 from drake_oa.policy.coupling_kernels import ALPHA, GUIDANCE_ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
 from drake_oa.policy.dmp import Dmp, imitate, minimum_jerk, spring_flow
-from drake_oa.regulation import spatial_kernels as kernels
-from drake_oa.regulation.lane_kernels import lane_kernel
+from drake_oa.regulation.lane_math import STRICT, widest_vectors
+from drake_oa.regulation.rollout_kernels import (
+    ALIVE,
+    CLOSEST,
+    CX,
+    CY,
+    CZ,
+    ENDS,
+    FEASIBLE,
+    INVERSE_PSI,
+    LANES,
+    LEAST,
+    LENGTH,
+    LOG_GAIN,
+    MARGIN,
+    MOST_PSI,
+    N_OBSTACLE,
+    N_STATE,
+    NX,
+    NY,
+    NZ,
+    OFFSET,
+    SECONDS,
+    TAKEN,
+    TERM_KAPPA,
+    TERM_PSI,
+    WORLD,
+    ZX,
+    ZY,
+    ZZ,
+    X,
+    Y,
+    Z,
+    come_nearer,
+    end_lanes,
+    first_half,
+    lane_jit,
+    may_come_nearer,
+    point_distance,
+    second_half,
+    turn_lanes,
+    world_margin,
+)
 
 STEPS = 500
 """Default number of steps a unit of normalised time."""
+N_OUTCOMES = 6
+"""Columns of what a row came to: margin, clearance, goal error, path length, steps, world margin;
+see `drake_oa.regulation.rollout.SpatialRollouts`."""
+FEW_BLOCKS = 4
+"""Up to as many are rolled out by the calling thread: to wake others takes longer."""
+_VECTOR = 8
+"""A block takes a multiple of this: not a fixed number, else short loops would be unrolled
+before they could become loops over vectors."""
+
+
+class SceneArrays(NamedTuple):
+    """S scenes, see `drake_oa.regulation.rollout.SpatialScenes`; a plane's n = 0: none."""
+
+    p_WE: FloatArray
+    z_W: FloatArray
+    p_WG: FloatArray
+    R_WL: FloatArray
+    baseline: FloatArray
+    p_WO: FloatArray
+    R_WO: FloatArray
+    semi_axes: FloatArray
+    v_WO: FloatArray
+    clearance: FloatArray
+    plane: FloatArray
+    annulus: FloatArray
+
+
+class Course(NamedTuple):
+    """How motions go on, and when they end.
+
+    Attributes:
+        force: (n, 3) f(k) / (alpha_x beta_x) in L in the middle of each step, a unit baseline.
+        flow: (4,) half a step of the spring, xx, xz, zx, zz.
+        step: ds.
+        least: steps before which a motion does not end.
+        fade: of the coupling near the goal, in baselines.
+        tolerance: it ends once the goal is this near and it is slow [m].
+        longest: (S,) a row ends once its path cannot become shorter than this [m].
+        shortest: (S,) a row ends once it is short of the feasible clearance by more than
+            this [m]; obstacles are at rest then.
+    """
+
+    force: FloatArray
+    flow: FloatArray
+    step: float
+    least: int
+    fade: float
+    tolerance: float
+    longest: FloatArray
+    shortest: FloatArray
+
+
+class Outcomes(NamedTuple):
+    """What N rows came to: (N, 6); positions and z, (N, n + 1, 3) or, not asked for, (0, 1, 3)."""
+
+    table: FloatArray
+    path: FloatArray
+    velocity: FloatArray
 
 
 def _no_plane() -> FloatArray:
@@ -78,6 +182,13 @@ class SpatialScenes(Frozen):
             if item.name not in shared
         }
         return replace(self, **chosen)
+
+    @property
+    def arrays(self) -> SceneArrays:
+        """As the kernels take them."""
+        plane = self.plane if len(self.plane) else np.zeros((len(self), 4))
+        values = {item: getattr(self, item) for item in SceneArrays._fields} | {"plane": plane}
+        return SceneArrays(*kernel_arrays(*values.values()))
 
     @property
     def p_WS(self) -> FloatArray:
@@ -152,16 +263,15 @@ def spatial_rollouts(
     longest: ArrayLike = math.inf,
     shortest: ArrayLike = math.inf,
     keep_path: bool = False,
-    lanes: bool = True,
 ) -> SpatialRollouts:
     """Rolls out one trajectory a row.
 
     Args:
         scenes: S scenes.
         scene: (N,) the scene of each row.
-        terms: (N, K, 13) avoidance terms as `coupling_kernels.turn_step` takes them: centre
+        terms: (N, 13) avoidance terms as `coupling_kernels.turn_step` takes them: centre
             (3) [m], alpha, psi, kappa [1/m^2], heading (3), unit normal (3) and guidance
-            alpha, which is 0; alpha 0: no such term.
+            alpha, which is 0; alpha 0: no term.
         seconds: () or (N,) tau T, the duration of a unit of s [s].
         dmp: the primitive; None: `default_dmp`.
         steps: number of steps a unit of s.
@@ -173,9 +283,6 @@ def spatial_rollouts(
         shortest: () or (S,) a row ends as soon as it is short of the feasible clearance by
             more than this [m]; for obstacles at rest.
         keep_path: whether to return the paths.
-        lanes: whether rows of one term each, whose paths are not asked for, are rolled out
-            many at a time: the same to 1e-5 m and one step, and several times faster where
-            the rows of a scene are many.
 
     Returns:
         The outcome of each row.
@@ -198,49 +305,263 @@ def spatial_rollouts(
         )
     step = 1.0 / steps
     most = max(round((horizon - scenes.s) * steps), 1)
-    plane = scenes.plane if len(scenes.plane) else np.zeros((len(scenes), 4))
-    out = np.empty((N, kernels.N_OUTCOMES))
     shape = (N if keep_path else 0, most + 1 if keep_path else 1, 3)
-    path, velocity = np.empty(shape), np.empty(shape)
-    arguments = (
-        index,
-        *kernel_arrays(scenes.p_WE, scenes.z_W, scenes.p_WG, scenes.R_WL, scenes.baseline),
-        *kernel_arrays(scenes.p_WO, scenes.R_WO, scenes.semi_axes, scenes.v_WO, scenes.clearance),
-        *kernel_arrays(plane, scenes.annulus),
-        table,
-        np.array(np.broadcast_to(np.asarray(seconds, dtype=float), (N,))),
+    out = Outcomes(np.empty((N, N_OUTCOMES)), np.empty(shape), np.empty(shape))
+    course = Course(
         _forcing(dmp, scenes.s, most, step),
         np.array(spring_flow(dmp.alpha_x, dmp.beta_x, 0.5 * step)),
         step,
         round((end - scenes.s) * steps),
-        fade,
-        tolerance,
+        float(fade),
+        float(tolerance),
         np.array(np.broadcast_to(np.asarray(longest, dtype=float), (len(scenes),))),
         np.array(np.broadcast_to(np.asarray(shortest, dtype=float), (len(scenes),))),
-        out,
     )
-    if lanes and not keep_path and table.shape[1] == 1:
-        lane_kernel(*arguments)
-    else:
-        kernels.spatial_kernel(*arguments, path, velocity)
-    margin, clearance, goal_error, path_length, taken, world = (np.array(c) for c in out.T)
+    per_row = np.array(np.broadcast_to(np.asarray(seconds, dtype=float), (N,)))
+    lane_kernel(index, table, per_row, scenes.arrays, course, out)
+    margin, clearance, goal_error, path_length, taken, world = (np.array(c) for c in out.table.T)
     count(searches=1, steps=int(taken.sum()) * max(scenes.p_WO.shape[1], 1))
-    return SpatialRollouts(margin, clearance, goal_error, path_length, taken, world, path, velocity)
+    return SpatialRollouts(
+        margin, clearance, goal_error, path_length, taken, world, out.path, out.velocity
+    )
 
 
 def _check_terms(terms: FloatArray, count: int) -> None:
-    if terms.ndim != 3 or terms.shape[0] != count or terms.shape[2] != N_COLUMNS:
-        raise ValueError(f"terms must be ({count}, K, {N_COLUMNS}), not {terms.shape}")
-    acting = terms[:, :, ALPHA] > 0.0
-    normal = np.linalg.norm(terms[:, :, NORMAL : NORMAL + 3], axis=2)
+    if terms.shape != (count, N_COLUMNS):
+        raise ValueError(f"terms must be ({count}, {N_COLUMNS}), not {terms.shape}")
+    acting = terms[:, ALPHA] > 0.0
+    normal = np.linalg.norm(terms[:, NORMAL : NORMAL + 3], axis=1)
     for wrong, what in (
-        (~np.isfinite(terms).all(axis=2), "must be finite"),
-        (terms[:, :, ALPHA] < 0.0, "must not have a negative alpha"),
-        (acting & ~(terms[:, :, PSI] > 0.0), "must have a positive psi"),
-        (acting & ~(terms[:, :, KAPPA] >= 0.0), "must not have a negative kappa"),
+        (~np.isfinite(terms).all(axis=1), "must be finite"),
+        (terms[:, ALPHA] < 0.0, "must not have a negative alpha"),
+        (acting & ~(terms[:, PSI] > 0.0), "must have a positive psi"),
+        (acting & ~(terms[:, KAPPA] >= 0.0), "must not have a negative kappa"),
         (acting & (np.abs(normal - 1.0) > 1e-6), "must have a normal of length 1"),
-        (terms[:, :, GUIDANCE_ALPHA] != 0.0, "must not guide: guidance alpha must be 0"),
+        (terms[:, GUIDANCE_ALPHA] != 0.0, "must not guide: guidance alpha must be 0"),
     ):
         if wrong.any():
-            row, term = np.argwhere(wrong)[0]
-            raise ValueError(f"terms {what}; term {term} of row {row} is {terms[row, term]}")
+            row = int(wrong.argmax())
+            raise ValueError(f"terms {what}; that of row {row} is {terms[row]}")
+
+
+# --- blocks ------------------------------------------------------------------------------
+
+
+@lane_jit
+def _laid_out(
+    rows: IntArray, s: int, terms: FloatArray, seconds: FloatArray, scenes: SceneArrays,
+    course: Course, S: FloatArray,
+) -> int:  # fmt: skip
+    """Puts up to `LANES` rows of scene s into a block; returns how many lanes it takes."""
+    x, y, z = scenes.p_WE[s, 0], scenes.p_WE[s, 1], scenes.p_WE[s, 2]
+    zx, zy, zz = scenes.z_W[s, 0], scenes.z_W[s, 1], scenes.z_W[s, 2]
+    error = math.sqrt(
+        (scenes.p_WG[s, 0] - x) ** 2 + (scenes.p_WG[s, 1] - y) ** 2 + (scenes.p_WG[s, 2] - z) ** 2
+    )
+    slow = zx**2 + zy**2 + zz**2 < (20.0 * course.tolerance) ** 2
+    ends = error > course.longest[s] or (course.least <= 0 and error < course.tolerance and slow)
+    world = world_margin(x, y, z, scenes.plane, s, scenes.annulus)
+    n = -(-len(rows) // _VECTOR) * _VECTOR
+    for i in range(n):
+        # A short block repeats its last row.
+        row = rows[min(i, len(rows) - 1)]
+        term = terms[row]
+        S[X + i], S[Y + i], S[Z + i] = x, y, z
+        S[ZX + i], S[ZY + i], S[ZZ + i] = zx, zy, zz
+        S[ALIVE + i], S[ENDS + i] = 1.0, 1.0 if ends else 0.0
+        S[WORLD + i] = world
+        S[CLOSEST + i] = S[MARGIN + i] = np.inf
+        S[CX + i], S[CY + i], S[CZ + i] = term[0], term[1], term[2]
+        S[NX + i], S[NY + i], S[NZ + i] = term[NORMAL], term[NORMAL + 1], term[NORMAL + 2]
+        S[TERM_PSI + i] = S[INVERSE_PSI + i] = 1.0
+        S[LOG_GAIN + i] = -1e30
+        if term[ALPHA] > 0.0:
+            S[LOG_GAIN + i] = math.log(term[ALPHA] * course.step)
+            psi = min(max(term[PSI], 1.0 / MOST_PSI), MOST_PSI)
+            S[TERM_PSI + i], S[INVERSE_PSI + i] = psi, 1.0 / psi
+            S[TERM_KAPPA + i] = term[KAPPA]
+        S[SECONDS + i] = seconds[row] * course.step
+    return n
+
+
+@lane_jit
+def _keep(rows: IntArray, k: int, S: FloatArray, out: Outcomes) -> None:
+    """Writes down where the lanes that go on are after k steps."""
+    for i in range(len(rows)):
+        if S[ALIVE + i] > 0.0:
+            path, velocity = out.path[rows[i]], out.velocity[rows[i]]
+            path[k, 0], path[k, 1], path[k, 2] = S[X + i], S[Y + i], S[Z + i]
+            velocity[k, 0], velocity[k, 1], velocity[k, 2] = S[ZX + i], S[ZY + i], S[ZZ + i]
+
+
+@lane_jit
+def _goal_distance(scenes: SceneArrays, s: int, j: int, time: float) -> float:
+    """Distance of the goal of scene s to its ellipsoid j after a time [m]."""
+    d, _ = point_distance(
+        scenes.p_WG[s, 0] - scenes.p_WO[s, j, 0] - scenes.v_WO[s, j, 0] * time,
+        scenes.p_WG[s, 1] - scenes.p_WO[s, j, 1] - scenes.v_WO[s, j, 1] * time,
+        scenes.p_WG[s, 2] - scenes.p_WO[s, j, 2] - scenes.v_WO[s, j, 2] * time,
+        scenes.R_WO, scenes.semi_axes, s, j, 0.0,
+    )  # fmt: skip
+    return d
+
+
+@lane_jit
+def _block(
+    rows: IntArray, terms: FloatArray, seconds: FloatArray, scene: IntArray, scenes: SceneArrays,
+    course: Course, out: Outcomes,
+) -> None:  # fmt: skip
+    """Rolls out up to `LANES` rows of one scene."""
+    widest_vectors()
+    s = scene[rows[0]]
+    n_steps, M, L = len(course.force), scenes.p_WO.shape[1], scenes.baseline[s]
+    plane, annulus, R_WL = scenes.plane, scenes.annulus, scenes.R_WL
+    flow = (course.flow[0], course.flow[1], course.flow[2], course.flow[3])
+    longest, shortest = course.longest[s], course.shortest[s]
+    gx, gy, gz = scenes.p_WG[s, 0], scenes.p_WG[s, 1], scenes.p_WG[s, 2]
+    goal = (gx, gy, gz)
+    x, y, z = scenes.p_WE[s, 0], scenes.p_WE[s, 1], scenes.p_WE[s, 2]
+    inverse_reach2 = 1.0 / (course.fade * L) ** 2 if course.fade > 0.0 else 0.0
+    at_start = world_margin(x, y, z, plane, s, annulus)
+    at_goal = world_margin(gx, gy, gz, plane, s, annulus)
+    bounded, has_annulus = at_goal < np.inf, annulus.shape[1] > 0
+    S = np.zeros(N_STATE)
+    n = _laid_out(rows, s, terms, seconds, scenes, course, S)
+    keeps = len(out.path) > 0
+    if keeps:
+        for row in rows:
+            out.path[row], out.velocity[row] = np.nan, np.nan
+        _keep(rows, 0, S, out)
+
+    D = np.zeros((M, N_OBSTACLE))
+    present = np.zeros(M, np.bool_)
+    # A moving one's feasible clearance is known at the end, and with it the least margin.
+    moving = False
+    start_distance = np.zeros(M)
+    for j in range(M):
+        d, _ = point_distance(
+            x - scenes.p_WO[s, j, 0], y - scenes.p_WO[s, j, 1], z - scenes.p_WO[s, j, 2],
+            scenes.R_WO, scenes.semi_axes, s, j, 0.0,
+        )  # fmt: skip
+        start_distance[j] = d
+        present[j] = math.isfinite(d)
+        if not present[j]:
+            continue
+        for i in range(3):
+            moving = moving or scenes.v_WO[s, j, i] != 0.0
+        for i in range(n):
+            at_end = _goal_distance(scenes, s, j, S[SECONDS + i] * n_steps)
+            feasible = min(scenes.clearance[s, j], d, at_end)
+            D[j, LEAST + i], D[j, FEASIBLE + i] = d, feasible
+            D[j, OFFSET + i] = np.inf
+            S[CLOSEST + i] = min(S[CLOSEST + i], d)
+            S[MARGIN + i] = min(S[MARGIN + i], d - feasible)
+            if d - feasible < -shortest:
+                S[ENDS + i] = 1.0
+    going = end_lanes(n, S)
+
+    for k in range(n_steps):
+        if going == 0:
+            break
+        f0, f1, f2 = L * course.force[k, 0], L * course.force[k, 1], L * course.force[k, 2]
+        rest = (
+            gx + R_WL[s, 0, 0] * f0 + R_WL[s, 0, 1] * f1 + R_WL[s, 0, 2] * f2,
+            gy + R_WL[s, 1, 0] * f0 + R_WL[s, 1, 1] * f1 + R_WL[s, 1, 2] * f2,
+            gz + R_WL[s, 2, 0] * f0 + R_WL[s, 2, 1] * f1 + R_WL[s, 2, 2] * f2,
+        )
+        if first_half(n, S, rest, goal, flow, inverse_reach2) > 0:
+            turn_lanes(n, S)
+        tolerance = course.tolerance if k + 1 >= course.least else 0.0
+        second_half(n, S, rest, goal, flow, tolerance, longest)
+        if keeps:
+            _keep(rows, k + 1, S, out)
+        for j in range(M):
+            if not present[j]:
+                continue
+            c, v, R, a = (
+                scenes.p_WO[s, j],
+                scenes.v_WO[s, j],
+                scenes.R_WO[s, j],
+                scenes.semi_axes[s, j],
+            )
+            center, velocity = (c[0], c[1], c[2]), (v[0], v[1], v[2])
+            if may_come_nearer(n, S, D[j], k + 1.0, moving, center, velocity) > 0:
+                turned = (
+                    R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2], R[2, 0], R[2, 1], R[2, 2]
+                )  # fmt: skip
+                come_nearer(
+                    n, S, D[j], k + 1.0, center, velocity, turned, (a[0], a[1], a[2]), shortest
+                )
+        if bounded and has_annulus:
+            for i in range(n):
+                margin = world_margin(S[X + i], S[Y + i], S[Z + i], plane, s, annulus)
+                S[WORLD + i] = min(S[WORLD + i], margin)
+        elif bounded:
+            nx, ny, nz, level = plane[s, 0], plane[s, 1], plane[s, 2], plane[s, 3]
+            for i in range(n):
+                margin = nx * S[X + i] + ny * S[Y + i] + nz * S[Z + i] - level
+                S[WORLD + i] = min(S[WORLD + i], margin)
+        going = end_lanes(n, S)
+
+    allowed = min(0.0, at_start, at_goal)
+    for i in range(len(rows)):
+        margin, closest = np.inf, np.inf
+        for j in range(M):
+            if not present[j]:
+                continue
+            feasible = D[j, FEASIBLE + i]
+            if moving:
+                at_end = _goal_distance(scenes, s, j, S[SECONDS + i] * S[TAKEN + i])
+                feasible = min(scenes.clearance[s, j], start_distance[j], at_end)
+            margin = min(margin, D[j, LEAST + i] - feasible)
+            closest = min(closest, D[j, LEAST + i])
+        dx, dy, dz = gx - S[X + i], gy - S[Y + i], gz - S[Z + i]
+        found = out.table[rows[i]]
+        found[0], found[1] = margin, closest
+        found[2] = math.sqrt(dx * dx + dy * dy + dz * dz)
+        found[3], found[4] = S[LENGTH + i], S[TAKEN + i]
+        found[5] = S[WORLD + i] - allowed if bounded else np.inf
+
+
+@njit(cache=True, parallel=True, error_model="numpy", fastmath=STRICT)
+def _all_blocks(
+    first: IntArray, order: IntArray, terms: FloatArray, seconds: FloatArray, scene: IntArray,
+    scenes: SceneArrays, course: Course, out: Outcomes,
+) -> None:  # fmt: skip
+    """Rolls out by all threads; block b has the rows order[first[b] : first[b + 1]]."""
+    for b in prange(len(first) - 1):
+        _block(order[first[b] : first[b + 1]], terms, seconds, scene, scenes, course, out)
+
+
+@lane_jit
+def lane_kernel(
+    scene: IntArray, terms: FloatArray, seconds: FloatArray, scenes: SceneArrays, course: Course,
+    out: Outcomes,
+) -> None:  # fmt: skip
+    """Rolls out N rows.
+
+    Args:
+        scene: (N,) scene of each row; rows of one scene may stand anywhere, but sorting costs.
+        terms: (N, 13) rows as in `coupling_kernels.turn_step`, normals of length 1.
+        seconds: (N,) tau T, seconds a unit of s.
+        scenes, course: among what, and how.
+        out: takes the outcomes.
+    """
+    N = len(scene)
+    order = np.arange(N)
+    for row in range(1, N):
+        if scene[row] < scene[row - 1]:
+            order = np.argsort(scene, kind="mergesort")
+            break
+    first = np.empty(N + 1, np.int64)
+    blocks = 0
+    for k in range(N):
+        if k == 0 or scene[order[k]] != scene[order[k - 1]] or k - first[blocks - 1] == LANES:
+            first[blocks] = k
+            blocks += 1
+    first[blocks] = N
+    if blocks > FEW_BLOCKS:
+        _all_blocks(first[: blocks + 1], order, terms, seconds, scene, scenes, course, out)
+        return
+    for b in range(blocks):
+        _block(order[first[b] : first[b + 1]], terms, seconds, scene, scenes, course, out)

@@ -1,39 +1,45 @@
-"""The search behind `drake_oa.regulation.verification`: rounds of candidates, the best of them
-varied.
+"""Verified regulation: coupling parameters and a side to pass that roll-outs have checked.
 
-A plain evolution strategy. Its random numbers are the same for every scene and call, so a
-scene gets the same choice whatever else is asked for.
+The regressor chain proposes (`drake_oa.regulation.proposals`); every candidate is rolled out from
+the present state against all obstacles with their velocities, the table and the workspace. The
+shortest motion that keeps the feasible clearance and arrives is taken; where none does, the one
+that keeps most. A round rolls out as many candidates a scene as `SearchParameters.candidates`: the
+chain's proposals first, then variations of the best so far, a plain evolution strategy. Its
+random numbers are the same for every scene and call, so a scene gets the same choice whatever
+else is asked for.
+
+Where the arm that holds the tool cannot follow the shortest motion, longer ones are wanted that
+differ: `survey` draws from all over the ranges of the genes, on every side, rolls out with coarse
+steps, and verifies the cheapest of each side and size of detour as any other.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_oa.common.kernel_arrays import kernel_arrays
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
-from drake_oa.policy.coupling_kernels import ALPHA as ALPHA_COLUMN
-from drake_oa.policy.coupling_kernels import KAPPA as KAPPA_COLUMN
-from drake_oa.policy.coupling_kernels import N_COLUMNS, NORMAL
-from drake_oa.policy.coupling_kernels import PSI as PSI_COLUMN
+from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.policy.dmp import Dmp
+from drake_oa.regulation.proposals import (
+    ALPHA,
+    ANGLE,
+    GENE_RANGE,
+    LOWER,
+    N_GENES,
+    TAU,
+    UPPER,
+    avoidance_terms,
+    chain_proposals,
+)
 from drake_oa.regulation.regressor import ChainWeights
 from drake_oa.regulation.rollout import SpatialRollouts, SpatialScenes, spatial_rollouts
-from drake_oa.regulation.verification_kernels import ACROSS, ALONG, ASKED, CENTER, shadows
 
-N_GENES = 7
-ANGLE, PLACE, ASIDE, KAPPA, PSI, ALPHA, TAU = range(N_GENES)
-_LOWER = np.array(
-    [-np.inf, 0.01, -0.3, math.log(0.1), math.log(0.15), math.log(0.1), math.log(0.6)]
-)
-_UPPER = np.array([np.inf, 0.99, 0.0, math.log(3e3), math.log(5.0), 30.0, math.log(2.5)])
-GENE_RANGE = np.stack([_LOWER, _UPPER], axis=1)
-"""(7, 2) least and largest value of each gene."""
 _STRIDE = np.array([0.4, 0.08, 0.03, 0.6, 0.25, 0.8, 0.15])
 """Standard deviation of a full step of the search, gene by gene."""
 
@@ -49,12 +55,6 @@ _WINDOW = 1.2 * np.pi
 """Half the angle in which a side is looked for, times the number of sides."""
 _SPREAD = 1024
 """Candidates all over the ranges that such a search begins with, on each side."""
-_N_ANGLES = 24
-_OFFSETS = np.array([0, 1, -1, 3, -3, 6, -6, 12])
-"""Sides that proposals are made for, of `_N_ANGLES`, counted from the lowest one."""
-_GAINS = np.array([-3.0, -1.5, -0.5, 0.5, 1.5, 3.0, 5.0, 8.0])
-"""What the proposals add to the chain's ln alpha."""
-
 _BAD = 10.0
 """Added to the cost of a motion that does not keep the clearance or does not arrive."""
 _PRICE = 100.0
@@ -72,6 +72,25 @@ _BRIEF = 1
 """Rounds after the first motion that will do, where one is in use."""
 _MUCH = 0.02
 """By how much another motion has to cost less than one in use that will do."""
+
+
+_SIDES = 8
+"""Into how many sides a search of every side is divided."""
+_SURVEYED = 512
+"""Candidates a side of a survey."""
+_COARSE = 250
+"""Steps a unit of normalised time that they are rolled out with."""
+_GENTLE = 8.0
+"""Largest ln alpha that is drawn: a stronger term holds the motion back before it lets it go."""
+_DETOURS = np.array([1.05, 1.15, 1.3, 1.6])
+"""Lengths over the distance that is left, between which detours are of one size."""
+_LATER = 0.5
+"""Cost of a unit of normalised time after s = 1: among the cheapest of all sides and sizes of
+detour there are some that creep."""
+_SHARE = 0.8
+"""Share that is to be kept of what start and goal have, where that is less."""
+_MISSED = 0.1
+"""A motion arrives when it ends this near to the goal, in baselines."""
 
 
 @dataclass(frozen=True)
@@ -176,23 +195,6 @@ class Verified(Frozen):
         return Verified(**columns)
 
 
-def avoidance_terms(scenes: SpatialScenes, scene: IntArray, genes: FloatArray) -> FloatArray:
-    """The terms (N, 1, 13) of candidates (N, 7) in their scenes (N,)."""
-    R, L = scenes.R_WL[scene], scenes.baseline[scene]
-    cos, sin = np.cos(genes[:, ANGLE])[:, None], np.sin(genes[:, ANGLE])[:, None]
-    terms = np.zeros((len(genes), 1, N_COLUMNS))
-    omega = cos * R[:, :, 1] + sin * R[:, :, 2]
-    terms[:, 0, :3] = scenes.p_WS[scene] + L[:, None] * (
-        genes[:, PLACE, None] * R[:, :, 0] + genes[:, ASIDE, None] * omega
-    )
-    # x_L x omega: a turn about it goes from the baseline to the side.
-    terms[:, 0, NORMAL : NORMAL + 3] = cos * R[:, :, 2] - sin * R[:, :, 1]
-    terms[:, 0, ALPHA_COLUMN] = np.exp(genes[:, ALPHA])
-    terms[:, 0, PSI_COLUMN] = np.exp(genes[:, PSI])
-    terms[:, 0, KAPPA_COLUMN] = np.exp(genes[:, KAPPA]) / L**2
-    return terms
-
-
 def roll_out(
     scenes: SpatialScenes,
     scene: IntArray,
@@ -259,8 +261,7 @@ OUTCOME = ("margin", "clearance", "goal_error", "path_length", "steps", "world_m
 
 
 class Search:
-    """One search, of the motions of all scenes at once; see
-    `drake_oa.regulation.verification.verify`."""
+    """One search, of the motions of all scenes at once; see `verify`."""
 
     def __init__(
         self,
@@ -396,35 +397,10 @@ class Search:
 
         Where there are genes in use, they take the place of the last one.
         """
-        scenes, count = self.scenes, len(self.scenes)
-        angles = np.arange(_N_ANGLES) * (2.0 * np.pi / _N_ANGLES)
-        found = np.empty((count, _N_ANGLES, 4))
-        shadows(
-            *kernel_arrays(scenes.p_WG, scenes.R_WL, scenes.baseline),
-            scenes.s,
-            *kernel_arrays(
-                scenes.p_WO, scenes.R_WO, scenes.semi_axes, scenes.v_WO, scenes.clearance
-            ),
-            self.duration,
-            angles,
-            found,
-        )
-        side = (found[:, :, ACROSS].argmin(axis=1)[:, None] + _OFFSETS) % _N_ANGLES
-        shadow = np.take_along_axis(found, side[:, :, None], axis=1).reshape(-1, 4)
-        answer = weights.parameters(
-            shadow[:, [ALONG, ACROSS]], np.maximum(shadow[:, ASKED], 1e-6), 1.0, shadow[:, CENTER]
-        )
-        genes = np.zeros((len(shadow), len(_GAINS), N_GENES))
-        genes[:, :, ANGLE] = angles[side].reshape(-1, 1)
-        genes[:, :, PLACE] = shadow[:, CENTER, None]
-        genes[:, :, KAPPA] = np.log(np.maximum(answer.kappa, 1e-9))[:, None]
-        genes[:, :, PSI] = np.log(answer.psi)[:, None]
-        genes[:, :, ALPHA] = np.log(np.maximum(answer.alpha, 1e-9))[:, None] + _GAINS
-        genes = self.bounded(np.arange(count), genes.reshape(count, -1, N_GENES))
+        genes, in_range = chain_proposals(self.scenes, weights, self.duration)
+        genes = self.bounded(np.arange(len(genes)), genes)
         in_use = np.isfinite(self.previous).all(axis=1)
         genes[in_use, -1] = self.previous[in_use]
-        # The lowest side's.
-        in_range = answer.in_range.reshape(count, -1)[:, 0] | (found[:, 0, ASKED] == 0.0)
         return genes, in_range
 
     def children(self, active: IntArray, ranked: _Ranked, number: int) -> FloatArray:
@@ -453,7 +429,7 @@ class Search:
 
     def bounded(self, active: IntArray, genes: FloatArray) -> FloatArray:
         """Genes (A, n, 7) moved into their ranges."""
-        genes = np.clip(genes, _LOWER, _UPPER)
+        genes = np.clip(genes, LOWER, UPPER)
         if self.sides > 1:
             middle = self.window[active, None]
             off = np.remainder(genes[:, :, ANGLE] - middle + np.pi, 2.0 * np.pi) - np.pi
@@ -466,7 +442,7 @@ class Search:
         tau = np.maximum(1.0, length / self.scenes.baseline)
         return Verified(
             genes=genes,
-            terms=avoidance_terms(self.scenes, np.arange(len(genes)), genes)[:, 0],
+            terms=avoidance_terms(self.scenes, np.arange(len(genes)), genes),
             tau=np.where(self.moving, np.exp(genes[:, TAU]), tau),
             end=self.scenes.s + steps / self.parameters.steps,
             clearance=clearance,
@@ -497,8 +473,8 @@ class _Draws:
 @lru_cache(maxsize=256)
 def _draws(number: int, n: int) -> _Draws:
     rng = np.random.default_rng((number, n))
-    low = np.where(np.isfinite(_LOWER), _LOWER, 0.0)
-    high = np.where(np.isfinite(_UPPER), _UPPER, 2.0 * np.pi)
+    low = np.where(np.isfinite(LOWER), LOWER, 0.0)
+    high = np.where(np.isfinite(UPPER), UPPER, 2.0 * np.pi)
     return _Draws(
         step=rng.standard_normal((n, N_GENES)) * np.exp(rng.uniform(-2.5, 0.0, (n, 1))),
         first=rng.integers(0, _ELITES, n),
@@ -508,3 +484,173 @@ def _draws(number: int, n: int) -> _Draws:
         fresh=low + (high - low) * rng.uniform(size=(n, N_GENES)),
         is_fresh=np.arange(n) >= n - _FRESH,
     )
+
+
+def verify(
+    scenes: SpatialScenes,
+    weights: ChainWeights,
+    *,
+    duration: float,
+    dmp: Dmp | None = None,
+    previous: FloatArray | None = None,
+    settled: bool = False,
+    parameters: SearchParameters | None = None,
+) -> Verified:
+    """Chooses the motion of each scene, see the module.
+
+    Args:
+        scenes: S scenes.
+        weights: the chain that proposes, of four inputs.
+        duration: T [s].
+        dmp: the primitive; None: a straight minimum-jerk motion.
+        previous: (S, 7) genes in use, rows of NaN for none. They are tried first, and
+            another side has to be shorter by some hysteresis.
+        settled: whether a motion in use that will do is kept without a look at others;
+            the unmodulated motion is looked at nevertheless.
+        parameters: how far the search goes; None: the defaults.
+
+    Returns:
+        The choice.
+
+    Raises:
+        ValueError: for wrong shapes, or a duration that is not positive.
+    """
+    if not 0.0 < duration < math.inf:
+        raise ValueError(f"duration must be positive and finite [s], not {duration}")
+    if previous is not None and previous.shape != (len(scenes), N_GENES):
+        raise ValueError(f"previous must be ({len(scenes)}, {N_GENES}), not {previous.shape}")
+    previous = np.full((len(scenes), N_GENES), np.nan) if previous is None else previous
+    parameters = parameters or SearchParameters()
+    found = Search(scenes, duration, dmp, previous, parameters, settled=settled).run(weights)
+    finer = replace(parameters, candidates=2 * parameters.candidates, steps=2 * parameters.steps)
+    for number in range(parameters.retries):
+        left = np.flatnonzero(~found.kept)
+        if not len(left):
+            break
+        sides = 1 if number == 0 else _SIDES
+        each = np.repeat(left, sides)
+        search = Search(scenes.rows(each), duration, dmp, previous[each], finer, sides)
+        again = search.run(weights)
+        best = again.cost.reshape(-1, sides).argmin(axis=1) + sides * np.arange(len(left))
+        better = again.cost[best] < found.cost[left]
+        found = found.replaced(left[better], again.rows(best[better]))
+    return found
+
+
+def assessed(
+    scene: SpatialScenes,
+    genes: FloatArray,
+    *,
+    duration: float,
+    dmp: Dmp | None = None,
+    previous: FloatArray | None = None,
+    parameters: SearchParameters | None = None,
+) -> Verified:
+    """What given candidates come to in one scene.
+
+    Args:
+        scene: a single one.
+        genes: (n, 7) of the candidates.
+        duration: T [s].
+        dmp: the primitive; None: a straight minimum-jerk motion.
+        previous: (7,) genes in use, for the price of another side; None: none are.
+        parameters: the roll-outs' steps and tolerances; None: the defaults.
+
+    Returns:
+        n rows.
+
+    Raises:
+        ValueError: for more than one scene.
+    """
+    count = len(genes)
+    search = _search(scene, count, duration, dmp, previous, parameters or SearchParameters())
+    ranked = search.evaluate(np.arange(count), genes[:, None])
+    return search.answer(ranked, np.ones(count, dtype=bool))
+
+
+def survey(
+    scene: SpatialScenes,
+    *,
+    duration: float,
+    clearance: float,
+    dmp: Dmp | None = None,
+    previous: FloatArray | None = None,
+    parameters: SearchParameters | None = None,
+) -> Verified:
+    """The cheapest motion of every side and size of detour.
+
+    Args:
+        scene: a single one.
+        duration: T [s].
+        clearance: what a motion has to keep of every obstacle, be it less than the feasible
+            clearance; where it is, or its goal, nearer to one as it is now, most of that [m].
+        dmp, previous, parameters: as of `assessed`.
+
+    Returns:
+        A row each, the cheapest first; none where no motion keeps that and arrives.
+
+    Raises:
+        ValueError: for more than one scene.
+    """
+    parameters = parameters or SearchParameters()
+    coarse = replace(parameters, steps=min(_COARSE, parameters.steps))
+    search = _search(scene, _SIDES, duration, dmp, previous, coarse, sides=_SIDES)
+    sides = np.arange(_SIDES)
+    fresh = search.spread(sides, _SURVEYED)
+    fresh[:, :, ALPHA] = np.interp(
+        fresh[:, :, ALPHA], GENE_RANGE[ALPHA], [GENE_RANGE[ALPHA, 0], _GENTLE]
+    )
+    ranked = search.evaluate(sides, fresh)
+    outcome = dict(zip(OUTCOME, np.moveaxis(ranked.outcome, 2, 0), strict=True))
+    L = float(scene.baseline[0])
+    least = min(clearance, _SHARE * _ends_clearance(scene))
+    will_do = (outcome["clearance"] > max(least, 0.0)) & (outcome["goal_error"] < _MISSED * L)
+    will_do &= outcome["world_margin"] >= 0.0
+    left = float(np.linalg.norm(scene.p_WG[0] - scene.p_WE[0]))
+    size = np.searchsorted(_DETOURS, outcome["path_length"] / max(left, 1e-6))
+    end = scene.s + outcome["steps"] / search.parameters.steps
+    price = _price(ranked.cost, end, scene.s)
+    chosen = []
+    for side in sides:
+        for detour in range(len(_DETOURS) + 1):
+            cost = np.where(will_do[side] & (size[side] == detour), price[side], np.inf)
+            if np.isfinite(cost.min()):
+                chosen.append(ranked.genes[side, cost.argmin()])
+    found = assessed(
+        scene,
+        np.array(chosen).reshape(-1, N_GENES),
+        duration=duration,
+        dmp=dmp,
+        previous=previous,
+        parameters=parameters,
+    )
+    return found.rows(np.argsort(_price(found.cost, found.end, scene.s), kind="stable"))
+
+
+def _price(cost: FloatArray, end: FloatArray, s: float) -> FloatArray:
+    """The cost, and what arriving late adds to it."""
+    return np.asarray(cost + _LATER * np.maximum(end - max(s, 1.0), 0.0))
+
+
+def _ends_clearance(scene: SpatialScenes) -> float:
+    """Least distance of where it is, and of the goal, to any obstacle as it is now [m]."""
+    ends = np.concatenate([scene.p_WE, scene.p_WG])
+    among = scene.p_WO[0], scene.R_WO[0], scene.semi_axes[0]
+    return float(np.nanmin(signed_distance(ends[:, None], *among), initial=np.inf))
+
+
+def _search(
+    scene: SpatialScenes,
+    count: int,
+    duration: float,
+    dmp: Dmp | None,
+    previous: FloatArray | None,
+    parameters: SearchParameters,
+    sides: int = 1,
+) -> Search:
+    """A search in so many copies of one scene."""
+    if len(scene) != 1:
+        raise ValueError(f"scene must be a single one, not {len(scene)}")
+    in_use = np.full(N_GENES, np.nan) if previous is None else previous
+    copies = scene.rows(np.zeros(count, dtype=np.int64))
+    return Search(copies, duration, dmp, np.tile(in_use, (count, 1)), parameters, sides)

@@ -14,16 +14,199 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numba import njit
 
 from drake_oa.common.messages import EllipsoidSet, FloatArray, Frozen, ObstacleClouds, PolicyState
 from drake_oa.common.work import count
 from drake_oa.descriptor.descriptor import describe, merged_parts
 from drake_oa.geometry.ellipsoid import signed_distance
-from drake_oa.geometry.rotation import turned_about
+from drake_oa.geometry.rotation import turned_about, unit_axis
 from drake_oa.geometry.voxels import thinned
 from drake_oa.regulation.regulation import Regulation
 from drake_oa.regulation.regulator import Regulator
-from drake_oa.regulation.turning_tool import TurningTool, TurnParameters
+
+
+@njit(cache=True)
+def tool_clearance(
+    points: FloatArray,
+    p_WE: FloatArray,
+    turns: FloatArray,
+    axis: FloatArray,
+    center: FloatArray,
+    R: FloatArray,
+    half: FloatArray,
+    most: float,
+) -> FloatArray:
+    """Least distance of a tool of boxes to points, at each place and turn.
+
+    Args:
+        points: (N, 3) in W [m].
+        p_WE: (P, 3) places of the tool point [m].
+        turns: (A,) turns about the axis through it [rad].
+        axis: (3,) unit, in W.
+        center: (B, 3) centres of the boxes from the tool point, at turn 0 [m].
+        R: (B, 3, 3) their rotations R_WB at turn 0.
+        half: (B, 3) half their edges [m].
+        most: distances are not looked at beyond this [m].
+
+    Returns:
+        (P, A) distances, 0 inside, at most `most` [m].
+    """
+    P, A, N, B = len(p_WE), len(turns), len(points), len(center)
+    reach = np.empty(B)
+    for b in range(B):
+        reach[b] = math.sqrt(half[b, 0] ** 2 + half[b, 1] ** 2 + half[b, 2] ** 2)
+    largest = 0.0
+    for b in range(B):
+        middle = math.sqrt(center[b, 0] ** 2 + center[b, 1] ** 2 + center[b, 2] ** 2)
+        largest = max(largest, middle + reach[b])
+    found = np.empty((P, A))
+    near = np.empty((N, 3))
+    for p in range(P):
+        count = 0
+        for n in range(N):
+            x = points[n, 0] - p_WE[p, 0]
+            y = points[n, 1] - p_WE[p, 1]
+            z = points[n, 2] - p_WE[p, 2]
+            if x * x + y * y + z * z < (largest + most) ** 2:
+                near[count, 0], near[count, 1], near[count, 2] = x, y, z
+                count += 1
+        for a in range(A):
+            cos, sin = math.cos(turns[a]), math.sin(turns[a])
+            least = most * most
+            for n in range(count):
+                x, y, z = near[n, 0], near[n, 1], near[n, 2]
+                # Turned back: Rodrigues' formula with -turn.
+                along = (axis[0] * x + axis[1] * y + axis[2] * z) * (1.0 - cos)
+                u = cos * x - sin * (axis[1] * z - axis[2] * y) + along * axis[0]
+                v = cos * y - sin * (axis[2] * x - axis[0] * z) + along * axis[1]
+                w = cos * z - sin * (axis[0] * y - axis[1] * x) + along * axis[2]
+                for b in range(B):
+                    i, j, k = u - center[b, 0], v - center[b, 1], w - center[b, 2]
+                    total = 0.0
+                    for c in range(3):
+                        q = abs(R[b, 0, c] * i + R[b, 1, c] * j + R[b, 2, c] * k) - half[b, c]
+                        if q > 0.0:
+                            total += q * q
+                    least = min(least, total)
+            found[p, a] = math.sqrt(least)
+    return found
+
+
+@dataclass(frozen=True)
+class TurnParameters:
+    """Which turns there are, and what they cost.
+
+    Attributes:
+        largest: largest turn either way [rad].
+        step: between the turns that are tried [rad].
+        speed: how fast the tool turns at most [rad/s].
+        margin: distance that the tool keeps from obstacles while it turns [m].
+        price: of a radian, in baselines.
+        hysteresis: price of a radian away from the turn in use, in baselines.
+        period: time between looks at other turns [s].
+
+    Raises:
+        ValueError: for a value that is not finite, negative, or 0 where that makes no sense.
+    """
+
+    largest: float = math.pi / 2.0
+    step: float = math.pi / 12.0
+    speed: float = 1.0
+    margin: float = 0.03
+    price: float = 0.1
+    hysteresis: float = 0.02
+    period: float = 0.25
+
+    def __post_init__(self) -> None:
+        for name in ("largest", "step", "speed", "period"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name} must be finite and positive, not {getattr(self, name)}")
+        for name in ("margin", "price", "hysteresis"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise ValueError(
+                    f"{name} must be finite and not negative, not {getattr(self, name)}"
+                )
+
+    @property
+    def turns(self) -> list[float]:
+        """Those that are tried, the smallest first, either way [rad]."""
+        count = math.floor(self.largest / self.step + 1e-9)
+        steps = [self.step * n for n in range(1, count + 1)]
+        if self.largest - count * self.step > 1e-6:
+            steps.append(self.largest)
+        return [0.0, *(sign * turn for turn in steps for sign in (1.0, -1.0))]
+
+
+@dataclass(frozen=True, eq=False)
+class TurningTool(Frozen):
+    """A tool of convex parts that is turned about an axis of the world through E.
+
+    Attributes:
+        parts: (K_i, 3) vertices of each part from E, in W, at turn 0 [m].
+        axis: (3,) unit vector in W.
+        center: (B, 3) centres of the boxes round the parts [m].
+        R: (B, 3, 3) their rotations R_WB.
+        half: (B, 3) half their edges [m].
+    """
+
+    parts: tuple[FloatArray, ...]
+    axis: FloatArray
+    center: FloatArray
+    R: FloatArray
+    half: FloatArray
+
+    @classmethod
+    def of(
+        cls, parts: tuple[FloatArray, ...] | list[FloatArray], axis: FloatArray, R_WE: FloatArray
+    ) -> TurningTool:
+        """A tool by its parts.
+
+        Args:
+            parts: (K_i, 3) vertices from E in W [m].
+            axis: (3,) in W, of any length but 0.
+            R_WE: (3, 3) orientation of the tool at turn 0, along which its boxes are.
+
+        Raises:
+            ValueError: for an axis without direction, or no parts.
+        """
+        if not len(parts):
+            raise ValueError("a tool needs at least one part")
+        low = np.array([(part @ R_WE).min(axis=0) for part in parts])
+        high = np.array([(part @ R_WE).max(axis=0) for part in parts])
+        return cls(
+            tuple(np.array(part, dtype=float) for part in parts),
+            unit_axis(axis),
+            np.ascontiguousarray(0.5 * (low + high) @ R_WE.T),
+            np.ascontiguousarray(np.broadcast_to(R_WE, (len(parts), 3, 3))),
+            0.5 * (high - low),
+        )
+
+    @property
+    def corners(self) -> FloatArray:
+        """(K, 3) vertices of all parts at turn 0 [m]."""
+        return np.concatenate(self.parts)
+
+    def clearance(
+        self, points: FloatArray, places: FloatArray, turns: FloatArray, most: float
+    ) -> FloatArray:
+        """Least distance to points (N, 3) at places (P, 3) and turns (A,), (P, A).
+
+        It is 0 inside, and `most` where it is more [m].
+        """
+        return np.asarray(
+            tool_clearance(
+                np.ascontiguousarray(points, dtype=float),
+                np.ascontiguousarray(places, dtype=float),
+                np.ascontiguousarray(turns, dtype=float),
+                self.axis,
+                self.center,
+                self.R,
+                self.half,
+                most,
+            )
+        )
+
 
 _MISSED = 5e-3
 """How far from the goal a motion may end that a turn is taken for [m]."""

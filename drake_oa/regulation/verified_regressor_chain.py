@@ -31,7 +31,7 @@ from drake_oa.regulation.regressor import ChainWeights
 from drake_oa.regulation.regulated_arm import ArmRegulator
 from drake_oa.regulation.regulation import Regulation, concern
 from drake_oa.regulation.regulator import Regulator
-from drake_oa.regulation.verification import SearchParameters
+from drake_oa.regulation.search import SearchParameters
 
 _logger = logging.getLogger("drake_oa")
 _NOTHING_SEEN = ObstacleClouds()
@@ -130,7 +130,7 @@ class VerifiedRegressorChain(LeafSystem):
     the policy is, among all obstacles with their velocities, above the table and within
     the workspace; of those that keep the clearance and reach the goal the shortest is
     taken, and another side than the one in use only where it is shorter by some
-    hysteresis: see `drake_oa.regulation.verification`. Where the arm cannot follow it, another
+    hysteresis: see `drake_oa.regulation.search`. Where the arm cannot follow it, another
     motion is looked for every second, longer or with less of the clearance, but 5 cm; where the arm
     is stuck beside what rests, also by way of points aside: see `drake_oa.posture.waypoint_tree`.
 

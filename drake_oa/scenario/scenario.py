@@ -18,7 +18,7 @@ from drake_oa.common.work import Thinking
 from drake_oa.perception.config import CameraNoise as CameraNoise
 from drake_oa.perception.config import DepthCamera, GroundTruth, RecordedClouds
 from drake_oa.policy.dmp import ALPHA_K, ALPHA_X, BETA_X
-from drake_oa.regulation.verification import SearchParameters
+from drake_oa.regulation.search import SearchParameters
 from drake_oa.robot.config import Robot
 from drake_oa.scenario.faults import Fault
 from drake_oa.scenario.obstacles import Obstacle

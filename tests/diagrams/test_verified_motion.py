@@ -104,7 +104,7 @@ def test_the_executed_motion_is_the_one_that_was_rolled_out() -> None:
     found = spatial_rollouts(
         scene,
         [0],
-        chosen.term[None, None],
+        chosen.term[None],
         dmp=dmp,
         steps=steps,
         horizon=2.0,

@@ -1,7 +1,7 @@
 """What every coupling term keeps, in each of its three forms.
 
 The readable reference (`CouplingTerms`), the compiled composition (`turn_step`) and the
-roll-outs' own single term (`single_turn`) are held to the same properties.
+roll-outs' own single term (`turn_lanes`) are held to the same properties.
 """
 
 import math
@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from drake_oa.common.messages import FloatArray
 from drake_oa.policy import coupling_kernels as kernels
 from drake_oa.policy.coupling import CouplingTerms, GuidanceForm, coupling_force, rotate
-from drake_oa.regulation.spatial_kernels import single_turn
+from drake_oa.regulation import rollout_kernels as lanes
 
 Turned = Callable[..., FloatArray]
 """z (3,) after the turn, of the rows (K, 13), p, z, the step and whether in the planes."""
@@ -73,10 +73,22 @@ def single(
     gain = row[kernels.ALPHA] * step
     if not gain > 0.0:
         return z
-    size = np.linalg.norm(row[9:12])
-    return np.array(
-        single_turn(*row[:3], *(row[9:12] / size), row[4], row[5], math.log(gain), *p, *z)
-    )
+    S, n = np.zeros(lanes.N_STATE), 8
+    away = row[:3] - p
+    psi = min(max(row[4], 1.0 / lanes.MOST_PSI), lanes.MOST_PSI)
+    for at, value in (
+        *zip((lanes.CX, lanes.CY, lanes.CZ), row[:3], strict=True),
+        *zip((lanes.NX, lanes.NY, lanes.NZ), row[9:12] / np.linalg.norm(row[9:12]), strict=True),
+        *zip((lanes.PX, lanes.PY, lanes.PZ), p, strict=True),
+        *zip((lanes.WX, lanes.WY, lanes.WZ), z, strict=True),
+        (lanes.TERM_PSI, psi),
+        (lanes.INVERSE_PSI, 1.0 / psi),
+        (lanes.STRENGTH, math.log(gain) - row[5] * (away @ away)),
+        (lanes.WEIGHT, 1.0),
+    ):
+        S[at : at + n] = value
+    lanes.turn_lanes(n, S)
+    return np.array([S[lanes.WX], S[lanes.WY], S[lanes.WZ]])
 
 
 composed = pytest.mark.parametrize("turned", [readable, compiled])

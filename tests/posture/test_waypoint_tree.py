@@ -9,7 +9,14 @@ from hypothesis import strategies as st
 
 from drake_oa.common.messages import BoolArray, FloatArray, PlannedMotion
 from drake_oa.posture.posture_plan import PosturePlan
-from drake_oa.posture.waypoint_tree import Legs, LegTree, grown, shortened_way, straight_motion
+from drake_oa.posture.waypoint_tree import (
+    Aside,
+    Legs,
+    LegTree,
+    grown,
+    shortened_way,
+    straight_motion,
+)
 
 START, GOAL, STOP = np.zeros(3), np.array([0.6, 0.0, 0.0]), 0.03
 
@@ -128,3 +135,21 @@ def test_the_way_is_straight_and_closely_sampled(length: float) -> None:
     np.testing.assert_allclose(motion.p_WE[-1], p_WE + [0.0, length, 0.0])
     assert (motion.s[0], motion.s[-1]) == (0.0, 1.0)
     assert np.linalg.norm(np.diff(motion.p_WE, axis=0), axis=1).max() <= 0.025
+
+
+def test_it_leads_from_point_to_point_and_ends() -> None:
+    points = np.arange(9.0).reshape(3, 3)
+    aside = Aside().by(points, [1.0, 2.0, 3.0])
+    for row in range(3):
+        np.testing.assert_array_equal(aside.p_WV, points[row])
+        np.testing.assert_array_equal(aside.further, points[row + 1 :])
+        np.testing.assert_array_equal(aside.p_WG, [1.0, 2.0, 3.0])
+        aside = aside.reached()
+    assert (len(aside.p_WV), len(aside.p_WG)) == (0, 0)
+
+
+def test_given_up_what_has_been_tried_is_kept() -> None:
+    tree = LegTree.at(np.zeros(3), np.zeros(7), np.ones(3), np.ones(3))
+    aside = Aside(tree=tree).by(np.ones((2, 3)), np.ones(3)).given_up()
+    assert (len(aside.p_WV), len(aside.further), len(aside.p_WG)) == (0, 0, 0)
+    assert aside.tree is tree

@@ -18,10 +18,10 @@ from drake_oa.regulation.regressor import (
     ClearanceLimit,
     Network,
     load_chain,
-    load_width_chain,
     save_chain,
     section_extents,
 )
+from tests.reference.width_chain import load_width_chain
 
 WEIGHTS = Path(__file__).resolve().parents[2] / "models" / "weights"
 SHIPPED = WEIGHTS / "regressor_chain.npz"

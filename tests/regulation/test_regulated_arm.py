@@ -10,12 +10,12 @@ from drake_oa.common.messages import EllipsoidSet, ObstacleClouds, PolicyState, 
 from drake_oa.policy.action import SCALED_TO_REST
 from drake_oa.policy.dmp import imitate, local_frame, minimum_jerk
 from drake_oa.posture.posture_planner import ArmSight, ArmWay, WholeArm
-from drake_oa.posture.stepping_aside import Aside
+from drake_oa.posture.waypoint_tree import Aside
 from drake_oa.regulation.regressor import load_chain
 from drake_oa.regulation.regulated_arm import ArmRegulator
 from drake_oa.regulation.regulation import Regulation
 from drake_oa.regulation.regulator import SEEK_AGAIN, Regulator
-from drake_oa.regulation.verification import SearchParameters
+from drake_oa.regulation.search import SearchParameters
 from drake_oa.robot.arm_motion import ArmModel
 from drake_oa.scenario.loading import package_file
 

@@ -12,8 +12,7 @@ import numpy as np
 from drake_oa.common.messages import FloatArray, IntArray
 from drake_oa.regulation.regressor import ChainWeights, load_chain
 from drake_oa.regulation.rollout import SpatialScenes
-from drake_oa.regulation.search import roll_out
-from drake_oa.regulation.verification import SearchParameters, verify
+from drake_oa.regulation.search import SearchParameters, roll_out, verify
 from drake_oa.scenario.loading import package_file
 from drake_oa.studies.scenes.methods import Motions, Setting
 from drake_oa.studies.scenes.scenes import DURATION, Scenes, single_obstacle
@@ -78,7 +77,7 @@ def _run(scenes: Scenes, setting: Setting, chain: ChainWeights) -> Motions:
         rolled = roll_out(
             posed,
             rows,
-            found.terms[rows, None],
+            found.terms[rows],
             replace(PARAMETERS, steps=int(steps)),
             seconds=DURATION * tau[rows],
             keep_path=True,

@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drake_oa.geometry.ellipsoid import plane_section
-from drake_oa.regulation.regressor import load_width_chain
 from drake_oa.studies.scenes import paper_method
 from drake_oa.studies.scenes.judge import judge
 from drake_oa.studies.scenes.methods import Setting
@@ -29,6 +28,7 @@ from drake_oa.studies.scenes.paper_method import (
 from drake_oa.studies.scenes.sampling import random_rotations
 from drake_oa.studies.scenes.scenes import Scenes, single_obstacle
 from drake_oa.studies.scenes.suites import draw_scenes
+from tests.reference.width_chain import load_width_chain
 
 PARAMETERS = (9000.0, 0.77, 25.0)
 UNSCALED = Setting(scale_time=False)

@@ -1,4 +1,11 @@
-"""Compiled geometry of proposals, behind `drake_oa.regulation.verification`."""
+"""Candidates of the search for a motion: their genes, and the ones that the chain proposes.
+
+A candidate is one avoidance term (eq. oa_complete) that acts about a point on or beside the
+baseline in the plane of the baseline and a side omega. Its genes, in which the search moves::
+
+    angle of omega in the local YZ plane, place of the point along the baseline / L and
+    aside of it toward omega / L (at most 0), ln kappa L^2, ln psi, ln alpha, ln tau
+"""
 
 from __future__ import annotations
 
@@ -7,8 +14,78 @@ import math
 import numpy as np
 from numba import njit
 
-from drake_oa.common.messages import FloatArray
-from drake_oa.regulation.spatial_kernels import point_distance
+from drake_oa.common.messages import BoolArray, FloatArray, IntArray
+from drake_oa.policy.coupling_kernels import ALPHA as ALPHA_COLUMN
+from drake_oa.policy.coupling_kernels import KAPPA as KAPPA_COLUMN
+from drake_oa.policy.coupling_kernels import N_COLUMNS, NORMAL
+from drake_oa.policy.coupling_kernels import PSI as PSI_COLUMN
+from drake_oa.regulation.regressor import ChainWeights
+from drake_oa.regulation.rollout import SceneArrays, SpatialScenes
+from drake_oa.regulation.rollout_kernels import point_distance
+
+N_GENES = 7
+ANGLE, PLACE, ASIDE, KAPPA, PSI, ALPHA, TAU = range(N_GENES)
+LOWER = np.array([-np.inf, 0.01, -0.3, math.log(0.1), math.log(0.15), math.log(0.1), math.log(0.6)])
+UPPER = np.array([np.inf, 0.99, 0.0, math.log(3e3), math.log(5.0), 30.0, math.log(2.5)])
+GENE_RANGE = np.stack([LOWER, UPPER], axis=1)
+"""(7, 2) least and largest value of each gene."""
+
+_N_ANGLES = 24
+_OFFSETS = np.array([0, 1, -1, 3, -3, 6, -6, 12])
+"""Sides that proposals are made for, of `_N_ANGLES`, counted from the lowest one."""
+_GAINS = np.array([-3.0, -1.5, -0.5, 0.5, 1.5, 3.0, 5.0, 8.0])
+"""What the proposals add to the chain's ln alpha."""
+
+
+def avoidance_terms(scenes: SpatialScenes, scene: IntArray, genes: FloatArray) -> FloatArray:
+    """The terms (N, 13) of candidates (N, 7) in their scenes (N,)."""
+    R, L = scenes.R_WL[scene], scenes.baseline[scene]
+    cos, sin = np.cos(genes[:, ANGLE])[:, None], np.sin(genes[:, ANGLE])[:, None]
+    terms = np.zeros((len(genes), N_COLUMNS))
+    omega = cos * R[:, :, 1] + sin * R[:, :, 2]
+    terms[:, :3] = scenes.p_WS[scene] + L[:, None] * (
+        genes[:, PLACE, None] * R[:, :, 0] + genes[:, ASIDE, None] * omega
+    )
+    # x_L x omega: a turn about it goes from the baseline to the side.
+    terms[:, NORMAL : NORMAL + 3] = cos * R[:, :, 2] - sin * R[:, :, 1]
+    terms[:, ALPHA_COLUMN] = np.exp(genes[:, ALPHA])
+    terms[:, PSI_COLUMN] = np.exp(genes[:, PSI])
+    terms[:, KAPPA_COLUMN] = np.exp(genes[:, KAPPA]) / L**2
+    return terms
+
+
+def chain_proposals(
+    scenes: SpatialScenes, weights: ChainWeights, duration: float
+) -> tuple[FloatArray, BoolArray]:
+    """What the regressor chain proposes on the lowest sides, with several strengths.
+
+    Args:
+        scenes: S scenes.
+        weights: the chain, of four inputs.
+        duration: tau T [s].
+
+    Returns:
+        (S, 64, 7) genes, and (S,) whether the chain was asked in its range.
+    """
+    count = len(scenes)
+    angles = np.arange(_N_ANGLES) * (2.0 * np.pi / _N_ANGLES)
+    found = np.empty((count, _N_ANGLES, 4))
+    shadows(scenes.arrays, scenes.s, duration, angles, found)
+    side = (found[:, :, ACROSS].argmin(axis=1)[:, None] + _OFFSETS) % _N_ANGLES
+    shadow = np.take_along_axis(found, side[:, :, None], axis=1).reshape(-1, 4)
+    answer = weights.parameters(
+        shadow[:, [ALONG, ACROSS]], np.maximum(shadow[:, ASKED], 1e-6), 1.0, shadow[:, CENTER]
+    )
+    genes = np.zeros((len(shadow), len(_GAINS), N_GENES))
+    genes[:, :, ANGLE] = angles[side].reshape(-1, 1)
+    genes[:, :, PLACE] = shadow[:, CENTER, None]
+    genes[:, :, KAPPA] = np.log(np.maximum(answer.kappa, 1e-9))[:, None]
+    genes[:, :, PSI] = np.log(answer.psi)[:, None]
+    genes[:, :, ALPHA] = np.log(np.maximum(answer.alpha, 1e-9))[:, None] + _GAINS
+    # The lowest side's.
+    in_range = answer.in_range.reshape(count, -1)[:, 0] | (found[:, 0, ASKED] == 0.0)
+    return genes.reshape(count, -1, N_GENES), in_range
+
 
 _SAMPLES = 41
 
@@ -25,18 +102,7 @@ def _planned(s: float) -> float:
 
 @njit(cache=True, error_model="numpy")
 def shadows(
-    p_WG: FloatArray,
-    R_WL: FloatArray,
-    baseline: FloatArray,
-    s_now: float,
-    p_WO: FloatArray,
-    R_WO: FloatArray,
-    semi_axes: FloatArray,
-    v_WO: FloatArray,
-    clearance: FloatArray,
-    seconds: float,
-    angles: FloatArray,
-    out: FloatArray,
+    scenes: SceneArrays, s_now: float, seconds: float, angles: FloatArray, out: FloatArray
 ) -> None:
     """What of the obstacles in the way rises above the baseline on each side.
 
@@ -45,14 +111,16 @@ def shadows(
     extent along the baseline and the height on that side.
 
     Args:
-        p_WG, R_WL, baseline, p_WO, R_WO, semi_axes, v_WO, clearance: see
-            `spatial_rollout.SpatialScenes`.
+        scenes: the scenes.
         s_now: normalised time now.
         seconds: tau T [s].
         angles: (A,) of the sides omega in the local YZ plane.
         out: (S, A, 4) takes `ALONG`, `ACROSS`, `CENTER`, `ASKED`; `ASKED` is 0 where
             nothing is in the way.
     """
+    p_WG, R_WL, baseline = scenes.p_WG, scenes.R_WL, scenes.baseline
+    p_WO, R_WO, v_WO = scenes.p_WO, scenes.R_WO, scenes.v_WO
+    semi_axes, clearance = scenes.semi_axes, scenes.clearance
     M = p_WO.shape[1]
     for s in range(len(baseline)):
         L = baseline[s]

@@ -5,20 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drake_oa.common.kernel_arrays import kernel_arrays
 from drake_oa.geometry.ellipsoid import signed_distance
-from drake_oa.policy.coupling_kernels import ALPHA, NORMAL
+from drake_oa.policy.coupling_kernels import ALPHA as ALPHA_COLUMN
+from drake_oa.policy.coupling_kernels import NORMAL
+from drake_oa.regulation.proposals import ALPHA, ANGLE, N_GENES, avoidance_terms, shadows
 from drake_oa.regulation.regressor import ChainWeights, load_chain
 from drake_oa.regulation.rollout import SpatialScenes, spatial_rollouts
-from drake_oa.regulation.verification import (
-    ANGLE,
-    N_GENES,
-    SearchParameters,
-    Verified,
-    avoidance_terms,
-    verify,
-)
-from drake_oa.regulation.verification_kernels import shadows
+from drake_oa.regulation.search import SearchParameters, Verified, assessed, survey, verify
 from drake_oa.scenario.loading import package_file
 
 DURATION = 3.0
@@ -58,7 +51,7 @@ def followed(posed: SpatialScenes, found: Verified) -> tuple[np.ndarray, np.ndar
     rolled = spatial_rollouts(
         posed,
         [0],
-        found.terms[None],
+        found.terms,
         seconds=DURATION * found.tau,
         steps=int(found.steps[0]),
         horizon=2.0,
@@ -111,7 +104,7 @@ def test_the_asked_clearance_is_kept_and_not_much_more(
 def test_nothing_is_done_where_nothing_is_in_the_way(chain: ChainWeights) -> None:
     found = verify(scenes([[0.5, 0.3, 0.0]]), chain, duration=DURATION)
     assert found.kept
-    assert found.terms[0, ALPHA] == 0.0
+    assert found.terms[0, ALPHA_COLUMN] == 0.0
     assert found.tau == pytest.approx(1.0, abs=1e-4)
     assert found.in_range
     assert found.rollouts == 1
@@ -120,14 +113,14 @@ def test_nothing_is_done_where_nothing_is_in_the_way(chain: ChainWeights) -> Non
 def test_a_scene_without_obstacles_is_free(chain: ChainWeights) -> None:
     found = verify(scenes([[np.nan, np.nan, np.nan]]), chain, duration=DURATION)
     assert found.kept
-    assert found.terms[0, ALPHA] == 0.0
+    assert found.terms[0, ALPHA_COLUMN] == 0.0
 
 
 def test_a_moving_obstacle_is_met_where_it_will_be(chain: ChainWeights) -> None:
     # It crosses the baseline's middle at t = 1.5 s, and is far from it now.
     posed = scenes([[0.5, 0.45, 0.0]], velocity=(0.0, -0.3, 0.0))
     still = replace(posed, v_WO=np.zeros((1, 1, 3)))
-    assert verify(still, chain, duration=DURATION).terms[0, ALPHA] == 0.0
+    assert verify(still, chain, duration=DURATION).terms[0, ALPHA_COLUMN] == 0.0
     found = verify(posed, chain, duration=DURATION, parameters=QUICK)
     assert found.kept
     path, stamps = followed(posed, found)
@@ -176,14 +169,7 @@ def test_past_the_demonstration_proposals_do_not_look_back_in_time() -> None:
     posed = scenes([[1.0, 0.12, 0.0]], velocity=(0.0, 0.2, 0.0))
     shadow = np.empty((2, 1, 4, 4))
     for out, s in zip(shadow, (1.0, 1.6), strict=True):
-        shadows(
-            *kernel_arrays(posed.p_WG, posed.R_WL, posed.baseline),
-            s,
-            *kernel_arrays(posed.p_WO, posed.R_WO, posed.semi_axes, posed.v_WO, posed.clearance),
-            DURATION,
-            np.arange(4) * 0.5 * np.pi,
-            out,
-        )
+        shadows(posed.arrays, s, DURATION, np.arange(4) * 0.5 * np.pi, out)
     np.testing.assert_array_equal(shadow[1], shadow[0])
 
 
@@ -224,11 +210,11 @@ def test_the_side_in_use_is_kept_unless_another_is_much_shorter(chain: ChainWeig
 def test_it_goes_on_from_the_middle_of_a_motion(chain: ChainWeights) -> None:
     posed = scenes([[0.6, 0.0, 0.0]])
     found = verify(posed, chain, duration=DURATION)
-    first = spatial_rollouts(posed, [0], found.terms[None], fade=0.3, keep_path=True)
+    first = spatial_rollouts(posed, [0], found.terms, fade=0.3, keep_path=True)
     half = replace(posed, p_WE=first.path[:, 200], z_W=first.velocity[:, 200], s=0.4)
     again = verify(half, chain, duration=DURATION, previous=found.genes)
     assert again.kept
-    rest = spatial_rollouts(half, [0], again.terms[None], fade=0.3, horizon=2.0, keep_path=True)
+    rest = spatial_rollouts(half, [0], again.terms, fade=0.3, horizon=2.0, keep_path=True)
     path = rest.path[0][: int(rest.steps[0]) + 1]
     assert signed_distance(path, [0.6, 0.0, 0.0], np.eye(3), [0.08] * 3).min() >= 0.0995
 
@@ -246,7 +232,7 @@ def test_a_turn_about_the_normal_goes_to_the_side() -> None:
     genes = np.zeros((1, N_GENES))
     genes[0, ANGLE] = 0.3
     terms = avoidance_terms(scenes([[0.5, 0.0, 0.0]]), np.zeros(1, dtype=np.int64), genes)
-    omega = np.cross(terms[0, 0, NORMAL : NORMAL + 3], [1.0, 0.0, 0.0])
+    omega = np.cross(terms[0, NORMAL : NORMAL + 3], [1.0, 0.0, 0.0])
     np.testing.assert_allclose(omega, [0.0, np.cos(0.3), np.sin(0.3)], atol=1e-15)
 
 
@@ -273,3 +259,57 @@ def test_arguments_are_checked(chain: ChainWeights) -> None:
         verify(posed, chain, duration=0.0)
     with pytest.raises(ValueError, match="previous"):
         verify(posed, chain, duration=1.0, previous=np.zeros((2, 7)))
+
+
+ROUGH = SearchParameters(candidates=32, rounds=12, polish=0, steps=250)
+
+
+def ball(y: float = 0.0, *, velocity: float = 0.0, semi_axis: float = 0.08) -> SpatialScenes:
+    """A ball half-way."""
+    return scenes([[0.5, y, 0.0]], semi_axis, (0.0, velocity, 0.0))
+
+
+def test_given_genes_come_to_what_the_search_says_of_them(chain: ChainWeights) -> None:
+    found = verify(ball(), chain, duration=DURATION, parameters=ROUGH)
+    again = assessed(ball(), found.genes, duration=DURATION, parameters=ROUGH)
+    for name in ("terms", "tau", "end", "clearance", "shortfall", "kept", "path_length", "cost"):
+        # One row and many are two kernels, which a processor's instructions may round apart.
+        np.testing.assert_allclose(
+            getattr(again, name), getattr(found, name), rtol=1e-12, err_msg=name
+        )
+
+
+@pytest.mark.parametrize("y", [0.0, 0.4])
+def test_it_goes_round_on_every_side_in_detours_of_every_size(y: float) -> None:
+    # Also where the straight motion is free.
+    found = survey(ball(y), duration=DURATION, clearance=0.05, parameters=ROUGH)
+    kept = found.rows(found.kept)
+    sides = np.unique(np.round(np.mod(kept.genes[:, ANGLE], 2.0 * np.pi) / (np.pi / 4.0)) % 8)
+    assert len(sides) >= 7
+    assert kept.path_length.min() < 1.2
+    assert kept.path_length.max() > 1.6
+    assert (found.genes[:, ALPHA] <= 8.0 + 1e-9).all()
+    assert (found.clearance > 0.045).all()
+    # The first is as good as any that does not creep.
+    prompt = found.cost[found.end <= found.end[0] + 1e-9]
+    assert found.cost[0] == prompt.min()
+
+
+def test_it_is_the_same_each_time_and_times_what_moves() -> None:
+    moving = ball(-0.5, velocity=0.2)
+    one, other = (survey(moving, duration=DURATION, clearance=0.05) for _ in range(2))
+    np.testing.assert_array_equal(one.genes, other.genes)
+    assert len(np.unique(one.tau)) > 1
+
+
+def test_where_nothing_passes_there_is_none() -> None:
+    found = survey(ball(semi_axis=0.46), duration=DURATION, clearance=0.2, parameters=ROUGH)
+    assert len(found.cost) == 0
+
+
+def test_more_than_one_scene_is_refused() -> None:
+    two = ball().rows(np.zeros(2, dtype=int))
+    with pytest.raises(ValueError, match="single one, not 2"):
+        survey(two, duration=DURATION, clearance=0.05)
+    with pytest.raises(ValueError, match="single one, not 2"):
+        assessed(two, np.zeros((2, 7)), duration=DURATION)
