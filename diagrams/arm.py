@@ -12,8 +12,7 @@ from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.posture.posture_plan import PostureParameters
 from drake_oa.posture.posture_planner import WholeArm
 from drake_oa.regulation.verified_regressor_chain import RobotArm
-from drake_oa.robot.arm_model import make_arm_model
-from drake_oa.robot.arm_motion import ArmModel
+from drake_oa.robot.arm import ArmModel, make_arm_model
 from drake_oa.robot.config import Robot
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.plant import RobotPlant

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
-from drake_oa.common.schema_check import ScenarioError
 from drake_oa.common.wires import Wires
 from drake_oa.control.cartesian_inverse_dynamics import CartesianInverseDynamics
 from drake_oa.control.integral_action import IntegralAction

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.wires import Wires
 from drake_oa.descriptor.descriptor import merged_parts
 from drake_oa.descriptor.ellipsoid_descriptor import EllipsoidDescriptor

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.perception import PIXEL_CENTER
 from drake_oa.diagrams.station import Cell
+from drake_oa.perception.config import DepthCamera
 from drake_oa.robot.plant import RobotPlant
 from drake_oa.scenario.faults import Push, TorqueSaturation, camera_faults
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
-from drake_oa.scenario.scenario import (
-    DepthCamera,
-    Scenario,
-)
+from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import camera_config
 from drake_oa.world.fault_systems import CameraFaults, ExternalPush, WeakActuators
 from drake_oa.world.obstacles import ObstacleMover

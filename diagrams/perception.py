@@ -14,26 +14,20 @@ from pydrake.systems.primitives import (
     MatrixGain,
 )
 
-from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.wires import Wires
 from drake_oa.descriptor.ellipsoid_descriptor import GivenEllipsoidSource
 from drake_oa.diagrams.station import Cell
 from drake_oa.geometry.collision_shapes import RobotModel, collect_collision_shapes
-from drake_oa.perception.config import SegmentationConfig
+from drake_oa.perception.config import DepthCamera, GroundTruth, RecordedClouds, SegmentationConfig
 from drake_oa.perception.depth_perception import DepthPerception
 from drake_oa.perception.ground_truth_perception import GroundTruthPerception
 from drake_oa.perception.hidden_sides import HiddenSides
 from drake_oa.perception.recorded_perception import RecordedPerception
 from drake_oa.robot.plant import RobotPlant
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
-from drake_oa.scenario.scenario import (
-    DepthCamera,
-    GivenEllipsoids,
-    GroundTruth,
-    RecordedClouds,
-    Scenario,
-    allow_perception,
-)
+from drake_oa.scenario.perception import GivenEllipsoids
+from drake_oa.scenario.scenario import Scenario, allow_perception
 from drake_oa.scenario.sources import given_ellipsoids, perception_period, table_plane
 from drake_oa.world.depth_noise import DepthNoise
 from drake_oa.world.station import Station

@@ -12,7 +12,7 @@ from pydrake.systems.primitives import (
     TrajectorySource,
 )
 
-from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.station import Cell
 from drake_oa.policy.action import ActionParameters

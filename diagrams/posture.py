@@ -8,8 +8,8 @@ from pydrake.systems.primitives import (
     ConstantValueSource,
 )
 
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray, PlannedMotion
-from drake_oa.common.schema_check import ScenarioError
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.arm import arm_model, make_posture_guide
 from drake_oa.diagrams.station import Cell

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from pydrake.math import RollPitchYaw
 
-from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.wires import Wires
 from drake_oa.control.min_speed_scale import Slowest
 from drake_oa.diagrams.policy import add_orientation, make_dmp, make_kept_orientation
@@ -25,13 +25,8 @@ from drake_oa.regulation.verified_regressor_chain import RobotArm, VerifiedRegre
 from drake_oa.robot.plant import RobotPlant, home_positions, tool_link_corners
 from drake_oa.robot.reachable_turns import reachable_turns
 from drake_oa.scenario.loading import package_file
-from drake_oa.scenario.scenario import (
-    GivenEllipsoids,
-    Policy,
-    Regressor,
-    Scenario,
-    Verified,
-)
+from drake_oa.scenario.perception import GivenEllipsoids
+from drake_oa.scenario.scenario import Policy, Regressor, Scenario, Verified
 from drake_oa.scenario.sources import perception_period
 from drake_oa.scenario.tool_orientation import tool_orientation
 

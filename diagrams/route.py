@@ -13,11 +13,10 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.station import Cell
 from drake_oa.geometry.collision_shapes import collect_collision_shapes
-from drake_oa.robot.arm_model import make_arm_model
+from drake_oa.robot.arm import make_arm_model
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import home_positions, make_robot_plant
-from drake_oa.robot.reachability import Reachability, reachability
-from drake_oa.robot.workspace import tool_down_annulus
+from drake_oa.robot.reachability import Reachability, reachability, tool_down_annulus
 from drake_oa.route.cost_ring_selector import CostRingSelector
 from drake_oa.scenario.scenario import (
     Regressor,
@@ -109,7 +108,7 @@ def _has_known_workspace(robot: Robot | None) -> bool:
 
 
 def robot_annulus(robot: Robot | None) -> FloatArray | None:
-    """Where the tool point can be, as `workspace.tool_down_annulus` has it; None: not known."""
+    """Where the tool point can be, as `reachability.tool_down_annulus` has it; None: not known."""
     return tool_down_annulus() if _has_known_workspace(robot) else None
 
 

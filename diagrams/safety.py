@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.policy import make_dmp
 from drake_oa.diagrams.route import held_annulus

@@ -8,9 +8,10 @@ from functools import cached_property
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.arm import make_robot_arm
+from drake_oa.perception.config import DepthCamera
 from drake_oa.regulation.verified_regressor_chain import RobotArm
 from drake_oa.robot.plant import RobotPlant, make_robot_plant
-from drake_oa.scenario.scenario import DepthCamera, Scenario
+from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task_joints import start_positions
 from drake_oa.world.station import Station, make_station
 

@@ -11,9 +11,10 @@ from drake_oa.common.wires import Wires
 from drake_oa.diagrams.policy import make_dmp
 from drake_oa.diagrams.route import make_cost_ring_selector
 from drake_oa.diagrams.station import Cell
+from drake_oa.perception.config import DepthCamera
 from drake_oa.policy.dmp import trajectory
-from drake_oa.route.selected_route import TakenRoute
-from drake_oa.scenario.scenario import DepthCamera, Scenario, Verified
+from drake_oa.route.cost_ring_selector import TakenRoute
+from drake_oa.scenario.scenario import Scenario, Verified
 from drake_oa.scenario.sources import camera_config
 from drake_oa.viewing.meshcat_overlay import MeshcatOverlay, dress_scene
 

@@ -7,7 +7,7 @@ it is imported when it is asked for.
 from importlib import import_module as _import_module
 from pathlib import Path as _Path
 
-from drake_oa.common.kernel_cache import provide_kernel_cache as _provide_kernel_cache
+from drake_oa.common.numba_tools import provide_kernel_cache as _provide_kernel_cache
 
 # Before any module that compiles is imported.
 _KERNEL_CACHE = _provide_kernel_cache(_Path(__file__).parent)

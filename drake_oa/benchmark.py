@@ -31,11 +31,12 @@ from scipy.optimize import nnls
 
 from drake_oa.common import thoughts
 from drake_oa.common.console import TextTable
-from drake_oa.common.provenance import software_versions
-from drake_oa.common.work import Thinking, Work
+from drake_oa.common.files import software_versions
+from drake_oa.common.thinking import Thinking, Work
+from drake_oa.perception.config import DepthCamera
 from drake_oa.robot.plant import home_positions, make_robot_plant
 from drake_oa.runs.simulation import simulate
-from drake_oa.scenario.scenario import DepthCamera, Scenario
+from drake_oa.scenario.scenario import Scenario
 from drake_oa.world.station import make_station
 
 PARTS = ("run", "thinking")

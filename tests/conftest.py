@@ -10,8 +10,7 @@ from hypothesis import settings
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
 from drake_oa.geometry.collision_shapes import collect_collision_shapes
-from drake_oa.robot.arm_model import make_arm_model
-from drake_oa.robot.arm_motion import ArmModel
+from drake_oa.robot.arm import ArmModel, make_arm_model
 from drake_oa.robot.config import Robot
 from drake_oa.robot.inverse_kinematics import solve_tool_pose
 from drake_oa.robot.limits import RobotLimits

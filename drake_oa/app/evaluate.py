@@ -118,7 +118,7 @@ def synthetic(
         json: write the figures.
         plot: write a plot: .png, .svg or .pdf.
     """
-    from drake_oa.common.provenance import software_versions
+    from drake_oa.common.files import software_versions
     from drake_oa.studies.scenes.dead_zone import compare_terms, term_figures, term_table
     from drake_oa.studies.scenes.evaluation import evaluate as evaluate_scenes
     from drake_oa.studies.scenes.figures import evaluation_figures, evaluation_table
@@ -190,7 +190,7 @@ def _methods(names: Sequence[str]) -> dict[str, Method]:
 
 
 def _scenes(suite: str, count: int | None, seed: int, file: Path | None) -> Scenes:
-    from drake_oa.common.memory import check_memory
+    from drake_oa.common.files import check_memory
     from drake_oa.studies.scenes.scenes import load_scenes
     from drake_oa.studies.scenes.suites import draw_scenes, find_suite
 
@@ -501,7 +501,7 @@ def _run_suites(
     if runs.jobs is not None and runs.jobs < 1:
         raise ValueError(f"--jobs must be at least 1, not {runs.jobs}")
 
-    from drake_oa.common.provenance import software_versions
+    from drake_oa.common.files import software_versions
     from drake_oa.studies.panda.evaluation import evaluate_panda
     from drake_oa.studies.panda.planner import check_planner
     from drake_oa.studies.panda.run import PLANNER

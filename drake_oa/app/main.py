@@ -143,7 +143,7 @@ def _computing(command: Callable[..., Any], level: int) -> Iterator[None]:
     from threadpoolctl import threadpool_limits
 
     import drake_oa.scenario.loading  # noqa: F401
-    from drake_oa.common.kernel_cache import announced_compilation
+    from drake_oa.common.numba_tools import announced_compilation
 
     logging.getLogger("drake").setLevel(level)
     # Many small matrices: more BLAS threads only wait for each other.

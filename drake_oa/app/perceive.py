@@ -102,7 +102,7 @@ def perceive(
     """
     from drake_oa.app.perceive_frame import as_json, plot_frame
     from drake_oa.app.perceive_frame import perceive as perceive_frame
-    from drake_oa.common.provenance import software_versions
+    from drake_oa.common.files import software_versions
     from drake_oa.perception.recordings import read_frame
 
     tool_W = _tool(tool)
@@ -255,7 +255,7 @@ def _coding(intrinsics: Sequence[float] | None, scale: float | None) -> DepthCod
 
 
 def _config(near: float | None, far: float | None) -> SegmentationConfig:
-    from drake_oa.common.schema_check import check_values
+    from drake_oa.common.config import check_values
     from drake_oa.perception.config import SegmentationConfig
 
     default = SegmentationConfig()

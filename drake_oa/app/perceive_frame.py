@@ -19,14 +19,10 @@ from numpy.typing import NDArray
 from drake_oa.common.messages import FloatArray, IntArray
 from drake_oa.geometry.ellipsoid import Ellipsoid, enclosing_ellipsoid, shape_matrix
 from drake_oa.geometry.ellipsoid_kernels import farthest_pair
+from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.depth_image import back_projected, row_hulls
 from drake_oa.perception.recordings import RecordedFrame
-from drake_oa.perception.segmentation import (
-    Segmentation,
-    SegmentationConfig,
-    segment_depth,
-    segment_points,
-)
+from drake_oa.perception.segmentation import Segmentation, segment_depth, segment_points
 
 _BACKGROUND = 1.5  # [m]
 _BORDER = 5  # [pixel]

@@ -58,7 +58,7 @@ def replay(
 
     from pydrake.systems.analysis import Simulator
 
-    from drake_oa.runs.replay_diagram import build_replay
+    from drake_oa.runs.replay import build_replay
     from drake_oa.viewing.viewer import recording, start_viewer, wait_for_viewer
 
     viewer = start_viewer(announce=meshcat)

@@ -22,7 +22,7 @@ Overrides = Annotated[tuple[str, ...], Parameter(name="--set")]
 @contextlib.contextmanager
 def build_errors() -> Iterator[None]:
     """Drake refuses a model or a camera by RuntimeError: bad input, not a bug of ours."""
-    from drake_oa.common.schema_check import ScenarioError
+    from drake_oa.common.config import ScenarioError
     from drake_oa.runs.simulation import MotionInterruptedError
 
     try:

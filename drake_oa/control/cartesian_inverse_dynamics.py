@@ -14,7 +14,7 @@ from pydrake.multibody.tree import Frame, JacobianWrtVariable, MultibodyForces
 from pydrake.systems.framework import BasicVector, Context, LeafSystem, ValueProducer
 
 from drake_oa.common.messages import FloatArray, IntArray
-from drake_oa.common.model_context import ModelContext
+from drake_oa.common.ports import ModelContext
 from drake_oa.control.operational_space import (
     ArmLimits,
     ArmState,

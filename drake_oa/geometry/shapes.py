@@ -7,8 +7,7 @@ from typing import Protocol
 import pydrake.geometry as geometry
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from drake_oa.common.scenario_fields import number, vector
-from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.config import ScenarioError, number, vector
 
 _LARGEST = 10.0
 

@@ -1,6 +1,6 @@
 """The configuration of perception: what the block `perception` of a scenario holds.
 
-Every field has its unit and range; `drake_oa.common.schema_check` holds a file's blocks, and
+Every field has its unit and range; `drake_oa.common.config` holds a file's blocks, and
 with `check_values` what Python code makes, against them.
 """
 
@@ -10,7 +10,7 @@ import math
 
 from pydrake.common.schema import Transform
 
-from drake_oa.common.scenario_fields import count, number
+from drake_oa.common.config import count, number
 
 _STEEPEST = math.radians(89.0)
 _FAR = 100.0

@@ -15,9 +15,9 @@ from pydrake.perception import PointCloud
 from pydrake.systems.framework import AbstractStateIndex, Context, LeafSystem, State
 from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 
+from drake_oa.common.config import check_values
 from drake_oa.common.messages import Frozen, ObstacleClouds
 from drake_oa.common.ports import read_value, valid_period
-from drake_oa.common.schema_check import check_values
 from drake_oa.geometry.collision_shapes import RobotModel
 from drake_oa.geometry.pinhole import pinhole
 from drake_oa.geometry.primitives import PosedShapes

@@ -11,8 +11,8 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem, State
 
+from drake_oa.common.config import check_values
 from drake_oa.common.ports import valid_period
-from drake_oa.common.schema_check import check_values
 from drake_oa.geometry.collision_shapes import RobotModel
 from drake_oa.geometry.primitives import PosedShapes
 from drake_oa.perception.config import SegmentationConfig, TrackingConfig

@@ -38,9 +38,9 @@ from typing import Any, BinaryIO, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_oa.common.memory import check_archive
+from drake_oa.common.config import read_yaml
+from drake_oa.common.files import check_archive
 from drake_oa.common.messages import FloatArray
-from drake_oa.common.schema_check import read_yaml
 
 _LINES, _LINE = 1000, 65536
 """Most lines of a header, and most bytes that are taken for one of them."""

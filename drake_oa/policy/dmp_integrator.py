@@ -29,11 +29,11 @@ from drake_oa.policy.action import (
     ActionLevel,
     ActionParameters,
     Segment,
+    Surroundings,
     begun_anew,
     initial_segment,
 )
 from drake_oa.policy.dmp import Dmp
-from drake_oa.policy.policy_inputs import Surroundings
 
 _logger = logging.getLogger("drake_oa")
 _SUCCEEDED = EventStatus.Succeeded()

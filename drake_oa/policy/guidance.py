@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from drake_oa.common.kernel_arrays import kernel_arrays
 from drake_oa.common.messages import EllipsoidSet, FloatArray, PolicyState
+from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.geometry.ellipsoid import shape_matrix
 from drake_oa.geometry.ellipsoid_kernels import tangent_headings
 

@@ -19,7 +19,7 @@ from pydrake.systems.framework import (
 from drake_oa.common.messages import FloatArray, Frozen, PolicyState
 from drake_oa.common.ports import read_value, valid_period
 from drake_oa.geometry.rotation import rotation_vector
-from drake_oa.policy import orientation_kernels as kernels
+from drake_oa.policy import orientation_dmp as kernels
 from drake_oa.policy.dmp import normalised_time
 from drake_oa.policy.orientation_dmp import (
     OrientationDmp,
@@ -37,7 +37,7 @@ class OrientationSegment(Frozen):
     """The turning between two steps.
 
     Attributes:
-        motion: (17,) as `drake_oa.policy.orientation_kernels` lays it out.
+        motion: (17,) as `drake_oa.policy.orientation_dmp` lays it out.
         r: (3,) rotation vector from the start's orientation at the end of it [rad].
         z: (3,) its derivative by normalised time [rad].
         phase: canonical phase of the policy, as last seen.
@@ -96,7 +96,7 @@ class OrientationIntegrator(LeafSystem):
     along the primitive is two periods behind the policy.
 
     The turn follows what is wanted as a critically damped spring, within bounds on rate and
-    acceleration (`drake_oa.policy.orientation_kernels.turn_acceleration`).
+    acceleration (`drake_oa.policy.orientation_dmp.turn_acceleration`).
     """
 
     def __init__(

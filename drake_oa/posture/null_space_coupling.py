@@ -29,14 +29,14 @@ from numba import njit
 from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
-from drake_oa.common.kernel_arrays import kernel_arrays
 from drake_oa.common.messages import FloatArray, Frozen, IntArray, ObstacleClouds, TablePlane
+from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.common.ports import DECISION_OFFSET, read_value, valid_period
 from drake_oa.geometry.primitives import point_distance, posed, to_frame
 from drake_oa.policy.coupling_kernels import avoidance_term, norm
 from drake_oa.posture.arm_surroundings import ArmSurroundings
+from drake_oa.robot.arm import ArmModel
 from drake_oa.robot.arm_kernels import jacobian, nearest_point
-from drake_oa.robot.arm_motion import ArmModel
 
 _AT_REST = 1e-6
 """Speeds below this have no direction [m/s]."""

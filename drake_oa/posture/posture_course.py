@@ -19,8 +19,8 @@ from functools import cached_property
 import numpy as np
 from numba import njit
 
-from drake_oa.common.kernel_arrays import kernel_arrays
 from drake_oa.common.messages import FloatArray, Frozen, PlannedMotion
+from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.geometry.directions import ramped
 
 _SETTLED = 12.0

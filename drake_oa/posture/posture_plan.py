@@ -30,13 +30,13 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from drake_oa.common.kernel_arrays import kernel_arrays
 from drake_oa.common.messages import FloatArray, Frozen, IntArray, PlannedMotion
-from drake_oa.common.work import count
+from drake_oa.common.numba_tools import kernel_arrays
+from drake_oa.common.thinking import count
 from drake_oa.posture import plan_kernels as kernels
 from drake_oa.posture.arm_surroundings import ArmSurroundings
 from drake_oa.posture.trace_kernels import plan_traced
-from drake_oa.robot.arm_motion import ArmModel
+from drake_oa.robot.arm import ArmModel
 
 REDUNDANT = 2
 """The joint whose value tells the postures of a 7R arm apart: the upper arm's roll."""

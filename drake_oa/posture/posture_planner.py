@@ -25,7 +25,7 @@ from drake_oa.posture.posture_plan import (
     plan_posture,
     reviewed,
 )
-from drake_oa.robot.arm_motion import ArmModel
+from drake_oa.robot.arm import ArmModel
 
 _MOVED = 0.01
 """A path of the tool that stays so near to the one that was planned along is the same [m]."""

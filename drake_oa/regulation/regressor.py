@@ -32,7 +32,7 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_oa.common.memory import check_archive
+from drake_oa.common.files import check_archive
 from drake_oa.common.messages import BoolArray, CouplingParameters, FloatArray, Frozen
 
 _ROUNDING = 1e-12

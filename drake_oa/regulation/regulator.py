@@ -49,7 +49,7 @@ from drake_oa.regulation.search import (
     survey,
     verify,
 )
-from drake_oa.robot.workspace import annulus_margin
+from drake_oa.robot.reachability import annulus_margin
 
 _OUTSIDE = 0.01
 """How far a motion may leave the world's limits, which hold centimetres in reserve [m]."""

@@ -20,9 +20,9 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import ArrayLike
 
-from drake_oa.common.kernel_arrays import kernel_arrays
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
-from drake_oa.common.work import count
+from drake_oa.common.numba_tools import kernel_arrays
+from drake_oa.common.thinking import count
 from drake_oa.policy.coupling_kernels import ALPHA, GUIDANCE_ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
 from drake_oa.policy.dmp import Dmp, imitate, minimum_jerk, spring_flow
 from drake_oa.regulation.lane_math import STRICT, widest_vectors

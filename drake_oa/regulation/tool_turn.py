@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 
 from drake_oa.common.messages import EllipsoidSet, FloatArray, Frozen, ObstacleClouds, PolicyState
-from drake_oa.common.work import count
+from drake_oa.common.thinking import count
 from drake_oa.descriptor.descriptor import describe, merged_parts
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.geometry.rotation import turned_about, unit_axis

@@ -11,8 +11,7 @@ from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSys
 
 from drake_oa.common.messages import ObstacleClouds, PolicyState
 from drake_oa.common.ports import DECISION_OFFSET, read_value, valid_period
-from drake_oa.common.thoughts import ForMotion, Thoughts
-from drake_oa.common.work import Thinking
+from drake_oa.common.thinking import ForMotion, Thinking, Thoughts
 from drake_oa.regulation.tool_turn import ToolTurner, TurnChoice
 
 _logger = logging.getLogger("drake_oa")

@@ -23,8 +23,7 @@ from drake_oa.common.messages import (
     TablePlane,
 )
 from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
-from drake_oa.common.thoughts import ForMotion, Thoughts
-from drake_oa.common.work import Thinking
+from drake_oa.common.thinking import ForMotion, Thinking, Thoughts
 from drake_oa.policy.dmp import Dmp
 from drake_oa.posture.posture_planner import ArmSight, WholeArm
 from drake_oa.regulation.regressor import ChainWeights
@@ -174,7 +173,7 @@ class VerifiedRegressorChain(LeafSystem):
             table_height: least height of E above the table [m].
             annulus: (3, n) heights, increasing, n at least 2, and least and largest distance
                 of E from the world's z axis there [m], see
-                `drake_oa.robot.workspace.tool_down_annulus`; None: E may be anywhere.
+                `drake_oa.robot.reachability.tool_down_annulus`; None: E may be anywhere.
             arm: plans the posture along the motion; None: nothing does.
             begins_anew: whether a motion that rests, as none that clears the obstacles or that
                 the arm can follow goes on from it, begins anew from there where such a one

@@ -3,8 +3,8 @@
 import dataclasses as dc
 import math
 
-from drake_oa.common.scenario_fields import number as _number
-from drake_oa.common.scenario_fields import vector as _vector
+from drake_oa.common.config import number as _number
+from drake_oa.common.config import vector as _vector
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere
 
 

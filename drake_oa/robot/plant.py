@@ -19,8 +19,8 @@ from pydrake.multibody.plant import (
 from pydrake.multibody.tree import FixedOffsetFrame, Frame, ModelInstanceIndex
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
-from drake_oa.common.schema_check import ScenarioError
 from drake_oa.geometry.collision_shapes import outline_corners
 from drake_oa.robot.config import Robot
 from drake_oa.robot.grasped_object import add_carried, part_carried, tool_links

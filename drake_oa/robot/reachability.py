@@ -9,18 +9,19 @@ grid points it is interpolated.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numba import njit
 from scipy.spatial import cKDTree
 
-from drake_oa.common.kernel_arrays import kernel_arrays
-from drake_oa.common.messages import FloatArray, Frozen
-from drake_oa.robot import reachability_kernels as kernels
+from drake_oa.common.messages import FloatArray, Frozen, IntArray
+from drake_oa.common.numba_tools import kernel_arrays
+from drake_oa.robot.arm import ArmModel
 from drake_oa.robot.arm_kernels import poses
-from drake_oa.robot.arm_motion import ArmModel
-from drake_oa.robot.pose_kernels import follow
+from drake_oa.robot.inverse_kinematics import follow, solve_pose
 
 SPACING = 0.05
 """Of the grid [m]."""
@@ -93,7 +94,7 @@ class Reachability(Frozen):
         margin = np.empty(p_WQ.size // 3)
         (origin,) = kernel_arrays(self.origin)
         flat = np.ascontiguousarray(p_WQ.reshape(-1, 3))
-        kernels.interpolate(*kernel_arrays(flat), origin, self.spacing, grid, margin)
+        interpolate(*kernel_arrays(flat), origin, self.spacing, grid, margin)
         return margin.reshape(p_WQ.shape[:-1])
 
 
@@ -138,11 +139,9 @@ def _mapped(data: tuple[bytes, ...], spacing: float, joint_margin: float) -> Rea
     found = np.zeros((*shape, n))
     turn = np.maximum(lower, -np.pi), np.minimum(upper, np.pi)
     seeds = np.vstack([posture, np.random.default_rng(0).uniform(*turn, (_SEEDS, n))])
-    limits = {kernels.REACHED: narrow, kernels.STRAINED: np.zeros(n)}
+    limits = {REACHED: narrow, STRAINED: np.zeros(n)}
     for kind, off in limits.items():
-        kernels.flood(
-            origin, spacing, seeds, R_WE, lower + off, upper - off, X_PJ, kind, state, found
-        )
+        flood(origin, spacing, seeds, R_WE, lower + off, upper - off, X_PJ, kind, state, found)
     if not state.any():
         raise ValueError("no point was found where the arm can hold its tool in this orientation")
 
@@ -156,7 +155,7 @@ def _mapped(data: tuple[bytes, ...], spacing: float, joint_margin: float) -> Rea
     margins = {}
     for least, off in limits.items():
         edge = np.empty((6 * int((state >= least).sum()), 3))
-        at = kernels.surface(
+        at = surface(
             origin, spacing, R_WE, lower + off, upper - off, X_PJ, least, state, found, edge
         )
         distance = np.full(state.shape, np.inf)
@@ -166,7 +165,279 @@ def _mapped(data: tuple[bytes, ...], spacing: float, joint_margin: float) -> Rea
     return Reachability(
         origin,
         spacing,
-        margins[kernels.STRAINED],
-        margins[kernels.REACHED],
+        margins[STRAINED],
+        margins[REACHED],
         (X_PJ, R_WE, posture, lower, upper),
     )
+
+
+UNREACHED, STRAINED, REACHED = 0, 1, 2
+"""What a grid point is: out of reach, reached only near a joint limit, reached."""
+
+
+_ATTEMPTS = 4
+"""Seeds that a point is tried from before it counts as out of reach."""
+
+
+_HALVINGS = 3
+
+
+@njit(cache=True, error_model="numpy")
+def flood(
+    origin: FloatArray,
+    spacing: float,
+    seeds: FloatArray,
+    R_WE: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    X_PJ: FloatArray,
+    kind: int,
+    state: IntArray,
+    found: FloatArray,
+) -> None:
+    """Grows the set of grid points that the tool reaches from neighbour to neighbour.
+
+    Args:
+        origin: (3,) first grid point [m].
+        spacing: of the grid [m].
+        seeds: (S, n) positions to begin from, each at the grid point nearest to its
+            tool; then the points that are in `state` already go on.
+        R_WE: (3, 3) the tool's orientation.
+        lower, upper: (n,) limits to keep [rad].
+        X_PJ: (n + 1, 4, 4) the arm.
+        kind: what reached points become.
+        state: (a, b, c) what the grid points are; changed.
+        found: (a, b, c, n) positions there [rad]; changed.
+    """
+    shape = state.shape
+    n = found.shape[3]
+    X_WB = np.empty((n + 1, 4, 4))
+    queue = np.empty((state.size, 3), dtype=np.int64)
+    tried = np.zeros(shape, dtype=np.int64)
+    end = 0
+    p, q = np.empty(3), np.empty(n)
+    at = np.empty(3, dtype=np.int64)
+    for i in range(shape[0]):
+        for j in range(shape[1]):
+            for k in range(shape[2]):
+                if state[i, j, k] != UNREACHED:
+                    queue[end, 0], queue[end, 1], queue[end, 2] = i, j, k
+                    end += 1
+    for row in range(len(seeds)):
+        q[:] = seeds[row]
+        poses(q, X_PJ, X_WB)
+        inside = True
+        for c in range(3):
+            at[c] = round((X_WB[n, c, 3] - origin[c]) / spacing)
+            p[c] = origin[c] + spacing * at[c]
+            inside &= 0 <= at[c] < shape[c]
+        if inside and state[at[0], at[1], at[2]] == UNREACHED:
+            for i in range(n):
+                q[i] = min(max(q[i], lower[i]), upper[i])
+            if solve_pose(q, p, R_WE, lower, upper, X_PJ, X_WB):
+                state[at[0], at[1], at[2]] = kind
+                found[at[0], at[1], at[2]] = q
+                queue[end] = at
+                end += 1
+    begin = 0
+    while begin < end:
+        i, j, k = queue[begin]
+        begin += 1
+        for side in range(6):
+            at[0], at[1], at[2] = i, j, k
+            at[side // 2] += 2 * (side % 2) - 1
+            if not 0 <= at[side // 2] < shape[side // 2]:
+                continue
+            if state[at[0], at[1], at[2]] != UNREACHED or tried[at[0], at[1], at[2]] >= _ATTEMPTS:
+                continue
+            for c in range(3):
+                p[c] = origin[c] + spacing * at[c]
+            q[:] = found[i, j, k]
+            if solve_pose(q, p, R_WE, lower, upper, X_PJ, X_WB):
+                state[at[0], at[1], at[2]] = kind
+                found[at[0], at[1], at[2]] = q
+                queue[end] = at
+                end += 1
+            else:
+                tried[at[0], at[1], at[2]] += 1
+
+
+@njit(cache=True, error_model="numpy")
+def surface(
+    origin: FloatArray,
+    spacing: float,
+    R_WE: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    X_PJ: FloatArray,
+    least: int,
+    state: IntArray,
+    found: FloatArray,
+    points: FloatArray,
+) -> int:
+    """Where the edges of the grid leave the set of points whose state is `least` or more.
+
+    Args:
+        points: (P, 3) receives them [m]; three rows a grid point are enough.
+        (the others): as of `flood`; the border of the grid must be out of the set.
+
+    Returns:
+        How many there are.
+    """
+    shape = state.shape
+    n = found.shape[3]
+    X_WB = np.empty((n + 1, 4, 4))
+    p, q = np.empty(3), np.empty(n)
+    count = 0
+    for i in range(shape[0]):
+        for j in range(shape[1]):
+            for k in range(shape[2]):
+                if state[i, j, k] < least:
+                    continue
+                for side in range(6):
+                    axis, sense = side // 2, 2 * (side % 2) - 1
+                    a = i + (sense if axis == 0 else 0)
+                    b = j + (sense if axis == 1 else 0)
+                    c = k + (sense if axis == 2 else 0)
+                    if state[a, b, c] >= least:
+                        continue
+                    p[0] = origin[0] + spacing * i
+                    p[1] = origin[1] + spacing * j
+                    p[2] = origin[2] + spacing * k
+                    base = p[axis]
+                    low, high = 0.0, 1.0
+                    for _ in range(_HALVINGS):
+                        share = 0.5 * (low + high)
+                        p[axis] = base + sense * spacing * share
+                        q[:] = found[i, j, k]
+                        if solve_pose(q, p, R_WE, lower, upper, X_PJ, X_WB):
+                            low = share
+                        else:
+                            high = share
+                    p[axis] = base + sense * spacing * 0.5 * (low + high)
+                    points[count] = p
+                    count += 1
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def interpolate(
+    p_WQ: FloatArray, origin: FloatArray, spacing: float, grid: FloatArray, out: FloatArray
+) -> None:
+    """Trilinear interpolation of a grid (a, b, c) at points p_WQ (N, 3) into out (N,).
+
+    Beyond the grid it is the value at its nearest point less the distance to it; NaN for a
+    point that is not finite.
+    """
+    size = grid.shape
+    at = np.empty(3, dtype=np.int64)
+    share = np.empty(3)
+    for row in range(len(p_WQ)):
+        beyond = 0.0
+        finite = True
+        for c in range(3):
+            u = (p_WQ[row, c] - origin[c]) / spacing
+            if not math.isfinite(u):
+                finite = False
+                break
+            kept = min(max(u, 0.0), size[c] - 1.0)
+            beyond += (u - kept) ** 2
+            at[c] = min(int(kept), size[c] - 2)
+            share[c] = kept - at[c]
+        if not finite:
+            out[row] = np.nan
+            continue
+        total = 0.0
+        for corner in range(8):
+            a, b, c = corner & 1, (corner >> 1) & 1, corner >> 2
+            total += (
+                grid[at[0] + a, at[1] + b, at[2] + c]
+                * (share[0] if a else 1.0 - share[0])
+                * (share[1] if b else 1.0 - share[1])
+                * (share[2] if c else 1.0 - share[2])
+            )
+        out[row] = total - spacing * math.sqrt(beyond)
+
+
+# Tool-down radii from the base axis. Outer: the extended arm. Inner: 4 cm or more
+# outside where the folded arm (joints 3 and 5 at zero) meets a joint limit.
+_HEIGHT = np.array([-0.2, -0.1, 0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8])
+
+
+_OUTER = np.array([0.72, 0.76, 0.78, 0.80, 0.79, 0.78, 0.74, 0.68, 0.60, 0.50, 0.32])
+
+
+_INNER = np.array([0.30, 0.30, 0.30, 0.33, 0.32, 0.23, 0.15, 0.15, 0.15, 0.15, 0.15])
+
+
+_AZIMUTH = 2.8973
+"""Limit of the first joint either way [rad]."""
+
+
+def tool_down_radii(height: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Least and largest distance of the tool point from the base axis, tool down.
+
+    Args:
+        height: (...) above the base [m]; beyond -0.2 and 0.8 m the radii of those
+            heights are returned.
+
+    Returns:
+        (...) inner and (...) outer radius [m].
+    """
+    return np.interp(height, _HEIGHT, _INNER), np.interp(height, _HEIGHT, _OUTER)
+
+
+def tool_down_annulus() -> FloatArray:
+    """(3, n) heights above the base, and the least and largest distances there [m].
+
+    Between the heights `tool_down_radii` is linear. The sector that the first joint does
+    not reach is not in it.
+    """
+    return np.array([_HEIGHT, _INNER, _OUTER])
+
+
+def annulus_margin(p_WQ: FloatArray, annulus: FloatArray) -> FloatArray:
+    """Horizontal distance of points to the radii of an annulus.
+
+    Args:
+        p_WQ: (..., 3) points in the world frame [m].
+        annulus: (3, n) as `tool_down_annulus` gives it; (3, 0): there is none.
+
+    Returns:
+        (...) margin [m], positive inside; inf without annulus.
+    """
+    if not annulus.shape[1]:
+        return np.full(p_WQ.shape[:-1], np.inf)
+    heights, inner, outer = annulus
+    radius = np.hypot(p_WQ[..., 0], p_WQ[..., 1])
+    z = p_WQ[..., 2]
+    return np.minimum(radius - np.interp(z, heights, inner), np.interp(z, heights, outer) - radius)
+
+
+def tool_down_margin(p_WQ: FloatArray, p_WB: FloatArray | None = None) -> FloatArray:
+    """Signed margin of tool points to the edge of the tool-down workspace.
+
+    The workspace is an annulus round the base axis whose radii depend on the height,
+    without the sector behind the base that the first joint does not reach. The margin
+    is the least of the horizontal distances to its radii, of the arc to that sector and
+    of the vertical distances to its lowest and highest plane.
+
+    Args:
+        p_WQ: (..., 3) points in the world frame [m].
+        p_WB: (3,) base of the robot, z up and x ahead as in the world [m]; None: the
+            origin.
+
+    Returns:
+        (...) margin [m], positive inside; NaN for a point that is not finite.
+    """
+    p_BQ = np.asarray(p_WQ, dtype=float)
+    if p_BQ.shape[-1:] != (3,):
+        raise ValueError(f"p_WQ has shape {p_BQ.shape}; it must be (..., 3)")
+    if p_WB is not None:
+        p_BQ = p_BQ - p_WB
+    x, y, z = p_BQ[..., 0], p_BQ[..., 1], p_BQ[..., 2]
+    radius = np.hypot(x, y)
+    margin = annulus_margin(p_BQ, tool_down_annulus())
+    margin = np.minimum(margin, np.minimum(z - _HEIGHT[0], _HEIGHT[-1] - z))
+    arc = radius * (_AZIMUTH - np.abs(np.arctan2(y, x)))
+    return np.asarray(np.minimum(margin, arc))

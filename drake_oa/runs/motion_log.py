@@ -96,8 +96,7 @@ from typing import Any
 
 import numpy as np
 
-from drake_oa.common.files import replace_file
-from drake_oa.common.memory import check_archive
+from drake_oa.common.files import check_archive, replace_file
 from drake_oa.common.messages import EllipsoidSet, FloatArray, IntArray
 
 SCHEMA_VERSION = 2

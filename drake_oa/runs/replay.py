@@ -1,4 +1,4 @@
-"""A logged motion as a function of time: what was where, and what had been seen."""
+"""A logged motion as a function of time, on ports, and drawn again."""
 
 from __future__ import annotations
 
@@ -6,16 +6,29 @@ import math
 from pathlib import Path
 
 import numpy as np
+from pydrake.common.value import AbstractValue, Value
+from pydrake.geometry import (
+    Meshcat,
+    MeshcatVisualizer,
+    MeshcatVisualizerParams,
+    Role,
+    SceneGraph,
+)
+from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex
+from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
+from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, LeafSystem
+from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import EllipsoidSet, FloatArray, PolicyState
-from drake_oa.common.schema_check import ScenarioError
 from drake_oa.policy.dmp import local_frame
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.scenario.loading import parse_scenario
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task import goal_at
+from drake_oa.viewing.meshcat_overlay import MeshcatOverlay, dress_scene
+from drake_oa.world.world_model import add_world
 
 _EARLY = 1e-9
 """What was logged up to this much later [s] counts as logged: times are rounded."""
@@ -152,3 +165,132 @@ def planned_path(
         return None
     step = math.ceil(len(log.t) / points)
     return log.desired_position[::step]
+
+
+FRAME_PERIOD = 1.0 / 30.0
+
+
+def build_replay(
+    scenario: Scenario,
+    log: MotionLog,
+    meshcat: Meshcat,
+    *,
+    planned_W: FloatArray | None = None,
+    speed: float = 1.0,
+) -> Diagram:
+    """Wires a log to the viewer.
+
+    Args:
+        scenario: the log's scenario.
+        log: the motion.
+        meshcat: the viewer.
+        planned_W: (N, 3) the planned path [m]; None: the line from start to goal.
+        speed: logged seconds that pass in one simulated second.
+
+    Raises:
+        ScenarioError: if the world cannot be built.
+        ValueError: if the log is empty or not of this world.
+    """
+    builder = DiagramBuilder()
+    dress_scene(meshcat)
+    motion = LoggedMotion(scenario, log)
+    positions = np.zeros((len(log.t), 0))
+    if scenario.robot is None:
+        player = builder.AddNamedSystem("log_player", LogPlayer(motion, positions, speed=speed))
+    else:
+        scene_graph = builder.AddNamedSystem("scene_graph", SceneGraph())
+        plant = MultibodyPlant(time_step=scenario.plant_step)
+        source = plant.RegisterAsSourceForSceneGraph(scene_graph)
+        robot = add_world(plant, scenario)
+        plant.Finalize()
+        positions = world_positions(plant, robot, log)
+        player = builder.AddNamedSystem("log_player", LogPlayer(motion, positions, speed=speed))
+        poses = builder.AddNamedSystem("geometry_poses", MultibodyPositionToGeometryPose(plant))
+        builder.Connect(player.GetOutputPort("positions"), poses.get_input_port())
+        builder.Connect(poses.get_output_port(), scene_graph.get_source_pose_port(source))
+        # The same path in the viewer's tree as that of a run.
+        shown = MeshcatVisualizerParams(
+            role=Role.kIllustration, prefix="illustration", publish_period=FRAME_PERIOD
+        )
+        MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat, shown)
+    overlay = builder.AddNamedSystem(
+        "overlay", MeshcatOverlay(meshcat, planned_W=planned_W, body_index=BodyIndex(0))
+    )
+    for name in ("ellipsoids_W", "policy_state", "body_poses"):
+        builder.Connect(player.GetOutputPort(name), overlay.GetInputPort(name))
+    diagram = builder.Build()
+    diagram.set_name("replay")
+    return diagram
+
+
+class LogPlayer(LeafSystem):
+    """Plays a logged motion: at each instant what was logged last.
+
+    .. pydrake_system::
+
+      name: LogPlayer
+      output_ports:
+      - positions
+      - ellipsoids_W
+      - policy_state
+      - body_poses
+
+    - positions: (n,) positions of the world's plant, in its order [rad, m].
+    - ellipsoids_W: abstract `EllipsoidSet` in the world frame, the observation that had
+      arrived last.
+    - policy_state: abstract `PolicyState`; its z_W is the desired velocity: the log knows
+      the direction alone.
+    - body_poses: list of one `RigidTransform`, whose origin is the actual tool point E;
+      its axes are the world's.
+
+    There is no state: the outputs depend on time alone.
+    """
+
+    def __init__(self, motion: LoggedMotion, positions: FloatArray, *, speed: float = 1.0) -> None:
+        """Declares the ports.
+
+        Args:
+            motion: what is played.
+            positions: (T, n) positions of the world's plant at its instants [rad, m].
+            speed: logged seconds that pass in one simulated second.
+
+        Raises:
+            ValueError: if speed is not positive, or T is not that of the motion.
+        """
+        super().__init__()
+        if not 0.0 < speed < float("inf"):
+            raise ValueError(f"speed must be positive, not {speed}")
+        if len(positions) != len(motion.log.t):
+            raise ValueError(
+                f"positions: {len(positions)} rows for the {len(motion.log.t)} instants of the log"
+            )
+        self._motion = motion
+        self._world = positions
+        self._speed = speed
+        now = {self.time_ticket()}
+        self.DeclareVectorOutputPort("positions", positions.shape[1], self._calc_positions, now)
+        self.DeclareAbstractOutputPort(
+            "ellipsoids_W", lambda: Value(EllipsoidSet()), self._calc_ellipsoids, now
+        )
+        self.DeclareAbstractOutputPort(
+            "policy_state", lambda: Value(PolicyState()), self._calc_policy, now
+        )
+        self.DeclareAbstractOutputPort(
+            "body_poses", Value[list[RigidTransform]], self._calc_poses, now
+        )
+
+    def _time(self, context: Context) -> float:
+        return self._speed * float(context.get_time())
+
+    def _calc_positions(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._world[self._motion.row(self._time(context))])
+
+    def _calc_ellipsoids(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(self._motion.ellipsoids(self._time(context)))
+
+    def _calc_policy(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(self._motion.policy_state(self._time(context)))
+
+    def _calc_poses(self, context: Context, output: AbstractValue) -> None:
+        p_WE = self._motion.log.p_WE[self._motion.row(self._time(context))]
+        output.set_value([RigidTransform(p_WE)])

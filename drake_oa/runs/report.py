@@ -10,13 +10,13 @@ import numpy as np
 from drake_oa.common.console import TextTable
 from drake_oa.common.messages import EllipsoidSet, FloatArray
 from drake_oa.geometry.rotation import rotation_vector
-from drake_oa.policy.orientation_dmp import rotation_matrix
-from drake_oa.policy.orientation_kernels import exponential
+from drake_oa.policy.orientation_dmp import exponential, rotation_matrix
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.decision_costs import decision_figures
 from drake_oa.runs.metrics import MotionMetrics, free_point_metrics, path_length, robot_metrics
 from drake_oa.runs.motion_log import MotionLog
-from drake_oa.scenario.scenario import GivenEllipsoids, Scenario
+from drake_oa.scenario.perception import GivenEllipsoids
+from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import given_ellipsoids
 from drake_oa.scenario.task import goal_at
 from drake_oa.scenario.task_joints import end_positions

@@ -13,6 +13,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, EventStatus
 from pydrake.systems.primitives import VectorLogSink
 
+from drake_oa.common.files import software_versions
 from drake_oa.common.messages import (
     DECIDING,
     CouplingParameters,
@@ -21,7 +22,6 @@ from drake_oa.common.messages import (
     PlannedMotion,
     PolicyState,
 )
-from drake_oa.common.provenance import software_versions
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.avoidance import Layers, build_avoidance
 from drake_oa.diagrams.policy import make_dmp

@@ -8,10 +8,10 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
-from drake_oa.common.work import count
+from drake_oa.common.thinking import count
 from drake_oa.geometry.points import GuardShapes, ObstaclePoints
 from drake_oa.posture.null_space_coupling import null_space_basis
-from drake_oa.robot.workspace import annulus_margin
+from drake_oa.robot.reachability import annulus_margin
 from drake_oa.safety import lookahead_kernels as kernels
 
 _TABLE_ALLOWANCE = 0.06

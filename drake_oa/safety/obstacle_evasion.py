@@ -25,10 +25,14 @@ from drake_oa.common.messages import (
     PolicyState,
     TablePlane,
 )
-from drake_oa.common.model_context import ModelContext
-from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
-from drake_oa.common.thoughts import Thoughts
-from drake_oa.common.work import Thinking
+from drake_oa.common.ports import (
+    DECISION_OFFSET,
+    ModelContext,
+    read_optional,
+    read_value,
+    valid_period,
+)
+from drake_oa.common.thinking import Thinking, Thoughts
 from drake_oa.geometry.collision_shapes import RobotModel
 from drake_oa.geometry.directions import ramped
 from drake_oa.geometry.points import GuardShapes, ObstaclePoints

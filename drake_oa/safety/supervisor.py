@@ -25,8 +25,7 @@ from drake_oa.common.messages import (
     PolicyState,
     TablePlane,
 )
-from drake_oa.common.model_context import ModelContext
-from drake_oa.common.ports import read_optional, read_value, valid_period
+from drake_oa.common.ports import ModelContext, read_optional, read_value, valid_period
 from drake_oa.geometry.collision_shapes import RobotModel
 from drake_oa.geometry.points import GuardShapes
 from drake_oa.policy.action import SCALED_TO_REST

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from drake_oa.common.memory import check_archive
+from drake_oa.common.config import ScenarioError
+from drake_oa.common.files import check_archive
 from drake_oa.common.messages import FloatArray
-from drake_oa.common.schema_check import ScenarioError
 from drake_oa.policy.orientation_dmp import OrientationDmp, imitate_orientation
 from drake_oa.scenario.scenario import Policy, Scenario
 from drake_oa.scenario.task import Task

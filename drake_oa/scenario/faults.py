@@ -4,7 +4,7 @@ import dataclasses as dc
 from collections.abc import Sequence
 from typing import Any
 
-from drake_oa.common.scenario_fields import count, number, vector
+from drake_oa.common.config import count, number, vector
 
 _LATEST = 1e6
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load_typed
 
-from drake_oa.common.schema_check import ScenarioError, apply_override, check, read_yaml
+from drake_oa.common.config import ScenarioError, apply_override, check, read_yaml
 from drake_oa.geometry.shapes import check_shapes
 from drake_oa.perception.config import DepthCamera
 from drake_oa.scenario.faults import CameraFault

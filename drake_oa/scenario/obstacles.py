@@ -6,9 +6,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
+from drake_oa.common.config import ScenarioError, vector
 from drake_oa.common.messages import FloatArray
-from drake_oa.common.scenario_fields import vector
-from drake_oa.common.schema_check import ScenarioError
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere, check_shapes
 
 OBSTACLE_PREFIX = "obstacle"

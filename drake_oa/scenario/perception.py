@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 from pydrake.systems.sensors import CameraConfig
 
-from drake_oa.common.scenario_fields import vector
-from drake_oa.common.schema_check import ScenarioError, check_values
+from drake_oa.common.config import ScenarioError, check_values, vector
 from drake_oa.perception.config import DepthCamera, GroundTruth, RecordedClouds
 
 _MOST_PIXELS = 4096

@@ -10,11 +10,11 @@ import math
 from pydrake.multibody.parsing import ModelDirective
 from pydrake.systems.sensors import CameraConfig
 
-from drake_oa.common.scenario_fields import choice as _choice
-from drake_oa.common.scenario_fields import count as _count
-from drake_oa.common.scenario_fields import number as _number
-from drake_oa.common.scenario_fields import vector as _vector
-from drake_oa.common.work import Thinking
+from drake_oa.common.config import choice as _choice
+from drake_oa.common.config import count as _count
+from drake_oa.common.config import number as _number
+from drake_oa.common.config import vector as _vector
+from drake_oa.common.thinking import Thinking
 from drake_oa.perception.config import CameraNoise as CameraNoise
 from drake_oa.perception.config import DepthCamera, GroundTruth, RecordedClouds
 from drake_oa.policy.dmp import ALPHA_K, ALPHA_X, BETA_X

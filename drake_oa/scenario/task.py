@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from pydrake.trajectories import PiecewisePolynomial
 
+from drake_oa.common.config import ScenarioError
+from drake_oa.common.config import number as _number
+from drake_oa.common.config import vector as _vector
 from drake_oa.common.messages import FloatArray
-from drake_oa.common.scenario_fields import number as _number
-from drake_oa.common.scenario_fields import vector as _vector
-from drake_oa.common.schema_check import ScenarioError
 
 
 @dc.dataclass

@@ -7,8 +7,8 @@ from collections.abc import Collection
 import numpy as np
 from pydrake.math import RigidTransform, RollPitchYaw
 
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
-from drake_oa.common.schema_check import ScenarioError
 from drake_oa.policy.dmp import minimum_jerk_share
 from drake_oa.robot.config import Robot
 from drake_oa.robot.inverse_kinematics import solve_tool_pose

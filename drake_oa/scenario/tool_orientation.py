@@ -8,8 +8,8 @@ import math
 import numpy as np
 from pydrake.math import RollPitchYaw, RotationMatrix
 
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
-from drake_oa.common.schema_check import ScenarioError
 from drake_oa.policy.orientation_dmp import (
     OrientationDmp,
     demonstrated_goal,

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from drake_oa.common.console import INTERRUPTED, progress_bar
-from drake_oa.common.files import check_outputs
-from drake_oa.common.provenance import source_commit
+from drake_oa.common.files import check_outputs, source_commit
 from drake_oa.regulation.regressor import ChainWeights, save_chain
 from drake_oa.training.chain import train_chain
 from drake_oa.training.checkpoint import Checkpoint

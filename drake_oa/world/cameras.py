@@ -16,7 +16,7 @@ from pydrake.systems.framework import DiagramBuilder, OutputPort
 from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 from pydrake.systems.sensors import ApplyCameraConfig, CameraConfig, CameraInfo, RgbdSensor
 
-from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.config import ScenarioError
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.world.world_model import add_world
 

@@ -25,8 +25,8 @@ from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import Context, LeafSystem, ValueProducer
 from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 
+from drake_oa.common.config import check_values
 from drake_oa.common.ports import read_value
-from drake_oa.common.schema_check import check_values
 from drake_oa.geometry.pinhole import pinhole
 from drake_oa.perception.config import CameraNoise
 from drake_oa.world.depth_noise_kernels import PATCH_BITS, add_noise

@@ -24,9 +24,9 @@ from pydrake.multibody.tree import (
 )
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.ports import valid_period
-from drake_oa.common.schema_check import ScenarioError
 from drake_oa.geometry.shapes import pose, shape_geometry
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle, offset_at
 

@@ -18,12 +18,13 @@ from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraConfig, CameraInfo
 
-from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.config import ScenarioError
 from drake_oa.geometry.pinhole import pinhole
+from drake_oa.perception.config import DepthCamera
 from drake_oa.robot.grasped_object import part_carried
 from drake_oa.scenario.faults import camera_faults
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
-from drake_oa.scenario.scenario import DepthCamera, Scenario
+from drake_oa.scenario.scenario import Scenario
 from drake_oa.world.cameras import Camera, add_camera, add_camera_world
 from drake_oa.world.depth_noise import FrameNoise
 from drake_oa.world.late_camera import BackgroundCamera, LateCamera

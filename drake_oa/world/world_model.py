@@ -12,7 +12,7 @@ from pydrake.multibody.plant import (
 )
 from pydrake.multibody.tree import ModelInstanceIndex
 
-from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.config import ScenarioError
 from drake_oa.robot.plant import add_robot, make_parser, make_robot_plant, tool_corners
 from drake_oa.scenario.faults import GoalBlocked, StartInContact
 from drake_oa.scenario.obstacles import Obstacle

@@ -6,8 +6,8 @@ import sys
 import pytest
 
 from drake_oa.app.main import main
+from drake_oa.perception.config import GroundTruth
 from drake_oa.scenario.loading import load_scenario
-from drake_oa.scenario.scenario import GroundTruth
 
 _SHORT = ["evaluate", "panda", "--scenes", "1", "--duration", "0.02", "--perception", "truth"]
 

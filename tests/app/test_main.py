@@ -15,7 +15,7 @@ import pytest
 from drake_oa.app import main as cli
 from drake_oa.runs import simulation
 from drake_oa.runs.motion_log import load_logs
-from drake_oa.scenario.loading import shipped_scenarios
+from drake_oa.scenario.shipped import shipped_scenarios
 
 FIGURES = {
     "collisions",

@@ -14,7 +14,8 @@ from drake_oa.runs.metrics import robot_metrics
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.report import motion_report
 from drake_oa.runs.simulation import simulate
-from drake_oa.scenario.loading import load_scenario, shipped_scenarios
+from drake_oa.scenario.loading import load_scenario
+from drake_oa.scenario.shipped import shipped_scenarios
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
 

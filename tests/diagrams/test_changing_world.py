@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import InitializeParams, Simulator
 
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import DECIDING
-from drake_oa.common.schema_check import ScenarioError
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.diagrams.policy import make_dmp
 from drake_oa.runs.metrics import path_length, robot_metrics

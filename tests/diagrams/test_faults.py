@@ -18,6 +18,7 @@ from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem, State
 from pydrake.systems.primitives import ConstantValueSource
 from pydrake.systems.sensors import ImageDepth32F
 
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import (
     DECIDING,
     EllipsoidSet,
@@ -26,7 +27,6 @@ from drake_oa.common.messages import (
     PolicyState,
     TablePlane,
 )
-from drake_oa.common.schema_check import ScenarioError
 from drake_oa.common.wires import LOG_PERIOD
 from drake_oa.descriptor.ellipsoid_descriptor import EllipsoidDescriptor
 from drake_oa.diagrams import policy, route, view

@@ -8,7 +8,8 @@ import pytest
 
 from drake_oa.runs.report import run_report
 from drake_oa.runs.simulation import simulate
-from drake_oa.scenario.loading import load_scenario, shipped_scenarios
+from drake_oa.scenario.loading import load_scenario
+from drake_oa.scenario.shipped import shipped_scenarios
 
 PAGE = Path(__file__).parents[2] / "docs" / "results" / "scenarios.md"
 

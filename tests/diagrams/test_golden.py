@@ -19,10 +19,12 @@ from pydrake.systems.analysis import Simulator
 from drake_oa.common.messages import DECIDING
 from drake_oa.common.wires import connections
 from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.perception.config import GroundTruth
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.simulation import MotionWatcher, run_motion, simulate
-from drake_oa.scenario.loading import load_scenario, shipped_scenarios
-from drake_oa.scenario.scenario import GroundTruth, Scenario
+from drake_oa.scenario.loading import load_scenario
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.shipped import shipped_scenarios
 
 _GOLDEN = Path(__file__).resolve().parents[1] / "golden"
 _WRITES = os.environ.get("GOLDEN") == "write"

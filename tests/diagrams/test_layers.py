@@ -8,8 +8,8 @@ from pydrake.systems.framework import LeafSystem
 from pydrake.systems.primitives import ConstantValueSource
 from pydrake.systems.sensors import ImageDepth32F
 
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import ObstacleClouds
-from drake_oa.common.schema_check import ScenarioError
 from drake_oa.common.wires import connections
 from drake_oa.diagrams.avoidance import Layers, build_avoidance, nothing
 from drake_oa.diagrams.perception import SOURCES, register_source

@@ -5,7 +5,7 @@ import pytest
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 
-from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.config import ScenarioError
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.robot.plant import TOOL_FRAME, make_robot_plant
 from drake_oa.runs.metrics import robot_metrics

@@ -5,13 +5,14 @@ import pytest
 
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.geometry.shapes import Sphere
+from drake_oa.perception.config import GroundTruth
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.report import motion_report
 from drake_oa.runs.simulation import AT_GOAL, REST_TIME, simulate
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.obstacles import Obstacle
-from drake_oa.scenario.scenario import GroundTruth, Scenario
+from drake_oa.scenario.scenario import Scenario
 from drake_oa.studies.panda.run import run_and_judge
 from drake_oa.studies.panda.scenes import draw_panda_scene
 

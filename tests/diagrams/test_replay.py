@@ -9,7 +9,7 @@ from pydrake.systems.analysis import Simulator
 
 from drake_oa.robot.plant import TOOL_FRAME, make_robot_plant
 from drake_oa.runs.motion_log import MotionLog
-from drake_oa.runs.replay_diagram import build_replay
+from drake_oa.runs.replay import build_replay
 from drake_oa.scenario.loading import load_scenario
 
 

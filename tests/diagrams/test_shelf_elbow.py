@@ -5,11 +5,11 @@ import pytest
 from pydrake.systems.analysis import Simulator
 
 from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.perception.config import GroundTruth
 from drake_oa.regulation.regulation import Regulation
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import load_scenario
-from drake_oa.scenario.scenario import GroundTruth
 from drake_oa.studies.panda.run import run_and_judge
 from drake_oa.studies.panda.scenes import draw_panda_scene
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.config import ScenarioError
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text

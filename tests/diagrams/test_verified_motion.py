@@ -23,7 +23,7 @@ from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.report import motion_report
 from drake_oa.runs.simulation import LATEST_END, simulate
 from drake_oa.scenario.loading import load_scenario
-from drake_oa.scenario.scenario import GivenEllipsoids
+from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.sources import given_ellipsoids
 
 FRAME = 1.0 / 15.0

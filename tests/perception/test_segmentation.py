@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drake_oa.common.schema_check import check_values
+from drake_oa.common.config import check_values
 from drake_oa.geometry import pinhole, voxels
 from drake_oa.geometry.primitives import RobotShapes
 from drake_oa.perception import depth_image, sides, table, visibility

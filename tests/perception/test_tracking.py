@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drake_oa.common.config import check_values
 from drake_oa.common.messages import ObstacleClouds, TablePlane
-from drake_oa.common.schema_check import check_values
 from drake_oa.geometry.pinhole import View
 from drake_oa.geometry.primitives import PosedShapes, RobotShapes
 from drake_oa.perception.config import SegmentationConfig, TrackingConfig

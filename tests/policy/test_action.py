@@ -23,6 +23,7 @@ from drake_oa.policy.action import (
     ActionLevel,
     ActionParameters,
     Segment,
+    Surroundings,
     advance,
     begun_anew,
     goal_fade,
@@ -33,7 +34,6 @@ from drake_oa.policy.coupling import CouplingTerms
 from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk, spring_flow
 from drake_oa.policy.dmp import step as dmp_step
 from drake_oa.policy.guidance import desired_headings, passing_normals
-from drake_oa.policy.policy_inputs import Surroundings
 
 START, GOAL = np.zeros(3), np.array([1.0, 0.0, 0.0])
 DMP = imitate(*minimum_jerk(START, GOAL, duration=2.0))

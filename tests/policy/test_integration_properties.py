@@ -16,12 +16,17 @@ from drake_oa.common.messages import (
     PolicyState,
     Route,
 )
-from drake_oa.policy.action import ActionLevel, ActionParameters, Segment, initial_segment
+from drake_oa.policy.action import (
+    ActionLevel,
+    ActionParameters,
+    Segment,
+    Surroundings,
+    initial_segment,
+)
 from drake_oa.policy.coupling import CouplingTerms
 from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk
 from drake_oa.policy.dmp import step as dmp_step
 from drake_oa.policy.guidance import passing_normals
-from drake_oa.policy.policy_inputs import Surroundings
 
 DMP = imitate(*minimum_jerk(np.zeros(3), (1.0, 0.0, 0.0)))
 PARAMETERS = ActionParameters()

@@ -13,7 +13,9 @@ from drake_oa.geometry.rotation import rotation_of
 from drake_oa.policy.dmp import imitate
 from drake_oa.policy.orientation_dmp import (
     OrientationDmp,
+    angular_motion,
     demonstrated_goal,
+    exponential,
     goal_vector,
     imitate_orientation,
     minimum_jerk_orientation,
@@ -21,7 +23,6 @@ from drake_oa.policy.orientation_dmp import (
     rotation_matrix,
     step,
 )
-from drake_oa.policy.orientation_kernels import angular_motion, exponential
 
 LEAST_JERK = minimum_jerk_orientation()
 S = np.linspace(0.0, 1.0, 21)

@@ -28,9 +28,8 @@ from drake_oa.posture.null_space_coupling import (
     null_space_basis,
     section_acceleration,
 )
+from drake_oa.robot.arm import ArmModel, make_arm_model
 from drake_oa.robot.arm_kernels import jacobian
-from drake_oa.robot.arm_model import make_arm_model
-from drake_oa.robot.arm_motion import ArmModel
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
 from drake_oa.scenario.loading import load_scenario

@@ -20,7 +20,7 @@ from drake_oa.posture.posture_plan import (
     reviewed,
 )
 from drake_oa.robot import arm_kernels as kernels
-from drake_oa.robot.arm_motion import ArmModel
+from drake_oa.robot.arm import ArmModel
 
 START, GOAL = np.array([0.6, -0.3, 0.3]), np.array([0.4, 0.3, 0.3])
 SECONDS = 5.0

@@ -8,7 +8,7 @@ import pytest
 
 from drake_oa.common.messages import ObstacleClouds, PlannedMotion, TablePlane
 from drake_oa.posture.posture_planner import ArmSight, ArmWay, WholeArm
-from drake_oa.robot.arm_motion import ArmModel
+from drake_oa.robot.arm import ArmModel
 
 START, GOAL = np.array([0.6, -0.3, 0.3]), np.array([0.4, 0.3, 0.3])
 TABLE = TablePlane()

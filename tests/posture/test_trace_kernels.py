@@ -12,7 +12,7 @@ from drake_oa.common.messages import ObstacleClouds, TablePlane
 from drake_oa.posture import trace_kernels as kernels
 from drake_oa.posture.arm_surroundings import ArmSurroundings
 from drake_oa.posture.posture_plan import plan_posture
-from drake_oa.robot.arm_motion import ArmModel
+from drake_oa.robot.arm import ArmModel
 
 START, GOAL = np.array([0.6, -0.3, 0.3]), np.array([0.4, 0.3, 0.3])
 STEP = 0.1

@@ -16,7 +16,7 @@ from drake_oa.regulation.regulated_arm import ArmRegulator
 from drake_oa.regulation.regulation import Regulation
 from drake_oa.regulation.regulator import SEEK_AGAIN, Regulator
 from drake_oa.regulation.search import SearchParameters
-from drake_oa.robot.arm_motion import ArmModel
+from drake_oa.robot.arm import ArmModel
 from drake_oa.scenario.loading import package_file
 
 START, GOAL = np.array([0.6, -0.3, 0.3]), np.array([0.4, 0.3, 0.3])

@@ -24,8 +24,8 @@ from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.regulation.regressor import ChainWeights, load_chain
 from drake_oa.regulation.search import SearchParameters
 from drake_oa.regulation.verified_regressor_chain import VerifiedRegressorChain
-from drake_oa.robot.workspace import tool_down_annulus, tool_down_radii
-from drake_oa.route.selected_route import TakenRoute
+from drake_oa.robot.reachability import tool_down_annulus, tool_down_radii
+from drake_oa.route.cost_ring_selector import TakenRoute
 from drake_oa.scenario.loading import package_file
 
 START, GOAL = np.array([0.0, 0.0, 0.3]), np.array([1.0, 0.0, 0.3])

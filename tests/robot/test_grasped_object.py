@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pydrake.systems.framework import DiagramBuilder
 
-from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.config import ScenarioError
 from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere
 from drake_oa.robot.config import Robot

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.config import ScenarioError
 from drake_oa.robot.config import Robot
 from drake_oa.robot.panda_inertias import UNIFORM_DENSITY, with_uniform_density
 from drake_oa.robot.plant import RobotPlant, make_robot_plant

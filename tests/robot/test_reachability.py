@@ -9,20 +9,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
-from drake_oa.common.kernel_arrays import kernel_arrays
 from drake_oa.common.messages import FloatArray
+from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.diagrams.route import robot_reachability
 from drake_oa.geometry.collision_shapes import collect_collision_shapes
-from drake_oa.robot import reachability_kernels as kernels
+from drake_oa.robot import reachability as kernels
+from drake_oa.robot.arm import ArmModel, make_arm_model
 from drake_oa.robot.arm_kernels import poses
-from drake_oa.robot.arm_model import make_arm_model
-from drake_oa.robot.arm_motion import ArmModel
 from drake_oa.robot.config import Robot
-from drake_oa.robot.inverse_kinematics import solve_tool_pose
+from drake_oa.robot.inverse_kinematics import solve_pose, solve_tool_pose
 from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
-from drake_oa.robot.pose_kernels import solve_pose
-from drake_oa.robot.reachability import Reachability, reachability
-from drake_oa.robot.workspace import tool_down_margin
+from drake_oa.robot.reachability import Reachability, reachability, tool_down_margin
 
 ROBOT = Robot()
 

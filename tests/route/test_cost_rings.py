@@ -16,8 +16,7 @@ from drake_oa.route.cost_rings import (
     ring_scene,
     table_ring,
 )
-from drake_oa.route.side_choice import select_directions
-from drake_oa.route.side_sequence import overlap_groups
+from drake_oa.route.side_choice import overlap_groups, select_directions
 
 START, GOAL = np.array([0.0, 0.0, 0.3]), np.array([1.0, 0.0, 0.3])
 TABLE = TablePlane()

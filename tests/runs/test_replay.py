@@ -10,12 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
+from pydrake.systems.framework import Context
 
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import EllipsoidSet
-from drake_oa.common.schema_check import ScenarioError
 from drake_oa.runs.motion_log import MotionLog, pack_ellipsoids
 from drake_oa.runs.replay import (
     LoggedMotion,
+    LogPlayer,
     choose_motion,
     logged_scenario,
     planned_path,
@@ -163,3 +165,41 @@ def test_the_scenario_of_a_log_is_that_of_the_run(
     assert scenario_text(back) == log.scenario
     with pytest.raises(ScenarioError, match=r"the scenario in run.npz \(made with drake_oa 0.1.0"):
         logged_scenario(Path("run.npz"), log_of(scenario="sead: 3"))
+
+
+@pytest.fixture(scope="module")
+def played(straight_log: Callable[..., MotionLog]) -> LoggedMotion:
+    return LoggedMotion(load_scenario("free_space"), straight_log(11))
+
+
+def at(player: LogPlayer, time: float) -> Context:
+    context = player.CreateDefaultContext()
+    context.SetTime(time)
+    return context
+
+
+@pytest.mark.parametrize("speed", [0.5, 1.0, 4.0])
+def test_each_port_says_what_was_logged_then(played: LoggedMotion, speed: float) -> None:
+    positions = np.arange(22.0).reshape(11, 2)
+    player = LogPlayer(played, positions, speed=speed)
+    context = at(player, 0.4 / speed)
+    assert player.GetOutputPort("positions").Eval(context).tolist() == [8.0, 9.0]
+    state = player.GetOutputPort("policy_state").Eval(context)
+    np.testing.assert_allclose(state.p_WE, [0.4, 0.0, 0.0])
+    (pose,) = player.GetOutputPort("body_poses").Eval(context)
+    np.testing.assert_allclose(pose.translation(), [0.4, 0.0, 0.0])
+    assert len(player.GetOutputPort("ellipsoids_W").Eval(context)) == 0
+
+
+def test_it_has_no_state_and_stays_at_the_end(played: LoggedMotion) -> None:
+    player = LogPlayer(played, np.zeros((11, 0)))
+    context = at(player, 100.0)
+    assert context.num_total_states() == 0
+    assert context.num_abstract_states() == 0
+    assert player.GetOutputPort("policy_state").Eval(context).stamp == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("rows", "speed"), [(11, 0.0), (11, np.inf), (11, np.nan), (10, 1.0)])
+def test_what_does_not_fit_is_refused(played: LoggedMotion, rows: int, speed: float) -> None:
+    with pytest.raises(ValueError, match=r"speed must be|rows for the 11 instants"):
+        LogPlayer(played, np.zeros((rows, 2)), speed=speed)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pydrake.multibody.tree import JacobianWrtVariable
 
 from drake_oa.common.messages import Evasion, FloatArray, ObstacleClouds, PlannedMotion, PolicyState
-from drake_oa.common.work import counted
+from drake_oa.common.thinking import counted
 from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.geometry.directions import ramped
 from drake_oa.geometry.points import GuardShapes, ObstaclePoints

@@ -9,7 +9,7 @@ from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 
 from drake_oa.common.messages import Evasion, FloatArray, ObstacleClouds, PolicyState
-from drake_oa.common.work import Thinking
+from drake_oa.common.thinking import Thinking
 from drake_oa.geometry.collision_shapes import RobotModel, collect_collision_shapes
 from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.robot.config import Robot

@@ -5,24 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.config import ScenarioError
+from drake_oa.perception.config import CameraNoise, DepthCamera, GroundTruth, RecordedClouds
 from drake_oa.safety.lookahead import EvasionParameters
-from drake_oa.scenario.loading import (
-    load_scenario,
-    parse_scenario,
-    scenario_text,
-    shipped_scenarios,
-)
-from drake_oa.scenario.scenario import (
-    CameraNoise,
-    DepthCamera,
-    GivenEllipsoids,
-    GroundTruth,
-    RecordedClouds,
-    Regressor,
-    Scenario,
-    Verified,
-)
+from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
+from drake_oa.scenario.perception import GivenEllipsoids
+from drake_oa.scenario.scenario import Regressor, Scenario, Verified
+from drake_oa.scenario.shipped import shipped_scenarios
 
 NAMES = [
     "free_space",

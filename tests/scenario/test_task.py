@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.config import ScenarioError
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
 from drake_oa.scenario.task import Task, goal_at, goal_steps, goal_trajectory, last_move
 

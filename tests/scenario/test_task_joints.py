@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.config import ScenarioError
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import parse_scenario, scenario_text

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from pydrake.math import RollPitchYaw, RotationMatrix
 
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
-from drake_oa.common.schema_check import ScenarioError
 from drake_oa.diagrams.descriptor import make_ellipsoid_descriptor
 from drake_oa.diagrams.policy import make_dmp, make_orientation_integrator
 from drake_oa.diagrams.route import held_annulus

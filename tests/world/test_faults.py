@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydrake.systems.framework import DiagramBuilder
 
-from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.config import ScenarioError
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.scenario.faults import (
     CameraDropout,

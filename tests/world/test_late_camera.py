@@ -8,7 +8,7 @@ from pydrake.systems.primitives import TrajectorySource
 from pydrake.systems.sensors import ImageDepth32F
 from pydrake.trajectories import PiecewisePolynomial
 
-from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.config import ScenarioError
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.world.cameras import add_camera, add_camera_world

@@ -14,7 +14,7 @@ from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.config import ScenarioError
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere, bounding_radius
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from pydrake.systems.framework import DiagramBuilder
 
-from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.config import ScenarioError
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant, tool_corners
 from drake_oa.scenario.loading import load_scenario

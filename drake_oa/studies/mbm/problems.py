@@ -25,7 +25,7 @@ import yaml
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw, RotationMatrix
 
-from drake_oa.common.schema_check import check_size
+from drake_oa.common.config import check_size
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere
 from drake_oa.scenario.obstacles import Obstacle, check_obstacles
 

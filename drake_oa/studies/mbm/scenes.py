@@ -15,15 +15,16 @@ from dataclasses import replace
 import numpy as np
 from pydrake.math import RollPitchYaw
 
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
-from drake_oa.common.schema_check import ScenarioError
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere, pose
+from drake_oa.perception.config import GroundTruth
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotPlant, make_robot_plant
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
 from drake_oa.scenario.obstacles import Obstacle
-from drake_oa.scenario.scenario import GroundTruth, Scenario, Supervisor
+from drake_oa.scenario.scenario import Scenario, Supervisor
 from drake_oa.scenario.task import Task
 from drake_oa.scenario.task_joints import tool_pose
 from drake_oa.studies.mbm.problems import Problem, ProblemText, parse_problem

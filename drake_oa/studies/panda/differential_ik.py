@@ -29,15 +29,15 @@ from pydrake.planning import (
 )
 from pydrake.systems.controllers import InverseDynamicsController
 
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import BoolArray, FloatArray
-from drake_oa.common.schema_check import ScenarioError
 from drake_oa.diagrams.policy import make_dmp
 from drake_oa.policy.dmp import trajectory
 from drake_oa.robot.config import Robot
 from drake_oa.robot.grasped_object import part_carried, tool_links
 from drake_oa.robot.plant import TOOL_FRAME
+from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.world.station import OBSTACLE_PREFIX
 from drake_oa.world.world_model import add_world, all_obstacles
 
 _EDGE_STEP = 0.1

@@ -250,7 +250,7 @@ def _write_page(path: Path, log: MotionLog) -> None:
     """Replays a log into a page to play and pause in a browser."""
     from pydrake.systems.analysis import Simulator
 
-    from drake_oa.runs.replay_diagram import build_replay
+    from drake_oa.runs.replay import build_replay
     from drake_oa.viewing.viewer import recording
 
     meshcat = _viewer()

@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from drake_oa.common.console import BAD_INPUT, complain
-from drake_oa.common.files import check_outputs, replace_text
-from drake_oa.common.provenance import software_versions
+from drake_oa.common.files import check_outputs, replace_text, software_versions
 from drake_oa.runs.report import motion_report
 from drake_oa.runs.simulation import MotionInterruptedError, simulate
 from drake_oa.scenario.loading import load_scenario

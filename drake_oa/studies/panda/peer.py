@@ -35,8 +35,8 @@ from pydrake.systems.primitives import (
     ZeroOrderHold,
 )
 
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray, PolicyState
-from drake_oa.common.schema_check import ScenarioError
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.faults import add_drivers
 from drake_oa.diagrams.policy import make_dmp, make_dmp_integrator, make_goal

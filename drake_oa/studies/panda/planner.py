@@ -36,11 +36,11 @@ from pydrake.systems.framework import DiagramBuilder
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.runs.metrics import path_length, robot_metrics
-from drake_oa.scenario.obstacles import Obstacle, last_change
+from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle, last_change
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.tool_orientation import end_rotations
 from drake_oa.studies.panda.planning_scene import PlanningScene
-from drake_oa.world.station import OBSTACLE_PREFIX, make_station
+from drake_oa.world.station import make_station
 
 CLEARANCE = 0.025
 """What the whole robot keeps [m]: as near as the supervisor lets a link come to an obstacle."""

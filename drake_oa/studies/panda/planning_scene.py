@@ -16,8 +16,8 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.tree import JacobianWrtVariable
 from pydrake.systems.framework import DiagramBuilder
 
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
-from drake_oa.common.schema_check import ScenarioError
 from drake_oa.geometry.rotation import rotation_vector
 from drake_oa.geometry.shapes import pose, shape_geometry
 from drake_oa.policy.dmp import minimum_jerk

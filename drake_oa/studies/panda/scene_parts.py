@@ -16,7 +16,7 @@ import numpy as np
 from pydrake.systems.sensors import CameraConfig
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.robot.workspace import tool_down_margin
+from drake_oa.robot.reachability import tool_down_margin
 from drake_oa.scenario.loading import load_scenario, parse_scenario
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario

@@ -27,7 +27,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drake_oa.scenario.scenario import GroundTruth, Scenario
+from drake_oa.perception.config import GroundTruth
+from drake_oa.scenario.scenario import Scenario
 from drake_oa.studies.panda.elbow_scenes import ELBOW_LIKE, draw_elbow
 from drake_oa.studies.panda.moving_scenes import draw_hard, draw_moving
 from drake_oa.studies.panda.scene_parts import LIKE, Drawn, base_scenario, drawing

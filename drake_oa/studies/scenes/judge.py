@@ -7,8 +7,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from drake_oa.common.kernel_arrays import kernel_arrays
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen
+from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.studies.scenes.judge_kernels import Bodies, Curves, judge_motions
 from drake_oa.studies.scenes.methods import Motions
 from drake_oa.studies.scenes.scenes import DURATION, Scenes, scene_distance

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from drake_oa.common.kernel_arrays import kernel_arrays
 from drake_oa.common.messages import BoolArray, FloatArray
+from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.studies.scenes.judge_kernels import Bodies, segment_distances
 from drake_oa.studies.scenes.scenes import Scenes, joined
 

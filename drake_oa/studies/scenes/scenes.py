@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_oa.common.memory import ArrayHeader, archive_headers, check_memory
+from drake_oa.common.files import ArrayHeader, archive_headers, check_memory
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen
 from drake_oa.geometry.ellipsoid import signed_distance
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from pydrake.math import RollPitchYaw
 
-from drake_oa.common.schema_check import ScenarioError
+from drake_oa.common.config import ScenarioError
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.runs.motion_log import load_logs, save_logs

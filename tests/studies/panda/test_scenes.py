@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from drake_oa.perception.config import DepthCamera, GroundTruth
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.scenario.loading import parse_scenario, scenario_text
-from drake_oa.scenario.scenario import DepthCamera, GroundTruth
 from drake_oa.studies.panda import (
     scene_parts as panda_scene_parts,
 )

@@ -1,8 +1,9 @@
-"""The arm of a Drake plant as arrays, see `drake_oa.robot.arm_motion`."""
+"""The arm of a Drake plant as arrays, as the compiled kernels take it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from pydrake.geometry import SceneGraphInspector
@@ -11,11 +12,12 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame, RevoluteJoint
 from pydrake.systems.framework import Context
 
-from drake_oa.common.messages import FloatArray, IntArray
+from drake_oa.common.messages import FloatArray, Frozen, IntArray
+from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.geometry.collision_shapes import RobotModel
 from drake_oa.geometry.points import GuardShapes
 from drake_oa.geometry.primitives import RobotShapes
-from drake_oa.robot.arm_motion import ArmModel
+from drake_oa.robot import arm_kernels as kernels
 
 
 def make_arm_model(
@@ -233,3 +235,42 @@ def _may_touch(
         return False
     a, b = (plant.GetCollisionGeometriesForBody(plant.get_body(body))[0] for body in (one, other))
     return not inspector.CollisionFiltered(a, b)
+
+
+@dataclass(frozen=True, eq=False)
+class ArmModel(Frozen):
+    """An arm of n revolute joints in a row, as `drake_oa.robot.arm.make_arm_model` reads it.
+
+    A body's frame is that of the joint that moves it; bodies are counted by their joint.
+
+    Attributes:
+        index: (n,) where its joints are in the plant's positions.
+        X_PJ: (n + 1, 4, 4) frame of each joint in the body before it (the first in the world),
+            its z axis being the joint's, and of the tool point E in the last body.
+        R_WE: (3, 3) orientation of the tool.
+        posture: (n,) that the null space is drawn to where nothing is in the way [rad].
+        mass: (n, n) mass matrix there, as a metric [kg m^2].
+        lower, upper: (n,) joint limits [rad].
+        speed: (n,) their velocity limits [rad/s].
+        shapes: what may touch obstacles, as `arm_kernels.nearest_point` takes it: body_sphere,
+            shape_body, X_BG, size, bound.
+        parts: what may touch each other, as `arm_kernels.self_distance` takes it: part_body,
+            part_first, part_sphere, rod, rod_radius, pairs.
+    """
+
+    index: IntArray
+    X_PJ: FloatArray
+    R_WE: FloatArray
+    posture: FloatArray
+    mass: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    speed: FloatArray
+    shapes: tuple[FloatArray | IntArray, ...]
+    parts: tuple[FloatArray | IntArray, ...]
+
+    def poses(self, q: FloatArray) -> FloatArray:
+        """(n + 1, 4, 4) poses of the bodies, and of E, in the world."""
+        X_WB = np.empty((len(self.posture) + 1, 4, 4))
+        kernels.poses(*kernel_arrays(q, self.X_PJ), X_WB)
+        return X_WB

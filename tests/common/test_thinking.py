@@ -16,7 +16,7 @@ from drake_oa.common.messages import (
     ObstacleClouds,
     PolicyState,
 )
-from drake_oa.common.work import Thinking, Work, count, counted
+from drake_oa.common.thinking import Thinking, Work, count, counted
 from drake_oa.policy.dmp import Dmp, imitate, minimum_jerk
 from drake_oa.regulation.regressor import ChainWeights, load_chain
 from drake_oa.regulation.regulation import Regulation

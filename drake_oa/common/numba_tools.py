@@ -1,6 +1,7 @@
-"""Where compiled kernels are kept, and a word when they have to be compiled.
+"""Where compiled kernels are kept, a word when they have to be compiled, arrays as they take them.
 
-Numba keeps them beside the source, or else in the user's cache folder, and refuses to
+`drake_oa` imports this before numba, and at every start: nothing slow is imported at the top.
+Numba keeps compiled kernels beside the source, or else in the user's cache folder, and refuses to
 load where it can write to neither: a read-only installation without a home.
 """
 
@@ -12,6 +13,12 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from drake_oa.common.messages import FloatArray
 
 
 def provide_kernel_cache(package: Path) -> tempfile.TemporaryDirectory[str] | None:
@@ -72,3 +79,14 @@ def announced_compilation(estimate: str | None = None) -> Iterator[None]:
 
     with event.install_listener("numba:compile", Announcement()):
         yield
+
+
+def kernel_arrays(*arrays: ArrayLike) -> list[FloatArray]:
+    """Copies as float64, C-contiguous and writeable.
+
+    The arrays of frozen values are read-only, for which numba would compile a kernel once
+    more.
+    """
+    import numpy as np
+
+    return [np.array(array, dtype=float, order="C") for array in arrays]

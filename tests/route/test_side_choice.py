@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from drake_oa.common.kernel_arrays import kernel_arrays
 from drake_oa.common.messages import EllipsoidSet, FloatArray, TablePlane
-from drake_oa.route import side_sequence_kernels as kernels
+from drake_oa.common.numba_tools import kernel_arrays
+from drake_oa.route import side_choice as kernels
 from drake_oa.route.cost_rings import (
     RingScene,
     length_ring,
@@ -22,8 +22,13 @@ from drake_oa.route.cost_rings import (
     ring_scene,
     table_ring,
 )
-from drake_oa.route.side_choice import select_directions
-from drake_oa.route.side_sequence import Chain, legs_between, overlap_groups, sequence_costs
+from drake_oa.route.side_choice import (
+    Chain,
+    legs_between,
+    overlap_groups,
+    select_directions,
+    sequence_costs,
+)
 
 START, GOAL = np.array([0.0, 0.0, 0.4]), np.array([2.0, 0.0, 0.4])
 RINGS = {"table": partial(table_ring, height=0.05), "length": length_ring}

@@ -12,8 +12,7 @@ from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.posture.arm_surroundings import ArmSurroundings
 from drake_oa.posture.posture_plan import REDUNDANT
 from drake_oa.robot import arm_kernels as kernels
-from drake_oa.robot.arm_model import make_arm_model
-from drake_oa.robot.arm_motion import ArmModel
+from drake_oa.robot.arm import ArmModel, make_arm_model
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotPlant, add_robot, home_positions, make_robot_plant
 

@@ -9,7 +9,7 @@ import numba
 import pytest
 
 from drake_oa.app.main import main
-from drake_oa.common.kernel_cache import announced_compilation, provide_kernel_cache
+from drake_oa.common.numba_tools import announced_compilation, provide_kernel_cache
 
 
 @pytest.fixture(autouse=True)

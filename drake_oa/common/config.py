@@ -1,8 +1,8 @@
-"""Plain YAML data held against typed fields, so that an error names the field.
+"""Configuration blocks: typed fields with units and ranges, and YAML data held against them.
 
+A block is a dataclass whose fields are made by `number`, `count`, `choice` and `vector`.
 `read_yaml` and `apply_override` make plain mappings, a block's tag under "_tag"; `check`
-compares them with dataclasses (and Drake's own schemas). A field's metadata may hold
-`unit`, `low`, `high`, `open_low`, `below`, `size` and `choices`.
+compares them with dataclasses (and Drake's own schemas), so that an error names the field.
 """
 
 from __future__ import annotations
@@ -23,6 +23,41 @@ _MOST = 100_000
 
 class ScenarioError(ValueError):
     """A scenario that cannot be run: says which field, and what would be valid."""
+
+
+def number(
+    default: float,
+    unit: str,
+    low: float = -math.inf,
+    high: float = math.inf,
+    *,
+    open_low: bool = False,
+    below: str = "",
+) -> Any:
+    """A finite number in [low, high], or in (low, high] with `open_low`.
+
+    With `below` it must be less than the field of that name, see `check_values`.
+    """
+    metadata = {"unit": unit, "low": low, "high": high, "open_low": open_low, "below": below}
+    return dc.field(default=default, metadata=metadata)
+
+
+def choice(default: str, *others: str) -> Any:
+    """One of some words."""
+    return dc.field(default=default, metadata={"choices": (default, *others)})
+
+
+def count(default: int, low: int, high: int) -> Any:
+    """A whole number in [low, high]."""
+    return dc.field(default=default, metadata={"unit": "1", "low": low, "high": high})
+
+
+def vector(default: list[float], unit: str, size: int | None = None) -> Any:
+    """`size` finite numbers; None: as many as the default has."""
+    return dc.field(
+        default_factory=lambda: list(default),
+        metadata={"unit": unit, "size": len(default) if size is None else size},
+    )
 
 
 def read_yaml(text: str) -> Any:

@@ -1,0 +1,159 @@
+"""Decisions that take time: their work, what it costs, and what is in force meanwhile.
+
+A clock would make no two runs alike; a count is the same on every machine. `counted` opens an
+account, and what dominates the decisions adds to it by `count`: roll-outs of motions, postures
+of the arm along them, ways of evasion. `Thinking` makes seconds of it.
+"""
+
+# No postponed annotations here: yaml_load_typed reads the fields' types.
+import dataclasses as dc
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Generic, Self, TypeVar
+
+import numpy as np
+
+from drake_oa.common.config import number
+from drake_oa.common.messages import FloatArray, Frozen, PolicyState
+
+
+@dc.dataclass
+class Work:
+    """What has been done.
+
+    Attributes:
+        searches: batches of motions that were rolled out.
+        steps: their steps, of all motions, beside each of the obstacles.
+        postures: postures of the arm, or of a tool that turns, that were measured.
+        poses: poses of the arm on the ways of evasion that were looked at.
+    """
+
+    searches: int = 0
+    steps: int = 0
+    postures: int = 0
+    poses: int = 0
+
+
+@dc.dataclass
+class Thinking:
+    """What decisions cost in simulated time: processor time on two cores at 2.5 GHz."""
+
+    # A decision, whatever it looks at [s].
+    decision: float = number(1.4e-3, "s", 0.0, 1.0)
+    # A batch of motions that is rolled out, and a step of a motion beside an obstacle [s].
+    search: float = number(2.9e-3, "s", 0.0, 1.0)
+    step: float = number(1.6e-8, "s", 0.0, 1.0)
+    # A posture of the arm that is measured, and a pose of it on a way of evasion [s].
+    posture: float = number(1.35e-5, "s", 0.0, 1.0)
+    pose: float = number(2.2e-5, "s", 0.0, 1.0)
+
+    def seconds(self, work: Work) -> float:
+        """Time that a decision takes [s]."""
+        return (
+            self.decision
+            + self.search * work.searches
+            + self.step * work.steps
+            + self.posture * work.postures
+            + self.pose * work.poses
+        )
+
+
+_account: ContextVar[Work | None] = ContextVar("work", default=None)
+
+
+@contextmanager
+def counted() -> Iterator[Work]:
+    """An account of what is done inside; one that is open already gets none of it."""
+    work = Work()
+    token = _account.set(work)
+    try:
+        yield work
+    finally:
+        _account.reset(token)
+
+
+def count(**done: int) -> None:
+    """Adds to the account that is open, by the names of `Work`; there need be none."""
+    work = _account.get()
+    if work is not None:
+        for name, number_done in done.items():
+            setattr(work, name, getattr(work, name) + number_done)
+
+
+T = TypeVar("T")
+
+
+@dc.dataclass(frozen=True, eq=False)
+class ForMotion(Frozen, Generic[T]):
+    """A decision on a motion, and the start and goal (3,) that the motion had then [m].
+
+    They are NaN of one that was made before there was a motion.
+    """
+
+    decision: T
+    p_WS: FloatArray = dc.field(default_factory=lambda: np.full(3, np.nan))
+    p_WG: FloatArray = dc.field(default_factory=lambda: np.full(3, np.nan))
+
+    def fits(self, policy: PolicyState, p_WG: FloatArray) -> bool:
+        """Whether the motion that is under way now is the same."""
+        return np.array_equal(policy.p_WS, self.p_WS) and np.array_equal(p_WG, self.p_WG)
+
+
+@dc.dataclass(frozen=True, eq=False)
+class Thoughts(Frozen, Generic[T]):
+    """What one core has decided, and is deciding: it makes one decision after the other.
+
+    A decision is computed when it begins, from what is known then, and is in force from
+    `due` on; until then what was in force stays so.
+
+    Attributes:
+        in_force: the decision to go by.
+        pending: the one that is being made; None: none is.
+        due: when that is made [s].
+        begun: when the last one began [s]; NaN: none has.
+        cost: time that it takes [s].
+    """
+
+    in_force: T
+    pending: T | None = None
+    due: float = math.inf
+    begun: float = math.nan
+    cost: float = 0.0
+
+    def thought(self, decide: Callable[[T], T], time: float, thinking: Thinking | None) -> Self:
+        """Begins a decision, unless one is being made.
+
+        Args:
+            decide: makes it, given the one in force.
+            time: now [s].
+            thinking: what it costs; None: it is in force at once.
+        """
+        if self.pending is not None:
+            return self
+        with counted() as work:
+            after = decide(self.in_force)
+        if thinking is None:
+            return dc.replace(self, in_force=after)
+        cost = thinking.seconds(work)
+        return dc.replace(self, pending=after, due=time + cost, begun=time, cost=cost)
+
+    def made(self, time: float) -> T | None:
+        """The decision that has been made by now and is not in force yet [s]; None: none."""
+        return self.pending if self.due <= time else None
+
+    def taken(self) -> Self:
+        """The pending decision in force."""
+        if self.pending is None:
+            return self
+        return dc.replace(self, in_force=self.pending, pending=None, due=math.inf)
+
+    def dropped(self) -> Self:
+        """Without the pending decision."""
+        return dc.replace(self, pending=None, due=math.inf)
+
+    @property
+    def last(self) -> tuple[float, float]:
+        """When the last decision began, and what it costs [s]; for a port of size 2."""
+        return (self.begun, self.cost)
