@@ -29,7 +29,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import ZeroOrderHold
 from scipy.optimize import nnls
 
-from drake_oa.common import thoughts
+from drake_oa.common import thinking
 from drake_oa.common.console import TextTable
 from drake_oa.common.files import software_versions
 from drake_oa.common.thinking import Thinking, Work
@@ -364,7 +364,7 @@ def _timed_decisions(scenario: Scenario, duration: float | None) -> tuple[list[W
     """The work of each decision of a run, the same in every run, and its processor time [s]."""
     work: list[Work] = []
     taken: list[float] = []
-    plain = thoughts.counted
+    plain = thinking.counted
 
     @contextmanager
     def timed() -> Iterator[Work]:
@@ -374,9 +374,9 @@ def _timed_decisions(scenario: Scenario, duration: float | None) -> tuple[list[W
         taken.append(time.process_time() - begun)
         work.append(account)
 
-    thoughts.counted = timed
+    thinking.counted = timed
     try:
         simulate(scenario, duration=duration)
     finally:
-        thoughts.counted = plain
+        thinking.counted = plain
     return work, taken
