@@ -10,7 +10,7 @@ from pydrake.systems.framework import LeafSystem
 
 from drake_oa import benchmark
 from drake_oa.benchmark import REST, Stopwatch, benchmark_tables, drake_alone, run_benchmark
-from drake_oa.common import thoughts
+from drake_oa.common import thinking
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import load_scenario
 
@@ -104,12 +104,12 @@ def test_a_watched_run_is_the_same_motion(box):
 
 
 def test_drake_is_left_as_it_was_also_after_an_error(box, monkeypatch):
-    before = dict(vars(LeafSystem)), thoughts.counted
+    before = dict(vars(LeafSystem)), thinking.counted
     monkeypatch.setattr(benchmark, "simulate", lambda *_, **__: 1 / 0)
     for timing in (benchmark.time_layers, benchmark.time_thinking):
         with pytest.raises(ZeroDivisionError):
             timing(box, 0.05)
-    assert (dict(vars(LeafSystem)), thoughts.counted) == before
+    assert (dict(vars(LeafSystem)), thinking.counted) == before
 
 
 class Clock:

@@ -1,8 +1,7 @@
 """Elementary functions without branches or calls, for loops over lanes in either precision.
 
 A loop that calls the C library is not made one over vectors; with these it is. Those in
-float32 are for `drake_oa.training.planar_kernels`, those in float64 for
-`drake_oa.regulation.rollout_kernels`, and `drake_oa.training.released_kernels` takes both.
+float64 are for `drake_oa.regulation.rollout_kernels`.
 
 Numba's cache does not notice a change in an imported module: after one here, and in any
 module that kernels import from, touch those that import it.

@@ -30,11 +30,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen
-from drake_oa.policy.dmp import ALPHA_X, Dmp, imitate, minimum_jerk
+from drake_oa.policy.dmp import ALPHA_X, Dmp
 from drake_oa.regulation.regressor import ClearanceLimit
 from drake_oa.training.checkpoint import Checkpoint
 from drake_oa.training.networks import Report
-from drake_oa.training.planar_rollout import planar_rollouts
+from drake_oa.training.planar_rollout import planar_rollouts, straight_dmp
 
 _CHUNK = 16
 """Ellipses explored between two writes of the checkpoint."""
@@ -101,8 +101,7 @@ class Exploration(Frozen):
     @property
     def dmp(self) -> Dmp:
         """The primitive of the roll-outs: straight and of minimum jerk."""
-        demonstration = minimum_jerk(0.0, 1.0)
-        return imitate(*demonstration, alpha_x=self.alpha_x, beta_x=self.alpha_x / 4.0)
+        return straight_dmp(self.alpha_x)
 
     def settings(self) -> dict[str, Any]:
         """All of it, as JSON would hold it."""
@@ -333,7 +332,6 @@ def _solve_alpha(
             dmp=exploration.dmp,
             end=exploration.end,
             fade=exploration.fade,
-            threshold=wanted[rows],
         )
         return outcome.clearance, outcome.goal_error
 

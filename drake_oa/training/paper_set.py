@@ -13,7 +13,7 @@ import numpy as np
 
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
 from drake_oa.training.networks import Report
-from drake_oa.training.planar_rollout import released_lattice
+from drake_oa.training.planar_rollout import released_rollouts
 
 KEPT = 0.01
 """Least clearance of a row [m]."""
@@ -100,13 +100,15 @@ def build_paper_set(lattice: PaperLattice, report: Report | None = None) -> Pape
     """
     axes = lattice.axes
     lambda1, lambda2, kappa, psi, alpha = axes
-    # The kernel's order of the parameters, kappa the fastest.
+    # kappa is the fastest of the parameters.
     shape = (len(lambda2), len(alpha), len(psi), len(kappa))
+    grid = np.meshgrid(lambda2, alpha, psi, kappa, indexing="ij")
+    widths, parameters = grid[0].ravel(), np.stack([a.ravel() for a in grid[1:]], axis=1)
     found = []
-    for i in range(len(lambda1)):
+    for i, length in enumerate(lambda1):
         # The released code looks at its samples, not between them.
-        outcome = released_lattice(
-            lambda1[i : i + 1], lambda2, alpha, psi, kappa, between=False, threshold=KEPT
+        outcome = released_rollouts(
+            np.column_stack((np.full_like(widths, length), widths)), parameters
         )
         kept = np.flatnonzero(outcome.clearance >= KEPT)
         j, *place = np.unravel_index(kept, shape)

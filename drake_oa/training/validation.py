@@ -81,7 +81,6 @@ def validate(
         dmp=dmp,
         end=end,
         fade=fade,
-        precision="double",
     )
     excess, free = outcome.clearance - queries[:, 2], ~outcome.contact
     return Validation(

@@ -14,7 +14,7 @@ from drake_oa.policy.coupling import (
     rotate,
 )
 from drake_oa.policy.dmp import imitate, local_frame, minimum_jerk, step, trajectory
-from drake_oa.training.released_code import euler_trajectory
+from tests.reference.released_code import euler_trajectory
 
 seeds = st.integers(0, 2**32 - 1)
 finite = st.floats(allow_nan=False, allow_infinity=False)

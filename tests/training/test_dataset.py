@@ -36,7 +36,6 @@ def rolled_out(rows, targets):
         dmp=SMALL.dmp,
         end=SMALL.end,
         fade=SMALL.fade,
-        threshold=rows.inputs[:, 2] + SMALL.margin,
     )
 
 
