@@ -28,7 +28,7 @@ def main() -> None:
         v_WO=np.zeros((1, 3)),
         ids=np.array([0]),
     )
-    weights = load_chain(package_file("package://drake_oa/weights/regressor_chain.npz"))
+    weights = load_chain(package_file("package://drake_oa/weights/regressor_chain.safetensors"))
 
     builder = DiagramBuilder()
     goal = builder.AddSystem(ConstantVectorSource(GOAL))

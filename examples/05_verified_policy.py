@@ -27,7 +27,7 @@ def main() -> None:
         v_WO=np.zeros((2, 3)),
         ids=np.array([0, 1]),
     )
-    weights = load_chain(package_file("package://drake_oa/weights/regressor_chain.npz"))
+    weights = load_chain(package_file("package://drake_oa/weights/regressor_chain.safetensors"))
     # Regulation and policy must have the same primitive.
     dmp = imitate(*minimum_jerk(START, GOAL, duration=4.0))
 

@@ -20,10 +20,10 @@ def train(
 
     Trains the regressor chain on roll-outs of the action level and writes its weights.
 
-      project   the chain that is shipped: regressor_chain.npz
+      project   the chain that is shipped: regressor_chain.safetensors
       paper     the paper's two chains on the paper's own training set, with its Table I:
-                paper_chain.npz, RC(lambda', Delta), and
-                paper_chain_unconstrained.npz, RC(lambda')
+                paper_chain.safetensors, RC(lambda', Delta), and
+                paper_chain_unconstrained.safetensors, RC(lambda')
 
     What was computed is kept in a folder, OUT/RECIPE.checkpoint, until the end. After an
     interruption the same command goes on from there, to the same result.

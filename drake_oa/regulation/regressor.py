@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import json
 import math
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,8 +30,9 @@ from typing import Any
 import numba
 import numpy as np
 from numpy.typing import ArrayLike
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
 
-from drake_oa.common.files import check_archive
 from drake_oa.common.messages import BoolArray, CouplingParameters, FloatArray, Frozen
 
 _ROUNDING = 1e-12
@@ -169,25 +169,17 @@ def write_arrays(path: Path, arrays: Mapping[str, FloatArray], header: str) -> N
     """Writes the arrays and the header.
 
     Args:
-        path: the file; its extension tells the format.
+        path: the file, .safetensors.
         arrays: by name.
         header: text that goes with them.
 
     Raises:
-        ValueError: for an extension other than .npz and .safetensors.
+        ValueError: for another extension.
     """
-    if path.suffix == ".npz":
-        np.savez_compressed(path, metadata=np.array(header), **arrays)  # type: ignore[arg-type]
-    elif path.suffix == ".safetensors":
-        from safetensors.numpy import save_file
-
-        save_file(
-            {key: np.array(value, order="C") for key, value in arrays.items()},
-            path,
-            {"metadata": header},
-        )
-    else:
-        raise ValueError(f"weights are written as .npz or .safetensors, not {path.name!r}")
+    if path.suffix != ".safetensors":
+        raise ValueError(f"weights are written as .safetensors, not {path.name!r}")
+    ordered = {key: np.array(value, order="C") for key, value in arrays.items()}
+    save_file(ordered, path, {"metadata": header})
 
 
 def read_arrays(path: Path) -> tuple[dict[str, Any], str | None]:
@@ -200,26 +192,14 @@ def read_arrays(path: Path) -> tuple[dict[str, Any], str | None]:
     if not path.is_file():
         raise FileNotFoundError(
             f"no weights file {path}: train one with `drake-oa train --out {path.parent}`, "
-            "or use package://drake_oa/weights/regressor_chain.npz, which is shipped"
+            "or use package://drake_oa/weights/regressor_chain.safetensors, which is shipped"
         )
     try:
-        if path.suffix == ".safetensors":
-            from safetensors import safe_open
-
-            with safe_open(path, "numpy") as file:
-                header = (file.metadata() or {}).get("metadata")
-                return {key: file.get_tensor(key) for key in file.keys()}, header  # noqa: SIM118
-        if not zipfile.is_zipfile(path):
-            # NumPy would take it for a pickle, and say how to load that.
-            raise ValueError("it is no archive, or not a whole one")
-        check_archive(path)
-        with np.load(path, allow_pickle=False) as file:
-            arrays = dict(file)
-    except Exception as error:
-        # The readers raise a dozen types between them, some their own.
-        raise ValueError(f"{path} cannot be read as .npz or .safetensors: {error}") from error
-    header = arrays.pop("metadata", None)
-    return arrays, None if header is None else str(header)
+        with safe_open(path, "numpy") as file:
+            header = (file.metadata() or {}).get("metadata")
+            return {key: file.get_tensor(key) for key in file.keys()}, header  # noqa: SIM118
+    except (SafetensorError, OSError) as error:
+        raise ValueError(f"{path} cannot be read as .safetensors: {error}") from error
 
 
 def array_of(
@@ -499,7 +479,7 @@ def section_extents(
 
 
 def save_chain(chain: ChainWeights, path: str | Path) -> None:
-    """Writes a chain as .npz or .safetensors, its metadata inside.
+    """Writes a chain as .safetensors, its metadata inside.
 
     Raises:
         ValueError: for any other file name extension.

@@ -56,7 +56,7 @@ class Policy:
     # Basis functions of the forcing term.
     n_basis: int = _count(35, 2, 1000)
     # Weights of the regressor chain: package:// URL, or file relative to this one.
-    weights: str = "package://drake_oa/weights/regressor_chain.npz"
+    weights: str = "package://drake_oa/weights/regressor_chain.safetensors"
     # How heading guidance fades near an obstacle (see docs/equations.md).
     guidance: str = _choice("counterphase", "printed")
     # Largest alpha of the guidance term.

@@ -43,7 +43,7 @@ def train_chain(
         exploration: what it was made with; recorded.
         seed: of the initial weights and of the split.
         schedule: of Levenberg-Marquardt.
-        device: "cpu", or a torch device.
+        device: a torch device.
         commit: version of the code; recorded.
         checkpoint: where to keep each iteration, and to go on from.
         report: told how far it is.

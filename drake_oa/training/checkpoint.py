@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from drake_oa.training.levenberg_marquardt import Progress
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save_file
 
 Arrays = dict[str, np.ndarray[Any, Any]]
 
@@ -64,13 +64,9 @@ class Checkpoint:
             )
 
     def save(self, stage: str, **arrays: Any) -> None:
-        """Writes the arrays of a stage in place of those before."""
-
-        def write(path: Path) -> None:
-            with path.open("wb") as file:
-                np.savez(file, **arrays)
-
-        self._write(f"{stage}.npz", write)
+        """Writes the arrays and numbers of a stage in place of those before."""
+        named = {name: np.array(value, order="C") for name, value in arrays.items()}
+        self._write(f"{stage}.safetensors", lambda path: save_file(named, path))
 
     def load(self, stage: str) -> Arrays | None:
         """The arrays of a stage, None where there are none.
@@ -78,37 +74,13 @@ class Checkpoint:
         Raises:
             ValueError: if the file is damaged.
         """
-        path = self.folder / f"{stage}.npz"
+        path = self.folder / f"{stage}.safetensors"
         if not path.is_file():
             return None
         try:
-            with np.load(path, allow_pickle=False) as file:
-                return dict(file)
-        except Exception as error:
-            # NumPy and zipfile raise half a dozen types between them.
+            return load_file(path)
+        except SafetensorError as error:
             raise ValueError(f"{path} is damaged ({error}): start anew by --restart") from error
-
-    def save_progress(self, stage: str, state: Progress) -> None:
-        """Writes the state of a fit."""
-        self.save(
-            stage,
-            parameters=state.parameters,
-            damping=state.damping,
-            iteration=state.iteration,
-            stuck=state.stuck,
-        )
-
-    def load_progress(self, stage: str) -> Progress | None:
-        """The state of a fit, None where it has not begun."""
-        found = self.load(stage)
-        if found is None:
-            return None
-        return Progress(
-            found["parameters"],
-            float(found["damping"]),
-            int(found["iteration"]),
-            bool(found["stuck"]),
-        )
 
     def remove(self) -> None:
         """Deletes the folder."""

@@ -1,19 +1,20 @@
-"""Trains one network of the chain: scaling, Levenberg-Marquardt, checkpoints."""
+"""One network of the chain in torch: its layers, its training, its score."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
-from threadpoolctl import threadpool_limits
+import torch
+from torch import Tensor, nn
+from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from drake_oa.common.messages import BoolArray, FloatArray
 from drake_oa.regulation.regressor import Network
 from drake_oa.training.checkpoint import Checkpoint
-from drake_oa.training.levenberg_marquardt import Progress, Schedule, fit
-from drake_oa.training.normal_equations import least_squares
-from drake_oa.training.perceptron import flatten, initial_layers, unflatten
+from drake_oa.training.levenberg_marquardt import LeastSquares, Progress, Schedule, fit
 
 HIDDEN = (24, 24, 24)
 """Widths of the tanh layers, as in the paper."""
@@ -23,6 +24,37 @@ TRAIN_SHARE = 0.7
 
 Report = Callable[[str, float], None]
 """Told the stage and the fraction of it that is done."""
+
+
+class Perceptron(nn.Module):
+    """Tanh layers and a linear output, in float64."""
+
+    def __init__(self, n_inputs: int, rng: np.random.Generator) -> None:
+        """Draws the first weights: variance 1 / n_in for weights, 1 / 4 for biases."""
+        super().__init__()
+        sizes = [n_inputs, *HIDDEN, 1]
+        layers: list[nn.Module] = []
+        for n_in, n_out in pairwise(sizes):
+            layer = nn.Linear(n_in, n_out, dtype=torch.float64)
+            with torch.no_grad():
+                layer.weight.copy_(
+                    torch.from_numpy(rng.standard_normal((n_out, n_in)) / np.sqrt(n_in))
+                )
+                layer.bias.copy_(torch.from_numpy(0.5 * rng.standard_normal(n_out)))
+            layers += [layer, nn.Tanh()]
+        self.layers = nn.Sequential(*layers[:-1])
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Rows (..., n_inputs) -> (...)."""
+        return self.layers(x)[..., 0]
+
+    def arrays(self) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]:
+        """Weights and biases, layer by layer."""
+        layers = [layer for layer in self.layers if isinstance(layer, nn.Linear)]
+        return (
+            tuple(layer.weight.detach().cpu().numpy() for layer in layers),
+            tuple(layer.bias.detach().cpu().numpy() for layer in layers),
+        )
 
 
 @dataclass(frozen=True)
@@ -85,7 +117,7 @@ def train_network(
         weight: (N,) of the rows; None: 1.
         bounds: (d + 1,) least and greatest inputs and target, for the scaling; None:
             those of the rows.
-        device: "cpu", or a torch device.
+        device: a torch device.
         checkpoint: where to keep each iteration, and to go on from.
         report: told how far it is.
 
@@ -96,18 +128,22 @@ def train_network(
     low, high = bounds or (columns.min(axis=0), columns.max(axis=0))
     gain = 2.0 / np.where(high > low, high - low, 1.0)
     scaled = (columns - low) * gain - 1.0
-    sizes = [x.shape[1], *HIDDEN, 1]
-    inputs, targets = np.ascontiguousarray(scaled[:, :-1]), np.ascontiguousarray(scaled[:, -1])
-    state = checkpoint.load_progress(stage) if checkpoint else None
-    if state is None:
-        first = flatten(initial_layers(sizes, np.random.default_rng(seed)))
+    perceptron = Perceptron(x.shape[1], np.random.default_rng(seed))
+    found = checkpoint.load(stage) if checkpoint else None
+    if found is None:
+        first = parameters_to_vector(perceptron.parameters()).detach().to(device)
         state = Progress(first, schedule.damping)
+    else:
+        state = Progress.of_arrays(found, device)
     rounds = rounds or (Round(schedule.iterations, len(x)),)
     total = sum(each_round.iterations for each_round in rounds)
 
-    def each(state: Progress, _: float) -> None:
+    def save(state: Progress) -> None:
         if checkpoint is not None:
-            checkpoint.save_progress(stage, state)
+            checkpoint.save(stage, **state.arrays())
+
+    def each(state: Progress, _: float) -> None:
+        save(state)
         if report is not None:
             report(stage, state.iteration / total)
 
@@ -116,23 +152,45 @@ def train_network(
         until += each_round.iterations
         if state.iteration >= until:
             continue
-        first_rows = slice(each_round.rows)
-        problem = least_squares(
-            sizes,
-            inputs[first_rows],
-            targets[first_rows],
-            None if weight is None else weight[first_rows],
+        n = each_round.rows
+        problem = LeastSquares(
+            perceptron,
+            scaled[:n, :-1],
+            scaled[:n, -1],
+            None if weight is None else weight[:n],
             device=device,
         )
-        # The rows are shared out among threads already; and the sums' order is fixed.
-        with threadpool_limits(limits=1, user_api="blas"):
-            state = fit(problem, state, replace(schedule, iterations=until), each)
+        state = fit(problem, state, replace(schedule, iterations=until), each)
         # Where it got stuck, the next round's rows may let it go on.
         state = replace(state, iteration=until, stuck=False)
-        if checkpoint is not None:
-            checkpoint.save_progress(stage, state)
-    weights, biases = zip(*unflatten(state.parameters, sizes), strict=True)
+        save(state)
+    vector_to_parameters(state.parameters.cpu(), perceptron.parameters())
+    weights, biases = perceptron.arrays()
     return Network(weights, biases, low[:-1], gain[:-1], float(low[-1]), float(gain[-1]))
+
+
+def choose_device(asked: str) -> str:
+    """Where to train.
+
+    Args:
+        asked: "cpu", "cuda", or "auto" for CUDA where torch finds it.
+
+    Returns:
+        "cpu" or "cuda".
+
+    Raises:
+        ValueError: if CUDA is asked for and torch finds none, or for any other name.
+    """
+    if asked not in ("auto", "cpu", "cuda"):
+        raise ValueError(f"device must be auto, cpu or cuda, not {asked!r}")
+    if asked != "cpu" and torch.cuda.is_available():
+        return "cuda"
+    if asked == "cuda":
+        raise ValueError(
+            f"device cuda was asked for, but torch {torch.__version__} finds no CUDA device; "
+            "use --device cpu"
+        )
+    return "cpu"
 
 
 def predict(network: Network, x: FloatArray) -> FloatArray:

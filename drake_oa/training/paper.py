@@ -109,7 +109,7 @@ def train_paper(
     Args:
         recipe: what to do.
         seed: of the split, of the rows drawn, and of the first weights.
-        device: "cpu", or a torch device.
+        device: a torch device.
         commit: version of the code; recorded.
         checkpoint: where to keep what was computed, and to go on from.
         report: told how far it is.

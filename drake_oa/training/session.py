@@ -15,18 +15,17 @@ from drake_oa.training.chain import train_chain
 from drake_oa.training.checkpoint import Checkpoint
 from drake_oa.training.dataset import Exploration, build_training_set
 from drake_oa.training.levenberg_marquardt import Schedule
-from drake_oa.training.networks import Report
-from drake_oa.training.normal_equations import choose_device
+from drake_oa.training.networks import Report, choose_device
 from drake_oa.training.paper import PaperRecipe, table_one, train_paper
 from drake_oa.training.validation import score_table, validate, validation_table
 
 PAPER_FILES = {
-    "RC(lambda')": "paper_chain_unconstrained.npz",
-    "RC(lambda', Delta)": "paper_chain.npz",
+    "RC(lambda')": "paper_chain_unconstrained.safetensors",
+    "RC(lambda', Delta)": "paper_chain.safetensors",
 }
 """Weights file of each chain of the paper."""
 
-PROJECT_FILE = "regressor_chain.npz"
+PROJECT_FILE = "regressor_chain.safetensors"
 """Weights file of the project's chain."""
 
 

@@ -35,7 +35,7 @@ QUICK = SearchParameters(candidates=32, rounds=2, polish=0, steps=250)
 
 @pytest.fixture(scope="module")
 def weights() -> ChainWeights:
-    return load_chain(package_file("package://drake_oa/weights/regressor_chain.npz"))
+    return load_chain(package_file("package://drake_oa/weights/regressor_chain.safetensors"))
 
 
 @pytest.fixture(scope="module")

@@ -17,6 +17,8 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem, State
 from pydrake.systems.primitives import ConstantValueSource
 from pydrake.systems.sensors import ImageDepth32F
+from safetensors import safe_open
+from safetensors.numpy import load_file, save_file
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import (
@@ -453,19 +455,23 @@ def test_weights_of_another_shape_are_refused(tmp_path: Path) -> None:
 
 
 def test_weights_for_the_released_action_level_are_refused() -> None:
-    paper = "policy.weights=package://drake_oa/weights/paper_chain.npz"
+    paper = "policy.weights=package://drake_oa/weights/paper_chain.safetensors"
     with pytest.raises(ScenarioError, match=r"policy\.weights: .*rad/s.*--recipe project"):
         build_avoidance(load_scenario("free_space", [paper]))
 
 
 def test_weights_with_a_layer_of_another_width_are_refused(tmp_path: Path) -> None:
-    with np.load(package_file(load_scenario("free_space").policy.weights)) as archive:
-        arrays = dict(archive)
+    file = package_file(load_scenario("free_space").policy.weights)
+    with safe_open(file, "numpy") as whole:
+        header = whole.metadata()
+    arrays = load_file(file)
     name = next(k for k, v in arrays.items() if v.ndim == 2)
-    arrays[name] = arrays[name][:, :-1]
-    np.savez(tmp_path / "narrow.npz", **arrays)
+    arrays[name] = arrays[name][:, :-1].copy()
+    save_file(arrays, tmp_path / "narrow.safetensors", header)
     with pytest.raises(ScenarioError, match=r"policy\.weights: .*"):
-        build_avoidance(load_scenario("free_space", [f"policy.weights={tmp_path}/narrow.npz"]))
+        build_avoidance(
+            load_scenario("free_space", [f"policy.weights={tmp_path}/narrow.safetensors"])
+        )
 
 
 def test_an_empty_recording_folder_is_refused(tmp_path: Path) -> None:

@@ -42,7 +42,7 @@ def arm(posed_panda: Callable[[np.ndarray], ArmModel]) -> ArmModel:
 @pytest.fixture(scope="module")
 def regulator(arm: ArmModel) -> ArmRegulator:
     dmp = imitate(*minimum_jerk(START, GOAL, duration=5.0))
-    weights = load_chain(package_file("package://drake_oa/weights/regressor_chain.npz"))
+    weights = load_chain(package_file("package://drake_oa/weights/regressor_chain.safetensors"))
     quick = SearchParameters(candidates=32, rounds=12, polish=0, steps=250)
     of_tool = Regulator(weights, dmp, 0.1, parameters=quick, begins_anew=True)
     return ArmRegulator(of_tool, WholeArm(arm), dmp)
@@ -223,7 +223,7 @@ def test_held_with_nothing_near_it_stays(arm: ArmModel, regulator: ArmRegulator)
 
 def test_a_point_has_to_be_over_the_table_and_in_the_workspace(regulator: ArmRegulator) -> None:
     of_tool = Regulator(
-        load_chain(package_file("package://drake_oa/weights/regressor_chain.npz")),
+        load_chain(package_file("package://drake_oa/weights/regressor_chain.safetensors")),
         imitate(*minimum_jerk(START, GOAL, duration=5.0)),
         0.1,
         parameters=SearchParameters(),

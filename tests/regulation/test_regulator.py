@@ -28,7 +28,7 @@ NOTE = "no motion that clears obstacle 4 found"
 
 def regulator(*, begins_anew: bool = True) -> Regulator:
     dmp: Dmp = imitate(*minimum_jerk(START, GOAL, duration=5.0))
-    weights = load_chain(package_file("package://drake_oa/weights/regressor_chain.npz"))
+    weights = load_chain(package_file("package://drake_oa/weights/regressor_chain.safetensors"))
     quick = SearchParameters(candidates=32, rounds=12, polish=0, steps=250)
     return Regulator(weights, dmp, 0.1, parameters=quick, begins_anew=begins_anew)
 

@@ -20,7 +20,7 @@ QUICK = SearchParameters(rounds=20)
 
 @pytest.fixture(scope="module")
 def chain() -> ChainWeights:
-    return load_chain(package_file("package://drake_oa/weights/regressor_chain.npz"))
+    return load_chain(package_file("package://drake_oa/weights/regressor_chain.safetensors"))
 
 
 def scenes(

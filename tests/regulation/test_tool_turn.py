@@ -74,7 +74,7 @@ def policy(x: float = 0.0, stamp: float = 0.0, speed: float = 0.0) -> PolicyStat
 
 @cache
 def turner(**changes: float) -> ToolTurner:
-    weights = load_chain(package_file("package://drake_oa/weights/regressor_chain.npz"))
+    weights = load_chain(package_file("package://drake_oa/weights/regressor_chain.safetensors"))
     dmp = imitate(*minimum_jerk(START, GOAL, duration=5.0))
     # Not above 0.5 m: there is no way over the posts.
     annulus = np.array([[0.1, 0.5], [0.0, 0.0], [5.0, 5.0]])
@@ -205,7 +205,7 @@ def test_the_mirrored_and_the_turned_world_are_passed_alike(chosen: TurnChoice) 
     about = turned_about(np.array([START, GOAL]), UP, 1.0)
     turned = seen(*(turned_about(cloud, UP, 1.0) for cloud in GAP.clouds_W))
     there = replace(here, p_WE=about[0], p_WS=about[0], p_WG=about[1], R_WL=local_frame(*about))
-    weights = load_chain(package_file("package://drake_oa/weights/regressor_chain.npz"))
+    weights = load_chain(package_file("package://drake_oa/weights/regressor_chain.safetensors"))
     dmp = imitate(*minimum_jerk(START, GOAL, duration=5.0))
     annulus = np.array([[0.1, 0.5], [0.0, 0.0], [5.0, 5.0]])
     R = turned_about(np.eye(3), UP, 1.0).T

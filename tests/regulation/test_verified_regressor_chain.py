@@ -40,7 +40,7 @@ Item = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 @pytest.fixture(scope="module")
 def weights() -> ChainWeights:
-    return load_chain(package_file("package://drake_oa/weights/regressor_chain.npz"))
+    return load_chain(package_file("package://drake_oa/weights/regressor_chain.safetensors"))
 
 
 @pytest.fixture(scope="module")

@@ -5,12 +5,11 @@ import pytest
 
 from drake_oa.regulation.regressor import ClearanceLimit
 from drake_oa.training.chain import train_chain
-from drake_oa.training.checkpoint import Checkpoint
 from drake_oa.training.dataset import Exploration, TrainingSet
 from drake_oa.training.levenberg_marquardt import Schedule
 from drake_oa.training.validation import score_table, validate, validation_table
 
-SCHEDULE = Schedule(iterations=6)
+SCHEDULE = Schedule(iterations=12)
 
 
 @pytest.fixture(scope="module")
@@ -23,8 +22,13 @@ def rows():
     return TrainingSet(x, np.column_stack((kappa, psi, alpha)), chosen, ClearanceLimit(), 7)
 
 
-def test_it_is_scored_and_recorded(rows):
-    chain, scores = train_chain(rows, Exploration(), 5, SCHEDULE, commit="abc")
+@pytest.fixture(scope="module")
+def trained(rows):
+    return train_chain(rows, Exploration(), 5, SCHEDULE, commit="abc")
+
+
+def test_it_is_scored_and_recorded(trained):
+    chain, scores = trained
     assert [s.target for s in scores] == ["kappa", "psi", "alpha"]
     assert [s.rows for s in scores] == [150, 150, 200]
     assert all(s.train < 0.05 for s in scores)
@@ -37,37 +41,8 @@ def test_it_is_scored_and_recorded(rows):
     assert "| ln alpha |" in score_table(scores)
 
 
-def test_validation_rolls_out_what_it_proposes(rows):
-    chain, _ = train_chain(rows, Exploration(), 0, SCHEDULE)
-    outcome = validate(chain, scenes=20)
+def test_validation_rolls_out_what_it_proposes(trained):
+    outcome = validate(trained[0], scenes=20)
     assert outcome.scenes == 20
     assert 0.0 <= outcome.kept <= 1.0
     assert "| here | 20 |" in validation_table({"here": outcome})
-
-
-@pytest.mark.parametrize("stop", [3, 9])
-def test_after_an_interruption_the_chain_is_the_same(rows, tmp_path, stop):
-    whole, _ = train_chain(rows, Exploration(), 0, SCHEDULE)
-    calls = []
-
-    def interrupt(stage, fraction):
-        calls.append(stage)
-        if len(calls) == stop:
-            raise KeyboardInterrupt
-
-    checkpoint = Checkpoint(tmp_path, {})
-    with pytest.raises(KeyboardInterrupt):
-        train_chain(rows, Exploration(), 0, SCHEDULE, checkpoint=checkpoint, report=interrupt)
-    calls = []
-    again, _ = train_chain(
-        rows,
-        Exploration(),
-        0,
-        SCHEDULE,
-        checkpoint=Checkpoint(tmp_path, {}),
-        report=lambda stage, fraction: calls.append(stage),
-    )
-    assert len(calls) == 3 * SCHEDULE.iterations - stop
-    for name, network in whole.networks.items():
-        for ours, theirs in zip(network.weights, again.networks[name].weights, strict=True):
-            np.testing.assert_array_equal(ours, theirs)

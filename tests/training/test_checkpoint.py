@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from drake_oa.training.checkpoint import Checkpoint
-from drake_oa.training.levenberg_marquardt import Progress
 
 SETTINGS = {"recipe": "test", "seed": 3, "axis": (1.0, 2.0)}
 
@@ -13,15 +12,13 @@ def test_what_was_saved_is_found_again(tmp_path):
     first = Checkpoint(tmp_path / "c", SETTINGS)
     assert not first.resumed
     assert first.load("set") is None
-    assert first.load_progress("kappa") is None
-    first.save("set", x=np.arange(3))
-    first.save_progress("kappa", Progress(np.arange(4.0), 0.1, 5, True))
+    first.save("set", x=np.arange(3), number=5, flag=True, columns=np.ones((2, 3)).T)
     again = Checkpoint(tmp_path / "c", SETTINGS)
     assert again.resumed
-    np.testing.assert_array_equal(again.load("set")["x"], np.arange(3))
-    state = again.load_progress("kappa")
-    np.testing.assert_array_equal(state.parameters, np.arange(4.0))
-    assert (state.damping, state.iteration, state.stuck) == (0.1, 5, True)
+    found = again.load("set")
+    np.testing.assert_array_equal(found["x"], np.arange(3))
+    assert (int(found["number"]), bool(found["flag"])) == (5, True)
+    assert found["columns"].shape == (3, 2)
     again.remove()
     assert not (tmp_path / "c").exists()
 
@@ -46,6 +43,6 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path, restart):
 
 def test_a_damaged_file_is_named(tmp_path):
     checkpoint = Checkpoint(tmp_path, SETTINGS)
-    (tmp_path / "set.npz").write_bytes(b"PK\x03\x04 no more")
-    with pytest.raises(ValueError, match=r"set\.npz is damaged.*--restart"):
+    (tmp_path / "set.safetensors").write_bytes(b"\x08 no more")
+    with pytest.raises(ValueError, match=r"set\.safetensors is damaged.*--restart"):
         checkpoint.load("set")

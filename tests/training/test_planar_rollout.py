@@ -153,7 +153,7 @@ def test_released_forcing_is_what_the_released_code_fitted(reference):
 
 
 def test_released_rollouts_agree_with_the_readable_path():
-    semi_axes, parameters = papers_rows(20)
+    semi_axes, parameters = papers_rows(14)
     result = released_rollouts(semi_axes, parameters, between=True)
     forcing = np.column_stack((released_forcing(), np.zeros((1000, 2))))
     compared = 0
@@ -181,7 +181,7 @@ def test_released_rollouts_agree_with_the_readable_path():
         assert result.clearance[i] == pytest.approx(measured, abs=1e-4)
         assert result.path_length[i] == pytest.approx(length, abs=1e-4)
         assert result.goal_error[i] == pytest.approx(np.linalg.norm(path[-1] - (1, 0, 0)), abs=1e-4)
-    assert compared > 5
+    assert compared > 3
 
 
 @pytest.mark.parametrize("end", [0.6, 1.2513])

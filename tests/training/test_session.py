@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 
 from drake_oa.app.main import main
 from drake_oa.regulation.regressor import load_chain
@@ -42,19 +43,19 @@ def small(monkeypatch):
 def test_the_project_recipe_writes_a_file_that_loads(small, tmp_path, capsys):
     out = tmp_path / "new"
     assert main(["train", "--out", str(out), "--seed", "4", "--iterations", "2"]) == 0
-    metadata = load_chain(out / "regressor_chain.npz").metadata
+    metadata = load_chain(out / "regressor_chain.safetensors").metadata
     assert (metadata["recipe"], metadata["seed"]) == ("project", 4)
     assert metadata["training"]["iterations"] == 2
     printed = capsys.readouterr().out
     assert "| ln alpha |" in printed
     assert "| on the baseline |" in printed
-    assert [path.name for path in out.iterdir()] == ["regressor_chain.npz"]
+    assert [path.name for path in out.iterdir()] == ["regressor_chain.safetensors"]
 
 
 def test_the_paper_recipe_writes_two(small, tmp_path, capsys):
     assert main(["train", "--recipe", "paper", "--out", str(tmp_path), "--device", "cpu"]) == 0
-    assert load_chain(tmp_path / "paper_chain.npz").lower.size == 3
-    assert load_chain(tmp_path / "paper_chain_unconstrained.npz").lower.size == 2
+    assert load_chain(tmp_path / "paper_chain.safetensors").lower.size == 3
+    assert load_chain(tmp_path / "paper_chain_unconstrained.safetensors").lower.size == 2
     assert "| RC(lambda', Delta) | alpha |" in capsys.readouterr().out
 
 
@@ -72,7 +73,7 @@ def test_an_interrupted_training_says_how_to_go_on_and_does(small, tmp_path, mon
         cut.setattr(session, "train_chain", interrupted)
         assert main(command) == 130
     assert "the same command goes on from there" in capsys.readouterr().err
-    assert (tmp_path / "cut" / "project.checkpoint" / "psi.npz").is_file()
+    assert (tmp_path / "cut" / "project.checkpoint" / "psi.safetensors").is_file()
     assert main(command) == 0
     assert "going on from" in capsys.readouterr().err
     assert main([*command[:-1], str(tmp_path / "whole")]) == 0
@@ -90,7 +91,6 @@ def test_an_interrupted_training_says_how_to_go_on_and_does(small, tmp_path, mon
     ],
 )
 def test_wrong_arguments_are_named(arguments, message, tmp_path, monkeypatch, capsys):
-    torch = pytest.importorskip("torch")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     assert main(["train", "--out", str(tmp_path), *arguments]) == 2
     assert message in capsys.readouterr().err

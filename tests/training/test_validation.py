@@ -8,7 +8,7 @@ from drake_oa.regulation.regressor import load_chain
 from drake_oa.training.dataset import Exploration
 from drake_oa.training.validation import validate
 
-SHIPPED = Path(__file__).resolve().parents[2] / "models" / "weights" / "regressor_chain.npz"
+SHIPPED = Path(__file__).resolve().parents[2] / "models" / "weights" / "regressor_chain.safetensors"
 
 
 def test_the_shipped_chain_keeps_clearances_and_arrives():

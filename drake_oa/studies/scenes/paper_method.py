@@ -104,7 +104,7 @@ def paper_chain(constrained: bool) -> ChainWeights:
         ValueError: if the file is none of `save_chain`.
     """
     name = "paper_chain" if constrained else "paper_chain_unconstrained"
-    return load_chain(package_file(f"package://drake_oa/weights/{name}.npz"))
+    return load_chain(package_file(f"package://drake_oa/weights/{name}.safetensors"))
 
 
 def regulated_motions(

@@ -17,7 +17,7 @@ from drake_oa.scenario.loading import package_file
 from drake_oa.studies.scenes.methods import Motions, Setting
 from drake_oa.studies.scenes.scenes import DURATION, Scenes, single_obstacle
 
-WEIGHTS = "package://drake_oa/weights/regressor_chain.npz"
+WEIGHTS = "package://drake_oa/weights/regressor_chain.safetensors"
 SAMPLES = 500
 """Intervals in which the motions are handed over."""
 LEAST_CLEARANCE = 0.01
