@@ -116,11 +116,11 @@ def make_push(scenario: Scenario, station: Station) -> ExternalPush | None:
     for number, fault in enumerate(scenario.faults):
         if not isinstance(fault, Push):
             continue
-        if not plant.HasBodyNamed(fault.body, station.robot):
+        link = fault.body or (scenario.robot.hand_link if scenario.robot else "")
+        if not plant.HasBodyNamed(link, station.robot):
             names = [plant.get_body(i).name() for i in plant.GetBodyIndices(station.robot)]
             raise ScenarioError(
-                f"faults[{number}].body: the robot has no link '{fault.body}'; it has "
-                f"{', '.join(names)}"
+                f"faults[{number}].body: the robot has no link '{link}'; it has {', '.join(names)}"
             )
-        pushes.append((fault, plant.GetBodyByName(fault.body, station.robot).index()))
+        pushes.append((fault, plant.GetBodyByName(link, station.robot).index()))
     return ExternalPush(pushes) if pushes else None

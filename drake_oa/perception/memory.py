@@ -105,6 +105,24 @@ class Tracks(Frozen):
         return len(self.ids)
 
 
+def new_tracks(ids: IntArray, estimate: MotionEstimate) -> Tracks:
+    """Obstacles (M,) that were just seen first: at rest, their sides not known."""
+    none = Tracks()
+    zeros = {
+        name: np.zeros((len(ids), *part.shape[1:]), dtype=part.dtype)
+        for name, part in vars(none).items()
+        if isinstance(part, np.ndarray)
+    }
+    sides = np.full((len(ids), 3, 2), np.nan)
+    parts: dict[str, Any] = {
+        "ids": ids,
+        "estimate": estimate,
+        "p_shift_W": estimate.p_W,
+        "sides": sides,
+    }
+    return Tracks(**(zeros | parts))
+
+
 @dataclass(frozen=True, eq=False)
 class Points(Frozen):
     """N remembered points of obstacles.

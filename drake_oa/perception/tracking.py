@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,11 +29,11 @@ from drake_oa.perception.config import SegmentationConfig, TrackingConfig
 from drake_oa.perception.memory import (
     ObstacleMemory,
     Points,
-    Tracks,
     appended,
     changed,
     held_clouds,
     held_table,
+    new_tracks,
     taken,
 )
 from drake_oa.perception.segmentation import Segmentation
@@ -249,6 +250,22 @@ def fuse(
     return step.run(stamp)
 
 
+class _Look(NamedTuple):
+    """What the frame says of the N remembered points, and the nearest of them.
+
+    p_WQ (N, 3) where they should be in the world [m]; nearest (Q,) of them to each point of the
+    frame, -1: none near, and from_seen (Q,) how far [m]; distance (N,) from the frame's nearest
+    point [m]; shows (N,) HIDDEN, AT, FREE, OUT or EMPTY, and pixel (N,) where, -1 for none.
+    """
+
+    p_WQ: FloatArray
+    nearest: IntArray
+    from_seen: FloatArray
+    distance: FloatArray
+    shows: IntArray
+    pixel: IntArray
+
+
 class _Step:
     """One frame joined with the memory; lives as long as `fuse` runs."""
 
@@ -274,15 +291,13 @@ class _Step:
     def run(self, stamp: float) -> ObstacleMemory:
         """The memory after the frame."""
         self.tracks = predicted_tracks(self.tracks, self.dt, self.tracking)
-        p_WQ = self._remembered()
-        near = self._nearest(p_WQ)
-        shows = self._shows(p_WQ, near[2])
+        look = self._look()
         association = associate(
             self.seen,
             self.cluster,
             len(self.frame.clouds_W),
-            near[0],
-            p_WQ,
+            look.nearest,
+            look.p_WQ,
             self.points.owner,
             len(self.tracks),
             self.tracking,
@@ -290,57 +305,50 @@ class _Step:
         known = len(self.tracks)
         self._append_new(association)
         shift = self.tracks.shift_W
-        behind = self._behind_itself(association, shows)
-        self._doubt(near[2], shows[0], behind)
+        behind = self._behind_itself(association, look)
+        self._doubt(look, behind)
         # Of what moves, missing pixels must not hide where it ends: it would go on for ever.
-        missing = (shows[0] == EMPTY) | ((shows[0] == OUT) & (shows[1] >= 0))
+        missing = (look.shows == EMPTY) | ((look.shows == OUT) & (look.pixel >= 0))
         missing &= self.tracks.moving[self.points.owner]
-        hidden = (shows[0] != AT) & (shows[0] != FREE) & ~behind & ~missing
-        self._measure(association, p_WQ, hidden)
+        hidden = (look.shows != AT) & (look.shows != FREE) & ~behind & ~missing
+        self._measure(association, look.p_WQ, hidden)
         if known and np.abs(self.tracks.shift_W - shift)[:known].max() > self.tracking.correction:
-            p_WQ = self._remembered()
-            near = self._nearest(p_WQ)
-            shows = self._shows(p_WQ, near[2])
-            behind = self._behind_itself(association, shows)
-        split = self._weigh(association, p_WQ, near[2], shows[0], behind)
-        self._remember(association, near)
+            look = self._look()
+            behind = self._behind_itself(association, look)
+        split = self._weigh(association, look, behind)
+        self._remember(association, look)
         self._split(split)
         self._merge(association, known)
         self._forget()
         return self._handed_on(stamp)
 
-    def _remembered(self) -> FloatArray:
-        """(N, 3) where the remembered points should be in the world [m]."""
-        return self.points.p_OQ + self.tracks.shift_W[self.points.owner]
-
-    def _nearest(self, p_WQ: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-        radius, near = self.tracking.match_radius, self.tracking.support_radius
-        return mutual_nearest(self.seen, p_WQ, radius, min(near, radius))
-
-    def _shows(self, p_WQ: FloatArray, distance: FloatArray) -> tuple[IntArray, IntArray]:
-        return shown_at(
+    def _look(self) -> _Look:
+        tracking = self.tracking
+        p_WQ = self.points.p_OQ + self.tracks.shift_W[self.points.owner]
+        radius, near = tracking.match_radius, tracking.support_radius
+        nearest, from_seen, distance = mutual_nearest(self.seen, p_WQ, radius, min(near, radius))
+        shows, pixel = shown_at(
             p_WQ,
-            distance >= self.tracking.support_radius,
+            distance >= near,
             self.view,
-            self.tracking.depth_margin,
+            tracking.depth_margin,
             self.robot,
             self.config.robot_margin,
         )
+        return _Look(p_WQ, nearest, from_seen, distance, shows, pixel)
 
-    def _behind_itself(
-        self, association: Association, shows: tuple[IntArray, IntArray]
-    ) -> BoolArray:
+    def _behind_itself(self, association: Association, look: _Look) -> BoolArray:
         surface = list(zip(association.cluster_row.tolist(), self.frame.pixels, strict=True))
-        return hidden_by_itself(*shows, self.points.owner, surface)
+        return hidden_by_itself(look.shows, look.pixel, self.points.owner, surface)
 
-    def _doubt(self, distance: FloatArray, seen: IntArray, behind: BoolArray) -> None:
+    def _doubt(self, look: _Look, behind: BoolArray) -> None:
         """How much of each obstacle is not where it is remembered."""
-        points = self.points
-        told = (seen == AT) | (seen == FREE) | (seen == EMPTY) | behind
+        points, shows = self.points, look.shows
+        told = (shows == AT) | (shows == FREE) | (shows == EMPTY) | behind
         asked = points.confirmed & told
         count = len(self.tracks)
         total = np.bincount(points.owner[asked], minlength=count)
-        asked &= distance >= self.tracking.support_radius
+        asked &= look.distance >= self.tracking.support_radius
         missed = np.bincount(points.owner[asked], minlength=count)
         least = self.tracking.least_seen * np.bincount(points.owner, minlength=count)
         share = missed / np.maximum(total, np.maximum(least, 1.0))
@@ -352,24 +360,8 @@ class _Step:
         if not count:
             return
         p_W = np.stack([self.frame.clouds_W[c].mean(axis=0) for c in association.new])
-        integers, floats = np.zeros(count, dtype=np.int64), np.zeros(count)
-        new = Tracks(
-            ids=self.next_id + np.arange(count),
-            estimate=first_seen(p_W, self.tracking.filter),
-            shift_W=np.zeros((count, 3)),
-            p_shift_W=p_W,
-            sides=np.full((count, 3, 2), np.nan),
-            area=floats,
-            moving=np.zeros(count, dtype=bool),
-            doubt=floats,
-            significant=integers,
-            still=floats,
-            unseen=floats,
-            blind=np.zeros((count, 3)),
-            odd=integers,
-            apart=integers,
-            together=floats,
-        )
+        ids = self.next_id + np.arange(count)
+        new = new_tracks(ids, first_seen(p_W, self.tracking.filter))
         self.next_id += count
         self.tracks = appended(self.tracks, new)
 
@@ -391,19 +383,14 @@ class _Step:
         self.tracks = measured_tracks(tracks, seen, self.dt, self.tracking)
 
     def _weigh(
-        self,
-        association: Association,
-        p_WQ: FloatArray,
-        distance: FloatArray,
-        seen: IntArray,
-        behind: BoolArray,
+        self, association: Association, look: _Look, behind: BoolArray
     ) -> list[tuple[int, IntArray, FloatArray]]:
         """Weighs the remembered points; returns the parts of obstacles that are apart."""
         points, tracking = self.points, self.tracking
         found = np.zeros(len(self.tracks), dtype=bool)
         found[association.point_row] = True
-        seen = without_background(seen, (found & self.tracks.moving)[points.owner])
-        parts = self._parts(association, p_WQ, (seen == HIDDEN) | (seen == OUT))
+        seen = without_background(look.shows, (found & self.tracks.moving)[points.owner])
+        parts = self._parts(association, look.p_WQ, (seen == HIDDEN) | (seen == OUT))
         # `remember` still asks for these points by their places here.
         self._kept = np.full(len(points), -1, dtype=np.int64)
         marked = changed(points, weight=np.arange(len(points)))
@@ -411,7 +398,7 @@ class _Step:
             marked,
             seen,
             behind,
-            distance,
+            look.distance,
             found,
             self._settled(),
             tracking.support_radius,
@@ -425,12 +412,10 @@ class _Step:
         known = [name in self.previous.held for name in self.tracks.ids.tolist()]
         return np.array(known, dtype=bool) & ~self.tracks.moving
 
-    def _remember(
-        self, association: Association, near: tuple[IntArray, FloatArray, FloatArray]
-    ) -> None:
+    def _remember(self, association: Association, look: _Look) -> None:
         """Moves remembered points to what was seen of them, and adds what is new."""
-        nearest, distance, _ = near
-        kept = np.append(self._kept, -1)[nearest]
+        distance = look.from_seen
+        kept = np.append(self._kept, -1)[look.nearest]
         row = association.point_row
         same = np.append(self.points.owner, -1)[kept] == row
         p_OQ = np.array(self.points.p_OQ)

@@ -259,22 +259,9 @@ def evidence_after(
     radii: tuple[float, float],
     levels: tuple[int, int],
 ) -> tuple[IntArray, BoolArray]:
-    """The evidence of remembered points after a frame; see `weighed`.
+    """Evidence (N,), 0 for points to be left out, and which are confirmed (N,); see `weighed`.
 
-    Args:
-        owner: (N,) obstacles of the points.
-        evidence: (N,) before the frame.
-        confirmed: (N,) before the frame.
-        seen: (N,) what the frame shows there.
-        behind_itself: (N,) whether the own obstacle hides it.
-        distance: (N,) from the frame's nearest point [m].
-        found: (M,) obstacles that have a cluster in the frame.
-        settled: (M,) those of which what is new needs one frame more.
-        radii: below which a point of the frame supports a confirmed one, and another [m].
-        levels: the most evidence, and that from which on a point is confirmed.
-
-    Returns:
-        (N,) evidence, 0 for points to be left out; (N,) which are confirmed.
+    `radii` are support_radius and same_radius [m], `levels` `CERTAIN` and `CONFIRMED`.
     """
     after, sure = np.empty(len(owner), dtype=np.int64), np.empty(len(owner), dtype=np.bool_)
     certain, enough = levels
@@ -327,18 +314,10 @@ def shown_at(
     robot: PosedShapes | None,
     robot_margin: float,
 ) -> tuple[IntArray, IntArray]:
-    """What a frame shows where points (N, 3) should be.
+    """What a frame shows where points p_WQ (N, 3) [m] should be, and their pixels (N,).
 
-    Args:
-        p_WQ: in the world [m].
-        missed: (N,) which of them no point of the frame supports.
-        view: the image; None: a cloud, which is taken to show every point.
-        margin: depth difference that tells "before" and "behind" from "at" [m].
-        robot: the robot's primitives, or None: what is in it is hidden.
-        robot_margin: points within this of the robot are the robot's [m].
-
-    Returns:
-        (N,) HIDDEN, AT, FREE, OUT or EMPTY, and (N,) flat index of the pixel, -1 for none.
+    As `shown`; a cloud (view None) is taken to show every point. Those that no point of the frame
+    supports, `missed` (N,), are not asked for where the robot is within its margin [m].
     """
     pixel = np.full(len(p_WQ), -1, dtype=np.int64)
     if view is None:

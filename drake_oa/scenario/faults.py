@@ -101,8 +101,8 @@ class Push:
     # In the world, at the origin of the link.
     force: list[float] = vector([0.0, 20.0, 0.0], "N")
     torque: list[float] = vector([0.0, 0.0, 0.0], "N m")
-    # The link.
-    body: str = "panda_hand"
+    # The link; empty: the robot's `hand_link`.
+    body: str = ""
 
 
 CameraFault = CameraDropout | NanFrames | FrameBurst | TableMissing

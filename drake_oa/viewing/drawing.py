@@ -54,17 +54,6 @@ class TriangleMesh:
     colors: FloatArray | None = None
 
 
-def merge_meshes(*meshes: TriangleMesh) -> TriangleMesh:
-    """Several uncoloured meshes as one."""
-    counts = np.cumsum([0, *(mesh.vertices.shape[1] for mesh in meshes)])
-    return TriangleMesh(
-        np.concatenate([mesh.vertices for mesh in meshes], axis=1),
-        np.concatenate(
-            [mesh.faces + np.int32(k) for mesh, k in zip(meshes, counts, strict=False)], axis=1
-        ),
-    )
-
-
 def orthonormal_frame(x_axis: ArrayLike) -> FloatArray:
     """R (3, 3) whose first column is along `x_axis` (3,), the others anyhow.
 
@@ -176,34 +165,6 @@ def unit_circle(count: int = 96) -> FloatArray:
     """(count, 3) points of the unit circle in the xy plane."""
     angles = np.arange(count) * (2.0 * np.pi / count)
     return np.stack([np.cos(angles), np.sin(angles), np.zeros(count)], axis=1)
-
-
-def arrow(length: float, radius: float, *, sides: int = 20) -> TriangleMesh:
-    """An arrow from the origin along x.
-
-    Args:
-        length: from end to tip [m].
-        radius: of the shaft [m]; the head is 2.4 times as wide and 7 radii long.
-        sides: corners of the circle.
-    """
-    head = min(7.0 * radius, 0.5 * length)
-    shaft = tube([[0.0, 0.0, 0.0], [length - head, 0.0, 0.0]], radius, sides=sides)
-    angles = np.arange(sides) * (2.0 * np.pi / sides)
-    rim = np.stack(
-        [np.full(sides, length - head), *(2.4 * radius * f(angles) for f in (np.cos, np.sin))]
-    )
-    ends = np.array([[length, length - head], [0.0, 0.0], [0.0, 0.0]])
-    corner = np.arange(sides, dtype=np.int32)
-    following = np.roll(corner, -1)
-    tip, base = np.int32(sides), np.int32(sides + 1)
-    faces = np.concatenate(
-        [
-            np.stack([corner, following, np.full(sides, tip)]),
-            np.stack([following, corner, np.full(sides, base)]),
-        ],
-        axis=1,
-    )
-    return merge_meshes(shaft, TriangleMesh(np.concatenate([rim, ends], axis=1), faces))
 
 
 def ring_mesh(

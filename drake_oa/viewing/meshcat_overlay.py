@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.geometry import Capsule, Meshcat, Rgba, Sphere
+from pydrake.geometry import Capsule, Cylinder, Meshcat, MeshcatCone, Rgba, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.tree import BodyIndex
 from pydrake.perception import BaseField, Fields, PointCloud
@@ -296,19 +296,23 @@ class MeshcatOverlay(LeafSystem):
 
     # Drawing -----------------------------------------------------------------------
 
-    def _mesh(
-        self,
-        path: str,
-        mesh: TriangleMesh,
-        color: Color,
-        opacity: float = 1.0,
-        *,
-        shadow: bool = False,
-    ) -> None:
+    def _mesh(self, path: str, mesh: TriangleMesh, color: Color, opacity: float = 1.0) -> None:
         """Sets a smoothly shaded mesh."""
         self._meshcat.SetTriangleMesh(path, mesh.vertices, mesh.faces, Rgba(*color, opacity))
         self._meshcat.SetProperty(f"{path}/<object>", "material.flatShading", False)
-        self._meshcat.SetProperty(f"{path}/<object>", "castShadow", shadow)
+        self._meshcat.SetProperty(f"{path}/<object>", "castShadow", False)
+
+    def _arrow(self, path: str, length: float, radius: float, color: Color) -> None:
+        """Sets an arrow from the path's origin along its x axis [m]."""
+        head = 7.0 * radius
+        for name, shape, turn, x in (
+            ("shaft", Cylinder(radius, length - head), 0.5 * np.pi, 0.5 * (length - head)),
+            # Its apex is its origin, from where it opens along z.
+            ("head", MeshcatCone(head, 2.4 * radius, 2.4 * radius), -0.5 * np.pi, length),
+        ):
+            X = RigidTransform(RotationMatrix.MakeYRotation(turn), [x, 0.0, 0.0])
+            self._meshcat.SetObject(f"{path}/{name}", shape, Rgba(*color))
+            self._meshcat.SetTransform(f"{path}/{name}", X)
 
     def _set(self, path: str, name: str, value: Any, time: float) -> None:
         self._meshcat.SetProperty(path, name, value, time)
@@ -326,7 +330,6 @@ class MeshcatOverlay(LeafSystem):
             meshcat.Delete(f"{_ROOT}/{part}")
         circle = drawing.tube(drawing.unit_circle(), 0.014, closed=True)
         radius = drawing.ring_radius(3, **_RING)
-        arrow = drawing.arrow(radius + 0.08, 0.0055)
         for slot in range(self._max_obstacles):
             path = f"{_ROOT}/obstacles/{slot}"
             body = f"{path}/ellipsoid/shape"
@@ -334,12 +337,12 @@ class MeshcatOverlay(LeafSystem):
             # What is inside or behind it stays visible.
             meshcat.SetProperty(f"{body}/<object>", "material.depthWrite", False)
             self._mesh(f"{path}/section/shape", circle, drawing.SECTION)
-            self._mesh(f"{path}/direction", arrow, drawing.CHOSEN, shadow=True)
+            self._arrow(f"{path}/direction", radius + 0.08, 0.0055, drawing.CHOSEN)
         self._draw_planned(read_value(self, self._policy, context, PolicyState))
         if self._edges_C is not None and self._camera.HasValue(context):
-            tubes = [drawing.tube(edge, 0.0011, sides=6) for edge in self._edges_C]
-            self._mesh(
-                f"{_ROOT}/camera/frustum", drawing.merge_meshes(*tubes), drawing.FRUSTUM, 0.5
+            start, end = self._edges_C[:, 0].T, self._edges_C[:, 1].T
+            meshcat.SetLineSegments(
+                f"{_ROOT}/camera/frustum", start, end, 1.0, Rgba(*drawing.FRUSTUM)
             )
         meshcat.SetObject(f"{_ROOT}/tool_point", Sphere(0.013), Rgba(*drawing.EXECUTED))
         self._draw_frame(context, context.get_abstract_state(self._shown).get_value())

@@ -29,7 +29,7 @@ from drake_oa.common.config import check_values
 from drake_oa.common.ports import read_value
 from drake_oa.geometry.pinhole import pinhole
 from drake_oa.perception.config import CameraNoise
-from drake_oa.world.depth_noise_kernels import PATCH_BITS, add_noise
+from drake_oa.world.depth_noise_kernels import PATCH_BITS, Figures, add_noise
 
 _FRAMES = 2**63
 
@@ -104,8 +104,8 @@ def add_depth_noise(
         room = NoiseRoom(*depth.shape)
     elif room.shape != depth.shape:
         raise ValueError(f"room is for images {room.shape}, not {depth.shape}")
-    packed = _packed(p, float(camera[0]))
-    add_noise(out, camera, int(seed), int(frame), packed, room.w, room.valid, room.marks)
+    figures = _figures(p, float(camera[0]))
+    add_noise(out, camera, int(seed), int(frame), figures, room.w, room.valid, room.marks)
     return out
 
 
@@ -152,32 +152,33 @@ class FrameNoise:
         )
 
 
-def _packed(p: CameraNoise, focal: float) -> NDArray[np.float32]:
-    """The parameters in the order of `depth_noise_kernels.add_noise`."""
+def _figures(p: CameraNoise, focal: float) -> Figures:
+    """The parameters as `add_noise` takes them; focal length [pixel]."""
     holes = min(max(p.edge_dropout, 1e-9), 1.0 - 1e-9)
-    return np.array(
-        [
-            p.near,
-            p.far,
-            p.axial_offset,
-            p.axial_growth,
-            p.axial_depth,
-            p.axial_angle,
-            1.0 / (p.subpixels * focal * p.baseline),
-            p.unit,
-            p.edge_jump,
-            math.cos(p.grazing_start),
-            math.cos(p.grazing_end),
-            p.lateral,
-            NormalDist().inv_cdf(holes),
-            p.flying,
-            1.0 / p.far,
-            focal * p.baseline if p.shadows else 0.0,
-            p.correlation_u,
-            p.correlation_v,
-        ],
-        dtype=np.float32,
+    step, unit = np.float32(1.0 / (p.subpixels * focal * p.baseline)), np.float32(p.unit)
+    figures = Figures(
+        near=p.near,
+        far=p.far,
+        axial_offset=p.axial_offset,
+        axial_growth=p.axial_growth,
+        axial_depth=p.axial_depth,
+        axial_angle=p.axial_angle,
+        step=step,
+        per_step=np.float32(1.0) / step,
+        unit=unit,
+        per_unit=np.float32(1.0) / unit,
+        edge=p.edge_jump,
+        grazing_start=math.cos(p.grazing_start),
+        grazing_end=math.cos(p.grazing_end),
+        lateral=p.lateral,
+        holes=NormalDist().inv_cdf(holes),
+        flying=p.flying,
+        least=1.0 / p.far,
+        shadow=focal * p.baseline if p.shadows else 0.0,
+        spacing_u=p.correlation_u,
+        spacing_v=p.correlation_v,
     )
+    return Figures(*map(np.float32, figures))
 
 
 class DepthNoise(LeafSystem):

@@ -8,7 +8,7 @@ is handled as w = 1 / z, which is linear in the image over a plane and proportio
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -22,6 +22,50 @@ PHASE, AXIAL, LATERAL, DROPOUT, GRAZING, FLYING, MOVED = range(7)
 """Streams: what the numbers are for."""
 PATCH_BITS = 2
 """Of the 4 x 4 pixels in which an edge is displaced together, and shares its holes."""
+
+
+class Figures(NamedTuple):
+    """What the noise is like, all float32.
+
+    Attributes:
+        near, far: depths that are measured [m].
+        axial_offset, axial_growth, axial_depth, axial_angle: of the axial deviation, see
+            `drake_oa.perception.config.CameraNoise` [m, 1/m, m, m^1.5].
+        step: of 1 / z from one disparity to the next [1/m].
+        per_step: its inverse [m].
+        unit: of the depths handed out [m].
+        per_unit: its inverse [1/m].
+        edge: share of w that is an edge.
+        grazing_start, grazing_end: cosines of incidence where pixels begin to be missing, and
+            where all are.
+        lateral: deviation of an edge's place [pixel].
+        holes: normal quantile of the share of missing pixels beside an edge.
+        flying: share of flying pixels.
+        least: least w [1/m].
+        shadow: focal length times baseline, 0 without shadows [pixel m].
+        spacing_u, spacing_v: of the axial noise's lattice, across and down [pixel].
+    """
+
+    near: Any
+    far: Any
+    axial_offset: Any
+    axial_growth: Any
+    axial_depth: Any
+    axial_angle: Any
+    step: Any
+    per_step: Any
+    unit: Any
+    per_unit: Any
+    edge: Any
+    grazing_start: Any
+    grazing_end: Any
+    lateral: Any
+    holes: Any
+    flying: Any
+    least: Any
+    shadow: Any
+    spacing_u: Any
+    spacing_v: Any
 
 
 @njit(cache=True, error_model="numpy")
@@ -195,35 +239,24 @@ def _cast_shadows(w: Image, disparity: Any, counts: IntArray, valid: NDArray[np.
 
 
 @njit(cache=True, error_model="numpy")
-def _measured(
-    w: Any,
-    cosine: Any,
-    g: Any,
-    c0: Any,
-    c2: Any,
-    z0: Any,
-    c_angle: Any,
-    step: Any,
-    unit: Any,
-    per_step: Any,
-    per_unit: Any,
-) -> Any:
+def _measured(w: Any, cosine: Any, g: Any, p: Figures) -> Any:
     """Depth [m] as the camera tells it: noise g, then steps of disparity and of the unit."""
     one, half = np.float32(1.0), np.float32(0.5)
     z = one / w
-    away = z - z0
+    away = z - p.axial_depth
     # pi / 2 - theta; the series is short of it by 0.4 at theta = 0, where it matters least.
     grazing = cosine + cosine * cosine * cosine * np.float32(1.0 / 6.0)
     angle = (np.float32(0.5 * np.pi) - grazing) / grazing
-    sigma = c0 + c2 * away * away + c_angle * np.sqrt(w) * angle * angle
+    sigma = p.axial_offset + p.axial_growth * away * away
+    sigma += p.axial_angle * np.sqrt(w) * angle * angle
     # The published deviation holds for what the camera tells, rounding included.
-    coarse = z * z * step
-    rounding = (coarse * coarse + unit * unit) * np.float32(1.0 / 12.0)
+    coarse = z * z * p.step
+    rounding = (coarse * coarse + p.unit * p.unit) * np.float32(1.0 / 12.0)
     sigma = np.sqrt(max(sigma * sigma - rounding, np.float32(0.0)))
     # 1 / (z + error), to second order.
     error = g * sigma * w
-    levels = np.float32(np.int32(w * (one - error + error * error) * per_step + half))
-    return np.float32(np.int32(per_unit / (max(levels, one) * step) + half)) * unit
+    levels = np.float32(np.int32(w * (one - error + error * error) * p.per_step + half))
+    return np.float32(np.int32(p.per_unit / (max(levels, one) * p.step) + half)) * p.unit
 
 
 @njit(cache=True, error_model="numpy")
@@ -280,27 +313,13 @@ def _measure_row(
     cosine: Image,
     valid: NDArray[np.uint8],
     g: Image,
-    p: Image,
+    p: Figures,
     out: Image,
 ) -> None:
     """One row of measured depths."""
-    c0, c2, z0, c_angle, step, unit = p[2], p[3], p[4], p[5], p[6], p[7]
-    per_step, per_unit = np.float32(1.0) / step, np.float32(1.0) / unit
     missing, least = np.float32(np.nan), np.float32(0.02)
     for i in range(len(out)):
-        z = _measured(
-            centre[i + 1],
-            max(cosine[i], least),
-            g[i],
-            c0,
-            c2,
-            z0,
-            c_angle,
-            step,
-            unit,
-            per_step,
-            per_unit,
-        )
+        z = _measured(centre[i + 1], max(cosine[i], least), g[i], p)
         out[i] = z if valid[i] else missing
 
 
@@ -348,10 +367,10 @@ def _clamped(value: int, size: int) -> int:
 
 
 @njit(cache=True, error_model="numpy")
-def _facing(w: Any, g: Any, p: Any) -> Any:
+def _facing(w: Any, g: Any, p: Figures) -> Any:
     """`_measured` at normal incidence."""
     one = np.float32(1.0)
-    return _measured(w, one, g, p[2], p[3], p[4], p[5], p[6], p[7], one / p[6], one / p[7])
+    return _measured(w, one, g, p)
 
 
 @njit(cache=True, error_model="numpy")
@@ -380,13 +399,13 @@ def _frame_key(seed: int, frame: int) -> Any:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _measure(
-    seed: int, frame: int, w: Image, valid: NDArray[np.uint8], K: Image, p: Image, out: Image
+    seed: int, frame: int, w: Image, valid: NDArray[np.uint8], K: Image, p: Figures, out: Image
 ) -> None:
     """Depths as measured where no edge is near, and the pixels lost to grazing incidence."""
     height, width = out.shape
     key = _frame_key(seed, frame)
-    cell, share = lattice_along(key, 0, int(p[16]), width)
-    line, share_down = lattice_along(key, 1, int(p[17]), height)
+    cell, share = lattice_along(key, 0, int(p.spacing_u), width)
+    line, share_down = lattice_along(key, 1, int(p.spacing_v), height)
     nodes = lattice_nodes(key, line[height - 1] + 2, cell[width - 1] + 2)
     rays = ((np.arange(width) - K[2]) / K[0]).astype(np.float32)
     above_g, below_g = np.empty(width, dtype=np.float32), np.empty(width, dtype=np.float32)
@@ -397,7 +416,7 @@ def _measure(
     for row in range(height):
         above, centre, below = w[row], w[row + 1], w[row + 2]
         y = (np.float32(row) - K[3]) / K[1]
-        grazing = _incidence_row(above, centre, below, rays, y, K[0], K[1], p[9], cosine)
+        grazing = _incidence_row(above, centre, below, rays, y, K[0], K[1], p.grazing_start, cosine)
         if line[row] != spread:
             spread = line[row]
             above_g, below_g = below_g, above_g
@@ -405,7 +424,7 @@ def _measure(
         fill_between(above_g, below_g, share_down[0, row], share_down[1, row], g)
         _measure_row(centre, cosine, valid[row], g, p, out[row])
         if grazing > np.float32(0.0):
-            _drop_grazing(key, row, cosine, p[9], p[10], out[row])
+            _drop_grazing(key, row, cosine, p.grazing_start, p.grazing_end, out[row])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -417,7 +436,7 @@ def _disturb_edges(
     jumps: NDArray[np.uint8],
     counts: IntArray,
     near: NDArray[np.uint8],
-    p: Image,
+    p: Figures,
     out: Image,
 ) -> None:
     """Writes what the pixels near an edge show; near is room to mark them in."""
@@ -435,9 +454,9 @@ def _disturb_edges(
                 continue
             # An edge is displaced by patches; its holes come in patches, flying pixels alone.
             i, first = row >> PATCH_BITS, k << PATCH_BITS
-            r = _clamped(row + _rounded(p[11] * patches[i, k, 0]), height)
-            shift = _rounded(p[11] * patches[i, k, 1])
-            hole = patches[i, k, 2] < p[12]
+            r = _clamped(row + _rounded(p.lateral * patches[i, k, 0]), height)
+            shift = _rounded(p.lateral * patches[i, k, 1])
+            hole = patches[i, k, 2] < p.holes
             for column in range(first, min(first + (1 << PATCH_BITS), width)):
                 if near[row, column] == 0:
                     continue
@@ -447,14 +466,14 @@ def _disturb_edges(
                         out[row, column] = missing
                         continue
                     bits = hashed(key, FLYING, row, column)
-                    if uniform(bits) < p[13]:
+                    if uniform(bits) < p.flying:
                         share = np.float32(bits & np.uint64(0xFFFF)) * np.float32(1.0 / 65536.0)
-                        other = _other_side(row + 1, column + 1, w, p[14])
+                        other = _other_side(row + 1, column + 1, w, p.least)
                         out[row, column] = _facing(here + share * (other - here), nothing, p)
                         continue
                 c = _clamped(column + shift, width)
                 there = w[r + 1, c + 1]
-                alike = abs(there - here) <= p[8] * max(here, there)
+                alike = abs(there - here) <= p.edge * max(here, there)
                 if alike & (valid[r, c] == valid[row, column]):
                     continue
                 if valid[r, c]:
@@ -469,7 +488,7 @@ def add_noise(
     K: Image,
     seed: int,
     frame: int,
-    p: Image,
+    p: Figures,
     w: Image,
     valid: NDArray[np.uint8],
     marks: NDArray[np.uint8],
@@ -481,24 +500,19 @@ def add_noise(
         K: (4,) fx, fy, cx, cy [pixel].
         seed: of the noise; a whole number.
         frame: of the image; a whole number.
-        p: (18,) parameters: near, far [m], axial deviation [m], its growth [1/m], depth of
-            the least deviation [m], growth with the angle [m^1.5], step of 1 / z [1/m],
-            unit of depth [m], share of w that is an edge, cosines of incidence where pixels
-            begin to be missing and all are, lateral deviation [pixel], normal quantile of
-            the edge's holes, share of flying pixels, least w, disparity f b that throws
-            shadows [pixel m], spacing of the noise's lattice across and down [pixel].
+        p: of the camera.
         w, valid, marks: room to work in, (H + 2, W + 2), (H, W) and (2, H, W4), W4 being W
             rounded up to whole patches; whatever it holds is overwritten.
     """
     # Calls from Python, microseconds each: as one kernel the stages are inlined, and lose a
     # third of their speed.
-    _inverse_depths(z, p[0], p[1], p[8], w, valid)
+    _inverse_depths(z, p.near, p.far, p.edge, w, valid)
     # All that follows reads w alone.
     out, counts = z, np.empty(len(z), dtype=np.int64)
     jumps, near = marks
-    _mark_jumps(w, p[8], jumps, counts)
-    if p[15] > 0.0:
-        _cast_shadows(w, p[15], counts, valid)
+    _mark_jumps(w, p.edge, jumps, counts)
+    if p.shadow > 0.0:
+        _cast_shadows(w, p.shadow, counts, valid)
     _measure(seed, frame, w, valid, K, p, out)
     if counts.any():
         _disturb_edges(seed, frame, w, valid, jumps, counts, near, p, out)

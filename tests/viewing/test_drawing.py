@@ -118,7 +118,6 @@ def test_tube_is_a_closed_surface_round_its_path(seed, count, closed):
         drawing.tube([[0, 0, 0], [0, 0, 0], [0, 0, 1]], 0.1, sides=60),
         drawing.tube(drawing.unit_circle(), 0.05, sides=30, closed=True),
         drawing.unit_sphere(),
-        drawing.arrow(0.4, 0.02),
     ],
 )
 def test_meshes_are_closed_and_face_outward(mesh):
@@ -148,11 +147,6 @@ def test_tube_of_a_point_is_refused(path):
 def test_tube_of_a_wrong_shape_is_refused():
     with pytest.raises(ValueError, match=r"\(T, 3\)"):
         drawing.tube(np.zeros((4, 2)), 0.01)
-
-
-def test_arrow_ends_at_its_length_on_the_x_axis():
-    x = drawing.arrow(0.4, 0.01).vertices[0]
-    assert (x.min(), x.max()) == pytest.approx((0.0, 0.4), abs=1e-12)
 
 
 @settings(deadline=None, max_examples=50)

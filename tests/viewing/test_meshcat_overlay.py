@@ -100,7 +100,7 @@ def simulator(meshcat, ellipsoids=None, route=None, policy=moving_policy, more=(
 def test_pool_is_set_at_the_start(meshcat):
     simulator(meshcat, max_obstacles=2).Initialize()
     for slot in (0, 1):
-        for part in ("ellipsoid/shape", "section/shape", "direction"):
+        for part in ("ellipsoid/shape", "section/shape", "direction/shaft", "direction/head"):
             assert meshcat.HasPath(f"{ROOT}/obstacles/{slot}/{part}")
     assert not meshcat.HasPath(f"{ROOT}/obstacles/2")
     for part in ("start", "goal", "path"):
