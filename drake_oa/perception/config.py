@@ -193,12 +193,12 @@ class TrackingConfig:
     split_frames: int = count(3, 1, _MOST)
     # Obstacles at rest that are one cluster for this long are one.
     merge_time: float = number(0.5, "s", 0.0, 1e6, open_low=True)
-    # The cloud of an obstacle is handed on anew when it reaches this much farther
+    # The cloud of an obstacle is handed on again when it reaches this much farther
     # or less far in any direction, or when this share of its points is new or gone.
     grown: float = number(0.0025, "m", 0.0, 1.0, open_low=True)
     shrunk: float = number(0.005, "m", 0.0, 1.0, open_low=True)
     changed_share: float = number(0.1, "1", 0.0, 1.0, open_low=True)
-    # The table is handed on anew when it moved by more than this within its reach, 1 m.
+    # The table is handed on again when it moved by more than this within its reach, 1 m.
     table_shift: float = number(0.003, "m", 0.0, 1.0, open_low=True)
 
 

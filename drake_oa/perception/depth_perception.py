@@ -143,7 +143,7 @@ class DepthPerception(LeafSystem):
     the robot's own included: for viewing.
 
     The inputs are pulled at initialization and then every `period` (a simulated
-    camera renders anew each time it is asked), and the outputs are held between.
+    camera renders again each time it is asked), and the outputs are held between.
     Obstacles keep their names, and the points that an arm hides; an obstacle that does
     not move keeps its cloud, bit for bit, until it is seen to reach farther or less far
     (see `drake_oa.perception.tracking.fuse`, also for frames that repeat or go back in time). A

@@ -41,7 +41,7 @@ class RecordedPerception(LeafSystem):
     The first frame is due at time 0, each other one as long after it as it was
     recorded; the newest frame due is looked up at initialization and then every
     `period`. A held frame keeps its stamp. When the recording has ended the scene is
-    taken to stay as it was seen last, stamped anew, or the recording starts again
+    taken to stay as it was seen last, stamped again, or the recording starts again
     (`loop`), one period after its end.
 
     The camera's pose is taken from the frame's file, else from `X_WC`; where

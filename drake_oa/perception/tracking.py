@@ -200,7 +200,7 @@ def fuse(
     - A frame with a note (no valid pixel, no table) changes nothing but the note: the
       stamp tells how old the obstacles are.
     - A frame with the stamp of the one before it is that frame again: nothing changes.
-    - A frame from before the last one begins anew: nothing is remembered, but no name is
+    - A frame from before the last one begins again: nothing is remembered, but no name is
       given twice.
     - After a gap of `TrackingConfig.longest_gap` obstacles are remembered, velocities not.
 

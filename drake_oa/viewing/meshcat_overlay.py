@@ -481,7 +481,7 @@ def _pose(R: FloatArray, p: FloatArray) -> RigidTransform:
 
 
 def _look_alike(costs: Mapping[str, FloatArray], drawn: Mapping[str, FloatArray]) -> bool:
-    """Whether two sets of rings differ too little to be drawn anew."""
+    """Whether two sets of rings differ too little to be drawn again."""
     return list(costs) == list(drawn) and all(
         costs[name].shape == drawn[name].shape
         and bool(np.all(np.abs(costs[name] - drawn[name]) <= _COST_CHANGE))

@@ -74,7 +74,7 @@ def add_camera(
     config.output_delay = 0.0
     known = {system.get_name() for system in builder.GetSystems()}
     try:
-        # A null message queue: otherwise a publisher is added that renders each frame anew.
+        # A null message queue: otherwise a publisher is added that renders each frame once more.
         ApplyCameraConfig(
             config=config,
             builder=builder,

@@ -37,7 +37,7 @@ _FRAMES = 2**63
 class NoiseRoom:
     """Arrays that `add_depth_noise` works in; what they hold before and after is of no meaning.
 
-    Kept between images, their memory need not be asked of the operating system anew.
+    Kept between images, they are allocated once.
 
     Args:
         height: of the images [pixel].
@@ -227,7 +227,7 @@ class DepthNoise(LeafSystem):
             width, height = camera.width(), camera.height()
             camera = pinhole(camera)
         self._noise = FrameNoise(camera, parameters, seed=seed)
-        # Kept in the Context: its memory is not asked for anew with each image.
+        # Kept in the Context: it is allocated once, not with each image.
         self._room = self.DeclareCacheEntry(
             "room for the noise to work in",
             ValueProducer(

@@ -118,7 +118,7 @@ class BackgroundCamera:
         return world
 
     def release(self) -> None:
-        """Ends the engine and forgets the images; asked again, the camera begins anew.
+        """Ends the engine and forgets the images; asked again, the camera begins again.
 
         A diagram of Python systems is never collected, and would keep them for ever.
         """
