@@ -1,1 +1,21 @@
-"""The paper's experiments and those beyond it."""
+"""Experiments: methods on many scenes, judged by what shares no code with them.
+
+    scenes/   a point among ellipsoids: the paper's experiments and beyond   evaluate novel, ...
+    panda/    the simulated robot in random scenes                           evaluate panda
+    mbm/      the robot on MotionBenchMaker's problems                       evaluate mbm
+
+Each draws scenes from a seed (or reads them), runs every method on every scene, and judges the
+motions: contacts, clearances [m], what start and goal leave of the asked clearance, goal errors
+[m], durations [s]. The outcome is plain data, which `drake-oa evaluate` writes as JSON and prints
+as a table. A seed gives the same scenes for ever: which random numbers are drawn, and in which
+order, is part of a scene, and tests hold digests of some.
+
+What the three share:
+
+    parallel   calls carried out here, in processes or on a Dask cluster (joblib)
+    results    results on disk by a digest of all that they follow from; what is not there is done
+    tally      what the generators of scenes looked at, and why they dropped it
+    tables     figures as one text table
+
+Read `panda/evaluation.py` first: an evaluation from its scenes to its results on disk.
+"""

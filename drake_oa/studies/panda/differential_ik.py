@@ -241,31 +241,21 @@ def make_differential_ik(
     """
     if scenario.robot is None:
         raise ScenarioError("robot: differential inverse kinematics needs one; it is null")
-    System = DifferentialInverseKinematicsSystem
-    plant = checker.plant()
+    System, plant = DifferentialInverseKinematicsSystem, checker.plant()
+    tracking = System.LeastSquaresCost.Config(cartesian_qp_weight=parameters.weight)
+    centering = System.JointCenteringCost.Config(posture_gain=parameters.posture_gain)
+    collision = System.CollisionConstraint.Config(
+        safety_distance=0.0, influence_distance=parameters.influence
+    )
     recipe = System.Recipe()
-    recipe.AddIngredient(
-        System.LeastSquaresCost(
-            System.LeastSquaresCost.Config(cartesian_qp_weight=parameters.weight)
-        )
-    )
-    recipe.AddIngredient(
-        System.JointCenteringCost(
-            System.JointCenteringCost.Config(posture_gain=parameters.posture_gain)
-        )
-    )
+    recipe.AddIngredient(System.LeastSquaresCost(tracking))
+    recipe.AddIngredient(System.JointCenteringCost(centering))
     recipe.AddIngredient(
         System.JointVelocityLimitConstraint(
             System.JointVelocityLimitConstraint.Config(), joint_limits(plant, scenario.robot)
         )
     )
-    recipe.AddIngredient(
-        System.CollisionConstraint(
-            System.CollisionConstraint.Config(
-                safety_distance=0.0, influence_distance=parameters.influence
-            )
-        )
-    )
+    recipe.AddIngredient(System.CollisionConstraint(collision))
     return System(
         recipe=recipe,
         task_frame=plant.world_frame().scoped_name().get_full(),

@@ -148,64 +148,45 @@ def _metres(value: float | None) -> str:
     return "-" if value is None else f"{value:.3f}"
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="python -m drake_oa.studies.panda.faults",
-        description="Runs a scenario under each fault and prints a table in Markdown.",
-    )
-    parser.add_argument(
-        "--fault",
-        action="append",
-        choices=list(CASES),
-        metavar="NAME",
-        help=f"run only this; may be repeated; of: {', '.join(CASES)}",
-    )
-    parser.add_argument(
-        "--scenario",
-        default=SCENARIO,
-        metavar="S",
-        help=f"a shipped name or a file (default: {SCENARIO})",
-    )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the reports there")
-    return parser
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command; returns its exit status.
 
     It is 1 if a motion made a contact or did not end as its case should, 2 for bad input.
     """
-    options = _parser().parse_args(arguments)
+    parser = argparse.ArgumentParser(
+        prog="python -m drake_oa.studies.panda.faults",
+        description="Runs a scenario under each fault and prints a table in Markdown.",
+    )
+    names = f"run only this; may be repeated; of: {', '.join(CASES)}"
+    parser.add_argument("--fault", action="append", choices=CASES, metavar="NAME", help=names)
+    parser.add_argument("--scenario", default=SCENARIO, help="a shipped name or a file")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the reports there")
+    options = parser.parse_args(arguments)
     try:
-        return _run(options)
+        check_outputs(options.json)
+        reports = _reports(options.scenario, options.fault or CASES, options.json)
     except (ValueError, OSError) as error:
         complain(str(error))
         return BAD_INPUT
-
-
-def _run(options: argparse.Namespace) -> int:
-    check_outputs(options.json)
-    reports: dict[str, dict[str, Any]] = {}
-    names: Iterable[str] = options.fault or CASES
-    for name in names:
-        reports[name] = run_case(CASES[name], options.scenario)
-        print(f"{name}: {reports[name]['stop_reason']}", file=sys.stderr, flush=True)
-        if options.json is not None:
-            result = {
-                "scenario": options.scenario,
-                "versions": software_versions(),
-                "faults": reports,
-            }
-            replace_text(options.json, json.dumps(result, indent=1) + "\n")
     print(markdown_table(reports))
-    return int(
-        any(
-            report["made_contacts"]
-            or report["self_contacts"]
-            or not report["stop_reason"].startswith(CASES[name].ends)
-            for name, report in reports.items()
-        )
-    )
+    return int(not all(_ended_well(CASES[name], report) for name, report in reports.items()))
+
+
+def _reports(scenario: str, names: Iterable[str], file: Path | None) -> dict[str, dict[str, Any]]:
+    """The report of each, written as soon as it is there."""
+    reports: dict[str, dict[str, Any]] = {}
+    for name in names:
+        reports[name] = run_case(CASES[name], scenario)
+        print(f"{name}: {reports[name]['stop_reason']}", file=sys.stderr, flush=True)
+        if file is not None:
+            whole = {"scenario": scenario, "versions": software_versions(), "faults": reports}
+            replace_text(file, json.dumps(whole, indent=1) + "\n")
+    return reports
+
+
+def _ended_well(case: Case, report: dict[str, Any]) -> bool:
+    touched = report["made_contacts"] or report["self_contacts"]
+    return not touched and report["stop_reason"].startswith(case.ends)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -12,7 +12,7 @@ from drake_oa.runs.decision_costs import pooled_figures
 from drake_oa.runs.report import TOLD
 from drake_oa.studies.panda.evaluation import PandaResults
 from drake_oa.studies.panda.run import PLANNER
-from drake_oa.studies.tables import text_table
+from drake_oa.studies.tables import over, text_table
 from drake_oa.studies.tally import drawn_figures, drawn_lines
 
 ALL = "all"
@@ -147,7 +147,10 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """
     outcome = Counter(run["outcome"] for run in runs)
     arrived = [run["goal_error"] for run in runs if run["outcome"] != "stopped"]
-    speed = [run["real_time_factor"] for run in runs if run["real_time_factor"] is not None]
+
+    def of(statistic: Callable[..., Any], key: str) -> float | None:
+        return over(statistic, (run[key] for run in runs))
+
     return {
         "scenes": len(runs),
         "contacts": outcome["contact"],
@@ -161,24 +164,19 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "self_contacts": sum(bool(run["self_contacts"]) for run in runs),
         "time_limits": sum(run["stop_reason"].startswith("time limit") for run in runs),
         "short_of_feasible": sum((run["short_of_feasible"] or 0.0) > TOLD for run in runs),
-        "short_of_feasible_max": max(
-            (run["short_of_feasible"] for run in runs if run["short_of_feasible"] is not None),
-            default=None,
-        ),
-        "feasible_clearance_median": _median(run["feasible_clearance"] for run in runs),
-        "duration_median": _median(run["duration"] for run in runs),
-        "duration_max": max(
-            (run["duration"] for run in runs if run["duration"] is not None), default=None
-        ),
+        "short_of_feasible_max": of(max, "short_of_feasible"),
+        "feasible_clearance_median": of(np.median, "feasible_clearance"),
+        "duration_median": of(np.median, "duration"),
+        "duration_max": of(max, "duration"),
         "decision_cost": pooled_figures(runs),
         "failed": sum(bool(run["failed"]) for run in runs),
-        "tool_clearance_min": _least(run["tool_clearance_min"] for run in runs),
-        "tool_clearance_median": _median(run["tool_clearance_min"] for run in runs),
-        "robot_clearance_min": _least(run["robot_clearance_min"] for run in runs),
-        "goal_error_max": max(arrived, default=None),
-        "goal_error_max_all": max((run["goal_error"] for run in runs), default=None),
-        "real_time_factor": float(np.median(speed)) if speed else None,
-        "real_time_factor_min": min(speed, default=None),
+        "tool_clearance_min": of(min, "tool_clearance_min"),
+        "tool_clearance_median": of(np.median, "tool_clearance_min"),
+        "robot_clearance_min": of(min, "robot_clearance_min"),
+        "goal_error_max": over(max, arrived),
+        "goal_error_max_all": of(max, "goal_error"),
+        "real_time_factor": of(np.median, "real_time_factor"),
+        "real_time_factor_min": of(min, "real_time_factor"),
         "seconds": float(sum(run["wall_time"] for run in runs)),
     }
 
@@ -190,15 +188,6 @@ def _pairs(contacts: Sequence[str]) -> list[str]:
 
 def _counted(values: Iterable[str]) -> dict[str, int]:
     return dict(Counter(values).most_common())
-
-
-def _least(values: Iterable[float | None]) -> float | None:
-    return min((value for value in values if value is not None), default=None)
-
-
-def _median(values: Iterable[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.median(known)) if known else None
 
 
 def panda_tables(figures: Sequence[Mapping[str, Any]]) -> str:

@@ -1,1 +1,18 @@
-"""Synthetic scenes of ellipsoids: suites, methods, and their judge."""
+"""Methods on synthetic scenes: a point that moves among ellipsoids, as in the paper's experiments.
+
+In: a suite's scenes (`suites`, or a file), N at once as arrays (`scenes.Scenes`: metres and m/s,
+in the frame of the motion, start at the origin, goal at (baseline, 0, 0)), and methods
+(`methods`), each a function of scenes and a setting. Out: `Motions`, sampled paths and
+velocities, which `judge` looks at to convergence between the samples, and figures over all of
+them (`figures`, `plots`).
+
+    paper_method   `paper`, the authors' action level with their regressor, and `original`,
+                   Hoffmann's term on it (Pairet et al., RA-L 2019; eq. oa_complete, oa_original)
+    verified       the project's: the regressor's proposals and more, checked by roll-outs
+    peers          `movement_primitives`, the package of that name
+    dead_zone      both coupling terms at the same peak and area: the paper's dead-zone figure
+
+`evaluation` runs them batch by batch, and keeps what was judged when one fails. The judge shares no
+code with the kernels that make the motions but the nearest point of an ellipsoid.
+Read `suites.py` first for what is asked, then `evaluation.py`.
+"""
