@@ -70,35 +70,6 @@ def run(scenes: Scenes, setting: Setting) -> Motions:
     return Motions(path, velocity, np.full(N, DURATION), perf_counter() - begin)
 
 
-def step_seconds(obstacles: int, repeats: int = 5) -> float:
-    """Median computing time of one of its steps [s], `obstacles` terms summed.
-
-    Args:
-        obstacles: number of obstacles beside the baseline of 1 m, at least 0.
-        repeats: how often the whole motion is timed, at least 1.
-
-    Raises:
-        ValueError: for a number out of range.
-    """
-    if obstacles < 0 or repeats < 1:
-        raise ValueError(
-            f"obstacles must be at least 0 and repeats at least 1, not {obstacles} and {repeats}"
-        )
-    center = np.zeros((obstacles, 3))
-    center[:, 0] = np.linspace(0.2, 0.8, obstacles)
-    center[:, 1] = 0.3
-    terms = _Obstacles(center, np.zeros((obstacles, 3)))
-    steps, dmp, times = round(DURATION / STEP), _imitated(1.0), []
-    for _ in range(repeats):
-        dmp.reset()
-        p, v = np.zeros(3), np.zeros(3)
-        begin = perf_counter()
-        for _ in range(steps):
-            p, v = dmp.step(p, v, coupling_term=terms)
-        times.append((perf_counter() - begin) / steps)
-    return float(np.median(times))
-
-
 def _imitated(baseline: float) -> Any:
     """The package's DMP of the straight minimum-jerk motion along x."""
     path, t = minimum_jerk(

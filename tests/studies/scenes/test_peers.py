@@ -44,11 +44,3 @@ def test_an_obstacle_that_moves_off_is_left_alone(peers):
     still = single_obstacle(1.0, center, np.full((1, 3), 0.05))
     aside = [np.abs(peers.run(s, Setting()).path[0, :, 1]).max() for s in (away, still)]
     assert aside[0] < 0.5 * aside[1]
-
-
-def test_a_step_is_timed(peers):
-    assert 0.0 < peers.step_seconds(1, repeats=1) < 1.0
-    with pytest.raises(ValueError, match="at least 0"):
-        peers.step_seconds(-1)
-    with pytest.raises(ValueError, match="at least 1"):
-        peers.step_seconds(1, repeats=0)
