@@ -54,8 +54,6 @@ def benchmark(
             seconds=seconds,
             on_part=lambda part: print(f"timing {part} ...", file=sys.stderr),
         )
-    for table in benchmark_tables(figures):
-        show(table)
-        print()
+    show(*benchmark_tables(figures))
     if json:
         replace_text(json, json_text.dumps(figures, indent=2, allow_nan=False) + "\n")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import App, Parameter
 
-from drake_oa.common.console import FAILED, INTERRUPTED, complain, progress_bar
+from drake_oa.common.console import FAILED, INTERRUPTED, complain, progress_bar, show
 from drake_oa.common.files import check_outputs, replace_text, same_file
 
 # Suites, methods and kernels are imported where they are used: `--help` answers at once.
@@ -121,7 +121,7 @@ def synthetic(
     from drake_oa.common.files import software_versions
     from drake_oa.studies.scenes.dead_zone import compare_terms, term_figures, term_table
     from drake_oa.studies.scenes.evaluation import evaluate as evaluate_scenes
-    from drake_oa.studies.scenes.figures import evaluation_figures, evaluation_table
+    from drake_oa.studies.scenes.figures import evaluation_figures, evaluation_tables
     from drake_oa.studies.scenes.plots import check_plot_file, plot_evaluation
     from drake_oa.studies.scenes.scenes import save_scenes
     from drake_oa.studies.scenes.suites import SUITES, find_suite
@@ -172,9 +172,10 @@ def synthetic(
             on_motions=keep_paths,
         )
     print(_heading(suite, drawn))
-    print(evaluation_table(figures(evaluation.outcomes)))
+    show(*evaluation_tables(figures(evaluation.outcomes)))
     if terms:
-        print(f"\n{term_table(term_figures(terms))}")
+        print()
+        show(term_table(term_figures(terms)))
     if plot is not None:
         plot_evaluation(plot, suite, drawn, found_suite.cases, evaluation.outcomes, paths, terms)
     return _status(evaluation)
@@ -505,7 +506,7 @@ def _run_suites(
     from drake_oa.studies.panda.evaluation import evaluate_panda
     from drake_oa.studies.panda.planner import check_planner
     from drake_oa.studies.panda.run import PLANNER
-    from drake_oa.studies.panda.tables import panda_figures, panda_tables
+    from drake_oa.studies.panda.tables import panda_figures, panda_table
 
     if any(PLANNER in suite.methods for suite in suites):
         check_planner()
@@ -539,7 +540,7 @@ def _run_suites(
     taken = f"; {resumed} runs were on disk" if resumed else ""
     kinds = ", ".join(found.suite.kind for found in results)
     print(f"{heading}, {kinds}, {results[0].suite.perception}{taken}\n")
-    print(panda_tables([*figures, *([whole["all"]] if "all" in whole else [])]))
+    show(panda_table([*figures, *([whole["all"]] if "all" in whole else [])]))
     return _runs_status(results, keeping)
 
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from rich import box
-from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+from rich.console import Console, ConsoleOptions, RenderResult
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
@@ -32,65 +32,86 @@ def complain(message: str) -> None:
 class TextTable:
     """A table with notes below it: ruled and coloured on a terminal, aligned text elsewhere.
 
+    On a terminal too narrow for it, rows and columns change places where that fits.
+
     Attributes:
         header: a heading a column; empty for none.
         rows: of each row its cells, as many as there are columns.
         sides: a letter a column: "l" for the left, "r" for the right.
         notes: lines below.
-        title: line above.
     """
 
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
     sides: str
     notes: Sequence[str] = ()
-    title: str = ""
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        ruled = console.is_terminal
+        ruled = console.is_terminal and bool(self.header)
+        header = list(self.header) or [""] * len(self.sides)
+        if ruled and self._width(header) > options.max_width:
+            columns = list(zip(*self.rows, strict=True))
+            turned = TextTable(
+                [header[0], *columns[0]],
+                list(zip(header[1:], *zip(*columns[1:], strict=True), strict=True)),
+                "l" + "r" * len(self.rows),
+                self.notes,
+            )
+            header = [_folded(*of) for of in zip(header, columns, strict=True)]
+            if self._width(header) > options.max_width >= turned._width(turned.header):
+                yield turned
+                return
         table = Table(
-            box=box.SIMPLE_HEAD if ruled and self.header else None,
+            box=box.SIMPLE_HEAD if ruled else None,
             show_header=bool(self.header),
             header_style="bold" if ruled else "",
             pad_edge=False,
-            padding=(0, 1 if ruled and self.header else 2, 0, 0),
+            padding=(0, 1 if ruled else 2, 0, 0),
         )
-        header = self.header or [""] * len(self.sides)
         for number, (heading, side) in enumerate(zip(header, self.sides, strict=True)):
             # Text, as a cell's brackets are no markup.
             table.add_column(
                 Text(heading),
                 justify="right" if side == "r" else "left",
-                style="cyan" if ruled and number == 0 else "",
+                style="cyan" if console.is_terminal and number == 0 else "",
                 overflow="fold",
             )
         for row in self.rows:
             table.add_row(*map(Text, row))
-        if self.title:
-            yield Text(self.title, style="bold" if ruled else "")
         yield table
         for note in self.notes:
             yield Text(note, style="yellow" if note.startswith("warning") else "")
 
+    def _width(self, header: Sequence[str]) -> int:
+        """Columns of a terminal that it takes with these headings."""
+        columns = zip(header, *self.rows, strict=True)
+        return sum(
+            2 + max(len(line) for of in column for line in of.split("\n")) for column in columns
+        )
+
     def __str__(self) -> str:
-        return plain(self)
+        """As text without colours, as wide as it needs."""
+        console = Console(file=io.StringIO(), width=_WIDE, color_system=None, force_terminal=False)
+        with console.capture() as captured:
+            console.print(self)
+        return "\n".join(line.rstrip() for line in captured.get().rstrip("\n").splitlines())
 
 
-def plain(item: RenderableType) -> str:
-    """What is shown, as text without colours and as wide as it needs."""
-    console = Console(file=io.StringIO(), width=_WIDE, color_system=None, force_terminal=False)
-    with console.capture() as captured:
-        console.print(item)
-    return "\n".join(line.rstrip() for line in captured.get().rstrip("\n").splitlines())
+def _folded(heading: str, cells: Sequence[str]) -> str:
+    """A heading in lines that are no longer than its column's cells, or than a word of it."""
+    return textwrap.fill(heading, max(map(len, [*heading.split(), *cells, " "])))
 
 
-def show(item: RenderableType) -> None:
-    """Prints on stdout, as the terminal can show it; `plain` where it is none."""
+def show(*tables: TextTable) -> None:
+    """Prints on stdout, a blank line between: as the terminal can show it, or as plain text."""
     console = Console()
-    if console.is_terminal:
-        console.print(item)
-    else:
-        print(plain(item))
+    for number, table in enumerate(tables):
+        if number:
+            print()
+        if console.is_terminal:
+            console.print(table)
+        else:
+            print(table)
 
 
 @contextmanager

@@ -21,13 +21,15 @@ def text_table(
     title: str,
     rows: Sequence[tuple[str, Mapping[str, Any]]],
     columns: Sequence[Column],
-) -> str:
-    """A text table; a figure that is not there shows as "-".
+    notes: Sequence[str] = (),
+) -> TextTable:
+    """A table; a figure that is not there shows as "-".
 
     Args:
         title: of the first column.
         rows: name and figures each.
         columns: key, heading, format and factor each.
+        notes: lines below.
     """
     cells = []
     for name, figures in rows:
@@ -40,4 +42,4 @@ def text_table(
                 row.append(form.format(value if isinstance(value, int) else value * factor))
         cells.append(row)
     header = [title, *(heading for _, heading, _, _ in columns)]
-    return str(TextTable(header, cells, "l" + "r" * len(columns)))
+    return TextTable(header, cells, "l" + "r" * len(columns), notes)

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from drake_oa.common.console import TextTable
 from drake_oa.runs.decision_costs import pooled_figures
 from drake_oa.runs.report import TOLD
 from drake_oa.studies.panda.evaluation import PandaResults
@@ -190,8 +191,8 @@ def _counted(values: Iterable[str]) -> dict[str, int]:
     return dict(Counter(values).most_common())
 
 
-def panda_tables(figures: Sequence[Mapping[str, Any]]) -> str:
-    """The figures of one or several kinds of scenes as one text table.
+def panda_table(figures: Sequence[Mapping[str, Any]]) -> TextTable:
+    """The figures of one or several kinds of scenes as one table.
 
     Below it: why runs were stopped, what was touched, and what was dropped when the scenes
     were drawn.
@@ -216,4 +217,4 @@ def panda_tables(figures: Sequence[Mapping[str, Any]]) -> str:
     if jobs != 1:
         shared = "on a cluster" if jobs is None else f"with {jobs} at once"
         lines.append(f"real-time factors: of runs {shared}; lower than that of one alone")
-    return "\n".join([text_table("method", rows, _COLUMNS), *lines])
+    return text_table("method", rows, _COLUMNS, lines)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drake_oa.common.console import TextTable
 from drake_oa.common.messages import FloatArray
 from drake_oa.studies.scenes.judge import judge
 from drake_oa.studies.scenes.methods import Setting
@@ -71,8 +72,8 @@ def term_figures(comparisons: Sequence[Comparison]) -> list[dict[str, float]]:
     ]
 
 
-def term_table(figures: Sequence[dict[str, float]]) -> str:
-    """The rows of `term_figures` as text."""
+def term_table(figures: Sequence[dict[str, float]]) -> TextTable:
+    """The rows of `term_figures` as a table."""
     columns = (
         ("original_head_on", "head-on: original [mm]", "{:.1f}", 1e3),
         ("dead_zone_free_head_on", "dead-zone free [mm]", "{:.1f}", 1e3),

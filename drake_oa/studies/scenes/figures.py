@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from drake_oa.common.console import TextTable
 from drake_oa.common.messages import BoolArray
 from drake_oa.studies.scenes.evaluation import Outcome
 from drake_oa.studies.scenes.judge import Judgement
@@ -136,7 +137,7 @@ _WHOLE = (
 )
 
 
-def evaluation_table(figures: Mapping[str, Any]) -> str:
+def evaluation_tables(figures: Mapping[str, Any]) -> list[TextTable]:
     """All methods side by side; then each setting, or each baseline with the paper's figures.
 
     Args:
@@ -147,16 +148,15 @@ def evaluation_table(figures: Mapping[str, Any]) -> str:
         (name if method["complete"] else f"{name} (not complete)", method)
         for name, method in methods.items()
     ]
-    blocks = [text_table("method", rows, _WHOLE)]
     covered = next((m["covers"] for m in methods.values() if "covers" in m), None)
-    if covered:
-        blocks[0] += f"\n(over: {'; '.join(covered)}; seconds: all settings)"
+    notes = [f"(over: {'; '.join(covered)}; seconds: all settings)"] if covered else []
+    tables = [text_table("method", rows, _WHOLE, notes)]
     for name, method in methods.items():
         if "settings" in method:
-            blocks.append(text_table(name, list(method["settings"].items()), _COLUMNS))
+            tables.append(text_table(name, list(method["settings"].items()), _COLUMNS))
         if "by_baseline" in method:
-            blocks.append(text_table(name, _baseline_rows(figures["suite"], method), _COLUMNS))
-    return "\n\n".join(blocks)
+            tables.append(text_table(name, _baseline_rows(figures["suite"], method), _COLUMNS))
+    return tables
 
 
 def _baseline_rows(suite: str, method: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:

@@ -14,7 +14,7 @@ from drake_oa.studies.panda.evaluation import (
     evaluate_panda,
     run_name,
 )
-from drake_oa.studies.panda.tables import panda_figures, panda_tables, run_figures
+from drake_oa.studies.panda.tables import panda_figures, panda_table, run_figures
 from drake_oa.studies.results import ResultFolder
 
 _SUITE = PandaSuite(
@@ -110,7 +110,7 @@ def test_an_interrupt_keeps_what_is_done(kept, tmp_path):
     assert figures["methods"]["preplanned"]["scenes"] == 1
     assert not figures["methods"]["preplanned"]["complete"]
     assert figures["methods"]["verified"]["scenes"] == 0
-    assert "-" in panda_tables([figures])
+    assert "-" in str(panda_table([figures]))
 
 
 def test_success_is_told_as_a_share_of_what_the_planner_solves():
@@ -130,7 +130,7 @@ def test_success_is_told_as_a_share_of_what_the_planner_solves():
     assert figures["solved"] == 2
     assert figures["methods"]["verified"]["success_rate_solved"] == 0.5
     assert figures["methods"]["planner"]["success_rate_solved"] == 1.0
-    assert "of solved [%]" in panda_tables([figures])
+    assert "of solved [%]" in str(panda_table([figures]))
     del results.runs["planner"][2]
     figures = panda_figures(results, ["drake 1"])
     assert figures["solved"] is None

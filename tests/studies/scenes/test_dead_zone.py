@@ -31,7 +31,7 @@ def test_head_on_only_the_dead_zone_free_term_turns() -> None:
     rows = term_figures(comparisons)
     assert rows[1]["original_collisions"] == 1
     assert rows[1]["dead_zone_free_collisions"] == 0
-    assert [line.split()[0] for line in term_table(rows).splitlines()] == [
+    assert [line.split()[0] for line in str(term_table(rows)).splitlines()] == [
         "terms",
         "gamma",
         "gamma",

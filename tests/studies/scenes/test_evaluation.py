@@ -8,7 +8,7 @@ import pytest
 from drake_oa.studies.scenes.evaluation import evaluate
 from drake_oa.studies.scenes.figures import (
     evaluation_figures,
-    evaluation_table,
+    evaluation_tables,
     method_figures,
     motion_figures,
 )
@@ -182,7 +182,7 @@ def test_the_table_sets_methods_side_by_side_and_the_papers_figures_below(
     figures = evaluation_figures("novel", 0, ("drake_oa 0.1.0", "commit abc"), NOVEL, outcomes)
     assert set(figures) == {"suite", "seed", "versions", "methods"}
     assert figures["versions"] == {"drake_oa": "0.1.0", "commit": "abc"}
-    lines = evaluation_table(figures).splitlines()
+    lines = "\n".join(map(str, evaluation_tables(figures))).splitlines()
     assert [line.split()[0] for line in lines[:3]] == ["method", "one", "two"]
     assert "(not complete)" in lines[2]
     printed = [line.split() for line in lines if "the paper prints" in line]
