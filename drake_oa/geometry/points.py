@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -94,6 +95,24 @@ _MOST_BLOCKS = 4096
 """Cells that one obstacle may have."""
 
 
+class PointBlocks(NamedTuple):
+    """The points of M obstacles as kernels take them.
+
+    Attributes:
+        points: (N, 3) on the obstacles [m].
+        start: (K + 1,) where each block of points begins, and N.
+        owner: (K,) the obstacle's row.
+        sphere: (K, 4) centre and radius of a sphere that holds the block's points [m].
+        v_WO: (M, 3) velocities of the obstacles [m/s].
+    """
+
+    points: FloatArray
+    start: IntArray
+    owner: IntArray
+    sphere: FloatArray
+    v_WO: FloatArray
+
+
 @dataclass(frozen=True, eq=False)
 class ObstaclePoints(Frozen):
     """The points of the M obstacles of an observation, in blocks of neighbours.
@@ -142,6 +161,11 @@ class ObstaclePoints(Frozen):
         points, start, owner, sphere = group_points(points, begin, _BLOCK, _MOST_BLOCKS)
         return replace(empty, points=points, start=start, owner=owner, sphere=sphere)
 
+    @property
+    def blocks(self) -> PointBlocks:
+        """As the kernels take them."""
+        return PointBlocks(self.points, self.start, self.owner, self.sphere, self.v_WO)
+
     def resting(self) -> ObstaclePoints:
         """Without the points of what moves; the obstacles' rows stay."""
         rests = np.asarray(~self.v_WO.any(axis=1))
@@ -162,8 +186,7 @@ class ObstaclePoints(Frozen):
         )
 
 
-@dataclass(frozen=True, eq=False)
-class GuardShapes:
+class GuardShapes(NamedTuple):
     """A robot's primitives, those of a body one after the other.
 
     Attributes:

@@ -7,19 +7,32 @@ C-contiguous arrays of one type (float64 and int64), so that numba compiles each
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from drake_oa.common.messages import BoolArray, FloatArray, IntArray
+from drake_oa.common.messages import BoolArray, FloatArray
+from drake_oa.geometry.points import GuardShapes, PointBlocks
 from drake_oa.geometry.primitives import deepest_point, point_distance, posed, to_frame
 
-STOP_DISTANCE, PADDING, REACTION, LEAVE = 0, 1, 2, 3
-"""Where the rules are: distance at which an approach is at rest [m], how far an obstacle's
-surface may lie outside its points [m], time in which the motion is brought to rest [s], and
-the share of full speed at which a body that is nearer to what rests may leave."""
-N_RULES = 4
-"""Number of rules."""
+
+class BrakingRules(NamedTuple):
+    """What an approach keeps.
+
+    Attributes:
+        stop_distance: at which an approach is at rest [m].
+        padding: how far an obstacle's surface may lie outside its points [m].
+        reaction_time: in which the motion is brought to rest [s].
+        leave_scale: share of full speed at which a body that is nearer to what rests may leave.
+    """
+
+    stop_distance: float
+    padding: float
+    reaction_time: float
+    leave_scale: float
+
+
 TABLE = -1
 """The obstacle's row that stands for the table."""
 NOTHING = -2
@@ -31,7 +44,7 @@ AT_REST = 1e-3
 
 
 @njit(cache=True, error_model="numpy")
-def allowed_scale(distance: float, closing: float, oncoming: float, rules: FloatArray) -> float:
+def allowed_scale(distance: float, closing: float, oncoming: float, rules: BrakingRules) -> float:
     """Share of full speed at which a pair can be brought to rest in time.
 
     While the motion approaches, share * closing + oncoming <= (distance - stop) / reaction;
@@ -41,13 +54,13 @@ def allowed_scale(distance: float, closing: float, oncoming: float, rules: Float
         distance: between the two [m].
         closing: speed at which the robot's point approaches at full speed [m/s].
         oncoming: speed at which the obstacle approaches [m/s], at least 0.
-        rules: (4,) see `STOP_DISTANCE`.
+        rules: what is kept.
     """
-    left = distance - rules[STOP_DISTANCE]
+    left = distance - rules.stop_distance
     if closing <= APPROACH:
         # What comes nearer by itself is left as fast as can be.
-        return 1.0 if left > 0.0 or oncoming > 0.0 else rules[LEAVE]
-    return min(1.0, max(0.0, (left / rules[REACTION] - oncoming) / closing))
+        return 1.0 if left > 0.0 or oncoming > 0.0 else rules.leave_scale
+    return min(1.0, max(0.0, (left / rules.reaction_time - oncoming) / closing))
 
 
 @njit(cache=True, error_model="numpy")
@@ -86,47 +99,32 @@ def largest_speed(
 def approach_limit(
     X_WB: FloatArray,
     V_WB: FloatArray,
-    body_sphere: FloatArray,
-    shape_body: IntArray,
-    X_BG: FloatArray,
-    size: FloatArray,
-    bound: FloatArray,
-    points: FloatArray,
-    block_start: IntArray,
-    block_owner: IntArray,
-    block_sphere: FloatArray,
-    v_WO: FloatArray,
+    shapes: GuardShapes,
+    blocks: PointBlocks,
     age: float,
     table: FloatArray,
-    rules: FloatArray,
+    rules: BrakingRules,
 ) -> tuple[float, int, int, float, float]:
     """The tightest of `allowed_scale` of any point of the robot and of the obstacles.
 
     Args:
         X_WB: (B, 4, 4) poses of the bodies.
         V_WB: (B, 6) their angular and linear velocities at full speed [rad/s, m/s].
-        body_sphere: (B, 4) centre, in the body's frame, and radius of a sphere that holds
-            its primitives [m].
-        shape_body: (S,) the body of each primitive, ascending.
-        X_BG: (S, 4, 4) poses of the primitives in their bodies.
-        size: (S, 5) see `point_distance`.
-        bound: (S,) radii of spheres about the primitives' centres that hold them [m].
-        points: (N, 3) on the obstacles [m].
-        block_start: (K + 1,) where each block of points begins, and N.
-        block_owner: (K,) the obstacle's row.
-        block_sphere: (K, 4) centre and radius of a sphere that holds its points [m].
-        v_WO: (M, 3) velocities of the obstacles [m/s].
+        shapes: their primitives.
+        blocks: points on the obstacles, and the obstacles' velocities.
         age: for how long they have moved so since the points were seen [s].
         table: (4,) unit normal and offset of the plane [m]; NaN: there is none.
-        rules: (4,) see `STOP_DISTANCE`.
+        rules: what is kept.
 
     Returns:
         Share of full speed, the row of the body and that of the obstacle that limit it
         (`TABLE`, or `NOTHING`), their distance [m], and the obstacle's own share of the
         closing speed [m/s].
     """
+    body_sphere, shape_body, X_BG, size, bound = shapes
+    points, block_start, block_owner, block_sphere, v_WO = blocks
     best, best_body, best_obstacle, best_distance, best_oncoming = 1.0, -1, NOTHING, np.inf, 0.0
-    clear = rules[STOP_DISTANCE] + rules[PADDING]
+    clear = rules.stop_distance + rules.padding
     X_WG, V_G = np.empty((3, 4)), np.empty(6)
     near = np.empty(len(block_owner), dtype=np.int64)
     has_table = not math.isnan(table[3])
@@ -153,7 +151,7 @@ def approach_limit(
             dy = block_sphere[block, 1] + uy * age - cy
             dz = block_sphere[block, 2] + uz * age - cz
             # Nothing farther away than this can be tighter than the best yet.
-            reach = clear + rules[REACTION] * (best * fastest + speed)
+            reach = clear + rules.reaction_time * (best * fastest + speed)
             most = radius + block_sphere[block, 3] + reach
             if dx * dx + dy * dy + dz * dz <= most * most:
                 near[candidates] = block
@@ -180,7 +178,7 @@ def approach_limit(
                 owner = block_owner[block]
                 ux, uy, uz = v_WO[owner, 0], v_WO[owner, 1], v_WO[owner, 2]
                 speed = math.sqrt(ux * ux + uy * uy + uz * uz)
-                reach = clear + rules[REACTION] * (best * fastest + speed)
+                reach = clear + rules.reaction_time * (best * fastest + speed)
                 ox, oy, oz = gx - ux * age, gy - uy * age, gz - uz * age
                 dx = block_sphere[block, 0] - ox
                 dy = block_sphere[block, 1] - oy
@@ -206,7 +204,7 @@ def approach_limit(
                         + nz * (V_G[5] + V_G[0] * y - V_G[1] * x)
                     )
                     oncoming = max(0.0, -(nx * ux + ny * uy + nz * uz))
-                    distance -= rules[PADDING]
+                    distance -= rules.padding
                     scale = allowed_scale(distance, closing, oncoming, rules)
                     if scale < best:
                         best, best_body, best_obstacle = scale, body, owner

@@ -77,74 +77,46 @@ class EvasionParameters:
         return np.linspace(0.0, self.horizon, self.instants + 1)[1:]
 
 
-@dataclass(frozen=True, eq=False)
-class Arm:
-    """An arm of n joints as it is posed now.
+def posed_arm(
+    J: FloatArray,
+    p_WE: FloatArray,
+    q: FloatArray,
+    limits: tuple[FloatArray, FloatArray, FloatArray],
+    shapes: GuardShapes,
+    X_WB: FloatArray,
+    moved: BoolArray,
+) -> kernels.Arm:
+    """Lays out an arm.
 
-    Attributes:
-        screws: (n, 6) of the joints in the world, from the base on, w first.
+    Args:
+        J: (6, n) Jacobian of the tool point's angular and linear velocity in the world.
         p_WE: (3,) the tool point [m].
-        q, lower, upper: (n,) positions of the joints and their limits [rad, m].
-        speed: (n,) their greatest speeds [rad/s, m/s].
-        free: (n, m) orthonormal velocities of the joints that do not move the tool.
-        joint: (S,) how many of the joints move each primitive, at least one.
-        X_WG: (S, 4, 4) the primitives' poses.
-        size, bound: their sizes, see `supervision_geometry.GuardShapes`.
+        q: (n,) positions.
+        limits: lower and upper limits of position, and of speed.
+        shapes: the robot's primitives.
+        X_WB: (B, 4, 4) poses of its bodies.
+        moved: (B, n) whether a joint moves a body; the joints are in a row.
     """
-
-    screws: FloatArray
-    p_WE: FloatArray
-    q: FloatArray
-    lower: FloatArray
-    upper: FloatArray
-    speed: FloatArray
-    free: FloatArray
-    joint: IntArray
-    X_WG: FloatArray
-    size: FloatArray
-    bound: FloatArray
-
-    @staticmethod
-    def of(
-        J: FloatArray,
-        p_WE: FloatArray,
-        q: FloatArray,
-        limits: tuple[FloatArray, FloatArray, FloatArray],
-        shapes: GuardShapes,
-        X_WB: FloatArray,
-        moved: BoolArray,
-    ) -> Arm:
-        """Lays out an arm.
-
-        Args:
-            J: (6, n) Jacobian of the tool point's angular and linear velocity in the world.
-            p_WE: (3,) the tool point [m].
-            q: (n,) positions.
-            limits: lower and upper limits of position, and of speed.
-            shapes: the robot's primitives.
-            X_WB: (B, 4, 4) poses of its bodies.
-            moved: (B, n) whether a joint moves a body; the joints are in a row.
-        """
-        screws = np.array(J.T, order="C")
-        # The velocity of the point of each joint's body that is at the origin.
-        screws[:, 3:] -= np.cross(screws[:, :3], p_WE)
-        joint = moved.sum(axis=1).astype(np.int64)[shapes.shape_body]
-        on = joint > 0
-        X_WG = X_WB[shapes.shape_body[on]] @ shapes.X_BG[on]
-        lower, upper, speed = (np.array(limit, dtype=float) for limit in limits)
-        return Arm(
-            screws=screws,
-            p_WE=np.array(p_WE, dtype=float),
-            q=np.array(q, dtype=float),
-            lower=lower + _JOINT_MARGIN,
-            upper=upper - _JOINT_MARGIN,
-            speed=_SHARE * speed,
-            free=null_space_basis(J),
-            joint=joint[on],
-            X_WG=np.ascontiguousarray(X_WG),
-            size=np.ascontiguousarray(shapes.size[on]),
-            bound=np.ascontiguousarray(shapes.bound[on]),
-        )
+    screws = np.array(J.T, order="C")
+    # The velocity of the point of each joint's body that is at the origin.
+    screws[:, 3:] -= np.cross(screws[:, :3], p_WE)
+    joint = moved.sum(axis=1).astype(np.int64)[shapes.shape_body]
+    on = joint > 0
+    X_WG = X_WB[shapes.shape_body[on]] @ shapes.X_BG[on]
+    lower, upper, speed = (np.array(limit, dtype=float) for limit in limits)
+    return kernels.Arm(
+        screws=screws,
+        p_WE=np.array(p_WE, dtype=float),
+        q=np.array(q, dtype=float),
+        lower=lower + _JOINT_MARGIN,
+        upper=upper - _JOINT_MARGIN,
+        speed=_SHARE * speed,
+        free=np.ascontiguousarray(null_space_basis(J)),
+        joint=joint[on],
+        X_WG=np.ascontiguousarray(X_WG),
+        size=np.ascontiguousarray(shapes.size[on]),
+        bound=np.ascontiguousarray(shapes.bound[on]),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +128,7 @@ class Ways:
             not looked at to its end.
         distance: (C,) the same as far as it was looked at, whether or not the arm can go it [m].
         when: (C,) when it is least [s].
-        row: (C,) the obstacle's row, see `evasion_kernels.NOTHING`.
+        row: (C,) the obstacle's row, see `lookahead_kernels.NOTHING`.
     """
 
     clearance: FloatArray
@@ -170,7 +142,7 @@ class Lookout:
 
     def __init__(
         self,
-        arm: Arm,
+        arm: kernels.Arm,
         obstacles: ObstaclePoints,
         table: FloatArray,
         age: float,
@@ -191,18 +163,18 @@ class Lookout:
             annulus: (3, n) heights, and least and largest distance of the tool point from
                 the world's z axis there [m]; None: anywhere.
         """
-        self._arm, self._obstacles, self._table = arm, obstacles, table
-        self._age, self._parameters = age, parameters
+        self._arm, self._parameters = arm, parameters
+        self._obstacles = kernels.Obstacles(obstacles.blocks, float(age), table)
         self._height = table_height
         self._annulus = np.zeros((3, 0)) if annulus is None else annulus
         self._times = parameters.times
-        self._most = parameters.margin + parameters.release + parameters.padding + 0.03
-        self._rules = np.zeros(kernels.N_RULES)
-        self._rules[kernels.DAMPING] = 1e-5
-        self._rules[kernels.MISS] = 0.015
-        self._rules[kernels.GROWTH] = parameters.growth
-        self._rules[kernels.TABLE_ALLOWANCE] = _TABLE_ALLOWANCE
-        self._rules[kernels.MOST] = self._most
+        self._rules = kernels.LookaheadRules(
+            damping=1e-5,
+            miss=0.015,
+            growth=parameters.growth,
+            table_allowance=_TABLE_ALLOWANCE,
+            most=parameters.margin + parameters.release + parameters.padding + 0.03,
+        )
 
     @property
     def free(self) -> FloatArray:
@@ -224,10 +196,10 @@ class Lookout:
             shifts: (C, K, 3) of the tool from where it is, at the times that are looked at [m].
             turns: (C, K, n) how far the joints have turned besides, of which what does not move
                 the tool counts [rad]; None: they do not.
-            plenty, behind: see `evasion_kernels.clearance_ahead` [m].
+            plenty, behind: see `lookahead_kernels.clearance_ahead` [m].
             until: only so far ahead [s].
         """
-        arm, obstacles = self._arm, self._obstacles
+        arm = self._arm
         times = self._times[self._times <= until + 1e-9]
         shifts = shifts[:, : len(times)]
         if turns is None:
@@ -239,23 +211,8 @@ class Lookout:
             np.ascontiguousarray(shifts[inside]),
             np.ascontiguousarray(turns[inside, : len(times)]),
             times,
-            arm.screws,
-            arm.p_WE,
-            arm.q,
-            arm.lower,
-            arm.upper,
-            arm.speed,
-            arm.joint,
-            arm.X_WG,
-            arm.size,
-            arm.bound,
-            obstacles.points,
-            obstacles.start,
-            obstacles.owner,
-            obstacles.sphere,
-            obstacles.v_WO,
-            self._age,
-            self._table,
+            arm,
+            self._obstacles,
             self._rules,
             plenty + self._parameters.padding,
             behind,
@@ -277,6 +234,7 @@ class Lookout:
 
     def _margin(self, p_WE: FloatArray) -> FloatArray:
         margin = np.full(p_WE.shape[:-1], np.inf)
-        if not math.isnan(self._table[3]):
-            margin = p_WE @ self._table[:3] - self._table[3] - self._height
+        table = self._obstacles.table
+        if not math.isnan(table[3]):
+            margin = p_WE @ table[:3] - table[3] - self._height
         return np.minimum(margin, annulus_margin(p_WE, self._annulus))

@@ -13,23 +13,72 @@ for a body that the joints 1 to k move. Every kernel takes C-contiguous arrays o
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from drake_oa.common.messages import FloatArray, IntArray
+from drake_oa.geometry.points import PointBlocks
 from drake_oa.geometry.primitives import deepest_point, point_distance, posed, to_frame
 from drake_oa.geometry.rotation import rotation_vector
 
-DAMPING, MISS, GROWTH, TABLE_ALLOWANCE, MOST = 0, 1, 2, 3, 4
-"""Where the rules are: damping of the joints' least squares [m^2], how far the tool may be
-from where it is wanted [m], how much less of a distance to a moving obstacle counts a second
-ahead [m/s], how much more of one to the table [m], and the distance beyond which all is the
-same [m]."""
-N_RULES = 5
-"""Number of rules."""
+
+class Arm(NamedTuple):
+    """An arm of n joints as it is posed now.
+
+    Attributes:
+        screws: (n, 6) of the joints in the world, from the base on, w first.
+        p_WE: (3,) the tool point [m].
+        q, lower, upper: (n,) positions of the joints and their limits [rad, m].
+        speed: (n,) their greatest speeds [rad/s, m/s].
+        free: (n, m) orthonormal velocities of the joints that do not move the tool.
+        joint: (S,) how many of the joints move each primitive, at least one.
+        X_WG: (S, 4, 4) the primitives' poses.
+        size, bound: their sizes, see `drake_oa.geometry.points.GuardShapes`.
+    """
+
+    screws: FloatArray
+    p_WE: FloatArray
+    q: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    speed: FloatArray
+    free: FloatArray
+    joint: IntArray
+    X_WG: FloatArray
+    size: FloatArray
+    bound: FloatArray
+
+
+class Obstacles(NamedTuple):
+    """What is looked at: points, time since they were seen [s], table (4,), NaN: none [m]."""
+
+    blocks: PointBlocks
+    age: float
+    table: FloatArray
+
+
+class LookaheadRules(NamedTuple):
+    """How ways are looked at.
+
+    Attributes:
+        damping: of the joints' least squares [m^2].
+        miss: how far the tool may be from where it is wanted [m].
+        growth: how much less of a distance to a moving obstacle counts a second ahead [m/s].
+        table_allowance: how much more of one to the table counts [m].
+        most: the distance beyond which all is the same [m].
+    """
+
+    damping: float
+    miss: float
+    growth: float
+    table_allowance: float
+    most: float
+
+
 NOTHING = -2
-"""The obstacle's row where nothing is nearer than `MOST`; -1 is the table."""
+"""The obstacle's row where nothing is nearer than `LookaheadRules.most`; -1 is the table."""
 _NEWTON = 2
 """Newton steps from one instant to the next."""
 
@@ -145,36 +194,30 @@ def step_to(
 @njit(cache=True, error_model="numpy")
 def _nearest(
     T: FloatArray,
-    joint: IntArray,
-    X_WG: FloatArray,
-    size: FloatArray,
-    bound: FloatArray,
-    points: FloatArray,
-    block_start: IntArray,
-    block_owner: IntArray,
-    block_sphere: FloatArray,
-    v_WO: FloatArray,
-    age: float,
+    arm: Arm,
+    obstacles: Obstacles,
     ahead: float,
-    table: FloatArray,
-    rules: FloatArray,
+    rules: LookaheadRules,
     limit: float,
 ) -> tuple[float, int]:
     """What of `clearance_ahead` counts at one instant, below a limit."""
+    joint, X_WG, size, bound = arm.joint, arm.X_WG, arm.size, arm.bound
+    points, block_start, block_owner, block_sphere, v_WO = obstacles.blocks
+    age, table = obstacles.age, obstacles.table
     least, nearest = limit, NOTHING
     X = np.empty((3, 4))
     for shape in range(len(joint)):
         posed(T[joint[shape]], X_WG[shape], X)
         if not math.isnan(table[3]):
             x, y, z = deepest_point(X, size[shape], table[0], table[1], table[2])
-            d = x * table[0] + y * table[1] + z * table[2] - table[3] + rules[TABLE_ALLOWANCE]
+            d = x * table[0] + y * table[1] + z * table[2] - table[3] + rules.table_allowance
             if d < least:
                 least, nearest = d, -1
         for block in range(len(block_owner)):
             owner = block_owner[block]
             ux, uy, uz = v_WO[owner, 0], v_WO[owner, 1], v_WO[owner, 2]
             moves = ux != 0.0 or uy != 0.0 or uz != 0.0
-            less = rules[GROWTH] * ahead if moves else 0.0
+            less = rules.growth * ahead if moves else 0.0
             time = age + ahead
             ox, oy, oz = X[0, 3] - ux * time, X[1, 3] - uy * time, X[2, 3] - uz * time
             x, y, z = block_sphere[block, 0] - ox, block_sphere[block, 1] - oy, 0.0
@@ -196,24 +239,9 @@ def clearance_ahead(
     shifts: FloatArray,
     turns: FloatArray,
     times: FloatArray,
-    screws: FloatArray,
-    p_WE: FloatArray,
-    q: FloatArray,
-    lower: FloatArray,
-    upper: FloatArray,
-    speed: FloatArray,
-    joint: IntArray,
-    X_WG: FloatArray,
-    size: FloatArray,
-    bound: FloatArray,
-    points: FloatArray,
-    block_start: IntArray,
-    block_owner: IntArray,
-    block_sphere: FloatArray,
-    v_WO: FloatArray,
-    age: float,
-    table: FloatArray,
-    rules: FloatArray,
+    arm: Arm,
+    obstacles: Obstacles,
+    rules: LookaheadRules,
     plenty: float,
     behind: float,
     out: FloatArray,
@@ -225,29 +253,25 @@ def clearance_ahead(
         turns: (C, K, n) how far the joints have turned besides, of which what does not move
             the tool counts [rad, m].
         times: (K,) increasing [s].
-        screws: (n, 6) of the joints, see `arm_at`.
-        p_WE: (3,) where the tool point is [m].
-        q, lower, upper: (n,) the joints' positions and limits [rad, m].
-        speed: (n,) their greatest speeds [rad/s, m/s].
-        joint: (S,) how many of the joints move each primitive.
-        X_WG: (S, 4, 4) poses of the primitives now.
-        size, bound: as `supervision_kernels.approach_limit` takes them.
-        points, block_start, block_owner, block_sphere, v_WO, age, table: likewise.
-        rules: (5,) see `DAMPING`.
+        arm: as it is posed.
+        obstacles: what it must not come near to.
+        rules: how ways are looked at.
         plenty: a greater distance is no better [m].
         behind: a way that comes nearer than the best one by more than this is looked at no
             further, and is none [m]; inf: each is looked at to its end.
-        out: (C, 5) receives the distance [m], at most `MOST`; when it is that [s]; the
-            obstacle's row, see `NOTHING`; whether the arm can go that way (1 or 0); and how
+        out: (C, 5) receives the distance [m], at most `LookaheadRules.most`; when it is that [s];
+            the obstacle's row, see `NOTHING`; whether the arm can go that way (1 or 0); and how
             many instants were looked at.
     """
+    screws, p_WE, q = arm.screws, arm.p_WE, arm.q
+    lower, upper, speed = arm.lower, arm.upper, arm.speed
     n, K = len(q), len(times)
     T, moved = np.empty((n + 1, 3, 4)), np.empty((n, 6))
     dq, before, target = np.empty(n), np.empty(n), np.empty(3)
     turn, no_turn = np.empty(n), np.zeros(n)
     best = -np.inf
     for way in range(len(shifts)):
-        least, when, row, able = rules[MOST], 0.0, NOTHING, True
+        least, when, row, able = rules.most, 0.0, NOTHING, True
         dq[:] = 0.0
         past, seen = 0.0, 0
         for k in range(K):
@@ -259,13 +283,13 @@ def clearance_ahead(
                 turn[i] = turns[way, k, i] - (turns[way, k - 1, i] if k > 0 else 0.0)
             for step in range(_NEWTON):
                 first = turn if step == 0 else no_turn
-                step_to(screws, p_WE, target, rules[DAMPING], first, dq, T, moved)
+                step_to(screws, p_WE, target, rules.damping, first, dq, T, moved)
             arm_at(screws, dq, T, moved)
             miss = 0.0
             for i in range(3):
                 p = T[n, i, 0] * p_WE[0] + T[n, i, 1] * p_WE[1] + T[n, i, 2] * p_WE[2]
                 miss += (p + T[n, i, 3] - target[i]) ** 2
-            able = able and miss <= rules[MISS] ** 2
+            able = able and miss <= rules.miss**2
             for i in range(n):
                 at = q[i] + dq[i]
                 outside = max(lower[i] - at, at - upper[i])
@@ -274,23 +298,7 @@ def clearance_ahead(
                 if fast or outside > max(already, 0.0) + 1e-9:
                     able = False
             past = times[k]
-            d, nearest = _nearest(
-                T,
-                joint,
-                X_WG,
-                size,
-                bound,
-                points,
-                block_start,
-                block_owner,
-                block_sphere,
-                v_WO,
-                age,
-                times[k],
-                table,
-                rules,
-                least,
-            )
+            d, nearest = _nearest(T, arm, obstacles, times[k], rules, least)
             if d < least:
                 least, when, row = d, times[k], nearest
             if least < best - behind:

@@ -53,7 +53,6 @@ def watch_clearance(
     table: TablePlane | None,
     time: float,
     parameters: SupervisorParameters,
-    rules: FloatArray,
 ) -> Demand:
     """Slows an approach of any link to an obstacle or the table: see `drake_oa.safety.supervision`.
 
@@ -66,29 +65,14 @@ def watch_clearance(
         obstacles: the points; they have moved on at their velocities since their stamp.
         table: the supporting plane, or None.
         time: now [s].
-        parameters: what is kept; `rules` are its own.
-        rules: (4,) `SupervisorParameters.rules`.
+        parameters: what is kept.
     """
     plane = np.full(4, np.nan)
     if table is not None:
         plane[:3], plane[3] = table.normal_W, table.offset
     age = min(max(time - obstacles.stamp, 0.0), parameters.max_age)
     scale, body, row, distance, _ = kernels.approach_limit(
-        X_WB,
-        V_WB,
-        shapes.body_sphere,
-        shapes.shape_body,
-        shapes.X_BG,
-        shapes.size,
-        shapes.bound,
-        obstacles.points,
-        obstacles.start,
-        obstacles.owner,
-        obstacles.sphere,
-        obstacles.v_WO,
-        age,
-        plane,
-        rules,
+        X_WB, V_WB, shapes, obstacles.blocks, age, plane, parameters.rules
     )
     if row == kernels.NOTHING:
         return NO_DEMAND

@@ -38,7 +38,8 @@ from drake_oa.geometry.directions import ramped
 from drake_oa.geometry.points import GuardShapes, ObstaclePoints
 from drake_oa.policy.dmp import Dmp, normalised_time
 from drake_oa.safety.evasion import NOTHING_MOVES, choose, left_alone
-from drake_oa.safety.lookahead import Arm, EvasionParameters, Lookout
+from drake_oa.safety.lookahead import EvasionParameters, Lookout, posed_arm
+from drake_oa.safety.lookahead_kernels import Arm
 from drake_oa.safety.supervisor import arm_joints
 
 _logger = logging.getLogger("drake_oa")
@@ -263,7 +264,7 @@ class ObstacleEvasion(LeafSystem):
     def _arm(self, context: Context, x: FloatArray) -> Arm:
         model = self._model.at(context, x[: self._n])
         limits = self._limits
-        return Arm.of(
+        return posed_arm(
             self._model.jacobian(model, self._frame)[:, self._joints],
             self._frame.CalcPoseInWorld(model).translation(),
             x[self._joints],

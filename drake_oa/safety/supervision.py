@@ -21,11 +21,9 @@ import math
 from dataclasses import dataclass, field, fields, replace
 from typing import Literal
 
-import numpy as np
-
-from drake_oa.common.messages import FloatArray, Frozen, ObstacleClouds, TablePlane
+from drake_oa.common.messages import Frozen, ObstacleClouds, TablePlane
 from drake_oa.geometry.points import ObstaclePoints
-from drake_oa.safety import approach_kernels as kernels
+from drake_oa.safety.approach_kernels import BrakingRules
 
 Action = Literal["run", "slow", "hold", "stop"]
 
@@ -99,14 +97,9 @@ class SupervisorParameters:
             )
 
     @property
-    def rules(self) -> FloatArray:
-        """(4,) what `supervision_kernels.approach_limit` goes by."""
-        rules = np.empty(kernels.N_RULES)
-        rules[kernels.STOP_DISTANCE] = self.stop_distance
-        rules[kernels.PADDING] = self.padding
-        rules[kernels.REACTION] = self.reaction_time
-        rules[kernels.LEAVE] = self.leave_scale
-        return rules
+    def rules(self) -> BrakingRules:
+        """What an approach keeps."""
+        return BrakingRules(self.stop_distance, self.padding, self.reaction_time, self.leave_scale)
 
 
 @dataclass(frozen=True, eq=False)

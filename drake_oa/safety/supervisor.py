@@ -135,7 +135,6 @@ class Supervisor(LeafSystem):
         self._duration = float(duration)
         self._period = valid_period(period)
         self._parameters = parameters or SupervisorParameters()
-        self._rules = self._parameters.rules
         self._n = n = plant.num_velocities()
 
         self._robot_state = self.DeclareVectorInputPort("robot_state", 2 * n)
@@ -235,7 +234,6 @@ class Supervisor(LeafSystem):
                 before.table,
                 context.get_time(),
                 self._parameters,
-                self._rules,
             ),
             watch_joints(
                 self._joints, q, v, v_full, before.supervision.speed_scale, self._parameters

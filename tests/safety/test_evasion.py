@@ -1,7 +1,6 @@
 """Getting out of the way of what moves: looking ahead, and choosing."""
 
 import math
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -20,7 +19,8 @@ from drake_oa.robot.plant import home_positions, make_robot_plant
 from drake_oa.safety import lookahead_kernels as kernels
 from drake_oa.safety.evasion import NOTHING_MOVES, choose
 from drake_oa.safety.evasion_candidates import displaced, planned_shift, shortened, stopping_shift
-from drake_oa.safety.lookahead import Arm, EvasionParameters, Lookout
+from drake_oa.safety.lookahead import EvasionParameters, Lookout, posed_arm
+from drake_oa.safety.lookahead_kernels import Arm
 from drake_oa.safety.supervisor import arm_joints
 
 PARAMETERS = EvasionParameters(padding=0.0)
@@ -57,7 +57,7 @@ class Posed:
         )
         p_WE = self.frame.CalcPoseInWorld(self.context).translation()
         q = self.q[self.joints]
-        return Arm.of(J[:, self.joints], p_WE, q, self.limits, self.shapes, X_WB, self.moved)
+        return posed_arm(J[:, self.joints], p_WE, q, self.limits, self.shapes, X_WB, self.moved)
 
 
 @cache
@@ -303,7 +303,7 @@ def test_an_elbow_that_is_come_at_turns_out_of_the_way_and_the_tool_stays() -> N
 def test_without_a_null_space_or_a_speed_the_tool_is_displaced() -> None:
     found = decide(at_the_elbow())
     assert (found.action, len(found.turn)) == ("evading", 0)
-    stiff = replace(home(), free=np.zeros((7, 0)))
+    stiff = home()._replace(free=np.zeros((7, 0)))
     turns, obstacles = EvasionParameters(padding=0.0, turn_speed=1.5), at_the_elbow()
     policy = PolicyState(p_WE=stiff.p_WE)
     ahead = Lookout(stiff, obstacles, NO_TABLE, 0.0, turns)
@@ -316,7 +316,7 @@ def test_without_a_null_space_or_a_speed_the_tool_is_displaced() -> None:
 
 def test_an_arm_that_can_go_no_way_is_held_or_caught() -> None:
     # Beyond all of its limits, so that not even standing still is allowed.
-    stuck = replace(home(), lower=home().q + 1.0, speed=np.zeros(7))
+    stuck = home()._replace(lower=home().q + 1.0, speed=np.zeros(7))
     for center, action in ((0.12, "caught"), (0.25, "waiting")):
         obstacles = ball(stuck.p_WE + [center, 0.0, 0.0], np.array([-0.1, 0.0, 0.0]), 0.05)
         ahead = Lookout(stuck, obstacles, NO_TABLE, 0.0, PARAMETERS)

@@ -80,7 +80,6 @@ def clearance(
         table,
         time,
         parameters,
-        parameters.rules,
     )
 
 
@@ -120,9 +119,7 @@ def test_no_pair_is_missed(seed: int, moving: bool) -> None:
     clouds = [rng.normal(size=(count, 3)) for count in (50, 0, 200)]
     v_WO = rng.normal(size=(3, 3)) * 0.3 * moving
     points = ObstaclePoints.of(seen(*clouds, v_WO=v_WO))
-    found = watch_clearance(
-        ("a", "b"), X_WB, V_WB, shapes, points, TablePlane(), 0.1, PARAMETERS, PARAMETERS.rules
-    )
+    found = watch_clearance(("a", "b"), X_WB, V_WB, shapes, points, TablePlane(), 0.1, PARAMETERS)
     least = 1.0
     for row, body in enumerate(shapes.shape_body):
         X = X_WB[body] @ shapes.X_BG[row]
@@ -137,9 +134,7 @@ def test_no_pair_is_missed(seed: int, moving: bool) -> None:
                 oncoming = max(0.0, -n_W @ v)
                 scale = allowed_scale(d - PARAMETERS.padding, closing, oncoming, PARAMETERS.rules)
                 least = min(least, scale)
-    without_table = watch_clearance(
-        ("a", "b"), X_WB, V_WB, shapes, points, None, 0.1, PARAMETERS, PARAMETERS.rules
-    )
+    without_table = watch_clearance(("a", "b"), X_WB, V_WB, shapes, points, None, 0.1, PARAMETERS)
     assert without_table.scale == pytest.approx(least, abs=1e-12)
     assert found.scale <= without_table.scale
 
