@@ -9,9 +9,7 @@ from drake_oa.diagrams.route import held_annulus
 from drake_oa.diagrams.station import Cell
 from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.robot.plant import RobotPlant
-from drake_oa.safety.lookahead import EvasionParameters
 from drake_oa.safety.obstacle_evasion import ObstacleEvasion
-from drake_oa.safety.supervision import SupervisorParameters
 from drake_oa.safety.supervisor import Supervisor
 from drake_oa.scenario.scenario import (
     Scenario,
@@ -55,21 +53,11 @@ def make_supervisor(scenario: Scenario, robot_plant: RobotPlant) -> Supervisor:
         robot_plant.tool_frame.name(),
         make_dmp(scenario).duration,
         period=policy.period,
-        parameters=SupervisorParameters(
-            stop_distance=given.stop_distance,
-            padding=padding(source),
-            reaction_time=policy.hold_time + given.lag,
-            leave_scale=given.leave_scale,
-            frame_period=perception_period(scenario),
-            stale_frames=given.stale_frames,
-            max_age=policy.max_observation_age,
-            joint_margin=given.joint_margin,
-            tracking_slow=given.tracking_slow,
-            tracking_hold=given.tracking_hold,
-            saturation_time=given.saturation_time,
-            recovery_time=given.recovery_time,
-            patience=given.patience,
-        ),
+        parameters=given,
+        padding=padding(source),
+        hold_time=policy.hold_time,
+        frame_period=perception_period(scenario),
+        max_age=policy.max_observation_age,
         table=table_plane(scenario),
     )
 
@@ -99,16 +87,10 @@ def make_evasion(
         period=perception_period(scenario),
         step=policy.period,
         max_age=policy.max_observation_age,
-        parameters=EvasionParameters(
-            margin=given.margin,
-            horizon=given.horizon,
-            speed=given.speed,
-            acceleration=given.acceleration,
-            turn_speed=given.turn_speed if turns else 0.0,
-            turn_acceleration=given.turn_acceleration,
-            padding=padding(scenario.perception),
-            hold_time=policy.hold_time,
-        ),
+        parameters=given,
+        padding=padding(scenario.perception),
+        hold_time=policy.hold_time,
+        turns=turns,
         table=table_plane(scenario),
         table_height=policy.table_height,
         annulus=held_annulus(scenario),

@@ -29,28 +29,12 @@ import numpy as np
 from drake_oa.common.messages import Evading, Evasion, FloatArray, PlannedMotion, PolicyState
 from drake_oa.geometry.directions import DIRECTIONS
 from drake_oa.geometry.points import ObstaclePoints
+from drake_oa.safety.config import EvasionSettings
 from drake_oa.safety.evasion_candidates import displaced, planned_shift, shortened, stopping_shift
-from drake_oa.safety.lookahead import EvasionParameters, Lookout, Ways
+from drake_oa.safety.lookahead import Lookout, Ways
 from drake_oa.safety.lookahead_kernels import NOTHING
 
-_PASSING = 0.6
-"""Share of the margin with which the motion goes on rather than evades."""
-_AS_GOOD = 5e-3
-"""Clearances that differ by less are alike [m]."""
-_STEADY = 0.5
-"""What a change of velocity costs, as a share of the velocity."""
-_TURNING = 0.2
-"""What turning the arm costs beside displacing the tool [m/rad]."""
 _FULL, _HALF = 1.0, 0.5
-_SHORT_WAYS = (0.2, 0.08)
-"""So far the tool goes where the arm may not reach farther [m]."""
-_SHORT_TURN = 0.7
-"""So far the joints turn where they may not turn farther, the norm of all [rad]."""
-_AHEAD = 1.0
-"""What a velocity along that of the obstacle costs besides, as a share of it."""
-_SLOW = 0.03
-"""A displacement below this does not lead away from what has come to rest [m/s]."""
-
 
 _Wanted: TypeAlias = tuple[FloatArray, FloatArray]
 """(C, m) velocities, and (C,) how far each leads; inf: as far as there is time."""
@@ -90,7 +74,7 @@ class _Now:
     held: FloatArray
     full_rate: float
     ahead: Lookout
-    parameters: EvasionParameters
+    parameters: EvasionSettings
 
     def turned(self, turns: FloatArray, reach: FloatArray | float = math.inf) -> FloatArray:
         """(C, K, n) how far velocities (C, n) of the null space lead [rad]."""
@@ -117,7 +101,7 @@ def choose(
     full_rate: float,
     ahead: Lookout,
     obstacles: ObstaclePoints,
-    parameters: EvasionParameters,
+    parameters: EvasionSettings,
 ) -> Evasion:
     """What to do now about what moves, see the module.
 
@@ -155,7 +139,7 @@ def choose(
     steady = now.turned(np.zeros((1, len(turning))))
     least = p.margin + (p.release if before.action else 0.0)
     # What of the world rests is the supervisor's; nothing is done for it here.
-    soon = ahead.look(goes[None], steady, until=p.notice)
+    soon = ahead.look(goes[None], steady, until=min(p.notice, p.horizon))
     threat = int(soon.row[0])
     moves = _moves(obstacles, threat)
     # What has come to rest close by is left room for.
@@ -172,7 +156,7 @@ def choose(
         return now.left("going on", name, clear[1])
     if clear[2] >= least:
         return now.left("waiting", name, clear[2])
-    if clear[1] >= max(_PASSING * p.margin, float(clear[2])):
+    if clear[1] >= max(p.passing * p.margin, float(clear[2])):
         return now.left("going on", name, clear[1])
     turned = _turned(now, name, least)
     if turned is not None:
@@ -189,7 +173,7 @@ def _turned(now: _Now, obstacle: int, least: float) -> Evasion | None:
     shifts = np.repeat([now.full, now.held], len(turns), axis=0)
     turned = np.tile(now.turned(turns, reach), (2, 1, 1))
     found = now.ahead.look(shifts, turned, plenty=least, behind=0.0)
-    cost = _cost(turns, now.before.turn)
+    cost = _cost(turns, now.before.turn, now.parameters)
     for action, kept in zip(_LEFT, found.clearance.reshape(2, -1), strict=True):
         if kept.max() >= least:
             way = int(np.where(kept >= least, cost, np.inf).argmin())
@@ -213,24 +197,24 @@ def _displaced(
     (wanted, far), (turns, swing) = _candidates(now)
     shifts = shortened(displaced(now.velocity, wanted, p.times, p.acceleration), far)
     shifts += stopping_shift(now.policy.speed * now.policy.z_W, p.times, p.hold_time)
-    ways = now.ahead.look(shifts, now.turned(turns, swing), plenty=least, behind=_AS_GOOD)
+    ways = now.ahead.look(shifts, now.turned(turns, swing), plenty=least, behind=p.as_good)
     # Beyond the margin more is not better; and what stands still can always do so.
     worth = np.minimum(ways.clearance, least)
     still = min(stands, least)
     best = max(float(worth.max()), still)
     if not math.isfinite(best):
         return _at_its_limits(now, obstacle, ways, v_WO)
-    if min(goes_on, least) >= best - _AS_GOOD and goes_on > 0.0:
+    if min(goes_on, least) >= best - p.as_good and goes_on > 0.0:
         return now.left("going on", obstacle, goes_on)
-    good = worth >= max(best - _AS_GOOD, still)
+    good = worth >= max(best - p.as_good, still)
     if not good.any():
         return now.left("waiting", obstacle, stands)
-    cost = _cost(wanted, now.before.velocity) + _TURNING * _cost(turns, now.before.turn)
+    cost = _cost(wanted, now.before.velocity, p) + p.turning * _cost(turns, now.before.turn, p)
     if v_WO is not None:
         # Who runs ahead of it is followed; who steps aside is passed.
-        cost = cost + _AHEAD * np.maximum(wanted @ (v_WO / np.linalg.norm(v_WO)), 0.0)
+        cost = cost + p.along * np.maximum(wanted @ (v_WO / np.linalg.norm(v_WO)), 0.0)
     way = int(np.where(good, cost, np.inf).argmin())
-    if v_WO is None and not turns[way].any() and np.linalg.norm(wanted[way]) < _SLOW:
+    if v_WO is None and not turns[way].any() and np.linalg.norm(wanted[way]) < p.slow:
         return NOTHING_MOVES
     turn = turns[way] if turns[way].any() else np.zeros_like(now.before.turn)
     contact = _contact(now, ways, way, v_WO)
@@ -253,10 +237,10 @@ def _at_its_limits(now: _Now, obstacle: int, ways: Ways, v_WO: FloatArray | None
     return held if math.isinf(contact) else replace(held, action="caught", contact=contact)
 
 
-def _cost(wanted: FloatArray, before: FloatArray) -> FloatArray:
+def _cost(wanted: FloatArray, before: FloatArray, p: EvasionSettings) -> FloatArray:
     """(C,) of velocities (C, m): slow ones, and those like the last one, are cheap."""
     change = wanted - before if len(before) else wanted
-    return np.asarray(np.linalg.norm(wanted, axis=1) + _STEADY * np.linalg.norm(change, axis=1))
+    return np.asarray(np.linalg.norm(wanted, axis=1) + p.steady * np.linalg.norm(change, axis=1))
 
 
 def _name(obstacles: ObstaclePoints, row: int) -> int:
@@ -273,7 +257,7 @@ def _turns(now: _Now) -> _Wanted:
     if most == 0.0 or not free.shape[1]:
         return np.zeros((0, len(now.turning))), np.zeros(0)
     both = np.concatenate([free.T, -free.T])
-    shares, reach = (_FULL, _FULL, _HALF), (math.inf, _SHORT_TURN, math.inf)
+    shares, reach = (_FULL, _FULL, _HALF), (math.inf, now.parameters.short_turn, math.inf)
     turns = np.concatenate([share * most * both for share in shares])
     far = np.repeat(reach, len(both))
     if now.before.turn.any():
@@ -294,15 +278,15 @@ def _candidates(now: _Now) -> tuple[_Wanted, _Wanted]:
     if speed > 1e-3:
         along = along * min(1.0, p.speed / speed)
     fast, slow = (share * p.speed * DIRECTIONS for share in (_FULL, _HALF))
-    plain = np.concatenate([first, along[None], fast, slow, *[fast] * len(_SHORT_WAYS)])
+    plain = np.concatenate([first, along[None], fast, slow, *[fast] * len(p.short_ways)])
     far = np.full(len(plain), np.inf)
-    far[-len(fast) * len(_SHORT_WAYS) :] = np.repeat(_SHORT_WAYS, len(fast))
+    far[-len(fast) * len(p.short_ways) :] = np.repeat(p.short_ways, len(fast))
     turns, swing = _turns(now)
     with_turn = np.concatenate([first, p.speed * _FACES])
     none, both = np.zeros((len(plain), len(now.turning))), len(with_turn) * len(turns)
     return (
         np.concatenate([plain, np.repeat(with_turn, len(turns), axis=0)]),
-        np.concatenate([far, np.full(both, _SHORT_WAYS[0])]),
+        np.concatenate([far, np.full(both, p.short_ways[0])]),
     ), (
         np.concatenate([none, np.tile(turns, (len(with_turn), 1))]),
         np.concatenate([np.full(len(plain), np.inf), np.tile(swing, len(with_turn))]),

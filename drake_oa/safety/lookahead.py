@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,68 +13,7 @@ from drake_oa.geometry.points import GuardShapes, ObstaclePoints
 from drake_oa.posture.null_space_coupling import null_space_basis
 from drake_oa.robot.reachability import annulus_margin
 from drake_oa.safety import lookahead_kernels as kernels
-
-_TABLE_ALLOWANCE = 0.06
-"""A distance to the table counts as this much more than one to an obstacle [m]."""
-_JOINT_MARGIN = 0.1
-"""What a way keeps from the joints' limits [rad]."""
-_SHARE = 0.9
-"""Share of the joints' speed limits that a way may take."""
-
-
-@dataclass(frozen=True)
-class EvasionParameters:
-    """What is kept from what moves.
-
-    Attributes:
-        margin: distance of any link to what moves below which the motion is not left as it
-            is [m].
-        release: how much more it has to be before it is left to itself again [m].
-        notice: the motion is left as it is while it keeps the margin for this long [s].
-        horizon: how far ahead other ways are looked at, at least that [s].
-        instants: how many instants until then.
-        speed: greatest speed of a displacement [m/s].
-        acceleration: greatest change of it [m/s^2].
-        turn_speed: greatest speed of the joints in the null space of the tool's task, the norm
-            of all [rad/s]; 0: the arm is not turned.
-        turn_acceleration: greatest change of it [rad/s^2].
-        growth: how much nearer an obstacle that moves may be, a second ahead [m/s].
-        padding: how far an obstacle's surface may lie outside its points [m].
-        hold_time: time in which the motion comes to rest [s].
-
-    Raises:
-        ValueError: for a value out of range.
-    """
-
-    margin: float = 0.05
-    release: float = 0.02
-    notice: float = 0.7
-    horizon: float = 1.2
-    instants: int = 12
-    speed: float = 0.6
-    acceleration: float = 6.0
-    turn_speed: float = 0.0
-    turn_acceleration: float = 10.0
-    growth: float = 0.02
-    padding: float = 0.01
-    hold_time: float = 0.25
-
-    def __post_init__(self) -> None:
-        if self.instants < 2:
-            raise ValueError(f"instants must be at least 2, not {self.instants}")
-        if self.notice > self.horizon:
-            raise ValueError(f"notice {self.notice} must be at most horizon {self.horizon} [s]")
-        for item in fields(self):
-            value = getattr(self, item.name)
-            may_be_zero = item.name in ("release", "growth", "padding", "turn_speed")
-            if not (0.0 < value < math.inf or (may_be_zero and value == 0.0)):
-                kind = "not negative" if may_be_zero else "positive"
-                raise ValueError(f"{item.name} must be finite and {kind}, not {value}")
-
-    @property
-    def times(self) -> FloatArray:
-        """(K,) instants that are looked at [s]."""
-        return np.linspace(0.0, self.horizon, self.instants + 1)[1:]
+from drake_oa.safety.config import EvasionParameters, EvasionSettings
 
 
 def posed_arm(
@@ -85,6 +24,7 @@ def posed_arm(
     shapes: GuardShapes,
     X_WB: FloatArray,
     moved: BoolArray,
+    parameters: EvasionParameters,
 ) -> kernels.Arm:
     """Lays out an arm.
 
@@ -96,6 +36,7 @@ def posed_arm(
         shapes: the robot's primitives.
         X_WB: (B, 4, 4) poses of its bodies.
         moved: (B, n) whether a joint moves a body; the joints are in a row.
+        parameters: what is kept of the limits.
     """
     screws = np.array(J.T, order="C")
     # The velocity of the point of each joint's body that is at the origin.
@@ -108,9 +49,9 @@ def posed_arm(
         screws=screws,
         p_WE=np.array(p_WE, dtype=float),
         q=np.array(q, dtype=float),
-        lower=lower + _JOINT_MARGIN,
-        upper=upper - _JOINT_MARGIN,
-        speed=_SHARE * speed,
+        lower=lower + parameters.joint_margin,
+        upper=upper - parameters.joint_margin,
+        speed=parameters.speed_share * speed,
         free=np.ascontiguousarray(null_space_basis(J)),
         joint=joint[on],
         X_WG=np.ascontiguousarray(X_WG),
@@ -146,7 +87,7 @@ class Lookout:
         obstacles: ObstaclePoints,
         table: FloatArray,
         age: float,
-        parameters: EvasionParameters,
+        parameters: EvasionSettings,
         *,
         table_height: float = -math.inf,
         annulus: FloatArray | None = None,
@@ -172,7 +113,7 @@ class Lookout:
             damping=1e-5,
             miss=0.015,
             growth=parameters.growth,
-            table_allowance=_TABLE_ALLOWANCE,
+            table_allowance=parameters.table_allowance,
             most=parameters.margin + parameters.release + parameters.padding + 0.03,
         )
 

@@ -10,16 +10,13 @@ import numpy as np
 from drake_oa.common.messages import Evasion, FloatArray, TablePlane
 from drake_oa.geometry.points import GuardShapes, ObstaclePoints
 from drake_oa.safety import approach_kernels as kernels
-from drake_oa.safety.supervision import NO_DEMAND, Demand, SupervisorParameters, SupervisorState
-
-_SLOWEST = 0.1
-"""Old frames, torque saturation and speed limits of joints do not slow a motion below this."""
-_BACK_OFF = 0.7
-"""Each `saturation_time` of torque saturation slows the motion by this factor."""
+from drake_oa.safety.approach_kernels import BrakingRules
+from drake_oa.safety.config import SupervisorSettings
+from drake_oa.safety.supervision import NO_DEMAND, Demand, SupervisorState
 
 
 def watch_observation(
-    obstacles: ObstaclePoints, time: float, parameters: SupervisorParameters, note: str = ""
+    obstacles: ObstaclePoints, time: float, parameters: SupervisorSettings, note: str = ""
 ) -> Demand:
     """Slows by the age of the last good observation, and holds beyond `max_age`.
 
@@ -40,8 +37,14 @@ def watch_observation(
     if age > parameters.max_age:
         return Demand(0.0, "unseen", reason)
     # The hold itself begins at that age, where the policy's own does.
-    scale = max(_SLOWEST, 1.0 - (age - fresh) / (parameters.max_age - fresh))
+    scale = max(parameters.slowest, 1.0 - (age - fresh) / (parameters.max_age - fresh))
     return Demand(scale, "unseen", reason)
+
+
+def braking_rules(parameters: SupervisorSettings) -> BrakingRules:
+    """What an approach keeps."""
+    p = parameters
+    return BrakingRules(p.stop_distance, p.padding, p.reaction_time, p.leave_scale)
 
 
 def watch_clearance(
@@ -52,7 +55,7 @@ def watch_clearance(
     obstacles: ObstaclePoints,
     table: TablePlane | None,
     time: float,
-    parameters: SupervisorParameters,
+    parameters: SupervisorSettings,
 ) -> Demand:
     """Slows an approach of any link to an obstacle or the table: see `drake_oa.safety.supervision`.
 
@@ -72,7 +75,7 @@ def watch_clearance(
         plane[:3], plane[3] = table.normal_W, table.offset
     age = min(max(time - obstacles.stamp, 0.0), parameters.max_age)
     scale, body, row, distance, _ = kernels.approach_limit(
-        X_WB, V_WB, shapes, obstacles.blocks, age, plane, parameters.rules
+        X_WB, V_WB, shapes, obstacles.blocks, age, plane, braking_rules(parameters)
     )
     if row == kernels.NOTHING:
         return NO_DEMAND
@@ -113,7 +116,7 @@ def watch_joints(
     v: FloatArray,
     v_full: FloatArray,
     scale: float,
-    parameters: SupervisorParameters,
+    parameters: SupervisorSettings,
 ) -> Demand:
     """Slows a joint that approaches a position limit, or goes faster than its own.
 
@@ -148,7 +151,7 @@ def watch_joints(
         )
     name = joints.names[fast]
     return Demand(
-        max(float(rate[fast]), _SLOWEST),
+        max(float(rate[fast]), parameters.slowest),
         f"{name} fast",
         f"{name} would be faster than {joints.speed[fast]:.2f} rad/s",
     )
@@ -168,7 +171,7 @@ def watch_evasion(evading: Evasion) -> Demand:
     return replace(held, reason=f"waits for {what}" if waits else f"evades {what}")
 
 
-def watch_tracking(error: float, parameters: SupervisorParameters) -> Demand:
+def watch_tracking(error: float, parameters: SupervisorSettings) -> Demand:
     """Slows from `tracking_slow` on, and holds from `tracking_hold`; error [m]."""
     least, most = parameters.tracking_slow, parameters.tracking_hold
     if error <= least:
@@ -182,7 +185,7 @@ def watch_torque(
     saturated: bool,
     time: float,
     elapsed: float,
-    parameters: SupervisorParameters,
+    parameters: SupervisorSettings,
 ) -> tuple[SupervisorState, Demand]:
     """Slows while torques are saturated: by a factor each time, then linearly back.
 
@@ -199,7 +202,7 @@ def watch_torque(
     elif since == math.inf:
         since = time
     elif time - since >= parameters.saturation_time - 1e-9:
-        since, scale = time, max(_SLOWEST, _BACK_OFF * scale)
+        since, scale = time, max(parameters.slowest, parameters.back_off * scale)
     if since != state.saturated_since or scale != state.torque_scale:
         state = replace(state, saturated_since=since, torque_scale=scale)
     if scale >= 1.0:

@@ -16,6 +16,7 @@ from pydrake.systems.framework import (
     State,
 )
 
+from drake_oa.common.config import check_values
 from drake_oa.common.messages import (
     Evasion,
     FloatArray,
@@ -37,8 +38,9 @@ from drake_oa.geometry.collision_shapes import RobotModel
 from drake_oa.geometry.directions import ramped
 from drake_oa.geometry.points import GuardShapes, ObstaclePoints
 from drake_oa.policy.dmp import Dmp, normalised_time
+from drake_oa.safety.config import EvasionParameters, EvasionSettings, settings
 from drake_oa.safety.evasion import NOTHING_MOVES, choose, left_alone
-from drake_oa.safety.lookahead import EvasionParameters, Lookout, posed_arm
+from drake_oa.safety.lookahead import Lookout, posed_arm
 from drake_oa.safety.lookahead_kernels import Arm
 from drake_oa.safety.supervisor import arm_joints
 
@@ -104,6 +106,9 @@ class ObstacleEvasion(LeafSystem):
         step: float = 0.005,
         max_age: float = 0.5,
         parameters: EvasionParameters | None = None,
+        padding: float = 0.01,
+        hold_time: float = 0.25,
+        turns: bool = True,
         table: TablePlane | None = None,
         table_height: float = -math.inf,
         annulus: FloatArray | None = None,
@@ -120,6 +125,9 @@ class ObstacleEvasion(LeafSystem):
             step: time between steps of the velocity [s].
             max_age: an older observation is not looked at [s].
             parameters: what is kept; None: the defaults.
+            padding: how far an obstacle's surface may lie outside its points [m].
+            hold_time: in which the motion comes to rest [s].
+            turns: whether something turns the arm as `evading` asks.
             table: the supporting plane until one is observed; None: none.
             table_height: least height of the tool point over the table [m].
             annulus: workspace of the tool point, see `drake_oa.safety.evasion.Lookout`.
@@ -139,7 +147,9 @@ class ObstacleEvasion(LeafSystem):
         self._joints, self._moved, self._limits = arm_joints(robot, self._frame.body().index())
         self._dmp, self._step_length = dmp, valid_period(step)
         self._max_age = max_age
-        self._parameters = parameters or EvasionParameters()
+        derived = settings(parameters or EvasionParameters(), padding=padding, hold_time=hold_time)
+        self._parameters = EvasionSettings(**derived | ({} if turns else {"turn_speed": 0.0}))
+        check_values(self._parameters, "evasion")
         self._table, self._table_height = table, table_height
         self._annulus = None if annulus is None else np.array(annulus, dtype=float)
         self._thinking = thinking
@@ -272,6 +282,7 @@ class ObstacleEvasion(LeafSystem):
             self._shapes,
             self._robot.body_poses(model),
             self._moved,
+            self._parameters,
         )
 
 

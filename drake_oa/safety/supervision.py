@@ -18,88 +18,17 @@ that the policy can follow, and never nearer than d_stop.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from drake_oa.common.messages import Frozen, ObstacleClouds, TablePlane
 from drake_oa.geometry.points import ObstaclePoints
-from drake_oa.safety.approach_kernels import BrakingRules
+from drake_oa.safety.config import SupervisorSettings
 
 Action = Literal["run", "slow", "hold", "stop"]
 
 _RUNNING, _SLOW = 0.99, 0.95
 """A motion is slow below the second, and again free above the first."""
-_DWELL = 0.5
-"""An event lasts this long at least before another of the same action is told [s]."""
-
-
-@dataclass(frozen=True)
-class SupervisorParameters:
-    """What a supervised motion keeps.
-
-    Attributes:
-        stop_distance: distance between a link and an obstacle or the table at which an
-            approach has come to rest [m].
-        padding: how far an obstacle's surface may lie outside its points [m].
-        reaction_time: time in which the motion comes to rest from full speed [s].
-        leave_scale: share of full speed at which a link nearer than that may leave; a motion
-            that is held does so only if it is `resume_above` at least.
-        frame_period: time between observations [s].
-        stale_frames: an observation older than this many periods slows the motion.
-        max_age: one older than this holds it [s].
-        joint_margin: distance of a joint from its position limit at which an
-            approach has come to rest [rad].
-        tracking_slow, tracking_hold: tracking error of the tool point that begins to slow
-            the motion, and that holds it [m].
-        saturation_time: torque saturation that lasts longer slows the motion [s].
-        recovery_time: time in which the speed rises from rest to full [s].
-        hold_below: a demand below this share of full speed holds the motion.
-        resume_above: a held motion goes on when all demands are above this.
-        patience: a hold that will not end by itself is called a stop after this time [s].
-
-    Raises:
-        ValueError: for a value out of range.
-    """
-
-    stop_distance: float = 0.025
-    padding: float = 0.005
-    reaction_time: float = 0.3
-    leave_scale: float = 0.3
-    frame_period: float = 1.0 / 15.0
-    stale_frames: float = 2.5
-    max_age: float = 0.5
-    joint_margin: float = 0.02
-    tracking_slow: float = 0.02
-    tracking_hold: float = 0.05
-    saturation_time: float = 0.1
-    recovery_time: float = 1.0
-    hold_below: float = 0.05
-    resume_above: float = 0.3
-    patience: float = 3.0
-
-    def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            least = 0.0 if item.name in ("stop_distance", "padding", "joint_margin") else None
-            if not (0.0 < value < math.inf or value == least):
-                kind = "positive" if least is None else "not negative"
-                raise ValueError(f"{item.name} must be finite and {kind}, not {value}")
-        if not self.tracking_slow < self.tracking_hold:
-            raise ValueError(
-                f"tracking_hold {self.tracking_hold} must be more than tracking_slow "
-                f"{self.tracking_slow} [m]"
-            )
-        if not self.hold_below <= self.resume_above < 1.0 or self.leave_scale > 1.0:
-            raise ValueError(
-                f"hold_below {self.hold_below}, resume_above {self.resume_above}, leave_scale "
-                f"{self.leave_scale}: the first must be at most the second, and that below 1; "
-                "the last at most 1"
-            )
-
-    @property
-    def rules(self) -> BrakingRules:
-        """What an approach keeps."""
-        return BrakingRules(self.stop_distance, self.padding, self.reaction_time, self.leave_scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +144,7 @@ def decide(
     demands: list[Demand],
     time: float,
     elapsed: float,
-    parameters: SupervisorParameters,
+    parameters: SupervisorSettings,
     *,
     waits: bool = False,
 ) -> SupervisorState:
@@ -247,7 +176,7 @@ def decide(
         action = "hold"
     elif before.action == "run":
         action = "slow" if scale < _SLOW else "run"
-    elif scale < _RUNNING or held or time - before.since < _DWELL:
+    elif scale < _RUNNING or held or time - before.since < parameters.dwell:
         action = "slow"
     blocked_since = math.inf
     if (
@@ -263,7 +192,9 @@ def decide(
         cause = reason = ""
     elif tightest.scale >= 1.0 or (
         action == before.action
-        and (cause == state.cause or (time - before.since < _DWELL and not tightest.urgent))
+        and (
+            cause == state.cause or (time - before.since < parameters.dwell and not tightest.urgent)
+        )
     ):
         # The same event, or the way back from it: its first figures stay.
         cause, reason = state.cause, before.reason

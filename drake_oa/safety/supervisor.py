@@ -16,6 +16,7 @@ from pydrake.systems.framework import (
     State,
 )
 
+from drake_oa.common.config import check_values
 from drake_oa.common.messages import (
     BoolArray,
     Evasion,
@@ -30,6 +31,7 @@ from drake_oa.geometry.collision_shapes import RobotModel
 from drake_oa.geometry.points import GuardShapes
 from drake_oa.policy.action import SCALED_TO_REST
 from drake_oa.safety.approach_kernels import full_speed_motion
+from drake_oa.safety.config import SupervisorParameters, SupervisorSettings, settings
 from drake_oa.safety.monitors import (
     JointRange,
     watch_clearance,
@@ -42,7 +44,6 @@ from drake_oa.safety.monitors import (
 from drake_oa.safety.supervision import (
     Demand,
     Supervision,
-    SupervisorParameters,
     SupervisorState,
     broken,
     decide,
@@ -103,6 +104,10 @@ class Supervisor(LeafSystem):
         *,
         period: float = 0.008,
         parameters: SupervisorParameters | None = None,
+        padding: float = 0.005,
+        hold_time: float = 0.25,
+        frame_period: float = 1.0 / 15.0,
+        max_age: float = 0.5,
         table: TablePlane | None = None,
     ) -> None:
         """Declares the ports.
@@ -114,6 +119,10 @@ class Supervisor(LeafSystem):
             duration: T of the movement primitive [s].
             period: time between decisions [s].
             parameters: what is kept; None: the defaults.
+            padding: how far an obstacle's surface may lie outside its points [m].
+            hold_time: in which the policy comes to rest from full speed [s].
+            frame_period: time between observations [s].
+            max_age: an older observation holds the motion [s].
             table: the supporting plane until one is observed; None: none.
 
         Raises:
@@ -134,7 +143,17 @@ class Supervisor(LeafSystem):
         self._arm, self._moved, self._joints = arm_joints(robot, self._frame.body().index())
         self._duration = float(duration)
         self._period = valid_period(period)
-        self._parameters = parameters or SupervisorParameters()
+        parameters = parameters or SupervisorParameters()
+        self._parameters = SupervisorSettings(
+            **settings(
+                parameters,
+                padding=padding,
+                reaction_time=hold_time + parameters.lag,
+                frame_period=frame_period,
+                max_age=max_age,
+            )
+        )
+        check_values(self._parameters, "supervisor")
         self._n = n = plant.num_velocities()
 
         self._robot_state = self.DeclareVectorInputPort("robot_state", 2 * n)

@@ -20,6 +20,7 @@ from drake_oa.perception.config import DepthCamera, GroundTruth, RecordedClouds
 from drake_oa.policy.dmp import ALPHA_K, ALPHA_X, BETA_X
 from drake_oa.regulation.search import SearchParameters
 from drake_oa.robot.config import Robot
+from drake_oa.safety.config import EvasionParameters, SupervisorParameters
 from drake_oa.scenario.faults import Fault
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.perception import EllipsoidConfig as EllipsoidConfig
@@ -104,50 +105,6 @@ class Regressor:
 
 
 @dc.dataclass
-class Supervisor:
-    """What slows, holds or stops a motion of the robot that is not safe."""
-
-    # Distance of a link to an obstacle or the table at which an approach is at rest [m].
-    stop_distance: float = _number(0.025, "m", 0.0, 1.0)
-    # The controller comes to rest this much later than the policy, whose own time
-    # is `policy.hold_time` [s].
-    lag: float = _number(0.05, "s", 0.0, 10.0)
-    # Share of full speed at which a link that is nearer may leave; one where the motion is held
-    # leaves only with 0.3 or more.
-    leave_scale: float = _number(0.3, "1", 0.0, 1.0, open_low=True)
-    # Frames that may be missed before the motion slows; it is held at the age
-    # `policy.max_observation_age`.
-    stale_frames: float = _number(2.5, "1", 1.0, 1e6)
-    # Distance of a joint from its position limit at which an approach is at rest [rad].
-    joint_margin: float = _number(0.02, "rad", 0.0, 3.0)
-    # Tracking error of the tool point that begins to slow the motion, and that holds it [m].
-    tracking_slow: float = _number(0.02, "m", 0.0, 1.0, open_low=True)
-    tracking_hold: float = _number(0.05, "m", 0.0, 1.0, open_low=True)
-    # Torque saturation that lasts longer slows the motion [s].
-    saturation_time: float = _number(0.1, "s", 0.0, 10.0, open_low=True)
-    # Time in which the speed rises from rest to full [s].
-    recovery_time: float = _number(1.0, "s", 0.0, 60.0, open_low=True)
-    # A hold that cannot end by itself becomes a stop after this time [s].
-    patience: float = _number(3.0, "s", 0.0, 600.0, open_low=True)
-
-
-@dc.dataclass
-class Evasion:
-    """What gets the arm out of the way of what moves."""
-
-    # Distance of any link to what moves below which the motion is not left as it is [m].
-    margin: float = _number(0.05, "m", 0.0, 1.0, open_low=True)
-    # How far ahead it is looked, at least as far as a motion has to keep the margin [s].
-    horizon: float = _number(1.2, "s", 0.7, 10.0)
-    # Greatest speed [m/s] and acceleration [m/s^2] of the tool while it evades.
-    speed: float = _number(0.6, "m/s", 0.0, 5.0, open_low=True)
-    acceleration: float = _number(6.0, "m/s^2", 0.0, 50.0, open_low=True)
-    # Of the joints in the null space of the tool's task, the norm of all; 0: none.
-    turn_speed: float = _number(1.5, "rad/s", 0.0, 10.0)
-    turn_acceleration: float = _number(10.0, "rad/s^2", 0.0, 100.0, open_low=True)
-
-
-@dc.dataclass
 class Scenario:
     """Everything a run needs. Each field has a default; a file states the rest."""
 
@@ -175,10 +132,10 @@ class Scenario:
     # What the coupling parameters come from.
     regulation: Verified | Regressor = dc.field(default_factory=Verified)
     # What watches the motion of the robot, or null: nothing does.
-    supervisor: Supervisor | None = dc.field(default_factory=Supervisor)
+    supervisor: SupervisorParameters | None = dc.field(default_factory=SupervisorParameters)
     # What gets the arm out of the way of what moves, or null: nothing does; nor does anything
     # without a supervisor.
-    evasion: Evasion | None = dc.field(default_factory=Evasion)
+    evasion: EvasionParameters | None = dc.field(default_factory=EvasionParameters)
     # What decisions cost in simulated time, or null: they are in force at once.
     thinking: Thinking | None = dc.field(default_factory=Thinking)
     # Height of the table in the world; null: there is none [m].

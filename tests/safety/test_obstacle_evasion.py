@@ -14,7 +14,7 @@ from drake_oa.geometry.collision_shapes import RobotModel, collect_collision_sha
 from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
-from drake_oa.safety.lookahead import EvasionParameters
+from drake_oa.safety.config import EvasionParameters
 from drake_oa.safety.obstacle_evasion import ObstacleEvasion
 
 PARAMETERS = EvasionParameters()

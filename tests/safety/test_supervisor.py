@@ -15,7 +15,8 @@ from drake_oa.geometry.collision_shapes import RobotModel, collect_collision_sha
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
 from drake_oa.safety.approach_kernels import full_speed_motion
-from drake_oa.safety.supervision import Supervision, SupervisorParameters
+from drake_oa.safety.config import SupervisorParameters
+from drake_oa.safety.supervision import Supervision
 from drake_oa.safety.supervisor import Supervisor
 
 PERIOD, FRAME = 0.008, 1.0 / 15.0

@@ -7,7 +7,7 @@ import pytest
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.perception.config import CameraNoise, DepthCamera, GroundTruth, RecordedClouds
-from drake_oa.safety.lookahead import EvasionParameters
+from drake_oa.safety.config import EvasionParameters
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Regressor, Scenario, Verified
