@@ -29,9 +29,10 @@ from numba import njit
 from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
-from drake_oa.common.messages import FloatArray, Frozen, IntArray, ObstacleClouds, TablePlane
+from drake_oa.common.messages import FloatArray, Frozen, ObstacleClouds, TablePlane
 from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.common.ports import DECISION_OFFSET, read_value, valid_period
+from drake_oa.geometry.points import GuardShapes, PointBlocks
 from drake_oa.geometry.primitives import point_distance, posed, to_frame
 from drake_oa.policy.coupling_kernels import avoidance_term, norm
 from drake_oa.posture.arm_surroundings import ArmSurroundings
@@ -47,16 +48,8 @@ _FADES = 0.2
 @njit(cache=True, error_model="numpy")
 def nearest_section(
     X_WB: FloatArray,
-    body_sphere: FloatArray,
-    shape_body: IntArray,
-    X_BG: FloatArray,
-    size: FloatArray,
-    bound: FloatArray,
-    points: FloatArray,
-    block_start: IntArray,
-    block_owner: IntArray,
-    block_sphere: FloatArray,
-    v_WO: FloatArray,
+    shapes: GuardShapes,
+    blocks: PointBlocks,
     age: float,
     only: int,
     limit: float,
@@ -74,20 +67,17 @@ def nearest_section(
         The distance [m], negative inside, and the body; the limit and -1 where all of the
         obstacle is farther away.
     """
-    distance, shape, owner, row = nearest_point(
-        X_WB, body_sphere, shape_body, X_BG, size, bound, points, block_start, block_owner,
-        block_sphere, v_WO, age, only, limit,
-    )  # fmt: skip
+    distance, shape, owner, row = nearest_point(X_WB, shapes, blocks, age, only, limit)
     if shape < 0:
         return limit, -1
-    body = shape_body[shape]
+    body = shapes.shape_body[shape]
     X_WG = np.empty((3, 4))
-    posed(X_WB[body], X_BG[shape], X_WG)
+    posed(X_WB[body], shapes.X_BG[shape], X_WG)
     p_WQ = np.empty(3)
     for i in range(3):
-        p_WQ[i] = points[row, i] + v_WO[owner, i] * age
+        p_WQ[i] = blocks.points[row, i] + blocks.v_WO[owner, i] * age
     x, y, z = to_frame(X_WG, p_WQ[0] - X_WG[0, 3], p_WQ[1] - X_WG[1, 3], p_WQ[2] - X_WG[2, 3])
-    _, ux, uy, uz = point_distance(x, y, z, size[shape])
+    _, ux, uy, uz = point_distance(x, y, z, shapes.size[shape])
     for i in range(3):
         u_W[i] = X_WG[i, 0] * ux + X_WG[i, 1] * uy + X_WG[i, 2] * uz
         p_WS[i] = p_WQ[i] - distance * u_W[i]
@@ -263,13 +253,10 @@ def null_space_acceleration(
         return total
     X_WB = arm.poses(q)
     age = around.lag(time)
-    shapes = [np.array(array, order="C") for array in arm.shapes]
     p_WS, u_W, J_S, Z = np.empty(3), np.empty(3), np.empty((3, n)), np.empty((n, 0))
     for row, v_WO in enumerate(seen.v_WO):
-        distance, body = nearest_section(
-            X_WB, *shapes, seen.points, seen.start, seen.owner, seen.sphere, seen.v_WO,
-            age, row, parameters.reach + around.padding, p_WS, u_W,
-        )  # fmt: skip
+        reach = parameters.reach + around.padding
+        distance, body = nearest_section(X_WB, arm.shapes, seen.blocks, age, row, reach, p_WS, u_W)
         if body < 0:
             continue
         point_jacobian(X_WB, body, p_WS, J_S)

@@ -7,44 +7,94 @@ them once, and caches it on disk.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
-from drake_oa.robot.arm_kernels import lowest_height, nearest_point, poses, reach, self_distance
+from drake_oa.geometry.points import PointBlocks
+from drake_oa.robot.arm_kernels import (
+    Arm,
+    lowest_height,
+    nearest_point,
+    poses,
+    reach,
+    self_distance,
+)
 
 STEPS = 8
 """Newton steps onto a pose, at most."""
 TOLERANCE = 2e-4
 """Of a pose [m, rad]: the control law takes only what lies in the null space."""
-(
-    STOP,
-    ASKED,
-    PADDING,
-    SELF_STOP,
-    SELF_ASKED,
-    LIMIT_STOP,
-    LIMIT_ASKED,
-    SPEED_SHARE,
-    NEAR_WEIGHT,
-    SELF_WEIGHT,
-    LIMIT_WEIGHT,
-    MOTION_WEIGHT,
-    FORBIDDEN,
-    SLOPE,
-    LEAP,
-    RESERVE,
-    LEAP_OF_ANY,
-) = range(17)
-"""Where the rules of a plan are."""
-N_RULES = 17
 DISTANCE, SELF, LIMIT = range(3)
 """Columns of what is measured of a posture."""
 
 
+class Rules(NamedTuple):
+    """What a plan keeps, and its prices: see `drake_oa.posture.posture_plan`.
+
+    Attributes:
+        stop, asked: distances of the links to obstacles and table: forbidden below, wanted [m].
+        padding: a surface may lie this far outside its points [m].
+        self_stop, self_asked: the same of the links to each other [m].
+        limit_stop, limit_asked: the same of the joints to their limits [rad].
+        speed_share: share of the joints' speed limits that may be used.
+        near_weight, self_weight, limit_weight, motion_weight: prices.
+        forbidden, slope: price of what is forbidden, and how it rises.
+        leap, leap_of_any: how far the given joint, and any, may turn between layers [rad].
+        reserve: by how much more than the stop distance the samples keep [m].
+    """
+
+    stop: float
+    asked: float
+    padding: float
+    self_stop: float
+    self_asked: float
+    limit_stop: float
+    limit_asked: float
+    speed_share: float
+    near_weight: float
+    self_weight: float
+    limit_weight: float
+    motion_weight: float
+    forbidden: float
+    slope: float
+    leap: float
+    reserve: float
+    leap_of_any: float
+
+
+class Surroundings(NamedTuple):
+    """What an arm must not touch: points, and the table (4,), NaN: there is none."""
+
+    blocks: PointBlocks
+    table: FloatArray
+
+
+class ToolPath(NamedTuple):
+    """T samples of a motion of the tool.
+
+    Attributes:
+        p_WE, R_WE: (T, 3) and (T, 3, 3) of the tool [m].
+        s: (T,) normalised times, increasing.
+        ages: (T,) for how long the obstacles have moved by then [s].
+        rest: (T, n) what the null space rests in [rad].
+        seconds: duration of a unit of s [s].
+    """
+
+    p_WE: FloatArray
+    R_WE: FloatArray
+    s: FloatArray
+    ages: FloatArray
+    rest: FloatArray
+    seconds: float
+
+
 @njit(cache=True, error_model="numpy")
-def _limit_margin(q: FloatArray, lower: FloatArray, upper: FloatArray) -> float:
+def _limit_margin(q: FloatArray, arm: Arm) -> float:
+    """Least distance of a joint to its limits [rad]."""
+    lower, upper = arm.lower, arm.upper
     least = np.inf
     for i in range(len(q)):
         least = min(least, q[i] - lower[i], upper[i] - q[i])
@@ -59,9 +109,7 @@ def _take(
     p_WE: FloatArray,
     R_WE: FloatArray,
     fixed: int,
-    X_PJ: FloatArray,
-    lower: FloatArray,
-    upper: FloatArray,
+    arm: Arm,
     margin: float,
     X_WB: FloatArray,
     q: FloatArray,
@@ -71,8 +119,8 @@ def _take(
     q[node] = seed
     q[node, fixed] = values[node]
     found[node] = (
-        reach(q[node], p_WE, R_WE, fixed, X_PJ, X_WB, STEPS, TOLERANCE)
-        and _limit_margin(q[node], lower, upper) >= margin
+        reach(q[node], p_WE, R_WE, fixed, arm.X_PJ, X_WB, STEPS, TOLERANCE)
+        and _limit_margin(q[node], arm) >= margin
     )
 
 
@@ -84,9 +132,7 @@ def solve_row(
     seeds: FloatArray,
     seeded: BoolArray,
     fixed: int,
-    X_PJ: FloatArray,
-    lower: FloatArray,
-    upper: FloatArray,
+    arm: Arm,
     margin: float,
     X_WB: FloatArray,
     q: FloatArray,
@@ -98,12 +144,12 @@ def solve_row(
     seeded ones outward: all stay in the branch of the inverse kinematics that these are in.
 
     Args:
-        p_WE, R_WE, fixed, X_PJ: see `arm_kernels.reach`.
+        p_WE, R_WE, fixed: see `arm_kernels.reach`.
         values: (N,) of the joint, increasing [rad].
         seeds: (N, 7) [rad].
         seeded: (N,) whether there is a seed.
-        lower, upper: (7,) joint limits [rad].
-        margin: least distance of a posture to them [rad].
+        arm: which.
+        margin: least distance of a posture to the joints' limits [rad].
         X_WB: (8, 4, 4) to work in.
         q: (N, 7) receives the postures [rad].
         found: (N,) receives which there are.
@@ -113,62 +159,32 @@ def solve_row(
         found[j] = False
     for j in range(N):
         if seeded[j]:
-            _take(
-                j, seeds[j], values, p_WE, R_WE, fixed, X_PJ, lower, upper, margin, X_WB, q, found
-            )
+            _take(j, seeds[j], values, p_WE, R_WE, fixed, arm, margin, X_WB, q, found)
     for j in range(1, N):
         if not found[j] and found[j - 1]:
-            _take(
-                j, q[j - 1], values, p_WE, R_WE, fixed, X_PJ, lower, upper, margin, X_WB, q, found
-            )
+            _take(j, q[j - 1], values, p_WE, R_WE, fixed, arm, margin, X_WB, q, found)
     for j in range(N - 2, -1, -1):
         if not found[j] and found[j + 1]:
-            _take(
-                j, q[j + 1], values, p_WE, R_WE, fixed, X_PJ, lower, upper, margin, X_WB, q, found
-            )
+            _take(j, q[j + 1], values, p_WE, R_WE, fixed, arm, margin, X_WB, q, found)
 
 
 @njit(cache=True, error_model="numpy")
 def measure(
-    X_WB: FloatArray,
-    age: float,
-    body_sphere: FloatArray,
-    shape_body: IntArray,
-    X_BG: FloatArray,
-    size: FloatArray,
-    bound: FloatArray,
-    part_body: IntArray,
-    part_first: IntArray,
-    part_sphere: FloatArray,
-    rod: FloatArray,
-    rod_radius: FloatArray,
-    pairs: IntArray,
-    points: FloatArray,
-    block_start: IntArray,
-    block_owner: IntArray,
-    block_sphere: FloatArray,
-    v_WO: FloatArray,
-    table: FloatArray,
-    rules: FloatArray,
+    X_WB: FloatArray, age: float, arm: Arm, around: Surroundings, rules: Rules
 ) -> tuple[float, int, float]:
-    """What a posture keeps; arguments as of `arm_kernels`.
+    """What a posture keeps, its bodies being posed and the obstacles having moved for `age` [s].
 
     Returns:
         Distance to obstacles and table [m], the obstacle (-1: none is nearer than the table
         or than what is asked), and the distance of the parts to each other [m].
     """
-    far = rules[ASKED] + rules[PADDING]
-    distance, _, nearest, _ = nearest_point(
-        X_WB, body_sphere, shape_body, X_BG, size, bound,
-        points, block_start, block_owner, block_sphere, v_WO, age, -1, far,
-    )  # fmt: skip
-    distance -= rules[PADDING]
-    height = lowest_height(X_WB, shape_body, X_BG, size, table)
+    far = rules.asked + rules.padding
+    distance, _, nearest, _ = nearest_point(X_WB, arm.shapes, around.blocks, age, -1, far)
+    distance -= rules.padding
+    height = lowest_height(X_WB, arm.shapes, around.table)
     if height < distance:
         distance, nearest = height, -1
-    apart = self_distance(
-        X_WB, part_body, part_first, part_sphere, rod, rod_radius, pairs, rules[SELF_ASKED]
-    )
+    apart = self_distance(X_WB, arm.parts, rules.self_asked)
     return distance, nearest, apart
 
 
@@ -181,63 +197,74 @@ def _lacking(value: float, stop: float, asked: float) -> float:
 @njit(cache=True, error_model="numpy")
 def price(
     q: FloatArray,
-    posture: FloatArray,
-    mass: FloatArray,
-    lower: FloatArray,
-    upper: FloatArray,
+    rest: FloatArray,
+    arm: Arm,
     distance: float,
     apart: float,
     ds: float,
-    rules: FloatArray,
+    rules: Rules,
 ) -> float:
     """Cost of being in a posture for ds of normalised time; see `posture_plan`."""
     n = len(q)
     away = 0.0
     for i in range(n):
         for j in range(n):
-            away += (q[i] - posture[i]) * mass[i, j] * (q[j] - posture[j])
-    near = _lacking(distance, rules[STOP] + rules[RESERVE], rules[ASKED])
-    close = _lacking(apart, rules[SELF_STOP], rules[SELF_ASKED])
-    margin = _limit_margin(q, lower, upper)
-    tight = _lacking(margin, rules[LIMIT_STOP], rules[LIMIT_ASKED])
-    cost = away + rules[NEAR_WEIGHT] * near**2 + rules[SELF_WEIGHT] * close**2
-    cost += rules[LIMIT_WEIGHT] * tight**2
+            away += (q[i] - rest[i]) * arm.mass[i, j] * (q[j] - rest[j])
+    near = _lacking(distance, rules.stop + rules.reserve, rules.asked)
+    close = _lacking(apart, rules.self_stop, rules.self_asked)
+    margin = _limit_margin(q, arm)
+    tight = _lacking(margin, rules.limit_stop, rules.limit_asked)
+    cost = away + rules.near_weight * near**2 + rules.self_weight * close**2
+    cost += rules.limit_weight * tight**2
     cost *= ds
     for lacking in (near, close):
         if lacking > 1.0:
-            cost += rules[FORBIDDEN] + rules[SLOPE] * (lacking - 1.0)
+            cost += rules.forbidden + rules.slope * (lacking - 1.0)
     return cost
 
 
 @njit(cache=True, error_model="numpy")
 def edge(
-    one: FloatArray, other: FloatArray, ds: float, seconds: float, fixed: int,
-    speed: FloatArray, mass: FloatArray, rules: FloatArray,
-) -> float:  # fmt: skip
+    one: FloatArray,
+    other: FloatArray,
+    ds: float,
+    seconds: float,
+    fixed: int,
+    arm: Arm,
+    rules: Rules,
+) -> float:
     """Cost of going from one posture to another within ds of normalised time."""
     n = len(one)
-    if abs(other[fixed] - one[fixed]) > rules[LEAP]:
+    if abs(other[fixed] - one[fixed]) > rules.leap:
         return np.inf
     moved, rate = 0.0, 0.0
     for i in range(n):
         d = other[i] - one[i]
-        moved += mass[i, i] * d * d
-        rate = max(rate, abs(d) / speed[i])
-        if abs(d) > rules[LEAP_OF_ANY]:
+        moved += arm.mass[i, i] * d * d
+        rate = max(rate, abs(d) / arm.speed[i])
+        if abs(d) > rules.leap_of_any:
             return np.inf
-    cost = rules[MOTION_WEIGHT] * moved / ds
-    rate /= rules[SPEED_SHARE] * seconds * ds
+    cost = rules.motion_weight * moved / ds
+    rate /= rules.speed_share * seconds * ds
     if rate > 1.0:
-        cost += rules[FORBIDDEN] + rules[SLOPE] * (rate - 1.0)
+        cost += rules.forbidden + rules.slope * (rate - 1.0)
     return cost
 
 
 @njit(cache=True, error_model="numpy")
 def best_way(
-    start: FloatArray, q: FloatArray, found: BoolArray, cost: FloatArray, s: FloatArray,
-    seconds: float, window: int, first: int, fixed: int, speed: FloatArray, mass: FloatArray,
-    rules: FloatArray, chosen: IntArray,
-) -> float:  # fmt: skip
+    start: FloatArray,
+    q: FloatArray,
+    found: BoolArray,
+    cost: FloatArray,
+    path: ToolPath,
+    window: int,
+    first: int,
+    fixed: int,
+    arm: Arm,
+    rules: Rules,
+    chosen: IntArray,
+) -> float:
     """Viterbi's algorithm over layers of postures.
 
     Args:
@@ -245,20 +272,18 @@ def best_way(
         q: (T, N, n) postures of each layer; the first layer is not used [rad].
         found: (T, N) which there are.
         cost: (T, N) of being there.
-        s: (T,) normalised times.
-        seconds: duration of a unit of s [s].
+        path: of the tool.
         window: columns that one layer's posture may differ from that of the last: nothing is
             known of what is between them.
         first: column of the start.
         fixed: the joint that the columns are of.
-        speed: (n,) velocity limits [rad/s].
-        mass: (n, n) metric.
-        rules: see `STOP`.
+        arm, rules: which, and what is kept.
         chosen: (T,) receives the column of each layer but the first.
 
     Returns:
         The cost; inf where no way leads through all layers.
     """
+    s, seconds = path.s, path.seconds
     T, N = found.shape
     total = np.full((T, N), np.inf)
     back = np.full((T, N), -1, dtype=np.int64)
@@ -269,7 +294,7 @@ def best_way(
                 continue
             if t == 1:
                 if abs(j - first) <= window:
-                    best, came = edge(start, q[t, j], ds, seconds, fixed, speed, mass, rules), 0
+                    best, came = edge(start, q[t, j], ds, seconds, fixed, arm, rules), 0
                 else:
                     best, came = np.inf, -1
             else:
@@ -277,7 +302,7 @@ def best_way(
                 for i in range(max(0, j - window), min(N, j + window + 1)):
                     if total[t - 1, i] < best:
                         to = total[t - 1, i] + edge(
-                            q[t - 1, i], q[t, j], ds, seconds, fixed, speed, mass, rules
+                            q[t - 1, i], q[t, j], ds, seconds, fixed, arm, rules
                         )
                         if to < best:
                             best, came = to, i
@@ -297,29 +322,28 @@ def best_way(
 
 @njit(cache=True, error_model="numpy")
 def plan_rows(
-    path: FloatArray, R_WE: FloatArray, s: FloatArray, ages: FloatArray, values: FloatArray,
-    start: FloatArray, guess: FloatArray, seconds: float, window: int, fixed: int,
-    X_PJ: FloatArray, posture: FloatArray, mass: FloatArray, lower: FloatArray, upper: FloatArray,
-    speed: FloatArray, body_sphere: FloatArray, shape_body: IntArray, X_BG: FloatArray,
-    size: FloatArray, bound: FloatArray, part_body: IntArray, part_first: IntArray,
-    part_sphere: FloatArray, rod: FloatArray, rod_radius: FloatArray, pairs: IntArray,
-    points: FloatArray, block_start: IntArray, block_owner: IntArray, block_sphere: FloatArray,
-    v_WO: FloatArray, table: FloatArray, rules: FloatArray, way: FloatArray,
-) -> tuple[float, int]:  # fmt: skip
+    path: ToolPath,
+    values: FloatArray,
+    start: FloatArray,
+    guess: FloatArray,
+    window: int,
+    fixed: int,
+    arm: Arm,
+    around: Surroundings,
+    rules: Rules,
+    way: FloatArray,
+) -> tuple[float, int]:
     """The cheapest way of an arm along a path of its tool through a grid of postures.
 
     Args:
-        path: (T, 3) the tool point [m].
-        R_WE: (T, 3, 3) its orientation.
-        s: (T,) normalised times, increasing.
-        ages: (T,) for how long the obstacles have moved by then [s].
+        path: of the tool.
         values: (T, N) of the joint that is given, increasing along the rows [rad].
         start: (n,) where the arm is at the first sample [rad].
         guess: (T, n) postures whose columns are the middle ones; (0, n): there are none, and
             each layer begins at the solutions of the one before it.
-        seconds, window: see `best_way`.
+        window: see `best_way`.
         fixed: the joint that is given.
-        posture: (T, n) what the null space rests in [rad].
+        arm, around, rules: which, among what, and what is kept.
         way: (T, n) receives the postures [rad].
 
     Returns:
@@ -341,27 +365,29 @@ def plan_rows(
         else:
             seeds[:], seeded[:] = q[t - 1], found[t - 1]
         solve_row(
-            path[t], R_WE[t], values[t], seeds, seeded, fixed, X_PJ, lower, upper,
-            rules[LIMIT_STOP], X_WB, q[t], found[t],
-        )  # fmt: skip
+            path.p_WE[t],
+            path.R_WE[t],
+            values[t],
+            seeds,
+            seeded,
+            fixed,
+            arm,
+            rules.limit_stop,
+            X_WB,
+            q[t],
+            found[t],
+        )
         if t == 0:
             continue
         for j in range(N):
             if found[t, j]:
-                poses(q[t, j], X_PJ, X_WB)
-                distance, _, apart = measure(
-                    X_WB, ages[t], body_sphere, shape_body, X_BG, size, bound, part_body,
-                    part_first, part_sphere, rod, rod_radius, pairs, points, block_start,
-                    block_owner, block_sphere, v_WO, table, rules,
-                )  # fmt: skip
+                poses(q[t, j], arm.X_PJ, X_WB)
+                distance, _, apart = measure(X_WB, path.ages[t], arm, around, rules)
                 measured += 1
-                cost[t, j] = price(
-                    q[t, j], posture[t], mass, lower, upper, distance, apart, s[t] - s[t - 1], rules
-                )
+                ds = path.s[t] - path.s[t - 1]
+                cost[t, j] = price(q[t, j], path.rest[t], arm, distance, apart, ds, rules)
     chosen = np.zeros(T, dtype=np.int64)
-    answer = best_way(
-        start, q, found, cost, s, seconds, window, first, fixed, speed, mass, rules, chosen
-    )
+    answer = best_way(start, q, found, cost, path, window, first, fixed, arm, rules, chosen)
     if math.isfinite(answer):
         way[0] = start
         for t in range(1, T):
@@ -371,14 +397,15 @@ def plan_rows(
 
 @njit(cache=True, error_model="numpy")
 def measure_way(
-    way: FloatArray, ages: FloatArray, X_PJ: FloatArray, lower: FloatArray, upper: FloatArray,
-    body_sphere: FloatArray, shape_body: IntArray, X_BG: FloatArray,
-    size: FloatArray, bound: FloatArray, part_body: IntArray, part_first: IntArray,
-    part_sphere: FloatArray, rod: FloatArray, rod_radius: FloatArray, pairs: IntArray,
-    points: FloatArray, block_start: IntArray, block_owner: IntArray, block_sphere: FloatArray,
-    v_WO: FloatArray, table: FloatArray, rules: FloatArray, kept: FloatArray, nearest: IntArray,
-) -> None:  # fmt: skip
-    """What an arm keeps on its way (T, n); arguments as above.
+    way: FloatArray,
+    ages: FloatArray,
+    arm: Arm,
+    around: Surroundings,
+    rules: Rules,
+    kept: FloatArray,
+    nearest: IntArray,
+) -> None:
+    """What an arm keeps on its way (T, n), the obstacles having moved for `ages` (T,) [s].
 
     Args:
         kept: (T, 3) receives distance to obstacles and table, of the parts to each other
@@ -387,10 +414,6 @@ def measure_way(
     """
     X_WB = np.empty((way.shape[1] + 1, 4, 4))
     for t in range(len(way)):
-        poses(way[t], X_PJ, X_WB)
-        kept[t, DISTANCE], nearest[t], kept[t, SELF] = measure(
-            X_WB, ages[t], body_sphere, shape_body, X_BG, size, bound, part_body, part_first,
-            part_sphere, rod, rod_radius, pairs, points, block_start, block_owner, block_sphere,
-            v_WO, table, rules,
-        )  # fmt: skip
-        kept[t, LIMIT] = _limit_margin(way[t], lower, upper)
+        poses(way[t], arm.X_PJ, X_WB)
+        kept[t, DISTANCE], nearest[t], kept[t, SELF] = measure(X_WB, ages[t], arm, around, rules)
+        kept[t, LIMIT] = _limit_margin(way[t], arm)

@@ -26,7 +26,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -35,6 +35,7 @@ from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.common.thinking import count
 from drake_oa.posture import plan_kernels as kernels
 from drake_oa.posture.arm_surroundings import ArmSurroundings
+from drake_oa.posture.plan_kernels import Rules, ToolPath
 from drake_oa.posture.trace_kernels import plan_traced
 from drake_oa.robot.arm import ArmModel
 
@@ -113,15 +114,26 @@ class PostureParameters:
         if not 0.0 < self.speed_share <= 1.0:
             raise ValueError(f"speed_share must be in (0, 1], not {self.speed_share}")
 
-    def rules(self, padding: float) -> FloatArray:
-        """(17,) as the kernels take them."""
-        return np.array(
-            [
-                *(self.stop_distance, self.clearance, padding, self.self_stop),
-                *(self.self_clearance, self.limit_stop, self.limit_clearance, self.speed_share),
-                *(self.near_weight, self.self_weight, self.limit_weight, self.motion_weight),
-                *(_FORBIDDEN, _SLOPE, _LEAP, _RESERVES[0], _LEAP_OF_ANY),
-            ]
+    def rules(self, padding: float) -> Rules:
+        """As the kernels take them."""
+        return Rules(
+            stop=self.stop_distance,
+            asked=self.clearance,
+            padding=padding,
+            self_stop=self.self_stop,
+            self_asked=self.self_clearance,
+            limit_stop=self.limit_stop,
+            limit_asked=self.limit_clearance,
+            speed_share=self.speed_share,
+            near_weight=self.near_weight,
+            self_weight=self.self_weight,
+            limit_weight=self.limit_weight,
+            motion_weight=self.motion_weight,
+            forbidden=_FORBIDDEN,
+            slope=_SLOPE,
+            leap=_LEAP,
+            reserve=_RESERVES[0],
+            leap_of_any=_LEAP_OF_ANY,
         )
 
 
@@ -213,8 +225,7 @@ def plan_posture(
     rest = np.broadcast_to(arm.posture if posture is None else posture, (T, _JOINTS))
     ages = age + (s - s[0]) * seconds
     rules = parameters.rules(around.padding)
-    shared = _shared(arm, around, rest)
-    start = np.clip(q, arm.lower + rules[kernels.LIMIT_STOP], arm.upper - rules[kernels.LIMIT_STOP])
+    start = np.clip(q, arm.lower + rules.limit_stop, arm.upper - rules.limit_stop)
     low, high = start[REDUNDANT], start[REDUNDANT]
     low = min(low, arm.lower[REDUNDANT] + parameters.limit_stop)
     high = max(high, arm.upper[REDUNDANT] - parameters.limit_stop)
@@ -224,21 +235,21 @@ def plan_posture(
     columns = columns[(columns >= low - 1e-9) & (columns <= high + 1e-9)]
     values = np.broadcast_to(columns, (T, len(columns)))
     way = np.empty((T, _JOINTS))
-    before = kernel_arrays(path, R, s, ages)
+    tool = ToolPath(*kernel_arrays(path, R, s, ages, rest), float(seconds))
+    among = around.arrays
 
     def search(values: FloatArray, guess: FloatArray, window: int) -> float:
+        grid = kernel_arrays(values, start, guess)
         cost, measured = kernels.plan_rows(
-            *before, *kernel_arrays(values, start, guess), float(seconds), window, REDUNDANT,
-            *shared[0], *shared[1], rules, way,
-        )  # fmt: skip
+            tool, *grid, window, REDUNDANT, arm.arrays, among, rules, way
+        )
         count(postures=measured)
         return float(cost)
 
     def traced(guess: FloatArray, step: float, most: int) -> float:
         cost, measured = plan_traced(
-            *before, *kernel_arrays(start, guess), float(seconds), step, most, _NODES,
-            *shared[0], *shared[1], rules, way,
-        )  # fmt: skip
+            tool, *kernel_arrays(start, guess), step, most, _NODES, arm.arrays, among, rules, way
+        )
         count(postures=measured)
         return float(cost)
 
@@ -246,9 +257,9 @@ def plan_posture(
     best = PosturePlan(s=s, q=nothing, short=math.inf)
     for by_trace in (False, True) if thorough else (False,):
         if by_trace:
-            rules[kernels.LEAP], rules[kernels.SLOPE] = _LEAP_OF_ANY, _STEEP
+            rules = rules._replace(leap=_LEAP_OF_ANY, slope=_STEEP)
         for reserve in _RESERVES if thorough else _RESERVES[:1]:
-            rules[kernels.RESERVE] = reserve
+            rules = rules._replace(reserve=reserve)
             cost = traced(nothing, _TRACE, _NODES) if by_trace else search(values, nothing, _WINDOW)
             if not math.isfinite(cost):
                 break
@@ -258,7 +269,7 @@ def plan_posture(
             else:
                 search(guess[:, REDUNDANT, None] + fine, guess, _FINE_WINDOW)
             way[0] = q
-            plan = _described(arm, around, s, way, seconds, ages, rules, shared)
+            plan = _described(arm, around, s, way, seconds, ages, rules)
             if plan.short < best.short:
                 best = plan
             if best.short == 0.0 or parameters.clearance <= parameters.stop_distance + _RESERVES[1]:
@@ -286,23 +297,7 @@ def reviewed(
     times, way = np.array(plan.s[left]), np.array(plan.q[left])
     ages = age + (times - s) * seconds
     rules = parameters.rules(around.padding)
-    return _described(
-        arm, around, times, way, seconds, ages, rules, _shared(arm, around, arm.posture[None])
-    )
-
-
-def _shared(
-    arm: ArmModel, around: ArmSurroundings, rest: FloatArray
-) -> tuple[list[FloatArray], list[Any]]:
-    """What the kernels take of the arm's joints, at rest in (T, 7), and of all that may touch."""
-    joints = kernel_arrays(arm.X_PJ, rest, arm.mass, arm.lower, arm.upper, arm.speed)
-    seen = around.points
-    touching = [
-        *(np.array(a) for a in (*arm.shapes, *arm.parts)),
-        *(np.ascontiguousarray(a) for a in (seen.points, seen.start, seen.owner, seen.sphere)),
-        *kernel_arrays(seen.v_WO, around.table),
-    ]
-    return joints, touching
+    return _described(arm, around, times, way, seconds, ages, rules)
 
 
 def _described(
@@ -312,36 +307,39 @@ def _described(
     way: FloatArray,
     seconds: float,
     ages: FloatArray,
-    rules: FloatArray,
-    shared: tuple[list[FloatArray], list[Any]],
+    rules: Rules,
 ) -> PosturePlan:
     count(postures=2 * len(s) - 1)
     kept, nearest = np.empty((len(s), 3)), np.empty(len(s), dtype=np.int64)
-    X_PJ, _, _, lower, upper, speed = shared[0]
+    among = around.arrays
     kernels.measure_way(
-        np.ascontiguousarray(way), np.ascontiguousarray(ages), X_PJ, lower, upper,
-        *shared[1], rules, kept, nearest,
-    )  # fmt: skip
+        np.ascontiguousarray(way),
+        np.ascontiguousarray(ages),
+        arm.arrays,
+        among,
+        rules,
+        kept,
+        nearest,
+    )
     distance, apart, limit = (np.array(column) for column in kept.T)
     if len(s) > 1:
         halfway = np.empty((len(s) - 1, 3))
-        kernels.measure_way(
-            0.5 * (way[1:] + way[:-1]), 0.5 * (ages[1:] + ages[:-1]), X_PJ, lower, upper,
-            *shared[1], rules, halfway, np.empty(len(s) - 1, dtype=np.int64),
-        )  # fmt: skip
+        between = 0.5 * (way[1:] + way[:-1]), 0.5 * (ages[1:] + ages[:-1])
+        unused = np.empty(len(s) - 1, dtype=np.int64)
+        kernels.measure_way(*between, arm.arrays, among, rules, halfway, unused)
         # Each sample answers for the way to it.
         distance[2:] = np.minimum(distance[2:], halfway[1:, kernels.DISTANCE])
         apart[2:] = np.minimum(apart[2:], halfway[1:, kernels.SELF])
     hurry = 0.0
     if len(s) > 1:
         rate = np.abs(np.diff(way, axis=0)) / (np.diff(s)[:, None] * seconds)
-        hurry = float((rate / (speed * rules[kernels.SPEED_SHARE])).max())
+        hurry = float((rate / (arm.speed * rules.speed_share)).max())
     # Where the arm is now cannot be chosen; from too near it has to be left.
     first = 1 if len(s) > 1 else 0
-    left = _leaving(distance, float(rules[kernels.STOP]))
+    left = _leaving(distance, rules.stop)
     lacks = np.zeros(len(s))
-    lacks[left:] = rules[kernels.STOP] - distance[left:]
-    lacks[first:] = np.maximum(lacks[first:], rules[kernels.SELF_STOP] - apart[first:])
+    lacks[left:] = rules.stop - distance[left:]
+    lacks[first:] = np.maximum(lacks[first:], rules.self_stop - apart[first:])
     short = max(float(lacks.max()), 0.0)
     free = int((lacks > 0.0).argmax()) if short else len(s)
     return PosturePlan(s, np.array(way), distance, nearest, apart, limit, hurry, short, free)

@@ -15,17 +15,18 @@ import math
 import numpy as np
 from numba import njit
 
-from drake_oa.common.messages import FloatArray, IntArray
+from drake_oa.common.messages import FloatArray
 from drake_oa.posture.plan_kernels import (
-    LEAP_OF_ANY,
-    LIMIT_STOP,
     STEPS,
     TOLERANCE,
+    Rules,
+    Surroundings,
+    ToolPath,
     edge,
     measure,
     price,
 )
-from drake_oa.robot.arm_kernels import jacobian, pose_error, poses, solve_in_place
+from drake_oa.robot.arm_kernels import Arm, jacobian, pose_error, poses, solve_in_place
 
 _LONGEST_STEP = 0.5
 """Of a joint in one Newton step [rad]."""
@@ -114,9 +115,7 @@ def trace(
     R_WE: FloatArray,
     step: float,
     most: int,
-    X_PJ: FloatArray,
-    lower: FloatArray,
-    upper: FloatArray,
+    arm: Arm,
     margin: float,
     X_WB: FloatArray,
     q: FloatArray,
@@ -131,9 +130,8 @@ def trace(
         p_WE, R_WE: pose of the tool.
         step: from one posture to the next, in all joints together [rad].
         most: at most so many to each side.
-        X_PJ: see `arm_kernels.poses`.
-        lower, upper: (7,) joint limits [rad].
-        margin: least distance of a posture to them [rad].
+        arm: which.
+        margin: least distance of a posture to the joints' limits [rad].
         X_WB: (8, 4, 4) to work in.
         q: (N, 7) receives the postures after those that there are [rad].
         direction: (N, 7) receives the directions of the curve there.
@@ -142,6 +140,7 @@ def trace(
     Returns:
         How many there are then.
     """
+    X_PJ, lower, upper = arm.X_PJ, arm.lower, arm.upper
     middle, tangent, one = seed.copy(), np.empty(len(seed)), np.empty(len(seed))
     if count == len(q) or not project(middle, p_WE, R_WE, along, X_PJ, X_WB):
         return count
@@ -172,9 +171,15 @@ def trace(
 
 @njit(cache=True, error_model="numpy")
 def _cheapest(
-    q: FloatArray, total: FloatArray, count: int, one: FloatArray, ds: float, seconds: float,
-    speed: FloatArray, mass: FloatArray, rules: FloatArray,
-) -> tuple[float, int]:  # fmt: skip
+    q: FloatArray,
+    total: FloatArray,
+    count: int,
+    one: FloatArray,
+    ds: float,
+    seconds: float,
+    arm: Arm,
+    rules: Rules,
+) -> tuple[float, int]:
     """The cheapest cost of coming to a posture from the layer before, and from which node."""
     best, came = np.inf, -1
     for i in range(count):
@@ -182,12 +187,12 @@ def _cheapest(
             continue
         far = False
         for k in range(len(one)):
-            if abs(q[i, k] - one[k]) > rules[LEAP_OF_ANY]:
+            if abs(q[i, k] - one[k]) > rules.leap_of_any:
                 far = True
                 break
         if far:
             continue
-        cost = total[i] + edge(q[i], one, ds, seconds, 2, speed, mass, rules)
+        cost = total[i] + edge(q[i], one, ds, seconds, 2, arm, rules)
         if cost < best:
             best, came = cost, i
     return best, came
@@ -195,19 +200,21 @@ def _cheapest(
 
 @njit(cache=True, error_model="numpy")
 def plan_traced(
-    path: FloatArray, R_WE: FloatArray, s: FloatArray, ages: FloatArray, start: FloatArray,
-    guess: FloatArray, seconds: float, step: float, most: int, N: int,
-    X_PJ: FloatArray, posture: FloatArray, mass: FloatArray, lower: FloatArray, upper: FloatArray,
-    speed: FloatArray, body_sphere: FloatArray, shape_body: IntArray, X_BG: FloatArray,
-    size: FloatArray, bound: FloatArray, part_body: IntArray, part_first: IntArray,
-    part_sphere: FloatArray, rod: FloatArray, rod_radius: FloatArray, pairs: IntArray,
-    points: FloatArray, block_start: IntArray, block_owner: IntArray, block_sphere: FloatArray,
-    v_WO: FloatArray, table: FloatArray, rules: FloatArray, way: FloatArray,
-) -> tuple[float, int]:  # fmt: skip
-    """As `posture_kernels.plan_rows`, with nodes along the null space.
+    path: ToolPath,
+    start: FloatArray,
+    guess: FloatArray,
+    step: float,
+    most: int,
+    N: int,
+    arm: Arm,
+    around: Surroundings,
+    rules: Rules,
+    way: FloatArray,
+) -> tuple[float, int]:
+    """As `plan_kernels.plan_rows`, with nodes along the null space.
 
     Args:
-        path, R_WE, s, ages, start, seconds, posture, rules: see there.
+        path, start, arm, around, rules: see there.
         guess: (T, 7) postures about which the nodes are; (0, 7): anywhere.
         step, most: see `trace`.
         N: nodes of a layer, at most.
@@ -216,6 +223,7 @@ def plan_traced(
     Returns:
         The cost, inf where there is no way, and how many postures were measured.
     """
+    s, X_PJ = path.s, arm.X_PJ
     T, n = len(s), len(start)
     q, direction = np.zeros((T, N, n)), np.zeros((N, n))
     total, back = np.full((T, N), np.inf), np.zeros((T, N), dtype=np.int64)
@@ -235,35 +243,49 @@ def plan_traced(
             if null_direction(X_WB, known[0].copy(), along):
                 known[0] = along
             many = trace(
-                guess[t], known[0], path[t], R_WE[t], step, most, X_PJ, lower, upper,
-                rules[LIMIT_STOP], X_WB, q[t], direction, many,
-            )  # fmt: skip
+                guess[t],
+                known[0],
+                path.p_WE[t],
+                path.R_WE[t],
+                step,
+                most,
+                arm,
+                rules.limit_stop,
+                X_WB,
+                q[t],
+                direction,
+                many,
+            )
         else:
             for i in range(count[t - 1]):
                 if math.isfinite(total[t - 1, i]):
                     many = trace(
-                        q[t - 1, i], known[i], path[t], R_WE[t], step, most, X_PJ, lower, upper,
-                        rules[LIMIT_STOP], X_WB, q[t], direction, many,
-                    )  # fmt: skip
+                        q[t - 1, i],
+                        known[i],
+                        path.p_WE[t],
+                        path.R_WE[t],
+                        step,
+                        most,
+                        arm,
+                        rules.limit_stop,
+                        X_WB,
+                        q[t],
+                        direction,
+                        many,
+                    )
             known[:many] = direction[:many]
         count[t] = many
         ds = s[t] - s[t - 1]
         for j in range(many):
             best, back[t, j] = _cheapest(
-                q[t - 1], total[t - 1], count[t - 1], q[t, j], ds, seconds, speed, mass, rules
+                q[t - 1], total[t - 1], count[t - 1], q[t, j], ds, path.seconds, arm, rules
             )
             if not math.isfinite(best):
                 continue
             poses(q[t, j], X_PJ, X_WB)
-            distance, _, apart = measure(
-                X_WB, ages[t], body_sphere, shape_body, X_BG, size, bound, part_body, part_first,
-                part_sphere, rod, rod_radius, pairs, points, block_start, block_owner,
-                block_sphere, v_WO, table, rules,
-            )  # fmt: skip
+            distance, _, apart = measure(X_WB, path.ages[t], arm, around, rules)
             measured += 1
-            total[t, j] = best + price(
-                q[t, j], posture[t], mass, lower, upper, distance, apart, ds, rules
-            )
+            total[t, j] = best + price(q[t, j], path.rest[t], arm, distance, apart, ds, rules)
     last = total[T - 1].argmin()
     answer = total[T - 1, last]
     if math.isfinite(answer):

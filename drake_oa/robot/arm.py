@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from pydrake.geometry import SceneGraphInspector
@@ -127,7 +128,7 @@ def _shapes(
     moved: dict[BodyIndex, int],
     robot: RobotModel,
     without: Sequence[str],
-) -> tuple[FloatArray | IntArray, ...]:
+) -> GuardShapes:
     """What may touch obstacles."""
     shapes = robot.shapes
     taken = [body in moved and plant.get_body(body).name() not in without for body in robot.bodies]
@@ -154,7 +155,7 @@ def _shapes(
         ),
         len(X_WJ),
     )
-    return laid.body_sphere, laid.shape_body, laid.X_BG, laid.size, laid.bound
+    return laid
 
 
 def _parts(
@@ -164,7 +165,7 @@ def _parts(
     X_WJ: list[RigidTransform],
     moved: dict[BodyIndex, int],
     robot: RobotModel,
-) -> tuple[FloatArray | IntArray, ...]:
+) -> kernels.Parts:
     """What may touch each other: each body a part, each shape a capsule that holds it."""
     shapes = robot.shapes
     rods: list[FloatArray] = []
@@ -200,7 +201,7 @@ def _parts(
         for j in range(i)
         if _may_touch(plant, inspector, moved, robot.bodies[i], robot.bodies[j])
     ]
-    return (
+    return kernels.Parts(
         np.array([moved.get(body, -1) for body in robot.bodies], dtype=np.int64),
         np.array(first, dtype=np.int64),
         np.array(spheres),
@@ -252,10 +253,8 @@ class ArmModel(Frozen):
         mass: (n, n) mass matrix there, as a metric [kg m^2].
         lower, upper: (n,) joint limits [rad].
         speed: (n,) their velocity limits [rad/s].
-        shapes: what may touch obstacles, as `arm_kernels.nearest_point` takes it: body_sphere,
-            shape_body, X_BG, size, bound.
-        parts: what may touch each other, as `arm_kernels.self_distance` takes it: part_body,
-            part_first, part_sphere, rod, rod_radius, pairs.
+        shapes: what may touch obstacles.
+        parts: what may touch each other.
     """
 
     index: IntArray
@@ -266,8 +265,14 @@ class ArmModel(Frozen):
     lower: FloatArray
     upper: FloatArray
     speed: FloatArray
-    shapes: tuple[FloatArray | IntArray, ...]
-    parts: tuple[FloatArray | IntArray, ...]
+    shapes: GuardShapes
+    parts: kernels.Parts
+
+    @cached_property
+    def arrays(self) -> kernels.Arm:
+        """As the kernels take it."""
+        own = kernel_arrays(self.X_PJ, self.mass, self.lower, self.upper, self.speed)
+        return kernels.Arm(*own, self.shapes, self.parts)
 
     def poses(self, q: FloatArray) -> FloatArray:
         """(n + 1, 4, 4) poses of the bodies, and of E, in the world."""

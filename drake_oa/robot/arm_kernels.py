@@ -7,17 +7,51 @@ arrays, so that numba compiles each of them once, and caches it on disk.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from drake_oa.common.messages import FloatArray, IntArray
+from drake_oa.geometry.points import GuardShapes, PointBlocks
 from drake_oa.geometry.primitives import deepest_point, point_distance, posed, to_frame
 from drake_oa.geometry.rotation import rotation_vector
 
 _LONGEST_STEP = 0.5
 """By how much a Newton step changes a joint at most [rad]."""
 _TINY = 1e-12
+
+
+class Parts(NamedTuple):
+    """What of an arm may touch each other: G parts, each of some capsules.
+
+    Attributes:
+        body: (G,) the body that each part is fixed to; -1: the world.
+        first: (G + 1,) where its capsules begin, and C.
+        sphere: (G, 4) centre, in the body's frame, and radius of a sphere that holds them [m].
+        rod: (C, 6) ends of each capsule's segment in the body's frame [m].
+        radius: (C,) [m].
+        pairs: (P, 2) the parts that may touch.
+    """
+
+    body: IntArray
+    first: IntArray
+    sphere: FloatArray
+    rod: FloatArray
+    radius: FloatArray
+    pairs: IntArray
+
+
+class Arm(NamedTuple):
+    """An arm of n revolute joints, see `drake_oa.robot.arm.ArmModel`."""
+
+    X_PJ: FloatArray
+    mass: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    speed: FloatArray
+    shapes: GuardShapes
+    parts: Parts
 
 
 @njit(cache=True, error_model="numpy")
@@ -177,16 +211,8 @@ def reach(
 @njit(cache=True, error_model="numpy")
 def nearest_point(
     X_WB: FloatArray,
-    body_sphere: FloatArray,
-    shape_body: IntArray,
-    X_BG: FloatArray,
-    size: FloatArray,
-    bound: FloatArray,
-    points: FloatArray,
-    block_start: IntArray,
-    block_owner: IntArray,
-    block_sphere: FloatArray,
-    v_WO: FloatArray,
+    shapes: GuardShapes,
+    blocks: PointBlocks,
     age: float,
     only: int,
     limit: float,
@@ -195,17 +221,8 @@ def nearest_point(
 
     Args:
         X_WB: (B, 4, 4) poses of the bodies, B at least as many as have shapes.
-        body_sphere: (B, 4) centre, in the body's frame, and radius of a sphere that holds
-            its shapes [m]; a negative radius: it has none.
-        shape_body: (S,) the body of each shape, ascending.
-        X_BG: (S, 4, 4) poses of the shapes in their bodies.
-        size: (S, 5) see `drake_oa.geometry.primitives.point_distance`.
-        bound: (S,) radii of spheres about the shapes' centres that hold them [m].
-        points: (N, 3) on the obstacles [m].
-        block_start: (K + 1,) where each block of points begins, and N.
-        block_owner: (K,) the obstacle's row.
-        block_sphere: (K, 4) centre and radius of a sphere that holds its points [m].
-        v_WO: (M, 3) velocities of the obstacles [m/s].
+        shapes: what of the arm may touch.
+        blocks: points on the obstacles, and the obstacles' velocities.
         age: for how long they have moved so since the points were seen [s].
         only: row of the obstacle that is asked for; -1: all.
         limit: a distance above it need not be known [m].
@@ -214,6 +231,8 @@ def nearest_point(
         The distance [m], rows of the shape, the obstacle and the point; the limit and -1
         where all is farther away.
     """
+    body_sphere, shape_body, X_BG, size, bound = shapes
+    points, block_start, block_owner, block_sphere, v_WO = blocks
     least, nearest_shape, nearest_owner, nearest_row = limit, -1, -1, -1
     X_WG = np.empty((3, 4))
     near = np.empty(len(block_owner), dtype=np.int64)
@@ -272,13 +291,7 @@ def nearest_point(
 
 
 @njit(cache=True, error_model="numpy")
-def lowest_height(
-    X_WB: FloatArray,
-    shape_body: IntArray,
-    X_BG: FloatArray,
-    size: FloatArray,
-    table: FloatArray,
-) -> float:
+def lowest_height(X_WB: FloatArray, shapes: GuardShapes, table: FloatArray) -> float:
     """Least height of an arm's shapes above a plane [m]; arguments as of `nearest_point`.
 
     The first body only turns on its base, and is left out.
@@ -286,6 +299,7 @@ def lowest_height(
     Args:
         table: (4,) unit normal and offset of the plane [m]; NaN: there is none.
     """
+    shape_body, X_BG, size = shapes.shape_body, shapes.X_BG, shapes.size
     least = np.inf
     if math.isnan(table[3]):
         return least
@@ -333,29 +347,15 @@ def segment_distance(p: FloatArray, q: FloatArray) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def self_distance(
-    X_WB: FloatArray,
-    part_body: IntArray,
-    part_first: IntArray,
-    part_sphere: FloatArray,
-    rod: FloatArray,
-    rod_radius: FloatArray,
-    pairs: IntArray,
-    limit: float,
-) -> float:
+def self_distance(X_WB: FloatArray, parts: Parts, limit: float) -> float:
     """Least distance of an arm's parts, each of some capsules, to each other [m].
 
     Args:
         X_WB: (B, 4, 4) poses of the bodies.
-        part_body: (G,) the body that each part is fixed to; -1: the world.
-        part_first: (G + 1,) where its capsules begin, and C.
-        part_sphere: (G, 4) centre, in the body's frame, and radius of a sphere that holds
-            them [m].
-        rod: (C, 6) ends of each capsule's segment in the body's frame [m].
-        rod_radius: (C,) [m].
-        pairs: (P, 2) the parts that may touch.
+        parts: which.
         limit: a distance above it need not be known [m].
     """
+    part_body, part_first, part_sphere, rod, rod_radius, pairs = parts
     ends = np.empty((len(rod), 6))
     center = np.empty((len(part_body), 3))
     for part in range(len(part_body)):

@@ -145,10 +145,7 @@ def test_the_section_is_the_nearest_and_its_jacobian_drakes(
     plant.SetPositions(context, np.append(q, [0.01, 0.01]))
     X_WB, seen = arm.poses(q), post(elbow(arm) + [0.0, 0.25, 0.0]).points
     p, u, J = np.empty(3), np.empty(3), np.empty((3, 7))
-    distance, body = kernels.nearest_section(
-        X_WB, *(np.array(a) for a in arm.shapes), seen.points, seen.start, seen.owner,
-        seen.sphere, seen.v_WO, 0.0, 0, 1.0, p, u,
-    )  # fmt: skip
+    distance, body = kernels.nearest_section(X_WB, arm.shapes, seen.blocks, 0.0, 0, 1.0, p, u)
     assert np.linalg.norm(u) == pytest.approx(1.0)
     assert np.abs(seen.points - (p + distance * u)).sum(axis=1).min() < 1e-9
     kernels.point_jacobian(X_WB, body, p, J)

@@ -34,15 +34,14 @@ def traced(
     """The postures of a layer, and the directions of the null space there."""
     nodes, along = np.zeros((256, 7)), np.zeros((256, 7))
     roll = np.eye(7)[2]
+    X_WB, R_WE = np.empty((8, 4, 4)), np.array(arm.R_WE)
     count = kernels.trace(
-        np.array(q), roll, p_WE, np.array(arm.R_WE), STEP, most, np.array(arm.X_PJ),
-        np.array(arm.lower), np.array(arm.upper), margin, np.empty((8, 4, 4)), nodes, along, 0,
-    )  # fmt: skip
+        np.array(q), roll, p_WE, R_WE, STEP, most, arm.arrays, margin, X_WB, nodes, along, 0
+    )
+    seed, direction = nodes[count // 3].copy(), along[count // 3].copy()
     again = kernels.trace(
-        nodes[count // 3].copy(), along[count // 3].copy(), p_WE, np.array(arm.R_WE), STEP, most,
-        np.array(arm.X_PJ), np.array(arm.lower), np.array(arm.upper), margin,
-        np.empty((8, 4, 4)), nodes, along, count,
-    )  # fmt: skip
+        seed, direction, p_WE, R_WE, STEP, most, arm.arrays, margin, X_WB, nodes, along, count
+    )
     assert again == count, "a posture of the curve begins no other curve"
     return nodes[:count], along[:count]
 

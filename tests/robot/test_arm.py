@@ -80,9 +80,8 @@ def test_clearance_is_scene_graphs(arm: ArmModel) -> None:
             for shape in plant.GetCollisionGeometriesForBody(link)
         )
         distance, shape, owner, row = kernels.nearest_point(
-            arm.poses(q), *(np.array(a) for a in arm.shapes), seen.points, seen.start,
-            seen.owner, seen.sphere, seen.v_WO, 0.0, -1, 10.0,
-        )  # fmt: skip
+            arm.poses(q), arm.shapes, seen.blocks, 0.0, -1, 10.0
+        )
         assert distance == pytest.approx(expected, abs=2e-6)
         assert (owner, row) == (0, 0)
         assert shape >= 0
@@ -94,7 +93,7 @@ def test_links_are_tested_as_the_model_says(panda: RobotPlant, arm: ArmModel) ->
     context = plant.GetMyContextFromRoot(diagram_context)
     scene_context = panda.scene_graph.GetMyContextFromRoot(diagram_context)
     inspector = panda.scene_graph.model_inspector()
-    parts = [np.array(a) for a in arm.parts]
+    parts = arm.parts
     capsules = [f"panda_link{k}" for k in range(1, 8)]
     for q in random_postures(arm, 30):
         plant.SetPositions(context, np.append(q, [0.01, 0.01]))
@@ -107,7 +106,7 @@ def test_links_are_tested_as_the_model_says(panda: RobotPlant, arm: ArmModel) ->
                         if not inspector.CollisionFiltered(a, b):
                             pair = query.ComputeSignedDistancePairClosestPoints(a, b)
                             least = min(least, pair.distance)
-        found = kernels.self_distance(arm.poses(q), *parts, 10.0)
+        found = kernels.self_distance(arm.poses(q), parts, 10.0)
         # Hand and base count too, and their boxes as capsules that hold them.
         assert found <= least + 1e-6
 
@@ -149,20 +148,17 @@ def test_points_are_thinned_and_moved_with_their_obstacle(arm: ArmModel) -> None
     distances = []
     for points, age in ((around.points, 1.0), (moved.points, 0.0)):
         distances.append(
-            kernels.nearest_point(
-                arm.poses(arm.posture), *(np.array(a) for a in arm.shapes), points.points,
-                points.start, points.owner, points.sphere, points.v_WO, age, -1, 2.0,
-            )[0]
-        )  # fmt: skip
+            kernels.nearest_point(arm.poses(arm.posture), arm.shapes, points.blocks, age, -1, 2.0)[
+                0
+            ]
+        )
     assert distances[0] == pytest.approx(distances[1], abs=0.02)
 
 
 @pytest.mark.parametrize("table", [None, TablePlane()])
 def test_table_is_none_or_a_plane(arm: ArmModel, table: TablePlane | None) -> None:
     around = ArmSurroundings.of(ObstacleClouds(), table)
-    height = kernels.lowest_height(
-        arm.poses(arm.posture), *(np.array(a) for a in arm.shapes[1:4]), around.table
-    )
+    height = kernels.lowest_height(arm.poses(arm.posture), arm.shapes, around.table)
     assert (height == np.inf) if table is None else (0.0 < height < 1.0)
 
 
