@@ -194,8 +194,9 @@ def _roll_out(w: _Scene, m: _Motion) -> tuple[float, float, float]:
     """Clearance, goal error and path length of a row; 0, inf, inf where it touches."""
     s = (0.0, 0.0, 0.0, 0.0)
     before, nearest, after = s, s, s
-    least2, least_step = np.inf, 0
-    tx, ty = math.sqrt(0.5), math.sqrt(0.5)
+    least, least_step = np.inf, 0
+    reach = max(w.a, w.b)
+    tx, ty, looked = math.sqrt(0.5), math.sqrt(0.5), -1
     length = 0.0
     for step in range(len(m.drive)):
         last = s
@@ -204,17 +205,20 @@ def _roll_out(w: _Scene, m: _Motion) -> tuple[float, float, float]:
         else:
             s = _step_project(s, w, m.drive[step], m)
         length += math.sqrt((s[0] - last[0]) ** 2 + (s[1] - last[1]) ** 2)
+        if step == least_step + 1:
+            after = s
         px, py = abs(s[0] - w.cx), abs(s[1] - w.cy)
+        if px * px + py * py > (reach + least) ** 2:
+            continue
         if (px / w.a) ** 2 + (py / w.b) ** 2 <= 1.0:
             return 0.0, np.inf, np.inf
         # One iteration a step, started from the last foot point, keeps track of it.
-        tx, ty = _nearest(px, py, w.a, w.b, tx, ty, 1)
+        tx, ty = _nearest(px, py, w.a, w.b, tx, ty, 1 if step == looked + 1 else 5)
+        looked = step
         distance2 = (px - w.a * tx) ** 2 + (py - w.b * ty) ** 2
-        if distance2 < least2:
-            least2, least_step = distance2, step
+        if distance2 < least * least:
+            least, least_step = math.sqrt(distance2), step
             before, nearest, after = last, s, s
-        elif step == least_step + 1:
-            after = s
     clearance = _distance(nearest[0], nearest[1], w)
     if m.between and least_step < len(m.drive) - 1:
         # The vertex of the parabola through three samples.
