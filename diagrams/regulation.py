@@ -15,10 +15,10 @@ from drake_oa.diagrams.policy import add_orientation, make_dmp, make_kept_orient
 from drake_oa.diagrams.route import held_annulus
 from drake_oa.diagrams.station import Cell
 from drake_oa.policy.dmp import Dmp
+from drake_oa.regulation.config import SearchParameters
 from drake_oa.regulation.regressor import load_chain
 from drake_oa.regulation.regressor_chain import RegressorChain
 from drake_oa.regulation.regulator import Regulator
-from drake_oa.regulation.search import SearchParameters
 from drake_oa.regulation.tool_turn import ToolTurner, TurningTool, TurnParameters
 from drake_oa.regulation.tool_turn_selector import ToolTurnSelector
 from drake_oa.regulation.verified_regressor_chain import RobotArm, VerifiedRegressorChain
@@ -134,15 +134,8 @@ def search_parameters(regulation: Verified, policy: Policy, dmp: Dmp) -> SearchP
     """How far the search of a verified motion goes."""
     # A step of a roll-out is one of the policy, where that is neither coarse nor costly.
     steps = round(dmp.duration / policy.period)
-    return SearchParameters(
-        candidates=regulation.candidates,
-        rounds=regulation.rounds,
-        polish=regulation.polish,
-        retries=regulation.retries,
-        slack=regulation.slack,
-        steps=min(max(steps, _LEAST_STEPS), _MOST_STEPS),
-        fade=policy.fade,
-    )
+    most = min(max(steps, _LEAST_STEPS), _MOST_STEPS)
+    return SearchParameters(**vars(regulation), steps=most, fade=policy.fade)
 
 
 def make_tool_turn_selector(scenario: Scenario, robot_plant: RobotPlant) -> ToolTurnSelector:

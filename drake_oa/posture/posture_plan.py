@@ -235,7 +235,8 @@ def plan_posture(
     columns = columns[(columns >= low - 1e-9) & (columns <= high + 1e-9)]
     values = np.broadcast_to(columns, (T, len(columns)))
     way = np.empty((T, _JOINTS))
-    tool = ToolPath(*kernel_arrays(path, R, s, ages, rest), float(seconds))
+    p_WE, R_WE, at, aged, drawn = kernel_arrays(path, R, s, ages, rest)
+    tool = ToolPath(p_WE, R_WE, at, aged, drawn, float(seconds))
     among = around.arrays
 
     def search(values: FloatArray, guess: FloatArray, window: int) -> float:

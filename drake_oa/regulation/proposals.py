@@ -10,6 +10,8 @@ baseline in the plane of the baseline and a side omega. Its genes, in which the 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -30,6 +32,13 @@ UPPER = np.array([np.inf, 0.99, 0.0, math.log(3e3), math.log(5.0), 30.0, math.lo
 GENE_RANGE = np.stack([LOWER, UPPER], axis=1)
 """(7, 2) least and largest value of each gene."""
 
+STRIDE = np.array([0.4, 0.08, 0.03, 0.6, 0.25, 0.8, 0.15])
+"""Standard deviation of a full step of the search, gene by gene."""
+ELITES = 8
+LINE = 12
+"""Candidates of a round that differ from the best one in alpha only."""
+FRESH = 16
+"""Candidates of a round that are drawn anew while the clearance is not kept."""
 _N_ANGLES = 24
 _OFFSETS = np.array([0, 1, -1, 3, -3, 6, -6, 12])
 """Sides that proposals are made for, of `_N_ANGLES`, counted from the lowest one."""
@@ -187,3 +196,32 @@ def shadows(
             out[s, a, ACROSS] = max(top / L, 0.02)
             out[s, a, CENTER] = min(max(0.5 * (low + high) / L, 0.02), 0.98)
             out[s, a, ASKED] = asked / L
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """The random numbers of a round of n candidates."""
+
+    step: FloatArray  # (n, 7)
+    first: IntArray  # (n,)
+    second: IntArray  # (n,)
+    mixing: FloatArray  # (n,)
+    line: FloatArray  # (LINE,)
+    fresh: FloatArray  # (n, 7)
+    is_fresh: BoolArray  # (n,)
+
+
+@lru_cache(maxsize=256)
+def draws(number: int, n: int) -> Draws:
+    rng = np.random.default_rng((number, n))
+    low = np.where(np.isfinite(LOWER), LOWER, 0.0)
+    high = np.where(np.isfinite(UPPER), UPPER, 2.0 * np.pi)
+    return Draws(
+        step=rng.standard_normal((n, N_GENES)) * np.exp(rng.uniform(-2.5, 0.0, (n, 1))),
+        first=rng.integers(0, ELITES, n),
+        second=rng.integers(0, ELITES, n),
+        mixing=np.where(rng.uniform(size=n) < 0.5, 0.5, 0.0),
+        line=np.linspace(-2.5, 1.5, LINE) * max(0.5 ** (number // 2), 0.02),
+        fresh=low + (high - low) * rng.uniform(size=(n, N_GENES)),
+        is_fresh=np.arange(n) >= n - FRESH,
+    )

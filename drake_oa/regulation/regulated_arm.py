@@ -36,35 +36,10 @@ from drake_oa.posture.waypoint_tree import (
     shortened_way,
     straight_motion,
 )
+from drake_oa.regulation.config import Following
 from drake_oa.regulation.regulation import Regulation, hardly_moved
-from drake_oa.regulation.regulator import SEEK_AGAIN, Regulator
+from drake_oa.regulation.regulator import Regulator
 
-_TRIED = 16
-"""So many other motions are tried in the place of one that the arm cannot follow,"""
-_LOOKED_INTO = 4
-"""and the best so many of them once more, thoroughly."""
-_LEGS = 100
-"""So many legs are looked at in one search;"""
-_TRIED_THERE = 8
-"""where they lead to the goal so many motions from the last point are tried,"""
-_LEG_PACE = 0.5
-"""and a leg takes this share of the motion's duration, as it is short,"""
-_RECENT = 0.2
-"""where what is seen is no older than this [s]."""
-_BESIDE = 0.04
-"""A supervisor lets no link come nearer than some 3 cm [m]."""
-_ELSEWHERE = 0.03
-"""So far from where it was stuck last all is tried again [m]."""
-_OTHERWISE = 0.1
-"""Or where a joint is so far from its position then [rad]."""
-_STUCK = 0.5
-"""A motion that is slowed to rest for so long is stuck, though the arm could follow it [s]."""
-_THERE = 0.02
-"""So near to such a point it has been reached [m]."""
-_CLEAR = 0.03
-"""A leg keeps the tool so far from the obstacles [m]."""
-_NEAR_OLD = 0.05
-"""So near to its old motion the arm keeps the posture of that, where it finds no other [m]."""
 _AT_POINT = "at the point beside the obstacle"
 _GIVEN_UP = "the way to the point beside the obstacle is given up"
 
@@ -81,6 +56,7 @@ class ArmRegulator:
             dmp: the movement primitive.
         """
         self._regulator, self._arm, self._dmp = regulator, arm, dmp
+        self._following = regulator.parameters.following
 
     def update(
         self,
@@ -105,10 +81,10 @@ class ArmRegulator:
         before = replace(before, rests_since=_rests_since(before, policy))
         goal, aside = p_WG, before.aside
         if len(aside.p_WV):
-            if math.dist(policy.p_WE, aside.p_WV) <= _THERE:
+            if math.dist(policy.p_WE, aside.p_WV) <= self._following.there:
                 return _held_for(before, policy, _AT_POINT, aside.reached())
             held = policy.note not in ("", SCALED_TO_REST, DECIDING)
-            held = held and policy.stamp - before.rests_since >= _STUCK
+            held = held and policy.stamp - before.rests_since >= self._following.stuck
             if held or not np.array_equal(aside.p_WG, p_WG):
                 return _held_for(before, policy, _GIVEN_UP, aside.given_up())
             goal = aside.p_WV
@@ -135,15 +111,20 @@ class ArmRegulator:
                 table,
                 seconds=seconds,
                 time=policy.stamp,
-                pace=_LEG_PACE if len(aside.p_WV) else 1.0,
+                pace=self._following.leg_pace if len(aside.p_WV) else 1.0,
             )
             if way.failed:
-                way = _as_before(way, before.way, after.motion, policy, sight)
-        if policy.stamp - after.sought >= SEEK_AGAIN:
+                way = _as_before(
+                    way, before.way, after.motion, policy, sight, self._following.near_old
+                )
+        if policy.stamp - after.sought >= self._regulator.parameters.seek_period:
             if way.concern:
                 after, way = self._sought(after, way, policy, p_WG, sight, table)
-            elif policy.note == SCALED_TO_REST and policy.stamp - after.rests_since >= _STUCK:
-                after = self._aside(after, policy, p_WG, sight, table, near=_BESIDE)
+            elif (
+                policy.note == SCALED_TO_REST
+                and policy.stamp - after.rests_since >= self._following.stuck
+            ):
+                after = self._aside(after, policy, p_WG, sight, table, near=self._following.beside)
         return replace(after, motion=way.motion, way=way, tau=after.tau * way.slower)
 
     def _sought(
@@ -191,7 +172,7 @@ class ArmRegulator:
         rests = policy.speed == 0.0 and not seen.v_WO.any()
         if not (rests and self._regulator.begins_anew and len(seen)):
             return after
-        if time - seen.stamp > _RECENT:
+        if time - seen.stamp > self._following.recent:
             return after
         plan = self._arm.leg_planner(sight, table, seconds=self._dmp.duration, time=time)
         if math.isfinite(near):
@@ -199,14 +180,17 @@ class ArmRegulator:
             if len(here) and here.distance[0] > near:
                 return after
         aside = after.aside
-        if not _same_place(aside, policy.p_WE, sight.q, p_WG, seen):
+        if not _same_place(aside, policy.p_WE, sight.q, p_WG, seen, self._following):
             nearest = np.linalg.norm(seen.p_WO - policy.p_WE, axis=1).argmin()
             tree = LegTree.at(policy.p_WE, sight.q, p_WG, seen.p_WO[nearest])
             aside = Aside(tree=tree, seen=seen)
         legs = Legs(
-            plan, lambda points: self._regulator.inside(points, table) & _clear(points, seen)
+            plan,
+            lambda points: (
+                self._regulator.inside(points, table) & _clear(points, seen, self._following.clear)
+            ),
         )
-        tree, row = grown(aside.tree, legs, _LEGS)
+        tree, row = grown(aside.tree, legs, self._following.legs)
         aside = replace(aside, tree=tree)
         after = replace(after, aside=aside)
         if row < 0:
@@ -216,7 +200,7 @@ class ArmRegulator:
             return after
         there = replace(sight, q=q)
         others = self._regulator.others_from(after, policy, points[-1], p_WG)
-        for other in islice(others, _TRIED_THERE):
+        for other in islice(others, self._following.tried_there):
             if self._planned(other, there, table, time, thorough=False).plan.works:
                 return replace(after, anew=True, aside=aside.by(points, p_WG))
         return after
@@ -230,7 +214,7 @@ class ArmRegulator:
     ) -> tuple[Regulation, ArmWay] | None:
         """The first of some motions that the arm can follow."""
         short, time = [], policy.stamp
-        for other in islice(others, _TRIED):
+        for other in islice(others, self._following.tried):
             way = self._planned(other, sight, table, time, thorough=False)
             if way.plan.works:
                 return other, way
@@ -238,7 +222,7 @@ class ArmRegulator:
         if policy.speed > 0.0:
             return None
         # Who is held has the time to look further.
-        for _, other in sorted(short, key=lambda one: one[0])[:_LOOKED_INTO]:
+        for _, other in sorted(short, key=lambda one: one[0])[: self._following.looked_into]:
             way = self._planned(other, sight, table, time, thorough=True)
             if way.plan.works:
                 return other, way
@@ -267,35 +251,45 @@ def _held_for(before: Regulation, policy: PolicyState, why: str, aside: Aside) -
 
 
 def _as_before(
-    way: ArmWay, before: ArmWay, motion: PlannedMotion, policy: PolicyState, sight: ArmSight
+    way: ArmWay,
+    before: ArmWay,
+    motion: PlannedMotion,
+    policy: PolicyState,
+    sight: ArmSight,
+    near: float,
 ) -> ArmWay:
     """A way without a posture: with that of before, while it belongs to where the tool is."""
     old = before.motion
     if len(before.plan) and len(old):
         off = np.linalg.norm(old.p_WE - policy.p_WE, axis=1)
-        if np.array_equal(old.p_WS, policy.p_WS) and off.min() <= _NEAR_OLD:
+        if np.array_equal(old.p_WS, policy.p_WS) and off.min() <= near:
             return replace(way, plan=before.plan, motion=old, slower=max(before.slower, 1.0))
     q = np.tile(sight.q, (len(motion), 1))
     return replace(way, plan=replace(way.plan, s=motion.s, q=q), motion=replace(motion, q=q))
 
 
-def _clear(p_WE: FloatArray, ellipsoids: EllipsoidSet) -> BoolArray:
+def _clear(p_WE: FloatArray, ellipsoids: EllipsoidSet, least: float) -> BoolArray:
     """Which points (N, 3) the tool may be at; the obstacles are dilated by it."""
     distance = signed_distance(
         p_WE[:, None], ellipsoids.p_WO, ellipsoids.R_WO, ellipsoids.semi_axes
     )
-    return np.asarray(distance.min(axis=1) >= _CLEAR)
+    return np.asarray(distance.min(axis=1) >= least)
 
 
 def _same_place(
-    aside: Aside, p_WE: FloatArray, q: FloatArray, p_WG: FloatArray, seen: EllipsoidSet
+    aside: Aside,
+    p_WE: FloatArray,
+    q: FloatArray,
+    p_WG: FloatArray,
+    seen: EllipsoidSet,
+    following: Following,
 ) -> bool:
     """Whether the arm is stuck where it was, on its way to the same goal."""
     tree = aside.tree
     return (
         len(tree) > 0
-        and math.dist(tree.p_WV[0], p_WE) <= _ELSEWHERE
-        and float(np.abs(tree.q[0] - q).max()) <= _OTHERWISE
+        and math.dist(tree.p_WV[0], p_WE) <= following.elsewhere
+        and float(np.abs(tree.q[0] - q).max()) <= following.otherwise
         and np.array_equal(tree.p_WG, p_WG)
         and hardly_moved(aside.seen, seen)
     )

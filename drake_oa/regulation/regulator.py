@@ -16,6 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from drake_oa.common.config import check_values
 from drake_oa.common.messages import (
     PART,
     BoolArray,
@@ -28,6 +29,7 @@ from drake_oa.common.messages import (
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.policy.coupling_kernels import N_COLUMNS
 from drake_oa.policy.dmp import Dmp, local_frame, normalised_time, trajectory
+from drake_oa.regulation.config import SearchParameters
 from drake_oa.regulation.proposals import ALPHA as LOG_ALPHA
 from drake_oa.regulation.proposals import TAU
 from drake_oa.regulation.regressor import ChainWeights
@@ -41,38 +43,13 @@ from drake_oa.regulation.regulation import (
     travelled,
 )
 from drake_oa.regulation.rollout import SpatialRollouts, SpatialScenes
-from drake_oa.regulation.search import (
-    SearchParameters,
-    Verified,
-    assessed,
-    roll_out,
-    survey,
-    verify,
-)
+from drake_oa.regulation.search import SearchResult, assessed, roll_out, survey, verify
 from drake_oa.robot.reachability import annulus_margin
 
-_OUTSIDE = 0.01
-"""How far a motion may leave the world's limits, which hold centimetres in reserve [m]."""
-_ASTRAY = 0.1
-"""How far from the goal the end of a motion is no arrival at all, in baselines."""
 _APART = 0.028
 """Distance along the path between the samples of a planned motion, at most [m]."""
 _BETWEEN = 0.035
 """Normalised time between them, at most."""
-_ROUNDS_A_FRAME = 5
-"""Rounds of a search that is begun anew with each frame: obstacles move."""
-_LEFT = 0.01
-"""A motion begins anew where it is farther than this from its start and its goal [m]."""
-_RETRY = 0.5
-"""How often it is looked whether it may [s]."""
-SEEK_AGAIN = 1.0
-"""How often a motion that the arm can follow is looked for: it takes 0.3 s and more [s]."""
-_LESS = 0.05
-"""Distance to obstacles that a motion for the arm's sake keeps at least [m]."""
-_MAY_LOSE = 0.01
-"""By how much more than at its choice it may lack of the feasible clearance [m]."""
-_SHORT_OF_GOAL = 0.02
-"""So far from the goal it may end within the horizon: its last part is verified again [m]."""
 _SAMPLES = 100
 """About how many points of a motion are looked at to tell which obstacle it comes near to."""
 
@@ -105,11 +82,12 @@ class Regulator:
                 the arm can follow goes on from it, is to begin anew where one from there does,
                 and may step aside first.
         """
+        check_values(parameters, "regulation")
         self.begins_anew = begins_anew
         self._weights = weights
         self._dmp = dmp
         self._clearance = clearance
-        self._parameters = parameters
+        self.parameters = parameters
         self._table_height = table_height
         self._annulus = np.zeros((3, 0)) if annulus is None else np.array(annulus)
         planned = trajectory(dmp, np.zeros(3), np.array([1.0, 0.0, 0.0])).p
@@ -163,7 +141,7 @@ class Regulator:
             scene = self._scene(policy, here)
             seconds = self._dmp.duration * free.tau
             motion = self._roll_out(scene, np.zeros((1, N_COLUMNS)), seconds)
-            planned = _planned(scene.s, motion, self._parameters.steps, here.p_WS)
+            planned = _planned(scene.s, motion, self.parameters.steps, here.p_WS)
             return replace(free, motion=planned)
         scene = self._scene(policy, here)
         if here.for_arm:
@@ -186,7 +164,7 @@ class Regulator:
         self, here: Regulation, scene: SpatialScenes, baseline: float, time: float
     ) -> Regulation | None:
         """A motion for the arm's sake, while it will do; where something moves, for a while."""
-        if here.ellipsoids.v_WO.any() and time - here.sought >= SEEK_AGAIN:
+        if here.ellipsoids.v_WO.any() and time - here.sought >= self.parameters.seek_period:
             return None
         found = assessed(
             scene,
@@ -194,11 +172,11 @@ class Regulator:
             duration=self._dmp.duration,
             dmp=self._dmp,
             previous=here.genes,
-            parameters=self._parameters,
+            parameters=self.parameters,
         )
         after = self._kept(here, scene, found, baseline)
         will_do = not after.note and after.goal_error <= self._missed(here)
-        will_do = will_do and after.shortfall <= here.lacked + _MAY_LOSE
+        will_do = will_do and after.shortfall <= here.lacked + self.parameters.may_lose
         return after if will_do else None
 
     def others(self, after: Regulation, policy: PolicyState) -> Iterator[Regulation]:
@@ -216,10 +194,10 @@ class Regulator:
         found = survey(
             scene,
             duration=self._dmp.duration,
-            clearance=_LESS,
+            clearance=self.parameters.least_clearance,
             dmp=self._dmp,
             previous=after.genes,
-            parameters=self._parameters,
+            parameters=self.parameters,
         )
         for row in range(len(found.cost)):
             one = self._kept(after, scene, found.rows(np.array([row])), float(scene.baseline[0]))
@@ -236,7 +214,7 @@ class Regulator:
 
     def _missed(self, before: Regulation) -> float:
         """How far from the goal a motion in the place of another may end [m]."""
-        return max(_SHORT_OF_GOAL, before.goal_error)
+        return max(self.parameters.short_of_goal, before.goal_error)
 
     def others_anew(self, after: Regulation, policy: PolicyState) -> Iterator[Regulation]:
         """`others` that begin where the motion rests; none where it does not, or may not."""
@@ -257,16 +235,16 @@ class Regulator:
         return self.others(replace(begun, p_WG=p_WG, p_WE=p_WV), there)
 
     def _may_begin_anew(self, after: Regulation, policy: PolicyState) -> bool:
-        left = math.dist(policy.p_WE, policy.p_WS) > _LEFT
+        left = math.dist(policy.p_WE, policy.p_WS) > self.parameters.left
         # At the goal there is none to begin.
-        left = left and math.dist(policy.p_WE, after.p_WG) > _LEFT
+        left = left and math.dist(policy.p_WE, after.p_WG) > self.parameters.left
         return self.begins_anew and policy.speed == 0.0 and left
 
     def _looked_anew(self, after: Regulation, policy: PolicyState) -> Regulation:
         """Of a motion that rests, as none goes on from it: whether one begins where it is."""
         if not (after.note and self._may_begin_anew(after, policy)):
             return after
-        if policy.stamp - after.tried < _RETRY:
+        if policy.stamp - after.tried < self.parameters.retry_period:
             return after
         begun, rests = begun_anew(after, policy)
         scene = self._scene(rests, begun)
@@ -275,7 +253,7 @@ class Regulator:
             self._weights,
             duration=self._dmp.duration,
             dmp=self._dmp,
-            parameters=self._parameters,
+            parameters=self.parameters,
         )
         does = not self._kept(begun, scene, found, float(scene.baseline[0])).note
         return replace(after, anew=does, tried=policy.stamp)
@@ -284,9 +262,9 @@ class Regulator:
         """A search among the same moving obstacles goes on from frame to frame."""
         under_way = before.tau != 0.0 and np.array_equal(before.ellipsoids.ids, ellipsoids.ids)
         if not (under_way and ellipsoids.v_WO.any()):
-            return self._parameters
-        most = self._parameters
-        return replace(most, rounds=min(most.rounds, _ROUNDS_A_FRAME), retries=0)
+            return self.parameters
+        most = self.parameters
+        return replace(most, rounds=min(most.rounds, self.parameters.rounds_a_frame), retries=0)
 
     def _without_term(self, here: Regulation, remaining: float, baseline: float) -> Regulation:
         return Regulation(
@@ -330,7 +308,7 @@ class Regulator:
         )
 
     def _kept(
-        self, here: Regulation, scene: SpatialScenes, found: Verified, baseline: float
+        self, here: Regulation, scene: SpatialScenes, found: SearchResult, baseline: float
     ) -> Regulation:
         seconds = self._dmp.duration * math.exp(found.genes[0, TAU])
         motion = self._roll_out(scene, found.terms, seconds)
@@ -341,8 +319,8 @@ class Regulator:
         # What holds start or goal is touched by any motion; the policy is held for that.
         kept = float(found.clearance[0]) if clear.all() else least[clear].min(initial=np.inf)
         touched = kept <= 0.0
-        outside = not found.kept[0] and float(motion.world_margin[0]) < -_OUTSIDE
-        astray = clear.any() and float(found.goal_error[0]) > _ASTRAY * baseline
+        outside = not found.kept[0] and float(motion.world_margin[0]) < -self.parameters.outside
+        astray = clear.any() and float(found.goal_error[0]) > self.parameters.astray * baseline
         note = ""
         if touched or outside or astray:
             worst = int(np.where(clear, least, np.inf).argmin())
@@ -372,7 +350,7 @@ class Regulator:
             lowered_for=int(here.ellipsoids.ids[feasible.argmin()] % PART) if lowered else -1,
             goal_error=float(found.goal_error[0]),
             note=note,
-            motion=_planned(scene.s, motion, self._parameters.steps, here.p_WS),
+            motion=_planned(scene.s, motion, self.parameters.steps, here.p_WS),
         )
 
     def _roll_out(self, scene: SpatialScenes, terms: FloatArray, seconds: float) -> SpatialRollouts:
@@ -380,7 +358,7 @@ class Regulator:
             scene,
             np.zeros(1, dtype=np.int64),
             terms,
-            self._parameters,
+            self.parameters,
             seconds=seconds,
             dmp=self._dmp,
             keep_path=True,
@@ -393,7 +371,7 @@ class Regulator:
         last = int(motion.steps[0])
         at = np.unique(np.linspace(0, last, _SAMPLES).round().astype(int))
         path = np.concatenate([motion.path[0, at], scene.p_WG])
-        time = np.append(at, last)[:, None, None] * (seconds / self._parameters.steps)
+        time = np.append(at, last)[:, None, None] * (seconds / self.parameters.steps)
         p_WO = scene.p_WO + time * scene.v_WO
         distance = signed_distance(path[:, None], p_WO, scene.R_WO[0], scene.semi_axes[0])
         return distance[:-1].min(axis=0), distance[0], distance[-1]

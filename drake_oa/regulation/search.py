@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -26,28 +25,25 @@ from numpy.typing import ArrayLike
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.policy.dmp import Dmp
+from drake_oa.regulation.config import SearchParameters
 from drake_oa.regulation.proposals import (
     ALPHA,
     ANGLE,
+    ELITES,
     GENE_RANGE,
+    LINE,
     LOWER,
     N_GENES,
+    STRIDE,
     TAU,
     UPPER,
     avoidance_terms,
     chain_proposals,
+    draws,
 )
 from drake_oa.regulation.regressor import ChainWeights
 from drake_oa.regulation.rollout import SpatialRollouts, SpatialScenes, spatial_rollouts
 
-_STRIDE = np.array([0.4, 0.08, 0.03, 0.6, 0.25, 0.8, 0.15])
-"""Standard deviation of a full step of the search, gene by gene."""
-
-_ELITES = 8
-_LINE = 12
-"""Candidates of a round that differ from the best one in alpha only."""
-_FRESH = 16
-"""Candidates of a round that are drawn anew while the clearance is not kept."""
 _FIRST_FRESH = 6
 """Round from which they are."""
 
@@ -93,55 +89,8 @@ _MISSED = 0.1
 """A motion arrives when it ends this near to the goal, in baselines."""
 
 
-@dataclass(frozen=True)
-class SearchParameters:
-    """How far the search goes.
-
-    Attributes:
-        candidates: roll-outs a round and scene, at least 32.
-        rounds: rounds at most.
-        polish: rounds after the first motion that keeps the clearance.
-        retries: how often scenes whose clearance is not kept are searched again, with twice
-            as many candidates and steps: once as before, then on every side by itself, from
-            candidates all over the ranges (seconds a scene).
-        slack: a motion keeps the clearance when it is short by no more than this [m].
-        tolerance: a motion has arrived when it is this near to the goal [m].
-        horizon: normalised time by which it has to arrive, counted from s = 0, or one
-            more than the present one.
-        steps: steps a unit of normalised time.
-        fade: of the coupling near the goal, in baselines, see `action.goal_fade`.
-
-    Raises:
-        ValueError: for a value out of range.
-    """
-
-    candidates: int = 64
-    rounds: int = 60
-    polish: int = 6
-    retries: int = 0
-    slack: float = 2e-4
-    tolerance: float = 6e-4
-    horizon: float = 2.0
-    steps: int = 500
-    fade: float = 0.3
-
-    def __post_init__(self) -> None:
-        for name, least in (("candidates", 32), ("rounds", 0), ("polish", 0), ("retries", 0)):
-            if getattr(self, name) < least:
-                raise ValueError(f"{name} must be at least {least}, not {getattr(self, name)}")
-        if self.steps < 50:
-            raise ValueError(f"steps must be at least 50, not {self.steps}")
-        for name in ("slack", "tolerance", "fade"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise ValueError(
-                    f"{name} must be finite and not negative, not {getattr(self, name)}"
-                )
-        if not 1.0 <= self.horizon < math.inf:
-            raise ValueError(f"horizon must be finite and at least 1, not {self.horizon}")
-
-
 @dataclass(frozen=True, eq=False)
-class Verified(Frozen):
+class SearchResult(Frozen):
     """What was chosen in S scenes.
 
     Attributes:
@@ -176,15 +125,15 @@ class Verified(Frozen):
     steps: IntArray
     rollouts: int
 
-    def rows(self, index: BoolArray | IntArray) -> Verified:
+    def rows(self, index: BoolArray | IntArray) -> SearchResult:
         """Some of the scenes, by a mask or indices."""
         columns: dict[str, Any] = {"rollouts": self.rollouts}
         for item in fields(self):
             if item.name not in columns:
                 columns[item.name] = getattr(self, item.name)[index]
-        return Verified(**columns)
+        return SearchResult(**columns)
 
-    def replaced(self, index: IntArray, other: Verified) -> Verified:
+    def replaced(self, index: IntArray, other: SearchResult) -> SearchResult:
         """With the scenes of an index (n,) as the other one (n scenes) has them."""
         columns: dict[str, Any] = {"rollouts": self.rollouts + other.rollouts}
         for item in fields(self):
@@ -192,7 +141,7 @@ class Verified(Frozen):
                 column = np.array(getattr(self, item.name))
                 column[index] = getattr(other, item.name)
                 columns[item.name] = column
-        return Verified(**columns)
+        return SearchResult(**columns)
 
 
 def roll_out(
@@ -285,7 +234,7 @@ class Search:
         self.previous = previous
         self.rollouts = 0
 
-    def run(self, weights: ChainWeights) -> Verified:
+    def run(self, weights: ChainWeights) -> SearchResult:
         """The unmodulated motion where it will do, else rounds of candidates."""
         count = len(self.scenes)
         # Nothing is shorter than the unmodulated motion.
@@ -297,7 +246,7 @@ class Search:
         first = proposed[active]
         if self.sides > 1:
             first = np.concatenate([first, self.spread(active, _SPREAD)], axis=1)
-        ranked = self.evaluate(active, first).best(_ELITES)
+        ranked = self.evaluate(active, first).best(ELITES)
         since = np.zeros(len(active), dtype=int)
         # Where a motion is in use its genes are near the best already.
         polish = np.where(np.isfinite(self.previous).all(axis=1), _BRIEF, self.parameters.polish)
@@ -311,7 +260,7 @@ class Search:
             if not len(active) or number == self.parameters.rounds:
                 break
             trial = self.evaluate(active, self.children(active, ranked, number), ranked)
-            ranked = ranked.joined(trial).best(_ELITES)
+            ranked = ranked.joined(trial).best(ELITES)
         return self.answer(chosen, in_range)
 
     def keep_previous(self, chosen: _Ranked, active: IntArray, proposed: FloatArray) -> IntArray:
@@ -405,14 +354,14 @@ class Search:
 
     def children(self, active: IntArray, ranked: _Ranked, number: int) -> FloatArray:
         """The candidates of a round, (A, n, 7)."""
-        random = _draws(number, self.parameters.candidates)
-        n_kin = self.parameters.candidates - _LINE
+        random = draws(number, self.parameters.candidates)
+        n_kin = self.parameters.candidates - LINE
         genes = ranked.genes
-        kin = genes[:, np.arange(n_kin) % _ELITES] + _STRIDE * random.step[:n_kin]
+        kin = genes[:, np.arange(n_kin) % ELITES] + STRIDE * random.step[:n_kin]
         apart = genes[:, random.first[:n_kin]] - genes[:, random.second[:n_kin]]
         kin += random.mixing[:n_kin, None] * np.nan_to_num(apart)
         # Along alpha from the best one: the least that keeps the clearance is shortest.
-        line = np.repeat(genes[:, :1], _LINE, axis=1)
+        line = np.repeat(genes[:, :1], LINE, axis=1)
         line[:, :, ALPHA] += random.line
         trial = np.concatenate([line, kin], axis=1)
         if number >= _FIRST_FRESH:
@@ -423,7 +372,7 @@ class Search:
 
     def spread(self, active: IntArray, count: int) -> FloatArray:
         """Candidates (A, count, 7) all over the ranges, the same in every search."""
-        fresh = np.repeat(_draws(0, count).fresh[None], len(active), axis=0)
+        fresh = np.repeat(draws(0, count).fresh[None], len(active), axis=0)
         fresh[~self.moving[active], :, TAU] = 0.0
         return self.bounded(active, fresh)
 
@@ -436,11 +385,11 @@ class Search:
             genes[:, :, ANGLE] = middle + np.clip(off, -_WINDOW / self.sides, _WINDOW / self.sides)
         return genes
 
-    def answer(self, chosen: _Ranked, in_range: BoolArray) -> Verified:
+    def answer(self, chosen: _Ranked, in_range: BoolArray) -> SearchResult:
         genes = chosen.genes[:, 0]
         margin, clearance, goal_error, length, steps, _ = chosen.outcome[:, 0].T
         tau = np.maximum(1.0, length / self.scenes.baseline)
-        return Verified(
+        return SearchResult(
             genes=genes,
             terms=avoidance_terms(self.scenes, np.arange(len(genes)), genes),
             tau=np.where(self.moving, np.exp(genes[:, TAU]), tau),
@@ -457,35 +406,6 @@ class Search:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class _Draws:
-    """The random numbers of a round of n candidates."""
-
-    step: FloatArray  # (n, 7)
-    first: IntArray  # (n,)
-    second: IntArray  # (n,)
-    mixing: FloatArray  # (n,)
-    line: FloatArray  # (_LINE,)
-    fresh: FloatArray  # (n, 7)
-    is_fresh: BoolArray  # (n,)
-
-
-@lru_cache(maxsize=256)
-def _draws(number: int, n: int) -> _Draws:
-    rng = np.random.default_rng((number, n))
-    low = np.where(np.isfinite(LOWER), LOWER, 0.0)
-    high = np.where(np.isfinite(UPPER), UPPER, 2.0 * np.pi)
-    return _Draws(
-        step=rng.standard_normal((n, N_GENES)) * np.exp(rng.uniform(-2.5, 0.0, (n, 1))),
-        first=rng.integers(0, _ELITES, n),
-        second=rng.integers(0, _ELITES, n),
-        mixing=np.where(rng.uniform(size=n) < 0.5, 0.5, 0.0),
-        line=np.linspace(-2.5, 1.5, _LINE) * max(0.5 ** (number // 2), 0.02),
-        fresh=low + (high - low) * rng.uniform(size=(n, N_GENES)),
-        is_fresh=np.arange(n) >= n - _FRESH,
-    )
-
-
 def verify(
     scenes: SpatialScenes,
     weights: ChainWeights,
@@ -495,7 +415,7 @@ def verify(
     previous: FloatArray | None = None,
     settled: bool = False,
     parameters: SearchParameters | None = None,
-) -> Verified:
+) -> SearchResult:
     """Chooses the motion of each scene, see the module.
 
     Args:
@@ -545,7 +465,7 @@ def assessed(
     dmp: Dmp | None = None,
     previous: FloatArray | None = None,
     parameters: SearchParameters | None = None,
-) -> Verified:
+) -> SearchResult:
     """What given candidates come to in one scene.
 
     Args:
@@ -576,7 +496,7 @@ def survey(
     dmp: Dmp | None = None,
     previous: FloatArray | None = None,
     parameters: SearchParameters | None = None,
-) -> Verified:
+) -> SearchResult:
     """The cheapest motion of every side and size of detour.
 
     Args:

@@ -26,11 +26,11 @@ from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, va
 from drake_oa.common.thinking import ForMotion, Thinking, Thoughts
 from drake_oa.policy.dmp import Dmp
 from drake_oa.posture.posture_planner import ArmSight, WholeArm
+from drake_oa.regulation.config import SearchParameters
 from drake_oa.regulation.regressor import ChainWeights
 from drake_oa.regulation.regulated_arm import ArmRegulator
 from drake_oa.regulation.regulation import Regulation, concern
 from drake_oa.regulation.regulator import Regulator
-from drake_oa.regulation.search import SearchParameters
 
 _logger = logging.getLogger("drake_oa")
 _NOTHING_SEEN = ObstacleClouds()

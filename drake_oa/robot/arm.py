@@ -271,8 +271,10 @@ class ArmModel(Frozen):
     @cached_property
     def arrays(self) -> kernels.Arm:
         """As the kernels take it."""
-        own = kernel_arrays(self.X_PJ, self.mass, self.lower, self.upper, self.speed)
-        return kernels.Arm(*own, self.shapes, self.parts)
+        X_PJ, mass, lower, upper, speed = kernel_arrays(
+            self.X_PJ, self.mass, self.lower, self.upper, self.speed
+        )
+        return kernels.Arm(X_PJ, mass, lower, upper, speed, self.shapes, self.parts)
 
     def poses(self, q: FloatArray) -> FloatArray:
         """(n + 1, 4, 4) poses of the bodies, and of E, in the world."""

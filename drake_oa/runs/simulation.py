@@ -27,7 +27,7 @@ from drake_oa.diagrams.avoidance import Layers, build_avoidance
 from drake_oa.diagrams.policy import make_dmp
 from drake_oa.policy.action import SCALED_TO_REST
 from drake_oa.policy.dmp import normalised_time
-from drake_oa.regulation.search import SearchParameters
+from drake_oa.regulation.config import SearchParameters
 from drake_oa.robot.limits import RobotLimits, frame_path, robot_limits
 from drake_oa.robot.plant import TOOL_FRAME
 from drake_oa.runs.decision_costs import logged_decisions

@@ -18,7 +18,7 @@ from drake_oa.common.thinking import Thinking
 from drake_oa.perception.config import CameraNoise as CameraNoise
 from drake_oa.perception.config import DepthCamera, GroundTruth, RecordedClouds
 from drake_oa.policy.dmp import ALPHA_K, ALPHA_X, BETA_X
-from drake_oa.regulation.search import SearchParameters
+from drake_oa.regulation.config import Regressor, Verified
 from drake_oa.robot.config import Robot
 from drake_oa.safety.config import EvasionParameters, SupervisorParameters
 from drake_oa.scenario.faults import Fault
@@ -26,8 +26,6 @@ from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.perception import EllipsoidConfig as EllipsoidConfig
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.task import Task
-
-_SEARCH = SearchParameters()
 
 
 @dc.dataclass
@@ -78,30 +76,6 @@ class Policy:
     hold_time: float = _number(0.25, "s", 0.0, 10.0, open_low=True)
     # How the tool may be turned to pass where it would not fit otherwise; null: it is not.
     turn: Turn | None = None
-
-
-@dc.dataclass
-class Verified:
-    """Coupling parameters that roll-outs of the motion have checked."""
-
-    # Motions that are rolled out a round.
-    candidates: int = _count(_SEARCH.candidates, 32, 4096)
-    # Rounds of the search at most, and after the first motion that keeps the clearance.
-    rounds: int = _count(_SEARCH.rounds, 0, 1000)
-    polish: int = _count(_SEARCH.polish, 0, 1000)
-    # Searches again, finer and on every side, where it is not kept: seconds a decision.
-    retries: int = _count(_SEARCH.retries, 0, 10)
-    # A motion keeps the clearance when it is short of it by no more than this [m].
-    slack: float = _number(_SEARCH.slack, "m", 0.0, 0.1)
-
-
-@dc.dataclass
-class Regressor:
-    """Coupling parameters as the regressor chain gives them, sides by cost rings: the paper."""
-
-    # Whether the policy is given the route. Without it the motion only reacts: the term turns
-    # it about the section of the P-plane, to whatever side it happens to head for.
-    guided: bool = True
 
 
 @dc.dataclass

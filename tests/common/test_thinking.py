@@ -18,9 +18,9 @@ from drake_oa.common.messages import (
 )
 from drake_oa.common.thinking import Thinking, Work, count, counted
 from drake_oa.policy.dmp import Dmp, imitate, minimum_jerk
+from drake_oa.regulation.config import SearchParameters
 from drake_oa.regulation.regressor import ChainWeights, load_chain
 from drake_oa.regulation.regulation import Regulation
-from drake_oa.regulation.search import SearchParameters
 from drake_oa.regulation.tool_turn import TurnChoice
 from drake_oa.regulation.tool_turn_selector import ToolTurnSelector
 from drake_oa.regulation.verified_regressor_chain import VerifiedRegressorChain

@@ -37,7 +37,7 @@ from drake_oa.diagrams.policy import make_dmp, make_dmp_integrator
 from drake_oa.diagrams.regulation import make_regressor_chain
 from drake_oa.diagrams.route import make_cost_ring_selector, robot_annulus
 from drake_oa.perception.depth_perception import DepthPerception
-from drake_oa.regulation.search import SearchParameters
+from drake_oa.regulation.config import SearchParameters
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.report import motion_report
 from drake_oa.runs.simulation import MotionInterruptedError, simulate

@@ -11,11 +11,11 @@ from drake_oa.policy.action import SCALED_TO_REST
 from drake_oa.policy.dmp import imitate, local_frame, minimum_jerk
 from drake_oa.posture.posture_planner import ArmSight, ArmWay, WholeArm
 from drake_oa.posture.waypoint_tree import Aside
+from drake_oa.regulation.config import SearchParameters
 from drake_oa.regulation.regressor import load_chain
 from drake_oa.regulation.regulated_arm import ArmRegulator
 from drake_oa.regulation.regulation import Regulation
-from drake_oa.regulation.regulator import SEEK_AGAIN, Regulator
-from drake_oa.regulation.search import SearchParameters
+from drake_oa.regulation.regulator import Regulator
 from drake_oa.robot.arm import ArmModel
 from drake_oa.scenario.loading import package_file
 
@@ -74,7 +74,10 @@ def test_where_it_cannot_others_are_sought_now_and_then(
     assert first.way.concern.startswith("no posture of the arm clears obstacle 0")
     assert first.sought == UNDER_WAY.stamp
     assert not first.anew
-    for time, sought in ((0.5 * SEEK_AGAIN, 0.0), (1.1 * SEEK_AGAIN, 1.1 * SEEK_AGAIN)):
+    for time, sought in (
+        (0.5 * SearchParameters().seek_period, 0.0),
+        (1.1 * SearchParameters().seek_period, 1.1 * SearchParameters().seek_period),
+    ):
         later = replace(UNDER_WAY, stamp=time)
         assert regulator.update(first, later, GOAL, BALL, TABLE, seen).sought == sought
 

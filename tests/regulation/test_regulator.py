@@ -7,10 +7,10 @@ import pytest
 
 from drake_oa.common.messages import EllipsoidSet, PolicyState
 from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk
+from drake_oa.regulation.config import SearchParameters
 from drake_oa.regulation.regressor import load_chain
 from drake_oa.regulation.regulation import Regulation
 from drake_oa.regulation.regulator import Regulator
-from drake_oa.regulation.search import SearchParameters
 from drake_oa.scenario.loading import package_file
 
 START, GOAL = np.array([0.0, 0.0, 0.3]), np.array([1.0, 0.0, 0.3])

@@ -5,13 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from drake_oa.common.config import check_values
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.policy.coupling_kernels import ALPHA as ALPHA_COLUMN
 from drake_oa.policy.coupling_kernels import NORMAL
+from drake_oa.regulation.config import SearchParameters
 from drake_oa.regulation.proposals import ALPHA, ANGLE, N_GENES, avoidance_terms, shadows
 from drake_oa.regulation.regressor import ChainWeights, load_chain
 from drake_oa.regulation.rollout import SpatialScenes, spatial_rollouts
-from drake_oa.regulation.search import SearchParameters, Verified, assessed, survey, verify
+from drake_oa.regulation.search import SearchResult, assessed, survey, verify
 from drake_oa.scenario.loading import package_file
 
 DURATION = 3.0
@@ -46,7 +48,7 @@ def scenes(
     )
 
 
-def followed(posed: SpatialScenes, found: Verified) -> tuple[np.ndarray, np.ndarray]:
+def followed(posed: SpatialScenes, found: SearchResult) -> tuple[np.ndarray, np.ndarray]:
     """Path (n, 3) and stamps (n,) of the motion that was chosen."""
     rolled = spatial_rollouts(
         posed,
@@ -250,7 +252,7 @@ def test_a_turn_about_the_normal_goes_to_the_side() -> None:
 def test_parameters_are_checked(wrong: dict[str, float]) -> None:
     (name,) = wrong
     with pytest.raises(ValueError, match=name):
-        SearchParameters(**wrong)  # type: ignore[arg-type]
+        check_values(SearchParameters(**wrong))
 
 
 def test_arguments_are_checked(chain: ChainWeights) -> None:

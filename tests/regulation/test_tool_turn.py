@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from drake_oa.common.messages import FloatArray, ObstacleClouds, PolicyState
 from drake_oa.geometry.rotation import turned_about, unit_axis
 from drake_oa.policy.dmp import imitate, local_frame, minimum_jerk
+from drake_oa.regulation.config import SearchParameters
 from drake_oa.regulation.regressor import load_chain
 from drake_oa.regulation.regulator import Regulator
-from drake_oa.regulation.search import SearchParameters
 from drake_oa.regulation.tool_turn import ToolTurner, TurnChoice, TurningTool, TurnParameters
 from drake_oa.scenario.loading import package_file
 

@@ -21,8 +21,8 @@ from drake_oa.common.messages import (
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk
 from drake_oa.policy.dmp_integrator import DmpIntegrator
+from drake_oa.regulation.config import SearchParameters
 from drake_oa.regulation.regressor import ChainWeights, load_chain
-from drake_oa.regulation.search import SearchParameters
 from drake_oa.regulation.verified_regressor_chain import VerifiedRegressorChain
 from drake_oa.robot.reachability import tool_down_annulus, tool_down_radii
 from drake_oa.route.cost_ring_selector import TakenRoute

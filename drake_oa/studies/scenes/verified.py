@@ -10,9 +10,10 @@ from functools import cache
 import numpy as np
 
 from drake_oa.common.messages import FloatArray, IntArray
+from drake_oa.regulation.config import SearchParameters
 from drake_oa.regulation.regressor import ChainWeights, load_chain
 from drake_oa.regulation.rollout import SpatialScenes
-from drake_oa.regulation.search import SearchParameters, roll_out, verify
+from drake_oa.regulation.search import roll_out, verify
 from drake_oa.scenario.loading import package_file
 from drake_oa.studies.scenes.methods import Motions, Setting
 from drake_oa.studies.scenes.scenes import DURATION, Scenes, single_obstacle

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from drake_oa.regulation.config import SearchParameters
 from drake_oa.regulation.regressor import load_chain
-from drake_oa.regulation.search import SearchParameters
 from drake_oa.scenario.loading import package_file
 from drake_oa.studies.scenes.judge import judge
 from drake_oa.studies.scenes.methods import Setting, load_method
