@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.posture.posture_plan import PostureParameters
@@ -41,6 +42,9 @@ def make_robot_arm(
         scenario: with a robot.
         robot_plant: the robot alone, as the plant has it.
         q_start: (nq,) its positions at the start, see `start_positions`.
+
+    Raises:
+        ScenarioError: for links that are to keep less than the supervisor lets them.
     """
     robot = scenario.robot
     if robot is None or robot.posture is None or not isinstance(scenario.regulation, Verified):
@@ -49,15 +53,19 @@ def make_robot_arm(
         return None
     stop = 0.0 if scenario.supervisor is None else scenario.supervisor.stop_distance
     stop += padding(scenario.perception) + _FARTHER
+    least = stop + _FARTHER
+    if robot.posture.clearance < least:
+        # Nearer than the stop the supervisor would hold the motion.
+        raise ScenarioError(
+            f"robot.posture.clearance: {robot.posture.clearance:g} must be at least {least:g} [m], "
+            "a little more than supervisor.stop_distance and what perception leaves open"
+        )
     try:
         arm = arm_model(scenario, robot, robot_plant, q_start)
         held = tool_orientation(scenario)
         planner = WholeArm(
             arm,
-            # Nearer than the stop the supervisor would hold the motion.
-            PostureParameters(
-                clearance=max(robot.posture.clearance, stop + _FARTHER), stop_distance=stop
-            ),
+            PostureParameters(clearance=robot.posture.clearance, stop_distance=stop),
             None if held is None else held.along,
             make_posture_guide(scenario, arm.posture),
         )

@@ -86,10 +86,15 @@ class ArmWay(Frozen):
     failed: bool = False
 
     @property
+    def follows(self) -> bool:
+        """Whether the arm can follow the motion, as far as there is one."""
+        return not len(self.motion) or self.seen is None or (self.plan.works and not self.failed)
+
+    @property
     def concern(self) -> str:
         """Why the arm cannot follow, or ""."""
         plan = self.plan
-        if not len(self.motion) or self.seen is None or (plan.works and not self.failed):
+        if self.follows or self.seen is None:
             return ""
         if self.failed:
             return "no posture of the arm reaches all of the path"

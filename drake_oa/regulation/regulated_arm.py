@@ -37,11 +37,8 @@ from drake_oa.posture.waypoint_tree import (
     straight_motion,
 )
 from drake_oa.regulation.config import Following
-from drake_oa.regulation.regulation import Regulation, hardly_moved
+from drake_oa.regulation.regulation import Hold, Regulation, hardly_moved
 from drake_oa.regulation.regulator import Regulator
-
-_AT_POINT = "at the point beside the obstacle"
-_GIVEN_UP = "the way to the point beside the obstacle is given up"
 
 
 class ArmRegulator:
@@ -82,11 +79,11 @@ class ArmRegulator:
         goal, aside = p_WG, before.aside
         if len(aside.p_WV):
             if math.dist(policy.p_WE, aside.p_WV) <= self._following.there:
-                return _held_for(before, policy, _AT_POINT, aside.reached())
+                return _held_for(before, policy, Hold.AT_WAYPOINT, aside.reached())
             held = policy.note not in ("", SCALED_TO_REST, DECIDING)
             held = held and policy.stamp - before.rests_since >= self._following.stuck
             if held or not np.array_equal(aside.p_WG, p_WG):
-                return _held_for(before, policy, _GIVEN_UP, aside.given_up())
+                return _held_for(before, policy, Hold.WAYPOINT_LOST, aside.given_up())
             goal = aside.p_WV
         # tau as it is for the tool alone.
         of_tool = replace(before, tau=before.tau / before.way.slower)
@@ -118,7 +115,7 @@ class ArmRegulator:
                     way, before.way, after.motion, policy, sight, self._following.near_old
                 )
         if policy.stamp - after.sought >= self._regulator.parameters.seek_period:
-            if way.concern:
+            if not way.follows:
                 after, way = self._sought(after, way, policy, p_WG, sight, table)
             elif (
                 policy.note == SCALED_TO_REST
@@ -243,11 +240,11 @@ class ArmRegulator:
         )
 
 
-def _held_for(before: Regulation, policy: PolicyState, why: str, aside: Aside) -> Regulation:
+def _held_for(before: Regulation, policy: PolicyState, why: Hold, aside: Aside) -> Regulation:
     """Holds a motion to a point; once it rests, another is to begin where it is."""
     if policy.speed > 0.0:
-        return replace(before, p_WE=policy.p_WE, note=why)
-    return replace(before, p_WE=policy.p_WE, note="", anew=True, aside=aside)
+        return replace(before, p_WE=policy.p_WE, hold=why)
+    return replace(before, p_WE=policy.p_WE, hold=Hold.NONE, anew=True, aside=aside)
 
 
 def _as_before(

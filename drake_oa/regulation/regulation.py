@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from enum import Enum
 
 import numpy as np
 
@@ -38,6 +39,18 @@ def no_genes() -> FloatArray:
     return np.full(N_GENES, np.nan)
 
 
+class Hold(Enum):
+    """Why the motion must not go on, if it must not."""
+
+    NONE = ""
+    NO_MOTION = "no motion that clears obstacle {obstacle} found"
+    NO_MOTION_INSIDE = (
+        "no motion that clears obstacle {obstacle} above the table and in the workspace found"
+    )
+    AT_WAYPOINT = "at the point beside the obstacle"
+    WAYPOINT_LOST = "the way to the point beside the obstacle is given up"
+
+
 @dataclass(frozen=True, eq=False)
 class Regulation(Frozen):
     """The motion that was verified last, and among what.
@@ -61,7 +74,8 @@ class Regulation(Frozen):
         lowered: by how much the feasible clearance is less than the asked one [m].
         lowered_for: name of the obstacle that it is least of; -1: none.
         goal_error: distance to the goal at the motion's end [m].
-        note: empty, or why the motion must not go on.
+        hold: why the motion must not go on.
+        held_by: name of the obstacle that no motion clears; -1: none.
         anew: whether a motion that begins where this one rests will do in its place.
         tried: when such a one was looked for last [s].
         aside: the point V that the motion goes to first, which then is its p_WG.
@@ -90,7 +104,8 @@ class Regulation(Frozen):
     lowered: float = 0.0
     lowered_for: int = -1
     goal_error: float = 0.0
-    note: str = ""
+    hold: Hold = Hold.NONE
+    held_by: int = -1
     anew: bool = False
     tried: float = -math.inf
     aside: Aside = field(default_factory=Aside)
@@ -100,6 +115,16 @@ class Regulation(Frozen):
     sought: float = -math.inf
     motion: PlannedMotion = field(default_factory=PlannedMotion)
     way: ArmWay = field(default_factory=ArmWay)
+
+    @property
+    def held(self) -> bool:
+        """Whether the motion must not go on."""
+        return self.hold is not Hold.NONE
+
+    @property
+    def note(self) -> str:
+        """Why it must not, in words; empty where it may."""
+        return self.hold.value.format(obstacle=self.held_by)
 
     def coupling(self, ellipsoids: EllipsoidSet) -> CouplingParameters:
         """The parameters for obstacles now: one row an ellipsoid, at most one with a term."""

@@ -34,6 +34,7 @@ from drake_oa.regulation.proposals import ALPHA as LOG_ALPHA
 from drake_oa.regulation.proposals import TAU
 from drake_oa.regulation.regressor import ChainWeights
 from drake_oa.regulation.regulation import (
+    Hold,
     Regulation,
     begun_anew,
     hardly_moved,
@@ -133,7 +134,7 @@ class Regulator:
         # A motion that is late is looked at again: the unmodulated rest may do.
         late = normalised_time(policy.phase, self._dmp.alpha_k) >= 1.0
         if not late and stays(before, here):
-            return self._looked_anew(here, policy) if here.note else here
+            return self._looked_anew(here, policy) if here.held else here
         if not len(ellipsoids):
             # Nothing to go round; the spring leads to the goal.
             remaining = math.dist(p_WG, policy.p_WE)
@@ -175,7 +176,7 @@ class Regulator:
             parameters=self.parameters,
         )
         after = self._kept(here, scene, found, baseline)
-        will_do = not after.note and after.goal_error <= self._missed(here)
+        will_do = not after.held and after.goal_error <= self._missed(here)
         will_do = will_do and after.shortfall <= here.lacked + self.parameters.may_lose
         return after if will_do else None
 
@@ -201,7 +202,7 @@ class Regulator:
         )
         for row in range(len(found.cost)):
             one = self._kept(after, scene, found.rows(np.array([row])), float(scene.baseline[0]))
-            if one.note or one.goal_error > self._missed(after):
+            if one.held or one.goal_error > self._missed(after):
                 continue
             yield replace(one, anew=False, for_arm=True, lacked=one.shortfall, sought=policy.stamp)
 
@@ -242,7 +243,7 @@ class Regulator:
 
     def _looked_anew(self, after: Regulation, policy: PolicyState) -> Regulation:
         """Of a motion that rests, as none goes on from it: whether one begins where it is."""
-        if not (after.note and self._may_begin_anew(after, policy)):
+        if not (after.held and self._may_begin_anew(after, policy)):
             return after
         if policy.stamp - after.tried < self.parameters.retry_period:
             return after
@@ -255,7 +256,7 @@ class Regulator:
             dmp=self._dmp,
             parameters=self.parameters,
         )
-        does = not self._kept(begun, scene, found, float(scene.baseline[0])).note
+        does = not self._kept(begun, scene, found, float(scene.baseline[0])).held
         return replace(after, anew=does, tried=policy.stamp)
 
     def _search(self, before: Regulation, ellipsoids: EllipsoidSet) -> SearchParameters:
@@ -321,12 +322,10 @@ class Regulator:
         touched = kept <= 0.0
         outside = not found.kept[0] and float(motion.world_margin[0]) < -self.parameters.outside
         astray = clear.any() and float(found.goal_error[0]) > self.parameters.astray * baseline
-        note = ""
+        hold, held_by = Hold.NONE, -1
         if touched or outside or astray:
-            worst = int(np.where(clear, least, np.inf).argmin())
-            where = " above the table and in the workspace" if outside else ""
-            name = here.ellipsoids.ids[worst] % PART
-            note = f"no motion that clears obstacle {name}{where} found"
+            hold = Hold.NO_MOTION_INSIDE if outside else Hold.NO_MOTION
+            held_by = int(here.ellipsoids.ids[np.where(clear, least, np.inf).argmin()] % PART)
         genes = np.array(found.genes[0])
         free = not genes[LOG_ALPHA] > -np.inf
         if free:
@@ -349,7 +348,8 @@ class Regulator:
             lowered=lowered,
             lowered_for=int(here.ellipsoids.ids[feasible.argmin()] % PART) if lowered else -1,
             goal_error=float(found.goal_error[0]),
-            note=note,
+            hold=hold,
+            held_by=held_by,
             motion=_planned(scene.s, motion, self.parameters.steps, here.p_WS),
         )
 

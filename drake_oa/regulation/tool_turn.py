@@ -243,7 +243,7 @@ class TurnChoice(Frozen):
         obstacles: among what.
         points: (N, 3) points of them [m].
         searched: time of the last look at other turns [s].
-        note: empty, or why no turn was found.
+        blocked: whether no turn was found.
     """
 
     planned: float = 0.0
@@ -253,7 +253,7 @@ class TurnChoice(Frozen):
     obstacles: ObstacleClouds = field(default_factory=ObstacleClouds)
     points: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     searched: float = -math.inf
-    note: str = ""
+    blocked: bool = False
 
 
 class ToolTurner:
@@ -289,6 +289,11 @@ class ToolTurner:
         self._turns = self._parameters.turns if turns is None else list(turns)
         self._duration = duration
         self._free_W = np.zeros((0, 3)) if free_W is None else np.asarray(free_W, dtype=float)
+
+    @property
+    def largest(self) -> float:
+        """Largest turn that is tried [rad]."""
+        return self._parameters.largest
 
     def update(
         self,
@@ -327,7 +332,7 @@ class ToolTurner:
             and np.array_equal(before.regulation.p_WG, p_WG)
             and self._sweep_is_free(here.points, policy.p_WE, now, here.planned)
         )
-        wait = self._parameters.period * (_PATIENCE if before.note else 1.0)
+        wait = self._parameters.period * (_PATIENCE if before.blocked else 1.0)
         due = policy.stamp >= before.searched + wait - 1e-6
         if first or (changed and due):
             here = self._reconsidered(here, policy, p_WG, seen, now, first=first)
@@ -363,15 +368,13 @@ class ToolTurner:
             if _will_do(kept, policy) and self._sweep_is_free(
                 here.points, policy.p_WE, now, here.planned
             ):
-                here = replace(here, regulation=kept, note="")
+                here = replace(here, regulation=kept, blocked=False)
                 return here if here.planned == 0.0 else self._turned_back(here, policy, p_WG, now)
         found = self._search(here, policy, p_WG, now)
         if found is not None:
             return found
-        limit = math.degrees(self._parameters.largest)
-        note = f"no turn of the tool within {limit:.0f} degrees lets it pass"
         kept = self._regulator.update(Regulation(), policy, p_WG, seen, seen.table)
-        return replace(here, regulation=kept, note=note)
+        return replace(here, regulation=kept, blocked=True)
 
     def _search(
         self, here: TurnChoice, policy: PolicyState, p_WG: FloatArray, now: float
@@ -413,7 +416,7 @@ class ToolTurner:
             cost += motion.remaining / baseline
             if cost < best and _will_do(motion, policy):
                 best = cost
-                found = replace(here, planned=turn, regulation=motion, note="")
+                found = replace(here, planned=turn, regulation=motion, blocked=False)
         return found
 
     def _turned_back(
@@ -477,7 +480,7 @@ class ToolTurner:
 
 def _will_do(motion: Regulation, policy: PolicyState) -> bool:
     """Whether a motion is verified, and neither its start nor its end inside an obstacle."""
-    if motion.note or motion.shortfall > _SHORT or motion.goal_error > _MISSED:
+    if motion.held or motion.shortfall > _SHORT or motion.goal_error > _MISSED:
         return False
     seen = motion.ellipsoids
     ends = np.array([policy.p_WE, motion.p_WG])[:, None]

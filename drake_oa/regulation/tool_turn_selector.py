@@ -123,7 +123,7 @@ class ToolTurnSelector(LeafSystem):
         )
         if after is before:
             return EventStatus.DidNothing()
-        _log_change(before.in_force.decision, after.in_force.decision, context.get_time())
+        self._log_change(before.in_force.decision, after.in_force.decision, context.get_time())
         held.set_value(after)
         return EventStatus.Succeeded()
 
@@ -135,7 +135,7 @@ class ToolTurnSelector(LeafSystem):
             return EventStatus.DidNothing()
         policy = read_value(self, self._policy, context, PolicyState)
         if made.fits(policy, self._goal.Eval(context)):
-            _log_change(before.in_force.decision, made.decision, context.get_time())
+            self._log_change(before.in_force.decision, made.decision, context.get_time())
             held.set_value(before.taken())
         else:
             held.set_value(before.dropped())
@@ -156,10 +156,12 @@ class ToolTurnSelector(LeafSystem):
         )
         return ForMotion(after, policy.p_WS, np.array(goal))
 
-
-def _log_change(before: TurnChoice, after: TurnChoice, time: float) -> None:
-    if after.planned != before.planned:
-        degrees = math.degrees(after.planned)
-        _logger.info("t=%.3f s: passes with the tool turned by %.0f degrees", time, degrees)
-    if after.note and after.note != before.note:
-        _logger.warning("t=%.3f s: %s", time, after.note)
+    def _log_change(self, before: TurnChoice, after: TurnChoice, time: float) -> None:
+        if after.planned != before.planned:
+            degrees = math.degrees(after.planned)
+            _logger.info("t=%.3f s: passes with the tool turned by %.0f degrees", time, degrees)
+        if after.blocked and not before.blocked:
+            limit = math.degrees(self._turner.largest)
+            _logger.warning(
+                "t=%.3f s: no turn of the tool within %.0f degrees lets it pass", time, limit
+            )

@@ -317,7 +317,7 @@ class VerifiedRegressorChain(LeafSystem):
         ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
         kept = self._read(context)
         coupling = kept.regulation.coupling(ellipsoids)
-        if self._thinking is not None and kept.waits and not coupling.note:
+        if self._thinking is not None and kept.waits and not kept.regulation.held:
             coupling = replace(coupling, note=DECIDING)
         output.set_value(coupling)
 
@@ -346,7 +346,7 @@ def _check_annulus(annulus: FloatArray) -> None:
 
 def _log_change(before: Regulation, after: Regulation, time: float) -> None:
     """Says once what a new choice does not do; why it holds, who holds says."""
-    said = "" if after.note else concern(after)
+    said = "" if after.held else concern(after)
     was, now = ((one.short_of, one.lowered_for) for one in (before, after))
-    if said and (now != was or before.note or not concern(before)):
+    if said and (now != was or before.held or not concern(before)):
         _logger.warning("t=%.3f s: %s", time, said)

@@ -9,7 +9,7 @@ from drake_oa.common.messages import EllipsoidSet, PolicyState
 from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk
 from drake_oa.regulation.config import SearchParameters
 from drake_oa.regulation.regressor import load_chain
-from drake_oa.regulation.regulation import Regulation
+from drake_oa.regulation.regulation import Hold, Regulation
 from drake_oa.regulation.regulator import Regulator
 from drake_oa.scenario.loading import package_file
 
@@ -37,10 +37,10 @@ def regulator(*, begins_anew: bool = True) -> Regulator:
 def held() -> tuple[Regulation, PolicyState]:
     """A motion that was verified, and is held for a reason; the policy rests on its way."""
     kept = regulator().update(Regulation(), AT_START, GOAL, BALL, None)
-    assert not kept.note
+    assert not kept.held
     on_way = kept.motion.p_WE[len(kept.motion) // 4]
     rests = replace(AT_START, p_WE=on_way, phase=0.4, speed=0.0, stamp=2.0, note=NOTE)
-    return replace(kept, note=NOTE), rests
+    return replace(kept, hold=Hold.NO_MOTION, held_by=4), rests
 
 
 def test_a_held_motion_begins_anew_where_one_from_there_will_do(
@@ -56,7 +56,7 @@ def test_a_held_motion_begins_anew_where_one_from_there_will_do(
     begun = replace(policy, p_WS=policy.p_WE, z_W=np.zeros(3), phase=1.0)
     again = regulator().update(after, begun, GOAL, BALL, None)
     assert not again.anew
-    assert not again.note
+    assert not again.held
 
 
 @pytest.mark.parametrize("change", [{"speed": 0.1}, {"p_WE": START}, {"p_WE": GOAL}])

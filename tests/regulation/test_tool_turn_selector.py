@@ -22,8 +22,9 @@ PERIOD = 1.0 / 30.0
 class Turner:
     """Plans what it is told to, and notes what it was asked."""
 
-    def __init__(self, *planned: float, note: str = "") -> None:
-        self.planned, self.note = list(planned), note
+    def __init__(self, *planned: float, blocked: bool = False) -> None:
+        self.planned, self.blocked = list(planned), blocked
+        self.largest = math.pi / 2.0
         self.now: list[float] = []
 
     def update(
@@ -38,7 +39,7 @@ class Turner:
         self.now.append(now)
         planned = self.planned[min(len(self.now), len(self.planned)) - 1]
         return replace(
-            before, planned=planned, turn=0.5 * planned, speed_scale=0.25, note=self.note
+            before, planned=planned, turn=0.5 * planned, speed_scale=0.25, blocked=self.blocked
         )
 
 
@@ -84,7 +85,7 @@ def test_the_turn_of_the_tool_comes_by_a_port() -> None:
 
 def test_another_turn_and_the_lack_of_one_are_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "drake_oa")
-    _, simulator, _ = bench(Turner(math.pi / 4.0, math.pi / 4.0, 0.0, note="no turn will do"))
+    _, simulator, _ = bench(Turner(math.pi / 4.0, math.pi / 4.0, 0.0, blocked=True))
     simulator.AdvanceTo(4.5 * PERIOD)
     said = [record.getMessage() for record in caplog.records]
     assert [text.partition(": ")[2] for text in said] == [
