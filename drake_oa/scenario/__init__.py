@@ -8,8 +8,8 @@ once, when it is read. An error names the field and what would be valid.
     policy         movement primitive and coupling terms            `scenario.Policy`
     robot          model, tool, gains, posture                      `robot.config.Robot`
     perception     tagged: where obstacles come from    `perception.config`, `perception`
-    regulation     tagged: !Verified or !Regressor                  `scenario.Verified`, `Regressor`
-    supervisor, evasion                                             `scenario`
+    regulation     tagged: !Verified or !Regressor                  `regulation.config`
+    supervisor, evasion                                             `safety.config`
     cameras, directives                                             Drake's own
     obstacles, faults                                               `obstacles`, `faults`
 

@@ -90,7 +90,7 @@ def test_another_turn_and_the_lack_of_one_are_logged_once(caplog: pytest.LogCapt
     said = [record.getMessage() for record in caplog.records]
     assert [text.partition(": ")[2] for text in said] == [
         "passes with the tool turned by 45 degrees",
-        "no turn will do",
+        "no turn of the tool within 90 degrees lets it pass",
         "passes with the tool turned by 0 degrees",
     ]
 
