@@ -1,8 +1,8 @@
 """The command `drake-oa`.
 
-In: scenarios by name or file, logs, depth images, options; out: tables on stdout, messages, progress
-and errors on stderr, files that are named. Each command is a typed function: cyclopts reads its
-signature for the options and its docstring for the help, which is therefore written for users.
+In: scenarios by name or file, logs, depth images, options; out: tables on stdout, messages,
+progress and errors on stderr, files that are named. Each command is a typed function: cyclopts
+reads its signature for the options and its docstring for the help, which is written for users.
 
     run                 both motions of a scenario, judged; a log, a report, a recording
     replay, plot        a log, shown again and drawn
@@ -12,13 +12,13 @@ signature for the options and its docstring for the help, which is therefore wri
     evaluate            methods on suites of scenes (`drake_oa.studies`); `panda` and `mbm` below it
     train               the regressor chain (`drake_oa.training`)
 
-A module is imported when its command is asked for, and what computes when it is needed: `--help` and
-`scenarios` import neither NumPy nor Drake. Tables and progress are rich's on a terminal and plain text
-elsewhere (`drake_oa.common.console`).
+A module is imported when its command is asked for, and what computes when it is needed: `--help`
+and `scenarios` import neither NumPy nor Drake. Tables and progress are rich's on a terminal and
+plain text elsewhere (`drake_oa.common.console`).
 
-Exit statuses: 0 done, 1 failed (a motion that did not arrive, a table that was not found), 2 bad input,
-told in one line "drake-oa: error: ..." (with --verbose after a traceback), 130 interrupted, 143
-terminated.
+Exit statuses: 0 done, 1 failed (a motion that did not arrive, a table that was not found), 2 bad
+input, told in one line "drake-oa: error: ..." (with --verbose after a traceback), 130 interrupted,
+143 terminated.
 
 Read `main` first.
 """

@@ -11,9 +11,11 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
+# Where it is used: commands that compute nothing answer at once.
+if TYPE_CHECKING:
+    import numpy as np
 
 
 def check_outputs(*paths: Path | None) -> None:
@@ -194,6 +196,8 @@ def archive_headers(path: Path) -> dict[str, ArrayHeader]:
     Raises:
         OSError, ValueError, zipfile.BadZipFile: if it cannot be read.
     """
+    import numpy as np
+
     found: dict[str, ArrayHeader] = {}
     with zipfile.ZipFile(path) as archive:
         for entry in archive.namelist():
