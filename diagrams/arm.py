@@ -12,15 +12,13 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.posture.posture_plan import PostureParameters
 from drake_oa.posture.posture_planner import WholeArm
+from drake_oa.regulation.config import Verified
 from drake_oa.regulation.verified_regressor_chain import RobotArm
 from drake_oa.robot.arm import ArmModel, make_arm_model
 from drake_oa.robot.config import Robot
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.plant import RobotPlant
-from drake_oa.scenario.scenario import (
-    Scenario,
-    Verified,
-)
+from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import padding
 from drake_oa.scenario.task_joints import posture_guide
 from drake_oa.scenario.tool_orientation import end_rotations, tool_orientation

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import cast
-
 import numpy as np
 from pydrake.math import RollPitchYaw
 from pydrake.systems.framework import LeafSystem
@@ -15,8 +13,6 @@ from pydrake.systems.primitives import (
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.station import Cell
-from drake_oa.policy.action import ActionParameters
-from drake_oa.policy.coupling import GuidanceForm
 from drake_oa.policy.dmp import Dmp, imitate, minimum_jerk
 from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.policy.orientation_dmp import minimum_jerk_orientation
@@ -84,19 +80,8 @@ def make_goal(scenario: Scenario) -> LeafSystem:
 
 def make_dmp_integrator(scenario: Scenario) -> DmpIntegrator:
     """The action level."""
-    policy = scenario.policy
-    return DmpIntegrator(
-        make_dmp(scenario),
-        np.asarray(scenario.task.start, dtype=float),
-        period=policy.period,
-        parameters=ActionParameters(
-            guidance=cast(GuidanceForm, policy.guidance),
-            guidance_gain=policy.guidance_gain,
-            fade=policy.fade,
-            max_observation_age=policy.max_observation_age,
-            hold_time=policy.hold_time,
-        ),
-    )
+    start = np.asarray(scenario.task.start, dtype=float)
+    return DmpIntegrator(make_dmp(scenario), start, config=scenario.policy)
 
 
 def make_orientation_integrator(scenario: Scenario) -> OrientationIntegrator | None:

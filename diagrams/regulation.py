@@ -10,12 +10,13 @@ from pydrake.math import RollPitchYaw
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.wires import Wires
-from drake_oa.control.min_speed_scale import Slowest
+from drake_oa.control.min_speed_scale import MinSpeedScale
 from drake_oa.diagrams.policy import add_orientation, make_dmp, make_kept_orientation
 from drake_oa.diagrams.route import held_annulus
 from drake_oa.diagrams.station import Cell
+from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import Dmp
-from drake_oa.regulation.config import SearchParameters
+from drake_oa.regulation.config import Regressor, SearchParameters, Verified
 from drake_oa.regulation.regressor import load_chain
 from drake_oa.regulation.regressor_chain import RegressorChain
 from drake_oa.regulation.regulator import Regulator
@@ -26,7 +27,7 @@ from drake_oa.robot.plant import RobotPlant, home_positions, tool_link_corners
 from drake_oa.robot.reachable_turns import reachable_turns
 from drake_oa.scenario.loading import package_file
 from drake_oa.scenario.perception import GivenEllipsoids
-from drake_oa.scenario.scenario import Policy, Regressor, Scenario, Verified
+from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import perception_period
 from drake_oa.scenario.tool_orientation import tool_orientation
 
@@ -83,7 +84,7 @@ def _add_turn(wires: Wires, scenario: Scenario, cell: Cell) -> None:
     if scenario.supervisor is None:
         wires.otherwise("speed_scale", "turn_speed_scale")
     else:
-        wires.interpose("speed_scale", "slowest", Slowest(), offers={"least": "speed_scale"})
+        wires.interpose("speed_scale", "slowest", MinSpeedScale(), offers={"least": "speed_scale"})
 
 
 def make_regressor_chain(

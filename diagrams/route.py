@@ -13,15 +13,13 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.station import Cell
 from drake_oa.geometry.collision_shapes import collect_collision_shapes
+from drake_oa.regulation.config import Regressor
 from drake_oa.robot.arm import make_arm_model
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import home_positions, make_robot_plant
 from drake_oa.robot.reachability import Reachability, reachability, tool_down_annulus
 from drake_oa.route.cost_ring_selector import CostRingSelector
-from drake_oa.scenario.scenario import (
-    Regressor,
-    Scenario,
-)
+from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.tool_orientation import held_robots
 
 _logger = logging.getLogger("drake_oa")

@@ -13,8 +13,9 @@ from drake_oa.diagrams.route import make_cost_ring_selector
 from drake_oa.diagrams.station import Cell
 from drake_oa.perception.config import DepthCamera
 from drake_oa.policy.dmp import trajectory
+from drake_oa.regulation.config import Verified
 from drake_oa.route.cost_ring_selector import TakenRoute
-from drake_oa.scenario.scenario import Scenario, Verified
+from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import camera_config
 from drake_oa.viewing.meshcat_overlay import MeshcatOverlay, dress_scene
 

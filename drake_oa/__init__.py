@@ -32,7 +32,7 @@ _SYSTEMS = {
     "ObstacleEvasion": "safety.obstacle_evasion",
     "CartesianInverseDynamics": "control.cartesian_inverse_dynamics",
     "IntegralAction": "control.integral_action",
-    "Slowest": "control.min_speed_scale",
+    "MinSpeedScale": "control.min_speed_scale",
     "MeshcatOverlay": "viewing.meshcat_overlay",
 }
 """Class -> its module below this package."""

@@ -88,5 +88,5 @@ def test_documented_ports_are_the_declared_ones(
 
 def test_so_are_those_of_a_tool_that_is_turned() -> None:
     diagram = build_avoidance(load_scenario("long_tool", ["perception=!GroundTruth {}"]))
-    turning = {"ToolTurnSelector", "OrientationIntegrator", "Slowest"}
+    turning = {"ToolTurnSelector", "OrientationIntegrator", "MinSpeedScale"}
     assert checked_systems(diagram) >= ALWAYS | turning

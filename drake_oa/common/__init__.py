@@ -1,1 +1,19 @@
-"""What every layer uses: messages between systems, ports, configuration checks, files."""
+"""What all layers share; it imports none of them.
+
+- `messages`: the frozen values on the abstract ports between layers: `ObstacleClouds`,
+  `EllipsoidSet`, `Route`, `CouplingParameters`, `PolicyState`, `PlannedMotion`, `Evasion`. Arrays
+  are locked, and a copy is the value itself, so that a Context clones in constant time.
+- `wires`: signals of a diagram by name: systems are added, replaced and put between by them.
+- `ports`: typed reading of abstract ports; a robot's plant as a cache entry of a system.
+- `config`: fields of configuration blocks with unit and range, and YAML data held against them.
+- `thinking`: what a decision costs in simulated time (`Thinking`, block `thinking`), and what is
+  in force until it is made (`Thoughts`).
+- `numba_tools`: where compiled kernels are kept, and arrays as kernels take them.
+- `files`: files replaced whole, memory that is there, versions that made a result.
+- `console`: exit statuses and errors of the commands.
+
+Units are SI, frames monogram notation: p_WE is the tool point E in the world W, R_WO the
+orientation of O in W, v_WO its velocity in W.
+
+Begin with `messages`.
+"""

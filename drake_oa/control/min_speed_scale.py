@@ -5,12 +5,12 @@ from __future__ import annotations
 from pydrake.systems.framework import BasicVector, Context, LeafSystem
 
 
-class Slowest(LeafSystem):
+class MinSpeedScale(LeafSystem):
     """The least of several shares of full speed.
 
     .. pydrake_system::
 
-      name: Slowest
+      name: MinSpeedScale
       input_ports:
       - speed_scale
       - turn_speed_scale (optional)

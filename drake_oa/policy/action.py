@@ -15,6 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
+from drake_oa.common.config import check_values
 from drake_oa.common.messages import (
     PART,
     CouplingParameters,
@@ -24,50 +25,17 @@ from drake_oa.common.messages import (
     PolicyState,
     Route,
 )
-from drake_oa.geometry.ellipsoid import shape_matrix
+from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.policy import action_kernels as kernels
-from drake_oa.policy.coupling import MAX_GUIDANCE_RATE, CouplingTerms, GuidanceForm, check_form
+from drake_oa.policy.action_kernels import Facts, Instant, Motion, Rules
+from drake_oa.policy.config import Policy
+from drake_oa.policy.coupling import MAX_GUIDANCE_RATE
 from drake_oa.policy.dmp import Dmp, local_frame
+from drake_oa.policy.guidance import Obstacles
 
 SCALED_TO_REST = "speed_scale is 0"
 """Note of a motion that is held because its speed is scaled to nothing from outside."""
 _NO_EVASION = np.zeros(3)
-
-
-@dataclass(frozen=True)
-class ActionParameters:
-    """How the coupling terms and the holds act.
-
-    Attributes:
-        guidance: form of the guidance term.
-        guidance_gain: largest alpha of the guidance term, per normalised time.
-        fade: the coupling fades within this many baselines of the goal.
-        max_observation_age: the motion is held when the obstacles were last seen
-            longer ago than this [s].
-        hold_time: time from full speed to a hold and back [s].
-
-    Raises:
-        ValueError: for an unknown form or a value out of range.
-    """
-
-    guidance: GuidanceForm = "counterphase"
-    guidance_gain: float = 100.0
-    fade: float = 0.3
-    max_observation_age: float = 0.5
-    hold_time: float = 0.25
-
-    def __post_init__(self) -> None:
-        check_form(self.guidance)
-        for name, positive in (
-            ("guidance_gain", False),
-            ("fade", False),
-            ("max_observation_age", True),
-            ("hold_time", True),
-        ):
-            value = getattr(self, name)
-            if not 0.0 <= value < math.inf or (positive and value == 0.0):
-                kind = "positive" if positive else "not negative"
-                raise ValueError(f"{name} must be finite and {kind}, not {value}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,36 +43,22 @@ class Segment(Frozen):
     """The motion between two steps of the policy.
 
     Attributes:
-        motion: (52,) policy at both ends and interpolation between them, laid out as
-            `drake_oa.policy.action_kernels` says.
+        motion: the policy at both ends and its course between them.
         note: empty, or why the motion is being held.
     """
 
-    motion: FloatArray
+    motion: Motion
     note: str = ""
-
-    def __post_init__(self) -> None:
-        # Nobody else holds the array: no view is needed to lock it.
-        self.motion.flags.writeable = False
 
     @staticmethod
     def resting(state: PolicyState) -> Segment:
         """A segment of no length: the policy at one instant."""
-        motion = np.empty(kernels.N_MOTION)
-        for begin in (0, kernels.END):
-            motion[begin : begin + 3] = state.p_WE
-            motion[begin + kernels.Z : begin + kernels.PHASE] = state.z_W
-            motion[begin + kernels.PHASE] = state.phase
-            motion[begin + kernels.SPEED] = state.speed
-            motion[begin + kernels.STAMP] = state.stamp
-        motion[kernels.TAU] = state.tau
-        motion[kernels.START : kernels.GOAL] = state.p_WS
-        motion[kernels.GOAL : kernels.FRAME] = state.p_WG
-        motion[kernels.FRAME : kernels.V] = state.R_WL.ravel()
-        v_WE = state.speed * state.z_W
-        motion[kernels.V : kernels.V_END] = motion[kernels.V_END : kernels.DRIFT] = v_WE
-        motion[kernels.DRIFT : kernels.ACCELERATION] = v_WE
-        motion[kernels.ACCELERATION :] = 0.0
+        p_WE, z_W, p_WS, p_WG, R_WL = kernel_arrays(
+            state.p_WE, state.z_W, state.p_WS, state.p_WG, state.R_WL
+        )
+        now = Instant(p_WE, z_W, float(state.phase), float(state.speed), float(state.stamp))
+        course = kernels.course_between(now, now, _NO_EVASION, _NO_EVASION)
+        motion = Motion(now, now, float(state.tau), p_WS, p_WG, R_WL, _NO_EVASION, course)
         return Segment(motion, state.note)
 
     @staticmethod
@@ -112,45 +66,40 @@ class Segment(Frozen):
         """A segment that stays at p_WE (3,) [m]."""
         return Segment.resting(PolicyState(p_WE=p_WE, p_WS=p_WE, p_WG=p_WE))
 
-    def _policy(self, begin: int) -> PolicyState:
+    def _policy(self, at: Instant) -> PolicyState:
         motion = self.motion
         return PolicyState(
-            p_WE=motion[begin : begin + 3],
-            z_W=motion[begin + kernels.Z : begin + kernels.PHASE],
-            phase=float(motion[begin + kernels.PHASE]),
-            tau=float(motion[kernels.TAU]),
-            p_WS=motion[kernels.START : kernels.GOAL],
-            p_WG=motion[kernels.GOAL : kernels.FRAME],
-            R_WL=motion[kernels.FRAME : kernels.V].reshape(3, 3),
-            stamp=float(motion[begin + kernels.STAMP]),
-            speed=float(motion[begin + kernels.SPEED]),
+            p_WE=at.p_WE,
+            z_W=at.z_W,
+            phase=at.phase,
+            tau=motion.tau,
+            p_WS=motion.p_WS,
+            p_WG=motion.p_WG,
+            R_WL=motion.R_WL,
+            stamp=at.stamp,
+            speed=at.speed,
             note=self.note,
         )
 
     @cached_property
     def state(self) -> PolicyState:
         """The policy at the beginning."""
-        return self._policy(0)
+        return self._policy(self.motion.begin)
 
     @cached_property
     def end(self) -> PolicyState:
         """The policy at the end."""
-        return self._policy(kernels.END)
+        return self._policy(self.motion.end)
 
     @property
     def phase(self) -> float:
         """Canonical phase k at the beginning."""
-        return float(self.motion[kernels.PHASE])
+        return self.motion.begin.phase
 
     @property
     def v_WE(self) -> FloatArray:
         """(3,) velocity at the beginning [m/s]."""
-        return self.motion[kernels.V : kernels.V_END]
-
-    @property
-    def v_WE_end(self) -> FloatArray:
-        """(3,) velocity at the end [m/s]."""
-        return self.motion[kernels.V_END : kernels.DRIFT]
+        return self.motion.course.v
 
     def interpolate(self, time: float, derivative: int) -> FloatArray:
         """Position, velocity or acceleration at a time [s] of the segment.
@@ -166,7 +115,7 @@ class Segment(Frozen):
         Returns:
             (3,) in the world frame.
         """
-        return kernels.interpolate(self.motion, float(time), derivative)
+        return kernels.interpolate(self.motion.course, float(time), derivative)
 
 
 def initial_segment(dmp: Dmp, p_WS: FloatArray, p_WG: FloatArray, time: float) -> Segment:
@@ -190,33 +139,30 @@ def initial_segment(dmp: Dmp, p_WS: FloatArray, p_WG: FloatArray, time: float) -
 class ActionLevel:
     """A movement primitive with its coupling terms, laid out for the kernel."""
 
-    def __init__(self, dmp: Dmp, parameters: ActionParameters) -> None:
+    def __init__(self, dmp: Dmp, config: Policy | None = None) -> None:
         """Lays out what is constant.
 
         Args:
             dmp: the movement primitive, of three dimensions.
-            parameters: how coupling terms and holds act.
+            config: how coupling terms and holds act; None: the defaults.
 
         Raises:
-            ValueError: if the primitive does not have three dimensions.
+            ValueError: if the primitive does not have three dimensions, or a value of the
+                configuration is out of its range.
         """
         if dmp.dimension != 3:
             raise ValueError(f"dmp must have 3 dimensions, not {dmp.dimension}")
-        self._constants = np.zeros(kernels.N_CONSTANTS)
-        for place, value in (
-            (kernels.ALPHA_X, dmp.alpha_x),
-            (kernels.BETA_X, dmp.beta_x),
-            (kernels.ALPHA_K, dmp.alpha_k),
-            (kernels.DURATION, dmp.duration),
-            (kernels.GUIDANCE_GAIN, parameters.guidance_gain),
-            (kernels.FADE, parameters.fade),
-            (kernels.MAX_AGE, parameters.max_observation_age),
-            (kernels.HOLD_TIME, parameters.hold_time),
-            (kernels.PRINTED, parameters.guidance == "printed"),
-            (kernels.MAX_RATE, MAX_GUIDANCE_RATE),
-        ):
-            self._constants[place] = value
-        self._basis = np.vstack([dmp.centers, dmp.widths, dmp.weights])
+        config = config or Policy()
+        check_values(config, "policy")
+        self._primitive = dmp.kernel
+        self._rules = Rules(
+            guidance_gain=float(config.guidance_gain),
+            fade=float(config.fade),
+            max_age=float(config.max_observation_age),
+            hold_time=float(config.hold_time),
+            printed=config.guidance == "printed",
+            max_rate=MAX_GUIDANCE_RATE,
+        )
 
     def step(
         self,
@@ -249,49 +195,41 @@ class ActionLevel:
             The motion in the last of the steps.
 
         Raises:
-            ValueError: see `advance`; or if there is no step to take.
+            ValueError: if the goal has come to lie on the start, the step is negative or not
+                finite, or there is no step to take.
         """
         if count < 1:
             raise ValueError(f"count must be at least 1, not {count}")
         scale = min(float(speed_scale), 1.0) if speed_scale > 0.0 else 0.0
-        gx, gy, gz = p_WG.tolist()
         if evasion is None or not math.isfinite(evasion.sum()):
             evasion = _NO_EVASION
-        motion = np.empty(kernels.N_MOTION)
-        code = kernels.take_steps(
-            before.motion,
-            gx,
-            gy,
-            gz,
-            self._constants,
-            self._basis,
+        motion = before.motion
+        if not np.array_equal(motion.p_WG, p_WG):
+            goal, frame = kernel_arrays(p_WG, local_frame(motion.p_WS, p_WG))
+            motion = motion._replace(p_WG=goal, R_WL=frame)
+        motion, code = kernels.take_steps(
+            motion,
+            self._primitive,
+            self._rules,
             around.facts,
-            around.parameters,
-            around.clearance,
-            around.blocks,
-            around.R_WO,
-            around.B,
+            around.obstacles,
             scale,
             evasion,
-            time,
-            step,
+            float(time),
+            float(step),
             count,
-            motion,
         )
-        if code < 0:
-            if code == kernels.GOAL_MOVED:
-                before = _toward(before, p_WG)
-                return self.step(before, p_WG, around, time, step, count, scale, evasion)
+        if code == kernels.BAD_STEP:
             raise ValueError(
-                f"a step of {step} s at {before.motion[kernels.END + kernels.SPEED]} 1/s is not "
-                "finite and at least 0 in normalised time"
+                f"a step of {step} s at {motion.end.speed} 1/s is not finite and at least 0 in "
+                "normalised time"
             )
         if code == kernels.FREE:
             return Segment(motion, "" if scale > 0.0 else SCALED_TO_REST)
         return Segment(motion, around.reason(code))
 
 
-def begun_anew(before: Segment, p_WG: FloatArray, time: float) -> Segment:
+def restarted(before: Segment, p_WG: FloatArray, time: float) -> Segment:
     """A motion that rests, from where it is: its start moves there, and its phase back to 1.
 
     A segment that does not rest, or has not left its start, stays as it is.
@@ -318,96 +256,8 @@ def begun_anew(before: Segment, p_WG: FloatArray, time: float) -> Segment:
     )
 
 
-def _toward(before: Segment, p_WG: FloatArray) -> Segment:
-    """The same segment, from the same start to another goal."""
-    motion = before.motion.copy()
-    frame = local_frame(motion[kernels.START : kernels.GOAL], p_WG)
-    motion[kernels.GOAL : kernels.FRAME] = p_WG
-    motion[kernels.FRAME : kernels.V] = frame.ravel()
-    return Segment(motion, before.note)
-
-
-def hold_reason(
-    state: PolicyState,
-    ellipsoids: EllipsoidSet | None,
-    route: Route | None,
-    coupling: CouplingParameters | None = None,
-    *,
-    time: float,
-    max_observation_age: float,
-) -> str:
-    """Why the motion must not go on now, or "".
-
-    It is held while nothing has been observed yet or the observation is too old;
-    while the tool is inside an obstacle's ellipsoid, or the goal is; and while the
-    rings forbid every side of an obstacle, or the note of the coupling parameters says that
-    no motion that clears it was found.
-    """
-    around = Surroundings.of(ellipsoids, coupling, route)
-    code = kernels.hold_code(
-        np.array(state.p_WE, dtype=float),
-        np.array(state.p_WG, dtype=float),
-        around.facts,
-        around.blocks,
-        around.R_WO,
-        float(time),
-        max_observation_age,
-    )
-    return around.reason(code)
-
-
-def advance(
-    dmp: Dmp,
-    state: PolicyState,
-    p_WG: FloatArray,
-    ellipsoids: EllipsoidSet | None,
-    coupling: CouplingParameters | None,
-    route: Route | None,
-    *,
-    time: float,
-    step: float,
-    parameters: ActionParameters,
-) -> Segment:
-    """Takes one step of the policy.
-
-    Args:
-        dmp: the movement primitive.
-        state: where it is.
-        p_WG: (3,) the goal now [m].
-        ellipsoids: the M obstacles; None: there is no perception, and no coupling.
-        coupling: parameters of the coupling terms, M rows; None: no coupling. Normals
-            and tau that it gives go before the route's, and a note of its holds the motion.
-        route: sides to pass on, M rows; None: no guidance. The guidance leads along its
-            headings, or where it has none, along those that pass on its sides from
-            where the policy is (`drake_oa.policy.guidance`).
-        time: now [s].
-        step: length of the step [s].
-        parameters: how coupling terms and holds act.
-
-    Returns:
-        The motion until time + step.
-
-    Raises:
-        ValueError: if coupling or route do not have one row an ellipsoid, the goal
-            has come to lie on the start, or the step is negative or not finite.
-    """
-    level = ActionLevel(dmp, parameters)
-    around = Surroundings.of(ellipsoids, coupling, route)
-    return level.step(Segment.resting(state), p_WG, around, float(time), float(step))
-
-
-def goal_fade(state: PolicyState, fade: float) -> float:
-    """How much of the coupling is left near the goal: (distance / (fade L))^4, at most 1.
-
-    The coupling would keep turning the motion round the goal; alpha acts by its
-    logarithm, hence the steep power.
-    """
-    to_G = state.p_WG - state.p_WE
-    return kernels.goal_fade(float(to_G @ to_G), state.baseline, float(fade))
-
-
-def _empty(*shape: int) -> FloatArray:
-    return field(default_factory=lambda: np.zeros(shape))
+_UNSEEN = Facts(False, 0.0, False, -1.0, 0.0, False, False)
+_NOTHING = Obstacles.of(None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -419,23 +269,15 @@ class Surroundings(Frozen):
         blocked: empty, or why no way past the obstacles is known.
         anew: whether a motion at rest is to begin anew from where it is.
         p_WV: (3,) the point that it goes to in place of the goal [m]; (0,): none.
-        facts, parameters, clearance, blocks, R_WO, B: as `action_kernels.take_steps`
-            takes them.
+        facts, obstacles: the same for the kernel, which changes none of the arrays.
     """
 
     ellipsoids: EllipsoidSet | None = None
     blocked: str = ""
     anew: bool = False
-    p_WV: FloatArray = _empty(0)
-    facts: FloatArray = _empty(kernels.N_FACTS)
-    parameters: FloatArray = _empty(0, 3)
-    clearance: FloatArray = _empty(0)
-    blocks: FloatArray = _empty(kernels.N_BLOCKS, 0, 3)
-    R_WO: FloatArray = _empty(0, 3, 3)
-    B: FloatArray = _empty(0, 3, 3)
-
-    def __post_init__(self) -> None:
-        """Leaves the arrays unlocked: the kernel is compiled for such, and changes none."""
+    p_WV: FloatArray = field(default_factory=lambda: np.zeros(0))
+    facts: Facts = _UNSEEN
+    obstacles: Obstacles = _NOTHING
 
     @staticmethod
     def of(
@@ -443,7 +285,15 @@ class Surroundings(Frozen):
         coupling: CouplingParameters | None,
         route: Route | None,
     ) -> Surroundings:
-        """Lays out what came on the ports, see `advance`.
+        """Lays out what came on the ports.
+
+        Args:
+            ellipsoids: the M obstacles; None: there is no perception, and no coupling.
+            coupling: parameters of the coupling terms, M rows; None: no coupling. Normals
+                and tau that it gives go before the route's, and a note of its holds the motion.
+            route: sides to pass on, M rows; None: no guidance. The guidance leads along its
+                headings, or where it has none, along those that pass on its sides from
+                where the policy is (`drake_oa.policy.guidance`).
 
         Raises:
             ValueError: if coupling or route do not have one row an ellipsoid, or a
@@ -456,48 +306,32 @@ class Surroundings(Frozen):
                 f"coupling_parameters' p_WV must be 3 finite numbers [m] or none, not {p_WV}"
             )
         blocked = _blocked(coupling, route)
-        facts = np.zeros(kernels.N_FACTS)
-        facts[kernels.PATH_LENGTH] = -1.0 if route is None else route.path_length
-        facts[kernels.GIVEN_TAU] = 0.0 if coupling is None else coupling.tau
-        blocks = np.zeros((kernels.N_BLOCKS, count, 3))
-        parameters, clearance = np.zeros((count, 3)), np.zeros(count)
-        R_WO, B = np.zeros((count, 3, 3)), np.zeros((count, 3, 3))
-        if ellipsoids is not None:
-            facts[kernels.SEEN] = 1.0
-            facts[kernels.OBSERVED] = ellipsoids.stamp
-            facts[kernels.BLOCKED] = blocked != ""
-            blocks[kernels.P_WO] = ellipsoids.p_WO
-            blocks[kernels.SEMI_AXES] = ellipsoids.semi_axes
-            R_WO[:] = ellipsoids.R_WO
-            B[:] = shape_matrix(ellipsoids.R_WO, ellipsoids.semi_axes)
+        obstacles = Obstacles.of(ellipsoids)
+        couples = in_plane = False
         if count and ellipsoids is not None and coupling is not None:
             _check_rows(count, coupling, route)
-            facts[kernels.COUPLES] = 1.0
-            facts[kernels.IN_PLANE] = len(coupling.center_W) > 0
+            couples, in_plane = True, len(coupling.center_W) > 0
             if route is not None:
-                _lay_out_route(route, blocks, clearance)
+                _lay_out_route(route, obstacles)
             if len(coupling.normal_W):
                 given = coupling.normal_W.any(axis=1)
-                blocks[kernels.PASSING_NORMAL, given] = coupling.normal_W[given]
-                blocks[kernels.DESIRED, given] = 0.0
-                clearance[given] = 0.0
-            about_route = facts[kernels.IN_PLANE] != 0.0
-            blocks[kernels.ABOUT] = coupling.center_W if about_route else ellipsoids.p_WO
-            for column, values in enumerate((coupling.alpha, coupling.psi, coupling.kappa)):
-                parameters[:, column] = values
-            _check_ranges(parameters, blocks)
-        return Surroundings(
-            ellipsoids=ellipsoids,
-            blocked=blocked,
-            anew=coupling is not None and coupling.anew,
-            p_WV=p_WV,
-            facts=facts,
-            parameters=parameters,
-            clearance=clearance,
-            blocks=blocks,
-            R_WO=R_WO,
-            B=B,
+                obstacles.normal[given] = coupling.normal_W[given]
+                obstacles.heading[given] = 0.0
+                obstacles.clearance[given] = 0.0
+            obstacles.about[:] = coupling.center_W if in_plane else ellipsoids.p_WO
+            obstacles.parameters[:] = coupling.as_array()
+            _check_ranges(obstacles)
+        facts = Facts(
+            looked_for=ellipsoids is not None,
+            seen=0.0 if ellipsoids is None else float(ellipsoids.stamp),
+            blocked=blocked != "",
+            path_length=-1.0 if route is None else float(route.path_length),
+            tau=0.0 if coupling is None else float(coupling.tau),
+            couples=couples,
+            in_plane=in_plane,
         )
+        anew = coupling is not None and coupling.anew
+        return Surroundings(ellipsoids, blocked, anew, p_WV, facts, obstacles)
 
     def reason(self, code: int) -> str:
         """What a reason to hold, as the kernel numbers them, says in words."""
@@ -537,24 +371,27 @@ def _check_rows(count: int, coupling: CouplingParameters, route: Route | None) -
             raise ValueError(f"{name} has {found} rows; there are {count} ellipsoids")
 
 
-def _check_ranges(parameters: FloatArray, blocks: FloatArray) -> None:
-    least = parameters.min(axis=0)
-    finite = np.isfinite(blocks).all() and np.isfinite(parameters).all()
-    if not (finite and least[0] >= 0.0 and least[1] > 0.0 and least[2] >= 0.0):
-        # They say what is wrong.
-        CouplingTerms(
-            p_WO=blocks[kernels.ABOUT],
-            parameters=parameters,
-            heading_W=blocks[kernels.DESIRED],
-            normal_W=blocks[kernels.PASSING_NORMAL],
+def _check_ranges(obstacles: Obstacles) -> None:
+    rows = np.hstack([obstacles.about, obstacles.heading, obstacles.normal, obstacles.parameters])
+    finite = np.isfinite(rows).all(axis=1)
+    if not finite.all():
+        row = int(np.argmin(finite))
+        raise ValueError(f"obstacle {row} has a value that is not finite: {rows[row].tolist()}")
+    alpha, psi, kappa = obstacles.parameters.T
+    good = (alpha >= 0.0) & (psi > 0.0) & (kappa >= 0.0)
+    if not good.all():
+        row = int(np.argmin(good))
+        raise ValueError(
+            f"obstacle {row}: alpha, psi, kappa must be >= 0, > 0, >= 0, "
+            f"not {obstacles.parameters[row].tolist()}"
         )
 
 
-def _lay_out_route(route: Route, blocks: FloatArray, clearance: FloatArray) -> None:
+def _lay_out_route(route: Route, obstacles: Obstacles) -> None:
     if len(route.heading_W):
-        blocks[kernels.DESIRED] = route.heading_W
+        obstacles.heading[:] = route.heading_W
     else:
-        blocks[kernels.DIRECTION] = route.direction_W
-        blocks[kernels.FOOT] = route.center_W
-        clearance[:] = route.clearance
-    blocks[kernels.PASSING_NORMAL] = route.normal_W
+        obstacles.direction[:] = route.direction_W
+        obstacles.foot[:] = route.center_W
+        obstacles.clearance[:] = route.clearance
+    obstacles.normal[:] = route.normal_W

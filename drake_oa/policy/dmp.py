@@ -17,16 +17,16 @@ its baseline, and is placed along the baseline at hand: f_W = baseline R_WL f(k)
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike
 from scipy.interpolate import make_interp_spline
 
 from drake_oa.common.messages import FloatArray, Frozen
-from drake_oa.policy.coupling import rotate
 
 ALPHA_X = 48.0
 """Default spring constant alpha_x, per normalised time."""
@@ -37,8 +37,70 @@ ALPHA_K = math.log(100.0)
 N_BASIS = 35
 """Default number of basis functions."""
 
-Turn = Callable[[FloatArray, FloatArray, float], FloatArray]
-"""Turn (3,) [rad] of z over a step, of p_WE (3,) [m], z_W (3,) [m] and the step in s."""
+
+class Primitive(NamedTuple):
+    """A `Dmp` as kernels take it; basis (2 + D, N): centres, widths, and a row of weights each."""
+
+    alpha_x: float
+    beta_x: float
+    alpha_k: float
+    duration: float
+    basis: FloatArray
+
+
+@njit(cache=True, error_model="numpy")
+def forcing(basis: FloatArray, k: float, force: FloatArray) -> None:
+    """Forcing term (eq. dmp_rbf) at phase k, into force (D,): sum psi_i w_i k / sum psi_i."""
+    most, D = 0.0, len(force)
+    for attempt in range(2):
+        total, least = 0.0, math.inf
+        force[:] = 0.0
+        for i in range(basis.shape[1]):
+            offset = k - basis[0, i]
+            exponent = basis[1, i] * offset * offset
+            least = min(least, exponent)
+            weight = math.exp(most - exponent)
+            total += weight
+            for row in range(D):
+                force[row] += basis[2 + row, i] * weight
+        if attempt == 1 or total >= 1e-200:
+            break
+        # Far from every centre: the quotient exists, its parts underflow.
+        most = least
+    for row in range(D):
+        force[row] *= k / total
+
+
+@njit(cache=True, error_model="numpy")
+def spring_flow(alpha_x: float, beta_x: float, step: float) -> tuple[float, float, float, float]:
+    """Exact flow of the spring dz/ds = -alpha_x (beta_x e + z), de/ds = z over a step.
+
+    Args:
+        alpha_x: spring constant.
+        beta_x: spring constant; any damping.
+        step: length of the step, at least 0.
+
+    Returns:
+        a, b, c, d with e <- a e + b z and z <- c e + d z.
+    """
+    stiffness, half = alpha_x * beta_x, 0.5 * alpha_x
+    square = half * half - stiffness
+    if abs(square) <= 1e-14 * half * half:
+        cosine = math.exp(-half * step)
+        sine = cosine * step
+    elif square < 0.0:
+        omega = math.sqrt(-square)
+        decay = math.exp(-half * step)
+        cosine = decay * math.cos(omega * step)
+        sine = decay * math.sin(omega * step) / omega
+    else:
+        omega = math.sqrt(square)
+        # half - omega without cancellation.
+        slow = math.exp(-step * stiffness / (half + omega))
+        fast = math.exp(-step * (half + omega))
+        cosine = 0.5 * (slow + fast)
+        sine = 0.5 * (slow - fast) / omega
+    return cosine + half * sine, sine, -stiffness * sine, cosine - half * sine
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +128,6 @@ class Dmp(Frozen):
     widths: FloatArray
     weights: FloatArray
     duration: float = 1.0
-    _stacked: FloatArray = field(init=False, repr=False, default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -84,8 +145,13 @@ class Dmp(Frozen):
             raise ValueError("centers and weights must be finite")
         if not (np.isfinite(self.widths).all() and self.widths.min() > 0.0):
             raise ValueError("widths must be finite and positive")
-        # One product yields the weighted sums and, in its last row, the plain sum.
-        object.__setattr__(self, "_stacked", np.vstack([self.weights, np.ones(N)]))
+
+    @cached_property
+    def kernel(self) -> Primitive:
+        """As the kernels take it."""
+        basis = np.vstack([self.centers, self.widths, self.weights])
+        alpha_x, beta_x, alpha_k = map(float, (self.alpha_x, self.beta_x, self.alpha_k))
+        return Primitive(alpha_x, beta_x, alpha_k, float(self.duration), basis)
 
     @property
     def dimension(self) -> int:
@@ -105,13 +171,9 @@ class Dmp(Frozen):
         Returns:
             (D,) force for a baseline of 1 m [m].
         """
-        offset = k - self.centers
-        exponent = -self.widths * offset * offset
-        sums = self._stacked @ np.exp(exponent)
-        if sums[-1] < 1e-200:
-            # Far from every centre: the quotient exists, its parts underflow.
-            sums = self._stacked @ np.exp(exponent - exponent.max())
-        return np.asarray(sums[:-1] * (k / sums[-1]))
+        force = np.empty(self.dimension)
+        forcing(self.kernel.basis, k, force)
+        return force
 
 
 def normalised_time(k: float, alpha_k: float) -> float:
@@ -319,99 +381,6 @@ def _checked_demonstration(path: ArrayLike, t: ArrayLike | None) -> tuple[FloatA
     return path, t
 
 
-def spring_flow(alpha_x: float, beta_x: float, step: float) -> tuple[float, float, float, float]:
-    """Exact flow of the spring dz/ds = -alpha_x (beta_x e + z), de/ds = z over a step.
-
-    Args:
-        alpha_x: spring constant.
-        beta_x: spring constant; any damping.
-        step: length of the step, at least 0.
-
-    Returns:
-        a, b, c, d with e <- a e + b z and z <- c e + d z.
-    """
-    stiffness, half = alpha_x * beta_x, 0.5 * alpha_x
-    square = half * half - stiffness
-    if abs(square) <= 1e-14 * half * half:
-        cosine = math.exp(-half * step)
-        sine = cosine * step
-    elif square < 0.0:
-        omega = math.sqrt(-square)
-        decay = math.exp(-half * step)
-        cosine = decay * math.cos(omega * step)
-        sine = decay * math.sin(omega * step) / omega
-    else:
-        omega = math.sqrt(square)
-        # half - omega without cancellation.
-        slow = math.exp(-step * stiffness / (half + omega))
-        fast = math.exp(-step * (half + omega))
-        cosine = 0.5 * (slow + fast)
-        sine = 0.5 * (slow - fast) / omega
-    return cosine + half * sine, sine, -stiffness * sine, cosine - half * sine
-
-
-def step(
-    dmp: Dmp,
-    p: FloatArray,
-    z: FloatArray,
-    k: float,
-    ds: float,
-    goal: FloatArray,
-    *,
-    frame: FloatArray,
-    baseline: float,
-    turn: Turn | None = None,
-) -> tuple[FloatArray, FloatArray, float]:
-    """One step of the whole action level over ds = dt / (tau T).
-
-    Half a step of the spring, a turn of z by the coupling terms, half a step of the
-    spring. Both parts are exact flows: the turn keeps the length of z, and without
-    forcing the energy alpha_x beta_x |g - x|^2 / 2 + |z|^2 / 2 never rises, whatever
-    the turn. The forcing term is held at its value in the middle of the step.
-
-    Args:
-        dmp: the movement primitive, of D dimensions.
-        p: (D,) position [m].
-        z: (D,) scaled velocity [m].
-        k: phase.
-        ds: step of normalised time, at least 0.
-        goal: (D,) goal [m].
-        frame: (D, D) R_WL of this motion, see `baseline_frame`.
-        baseline: distance from start to goal of this motion [m].
-        turn: turn of z over a step, for example `CouplingTerms.turn`; D must be 3
-            then. None: no coupling.
-
-    Returns:
-        p, z and k at the end of the step.
-
-    Raises:
-        ValueError: for a step that is negative or not finite.
-    """
-    if not 0.0 <= ds < math.inf:
-        raise ValueError(f"ds must be finite and at least 0, not {ds}")
-    if ds == 0.0:
-        return p, z, k
-    middle = k * math.exp(-0.5 * dmp.alpha_k * ds)
-    force = (frame @ dmp.forcing(middle)) * (baseline / (dmp.alpha_x * dmp.beta_x))
-    rest = (goal + force).tolist()
-    flow = spring_flow(dmp.alpha_x, dmp.beta_x, ds if turn is None else 0.5 * ds)
-    position, velocity = _spring(p.tolist(), z.tolist(), rest, flow)
-    if turn is not None:
-        p_W, z_W = np.array(position), np.array(velocity)
-        velocity = rotate(z_W, turn(p_W, z_W, ds)).tolist()
-        position, velocity = _spring(position, velocity, rest, flow)
-    return np.array(position), np.array(velocity), k * math.exp(-dmp.alpha_k * ds)
-
-
-def _spring(
-    x: list[float], z: list[float], rest: list[float], flow: tuple[float, float, float, float]
-) -> tuple[list[float], list[float]]:
-    a, b, c, d = flow
-    position = [r + a * (q - r) + b * v for q, v, r in zip(x, z, rest, strict=True)]
-    velocity = [c * (q - r) + d * v for q, v, r in zip(x, z, rest, strict=True)]
-    return position, velocity
-
-
 class Trajectory(NamedTuple):
     """A motion sampled in normalised time.
 
@@ -428,6 +397,34 @@ class Trajectory(NamedTuple):
     k: FloatArray
 
 
+@njit(cache=True, error_model="numpy")
+def _roll(
+    primitive: Primitive,
+    frame: FloatArray,
+    goal: FloatArray,
+    baseline: float,
+    ds: float,
+    p: FloatArray,
+    z: FloatArray,
+    k: FloatArray,
+) -> None:
+    """Fills p, z (n + 1, D) and k (n + 1,) from their first rows on, step by step."""
+    D = len(goal)
+    force, alpha_k = np.empty(D), primitive.alpha_k
+    share = baseline / (primitive.alpha_x * primitive.beta_x)
+    a, b, c, d = spring_flow(primitive.alpha_x, primitive.beta_x, ds)
+    for row in range(len(k) - 1):
+        forcing(primitive.basis, k[row] * math.exp(-0.5 * alpha_k * ds), force)
+        for i in range(D):
+            rest = 0.0
+            for j in range(D):
+                rest += frame[i, j] * force[j]
+            rest = goal[i] + rest * share
+            p[row + 1, i] = rest + a * (p[row, i] - rest) + b * z[row, i]
+            z[row + 1, i] = c * (p[row, i] - rest) + d * z[row, i]
+        k[row + 1] = k[row] * math.exp(-alpha_k * ds)
+
+
 def trajectory(
     dmp: Dmp,
     start: ArrayLike,
@@ -435,9 +432,8 @@ def trajectory(
     *,
     steps: int = 500,
     end: float = 1.0,
-    turn: Turn | None = None,
 ) -> Trajectory:
-    """Rolls the action level forward from rest; without a turn, the planned motion.
+    """Rolls the movement primitive forward from rest: the planned motion.
 
     Args:
         dmp: the movement primitive, of D dimensions.
@@ -445,7 +441,6 @@ def trajectory(
         goal: (D,) goal [m].
         steps: number of steps, at least 1.
         end: normalised time at the end.
-        turn: as in `step`.
 
     Returns:
         The motion at steps + 1 instants.
@@ -459,17 +454,12 @@ def trajectory(
     if steps < 1:
         raise ValueError(f"steps must be at least 1, not {steps}")
     _check_positive("end", end)
-    frame = baseline_frame(p, g)
+    shape = (steps + 1, len(p))
+    path, z, k = np.empty(shape), np.zeros(shape), np.ones(steps + 1)
+    path[0] = p
     baseline = float(np.linalg.norm(g - p))
-    z, k, ds = np.zeros_like(p), 1.0, end / steps
-    samples = [(p, z, k)]
-    for _ in range(steps):
-        p, z, k = step(dmp, p, z, k, ds, g, frame=frame, baseline=baseline, turn=turn)
-        samples.append((p, z, k))
-    return Trajectory(
-        np.linspace(0.0, end, steps + 1),
-        *(np.array(column) for column in zip(*samples, strict=True)),
-    )
+    _roll(dmp.kernel, baseline_frame(p, g), g, baseline, end / steps, path, z, k)
+    return Trajectory(np.linspace(0.0, end, steps + 1), path, z, k)
 
 
 def _direction(start: ArrayLike, goal: ArrayLike, D: int) -> list[float]:

@@ -23,16 +23,16 @@ from drake_oa.common.messages import (
     PolicyState,
     Route,
 )
-from drake_oa.common.ports import read_optional, valid_period
+from drake_oa.common.ports import read_optional
 from drake_oa.policy.action import (
     SCALED_TO_REST,
     ActionLevel,
-    ActionParameters,
     Segment,
     Surroundings,
-    begun_anew,
     initial_segment,
+    restarted,
 )
+from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import Dmp
 
 _logger = logging.getLogger("drake_oa")
@@ -87,7 +87,7 @@ class DmpIntegrator(LeafSystem):
     whose ends the desired motion is interpolated, so that a controller may run faster
     than the policy. A simulator that takes over a Context goes on with its motion. The
     motion is held (its normalised time slows down to a stop, on the path) while it
-    would not be safe: see `drake_oa.policy.action.hold_reason`.
+    would not be safe: see `drake_oa.policy.action.hold_code`.
     """
 
     def __init__(
@@ -95,29 +95,27 @@ class DmpIntegrator(LeafSystem):
         dmp: Dmp,
         start: FloatArray,
         *,
-        period: float = 0.005,
-        parameters: ActionParameters | None = None,
+        config: Policy | None = None,
     ) -> None:
         """Declares the ports.
 
         Args:
             dmp: the movement primitive.
             start: (3,) where the motion starts [m].
-            period: step of the policy [s].
-            parameters: how coupling terms and holds act; None: the defaults.
+            config: its period, and how coupling terms and holds act; None: the defaults.
 
         Raises:
             ValueError: if the start is not three finite numbers, the primitive does not
-                have three dimensions, or the period is not positive.
+                have three dimensions, or a value of the configuration is out of its range.
         """
         super().__init__()
         start = np.asarray(start, dtype=float)
         if start.shape != (3,) or not np.isfinite(start).all():
             raise ValueError(f"start must be 3 finite numbers [m], not {start}")
         self._dmp = dmp
-        self._level = ActionLevel(dmp, parameters or ActionParameters())
+        self._level = ActionLevel(dmp, config)
         self._start = start
-        self._period = valid_period(period)
+        self._period = period = (config or Policy()).period
 
         self._goal = self.DeclareVectorInputPort("goal", 3)
         self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
@@ -198,7 +196,7 @@ class DmpIntegrator(LeafSystem):
         around = self._surroundings.Eval(context)
         goal = around.p_WV if len(around.p_WV) else self._goal.Eval(context)
         if around.anew:
-            before = begun_anew(before, goal, context.get_time())
+            before = restarted(before, goal, context.get_time())
         after = self._level.step(
             before,
             goal,

@@ -8,6 +8,8 @@ past it. It is asked for only while the avoidance term would lead past another s
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -15,6 +17,44 @@ from drake_oa.common.messages import EllipsoidSet, FloatArray, PolicyState
 from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.geometry.ellipsoid import shape_matrix
 from drake_oa.geometry.ellipsoid_kernels import tangent_headings
+
+
+class Obstacles(NamedTuple):
+    """M obstacles as the policy goes by them, a row each.
+
+    Attributes:
+        p_WO, R_WO, semi_axes: the ellipsoids: (M, 3) [m], (M, 3, 3), (M, 3) [m].
+        B: (M, 3, 3) their shape matrices [m^2].
+        parameters: (M, 3) alpha, psi, kappa of the coupling terms.
+        about: (M, 3) points that the terms act about [m].
+        normal: (M, 3) normals of the planes in which they are passed; zero: none is known.
+        heading: (M, 3) headings to be led along; zero: none.
+        direction: (M, 3) unit directions omega_d of the route.
+        foot: (M, 3) centres that the route passes [m].
+        clearance: (M,) distances that the route keeps [m]; 0: it does not guide.
+    """
+
+    p_WO: FloatArray
+    R_WO: FloatArray
+    semi_axes: FloatArray
+    B: FloatArray
+    parameters: FloatArray
+    about: FloatArray
+    normal: FloatArray
+    heading: FloatArray
+    direction: FloatArray
+    foot: FloatArray
+    clearance: FloatArray
+
+    @staticmethod
+    def of(ellipsoids: EllipsoidSet | None) -> Obstacles:
+        """Arrays of its own; without coupling terms or route."""
+        shapes = EllipsoidSet() if ellipsoids is None else ellipsoids
+        p_WO, R_WO, semi_axes = kernel_arrays(shapes.p_WO, shapes.R_WO, shapes.semi_axes)
+        B = np.ascontiguousarray(shape_matrix(R_WO, semi_axes), dtype=float)
+        parameters, about, normal, heading, direction, foot = np.zeros((6, *p_WO.shape))
+        rows = parameters, about, normal, heading, direction, foot, np.zeros(len(p_WO))
+        return Obstacles(p_WO, R_WO, semi_axes, B, *rows)
 
 
 def passing_normals(direction_W: FloatArray, R_WL: FloatArray) -> FloatArray:
@@ -65,13 +105,12 @@ def desired_headings(
         (M, 3) unit headings or zero rows, in the world frame.
     """
     heading_W = np.zeros((len(ellipsoids), 3))
-    guide(
-        *kernel_arrays(policy.p_WE, policy.z_W, policy.p_WG, policy.R_WL.ravel()),
-        *kernel_arrays(center_W, normal_W, direction_W, clearance),
-        *kernel_arrays(ellipsoids.p_WO, ellipsoids.R_WO, ellipsoids.semi_axes),
-        shape_matrix(ellipsoids.R_WO, ellipsoids.semi_axes),
-        heading_W,
+    foot, normal, direction, kept = kernel_arrays(center_W, normal_W, direction_W, clearance)
+    obstacles = Obstacles.of(ellipsoids)._replace(
+        foot=foot, normal=normal, direction=direction, clearance=kept
     )
+    p_WE, z_W, p_WG, R_WL = kernel_arrays(policy.p_WE, policy.z_W, policy.p_WG, policy.R_WL)
+    guide(p_WE, z_W, p_WG, R_WL, obstacles, heading_W)
     return heading_W
 
 
@@ -81,51 +120,40 @@ def guide(
     z_W: FloatArray,
     p_WG: FloatArray,
     R_WL: FloatArray,
-    center_W: FloatArray,
-    normal_W: FloatArray,
-    direction_W: FloatArray,
-    clearance: FloatArray,
-    p_WO: FloatArray,
-    R_WO: FloatArray,
-    semi_axes: FloatArray,
-    B: FloatArray,
+    obstacles: Obstacles,
     heading_W: FloatArray,
 ) -> None:
     """Sets the rows of heading_W (M, 3) that need guidance, see `desired_headings`.
 
     At rest the heading u is the baseline: the motion is about to set out along it.
-
-    Args:
-        p_WE, z_W, p_WG: (3,) of the policy.
-        R_WL: (9,) its local frame, row by row.
-        center_W, normal_W, direction_W, clearance: as in `desired_headings`.
-        p_WO, R_WO, semi_axes, B: the ellipsoids, and their shape matrices (M, 3, 3).
-        heading_W: (M, 3) what is set.
     """
     u = np.empty(3)
     speed = np.sqrt(z_W[0] ** 2 + z_W[1] ** 2 + z_W[2] ** 2)
     distance_G = 0.0
     for k in range(3):
-        u[k] = z_W[k] / speed if speed > 0.0 else R_WL[3 * k]
+        u[k] = z_W[k] / speed if speed > 0.0 else R_WL[k, 0]
         distance_G += (p_WG[k] - p_WE[k]) ** 2
     distance_G = np.sqrt(distance_G)
-    for row in range(len(center_W)):
-        if not clearance[row] > 0.0:
+    for row in range(len(obstacles.foot)):
+        clearance = obstacles.clearance[row]
+        if not clearance > 0.0:
             continue
-        share = _wrong_side(p_WE, u, center_W[row], normal_W[row])
+        share = _wrong_side(p_WE, u, obstacles.foot[row], obstacles.normal[row])
         if share == 0.0:
             continue
-        entry = _ray_entry(p_WE, u, p_WO[row], R_WO[row], semi_axes[row], clearance[row])
+        entry = _ray_entry(
+            p_WE, u, obstacles.p_WO[row], obstacles.R_WO[row], obstacles.semi_axes[row], clearance
+        )
         if not entry < distance_G:
             continue
         one = slice(row, row + 1)
         tangent = np.empty((1, 3))
         tangent_headings(
             p_WE,
-            p_WO[one],
-            B[one],
-            direction_W[one],
-            clearance[one],
+            obstacles.p_WO[one],
+            obstacles.B[one],
+            obstacles.direction[one],
+            obstacles.clearance[one],
             np.empty((7, 3)),
             tangent,
             np.empty(1),

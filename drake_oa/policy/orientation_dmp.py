@@ -31,7 +31,6 @@ from numpy.typing import ArrayLike
 
 from drake_oa.common.messages import FloatArray, Frozen
 from drake_oa.geometry.rotation import rotation_of, rotation_vector
-from drake_oa.policy.action_kernels import spring_flow
 from drake_oa.policy.dmp import (
     ALPHA_K,
     ALPHA_X,
@@ -41,6 +40,7 @@ from drake_oa.policy.dmp import (
     imitate,
     minimum_jerk,
     minimum_jerk_share,
+    spring_flow,
 )
 
 LARGEST_ANGLE = math.radians(300.0)

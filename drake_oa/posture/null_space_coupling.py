@@ -34,7 +34,7 @@ from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.common.ports import DECISION_OFFSET, read_value, valid_period
 from drake_oa.geometry.points import GuardShapes, PointBlocks
 from drake_oa.geometry.primitives import point_distance, posed, to_frame
-from drake_oa.policy.coupling_kernels import avoidance_term, norm
+from drake_oa.policy.coupling import avoidance_term, norm
 from drake_oa.posture.arm_surroundings import ArmSurroundings
 from drake_oa.robot.arm import ArmModel
 from drake_oa.robot.arm_kernels import jacobian, nearest_point

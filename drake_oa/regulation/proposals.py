@@ -17,10 +17,10 @@ import numpy as np
 from numba import njit
 
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
-from drake_oa.policy.coupling_kernels import ALPHA as ALPHA_COLUMN
-from drake_oa.policy.coupling_kernels import KAPPA as KAPPA_COLUMN
-from drake_oa.policy.coupling_kernels import N_COLUMNS, NORMAL
-from drake_oa.policy.coupling_kernels import PSI as PSI_COLUMN
+from drake_oa.policy.coupling import ALPHA as ALPHA_COLUMN
+from drake_oa.policy.coupling import KAPPA as KAPPA_COLUMN
+from drake_oa.policy.coupling import N_COLUMNS, NORMAL
+from drake_oa.policy.coupling import PSI as PSI_COLUMN
 from drake_oa.regulation.regressor import ChainWeights
 from drake_oa.regulation.rollout import SceneArrays, SpatialScenes
 from drake_oa.regulation.rollout_kernels import point_distance

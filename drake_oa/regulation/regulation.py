@@ -21,7 +21,7 @@ from drake_oa.common.messages import (
     PolicyState,
     TablePlane,
 )
-from drake_oa.policy.coupling_kernels import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
+from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
 from drake_oa.posture.posture_planner import ArmWay
 from drake_oa.posture.waypoint_tree import Aside
 from drake_oa.regulation.proposals import ANGLE, N_GENES
@@ -64,7 +64,7 @@ class Regulation(Frozen):
         travelled: length of the way until there [m].
         remaining: length of the verified way from where it was verified [m].
         row: row of the obstacle that the term is put on; -1: no term.
-        term: (13,) the avoidance term, see `coupling_kernels.turn_step`.
+        term: (13,) the avoidance term, see `coupling.turn_step`.
         tau: temporal scaling; 0: nothing was verified.
         in_range: whether the chain was asked within its trained range; so too where a motion
             for the arm's sake was drawn without it.

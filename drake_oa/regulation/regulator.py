@@ -27,7 +27,7 @@ from drake_oa.common.messages import (
     TablePlane,
 )
 from drake_oa.geometry.ellipsoid import signed_distance
-from drake_oa.policy.coupling_kernels import N_COLUMNS
+from drake_oa.policy.coupling import N_COLUMNS
 from drake_oa.policy.dmp import Dmp, local_frame, normalised_time, trajectory
 from drake_oa.regulation.config import SearchParameters
 from drake_oa.regulation.proposals import ALPHA as LOG_ALPHA

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
 from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.common.thinking import count
-from drake_oa.policy.coupling_kernels import ALPHA, GUIDANCE_ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
+from drake_oa.policy.coupling import ALPHA, GUIDANCE_ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
 from drake_oa.policy.dmp import Dmp, imitate, minimum_jerk, spring_flow
 from drake_oa.regulation.lane_math import STRICT, widest_vectors
 from drake_oa.regulation.rollout_kernels import (
@@ -269,7 +269,7 @@ def spatial_rollouts(
     Args:
         scenes: S scenes.
         scene: (N,) the scene of each row.
-        terms: (N, 13) avoidance terms as `coupling_kernels.turn_step` takes them: centre
+        terms: (N, 13) avoidance terms as `coupling.turn_step` takes them: centre
             (3) [m], alpha, psi, kappa [1/m^2], heading (3), unit normal (3) and guidance
             alpha, which is 0; alpha 0: no term.
         seconds: () or (N,) tau T, the duration of a unit of s [s].
@@ -542,7 +542,7 @@ def lane_kernel(
 
     Args:
         scene: (N,) scene of each row; rows of one scene may stand anywhere, but sorting costs.
-        terms: (N, 13) rows as in `coupling_kernels.turn_step`, normals of length 1.
+        terms: (N, 13) rows as in `coupling.turn_step`, normals of length 1.
         seconds: (N,) tau T, seconds a unit of s.
         scenes, course: among what, and how.
         out: takes the outcomes.

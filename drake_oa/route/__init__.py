@@ -1,1 +1,21 @@
-"""On which side of each obstacle the motion passes: the paper's cost rings."""
+"""The decision level: on which side to pass each obstacle.
+
+In: `EllipsoidSet` and `PolicyState` in the world, the goal (3,) [m], and the table's plane if it is
+known apart. Out: `Route`: for each obstacle the direction omega_d across the baseline, the heading
+v_d, the normal of the plane in which it is passed, and the obstacle as a motion there meets it.
+
+System: `CostRingSelector`, every `policy.route_period` (15 Hz by default), with hysteresis; the
+headings follow the motion at each step. `TakenRoute` shows what another layer chose.
+
+A cost ring (Pairet et al., RA-L 2019, section IV-D) is a cost in [0, 1] of each direction of a
+circle about the baseline: length of the detour, table, limits of the workspace and of the joints;
+1 forbids. The direction of least sum is taken, and where obstacles stand one after the other the
+sequence of least total, by dynamic programming.
+
+- `cost_rings`: the rings. `side_choice`: groups of obstacles, legs between them, the choice.
+- `baseline_section`: extents and centre of an obstacle as a motion past it meets it.
+
+The configuration is in the block `policy`: `ring_directions`, `route_period`, `table_height`.
+
+Begin with `side_choice.select_directions`.
+"""

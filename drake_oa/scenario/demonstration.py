@@ -12,8 +12,9 @@ import numpy as np
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.files import check_archive
 from drake_oa.common.messages import FloatArray
+from drake_oa.policy.config import Policy
 from drake_oa.policy.orientation_dmp import OrientationDmp, imitate_orientation
-from drake_oa.scenario.scenario import Policy, Scenario
+from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task import Task
 
 _CONTENTS = (

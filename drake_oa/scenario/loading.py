@@ -18,10 +18,11 @@ from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load_typed
 from drake_oa.common.config import ScenarioError, apply_override, check, read_yaml
 from drake_oa.geometry.shapes import check_shapes
 from drake_oa.perception.config import DepthCamera
+from drake_oa.policy.config import Turn
 from drake_oa.scenario.faults import CameraFault
 from drake_oa.scenario.obstacles import check_obstacles
 from drake_oa.scenario.perception import GivenEllipsoids, check_cameras, check_perception
-from drake_oa.scenario.scenario import Scenario, Turn
+from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.shipped import shipped_scenarios
 from drake_oa.scenario.task import check_goals
 from drake_oa.scenario.task_joints import follow_joints

@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen
-from drake_oa.policy.coupling_kernels import limited_avoidance
+from drake_oa.policy.coupling import limited_avoidance
 from drake_oa.policy.dmp import ALPHA_X, Dmp, imitate, minimum_jerk, spring_flow
 
 STEPS = 1000

@@ -2,8 +2,7 @@ import dataclasses as dc
 
 import pytest
 
-from drake_oa.common.scenario_fields import count, number, vector
-from drake_oa.common.schema_check import ScenarioError, check_values
+from drake_oa.common.config import ScenarioError, check_values, count, number, vector
 
 
 @dc.dataclass

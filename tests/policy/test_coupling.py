@@ -5,15 +5,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from drake_oa.policy.coupling import (
-    CouplingTerms,
-    coupling_force,
-    dead_zone_free_rate,
-    guidance_rate,
-    original_rate,
-    rotate,
-)
-from drake_oa.policy.dmp import imitate, local_frame, minimum_jerk, step, trajectory
+from drake_oa.policy.coupling import dead_zone_free_rate, original_rate
+from drake_oa.policy.dmp import imitate, local_frame, minimum_jerk
+from tests.reference.coupling import CouplingTerms, coupling_force, guidance_rate, rotate
+from tests.reference.dmp import step, trajectory
 from tests.reference.released_code import euler_trajectory
 
 seeds = st.integers(0, 2**32 - 1)

@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 from numba import njit
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.policy import coupling_kernels as kernels
-from drake_oa.policy.coupling import CouplingTerms, GuidanceForm
-from drake_oa.policy.coupling import rotate as reference_rotate
+from drake_oa.policy import coupling as kernels
+from drake_oa.policy.coupling import GuidanceForm
+from tests.reference.coupling import CouplingTerms
+from tests.reference.coupling import rotate as reference_rotate
 
 FORMS: tuple[GuidanceForm, ...] = ("counterphase", "printed")
 seeds = st.integers(0, 2**32 - 1)

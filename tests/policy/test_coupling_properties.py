@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.policy import coupling_kernels as kernels
-from drake_oa.policy.coupling import CouplingTerms, GuidanceForm, coupling_force, rotate
+from drake_oa.policy import coupling as kernels
+from drake_oa.policy.coupling import GuidanceForm
 from drake_oa.regulation import rollout_kernels as lanes
+from tests.reference.coupling import CouplingTerms, coupling_force, rotate
 
 Turned = Callable[..., FloatArray]
 """z (3,) after the turn, of the rows (K, 13), p, z, the step and whether in the planes."""

@@ -16,6 +16,7 @@ from drake_oa.common.messages import (
     PolicyState,
     Route,
 )
+from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.dmp_integrator import DmpIntegrator
 
@@ -230,13 +231,13 @@ def test_a_goal_that_is_not_finite_is_refused(goal: float) -> None:
     [
         (np.array([0.0, np.nan, 0.0]), 0.005, "start must be 3 finite numbers"),
         (np.zeros(2), 0.005, "start must be 3 finite numbers"),
-        (START, 0.0, "period must be positive"),
-        (START, np.nan, "period must be positive"),
+        (START, 0.0, "policy.period: 0.0 is outside"),
+        (START, np.nan, "policy.period: must be a finite number"),
     ],
 )
 def test_bad_construction_is_refused(start: FloatArray, period: float, said: str) -> None:
     with pytest.raises(ValueError, match=said):
-        DmpIntegrator(imitate(*minimum_jerk(START, GOAL)), start, period=period)
+        DmpIntegrator(imitate(*minimum_jerk(START, GOAL)), start, config=Policy(period=period))
 
 
 def test_a_speed_scale_slows_holds_and_lets_go_on(caplog: pytest.LogCaptureFixture) -> None:

@@ -13,6 +13,7 @@ from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuil
 from pydrake.systems.primitives import ConstantVectorSource
 
 from drake_oa.common.messages import FloatArray, PolicyState
+from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.policy.orientation_dmp import (
@@ -52,7 +53,7 @@ def beside(*, speed: FloatArray | None = None, turn: float | None = None) -> Dia
     builder = DiagramBuilder()
     path, t = minimum_jerk([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], duration=3.0)
     policy = builder.AddNamedSystem(
-        "policy", DmpIntegrator(imitate(path, t), np.zeros(3), period=PERIOD)
+        "policy", DmpIntegrator(imitate(path, t), np.zeros(3), config=Policy(period=PERIOD))
     )
     goal = builder.AddSystem(ConstantVectorSource(np.array([1.0, 0.0, 0.0])))
     builder.Connect(goal.get_output_port(), policy.GetInputPort("goal"))

@@ -8,7 +8,8 @@ from typing import Literal
 import numpy as np
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.policy.coupling import coupling_force, dead_zone_free_rate, original_rate
+from drake_oa.policy.coupling import dead_zone_free_rate, original_rate
+from tests.reference.coupling import coupling_force
 
 
 def euler_trajectory(

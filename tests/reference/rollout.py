@@ -7,7 +7,7 @@ from scipy.linalg import expm
 
 from drake_oa.common.messages import FloatArray, IntArray
 from drake_oa.geometry.ellipsoid import signed_distance
-from drake_oa.policy.coupling_kernels import ALPHA, KAPPA, NORMAL, PSI
+from drake_oa.policy.coupling import ALPHA, KAPPA, NORMAL, PSI
 from drake_oa.policy.dmp import Dmp
 from drake_oa.regulation.rollout import SpatialRollouts, SpatialScenes, default_dmp
 

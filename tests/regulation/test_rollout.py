@@ -20,7 +20,8 @@ from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import CouplingParameters, EllipsoidSet, FloatArray, IntArray
 from drake_oa.geometry.ellipsoid import signed_distance
-from drake_oa.policy.coupling_kernels import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
+from drake_oa.policy.config import Policy
+from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
 from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk
 from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.regulation.rollout import (
@@ -285,7 +286,7 @@ def test_the_integrator_in_drake_follows_it(seed: int) -> None:
     found = roll_out(scene, steps=steps, dmp=dmp, seconds=T)
     # Inside an ellipsoid the integrator holds.
     assume(not found.contact[0] and distances(scenes, scenes.p_WG, 0.0).min() > 0.0)
-    system = DmpIntegrator(dmp, scenes.p_WE[0], period=T / steps)
+    system = DmpIntegrator(dmp, scenes.p_WE[0], config=Policy(period=T / steps))
     simulator = Simulator(system)
     context = simulator.get_mutable_context()
     system.GetInputPort("goal").FixValue(context, scenes.p_WG[0])

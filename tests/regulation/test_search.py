@@ -7,8 +7,8 @@ import pytest
 
 from drake_oa.common.config import check_values
 from drake_oa.geometry.ellipsoid import signed_distance
-from drake_oa.policy.coupling_kernels import ALPHA as ALPHA_COLUMN
-from drake_oa.policy.coupling_kernels import NORMAL
+from drake_oa.policy.coupling import ALPHA as ALPHA_COLUMN
+from drake_oa.policy.coupling import NORMAL
 from drake_oa.regulation.config import SearchParameters
 from drake_oa.regulation.proposals import ALPHA, ANGLE, N_GENES, avoidance_terms, shadows
 from drake_oa.regulation.regressor import ChainWeights, load_chain

@@ -11,7 +11,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context
 
 from drake_oa.common.messages import FloatArray, ObstacleClouds, PolicyState
-from drake_oa.control.min_speed_scale import Slowest
+from drake_oa.control.min_speed_scale import MinSpeedScale
 from drake_oa.regulation.tool_turn import TurnChoice
 from drake_oa.regulation.tool_turn_selector import ToolTurnSelector
 
@@ -110,7 +110,7 @@ def test_refuses_a_period_that_is_none(period: float) -> None:
 
 
 def test_the_slowest_is_the_least_of_what_is_connected() -> None:
-    system = Slowest()
+    system = MinSpeedScale()
     context = system.CreateDefaultContext()
     system.GetInputPort("speed_scale").FixValue(context, [0.6])
     assert system.get_output_port().Eval(context) == [0.6]

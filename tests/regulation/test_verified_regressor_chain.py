@@ -19,6 +19,7 @@ from drake_oa.common.messages import (
     TablePlane,
 )
 from drake_oa.geometry.ellipsoid import signed_distance
+from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk
 from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.regulation.config import SearchParameters
@@ -367,7 +368,7 @@ def test_a_moving_obstacle_is_met_where_it_will_be(
     assert found.note == ""
     assert found.alpha[0] > 0.0 or abs(found.tau - 1.0) > 0.05
     builder = DiagramBuilder()
-    policy = builder.AddSystem(DmpIntegrator(dmp, START, period=0.01))
+    policy = builder.AddSystem(DmpIntegrator(dmp, START, config=Policy(period=0.01)))
     goal = builder.AddSystem(ConstantVectorSource(GOAL))
     builder.Connect(goal.get_output_port(), policy.GetInputPort("goal"))
     builder.ExportInput(policy.GetInputPort("ellipsoids_W"), "ellipsoids_W")

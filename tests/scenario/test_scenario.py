@@ -7,10 +7,11 @@ import pytest
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.perception.config import CameraNoise, DepthCamera, GroundTruth, RecordedClouds
+from drake_oa.regulation.config import Regressor, Verified
 from drake_oa.safety.config import EvasionParameters
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
 from drake_oa.scenario.perception import GivenEllipsoids
-from drake_oa.scenario.scenario import Regressor, Scenario, Verified
+from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.shipped import shipped_scenarios
 
 NAMES = [

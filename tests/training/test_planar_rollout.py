@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from drake_oa.policy.coupling import CouplingTerms
-from drake_oa.policy.dmp import step
 from drake_oa.training.planar_rollout import (
     forcing_table,
     planar_rollouts,
@@ -16,6 +14,8 @@ from drake_oa.training.planar_rollout import (
     released_rollouts,
     straight_dmp,
 )
+from tests.reference.coupling import CouplingTerms
+from tests.reference.dmp import step
 from tests.reference.released_code import euler_trajectory
 
 STEPS = 200

@@ -30,7 +30,7 @@ def test_the_shipped_chain_keeps_clearances_and_arrives():
 
 
 def test_the_spring_it_was_trained_for_is_the_scenarios():
-    from drake_oa.scenario.scenario import Policy
+    from drake_oa.policy.config import Policy
 
     chain = load_chain(SHIPPED)
     explored = chain.metadata["exploration"]

@@ -39,11 +39,12 @@ from typing import Any
 import numpy as np
 
 from drake_oa.perception.config import GroundTruth
+from drake_oa.regulation.config import Regressor, Verified
 from drake_oa.runs.decision_costs import layer_costs
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.report import feasible_clearance, motion_report
 from drake_oa.runs.simulation import AT_GOAL, MotionInterruptedError, simulate
-from drake_oa.scenario.scenario import Regressor, Scenario, Verified
+from drake_oa.scenario.scenario import Scenario
 from drake_oa.studies.panda.differential_ik import PeerParameters
 from drake_oa.studies.panda.scenes import check_perception
 

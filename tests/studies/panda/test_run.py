@@ -3,8 +3,8 @@
 import pytest
 
 from drake_oa.perception.config import GroundTruth
+from drake_oa.regulation.config import Regressor, Verified
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
-from drake_oa.scenario.scenario import Regressor, Verified
 from drake_oa.studies.panda.run import (
     METHODS,
     plain_reason,

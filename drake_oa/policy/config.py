@@ -1,0 +1,57 @@
+"""The `policy` block of a scenario: constants of the action and decision levels."""
+
+import dataclasses as dc
+import math
+
+from drake_oa.common.config import choice, count, number, vector
+from drake_oa.policy.dmp import ALPHA_K, ALPHA_X, BETA_X
+
+
+@dc.dataclass
+class Turn:
+    """Turns of the tool about an axis of the world through the tool point."""
+
+    # The axis in the world, of any length but 0.
+    axis: list[float] = vector([0.0, 0.0, 1.0], "1")
+    # Largest turn either way, and the step between those that are tried [rad].
+    largest: float = number(math.pi / 2.0, "rad", 0.0, math.pi, open_low=True)
+    step: float = number(math.pi / 12.0, "rad", 0.05, math.pi)
+    # How fast the tool turns at most [rad/s].
+    speed: float = number(1.0, "rad/s", 0.0, 10.0, open_low=True)
+
+
+@dc.dataclass
+class Policy:
+    """Constants of the action and decision levels."""
+
+    # Step of the movement primitive [s].
+    period: float = number(0.008, "s", 1e-4, 0.1)
+    # Transformation system: spring constants, per normalised time t / (tau T).
+    alpha_x: float = number(ALPHA_X, "1", 0.0, 1e4, open_low=True)
+    beta_x: float = number(BETA_X, "1", 0.0, 1e4, open_low=True)
+    # Canonical system: decay of the phase over the motion.
+    alpha_k: float = number(ALPHA_K, "1", 0.0, 100.0, open_low=True)
+    # Basis functions of the forcing term.
+    n_basis: int = count(35, 2, 1000)
+    # Weights of the regressor chain: package:// URL, or file relative to this one.
+    weights: str = "package://drake_oa/weights/regressor_chain.safetensors"
+    # How heading guidance fades near an obstacle (see docs/equations.md).
+    guidance: str = choice("counterphase", "printed")
+    # Largest alpha of the guidance term.
+    guidance_gain: float = number(100.0, "1", 0.0, 1e6)
+    # What the regressor chain looks at with `regulation: !Regressor`: the obstacle as the
+    # chosen route meets it, or the section of the P-plane, as in the paper.
+    descriptor: str = choice("route", "section")
+    # The coupling fades within this share of the baseline before the goal.
+    fade: float = number(0.3, "1", 0.0, 1.0)
+    # Directions on a cost ring, and how often the route is reconsidered [s].
+    ring_directions: int = count(36, 4, 720)
+    route_period: float = number(1.0 / 15.0, "s", 1e-3, 10.0)
+    # Height of the tool point above the table below which a route is forbidden [m].
+    table_height: float = number(0.05, "m", 0.0, 10.0)
+    # The motion is held when the last good observation is older than this [s].
+    max_observation_age: float = number(0.5, "s", 0.0, 1e6, open_low=True)
+    # Time in which the motion ramps from full speed to a hold [s].
+    hold_time: float = number(0.25, "s", 0.0, 10.0, open_low=True)
+    # How the tool may be turned to pass where it would not fit otherwise; null: it is not.
+    turn: Turn | None = None
