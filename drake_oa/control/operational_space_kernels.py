@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.rotation import rotation_vector
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def cholesky(A: FloatArray) -> tuple[bool, FloatArray]:
     """Whether A (n, n) is positive definite, and its factor: A = L L^T.
 
@@ -37,7 +37,7 @@ def cholesky(A: FloatArray) -> tuple[bool, FloatArray]:
     return True, L
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def forward(L: FloatArray, B: FloatArray) -> FloatArray:
     """L^-1 B for a lower triangular L (n, n) and B (n, m)."""
     X = B.copy()
@@ -50,7 +50,7 @@ def forward(L: FloatArray, B: FloatArray) -> FloatArray:
     return X
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def gram(X: FloatArray, Y: FloatArray) -> FloatArray:
     """X^T Y of X (n, a) and Y (n, b)."""
     G = np.zeros((X.shape[1], Y.shape[1]))
@@ -61,7 +61,7 @@ def gram(X: FloatArray, Y: FloatArray) -> FloatArray:
     return G
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def damped_task_force(
     inverse_inertia: FloatArray, acceleration: FloatArray, max_mass: float, length: float
 ) -> tuple[FloatArray, float]:
@@ -123,7 +123,7 @@ def damped_task_force(
     return force, share
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def limit_torque(
     bias: FloatArray, drive: FloatArray, effort: FloatArray
 ) -> tuple[FloatArray, np.ndarray]:
@@ -161,7 +161,7 @@ def limit_torque(
     return tau, saturated
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def law(
     q: FloatArray,
     v: FloatArray,

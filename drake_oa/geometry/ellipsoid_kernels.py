@@ -9,15 +9,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray
 
 _TINY = 1e-150
 """Ratios below this are zero: their squares would not be normal numbers."""
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def nearest_point(y: FloatArray, e: FloatArray, w: FloatArray, x: FloatArray) -> float:
     """Point x nearest to y >= 0 on the ellipsoid of semi-axes e, in its own axes.
 
@@ -83,7 +83,7 @@ def nearest_point(y: FloatArray, e: FloatArray, w: FloatArray, x: FloatArray) ->
     return -distance if radius2 < 1.0 else distance
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def nearest_points(
     p: FloatArray,
     center: FloatArray,
@@ -120,7 +120,7 @@ def nearest_points(
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _exchange(
     x: FloatArray, j: int, beta: float, H: FloatArray, u: FloatArray, g: FloatArray
 ) -> None:
@@ -140,7 +140,7 @@ def _exchange(
             H[a, b] = keep * (H[a, b] - f * w[a] * w[b])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def optimal_weights(
     points: FloatArray, rank: int, tolerance: float, max_steps: int, u: FloatArray
 ) -> int:
@@ -189,7 +189,7 @@ def optimal_weights(
     return max_steps
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def farthest_pair(y: FloatArray, s: FloatArray) -> tuple[float, int, int]:
     """Largest |y_i - s_j|^2 over rows of y (N, 3) and s (K, 3), with i and j.
 
@@ -217,7 +217,7 @@ def farthest_pair(y: FloatArray, s: FloatArray) -> tuple[float, int, int]:
     return best, at_i, at_j
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def plane_sections(
     R: FloatArray,
     semi_axes: FloatArray,
@@ -282,7 +282,7 @@ def plane_sections(
     return 0
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _perpendicular(a: FloatArray, out: FloatArray) -> None:
     """Writes a unit vector perpendicular to the unit vector a."""
     k = 0
@@ -294,7 +294,7 @@ def _perpendicular(a: FloatArray, out: FloatArray) -> None:
         out[i] = ((1.0 if i == k else 0.0) - a[k] * a[i]) / size
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def passing_plane(
     to_center: FloatArray, omega: FloatArray, e1: FloatArray, e2: FloatArray
 ) -> float:
@@ -327,7 +327,7 @@ def passing_plane(
     return reach
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _supporting_angle(
     reach: float, b11: float, b12: float, b22: float, delta: float, high: float
 ) -> float:
@@ -362,7 +362,7 @@ def _supporting_angle(
     return high
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def tangent_headings(
     p: FloatArray,
     center: FloatArray,
@@ -437,7 +437,7 @@ def tangent_headings(
             heading[m, i] = (c * e1[i] + s * e2[i] + outward * normal[m, i]) / size
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def first_inside(p: FloatArray, center: FloatArray, R: FloatArray, semi_axes: FloatArray) -> int:
     """Row of the first ellipsoid that a point (3,) lies in or on, or -1."""
     for row in range(len(center)):

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from pydrake.systems.sensors import CameraInfo
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray
 
 
@@ -37,7 +37,7 @@ def pinhole(camera: CameraInfo) -> list[float]:
     return [camera.focal_x(), camera.focal_y(), camera.center_x(), camera.center_y()]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def pixel_at(x: float, y: float, z: float, rows: int, columns: int, K: FloatArray) -> int:
     """Flat index of the pixel that shows a point of the camera frame; -1: none does."""
     if not z > 1e-6:

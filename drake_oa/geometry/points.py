@@ -7,13 +7,13 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray, Frozen, IntArray, ObstacleClouds, TablePlane
 from drake_oa.geometry.primitives import RobotShapes
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def group_points(
     points: FloatArray, begin: IntArray, side: float, most: int
 ) -> tuple[FloatArray, IntArray, IntArray, FloatArray]:

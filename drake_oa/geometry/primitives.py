@@ -9,15 +9,15 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
 
 _TINY = 1e-12
 """A point this near to a primitive's inner box has no direction away from it [m]."""
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def point_distance(
     x: float, y: float, z: float, size: FloatArray
 ) -> tuple[float, float, float, float]:
@@ -58,7 +58,7 @@ def point_distance(
     return d - size[3], sx * a / d, sy * b / d, sz * c / d
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def posed(X_WB: FloatArray, X_BG: FloatArray, X_WG: FloatArray) -> None:
     """Sets X_WG, of which three rows and four columns are, to X_WB X_BG."""
     for i in range(3):
@@ -67,7 +67,7 @@ def posed(X_WB: FloatArray, X_BG: FloatArray, X_WG: FloatArray) -> None:
         X_WG[i, 3] += X_WB[i, 3]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def to_frame(X_WG: FloatArray, x: float, y: float, z: float) -> tuple[float, float, float]:
     """A vector of the world in the frame that X_WG poses."""
     return (
@@ -77,7 +77,7 @@ def to_frame(X_WG: FloatArray, x: float, y: float, z: float) -> tuple[float, flo
     )
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def deepest_point(
     X_WG: FloatArray, size: FloatArray, nx: float, ny: float, nz: float
 ) -> tuple[float, float, float]:
@@ -185,7 +185,7 @@ class PosedShapes:
         return in_shapes(points, self.X_WG, self.size, float(margin))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def in_shapes(points: FloatArray, X_WG: FloatArray, size: FloatArray, margin: float) -> BoolArray:
     """Which points (N, 3) lie within a margin [m] of posed primitives.
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def rotation_vector(R: FloatArray) -> FloatArray:
     """Log map of a rotation: unit axis times angle, the angle in [0, pi].
 
@@ -43,7 +43,7 @@ def rotation_vector(R: FloatArray) -> FloatArray:
     return (angle / norm if sense >= 0.0 else -angle / norm) * axis
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def rotation_of(quaternion: FloatArray) -> FloatArray:
     """Rotation matrix (3, 3) of a quaternion (4,), w first, of any length but zero.
 

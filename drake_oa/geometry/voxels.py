@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray, IntArray
 from drake_oa.geometry.pinhole import View, pixel_at
 
@@ -19,7 +20,7 @@ VOXEL = 0.02
 _MIXER = np.uint64(0x9E3779B97F4A7C15)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _key(points: FloatArray, i: int, edge: float) -> np.int64:
     key = np.int64(0)
     for k in range(3):
@@ -27,7 +28,7 @@ def _key(points: FloatArray, i: int, edge: float) -> np.int64:
     return key
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def cell_keys(points: FloatArray, edge: float) -> IntArray:
     """Keys (N,) of the cells that hold points (N, 3) [m]."""
     keys = np.empty(len(points), dtype=np.int64)
@@ -54,7 +55,7 @@ def thinned(cloud: FloatArray, voxel: float = VOXEL) -> FloatArray:
     return np.array(cloud[first_in_voxels(cloud, voxel)], dtype=float)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def filed(keys: IntArray) -> tuple[IntArray, IntArray, IntArray]:
     """As `numbered`, and the hash table (a power of 2,) that finds them again."""
     different = np.empty(len(keys), dtype=np.int64)
@@ -85,7 +86,7 @@ def filed(keys: IntArray) -> tuple[IntArray, IntArray, IntArray]:
 
 
 # Inlined: counting the references to its arrays would take longer than the look-up.
-@njit(cache=True, error_model="numpy", inline="always")
+@njit(cache=True, error_model="numpy", inline="always", fastmath=False)
 def place_of(key: int, different: IntArray, slots: IntArray, bits: int) -> int:
     """The number of a key in a table of 2^bits from `filed`, -1 when it is not in there."""
     slot = np.int64((np.uint64(key) * _MIXER) >> np.uint64(64 - bits))
@@ -94,7 +95,7 @@ def place_of(key: int, different: IntArray, slots: IntArray, bits: int) -> int:
     return slots[slot]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def members_of(group: IntArray, count: int) -> tuple[IntArray, IntArray]:
     """Where the members of each group begin (C + 1,), and who they are (N,), ascending."""
     begin = np.zeros(count + 1, dtype=np.int64)
@@ -109,20 +110,20 @@ def members_of(group: IntArray, count: int) -> tuple[IntArray, IntArray]:
     return begin, members
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def numbered(keys: IntArray) -> tuple[IntArray, IntArray]:
     """The different ones (M,) among keys (N,), by first appearance, and which each is (N,)."""
     different, which, _ = filed(keys)
     return different, which
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def cells_of(points: FloatArray, edge: float) -> tuple[IntArray, IntArray]:
     """The keys (M,) of the cells that hold points (N, 3), and the cell (N,) of each."""
     return numbered(cell_keys(points, edge))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def cell_means(
     points: FloatArray, cell_of: IntArray, order: IntArray
 ) -> tuple[FloatArray, IntArray, IntArray]:
@@ -149,7 +150,7 @@ def cell_means(
     return means, cell_of, count
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def points_of_groups(
     group: IntArray, cell_of: IntArray, index: IntArray, count: int
 ) -> tuple[IntArray, IntArray]:
@@ -185,7 +186,7 @@ _BRIDGES = 16  # shortest connections between two clusters that are looked at
 _STEPS = 5  # places along each of them
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _root(parent: IntArray, i: int) -> int:
     while parent[i] != i:
         parent[i] = parent[parent[i]]
@@ -193,7 +194,7 @@ def _root(parent: IntArray, i: int) -> int:
     return i
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _unite_cells(
     points: FloatArray, first: IntArray, second: IntArray, tolerance: float, parent: IntArray
 ) -> None:
@@ -213,7 +214,7 @@ def _unite_cells(
                 own = low
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def clustered(points: FloatArray, tolerance: float, parent: IntArray) -> IntArray:
     """Labels (N,) of points; see `connected_clusters`.
 
@@ -268,7 +269,7 @@ def clustered(points: FloatArray, tolerance: float, parent: IntArray) -> IntArra
     return label
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _close_to(points: FloatArray, some: IntArray, others: IntArray, gap: float) -> IntArray:
     """Which of some points lie within a gap [m] of the axis-aligned box round others."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -285,7 +286,7 @@ def _close_to(points: FloatArray, some: IntArray, others: IntArray, gap: float) 
     return kept[:n]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _bridges(points: FloatArray, first: IntArray, second: IntArray, gap: float) -> IntArray:
     """The shortest connections (B, 2), below a gap [m], from points of one cluster to
     the nearest ones of the other's."""
@@ -317,7 +318,7 @@ def _bridges(points: FloatArray, first: IntArray, second: IntArray, gap: float) 
     return pairs[:count]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _shows_through(
     start: FloatArray,
     end: FloatArray,
@@ -346,7 +347,7 @@ def _shows_through(
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def joined_across_unseen(
     points: FloatArray,
     label: IntArray,

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray, IntArray
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def sampled(
     z: NDArray[np.float32], stride: int, near: float, far: float
 ) -> tuple[IntArray, IntArray]:
@@ -32,7 +32,7 @@ def sampled(
     return coarse[:n].copy(), fine[:n].copy()
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def pixels_between(
     z: NDArray[np.float32],
     u: NDArray[np.float32],
@@ -80,7 +80,7 @@ def pixels_between(
     return out[:n]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def back_projected(z: NDArray[np.float32], index: IntArray, K: FloatArray) -> FloatArray:
     """Points (N, 3) in the camera frame of the pixels with ascending flat indices (N,)."""
     p_CQ = np.empty((len(index), 3))
@@ -97,7 +97,7 @@ def back_projected(z: NDArray[np.float32], index: IntArray, K: FloatArray) -> Fl
     return p_CQ
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def row_hulls(z: NDArray[np.float32], index: IntArray) -> IntArray:
     """Of the pixels with ascending flat indices (N,), those that may be on the convex hull.
 
@@ -130,7 +130,7 @@ def row_hulls(z: NDArray[np.float32], index: IntArray) -> IntArray:
     return np.unique(kept[:n])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def cropped_to_world(
     p_CQ: FloatArray, index: IntArray, axes: FloatArray, reach: FloatArray, X_WC: FloatArray
 ) -> tuple[FloatArray, IntArray]:

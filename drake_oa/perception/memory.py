@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import numpy as np
-from numba import njit
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import (
     BoolArray,
     FloatArray,
@@ -305,7 +305,7 @@ def held_table(
     return seen if apart > shift else previous
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def supports(points: FloatArray, row: IntArray, count: int, directions: FloatArray) -> FloatArray:
     """(M, D) how far the points (N, 3) of each of M obstacles reach along directions (D, 3)."""
     out = np.full((count, len(directions)), -np.inf)

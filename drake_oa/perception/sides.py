@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray, TablePlane
 from drake_oa.geometry.pinhole import View
 from drake_oa.perception.config import TrackingConfig
@@ -25,7 +25,7 @@ _EMPTY = 12  # so many pixels in a row without depth show that nothing is beside
 _SIDE_PIXELS = 48  # pixels of a side that are looked at
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def surfaces(
     pixel: IntArray,
     begin: IntArray,
@@ -76,7 +76,7 @@ def surfaces(
     return points, area, taken, owner, weight
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def owner_rows(
     pixel: IntArray, begin: IntArray, cluster_row: IntArray, columns: int
 ) -> tuple[NDArray[np.int16], int]:
@@ -103,7 +103,7 @@ def owner_rows(
     return owner.reshape(bottom - top, columns), top
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def tail_places(
     points: FloatArray, area: FloatArray, row: IntArray, tail: FloatArray
 ) -> FloatArray:
@@ -161,7 +161,7 @@ def tail_places(
     return sides
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def open_sides(
     points: FloatArray,
     pixel: IntArray,

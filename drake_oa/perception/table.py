@@ -16,13 +16,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
 from drake_oa.perception.config import PlaneSearch
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def votes_for_planes(
     normals: FloatArray, offsets: FloatArray, points: FloatArray, tolerance: FloatArray
 ) -> IntArray:
@@ -39,7 +39,7 @@ def votes_for_planes(
     return votes
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def on_plane(
     points: FloatArray, tolerance: FloatArray, plane: FloatArray, among: BoolArray, out: BoolArray
 ) -> float:
@@ -65,7 +65,7 @@ def on_plane(
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def band_moments(
     points: FloatArray, tolerance: FloatArray, plane: FloatArray, band: float, out: FloatArray
 ) -> int:
@@ -112,7 +112,7 @@ _BEYOND = 0.5  # how far beyond the border, in sizes of the image, that is looke
 _BORDER = 2  # rows and columns of the grid that are the border
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _row_ends(grid: IntArray) -> tuple[IntArray, IntArray, IntArray]:
     """Rows that the table is in, and its first and last column there.
 
@@ -152,7 +152,7 @@ def _row_ends(grid: IntArray) -> tuple[IntArray, IntArray, IntArray]:
     return found[:n], left[:n], right[:n]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def extent_points(
     rows: int,
     columns: int,
@@ -199,7 +199,7 @@ def extent_points(
     return out[:n].copy()
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _beyond(border: FloatArray, step: FloatArray, plane: FloatArray, out: FloatArray) -> None:
     """A point of the table beyond the border: where a ray further out meets the plane.
 
@@ -229,7 +229,7 @@ def _beyond(border: FloatArray, step: FloatArray, plane: FloatArray, out: FloatA
         out[k] = border[k] + out[k] * (reach / max(length, 1e-9))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def beyond_halfplanes(
     points: FloatArray, axes: FloatArray, directions: FloatArray, reach: FloatArray
 ) -> FloatArray:

@@ -11,9 +11,9 @@ obstacle) the evidence only decays.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
 from drake_oa.geometry.pinhole import View
 from drake_oa.geometry.primitives import PosedShapes
@@ -29,7 +29,7 @@ _AROUND = 12  # how far around it [pixel]: shadows beside what stands before it 
 _CELLS = 60  # the most cells along an axis
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def mutual_nearest(
     query: FloatArray, points: FloatArray, radius: float, near: float
 ) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -113,7 +113,7 @@ def mutual_nearest(
     return nearest, np.sqrt(from_query), np.sqrt(from_point)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def shown(points: FloatArray, view: View, margin: float, pixel: IntArray) -> IntArray:
     """What a depth image shows where points should be.
 
@@ -170,7 +170,7 @@ def shown(points: FloatArray, view: View, margin: float, pixel: IntArray) -> Int
     return seen
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _is_empty(z: NDArray[np.float32], row: int, column: int) -> bool:
     """Whether pixels all around a pixel have no depth; not where the image ends."""
     rows, columns = z.shape
@@ -182,7 +182,7 @@ def _is_empty(z: NDArray[np.float32], row: int, column: int) -> bool:
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def hidden_beyond(
     points: FloatArray, owner: IntArray, hidden: BoolArray, sides: FloatArray, slack: float
 ) -> FloatArray:
@@ -211,7 +211,7 @@ def hidden_beyond(
     return unseen / np.maximum(beyond, 1.0)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def absorb(
     points: FloatArray,
     weight: IntArray,
@@ -246,7 +246,7 @@ def absorb(
                 points[i, k] += (total[i, k] / count[i] - points[i, k]) / weight[i]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def evidence_after(
     owner: IntArray,
     evidence: IntArray,
@@ -281,7 +281,7 @@ def evidence_after(
     return after, sure
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def counted_votes(
     cluster: IntArray, clusters: int, voted: IntArray, owner: IntArray, tracks: int
 ) -> tuple[IntArray, IntArray]:

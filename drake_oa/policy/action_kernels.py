@@ -10,8 +10,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.ellipsoid_kernels import first_inside
 from drake_oa.policy.coupling import (
@@ -97,7 +97,7 @@ class Facts(NamedTuple):
     in_plane: bool
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def goal_fade(distance_squared: float, baseline: float, fade: float) -> float:
     """How much of the coupling is left near the goal: (distance / (fade L))^4, at most 1.
 
@@ -108,7 +108,7 @@ def goal_fade(distance_squared: float, baseline: float, fade: float) -> float:
     return min(1.0, distance_squared / (reach * reach)) ** 2 if reach > 0.0 else 1.0
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def hold_code(
     p_WE: FloatArray,
     p_WG: FloatArray,
@@ -139,7 +139,7 @@ def hold_code(
     return FREE
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _terms(
     at: Instant,
     p_WG: FloatArray,
@@ -165,7 +165,7 @@ def _terms(
     return terms
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def take_steps(
     motion: Motion,
     primitive: Primitive,
@@ -205,7 +205,7 @@ def take_steps(
     return motion, code
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _take_step(
     before: Motion,
     primitive: Primitive,
@@ -277,7 +277,7 @@ def _take_step(
     return Motion(begin, end, tau, before.p_WS, p_WG, R_WL, displaced, course), code
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _spring(
     p: FloatArray, z: FloatArray, rest: FloatArray, a: float, b: float, c: float, d: float
 ) -> None:
@@ -288,7 +288,7 @@ def _spring(
         z[i] = c * e + d * v
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def course_between(
     begin: Instant, end: Instant, evasion: FloatArray, evasion_end: FloatArray
 ) -> Course:
@@ -307,7 +307,7 @@ def course_between(
     return Course(begin.stamp, end.stamp, begin.p_WE, v, v_end, drift, acceleration)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def interpolate(course: Course, time: float, derivative: int) -> FloatArray:
     """Position, velocity or acceleration (3,), see `drake_oa.policy.action.Segment`."""
     length = course.end - course.begin

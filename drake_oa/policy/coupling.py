@@ -23,9 +23,9 @@ import math
 from typing import Literal
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray
 
 GuidanceForm = Literal["counterphase", "printed"]
@@ -90,7 +90,7 @@ def dead_zone_free_rate(
     )
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def norm(x: float, y: float, z: float) -> float:
     """Length of a vector; neither overflows nor underflows on the way."""
     square = x * x + y * y + z * z
@@ -103,7 +103,7 @@ def norm(x: float, y: float, z: float) -> float:
     return most * math.sqrt(x * x + y * y + z * z)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def rotate(zx: float, zy: float, zz: float, wx: float, wy: float, wz: float) -> Triple:
     """z turned about the axis times angle w [rad] by Rodrigues' formula."""
     angle = norm(wx, wy, wz)
@@ -121,7 +121,7 @@ def rotate(zx: float, zy: float, zz: float, wx: float, wy: float, wz: float) -> 
     )
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def between(
     ax: float, ay: float, az: float, bx: float, by: float, bz: float
 ) -> tuple[float, float, float, float, bool]:
@@ -136,7 +136,7 @@ def between(
     return 0.0, 0.0, 0.0, 0.0 if cos > 0.0 else math.pi, False
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def between_in_plane(
     ax: float,
     ay: float,
@@ -165,7 +165,7 @@ def between_in_plane(
     return -nx, -ny, -nz, math.atan2(-sine, cosine), True
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _orthogonal(
     nx: float, ny: float, nz: float, ex: float, ey: float, ez: float
 ) -> tuple[float, float, float, float]:
@@ -175,7 +175,7 @@ def _orthogonal(
     return x, y, z, math.sqrt(x * x + y * y + z * z)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def fallback(nx: float, ny: float, nz: float, ex: float, ey: float, ez: float) -> Triple:
     """The normal n made orthogonal to the unit heading e, or a definite stand-in."""
     size = norm(nx, ny, nz)
@@ -190,7 +190,7 @@ def fallback(nx: float, ny: float, nz: float, ex: float, ey: float, ez: float) -
     return x / length, y / length, z / length
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def stiff(explicit: float, angle: float) -> tuple[float, float]:
     """Explicit turn and divisor whose quotient is the angle, kept in a sound range."""
     if not angle > 0.0:
@@ -199,7 +199,7 @@ def stiff(explicit: float, angle: float) -> tuple[float, float]:
     return angle * divisor, divisor
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def limited_avoidance(rate: float, theta: float, psi: float, step: float) -> tuple[float, float]:
     """Explicit turn and divisor of theta' = A exp(-theta^2 / psi^2), rate at theta >= 0."""
     c = min(rate * step / psi, 1e150)
@@ -212,7 +212,7 @@ def limited_avoidance(rate: float, theta: float, psi: float, step: float) -> tup
     return stiff(rate * step, min(angle, math.pi - theta))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def limited_guidance(gain: float, theta: float, step: float, limit: float) -> tuple[float, float]:
     """Explicit turn and divisor of theta' = -min(gain theta, limit); gain > 0."""
     rate = min(gain * theta, limit)
@@ -225,7 +225,7 @@ def limited_guidance(gain: float, theta: float, step: float, limit: float) -> tu
     return stiff(rate * step, angle)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def guidance_gain(alpha: float, closeness: float, printed: bool) -> float:
     """Gain of the guidance term, its rate over its angle (eq. oa_rs), at closeness = kappa d^2.
 
@@ -239,7 +239,7 @@ def guidance_gain(alpha: float, closeness: float, printed: bool) -> float:
     return min(gain, _MAX_RATE)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def avoidance_term(
     ux: float,
     uy: float,
@@ -282,7 +282,7 @@ def avoidance_term(
     return ax, ay, az, explicit, divisor
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def guidance_term(
     vx: float,
     vy: float,
@@ -316,7 +316,7 @@ def guidance_term(
     return ax, ay, az, explicit, divisor
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def solve(
     xx: float,
     yy: float,
@@ -342,7 +342,7 @@ def solve(
     return x, y, z
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def turn_step(
     terms: FloatArray,
     in_plane: bool,

@@ -22,10 +22,10 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 from scipy.interpolate import make_interp_spline
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray, Frozen
 
 ALPHA_X = 48.0
@@ -48,7 +48,7 @@ class Primitive(NamedTuple):
     basis: FloatArray
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def forcing(basis: FloatArray, k: float, force: FloatArray) -> None:
     """Forcing term (eq. dmp_rbf) at phase k, into force (D,): sum psi_i w_i k / sum psi_i."""
     most, D = 0.0, len(force)
@@ -71,7 +71,7 @@ def forcing(basis: FloatArray, k: float, force: FloatArray) -> None:
         force[row] *= k / total
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def spring_flow(alpha_x: float, beta_x: float, step: float) -> tuple[float, float, float, float]:
     """Exact flow of the spring dz/ds = -alpha_x (beta_x e + z), de/ds = z over a step.
 
@@ -397,7 +397,7 @@ class Trajectory(NamedTuple):
     k: FloatArray
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _roll(
     primitive: Primitive,
     frame: FloatArray,

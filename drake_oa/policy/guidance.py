@@ -11,8 +11,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import EllipsoidSet, FloatArray, PolicyState
 from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.geometry.ellipsoid import shape_matrix
@@ -114,7 +114,7 @@ def desired_headings(
     return heading_W
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def guide(
     p_WE: FloatArray,
     z_W: FloatArray,
@@ -169,7 +169,7 @@ def guide(
                 heading_W[row, k] = tangent[0, k] / size
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _wrong_side(p_WE: FloatArray, u: FloatArray, center: FloatArray, normal: FloatArray) -> float:
     """How far the guidance has gone over from u to the supporting heading, 0 to 1."""
     e0, e1, e2 = center[0] - p_WE[0], center[1] - p_WE[1], center[2] - p_WE[2]
@@ -182,7 +182,7 @@ def _wrong_side(p_WE: FloatArray, u: FloatArray, center: FloatArray, normal: Flo
     return min(2.0 * lean / size, 1.0) if lean > 1e-9 * size else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _ray_entry(
     p_WE: FloatArray,
     u: FloatArray,

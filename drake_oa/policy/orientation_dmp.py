@@ -26,9 +26,9 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray, Frozen
 from drake_oa.geometry.rotation import rotation_of, rotation_vector
 from drake_oa.policy.dmp import (
@@ -333,7 +333,7 @@ QUATERNION, W, ALPHA, TURN_NOW = 0, 4, 7, 10
 N_EVALUATED = 11
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def forcing(basis: FloatArray, k: float) -> tuple[float, float, float, float]:
     """The four forcing terms at phase k, see `drake_oa.policy.dmp.Dmp.forcing`.
 
@@ -363,7 +363,7 @@ def forcing(basis: FloatArray, k: float) -> tuple[float, float, float, float]:
     return w * share, x * share, y * share, z * share
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def take_step(
     state: FloatArray, goal: FloatArray, constants: FloatArray, basis: FloatArray, ds: float
 ) -> None:
@@ -391,7 +391,7 @@ def take_step(
         state[6] *= math.exp(-decay * part)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def roll(
     goal: FloatArray, constants: FloatArray, basis: FloatArray, s: FloatArray, step: float
 ) -> FloatArray:
@@ -414,7 +414,7 @@ def roll(
     return samples
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def exponential(r: FloatArray) -> FloatArray:
     """Quaternion (4,) of a rotation vector (3,), continuous in it over every angle."""
     angle = math.sqrt(r[0] ** 2 + r[1] ** 2 + r[2] ** 2)
@@ -422,7 +422,7 @@ def exponential(r: FloatArray) -> FloatArray:
     return np.array([math.cos(0.5 * angle), scale * r[0], scale * r[1], scale * r[2]])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def product(p: FloatArray, q: FloatArray) -> FloatArray:
     """Product of two quaternions (4,)."""
     return np.array(
@@ -435,7 +435,7 @@ def product(p: FloatArray, q: FloatArray) -> FloatArray:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def cross(u: FloatArray, v: FloatArray) -> FloatArray:
     """u x v of (3,)."""
     return np.array(
@@ -443,7 +443,7 @@ def cross(u: FloatArray, v: FloatArray) -> FloatArray:
     )
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def angular_motion(r: FloatArray, dr: FloatArray, ddr: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Angular velocity and acceleration in S, of a rotation vector and its derivatives (3,)."""
     square = r[0] ** 2 + r[1] ** 2 + r[2] ** 2
@@ -472,7 +472,7 @@ def angular_motion(r: FloatArray, dr: FloatArray, ddr: FloatArray) -> tuple[Floa
     return w, alpha
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def evaluate(motion: FloatArray, start: FloatArray, axis_W: FloatArray, time: float) -> FloatArray:
     """(11,) quaternion, w_WE, alpha_WE and turn at a time of a motion.
 
@@ -527,7 +527,7 @@ def evaluate(motion: FloatArray, start: FloatArray, axis_W: FloatArray, time: fl
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def turn_acceleration(
     turn: float, rate: float, wanted: float, step: float, most_rate: float, most: float
 ) -> float:

@@ -25,10 +25,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray, Frozen, ObstacleClouds, TablePlane
 from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.common.ports import DECISION_OFFSET, read_value, valid_period
@@ -45,7 +45,7 @@ _FADES = 0.2
 """Cosine of the heading from which on the reaction fades to that of no approach, 0."""
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def nearest_section(
     X_WB: FloatArray,
     shapes: GuardShapes,
@@ -84,7 +84,7 @@ def nearest_section(
     return distance, body
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def point_jacobian(X_WB: FloatArray, body: int, p_WS: FloatArray, J: FloatArray) -> None:
     """Jacobian of the velocity of a body's point.
 
@@ -103,7 +103,7 @@ def point_jacobian(X_WB: FloatArray, body: int, p_WS: FloatArray, J: FloatArray)
         J[0, i], J[1, i], J[2, i] = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def turned_away(
     v_W: FloatArray,
     u_W: FloatArray,

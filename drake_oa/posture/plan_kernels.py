@@ -10,8 +10,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
 from drake_oa.geometry.points import PointBlocks
 from drake_oa.robot.arm_kernels import (
@@ -91,7 +91,7 @@ class ToolPath(NamedTuple):
     seconds: float
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _limit_margin(q: FloatArray, arm: Arm) -> float:
     """Least distance of a joint to its limits [rad]."""
     lower, upper = arm.lower, arm.upper
@@ -101,7 +101,7 @@ def _limit_margin(q: FloatArray, arm: Arm) -> float:
     return least
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _take(
     node: int,
     seed: FloatArray,
@@ -124,7 +124,7 @@ def _take(
     )
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def solve_row(
     p_WE: FloatArray,
     R_WE: FloatArray,
@@ -168,7 +168,7 @@ def solve_row(
             _take(j, q[j + 1], values, p_WE, R_WE, fixed, arm, margin, X_WB, q, found)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def measure(
     X_WB: FloatArray, age: float, arm: Arm, around: Surroundings, rules: Rules
 ) -> tuple[float, int, float]:
@@ -188,13 +188,13 @@ def measure(
     return distance, nearest, apart
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _lacking(value: float, stop: float, asked: float) -> float:
     """0 where what is asked is kept, 1 at the stop."""
     return max(0.0, (asked - value) / (asked - stop))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def price(
     q: FloatArray,
     rest: FloatArray,
@@ -223,7 +223,7 @@ def price(
     return cost
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def edge(
     one: FloatArray,
     other: FloatArray,
@@ -251,7 +251,7 @@ def edge(
     return cost
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def best_way(
     start: FloatArray,
     q: FloatArray,
@@ -320,7 +320,7 @@ def best_way(
     return answer
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def plan_rows(
     path: ToolPath,
     values: FloatArray,
@@ -395,7 +395,7 @@ def plan_rows(
     return answer, measured
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def measure_way(
     way: FloatArray,
     ages: FloatArray,

@@ -17,8 +17,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray, Frozen, PlannedMotion
 from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.geometry.directions import ramped
@@ -27,7 +27,7 @@ _SETTLED = 12.0
 """After this many times 1 / w nothing of the old one is left."""
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def course_at(
     times: FloatArray,
     q: FloatArray,

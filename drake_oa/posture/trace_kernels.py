@@ -13,8 +13,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray
 from drake_oa.posture.plan_kernels import (
     STEPS,
@@ -35,7 +35,7 @@ _SAME = 0.7
 _LEAST = 1e-12
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def project(
     q: FloatArray,
     p_WE: FloatArray,
@@ -68,7 +68,7 @@ def project(
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def null_direction(X_WB: FloatArray, like: FloatArray, direction: FloatArray) -> bool:
     """The unit velocity (7,) of the joints that leaves the tool, on the side of `like` (7,).
 
@@ -95,7 +95,7 @@ def null_direction(X_WB: FloatArray, like: FloatArray, direction: FloatArray) ->
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _nearest(q: FloatArray, count: int, one: FloatArray) -> float:
     """Distance of a posture to the first `count` of q (N, 7) [rad]."""
     least = np.inf
@@ -107,7 +107,7 @@ def _nearest(q: FloatArray, count: int, one: FloatArray) -> float:
     return math.sqrt(least)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def trace(
     seed: FloatArray,
     along: FloatArray,
@@ -169,7 +169,7 @@ def trace(
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _cheapest(
     q: FloatArray,
     total: FloatArray,
@@ -198,7 +198,7 @@ def _cheapest(
     return best, came
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def plan_traced(
     path: ToolPath,
     start: FloatArray,

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
 from drake_oa.policy.coupling import ALPHA as ALPHA_COLUMN
 from drake_oa.policy.coupling import KAPPA as KAPPA_COLUMN
@@ -102,14 +102,14 @@ ALONG, ACROSS, CENTER, ASKED = range(4)
 """Columns of a shadow: extents lambda', place of the centre, clearance; all over L."""
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _planned(s: float) -> float:
     """Share of the baseline that a minimum-jerk motion has covered at s."""
     s = min(max(s, 0.0), 1.0)
     return s * s * s * (10.0 + s * (6.0 * s - 15.0))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def shadows(
     scenes: SceneArrays, s_now: float, seconds: float, angles: FloatArray, out: FloatArray
 ) -> None:

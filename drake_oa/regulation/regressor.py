@@ -42,7 +42,7 @@ _PARALLEL = 1e-6
 """Sine of the angle below which two directions do not span a plane."""
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, fastmath=False)
 def clamp_rows(
     extents: FloatArray,
     clearance: FloatArray,
@@ -110,7 +110,7 @@ def clamp_rows(
     return inside, needed, True
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, fastmath=False)
 def _locate(axis: FloatArray, x: float, weight: FloatArray) -> int:
     """Cell of x in an increasing axis, and the weights of its two ends."""
     i = min(max(int(np.searchsorted(axis, x)) - 1, 0), len(axis) - 2)
@@ -119,7 +119,7 @@ def _locate(axis: FloatArray, x: float, weight: FloatArray) -> int:
     return i
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, fastmath=False)
 def section_rows(
     p_WE: FloatArray,
     z_W: FloatArray,

@@ -26,7 +26,7 @@ from drake_oa.regulation.regulation import Regulation
 from drake_oa.regulation.regulator import Regulator
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=False)
 def tool_clearance(
     points: FloatArray,
     p_WE: FloatArray,

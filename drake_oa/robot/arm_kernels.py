@@ -10,8 +10,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray, IntArray
 from drake_oa.geometry.points import GuardShapes, PointBlocks
 from drake_oa.geometry.primitives import deepest_point, point_distance, posed, to_frame
@@ -54,7 +54,7 @@ class Arm(NamedTuple):
     parts: Parts
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def poses(q: FloatArray, X_PJ: FloatArray, X_WB: FloatArray) -> None:
     """Forward kinematics of n revolute joints in a row, each about its z axis.
 
@@ -82,7 +82,7 @@ def poses(q: FloatArray, X_PJ: FloatArray, X_WB: FloatArray) -> None:
         X = X_WB[i]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def jacobian(X_WB: FloatArray, J: FloatArray) -> None:
     """The tool's Jacobian, rotation before translation, in the world.
 
@@ -101,7 +101,7 @@ def jacobian(X_WB: FloatArray, J: FloatArray) -> None:
         J[3, i], J[4, i], J[5, i] = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def solve_in_place(A: FloatArray, b: FloatArray) -> bool:
     """b becomes A^-1 b by Gaussian elimination with row pivots; False if A is singular."""
     n = len(b)
@@ -129,7 +129,7 @@ def solve_in_place(A: FloatArray, b: FloatArray) -> bool:
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def pose_error(tool: FloatArray, p_WE: FloatArray, R_WE: FloatArray, e: FloatArray) -> float:
     """Sets the first six of e to the turn and the way from a posed tool to where it is asked.
 
@@ -154,7 +154,7 @@ def pose_error(tool: FloatArray, p_WE: FloatArray, R_WE: FloatArray, e: FloatArr
     return largest
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def reach(
     q: FloatArray,
     p_WE: FloatArray,
@@ -208,7 +208,7 @@ def reach(
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def nearest_point(
     X_WB: FloatArray,
     shapes: GuardShapes,
@@ -290,7 +290,7 @@ def nearest_point(
     return least, nearest_shape, nearest_owner, nearest_row
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def lowest_height(X_WB: FloatArray, shapes: GuardShapes, table: FloatArray) -> float:
     """Least height of an arm's shapes above a plane [m]; arguments as of `nearest_point`.
 
@@ -313,7 +313,7 @@ def lowest_height(X_WB: FloatArray, shapes: GuardShapes, table: FloatArray) -> f
     return least
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def segment_distance(p: FloatArray, q: FloatArray) -> float:
     """Distance of two segments [m], each (6,) both its ends.
 
@@ -346,7 +346,7 @@ def segment_distance(p: FloatArray, q: FloatArray) -> float:
     return math.sqrt(x * x + y * y + z * z)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def self_distance(X_WB: FloatArray, parts: Parts, limit: float) -> float:
     """Least distance of an arm's parts, each of some capsules, to each other [m].
 

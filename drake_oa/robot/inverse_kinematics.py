@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.inverse_kinematics import InverseKinematics
 from pydrake.multibody.plant import MultibodyPlant
@@ -18,6 +17,7 @@ from pydrake.solvers import Solve
 from pydrake.systems.framework import Context
 from scipy.optimize import lsq_linear
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.rotation import rotation_vector
 from drake_oa.robot.arm_kernels import jacobian, poses
@@ -266,7 +266,7 @@ _CENTRED = 0.2
 _DAMPING = 1e-5
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def solve_pose(
     q: FloatArray,
     p_WE: FloatArray,
@@ -355,7 +355,7 @@ def solve_pose(
     return _pose_error(X_WB[n], p_WE, R_WE, e)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _pose_error(tool: FloatArray, p_WE: FloatArray, R_WE: FloatArray, e: FloatArray) -> bool:
     """Sets e (6,) to sin(angle) times the axis, and the way; says if both are small.
 
@@ -381,7 +381,7 @@ def _pose_error(tool: FloatArray, p_WE: FloatArray, R_WE: FloatArray, e: FloatAr
     return False
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _solve_spd(A: FloatArray, b: FloatArray) -> None:
     """Solves A x = b in place of b for a positive definite A, whose lower half is given."""
     n = len(b)
@@ -406,7 +406,7 @@ def _solve_spd(A: FloatArray, b: FloatArray) -> None:
         b[i] /= A[i, i]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def follow(
     q: FloatArray,
     path: FloatArray,

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from scipy.spatial import cKDTree
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray, Frozen, IntArray
 from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.robot.arm import ArmModel
@@ -182,7 +182,7 @@ _ATTEMPTS = 4
 _HALVINGS = 3
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def flood(
     origin: FloatArray,
     spacing: float,
@@ -262,7 +262,7 @@ def flood(
                 tried[at[0], at[1], at[2]] += 1
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def surface(
     origin: FloatArray,
     spacing: float,
@@ -320,7 +320,7 @@ def surface(
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def interpolate(
     p_WQ: FloatArray, origin: FloatArray, spacing: float, grid: FloatArray, out: FloatArray
 ) -> None:

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numba import njit
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, EllipsoidSet, FloatArray, IntArray
 from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.route.cost_rings import FORBIDDEN, JOINT_LIMITS, LEAST_SPREAD, Margin, Ring, RingScene
@@ -406,7 +406,7 @@ def sequence_costs(legs: Legs, rings: FloatArray, shut: FloatArray, least_spread
     )
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def obstruction(
     p_WA: FloatArray,
     p_WB: FloatArray,
@@ -451,7 +451,7 @@ def obstruction(
                         out[i, j] = max(out[i, j], 1.0 - g if grown else 1.0)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _in_axes(
     p_W: FloatArray, center: FloatArray, R: FloatArray, scale: FloatArray, out: FloatArray
 ) -> None:
@@ -461,7 +461,7 @@ def _in_axes(
             out[i, axis] = scale[axis] * (R[0, axis] * x + R[1, axis] * y + R[2, axis] * z)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _least_norm(ax: float, ay: float, az: float, bx: float, by: float, bz: float) -> float:
     """Distance of the segment from a to b to the origin."""
     dx, dy, dz = bx - ax, by - ay, bz - az

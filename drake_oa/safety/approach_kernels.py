@@ -10,8 +10,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, FloatArray
 from drake_oa.geometry.points import GuardShapes, PointBlocks
 from drake_oa.geometry.primitives import deepest_point, point_distance, posed, to_frame
@@ -43,7 +43,7 @@ AT_REST = 1e-3
 """A body no point of which is faster at full speed does not move [m/s]."""
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def allowed_scale(distance: float, closing: float, oncoming: float, rules: BrakingRules) -> float:
     """Share of full speed at which a pair can be brought to rest in time.
 
@@ -63,7 +63,7 @@ def allowed_scale(distance: float, closing: float, oncoming: float, rules: Braki
     return min(1.0, max(0.0, (left / rules.reaction_time - oncoming) / closing))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def speed_along(
     X_WB: FloatArray,
     V_WB: FloatArray,
@@ -83,7 +83,7 @@ def speed_along(
     )
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def largest_speed(
     X_WB: FloatArray, V_WB: FloatArray, x: float, y: float, z: float, radius: float
 ) -> float:
@@ -95,7 +95,7 @@ def largest_speed(
     return math.sqrt(vx * vx + vy * vy + vz * vz) + radius * turning
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def approach_limit(
     X_WB: FloatArray,
     V_WB: FloatArray,
@@ -212,7 +212,7 @@ def approach_limit(
     return best, best_body, best_obstacle, best_distance, best_oncoming
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def full_speed_motion(
     J: FloatArray,
     v: FloatArray,

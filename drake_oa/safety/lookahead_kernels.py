@@ -16,8 +16,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray, IntArray
 from drake_oa.geometry.points import PointBlocks
 from drake_oa.geometry.primitives import deepest_point, point_distance, posed, to_frame
@@ -83,7 +83,7 @@ _NEWTON = 2
 """Newton steps from one instant to the next."""
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def screw_motion(screw: FloatArray, angle: float, T: FloatArray) -> None:
     """T (3, 4) becomes T exp(S angle), the screw S (6,) being w and v of the origin.
 
@@ -115,7 +115,7 @@ def screw_motion(screw: FloatArray, angle: float, T: FloatArray) -> None:
             T[i, j] = a * E[0, j] + b * E[1, j] + d * E[2, j] + (T[i, 3] if j == 3 else 0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def arm_at(screws: FloatArray, dq: FloatArray, T: FloatArray, moved: FloatArray) -> None:
     """How the arm has moved when its joints have.
 
@@ -142,7 +142,7 @@ def arm_at(screws: FloatArray, dq: FloatArray, T: FloatArray, moved: FloatArray)
         screw_motion(S, dq[k], T[k + 1])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def step_to(
     screws: FloatArray,
     p_WE: FloatArray,
@@ -191,7 +191,7 @@ def step_to(
             dq[k] += J[i, k] * share[i]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _nearest(
     T: FloatArray,
     arm: Arm,
@@ -234,7 +234,7 @@ def _nearest(
     return least, nearest
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def clearance_ahead(
     shifts: FloatArray,
     turns: FloatArray,

@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import IntArray
 
 Image = NDArray[np.float32]
@@ -68,7 +69,7 @@ class Figures(NamedTuple):
     spacing_v: Any
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def mixed(x: Any) -> Any:
     """64 bits that look random, of 64 bits that need not."""
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -76,20 +77,20 @@ def mixed(x: Any) -> Any:
     return x ^ (x >> np.uint64(31))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def hashed(key: Any, stream: int, row: int, column: int) -> Any:
     """64 random bits of a place; rows and columns below 2^24."""
     place = (np.uint64(stream) << np.uint64(48)) | (np.uint64(row) << np.uint64(24))
     return mixed(key + (place | np.uint64(column)) * np.uint64(0x9E3779B97F4A7C15))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def uniform(bits: Any) -> Any:
     """In [0, 1), of the upper 24 bits."""
     return np.float32(bits >> np.uint64(40)) * np.float32(2.0**-24)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _byte_sums(bits: Any) -> Any:
     """Sums of the bytes of each 32-bit half, as two numbers of 0 ... 1020."""
     mask = np.uint64(0x00FF00FF00FF00FF)
@@ -98,7 +99,7 @@ def _byte_sums(bits: Any) -> Any:
     return np.float32(halves & np.uint64(0xFFFF)), np.float32(halves >> np.uint64(32))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def normal(bits: Any) -> Any:
     """Nearly standard normal: the sum of eight uniform bytes, which ends at 4.9."""
     first, second = _byte_sums(bits)
@@ -106,7 +107,7 @@ def normal(bits: Any) -> Any:
     return (first + second - np.float32(1020.0)) * np.float32(1.0 / 209.02152999)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _two_normals(bits: Any) -> Any:
     """Two independent ones, of four bytes each, which end at 3.45."""
     first, second = _byte_sums(bits)
@@ -114,7 +115,7 @@ def _two_normals(bits: Any) -> Any:
     return (first - np.float32(510.0)) * scale, (second - np.float32(510.0)) * scale
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def lattice_along(key: Any, axis: int, spacing: int, size: int) -> tuple[IntArray, Image]:
     """Where pixels along an axis lie on the lattice of the axial noise.
 
@@ -135,7 +136,7 @@ def lattice_along(key: Any, axis: int, spacing: int, size: int) -> tuple[IntArra
     return cell, share
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def lattice_nodes(key: Any, rows: int, columns: int) -> Image:
     """Standard normal numbers, one a node."""
     nodes = np.empty((rows, columns), dtype=np.float32)
@@ -145,7 +146,7 @@ def lattice_nodes(key: Any, rows: int, columns: int) -> Image:
     return nodes
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def patch_nodes(key: Any, height: int, width: int) -> Image:
     """Three standard normal numbers for each patch of 2^PATCH_BITS by as many pixels."""
     rows, columns = (height >> PATCH_BITS) + 1, (width >> PATCH_BITS) + 1
@@ -158,7 +159,7 @@ def patch_nodes(key: Any, height: int, width: int) -> Image:
     return nodes
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def spread_over(nodes: Image, cell: IntArray, share: Image, line: Image) -> None:
     """Fills line (W,) with one row of nodes, smooth over their spacing."""
     first, second = share[0], share[1]
@@ -167,7 +168,7 @@ def spread_over(nodes: Image, cell: IntArray, share: Image, line: Image) -> None
         line[i] = nodes[k] * first[i] + nodes[k + 1] * second[i]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def fill_between(above: Image, below: Image, first: Any, second: Any, g: Image) -> None:
     """Fills g (W,) with the row of noise between two lines of nodes."""
     for i in range(len(g)):
@@ -180,13 +181,13 @@ _BAND = 2
 """Pixels beside an edge which its uncertain place reaches."""
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _beyond(last: Any, one_before: Any, share: Any) -> Any:
     """What follows on the same surface; the last one again where an edge is between both."""
     return last + (last - one_before) if abs(last - one_before) <= share * last else last
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
 def _inverse_depths(
     z: Image, near: Any, far: Any, share: Any, w: Image, valid: NDArray[np.uint8]
 ) -> None:
@@ -213,7 +214,7 @@ def _inverse_depths(
         w[height + 1, column] = _beyond(w[height, column], w[max(height - 1, 1), column], share)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
 def _cast_shadows(w: Image, disparity: Any, counts: IntArray, valid: NDArray[np.uint8]) -> None:
     """Takes out what the projector, `disparity` f b [pixel m] to the right, does not light.
 
@@ -238,7 +239,7 @@ def _cast_shadows(w: Image, disparity: Any, counts: IntArray, valid: NDArray[np.
             lit_other = min(lit_other, place_other)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _measured(w: Any, cosine: Any, g: Any, p: Figures) -> Any:
     """Depth [m] as the camera tells it: noise g, then steps of disparity and of the unit."""
     one, half = np.float32(1.0), np.float32(0.5)
@@ -259,7 +260,7 @@ def _measured(w: Any, cosine: Any, g: Any, p: Figures) -> Any:
     return np.float32(np.int32(p.per_unit / (max(levels, one) * p.step) + half)) * p.unit
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _slope(before: Any, after: Any) -> Any:
     # The smaller of both differences: the other one may lie across an edge.
     return before if abs(before) < abs(after) else after
@@ -307,7 +308,7 @@ def _jumps_row(
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _measure_row(
     centre: Image,
     cosine: Image,
@@ -323,7 +324,7 @@ def _measure_row(
         out[i] = z if valid[i] else missing
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _drop_grazing(key: Any, row: int, cosine: Image, start: float, end: float, out: Image) -> None:
     """Takes out more and more pixels, two by two, between two cosines of incidence."""
     for i in range(len(out)):
@@ -333,13 +334,13 @@ def _drop_grazing(key: Any, row: int, cosine: Image, start: float, end: float, o
                 out[i] = np.float32(np.nan)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _join(marks: NDArray[np.uint8], others: NDArray[np.uint8]) -> None:
     for i in range(min(len(marks), len(others))):
         marks[i] |= others[i]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _mark_band(
     jumps: NDArray[np.uint8], counts: IntArray, width: int, near: NDArray[np.uint8]
 ) -> None:
@@ -356,24 +357,24 @@ def _mark_band(
             _join(near[r], wide[_BAND : _BAND + width])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _rounded(value: Any) -> int:
     return int(value + np.float32(1000.5)) - 1000
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _clamped(value: int, size: int) -> int:
     return min(max(value, 0), size - 1)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _facing(w: Any, g: Any, p: Figures) -> Any:
     """`_measured` at normal incidence."""
     one = np.float32(1.0)
     return _measured(w, one, g, p)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _other_side(row: int, column: int, w: Image, least: Any) -> Any:
     """The neighbour's w that differs most, of those in range."""
     here = w[row, column]
@@ -385,19 +386,19 @@ def _other_side(row: int, column: int, w: Image, least: Any) -> Any:
     return other
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
 def _mark_jumps(w: Image, share: Any, jumps: NDArray[np.uint8], counts: IntArray) -> None:
     """`_jumps_row` of each row, and how many it found."""
     for row in range(len(counts)):
         counts[row] = int(_jumps_row(w[row], w[row + 1], w[row + 2], share, jumps[row]))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _frame_key(seed: int, frame: int) -> Any:
     return mixed(mixed(np.uint64(seed) + np.uint64(0x9E3779B97F4A7C15)) + np.uint64(frame))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
 def _measure(
     seed: int, frame: int, w: Image, valid: NDArray[np.uint8], K: Image, p: Figures, out: Image
 ) -> None:
@@ -427,7 +428,7 @@ def _measure(
             _drop_grazing(key, row, cosine, p.grazing_start, p.grazing_end, out[row])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
 def _disturb_edges(
     seed: int,
     frame: int,

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.ellipsoid_kernels import nearest_point
 
@@ -37,7 +38,7 @@ class Curves(NamedTuple):
     dt: Any
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def _distance(p: FloatArray, t: float, body: Bodies, work: FloatArray) -> float:
     """Signed distance of a point (3,) at a time to one body; work is (3, 3) scratch."""
     x0 = p[0] - body.velocity[0] * t - body.center[0]
@@ -48,7 +49,7 @@ def _distance(p: FloatArray, t: float, body: Bodies, work: FloatArray) -> float:
     return nearest_point(work[0], body.semi_axes, work[1], work[2])
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def _hermite(curve: Curves, at: float, p: FloatArray) -> None:
     """Writes the cubic Hermite interpolant of one motion at `at` intervals from its start."""
     k = min(int(at), curve.path.shape[0] - 2)
@@ -61,14 +62,14 @@ def _hermite(curve: Curves, at: float, p: FloatArray) -> None:
         p[i] += h10 * curve.velocity[k, i] + h11 * curve.velocity[k + 1, i]
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def _distance_at(curve: Curves, at: float, body: Bodies, work: FloatArray) -> float:
     p = np.empty(3)
     _hermite(curve, at, p)
     return _distance(p, at * curve.dt, body, work)
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def _least_distance(
     curve: Curves, body: Bodies, low: float, high: float, work: FloatArray
 ) -> float:
@@ -93,7 +94,7 @@ def _least_distance(
     return best
 
 
-@numba.njit(cache=True, error_model="numpy", parallel=True)
+@numba.njit(cache=True, error_model="numpy", parallel=True, fastmath=False)
 def segment_distances(begin: FloatArray, end: FloatArray, bodies: Bodies, out: FloatArray) -> None:
     """Least signed distance (N,) of segments (N, 3) to (N, 3) to one resting body each."""
     for n in numba.prange(out.shape[0]):
@@ -105,7 +106,7 @@ def segment_distances(begin: FloatArray, end: FloatArray, bodies: Bodies, out: F
         out[n] = _least_distance(curve, body, 0.0, 1.0, np.empty((3, 3)))
 
 
-@numba.njit(cache=True, error_model="numpy", parallel=True)
+@numba.njit(cache=True, error_model="numpy", parallel=True, fastmath=False)
 def judge_motions(curves: Curves, bodies: Bodies, substeps: int, out: FloatArray) -> None:
     """Rows of out (N, 2): least signed distance to any obstacle (inf: none), path length.
 
@@ -153,14 +154,14 @@ def judge_motions(curves: Curves, bodies: Bodies, substeps: int, out: FloatArray
         out[n, 1] = length
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def _one(bodies: Bodies, n: int, m: int) -> Bodies:
     return Bodies(
         bodies.center[n, m], bodies.R[n, m], bodies.semi_axes[n, m], bodies.velocity[n, m]
     )
 
 
-@numba.njit(cache=True, error_model="numpy")
+@compiled
 def _apart(p: FloatArray, q: FloatArray, v: FloatArray, t: float) -> float:
     """Length of p - q - v t."""
     x, y, z = p[0] - q[0] - v[0] * t, p[1] - q[1] - v[1] * t, p[2] - q[2] - v[2] * t

@@ -1,0 +1,56 @@
+"""The house keeps its floor plan; which way imports go is held by import-linter in `make lint`."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+FOLDERS = sorted(
+    path.parent.relative_to(ROOT)
+    for tree in ("drake_oa", "diagrams")
+    for path in (ROOT / tree).rglob("__init__.py")
+)
+MODULES = sorted(
+    path.relative_to(ROOT) for folder in FOLDERS for path in (ROOT / folder).glob("*.py")
+)
+MOST_MODULES, MOST_LINES = 14, 600
+README_LINES = 10
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=str)
+def test_a_folder_can_be_taken_in_at_a_glance(folder: Path) -> None:
+    modules = [path for path in (ROOT / folder).glob("*.py") if path.name != "__init__.py"]
+    assert len(modules) <= MOST_MODULES
+    init = (ROOT / folder / "__init__.py").read_text()
+    docstring = ast.get_docstring(ast.parse(init)) or ""
+    if folder != Path("drake_oa"):
+        assert len(docstring.splitlines()) >= README_LINES
+        assert "import" not in init.replace(docstring, "")
+
+
+def test_no_module_is_too_long() -> None:
+    lines = {path: len((ROOT / path).read_text().splitlines()) for path in MODULES}
+    assert {path: count for path, count in lines.items() if count > MOST_LINES} == {}
+
+
+def test_kernels_know_nothing_of_drake() -> None:
+    of_drake = [
+        path
+        for path in MODULES
+        if path.stem.endswith("_kernels") and "pydrake" in (ROOT / path).read_text()
+    ]
+    assert of_drake == []
+
+
+def test_tests_mirror_the_tree() -> None:
+    """A folder of tests is of a folder of the package, and a test's name says of which module."""
+    folders = {
+        path.parent.relative_to(ROOT / "tests") for path in (ROOT / "tests").rglob("test_*.py")
+    }
+    of_package = {
+        folder.relative_to("drake_oa") for folder in FOLDERS if folder.parts[0] == "drake_oa"
+    }
+    assert folders - {Path("."), Path("reference")} <= of_package | {Path("diagrams")}
