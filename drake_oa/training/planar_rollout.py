@@ -2,8 +2,9 @@
 
 Two motions, both from rest at (0, 0) to the goal (1, 0):
 
-`planar_rollouts` is the project's own, `drake_oa.policy.dmp.step` with one avoidance term, in
-normalised units: lengths in baselines L, time s = t / (tau T). With z = tau T dx/dt the
+`planar_rollouts` is the project's own, the step of `drake_oa.policy.action_kernels` with one
+avoidance term, in normalised units: lengths in baselines L, time s = t / (tau T). With
+z = tau T dx/dt the
 path does not depend on tau, so one roll-out stands for every duration::
 
     dz/ds = alpha_x (beta_x (g - x) - z) + f(k) + R z dtheta       (eq. oa_complete)
@@ -291,7 +292,7 @@ def planar_rollouts(
             a little shorter.
         end: s at the end of the motion.
         fade: alpha fades within this many baselines of the goal, by the fourth power of
-            the distance left (`drake_oa.policy.action.goal_fade`); 0: it does not.
+            the distance left (`drake_oa.policy.action_kernels.goal_fade`); 0: it does not.
 
     Returns:
         Clearance, goal error at s = end and path length a row.
