@@ -363,8 +363,12 @@ def released_rollouts(
 _RELEASED_TIME = 3.0
 
 
-def released_forcing(steps: int = STEPS) -> FloatArray:
+def released_forcing(steps: int = STEPS, time: float = _RELEASED_TIME) -> FloatArray:
     """(steps,) forcing term of `released_rollouts` at the beginning of each step [m/s^2].
+
+    Args:
+        steps: number of steps.
+        time: that they take in all [s].
 
     Raises:
         ValueError: if there are fewer than two steps.
@@ -372,7 +376,7 @@ def released_forcing(steps: int = STEPS) -> FloatArray:
     if steps < 2:
         raise ValueError(f"steps must be at least 2, not {steps}")
     # The demonstration ends with the last step.
-    duration = _RELEASED_TIME / steps * (steps - 1)
+    duration = time / steps * (steps - 1)
     return np.asarray(10.0 / duration - 25.0 * (1.0 - np.arange(steps) / (steps - 1)))
 
 
