@@ -14,11 +14,11 @@ from numba import njit
 from drake_oa.common.messages import FloatArray
 from drake_oa.regulation.lane_math import (
     STRICT,
-    TINY_DOUBLE,
-    angle_double,
-    exponential_double,
-    half_sine_cosine_double,
-    log1p_positive_double,
+    TINY,
+    angle,
+    exponential,
+    half_sine_cosine,
+    log1p_positive,
     widest_vectors,
 )
 
@@ -194,10 +194,10 @@ def turn_lanes(n: int, S: FloatArray) -> None:
         sine = 0.0 if sine * sine <= 1e-18 * size else sine
         S[SINE + i], S[COSINE + i] = sine, cosine
     for i in range(n):
-        S[THETA + i] = angle_double(abs(S[SINE + i]), S[COSINE + i])
+        S[THETA + i] = angle(abs(S[SINE + i]), S[COSINE + i])
     for i in range(n):
         u = S[THETA + i] * S[INVERSE_PSI + i]
-        rate = S[WEIGHT + i] * exponential_double(S[STRENGTH + i] - u * u)
+        rate = S[WEIGHT + i] * exponential(S[STRENGTH + i] - u * u)
         c = rate * S[INVERSE_PSI + i]
         S[C + i] = c if c < _MOST_C else _MOST_C
     for i in range(n):
@@ -205,14 +205,14 @@ def turn_lanes(n: int, S: FloatArray) -> None:
         w = c / math.sqrt(1.0 + 2.0 * u * c)
         S[GROWN + i] = w + w * w / (1.0 + math.sqrt(1.0 + w * w))
     for i in range(n):
-        u, asinh = S[THETA + i] * S[INVERSE_PSI + i], log1p_positive_double(S[GROWN + i])
+        u, asinh = S[THETA + i] * S[INVERSE_PSI + i], log1p_positive(S[GROWN + i])
         S[GROWN + i] = S[C + i] * (2.0 * u + asinh)
     for i in range(n):
-        S[GROWN + i] = log1p_positive_double(S[GROWN + i])
+        S[GROWN + i] = log1p_positive(S[GROWN + i])
     for i in range(n):
         theta, psi, sine, cosine = S[THETA + i], S[TERM_PSI + i], S[SINE + i], S[COSINE + i]
         u, grown = theta * S[INVERSE_PSI + i], S[GROWN + i]
-        turn = psi * grown / (u + math.sqrt(u * u + grown) + TINY_DOUBLE)
+        turn = psi * grown / (u + math.sqrt(u * u + grown) + TINY)
         # There the closed form loses its digits.
         turn = S[C + i] * psi if S[C + i] < _LEAST_C else turn
         most = math.pi - theta
@@ -224,7 +224,7 @@ def turn_lanes(n: int, S: FloatArray) -> None:
     for i in range(n):
         nx, ny, nz = S[NX + i], S[NY + i], S[NZ + i]
         zx, zy, zz = S[WX + i], S[WY + i], S[WZ + i]
-        half, other = half_sine_cosine_double(0.5 * S[TURN + i])
+        half, other = half_sine_cosine(0.5 * S[TURN + i])
         versine = 2.0 * half * half
         cos, sin = 1.0 - versine, 2.0 * half * other
         along = (zx * nx + zy * ny + zz * nz) * versine
@@ -355,7 +355,7 @@ def _inside(
         g2 = (r02 * ex + r12 * ey + r22 * ez) / a2
         gauge = math.sqrt(g0 * g0 + g1 * g1 + g2 * g2)
         if gauge <= 1.0:
-            scale = small / (gauge + TINY_DOUBLE)
+            scale = small / (gauge + TINY)
             S[T + i] = small * (gauge - 1.0)
             # Its slope: as the gauge is convex, a bound everywhere.
             S[Y0 + i], S[Y1 + i], S[Y2 + i] = scale * g0 / a0, scale * g1 / a1, scale * g2 / a2
@@ -411,7 +411,7 @@ def come_nearer(
             u0, u1, u2 = u0 * u0, u1 * u1, u2 * u2
             total = u0 + u1 + u2
             slope = u0 * i0 + u1 * i1 + u2 * i2
-            change = total * (math.sqrt(total) - 1.0) / (slope + TINY_DOUBLE)
+            change = total * (math.sqrt(total) - 1.0) / (slope + TINY)
             new = t + change
             new = new if new > 0.0 else 0.0
             S[T + i] = new
@@ -424,7 +424,7 @@ def come_nearer(
         t, y0, y1, y2 = S[T + i], S[Y0 + i], S[Y1 + i], S[Y2 + i]
         b0, b1, b2 = q0 + t, q1 + t, q2 + t
         d0, d1, d2 = y0 * (b1 * b2), y1 * (b2 * b0), y2 * (b0 * b1)
-        scale = 1.0 / math.sqrt(d0 * d0 + d1 * d1 + d2 * d2 + TINY_DOUBLE)
+        scale = 1.0 / math.sqrt(d0 * d0 + d1 * d1 + d2 * d2 + TINY)
         d0, d1, d2 = scale * d0, scale * d1, scale * d2
         S[Y0 + i], S[Y1 + i], S[Y2 + i] = d0, d1, d2
         support = math.sqrt(q0 * d0 * d0 + q1 * d1 * d1 + q2 * d2 * d2)

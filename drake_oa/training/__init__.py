@@ -1,32 +1,30 @@
-"""Training of the regressor chain: from roll-outs to the weights that regulation reads.
+"""Trains the regressor chain that proposes coupling parameters: `drake-oa train`.
 
-The chain maps a section and a clearance to coupling parameters, one network after the other:
-Y1: h -> kappa, Y2: (h, kappa) -> psi, Y3: (h, kappa, psi) -> alpha (the paper, "Geometry-
-conditioned Parameter Regressor"). Nothing here runs beside the robot, and nothing of it is
-imported at run time: what comes out is a `.safetensors` file, which
-`drake_oa.regulation.regressor.load_chain` reads and evaluates compiled.
+In goes nothing but a recipe; out comes a .safetensors file that `regulation.regressor.load_chain`
+reads: the three networks of `ChainWeights`, the range they were trained in, and where they come
+from. Nothing here runs on the robot, and nothing that runs there imports it. Lengths are in
+baselines L (semi-axes lambda1', lambda2' along and across, clearance Delta, place of the centre
+along it), kappa in 1/L^2, psi in rad, alpha in 1/T; `paper` has metres and rad/s, on L = 1 m.
 
-Everything happens in the plane of actuation and in normalised units: lengths in baselines L
-from start (0, 0) to goal (1, 0), alpha per duration T, kappa in 1/L^2, psi in rad. Two recipes,
-`drake-oa train --recipe`:
+Recipe `project` (`Exploration` is its configuration; the shipped weights):
 
-- `project`: the chain that is shipped. `dataset` explores (kappa, psi, alpha) around a lattice
-  of ellipses, chooses one triple for each asked clearance and solves for the alpha that keeps
-  it exactly; `chain` trains; `validation` rolls out what the chain proposes elsewhere.
-- `paper`: RC(lambda') and RC(lambda', Delta) on the paper's own set of 12.5 million motions of the
-  authors' released code. `paper_set` makes the set, `paper` trains and prints Table I
-  beside the printed one.
+1. `dataset` rolls out a grid of (kappa, psi, alpha) about one ellipse after another, chooses one
+   for each ellipse and clearance, smooths the choices and solves for alpha. `rollouts` puts the
+   scenes to the running system's own engine, `regulation.rollout`.
+2. `chain` trains Y1 (kappa), Y2 (psi) and Y3 (alpha), each on the true values before it.
+3. `validation` rolls out what the chain proposes in scenes that it was not trained on.
 
-Method: `planar_rollout` integrates both motions, compiled, one row a trajectory, on all cores. The
-networks (24-24-24 tanh, linear output, float64) are `torch.nn.Module`s; `levenberg_marquardt` fits
-them by damped Gauss-Newton steps (Levenberg 1944, Marquardt 1963): J by `torch.func` a block of
-rows at a time, J^T J and J^T e summed up, a Cholesky factor a step. CPU and CUDA run
-the same lines; a seed decides split, scatter and first weights.
+Recipe `paper` (`PaperRecipe`): Table I of the paper.
 
-`session` is the command. It keeps what was computed in a folder (`checkpoint`): after an
-interruption the same command goes on to the same result. There is no block in the scenario but
-`policy.weights`, the file to use.
+1. `released_method` rolls out the paper's lattice of 12.5 million motions as the authors' released
+   code integrates them; `paper_set` keeps those that keep 1 cm, and tells what noise they hold.
+2. `paper` trains RC(lambda') and RC(lambda', Delta), and puts the scores beside the printed ones.
 
-Read `chain.py` first, then `dataset.py`; results are in docs/results/training_project.md and
-training_paper.md.
+The networks are `torch.nn` modules of 24-24-24 tanh units (`networks`), fitted by
+Levenberg-Marquardt (`levenberg_marquardt`, after Hagan and Menhaj 1994) with derivatives by
+`torch.func`, in float64, on the CPU or CUDA: the same seed gives the same weights on the same
+machine. `checkpoint` keeps what was computed, so that an interrupted training goes on.
+
+Results: docs/results/training_project.md and training_paper.md; the choices, with measurements:
+docs/equations.md, "Regulation". Read `session` first, then `chain`.
 """

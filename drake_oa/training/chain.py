@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 
 from drake_oa.regulation.regressor import TARGETS, ChainWeights
-from drake_oa.training.checkpoint import Checkpoint
+from drake_oa.training.checkpoint import Checkpoint, Report
 from drake_oa.training.dataset import Exploration, TrainingSet
 from drake_oa.training.levenberg_marquardt import Schedule
 from drake_oa.training.networks import (
     HIDDEN,
     TRAIN_SHARE,
-    Report,
     Score,
     nmse,
     predict,
@@ -43,7 +42,7 @@ def train_chain(
         exploration: what it was made with; recorded.
         seed: of the initial weights and of the split.
         schedule: of Levenberg-Marquardt.
-        device: a torch device.
+        device: of torch, "cpu" or "cuda".
         commit: version of the code; recorded.
         checkpoint: where to keep each iteration, and to go on from.
         report: told how far it is.
@@ -103,3 +102,10 @@ def _metadata(
         "nmse": {s.target: {"train": s.train, "test": s.test} for s in scores},
         "commit": commit,
     }
+
+
+def score_table(scores: list[Score]) -> str:
+    """Markdown table of the networks' normalised mean squared errors."""
+    lines = ["| target | NMSE train | NMSE test | rows |", "|---|---|---|---|"]
+    lines += [f"| ln {s.target} | {s.train:.2g} | {s.test:.2g} | {s.rows:,} |" for s in scores]
+    return "\n".join(lines)

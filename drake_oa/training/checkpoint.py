@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,9 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
 Arrays = dict[str, np.ndarray[Any, Any]]
+
+Report = Callable[[str, float], None]
+"""Told the stage and the fraction of it that is done."""
 
 _SETTINGS = "settings.json"
 

@@ -32,12 +32,15 @@ from numpy.typing import NDArray
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen
 from drake_oa.policy.dmp import ALPHA_X, Dmp
 from drake_oa.regulation.regressor import ClearanceLimit
-from drake_oa.training.checkpoint import Checkpoint
-from drake_oa.training.networks import Report
-from drake_oa.training.planar_rollout import planar_rollouts, straight_dmp
+from drake_oa.training.checkpoint import Checkpoint, Report
+from drake_oa.training.rollouts import planar_rollouts, straight_dmp
 
 _CHUNK = 16
 """Ellipses explored between two writes of the checkpoint."""
+_ROWS = 512
+"""Rows whose alpha is solved for together."""
+_REFINEMENTS, _BETWEEN = 4, 8
+"""How often the interval that holds alpha is divided, and into how many parts."""
 
 
 def _axis(first: float, last: float, number: int, *, geometric: bool = False) -> FloatArray:
@@ -208,9 +211,10 @@ def _choices(
         n_rollouts = int(stored["rollouts"])
     while begin < len(ellipses):
         new = []
-        for lambda1, lambda2, position in ellipses[begin : begin + _CHUNK]:
-            grid, n = _explore(exploration, (lambda1, lambda2), position)
-            n_rollouts += n
+        some = ellipses[begin : begin + _CHUNK]
+        grids = _explore(exploration, np.array(some))
+        n_rollouts += grids[:, 0].size
+        for grid, (lambda1, lambda2, position) in zip(grids, some, strict=True):
             for clearance in exploration.clearances.tolist():
                 # Nobody keeps more than what start and goal have themselves.
                 if lambda1 + clearance + exploration.margin >= min(position, 1.0 - position):
@@ -242,39 +246,34 @@ def _smoothed(exploration: Exploration, inputs: FloatArray, pairs: FloatArray) -
     return np.clip(smooth, bounds[:, 0], bounds[:, 1])
 
 
-@dataclass(frozen=True, eq=False)
-class _Grid:
-    """Outcomes for one ellipse over (kappa, psi, alpha)."""
+def _explore(exploration: Exploration, ellipses: FloatArray) -> FloatArray:
+    """(N, 3, kappa, psi, alpha) clearance, goal error and path length for each ellipse.
 
-    clearance: FloatArray
-    goal_error: FloatArray
-    path_length: FloatArray
-
-
-def _explore(
-    exploration: Exploration, ellipse: tuple[float, float], position: float
-) -> tuple[_Grid, int]:
+    An ellipse is a row lambda1', lambda2', position.
+    """
     kappa, psi, alpha = np.meshgrid(
         exploration.kappa, exploration.psi, exploration.alpha, indexing="ij"
     )
     parameters = np.column_stack((alpha.ravel(), psi.ravel(), kappa.ravel()))
-    n = len(parameters)
     outcome = planar_rollouts(
-        np.tile(ellipse, (n, 1)),
-        parameters,
-        centers=np.tile((position, 0.0), (n, 1)),
+        ellipses[:, :2],
+        np.column_stack((ellipses[:, 2], np.zeros(len(ellipses)))),
+        np.tile(parameters, (len(ellipses), 1, 1)),
         dmp=exploration.dmp,
         steps=exploration.grid_steps,
         end=exploration.end,
         fade=exploration.fade,
     )
-    values = (outcome.clearance, outcome.goal_error, outcome.path_length)
-    return _Grid(*(value.reshape(alpha.shape) for value in values)), n
+    values = np.stack((outcome.clearance, outcome.goal_error, outcome.path_length), axis=1)
+    return values.reshape(len(ellipses), 3, *alpha.shape)
 
 
-def _choose(exploration: Exploration, grid: _Grid, clearance: float) -> tuple[float, float] | None:
+def _choose(
+    exploration: Exploration, grid: FloatArray, clearance: float
+) -> tuple[float, float] | None:
     """(kappa, psi) for a clearance, or None where nothing keeps it and arrives."""
-    keeps = grid.clearance >= clearance
+    kept, goal_error, length = grid
+    keeps = kept >= clearance
     # The weakest alpha that keeps it, and the share of the way to it from the one before.
     index = keeps.argmax(axis=2)[..., None]
     before = np.maximum(index - 1, 0)
@@ -282,17 +281,17 @@ def _choose(exploration: Exploration, grid: _Grid, clearance: float) -> tuple[fl
     def pick(values: FloatArray, at: NDArray[np.intp]) -> FloatArray:
         return np.take_along_axis(values, at, axis=2)[..., 0]
 
-    low, high = pick(grid.clearance, before), pick(grid.clearance, index)
-    touched = np.isinf(pick(grid.path_length, before))
+    low, high = pick(kept, before), pick(kept, index)
+    shorter, longer = pick(length, before), pick(length, index)
+    touched = np.isinf(shorter)
     with np.errstate(invalid="ignore", divide="ignore"):
         share = np.where(touched | (high <= low), 1.0, (clearance - low) / (high - low))
-        length = pick(grid.path_length, index)
-        shorter = np.where(touched, length, pick(grid.path_length, before))
+        shorter = np.where(touched, longer, shorter)
         share = np.clip(share, 0.0, 1.0)
         log_alpha = np.log(exploration.alpha)
         log_alpha = log_alpha[before[..., 0]] * (1.0 - share) + log_alpha[index[..., 0]] * share
-        cost = shorter + share * (length - shorter) + exploration.effort * log_alpha
-    goal_error = pick(grid.goal_error, index)
+        cost = shorter + share * (longer - shorter) + exploration.effort * log_alpha
+    goal_error = pick(goal_error, index)
     arrives = keeps.any(axis=2) & (goal_error <= exploration.goal_tolerance)
     if not arrives.any():
         return None
@@ -317,44 +316,34 @@ def _solve_alpha(
         (N,) alpha, (N,) whether it keeps the clearance and arrives, and the number of
         roll-outs.
     """
-    wanted = inputs[:, 2] + exploration.margin
+    alpha, arrives = np.full(len(inputs), np.nan), np.zeros(len(inputs), dtype=bool)
     n_rollouts = 0
-
-    def roll(rows: NDArray[np.intp], alpha: FloatArray) -> tuple[FloatArray, FloatArray]:
-        nonlocal n_rollouts
-        n_rollouts += len(rows)
-        kappa, psi = pairs[rows].T
-        centers = np.column_stack((inputs[rows, 3], np.zeros(len(rows))))
-        outcome = planar_rollouts(
-            inputs[rows, :2],
-            np.column_stack((alpha, psi, kappa)),
-            centers=centers,
-            dmp=exploration.dmp,
-            end=exploration.end,
-            fade=exploration.fade,
-        )
-        return outcome.clearance, outcome.goal_error
-
-    low = np.full(len(inputs), exploration.alpha[0])
-    high = np.full(len(inputs), np.nan)
-    open_rows = np.arange(len(inputs))
-    for i, alpha in enumerate(exploration.alpha):
-        clearance, _ = roll(open_rows, np.full(len(open_rows), alpha))
-        keeps = clearance >= wanted[open_rows]
-        high[open_rows[keeps]] = alpha
-        open_rows = open_rows[~keeps]
-        low[open_rows] = alpha
-        report("solve", 0.8 * (i + 1) / len(exploration.alpha))
-    rows = np.flatnonzero(np.isfinite(high))
-    for i in range(12):
-        middle = np.sqrt(low[rows] * high[rows])
-        keeps = roll(rows, middle)[0] >= wanted[rows]
-        high[rows[keeps]] = middle[keeps]
-        low[rows[~keeps]] = middle[~keeps]
-        report("solve", 0.8 + 0.2 * (i + 1) / 12)
-    kept = np.zeros(len(inputs), dtype=bool)
-    kept[rows] = roll(rows, high[rows])[1] <= exploration.goal_tolerance
-    return high, kept, n_rollouts
+    for begin in range(0, len(inputs), _ROWS):
+        rows = np.arange(begin, min(begin + _ROWS, len(inputs)))
+        low = np.full(len(rows), exploration.alpha[0])
+        candidates = np.tile(exploration.alpha, (len(rows), 1))
+        for _ in range(1 + _REFINEMENTS):
+            shape = candidates.shape
+            kappa, psi = (np.broadcast_to(column[:, None], shape) for column in pairs[rows].T)
+            outcome = planar_rollouts(
+                inputs[rows, :2],
+                np.column_stack((inputs[rows, 3], np.zeros(len(rows)))),
+                np.stack((candidates, psi, kappa), axis=2),
+                dmp=exploration.dmp,
+                end=exploration.end,
+                fade=exploration.fade,
+            )
+            n_rollouts += candidates.size
+            keeps = outcome.clearance >= inputs[rows, 2:3] + exploration.margin
+            each = np.flatnonzero(keeps.any(axis=1))
+            first, rows = keeps.argmax(axis=1)[each], rows[each]
+            alpha[rows] = high = candidates[each, first]
+            arrives[rows] = outcome.goal_error[each, first] <= exploration.goal_tolerance
+            # It lies between the last that does not keep it and the first that does.
+            low = np.where(first > 0, candidates[each, first - 1], low[each])
+            candidates = np.geomspace(low, high, _BETWEEN + 1, axis=1)[:, 1:]
+        report("solve", min(begin + _ROWS, len(inputs)) / len(inputs))
+    return alpha, arrives, n_rollouts
 
 
 def _limit(exploration: Exploration, inputs: FloatArray) -> FloatArray:

@@ -14,6 +14,9 @@ from torch.func import functional_call, grad_and_value, vmap
 
 from drake_oa.common.messages import FloatArray
 
+_COLUMNS = 256
+"""Columns of J^T J that are added up at a time, from the diagonal down: it is symmetric."""
+
 
 @dataclass(frozen=True)
 class Schedule:
@@ -125,10 +128,11 @@ class LeastSquares:
             slopes, outputs = self._derivatives(named, x)
             J = torch.cat([slope.flatten(1) for slope in slopes.values()], dim=1) * root[:, None]
             error = (y - outputs) * root
-            gram += J.T @ J
+            for i in range(0, n, _COLUMNS):
+                gram[i:, i : i + _COLUMNS] += J[:, i:].T @ J[:, i : i + _COLUMNS]
             gradient += error @ J
             total += float(error @ error)
-        return gram, gradient, total
+        return torch.tril(gram) + torch.tril(gram, -1).T, gradient, total
 
     def _named(self, parameters: Tensor) -> dict[str, Tensor]:
         parts = parameters.split([math.prod(shape) for shape in self._shapes.values()])

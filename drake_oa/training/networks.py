@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -13,7 +12,7 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from drake_oa.common.messages import BoolArray, FloatArray
 from drake_oa.regulation.regressor import Network
-from drake_oa.training.checkpoint import Checkpoint
+from drake_oa.training.checkpoint import Checkpoint, Report
 from drake_oa.training.levenberg_marquardt import LeastSquares, Progress, Schedule, fit
 
 HIDDEN = (24, 24, 24)
@@ -21,9 +20,6 @@ HIDDEN = (24, 24, 24)
 
 TRAIN_SHARE = 0.7
 """Share of the rows to train on, as in the paper."""
-
-Report = Callable[[str, float], None]
-"""Told the stage and the fraction of it that is done."""
 
 
 class Perceptron(nn.Module):

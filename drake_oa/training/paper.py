@@ -9,12 +9,11 @@ import numpy as np
 
 from drake_oa.common.messages import BoolArray, FloatArray
 from drake_oa.regulation.regressor import TARGETS, ChainWeights, Network
-from drake_oa.training.checkpoint import Checkpoint
+from drake_oa.training.checkpoint import Checkpoint, Report
 from drake_oa.training.levenberg_marquardt import Schedule
 from drake_oa.training.networks import (
     HIDDEN,
     TRAIN_SHARE,
-    Report,
     Round,
     Score,
     nmse,
@@ -25,13 +24,13 @@ from drake_oa.training.paper_set import (
     KEPT,
     NEAR_GOAL,
     SATURATED,
-    PaperLattice,
     PaperSet,
     build_paper_set,
     floor_of_means,
     floor_of_windows,
     group_means,
 )
+from drake_oa.training.released_method import PaperLattice
 
 CHAINS = ("RC(lambda')", "RC(lambda', Delta)")
 """The two chains of Table I."""
@@ -86,7 +85,7 @@ class PaperRecipe:
     def settings(self) -> dict[str, Any]:
         """All of it, as JSON would hold it."""
         return {
-            "lattice": {name: axis.tolist() for name, axis in vars(self.lattice).items()},
+            "lattice": {name: axis.tolist() for name, axis in self.lattice._asdict().items()},
             "rounds": {
                 name: [[asdict(r) for r in rounds] for rounds in networks]
                 for name, networks in self.rounds.items()
@@ -109,7 +108,7 @@ def train_paper(
     Args:
         recipe: what to do.
         seed: of the split, of the rows drawn, and of the first weights.
-        device: a torch device.
+        device: of torch, "cpu" or "cuda".
         commit: version of the code; recorded.
         checkpoint: where to keep what was computed, and to go on from.
         report: told how far it is.
@@ -185,7 +184,7 @@ def _problem(
         groups, mean, count = group_means(rows.index[:, : 2 + target], y, use & in_train)
         drawn = rng.permutation(len(groups))
         places = groups[drawn].T
-        x = np.column_stack([axis[i] for axis, i in zip(lattice.axes, places, strict=False)])
+        x = np.column_stack([axis[i] for axis, i in zip(lattice, places, strict=False)])
         return use, x, mean[drawn], count[drawn]
     drawn = rng.permutation(np.flatnonzero(use & in_train))
     return use, _inputs(rows, chain, target)[drawn], y[drawn], None

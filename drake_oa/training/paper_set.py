@@ -7,13 +7,13 @@ code's action level; a row for each motion that keeps 1 cm.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
-from drake_oa.training.networks import Report
-from drake_oa.training.planar_rollout import released_rollouts
+from drake_oa.training.checkpoint import Report
+from drake_oa.training.released_method import PaperLattice, roll_out
 
 KEPT = 0.01
 """Least clearance of a row [m]."""
@@ -23,34 +23,6 @@ NEAR_GOAL = 1.3
 
 SATURATED = 5e-4
 """How near a clearance is to the start's own distance where it says no more than that [m]."""
-
-
-def _axis(first: float, last: float, number: int) -> FloatArray:
-    return np.linspace(first, last, number)
-
-
-@dataclass(frozen=True, eq=False)
-class PaperLattice(Frozen):
-    """What was explored; SI units, a baseline of 1 m.
-
-    Attributes:
-        lambda1: semi-axes along the baseline [m].
-        lambda2: semi-axes across it [m].
-        kappa: [1/m^2].
-        psi: [rad].
-        alpha: [rad/s].
-    """
-
-    lambda1: FloatArray = field(default_factory=lambda: _axis(0.025, 0.25, 10))
-    lambda2: FloatArray = field(default_factory=lambda: _axis(0.025, 0.25, 10))
-    kappa: FloatArray = field(default_factory=lambda: _axis(0.0, 1000.0, 50))
-    psi: FloatArray = field(default_factory=lambda: _axis(0.1, 1.0, 50))
-    alpha: FloatArray = field(default_factory=lambda: _axis(0.01, 30000.0, 50))
-
-    @property
-    def axes(self) -> tuple[FloatArray, ...]:
-        """lambda1', lambda2', kappa, psi, alpha."""
-        return self.lambda1, self.lambda2, self.kappa, self.psi, self.alpha
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,29 +70,22 @@ def build_paper_set(lattice: PaperLattice, report: Report | None = None) -> Pape
     Raises:
         ValueError: if no motion keeps the least clearance.
     """
-    axes = lattice.axes
-    lambda1, lambda2, kappa, psi, alpha = axes
-    # kappa is the fastest of the parameters.
-    shape = (len(lambda2), len(alpha), len(psi), len(kappa))
-    grid = np.meshgrid(lambda2, alpha, psi, kappa, indexing="ij")
-    widths, parameters = grid[0].ravel(), np.stack([a.ravel() for a in grid[1:]], axis=1)
     found = []
-    for i, length in enumerate(lambda1):
-        # The released code looks at its samples, not between them.
-        outcome = released_rollouts(
-            np.column_stack((np.full_like(widths, length), widths)), parameters
-        )
-        kept = np.flatnonzero(outcome.clearance >= KEPT)
-        j, *place = np.unravel_index(kept, shape)
-        index = np.column_stack((np.full(len(kept), i), j, *place[::-1]))
-        found.append((index, outcome.clearance[kept], outcome.goal_error[kept]))
+    for i in range(len(lattice.lambda1)):
+        one = lattice._replace(lambda1=lattice.lambda1[i : i + 1])
+        # Rows run over lambda', alpha, psi and kappa, the last the fastest.
+        clearance, goal_error = (v.transpose(0, 1, 4, 3, 2) for v in roll_out(one))
+        kept = clearance >= KEPT
+        first, j, *place = np.nonzero(kept)
+        index = np.column_stack((first + i, j, *place[::-1]))
+        found.append((index, clearance[kept], goal_error[kept]))
         if report is not None:
-            report("roll out", (i + 1) / len(lambda1))
+            report("roll out", (i + 1) / len(lattice.lambda1))
     index, clearance, goal_error = (np.concatenate(part) for part in zip(*found, strict=True))
     if not len(index):
         raise ValueError("no motion of the lattice keeps the least clearance")
-    values = np.column_stack([axis[i] for axis, i in zip(axes, index.T, strict=True)])
-    return PaperSet(index, values, clearance, goal_error, math.prod(map(len, axes)))
+    values = np.column_stack([axis[i] for axis, i in zip(lattice, index.T, strict=True)])
+    return PaperSet(index, values, clearance, goal_error, math.prod(map(len, lattice)))
 
 
 def group_means(

@@ -11,13 +11,13 @@ from typing import Any
 from drake_oa.common.console import INTERRUPTED, progress_bar
 from drake_oa.common.files import check_outputs, source_commit
 from drake_oa.regulation.regressor import ChainWeights, save_chain
-from drake_oa.training.chain import train_chain
-from drake_oa.training.checkpoint import Checkpoint
+from drake_oa.training.chain import score_table, train_chain
+from drake_oa.training.checkpoint import Checkpoint, Report
 from drake_oa.training.dataset import Exploration, build_training_set
 from drake_oa.training.levenberg_marquardt import Schedule
-from drake_oa.training.networks import Report, choose_device
+from drake_oa.training.networks import choose_device
 from drake_oa.training.paper import PaperRecipe, table_one, train_paper
-from drake_oa.training.validation import score_table, validate, validation_table
+from drake_oa.training.validation import validate, validation_table
 
 PAPER_FILES = {
     "RC(lambda')": "paper_chain_unconstrained.safetensors",
@@ -130,10 +130,10 @@ class _Project:
             checkpoint=checkpoint,
             report=bar,
         )
-        dmp, end, fade = (getattr(self._exploration, name) for name in ("dmp", "end", "fade"))
+        explored = {name: getattr(self._exploration, name) for name in ("alpha_x", "end", "fade")}
         outcomes = {
-            "on the baseline": validate(chain, dmp=dmp, end=end, fade=fade),
-            "up to 0.2 L beside it": validate(chain, beside=0.2, dmp=dmp, end=end, fade=fade),
+            "on the baseline": validate(chain, **explored),
+            "up to 0.2 L beside it": validate(chain, beside=0.2, **explored),
         }
         head = f"{rows.rollouts:,} roll-outs\n\n"
         tables = f"{score_table(scores)}\n\n{validation_table(outcomes)}"

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.policy.dmp import Dmp
+from drake_oa.policy.dmp import ALPHA_X
 from drake_oa.regulation.regressor import ChainWeights
-from drake_oa.training.networks import Score
-from drake_oa.training.planar_rollout import planar_rollouts
+from drake_oa.training.rollouts import planar_rollouts, straight_dmp
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ def validate(
     *,
     scenes: int = 4000,
     beside: float = 0.0,
-    dmp: Dmp | None = None,
+    alpha_x: float = ALPHA_X,
     end: float = 1.25,
     fade: float = 0.3,
     seed: int = 1,
@@ -55,7 +54,7 @@ def validate(
         scenes: number of scenes.
         beside: the centre lies up to this far beside the baseline, in L; the chain does
             not know. Start and goal keep at least the asked clearance.
-        dmp: the primitive, see `planar_rollouts`.
+        alpha_x: spring constant that the chain is for.
         end: s at the end of the motion.
         fade: of the coupling near the goal, see `planar_rollouts`.
         seed: of the scenes.
@@ -76,13 +75,13 @@ def validate(
     queries = np.array(inputs)
     outcome = planar_rollouts(
         queries[:, :2],
-        np.array(parameters),
-        centers=np.array(centers),
-        dmp=dmp,
+        np.array(centers),
+        np.array(parameters)[:, None],
+        dmp=straight_dmp(alpha_x),
         end=end,
         fade=fade,
     )
-    excess, free = outcome.clearance - queries[:, 2], ~outcome.contact
+    excess, free = outcome.clearance[:, 0] - queries[:, 2], ~outcome.contact
     return Validation(
         scenes,
         int(outcome.contact.sum()),
@@ -93,13 +92,6 @@ def validate(
         float(outcome.goal_error[free].max()),
         float(outcome.path_length[free].mean()),
     )
-
-
-def score_table(scores: list[Score]) -> str:
-    """Markdown table of the networks' normalised mean squared errors."""
-    lines = ["| target | NMSE train | NMSE test | rows |", "|---|---|---|---|"]
-    lines += [f"| ln {s.target} | {s.train:.2g} | {s.test:.2g} | {s.rows:,} |" for s in scores]
-    return "\n".join(lines)
 
 
 def validation_table(outcomes: dict[str, Validation]) -> str:

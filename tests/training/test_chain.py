@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from drake_oa.regulation.regressor import ClearanceLimit
-from drake_oa.training.chain import train_chain
+from drake_oa.training.chain import score_table, train_chain
 from drake_oa.training.dataset import Exploration, TrainingSet
 from drake_oa.training.levenberg_marquardt import Schedule
-from drake_oa.training.validation import score_table, validate, validation_table
+from drake_oa.training.validation import validate, validation_table
 
 SCHEDULE = Schedule(iterations=12)
 

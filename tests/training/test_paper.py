@@ -7,7 +7,7 @@ from drake_oa.regulation.regressor import load_chain, save_chain
 from drake_oa.training.checkpoint import Checkpoint
 from drake_oa.training.networks import Round
 from drake_oa.training.paper import CHAINS, PaperRecipe, table_one, train_paper
-from drake_oa.training.paper_set import PaperLattice
+from drake_oa.training.released_method import PaperLattice
 
 FULL = PaperLattice()
 SMALL = PaperRecipe(

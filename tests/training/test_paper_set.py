@@ -5,12 +5,12 @@ import pytest
 
 from drake_oa.training.paper_set import (
     KEPT,
-    PaperLattice,
     build_paper_set,
     floor_of_means,
     floor_of_windows,
     group_means,
 )
+from drake_oa.training.released_method import PaperLattice
 
 FULL = PaperLattice()
 SMALL = PaperLattice(
@@ -27,7 +27,7 @@ def test_rows_keep_their_clearance_and_stand_in_the_lattice(rows):
     assert rows.rollouts == 2 * 2 * 7**3
     assert 20 < len(rows) < rows.rollouts
     assert rows.clearance.min() >= KEPT
-    for column, axis in enumerate(SMALL.axes):
+    for column, axis in enumerate(SMALL):
         np.testing.assert_array_equal(rows.values[:, column], axis[rows.index[:, column]])
     # Nobody keeps more than the start does.
     assert (rows.clearance <= 0.5 - rows.values[:, 0] + 1e-3).all()
@@ -45,9 +45,7 @@ def test_the_whole_lattice_has_the_rows_that_the_released_network_tells_of():
 
 
 def test_a_lattice_that_keeps_nothing_is_an_error():
-    none = PaperLattice(
-        np.array([0.25]), np.array([0.25]), FULL.kappa, FULL.psi[:1], FULL.alpha[:1]
-    )
+    none = SMALL._replace(alpha=FULL.alpha[:1])
     with pytest.raises(ValueError, match="no motion of the lattice"):
         build_paper_set(none)
 

@@ -11,7 +11,7 @@ from drake_oa.training.chain import train_chain
 from drake_oa.training.dataset import Exploration
 from drake_oa.training.networks import Round
 from drake_oa.training.paper import CHAINS, PaperRecipe
-from drake_oa.training.paper_set import PaperLattice
+from drake_oa.training.released_method import PaperLattice
 from drake_oa.training.validation import validate
 
 SMALL = Exploration(
@@ -33,9 +33,7 @@ def small(monkeypatch):
     monkeypatch.setattr(session, "Exploration", lambda: SMALL)
     monkeypatch.setattr(session, "validate", lambda chain, **_: validate(chain, scenes=10))
     full = PaperLattice()
-    lattice = PaperLattice(
-        *(axis[[1, -1]] for axis in full.axes[:2]), *(a[1::12] for a in full.axes[2:])
-    )
+    lattice = PaperLattice(*(axis[[1, -1]] for axis in full[:2]), *(a[1::12] for a in full[2:]))
     rounds = {name: ((Round(2, 50),),) * 3 for name in CHAINS}
     monkeypatch.setattr(session, "PaperRecipe", lambda: PaperRecipe(lattice, rounds))
 

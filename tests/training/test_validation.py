@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from drake_oa.policy.config import Policy
 from drake_oa.regulation.regressor import load_chain
-from drake_oa.training.dataset import Exploration
 from drake_oa.training.validation import validate
 
 SHIPPED = Path(__file__).resolve().parents[2] / "models" / "weights" / "regressor_chain.safetensors"
@@ -17,7 +17,7 @@ def test_the_shipped_chain_keeps_clearances_and_arrives():
     outcome = validate(
         chain,
         scenes=600,
-        dmp=Exploration(alpha_x=explored["alpha_x"]).dmp,
+        alpha_x=explored["alpha_x"],
         end=explored["end"],
         fade=explored["fade"],
         seed=5,
@@ -30,8 +30,6 @@ def test_the_shipped_chain_keeps_clearances_and_arrives():
 
 
 def test_the_spring_it_was_trained_for_is_the_scenarios():
-    from drake_oa.policy.config import Policy
-
     chain = load_chain(SHIPPED)
     explored = chain.metadata["exploration"]
     policy = Policy()
