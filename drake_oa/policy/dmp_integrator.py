@@ -87,7 +87,7 @@ class DmpIntegrator(LeafSystem):
     whose ends the desired motion is interpolated, so that a controller may run faster
     than the policy. A simulator that takes over a Context goes on with its motion. The
     motion is held (its normalised time slows down to a stop, on the path) while it
-    would not be safe: see `drake_oa.policy.action.hold_code`.
+    would not be safe: see `drake_oa.policy.action_kernels.hold_code`.
     """
 
     def __init__(
