@@ -18,7 +18,6 @@ from drake_oa.policy.dmp import (
     trajectory,
 )
 from tests.reference import dmp as readable
-from tests.reference.dmp import step
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -237,27 +236,6 @@ def test_energy_of_the_unforced_spring_never_rises(seed, alpha, ratio, h):
     after = (a * e + b * z, c * e + d * z)
     energies = [0.5 * alpha * beta * (x @ x) + 0.5 * (v @ v) for x, v in ((e, z), after)]
     assert energies[1] <= energies[0] * (1.0 + 1e-12)
-
-
-def test_one_long_step_equals_many_short_ones_without_forcing():
-    dmp = Dmp(80.0, 20.0, 4.6, np.ones(1), np.ones(1), np.zeros((2, 1)))
-    args = {"frame": np.eye(2), "baseline": 1.0}
-    goal, p, z = np.array([1.0, 0.5]), np.zeros(2), np.array([0.3, -2.0])
-    one = step(dmp, p, z, 1.0, 0.1, goal, **args)
-    k = 1.0
-    for _ in range(10):
-        p, z, k = step(dmp, p, z, k, 0.01, goal, **args)
-    for a, b in zip(one, (p, z, k), strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-12)
-
-
-def test_no_time_no_motion():
-    dmp = default_dmp()
-    p, z = np.array([0.1, 0.2, 0.3]), np.array([1.0, 0.0, 0.5])
-    after = step(dmp, p, z, 0.5, 0.0, np.ones(3), frame=np.eye(3), baseline=1.0)
-    np.testing.assert_array_equal(after[0], p)
-    np.testing.assert_array_equal(after[1], z)
-    assert after[2] == 0.5
 
 
 # Local frame

@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.policy.dmp import Dmp, Trajectory, baseline_frame, spring_flow
-from tests.reference.coupling import rotate
 
 Turn = Callable[[FloatArray, FloatArray, float], FloatArray]
 """Turn (3,) [rad] of z over a step, of p_WE (3,) [m], z_W (3,) [m] and the step in s."""
@@ -51,7 +51,7 @@ def step(
         goal: (D,) goal [m].
         frame: (D, D) R_WL of this motion, see `baseline_frame`.
         baseline: distance from start to goal of this motion [m].
-        turn: turn of z over a step, for example `CouplingTerms.turn`; D must be 3
+        turn: turn of z over a step, for example `coupling.turning`; D must be 3
             then. None: no coupling.
 
     Returns:
@@ -71,7 +71,7 @@ def step(
     position, velocity = _spring(p.tolist(), z.tolist(), rest, flow)
     if turn is not None:
         p_W, z_W = np.array(position), np.array(velocity)
-        velocity = rotate(z_W, turn(p_W, z_W, ds)).tolist()
+        velocity = Rotation.from_rotvec(turn(p_W, z_W, ds)).apply(z_W).tolist()
         position, velocity = _spring(position, velocity, rest, flow)
     return np.array(position), np.array(velocity), k * math.exp(-dmp.alpha_k * ds)
 

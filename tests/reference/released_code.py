@@ -9,7 +9,6 @@ import numpy as np
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.policy.coupling import dead_zone_free_rate, original_rate
-from tests.reference.coupling import coupling_force
 
 
 def euler_trajectory(
@@ -65,7 +64,7 @@ def euler_trajectory(
         force = np.zeros(3)
         distance, speed = float(np.linalg.norm(to_O)), float(np.linalg.norm(v))
         if distance > 0.0 and speed > 0.0:
-            axis = coupling_force(to_O, v)
+            axis = np.cross(to_O, v)
             size = float(np.linalg.norm(axis))
             theta = math.acos(min(1.0, max(-1.0, float(to_O @ v) / (distance * speed))))
             if size > 0.0:
@@ -73,7 +72,7 @@ def euler_trajectory(
                     rate = original_rate(theta, *parameters)
                 else:
                     rate = dead_zone_free_rate(theta, distance, *parameters)
-                force = coupling_force(axis / size, v) * rate
+                force = np.cross(axis / size, v) * rate
         acceleration = tau**2 * (alpha_x * beta_x * (goal - x) - alpha_x * v) + push + force
         v = v + step * acceleration
         x = x + step * v

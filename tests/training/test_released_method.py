@@ -86,3 +86,57 @@ def test_the_forcing_term_is_what_the_released_code_fitted(reference):
 def test_bad_lattices_are_named(change, message):
     with pytest.raises(ValueError, match=message):
         roll_out(LATTICE._replace(**change))
+
+
+# The readable form itself.
+
+
+@pytest.mark.parametrize("term", ["dead_zone_free", "original"])
+def test_released_trajectories_are_reproduced(reference, term):
+    data = np.load(reference("authors_action_level.npz"))
+    key = "trajectory" if term == "dead_zone_free" else "trajectory_original_term"
+    for row in range(24):
+        given = tuple(float(data[name][row]) for name in ("alpha", "psi", "kappa"))
+        path = euler_trajectory(
+            data["center"][row],
+            np.array([data["baseline"][row], 0.0, 0.0]),
+            data["forcing"][row],
+            given if term == "dead_zone_free" else (1000.0, 20.0 / np.pi),
+            term=term,
+            tau=float(data["tau"][row]),
+        )
+        np.testing.assert_allclose(path, data[key][row], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("term", "parameters", "third", "eighth"),
+    [
+        (
+            "dead_zone_free",
+            (11026.055663209949, 0.7699037123810009, 24.188755881967893),
+            [0.0026161928095, 0.0007277780072, 0.0016370637172],
+            [0.0098859299601, 0.0034630706622, 0.0077898305181],
+        ),
+        (
+            "original",
+            (1000.0, 20.0 / np.pi),
+            [0.0027867511929, 0.0000757142515, 0.0001703116236],
+            [0.0135655128403, 0.0007839960771, 0.0017635206333],
+        ),
+    ],
+)
+def test_the_first_steps_of_a_released_trajectory_are_reproduced(term, parameters, third, eighth):
+    forcing = np.zeros((8, 3))
+    forcing[:, 0] = [
+        *(-10.495990263368, -10.4709422671561, -10.4458930533492, -10.4208429379493),
+        *(-10.3957922273462, -10.3707412171922, -10.3456902179982, -10.3206396738286),
+    ]
+    path = euler_trajectory(
+        np.array([0.31719211855949414, -0.06755015017212038, -0.15194729551783312]),
+        np.array([0.5, 0.0, 0.0]),
+        forcing,
+        parameters,
+        term=term,
+        tau=1.567690200884412,
+    )
+    np.testing.assert_allclose(path[[2, 7]], [third, eighth], atol=1e-12)

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from drake_oa.training.rollouts import planar_rollouts, straight_dmp
-from tests.reference.coupling import CouplingTerms
+from tests.reference.coupling import terms, turning
 from tests.reference.dmp import step
 
 STEPS = 200
@@ -26,14 +26,12 @@ def scenes(n, seed=0):
 
 
 def readable_path(parameters, center, end):
-    terms = CouplingTerms(np.array([[*center, 0.0]]), parameters)
+    turn = turning(terms([*center, 0.0], parameters))
     p, z, k, goal = np.zeros(3), np.zeros(3), 1.0, np.array([1.0, 0.0, 0.0])
     path = [p]
     steps = ceil(round(end * STEPS, 9))
     for _ in range(steps):
-        p, z, k = step(
-            DMP, p, z, k, end / steps, goal, frame=np.eye(3), baseline=1.0, turn=terms.turn
-        )
+        p, z, k = step(DMP, p, z, k, end / steps, goal, frame=np.eye(3), baseline=1.0, turn=turn)
         path.append(p)
     return np.array(path)
 
