@@ -108,10 +108,11 @@ def plot(log: Path, /, *, out: Path | None = None) -> None:
     from matplotlib.figure import Figure
 
     from drake_oa.runs.log_plots import draw_run
-    from drake_oa.runs.report import motion_metrics
+    from drake_oa.runs.report import judge_of, motion_metrics
 
     with build_errors():
-        metrics = {name: motion_metrics(scenario, of) for name, of in logs.items()}
+        judge = judge_of(scenario)
+        metrics = {name: motion_metrics(scenario, of, judge) for name, of in logs.items()}
     figure = Figure(figsize=(14.0, 10.0), layout="constrained")
     title = f"{log.stem}: {scenario.description}".removesuffix(": ")
     draw_run(figure, title, scenario, logs, metrics)

@@ -114,10 +114,18 @@ def _metrics(
     )
 
 
-class _RobotJudge:
-    """Asks SceneGraph about one configuration of the robot after another."""
+class RobotJudge:
+    """Asks SceneGraph about one configuration of a scenario's robot after another."""
 
     def __init__(self, scenario: Scenario) -> None:
+        """Builds the station, which takes most of the time that a few configurations take.
+
+        Args:
+            scenario: with a robot; it says what stands in the world.
+
+        Raises:
+            ScenarioError: if the station cannot be built.
+        """
         builder = DiagramBuilder()
         self._station = make_station(builder, scenario, render=False)
         diagram = builder.Build()
@@ -126,6 +134,7 @@ class _RobotJudge:
         root = diagram.CreateDefaultContext()
         self._root = root
         self._plant_context = self._plant.GetMyMutableContextFromRoot(root)
+        self._q_world = self._plant.GetPositions(self._plant_context)
         graph = self._station.scene_graph
         self._graph_context = graph.GetMyContextFromRoot(root)
         self._query_port = graph.get_query_output_port()
@@ -154,22 +163,43 @@ class _RobotJudge:
     def _is_robot(self, geometry: GeometryId) -> bool:
         return self._body[geometry].model_instance() == self._station.robot
 
-    def num_positions(self) -> int:
-        """Of the whole world."""
-        return int(self._plant.num_positions())
+    def metrics(self, q: FloatArray, q_world: FloatArray | None = None) -> MotionMetrics:
+        """Metrics of a motion.
 
-    def set_positions(self, q: FloatArray, q_world: FloatArray | None) -> QueryObject:
-        """Poses the world, or the robot alone, in it; returns the query object."""
-        if q_world is not None:
-            self._plant.SetPositions(self._plant_context, q_world)
-        self._plant.SetPositions(self._plant_context, self._station.robot, q)
-        return self._query_port.Eval(self._graph_context)
+        Args:
+            q: (T, nq) positions of the robot, in the plant's order.
+            q_world: (T, n) all positions of the station's plant, for a world in which more
+                than the robot moves; None or (T, 0): the rest stays where the scenario puts it.
 
-    def tool_point(self) -> FloatArray:
-        """p_WE of the pose set last."""
-        return self._tool_frame.CalcPoseInWorld(self._plant_context).translation()
+        Returns:
+            Clearances to the obstacles; contacts with obstacles and with anything else
+            that is not the robot, the table for one, and of the robot with itself, but for
+            links that a joint connects.
 
-    def contacts(self, query: QueryObject) -> tuple[list[str], list[str]]:
+        Raises:
+            ValueError: if q_world is not of this station.
+        """
+        if q_world is None or q_world.shape[1] == 0:
+            q_world = np.broadcast_to(self._q_world, (len(q), len(self._q_world)))
+        elif q_world.shape != (len(q), len(self._q_world)):
+            raise ValueError(
+                f"q_world: shape {q_world.shape} must be ({len(q)}, {len(self._q_world)}): an "
+                "instant a row, a position of the scenario's world a column"
+            )
+        record, own = _ContactRecord(), dict[str, None]()
+        clearance, p_WE = np.empty((3, len(q))), np.empty((len(q), 3))
+        for row, positions in enumerate(q):
+            self._plant.SetPositions(self._plant_context, q_world[row])
+            self._plant.SetPositions(self._plant_context, self._station.robot, positions)
+            query = self._query_port.Eval(self._graph_context)
+            others, themselves = self._contacts(query)
+            record.add(others)
+            own |= dict.fromkeys(themselves)
+            clearance[:, row] = self._clearances(query)
+            p_WE[row] = self._tool_frame.CalcPoseInWorld(self._plant_context).translation()
+        return _metrics(record, clearance, p_WE, own)
+
+    def _contacts(self, query: QueryObject) -> tuple[list[str], list[str]]:
         """ "link - thing" of what touches the robot, and "link - link" of its own that touch."""
         found: list[str] = []
         own: list[str] = []
@@ -183,7 +213,7 @@ class _RobotJudge:
                 own.append(" - ".join(sorted((self._body[a].name(), self._body[b].name()))))
         return found, own
 
-    def clearances(self, query: QueryObject) -> FloatArray:
+    def _clearances(self, query: QueryObject) -> FloatArray:
         """(3,) least distance to the obstacles that are there [m].
 
         Of the robot, of the tool, and of the tool to what never moves.
@@ -243,38 +273,5 @@ class _Balls:
 def robot_metrics(
     scenario: Scenario, q: FloatArray, q_world: FloatArray | None = None
 ) -> MotionMetrics:
-    """Metrics of the robot in its station.
-
-    Args:
-        scenario: with a robot; it says what stands in the world.
-        q: (T, nq) positions of the robot, in the plant's order.
-        q_world: (T, n) all positions of the station's plant, for a world in which more
-            than the robot moves; None or (T, 0): the rest stays where the scenario puts it.
-
-    Returns:
-        Clearances to the obstacles; contacts with obstacles and with anything else
-        that is not the robot, the table for one, and of the robot with itself, but for
-        links that a joint connects.
-
-    Raises:
-        ScenarioError: if the station cannot be built.
-        ValueError: if q_world is not of this station.
-    """
-    judge = _RobotJudge(scenario)
-    if q_world is not None and q_world.shape[1] == 0:
-        q_world = None
-    if q_world is not None and q_world.shape != (len(q), judge.num_positions()):
-        raise ValueError(
-            f"q_world: shape {q_world.shape} must be ({len(q)}, {judge.num_positions()}): an "
-            "instant a row, a position of the scenario's world a column"
-        )
-    record, own = _ContactRecord(), dict[str, None]()
-    clearance, p_WE = np.empty((3, len(q))), np.empty((len(q), 3))
-    for row, positions in enumerate(q):
-        query = judge.set_positions(positions, None if q_world is None else q_world[row])
-        others, themselves = judge.contacts(query)
-        record.add(others)
-        own |= dict.fromkeys(themselves)
-        clearance[:, row] = judge.clearances(query)
-        p_WE[row] = judge.tool_point()
-    return _metrics(record, clearance, p_WE, own)
+    """`RobotJudge.metrics` of one motion in a scenario."""
+    return RobotJudge(scenario).metrics(q, q_world)

@@ -13,7 +13,7 @@ from drake_oa.geometry.rotation import rotation_vector
 from drake_oa.policy.orientation_dmp import exponential, rotation_matrix
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.decision_costs import decision_figures
-from drake_oa.runs.metrics import MotionMetrics, free_point_metrics, path_length, robot_metrics
+from drake_oa.runs.metrics import MotionMetrics, RobotJudge, free_point_metrics, path_length
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
@@ -26,17 +26,34 @@ TOLD = 1e-3
 """Clearance that is missing by more than this is told, and counts as missing [m]."""
 
 
-def motion_metrics(scenario: Scenario, log: MotionLog) -> MotionMetrics:
-    """Judges a logged motion: by SceneGraph, or by the given ellipsoids without a robot."""
+def judge_of(scenario: Scenario) -> RobotJudge | None:
+    """To be shared by all that is judged of one scenario; None without a robot."""
+    return None if scenario.robot is None else RobotJudge(scenario)
+
+
+def motion_metrics(
+    scenario: Scenario, log: MotionLog, judge: RobotJudge | None = None
+) -> MotionMetrics:
+    """Judges a logged motion: by SceneGraph, or by the given ellipsoids without a robot.
+
+    Args:
+        scenario: what was run.
+        log: of the motion.
+        judge: of the scenario's robot; None: one is built.
+    """
     if scenario.robot is not None:
-        return robot_metrics(scenario, log.q, log.q_world)
+        return (judge or RobotJudge(scenario)).metrics(log.q, log.q_world)
     return free_point_metrics(log.desired_position, _given(scenario))
 
 
-def feasible_clearance(scenario: Scenario) -> float:
+def feasible_clearance(scenario: Scenario, judge: RobotJudge | None = None) -> float:
     """min(Delta, true clearance of the tool at the start, at the goal) to what rests [m].
 
     Nobody can keep more; 0 where start or goal touches. Of a goal that moves, the last counts.
+
+    Args:
+        scenario: the scenario.
+        judge: as in `motion_metrics`.
 
     Raises:
         ScenarioError: if start or goal is out of reach.
@@ -47,12 +64,15 @@ def feasible_clearance(scenario: Scenario) -> float:
         left = free_point_metrics(ends, _given(scenario)).resting_clearance
     else:
         ends = np.stack(end_positions(make_robot_plant(scenario.robot), scenario))
-        left = robot_metrics(scenario, ends).resting_clearance
+        left = (judge or RobotJudge(scenario)).metrics(ends).resting_clearance
     return float(max(min(task.clearance, left.min()), 0.0))
 
 
 def motion_report(
-    scenario: Scenario, log: MotionLog, feasible: float | None = None
+    scenario: Scenario,
+    log: MotionLog,
+    feasible: float | None = None,
+    judge: RobotJudge | None = None,
 ) -> dict[str, Any]:
     """The figures of one motion; distances in metres, times in seconds.
 
@@ -81,10 +101,12 @@ def motion_report(
         scenario: what was run.
         log: of the motion.
         feasible: `feasible_clearance` of the scenario; None: it is asked for.
+        judge: as in `motion_metrics`.
     """
-    metrics = motion_metrics(scenario, log)
+    judge = judge or judge_of(scenario)
+    metrics = motion_metrics(scenario, log, judge)
     if feasible is None:
-        feasible = feasible_clearance(scenario)
+        feasible = feasible_clearance(scenario, judge)
     kept = float(metrics.resting_clearance.min(initial=math.inf))
     return {
         "collisions": len(metrics.contacts),
@@ -170,8 +192,11 @@ def run_report(name: str, scenario: Scenario, logs: dict[str, MotionLog]) -> dic
         logs: "preplanned" and "modulated" -> their logs.
     """
     report: dict[str, Any] = {"scenario": name, "seed": scenario.seed}
-    feasible = feasible_clearance(scenario)
-    report |= {motion: motion_report(scenario, log, feasible) for motion, log in logs.items()}
+    judge = judge_of(scenario)
+    feasible = feasible_clearance(scenario, judge)
+    report |= {
+        motion: motion_report(scenario, log, feasible, judge) for motion, log in logs.items()
+    }
     last = logs.get("modulated") or next(iter(logs.values()))
     report["real_time_factor"] = (
         last.simulated_time / last.wall_time if last.wall_time > 0.0 else None

@@ -1,63 +1,37 @@
 """The report of a run."""
 
 import json
-from dataclasses import replace
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.robot.limits import RobotLimits
 from drake_oa.runs.decision_costs import cost_figures, layer_costs, logged_decisions, pooled_figures
-from drake_oa.runs.motion_log import MotionLog, pack_ellipsoids
+from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.report import TOLD, motion_report, report_table, run_report
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
+
+LogOf = Callable[..., MotionLog]
 
 FREE = load_scenario("free_space")
 AROUND = np.array([[0.0, 0.0, 0.0], [0.5, -0.5, 0.0], [1.0, 0.0, 0.0]])
 THROUGH = np.linspace([0.0, 0.0, 0.0], [0.999, 0.0, 0.0], 50)
 
 
-def log_of(path: FloatArray, **changes: object) -> MotionLog:
-    count = len(path)
-    none = np.zeros((count, 0))
-    log = MotionLog(
-        t=np.linspace(0.0, 5.0, count),
-        q=none,
-        v=none,
-        torque=none,
-        saturated=np.zeros(count),
-        p_WE=path,
-        desired_position=path,
-        desired_velocity=np.zeros((count, 3)),
-        desired_acceleration=np.zeros((count, 3)),
-        phase=np.linspace(1.0, 0.01, count),
-        speed_scale=np.ones(count),
-        tracking_error=np.full(count, np.nan),
-        q_world=none,
-        observation_time=np.zeros(0),
-        **pack_ellipsoids([]),
-        out_of_range=np.zeros(0, dtype=np.int64),
-        regulation="Verified",
-        shortfall=np.zeros(count),
-        short_of=np.full(count, -1),
-        event_time=np.zeros(0),
-        event=(),
-        supervision_time=np.zeros(0),
-        supervision_action=(),
-        supervision_reason=(),
-        **vars(RobotLimits()),
-        stop_reason="goal",
-        wall_time=2.5,
-        modulated=True,
-        scenario=scenario_text(FREE),
-        seed=0,
-        versions=("drake 1.51.1", "commit abc1234"),
-    )
-    return replace(log, **changes)
+@pytest.fixture(scope="module")
+def log_of(straight_log: Callable[..., MotionLog]) -> LogOf:
+    """Makes the log of a path (N, 3) in 5 s; attributes to replace."""
+
+    def make(path: FloatArray, **changes: object) -> MotionLog:
+        told = {"wall_time": 2.5, "versions": ("drake 1.51.1", "commit abc1234")}
+        times = np.linspace(0.0, 5.0, len(path))
+        return straight_log(len(path), t=times, p_WE=path, desired_position=path, **told, **changes)
+
+    return make
 
 
-def test_a_motion_through_an_ellipsoid_collides_even_if_it_saw_none() -> None:
+def test_a_motion_through_an_ellipsoid_collides_even_if_it_saw_none(log_of: LogOf) -> None:
     found = motion_report(FREE, log_of(THROUGH))
     assert found["collisions"] == 1
     assert found["contacts"] == ["tool point - ellipsoid 0"]
@@ -65,7 +39,7 @@ def test_a_motion_through_an_ellipsoid_collides_even_if_it_saw_none() -> None:
     assert found["goal_error"] == pytest.approx(1e-3)
 
 
-def test_a_motion_round_it_keeps_its_distance() -> None:
+def test_a_motion_round_it_keeps_its_distance(log_of: LogOf) -> None:
     found = motion_report(FREE, log_of(AROUND))
     assert found["collisions"] == 0
     assert found["tool_clearance_min"] > 0.15
@@ -73,21 +47,21 @@ def test_a_motion_round_it_keeps_its_distance() -> None:
     assert found["duration"] == 5.0
 
 
-def test_without_obstacles_there_is_no_clearance_to_report() -> None:
+def test_without_obstacles_there_is_no_clearance_to_report(log_of: LogOf) -> None:
     scenario = parse_scenario("{robot: null, perception: !GivenEllipsoids {}}")
     found = motion_report(scenario, log_of(AROUND))
     assert found["tool_clearance_min"] is None
     assert found["robot_clearance_min"] is None
 
 
-def test_an_empty_log_can_be_reported() -> None:
+def test_an_empty_log_can_be_reported(log_of: LogOf) -> None:
     found = motion_report(FREE, log_of(np.zeros((0, 3)), stop_reason="KeyboardInterrupt"))
     assert found["duration"] == 0.0
     assert found["goal_error"] == pytest.approx(1.0)
     json.dumps(found, allow_nan=False)
 
 
-def test_the_report_has_the_documented_keys_and_is_json() -> None:
+def test_the_report_has_the_documented_keys_and_is_json(log_of: LogOf) -> None:
     events = {"event_time": np.array([1.0, 2.0]), "event": ("obstacles not seen", "")}
     logs = {"preplanned": log_of(THROUGH), "modulated": log_of(AROUND, **events)}
     report = json.loads(json.dumps(run_report("free_space", FREE, logs), allow_nan=False))
@@ -115,7 +89,7 @@ def test_the_report_has_the_documented_keys_and_is_json() -> None:
         } <= set(report[motion])
 
 
-def test_the_table_shows_one_column_a_motion() -> None:
+def test_the_table_shows_one_column_a_motion(log_of: LogOf) -> None:
     logs = {"preplanned": log_of(THROUGH, regulation=""), "modulated": log_of(AROUND)}
     table = str(report_table(run_report("free_space", FREE, logs))).splitlines()
     assert table[0].split() == ["preplanned", "modulated"]
@@ -127,7 +101,7 @@ def test_the_table_shows_one_column_a_motion() -> None:
     assert str(report_table(short)).splitlines()[0].split() == ["modulated"]
 
 
-def test_what_regulation_believes_is_told_apart_from_what_was_kept() -> None:
+def test_what_regulation_believes_is_told_apart_from_what_was_kept(log_of: LogOf) -> None:
     believed = {
         "shortfall": np.array([0.0, 0.0123, 0.002]),
         "short_of": np.array([-1, 4, 5]),
@@ -161,7 +135,9 @@ def test_what_regulation_believes_is_told_apart_from_what_was_kept() -> None:
     assert (paper["believed_shortfall"], paper["believed_short_of"]) == (None, None)
 
 
-def test_a_clearance_that_start_and_goal_do_not_leave_or_that_was_not_kept_is_told() -> None:
+def test_a_clearance_that_start_and_goal_do_not_leave_or_that_was_not_kept_is_told(
+    log_of: LogOf,
+) -> None:
     far = parse_scenario(scenario_text(FREE), ["task.clearance=1.0"])
     report = run_report("far", far, {"modulated": log_of(AROUND)})
     found = report["modulated"]
@@ -173,7 +149,7 @@ def test_a_clearance_that_start_and_goal_do_not_leave_or_that_was_not_kept_is_to
     assert kept.startswith(f"warning: modulated: kept {found['resting_clearance_min']:.3f} m")
 
 
-def test_what_decisions_cost_is_reported_of_the_motion() -> None:
+def test_what_decisions_cost_is_reported_of_the_motion(log_of: LogOf) -> None:
     costs = np.array([0.002, 0.3, 0.002, 0.1, 0.004, 9.0])
     log = log_of(
         AROUND,

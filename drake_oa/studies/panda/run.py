@@ -42,7 +42,7 @@ from drake_oa.perception.config import GroundTruth
 from drake_oa.regulation.config import Regressor, Verified
 from drake_oa.runs.decision_costs import layer_costs
 from drake_oa.runs.motion_log import MotionLog
-from drake_oa.runs.report import feasible_clearance, motion_report
+from drake_oa.runs.report import feasible_clearance, judge_of, motion_report
 from drake_oa.runs.simulation import AT_GOAL, MotionInterruptedError, simulate
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.studies.panda.differential_ik import PeerParameters
@@ -188,10 +188,11 @@ def run_and_judge(
     scenario = with_method(with_perception(scenario, perception), method)
     if method == PLANNER:
         return PandaRun(_plan(scenario, criteria), None)
-    feasible, failed = None, False
+    feasible, judge, failed = None, None, False
     try:
         if method == "differential_ik":
-            feasible = feasible_clearance(scenario)
+            judge = judge_of(scenario)
+            feasible = feasible_clearance(scenario, judge)
         log = _simulate(scenario, method, duration, feasible)
     except MotionInterruptedError as error:
         if isinstance(error.__cause__, KeyboardInterrupt):
@@ -202,7 +203,8 @@ def run_and_judge(
         # A scene that cannot be run is a result like any other, and ends no other scene.
         _logger.info("the run could not start", exc_info=True)
         return PandaRun(_not_run(scenario, error), None)
-    return PandaRun(_judge(scenario, log, feasible, failed, criteria), log)
+    report = motion_report(scenario, log, feasible, judge)
+    return PandaRun(_judged(scenario, log, report, failed, criteria), log)
 
 
 def _simulate(
@@ -231,14 +233,13 @@ def _plan(scenario: Scenario, criteria: Criteria) -> dict[str, Any]:
     return {**_outcome(found, False, criteria), "failed": False, **found}
 
 
-def _judge(
+def _judged(
     scenario: Scenario,
     log: MotionLog,
-    feasible: float | None,
+    report: dict[str, Any],
     failed: bool,
     criteria: Criteria,
 ) -> dict[str, Any]:
-    report = motion_report(scenario, log, feasible)
     found = {key: report.get(key) for key in _KEPT}
     found["beyond_limits"] = _beyond_limits(scenario, log)
     return {
