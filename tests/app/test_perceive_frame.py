@@ -7,30 +7,17 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drake_oa.app.perceive_frame import as_json, box_corners, outline, perceive, run_lengths
 from drake_oa.perception.depth_image import back_projected, row_hulls
 from drake_oa.perception.recordings import RecordedFrame, read_frame
+from tests.perception.test_real_scans import GROUPS
+from tests.reference.depth_images import SIZE, K, camera_pose, ray_cast
 
-K = np.array([260.0, 260.0, 159.5, 119.5])
-SIZE = (240, 320)
 TOOL = box_corners(np.array([0.2, 0.06, 0.12]))
 
 
 def table_and_boxes(boxes, far_edge=9.0, pitch=0.8, height=0.8):
     """Depth of the plane z = 0 up to x = far_edge and of boxes (low, high), and X_WC."""
-    c, s = np.cos(pitch), np.sin(pitch)
-    X_WC = np.eye(4)
-    X_WC[:3, :3] = np.array([[0.0, -s, c], [-1.0, 0.0, 0.0], [0.0, -c, -s]])
-    X_WC[2, 3] = height
-    v, u = np.mgrid[: SIZE[0], : SIZE[1]]
-    rays = np.stack([(u - K[2]) / K[0], (v - K[3]) / K[1], np.ones(SIZE)], axis=-1)
-    rays = rays @ X_WC[:3, :3].T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        depth = -height / rays[..., 2]
-        depth = np.where((depth > 0) & (depth * rays[..., 0] < far_edge), depth, np.nan)
-        for low, high in boxes:
-            t = np.sort([(bound - X_WC[:3, 3]) / rays for bound in (low, high)], axis=0)
-            enter, leave = t[0].max(axis=-1), t[1].min(axis=-1)
-            hit = (enter > 0) & (enter < leave)
-            depth = np.where(hit, np.fmin(depth, enter), depth)
-    return depth.astype(np.float32), X_WC
+    X_WC = camera_pose(height, pitch)
+    depth = ray_cast(X_WC, boxes, (far_edge - 99.0, 0.0, 99.0, 99.0))
+    return np.where(np.isfinite(depth), depth, np.nan), X_WC
 
 
 def frame_of(tmp_path, boxes, **options):
@@ -144,15 +131,6 @@ def test_the_outline_touches_the_shadow_of_the_ellipsoid(seed):
 def test_an_ellipsoid_round_the_camera_has_no_outline():
     assert outline(np.array([0.0, 0.0, 0.1]), np.eye(3), np.full(3, 0.2), K) is None
     assert outline(np.array([0.0, 0.0, -1.0]), np.eye(3), np.full(3, 0.2), K) is None
-
-
-# Scan -> groups of objects that stand on the table or floor.
-GROUPS = {
-    "mosd_learn34": 3,
-    "mosd_test0": 2,
-    "mosd_test35": 2,
-    "pcl_milk_cartoon_all_small_clorox": 3,
-}
 
 
 def test_in_real_scans_no_object_is_lost_and_no_table_taken(scan_files):

@@ -18,6 +18,11 @@ from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.shipped import shipped_scenarios
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
+QUICK = (GROUND_TRUTH, "regulation=!Regressor {}")  # Nothing is searched for.
+PRESENT = (
+    "{name: box, shapes: [!Box {size: [0.12, 0.1, 0.31]}], translation: [0.46, 0.0, 0.155], "
+    "present: [0.3, 0.4]}"
+)
 
 
 @pytest.mark.parametrize("name", sorted(shipped_scenarios()))
@@ -177,7 +182,13 @@ def motion(diagram: Diagram, root: Context) -> FloatArray:
 
 @pytest.mark.parametrize(
     ("name", "overrides", "when", "until"),
-    [("tabletop_box", [GROUND_TRUTH], 1.8, 2.6), ("free_space", [], 1.8, 3.0)],
+    [
+        ("tabletop_box", [GROUND_TRUTH], 1.8, 2.6),
+        ("free_space", [], 1.8, 3.0),
+        ("moving_goal", [*QUICK, "task.goal_moves=[[0.4, 0.45, 0.45, 0.5]]"], 0.3, 0.6),
+        ("vanishing_obstacle", [*QUICK, f"obstacles=[{PRESENT}]"], 0.2, 0.6),
+        ("pushed_robot", [*QUICK, "faults=[!Push {start: 0.3}]"], 0.2, 0.6),
+    ],
 )
 def test_a_cloned_context_goes_on_in_the_same_way(
     name: str, overrides: list[str], when: float, until: float

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydrake.systems.analysis import InitializeParams, Simulator
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import DECIDING
@@ -177,39 +176,6 @@ def test_a_goal_that_is_moved_out_of_reach_is_refused() -> None:
     scenario = load_scenario("moving_goal", [GROUND_TRUTH, "task.goal_moves=[[2, 1.5, 0, 0.3]]"])
     with pytest.raises(ScenarioError, match=r"task\.goal_moves\[0\]: "):
         build_avoidance(scenario)
-
-
-@pytest.mark.parametrize(
-    ("name", "overrides", "when", "until"),
-    [
-        (
-            "moving_goal",
-            [GROUND_TRUTH, QUICK, "task.goal_moves=[[0.4, 0.45, 0.45, 0.5]]"],
-            0.3,
-            0.6,
-        ),
-        ("vanishing_obstacle", [GROUND_TRUTH, QUICK, present_box(0.3, 0.4)], 0.2, 0.6),
-        ("pushed_robot", [GROUND_TRUTH, QUICK, "faults=[!Push {start: 0.3}]"], 0.2, 0.6),
-    ],
-)
-def test_a_cloned_context_sees_the_same_changes(
-    name: str, overrides: list[str], when: float, until: float
-) -> None:
-    diagram = build_avoidance(load_scenario(name, overrides))
-    simulator = Simulator(diagram)
-    simulator.AdvanceTo(when)
-    other = Simulator(diagram, simulator.get_context().Clone())
-    params = InitializeParams()
-    params.suppress_initialization_events = True
-    other.Initialize(params)
-    for time in np.linspace(when, until, 5)[1:]:
-        found = []
-        for runs in (simulator, other):
-            runs.AdvanceTo(time)
-            state = diagram.GetSubsystemByName("plant").GetOutputPort("state")
-            plant = diagram.GetSubsystemByName("plant")
-            found.append(state.Eval(plant.GetMyContextFromRoot(runs.get_context())).copy())
-        np.testing.assert_array_equal(found[0], found[1])
 
 
 # A push.

@@ -12,11 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pydrake.common.value import AbstractValue, Value
-from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, DiagramBuilder, LeafSystem, State
-from pydrake.systems.primitives import ConstantValueSource
-from pydrake.systems.sensors import ImageDepth32F
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
@@ -26,17 +22,13 @@ from drake_oa.common.messages import (
     EllipsoidSet,
     FloatArray,
     ObstacleClouds,
-    PolicyState,
     TablePlane,
 )
 from drake_oa.common.wires import LOG_PERIOD
-from drake_oa.descriptor.ellipsoid_descriptor import EllipsoidDescriptor
 from drake_oa.diagrams import policy, route, view
 from drake_oa.diagrams.avoidance import Layers, build_avoidance
-from drake_oa.diagrams.policy import make_dmp, make_dmp_integrator
-from drake_oa.diagrams.regulation import make_regressor_chain
+from drake_oa.diagrams.policy import make_dmp
 from drake_oa.diagrams.route import make_cost_ring_selector, robot_annulus
-from drake_oa.perception.depth_perception import DepthPerception
 from drake_oa.regulation.config import SearchParameters
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.report import motion_report
@@ -337,82 +329,6 @@ def test_the_robot_holds_its_start_while_an_obstacle_is_over_it(
     # The elbow may draw away from it in the null space.
     assert np.abs(log.p_WE - log.p_WE[0]).max() < 1e-3
     assert np.abs(log.q - log.q[0]).max() < 0.1
-
-
-# Faults while running: the depth image.
-
-WIDTH, HEIGHT, CAMERA_HEIGHT = 160, 120, 1.4
-
-
-def table_from_above(depth: float | None) -> ImageDepth32F:
-    """A camera straight above a table with a block 25 cm high, or `depth` everywhere."""
-    image = ImageDepth32F(WIDTH, HEIGHT)
-    data = image.mutable_data
-    data[:] = CAMERA_HEIGHT if depth is None else depth
-    if depth is None:
-        data[54:66, 72:88] = CAMERA_HEIGHT - 0.25
-    return image
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf, 0.0])
-def test_frames_without_a_valid_pixel_hold_the_motion(
-    bad: float, caplog: pytest.LogCaptureFixture
-) -> None:
-    images = {True: table_from_above(None), False: table_from_above(bad)}
-    scenario = load_scenario("tabletop_box", [GROUND_TRUTH, "regulation=!Regressor {}"])
-    builder = DiagramBuilder()
-    image = builder.AddSystem(
-        Scripted("depth_image", lambda t: images[t < 1.0 or t > 2.4], ImageDepth32F(WIDTH, HEIGHT))
-    )
-    looks_down = RotationMatrix.MakeXRotation(math.pi)
-    pose = builder.AddSystem(
-        ConstantValueSource(Value(RigidTransform(looks_down, [0.45, 0.0, CAMERA_HEIGHT])))
-    )
-    sees = builder.AddSystem(DepthPerception([150.0, 150.0, 79.5, 59.5]))
-    describes = builder.AddSystem(EllipsoidDescriptor([[0.0, 0.0, 0.0]]))
-    chain = builder.AddSystem(make_regressor_chain(scenario))
-    rings = builder.AddSystem(make_cost_ring_selector(scenario))
-    policy = builder.AddSystem(make_dmp_integrator(scenario))
-    builder.Connect(image.get_output_port(), sees.GetInputPort("depth_image"))
-    builder.Connect(pose.get_output_port(), sees.GetInputPort("camera_pose"))
-    builder.Connect(sees.GetOutputPort("obstacles_W"), describes.GetInputPort("obstacles_W"))
-    for system in (chain, rings, policy):
-        builder.Connect(describes.get_output_port(), system.GetInputPort("ellipsoids_W"))
-    state = policy.GetOutputPort("policy_state")
-    builder.Connect(state, rings.GetInputPort("policy_state"))
-    builder.Connect(rings.GetOutputPort("decision"), chain.GetInputPort("route"))
-    builder.Connect(rings.GetOutputPort("route"), policy.GetInputPort("route"))
-    builder.Connect(chain.get_output_port(), policy.GetInputPort("coupling_parameters"))
-    for system in (rings, policy):
-        builder.ExportInput(system.GetInputPort("goal"), f"goal_{system.GetInputPort('goal')}")
-    diagram = builder.Build()
-    simulator = Simulator(diagram)
-    for i in range(2):
-        diagram.get_input_port(i).FixValue(simulator.get_mutable_context(), scenario.task.goal)
-
-    def now(time: float) -> PolicyState:
-        simulator.AdvanceTo(time)
-        return state.Eval(policy.GetMyContextFromRoot(simulator.get_context()))
-
-    with caplog.at_level(logging.WARNING, "drake_oa"):
-        assert now(0.9).note == ""
-        stopped = now(1.0 + AGE + HOLD + 0.1)
-        assert "obstacles not seen since" in stopped.note
-        assert stopped.speed == 0.0
-        seen: EllipsoidSet = describes.get_output_port().Eval(
-            describes.GetMyContextFromRoot(simulator.get_context())
-        )
-        assert len(seen) == 1
-        assert seen.note
-        assert 0.8 < seen.stamp < 1.0
-        np.testing.assert_array_equal(now(2.3).p_WE, stopped.p_WE)
-        going = now(3.0)
-    assert going.note == ""
-    assert np.linalg.norm(going.p_WE - stopped.p_WE) > 0.02
-    assert np.isfinite(going.p_WE).all()
-    messages = [record.getMessage() for record in caplog.records]
-    assert any("held: obstacles not seen" in message for message in messages)
-    assert any(message.endswith("the last obstacles are kept") for message in messages)
 
 
 # Errors before anything runs.

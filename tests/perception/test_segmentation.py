@@ -11,53 +11,7 @@ from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.memory import ObstacleMemory
 from drake_oa.perception.segmentation import segment_depth, segment_points
 from drake_oa.perception.tracking import fuse
-
-K = np.array([260.0, 260.0, 159.5, 119.5])
-SIZE = (240, 320)
-
-# Scan -> number of groups on the table; some reach beyond it, so 1.5 m is enough.
-GROUPS = {
-    "mosd_test0": 2,
-    "mosd_learn34": 3,
-    "mosd_test35": 2,
-    "pcl_milk_cartoon_all_small_clorox": 3,
-}
-NEAR = SegmentationConfig(far=1.5)
-
-
-def camera_pose(height: float = 0.8, pitch: float = 0.8, yaw: float = 0.0) -> np.ndarray:
-    """X_WC of a camera at (0, 0, height) that looks down by pitch, towards yaw."""
-    c, s = np.cos(pitch), np.sin(pitch)
-    z = np.array([c * np.cos(yaw), c * np.sin(yaw), -s])
-    x = np.array([np.sin(yaw), -np.cos(yaw), 0.0])
-    X_WC = np.eye(4)
-    X_WC[:3, :3] = np.column_stack([x, np.cross(z, x), z])
-    X_WC[2, 3] = height
-    return X_WC
-
-
-def ray_cast(X_WC: np.ndarray, boxes, table=(0.0, 0.0, 9.0, 9.0)) -> np.ndarray:
-    """Exact depth of the rectangle z = 0 (x, y, half sizes) and of axis-aligned boxes."""
-    v, u = np.mgrid[: SIZE[0], : SIZE[1]]
-    rays = np.stack([(u - K[2]) / K[0], (v - K[3]) / K[1], np.ones(SIZE)], axis=-1)
-    rays = rays @ X_WC[:3, :3].T
-    origin = X_WC[:3, 3]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        depth = -origin[2] / rays[..., 2]
-        hit = origin + depth[..., None] * rays
-        off = np.abs(hit[..., :2] - table[:2]) > table[2:]
-        depth = np.where((depth > 0) & ~off.any(axis=-1), depth, np.inf)
-        for low, high in boxes:
-            t = np.sort([(low - origin) / rays, (high - origin) / rays], axis=0)
-            enter, leave = t[0].max(axis=-1), t[1].min(axis=-1)
-            depth = np.where((enter > 0) & (enter < leave), np.minimum(depth, enter), depth)
-    return depth.astype(np.float32)
-
-
-def box(x: float, y: float, size=(0.1, 0.1, 0.15), z: float = 0.0):
-    half = np.array([size[0] / 2, size[1] / 2, 0.0])
-    return np.array([x, y, z]) - half, np.array([x, y, z + size[2]]) + half
-
+from tests.reference.depth_images import SIZE, K, box, camera_pose, ray_cast
 
 X_WC = camera_pose()
 TWO = (box(0.8, -0.15), box(0.9, 0.2, (0.12, 0.08, 0.06)))
@@ -82,13 +36,6 @@ def test_pixels_are_those_of_the_clusters():
     on_box = np.flatnonzero(depth.ravel() < background.ravel() - 1e-4)
     assert not np.intersect1d(*found.pixels).size
     assert np.isin(np.concatenate(found.pixels), on_box).all()
-
-
-def test_the_result_is_the_same_each_time():
-    depth = ray_cast(X_WC, TWO)
-    one, other = segment_depth(depth, K, X_WC), segment_depth(depth, K, X_WC)
-    for a, b in zip(one.clouds_W, other.clouds_W, strict=True):
-        np.testing.assert_array_equal(a, b)
 
 
 @settings(max_examples=15, deadline=None)
@@ -269,28 +216,6 @@ def test_an_invalid_pose_is_refused(bad):
 def test_an_invalid_parameter_is_named(name, value):
     with pytest.raises(ValueError, match="SegmentationConfig"):
         check_values(SegmentationConfig(**{name: value}))
-
-
-def test_real_scans_every_object_is_found(scan_files):
-    for path in scan_files:
-        with np.load(path) as scan:
-            found = segment_depth(scan["depth"], scan["K"], None, NEAR)
-            label = scan["label"].ravel() if "label" in scan else None
-            valid = np.isfinite(scan["depth"]).ravel()
-        assert len(found.clouds_W) == GROUPS[path.stem], path.stem
-        assert found.plane_rms < 3e-3
-        if label is None:
-            continue
-        cluster = np.zeros(len(label), dtype=int)
-        for number, pixels in enumerate(found.pixels, start=1):
-            cluster[pixels] = number
-        table = (label >= 1) & (label < 10)
-        assert np.count_nonzero(cluster[table]) <= 1e-3 * np.count_nonzero(cluster)
-        for name in np.unique(label[label >= 20] // 10):
-            pixels = (label // 10 == name) & valid
-            covered = np.bincount(cluster[pixels])[1:].max(initial=0)
-            # What is not covered lies within a centimetre of the table.
-            assert covered > 0.88 * np.count_nonzero(pixels), (path.stem, name)
 
 
 def test_each_kernel_is_compiled_once():

@@ -18,20 +18,11 @@ from drake_oa.perception.segmentation import Segmentation, segment_depth, segmen
 from drake_oa.perception.sides import SeenSides, seen_sides
 from drake_oa.perception.tracking import fuse
 from drake_oa.perception.velocity import first_seen, measured_tracks, predicted_tracks
+from tests.reference.depth_images import look_at, rays_of
 
 SHAPE = (240, 320)
 K = np.array([400.0, 400.0, 159.5, 119.5])
 CONFIG = SegmentationConfig(table_height=0.0)
-
-
-def look_at(p_WC: list[float], target: list[float]) -> np.ndarray:
-    z = np.subtract(target, p_WC) / np.linalg.norm(np.subtract(target, p_WC))
-    x = np.cross(z, [0.0, 0.0, 1.0])
-    x /= np.linalg.norm(x)
-    X_WC = np.eye(4)
-    X_WC[:3, :3] = np.column_stack([x, np.cross(z, x), z])
-    X_WC[:3, 3] = p_WC
-    return X_WC
 
 
 X_WC = look_at([1.25, 0.1, 0.9], [0.1, 0.0, 0.05])
@@ -56,12 +47,10 @@ def arm(center, size=(0.06, 0.06, 0.6)) -> tuple[tuple, PosedShapes]:
 
 
 @cache
-def rays_of(pose: bytes) -> tuple[np.ndarray, np.ndarray]:
+def seen_table(pose: bytes) -> tuple[np.ndarray, np.ndarray]:
     """Depth of the table, and the rays of unit depth in the world (one reciprocal each)."""
     X_WC = np.frombuffer(pose).reshape(4, 4)
-    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]]
-    rays = np.stack([(u - K[2]) / K[0], (v - K[3]) / K[1], np.ones(SHAPE)], axis=-1)
-    rays = rays @ X_WC[:3, :3].T
+    rays = rays_of(X_WC, K, SHAPE)
     depth = -X_WC[2, 3] / rays[..., 2]
     hit = X_WC[:3, 3] + depth[..., None] * rays
     on_table = (depth > 0.0) & (np.abs(hit[..., :2]) < 0.6).all(axis=-1)
@@ -70,7 +59,7 @@ def rays_of(pose: bytes) -> tuple[np.ndarray, np.ndarray]:
 
 def render(*things, X_WC=X_WC) -> np.ndarray:
     """Depth of the table z = 0, |x| and |y| below 0.6 m, and of things on it."""
-    table, rays = rays_of(X_WC.tobytes())
+    table, rays = seen_table(X_WC.tobytes())
     depth, start = table.copy(), X_WC[:3, 3]
     for kind, center, size in things:
         # Only the pixels in the cone round it.

@@ -204,17 +204,6 @@ def test_a_wrong_type_on_a_port_is_refused_by_its_name(port: str) -> None:
         run.AdvanceTo(0.01)
 
 
-def test_rows_that_do_not_fit_are_refused() -> None:
-    run = simulator(
-        make_system(),
-        ellipsoids_W=ellipsoids(),
-        route=Route(heading_W=np.zeros((2, 3))),
-        coupling_parameters=CouplingParameters(*np.ones((3, 1)), np.ones(1, dtype=bool)),
-    )
-    with pytest.raises(ValueError, match="route has 2 rows; there are 1 ellipsoids"):
-        run.AdvanceTo(0.01)
-
-
 def test_a_goal_at_the_start_is_refused() -> None:
     with pytest.raises(ValueError, match="start and goal must be finite and apart"):
         simulator(make_system(), START).Initialize()

@@ -1,0 +1,55 @@
+"""Exact depth images of a table and boxes on it, and the poses of their cameras."""
+
+import numpy as np
+
+K = np.array([260.0, 260.0, 159.5, 119.5])
+SIZE = (240, 320)
+
+
+def camera_pose(height: float = 0.8, pitch: float = 0.8, yaw: float = 0.0) -> np.ndarray:
+    """X_WC of a camera at (0, 0, height) that looks down by pitch, towards yaw."""
+    c, s = np.cos(pitch), np.sin(pitch)
+    z = np.array([c * np.cos(yaw), c * np.sin(yaw), -s])
+    x = np.array([np.sin(yaw), -np.cos(yaw), 0.0])
+    X_WC = np.eye(4)
+    X_WC[:3, :3] = np.column_stack([x, np.cross(z, x), z])
+    X_WC[2, 3] = height
+    return X_WC
+
+
+def look_at(p_WC, target) -> np.ndarray:
+    """X_WC of a camera at a place that looks at another, its x axis level."""
+    z = np.subtract(target, p_WC) / np.linalg.norm(np.subtract(target, p_WC))
+    x = np.cross(z, [0.0, 0.0, 1.0])
+    x /= np.linalg.norm(x)
+    X_WC = np.eye(4)
+    X_WC[:3, :3] = np.column_stack([x, np.cross(z, x), z])
+    X_WC[:3, 3] = p_WC
+    return X_WC
+
+
+def rays_of(X_WC: np.ndarray, K, size: tuple[int, int]) -> np.ndarray:
+    """(H, W, 3) rays of the pixels in the world, of unit depth."""
+    v, u = np.mgrid[: size[0], : size[1]]
+    rays = np.stack([(u - K[2]) / K[0], (v - K[3]) / K[1], np.ones(size)], axis=-1)
+    return rays @ X_WC[:3, :3].T
+
+
+def ray_cast(X_WC: np.ndarray, boxes, table=(0.0, 0.0, 9.0, 9.0)) -> np.ndarray:
+    """Exact depth of the rectangle z = 0 (x, y, half sizes) and of axis-aligned boxes."""
+    rays, origin = rays_of(X_WC, K, SIZE), X_WC[:3, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        depth = -origin[2] / rays[..., 2]
+        hit = origin + depth[..., None] * rays
+        off = np.abs(hit[..., :2] - table[:2]) > table[2:]
+        depth = np.where((depth > 0) & ~off.any(axis=-1), depth, np.inf)
+        for low, high in boxes:
+            t = np.sort([(low - origin) / rays, (high - origin) / rays], axis=0)
+            enter, leave = t[0].max(axis=-1), t[1].min(axis=-1)
+            depth = np.where((enter > 0) & (enter < leave), np.minimum(depth, enter), depth)
+    return depth.astype(np.float32)
+
+
+def box(x: float, y: float, size=(0.1, 0.1, 0.15), z: float = 0.0):
+    half = np.array([size[0] / 2, size[1] / 2, 0.0])
+    return np.array([x, y, z]) - half, np.array([x, y, z + size[2]]) + half
