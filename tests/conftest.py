@@ -9,16 +9,16 @@ import pytest
 from hypothesis import settings
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
-from drake_oa.geometry.collision_shapes import collect_collision_shapes
-from drake_oa.robot.arm import ArmModel, make_arm_model
+from drake_oa.robot.arm import ArmModel
 from drake_oa.robot.config import Robot
 from drake_oa.robot.inverse_kinematics import solve_tool_pose
 from drake_oa.robot.limits import RobotLimits
-from drake_oa.robot.plant import home_positions, make_robot_plant
+from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
 from drake_oa.runs.motion_log import MotionLog, pack_ellipsoids
 from drake_oa.scenario.loading import load_scenario, scenario_text
 from drake_oa.studies.scenes.methods import Motions, Setting
 from drake_oa.studies.scenes.scenes import DURATION, Scenes
+from tests.builders import arm_of
 
 # The machine may be busy: no property is judged by the time an example takes.
 settings.register_profile("drake_oa", deadline=None)
@@ -50,23 +50,20 @@ def scan_files() -> list[Path]:
 
 
 @pytest.fixture(scope="session")
-def posed_panda() -> Callable[[np.ndarray], ArmModel]:
+def panda() -> RobotPlant:
+    """The Panda alone; not to be changed."""
+    return make_robot_plant(Robot())
+
+
+@pytest.fixture(scope="session")
+def posed_panda(panda: RobotPlant) -> Callable[[np.ndarray], ArmModel]:
     """The Panda's arm with its tool point, pointing down, at a place; that is its posture."""
 
     def posed(place: np.ndarray) -> ArmModel:
-        panda = make_robot_plant(Robot())
-        inspector = panda.scene_graph.model_inspector()
         R_WE = RotationMatrix(RollPitchYaw(Robot().rpy_WE))
-        q = solve_tool_pose(
-            panda.plant,
-            panda.tool_frame.name(),
-            RigidTransform(R_WE, place),
-            home_positions(panda, Robot()),
-        )
-        shapes = collect_collision_shapes(panda.plant, inspector, panda.instance)
-        return make_arm_model(
-            panda.plant, inspector, panda.tool_frame, R_WE, q, shapes, without=Robot().tool_links
-        )
+        home, tool = home_positions(panda, Robot()), panda.tool_frame.name()
+        q = solve_tool_pose(panda.plant, tool, RigidTransform(R_WE, place), home)
+        return arm_of(panda, R_WE, q, Robot().tool_links)
 
     return posed
 

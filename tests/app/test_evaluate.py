@@ -2,18 +2,20 @@
 
 import json
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from drake_oa.app import main as cli
 from drake_oa.studies.scenes import methods
 from drake_oa.studies.scenes.methods import Motions, Setting
 from drake_oa.studies.scenes.scenes import Scenes
 from drake_oa.studies.scenes.suites import SUITES
+from tests.builders import command
 
 Method = Callable[[Scenes, Setting], Motions]
+run = partial(command, "evaluate")
 
 
 @pytest.fixture(autouse=True)
@@ -30,14 +32,6 @@ def _simple_methods(monkeypatch: pytest.MonkeyPatch, straight: Method) -> None:
         monkeypatch.setitem(methods.METHODS, name, lambda: straight)
     monkeypatch.setitem(methods.METHODS, "failing", lambda: fail)
     monkeypatch.setitem(methods.METHODS, "interrupted", lambda: interrupt)
-
-
-def run(*arguments: str) -> int:
-    """Exit status, also where argparse exits by itself."""
-    try:
-        return cli.main(["evaluate", *arguments])
-    except SystemExit as done:
-        return int(done.code or 0)
 
 
 @pytest.mark.parametrize("suite", SUITES)
@@ -95,7 +89,12 @@ def test_scenes_written_are_the_scenes_run(tmp_path: Path) -> None:
     a, b = (json.loads(path.read_text()) for path in (first, second))
     assert b["seed"] is None
     assert a["methods"]["paper"]["clearance_mean"] == b["methods"]["paper"]["clearance_mean"]
-    assert run(*one, "--scenes-file", str(scenes), "--scenes", "2", "--json", str(second)) == 0
+    assert (
+        command(
+            "evaluate", *one, "--scenes-file", str(scenes), "--scenes", "2", "--json", str(second)
+        )
+        == 0
+    )
     assert json.loads(second.read_text())["methods"]["paper"]["scenes"] == 2
 
 
@@ -153,7 +152,12 @@ def test_more_scenes_than_the_file_has_are_refused(
 
 def test_a_fault_in_the_file_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "s.npz"
-    assert run("hit", "--scenes", "2", "--write-scenes", str(path), "--method", "paper") == 0
+    assert (
+        command(
+            "evaluate", "hit", "--scenes", "2", "--write-scenes", str(path), "--method", "paper"
+        )
+        == 0
+    )
     with np.load(path) as file:
         arrays = dict(file)
     arrays["semi_axes"][1, 0, 2] = -0.1

@@ -16,6 +16,7 @@ from drake_oa.app import main as cli
 from drake_oa.runs import simulation
 from drake_oa.runs.motion_log import load_logs
 from drake_oa.scenario.shipped import shipped_scenarios
+from tests.builders import command as run
 
 FIGURES = {
     "collisions",
@@ -40,14 +41,6 @@ def _restore_logging() -> None:
 def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A run leaves its log in the current folder."""
     monkeypatch.chdir(tmp_path)
-
-
-def run(*arguments: str) -> int:
-    """Exit status, also where argparse exits by itself."""
-    try:
-        return cli.main(arguments)
-    except SystemExit as done:
-        return int(done.code or 0)
 
 
 @pytest.mark.parametrize("command", [(), *((name,) for name in cli._COMMANDS)])

@@ -13,18 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drake_oa.app import main as cli
 from drake_oa.runs.motion_log import load_logs, save_logs
+from tests.builders import command as run
 
 BOX = ("tabletop_box", "--set", "perception=!GroundTruth {}", "--duration", "0.25")
-
-
-def run(*arguments: object) -> int:
-    """Exit status, also where argparse exits by itself."""
-    try:
-        return cli.main([str(a) for a in arguments])
-    except SystemExit as done:
-        return int(done.code or 0)
 
 
 @pytest.fixture(autouse=True)

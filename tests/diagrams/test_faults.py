@@ -36,6 +36,7 @@ from drake_oa.runs.simulation import MotionInterruptedError, simulate
 from drake_oa.scenario.loading import load_scenario, package_file
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.world.station import make_station
+from tests.builders import balls
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
 FRAME = 1.0 / 15.0
@@ -84,18 +85,9 @@ def frame_time(time: float) -> float:
 
 
 def ellipsoids(
-    stamp: float, *centers: tuple[float, float, float], radius: float = 0.12, note: str = ""
+    stamp: float, *centers: tuple[float, float, float], radius: float = 0.12
 ) -> EllipsoidSet:
-    count = len(centers)
-    return EllipsoidSet(
-        stamp=stamp,
-        p_WO=np.array(centers, dtype=float).reshape(count, 3),
-        R_WO=np.tile(np.eye(3), (count, 1, 1)),
-        semi_axes=np.full((count, 3), radius),
-        v_WO=np.zeros((count, 3)),
-        ids=np.arange(count),
-        note=note,
-    )
+    return balls(*centers, radius=radius, stamp=stamp)
 
 
 @pytest.fixture
@@ -241,16 +233,7 @@ def test_where_every_side_is_forbidden_the_motion_holds(
 ) -> None:
     # An obstacle so big that any way past it is far outside the table's height.
     def walled(time: float) -> EllipsoidSet:
-        wall = ellipsoids(time, (0.5, 0.0, 0.0))
-        return EllipsoidSet(
-            stamp=time,
-            p_WO=wall.p_WO,
-            R_WO=wall.R_WO,
-            semi_axes=wall.semi_axes,
-            v_WO=wall.v_WO,
-            ids=wall.ids,
-            table=TablePlane(offset=5.0),
-        )
+        return replace(ellipsoids(time, (0.5, 0.0, 0.0)), table=TablePlane(offset=5.0))
 
     log = free_motion(walled, "regulation=!Regressor {}")
     assert log.stop_reason == "held for 5 s: every side of obstacle 0 is forbidden"

@@ -25,6 +25,7 @@ from drake_oa.runs.simulation import LATEST_END, simulate
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.sources import given_ellipsoids
+from tests.builders import balls
 
 FRAME = 1.0 / 15.0
 CLEARANCE = 0.15
@@ -57,17 +58,6 @@ def observed_motion() -> Callable[..., MotionLog]:
         return simulate(load_scenario("free_space", list(overrides)), layers=seen)
 
     return run
-
-
-def balls(*centers: tuple[float, float, float], radius: float = 0.12) -> EllipsoidSet:
-    count = len(centers)
-    return EllipsoidSet(
-        p_WO=np.array(centers, dtype=float).reshape(count, 3),
-        R_WO=np.tile(np.eye(3), (count, 1, 1)),
-        semi_axes=np.full((count, 3), radius),
-        v_WO=np.zeros((count, 3)),
-        ids=np.arange(count),
-    )
 
 
 def kept(p_WE: FloatArray, true: EllipsoidSet) -> float:
@@ -142,7 +132,7 @@ def test_the_free_point_keeps_the_asked_clearance_and_no_more() -> None:
 def test_noise_on_what_is_seen_neither_flips_the_side_nor_touches(
     observed_motion: Callable[..., MotionLog],
 ) -> None:
-    true = balls((0.5, 0.0, 0.0))
+    true = balls((0.5, 0.0, 0.0), radius=0.12)
     rng = np.random.default_rng(1)
     noise = 0.003 * rng.standard_normal((200, 2, 1, 3))
 
@@ -166,7 +156,7 @@ def test_noise_on_what_is_seen_neither_flips_the_side_nor_touches(
 def test_an_obstacle_that_appears_is_gone_round(
     observed_motion: Callable[..., MotionLog],
 ) -> None:
-    obstacle = balls((0.65, 0.02, 0.0))
+    obstacle = balls((0.65, 0.02, 0.0), radius=0.12)
     log = observed_motion(lambda frame: obstacle if frame >= 15 else balls())
     assert log.stop_reason == "goal"
     assert log.event == (DECIDING, "")
@@ -179,7 +169,7 @@ def test_an_obstacle_that_appears_is_gone_round(
 def test_what_cannot_be_kept_is_logged(
     observed_motion: Callable[..., MotionLog], caplog: pytest.LogCaptureFixture
 ) -> None:
-    slab = replace(balls((0.5, 0.0, 0.0)), semi_axes=np.array([[0.05, 0.6, 0.6]]))
+    slab = replace(balls((0.5, 0.0, 0.0), radius=0.12), semi_axes=np.array([[0.05, 0.6, 0.6]]))
     with caplog.at_level(logging.WARNING, "drake_oa"):
         log = observed_motion(lambda frame: slab, "regulation.rounds=10")
     assert 1e-3 < log.shortfall.max() < CLEARANCE
@@ -194,7 +184,7 @@ def test_what_cannot_be_kept_is_logged(
 def test_a_wall_holds_the_motion(
     observed_motion: Callable[..., MotionLog], caplog: pytest.LogCaptureFixture
 ) -> None:
-    wall = replace(balls((0.5, 0.0, 0.0)), semi_axes=np.array([[0.05, 3.0, 3.0]]))
+    wall = replace(balls((0.5, 0.0, 0.0), radius=0.12), semi_axes=np.array([[0.05, 3.0, 3.0]]))
     with caplog.at_level(logging.WARNING, "drake_oa"):
         log = observed_motion(lambda frame: wall, "regulation.rounds=5")
     assert log.stop_reason == "held for 5 s: no motion that clears obstacle 0 found"

@@ -30,6 +30,7 @@ from drake_oa.policy.action import (
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk, spring_flow
 from drake_oa.policy.guidance import desired_headings, passing_normals
+from tests.builders import balls
 from tests.reference.coupling import terms, turning
 from tests.reference.dmp import forcing
 from tests.reference.dmp import step as dmp_step
@@ -78,14 +79,7 @@ def goal_fade(state: PolicyState, fade: float) -> float:
 def one_ellipsoid(
     stamp: float = math.inf, center: tuple[float, float, float] = (0.5, 0.02, 0.0)
 ) -> EllipsoidSet:
-    return EllipsoidSet(
-        stamp=stamp,
-        p_WO=np.array([center]),
-        R_WO=np.eye(3)[None],
-        semi_axes=np.full((1, 3), 0.03),
-        v_WO=np.zeros((1, 3)),
-        ids=np.array([7]),
-    )
+    return balls(center, radius=0.03, stamp=stamp, ids=[7])
 
 
 def coupling(alpha: float = 300.0, rows: int = 1) -> CouplingParameters:

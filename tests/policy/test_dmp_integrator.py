@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context
 
 from drake_oa.common.messages import (
     CouplingParameters,
@@ -19,6 +18,7 @@ from drake_oa.common.messages import (
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.dmp_integrator import DmpIntegrator
+from tests.builders import balls, read
 
 START, GOAL = np.array([0.0, 0.0, 0.3]), np.array([1.0, 0.0, 0.3])
 
@@ -27,15 +27,8 @@ def make_system() -> DmpIntegrator:
     return DmpIntegrator(imitate(*minimum_jerk(START, GOAL, duration=1.0)), START)
 
 
-def ellipsoids(stamp: float = np.inf, count: int = 1) -> EllipsoidSet:
-    return EllipsoidSet(
-        stamp=stamp,
-        p_WO=np.tile([0.5, 0.02, 0.3], (count, 1)),
-        R_WO=np.tile(np.eye(3), (count, 1, 1)),
-        semi_axes=np.full((count, 3), 0.05),
-        v_WO=np.zeros((count, 3)),
-        ids=np.arange(count),
-    )
+def ellipsoids(count: int = 1) -> EllipsoidSet:
+    return balls(*[(0.5, 0.02, 0.3)] * count, radius=0.05, stamp=np.inf)
 
 
 def simulator(system: DmpIntegrator, goal: FloatArray = GOAL, **inputs: object) -> Simulator:
@@ -45,10 +38,6 @@ def simulator(system: DmpIntegrator, goal: FloatArray = GOAL, **inputs: object) 
     for name, value in inputs.items():
         system.GetInputPort(name).FixValue(context, Value(value))
     return found
-
-
-def read(system: DmpIntegrator, context: Context, port: str) -> FloatArray:
-    return np.array(system.GetOutputPort(port).Eval(context))
 
 
 def test_without_obstacles_it_is_the_planned_motion() -> None:

@@ -8,20 +8,10 @@ from drake_oa.common.messages import EllipsoidSet, FloatArray, PolicyState
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.policy.dmp import local_frame
 from drake_oa.policy.guidance import desired_headings, passing_normals
+from tests.builders import balls
 
 UP = np.array([[0.0, 0.0, 1.0]])
 Triple = tuple[float, float, float]
-
-
-def one(center: Triple, axes: Triple) -> EllipsoidSet:
-    return EllipsoidSet(
-        stamp=0.0,
-        p_WO=np.array([center]),
-        R_WO=np.eye(3)[None],
-        semi_axes=np.array([axes]),
-        v_WO=np.zeros((1, 3)),
-        ids=np.array([0]),
-    )
 
 
 def policy(p: Triple, z: Triple) -> PolicyState:
@@ -38,7 +28,7 @@ def headings(state: PolicyState, ellipsoids: EllipsoidSet, direction: FloatArray
     return desired_headings(state, ellipsoids, direction, normal, foot, delta)
 
 
-BLOCK = one((0.5, 0, 0), (0.1, 0.2, 0.15))
+BLOCK = balls((0.5, 0, 0), radius=(0.1, 0.2, 0.15))
 
 
 def test_a_motion_that_would_pass_below_is_led_over_the_top() -> None:
@@ -68,9 +58,9 @@ def test_a_motion_at_rest_is_led_from_the_baseline() -> None:
 
 
 def test_no_guidance_when_the_way_is_clear_or_the_goal_comes_first() -> None:
-    beside = one((0.5, 0.6, 0), (0.1, 0.1, 0.1))
-    behind = one((-0.5, 0, 0), (0.1, 0.1, 0.1))
-    beyond = one((1.5, 0, 0), (0.1, 0.1, 0.1))
+    beside = balls((0.5, 0.6, 0), radius=(0.1, 0.1, 0.1))
+    behind = balls((-0.5, 0, 0), radius=(0.1, 0.1, 0.1))
+    beyond = balls((1.5, 0, 0), radius=(0.1, 0.1, 0.1))
     for ellipsoids in (beside, behind, beyond, EllipsoidSet()):
         heading = headings(policy((0, 0, -0.01), (1, 0, 0)), ellipsoids, UP[: len(ellipsoids)])
         assert heading.shape == (len(ellipsoids), 3)
@@ -86,7 +76,9 @@ def test_headings_are_unit_or_zero_wherever_the_motion_is(
     p: Triple, z: Triple, angle: float
 ) -> None:
     direction = np.array([[0.0, np.cos(angle), np.sin(angle)]])
-    heading = headings(policy(p, z), one((0.5, 0.02, -0.03), (0.1, 0.2, 0.15)), direction)[0]
+    heading = headings(policy(p, z), balls((0.5, 0.02, -0.03), radius=(0.1, 0.2, 0.15)), direction)[
+        0
+    ]
     length = np.linalg.norm(heading)
     assert length == 0.0 or abs(length - 1.0) < 1e-9
 
@@ -103,7 +95,7 @@ def test_a_heading_on_the_wrong_side_becomes_one_that_keeps_the_clearance(
     # E lies within 60 degrees of the side opposite to the chosen one: guidance acts in full.
     assume(np.hypot(*offset) > 1e-3)
     assume(direction[0, 1:] @ offset < -0.51 * np.hypot(*offset))
-    ellipsoids = one((0.6, 0.0, 0.0), axes)
+    ellipsoids = balls((0.6, 0.0, 0.0), radius=axes)
     p_WE = (0.0, *offset)
     heading = headings(policy(p_WE, (1, 0, 0)), ellipsoids, direction)[0]
     way = p_WE + np.linspace(0.0, 2.0, 400)[:, None] * heading

@@ -17,7 +17,6 @@ from drake_oa.common.messages import ObstacleClouds
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.diagrams.control import make_controller
 from drake_oa.diagrams.posture import make_null_space_coupling
-from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.policy.coupling import dead_zone_free_rate
 from drake_oa.posture import null_space_coupling as kernels
 from drake_oa.posture.arm_surroundings import ArmSurroundings
@@ -28,13 +27,14 @@ from drake_oa.posture.null_space_coupling import (
     null_space_basis,
     section_acceleration,
 )
-from drake_oa.robot.arm import ArmModel, make_arm_model
+from drake_oa.robot.arm import ArmModel
 from drake_oa.robot.arm_kernels import jacobian
 from drake_oa.robot.config import Robot
-from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
+from drake_oa.robot.plant import RobotPlant, make_robot_plant
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task_joints import start_positions
+from tests.builders import arm_of
 
 LAW = NullSpaceCouplingParameters(alpha=30.0, psi=0.8, kappa=20.0)
 STEP = 0.008
@@ -54,16 +54,7 @@ def panda(scenario: Scenario) -> RobotPlant:
 
 @pytest.fixture(scope="module")
 def arm(panda: RobotPlant) -> ArmModel:
-    inspector = panda.scene_graph.model_inspector()
-    return make_arm_model(
-        panda.plant,
-        inspector,
-        panda.tool_frame,
-        RotationMatrix(),
-        home_positions(panda, Robot()),
-        collect_collision_shapes(panda.plant, inspector, panda.instance),
-        without=Robot().tool_links,
-    )
+    return arm_of(panda, RotationMatrix(), without=Robot().tool_links)
 
 
 def unit(v: np.ndarray) -> np.ndarray:

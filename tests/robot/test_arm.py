@@ -8,34 +8,20 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
 from pydrake.systems.framework import DiagramBuilder
 
 from drake_oa.common.messages import ObstacleClouds, TablePlane
-from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.posture.arm_surroundings import ArmSurroundings
 from drake_oa.posture.posture_plan import REDUNDANT
 from drake_oa.robot import arm_kernels as kernels
-from drake_oa.robot.arm import ArmModel, make_arm_model
+from drake_oa.robot.arm import ArmModel
 from drake_oa.robot.config import Robot
-from drake_oa.robot.plant import RobotPlant, add_robot, home_positions, make_robot_plant
+from drake_oa.robot.plant import RobotPlant, add_robot
+from tests.builders import arm_of
 
 TOOL = ("panda_hand", "panda_leftfinger", "panda_rightfinger")
 
 
 @pytest.fixture(scope="module")
-def panda() -> RobotPlant:
-    return make_robot_plant(Robot())
-
-
-@pytest.fixture(scope="module")
 def arm(panda: RobotPlant) -> ArmModel:
-    inspector = panda.scene_graph.model_inspector()
-    return make_arm_model(
-        panda.plant,
-        inspector,
-        panda.tool_frame,
-        RotationMatrix(RollPitchYaw(Robot().rpy_WE)),
-        home_positions(panda, Robot()),
-        collect_collision_shapes(panda.plant, inspector, panda.instance),
-        without=TOOL,
-    )
+    return arm_of(panda, RotationMatrix(RollPitchYaw(Robot().rpy_WE)), without=TOOL)
 
 
 def random_postures(arm: ArmModel, count: int) -> np.ndarray:

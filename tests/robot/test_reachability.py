@@ -12,14 +12,14 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.diagrams.route import robot_reachability
-from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.robot import reachability as kernels
-from drake_oa.robot.arm import ArmModel, make_arm_model
+from drake_oa.robot.arm import ArmModel
 from drake_oa.robot.arm_kernels import poses
 from drake_oa.robot.config import Robot
 from drake_oa.robot.inverse_kinematics import solve_pose, solve_tool_pose
 from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
 from drake_oa.robot.reachability import Reachability, reachability, tool_down_margin
+from tests.builders import arm_of
 
 ROBOT = Robot()
 
@@ -31,16 +31,7 @@ def panda() -> RobotPlant:
 
 @cache
 def arm() -> ArmModel:
-    robot_plant = panda()
-    inspector = robot_plant.scene_graph.model_inspector()
-    return make_arm_model(
-        robot_plant.plant,
-        inspector,
-        robot_plant.tool_frame,
-        RollPitchYaw(ROBOT.rpy_WE).ToRotationMatrix(),
-        home_positions(robot_plant, ROBOT),
-        collect_collision_shapes(robot_plant.plant, inspector, robot_plant.instance),
-    )
+    return arm_of(panda(), RollPitchYaw(ROBOT.rpy_WE).ToRotationMatrix())
 
 
 def mapped() -> Reachability:

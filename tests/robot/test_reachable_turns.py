@@ -7,17 +7,12 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from drake_oa.geometry.rotation import turned_about
 from drake_oa.robot.config import Robot
 from drake_oa.robot.inverse_kinematics import solve_tool_pose
-from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
+from drake_oa.robot.plant import RobotPlant, home_positions
 from drake_oa.robot.reachable_turns import reachable_turns
 
 ROBOT = Robot()
 R_WE = RollPitchYaw(ROBOT.rpy_WE).ToRotationMatrix().matrix()
 UP = np.array([0.0, 0.0, 1.0])
-
-
-@pytest.fixture(scope="module")
-def panda() -> RobotPlant:
-    return make_robot_plant(ROBOT)
 
 
 def asked(panda: RobotPlant, path: list[list[float]], turns: list[float], **more: object) -> list:

@@ -12,25 +12,11 @@ from pydrake.systems.framework import Context
 from drake_oa.common.messages import EllipsoidSet, FloatArray, PolicyState, Route, TablePlane
 from drake_oa.route.cost_ring_selector import CostRingSelector
 from drake_oa.route.cost_rings import RingScene
+from tests.builders import balls
 
 START, GOAL = np.array([0.0, 0.0, 0.3]), np.array([1.0, 0.0, 0.3])
 POLICY = PolicyState(p_WE=START, p_WS=START, p_WG=GOAL)
 Center = tuple[float, float, float]
-
-
-def balls(
-    *centers: Center, ids: list[int] | None = None, table: TablePlane | None = None
-) -> EllipsoidSet:
-    count = len(centers)
-    return EllipsoidSet(
-        stamp=0.0,
-        p_WO=np.array(centers, dtype=float).reshape(count, 3),
-        R_WO=np.tile(np.eye(3), (count, 1, 1)),
-        semi_axes=np.full((count, 3), 0.1),
-        v_WO=np.zeros((count, 3)),
-        ids=np.arange(count) if ids is None else np.array(ids),
-        table=table,
-    )
 
 
 def fix(system: CostRingSelector, context: Context, **inputs: object) -> None:

@@ -17,22 +17,11 @@ from drake_oa.route.cost_rings import (
     table_ring,
 )
 from drake_oa.route.side_choice import overlap_groups, select_directions
+from tests.builders import balls
 
 START, GOAL = np.array([0.0, 0.0, 0.3]), np.array([1.0, 0.0, 0.3])
 TABLE = TablePlane()
 RINGS = {"table": partial(table_ring, height=0.05), "length": length_ring}
-
-
-def ball_set(*centers: tuple[float, float, float], radius: float = 0.1) -> EllipsoidSet:
-    count = len(centers)
-    return EllipsoidSet(
-        stamp=0.0,
-        p_WO=np.array(centers, dtype=float).reshape(count, 3),
-        R_WO=np.tile(np.eye(3), (count, 1, 1)),
-        semi_axes=np.full((count, 3), radius),
-        v_WO=np.zeros((count, 3)),
-        ids=np.arange(count),
-    )
 
 
 def scene_of(ellipsoids: EllipsoidSet, table: TablePlane | None = TABLE) -> RingScene:
@@ -44,25 +33,25 @@ def chosen(scene: RingScene, row: int = 0, **rings: object) -> np.ndarray:
 
 
 def test_an_obstacle_left_of_the_line_is_passed_on_the_right() -> None:
-    np.testing.assert_allclose(chosen(scene_of(ball_set((0.5, 0.05, 0.3)))), [0, -1, 0], atol=1e-12)
+    np.testing.assert_allclose(chosen(scene_of(balls((0.5, 0.05, 0.3)))), [0, -1, 0], atol=1e-12)
 
 
 def test_the_table_forbids_the_way_below() -> None:
-    tall = scene_of(ball_set((0.5, 0.0, 0.32), radius=0.2))
+    tall = scene_of(balls((0.5, 0.0, 0.32), radius=0.2))
     index = select_directions(tall, RINGS).index
     assert tall.p_WP[0, index[0], 2] >= 0.05
-    free = scene_of(ball_set((0.5, 0.0, 0.32), radius=0.2), table=None)
+    free = scene_of(balls((0.5, 0.0, 0.32), radius=0.2), table=None)
     np.testing.assert_allclose(chosen(free), [0, 0, -1], atol=1e-12)
 
 
 def test_the_workspace_forbids_what_leaves_it() -> None:
-    scene = scene_of(ball_set((0.5, 0.05, 0.3)))
+    scene = scene_of(balls((0.5, 0.05, 0.3)))
     limits = partial(limits_ring, workspace=lambda p: p[..., 1] + 0.05)
     assert chosen(scene, limits=limits)[1] > -0.2
 
 
 def test_an_extra_ring_takes_part() -> None:
-    scene = scene_of(ball_set((0.5, 0.05, 0.3)))
+    scene = scene_of(balls((0.5, 0.05, 0.3)))
 
     def only_up(scene: RingScene) -> np.ndarray:
         return np.broadcast_to(scene.directions_W[:, 2] < 0.999, scene.detour.shape).astype(float)
@@ -71,29 +60,29 @@ def test_an_extra_ring_takes_part() -> None:
 
 
 def test_a_ring_of_the_wrong_shape_is_named() -> None:
-    scene = scene_of(ball_set((0.5, 0.0, 0.3)))
+    scene = scene_of(balls((0.5, 0.0, 0.3)))
     with pytest.raises(ValueError, match=r"'flat'.*\(3,\).*\(1, 36\)"):
         select_directions(scene, {"flat": lambda _: np.zeros(3)})
 
 
 def test_obstacles_that_leave_no_way_between_them_are_passed_on_one_side() -> None:
-    near = ball_set((0.45, 0.06, 0.3), (0.55, -0.05, 0.3))
+    near = balls((0.45, 0.06, 0.3), (0.55, -0.05, 0.3))
     assert len(set(overlap_groups(near, 0.15))) == 1
     index = select_directions(scene_of(near), RINGS).index
     assert index[0] == index[1]
-    far = ball_set((0.2, 0.0, 0.3), (0.8, 0.0, 0.3), radius=0.05)
+    far = balls((0.2, 0.0, 0.3), (0.8, 0.0, 0.3), radius=0.05)
     assert len(set(overlap_groups(far, 0.15))) == 2
 
 
 def test_a_side_once_chosen_is_kept_until_another_is_clearly_better() -> None:
-    scene = scene_of(ball_set((0.5, 0.01, 0.3)), table=None)
+    scene = scene_of(balls((0.5, 0.01, 0.3)), table=None)
     other = np.array([0])
     assert select_directions(scene, RINGS).index[0] != 0
     kept = select_directions(scene, {"length": length_ring}, previous=other)
     assert kept.index[0] == 0
     left = select_directions(scene, {"length": length_ring}, previous=other, hysteresis=0.01)
     assert left.index[0] != 0
-    aside = scene_of(ball_set((0.5, 0.05, 0.3)), table=None)
+    aside = scene_of(balls((0.5, 0.05, 0.3)), table=None)
     assert select_directions(aside, RINGS, previous=other).index[0] != 0
 
 
@@ -101,12 +90,12 @@ def test_a_side_once_chosen_is_kept_until_another_is_clearly_better() -> None:
 def test_an_obstacle_on_the_baseline_keeps_its_side_whatever_the_noise(
     y: float, z: float, side: int
 ) -> None:
-    scene = scene_of(ball_set((0.5, y, 0.3 + z)), table=None)
+    scene = scene_of(balls((0.5, y, 0.3 + z)), table=None)
     assert select_directions(scene, RINGS, previous=np.array([side])).index[0] == side
 
 
 def test_when_every_side_is_forbidden_it_says_so() -> None:
-    scene = scene_of(ball_set((0.5, 0.0, 0.3)))
+    scene = scene_of(balls((0.5, 0.0, 0.3)))
     shut = partial(limits_ring, workspace=lambda p: np.full(p.shape[:-1], -1.0))
     assert select_directions(scene, RINGS | {"limits": shut}).blocked.all()
     assert not select_directions(scene, RINGS).blocked.any()
@@ -126,7 +115,7 @@ def test_no_obstacles_no_choice() -> None:
 def test_passing_points_keep_the_clearance_and_rings_stay_in_their_range(
     center: tuple[float, float, float], radius: float
 ) -> None:
-    scene = scene_of(ball_set(center, radius=radius))
+    scene = scene_of(balls(center, radius=radius))
     distance = np.linalg.norm(scene.p_WP[0] - np.array(center), axis=1) - radius
     assert distance.min() >= 0.15 - 1e-9
     for ring in RINGS.values():
@@ -137,7 +126,7 @@ def test_passing_points_keep_the_clearance_and_rings_stay_in_their_range(
 
 
 def test_a_side_that_the_arm_does_not_follow_to_is_given_up() -> None:
-    scene = scene_of(ball_set((0.5, 0.05, 0.3)))
+    scene = scene_of(balls((0.5, 0.05, 0.3)))
 
     def right_is_cut(way: np.ndarray) -> int:
         return 1 if way[1, 1] < -1e-9 else len(way)
@@ -151,7 +140,7 @@ def test_a_side_that_the_arm_does_not_follow_to_is_given_up() -> None:
 
 
 def test_the_side_at_which_a_way_ends_is_given_up() -> None:
-    far = ball_set((0.2, 0.02, 0.3), (0.8, 0.02, 0.3), radius=0.05)
+    far = balls((0.2, 0.02, 0.3), (0.8, 0.02, 0.3), radius=0.05)
     scene = scene_of(far)
 
     def second_is_cut(way: np.ndarray) -> int:

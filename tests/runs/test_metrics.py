@@ -15,18 +15,7 @@ from drake_oa.runs.metrics import free_point_metrics, path_length, robot_metrics
 from drake_oa.runs.report import feasible_clearance
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.obstacles import Obstacle
-
-
-def balls(*centers: tuple[float, float, float]) -> EllipsoidSet:
-    count = len(centers)
-    return EllipsoidSet(
-        stamp=0.0,
-        p_WO=np.array(centers, dtype=float).reshape(count, 3),
-        R_WO=np.tile(np.eye(3), (count, 1, 1)),
-        semi_axes=np.full((count, 3), 0.1),
-        v_WO=np.zeros((count, 3)),
-        ids=10 + np.arange(count),
-    )
+from tests.builders import balls
 
 
 @given(
@@ -54,7 +43,7 @@ def test_clearance_of_a_point_is_to_the_nearest_ellipsoid() -> None:
 
 def test_each_ellipsoid_that_was_touched_is_named_once() -> None:
     path = np.linspace([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], 50)
-    found = free_point_metrics(path, balls((0.5, 0.05, 0.0), (0.5, 0.5, 0.0)))
+    found = free_point_metrics(path, balls((0.5, 0.05, 0.0), (0.5, 0.5, 0.0), ids=[10, 11]))
     assert found.contacts == ("tool point - ellipsoid 10",)
     assert found.tool_clearance.min() < 0.0
 
@@ -80,7 +69,7 @@ def test_contacts_of_the_start_are_told_from_those_the_motion_made(
     x: list[float], initial: bool, made: bool
 ) -> None:
     path = np.column_stack([x, np.zeros((len(x), 2))])
-    found = free_point_metrics(path, balls((0.5, 0.0, 0.0)))
+    found = free_point_metrics(path, balls((0.5, 0.0, 0.0), ids=[10]))
     name = ("tool point - ellipsoid 10",)
     assert found.initial_contacts == (name if initial else ())
     assert found.made_contacts == (name if made else ())

@@ -13,7 +13,6 @@ from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import Context
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.common.messages import EllipsoidSet
 from drake_oa.runs.motion_log import MotionLog, pack_ellipsoids
 from drake_oa.runs.replay import (
     LoggedMotion,
@@ -25,20 +24,10 @@ from drake_oa.runs.replay import (
 )
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
 from drake_oa.world.world_model import add_world
+from tests.builders import balls
 
 FREE = load_scenario("free_space")
 PERIOD = 0.004
-
-
-def ball(stamp: float, x: float) -> EllipsoidSet:
-    return EllipsoidSet(
-        stamp=stamp,
-        p_WO=np.array([[x, 0.0, 0.0]]),
-        R_WO=np.eye(3)[None],
-        semi_axes=np.full((1, 3), 0.1),
-        v_WO=np.zeros((1, 3)),
-        ids=np.array([7]),
-    )
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +41,7 @@ def log_of(straight_log: Callable[..., MotionLog]) -> Callable[..., MotionLog]:
             observation_time=np.array([0.01, 0.1]),
             event_time=np.array([0.05, 0.15]),
             event=("blocked", ""),
-            **pack_ellipsoids([ball(0.0, 0.5), ball(0.09, 0.6)]),
+            **pack_ellipsoids([balls((x, 0, 0), stamp=t) for t, x in ((0.0, 0.5), (0.09, 0.6))]),
         )
         return replace(log, **changes)
 

@@ -12,8 +12,9 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import ConstantValueSource
 from pydrake.systems.sensors import CameraInfo
 
-from drake_oa.common.messages import EllipsoidSet, PolicyState, Route
+from drake_oa.common.messages import PolicyState, Route
 from drake_oa.viewing.meshcat_overlay import MeshcatOverlay, dress_scene
+from tests.builders import balls
 
 PERIOD = 0.1
 ROOT = "/drake_oa"
@@ -32,14 +33,7 @@ def meshcat(server):
 
 
 def obstacles(*ids):
-    count = len(ids)
-    return EllipsoidSet(
-        p_WO=np.tile([0.5, 0.0, 0.2], (count, 1)),
-        R_WO=np.tile(np.eye(3), (count, 1, 1)),
-        semi_axes=np.tile([0.1, 0.15, 0.2], (count, 1)),
-        v_WO=np.zeros((count, 3)),
-        ids=np.array(ids, dtype=np.int64),
-    )
+    return balls(*[(0.5, 0.0, 0.2)] * len(ids), radius=(0.1, 0.15, 0.2), stamp=-np.inf, ids=ids)
 
 
 def sides(*ids, cost=0.0):

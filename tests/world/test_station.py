@@ -6,14 +6,9 @@ from pydrake.systems.framework import DiagramBuilder
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.robot.config import Robot
-from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant, tool_corners
+from drake_oa.robot.plant import RobotPlant, home_positions, tool_corners
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.world.station import Station, make_station
-
-
-@pytest.fixture(scope="module")
-def robot_plant() -> RobotPlant:
-    return make_robot_plant(Robot())
 
 
 def station_of(name: str, *overrides: str, render: bool = False) -> Station:
@@ -46,16 +41,16 @@ def test_the_camera_is_made_only_where_something_renders() -> None:
     assert not any("Lcm" in name or "ImageToLcm" in name for name in names)
 
 
-def test_the_tool_frame_is_at_the_fingertips(robot_plant: RobotPlant) -> None:
-    plant = robot_plant.plant
+def test_the_tool_frame_is_at_the_fingertips(panda: RobotPlant) -> None:
+    plant = panda.plant
     context = plant.CreateDefaultContext()
-    X_HE = robot_plant.tool_frame.CalcPose(context, plant.GetFrameByName("panda_hand"))
+    X_HE = panda.tool_frame.CalcPose(context, plant.GetFrameByName("panda_hand"))
     np.testing.assert_allclose(X_HE.translation(), [0.0, 0.0, 0.1034], atol=1e-12)
     assert X_HE.rotation().IsNearlyIdentity()
 
 
-def test_the_tool_is_above_its_point_and_narrow_along_the_motion(robot_plant: RobotPlant) -> None:
-    corners = tool_corners(robot_plant, Robot())
+def test_the_tool_is_above_its_point_and_narrow_along_the_motion(panda: RobotPlant) -> None:
+    corners = tool_corners(panda, Robot())
     assert corners.shape[1] == 3
     low, high = corners.min(axis=0), corners.max(axis=0)
     # It points down: all of it is above E but for the finger tips' rounding.
@@ -66,22 +61,22 @@ def test_the_tool_is_above_its_point_and_narrow_along_the_motion(robot_plant: Ro
     assert high[1] - low[1] < 0.12
 
 
-def test_the_tool_turns_with_its_asked_orientation(robot_plant: RobotPlant) -> None:
-    turned = tool_corners(robot_plant, Robot(rpy_WE=[np.pi, 0.0, 0.0]))
+def test_the_tool_turns_with_its_asked_orientation(panda: RobotPlant) -> None:
+    turned = tool_corners(panda, Robot(rpy_WE=[np.pi, 0.0, 0.0]))
     extent = np.ptp(turned, axis=0)
-    straight = np.ptp(tool_corners(robot_plant, Robot()), axis=0)
+    straight = np.ptp(tool_corners(panda, Robot()), axis=0)
     np.testing.assert_allclose(extent, straight[[1, 0, 2]], atol=1e-9)
 
 
-def test_opened_fingers_do_not_shrink_the_tool(robot_plant: RobotPlant) -> None:
-    closed = tool_corners(robot_plant, Robot())
-    opened = tool_corners(robot_plant, Robot(finger_opening=0.04))
+def test_opened_fingers_do_not_shrink_the_tool(panda: RobotPlant) -> None:
+    closed = tool_corners(panda, Robot())
+    opened = tool_corners(panda, Robot(finger_opening=0.04))
     assert (np.ptp(opened, axis=0) >= np.ptp(closed, axis=0) - 1e-9).all()
 
 
-def test_home_positions_hold_seed_and_fingers(robot_plant: RobotPlant) -> None:
+def test_home_positions_hold_seed_and_fingers(panda: RobotPlant) -> None:
     robot = Robot(finger_opening=0.03)
-    q = home_positions(robot_plant, robot)
+    q = home_positions(panda, robot)
     np.testing.assert_array_equal(q, [*robot.q_seed, 0.03, 0.03])
 
 
@@ -128,7 +123,7 @@ def test_a_station_needs_a_robot() -> None:
     ("links", "said"), [(["panda_thumb"], "panda_thumb"), (["panda_link8"], "panda_link8")]
 )
 def test_tool_links_without_an_outline_are_refused(
-    robot_plant: RobotPlant, links: list[str], said: str
+    panda: RobotPlant, links: list[str], said: str
 ) -> None:
     with pytest.raises(ScenarioError, match=rf"robot.tool_links: .*{said}"):
-        tool_corners(robot_plant, Robot(tool_links=links))
+        tool_corners(panda, Robot(tool_links=links))

@@ -1,0 +1,67 @@
+"""What tests of several folders are made of."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydrake.math import RotationMatrix
+from pydrake.systems.framework import Context, System
+
+from drake_oa.app.main import main
+from drake_oa.common.messages import EllipsoidSet, FloatArray
+from drake_oa.geometry.collision_shapes import collect_collision_shapes
+from drake_oa.robot.arm import ArmModel, make_arm_model
+from drake_oa.robot.config import Robot
+from drake_oa.robot.plant import RobotPlant, home_positions
+
+
+def balls(
+    *centers: Sequence[float],
+    radius: ArrayLike = 0.1,
+    stamp: float = 0.0,
+    ids: Sequence[int] | None = None,
+    **more: object,
+) -> EllipsoidSet:
+    """Obstacles about these centres [m]; with three radii ellipsoids along the world's axes."""
+    count = len(centers)
+    return EllipsoidSet(
+        stamp=stamp,
+        p_WO=np.array(centers, dtype=float).reshape(count, 3),
+        R_WO=np.tile(np.eye(3), (count, 1, 1)),
+        semi_axes=np.full((count, 3), radius),
+        v_WO=np.zeros((count, 3)),
+        ids=np.arange(count) if ids is None else np.array(ids),
+        **more,  # type: ignore[arg-type]
+    )
+
+
+def arm_of(
+    panda: RobotPlant,
+    R_WE: RotationMatrix,
+    q: FloatArray | None = None,
+    without: Sequence[str] = (),
+) -> ArmModel:
+    """The arm as arrays, its posture q, at home by default; some links left out."""
+    inspector = panda.scene_graph.model_inspector()
+    return make_arm_model(
+        panda.plant,
+        inspector,
+        panda.tool_frame,
+        R_WE,
+        home_positions(panda, Robot()) if q is None else q,
+        collect_collision_shapes(panda.plant, inspector, panda.instance),
+        without=without,
+    )
+
+
+def read(system: System, context: Context, port: str) -> FloatArray:
+    """A vector output."""
+    return np.array(system.GetOutputPort(port).Eval(context))
+
+
+def command(*arguments: object) -> int:
+    """Exit status of `drake-oa`, also where it exits by itself."""
+    try:
+        return main([str(argument) for argument in arguments])
+    except SystemExit as done:
+        return int(done.code or 0)
