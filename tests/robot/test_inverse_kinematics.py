@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from importlib import resources
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,6 +11,7 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
 from drake_oa.robot.inverse_kinematics import solve_tool_pose
+from drake_oa.robot.plant import RobotPlant
 from drake_oa.robot.reachability import tool_down_margin, tool_down_radii
 
 DOWN = RollPitchYaw(np.pi, 0.0, 0.0).ToRotationMatrix()
@@ -22,15 +20,8 @@ TOOL = "panda_hand_tcp"
 
 
 @pytest.fixture(scope="module")
-def plant() -> MultibodyPlant:
-    plant = MultibodyPlant(0.0)
-    parser = Parser(plant)
-    models = Path(str(resources.files("drake_oa.models")))
-    parser.package_map().AddPackageXml(str(models / "package.xml"))
-    parser.AddModels(url="package://drake_oa/panda/panda_arm_hand.urdf")
-    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("panda_link0"))
-    plant.Finalize()
-    return plant
+def plant(panda: RobotPlant) -> MultibodyPlant:
+    return panda.plant
 
 
 def solve(
