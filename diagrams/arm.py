@@ -63,7 +63,11 @@ def make_robot_arm(
         held = tool_orientation(scenario)
         planner = WholeArm(
             arm,
-            PostureParameters(clearance=robot.posture.clearance, stop_distance=stop),
+            PostureParameters(
+                clearance=robot.posture.clearance,
+                stop_distance=stop,
+                roll_joint=robot.posture.roll_joint,
+            ),
             None if held is None else held.along,
             make_posture_guide(scenario, arm.posture),
         )

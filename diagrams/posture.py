@@ -22,6 +22,8 @@ from drake_oa.scenario.scenario import (
 )
 from drake_oa.scenario.sources import table_plane
 
+_TASK = 6
+"""Dimensions of the pose of the tool."""
 _GUIDE_SAMPLES = 41
 """Of a posture that is not planned, along the motion."""
 
@@ -62,6 +64,11 @@ def make_null_space_coupling(
         arm = arm_model(scenario, robot, robot_plant, q_start)
     except ValueError as error:
         raise ScenarioError(f"robot.posture.coupling: {error}") from None
+    if len(arm.posture) <= _TASK:
+        raise ScenarioError(
+            f"robot.posture.coupling: the arm has {len(arm.posture)} joints, and so nothing that "
+            "it could turn while the tool keeps its pose; write null"
+        )
     return NullSpaceCoupling(
         arm,
         robot_plant.plant.num_multibody_states(),

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
-from pathlib import Path
 
 import numpy as np
 from pydrake.math import RollPitchYaw
@@ -12,23 +10,19 @@ from pydrake.math import RollPitchYaw
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.station import Cell
+from drake_oa.geometry.annulus import Annulus
 from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.regulation.config import Regressor
 from drake_oa.robot.arm import make_arm_model
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import home_positions, make_robot_plant
-from drake_oa.robot.reachability import Reachability, reachability, tool_down_annulus
+from drake_oa.robot.reachability import Reachability, reachability
+from drake_oa.robot.tool_down import found_annulus, given_annulus, is_tool_down
 from drake_oa.route.cost_ring_selector import CostRingSelector
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.tool_orientation import held_robots
 
 _logger = logging.getLogger("drake_oa")
-
-_PANDA = "panda_arm_hand.urdf"
-
-
-_TOOL_DOWN_ANGLE = math.radians(15.0)
-"""How far from straight down the tool may point for the tool-down workspace to hold."""
 
 
 def add_route(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
@@ -94,23 +88,26 @@ def robot_reachability(robot: Robot | None) -> Reachability | None:
         return None
 
 
-def _has_known_workspace(robot: Robot | None) -> bool:
-    """Whether this is a Panda, held tool down."""
+def robot_annulus(robot: Robot | None) -> Annulus | None:
+    """Where the tool point can be about the base; None: not known.
+
+    It is that of the robot's block, or found from what the arm reaches.
+    """
     if robot is None:
-        return False
-    down = -float(RollPitchYaw(robot.rpy_WE).ToRotationMatrix().matrix()[2, 2])
-    known = Path(robot.model).name == _PANDA and down >= math.cos(_TOOL_DOWN_ANGLE)
-    if not known:
-        _logger.info("routes are chosen without the robot's limits: known for a Panda, tool down")
-    return known
+        return None
+    if not is_tool_down(robot):
+        _logger.info("motions are verified without the arm's reach: not upright, or tool not down")
+        return None
+    given = given_annulus(robot)
+    reach = robot_reachability(robot) if given is None else None
+    try:
+        return given if reach is None else found_annulus(reach, robot)
+    except ValueError as error:
+        _logger.info("motions are verified without the arm's reach: %s", error)
+        return None
 
 
-def robot_annulus(robot: Robot | None) -> FloatArray | None:
-    """Where the tool point can be, as `reachability.tool_down_annulus` has it; None: not known."""
-    return tool_down_annulus() if _has_known_workspace(robot) else None
-
-
-def held_annulus(scenario: Scenario) -> FloatArray | None:
+def held_annulus(scenario: Scenario) -> Annulus | None:
     """`robot_annulus` of a robot whose tool is down on the whole way; None: not known."""
-    annuli = [robot_annulus(robot) for robot in held_robots(scenario)]
-    return None if not annuli or any(a is None for a in annuli) else annuli[0]
+    held = held_robots(scenario)
+    return robot_annulus(held[0]) if held and all(map(is_tool_down, held)) else None

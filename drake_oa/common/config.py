@@ -52,11 +52,14 @@ def count(default: int, low: int, high: int) -> Any:
     return dc.field(default=default, metadata={"unit": "1", "low": low, "high": high})
 
 
-def vector(default: list[float], unit: str, size: int | None = None) -> Any:
-    """`size` finite numbers; None: as many as the default has."""
+def vector(
+    default: list[float], unit: str, size: int | None = None, *, within: float = math.inf
+) -> Any:
+    """`size` finite numbers, each in [-within, within]; None: as many as the default has."""
+    size = len(default) if size is None else size
     return dc.field(
         default_factory=lambda: list(default),
-        metadata={"unit": unit, "size": len(default) if size is None else size},
+        metadata={"unit": unit, "size": size, "low": -within, "high": within},
     )
 
 
@@ -172,7 +175,8 @@ def check(data: Any, schema: Any, where: str, metadata: Any) -> None:
         if size is not None and len(data) != size:
             raise ScenarioError(f"{where}: expected {size} numbers, not {len(data)}")
         for number, item in enumerate(data):
-            check(item, arguments[0], f"{where}[{number}]", {"unit": metadata.get("unit", "")})
+            of_item = {key: metadata[key] for key in ("unit", "low", "high") if key in metadata}
+            check(item, arguments[0], f"{where}[{number}]", of_item)
     elif schema is np.ndarray and isinstance(data, list):
         for number, item in enumerate(data):
             if not isinstance(item, list):

@@ -126,7 +126,7 @@ class CartesianInverseDynamics(LeafSystem):
         *,
         R_WE_desired: RotationMatrix,
         q_posture: FloatArray,
-        tool_frame: str = "panda_hand_tcp",
+        tool_frame: str,
         gains: CartesianGains | None = None,
         finger_opening: float = 0.04,
         finger_stiffness: float = 400.0,

@@ -63,7 +63,7 @@ class Placed(Protocol):
 
 
 def pose(item: Placed) -> RigidTransform:
-    """Pose of a shape in its obstacle, X_OG, or of an obstacle in the world, X_WO."""
+    """Pose of a shape in its obstacle, X_OG, or of an obstacle or a base in the world."""
     return RigidTransform(RollPitchYaw(item.rpy), item.translation)
 
 

@@ -39,8 +39,6 @@ from drake_oa.posture.plan_kernels import Rules, ToolPath
 from drake_oa.posture.trace_kernels import plan_traced
 from drake_oa.robot.arm import ArmModel
 
-REDUNDANT = 2
-"""The joint whose value tells the postures of a 7R arm apart: the upper arm's roll."""
 _JOINTS = 7
 _COARSE, _WINDOW = 57, 2
 """Columns of the coarse grid, 0.1 rad apart on the Panda, and how many of them the way may
@@ -78,6 +76,7 @@ class PostureParameters:
         speed_share: share of the joints' velocity limits that may be used.
         near_weight, self_weight, limit_weight: prices of each at its stop.
         motion_weight: price of moving, w_v.
+        roll_joint: the joint, counted from 1, whose value tells the postures of a 7R arm apart.
 
     Raises:
         ValueError: for a value out of range.
@@ -94,6 +93,7 @@ class PostureParameters:
     self_weight: float = 30.0
     limit_weight: float = 3.0
     motion_weight: float = 0.02
+    roll_joint: int = 3
 
     def __post_init__(self) -> None:
         for item in fields(self):
@@ -113,6 +113,13 @@ class PostureParameters:
                 )
         if not 0.0 < self.speed_share <= 1.0:
             raise ValueError(f"speed_share must be in (0, 1], not {self.speed_share}")
+        if not 1 <= self.roll_joint <= _JOINTS:
+            raise ValueError(f"roll_joint must be in [1, {_JOINTS}], not {self.roll_joint}")
+
+    @property
+    def redundant(self) -> int:
+        """Where the roll joint is among the arm's."""
+        return self.roll_joint - 1
 
     def rules(self, padding: float) -> Rules:
         """As the kernels take them."""
@@ -226,12 +233,13 @@ def plan_posture(
     ages = age + (s - s[0]) * seconds
     rules = parameters.rules(around.padding)
     start = np.clip(q, arm.lower + rules.limit_stop, arm.upper - rules.limit_stop)
-    low, high = start[REDUNDANT], start[REDUNDANT]
-    low = min(low, arm.lower[REDUNDANT] + parameters.limit_stop)
-    high = max(high, arm.upper[REDUNDANT] - parameters.limit_stop)
+    joint = parameters.redundant
+    low, high = start[joint], start[joint]
+    low = min(low, arm.lower[joint] + parameters.limit_stop)
+    high = max(high, arm.upper[joint] - parameters.limit_stop)
     # One column goes through where the arm is, so that it may stay there.
     step = (high - low) / (_COARSE - 1)
-    columns = start[REDUNDANT] + step * np.arange(-_COARSE, _COARSE + 1)
+    columns = start[joint] + step * np.arange(-_COARSE, _COARSE + 1)
     columns = columns[(columns >= low - 1e-9) & (columns <= high + 1e-9)]
     values = np.broadcast_to(columns, (T, len(columns)))
     way = np.empty((T, _JOINTS))
@@ -242,7 +250,7 @@ def plan_posture(
     def search(values: FloatArray, guess: FloatArray, window: int) -> float:
         grid = kernel_arrays(values, start, guess)
         cost, measured = kernels.plan_rows(
-            tool, *grid, window, REDUNDANT, arm.arrays, among, rules, way
+            tool, *grid, window, joint, arm.arrays, among, rules, way
         )
         count(postures=measured)
         return float(cost)
@@ -268,7 +276,7 @@ def plan_posture(
             if by_trace:
                 traced(guess, 2.0 * _TRACE / (_FINE - 1), _FINE // 2)
             else:
-                search(guess[:, REDUNDANT, None] + fine, guess, _FINE_WINDOW)
+                search(guess[:, joint, None] + fine, guess, _FINE_WINDOW)
             way[0] = q
             plan = _described(arm, around, s, way, seconds, ages, rules)
             if plan.short < best.short:

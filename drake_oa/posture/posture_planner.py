@@ -18,7 +18,6 @@ from drake_oa.common.messages import (
 )
 from drake_oa.posture.arm_surroundings import ArmSurroundings
 from drake_oa.posture.posture_plan import (
-    REDUNDANT,
     PlanMotion,
     PostureParameters,
     PosturePlan,
@@ -208,8 +207,9 @@ class WholeArm:
             apart = np.linalg.norm(np.column_stack(columns) - motion.p_WE, axis=1)
             if apart.max() > _MOVED:
                 return None
-        wanted = np.interp(s, plan.s, plan.q[:, REDUNDANT])
-        if abs(sight.q[REDUNDANT] - wanted) > _ASTRAY:
+        joint = self._parameters.redundant
+        wanted = np.interp(s, plan.s, plan.q[:, joint])
+        if abs(sight.q[joint] - wanted) > _ASTRAY:
             return None
         if _unchanged(before, sight, table):
             return before

@@ -26,6 +26,7 @@ from drake_oa.common.messages import (
     PolicyState,
     TablePlane,
 )
+from drake_oa.geometry.annulus import ANYWHERE, Annulus, annulus_margin
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.policy.coupling import N_COLUMNS
 from drake_oa.policy.dmp import Dmp, local_frame, normalised_time, trajectory
@@ -45,7 +46,6 @@ from drake_oa.regulation.regulation import (
 )
 from drake_oa.regulation.rollout import SpatialRollouts, SpatialScenes
 from drake_oa.regulation.search import SearchResult, assessed, roll_out, survey, verify
-from drake_oa.robot.reachability import annulus_margin
 
 _APART = 0.028
 """Distance along the path between the samples of a planned motion, at most [m]."""
@@ -66,7 +66,7 @@ class Regulator:
         *,
         parameters: SearchParameters,
         table_height: float = 0.05,
-        annulus: FloatArray | None = None,
+        annulus: Annulus | None = None,
         begins_anew: bool = False,
     ) -> None:
         """Keeps what does not change.
@@ -77,8 +77,7 @@ class Regulator:
             clearance: asked clearance Delta of every obstacle [m].
             parameters: how far the search goes, and the coupling's fade.
             table_height: least height of E above the table [m].
-            annulus: (3, n) heights, and least and largest distance from the world's z axis
-                there [m]; None: anywhere.
+            annulus: where E may be; None: anywhere.
             begins_anew: whether a motion that rests, as none that clears the obstacles or that
                 the arm can follow goes on from it, is to begin anew where one from there does,
                 and may step aside first.
@@ -90,7 +89,7 @@ class Regulator:
         self._clearance = clearance
         self.parameters = parameters
         self._table_height = table_height
-        self._annulus = np.zeros((3, 0)) if annulus is None else np.array(annulus)
+        self._annulus = ANYWHERE if annulus is None else annulus
         planned = trajectory(dmp, np.zeros(3), np.array([1.0, 0.0, 0.0])).p
         self._planned_length = _length(planned)
 

@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
 from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.common.thinking import count
+from drake_oa.geometry.annulus import ANYWHERE, Annulus
 from drake_oa.policy.coupling import ALPHA, GUIDANCE_ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
 from drake_oa.policy.dmp import Dmp, imitate, minimum_jerk, spring_flow
 from drake_oa.regulation.lane_math import STRICT, widest_vectors
@@ -95,7 +96,8 @@ class SceneArrays(NamedTuple):
     v_WO: FloatArray
     clearance: FloatArray
     plane: FloatArray
-    annulus: FloatArray
+    radii: FloatArray
+    axis: FloatArray
 
 
 class Course(NamedTuple):
@@ -152,8 +154,7 @@ class SpatialScenes(Frozen):
         clearance: (S, M) clearance Delta asked of each [m].
         s: normalised time now, one for all.
         plane: (S, 4) unit normal n_W and the least n . p that is allowed, or (0, 4).
-        annulus: (3, n) heights, least and largest distances from the world's z axis that
-            are allowed [m]; (3, 0): any.
+        annulus: where the motions may go.
     """
 
     p_WE: FloatArray
@@ -168,7 +169,7 @@ class SpatialScenes(Frozen):
     clearance: FloatArray
     s: float = 0.0
     plane: FloatArray = field(default_factory=_no_plane)
-    annulus: FloatArray = field(default_factory=lambda: np.zeros((3, 0)))
+    annulus: Annulus = ANYWHERE
 
     def __len__(self) -> int:
         return len(self.p_WE)
@@ -187,8 +188,9 @@ class SpatialScenes(Frozen):
     def arrays(self) -> SceneArrays:
         """As the kernels take them."""
         plane = self.plane if len(self.plane) else np.zeros((len(self), 4))
-        values = {item: getattr(self, item) for item in SceneArrays._fields} | {"plane": plane}
-        return SceneArrays(*kernel_arrays(*values.values()))
+        values = {item.name: getattr(self, item.name) for item in fields(self)}
+        values |= {"plane": plane} | self.annulus._asdict()
+        return SceneArrays(*kernel_arrays(*(values[name] for name in SceneArrays._fields)))
 
     @property
     def p_WS(self) -> FloatArray:
@@ -360,7 +362,7 @@ def _laid_out(
     )
     slow = zx**2 + zy**2 + zz**2 < (20.0 * course.tolerance) ** 2
     ends = error > course.longest[s] or (course.least <= 0 and error < course.tolerance and slow)
-    world = world_margin(x, y, z, scenes.plane, s, scenes.annulus)
+    world = world_margin(x, y, z, scenes.plane, s, Annulus(scenes.radii, scenes.axis))
     n = -(-len(rows) // _VECTOR) * _VECTOR
     for i in range(n):
         # A short block repeats its last row.
@@ -415,7 +417,9 @@ def _block(
     widest_vectors()
     s = scene[rows[0]]
     n_steps, M, L = len(course.force), scenes.p_WO.shape[1], scenes.baseline[s]
-    plane, annulus, R_WL = scenes.plane, scenes.annulus, scenes.R_WL
+    plane, R_WL = scenes.plane, scenes.R_WL
+    # A tuple within a tuple cannot be handed to threads.
+    annulus = Annulus(scenes.radii, scenes.axis)
     flow = (course.flow[0], course.flow[1], course.flow[2], course.flow[3])
     longest, shortest = course.longest[s], course.shortest[s]
     gx, gy, gz = scenes.p_WG[s, 0], scenes.p_WG[s, 1], scenes.p_WG[s, 2]
@@ -424,7 +428,7 @@ def _block(
     inverse_reach2 = 1.0 / (course.fade * L) ** 2 if course.fade > 0.0 else 0.0
     at_start = world_margin(x, y, z, plane, s, annulus)
     at_goal = world_margin(gx, gy, gz, plane, s, annulus)
-    bounded, has_annulus = at_goal < np.inf, annulus.shape[1] > 0
+    bounded, has_annulus = at_goal < np.inf, annulus.radii.shape[1] > 0
     S = np.zeros(N_STATE)
     n = _laid_out(rows, s, terms, seconds, scenes, course, S)
     keeps = len(out.path) > 0

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from drake_oa.common.messages import FloatArray
+from drake_oa.geometry.annulus import Annulus
 from drake_oa.regulation.lane_math import (
     STRICT,
     TINY,
@@ -115,21 +116,23 @@ def point_distance(
 
 @lane_jit
 def world_margin(
-    x: float, y: float, z: float, plane: FloatArray, s: int, annulus: FloatArray
+    x: float, y: float, z: float, plane: FloatArray, s: int, annulus: Annulus
 ) -> float:
     """Signed margin of a point to the plane and the workspace; inf where there are neither."""
     margin = np.inf
     if plane[s, 0] != 0.0 or plane[s, 1] != 0.0 or plane[s, 2] != 0.0:
         margin = plane[s, 0] * x + plane[s, 1] * y + plane[s, 2] * z - plane[s, 3]
-    n = annulus.shape[1]
+    radii, axis = annulus
+    n = radii.shape[1]
     if n == 0:
         return margin
-    radius = math.sqrt(x * x + y * y)
-    heights = annulus[0]
+    dx, dy = x - axis[0], y - axis[1]
+    radius = math.sqrt(dx * dx + dy * dy)
+    heights = radii[0]
     i = min(max(int(np.searchsorted(heights, z)) - 1, 0), n - 2)
     share = min(max((z - heights[i]) / (heights[i + 1] - heights[i]), 0.0), 1.0)
-    inner = annulus[1, i] + share * (annulus[1, i + 1] - annulus[1, i])
-    outer = annulus[2, i] + share * (annulus[2, i + 1] - annulus[2, i])
+    inner = radii[1, i] + share * (radii[1, i + 1] - radii[1, i])
+    outer = radii[2, i] + share * (radii[2, i + 1] - radii[2, i])
     beyond = min(z - heights[0], heights[n - 1] - z)
     return min(margin, radius - inner, outer - radius, beyond)
 

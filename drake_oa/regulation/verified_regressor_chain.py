@@ -15,7 +15,6 @@ from drake_oa.common.messages import (
     DECIDING,
     CouplingParameters,
     EllipsoidSet,
-    FloatArray,
     Frozen,
     ObstacleClouds,
     PlannedMotion,
@@ -24,6 +23,7 @@ from drake_oa.common.messages import (
 )
 from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.common.thinking import ForMotion, Thinking, Thoughts
+from drake_oa.geometry.annulus import Annulus
 from drake_oa.policy.dmp import Dmp
 from drake_oa.posture.posture_planner import ArmSight, WholeArm
 from drake_oa.regulation.config import SearchParameters
@@ -156,7 +156,7 @@ class VerifiedRegressorChain(LeafSystem):
         period: float = 1.0 / 15.0,
         parameters: SearchParameters | None = None,
         table_height: float = 0.05,
-        annulus: FloatArray | None = None,
+        annulus: Annulus | None = None,
         arm: RobotArm | None = None,
         begins_anew: bool = False,
         thinking: Thinking | None = None,
@@ -171,9 +171,7 @@ class VerifiedRegressorChain(LeafSystem):
             period: time between choices [s].
             parameters: how far the search goes; None: the defaults.
             table_height: least height of E above the table [m].
-            annulus: (3, n) heights, increasing, n at least 2, and least and largest distance
-                of E from the world's z axis there [m], see
-                `drake_oa.robot.reachability.tool_down_annulus`; None: E may be anywhere.
+            annulus: where E may be, of two heights or more; None: anywhere.
             arm: plans the posture along the motion; None: nothing does.
             begins_anew: whether a motion that rests, as none that clears the obstacles or that
                 the arm can follow goes on from it, begins anew from there where such a one
@@ -197,7 +195,7 @@ class VerifiedRegressorChain(LeafSystem):
         if dmp.dimension != 3:
             raise ValueError(f"dmp must have 3 dimensions, not {dmp.dimension}")
         if annulus is not None:
-            _check_annulus(np.asarray(annulus, dtype=float))
+            _check_annulus(annulus)
         if not math.isfinite(table_height):
             raise ValueError(f"table_height must be finite [m], not {table_height}")
         period = valid_period(period)
@@ -337,11 +335,12 @@ class VerifiedRegressorChain(LeafSystem):
         output.SetFromVector(self._read(context).thoughts.last)
 
 
-def _check_annulus(annulus: FloatArray) -> None:
-    if annulus.ndim != 2 or len(annulus) != 3 or annulus.shape[1] < 2:
-        raise ValueError(f"annulus must be (3, n) with n at least 2, not {annulus.shape}")
-    if not (np.isfinite(annulus).all() and (np.diff(annulus[0]) > 0.0).all()):
-        raise ValueError(f"annulus must be finite, its heights increasing [m], not {annulus}")
+def _check_annulus(annulus: Annulus) -> None:
+    radii = annulus.radii
+    if radii.ndim != 2 or len(radii) != 3 or radii.shape[1] < 2:
+        raise ValueError(f"annulus.radii must be (3, n) with n at least 2, not {radii.shape}")
+    if not (np.isfinite(radii).all() and (np.diff(radii[0]) > 0.0).all()):
+        raise ValueError(f"annulus must be finite, its heights increasing [m], not {radii}")
 
 
 def _log_change(before: Regulation, after: Regulation, time: float) -> None:

@@ -2,7 +2,10 @@
 
 import dataclasses as dc
 import math
+from itertools import pairwise
 
+from drake_oa.common.config import ScenarioError
+from drake_oa.common.config import count as _count
 from drake_oa.common.config import number as _number
 from drake_oa.common.config import vector as _vector
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere
@@ -36,6 +39,33 @@ class NullSpaceCoupling:
 
 
 @dc.dataclass
+class BasePose:
+    """Where the base link stands in the world, X_WB."""
+
+    translation: list[float] = _vector([0.0, 0.0, 0.0], "m", within=20.0)
+    # Roll, pitch, yaw.
+    rpy: list[float] = _vector([0.0, 0.0, 0.0], "rad", within=2.0 * math.pi)
+
+
+def _of(*values: float) -> list[float]:
+    return dc.field(default_factory=lambda: list(values), metadata={"unit": "m"})
+
+
+@dc.dataclass
+class Annulus:
+    """Where the tool point is in reach about the axis of an upright base, the tool pointing down.
+
+    The default is that of the default arm. Outer: the extended arm. Inner: 4 cm or more outside
+    where the folded arm (joints 3 and 5 at zero) meets a joint limit.
+    """
+
+    # Heights above the base, increasing, and the radii there; between them they are linear.
+    height: list[float] = _of(-0.2, -0.1, 0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
+    inner: list[float] = _of(0.30, 0.30, 0.30, 0.33, 0.32, 0.23, 0.15, 0.15, 0.15, 0.15, 0.15)
+    outer: list[float] = _of(0.72, 0.76, 0.78, 0.80, 0.79, 0.78, 0.74, 0.68, 0.60, 0.50, 0.32)
+
+
+@dc.dataclass
 class Posture:
     """Where the rest of the arm goes while the tool follows its path."""
 
@@ -43,17 +73,22 @@ class Posture:
     clearance: float = _number(0.1, "m", 0.0, 1.0, open_low=True)
     # Whether it is planned along the verified motion; else it is drawn to that of the start.
     plan: bool = True
+    # The joint, counted from the base, whose value tells apart the postures that hold the tool in
+    # one pose: the upper arm's roll.
+    roll_joint: int = _count(3, 1, 7)
     # The paper's reaction of the links in the null space, besides; null: none.
     coupling: NullSpaceCoupling | None = None
 
 
 @dc.dataclass
 class Robot:
-    """The arm that carries the tool. Welded to the world by `base_link`."""
+    """The arm that carries the tool: revolute joints in a row. The defaults are the Panda's."""
 
     # Drake's own Panda is package://drake_models/franka_description/urdf/panda_arm_hand.urdf
     model: str = "package://drake_oa/panda/panda_arm_hand.urdf"
+    # The base link is welded to the world in this pose.
     base_link: str = "panda_link0"
+    X_WB: BasePose = dc.field(default_factory=BasePose)
     # The tool point E is p_HE in the frame of the hand link H.
     hand_link: str = "panda_hand"
     p_HE: list[float] = _vector([0.0, 0.0, 0.1034], "m")
@@ -78,5 +113,30 @@ class Robot:
     # Mass of all of it, shared out by volume [kg].
     carried_mass: float = _number(0.5, "kg", 0.0, 20.0, open_low=True)
     gains: Gains = dc.field(default_factory=Gains)
+    # Null, or the default left to another model or tool point: found from what the arm reaches.
+    annulus: Annulus | None = dc.field(default_factory=Annulus)
     # The posture of an arm of seven joints is planned; null: it is drawn to that of the start.
     posture: Posture | None = dc.field(default_factory=Posture)
+
+
+def check_robot(robot: Robot) -> None:
+    """What no single field can tell.
+
+    Raises:
+        ScenarioError: naming the field.
+    """
+    if robot.annulus is None:
+        return
+    height, inner, outer = (getattr(robot.annulus, name) for name in ("height", "inner", "outer"))
+    if not 2 <= len(height) == len(inner) == len(outer):
+        raise ScenarioError(
+            "robot.annulus: height, inner and outer must have the same number of values, 2 or "
+            f"more, not {len(height)}, {len(inner)} and {len(outer)}"
+        )
+    if any(high <= low for low, high in pairwise(height)):
+        raise ScenarioError(f"robot.annulus.height: must increase [m], not {height}")
+    for row, (least, most) in enumerate(zip(inner, outer, strict=True)):
+        if not 0.0 <= least < most:
+            raise ScenarioError(
+                f"robot.annulus.inner[{row}]: {least:g} is outside [0, {most:g}), up to outer [m]"
+            )

@@ -22,6 +22,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.collision_shapes import outline_corners
+from drake_oa.geometry.shapes import pose
 from drake_oa.robot.config import Robot
 from drake_oa.robot.grasped_object import add_carried, part_carried, tool_links
 from drake_oa.robot.panda_inertias import with_uniform_density
@@ -58,7 +59,8 @@ def add_robot(
             raise ScenarioError(
                 f"robot.{field}: '{robot.model}' has no link '{link}'; it has {', '.join(names)}"
             )
-    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName(robot.base_link, instance))
+    base = plant.GetFrameByName(robot.base_link, instance)
+    plant.WeldFrames(plant.world_frame(), base, pose(robot.X_WB))
     plant.AddFrame(
         FixedOffsetFrame(
             TOOL_FRAME,

@@ -9,9 +9,9 @@ import numpy as np
 
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
 from drake_oa.common.thinking import count
+from drake_oa.geometry.annulus import ANYWHERE, Annulus, annulus_margin
 from drake_oa.geometry.points import GuardShapes, ObstaclePoints
 from drake_oa.posture.null_space_coupling import null_space_basis
-from drake_oa.robot.reachability import annulus_margin
 from drake_oa.safety import lookahead_kernels as kernels
 from drake_oa.safety.config import EvasionParameters, EvasionSettings
 
@@ -90,7 +90,7 @@ class Lookout:
         parameters: EvasionSettings,
         *,
         table_height: float = -math.inf,
-        annulus: FloatArray | None = None,
+        annulus: Annulus | None = None,
     ) -> None:
         """Takes what does not depend on the way.
 
@@ -101,13 +101,12 @@ class Lookout:
             age: time since the obstacles were seen [s].
             parameters: what is kept.
             table_height: least height of the tool point over the table [m].
-            annulus: (3, n) heights, and least and largest distance of the tool point from
-                the world's z axis there [m]; None: anywhere.
+            annulus: where the tool point may be; None: anywhere.
         """
         self._arm, self._parameters = arm, parameters
         self._obstacles = kernels.Obstacles(obstacles.blocks, float(age), table)
         self._height = table_height
-        self._annulus = np.zeros((3, 0)) if annulus is None else annulus
+        self._annulus = ANYWHERE if annulus is None else annulus
         self._times = parameters.times
         self._rules = kernels.LookaheadRules(
             damping=1e-5,

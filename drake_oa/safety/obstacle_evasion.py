@@ -34,6 +34,7 @@ from drake_oa.common.ports import (
     valid_period,
 )
 from drake_oa.common.thinking import Thinking, Thoughts
+from drake_oa.geometry.annulus import Annulus
 from drake_oa.geometry.collision_shapes import RobotModel
 from drake_oa.geometry.directions import ramped
 from drake_oa.geometry.points import GuardShapes, ObstaclePoints
@@ -111,7 +112,7 @@ class ObstacleEvasion(LeafSystem):
         turns: bool = True,
         table: TablePlane | None = None,
         table_height: float = -math.inf,
-        annulus: FloatArray | None = None,
+        annulus: Annulus | None = None,
         thinking: Thinking | None = None,
     ) -> None:
         """Declares the ports.
@@ -151,7 +152,7 @@ class ObstacleEvasion(LeafSystem):
         self._parameters = EvasionSettings(**derived | ({} if turns else {"turn_speed": 0.0}))
         check_values(self._parameters, "evasion")
         self._table, self._table_height = table, table_height
-        self._annulus = None if annulus is None else np.array(annulus, dtype=float)
+        self._annulus = annulus
         self._thinking = thinking
         self._n = n = plant.num_velocities()
 

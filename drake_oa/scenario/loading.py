@@ -19,6 +19,7 @@ from drake_oa.common.config import ScenarioError, apply_override, check, read_ya
 from drake_oa.geometry.shapes import check_shapes
 from drake_oa.perception.config import DepthCamera
 from drake_oa.policy.config import Turn
+from drake_oa.robot.config import check_robot
 from drake_oa.scenario.faults import CameraFault
 from drake_oa.scenario.obstacles import check_obstacles
 from drake_oa.scenario.perception import GivenEllipsoids, check_cameras, check_perception
@@ -100,6 +101,7 @@ def _check_whole(scenario: Scenario) -> None:
     check_obstacles(scenario.obstacles)
     if scenario.robot is not None:
         check_shapes(scenario.robot.carried, "robot.carried")
+        check_robot(scenario.robot)
     _check_turn(scenario.policy.turn)
     _check_faults(scenario)
     perception = scenario.perception

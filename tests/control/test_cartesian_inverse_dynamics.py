@@ -21,6 +21,7 @@ from drake_oa.control.operational_space import CartesianGains
 from drake_oa.geometry.rotation import rotation_vector
 
 START, GOAL = np.array([0.45, -0.4, 0.3]), np.array([0.45, 0.4, 0.3])
+TOOL = "panda_hand_tcp"
 Q_ARM = np.array([-0.7401, 0.1857, 0.0143, -1.9017, -0.003, 2.0874, 0.0608])
 Q_START = np.append(Q_ARM, [0.04, 0.04])
 EFFORT = np.array([87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0])
@@ -48,7 +49,7 @@ def model() -> MultibodyPlant:
 
 @pytest.fixture(scope="module")
 def controller(model: MultibodyPlant) -> CartesianInverseDynamics:
-    return CartesianInverseDynamics(model, R_WE_desired=DOWN, q_posture=Q_ARM)
+    return CartesianInverseDynamics(model, R_WE_desired=DOWN, q_posture=Q_ARM, tool_frame=TOOL)
 
 
 def fixed(
@@ -74,7 +75,7 @@ def read(system: CartesianInverseDynamics, name: str, context: Context) -> np.nd
 
 
 def test_five_lines_evaluate_it_alone(model: MultibodyPlant) -> None:
-    system = CartesianInverseDynamics(model, R_WE_desired=DOWN, q_posture=Q_START)
+    system = CartesianInverseDynamics(model, R_WE_desired=DOWN, q_posture=Q_START, tool_frame=TOOL)
     context = fixed(system)
     assert read(system, "actuation", context).shape == (9,)
     assert read(system, "torque_saturation", context) == 0.0
@@ -100,7 +101,7 @@ def test_the_torque_gives_the_asked_tool_acceleration(
     context = fixed(controller, v=v, ddp=asked)
     plant = model.CreateDefaultContext()
     model.SetPositionsAndVelocities(plant, np.concatenate([Q_START, v]))
-    frame = model.GetFrameByName("panda_hand_tcp")
+    frame = model.GetFrameByName(TOOL)
     V = frame.CalcSpatialVelocityInWorld(plant)
     X = frame.CalcPoseInWorld(plant)
     model.get_actuation_input_port().FixValue(plant, read(controller, "actuation", context))
@@ -168,7 +169,8 @@ def test_a_state_that_is_not_finite_gives_no_arm_torque(
 
 def test_wrong_arguments_say_what_is_valid(model: MultibodyPlant) -> None:
     def make(plant: MultibodyPlant = model, **changes: object) -> None:
-        CartesianInverseDynamics(plant, **({"R_WE_desired": DOWN, "q_posture": Q_ARM} | changes))
+        options = {"R_WE_desired": DOWN, "q_posture": Q_ARM, "tool_frame": TOOL}
+        CartesianInverseDynamics(plant, **(options | changes))
 
     with pytest.raises(ValueError, match="no frame 'gripper'"):
         make(tool_frame="gripper")
@@ -232,7 +234,8 @@ class Run:
 def simulate(model: MultibodyPlant, motion: Motion, duration: float, *, hold: float = 0.0) -> Run:
     builder = DiagramBuilder()
     plant = panda(builder.AddSystem(MultibodyPlant(0.001)))
-    system = builder.AddSystem(CartesianInverseDynamics(model, R_WE_desired=DOWN, q_posture=Q_ARM))
+    law = CartesianInverseDynamics(model, R_WE_desired=DOWN, q_posture=Q_ARM, tool_frame=TOOL)
+    system = builder.AddSystem(law)
     source = builder.AddSystem(_Source(motion))
     for name in ("desired_position", "desired_velocity", "desired_acceleration"):
         port = source.GetOutputPort(name)
@@ -260,7 +263,7 @@ def simulate(model: MultibodyPlant, motion: Motion, duration: float, *, hold: fl
     x = logs[0].data()
     distance, angle = [], []
     probe = model.CreateDefaultContext()
-    frame = model.GetFrameByName("panda_hand_tcp")
+    frame = model.GetFrameByName(TOOL)
     for t, state in zip(logs[0].sample_times(), x.T, strict=True):
         model.SetPositionsAndVelocities(probe, state)
         X_WE = frame.CalcPoseInWorld(probe)
@@ -339,12 +342,14 @@ def test_another_orientation_and_gains_are_taken(model: MultibodyPlant) -> None:
         model,
         R_WE_desired=R,
         q_posture=Q_ARM,
+        tool_frame=TOOL,
         gains=CartesianGains(kp_orientation=0.0, kp_posture=0.0),
     )
     reference = CartesianInverseDynamics(
         model,
         R_WE_desired=DOWN,
         q_posture=Q_ARM,
+        tool_frame=TOOL,
         gains=CartesianGains(kp_orientation=0.0, kp_posture=0.0),
     )
     np.testing.assert_allclose(
@@ -392,7 +397,7 @@ def test_the_orientation_is_the_quaternions_of_any_sign_and_length(
     model: MultibodyPlant, controller: CartesianInverseDynamics, factor: float
 ) -> None:
     R = RollPitchYaw(2.9, 0.1, 0.3).ToRotationMatrix()
-    reference = CartesianInverseDynamics(model, R_WE_desired=R, q_posture=Q_ARM)
+    reference = CartesianInverseDynamics(model, R_WE_desired=R, q_posture=Q_ARM, tool_frame=TOOL)
     context = asked(
         controller, fixed(controller), desired_orientation=factor * R.ToQuaternion().wxyz()
     )
@@ -437,7 +442,7 @@ def test_angular_rates_are_fed_forward(
     )
     plant = model.CreateDefaultContext()
     model.SetPositions(plant, Q_START)
-    frame = model.GetFrameByName("panda_hand_tcp")
+    frame = model.GetFrameByName(TOOL)
     model.get_actuation_input_port().FixValue(plant, read(controller, "actuation", context))
     model.get_applied_generalized_force_input_port().FixValue(plant, np.zeros(9))
     turning = frame.CalcSpatialAccelerationInWorld(plant).rotational()
@@ -453,7 +458,7 @@ def test_posture_and_null_space_do_not_move_the_tool(
 ) -> None:
     plant = model.CreateDefaultContext()
     model.SetPositions(plant, Q_START)
-    frame = model.GetFrameByName("panda_hand_tcp")
+    frame = model.GetFrameByName(TOOL)
     model.get_applied_generalized_force_input_port().FixValue(plant, np.zeros(9))
     found = []
     for ports in (

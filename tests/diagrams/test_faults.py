@@ -28,7 +28,7 @@ from drake_oa.common.wires import LOG_PERIOD
 from drake_oa.diagrams import policy, route, view
 from drake_oa.diagrams.avoidance import Layers, build_avoidance
 from drake_oa.diagrams.policy import make_dmp
-from drake_oa.diagrams.route import make_cost_ring_selector, robot_annulus
+from drake_oa.diagrams.route import make_cost_ring_selector
 from drake_oa.regulation.config import SearchParameters
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.report import motion_report
@@ -481,20 +481,6 @@ def test_the_limits_rings_are_those_of_the_robot_as_it_holds_its_tool(
         inside, outside = given["workspace"](at)
         assert inside > 0.0
         assert outside < -0.5
-
-
-@pytest.mark.parametrize(
-    ("overrides", "known"),
-    [
-        ([], True),
-        (["robot.rpy_WE=[2.95, 0.0, 0.0]"], True),
-        (["robot.rpy_WE=[2.8, 0.0, 0.0]"], False),
-        (["robot.model=package://other/arm.urdf"], False),
-        (["robot=null", "perception=!GivenEllipsoids {}"], False),
-    ],
-)
-def test_the_annulus_is_that_of_a_panda_held_tool_down(overrides: list[str], known: bool) -> None:
-    assert (robot_annulus(load_scenario("tabletop_box", overrides).robot) is not None) == (known)
 
 
 def test_a_world_without_obstacles_is_told(caplog: pytest.LogCaptureFixture) -> None:

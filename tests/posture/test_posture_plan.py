@@ -12,7 +12,6 @@ from pydrake.math import RotationMatrix
 from drake_oa.common.messages import ObstacleClouds, TablePlane
 from drake_oa.posture.arm_surroundings import ArmSurroundings
 from drake_oa.posture.posture_plan import (
-    REDUNDANT,
     PostureParameters,
     PosturePlan,
     _leaving,
@@ -21,6 +20,9 @@ from drake_oa.posture.posture_plan import (
 )
 from drake_oa.robot import arm_kernels as kernels
 from drake_oa.robot.arm import ArmModel
+
+ROLL = 2
+"""The upper arm's roll, whose value tells postures apart."""
 
 START, GOAL = np.array([0.6, -0.3, 0.3]), np.array([0.4, 0.3, 0.3])
 SECONDS = 5.0
@@ -77,10 +79,10 @@ def test_a_free_arm_goes_where_its_null_space_would_rest(arm: ArmModel) -> None:
     target = arm.poses(q)[-1]
     for turn in (-0.3, 0.3):
         other = np.array(q)
-        other[REDUNDANT] += turn
+        other[ROLL] += turn
         X_WB = np.empty((8, 4, 4))
         assert kernels.reach(
-            other, target[:3, 3].copy(), target[:3, :3].copy(), REDUNDANT, np.array(arm.X_PJ),
+            other, target[:3, 3].copy(), target[:3, :3].copy(), ROLL, np.array(arm.X_PJ),
             X_WB, 8, 1e-6,
         )  # fmt: skip
         assert away(arm, q) < away(arm, other)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from drake_oa.common.messages import EllipsoidSet, ObstacleClouds, PolicyState, TablePlane
+from drake_oa.geometry.annulus import Annulus
 from drake_oa.policy.action import SCALED_TO_REST
 from drake_oa.policy.dmp import imitate, local_frame, minimum_jerk
 from drake_oa.posture.posture_planner import ArmSight, ArmWay, WholeArm
@@ -231,7 +232,7 @@ def test_a_point_has_to_be_over_the_table_and_in_the_workspace(regulator: ArmReg
         0.1,
         parameters=SearchParameters(),
         table_height=0.05,
-        annulus=np.array([[0.0, 1.0], [0.3, 0.3], [0.7, 0.7]]),
+        annulus=Annulus(np.array([[0.0, 1.0], [0.3, 0.3], [0.7, 0.7]])),
     )
     points = np.array([[0.5, 0.0, 0.1], [0.5, 0.0, 0.04], [0.2, 0.0, 0.1], [0.8, 0.0, 0.1]])
     np.testing.assert_array_equal(of_tool.inside(points, TABLE), [True, False, False, False])

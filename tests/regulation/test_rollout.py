@@ -19,6 +19,7 @@ from pydrake.systems.analysis import Simulator
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import CouplingParameters, EllipsoidSet, FloatArray, IntArray
+from drake_oa.geometry.annulus import Annulus
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
@@ -164,6 +165,9 @@ def assert_agree(found: SpatialRollouts, expected: SpatialRollouts) -> None:
         )
 
 
+_RADII = [[-5.0, 5.0], [0.1, 0.1], [2.5, 3.0]]
+
+
 @pytest.mark.parametrize(
     ("M", "speed", "limits"),
     [
@@ -171,7 +175,11 @@ def assert_agree(found: SpatialRollouts, expected: SpatialRollouts) -> None:
         (1, 0.0, {}),
         (6, 0.2, {}),
         (1, 0.2, {"plane": 0.1}),
-        (6, 0.0, {"plane": 0.1, "annulus": [[-5.0, 5.0], [0.1, 0.1], [2.5, 3.0]]}),
+        (
+            6,
+            0.0,
+            {"plane": 0.1, "annulus": _RADII, "axis": [0.2, -0.1]},
+        ),
     ],
 )
 def test_it_is_the_motion_of_the_readable_form(
@@ -183,7 +191,10 @@ def test_it_is_the_motion_of_the_readable_form(
         scenes = replace(
             scenes,
             plane=np.column_stack([up, scenes.p_WE[:, 2] - limits["plane"]]),
-            annulus=np.array(limits.get("annulus", np.zeros((3, 0)))),
+            annulus=Annulus(
+                np.array(limits.get("annulus", np.zeros((3, 0)))),
+                np.array(limits.get("axis", np.zeros(2))),
+            ),
         )
     scene, terms = random_terms(scenes, 5)
     seconds = np.random.default_rng(5).uniform(1.0, 5.0, len(scene))
@@ -376,7 +387,10 @@ def moved(scene: Scene, Q: FloatArray, shift: FloatArray, scale: float = 1.0) ->
             v_WO=scale * scenes.v_WO @ Q.T,
             clearance=scale * scenes.clearance,
             plane=plane,
-            annulus=scale * scenes.annulus,
+            annulus=Annulus(
+                scale * scenes.annulus.radii + [[shift[2]], [0.0], [0.0]],
+                place(np.append(scenes.annulus.axis, 0.0))[:2],
+            ),
         ),
         again,
     )
@@ -422,11 +436,15 @@ def test_it_moves_and_mirrors_with_the_scene(seed: int, mirror: bool) -> None:
 @given(seed=seeds, angle=st.floats(-3.1, 3.1), power=st.floats(-3.0, 3.0))
 def test_the_workspace_turns_about_the_vertical(seed: int, angle: float, power: float) -> None:
     scene, scale = random_scene(seed), 10.0**power
-    limits = np.array([[-4.0, 0.0, 1.0, 4.0], [0.1, 0.3, 0.2, 0.1], [3.0, 6.0, 4.0, 2.0]])
+    limits = Annulus(
+        np.array([[-4.0, 0.0, 1.0, 4.0], [0.1, 0.3, 0.2, 0.1], [3.0, 6.0, 4.0, 2.0]]),
+        np.array([0.3, -0.2]),
+    )
     within = replace(scene[0], annulus=limits), scene[1]
     Q = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
-    again = moved(within, Q, np.zeros(3), scale)
-    assert_same(roll_out(within), roll_out(again), Q, np.zeros(3), scale)
+    shift = scale * np.array([1.0, -2.0, 0.5])
+    again = moved(within, Q, shift, scale)
+    assert_same(roll_out(within), roll_out(again), Q, shift, scale)
 
 
 @FEW
@@ -519,7 +537,7 @@ def test_odd_but_finite_scenes_yield_finite_motions(
         p_WO=p_WO,
         semi_axes=scenes.semi_axes * [1.0, 1.0, thin],
         plane=np.array([[0.0, 0.0, 1.0, 0.0]]),
-        annulus=size * np.array([[0.0, 1.0], [0.1, 0.1], [1.0, 1.0]]),
+        annulus=Annulus(size * np.array([[0.0, 1.0], [0.1, 0.1], [1.0, 1.0]])),
     )
     terms[0, [ALPHA, PSI, KAPPA]] = alpha, psi, kappa
     if about_obstacle:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from drake_oa.common.config import check_values
+from drake_oa.geometry.annulus import Annulus
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.policy.coupling import ALPHA as ALPHA_COLUMN
 from drake_oa.policy.coupling import NORMAL
@@ -151,7 +152,7 @@ def test_the_workspace_is_respected(chain: ChainWeights) -> None:
         semi_axes=np.array([[[0.08, 0.08, 0.4]]]),
     )
     assert (followed(moved, verify(moved, chain, duration=DURATION))[0][:, 1]).min() < 0.45
-    annulus = np.array([[-1.0, 1.0], [0.45, 0.45], [2.0, 2.0]])
+    annulus = Annulus(np.array([[-1.0, 1.0], [0.45, 0.45], [2.0, 2.0]]))
     found = verify(replace(moved, annulus=annulus), chain, duration=DURATION, parameters=QUICK)
     assert found.kept
     assert followed(moved, found)[0][:, 1].min() > 0.44
@@ -160,7 +161,7 @@ def test_the_workspace_is_respected(chain: ChainWeights) -> None:
 def test_what_cannot_be_kept_is_said(chain: ChainWeights) -> None:
     # Between two plates 0.12 m apart nobody keeps 0.1 m; the world around is forbidden.
     posed = scenes([[0.5, 3.06, 0.0], [0.5, -3.06, 0.0]], [0.2, 3.0, 2.0])
-    annulus = np.array([[-0.05, 0.05], [0.0, 0.0], [1.1, 1.1]])
+    annulus = Annulus(np.array([[-0.05, 0.05], [0.0, 0.0], [1.1, 1.1]]))
     found = verify(replace(posed, annulus=annulus), chain, duration=DURATION, parameters=QUICK)
     assert not found.kept
     assert 0.03 < found.shortfall < 0.06

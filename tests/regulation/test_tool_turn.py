@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drake_oa.common.messages import FloatArray, ObstacleClouds, PolicyState
+from drake_oa.geometry.annulus import Annulus
 from drake_oa.geometry.rotation import turned_about, unit_axis
 from drake_oa.policy.dmp import imitate, local_frame, minimum_jerk
 from drake_oa.regulation.config import SearchParameters
@@ -77,7 +78,7 @@ def turner(**changes: float) -> ToolTurner:
     weights = load_chain(package_file("package://drake_oa/weights/regressor_chain.safetensors"))
     dmp = imitate(*minimum_jerk(START, GOAL, duration=5.0))
     # Not above 0.5 m: there is no way over the posts.
-    annulus = np.array([[0.1, 0.5], [0.0, 0.0], [5.0, 5.0]])
+    annulus = Annulus(np.array([[0.1, 0.5], [0.0, 0.0], [5.0, 5.0]]))
     regulator = Regulator(weights, dmp, 0.03, parameters=QUICK, annulus=annulus)
     parameters = TurnParameters(step=np.pi / 4.0, **changes)
     return ToolTurner(tool(), regulator, dmp.duration, parameters, free_W=START[None])
@@ -208,7 +209,7 @@ def test_the_mirrored_and_the_turned_world_are_passed_alike(chosen: TurnChoice) 
     there = replace(here, p_WE=about[0], p_WS=about[0], p_WG=about[1], R_WL=local_frame(*about))
     weights = load_chain(package_file("package://drake_oa/weights/regressor_chain.safetensors"))
     dmp = imitate(*minimum_jerk(START, GOAL, duration=5.0))
-    annulus = np.array([[0.1, 0.5], [0.0, 0.0], [5.0, 5.0]])
+    annulus = Annulus(np.array([[0.1, 0.5], [0.0, 0.0], [5.0, 5.0]]))
     R = turned_about(np.eye(3), UP, 1.0).T
     turning = ToolTurner(
         TurningTool.of([turned_about(part, UP, 1.0) for part in PARTS], UP, R),

@@ -18,6 +18,7 @@ from drake_oa.common.messages import (
     Route,
     TablePlane,
 )
+from drake_oa.geometry.annulus import Annulus
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk
@@ -25,7 +26,6 @@ from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.regulation.config import SearchParameters
 from drake_oa.regulation.regressor import ChainWeights, load_chain
 from drake_oa.regulation.verified_regressor_chain import VerifiedRegressorChain
-from drake_oa.robot.reachability import tool_down_annulus, tool_down_radii
 from drake_oa.route.cost_ring_selector import TakenRoute
 from drake_oa.scenario.loading import package_file
 
@@ -225,7 +225,7 @@ def test_the_table_and_the_workspace_shut_sides(weights: ChainWeights, dmp: Dmp)
     assert up(inputs={"ellipsoids_W": seen(high, table=TablePlane(offset=0.2))}) > -0.3
     # The port goes before the table that was seen.
     assert up(inputs={"table": TablePlane(offset=0.2)}) > -0.3
-    shut = np.array([[0.2, 1.0], [0.0, 0.0], [2.0, 2.0]])
+    shut = Annulus(np.array([[0.2, 1.0], [0.0, 0.0], [2.0, 2.0]]))
     assert up(annulus=shut) > -0.3
 
 
@@ -300,10 +300,10 @@ def test_a_wrong_type_on_a_port_is_refused_by_its_name(bench: Bench, port: str) 
         ({"clearance": 0.0}, "clearance must be finite and positive"),
         ({"clearance": np.nan}, "clearance must be finite and positive"),
         ({"period": -1.0}, "period must be positive"),
-        ({"annulus": np.zeros((2, 4))}, r"annulus must be \(3, n\) .* not \(2, 4\)"),
-        ({"annulus": np.zeros((3, 1))}, r"annulus must be \(3, n\) .* not \(3, 1\)"),
-        ({"annulus": np.zeros((3, 2))}, "heights increasing"),
-        ({"annulus": np.full((3, 2), np.nan)}, "annulus must be finite"),
+        ({"annulus": Annulus(np.zeros((2, 4)))}, r"annulus.radii must be \(3, n\) .* not \(2, 4\)"),
+        ({"annulus": Annulus(np.zeros((3, 1)))}, r"annulus.radii must be \(3, n\) .* not \(3, 1\)"),
+        ({"annulus": Annulus(np.zeros((3, 2)))}, "heights increasing"),
+        ({"annulus": Annulus(np.full((3, 2), np.nan))}, "annulus must be finite"),
         ({"table_height": np.nan}, "table_height must be finite"),
         ({"dmp": imitate(*minimum_jerk((0.0, 0.0), (1.0, 0.0)))}, "dmp must have 3 dimensions"),
     ],
@@ -319,12 +319,6 @@ def test_bad_construction_is_refused(
 def test_weights_of_another_type_are_refused(dmp: Dmp) -> None:
     with pytest.raises(TypeError, match=r"ChainWeights .* not str"):
         VerifiedRegressorChain("weights.npz", dmp, CLEARANCE)  # type: ignore[arg-type]
-
-
-def test_the_annulus_of_the_panda_fits(weights: ChainWeights, dmp: Dmp) -> None:
-    annulus = tool_down_annulus()
-    VerifiedRegressorChain(weights, dmp, CLEARANCE, annulus=annulus)
-    np.testing.assert_array_equal(annulus[1:], tool_down_radii(annulus[0]))
 
 
 def test_the_route_that_is_shown_is_the_one_that_is_taken() -> None:

@@ -9,12 +9,14 @@ from pydrake.systems.framework import DiagramBuilder
 
 from drake_oa.common.messages import ObstacleClouds, TablePlane
 from drake_oa.posture.arm_surroundings import ArmSurroundings
-from drake_oa.posture.posture_plan import REDUNDANT
 from drake_oa.robot import arm_kernels as kernels
 from drake_oa.robot.arm import ArmModel
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotPlant, add_robot
 from tests.builders import arm_of
+
+ROLL = 2
+"""The upper arm's roll, whose value tells postures apart."""
 
 TOOL = ("panda_hand", "panda_leftfinger", "panda_rightfinger")
 
@@ -102,22 +104,20 @@ def test_newton_finds_the_posture_with_one_joint_given(arm: ArmModel, value: flo
     q = np.array(arm.posture)
     target = arm.poses(q)[-1]
     X_WB = np.empty((8, 4, 4))
-    for joint in np.linspace(q[REDUNDANT], value, 12):
-        q[REDUNDANT] = joint
+    for joint in np.linspace(q[ROLL], value, 12):
+        q[ROLL] = joint
         assert kernels.reach(
-            q, target[:3, 3].copy(), target[:3, :3].copy(), REDUNDANT, np.array(arm.X_PJ), X_WB,
+            q, target[:3, 3].copy(), target[:3, :3].copy(), ROLL, np.array(arm.X_PJ), X_WB,
             8, 1e-6,
         )  # fmt: skip
-    assert q[REDUNDANT] == pytest.approx(value)
+    assert q[ROLL] == pytest.approx(value)
     np.testing.assert_allclose(arm.poses(q)[-1], target, atol=1e-5)
 
 
 def test_newton_says_what_is_out_of_reach(arm: ArmModel) -> None:
     q, X_WB = np.array(arm.posture), np.empty((8, 4, 4))
     p_WE = np.array([1.4, 0.0, 0.5])
-    assert not kernels.reach(
-        q, p_WE, np.array(arm.R_WE), REDUNDANT, np.array(arm.X_PJ), X_WB, 8, 1e-6
-    )
+    assert not kernels.reach(q, p_WE, np.array(arm.R_WE), ROLL, np.array(arm.X_PJ), X_WB, 8, 1e-6)
 
 
 def test_points_are_thinned_and_moved_with_their_obstacle(arm: ArmModel) -> None:

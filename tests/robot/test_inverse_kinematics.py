@@ -1,18 +1,15 @@
-"""Inverse kinematics of the Panda and the cheap picture of its workspace."""
+"""Inverse kinematics of the Panda."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 
 from drake_oa.robot.inverse_kinematics import solve_tool_pose
 from drake_oa.robot.plant import RobotPlant
-from drake_oa.robot.reachability import tool_down_margin, tool_down_radii
 
 DOWN = RollPitchYaw(np.pi, 0.0, 0.0).ToRotationMatrix()
 Q_START = np.array([-0.7401, 0.1857, 0.0143, -1.9017, -0.003, 2.0874, 0.0608, 0.02, 0.03])
@@ -112,64 +109,3 @@ def test_wrong_arguments_say_what_is_valid(plant: MultibodyPlant) -> None:
         solve_tool_pose(plant, "gripper", X, Q_START)
     with pytest.raises(ValueError, match="finite"):
         solve_tool_pose(plant, TOOL, RigidTransform(DOWN, [np.nan, 0.0, 0.3]), Q_START)
-
-
-@pytest.mark.parametrize(
-    ("height", "inner", "outer"),
-    [(0.1, 0.33, 0.80), (0.3, 0.23, 0.78), (0.5, 0.15, 0.68), (0.7, 0.15, 0.50)],
-)
-def test_the_radii_are_those_of_the_reference(height: float, inner: float, outer: float) -> None:
-    assert tool_down_radii(np.array(height)) == (pytest.approx(inner), pytest.approx(outer))
-
-
-@pytest.mark.parametrize("height", [-0.15, 0.1, 0.3, 0.6])
-def test_the_inside_is_in_reach_and_well_outside_is_not(
-    plant: MultibodyPlant, height: float
-) -> None:
-    inner, outer = tool_down_radii(np.array(height))
-    for radius in (inner + 0.005, 0.5 * (inner + outer), outer - 0.005):
-        for azimuth in (-1.0, 0.6):
-            p = np.array([radius * np.cos(azimuth), radius * np.sin(azimuth), height])
-            assert tool_down_margin(p) > 0.0
-            # The tool may turn about the vertical: here it turns with the arm.
-            solve(plant, p, RotationMatrix.MakeZRotation(azimuth) @ DOWN)
-    beyond = np.array([outer + 0.05, 0.0, height])
-    assert tool_down_margin(beyond) < 0.0
-    with pytest.raises(ValueError, match="out of reach"):
-        solve(plant, beyond, thorough=False)
-
-
-@given(
-    st.lists(st.tuples(*[st.floats(-1.5, 1.5)] * 3), min_size=1, max_size=10),
-)
-@settings(deadline=None)
-def test_the_margin_of_many_points_is_that_of_each(points: list[tuple[float, ...]]) -> None:
-    p = np.array(points)
-    margin = tool_down_margin(p)
-    assert margin.shape == (len(points),)
-    np.testing.assert_array_equal(margin, [tool_down_margin(row) for row in p])
-    np.testing.assert_array_equal(tool_down_margin(np.stack([p, p])), np.stack([margin, margin]))
-    shift = np.array([0.1, -0.2, 0.3])
-    np.testing.assert_allclose(tool_down_margin(p + shift, shift), margin, atol=1e-9)
-
-
-def test_the_margin_is_a_distance_across_the_annulus() -> None:
-    np.testing.assert_allclose(
-        tool_down_margin(
-            np.array([[0.33, 0, 0.3], [0.68, 0, 0.3], [0.13, 0, 0.3], [0.88, 0, 0.3]])
-        ),
-        [0.1, 0.1, -0.1, -0.1],
-        atol=1e-12,
-    )
-
-
-def test_behind_the_base_above_and_below_are_outside() -> None:
-    outside = np.array([[-0.5, 0.0, 0.3], [0.3, 0.0, 0.9], [0.5, 0.0, -0.3], [0.0, 0.0, 0.3]])
-    assert np.all(tool_down_margin(outside) < 0.0)
-
-
-def test_points_that_are_not_finite_or_not_points() -> None:
-    assert np.isnan(tool_down_margin(np.array([np.nan, 0.0, 0.3])))
-    assert tool_down_margin(np.zeros((0, 3))).shape == (0,)
-    with pytest.raises(ValueError, match=r"must be \(\.\.\., 3\)"):
-        tool_down_margin(np.zeros((3, 2)))

@@ -12,13 +12,15 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.diagrams.route import robot_reachability
+from drake_oa.geometry.annulus import sector_margin
 from drake_oa.robot import reachability as kernels
 from drake_oa.robot.arm import ArmModel
 from drake_oa.robot.arm_kernels import poses
 from drake_oa.robot.config import Robot
 from drake_oa.robot.inverse_kinematics import solve_pose, solve_tool_pose
 from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
-from drake_oa.robot.reachability import Reachability, reachability, tool_down_margin
+from drake_oa.robot.reachability import Reachability, reachability
+from drake_oa.robot.tool_down import given_annulus
 from tests.builders import arm_of
 
 ROBOT = Robot()
@@ -64,7 +66,9 @@ def test_its_edge_is_where_drakes_inverse_kinematics_ends(direction: tuple[float
 def test_it_holds_the_fitted_annulus() -> None:
     rng = np.random.default_rng(3)
     p = rng.uniform([-0.8, -0.8, -0.2], [0.8, 0.8, 0.8], (4000, 3))
-    inside = tool_down_margin(p) > 0.01
+    annulus = given_annulus(ROBOT)
+    assert annulus is not None
+    inside = sector_margin(p, annulus, arm().upper[0]) > 0.01
     assert inside.sum() > 500
     assert (mapped().reach_margin(p[inside]) > 0.0).all()
 

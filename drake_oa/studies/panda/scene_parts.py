@@ -16,7 +16,9 @@ import numpy as np
 from pydrake.systems.sensors import CameraConfig
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.robot.reachability import tool_down_margin
+from drake_oa.geometry.annulus import Annulus, sector_margin
+from drake_oa.robot.plant import make_robot_plant
+from drake_oa.robot.tool_down import given_annulus
 from drake_oa.scenario.loading import load_scenario, parse_scenario
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario
@@ -168,10 +170,20 @@ def draw_ends(random: np.random.Generator, tally: Tally) -> tuple[FloatArray, Fl
     return (start, goal) if tally.takes("pairs of start and goal", _not_ends(start, goal)) else None
 
 
+@lru_cache(maxsize=1)
+def _workspace() -> tuple[Annulus, float]:
+    """The tool-down workspace about the base, and the first joint's limit [rad]."""
+    robot = base_scenario().robot
+    annulus = None if robot is None else given_annulus(robot)
+    if robot is None or annulus is None:
+        raise RuntimeError(f"{LIKE}: scenes are drawn in the robot's annulus, and it has none")
+    return annulus, float(make_robot_plant(robot).plant.GetPositionUpperLimits()[0])
+
+
 def _not_ends(start: FloatArray, goal: FloatArray) -> str:
     if not _BASELINE[0] <= np.linalg.norm(goal - start) <= _BASELINE[1]:
         return "not 0.5 to 1.0 m apart"
-    if tool_down_margin(np.linspace(start, goal, 41)).min() < _REACH_MARGIN:
+    if sector_margin(np.linspace(start, goal, 41), *_workspace()).min() < _REACH_MARGIN:
         return "the line leaves the workspace of a tool that points down"
     return ""
 
