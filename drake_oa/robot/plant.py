@@ -43,12 +43,13 @@ def add_robot(
 ) -> ModelInstanceIndex:
     """Adds the arm, welds its base to the world, adds the tool frame E."""
     parser = make_parser(plant)
+    url = robot.model if "://" in robot.model else Path(robot.model).absolute().as_uri()
     try:
         if uniform_density:
-            urdf = Path(parser.package_map().ResolveUrl(robot.model)).read_text()
+            urdf = Path(parser.package_map().ResolveUrl(url)).read_text()
             (instance,) = parser.AddModelsFromString(with_uniform_density(urdf), "urdf")
         else:
-            (instance,) = parser.AddModels(url=robot.model)
+            (instance,) = parser.AddModels(url=url)
     except ScenarioError:
         raise
     except (RuntimeError, ValueError) as error:

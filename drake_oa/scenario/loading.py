@@ -149,6 +149,7 @@ def _resolve_files(data: dict[str, Any], base: Path) -> None:
         ("perception", "folder"),
         ("task", "demonstration"),
         ("policy", "weights"),
+        ("robot", "model"),
     ):
         block = data.get(name)
         if not isinstance(block, dict):

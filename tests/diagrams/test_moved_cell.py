@@ -30,6 +30,11 @@ directives:
     parent: world
     child: table::body
     X_PC: {{translation: {place}, rotation: !Rpy {{deg: [0, 0, {degrees}]}}}}
+- add_model: {{name: camera_mount, file: package://drake_oa/scenes/camera_mount.sdf}}
+- add_weld:
+    parent: world
+    child: camera_mount::body
+    X_PC: {{translation: {mount}, rotation: !Rpy {{deg: [0, 0, {looks}]}}}}
 """
 _GIVEN = """
 perception: !GivenEllipsoids
@@ -42,10 +47,36 @@ obstacles:
 """
 
 
+_SEEN = """
+perception: !DepthCamera {camera: camera}
+obstacles:
+- {name: box, shapes: [!Box {size: [0.1, 0.2, 0.3]}], translation: [0.52, 0.03, 0.15]}
+cameras:
+- name: camera
+  width: 320
+  height: 240
+  focal: !FovDegrees {x: 58.0, y: 45.0}
+  z_near: 0.8
+  z_far: 3.5
+  X_PB: {base_frame: camera_mount::camera}
+  renderer_name: vtk
+  renderer_class: RenderEngineVtk
+  fps: 30
+  rgb: false
+  depth: true
+"""
+
+
 def cell(X_WN: RigidTransform, blocks: str) -> Scenario:
-    """A cell whose robot, table, task and obstacles are moved."""
+    """A cell whose robot, table, camera, task and obstacles are moved."""
     p, yaw = X_WN.translation().tolist(), float(RollPitchYaw(X_WN.rotation()).yaw_angle())
-    text = _CELL.format(place=p, height=p[2], degrees=float(np.rad2deg(yaw)))
+    text = _CELL.format(
+        place=p,
+        height=p[2],
+        degrees=float(np.rad2deg(yaw)),
+        mount=(X_WN @ np.array([1.2473, 0.2902, 0.0])).tolist(),
+        looks=float(np.rad2deg(yaw)) + 20.0,
+    )
     scenario = parse_scenario(text + blocks)
     task, robot = scenario.task, scenario.robot
     assert robot is not None
@@ -71,6 +102,7 @@ def moved(X: RigidTransform) -> tuple[list[float], list[float]]:
 @pytest.mark.parametrize(
     ("blocks", "duration", "apart", "joints"),
     [
+        (_SEEN, 0.5, 0.01, 0.1),
         (_GIVEN + "robot: {posture: null}", 1.0, 1e-6, 1e-6),
         (_GIVEN + "regulation: !Regressor {guided: true}", 1.0, 1e-6, 1e-6),
         (_TRUTH + "regulation: !Regressor {}", 0.8, 2e-3, 4e-3),

@@ -1,0 +1,106 @@
+"""An arm of six joints without fingers, which is not the Panda in anything but its task."""
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drake_oa.common.config import ScenarioError
+from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.diagrams.route import robot_annulus, robot_reachability
+from drake_oa.runs.simulation import simulate
+from drake_oa.scenario.loading import load_scenario
+from drake_oa.scenario.scenario import Scenario
+
+# Joints of the size of a UR5e's: name, xyz and rpy in the link before, and the size of the box
+# that is the link, from its joint along x, y or z to the next.
+_LINKS = [
+    ("pan", "0 0 0.1625", "0 0 0", "0.12 0.12 0.12", "0 0 0"),
+    ("lift", "0 0 0", "1.5707963 0 0", "0.425 0.1 0.1", "-0.2125 0 0.13"),
+    ("elbow", "-0.425 0 0", "0 0 0", "0.392 0.08 0.08", "-0.196 0 0.02"),
+    ("wrist1", "-0.3922 0 0.1333", "0 0 0", "0.08 0.1 0.08", "0 -0.02 0"),
+    ("wrist2", "0 -0.0997 0", "1.5707963 0 0", "0.08 0.1 0.08", "0 0.02 0"),
+    ("wrist3", "0 0.0996 0", "1.5707963 3.1415927 3.1415927", "0.08 0.08 0.04", "0 0 -0.02"),
+]
+
+
+def _body(name: str, size: str, at: str) -> str:
+    shape = f'<origin xyz="{at}"/><geometry><box size="{size}"/></geometry>'
+    return f"""
+  <link name="{name}">
+    <inertial>
+      <origin xyz="{at}"/><mass value="3"/>
+      <inertia ixx="0.03" iyy="0.03" izz="0.03" ixy="0" ixz="0" iyz="0"/>
+    </inertial>
+    <collision>{shape}</collision><visual>{shape}</visual>
+  </link>"""
+
+
+def arm_text() -> str:
+    parts, parent = [_body("foot", "0.15 0.15 0.08", "0 0 0.04")], "foot"
+    for name, xyz, rpy, size, at in _LINKS:
+        parts.append(_body(name, size, at))
+        parts.append(f"""
+  <joint name="{name}_joint" type="revolute">
+    <parent link="{parent}"/><child link="{name}"/><axis xyz="0 0 1"/>
+    <origin xyz="{xyz}" rpy="{rpy}"/>
+    <limit lower="-6.28" upper="6.28" velocity="3.14" effort="150"/>
+  </joint>
+  <transmission name="{name}">
+    <type>transmission_interface/SimpleTransmission</type>
+    <joint name="{name}_joint"/><actuator name="{name}_motor"/>
+  </transmission>""")
+        parent = name
+    return f'<?xml version="1.0"?>\n<robot name="six">{"".join(parts)}\n</robot>\n'
+
+
+_SCENARIO = """
+task: {start: [0.5, -0.3, 0.35], goal: [0.5, 0.3, 0.35], duration: 2.0, clearance: 0.08}
+thinking: null
+perception: !GroundTruth {}
+obstacles:
+- {name: ball, shapes: [!Sphere {radius: 0.06}], translation: [0.5, 0.02, 0.3]}
+robot:
+  model: six.urdf
+  base_link: foot
+  # Its x axis points back, as a UR5e's does.
+  X_WB: {rpy: [0, 0, 3.1415927]}
+  hand_link: wrist3
+  p_HE: [0, 0, 0.1]
+  tool_links: [wrist3]
+  q_seed: [0.3, -1.5708, 1.5708, -1.5708, -1.5708, 0.0]
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("six")
+    (folder / "six.urdf").write_text(arm_text())
+    (folder / "six.scenario.yaml").write_text(_SCENARIO)
+    return folder
+
+
+@pytest.fixture
+def scenario(folder: Path) -> Scenario:
+    return load_scenario(str(folder / "six.scenario.yaml"))
+
+
+def test_it_goes_round_an_obstacle(scenario: Scenario, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.INFO, "drake_oa"):
+        log = simulate(scenario, duration=0.3)
+    assert "the posture of the arm is not planned: arm must have 7 joints, not 6" in caplog.text
+    print(caplog.text)
+    assert log.q.shape[1] == 6
+    assert np.isfinite(log.torque).all()
+    assert log.tracking_error.max() < 1e-3
+    assert log.event == ()
+    assert not log.supervision_action
+    assert log.shortfall.max() == 0.0
+    print(log.p_WE[[0, -1]], np.isfinite(log.tracking_error).all(), log.torque.max())
+
+
+def test_its_annulus_is_found(scenario: Scenario) -> None:
+    annulus = robot_annulus(scenario.robot)
+    assert annulus is not None
+    print(annulus)
