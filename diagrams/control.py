@@ -48,8 +48,9 @@ def make_controller(
     robot = scenario.robot
     if robot is None:
         raise ScenarioError("robot: a controller needs a robot; this scenario has null")
-    if any(isinstance(fault, ModelError) for fault in scenario.faults):
-        robot_plant = make_robot_plant(robot, uniform_density=True)
+    for fault in scenario.faults:
+        if isinstance(fault, ModelError):
+            robot_plant = make_robot_plant(robot, inertias=fault.inertias)
     gains = robot.gains
     return CartesianInverseDynamics(
         robot_plant.plant,

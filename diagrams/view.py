@@ -14,6 +14,7 @@ from drake_oa.diagrams.station import Cell
 from drake_oa.perception.config import DepthCamera
 from drake_oa.policy.dmp import trajectory
 from drake_oa.regulation.config import Verified
+from drake_oa.robot.plant import base_pose
 from drake_oa.route.cost_ring_selector import TakenRoute
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import camera_config
@@ -55,7 +56,7 @@ def add_view(wires: Wires, scenario: Scenario, cell: Cell | None, meshcat: Meshc
 
 def make_overlay(scenario: Scenario, cell: Cell | None, meshcat: Meshcat) -> MeshcatOverlay:
     """What our layers think, drawn into the viewer; also dresses the scene."""
-    dress_scene(meshcat)
+    dress_scene(meshcat, base_pose(scenario.robot))
     planned_W = _planned_path(scenario)
     if cell is None or scenario.robot is None:
         return MeshcatOverlay(meshcat, planned_W=planned_W)

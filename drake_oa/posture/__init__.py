@@ -25,6 +25,9 @@ Parts: `posture_planner` (when to plan anew), `posture_plan` with `plan_kernels`
 `trace_kernels` (the plan), `arm_surroundings` (what is kept clear of), `waypoint_tree` (legs
 aside), `posture_course` (a plan over time), `null_space_coupling`.
 
+It is for seven joints: an arm of another number has no planned posture, which a line in the log
+says, and one of six no null space for the coupling either, which is refused.
+
 Configuration: the block `robot.posture` (`drake_oa.robot.config.Posture`), and
 `posture_plan.PostureParameters`.
 

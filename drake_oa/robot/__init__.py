@@ -1,21 +1,23 @@
 """The arm: its plant, its kinematics as arrays, inverse kinematics and limits.
 
-In: the block `robot` of a scenario (`config.Robot`: model, tool, gains, posture). Out: a finalized
-`MultibodyPlant` of the robot alone (`plant.RobotPlant`), welded to the world by its base link,
+In: the block `robot` of a scenario (`config.Robot`: model, base pose X_WB, tool, gains, annulus,
+posture; its defaults are the Panda's, and nothing else here knows of one arm). Out: a finalized
+`MultibodyPlant` of the robot alone (`plant.RobotPlant`), its base link welded to the world at X_WB,
 with the frame E at the tool point; and `arm.ArmModel`, the same arm as arrays for compiled
-kernels. Positions q [rad, m] are the plant's, the arm's joints first; poses X_WE in the world.
-There are no systems here: the layers above hold a plant each.
+kernels: revolute joints in a row, six or more. Positions q [rad, m] are the plant's, the arm's
+joints first; poses X_WE in the world. There are no systems here: the layers above hold a plant
+each.
 
 - `plant`, `grasped_object`: parsing, welding, what the hand holds, the tool's corners.
 - `arm_kernels`: forward kinematics of revolute joints, the geometric Jacobian, Newton steps onto
   a pose with one joint fixed, distances of links to points, to a plane and to each other.
 - `inverse_kinematics`: `solve_tool_pose` at set-up, by Drake's `InverseKinematics` and Newton
   steps within the joint limits; `solve_pose`, compiled, damped and weighted by the joints' ranges.
-- `reachability`: where the tool can be held in one orientation, on a grid, with signed margins;
-  and an annulus about the base that was fitted to the Panda held tool down.
+- `reachability`: where the tool can be held in one orientation, on a grid, with signed margins.
+- `tool_down`: the annulus about an upright base where the tool points down, as the block gives it
+  or from that map.
 - `reachable_turns`: which turns of the tool the arm can hold along a path.
-- `limits`: joint names and limits. `panda_inertias`: measured inertias (Gaz et al. 2019), and a
-  model with uniform density in place of them.
+- `limits`: joint names and limits. `inertias`: a model with those of a file in place of its own.
 
 Begin with `plant.make_robot_plant` and `arm.make_arm_model`.
 """

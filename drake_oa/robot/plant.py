@@ -25,7 +25,7 @@ from drake_oa.geometry.collision_shapes import outline_corners
 from drake_oa.geometry.shapes import pose
 from drake_oa.robot.config import Robot
 from drake_oa.robot.grasped_object import add_carried, part_carried, tool_links
-from drake_oa.robot.panda_inertias import with_uniform_density
+from drake_oa.robot.inertias import read_inertias, with_inertias
 
 TOOL_FRAME = "tool_point"
 
@@ -38,21 +38,20 @@ def make_parser(plant: MultibodyPlant) -> Parser:
     return parser
 
 
-def add_robot(
-    plant: MultibodyPlant, robot: Robot, *, uniform_density: bool = False
-) -> ModelInstanceIndex:
-    """Adds the arm, welds its base to the world, adds the tool frame E."""
+def add_robot(plant: MultibodyPlant, robot: Robot, *, inertias: str = "") -> ModelInstanceIndex:
+    """Adds the arm, welds its base to the world, adds the tool frame E; see `make_robot_plant`."""
     parser = make_parser(plant)
-    url = robot.model if "://" in robot.model else Path(robot.model).absolute().as_uri()
+    url = _url(robot.model)
     try:
-        if uniform_density:
+        if inertias:
             urdf = Path(parser.package_map().ResolveUrl(url)).read_text()
-            (instance,) = parser.AddModelsFromString(with_uniform_density(urdf), "urdf")
+            text = _replaced(urdf, parser, inertias)
+            (instance,) = parser.AddModelsFromString(text, "urdf")
         else:
             (instance,) = parser.AddModels(url=url)
     except ScenarioError:
         raise
-    except (RuntimeError, ValueError) as error:
+    except (OSError, RuntimeError, ValueError) as error:
         raise ScenarioError(f"robot.model: cannot load '{robot.model}': {error}") from None
     for field, link in (("base_link", robot.base_link), ("hand_link", robot.hand_link)):
         if not plant.HasBodyNamed(link, instance):
@@ -61,7 +60,7 @@ def add_robot(
                 f"robot.{field}: '{robot.model}' has no link '{link}'; it has {', '.join(names)}"
             )
     base = plant.GetFrameByName(robot.base_link, instance)
-    plant.WeldFrames(plant.world_frame(), base, pose(robot.X_WB))
+    plant.WeldFrames(plant.world_frame(), base, base_pose(robot))
     plant.AddFrame(
         FixedOffsetFrame(
             TOOL_FRAME,
@@ -71,6 +70,24 @@ def add_robot(
     )
     add_carried(plant, instance, robot)
     return instance
+
+
+def base_pose(robot: Robot | None) -> RigidTransform:
+    """X_WB; the identity without a robot."""
+    return RigidTransform() if robot is None else pose(robot.X_WB)
+
+
+def _url(url_or_file: str) -> str:
+    return url_or_file if "://" in url_or_file else Path(url_or_file).absolute().as_uri()
+
+
+def _replaced(urdf: str, parser: Parser, inertias: str) -> str:
+    """The text of a URDF with the inertias of a file."""
+    try:
+        file = Path(parser.package_map().ResolveUrl(_url(inertias)))
+        return with_inertias(urdf, read_inertias(file))
+    except (RuntimeError, ScenarioError) as error:
+        raise ScenarioError(f"faults: !ModelError.inertias: {error}") from None
 
 
 @dataclass(frozen=True)
@@ -96,20 +113,20 @@ class RobotPlant:
         return self.plant.GetFrameByName(TOOL_FRAME)
 
 
-def make_robot_plant(robot: Robot, *, uniform_density: bool = False) -> RobotPlant:
+def make_robot_plant(robot: Robot, *, inertias: str = "") -> RobotPlant:
     """The robot alone, welded to the world as in the station.
 
     Args:
         robot: which, and its base.
-        uniform_density: whether it has the inertias of `drake_oa.robot.panda_inertias` in place
-            of its own.
+        inertias: URL or name of a file of inertias that it has in place of its own, see
+            `drake_oa.robot.inertias`; empty: it has its own.
 
     Raises:
         ScenarioError: naming the field of the robot that does not fit.
     """
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
-    instance = add_robot(plant, robot, uniform_density=uniform_density)
+    instance = add_robot(plant, robot, inertias=inertias)
     plant.Finalize()
     _check_seed(plant, robot)
     part_carried(plant, scene_graph, robot)

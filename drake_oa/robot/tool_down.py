@@ -12,8 +12,8 @@ import numpy as np
 from pydrake.math import RollPitchYaw
 
 from drake_oa.geometry.annulus import Annulus
-from drake_oa.geometry.shapes import pose
 from drake_oa.robot.config import Robot
+from drake_oa.robot.plant import base_pose
 from drake_oa.robot.reachability import Reachability
 
 _DOWN = math.radians(15.0)
@@ -30,7 +30,7 @@ _FOLDED, _BASE = 0.04, 0.15
 
 def is_tool_down(robot: Robot) -> bool:
     """Whether the base stands upright and the tool points down along its axis."""
-    up = pose(robot.X_WB).rotation().matrix()[:, 2]
+    up = base_pose(robot).rotation().matrix()[:, 2]
     tool = RollPitchYaw(robot.rpy_WE).ToRotationMatrix().matrix()[:, 2]
     return bool(up[2] >= math.cos(_UPRIGHT) and -tool[2] >= math.cos(_DOWN))
 

@@ -23,6 +23,7 @@ from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import EllipsoidSet, FloatArray, PolicyState
 from drake_oa.policy.dmp import local_frame
+from drake_oa.robot.plant import base_pose
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.scenario.loading import parse_scenario
 from drake_oa.scenario.scenario import Scenario
@@ -192,7 +193,7 @@ def build_replay(
         ValueError: if the log is empty or not of this world.
     """
     builder = DiagramBuilder()
-    dress_scene(meshcat)
+    dress_scene(meshcat, base_pose(scenario.robot))
     motion = LoggedMotion(scenario, log)
     positions = np.zeros((len(log.t), 0))
     if scenario.robot is None:

@@ -75,10 +75,11 @@ class TorqueSaturation:
 
 @dc.dataclass
 class ModelError:
-    """The controller takes the Panda's links for bodies of uniform density.
+    """The controller takes the robot's links for others; the plant keeps the model's own."""
 
-    The plant keeps its identified inertias: see `drake_oa.robot.panda_inertias`.
-    """
+    # URL or name of a file of inertias, see `drake_oa.robot.inertias`. The default takes the
+    # Panda's links for bodies of uniform density.
+    inertias: str = "package://drake_oa/panda/uniform_density.yaml"
 
 
 @dc.dataclass

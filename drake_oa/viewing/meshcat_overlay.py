@@ -32,13 +32,15 @@ _ROOT = "/drake_oa"
 _RING = {"inner_radius": 0.17, "band": 0.022, "gap": 0.005}
 _SHORTEST_SEGMENT = 2e-3
 _COST_CHANGE = 0.1
+_AT_ORIGIN = RigidTransform()
 
 
 def dress_scene(
     meshcat: Meshcat,
+    X_WB: RigidTransform = _AT_ORIGIN,
     *,
-    p_WC: tuple[float, float, float] = (2.45, -1.75, 1.30),
-    p_WT: tuple[float, float, float] = (0.43, 0.0, 0.33),
+    p_BC: tuple[float, float, float] = (2.45, -1.75, 1.30),
+    p_BT: tuple[float, float, float] = (0.43, 0.0, 0.33),
     fov: float = 32.0,
 ) -> None:
     """Makes the view fit to be shown: background, lights, shadows, camera.
@@ -49,8 +51,9 @@ def dress_scene(
 
     Args:
         meshcat: the viewer.
-        p_WC: where the viewer's camera stands in the world frame [m].
-        p_WT: the point it looks at [m].
+        X_WB: pose of the robot's base.
+        p_BC: where the viewer's camera stands, in the frame of the base [m].
+        p_BT: the point it looks at [m].
         fov: its vertical field of view [deg].
     """
     meshcat.SetProperty("/Background", "top_color", [0.80, 0.86, 0.92])
@@ -60,13 +63,14 @@ def dress_scene(
     meshcat.SetProperty("/Lights/SpotLight", "visible", True)
     spot = "/Lights/SpotLight/<object>"
     meshcat.SetProperty(spot, "position", [1.0, -1.2, 2.6])
+    meshcat.SetTransform("/Lights/SpotLight", X_WB)
     meshcat.SetProperty(spot, "castShadow", True)
     meshcat.SetProperty(spot, "intensity", 13.0)
     meshcat.SetProperty("/Lights/AmbientLight/<object>", "intensity", 1.25)
     for name in ("PointLightNegativeX", "PointLightPositiveX", "FillLight"):
         meshcat.SetProperty(f"/Lights/{name}/<object>", "intensity", 0.6)
     meshcat.SetCamera(Meshcat.PerspectiveCamera(fov=fov, aspect=1.6, near=0.01, far=100.0))
-    meshcat.SetCameraPose(np.array(p_WC), np.array(p_WT))
+    meshcat.SetCameraPose(X_WB @ np.array(p_BC), X_WB @ np.array(p_BT))
 
 
 @dataclass(frozen=True)

@@ -497,7 +497,7 @@ def test_the_viewer_shows_the_motion_that_was_planned(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     given = {}
-    monkeypatch.setattr(view, "dress_scene", lambda _: None)
+    monkeypatch.setattr(view, "dress_scene", lambda *_: None)
     monkeypatch.setattr(view, "MeshcatOverlay", lambda _, **options: given.update(options))
     angle = np.linspace(0.0, np.pi, 50)[:, None]
     np.savez(tmp_path / "arc.npz", path=np.hstack([-np.cos(angle), 0.0 * angle, np.sin(angle)]))

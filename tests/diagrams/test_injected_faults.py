@@ -10,11 +10,12 @@ from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.systems.framework import Diagram
 
 from drake_oa.diagrams.avoidance import build_avoidance
-from drake_oa.robot.panda_inertias import UNIFORM_DENSITY
+from drake_oa.robot.inertias import read_inertias
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.report import motion_metrics
 from drake_oa.runs.simulation import simulate
-from drake_oa.scenario.loading import load_scenario
+from drake_oa.scenario.faults import ModelError
+from drake_oa.scenario.loading import load_scenario, package_file
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.studies.panda.faults import CASES, Case, main, markdown_table, run_case, what_it_did
 
@@ -65,7 +66,7 @@ def test_only_the_controllers_model_is_wrong() -> None:
     )
     plant: Any = diagram.GetSubsystemByName("plant")
     controller: Any = diagram.GetSubsystemByName("controller")
-    mass = UNIFORM_DENSITY["panda_link1"][0]
+    mass = read_inertias(package_file(ModelError().inertias))["panda_link1"].mass
     assert controller._plant.GetBodyByName("panda_link1").default_mass() == mass
     assert plant.GetBodyByName("panda_link1").default_mass() > 1.5 * mass
     assert plant.num_positions(ModelInstanceIndex(2)) == controller._plant.num_positions()

@@ -19,7 +19,7 @@ from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere, pose
 from drake_oa.perception.config import GroundTruth
-from drake_oa.robot.config import Robot
+from drake_oa.robot.config import BasePose, Robot
 from drake_oa.robot.plant import RobotPlant, make_robot_plant
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.safety.config import SupervisorParameters
@@ -46,13 +46,18 @@ def load_robot(name_or_file: str) -> Robot:
     """The robot of a scenario, or the Panda.
 
     Raises:
-        ScenarioError: if there is no such scenario, or it has no robot.
+        ScenarioError: if there is no such scenario, or it has no robot or moves its base: a
+            problem is posed about it.
     """
     if name_or_file == PANDA:
         return Robot()
     robot = load_scenario(name_or_file).robot
     if robot is None:
         raise ScenarioError(f"{name_or_file}: robot: is null; --robot takes its robot block")
+    if BasePose() != robot.X_WB:
+        raise ScenarioError(
+            f"{name_or_file}: robot.X_WB: must be left out; problems are posed in the base's frame"
+        )
     return robot
 
 

@@ -191,6 +191,9 @@ def test_the_robot_of_a_scenario_takes_the_place_of_the_panda(tmp_path):
     assert math.dist(mine.task.goal, panda.task.goal) == pytest.approx(0.2 - 0.1034)
     with pytest.raises(ValueError, match="robot: is null"):
         load_robot("free_space")
+    file.write_text("robot: {X_WB: {translation: [0.0, 0.0, 0.1]}}\n")
+    with pytest.raises(ValueError, match=r"robot\.X_WB: must be left out"):
+        load_robot(str(file))
 
 
 @pytest.mark.parametrize(

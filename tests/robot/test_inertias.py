@@ -1,4 +1,4 @@
-"""The Panda of uniform density: Drake's own, and how far it is from the identified one."""
+"""Inertias from a file; the Panda of uniform density is Drake's own."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -8,23 +8,27 @@ import pytest
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.robot.config import Robot
-from drake_oa.robot.panda_inertias import UNIFORM_DENSITY, with_uniform_density
+from drake_oa.robot.inertias import Inertia, read_inertias, with_inertias
 from drake_oa.robot.plant import RobotPlant, make_robot_plant
+from drake_oa.scenario.faults import ModelError
 from drake_oa.scenario.loading import package_file
+
+URL = ModelError().inertias
 
 
 @pytest.fixture(scope="module")
 def plants() -> tuple[RobotPlant, RobotPlant]:
     """Identified, and of uniform density."""
-    return make_robot_plant(Robot()), make_robot_plant(Robot(), uniform_density=True)
+    return make_robot_plant(Robot()), make_robot_plant(Robot(), inertias=URL)
 
 
 def test_its_links_weigh_what_the_table_says(plants: tuple[RobotPlant, RobotPlant]) -> None:
     own, other = (item.plant for item in plants)
-    for name, (mass, _, _) in UNIFORM_DENSITY.items():
-        assert other.GetBodyByName(name).default_mass() == mass
-        assert own.GetBodyByName(name).default_mass() != mass or name == "panda_hand"
-    arm = sum(UNIFORM_DENSITY[f"panda_link{i}"][0] for i in range(8))
+    table = read_inertias(package_file(URL))
+    for name, item in table.items():
+        assert other.GetBodyByName(name).default_mass() == item.mass
+        assert own.GetBodyByName(name).default_mass() != item.mass or name == "panda_hand"
+    arm = sum(table[f"panda_link{i}"].mass for i in range(8))
     assert arm == pytest.approx(18.0, abs=0.02)
 
 
@@ -63,10 +67,29 @@ def test_it_is_drakes_panda_and_as_far_off_as_known(
 
 
 def test_another_robot_is_refused() -> None:
-    with pytest.raises(ScenarioError, match=r"knows the Panda; robot\.model has no panda_link0"):
-        with_uniform_density("<robot name='other'><link name='base'/></robot>")
+    with pytest.raises(ScenarioError, match=r"robot\.model has not: panda_link0; it has base"):
+        with_inertias("<robot name='x'><link name='base'/></robot>", {"panda_link0": Inertia()})
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("link: {mass: -1}", r"inertias\.link\.mass: -1 is outside"),
+        ("link: {com: [0, 0]}", "expected 3 numbers"),
+        ("link: {mass: 1}", "inertias.link: com, inertia must be given"),
+        ("- link", "expected a block"),
+        (None, "does not exist"),
+    ],
+)
+def test_a_file_that_does_not_fit_is_named(text: str | None, said: str, tmp_path: Path) -> None:
+    file = tmp_path / "inertias.yaml"
+    if text is not None:
+        file.write_text(text)
+    with pytest.raises(ScenarioError, match=rf"!ModelError\.inertias: .*inertias\.yaml.*({said})"):
+        make_robot_plant(Robot(), inertias=str(file))
 
 
 def test_drake_still_reads_its_own_elements() -> None:
     urdf = package_file("package://drake_oa/panda/panda_arm_hand.urdf").read_text()
-    assert urdf.count("<drake:") == with_uniform_density(urdf).count("<drake:") > 10
+    replaced = with_inertias(urdf, read_inertias(package_file(URL)))
+    assert urdf.count("<drake:") == replaced.count("<drake:") > 10
