@@ -84,7 +84,8 @@ class Posture:
 class Robot:
     """The arm that carries the tool: revolute joints in a row. The defaults are the Panda's."""
 
-    # URL, or a file, relative to the scenario's. Drake's own Panda is package://drake_models/franka_description/urdf/panda_arm_hand.urdf
+    # URL, or a file that is looked for beside the scenario. Drake's own Panda is
+    # package://drake_models/franka_description/urdf/panda_arm_hand.urdf
     model: str = "package://drake_oa/panda/panda_arm_hand.urdf"
     # The base link is welded to the world in this pose.
     base_link: str = "panda_link0"

@@ -50,9 +50,8 @@ SWUNG_FREE = 0.025
 """What the whole robot keeps on the motion with its elbow aside [m]."""
 WRIST_FREE = 0.03
 """What links 6 and 7 keep there [m]: the tool holds them, whatever the elbow does."""
-WRIST_LINKS = ("panda_link6", "panda_link7")
-ELBOW_LINKS = tuple(f"panda_link{number}" for number in (2, 3, 4, 5))
-"""Links of which one touches."""
+ELBOW, WRIST = slice(1, 5), slice(5, 7)
+"""Links of the arm of which one touches, and those that the tool holds."""
 SWINGS = (1.0, -1.0, 2.0, -2.0, 3.0, -3.0)
 """How the elbow may swing, see `PlanningScene.straight_motion` [rad]."""
 
@@ -119,8 +118,8 @@ def _places(motion: FloatArray, swung: FloatArray) -> FloatArray:
     wrist and hand on the motion, and of all of it on the other motion.
     """
     cell = planning_scene()
-    held = (*_hand_links(), *WRIST_LINKS)
-    passed = np.concatenate([cell.shape_centers(q, ELBOW_LINKS) for q in motion[::2]])
+    held = (*_hand_links(), *cell.arm_links[WRIST])
+    passed = np.concatenate([cell.shape_centers(q, cell.arm_links[ELBOW]) for q in motion[::2]])
     free = [cell.shape_centers(q) for q in (*motion[[0, -1]], *swung[::2])]
     free += [cell.shape_centers(q, held) for q in motion[::2]]
     tree = cKDTree(np.concatenate(free))
@@ -221,13 +220,15 @@ def _no_scene(
 
 
 def _hand_is_free(q: FloatArray) -> bool:
-    tool_links = _hand_links()
+    cell, tool_links = planning_scene(), _hand_links()
+    wrist = cell.arm_links[WRIST]
     return not any(
-        link in tool_links or (link in WRIST_LINKS and distance < WRIST_FREE)
-        for link, _, distance in planning_scene().nearby(q, HAND_FREE)
+        link in tool_links or (link in wrist and distance < WRIST_FREE)
+        for link, _, distance in cell.nearby(q, HAND_FREE)
     )
 
 
 def _elbow_touches(q: FloatArray) -> bool:
-    touched = planning_scene().nearby(q, 0.0)
-    return any(link in ELBOW_LINKS and distance <= -TOUCH for link, _, distance in touched)
+    cell = planning_scene()
+    touched, elbow = cell.nearby(q, 0.0), cell.arm_links[ELBOW]
+    return any(link in elbow and distance <= -TOUCH for link, _, distance in touched)

@@ -95,8 +95,8 @@ _OFF_TABLE = 2e-3
 """How high a thing slides over the table [m]: it does not rub."""
 _HIGHEST = 0.6
 """Of the middle of anything [m]."""
-_HIT_LINKS = ("panda_link5", "panda_link6", "panda_link7", "panda_hand")
-"""Links of which one is met: those that reach out."""
+_HIT = slice(4, 7)
+"""Links of the arm of which one is met, or the hand: those that reach out."""
 _SAMPLE = 0.05
 """Between the instants at which courses are looked at, and bend or change their speed [s]."""
 _SETS = 12
@@ -247,7 +247,10 @@ def _draw_crossing(random: np.random.Generator, motion: FloatArray, number: int)
 
 def _aimed(random: np.random.Generator, q: FloatArray) -> FloatArray:
     """(3,) a point about the middle of a link at (nq,) positions q [m]."""
-    points = planning_scene().shape_centers(q, _HIT_LINKS)
+    robot = base_scenario().robot
+    hand = () if robot is None else (robot.hand_link,)
+    links = (*planning_scene().arm_links[_HIT], *hand)
+    points = planning_scene().shape_centers(q, links)
     return np.asarray(points[random.integers(len(points))] + random.uniform(*_AIMED_ASIDE, 3))
 
 

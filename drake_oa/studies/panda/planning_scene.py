@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from functools import cached_property
 
 import numpy as np
 from pydrake.geometry import (
@@ -313,6 +314,14 @@ class PlanningScene:
                 if links is None or link in links
             ]
         )
+
+    @cached_property
+    def arm_links(self) -> tuple[str, ...]:
+        """Names of the links that the arm's joints move, in the joints' order."""
+        plant, robot = self._robot_plant.plant, self._robot_plant.instance
+        joints = [plant.get_joint(index) for index in plant.GetJointIndices(robot)]
+        moving = sorted((j for j in joints if j.num_positions()), key=lambda j: j.position_start())
+        return tuple(joint.child_body().name() for joint in moving[self._arm])
 
     def tool_point(self, q: FloatArray) -> FloatArray:
         """(3,) p_WE at (nq,) positions q [m]."""

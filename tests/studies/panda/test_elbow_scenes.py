@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from drake_oa.studies.panda.elbow_scenes import ELBOW_LINKS, HAND_FREE, SWINGS, SWUNG_FREE
+from drake_oa.studies.panda.elbow_scenes import ELBOW, HAND_FREE, SWINGS, SWUNG_FREE
 from drake_oa.studies.panda.scene_parts import FREE, planning_scene
 from drake_oa.studies.panda.scenes import draw_panda_scene
 
@@ -33,7 +33,9 @@ def test_the_ends_are_free(robot):
 def test_the_elbow_touches_and_the_hand_does_not(scene, robot):
     cell, start, goal = robot
     found = [hit for q in cell.straight_motion(start, goal) for hit in cell.nearby(q, HAND_FREE)]
-    assert min(distance for link, _, distance in found if link in ELBOW_LINKS) <= -5e-3
+    elbow = cell.arm_links[ELBOW]
+    assert elbow == ("panda_link2", "panda_link3", "panda_link4", "panda_link5")
+    assert min(distance for link, _, distance in found if link in elbow) <= -5e-3
     assert not any(link in scene.robot.tool_links for link, _, _ in found)
 
 
