@@ -15,11 +15,11 @@ class Annulus(NamedTuple):
     Attributes:
         radii: (3, n) heights in the world, increasing, and the least and largest distance from
             the axis there, linear between them [m]; (3, 0): it may be anywhere.
-        axis: (2,) x and y of the vertical axis in the world [m].
+        axis: x and y of the vertical axis in the world [m].
     """
 
     radii: FloatArray
-    axis: FloatArray = np.zeros(2)
+    axis: tuple[float, float] = (0.0, 0.0)
 
 
 ANYWHERE = Annulus(np.zeros((3, 0)))

@@ -362,7 +362,8 @@ def _laid_out(
     )
     slow = zx**2 + zy**2 + zz**2 < (20.0 * course.tolerance) ** 2
     ends = error > course.longest[s] or (course.least <= 0 and error < course.tolerance and slow)
-    world = world_margin(x, y, z, scenes.plane, s, Annulus(scenes.radii, scenes.axis))
+    annulus = Annulus(scenes.radii, (scenes.axis[0], scenes.axis[1]))
+    world = world_margin(x, y, z, scenes.plane, s, annulus)
     n = -(-len(rows) // _VECTOR) * _VECTOR
     for i in range(n):
         # A short block repeats its last row.
@@ -419,7 +420,7 @@ def _block(
     n_steps, M, L = len(course.force), scenes.p_WO.shape[1], scenes.baseline[s]
     plane, R_WL = scenes.plane, scenes.R_WL
     # A tuple within a tuple cannot be handed to threads.
-    annulus = Annulus(scenes.radii, scenes.axis)
+    annulus = Annulus(scenes.radii, (scenes.axis[0], scenes.axis[1]))
     flow = (course.flow[0], course.flow[1], course.flow[2], course.flow[3])
     longest, shortest = course.longest[s], course.shortest[s]
     gx, gy, gz = scenes.p_WG[s, 0], scenes.p_WG[s, 1], scenes.p_WG[s, 2]

@@ -43,10 +43,10 @@ def given_annulus(robot: Robot) -> Annulus | None:
     of_arm = ("model", "base_link", "hand_link", "p_HE")
     if given == usual.annulus and any(getattr(robot, f) != getattr(usual, f) for f in of_arm):
         return None
-    p_WB = np.array(robot.X_WB.translation)
+    p_WB = robot.X_WB.translation
     radii = np.array([given.height, given.inner, given.outer])
     radii[0] += p_WB[2]
-    return Annulus(radii, p_WB[:2])
+    return Annulus(radii, (p_WB[0], p_WB[1]))
 
 
 def found_annulus(reach: Reachability, robot: Robot) -> Annulus:
@@ -58,7 +58,7 @@ def found_annulus(reach: Reachability, robot: Robot) -> Annulus:
     Raises:
         ValueError: if there is none.
     """
-    p_WB = np.array(robot.X_WB.translation)
+    p_WB = robot.X_WB.translation
     low, extent = reach.origin - p_WB, reach.spacing * np.array(reach.within_limits.shape)
     first, last = math.ceil(low[2] / _BETWEEN), math.floor((low + extent)[2] / _BETWEEN)
     radius = np.arange(0.0, float(np.abs([low, low + extent]).max()), _STEP)
@@ -78,4 +78,4 @@ def found_annulus(reach: Reachability, robot: Robot) -> Annulus:
             found.append((p_WB[2] + height, inner, outer))
     if len(found) < 2:
         raise ValueError("the arm reaches no annulus about its base with the tool down")
-    return Annulus(np.array(found).T.copy(), p_WB[:2])
+    return Annulus(np.array(found).T.copy(), (p_WB[0], p_WB[1]))

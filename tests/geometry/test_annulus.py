@@ -26,7 +26,7 @@ def test_the_margin_of_many_points_is_that_of_each(points: list[tuple[float, ...
 @given(st.tuples(*[st.floats(-1.5, 1.5)] * 3))
 def test_it_stands_at_its_axis(point: tuple[float, ...]) -> None:
     p, shift = np.array(point), np.array([0.3, -0.2, 0.5])
-    there = Annulus(ANNULUS.radii + [[shift[2]], [0.0], [0.0]], shift[:2])
+    there = Annulus(ANNULUS.radii + [[shift[2]], [0.0], [0.0]], (shift[0], shift[1]))
     here = annulus_margin(p, ANNULUS)
     assert annulus_margin(p + shift, there) == pytest.approx(here, abs=1e-12)
 

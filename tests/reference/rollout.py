@@ -154,7 +154,10 @@ def world_margin(scenes: SpatialScenes, scene: IntArray, points: FloatArray) -> 
         margin = np.einsum("nkj,nj->nk", points, plane[:, :3]) - plane[:, 3:]
     if scenes.annulus.radii.shape[1]:
         heights, inner, outer = scenes.annulus.radii
-        z, radius = points[..., 2], np.linalg.norm(points[..., :2] - scenes.annulus.axis, axis=-1)
+        z, radius = (
+            points[..., 2],
+            np.linalg.norm(points[..., :2] - scenes.annulus.axis, axis=-1),
+        )
         for bound in (
             radius - np.interp(z, heights, inner),
             np.interp(z, heights, outer) - radius,

@@ -178,7 +178,7 @@ _RADII = [[-5.0, 5.0], [0.1, 0.1], [2.5, 3.0]]
         (
             6,
             0.0,
-            {"plane": 0.1, "annulus": _RADII, "axis": [0.2, -0.1]},
+            {"plane": 0.1, "annulus": _RADII, "axis": (0.2, -0.1)},
         ),
     ],
 )
@@ -193,7 +193,7 @@ def test_it_is_the_motion_of_the_readable_form(
             plane=np.column_stack([up, scenes.p_WE[:, 2] - limits["plane"]]),
             annulus=Annulus(
                 np.array(limits.get("annulus", np.zeros((3, 0)))),
-                np.array(limits.get("axis", np.zeros(2))),
+                limits.get("axis", (0.0, 0.0)),
             ),
         )
     scene, terms = random_terms(scenes, 5)
@@ -389,7 +389,7 @@ def moved(scene: Scene, Q: FloatArray, shift: FloatArray, scale: float = 1.0) ->
             plane=plane,
             annulus=Annulus(
                 scale * scenes.annulus.radii + [[shift[2]], [0.0], [0.0]],
-                place(np.append(scenes.annulus.axis, 0.0))[:2],
+                tuple(place(np.append(scenes.annulus.axis, 0.0))[:2]),
             ),
         ),
         again,
@@ -438,7 +438,7 @@ def test_the_workspace_turns_about_the_vertical(seed: int, angle: float, power: 
     scene, scale = random_scene(seed), 10.0**power
     limits = Annulus(
         np.array([[-4.0, 0.0, 1.0, 4.0], [0.1, 0.3, 0.2, 0.1], [3.0, 6.0, 4.0, 2.0]]),
-        np.array([0.3, -0.2]),
+        (0.3, -0.2),
     )
     within = replace(scene[0], annulus=limits), scene[1]
     Q = Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix()
