@@ -110,4 +110,5 @@ def robot_annulus(robot: Robot | None) -> Annulus | None:
 def held_annulus(scenario: Scenario) -> Annulus | None:
     """`robot_annulus` of a robot whose tool is down on the whole way; None: not known."""
     held = held_robots(scenario)
-    return robot_annulus(held[0]) if held and all(map(is_tool_down, held)) else None
+    # The first that has none stands for the whole way.
+    return robot_annulus(min(held, key=is_tool_down, default=None))
