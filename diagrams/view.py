@@ -56,7 +56,7 @@ def add_view(wires: Wires, scenario: Scenario, cell: Cell | None, meshcat: Meshc
 
 def make_overlay(scenario: Scenario, cell: Cell | None, meshcat: Meshcat) -> MeshcatOverlay:
     """What our layers think, drawn into the viewer; also dresses the scene."""
-    dress_scene(meshcat, base_pose(scenario.robot))
+    dress_scene(meshcat, base_pose(scenario.robot), scenario.table_height or 0.0)
     planned_W = _planned_path(scenario)
     if cell is None or scenario.robot is None:
         return MeshcatOverlay(meshcat, planned_W=planned_W)

@@ -193,7 +193,7 @@ def build_replay(
         ValueError: if the log is empty or not of this world.
     """
     builder = DiagramBuilder()
-    dress_scene(meshcat, base_pose(scenario.robot))
+    dress_scene(meshcat, base_pose(scenario.robot), scenario.table_height or 0.0)
     motion = LoggedMotion(scenario, log)
     positions = np.zeros((len(log.t), 0))
     if scenario.robot is None:

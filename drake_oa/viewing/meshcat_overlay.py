@@ -38,9 +38,10 @@ _AT_ORIGIN = RigidTransform()
 def dress_scene(
     meshcat: Meshcat,
     X_WB: RigidTransform = _AT_ORIGIN,
+    floor: float = 0.0,
     *,
-    p_BC: tuple[float, float, float] = (2.45, -1.75, 1.30),
-    p_BT: tuple[float, float, float] = (0.43, 0.0, 0.33),
+    p_FC: tuple[float, float, float] = (2.45, -1.75, 1.30),
+    p_FT: tuple[float, float, float] = (0.43, 0.0, 0.33),
     fov: float = 32.0,
 ) -> None:
     """Makes the view fit to be shown: background, lights, shadows, camera.
@@ -52,10 +53,15 @@ def dress_scene(
     Args:
         meshcat: the viewer.
         X_WB: pose of the robot's base.
-        p_BC: where the viewer's camera stands, in the frame of the base [m].
-        p_BT: the point it looks at [m].
+        floor: height of the frame F below or above it, which has its heading [m].
+        p_FC: where the viewer's camera stands, in F [m].
+        p_FT: the point it looks at, in F [m].
         fov: its vertical field of view [deg].
     """
+    (x, y, _), ahead = X_WB.translation(), X_WB.rotation().col(0)
+    X_WF = RigidTransform(
+        RotationMatrix.MakeZRotation(math.atan2(ahead[1], ahead[0])), [x, y, floor]
+    )
     meshcat.SetProperty("/Background", "top_color", [0.80, 0.86, 0.92])
     meshcat.SetProperty("/Background", "bottom_color", [0.98, 0.98, 0.97])
     for path in ("/Grid", "/Axes", "/drake/proximity", "/drake/inertia", "/drake/contact_forces"):
@@ -63,14 +69,14 @@ def dress_scene(
     meshcat.SetProperty("/Lights/SpotLight", "visible", True)
     spot = "/Lights/SpotLight/<object>"
     meshcat.SetProperty(spot, "position", [1.0, -1.2, 2.6])
-    meshcat.SetTransform("/Lights/SpotLight", X_WB)
+    meshcat.SetTransform("/Lights/SpotLight", X_WF)
     meshcat.SetProperty(spot, "castShadow", True)
     meshcat.SetProperty(spot, "intensity", 13.0)
     meshcat.SetProperty("/Lights/AmbientLight/<object>", "intensity", 1.25)
     for name in ("PointLightNegativeX", "PointLightPositiveX", "FillLight"):
         meshcat.SetProperty(f"/Lights/{name}/<object>", "intensity", 0.6)
     meshcat.SetCamera(Meshcat.PerspectiveCamera(fov=fov, aspect=1.6, near=0.01, far=100.0))
-    meshcat.SetCameraPose(X_WB @ np.array(p_BC), X_WB @ np.array(p_BT))
+    meshcat.SetCameraPose(X_WF @ np.array(p_FC), X_WF @ np.array(p_FT))
 
 
 @dataclass(frozen=True)

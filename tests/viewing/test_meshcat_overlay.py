@@ -1,10 +1,12 @@
 """The overlay in Meshcat."""
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 from pydrake.common.value import Value
 from pydrake.geometry import Meshcat, MeshcatParams
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RollPitchYaw
 from pydrake.multibody.tree import BodyIndex
 from pydrake.perception import BaseField, Fields, PointCloud
 from pydrake.systems.analysis import Simulator
@@ -270,3 +272,15 @@ def test_dressed_scene_hides_what_is_not_the_subject(meshcat):
     dress_scene(meshcat)
     for path in ("/Grid", "/Axes", "/drake/proximity"):
         assert b"\xc2" in meshcat._GetPackedProperty(path, "visible")
+
+
+def test_the_scene_is_looked_at_from_the_base():
+    hanging = RigidTransform(RollPitchYaw(np.pi, 0.0, np.pi / 2.0), [1.0, 2.0, 1.3])
+    usual, there = Mock(), Mock()
+    dress_scene(usual)
+    dress_scene(there, hanging, 0.2)
+    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    points = (viewer.SetCameraPose.call_args.args for viewer in (usual, there))
+    for p_FC, p_WC in zip(*points, strict=True):
+        np.testing.assert_allclose(p_WC, turned @ p_FC + [1.0, 2.0, 0.2], atol=1e-12)
+    assert usual.SetTransform.call_args.args[1].IsExactlyIdentity()
