@@ -272,6 +272,8 @@ class CouplingParameters(Frozen):
         note: empty, or why the motion must not go on.
         anew: whether it is to begin anew from where it rests.
         p_WV: (3,) the point V that it goes to in place of the goal [m]; (0,): none.
+        verified: whether the rows are terms of their own, about `center_W`, which a look at the
+            true shapes has chosen: they belong to no ellipsoid, and none holds the motion.
     """
 
     alpha: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -284,6 +286,7 @@ class CouplingParameters(Frozen):
     note: str = ""
     anew: bool = False
     p_WV: FloatArray = field(default_factory=lambda: np.zeros(0))
+    verified: bool = False
 
     def __len__(self) -> int:
         return len(self.alpha)

@@ -36,6 +36,8 @@ from drake_oa.policy.guidance import Obstacles
 SCALED_TO_REST = "speed_scale is 0"
 """Note of a motion that is held because its speed is scaled to nothing from outside."""
 _NO_EVASION = np.zeros(3)
+_SPECK = 1e-6
+"""Semi-axes of what stands for a term that belongs to no ellipsoid [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,13 +47,15 @@ class Segment(Frozen):
     Attributes:
         motion: the policy at both ends and its course between them.
         note: empty, or why the motion is being held.
+        primitive: what it imitates; None: what the `ActionLevel` was made with.
     """
 
     motion: Motion
     note: str = ""
+    primitive: Dmp | None = None
 
     @staticmethod
-    def resting(state: PolicyState) -> Segment:
+    def resting(state: PolicyState, primitive: Dmp | None = None) -> Segment:
         """A segment of no length: the policy at one instant."""
         p_WE, z_W, p_WS, p_WG, R_WL = kernel_arrays(
             state.p_WE, state.z_W, state.p_WS, state.p_WG, state.R_WL
@@ -59,7 +63,7 @@ class Segment(Frozen):
         now = Instant(p_WE, z_W, float(state.phase), float(state.speed), float(state.stamp))
         course = kernels.course_between(now, now, _NO_EVASION, _NO_EVASION)
         motion = Motion(now, now, float(state.tau), p_WS, p_WG, R_WL, _NO_EVASION, course)
-        return Segment(motion, state.note)
+        return Segment(motion, state.note, primitive)
 
     @staticmethod
     def at_rest(p_WE: FloatArray) -> Segment:
@@ -209,7 +213,7 @@ class ActionLevel:
             motion = motion._replace(p_WG=goal, R_WL=frame)
         motion, code = kernels.take_steps(
             motion,
-            self._primitive,
+            self._primitive if before.primitive is None else before.primitive.kernel,
             self._rules,
             around.facts,
             around.obstacles,
@@ -225,22 +229,27 @@ class ActionLevel:
                 "normalised time"
             )
         if code == kernels.FREE:
-            return Segment(motion, "" if scale > 0.0 else SCALED_TO_REST)
-        return Segment(motion, around.reason(code))
+            return Segment(motion, "" if scale > 0.0 else SCALED_TO_REST, before.primitive)
+        return Segment(motion, around.reason(code), before.primitive)
 
 
-def restarted(before: Segment, p_WG: FloatArray, time: float) -> Segment:
+def restarted(
+    before: Segment, p_WG: FloatArray, time: float, primitive: Dmp | None = None
+) -> Segment:
     """A motion that rests, from where it is: its start moves there, and its phase back to 1.
 
-    A segment that does not rest, or has not left its start, stays as it is.
+    A segment that does not rest, or has not left its start and imitates the same, stays as it is.
 
     Args:
         before: where it is.
         p_WG: (3,) the goal [m].
         time: now [s].
+        primitive: what it imitates; None: what the `ActionLevel` was made with.
     """
     state = before.end
-    if state.speed > 0.0 or np.array_equal(state.p_WE, state.p_WS):
+    if state.speed > 0.0 and not np.array_equal(state.p_WE, state.p_WS):
+        return before
+    if np.array_equal(state.p_WE, state.p_WS) and primitive is before.primitive:
         return before
     if np.array_equal(state.p_WE, p_WG):
         return before
@@ -252,7 +261,8 @@ def restarted(before: Segment, p_WG: FloatArray, time: float) -> Segment:
             R_WL=local_frame(state.p_WE, p_WG),
             stamp=time,
             note=before.note,
-        )
+        ),
+        primitive,
     )
 
 
@@ -299,6 +309,8 @@ class Surroundings(Frozen):
             ValueError: if coupling or route do not have one row an ellipsoid, or a
                 parameter is out of its range or of another shape.
         """
+        if ellipsoids is not None and coupling is not None and coupling.verified:
+            ellipsoids = _of_terms(coupling, ellipsoids)
         count = 0 if ellipsoids is None else len(ellipsoids)
         p_WV = np.zeros(0) if coupling is None else coupling.p_WV
         if p_WV.shape not in ((0,), (3,)) or not np.isfinite(p_WV).all():
@@ -347,6 +359,20 @@ class Surroundings(Frozen):
         row, is_goal = divmod(code - kernels.INSIDE, 2)
         place = "goal" if is_goal else "tool"
         return f"{place} inside obstacle {self.ellipsoids.ids[row] % PART}"
+
+
+def _of_terms(coupling: CouplingParameters, seen: EllipsoidSet) -> EllipsoidSet:
+    """A speck for each term, seen when the obstacles were: what a term acts about holds nothing."""
+    count = len(coupling)
+    return EllipsoidSet(
+        stamp=seen.stamp,
+        p_WO=coupling.center_W,
+        R_WO=np.tile(np.eye(3), (count, 1, 1)),
+        semi_axes=np.full((count, 3), _SPECK),
+        v_WO=np.zeros((count, 3)),
+        ids=np.arange(count),
+        note=seen.note,
+    )
 
 
 def _blocked(coupling: CouplingParameters | None, route: Route | None) -> str:

@@ -33,6 +33,7 @@ from drake_oa.policy.action import (
     restarted,
 )
 from drake_oa.policy.config import Policy
+from drake_oa.policy.demonstration import Demonstration
 from drake_oa.policy.dmp import Dmp
 
 _logger = logging.getLogger("drake_oa")
@@ -52,6 +53,7 @@ class DmpIntegrator(LeafSystem):
       - route (optional)
       - speed_scale (optional)
       - evasion (optional)
+      - demonstration (optional)
       output_ports:
       - desired_position
       - desired_velocity
@@ -77,6 +79,8 @@ class DmpIntegrator(LeafSystem):
       its motion, as an `ObstacleEvasion` gives it; phase and scaled velocity stay as they
       are, and the spring leads on from where it has come to. It should be continuous: the
       desired velocity follows it within a step.
+    - demonstration (optional): abstract `Demonstration`: what a motion that begins anew
+      imitates, where there is one, in place of the constructor's primitive.
     - desired_position: (3,) p_WE [m].
     - desired_velocity: (3,) v_WE [m/s].
     - desired_acceleration: (3,) a_WE [m/s^2].
@@ -125,6 +129,7 @@ class DmpIntegrator(LeafSystem):
         self._route = self.DeclareAbstractInputPort("route", Value(Route()))
         self._speed_scale = self.DeclareVectorInputPort("speed_scale", 1)
         self._evasion = self.DeclareVectorInputPort("evasion", 3)
+        self._demonstration = self.DeclareAbstractInputPort("demonstration", Value(Demonstration()))
         # Perception and decision are much slower than the policy.
         self._surroundings = self.DeclareCacheEntry(
             "surroundings",
@@ -196,7 +201,9 @@ class DmpIntegrator(LeafSystem):
         around = self._surroundings.Eval(context)
         goal = around.p_WV if len(around.p_WV) else self._goal.Eval(context)
         if around.anew:
-            before = restarted(before, goal, context.get_time())
+            given = read_optional(self, self._demonstration, context, Demonstration)
+            primitive = None if given is None else given.position
+            before = restarted(before, goal, context.get_time(), primitive)
         after = self._level.step(
             before,
             goal,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,9 +17,10 @@ from pydrake.systems.framework import (
 )
 
 from drake_oa.common.messages import FloatArray, Frozen, PolicyState
-from drake_oa.common.ports import read_value, valid_period
+from drake_oa.common.ports import read_optional, read_value, valid_period
 from drake_oa.geometry.rotation import rotation_vector
 from drake_oa.policy import orientation_dmp as kernels
+from drake_oa.policy.demonstration import Demonstration
 from drake_oa.policy.dmp import normalised_time
 from drake_oa.policy.orientation_dmp import (
     OrientationDmp,
@@ -43,6 +44,9 @@ class OrientationSegment(Frozen):
         phase: canonical phase of the policy, as last seen.
         goal: (3,) rotation vector of the goal [rad].
         asked: (4,) quaternion that asked for that goal; NaN: none did.
+        start: (4,) quaternion of the orientation that r is counted from; (0,): the constructor's.
+        p_WS: (3,) start of the policy's motion, as last seen [m]; (0,): none was.
+        demonstration: what is turned along; empty: the constructor's.
     """
 
     motion: FloatArray = field(default_factory=lambda: np.zeros(kernels.N_MOTION))
@@ -51,6 +55,9 @@ class OrientationSegment(Frozen):
     phase: float = 1.0
     goal: FloatArray = field(default_factory=lambda: np.zeros(3))
     asked: FloatArray = field(default_factory=lambda: np.full(4, np.nan))
+    start: FloatArray = field(default_factory=lambda: np.zeros(0))
+    p_WS: FloatArray = field(default_factory=lambda: np.zeros(0))
+    demonstration: Demonstration = field(default_factory=Demonstration)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +77,7 @@ class OrientationIntegrator(LeafSystem):
       - policy_state
       - goal_orientation (optional)
       - turn (optional)
+      - demonstration (optional)
       output_ports:
       - desired_orientation
       - desired_angular_velocity
@@ -84,6 +92,9 @@ class OrientationIntegrator(LeafSystem):
     - turn (optional): (1,) wanted turn about the axis [rad], reached in real time, also while
       the motion is held; what is not finite leaves the turn as it is wanted to be now.
       Without it there is no turn.
+    - demonstration (optional): abstract `Demonstration`, in force from where the policy's motion
+      begins or begins anew: what is turned along then, in place of the constructor's primitive
+      and goal.
     - desired_orientation: (4,) quaternion w, x, y, z of R_WE = R(axis, turn) R_dmp, which
       changes sign nowhere along a motion.
     - desired_angular_velocity: (3,) w_WE in the world frame [rad/s].
@@ -129,7 +140,8 @@ class OrientationIntegrator(LeafSystem):
         super().__init__()
         self._primitive = primitive
         self._R_WS = _rotation("start", start)
-        self._goal = demonstrated_goal(primitive, self._R_WS, _rotation("goal", goal))
+        self._R_WG = _rotation("goal", goal)
+        self._goal = demonstrated_goal(primitive, self._R_WS, self._R_WG)
         self._start = kernels.exponential(rotation_vector(self._R_WS))
         axis = np.array(turn_axis_W, dtype=float)
         length = float(np.linalg.norm(axis))
@@ -145,6 +157,7 @@ class OrientationIntegrator(LeafSystem):
         self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
         self._goal_port = self.DeclareVectorInputPort("goal_orientation", 4)
         self._turn = self.DeclareVectorInputPort("turn", 1)
+        self._demonstration = self.DeclareAbstractInputPort("demonstration", Value(Demonstration()))
         self._segment = self.DeclareAbstractState(Value(OrientationSegment(goal=self._goal)))
         self._now = self.DeclareCacheEntry(
             "orientation now",
@@ -171,9 +184,11 @@ class OrientationIntegrator(LeafSystem):
         return context.get_abstract_state(self._segment).get_value()
 
     def _calc_now(self, context: Context, value: AbstractValue) -> None:
-        motion = self._read_segment(context).motion
-        now = kernels.evaluate(motion, self._start, self._axis_W, context.get_time())
-        value.set_value(_Now(now))
+        value.set_value(_Now(self._at(self._read_segment(context), context.get_time())))
+
+    def _at(self, segment: OrientationSegment, time: float) -> FloatArray:
+        start = segment.start if len(segment.start) else self._start
+        return kernels.evaluate(segment.motion, np.array(start), self._axis_W, time)
 
     def _goal_now(self, context: Context, before: OrientationSegment) -> tuple[FloatArray, ...]:
         """The goal's rotation vector, and the quaternion that asked for it."""
@@ -186,18 +201,52 @@ class OrientationIntegrator(LeafSystem):
             R_WG = rotation_matrix(asked)
         except ValueError as error:
             raise ValueError(f"{self.get_name()}: goal_orientation: {error}") from None
-        return goal_vector(self._R_WS, R_WG, before.goal), np.array(asked)
+        R_WS = rotation_matrix(before.start) if len(before.start) else self._R_WS
+        return goal_vector(R_WS, R_WG, before.goal), np.array(asked)
+
+    def _begun_anew(
+        self, context: Context, before: OrientationSegment, policy: PolicyState
+    ) -> OrientationSegment:
+        """With the demonstration that the policy's motion has begun anew with, if it has."""
+        given = read_optional(self, self._demonstration, context, Demonstration)
+        begun = len(before.p_WS) > 0 and not np.array_equal(before.p_WS, policy.p_WS)
+        swapped = policy.phase == 1.0 and given is not before.demonstration
+        seen = replace(before, p_WS=policy.p_WS)
+        if given is None or not (begun or swapped):
+            return seen
+        if given.orientation is None and before.demonstration.orientation is None:
+            return seen
+        # Counted anew from where it is, at rest.
+        origin = before.start if len(before.start) else self._start
+        start = kernels.product(np.array(origin), kernels.exponential(before.r))
+        motion = np.array(before.motion)
+        motion[kernels.R : kernels.TURN] = 0.0
+        own = given.orientation is None
+        R_WG = self._R_WG if own else given.R_WG
+        primitive = self._primitive if own else given.orientation
+        return replace(
+            seen,
+            motion=motion,
+            r=np.zeros(3),
+            z=np.zeros(3),
+            phase=policy.phase,
+            goal=demonstrated_goal(primitive, rotation_matrix(start), R_WG),
+            start=start,
+            demonstration=given,
+        )
 
     def _step(self, context: Context, state: State) -> EventStatus:
         before, time = self._read_segment(context), context.get_time()
         policy = read_value(self, self._policy, context, PolicyState)
+        before = self._begun_anew(context, before, policy)
         goal, asked = self._goal_now(context, before)
-        alpha_k = self._primitive.dmp.alpha_k
+        primitive = before.demonstration.orientation or self._primitive
+        alpha_k = primitive.dmp.alpha_k
         passed = normalised_time(policy.phase, alpha_k) - normalised_time(before.phase, alpha_k)
         ds = max(passed, 0.0)
-        r, z, _ = step(self._primitive, before.r, before.z, before.phase, ds, goal)
+        r, z, _ = step(primitive, before.r, before.z, before.phase, ds, goal)
 
-        now = kernels.evaluate(before.motion, self._start, self._axis_W, time)
+        now = self._at(before, time)
         motion = np.empty(kernels.N_MOTION)
         motion[kernels.BEGIN], motion[kernels.LENGTH] = time, self._period
         motion[kernels.R : kernels.RATE] = before.r
@@ -206,7 +255,7 @@ class OrientationIntegrator(LeafSystem):
         motion[kernels.RATE_END : kernels.TURN] = policy.speed * z
         motion[kernels.TURN :] = self._next_turn(context, before.motion, float(now[-1]))
         state.get_mutable_abstract_state(self._segment).set_value(
-            OrientationSegment(motion, r, z, policy.phase, goal, asked)
+            replace(before, motion=motion, r=r, z=z, phase=policy.phase, goal=goal, asked=asked)
         )
         return _SUCCEEDED
 
