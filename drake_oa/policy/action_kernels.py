@@ -253,20 +253,11 @@ def _take_step(
         if facts.couples:
             fade = goal_fade(distance, baseline, rules.fade)
             terms = _terms(begin, p_WG, R_WL, obstacles, fade, rules.guidance_gain)
-            wx, wy, wz = turn_step(
-                terms,
-                facts.in_plane,
-                rules.printed,
-                rules.max_rate,
-                p[0],
-                p[1],
-                p[2],
-                z[0],
-                z[1],
-                z[2],
-                ds,
+            place, heading = (p[0], p[1], p[2]), (z[0], z[1], z[2])
+            turn = turn_step(
+                terms, facts.in_plane, rules.printed, rules.max_rate, place, heading, ds
             )
-            z[0], z[1], z[2] = rotate(z[0], z[1], z[2], wx, wy, wz)
+            z[0], z[1], z[2] = rotate(heading, turn)
             _spring(p, z, rest, a, b, c, d)
     displaced = evasion.copy()
     for i in range(3):

@@ -12,15 +12,14 @@ these products vanish, the caller's plane normal stands in: a positive turn abou
 goes from the obstacle's centre toward the side to pass on.
 
 How one step turns is derived in docs/equations.md ("Integration"). The kernels pass vectors as
-three scalars, so that nothing is allocated and everything can be inlined. A term is its axis,
-its explicit turn over the step and the divisor of the linearly implicit composition; a divisor
-of 0 says that it does not act.
+triples, so that nothing is allocated and everything can be inlined. A term is its axis, its
+explicit turn over the step and the divisor of the linearly implicit composition; a divisor of 0
+says that it does not act.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -28,16 +27,14 @@ from numpy.typing import ArrayLike
 from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray
 
-GuidanceForm = Literal["counterphase", "printed"]
-
 PARALLEL = 1e-9
 """Sine of the angle below which two directions count as parallel."""
 
 MAX_GUIDANCE_RATE = 1000.0
 """Saturation of the printed guidance term [rad per normalised time]."""
 
-P_WO, ALPHA, PSI, KAPPA, HEADING, NORMAL, GUIDANCE_ALPHA = 0, 3, 4, 5, 6, 9, 12
-"""Columns of a row of terms; centre, heading and normal take three each."""
+ALPHA, PSI, KAPPA, HEADING, NORMAL, GUIDANCE_ALPHA = 3, 4, 5, 6, 9, 12
+"""Columns of a row of terms after its centre; heading and normal take three each."""
 N_COLUMNS = 13
 """Number of columns of a row of terms."""
 
@@ -46,8 +43,9 @@ _MAX_EXPONENT = 700.0
 _MAX_RATE = 1e300
 
 Triple = tuple[float, float, float]
-Term = tuple[float, float, float, float, float]
-"""Axis (three components), explicit turn [rad], divisor (0: no term)."""
+Term = tuple[Triple, float, float]
+"""Axis, explicit turn [rad], divisor (0: no term)."""
+_ABSENT = (0.0, 0.0, 0.0), 0.0, 0.0
 
 
 def original_rate(theta: ArrayLike, gamma: ArrayLike, beta: ArrayLike) -> FloatArray:
@@ -91,8 +89,9 @@ def dead_zone_free_rate(
 
 
 @compiled
-def norm(x: float, y: float, z: float) -> float:
+def norm(v: Triple) -> float:
     """Length of a vector; neither overflows nor underflows on the way."""
+    x, y, z = v
     square = x * x + y * y + z * z
     if 1e-280 < square < 1e280:
         return math.sqrt(square)
@@ -104,90 +103,86 @@ def norm(x: float, y: float, z: float) -> float:
 
 
 @compiled
-def rotate(zx: float, zy: float, zz: float, wx: float, wy: float, wz: float) -> Triple:
+def _dot(a: Triple, b: Triple) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@compiled
+def _cross(a: Triple, b: Triple) -> Triple:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@compiled
+def _divided(v: Triple, by: float) -> Triple:
+    return v[0] / by, v[1] / by, v[2] / by
+
+
+@compiled
+def rotate(z: Triple, w: Triple) -> Triple:
     """z turned about the axis times angle w [rad] by Rodrigues' formula."""
-    angle = norm(wx, wy, wz)
+    angle = norm(w)
     if angle == 0.0:
-        return zx, zy, zz
+        return z
     half = math.sin(0.5 * angle)
     cos = 1.0 - 2.0 * half * half
-    wx, wy, wz = wx / angle, wy / angle, wz / angle
+    axis = _divided(w, angle)
     sin = math.sin(angle)
-    along = (wx * zx + wy * zy + wz * zz) * 2.0 * half * half
+    along = _dot(axis, z) * 2.0 * half * half
+    across = _cross(axis, z)
     return (
-        cos * zx + sin * (wy * zz - wz * zy) + along * wx,
-        cos * zy + sin * (wz * zx - wx * zz) + along * wy,
-        cos * zz + sin * (wx * zy - wy * zx) + along * wz,
+        cos * z[0] + sin * across[0] + along * axis[0],
+        cos * z[1] + sin * across[1] + along * axis[1],
+        cos * z[2] + sin * across[2] + along * axis[2],
     )
 
 
 @compiled
-def between(
-    ax: float, ay: float, az: float, bx: float, by: float, bz: float
-) -> tuple[float, float, float, float, bool]:
+def between(a: Triple, b: Triple) -> tuple[Triple, float, bool]:
     """Axis and angle of the turn from unit a to unit b, and whether the axis is defined."""
-    x = ay * bz - az * by
-    y = az * bx - ax * bz
-    z = ax * by - ay * bx
-    sin = math.sqrt(x * x + y * y + z * z)
-    cos = ax * bx + ay * by + az * bz
+    across = _cross(a, b)
+    sin, cos = math.sqrt(_dot(across, across)), _dot(a, b)
     if sin > PARALLEL:
-        return x / sin, y / sin, z / sin, math.atan2(sin, cos), True
-    return 0.0, 0.0, 0.0, 0.0 if cos > 0.0 else math.pi, False
+        return _divided(across, sin), math.atan2(sin, cos), True
+    return (0.0, 0.0, 0.0), 0.0 if cos > 0.0 else math.pi, False
 
 
 @compiled
-def between_in_plane(
-    ax: float,
-    ay: float,
-    az: float,
-    bx: float,
-    by: float,
-    bz: float,
-    nx: float,
-    ny: float,
-    nz: float,
-) -> tuple[float, float, float, float, bool]:
-    """As `between`, with both seen along n, of any length: the axis is n or its opposite.
+def between_in_plane(a: Triple, b: Triple, normal: Triple) -> tuple[Triple, float, bool]:
+    """As `between`, with both seen along a normal of any length: the axis is it or its opposite.
 
-    It is n where they are parallel, and undefined where they are opposite or one of them
-    is seen as a point.
+    It is the normal where they are parallel, and undefined where they are opposite or one of
+    them is seen as a point.
     """
-    size = norm(nx, ny, nz)
-    nx, ny, nz = nx / size, ny / size, nz / size
-    sine = nx * (ay * bz - az * by) + ny * (az * bx - ax * bz) + nz * (ax * by - ay * bx)
-    a_n, b_n = ax * nx + ay * ny + az * nz, bx * nx + by * ny + bz * nz
-    cosine = ax * bx + ay * by + az * bz - a_n * b_n
+    n = _divided(normal, norm(normal))
+    sine, cosine = _dot(n, _cross(a, b)), _dot(a, b) - _dot(a, n) * _dot(b, n)
     if abs(sine) <= PARALLEL:
-        return nx, ny, nz, 0.0 if cosine > PARALLEL else math.pi, cosine > PARALLEL
+        return n, 0.0 if cosine > PARALLEL else math.pi, cosine > PARALLEL
     if sine > 0.0:
-        return nx, ny, nz, math.atan2(sine, cosine), True
-    return -nx, -ny, -nz, math.atan2(-sine, cosine), True
+        return n, math.atan2(sine, cosine), True
+    return (-n[0], -n[1], -n[2]), math.atan2(-sine, cosine), True
 
 
 @compiled
-def _orthogonal(
-    nx: float, ny: float, nz: float, ex: float, ey: float, ez: float
-) -> tuple[float, float, float, float]:
+def _orthogonal(n: Triple, e: Triple) -> tuple[Triple, float]:
     """The part of n orthogonal to the unit e, and its length."""
-    along = nx * ex + ny * ey + nz * ez
-    x, y, z = nx - along * ex, ny - along * ey, nz - along * ez
-    return x, y, z, math.sqrt(x * x + y * y + z * z)
+    along = _dot(n, e)
+    part = n[0] - along * e[0], n[1] - along * e[1], n[2] - along * e[2]
+    return part, math.sqrt(_dot(part, part))
 
 
 @compiled
-def fallback(nx: float, ny: float, nz: float, ex: float, ey: float, ez: float) -> Triple:
-    """The normal n made orthogonal to the unit heading e, or a definite stand-in."""
-    size = norm(nx, ny, nz)
+def fallback(normal: Triple, e: Triple) -> Triple:
+    """The normal made orthogonal to the unit heading e, or a definite stand-in."""
+    size = norm(normal)
     if size > 0.0:
-        x, y, z, length = _orthogonal(nx / size, ny / size, nz / size, ex, ey, ez)
+        part, length = _orthogonal(_divided(normal, size), e)
         if length > 1e-3:
-            return x / length, y / length, z / length
-    x, y, z, length = _orthogonal(0.0, 0.0, 1.0, ex, ey, ez)
+            return _divided(part, length)
+    part, length = _orthogonal((0.0, 0.0, 1.0), e)
     if length > 1e-3:
-        return x / length, y / length, z / length
-    x, y, z, length = _orthogonal(1.0, 0.0, 0.0, ex, ey, ez)
-    return x / length, y / length, z / length
+        return _divided(part, length)
+    part, length = _orthogonal((1.0, 0.0, 0.0), e)
+    return _divided(part, length)
 
 
 @compiled
@@ -241,15 +236,9 @@ def guidance_gain(alpha: float, closeness: float, printed: bool) -> float:
 
 @compiled
 def avoidance_term(
-    ux: float,
-    uy: float,
-    uz: float,
-    ex: float,
-    ey: float,
-    ez: float,
-    nx: float,
-    ny: float,
-    nz: float,
+    u: Triple,
+    e: Triple,
+    normal: Triple,
     alpha: float,
     psi: float,
     closeness: float,
@@ -259,40 +248,33 @@ def avoidance_term(
     """Turn away from the obstacle, (eq. oa_complete).
 
     Args:
-        ux, uy, uz: unit vector from E to the centre.
-        ex, ey, ez: unit heading.
-        nx, ny, nz: normal of the passing plane, of any length or zero.
+        u: unit vector from E to the centre.
+        e: unit heading.
+        normal: of the passing plane, of any length or zero.
         alpha, psi: parameters of the term.
         closeness: kappa d^2.
         in_plane: whether the term acts in the plane of that normal, if there is one.
         step: length of the step.
     """
-    if in_plane and (nx != 0.0 or ny != 0.0 or nz != 0.0):
-        ax, ay, az, theta, defined = between_in_plane(ux, uy, uz, ex, ey, ez, nx, ny, nz)
+    if in_plane and (normal[0] != 0.0 or normal[1] != 0.0 or normal[2] != 0.0):
+        axis, theta, defined = between_in_plane(u, e, normal)
     else:
-        ax, ay, az, theta, defined = between(ux, uy, uz, ex, ey, ez)
+        axis, theta, defined = between(u, e)
         if not defined and theta == 0.0:
-            ax, ay, az = fallback(nx, ny, nz, ex, ey, ez)
-            defined = True
-    u = theta / psi
-    rate = min(alpha * math.exp(-u * u - closeness), _MAX_RATE)
+            axis, defined = fallback(normal, e), True
+    u_psi = theta / psi
+    rate = min(alpha * math.exp(-u_psi * u_psi - closeness), _MAX_RATE)
     if not defined or not rate > 0.0:
-        return 0.0, 0.0, 0.0, 0.0, 0.0
+        return _ABSENT
     explicit, divisor = limited_avoidance(rate, theta, psi, step)
-    return ax, ay, az, explicit, divisor
+    return axis, explicit, divisor
 
 
 @compiled
 def guidance_term(
-    vx: float,
-    vy: float,
-    vz: float,
-    ex: float,
-    ey: float,
-    ez: float,
-    nx: float,
-    ny: float,
-    nz: float,
+    v: Triple,
+    e: Triple,
+    normal: Triple,
     alpha: float,
     closeness: float,
     printed: bool,
@@ -303,32 +285,21 @@ def guidance_term(
 
     The other arguments are those of `avoidance_term` and `turn_step`.
     """
-    size = norm(vx, vy, vz)
-    ax, ay, az, theta, defined = between(ex, ey, ez, vx / size, vy / size, vz / size)
+    axis, theta, defined = between(e, _divided(v, norm(v)))
     if not defined and theta > 0.0:
-        ax, ay, az = fallback(nx, ny, nz, ex, ey, ez)
-        defined = True
+        axis, defined = fallback(normal, e), True
     gain = guidance_gain(alpha, closeness, printed)
     if not defined or not gain > 0.0:
-        return 0.0, 0.0, 0.0, 0.0, 0.0
+        return _ABSENT
     limit = max_rate if printed else math.inf
     explicit, divisor = limited_guidance(gain, theta, step, limit)
-    return ax, ay, az, explicit, divisor
+    return axis, explicit, divisor
 
 
 @compiled
-def solve(
-    xx: float,
-    yy: float,
-    zz: float,
-    xy: float,
-    xz: float,
-    yz: float,
-    x: float,
-    y: float,
-    z: float,
-) -> Triple:
-    """Solves the symmetric positive definite A w = (x, y, z) by L D L^T."""
+def _solve(diagonal: Triple, off: Triple, b: Triple) -> Triple:
+    """w of the symmetric positive definite A w = b by L D L^T; A's xx, yy, zz and xy, xz, yz."""
+    (xx, yy, zz), (xy, xz, yz), (x, y, z) = diagonal, off, b
     l1, l2 = xy / xx, xz / xx
     d2 = yy - l1 * xy
     m = yz - l1 * xz
@@ -348,12 +319,8 @@ def turn_step(
     in_plane: bool,
     printed: bool,
     max_rate: float,
-    px: float,
-    py: float,
-    pz: float,
-    zx: float,
-    zy: float,
-    zz: float,
+    p: Triple,
+    z: Triple,
     step: float,
 ) -> Triple:
     """Turn of the heading over a step of normalised time.
@@ -368,67 +335,63 @@ def turn_step(
         in_plane: whether avoidance terms act in the planes of the normals.
         printed: the printed form of the guidance term, not the counterphase.
         max_rate: saturation of the printed form [rad per normalised time].
-        px, py, pz: p_WE [m].
-        zx, zy, zz: scaled velocity z_W [m].
+        p: p_WE [m].
+        z: scaled velocity z_W [m].
         step: length of the step in normalised time, at least 0.
 
     Returns:
         Axis times angle [rad] in the world frame, for `rotate`.
     """
-    speed = norm(zx, zy, zz)
+    speed = norm(z)
     if not 0.0 < speed < math.inf:
         return 0.0, 0.0, 0.0
-    ex, ey, ez = zx / speed, zy / speed, zz / speed
-    xx = yy = zz_ = 1.0
-    xy = xz = yz = x = y = z = 0.0
-    ax = ay = az = explicit = divisor = 0.0
+    e = _divided(z, speed)
+    xx = yy = zz = 1.0
+    xy = xz = yz = wx = wy = wz = 0.0
+    axis, explicit, divisor = _ABSENT
     count = 0
-    for row in range(len(terms)):
-        ox, oy, oz = terms[row, 0] - px, terms[row, 1] - py, terms[row, 2] - pz
-        d = norm(ox, oy, oz)
+    for row in terms:
+        o = row[0] - p[0], row[1] - p[1], row[2] - p[2]
+        d = norm(o)
         if not d < math.inf:
             continue
-        alpha, psi, kappa = terms[row, ALPHA], terms[row, PSI], terms[row, KAPPA]
-        guide = terms[row, GUIDANCE_ALPHA]
-        nx, ny, nz = terms[row, NORMAL], terms[row, NORMAL + 1], terms[row, NORMAL + 2]
-        vx, vy, vz = terms[row, HEADING], terms[row, HEADING + 1], terms[row, HEADING + 2]
+        alpha, psi, kappa, guide = row[ALPHA], row[PSI], row[KAPPA], row[GUIDANCE_ALPHA]
+        normal = row[NORMAL], row[NORMAL + 1], row[NORMAL + 2]
+        v = row[HEADING], row[HEADING + 1], row[HEADING + 2]
         closeness = kappa * d * d if kappa != 0.0 else 0.0
         for guides in range(2):
             if guides:
-                if not guide > 0.0 or (vx == 0.0 and vy == 0.0 and vz == 0.0):
+                if not guide > 0.0 or (v[0] == 0.0 and v[1] == 0.0 and v[2] == 0.0):
                     continue
-                term = guidance_term(
-                    vx, vy, vz, ex, ey, ez, nx, ny, nz, guide, closeness, printed, max_rate, step
-                )
+                term = guidance_term(v, e, normal, guide, closeness, printed, max_rate, step)
             else:
                 if not (d > 0.0 and alpha > 0.0):
                     continue
-                ux, uy, uz = ox / d, oy / d, oz / d
-                term = avoidance_term(
-                    ux, uy, uz, ex, ey, ez, nx, ny, nz, alpha, psi, closeness, in_plane, step
-                )
-            if term[4] == 0.0:
+                u = _divided(o, d)
+                term = avoidance_term(u, e, normal, alpha, psi, closeness, in_plane, step)
+            if term[2] == 0.0:
                 continue
-            ax, ay, az, explicit, divisor = term
+            axis, explicit, divisor = term
+            ax, ay, az = axis
             q = divisor - 1.0
             xx += q * ax * ax
             yy += q * ay * ay
-            zz_ += q * az * az
+            zz += q * az * az
             xy += q * ax * ay
             xz += q * ax * az
             yz += q * ay * az
-            x += explicit * ax
-            y += explicit * ay
-            z += explicit * az
+            wx += explicit * ax
+            wy += explicit * ay
+            wz += explicit * az
             count += 1
     if count == 0:
         return 0.0, 0.0, 0.0
     if count == 1:
         angle = explicit / divisor
-        return angle * ax, angle * ay, angle * az
-    x, y, z = solve(xx, yy, zz_, xy, xz, yz, x, y, z)
-    angle = norm(x, y, z)
+        return angle * axis[0], angle * axis[1], angle * axis[2]
+    w = _solve((xx, yy, zz), (xy, xz, yz), (wx, wy, wz))
+    angle = norm(w)
     if angle > math.pi:
         shrink = math.pi / angle
-        return shrink * x, shrink * y, shrink * z
-    return x, y, z
+        return shrink * w[0], shrink * w[1], shrink * w[2]
+    return w

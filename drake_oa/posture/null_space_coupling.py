@@ -126,18 +126,18 @@ def turned_away(
         a_W: (3,) receives it [m/s^2].
     """
     a_W[:] = 0.0
-    speed = norm(v_W[0], v_W[1], v_W[2])
+    speed = norm((v_W[0], v_W[1], v_W[2]))
     if not speed > _AT_REST:
         return
-    ex, ey, ez = v_W[0] / speed, v_W[1] / speed, v_W[2] / speed
-    toward = ex * u_W[0] + ey * u_W[1] + ez * u_W[2]
+    e = v_W[0] / speed, v_W[1] / speed, v_W[2] / speed
+    u = u_W[0], u_W[1], u_W[2]
+    toward = e[0] * u[0] + e[1] * u[1] + e[2] * u[2]
     if toward <= 0.0:
         return
     near = max(distance, 0.0)
-    ax, ay, az, explicit, divisor = avoidance_term(
-        u_W[0], u_W[1], u_W[2], ex, ey, ez, 0.0, 0.0, 0.0,
-        alpha, psi, kappa * near * near, False, step,
-    )  # fmt: skip
+    (ax, ay, az), explicit, divisor = avoidance_term(
+        u, e, (0.0, 0.0, 0.0), alpha, psi, kappa * near * near, False, step
+    )
     if divisor == 0.0:
         return
     # It ends with the approach, and without a jump.

@@ -46,13 +46,17 @@ def turn_of(
     max_rate: float = 1000.0,
 ) -> FloatArray:
     """(3,) turn of the compiled composition."""
-    return np.array(kernels.turn_step(rows, in_plane, printed, max_rate, *p, *z, step))
+    return np.array(kernels.turn_step(rows, in_plane, printed, max_rate, tuple(p), tuple(z), step))
+
+
+def turned_by(z: FloatArray, turn: FloatArray) -> FloatArray:
+    return np.array(kernels.rotate(tuple(z), tuple(turn)))
 
 
 def compiled(
     rows: FloatArray, p: FloatArray, z: FloatArray, step: float, in_plane: bool = True
 ) -> FloatArray:
-    return np.array(kernels.rotate(*z, *turn_of(rows, p, z, step, in_plane)))
+    return turned_by(z, turn_of(rows, p, z, step, in_plane))
 
 
 def single(
@@ -199,15 +203,15 @@ def test_the_rotation_is_that_of_rodrigues(seed: int, log_angle: float) -> None:
     # A large angle is known to its last bit only.
     close = 1e-12 * max(1.0, float(np.linalg.norm(w)) / 1e3)
     expected = Rotation.from_rotvec(w).apply(z)
-    np.testing.assert_allclose(kernels.rotate(*z, *w), expected, rtol=0.0, atol=close)
-    assert kernels.rotate(*z, 0.0, 0.0, 0.0) == tuple(z)
+    np.testing.assert_allclose(turned_by(z, w), expected, rtol=0.0, atol=close)
+    assert kernels.rotate(tuple(z), (0.0, 0.0, 0.0)) == tuple(z)
 
 
 @pytest.mark.parametrize("scale", [5e-324, 1e-200, 1.0, 1e200, 1e308])
 def test_lengths_neither_overflow_nor_vanish(scale: float) -> None:
-    assert kernels.norm(0.0, scale, 0.0) == scale
+    assert kernels.norm((0.0, scale, 0.0)) == scale
     x, y, z = 0.3 * scale, -0.4 * scale, 0.5 * scale
-    assert kernels.norm(x, y, z) == pytest.approx(math.hypot(x, y, z), rel=1e-15)
+    assert kernels.norm((x, y, z)) == pytest.approx(math.hypot(x, y, z), rel=1e-15)
 
 
 # The force turns, it does not push.
@@ -302,8 +306,8 @@ def test_guidance_alone_never_turns_past_where_it_leads(
 ) -> None:
     p, z, center, normal, v_d = np.random.default_rng(seed).normal(size=(5, 3))
     rows = terms(center, [0.0, 1.0, 1.0], v_d, normal, math.exp(log_alpha))
-    after = kernels.rotate(*z, *turn_of(rows, p, z, h, printed=form))
-    assert angle(np.array(after), v_d) <= angle(z, v_d) + 1e-9
+    after = turned_by(z, turn_of(rows, p, z, h, printed=form))
+    assert angle(after, v_d) <= angle(z, v_d) + 1e-9
     assert np.cross(z, v_d) @ np.cross(after, v_d) >= -1e-9
 
 
@@ -352,7 +356,7 @@ def test_many_obstacles_in_line_do_not_turn_more_than_one_of_their_joint_strengt
     six = turn_of(terms([[0.5, 0, 0]] * 6, [1e5, 0.6, 0.0]), ORIGIN, z, 1e-3)
     one = turn_of(terms([0.5, 0, 0], [6e5, 0.6, 0.0]), ORIGIN, z, 1e-3)
     np.testing.assert_allclose(six, one, rtol=0.2)
-    assert angle(AHEAD, np.array(kernels.rotate(*z, *six))) < np.pi / 2 + 0.4
+    assert angle(AHEAD, turned_by(z, six)) < np.pi / 2 + 0.4
 
 
 @pytest.mark.parametrize(("alpha", "kappa"), [(200.0, 10.0), (1e3, 30.0), (1e4, 60.0)])
