@@ -231,17 +231,6 @@ def test_a_new_goal_is_reached_without_a_jump() -> None:
     assert np.linalg.norm(goal_vector(run.orientation(), other.matrix())) < 1e-3
 
 
-def test_the_sign_of_the_goal_makes_no_difference() -> None:
-    goal = RollPitchYaw(2.8, 0.3, 0.4).ToQuaternion().wxyz()
-    ends = []
-    for sign in (1.0, -1.0, 3.0):
-        run = Run(goal=sign * goal)
-        run.simulator.AdvanceTo(1.5)
-        ends.append(run.read("desired_orientation"))
-    np.testing.assert_allclose(ends[1], ends[0], atol=1e-12)
-    np.testing.assert_allclose(ends[2], ends[0], atol=1e-12)
-
-
 @pytest.mark.parametrize("bad", [np.zeros(4), np.array([1.0, np.nan, 0.0, 0.0])])
 def test_a_goal_that_is_no_rotation_is_refused_by_name(bad: FloatArray) -> None:
     with pytest.raises(ValueError, match="orientation: goal_orientation: a quaternion must be"):

@@ -5,7 +5,6 @@ import pytest
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from pydrake.systems.primitives import TrajectorySource
-from pydrake.systems.sensors import ImageDepth32F
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_oa.common.config import ScenarioError
@@ -117,17 +116,6 @@ def test_a_cloned_context_goes_on_alike(moving: Diagram) -> None:
     one, two = (outputs(moving, run.get_context()) for run in (simulator, other))
     assert one[0] == two[0]
     np.testing.assert_array_equal(one[2], two[2])
-
-
-def test_alone_with_a_fixed_state(camera: BackgroundCamera, scenario: Scenario) -> None:
-    _, depth = scenario.cameras[0].MakeCameras()
-    late = LateCamera(camera, depth.core().intrinsics(), num_states=18, period=0.1, delay=0.05)
-    context = late.CreateDefaultContext()
-    late.get_input_port().FixValue(context, np.concatenate([READY, np.zeros(9)]))
-    image = late.GetOutputPort("depth_image").Eval(context)
-    assert isinstance(image, ImageDepth32F)
-    assert image.width() == 64
-    assert late.GetOutputPort("camera_pose").Eval(context).translation()[2] > 0.5
 
 
 @pytest.mark.parametrize("delay", [0.0, -0.01, 0.1, np.nan])

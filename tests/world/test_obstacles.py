@@ -225,109 +225,85 @@ BALL = Obstacle(
 )
 
 
-def follow(block: Any = None) -> tuple[np.ndarray, float]:
-    """Distances to the course at every step, and how far the block went [m]."""
+def played(
+    obstacle: Obstacle, end: float, block: Any = None, *, floor: bool = False
+) -> tuple[dict[float, np.ndarray], np.ndarray]:
+    """Where an obstacle is at every step, and how far a free block is from its place [m].
+
+    The block floats, or stands on a floor at z = 0.
+    """
     builder = DiagramBuilder()
     plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=STEP)
     plant.SetUseSampledOutputPorts(False)
-    instance = add_obstacle(plant, BALL)
+    instance = add_obstacle(plant, obstacle)
+    friction = CoulombFriction(0.5, 0.5)
+    if floor:
+        under = RigidTransform([0.0, 0.0, -0.5])
+        solid = geometry.Box(2.0, 2.0, 1.0)
+        plant.RegisterCollisionGeometry(plant.world_body(), under, solid, "floor", friction)
     if block is not None:
         blocks = plant.AddModelInstance("block")
-        body = plant.AddRigidBody(
-            "block", blocks, SpatialInertia.SolidBoxWithMass(2.0, 0.1, 0.1, 0.1)
-        )
-        plant.RegisterCollisionGeometry(
-            body, RigidTransform(), geometry.Box(0.1, 0.1, 0.1), "block", CoulombFriction(0.5, 0.5)
-        )
-        plant.SetDefaultFloatingBaseBodyPose(body, RigidTransform(block))
-        plant.set_gravity_enabled(body.model_instance(), False)
+        inertia = SpatialInertia.SolidBoxWithMass(2.0, 0.1, 0.1, 0.1)
+        free = plant.AddRigidBody("block", blocks, inertia)
+        solid = geometry.Box(0.1, 0.1, 0.1)
+        plant.RegisterCollisionGeometry(free, RigidTransform(), solid, "block", friction)
+        plant.SetDefaultFloatingBaseBodyPose(free, RigidTransform(block))
+        plant.set_gravity_enabled(blocks, floor)
     plant.Finalize()
-    ball = plant.GetBodyByName("body", instance)
-    course = np.array(BALL.waypoints)
-    mover = builder.AddSystem(ObstacleMover(course, mass=ball.default_mass(), step=STEP))
+    body = plant.GetBodyByName("body", instance)
+    course, mass = np.array(obstacle.waypoints).reshape(-1, 4), body.default_mass()
+    mover = builder.AddSystem(ObstacleMover(course, mass=mass, step=STEP, present=obstacle.present))
     builder.Connect(plant.get_state_output_port(instance), mover.get_input_port())
     builder.Connect(mover.get_output_port(), plant.get_actuation_input_port(instance))
     simulator = Simulator(builder.Build())
-    errors = []
+    places: dict[float, np.ndarray] = {}
+    moved = []
 
     def watch(root: Any) -> None:
         context = plant.GetMyContextFromRoot(root)
-        where = np.asarray(BALL.translation) + offset_at(course, root.get_time())
-        X_WO = plant.EvalBodyPoseInWorld(context, ball)
-        errors.append(np.linalg.norm(X_WO.translation() - where))
+        places[root.get_time()] = plant.EvalBodyPoseInWorld(context, body).translation().copy()
+        if block is not None:
+            p_WB = plant.EvalBodyPoseInWorld(context, free).translation()
+            moved.append(np.linalg.norm(p_WB - block))
 
     simulator.set_monitor(watch)
-    simulator.AdvanceTo(0.6)
-    moved = 0.0
-    if block is not None:
-        context = plant.GetMyContextFromRoot(simulator.get_context())
-        p_WB = plant.EvalBodyPoseInWorld(context, plant.GetBodyByName("block")).translation()
-        moved = float(np.linalg.norm(p_WB - block))
-    return np.array(errors), moved
+    simulator.AdvanceTo(end)
+    return places, np.array(moved)
+
+
+def off_course(places: dict[float, np.ndarray]) -> np.ndarray:
+    """Distances of `BALL` to its course at every step."""
+    course, begin = np.array(BALL.waypoints), np.asarray(BALL.translation)
+    return np.array(
+        [np.linalg.norm(p - begin - offset_at(course, time)) for time, p in places.items()]
+    )
 
 
 def test_a_free_obstacle_is_on_its_course_at_every_step() -> None:
-    errors, _ = follow()
-    assert len(errors) > 300
-    assert errors.max() < 1e-9
+    places, _ = played(BALL, 0.6)
+    assert len(places) > 300
+    assert off_course(places).max() < 1e-9
 
 
 def test_what_is_in_the_way_is_pushed_out_of_it() -> None:
     # On the second leg, 0.2 m before its end.
-    errors, moved = follow(np.array([0.5, 0.1, 0.3]))
-    assert moved > 0.1
+    places, moved = played(BALL, 0.6, np.array([0.5, 0.1, 0.3]))
+    errors = off_course(places)
+    assert moved[-1] > 0.1
     assert errors.max() < 0.005
     assert errors[-20:].max() < 1e-3
 
 
 def test_what_appears_is_nowhere_else_before_and_disturbs_nothing() -> None:
     """A block rests under the sphere's place: nothing falls on it, nothing moves it."""
-    builder = DiagramBuilder()
-    plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=STEP)
-    plant.SetUseSampledOutputPorts(False)
     ball = Obstacle(
         name="ball", shapes=[Sphere(radius=0.05)], translation=[0.0, 0.0, 0.4], present=[0.1, 0.2]
     )
-    instance = add_obstacle(plant, ball)
-    friction = CoulombFriction(0.5, 0.5)
-    plant.RegisterCollisionGeometry(
-        plant.world_body(),
-        RigidTransform([0.0, 0.0, -0.5]),
-        geometry.Box(2.0, 2.0, 1.0),
-        "floor",
-        friction,
-    )
-    block = plant.AddRigidBody(
-        "block",
-        plant.AddModelInstance("block"),
-        SpatialInertia.SolidBoxWithMass(2.0, 0.1, 0.1, 0.1),
-    )
-    plant.RegisterCollisionGeometry(
-        block, RigidTransform(), geometry.Box(0.1, 0.1, 0.1), "block", friction
-    )
-    plant.SetDefaultFloatingBaseBodyPose(block, RigidTransform([0.02, 0.0, 0.05]))
-    plant.Finalize()
-    body = plant.GetBodyByName("body", instance)
-    mover = builder.AddSystem(
-        ObstacleMover(np.zeros((0, 4)), mass=body.default_mass(), step=STEP, present=ball.present)
-    )
-    builder.Connect(plant.get_state_output_port(instance), mover.get_input_port())
-    builder.Connect(mover.get_output_port(), plant.get_actuation_input_port(instance))
-    simulator = Simulator(builder.Build())
-    heights, moved = {}, []
-
-    def watch(root: Any) -> None:
-        context = plant.GetMyContextFromRoot(root)
-        heights[root.get_time()] = plant.EvalBodyPoseInWorld(context, body).translation()[2]
-        p_WB = plant.EvalBodyPoseInWorld(context, block).translation()
-        moved.append(np.linalg.norm(p_WB - [0.02, 0.0, 0.05]))
-
-    simulator.set_monitor(watch)
-    simulator.AdvanceTo(0.3)
-    for time, height in heights.items():
+    places, moved = played(ball, 0.3, np.array([0.02, 0.0, 0.05]), floor=True)
+    for time, place in places.items():
         away = 0.0 if 0.1 - 1e-9 <= time < 0.2 - 1e-9 else ABSENT_HEIGHT
-        assert height == pytest.approx(0.4 + away, abs=1e-8)
-    assert max(moved) < 1e-3
+        assert place[2] == pytest.approx(0.4 + away, abs=1e-8)
+    assert moved.max() < 1e-3
 
 
 @pytest.mark.parametrize(

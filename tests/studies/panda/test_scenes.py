@@ -63,12 +63,3 @@ def test_scenes_that_are_looked_at_are_taken_or_dropped_for_a_reason():
     assert again.counts == tally.counts
     pairs = tally.counts["pairs of start and goal"]
     assert pairs[""] == sum(scenes.values())
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [({"kind": "maze"}, "unknown kind of scenes 'maze'"), ({"perception": "sonar"}, "sonar")],
-)
-def test_unknown_words_are_refused(changes, message):
-    with pytest.raises(ValueError, match=message):
-        draw_panda_scene(0, 0, **changes)

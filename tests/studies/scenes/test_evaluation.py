@@ -13,7 +13,7 @@ from drake_oa.studies.scenes.figures import (
     motion_figures,
 )
 from drake_oa.studies.scenes.judge import Judgement, joined
-from drake_oa.studies.scenes.methods import METHODS, Motions, Setting, load_method
+from drake_oa.studies.scenes.methods import METHODS, Motions, Setting
 from drake_oa.studies.scenes.scenes import Scenes
 from drake_oa.studies.scenes.suites import SUITES, draw_scenes
 
@@ -187,11 +187,6 @@ def test_the_table_sets_methods_side_by_side_and_the_papers_figures_below(
     assert "(not complete)" in lines[2]
     printed = [line.split() for line in lines if "the paper prints" in line]
     assert [row[-3] for row in printed] == ["0.441", "0.423", "0.522", "0.649"]
-
-
-def test_unknown_methods_are_answered_with_the_valid_ones() -> None:
-    with pytest.raises(ValueError, match="unknown method 'nobody'; valid: paper, verified, orig"):
-        load_method("nobody")
 
 
 def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPatch) -> None:
