@@ -21,7 +21,6 @@ from drake_oa.control.operational_space import (
     operational_space_torque,
 )
 from drake_oa.control.operational_space_kernels import damped_task_force, limit_torque
-from drake_oa.geometry.rotation import rotation_vector
 
 N = 7
 SEEDS = st.integers(0, 2**31 - 1)
@@ -62,27 +61,6 @@ def follow(state: ArmState, desired: DesiredMotion, **gains: float) -> JointTorq
 def acceleration(state: ArmState, torque: JointTorque) -> np.ndarray:
     """(6,) what the tool then does."""
     return state.J @ np.linalg.solve(state.M, torque.tau - state.h) + state.Jdot_v
-
-
-@given(st.lists(st.floats(-1, 1), min_size=3, max_size=3), st.floats(0, np.pi))
-@settings(max_examples=200, deadline=None)
-def test_rotation_vector_inverts_the_exponential(axis: list[float], angle: float) -> None:
-    norm = np.linalg.norm(axis)
-    if norm < 1e-3:
-        axis, norm = [0.0, 0.0, 1.0], 1.0
-    R = Rotation.from_rotvec(np.asarray(axis) / norm * angle).as_matrix()
-    r = rotation_vector(R)
-    assert np.linalg.norm(r) <= np.pi + 1e-12
-    np.testing.assert_allclose(Rotation.from_rotvec(r).as_matrix(), R, atol=1e-9)
-
-
-@pytest.mark.parametrize("axis", np.vstack([np.eye(3), -np.eye(3), [[0.6, -0.8, 0.0]]]))
-@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-5, 1.0, np.pi - 1e-7, np.pi])
-def test_rotation_vector_at_the_ends_of_its_range(axis: np.ndarray, angle: float) -> None:
-    R = Rotation.from_rotvec(axis * angle).as_matrix()
-    r = rotation_vector(R)
-    assert np.linalg.norm(r) == pytest.approx(angle, abs=1e-9)
-    np.testing.assert_allclose(Rotation.from_rotvec(r).as_matrix(), R, atol=1e-9)
 
 
 @given(SEEDS)

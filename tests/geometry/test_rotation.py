@@ -21,6 +21,15 @@ def test_rotations_are_those_of_scipy(seed, size):
     np.testing.assert_allclose(turned_about(points, axis, turn), turned, atol=1e-12)
 
 
+@pytest.mark.parametrize("axis", np.vstack([np.eye(3), -np.eye(3), [[0.6, -0.8, 0.0]]]))
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-5, 1.0, np.pi - 1e-7, np.pi])
+def test_rotation_vector_at_the_ends_of_its_range(axis, angle):
+    R = Rotation.from_rotvec(axis * angle).as_matrix()
+    r = rotation_vector(R)
+    assert np.linalg.norm(r) == pytest.approx(angle, abs=1e-9)
+    np.testing.assert_allclose(Rotation.from_rotvec(r).as_matrix(), R, atol=1e-9)
+
+
 @pytest.mark.parametrize("axis", [[0.0, 0.0, 0.0], [1.0, 0.0], [np.nan, 0.0, 1.0]])
 def test_an_axis_without_a_direction_is_refused(axis):
     with pytest.raises(ValueError, match="axis of a turn"):

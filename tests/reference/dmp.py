@@ -94,20 +94,7 @@ def trajectory(
     end: float = 1.0,
     turn: Turn | None = None,
 ) -> Trajectory:
-    """Rolls the action level forward from rest; without a turn, the planned motion.
-
-    Args:
-        dmp: the movement primitive, of D dimensions.
-        start: (D,) start [m].
-        goal: (D,) goal [m].
-        steps: number of steps, at least 1.
-        end: normalised time at the end.
-        turn: as in `step`.
-
-    Returns:
-        The motion at steps + 1 instants.
-
-    """
+    """As `drake_oa.policy.dmp.trajectory`, with a turn as in `step`."""
     p, g = np.array(start, dtype=float), np.array(goal, dtype=float)
     frame = baseline_frame(p, g)
     baseline = float(np.linalg.norm(g - p))
