@@ -290,18 +290,3 @@ def make_joint_controller(
         kd=np.full(n, parameters.kd),
         has_reference_acceleration=False,
     )
-
-
-def actuation_of_force(plant: MultibodyPlant) -> FloatArray:
-    """(nu, nv) matrix that takes generalized forces to actuation, in the plant's orders."""
-    return np.asarray(plant.MakeActuationMatrix()).T
-
-
-def effort_limits(plant: MultibodyPlant) -> FloatArray:
-    """(nu,) largest actuation either way, in the order of the plant's actuators."""
-    return np.array(
-        [
-            plant.get_joint_actuator(index).effort_limit()
-            for index in plant.GetJointActuatorIndices()
-        ]
-    )
