@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from drake_oa.studies.scenes.evaluation import Evaluation, Outcome
     from drake_oa.studies.scenes.methods import Method, Motions
     from drake_oa.studies.scenes.scenes import Scenes
+    from drake_oa.studies.scenes.suites import Suite
 
 RESULTS = Path("drake_oa_runs") / "evaluate-panda"
 """Where results go that nobody named, relative to the current folder."""
@@ -122,24 +123,12 @@ def synthetic(
     from drake_oa.studies.scenes.dead_zone import compare_terms, term_figures, term_table
     from drake_oa.studies.scenes.evaluation import evaluate as evaluate_scenes
     from drake_oa.studies.scenes.figures import evaluation_figures, evaluation_tables
-    from drake_oa.studies.scenes.plots import check_plot_file, plot_evaluation
+    from drake_oa.studies.scenes.plots import plot_evaluation
     from drake_oa.studies.scenes.scenes import save_scenes
-    from drake_oa.studies.scenes.suites import SUITES, find_suite
 
-    if suite in evaluate:
-        raise ValueError(f"the suite comes first: drake-oa evaluate {suite} ...")
-    if suite not in SUITES:
-        known = ", ".join([*SUITES, "panda", "mbm"])
-        raise ValueError(f"unknown suite {suite!r}; valid: {known}")
-    found_suite = find_suite(suite)
+    found_suite = _suite(suite)
     chosen = _methods(methods or found_suite.methods)
-    if plot is not None:
-        check_plot_file(plot)
-    if same_file(json, plot, write_scenes, scenes_file):
-        raise ValueError(
-            "--json, --plot, --write-scenes and --scenes-file must name different files"
-        )
-    check_outputs(json, plot, write_scenes)
+    _check_files(json, plot, write_scenes, scenes_file)
     drawn = _scenes(suite, scenes, seed, scenes_file)
     if write_scenes is not None:
         save_scenes(write_scenes, drawn)
@@ -179,6 +168,31 @@ def synthetic(
     if plot is not None:
         plot_evaluation(plot, suite, drawn, found_suite.cases, evaluation.outcomes, paths, terms)
     return _status(evaluation)
+
+
+def _suite(name: str) -> Suite:
+    from drake_oa.studies.scenes.suites import SUITES, find_suite
+
+    if name in evaluate:
+        raise ValueError(f"the suite comes first: drake-oa evaluate {name} ...")
+    if name not in SUITES:
+        known = ", ".join([*SUITES, "panda", "mbm"])
+        raise ValueError(f"unknown suite {name!r}; valid: {known}")
+    return find_suite(name)
+
+
+def _check_files(
+    json: Path | None, plot: Path | None, write_scenes: Path | None, scenes_file: Path | None
+) -> None:
+    from drake_oa.studies.scenes.plots import check_plot_file
+
+    if plot is not None:
+        check_plot_file(plot)
+    if same_file(json, plot, write_scenes, scenes_file):
+        raise ValueError(
+            "--json, --plot, --write-scenes and --scenes-file must name different files"
+        )
+    check_outputs(json, plot, write_scenes)
 
 
 def _methods(names: Sequence[str]) -> dict[str, Method]:

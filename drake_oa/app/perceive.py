@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json as json_text
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from drake_oa.common.console import BAD_INPUT, FAILED, TextTable, complain, show
 from drake_oa.common.files import check_outputs, replace_text
@@ -100,7 +100,7 @@ def perceive(
         background: keep what is far and cut by the border.
         repeats: times a file is timed.
     """
-    from drake_oa.app.perceive_frame import as_json, plot_frame
+    from drake_oa.app.perceive_frame import as_json
     from drake_oa.app.perceive_frame import perceive as perceive_frame
     from drake_oa.common.files import software_versions
     from drake_oa.perception.recordings import read_frame
@@ -113,40 +113,49 @@ def perceive(
     paths, status = _expanded(files)
     check_outputs(json)
     pictures = {} if plot is None else _pictures(plot, paths)
-    figures: dict[str, Any] = {
-        "tool": tool,
-        "tool_W": tool_W.tolist(),
-        "versions": list(software_versions()),
-        "files": [],
-    }
-    seen: list[PerceivedFrame] = []
-    for path in paths:
-        try:
-            found = perceive_frame(
-                read_frame(path, coding=coding),
-                tool_W,
-                X_WC=X_WC,
-                config=config,
-                background=background,
-                repeats=repeats,
-            )
-        except (ValueError, OSError) as error:
-            complain(str(error))
-            figures["files"].append({"file": str(path), "error": str(error)})
-            status = BAD_INPUT
-            continue
-        seen.append(found)
-        figures["files"].append(as_json(found))
-        if found.segmentation.note:
-            complain(f"'{path}': {found.segmentation.note}")
-            status = max(status, FAILED)
-        if path in pictures:
-            plot_frame(found, pictures[path])
+
+    def look(path: Path) -> PerceivedFrame:
+        frame = read_frame(path, coding=coding)
+        return perceive_frame(
+            frame, tool_W, X_WC=X_WC, config=config, background=background, repeats=repeats
+        )
+
+    found = {path: _perceived(path, look, pictures.get(path)) for path in paths}
+    seen = [frame for frame in found.values() if not isinstance(frame, str)]
     if seen:
         show(_table(seen))
     if json is not None:
+        figures = {
+            "tool": tool,
+            "tool_W": tool_W.tolist(),
+            "versions": list(software_versions()),
+            "files": [
+                {"file": str(path), "error": frame} if isinstance(frame, str) else as_json(frame)
+                for path, frame in found.items()
+            ],
+        }
         replace_text(json, json_text.dumps(figures, indent=1, allow_nan=False) + "\n")
-    return status
+    if status or len(seen) < len(found):
+        return BAD_INPUT
+    return FAILED if any(frame.segmentation.note for frame in seen) else 0
+
+
+def _perceived(
+    path: Path, look: Callable[[Path], PerceivedFrame], picture: Path | None
+) -> PerceivedFrame | str:
+    """What a file shows, drawn where that is asked for; or why it cannot be used."""
+    from drake_oa.app.perceive_frame import plot_frame
+
+    try:
+        found = look(path)
+    except (ValueError, OSError) as error:
+        complain(str(error))
+        return str(error)
+    if found.segmentation.note:
+        complain(f"'{path}': {found.segmentation.note}")
+    if picture is not None:
+        plot_frame(found, picture)
+    return found
 
 
 def _table(seen: Sequence[PerceivedFrame]) -> TextTable:
