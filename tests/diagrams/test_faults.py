@@ -24,7 +24,6 @@ from drake_oa.common.messages import (
     ObstacleClouds,
     TablePlane,
 )
-from drake_oa.common.wires import LOG_PERIOD
 from drake_oa.diagrams import policy, route, view
 from drake_oa.diagrams.avoidance import Layers, build_avoidance
 from drake_oa.diagrams.policy import make_dmp
@@ -340,11 +339,6 @@ def test_a_scenario_that_cannot_run_is_refused_by_its_field(
         assert words in str(error.value)
 
 
-def test_an_unknown_scenario_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(ScenarioError, match=r"unknown scenario 'nothing'.*tabletop_box"):
-        load_scenario("nothing")
-
-
 def test_weights_of_another_shape_are_refused(tmp_path: Path) -> None:
     wrong = tmp_path / "wrong.npz"
     np.savez(wrong, alpha=np.zeros((2, 2)))
@@ -538,10 +532,3 @@ def test_an_interrupted_run_leaves_its_log(cause: BaseException, name: str) -> N
     report = motion_report(load_scenario("tabletop_box"), log)
     assert report["stop_reason"] == name
     assert report["collisions"] == 0
-
-
-def test_a_time_limit_ends_a_run_and_is_reported() -> None:
-    log = simulate(load_scenario("free_space"), duration=0.25)
-    assert log.stop_reason == "time limit of 0.25 s"
-    # The last sample of the log is at most its period before.
-    assert log.duration == pytest.approx(0.25, abs=LOG_PERIOD)

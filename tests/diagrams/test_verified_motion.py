@@ -127,6 +127,8 @@ def test_the_free_point_keeps_the_asked_clearance_and_no_more() -> None:
     assert CLEARANCE - 1e-3 < report["tool_clearance_min"] < CLEARANCE + 5e-3
     assert report["goal_error"] <= 1e-3
     assert report["believed_shortfall"] == 0.0
+    planned = motion_report(scenario, simulate(scenario, modulated=False))
+    assert planned["collisions"] > 0
 
 
 def test_noise_on_what_is_seen_neither_flips_the_side_nor_touches(
