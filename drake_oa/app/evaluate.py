@@ -123,12 +123,18 @@ def synthetic(
     from drake_oa.studies.scenes.dead_zone import compare_terms, term_figures, term_table
     from drake_oa.studies.scenes.evaluation import evaluate as evaluate_scenes
     from drake_oa.studies.scenes.figures import evaluation_figures, evaluation_tables
-    from drake_oa.studies.scenes.plots import plot_evaluation
+    from drake_oa.studies.scenes.plots import check_plot_file, plot_evaluation
     from drake_oa.studies.scenes.scenes import save_scenes
 
     found_suite = _suite(suite)
     chosen = _methods(methods or found_suite.methods)
-    _check_files(json, plot, write_scenes, scenes_file)
+    if plot is not None:
+        check_plot_file(plot)
+    if same_file(json, plot, write_scenes, scenes_file):
+        raise ValueError(
+            "--json, --plot, --write-scenes and --scenes-file must name different files"
+        )
+    check_outputs(json, plot, write_scenes)
     drawn = _scenes(suite, scenes, seed, scenes_file)
     if write_scenes is not None:
         save_scenes(write_scenes, drawn)
@@ -179,20 +185,6 @@ def _suite(name: str) -> Suite:
         known = ", ".join([*SUITES, "panda", "mbm"])
         raise ValueError(f"unknown suite {name!r}; valid: {known}")
     return find_suite(name)
-
-
-def _check_files(
-    json: Path | None, plot: Path | None, write_scenes: Path | None, scenes_file: Path | None
-) -> None:
-    from drake_oa.studies.scenes.plots import check_plot_file
-
-    if plot is not None:
-        check_plot_file(plot)
-    if same_file(json, plot, write_scenes, scenes_file):
-        raise ValueError(
-            "--json, --plot, --write-scenes and --scenes-file must name different files"
-        )
-    check_outputs(json, plot, write_scenes)
 
 
 def _methods(names: Sequence[str]) -> dict[str, Method]:

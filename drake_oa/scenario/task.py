@@ -45,6 +45,8 @@ class Task:
     demonstration: str = ""
 
 
+_LATER = 1e-6
+"""Least time between two moves of the goal [s]."""
 _APART = 1e-3
 """Least distance of a goal from the start [m]."""
 
@@ -73,9 +75,11 @@ def check_goals(
             raise ScenarioError(
                 f"{where}: expected 4 numbers, t [s], x, y, z [m], not {list(move)}"
             )
-        if move[0] <= before:
+        if move[0] < before + _LATER:
             than = "0" if row == 0 else "that of the one before"
-            raise ScenarioError(f"{where}: its time {move[0]:g} s must be later than {than}")
+            raise ScenarioError(
+                f"{where}: its time {move[0]:g} s must be later than {than}, by 1 us at least"
+            )
         if math.dist(start, move[1:]) < _APART:
             raise ScenarioError(
                 f"{where}: {list(move[1:])} is the start; they must be at least 1 mm apart"

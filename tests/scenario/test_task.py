@@ -13,7 +13,7 @@ from drake_oa.scenario.task import Task, goal_at, goal_steps, goal_trajectory, l
 
 numbers = st.floats(-1.0, 1.0)
 tasks = st.lists(
-    st.tuples(st.floats(0.01, 10.0), numbers, numbers, numbers),
+    st.tuples(st.integers(1, 1000).map(lambda t: 0.01 * t), numbers, numbers, numbers),
     max_size=4,
     unique_by=lambda m: m[0],
 ).map(lambda moves: Task(goal_moves=[list(move) for move in sorted(moves)]))
@@ -53,6 +53,7 @@ def test_each_step_holds_from_its_own_time_on(task: Task) -> None:
         ("[[1, 0, 0]]", r"task\.goal_moves\[0\]: expected 4 numbers"),
         ("[[0, 0, 0, 1]]", r"goal_moves\[0\]: its time 0 s must be later than 0"),
         ("[[2, 0, 0, 1], [2, 0, 0, 1]]", r"goal_moves\[1\]: its time 2 s must be later than that"),
+        ("[[2, 0, 0, 1], [2.0000000000000004, 0, 0, 1]]", r"must be later .* by 1 us"),
         ("[[2, 0, 0, 1], [3, 0.45, -0.45, 0.3]]", r"goal_moves\[1\]: .* is the start"),
         ("[[2, 0, .inf, 1]]", r"goal_moves\[0\]\[2\]: must be a finite number"),
         ("[7]", r"goal_moves\[0\]: expected a list, not 7"),
