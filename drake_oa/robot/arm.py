@@ -49,9 +49,9 @@ def make_arm_model(
     context = plant.CreateDefaultContext()
     q = np.asarray(q, dtype=float)
     plant.SetPositions(context, q)
-    joints = _joints_to(plant, tool_frame)
+    joints = joints_to(plant, tool_frame)
     index = np.array([joint.position_start() for joint in joints])
-    X_WJ = [joint.child_body().EvalPoseInWorld(context) @ _axis_frame(joint) for joint in joints]
+    X_WJ = [joint.child_body().EvalPoseInWorld(context) @ axis_frame(joint) for joint in joints]
     before = RigidTransform()
     X_PJ = np.zeros((len(joints) + 1, 4, 4))
     for i in range(len(joints)):
@@ -59,7 +59,7 @@ def make_arm_model(
         X_PJ[i] = (before.inverse() @ X_WJ[i] @ turned.inverse()).GetAsMatrix4()
         before = X_WJ[i]
     X_PJ[-1] = (before.inverse() @ tool_frame.CalcPoseInWorld(context)).GetAsMatrix4()
-    moved = _moved_by(plant, joints)
+    moved = moved_by(plant, joints)
     return ArmModel(
         index=index,
         X_PJ=X_PJ,
@@ -74,7 +74,7 @@ def make_arm_model(
     )
 
 
-def _joints_to(plant: MultibodyPlant, tool_frame: Frame) -> list[RevoluteJoint]:
+def joints_to(plant: MultibodyPlant, tool_frame: Frame) -> list[RevoluteJoint]:
     """The moving joints from the world to the tool, in that order."""
     moving = [
         joint
@@ -91,7 +91,7 @@ def _joints_to(plant: MultibodyPlant, tool_frame: Frame) -> list[RevoluteJoint]:
     return moving
 
 
-def _axis_frame(joint: RevoluteJoint) -> RigidTransform:
+def axis_frame(joint: RevoluteJoint) -> RigidTransform:
     """Pose in the child body of a frame whose z axis is the joint's."""
     X_BM = joint.frame_on_child().GetFixedPoseInBodyFrame()
     return X_BM @ RigidTransform(
@@ -99,7 +99,7 @@ def _axis_frame(joint: RevoluteJoint) -> RigidTransform:
     )
 
 
-def _moved_by(plant: MultibodyPlant, joints: list[RevoluteJoint]) -> dict[BodyIndex, int]:
+def moved_by(plant: MultibodyPlant, joints: list[RevoluteJoint]) -> dict[BodyIndex, int]:
     """The last joint that moves each body that any of them moves."""
     moved = {}
     for i, joint in enumerate(joints):
@@ -108,7 +108,7 @@ def _moved_by(plant: MultibodyPlant, joints: list[RevoluteJoint]) -> dict[BodyIn
     return moved
 
 
-def _in_joint_frame(
+def in_joint_frame(
     plant: MultibodyPlant,
     context: Context,
     X_WJ: list[RigidTransform],
@@ -132,7 +132,7 @@ def _shapes(
     """What may touch obstacles."""
     shapes = robot.shapes
     taken = [body in moved and plant.get_body(body).name() not in without for body in robot.bodies]
-    frame = [_in_joint_frame(plant, context, X_WJ, moved, body) for body in robot.bodies]
+    frame = [in_joint_frame(plant, context, X_WJ, moved, body) for body in robot.bodies]
     box = [row for row, body in enumerate(shapes.box_body) if taken[body]]
     cylinder = [row for row, body in enumerate(shapes.cylinder_body) if taken[body]]
 
@@ -172,7 +172,7 @@ def _parts(
     radii: list[float] = []
     first, spheres = [0], []
     for row, body in enumerate(robot.bodies):
-        X_JB = _in_joint_frame(plant, context, X_WJ, moved, body)
+        X_JB = in_joint_frame(plant, context, X_WJ, moved, body)
         begin = len(rods)
         for k in np.flatnonzero(shapes.box_body == row):
             half = shapes.half_extents[k]

@@ -1,0 +1,364 @@
+"""A robot as spheres that enclose its collision geometry, and which bodies may touch each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from pydrake.math import RigidTransform
+from pydrake.multibody.tree import BodyIndex, RevoluteJoint
+from pydrake.systems.framework import Context
+
+from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
+from drake_oa.robot import sphere_kernels as kernels
+from drake_oa.robot.arm import axis_frame, in_joint_frame, joints_to, moved_by
+from drake_oa.robot.plant import RobotPlant
+from drake_oa.robot.sphere_cover import Cover, cover, read_solid
+
+_ROUNDED = 1e-9
+"""Added to bounding spheres [m]."""
+_BALL_STEPS = 300
+
+
+@dataclass(frozen=True)
+class SphereParameters:
+    """How near the spheres fit, and how pairs that may touch are found.
+
+    Attributes:
+        overshoot: how far the spheres of the arm's links stick out of them, about; `report` says
+            how far they came to [m].
+        tool_overshoot: those of the tool, and of what it holds [m].
+        fixed_overshoot: those of what no joint moves, that only the arm comes near to [m].
+        most: spheres of a body at most; where more were needed they stick out farther.
+        postures: random ones, within the joints' limits.
+        always: a pair that touches in this share of them is of neighbours.
+        often: a pair whose spheres overlap in this share of them, and whose shapes never touch,
+            has an allowance; more rarely tells too little.
+        seed: of the postures.
+    """
+
+    overshoot: float = 0.010
+    tool_overshoot: float = 0.006
+    fixed_overshoot: float = 0.020
+    most: int = 200
+    postures: int = 2000
+    always: float = 0.95
+    often: float = 0.02
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        positive = ("overshoot", "tool_overshoot", "fixed_overshoot", "most", "postures")
+        for name in positive:
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
+
+
+@dataclass(frozen=True)
+class BodyReport:
+    """One row of `ArmSpheres.report`.
+
+    Attributes:
+        body: its name.
+        joint: the joint that moves it, -1: none.
+        shapes: how many it has.
+        spheres: how many enclose them.
+        overshoot: how far these stick out of the shapes at most [m].
+        volume_ratio: volume of the spheres' union over that of the shapes'.
+    """
+
+    body: str
+    joint: int
+    shapes: int
+    spheres: int
+    overshoot: float
+    volume_ratio: float
+
+
+@dataclass(frozen=True)
+class PairReport:
+    """What was found of two bodies, in random postures.
+
+    Attributes:
+        bodies: their names.
+        touching: share of the postures in which their shapes touch.
+        spheres_touching: in which their spheres do.
+        allowance: see `kernels.Spheres`; 0 where the shapes may touch [m].
+        is_kept: whether the pair is looked at; else its shapes always touch.
+    """
+
+    bodies: tuple[str, str]
+    touching: float
+    spheres_touching: float
+    allowance: float
+    is_kept: bool
+
+
+@dataclass(frozen=True, eq=False)
+class ArmSpheres(Frozen):
+    """An arm of n revolute joints as S spheres in G groups, a body a group.
+
+    Attributes:
+        arrays: as the kernels take it; its fields say what is what.
+        bodies: (G,) name of each group's body.
+        covers: (G,) its spheres in its own frame, and how near they fit.
+        shapes: (G,) how many collision shapes it has.
+        looked_at: what was found of the pairs that are no neighbours.
+    """
+
+    arrays: kernels.Spheres
+    bodies: tuple[str, ...]
+    covers: tuple[Cover, ...]
+    shapes: tuple[int, ...]
+    looked_at: tuple[PairReport, ...]
+
+    def __len__(self) -> int:
+        return len(self.arrays.radius)
+
+    @cached_property
+    def body_of(self) -> tuple[str, ...]:
+        """(S,) name of each sphere's body."""
+        counts = np.diff(self.arrays.first)
+        return tuple(np.repeat(np.array(self.bodies), counts).tolist())
+
+    @property
+    def overshoot(self) -> float:
+        """How far any sphere of a body that moves sticks out of its shapes at most [m]."""
+        moving = zip(self.covers, self.arrays.group_joint, strict=True)
+        return max(found.overshoot for found, joint in moving if joint >= 0)
+
+    def report(self) -> list[BodyReport]:
+        """A row for each body."""
+        return [
+            BodyReport(
+                name,
+                int(self.arrays.group_joint[g]),
+                self.shapes[g],
+                len(found.radii),
+                found.overshoot,
+                found.volume_ratio,
+            )
+            for g, (name, found) in enumerate(zip(self.bodies, self.covers, strict=True))
+        ]
+
+    def placed(self, X_WJ: FloatArray) -> FloatArray:
+        """(S, 3) the spheres' centres in the world, joints' frames being at X_WJ (n, 4, 4)."""
+        centers = np.empty((len(self), 3))
+        kernels.place(np.array(X_WJ, dtype=float, order="C"), self.arrays, centers)
+        return centers
+
+    def self_distance(self, X_WJ: FloatArray) -> tuple[float, tuple[str, str] | None]:
+        """How near the arm comes to itself, and by which bodies; see `kernels.self_distance`."""
+        X_WJ = np.array(X_WJ, dtype=float, order="C")
+        distance, pair = kernels.self_distance(X_WJ, self.arrays, np.inf)
+        if pair < 0:
+            return distance, None
+        one, other = self.arrays.pairs[pair]
+        return distance, (self.bodies[one], self.bodies[other])
+
+
+def make_arm_spheres(
+    robot: RobotPlant,
+    q: FloatArray,
+    tool_links: Sequence[str] = (),
+    parameters: SphereParameters | None = None,
+) -> ArmSpheres:
+    """Spheres for everything of a robot that has collision geometry.
+
+    Args:
+        robot: the robot alone, its base fixed anywhere in the world.
+        q: (nq,) its positions; joints that do not move the tool frame stay as they are here,
+            such as those of the fingers [rad, m].
+        tool_links: names of the bodies of the tool, and of what it holds.
+        parameters: how near the spheres fit.
+
+    Raises:
+        ValueError: for a robot without collision geometry on what its joints move, a joint
+            between base and tool that is not revolute, none at all, a shape that is not
+            bounded, names that are not of bodies, positions of the wrong number.
+    """
+    parameters = parameters or SphereParameters()
+    plant, inspector = robot.plant, robot.scene_graph.model_inspector()
+    q = np.asarray(q, dtype=float)
+    if q.shape != (plant.num_positions(),) or not np.isfinite(q).all():
+        raise ValueError(f"q must be {plant.num_positions()} finite positions, not {q}")
+    joints = joints_to(plant, robot.tool_frame)
+    tool = robot.tool_frame.body()
+    if not joints:
+        raise ValueError(
+            f"no joint moves '{tool.name()}', which carries the tool frame; there must be "
+            "revolute joints between the base and the tool"
+        )
+    moved = moved_by(plant, joints)
+    bodies = [
+        index
+        for index in plant.GetBodyIndices(robot.instance)
+        if plant.GetCollisionGeometriesForBody(plant.get_body(index))
+    ]
+    names = [plant.get_body(index).name() for index in plant.GetBodyIndices(robot.instance)]
+    if not any(index in moved for index in bodies):
+        links = [name for name in names if plant.GetBodyByName(name).index() in moved]
+        raise ValueError(
+            f"none of the links that the joints move ({', '.join(links)}) has collision geometry; "
+            "the model needs a <collision> of bounded shape on those that are to be kept clear"
+        )
+    unknown = sorted(set(tool_links) - set(names))
+    if unknown:
+        raise ValueError(f"tool_links: no body {', '.join(unknown)}; there are {', '.join(names)}")
+    bodies.sort(key=lambda index: (moved.get(index, -1), int(index)))
+
+    root = robot.diagram.CreateDefaultContext()
+    context = plant.GetMyMutableContextFromRoot(root)
+    plant.SetPositions(context, q)
+    X_WJ = _joint_frames(joints, context)
+    poses = [RigidTransform(X) for X in X_WJ[:-1]]
+    covers, shapes, X_JB = [], [], []
+    for index in bodies:
+        body = plant.get_body(index)
+        solids = [read_solid(inspector, g) for g in plant.GetCollisionGeometriesForBody(body)]
+        asked = parameters.overshoot if index in moved else parameters.fixed_overshoot
+        if body.name() in tool_links:
+            asked = parameters.tool_overshoot
+        covers.append(cover(solids, asked, max(parameters.most, len(solids))))
+        shapes.append(len(solids))
+        X_JB.append(in_joint_frame(plant, context, poses, moved, index))
+    joint = np.array([moved.get(index, -1) for index in bodies], dtype=np.int64)
+    is_tool = np.array([plant.get_body(index).name() in tool_links for index in bodies])
+    arrays = _laid(covers, X_JB, joint, is_tool, _candidates(robot, bodies, joint))
+    group_names = tuple(plant.get_body(index).name() for index in bodies)
+    arrays, looked_at = _with_pairs_found(robot, joints, bodies, q, arrays, parameters)
+    return ArmSpheres(arrays, group_names, tuple(covers), tuple(shapes), looked_at)
+
+
+def _joint_frames(joints: list[RevoluteJoint], context: Context) -> FloatArray:
+    """(n + 1, 4, 4) poses of the joints' frames, as `arm_kernels.poses` has them; the last: I."""
+    X_WJ = np.tile(np.eye(4), (len(joints) + 1, 1, 1))
+    for i, joint in enumerate(joints):
+        X_WJ[i] = (joint.child_body().EvalPoseInWorld(context) @ axis_frame(joint)).GetAsMatrix4()
+    return X_WJ
+
+
+def _laid(
+    covers: Sequence[Cover],
+    X_JB: Sequence[FloatArray],
+    joint: IntArray,
+    is_tool: BoolArray,
+    pairs: list[tuple[int, int]],
+) -> kernels.Spheres:
+    """All the groups' spheres in a row, in the frames of their joints."""
+    centers = [c.centers @ X[:3, :3].T + X[:3, 3] for c, X in zip(covers, X_JB, strict=True)]
+    counts = np.array([len(found.radii) for found in covers])
+    return kernels.Spheres(
+        joint=np.repeat(joint, counts),
+        p_JS=np.concatenate(centers),
+        radius=np.concatenate([found.radii for found in covers]),
+        of_tool=np.repeat(is_tool, counts),
+        first=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        group_joint=joint,
+        bound=np.array([_ball(p, c.radii) for p, c in zip(centers, covers, strict=True)]),
+        pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2),
+        allowance=np.zeros(len(pairs)),
+    )
+
+
+def _ball(centers: FloatArray, radii: FloatArray) -> FloatArray:
+    """(4,) centre and radius of a small ball that holds others (K, 3), (K,).
+
+    The centre goes towards the farthest by ever smaller steps. M. Badoiu and K. L. Clarkson,
+    Smaller core-sets for balls, 2003.
+    """
+    middle = centers.mean(axis=0)
+    for i in range(_BALL_STEPS):
+        reach = np.linalg.norm(centers - middle, axis=1) + radii
+        middle = middle + (centers[reach.argmax()] - middle) / (i + 2.0)
+    reach = np.linalg.norm(centers - middle, axis=1) + radii
+    return np.append(middle, reach.max() + _ROUNDED)
+
+
+def _candidates(
+    robot: RobotPlant, bodies: Sequence[BodyIndex], joint: IntArray
+) -> list[tuple[int, int]]:
+    """Groups that more than one joint parts and that the model's filters let touch."""
+    plant, inspector = robot.plant, robot.scene_graph.model_inspector()
+    geometries = [plant.GetCollisionGeometriesForBody(plant.get_body(index)) for index in bodies]
+    return [
+        (i, j)
+        for i in range(len(bodies))
+        for j in range(i + 1, len(bodies))
+        if abs(joint[i] - joint[j]) > 1
+        and any(not inspector.CollisionFiltered(a, b) for a in geometries[i] for b in geometries[j])
+    ]
+
+
+def _with_pairs_found(
+    robot: RobotPlant,
+    joints: list[RevoluteJoint],
+    bodies: Sequence[BodyIndex],
+    q: FloatArray,
+    spheres: kernels.Spheres,
+    parameters: SphereParameters,
+) -> tuple[kernels.Spheres, tuple[PairReport, ...]]:
+    """Leaves out pairs that always touch, and finds what overlap means nothing.
+
+    Random postures tell, as in MoveIt's setup assistant. Where spheres overlap, SceneGraph tells
+    whether the shapes touch. A pair whose spheres overlap often and whose shapes never touch, or
+    whose spheres nearly always overlap, gets as an allowance the least by which its shapes were
+    farther apart than its spheres, of all postures in which the spheres overlapped.
+    """
+    plant = robot.plant
+    index = np.array([joint.position_start() for joint in joints])
+    lower, upper = (
+        np.clip(limit[index], -np.pi, np.pi)
+        for limit in (plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits())
+    )
+    random = np.random.default_rng(parameters.seed)
+    postures = random.uniform(lower, upper, (parameters.postures, len(joints)))
+    root = robot.diagram.CreateDefaultContext()
+    context = plant.GetMyMutableContextFromRoot(root)
+    of_scene = robot.scene_graph.GetMyContextFromRoot(root)
+    group = {
+        geometry: g
+        for g, body in enumerate(bodies)
+        for geometry in plant.GetCollisionGeometriesForBody(plant.get_body(body))
+    }
+    row = {(int(i), int(j)): k for k, (i, j) in enumerate(spheres.pairs)}
+    apart = np.empty((len(postures), len(row)))
+    touch = np.zeros(apart.shape, dtype=bool)
+    full = q.copy()
+    for k, posture in enumerate(postures):
+        full[index] = posture
+        plant.SetPositions(context, full)
+        kernels.pair_distances(_joint_frames(joints, context), spheres, 0.0, apart[k])
+        if (apart[k] < 0.0).any():
+            query = robot.scene_graph.get_query_output_port().Eval(of_scene)
+            for found in query.ComputePointPairPenetration():
+                i, j = sorted((group.get(found.id_A, -1), group.get(found.id_B, -1)))
+                if (i, j) in row:
+                    touch[k, row[i, j]] = True
+
+    def true_distance(k: int, i: int, j: int) -> float:
+        full[index] = postures[k]
+        plant.SetPositions(context, full)
+        query = robot.scene_graph.get_query_output_port().Eval(of_scene)
+        return min(
+            query.ComputeSignedDistancePairClosestPoints(a, b).distance
+            for a in plant.GetCollisionGeometriesForBody(plant.get_body(bodies[i]))
+            for b in plant.GetCollisionGeometriesForBody(plant.get_body(bodies[j]))
+        )
+
+    reports, allowance, kept = [], np.zeros(len(row)), np.ones(len(row), dtype=bool)
+    shares = touch.mean(axis=0), (apart < 0.0).mean(axis=0)
+    for (i, j), p in row.items():
+        kept[p] = shares[0][p] < parameters.always
+        overlap = np.flatnonzero(apart[:, p] < 0.0)
+        least_share = parameters.always if touch[:, p].any() else parameters.often
+        if kept[p] and len(overlap) and shares[1][p] >= least_share:
+            slack = min(true_distance(int(k), i, j) - float(apart[k, p]) for k in overlap)
+            allowance[p] = max(0.0, slack)
+        names = (plant.get_body(bodies[i]).name(), plant.get_body(bodies[j]).name())
+        shown = float(shares[0][p]), float(shares[1][p]), float(allowance[p])
+        reports.append(PairReport(names, *shown, is_kept=bool(kept[p])))
+    found_pairs = np.ascontiguousarray(spheres.pairs[kept])
+    spheres = spheres._replace(pairs=found_pairs, allowance=allowance[kept])
+    return spheres, tuple(reports)

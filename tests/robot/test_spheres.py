@@ -1,0 +1,360 @@
+"""Spheres of robots enclose what SceneGraph has, and little more; pairs are found."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+from pydrake.geometry import (
+    Box,
+    Capsule,
+    Convex,
+    Cylinder,
+    Ellipsoid,
+    GeometryFrame,
+    GeometryId,
+    GeometryInstance,
+    HalfSpace,
+    ProximityProperties,
+    QueryObject,
+    SceneGraph,
+    Shape,
+    Sphere,
+)
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.multibody.tree import FixedOffsetFrame
+from pydrake.systems.framework import DiagramBuilder
+
+from drake_oa.geometry.collision_shapes import collect_collision_shapes, surface_points
+from drake_oa.geometry.shapes import Cylinder as HeldCylinder
+from drake_oa.robot import sphere_kernels as kernels
+from drake_oa.robot.arm import make_arm_model
+from drake_oa.robot.config import Robot
+from drake_oa.robot.grasped_object import tool_links
+from drake_oa.robot.plant import (
+    TOOL_FRAME,
+    RobotPlant,
+    home_positions,
+    make_robot_plant,
+)
+from drake_oa.robot.sphere_cover import Cover, cover, read_solid
+from drake_oa.robot.spheres import ArmSpheres, SphereParameters, make_arm_spheres
+
+COARSE = SphereParameters(overshoot=0.015, tool_overshoot=0.012, fixed_overshoot=0.03, postures=200)
+_WEDGE = [[0, 0, 0], [0.1, 0, 0], [0, 0.08, 0], [0, 0, 0.06], [0.1, 0, 0.02]]
+
+
+def one_of(kind: str, size: tuple[float, float, float]) -> Shape:
+    a, b, c = size
+    return {
+        "sphere": lambda: Sphere(a),
+        "capsule": lambda: Capsule(a, b),
+        "cylinder": lambda: Cylinder(a, b),
+        "box": lambda: Box(a, b, c),
+        "ellipsoid": lambda: Ellipsoid(a, b, c),
+        "hull": lambda: Convex(points=(np.array(_WEDGE) * 10 * np.array(size)).T, label="wedge"),
+    }[kind]()
+
+
+def covered(shape: Shape, X: RigidTransform, overshoot: float) -> tuple[SceneGraph, Cover]:
+    scene = SceneGraph()
+    source = scene.RegisterSource("source")
+    frame = scene.RegisterFrame(source, GeometryFrame("body"))
+    instance = GeometryInstance(X, shape, "shape")
+    instance.set_proximity_properties(ProximityProperties())
+    geometry = scene.RegisterGeometry(source, frame, instance)
+    return scene, cover([read_solid(scene.model_inspector(), geometry)], overshoot)
+
+
+@settings(max_examples=12, phases=[Phase.generate])
+@given(
+    kind=st.sampled_from(["sphere", "capsule", "cylinder", "box", "ellipsoid", "hull"]),
+    size=st.tuples(*[st.floats(0.02, 0.1)] * 3),
+    rpy=st.tuples(*[st.floats(-3.0, 3.0)] * 3),
+    seed=st.integers(0, 1000),
+)
+def test_a_cover_encloses_and_sticks_out_no_farther_than_it_says(
+    kind: str, size: tuple[float, float, float], rpy: tuple[float, float, float], seed: int
+) -> None:
+    X = RigidTransform(RollPitchYaw(*rpy), [0.1, -0.2, 0.3])
+    scene, found = covered(one_of(kind, size), X, 0.012)
+    inspector = scene.model_inspector()
+    (geometry,) = inspector.GetAllGeometryIds()
+    on_shape = surface_points(inspector, geometry, 3000)
+    # Points of a convex shape: mixtures of those on its surface.
+    random = np.random.default_rng(seed)
+    share = random.uniform(size=(3000, 1))
+    one, other = random.choice(on_shape, 3000), random.choice(on_shape, 3000)
+    points = np.concatenate([on_shape, share * one + (1.0 - share) * other])
+    assert kernels.nearest_balls(points, found.centers, found.radii).max() <= 1e-9
+    solid = read_solid(inspector, geometry)
+    directions = random.normal(size=(len(found.radii), 300, 3))
+    directions /= np.linalg.norm(directions, axis=2, keepdims=True)
+    outermost = (found.centers[:, None] + found.radii[:, None, None] * directions).reshape(-1, 3)
+    assert solid.distance(outermost).max() <= found.overshoot + 1e-9
+    assert found.overshoot <= 0.012 * 1.3
+    assert found.volume_ratio >= 0.999
+
+
+def test_a_sphere_is_itself_and_a_capsule_a_few() -> None:
+    _, ball = covered(Sphere(0.05), RigidTransform(), 0.01)
+    assert len(ball.radii) == 1
+    assert ball.radii[0] <= 0.052
+    _, rod = covered(Capsule(0.06, 0.07), RigidTransform(), 0.01)
+    assert len(rod.radii) == 2
+
+
+def test_fewer_spheres_stick_out_farther() -> None:
+    scene, fine = covered(Box(0.06, 0.2, 0.06), RigidTransform(), 0.008)
+    (geometry,) = scene.model_inspector().GetAllGeometryIds()
+    few = cover([read_solid(scene.model_inspector(), geometry)], 0.008, most=20)
+    assert len(few.radii) <= 20 < len(fine.radii)
+    assert few.overshoot > fine.overshoot
+
+
+def test_an_unbounded_shape_and_bad_numbers_are_refused() -> None:
+    with pytest.raises(ValueError, match="HalfSpace"):
+        covered(HalfSpace(), RigidTransform(), 0.01)
+    with pytest.raises(ValueError, match="overshoot must be positive"):
+        covered(Sphere(0.1), RigidTransform(), 0.0)
+    with pytest.raises(ValueError, match="postures must be positive"):
+        SphereParameters(postures=0)
+
+
+def arm_of_links(path: Path, joints: str = "rrrrrr", *, collision: bool = True) -> RobotPlant:
+    """Links of a box and a cylinder in a row, bent by turns; its base leans."""
+    shape = (
+        '<collision><origin xyz="0 0 0.1"/><geometry><box size="0.05 0.06 0.16"/></geometry>'
+        '</collision><collision><geometry><cylinder radius="0.04" length="0.09"/></geometry>'
+        "</collision>"
+    )
+    inertial = (
+        '<inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" '
+        'iyz="0"/></inertial>'
+    )
+    text = ['<robot name="links">']
+    for k in range(len(joints) + 1):
+        text.append(f'<link name="link{k}">{inertial}{shape if collision else ""}</link>')
+    for k, kind in enumerate(joints):
+        name = {"r": "revolute", "p": "prismatic", "f": "fixed"}[kind]
+        text.append(
+            f'<joint name="joint{k}" type="{name}"><parent link="link{k}"/>'
+            f'<child link="link{k + 1}"/><origin xyz="0 0 0.22" rpy="0 0 {0.5 * k}"/>'
+            f'<axis xyz="{1 - k % 2} {k % 2} 0"/>'
+            '<limit lower="-2.2" upper="2.2" velocity="1" effort="10"/></joint>'
+        )
+    text.append("</robot>")
+    path.write_text("".join(text))
+    builder = DiagramBuilder()
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
+    (instance,) = Parser(plant).AddModels(str(path))
+    X_WB = RigidTransform(RollPitchYaw(0.3, -0.2, 1.0), [0.5, -1.0, 0.7])
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("link0"), X_WB)
+    hand = plant.GetFrameByName(f"link{len(joints)}")
+    plant.AddFrame(FixedOffsetFrame(TOOL_FRAME, hand, RigidTransform([0.0, 0.0, 0.2])))
+    plant.Finalize()
+    return RobotPlant(builder.Build(), plant, scene_graph, instance)
+
+
+@pytest.fixture(scope="module")
+def panda() -> RobotPlant:
+    return make_robot_plant(Robot())
+
+
+@pytest.fixture(scope="module")
+def spheres(panda: RobotPlant) -> ArmSpheres:
+    return make_arm_spheres(panda, home_positions(panda, Robot()), Robot().tool_links, COARSE)
+
+
+def frames(robot: RobotPlant, q: np.ndarray, posture: np.ndarray) -> np.ndarray:
+    inspector = robot.scene_graph.model_inspector()
+    arm = make_arm_model(
+        robot.plant,
+        inspector,
+        robot.tool_frame,
+        RigidTransform().rotation(),
+        q,
+        collect_collision_shapes(robot.plant, inspector, robot.instance),
+    )
+    return arm.poses(posture)
+
+
+def check_against_scene_graph(
+    robot: RobotPlant, q: np.ndarray, spheres: ArmSpheres, seed: int, count: int
+) -> None:
+    """Distances to points and to itself are at most SceneGraph's, and by no more than is said."""
+    plant, arrays = robot.plant, spheres.arrays
+    n = int(arrays.group_joint.max()) + 1
+    root = robot.diagram.CreateDefaultContext()
+    context = plant.GetMyMutableContextFromRoot(root)
+    of_scene = robot.scene_graph.GetMyContextFromRoot(root)
+    random = np.random.default_rng(seed)
+    moving = {
+        geometry
+        for name, joint in zip(spheres.bodies, arrays.group_joint, strict=True)
+        if joint >= 0
+        for geometry in plant.GetCollisionGeometriesForBody(plant.GetBodyByName(name))
+    }
+    lower, upper = plant.GetPositionLowerLimits()[:n], plant.GetPositionUpperLimits()[:n]
+    full = q.copy()
+    for _ in range(count):
+        full[:n] = random.uniform(lower, upper)
+        plant.SetPositions(context, full)
+        query = robot.scene_graph.get_query_output_port().Eval(of_scene)
+        X_WJ = frames(robot, q, full[:n])
+        centers = spheres.placed(X_WJ)
+        arm = arrays.joint >= 0
+        for p_WQ in X_WJ[-1, :3, 3] + random.uniform(-0.5, 0.5, (5, 3)):
+            by_spheres = (np.linalg.norm(centers - p_WQ, axis=1) - arrays.radius)[arm].min()
+            true = min(
+                found.distance
+                for found in query.ComputeSignedDistanceToPoint(p_WQ)
+                if found.id_G in moving
+            )
+            assert by_spheres <= true + 1e-6
+            if true > 0.0:
+                assert true <= by_spheres + spheres.overshoot + 1e-6
+        bound = np.empty((len(arrays.bound), 3))
+        kernels.place_groups(X_WJ, arrays, bound)
+        for g, at in enumerate(bound):
+            mine = slice(arrays.first[g], arrays.first[g + 1])
+            away = np.linalg.norm(centers[mine] - at, axis=1) + arrays.radius[mine]
+            assert away.max() <= arrays.bound[g, 3]
+        check_self(robot, query, spheres, X_WJ, centers)
+
+
+def check_self(
+    robot: RobotPlant,
+    query: QueryObject,
+    spheres: ArmSpheres,
+    X_WJ: np.ndarray,
+    centers: np.ndarray,
+) -> None:
+    arrays = spheres.arrays
+    expected = np.inf
+    for pair, (i, j) in enumerate(arrays.pairs):
+        a, b = (slice(arrays.first[g], arrays.first[g + 1]) for g in (i, j))
+        away = np.linalg.norm(centers[a][:, None] - centers[b], axis=2)
+        least = (away - arrays.radius[a][:, None] - arrays.radius[b]).min()
+        expected = min(expected, least + arrays.allowance[pair])
+    distance, names = spheres.self_distance(X_WJ)
+    assert distance == pytest.approx(expected, abs=1e-12)
+    assert names is not None
+    assert kernels.self_distance(X_WJ, arrays, expected - 1e-6) == (expected - 1e-6, -1)
+    geometries = [
+        robot.plant.GetCollisionGeometriesForBody(robot.plant.GetBodyByName(name)) for name in names
+    ]
+    true = min(
+        query.ComputeSignedDistancePairClosestPoints(a, b).distance
+        for a in geometries[0]
+        for b in geometries[1]
+    )
+    assert distance <= true + 1e-4
+
+    def group(geometry: GeometryId) -> int:
+        body = robot.plant.GetBodyFromFrameId(query.inspector().GetFrameId(geometry))
+        return spheres.bodies.index(body.name())
+
+    touching = {
+        tuple(sorted((group(hit.id_A), group(hit.id_B))))
+        for hit in query.ComputePointPairPenetration()
+    }
+    if touching & {tuple(pair) for pair in arrays.pairs.tolist()}:
+        assert distance <= 0.0
+
+
+def test_the_pandas_spheres_are_scene_graphs_and_hardly_more(
+    panda: RobotPlant, spheres: ArmSpheres
+) -> None:
+    check_against_scene_graph(panda, home_positions(panda, Robot()), spheres, 3, 25)
+
+
+def test_the_pandas_bodies(spheres: ArmSpheres) -> None:
+    rows = spheres.report()
+    assert [row.body for row in rows] == [
+        *(f"panda_link{k}" for k in range(8)),
+        *Robot().tool_links,
+    ]
+    assert [row.joint for row in rows] == [-1, 0, 1, 2, 3, 4, 5, 6, 6, 6, 6]
+    assert sum(row.spheres for row in rows) == len(spheres) < 150
+    assert all(1.0 <= row.volume_ratio < 4.0 for row in rows)
+    of_tool = {
+        name for name, tool in zip(spheres.body_of, spheres.arrays.of_tool, strict=True) if tool
+    }
+    assert of_tool == set(Robot().tool_links)
+    names = {tuple(spheres.bodies[g] for g in pair) for pair in spheres.arrays.pairs}
+    assert ("panda_link0", "panda_hand") in names
+    # Neighbours; fixed to one another; excluded by the model.
+    for absent in (
+        ("panda_link3", "panda_link4"),
+        ("panda_link6", "panda_hand"),
+        ("panda_hand", "panda_leftfinger"),
+        ("panda_link5", "panda_link7"),
+    ):
+        assert absent not in names
+
+
+def test_what_is_held_is_of_the_tool() -> None:
+    robot = Robot(carried=[HeldCylinder(radius=0.02, length=0.2, translation=[0.0, 0.0, 0.12])])
+    panda = make_robot_plant(robot)
+    found = make_arm_spheres(panda, home_positions(panda, robot), tool_links(robot), COARSE)
+    held = np.array(found.body_of) == "carried0"
+    assert held.any()
+    assert found.arrays.of_tool[held].all()
+    names = {frozenset(found.bodies[g] for g in pair) for pair in found.arrays.pairs}
+    assert {"panda_link0", "carried0"} in names
+    assert {"panda_hand", "carried0"} not in names
+
+
+def test_six_joints_and_a_base_that_leans(tmp_path: Path) -> None:
+    robot = arm_of_links(tmp_path / "arm.urdf")
+    q = np.zeros(6)
+    found = make_arm_spheres(robot, q, ["link6"], COARSE)
+    check_against_scene_graph(robot, q, found, 5, 15)
+    # Every other link's box meets the cylinder's at a turn of the joints between: kept and found.
+    reports = {pair.bodies: pair for pair in found.looked_at}
+    assert ("link0", "link1") not in reports
+    assert reports["link0", "link6"].is_kept
+    # The same postures are found each time.
+    again = make_arm_spheres(robot, q, ["link6"], COARSE)
+    assert again.looked_at == found.looked_at
+    np.testing.assert_array_equal(again.arrays.p_JS, found.arrays.p_JS)
+
+
+def test_what_always_touches_is_left_out_and_said(tmp_path: Path) -> None:
+    # Links 1 and 3 overlap whatever the joints: two joints turn about almost one point.
+    path = tmp_path / "arm.urdf"
+    arm_of_links(path)
+    near = path.read_text().replace('xyz="0 0 0.22" rpy="0 0 0.5"', 'xyz="0 0 0.01" rpy="0 0 0.5"')
+    near = near.replace('xyz="0 0 0.22" rpy="0 0 1.0"', 'xyz="0 0 0.01" rpy="0 0 1.0"')
+    path.write_text(near)
+    builder = DiagramBuilder()
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
+    (instance,) = Parser(plant).AddModels(str(path))
+    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("link0"))
+    hand = plant.GetFrameByName("link6")
+    plant.AddFrame(FixedOffsetFrame(TOOL_FRAME, hand, RigidTransform()))
+    plant.Finalize()
+    robot = RobotPlant(builder.Build(), plant, scene_graph, instance)
+    found = make_arm_spheres(robot, np.zeros(6), ["link6"], COARSE)
+    (row,) = [pair for pair in found.looked_at if pair.bodies == ("link1", "link3")]
+    assert row.touching >= 0.95
+    assert not row.is_kept
+    names = {tuple(found.bodies[g] for g in pair) for pair in found.arrays.pairs}
+    assert ("link1", "link3") not in names
+
+
+def test_robots_that_cannot_be_served_are_refused(tmp_path: Path, panda: RobotPlant) -> None:
+    with pytest.raises(ValueError, match=r"'joint2'.*prismatic.*must be revolute"):
+        make_arm_spheres(arm_of_links(tmp_path / "p.urdf", "rrprrr"), np.zeros(6))
+    with pytest.raises(ValueError, match=r"link1.*has collision geometry"):
+        make_arm_spheres(arm_of_links(tmp_path / "b.urdf", collision=False), np.zeros(6))
+    with pytest.raises(ValueError, match="no joint moves 'link2'"):
+        make_arm_spheres(arm_of_links(tmp_path / "f.urdf", "ff"), np.zeros(0))
+    with pytest.raises(ValueError, match="no body claw; there are panda_link0"):
+        make_arm_spheres(panda, np.zeros(9), ["claw"])
+    with pytest.raises(ValueError, match="q must be 9 finite positions"):
+        make_arm_spheres(panda, np.zeros(7))
