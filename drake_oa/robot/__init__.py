@@ -11,6 +11,9 @@ each.
 - `plant`, `grasped_object`: parsing, welding, what the hand holds, the tool's corners.
 - `arm_kernels`: forward kinematics of revolute joints, the geometric Jacobian, Newton steps onto
   a pose with one joint fixed, distances of links to points, to a plane and to each other.
+- `spheres`, `sphere_kernels`: the robot, with what it holds, as spheres that enclose its collision
+  geometry, and the least distance of its bodies to each other; pairs that may touch are found in
+  random postures. `sphere_cover`: a body's spheres by a greedy set cover, proven.
 - `inverse_kinematics`: `solve_tool_pose` at set-up, by Drake's `InverseKinematics` and Newton
   steps within the joint limits; `solve_pose`, compiled, damped and weighted by the joints' ranges.
 - `reachability`: where the tool can be held in one orientation, on a grid, with signed margins.

@@ -31,6 +31,10 @@ _ALONG_EDGE = 2.7
 """Distance of balls along an edge, over the overshoot."""
 _ROUNDS = 4
 """How often points that were found bare are added at most."""
+_CELLS = 40
+"""Cells along half of a body's longest extent that the proof begins with."""
+_GRID, _TINY = 36, 1e-12
+"""Cells each way to count a volume by, and the least that is divided by [m^3]."""
 _MANY = 300
 """So many points that were found bare are enough to begin anew."""
 _CERTAIN = 1.0 / 16.0
@@ -182,7 +186,7 @@ def cover(solids: Sequence[Solid], overshoot: float, most: int = 200) -> Cover:
     its radius less the depth of its centre, in a convex shape. A greedy set cover of points in
     the shapes takes few of them, and each becomes as small as these points let it. What lies
     between the points is proven by cells, halved where no ball holds the ball round the cell:
-    what is found bare joins the points, and the last open cells have their nearest balls grow.
+    what is found bare joins the points, and the last open cells have balls grow. Spheres stay.
 
     Args:
         solids: the body's shapes, one at least.
@@ -201,6 +205,9 @@ def cover(solids: Sequence[Solid], overshoot: float, most: int = 200) -> Cover:
     def distance(p_BQ: FloatArray) -> FloatArray:
         return np.asarray(np.min([solid.distance(p_BQ) for solid in solids], axis=0))
 
+    if all(solid.is_rod and solid.half[2] == 0.0 for solid in solids):
+        centers = np.array([solid.X_BG[:3, 3] for solid in solids])
+        return _measured(solids, distance, centers, np.array([s.half[0] for s in solids]))
     points, rounds, finer = _samples(solids, distance, overshoot), 0, 0
     while True:
         certain = _CERTAIN * overshoot
@@ -217,16 +224,28 @@ def cover(solids: Sequence[Solid], overshoot: float, most: int = 200) -> Cover:
         # A ball that is not needed for any point has become one of no size.
         centers, depth = centers[radii > 0.0], depth[radii > 0.0]
         radii = radii[radii > 0.0] + math.sqrt(3.0) * certain
-        gaps, half = _gaps(solids, distance, centers, radii, certain)
+        many = _MANY if rounds < _ROUNDS else math.inf
+        gaps, half = _gaps(solids, distance, centers, radii, certain, many)
         if half <= certain:
             grow(gaps, math.sqrt(3.0) * half, centers, depth, radii)
             if rounds >= _ROUNDS or (radii - depth).max() <= overshoot:
                 break
         points, rounds = np.concatenate([points, gaps]), rounds + 1
-    volume, of_spheres = _volumes(distance, centers, radii)
-    return Cover(
-        centers, radii, max(0.0, float((radii - depth).max())), volume, of_spheres / volume
-    )
+    return _measured(solids, distance, centers, radii)
+
+
+def _measured(
+    solids: Sequence[Solid],
+    distance: Callable[[FloatArray], FloatArray],
+    centers: FloatArray,
+    radii: FloatArray,
+) -> Cover:
+    """Balls that enclose shapes, with how near they fit."""
+    volume = _volume(*_box(solids), distance)
+    low, high = (centers - radii[:, None]).min(axis=0), (centers + radii[:, None]).max(axis=0)
+    of_balls = _volume(low, high, lambda p: nearest_balls(p, centers, radii))
+    sticking_out = max(0.0, float((radii + distance(centers)).max()))
+    return Cover(centers, radii, sticking_out, volume, of_balls / max(volume, _TINY))
 
 
 def _chosen(
@@ -240,7 +259,7 @@ def _chosen(
     """Balls (K, 3), their centres' depths and radii (K,), and which of them cover the points."""
     # In a row along a box's edge, each a step from the next and as deep as they stick out, balls
     # of twice the overshoot cover the edge with steps of up to 2 sqrt(2) of it.
-    step = _ALONG_EDGE * overshoot
+    step = max(_ALONG_EDGE * overshoot, finer * _least_step(solids, _MOST_CENTERS))
     while True:
         centers = np.concatenate(
             [solid.lattice(overshoot, step, finer) for solid in solids]
@@ -258,7 +277,7 @@ def _samples(
     solids: Sequence[Solid], distance: Callable[[FloatArray], FloatArray], overshoot: float
 ) -> FloatArray:
     """Points on the outside of the shapes' union, and some in it, that are to be covered."""
-    step = overshoot / 3.0
+    step = max(overshoot / 3.0, _least_step(solids, 7 * _MOST_SAMPLES))
     while True:
         inner = np.concatenate([solid.lattice(0.0, step) for solid in solids])
         depth = -distance(inner)
@@ -271,19 +290,26 @@ def _samples(
     return np.ascontiguousarray(np.concatenate([surface, outer, inner]))
 
 
+def _least_step(solids: Sequence[Solid], count: int) -> float:
+    """Of a lattice in the boxes round the shapes that has about so many points, or a few more."""
+    volume = sum(float(np.prod(2.0 * solid.half)) for solid in solids if not solid.is_rod)
+    return 0.8 * float(np.cbrt(volume / count))
+
+
 def _gaps(
     solids: Sequence[Solid],
     distance: Callable[[FloatArray], FloatArray],
     centers: FloatArray,
     radii: FloatArray,
     certain: float,
+    many: float,
 ) -> tuple[FloatArray, float]:
     """Middles (M, 3) of cells of the shapes that are not proven to be in a ball, and half an edge.
 
-    The half edge is at most `certain`, or else the middles are inside the shapes and in no ball.
+    The half edge is at most `certain`; or else the middles, more than many, are bare themselves.
     """
     low, high = _box(solids)
-    half = 0.004
+    half = float((high - low).max()) / _CELLS
     axes = [np.arange(a + half, b + half, 2.0 * half) for a, b in zip(low, high, strict=True)]
     cells = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     while True:
@@ -293,8 +319,8 @@ def _gaps(
         short = nearest_balls(cells, centers, radii)
         cells, apart, short = (array[short > -reach] for array in (cells, apart, short))
         bare = cells[(apart <= 0.0) & (short > certain)]
-        if half <= certain or len(bare) > _MANY or len(cells) == 0:
-            return (cells, min(half, certain)) if len(bare) <= _MANY else (bare, half)
+        if half <= certain or len(bare) > many or len(cells) == 0:
+            return (cells, min(half, certain)) if len(bare) <= many else (bare, half)
         half /= 2.0
         cells = (cells[:, None] + half * _CORNERS).reshape(-1, 3)
 
@@ -309,16 +335,8 @@ def _box(solids: Sequence[Solid]) -> tuple[FloatArray, FloatArray]:
     return points.min(axis=0), points.max(axis=0)
 
 
-def _volumes(
-    distance: Callable[[FloatArray], FloatArray], centers: FloatArray, radii: FloatArray
-) -> tuple[float, float]:
-    """Volumes of the shapes and of the balls [m^3], counted on the same grid."""
-    low, high = (centers - radii[:, None]).min(axis=0), (centers + radii[:, None]).max(axis=0)
-    step = float(np.cbrt(np.prod(high - low) / 30000.0))
-    axes = [np.arange(a + step / 2.0, b, step) for a, b in zip(low, high, strict=True)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    covered = np.zeros(len(grid), dtype=bool)
-    for center, radius in zip(centers, radii, strict=True):
-        covered |= ((grid - center) ** 2).sum(axis=1) <= radius * radius
-    count = int((distance(grid) <= 0.0).sum())
-    return max(count, 1) * step**3, int(covered.sum()) * step**3
+def _volume(low: FloatArray, high: FloatArray, signed: Callable[[FloatArray], FloatArray]) -> float:
+    """Volume [m^3] of what is at most 0 in a box, counted on a grid of as many cells each way."""
+    share = (np.arange(_GRID) + 0.5) / _GRID
+    grid = np.stack(np.meshgrid(share, share, share, indexing="ij"), axis=-1).reshape(-1, 3)
+    return float((signed(low + grid * (high - low)) <= 0.0).mean() * np.prod(high - low))

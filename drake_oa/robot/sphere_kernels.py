@@ -38,16 +38,22 @@ class Spheres(NamedTuple):
 
 
 @compiled
-def _put(
-    X_WJ: FloatArray, joint: int, x: float, y: float, z: float, out: FloatArray, row: int
+def _place_rows(
+    X_WJ: FloatArray, joint: int, p: FloatArray, begin: int, end: int, out: FloatArray
 ) -> None:
-    """Sets out[row] (3,) to a point of a joint's frame, in the world."""
+    """Sets rows of out (S, 3) to rows of p (S, 3 or 4), in one joint's frame, in the world."""
     if joint < 0:
-        out[row, 0], out[row, 1], out[row, 2] = x, y, z
-    else:
-        X = X_WJ[joint]
-        for i in range(3):
-            out[row, i] = X[i, 0] * x + X[i, 1] * y + X[i, 2] * z + X[i, 3]
+        for s in range(begin, end):
+            out[s, 0], out[s, 1], out[s, 2] = p[s, 0], p[s, 1], p[s, 2]
+        return
+    a, b, c, x = X_WJ[joint, 0, 0], X_WJ[joint, 0, 1], X_WJ[joint, 0, 2], X_WJ[joint, 0, 3]
+    d, e, f, y = X_WJ[joint, 1, 0], X_WJ[joint, 1, 1], X_WJ[joint, 1, 2], X_WJ[joint, 1, 3]
+    g, h, i, z = X_WJ[joint, 2, 0], X_WJ[joint, 2, 1], X_WJ[joint, 2, 2], X_WJ[joint, 2, 3]
+    for s in range(begin, end):
+        u, v, w = p[s, 0], p[s, 1], p[s, 2]
+        out[s, 0] = a * u + b * v + c * w + x
+        out[s, 1] = d * u + e * v + f * w + y
+        out[s, 2] = g * u + h * v + i * w + z
 
 
 @compiled
@@ -59,38 +65,41 @@ def place(X_WJ: FloatArray, spheres: Spheres, centers: FloatArray) -> None:
         spheres: which.
         centers: (S, 3) receives their centres in the world [m].
     """
-    p = spheres.p_JS
-    for s in range(len(p)):
-        _put(X_WJ, spheres.joint[s], p[s, 0], p[s, 1], p[s, 2], centers, s)
+    p, first, joint = spheres.p_JS, spheres.first, spheres.group_joint
+    for g in range(len(joint)):
+        _place_rows(X_WJ, joint[g], p, first[g], first[g + 1], centers)
 
 
 @compiled
 def place_groups(X_WJ: FloatArray, spheres: Spheres, centers: FloatArray) -> None:
     """Where the groups' bounding spheres are: centres (G, 3) [m]; else as `place`."""
-    b = spheres.bound
-    for g in range(len(b)):
-        _put(X_WJ, spheres.group_joint[g], b[g, 0], b[g, 1], b[g, 2], centers, g)
+    bound, joint = spheres.bound, spheres.group_joint
+    for g in range(len(joint)):
+        _place_rows(X_WJ, joint[g], bound, g, g + 1, centers)
 
 
 @compiled
 def _pair_distance(
-    one: int, other: int, at: FloatArray, spheres: Spheres, centers: FloatArray, limit: float
+    rows: tuple[int, int, int, int],
+    centers: FloatArray,
+    radius: FloatArray,
+    ball: tuple[float, float, float, float],
+    limit: float,
 ) -> float:
-    """Least distance of two groups' spheres, or the limit; at (G, 3) are the groups' centres."""
-    first, radius = spheres.first, spheres.radius
+    """Least distance of two groups' spheres, or the limit; the ball holds the second group's."""
     least = limit
-    for i in range(first[one], first[one + 1]):
-        x, y, z = centers[i, 0], centers[i, 1], centers[i, 2]
-        a, b, c = x - at[other, 0], y - at[other, 1], z - at[other, 2]
-        most = least + radius[i] + spheres.bound[other, 3]
+    for i in range(rows[0], rows[1]):
+        x, y, z, r = centers[i, 0], centers[i, 1], centers[i, 2], radius[i]
+        a, b, c = x - ball[0], y - ball[1], z - ball[2]
+        most = least + r + ball[3]
         if most <= 0.0 or a * a + b * b + c * c >= most * most:
             continue
-        for j in range(first[other], first[other + 1]):
+        for j in range(rows[2], rows[3]):
             a, b, c = x - centers[j, 0], y - centers[j, 1], z - centers[j, 2]
-            most = least + radius[i] + radius[j]
+            most = least + r + radius[j]
             square = a * a + b * b + c * c
             if most > 0.0 and square < most * most:
-                least = math.sqrt(square) - radius[i] - radius[j]
+                least = math.sqrt(square) - r - radius[j]
     return least
 
 
@@ -107,28 +116,31 @@ def self_distance(X_WJ: FloatArray, spheres: Spheres, limit: float) -> tuple[flo
         The least signed distance [m] and the row of its pair; the limit and -1 where all are
         farther apart.
     """
-    groups, pairs = len(spheres.bound), spheres.pairs
+    pairs, first, radius, bound = spheres.pairs, spheres.first, spheres.radius, spheres.bound
+    allowance, joint, p_JS = spheres.allowance, spheres.group_joint, spheres.p_JS
+    groups = len(bound)
     at = np.empty((groups, 3))
-    place_groups(X_WJ, spheres, at)
-    centers = np.empty_like(spheres.p_JS)
+    for g in range(groups):
+        _place_rows(X_WJ, joint[g], bound, g, g + 1, at)
+    centers = np.empty((len(radius), 3))
     is_placed = np.zeros(groups, dtype=np.bool_)
     least, nearest = limit, -1
     for pair in range(len(pairs)):
         one, other = pairs[pair, 0], pairs[pair, 1]
         x, y, z = at[one, 0] - at[other, 0], at[one, 1] - at[other, 1], at[one, 2] - at[other, 2]
-        bare = least - spheres.allowance[pair]
-        most = bare + spheres.bound[one, 3] + spheres.bound[other, 3]
+        bare = least - allowance[pair]
+        most = bare + bound[one, 3] + bound[other, 3]
         if most <= 0.0 or x * x + y * y + z * z >= most * most:
             continue
         for g in (one, other):
             if not is_placed[g]:
                 is_placed[g] = True
-                for s in range(spheres.first[g], spheres.first[g + 1]):
-                    p = spheres.p_JS[s]
-                    _put(X_WJ, spheres.joint[s], p[0], p[1], p[2], centers, s)
-        distance = _pair_distance(one, other, at, spheres, centers, bare)
+                _place_rows(X_WJ, joint[g], p_JS, first[g], first[g + 1], centers)
+        rows = (first[one], first[one + 1], first[other], first[other + 1])
+        ball = (at[other, 0], at[other, 1], at[other, 2], bound[other, 3])
+        distance = _pair_distance(rows, centers, radius, ball, bare)
         if distance < bare:
-            least, nearest = distance + spheres.allowance[pair], pair
+            least, nearest = distance + allowance[pair], pair
     return least, nearest
 
 
@@ -139,9 +151,12 @@ def pair_distances(X_WJ: FloatArray, spheres: Spheres, limit: float, out: FloatA
     place_groups(X_WJ, spheres, at)
     centers = np.empty_like(spheres.p_JS)
     place(X_WJ, spheres, centers)
+    first, bound = spheres.first, spheres.bound
     for pair in range(len(spheres.pairs)):
         one, other = spheres.pairs[pair, 0], spheres.pairs[pair, 1]
-        out[pair] = _pair_distance(one, other, at, spheres, centers, limit)
+        rows = (first[one], first[one + 1], first[other], first[other + 1])
+        ball = (at[other, 0], at[other, 1], at[other, 2], bound[other, 3])
+        out[pair] = _pair_distance(rows, centers, spheres.radius, ball, limit)
 
 
 @compiled

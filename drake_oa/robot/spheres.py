@@ -191,14 +191,14 @@ def make_arm_spheres(
             "revolute joints between the base and the tool"
         )
     moved = moved_by(plant, joints)
+    # Of all model instances: a gripper may be one of its own. Body 0 is the world.
+    everything = [BodyIndex(i) for i in range(1, plant.num_bodies())]
+    names = [plant.get_body(index).name() for index in everything]
     bodies = [
-        index
-        for index in plant.GetBodyIndices(robot.instance)
-        if plant.GetCollisionGeometriesForBody(plant.get_body(index))
+        index for index in everything if plant.GetCollisionGeometriesForBody(plant.get_body(index))
     ]
-    names = [plant.get_body(index).name() for index in plant.GetBodyIndices(robot.instance)]
     if not any(index in moved for index in bodies):
-        links = [name for name in names if plant.GetBodyByName(name).index() in moved]
+        links = [plant.get_body(index).name() for index in everything if index in moved]
         raise ValueError(
             f"none of the links that the joints move ({', '.join(links)}) has collision geometry; "
             "the model needs a <collision> of bounded shape on those that are to be kept clear"

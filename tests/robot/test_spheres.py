@@ -96,13 +96,14 @@ def test_a_cover_encloses_and_sticks_out_no_farther_than_it_says(
     outermost = (found.centers[:, None] + found.radii[:, None, None] * directions).reshape(-1, 3)
     assert solid.distance(outermost).max() <= found.overshoot + 1e-9
     assert found.overshoot <= 0.012 * 1.3
-    assert found.volume_ratio >= 0.999
+    assert found.volume_ratio >= 0.97
 
 
 def test_a_sphere_is_itself_and_a_capsule_a_few() -> None:
     _, ball = covered(Sphere(0.05), RigidTransform(), 0.01)
     assert len(ball.radii) == 1
-    assert ball.radii[0] <= 0.052
+    assert ball.radii[0] == 0.05
+    assert ball.overshoot == 0.0
     _, rod = covered(Capsule(0.06, 0.07), RigidTransform(), 0.01)
     assert len(rod.radii) == 2
 
@@ -322,6 +323,19 @@ def test_six_joints_and_a_base_that_leans(tmp_path: Path) -> None:
     again = make_arm_spheres(robot, q, ["link6"], COARSE)
     assert again.looked_at == found.looked_at
     np.testing.assert_array_equal(again.arrays.p_JS, found.arrays.p_JS)
+
+
+def test_overlap_that_means_nothing_is_allowed_for(tmp_path: Path) -> None:
+    # Spheres so coarse that links meet which are kept apart by the one between them.
+    robot = arm_of_links(tmp_path / "arm.urdf")
+    coarse = SphereParameters(overshoot=0.05, tool_overshoot=0.05, postures=100)
+    found = make_arm_spheres(robot, np.zeros(6), ["link6"], coarse)
+    allowed = [pair for pair in found.looked_at if pair.allowance > 0.0]
+    assert allowed
+    assert all(pair.spheres_touching >= coarse.often for pair in allowed)
+    assert all(pair.touching == 0.0 for pair in allowed)
+    # In postures that were not looked at either.
+    check_against_scene_graph(robot, np.zeros(6), found, 7, 10)
 
 
 def test_what_always_touches_is_left_out_and_said(tmp_path: Path) -> None:
