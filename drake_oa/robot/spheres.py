@@ -308,10 +308,10 @@ def _with_pairs_found(
     """
     plant = robot.plant
     index = np.array([joint.position_start() for joint in joints])
-    lower, upper = (
-        np.clip(limit[index], -np.pi, np.pi)
-        for limit in (plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits())
-    )
+    lower, upper = plant.GetPositionLowerLimits()[index], plant.GetPositionUpperLimits()[index]
+    # Joints without limits, or with those of more than a turn, go once round.
+    is_round = ~(upper - lower < 2.0 * np.pi)
+    lower, upper = np.where(is_round, -np.pi, lower), np.where(is_round, np.pi, upper)
     random = np.random.default_rng(parameters.seed)
     postures = random.uniform(lower, upper, (parameters.postures, len(joints)))
     root = robot.diagram.CreateDefaultContext()
