@@ -140,7 +140,7 @@ def _rounded_box(
     if isinstance(shape, Ellipsoid):
         return origin, np.array([shape.a(), shape.b(), shape.c()]), 0.0
     if isinstance(shape, (Convex, Mesh)):
-        vertices = _hull_vertices(inspector, geometry)
+        vertices = hull_vertices(inspector, geometry)
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         return (low + high) / 2.0, (high - low) / 2.0, 0.0
     raise ValueError(
@@ -149,7 +149,8 @@ def _rounded_box(
     )
 
 
-def _hull_vertices(inspector: SceneGraphInspector, geometry: GeometryId) -> FloatArray:
+def hull_vertices(inspector: SceneGraphInspector, geometry: GeometryId) -> FloatArray:
+    """(N, 3) vertices of the convex hull of a convex shape or mesh, in its own frame [m]."""
     hull = inspector.GetConvexHull(geometry)
     return np.array([hull.vertex(i) for i in range(hull.num_vertices())])
 
@@ -171,7 +172,7 @@ def outline_corners(inspector: SceneGraphInspector, geometry: GeometryId) -> Flo
         ValueError: for an unbounded shape.
     """
     if isinstance(inspector.GetShape(geometry), (Convex, Mesh)):
-        p_GQ = _hull_vertices(inspector, geometry)
+        p_GQ = hull_vertices(inspector, geometry)
     else:
         center, half_extents, radius = _rounded_box(inspector, geometry)
         p_GQ = center + _CORNERS * (half_extents + radius)
@@ -283,7 +284,7 @@ def _rings(radius: float, half_length: float, count: int) -> FloatArray:
 def _hull_points(inspector: SceneGraphInspector, geometry: GeometryId, count: int) -> FloatArray:
     """The hull's vertices and points spread over its faces by area."""
     hull = inspector.GetConvexHull(geometry)
-    vertices = _hull_vertices(inspector, geometry)
+    vertices = hull_vertices(inspector, geometry)
     triangles = []
     for i in range(hull.num_elements()):
         face = hull.element(i)

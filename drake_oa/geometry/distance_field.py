@@ -1,0 +1,511 @@
+"""A cloud of points as a signed distance field: a grid of voxels round it, in its own frame.
+
+What a point costs to ask is then independent of how many points the cloud has. The frame O has
+the world's axes; its origin is the first node of the grid, and it moves with the obstacle. Nodes
+lie in the middle of the world's voxels, so that a cloud of one point a voxel fills the same ones.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_oa.common.compiled import compiled, leaf
+from drake_oa.common.messages import FloatArray, Frozen, IntArray, TablePlane
+
+VOXEL = 0.01
+"""Edge of a field's voxels [m]."""
+MARGIN = 0.25
+"""How far a field goes past the cloud's box [m]: beyond, distances are lower bounds."""
+MAX_CELLS = 1 << 20
+"""Nodes that one field may have (4 MB); of a larger cloud the voxels are coarser."""
+DEEPEST = 0.08
+"""What is seen from one side is taken to be at most so deep [m]."""
+
+_OFFSET = 0.13
+"""Taken off every distance [voxel], so that it is at most one voxel too large.
+
+A point is at most sqrt(3) / 2 from its node, and interpolation adds at most 0.26 to the distance
+from a node (found by search: near the middle of a voxel that has the node as a corner).
+"""
+_TOO_NEAR = 0.05
+"""A viewpoint so near above a thing says nothing of its depth [m]."""
+_FAR = 1 << 28
+"""Squared distance of what is nowhere [voxel^2]."""
+_FEWEST_CELLS = 4096
+_SPARSE = 2.0
+"""Pixels that show a point, by the number of points: above, the pixels are too small."""
+_COARSEST = 4.0
+"""How much larger they may become."""
+
+ByteArray = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class DistanceField(Frozen):
+    """Signed distances to a cloud at the nodes of a grid.
+
+    Between nodes they are interpolated. Outside the cloud the distance is at most one voxel too
+    large; how much too small it may be, see `field_of`.
+
+    Attributes:
+        p_WO: (3,) the first node in the world, when the cloud was seen [m].
+        voxel: edge of a voxel [m].
+        values: (nx, ny, nz) float32 distances at the nodes p_WO + voxel (i, j, k) [m].
+        low, high: (3,) box, in O, of the nodes that are occupied [m].
+        note: empty, or that the voxels are coarser than was asked.
+    """
+
+    p_WO: FloatArray = field(default_factory=lambda: np.zeros(3))
+    voxel: float = VOXEL
+    values: NDArray[np.float32] = field(default_factory=lambda: np.zeros((2, 2, 2), np.float32))
+    low: FloatArray = field(default_factory=lambda: np.zeros(3))
+    high: FloatArray = field(default_factory=lambda: np.zeros(3))
+    note: str = ""
+
+
+def field_of(
+    cloud: FloatArray,
+    *,
+    voxel: float = VOXEL,
+    margin: float = MARGIN,
+    max_cells: int = MAX_CELLS,
+    viewpoint_W: FloatArray | None = None,
+    deepest: float = DEEPEST,
+    table: TablePlane | None = None,
+) -> DistanceField:
+    """The distance field of a cloud, exact at its nodes for the voxels that the points fill.
+
+    With a viewpoint, what the thing hides of itself is filled too. A voxel counts as occupied
+    that lies behind the seen surface, on a ray of the viewpoint, horizontally by at most
+    `deepest` (or what the thing is broad or seen to be deep), no farther than the thing is deep
+    (what is seen of it, or as deep as broad, at most `deepest`), and above the table; without
+    one above the lowest point, and as far below the highest as it is thick.
+
+    The distance is at most one voxel larger than that to the points, and smaller by at most two
+    (the point to its node, sqrt(3)/2; a crease of the distance between nodes, as much again;
+    the offset, 0.13); away from creases, as outside a surface, by at most one.
+
+    Args:
+        cloud: (N, 3) points in the world [m].
+        voxel: edge of a voxel [m]; it becomes coarser where there would be too many.
+        margin: how far the grid goes past what is occupied [m].
+        max_cells: how many nodes it may have.
+        viewpoint_W: (3,) from where the cloud was seen [m]; None: nothing is filled.
+        deepest: what is seen from one side is taken to be at most so deep [m].
+        table: nothing is filled below it.
+
+    Raises:
+        ValueError: for a cloud that is empty, not finite or not (N, 3), and for a voxel, margin,
+            depth or number of cells that makes no grid.
+    """
+    points = np.require(cloud, np.float64, ["C", "W"])
+    if points.ndim != 2 or points.shape[1] != 3 or not len(points):
+        raise ValueError(f"a cloud is (N, 3) with N > 0, not {points.shape}")
+    low, high = points.min(axis=0), points.max(axis=0)
+    if not np.isfinite(low).all() or not np.isfinite(high).all():
+        raise ValueError("a point of the cloud is not finite")
+    for name, value in (("voxel", voxel), ("margin", margin), ("deepest", deepest)):
+        if not (math.isfinite(value) and value > 0.0):
+            raise ValueError(f"{name} must be positive and finite, not {value}")
+    if max_cells < _FEWEST_CELLS:
+        raise ValueError(f"max_cells must be at least {_FEWEST_CELLS}, not {max_cells}")
+    shade = None
+    if viewpoint_W is not None:
+        shade = _shade(points, np.array(viewpoint_W, dtype=float), voxel, deepest, table)
+    if shade is not None:
+        low, high = np.minimum(low, shade.low), np.maximum(high, shade.high)
+    asked = voxel
+    while True:
+        first = np.floor((low - margin) / voxel)
+        count = (np.floor((high + margin) / voxel) - first).astype(np.int64) + 1
+        cells = math.prod(float(n) for n in count)
+        if cells <= max_cells:
+            break
+        voxel *= max(1.01, (cells / max_cells) ** (1.0 / 3.0))
+    note = ""
+    if voxel > asked:
+        note = f"voxels of {voxel:.3g} m in place of {asked:.3g} m: the cloud is large"
+    p_WO = (first + 0.5) * voxel
+    occupied = np.zeros(tuple(count), dtype=np.uint8)
+    _fill(points, p_WO, voxel, occupied)
+    if shade is not None:
+        _fill_hidden(p_WO, voxel, shade, occupied)
+    values = np.empty(occupied.shape, dtype=np.float32)
+    box = _signed_distances(occupied, voxel, values)
+    return DistanceField(p_WO, voxel, values, box[0] * voxel, (box[1] - 1) * voxel, note)
+
+
+@compiled
+def _fill(points: FloatArray, p_WO: FloatArray, voxel: float, occupied: ByteArray) -> None:
+    """Occupies the node nearest to each point (N, 3)."""
+    for n in range(len(points)):
+        i = math.floor((points[n, 0] - p_WO[0]) / voxel + 0.5)
+        j = math.floor((points[n, 1] - p_WO[1]) / voxel + 0.5)
+        k = math.floor((points[n, 2] - p_WO[2]) / voxel + 0.5)
+        occupied[i, j, k] = 1
+
+
+class _Shade(NamedTuple):
+    """The seen surface as an image from the viewpoint, and how far behind it is filled.
+
+    Attributes:
+        p_WV: (3,) the viewpoint [m].
+        R_WV: (3, 3) columns: across, up, and along the view.
+        pixel: edge of a pixel at distance one.
+        corner: (2,) of the image, at distance one.
+        near, far: (rows, columns) distances of the nearest and farthest point; inf, -inf: none.
+        away: (2,) horizontal direction of the view, zero from above.
+        limit: along it nothing is filled beyond [m].
+        run: nor so far behind the surface, horizontally [m].
+        floor: (4,) upward normal and offset of the plane below which nothing is filled [m].
+        low, high: (3,) box of what may be filled [m].
+    """
+
+    p_WV: FloatArray
+    R_WV: FloatArray
+    pixel: float
+    corner: FloatArray
+    near: FloatArray
+    far: FloatArray
+    away: FloatArray
+    limit: float
+    run: float
+    floor: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+
+def _shade(
+    points: FloatArray, p_WV: FloatArray, edge: float, deepest: float, table: TablePlane | None
+) -> _Shade | None:
+    """The surface as it was seen; None: the viewpoint lies in it."""
+    if p_WV.shape != (3,) or not np.isfinite(p_WV).all():
+        raise ValueError(f"a viewpoint is (3,) and finite, not {p_WV}")
+    low, high = points.min(axis=0), points.max(axis=0)
+    view = 0.5 * (low + high) - p_WV
+    distance, level = float(np.linalg.norm(view)), float(np.hypot(view[0], view[1]))
+    nearest = float(np.linalg.norm(np.clip(p_WV, low, high) - p_WV))
+    nearest_level = float(np.linalg.norm((np.clip(p_WV, low, high) - p_WV)[:2]))
+    if nearest < _TOO_NEAR:
+        return None
+    z_V = view / distance
+    if level < _TOO_NEAR:
+        away, depth, limit = np.zeros(2), 0.0, math.inf
+        breadth = float((high - low)[:2].min())
+        x_V = np.array([1.0, 0.0, 0.0])
+    else:
+        away = view[:2] / level
+        x_V = np.array([away[1], -away[0], 0.0])
+        along, across = points[:, :2] @ away, points[:, :2] @ x_V[:2]
+        breadth, depth = float(np.ptp(across)), float(np.ptp(along))
+        limit = float(along.min()) + max(depth, min(breadth, deepest))
+    y_V = np.cross(z_V, x_V)
+    y_V /= np.linalg.norm(y_V)
+    run, thick = min(max(breadth, depth), deepest), min(breadth, deepest)
+    R_WV = np.column_stack([np.cross(y_V, z_V), y_V, z_V])
+    # Down to the table, or as thick as it is deep; so far down as the run along a ray leads.
+    normal, offset = (table.normal_W, table.offset) if table else (np.array([0.0, 0.0, 1.0]), 0.0)
+    height = points @ normal - offset
+    bottom = 0.0 if table is not None else min(float(height.min()), float(height.max()) - thick)
+    floor = np.append(normal, offset + bottom)
+    rest = max(0.0, thick - depth) * np.append(away, 0.0)
+    low, high = np.minimum(low, low + rest), np.maximum(high, high + rest)
+    steep = max(0.0, p_WV[2] - low[2]) / max(nearest_level, _TOO_NEAR)
+    below = max(0.0, float(height.min()) - bottom) / max(0.5, float(normal[2]))
+    low[2] -= below if level < _TOO_NEAR else min(below, (run + edge) * steep)
+    p_VQ = (points - p_WV) @ R_WV
+    # Points all round a near viewpoint make no image; those beside it are left as they are.
+    p_VQ = np.ascontiguousarray(p_VQ[p_VQ[:, 2] > 0.2 * np.linalg.norm(p_VQ, axis=1)])
+    if not len(p_VQ):
+        return None
+    q = p_VQ[:, :2] / p_VQ[:, 2:]
+    pixel = edge / distance
+    while True:
+        # Where most points have pixels of their own the points are sparse.
+        corner = q.min(axis=0) - 0.5 * pixel
+        shape = ((q.max(axis=0) - corner) / pixel + 0.5).astype(np.int64) + 1
+        near, far = np.full(shape, np.inf), np.full(shape, -np.inf)
+        filled = _draw(p_VQ, corner, pixel, near, far)
+        if filled <= _SPARSE * len(q) or pixel * distance > _COARSEST * edge:
+            break
+        pixel *= 1.25
+    _close_gaps(near, far)
+    return _Shade(p_WV, R_WV, pixel, corner, near, far, away, limit, run, floor, low, high)
+
+
+@compiled
+def _draw(
+    p_VQ: FloatArray, corner: FloatArray, pixel: float, near: FloatArray, far: FloatArray
+) -> int:
+    """Draws points (N, 3) on the four pixels round each; how many show one."""
+    count = 0
+    for n in range(len(p_VQ)):
+        x, y, z = p_VQ[n, 0], p_VQ[n, 1], p_VQ[n, 2]
+        r = math.sqrt(x * x + y * y + z * z)
+        u, v = int((x / z - corner[0]) / pixel - 0.5), int((y / z - corner[1]) / pixel - 0.5)
+        for a in range(u, u + 2):
+            for b in range(v, v + 2):
+                count += near[a, b] == np.inf
+                near[a, b], far[a, b] = min(near[a, b], r), max(far[a, b], r)
+    return count
+
+
+@compiled
+def _close_gaps(near: FloatArray, far: FloatArray) -> None:
+    """Fills pixels that show nothing among five or more neighbours that do."""
+    rows, columns = near.shape
+    seen, last = near.copy(), far.copy()
+    for u in range(1, rows - 1):
+        for v in range(1, columns - 1):
+            if seen[u, v] < np.inf:
+                continue
+            count, least, most = 0, np.inf, -np.inf
+            for a in range(u - 1, u + 2):
+                for b in range(v - 1, v + 2):
+                    count += seen[a, b] < np.inf
+                    least, most = min(least, seen[a, b]), max(most, last[a, b])
+            if count >= 5:
+                near[u, v], far[u, v] = least, most
+
+
+@compiled
+def _fill_hidden(p_WO: FloatArray, voxel: float, shade: _Shade, occupied: ByteArray) -> None:
+    """Occupies the nodes that lie behind the seen surface."""
+    rows, columns = shade.near.shape
+    R, V, floor = shade.R_WV, shade.p_WV, shade.floor
+    first, last = np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
+    for m in range(3):
+        first[m] = math.floor((shade.low[m] - p_WO[m]) / voxel + 0.5)
+        last[m] = math.floor((shade.high[m] - p_WO[m]) / voxel + 0.5)
+    slack = 0.5 * voxel
+    for i in range(first[0], last[0] + 1):
+        x = p_WO[0] + i * voxel
+        for j in range(first[1], last[1] + 1):
+            y = p_WO[1] + j * voxel
+            if x * shade.away[0] + y * shade.away[1] > shade.limit + slack:
+                continue
+            a, b = x - V[0], y - V[1]
+            level2 = a * a + b * b
+            for k in range(first[2], last[2] + 1):
+                z = p_WO[2] + k * voxel
+                if x * floor[0] + y * floor[1] + z * floor[2] < floor[3]:
+                    continue
+                c = z - V[2]
+                depth = a * R[0, 2] + b * R[1, 2] + c * R[2, 2]
+                if depth <= 0.0:
+                    continue
+                scale = 1.0 / (depth * shade.pixel)
+                u = (a * R[0, 0] + b * R[1, 0] + c * R[2, 0]) * scale
+                v = (a * R[0, 1] + b * R[1, 1] + c * R[2, 1]) * scale
+                u -= shade.corner[0] / shade.pixel
+                v -= shade.corner[1] / shade.pixel
+                if not (u >= 0.0 and v >= 0.0 and u < rows and v < columns):
+                    continue
+                near, far = shade.near[int(u), int(v)], shade.far[int(u), int(v)]
+                r2 = level2 + c * c
+                if r2 < near * near:
+                    continue
+                # Behind the nearest by no more than the run, or so behind the farthest.
+                r = math.sqrt(r2)
+                behind = r - far if r > far else r - near
+                behind = min(behind, r - near)
+                if behind * math.sqrt(level2) <= (shade.run + slack) * r:
+                    occupied[i, j, k] = 1
+
+
+@compiled
+def _box_of(occupied: ByteArray) -> IntArray:
+    """First and one past the last index (2, 3) of what is occupied."""
+    box = np.empty((2, 3), dtype=np.int64)
+    for m in range(3):
+        box[0, m], box[1, m] = occupied.shape[m], 0
+    for i in range(occupied.shape[0]):
+        for j in range(occupied.shape[1]):
+            row = occupied[i, j]
+            first = 0
+            while first < len(row) and row[first] == 0:
+                first += 1
+            if first == len(row):
+                continue
+            last = len(row)
+            while row[last - 1] == 0:
+                last -= 1
+            box[0, 0], box[1, 0] = min(box[0, 0], i), max(box[1, 0], i + 1)
+            box[0, 1], box[1, 1] = min(box[0, 1], j), max(box[1, 1], j + 1)
+            box[0, 2], box[1, 2] = min(box[0, 2], first), max(box[1, 2], last)
+    return box
+
+
+@compiled
+def _distances(
+    seeds: ByteArray, box: IntArray, scale: float, shift: float, values: NDArray[np.float32]
+) -> None:
+    """Sets values to scale times the distance to the nearest seed, plus shift.
+
+    The exact Euclidean transform, one axis after the other (Saito and Toriwaki 1994): of
+    squared distances in integers, whole rows at a time. Seeds lie in the box (2, 3).
+    """
+    n0, n1, n2 = seeds.shape
+    i0, j0 = box[0, 0], box[0, 1]
+    m0, m1 = box[1, 0] - i0, box[1, 1] - j0
+    line = np.empty((m1, n2), dtype=np.int32)
+    plane = np.empty((n1, m0, n2), dtype=np.int32)
+    # Least of each row, and of those of the lines: far where a line holds no seed.
+    reach, least = np.empty(m1, dtype=np.int32), np.empty((n1, m0), dtype=np.int32)
+    far = np.int32(_FAR)
+    for i in range(m0):
+        for j in range(m1):
+            row, out = seeds[i0 + i, j0 + j], line[j]
+            away = far
+            reach[j] = far
+            for k in range(n2):
+                away = np.int32(0) if row[k] != 0 else np.int32(min(away + 1, 16000))
+                reach[j] = 0 if row[k] != 0 else reach[j]
+                out[k] = away
+            away = np.int32(16000)
+            for k in range(n2 - 1, -1, -1):
+                away = np.int32(min(out[k], away + 1))
+                out[k] = away
+            for k in range(n2):
+                out[k] = out[k] * out[k]
+        for j in range(n1):
+            out = plane[j, i]
+            out[:] = far
+            _nearest_rows(line, reach, j - j0, out)
+            smallest = far
+            for k in range(n2):
+                smallest = min(smallest, out[k])
+            least[j, i] = smallest
+    best = np.empty(n2, dtype=np.int32)
+    factor, term = np.float32(scale), np.float32(shift)
+    for i in range(n0):
+        for j in range(n1):
+            best[:] = far
+            _nearest_rows(plane[j], least[j], i - i0, best)
+            out = values[i, j]
+            for k in range(n2):
+                out[k] = factor * np.float32(math.sqrt(np.float32(best[k]))) + term
+
+
+@compiled
+def _nearest_rows(
+    rows: NDArray[np.int32], least: NDArray[np.int32], place: int, best: NDArray[np.int32]
+) -> None:
+    """Sets best (N,) to the least of it and of rows (M, N) at their squared gaps from a place.
+
+    From the nearest row outward, as long as their least (M,) can be less than what is found.
+    """
+    count = len(rows)
+    near = min(max(place, 0), count - 1)
+    largest = np.int64(_FAR)
+    for step in range(count):
+        gap = abs(place - near) + step if near != place else step
+        if gap * gap >= largest:
+            break
+        for side in range(2):
+            other = near - step if side == 0 else near + step
+            if other < 0 or other >= count or (side == 1 and step == 0):
+                continue
+            gap2 = (place - other) * (place - other)
+            if gap2 + least[other] >= largest:
+                continue
+            row, more, most = rows[other], np.int32(gap2), np.int32(0)
+            for k in range(len(best)):
+                value = np.int32(row[k] + more)
+                value = value if value < best[k] else best[k]
+                best[k] = value
+                most = value if value > most else most
+            largest = np.int64(most)
+
+
+@compiled
+def _signed_distances(occupied: ByteArray, voxel: float, values: NDArray[np.float32]) -> IntArray:
+    """Sets the distances [m] at the nodes; gives the box (2, 3) of what is occupied.
+
+    Zero, less the offset, is where a node is occupied and has a neighbour that is not.
+    """
+    box = _box_of(occupied)
+    _distances(occupied, box, voxel, -_OFFSET * voxel, values)
+    # Within, to the nearest free node; all round there are such.
+    i0, j0, k0 = box[0, 0] - 1, box[0, 1] - 1, box[0, 2] - 1
+    size = (box[1, 0] - i0 + 1, box[1, 1] - j0 + 1, box[1, 2] - k0 + 1)
+    free = np.empty(size, dtype=np.uint8)
+    for i in range(size[0]):
+        for j in range(size[1]):
+            for k in range(size[2]):
+                free[i, j, k] = 1 - occupied[i0 + i, j0 + j, k0 + k]
+    inner = np.empty(size, dtype=np.float32)
+    whole = np.zeros((2, 3), dtype=np.int64)
+    whole[1, 0], whole[1, 1], whole[1, 2] = size
+    _distances(free, whole, -voxel, (1.0 - _OFFSET) * voxel, inner)
+    for i in range(size[0]):
+        for j in range(size[1]):
+            for k in range(size[2]):
+                if free[i, j, k] == 0:
+                    values[i0 + i, j0 + j, k0 + k] = inner[i, j, k]
+    return box
+
+
+@leaf
+def interpolated(
+    x: float,
+    y: float,
+    z: float,
+    size: FloatArray,
+    span: IntArray,
+    voxels: NDArray[np.float32],
+) -> tuple[float, float, float, float]:
+    """Distance at a point of the frame O and its gradient there; outside the grid a lower bound.
+
+    For a point q outside and the nearest point c of the grid's box, which is convex and holds
+    the obstacle, |q - s|^2 >= |q - c|^2 + |c - s|^2 for each point s of the obstacle.
+
+    Args:
+        x, y, z: the point [m].
+        size: (7,) voxel, and the box of what is occupied, low and high [m].
+        span: (4,) where the field begins among the voxels, and nx, ny, nz.
+        voxels: values of all fields, one after the other [m].
+    """
+    scale, ny, nz = 1.0 / size[0], span[2], span[3]
+    u, v, w = x * scale, y * scale, z * scale
+    a = min(max(u, 0.0), span[1] - 1.0)
+    b = min(max(v, 0.0), ny - 1.0)
+    c = min(max(w, 0.0), nz - 1.0)
+    i, j, k = min(int(a), span[1] - 2), min(int(b), ny - 2), min(int(c), nz - 2)
+    fa, fb, fc = a - i, b - j, c - k
+    at = span[0] + (i * ny + j) * nz + k
+    beside = at + ny * nz
+    v00, v01 = np.float64(voxels[at]), np.float64(voxels[at + 1])
+    v10, v11 = np.float64(voxels[at + nz]), np.float64(voxels[at + nz + 1])
+    w00, w01 = np.float64(voxels[beside]), np.float64(voxels[beside + 1])
+    w10, w11 = np.float64(voxels[beside + nz]), np.float64(voxels[beside + nz + 1])
+    v0, v1 = v00 + fc * (v01 - v00), v10 + fc * (v11 - v10)
+    w0, w1 = w00 + fc * (w01 - w00), w10 + fc * (w11 - w10)
+    low, high = v0 + fb * (v1 - v0), w0 + fb * (w1 - w0)
+    d = low + fa * (high - low)
+    gx = (high - low) * scale
+    gy = ((v1 - v0) + fa * ((w1 - w0) - (v1 - v0))) * scale
+    gz = (1.0 - fa) * ((v01 - v00) + fb * ((v11 - v10) - (v01 - v00)))
+    gz = (gz + fa * ((w01 - w00) + fb * ((w11 - w10) - (w01 - w00)))) * scale
+    if u == a and v == b and w == c:
+        return d, gx, gy, gz
+    # Beyond the grid: along an axis that was cut the rest counts, along the others the field.
+    away = max(d, 0.0)
+    ex, ey, ez = (u - a) * size[0], (v - b) * size[0], (w - c) * size[0]
+    far = math.sqrt(away * away + ex * ex + ey * ey + ez * ez)
+    # The distance to the box of what is occupied is a lower bound too.
+    px, py, pz = x - min(max(x, size[1]), size[4]), y - min(max(y, size[2]), size[5]), 0.0
+    pz = z - min(max(z, size[3]), size[6])
+    box = math.sqrt(px * px + py * py + pz * pz)
+    shorter = box - _OFFSET * size[0]
+    if shorter > far:
+        return shorter, px / box, py / box, pz / box
+    gx = ex / far if u != a else away * gx / far
+    gy = ey / far if v != b else away * gy / far
+    gz = ez / far if w != c else away * gz / far
+    return far, gx, gy, gz

@@ -1,0 +1,605 @@
+"""How far a sphere is from each solid of a scene, at a time: the shapes that decide.
+
+Spheres, boxes, capsules, cylinders, ellipsoids, half-spaces and convex hulls are exact; a cloud
+is a `DistanceField`. Each solid moves with a constant velocity: p_WO(t) = p_WO + v_WO (t - stamp).
+`Solid` is one of them, to read; `Solids` is a scene of them, as kernels take it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import pydrake.geometry as drake
+from numpy.typing import NDArray
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import RigidBody
+from pydrake.systems.framework import Context
+from scipy.spatial import ConvexHull, QhullError
+
+from drake_oa.common.compiled import leaf
+from drake_oa.common.messages import FloatArray, Frozen, IntArray, ObstacleClouds, TablePlane
+from drake_oa.geometry.collision_shapes import hull_vertices
+from drake_oa.geometry.distance_field import DistanceField, field_of, interpolated
+from drake_oa.geometry.primitives import point_distance
+from drake_oa.geometry.shapes import Box, Cylinder, Sphere, pose, shape_geometry
+
+PRIMITIVE, ELLIPSOID, HALF_SPACE, HULL, FIELD = range(5)
+"""Kinds of solids; a primitive is what `drake_oa.geometry.primitives.point_distance` knows."""
+
+_TINY = 1e-12
+_THIN = 1e-9
+"""A coordinate within this of an ellipsoid's plane of symmetry, by its semi-axis, counts as it."""
+
+
+class Solids(NamedTuple):
+    """K solids as kernels take them: C-contiguous arrays of one type each, and few of them.
+
+    Attributes:
+        ball: (K, 10) centre, in the world at the stamp, and radius of a sphere that holds the
+            solid (inf: a half-space) [m]; velocity [m/s]; stamp; from when until when the solid
+            is there [s].
+        X_WO: (K, 3, 4) upper rows of the poses at the stamp.
+        size: (K, 7) see `point_distance` for a primitive and `interpolated` for a field;
+            semi-axes of an ellipsoid.
+        index: (K, 6) kind; of a hull its first face and one past the last, of a field where it
+            begins among the voxels, and nx, ny, nz; name.
+        faces: (F, 10) unit normal and offset in O; centre and radius of a sphere that holds the
+            face [m]; its first triangle and one past the last.
+        triangles: (T, 9) corners a, b, c in O [m].
+        voxels: float32 values of all fields [m].
+    """
+
+    ball: FloatArray
+    X_WO: FloatArray
+    size: FloatArray
+    index: IntArray
+    faces: FloatArray
+    triangles: FloatArray
+    voxels: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.ball)
+
+
+@dataclass(frozen=True, eq=False)
+class Solid(Frozen):
+    """One solid, made by `sphere`, `box`, `capsule` and so on; place it with `replace`.
+
+    Attributes:
+        kind: `PRIMITIVE` and so on.
+        name: an integer; solids of one obstacle share it.
+        label: what to call it in a message.
+        X_WO: (4, 4) its pose at the stamp.
+        v_WO: (3,) velocity of its origin, and of all of it, in the world [m/s].
+        stamp: when it is there [s].
+        window: from when until when it exists [s].
+        size: see `Solids.size`.
+        center, radius: sphere that holds it, in O [m]; inf: a half-space.
+        corners: (F lists of) triangles (T_i, 3, 3) of a hull's faces, in O [m].
+        planes: (F, 4) their outward unit normals and offsets.
+        grid: distance field of a cloud.
+    """
+
+    kind: int = PRIMITIVE
+    name: int = 0
+    label: str = ""
+    X_WO: FloatArray = field(default_factory=lambda: np.eye(4))
+    v_WO: FloatArray = field(default_factory=lambda: np.zeros(3))
+    stamp: float = 0.0
+    window: tuple[float, float] = (-math.inf, math.inf)
+    size: tuple[float, ...] = ()
+    center: FloatArray = field(default_factory=lambda: np.zeros(3))
+    radius: float = math.inf
+    corners: tuple[FloatArray, ...] = ()
+    planes: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))
+    grid: DistanceField | None = None
+
+
+def sphere(radius: float) -> Solid:
+    """A sphere of a radius [m] about its origin."""
+    (radius,) = _positive("radius", radius)
+    return Solid(size=(0.0, 0.0, 0.0, radius, 0.0), radius=radius)
+
+
+def box(size: Sequence[float]) -> Solid:
+    """A box with edges (3,) along its axes [m], about its origin."""
+    half = [0.5 * edge for edge in _positive("size", *size)]
+    return Solid(size=(*half, 0.0, 0.0), radius=math.hypot(*half))
+
+
+def capsule(radius: float, length: float) -> Solid:
+    """A capsule along z: the cylinder's length and the radius [m]."""
+    radius, length = _positive("radius and length", radius, length)
+    size = (0.0, 0.0, 0.5 * length, radius, 0.0)
+    return Solid(size=size, radius=0.5 * length + radius)
+
+
+def cylinder(radius: float, length: float) -> Solid:
+    """A cylinder along z about its origin [m]."""
+    radius, length = _positive("radius and length", radius, length)
+    size = (radius, 0.0, 0.5 * length, 0.0, 1.0)
+    return Solid(size=size, radius=math.hypot(radius, 0.5 * length))
+
+
+def ellipsoid(semi_axes: Sequence[float]) -> Solid:
+    """An ellipsoid with semi-axes (3,) along its axes [m]."""
+    size = _positive("semi-axes", *semi_axes)
+    return Solid(ELLIPSOID, size=tuple(size), radius=max(size))
+
+
+def half_space() -> Solid:
+    """All that is below the plane z = 0 of its frame."""
+    return Solid(HALF_SPACE)
+
+
+def hull(vertices: FloatArray) -> Solid:
+    """The convex hull of points (N, 3) in its frame [m]; flat ones get a thickness of 1e-9 m.
+
+    Raises:
+        ValueError: for fewer than four points, or points that are not finite or lie on a line.
+    """
+    points = np.asarray(vertices, dtype=float)
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 3:
+        raise ValueError(f"a hull needs (N, 3) points with N > 2, not {points.shape}")
+    if not np.isfinite(points).all():
+        raise ValueError("a vertex of the hull is not finite")
+    try:
+        found = ConvexHull(points)
+    except QhullError:
+        points = _thickened(points)
+        found = ConvexHull(points)
+    # Coplanar triangles are one face.
+    keys = np.round(found.equations, 9) + 0.0
+    planes, which = np.unique(keys, axis=0, return_index=True, return_inverse=True)[1:]
+    corners = points[found.simplices]
+    center = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    return Solid(
+        HULL,
+        center=center,
+        radius=float(np.linalg.norm(points - center, axis=1).max()),
+        corners=tuple(corners[which.ravel() == face] for face in range(len(planes))),
+        planes=found.equations[planes] * [1.0, 1.0, 1.0, -1.0],
+    )
+
+
+def _thickened(points: FloatArray) -> FloatArray:
+    """Points (2 N, 3) on both sides of a plane's points (N, 3)."""
+    _, extents, axes = np.linalg.svd(points - points.mean(axis=0))
+    if not extents[1] > 1e-6:
+        raise ValueError("the vertices of the hull lie on a line")
+    return np.concatenate([points + 1e-9 * axes[2], points - 1e-9 * axes[2]])
+
+
+def cloud_solid(grid: DistanceField, **more: Any) -> Solid:
+    """The solid of a cloud's field; `more` are the fields of `Solid` (name, v_WO, stamp, ...)."""
+    X_WO = np.eye(4)
+    X_WO[:3, 3] = grid.p_WO
+    solid = Solid(
+        FIELD,
+        X_WO=X_WO,
+        size=(grid.voxel, *grid.low, *grid.high),
+        center=0.5 * (grid.low + grid.high),
+        # A point is up to half a diagonal from its node.
+        radius=0.5 * float(np.linalg.norm(grid.high - grid.low)) + 0.87 * grid.voxel,
+        grid=grid,
+    )
+    return replace(solid, **more)
+
+
+def table_solid(table: TablePlane) -> Solid:
+    """All that is below a table's plane; its name is -1."""
+    R_WO = RotationMatrix.MakeFromOneVector(table.normal_W, 2)
+    X_WO = RigidTransform(R_WO, table.offset * table.normal_W)
+    return Solid(HALF_SPACE, -1, "table", X_WO.GetAsMatrix4())
+
+
+def cloud_solids(seen: ObstacleClouds, viewpoint_W: FloatArray | None = None) -> list[Solid]:
+    """The fields of what is seen, see `field_of`, and the table, if there is one.
+
+    They are made anew: who asks often keeps those whose clouds have not changed.
+    """
+    found = [
+        cloud_solid(
+            field_of(cloud, viewpoint_W=viewpoint_W, table=seen.table),
+            name=int(name),
+            label=f"obstacle {name}",
+            v_WO=v_WO,
+            stamp=seen.stamp,
+        )
+        for cloud, name, v_WO in zip(seen.clouds_W, seen.ids, seen.v_WO, strict=True)
+        if len(cloud)
+    ]
+    return found if seen.table is None else found + [table_solid(seen.table)]
+
+
+def shape_solids(
+    shapes: Sequence[Box | Cylinder | Sphere], X_WO: FloatArray, **more: Any
+) -> list[Solid]:
+    """The solids of a scenario's obstacle at a pose (4, 4); `more` as in `cloud_solid`."""
+    X_WG = [np.asarray(X_WO, dtype=float) @ pose(shape).GetAsMatrix4() for shape in shapes]
+    return [
+        replace(_of_drake(shape_geometry(shape)), X_WO=X, **more)
+        for shape, X in zip(shapes, X_WG, strict=True)
+    ]
+
+
+def body_solids(
+    plant: MultibodyPlant,
+    inspector: drake.SceneGraphInspector,
+    context: Context,
+    bodies: Iterable[RigidBody],
+    *,
+    stamp: float = 0.0,
+) -> list[Solid]:
+    """The collision geometries of bodies where a context of the plant has them.
+
+    A mesh counts as its convex hull, as in Drake's proximity queries. Each solid has its body's
+    index as name, its full name as label, and the body's velocity of translation; one that turns
+    is to be read anew.
+
+    Raises:
+        ValueError: naming the geometry, for a shape that is not known.
+    """
+    found = []
+    for body in bodies:
+        X_WB = plant.EvalBodyPoseInWorld(context, body).GetAsMatrix4()
+        v_WO = np.array(plant.EvalBodySpatialVelocityInWorld(context, body).translational())
+        name, label = int(body.index()), body.scoped_name().get_full()
+        for geometry in plant.GetCollisionGeometriesForBody(body):
+            shape = inspector.GetShape(geometry)
+            try:
+                if isinstance(shape, (drake.Mesh, drake.Convex)):
+                    solid = hull(hull_vertices(inspector, geometry))
+                else:
+                    solid = _of_drake(shape)
+            except ValueError as error:
+                raise ValueError(f"{inspector.GetName(geometry)}: {error}") from error
+            X_WO = X_WB @ inspector.GetPoseInFrame(geometry).GetAsMatrix4()
+            found.append(replace(solid, X_WO=X_WO, v_WO=v_WO, stamp=stamp, name=name, label=label))
+    return found
+
+
+def _of_drake(shape: drake.Shape) -> Solid:
+    """The solid of a shape that needs no mesh."""
+    if isinstance(shape, drake.Sphere):
+        return sphere(shape.radius())
+    if isinstance(shape, drake.Box):
+        return box(shape.size())
+    if isinstance(shape, drake.Capsule):
+        return capsule(shape.radius(), shape.length())
+    if isinstance(shape, drake.Cylinder):
+        return cylinder(shape.radius(), shape.length())
+    if isinstance(shape, drake.Ellipsoid):
+        return ellipsoid((shape.a(), shape.b(), shape.c()))
+    if isinstance(shape, drake.HalfSpace):
+        return half_space()
+    raise ValueError(
+        f"a {type(shape).__name__} is no solid; it must be a sphere, box, capsule, cylinder, "
+        "ellipsoid, half-space, convex shape or mesh"
+    )
+
+
+def _positive(name: str, *values: float) -> list[float]:
+    if not all(math.isfinite(value) and value > 0.0 for value in values):
+        raise ValueError(f"{name} must be positive and finite, not {values}")
+    return [float(value) for value in values]
+
+
+def solids_of(items: Sequence[Solid]) -> Solids:
+    """A scene of solids as kernels take it; rows in their order.
+
+    Raises:
+        ValueError: for a pose, velocity or time that is not finite; times may be where the
+            solid rests.
+    """
+    count = len(items)
+    X_WO, ball = np.empty((count, 3, 4)), np.empty((count, 10))
+    size, index = np.zeros((count, 7)), np.zeros((count, 6), dtype=np.int64)
+    planes, corners, voxels = [np.zeros((0, 4))], [], [np.zeros(0, dtype=np.float32)]
+    cells = 0
+    for row, item in enumerate(items):
+        moves = bool(np.any(item.v_WO))
+        if not (np.isfinite(item.X_WO).all() and np.isfinite(item.v_WO).all()):
+            raise ValueError(f"the pose or velocity of solid {row} ({item.label}) is not finite")
+        if moves and not math.isfinite(item.stamp):
+            raise ValueError(f"solid {row} ({item.label}) moves and has no stamp")
+        X_WO[row] = item.X_WO[:3]
+        ball[row, :3] = X_WO[row, :, :3] @ item.center + X_WO[row, :, 3]
+        ball[row, 3:] = item.radius, *item.v_WO, item.stamp if moves else 0.0, *item.window
+        size[row, : len(item.size)] = item.size
+        index[row, [0, 5]] = item.kind, item.name
+        if item.kind == HULL:
+            index[row, 1:3] = len(corners), len(corners) + len(item.planes)
+            planes.append(item.planes)
+            corners += item.corners
+        if item.grid is not None:
+            index[row, 1:5] = cells, *item.grid.values.shape
+            voxels.append(item.grid.values.ravel())
+            cells += item.grid.values.size
+    faces = np.zeros((len(corners), 10))
+    faces[:, :4] = np.concatenate(planes)
+    for row, face in enumerate(corners):
+        points = face.reshape(-1, 3)
+        faces[row, 4:7] = 0.5 * (points.min(axis=0) + points.max(axis=0))
+        faces[row, 7] = np.linalg.norm(points - faces[row, 4:7], axis=1).max()
+    ends = np.cumsum([len(face) for face in corners])
+    faces[1:, 8], faces[:, 9] = ends[:-1], ends
+    triangles = np.concatenate([np.zeros((0, 9))] + [face.reshape(-1, 9) for face in corners])
+    return Solids(ball, X_WO, size, index, faces, triangles, np.concatenate(voxels))
+
+
+@leaf
+def solid_distance(solids: Solids, k: int, x: float, y: float, z: float, t: float) -> float:
+    """Signed distance [m] of a point (x, y, z) of the world to solid k at time t [s].
+
+    Exact, inside as well, but for a field (see `drake_oa.geometry.distance_field`); inf where
+    the solid is not there at that time.
+    """
+    return _distance(solids, k, x, y, z, t, np.inf)[0]
+
+
+@leaf
+def solid_gradient(
+    solids: Solids, k: int, x: float, y: float, z: float, t: float
+) -> tuple[float, float, float, float]:
+    """As `solid_distance`, and the gradient of it in the world, of unit length but in a field."""
+    d, a, b, c = _distance(solids, k, x, y, z, t, np.inf)
+    X = solids.X_WO
+    return (
+        d,
+        X[k, 0, 0] * a + X[k, 0, 1] * b + X[k, 0, 2] * c,
+        X[k, 1, 0] * a + X[k, 1, 1] * b + X[k, 1, 2] * c,
+        X[k, 2, 0] * a + X[k, 2, 1] * b + X[k, 2, 2] * c,
+    )
+
+
+@leaf
+def ball_bound(solids: Solids, k: int, x: float, y: float, z: float, t: float) -> float:
+    """A lower bound of `solid_distance`, from the sphere that holds the solid [m]."""
+    ball = solids.ball
+    if t < ball[k, 8] or t > ball[k, 9]:
+        return np.inf
+    since = t - ball[k, 7]
+    x -= ball[k, 0] + since * ball[k, 4]
+    y -= ball[k, 1] + since * ball[k, 5]
+    z -= ball[k, 2] + since * ball[k, 6]
+    return math.sqrt(x * x + y * y + z * z) - ball[k, 3]
+
+
+@leaf
+def _less(
+    solids: Solids, k: int, x: float, y: float, z: float, r: float, t: float, upper: float
+) -> float:
+    """Distance of a sphere to solid k, if it is less than `upper`; else that or more."""
+    if ball_bound(solids, k, x, y, z, t) - r >= upper:
+        return upper
+    return _distance(solids, k, x, y, z, t, upper + r)[0] - r
+
+
+@leaf
+def least_distance(
+    solids: Solids, x: float, y: float, z: float, r: float, t: float, upper: float
+) -> tuple[float, int]:
+    """Distance of a sphere of radius r about (x, y, z) to the nearest solid at time t [s].
+
+    Args:
+        upper: what is no nearer than this is not looked at [m].
+
+    Returns:
+        The distance [m], negative in contact, and the solid's row; `upper` and -1 where none is
+        nearer.
+    """
+    nearest = -1
+    for k in range(len(solids.ball)):
+        d = _less(solids, k, x, y, z, r, t, upper)
+        if d < upper:
+            upper, nearest = d, k
+    return upper, nearest
+
+
+@leaf
+def least_of_spheres(
+    solids: Solids, spheres: FloatArray, t: float, upper: float
+) -> tuple[float, int, int]:
+    """As `least_distance`, of many spheres (S, 4), centres and radii [m]: and which sphere."""
+    nearest, sphere = -1, -1
+    for n in range(len(spheres)):
+        x, y, z, r = spheres[n, 0], spheres[n, 1], spheres[n, 2], spheres[n, 3]
+        d, k = least_distance(solids, x, y, z, r, t, upper)
+        if k >= 0:
+            upper, sphere, nearest = d, n, k
+    return upper, sphere, nearest
+
+
+@leaf
+def least_distance_of(
+    solids: Solids,
+    rows: IntArray,
+    count: int,
+    x: float,
+    y: float,
+    z: float,
+    r: float,
+    t: float,
+    upper: float,
+) -> tuple[float, int]:
+    """As `least_distance`, of the solids in the first `count` rows alone."""
+    nearest = -1
+    for n in range(count):
+        d = _less(solids, rows[n], x, y, z, r, t, upper)
+        if d < upper:
+            upper, nearest = d, rows[n]
+    return upper, nearest
+
+
+@leaf
+def solids_within(
+    solids: Solids, x: float, y: float, z: float, r: float, t: float, reach: float, rows: IntArray
+) -> int:
+    """Rows of the solids that come within a reach [m] of a sphere, as of all that it holds.
+
+    Args:
+        r: radius of the sphere about (x, y, z), which may hold many others [m].
+        t: when [s]; for a while of dt seconds let the reach be more by |v| dt.
+        rows: (K,) the rows, written.
+
+    Returns:
+        How many.
+    """
+    count = 0
+    for k in range(len(solids.ball)):
+        if _less(solids, k, x, y, z, r, t, reach) < reach:
+            rows[count] = k
+            count += 1
+    return count
+
+
+@leaf
+def _distance(
+    solids: Solids, k: int, x: float, y: float, z: float, t: float, upper: float
+) -> tuple[float, float, float, float]:
+    """Distance and its gradient in O; of a hull a lower bound where it is `upper` or more."""
+    ball, X = solids.ball, solids.X_WO
+    if t < ball[k, 8] or t > ball[k, 9]:
+        return np.inf, 0.0, 0.0, 0.0
+    since = t - ball[k, 7]
+    x -= X[k, 0, 3] + since * ball[k, 4]
+    y -= X[k, 1, 3] + since * ball[k, 5]
+    z -= X[k, 2, 3] + since * ball[k, 6]
+    a = X[k, 0, 0] * x + X[k, 1, 0] * y + X[k, 2, 0] * z
+    b = X[k, 0, 1] * x + X[k, 1, 1] * y + X[k, 2, 1] * z
+    c = X[k, 0, 2] * x + X[k, 1, 2] * y + X[k, 2, 2] * z
+    # Numbers, not rows: what is a view of an array here is one more argument there.
+    s, index = solids.size, solids.index
+    size = (s[k, 0], s[k, 1], s[k, 2], s[k, 3], s[k, 4], s[k, 5], s[k, 6])
+    span = (index[k, 1], index[k, 2], index[k, 3], index[k, 4])
+    kind = index[k, 0]
+    if kind == PRIMITIVE:
+        return point_distance(a, b, c, size)
+    if kind == FIELD:
+        return interpolated(a, b, c, size, span, solids.voxels)
+    if kind == HALF_SPACE:
+        return c, 0.0, 0.0, 1.0
+    if kind == ELLIPSOID:
+        return _to_ellipsoid(a, b, c, size)
+    return _to_hull(solids.faces, solids.triangles, span, a, b, c, upper)
+
+
+@leaf
+def _to_ellipsoid(x: float, y: float, z: float, e: FloatArray) -> tuple[float, float, float, float]:
+    """Signed distance to an ellipsoid and its gradient.
+
+    The nearest point is e_i^2 y_i / (s + e_i^2), s the largest root of the secular equation
+    sum_i (e_i y_i / (s + e_i^2))^2 = 1 (Eberly 2013): Newton's method on the inverse square
+    root of the sum, which is concave, climbs to it from below.
+    """
+    a2, b2, c2 = e[0] * e[0], e[1] * e[1], e[2] * e[2]
+    # Off the planes of symmetry, so that the root is the one of the sum.
+    u = e[0] * max(abs(x), _THIN * e[0])
+    v = e[1] * max(abs(y), _THIN * e[1])
+    w = e[2] * max(abs(z), _THIN * e[2])
+    s = max(u - a2, v - b2, w - c2)
+    for _ in range(100):
+        p, q, r = u / (s + a2), v / (s + b2), w / (s + c2)
+        total = p * p + q * q + r * r
+        slope = p * p / (s + a2) + q * q / (s + b2) + r * r / (s + c2)
+        step = total * (math.sqrt(total) - 1.0) / slope
+        s += max(step, 0.0)
+        if not step > 1e-15 * (abs(s) + a2):
+            break
+    p, q, r = e[0] * u / (s + a2), e[1] * v / (s + b2), e[2] * w / (s + c2)
+    gx = math.copysign(p / a2, x)
+    gy = math.copysign(q / b2, y)
+    gz = math.copysign(r / c2, z)
+    size = 1.0 / math.sqrt(gx * gx + gy * gy + gz * gz)
+    p, q, r = p - abs(x), q - abs(y), r - abs(z)
+    d = math.copysign(math.sqrt(p * p + q * q + r * r), s)
+    return d, gx * size, gy * size, gz * size
+
+
+@leaf
+def _to_hull(
+    faces: FloatArray,
+    triangles: FloatArray,
+    span: IntArray,
+    x: float,
+    y: float,
+    z: float,
+    upper: float,
+) -> tuple[float, float, float, float]:
+    """Signed distance to a convex hull and its gradient; `_distance` says more."""
+    first, last = span[0], span[1]
+    most, at = -np.inf, first
+    for f in range(first, last):
+        above = faces[f, 0] * x + faces[f, 1] * y + faces[f, 2] * z - faces[f, 3]
+        if above > most:
+            most, at = above, f
+    if most <= _TINY or most >= upper:
+        return most, faces[at, 0], faces[at, 1], faces[at, 2]
+    # Outside: the nearest of the triangles that the point is above, from the likeliest face.
+    best, nearest, gx, gy, gz = np.inf, np.inf, 0.0, 0.0, 0.0
+    for number in range(first - 1, last):
+        f = at if number < first else number
+        if number == at:
+            continue
+        above = faces[f, 0] * x + faces[f, 1] * y + faces[f, 2] * z - faces[f, 3]
+        if above <= 0.0 or above * above >= best:
+            continue
+        a, b, c = x - faces[f, 4], y - faces[f, 5], z - faces[f, 6]
+        reach = nearest + faces[f, 7]
+        if a * a + b * b + c * c >= reach * reach:
+            continue
+        for n in range(int(faces[f, 8]), int(faces[f, 9])):
+            a, b, c = _from_triangle(x, y, z, triangles, n)
+            square = a * a + b * b + c * c
+            if square < best:
+                best, gx, gy, gz = square, a, b, c
+                nearest = math.sqrt(best)
+    return nearest, gx / nearest, gy / nearest, gz / nearest
+
+
+@leaf
+def _from_triangle(
+    x: float, y: float, z: float, corners: FloatArray, n: int
+) -> tuple[float, float, float]:
+    """The vector to a point from the nearest one of a triangle (9,) (Ericson 2005, 5.1.5)."""
+    ax, ay, az = x - corners[n, 0], y - corners[n, 1], z - corners[n, 2]
+    ux, uy, uz = (
+        corners[n, 3] - corners[n, 0],
+        corners[n, 4] - corners[n, 1],
+        corners[n, 5] - corners[n, 2],
+    )
+    vx, vy, vz = (
+        corners[n, 6] - corners[n, 0],
+        corners[n, 7] - corners[n, 1],
+        corners[n, 8] - corners[n, 2],
+    )
+    uu, vv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz
+    uv = ux * vx + uy * vy + uz * vz
+    au, av = ax * ux + ay * uy + az * uz, ax * vx + ay * vy + az * vz
+    # Barycentric coordinates of the corners b and c, times the determinant.
+    det = uu * vv - uv * uv
+    s, t = vv * au - uv * av, uu * av - uv * au
+    if s >= 0.0 and t >= 0.0 and s + t <= det and det > 0.0:
+        s, t = s / det, t / det
+        return ax - s * ux - t * vx, ay - s * uy - t * vy, az - s * uz - t * vz
+    # Else on one of the edges.
+    s = min(max(au / uu, 0.0), 1.0)
+    px, py, pz = ax - s * ux, ay - s * uy, az - s * uz
+    t = min(max(av / vv, 0.0), 1.0)
+    qx, qy, qz = ax - t * vx, ay - t * vy, az - t * vz
+    if qx * qx + qy * qy + qz * qz < px * px + py * py + pz * pz:
+        px, py, pz = qx, qy, qz
+    wx, wy, wz = vx - ux, vy - uy, vz - uz
+    bx, by, bz = ax - ux, ay - uy, az - uz
+    t = (bx * wx + by * wy + bz * wz) / (wx * wx + wy * wy + wz * wz)
+    t = min(max(t, 0.0), 1.0)
+    qx, qy, qz = bx - t * wx, by - t * wy, bz - t * wz
+    if qx * qx + qy * qy + qz * qz < px * px + py * py + pz * pz:
+        return qx, qy, qz
+    return px, py, pz

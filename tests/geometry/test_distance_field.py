@@ -1,0 +1,167 @@
+import numpy as np
+import pytest
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from drake_oa.common.messages import TablePlane
+from drake_oa.geometry.distance_field import field_of
+from drake_oa.geometry.solids import cloud_solid, solid_distance, solid_gradient, solids_of
+
+RNG = np.random.default_rng(2)
+
+
+def surface(size, center, spacing=0.005):
+    """Points (N, 3) on all faces of a box, and the outward normals (N, 3) there."""
+    half, points, normals = np.array(size) / 2.0, [], []
+    for axis in range(3):
+        lines = [np.linspace(-h, h, round(2.0 * h / spacing) + 1) for h in np.delete(half, axis)]
+        flat = np.stack(np.meshgrid(*lines), -1).reshape(-1, 2)
+        for sign in (-1.0, 1.0):
+            points.append(np.insert(flat, axis, sign * half[axis], axis=1))
+            normals.append(np.tile(sign * np.eye(3)[axis], (len(flat), 1)))
+    return np.concatenate(points) + center, np.concatenate(normals)
+
+
+def seen(points, normals, viewpoint):
+    """The points of a convex thing that face a viewpoint."""
+    return points[np.einsum("ij,ij->i", viewpoint - points, normals) > 0.0]
+
+
+def distances(field, points):
+    scene = solids_of([cloud_solid(field)])
+    return np.array([solid_distance(scene, 0, *p, 0.0) for p in points])
+
+
+def around(points, past, count=1500):
+    return RNG.uniform(points.min(axis=0) - past, points.max(axis=0) + past, (count, 3))
+
+
+@pytest.mark.parametrize("count", [1, 8, 300, 4000])
+def test_the_distance_is_within_a_voxel_of_that_to_the_points(count):
+    cloud = RNG.uniform(-1.0, 1.0, (count, 3)) * [0.05, 0.1, 0.15] + [0.5, 0.0, 0.3]
+    field = field_of(cloud)
+    # Outside and in the midst of the points, inside the grid and beyond it.
+    for past in (0.0, 0.2):
+        points = around(cloud, past)
+        error = (distances(field, points) - cKDTree(cloud).query(points)[0]) / field.voxel
+        assert error.max() <= 1.0
+        outside = ((points < cloud.min(axis=0)) | (points > cloud.max(axis=0))).any(axis=1)
+        assert error[outside].min(initial=0.0) >= -1.0
+        # Two points have a crease of the distance between them.
+        assert (error[~outside].min(initial=0.0) >= -2.0) or count == 4000
+    points = around(cloud, 1.0)
+    exact = cKDTree(cloud).query(points)[0]
+    beyond = distances(field, points)
+    assert (beyond <= exact + field.voxel).all()
+    # From the side the box of the cloud is as far as the cloud.
+    assert (beyond >= 0.75 * exact - field.voxel).all()
+
+
+def test_a_surface_is_within_a_voxel_on_its_outside():
+    size, center = np.array([0.1, 0.2, 0.15]), np.array([0.5, 0.1, 0.3])
+    cloud, _ = surface(size, center)
+    points = around(cloud, 0.2)
+    beyond = np.abs(points - center) - size / 2.0
+    exact = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
+    outside = exact > 0.0
+    error = distances(field_of(cloud), points)[outside] - exact[outside]
+    assert np.abs(error).max() <= 0.01
+
+
+@pytest.mark.parametrize("shape", [(0.06, 0.1, 0.2), (0.11, 0.07, 0.03)])
+def test_the_nodes_are_exact_for_the_voxels_that_are_filled(shape):
+    cloud = RNG.normal(size=(200, 3)) * shape
+    field = field_of(cloud, voxel=0.02, margin=0.1)
+    filled = np.zeros(field.values.shape, dtype=bool)
+    filled[tuple(np.floor((cloud - field.p_WO) / 0.02 + 0.5).astype(int).T)] = True
+    outside = ndimage.distance_transform_edt(~filled)
+    inside = ndimage.distance_transform_edt(filled)
+    expected = np.where(filled, 1.0 - inside, outside) - 0.13
+    assert field.values == pytest.approx(0.02 * expected, abs=1e-6)
+
+
+def test_the_gradient_is_the_slope_and_the_field_continuous_at_its_border():
+    cloud, _ = surface([0.1, 0.1, 0.1], np.zeros(3), 0.01)
+    field = field_of(cloud)
+    scene = solids_of([cloud_solid(field)])
+    for p in RNG.uniform(-0.6, 0.6, (300, 3)):
+        d, *gradient = solid_gradient(scene, 0, *p, 0.0)
+        h = 1e-7
+        slope = [(solid_distance(scene, 0, *(p + h * axis), 0.0) - d) / h for axis in np.eye(3)]
+        assert gradient == pytest.approx(slope, abs=1e-4)
+    for p in RNG.uniform(-1.0, 1.0, (200, 3)):
+        axis = int(np.argmax(np.abs(p)))
+        limit = field.p_WO[axis] + (field.voxel * (field.values.shape[axis] - 1)) * (p[axis] > 0)
+        p *= 0.3
+        p[axis] = limit - 1e-9 * np.sign(p[axis])
+        q = p.copy()
+        q[axis] = limit + 1e-9 * np.sign(limit)
+        assert solid_distance(scene, 0, *p, 0.0) == pytest.approx(
+            solid_distance(scene, 0, *q, 0.0), abs=field.voxel
+        )
+
+
+VIEWS = [[-0.5, 0.1, 0.9], [1.2, 0.9, 0.5], [0.4, 1.5, 1.0], [0.5, 0.12, 1.5], [1.5, 0.1, 0.1]]
+
+
+@pytest.mark.parametrize("viewpoint", VIEWS)
+@pytest.mark.parametrize("size", [[0.08, 0.12, 0.2], [0.07, 0.07, 0.07], [0.08, 0.08, 0.3]])
+@pytest.mark.parametrize("spacing", [0.004, 0.01])
+def test_what_a_box_hides_of_itself_is_filled_and_little_more(viewpoint, size, spacing):
+    table, viewpoint = TablePlane(offset=0.0), np.array(viewpoint)
+    center, half = np.array([0.5, 0.1, size[2] / 2.0]), np.array(size) / 2.0
+    away = (center - viewpoint)[:2] / np.linalg.norm((center - viewpoint)[:2])
+    # How deep it is along the view.
+    deep = 2.0 * float(np.abs(away) @ half[:2])
+    cloud = seen(*surface(size, center, spacing), viewpoint)
+    field = field_of(cloud, viewpoint_W=viewpoint, table=table, deepest=deep)
+    inside = center + RNG.uniform(-1.0, 1.0, (800, 3)) * half
+    assert distances(field, inside).max() <= field.voxel
+    # Outside no more is filled than lies behind it by the assumed depth: and before, nothing.
+    outside = center + RNG.uniform(-1.0, 1.0, (800, 3)) * (half + 0.15)
+    exact = np.linalg.norm(np.maximum(np.abs(outside - center) - half, 0.0), axis=1)
+    error = distances(field, outside) - exact
+    assert error.max() <= field.voxel
+    assert error.min() >= -deep - field.voxel
+    before = (outside - center)[:, :2] @ away < -deep / 2.0
+    assert error[before | (outside[:, 2] > size[2] + 0.02)].min() >= -2.0 * field.voxel
+
+
+def test_without_a_viewpoint_nothing_is_filled():
+    cloud, _ = surface([0.1, 0.1, 0.1], np.zeros(3), 0.01)
+    assert distances(field_of(cloud), [[0.0, 0.0, 0.0]]) > 0.03
+    hidden = field_of(cloud, viewpoint_W=np.array([1.0, 0.0, 0.5]))
+    assert distances(hidden, [[0.0, 0.0, 0.0]]) < -0.02
+    # From within nothing is behind.
+    within = field_of(cloud, viewpoint_W=np.zeros(3))
+    assert np.array_equal(within.values, field_of(cloud).values)
+
+
+def test_a_large_cloud_gets_coarser_voxels_and_says_so():
+    cloud = RNG.uniform(-1.0, 1.0, (500_000, 3)) * [2.0, 2.0, 1.0]
+    field = field_of(cloud)
+    assert field.values.size <= 1 << 20
+    assert 0.03 < field.voxel < 0.06
+    assert "in place of 0.01 m" in field.note
+    assert not field_of(cloud[:10] * 0.1).note
+    points = around(cloud, 0.3, 300)
+    exact = cKDTree(cloud).query(points)[0]
+    assert (distances(field, points) <= exact + field.voxel).all()
+
+
+@pytest.mark.parametrize(
+    ("cloud", "options", "words"),
+    [
+        (np.zeros((0, 3)), {}, "N > 0"),
+        (np.zeros((4, 2)), {}, "N > 0"),
+        ([[0.0, np.nan, 0.0]], {}, "not finite"),
+        ([[0.0, 0.0, np.inf]], {}, "not finite"),
+        ([[0.0, 0.0, 0.0]], {"voxel": 0.0}, "voxel must be positive"),
+        ([[0.0, 0.0, 0.0]], {"margin": -1.0}, "margin must be positive"),
+        ([[0.0, 0.0, 0.0]], {"max_cells": 8}, "max_cells must be at least"),
+        ([[0.0, 0.0, 0.0]], {"viewpoint_W": np.zeros(2)}, "viewpoint"),
+    ],
+)
+def test_what_makes_no_field_is_refused(cloud, options, words):
+    with pytest.raises(ValueError, match=words):
+        field_of(np.array(cloud), **options)

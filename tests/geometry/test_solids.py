@@ -1,0 +1,273 @@
+from dataclasses import replace
+from unittest.mock import Mock
+
+import numpy as np
+import pydrake.geometry as drake
+import pytest
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
+from pydrake.multibody.tree import SpatialInertia
+from pydrake.systems.framework import DiagramBuilder
+from scipy.optimize import nnls
+from scipy.spatial.transform import Rotation
+
+from drake_oa.common.messages import ObstacleClouds, TablePlane
+from drake_oa.geometry import solids as solid
+from drake_oa.geometry.distance_field import field_of
+from drake_oa.geometry.ellipsoid_kernels import nearest_point
+from drake_oa.geometry.shapes import Box, Cylinder, Sphere
+from drake_oa.geometry.solids import Solid, solids_of
+
+RNG = np.random.default_rng(5)
+POINTS = RNG.uniform(-0.4, 0.4, (400, 3)) + [0.5, 0.1, 0.2]
+X_WG = np.eye(4)
+X_WG[:3, :3], X_WG[:3, 3] = Rotation.random(random_state=3).as_matrix(), [0.5, 0.1, 0.2]
+CUBE = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * [0.1, 0.2, 0.05]
+ROUND = RNG.normal(size=(80, 3))
+ROUND *= 0.15 / np.linalg.norm(ROUND, axis=1)[:, None]
+
+
+class World:
+    """Drake's answers for one body with collision geometries."""
+
+    def __init__(self, shapes, X_WG=X_WG):
+        builder = DiagramBuilder()
+        self.plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
+        inertia = SpatialInertia.SolidSphereWithMass(1.0, 0.1)
+        self.body = self.plant.AddRigidBody("thing", inertia)
+        for number, shape in enumerate(shapes):
+            self.plant.RegisterCollisionGeometry(
+                self.body, RigidTransform(), shape, f"g{number}", CoulombFriction()
+            )
+        self.plant.Finalize()
+        self.diagram = builder.Build()
+        self.context = self.diagram.CreateDefaultContext()
+        self.inner = self.plant.GetMyContextFromRoot(self.context)
+        rotation = RotationMatrix(X_WG[:3, :3])
+        self.plant.SetFreeBodyPose(self.inner, self.body, RigidTransform(rotation, X_WG[:3, 3]))
+        port = scene_graph.get_query_output_port()
+        self.query = port.Eval(scene_graph.GetMyContextFromRoot(self.context))
+        self.inspector = scene_graph.model_inspector()
+
+    def solids(self, **more):
+        return solid.body_solids(self.plant, self.inspector, self.inner, [self.body], **more)
+
+
+SHAPES = {
+    "sphere": drake.Sphere(0.1),
+    "box": drake.Box(0.1, 0.3, 0.2),
+    "capsule": drake.Capsule(0.06, 0.2),
+    "cylinder": drake.Cylinder(0.1, 0.25),
+    "ellipsoid": drake.Ellipsoid(0.1, 0.2, 0.05),
+    "half-space": drake.HalfSpace(),
+    "cube": drake.Convex(CUBE.T, "cube"),
+}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_distances_and_gradients_are_drakes(name):
+    shape = drake.Box(*np.ptp(CUBE, axis=0)) if name == "cube" else SHAPES[name]
+    drakes = World([shape])
+    (one,) = World([SHAPES[name]]).solids() if name != "half-space" else [half_space_at(X_WG)]
+    scene = solids_of([one])
+    for p in POINTS:
+        if name == "half-space":
+            expected, gradient = X_WG[:3, 2] @ (p - X_WG[:3, 3]), X_WG[:3, 2]
+        else:
+            (near,) = drakes.query.ComputeSignedDistanceToPoint(p)
+            expected, gradient = near.distance, near.grad_W
+        d, *found = solid.solid_gradient(scene, 0, *p, 0.0)
+        # Drake's ellipsoids are iterative, and up to 0.3 mm off the exact distance below.
+        tolerance = 1e-3 if name == "ellipsoid" else 1e-9
+        assert d == pytest.approx(expected, abs=tolerance)
+        assert solid.solid_distance(scene, 0, *p, 0.0) == d
+        assert np.linalg.norm(found) == pytest.approx(1.0, abs=1e-9)
+        if name not in ("ellipsoid", "cube"):
+            assert found == pytest.approx(gradient, abs=1e-6)
+        # No farther than where the gradient leads to the surface.
+        foot = p - d * np.array(found)
+        assert abs(solid.solid_distance(scene, 0, *foot, 0.0)) < 1e-8
+
+
+def half_space_at(X):
+    return replace(solid.half_space(), X_WO=X)
+
+
+@pytest.mark.parametrize("axes", [(0.1, 0.2, 0.05), (0.1, 0.1, 0.1), (0.3, 0.02, 0.3)])
+def test_an_ellipsoid_is_as_exact_as_the_descriptors(axes):
+    e, scene = np.array(axes), solids_of([solid.ellipsoid(axes)])
+    on_axes = np.array([[0.0], [0.3], [0.999], [1.0], [2.0]])[:, None] * np.diag(e)
+    for p in np.concatenate([POINTS - X_WG[:3, 3], 0.3 * POINTS, on_axes.reshape(-1, 3)]):
+        exact = nearest_point(np.abs(p), e, np.empty(3), np.empty(3))
+        assert solid.solid_distance(scene, 0, *p, 0.0) == pytest.approx(exact, abs=1e-8)
+
+
+def test_a_hull_is_drakes_to_a_small_sphere():
+    scene = solids_of(World([drake.Convex(ROUND.T, "round")]).solids())
+    radius = 1e-3
+    graph = drake.SceneGraph()
+    source = graph.RegisterSource("source")
+    probe = graph.RegisterFrame(source, drake.GeometryFrame("probe"))
+    X = RigidTransform(RotationMatrix(X_WG[:3, :3]), X_WG[:3, 3])
+    still = drake.GeometryInstance(X, drake.Convex(ROUND.T, "round"), "round")
+    ball = drake.GeometryInstance(RigidTransform(), drake.Sphere(radius), "ball")
+    for instance in (still, ball):
+        instance.set_proximity_properties(drake.ProximityProperties())
+    ids = graph.RegisterAnchoredGeometry(source, still), graph.RegisterGeometry(source, probe, ball)
+    context, poses = graph.CreateDefaultContext(), drake.FramePoseVector()
+    for p in POINTS[:150]:
+        poses.set_value(probe, RigidTransform(p))
+        graph.get_source_pose_port(source).FixValue(context, poses)
+        query = graph.get_query_output_port().Eval(context)
+        expected = query.ComputeSignedDistancePairClosestPoints(*ids).distance
+        d, _ = solid.least_distance(scene, *p, radius, 0.0, np.inf)
+        # Drake's are iterative here.
+        assert d == pytest.approx(expected, abs=1e-4)
+        # Outside, by the weights of the nearest point of the hull.
+        q = X_WG[:3, :3].T @ (p - X_WG[:3, 3])
+        rows = np.vstack([ROUND.T, np.full(len(ROUND), 1e3)])
+        weights, _ = nnls(rows, np.append(q, 1e3))
+        nearest = ROUND.T @ weights / weights.sum()
+        assert max(d, -radius) + radius == pytest.approx(np.linalg.norm(q - nearest), abs=1e-9)
+
+
+def test_a_hull_is_exact_inside_and_out_of_its_corners():
+    scene = solids_of([solid.hull(CUBE), solid.box(np.ptp(CUBE, axis=0))])
+    for p in np.concatenate([POINTS - X_WG[:3, 3], CUBE, 1.1 * CUBE, 0.5 * CUBE]):
+        d, *_ = solid.solid_gradient(scene, 0, *p, 0.0)
+        assert d == pytest.approx(solid.solid_distance(scene, 1, *p, 0.0), abs=1e-12)
+
+
+def test_a_flat_hull_is_a_plate():
+    scene = solids_of([solid.hull(CUBE[:4] * [0.0, 1.0, 1.0])])
+    assert solid.solid_distance(scene, 0, 0.3, 0.0, 0.0, 0.0) == pytest.approx(0.3, abs=1e-8)
+    assert solid.solid_distance(scene, 0, 0.0, 0.5, 0.0, 0.0) == pytest.approx(0.3, abs=1e-8)
+
+
+def scene_of_all(**more):
+    """One of each kind in a row along x, moving."""
+    cloud = np.concatenate([CUBE, 0.5 * CUBE]) + [3.5, 0.0, 0.0]
+    kinds = [
+        solid.sphere(0.1),
+        solid.box((0.1, 0.2, 0.3)),
+        solid.capsule(0.05, 0.2),
+        solid.cylinder(0.1, 0.1),
+        solid.ellipsoid((0.1, 0.2, 0.1)),
+        solid.hull(ROUND),
+    ]
+    items = []
+    for number, kind in enumerate(kinds):
+        X = np.eye(4)
+        X[:3, :3] = X_WG[:3, :3]
+        X[:3, 3] = 0.5 * number, 0.0, 0.0
+        v_WO = RNG.uniform(-0.3, 0.3, 3)
+        items.append(replace(kind, X_WO=X, v_WO=v_WO, stamp=1.0, name=10 + number, **more))
+    items.append(
+        solid.cloud_solid(field_of(cloud), v_WO=np.array([0.1, 0.2, -0.1]), stamp=2.0, name=16)
+    )
+    ground = np.eye(4)
+    ground[2, 3] = -0.3
+    items.append(replace(solid.half_space(), X_WO=ground, name=17))
+    return items
+
+
+def test_solids_move_with_their_velocity():
+    items = scene_of_all()
+    scene = solids_of(items)
+    for t in (-1.0, 1.0, 3.5):
+        for k, item in enumerate(items):
+            for p in 5.0 * POINTS[:40]:
+                shift = item.v_WO * (t - item.stamp)
+                there = solid.solid_distance(scene, k, *p, t)
+                assert there == pytest.approx(
+                    solid.solid_distance(scene, k, *(p - shift), item.stamp), abs=1e-12
+                )
+
+
+def test_the_least_distance_is_that_of_the_nearest_whatever_is_culled():
+    items = scene_of_all()
+    scene = solids_of(items)
+    rows = np.empty(len(items), dtype=np.int64)
+    for p in RNG.uniform([-0.5, -1, -0.5], [4, 1, 1], (300, 3)):
+        r, t = 0.05, RNG.uniform(0.0, 3.0)
+        each = [solid.solid_distance(scene, k, *p, t) - r for k in range(len(items))]
+        d, k = solid.least_distance(scene, *p, r, t, np.inf)
+        assert (d, k) == (min(each), int(np.argmin(each)))
+        bounds = [solid.ball_bound(scene, k, *p, t) - r for k in range(len(items))]
+        # A field's distance is up to a voxel and an offset less than that of its points.
+        assert all(b <= e + 0.01 for b, e in zip(bounds, each, strict=True))
+        assert solid.least_distance(scene, *p, r, t, d) == (d, -1)
+        # The solids that come near a large sphere hold those near the small ones in it.
+        center = p + RNG.uniform(-0.1, 0.1, 3)
+        count = solid.solids_within(scene, *center, 0.25, t, 0.2, rows)
+        assert {k for k, e in enumerate(each) if e < 0.2} <= set(rows[:count].tolist())
+        near, found = solid.least_distance_of(scene, rows, count, *p, r, t, 0.2)
+        assert (near, found) == ((d, k) if d < 0.2 else (0.2, -1))
+
+
+def test_many_spheres_at_once_are_the_least_of_them():
+    scene = solids_of(scene_of_all())
+    spheres = np.column_stack([RNG.uniform(-0.5, 3.0, (50, 3)), RNG.uniform(0.01, 0.1, 50)])
+    each = [solid.least_distance(scene, *sphere, 1.5, np.inf) for sphere in spheres]
+    d, n, k = solid.least_of_spheres(scene, spheres, 1.5, np.inf)
+    assert n == int(np.argmin([d for d, _ in each]))
+    assert (d, k) == each[n]
+
+
+def test_what_is_not_there_yet_or_any_more_is_nowhere():
+    scene = solids_of([replace(solid.sphere(0.1), window=(1.0, 2.0))])
+    assert solid.solid_distance(scene, 0, 0.0, 0.0, 1.0, 0.9) == np.inf
+    assert solid.solid_distance(scene, 0, 0.0, 0.0, 1.0, 1.5) == pytest.approx(0.9)
+    assert solid.least_distance(scene, 0.0, 0.0, 1.0, 0.1, 2.1, 0.5) == (0.5, -1)
+
+
+def test_the_shapes_of_a_scenario_have_their_place():
+    shapes = [Box([0.1, 0.2, 0.3], [0.2, 0, 0]), Cylinder(0.1, 0.2), Sphere(0.1, [0, 0, 1.0])]
+    found = solid.shape_solids(shapes, X_WG, name=4, v_WO=np.array([0.1, 0.0, 0.0]), stamp=2.0)
+    scene = solids_of(found)
+    assert scene.index[:, 5].tolist() == [4, 4, 4]
+    centers = [X_WG[:3, :3] @ c + X_WG[:3, 3] for c in ([0.2, 0, 0], [0, 0, 0], [0, 0, 1.0])]
+    for k, (center, depth) in enumerate(zip(centers, (-0.05, -0.1, -0.1), strict=True)):
+        assert solid.solid_distance(scene, k, *center, 2.0) == pytest.approx(depth)
+
+
+def test_the_solids_of_bodies_are_where_the_context_has_them():
+    found = World([drake.Sphere(0.1), drake.Convex(CUBE.T, "cube")]).solids(stamp=1.0)
+    assert [one.kind for one in found] == [solid.PRIMITIVE, solid.HULL]
+    assert found[0].label.endswith("thing")
+    assert pytest.approx(X_WG, abs=1e-12) == found[1].X_WO
+    shape = Mock(GetShape=lambda _: drake.MeshcatCone(0.1, 0.1, 0.1), GetName=lambda _: "tip")
+    world = World([drake.Sphere(0.1)])
+    with pytest.raises(ValueError, match="tip: a MeshcatCone is no solid"):
+        solid.body_solids(world.plant, shape, world.inner, [world.body])
+
+
+def test_seen_clouds_become_fields_with_their_names_and_velocities():
+    table = TablePlane(offset=-0.1)
+    seen = ObstacleClouds(
+        3.0, (CUBE, CUBE + 1.0), np.array([7, 9]), table, v_WO=np.array([[0.1, 0, 0], [0, 0, 0]])
+    )
+    found = solid.cloud_solids(seen)
+    assert [one.name for one in found] == [7, 9, -1]
+    scene = solids_of(found)
+    assert solid.least_distance(scene, 0.1, 0.2, 0.05, 0.0, 3.0, np.inf)[0] < 0.01
+    # The table is the half-space below its plane.
+    assert solid.solid_distance(scene, 2, 5.0, 5.0, 0.3, 0.0) == pytest.approx(0.4)
+    assert [one.name for one in solid.cloud_solids(ObstacleClouds())] == []
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: solid.sphere(0.0), "radius must be positive"),
+        (lambda: solid.box((0.1, np.nan, 0.1)), "size must be positive"),
+        (lambda: solid.hull(np.zeros((2, 3))), "N > 2"),
+        (lambda: solid.hull(np.arange(12.0).reshape(4, 3)), "on a line"),
+        (lambda: solid.hull(np.full((5, 3), np.nan)), "not finite"),
+        (lambda: solids_of([Solid(X_WO=np.full((4, 4), np.nan))]), "not finite"),
+        (lambda: solids_of([Solid(v_WO=np.ones(3), stamp=-np.inf)]), "no stamp"),
+    ],
+)
+def test_what_is_no_solid_is_refused(make, words):
+    with pytest.raises(ValueError, match=words):
+        make()
