@@ -9,6 +9,8 @@ world frame W, `X_WG` (4, 4) and `R_WO` (3, 3) poses and rotations, all of float
   loops are in `ellipsoid_kernels`.
 - `superquadric`: the paper's least-squares fit (Solina and Bajcsy 1990).
 - `primitives`: rounded boxes and cylinders of a robot: distance of a point, points inside.
+- `solids`: how far a sphere is from each solid of a scene, at a time: exact shapes, hulls and
+  fields, each with a velocity. `distance_field`: a cloud as such a field, what it hides filled.
 - `collision_shapes`: what Drake knows of a robot's or an obstacle's shape, as arrays.
 - `shapes`: `!Box`, `!Cylinder` and `!Sphere`, the blocks of a scenario.
 - `annulus`: about a vertical axis, where a tool may go: signed margins.
@@ -18,7 +20,7 @@ world frame W, `X_WG` (4, 4) and `R_WO` (3, 3) poses and rotations, all of float
 - `rotation`, `directions`: rotation vectors, quaternions, turns about an axis; 26 directions.
 
 Compiled kernels take C-contiguous arrays of one type each, so that numba compiles each of them
-once and caches it on disk; a NamedTuple such as `View` counts as one argument.
+once and caches it on disk; a NamedTuple such as `View` or `Solids` counts as one argument.
 
 Begin with `ellipsoid.enclosing_ellipsoid`.
 """

@@ -37,6 +37,9 @@ _TOO_NEAR = 0.05
 _FAR = 1 << 28
 """Squared distance of what is nowhere [voxel^2]."""
 _FEWEST_CELLS = 4096
+_LONGEST = 4096  # nodes along an axis: so that squares of distances are integers of 32 bits
+_FARTHEST = 1e4
+_MOST = 1 << 14  # longer than any row
 _SPARSE = 2.0
 """Pixels that show a point, by the number of points: above, the pixels are too small."""
 _COARSEST = 4.0
@@ -107,8 +110,10 @@ def field_of(
     if points.ndim != 2 or points.shape[1] != 3 or not len(points):
         raise ValueError(f"a cloud is (N, 3) with N > 0, not {points.shape}")
     low, high = points.min(axis=0), points.max(axis=0)
-    if not np.isfinite(low).all() or not np.isfinite(high).all():
+    if not (np.isfinite(low).all() and np.isfinite(high).all()):
         raise ValueError("a point of the cloud is not finite")
+    if max(-low.min(), high.max()) > _FARTHEST:
+        raise ValueError(f"a point of the cloud is farther than {_FARTHEST:g} m from the origin")
     for name, value in (("voxel", voxel), ("margin", margin), ("deepest", deepest)):
         if not (math.isfinite(value) and value > 0.0):
             raise ValueError(f"{name} must be positive and finite, not {value}")
@@ -124,7 +129,7 @@ def field_of(
         first = np.floor((low - margin) / voxel)
         count = (np.floor((high + margin) / voxel) - first).astype(np.int64) + 1
         cells = math.prod(float(n) for n in count)
-        if cells <= max_cells:
+        if cells <= max_cells and count.max() <= _LONGEST:
             break
         voxel *= max(1.01, (cells / max_cells) ** (1.0 / 3.0))
     note = ""
@@ -357,50 +362,72 @@ def _distances(
     plane = np.empty((n1, m0, n2), dtype=np.int32)
     # Least of each row, and of those of the lines: far where a line holds no seed.
     reach, least = np.empty(m1, dtype=np.int32), np.empty((n1, m0), dtype=np.int32)
-    far = np.int32(_FAR)
+    far, gain = np.int32(_FAR), np.empty((2, max(m0, m1)), dtype=np.int32)
     for i in range(m0):
         for j in range(m1):
             row, out = seeds[i0 + i, j0 + j], line[j]
-            away = far
+            away = _MOST
             reach[j] = far
             for k in range(n2):
-                away = np.int32(0) if row[k] != 0 else np.int32(min(away + 1, 16000))
-                reach[j] = 0 if row[k] != 0 else reach[j]
+                if row[k] != 0:
+                    away, reach[j] = 0, 0
                 out[k] = away
-            away = np.int32(16000)
+                away = min(away + 1, _MOST)
+            away = _MOST
             for k in range(n2 - 1, -1, -1):
-                away = np.int32(min(out[k], away + 1))
+                away = min(int(out[k]), away + 1)
                 out[k] = away
             for k in range(n2):
                 out[k] = out[k] * out[k]
+        _gains(line, gain)
         for j in range(n1):
             out = plane[j, i]
             out[:] = far
-            _nearest_rows(line, reach, j - j0, out)
+            _nearest_rows(line, reach, gain, j - j0, out)
             smallest = far
             for k in range(n2):
                 smallest = min(smallest, out[k])
             least[j, i] = smallest
     best = np.empty(n2, dtype=np.int32)
     factor, term = np.float32(scale), np.float32(shift)
-    for i in range(n0):
-        for j in range(n1):
+    for j in range(n1):
+        _gains(plane[j], gain)
+        for i in range(n0):
             best[:] = far
-            _nearest_rows(plane[j], least[j], i - i0, best)
+            _nearest_rows(plane[j], least[j], gain, i - i0, best)
             out = values[i, j]
             for k in range(n2):
                 out[k] = factor * np.float32(math.sqrt(np.float32(best[k]))) + term
 
 
 @compiled
+def _gains(rows: NDArray[np.int32], gain: NDArray[np.int32]) -> None:
+    """Sets gain (2, M) to how much less rows (M, N) are anywhere than the first and the last."""
+    for end in range(2):
+        edge = rows[0] if end == 0 else rows[len(rows) - 1]
+        for other in range(len(rows)):
+            row, most = rows[other], np.int32(0)
+            for k in range(len(row)):
+                value = np.int32(edge[k] - row[k])
+                most = value if value > most else most
+            gain[end, other] = most
+
+
+@compiled
 def _nearest_rows(
-    rows: NDArray[np.int32], least: NDArray[np.int32], place: int, best: NDArray[np.int32]
+    rows: NDArray[np.int32],
+    least: NDArray[np.int32],
+    gain: NDArray[np.int32],
+    place: int,
+    best: NDArray[np.int32],
 ) -> None:
     """Sets best (N,) to the least of it and of rows (M, N) at their squared gaps from a place.
 
-    From the nearest row outward, as long as their least (M,) can be less than what is found.
+    From the nearest row outward, as long as their least (M,) can be less than what is found; from
+    a place beyond the rows, those whose gain over the nearest makes up for their greater gap.
     """
     count = len(rows)
+    end = 0 if place < 0 else 1
     near = min(max(place, 0), count - 1)
     largest = np.int64(_FAR)
     for step in range(count):
@@ -413,6 +440,9 @@ def _nearest_rows(
                 continue
             gap2 = (place - other) * (place - other)
             if gap2 + least[other] >= largest:
+                continue
+            more_gap = gap2 - (place - near) * (place - near)
+            if near != place and step > 0 and gain[end, other] <= more_gap:
                 continue
             row, more, most = rows[other], np.int32(gap2), np.int32(0)
             for k in range(len(best)):

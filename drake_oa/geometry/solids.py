@@ -46,7 +46,7 @@ class Solids(NamedTuple):
         X_WO: (K, 3, 4) upper rows of the poses at the stamp.
         size: (K, 7) see `point_distance` for a primitive and `interpolated` for a field;
             semi-axes of an ellipsoid.
-        index: (K, 6) kind; of a hull its first face and one past the last, of a field where it
+        layout: (K, 6) kind; of a hull its first face and one past the last, of a field where it
             begins among the voxels, and nx, ny, nz; name.
         faces: (F, 10) unit normal and offset in O; centre and radius of a sphere that holds the
             face [m]; its first triangle and one past the last.
@@ -57,13 +57,10 @@ class Solids(NamedTuple):
     ball: FloatArray
     X_WO: FloatArray
     size: FloatArray
-    index: IntArray
+    layout: IntArray
     faces: FloatArray
     triangles: FloatArray
     voxels: NDArray[np.float32]
-
-    def __len__(self) -> int:
-        return len(self.ball)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +138,7 @@ def hull(vertices: FloatArray) -> Solid:
     """The convex hull of points (N, 3) in its frame [m]; flat ones get a thickness of 1e-9 m.
 
     Raises:
-        ValueError: for fewer than four points, or points that are not finite or lie on a line.
+        ValueError: for fewer than three points, or points that are not finite or lie on a line.
     """
     points = np.asarray(vertices, dtype=float)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 3:
@@ -151,13 +148,11 @@ def hull(vertices: FloatArray) -> Solid:
     try:
         found = ConvexHull(points)
     except QhullError:
-        points = _thickened(points)
-        found = ConvexHull(points)
+        found = ConvexHull(points := _thickened(points))
     # Coplanar triangles are one face.
     keys = np.round(found.equations, 9) + 0.0
     planes, which = np.unique(keys, axis=0, return_index=True, return_inverse=True)[1:]
-    corners = points[found.simplices]
-    center = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    corners, center = points[found.simplices], 0.5 * (points.min(axis=0) + points.max(axis=0))
     return Solid(
         HULL,
         center=center,
@@ -169,7 +164,7 @@ def hull(vertices: FloatArray) -> Solid:
 
 def _thickened(points: FloatArray) -> FloatArray:
     """Points (2 N, 3) on both sides of a plane's points (N, 3)."""
-    _, extents, axes = np.linalg.svd(points - points.mean(axis=0))
+    _, extents, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
     if not extents[1] > 1e-6:
         raise ValueError("the vertices of the hull lie on a line")
     return np.concatenate([points + 1e-9 * axes[2], points - 1e-9 * axes[2]])
@@ -193,8 +188,8 @@ def cloud_solid(grid: DistanceField, **more: Any) -> Solid:
 
 def table_solid(table: TablePlane) -> Solid:
     """All that is below a table's plane; its name is -1."""
-    R_WO = RotationMatrix.MakeFromOneVector(table.normal_W, 2)
-    X_WO = RigidTransform(R_WO, table.offset * table.normal_W)
+    z_W = table.normal_W
+    X_WO = RigidTransform(RotationMatrix.MakeFromOneVector(z_W, 2), table.offset * z_W)
     return Solid(HALF_SPACE, -1, "table", X_WO.GetAsMatrix4())
 
 
@@ -299,9 +294,9 @@ def solids_of(items: Sequence[Solid]) -> Solids:
     """
     count = len(items)
     X_WO, ball = np.empty((count, 3, 4)), np.empty((count, 10))
-    size, index = np.zeros((count, 7)), np.zeros((count, 6), dtype=np.int64)
-    planes, corners, voxels = [np.zeros((0, 4))], [], [np.zeros(0, dtype=np.float32)]
-    cells = 0
+    size, layout = np.zeros((count, 7)), np.zeros((count, 6), dtype=np.int64)
+    planes, voxels, cells = [np.zeros((0, 4))], [np.zeros(0, dtype=np.float32)], 0
+    corners: list[FloatArray] = []
     for row, item in enumerate(items):
         moves = bool(np.any(item.v_WO))
         if not (np.isfinite(item.X_WO).all() and np.isfinite(item.v_WO).all()):
@@ -312,13 +307,13 @@ def solids_of(items: Sequence[Solid]) -> Solids:
         ball[row, :3] = X_WO[row, :, :3] @ item.center + X_WO[row, :, 3]
         ball[row, 3:] = item.radius, *item.v_WO, item.stamp if moves else 0.0, *item.window
         size[row, : len(item.size)] = item.size
-        index[row, [0, 5]] = item.kind, item.name
+        layout[row, [0, 5]] = item.kind, item.name
         if item.kind == HULL:
-            index[row, 1:3] = len(corners), len(corners) + len(item.planes)
+            layout[row, 1:3] = len(corners), len(corners) + len(item.planes)
             planes.append(item.planes)
             corners += item.corners
         if item.grid is not None:
-            index[row, 1:5] = cells, *item.grid.values.shape
+            layout[row, 1:5] = cells, *item.grid.values.shape
             voxels.append(item.grid.values.ravel())
             cells += item.grid.values.size
     faces = np.zeros((len(corners), 10))
@@ -330,7 +325,7 @@ def solids_of(items: Sequence[Solid]) -> Solids:
     ends = np.cumsum([len(face) for face in corners])
     faces[1:, 8], faces[:, 9] = ends[:-1], ends
     triangles = np.concatenate([np.zeros((0, 9))] + [face.reshape(-1, 9) for face in corners])
-    return Solids(ball, X_WO, size, index, faces, triangles, np.concatenate(voxels))
+    return Solids(ball, X_WO, size, layout, faces, triangles, np.concatenate(voxels))
 
 
 @leaf
@@ -475,10 +470,10 @@ def _distance(
     b = X[k, 0, 1] * x + X[k, 1, 1] * y + X[k, 2, 1] * z
     c = X[k, 0, 2] * x + X[k, 1, 2] * y + X[k, 2, 2] * z
     # Numbers, not rows: what is a view of an array here is one more argument there.
-    s, index = solids.size, solids.index
+    s, layout = solids.size, solids.layout
     size = (s[k, 0], s[k, 1], s[k, 2], s[k, 3], s[k, 4], s[k, 5], s[k, 6])
-    span = (index[k, 1], index[k, 2], index[k, 3], index[k, 4])
-    kind = index[k, 0]
+    span = (layout[k, 1], layout[k, 2], layout[k, 3], layout[k, 4])
+    kind = layout[k, 0]
     if kind == PRIMITIVE:
         return point_distance(a, b, c, size)
     if kind == FIELD:

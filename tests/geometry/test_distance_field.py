@@ -156,6 +156,7 @@ def test_a_large_cloud_gets_coarser_voxels_and_says_so():
         (np.zeros((4, 2)), {}, "N > 0"),
         ([[0.0, np.nan, 0.0]], {}, "not finite"),
         ([[0.0, 0.0, np.inf]], {}, "not finite"),
+        ([[0.0, 0.0, 1e30]], {}, "farther than 10000 m"),
         ([[0.0, 0.0, 0.0]], {"voxel": 0.0}, "voxel must be positive"),
         ([[0.0, 0.0, 0.0]], {"margin": -1.0}, "margin must be positive"),
         ([[0.0, 0.0, 0.0]], {"max_cells": 8}, "max_cells must be at least"),
