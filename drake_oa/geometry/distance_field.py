@@ -42,6 +42,7 @@ _FARTHEST = 1e4
 _MOST = 1 << 14  # longer than any row
 _SPARSE = 2.0
 """Pixels that show a point, by the number of points: above, the pixels are too small."""
+_WIDEST = 1024  # pixels of the image
 _COARSEST = 4.0
 """How much larger they may become."""
 
@@ -119,19 +120,13 @@ def field_of(
             raise ValueError(f"{name} must be positive and finite, not {value}")
     if max_cells < _FEWEST_CELLS:
         raise ValueError(f"max_cells must be at least {_FEWEST_CELLS}, not {max_cells}")
-    shade = None
+    asked, shade = voxel, None
+    voxel, first, count = _grid(low, high, margin, voxel, max_cells)
     if viewpoint_W is not None:
         shade = _shade(points, np.array(viewpoint_W, dtype=float), voxel, deepest, table)
     if shade is not None:
         low, high = np.minimum(low, shade.low), np.maximum(high, shade.high)
-    asked = voxel
-    while True:
-        first = np.floor((low - margin) / voxel)
-        count = (np.floor((high + margin) / voxel) - first).astype(np.int64) + 1
-        cells = math.prod(float(n) for n in count)
-        if cells <= max_cells and count.max() <= _LONGEST:
-            break
-        voxel *= max(1.01, (cells / max_cells) ** (1.0 / 3.0))
+        voxel, first, count = _grid(low, high, margin, voxel, max_cells)
     note = ""
     if voxel > asked:
         note = f"voxels of {voxel:.3g} m in place of {asked:.3g} m: the cloud is large"
@@ -143,6 +138,21 @@ def field_of(
     values = np.empty(occupied.shape, dtype=np.float32)
     box = _signed_distances(occupied, voxel, values)
     return DistanceField(p_WO, voxel, values, box[0] * voxel, (box[1] - 1) * voxel, note)
+
+
+def _grid(
+    low: FloatArray, high: FloatArray, margin: float, voxel: float, max_cells: int
+) -> tuple[float, FloatArray, IntArray]:
+    """Edge of a voxel [m], numbers (3,) of the first in the world, and how many (3,)."""
+    while True:
+        # All round what is occupied at least one node is free.
+        past = max(margin, 1.5 * voxel)
+        first = np.floor((low - past) / voxel)
+        count = np.floor((high + past) / voxel) - first + 1.0
+        cells = math.prod(count.tolist())
+        if cells <= max_cells and count.max() <= _LONGEST:
+            return voxel, first, count.astype(np.int64)
+        voxel *= min(max(1.01, (cells / max_cells) ** (1.0 / 3.0)), 1e3)
 
 
 @compiled
@@ -229,11 +239,11 @@ def _shade(
     if not len(p_VQ):
         return None
     q = p_VQ[:, :2] / p_VQ[:, 2:]
-    pixel = edge / distance
+    pixel = max(edge / distance, float(np.ptp(q, axis=0).max()) / _WIDEST)
     while True:
         # Where most points have pixels of their own the points are sparse.
         corner = q.min(axis=0) - 0.5 * pixel
-        shape = ((q.max(axis=0) - corner) / pixel + 0.5).astype(np.int64) + 1
+        shape = ((q.max(axis=0) - corner) / pixel + 0.5).astype(np.int64) + 2
         near, far = np.full(shape, np.inf), np.full(shape, -np.inf)
         filled = _draw(p_VQ, corner, pixel, near, far)
         if filled <= _SPARSE * len(q) or pixel * distance > _COARSEST * edge:
@@ -482,6 +492,13 @@ def _signed_distances(occupied: ByteArray, voxel: float, values: NDArray[np.floa
 
 
 @leaf
+def _within(x: float, high: float) -> float:
+    """x between 0 and high; 0 for what is no number, so that no index is out of range."""
+    x = x if x > 0.0 else 0.0
+    return x if x < high else high
+
+
+@leaf
 def interpolated(
     x: float,
     y: float,
@@ -503,9 +520,7 @@ def interpolated(
     """
     scale, ny, nz = 1.0 / size[0], span[2], span[3]
     u, v, w = x * scale, y * scale, z * scale
-    a = min(max(u, 0.0), span[1] - 1.0)
-    b = min(max(v, 0.0), ny - 1.0)
-    c = min(max(w, 0.0), nz - 1.0)
+    a, b, c = _within(u, span[1] - 1.0), _within(v, ny - 1.0), _within(w, nz - 1.0)
     i, j, k = min(int(a), span[1] - 2), min(int(b), ny - 2), min(int(c), nz - 2)
     fa, fb, fc = a - i, b - j, c - k
     at = span[0] + (i * ny + j) * nz + k

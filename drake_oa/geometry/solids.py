@@ -383,6 +383,7 @@ def least_distance(
     """Distance of a sphere of radius r about (x, y, z) to the nearest solid at time t [s].
 
     Args:
+        x, y, z, r, t: all of them numbers; near what is none (NaN) nothing is found.
         upper: what is no nearer than this is not looked at [m].
 
     Returns:
@@ -560,20 +561,12 @@ def _to_hull(
 
 @leaf
 def _from_triangle(
-    x: float, y: float, z: float, corners: FloatArray, n: int
+    x: float, y: float, z: float, c: FloatArray, n: int
 ) -> tuple[float, float, float]:
-    """The vector to a point from the nearest one of a triangle (9,) (Ericson 2005, 5.1.5)."""
-    ax, ay, az = x - corners[n, 0], y - corners[n, 1], z - corners[n, 2]
-    ux, uy, uz = (
-        corners[n, 3] - corners[n, 0],
-        corners[n, 4] - corners[n, 1],
-        corners[n, 5] - corners[n, 2],
-    )
-    vx, vy, vz = (
-        corners[n, 6] - corners[n, 0],
-        corners[n, 7] - corners[n, 1],
-        corners[n, 8] - corners[n, 2],
-    )
+    """The vector to a point from the nearest one of a triangle, row n of c (T, 9)."""
+    ax, ay, az = x - c[n, 0], y - c[n, 1], z - c[n, 2]
+    ux, uy, uz = c[n, 3] - c[n, 0], c[n, 4] - c[n, 1], c[n, 5] - c[n, 2]
+    vx, vy, vz = c[n, 6] - c[n, 0], c[n, 7] - c[n, 1], c[n, 8] - c[n, 2]
     uu, vv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz
     uv = ux * vx + uy * vy + uz * vz
     au, av = ax * ux + ay * uy + az * uz, ax * vx + ay * vy + az * vz

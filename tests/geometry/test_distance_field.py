@@ -53,6 +53,7 @@ def test_the_distance_is_within_a_voxel_of_that_to_the_points(count):
     exact = cKDTree(cloud).query(points)[0]
     beyond = distances(field, points)
     assert (beyond <= exact + field.voxel).all()
+    assert np.isnan(distances(field, [[np.nan] * 3])[0])
     # From the side the box of the cloud is as far as the cloud.
     assert (beyond >= 0.75 * exact - field.voxel).all()
 
@@ -132,6 +133,8 @@ def test_without_a_viewpoint_nothing_is_filled():
     assert distances(field_of(cloud), [[0.0, 0.0, 0.0]]) > 0.03
     hidden = field_of(cloud, viewpoint_W=np.array([1.0, 0.0, 0.5]))
     assert distances(hidden, [[0.0, 0.0, 0.0]]) < -0.02
+    fine = field_of(cloud, voxel=1e-4, max_cells=1 << 15, viewpoint_W=np.array([1.0, 0.0, 0.5]))
+    assert distances(fine, [[0.0, 0.0, 0.0]]) < 0.0
     # From within nothing is behind.
     within = field_of(cloud, viewpoint_W=np.zeros(3))
     assert np.array_equal(within.values, field_of(cloud).values)
@@ -144,6 +147,12 @@ def test_a_large_cloud_gets_coarser_voxels_and_says_so():
     assert 0.03 < field.voxel < 0.06
     assert "in place of 0.01 m" in field.note
     assert not field_of(cloud[:10] * 0.1).note
+    # Voxels wider than the margin, and what is no more than a line.
+    for large in (1000.0 * cloud[:100], cloud[:100] * [4000.0, 0.0, 0.0]):
+        coarse = field_of(large, margin=0.01)
+        exact = cKDTree(large).query(large + 0.5)[0]
+        assert (distances(coarse, large + 0.5) <= exact + coarse.voxel).all()
+    assert field_of(cloud[:2], voxel=1e-300).voxel > 1e-3
     points = around(cloud, 0.3, 300)
     exact = cKDTree(cloud).query(points)[0]
     assert (distances(field, points) <= exact + field.voxel).all()
