@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields
+from enum import Enum
 from functools import cache
 from typing import Any, Literal, Self
 
@@ -137,6 +138,18 @@ class EllipsoidSet(Frozen):
         return len(self.p_WO)
 
 
+class HoldCause(Enum):
+    """What holds the motion, if anything does. Decisions go by it; a note says it in words."""
+
+    NONE = "none"
+    DECIDING = "deciding"
+    """The first motion is being decided on."""
+    SPEED_SCALE = "speed_scale"
+    """The speed is scaled to nothing from outside."""
+    OBSTACLES = "obstacles"
+    """They are not seen, in the way, or no way past them is known."""
+
+
 @dataclass(frozen=True, eq=False)
 class PolicyState(Frozen):
     """Where the dynamic movement primitive is.
@@ -153,7 +166,8 @@ class PolicyState(Frozen):
         stamp: time of this state [s].
         speed: ds/dt, the rate of normalised time [1/s]; 1 / (tau T) when running
             freely, 0 when held.
-        note: empty, or why the motion is being held.
+        hold: what holds the motion.
+        note: the same in words; empty where nothing does.
     """
 
     p_WE: FloatArray = _floats(3)
@@ -165,6 +179,7 @@ class PolicyState(Frozen):
     R_WL: FloatArray = field(default_factory=lambda: np.eye(3))
     stamp: float = 0.0
     speed: float = 0.0
+    hold: HoldCause = HoldCause.NONE
     note: str = ""
 
     @property
@@ -221,6 +236,7 @@ class Route(Frozen):
         p_WG: (3,) goal of that motion [m].
         R_WL: (3, 3) local frame of that motion.
         ids: (M,) the obstacles' names.
+        blocked: whether no side is allowed for one of them.
         note: empty, or why no side is allowed.
     """
 
@@ -239,6 +255,7 @@ class Route(Frozen):
     p_WG: FloatArray = _floats(3)
     R_WL: FloatArray = field(default_factory=lambda: np.eye(3))
     ids: IntArray = _integers()
+    blocked: bool = False
     note: str = ""
 
     @property
@@ -269,7 +286,8 @@ class CouplingParameters(Frozen):
             (0, 3): not given.
         tau: temporal scaling of the motion, which goes before the one from the route's
             length; 0: not given.
-        note: empty, or why the motion must not go on.
+        hold: whether the motion must not go on, and what for.
+        note: the same in words.
         anew: whether it is to begin anew from where it rests.
         p_WV: (3,) the point V that it goes to in place of the goal [m]; (0,): none.
         verified: whether the rows are terms of their own, about `center_W`, which a look at the
@@ -283,6 +301,7 @@ class CouplingParameters(Frozen):
     center_W: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     normal_W: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     tau: float = 0.0
+    hold: HoldCause = HoldCause.NONE
     note: str = ""
     anew: bool = False
     p_WV: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -297,7 +316,7 @@ class CouplingParameters(Frozen):
 
 
 DECIDING = "no motion from here is verified yet"
-"""Why a motion is held while its first one is being decided on."""
+"""The note of a motion that is held while its first one is being decided on."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,6 +22,7 @@ from drake_oa.common.messages import (
     EllipsoidSet,
     FloatArray,
     Frozen,
+    HoldCause,
     PolicyState,
     Route,
 )
@@ -46,11 +47,13 @@ class Segment(Frozen):
 
     Attributes:
         motion: the policy at both ends and its course between them.
-        note: empty, or why the motion is being held.
+        hold: what holds the motion.
+        note: the same in words; empty where nothing does.
         primitive: what it imitates; None: what the `ActionLevel` was made with.
     """
 
     motion: Motion
+    hold: HoldCause = HoldCause.NONE
     note: str = ""
     primitive: Dmp | None = None
 
@@ -63,7 +66,7 @@ class Segment(Frozen):
         now = Instant(p_WE, z_W, float(state.phase), float(state.speed), float(state.stamp))
         course = kernels.course_between(now, now, _NO_EVASION, _NO_EVASION)
         motion = Motion(now, now, float(state.tau), p_WS, p_WG, R_WL, _NO_EVASION, course)
-        return Segment(motion, state.note, primitive)
+        return Segment(motion, state.hold, state.note, primitive)
 
     @staticmethod
     def at_rest(p_WE: FloatArray) -> Segment:
@@ -82,6 +85,7 @@ class Segment(Frozen):
             R_WL=motion.R_WL,
             stamp=at.stamp,
             speed=at.speed,
+            hold=self.hold,
             note=self.note,
         )
 
@@ -229,8 +233,11 @@ class ActionLevel:
                 "normalised time"
             )
         if code == kernels.FREE:
-            return Segment(motion, "" if scale > 0.0 else SCALED_TO_REST, before.primitive)
-        return Segment(motion, around.reason(code), before.primitive)
+            if scale > 0.0:
+                return Segment(motion, primitive=before.primitive)
+            return Segment(motion, HoldCause.SPEED_SCALE, SCALED_TO_REST, before.primitive)
+        cause = around.hold if code == kernels.FORBIDDEN else HoldCause.OBSTACLES
+        return Segment(motion, cause, around.reason(code), before.primitive)
 
 
 def restarted(
@@ -260,6 +267,7 @@ def restarted(
             p_WG=p_WG,
             R_WL=local_frame(state.p_WE, p_WG),
             stamp=time,
+            hold=before.hold,
             note=before.note,
         ),
         primitive,
@@ -276,14 +284,16 @@ class Surroundings(Frozen):
 
     Attributes:
         ellipsoids: the obstacles; None: there is no perception.
-        blocked: empty, or why no way past the obstacles is known.
+        hold: what decision and route hold the motion for, if they do.
+        note: the same in words.
         anew: whether a motion at rest is to begin anew from where it is.
         p_WV: (3,) the point that it goes to in place of the goal [m]; (0,): none.
         facts, obstacles: the same for the kernel, which changes none of the arrays.
     """
 
     ellipsoids: EllipsoidSet | None = None
-    blocked: str = ""
+    hold: HoldCause = HoldCause.NONE
+    note: str = ""
     anew: bool = False
     p_WV: FloatArray = field(default_factory=lambda: np.zeros(0))
     facts: Facts = _UNSEEN
@@ -300,7 +310,8 @@ class Surroundings(Frozen):
         Args:
             ellipsoids: the M obstacles; None: there is no perception, and no coupling.
             coupling: parameters of the coupling terms, M rows; None: no coupling. Normals
-                and tau that it gives go before the route's, and a note of its holds the motion.
+                and tau that it gives go before the route's; where its `hold` is set, it
+                holds the motion.
             route: sides to pass on, M rows; None: no guidance. The guidance leads along its
                 headings, or where it has none, along those that pass on its sides from
                 where the policy is (`drake_oa.policy.guidance`).
@@ -317,7 +328,7 @@ class Surroundings(Frozen):
             raise ValueError(
                 f"coupling_parameters' p_WV must be 3 finite numbers [m] or none, not {p_WV}"
             )
-        blocked = _blocked(coupling, route)
+        hold, note = _hold(coupling, route)
         obstacles = Obstacles.of(ellipsoids)
         couples = in_plane = False
         if count and ellipsoids is not None and coupling is not None:
@@ -336,14 +347,14 @@ class Surroundings(Frozen):
         facts = Facts(
             looked_for=ellipsoids is not None,
             seen=0.0 if ellipsoids is None else float(ellipsoids.stamp),
-            blocked=blocked != "",
+            blocked=hold is not HoldCause.NONE,
             path_length=-1.0 if route is None else float(route.path_length),
             tau=0.0 if coupling is None else float(coupling.tau),
             couples=couples,
             in_plane=in_plane,
         )
         anew = coupling is not None and coupling.anew
-        return Surroundings(ellipsoids, blocked, anew, p_WV, facts, obstacles)
+        return Surroundings(ellipsoids, hold, note, anew, p_WV, facts, obstacles)
 
     def reason(self, code: int) -> str:
         """What a reason to hold, as the kernel numbers them, says in words."""
@@ -355,7 +366,7 @@ class Surroundings(Frozen):
         if code == kernels.OUTDATED:
             return f"obstacles not seen since t = {self.ellipsoids.stamp:.2f} s{cause}"
         if code == kernels.FORBIDDEN:
-            return self.blocked
+            return self.note
         row, is_goal = divmod(code - kernels.INSIDE, 2)
         place = "goal" if is_goal else "tool"
         return f"{place} inside obstacle {self.ellipsoids.ids[row] % PART}"
@@ -375,10 +386,13 @@ def _of_terms(coupling: CouplingParameters, seen: EllipsoidSet) -> EllipsoidSet:
     )
 
 
-def _blocked(coupling: CouplingParameters | None, route: Route | None) -> str:
-    if coupling is not None and coupling.note:
-        return coupling.note
-    return "" if route is None else route.note
+def _hold(coupling: CouplingParameters | None, route: Route | None) -> tuple[HoldCause, str]:
+    """What decision or route hold the motion for, and the same in words."""
+    if coupling is not None and coupling.hold is not HoldCause.NONE:
+        return coupling.hold, coupling.note
+    if route is not None and route.blocked:
+        return HoldCause.OBSTACLES, route.note
+    return HoldCause.NONE, ""
 
 
 def _check_rows(count: int, coupling: CouplingParameters, route: Route | None) -> None:

@@ -16,16 +16,15 @@ from pydrake.systems.framework import (
 )
 
 from drake_oa.common.messages import (
-    DECIDING,
     CouplingParameters,
     EllipsoidSet,
     FloatArray,
+    HoldCause,
     PolicyState,
     Route,
 )
 from drake_oa.common.ports import read_optional
 from drake_oa.policy.action import (
-    SCALED_TO_REST,
     ActionLevel,
     Segment,
     Surroundings,
@@ -66,8 +65,8 @@ class DmpIntegrator(LeafSystem):
       it the motion is the pre-planned one.
     - coupling_parameters (optional): abstract `CouplingParameters`, one row an
       ellipsoid. Without it there is no avoidance term. Its normals and its tau, where it
-      gives them, go before the route's, and its point p_WV before the goal; while it has a
-      note the motion is held.
+      gives them, go before the route's, and its point p_WV before the goal; while its
+      `hold` is set the motion is held.
     - route (optional): abstract `Route`, one row an ellipsoid: `CostRingSelector`'s
       decision, whose headings are then computed here from where the motion is at each
       step; or a route with headings of its own. Without it there is no guidance term,
@@ -214,10 +213,11 @@ class DmpIntegrator(LeafSystem):
             evasion=self._evasion.Eval(context) if self._evasion.HasValue(context) else None,
         )
         # Who scales the speed says why.
-        if after.note != before.note and SCALED_TO_REST not in (after.note, before.note):
-            message = f"held: {after.note}" if after.note else "running again"
+        if after.note != before.note and HoldCause.SPEED_SCALE not in (after.hold, before.hold):
+            held = after.hold is not HoldCause.NONE
+            message = f"held: {after.note}" if held else "running again"
             # To think before a motion is nothing to warn of.
-            quiet = DECIDING in (after.note, after.note or before.note)
+            quiet = (after if held else before).hold is HoldCause.DECIDING
             level = logging.INFO if quiet else logging.WARNING
             _logger.log(level, "t=%.3f s: %s", context.get_time(), message)
         state.get_mutable_abstract_state(self._segment).set_value(after)

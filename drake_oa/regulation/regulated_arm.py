@@ -15,17 +15,16 @@ from itertools import islice
 import numpy as np
 
 from drake_oa.common.messages import (
-    DECIDING,
     BoolArray,
     EllipsoidSet,
     FloatArray,
+    HoldCause,
     ObstacleClouds,
     PlannedMotion,
     PolicyState,
     TablePlane,
 )
 from drake_oa.geometry.ellipsoid import signed_distance
-from drake_oa.policy.action import SCALED_TO_REST
 from drake_oa.policy.dmp import Dmp, normalised_time
 from drake_oa.posture.posture_planner import ArmSight, ArmWay, WholeArm
 from drake_oa.posture.waypoint_tree import (
@@ -80,7 +79,7 @@ class ArmRegulator:
         if len(aside.p_WV):
             if math.dist(policy.p_WE, aside.p_WV) <= self._following.there:
                 return _held_for(before, policy, Hold.AT_WAYPOINT, aside.reached())
-            held = policy.note not in ("", SCALED_TO_REST, DECIDING)
+            held = policy.hold is HoldCause.OBSTACLES
             held = held and policy.stamp - before.rests_since >= self._following.stuck
             if held or not np.array_equal(aside.p_WG, p_WG):
                 return _held_for(before, policy, Hold.WAYPOINT_LOST, aside.given_up())
@@ -118,7 +117,7 @@ class ArmRegulator:
             if not way.follows:
                 after, way = self._sought(after, way, policy, p_WG, sight, table)
             elif (
-                policy.note == SCALED_TO_REST
+                policy.hold is HoldCause.SPEED_SCALE
                 and policy.stamp - after.rests_since >= self._following.stuck
             ):
                 after = self._aside(after, policy, p_WG, sight, table, near=self._following.beside)

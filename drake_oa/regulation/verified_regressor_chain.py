@@ -16,6 +16,7 @@ from drake_oa.common.messages import (
     CouplingParameters,
     EllipsoidSet,
     Frozen,
+    HoldCause,
     ObstacleClouds,
     PlannedMotion,
     PolicyState,
@@ -316,7 +317,7 @@ class VerifiedRegressorChain(LeafSystem):
         kept = self._read(context)
         coupling = kept.regulation.coupling(ellipsoids)
         if self._thinking is not None and kept.waits and not kept.regulation.held:
-            coupling = replace(coupling, note=DECIDING)
+            coupling = replace(coupling, hold=HoldCause.DECIDING, note=DECIDING)
         output.set_value(coupling)
 
     def _calc_shortfall(self, context: Context, output: BasicVector) -> None:

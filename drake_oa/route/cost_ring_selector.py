@@ -206,6 +206,7 @@ class CostRingSelector(LeafSystem):
             p_WG=p_WG,
             R_WL=R_WL,
             ids=ellipsoids.ids,
+            blocked=bool(selection.blocked.any()),
             note=_blocked_note(ellipsoids, selection),
         )
 
@@ -213,7 +214,7 @@ class CostRingSelector(LeafSystem):
         before: Route = context.get_abstract_state(self._decided).get_value()
         policy = read_value(self, self._policy, context, PolicyState)
         route = self._weigh(context, policy.p_WS, self._goal.Eval(context))
-        if route.note and route.note != before.note:
+        if route.blocked and route.note != before.note:
             _logger.info("t=%.3f s: %s", context.get_time(), route.note)
         state.get_mutable_abstract_state(self._decided).set_value(route)
         return EventStatus.Succeeded()

@@ -15,17 +15,16 @@ from pydrake.systems.primitives import VectorLogSink
 
 from drake_oa.common.files import software_versions
 from drake_oa.common.messages import (
-    DECIDING,
     CouplingParameters,
     EllipsoidSet,
     FloatArray,
+    HoldCause,
     PlannedMotion,
     PolicyState,
 )
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.avoidance import Layers, build_avoidance
 from drake_oa.diagrams.policy import make_dmp
-from drake_oa.policy.action import SCALED_TO_REST
 from drake_oa.policy.dmp import normalised_time
 from drake_oa.regulation.config import SearchParameters
 from drake_oa.robot.limits import RobotLimits, frame_path, robot_limits
@@ -169,12 +168,12 @@ class MotionWatcher:
         self._next_time = now + 0.9 * self._period
         policy: PolicyState = self._policy_port.Eval(self._policy_system.GetMyContextFromRoot(root))
         supervision = self._supervision(root)
-        if policy.note == SCALED_TO_REST and supervision.reason:
+        if policy.hold is HoldCause.SPEED_SCALE and supervision.reason:
             policy = replace(policy, note=f"supervisor: {supervision.reason}")
         self._record(root, now, policy)
         if self._on_progress is not None:
             self._on_progress(now, policy.phase)
-        if self._passing and not policy.note:
+        if self._passing and policy.hold is HoldCause.NONE:
             self.stop_reason, self.motion_end = "", math.nan
         if not self.stop_reason:
             self._end(now, *self._why_ended(root, now, policy, supervision))
@@ -256,7 +255,7 @@ class MotionWatcher:
         if policy.note != (self.events[-1][1] if self.events else ""):
             self.events.append((now, policy.note))
         self._record_supervision(root, now)
-        if policy.note in ("", DECIDING):
+        if policy.hold in (HoldCause.NONE, HoldCause.DECIDING):
             self._held_since = None
         elif self._held_since is None:
             self._held_since = now

@@ -21,6 +21,7 @@ from drake_oa.common.messages import (
     BoolArray,
     Evasion,
     FloatArray,
+    HoldCause,
     IntArray,
     ObstacleClouds,
     PolicyState,
@@ -29,7 +30,6 @@ from drake_oa.common.messages import (
 from drake_oa.common.ports import ModelContext, read_optional, read_value, valid_period
 from drake_oa.geometry.collision_shapes import RobotModel
 from drake_oa.geometry.points import GuardShapes
-from drake_oa.policy.action import SCALED_TO_REST
 from drake_oa.safety.approach_kernels import full_speed_motion
 from drake_oa.safety.config import SupervisorParameters, SupervisorSettings, settings
 from drake_oa.safety.monitors import (
@@ -218,7 +218,7 @@ class Supervisor(LeafSystem):
             saturated = bool(self._saturation.Eval(context)[0] > 0.0)
             before, demand = watch_torque(before, saturated, time, self._period, parameters)
             demands.append(demand)
-        waits = policy.note not in ("", SCALED_TO_REST)
+        waits = policy.hold in (HoldCause.DECIDING, HoldCause.OBSTACLES)
         return decide(before, demands, time, self._period, parameters, waits=waits)
 
     def _watch_motion(

@@ -15,6 +15,7 @@ from drake_oa.common.messages import (
     CouplingParameters,
     EllipsoidSet,
     FloatArray,
+    HoldCause,
     PolicyState,
     Route,
 )
@@ -205,7 +206,7 @@ def test_each_reason_to_hold_is_named(ellipsoids: EllipsoidSet | None, said: str
 
 
 def test_a_route_without_an_allowed_side_is_a_reason_to_hold() -> None:
-    shut = Route(note="every side of obstacle 7 is forbidden")
+    shut = Route(blocked=True, note="every side of obstacle 7 is forbidden")
     assert reason(one_ellipsoid(10.0), shut) == shut.note
     assert reason(one_ellipsoid(10.0), Route()) == ""
 
@@ -216,7 +217,11 @@ def test_coupling_parameters_that_clear_nothing_are_a_reason_to_hold() -> None:
         state,
         one_ellipsoid(10.0),
         None,
-        replace(coupling(), note="no motion that clears obstacle 7 found"),
+        replace(
+            coupling(),
+            hold=HoldCause.OBSTACLES,
+            note="no motion that clears obstacle 7 found",
+        ),
     )
     assert found == "no motion that clears obstacle 7 found"
 
@@ -428,7 +433,8 @@ def test_several_steps_at_once_are_the_same_as_one_after_the_other() -> None:
 
 
 def test_a_state_is_laid_out_and_read_back_unchanged() -> None:
-    state = replace(random_scene(3, True, True)[0], note="held", tau=1.5, stamp=2.0)
+    state = random_scene(3, True, True)[0]
+    state = replace(state, hold=HoldCause.OBSTACLES, note="held", tau=1.5, stamp=2.0)
     for read in (Segment.resting(state).state, Segment.resting(state).end):
         for item in fields(PolicyState):
             np.testing.assert_array_equal(getattr(read, item.name), getattr(state, item.name))

@@ -6,9 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drake_oa.common.messages import EllipsoidSet, ObstacleClouds, PolicyState, TablePlane
+from drake_oa.common.messages import (
+    EllipsoidSet,
+    HoldCause,
+    ObstacleClouds,
+    PolicyState,
+    TablePlane,
+)
 from drake_oa.geometry.annulus import Annulus
-from drake_oa.policy.action import SCALED_TO_REST
 from drake_oa.policy.dmp import imitate, local_frame, minimum_jerk
 from drake_oa.posture.posture_planner import ArmSight, ArmWay, WholeArm
 from drake_oa.posture.waypoint_tree import Aside
@@ -115,7 +120,7 @@ def test_without_a_posture_it_keeps_the_one_of_before_or_stays(
 
 
 def held_on(policy: PolicyState) -> PolicyState:
-    return replace(policy, speed=0.0, note=SCALED_TO_REST)
+    return replace(policy, speed=0.0, hold=HoldCause.SPEED_SCALE)
 
 
 def test_it_goes_to_a_point_beside_rests_there_and_begins_anew(
@@ -148,21 +153,21 @@ def test_it_goes_to_a_point_beside_rests_there_and_begins_anew(
 
 
 @pytest.mark.parametrize(
-    ("note", "goal", "kept"),
+    ("hold", "goal", "kept"),
     [
-        ("", GOAL, True),
-        (SCALED_TO_REST, GOAL, True),
-        ("goal inside obstacle 0", GOAL, False),
-        ("", GOAL + [0.0, 0.05, 0.0], False),
+        (HoldCause.NONE, GOAL, True),
+        (HoldCause.SPEED_SCALE, GOAL, True),
+        (HoldCause.OBSTACLES, GOAL, False),
+        (HoldCause.NONE, GOAL + [0.0, 0.05, 0.0], False),
     ],
 )
 def test_a_way_aside_that_is_of_no_use_is_given_up(
-    arm: ArmModel, regulator: ArmRegulator, note: str, goal: np.ndarray, kept: bool
+    arm: ArmModel, regulator: ArmRegulator, hold: HoldCause, goal: np.ndarray, kept: bool
 ) -> None:
     point = START + [0.0, 0.0, 0.15]
     first = regulator.update(Regulation(), UNDER_WAY, GOAL, BALL, TABLE, sight(arm))
     toward = replace(first, aside=Aside(p_WV=point, p_WG=GOAL), rests_since=0.0)
-    rests = replace(UNDER_WAY, p_WG=point, speed=0.0, note=note, stamp=0.6)
+    rests = replace(UNDER_WAY, p_WG=point, speed=0.0, hold=hold, stamp=0.6)
     after = regulator.update(toward, rests, goal, BALL, TABLE, sight(arm))
     assert (len(after.aside.p_WV) > 0) == kept
     assert after.anew != kept

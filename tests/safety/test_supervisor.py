@@ -10,7 +10,14 @@ from pydrake.common.value import Value
 from pydrake.multibody.tree import JacobianWrtVariable
 from pydrake.systems.analysis import Simulator
 
-from drake_oa.common.messages import Evasion, FloatArray, ObstacleClouds, PolicyState, TablePlane
+from drake_oa.common.messages import (
+    Evasion,
+    FloatArray,
+    HoldCause,
+    ObstacleClouds,
+    PolicyState,
+    TablePlane,
+)
 from drake_oa.geometry.collision_shapes import RobotModel, collect_collision_shapes
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
@@ -194,7 +201,7 @@ def test_an_obstacle_that_comes_holds_and_never_stops(bench: Callable[..., Bench
 def test_while_the_policy_itself_holds_nothing_is_stopped(bench: Callable[..., Bench]) -> None:
     b = bench()
     b.see(b.p_WE[None] + np.array([0.0, 0.12, 0.08]))
-    b.move(V_WE, note="goal inside obstacle 3")
+    b.move(V_WE, hold=HoldCause.OBSTACLES, note="goal inside obstacle 3")
     assert b.run(4.0).action == "hold"
 
 
