@@ -7,7 +7,6 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
 from drake_oa.control.cartesian_inverse_dynamics import CartesianInverseDynamics
 from drake_oa.control.integral_action import IntegralAction
-from drake_oa.control.operational_space import CartesianGains
 from drake_oa.diagrams.station import Cell
 from drake_oa.robot.plant import RobotPlant, make_robot_plant
 from drake_oa.scenario.faults import ModelError
@@ -51,13 +50,12 @@ def make_controller(
     for fault in scenario.faults:
         if isinstance(fault, ModelError):
             robot_plant = make_robot_plant(robot, inertias=fault.inertias)
-    gains = robot.gains
     return CartesianInverseDynamics(
         robot_plant.plant,
         R_WE_desired=end_rotations(scenario)[0],
         q_posture=q_start,
         tool_frame=robot_plant.tool_frame.name(),
-        gains=CartesianGains(**{k: v for k, v in vars(gains).items() if k != "ki_position"}),
+        gains=robot.gains,
         finger_opening=robot.finger_opening,
     )
 

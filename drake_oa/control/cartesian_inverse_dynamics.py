@@ -13,18 +13,19 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame, JacobianWrtVariable, MultibodyForces
 from pydrake.systems.framework import BasicVector, Context, LeafSystem, ValueProducer
 
+from drake_oa.common.config import check_values
 from drake_oa.common.messages import FloatArray, IntArray
 from drake_oa.common.ports import ModelContext
 from drake_oa.control.operational_space import (
     ArmLimits,
     ArmState,
-    CartesianGains,
     DesiredMotion,
     JointTorque,
     no_torque,
     operational_space_torque,
 )
 from drake_oa.geometry.rotation import rotation_of
+from drake_oa.robot.config import Gains
 
 _ORIGIN = np.zeros(3)
 
@@ -127,7 +128,7 @@ class CartesianInverseDynamics(LeafSystem):
         R_WE_desired: RotationMatrix,
         q_posture: FloatArray,
         tool_frame: str,
-        gains: CartesianGains | None = None,
+        gains: Gains | None = None,
         finger_opening: float = 0.04,
         finger_stiffness: float = 400.0,
         finger_damping: float = 10.0,
@@ -162,7 +163,8 @@ class CartesianInverseDynamics(LeafSystem):
         self._joints = _find_joints(plant, self._frame)
         self._R_WE_desired = np.array(R_WE_desired.matrix())
         self._q_posture = _posture(q_posture, plant.num_positions(), self._joints.arm)
-        self._gains = gains or CartesianGains()
+        self._gains = gains or Gains()
+        check_values(self._gains, "robot.gains")
         self._finger = (finger_opening, finger_stiffness, finger_damping)
         if not np.all(np.isfinite(self._finger)) or min(self._finger[1:]) < 0.0:
             raise ValueError(

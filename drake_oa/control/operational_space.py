@@ -14,67 +14,13 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
 from drake_oa.common.messages import BoolArray, FloatArray
 from drake_oa.control.operational_space_kernels import law, limit_torque
-
-
-@dataclass(frozen=True)
-class CartesianGains:
-    """Gains of the law. All are finite and none is negative.
-
-    Stiffness and damping act on accelerations, so the error of a free tool obeys
-    e'' + kd e' + kp e = 0 whatever the arm's inertia; the defaults are critically
-    damped.
-
-    Attributes:
-        kp_position: stiffness of the tool point [1/s^2].
-        kd_position: damping of the tool point [1/s].
-        kp_orientation: stiffness of the tool's orientation [1/s^2].
-        kd_orientation: damping of the tool's orientation [1/s].
-        kp_posture: stiffness towards the posture, in the null space [1/s^2].
-        kd_posture: damping in the null space [1/s].
-        kp_limit: stiffness away from a joint limit nearer than `limit_margin`, in
-            the null space [1/s^2]; 0 turns it off.
-        limit_margin: where that begins [rad].
-        max_effective_mass: heaviest direction of the task that is still driven
-            exactly [kg]; beyond it the arm is near singular and the inverse damped.
-        rotation_length: length by which angles are weighed against distances when
-            directions of the task are compared [m].
-        kd_stop: damping of all joints when the law cannot be followed [1/s];
-            positive.
-    """
-
-    kp_position: float = 400.0
-    kd_position: float = 40.0
-    kp_orientation: float = 400.0
-    kd_orientation: float = 40.0
-    kp_posture: float = 25.0
-    kd_posture: float = 10.0
-    kp_limit: float = 100.0
-    limit_margin: float = 0.1
-    max_effective_mass: float = 100.0
-    rotation_length: float = 0.25
-    kd_stop: float = 10.0
-
-    def __post_init__(self) -> None:
-        positive = {"max_effective_mass", "rotation_length", "kd_stop"}
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if not math.isfinite(value) or value < 0.0:
-                raise ValueError(
-                    f"CartesianGains.{item.name} is {value}; it must be finite and not negative"
-                )
-            if item.name in positive and value == 0.0:
-                raise ValueError(f"CartesianGains.{item.name} is 0; it must be positive")
-
-    @functools.cached_property
-    def of_law(self) -> tuple[float, ...]:
-        """Every gain but `kd_stop`, in the order of the fields, as `law` takes them."""
-        return tuple(float(getattr(self, item.name)) for item in fields(self)[:-1])
+from drake_oa.robot.config import Gains
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +118,7 @@ class JointTorque:
     singularity: float
 
 
-def braking_torque(state: ArmState, limits: ArmLimits, gains: CartesianGains) -> JointTorque:
+def braking_torque(state: ArmState, limits: ArmLimits, gains: Gains) -> JointTorque:
     """Carries the arm and brakes every joint: tau = h - kd_stop M v, within the limits.
 
     For when the desired motion is not finite. When the state is not either, see
@@ -212,7 +158,7 @@ def operational_space_torque(
     desired: DesiredMotion,
     q_posture: FloatArray,
     limits: ArmLimits,
-    gains: CartesianGains,
+    gains: Gains,
     v_posture: FloatArray | None = None,
     a_posture: FloatArray | None = None,
 ) -> JointTorque:
@@ -272,8 +218,24 @@ def operational_space_torque(
         limits.q_lower,
         limits.q_upper,
         limits.effort,
-        gains.of_law,
+        _of_law(gains),
     )
     if not finite:
         return braking_torque(state, limits, gains)
     return JointTorque(tau, saturated, False, error_p, error_R, singularity)
+
+
+def _of_law(gains: Gains) -> tuple[float, ...]:
+    """The gains in the order in which `law` takes them."""
+    return (
+        float(gains.kp_position),
+        float(gains.kd_position),
+        float(gains.kp_orientation),
+        float(gains.kd_orientation),
+        float(gains.kp_posture),
+        float(gains.kd_posture),
+        float(gains.kp_limit),
+        float(gains.limit_margin),
+        float(gains.max_effective_mass),
+        float(gains.rotation_length),
+    )

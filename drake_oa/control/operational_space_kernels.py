@@ -162,7 +162,7 @@ def limit_torque(
 
 
 @compiled
-def law(
+def law(  # noqa: PLR0913
     q: FloatArray,
     v: FloatArray,
     p_WE: FloatArray,

@@ -250,7 +250,7 @@ def _forcing(dmp: Dmp, s: float, count: int, step: float) -> FloatArray:
     return np.ascontiguousarray(force / (dmp.alpha_x * dmp.beta_x))
 
 
-def spatial_rollouts(
+def spatial_rollouts(  # noqa: PLR0913
     scenes: SpatialScenes,
     scene: ArrayLike,
     terms: ArrayLike,

@@ -13,7 +13,11 @@ from drake_oa.geometry.shapes import Box, Cylinder, Sphere
 
 @dc.dataclass
 class Gains:
-    """Stiffness and damping of the Cartesian controller (critical by default)."""
+    """Gains of the operational-space law.
+
+    Stiffness and damping act on accelerations, so the error of a free tool obeys
+    e'' + kd e' + kp e = 0 whatever the arm's inertia; the defaults are critically damped.
+    """
 
     # Position [1/s^2] and [1/s].
     kp_position: float = _number(400.0, "1/s^2", 0.0, 1e5)
@@ -26,6 +30,16 @@ class Gains:
     # Posture, in the null space of the task.
     kp_posture: float = _number(25.0, "1/s^2", 0.0, 1e5)
     kd_posture: float = _number(10.0, "1/s", 0.0, 1e4)
+    # Away from a joint limit nearer than the margin, in the null space; 0: none.
+    kp_limit: float = _number(100.0, "1/s^2", 0.0, 1e5)
+    limit_margin: float = _number(0.1, "rad", 0.0, math.pi)
+    # Heaviest direction of the task that is still driven exactly; beyond it the arm is near
+    # singular and the inverse damped.
+    max_effective_mass: float = _number(100.0, "kg", 0.0, 1e12, open_low=True)
+    # Length by which angles are weighed against distances when directions are compared.
+    rotation_length: float = _number(0.25, "m", 0.0, 10.0, open_low=True)
+    # Damping of all joints when the law cannot be followed.
+    kd_stop: float = _number(10.0, "1/s", 0.0, 1e4, open_low=True)
 
 
 @dc.dataclass

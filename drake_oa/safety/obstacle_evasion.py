@@ -97,7 +97,7 @@ class ObstacleEvasion(LeafSystem):
     once.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913
         self,
         robot: RobotModel,
         tool_frame: str,

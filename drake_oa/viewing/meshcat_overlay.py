@@ -148,7 +148,7 @@ class MeshcatOverlay(LeafSystem):
     from it; what it has drawn is abstract state.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913
         self,
         meshcat: Meshcat,
         *,

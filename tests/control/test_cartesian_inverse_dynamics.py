@@ -17,8 +17,8 @@ from pydrake.systems.framework import BasicVector, Context, DiagramBuilder, Leaf
 from pydrake.systems.primitives import LogVectorOutput, ZeroOrderHold
 
 from drake_oa.control.cartesian_inverse_dynamics import CartesianInverseDynamics
-from drake_oa.control.operational_space import CartesianGains
 from drake_oa.geometry.rotation import rotation_vector
+from drake_oa.robot.config import Gains
 
 START, GOAL = np.array([0.45, -0.4, 0.3]), np.array([0.45, 0.4, 0.3])
 TOOL = "panda_hand_tcp"
@@ -343,14 +343,14 @@ def test_another_orientation_and_gains_are_taken(model: MultibodyPlant) -> None:
         R_WE_desired=R,
         q_posture=Q_ARM,
         tool_frame=TOOL,
-        gains=CartesianGains(kp_orientation=0.0, kp_posture=0.0),
+        gains=Gains(kp_orientation=0.0, kp_posture=0.0),
     )
     reference = CartesianInverseDynamics(
         model,
         R_WE_desired=DOWN,
         q_posture=Q_ARM,
         tool_frame=TOOL,
-        gains=CartesianGains(kp_orientation=0.0, kp_posture=0.0),
+        gains=Gains(kp_orientation=0.0, kp_posture=0.0),
     )
     np.testing.assert_allclose(
         read(system, "actuation", fixed(system)), read(reference, "actuation", fixed(reference))

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from drake_oa.common.config import check_values
 from drake_oa.control.operational_space import (
     ArmLimits,
     ArmState,
-    CartesianGains,
     DesiredMotion,
     JointTorque,
     braking_torque,
@@ -21,6 +21,7 @@ from drake_oa.control.operational_space import (
     operational_space_torque,
 )
 from drake_oa.control.operational_space_kernels import damped_task_force, limit_torque
+from drake_oa.robot.config import Gains
 
 N = 7
 SEEDS = st.integers(0, 2**31 - 1)
@@ -54,7 +55,7 @@ def motion(seed: int) -> DesiredMotion:
 
 def follow(state: ArmState, desired: DesiredMotion, **gains: float) -> JointTorque:
     return operational_space_torque(
-        state, desired, np.zeros(N), WIDE, CartesianGains(**({"max_effective_mass": 1e9} | gains))
+        state, desired, np.zeros(N), WIDE, Gains(**({"max_effective_mass": 1e9} | gains))
     )
 
 
@@ -188,24 +189,24 @@ def test_a_state_that_is_not_finite_gives_no_torque() -> None:
     state = dataclasses.replace(arm(1), v=np.full(N, np.nan))
     for torque in (
         follow(state, motion(1)),
-        braking_torque(state, WIDE, CartesianGains()),
+        braking_torque(state, WIDE, Gains()),
         no_torque(N),
     ):
         assert torque.stopping
         np.testing.assert_array_equal(torque.tau, np.zeros(N))
 
 
-@pytest.mark.parametrize("name", [item.name for item in dataclasses.fields(CartesianGains)])
+@pytest.mark.parametrize("name", [item.name for item in dataclasses.fields(Gains)])
 @pytest.mark.parametrize("bad", [-1.0, np.nan, np.inf])
 def test_a_bad_gain_is_named(name: str, bad: float) -> None:
     with pytest.raises(ValueError, match=name):
-        CartesianGains(**{name: bad})
+        check_values(Gains(**{name: bad}))
 
 
 @pytest.mark.parametrize("name", ["max_effective_mass", "rotation_length", "kd_stop"])
 def test_a_gain_that_divides_is_not_zero(name: str) -> None:
-    with pytest.raises(ValueError, match=f"{name} is 0"):
-        CartesianGains(**{name: 0.0})
+    with pytest.raises(ValueError, match=name):
+        check_values(Gains(**{name: 0.0}))
 
 
 def test_limits_that_cannot_be_are_refused() -> None:
