@@ -15,7 +15,7 @@ from drake_oa.diagrams.arm import arm_model, make_posture_guide
 from drake_oa.diagrams.station import Cell
 from drake_oa.posture.null_space_coupling import NullSpaceCoupling, NullSpaceCouplingParameters
 from drake_oa.posture.posture_follower import PostureFollower
-from drake_oa.regulation.verified_regressor_chain import RobotArm
+from drake_oa.regulation.config import WholeArm
 from drake_oa.robot.plant import RobotPlant
 from drake_oa.scenario.scenario import (
     Scenario,
@@ -35,8 +35,12 @@ def add_posture(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     """
     if cell is None:
         return
-    if "motion" in wires and cell.arm is not None:
-        wires.add("posture_follower", make_posture_follower(scenario, cell.arm, cell.q_start))
+    if "motion" in wires and isinstance(scenario.regulation, WholeArm):
+        q_rest = cell.q_start[list(cell.arm_positions)]
+        wires.add("posture_follower", make_posture_follower(scenario, q_rest))
+    elif "motion" in wires and cell.arm is not None:
+        q_rest = cell.q_start[list(cell.arm.positions)]
+        wires.add("posture_follower", make_posture_follower(scenario, q_rest))
     elif (made := make_guide_follower(scenario, cell.q_start)) is not None:
         follower, guide = made
         wires.add("posture_guide", guide, offers={"y0": "guided_posture"})
@@ -78,15 +82,11 @@ def make_null_space_coupling(
     )
 
 
-def make_posture_follower(
-    scenario: Scenario, arm: RobotArm, q_start: FloatArray
-) -> PostureFollower:
-    """What draws the null space to the planned posture; without one to that of the start."""
+def make_posture_follower(scenario: Scenario, q_rest: FloatArray) -> PostureFollower:
+    """What draws the null space to the planned posture; without one to q_rest (n,) [rad]."""
     policy, evasion = scenario.policy, scenario.evasion
     turn = {} if evasion is None else {"turn_acceleration": evasion.turn_acceleration}
-    return PostureFollower(
-        q_start[list(arm.positions)], policy.alpha_k, period=policy.period, **turn
-    )
+    return PostureFollower(q_rest, policy.alpha_k, period=policy.period, **turn)
 
 
 def make_guide_follower(

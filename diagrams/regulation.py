@@ -11,13 +11,14 @@ from pydrake.math import RollPitchYaw
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.wires import Wires
 from drake_oa.control.min_speed_scale import MinSpeedScale
+from drake_oa.diagrams.planning import add_motion_selector
 from drake_oa.diagrams.policy import add_orientation, make_dmp, make_kept_orientation
 from drake_oa.diagrams.route import held_annulus
 from drake_oa.diagrams.station import Cell
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import Dmp
-from drake_oa.regulation.config import Regressor, SearchParameters, Verified
-from drake_oa.regulation.regressor import load_chain
+from drake_oa.regulation.config import Regressor, SearchParameters, Verified, WholeArm
+from drake_oa.regulation.regressor import ChainWeights, load_chain
 from drake_oa.regulation.regressor_chain import RegressorChain
 from drake_oa.regulation.regulator import Regulator
 from drake_oa.regulation.tool_turn import ToolTurner, TurningTool, TurnParameters
@@ -53,6 +54,11 @@ def add_regulation(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     Reads ellipsoids_W, policy_state and goal, or the route; offers coupling_parameters and,
     where motions are verified, motion.
     """
+    if isinstance(scenario.regulation, WholeArm):
+        add_motion_selector(wires, scenario, cell, load_weights(scenario))
+        if "desired_orientation" not in wires and cell is not None:
+            add_orientation(wires, make_kept_orientation(scenario))
+        return
     arm = None if cell is None else cell.arm
     chain = make_regressor_chain(scenario, arm)
     if isinstance(chain, VerifiedRegressorChain):
@@ -99,19 +105,11 @@ def make_regressor_chain(
     Raises:
         ScenarioError: naming the file, if the weights are missing or do not fit.
     """
-    policy, clearance = scenario.policy, scenario.task.clearance
-    try:
-        weights = load_chain(package_file(policy.weights))
-    except (OSError, ValueError) as error:
-        raise ScenarioError(f"policy.weights: {error}") from None
-    unit = weights.metadata.get("units", {}).get("alpha", "1/T")
-    if unit != "1/T":
-        raise ScenarioError(
-            f"policy.weights: {policy.weights} counts alpha in {unit}, for the released code's "
-            "action level; the policy needs a chain of `drake-oa train --recipe project`"
-        )
+    policy, clearance, weights = scenario.policy, scenario.task.clearance, load_weights(scenario)
     if isinstance(scenario.regulation, Regressor):
         return RegressorChain(weights, clearance)
+    if not isinstance(scenario.regulation, Verified):
+        raise ScenarioError("regulation: !WholeArm has no regressor chain of its own")
     dmp = make_dmp(scenario)
     return VerifiedRegressorChain(
         weights,
@@ -129,6 +127,26 @@ def make_regressor_chain(
         and policy.turn is None
         and (scenario.robot is None or tool_orientation(scenario) is None),
     )
+
+
+def load_weights(scenario: Scenario) -> ChainWeights:
+    """The chain that the scenario names.
+
+    Raises:
+        ScenarioError: naming the file, if the weights are missing or do not fit.
+    """
+    policy = scenario.policy
+    try:
+        weights = load_chain(package_file(policy.weights))
+    except (OSError, ValueError) as error:
+        raise ScenarioError(f"policy.weights: {error}") from None
+    unit = weights.metadata.get("units", {}).get("alpha", "1/T")
+    if unit != "1/T":
+        raise ScenarioError(
+            f"policy.weights: {policy.weights} counts alpha in {unit}, for the released code's "
+            "action level; the policy needs a chain of `drake-oa train --recipe project`"
+        )
+    return weights
 
 
 def search_parameters(regulation: Verified, policy: Policy, dmp: Dmp) -> SearchParameters:

@@ -10,6 +10,7 @@ from drake_oa.common.wires import Wires
 from drake_oa.diagrams.arm import make_robot_arm
 from drake_oa.perception.config import DepthCamera
 from drake_oa.regulation.verified_regressor_chain import RobotArm
+from drake_oa.robot.arm import joints_to
 from drake_oa.robot.plant import RobotPlant, make_robot_plant
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task_joints import start_positions
@@ -29,6 +30,13 @@ class Cell(Station):
     scenario: Scenario
     robot_plant: RobotPlant
     q_start: FloatArray
+
+    @cached_property
+    def arm_positions(self) -> tuple[int, ...]:
+        """Where the joints that move the tool are in the robot's state."""
+        plant = self.robot_plant.plant
+        joints = joints_to(plant, self.robot_plant.tool_frame)
+        return tuple(joint.position_start() for joint in joints)
 
     @cached_property
     def arm(self) -> RobotArm | None:

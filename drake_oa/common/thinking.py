@@ -28,12 +28,14 @@ class Work:
         steps: their steps, of all motions, beside each of the obstacles.
         postures: postures of the arm, or of a tool that turns, that were measured.
         poses: poses of the arm on the ways of evasion that were looked at.
+        configurations: of the whole arm that were measured against the solids.
     """
 
     searches: int = 0
     steps: int = 0
     postures: int = 0
     poses: int = 0
+    configurations: int = 0
 
 
 @dc.dataclass
@@ -48,6 +50,8 @@ class Thinking:
     # A posture of the arm that is measured, and a pose of it on a way of evasion [s].
     posture: float = number(1.35e-5, "s", 0.0, 1.0)
     pose: float = number(2.2e-5, "s", 0.0, 1.0)
+    # A configuration of the whole arm that is measured against the solids [s].
+    configuration: float = number(4e-6, "s", 0.0, 1.0)
 
     def seconds(self, work: Work) -> float:
         """Time that a decision takes [s]."""
@@ -57,6 +61,7 @@ class Thinking:
             + self.step * work.steps
             + self.posture * work.postures
             + self.pose * work.poses
+            + self.configuration * work.configurations
         )
 
 

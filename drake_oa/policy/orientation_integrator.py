@@ -221,9 +221,8 @@ class OrientationIntegrator(LeafSystem):
         start = kernels.product(np.array(origin), kernels.exponential(before.r))
         motion = np.array(before.motion)
         motion[kernels.R : kernels.TURN] = 0.0
-        own = given.orientation is None
-        R_WG = self._R_WG if own else given.R_WG
-        primitive = self._primitive if own else given.orientation
+        R_WG = self._R_WG if given.orientation is None else given.R_WG
+        primitive = given.orientation or self._primitive
         return replace(
             seen,
             motion=motion,

@@ -98,3 +98,42 @@ class Regressor:
     # Whether the policy is given the route. Without it the motion only reacts: the term turns
     # it about the section of the P-plane, to whatever side it happens to head for.
     guided: bool = True
+
+
+@dc.dataclass
+class WholeArm:
+    """Motions that roll-outs of the whole arm among the true shapes have checked."""
+
+    # Motions that are rolled out a round; rounds at most, and after the first that will do.
+    candidates: int = count(64, 32, 4096)
+    rounds: int = count(8, 0, 1000)
+    polish: int = count(4, 0, 1000)
+    # A motion keeps what is asked when it is short of it by no more than this, and what start
+    # and goal leave is asked but for as much [m]; it has arrived when it is this near [m].
+    slack: float = number(5e-4, "m", 0.0, 0.1)
+    tolerance: float = number(6e-4, "m", 0.0, 0.1)
+    # Normalised time by which it has to arrive, from s = 0, or one more than the present one.
+    horizon: float = number(2.0, "1", 1.0, 100.0)
+    # How far from the goal its end is no arrival at all, in baselines, and by how much the arm
+    # may miss the tool's pose on the way [m, rad].
+    astray: float = number(0.1, "1", 0.0, 10.0)
+    missed: float = number(2e-3, "m", 0.0, 0.1)
+    # What links keep of everything, what the arm keeps of itself, and the least that is gone on
+    # with where what is asked cannot be kept [m].
+    link_clearance: float = number(0.03, "m", 0.0, 1.0)
+    self_clearance: float = number(0.005, "m", 0.0, 0.1)
+    least_kept: float = number(1e-3, "m", 0.0, 1.0)
+    # How often a path in the joints is looked for while none of the motions will do [s], among
+    # how many configurations at most, to how many random postures at the goal, for which shares
+    # of what is asked, and with what share of the joints' greatest speeds it is gone.
+    seek_period: float = number(0.5, "s", 0.0, 100.0)
+    most: int = count(60_000, 0, 10_000_000)
+    goal_seeds: int = count(24, 0, 1000)
+    shares: list[float] = dc.field(default_factory=lambda: [1.0, 0.5, 0.2])
+    speed_share: float = number(0.5, "1", 0.0, 1.0, open_low=True)
+
+    def search(self, steps: int, fade: float) -> SearchParameters:
+        """As the search of the tool's motions takes it."""
+        shared = ("candidates", "rounds", "polish", "slack", "tolerance", "horizon", "astray")
+        given = {name: getattr(self, name) for name in shared}
+        return SearchParameters(**given, steps=steps, fade=fade)

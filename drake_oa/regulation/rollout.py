@@ -184,6 +184,19 @@ class SpatialScenes(Frozen):
         }
         return replace(self, **chosen)
 
+    def without_obstacles(self) -> SpatialScenes:
+        """The same motions among nothing."""
+        S = len(self)
+        none = np.zeros((S, 0, 3))
+        return replace(
+            self,
+            p_WO=none,
+            R_WO=np.zeros((S, 0, 3, 3)),
+            semi_axes=none,
+            v_WO=none,
+            clearance=np.zeros((S, 0)),
+        )
+
     @property
     def arrays(self) -> SceneArrays:
         """As the kernels take them."""

@@ -51,18 +51,18 @@ _WINDOW = 1.2 * np.pi
 """Half the angle in which a side is looked for, times the number of sides."""
 _SPREAD = 1024
 """Candidates all over the ranges that such a search begins with, on each side."""
-_BAD = 10.0
+BAD = 10.0
 """Added to the cost of a motion that does not keep the clearance or does not arrive."""
-_PRICE = 100.0
+PRICE = 100.0
 """Cost of what is short of the clearance or the world's margin, a baseline's length."""
-_GOAL_PRICE = 30.0
-_MISS, _TOUCH = 2.0, 50.0
+GOAL_PRICE = 30.0
+MISS, TOUCH = 2.0, 50.0
 """Cost of not arriving, and of touching an obstacle."""
-_LATE = 0.05
+LATE = 0.05
 """Cost of a unit of normalised time after s = 1."""
-_HURRY = 0.02
+HURRY = 0.02
 """Cost of |ln tau| = 1 among moving obstacles."""
-_FLIP = 0.06
+FLIP = 0.06
 """Cost of the opposite of the side in use: hysteresis."""
 _BRIEF = 1
 """Rounds after the first motion that will do, where one is in use."""
@@ -175,7 +175,7 @@ def roll_out(
 
 
 @dataclass(frozen=True, eq=False)
-class _Ranked:
+class Ranked:
     """The best candidates of A scenes, best first."""
 
     genes: FloatArray  # (A, n, 7)
@@ -184,21 +184,21 @@ class _Ranked:
 
     @property
     def solved(self) -> BoolArray:
-        return np.asarray(self.cost[:, 0] < _BAD)
+        return np.asarray(self.cost[:, 0] < BAD)
 
-    def best(self, count: int) -> _Ranked:
+    def best(self, count: int) -> Ranked:
         order = np.argsort(self.cost, axis=1, kind="stable")[:, :count]
-        return _Ranked(
+        return Ranked(
             np.take_along_axis(self.genes, order[:, :, None], axis=1),
             np.take_along_axis(self.cost, order, axis=1),
             np.take_along_axis(self.outcome, order[:, :, None], axis=1),
         )
 
-    def rows(self, mask: BoolArray) -> _Ranked:
-        return _Ranked(self.genes[mask], self.cost[mask], self.outcome[mask])
+    def rows(self, mask: BoolArray) -> Ranked:
+        return Ranked(self.genes[mask], self.cost[mask], self.outcome[mask])
 
-    def joined(self, other: _Ranked) -> _Ranked:
-        return _Ranked(
+    def joined(self, other: Ranked) -> Ranked:
+        return Ranked(
             np.concatenate([self.genes, other.genes], axis=1),
             np.concatenate([self.cost, other.cost], axis=1),
             np.concatenate([self.outcome, other.outcome], axis=1),
@@ -263,7 +263,7 @@ class Search:
             ranked = ranked.joined(trial).best(ELITES)
         return self.answer(chosen, in_range)
 
-    def keep_previous(self, chosen: _Ranked, active: IntArray, proposed: FloatArray) -> IntArray:
+    def keep_previous(self, chosen: Ranked, active: IntArray, proposed: FloatArray) -> IntArray:
         """Stays with what is in use where it will do and no proposal is much better.
 
         Returns:
@@ -282,16 +282,14 @@ class Search:
         return np.setdiff1d(active, in_use[stays])
 
     @staticmethod
-    def keep_best(chosen: _Ranked, active: IntArray, ranked: _Ranked) -> None:
+    def keep_best(chosen: Ranked, active: IntArray, ranked: Ranked) -> None:
         better = ranked.cost[:, 0] < chosen.cost[active, 0]
         at = active[better]
         chosen.genes[at, 0] = ranked.genes[better, 0]
         chosen.cost[at, 0] = ranked.cost[better, 0]
         chosen.outcome[at, 0] = ranked.outcome[better, 0]
 
-    def evaluate(
-        self, active: IntArray, genes: FloatArray, known: _Ranked | None = None
-    ) -> _Ranked:
+    def evaluate(self, active: IntArray, genes: FloatArray, known: Ranked | None = None) -> Ranked:
         """Rolls out candidates (A, n, 7); those that cannot be among the known ones in part."""
         A, n = genes.shape[:2]
         scene, flat = np.repeat(active, n), genes.reshape(-1, N_GENES)
@@ -299,9 +297,9 @@ class Search:
         longest, shortest = np.full(len(L), np.inf), np.full(len(L), np.inf)
         if known is not None:
             worst, length = known.cost[:, -1], L[active]
-            kept = worst < _BAD
+            kept = worst < BAD
             longest[active] = np.where(kept, worst * length, np.inf)
-            short = np.where(kept, 1e-3, (worst - _BAD) * length / _PRICE)
+            short = np.where(kept, 1e-3, (worst - BAD) * length / PRICE)
             # The goal's distance from a moving obstacle is not known before the end.
             shortest[active] = np.where(self.moving[active], np.inf, short)
             shortest += self.parameters.slack
@@ -317,28 +315,28 @@ class Search:
         )
         self.rollouts += len(scene)
         outcome = np.column_stack([getattr(found, name) for name in OUTCOME])
-        return _Ranked(
+        return Ranked(
             genes, self.cost(scene, flat, found).reshape(A, n), outcome.reshape(A, n, len(OUTCOME))
         )
 
     def cost(self, scene: IntArray, genes: FloatArray, found: SpatialRollouts) -> FloatArray:
-        """Length over L, and small prices; above `_BAD` where the clearance is not kept."""
+        """Length over L, and small prices; above `BAD` where the clearance is not kept."""
         p, L = self.parameters, self.scenes.baseline[scene]
         short = np.maximum(-found.margin - p.slack, 0.0) + np.maximum(-found.world_margin, 0.0)
         missed = np.maximum(np.minimum(found.goal_error, L) - p.tolerance, 0.0)
-        bad = (_PRICE * short + _GOAL_PRICE * missed) / L
+        bad = (PRICE * short + GOAL_PRICE * missed) / L
         touched = (short > 0.0) & (found.clearance <= 0.0)
-        bad += _MISS * (missed > 0.0) + _TOUCH * touched
+        bad += MISS * (missed > 0.0) + TOUCH * touched
         late = np.maximum(found.steps / p.steps + self.scenes.s - 1.0, 0.0)
         hurry = np.where(self.moving[scene], np.abs(genes[:, TAU]), 0.0)
         # 0 for the side in use, 1 for its opposite; no side is in use before the first choice.
         flip = 0.5 - 0.5 * np.cos(genes[:, ANGLE] - self.previous[scene, ANGLE])
         return np.asarray(
-            np.where(bad > 0.0, _BAD + bad, 0.0)
+            np.where(bad > 0.0, BAD + bad, 0.0)
             + found.path_length / L
-            + _LATE * late
-            + _HURRY * hurry
-            + _FLIP * np.nan_to_num(flip)
+            + LATE * late
+            + HURRY * hurry
+            + FLIP * np.nan_to_num(flip)
         )
 
     def proposals(self, weights: ChainWeights) -> tuple[FloatArray, BoolArray]:
@@ -352,7 +350,7 @@ class Search:
         genes[in_use, -1] = self.previous[in_use]
         return genes, in_range
 
-    def children(self, active: IntArray, ranked: _Ranked, number: int) -> FloatArray:
+    def children(self, active: IntArray, ranked: Ranked, number: int) -> FloatArray:
         """The candidates of a round, (A, n, 7)."""
         random = draws(number, self.parameters.candidates)
         n_kin = self.parameters.candidates - LINE
@@ -385,7 +383,7 @@ class Search:
             genes[:, :, ANGLE] = middle + np.clip(off, -_WINDOW / self.sides, _WINDOW / self.sides)
         return genes
 
-    def answer(self, chosen: _Ranked, in_range: BoolArray) -> SearchResult:
+    def answer(self, chosen: Ranked, in_range: BoolArray) -> SearchResult:
         genes = chosen.genes[:, 0]
         margin, clearance, goal_error, length, steps, _ = chosen.outcome[:, 0].T
         tau = np.maximum(1.0, length / self.scenes.baseline)

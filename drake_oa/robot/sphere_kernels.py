@@ -22,6 +22,9 @@ class Spheres(NamedTuple):
         first: (G + 1,) where each group's spheres begin, and S.
         group_joint: (G,) the joint that moves each group.
         bound: (G, 4) centre as `p_JS`, and radius, of a sphere that holds the group's [m].
+        cluster: (G + 1,) where each group's clusters of neighbours begin, and C.
+        cluster_first: (C + 1,) where each cluster's spheres begin, and S.
+        cluster_bound: (C, 4) as `bound`, of a cluster.
         pairs: (P, 2) groups that may touch each other.
         allowance: (P,) what a pair's spheres may overlap before its true shapes come near [m].
     """
@@ -33,6 +36,9 @@ class Spheres(NamedTuple):
     first: IntArray
     group_joint: IntArray
     bound: FloatArray
+    cluster: IntArray
+    cluster_first: IntArray
+    cluster_bound: FloatArray
     pairs: IntArray
     allowance: FloatArray
 

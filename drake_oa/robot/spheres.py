@@ -19,6 +19,8 @@ from drake_oa.robot.sphere_cover import Cover, cover, read_solid
 
 _ROUNDED = 1e-9
 """Added to bounding spheres [m]."""
+_CLUSTER = 8
+"""Spheres of a cluster at most."""
 _BALL_STEPS = 300
 
 
@@ -246,20 +248,41 @@ def _laid(
     is_tool: BoolArray,
     pairs: list[tuple[int, int]],
 ) -> kernels.Spheres:
-    """All the groups' spheres in a row, in the frames of their joints."""
-    centers = [c.centers @ X[:3, :3].T + X[:3, 3] for c, X in zip(covers, X_JB, strict=True)]
+    """All the groups' spheres in a row, in the frames of their joints, neighbours together."""
+    centers, radii, clusters = [], [], []
+    for found, X in zip(covers, X_JB, strict=True):
+        p_JS = found.centers @ X[:3, :3].T + X[:3, 3]
+        rows = _clusters(p_JS, np.arange(len(p_JS)))
+        order = np.concatenate(rows)
+        centers.append(p_JS[order])
+        radii.append(found.radii[order])
+        clusters.append([(p_JS[row], found.radii[row]) for row in rows])
     counts = np.array([len(found.radii) for found in covers])
+    sizes = [len(r) for of_group in clusters for _, r in of_group]
     return kernels.Spheres(
         joint=np.repeat(joint, counts),
         p_JS=np.concatenate(centers),
-        radius=np.concatenate([found.radii for found in covers]),
+        radius=np.concatenate(radii),
         of_tool=np.repeat(is_tool, counts),
         first=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
         group_joint=joint,
-        bound=np.array([_ball(p, c.radii) for p, c in zip(centers, covers, strict=True)]),
+        bound=np.array([_ball(p, r) for p, r in zip(centers, radii, strict=True)]),
+        cluster=np.cumsum([0] + [len(of_group) for of_group in clusters], dtype=np.int64),
+        cluster_first=np.cumsum([0, *sizes], dtype=np.int64),
+        cluster_bound=np.array([_ball(p, r) for of_group in clusters for p, r in of_group]),
         pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2),
         allowance=np.zeros(len(pairs)),
     )
+
+
+def _clusters(p: FloatArray, rows: IntArray) -> list[IntArray]:
+    """Rows of points (N, 3) in clusters of neighbours, halved along their longest extent."""
+    if len(rows) <= _CLUSTER:
+        return [rows]
+    axis = int(np.ptp(p[rows], axis=0).argmax())
+    order = rows[np.argsort(p[rows, axis], kind="stable")]
+    half = len(order) // 2
+    return [*_clusters(p, order[:half]), *_clusters(p, order[half:])]
 
 
 def _ball(centers: FloatArray, radii: FloatArray) -> FloatArray:

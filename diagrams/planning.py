@@ -1,0 +1,103 @@
+"""Planning: the motion of the whole arm, chosen among the true shapes of things."""
+
+from __future__ import annotations
+
+import numpy as np
+from pydrake.multibody.tree import ModelInstanceIndex
+
+from drake_oa.common.config import ScenarioError
+from drake_oa.common.wires import Wires
+from drake_oa.diagrams.arm import arm_model, make_posture_guide
+from drake_oa.diagrams.policy import make_dmp
+from drake_oa.diagrams.station import Cell
+from drake_oa.perception.config import GroundTruth
+from drake_oa.planning.arm_world import make_chain
+from drake_oa.planning.motion_search import MotionSearch
+from drake_oa.planning.motion_selector import MotionSelector
+from drake_oa.planning.true_solids import TrueSolids
+from drake_oa.regulation.config import WholeArm
+from drake_oa.regulation.regressor import ChainWeights
+from drake_oa.robot.grasped_object import tool_links
+from drake_oa.robot.spheres import make_arm_spheres
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.sources import perception_period
+from drake_oa.scenario.tool_orientation import end_rotations, tool_orientation
+
+_LEAST_STEPS, _MOST_STEPS = 250, 1000
+"""Steps of a roll-out a unit of normalised time."""
+
+
+def add_motion_selector(
+    wires: Wires, scenario: Scenario, cell: Cell | None, weights: ChainWeights
+) -> None:
+    """Adds solids and motion_selector: solids_W, policy_state, goal, robot_state -> motion,
+    demonstration and coupling_parameters.
+
+    Raises:
+        ScenarioError: without a robot, or where nothing tells the true shapes.
+    """
+    if cell is None:
+        raise ScenarioError("regulation: !WholeArm needs a robot; this scenario has null")
+    if not isinstance(scenario.perception, GroundTruth):
+        raise ScenarioError("regulation: !WholeArm needs perception: !GroundTruth {}")
+    plant = cell.plant
+    others = [
+        body
+        for instance in map(ModelInstanceIndex, range(plant.num_model_instances()))
+        if instance != cell.robot
+        for body in plant.GetBodyIndices(instance)
+        if plant.GetCollisionGeometriesForBody(plant.get_body(body))
+    ]
+    solids = TrueSolids(
+        plant,
+        cell.scene_graph.model_inspector(),
+        others,
+        period=perception_period(scenario),
+    )
+    wires.add("solids", solids)
+    wires.add(
+        "motion_selector",
+        make_motion_selector(scenario, cell, weights),
+        offers={"decision": "decision_regulation"},
+    )
+    wires.log("shortfall", "lowered", "decision_regulation")
+
+
+def make_motion_selector(scenario: Scenario, cell: Cell, weights: ChainWeights) -> MotionSelector:
+    """What chooses the motion of the whole arm."""
+    robot, regulation, policy, task = (
+        scenario.robot,
+        scenario.regulation,
+        scenario.policy,
+        scenario.task,
+    )
+    if robot is None or not isinstance(regulation, WholeArm):
+        raise ScenarioError("regulation: is not !WholeArm, or there is no robot")
+    arm = arm_model(scenario, robot, cell.robot_plant, cell.q_start)
+    spheres = make_arm_spheres(cell.robot_plant, cell.q_start, tool_links(robot)).arrays
+    dmp = make_dmp(scenario)
+    steps = min(max(round(dmp.duration / policy.period), _LEAST_STEPS), _MOST_STEPS)
+    held, R_WE = tool_orientation(scenario), end_rotations(scenario)[0].matrix()
+    guide = make_posture_guide(scenario, arm.posture)
+    q_rest = np.array(arm.posture)
+    search = MotionSearch(
+        weights,
+        dmp,
+        task.clearance,
+        make_chain(arm, spheres),
+        spheres,
+        parameters=regulation,
+        steps=steps,
+        fade=policy.fade,
+        orientation=(lambda s: np.tile(R_WE, (len(s), 1, 1))) if held is None else held.along,
+        posture=(lambda s: np.tile(q_rest, (len(s), 1))) if guide is None else guide,
+        q_goal=None if task.q_goal is None else np.asarray(task.q_goal, dtype=float),
+    )
+    return MotionSelector(
+        search,
+        tuple(arm.index.tolist()),
+        cell.robot_plant.plant.num_multibody_states(),
+        period=perception_period(scenario),
+        thinking=scenario.thinking,
+        step=policy.period,
+    )

@@ -1,0 +1,291 @@
+"""The whole arm among solids: what it keeps beyond the clearances that are asked.
+
+The robot is spheres in groups, a group a body (`drake_oa.robot.spheres`); the world is solids that
+may move (`drake_oa.geometry.solids`). What is asked is a table of clearances, a row a group and a
+column a solid, so that what start and goal leave of one pair lowers no other.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from drake_oa.common.compiled import compiled, leaf
+from drake_oa.common.messages import BoolArray, FloatArray
+from drake_oa.common.numba_tools import kernel_arrays
+from drake_oa.geometry.solids import Solids, ball_bound, solid_distance
+from drake_oa.robot.arm import ArmModel
+from drake_oa.robot.sphere_kernels import Spheres
+
+FAR = 0.3
+"""By how much more than asked a clearance need not be known [m]."""
+STRIDE = 0.012
+"""Bound on how far any sphere moves between two configurations that are looked at [m]."""
+
+
+class Chain(NamedTuple):
+    """n revolute joints in a row.
+
+    Attributes:
+        X_PJ: (n + 1, 4, 4) frame of each joint in the body before it (the first in the world),
+            its z axis being the joint's, and of the tool point E in the last body.
+        lower, upper: (n,) limits of the joints [rad].
+        speed: (n,) their greatest speeds [rad/s].
+        reach: (n,) no point of a sphere is farther from the joint's axis than this [m].
+    """
+
+    X_PJ: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    speed: FloatArray
+    reach: FloatArray
+
+
+class Asked(NamedTuple):
+    """What the G groups of spheres are to keep.
+
+    Attributes:
+        of_solids: (G, K) clearance of each group to each solid [m]; -inf: they may touch.
+        of_self: clearance of the groups to each other [m].
+        is_tool: (G,) whether a group is of the tool, else of the links.
+    """
+
+    of_solids: FloatArray
+    of_self: float
+    is_tool: BoolArray
+
+
+class ArmWorld(NamedTuple):
+    """An arm of spheres among solids, and what it is to keep of them; now: the time [s]."""
+
+    chain: Chain
+    spheres: Spheres
+    solids: Solids
+    asked: Asked
+    now: float
+
+
+@leaf
+def chain_poses(q: FloatArray, X_PJ: FloatArray, X: FloatArray) -> None:
+    """Forward kinematics: X (n + 2, 12) of the world, the n joints and E, rotation, then position.
+
+    Row i + 1 is the frame of joint i, so that row 0 is that of what is fixed to the world, -1.
+    """
+    n = len(q)
+    for i in range(12):
+        X[0, i] = 1.0 if i < 9 and i % 4 == 0 else 0.0
+    for i in range(n + 1):
+        c, s = (math.cos(q[i]), math.sin(q[i])) if i < n else (1.0, 0.0)
+        for r in range(3):
+            a, b, d = X[i, 3 * r], X[i, 3 * r + 1], X[i, 3 * r + 2]
+            x = a * X_PJ[i, 0, 0] + b * X_PJ[i, 1, 0] + d * X_PJ[i, 2, 0]
+            y = a * X_PJ[i, 0, 1] + b * X_PJ[i, 1, 1] + d * X_PJ[i, 2, 1]
+            z = a * X_PJ[i, 0, 3] + b * X_PJ[i, 1, 3] + d * X_PJ[i, 2, 3]
+            X[i + 1, 3 * r], X[i + 1, 3 * r + 1] = c * x + s * y, c * y - s * x
+            X[i + 1, 3 * r + 2] = a * X_PJ[i, 0, 2] + b * X_PJ[i, 1, 2] + d * X_PJ[i, 2, 2]
+            X[i + 1, 9 + r] = z + X[i, 9 + r]
+
+
+@leaf
+def placed(X: FloatArray, row: int, p: FloatArray, i: int) -> tuple[float, float, float]:
+    """The point p[i] of frame X[row], in the world."""
+    x, y, z = p[i, 0], p[i, 1], p[i, 2]
+    return (
+        X[row, 0] * x + X[row, 1] * y + X[row, 2] * z + X[row, 9],
+        X[row, 3] * x + X[row, 4] * y + X[row, 5] * z + X[row, 10],
+        X[row, 6] * x + X[row, 7] * y + X[row, 8] * z + X[row, 11],
+    )
+
+
+TOOL, LINKS, SELF = range(3)
+"""What of the arm keeps a clearance: the tool and the links to solids, and all to each other."""
+
+
+@leaf
+def lower_excess(
+    X: FloatArray,
+    t: float,
+    spheres: Spheres,
+    solids: Solids,
+    asked: Asked,
+    center: FloatArray,
+    least: FloatArray,
+    enough: float,
+) -> None:
+    """Lowers least (3,) by what one configuration keeps beyond what is asked [m].
+
+    Args:
+        X: (n + 2, 12) as `chain_poses` leaves them.
+        t: when [s].
+        spheres, solids, asked: see `ArmWorld`.
+        center: (G, 3) to work in.
+        least: (3,) of `TOOL`, `LINKS` and `SELF`.
+        enough: where one of them is below it, the others need not be known.
+    """
+    G = len(spheres.group_joint)
+    for g in range(G):
+        frame = spheres.group_joint[g] + 1
+        x, y, z = placed(X, frame, spheres.bound, g)
+        center[g, 0], center[g, 1], center[g, 2] = x, y, z
+        row = TOOL if asked.is_tool[g] else LINKS
+        for k in range(len(solids.ball)):
+            far = spheres.bound[g, 3] + asked.of_solids[g, k] + least[row]
+            if ball_bound(solids, k, x, y, z, t) >= far:
+                continue
+            of_group = solid_distance(solids, k, x, y, z, t)
+            if of_group >= far:
+                continue
+            for c in range(spheres.cluster[g], spheres.cluster[g + 1]):
+                u, v, w = placed(X, frame, spheres.cluster_bound, c)
+                far = spheres.cluster_bound[c, 3] + asked.of_solids[g, k] + least[row]
+                # No point is nearer by more than it is away.
+                if of_group - far > 0.0:
+                    square = (u - x) ** 2 + (v - y) ** 2 + (w - z) ** 2
+                    if square <= (of_group - far) ** 2:
+                        continue
+                if solid_distance(solids, k, u, v, w, t) >= far:
+                    continue
+                for i in range(spheres.cluster_first[c], spheres.cluster_first[c + 1]):
+                    u, v, w = placed(X, frame, spheres.p_JS, i)
+                    d = solid_distance(solids, k, u, v, w, t)
+                    d -= spheres.radius[i] + asked.of_solids[g, k]
+                    if d < least[row]:
+                        least[row] = d
+                        if d < enough:
+                            return
+    for m in range(len(spheres.pairs)):
+        a, b = spheres.pairs[m, 0], spheres.pairs[m, 1]
+        off = spheres.allowance[m] - asked.of_self
+        x, y, z = (
+            center[b, 0] - center[a, 0],
+            center[b, 1] - center[a, 1],
+            center[b, 2] - center[a, 2],
+        )
+        most = least[SELF] - off + spheres.bound[a, 3] + spheres.bound[b, 3]
+        if most <= 0.0 or x * x + y * y + z * z >= most * most:
+            continue
+        one, other = spheres.group_joint[a] + 1, spheres.group_joint[b] + 1
+        for i in range(spheres.first[a], spheres.first[a + 1]):
+            x, y, z = placed(X, one, spheres.p_JS, i)
+            u, v, w = x - center[b, 0], y - center[b, 1], z - center[b, 2]
+            most = least[SELF] - off + spheres.radius[i] + spheres.bound[b, 3]
+            if most <= 0.0 or u * u + v * v + w * w >= most * most:
+                continue
+            for j in range(spheres.first[b], spheres.first[b + 1]):
+                u, v, w = placed(X, other, spheres.p_JS, j)
+                u, v, w = u - x, v - y, w - z
+                touching = spheres.radius[i] + spheres.radius[j] - off
+                most, square = least[SELF] + touching, u * u + v * v + w * w
+                if most > 0.0 and square < most * most:
+                    least[SELF] = math.sqrt(square) - touching
+                    if least[SELF] < enough:
+                        return
+
+
+@compiled
+def excess(world: ArmWorld, q: FloatArray, t: float, X: FloatArray, center: FloatArray) -> float:
+    """What a configuration keeps beyond what is asked, at most `FAR` [m]; below 0: it does not."""
+    least = np.full(3, FAR)
+    chain_poses(q, world.chain.X_PJ, X)
+    lower_excess(X, t, world.spheres, world.solids, world.asked, center, least, 0.0)
+    return min(least[0], min(least[1], least[2]))
+
+
+@compiled
+def exceeds(world: ArmWorld, q: FloatArray) -> bool:
+    """Whether a configuration (n,) is within the limits and keeps what is asked now."""
+    for i in range(len(q)):
+        if not world.chain.lower[i] <= q[i] <= world.chain.upper[i]:
+            return False
+    X, center = np.empty((len(q) + 2, 12)), np.empty((len(world.spheres.group_joint), 3))
+    return excess(world, q, world.now, X, center) >= 0.0
+
+
+@compiled
+def share_clear(world: ArmWorld, one: FloatArray, other: FloatArray) -> tuple[float, int]:
+    """What share of the straight way in the joints, from one configuration to another, is clear.
+
+    No step moves a sphere by more than what is kept beyond what is asked, or `STRIDE`: of what
+    is asked, no more than half a stride can be lost between two steps.
+
+    Returns:
+        The share, 1 for all of it, and how many configurations were looked at.
+    """
+    n = len(one)
+    X, center, q = np.empty((n + 2, 12)), np.empty((len(world.spheres.group_joint), 3)), np.empty(n)
+    bound = 0.0
+    for i in range(n):
+        bound += world.chain.reach[i] * abs(other[i] - one[i])
+    if bound == 0.0:
+        return 1.0, 0
+    stride = STRIDE / bound
+    share, clear, looked_at = min(stride, 1.0), 0.0, 0
+    while True:
+        for i in range(n):
+            q[i] = one[i] + share * (other[i] - one[i])
+        kept = excess(world, q, world.now, X, center)
+        looked_at += 1
+        if kept < 0.0:
+            return clear, looked_at
+        if share == 1.0:
+            return 1.0, looked_at
+        clear, share = share, min(share + max(stride, kept / bound), 1.0)
+
+
+@compiled
+def excess_along(world: ArmWorld, q: FloatArray) -> float:
+    """The least `excess` of configurations (T, n) now [m]."""
+    X, center = np.empty((q.shape[1] + 2, 12)), np.empty((len(world.spheres.group_joint), 3))
+    least = FAR
+    for row in range(len(q)):
+        least = min(least, excess(world, q[row], world.now, X, center))
+    return least
+
+
+@compiled
+def tool_poses(chain: Chain, q: FloatArray) -> FloatArray:
+    """(T, 12) poses of the tool, rotation, row by row, and position [m], of (T, n) [rad]."""
+    X, X_WE = np.empty((q.shape[1] + 2, 12)), np.empty((len(q), 12))
+    for row in range(len(q)):
+        chain_poses(q[row], chain.X_PJ, X)
+        X_WE[row] = X[-1]
+    return X_WE
+
+
+@compiled
+def group_distances(
+    chain: Chain, spheres: Spheres, solids: Solids, q: FloatArray, t: float
+) -> FloatArray:
+    """(G, K) distances of the groups to the solids at a configuration (n,) and a time [m]."""
+    X = np.empty((len(q) + 2, 12))
+    chain_poses(q, chain.X_PJ, X)
+    found = np.full((len(spheres.group_joint), len(solids.ball)), np.inf)
+    for g in range(len(spheres.group_joint)):
+        frame = spheres.group_joint[g] + 1
+        for c in range(spheres.cluster[g], spheres.cluster[g + 1]):
+            x, y, z = placed(X, frame, spheres.cluster_bound, c)
+            for k in range(len(solids.ball)):
+                near = solid_distance(solids, k, x, y, z, t) - spheres.cluster_bound[c, 3]
+                if near >= found[g, k]:
+                    continue
+                for i in range(spheres.cluster_first[c], spheres.cluster_first[c + 1]):
+                    u, v, w = placed(X, frame, spheres.p_JS, i)
+                    d = solid_distance(solids, k, u, v, w, t) - spheres.radius[i]
+                    found[g, k] = min(found[g, k], d)
+    return found
+
+
+def make_chain(arm: ArmModel, spheres: Spheres) -> Chain:
+    """The joints of an arm, and how far its spheres reach beyond each."""
+    step = np.linalg.norm(arm.X_PJ[:, :3, 3], axis=1)
+    reach = np.zeros(len(arm.lower))
+    far = np.linalg.norm(spheres.p_JS, axis=1) + spheres.radius
+    for last in range(len(reach)):
+        mine = spheres.joint == last
+        if mine.any():
+            for joint in range(last + 1):
+                beyond = step[joint + 1 : last + 1].sum() + far[mine].max()
+                reach[joint] = max(reach[joint], beyond)
+    return Chain(*kernel_arrays(arm.X_PJ, arm.lower, arm.upper, arm.speed, reach))

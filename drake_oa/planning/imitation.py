@@ -1,0 +1,94 @@
+"""A path of the whole arm as a demonstration, which the primitives imitate.
+
+So a plan is one more demonstration, and the coupling terms stay the reaction around it: the tool's
+position and orientation become primitives of their own (`drake_oa.policy`), and the posture is led
+along the path by their common phase.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+from scipy.ndimage import gaussian_filter1d
+
+from drake_oa.common.messages import FloatArray
+from drake_oa.planning.arm_world import ArmWorld, Chain, excess_along, tool_poses
+from drake_oa.policy.demonstration import Demonstration
+from drake_oa.policy.dmp import ALPHA_K, imitate, minimum_jerk_share
+from drake_oa.policy.orientation_dmp import imitate_orientation
+
+SAMPLES = 201
+"""Of a path that is imitated."""
+_SMOOTH = (0.04, 0.02, 0.01)
+"""Widths of the filter that rounds a path's corners, in shares of it, the widest first."""
+_N_BASIS = 100
+"""Basis functions of a plan: it has corners where a demonstrated motion has none. 35 leave up to
+15 mm, 100 up to 1 mm of the 21 paths that were tried."""
+
+
+def demonstration(
+    world: ArmWorld,
+    corners: FloatArray,
+    *,
+    pace: float,
+    share: float = 0.5,
+    alpha_k: float = ALPHA_K,
+) -> Demonstration:
+    """What a path of corners becomes: rounded, in minimum-jerk time, and imitated.
+
+    Args:
+        world: in which its corners may be rounded as far as the clearance is kept.
+        corners: (C, n) of the path [rad].
+        pace: time a metre of the tool's way [s/m].
+        share: no joint goes faster than this share of its greatest speed.
+        alpha_k: decay of the phase.
+
+    Raises:
+        ValueError: if the tool turns too far for a primitive of its orientation, or ends where
+            it began.
+    """
+    q = _rounded(world, _evenly(corners))
+    s = np.linspace(0.0, 1.0, SAMPLES)
+    q = np.asarray(make_interp_spline(s, q, k=3)(minimum_jerk_share(s)))
+    X_WE = tool_poses(world.chain, q)
+    seconds = max(pace * _length(X_WE[:, 9:]), _least_seconds(q, s, world.chain, share))
+    t, R_WE = seconds * s, X_WE[:, :9].reshape(-1, 3, 3)
+    return Demonstration(
+        imitate(X_WE[:, 9:], t, n_basis=_N_BASIS, alpha_k=alpha_k),
+        imitate_orientation(R_WE, t, n_basis=_N_BASIS, alpha_k=alpha_k),
+        R_WE[-1],
+        s,
+        q,
+    )
+
+
+def _evenly(corners: FloatArray) -> FloatArray:
+    """(SAMPLES, n) at equal distances along a polyline."""
+    steps = np.linalg.norm(np.diff(corners, axis=0), axis=1)
+    corners = corners[np.append(True, steps > 1e-9)]
+    u = np.append(0.0, np.cumsum(steps[steps > 1e-9]))
+    at = np.linspace(0.0, u[-1], SAMPLES)
+    return np.stack([np.interp(at, u, joint) for joint in corners.T], axis=1)
+
+
+def _rounded(world: ArmWorld, q: FloatArray) -> FloatArray:
+    """The path with its corners rounded as much as the clearance allows, its ends as they are."""
+    least = min(excess_along(world, q), 0.0)
+    for width in _SMOOTH:
+        sigma = width * len(q)
+        far = min(int(4.0 * sigma) + 1, len(q) - 1)
+        # Mirrored through the ends, so that these stay.
+        longer = np.concatenate([2.0 * q[0] - q[far:0:-1], q, 2.0 * q[-1] - q[-2 : -far - 2 : -1]])
+        smooth = gaussian_filter1d(longer, sigma, axis=0)[far:-far]
+        if excess_along(world, smooth) >= least:
+            return np.asarray(smooth)
+    return q
+
+
+def _length(p: FloatArray) -> float:
+    return float(np.linalg.norm(np.diff(p, axis=0), axis=1).sum())
+
+
+def _least_seconds(q: FloatArray, s: FloatArray, chain: Chain, share: float) -> float:
+    rate = np.abs(np.diff(q, axis=0)) / np.diff(s)[:, None]
+    return float((rate / (share * chain.speed)).max())

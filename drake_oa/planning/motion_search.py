@@ -1,0 +1,415 @@
+"""Which motion the whole arm goes, from one observation to the next.
+
+The shortest of the candidates that keeps what is asked is taken: the motion in use, the unmodulated
+one, those of the coupling terms (`drake_oa.planning.search`), each with postures that its null
+space may be drawn to; and where none clears, once the motion rests, a path in the joints
+(`drake_oa.planning.joint_planner`) that the primitives imitate (`drake_oa.planning.imitation`) and
+that is rolled out like any other. Where nothing keeps what is asked, it is asked for less, and
+that is told.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from drake_oa.common.messages import (
+    CouplingParameters,
+    EllipsoidSet,
+    FloatArray,
+    Frozen,
+    HoldCause,
+    PlannedMotion,
+    PolicyState,
+)
+from drake_oa.planning.arm_world import (
+    ArmWorld,
+    Asked,
+    Chain,
+    group_distances,
+    tool_poses,
+)
+from drake_oa.planning.goal_postures import goal_postures
+from drake_oa.planning.imitation import demonstration
+from drake_oa.planning.joint_planner import plan_path
+from drake_oa.planning.search import ArmSearch, Leading
+from drake_oa.planning.solid_scene import SolidScene
+from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
+from drake_oa.policy.demonstration import Demonstration
+from drake_oa.policy.dmp import Dmp, local_frame, normalised_time
+from drake_oa.policy.orientation_dmp import orientation_along
+from drake_oa.regulation.config import WholeArm
+from drake_oa.regulation.proposals import ALPHA as LOG_ALPHA
+from drake_oa.regulation.proposals import N_GENES, TAU
+from drake_oa.regulation.regressor import ChainWeights
+from drake_oa.regulation.rollout import SpatialScenes
+from drake_oa.robot.sphere_kernels import Spheres
+
+_LED = 201
+"""Samples by which the arm is led along a motion."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sight(Frozen):
+    """What is known when a motion is chosen.
+
+    Attributes:
+        policy: where the motion is.
+        p_WG: (3,) its goal [m].
+        q: (n,) the arm's joints [rad].
+        scene: the solids.
+        ellipsoids: what the regressor chain proposes by; empty: it proposes for nothing.
+    """
+
+    policy: PolicyState
+    p_WG: FloatArray
+    q: FloatArray
+    scene: SolidScene
+    ellipsoids: EllipsoidSet = field(default_factory=EllipsoidSet)
+
+    @property
+    def time(self) -> float:
+        """Now [s]."""
+        return self.policy.stamp
+
+
+@dataclass(frozen=True, eq=False)
+class Choice(Frozen):
+    """The motion that was chosen.
+
+    Attributes:
+        p_WS, p_WG: (3,) start and goal of the motion that it is for [m]; NaN: none yet.
+        genes: (7,) of the coupling term; NaN: none.
+        term: (13,) the term; its alpha is 0 for the unmodulated motion.
+        tau: temporal scaling; 0: nothing was chosen.
+        posture: (n,) that the null space is drawn to at the end; (0,): the task's [rad].
+        demonstration: what the motion imitates; empty: what the task demonstrates.
+        motion: of the whole arm, from when it was looked at.
+        kept: (2,) least distances of tool and links to the solids [m], up to `FAR`.
+        short: by how much it is short of what is asked [m].
+        short_of: label of the solid.
+        follows: whether the arm can follow it to the goal.
+        lowered: by how much less than the asked clearance is asked, as start or goal leave no
+            more [m].
+        note: "" or why the motion must not go on.
+        anew: whether a motion with this demonstration is to begin where the arm rests.
+        scene: what was seen.
+        travelled, p_WE: the way until then, and where it was [m].
+        planned: when a path in the joints was looked for last [s].
+    """
+
+    p_WS: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    p_WG: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    genes: FloatArray = field(default_factory=lambda: np.full(N_GENES, np.nan))
+    term: FloatArray = field(default_factory=lambda: np.zeros(N_COLUMNS))
+    tau: float = 0.0
+    posture: FloatArray = field(default_factory=lambda: np.zeros(0))
+    demonstration: Demonstration = field(default_factory=Demonstration)
+    motion: PlannedMotion = field(default_factory=PlannedMotion)
+    kept: FloatArray = field(default_factory=lambda: np.full(2, np.inf))
+    short: float = 0.0
+    short_of: str = ""
+    follows: bool = True
+    lowered: float = 0.0
+    note: str = ""
+    anew: bool = False
+    scene: SolidScene = field(default_factory=SolidScene)
+    travelled: float = 0.0
+    p_WE: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
+    planned: float = -math.inf
+
+    def fits(self, policy: PolicyState, p_WG: FloatArray) -> bool:
+        """Whether it is for the motion that is under way."""
+        return np.array_equal(self.p_WS, policy.p_WS) and np.array_equal(self.p_WG, p_WG)
+
+    def coupling(self) -> CouplingParameters:
+        """As the action level takes it: a term of its own, at most one."""
+        count = int(self.term[ALPHA] > 0.0)
+        rows = self.term[None, :][:count]
+        return CouplingParameters(
+            rows[:, ALPHA],
+            rows[:, PSI],
+            rows[:, KAPPA],
+            np.ones(count, dtype=bool),
+            rows[:, :3],
+            rows[:, NORMAL : NORMAL + 3],
+            tau=self.tau,
+            hold=HoldCause.OBSTACLES if self.note else HoldCause.NONE,
+            note=self.note,
+            anew=self.anew,
+            verified=True,
+        )
+
+
+class MotionSearch:
+    """Chooses motions of one arm and one movement primitive."""
+
+    def __init__(
+        self,
+        weights: ChainWeights,
+        dmp: Dmp,
+        clearance: float,
+        chain: Chain,
+        spheres: Spheres,
+        *,
+        parameters: WholeArm,
+        steps: int,
+        fade: float,
+        orientation: Callable[[FloatArray], FloatArray],
+        posture: Callable[[FloatArray], FloatArray],
+        q_goal: FloatArray | None = None,
+    ) -> None:
+        """Keeps what does not change.
+
+        Args:
+            weights: the chain that proposes.
+            dmp: the movement primitive that the task demonstrates.
+            clearance: asked distance Delta of the tool to every solid [m].
+            chain, spheres: the arm.
+            parameters: how far the search goes.
+            steps: of a roll-out a unit of normalised time.
+            fade: of the coupling near the goal, in baselines.
+            orientation: (T, 3, 3) of the tool at normalised times (T,).
+            posture: (T, n) that the null space is drawn to at normalised times (T,) [rad].
+            q_goal: (n,) joints at the goal, where the task gives them [rad].
+        """
+        self._weights, self._dmp, self._clearance = weights, dmp, clearance
+        self._chain, self._spheres, self._parameters = chain, spheres, parameters
+        self._search = parameters.search(steps, fade)
+        s = np.linspace(0.0, 1.0, _LED)
+        self._task = Leading(s, orientation(s).reshape(_LED, 9), posture(s)[None])
+        self._q_goal = q_goal
+
+    def decide(self, before: Choice, sight: Sight) -> Choice:
+        """Looks at a motion under way, and chooses anew if there is reason to."""
+        policy, baseline = sight.policy, math.dist(sight.p_WG, sight.policy.p_WS)
+        if sight.scene.stamp == -math.inf or baseline == 0.0:
+            return Choice()
+        goes_on = before.fits(policy, sight.p_WG)
+        if before.anew and not goes_on and np.array_equal(before.p_WG, sight.p_WG):
+            # The motion has begun anew as it was told to.
+            before = replace(before, p_WS=policy.p_WS, anew=False, travelled=0.0)
+            goes_on = True
+        elif not goes_on:
+            before = Choice(planned=before.planned)
+        before = replace(before, anew=before.anew and policy.speed == 0.0)
+        here = replace(
+            before,
+            p_WS=policy.p_WS,
+            p_WG=np.array(sight.p_WG, dtype=float),
+            p_WE=policy.p_WE,
+            travelled=_travelled(before, policy),
+        )
+        if goes_on and not here.note and here.scene.same_as(sight.scene) and here.tau > 0.0:
+            return here
+        here = replace(here, scene=sight.scene)
+        found = self._modulated(here, sight)
+        if found.follows and found.short == 0.0:
+            return found
+        rests = policy.speed == 0.0 or policy.phase == 1.0
+        if rests and sight.time - here.planned >= self._parameters.seek_period:
+            planned = self._planned(replace(found, planned=sight.time), sight)
+            if planned is not None:
+                return planned
+            found = replace(found, planned=sight.time)
+        if not found.follows:
+            return replace(found, note="no motion that the arm can follow found")
+        if min(found.kept) <= self._parameters.least_kept:
+            return replace(found, note=f"no motion that clears {found.short_of} found")
+        return found
+
+    # --- what is asked -------------------------------------------------------------------
+
+    def _world(self, sight: Sight, ends: FloatArray, share: float = 1.0) -> ArmWorld:
+        """Tool and links among the solids, with what now and the ends (m, n) leave them."""
+        solids, now = sight.scene.solids, sight.time
+        spheres, p = self._spheres, self._parameters
+        is_tool = spheres.of_tool[spheres.first[:-1]]
+        asked = np.where(is_tool, self._clearance, min(p.link_clearance, self._clearance))
+        table = np.tile(share * asked[:, None], (1, len(solids.ball)))
+        left = group_distances(self._chain, spheres, solids, sight.q, now)
+        if len(ends):
+            at_end = [group_distances(self._chain, spheres, solids, q, now) for q in ends]
+            left = np.minimum(left, np.max(at_end, axis=0))
+        table = np.minimum(table, left - p.slack)
+        table[spheres.group_joint < 0] = -np.inf
+        return ArmWorld(self._chain, spheres, solids, Asked(table, p.self_clearance, is_tool), now)
+
+    # --- candidates ----------------------------------------------------------------------
+
+    def _dmp_of(self, choice: Choice) -> Dmp:
+        return choice.demonstration.position or self._dmp
+
+    def _leading(self, choice: Choice, sight: Sight) -> Leading:
+        """How the arm is led along the motion that is under way."""
+        shown = choice.demonstration
+        if shown.orientation is None:
+            return self._task
+        X_WS = tool_poses(self._chain, shown.q[:1])[0]
+        R_WE = orientation_along(
+            shown.orientation, X_WS[:9].reshape(3, 3), shown.R_WG, self._task.s
+        )
+        return Leading(self._task.s, R_WE.reshape(-1, 9), shown.posture(self._task.s)[None])
+
+    def _modulated(self, here: Choice, sight: Sight) -> Choice:
+        """The best of the motions that the coupling terms bend."""
+        leading, dmp = self._leading(here, sight), self._dmp_of(here)
+        scene = self._scene(sight, dmp)
+        target = np.append(leading.R_WE[-1], sight.p_WG)
+        ends = goal_postures(self._chain, target, leading.q[0, -1], seeds=4)[:1]
+        world = self._world(sight, ends)
+        settled = here.tau > 0.0 and not sight.scene.moves
+        search = ArmSearch(
+            scene,
+            world,
+            sight.q,
+            leading,
+            duration=dmp.duration,
+            dmp=dmp,
+            previous=here.genes,
+            parameters=self._search,
+            settled=settled,
+        )
+        result = search.run(self._weights)
+        genes = np.array(result.genes[0])
+        return self._chosen(here, sight, world, search, genes, float(result.path_length[0]))
+
+    def _chosen(
+        self,
+        here: Choice,
+        sight: Sight,
+        world: ArmWorld,
+        search: ArmSearch,
+        genes: FloatArray,
+        length: float,
+    ) -> Choice:
+        """What one candidate comes to, as a choice."""
+        tool = search.tool_paths(genes[None])
+        arm = search.follow(genes[None], tool, np.full(1, -np.inf))
+        count = int(arm.samples[0])
+        s = search.sample_times(count)
+        seconds = search.duration * math.exp(genes[TAU])
+        kept, near = self._kept(world, arm.q[0, :count], world.now + seconds * (s - s[0]))
+        short = max(-float(arm.least[0]) - self._search.slack, 0.0)
+        follows = float(arm.error[0]) <= self._parameters.missed and float(arm.hurry[0]) <= 1.0
+        baseline = float(search.scenes.baseline[0])
+        follows &= float(tool.goal_error[0]) <= self._search.astray * baseline
+        moving = sight.scene.moves
+        tau = math.exp(genes[TAU]) if moving else 1.0
+        if not moving:
+            tau = max(1.0, (here.travelled + length) / max(search.planned_length, 1e-9))
+        motion = PlannedMotion(
+            s, tool.path[0, :: search.every][:count], arm.q[0, :count], here.p_WS
+        )
+        return replace(
+            here,
+            genes=genes if genes[LOG_ALPHA] > -np.inf else np.full(N_GENES, np.nan),
+            term=search.terms(genes),
+            tau=tau,
+            motion=motion,
+            kept=kept,
+            short=short,
+            short_of=sight.scene.labels[near] if near >= 0 else "the arm itself",
+            follows=follows,
+            lowered=max(self._clearance - float(world.asked.of_solids.max(initial=-np.inf)), 0.0)
+            if len(sight.scene)
+            else 0.0,
+            note="",
+        )
+
+    def _kept(self, world: ArmWorld, q: FloatArray, t: FloatArray) -> tuple[FloatArray, int]:
+        """(2,) least distances of tool and links along a motion [m], and to which solid."""
+        least, near = np.full(2, np.inf), -1
+        for row in range(0, len(t), 2):
+            d = group_distances(self._chain, self._spheres, world.solids, q[row], float(t[row]))
+            moved = self._spheres.group_joint >= 0
+            for k, which in enumerate((world.asked.is_tool, ~world.asked.is_tool & moved)):
+                if not d[which].size:
+                    continue
+                at = np.unravel_index(d[which].argmin(), d[which].shape)
+                if d[which][at] < least[k]:
+                    least[k] = d[which][at]
+                    if least[k] == least.min():
+                        near = int(at[1])
+        return least, near
+
+    def _scene(self, sight: Sight, dmp: Dmp) -> SpatialScenes:
+        policy, seen = sight.policy, sight.ellipsoids
+        lag = sight.time - seen.stamp if math.isfinite(seen.stamp) else 0.0
+        return SpatialScenes(
+            p_WE=policy.p_WE[None],
+            z_W=policy.z_W[None],
+            p_WG=np.asarray(sight.p_WG, dtype=float)[None],
+            R_WL=local_frame(policy.p_WS, sight.p_WG)[None],
+            baseline=np.array([math.dist(sight.p_WG, policy.p_WS)]),
+            p_WO=(seen.p_WO + lag * seen.v_WO)[None],
+            R_WO=seen.R_WO[None],
+            semi_axes=seen.semi_axes[None],
+            v_WO=seen.v_WO[None],
+            clearance=np.full((1, len(seen)), self._clearance),
+            s=max(0.0, normalised_time(policy.phase, dmp.alpha_k)),
+        )
+
+    # --- a path in the joints -------------------------------------------------------------
+
+    def _planned(self, here: Choice, sight: Sight) -> Choice | None:
+        """A motion that imitates a path in the joints; None: there is none that keeps more."""
+        p = self._parameters
+        X_WG = np.append(self._task.R_WE[-1], sight.p_WG)
+        first = self._task.q[0, -1] if self._q_goal is None else self._q_goal
+        goals = goal_postures(self._chain, X_WG, first, seeds=p.goal_seeds)
+        if not len(goals):
+            return None
+        pace = self._dmp.duration / max(math.dist(sight.p_WG, sight.policy.p_WS), 1e-3)
+        for share in p.shares:
+            for ends in (goals[:1], goals[1:]):
+                if not len(ends):
+                    continue
+                world = self._world(sight, ends, share)
+                found = plan_path(world, sight.q, ends, most=p.most, seed=1)
+                if not len(found.q):
+                    continue
+                try:
+                    shown = demonstration(
+                        world, found.q, pace=pace, share=p.speed_share, alpha_k=self._dmp.alpha_k
+                    )
+                except ValueError:
+                    continue
+                choice = self._imitated(here, sight, world, shown)
+                if choice.follows and choice.short == 0.0:
+                    return replace(choice, short=max(here.short, 1e-6) if share < 1.0 else 0.0)
+        return None
+
+    def _imitated(
+        self, here: Choice, sight: Sight, world: ArmWorld, shown: Demonstration
+    ) -> Choice:
+        """The motion that imitates a demonstration from where the arm rests."""
+        policy = sight.policy
+        rests = replace(policy, p_WS=policy.p_WE, z_W=np.zeros(3), phase=1.0)
+        at = replace(here, demonstration=shown, travelled=0.0, genes=np.full(N_GENES, np.nan))
+        sight = replace(sight, policy=rests)
+        dmp = self._dmp_of(at)
+        search = ArmSearch(
+            self._scene(sight, dmp),
+            world,
+            sight.q,
+            self._leading(at, sight),
+            duration=dmp.duration,
+            dmp=dmp,
+            previous=at.genes,
+            parameters=self._search,
+        )
+        genes = np.zeros(N_GENES)
+        genes[LOG_ALPHA] = -np.inf
+        chosen = self._chosen(at, sight, world, search, genes, 0.0)
+        return replace(chosen, tau=1.0, anew=True)
+
+
+def _travelled(before: Choice, policy: PolicyState) -> float:
+    """Length of the way that the motion has gone [m]."""
+    if not np.isfinite(before.p_WE).all():
+        return math.dist(policy.p_WE, policy.p_WS)
+    return before.travelled + math.dist(policy.p_WE, before.p_WE)

@@ -1,0 +1,106 @@
+"""Solids as the simulated world knows them, exactly."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.geometry import QueryObject, SceneGraphInspector
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import BodyIndex
+from pydrake.systems.framework import Context, LeafSystem, State
+
+from drake_oa.common.messages import OUT_OF_WORLD
+from drake_oa.common.ports import read_value, valid_period
+from drake_oa.geometry.solids import body_solids, solids_of
+from drake_oa.planning.solid_scene import SolidScene
+
+_AT_REST = 1e-3
+"""A slower body is taken to rest [m/s]: contact lets a standing one tremble."""
+
+
+class TrueSolids(LeafSystem):
+    """Knows the collision geometry of bodies, and asks SceneGraph where they are.
+
+    .. pydrake_system::
+
+      name: TrueSolids
+      input_ports:
+      - query_object
+      output_ports:
+      - solids_W
+
+    - query_object: of the scene graph that holds the bodies.
+    - solids_W: abstract `SolidScene`: their solids, with the velocity of each body's origin since
+      the reading before, 0 below 1 mm/s; those farther from the world's origin than
+      `messages.OUT_OF_WORLD` are left out.
+
+    The poses are read at initialization and then every `period`.
+    """
+
+    def __init__(
+        self,
+        plant: MultibodyPlant,
+        inspector: SceneGraphInspector,
+        bodies: Sequence[BodyIndex],
+        *,
+        period: float = 1.0 / 15.0,
+    ) -> None:
+        """Reads the geometry.
+
+        Args:
+            plant: finalized plant that holds the bodies.
+            inspector: of its scene graph.
+            bodies: which; what has no collision geometry adds nothing.
+            period: time between readings [s].
+
+        Raises:
+            ValueError: naming the geometry, for a shape that is no solid, or for a period that is
+                not positive.
+        """
+        super().__init__()
+        context = plant.CreateDefaultContext()
+        self._bodies = []
+        for index in bodies:
+            body = plant.get_body(index)
+            X_BW = plant.EvalBodyPoseInWorld(context, body).inverse().GetAsMatrix4()
+            solids = body_solids(plant, inspector, context, [body])
+            of_body = [replace(solid, X_WO=X_BW @ solid.X_WO) for solid in solids]
+            self._bodies.append((plant.GetBodyFrameIdOrThrow(index), of_body))
+        period = valid_period(period)
+        self._query = self.DeclareAbstractInputPort("query_object", Value(QueryObject()))
+        origins = self.DeclareDiscreteState(3 * len(self._bodies))
+        self._scene = self.DeclareAbstractState(Value(SolidScene()))
+        self._origins = origins
+        self.DeclareStateOutputPort("solids_W", self._scene)
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._update)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._update)
+
+    def _update(self, context: Context, state: State) -> None:
+        query = read_value(self, self._query, context, QueryObject)
+        time = context.get_time()
+        before: SolidScene = context.get_abstract_state(self._scene).get_value()
+        was = context.get_discrete_state(self._origins).value().reshape(-1, 3)
+        dt = time - before.stamp
+        origins, solids = np.array(was), []
+        for row, (frame, of_body) in enumerate(self._bodies):
+            X_WB = query.GetPoseInWorld(frame).GetAsMatrix4()
+            origins[row] = X_WB[:3, 3]
+            if np.abs(origins[row]).max() > OUT_OF_WORLD:
+                continue
+            velocity = np.zeros(3)
+            appeared = np.abs(was[row]).max() > OUT_OF_WORLD
+            if 0.0 < dt < math.inf and not appeared:
+                velocity = (origins[row] - was[row]) / dt
+            if np.linalg.norm(velocity) < _AT_REST:
+                velocity = np.zeros(3)
+            solids += [
+                replace(solid, X_WO=X_WB @ solid.X_WO, v_WO=velocity, stamp=time)
+                for solid in of_body
+            ]
+        scene = SolidScene(time, solids_of(solids), tuple(solid.label for solid in solids))
+        state.get_mutable_discrete_state(self._origins).SetFromVector(origins.ravel())
+        state.get_mutable_abstract_state(self._scene).set_value(scene)
