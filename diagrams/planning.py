@@ -18,7 +18,7 @@ from drake_oa.planning.true_solids import TrueSolids
 from drake_oa.regulation.config import WholeArm
 from drake_oa.regulation.regressor import ChainWeights
 from drake_oa.robot.grasped_object import tool_links
-from drake_oa.robot.spheres import make_arm_spheres
+from drake_oa.robot.spheres import SphereParameters, make_arm_spheres
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import perception_period
 from drake_oa.scenario.tool_orientation import end_rotations, tool_orientation
@@ -74,7 +74,13 @@ def make_motion_selector(scenario: Scenario, cell: Cell, weights: ChainWeights) 
     if robot is None or not isinstance(regulation, WholeArm):
         raise ScenarioError("regulation: is not !WholeArm, or there is no robot")
     arm = arm_model(scenario, robot, cell.robot_plant, cell.q_start)
-    spheres = make_arm_spheres(cell.robot_plant, cell.q_start, tool_links(robot)).arrays
+    of_arm = make_arm_spheres(
+        cell.robot_plant,
+        cell.q_start,
+        tool_links(robot),
+        SphereParameters(overshoot=regulation.overshoot, tool_overshoot=regulation.tool_overshoot),
+    )
+    spheres = of_arm.arrays
     dmp = make_dmp(scenario)
     steps = min(max(round(dmp.duration / policy.period), _LEAST_STEPS), _MOST_STEPS)
     held, R_WE = tool_orientation(scenario), end_rotations(scenario)[0].matrix()
@@ -91,6 +97,7 @@ def make_motion_selector(scenario: Scenario, cell: Cell, weights: ChainWeights) 
         fade=policy.fade,
         orientation=(lambda s: np.tile(R_WE, (len(s), 1, 1))) if held is None else held.along,
         posture=(lambda s: np.tile(q_rest, (len(s), 1))) if guide is None else guide,
+        overshoot=of_arm.overshoot,
         q_goal=None if task.q_goal is None else np.asarray(task.q_goal, dtype=float),
     )
     return MotionSelector(

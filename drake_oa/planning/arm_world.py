@@ -277,6 +277,16 @@ def group_distances(
     return found
 
 
+@compiled
+def group_distances_along(world: ArmWorld, q: FloatArray) -> FloatArray:
+    """(G, K) least `group_distances` of configurations (T, n) now [m]."""
+    least = np.full((len(world.spheres.group_joint), len(world.solids.ball)), np.inf)
+    for row in range(len(q)):
+        found = group_distances(world.chain, world.spheres, world.solids, q[row], world.now)
+        least = np.minimum(least, found)
+    return least
+
+
 def make_chain(arm: ArmModel, spheres: Spheres) -> Chain:
     """The joints of an arm, and how far its spheres reach beyond each."""
     step = np.linalg.norm(arm.X_PJ[:, :3, 3], axis=1)

@@ -7,6 +7,8 @@ along the path by their common phase.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter1d
@@ -31,6 +33,7 @@ def demonstration(
     corners: FloatArray,
     *,
     pace: float,
+    longest: float = math.inf,
     share: float = 0.5,
     alpha_k: float = ALPHA_K,
 ) -> Demonstration:
@@ -40,6 +43,7 @@ def demonstration(
         world: in which its corners may be rounded as far as the clearance is kept.
         corners: (C, n) of the path [rad].
         pace: time a metre of the tool's way [s/m].
+        longest: it takes no longer where the joints can [s].
         share: no joint goes faster than this share of its greatest speed.
         alpha_k: decay of the phase.
 
@@ -51,7 +55,8 @@ def demonstration(
     s = np.linspace(0.0, 1.0, SAMPLES)
     q = np.asarray(make_interp_spline(s, q, k=3)(minimum_jerk_share(s)))
     X_WE = tool_poses(world.chain, q)
-    seconds = max(pace * _length(X_WE[:, 9:]), _least_seconds(q, s, world.chain, share))
+    seconds = min(pace * _length(X_WE[:, 9:]), longest)
+    seconds = max(seconds, _least_seconds(q, s, world.chain, share))
     t, R_WE = seconds * s, X_WE[:, :9].reshape(-1, 3, 3)
     return Demonstration(
         imitate(X_WE[:, 9:], t, n_basis=_N_BASIS, alpha_k=alpha_k),

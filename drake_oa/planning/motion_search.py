@@ -30,12 +30,13 @@ from drake_oa.planning.arm_world import (
     Asked,
     Chain,
     group_distances,
+    group_distances_along,
     tool_poses,
 )
 from drake_oa.planning.goal_postures import goal_postures
 from drake_oa.planning.imitation import demonstration
 from drake_oa.planning.joint_planner import plan_path
-from drake_oa.planning.search import ArmSearch, Leading
+from drake_oa.planning.search import SAMPLES, ArmSearch, Leading
 from drake_oa.planning.solid_scene import SolidScene
 from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
 from drake_oa.policy.demonstration import Demonstration
@@ -161,6 +162,7 @@ class MotionSearch:
         orientation: Callable[[FloatArray], FloatArray],
         posture: Callable[[FloatArray], FloatArray],
         q_goal: FloatArray | None = None,
+        overshoot: float = 0.0,
     ) -> None:
         """Keeps what does not change.
 
@@ -175,13 +177,14 @@ class MotionSearch:
             orientation: (T, 3, 3) of the tool at normalised times (T,).
             posture: (T, n) that the null space is drawn to at normalised times (T,) [rad].
             q_goal: (n,) joints at the goal, where the task gives them [rad].
+            overshoot: how far the spheres stick out of the robot [m].
         """
         self._weights, self._dmp, self._clearance = weights, dmp, clearance
         self._chain, self._spheres, self._parameters = chain, spheres, parameters
         self._search = parameters.search(steps, fade)
         s = np.linspace(0.0, 1.0, _LED)
         self._task = Leading(s, orientation(s).reshape(_LED, 9), posture(s)[None])
-        self._q_goal = q_goal
+        self._q_goal, self._overshoot = q_goal, overshoot
 
     def decide(self, before: Choice, sight: Sight) -> Choice:
         """Looks at a motion under way, and chooses anew if there is reason to."""
@@ -217,7 +220,7 @@ class MotionSearch:
             found = replace(found, planned=sight.time)
         if not found.follows:
             return replace(found, note="no motion that the arm can follow found")
-        if min(found.kept) <= self._parameters.least_kept:
+        if min(found.kept) <= self._parameters.least_kept - self._overshoot:
             return replace(found, note=f"no motion that clears {found.short_of} found")
         return found
 
@@ -272,6 +275,7 @@ class MotionSearch:
             previous=here.genes,
             parameters=self._search,
             settled=settled,
+            samples=SAMPLES if here.demonstration.position is None else _LED,
         )
         result = search.run(self._weights)
         genes = np.array(result.genes[0])
@@ -356,32 +360,60 @@ class MotionSearch:
     # --- a path in the joints -------------------------------------------------------------
 
     def _planned(self, here: Choice, sight: Sight) -> Choice | None:
-        """A motion that imitates a path in the joints; None: there is none that keeps more."""
+        """A motion that imitates a path in the joints; None: there is none that is clear."""
         p = self._parameters
         X_WG = np.append(self._task.R_WE[-1], sight.p_WG)
         first = self._task.q[0, -1] if self._q_goal is None else self._q_goal
-        goals = goal_postures(self._chain, X_WG, first, seeds=p.goal_seeds)
-        if not len(goals):
+        goals = [
+            q
+            for q in goal_postures(self._chain, X_WG, first, seeds=p.goal_seeds)
+            if self._least(sight, q) > p.least_kept - self._overshoot
+        ]
+        if not goals:
             return None
-        pace = self._dmp.duration / max(math.dist(sight.p_WG, sight.policy.p_WS), 1e-3)
-        for share in p.shares:
+        attempts = [(share, p.configurations) for share in (1.0, *p.shares)]
+        attempts.append((min(p.shares, default=1.0), p.last_configurations))
+        for share, most in attempts:
+            # To the task's own posture first: the tool turns no farther than it has to.
             for ends in (goals[:1], goals[1:]):
-                if not len(ends):
-                    continue
-                world = self._world(sight, ends, share)
-                found = plan_path(world, sight.q, ends, most=p.most, seed=1)
-                if not len(found.q):
-                    continue
-                try:
-                    shown = demonstration(
-                        world, found.q, pace=pace, share=p.speed_share, alpha_k=self._dmp.alpha_k
-                    )
-                except ValueError:
-                    continue
-                choice = self._imitated(here, sight, world, shown)
-                if choice.follows and choice.short == 0.0:
-                    return replace(choice, short=max(here.short, 1e-6) if share < 1.0 else 0.0)
+                choice = self._path_to(np.array(ends), share, most, here, sight)
+                if choice is not None:
+                    return choice
         return None
+
+    def _path_to(
+        self, ends: FloatArray, share: float, most: int, here: Choice, sight: Sight
+    ) -> Choice | None:
+        """A path to one of some postures, for a share of what is asked, as a motion."""
+        if not len(ends):
+            return None
+        p = self._parameters
+        world = self._world(sight, ends, share)
+        found = plan_path(world, sight.q, ends, most=most, seed=1)
+        if not len(found.q):
+            return None
+        duration = self._dmp.duration
+        try:
+            shown = demonstration(
+                world,
+                found.q,
+                pace=duration / max(math.dist(sight.p_WG, sight.policy.p_WE), 1e-3),
+                longest=p.longest * duration,
+                share=p.speed_share,
+                alpha_k=self._dmp.alpha_k,
+            )
+        except ValueError:
+            # The tool turns too far for one primitive.
+            return None
+        choice = self._imitated(here, sight, world, shown)
+        if not choice.follows or min(choice.kept) <= p.least_kept - self._overshoot:
+            return None
+        return choice
+
+    def _least(self, sight: Sight, q: FloatArray) -> float:
+        """What the moving groups keep of the solids at a configuration at least [m]."""
+        d = group_distances(self._chain, self._spheres, sight.scene.solids, q, sight.time)
+        return float(d[self._spheres.group_joint >= 0].min(initial=math.inf))
 
     def _imitated(
         self, here: Choice, sight: Sight, world: ArmWorld, shown: Demonstration
@@ -401,11 +433,17 @@ class MotionSearch:
             dmp=dmp,
             previous=at.genes,
             parameters=self._search,
+            samples=_LED,
         )
         genes = np.zeros(N_GENES)
         genes[LOG_ALPHA] = -np.inf
         chosen = self._chosen(at, sight, world, search, genes, 0.0)
-        return replace(chosen, tau=1.0, anew=True)
+        # Of all that is asked, not of the share that was.
+        whole = self._world(sight, shown.q[-1:])
+        kept = group_distances_along(whole, chosen.motion.q)
+        lacks = float((whole.asked.of_solids - kept).max(initial=0.0))
+        short = max(lacks - self._search.slack, 0.0)
+        return replace(chosen, short=short, tau=1.0, anew=True)
 
 
 def _travelled(before: Choice, policy: PolicyState) -> float:

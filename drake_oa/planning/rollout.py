@@ -129,7 +129,8 @@ def _roll_one(
         if math.isnan(p[row, 0]):
             break
         target[:9], target[9:] = paths.R_WE[paths.turn[i], row], p[row]
-        missed = follow(q, target, guide[row], PULL if row > 0 else 0.0, chain, room)
+        pull = 1.0 - math.exp(PULL * (s[row - 1] - s[row])) if row > 0 else 0.0
+        missed = follow(q, target, guide, row, pull, chain, room)
         Q[i, row] = q
         done = row + 1
         if row > 0:

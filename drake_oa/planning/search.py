@@ -79,13 +79,14 @@ class ArmSearch(Search):
         parameters: SearchParameters,
         settled: bool = False,
         posture: int = 0,
+        samples: int = SAMPLES,
     ) -> None:
         super().__init__(scene, duration, dmp, previous[None], parameters, settled=settled)
         self.world, self.q, self.leading = world, q, leading
         self.posture = posture
         # The tool's path is rolled out without the ellipsoids: they propose, and decide nothing.
         self.empty = scene.without_obstacles()
-        self.every = max(round(parameters.steps / SAMPLES), 1)
+        self.every = max(round(parameters.steps / samples), 1)
         plan = trajectory(dmp, np.zeros(3), np.array([1.0, 0.0, 0.0])).p
         self.planned_length = float(np.linalg.norm(np.diff(plan, axis=0), axis=1).sum())
         self.planned_length *= float(scene.baseline[0])

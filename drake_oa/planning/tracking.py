@@ -2,10 +2,11 @@
 
 From pose to pose two Gauss-Newton steps, damped where the arm is singular,
 
-    dq = k (g - q) + J^T (J J^T + damp I)^-1 (e - k J (g - q)),
+    dq = l + J^T (J J^T + damp I)^-1 (e - J l),    l = g' - g + k (g - q),
 
-e the way and turn to the next pose, g a posture that the null space is drawn to, k by how much.
-The first step draws, the second one lands. An arm of six joints has no null space.
+e the way and turn to the next pose, g a posture that the null space is led along, g' the next one,
+k by how much it is drawn to it. The first step leads, the second one, with l = 0, lands. An arm of
+six joints has no null space.
 """
 
 from __future__ import annotations
@@ -19,25 +20,37 @@ from drake_oa.common.compiled import compiled, leaf
 from drake_oa.common.messages import FloatArray
 from drake_oa.planning.arm_world import Chain, chain_poses
 
-PULL = 0.3
-"""Share of the way to the guiding posture that is gone from one pose to the next."""
+PULL = 20.0
+"""How fast the null space is drawn to the guiding posture: what is left of the way to it falls to
+1 / e in 1 / 20 of the motion."""
 _DRAWN, _LANDED = 1e-4, 1e-7
 """Damping of the two steps [m^2]: at 1e-4 a singular arm moves a joint by 1 rad for 1 cm."""
+_LANDINGS, _MISSED = 4, 1e-4
+"""The second step is repeated so often, until no more is missed [m, rad]."""
 
 
 class Scratch(NamedTuple):
-    """Room that the kernels work in: poses (n + 2, 12), Jacobian (6, n), its square, an error."""
+    """Room that the kernels work in.
+
+    Attributes:
+        X: (n + 2, 12) poses.
+        J, JJ: (6, n) the tool's Jacobian, and (6, 6) its square.
+        e: (6,) an error.
+        lead: (n,) where the null space is led.
+    """
 
     X: FloatArray
     J: FloatArray
     JJ: FloatArray
     e: FloatArray
+    lead: FloatArray
 
 
 @compiled
 def scratch(n: int) -> Scratch:
     """Of an arm of n joints."""
-    return Scratch(np.empty((n + 2, 12)), np.empty((6, n)), np.empty((6, 6)), np.empty(6))
+    X, J, JJ = np.empty((n + 2, 12)), np.empty((6, n)), np.empty((6, 6))
+    return Scratch(X, J, JJ, np.empty(6), np.zeros(n))
 
 
 @leaf
@@ -95,21 +108,14 @@ def pose_error(X: FloatArray, target: FloatArray, e: FloatArray) -> float:
 
 @leaf
 def step_toward(
-    q: FloatArray,
-    target: FloatArray,
-    guide: FloatArray,
-    pull: float,
-    damping: float,
-    chain: Chain,
-    room: Scratch,
+    q: FloatArray, target: FloatArray, damping: float, chain: Chain, room: Scratch
 ) -> float:
     """One step of q, in place and within the limits, to a pose of the tool.
 
     Args:
-        q: (n,) [rad]; `room.X` holds its poses, see `chain_poses`.
+        q: (n,) [rad]; `room.X` holds its poses, see `chain_poses`, and `room.lead` where its null
+            space is led.
         target: (12,) pose that is asked.
-        guide: (n,) posture that the null space is drawn to [rad].
-        pull: share of the way to it.
         damping: [m^2].
         chain: the arm.
         room: to work in.
@@ -118,7 +124,7 @@ def step_toward(
         The largest error before the step [m, rad].
     """
     n = len(q)
-    X, J, JJ, e = room
+    X, J, JJ, e, lead = room
     largest = pose_error(X, target, e)
     for i in range(n):
         ax, ay, az = X[i + 1, 2], X[i + 1, 5], X[i + 1, 8]
@@ -135,10 +141,10 @@ def step_toward(
             JJ[i, j] = v
         JJ[i, i] += damping
         for k in range(n):
-            e[i] -= pull * J[i, k] * (guide[k] - q[k])
+            e[i] -= J[i, k] * lead[k]
     _solve(JJ, e)
     for k in range(n):
-        v = pull * (guide[k] - q[k])
+        v = lead[k]
         for i in range(6):
             v += J[i, k] * e[i]
         q[k] = min(max(q[k] + v, chain.lower[k]), chain.upper[k])
@@ -147,19 +153,44 @@ def step_toward(
 
 @leaf
 def follow(
-    q: FloatArray, target: FloatArray, guide: FloatArray, pull: float, chain: Chain, room: Scratch
+    q: FloatArray,
+    target: FloatArray,
+    guide: FloatArray,
+    row: int,
+    pull: float,
+    chain: Chain,
+    room: Scratch,
 ) -> float:
     """q, in place, goes on to the next pose of the tool; leaves the poses of the new q in `room`.
+
+    Args:
+        q: (n,) [rad].
+        target: (12,) the next pose.
+        guide: (T, n) postures that the null space is led along [rad].
+        row: of the next of them; 0: it is not led.
+        pull: share of the way to them that it is drawn.
+        chain: the arm.
+        room: to work in.
 
     Returns:
         The error that is left [m, rad].
     """
     chain_poses(q, chain.X_PJ, room.X)
-    step_toward(q, target, guide, pull, _DRAWN, chain, room)
+    if row > 0:
+        for i in range(len(q)):
+            ahead = guide[row, i] - guide[row - 1, i]
+            room.lead[i] = ahead + pull * (guide[row - 1, i] - q[i])
+    step_toward(q, target, _DRAWN, chain, room)
+    room.lead[:] = 0.0
     chain_poses(q, chain.X_PJ, room.X)
-    step_toward(q, target, q, 0.0, _LANDED, chain, room)
-    chain_poses(q, chain.X_PJ, room.X)
-    return pose_error(room.X, target, room.e)
+    missed = np.inf
+    for _ in range(_LANDINGS):
+        step_toward(q, target, _LANDED, chain, room)
+        chain_poses(q, chain.X_PJ, room.X)
+        missed = pose_error(room.X, target, room.e)
+        if missed < _MISSED:
+            break
+    return missed
 
 
 @compiled
@@ -169,6 +200,6 @@ def reach(
     """Whether q, in place, reaches a pose of the tool in so many steps, within [m, rad]."""
     for _ in range(steps):
         chain_poses(q, chain.X_PJ, room.X)
-        if step_toward(q, target, q, 0.0, _DRAWN, chain, room) <= tolerance:
+        if step_toward(q, target, _DRAWN, chain, room) <= tolerance:
             return True
     return False

@@ -61,6 +61,9 @@ class OrientationDmp(Frozen):
             from sample to sample; zero where nothing was demonstrated [rad].
         first: (3, 3) orientation that the demonstration starts with.
         last: (3, 3) orientation that it ends with.
+        offset: (3,) rotation vector of the start from where they are counted; zero but for a
+            demonstration that turns farther than `LARGEST_ANGLE` from its start, which is counted
+            from its middle: then r is what comes to it, and all above holds for r [rad].
 
     Raises:
         ValueError: if the primitive does not have four dimensions.
@@ -70,6 +73,7 @@ class OrientationDmp(Frozen):
     total: FloatArray = field(default_factory=lambda: np.zeros(3))
     first: FloatArray = field(default_factory=lambda: np.eye(3))
     last: FloatArray = field(default_factory=lambda: np.eye(3))
+    offset: FloatArray = field(default_factory=lambda: np.zeros(3))
     constants: FloatArray = field(init=False, repr=False, default_factory=lambda: np.zeros(3))
     basis: FloatArray = field(init=False, repr=False, default_factory=lambda: np.zeros(0))
 
@@ -162,7 +166,6 @@ def imitate_orientation(
             or a motion that turns further than `LARGEST_ANGLE` from its start.
     """
     R = _rotations(orientations)
-    r = np.zeros((len(R), 3))
     for row in range(1, len(R)):
         step = float(np.linalg.norm(rotation_vector(np.ascontiguousarray(R[row - 1].T @ R[row]))))
         if step > _HALF_TURN:
@@ -170,14 +173,17 @@ def imitate_orientation(
                 f"orientations: samples {row - 1} and {row} are half a turn apart, which leaves "
                 "open which way round; sample more often"
             )
-        of_start = rotation_vector(np.ascontiguousarray(R[0].T @ R[row]))
-        r[row] = _nearest(of_start, r[row - 1])
-        angle = float(np.linalg.norm(r[row]))
-        if angle > LARGEST_ANGLE:
-            raise ValueError(
-                f"orientations: sample {row} has turned {math.degrees(angle):.0f} degrees from "
-                f"the first; at most {math.degrees(LARGEST_ANGLE):.0f} can be imitated"
-            )
+    r = _vectors_from(R, 0)
+    if np.linalg.norm(r, axis=1).max() > LARGEST_ANGLE:
+        r = _vectors_from(R, len(R) // 2)
+    angles = np.linalg.norm(r, axis=1)
+    if angles.max() > LARGEST_ANGLE:
+        row = int(np.argmax(angles > LARGEST_ANGLE))
+        raise ValueError(
+            f"orientations: sample {row} has turned {math.degrees(angles[row]):.0f} degrees from "
+            f"the middle; at most {math.degrees(LARGEST_ANGLE):.0f} can be imitated"
+        )
+    offset, r = r[0].copy(), r - r[0]
     count = len(R)
     stamps = np.linspace(0.0, 1.0, count) if t is None else np.asarray(t, dtype=float)
     s = np.linspace(0.0, 1.0, count)
@@ -187,7 +193,23 @@ def imitate_orientation(
     # A path whose baseline is the first axis, and 1: nothing is turned or scaled.
     path = np.column_stack([share, r - share[:, None] * r[-1]])
     dmp = imitate(path, stamps, n_basis=n_basis, alpha_x=alpha_x, beta_x=beta_x, alpha_k=alpha_k)
-    return OrientationDmp(dmp, total=r[-1].copy(), first=R[0].copy(), last=R[-1].copy())
+    return OrientationDmp(dmp, r[-1].copy(), R[0].copy(), R[-1].copy(), offset)
+
+
+def _vectors_from(R: FloatArray, origin: int) -> FloatArray:
+    """(T, 3) rotation vectors of orientations (T, 3, 3) from one of them, from sample to sample."""
+    r = np.zeros((len(R), 3))
+    for rows in (range(origin + 1, len(R)), range(origin - 1, -1, -1)):
+        before = np.zeros(3)
+        for row in rows:
+            vector = rotation_vector(np.ascontiguousarray(R[origin].T @ R[row]))
+            before = r[row] = _nearest(vector, before)
+    return r
+
+
+def origin_of(primitive: OrientationDmp, start: FloatArray) -> FloatArray:
+    """(3, 3) orientation from which a motion from a start (3, 3) is counted."""
+    return np.asarray(start @ rotation_of(exponential(primitive.offset)).T)
 
 
 def minimum_jerk_orientation(
@@ -295,12 +317,17 @@ def orientation_along(
     R_WS = np.asarray(start, dtype=float)
     target = demonstrated_goal(primitive, R_WS, goal)
     r = roll(target, primitive.constants, primitive.basis, times, _STEP)[:, :3]
-    return np.array([R_WS @ rotation_of(exponential(row)) for row in r])
+    origin = origin_of(primitive, R_WS)
+    return np.array([origin @ rotation_of(exponential(row + primitive.offset)) for row in r])
 
 
 def demonstrated_goal(primitive: OrientationDmp, start: ArrayLike, goal: ArrayLike) -> FloatArray:
-    """`goal_vector` the way round that was demonstrated; the shortest where nothing was."""
-    return goal_vector(start, goal, primitive.total if primitive.total.any() else None)
+    """The target of r, the way round that was demonstrated; the shortest where nothing was."""
+    if not primitive.total.any():
+        return goal_vector(start, goal)
+    offset = primitive.offset
+    origin = origin_of(primitive, np.asarray(start, dtype=float))
+    return np.asarray(goal_vector(origin, goal, primitive.total + offset) - offset)
 
 
 # A motion between two steps of the policy: when it begins and how long it is, r and its rate
@@ -318,7 +345,9 @@ BEGIN, LENGTH, R, RATE, R_END, RATE_END, TURN, TURN_RATE, TURN_ACCELERATION = (
 )
 
 
-N_MOTION = 17
+OFFSET = 17
+"""Where r is counted from, see `OrientationDmp.offset` (3,)."""
+N_MOTION = 20
 
 
 SUB_STEP = 5e-4
@@ -480,8 +509,8 @@ def evaluate(motion: FloatArray, start: FloatArray, axis_W: FloatArray, time: fl
     last rate.
 
     Args:
-        motion: (17,) as laid out above.
-        start: (4,) quaternion of R_WS.
+        motion: (20,) as laid out above.
+        start: (4,) quaternion of the orientation that r is counted from.
         axis_W: (3,) unit axis of the turn.
         time: [s].
     """
@@ -510,6 +539,8 @@ def evaluate(motion: FloatArray, start: FloatArray, axis_W: FloatArray, time: fl
     turn += beyond * rate
     if beyond > 0.0:
         acceleration = 0.0
+    for i in range(3):
+        r[i] += motion[OFFSET + i]
     placed = product(exponential(turn * axis_W), start)
     w_S, alpha_S = angular_motion(r, dr, ddr)
     R_WS = rotation_of(placed)

@@ -38,7 +38,7 @@ class OrientationSegment(Frozen):
     """The turning between two steps.
 
     Attributes:
-        motion: (17,) as `drake_oa.policy.orientation_dmp` lays it out.
+        motion: (20,) as `drake_oa.policy.orientation_dmp` lays it out.
         r: (3,) rotation vector from the start's orientation at the end of it [rad].
         z: (3,) its derivative by normalised time [rad].
         phase: canonical phase of the policy, as last seen.
@@ -201,8 +201,9 @@ class OrientationIntegrator(LeafSystem):
             R_WG = rotation_matrix(asked)
         except ValueError as error:
             raise ValueError(f"{self.get_name()}: goal_orientation: {error}") from None
-        R_WS = rotation_matrix(before.start) if len(before.start) else self._R_WS
-        return goal_vector(R_WS, R_WG, before.goal), np.array(asked)
+        origin = rotation_matrix(before.start) if len(before.start) else self._R_WS
+        offset = before.motion[kernels.OFFSET :]
+        return goal_vector(origin, R_WG, before.goal + offset) - offset, np.array(asked)
 
     def _begun_anew(
         self, context: Context, before: OrientationSegment, policy: PolicyState
@@ -218,11 +219,12 @@ class OrientationIntegrator(LeafSystem):
             return seen
         # Counted anew from where it is, at rest.
         origin = before.start if len(before.start) else self._start
-        start = kernels.product(np.array(origin), kernels.exponential(before.r))
-        motion = np.array(before.motion)
-        motion[kernels.R : kernels.TURN] = 0.0
+        r = before.r + before.motion[kernels.OFFSET :]
+        start = kernels.product(np.array(origin), kernels.exponential(r))
         R_WG = self._R_WG if given.orientation is None else given.R_WG
         primitive = given.orientation or self._primitive
+        motion = np.array(before.motion)
+        motion[kernels.R : kernels.TURN], motion[kernels.OFFSET :] = 0.0, primitive.offset
         return replace(
             seen,
             motion=motion,
@@ -230,7 +232,7 @@ class OrientationIntegrator(LeafSystem):
             z=np.zeros(3),
             phase=policy.phase,
             goal=demonstrated_goal(primitive, rotation_matrix(start), R_WG),
-            start=start,
+            start=kernels.product(start, kernels.exponential(-primitive.offset)),
             demonstration=given,
         )
 
@@ -252,7 +254,10 @@ class OrientationIntegrator(LeafSystem):
         motion[kernels.RATE : kernels.R_END] = before.motion[kernels.RATE_END : kernels.TURN]
         motion[kernels.R_END : kernels.RATE_END] = r
         motion[kernels.RATE_END : kernels.TURN] = policy.speed * z
-        motion[kernels.TURN :] = self._next_turn(context, before.motion, float(now[-1]))
+        motion[kernels.TURN : kernels.OFFSET] = self._next_turn(
+            context, before.motion, float(now[-1])
+        )
+        motion[kernels.OFFSET :] = before.motion[kernels.OFFSET :]
         state.get_mutable_abstract_state(self._segment).set_value(
             replace(before, motion=motion, r=r, z=z, phase=policy.phase, goal=goal, asked=asked)
         )

@@ -118,19 +118,27 @@ class WholeArm:
     # may miss the tool's pose on the way [m, rad].
     astray: float = number(0.1, "1", 0.0, 10.0)
     missed: float = number(2e-3, "m", 0.0, 0.1)
+    # How far the spheres that stand for links and tool may stick out of them: less takes more of
+    # them, and time [m].
+    overshoot: float = number(0.008, "m", 0.0, 0.1, open_low=True)
+    tool_overshoot: float = number(0.004, "m", 0.0, 0.1, open_low=True)
     # What links keep of everything, what the arm keeps of itself, and the least that is gone on
     # with where what is asked cannot be kept [m].
     link_clearance: float = number(0.03, "m", 0.0, 1.0)
     self_clearance: float = number(0.005, "m", 0.0, 0.1)
     least_kept: float = number(1e-3, "m", 0.0, 1.0)
-    # How often a path in the joints is looked for while none of the motions will do [s], among
-    # how many configurations at most, to how many random postures at the goal, for which shares
-    # of what is asked, and with what share of the joints' greatest speeds it is gone.
+    # How often a path in the joints is looked for while none of the motions will do [s]; among how
+    # many configurations, for all that is asked, then for these shares of it, and at last for
+    # the smallest share among so many; and to how many random postures at the goal.
     seek_period: float = number(0.5, "s", 0.0, 100.0)
-    most: int = count(60_000, 0, 10_000_000)
-    goal_seeds: int = count(24, 0, 1000)
-    shares: list[float] = dc.field(default_factory=lambda: [1.0, 0.5, 0.2])
+    configurations: int = count(20_000, 0, 10_000_000)
+    shares: list[float] = dc.field(default_factory=lambda: [0.5, 0.2])
+    last_configurations: int = count(200_000, 0, 10_000_000)
+    goal_seeds: int = count(128, 0, 1000)
+    # With what share of the joints' greatest speeds it is gone at most, and in how many of the
+    # demonstrated durations, where the joints can.
     speed_share: float = number(0.5, "1", 0.0, 1.0, open_low=True)
+    longest: float = number(2.0, "1", 0.0, 100.0, open_low=True)
 
     def search(self, steps: int, fade: float) -> SearchParameters:
         """As the search of the tool's motions takes it."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from pydrake.common.value import Value
 from pydrake.math import RollPitchYaw
 from pydrake.systems.analysis import Simulator
@@ -25,15 +26,14 @@ START, GOAL = np.array([0.3, -0.4, 0.3]), np.array([0.3, 0.4, 0.3])
 R_WS = RollPitchYaw(np.pi, 0.0, 0.0).ToRotationMatrix().matrix()
 
 
-def arc() -> Demonstration:
-    """A half circle above the line in two seconds, and a turn of 60 degrees."""
+def arc(turned: float = np.pi / 3.0) -> Demonstration:
+    """A half circle above the line in two seconds, and a turn [rad]."""
     t = np.linspace(0.0, 2.0, 201)
     angle = np.pi * minimum_jerk_share(t / 2.0)
     center = 0.5 * (START + GOAL)
     path = center + 0.4 * np.column_stack([0.0 * t, -np.cos(angle), np.sin(angle)])
-    R = np.array(
-        [R_WS @ RollPitchYaw(0.0, 0.0, a / 3.0).ToRotationMatrix().matrix() for a in angle]
-    )
+    turns = [RollPitchYaw(0.0, 0.0, turned * a / np.pi).ToRotationMatrix() for a in angle]
+    R = R_WS @ np.array([turn.matrix() for turn in turns])
     return Demonstration(imitate(path, t), imitate_orientation(R, t), R[-1], t / 2.0)
 
 
@@ -71,14 +71,16 @@ def follow(run: Simulator, diagram: Diagram, end: float) -> tuple[FloatArray, Fl
     return np.array(places), rotation_matrix(read(turning, context, "desired_orientation"))
 
 
-def test_a_motion_that_begins_anew_imitates_what_is_shown() -> None:
-    run, diagram = simulator(CouplingParameters(anew=True, verified=True), arc())
+@pytest.mark.parametrize("turned", [np.pi / 3.0, -1.2, 7.0])
+def test_a_motion_that_begins_anew_imitates_what_is_shown(turned: float) -> None:
+    # 7 rad are 400 degrees: counted from the middle of the motion.
+    run, diagram = simulator(CouplingParameters(anew=True, verified=True), arc(turned))
     places, R_WE = follow(run, diagram, 3.5)
     radius = np.linalg.norm(places - 0.5 * (START + GOAL), axis=1)
     np.testing.assert_allclose(radius, 0.4, atol=5e-3)
     assert places[:, 2].max() > 0.69
     np.testing.assert_allclose(places[-1], GOAL, atol=1e-3)
-    np.testing.assert_allclose(R_WE, arc().R_WG, atol=5e-3)
+    np.testing.assert_allclose(R_WE, arc(turned).R_WG, atol=5e-3)
 
 
 def test_without_beginning_anew_it_goes_on_as_it_was() -> None:

@@ -296,9 +296,9 @@ def test_the_nearest_vector_is_taken(r: FloatArray, turns: int) -> None:
             "samples 0 and 1 are half a turn apart",
         ),
         (
-            np.array([turned(np.array([0.0, 0.0, x])) for x in np.linspace(0.0, 6.0, 20)]),
+            np.array([turned(np.array([0.0, 0.0, x])) for x in np.linspace(0.0, 12.0, 40)]),
             None,
-            "from the first; at most 300 can be imitated",
+            "from the middle; at most 300 can be imitated",
         ),
         (np.array([START, GOAL, GOAL]), [0.0, 1.0, 1.0], "sample 2 at 1.0 s follows 1.0 s"),
         (np.array([START, GOAL, GOAL]), [0.0, 2.0, 1.0], "sample 2 at 1.0 s follows 2.0 s"),
