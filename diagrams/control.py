@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
 from drake_oa.control.cartesian_inverse_dynamics import CartesianInverseDynamics
 from drake_oa.control.integral_action import IntegralAction
 from drake_oa.diagrams.station import Cell
+from drake_oa.regulation.config import WholeArm
 from drake_oa.robot.plant import RobotPlant, make_robot_plant
 from drake_oa.scenario.faults import ModelError
 from drake_oa.scenario.scenario import (
@@ -50,12 +53,20 @@ def make_controller(
     for fault in scenario.faults:
         if isinstance(fault, ModelError):
             robot_plant = make_robot_plant(robot, inertias=fault.inertias)
+    gains = robot.gains
+    if isinstance(scenario.regulation, WholeArm):
+        # The links go as near to things as the tool does: they are held as stiffly.
+        gains = replace(
+            gains,
+            kp_posture=max(gains.kp_posture, gains.kp_position),
+            kd_posture=max(gains.kd_posture, gains.kd_position),
+        )
     return CartesianInverseDynamics(
         robot_plant.plant,
         R_WE_desired=end_rotations(scenario)[0],
         q_posture=q_start,
         tool_frame=robot_plant.tool_frame.name(),
-        gains=robot.gains,
+        gains=gains,
         finger_opening=robot.finger_opening,
     )
 

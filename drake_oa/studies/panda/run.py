@@ -7,6 +7,8 @@ Methods:
                    P-plane, sides by cost rings, without a supervisor. The chain is the one
                    trained for this action level, as the paper's own counts alpha in rad/s
   verified         the project's: coupling parameters that roll-outs have checked
+  whole_arm        the project's, among the true shapes: motions of the whole arm, rolled out, and a
+                   plan that the primitives imitate where none of them clears
   differential_ik  Drake's differential inverse kinematics with collision constraints, which
                    knows the obstacles exactly, on the same planned motion; its tool is asked
                    for the same clearance, as far as start and goal have it
@@ -39,7 +41,7 @@ from typing import Any
 import numpy as np
 
 from drake_oa.perception.config import GroundTruth
-from drake_oa.regulation.config import Regressor, Verified
+from drake_oa.regulation.config import Regressor, Verified, WholeArm
 from drake_oa.runs.decision_costs import layer_costs
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.report import feasible_clearance, judge_of, motion_report
@@ -50,7 +52,7 @@ from drake_oa.studies.panda.scenes import check_perception
 
 PLANNER = "planner"
 DEFAULT_METHODS = ("preplanned", "paper", "verified", "differential_ik", "differential_ik_near")
-METHODS = (*DEFAULT_METHODS, PLANNER)
+METHODS = (*DEFAULT_METHODS, "whole_arm", PLANNER)
 TRUTH_ONLY = frozenset({"differential_ik", "differential_ik_near", PLANNER})
 """Methods that know the obstacles exactly, whatever the perception."""
 
@@ -81,7 +83,7 @@ _KEPT = (
 
 def default_methods(kind: str) -> tuple[str, ...]:
     """The methods of a kind of scenes where none are named: of tabletop without the planner."""
-    return DEFAULT_METHODS if kind == "tabletop" else METHODS
+    return DEFAULT_METHODS if kind == "tabletop" else (*DEFAULT_METHODS, PLANNER)
 
 
 _NUMBER = re.compile(r"[-+]?\b\d+(?:\.\d+)?(?:e[-+]?\d+)?\b")
@@ -157,6 +159,8 @@ def with_method(scenario: Scenario, method: str) -> Scenario:
         scenario.regulation = Regressor()
         scenario.policy.descriptor = "section"
         scenario.supervisor = None
+    elif method == "whole_arm":
+        scenario.regulation = WholeArm()
     elif method == "verified" and not isinstance(scenario.regulation, Verified):
         scenario.regulation = Verified()
     return scenario
