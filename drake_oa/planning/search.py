@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drake_oa.common.messages import FloatArray, Frozen, IntArray
+from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
 from drake_oa.planning.arm_world import FAR, ArmWorld
 from drake_oa.planning.rollout import ArmRollouts, ToolPaths, roll_out_arm
 from drake_oa.policy.dmp import Dmp, trajectory
@@ -36,6 +36,10 @@ from drake_oa.regulation.search import (
 
 SAMPLES = 64
 """Of a motion from s = 0 to 1 that are looked at: 3 cm apart at most on a way of 1 m."""
+DEEP = 0.06
+"""How much short a candidate is makes no difference beyond this [m]."""
+HOPELESS, ROUNDS_OF_HOPE = 0.015, 1
+"""A search whose best is short by so much after so many rounds is given up [m]."""
 MISSED = 2e-3
 """The arm follows a path of the tool if it misses it nowhere by more [m, rad]."""
 
@@ -104,7 +108,8 @@ class ArmSearch(Search):
         may = (worst - BAD - cost) * self.scenes.baseline[0] / PRICE
         may = np.where(worst < BAD, np.where(cost < worst, self.parameters.slack, -np.inf), may)
         hopeless = np.isneginf(may)
-        enough = np.where(hopeless, np.inf, -np.maximum(may, self.parameters.slack))
+        may = np.clip(may, self.parameters.slack, DEEP)
+        enough = np.where(hopeless, np.inf, -may)
         arms = self.follow(flat, found, enough)
         cost = cost + np.where(hopeless, BAD, self.arm_cost(arms))
         outcome = np.column_stack(
@@ -118,6 +123,11 @@ class ArmSearch(Search):
             ]
         )
         return Ranked(genes, cost.reshape(1, n), outcome.reshape(1, n, len(OUTCOME)))
+
+    def hopeless(self, ranked: Ranked, number: int) -> BoolArray:
+        """(A,) where the best is still far too near after a few rounds: a plan is needed."""
+        far = PRICE * HOPELESS / float(self.scenes.baseline[0])
+        return np.asarray((number >= ROUNDS_OF_HOPE) & (ranked.cost[:, 0] > BAD + far))
 
     def tool_paths(self, genes: FloatArray) -> SpatialRollouts:
         """The tool's motions of candidates (n, 7)."""

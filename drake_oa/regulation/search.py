@@ -255,13 +255,17 @@ class Search:
             self.keep_best(chosen, active, ranked)
             since += ranked.solved
             through = np.bincount(active // self.sides, since > polish[active])
-            go_on = through[active // self.sides] == 0.0
+            go_on = (through[active // self.sides] == 0.0) & ~self.hopeless(ranked, number)
             active, ranked, since = active[go_on], ranked.rows(go_on), since[go_on]
             if not len(active) or number == self.parameters.rounds:
                 break
             trial = self.evaluate(active, self.children(active, ranked, number), ranked)
             ranked = ranked.joined(trial).best(ELITES)
         return self.answer(chosen, in_range)
+
+    def hopeless(self, ranked: Ranked, number: int) -> BoolArray:
+        """(A,) whether a search is given up after so many rounds; never, where nothing else is."""
+        return np.zeros(len(ranked.cost), dtype=bool)
 
     def keep_previous(self, chosen: Ranked, active: IntArray, proposed: FloatArray) -> IntArray:
         """Stays with what is in use where it will do and no proposal is much better.
