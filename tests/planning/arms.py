@@ -1,0 +1,218 @@
+"""Arms among things: as the kernels of planning take them, and as Drake's SceneGraph has them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from pydrake.geometry import GeometryId
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
+from pydrake.multibody.tree import SpatialInertia
+from pydrake.systems.framework import DiagramBuilder
+from scipy.spatial.transform import Rotation
+
+from drake_oa.common.messages import FloatArray
+from drake_oa.geometry.collision_shapes import collect_collision_shapes
+from drake_oa.geometry.shapes import Box, Cylinder, Sphere, shape_geometry
+from drake_oa.geometry.solids import Solid, shape_solids, solid_distance, solids_of
+from drake_oa.planning.arm_world import (
+    LINKS,
+    TOOL,
+    ArmWorld,
+    Asked,
+    Chain,
+    chain_poses,
+    make_chain,
+)
+from drake_oa.robot.arm import ArmModel, make_arm_model, moved_by
+from drake_oa.robot.config import Robot
+from drake_oa.robot.grasped_object import tool_links
+from drake_oa.robot.plant import RobotPlant, add_robot, home_positions, make_robot_plant
+from drake_oa.robot.spheres import ArmSpheres, make_arm_spheres
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ArmAlone:
+    """An arm of n joints, at home."""
+
+    config: Robot
+    robot: RobotPlant
+    model: ArmModel
+    covered: ArmSpheres
+    chain: Chain
+    q_full: FloatArray  # (nq,) [rad, m]
+
+    def __repr__(self) -> str:
+        return f"<arm of {len(self.q)} joints>"
+
+    @property
+    def q(self) -> FloatArray:
+        """(n,) home [rad]."""
+        return self.q_full[self.model.index]
+
+    @property
+    def X_WE(self) -> FloatArray:
+        """(12,) pose of the tool at home."""
+        return self.poses(self.q)[-1].copy()
+
+    def poses(self, q: FloatArray) -> FloatArray:
+        """(n + 2, 12) as `chain_poses` leaves them."""
+        X = np.empty((len(q) + 2, 12))
+        chain_poses(np.array(q), self.chain.X_PJ, X)
+        return X
+
+    def centers(self, q: FloatArray) -> FloatArray:
+        """(S, 3) of the spheres, in the world [m]."""
+        X, spheres = self.poses(q), self.covered.arrays
+        R, p = X[spheres.joint + 1, :9].reshape(-1, 3, 3), X[spheres.joint + 1, 9:]
+        return np.asarray(np.einsum("sij,sj->si", R, spheres.p_JS) + p)
+
+    def among(
+        self,
+        solids: Sequence[Solid] = (),
+        tool: float = 0.05,
+        links: float = 0.03,
+        own: float = 0.005,
+        now: float = 0.0,
+    ) -> ArmWorld:
+        """Among solids, of which tool and links are to keep so much [m]."""
+        spheres = self.covered.arrays
+        is_tool = spheres.of_tool[spheres.first[:-1]]
+        table = np.tile(np.where(is_tool, tool, links)[:, None], (1, len(solids)))
+        table[spheres.group_joint < 0] = -np.inf
+        asked = Asked(table, own, is_tool)
+        return ArmWorld(self.chain, spheres, solids_of(list(solids)), asked, now)
+
+    def random_q(self, random: np.random.Generator) -> FloatArray:
+        """(n,) within the limits [rad]."""
+        return random.uniform(self.chain.lower, self.chain.upper)
+
+
+def arm_alone(config: Robot) -> ArmAlone:
+    robot = make_robot_plant(config)
+    q, inspector = home_positions(robot, config), robot.scene_graph.model_inspector()
+    spheres = make_arm_spheres(robot, q, tool_links(config))
+    model = make_arm_model(
+        robot.plant,
+        inspector,
+        robot.tool_frame,
+        RotationMatrix(RollPitchYaw(config.rpy_WE)),
+        q,
+        collect_collision_shapes(robot.plant, inspector, robot.instance),
+        without=tool_links(config),
+    )
+    return ArmAlone(config, robot, model, spheres, make_chain(model, spheres.arrays), q)
+
+
+@dataclass(frozen=True, eq=False)
+class Thing:
+    """A shape at a pose (4, 4) at time 0, with a velocity (3,) [m/s]."""
+
+    shape: Box | Cylinder | Sphere
+    X_WO: FloatArray
+    v_WO: FloatArray
+
+    def solid(self, label: str = "thing") -> Solid:
+        (solid,) = shape_solids([self.shape], self.X_WO, v_WO=self.v_WO, label=label)
+        return solid
+
+
+def box_at(size: Sequence[float], p_WO: Sequence[float], label: str = "box") -> Solid:
+    """A box along the world's axes, at rest."""
+    return Thing(Box(list(size)), RigidTransform(list(p_WO)).GetAsMatrix4(), np.zeros(3)).solid(
+        label
+    )
+
+
+def random_things(
+    random: np.random.Generator, count: int, moving: int = 0, inner: float = 0.35
+) -> list[Thing]:
+    """Boxes, cylinders and spheres about an arm's base, the first of them moving."""
+    things = []
+    for k in range(count):
+        size = random.uniform(0.05, 0.2, 3)
+        shape = [
+            Box(size.tolist()),
+            Cylinder(0.5 * size[0], size[1] + 0.05),
+            Sphere(0.5 * size[0]),
+        ][random.integers(3)]
+        angle, X = random.uniform(-np.pi, np.pi), np.eye(4)
+        X[:3, :3] = Rotation.random(random_state=int(random.integers(2**31))).as_matrix()
+        X[:2, 3] = random.uniform(inner, 0.8) * np.array([np.cos(angle), np.sin(angle)])
+        X[2, 3] = random.uniform(0.0, 0.9)
+        v = random.uniform(-0.2, 0.2, 3) if k < moving else np.zeros(3)
+        things.append(Thing(shape, X, v))
+    return things
+
+
+def brute_excess(world: ArmWorld, arm: ArmAlone, q: FloatArray, t: float) -> FloatArray:
+    """(3,) of tool, links and self, without any culling; inf where there is nothing [m]."""
+    spheres, least, p = world.spheres, np.full(3, np.inf), arm.centers(q)
+    groups = np.repeat(np.arange(len(spheres.group_joint)), np.diff(spheres.first))
+    for i, g in enumerate(groups):
+        row = TOOL if world.asked.is_tool[g] else LINKS
+        for k in range(len(world.solids.ball)):
+            if world.asked.of_solids[g, k] > -np.inf:
+                d = solid_distance(world.solids, k, *p[i], t) - spheres.radius[i]
+                least[row] = min(least[row], d - world.asked.of_solids[g, k])
+    for (a, b), allowance in zip(spheres.pairs, spheres.allowance, strict=True):
+        one, other = groups == a, groups == b
+        d = np.linalg.norm(p[one][:, None] - p[other], axis=2)
+        d -= spheres.radius[one][:, None] + spheres.radius[other]
+        least[2] = min(least[2], d.min() + allowance - world.asked.of_self)
+    return least
+
+
+class Truth:
+    """The arm's true shapes among things, as SceneGraph has them."""
+
+    def __init__(self, arm: ArmAlone, things: Sequence[Thing]) -> None:
+        builder = DiagramBuilder()
+        self._plant, graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
+        robot, self._things = add_robot(self._plant, arm.config), things
+        inertia = SpatialInertia.SolidSphereWithMass(1.0, 0.1)
+        instance = self._plant.AddModelInstance("things")
+        self._bodies = [
+            self._plant.AddRigidBody(f"thing{k}", instance, inertia) for k in range(len(things))
+        ]
+        of_things = [
+            self._plant.RegisterCollisionGeometry(
+                body, RigidTransform(), shape_geometry(thing.shape), "shape", CoulombFriction()
+            )
+            for body, thing in zip(self._bodies, things, strict=True)
+        ]
+        self._plant.Finalize()
+        self._diagram = builder.Build()
+        self._root = self._diagram.CreateDefaultContext()
+        self._context = self._plant.GetMyMutableContextFromRoot(self._root)
+        self._port, self._graph = graph.get_query_output_port(), graph
+        self._arm, self._robot = arm, robot
+        joints = [self._plant.get_joint(j) for j in self._plant.GetJointIndices(robot)]
+        chain = [joint for joint in joints if joint.num_velocities() == 1][: len(arm.q)]
+        moved = moved_by(self._plant, chain)
+        names = set(tool_links(arm.config))
+        self.pairs: list[tuple[int, GeometryId, GeometryId]] = [
+            (TOOL if self._plant.get_body(body).name() in names else LINKS, of_arm, of_thing)
+            for body in moved
+            for of_arm in self._plant.GetCollisionGeometriesForBody(self._plant.get_body(body))
+            for of_thing in of_things
+        ]
+
+    def least(self, q: FloatArray, t: float) -> FloatArray:
+        """(2,) least distances of tool and links to the things at a time [m]."""
+        full = self._arm.q_full.copy()
+        full[self._arm.model.index] = q
+        self._plant.SetPositions(self._context, self._robot, full)
+        for body, thing in zip(self._bodies, self._things, strict=True):
+            p, R = thing.X_WO[:3, 3] + t * thing.v_WO, RotationMatrix(thing.X_WO[:3, :3])
+            self._plant.SetFreeBodyPose(self._context, body, RigidTransform(R, p))
+        query, least = (
+            self._port.Eval(self._graph.GetMyContextFromRoot(self._root)),
+            np.full(2, 9e9),
+        )
+        for row, one, other in self.pairs:
+            d = query.ComputeSignedDistancePairClosestPoints(one, other).distance
+            least[row] = min(least[row], d)
+        return least
