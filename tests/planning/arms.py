@@ -216,3 +216,9 @@ class Truth:
             d = query.ComputeSignedDistancePairClosestPoints(one, other).distance
             least[row] = min(least[row], d)
         return least
+
+
+def wall_with_gap(height: float = 0.5, gap: float = 0.35) -> list[Solid]:
+    """A wall in the plane y = 0 before an arm, that it can reach through or over."""
+    low = box_at([0.5, 0.04, height], [0.6, 0.0, 0.5 * height], "low wall")
+    return [low, box_at([0.5, 0.04, 0.4], [0.6, 0.0, height + gap + 0.2], "high wall")]

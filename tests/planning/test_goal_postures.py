@@ -1,0 +1,44 @@
+"""With which joints an arm holds its tool at a pose."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from drake_oa.planning.arm_world import tool_poses
+from drake_oa.planning.goal_postures import goal_postures
+from tests.planning.arms import ArmAlone
+
+
+@pytest.fixture(params=["panda_arm", "six_arm"])
+def arm(request: pytest.FixtureRequest) -> ArmAlone:
+    return request.getfixturevalue(request.param)
+
+
+def test_all_hold_the_pose_within_the_limits_and_differ(arm: ArmAlone) -> None:
+    found = goal_postures(arm.chain, arm.X_WE, arm.q)
+    assert len(found) >= 3
+    X_WE = tool_poses(arm.chain, found)
+    np.testing.assert_allclose(X_WE[:, 9:], np.tile(arm.X_WE[9:], (len(found), 1)), atol=1e-4)
+    R = X_WE[:, :9].reshape(-1, 3, 3) @ arm.X_WE[:9].reshape(3, 3).T
+    assert np.abs(Rotation.from_matrix(R).as_rotvec()).max() < 1e-4
+    assert (found >= arm.chain.lower).all()
+    assert (found <= arm.chain.upper).all()
+    apart = np.abs(found[:, None] - found).max(axis=2)
+    assert apart[~np.eye(len(found), dtype=bool)].min() > 0.1
+    # What is begun with is the nearest.
+    np.testing.assert_allclose(found[0], arm.q, atol=1e-4)
+    assert (np.diff(np.linalg.norm(found - arm.q, axis=1)) >= 0.0).all()
+
+
+def test_the_same_are_found_each_time_and_others_by_another_seed(arm: ArmAlone) -> None:
+    found = [goal_postures(arm.chain, arm.X_WE, arm.q, seed=seed) for seed in (0, 0, 1)]
+    np.testing.assert_array_equal(found[0], found[1])
+    assert found[0].shape != found[2].shape or not np.array_equal(found[0], found[2])
+    few = goal_postures(arm.chain, arm.X_WE, arm.q, seeds=0)
+    assert len(few) == 1
+
+
+def test_none_holds_what_is_out_of_reach(arm: ArmAlone) -> None:
+    X_WE = arm.X_WE.copy()
+    X_WE[9:] = 3.0, 0.0, 0.5
+    assert goal_postures(arm.chain, X_WE, arm.q).shape == (0, len(arm.q))

@@ -1,0 +1,149 @@
+"""The joints along a path of the tool."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from drake_oa.common.messages import FloatArray
+from drake_oa.planning.arm_world import Chain
+from drake_oa.planning.tracking import PULL, follow, pose_error, reach, scratch
+from tests.planning.arms import ArmAlone
+
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+@pytest.fixture(params=["panda_arm", "six_arm"])
+def arm(request: pytest.FixtureRequest) -> ArmAlone:
+    return request.getfixturevalue(request.param)
+
+
+def shifted(X_WE: FloatArray, p: FloatArray, turn: FloatArray) -> FloatArray:
+    """(12,) pose moved by p (3,) and turned by a rotation vector (3,)."""
+    R = Rotation.from_rotvec(turn).as_matrix() @ X_WE[:9].reshape(3, 3)
+    return np.append(R.ravel(), X_WE[9:] + p)
+
+
+def went(
+    arm: ArmAlone, q: FloatArray, targets: FloatArray, guide: FloatArray, pull: float = PULL
+) -> tuple[FloatArray, FloatArray]:
+    """Joints (T, n) and errors (T,) along poses (T, 12)."""
+    room, q = scratch(len(q)), np.array(q)
+    joints, errors = [], []
+    for target in targets:
+        errors.append(follow(q, target, guide, pull, arm.chain, room))
+        joints.append(q.copy())
+        np.testing.assert_array_equal(room.X, arm.poses(q))
+    return np.array(joints), np.array(errors)
+
+
+@settings(max_examples=30)
+@given(seed=SEEDS)
+def test_the_error_is_the_largest_of_way_and_turn(panda_arm: ArmAlone, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    q, e = panda_arm.random_q(random), np.empty(6)
+    X = panda_arm.poses(q)
+    p = random.normal(size=3) * 10 ** random.uniform(-6, 0)
+    turn = random.normal(size=3)
+    turn *= 10 ** random.uniform(-6, 0.49) / np.linalg.norm(turn)
+    largest = pose_error(X, shifted(X[-1], p, turn), e)
+    np.testing.assert_allclose(e[3:], p, atol=1e-12)
+    np.testing.assert_allclose(e[:3], turn, rtol=1e-3, atol=1e-9)
+    assert largest == pytest.approx(np.abs(e).max())
+
+
+@settings(max_examples=30)
+@given(seed=SEEDS)
+def test_the_next_pose_is_reached(panda_arm: ArmAlone, six_arm: ArmAlone, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    for arm in (panda_arm, six_arm):
+        p, turn = random.uniform(-0.01, 0.01, 3), random.uniform(-0.02, 0.02, 3)
+        way = np.linspace(0.0, 1.0, 9)[1:, None]
+        targets = np.array([shifted(arm.X_WE, u * p, u * turn) for u in way])
+        joints, errors = went(arm, arm.q, targets, arm.q)
+        assert errors.max() < 1e-4
+        for q, target, error in zip(joints, targets, errors, strict=True):
+            e = np.empty(6)
+            assert error == pose_error(arm.poses(q), target, e) < 1e-4
+
+
+def test_the_null_space_is_drawn_to_the_guide(panda_arm: ArmAlone) -> None:
+    """The tool stands; only seven joints can move then."""
+    swivelled = panda_arm.q.copy()
+    # A posture with the same pose of the tool: where the guide drew it, it stays.
+    targets = np.tile(panda_arm.X_WE, (60, 1))
+    guide = swivelled + [0.5, 0.2, -0.5, 0.0, 0.0, 0.0, 0.0]
+    joints, errors = went(panda_arm, panda_arm.q, targets, guide)
+    assert errors.max() < 2e-3
+    away = np.linalg.norm(joints - guide, axis=1)
+    assert away[-1] < np.linalg.norm(panda_arm.q - guide) - 0.1
+    assert np.abs(joints[-1] - joints[-2]).max() < 1e-3
+    # From there another guide brings it back.
+    back, errors = went(panda_arm, joints[-1], targets, panda_arm.q)
+    assert errors.max() < 2e-3
+    np.testing.assert_allclose(back[-1], panda_arm.q, atol=0.01)
+    # Without a pull, nothing moves.
+    still, _ = went(panda_arm, panda_arm.q, targets, guide, 0.0)
+    np.testing.assert_allclose(still[-1], panda_arm.q, atol=1e-9)
+
+
+def test_six_joints_are_drawn_to_nothing(six_arm: ArmAlone) -> None:
+    targets = np.tile(six_arm.X_WE, (20, 1))
+    joints, errors = went(six_arm, six_arm.q, targets, six_arm.q + 0.5)
+    assert errors.max() < 1e-4
+    np.testing.assert_allclose(joints[-1], six_arm.q, atol=1e-3)
+
+
+@settings(max_examples=20)
+@given(seed=SEEDS)
+def test_joints_stay_within_their_limits_and_the_error_tells(
+    panda_arm: ArmAlone, six_arm: ArmAlone, seed: int
+) -> None:
+    random = np.random.default_rng(seed)
+    for arm in (panda_arm, six_arm):
+        q = arm.random_q(random)
+        # Far out of reach, along a straight way.
+        out = random.normal(size=3)
+        out *= 2.5 / np.linalg.norm(out)
+        way = np.linspace(0.0, 1.0, 40)[:, None]
+        X_WE = arm.poses(q)[-1]
+        targets = np.array([shifted(X_WE, u * out, np.zeros(3)) for u in way])
+        joints, errors = went(arm, q, targets, arm.random_q(random))
+        assert np.isfinite(joints).all()
+        assert (joints >= arm.chain.lower).all()
+        assert (joints <= arm.chain.upper).all()
+        assert errors[-1] > 0.1
+
+
+def test_a_singular_arm_does_not_blow_up(panda_arm: ArmAlone) -> None:
+    """Stretched upright, in all of whose joints' axes there are but few directions."""
+    q = np.zeros(7)
+    wide = np.full(7, np.pi)
+    chain = Chain(panda_arm.chain.X_PJ, -wide, wide, panda_arm.chain.speed, panda_arm.chain.reach)
+    room, X = scratch(7), panda_arm.poses(q)[-1]
+    for step in ([0.0, 0.0, 1e-3], [0.0, 1e-3, 0.0], [1e-3, 0.0, 0.0]):
+        now = q.copy()
+        follow(now, shifted(X, np.array(step), np.zeros(3)), q, PULL, chain, room)
+        assert np.isfinite(now).all()
+        assert np.abs(now - q).max() < 0.5
+    # No error, no motion.
+    now = q.copy()
+    assert follow(now, X, q, PULL, chain, room) < 1e-12
+    np.testing.assert_allclose(now, q, atol=1e-12)
+
+
+@settings(max_examples=20)
+@given(seed=SEEDS)
+def test_a_pose_is_reached_or_it_is_said(panda_arm: ArmAlone, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    chain, room = panda_arm.chain, scratch(7)
+    aim = panda_arm.random_q(random)
+    X = panda_arm.poses(aim)[-1].copy()
+    q = np.clip(aim + random.uniform(-0.2, 0.2, 7), chain.lower, chain.upper)
+    if reach(q, X, chain, room, 100, 1e-6):
+        assert pose_error(panda_arm.poses(q), X, np.empty(6)) < 1e-3
+        assert (q >= chain.lower).all()
+        assert (q <= chain.upper).all()
+    away = shifted(X, np.array([3.0, 0.0, 0.0]), np.zeros(3))
+    assert not reach(q, away, chain, room, 30, 1e-6)
