@@ -78,6 +78,23 @@ def _solve(A: FloatArray, b: FloatArray) -> None:
 
 
 @leaf
+def _half_turn(X: FloatArray, target: FloatArray, e: FloatArray) -> None:
+    """Sets e (6,) to a turn that has no skew part, either way round: its matrix is 2 a a^T - I."""
+    last, most = len(X) - 1, 0.0
+    for i in range(3):
+        # Column i of a a^T; that of the largest component is the longest.
+        a, b, c = 0.0, 0.0, 0.0
+        for k in range(3):
+            v = 0.5 * X[last, 3 * i + k]
+            a, b, c = a + target[k] * v, b + target[3 + k] * v, c + target[6 + k] * v
+        a, b, c = a + 0.5 * (i == 0), b + 0.5 * (i == 1), c + 0.5 * (i == 2)
+        length = math.sqrt(a * a + b * b + c * c)
+        if length > most:
+            most, scale = length, math.pi / length
+            e[0], e[1], e[2] = scale * a, scale * b, scale * c
+
+
+@leaf
 def pose_error(X: FloatArray, target: FloatArray, e: FloatArray) -> float:
     """Sets e (6,) to the turn [rad] and the way [m] from the last pose of X to another (12,).
 
@@ -99,6 +116,8 @@ def pose_error(X: FloatArray, target: FloatArray, e: FloatArray) -> float:
     if cosine < 0.999 and sine > 1e-9:
         scale = 0.5 * math.atan2(sine, cosine) / sine
     e[0], e[1], e[2] = scale * x, scale * y, scale * z
+    if cosine < 0.0 and sine <= 1e-9:
+        _half_turn(X, target, e)
     largest = 0.0
     for i in range(3):
         e[3 + i] = target[9 + i] - X[last, 9 + i]
