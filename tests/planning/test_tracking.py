@@ -8,9 +8,10 @@ from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.planning.arm_world import Chain
-from drake_oa.planning.tracking import PULL, follow, pose_error, reach, scratch
+from drake_oa.planning.tracking import follow, pose_error, reach, scratch
 from tests.planning.arms import ArmAlone
 
+PULL = 0.3
 SEEDS = st.integers(0, 2**32 - 1)
 
 
@@ -28,11 +29,13 @@ def shifted(X_WE: FloatArray, p: FloatArray, turn: FloatArray) -> FloatArray:
 def went(
     arm: ArmAlone, q: FloatArray, targets: FloatArray, guide: FloatArray, pull: float = PULL
 ) -> tuple[FloatArray, FloatArray]:
-    """Joints (T, n) and errors (T,) along poses (T, 12)."""
+    """Joints (T, n) and errors (T,) along poses (T, 12), led along postures (T, n) or one (n,)."""
     room, q = scratch(len(q)), np.array(q)
+    led = np.array(np.broadcast_to(guide, (len(targets), len(q))))
+    led = np.concatenate([led[:1], led])
     joints, errors = [], []
-    for target in targets:
-        errors.append(follow(q, target, guide, pull, arm.chain, room))
+    for row, target in enumerate(targets):
+        errors.append(follow(q, target, led, row + 1, pull, arm.chain, room))
         joints.append(q.copy())
         np.testing.assert_array_equal(room.X, arm.poses(q))
     return np.array(joints), np.array(errors)
@@ -51,6 +54,22 @@ def test_the_error_is_the_largest_of_way_and_turn(panda_arm: ArmAlone, seed: int
     np.testing.assert_allclose(e[3:], p, atol=1e-12)
     np.testing.assert_allclose(e[:3], turn, rtol=1e-3, atol=1e-9)
     assert largest == pytest.approx(np.abs(e).max())
+
+
+@pytest.mark.parametrize(
+    "axis", [[1, 0, 0], [0, 1, 0], [0, 0, -1], [0.6, 0, 0.8], [-0.48, 0.6, 0.64]]
+)
+def test_half_a_turn_is_an_error(panda_arm: ArmAlone, axis: list[float]) -> None:
+    """It has no skew part."""
+    X, e, turn = panda_arm.poses(panda_arm.q), np.empty(6), np.pi * np.array(axis)
+    pose_error(X, shifted(X[-1], np.zeros(3), turn), e)
+    np.testing.assert_allclose(np.abs(e[:3] @ turn), np.pi**2, rtol=1e-6)
+    assert np.linalg.norm(e[:3]) == pytest.approx(np.pi, abs=1e-6)
+    q = panda_arm.q.copy()
+    target = panda_arm.X_WE
+    q[6] -= np.pi * np.sign(q[6])
+    assert reach(q, target, panda_arm.chain, scratch(7), 60, 1e-5)
+    np.testing.assert_allclose(panda_arm.poses(q)[-1], target, atol=1e-4)
 
 
 @settings(max_examples=30)
@@ -88,6 +107,16 @@ def test_the_null_space_is_drawn_to_the_guide(panda_arm: ArmAlone) -> None:
     np.testing.assert_allclose(still[-1], panda_arm.q, atol=1e-9)
 
 
+def test_the_null_space_is_led_along_postures(panda_arm: ArmAlone) -> None:
+    """The tool stands while the elbow swings: led along its way it does not lag."""
+    targets = np.tile(panda_arm.X_WE, (40, 1))
+    way, _ = went(panda_arm, panda_arm.q, targets, panda_arm.q + [0.5, 0.2, -0.5, 0, 0, 0, 0])
+    assert np.abs(way[-1] - way[0]).max() > 0.2
+    led, errors = went(panda_arm, way[0], targets, way)
+    assert errors.max() < 1e-4
+    np.testing.assert_allclose(led, way, atol=2e-3)
+
+
 def test_six_joints_are_drawn_to_nothing(six_arm: ArmAlone) -> None:
     targets = np.tile(six_arm.X_WE, (20, 1))
     joints, errors = went(six_arm, six_arm.q, targets, six_arm.q + 0.5)
@@ -121,15 +150,15 @@ def test_a_singular_arm_does_not_blow_up(panda_arm: ArmAlone) -> None:
     q = np.zeros(7)
     wide = np.full(7, np.pi)
     chain = Chain(panda_arm.chain.X_PJ, -wide, wide, panda_arm.chain.speed, panda_arm.chain.reach)
-    room, X = scratch(7), panda_arm.poses(q)[-1]
+    room, X, guide = scratch(7), panda_arm.poses(q)[-1], np.zeros((2, 7))
     for step in ([0.0, 0.0, 1e-3], [0.0, 1e-3, 0.0], [1e-3, 0.0, 0.0]):
         now = q.copy()
-        follow(now, shifted(X, np.array(step), np.zeros(3)), q, PULL, chain, room)
+        follow(now, shifted(X, np.array(step), np.zeros(3)), guide, 1, PULL, chain, room)
         assert np.isfinite(now).all()
         assert np.abs(now - q).max() < 0.5
     # No error, no motion.
     now = q.copy()
-    assert follow(now, X, q, PULL, chain, room) < 1e-12
+    assert follow(now, X, guide, 1, PULL, chain, room) < 1e-12
     np.testing.assert_allclose(now, q, atol=1e-12)
 
 
