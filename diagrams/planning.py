@@ -12,6 +12,7 @@ from drake_oa.diagrams.policy import make_dmp
 from drake_oa.diagrams.station import Cell
 from drake_oa.perception.config import GroundTruth
 from drake_oa.planning.arm_world import make_chain
+from drake_oa.planning.cloud_solids import CloudSolids
 from drake_oa.planning.motion_search import MotionSearch
 from drake_oa.planning.motion_selector import MotionSelector
 from drake_oa.planning.true_solids import TrueSolids
@@ -19,6 +20,7 @@ from drake_oa.regulation.config import WholeArm
 from drake_oa.regulation.regressor import ChainWeights
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.spheres import SphereParameters, make_arm_spheres
+from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import perception_period
 from drake_oa.scenario.tool_orientation import end_rotations, tool_orientation
@@ -34,12 +36,29 @@ def add_motion_selector(
     demonstration and coupling_parameters.
 
     Raises:
-        ScenarioError: without a robot, or where nothing tells the true shapes.
+        ScenarioError: without a robot, or where nothing tells the shapes of things.
     """
     if cell is None:
         raise ScenarioError("regulation: !WholeArm needs a robot; this scenario has null")
+    if isinstance(scenario.perception, GivenEllipsoids):
+        raise ScenarioError(
+            "regulation: !WholeArm needs obstacles that are seen; !GivenEllipsoids has the "
+            "ellipsoids of obstacles that are dilated by the tool"
+        )
+    wires.add("solids", make_solids(scenario, cell))
+    wires.add(
+        "motion_selector",
+        make_motion_selector(scenario, cell, weights),
+        offers={"decision": "decision_regulation"},
+    )
+    wires.log("shortfall", "lowered", "decision_regulation")
+
+
+def make_solids(scenario: Scenario, cell: Cell) -> TrueSolids | CloudSolids:
+    """What tells the shapes of all that is not the robot: exactly, or by what is seen of them."""
+    period = perception_period(scenario)
     if not isinstance(scenario.perception, GroundTruth):
-        raise ScenarioError("regulation: !WholeArm needs perception: !GroundTruth {}")
+        return CloudSolids(period=period)
     plant = cell.plant
     others = [
         body
@@ -48,19 +67,7 @@ def add_motion_selector(
         for body in plant.GetBodyIndices(instance)
         if plant.GetCollisionGeometriesForBody(plant.get_body(body))
     ]
-    solids = TrueSolids(
-        plant,
-        cell.scene_graph.model_inspector(),
-        others,
-        period=perception_period(scenario),
-    )
-    wires.add("solids", solids)
-    wires.add(
-        "motion_selector",
-        make_motion_selector(scenario, cell, weights),
-        offers={"decision": "decision_regulation"},
-    )
-    wires.log("shortfall", "lowered", "decision_regulation")
+    return TrueSolids(plant, cell.scene_graph.model_inspector(), others, period=period)
 
 
 def make_motion_selector(scenario: Scenario, cell: Cell, weights: ChainWeights) -> MotionSelector:

@@ -1,0 +1,339 @@
+"""Solids as perception sees them: a distance field an obstacle, made anew only where it has to be.
+
+A field costs about 10 ms, and a new one has every motion looked for again. Perception hands on
+other points in each frame, if only by its noise. So a field is kept, moved with its obstacle, as
+long as the new cloud says nothing that the field does not:
+
+- no point is farther outside than one voxel, which is as far as the points that it was made from
+  may be: d(x) <= d(p) + |x - p|, so that a distance is at most one voxel too large, as ever;
+- of the points that it was made from, all but a few have a new one beside them;
+- what is hidden of it is still the same: the view has hardly turned, the table is where it was,
+  and it is as deep as before.
+
+What errs then errs to the safe side: a little that is gone may count as there.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.math import RigidTransform
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+
+from drake_oa.common.compiled import compiled
+from drake_oa.common.messages import FloatArray, Frozen, IntArray, ObstacleClouds, TablePlane
+from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
+from drake_oa.geometry.distance_field import DEEPEST, DistanceField, field_of
+from drake_oa.geometry.solids import Solid, Solids, cloud_solid, solid_distance, solids_of
+from drake_oa.geometry.solids import table_solid as solid_of_table
+from drake_oa.perception.hidden_sides import names_moved
+from drake_oa.perception.memory import held_table
+from drake_oa.planning.solid_scene import SolidScene
+
+_logger = logging.getLogger("drake_oa")
+
+_DEEPEST_MOVED = 0.15
+"""So deep is what moves or has moved [m], see `drake_oa.perception.hidden_sides`."""
+_OUTSIDE = 1.0
+"""A point is new that is farther outside the field [voxel]."""
+_GONE = 0.05
+"""Share of the points of a field that may have no new one beside them."""
+_TURNED = 0.1
+"""A view that has turned by more shows another side [rad]."""
+_TABLE_SHIFT = 0.003
+"""The table is where it was if it has moved by no more within 1 m [m]."""
+_SAME = 1e-9
+"""Clouds differ by a shift if all points do by the same, within this [m]."""
+_FARTHEST = 1e3
+"""Points and speeds beyond this are none [m, m/s]."""
+
+_NOWHERE = np.zeros(0)
+
+
+@dataclass(frozen=True, eq=False)
+class SeenField(Frozen):
+    """The field of one obstacle, and what it was made from.
+
+    Attributes:
+        solid: where it is now, and how fast.
+        made_of: (N, 3) points [m].
+        seen: (M, 3) points that were looked at last [m].
+        view_W: (3,) unit direction in which it was seen; (0,): not known.
+        deepest: what is hidden was taken to be at most so deep [m].
+    """
+
+    solid: Solid
+    made_of: FloatArray
+    seen: FloatArray
+    view_W: FloatArray
+    deepest: float
+
+    @property
+    def grid(self) -> DistanceField:
+        """Its distances."""
+        return self.solid.grid or DistanceField()
+
+
+@dataclass(frozen=True, eq=False)
+class SeenSolids(Frozen):
+    """What is known of the world at one observation.
+
+    Attributes:
+        scene: its solids.
+        fields: those of the obstacles, as in `scene`, but for the table.
+        table: as in `scene`, or None.
+        moved: names of obstacles that move or have moved.
+        note: empty, or why the last observation does not count.
+    """
+
+    scene: SolidScene = field(default_factory=SolidScene)
+    fields: tuple[SeenField, ...] = ()
+    table: TablePlane | None = None
+    moved: frozenset[int] = frozenset()
+    note: str = ""
+
+
+def looked_at(
+    before: SeenSolids, obstacles: ObstacleClouds, viewpoint_W: FloatArray | None = None
+) -> SeenSolids:
+    """The solids of a new observation.
+
+    Args:
+        before: of the observation before.
+        obstacles: what is seen now. What is not finite makes it count as none: the solids and
+            their stamp are left as they were, and so what moved goes on, and all of it ages.
+        viewpoint_W: (3,) from where [m]; None: nothing that is hidden is filled.
+    """
+    if note := _unreadable(obstacles, viewpoint_W):
+        return replace(before, note=note)
+    table = held_table(before.table, obstacles.table, _TABLE_SHIFT)
+    moved = names_moved(obstacles, before.moved)
+    known = {seen.solid.name: row for row, seen in enumerate(before.fields)}
+    fields = []
+    for cloud, name, v_WO in zip(obstacles.clouds_W, obstacles.ids, obstacles.v_WO, strict=True):
+        if not len(cloud):
+            continue
+        row = known.get(int(name), -1)
+        deepest = _DEEPEST_MOVED if int(name) in moved else DEEPEST
+        kept = None
+        if row >= 0 and table is before.table and before.fields[row].deepest == deepest:
+            after = max(0.0, obstacles.stamp - before.scene.stamp)
+            kept = _kept(before, row, cloud, after * v_WO, viewpoint_W)
+        made = kept or _made(int(name), cloud, viewpoint_W, deepest, table)
+        at_rest = replace(made.solid, v_WO=np.array(v_WO, dtype=float), stamp=obstacles.stamp)
+        fields.append(replace(made, solid=at_rest))
+    solids = [seen.solid for seen in fields]
+    if table is not None:
+        solids.append(replace(solid_of_table(table), label="the table"))
+    labels = tuple(solid.label for solid in solids)
+    arrays = before.scene.solids
+    if not (table is before.table and _all_rest_as_before(before.fields, fields)):
+        arrays = solids_of(solids)
+    scene = SolidScene(obstacles.stamp, arrays, labels)
+    return SeenSolids(scene, tuple(fields), table, moved)
+
+
+def _unreadable(obstacles: ObstacleClouds, viewpoint_W: FloatArray | None) -> str:
+    """Why an observation does not count; empty: it does."""
+    numbers = [*obstacles.clouds_W, obstacles.v_WO]
+    if viewpoint_W is not None:
+        numbers.append(viewpoint_W)
+    if obstacles.table is not None:
+        numbers += [obstacles.table.normal_W, np.array([obstacles.table.offset])]
+    # NaN is not below anything.
+    if all(float(np.abs(part).max(initial=0.0)) <= _FARTHEST for part in numbers):
+        return ""
+    return "obstacles_W holds what is not finite"
+
+
+def _all_rest_as_before(before: tuple[SeenField, ...], now: list[SeenField]) -> bool:
+    if len(before) != len(now):
+        return False
+    return all(
+        one.grid is other.grid
+        and one.solid.name == other.solid.name
+        and not (one.solid.v_WO.any() or other.solid.v_WO.any())
+        and np.array_equal(one.solid.X_WO, other.solid.X_WO)
+        for one, other in zip(before, now, strict=True)
+    )
+
+
+def _made(
+    name: int,
+    cloud: FloatArray,
+    viewpoint_W: FloatArray | None,
+    deepest: float,
+    table: TablePlane | None,
+) -> SeenField:
+    """A new field of a cloud."""
+    grid = field_of(cloud, viewpoint_W=viewpoint_W, deepest=deepest, table=table)
+    solid = cloud_solid(grid, name=name, label=f"obstacle {name}")
+    return SeenField(solid, cloud, cloud, _view(solid, viewpoint_W), deepest)
+
+
+def _view(solid: Solid, viewpoint_W: FloatArray | None) -> FloatArray:
+    """(3,) unit direction to a solid from where it is seen; (0,): not known."""
+    if viewpoint_W is None:
+        return _NOWHERE
+    view = solid.X_WO[:3, 3] + solid.center - viewpoint_W
+    return np.asarray(view / max(float(np.linalg.norm(view)), 1e-9))
+
+
+def _kept(
+    before: SeenSolids,
+    row: int,
+    cloud: FloatArray,
+    expected: FloatArray,
+    viewpoint_W: FloatArray | None,
+) -> SeenField | None:
+    """The field in a row, moved to where its obstacle is now; None: it is no more that of it.
+
+    Args:
+        before: what holds it.
+        row: in its `fields` and solids.
+        cloud: (M, 3) points of the obstacle [m].
+        expected: (3,) how far it should have moved [m].
+        viewpoint_W: (3,) from where it is seen [m]; None: not known.
+    """
+    kept = before.fields[row]
+    grid, X_WO = kept.grid, np.array(kept.solid.X_WO)
+    same = cloud is kept.seen
+    if not same and len(cloud) == len(kept.made_of):
+        apart = cloud - kept.made_of
+        if float(np.ptp(apart, axis=0).max()) <= _SAME:
+            same, X_WO[:3, 3] = True, grid.p_WO + apart[0]
+    elif not same:
+        X_WO[:3, 3] += expected
+    moved = replace(kept, solid=replace(kept.solid, X_WO=X_WO), seen=cloud)
+    view = _view(moved.solid, viewpoint_W)
+    if len(view) != len(kept.view_W) or np.abs(view - kept.view_W).max(initial=0.0) > _TURNED:
+        return None
+    if same:
+        return moved
+    points = np.require(cloud, np.float64, ["C", "W"])
+    solids, stamp = before.scene.solids, float(before.scene.solids.ball[row, 7])
+    back = X_WO[:3, 3] - kept.solid.X_WO[:3, 3]
+    if _farthest(solids, row, points - back, stamp) > _OUTSIDE * grid.voxel:
+        return None
+    was = kept.made_of - grid.p_WO
+    low = np.minimum(was.min(axis=0), grid.low) - grid.voxel
+    shape = np.ceil((was.max(axis=0) - low) / grid.voxel).astype(np.int64) + 2
+    lost = _without_neighbour(was, points - X_WO[:3, 3], low, grid.voxel, shape)
+    return moved if lost <= _GONE * len(was) else None
+
+
+@compiled
+def _farthest(solids: Solids, row: int, points: FloatArray, time: float) -> float:
+    """The largest distance of points (N, 3) to a solid at a time [m]."""
+    most = -math.inf
+    for n in range(len(points)):
+        d = solid_distance(solids, row, points[n, 0], points[n, 1], points[n, 2], time)
+        most = max(most, d)
+    return most
+
+
+@compiled
+def _without_neighbour(
+    old: FloatArray, new: FloatArray, low: FloatArray, voxel: float, shape: IntArray
+) -> int:
+    """How many of the old points (N, 3) have none of the new (M, 3) in their voxel or beside it.
+
+    The grid of that shape begins at low (3,) and holds the old ones.
+    """
+    there = np.zeros((shape[0], shape[1], shape[2]), dtype=np.uint8)
+    at = np.empty(3, dtype=np.int64)
+    for n in range(len(new)):
+        inside = True
+        for m in range(3):
+            at[m] = math.floor((new[n, m] - low[m]) / voxel)
+            inside = inside and -1 <= at[m] <= shape[m]
+        if inside:
+            for i in range(max(at[0] - 1, 0), min(at[0] + 2, shape[0])):
+                for j in range(max(at[1] - 1, 0), min(at[1] + 2, shape[1])):
+                    for k in range(max(at[2] - 1, 0), min(at[2] + 2, shape[2])):
+                        there[i, j, k] = 1
+    count = 0
+    for n in range(len(old)):
+        for m in range(3):
+            at[m] = math.floor((old[n, m] - low[m]) / voxel)
+        count += there[at[0], at[1], at[2]] == 0
+    return count
+
+
+class CloudSolids(LeafSystem):
+    """Makes solids of the clouds that perception sees.
+
+    .. pydrake_system::
+
+      name: CloudSolids
+      input_ports:
+      - obstacles_W
+      - camera_pose (optional)
+      output_ports:
+      - solids_W
+
+    - obstacles_W: abstract `ObstacleClouds` of any source.
+    - camera_pose (optional): RigidTransform X_WC of the camera that sees them; without it nothing
+      is said of their hidden sides.
+    - solids_W: abstract `SolidScene`: a field an obstacle, with its velocity, what it hides of
+      itself filled (`drake_oa.geometry.distance_field.field_of`), and what is below the table,
+      where it is known. While all rests and nothing new is seen it holds the same arrays.
+
+    The state is read every `period`, between an observation and the decision that goes by it. An
+    observation that is not finite changes nothing, and the log says so, as it does once of each
+    obstacle that is too large for fine voxels.
+    """
+
+    def __init__(self, *, period: float = 1.0 / 15.0) -> None:
+        """Declares the ports.
+
+        Args:
+            period: time between observations [s].
+
+        Raises:
+            ValueError: if it is not positive and finite.
+        """
+        super().__init__()
+        period = valid_period(period)
+        self._obstacles = self.DeclareAbstractInputPort("obstacles_W", Value(ObstacleClouds()))
+        self._pose = self.DeclareAbstractInputPort("camera_pose", Value(RigidTransform()))
+        self._seen = self.DeclareAbstractState(Value(SeenSolids()))
+        self.DeclareAbstractOutputPort(
+            "solids_W",
+            lambda: Value(SolidScene()),
+            lambda context, output: output.set_value(self._read(context).scene),
+            {self.abstract_state_ticket(self._seen)},
+        )
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._update)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.5 * DECISION_OFFSET, self._update)
+
+    def _read(self, context: Context) -> SeenSolids:
+        seen: SeenSolids = context.get_abstract_state(self._seen).get_value()
+        return seen
+
+    def _update(self, context: Context, state: State) -> EventStatus:
+        before = self._read(context)
+        obstacles = read_value(self, self._obstacles, context, ObstacleClouds)
+        if obstacles.stamp == -math.inf:
+            return EventStatus.DidNothing()
+        pose = read_optional(self, self._pose, context, RigidTransform)
+        viewpoint_W = None if pose is None else np.array(pose.translation())
+        after = looked_at(before, obstacles, viewpoint_W)
+        _log_change(before, after, context.get_time())
+        state.get_mutable_abstract_state(self._seen).set_value(after)
+        return EventStatus.Succeeded()
+
+
+def _log_change(before: SeenSolids, after: SeenSolids, time: float) -> None:
+    if after.note and not before.note:
+        _logger.warning("t=%.3f s: %s; the solids seen before are kept", time, after.note)
+    if before.note and not after.note:
+        _logger.info("t=%.3f s: obstacles_W is finite again", time)
+    told = {seen.solid.name for seen in before.fields if seen.grid.note}
+    for seen in after.fields:
+        if seen.grid.note and seen.solid.name not in told:
+            _logger.warning("t=%.3f s: %s: %s", time, seen.solid.label, seen.grid.note)
