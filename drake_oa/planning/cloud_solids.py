@@ -4,8 +4,9 @@ A field costs about 10 ms, and a new one has every motion looked for again. Perc
 other points in each frame, if only by its noise. So a field is kept, moved with its obstacle, as
 long as the new cloud says nothing that the field does not:
 
-- no point is farther outside than one voxel, which is as far as the points that it was made from
-  may be: d(x) <= d(p) + |x - p|, so that a distance is at most one voxel too large, as ever;
+- of the eight nodes round each point one is occupied: a point may be at least half a voxel from
+  where it was, which is three deviations of a camera's noise at 1 m, and at a flat side the
+  distance is still at most one voxel too large, at an edge or a corner two;
 - of the points that it was made from, all but a few have a new one beside them;
 - what is hidden of it is still the same: the view has hardly turned, the table is where it was,
   and it is as deep as before.
@@ -20,6 +21,7 @@ import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
@@ -28,7 +30,7 @@ from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray, Frozen, IntArray, ObstacleClouds, TablePlane
 from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.geometry.distance_field import DEEPEST, DistanceField, field_of
-from drake_oa.geometry.solids import Solid, Solids, cloud_solid, solid_distance, solids_of
+from drake_oa.geometry.solids import Solid, cloud_solid, solids_of
 from drake_oa.geometry.solids import table_solid as solid_of_table
 from drake_oa.perception.hidden_sides import names_moved
 from drake_oa.perception.memory import held_table
@@ -38,8 +40,6 @@ _logger = logging.getLogger("drake_oa")
 
 _DEEPEST_MOVED = 0.15
 """So deep is what moves or has moved [m], see `drake_oa.perception.hidden_sides`."""
-_OUTSIDE = 1.0
-"""A point is new that is farther outside the field [voxel]."""
 _GONE = 0.05
 """Share of the points of a field that may have no new one beside them."""
 _TURNED = 0.1
@@ -122,7 +122,7 @@ def looked_at(
         kept = None
         if row >= 0 and table is before.table and before.fields[row].deepest == deepest:
             after = max(0.0, obstacles.stamp - before.scene.stamp)
-            kept = _kept(before, row, cloud, after * v_WO, viewpoint_W)
+            kept = _kept(before.fields[row], cloud, after * v_WO, viewpoint_W)
         made = kept or _made(int(name), cloud, viewpoint_W, deepest, table)
         at_rest = replace(made.solid, v_WO=np.array(v_WO, dtype=float), stamp=obstacles.stamp)
         fields.append(replace(made, solid=at_rest))
@@ -184,30 +184,24 @@ def _view(solid: Solid, viewpoint_W: FloatArray | None) -> FloatArray:
 
 
 def _kept(
-    before: SeenSolids,
-    row: int,
-    cloud: FloatArray,
-    expected: FloatArray,
-    viewpoint_W: FloatArray | None,
+    kept: SeenField, cloud: FloatArray, expected: FloatArray, viewpoint_W: FloatArray | None
 ) -> SeenField | None:
-    """The field in a row, moved to where its obstacle is now; None: it is no more that of it.
+    """The field, moved to where its obstacle is now; None: it is no more that of it.
 
     Args:
-        before: what holds it.
-        row: in its `fields` and solids.
+        kept: of the observation before.
         cloud: (M, 3) points of the obstacle [m].
         expected: (3,) how far it should have moved [m].
         viewpoint_W: (3,) from where it is seen [m]; None: not known.
     """
-    kept = before.fields[row]
     grid, X_WO = kept.grid, np.array(kept.solid.X_WO)
     same = cloud is kept.seen
-    if not same and len(cloud) == len(kept.made_of):
-        apart = cloud - kept.made_of
-        if float(np.ptp(apart, axis=0).max()) <= _SAME:
-            same, X_WO[:3, 3] = True, grid.p_WO + apart[0]
-    elif not same:
+    if not same:
         X_WO[:3, 3] += expected
+        if len(cloud) == len(kept.made_of):
+            apart = cloud - kept.made_of
+            if float(np.ptp(apart, axis=0).max()) <= _SAME:
+                same, X_WO[:3, 3] = True, grid.p_WO + apart[0]
     moved = replace(kept, solid=replace(kept.solid, X_WO=X_WO), seen=cloud)
     view = _view(moved.solid, viewpoint_W)
     if len(view) != len(kept.view_W) or np.abs(view - kept.view_W).max(initial=0.0) > _TURNED:
@@ -215,25 +209,31 @@ def _kept(
     if same:
         return moved
     points = np.require(cloud, np.float64, ["C", "W"])
-    solids, stamp = before.scene.solids, float(before.scene.solids.ball[row, 7])
-    back = X_WO[:3, 3] - kept.solid.X_WO[:3, 3]
-    if _farthest(solids, row, points - back, stamp) > _OUTSIDE * grid.voxel:
+    now = points - X_WO[:3, 3]
+    if _outside(now, grid.voxel, grid.values):
         return None
     was = kept.made_of - grid.p_WO
     low = np.minimum(was.min(axis=0), grid.low) - grid.voxel
     shape = np.ceil((was.max(axis=0) - low) / grid.voxel).astype(np.int64) + 2
-    lost = _without_neighbour(was, points - X_WO[:3, 3], low, grid.voxel, shape)
+    lost = _without_neighbour(was, now, low, grid.voxel, shape)
     return moved if lost <= _GONE * len(was) else None
 
 
 @compiled
-def _farthest(solids: Solids, row: int, points: FloatArray, time: float) -> float:
-    """The largest distance of points (N, 3) to a solid at a time [m]."""
-    most = -math.inf
+def _outside(points: FloatArray, voxel: float, values: NDArray[np.float32]) -> bool:
+    """Whether a point (N, 3), in O, has only free nodes round it."""
     for n in range(len(points)):
-        d = solid_distance(solids, row, points[n, 0], points[n, 1], points[n, 2], time)
-        most = max(most, d)
-    return most
+        i = math.floor(points[n, 0] / voxel)
+        j = math.floor(points[n, 1] / voxel)
+        k = math.floor(points[n, 2] / voxel)
+        free = True
+        for a in range(max(i, 0), min(i + 2, values.shape[0])):
+            for b in range(max(j, 0), min(j + 2, values.shape[1])):
+                for c in range(max(k, 0), min(k + 2, values.shape[2])):
+                    free = free and values[a, b, c] > 0.0
+        if free:
+            return True
+    return False
 
 
 @compiled

@@ -1,0 +1,200 @@
+"""Solids of what perception sees: kept while nothing new is seen, and else made anew."""
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydrake.common.value import AbstractValue
+from pydrake.math import RigidTransform
+
+from drake_oa.common.messages import ObstacleClouds, TablePlane
+from drake_oa.geometry.solids import Solids, solid_distance
+from drake_oa.planning import cloud_solids
+from drake_oa.planning.cloud_solids import CloudSolids, SeenSolids, looked_at
+
+CAMERA = np.array([1.2, 0.0, 0.8])
+HALF = np.array([0.04, 0.1, 0.1])
+CENTER = np.array([0.4, 0.0, 0.1])
+VOXEL = 0.01
+RNG = np.random.default_rng(5)
+TABLE = TablePlane(offset=0.0)
+
+
+def box(half=HALF, center=CENTER, spacing=0.004, noise=0.0):
+    """Front and top (N, 3) of a box, as a camera ahead and above sees them."""
+    x, y, z = (np.arange(-h, h + 1e-9, spacing) for h in half)
+    front = np.stack(np.meshgrid([half[0]], y, z), -1).reshape(-1, 3)
+    top = np.stack(np.meshgrid(x, y, [half[2]]), -1).reshape(-1, 3)
+    points = np.concatenate([front, top]) + center
+    return points + noise * RNG.normal(size=points.shape)
+
+
+def seen(*clouds, stamp=1.0, table=TABLE, ids=None, v_WO=()):
+    names = np.arange(len(clouds)) if ids is None else np.array(ids)
+    return ObstacleClouds(stamp, clouds, names, table, v_WO=np.array(v_WO).reshape(-1, 3))
+
+
+def distance(solids: Solids, row: int, point, time=0.0):
+    return solid_distance(solids, row, *map(float, point), time)
+
+
+def true_distance(points):
+    """Of points (N, 3) outside the box."""
+    return np.linalg.norm(np.maximum(np.abs(points - CENTER) - HALF, 0.0), axis=1)
+
+
+def test_a_seen_box_is_a_solid_with_its_far_side():
+    scene = looked_at(SeenSolids(), seen(box()), CAMERA).scene
+    assert scene.labels == ("obstacle 0", "the table")
+    assert scene.stamp == 1.0
+    assert not scene.moves
+    points = CENTER + RNG.uniform(-0.3, 0.3, (1000, 3))
+    points = points[(np.abs(points - CENTER) > HALF).any(axis=1)]
+    error = np.array([distance(scene.solids, 0, p) for p in points]) - true_distance(points)
+    # Never too far by more than a voxel, its hidden sides included, and rarely much too near.
+    assert error.max() <= VOXEL
+    assert np.median(np.abs(error)) <= VOXEL
+    assert distance(scene.solids, 0, CENTER) < -0.02
+    assert distance(scene.solids, 1, [0.0, 0.0, 0.3]) == pytest.approx(0.3)
+
+
+def test_without_a_viewpoint_nothing_hidden_is_filled():
+    scene = looked_at(SeenSolids(), seen(box(), table=None)).scene
+    assert scene.labels == ("obstacle 0",)
+    assert distance(scene.solids, 0, CENTER) > 0.02
+
+
+def test_noise_leaves_the_arrays_as_they_are():
+    first = looked_at(SeenSolids(), seen(box(noise=0.0012)), CAMERA)
+    now = first
+    for frame in range(2, 12):
+        table = replace(TABLE, offset=1e-3 * RNG.uniform(-1.0, 1.0))
+        cloud = RNG.permutation(box(noise=0.0012))[100:]
+        now = looked_at(now, seen(cloud, stamp=float(frame), table=table), CAMERA)
+        assert now.scene.solids is first.scene.solids
+        assert now.scene.same_as(first.scene)
+    assert now.scene.stamp == 11.0
+
+
+def test_what_grows_or_goes_is_made_anew():
+    first = looked_at(SeenSolids(), seen(box()), CAMERA)
+    stick = CENTER + np.stack([np.zeros(9), np.zeros(9), np.linspace(0.1, 0.14, 9)], axis=1)
+    grown = looked_at(first, seen(np.concatenate([box(), stick])), CAMERA)
+    assert not grown.scene.same_as(first.scene)
+    assert distance(grown.scene.solids, 0, stick[-1]) <= VOXEL
+    short = np.array([0.04, 0.1, 0.08])
+    less = looked_at(first, seen(box(short, CENTER - [0.0, 0.0, 0.02])), CAMERA)
+    assert distance(less.scene.solids, 0, CENTER + [0.0, 0.0, 0.15]) > 0.06
+    gone = looked_at(first, seen(), CAMERA)
+    assert gone.scene.labels == ("the table",)
+
+
+def test_another_view_fills_another_side():
+    first = looked_at(SeenSolids(), seen(box()), CAMERA)
+    assert looked_at(first, seen(box()), CAMERA + 0.01).scene.solids is first.scene.solids
+    turned = looked_at(first, seen(box()), np.array([0.4, 1.2, 0.8]))
+    assert not turned.scene.same_as(first.scene)
+
+
+def test_what_moves_keeps_its_field(monkeypatch):
+    made, original = [], cloud_solids.field_of
+    monkeypatch.setattr(
+        cloud_solids, "field_of", lambda *args, **more: made.append(1) or original(*args, **more)
+    )
+    v_WO, far = np.array([0.0, 0.15, 0.0]), CENTER + [0.0, 0.2, 0.0]
+    now = looked_at(SeenSolids(), seen(box(), v_WO=[v_WO]), CAMERA)
+    assert now.scene.moves
+    at_once = distance(now.scene.solids, 0, far, 1.0)
+    assert distance(now.scene.solids, 0, far + 0.1 * v_WO, 1.1) == pytest.approx(at_once)
+    # The same points shifted, and others where they are expected.
+    for frame, noise in enumerate((0.0, 0.0, 0.001, 0.0), start=1):
+        time = 1.0 + frame / 15.0
+        moved = box(center=CENTER + (time - 1.0) * v_WO, noise=noise)
+        now = looked_at(now, seen(moved, stamp=time, v_WO=[v_WO]), CAMERA)
+        there = distance(now.scene.solids, 0, far + (time - 1.0) * v_WO, time)
+        assert there == pytest.approx(at_once, abs=1e-6)
+    assert len(made) == 1
+    # It rests again: still deep, as it has moved.
+    rests = looked_at(now, seen(moved, stamp=2.0, v_WO=[[0.0, 0.0, 0.0]]), CAMERA)
+    assert not rests.scene.moves
+    assert len(made) == 1
+    assert rests.moved == {0}
+    # Where it was not expected it is made anew.
+    elsewhere = looked_at(rests, seen(box(center=CENTER + [0.0, 0.1, 0.0])[::2], stamp=3.0), CAMERA)
+    assert len(made) == 2
+    assert distance(elsewhere.scene.solids, 0, CENTER + [0.0, 0.1, 0.2]) < 0.11
+
+
+def test_what_has_moved_is_deeper():
+    broad = box(np.array([0.005, 0.15, 0.1]))
+    behind = CENTER - [0.12, 0.0, 0.0]
+    resting = looked_at(SeenSolids(), seen(broad), CAMERA)
+    moving = looked_at(resting, seen(broad, v_WO=[[0.1, 0.0, 0.0]]), CAMERA)
+    assert distance(resting.scene.solids, 0, behind) > 0.02
+    assert distance(moving.scene.solids, 0, behind, 1.0) < 0.0
+
+
+@pytest.mark.parametrize("bad", ["cloud", "velocity", "far", "viewpoint"])
+def test_what_is_not_finite_changes_nothing(bad):
+    first = looked_at(SeenSolids(), seen(box(), v_WO=[[0.1, 0.0, 0.0]]), CAMERA)
+    cloud, v_WO, viewpoint = box(), np.zeros((1, 3)), CAMERA.copy()
+    if bad == "velocity":
+        v_WO[0, 1] = np.inf
+    elif bad == "viewpoint":
+        viewpoint[2] = np.nan
+    else:
+        cloud[3, 1] = np.nan if bad == "cloud" else 1e7
+    now = looked_at(first, seen(cloud, stamp=2.0, v_WO=v_WO), viewpoint)
+    assert now.scene is first.scene
+    assert now.note
+    assert not looked_at(now, seen(box(), stamp=3.0), CAMERA).note
+
+
+def system(obstacles):
+    made = CloudSolids(period=0.1)
+    context = made.CreateDefaultContext()
+    made.GetInputPort("obstacles_W").FixValue(context, AbstractValue.Make(obstacles))
+    return made, context
+
+
+def updated(made, context, obstacles, time):
+    context.SetTime(time)
+    made.GetInputPort("obstacles_W").FixValue(context, AbstractValue.Make(obstacles))
+    made.ExecuteInitializationEvents(context)
+    return made.GetOutputPort("solids_W").Eval(context)
+
+
+def test_the_system_holds_what_it_knows_in_its_context(caplog):
+    made, context = system(ObstacleClouds())
+    made.GetInputPort("camera_pose").FixValue(context, AbstractValue.Make(RigidTransform(CAMERA)))
+    assert updated(made, context, ObstacleClouds(), 0.0).stamp == -np.inf
+    one = updated(made, context, seen(box(), np.zeros((0, 3)), ids=[3, 4]), 0.1)
+    assert one.labels == ("obstacle 3", "the table")
+    clone = context.Clone()
+    two = updated(made, context, seen(box(noise=1e-3), stamp=1.1, ids=[3]), 0.2)
+    assert two.solids is one.solids
+    assert made.GetOutputPort("solids_W").Eval(clone).stamp == 1.0
+    bad = box()
+    bad[0] = np.nan
+    with caplog.at_level(logging.INFO, "drake_oa"):
+        for frame in (3, 4):
+            assert updated(made, context, seen(bad, stamp=1.2), 0.1 * frame).stamp == 1.1
+        assert updated(made, context, seen(), 0.5).labels == ("the table",)
+    assert [record.levelname for record in caplog.records] == ["WARNING", "INFO"]
+
+
+def test_coarser_voxels_are_told_once(caplog):
+    large = RNG.uniform(-1.5, 1.5, (2000, 3))
+    made, context = system(ObstacleClouds())
+    with caplog.at_level(logging.INFO, "drake_oa"):
+        for frame in range(3):
+            moved = large + [0.0, 0.1 * frame, 0.0]
+            updated(made, context, seen(moved, stamp=float(frame), table=None), 0.1 * frame)
+    assert [record.getMessage() for record in caplog.records] == [caplog.records[0].getMessage()]
+    assert "obstacle 0: voxels of" in caplog.text
+
+
+def test_a_period_that_is_not_positive_is_refused():
+    with pytest.raises(ValueError, match="period"):
+        CloudSolids(period=0.0)
