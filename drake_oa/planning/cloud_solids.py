@@ -170,9 +170,18 @@ def _made(
     table: TablePlane | None,
 ) -> SeenField:
     """A new field of a cloud."""
-    grid = field_of(cloud, viewpoint_W=viewpoint_W, deepest=deepest, table=table)
+    seen = 0.0 if viewpoint_W is None else _seen_depth(cloud, viewpoint_W)
+    deep = min(max(deepest, seen), _DEEPEST_MOVED)
+    grid = field_of(cloud, viewpoint_W=viewpoint_W, deepest=deep, table=table)
     solid = cloud_solid(grid, name=name, label=f"obstacle {name}")
     return SeenField(solid, cloud, cloud, _view(solid, viewpoint_W), deepest)
+
+
+def _seen_depth(cloud: FloatArray, viewpoint_W: FloatArray) -> float:
+    """How deep a cloud (N, 3) is, horizontally, along the view [m]."""
+    away = cloud.mean(axis=0)[:2] - viewpoint_W[:2]
+    along = cloud[:, :2] @ away / max(float(np.linalg.norm(away)), 1e-9)
+    return float(np.ptp(along))
 
 
 def _view(solid: Solid, viewpoint_W: FloatArray | None) -> FloatArray:
