@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
 
 from drake_oa.common.compiled import compiled, leaf
 from drake_oa.common.messages import FloatArray, Frozen, IntArray, TablePlane
@@ -32,6 +33,8 @@ _OFFSET = 0.13
 A point is at most sqrt(3) / 2 from its node, and interpolation adds at most 0.26 to the distance
 from a node (found by search: near the middle of a voxel that has the node as a corner).
 """
+_THIN = 1e-4
+"""Half the thickness of what is seen of a plane, seen from above [m]."""
 _TOO_NEAR = 0.05
 """A viewpoint so near above a thing says nothing of its depth [m]."""
 _FAR = 1 << 28
@@ -86,9 +89,10 @@ def field_of(
 
     With a viewpoint, what the thing hides of itself is filled too. A voxel counts as occupied
     that lies behind the seen surface, on a ray of the viewpoint, horizontally by at most
-    `deepest` (or what the thing is broad or seen to be deep), no farther than the thing is deep
-    (what is seen of it, or as deep as broad, at most `deepest`), and above the table; without
-    one above the lowest point, and as far below the highest as it is thick.
+    `deepest` (or what the thing is broad or seen to be deep); within its outline from above, which
+    is that of what is seen and of its image beyond the middle of what is as deep as seen, or as
+    broad, at most `deepest`; and above the table, without one above the lowest point, and as far
+    below the highest as it is thick.
 
     The distance is at most one voxel larger than that to the points, and smaller by at most two
     (the point to its node, sqrt(3)/2; a crease of the distance between nodes, as much again;
@@ -174,8 +178,8 @@ class _Shade(NamedTuple):
         pixel: edge of a pixel at distance one.
         corner: (2,) of the image, at distance one.
         near, far: (rows, columns) distances of the nearest and farthest point; inf, -inf: none.
-        away: (2,) horizontal direction of the view, zero from above.
-        limit: along it nothing is filled beyond [m].
+        outline: (E, 3) horizontal normals and offsets of the lines within which is filled [m];
+            none where it is seen from above.
         run: nor so far behind the surface, horizontally [m].
         floor: (4,) upward normal and offset of the plane below which nothing is filled [m].
         low, high: (3,) box of what may be filled [m].
@@ -187,8 +191,7 @@ class _Shade(NamedTuple):
     corner: FloatArray
     near: FloatArray
     far: FloatArray
-    away: FloatArray
-    limit: float
+    outline: FloatArray
     run: float
     floor: FloatArray
     low: FloatArray
@@ -210,7 +213,7 @@ def _shade(
         return None
     z_V = view / distance
     if level < _TOO_NEAR:
-        away, depth, limit = np.zeros(2), 0.0, math.inf
+        away, depth, outline = np.zeros(2), 0.0, np.zeros((0, 3))
         breadth = float((high - low)[:2].min())
         x_V = np.array([1.0, 0.0, 0.0])
     else:
@@ -218,7 +221,8 @@ def _shade(
         x_V = np.array([away[1], -away[0], 0.0])
         along, across = points[:, :2] @ away, points[:, :2] @ x_V[:2]
         breadth, depth = float(np.ptp(across)), float(np.ptp(along))
-        limit = float(along.min()) + max(depth, min(breadth, deepest))
+        outline = _outline(along, across, max(depth, min(breadth, deepest)))
+        outline[:, :2] = outline[:, :1] * away + outline[:, 1:2] * x_V[:2]
     y_V = np.cross(z_V, x_V)
     y_V /= np.linalg.norm(y_V)
     run, thick = min(max(breadth, depth), deepest), min(breadth, deepest)
@@ -250,7 +254,30 @@ def _shade(
             break
         pixel *= 1.25
     _close_gaps(near, far)
-    return _Shade(p_WV, R_WV, pixel, corner, near, far, away, limit, run, floor, low, high)
+    return _Shade(p_WV, R_WV, pixel, corner, near, far, outline, run, floor, low, high)
+
+
+def _outline(along: FloatArray, across: FloatArray, depth: float) -> FloatArray:
+    """(E, 3) sides of what is seen from above of a thing, with what is hidden of it.
+
+    Most things are symmetric about a vertical axis (J. Bohg et al., ICRA 2011, mirror what they see
+    at a plane): the outline is the convex hull of the points and of their images beyond the middle.
+
+    Args:
+        along, across: (N,) places of the points along the view and across it [m].
+        depth: of the thing along the view, from its first point [m].
+    """
+    points = np.column_stack([along, across])
+    middle = [along.min() + 0.5 * depth, 0.5 * (across.min() + across.max())]
+    points = np.concatenate([points, 2.0 * np.array(middle) - points])
+    try:
+        sides = ConvexHull(points).equations
+    except QhullError:
+        # A plane seen from above.
+        corners = [[-_THIN, -_THIN], [-_THIN, _THIN], [_THIN, -_THIN], [_THIN, _THIN]]
+        sides = ConvexHull((points[:, None] + corners).reshape(-1, 2)).equations
+    sides[:, 2] *= -1.0
+    return np.ascontiguousarray(np.unique(np.round(sides, 9), axis=0))
 
 
 @compiled
@@ -302,7 +329,11 @@ def _fill_hidden(p_WO: FloatArray, voxel: float, shade: _Shade, occupied: ByteAr
         x = p_WO[0] + i * voxel
         for j in range(first[1], last[1] + 1):
             y = p_WO[1] + j * voxel
-            if x * shade.away[0] + y * shade.away[1] > shade.limit + slack:
+            outside = False
+            for e in range(len(shade.outline)):
+                side = shade.outline[e]
+                outside = outside or x * side[0] + y * side[1] > side[2] + slack
+            if outside:
                 continue
             a, b = x - V[0], y - V[1]
             level2 = a * a + b * b

@@ -1,6 +1,6 @@
 """Solids as perception sees them: a distance field an obstacle, made anew only where it has to be.
 
-A field costs about 10 ms, and a new one has every motion looked for again. Perception hands on
+A field costs some milliseconds, and a new one has every motion looked for again. Perception hands on
 other points in each frame, if only by its noise. So a field is kept, moved with its obstacle, as
 long as the new cloud says nothing that the field does not:
 
