@@ -1,8 +1,8 @@
-"""Solids as perception sees them: a distance field an obstacle, made anew only where it has to be.
+"""Solids as perception sees them: a distance field an obstacle, made anew where it has to be.
 
-A field costs some milliseconds, and a new one has every motion looked for again. Perception hands on
-other points in each frame, if only by its noise. So a field is kept, moved with its obstacle, as
-long as the new cloud says nothing that the field does not:
+A field costs some milliseconds, and a new one has every motion looked for again. Perception hands
+on other points in each frame, if only by its noise. So a field is kept, moved with its obstacle,
+as long as the new cloud says nothing that the field does not:
 
 - of the eight nodes round each point one is occupied: a point may be at least half a voxel from
   where it was, which is three deviations of a camera's noise at 1 m, and at a flat side the
