@@ -8,6 +8,7 @@ Out: coupling_parameters `CouplingParameters`, one term or none; demonstration `
 
 Systems
     TrueSolids      every observation; what is in the world, as the simulator knows it
+    CloudSolids     every observation; the same as perception sees it, from obstacles_W
     MotionSelector  every observation (15 Hz); rolls candidates out and takes the shortest that
                     keeps what is asked of tool and links
 
@@ -18,10 +19,11 @@ Method
     clears, a path in the joints (RRT-Connect, J. J. Kuffner and S. M. LaValle, ICRA 2000, by OMPL)
     is imitated by the primitives and rolled out like the rest: a plan is one more demonstration.
 
-Parts, in the order data flows: `solid_scene`, `true_solids` (the world); `arm_world` (what one
-configuration keeps of it), `tracking` (joints along a path of the tool), `rollout` (candidates on
-all cores), `search` (the coupling family), `goal_postures`, `joint_planner` and `imitation` (a plan
-as a demonstration), `motion_search` (the choice), `motion_selector`.
+Parts, in the order data flows: `solid_scene`, `true_solids`, `cloud_solids` (the world);
+`arm_world` (what one configuration keeps of it), `tracking` (joints along a path of the tool),
+`rollout` (candidates on all cores), `search` (the coupling family), `goal_postures`,
+`joint_planner` and `imitation` (a plan as a demonstration), `motion_search` (the choice),
+`motion_selector`.
 
 Configuration: the block `regulation` of a scenario, tagged `!WholeArm`.
 
