@@ -10,19 +10,21 @@ from drake_oa.common.wires import Wires
 from drake_oa.diagrams.arm import arm_model, make_posture_guide
 from drake_oa.diagrams.policy import make_dmp
 from drake_oa.diagrams.station import Cell
-from drake_oa.perception.config import GroundTruth
+from drake_oa.geometry.pinhole import pinhole
+from drake_oa.perception.config import DepthCamera, GroundTruth
 from drake_oa.planning.arm_world import make_chain
 from drake_oa.planning.cloud_solids import CloudSolids
 from drake_oa.planning.motion_search import MotionSearch
 from drake_oa.planning.motion_selector import MotionSelector
 from drake_oa.planning.true_solids import TrueSolids
+from drake_oa.planning.unseen_ends import ImageSize
 from drake_oa.regulation.config import WholeArm
 from drake_oa.regulation.regressor import ChainWeights
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.spheres import SphereParameters, make_arm_spheres
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.sources import perception_period
+from drake_oa.scenario.sources import camera_config, perception_period
 from drake_oa.scenario.tool_orientation import end_rotations, tool_orientation
 
 _LEAST_STEPS, _MOST_STEPS = 250, 1000
@@ -57,7 +59,13 @@ def add_motion_selector(
 def make_solids(scenario: Scenario, cell: Cell) -> TrueSolids | CloudSolids:
     """What tells the shapes of all that is not the robot: exactly, or by what is seen of them."""
     period = perception_period(scenario)
-    if not isinstance(scenario.perception, GroundTruth):
+    source = scenario.perception
+    if isinstance(source, DepthCamera):
+        seen = cell.cameras[source.camera].intrinsics
+        near = camera_config(scenario, source).z_near
+        image = ImageSize(*pinhole(seen), seen.width(), seen.height(), near)
+        return CloudSolids(period=period, image=image)
+    if not isinstance(source, GroundTruth):
         return CloudSolids(period=period)
     plant = cell.plant
     others = [

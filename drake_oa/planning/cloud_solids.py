@@ -35,6 +35,7 @@ from drake_oa.geometry.solids import table_solid as solid_of_table
 from drake_oa.perception.hidden_sides import names_moved
 from drake_oa.perception.memory import held_table
 from drake_oa.planning.solid_scene import SolidScene
+from drake_oa.planning.unseen_ends import ImageSize, with_unseen_ends
 
 _logger = logging.getLogger("drake_oa")
 
@@ -297,17 +298,19 @@ class CloudSolids(LeafSystem):
     obstacle that is too large for fine voxels.
     """
 
-    def __init__(self, *, period: float = 1.0 / 15.0) -> None:
+    def __init__(self, *, period: float = 1.0 / 15.0, image: ImageSize | None = None) -> None:
         """Declares the ports.
 
         Args:
             period: time between observations [s].
+            image: of the camera; what it cuts off goes on beyond it. None: not known.
 
         Raises:
             ValueError: if it is not positive and finite.
         """
         super().__init__()
         period = valid_period(period)
+        self._image = image
         self._obstacles = self.DeclareAbstractInputPort("obstacles_W", Value(ObstacleClouds()))
         self._pose = self.DeclareAbstractInputPort("camera_pose", Value(RigidTransform()))
         self._seen = self.DeclareAbstractState(Value(SeenSolids()))
@@ -331,6 +334,8 @@ class CloudSolids(LeafSystem):
             return EventStatus.DidNothing()
         pose = read_optional(self, self._pose, context, RigidTransform)
         viewpoint_W = None if pose is None else np.array(pose.translation())
+        if pose is not None and self._image is not None:
+            obstacles = with_unseen_ends(obstacles, pose.GetAsMatrix4(), self._image)
         after = looked_at(before, obstacles, viewpoint_W)
         _log_change(before, after, context.get_time())
         state.get_mutable_abstract_state(self._seen).set_value(after)

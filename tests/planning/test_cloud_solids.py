@@ -12,6 +12,7 @@ from drake_oa.common.messages import ObstacleClouds, TablePlane
 from drake_oa.geometry.solids import Solids, solid_distance
 from drake_oa.planning import cloud_solids
 from drake_oa.planning.cloud_solids import CloudSolids, SeenSolids, looked_at
+from drake_oa.planning.unseen_ends import ImageSize, with_unseen_ends
 
 CAMERA = np.array([1.2, 0.0, 0.8])
 HALF = np.array([0.04, 0.1, 0.1])
@@ -198,3 +199,32 @@ def test_coarser_voxels_are_told_once(caplog):
 def test_a_period_that_is_not_positive_is_refused():
     with pytest.raises(ValueError, match="period"):
         CloudSolids(period=0.0)
+
+
+def post(height):
+    """The front of a post, 4 cm broad, as high as that."""
+    y, z = np.meshgrid(np.arange(-0.02, 0.021, 0.005), np.arange(0.0, height, 0.005))
+    return np.stack([np.full(y.size, 0.5), y.ravel(), z.ravel()], axis=1)
+
+
+@pytest.mark.parametrize("cut", ["top", "near"])
+def test_what_the_image_cuts_off_goes_on_beyond_it(cut):
+    # It looks along -x, and down by 45 degrees.
+    down = np.array([-1.0, 0.0, -1.0]) / np.sqrt(2.0)
+    across = np.array([0.0, 1.0, 0.0])
+    X_WC = np.eye(4)
+    X_WC[:3, :3] = np.column_stack([across, np.cross(down, across), down])
+    X_WC[:3, 3] = [1.0, 0.0, 1.0]
+    wide = ImageSize(500.0, 500.0, 1000.0, 1000.0, 2000, 2000)
+    whole = seen(post(0.4))
+    assert with_unseen_ends(whole, X_WC, wide) is whole
+    last = (post(0.4)[-1] - X_WC[:3, 3]) @ X_WC[:3, :3]
+    if cut == "near":
+        image = wide._replace(near=last[2] - 0.005)
+    else:
+        v = 500.0 * (last[1] / last[2]) + 1000.0 - 2.0
+        image = wide._replace(cy=1000.0 - v, height=int(2000.0 - v))
+    (longer,) = with_unseen_ends(whole, X_WC, image).clouds_W
+    np.testing.assert_array_equal(longer[: len(post(0.4))], post(0.4))
+    np.testing.assert_allclose(longer.max(axis=0), [0.5, 0.02, 0.79], atol=0.02)
+    assert longer[:, 2].min() == 0.0

@@ -1,0 +1,81 @@
+"""What goes on beyond the image: a thing that is cut off by it is taken to be longer.
+
+A post that the image shows the lower half of, or the upper half of which is too near, has no end
+there, and nothing may pass over it. As
+what is hidden is taken to be as deep as it is broad, what is cut off is taken to go on for as far
+as it is seen.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from drake_oa.common.messages import FloatArray, ObstacleClouds
+from drake_oa.geometry.distance_field import VOXEL
+
+_LONGEST = 0.5
+"""What is cut off goes on for no more [m]."""
+_NEAR = 1.5 * VOXEL
+"""A point so near to the border of the image may be the last that it shows [m]."""
+
+
+class ImageSize(NamedTuple):
+    """Focal lengths, centre, width and height of a pinhole camera's image [pixel].
+
+    near: what has less depth is not seen [m].
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+    near: float = 0.0
+
+
+def with_unseen_ends(
+    obstacles: ObstacleClouds, X_WC: FloatArray, image: ImageSize
+) -> ObstacleClouds:
+    """The obstacles, with more points where the image cuts them off.
+
+    Args:
+        obstacles: what is seen.
+        X_WC: (4, 4) pose of the camera (x right, y down, z forward).
+        image: of the camera.
+
+    Returns:
+        `obstacles` itself where none is cut off.
+    """
+    clouds = tuple(_with_ends(cloud, X_WC, image) for cloud in obstacles.clouds_W)
+    if all(one is other for one, other in zip(clouds, obstacles.clouds_W, strict=True)):
+        return obstacles
+    return replace(obstacles, clouds_W=clouds)
+
+
+def _with_ends(cloud: FloatArray, X_WC: FloatArray, image: ImageSize) -> FloatArray:
+    """A cloud (N, 3), with its ends."""
+    x, y, z = ((cloud - X_WC[:3, 3]) @ X_WC[:3, :3]).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # How far the points are from the borders, at their depth.
+        left, right = x + z * image.cx / image.fx, z * (image.width - image.cx) / image.fx - x
+        top, bottom = y + z * image.cy / image.fy, z * (image.height - image.cy) / image.fy - y
+    # Things stand upright: up and down in the image, and nearer, is so in the world.
+    vertical = np.array([0.0, 0.0, 1.0])
+    across, up = X_WC[:3, 0], vertical * math.copysign(1.0, -X_WC[2, 1])
+    nearer = vertical * math.copysign(1.0, -X_WC[2, 2])
+    borders = (left, -across), (right, across), (top, up), (bottom, -up), (z - image.near, nearer)
+    ends = [cloud]
+    for gap, way in borders:
+        last = cloud[(np.abs(gap) <= _NEAR) & (z > 0.0)]
+        if not len(last):
+            continue
+        along = cloud @ way
+        length = min(float(np.ptp(along)), _LONGEST)
+        steps = VOXEL * np.arange(1, 1 + math.floor(length / VOXEL))
+        ends.append((last[:, None] + steps[:, None] * way).reshape(-1, 3))
+    return cloud if len(ends) == 1 else np.concatenate(ends)
