@@ -63,7 +63,8 @@ def make_solids(scenario: Scenario, cell: Cell) -> TrueSolids | CloudSolids:
     if isinstance(source, DepthCamera):
         seen = cell.cameras[source.camera].intrinsics
         near = camera_config(scenario, source).z_near
-        image = ImageSize(*pinhole(seen), seen.width(), seen.height(), near)
+        fx, fy, cx, cy = pinhole(seen)
+        image = ImageSize(fx, fy, cx, cy, seen.width(), seen.height(), near)
         return CloudSolids(period=period, image=image)
     if not isinstance(source, GroundTruth):
         return CloudSolids(period=period)

@@ -19,9 +19,9 @@ Method
     clears, a path in the joints (RRT-Connect, J. J. Kuffner and S. M. LaValle, ICRA 2000, by OMPL)
     is imitated by the primitives and rolled out like the rest: a plan is one more demonstration.
 
-Parts, in the order data flows: `solid_scene`, `true_solids`, `unseen_ends`, `cloud_solids` (the world);
-`arm_world` (what one configuration keeps of it), `tracking` (joints along a path of the tool),
-`rollout` (candidates on all cores), `search` (the coupling family), `goal_postures`,
+Parts, in the order data flows: `solid_scene`, `true_solids`, `unseen_ends` and `cloud_solids` (the
+world); `arm_world` (what one configuration keeps of it), `tracking` (joints along a path of the
+tool), `rollout` (candidates on all cores), `search` (the coupling family), `goal_postures`,
 `joint_planner` and `imitation` (a plan as a demonstration), `motion_search` (the choice),
 `motion_selector`.
 

@@ -291,7 +291,8 @@ class CloudSolids(LeafSystem):
       is said of their hidden sides.
     - solids_W: abstract `SolidScene`: a field an obstacle, with its velocity, what it hides of
       itself filled (`drake_oa.geometry.distance_field.field_of`), and what is below the table,
-      where it is known. While all rests and nothing new is seen it holds the same arrays.
+      where it is known; what the image cuts off goes on beyond it (`unseen_ends`). While all
+      rests and nothing new is seen it holds the same arrays.
 
     The state is read every `period`, between an observation and the decision that goes by it. An
     observation that is not finite changes nothing, and the log says so, as it does once of each
