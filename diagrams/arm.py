@@ -52,10 +52,11 @@ def make_robot_arm(
     stop = 0.0 if scenario.supervisor is None else scenario.supervisor.stop_distance
     stop += padding(scenario.perception) + _FARTHER
     least = stop + _FARTHER
-    if robot.posture.clearance < least:
+    link_clearance = robot.posture.link_clearance
+    if link_clearance < least:
         # Nearer than the stop the supervisor would hold the motion.
         raise ScenarioError(
-            f"robot.posture.clearance: {robot.posture.clearance:g} must be at least {least:g} [m], "
+            f"robot.posture.link_clearance: {link_clearance:g} must be at least {least:g} [m], "
             "a little more than supervisor.stop_distance and what perception leaves open"
         )
     try:
@@ -64,7 +65,7 @@ def make_robot_arm(
         planner = WholeArm(
             arm,
             PostureParameters(
-                clearance=robot.posture.clearance,
+                link_clearance=robot.posture.link_clearance,
                 stop_distance=stop,
                 roll_joint=robot.posture.roll_joint,
             ),

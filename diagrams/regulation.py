@@ -105,16 +105,20 @@ def make_regressor_chain(
     Raises:
         ScenarioError: naming the file, if the weights are missing or do not fit.
     """
-    policy, clearance, weights = scenario.policy, scenario.task.clearance, load_weights(scenario)
+    policy, asked_clearance, weights = (
+        scenario.policy,
+        scenario.task.clearance,
+        load_weights(scenario),
+    )
     if isinstance(scenario.regulation, Regressor):
-        return RegressorChain(weights, clearance)
+        return RegressorChain(weights, asked_clearance)
     if not isinstance(scenario.regulation, Verified):
         raise ScenarioError("regulation: !WholeArm has no regressor chain of its own")
     dmp = make_dmp(scenario)
     return VerifiedRegressorChain(
         weights,
         dmp,
-        clearance,
+        asked_clearance,
         period=perception_period(scenario),
         parameters=search_parameters(scenario.regulation, policy, dmp),
         table_height=policy.table_height,

@@ -28,7 +28,7 @@ def main() -> None:
         ids=np.array([0]),
     )
     R_WL = local_frame(start, goal)
-    scene = ring_scene(start, goal, R_WL, box, TablePlane(), clearance=0.1)
+    scene = ring_scene(start, goal, R_WL, box, TablePlane(), asked_clearance=0.1)
     rings = {"table": partial(table_ring, height=0.05), "length": length_ring}
     for label, extra in (("without", {}), ("with", {"people": never_above})):
         selection = select_directions(scene, rings | extra)

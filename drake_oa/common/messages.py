@@ -226,7 +226,7 @@ class Route(Frozen):
         center_W: (M, 3) where the coupling terms act about: on the baseline [m].
         extents: (M, 2) lambda', the obstacle's semi-axes about that centre, along the
             baseline and across it toward the chosen side [m].
-        clearance: (M,) clearance to keep from them [m]; 0: no coupling needed.
+        remaining_clearance: (M,) clearance to keep from them [m]; 0: no coupling needed.
         weight: (M,) share of the coupling term that the obstacle has.
         index: (M,) the chosen column of the rings.
         angles: (K,) angles of the circle [rad], 0 along local y, pi/2 along z.
@@ -245,7 +245,7 @@ class Route(Frozen):
     normal_W: FloatArray = _floats(0, 3)
     center_W: FloatArray = _floats(0, 3)
     extents: FloatArray = _floats(0, 2)
-    clearance: FloatArray = _floats(0)
+    remaining_clearance: FloatArray = _floats(0)
     weight: FloatArray = _floats(0)
     index: IntArray = _integers()
     angles: FloatArray = _floats(0)

@@ -353,7 +353,7 @@ class MotionSearch:
             R_WO=seen.R_WO[None],
             semi_axes=seen.semi_axes[None],
             v_WO=seen.v_WO[None],
-            clearance=np.full((1, len(seen)), self._clearance),
+            asked_clearance=np.full((1, len(seen)), self._clearance),
             s=max(0.0, normalised_time(policy.phase, dmp.alpha_k)),
         )
 

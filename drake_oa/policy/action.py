@@ -340,7 +340,7 @@ class Surroundings(Frozen):
                 given = coupling.normal_W.any(axis=1)
                 obstacles.normal[given] = coupling.normal_W[given]
                 obstacles.heading[given] = 0.0
-                obstacles.clearance[given] = 0.0
+                obstacles.remaining_clearance[given] = 0.0
             obstacles.about[:] = coupling.center_W if in_plane else ellipsoids.p_WO
             obstacles.parameters[:] = coupling.as_array()
             _check_ranges(obstacles)
@@ -404,7 +404,7 @@ def _check_rows(count: int, coupling: CouplingParameters, route: Route | None) -
     if route is not None:
         rows["route"] = len(route.heading_W) or len(route.direction_W)
         follows = len(route.heading_W) == 0
-        for name in ("normal_W", "center_W", "clearance") if follows else ("normal_W",):
+        for name in ("normal_W", "center_W", "remaining_clearance") if follows else ("normal_W",):
             rows[f"route's {name}"] = len(getattr(route, name))
     for name, found in rows.items():
         if found != count:
@@ -433,5 +433,5 @@ def _lay_out_route(route: Route, obstacles: Obstacles) -> None:
     else:
         obstacles.direction[:] = route.direction_W
         obstacles.foot[:] = route.center_W
-        obstacles.clearance[:] = route.clearance
+        obstacles.remaining_clearance[:] = route.remaining_clearance
     obstacles.normal[:] = route.normal_W

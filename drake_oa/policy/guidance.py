@@ -31,7 +31,7 @@ class Obstacles(NamedTuple):
         heading: (M, 3) headings to be led along; zero: none.
         direction: (M, 3) unit directions omega_d of the route.
         foot: (M, 3) centres that the route passes [m].
-        clearance: (M,) distances that the route keeps [m]; 0: it does not guide.
+        remaining_clearance: (M,) distances that the route keeps [m]; 0: it does not guide.
     """
 
     p_WO: FloatArray
@@ -44,7 +44,7 @@ class Obstacles(NamedTuple):
     heading: FloatArray
     direction: FloatArray
     foot: FloatArray
-    clearance: FloatArray
+    remaining_clearance: FloatArray
 
     @staticmethod
     def of(ellipsoids: EllipsoidSet | None) -> Obstacles:
@@ -83,7 +83,7 @@ def desired_headings(
     direction_W: FloatArray,
     normal_W: FloatArray,
     center_W: FloatArray,
-    clearance: FloatArray,
+    remaining_clearance: FloatArray,
 ) -> FloatArray:
     """v_d for each obstacle; a zero row where the heading needs no guidance.
 
@@ -99,15 +99,17 @@ def desired_headings(
         direction_W: (M, 3) chosen unit directions omega_d.
         normal_W: (M, 3) normals of the passing planes, see `passing_normals`.
         center_W: (M, 3) points that the avoidance terms act about [m].
-        clearance: (M,) distance to keep [m].
+        remaining_clearance: (M,) distance to keep [m].
 
     Returns:
         (M, 3) unit headings or zero rows, in the world frame.
     """
     heading_W = np.zeros((len(ellipsoids), 3))
-    foot, normal, direction, kept = kernel_arrays(center_W, normal_W, direction_W, clearance)
+    foot, normal, direction, remaining = kernel_arrays(
+        center_W, normal_W, direction_W, remaining_clearance
+    )
     obstacles = Obstacles.of(ellipsoids)._replace(
-        foot=foot, normal=normal, direction=direction, clearance=kept
+        foot=foot, normal=normal, direction=direction, remaining_clearance=remaining
     )
     p_WE, z_W, p_WG, R_WL = kernel_arrays(policy.p_WE, policy.z_W, policy.p_WG, policy.R_WL)
     guide(p_WE, z_W, p_WG, R_WL, obstacles, heading_W)
@@ -135,7 +137,7 @@ def guide(
         distance_G += (p_WG[k] - p_WE[k]) ** 2
     distance_G = np.sqrt(distance_G)
     for row in range(len(obstacles.foot)):
-        clearance = obstacles.clearance[row]
+        clearance = obstacles.remaining_clearance[row]
         if not clearance > 0.0:
             continue
         share = _wrong_side(p_WE, u, obstacles.foot[row], obstacles.normal[row])
@@ -153,7 +155,7 @@ def guide(
             obstacles.p_WO[one],
             obstacles.B[one],
             obstacles.direction[one],
-            obstacles.clearance[one],
+            obstacles.remaining_clearance[one],
             np.empty((7, 3)),
             tangent,
             np.empty(1),

@@ -69,7 +69,7 @@ class PostureParameters:
     """What a plan keeps, and its prices.
 
     Attributes:
-        clearance: asked distance Delta_a of the links to obstacles and table [m].
+        link_clearance: asked distance Delta_a of the links to obstacles and table [m].
         stop_distance: below this distance a posture is forbidden, d_stop [m].
         self_clearance, self_stop: the same of the links to each other [m].
         limit_clearance, limit_stop: the same of the joints to their limits [rad].
@@ -82,7 +82,7 @@ class PostureParameters:
         ValueError: for a value out of range.
     """
 
-    clearance: float = 0.1
+    link_clearance: float = 0.1
     stop_distance: float = 0.035
     self_clearance: float = 0.03
     self_stop: float = 0.005
@@ -101,12 +101,12 @@ class PostureParameters:
             if not 0.0 <= value < math.inf:
                 raise ValueError(f"{item.name} must be finite and not negative, not {value}")
         for asked, stop in (
-            ("clearance", "stop_distance"),
+            ("link_clearance", "stop_distance"),
             ("self_clearance", "self_stop"),
             ("limit_clearance", "limit_stop"),
         ):
             if not getattr(self, asked) > getattr(self, stop) + _RESERVES[0] * (
-                asked == "clearance"
+                asked == "link_clearance"
             ):
                 raise ValueError(
                     f"{asked} {getattr(self, asked)} must be more than {stop} {getattr(self, stop)}"
@@ -125,7 +125,7 @@ class PostureParameters:
         """As the kernels take them."""
         return Rules(
             stop=self.stop_distance,
-            asked=self.clearance,
+            asked=self.link_clearance,
             padding=padding,
             self_stop=self.self_stop,
             self_asked=self.self_clearance,
@@ -281,7 +281,10 @@ def plan_posture(
             plan = _described(arm, around, s, way, seconds, ages, rules)
             if plan.short < best.short:
                 best = plan
-            if best.short == 0.0 or parameters.clearance <= parameters.stop_distance + _RESERVES[1]:
+            if (
+                best.short == 0.0
+                or parameters.link_clearance <= parameters.stop_distance + _RESERVES[1]
+            ):
                 break
         if best.short == 0.0:
             break

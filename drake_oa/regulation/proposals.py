@@ -129,7 +129,7 @@ def shadows(
     """
     p_WG, R_WL, baseline = scenes.p_WG, scenes.R_WL, scenes.baseline
     p_WO, R_WO, v_WO = scenes.p_WO, scenes.R_WO, scenes.v_WO
-    semi_axes, clearance = scenes.semi_axes, scenes.clearance
+    semi_axes, asked_clearance = scenes.semi_axes, scenes.asked_clearance
     M = p_WO.shape[1]
     for s in range(len(baseline)):
         L = baseline[s]
@@ -160,7 +160,7 @@ def shadows(
             cos, sin = math.cos(angles[a]), math.sin(angles[a])
             low, high, top, asked = np.inf, -np.inf, -np.inf, 0.0
             for j in range(M):
-                if not nearest[j] < clearance[s, j]:
+                if not nearest[j] < asked_clearance[s, j]:
                     continue
                 # Matrix of the shadow in the plane of x and omega, and its centre there.
                 q11, q12, q22, cx, cy = 0.0, 0.0, 0.0, 0.0, 0.0
@@ -189,7 +189,7 @@ def shadows(
                 left_end = -reach if -q12 / reach >= level else middle - half
                 low, high = min(low, cx + left_end), max(high, cx + right)
                 top = max(top, cy + height)
-                asked = max(asked, clearance[s, j] + min(cy + height, 0.0))
+                asked = max(asked, asked_clearance[s, j] + min(cy + height, 0.0))
             if asked == 0.0:
                 low, high, top = 0.5 * L, 0.5 * L, 0.0
             out[s, a, ALONG] = max(0.5 * (high - low) / L, 0.02)

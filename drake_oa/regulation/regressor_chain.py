@@ -41,12 +41,12 @@ class RegressorChain(LeafSystem):
     alpha is 0 and no row is in range.
     """
 
-    def __init__(self, weights: ChainWeights, clearance: float) -> None:
+    def __init__(self, weights: ChainWeights, asked_clearance: float) -> None:
         """Declares the ports.
 
         Args:
             weights: the trained chain, see `drake_oa.regulation.regressor.load_chain`.
-            clearance: asked distance Delta between tool and obstacle [m].
+            asked_clearance: asked distance Delta between tool and obstacle [m].
 
         Raises:
             TypeError: if weights are no `ChainWeights`.
@@ -57,10 +57,12 @@ class RegressorChain(LeafSystem):
             raise TypeError(
                 f"weights must be ChainWeights (see load_chain), not {type(weights).__name__}"
             )
-        if not 0.0 < clearance < np.inf:
-            raise ValueError(f"clearance must be finite and positive [m], not {clearance}")
+        if not 0.0 < asked_clearance < np.inf:
+            raise ValueError(
+                f"asked_clearance must be finite and positive [m], not {asked_clearance}"
+            )
         self._weights = weights
-        self._clearance = float(clearance)
+        self._asked_clearance = float(asked_clearance)
         self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
         self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
         self._route = self.DeclareAbstractInputPort("route", Value(Route()))
@@ -92,7 +94,9 @@ class RegressorChain(LeafSystem):
         if route.baseline == 0.0:
             return _no_coupling(count)
         place = (route.center_W - route.p_WS) @ route.R_WL[:, 0]
-        found = self._weights.parameters(route.extents, route.clearance, route.baseline, place)
+        found = self._weights.parameters(
+            route.extents, route.remaining_clearance, route.baseline, place
+        )
         return replace(found, alpha=found.alpha * route.weight, center_W=route.center_W)
 
     def _as_plane_cuts(self, policy: PolicyState, ellipsoids: EllipsoidSet) -> CouplingParameters:
@@ -108,7 +112,7 @@ class RegressorChain(LeafSystem):
             ellipsoids.semi_axes,
         )
         place = (ellipsoids.p_WO - policy.p_WS) @ policy.R_WL[:, 0]
-        return self._weights.parameters(extents, self._clearance, baseline, place)
+        return self._weights.parameters(extents, self._asked_clearance, baseline, place)
 
 
 def _no_coupling(count: int) -> CouplingParameters:

@@ -28,6 +28,7 @@ from drake_oa.common.messages import (
 )
 from drake_oa.geometry.annulus import ANYWHERE, Annulus, annulus_margin
 from drake_oa.geometry.ellipsoid import signed_distance
+from drake_oa.geometry.ellipsoid_kernels import feasible_clearance
 from drake_oa.policy.coupling import N_COLUMNS
 from drake_oa.policy.dmp import Dmp, local_frame, normalised_time, trajectory
 from drake_oa.regulation.config import SearchParameters
@@ -62,7 +63,7 @@ class Regulator:
         self,
         weights: ChainWeights,
         dmp: Dmp,
-        clearance: float,
+        asked_clearance: float,
         *,
         parameters: SearchParameters,
         table_height: float = 0.05,
@@ -74,7 +75,7 @@ class Regulator:
         Args:
             weights: the chain that proposes.
             dmp: the movement primitive, of three dimensions.
-            clearance: asked clearance Delta of every obstacle [m].
+            asked_clearance: asked clearance Delta of every obstacle [m].
             parameters: how far the search goes, and the coupling's fade.
             table_height: least height of E above the table [m].
             annulus: where E may be; None: anywhere.
@@ -86,7 +87,7 @@ class Regulator:
         self.begins_anew = begins_anew
         self._weights = weights
         self._dmp = dmp
-        self._clearance = clearance
+        self._asked_clearance = asked_clearance
         self.parameters = parameters
         self._table_height = table_height
         self._annulus = ANYWHERE if annulus is None else annulus
@@ -194,7 +195,7 @@ class Regulator:
         found = survey(
             scene,
             duration=self._dmp.duration,
-            clearance=self.parameters.least_clearance,
+            least_clearance=self.parameters.least_clearance,
             dmp=self._dmp,
             previous=after.genes,
             parameters=self.parameters,
@@ -301,7 +302,7 @@ class Regulator:
             R_WO=seen.R_WO[None],
             semi_axes=seen.semi_axes[None],
             v_WO=seen.v_WO[None],
-            clearance=np.full((1, len(seen)), self._clearance),
+            asked_clearance=np.full((1, len(seen)), self._asked_clearance),
             s=max(0.0, normalised_time(policy.phase, self._dmp.alpha_k)),
             plane=plane,
             annulus=self._annulus,
@@ -313,11 +314,11 @@ class Regulator:
         seconds = self._dmp.duration * math.exp(found.genes[0, TAU])
         motion = self._roll_out(scene, found.terms, seconds)
         least, start, goal = self._distances(scene, motion, seconds)
-        feasible = np.minimum(self._clearance, np.minimum(start, goal))
+        feasible = feasible_clearance(self._asked_clearance, start, goal)
         shortfall = float(found.shortfall[0])
         clear = (start > 0.0) & (goal > 0.0)
         # What holds start or goal is touched by any motion; the policy is held for that.
-        kept = float(found.clearance[0]) if clear.all() else least[clear].min(initial=np.inf)
+        kept = float(found.kept_clearance[0]) if clear.all() else least[clear].min(initial=np.inf)
         touched = kept <= 0.0
         outside = not found.kept[0] and float(motion.world_margin[0]) < -self.parameters.outside
         astray = clear.any() and float(found.goal_error[0]) > self.parameters.astray * baseline
@@ -333,7 +334,7 @@ class Regulator:
         remaining = float(found.path_length[0])
         tau = float(found.tau[0]) if moving else self._scaling(here, remaining, baseline)
         shortest = here.ellipsoids.ids[(feasible - least).argmax()] % PART
-        lowered = self._clearance - max(float(feasible.min()), 0.0)
+        lowered = self._asked_clearance - max(float(feasible.min()), 0.0)
         return replace(
             here,
             remaining=remaining,

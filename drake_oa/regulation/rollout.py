@@ -24,6 +24,7 @@ from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
 from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.common.thinking import count
 from drake_oa.geometry.annulus import ANYWHERE, Annulus
+from drake_oa.geometry.ellipsoid_kernels import feasible_clearance
 from drake_oa.policy.coupling import ALPHA, GUIDANCE_ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
 from drake_oa.policy.dmp import Dmp, imitate, minimum_jerk, spring_flow
 from drake_oa.regulation.lane_math import STRICT, widest_vectors
@@ -94,7 +95,7 @@ class SceneArrays(NamedTuple):
     R_WO: FloatArray
     semi_axes: FloatArray
     v_WO: FloatArray
-    clearance: FloatArray
+    asked_clearance: FloatArray
     plane: FloatArray
     radii: FloatArray
     axis: FloatArray
@@ -151,7 +152,7 @@ class SpatialScenes(Frozen):
         R_WO: (S, M, 3, 3) rotations, principal axes in the columns.
         semi_axes: (S, M, 3) [m].
         v_WO: (S, M, 3) velocities of the centres [m/s].
-        clearance: (S, M) clearance Delta asked of each [m].
+        asked_clearance: (S, M) clearance Delta asked of each [m].
         s: normalised time now, one for all.
         plane: (S, 4) unit normal n_W and the least n . p that is allowed, or (0, 4).
         annulus: where the motions may go.
@@ -166,7 +167,7 @@ class SpatialScenes(Frozen):
     R_WO: FloatArray
     semi_axes: FloatArray
     v_WO: FloatArray
-    clearance: FloatArray
+    asked_clearance: FloatArray
     s: float = 0.0
     plane: FloatArray = field(default_factory=_no_plane)
     annulus: Annulus = ANYWHERE
@@ -194,7 +195,7 @@ class SpatialScenes(Frozen):
             R_WO=np.zeros((S, 0, 3, 3)),
             semi_axes=none,
             v_WO=none,
-            clearance=np.zeros((S, 0)),
+            asked_clearance=np.zeros((S, 0)),
         )
 
     @property
@@ -219,7 +220,7 @@ class SpatialRollouts(Frozen):
         margin: (N,) least excess over the feasible clearance [m]: of each obstacle
             its least distance minus min(asked, distance at the beginning, distance of
             the goal at the end). inf without obstacles.
-        clearance: (N,) least distance to any obstacle at the steps [m]; inside one, minus a
+        kept_clearance: (N,) least distance to any obstacle at the steps [m]; inside one, minus a
             lower bound of the depth. Between the steps it may be less by 1e-4 L, by 5e-4 L
             where an obstacle is all but touched.
         goal_error: (N,) distance to the goal at the end [m].
@@ -232,7 +233,7 @@ class SpatialRollouts(Frozen):
     """
 
     margin: FloatArray
-    clearance: FloatArray
+    kept_clearance: FloatArray
     goal_error: FloatArray
     path_length: FloatArray
     steps: FloatArray
@@ -243,7 +244,7 @@ class SpatialRollouts(Frozen):
     @property
     def contact(self) -> BoolArray:
         """(N,) whether an obstacle was touched."""
-        return self.clearance <= 0.0
+        return self.kept_clearance <= 0.0
 
 
 @cache
@@ -334,10 +335,10 @@ def spatial_rollouts(  # noqa: PLR0913
     )
     per_row = np.array(np.broadcast_to(np.asarray(seconds, dtype=float), (N,)))
     lane_kernel(index, table, per_row, scenes.arrays, course, out)
-    margin, clearance, goal_error, path_length, taken, world = (np.array(c) for c in out.table.T)
+    margin, kept, goal_error, path_length, taken, world = (np.array(c) for c in out.table.T)
     count(searches=1, steps=int(taken.sum()) * max(scenes.p_WO.shape[1], 1))
     return SpatialRollouts(
-        margin, clearance, goal_error, path_length, taken, world, out.path, out.velocity
+        margin, kept, goal_error, path_length, taken, world, out.path, out.velocity
     )
 
 
@@ -469,7 +470,7 @@ def _block(
             moving = moving or scenes.v_WO[s, j, i] != 0.0
         for i in range(n):
             at_end = _goal_distance(scenes, s, j, S[SECONDS + i] * n_steps)
-            feasible = min(scenes.clearance[s, j], d, at_end)
+            feasible = feasible_clearance(scenes.asked_clearance[s, j], d, at_end)
             D[j, LEAST + i], D[j, FEASIBLE + i] = d, feasible
             D[j, OFFSET + i] = np.inf
             S[CLOSEST + i] = min(S[CLOSEST + i], d)
@@ -530,7 +531,9 @@ def _block(
             feasible = D[j, FEASIBLE + i]
             if moving:
                 at_end = _goal_distance(scenes, s, j, S[SECONDS + i] * S[TAKEN + i])
-                feasible = min(scenes.clearance[s, j], start_distance[j], at_end)
+                feasible = feasible_clearance(
+                    scenes.asked_clearance[s, j], start_distance[j], at_end
+                )
             margin = min(margin, D[j, LEAST + i] - feasible)
             closest = min(closest, D[j, LEAST + i])
         dx, dy, dz = gx - S[X + i], gy - S[Y + i], gz - S[Z + i]

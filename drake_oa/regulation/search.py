@@ -100,7 +100,7 @@ class SearchResult(Frozen):
         tau: (S,) temporal scaling: path length over the baseline, at least 1; among
             moving obstacles the one that was verified.
         end: (S,) normalised time at which the motion arrives.
-        clearance: (S,) least distance to any obstacle on the way [m].
+        kept_clearance: (S,) least distance to any obstacle on the way [m].
         shortfall: (S,) what is missing of the feasible clearance [m]; 0 where it is kept.
         kept: (S,) whether it is kept, the world's limits too, and the goal reached.
         goal_error: (S,) distance to the goal at the end [m].
@@ -115,7 +115,7 @@ class SearchResult(Frozen):
     terms: FloatArray
     tau: FloatArray
     end: FloatArray
-    clearance: FloatArray
+    kept_clearance: FloatArray
     shortfall: FloatArray
     kept: BoolArray
     goal_error: FloatArray
@@ -205,7 +205,7 @@ class Ranked:
         )
 
 
-OUTCOME = ("margin", "clearance", "goal_error", "path_length", "steps", "world_margin")
+OUTCOME = ("margin", "kept_clearance", "goal_error", "path_length", "steps", "world_margin")
 """What is kept of a roll-out, see `SpatialRollouts`."""
 
 
@@ -329,7 +329,7 @@ class Search:
         short = np.maximum(-found.margin - p.slack, 0.0) + np.maximum(-found.world_margin, 0.0)
         missed = np.maximum(np.minimum(found.goal_error, L) - p.tolerance, 0.0)
         bad = (PRICE * short + GOAL_PRICE * missed) / L
-        touched = (short > 0.0) & (found.clearance <= 0.0)
+        touched = (short > 0.0) & (found.kept_clearance <= 0.0)
         bad += MISS * (missed > 0.0) + TOUCH * touched
         late = np.maximum(found.steps / p.steps + self.scenes.s - 1.0, 0.0)
         hurry = np.where(self.moving[scene], np.abs(genes[:, TAU]), 0.0)
@@ -389,14 +389,14 @@ class Search:
 
     def answer(self, chosen: Ranked, in_range: BoolArray) -> SearchResult:
         genes = chosen.genes[:, 0]
-        margin, clearance, goal_error, length, steps, _ = chosen.outcome[:, 0].T
+        margin, kept, goal_error, length, steps, _ = chosen.outcome[:, 0].T
         tau = np.maximum(1.0, length / self.scenes.baseline)
         return SearchResult(
             genes=genes,
             terms=avoidance_terms(self.scenes, np.arange(len(genes)), genes),
             tau=np.where(self.moving, np.exp(genes[:, TAU]), tau),
             end=self.scenes.s + steps / self.parameters.steps,
-            clearance=clearance,
+            kept_clearance=kept,
             shortfall=np.where(-margin > self.parameters.slack, -margin, 0.0),
             kept=chosen.solved,
             goal_error=goal_error,
@@ -494,7 +494,7 @@ def survey(
     scene: SpatialScenes,
     *,
     duration: float,
-    clearance: float,
+    least_clearance: float,
     dmp: Dmp | None = None,
     previous: FloatArray | None = None,
     parameters: SearchParameters | None = None,
@@ -504,7 +504,7 @@ def survey(
     Args:
         scene: a single one.
         duration: T [s].
-        clearance: what a motion has to keep of every obstacle, be it less than the feasible
+        least_clearance: what a motion has to keep of every obstacle, be it less than the feasible
             clearance; where it is, or its goal, nearer to one as it is now, most of that [m].
         dmp, previous, parameters: as of `assessed`.
 
@@ -525,8 +525,8 @@ def survey(
     ranked = search.evaluate(sides, fresh)
     outcome = dict(zip(OUTCOME, np.moveaxis(ranked.outcome, 2, 0), strict=True))
     L = float(scene.baseline[0])
-    least = min(clearance, _SHARE * _ends_clearance(scene))
-    will_do = (outcome["clearance"] > max(least, 0.0)) & (outcome["goal_error"] < _MISSED * L)
+    least = min(least_clearance, _SHARE * _ends_clearance(scene))
+    will_do = (outcome["kept_clearance"] > max(least, 0.0)) & (outcome["goal_error"] < _MISSED * L)
     will_do &= outcome["world_margin"] >= 0.0
     left = float(np.linalg.norm(scene.p_WG[0] - scene.p_WE[0]))
     size = np.searchsorted(_DETOURS, outcome["path_length"] / max(left, 1e-6))

@@ -152,7 +152,7 @@ class VerifiedRegressorChain(LeafSystem):
         self,
         weights: ChainWeights,
         dmp: Dmp,
-        clearance: float,
+        asked_clearance: float,
         *,
         period: float = 1.0 / 15.0,
         parameters: SearchParameters | None = None,
@@ -168,7 +168,7 @@ class VerifiedRegressorChain(LeafSystem):
         Args:
             weights: the trained chain, see `drake_oa.regulation.regressor.load_chain`.
             dmp: the movement primitive whose motion is regulated.
-            clearance: asked distance Delta between tool and obstacle [m].
+            asked_clearance: asked distance Delta between tool and obstacle [m].
             period: time between choices [s].
             parameters: how far the search goes; None: the defaults.
             table_height: least height of E above the table [m].
@@ -191,8 +191,10 @@ class VerifiedRegressorChain(LeafSystem):
             raise TypeError(
                 f"weights must be ChainWeights (see load_chain), not {type(weights).__name__}"
             )
-        if not 0.0 < clearance < np.inf:
-            raise ValueError(f"clearance must be finite and positive [m], not {clearance}")
+        if not 0.0 < asked_clearance < np.inf:
+            raise ValueError(
+                f"asked_clearance must be finite and positive [m], not {asked_clearance}"
+            )
         if dmp.dimension != 3:
             raise ValueError(f"dmp must have 3 dimensions, not {dmp.dimension}")
         if annulus is not None:
@@ -203,7 +205,7 @@ class VerifiedRegressorChain(LeafSystem):
         self._regulator = Regulator(
             weights,
             dmp,
-            float(clearance),
+            float(asked_clearance),
             parameters=parameters or SearchParameters(),
             table_height=table_height,
             annulus=annulus,

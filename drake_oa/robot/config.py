@@ -84,7 +84,7 @@ class Posture:
     """Where the rest of the arm goes while the tool follows its path."""
 
     # Distance that the links are to keep from obstacles and the table, where they can [m].
-    clearance: float = _number(0.1, "m", 0.0, 1.0, open_low=True)
+    link_clearance: float = _number(0.1, "m", 0.0, 1.0, open_low=True)
     # Whether it is planned along the verified motion; else it is drawn to that of the start.
     plan: bool = True
     # The joint, counted from the base, whose value tells apart the postures that hold the tool in

@@ -15,6 +15,7 @@ import numpy as np
 
 from drake_oa.common.messages import EllipsoidSet, FloatArray, IntArray
 from drake_oa.geometry.ellipsoid import shape_matrix, signed_distance
+from drake_oa.geometry.ellipsoid_kernels import feasible_clearance
 
 _SAMPLES = 41
 _OUTLINE = 180
@@ -29,7 +30,7 @@ class Passing:
     Attributes:
         center_W: (M, 3) centres of the half ellipses, on the baseline [m].
         extents: (M, 2) lambda': semi-axes along the baseline and across it [m].
-        clearance: (M,) clearance to keep from the half ellipse [m]; 0 where no
+        remaining_clearance: (M,) clearance to keep from the half ellipse [m]; 0 where no
             coupling is needed: the baseline already keeps what can be kept, or the
             way past another obstacle does.
         weight: (M,) share of the coupling term, 1 / n for n obstacles that have one
@@ -38,7 +39,7 @@ class Passing:
 
     center_W: FloatArray
     extents: FloatArray
-    clearance: FloatArray
+    remaining_clearance: FloatArray
     weight: FloatArray
 
 
@@ -49,7 +50,7 @@ def passing(
     ellipsoids: EllipsoidSet,
     direction_W: FloatArray,
     groups: IntArray,
-    clearance: float,
+    asked_clearance: float,
 ) -> Passing:
     """Half ellipses that enclose what rises above the baseline on the chosen side.
 
@@ -79,7 +80,7 @@ def passing(
         ellipsoids: the M obstacles.
         direction_W: (M, 3) chosen directions omega, orthogonal to the baseline.
         groups: (M,) numbers of the groups that are passed on one side.
-        clearance: asked clearance Delta [m].
+        asked_clearance: asked clearance Delta [m].
     """
     count = len(ellipsoids)
     if count == 0:
@@ -93,9 +94,9 @@ def passing(
     place = np.linspace(0.0, 1.0, _SAMPLES)[:, None, None] * (p_WG - p_WS) + p_WS
     distance = signed_distance(place, ellipsoids.p_WO, ellipsoids.R_WO, ellipsoids.semi_axes)
     nearest = distance.argmin(axis=0)
-    feasible = np.minimum(clearance, np.minimum(distance[0], distance[-1]))
+    feasible = feasible_clearance(asked_clearance, distance[0], distance[-1])
     # An obstacle at the start or the goal still has to be turned away from.
-    feasible = np.maximum(feasible, _LEAST_CLEARANCE * clearance)
+    feasible = np.maximum(feasible, _LEAST_CLEARANCE * asked_clearance)
     between = (nearest > 0) & (nearest < _SAMPLES - 1)
     needed = between & (distance.min(axis=0) < feasible)
     gap = np.where(extents[:, 1] > 0.0, 0.0, np.maximum(distance.min(axis=0), 0.0))
@@ -167,13 +168,13 @@ def _enclosing_scale(
 
 
 def _cleared_by_another(
-    center: FloatArray, extents: FloatArray, clearance: FloatArray, baseline: float
+    center: FloatArray, extents: FloatArray, remaining_clearance: FloatArray, baseline: float
 ) -> np.ndarray:
     """Which of n obstacles lie below the triangle start - peak over another - goal, (n,).
 
     A motion past that other one bulges out of the triangle.
     """
-    peak = extents[:, 1] + clearance
+    peak = extents[:, 1] + remaining_clearance
     before, after = center, baseline - center
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.minimum(before[:, None] / before, after[:, None] / after)

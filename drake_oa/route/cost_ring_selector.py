@@ -81,7 +81,7 @@ class CostRingSelector(LeafSystem):
 
     def __init__(
         self,
-        clearance: float,
+        asked_clearance: float,
         *,
         period: float = 1.0 / 15.0,
         n_directions: int = 36,
@@ -95,7 +95,7 @@ class CostRingSelector(LeafSystem):
         """Declares the ports.
 
         Args:
-            clearance: asked distance Delta between tool and obstacle [m].
+            asked_clearance: asked distance Delta between tool and obstacle [m].
             period: time between decisions [s].
             n_directions: directions on a ring.
             table_height: least height of E above the table [m].
@@ -113,12 +113,14 @@ class CostRingSelector(LeafSystem):
                 there is no direction.
         """
         super().__init__()
-        if not 0.0 < clearance < math.inf:
-            raise ValueError(f"clearance must be finite and positive [m], not {clearance}")
+        if not 0.0 < asked_clearance < math.inf:
+            raise ValueError(
+                f"asked_clearance must be finite and positive [m], not {asked_clearance}"
+            )
         if n_directions < 1:
             raise ValueError(f"n_directions must be at least 1, not {n_directions}")
         period = valid_period(period)
-        self._clearance = clearance
+        self._asked_clearance = asked_clearance
         self._n_directions = n_directions
         self._hysteresis = hysteresis
         self._rings: dict[str, Ring] = {
@@ -176,7 +178,7 @@ class CostRingSelector(LeafSystem):
             R_WL,
             ellipsoids,
             table,
-            clearance=self._clearance,
+            asked_clearance=self._asked_clearance,
             n_directions=self._n_directions,
         )
         decided: Route = context.get_abstract_state(self._decided).get_value()
@@ -190,13 +192,15 @@ class CostRingSelector(LeafSystem):
             followed=self._followed,
         )
         direction_W = scene.directions_W[selection.index]
-        met = passing(p_WS, p_WG, R_WL, ellipsoids, direction_W, selection.groups, self._clearance)
+        met = passing(
+            p_WS, p_WG, R_WL, ellipsoids, direction_W, selection.groups, self._asked_clearance
+        )
         return Route(
             direction_W=direction_W,
             normal_W=passing_normals(direction_W, R_WL),
             center_W=met.center_W,
             extents=met.extents,
-            clearance=met.clearance,
+            remaining_clearance=met.remaining_clearance,
             weight=met.weight,
             index=selection.index,
             angles=scene.angles,
@@ -242,7 +246,7 @@ class CostRingSelector(LeafSystem):
             route.direction_W,
             route.normal_W,
             route.center_W,
-            route.clearance,
+            route.remaining_clearance,
         )
         output.set_value(replace(route, heading_W=heading_W))
 
@@ -270,7 +274,7 @@ class TakenRoute(LeafSystem):
     - coupling_parameters: abstract `CouplingParameters`, M rows:
       `VerifiedRegressorChain`'s, whose side need not be the rings'.
     - route_taken: abstract `Route`, M rows: direction and normal of the side that the
-      motion is bent to, and a clearance of 0 for obstacles that do not bend it.
+      motion is bent to, and a remaining clearance of 0 for obstacles that do not bend it.
 
     There is no state.
     """
@@ -316,5 +320,5 @@ def taken_route(route: Route, coupling: CouplingParameters) -> Route:
         route,
         direction_W=direction_W,
         normal_W=normal_W,
-        clearance=np.where(bent, np.maximum(route.clearance, least), 0.0),
+        remaining_clearance=np.where(bent, np.maximum(route.remaining_clearance, least), 0.0),
     )

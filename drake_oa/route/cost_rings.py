@@ -43,7 +43,7 @@ class RingScene:
         p_WP: (M, K, 3) passing points: where a motion that leaves the baseline
             along omega has the asked clearance to the obstacle [m].
         detour: (M, K) distance of the passing point from the baseline [m].
-        clearance: the asked clearance Delta [m].
+        asked_clearance: the asked clearance Delta [m].
     """
 
     p_WS: FloatArray
@@ -54,7 +54,7 @@ class RingScene:
     directions_W: FloatArray
     p_WP: FloatArray
     detour: FloatArray
-    clearance: float
+    asked_clearance: float
 
 
 Ring = Callable[[RingScene], FloatArray]
@@ -69,7 +69,7 @@ def ring_scene(
     ellipsoids: EllipsoidSet,
     table: TablePlane | None,
     *,
-    clearance: float,
+    asked_clearance: float,
     n_directions: int = 36,
 ) -> RingScene:
     """Lays the circle of directions round the baseline.
@@ -88,7 +88,7 @@ def ring_scene(
         R_WL: (3, 3) local frame, x from start to goal.
         ellipsoids: the obstacles.
         table: the supporting plane, or None.
-        clearance: asked clearance Delta [m].
+        asked_clearance: asked clearance Delta [m].
         n_directions: K, how many directions.
     """
     angles: FloatArray = np.arange(n_directions, dtype=float) * (2.0 * np.pi / n_directions)
@@ -100,7 +100,7 @@ def ring_scene(
     p_WB = p_WS + along[:, None] * R_WL[:, 0]
     in_axes = np.einsum("mji,kj->mki", ellipsoids.R_WO, directions_W)
     support = np.sqrt(np.sum((in_axes * ellipsoids.semi_axes[:, None, :]) ** 2, axis=2))
-    detour = np.maximum(0.0, support + clearance - (p_WB - ellipsoids.p_WO) @ directions_W.T)
+    detour = np.maximum(0.0, support + asked_clearance - (p_WB - ellipsoids.p_WO) @ directions_W.T)
     return RingScene(
         p_WS=p_WS,
         p_WG=p_WG,
@@ -110,7 +110,7 @@ def ring_scene(
         directions_W=directions_W,
         p_WP=p_WB[:, None, :] + detour[:, :, None] * directions_W,
         detour=detour,
-        clearance=clearance,
+        asked_clearance=asked_clearance,
     )
 
 

@@ -90,7 +90,7 @@ def select_directions(
                 f"ring '{name}' returned shape {cost.shape}; it must be ({count}, {width}), "
                 "obstacles by directions"
             )
-    groups = overlap_groups(scene.ellipsoids, scene.clearance)
+    groups = overlap_groups(scene.ellipsoids, scene.asked_clearance)
     choose = partial(_choose, scene, groups, previous, hysteresis, margins, together)
     selection = choose(costs)
     if followed is None or not count:
@@ -198,7 +198,7 @@ def _sequence(
         scene.detour,
         scene.ellipsoids,
         groups,
-        scene.clearance,
+        scene.asked_clearance,
         margins,
     )
     order = legs.order.tolist()
@@ -235,7 +235,7 @@ _SAMPLES = 6
 """Points of a leg that must be in reach: the middles of its equal parts."""
 
 
-def overlap_groups(ellipsoids: EllipsoidSet, clearance: float) -> IntArray:
+def overlap_groups(ellipsoids: EllipsoidSet, asked_clearance: float) -> IntArray:
     """Numbers the groups of obstacles that leave no way between them, (M,).
 
     Two obstacles belong together when their gap along the line of centres is less
@@ -249,7 +249,7 @@ def overlap_groups(ellipsoids: EllipsoidSet, clearance: float) -> IntArray:
     )
     in_axes = np.einsum("iab,ija->ijb", ellipsoids.R_WO, unit)
     reach = np.linalg.norm(in_axes * ellipsoids.semi_axes[:, None, :], axis=2)
-    linked = distance < reach + reach.T + 2.0 * clearance
+    linked = distance < reach + reach.T + 2.0 * asked_clearance
     label = np.arange(count)
     for _ in range(count):
         spread = np.where(linked, label[None, :], count).min(axis=1, initial=count)
@@ -328,7 +328,7 @@ def legs_between(
     detour: FloatArray,
     ellipsoids: EllipsoidSet,
     groups: IntArray,
-    clearance: float,
+    asked_clearance: float,
     margins: Mapping[str, Margin] | None = None,
 ) -> Legs:
     """Looks at every leg.
@@ -343,7 +343,7 @@ def legs_between(
         detour: (M, K) their distance from the baseline [m].
         ellipsoids: the M obstacles.
         groups: (M,) the groups' numbers.
-        clearance: asked clearance [m].
+        asked_clearance: asked clearance [m].
         margins: name -> signed margin [m] of points (..., 3), negative out of reach.
     """
     baseline = p_WG - p_WS
@@ -358,7 +358,7 @@ def legs_between(
     def blocked(a: FloatArray, b: FloatArray, own: int | None) -> FloatArray:
         counts = groups != own if own is not None else np.ones(len(groups), dtype=bool)
         out = np.empty((len(a), len(b)))
-        obstruction(*kernel_arrays(a, b), *shapes, counts, clearance, out)
+        obstruction(*kernel_arrays(a, b), *shapes, counts, asked_clearance, out)
         return out
 
     length = Chain(np.zeros((count, width)), np.linalg.norm(p[1:, None] - p[:-1, :, None], axis=3))
@@ -414,7 +414,7 @@ def obstruction(
     R_WO: FloatArray,
     semi_axes: FloatArray,
     counts: BoolArray,
-    clearance: float,
+    asked_clearance: float,
     out: FloatArray,
 ) -> None:
     """How much obstacles are in the way of straight legs.
@@ -428,7 +428,7 @@ def obstruction(
         p_WB: (J, 3) where they end [m].
         p_WO, R_WO, semi_axes: M ellipsoids.
         counts: (M,) which of them.
-        clearance: that they are grown by [m].
+        asked_clearance: that they are grown by [m].
         out: (I, J) receives the largest of the obstacles'.
     """
     out[:] = 0.0
@@ -439,7 +439,7 @@ def obstruction(
             continue
         for grown in range(2):
             for axis in range(3):
-                scale[axis] = 1.0 / (semi_axes[m, axis] + (clearance if grown else 0.0))
+                scale[axis] = 1.0 / (semi_axes[m, axis] + (asked_clearance if grown else 0.0))
             _in_axes(p_WA, p_WO[m], R_WO[m], scale, a)
             _in_axes(p_WB, p_WO[m], R_WO[m], scale, b)
             for i in range(len(a)):

@@ -9,6 +9,7 @@ import numpy as np
 
 from drake_oa.common.console import TextTable
 from drake_oa.common.messages import EllipsoidSet, FloatArray
+from drake_oa.geometry.ellipsoid_kernels import feasible_clearance
 from drake_oa.geometry.rotation import rotation_vector
 from drake_oa.policy.orientation_dmp import exponential, rotation_matrix
 from drake_oa.robot.plant import make_robot_plant
@@ -46,7 +47,7 @@ def motion_metrics(
     return free_point_metrics(log.desired_position, _given(scenario))
 
 
-def feasible_clearance(scenario: Scenario, judge: RobotJudge | None = None) -> float:
+def feasible_clearance_of(scenario: Scenario, judge: RobotJudge | None = None) -> float:
     """min(Delta, true clearance of the tool at the start, at the goal) to what rests [m].
 
     Nobody can keep more; 0 where start or goal touches. Of a goal that moves, the last counts.
@@ -65,7 +66,7 @@ def feasible_clearance(scenario: Scenario, judge: RobotJudge | None = None) -> f
     else:
         ends = np.stack(end_positions(make_robot_plant(scenario.robot), scenario))
         left = (judge or RobotJudge(scenario)).metrics(ends).resting_clearance
-    return float(max(min(task.clearance, left.min()), 0.0))
+    return float(max(feasible_clearance(task.clearance, *left), 0.0))
 
 
 def motion_report(
@@ -100,13 +101,13 @@ def motion_report(
     Args:
         scenario: what was run.
         log: of the motion.
-        feasible: `feasible_clearance` of the scenario; None: it is asked for.
+        feasible: `feasible_clearance_of` the scenario; None: it is asked for.
         judge: as in `motion_metrics`.
     """
     judge = judge or judge_of(scenario)
     metrics = motion_metrics(scenario, log, judge)
     if feasible is None:
-        feasible = feasible_clearance(scenario, judge)
+        feasible = feasible_clearance_of(scenario, judge)
     kept = float(metrics.resting_clearance.min(initial=math.inf))
     return {
         "collisions": len(metrics.contacts),
@@ -193,7 +194,7 @@ def run_report(name: str, scenario: Scenario, logs: dict[str, MotionLog]) -> dic
     """
     report: dict[str, Any] = {"scenario": name, "seed": scenario.seed}
     judge = judge_of(scenario)
-    feasible = feasible_clearance(scenario, judge)
+    feasible = feasible_clearance_of(scenario, judge)
     report |= {
         motion: motion_report(scenario, log, feasible, judge) for motion, log in logs.items()
     }

@@ -94,7 +94,7 @@ def planar_rollouts(
         semi_axes=np.column_stack((extents, extents.max(axis=1)))[:, None],
         v_WO=np.zeros((N, 1, 3)),
         # Nothing is asked: what falls short of that has touched, and ends.
-        clearance=np.zeros((N, 1)),
+        asked_clearance=np.zeros((N, 1)),
     )
     outcome = spatial_rollouts(
         scenes,
@@ -107,7 +107,7 @@ def planar_rollouts(
         shortest=0.0,
     )
     touched = outcome.contact
-    clearance = np.where(touched, 0.0, outcome.clearance)
+    clearance = np.where(touched, 0.0, outcome.kept_clearance)
     goal_error, length = (
         np.where(touched, np.inf, value) for value in (outcome.goal_error, outcome.path_length)
     )

@@ -387,7 +387,11 @@ class MeshcatOverlay(LeafSystem):
         policy = read_value(self, self._policy, context, PolicyState)
         row_of = {name: row for row, name in enumerate(ellipsoids.ids.tolist())}
         # Rings of obstacles that need no coupling would only hide the others'.
-        bends = route.clearance > 0.0 if len(route.clearance) else np.ones(len(route.ids), bool)
+        bends = (
+            route.remaining_clearance > 0.0
+            if len(route.remaining_clearance)
+            else np.ones(len(route.ids), bool)
+        )
         ring_row = {name: row for row, name in enumerate(route.ids.tolist()) if bends[row]}
         normals = np.tile(policy.R_WL[:, 1], (len(ellipsoids), 1))
         if len(route.normal_W) and np.array_equal(route.ids, ellipsoids.ids):

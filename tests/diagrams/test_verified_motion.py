@@ -88,7 +88,7 @@ def test_the_executed_motion_is_the_one_that_was_rolled_out() -> None:
         R_WO=true.R_WO[None],
         semi_axes=true.semi_axes[None],
         v_WO=true.v_WO[None],
-        clearance=np.full((1, len(true)), CLEARANCE),
+        asked_clearance=np.full((1, len(true)), CLEARANCE),
     )
     steps = 625
     found = spatial_rollouts(
@@ -102,7 +102,7 @@ def test_the_executed_motion_is_the_one_that_was_rolled_out() -> None:
         tolerance=4e-4,
         keep_path=True,
     )
-    assert found.clearance[0] > CLEARANCE - 1e-3
+    assert found.kept_clearance[0] > CLEARANCE - 1e-3
 
     port = diagram.GetOutputPort("policy_state")
     states: list[PolicyState] = [port.Eval(simulator.get_context())]
@@ -115,7 +115,7 @@ def test_the_executed_motion_is_the_one_that_was_rolled_out() -> None:
     expected = np.column_stack([np.interp(s, known, path[:, i]) for i in range(3)])
     executed = np.array([state.p_WE for state in states[:-1]])
     np.testing.assert_allclose(executed, expected, atol=1e-3)
-    assert kept(executed, true) == pytest.approx(found.clearance[0], abs=1e-3)
+    assert kept(executed, true) == pytest.approx(found.kept_clearance[0], abs=1e-3)
 
 
 def test_the_free_point_keeps_the_asked_clearance_and_no_more() -> None:

@@ -334,6 +334,12 @@ def test_a_baseline_of_zero_length_is_refused() -> None:
 # The compiled step against the readable one.
 
 
+def guided_headings(state: PolicyState, ellipsoids: EllipsoidSet, route: Route) -> np.ndarray:
+    """(M, 3) desired headings past the obstacles, as the route chose their sides."""
+    chosen = (route.direction_W, route.normal_W, route.center_W, route.remaining_clearance)
+    return desired_headings(state, ellipsoids, *chosen)
+
+
 def random_scene(
     seed: int, guided: bool, about_route: bool
 ) -> tuple[PolicyState, EllipsoidSet, CouplingParameters, Route]:
@@ -362,7 +368,7 @@ def random_scene(
         direction_W=direction,
         normal_W=passing_normals(direction, np.eye(3)),
         center_W=along,
-        clearance=rng.uniform(0.05, 0.2, count) if guided else np.zeros(count),
+        remaining_clearance=rng.uniform(0.05, 0.2, count) if guided else np.zeros(count),
         path_length=1.2,
     )
     parameters = CouplingParameters(
@@ -388,7 +394,12 @@ def test_the_compiled_step_is_the_readable_one(seed: int, guided: bool, about_ro
     after = step_of(state, ellipsoids, coupled, route)
     alpha = goal_fade(state, PARAMETERS.fade) * coupled.alpha
     heading = desired_headings(
-        state, ellipsoids, route.direction_W, route.normal_W, route.center_W, route.clearance
+        state,
+        ellipsoids,
+        route.direction_W,
+        route.normal_W,
+        route.center_W,
+        route.remaining_clearance,
     )
     rows = terms(
         route.center_W if about_route else ellipsoids.p_WO,
@@ -413,7 +424,12 @@ def test_the_compiled_step_is_the_readable_one(seed: int, guided: bool, about_ro
 def test_a_decision_leads_as_the_headings_made_from_it_do(seed: int) -> None:
     state, ellipsoids, coupled, route = random_scene(seed, True, True)
     heading = desired_headings(
-        state, ellipsoids, route.direction_W, route.normal_W, route.center_W, route.clearance
+        state,
+        ellipsoids,
+        route.direction_W,
+        route.normal_W,
+        route.center_W,
+        route.remaining_clearance,
     )
     followed = step_of(state, ellipsoids, coupled, route)
     given_ = step_of(state, ellipsoids, coupled, replace(route, heading_W=heading))
@@ -456,7 +472,7 @@ def test_the_compiled_forcing_is_the_readable_one(weights: FloatArray) -> None:
 def test_given_normals_go_before_the_route_and_end_its_guidance() -> None:
     state, ellipsoids, coupled, route = random_scene(8, True, True)
     other = -route.normal_W
-    unguided = replace(route, normal_W=other, clearance=np.zeros(len(other)))
+    unguided = replace(route, normal_W=other, remaining_clearance=np.zeros(len(other)))
     expected = step_of(state, ellipsoids, coupled, unguided).end.z_W
     found = step_of(state, ellipsoids, replace(coupled, normal_W=other), route).end.z_W
     np.testing.assert_array_equal(found, expected)

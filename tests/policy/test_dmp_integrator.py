@@ -98,7 +98,7 @@ def test_the_decision_is_led_by_from_where_the_motion_is() -> None:
         direction_W=np.array([[0.0, 1.0, 0.0]]),
         normal_W=np.array([[0.0, 0.0, 1.0]]),
         center_W=np.array([[0.5, 0.02, 0.3]]),
-        clearance=np.array([0.1]),
+        remaining_clearance=np.array([0.1]),
         path_length=1.0,
     )
     sides = []
@@ -108,7 +108,7 @@ def test_the_decision_is_led_by_from_where_the_motion_is() -> None:
             system,
             ellipsoids_W=ellipsoids(),
             coupling_parameters=parameters,
-            route=replace(left, clearance=np.array([clearance])),
+            route=replace(left, remaining_clearance=np.array([clearance])),
         )
         run.AdvanceTo(0.1)
         sides.append(read(system, run.get_context(), "desired_position")[1])

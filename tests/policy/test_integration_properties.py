@@ -65,7 +65,7 @@ def random_route(rng: np.random.Generator, count: int, R_WL: FloatArray) -> Rout
         direction_W=direction,
         normal_W=passing_normals(direction, R_WL),
         center_W=rng.normal(size=(count, 3)),
-        clearance=rng.uniform(0.0, 0.3, count),
+        remaining_clearance=rng.uniform(0.0, 0.3, count),
         path_length=rng.uniform(0.5, 3.0),
     )
 
@@ -140,7 +140,7 @@ def scene(
         direction_W=direction,
         normal_W=passing_normals(direction, R_WL),
         center_W=feet,
-        clearance=rng.uniform(0.05, 0.1, count),
+        remaining_clearance=rng.uniform(0.05, 0.1, count),
         path_length=1.3,
     )
     return start, goal, ellipsoids, coupling, route
@@ -205,7 +205,7 @@ def moved(
             direction_W=route.direction_W @ Q.T,
             normal_W=np.linalg.det(Q) * route.normal_W @ Q.T,
             center_W=place(route.center_W),
-            clearance=scale * route.clearance,
+            remaining_clearance=scale * route.remaining_clearance,
             path_length=scale * route.path_length,
         ),
     )

@@ -186,7 +186,7 @@ def test_bad_input_is_refused(arm: ArmModel, changes: dict, message: str) -> Non
 @pytest.mark.parametrize(
     "changes",
     [
-        {"clearance": 0.01},
+        {"link_clearance": 0.01},
         {"self_clearance": 0.0},
         {"limit_clearance": 0.05},
         {"speed_share": 0.0},

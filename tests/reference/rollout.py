@@ -113,14 +113,14 @@ def _account(
     distance = distances(scenes, scene, path, time)
     at_end = np.take_along_axis(time, taken[:, None], 1)
     at_goal = distances(scenes, scene, scenes.p_WG[scene][:, None], at_end)[:, 0]
-    feasible = np.minimum(scenes.clearance[scene], np.minimum(distance[:, 0], at_goal))
+    feasible = np.minimum(scenes.asked_clearance[scene], np.minimum(distance[:, 0], at_goal))
     least = np.where(after[:, :, None], np.inf, distance).min(axis=1)
     world = np.where(after, np.inf, world_margin(scenes, scene, path)).min(axis=1)
     ends = np.stack([scenes.p_WE[scene], scenes.p_WG[scene]], axis=1)
     allowed = np.minimum(world_margin(scenes, scene, ends).min(axis=1), 0.0)
     return SpatialRollouts(
         margin=np.nanmin(least - feasible, axis=1, initial=np.inf),
-        clearance=np.nanmin(least, axis=1, initial=np.inf),
+        kept_clearance=np.nanmin(least, axis=1, initial=np.inf),
         goal_error=error[np.arange(N), taken],
         path_length=length,
         steps=taken.astype(float),

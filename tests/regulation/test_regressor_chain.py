@@ -72,12 +72,14 @@ def test_with_a_route_its_half_ellipses_are_regulated():
     route = Route(
         center_W=np.array([[0.4, 0.0, 0.0], [0.5, 0.0, 0.0]]),
         extents=np.array([[0.1, 0.2], [0.1, 0.1]]),
-        clearance=np.array([0.1, 0.0]),
+        remaining_clearance=np.array([0.1, 0.0]),
         weight=np.array([0.5, 1.0]),
         p_WG=np.array([0.8, 0.0, 0.0]),
     )
     found = evaluate(RegressorChain(weights(), 0.1), ellipsoids(2), policy(), route)
-    expected = weights().parameters(route.extents, route.clearance, 0.8, route.center_W[:, 0])
+    expected = weights().parameters(
+        route.extents, route.remaining_clearance, 0.8, route.center_W[:, 0]
+    )
     assert found.alpha[0] == pytest.approx(0.5 * expected.alpha[0])
     assert found.alpha[1] == 0.0
     np.testing.assert_array_equal(found.center_W, route.center_W)

@@ -62,7 +62,7 @@ def random_scene(seed: int, *, moving: bool = True, log_alpha: float = 7.0) -> S
         R_WO=Rotation.random(M, random_state=seed).as_matrix()[None],
         semi_axes=(L * np.exp(rng.uniform(math.log(0.02), math.log(0.25), (M, 3))))[None],
         v_WO=(0.15 * L * moving * rng.normal(size=(M, 3)) * rng.integers(0, 2, (M, 1)))[None],
-        clearance=np.full((1, M), 0.1 * L),
+        asked_clearance=np.full((1, M), 0.1 * L),
     )
     terms = np.zeros((1, N_COLUMNS))
     foot = np.array([rng.uniform(0.2, 0.8), 0.0, 0.0])
@@ -133,7 +133,7 @@ def random_scenes(seed: int, M: int, speed: float = 0.0) -> SpatialScenes:
         R_WO=Rotation.random(S * M, random_state=seed).as_matrix().reshape(S, M, 3, 3),
         semi_axes=rng.uniform(0.025, 0.25, (S, M, 3)),
         v_WO=speed * rng.normal(size=(S, M, 3)),
-        clearance=np.full((S, M), 0.15),
+        asked_clearance=np.full((S, M), 0.15),
     )
 
 
@@ -155,7 +155,7 @@ def random_terms(scenes: SpatialScenes, seed: int) -> tuple[IntArray, FloatArray
 
 def assert_agree(found: SpatialRollouts, expected: SpatialRollouts) -> None:
     np.testing.assert_array_less(np.abs(found.steps - expected.steps), 1.5)
-    for name in ("margin", "clearance", "goal_error", "path_length", "world_margin"):
+    for name in ("margin", "kept_clearance", "goal_error", "path_length", "world_margin"):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-5)
     same = found.steps == expected.steps
     assert same.mean() > 0.95
@@ -252,14 +252,16 @@ def test_the_clearance_is_that_of_a_dense_measurement(seed: int, seconds: float)
     assert found.contact[0] == (at_steps.min() <= 0.0)
     if found.contact[0]:
         # Minus a lower bound of the depth.
-        assert at_steps.min() - 1e-12 <= found.clearance[0] <= 0.0
+        assert at_steps.min() - 1e-12 <= found.kept_clearance[0] <= 0.0
         return
-    assert found.clearance[0] == pytest.approx(at_steps.min(), abs=1e-6 * L)
+    assert found.kept_clearance[0] == pytest.approx(at_steps.min(), abs=1e-6 * L)
     # Between two steps it may come nearer, past the rim of a thin ellipsoid.
-    assert everywhere > found.clearance[0] - (1e-4 if found.clearance[0] > 0.05 * L else 1e-3 * L)
+    assert everywhere > found.kept_clearance[0] - (
+        1e-4 if found.kept_clearance[0] > 0.05 * L else 1e-3 * L
+    )
     feasible = np.minimum(at_steps[0], distances(scenes, scenes.p_WG, 0.0)[0])
     if not scenes.v_WO.any():
-        margin = (at_steps.min(axis=0) - np.minimum(scenes.clearance[0], feasible)).min()
+        margin = (at_steps.min(axis=0) - np.minimum(scenes.asked_clearance[0], feasible)).min()
         if feasible.min() > 0.0:
             assert found.margin[0] == pytest.approx(margin, abs=1e-6 * L)
 
@@ -348,7 +350,7 @@ def test_energy_never_rises_over_a_step(
 def test_among_obstacles_at_rest_the_duration_does_not_matter(seed: int, seconds: float) -> None:
     scene = random_scene(seed, moving=False)
     one, other = roll_out(scene), roll_out(scene, seconds=seconds)
-    for name in ("path", "velocity", "clearance", "margin", "goal_error", "path_length"):
+    for name in ("path", "velocity", "kept_clearance", "margin", "goal_error", "path_length"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
@@ -385,7 +387,7 @@ def moved(scene: Scene, Q: FloatArray, shift: FloatArray, scale: float = 1.0) ->
             R_WO=proper(scenes.R_WO),
             semi_axes=scale * scenes.semi_axes,
             v_WO=scale * scenes.v_WO @ Q.T,
-            clearance=scale * scenes.clearance,
+            asked_clearance=scale * scenes.asked_clearance,
             plane=plane,
             annulus=Annulus(
                 scale * scenes.annulus.radii + [[shift[2]], [0.0], [0.0]],
@@ -404,7 +406,7 @@ def assert_same(
     np.testing.assert_allclose(
         (other.path[0] - shift) / scale, one.path[0] @ Q.T, rtol=0.0, atol=1e-9
     )
-    for name in ("clearance", "margin", "goal_error", "path_length", "world_margin"):
+    for name in ("kept_clearance", "margin", "goal_error", "path_length", "world_margin"):
         np.testing.assert_allclose(
             getattr(other, name) / scale, getattr(one, name), rtol=0.0, atol=1e-8
         )
@@ -455,9 +457,11 @@ def test_absent_obstacles_change_nothing(seed: int) -> None:
         name: np.concatenate([getattr(scenes, name), np.full_like(getattr(scenes, name), fill)], 1)
         for name, fill in (("p_WO", np.nan), ("R_WO", 0.0), ("semi_axes", np.nan))
     }
-    more |= {name: np.concatenate([getattr(scenes, name)] * 2, 1) for name in ("v_WO", "clearance")}
+    more |= {
+        name: np.concatenate([getattr(scenes, name)] * 2, 1) for name in ("v_WO", "asked_clearance")
+    }
     one, other = roll_out((scenes, terms)), roll_out((replace(scenes, **more), terms))
-    for name in ("path", "clearance", "margin", "goal_error"):
+    for name in ("path", "kept_clearance", "margin", "goal_error"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
@@ -545,5 +549,5 @@ def test_odd_but_finite_scenes_yield_finite_motions(
     found = roll_out((scenes, terms), steps=steps, fade=fade, tolerance=1e-12)
     for name in ("path", "velocity"):
         assert np.isfinite(getattr(found, name)[0, : int(found.steps[0]) + 1]).all()
-    for name in ("margin", "clearance", "goal_error", "path_length", "world_margin"):
+    for name in ("margin", "kept_clearance", "goal_error", "path_length", "world_margin"):
         assert np.isfinite(getattr(found, name)).all(), name

@@ -45,7 +45,7 @@ def scenes(
         R_WO=np.tile(np.eye(3), (1, count, 1, 1)),
         semi_axes=np.array(axes)[None],
         v_WO=np.tile(velocity, (1, count, 1)),
-        clearance=np.full((1, count), clearance),
+        asked_clearance=np.full((1, count), clearance),
     )
 
 
@@ -101,7 +101,7 @@ def test_the_asked_clearance_is_kept_and_not_much_more(
     path, stamps = followed(posed, found)
     assert 0.0995 <= least_distance(posed, path, stamps) <= 0.11
     assert np.linalg.norm(path[-1] - posed.p_WG[0]) <= 7e-4
-    assert found.clearance == pytest.approx(least_distance(posed, path, stamps), abs=1e-4)
+    assert found.kept_clearance == pytest.approx(least_distance(posed, path, stamps), abs=1e-4)
 
 
 def test_nothing_is_done_where_nothing_is_in_the_way(chain: ChainWeights) -> None:
@@ -165,7 +165,7 @@ def test_what_cannot_be_kept_is_said(chain: ChainWeights) -> None:
     found = verify(replace(posed, annulus=annulus), chain, duration=DURATION, parameters=QUICK)
     assert not found.kept
     assert 0.03 < found.shortfall < 0.06
-    assert found.clearance == pytest.approx(0.1 - found.shortfall, abs=1e-3)
+    assert found.kept_clearance == pytest.approx(0.1 - found.shortfall, abs=1e-3)
 
 
 def test_past_the_demonstration_proposals_do_not_look_back_in_time() -> None:
@@ -184,7 +184,7 @@ def test_the_choice_does_not_depend_on_the_company(chain: ChainWeights) -> None:
             name: np.concatenate([getattr(other, name), getattr(alone, name)])
             for name in (
                 *("p_WE", "z_W", "p_WG", "R_WL", "baseline"),
-                *("p_WO", "R_WO", "semi_axes", "v_WO", "clearance"),
+                *("p_WO", "R_WO", "semi_axes", "v_WO", "asked_clearance"),
             )
         }
     )
@@ -226,7 +226,7 @@ def test_scenes_not_kept_are_searched_again(chain: ChainWeights) -> None:
     posed = scenes([[0.5, 0.0, 0.0]])
     once = SearchParameters(rounds=0, candidates=32)
     plane = np.array([[0.0, 0.0, 1.0, 0.2]])
-    hopeless = replace(posed, plane=plane, clearance=np.full((1, 1), 5.0))
+    hopeless = replace(posed, plane=plane, asked_clearance=np.full((1, 1), 5.0))
     found = verify(hopeless, chain, duration=DURATION, parameters=replace(once, retries=1))
     assert found.rollouts > verify(hopeless, chain, duration=DURATION, parameters=once).rollouts
 
@@ -275,7 +275,16 @@ def ball(y: float = 0.0, *, velocity: float = 0.0, semi_axis: float = 0.08) -> S
 def test_given_genes_come_to_what_the_search_says_of_them(chain: ChainWeights) -> None:
     found = verify(ball(), chain, duration=DURATION, parameters=ROUGH)
     again = assessed(ball(), found.genes, duration=DURATION, parameters=ROUGH)
-    for name in ("terms", "tau", "end", "clearance", "shortfall", "kept", "path_length", "cost"):
+    for name in (
+        "terms",
+        "tau",
+        "end",
+        "kept_clearance",
+        "shortfall",
+        "kept",
+        "path_length",
+        "cost",
+    ):
         # One row and many are two kernels, which a processor's instructions may round apart.
         np.testing.assert_allclose(
             getattr(again, name), getattr(found, name), rtol=1e-12, err_msg=name
@@ -285,14 +294,14 @@ def test_given_genes_come_to_what_the_search_says_of_them(chain: ChainWeights) -
 @pytest.mark.parametrize("y", [0.0, 0.4])
 def test_it_goes_round_on_every_side_in_detours_of_every_size(y: float) -> None:
     # Also where the straight motion is free.
-    found = survey(ball(y), duration=DURATION, clearance=0.05, parameters=ROUGH)
+    found = survey(ball(y), duration=DURATION, least_clearance=0.05, parameters=ROUGH)
     kept = found.rows(found.kept)
     sides = np.unique(np.round(np.mod(kept.genes[:, ANGLE], 2.0 * np.pi) / (np.pi / 4.0)) % 8)
     assert len(sides) >= 7
     assert kept.path_length.min() < 1.2
     assert kept.path_length.max() > 1.6
     assert (found.genes[:, ALPHA] <= 8.0 + 1e-9).all()
-    assert (found.clearance > 0.045).all()
+    assert (found.kept_clearance > 0.045).all()
     # The first is as good as any that does not creep.
     prompt = found.cost[found.end <= found.end[0] + 1e-9]
     assert found.cost[0] == prompt.min()
@@ -300,19 +309,19 @@ def test_it_goes_round_on_every_side_in_detours_of_every_size(y: float) -> None:
 
 def test_it_is_the_same_each_time_and_times_what_moves() -> None:
     moving = ball(-0.5, velocity=0.2)
-    one, other = (survey(moving, duration=DURATION, clearance=0.05) for _ in range(2))
+    one, other = (survey(moving, duration=DURATION, least_clearance=0.05) for _ in range(2))
     np.testing.assert_array_equal(one.genes, other.genes)
     assert len(np.unique(one.tau)) > 1
 
 
 def test_where_nothing_passes_there_is_none() -> None:
-    found = survey(ball(semi_axis=0.46), duration=DURATION, clearance=0.2, parameters=ROUGH)
+    found = survey(ball(semi_axis=0.46), duration=DURATION, least_clearance=0.2, parameters=ROUGH)
     assert len(found.cost) == 0
 
 
 def test_more_than_one_scene_is_refused() -> None:
     two = ball().rows(np.zeros(2, dtype=int))
     with pytest.raises(ValueError, match="single one, not 2"):
-        survey(two, duration=DURATION, clearance=0.05)
+        survey(two, duration=DURATION, least_clearance=0.05)
     with pytest.raises(ValueError, match="single one, not 2"):
         assessed(two, np.zeros((2, 7)), duration=DURATION)

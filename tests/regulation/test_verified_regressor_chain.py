@@ -297,8 +297,8 @@ def test_a_wrong_type_on_a_port_is_refused_by_its_name(bench: Bench, port: str) 
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"clearance": 0.0}, "clearance must be finite and positive"),
-        ({"clearance": np.nan}, "clearance must be finite and positive"),
+        ({"asked_clearance": 0.0}, "asked_clearance must be finite and positive"),
+        ({"asked_clearance": np.nan}, "asked_clearance must be finite and positive"),
         ({"period": -1.0}, "period must be positive"),
         ({"annulus": Annulus(np.zeros((2, 4)))}, r"annulus.radii must be \(3, n\) .* not \(2, 4\)"),
         ({"annulus": Annulus(np.zeros((3, 1)))}, r"annulus.radii must be \(3, n\) .* not \(3, 1\)"),
@@ -311,7 +311,7 @@ def test_a_wrong_type_on_a_port_is_refused_by_its_name(bench: Bench, port: str) 
 def test_bad_construction_is_refused(
     changes: dict[str, object], said: str, weights: ChainWeights, dmp: Dmp
 ) -> None:
-    arguments = {"weights": weights, "dmp": dmp, "clearance": CLEARANCE, **changes}
+    arguments = {"weights": weights, "dmp": dmp, "asked_clearance": CLEARANCE, **changes}
     with pytest.raises(ValueError, match=said):
         VerifiedRegressorChain(**arguments)
 
@@ -325,7 +325,7 @@ def test_the_route_that_is_shown_is_the_one_that_is_taken() -> None:
     route = Route(
         direction_W=np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
         normal_W=np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
-        clearance=np.array([0.1, 0.15]),
+        remaining_clearance=np.array([0.1, 0.15]),
         ids=np.array([3, 5]),
     )
     coupling = CouplingParameters(
@@ -343,7 +343,7 @@ def test_the_route_that_is_shown_is_the_one_that_is_taken() -> None:
     taken = system.get_output_port().Eval(context)
     np.testing.assert_allclose(taken.direction_W[1], [0.0, -1.0, 0.0], atol=1e-15)
     np.testing.assert_array_equal(taken.normal_W[1], [0.0, 0.0, -1.0])
-    assert taken.clearance.tolist() == [0.0, 0.15]
+    assert taken.remaining_clearance.tolist() == [0.0, 0.15]
     system.GetInputPort("coupling_parameters").FixValue(context, Value(CouplingParameters()))
     with pytest.raises(ValueError, match="route has 2 rows, coupling_parameters 0"):
         system.get_output_port().Eval(context)

@@ -107,7 +107,7 @@ def test_clearance_is_asked_where_the_baseline_does_not_keep_what_can_be_kept(
         line, ellipsoids.p_WO[0], ellipsoids.R_WO[0], ellipsoids.semi_axes[0]
     )
     feasible = min(DELTA, distance[0], distance[-1])
-    asked = met(ellipsoids, side(angle)).clearance[0]
+    asked = met(ellipsoids, side(angle)).remaining_clearance[0]
     if distance.min() >= feasible:
         assert asked == 0.0
     elif distance.min() < feasible - 0.03:
@@ -126,15 +126,15 @@ def test_of_a_ball_it_is_the_tightest_one() -> None:
 
 def test_no_more_clearance_is_asked_than_the_goal_has() -> None:
     near_goal = met(obstacles(ball(0.85, 0.0, 0.1)))
-    assert near_goal.clearance[0] == pytest.approx(0.05)
+    assert near_goal.remaining_clearance[0] == pytest.approx(0.05)
     over_goal = met(obstacles(ball(1.0, 0.0, 0.1)))
-    assert over_goal.clearance[0] == 0.0
+    assert over_goal.remaining_clearance[0] == 0.0
 
 
 def test_what_stays_below_the_baseline_leaves_the_rest_of_the_clearance() -> None:
     found = met(obstacles(ball(0.5, -0.15, 0.1)))
     assert found.extents[0, 1] == pytest.approx(0.02)
-    assert found.clearance[0] == pytest.approx(DELTA - 0.05, abs=1e-3)
+    assert found.remaining_clearance[0] == pytest.approx(DELTA - 0.05, abs=1e-3)
 
 
 @given(data=st.lists(st.tuples(centers, axes, vectors), min_size=2, max_size=4), angle=angles)
@@ -144,8 +144,8 @@ def test_the_envelope_of_a_group_encloses_each_member_and_the_shares_sum_to_one(
 ) -> None:
     alone = [met(obstacles(item), side(angle)) for item in data]
     found = met(obstacles(*data), side(angle))
-    acting = np.flatnonzero(found.clearance > 0.0)
-    assert (len(acting) > 0) == any(one.clearance[0] > 0.0 for one in alone)
+    acting = np.flatnonzero(found.remaining_clearance > 0.0)
+    assert (len(acting) > 0) == any(one.remaining_clearance[0] > 0.0 for one in alone)
     if len(acting) == 0:
         return
     assert found.weight[acting].sum() == pytest.approx(1.0)
@@ -154,7 +154,7 @@ def test_the_envelope_of_a_group_encloses_each_member_and_the_shares_sum_to_one(
     t = np.linspace(0.0, np.pi, 41)
     for row in acting:
         member = alone[row]
-        assert found.clearance[row] >= member.clearance[0]
+        assert found.remaining_clearance[row] >= member.remaining_clearance[0]
         x = member.center_W[0] @ GOAL + member.extents[0, 0] * np.cos(t)
         y = member.extents[0, 1] * np.sin(t)
         gauge = ((x - found.center_W[row] @ GOAL) / found.extents[row, 0]) ** 2
@@ -166,23 +166,25 @@ def test_an_obstacle_that_the_way_past_another_clears_is_left_out() -> None:
     small, big = ball(0.4, 0.0, 0.03), ball(0.5, 0.0, 0.2)
     both = met(obstacles(small, big))
     alone = met(obstacles(big))
-    assert both.clearance[0] == 0.0
+    assert both.remaining_clearance[0] == 0.0
     assert both.weight[1] == 1.0
     np.testing.assert_array_equal(both.extents[1], alone.extents[0])
     apart = met(obstacles(small, big), groups=np.array([0, 1]))
-    assert (apart.clearance > 0.0).all()
+    assert (apart.remaining_clearance > 0.0).all()
 
 
 def test_of_two_equal_obstacles_one_stays() -> None:
     twins = met(obstacles(ball(0.5, 0.0, 0.1), ball(0.5, 0.0, 0.1)))
-    assert np.count_nonzero(twins.clearance) == 1
+    assert np.count_nonzero(twins.remaining_clearance) == 1
 
 
 def test_no_obstacles_give_no_rows() -> None:
     found = passing(
         START, GOAL, np.eye(3), EllipsoidSet(), np.zeros((0, 3)), np.zeros(0, dtype=int), DELTA
     )
-    shapes = {v.shape for v in (found.center_W, found.extents, found.clearance, found.weight)}
+    shapes = {
+        v.shape for v in (found.center_W, found.extents, found.remaining_clearance, found.weight)
+    }
     assert shapes == {(0, 3), (0, 2), (0,)}
 
 
@@ -219,6 +221,6 @@ def test_it_does_not_depend_on_the_world_frame(
         DELTA,
     )
     np.testing.assert_allclose(second.extents, first.extents, atol=1e-6)
-    np.testing.assert_allclose(second.clearance, first.clearance, atol=1e-6)
+    np.testing.assert_allclose(second.remaining_clearance, first.remaining_clearance, atol=1e-6)
     np.testing.assert_allclose(second.center_W, first.center_W @ R.T + p, atol=1e-6)
     np.testing.assert_allclose(second.weight, first.weight)

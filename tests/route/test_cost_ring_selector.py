@@ -56,7 +56,7 @@ def test_each_field_of_the_route_has_one_row_an_obstacle() -> None:
         route = decided(CostRingSelector(0.15), some)
         for name in ("heading_W", "direction_W", "normal_W", "center_W", "extents"):
             assert len(getattr(route, name)) == count
-        for name in ("clearance", "weight", "index", "ids"):
+        for name in ("remaining_clearance", "weight", "index", "ids"):
             assert getattr(route, name).shape == (count,)
 
 

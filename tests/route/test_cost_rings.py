@@ -25,7 +25,7 @@ RINGS = {"table": partial(table_ring, height=0.05), "length": length_ring}
 
 
 def scene_of(ellipsoids: EllipsoidSet, table: TablePlane | None = TABLE) -> RingScene:
-    return ring_scene(START, GOAL, np.eye(3), ellipsoids, table, clearance=0.15)
+    return ring_scene(START, GOAL, np.eye(3), ellipsoids, table, asked_clearance=0.15)
 
 
 def chosen(scene: RingScene, row: int = 0, **rings: object) -> np.ndarray:

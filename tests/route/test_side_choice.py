@@ -64,7 +64,9 @@ def balls(*rows: tuple[float, float, float, float]) -> EllipsoidSet:
 
 def scene_of(some: EllipsoidSet, directions: int = 8, table: bool = True) -> RingScene:
     plane = TablePlane() if table else None
-    return ring_scene(START, GOAL, np.eye(3), some, plane, clearance=DELTA, n_directions=directions)
+    return ring_scene(
+        START, GOAL, np.eye(3), some, plane, asked_clearance=DELTA, n_directions=directions
+    )
 
 
 def rows_of(some: EllipsoidSet, rows: list[int]) -> EllipsoidSet:
@@ -164,7 +166,7 @@ def test_it_does_not_zigzag_between_obstacles_on_either_side() -> None:
     some = balls((0.8, 0.04, 0.4, 0.12), (1.2, -0.04, 0.4, 0.12))
     scene = scene_of(some, 36, table=False)
     assert len(np.unique(overlap_groups(some, 0.05))) == 2
-    scene = replace(scene, clearance=0.05)
+    scene = replace(scene, asked_clearance=0.05)
     each = select_directions(scene, {"length": length_ring}, together=False).index
     both = select_directions(scene, {"length": length_ring}).index
     sides = scene.directions_W[each][:, 1]
@@ -178,7 +180,7 @@ def test_it_does_not_zigzag_between_obstacles_on_either_side() -> None:
 def test_a_third_obstacle_in_the_way_of_a_side_decides_it() -> None:
     # Right is the side of the first; but there the second one stands, off the baseline.
     some = balls((0.6, 0.03, 0.4, 0.1), (1.1, -0.33, 0.4, 0.2))
-    scene = replace(scene_of(some, 36, table=False), clearance=0.05)
+    scene = replace(scene_of(some, 36, table=False), asked_clearance=0.05)
     assert len(np.unique(overlap_groups(some, 0.05))) == 2
     each = select_directions(scene, {"length": length_ring}, together=False).index
     both = select_directions(scene, {"length": length_ring}).index
@@ -199,8 +201,8 @@ def test_the_choice_does_not_depend_on_the_frame(seed: int, turn: tuple[float, .
     moved = replace(some, p_WO=some.p_WO @ R.T + p, R_WO=R @ some.R_WO)
     table = TablePlane()
     moved_table = TablePlane(normal_W=R @ table.normal_W, offset=float(R[:, 2] @ p))
-    there = ring_scene(R @ START + p, R @ GOAL + p, R, moved, moved_table, clearance=DELTA)
-    here = ring_scene(START, GOAL, np.eye(3), some, table, clearance=DELTA)
+    there = ring_scene(R @ START + p, R @ GOAL + p, R, moved, moved_table, asked_clearance=DELTA)
+    here = ring_scene(START, GOAL, np.eye(3), some, table, asked_clearance=DELTA)
     assert_sides_alike(here, select_directions(here, RINGS).index, there)
 
 

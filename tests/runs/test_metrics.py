@@ -12,7 +12,7 @@ from drake_oa.robot.config import Robot
 from drake_oa.robot.inverse_kinematics import solve_tool_pose
 from drake_oa.robot.plant import home_positions, make_robot_plant
 from drake_oa.runs.metrics import free_point_metrics, path_length, robot_metrics
-from drake_oa.runs.report import feasible_clearance
+from drake_oa.runs.report import feasible_clearance_of
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.obstacles import Obstacle
 from tests.builders import balls
@@ -137,9 +137,9 @@ def test_clearance_to_what_rests_is_told_apart_from_that_to_what_moves(
     assert both.resting_clearance[0] == alone.tool_clearance[0]
     assert both.tool_clearance[0] < alone.tool_clearance[0]
     # Start and goal leave what rests there leaves.
-    assert feasible_clearance(scenario) == pytest.approx(scenario.task.clearance)
+    assert feasible_clearance_of(scenario) == pytest.approx(scenario.task.clearance)
     scenario.task.clearance = 1.0
-    assert feasible_clearance(scenario) <= both.resting_clearance[0]
+    assert feasible_clearance_of(scenario) <= both.resting_clearance[0]
 
 
 def test_a_robot_at_its_start_touches_nothing(poses: dict[str, FloatArray]) -> None:

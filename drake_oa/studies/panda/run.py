@@ -44,7 +44,7 @@ from drake_oa.perception.config import GroundTruth
 from drake_oa.regulation.config import Regressor, Verified, WholeArm
 from drake_oa.runs.decision_costs import layer_costs
 from drake_oa.runs.motion_log import MotionLog
-from drake_oa.runs.report import feasible_clearance, judge_of, motion_report
+from drake_oa.runs.report import feasible_clearance_of, judge_of, motion_report
 from drake_oa.runs.simulation import AT_GOAL, MotionInterruptedError, simulate
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.studies.panda.differential_ik import PeerParameters
@@ -196,7 +196,7 @@ def run_and_judge(
     try:
         if method == "differential_ik":
             judge = judge_of(scenario)
-            feasible = feasible_clearance(scenario, judge)
+            feasible = feasible_clearance_of(scenario, judge)
         log = _simulate(scenario, method, duration, feasible)
     except MotionInterruptedError as error:
         if isinstance(error.__cause__, KeyboardInterrupt):

@@ -53,7 +53,9 @@ def compare_terms(scenes: Scenes, gammas: Sequence[float] = GAMMAS) -> list[Comp
         first = constant_motions(scenes, setting, np.array((gamma, BETA, 0.0)), original=True)
         second = constant_motions(scenes, setting, np.array((*matched_term(gamma), 0.0)))
         found.append(
-            Comparison(gamma, judge(scenes, first).clearance, judge(scenes, second).clearance)
+            Comparison(
+                gamma, judge(scenes, first).kept_clearance, judge(scenes, second).kept_clearance
+            )
         )
     return found
 

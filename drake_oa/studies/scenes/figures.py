@@ -82,10 +82,10 @@ def motion_figures(judged: Judgement) -> dict[str, Any]:
     motion's duration over tau T with tau = path ratio, at least 1), `out_of_range` (scenes in
     which the regressor chain was asked outside its trained range).
     """
-    there = np.isfinite(judged.clearance)
+    there = np.isfinite(judged.kept_clearance)
     feasible: BoolArray = there & (judged.feasible >= judged.asked - 1e-12)
-    clearance = judged.clearance[there]
-    lacking = np.maximum(judged.feasible - judged.clearance, 0.0)[there]
+    clearance = judged.kept_clearance[there]
+    lacking = np.maximum(judged.feasible - judged.kept_clearance, 0.0)[there]
     return {
         "scenes": len(judged),
         "collisions": int(judged.collided.sum()),
@@ -101,7 +101,7 @@ def motion_figures(judged: Judgement) -> dict[str, Any]:
         "path_ratio_max": over(np.max, judged.path_ratio),
         "short_worst": over(np.max, lacking),
         "delta_feasible": int(feasible.sum()),
-        "clearance_mean_feasible": over(np.mean, judged.clearance[feasible]),
+        "clearance_mean_feasible": over(np.mean, judged.kept_clearance[feasible]),
         "duration_mean": over(np.mean, judged.duration),
         "arrival_mean": over(np.mean, judged.arrival),
         "arrival_max": over(np.max, judged.arrival),

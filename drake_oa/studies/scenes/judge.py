@@ -9,6 +9,7 @@ import numpy as np
 
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen
 from drake_oa.common.numba_tools import kernel_arrays
+from drake_oa.geometry.ellipsoid_kernels import feasible_clearance
 from drake_oa.studies.scenes.judge_kernels import Bodies, Curves, judge_motions
 from drake_oa.studies.scenes.methods import Motions
 from drake_oa.studies.scenes.scenes import DURATION, Scenes, scene_distance
@@ -25,7 +26,7 @@ class Judgement(Frozen):
     """What N motions came to.
 
     Attributes:
-        clearance: (N,) least signed distance to any obstacle over the whole motion,
+        kept_clearance: (N,) least signed distance to any obstacle over the whole motion,
             negative inside; inf in a scene without obstacles [m].
         feasible: (N,) min(Delta, distance of the start at t = 0, distance of the goal at
             the end of the motion) [m].
@@ -37,7 +38,7 @@ class Judgement(Frozen):
         out_of_range: (N,) 1 where the regressor chain was asked outside its trained range.
     """
 
-    clearance: FloatArray
+    kept_clearance: FloatArray
     feasible: FloatArray
     goal_error: FloatArray
     path_length: FloatArray
@@ -47,17 +48,17 @@ class Judgement(Frozen):
     out_of_range: FloatArray
 
     def __len__(self) -> int:
-        return len(self.clearance)
+        return len(self.kept_clearance)
 
     @property
     def collided(self) -> BoolArray:
         """(N,) whether an obstacle was touched."""
-        return self.clearance <= 0.0
+        return self.kept_clearance <= 0.0
 
     @property
     def short(self) -> BoolArray:
         """(N,) whether the clearance is more than `SLACK` short of the feasible one."""
-        return self.clearance < self.feasible - SLACK
+        return self.kept_clearance < self.feasible - SLACK
 
     @property
     def path_ratio(self) -> FloatArray:
@@ -112,13 +113,13 @@ def judge(scenes: Scenes, motions: Motions, substeps: int = SUBSTEPS) -> Judgeme
         out,
     )
     goal = scenes.goal
-    ends = np.minimum(
+    ends = (
         scene_distance(scenes, np.zeros_like(goal), np.zeros(N)),
         scene_distance(scenes, goal, motions.duration),
     )
     return Judgement(
-        clearance=out[:, 0].copy(),
-        feasible=np.minimum(scenes.clearance, ends),
+        kept_clearance=out[:, 0].copy(),
+        feasible=feasible_clearance(scenes.clearance, *ends),
         goal_error=np.linalg.norm(motions.path[:, -1] - goal, axis=1),
         path_length=out[:, 1].copy(),
         baseline=np.array(scenes.baseline),

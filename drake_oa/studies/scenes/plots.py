@@ -86,7 +86,7 @@ def _boxes(figure: Figure, cases: Sequence[Case], outcomes: Mapping[str, Outcome
             scaled = case.setting.scale_time
             at = models.index(case.label.partition(", tau")[0]) + (-0.18 if scaled else 0.18)
             errors = np.maximum(judged.goal_error, _LEAST_ERROR)
-            for ax, values in ((axes[row, 0], judged.clearance), (axes[row, 1], errors)):
+            for ax, values in ((axes[row, 0], judged.kept_clearance), (axes[row, 1], errors)):
                 _box(ax, values, at, "black" if scaled else "#c1121f")
         for model, delta in enumerate(FAMILIAR_CLEARANCES, start=len(models) - 5):
             axes[row, 0].hlines(delta, model - 0.45, model + 0.45, "#00798c", linewidth=1.0)
@@ -125,13 +125,13 @@ def _histograms(figure: Figure, suite: str, outcomes: Mapping[str, Outcome]) -> 
     panels = (
         (
             "clearance [m]",
-            {name: j.clearance[np.isfinite(j.clearance)] for name, j in judged.items()},
+            {name: j.kept_clearance[np.isfinite(j.kept_clearance)] for name, j in judged.items()},
             False,
         ),
         (
             "clearance - min(Δ, distance of start, of goal) [m]",
             {
-                name: (j.clearance - j.feasible)[np.isfinite(j.clearance)]
+                name: (j.kept_clearance - j.feasible)[np.isfinite(j.kept_clearance)]
                 for name, j in judged.items()
             },
             False,
@@ -195,7 +195,7 @@ def _dead_zone(
 
     offset = 1e3 * scenes.center[:, 0, 1]
     for k, (name, outcome) in enumerate(outcomes.items()):
-        clearance = 1e3 * outcome.of().clearance
+        clearance = 1e3 * outcome.of().kept_clearance
         kept.plot(
             offset[: len(clearance)], clearance, color=_color(name, k), marker=".", label=name
         )

@@ -114,7 +114,7 @@ def spatial_scenes(scenes: Scenes, clearance: FloatArray | float) -> SpatialScen
         R_WO=scenes.R,
         semi_axes=scenes.semi_axes,
         v_WO=scenes.velocity,
-        clearance=np.repeat(asked[:, None], scenes.center.shape[1], axis=1),
+        asked_clearance=np.repeat(asked[:, None], scenes.center.shape[1], axis=1),
     )
 
 

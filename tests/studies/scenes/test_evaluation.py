@@ -57,7 +57,7 @@ def test_batches_do_not_matter(straight: Method) -> None:
         batch=7,
         on_progress=lambda name, count: seen.append(count),
     ).outcomes["straight"]
-    assert np.array_equal(whole.of().clearance, parts.of().clearance)
+    assert np.array_equal(whole.of().kept_clearance, parts.of().kept_clearance)
     assert sum(seen) == 50
     assert whole.complete
     figures = method_figures(parts, NOVEL)
@@ -134,7 +134,7 @@ def test_familiar_has_every_setting_and_counts_those_that_ask(straight: Method) 
 
 def judgement(**changes: float) -> Judgement:
     values = {
-        "clearance": 0.15,
+        "kept_clearance": 0.15,
         "feasible": 0.15,
         "goal_error": 0.0,
         "path_length": 1.0,
@@ -151,12 +151,12 @@ def test_figures_count_what_they_say() -> None:
         joined(
             [
                 judgement(),
-                judgement(clearance=0.1495),
-                judgement(clearance=0.1485),
-                judgement(clearance=0.06, feasible=0.06, goal_error=0.002),
-                judgement(clearance=0.0, path_length=1.5),
-                judgement(clearance=-0.02),
-                judgement(clearance=np.inf),
+                judgement(kept_clearance=0.1495),
+                judgement(kept_clearance=0.1485),
+                judgement(kept_clearance=0.06, feasible=0.06, goal_error=0.002),
+                judgement(kept_clearance=0.0, path_length=1.5),
+                judgement(kept_clearance=-0.02),
+                judgement(kept_clearance=np.inf),
             ]
         )
     )

@@ -80,7 +80,7 @@ def test_clearance_and_length_are_those_of_dense_sampling(seed: int) -> None:
                 )
 
             least = min(least, least_distance(distance, motions.duration[n]))
-        assert judged.clearance[n] == pytest.approx(least, abs=1e-6 if least > 0.0 else 1e-4)
+        assert judged.kept_clearance[n] == pytest.approx(least, abs=1e-6 if least > 0.0 else 1e-4)
         p = curve(np.linspace(0.0, motions.duration[n], 2001))
         length = np.linalg.norm(np.diff(p, axis=0), axis=1).sum()
         assert judged.path_length[n] == pytest.approx(length, rel=1e-3)
@@ -89,7 +89,7 @@ def test_clearance_and_length_are_those_of_dense_sampling(seed: int) -> None:
 def test_more_samples_change_nothing_that_matters() -> None:
     scenes, motions = random_case(9, scenes=40, obstacles=4, steps=200)
     once, finer = judge(scenes, motions), judge(scenes, motions, substeps=32)
-    assert np.abs(once.clearance - finer.clearance).max() < 1e-6
+    assert np.abs(once.kept_clearance - finer.kept_clearance).max() < 1e-6
     assert (once.collided == finer.collided).all()
     assert 0 < once.collided.sum() < len(scenes)
 
@@ -108,14 +108,14 @@ def test_a_contact_between_samples_is_found(steps: int, radius: float) -> None:
     scenes = single_obstacle(1.0, center, np.full((1, 3), radius))
     judged = judge(scenes, uniform_motion(steps, np.zeros(3), np.array([1.0, 0.0, 0.0])))
     assert judged.collided.all()
-    assert judged.clearance[0] == pytest.approx(-0.5 * radius, abs=1e-7)
+    assert judged.kept_clearance[0] == pytest.approx(-0.5 * radius, abs=1e-7)
 
 
 def test_figures_of_a_straight_motion_past_a_sphere() -> None:
     center = np.array([[0.5, 0.3, 0.0]])
     scenes = single_obstacle(1.0, center, np.full((1, 3), 0.1), clearance=0.25)
     judged = judge(scenes, uniform_motion(10, np.zeros(3), np.array([1.0, 0.0, 0.003])))
-    assert judged.clearance[0] == pytest.approx(0.2, abs=1e-5)
+    assert judged.kept_clearance[0] == pytest.approx(0.2, abs=1e-5)
     assert judged.feasible[0] == 0.25
     assert judged.short.tolist() == [True]
     assert judged.collided.tolist() == [False]
@@ -128,7 +128,7 @@ def test_feasible_clearance_follows_an_obstacle_that_comes_to_the_goal() -> None
     scenes = single_obstacle(1.0, center, np.full((1, 3), 0.1), velocity=velocity)
     judged = judge(scenes, uniform_motion(50, np.zeros(3), np.array([1.0, 0.0, 0.0])))
     assert judged.feasible[0] == pytest.approx(0.05)
-    assert judged.clearance[0] == pytest.approx(0.05)
+    assert judged.kept_clearance[0] == pytest.approx(0.05)
     assert not judged.short[0]
 
 
@@ -136,7 +136,7 @@ def test_a_scene_without_obstacles_is_clear() -> None:
     nothing = np.full((1, 3), np.nan)
     scenes = single_obstacle(1.0, nothing, nothing)
     judged = judge(scenes, uniform_motion(5, np.zeros(3), np.array([1.0, 0.0, 0.0])))
-    assert judged.clearance.tolist() == [np.inf]
+    assert judged.kept_clearance.tolist() == [np.inf]
     assert judged.feasible.tolist() == [0.15]
     assert not judged.collided[0]
     assert not judged.short[0]
@@ -147,7 +147,7 @@ def test_batches_join_to_the_whole() -> None:
     scenes, motions = random_case(3, scenes=5, obstacles=2, steps=10)
     whole = judge(scenes, motions)
     parts = [whole.rows(slice(0, 2)), whole.rows(slice(2, 5))]
-    assert (joined(parts).clearance == whole.clearance).all()
+    assert (joined(parts).kept_clearance == whole.kept_clearance).all()
     assert len(joined([])) == 0
 
 

@@ -33,7 +33,7 @@ def test_it_does_not_keep_much_more_than_asked() -> None:
     scenes = draw_scenes("novel", 12, 5)
     verdict = judge(scenes, run(scenes, Setting()))
     asked = verdict.feasible >= 0.1499
-    assert verdict.clearance[asked].mean() <= 0.165
+    assert verdict.kept_clearance[asked].mean() <= 0.165
 
 
 def test_motions_start_at_rest_and_last_as_long_as_they_say() -> None:
@@ -59,7 +59,7 @@ def test_time_is_scaled_by_the_length_of_the_path_if_asked() -> None:
 def test_without_a_clearance_to_keep_it_stays_clear_nevertheless() -> None:
     scenes = single_obstacle(1.0, [[0.5, 0.0, 0.0]], [[0.1, 0.1, 0.1]], clearance=0.0)
     verdict = judge(scenes, run(scenes, Setting(constrained=False)))
-    assert verdict.clearance[0] >= LEAST_CLEARANCE - PARAMETERS.slack
+    assert verdict.kept_clearance[0] >= LEAST_CLEARANCE - PARAMETERS.slack
 
 
 def test_a_scene_without_obstacles_is_a_straight_line() -> None:
