@@ -1,0 +1,269 @@
+"""The system that chooses the motion of the whole arm, its inputs fixed."""
+
+from __future__ import annotations
+
+import inspect
+import logging
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydrake.common.value import Value
+from pydrake.systems.analysis import Simulator
+
+from drake_oa.common.messages import (
+    CouplingParameters,
+    FloatArray,
+    HoldCause,
+    PlannedMotion,
+    PolicyState,
+)
+from drake_oa.geometry.solids import Solid, solids_of
+from drake_oa.planning.arm_world import group_distances, tool_poses
+from drake_oa.planning.motion_search import MotionSearch
+from drake_oa.planning.motion_selector import MotionSelector
+from drake_oa.planning.solid_scene import SolidScene
+from drake_oa.policy.demonstration import Demonstration
+from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk
+from drake_oa.regulation.config import WholeArm
+from drake_oa.regulation.regressor import ChainWeights, load_chain
+from drake_oa.scenario.loading import package_file
+from tests.builders import balls
+from tests.planning.arms import ArmAlone, box_at
+
+CLEARANCE = 0.1
+QUICK = WholeArm(
+    candidates=48, rounds=6, polish=2, configurations=20_000, last_configurations=20_000
+)
+GOAL = np.array([0.45, 0.4, 0.3])
+TABLE = box_at([1.2, 2.0, 0.1], [0.8, 0.0, -0.1], "table")
+BOX = box_at([0.12, 0.12, 0.3], [0.45, 0.02, 0.1], "box")
+
+
+@pytest.fixture(scope="module")
+def weights() -> ChainWeights:
+    return load_chain(package_file("package://drake_oa/weights/regressor_chain.safetensors"))
+
+
+class Bench:
+    """The system alone at the start of a motion across the arm's front."""
+
+    def __init__(self, arm: ArmAlone, weights: ChainWeights, *solids: Solid) -> None:
+        self.arm, self.start = arm, arm.X_WE[9:].copy()
+        self.dmp: Dmp = imitate(*minimum_jerk(self.start, GOAL, duration=5.0))
+        R_WE = arm.X_WE[:9].reshape(3, 3)
+        self.search = MotionSearch(
+            weights,
+            self.dmp,
+            CLEARANCE,
+            arm.chain,
+            arm.covered.arrays,
+            parameters=QUICK,
+            steps=250,
+            fade=0.1,
+            orientation=lambda s: np.tile(R_WE, (len(s), 1, 1)),
+            posture=lambda s: np.tile(arm.q, (len(s), 1)),
+            overshoot=arm.covered.overshoot,
+        )
+        m = len(arm.q_full)
+        self.system = MotionSelector(
+            self.search, tuple(arm.model.index.tolist()), 2 * m, period=0.1
+        )
+        self.simulator = Simulator(self.system)
+        self.context = self.simulator.get_mutable_context()
+        for name, value in (
+            ("goal", GOAL),
+            ("robot_state", np.concatenate([arm.q_full, np.zeros(m)])),
+        ):
+            self.system.GetInputPort(name).FixValue(self.context, value)
+        self.policy = PolicyState(
+            p_WE=self.start, p_WS=self.start, p_WG=GOAL, R_WL=local_frame(self.start, GOAL)
+        )
+        self.fix(policy_state=self.policy)
+        self.see(*solids)
+
+    def fix(self, **inputs: object) -> None:
+        for name, value in inputs.items():
+            self.system.GetInputPort(name).FixValue(self.context, Value(value))
+
+    def see(self, *solids: Solid, stamp: float = 0.0) -> None:
+        labels = tuple(solid.label for solid in solids)
+        self.scene = SolidScene(stamp, solids_of(list(solids)), labels)
+        self.fix(solids_W=self.scene)
+
+    def chosen(self, time: float = 0.0) -> CouplingParameters:
+        """What is in force once it has looked at the time."""
+        if time == 0.0:
+            self.simulator.Initialize()
+        else:
+            self.fix(policy_state=replace(self.policy, stamp=time))
+            self.simulator.AdvanceTo(time + 0.002)
+        return self.output("coupling_parameters")
+
+    def output(self, name: str) -> object:
+        return self.system.GetOutputPort(name).Eval(self.context)
+
+    def number(self, name: str) -> float:
+        return float(self.output(name)[0])
+
+    @property
+    def motion(self) -> PlannedMotion:
+        return self.output("motion")
+
+    def kept(self, q: FloatArray) -> FloatArray:
+        """(2,) least distances of tool and moving links to all solids along joints (T, n) [m]."""
+        spheres, least = self.arm.covered.arrays, np.full(2, np.inf)
+        is_tool = spheres.of_tool[spheres.first[:-1]]
+        for row in q:
+            d = group_distances(self.arm.chain, spheres, self.scene.solids, np.array(row), 0.0)
+            for k, which in enumerate((is_tool, ~is_tool & (spheres.group_joint >= 0))):
+                least[k] = min(least[k], d[which].min(initial=np.inf))
+        return least
+
+
+def test_an_empty_world_leaves_the_motion_as_it_is(
+    panda_arm: ArmAlone, weights: ChainWeights
+) -> None:
+    bench = Bench(panda_arm, weights)
+    found = bench.chosen()
+    assert len(found.alpha) == 0
+    assert found.note == ""
+    assert found.hold == HoldCause.NONE
+    assert not found.anew
+    assert found.tau == pytest.approx(1.0, abs=2e-3)
+    assert bench.number("shortfall") == bench.number("lowered") == 0.0
+    assert bench.output("demonstration").position is None
+    motion = bench.motion
+    np.testing.assert_allclose(motion.p_WE[[0, -1]], [bench.start, GOAL], atol=2e-3)
+    # A straight line, and the arm on it.
+    assert np.ptp(motion.p_WE[:, [0, 2]], axis=0).max() < 1e-3
+    reached = tool_poses(panda_arm.chain, np.array(motion.q))[:, 9:]
+    np.testing.assert_allclose(reached, motion.p_WE, atol=2e-3)
+
+
+def test_before_anything_is_seen_nothing_is_chosen(
+    panda_arm: ArmAlone, weights: ChainWeights
+) -> None:
+    bench = Bench(panda_arm, weights)
+    bench.fix(solids_W=SolidScene())
+    found = bench.chosen()
+    assert found.tau == 0.0
+    assert len(bench.motion) == 0
+
+
+def test_a_box_in_the_way_is_passed_as_near_as_asked(
+    panda_arm: ArmAlone, weights: ChainWeights
+) -> None:
+    for seen in (None, balls([0.45, 0.02, 0.1], radius=[0.1, 0.1, 0.25])):
+        bench = Bench(panda_arm, weights, TABLE, BOX)
+        if seen is not None:
+            bench.fix(ellipsoids_W=seen)
+        found = bench.chosen()
+        assert len(found.alpha) == 1
+        assert found.alpha[0] > 0.0
+        assert found.note == ""
+        assert found.tau > 1.0
+        assert bench.number("shortfall") == 0.0
+        tool, links = bench.kept(bench.motion.q)
+        # Of the table start and goal may leave less: of the box alone then.
+        bench.see(BOX)
+        tool, links = bench.kept(bench.motion.q)
+        assert CLEARANCE - 0.01 <= tool <= CLEARANCE + 0.02
+        assert links >= QUICK.link_clearance - 0.01
+        np.testing.assert_allclose(bench.motion.p_WE[-1], GOAL, atol=2e-3)
+        assert (bench.motion.p_WS == bench.start).all()
+
+
+def test_a_motion_in_use_stays_while_nothing_changes(
+    panda_arm: ArmAlone, weights: ChainWeights
+) -> None:
+    bench = Bench(panda_arm, weights, TABLE, BOX)
+    first = bench.chosen()
+    bench.see(TABLE, BOX, stamp=0.1)
+    again = bench.chosen(0.1)
+    for name in ("alpha", "psi", "kappa", "center_W", "normal_W"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
+    # What goes, is not gone round any more.
+    bench.see(TABLE, stamp=0.2)
+    assert len(bench.chosen(0.2).alpha) == 0
+
+
+def test_decisions_are_the_same_each_time(panda_arm: ArmAlone, weights: ChainWeights) -> None:
+    motions, terms = [], []
+    for _ in range(2):
+        bench = Bench(panda_arm, weights, TABLE, BOX)
+        terms.append(bench.chosen())
+        motions.append(bench.motion)
+    np.testing.assert_array_equal(motions[0].q, motions[1].q)
+    np.testing.assert_array_equal(terms[0].alpha, terms[1].alpha)
+    np.testing.assert_array_equal(terms[0].center_W, terms[1].center_W)
+
+
+def walls() -> list[Solid]:
+    """A wall with a window, which the arm must reach through with turns of its links."""
+    low = box_at([0.9, 0.04, 0.62], [0.75, 0.0, 0.21], "sill")
+    high = box_at([0.9, 0.04, 0.5], [0.75, 0.0, 1.25], "lintel")
+    side = box_at([0.04, 0.5, 1.5], [0.95, 0.0, 0.65], "side")
+    return [low, high, side]
+
+
+def test_where_no_term_passes_a_path_in_the_joints_is_imitated(
+    panda_arm: ArmAlone, weights: ChainWeights, caplog: pytest.LogCaptureFixture
+) -> None:
+    bench = Bench(panda_arm, weights, TABLE, *walls())
+    with caplog.at_level(logging.INFO, "drake_oa"):
+        found = bench.chosen()
+    assert found.anew
+    assert found.note == ""
+    assert "a path of the whole arm is imitated" in caplog.text
+    shown: Demonstration = bench.output("demonstration")
+    assert shown.position is not None
+    assert shown.orientation is not None
+    np.testing.assert_allclose(shown.q[0], panda_arm.q, atol=1e-9)
+    reached = tool_poses(panda_arm.chain, shown.q[-1:])[0]
+    np.testing.assert_allclose(reached, np.append(panda_arm.X_WE[:9], GOAL), atol=2e-3)
+    bench.see(*walls())
+    assert bench.kept(bench.motion.q).min() > 0.0
+    # Once it has begun anew with it, it is that which goes on.
+    bench.see(TABLE, *walls(), stamp=0.1)
+    bench.policy = replace(bench.policy, R_WL=np.eye(3))
+    begun = bench.chosen(0.1)
+    assert begun.note == ""
+    assert bench.output("demonstration") is shown
+
+
+def test_where_nothing_is_possible_it_holds_and_says_why(
+    panda_arm: ArmAlone, weights: ChainWeights
+) -> None:
+    goal = GOAL + [0.0, 0.0, 0.02]
+    around = [box_at([0.3, 0.3, 0.3], goal, "crate")]
+    bench = Bench(panda_arm, weights, TABLE, *around)
+    found = bench.chosen()
+    assert found.hold == HoldCause.OBSTACLES
+    assert found.note == "no motion that clears crate found"
+    assert bench.number("shortfall") > 0.0
+    # It goes on when that leaves.
+    bench.see(TABLE, stamp=1.0)
+    found = bench.chosen(1.0)
+    assert found.note == ""
+    assert found.hold == HoldCause.NONE
+
+
+def test_a_tool_in_a_solid_is_held(panda_arm: ArmAlone, weights: ChainWeights) -> None:
+    bench = Bench(panda_arm, weights, box_at([0.3, 0.3, 0.3], panda_arm.X_WE[9:], "block"))
+    found = bench.chosen()
+    assert found.hold == HoldCause.OBSTACLES
+    assert found.note == "no motion that clears block found"
+    assert not found.anew
+
+
+def test_its_ports_are_those_it_tells_of(panda_arm: ArmAlone, weights: ChainWeights) -> None:
+    system = Bench(panda_arm, weights).system
+    text = inspect.getdoc(MotionSelector)
+    told = re.findall(r"^  +- (\w+)", text, flags=re.MULTILINE)
+    ports = [system.get_input_port(k).get_name() for k in range(system.num_input_ports())]
+    ports += [system.get_output_port(k).get_name() for k in range(system.num_output_ports())]
+    assert told == ports
+    with pytest.raises(ValueError, match="period must be positive"):
+        MotionSelector(Bench(panda_arm, weights).search, (0,), 2, period=0.0)
