@@ -58,7 +58,9 @@ def with_unseen_ends(
 
 
 def _with_ends(cloud: FloatArray, X_WC: FloatArray, image: ImageSize) -> FloatArray:
-    """A cloud (N, 3), with its ends."""
+    """A cloud (N, 3), with its ends; as it is where it is not finite."""
+    if not np.isfinite(cloud).all():
+        return cloud
     x, y, z = ((cloud - X_WC[:3, 3]) @ X_WC[:3, :3]).T
     with np.errstate(divide="ignore", invalid="ignore"):
         # How far the points are from the borders, at their depth.

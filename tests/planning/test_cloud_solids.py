@@ -228,3 +228,6 @@ def test_what_the_image_cuts_off_goes_on_beyond_it(cut):
     np.testing.assert_array_equal(longer[: len(post(0.4))], post(0.4))
     np.testing.assert_allclose(longer.max(axis=0), [0.5, 0.02, 0.79], atol=0.02)
     assert longer[:, 2].min() == 0.0
+    bad = post(0.4)
+    bad[0] = np.nan
+    assert with_unseen_ends(seen(bad), X_WC, image).clouds_W[0] is bad
