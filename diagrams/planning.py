@@ -10,14 +10,13 @@ from drake_oa.common.wires import Wires
 from drake_oa.diagrams.arm import arm_model, make_posture_guide
 from drake_oa.diagrams.policy import make_dmp
 from drake_oa.diagrams.station import Cell
-from drake_oa.geometry.pinhole import pinhole
 from drake_oa.perception.config import DepthCamera, GroundTruth
 from drake_oa.planning.arm_world import make_chain
 from drake_oa.planning.cloud_solids import CloudSolids
 from drake_oa.planning.motion_search import MotionSearch
 from drake_oa.planning.motion_selector import MotionSelector
 from drake_oa.planning.true_solids import TrueSolids
-from drake_oa.planning.unseen_ends import ImageSize
+from drake_oa.planning.unseen_ends import ImageRange
 from drake_oa.regulation.config import WholeArm
 from drake_oa.regulation.regressor import ChainWeights
 from drake_oa.robot.grasped_object import tool_links
@@ -63,8 +62,7 @@ def make_solids(scenario: Scenario, cell: Cell) -> TrueSolids | CloudSolids:
     if isinstance(source, DepthCamera):
         seen = cell.cameras[source.camera].intrinsics
         near = camera_config(scenario, source).z_near
-        fx, fy, cx, cy = pinhole(seen)
-        image = ImageSize(fx, fy, cx, cy, seen.width(), seen.height(), near)
+        image = ImageRange(seen.focal_y(), seen.center_y(), seen.height(), near)
         return CloudSolids(period=period, image=image)
     if not isinstance(source, GroundTruth):
         return CloudSolids(period=period)

@@ -35,7 +35,7 @@ from drake_oa.geometry.solids import table_solid as solid_of_table
 from drake_oa.perception.hidden_sides import names_moved
 from drake_oa.perception.memory import held_table
 from drake_oa.planning.solid_scene import SolidScene
-from drake_oa.planning.unseen_ends import ImageSize, with_unseen_ends
+from drake_oa.planning.unseen_ends import ImageRange, with_unseen_ends
 
 _logger = logging.getLogger("drake_oa")
 
@@ -299,7 +299,7 @@ class CloudSolids(LeafSystem):
     obstacle that is too large for fine voxels.
     """
 
-    def __init__(self, *, period: float = 1.0 / 15.0, image: ImageSize | None = None) -> None:
+    def __init__(self, *, period: float = 1.0 / 15.0, image: ImageRange | None = None) -> None:
         """Declares the ports.
 
         Args:

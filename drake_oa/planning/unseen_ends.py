@@ -1,9 +1,8 @@
 """What goes on beyond the image: a thing that is cut off by it is taken to be longer.
 
 A post that the image shows the lower half of, or the upper half of which is too near, has no end
-there, and nothing may pass over it. As
-what is hidden is taken to be as deep as it is broad, what is cut off is taken to go on for as far
-as it is seen.
+there, and nothing may pass over it. What is cut off is taken to go on upright for as far as it is
+seen; what is cut off at the sides ends where it is seen to.
 """
 
 from __future__ import annotations
@@ -23,23 +22,22 @@ _NEAR = 1.5 * VOXEL
 """A point so near to the border of the image may be the last that it shows [m]."""
 
 
-class ImageSize(NamedTuple):
-    """Focal lengths, centre, width and height of a pinhole camera's image [pixel].
+class ImageRange(NamedTuple):
+    """Upright extent of what a pinhole camera sees.
 
-    near: what has less depth is not seen [m].
+    Attributes:
+        fy, cy, height: focal length, centre and height of the image along its columns [pixel].
+        near: what has less depth is not seen [m].
     """
 
-    fx: float
     fy: float
-    cx: float
     cy: float
-    width: int
     height: int
     near: float = 0.0
 
 
 def with_unseen_ends(
-    obstacles: ObstacleClouds, X_WC: FloatArray, image: ImageSize
+    obstacles: ObstacleClouds, X_WC: FloatArray, image: ImageRange
 ) -> ObstacleClouds:
     """The obstacles, with more points where the image cuts them off.
 
@@ -57,20 +55,18 @@ def with_unseen_ends(
     return replace(obstacles, clouds_W=clouds)
 
 
-def _with_ends(cloud: FloatArray, X_WC: FloatArray, image: ImageSize) -> FloatArray:
+def _with_ends(cloud: FloatArray, X_WC: FloatArray, image: ImageRange) -> FloatArray:
     """A cloud (N, 3), with its ends; as it is where it is not finite."""
     if not np.isfinite(cloud).all():
         return cloud
-    x, y, z = ((cloud - X_WC[:3, 3]) @ X_WC[:3, :3]).T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # How far the points are from the borders, at their depth.
-        left, right = x + z * image.cx / image.fx, z * (image.width - image.cx) / image.fx - x
-        top, bottom = y + z * image.cy / image.fy, z * (image.height - image.cy) / image.fy - y
-    # Things stand upright: up and down in the image, and nearer, is so in the world.
+    _, y, z = ((cloud - X_WC[:3, 3]) @ X_WC[:3, :3]).T
+    # How far the points are from the borders, at their depth; up and down in the image, and
+    # nearer, is so in the world.
+    top, bottom = y + z * image.cy / image.fy, z * (image.height - image.cy) / image.fy - y
     vertical = np.array([0.0, 0.0, 1.0])
-    across, up = X_WC[:3, 0], vertical * math.copysign(1.0, -X_WC[2, 1])
+    up = vertical * math.copysign(1.0, -X_WC[2, 1])
     nearer = vertical * math.copysign(1.0, -X_WC[2, 2])
-    borders = (left, -across), (right, across), (top, up), (bottom, -up), (z - image.near, nearer)
+    borders = (top, up), (bottom, -up), (z - image.near, nearer)
     ends = [cloud]
     for gap, way in borders:
         last = cloud[(np.abs(gap) <= _NEAR) & (z > 0.0)]

@@ -12,7 +12,7 @@ from drake_oa.common.messages import ObstacleClouds, TablePlane
 from drake_oa.geometry.solids import Solids, solid_distance
 from drake_oa.planning import cloud_solids
 from drake_oa.planning.cloud_solids import CloudSolids, SeenSolids, looked_at
-from drake_oa.planning.unseen_ends import ImageSize, with_unseen_ends
+from drake_oa.planning.unseen_ends import ImageRange, with_unseen_ends
 
 CAMERA = np.array([1.2, 0.0, 0.8])
 HALF = np.array([0.04, 0.1, 0.1])
@@ -215,7 +215,7 @@ def test_what_the_image_cuts_off_goes_on_beyond_it(cut):
     X_WC = np.eye(4)
     X_WC[:3, :3] = np.column_stack([across, np.cross(down, across), down])
     X_WC[:3, 3] = [1.0, 0.0, 1.0]
-    wide = ImageSize(500.0, 500.0, 1000.0, 1000.0, 2000, 2000)
+    wide = ImageRange(500.0, 1000.0, 2000)
     whole = seen(post(0.4))
     assert with_unseen_ends(whole, X_WC, wide) is whole
     last = (post(0.4)[-1] - X_WC[:3, 3]) @ X_WC[:3, :3]
