@@ -122,6 +122,7 @@ def straight_log() -> Callable[..., MotionLog]:
             supervision_reason=(),
             **vars(RobotLimits()),
             stop_reason="goal",
+            ended="goal",
             wall_time=1.0,
             modulated=True,
             scenario=scenario,

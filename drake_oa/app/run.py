@@ -223,18 +223,19 @@ def _simulate_both(
 
 def _report(outputs: _Outputs, name: str, scenario: Scenario, logs: dict[str, MotionLog]) -> int:
     """Prints and writes the report; the status says whether all motions got there."""
+    from drake_oa.runs.motion_log import MotionEnd
     from drake_oa.runs.report import report_table, run_report
 
     report = run_report(name, scenario, logs)
     show(report_table(report))
     if outputs.json:
         replace_text(outputs.json, json_text.dumps(report, indent=2) + "\n")
-    ended = {"goal"}
+    enough = {MotionEnd.GOAL}
     if outputs.duration is not None:
-        ended.add(f"time limit of {outputs.duration:g} s")
+        enough.add(MotionEnd.TIME_LIMIT)
     # The pre-planned motion may end at what it runs into.
     last = logs.get("modulated") or next(iter(logs.values()))
-    return 0 if last.stop_reason in ended else FAILED
+    return 0 if last.ended in enough else FAILED
 
 
 def _viewer(outputs: _Outputs) -> Meshcat | None:

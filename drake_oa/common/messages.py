@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields
-from enum import Enum
+from enum import StrEnum
 from functools import cache
 from typing import Any, Literal, Self
 
@@ -138,7 +138,7 @@ class EllipsoidSet(Frozen):
         return len(self.p_WO)
 
 
-class HoldCause(Enum):
+class HoldCause(StrEnum):
     """What holds the motion, if anything does. Decisions go by it; a note says it in words."""
 
     NONE = "none"
@@ -146,6 +146,8 @@ class HoldCause(Enum):
     """The first motion is being decided on."""
     SPEED_SCALE = "speed_scale"
     """The speed is scaled to nothing from outside."""
+    SUPERVISOR = "supervisor"
+    """The same, by the supervisor: so told by who sees both."""
     OBSTACLES = "obstacles"
     """They are not seen, in the way, or no way past them is known."""
 

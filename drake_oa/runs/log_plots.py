@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
-from drake_oa.common.messages import FloatArray
+from drake_oa.common.messages import FloatArray, HoldCause
 from drake_oa.policy.dmp import local_frame
 from drake_oa.runs.metrics import MotionMetrics
 from drake_oa.runs.motion_log import MotionLog
@@ -72,13 +72,13 @@ def pauses(log: MotionLog) -> list[Pause]:
         if action != "run"
     ]
     supervised = [(pause.start, pause.end) for pause in found if pause.kind != "slow"]
-    for (start, end), note in zip(
-        _spans(log.event_time, log.simulated_time), log.event, strict=True
+    for (start, end), hold, note in zip(
+        _spans(log.event_time, log.simulated_time), log.event_hold, log.event, strict=True
     ):
-        known = note.startswith("supervisor: ") or any(
+        known = hold == HoldCause.SUPERVISOR or any(
             low - _TOGETHER <= start and end <= high + _TOGETHER for low, high in supervised
         )
-        if note and not known:
+        if hold != HoldCause.NONE and not known:
             found.append(Pause(start, end, "held", note))
     return sorted(found, key=lambda pause: pause.start)
 

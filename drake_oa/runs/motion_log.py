@@ -82,6 +82,8 @@ decision_time          (D,)           s        when decisions began; (0,) where 
                                                not tell, or they cost no time
 decision_cost          (D,)           s        the simulated time that each takes
 decision_layer         (D,)           text     whose it is: "regulation", "evasion" or "turn"
+event_hold             (E,)           text     what held the motion from then on, one of `HoldCause`
+ended                  ()             text     how the motion ended, one of `MotionEnd`
 =====================  =============  =======  ==========================================
 """
 
@@ -90,14 +92,15 @@ from __future__ import annotations
 import math
 import zipfile
 import zlib
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from drake_oa.common.files import check_archive, replace_file
-from drake_oa.common.messages import EllipsoidSet, FloatArray, IntArray
+from drake_oa.common.messages import DECIDING, EllipsoidSet, FloatArray, HoldCause, IntArray
 
 SCHEMA_VERSION = 2
 """Of the files that are written and read; a file without one is of schema 1."""
@@ -118,16 +121,18 @@ _LATER = frozenset(
         "decision_time",
         "decision_cost",
         "decision_layer",
+        "event_hold",
+        "ended",
     }
 )
-"""Attributes with defaults, which files of this schema may lack."""
+"""Attributes with defaults, or found from others, which files of this schema may lack."""
 
 _COUNTED = {
     "t": "t q v torque saturated p_WE desired_position desired_velocity desired_acceleration "
     "phase speed_scale tracking_error q_world shortfall short_of lowered goal tool_turn "
     "planned_turn desired_orientation orientation_error desired_posture evasion",
     "observation_time": "observation_stamp p_WO R_WO semi_axes v_WO obstacle_id out_of_range",
-    "event_time": "event",
+    "event_time": "event event_hold",
     "supervision_time": "supervision_action supervision_reason",
     "decision_time": "decision_cost decision_layer",
 }
@@ -135,6 +140,27 @@ _COUNTED = {
 _POINTS = frozenset({"p_WE", "desired_position", "desired_velocity", "goal", "p_WO", "semi_axes"})
 _FINITE = ("t", "q", "q_world", "p_WE", "desired_position", "desired_velocity", "phase")
 """Attributes without which nothing can be shown."""
+
+
+class MotionEnd(StrEnum):
+    """How a motion ended; `stop_reason` says it in words."""
+
+    GOAL = "goal"
+    STOPPED = "stopped"
+    """By the supervisor."""
+    HELD = "held"
+    """For too long."""
+    MISSED = "goal missed"
+    """The tool did not come to the goal in time."""
+    LEFT = "goal left"
+    """It evaded there, and did not come back."""
+    TURNED = "turned"
+    """At the goal, but the tool could not be turned back."""
+    STUCK = "stuck"
+    """It stood still short of the goal."""
+    TIME_LIMIT = "time limit"
+    CUT_SHORT = "cut short"
+    """Interrupted, or something was raised."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,6 +225,8 @@ class MotionLog:
     decision_time: FloatArray = field(default_factory=lambda: np.zeros(0))
     decision_cost: FloatArray = field(default_factory=lambda: np.zeros(0))
     decision_layer: tuple[str, ...] = ()
+    event_hold: tuple[str, ...] = ()
+    ended: str = ""
 
     @property
     def simulated_time(self) -> float:
@@ -328,8 +356,28 @@ def _motions(path: Path, archive: Any) -> dict[str, MotionLog]:
             raise _RefusedError(f"{path} is not a motion log: '{motion}' lacks {missing}")
         there = [name for name in names if name not in missing]
         logs[motion] = MotionLog(**{n: _read(archive[f"{motion}/{n}"]) for n in there})
+        logs[motion] = _with_causes(logs[motion])
         _check_motion(f"{path}: {motion}", logs[motion])
     return logs
+
+
+def _with_causes(log: MotionLog) -> MotionLog:
+    """With the causes that an older file has only in words."""
+    holds, ended = log.event_hold, log.ended
+    if not holds:
+        holds = tuple(_hold_of(note) for note in log.event)
+    if not ended:
+        begins = {MotionEnd.TURNED: "at the goal, but"}
+        ends = (end for end in MotionEnd if log.stop_reason.startswith(begins.get(end, end)))
+        # The longest: "goal" begins "goal missed", too.
+        ended = max(ends, key=len, default=MotionEnd.CUT_SHORT)
+    return replace(log, event_hold=holds, ended=ended)
+
+
+def _hold_of(note: str) -> HoldCause:
+    if note.startswith("supervisor: "):
+        return HoldCause.SUPERVISOR
+    return {"": HoldCause.NONE, DECIDING: HoldCause.DECIDING}.get(note, HoldCause.OBSTACLES)
 
 
 def _check_motion(where: str, log: MotionLog) -> None:

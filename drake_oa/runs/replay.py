@@ -21,10 +21,10 @@ from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuil
 from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.common.messages import EllipsoidSet, FloatArray, PolicyState
+from drake_oa.common.messages import EllipsoidSet, FloatArray, HoldCause, PolicyState
 from drake_oa.policy.dmp import local_frame
 from drake_oa.robot.plant import base_pose
-from drake_oa.runs.motion_log import MotionLog
+from drake_oa.runs.motion_log import MotionEnd, MotionLog
 from drake_oa.scenario.loading import parse_scenario
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task import goal_at
@@ -117,6 +117,7 @@ class LoggedMotion:
             p_WG=p_WG,
             R_WL=local_frame(self._p_WS, p_WG),
             stamp=float(log.t[row]),
+            hold=HoldCause(log.event_hold[event]) if event >= 0 else HoldCause.NONE,
             note=log.event[event] if event >= 0 else "",
         )
 
@@ -162,7 +163,7 @@ def planned_path(
         demonstrated path is not in the log whole.
     """
     log = logs.get("preplanned")
-    if not scenario.task.demonstration or log is None or log.stop_reason != "goal":
+    if not scenario.task.demonstration or log is None or log.ended != MotionEnd.GOAL:
         return None
     step = math.ceil(len(log.t) / points)
     return log.desired_position[::step]

@@ -95,8 +95,8 @@ def motion_report(
     believed feasible; None unless it was verified), `believed_short_of` (name of the obstacle it
     lacked it to, or None), `lowered` (by how much regulation lowered the asked clearance at
     most; None unless verified), what decisions cost (see `decision_figures`), `stop_reason`,
-    `settled` (whether all came to rest), `events` (notes of the policy), `supervision` (what the
-    supervisor did, and why).
+    `ended` (one of `MotionEnd`), `settled` (whether all came to rest), `events` (what held
+    the policy, and its notes), `supervision` (what the supervisor did, and why).
 
     Args:
         scenario: what was run.
@@ -130,10 +130,11 @@ def motion_report(
         **_believed(log),
         **decision_figures(scenario, log),
         "stop_reason": log.stop_reason,
+        "ended": log.ended,
         "settled": log.settled,
         "events": [
-            {"time": float(when), "note": note}
-            for when, note in zip(log.event_time, log.event, strict=True)
+            {"time": float(when), "hold": hold, "note": note}
+            for when, hold, note in zip(log.event_time, log.event_hold, log.event, strict=True)
         ],
         "supervision": [
             {"time": float(when), "action": action, "reason": reason}

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from pydrake.geometry import Meshcat
@@ -30,7 +31,7 @@ from drake_oa.regulation.config import SearchParameters
 from drake_oa.robot.limits import RobotLimits, frame_path, robot_limits
 from drake_oa.robot.plant import TOOL_FRAME
 from drake_oa.runs.decision_costs import logged_decisions
-from drake_oa.runs.motion_log import MotionLog, pack_ellipsoids
+from drake_oa.runs.motion_log import MotionEnd, MotionLog, pack_ellipsoids
 from drake_oa.safety.supervision import Supervision
 from drake_oa.scenario.faults import CameraDropout, FrameBurst, NanFrames, Push, TorqueSaturation
 from drake_oa.scenario.loading import scenario_text
@@ -74,6 +75,17 @@ class MotionInterruptedError(RuntimeError):
         self.log = log
 
 
+class Ending(NamedTuple):
+    """How a motion ended, in words as well, and whether it may yet go on."""
+
+    end: MotionEnd
+    reason: str
+    may_go_on: bool = False
+
+
+AT_THE_GOAL = Ending(MotionEnd.GOAL, "goal")
+
+
 class MotionWatcher:
     """Looks at the motion after each step: records, reports progress, ends the run.
 
@@ -85,9 +97,9 @@ class MotionWatcher:
         frames: the observations, as they arrived.
         frame_times: when each arrived [s].
         out_of_range: of each, how many obstacles the regressor chain was not trained for.
-        events: (time [s], note) whenever the policy's note changed.
+        events: (time [s], what holds the motion, note) whenever the policy's note changed.
         supervision: (time [s], action, reason) whenever the supervisor's decision changed.
-        stop_reason: what ended the motion; "" until then.
+        ending: what ended the motion; None until then.
         motion_end: when it did [s]; NaN until then.
         settled: whether all has come to rest since.
     """
@@ -143,12 +155,11 @@ class MotionWatcher:
         self.frames: list[EllipsoidSet] = []
         self.frame_times: list[float] = []
         self.out_of_range: list[int] = []
-        self.events: list[tuple[float, str]] = []
+        self.events: list[tuple[float, HoldCause, str]] = []
         self.supervision: list[tuple[float, str, str]] = []
-        self.stop_reason = ""
+        self.ending: Ending | None = None
         self.motion_end = math.nan
         self.settled = False
-        self._passing = False
         self._rest_since = math.inf
         self.world_end = _last_change(scenario, end_time)
         self.latest_time = latest_time
@@ -169,37 +180,42 @@ class MotionWatcher:
         policy: PolicyState = self._policy_port.Eval(self._policy_system.GetMyContextFromRoot(root))
         supervision = self._supervision(root)
         if policy.hold is HoldCause.SPEED_SCALE and supervision.reason:
-            policy = replace(policy, note=f"supervisor: {supervision.reason}")
+            note = f"supervisor: {supervision.reason}"
+            policy = replace(policy, hold=HoldCause.SUPERVISOR, note=note)
         self._record(root, now, policy)
         if self._on_progress is not None:
             self._on_progress(now, policy.phase)
-        if self._passing and policy.hold is HoldCause.NONE:
-            self.stop_reason, self.motion_end = "", math.nan
-        if not self.stop_reason:
-            self._end(now, *self._why_ended(root, now, policy, supervision))
+        if self.ending and self.ending.may_go_on and policy.hold is HoldCause.NONE:
+            self._end(math.nan, None)
+        if not self.ending:
+            self._end(now, self._why_ended(root, now, policy, supervision))
         self._look_for_rest(root, now, policy)
         if self.settled:
-            return EventStatus.ReachedTermination(self._diagram, self.stop_reason)
+            return EventStatus.ReachedTermination(
+                self._diagram, self.ending.reason if self.ending else ""
+            )
         return EventStatus.DidNothing()
 
     def finish(self, root: Context) -> None:
         """Says what the end of the run makes of the motion's."""
-        if not self.stop_reason:
-            self._end(self._end_time, f"time limit of {self._end_time:g} s")
+        if not self.ending:
+            self._end(self._end_time, self._time_limit())
         policy: PolicyState = self._policy_port.Eval(self._policy_system.GetMyContextFromRoot(root))
         error = self._goal_error(root, policy)
-        if self.stop_reason == "goal" and error > AT_GOAL:
-            self.stop_reason = f"goal left by {1e3 * error:.1f} mm"
+        if self.ending == AT_THE_GOAL and error > AT_GOAL:
+            self.ending = Ending(MotionEnd.LEFT, f"goal left by {1e3 * error:.1f} mm")
 
-    def _end(self, now: float, reason: str, passing: bool = False) -> None:
-        """Takes down that the motion has ended, if it has; `passing`: it may yet go on."""
-        if reason:
-            self.stop_reason, self.motion_end, self._passing = reason, now, passing
+    def _end(self, now: float, ending: Ending | None) -> None:
+        """Takes down that the motion has ended, if it has, or that it goes on."""
+        self.ending, self.motion_end = ending, now if ending else math.nan
+
+    def _time_limit(self) -> Ending:
+        return Ending(MotionEnd.TIME_LIMIT, f"time limit of {self._end_time:g} s")
 
     def _why_ended(
         self, root: Context, now: float, policy: PolicyState, supervision: Supervision
-    ) -> tuple[str, bool]:
-        """Why the motion has ended, "" if it has not, and whether it may yet go on."""
+    ) -> Ending | None:
+        """How the motion has ended, if it has."""
         s = normalised_time(policy.phase, self._alpha_k)
         if now <= self._last_move:
             self._latest_end = LATEST_END + max(0.0, s - 1.0)
@@ -209,22 +225,25 @@ class MotionWatcher:
             and self._goal_error(root, policy) <= AT_GOAL
             and not self._is_turned(root)
         ):
-            return "goal", False
+            return AT_THE_GOAL
         if supervision.action == "stop" and policy.speed == 0.0:
-            return f"stopped: {supervision.reason}", True
+            return Ending(MotionEnd.STOPPED, f"stopped: {supervision.reason}", may_go_on=True)
         if now > self._last_move and s >= self._latest_end:
             self._latest_end = max(self._latest_end, self._verified_end(root) + _GRACE)
         if now > self._last_move and s >= self._latest_end:
             error = self._goal_error(root, policy)
             if _has_arrived(policy, self._goal) and error <= AT_GOAL:
-                return "at the goal, but the tool cannot be turned back there", False
-            return f"goal missed by {1e3 * error:.1f} mm at s = {self._latest_end:.3g}", False
+                why = "at the goal, but the tool cannot be turned back there"
+                return Ending(MotionEnd.TURNED, why)
+            why = f"goal missed by {1e3 * error:.1f} mm at s = {self._latest_end:.3g}"
+            return Ending(MotionEnd.MISSED, why)
         if (
             self._held_since is not None
             and now - max(self._held_since, self._last_move) > LONGEST_HOLD
         ):
-            return f"held for {LONGEST_HOLD:g} s: {policy.note}", True
-        return (f"time limit of {self._end_time:g} s" if now >= self._end_time else ""), False
+            why = f"held for {LONGEST_HOLD:g} s: {policy.note}"
+            return Ending(MotionEnd.HELD, why, may_go_on=True)
+        return self._time_limit() if now >= self._end_time else None
 
     def _look_for_rest(self, root: Context, now: float, policy: PolicyState) -> None:
         """Whether nothing has moved for `REST_TIME`, nor anything will.
@@ -235,9 +254,9 @@ class MotionWatcher:
         if self._plant is not None:
             context = self._plant.GetMyContextFromRoot(root)
             fastest = np.abs(self._plant.GetVelocities(context, self._robot)).max()
-        moves = now < self.world_end or not self.stop_reason or fastest > AT_REST
+        moves = now < self.world_end or not self.ending or fastest > AT_REST
         self._rest_since = math.inf if moves else min(self._rest_since, now)
-        rest = LONGEST_HOLD if self._passing else REST_TIME
+        rest = LONGEST_HOLD if self.ending and self.ending.may_go_on else REST_TIME
         self.settled = now - self._rest_since >= rest
 
     def _tool_point(self, root: Context, policy: PolicyState) -> FloatArray:
@@ -252,8 +271,7 @@ class MotionWatcher:
         return math.dist(self._tool_point(root, policy), self._goal)
 
     def _record(self, root: Context, now: float, policy: PolicyState) -> None:
-        if policy.note != (self.events[-1][1] if self.events else ""):
-            self.events.append((now, policy.note))
+        self._note(now, policy.hold, policy.note)
         self._record_supervision(root, now)
         if policy.hold in (HoldCause.NONE, HoldCause.DECIDING):
             self._held_since = None
@@ -267,6 +285,10 @@ class MotionWatcher:
                 self.frames.append(seen)
                 self.frame_times.append(now)
                 self.out_of_range.append(self._count_out_of_range(root))
+
+    def _note(self, now: float, hold: HoldCause, note: str) -> None:
+        if note != (self.events[-1][2] if self.events else ""):
+            self.events.append((now, hold, note))
 
     def _supervision(self, root: Context) -> Supervision:
         if self._supervisor is None:
@@ -402,10 +424,10 @@ def run_motion(
         simulator.AdvanceTo(watcher.latest_time)
     except (Exception, KeyboardInterrupt) as error:
         if isinstance(error, KeyboardInterrupt):
-            watcher.stop_reason = str(error) or "interrupted"
+            why = str(error) or "interrupted"
         else:
-            watcher.stop_reason = f"{type(error).__name__}: {error}".rstrip(": ")
-        watcher.motion_end = math.nan
+            why = f"{type(error).__name__}: {error}".rstrip(": ")
+        watcher.ending, watcher.motion_end = Ending(MotionEnd.CUT_SHORT, why), math.nan
         log = _collect(scenario, simulator, watcher, modulated, time.perf_counter() - started)
         raise MotionInterruptedError(log) from error
     finally:
@@ -426,6 +448,7 @@ def _collect(
 ) -> MotionLog:
     root = simulator.get_context()
     diagram = simulator.get_system()
+    ending = watcher.ending or Ending(MotionEnd.CUT_SHORT, "")
     signals: dict[str, FloatArray] = {}
     t = np.zeros(0)
     for system in diagram.GetSystems():
@@ -472,13 +495,15 @@ def _collect(
         shortfall=scalar("shortfall", 0.0),
         short_of=scalar("short_of", -1.0).astype(np.int64),
         lowered=scalar("lowered", 0.0),
-        event_time=np.array([when for when, _ in watcher.events]),
-        event=tuple(note for _, note in watcher.events),
+        event_time=np.array([when for when, _, _ in watcher.events]),
+        event_hold=tuple(hold.value for _, hold, _ in watcher.events),
+        event=tuple(note for _, _, note in watcher.events),
         supervision_time=np.array([when for when, _, _ in watcher.supervision]),
         supervision_action=tuple(action for _, action, _ in watcher.supervision),
         supervision_reason=tuple(reason for _, _, reason in watcher.supervision),
         **vars(limits),
-        stop_reason=watcher.stop_reason,
+        stop_reason=ending.reason,
+        ended=ending.end.value,
         motion_end=watcher.motion_end,
         settled=watcher.settled,
         wall_time=wall_time,

@@ -30,7 +30,16 @@ _GOLDEN = Path(__file__).resolve().parents[1] / "golden"
 _WRITES = os.environ.get("GOLDEN") == "write"
 _SAMPLED = 40
 """Of an array over time every so many rows are kept."""
-_NOT_COMPARED = {"wall_time", "versions", "scenario", "stop_reason", "motion_end", "settled"}
+_NOT_COMPARED = {
+    "wall_time",
+    "versions",
+    "scenario",
+    "stop_reason",
+    "ended",
+    "event_hold",
+    "motion_end",
+    "settled",
+}
 _TRUTH = "tabletop_box-truth"
 _NAMES = [*shipped_scenarios(), _TRUTH]
 # Another processor rounds otherwise, and what is decided by the last bit goes another way.

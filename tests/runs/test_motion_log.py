@@ -10,7 +10,7 @@ import pytest
 
 from drake_oa.common.messages import EllipsoidSet
 from drake_oa.runs import motion_log
-from drake_oa.runs.motion_log import MotionLog, load_logs, pack_ellipsoids, save_logs
+from drake_oa.runs.motion_log import MotionEnd, MotionLog, load_logs, pack_ellipsoids, save_logs
 
 
 def ellipsoids(count: int, stamp: float = 0.0) -> EllipsoidSet:
@@ -49,6 +49,7 @@ def log(instants: int = 4, frames: int = 2) -> MotionLog:
         short_of=np.full(instants, -1),
         event_time=np.array([0.1, 0.2]),
         event=("obstacles not seen since t = 0.00 s", ""),
+        event_hold=("obstacles", "none"),
         supervision_time=np.array([0.1, 0.3]),
         supervision_action=("hold", "run"),
         supervision_reason=("camera stopped", ""),
@@ -59,6 +60,7 @@ def log(instants: int = 4, frames: int = 2) -> MotionLog:
         actuator_name=("joint1",),
         effort_limit=np.array([np.inf]),
         stop_reason="goal",
+        ended="goal",
         wall_time=1.5,
         modulated=True,
         scenario="task:\n  clearance: 0.15\n",
@@ -73,7 +75,7 @@ def log(instants: int = 4, frames: int = 2) -> MotionLog:
     [
         log(),
         log(0, 0),
-        replace(log(), event=(), event_time=np.zeros(0), position_name=()),
+        replace(log(), event=(), event_hold=(), event_time=np.zeros(0), position_name=()),
     ],
 )
 def test_what_is_written_is_read_back(one: MotionLog, tmp_path: Path) -> None:
@@ -92,6 +94,31 @@ def test_what_is_written_is_read_back(one: MotionLog, tmp_path: Path) -> None:
         else:
             assert after == before
             assert type(after) is type(before)
+
+
+@pytest.mark.parametrize(
+    ("reason", "ended"),
+    [
+        ("goal", MotionEnd.GOAL),
+        ("goal missed by 2.0 mm at s = 2.2", MotionEnd.MISSED),
+        ("held for 5 s: obstacles not seen", MotionEnd.HELD),
+        ("at the goal, but the tool cannot be turned back there", MotionEnd.TURNED),
+        ("KeyError: 'q'", MotionEnd.CUT_SHORT),
+    ],
+)
+def test_causes_of_an_older_file_are_found_from_its_words(
+    reason: str, ended: MotionEnd, tmp_path: Path
+) -> None:
+    notes = ("supervisor: near", "blocked", "")
+    changes = {"event": notes, "event_time": np.arange(3.0), "event_hold": (), "ended": ""}
+    file = tmp_path / "run.npz"
+    save_logs(file, {"modulated": replace(log(), stop_reason=reason, **changes)})
+    with np.load(file) as archive:
+        kept = {k: v for k, v in archive.items() if not k.endswith(("/event_hold", "/ended"))}
+    np.savez(file, **kept)
+    back = load_logs(file)["modulated"]
+    assert back.ended == ended
+    assert back.event_hold == ("supervisor", "obstacles", "none")
 
 
 def test_the_motion_may_end_before_the_run() -> None:

@@ -41,6 +41,7 @@ def log_of(straight_log: Callable[..., MotionLog]) -> Callable[..., MotionLog]:
             observation_time=np.array([0.01, 0.1]),
             event_time=np.array([0.05, 0.15]),
             event=("blocked", ""),
+            event_hold=("obstacles", "none"),
             **pack_ellipsoids([balls((x, 0, 0), stamp=t) for t, x in ((0.0, 0.5), (0.09, 0.6))]),
         )
         return replace(log, **changes)
@@ -106,7 +107,7 @@ def test_a_demonstrated_path_is_that_of_the_preplanned_motion(
     path = planned_path(shown, {"preplanned": log_of()}, points=20)
     assert path is not None
     assert 10 < len(path) <= 20
-    assert planned_path(shown, {"preplanned": log_of(stop_reason="KeyboardInterrupt")}) is None
+    assert planned_path(shown, {"preplanned": log_of(ended="cut short")}) is None
     assert planned_path(shown, {"modulated": log_of()}) is None
 
 

@@ -63,6 +63,7 @@ def test_an_empty_log_can_be_reported(log_of: LogOf) -> None:
 
 def test_the_report_has_the_documented_keys_and_is_json(log_of: LogOf) -> None:
     events = {"event_time": np.array([1.0, 2.0]), "event": ("obstacles not seen", "")}
+    events["event_hold"] = ("obstacles", "none")
     logs = {"preplanned": log_of(THROUGH), "modulated": log_of(AROUND, **events)}
     report = json.loads(json.dumps(run_report("free_space", FREE, logs), allow_nan=False))
     assert set(report) == {
@@ -77,7 +78,11 @@ def test_the_report_has_the_documented_keys_and_is_json(log_of: LogOf) -> None:
     assert report["real_time_factor"] == 2.0
     assert report["commit"] == "abc1234"
     assert report["versions"] == {"drake": "1.51.1"}
-    assert report["modulated"]["events"][0] == {"time": 1.0, "note": "obstacles not seen"}
+    assert report["modulated"]["events"][0] == {
+        "time": 1.0,
+        "hold": "obstacles",
+        "note": "obstacles not seen",
+    }
     for motion in ("preplanned", "modulated"):
         assert {
             "collisions",

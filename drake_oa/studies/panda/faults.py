@@ -16,6 +16,8 @@ from typing import Any
 
 from drake_oa.common.console import BAD_INPUT, complain
 from drake_oa.common.files import check_outputs, replace_text, software_versions
+from drake_oa.common.messages import HoldCause
+from drake_oa.runs.motion_log import MotionEnd
 from drake_oa.runs.report import motion_report
 from drake_oa.runs.simulation import MotionInterruptedError, simulate
 from drake_oa.scenario.loading import load_scenario
@@ -23,7 +25,7 @@ from drake_oa.scenario.scenario import Scenario
 
 SCENARIO = "tabletop_box"
 GROUND_TRUTH = "perception=!GroundTruth {}"
-SAFE = ("stopped: ", "held for ")
+SAFE = (MotionEnd.STOPPED, MotionEnd.HELD)
 """How a motion ends that was brought to rest short of the goal."""
 
 
@@ -33,12 +35,12 @@ class Case:
 
     Attributes:
         fault: blocks for the scenario's `faults`.
-        ends: what `stop_reason` begins with, one of these.
+        ends: one of these.
         overrides: further changes to the scenario.
     """
 
     fault: str
-    ends: tuple[str, ...] = ("goal",)
+    ends: tuple[MotionEnd, ...] = (MotionEnd.GOAL,)
     overrides: tuple[str, ...] = ()
 
     def scenario(self, name: str = SCENARIO) -> Scenario:
@@ -101,7 +103,7 @@ def what_it_did(report: dict[str, Any]) -> str:
     steps += [
         (item["time"], "hold", item["note"])
         for item in report["events"]
-        if item["note"] and not item["note"].startswith("supervisor: ")
+        if item["hold"] not in (HoldCause.NONE, HoldCause.SUPERVISOR)
     ]
     said: list[str] = []
     reasons: set[tuple[str, str]] = set()
@@ -186,7 +188,7 @@ def _reports(scenario: str, names: Iterable[str], file: Path | None) -> dict[str
 
 def _ended_well(case: Case, report: dict[str, Any]) -> bool:
     touched = report["made_contacts"] or report["self_contacts"]
-    return not touched and report["stop_reason"].startswith(case.ends)
+    return not touched and report["ended"] in case.ends
 
 
 if __name__ == "__main__":

@@ -36,18 +36,20 @@ from pydrake.systems.primitives import (
 )
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.common.messages import FloatArray, PolicyState
+from drake_oa.common.messages import FloatArray, HoldCause, PolicyState
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.faults import add_drivers
 from drake_oa.diagrams.policy import make_dmp, make_dmp_integrator, make_goal
 from drake_oa.policy.dmp import normalised_time
 from drake_oa.robot.plant import make_robot_plant
-from drake_oa.runs.motion_log import MotionLog
+from drake_oa.runs.motion_log import MotionEnd, MotionLog
 from drake_oa.runs.simulation import (
     ARRIVED,
+    AT_THE_GOAL,
     LATEST_END,
     LONGEST_SCALING,
     STILL,
+    Ending,
     MotionWatcher,
     run_motion,
 )
@@ -275,30 +277,31 @@ class _PeerWatcher(MotionWatcher):
         self._recent: deque[tuple[float, FloatArray]] = deque()
 
     def _record(self, root: Context, now: float, policy: PolicyState) -> None:
-        self._note(root, now, math.dist(policy.p_WE, self._tool_point(root, policy)))
+        lag = math.dist(policy.p_WE, self._tool_point(root, policy))
+        command = self._command.get_output_port().Eval(self._command.GetMyContextFromRoot(root))
+        held = lag > _AT_REST and not command.any()
+        self._note(now, *((HoldCause.OBSTACLES, NO_VELOCITY) if held else (HoldCause.NONE, "")))
 
     def _why_ended(
         self, root: Context, now: float, policy: PolicyState, supervision: Supervision
-    ) -> tuple[str, bool]:
+    ) -> Ending | None:
         p_WE = self._tool_point(root, policy)
         s = normalised_time(policy.phase, self._alpha_k)
         error = math.dist(p_WE, policy.p_WG)
         if s >= 1.0 - 1e-9:
             if error < ARRIVED and self._speed(now, p_WE) * self._duration < STILL * ARRIVED:
-                return "goal", False
+                return AT_THE_GOAL
             if now >= self.world_end and self._stands_still(now, p_WE):
-                why = f" ({self.events[-1][1]})" if self.events and self.events[-1][1] else ""
-                return f"stuck {1e3 * error:.1f} mm short of the goal{why}", False
+                note = self.events[-1][2] if self.events else ""
+                why = f"stuck {1e3 * error:.1f} mm short of the goal" + (
+                    f" ({note})" if note else ""
+                )
+                return Ending(MotionEnd.STUCK, why)
         self._remember(now, p_WE)
         if s >= LATEST_END and now >= self.world_end:
-            return f"goal missed by {1e3 * error:.1f} mm at s = {LATEST_END:g}", False
-        return (f"time limit of {self._end_time:g} s" if now >= self._end_time else ""), False
-
-    def _note(self, root: Context, now: float, lag: float) -> None:
-        command = self._command.get_output_port().Eval(self._command.GetMyContextFromRoot(root))
-        note = NO_VELOCITY if lag > _AT_REST and not command.any() else ""
-        if note != (self.events[-1][1] if self.events else ""):
-            self.events.append((now, note))
+            why = f"goal missed by {1e3 * error:.1f} mm at s = {LATEST_END:g}"
+            return Ending(MotionEnd.MISSED, why)
+        return self._time_limit() if now >= self._end_time else None
 
     def _remember(self, now: float, p_WE: FloatArray) -> None:
         self._recent.append((now, p_WE))

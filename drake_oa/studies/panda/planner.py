@@ -36,6 +36,7 @@ from pydrake.systems.framework import DiagramBuilder
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.runs.metrics import path_length, robot_metrics
+from drake_oa.runs.motion_log import MotionEnd
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle, last_change
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.tool_orientation import end_rotations
@@ -415,6 +416,7 @@ def run_planner(
         "path_length": 0.0,
         "torque_saturation": 0.0,
         "stop_reason": plan.reason,
+        "ended": MotionEnd.MISSED,
         "events": [],
     }
     if len(plan.t):
@@ -445,6 +447,7 @@ def _judged(scenario: Scenario, plan: Plan) -> dict[str, Any]:
         "duration": float(plan.t[-1]),
         "path_length": path_length(metrics.p_WE),
         "stop_reason": "goal",
+        "ended": MotionEnd.GOAL,
     }
 
 

@@ -73,6 +73,7 @@ _KEPT = (
     "path_length",
     "torque_saturation",
     "stop_reason",
+    "ended",
     "settled",
     "decision_cost",
     "evasion_cost",

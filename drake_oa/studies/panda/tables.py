@@ -10,6 +10,7 @@ import numpy as np
 
 from drake_oa.common.console import TextTable
 from drake_oa.runs.decision_costs import pooled_figures
+from drake_oa.runs.motion_log import MotionEnd
 from drake_oa.runs.report import TOLD
 from drake_oa.studies.panda.evaluation import PandaResults
 from drake_oa.studies.panda.run import PLANNER
@@ -163,7 +164,7 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             pair for run in runs for pair in (*_pairs(run["contacts"]), *set(run["self_contacts"]))
         ),
         "self_contacts": sum(bool(run["self_contacts"]) for run in runs),
-        "time_limits": sum(run["stop_reason"].startswith("time limit") for run in runs),
+        "time_limits": sum(run["ended"] == MotionEnd.TIME_LIMIT for run in runs),
         "short_of_feasible": sum((run["short_of_feasible"] or 0.0) > TOLD for run in runs),
         "short_of_feasible_max": of(max, "short_of_feasible"),
         "feasible_clearance_median": of(np.median, "feasible_clearance"),

@@ -171,6 +171,7 @@ def _run(outcome, reason="", goal_error=1e-4, contacts=(), clearance=0.1, speed=
         "decision_cost": None,
         "duration": 5.0,
         "stop_reason": reason or "goal",
+        "ended": "goal",
         **more,
     }
 
@@ -181,7 +182,12 @@ def test_figures_count_outcomes_reasons_and_pairs():
             _run("success", speed=3.0, short_of_feasible=0.02),
             _run("stopped", "held", goal_error=0.5, clearance=None, speed=None),
             _run(
-                "stopped", "held", goal_error=0.4, duration=30.0, stop_reason="time limit of 30 s"
+                "stopped",
+                "held",
+                goal_error=0.4,
+                duration=30.0,
+                stop_reason="time limit of 30 s",
+                ended="time limit",
             ),
             _run(
                 "contact",
