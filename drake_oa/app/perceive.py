@@ -137,7 +137,7 @@ def perceive(
         replace_text(json, json_text.dumps(figures, indent=1, allow_nan=False) + "\n")
     if status or len(seen) < len(found):
         return BAD_INPUT
-    return FAILED if any(frame.segmentation.note for frame in seen) else 0
+    return FAILED if any(not frame.segmentation.usable for frame in seen) else 0
 
 
 def _perceived(
@@ -151,7 +151,7 @@ def _perceived(
     except (ValueError, OSError) as error:
         complain(str(error))
         return str(error)
-    if found.segmentation.note:
+    if not found.segmentation.usable:
         complain(f"'{path}': {found.segmentation.note}")
     if picture is not None:
         plot_frame(found, picture)

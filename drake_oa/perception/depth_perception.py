@@ -237,7 +237,7 @@ class DepthPerception(LeafSystem):
         frame = segment_depth(depth, self._K, X_WC, self._config, robot)
         memory = fuse(previous, frame, depth, self._K, stamp, self._config, robot, self._tracking)
         log_change(self, before.note, memory.obstacles.note, time)
-        self._state.write(state, memory, None if frame.note else frame.points_W)
+        self._state.write(state, memory, frame.points_W if frame.usable else None)
 
     def _posed_robot(self, context: Context) -> PosedShapes | None:
         if self._robot is None or self._robot_port is None:

@@ -119,7 +119,7 @@ class RecordedPerception(LeafSystem):
         recorded = self._frames[due % len(self._frames)]
         robot = self._posed_robot(recorded)
         frame = self._segment(recorded, robot)
-        if frame.note:
+        if not frame.usable:
             frame = replace(frame, note=f"{recorded.path.name}: {frame.note}")
         if due > 0 and due % len(self._frames) == 0:
             # The scene starts again: what was seen at its end is no longer there.
@@ -129,7 +129,7 @@ class RecordedPerception(LeafSystem):
             previous, frame, depth, recorded.K, stamp, self._config, robot, self._tracking
         )
         log_change(self, before.note, memory.obstacles.note, context.get_time())
-        self._state.write(state, memory, None if frame.note else frame.points_W)
+        self._state.write(state, memory, frame.points_W if frame.usable else None)
 
     def _due(self, time: float) -> tuple[int, float]:
         """Number (counting on through loops) and due time [s] of the newest frame."""

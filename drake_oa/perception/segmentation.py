@@ -52,7 +52,8 @@ class Segmentation:
         plane_rms: rms distance of the plane's points from it [m]; NaN without plane.
         X_WC: (4, 4) the camera's pose; when it was not given, the pose that makes
             the table the plane z = 0 (see `segment_depth`).
-        note: empty, or why there is no plane.
+        usable: whether the table was found: else it tells nothing of obstacles.
+        note: empty, or why it was not, in words.
     """
 
     clouds_W: tuple[FloatArray, ...] = ()
@@ -61,7 +62,12 @@ class Segmentation:
     points_W: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     plane_rms: float = np.nan
     X_WC: FloatArray = field(default_factory=lambda: np.eye(4))
+    usable: bool = True
     note: str = ""
+
+
+def _unusable(X_WC: FloatArray | None, note: str) -> Segmentation:
+    return Segmentation(X_WC=np.eye(4) if X_WC is None else X_WC, usable=False, note=note)
 
 
 def segment_depth(
@@ -100,11 +106,11 @@ def segment_depth(
     step = config.stride
     on_grid, pixels = sampled(z, step, float(config.near), float(config.far))
     if not len(on_grid):
-        return Segmentation(X_WC=np.eye(4) if X_WC is None else X_WC, note="no valid pixel")
+        return _unusable(X_WC, "no valid pixel")
     sample = back_projected(z, pixels, K)
     plane = _find_table(sample, sample[:, 2], X_WC, config)
     if plane is None:
-        return Segmentation(X_WC=np.eye(4) if X_WC is None else X_WC, note=_NO_TABLE)
+        return _unusable(X_WC, _NO_TABLE)
 
     grid = (-(-z.shape[0] // step), -(-z.shape[1] // step))
     extent = seen_extent(
@@ -149,14 +155,14 @@ def segment_points(
     X_WC = _valid_pose(X_WC)
     index = np.flatnonzero(np.isfinite(points).all(axis=1) & (points != 0.0).any(axis=1))
     if not len(index):
-        return Segmentation(X_WC=np.eye(4) if X_WC is None else X_WC, note="no valid point")
+        return _unusable(X_WC, "no valid point")
     p_CQ = np.require(points[index], np.float64, ["C", "W"])
     distance = np.linalg.norm(p_CQ, axis=1)
     step = max(1, len(index) // 20_000)
     sample = p_CQ[::step]
     plane = _find_table(sample, distance[::step], X_WC, config)
     if plane is None:
-        return Segmentation(X_WC=np.eye(4) if X_WC is None else X_WC, note=_NO_TABLE)
+        return _unusable(X_WC, _NO_TABLE)
     height = p_CQ @ plane.normal - plane.offset
     low = config.min_height + _height_noise(config, plane.offset) * distance
     above = np.flatnonzero((height > low) & (height < config.max_height))

@@ -197,7 +197,7 @@ def fuse(
     the robot is where it is. An obstacle behind a parked arm is therefore remembered for
     as long as the arm stays. Two frames that show its place without it remove it.
 
-    - A frame with a note (no valid pixel, no table) changes nothing but the note: the
+    - A frame that is not usable (no valid pixel, no table) changes nothing but the note: the
       stamp tells how old the obstacles are.
     - A frame with the stamp of the one before it is that frame again: nothing changes.
     - A frame from before the last one begins again: nothing is remembered, but no name is
@@ -225,7 +225,7 @@ def fuse(
         raise ValueError(f"the stamp of a frame must be finite [s], not {stamp}")
     if depth is not None and K is None:
         raise ValueError("a depth image needs its intrinsics K = [fx, fy, cx, cy]")
-    if frame.note:
+    if not frame.usable:
         return replace(previous, obstacles=replace(previous.obstacles, note=frame.note))
     before = previous.obstacles.stamp
     if stamp == before:

@@ -502,9 +502,9 @@ def test_names_are_never_given_twice():
     np.testing.assert_array_equal(memory.obstacles.ids, [1, 2])
 
 
-def test_a_frame_with_a_note_changes_nothing_but_the_note():
+def test_an_unusable_frame_changes_nothing_but_the_note():
     memory = play([BLOCK], [BLOCK])
-    frame = Segmentation(note="no supporting plane found")
+    frame = Segmentation(usable=False, note="no supporting plane found")
     after = fuse(memory, frame, render(BLOCK), K, 1.0, CONFIG)
     assert after.obstacles.note == "no supporting plane found"
     assert after.obstacles.stamp == memory.obstacles.stamp
