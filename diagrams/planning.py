@@ -20,7 +20,7 @@ from drake_oa.planning.unseen_ends import ImageRange
 from drake_oa.regulation.config import WholeArm
 from drake_oa.regulation.regressor import ChainWeights
 from drake_oa.robot.grasped_object import tool_links
-from drake_oa.robot.spheres import SphereParameters, make_arm_spheres
+from drake_oa.robot.spheres import ArmSpheres, SphereParameters, make_arm_spheres
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import camera_config, perception_period
@@ -77,6 +77,19 @@ def make_solids(scenario: Scenario, cell: Cell) -> TrueSolids | CloudSolids:
     return TrueSolids(plant, cell.scene_graph.model_inspector(), others, period=period)
 
 
+def arm_spheres(scenario: Scenario, cell: Cell) -> ArmSpheres:
+    """The robot as spheres, as near as the regulation asks."""
+    robot, regulation = scenario.robot, scenario.regulation
+    if robot is None or not isinstance(regulation, WholeArm):
+        raise ScenarioError("regulation: is not !WholeArm, or there is no robot")
+    return make_arm_spheres(
+        cell.robot_plant,
+        cell.q_start,
+        tool_links(robot),
+        SphereParameters(overshoot=regulation.overshoot, tool_overshoot=regulation.tool_overshoot),
+    )
+
+
 def make_motion_selector(scenario: Scenario, cell: Cell, weights: ChainWeights) -> MotionSelector:
     """What chooses the motion of the whole arm."""
     robot, regulation, policy, task = (
@@ -88,12 +101,7 @@ def make_motion_selector(scenario: Scenario, cell: Cell, weights: ChainWeights) 
     if robot is None or not isinstance(regulation, WholeArm):
         raise ScenarioError("regulation: is not !WholeArm, or there is no robot")
     arm = arm_model(scenario, robot, cell.robot_plant, cell.q_start)
-    of_arm = make_arm_spheres(
-        cell.robot_plant,
-        cell.q_start,
-        tool_links(robot),
-        SphereParameters(overshoot=regulation.overshoot, tool_overshoot=regulation.tool_overshoot),
-    )
+    of_arm = arm_spheres(scenario, cell)
     spheres = of_arm.arrays
     dmp = make_dmp(scenario)
     steps = min(max(round(dmp.duration / policy.period), _LEAST_STEPS), _MOST_STEPS)

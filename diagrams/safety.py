@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.wires import Wires
+from drake_oa.diagrams.arm import arm_model
+from drake_oa.diagrams.planning import arm_spheres
 from drake_oa.diagrams.policy import make_dmp
 from drake_oa.diagrams.route import held_annulus
 from drake_oa.diagrams.station import Cell
 from drake_oa.geometry.collision_shapes import collect_collision_shapes
+from drake_oa.planning.arm_world import make_chain
 from drake_oa.robot.plant import RobotPlant
+from drake_oa.safety.monitors import GuardedArm
 from drake_oa.safety.obstacle_evasion import ObstacleEvasion
 from drake_oa.safety.supervisor import Supervisor
 from drake_oa.scenario.scenario import (
@@ -26,7 +30,9 @@ def add_safety(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     if cell is None or scenario.supervisor is None:
         return
     solid = {"obstacles_W": "solid_obstacles_W"}
-    wires.add("supervisor", make_supervisor(scenario, cell.robot_plant), reads=solid)
+    arm = guarded_arm(scenario, cell) if "solids_W" in wires else None
+    supervisor = make_supervisor(scenario, cell.robot_plant, arm)
+    wires.add("supervisor", supervisor, reads=solid)
     if "obstacles_W" in wires and scenario.evasion is not None:
         wires.add(
             "evasion",
@@ -37,8 +43,25 @@ def add_safety(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     wires.log("speed_scale", "evasion", "decision_evasion")
 
 
-def make_supervisor(scenario: Scenario, robot_plant: RobotPlant) -> Supervisor:
+def guarded_arm(scenario: Scenario, cell: Cell) -> GuardedArm:
+    """The arm as the spheres that its motions are chosen with."""
+    found = arm_spheres(scenario, cell)
+    robot = scenario.robot
+    if robot is None:
+        raise ScenarioError("robot: this scenario has null")
+    arm = arm_model(scenario, robot, cell.robot_plant, cell.q_start)
+    return GuardedArm(make_chain(arm, found.arrays), found.arrays, found.bodies)
+
+
+def make_supervisor(
+    scenario: Scenario, robot_plant: RobotPlant, arm: GuardedArm | None = None
+) -> Supervisor:
     """What watches the motion; it decides as often as the policy steps.
+
+    Args:
+        scenario: of the robot.
+        robot_plant: the robot.
+        arm: as spheres, where solids are known.
 
     Raises:
         ScenarioError: if the scenario has no supervisor.
@@ -59,6 +82,7 @@ def make_supervisor(scenario: Scenario, robot_plant: RobotPlant) -> Supervisor:
         frame_period=perception_period(scenario),
         max_age=policy.max_observation_age,
         table=table_plane(scenario),
+        arm=arm,
     )
 
 

@@ -443,7 +443,9 @@ class MotionSearch:
         kept = group_distances_along(whole, chosen.motion.q)
         lacks = float((whole.asked.of_solids - kept).max(initial=0.0))
         short = max(lacks - self._search.slack, 0.0)
-        return replace(chosen, short=short, tau=1.0, anew=True)
+        # The motion belongs to the one that begins there.
+        motion = replace(chosen.motion, p_WS=rests.p_WS)
+        return replace(chosen, short=short, tau=1.0, anew=True, motion=motion)
 
 
 def _travelled(before: Choice, policy: PolicyState) -> float:

@@ -13,9 +13,11 @@ Systems
 Method
     A link is slowed so that it rests before it touches: share * c + c_obstacle <= (d - d_stop) /
     T_reaction for every pair of a link and a point that is near, which is speed and separation
-    monitoring (ISO/TS 15066). Evasion looks about a second ahead on some hundred ways of the arm,
-    by the product of exponentials (Murray, Li and Sastry, 1994, section 3.2), among obstacles that
-    go on at their velocities.
+    monitoring (ISO/TS 15066). With `solids_W` connected, distances are of the arm's spheres to
+    the true shapes, and what rests beside a verified `motion` is approached as near as braking
+    allows: see `supervision`. Evasion looks about a second ahead on some hundred ways of the arm,
+    by the product of exponentials (Murray, Li and Sastry, 1994, section 3.2), among obstacles
+    that go on at their velocities.
 
 Parts: `supervision` (state and decision) with `monitors` (what each asks for) and
 `approach_kernels` (distances); `evasion` (the choice) with `evasion_candidates`, `lookahead` and

@@ -61,6 +61,9 @@ class SupervisorSettings(SupervisorParameters):
     padding: float = number(0.005, "m", 0.0, 1.0)
     # Time in which the motion comes to rest from full speed [s].
     reaction_time: float = number(0.3, "s", 0.0, 100.0, open_low=True)
+    # Of it what the policy takes, and how often it looks [s].
+    hold_time: float = number(0.25, "s", 0.0, 10.0, open_low=True)
+    period: float = number(0.008, "s", 0.0, 100.0, open_low=True)
     # Time between observations, and the age from which on one holds the motion [s].
     frame_period: float = number(1.0 / 15.0, "s", 0.0, 100.0, open_low=True)
     max_age: float = number(0.5, "s", 0.0, 1e6, open_low=True)

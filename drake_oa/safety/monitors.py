@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from drake_oa.common.messages import Evasion, FloatArray, TablePlane
+from drake_oa.common.messages import Evasion, FloatArray, PlannedMotion, TablePlane
 from drake_oa.geometry.points import GuardShapes, ObstaclePoints
+from drake_oa.planning.arm_world import Chain
+from drake_oa.planning.solid_scene import SolidScene
+from drake_oa.robot.sphere_kernels import Spheres
 from drake_oa.safety import approach_kernels as kernels
-from drake_oa.safety.approach_kernels import BrakingRules
+from drake_oa.safety.approach_kernels import BrakingRules, SolidRules
 from drake_oa.safety.config import SupervisorSettings
 from drake_oa.safety.supervision import NO_DEMAND, Demand, SupervisorState
 
@@ -90,6 +94,86 @@ def watch_clearance(
         lasting=row == kernels.TABLE or not obstacles.v_WO[row].any(),
         link=link,
         obstacle=name,
+        distance=distance,
+    )
+
+
+_MARGIN = 0.005
+"""How much nearer than its motion will keep a link may come [m]."""
+
+
+class GuardedArm(NamedTuple):
+    """The arm among solids.
+
+    Attributes:
+        chain, spheres: see `drake_oa.planning.arm_world.ArmWorld`.
+        bodies: (G,) names of the spheres' groups.
+    """
+
+    chain: Chain
+    spheres: Spheres
+    bodies: tuple[str, ...]
+
+
+def remaining_distance(
+    arm: GuardedArm, motion: PlannedMotion, scene: SolidScene, parameters: SupervisorSettings
+) -> FloatArray:
+    """(G, K) what a motion keeps of the solids, known up to where it matters [m]."""
+    most = parameters.stop_distance + _MARGIN
+    return kernels.kept_along(
+        arm.chain, arm.spheres, scene.solids, np.array(motion.q, order="C"), scene.stamp, most
+    )
+
+
+def watch_solids(
+    arm: GuardedArm,
+    q: FloatArray,
+    v: FloatArray,
+    scene: SolidScene,
+    time: float,
+    parameters: SupervisorSettings,
+    *,
+    kept: FloatArray | None,
+    passing: bool,
+) -> Demand:
+    """Slows an approach of any sphere of the arm to a solid: see `drake_oa.safety.supervision`.
+
+    Args:
+        arm: its chain and spheres.
+        q: (n,) joints [rad].
+        v: (n,) their velocities at full speed [rad/s].
+        scene: the solids; they have moved on at their velocities since their stamp.
+        time: now [s].
+        parameters: what is kept.
+        kept: what the verified motion keeps, see `remaining_distance`; None: none is verified.
+        passing: whether what moves is left to who has looked ahead.
+    """
+    solids = scene.solids
+    if scene.stamp == -math.inf:
+        return Demand(0.0, "unobserved", "no observation yet")
+    stop = np.full((len(arm.bodies), len(solids.ball)), parameters.stop_distance)
+    if kept is not None:
+        rests = ~solids.ball[:, 4:7].any(axis=1)
+        stop[:, rests] = np.minimum(stop, kept - _MARGIN)[:, rests]
+    p = parameters
+    rules = SolidRules(
+        stop, p.reaction_time, p.period, p.hold_time, p.leave_scale, kept is not None, passing
+    )
+    now = min(max(time, scene.stamp), scene.stamp + p.max_age)
+    scale, group, row, distance, _ = kernels.solid_limit(
+        arm.chain, arm.spheres, solids, np.array(q), np.array(v), now, rules
+    )
+    if row == kernels.NOTHING:
+        return NO_DEMAND
+    link, thing = arm.bodies[group], scene.labels[row]
+    return Demand(
+        scale=scale,
+        cause=f"{link} near {thing}",
+        reason=f"{link} within {max(distance, 0.0):.3f} m of {thing}",
+        # What moves will be gone.
+        lasting=not solids.ball[row, 4:7].any(),
+        link=link,
+        obstacle=int(solids.layout[row, 5]),
         distance=distance,
     )
 

@@ -13,6 +13,14 @@ a link, at their distance d less the padding, closing at the speed c at full spe
 where T_reaction is the time in which the policy comes to rest from full speed, and the
 controller with it. A resting obstacle is thereby approached exponentially, at a rate
 that the policy can follow, and never nearer than d_stop.
+
+Where the true shapes are known, the robot is spheres and d its distance to a solid. A solid that
+moves counts as above. One that rests, beside a motion that was verified among it, is no stranger:
+the policy, which goes from a share x to rest in x hold, has only to brake in time,
+
+    closing * (share * step + share^2 * hold / 2) <= d - d_stop,
+
+and d_stop is the least of the stop distance and what the motion keeps of it, less 5 mm.
 """
 
 from __future__ import annotations
@@ -21,8 +29,11 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from drake_oa.common.messages import Frozen, ObstacleClouds, TablePlane
+import numpy as np
+
+from drake_oa.common.messages import FloatArray, Frozen, ObstacleClouds, PlannedMotion, TablePlane
 from drake_oa.geometry.points import ObstaclePoints
+from drake_oa.planning.solid_scene import SolidScene
 from drake_oa.safety.config import SupervisorSettings
 
 Action = Literal["run", "slow", "hold", "stop"]
@@ -96,6 +107,8 @@ class SupervisorState(Frozen):
         blocked_since: since when the motion is held for something lasting [s].
         saturated_since: since when a torque is saturated, or since it last slowed [s].
         torque_scale: share of full speed that torque saturation leaves.
+        motion, scene: the verified motion and the solids that `kept` is of.
+        kept: (G, K) what that motion keeps of them [m].
         broken: whether nothing can be watched any more; a stop for that is for good.
     """
 
@@ -107,6 +120,9 @@ class SupervisorState(Frozen):
     blocked_since: float = math.inf
     saturated_since: float = math.inf
     torque_scale: float = 1.0
+    motion: PlannedMotion | None = None
+    scene: SolidScene | None = None
+    kept: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     broken: bool = False
 
     def with_observation(self, seen: ObstacleClouds) -> SupervisorState:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
@@ -24,20 +25,26 @@ from drake_oa.common.messages import (
     HoldCause,
     IntArray,
     ObstacleClouds,
+    PlannedMotion,
     PolicyState,
     TablePlane,
 )
 from drake_oa.common.ports import ModelContext, read_optional, read_value, valid_period
 from drake_oa.geometry.collision_shapes import RobotModel
 from drake_oa.geometry.points import GuardShapes
-from drake_oa.safety.approach_kernels import full_speed_motion
+from drake_oa.planning.solid_scene import SolidScene
+from drake_oa.policy.demonstration import Demonstration
+from drake_oa.safety.approach_kernels import full_speed_motion, planned_rate
 from drake_oa.safety.config import SupervisorParameters, SupervisorSettings, settings
 from drake_oa.safety.monitors import (
+    GuardedArm,
     JointRange,
+    remaining_distance,
     watch_clearance,
     watch_evasion,
     watch_joints,
     watch_observation,
+    watch_solids,
     watch_torque,
     watch_tracking,
 )
@@ -68,6 +75,9 @@ class Supervisor(LeafSystem):
       - tracking_error (optional)
       - torque_saturation (optional)
       - evading (optional)
+      - solids_W (optional)
+      - motion (optional)
+      - demonstration (optional)
       output_ports:
       - speed_scale
       - supervision
@@ -81,6 +91,11 @@ class Supervisor(LeafSystem):
     - evading (optional): abstract `drake_oa.safety.evasion.Evasion`: what an `ObstacleEvasion` does
       against what moves. While it lets the motion go on, obstacles that move do not slow it;
       while it waits or evades, or none of its ways avoids a contact, the motion is held.
+    - solids_W (optional): abstract `SolidScene`, the true shapes; with it the arm's spheres are
+      measured against them, in place of its primitives against points and table. This port and
+      the next ones are there if an `arm` is given.
+    - motion (optional): abstract `PlannedMotion` of the arm's joints, verified among the solids.
+    - demonstration (optional): abstract `Demonstration` that the motion imitates, for its duration.
     - speed_scale: (1,) share of full speed, in [0, 1], for `DmpIntegrator`.
     - supervision: abstract `Supervision`: run, slow, hold or stop, and why.
 
@@ -109,6 +124,7 @@ class Supervisor(LeafSystem):
         frame_period: float = 1.0 / 15.0,
         max_age: float = 0.5,
         table: TablePlane | None = None,
+        arm: GuardedArm | None = None,
     ) -> None:
         """Declares the ports.
 
@@ -124,6 +140,7 @@ class Supervisor(LeafSystem):
             frame_period: time between observations [s].
             max_age: an older observation holds the motion [s].
             table: the supporting plane until one is observed; None: none.
+            arm: the arm as spheres, to be measured against solids; None: there are none.
 
         Raises:
             ValueError: if the plant has no such frame, a joint of several degrees of
@@ -149,6 +166,8 @@ class Supervisor(LeafSystem):
                 parameters,
                 padding=padding,
                 reaction_time=hold_time + parameters.lag,
+                hold_time=hold_time,
+                period=self._period,
                 frame_period=frame_period,
                 max_age=max_age,
             )
@@ -162,6 +181,15 @@ class Supervisor(LeafSystem):
         self._error = self.DeclareVectorInputPort("tracking_error", 3)
         self._saturation = self.DeclareVectorInputPort("torque_saturation", 1)
         self._evading = self.DeclareAbstractInputPort("evading", Value(Evasion()))
+        self._guarded = arm
+        if arm is not None:
+            if len(arm.chain.lower) != len(self._arm):
+                raise ValueError(
+                    f"arm: {len(arm.chain.lower)} joints, but {len(self._arm)} move the tool"
+                )
+            self._solids = self.DeclareAbstractInputPort("solids_W", Value(SolidScene()))
+            self._motion = self.DeclareAbstractInputPort("motion", Value(PlannedMotion()))
+            self._shown = self.DeclareAbstractInputPort("demonstration", Value(Demonstration()))
         self._model = ModelContext(self, plant)
         self._state = self.DeclareAbstractState(Value(SupervisorState(table=table)))
         decided = {self.abstract_state_ticket(self._state)}
@@ -195,7 +223,12 @@ class Supervisor(LeafSystem):
         time, parameters = context.get_time(), self._parameters
         x = self._robot_state.Eval(context)
         policy = read_value(self, self._policy, context, PolicyState)
-        v_WE = policy.z_W / (policy.tau * self._duration)
+        duration = self._duration
+        if self._guarded is not None:
+            shown = read_optional(self, self._shown, context, Demonstration)
+            if shown is not None and shown.position is not None:
+                duration = shown.position.duration
+        v_WE = policy.z_W / (policy.tau * duration)
         for name, value in (("robot state", x), ("policy state", v_WE)):
             if not math.isfinite(value.dot(value)):
                 return broken(before, f"the {name} is not finite", time)
@@ -206,8 +239,19 @@ class Supervisor(LeafSystem):
             demands.append(watch_observation(before.obstacles, time, parameters, seen.note))
         evading = read_optional(self, self._evading, context, Evasion) or Evasion()
         demands.append(watch_evasion(evading))
+        scene = None
+        if self._guarded is not None:
+            scene = read_optional(self, self._solids, context, SolidScene)
+        if scene is not None:
+            before = self._with_motion(context, before, scene, policy, evading)
         demands += self._watch_motion(
-            context, before, x, v_WE, passing=evading.action == "going on"
+            context,
+            before,
+            x,
+            v_WE,
+            scene=scene,
+            seconds=policy.tau * duration,
+            passing=evading.action == "going on",
         )
         if self._error.HasValue(context):
             error = math.hypot(*self._error.Eval(context))
@@ -228,6 +272,8 @@ class Supervisor(LeafSystem):
         x: FloatArray,
         v_WE: FloatArray,
         *,
+        scene: SolidScene | None,
+        seconds: float,
         passing: bool,
     ) -> list[Demand]:
         """The watches that need the robot's kinematics at the state x.
@@ -243,21 +289,61 @@ class Supervisor(LeafSystem):
         v_full, V_WB = full_speed_motion(
             np.ascontiguousarray(J[:, self._arm]), v, v_WE, p_WE, X_WB, self._moved, _DAMPING
         )
-        return [
-            watch_clearance(
+        time, motion = context.get_time(), before.motion
+        if scene is not None and self._guarded is not None:
+            if motion is not None:
+                # The motion turns the tool as well.
+                v_full = planned_rate(np.array(motion.s), np.array(motion.q, order="C"), q)
+                v_full /= seconds
+            near = watch_solids(
+                self._guarded,
+                q,
+                v_full,
+                scene,
+                time,
+                self._parameters,
+                kept=None if motion is None else before.kept,
+                passing=passing,
+            )
+        else:
+            near = watch_clearance(
                 self._names,
                 X_WB,
                 V_WB,
                 self._shapes,
                 before.obstacles.resting() if passing else before.obstacles,
                 before.table,
-                context.get_time(),
+                time,
                 self._parameters,
-            ),
-            watch_joints(
-                self._joints, q, v, v_full, before.supervision.speed_scale, self._parameters
-            ),
-        ]
+            )
+        scale = before.supervision.speed_scale
+        return [near, watch_joints(self._joints, q, v, v_full, scale, self._parameters)]
+
+    def _with_motion(
+        self,
+        context: Context,
+        before: SupervisorState,
+        scene: SolidScene,
+        policy: PolicyState,
+        evading: Evasion,
+    ) -> SupervisorState:
+        """Takes over the verified motion that is under way, and what it keeps of the solids."""
+        motion = read_optional(self, self._motion, context, PlannedMotion)
+        arm = self._guarded
+        if (
+            arm is None
+            or motion is None
+            or len(motion) < 2
+            or motion.q.shape[1] != len(self._arm)
+            or (len(motion.p_WS) and not np.array_equal(motion.p_WS, policy.p_WS))
+            or evading.action in ("evading", "caught")
+            or scene.stamp == -math.inf
+        ):
+            return before if before.motion is None else replace(before, motion=None, scene=None)
+        if motion is before.motion and before.scene is not None and scene.same_as(before.scene):
+            return before
+        kept = remaining_distance(arm, motion, scene, self._parameters)
+        return replace(before, motion=motion, scene=scene, kept=kept)
 
 
 def arm_joints(robot: RobotModel, tool: int) -> tuple[IntArray, BoolArray, JointRange]:
