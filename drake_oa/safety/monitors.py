@@ -98,6 +98,8 @@ def watch_clearance(
     )
 
 
+_JOINT_MARGIN = 0.005
+"""How much nearer to its limit than the verified motion a joint may come [rad]."""
 _MARGIN = 0.005
 """How much nearer than its motion will keep a link may come [m]."""
 
@@ -201,8 +203,12 @@ def watch_joints(
     v_full: FloatArray,
     scale: float,
     parameters: SupervisorSettings,
+    verified: FloatArray | None = None,
 ) -> Demand:
     """Slows a joint that approaches a position limit, or goes faster than its own.
+
+    Along a verified motion it keeps what that keeps of the limit, if that is less than is asked,
+    and is slowed as braking needs: see `watch_solids`.
 
     Args:
         joints: their limits.
@@ -211,12 +217,20 @@ def watch_joints(
         v_full: (n,) velocities at full speed, see `supervision_kernels.full_speed_motion` [rad/s].
         scale: share of full speed asked for now.
         parameters: what is kept.
+        verified: (T, n) joints along the verified motion [rad]; None: none is.
     """
     left = np.where(v_full > 0.0, joints.upper - q, q - joints.lower)
-    allowed = np.maximum(left - parameters.joint_margin, 0.0) / parameters.reaction_time
-    speed = np.abs(v_full)
+    speed, p = np.abs(v_full), parameters
+    if verified is None:
+        allowed = np.maximum(left - p.joint_margin, 0.0) / p.reaction_time
+        share = allowed / np.maximum(speed, 1e-9)
+    else:
+        ahead = np.minimum(joints.upper - verified, verified - joints.lower).min(axis=0)
+        room = np.maximum(left - np.minimum(p.joint_margin, ahead - _JOINT_MARGIN), 0.0)
+        share = np.sqrt(p.period**2 + 2.0 * p.hold_time * room / np.maximum(speed, 1e-9))
+        share = (share - p.period) / p.hold_time
     # As fast as the position limit lets it, and as the speed limit does.
-    position = np.where(speed > kernels.APPROACH, allowed / np.maximum(speed, 1e-9), 1.0)
+    position = np.where(speed > kernels.APPROACH, share, 1.0)
     rate = joints.speed / np.maximum(speed, 1e-9)
     now = np.abs(v)
     over = now > joints.speed

@@ -316,8 +316,11 @@ class Supervisor(LeafSystem):
                 time,
                 self._parameters,
             )
-        scale = before.supervision.speed_scale
-        return [near, watch_joints(self._joints, q, v, v_full, scale, self._parameters)]
+        scale, verified = before.supervision.speed_scale, None
+        if scene is not None and motion is not None:
+            verified = motion.q
+        at_limits = watch_joints(self._joints, q, v, v_full, scale, self._parameters, verified)
+        return [near, at_limits]
 
     def _with_motion(
         self,
