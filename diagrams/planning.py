@@ -74,7 +74,14 @@ def make_solids(scenario: Scenario, cell: Cell) -> TrueSolids | CloudSolids:
         for body in plant.GetBodyIndices(instance)
         if plant.GetCollisionGeometriesForBody(plant.get_body(body))
     ]
-    return TrueSolids(plant, cell.scene_graph.model_inspector(), others, period=period)
+    obstacles = {body for instance in cell.obstacles for body in plant.GetBodyIndices(instance)}
+    return TrueSolids(
+        plant,
+        cell.scene_graph.model_inspector(),
+        others,
+        surroundings=[body for body in others if body not in obstacles],
+        period=period,
+    )
 
 
 def arm_spheres(scenario: Scenario, cell: Cell) -> ArmSpheres:

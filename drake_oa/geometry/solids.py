@@ -31,6 +31,9 @@ from drake_oa.geometry.shapes import Box, Cylinder, Sphere, pose, shape_geometry
 PRIMITIVE, ELLIPSOID, HALF_SPACE, HULL, FIELD = range(5)
 """Kinds of solids; a primitive is what `drake_oa.geometry.primitives.point_distance` knows."""
 
+SURROUNDINGS = -1
+"""Name of what belongs to the cell itself: a table, a stand. It is no obstacle to keep far from."""
+
 _TINY = 1e-12
 _THIN = 1e-9
 """A coordinate within this of an ellipsoid's plane of symmetry, by its semi-axis, counts as it."""

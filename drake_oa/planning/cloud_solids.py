@@ -30,7 +30,7 @@ from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray, Frozen, IntArray, ObstacleClouds, TablePlane
 from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.geometry.distance_field import DEEPEST, DistanceField, field_of
-from drake_oa.geometry.solids import Solid, cloud_solid, solids_of
+from drake_oa.geometry.solids import SURROUNDINGS, Solid, cloud_solid, solids_of
 from drake_oa.geometry.solids import table_solid as solid_of_table
 from drake_oa.perception.hidden_sides import names_moved
 from drake_oa.perception.memory import held_table
@@ -129,7 +129,7 @@ def looked_at(
         fields.append(replace(made, solid=at_rest))
     solids = [seen.solid for seen in fields]
     if table is not None:
-        solids.append(replace(solid_of_table(table), label="the table"))
+        solids.append(replace(solid_of_table(table), name=SURROUNDINGS, label="the table"))
     labels = tuple(solid.label for solid in solids)
     arrays = before.scene.solids
     if not (table is before.table and _all_rest_as_before(before.fields, fields)):

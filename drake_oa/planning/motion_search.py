@@ -25,6 +25,7 @@ from drake_oa.common.messages import (
     PlannedMotion,
     PolicyState,
 )
+from drake_oa.geometry.solids import SURROUNDINGS
 from drake_oa.planning.arm_world import (
     ArmWorld,
     Asked,
@@ -193,8 +194,9 @@ class MotionSearch:
             return Choice()
         goes_on = before.fits(policy, sight.p_WG)
         if before.anew and not goes_on and np.array_equal(before.p_WG, sight.p_WG):
-            # The motion has begun anew as it was told to.
-            before = replace(before, p_WS=policy.p_WS, anew=False, travelled=0.0)
+            # The motion has begun anew as it was told to, where it came to rest.
+            motion = replace(before.motion, p_WS=policy.p_WS)
+            before = replace(before, p_WS=policy.p_WS, anew=False, travelled=0.0, motion=motion)
             goes_on = True
         elif not goes_on:
             before = Choice(planned=before.planned)
@@ -213,7 +215,8 @@ class MotionSearch:
         if found.follows and found.short == 0.0:
             return found
         rests = policy.speed == 0.0 or policy.phase == 1.0
-        if rests and sight.time - here.planned >= self._parameters.seek_period:
+        due = sight.time - here.planned >= self._parameters.seek_period
+        if rests and due and not sight.scene.moves:
             planned = self._planned(replace(found, planned=sight.time), sight)
             if planned is not None:
                 return planned
@@ -233,6 +236,8 @@ class MotionSearch:
         is_tool = spheres.of_tool[spheres.first[:-1]]
         asked = np.where(is_tool, self._clearance, min(p.link_clearance, self._clearance))
         table = np.tile(share * asked[:, None], (1, len(solids.ball)))
+        around = solids.layout[:, 5] == SURROUNDINGS
+        table[:, around] = np.minimum(table[:, around], share * p.link_clearance)
         left = group_distances(self._chain, spheres, solids, sight.q, now)
         if len(ends):
             at_end = [group_distances(self._chain, spheres, solids, q, now) for q in ends]

@@ -88,6 +88,7 @@ class ArmSearch(Search):
         super().__init__(scene, duration, dmp, previous[None], parameters, settled=settled)
         self.world, self.q, self.leading = world, q, leading
         self.posture = posture
+        self.world_moves = bool(world.solids.ball[:, 4:7].any())
         # The tool's path is rolled out without the ellipsoids: they propose, and decide nothing.
         self.empty = scene.without_obstacles()
         self.every = max(round(parameters.steps / samples), 1)
@@ -108,7 +109,7 @@ class ArmSearch(Search):
         may = (worst - BAD - cost) * self.scenes.baseline[0] / PRICE
         may = np.where(worst < BAD, np.where(cost < worst, self.parameters.slack, -np.inf), may)
         hopeless = np.isneginf(may)
-        may = np.clip(may, self.parameters.slack, DEEP)
+        may = np.clip(may, self.parameters.slack, math.inf if self.world_moves else DEEP)
         enough = np.where(hopeless, np.inf, -may)
         arms = self.follow(flat, found, enough)
         cost = cost + np.where(hopeless, BAD, self.arm_cost(arms))
@@ -127,6 +128,9 @@ class ArmSearch(Search):
     def hopeless(self, ranked: Ranked, number: int) -> BoolArray:
         """(A,) where the best is still far too near after a few rounds: a plan is needed."""
         far = PRICE * HOPELESS / float(self.scenes.baseline[0])
+        if self.world_moves:
+            # No plan waits for what moves to pass.
+            far = math.inf
         return np.asarray((number >= ROUNDS_OF_HOPE) & (ranked.cost[:, 0] > BAD + far))
 
     def tool_paths(self, genes: FloatArray) -> SpatialRollouts:

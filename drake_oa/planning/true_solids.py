@@ -15,7 +15,7 @@ from pydrake.systems.framework import Context, LeafSystem, State
 
 from drake_oa.common.messages import OUT_OF_WORLD
 from drake_oa.common.ports import read_value, valid_period
-from drake_oa.geometry.solids import body_solids, solids_of
+from drake_oa.geometry.solids import SURROUNDINGS, body_solids, solids_of
 from drake_oa.planning.solid_scene import SolidScene
 
 _AT_REST = 1e-3
@@ -47,6 +47,7 @@ class TrueSolids(LeafSystem):
         inspector: SceneGraphInspector,
         bodies: Sequence[BodyIndex],
         *,
+        surroundings: Sequence[BodyIndex] = (),
         period: float = 1.0 / 15.0,
     ) -> None:
         """Reads the geometry.
@@ -55,6 +56,8 @@ class TrueSolids(LeafSystem):
             plant: finalized plant that holds the bodies.
             inspector: of its scene graph.
             bodies: which; what has no collision geometry adds nothing.
+            surroundings: those of them that belong to the cell itself, see
+                `drake_oa.geometry.solids.SURROUNDINGS`.
             period: time between readings [s].
 
         Raises:
@@ -68,7 +71,8 @@ class TrueSolids(LeafSystem):
             body = plant.get_body(index)
             X_BW = plant.EvalBodyPoseInWorld(context, body).inverse().GetAsMatrix4()
             solids = body_solids(plant, inspector, context, [body])
-            of_body = [replace(solid, X_WO=X_BW @ solid.X_WO) for solid in solids]
+            name = SURROUNDINGS if index in surroundings else int(index)
+            of_body = [replace(solid, X_WO=X_BW @ solid.X_WO, name=name) for solid in solids]
             self._bodies.append((plant.GetBodyFrameIdOrThrow(index), of_body))
         period = valid_period(period)
         self._query = self.DeclareAbstractInputPort("query_object", Value(QueryObject()))

@@ -122,8 +122,8 @@ class WholeArm:
     # them, and time [m].
     overshoot: float = number(0.008, "m", 0.0, 0.1, open_low=True)
     tool_overshoot: float = number(0.004, "m", 0.0, 0.1, open_low=True)
-    # What links keep of everything, what the arm keeps of itself, and the least that is gone on
-    # with where what is asked cannot be kept [m].
+    # What links keep of everything, and the tool of the cell itself; what the arm keeps of itself;
+    # and the least that is gone on with where what is asked cannot be kept [m].
     link_clearance: float = number(0.03, "m", 0.0, 1.0)
     self_clearance: float = number(0.005, "m", 0.0, 0.1)
     least_kept: float = number(1e-3, "m", 0.0, 1.0)
