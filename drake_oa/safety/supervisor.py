@@ -75,9 +75,9 @@ class Supervisor(LeafSystem):
       - tracking_error (optional)
       - torque_saturation (optional)
       - evading (optional)
-      - solids_W (optional)
-      - motion (optional)
-      - demonstration (optional)
+      - solids_W (with arm)
+      - motion (with arm)
+      - demonstration (with arm)
       output_ports:
       - speed_scale
       - supervision
@@ -91,11 +91,11 @@ class Supervisor(LeafSystem):
     - evading (optional): abstract `drake_oa.safety.evasion.Evasion`: what an `ObstacleEvasion` does
       against what moves. While it lets the motion go on, obstacles that move do not slow it;
       while it waits or evades, or none of its ways avoids a contact, the motion is held.
-    - solids_W (optional): abstract `SolidScene`, the true shapes; with it the arm's spheres are
+    - solids_W (with arm): abstract `SolidScene`, the true shapes; with it the arm's spheres are
       measured against them, in place of its primitives against points and table. This port and
       the next ones are there if an `arm` is given.
-    - motion (optional): abstract `PlannedMotion` of the arm's joints, verified among the solids.
-    - demonstration (optional): abstract `Demonstration` that the motion imitates, for its duration.
+    - motion (with arm): abstract `PlannedMotion` of the arm's joints, verified among the solids.
+    - demonstration (with arm): abstract `Demonstration` that the motion imitates, for its duration.
     - speed_scale: (1,) share of full speed, in [0, 1], for `DmpIntegrator`.
     - supervision: abstract `Supervision`: run, slow, hold or stop, and why.
 
