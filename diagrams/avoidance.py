@@ -53,8 +53,9 @@ class Layers:
         policy: goal, and dmp_integrator: ellipsoids_W, coupling_parameters, route, speed_scale,
             evasion -> policy_state, phase and desired_position, _velocity, _acceleration.
         route: ellipsoids_W, policy_state, goal -> route, where it leads the motion.
-        regulation: ellipsoids_W, policy_state, goal or route -> coupling_parameters; verified
-            also motion, from robot_state, obstacles and camera_pose.
+        regulation: solids_W, ellipsoids_W, robot_state, policy_state, goal ->
+            coupling_parameters, motion and demonstration; the paper's, from ellipsoids_W and
+            policy_state or route, coupling_parameters alone.
         posture: motion, policy_state, evading -> desired_posture.
         safety: solid_obstacles_W, robot_state, policy_state, motion -> speed_scale, evasion and
             evading.

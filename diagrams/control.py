@@ -10,7 +10,7 @@ from drake_oa.common.wires import Wires
 from drake_oa.control.cartesian_inverse_dynamics import CartesianInverseDynamics
 from drake_oa.control.integral_action import IntegralAction
 from drake_oa.diagrams.station import Cell
-from drake_oa.regulation.config import WholeArm
+from drake_oa.regulation.config import Verified
 from drake_oa.robot.plant import RobotPlant, make_robot_plant
 from drake_oa.scenario.faults import ModelError
 from drake_oa.scenario.scenario import (
@@ -54,7 +54,7 @@ def make_controller(
         if isinstance(fault, ModelError):
             robot_plant = make_robot_plant(robot, inertias=fault.inertias)
     gains = robot.gains
-    if isinstance(scenario.regulation, WholeArm):
+    if isinstance(scenario.regulation, Verified):
         # The links go as near to things as the tool does: they are held as stiffly.
         gains = replace(
             gains,

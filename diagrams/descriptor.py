@@ -24,7 +24,7 @@ def add_descriptor(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     wires.add(
         "ellipsoid_descriptor",
         make_ellipsoid_descriptor(scenario, cell.robot_plant),
-        reads={"goal": goal, "tool_turn": "planned_turn"},
+        reads={"goal": goal},
     )
 
 
@@ -40,5 +40,4 @@ def make_ellipsoid_descriptor(scenario: Scenario, robot_plant: RobotPlant) -> El
         # A goal that moves comes by a port.
         free_W=[task.start] if task.goal_moves else [task.start, task.goal],
         tool_parts=merged_parts(links),
-        turn_axis_W=(0.0, 0.0, 1.0) if scenario.policy.turn is None else scenario.policy.turn.axis,
     )

@@ -17,7 +17,7 @@ from drake_oa.planning.motion_search import MotionSearch
 from drake_oa.planning.motion_selector import MotionSelector
 from drake_oa.planning.true_solids import TrueSolids
 from drake_oa.planning.unseen_ends import ImageRange
-from drake_oa.regulation.config import WholeArm
+from drake_oa.regulation.config import Verified
 from drake_oa.regulation.regressor import ChainWeights
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.spheres import ArmSpheres, SphereParameters, make_arm_spheres
@@ -40,10 +40,10 @@ def add_motion_selector(
         ScenarioError: without a robot, or where nothing tells the shapes of things.
     """
     if cell is None:
-        raise ScenarioError("regulation: !WholeArm needs a robot; this scenario has null")
+        raise ScenarioError("regulation: !Verified needs a robot; this scenario has null")
     if isinstance(scenario.perception, GivenEllipsoids):
         raise ScenarioError(
-            "regulation: !WholeArm needs obstacles that are seen; !GivenEllipsoids has the "
+            "regulation: !Verified needs obstacles that are seen; !GivenEllipsoids has the "
             "ellipsoids of obstacles that are dilated by the tool"
         )
     wires.add("solids", make_solids(scenario, cell))
@@ -87,8 +87,8 @@ def make_solids(scenario: Scenario, cell: Cell) -> TrueSolids | CloudSolids:
 def arm_spheres(scenario: Scenario, cell: Cell) -> ArmSpheres:
     """The robot as spheres, as near as the regulation asks."""
     robot, regulation = scenario.robot, scenario.regulation
-    if robot is None or not isinstance(regulation, WholeArm):
-        raise ScenarioError("regulation: is not !WholeArm, or there is no robot")
+    if robot is None or not isinstance(regulation, Verified):
+        raise ScenarioError("regulation: is not !Verified, or there is no robot")
     return make_arm_spheres(
         cell.robot_plant,
         cell.q_start,
@@ -105,8 +105,8 @@ def make_motion_selector(scenario: Scenario, cell: Cell, weights: ChainWeights) 
         scenario.policy,
         scenario.task,
     )
-    if robot is None or not isinstance(regulation, WholeArm):
-        raise ScenarioError("regulation: is not !WholeArm, or there is no robot")
+    if robot is None or not isinstance(regulation, Verified):
+        raise ScenarioError("regulation: is not !Verified, or there is no robot")
     arm = arm_model(scenario, robot, cell.robot_plant, cell.q_start)
     of_arm = arm_spheres(scenario, cell)
     spheres = of_arm.arrays

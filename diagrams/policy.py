@@ -13,7 +13,6 @@ from pydrake.systems.primitives import (
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.station import Cell
-from drake_oa.policy.config import Turn
 from drake_oa.policy.dmp import Dmp, imitate, minimum_jerk
 from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.policy.orientation_dmp import minimum_jerk_orientation
@@ -100,21 +99,18 @@ def make_orientation_integrator(scenario: Scenario) -> OrientationIntegrator | N
 
 
 def make_kept_orientation(scenario: Scenario) -> OrientationIntegrator:
-    """An orientation that stays as it is at the start, besides its turn, if it has one.
+    """An orientation that stays as it is at the start until something else is demonstrated.
 
     Raises:
         ScenarioError: if the scenario has no robot.
     """
-    turn, robot = scenario.policy.turn, scenario.robot
+    robot = scenario.robot
     if robot is None:
         raise ScenarioError("robot: this scenario has none that has a tool")
-    turn = turn or Turn()
     R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix().matrix()
     return OrientationIntegrator(
         minimum_jerk_orientation(alpha_k=scenario.policy.alpha_k),
         R_WE,
         R_WE,
         period=scenario.policy.period,
-        turn_axis_W=turn.axis,
-        turn_rate=turn.speed,
     )

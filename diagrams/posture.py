@@ -13,9 +13,8 @@ from drake_oa.common.messages import FloatArray, PlannedMotion
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.arm import arm_model, make_posture_guide
 from drake_oa.diagrams.station import Cell
-from drake_oa.posture.null_space_coupling import NullSpaceCoupling, NullSpaceCouplingParameters
+from drake_oa.posture.null_space_coupling import NullSpaceCoupling
 from drake_oa.posture.posture_follower import PostureFollower
-from drake_oa.regulation.config import WholeArm
 from drake_oa.robot.plant import RobotPlant
 from drake_oa.scenario.scenario import (
     Scenario,
@@ -35,11 +34,8 @@ def add_posture(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     """
     if cell is None:
         return
-    if "motion" in wires and isinstance(scenario.regulation, WholeArm):
+    if "motion" in wires:
         q_rest = cell.q_start[list(cell.arm_positions)]
-        wires.add("posture_follower", make_posture_follower(scenario, q_rest))
-    elif "motion" in wires and cell.arm is not None:
-        q_rest = cell.q_start[list(cell.arm.positions)]
         wires.add("posture_follower", make_posture_follower(scenario, q_rest))
     elif (made := make_guide_follower(scenario, cell.q_start)) is not None:
         follower, guide = made
@@ -61,22 +57,22 @@ def make_null_space_coupling(
         ScenarioError: for an arm whose joints are not all revolute.
     """
     robot = scenario.robot
-    given = None if robot is None or robot.posture is None else robot.posture.coupling
+    given = None if robot is None else robot.null_space_coupling
     if robot is None or given is None:
         return None
     try:
         arm = arm_model(scenario, robot, robot_plant, q_start)
     except ValueError as error:
-        raise ScenarioError(f"robot.posture.coupling: {error}") from None
+        raise ScenarioError(f"robot.null_space_coupling: {error}") from None
     if len(arm.posture) <= _TASK:
         raise ScenarioError(
-            f"robot.posture.coupling: the arm has {len(arm.posture)} joints, and so nothing that "
-            "it could turn while the tool keeps its pose; write null"
+            f"robot.null_space_coupling: the arm has {len(arm.posture)} joints, and so nothing "
+            "that it could turn while the tool keeps its pose; write null"
         )
     return NullSpaceCoupling(
         arm,
         robot_plant.plant.num_multibody_states(),
-        NullSpaceCouplingParameters(given.alpha, given.psi, given.kappa),
+        given,
         period=scenario.policy.period,
         table=table_plane(scenario),
     )

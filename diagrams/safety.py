@@ -36,7 +36,7 @@ def add_safety(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     if "obstacles_W" in wires and scenario.evasion is not None:
         wires.add(
             "evasion",
-            make_evasion(scenario, cell.robot_plant, turns=cell.arm is not None),
+            make_evasion(scenario, cell.robot_plant, turns="desired_posture" in wires),
             reads=solid,
             offers={"decision": "decision_evasion"},
         )

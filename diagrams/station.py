@@ -7,9 +7,7 @@ from functools import cached_property
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
-from drake_oa.diagrams.arm import make_robot_arm
 from drake_oa.perception.config import DepthCamera
-from drake_oa.regulation.verified_regressor_chain import RobotArm
 from drake_oa.robot.arm import joints_to
 from drake_oa.robot.plant import RobotPlant, make_robot_plant
 from drake_oa.scenario.scenario import Scenario
@@ -37,11 +35,6 @@ class Cell(Station):
         plant = self.robot_plant.plant
         joints = joints_to(plant, self.robot_plant.tool_frame)
         return tuple(joint.position_start() for joint in joints)
-
-    @cached_property
-    def arm(self) -> RobotArm | None:
-        """What plans the posture of the arm; None: the scenario asks for none."""
-        return make_robot_arm(self.scenario, self.robot_plant, self.q_start)
 
 
 def add_station(wires: Wires, scenario: Scenario, *, modulated: bool = True) -> Cell | None:

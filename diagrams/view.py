@@ -13,9 +13,8 @@ from drake_oa.diagrams.route import make_cost_ring_selector
 from drake_oa.diagrams.station import Cell
 from drake_oa.perception.config import DepthCamera
 from drake_oa.policy.dmp import trajectory
-from drake_oa.regulation.config import Verified
+from drake_oa.regulation.config import Regressor
 from drake_oa.robot.plant import base_pose
-from drake_oa.route.cost_ring_selector import TakenRoute
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import camera_config
 from drake_oa.viewing.meshcat_overlay import MeshcatOverlay, dress_scene
@@ -25,22 +24,10 @@ _FRAME = 1.0 / 30.0
 
 
 def add_view(wires: Wires, scenario: Scenario, cell: Cell | None, meshcat: Meshcat) -> None:
-    """Adds overlay, and the cost rings that it draws where none lead the motion."""
-    if "coupling_parameters" in wires and "shown_route" not in wires:
-        verified = isinstance(scenario.regulation, Verified)
-        wires.add(
-            "cost_ring_selector",
-            make_cost_ring_selector(scenario),
-            offers={"decision": None, "route": "ring_route" if verified else "shown_route"},
-        )
-        if verified:
-            # A verified motion need not take the side of the rings.
-            wires.add(
-                "taken_route",
-                TakenRoute(),
-                reads={"route": "ring_route"},
-                offers={"route_taken": "shown_route"},
-            )
+    """Adds overlay, and the cost rings that it draws where what only reacts goes without."""
+    if isinstance(scenario.regulation, Regressor) and "shown_route" not in wires:
+        offers = {"decision": None, "route": "shown_route"}
+        wires.add("cost_ring_selector", make_cost_ring_selector(scenario), offers=offers)
     wires.add("overlay", make_overlay(scenario, cell, meshcat), reads={"route": "shown_route"})
     if cell is not None:
         ApplyVisualizationConfig(

@@ -20,10 +20,10 @@ _SYSTEMS = {
     "EllipsoidDescriptor": "descriptor.ellipsoid_descriptor",
     "GivenEllipsoidSource": "descriptor.ellipsoid_descriptor",
     "CostRingSelector": "route.cost_ring_selector",
-    "TakenRoute": "route.cost_ring_selector",
     "RegressorChain": "regulation.regressor_chain",
-    "VerifiedRegressorChain": "regulation.verified_regressor_chain",
-    "ToolTurnSelector": "regulation.tool_turn_selector",
+    "MotionSelector": "planning.motion_selector",
+    "TrueSolids": "planning.true_solids",
+    "CloudSolids": "planning.cloud_solids",
     "DmpIntegrator": "policy.dmp_integrator",
     "OrientationIntegrator": "policy.orientation_integrator",
     "PostureFollower": "posture.posture_follower",
@@ -32,7 +32,6 @@ _SYSTEMS = {
     "ObstacleEvasion": "safety.obstacle_evasion",
     "CartesianInverseDynamics": "control.cartesian_inverse_dynamics",
     "IntegralAction": "control.integral_action",
-    "MinSpeedScale": "control.min_speed_scale",
     "MeshcatOverlay": "viewing.meshcat_overlay",
 }
 """Class -> its module below this package."""

@@ -114,7 +114,6 @@ def straight_log() -> Callable[..., MotionLog]:
             out_of_range=np.zeros(0, dtype=np.int64),
             regulation="Verified",
             shortfall=np.zeros(count),
-            short_of=np.full(count, -1),
             event_time=np.zeros(0),
             event=(),
             supervision_time=np.zeros(0),

@@ -15,6 +15,7 @@ LAYERS = (
     "descriptor",
     "route",
     "regulation",
+    "planning",
     "policy",
     "posture",
     "safety",

@@ -70,13 +70,13 @@ ALWAYS |= {"ObstacleEvasion"}
 @pytest.mark.parametrize(
     ("override", "others"),
     [
-        ("perception=!DepthCamera {}", {"DepthPerception", "VerifiedRegressorChain"}),
+        ("perception=!DepthCamera {}", {"DepthPerception", "MotionSelector", "CloudSolids"}),
         ("perception=!DepthCamera {noise: {}}", {"LateCamera"}),
-        ("perception=!GroundTruth {}", {"GroundTruthPerception"}),
+        ("perception=!GroundTruth {}", {"GroundTruthPerception", "TrueSolids"}),
         ("recorded", {"RecordedPerception"}),
         ("regulation=!Regressor {}", {"RegressorChain", "CostRingSelector"}),
         ("task.rpy_goal=[3.0, 0.0, 1.0]", {"OrientationIntegrator"}),
-        ("robot.posture={coupling: {}}", {"NullSpaceCoupling", "PostureFollower"}),
+        ("robot.null_space_coupling={}", {"NullSpaceCoupling", "PostureFollower"}),
         ("faults=[!Push {}]", {"ExternalPush"}),
     ],
 )
@@ -87,9 +87,3 @@ def test_documented_ports_are_the_declared_ones(
         override = f"perception=!RecordedClouds {{folder: {recording_folder}}}"
     checked = checked_systems(build_avoidance(load_scenario("tabletop_box", [override])))
     assert checked >= ALWAYS | others
-
-
-def test_so_are_those_of_a_tool_that_is_turned() -> None:
-    diagram = build_avoidance(load_scenario("long_tool", ["perception=!GroundTruth {}"]))
-    turning = {"ToolTurnSelector", "OrientationIntegrator", "MinSpeedScale"}
-    assert checked_systems(diagram) >= ALWAYS | turning

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 RESULTS = Path("drake_oa_runs") / "evaluate-panda"
 """Where results go that nobody named, relative to the current folder."""
 
-MBM_METHODS = ("whole_arm", "verified", "preplanned", "planner")
+MBM_METHODS = ("verified", "preplanned", "planner")
 
 Methods = Annotated[tuple[str, ...], Parameter(name="--method")]
 """Names of methods; the option may be repeated."""
@@ -318,9 +318,8 @@ def panda(
       preplanned            the planned motion, blind to obstacles
       paper                 the paper's regulation, which nothing checks, without a
                             supervisor
-      verified              proposals checked by roll-outs
-      whole_arm             motions of the whole arm among the true shapes; a plan that the
-                            primitives imitate where none of them clears
+      verified              motions of the whole arm that roll-outs among the true shapes have
+                            checked; a plan that the primitives imitate where none clears
       differential_ik       Drake's differential inverse kinematics with collision
                             constraints, on the same planned motion; it knows the
                             obstacles exactly, and its tool keeps the asked clearance as
@@ -394,7 +393,7 @@ def mbm(
     problems: Path,
     robot: str | None = None,
     sets: tuple[str, ...] = (),
-    methods: Methods = ("whole_arm", "planner"),
+    methods: Methods = ("verified", "planner"),
     scenes: int | None = None,
     runs: Runs = _RUNS,
 ) -> int:
@@ -414,8 +413,7 @@ def mbm(
     Success: the simulated arm ends within 1 cm and 15 degrees of the goal, no contact
     with the scene or itself, and no joint is more than 1 mrad beyond its limit. Methods:
 
-      whole_arm, verified, preplanned
-                            as of `drake-oa evaluate panda`
+      verified, preplanned  as of `drake-oa evaluate panda`
       planner               RRT-Connect from the start's joints to the goal's, the whole
                             robot at the asked clearance from the same shapes, 200 000
                             states at most; not simulated

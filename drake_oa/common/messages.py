@@ -291,7 +291,6 @@ class CouplingParameters(Frozen):
         hold: whether the motion must not go on, and what for.
         note: the same in words.
         anew: whether it is to begin anew from where it rests.
-        p_WV: (3,) the point V that it goes to in place of the goal [m]; (0,): none.
         verified: whether the rows are terms of their own, about `center_W`, which a look at the
             true shapes has chosen: they belong to no ellipsoid, and none holds the motion.
     """
@@ -306,7 +305,6 @@ class CouplingParameters(Frozen):
     hold: HoldCause = HoldCause.NONE
     note: str = ""
     anew: bool = False
-    p_WV: FloatArray = field(default_factory=lambda: np.zeros(0))
     verified: bool = False
 
     def __len__(self) -> int:

@@ -13,10 +13,8 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Generic, Self, TypeVar
 
-import numpy as np
-
 from drake_oa.common.config import number
-from drake_oa.common.messages import FloatArray, Frozen, PolicyState
+from drake_oa.common.messages import Frozen
 
 
 @dc.dataclass
@@ -88,22 +86,6 @@ def count(**done: int) -> None:
 
 
 T = TypeVar("T")
-
-
-@dc.dataclass(frozen=True, eq=False)
-class ForMotion(Frozen, Generic[T]):
-    """A decision on a motion, and the start and goal (3,) that the motion had then [m].
-
-    They are NaN of one that was made before there was a motion.
-    """
-
-    decision: T
-    p_WS: FloatArray = dc.field(default_factory=lambda: np.full(3, np.nan))
-    p_WG: FloatArray = dc.field(default_factory=lambda: np.full(3, np.nan))
-
-    def fits(self, policy: PolicyState, p_WG: FloatArray) -> bool:
-        """Whether the motion that is under way now is the same."""
-        return np.array_equal(policy.p_WS, self.p_WS) and np.array_equal(p_WG, self.p_WG)
 
 
 @dc.dataclass(frozen=True, eq=False)

@@ -10,7 +10,6 @@ Systems:
 - `CartesianInverseDynamics`: stateless, evaluated with every step of the plant.
 - `IntegralAction`: adds to the desired acceleration what a wrong model lacks, summed up at
   `policy.period`.
-- `MinSpeedScale`: the least of several speed scales.
 
 The law is tau = M (a_0 + J# (A_c - dJ/dt v - J a_0)) + h with the dynamically consistent inverse J#
 (Khatib, IEEE J. Robotics and Automation 3(1), 1987), damped near singularities, and limited to

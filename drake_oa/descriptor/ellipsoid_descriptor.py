@@ -12,7 +12,6 @@ from pydrake.systems.framework import Context, LeafSystem
 from drake_oa.common.messages import EllipsoidSet, FloatArray, ObstacleClouds
 from drake_oa.common.ports import read_value
 from drake_oa.descriptor.descriptor import Method, check_descriptor_arguments, describe
-from drake_oa.geometry.rotation import turned_about, unit_axis
 
 
 class EllipsoidDescriptor(LeafSystem):
@@ -24,7 +23,6 @@ class EllipsoidDescriptor(LeafSystem):
       input_ports:
       - obstacles_W
       - goal (optional)
-      - tool_turn (optional)
       output_ports:
       - ellipsoids_W
 
@@ -32,7 +30,6 @@ class EllipsoidDescriptor(LeafSystem):
       [m]; may be empty.
     - goal (optional): (3,) a tool point that is known to be free besides `free_W`, the goal
       of a motion whose goal may be moved [m].
-    - tool_turn (optional): (1,) turn of the tool about `turn_axis_W` [rad]; without it 0.
     - ellipsoids_W: abstract `EllipsoidSet` in the world frame, with the stamp, names,
       velocities, table and note of the clouds; an obstacle without a finite point is dropped
       and noted. One that would hold a free point, or all but do so, has several rows.
@@ -49,7 +46,6 @@ class EllipsoidDescriptor(LeafSystem):
         minimum_semi_axis: float = 1e-3,
         free_W: ArrayLike = (),
         tool_parts: Sequence[FloatArray] = (),
-        turn_axis_W: ArrayLike = (0.0, 0.0, 1.0),
     ) -> None:
         """Declares the ports.
 
@@ -63,13 +59,11 @@ class EllipsoidDescriptor(LeafSystem):
             free_W: (F, 3) tool points that are known to be free: start and goal [m].
             tool_parts: (K_i, 3) vertices of the tool's convex parts, for obstacles near
                 those points [m]; none: the whole tool.
-            turn_axis_W: (3,) axis through the tool point that the tool is turned about, of
-                any length but 0.
 
         Raises:
             ValueError: if the tool or a part of it is empty, not (K, 3) or not finite, the
-                method is unknown, minimum_semi_axis is not positive, free_W is not (F, 3)
-                or not finite, or turn_axis_W has no direction.
+                method is unknown, minimum_semi_axis is not positive, or free_W is not (F, 3)
+                or not finite.
         """
         super().__init__()
         if not minimum_semi_axis > 0.0:
@@ -80,12 +74,10 @@ class EllipsoidDescriptor(LeafSystem):
         if free.size and (free.shape[1:] != (3,) or not np.isfinite(free).all()):
             raise ValueError(f"free_W must be (F, 3) finite points [m], not {free}")
         self._free_W = free.reshape(-1, 3)
-        self._axis = unit_axis(turn_axis_W)
         self._method: Method = method
         self._minimum_semi_axis = minimum_semi_axis
         self._obstacles = self.DeclareAbstractInputPort("obstacles_W", Value(ObstacleClouds()))
         self._goal = self.DeclareVectorInputPort("goal", 3)
-        self._turn = self.DeclareVectorInputPort("tool_turn", 1)
         self.DeclareAbstractOutputPort(
             "ellipsoids_W",
             lambda: Value(EllipsoidSet()),
@@ -93,7 +85,6 @@ class EllipsoidDescriptor(LeafSystem):
             prerequisites_of_calc={
                 self._obstacles.ticket(),
                 self._goal.ticket(),
-                self._turn.ticket(),
             },
         )
 
@@ -102,15 +93,14 @@ class EllipsoidDescriptor(LeafSystem):
         free_W = self._free_W
         if self._goal.HasValue(context):
             free_W = np.vstack([free_W, self._goal.Eval(context)])
-        turn = float(self._turn.Eval(context)[0]) if self._turn.HasValue(context) else 0.0
         output.set_value(
             describe(
                 obstacles,
-                turned_about(self._tool_W, self._axis, turn),
+                self._tool_W,
                 method=self._method,
                 minimum_semi_axis=self._minimum_semi_axis,
                 free_W=free_W,
-                tool_parts=[turned_about(p, self._axis, turn) for p in self._tool_parts],
+                tool_parts=self._tool_parts,
             )
         )
 

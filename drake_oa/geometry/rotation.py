@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray
@@ -65,27 +64,3 @@ def rotation_of(quaternion: FloatArray) -> FloatArray:
     R[0, 2], R[2, 0] = twice * (x * z + w * y), twice * (x * z - w * y)
     R[1, 2], R[2, 1] = twice * (y * z - w * x), twice * (y * z + w * x)
     return R
-
-
-def turned_about(points: ArrayLike, axis: FloatArray, turn: float) -> FloatArray:
-    """Points (N, 3) turned about a unit axis (3,) through the origin, by an angle [rad].
-
-    For turn 0 they are the very same numbers. Rodrigues' formula.
-    """
-    p = np.array(points, dtype=float)
-    if turn == 0.0:
-        return p
-    along = (p @ axis)[:, None] * axis
-    return along + np.cos(turn) * (p - along) + np.sin(turn) * np.cross(axis, p)
-
-
-def unit_axis(axis_W: ArrayLike) -> FloatArray:
-    """(3,) of length 1.
-
-    Raises:
-        ValueError: if it is not three finite numbers, or all are 0.
-    """
-    axis = np.array(axis_W, dtype=float)
-    if axis.shape != (3,) or not 0.0 < np.linalg.norm(axis) < np.inf:
-        raise ValueError(f"the axis of a turn must be 3 finite numbers, not all 0, not {axis}")
-    return np.asarray(axis / np.linalg.norm(axis))

@@ -25,7 +25,7 @@ tool), `rollout` (candidates on all cores), `search` (the coupling family), `goa
 `joint_planner` and `imitation` (a plan as a demonstration), `motion_search` (the choice),
 `motion_selector`.
 
-Configuration: the block `regulation` of a scenario, tagged `!WholeArm`.
+Configuration: the block `regulation` of a scenario, tagged `!Verified`.
 
 Read first: `motion_search`, then `rollout`.
 """

@@ -27,6 +27,7 @@ from drake_oa.common.messages import (
 )
 from drake_oa.geometry.solids import SURROUNDINGS
 from drake_oa.planning.arm_world import (
+    SELF,
     ArmWorld,
     Asked,
     Chain,
@@ -43,7 +44,7 @@ from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
 from drake_oa.policy.demonstration import Demonstration
 from drake_oa.policy.dmp import Dmp, local_frame, normalised_time
 from drake_oa.policy.orientation_dmp import orientation_along
-from drake_oa.regulation.config import WholeArm
+from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposals import ALPHA as LOG_ALPHA
 from drake_oa.regulation.proposals import N_GENES, TAU
 from drake_oa.regulation.regressor import ChainWeights
@@ -90,7 +91,7 @@ class Choice(Frozen):
         posture: (n,) that the null space is drawn to at the end; (0,): the task's [rad].
         demonstration: what the motion imitates; empty: what the task demonstrates.
         motion: of the whole arm, from when it was looked at.
-        kept: (2,) least distances of tool and links to the solids [m], up to `FAR`.
+        kept: (3,) least distances of tool and links to the solids, and of the arm to itself [m].
         short: by how much it is short of what is asked [m].
         short_of: label of the solid.
         follows: whether the arm can follow it to the goal.
@@ -101,6 +102,7 @@ class Choice(Frozen):
         scene: what was seen.
         travelled, p_WE: the way until then, and where it was [m].
         planned: when a path in the joints was looked for last [s].
+        elites: (k, 7) genes of the best candidates, from which the search goes on.
     """
 
     p_WS: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
@@ -111,7 +113,7 @@ class Choice(Frozen):
     posture: FloatArray = field(default_factory=lambda: np.zeros(0))
     demonstration: Demonstration = field(default_factory=Demonstration)
     motion: PlannedMotion = field(default_factory=PlannedMotion)
-    kept: FloatArray = field(default_factory=lambda: np.full(2, np.inf))
+    kept: FloatArray = field(default_factory=lambda: np.full(3, np.inf))
     short: float = 0.0
     short_of: str = ""
     follows: bool = True
@@ -122,6 +124,7 @@ class Choice(Frozen):
     travelled: float = 0.0
     p_WE: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
     planned: float = -math.inf
+    elites: FloatArray = field(default_factory=lambda: np.zeros((0, N_GENES)))
 
     def fits(self, policy: PolicyState, p_WG: FloatArray) -> bool:
         """Whether it is for the motion that is under way."""
@@ -157,7 +160,7 @@ class MotionSearch:
         chain: Chain,
         spheres: Spheres,
         *,
-        parameters: WholeArm,
+        parameters: Verified,
         steps: int,
         fade: float,
         orientation: Callable[[FloatArray], FloatArray],
@@ -223,7 +226,7 @@ class MotionSearch:
             found = replace(found, planned=sight.time)
         if not found.follows:
             return replace(found, note="no motion that the arm can follow found")
-        if min(found.kept) <= self._parameters.least_kept - self._overshoot:
+        if not self._clears(found):
             return replace(found, note=f"no motion that clears {found.short_of} found")
         return found
 
@@ -269,21 +272,24 @@ class MotionSearch:
         target = np.append(leading.R_WE[-1], sight.p_WG)
         ends = goal_postures(self._chain, target, leading.q[0, -1], seeds=4)[:1]
         world = self._world(sight, ends)
-        settled = here.tau > 0.0 and not sight.scene.moves
+        under_way = here.tau > 0.0 and (sight.scene.moves or sight.policy.speed > 0.0)
         search = ArmSearch(
             scene,
             world,
             sight.q,
             leading,
-            duration=dmp.duration,
             dmp=dmp,
             previous=here.genes,
             parameters=self._search,
-            settled=settled,
+            settled=here.tau > 0.0 and not sight.scene.moves,
+            seeds=here.elites,
+            most=self._parameters.configurations_a_frame if under_way else math.inf,
             samples=SAMPLES if here.demonstration.position is None else _LED,
         )
         result = search.run(self._weights)
         genes = np.array(result.genes[0])
+        if search.elites.size:
+            here = replace(here, elites=np.array(search.elites[0]))
         return self._chosen(here, sight, world, search, genes, float(result.path_length[0]))
 
     def _chosen(
@@ -302,6 +308,9 @@ class MotionSearch:
         s = search.sample_times(count)
         seconds = search.duration * math.exp(genes[TAU])
         kept, near = self._kept(world, arm.q[0, :count], world.now + seconds * (s - s[0]))
+        of_self = float(arm.excess[0, SELF]) + self._parameters.self_clearance
+        if of_self < kept.min(initial=np.inf):
+            near = -1
         short = max(-float(arm.least[0]) - self._search.slack, 0.0)
         follows = float(arm.error[0]) <= self._parameters.missed and float(arm.hurry[0]) <= 1.0
         baseline = float(search.scenes.baseline[0])
@@ -319,7 +328,7 @@ class MotionSearch:
             term=search.terms(genes),
             tau=tau,
             motion=motion,
-            kept=kept,
+            kept=np.append(kept, of_self),
             short=short,
             short_of=sight.scene.labels[near] if near >= 0 else "the arm itself",
             follows=follows,
@@ -411,9 +420,12 @@ class MotionSearch:
             # The tool turns too far for one primitive.
             return None
         choice = self._imitated(here, sight, world, shown)
-        if not choice.follows or min(choice.kept) <= p.least_kept - self._overshoot:
-            return None
-        return choice
+        return choice if choice.follows and self._clears(choice) else None
+
+    def _clears(self, choice: Choice) -> bool:
+        """Whether a motion touches nothing, as far as its spheres tell: they stick out."""
+        least = self._parameters.least_kept
+        return bool(choice.kept[:2].min() > least - self._overshoot and choice.kept[SELF] > least)
 
     def _least(self, sight: Sight, q: FloatArray) -> float:
         """What the moving groups keep of the solids at a configuration at least [m]."""
@@ -426,7 +438,8 @@ class MotionSearch:
         """The motion that imitates a demonstration from where the arm rests."""
         policy = sight.policy
         rests = replace(policy, p_WS=policy.p_WE, z_W=np.zeros(3), phase=1.0)
-        at = replace(here, demonstration=shown, travelled=0.0, genes=np.full(N_GENES, np.nan))
+        none = Choice()
+        at = replace(here, demonstration=shown, travelled=0.0, genes=none.genes, elites=none.elites)
         sight = replace(sight, policy=rests)
         dmp = self._dmp_of(at)
         search = ArmSearch(
@@ -434,7 +447,6 @@ class MotionSearch:
             world,
             sight.q,
             self._leading(at, sight),
-            duration=dmp.duration,
             dmp=dmp,
             previous=at.genes,
             parameters=self._search,

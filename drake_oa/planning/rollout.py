@@ -10,11 +10,14 @@ rolled out on all cores.
 from __future__ import annotations
 
 import math
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import ArrayLike
 
 from drake_oa.common.compiled import compiled
@@ -26,6 +29,9 @@ from drake_oa.planning.tracking import PULL, follow, scratch
 from drake_oa.robot.sphere_kernels import Spheres
 
 ERROR, HURRY, ENDED = 3, 4, 5
+_EACH = 8
+"""Candidates for which another thread pays."""
+_CORES = max(len(os.sched_getaffinity(0)), 1)
 N_COLUMNS = 6
 """Of what a candidate comes to: after `TOOL`, `LINKS` and `SELF` of `arm_world`."""
 
@@ -95,7 +101,7 @@ def roll_out_arm(
     stop = np.broadcast_to(np.asarray(enough, dtype=float), (N,))
     arrays = {item.name: np.array(getattr(paths, item.name), order="C") for item in fields(paths)}
     bundle = _Paths(**arrays, enough=np.array(stop))
-    _roll_all(*world, np.array(q, dtype=float), bundle, table, joints)
+    _roll_all(*world, np.array(q, dtype=float), bundle, table, joints, count=N)
     samples = table[:, ENDED].astype(np.int64)
     count(configurations=int(samples.sum()))
     return ArmRollouts(table[:, :3], table[:, ERROR], table[:, HURRY], samples, joints)
@@ -149,11 +155,28 @@ def _roll_one(
     out[i, :3], out[i, ERROR], out[i, HURRY], out[i, ENDED] = least, error, hurry, done
 
 
-@njit(cache=True, parallel=True, error_model="numpy", fastmath=False)
-def _roll_all(
-    chain: Chain, spheres: Spheres, solids: Solids, asked: Asked, now: float, q0: FloatArray,
-    paths: _Paths, out: FloatArray, Q: FloatArray,
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
+def _roll_some(
+    first: int, stride: int, chain: Chain, spheres: Spheres, solids: Solids, asked: Asked,
+    now: float, q0: FloatArray, paths: _Paths, out: FloatArray, Q: FloatArray,
 ) -> None:  # fmt: skip
-    """All candidates, by all threads."""
-    for i in prange(len(paths.p_WE)):
+    """Every so many candidates."""
+    for i in range(first, len(paths.p_WE), stride):
         _roll_one(i, chain, spheres, solids, asked, now, q0, paths, out, Q)
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(_CORES - 1, "roll_out")
+
+
+def _roll_all(*arguments: Any, count: int) -> None:
+    """All candidates, by so many threads as pay.
+
+    Numba's own threads wait busily for the next call: 6 ms of processor time a call.
+    """
+    threads = min(_CORES, count // _EACH + 1)
+    others = [_pool().submit(_roll_some, k, threads, *arguments) for k in range(1, threads)]
+    _roll_some(0, threads, *arguments)
+    for other in others:
+        other.result()

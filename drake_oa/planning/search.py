@@ -18,7 +18,8 @@ from drake_oa.planning.arm_world import FAR, ArmWorld
 from drake_oa.planning.rollout import ArmRollouts, ToolPaths, roll_out_arm
 from drake_oa.policy.dmp import Dmp, trajectory
 from drake_oa.regulation.config import SearchParameters
-from drake_oa.regulation.proposals import ANGLE, TAU, avoidance_terms
+from drake_oa.regulation.proposals import ANGLE, N_GENES, TAU, avoidance_terms
+from drake_oa.regulation.regressor import ChainWeights
 from drake_oa.regulation.rollout import SpatialRollouts, SpatialScenes
 from drake_oa.regulation.search import (
     BAD,
@@ -67,7 +68,9 @@ class Leading(Frozen):
 class ArmSearch(Search):
     """One search, in one scene; see `drake_oa.regulation.search.Search`.
 
-    The posture that each candidate is drawn to is the one of `posture`.
+    With seeds it goes on from the best candidates of another search, and not with what the chain
+    proposes; it ends before it looks at more configurations than `most`, as soon as it has
+    candidates.
     """
 
     def __init__(
@@ -77,17 +80,18 @@ class ArmSearch(Search):
         q: FloatArray,
         leading: Leading,
         *,
-        duration: float,
         dmp: Dmp,
         previous: FloatArray,
         parameters: SearchParameters,
         settled: bool = False,
-        posture: int = 0,
         samples: int = SAMPLES,
+        seeds: FloatArray | None = None,
+        most: float = math.inf,
     ) -> None:
-        super().__init__(scene, duration, dmp, previous[None], parameters, settled=settled)
+        super().__init__(scene, dmp.duration, dmp, previous[None], parameters, settled=settled)
         self.world, self.q, self.leading = world, q, leading
-        self.posture = posture
+        self.seeds = np.zeros((0, N_GENES)) if seeds is None else seeds
+        self.most, self.configurations, self.latest = most, 0, 0
         self.world_moves = bool(world.solids.ball[:, 4:7].any())
         # The tool's path is rolled out without the ellipsoids: they propose, and decide nothing.
         self.empty = scene.without_obstacles()
@@ -126,12 +130,23 @@ class ArmSearch(Search):
         return Ranked(genes, cost.reshape(1, n), outcome.reshape(1, n, len(OUTCOME)))
 
     def hopeless(self, ranked: Ranked, number: int) -> BoolArray:
-        """(A,) where the best is still far too near after a few rounds: a plan is needed."""
+        """(A,) where it is given up: another round would take too long, or a plan is needed.
+
+        A plan is, where the best is still far too near after a few rounds.
+        """
+        if self.configurations + self.latest > self.most:
+            return np.ones(len(ranked.cost), dtype=bool)
         far = PRICE * HOPELESS / float(self.scenes.baseline[0])
         if self.world_moves:
             # No plan waits for what moves to pass.
             far = math.inf
         return np.asarray((number >= ROUNDS_OF_HOPE) & (ranked.cost[:, 0] > BAD + far))
+
+    def proposals(self, weights: ChainWeights) -> tuple[FloatArray, BoolArray]:
+        """The chain's candidates; where the search goes on, the best of what it had."""
+        if len(self.seeds):
+            return self.bounded(np.arange(1), self.seeds[None]), np.ones(1, dtype=bool)
+        return super().proposals(weights)
 
     def tool_paths(self, genes: FloatArray) -> SpatialRollouts:
         """The tool's motions of candidates (n, 7)."""
@@ -168,11 +183,14 @@ class ArmSearch(Search):
             path,
             R_WE[None],
             np.zeros(len(path), dtype=np.int64),
-            q[self.posture : self.posture + 1],
+            q[:1],
             np.zeros(len(path), dtype=np.int64),
             self.duration * np.exp(genes[:, TAU]),
         )
-        return roll_out_arm(self.world, self.q, paths, enough)
+        arms = roll_out_arm(self.world, self.q, paths, enough)
+        self.latest = int(arms.samples.sum())
+        self.configurations += self.latest
+        return arms
 
     def tool_cost(self, genes: FloatArray, found: SpatialRollouts) -> FloatArray:
         """Length over L, and small prices; above `BAD` where the motion does not arrive."""

@@ -10,7 +10,7 @@ for it beforehand, in `ActionLevel` and `Surroundings`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -287,7 +287,6 @@ class Surroundings(Frozen):
         hold: what decision and route hold the motion for, if they do.
         note: the same in words.
         anew: whether a motion at rest is to begin anew from where it is.
-        p_WV: (3,) the point that it goes to in place of the goal [m]; (0,): none.
         facts, obstacles: the same for the kernel, which changes none of the arrays.
     """
 
@@ -295,7 +294,6 @@ class Surroundings(Frozen):
     hold: HoldCause = HoldCause.NONE
     note: str = ""
     anew: bool = False
-    p_WV: FloatArray = field(default_factory=lambda: np.zeros(0))
     facts: Facts = _UNSEEN
     obstacles: Obstacles = _NOTHING
 
@@ -323,11 +321,6 @@ class Surroundings(Frozen):
         if ellipsoids is not None and coupling is not None and coupling.verified:
             ellipsoids = _of_terms(coupling, ellipsoids)
         count = 0 if ellipsoids is None else len(ellipsoids)
-        p_WV = np.zeros(0) if coupling is None else coupling.p_WV
-        if p_WV.shape not in ((0,), (3,)) or not np.isfinite(p_WV).all():
-            raise ValueError(
-                f"coupling_parameters' p_WV must be 3 finite numbers [m] or none, not {p_WV}"
-            )
         hold, note = _hold(coupling, route)
         obstacles = Obstacles.of(ellipsoids)
         couples = in_plane = False
@@ -354,7 +347,7 @@ class Surroundings(Frozen):
             in_plane=in_plane,
         )
         anew = coupling is not None and coupling.anew
-        return Surroundings(ellipsoids, hold, note, anew, p_WV, facts, obstacles)
+        return Surroundings(ellipsoids, hold, note, anew, facts, obstacles)
 
     def reason(self, code: int) -> str:
         """What a reason to hold, as the kernel numbers them, says in words."""

@@ -1,23 +1,9 @@
 """The `policy` block of a scenario: constants of the action and decision levels."""
 
 import dataclasses as dc
-import math
 
-from drake_oa.common.config import choice, count, number, vector
+from drake_oa.common.config import choice, count, number
 from drake_oa.policy.dmp import ALPHA_K, ALPHA_X, BETA_X
-
-
-@dc.dataclass
-class Turn:
-    """Turns of the tool about an axis of the world through the tool point."""
-
-    # The axis in the world, of any length but 0.
-    axis: list[float] = vector([0.0, 0.0, 1.0], "1")
-    # Largest turn either way, and the step between those that are tried [rad].
-    largest: float = number(math.pi / 2.0, "rad", 0.0, math.pi, open_low=True)
-    step: float = number(math.pi / 12.0, "rad", 0.05, math.pi)
-    # How fast the tool turns at most [rad/s].
-    speed: float = number(1.0, "rad/s", 0.0, 10.0, open_low=True)
 
 
 @dc.dataclass
@@ -53,5 +39,3 @@ class Policy:
     max_observation_age: float = number(0.5, "s", 0.0, 1e6, open_low=True)
     # Time in which the motion ramps from full speed to a hold [s].
     hold_time: float = number(0.25, "s", 0.0, 10.0, open_low=True)
-    # How the tool may be turned to pass where it would not fit otherwise; null: it is not.
-    turn: Turn | None = None

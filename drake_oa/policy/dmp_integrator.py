@@ -65,8 +65,7 @@ class DmpIntegrator(LeafSystem):
       it the motion is the pre-planned one.
     - coupling_parameters (optional): abstract `CouplingParameters`, one row an
       ellipsoid. Without it there is no avoidance term. Its normals and its tau, where it
-      gives them, go before the route's, and its point p_WV before the goal; while its
-      `hold` is set the motion is held.
+      gives them, go before the route's; while its `hold` is set the motion is held.
     - route (optional): abstract `Route`, one row an ellipsoid: `CostRingSelector`'s
       decision, whose headings are then computed here from where the motion is at each
       step; or a route with headings of its own. Without it there is no guidance term,
@@ -198,7 +197,7 @@ class DmpIntegrator(LeafSystem):
     def _step(self, context: Context, state: State) -> EventStatus:
         before = self._read_segment(context)
         around = self._surroundings.Eval(context)
-        goal = around.p_WV if len(around.p_WV) else self._goal.Eval(context)
+        goal = self._goal.Eval(context)
         if around.anew:
             given = read_optional(self, self._demonstration, context, Demonstration)
             primitive = None if given is None else given.position

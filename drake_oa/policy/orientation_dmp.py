@@ -331,23 +331,13 @@ def demonstrated_goal(primitive: OrientationDmp, start: ArrayLike, goal: ArrayLi
 
 
 # A motion between two steps of the policy: when it begins and how long it is, r and its rate
-# at both ends, and the turn about the fixed axis: angle, rate, acceleration.
-BEGIN, LENGTH, R, RATE, R_END, RATE_END, TURN, TURN_RATE, TURN_ACCELERATION = (
-    0,
-    1,
-    2,
-    5,
-    8,
-    11,
-    14,
-    15,
-    16,
-)
+# at both ends.
+BEGIN, LENGTH, R, RATE, R_END, RATE_END = 0, 1, 2, 5, 8, 11
 
 
-OFFSET = 17
+OFFSET = 14
 """Where r is counted from, see `OrientationDmp.offset` (3,)."""
-N_MOTION = 20
+N_MOTION = 17
 
 
 SUB_STEP = 5e-4
@@ -356,10 +346,10 @@ acceleration falls with its square."""
 
 
 # What is evaluated of it at one instant.
-QUATERNION, W, ALPHA, TURN_NOW = 0, 4, 7, 10
+QUATERNION, W, ALPHA = 0, 4, 7
 
 
-N_EVALUATED = 11
+N_EVALUATED = 10
 
 
 @compiled
@@ -502,16 +492,14 @@ def angular_motion(r: FloatArray, dr: FloatArray, ddr: FloatArray) -> tuple[Floa
 
 
 @compiled
-def evaluate(motion: FloatArray, start: FloatArray, axis_W: FloatArray, time: float) -> FloatArray:
-    """(11,) quaternion, w_WE, alpha_WE and turn at a time of a motion.
+def evaluate(motion: FloatArray, start: FloatArray, time: float) -> FloatArray:
+    """(10,) quaternion, w_WE and alpha_WE at a time of a motion.
 
-    r is the cubic between the ends, the turn a parabola; after its end both go on at their
-    last rate.
+    r is the cubic between the ends; after its end it goes on at its last rate.
 
     Args:
-        motion: (20,) as laid out above.
+        motion: (17,) as laid out above.
         start: (4,) quaternion of the orientation that r is counted from.
-        axis_W: (3,) unit axis of the turn.
         time: [s].
     """
     length = motion[LENGTH]
@@ -533,51 +521,15 @@ def evaluate(motion: FloatArray, start: FloatArray, axis_W: FloatArray, time: fl
         r[i] = motion[R + i] + u * (v + u * (square + u * cube))
         dr[i] = (v + u * (2.0 * square + 3.0 * u * cube)) / length
         ddr[i] = (2.0 * square + 6.0 * u * cube) / (length * length)
-    acceleration = motion[TURN_ACCELERATION]
-    rate = motion[TURN_RATE] + acceleration * since
-    turn = motion[TURN] + since * (motion[TURN_RATE] + 0.5 * since * acceleration)
-    turn += beyond * rate
-    if beyond > 0.0:
-        acceleration = 0.0
     for i in range(3):
         r[i] += motion[OFFSET + i]
-    placed = product(exponential(turn * axis_W), start)
     w_S, alpha_S = angular_motion(r, dr, ddr)
-    R_WS = rotation_of(placed)
+    R_WS = rotation_of(start)
     out = np.empty(N_EVALUATED)
-    out[QUATERNION : QUATERNION + 4] = product(placed, exponential(r))
-    w, alpha = np.zeros(3), np.zeros(3)
+    out[QUATERNION : QUATERNION + 4] = product(start, exponential(r))
+    out[W:] = 0.0
     for i in range(3):
         for j in range(3):
-            w[i] += R_WS[i, j] * w_S[j]
-            alpha[i] += R_WS[i, j] * alpha_S[j]
-    # R = R_turn R_dmp: w = turn' axis + R_turn w_dmp, and its derivative.
-    out[ALPHA : ALPHA + 3] = acceleration * axis_W + alpha + rate * cross(axis_W, w)
-    out[W : W + 3] = rate * axis_W + w
-    out[TURN_NOW] = turn
+            out[W + i] += R_WS[i, j] * w_S[j]
+            out[ALPHA + i] += R_WS[i, j] * alpha_S[j]
     return out
-
-
-@compiled
-def turn_acceleration(
-    turn: float, rate: float, wanted: float, step: float, most_rate: float, most: float
-) -> float:
-    """Acceleration over a step that brings a turn to where it is wanted [rad/s^2].
-
-    A critically damped spring, bounded in rate and acceleration. Its frequency is
-    2 most / most_rate: from the largest rate it then brakes with 2 / e of `most` at worst,
-    so that the bound never makes it overshoot a turn that is wanted for good.
-
-    Args:
-        turn: angle now [rad].
-        rate: now [rad/s].
-        wanted: angle [rad].
-        step: [s], positive.
-        most_rate: bound of the rate [rad/s].
-        most: bound of the acceleration [rad/s^2].
-    """
-    frequency = 2.0 * most / most_rate
-    flow = spring_flow(2.0 * frequency, 0.5 * frequency, step)
-    after = flow[2] * (turn - wanted) + flow[3] * rate
-    after = min(max(after, -most_rate), most_rate)
-    return min(max((after - rate) / step, -most), most)

@@ -1,8 +1,7 @@
-"""The action layer of the orientation: a movement primitive, and a turn besides."""
+"""The action layer of the orientation: a movement primitive that turns the tool."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -38,7 +37,7 @@ class OrientationSegment(Frozen):
     """The turning between two steps.
 
     Attributes:
-        motion: (20,) as `drake_oa.policy.orientation_dmp` lays it out.
+        motion: (17,) as `drake_oa.policy.orientation_dmp` lays it out.
         r: (3,) rotation vector from the start's orientation at the end of it [rad].
         z: (3,) its derivative by normalised time [rad].
         phase: canonical phase of the policy, as last seen.
@@ -68,7 +67,7 @@ class _Now(Frozen):
 
 
 class OrientationIntegrator(LeafSystem):
-    """Turns the tool along a movement primitive, and about a fixed axis as it is told to.
+    """Turns the tool along a movement primitive.
 
     .. pydrake_system::
 
@@ -76,38 +75,29 @@ class OrientationIntegrator(LeafSystem):
       input_ports:
       - policy_state
       - goal_orientation (optional)
-      - turn (optional)
       - demonstration (optional)
       output_ports:
       - desired_orientation
       - desired_angular_velocity
       - desired_angular_acceleration
-      - tool_turn
 
     - policy_state: abstract `PolicyState`: the primitive goes by its normalised time, so that
       what scales or holds the motion does so to the orientation.
     - goal_orientation (optional): (4,) quaternion w, x, y, z of R_WG, of either sign. A new
       one is approached from where the motion is, the way round that is nearest to the
       present goal's. Without it the goal is the constructor's.
-    - turn (optional): (1,) wanted turn about the axis [rad], reached in real time, also while
-      the motion is held; what is not finite leaves the turn as it is wanted to be now.
-      Without it there is no turn.
     - demonstration (optional): abstract `Demonstration`, in force from where the policy's motion
       begins or begins anew: what is turned along then, in place of the constructor's primitive
       and goal.
-    - desired_orientation: (4,) quaternion w, x, y, z of R_WE = R(axis, turn) R_dmp, which
-      changes sign nowhere along a motion.
+    - desired_orientation: (4,) quaternion w, x, y, z of R_WE, which changes
+      sign nowhere along a motion.
     - desired_angular_velocity: (3,) w_WE in the world frame [rad/s].
     - desired_angular_acceleration: (3,) in the world frame [rad/s^2].
-    - tool_turn: (1,) the turn now [rad].
 
     The state is abstract, in the Context: the step under way (`OrientationSegment`). Between
-    its ends the rotation vector is a cubic in time and the turn a parabola; angular velocity
-    and acceleration are the exact derivatives. Both ends have to be known, so the orientation
-    along the primitive is two periods behind the policy.
-
-    The turn follows what is wanted as a critically damped spring, within bounds on rate and
-    acceleration (`drake_oa.policy.orientation_dmp.turn_acceleration`).
+    its ends the rotation vector is a cubic in time; angular velocity and acceleration are
+    the exact derivatives. Both ends have to be known, so the orientation is two periods behind
+    the policy.
     """
 
     def __init__(
@@ -117,9 +107,6 @@ class OrientationIntegrator(LeafSystem):
         goal: ArrayLike,
         *,
         period: float = 0.005,
-        turn_axis_W: ArrayLike = (0.0, 0.0, 1.0),
-        turn_rate: float = 1.0,
-        turn_acceleration: float = 3.0,
     ) -> None:
         """Declares the ports.
 
@@ -128,14 +115,10 @@ class OrientationIntegrator(LeafSystem):
             start: (3, 3) R_WE at the start.
             goal: (3, 3) R_WE at the goal.
             period: step; that of the policy [s].
-            turn_axis_W: (3,) the axis of the turn in the world frame, of any length but 0.
-            turn_rate: largest rate of the turn [rad/s].
-            turn_acceleration: largest acceleration of the turn [rad/s^2].
 
         Raises:
             ValueError: if start or goal is no rotation, or they are half a turn apart and
-                no demonstration tells the way round; or for an axis without a direction or
-                a bound or period that is not positive.
+                no demonstration tells the way round; or for a period that is not positive.
         """
         super().__init__()
         self._primitive = primitive
@@ -143,20 +126,10 @@ class OrientationIntegrator(LeafSystem):
         self._R_WG = _rotation("goal", goal)
         self._goal = demonstrated_goal(primitive, self._R_WS, self._R_WG)
         self._start = kernels.exponential(rotation_vector(self._R_WS))
-        axis = np.array(turn_axis_W, dtype=float)
-        length = float(np.linalg.norm(axis))
-        if axis.shape != (3,) or not 0.0 < length < math.inf:
-            raise ValueError(f"turn_axis_W must be 3 finite numbers, not all 0; it is {axis}")
-        self._axis_W = axis / length
-        for name, value in (("turn_rate", turn_rate), ("turn_acceleration", turn_acceleration)):
-            if not 0.0 < value < math.inf:
-                raise ValueError(f"{name} must be positive and finite, not {value}")
-        self._turn_bounds = float(turn_rate), float(turn_acceleration)
         self._period = valid_period(period)
 
         self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
         self._goal_port = self.DeclareVectorInputPort("goal_orientation", 4)
-        self._turn = self.DeclareVectorInputPort("turn", 1)
         self._demonstration = self.DeclareAbstractInputPort("demonstration", Value(Demonstration()))
         self._segment = self.DeclareAbstractState(Value(OrientationSegment(goal=self._goal)))
         self._now = self.DeclareCacheEntry(
@@ -168,7 +141,6 @@ class OrientationIntegrator(LeafSystem):
             ("desired_orientation", kernels.QUATERNION, 4),
             ("desired_angular_velocity", kernels.W, 3),
             ("desired_angular_acceleration", kernels.ALPHA, 3),
-            ("tool_turn", kernels.TURN_NOW, 1),
         ):
             self.DeclareVectorOutputPort(
                 name,
@@ -188,7 +160,7 @@ class OrientationIntegrator(LeafSystem):
 
     def _at(self, segment: OrientationSegment, time: float) -> FloatArray:
         start = segment.start if len(segment.start) else self._start
-        return kernels.evaluate(segment.motion, np.array(start), self._axis_W, time)
+        return kernels.evaluate(segment.motion, np.array(start), time)
 
     def _goal_now(self, context: Context, before: OrientationSegment) -> tuple[FloatArray, ...]:
         """The goal's rotation vector, and the quaternion that asked for it."""
@@ -224,7 +196,7 @@ class OrientationIntegrator(LeafSystem):
         R_WG = self._R_WG if given.orientation is None else given.R_WG
         primitive = given.orientation or self._primitive
         motion = np.array(before.motion)
-        motion[kernels.R : kernels.TURN], motion[kernels.OFFSET :] = 0.0, primitive.offset
+        motion[kernels.R : kernels.OFFSET], motion[kernels.OFFSET :] = 0.0, primitive.offset
         return replace(
             seen,
             motion=motion,
@@ -247,37 +219,17 @@ class OrientationIntegrator(LeafSystem):
         ds = max(passed, 0.0)
         r, z, _ = step(primitive, before.r, before.z, before.phase, ds, goal)
 
-        now = self._at(before, time)
         motion = np.empty(kernels.N_MOTION)
         motion[kernels.BEGIN], motion[kernels.LENGTH] = time, self._period
         motion[kernels.R : kernels.RATE] = before.r
-        motion[kernels.RATE : kernels.R_END] = before.motion[kernels.RATE_END : kernels.TURN]
+        motion[kernels.RATE : kernels.R_END] = before.motion[kernels.RATE_END : kernels.OFFSET]
         motion[kernels.R_END : kernels.RATE_END] = r
-        motion[kernels.RATE_END : kernels.TURN] = policy.speed * z
-        motion[kernels.TURN : kernels.OFFSET] = self._next_turn(
-            context, before.motion, float(now[-1])
-        )
+        motion[kernels.RATE_END : kernels.OFFSET] = policy.speed * z
         motion[kernels.OFFSET :] = before.motion[kernels.OFFSET :]
         state.get_mutable_abstract_state(self._segment).set_value(
             replace(before, motion=motion, r=r, z=z, phase=policy.phase, goal=goal, asked=asked)
         )
         return _SUCCEEDED
-
-    def _next_turn(
-        self, context: Context, before: FloatArray, turn: float
-    ) -> tuple[float, float, float]:
-        """Angle, rate and acceleration of the turn from now on."""
-        rate = before[kernels.TURN_RATE]
-        rate += before[kernels.LENGTH] * before[kernels.TURN_ACCELERATION]
-        wanted = turn
-        if self._turn.HasValue(context):
-            wanted = float(self._turn.Eval(context)[0])
-            if not math.isfinite(wanted):
-                wanted = turn
-        acceleration = kernels.turn_acceleration(
-            turn, float(rate), wanted, self._period, *self._turn_bounds
-        )
-        return turn, float(rate), acceleration
 
 
 def _rotation(name: str, R: ArrayLike) -> FloatArray:

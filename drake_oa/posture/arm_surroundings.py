@@ -11,7 +11,6 @@ from drake_oa.common.messages import FloatArray, Frozen, ObstacleClouds, TablePl
 from drake_oa.geometry.points import ObstaclePoints
 from drake_oa.geometry.voxels import VOXEL, thinned
 from drake_oa.perception.hidden_sides import deepened
-from drake_oa.posture.plan_kernels import Surroundings
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,11 +29,6 @@ class ArmSurroundings(Frozen):
 
     def __post_init__(self) -> None:
         """Leaves the arrays unlocked: the kernels are compiled for such, and change none."""
-
-    @property
-    def arrays(self) -> Surroundings:
-        """As the kernels take them."""
-        return Surroundings(self.points.blocks, self.table)
 
     @staticmethod
     def of(

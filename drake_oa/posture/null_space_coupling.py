@@ -29,6 +29,7 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
 
 from drake_oa.common.compiled import compiled
+from drake_oa.common.config import check_values
 from drake_oa.common.messages import FloatArray, Frozen, ObstacleClouds, TablePlane
 from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.common.ports import DECISION_OFFSET, read_value, valid_period
@@ -38,6 +39,7 @@ from drake_oa.policy.coupling import avoidance_term, norm
 from drake_oa.posture.arm_surroundings import ArmSurroundings
 from drake_oa.robot.arm import ArmModel
 from drake_oa.robot.arm_kernels import jacobian, nearest_point
+from drake_oa.robot.config import NullSpaceCouplingParameters
 
 _AT_REST = 1e-6
 """Speeds below this have no direction [m/s]."""
@@ -150,46 +152,15 @@ def turned_away(
 DAMPING = 0.1
 """Of the damped inverse [m]: a section that the null space moves by less a radian than this
 is not chased."""
-MOST = 30.0
-"""Default bound of the norm of the joints' acceleration [rad/s^2]."""
 _FAINT = 1e-3
 """Where exp(-kappa d^2) is below this there is no reaction."""
 _SINGULAR = 1e-6
 """Singular values of the tool's Jacobian below this share of the largest are zero."""
 
 
-@dataclass(frozen=True, eq=False)
-class NullSpaceCouplingParameters(Frozen):
-    """The law's parameters.
-
-    Attributes:
-        alpha: strength [rad/s], at least 0.
-        psi: width of the reaction over the heading [rad], above 0.
-        kappa: decay over the distance to the surface [1/m^2], above 0.
-        most: bound of the norm of the joints' acceleration [rad/s^2], above 0.
-
-    Raises:
-        ValueError: for a parameter out of its range.
-    """
-
-    alpha: float
-    psi: float
-    kappa: float
-    most: float = MOST
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 0.0 <= self.alpha < math.inf:
-            raise ValueError(f"alpha must be finite and at least 0 [rad/s], not {self.alpha}")
-        for name, unit in (("psi", "rad"), ("kappa", "1/m^2"), ("most", "rad/s^2")):
-            value = getattr(self, name)
-            if not 0.0 < value < math.inf:
-                raise ValueError(f"{name} must be finite and positive [{unit}], not {value}")
-
-    @property
-    def reach(self) -> float:
-        """Distance beyond which there is no reaction [m]."""
-        return math.sqrt(-math.log(_FAINT) / self.kappa)
+def reach(parameters: NullSpaceCouplingParameters) -> float:
+    """Distance beyond which there is no reaction [m]."""
+    return math.sqrt(-math.log(_FAINT) / parameters.kappa)
 
 
 def section_acceleration(
@@ -209,7 +180,7 @@ def section_acceleration(
         step: how long it is held [s].
     """
     a_W = np.zeros(3)
-    if distance < parameters.reach:
+    if distance < reach(parameters):
         p = parameters
         v, u = kernel_arrays(v_W, u_W)
         turned_away(v, u, distance, p.alpha, p.psi, p.kappa, step, a_W)
@@ -255,8 +226,8 @@ def null_space_acceleration(
     age = around.lag(time)
     p_WS, u_W, J_S, Z = np.empty(3), np.empty(3), np.empty((3, n)), np.empty((n, 0))
     for row, v_WO in enumerate(seen.v_WO):
-        reach = parameters.reach + around.padding
-        distance, body = nearest_section(X_WB, arm.shapes, seen.blocks, age, row, reach, p_WS, u_W)
+        limit = reach(parameters) + around.padding
+        distance, body = nearest_section(X_WB, arm.shapes, seen.blocks, age, row, limit, p_WS, u_W)
         if body < 0:
             continue
         point_jacobian(X_WB, body, p_WS, J_S)
@@ -326,12 +297,13 @@ class NullSpaceCoupling(LeafSystem):
             table: the supporting plane, where it is known.
 
         Raises:
-            ValueError: if the state does not hold the arm's joints, or the period is not
-                positive.
+            ValueError: if the state does not hold the arm's joints, a parameter is out of its
+                range, or the period is not positive.
         """
         super().__init__()
         if num_states % 2 or num_states < 2 * (int(arm.index.max()) + 1):
             raise ValueError(f"num_states must hold the arm's joints, not {num_states}")
+        check_values(parameters, "null_space_coupling")
         self._period = valid_period(period)
         self._arm, self._parameters, self._table = arm, parameters, table
         self._index: Sequence[int] = arm.index.tolist()

@@ -1,18 +1,16 @@
-"""Regulation: the parameters of the coupling terms, and the turn of the tool.
+"""Regulation: the parameters of the coupling terms, and the search among motions that they bend.
 
-In:  ellipsoids_W `EllipsoidSet`, or route `Route`; policy_state `PolicyState`; goal (3,) [m]; table
-     `TablePlane`; for the posture of the arm robot_state (2m,) [rad, rad/s], obstacles_W
-     `ObstacleClouds` and camera_pose. All in the world frame W.
+In:  ellipsoids_W `EllipsoidSet`, or route `Route`; policy_state `PolicyState` (world frame W).
 Out: coupling_parameters `CouplingParameters` (alpha in turns a duration T, psi [rad], kappa
-     [1/m^2]), motion `PlannedMotion`, shortfall and lowered [m], decision [s].
+     [1/m^2]).
 
 Systems
-    RegressorChain          stateless; three networks from the section of each obstacle to its
-                            parameters, as the paper has it
-    VerifiedRegressorChain  every observation (15 Hz); rolls candidates out and takes the shortest
-                            motion that keeps the feasible clearance; with an arm, one that the
-                            arm can follow
-    ToolTurnSelector        every observation; how far the tool is turned to pass
+    RegressorChain  stateless; three networks from the section of each obstacle to its parameters,
+                    as the paper has it
+
+`search.verify` rolls motions of a point among ellipsoids out and takes the shortest that keeps the
+feasible clearance; `planning.search` does the same with the whole arm among true shapes, and
+`planning.MotionSelector` is the system.
 
 Method
     The regressor chain is that of E. Pairet et al., IEEE RA-L 4(4), 2019. The coupling law is scale
@@ -20,12 +18,11 @@ Method
     evolution strategy varies the best of them. Rows of one scene are rolled out many at a time by
     loops over vectors.
 
-Parts, in the order data flows: `regressor` (networks and their file), `proposals` (candidates and
-their genes), `rollout` with `rollout_kernels` and `lane_math` (the motions), `search` (the
-choice), `regulator` with its state `regulation` (from one observation to the next),
-`regulated_arm` (what the arm can follow), `tool_turn`.
+Parts, in the order data flows: `regressor` (networks and their file), `regressor_chain`,
+`proposals` (candidates and their genes), `rollout` with `rollout_kernels` and `lane_math` (the
+motions), `search` (the choice).
 
 Configuration: the block `regulation` of a scenario, tagged `!Verified` or `!Regressor`.
 
-Read first: `search`, then `regulator`.
+Read first: `search`, then `rollout`.
 """

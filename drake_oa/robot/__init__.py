@@ -1,7 +1,7 @@
 """The arm: its plant, its kinematics as arrays, inverse kinematics and limits.
 
-In: the block `robot` of a scenario (`config.Robot`: model, base pose X_WB, tool, gains, annulus,
-posture; its defaults are the Panda's, and nothing else here knows of one arm). Out: a finalized
+In: the block `robot` of a scenario (`config.Robot`: model, base pose X_WB, tool, gains and
+annulus; its defaults are the Panda's, and nothing else here knows of one arm). Out: a finalized
 `MultibodyPlant` of the robot alone (`plant.RobotPlant`), its base link welded to the world at X_WB,
 with the frame E at the tool point; and `arm.ArmModel`, the same arm as arrays for compiled
 kernels: revolute joints in a row, six or more. Positions q [rad, m] are the plant's, the arm's
@@ -19,7 +19,6 @@ each.
 - `reachability`: where the tool can be held in one orientation, on a grid, with signed margins.
 - `tool_down`: the annulus about an upright base where the tool points down, as the block gives it
   or from that map.
-- `reachable_turns`: which turns of the tool the arm can hold along a path.
 - `limits`: joint names and limits. `inertias`: a model with those of a file in place of its own.
 
 Begin with `plant.make_robot_plant` and `arm.make_arm_model`.

@@ -5,7 +5,6 @@ import math
 from itertools import pairwise
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.common.config import count as _count
 from drake_oa.common.config import number as _number
 from drake_oa.common.config import vector as _vector
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere
@@ -43,13 +42,15 @@ class Gains:
 
 
 @dc.dataclass
-class NullSpaceCoupling:
+class NullSpaceCouplingParameters:
     """The coupling law on the links' points that are nearest to obstacles."""
 
     # Strength [rad/s], width over the heading [rad], decay over the distance [1/m^2].
     alpha: float = _number(300.0, "rad/s", 0.0, 1e4)
     psi: float = _number(1.5, "rad", 0.0, 10.0, open_low=True)
     kappa: float = _number(20.0, "1/m^2", 0.0, 1e4, open_low=True)
+    # Bound of the norm of the joints' acceleration [rad/s^2].
+    most: float = _number(30.0, "rad/s^2", 0.0, 1e4, open_low=True)
 
 
 @dc.dataclass
@@ -80,21 +81,6 @@ class Annulus:
 
 
 @dc.dataclass
-class Posture:
-    """Where the rest of the arm goes while the tool follows its path."""
-
-    # Distance that the links are to keep from obstacles and the table, where they can [m].
-    link_clearance: float = _number(0.1, "m", 0.0, 1.0, open_low=True)
-    # Whether it is planned along the verified motion; else it is drawn to that of the start.
-    plan: bool = True
-    # The joint, counted from the base, whose value tells apart the postures that hold the tool in
-    # one pose: the upper arm's roll.
-    roll_joint: int = _count(3, 1, 7)
-    # The paper's reaction of the links in the null space, besides; null: none.
-    coupling: NullSpaceCoupling | None = None
-
-
-@dc.dataclass
 class Robot:
     """The arm that carries the tool: revolute joints in a row. The defaults are the Panda's."""
 
@@ -111,7 +97,7 @@ class Robot:
     tool_links: list[str] = dc.field(
         default_factory=lambda: ["panda_hand", "panda_leftfinger", "panda_rightfinger"]
     )
-    # Orientation of E, held throughout where neither the task nor `policy.turn` turns it: roll,
+    # Orientation of E, held throughout where the task does not turn it: roll,
     # pitch, yaw [rad]. Tool down, fingers opening along the world's x: the hand is narrow along
     # the motion.
     rpy_WE: list[float] = _vector([math.pi, 0.0, math.pi / 2.0], "rad")
@@ -130,8 +116,9 @@ class Robot:
     gains: Gains = dc.field(default_factory=Gains)
     # Null, or the default left to another model or tool point: found from what the arm reaches.
     annulus: Annulus | None = dc.field(default_factory=Annulus)
-    # The posture of an arm of seven joints is planned; null: it is drawn to that of the start.
-    posture: Posture | None = dc.field(default_factory=Posture)
+    # The paper's reaction of the links to obstacles, in the null space of the tool's task, for an
+    # arm of seven joints or more; null: none. What is verified does without.
+    null_space_coupling: NullSpaceCouplingParameters | None = None
 
 
 def check_robot(robot: Robot) -> None:

@@ -42,7 +42,6 @@ out_of_range           (F,)           1        for how many of them the regresso
 regulation             ()             text     "Verified" or "Regressor"; "" unmodulated
 shortfall              (T,)           m        what the verified motion lacked of the
                                                feasible clearance, as regulation believed
-short_of               (T,)           -        name of the obstacle it lacked it to; -1: none
 event_time             (E,)           s        times at which a note of the policy changed
 event                  (E,)           text     those notes; "": running freely again
 supervision_time       (S,)           s        times at which the supervisor changed its mind
@@ -62,9 +61,6 @@ seed                   ()             1        the scenario's seed
 versions               (P,)           text     packages and commit, "name version" each
 goal                   (T, 3)         m        where the goal was; (0, 3) where a file of before
                                                it was logged has none
-tool_turn              (T,)           rad      turn of the tool about the axis of `policy.turn`;
-                                               (0,) where it is not turned
-planned_turn           (T,)           rad      turn in which it was to pass; (0,) likewise
 desired_orientation    (T, 4)         1        quaternion w, x, y, z of R_WE asked of the
                                                controller; (0, 4) where it stays
 orientation_error      (T, 3)         rad      rotation vector from the actual to the desired
@@ -81,7 +77,7 @@ settled                ()             bool     whether all came to rest
 decision_time          (D,)           s        when decisions began; (0,) where a file does
                                                not tell, or they cost no time
 decision_cost          (D,)           s        the simulated time that each takes
-decision_layer         (D,)           text     whose it is: "regulation", "evasion" or "turn"
+decision_layer         (D,)           text     whose it is: "regulation" or "evasion"
 event_hold             (E,)           text     what held the motion from then on, one of `HoldCause`
 ended                  ()             text     how the motion ended, one of `MotionEnd`
 =====================  =============  =======  ==========================================
@@ -109,8 +105,6 @@ _SCHEMA_KEY = "schema_version"
 _LATER = frozenset(
     {
         "goal",
-        "tool_turn",
-        "planned_turn",
         "desired_orientation",
         "orientation_error",
         "desired_posture",
@@ -129,8 +123,8 @@ _LATER = frozenset(
 
 _COUNTED = {
     "t": "t q v torque saturated p_WE desired_position desired_velocity desired_acceleration "
-    "phase speed_scale tracking_error q_world shortfall short_of lowered goal tool_turn "
-    "planned_turn desired_orientation orientation_error desired_posture evasion",
+    "phase speed_scale tracking_error q_world shortfall lowered goal "
+    "desired_orientation orientation_error desired_posture evasion",
     "observation_time": "observation_stamp p_WO R_WO semi_axes v_WO obstacle_id out_of_range",
     "event_time": "event event_hold",
     "supervision_time": "supervision_action supervision_reason",
@@ -154,8 +148,6 @@ class MotionEnd(StrEnum):
     """The tool did not come to the goal in time."""
     LEFT = "goal left"
     """It evaded there, and did not come back."""
-    TURNED = "turned"
-    """At the goal, but the tool could not be turned back."""
     STUCK = "stuck"
     """It stood still short of the goal."""
     TIME_LIMIT = "time limit"
@@ -194,7 +186,6 @@ class MotionLog:
     out_of_range: IntArray
     regulation: str
     shortfall: FloatArray
-    short_of: IntArray
     event_time: FloatArray
     event: tuple[str, ...]
     supervision_time: FloatArray
@@ -213,8 +204,6 @@ class MotionLog:
     seed: int
     versions: tuple[str, ...] = field(default=())
     goal: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    tool_turn: FloatArray = field(default_factory=lambda: np.zeros(0))
-    planned_turn: FloatArray = field(default_factory=lambda: np.zeros(0))
     desired_orientation: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))
     orientation_error: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     desired_posture: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
@@ -367,8 +356,7 @@ def _with_causes(log: MotionLog) -> MotionLog:
     if not holds:
         holds = tuple(_hold_of(note) for note in log.event)
     if not ended:
-        begins = {MotionEnd.TURNED: "at the goal, but"}
-        ends = (end for end in MotionEnd if log.stop_reason.startswith(begins.get(end, end)))
+        ends = (end for end in MotionEnd if log.stop_reason.startswith(end))
         # The longest: "goal" begins "goal missed", too.
         ended = max(ends, key=len, default=MotionEnd.CUT_SHORT)
     return replace(log, event_hold=holds, ended=ended)

@@ -92,9 +92,9 @@ def motion_report(
     `out_of_range` (fraction of observations with an obstacle beyond what the regressor
     chain was trained for), `regulation` ("Verified", "Regressor", or None without
     modulation), `believed_shortfall` (most that the verified motion lacked of what regulation
-    believed feasible; None unless it was verified), `believed_short_of` (name of the obstacle it
-    lacked it to, or None), `lowered` (by how much regulation lowered the asked clearance at
-    most; None unless verified), what decisions cost (see `decision_figures`), `stop_reason`,
+    believed feasible; None unless it was verified), `lowered` (by how much regulation
+    lowered the asked clearance at most; None unless verified), what decisions cost (see
+    `decision_figures`), `stop_reason`,
     `ended` (one of `MotionEnd`), `settled` (whether all came to rest), `events` (what held
     the policy, and its notes), `supervision` (what the supervisor did, and why).
 
@@ -164,7 +164,6 @@ def _believed(log: MotionLog) -> dict[str, Any]:
     return {
         "regulation": log.regulation or None,
         "believed_shortfall": most if verified else None,
-        "believed_short_of": int(log.short_of[log.shortfall.argmax()]) if most > 0.0 else None,
         "lowered": float(log.lowered.max(initial=0.0)) if verified else None,
     }
 
@@ -279,6 +278,6 @@ def _notes(motion: str, found: dict[str, Any]) -> list[str]:
     if (found["believed_shortfall"] or 0.0) > TOLD:
         notes.append(
             f"note: {motion}: regulation believed to lack {1e3 * found['believed_shortfall']:.1f} "
-            f"mm of the clearance to obstacle {found['believed_short_of']}"
+            "mm of the clearance"
         )
     return notes

@@ -63,8 +63,6 @@ REST_TIME = 1.0
 """A run is over when all has been at rest for so long [s]."""
 LONGEST_SETTLING = 5.0
 """One that never comes to rest is over so long after its end and that of all courses [s]."""
-TURNED_BACK = 2e-3
-"""A tool that is turned by less has its orientation at the goal [rad]."""
 
 
 class MotionInterruptedError(RuntimeError):
@@ -146,9 +144,9 @@ class MotionWatcher:
         self._chain = None
         if diagram.HasSubsystemNamed("regressor_chain"):
             self._chain = diagram.GetSubsystemByName("regressor_chain")
-        self._turned = None
-        if diagram.HasSubsystemNamed("tool_turn_selector"):
-            self._turned = diagram.GetSubsystemByName("orientation_integrator")
+        self._selector = None
+        if diagram.HasSubsystemNamed("motion_selector"):
+            self._selector = diagram.GetSubsystemByName("motion_selector")
         self._supervisor = None
         if diagram.HasSubsystemNamed("supervisor"):
             self._supervisor = diagram.GetSubsystemByName("supervisor")
@@ -223,7 +221,6 @@ class MotionWatcher:
             s >= 1.0 - 1e-9
             and _has_arrived(policy, self._goal)
             and self._goal_error(root, policy) <= AT_GOAL
-            and not self._is_turned(root)
         ):
             return AT_THE_GOAL
         if supervision.action == "stop" and policy.speed == 0.0:
@@ -232,9 +229,6 @@ class MotionWatcher:
             self._latest_end = max(self._latest_end, self._verified_end(root) + _GRACE)
         if now > self._last_move and s >= self._latest_end:
             error = self._goal_error(root, policy)
-            if _has_arrived(policy, self._goal) and error <= AT_GOAL:
-                why = "at the goal, but the tool cannot be turned back there"
-                return Ending(MotionEnd.TURNED, why)
             why = f"goal missed by {1e3 * error:.1f} mm at s = {self._latest_end:.3g}"
             return Ending(MotionEnd.MISSED, why)
         if (
@@ -297,13 +291,6 @@ class MotionWatcher:
         said: Supervision = port.Eval(self._supervisor.GetMyContextFromRoot(root))
         return said
 
-    def _is_turned(self, root: Context) -> bool:
-        """Whether the tool is turned away from its orientation at the goal."""
-        if self._turned is None:
-            return False
-        turn = self._turned.GetOutputPort("tool_turn").Eval(self._turned.GetMyContextFromRoot(root))
-        return abs(float(turn[0])) > TURNED_BACK
-
     def _record_supervision(self, root: Context, now: float) -> None:
         said = self._supervision(root)
         before = self.supervision[-1][1:] if self.supervision else ("run", "")
@@ -319,10 +306,10 @@ class MotionWatcher:
 
     def _verified_end(self, root: Context) -> float:
         """Normalised time at which the motion has been verified to arrive; 0: it has not."""
-        if self._chain is None or not self._chain.HasOutputPort("motion"):
+        if self._selector is None:
             return 0.0
-        port = self._chain.GetOutputPort("motion")
-        motion: PlannedMotion = port.Eval(self._chain.GetMyContextFromRoot(root))
+        port = self._selector.GetOutputPort("motion")
+        motion: PlannedMotion = port.Eval(self._selector.GetMyContextFromRoot(root))
         if not len(motion) or math.dist(motion.p_WE[-1], self._goal) > ARRIVED:
             return 0.0
         return float(motion.s[-1])
@@ -493,7 +480,6 @@ def _collect(
         out_of_range=np.array(watcher.out_of_range, dtype=np.int64),
         regulation=type(scenario.regulation).__name__ if modulated else "",
         shortfall=scalar("shortfall", 0.0),
-        short_of=scalar("short_of", -1.0).astype(np.int64),
         lowered=scalar("lowered", 0.0),
         event_time=np.array([when for when, _, _ in watcher.events]),
         event_hold=tuple(hold.value for _, hold, _ in watcher.events),
@@ -512,8 +498,6 @@ def _collect(
         seed=scenario.seed,
         versions=software_versions(),
         goal=signals.get("goal", np.tile(np.asarray(scenario.task.goal), (count, 1))),
-        tool_turn=signals.get("tool_turn", empty)[:, :1].ravel(),
-        planned_turn=signals.get("planned_turn", empty)[:, :1].ravel(),
         desired_orientation=signals.get("desired_orientation", np.zeros((0, 4))),
         orientation_error=signals.get("orientation_error", np.zeros((0, 3))),
         desired_posture=signals.get("desired_posture", empty),

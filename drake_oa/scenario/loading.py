@@ -7,7 +7,6 @@ them, every key, tag, type and range is checked against the dataclasses of
 """
 
 import dataclasses as dc
-import math
 import typing
 from importlib import resources
 from pathlib import Path
@@ -18,7 +17,6 @@ from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load_typed
 from drake_oa.common.config import ScenarioError, apply_override, check, read_yaml
 from drake_oa.geometry.shapes import check_shapes
 from drake_oa.perception.config import DepthCamera
-from drake_oa.policy.config import Turn
 from drake_oa.robot.config import check_robot
 from drake_oa.scenario.faults import CameraFault
 from drake_oa.scenario.obstacles import check_obstacles
@@ -102,7 +100,6 @@ def _check_whole(scenario: Scenario) -> None:
     if scenario.robot is not None:
         check_shapes(scenario.robot.carried, "robot.carried")
         check_robot(scenario.robot)
-    _check_turn(scenario.policy.turn)
     _check_faults(scenario)
     perception = scenario.perception
     check_perception(perception, names)
@@ -118,16 +115,6 @@ def _check_whole(scenario: Scenario) -> None:
             f"supervisor.tracking_slow, {supervisor.tracking_slow} [m]"
         )
     check_goals(scenario.task.start, scenario.task.goal, scenario.task.goal_moves)
-
-
-def _check_turn(turn: Turn | None) -> None:
-    """Refuses an axis without a direction.
-
-    Raises:
-        ScenarioError: naming the field.
-    """
-    if turn is not None and not math.hypot(*turn.axis) > 1e-6:
-        raise ScenarioError(f"policy.turn.axis: {turn.axis} has no direction")
 
 
 def _check_faults(scenario: Scenario) -> None:

@@ -73,11 +73,6 @@ def tool_orientation(scenario: Scenario) -> ToolOrientation | None:
     shown = demonstrated_orientation(scenario)
     if shown is None and not given:
         return None
-    if scenario.policy.turn is not None:
-        raise ScenarioError(
-            "policy.turn: needs a tool that keeps the orientation robot.rpy_WE besides; it has "
-            + (f"task.{given[0]}" if given else "a demonstration of orientations")
-        )
     ends = []
     for rpy, of_demonstration in (
         (task.rpy_start, None if shown is None else shown.first),

@@ -260,7 +260,7 @@ def test_graph_is_graphviz_source_on_request(
     assert run("graph", scenario, "--dot") == 0
     source = capsys.readouterr().out
     assert source.startswith("digraph")
-    for name in ("perception", "regressor_chain", "dmp_integrator"):
+    for name in ("perception", "goal", "dmp_integrator"):
         assert name in source
 
 
@@ -286,7 +286,7 @@ def test_graph_lists_the_signals(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("graph", "free_space", "--signals") == 0
     lines = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert lines[0] == ["output", "read", "by"]
-    assert ["goal.y0", "dmp_integrator.goal,", "regressor_chain.goal"] in lines
+    assert ["goal.y0", "cost_ring_selector.goal,", "dmp_integrator.goal"] in lines
     assert not any("log_" in word for line in lines for word in line)
 
 

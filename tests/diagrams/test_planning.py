@@ -14,7 +14,7 @@ from drake_oa.common.wires import connections
 from drake_oa.diagrams.avoidance import Layers, build_avoidance
 from drake_oa.scenario.loading import load_scenario
 
-WHOLE_ARM = ["regulation=!WholeArm {}", "evasion=null"]
+WHOLE_ARM = ["regulation=!Verified {}", "evasion=null"]
 
 
 def test_what_a_camera_sees_becomes_solids():
@@ -49,5 +49,5 @@ def test_what_a_source_of_ones_own_sees_becomes_solids():
 
 def test_ellipsoids_that_hold_the_tool_are_no_shapes():
     given = "perception=!GivenEllipsoids {ellipsoids: []}"
-    with pytest.raises(ScenarioError, match="!WholeArm needs obstacles that are seen"):
+    with pytest.raises(ScenarioError, match="!Verified needs obstacles that are seen"):
         build_avoidance(load_scenario("tabletop_box", [*WHOLE_ARM, given]))

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from drake_oa.geometry.rotation import rotation_of, rotation_vector, turned_about, unit_axis
+from drake_oa.geometry.rotation import rotation_of, rotation_vector
 
 
 @settings(deadline=None)
@@ -16,9 +16,6 @@ def test_rotations_are_those_of_scipy(seed, size):
     np.testing.assert_allclose(rotation_of(quaternion), R.as_matrix(), atol=1e-12)
     r = rotation_vector(R.as_matrix())
     np.testing.assert_allclose(Rotation.from_rotvec(r).as_matrix(), R.as_matrix(), atol=1e-9)
-    points, axis, turn = rng.normal(size=(5, 3)), unit_axis(rng.normal(size=3)), rng.normal()
-    turned = Rotation.from_rotvec(turn * axis).apply(points)
-    np.testing.assert_allclose(turned_about(points, axis, turn), turned, atol=1e-12)
 
 
 @pytest.mark.parametrize("axis", np.vstack([np.eye(3), -np.eye(3), [[0.6, -0.8, 0.0]]]))
@@ -28,9 +25,3 @@ def test_rotation_vector_at_the_ends_of_its_range(axis, angle):
     r = rotation_vector(R)
     assert np.linalg.norm(r) == pytest.approx(angle, abs=1e-9)
     np.testing.assert_allclose(Rotation.from_rotvec(r).as_matrix(), R, atol=1e-9)
-
-
-@pytest.mark.parametrize("axis", [[0.0, 0.0, 0.0], [1.0, 0.0], [np.nan, 0.0, 1.0]])
-def test_an_axis_without_a_direction_is_refused(axis):
-    with pytest.raises(ValueError, match="axis of a turn"):
-        unit_axis(axis)

@@ -26,14 +26,14 @@ from drake_oa.planning.motion_selector import MotionSelector
 from drake_oa.planning.solid_scene import SolidScene
 from drake_oa.policy.demonstration import Demonstration
 from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk
-from drake_oa.regulation.config import WholeArm
+from drake_oa.regulation.config import Verified
 from drake_oa.regulation.regressor import ChainWeights, load_chain
 from drake_oa.scenario.loading import package_file
 from tests.builders import balls
 from tests.planning.arms import ArmAlone, box_at
 
 CLEARANCE = 0.1
-QUICK = WholeArm(
+QUICK = Verified(
     candidates=48, rounds=6, polish=2, configurations=20_000, last_configurations=20_000
 )
 GOAL = np.array([0.45, 0.4, 0.3])

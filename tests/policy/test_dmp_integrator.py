@@ -165,25 +165,6 @@ def test_it_holds_without_observation_and_says_so(caplog: pytest.LogCaptureFixtu
     np.testing.assert_allclose(read(system, run.get_context(), "desired_position"), GOAL, atol=1e-3)
 
 
-def test_a_point_in_place_of_the_goal_is_gone_to_first() -> None:
-    point = START + 0.5 * (GOAL - START) + np.array([0.0, 0.0, 0.1])
-    system = make_system()
-    seen = ellipsoids(count=0)
-    run = simulator(system, ellipsoids_W=seen, coupling_parameters=CouplingParameters(p_WV=point))
-    run.AdvanceTo(2.0)
-    np.testing.assert_allclose(
-        read(system, run.get_context(), "desired_position"), point, atol=1e-3
-    )
-
-
-@pytest.mark.parametrize("point", [np.zeros(2), np.array([0.1, np.nan, 0.2])])
-def test_a_point_in_place_of_the_goal_has_to_be_one(point: FloatArray) -> None:
-    coupling = CouplingParameters(p_WV=point)
-    run = simulator(make_system(), ellipsoids_W=ellipsoids(count=0), coupling_parameters=coupling)
-    with pytest.raises(ValueError, match="coupling_parameters' p_WV must be 3 finite numbers"):
-        run.AdvanceTo(0.1)
-
-
 @pytest.mark.parametrize("port", ["ellipsoids_W", "coupling_parameters", "route"])
 def test_a_wrong_type_on_a_port_is_refused_by_its_name(port: str) -> None:
     inputs: dict[str, object] = {"ellipsoids_W": ellipsoids()}

@@ -38,8 +38,8 @@ def read(system: LeafSystem, name: str, context: Context) -> FloatArray:
     return np.array(system.GetOutputPort(name).Eval(context))
 
 
-def beside(*, speed: FloatArray | None = None, turn: float | None = None) -> Diagram:
-    """Position and orientation, the speed scaled by a table of seconds, the turn fixed."""
+def beside(*, speed: FloatArray | None = None) -> Diagram:
+    """Position and orientation, the speed scaled by a table of seconds."""
 
     class Speed(LeafSystem):
         def __init__(self) -> None:
@@ -62,9 +62,6 @@ def beside(*, speed: FloatArray | None = None, turn: float | None = None) -> Dia
         builder.Connect(scale.get_output_port(), policy.GetInputPort("speed_scale"))
     system = builder.AddNamedSystem("orientation", alone())
     builder.Connect(policy.GetOutputPort("policy_state"), system.GetInputPort("policy_state"))
-    if turn is not None:
-        wanted = builder.AddSystem(ConstantVectorSource(np.array([turn])))
-        builder.Connect(wanted.get_output_port(), system.GetInputPort("turn"))
     return builder.Build()
 
 
@@ -81,7 +78,6 @@ class Samples:
             "desired_orientation",
             "desired_angular_velocity",
             "desired_angular_acceleration",
-            "tool_turn",
         )
         rows = []
         self.t = np.arange(round(until / step)) * step
@@ -89,9 +85,7 @@ class Samples:
             simulator.AdvanceTo(t)
             state = policy.GetOutputPort("policy_state").Eval(other)
             rows.append([*(read(system, n, context) for n in names), [state.phase, state.speed]])
-        self.q, self.w, self.alpha, self.turn, policy_state = (
-            np.array(c) for c in zip(*rows, strict=True)
-        )
+        self.q, self.w, self.alpha, policy_state = (np.array(c) for c in zip(*rows, strict=True))
         self.phase, self.speed = policy_state.T
 
 
@@ -103,7 +97,6 @@ def test_five_lines_evaluate_it_alone() -> None:
     np.testing.assert_allclose(R, START, atol=1e-12)
     assert not read(system, "desired_angular_velocity", context).any()
     assert not read(system, "desired_angular_acceleration", context).any()
-    assert read(system, "tool_turn", context) == 0.0
 
 
 @pytest.fixture(scope="module")
@@ -149,27 +142,6 @@ def test_a_hold_stops_the_orientation_and_then_it_goes_on() -> None:
     assert np.abs(run.w[at_rest]).max() == 0.0
     assert np.ptp(run.q[at_rest], axis=0).max() == 0.0
     assert np.linalg.norm(goal_vector(rotation_matrix(run.q[-1]), GOAL)) < 1e-3
-    assert_consistent(run)
-
-
-def test_the_tool_turns_in_place_within_its_bounds() -> None:
-    run = Samples(beside(speed=np.array([0.0]), turn=1.2), 3.0)
-    assert run.turn[-1] == pytest.approx(1.2, abs=1e-4)
-    assert run.turn.max() < 1.2 + 1e-6
-    assert np.abs(run.w[:, 2]).max() <= 1.0 + 1e-9
-    assert np.abs(run.alpha[run.speed == 0.0, 2])[20:].max() <= 3.0 + 1e-9
-    assert np.abs(run.w[:, :2]).max() < 0.01
-    about_z = RollPitchYaw(0.0, 0.0, run.turn[-1, 0]).ToRotationMatrix().matrix()
-    R_dmp = about_z.T @ rotation_matrix(run.q[-1])
-    # The policy starts at full speed and comes to its hold first.
-    assert np.linalg.norm(goal_vector(START, R_dmp)) < 0.01
-    assert_consistent(run)
-
-
-def test_turn_and_primitive_are_composed() -> None:
-    run = Samples(beside(turn=-0.8), 4.0)
-    about_z = RollPitchYaw(0.0, 0.0, -0.8).ToRotationMatrix().matrix()
-    assert np.linalg.norm(goal_vector(rotation_matrix(run.q[-1]), about_z @ GOAL)) < 1e-3
     assert_consistent(run)
 
 
@@ -237,21 +209,8 @@ def test_a_goal_that_is_no_rotation_is_refused_by_name(bad: FloatArray) -> None:
         Run(goal=bad).simulator.AdvanceTo(0.1)
 
 
-def test_a_turn_that_is_not_finite_brakes_the_turn() -> None:
-    system = alone()
-    simulator = Simulator(system)
-    context = simulator.get_mutable_context()
-    system.GetInputPort("policy_state").FixValue(context, Value(PolicyState()))
-    system.GetInputPort("turn").FixValue(context, [2.0])
-    simulator.AdvanceTo(0.5)
-    system.GetInputPort("turn").FixValue(context, [np.nan])
-    simulator.AdvanceTo(3.0)
-    assert 0.2 < read(system, "tool_turn", context)[0] < 1.0
-    assert np.abs(read(system, "desired_angular_velocity", context)).max() < 1e-6
-
-
 def test_a_cloned_context_goes_on_in_the_same_way() -> None:
-    diagram = beside(turn=0.5)
+    diagram = beside()
     simulator = Simulator(diagram)
     simulator.AdvanceTo(1.0)
     other = Simulator(diagram, simulator.get_context().Clone())
@@ -279,10 +238,6 @@ def test_another_value_on_the_policy_port_is_refused() -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"turn_axis_W": [0.0, 0.0, 0.0]}, "turn_axis_W"),
-        ({"turn_axis_W": [1.0, 0.0]}, "turn_axis_W"),
-        ({"turn_rate": 0.0}, "turn_rate must be positive"),
-        ({"turn_acceleration": np.nan}, "turn_acceleration must be positive"),
         ({"period": 0.0}, "period"),
         ({"start": np.zeros((3, 3))}, "start must be a rotation matrix"),
         ({"goal": np.eye(4)}, "goal must be a rotation matrix"),

@@ -13,6 +13,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import JacobianWrtVariable
 from pydrake.systems.analysis import Simulator
 
+from drake_oa.common.config import check_values
 from drake_oa.common.messages import ObstacleClouds
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.diagrams.control import make_controller
@@ -25,6 +26,7 @@ from drake_oa.posture.null_space_coupling import (
     NullSpaceCouplingParameters,
     null_space_acceleration,
     null_space_basis,
+    reach,
     section_acceleration,
 )
 from drake_oa.robot.arm import ArmModel
@@ -44,7 +46,9 @@ vectors = st.tuples(*[st.floats(-1.0, 1.0)] * 3).map(np.array)
 
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
-    return load_scenario("shelf_elbow", [TRUTH, "robot.posture={plan: false, coupling: {}}"])
+    return load_scenario(
+        "shelf_elbow", [TRUTH, "regulation=!Regressor {}", "robot.null_space_coupling={}"]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -116,7 +120,7 @@ def test_nothing_at_rest_far_away_or_without_strength() -> None:
     u, v = np.array([1.0, 0.0, 0.0]), np.array([0.2, 0.1, 0.0])
     assert section_acceleration(v, u, 0.1, LAW, STEP).any()
     assert not section_acceleration(np.zeros(3), u, 0.1, LAW, STEP).any()
-    assert not section_acceleration(v, u, LAW.reach, LAW, STEP).any()
+    assert not section_acceleration(v, u, reach(LAW), LAW, STEP).any()
     none = NullSpaceCouplingParameters(alpha=0.0, psi=1.0, kappa=1.0)
     assert not section_acceleration(v, u, 0.1, none, STEP).any()
 
@@ -194,7 +198,7 @@ def test_the_basis_of_a_null_space() -> None:
 def test_bad_parameters_are_refused(name: str, value: float) -> None:
     given = {"alpha": 1.0, "psi": 1.0, "kappa": 1.0, "most": 1.0, name: value}
     with pytest.raises(ValueError, match=name):
-        NullSpaceCouplingParameters(**given)
+        check_values(NullSpaceCouplingParameters(**given), "null_space_coupling")
 
 
 @pytest.fixture(scope="module")

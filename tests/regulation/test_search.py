@@ -11,10 +11,10 @@ from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.policy.coupling import ALPHA as ALPHA_COLUMN
 from drake_oa.policy.coupling import NORMAL
 from drake_oa.regulation.config import SearchParameters
-from drake_oa.regulation.proposals import ALPHA, ANGLE, N_GENES, avoidance_terms, shadows
+from drake_oa.regulation.proposals import ANGLE, N_GENES, avoidance_terms, shadows
 from drake_oa.regulation.regressor import ChainWeights, load_chain
 from drake_oa.regulation.rollout import SpatialScenes, spatial_rollouts
-from drake_oa.regulation.search import SearchResult, assessed, survey, verify
+from drake_oa.regulation.search import SearchResult, verify
 from drake_oa.scenario.loading import package_file
 
 DURATION = 3.0
@@ -262,66 +262,3 @@ def test_arguments_are_checked(chain: ChainWeights) -> None:
         verify(posed, chain, duration=0.0)
     with pytest.raises(ValueError, match="previous"):
         verify(posed, chain, duration=1.0, previous=np.zeros((2, 7)))
-
-
-ROUGH = SearchParameters(candidates=32, rounds=12, polish=0, steps=250)
-
-
-def ball(y: float = 0.0, *, velocity: float = 0.0, semi_axis: float = 0.08) -> SpatialScenes:
-    """A ball half-way."""
-    return scenes([[0.5, y, 0.0]], semi_axis, (0.0, velocity, 0.0))
-
-
-def test_given_genes_come_to_what_the_search_says_of_them(chain: ChainWeights) -> None:
-    found = verify(ball(), chain, duration=DURATION, parameters=ROUGH)
-    again = assessed(ball(), found.genes, duration=DURATION, parameters=ROUGH)
-    for name in (
-        "terms",
-        "tau",
-        "end",
-        "kept_clearance",
-        "shortfall",
-        "kept",
-        "path_length",
-        "cost",
-    ):
-        # One row and many are two kernels, which a processor's instructions may round apart.
-        np.testing.assert_allclose(
-            getattr(again, name), getattr(found, name), rtol=1e-12, err_msg=name
-        )
-
-
-@pytest.mark.parametrize("y", [0.0, 0.4])
-def test_it_goes_round_on_every_side_in_detours_of_every_size(y: float) -> None:
-    # Also where the straight motion is free.
-    found = survey(ball(y), duration=DURATION, least_clearance=0.05, parameters=ROUGH)
-    kept = found.rows(found.kept)
-    sides = np.unique(np.round(np.mod(kept.genes[:, ANGLE], 2.0 * np.pi) / (np.pi / 4.0)) % 8)
-    assert len(sides) >= 7
-    assert kept.path_length.min() < 1.2
-    assert kept.path_length.max() > 1.6
-    assert (found.genes[:, ALPHA] <= 8.0 + 1e-9).all()
-    assert (found.kept_clearance > 0.045).all()
-    # The first is as good as any that does not creep.
-    prompt = found.cost[found.end <= found.end[0] + 1e-9]
-    assert found.cost[0] == prompt.min()
-
-
-def test_it_is_the_same_each_time_and_times_what_moves() -> None:
-    moving = ball(-0.5, velocity=0.2)
-    one, other = (survey(moving, duration=DURATION, least_clearance=0.05) for _ in range(2))
-    np.testing.assert_array_equal(one.genes, other.genes)
-    assert len(np.unique(one.tau)) > 1
-
-
-def test_where_nothing_passes_there_is_none() -> None:
-    found = survey(ball(semi_axis=0.46), duration=DURATION, least_clearance=0.2, parameters=ROUGH)
-    assert len(found.cost) == 0
-
-
-def test_more_than_one_scene_is_refused() -> None:
-    two = ball().rows(np.zeros(2, dtype=int))
-    with pytest.raises(ValueError, match="single one, not 2"):
-        survey(two, duration=DURATION, least_clearance=0.05)
-    with pytest.raises(ValueError, match="single one, not 2"):
-        assessed(two, np.zeros((2, 7)), duration=DURATION)

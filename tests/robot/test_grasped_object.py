@@ -97,8 +97,3 @@ def test_volumes() -> None:
 def test_refuses_a_box_without_volume() -> None:
     with pytest.raises(ScenarioError, match=r"robot.carried\[0\].size.*outside \(0, 10\]"):
         parse_scenario("robot: {carried: [!Box {size: [0.1, 0.0, 0.1]}]}")
-
-
-def test_refuses_an_axis_without_direction() -> None:
-    with pytest.raises(ScenarioError, match=r"policy\.turn\.axis"):
-        parse_scenario("policy: {turn: {axis: [0, 0, 0]}}")

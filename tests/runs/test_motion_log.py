@@ -46,7 +46,6 @@ def log(instants: int = 4, frames: int = 2) -> MotionLog:
         out_of_range=np.arange(frames),
         regulation="Verified",
         shortfall=rng.uniform(size=instants),
-        short_of=np.full(instants, -1),
         event_time=np.array([0.1, 0.2]),
         event=("obstacles not seen since t = 0.00 s", ""),
         event_hold=("obstacles", "none"),
@@ -102,7 +101,6 @@ def test_what_is_written_is_read_back(one: MotionLog, tmp_path: Path) -> None:
         ("goal", MotionEnd.GOAL),
         ("goal missed by 2.0 mm at s = 2.2", MotionEnd.MISSED),
         ("held for 5 s: obstacles not seen", MotionEnd.HELD),
-        ("at the goal, but the tool cannot be turned back there", MotionEnd.TURNED),
         ("KeyError: 'q'", MotionEnd.CUT_SHORT),
     ],
 )

@@ -6,9 +6,8 @@ Methods:
   paper            the paper's regulation: a regressor chain at the obstacle's section by the
                    P-plane, sides by cost rings, without a supervisor. The chain is the one
                    trained for this action level, as the paper's own counts alpha in rad/s
-  verified         the project's: coupling parameters that roll-outs have checked
-  whole_arm        the project's, among the true shapes: motions of the whole arm, rolled out, and a
-                   plan that the primitives imitate where none of them clears
+  verified         the project's: motions of the whole arm that roll-outs among the true shapes
+                   have checked, and a plan that the primitives imitate where none of them clears
   differential_ik  Drake's differential inverse kinematics with collision constraints, which
                    knows the obstacles exactly, on the same planned motion; its tool is asked
                    for the same clearance, as far as start and goal have it
@@ -41,7 +40,7 @@ from typing import Any
 import numpy as np
 
 from drake_oa.perception.config import GroundTruth
-from drake_oa.regulation.config import Regressor, Verified, WholeArm
+from drake_oa.regulation.config import Regressor, Verified
 from drake_oa.runs.decision_costs import layer_costs
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.report import feasible_clearance_of, judge_of, motion_report
@@ -52,7 +51,7 @@ from drake_oa.studies.panda.scenes import check_perception
 
 PLANNER = "planner"
 DEFAULT_METHODS = ("preplanned", "paper", "verified", "differential_ik", "differential_ik_near")
-METHODS = (*DEFAULT_METHODS, "whole_arm", PLANNER)
+METHODS = (*DEFAULT_METHODS, PLANNER)
 TRUTH_ONLY = frozenset({"differential_ik", "differential_ik_near", PLANNER})
 """Methods that know the obstacles exactly, whatever the perception."""
 
@@ -160,8 +159,6 @@ def with_method(scenario: Scenario, method: str) -> Scenario:
         scenario.regulation = Regressor()
         scenario.policy.descriptor = "section"
         scenario.supervisor = None
-    elif method == "whole_arm":
-        scenario.regulation = WholeArm()
     elif method == "verified" and not isinstance(scenario.regulation, Verified):
         scenario.regulation = Verified()
     return scenario

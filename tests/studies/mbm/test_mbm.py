@@ -202,7 +202,7 @@ def test_the_robot_of_a_scenario_takes_the_place_of_the_panda(tmp_path):
         (["mbm"], "--problems requires an argument"),
         (["mbm", "--sets", "shed"], "unknown set 'shed'; .* has: box"),
         (["mbm", "--scenes", "2"], "--scenes 2: the set box has 1"),
-        (["mbm", "--method", "paper"], "unknown method 'paper'; mbm has: whole_arm, verified"),
+        (["mbm", "--method", "paper"], "unknown method 'paper'; mbm has: verified"),
         (["mbm", "--perception", "truth"], "Unknown option: --perception"),
         (["mbm", "--seed", "1"], "Unknown option: --seed"),
         (["hit"], "Unknown option: --problems"),
