@@ -25,7 +25,7 @@ from drake_oa.common.wires import Wires
 from drake_oa.diagrams.control import add_control
 from drake_oa.diagrams.descriptor import add_descriptor
 from drake_oa.diagrams.faults import add_faults
-from drake_oa.diagrams.perception import add_perception
+from drake_oa.diagrams.perception import add_perception, add_solids
 from drake_oa.diagrams.policy import add_policy
 from drake_oa.diagrams.posture import add_posture
 from drake_oa.diagrams.regulation import add_regulation
@@ -49,6 +49,7 @@ class Layers:
 
     Attributes:
         perception: offers obstacles_W (`ObstacleClouds`, with velocities), and cloud for a viewer.
+        solids: obstacles_W -> solids_W (`SolidScene`), unless perception offers them.
         descriptor: obstacles_W -> ellipsoids_W (`EllipsoidSet`), unless these are given.
         policy: goal, and dmp_integrator: ellipsoids_W, coupling_parameters, route, speed_scale,
             evasion -> policy_state, phase and desired_position, _velocity, _acceleration.
@@ -63,6 +64,7 @@ class Layers:
     """
 
     perception: AddLayer = add_perception
+    solids: AddLayer = add_solids
     descriptor: AddLayer = add_descriptor
     policy: AddLayer = add_policy
     route: AddLayer = add_route
@@ -74,7 +76,7 @@ class Layers:
 
 def unmodulated(layers: Layers) -> Layers:
     """The same without what bends the motion: nothing is seen, decided or held."""
-    blind = ("perception", "descriptor", "route", "regulation", "safety")
+    blind = ("perception", "solids", "descriptor", "route", "regulation", "safety")
     return replace(layers, **dict.fromkeys(blind, nothing))
 
 

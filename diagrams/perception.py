@@ -1,4 +1,4 @@
-"""Perception: where obstacles come from."""
+"""Perception: where obstacles come from, and the solids that they are."""
 
 from __future__ import annotations
 
@@ -24,11 +24,19 @@ from drake_oa.perception.depth_perception import DepthPerception
 from drake_oa.perception.ground_truth_perception import GroundTruthPerception
 from drake_oa.perception.hidden_sides import HiddenSides
 from drake_oa.perception.recorded_perception import RecordedPerception
+from drake_oa.planning.cloud_solids import CloudSolids
+from drake_oa.planning.true_solids import GivenSolids, TrueSolids
+from drake_oa.planning.unseen_ends import ImageRange
 from drake_oa.robot.plant import RobotPlant
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario, allow_perception
-from drake_oa.scenario.sources import given_ellipsoids, perception_period, table_plane
+from drake_oa.scenario.sources import (
+    camera_config,
+    given_ellipsoids,
+    perception_period,
+    table_plane,
+)
 from drake_oa.world.depth_noise import DepthNoise
 from drake_oa.world.station import Station
 
@@ -51,7 +59,8 @@ def register_source(block: type, add: AddSource) -> None:
     Args:
         block: a dataclass, whose `period` is the time between observations [s]; a file writes
             `perception: !<name of the class> {<field>: <value>}`.
-        add: adds the systems. They offer obstacles_W (`ObstacleClouds`), and cloud for a viewer.
+        add: adds the systems. They offer obstacles_W (`ObstacleClouds`), and cloud for a viewer;
+            and solids_W (`SolidScene`) where they know better than these points what is there.
     """
     allow_perception(block)
     SOURCES[block] = add
@@ -72,7 +81,10 @@ def add_perception(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
 def _add_given(
     wires: Wires, source: GivenEllipsoids, scenario: Scenario, cell: Cell | None
 ) -> None:
-    wires.add("perception", GivenEllipsoidSource(given_ellipsoids(source)))
+    given = given_ellipsoids(source)
+    wires.add("perception", GivenEllipsoidSource(given))
+    if cell is not None:
+        wires.add("solids", GivenSolids(given, table_plane(scenario)), if_read=True)
 
 
 def _add_ground_truth(
@@ -88,6 +100,7 @@ def _add_ground_truth(
         period=source.period,
     )
     wires.add("perception", system)
+    wires.add("solids", _true_solids(source, cell), if_read=True)
 
 
 def _add_recorded_clouds(
@@ -142,6 +155,41 @@ SOURCES |= {
     RecordedClouds: _add_recorded_clouds,
     GivenEllipsoids: _add_given,
 }
+
+
+def add_solids(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
+    """Adds solids, unless the source knows them itself: obstacles_W -> solids_W."""
+    if cell is None or "solids_W" in wires or "obstacles_W" not in wires:
+        return
+    source, image = scenario.perception, None
+    if isinstance(source, DepthCamera) and source.camera in cell.cameras:
+        seen = cell.cameras[source.camera].intrinsics
+        near = camera_config(scenario, source).z_near
+        image = ImageRange(seen.focal_y(), seen.center_y(), seen.height(), near)
+    solids = CloudSolids(
+        period=perception_period(scenario), image=image, table=table_plane(scenario)
+    )
+    wires.add("solids", solids, if_read=True)
+
+
+def _true_solids(source: GroundTruth, cell: Cell) -> TrueSolids:
+    """Of all that is not the robot."""
+    plant = cell.plant
+    others = [
+        body
+        for instance in map(ModelInstanceIndex, range(plant.num_model_instances()))
+        if instance != cell.robot
+        for body in plant.GetBodyIndices(instance)
+        if plant.GetCollisionGeometriesForBody(plant.get_body(body))
+    ]
+    obstacles = {body for instance in cell.obstacles for body in plant.GetBodyIndices(instance)}
+    return TrueSolids(
+        plant,
+        cell.scene_graph.model_inspector(),
+        others,
+        surroundings=[body for body in others if body not in obstacles],
+        period=source.period,
+    )
 
 
 def _of_robot(source: object, cell: Cell | None) -> Cell:

@@ -3,27 +3,22 @@
 from __future__ import annotations
 
 import numpy as np
-from pydrake.multibody.tree import ModelInstanceIndex
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.arm import arm_model, make_posture_guide
 from drake_oa.diagrams.policy import make_dmp
 from drake_oa.diagrams.station import Cell
-from drake_oa.perception.config import DepthCamera, GroundTruth
 from drake_oa.planning.arm_world import make_chain
-from drake_oa.planning.cloud_solids import CloudSolids
 from drake_oa.planning.motion_search import MotionSearch
 from drake_oa.planning.motion_selector import MotionSelector
-from drake_oa.planning.true_solids import TrueSolids
-from drake_oa.planning.unseen_ends import ImageRange
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.regressor import ChainWeights
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.spheres import ArmSpheres, SphereParameters, make_arm_spheres
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.sources import camera_config, perception_period
+from drake_oa.scenario.sources import perception_period
 from drake_oa.scenario.tool_orientation import end_rotations, tool_orientation
 
 _LEAST_STEPS, _MOST_STEPS = 250, 1000
@@ -33,8 +28,8 @@ _LEAST_STEPS, _MOST_STEPS = 250, 1000
 def add_motion_selector(
     wires: Wires, scenario: Scenario, cell: Cell | None, weights: ChainWeights
 ) -> None:
-    """Adds solids and motion_selector: solids_W, policy_state, goal, robot_state -> motion,
-    demonstration and coupling_parameters.
+    """Adds motion_selector: solids_W, policy_state, goal, robot_state -> motion, demonstration
+    and coupling_parameters.
 
     Raises:
         ScenarioError: without a robot, or where nothing tells the shapes of things.
@@ -46,42 +41,12 @@ def add_motion_selector(
             "regulation: !Verified needs obstacles that are seen; !GivenEllipsoids has the "
             "ellipsoids of obstacles that are dilated by the tool"
         )
-    wires.add("solids", make_solids(scenario, cell))
     wires.add(
         "motion_selector",
         make_motion_selector(scenario, cell, weights),
         offers={"decision": "decision_regulation"},
     )
     wires.log("shortfall", "lowered", "decision_regulation")
-
-
-def make_solids(scenario: Scenario, cell: Cell) -> TrueSolids | CloudSolids:
-    """What tells the shapes of all that is not the robot: exactly, or by what is seen of them."""
-    period = perception_period(scenario)
-    source = scenario.perception
-    if isinstance(source, DepthCamera):
-        seen = cell.cameras[source.camera].intrinsics
-        near = camera_config(scenario, source).z_near
-        image = ImageRange(seen.focal_y(), seen.center_y(), seen.height(), near)
-        return CloudSolids(period=period, image=image)
-    if not isinstance(source, GroundTruth):
-        return CloudSolids(period=period)
-    plant = cell.plant
-    others = [
-        body
-        for instance in map(ModelInstanceIndex, range(plant.num_model_instances()))
-        if instance != cell.robot
-        for body in plant.GetBodyIndices(instance)
-        if plant.GetCollisionGeometriesForBody(plant.get_body(body))
-    ]
-    obstacles = {body for instance in cell.obstacles for body in plant.GetBodyIndices(instance)}
-    return TrueSolids(
-        plant,
-        cell.scene_graph.model_inspector(),
-        others,
-        surroundings=[body for body in others if body not in obstacles],
-        period=period,
-    )
 
 
 def arm_spheres(scenario: Scenario, cell: Cell) -> ArmSpheres:

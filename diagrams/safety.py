@@ -11,6 +11,7 @@ from drake_oa.diagrams.route import held_annulus
 from drake_oa.diagrams.station import Cell
 from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.planning.arm_world import make_chain
+from drake_oa.regulation.config import WholeArm
 from drake_oa.robot.plant import RobotPlant
 from drake_oa.safety.monitors import GuardedArm
 from drake_oa.safety.obstacle_evasion import ObstacleEvasion
@@ -30,7 +31,7 @@ def add_safety(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     if cell is None or scenario.supervisor is None:
         return
     solid = {"obstacles_W": "solid_obstacles_W"}
-    arm = guarded_arm(scenario, cell) if "solids_W" in wires else None
+    arm = guarded_arm(scenario, cell) if isinstance(scenario.regulation, WholeArm) else None
     supervisor = make_supervisor(scenario, cell.robot_plant, arm)
     wires.add("supervisor", supervisor, reads=solid)
     if "obstacles_W" in wires and scenario.evasion is not None:

@@ -105,13 +105,20 @@ def looked_at(
 
     Args:
         before: of the observation before.
-        obstacles: what is seen now. What is not finite makes it count as none: the solids and
-            their stamp are left as they were, and so what moved goes on, and all of it ages.
+        obstacles: what is seen now. What is not finite, or older than what was seen before, makes
+            it count as none: the solids and their stamp are left as they were, and so what moved
+            goes on, and all of it ages. Where it has no table, the one before stays.
         viewpoint_W: (3,) from where [m]; None: nothing that is hidden is filled.
     """
-    if note := _unreadable(obstacles, viewpoint_W):
-        return replace(before, note=note)
-    table = held_table(before.table, obstacles.table, _TABLE_SHIFT)
+    note = _unreadable(obstacles, viewpoint_W)
+    if note or obstacles.stamp < before.scene.stamp or obstacles.stamp == -math.inf:
+        scene = before.scene
+        if (said := note or obstacles.note) != scene.note:
+            scene = replace(scene, note=said)
+        return replace(before, scene=scene, note=note)
+    table = before.table
+    if obstacles.table is not None:
+        table = held_table(table, obstacles.table, _TABLE_SHIFT)
     moved = names_moved(obstacles, before.moved)
     known = {seen.solid.name: row for row, seen in enumerate(before.fields)}
     fields = []
@@ -127,15 +134,26 @@ def looked_at(
         made = kept or _made(int(name), cloud, viewpoint_W, deepest, table)
         at_rest = replace(made.solid, v_WO=np.array(v_WO, dtype=float), stamp=obstacles.stamp)
         fields.append(replace(made, solid=at_rest))
-    solids = [seen.solid for seen in fields]
-    if table is not None:
-        solids.append(replace(solid_of_table(table), name=SURROUNDINGS, label="the table"))
+    solids = [seen.solid for seen in fields] + _of_table(table)
     labels = tuple(solid.label for solid in solids)
     arrays = before.scene.solids
     if not (table is before.table and _all_rest_as_before(before.fields, fields)):
         arrays = solids_of(solids)
-    scene = SolidScene(obstacles.stamp, arrays, labels)
+    scene = SolidScene(obstacles.stamp, arrays, labels, obstacles.note)
     return SeenSolids(scene, tuple(fields), table, moved)
+
+
+def unseen(table: TablePlane | None = None) -> SeenSolids:
+    """What is known before the first observation: at most where the table is."""
+    solids = _of_table(table)
+    labels = tuple(solid.label for solid in solids)
+    return SeenSolids(SolidScene(solids=solids_of(solids), labels=labels), table=table)
+
+
+def _of_table(table: TablePlane | None) -> list[Solid]:
+    if table is None:
+        return []
+    return [replace(solid_of_table(table), name=SURROUNDINGS, label="the table")]
 
 
 def _unreadable(obstacles: ObstacleClouds, viewpoint_W: FloatArray | None) -> str:
@@ -299,12 +317,19 @@ class CloudSolids(LeafSystem):
     obstacle that is too large for fine voxels.
     """
 
-    def __init__(self, *, period: float = 1.0 / 15.0, image: ImageRange | None = None) -> None:
+    def __init__(
+        self,
+        *,
+        period: float = 1.0 / 15.0,
+        image: ImageRange | None = None,
+        table: TablePlane | None = None,
+    ) -> None:
         """Declares the ports.
 
         Args:
             period: time between observations [s].
             image: of the camera; what it cuts off goes on beyond it. None: not known.
+            table: the supporting plane until one is seen; None: none.
 
         Raises:
             ValueError: if it is not positive and finite.
@@ -314,7 +339,7 @@ class CloudSolids(LeafSystem):
         self._image = image
         self._obstacles = self.DeclareAbstractInputPort("obstacles_W", Value(ObstacleClouds()))
         self._pose = self.DeclareAbstractInputPort("camera_pose", Value(RigidTransform()))
-        self._seen = self.DeclareAbstractState(Value(SeenSolids()))
+        self._seen = self.DeclareAbstractState(Value(unseen(table)))
         self.DeclareAbstractOutputPort(
             "solids_W",
             lambda: Value(SolidScene()),
@@ -331,8 +356,6 @@ class CloudSolids(LeafSystem):
     def _update(self, context: Context, state: State) -> EventStatus:
         before = self._read(context)
         obstacles = read_value(self, self._obstacles, context, ObstacleClouds)
-        if obstacles.stamp == -math.inf:
-            return EventStatus.DidNothing()
         pose = read_optional(self, self._pose, context, RigidTransform)
         viewpoint_W = None if pose is None else np.array(pose.translation())
         if pose is not None and self._image is not None:

@@ -19,11 +19,13 @@ class SolidScene(Frozen):
         stamp: when the world was so [s]; -inf before the first observation.
         solids: K of them.
         labels: what to call each in a message.
+        note: empty, or why there is no newer observation.
     """
 
     stamp: float = -math.inf
     solids: Solids = field(default_factory=lambda: solids_of([]))
     labels: tuple[str, ...] = ()
+    note: str = ""
 
     def __post_init__(self) -> None:
         """Leaves the arrays unlocked: the kernels are compiled for such, and change none."""

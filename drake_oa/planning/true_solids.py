@@ -1,4 +1,4 @@
-"""Solids as the simulated world knows them, exactly."""
+"""Solids that are known exactly: the simulated world's, and given ones."""
 
 from __future__ import annotations
 
@@ -13,9 +13,17 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.framework import Context, LeafSystem, State
 
-from drake_oa.common.messages import OUT_OF_WORLD
+from drake_oa.common.messages import OUT_OF_WORLD, EllipsoidSet, TablePlane
 from drake_oa.common.ports import read_value, valid_period
-from drake_oa.geometry.solids import SURROUNDINGS, body_solids, solids_of
+from drake_oa.geometry.solids import (
+    SURROUNDINGS,
+    Solid,
+    body_solids,
+    ellipsoid,
+    solids_of,
+    sphere,
+    table_solid,
+)
 from drake_oa.planning.solid_scene import SolidScene
 
 _AT_REST = 1e-3
@@ -108,3 +116,46 @@ class TrueSolids(LeafSystem):
         scene = SolidScene(time, solids_of(solids), tuple(solid.label for solid in solids))
         state.get_mutable_discrete_state(self._origins).SetFromVector(origins.ravel())
         state.get_mutable_abstract_state(self._scene).set_value(scene)
+
+
+class GivenSolids(LeafSystem):
+    """Hands out the solids of given ellipsoids, always the same.
+
+    .. pydrake_system::
+
+      name: GivenSolids
+      output_ports:
+      - solids_W
+
+    - solids_W: abstract `SolidScene`: the ellipsoids at rest, and what is below the table.
+    """
+
+    def __init__(self, given: EllipsoidSet, table: TablePlane | None = None) -> None:
+        """Makes the solids.
+
+        Args:
+            given: the ellipsoids; those that were dilated by the tool keep it that much farther.
+            table: the supporting plane; None: there is none.
+        """
+        super().__init__()
+        solids = [
+            _ellipsoid_solid(given, row, f"obstacle {name}") for row, name in enumerate(given.ids)
+        ]
+        if table is not None:
+            solids.append(replace(table_solid(table), name=SURROUNDINGS, label="the table"))
+        labels = tuple(solid.label for solid in solids)
+        scene = Value(SolidScene(given.stamp, solids_of(solids), labels))
+        self.DeclareAbstractOutputPort(
+            "solids_W",
+            scene.Clone,
+            lambda _, output: output.SetFrom(scene),
+            {self.nothing_ticket()},
+        )
+
+
+def _ellipsoid_solid(given: EllipsoidSet, row: int, label: str) -> Solid:
+    axes = np.array(given.semi_axes[row])
+    shape = sphere(float(axes[0])) if np.ptp(axes) == 0.0 else ellipsoid(axes.tolist())
+    X_WO = np.eye(4)
+    X_WO[:3, :3], X_WO[:3, 3] = given.R_WO[row], given.p_WO[row]
+    return replace(shape, X_WO=X_WO, name=int(given.ids[row]), label=label)

@@ -41,7 +41,7 @@ def test_what_a_source_of_ones_own_sees_becomes_solids():
     scene = solids.GetOutputPort("solids_W").Eval(
         solids.GetMyContextFromRoot(simulator.get_context())
     )
-    assert scene.labels == ("obstacle 7",)
+    assert scene.labels == ("obstacle 7", "the table")
     selector = diagram.GetSubsystemByName("motion_selector")
     context = selector.GetMyContextFromRoot(simulator.get_context())
     assert len(selector.GetOutputPort("decision").Eval(context)) == 2

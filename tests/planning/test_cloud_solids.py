@@ -11,7 +11,7 @@ from pydrake.math import RigidTransform
 from drake_oa.common.messages import ObstacleClouds, TablePlane
 from drake_oa.geometry.solids import Solids, solid_distance
 from drake_oa.planning import cloud_solids
-from drake_oa.planning.cloud_solids import CloudSolids, SeenSolids, looked_at
+from drake_oa.planning.cloud_solids import CloudSolids, SeenSolids, looked_at, unseen
 from drake_oa.planning.unseen_ends import ImageRange, with_unseen_ends
 
 CAMERA = np.array([1.2, 0.0, 0.8])
@@ -147,9 +147,27 @@ def test_what_is_not_finite_changes_nothing(bad):
     else:
         cloud[3, 1] = np.nan if bad == "cloud" else 1e7
     now = looked_at(first, seen(cloud, stamp=2.0, v_WO=v_WO), viewpoint)
-    assert now.scene is first.scene
-    assert now.note
+    assert (now.scene.solids is first.scene.solids, now.scene.stamp) == (True, 1.0)
+    assert now.note == now.scene.note != ""
     assert not looked_at(now, seen(box(), stamp=3.0), CAMERA).note
+
+
+def test_what_comes_late_or_sees_no_table_leaves_what_was_seen():
+    first = looked_at(SeenSolids(), seen(box()), CAMERA)
+    late = looked_at(first, seen(stamp=0.5), CAMERA)
+    assert late.scene is first.scene
+    after = looked_at(first, seen(box(), stamp=2.0, table=None), CAMERA)
+    assert after.scene.labels == ("obstacle 0", "the table")
+
+
+def test_a_table_that_is_told_of_counts_from_the_start():
+    before = unseen(TABLE)
+    assert (before.scene.stamp, before.scene.labels) == (-np.inf, ("the table",))
+    after = looked_at(before, seen(stamp=1.0, table=None))
+    assert (after.scene.stamp, after.scene.labels) == (1.0, ("the table",))
+    assert distance(after.scene.solids, 0, [0.0, 0.0, 0.3]) == pytest.approx(0.3)
+    note = looked_at(unseen(), replace(ObstacleClouds(), note="no valid pixel"))
+    assert (note.scene.stamp, note.scene.note) == (-np.inf, "no valid pixel")
 
 
 def system(obstacles):
@@ -181,7 +199,7 @@ def test_the_system_holds_what_it_knows_in_its_context(caplog):
     with caplog.at_level(logging.INFO, "drake_oa"):
         for frame in (3, 4):
             assert updated(made, context, seen(bad, stamp=1.2), 0.1 * frame).stamp == 1.1
-        assert updated(made, context, seen(), 0.5).labels == ("the table",)
+        assert updated(made, context, seen(stamp=1.3), 0.5).labels == ("the table",)
     assert [record.levelname for record in caplog.records] == ["WARNING", "INFO"]
 
 
