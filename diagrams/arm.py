@@ -6,15 +6,40 @@ from collections.abc import Callable
 
 import numpy as np
 
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.robot.arm import ArmModel, make_arm_model
 from drake_oa.robot.config import Robot
 from drake_oa.robot.grasped_object import tool_links
-from drake_oa.robot.plant import RobotPlant
+from drake_oa.robot.plant import RobotPlant, model_file
+from drake_oa.robot.spheres import ArmSpheres, make_arm_spheres
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task_joints import posture_guide
 from drake_oa.scenario.tool_orientation import end_rotations
+
+_COVERED: dict[tuple[str, int], ArmSpheres] = {}
+"""The robots of this process as spheres, which take seconds to make."""
+
+
+def covered_arm(robot: Robot, robot_plant: RobotPlant, q_start: FloatArray) -> ArmSpheres:
+    """The robot as spheres, as near as its block asks; made once.
+
+    Args:
+        robot: the block.
+        robot_plant: the robot alone.
+        q_start: (nq,) its positions at the start, those of the fingers as they stay.
+
+    Raises:
+        ScenarioError: for a robot that cannot be covered.
+    """
+    key = (repr(robot), model_file(robot).stat().st_mtime_ns)
+    if key not in _COVERED:
+        try:
+            _COVERED[key] = make_arm_spheres(robot_plant, q_start, tool_links(robot), robot.spheres)
+        except ValueError as error:
+            raise ScenarioError(f"robot: {error}") from None
+    return _COVERED[key]
 
 
 def arm_model(

@@ -182,12 +182,16 @@ def _true_solids(source: GroundTruth, cell: Cell) -> TrueSolids:
         for body in plant.GetBodyIndices(instance)
         if plant.GetCollisionGeometriesForBody(plant.get_body(body))
     ]
-    obstacles = {body for instance in cell.obstacles for body in plant.GetBodyIndices(instance)}
+    names = {
+        body: name
+        for name, instance in enumerate(cell.obstacles)
+        for body in plant.GetBodyIndices(instance)
+    }
     return TrueSolids(
         plant,
         cell.scene_graph.model_inspector(),
         others,
-        surroundings=[body for body in others if body not in obstacles],
+        names=names,
         period=source.period,
     )
 

@@ -14,8 +14,6 @@ from drake_oa.planning.motion_search import MotionSearch
 from drake_oa.planning.motion_selector import MotionSelector
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.regressor import ChainWeights
-from drake_oa.robot.grasped_object import tool_links
-from drake_oa.robot.spheres import ArmSpheres, SphereParameters, make_arm_spheres
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import perception_period
@@ -49,19 +47,6 @@ def add_motion_selector(
     wires.log("shortfall", "lowered", "decision_regulation")
 
 
-def arm_spheres(scenario: Scenario, cell: Cell) -> ArmSpheres:
-    """The robot as spheres, as near as the regulation asks."""
-    robot, regulation = scenario.robot, scenario.regulation
-    if robot is None or not isinstance(regulation, Verified):
-        raise ScenarioError("regulation: is not !Verified, or there is no robot")
-    return make_arm_spheres(
-        cell.robot_plant,
-        cell.q_start,
-        tool_links(robot),
-        SphereParameters(overshoot=regulation.overshoot, tool_overshoot=regulation.tool_overshoot),
-    )
-
-
 def make_motion_selector(scenario: Scenario, cell: Cell, weights: ChainWeights) -> MotionSelector:
     """What chooses the motion of the whole arm."""
     robot, regulation, policy, task = (
@@ -73,8 +58,7 @@ def make_motion_selector(scenario: Scenario, cell: Cell, weights: ChainWeights) 
     if robot is None or not isinstance(regulation, Verified):
         raise ScenarioError("regulation: is not !Verified, or there is no robot")
     arm = arm_model(scenario, robot, cell.robot_plant, cell.q_start)
-    of_arm = arm_spheres(scenario, cell)
-    spheres = of_arm.arrays
+    spheres = cell.spheres.arrays
     dmp = make_dmp(scenario)
     steps = min(max(round(dmp.duration / policy.period), _LEAST_STEPS), _MOST_STEPS)
     held, R_WE = tool_orientation(scenario), end_rotations(scenario)[0].matrix()
@@ -91,7 +75,7 @@ def make_motion_selector(scenario: Scenario, cell: Cell, weights: ChainWeights) 
         fade=policy.fade,
         orientation=(lambda s: np.tile(R_WE, (len(s), 1, 1))) if held is None else held.along,
         posture=(lambda s: np.tile(q_rest, (len(s), 1))) if guide is None else guide,
-        overshoot=of_arm.overshoot,
+        overshoot=cell.spheres.overshoot,
         q_goal=None if task.q_goal is None else np.asarray(task.q_goal, dtype=float),
     )
     return MotionSelector(

@@ -4,36 +4,30 @@ from __future__ import annotations
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.wires import Wires
-from drake_oa.diagrams.arm import arm_model
-from drake_oa.diagrams.planning import arm_spheres
 from drake_oa.diagrams.policy import make_dmp
 from drake_oa.diagrams.route import held_annulus
 from drake_oa.diagrams.station import Cell
 from drake_oa.geometry.collision_shapes import collect_collision_shapes
-from drake_oa.planning.arm_world import make_chain
-from drake_oa.regulation.config import WholeArm
+from drake_oa.perception.config import GroundTruth
 from drake_oa.robot.plant import RobotPlant
-from drake_oa.safety.monitors import GuardedArm
+from drake_oa.safety.guarded_arm import GuardedArm
 from drake_oa.safety.obstacle_evasion import ObstacleEvasion
 from drake_oa.safety.supervisor import Supervisor
-from drake_oa.scenario.scenario import (
-    Scenario,
-)
+from drake_oa.scenario.perception import GivenEllipsoids
+from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import padding, perception_period, table_plane
 
 
 def add_safety(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     """Adds supervisor and evasion.
 
-    They read solid_obstacles_W, robot_state, policy_state, motion and what the controller says of
+    They read solids_W, robot_state, policy_state, motion and what the controller says of
     itself; they offer speed_scale, evasion and evading.
     """
     if cell is None or scenario.supervisor is None:
         return
     solid = {"obstacles_W": "solid_obstacles_W"}
-    arm = guarded_arm(scenario, cell) if isinstance(scenario.regulation, WholeArm) else None
-    supervisor = make_supervisor(scenario, cell.robot_plant, arm)
-    wires.add("supervisor", supervisor, reads=solid)
+    wires.add("supervisor", make_supervisor(scenario, cell.guarded_arm))
     if "obstacles_W" in wires and scenario.evasion is not None:
         wires.add(
             "evasion",
@@ -44,47 +38,31 @@ def add_safety(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     wires.log("speed_scale", "evasion", "decision_evasion")
 
 
-def guarded_arm(scenario: Scenario, cell: Cell) -> GuardedArm:
-    """The arm as the spheres that its motions are chosen with."""
-    found = arm_spheres(scenario, cell)
-    robot = scenario.robot
-    if robot is None:
-        raise ScenarioError("robot: this scenario has null")
-    arm = arm_model(scenario, robot, cell.robot_plant, cell.q_start)
-    return GuardedArm(make_chain(arm, found.arrays), found.arrays, found.bodies)
-
-
-def make_supervisor(
-    scenario: Scenario, robot_plant: RobotPlant, arm: GuardedArm | None = None
-) -> Supervisor:
+def make_supervisor(scenario: Scenario, arm: GuardedArm) -> Supervisor:
     """What watches the motion; it decides as often as the policy steps.
-
-    Args:
-        scenario: of the robot.
-        robot_plant: the robot.
-        arm: as spheres, where solids are known.
 
     Raises:
         ScenarioError: if the scenario has no supervisor.
     """
-    given, policy, source = scenario.supervisor, scenario.policy, scenario.perception
+    given, policy = scenario.supervisor, scenario.policy
     if given is None:
         raise ScenarioError("supervisor: this scenario has null")
     return Supervisor(
-        collect_collision_shapes(
-            robot_plant.plant, robot_plant.scene_graph.model_inspector(), robot_plant.instance
-        ),
-        robot_plant.tool_frame.name(),
+        arm,
         make_dmp(scenario).duration,
         period=policy.period,
         parameters=given,
-        padding=padding(source),
+        padding=_padding(scenario),
         hold_time=policy.hold_time,
         frame_period=perception_period(scenario),
         max_age=policy.max_observation_age,
-        table=table_plane(scenario),
-        arm=arm,
     )
+
+
+def _padding(scenario: Scenario) -> float:
+    """How much nearer what moves may be than it is seen [m]."""
+    exact = isinstance(scenario.perception, (GroundTruth, GivenEllipsoids))
+    return 0.0 if exact else padding(scenario.perception)
 
 
 def make_evasion(

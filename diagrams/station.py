@@ -5,11 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
+from drake_oa.diagrams.arm import arm_model, covered_arm
 from drake_oa.perception.config import DepthCamera
 from drake_oa.robot.arm import joints_to
+from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotPlant, make_robot_plant
+from drake_oa.robot.spheres import ArmSpheres
+from drake_oa.safety.guarded_arm import GuardedArm, make_guarded_arm
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task_joints import start_positions
 from drake_oa.world.station import Station, make_station
@@ -35,6 +40,27 @@ class Cell(Station):
         plant = self.robot_plant.plant
         joints = joints_to(plant, self.robot_plant.tool_frame)
         return tuple(joint.position_start() for joint in joints)
+
+    @cached_property
+    def spheres(self) -> ArmSpheres:
+        """The robot as spheres."""
+        return covered_arm(self._robot, self.robot_plant, self.q_start)
+
+    @cached_property
+    def guarded_arm(self) -> GuardedArm:
+        """The arm that is kept safe."""
+        robot_plant = self.robot_plant
+        try:
+            arm = arm_model(self.scenario, self._robot, robot_plant, self.q_start)
+            return make_guarded_arm(robot_plant, arm, self.spheres)
+        except ValueError as error:
+            raise ScenarioError(f"robot: {error}") from None
+
+    @property
+    def _robot(self) -> Robot:
+        if self.scenario.robot is None:
+            raise ScenarioError("robot: this scenario has null")
+        return self.scenario.robot
 
 
 def add_station(wires: Wires, scenario: Scenario, *, modulated: bool = True) -> Cell | None:

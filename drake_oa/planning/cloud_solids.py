@@ -22,7 +22,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.common.value import Value
+from pydrake.common.value import AbstractValue, Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
@@ -343,8 +343,12 @@ class CloudSolids(LeafSystem):
         self.DeclareAbstractOutputPort(
             "solids_W",
             lambda: Value(SolidScene()),
-            lambda context, output: output.set_value(self._read(context).scene),
-            {self.abstract_state_ticket(self._seen)},
+            self._calc,
+            {
+                self.abstract_state_ticket(self._seen),
+                self._obstacles.ticket(),
+                self._pose.ticket(),
+            },
         )
         self.DeclareInitializationUnrestrictedUpdateEvent(self._update)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, 0.5 * DECISION_OFFSET, self._update)
@@ -353,17 +357,27 @@ class CloudSolids(LeafSystem):
         seen: SeenSolids = context.get_abstract_state(self._seen).get_value()
         return seen
 
+    def _calc(self, context: Context, output: AbstractValue) -> None:
+        seen = self._read(context)
+        if seen.scene.stamp == -math.inf:
+            # What is seen at initialization is in the state only after the first steps of others.
+            seen = self._looked_at(context, seen)
+        output.set_value(seen.scene)
+
     def _update(self, context: Context, state: State) -> EventStatus:
         before = self._read(context)
+        after = self._looked_at(context, before)
+        _log_change(before, after, context.get_time())
+        state.get_mutable_abstract_state(self._seen).set_value(after)
+        return EventStatus.Succeeded()
+
+    def _looked_at(self, context: Context, before: SeenSolids) -> SeenSolids:
         obstacles = read_value(self, self._obstacles, context, ObstacleClouds)
         pose = read_optional(self, self._pose, context, RigidTransform)
         viewpoint_W = None if pose is None else np.array(pose.translation())
         if pose is not None and self._image is not None:
             obstacles = with_unseen_ends(obstacles, pose.GetAsMatrix4(), self._image)
-        after = looked_at(before, obstacles, viewpoint_W)
-        _log_change(before, after, context.get_time())
-        state.get_mutable_abstract_state(self._seen).set_value(after)
-        return EventStatus.Succeeded()
+        return looked_at(before, obstacles, viewpoint_W)
 
 
 def _log_change(before: SeenSolids, after: SeenSolids, time: float) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -55,7 +55,7 @@ class TrueSolids(LeafSystem):
         inspector: SceneGraphInspector,
         bodies: Sequence[BodyIndex],
         *,
-        surroundings: Sequence[BodyIndex] = (),
+        names: Mapping[BodyIndex, int] | None = None,
         period: float = 1.0 / 15.0,
     ) -> None:
         """Reads the geometry.
@@ -64,8 +64,9 @@ class TrueSolids(LeafSystem):
             plant: finalized plant that holds the bodies.
             inspector: of its scene graph.
             bodies: which; what has no collision geometry adds nothing.
-            surroundings: those of them that belong to the cell itself, see
-                `drake_oa.geometry.solids.SURROUNDINGS`.
+            names: of the obstacles that bodies belong to, as perception names them; the others
+                are `drake_oa.geometry.solids.SURROUNDINGS`. None: each body is an obstacle,
+                named by its index.
             period: time between readings [s].
 
         Raises:
@@ -79,8 +80,11 @@ class TrueSolids(LeafSystem):
             body = plant.get_body(index)
             X_BW = plant.EvalBodyPoseInWorld(context, body).inverse().GetAsMatrix4()
             solids = body_solids(plant, inspector, context, [body])
-            name = SURROUNDINGS if index in surroundings else int(index)
-            of_body = [replace(solid, X_WO=X_BW @ solid.X_WO, name=name) for solid in solids]
+            of_body = [replace(solid, X_WO=X_BW @ solid.X_WO) for solid in solids]
+            if names is not None:
+                name = names.get(index, SURROUNDINGS)
+                label = body.scoped_name().get_full() if name < 0 else f"obstacle {name}"
+                of_body = [replace(solid, name=name, label=label) for solid in of_body]
             self._bodies.append((plant.GetBodyFrameIdOrThrow(index), of_body))
         period = valid_period(period)
         self._query = self.DeclareAbstractInputPort("query_object", Value(QueryObject()))

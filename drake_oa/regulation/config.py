@@ -63,10 +63,6 @@ class Verified:
     # may miss the tool's pose on the way [m, rad].
     astray: float = number(0.1, "1", 0.0, 10.0)
     missed: float = number(2e-3, "m", 0.0, 0.1)
-    # How far the spheres that stand for links and tool may stick out of them: less takes more of
-    # them, and time [m].
-    overshoot: float = number(0.008, "m", 0.0, 0.1, open_low=True)
-    tool_overshoot: float = number(0.004, "m", 0.0, 0.1, open_low=True)
     # What links keep of everything, and the tool of the cell itself; what the arm keeps of itself;
     # and the least that is gone on with where what is asked cannot be kept [m].
     link_clearance: float = number(0.03, "m", 0.0, 1.0)

@@ -5,6 +5,7 @@ import math
 from itertools import pairwise
 
 from drake_oa.common.config import ScenarioError
+from drake_oa.common.config import count as _count
 from drake_oa.common.config import number as _number
 from drake_oa.common.config import vector as _vector
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere
@@ -81,6 +82,27 @@ class Annulus:
 
 
 @dc.dataclass
+class SphereParameters:
+    """How near the spheres that stand for the robot fit, and how pairs that may touch are found."""
+
+    # How far the spheres of the arm's links stick out of them, about; those of the tool, and of
+    # what it holds; and those of what no joint moves, that only the arm comes near to. Less takes
+    # more of them, and time [m].
+    overshoot: float = _number(0.008, "m", 0.0, 0.1, open_low=True)
+    tool_overshoot: float = _number(0.004, "m", 0.0, 0.1, open_low=True)
+    fixed_overshoot: float = _number(0.02, "m", 0.0, 0.1, open_low=True)
+    # Spheres of a body at most; where more were needed they stick out farther.
+    most: int = _count(200, 1, 100_000)
+    # Random postures within the joints' limits. A pair that touches in the first share of them is
+    # of neighbours; one whose spheres overlap in the second, and whose shapes never touch, has
+    # an allowance; more rarely tells too little.
+    postures: int = _count(2000, 1, 1_000_000)
+    always: float = _number(0.95, "1", 0.0, 1.0)
+    often: float = _number(0.02, "1", 0.0, 1.0)
+    seed: int = _count(0, 0, 2**31)
+
+
+@dc.dataclass
 class Robot:
     """The arm that carries the tool: revolute joints in a row. The defaults are the Panda's."""
 
@@ -113,6 +135,8 @@ class Robot:
     carried: list[Box | Cylinder | Sphere] = dc.field(default_factory=list)
     # Mass of all of it, shared out by volume [kg].
     carried_mass: float = _number(0.5, "kg", 0.0, 20.0, open_low=True)
+    # What stands for it where its distance to things is asked.
+    spheres: SphereParameters = dc.field(default_factory=SphereParameters)
     gains: Gains = dc.field(default_factory=Gains)
     # Null, or the default left to another model or tool point: found from what the arm reaches.
     annulus: Annulus | None = dc.field(default_factory=Annulus)

@@ -72,6 +72,12 @@ def add_robot(plant: MultibodyPlant, robot: Robot, *, inertias: str = "") -> Mod
     return instance
 
 
+def model_file(robot: Robot) -> Path:
+    """The file that the robot's model is read from."""
+    packages = make_parser(MultibodyPlant(0.0)).package_map()
+    return Path(packages.ResolveUrl(_url(robot.model)))
+
+
 def base_pose(robot: Robot | None) -> RigidTransform:
     """X_WB; the identity without a robot."""
     return RigidTransform() if robot is None else pose(robot.X_WB)

@@ -11,9 +11,11 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.tree import BodyIndex, RevoluteJoint
 from pydrake.systems.framework import Context
 
+from drake_oa.common.config import check_values
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
 from drake_oa.robot import sphere_kernels as kernels
 from drake_oa.robot.arm import axis_frame, in_joint_frame, joints_to, moved_by
+from drake_oa.robot.config import SphereParameters
 from drake_oa.robot.plant import RobotPlant
 from drake_oa.robot.sphere_cover import Cover, cover, read_solid
 
@@ -22,39 +24,6 @@ _ROUNDED = 1e-9
 _CLUSTER = 8
 """Spheres of a cluster at most."""
 _BALL_STEPS = 300
-
-
-@dataclass(frozen=True)
-class SphereParameters:
-    """How near the spheres fit, and how pairs that may touch are found.
-
-    Attributes:
-        overshoot: how far the spheres of the arm's links stick out of them, about; `report` says
-            how far they came to [m].
-        tool_overshoot: those of the tool, and of what it holds [m].
-        fixed_overshoot: those of what no joint moves, that only the arm comes near to [m].
-        most: spheres of a body at most; where more were needed they stick out farther.
-        postures: random ones, within the joints' limits.
-        always: a pair that touches in this share of them is of neighbours.
-        often: a pair whose spheres overlap in this share of them, and whose shapes never touch,
-            has an allowance; more rarely tells too little.
-        seed: of the postures.
-    """
-
-    overshoot: float = 0.010
-    tool_overshoot: float = 0.006
-    fixed_overshoot: float = 0.020
-    most: int = 200
-    postures: int = 2000
-    always: float = 0.95
-    often: float = 0.02
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        positive = ("overshoot", "tool_overshoot", "fixed_overshoot", "most", "postures")
-        for name in positive:
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be positive, not {getattr(self, name)}")
 
 
 @dataclass(frozen=True)
@@ -181,6 +150,7 @@ def make_arm_spheres(
             bounded, names that are not of bodies, positions of the wrong number.
     """
     parameters = parameters or SphereParameters()
+    check_values(parameters, "spheres")
     plant, inspector = robot.plant, robot.scene_graph.model_inspector()
     q = np.asarray(q, dtype=float)
     if q.shape != (plant.num_positions(),) or not np.isfinite(q).all():

@@ -57,7 +57,7 @@ class SupervisorParameters:
 class SupervisorSettings(SupervisorParameters):
     """The block, and what follows from the rest of the scenario."""
 
-    # How far an obstacle's surface may lie outside its points [m].
+    # How much nearer what moves may be than it was seen [m].
     padding: float = number(0.005, "m", 0.0, 1.0)
     # Time in which the motion comes to rest from full speed [s].
     reaction_time: float = number(0.3, "s", 0.0, 100.0, open_low=True)

@@ -3,99 +3,35 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 
-from drake_oa.common.messages import Evasion, FloatArray, PlannedMotion, TablePlane
-from drake_oa.geometry.points import GuardShapes, ObstaclePoints
+from drake_oa.common.messages import Evasion, FloatArray, PlannedMotion
 from drake_oa.planning.arm_world import Chain
 from drake_oa.planning.solid_scene import SolidScene
-from drake_oa.robot.sphere_kernels import Spheres
 from drake_oa.safety import approach_kernels as kernels
-from drake_oa.safety.approach_kernels import BrakingRules, SolidRules
+from drake_oa.safety.approach_kernels import SolidRules
 from drake_oa.safety.config import SupervisorSettings
+from drake_oa.safety.guarded_arm import GuardedArm
 from drake_oa.safety.supervision import NO_DEMAND, Demand, SupervisorState
 
 
-def watch_observation(
-    obstacles: ObstaclePoints, time: float, parameters: SupervisorSettings, note: str = ""
-) -> Demand:
-    """Slows by the age of the last good observation, and holds beyond `max_age`.
-
-    Args:
-        obstacles: the last good observation.
-        time: now [s].
-        parameters: what is kept.
-        note: why there is no better one, or "".
-    """
-    why = f" ({note})" if note else ""
-    if obstacles.stamp == -math.inf:
+def watch_observation(scene: SolidScene, time: float, parameters: SupervisorSettings) -> Demand:
+    """Slows by the age of the last good observation, and holds beyond `max_age`; time [s]."""
+    why = f" ({scene.note})" if scene.note else ""
+    if scene.stamp == -math.inf:
         return Demand(0.0, "unobserved", f"no observation yet{why}")
-    age = time - obstacles.stamp
+    age = time - scene.stamp
     fresh = min(parameters.stale_frames * parameters.frame_period, 0.9 * parameters.max_age)
     if age <= fresh:
         return NO_DEMAND
-    reason = f"obstacles not seen since t = {obstacles.stamp:.2f} s{why}"
+    reason = f"obstacles not seen since t = {scene.stamp:.2f} s{why}"
     if age > parameters.max_age:
         return Demand(0.0, "unseen", reason)
     # The hold itself begins at that age, where the policy's own does.
     scale = max(parameters.slowest, 1.0 - (age - fresh) / (parameters.max_age - fresh))
     return Demand(scale, "unseen", reason)
-
-
-def braking_rules(parameters: SupervisorSettings) -> BrakingRules:
-    """What an approach keeps."""
-    p = parameters
-    return BrakingRules(p.stop_distance, p.padding, p.reaction_time, p.leave_scale)
-
-
-def watch_clearance(
-    bodies: tuple[str, ...],
-    X_WB: FloatArray,
-    V_WB: FloatArray,
-    shapes: GuardShapes,
-    obstacles: ObstaclePoints,
-    table: TablePlane | None,
-    time: float,
-    parameters: SupervisorSettings,
-) -> Demand:
-    """Slows an approach of any link to an obstacle or the table: see `drake_oa.safety.supervision`.
-
-    Args:
-        bodies: the B bodies' names.
-        X_WB: (B, 4, 4) their poses in the world.
-        V_WB: (B, 6) their angular and linear velocities in the world at full speed
-            [rad/s, m/s].
-        shapes: their primitives.
-        obstacles: the points; they have moved on at their velocities since their stamp.
-        table: the supporting plane, or None.
-        time: now [s].
-        parameters: what is kept.
-    """
-    plane = np.full(4, np.nan)
-    if table is not None:
-        plane[:3], plane[3] = table.normal_W, table.offset
-    age = min(max(time - obstacles.stamp, 0.0), parameters.max_age)
-    scale, body, row, distance, _ = kernels.approach_limit(
-        X_WB, V_WB, shapes, obstacles.blocks, age, plane, braking_rules(parameters)
-    )
-    if row == kernels.NOTHING:
-        return NO_DEMAND
-    name = -1 if row == kernels.TABLE else int(obstacles.ids[row])
-    thing = "the table" if row == kernels.TABLE else f"obstacle {name}"
-    link = bodies[body]
-    return Demand(
-        scale=scale,
-        cause=f"{link} near {thing}",
-        reason=f"{link} within {max(distance, 0.0):.3f} m of {thing}",
-        # What moves will be gone.
-        lasting=row == kernels.TABLE or not obstacles.v_WO[row].any(),
-        link=link,
-        obstacle=name,
-        distance=distance,
-    )
 
 
 _JOINT_MARGIN = 0.005
@@ -104,27 +40,13 @@ _MARGIN = 0.005
 """How much nearer than its motion will keep a link may come [m]."""
 
 
-class GuardedArm(NamedTuple):
-    """The arm among solids.
-
-    Attributes:
-        chain, spheres: see `drake_oa.planning.arm_world.ArmWorld`.
-        bodies: (G,) names of the spheres' groups.
-    """
-
-    chain: Chain
-    spheres: Spheres
-    bodies: tuple[str, ...]
-
-
 def remaining_distance(
     arm: GuardedArm, motion: PlannedMotion, scene: SolidScene, parameters: SupervisorSettings
 ) -> FloatArray:
-    """(G, K) what a motion keeps of the solids, known up to where it matters [m]."""
-    most = parameters.stop_distance + _MARGIN
-    return kernels.kept_along(
-        arm.chain, arm.spheres, scene.solids, np.array(motion.q, order="C"), scene.stamp, most
-    )
+    """(G, K) what a motion keeps of the solids that rest, known up to where it matters [m]."""
+    most, q = parameters.stop_distance + _MARGIN, np.array(motion.q, order="C")
+    when = scene.stamp if math.isfinite(scene.stamp) else 0.0
+    return kernels.kept_along(arm.chain, arm.spheres, scene.solids, q, when, most)
 
 
 def watch_solids(
@@ -151,19 +73,20 @@ def watch_solids(
         passing: whether what moves is left to who has looked ahead.
     """
     solids = scene.solids
-    if scene.stamp == -math.inf:
-        return Demand(0.0, "unobserved", "no observation yet")
+    rests = ~solids.ball[:, 4:7].any(axis=1)
     stop = np.full((len(arm.bodies), len(solids.ball)), parameters.stop_distance)
+    stop[:, ~rests] += parameters.padding
     if kept is not None:
-        rests = ~solids.ball[:, 4:7].any(axis=1)
-        stop[:, rests] = np.minimum(stop, kept - _MARGIN)[:, rests]
+        # Whatever a motion is said to keep, no shape is to touch another.
+        least = np.maximum(kept - _MARGIN, -arm.overshoot)
+        stop[:, rests] = np.minimum(stop, least)[:, rests]
     p = parameters
     rules = SolidRules(
         stop, p.reaction_time, p.period, p.hold_time, p.leave_scale, kept is not None, passing
     )
-    now = min(max(time, scene.stamp), scene.stamp + p.max_age)
+    now = min(time, scene.stamp + p.max_age)
     scale, group, row, distance, _ = kernels.solid_limit(
-        arm.chain, arm.spheres, solids, np.array(q), np.array(v), now, rules
+        arm.chain, arm.spheres, solids, q, v, now, rules
     )
     if row == kernels.NOTHING:
         return NO_DEMAND
@@ -180,24 +103,9 @@ def watch_solids(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class JointRange:
-    """Limits of the n joints of the arm.
-
-    Attributes:
-        names: the joints' names.
-        lower, upper: (n,) positions [rad].
-        speed: (n,) largest speed [rad/s].
-    """
-
-    names: tuple[str, ...]
-    lower: FloatArray
-    upper: FloatArray
-    speed: FloatArray
-
-
 def watch_joints(
-    joints: JointRange,
+    names: tuple[str, ...],
+    limits: Chain,
     q: FloatArray,
     v: FloatArray,
     v_full: FloatArray,
@@ -211,47 +119,48 @@ def watch_joints(
     and is slowed as braking needs: see `watch_solids`.
 
     Args:
-        joints: their limits.
+        names: of the n joints.
+        limits: of their positions and speeds.
         q: (n,) positions [rad].
         v: (n,) velocities [rad/s].
-        v_full: (n,) velocities at full speed, see `supervision_kernels.full_speed_motion` [rad/s].
+        v_full: (n,) velocities at full speed, see `guarded_arm.full_speed_rates` [rad/s].
         scale: share of full speed asked for now.
         parameters: what is kept.
         verified: (T, n) joints along the verified motion [rad]; None: none is.
     """
-    left = np.where(v_full > 0.0, joints.upper - q, q - joints.lower)
+    left = np.where(v_full > 0.0, limits.upper - q, q - limits.lower)
     speed, p = np.abs(v_full), parameters
     if verified is None:
         allowed = np.maximum(left - p.joint_margin, 0.0) / p.reaction_time
         share = allowed / np.maximum(speed, 1e-9)
     else:
-        ahead = np.minimum(joints.upper - verified, verified - joints.lower).min(axis=0)
+        ahead = np.minimum(limits.upper - verified, verified - limits.lower).min(axis=0)
         room = np.maximum(left - np.minimum(p.joint_margin, ahead - _JOINT_MARGIN), 0.0)
         share = np.sqrt(p.period**2 + 2.0 * p.hold_time * room / np.maximum(speed, 1e-9))
         share = (share - p.period) / p.hold_time
     # As fast as the position limit lets it, and as the speed limit does.
     position = np.where(speed > kernels.APPROACH, share, 1.0)
-    rate = joints.speed / np.maximum(speed, 1e-9)
+    rate = limits.speed / np.maximum(speed, 1e-9)
     now = np.abs(v)
-    over = now > joints.speed
+    over = now > limits.speed
     if over.any():
-        rate = np.where(over, np.minimum(rate, scale * joints.speed / np.maximum(now, 1e-9)), rate)
+        rate = np.where(over, np.minimum(rate, scale * limits.speed / np.maximum(now, 1e-9)), rate)
     near, fast = int(position.argmin()), int(rate.argmin())
     if position[near] >= 1.0 and rate[fast] >= 1.0:
         return NO_DEMAND
     if position[near] <= rate[fast]:
-        name = joints.names[near]
+        name = names[near]
         return Demand(
             float(position[near]),
             f"{name} near its limit",
             f"{name} {max(float(left[near]), 0.0):.3f} rad from its position limit",
             lasting=True,
         )
-    name = joints.names[fast]
+    name = names[fast]
     return Demand(
         max(float(rate[fast]), parameters.slowest),
         f"{name} fast",
-        f"{name} would be faster than {joints.speed[fast]:.2f} rad/s",
+        f"{name} would be faster than {limits.speed[fast]:.2f} rad/s",
     )
 
 

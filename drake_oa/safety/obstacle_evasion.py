@@ -18,9 +18,11 @@ from pydrake.systems.framework import (
 
 from drake_oa.common.config import check_values
 from drake_oa.common.messages import (
+    BoolArray,
     Evasion,
     FloatArray,
     Frozen,
+    IntArray,
     ObstacleClouds,
     PlannedMotion,
     PolicyState,
@@ -43,7 +45,6 @@ from drake_oa.safety.config import EvasionParameters, EvasionSettings, settings
 from drake_oa.safety.evasion import NOTHING_MOVES, choose, left_alone
 from drake_oa.safety.lookahead import Lookout, posed_arm
 from drake_oa.safety.lookahead_kernels import Arm
-from drake_oa.safety.supervisor import arm_joints
 
 _logger = logging.getLogger("drake_oa")
 
@@ -279,12 +280,41 @@ class ObstacleEvasion(LeafSystem):
             self._model.jacobian(model, self._frame)[:, self._joints],
             self._frame.CalcPoseInWorld(model).translation(),
             x[self._joints],
-            (limits.lower, limits.upper, limits.speed),
+            limits,
             self._shapes,
             self._robot.body_poses(model),
             self._moved,
             self._parameters,
         )
+
+
+def arm_joints(
+    robot: RobotModel, tool: int
+) -> tuple[IntArray, BoolArray, tuple[FloatArray, FloatArray, FloatArray]]:
+    """The joints that move the tool.
+
+    Returns:
+        (n,) where they are in the plant's velocities; (B, n) which of the robot's bodies each
+        moves; their limits.
+    """
+    plant = robot.plant
+    joints, moved = [], []
+    for joint in map(plant.get_joint, plant.GetJointIndices(robot.model_instance)):
+        bodies = plant.GetBodiesKinematicallyAffectedBy([joint.index()])
+        if joint.num_velocities() == 1 and tool in bodies:
+            joints.append(joint)
+            moved.append([body in bodies for body in robot.bodies])
+    if plant.num_positions() != plant.num_velocities():
+        raise ValueError("robot: each joint must have one degree of freedom")
+    if not joints:
+        raise ValueError("robot: no joint of one degree of freedom moves the tool frame")
+    limits = (
+        np.array([joint.position_lower_limits()[0] for joint in joints]),
+        np.array([joint.position_upper_limits()[0] for joint in joints]),
+        np.array([joint.velocity_upper_limits()[0] for joint in joints]),
+    )
+    where = np.array([joint.velocity_start() for joint in joints], dtype=np.int64)
+    return where, np.ascontiguousarray(np.array(moved).T), limits
 
 
 def _points(seen: ObstacleClouds, active: bool) -> ObstaclePoints:

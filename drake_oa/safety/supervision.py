@@ -5,20 +5,19 @@ gives a `Demand`: the share of full speed, ds/dt = 1 / (tau T), at which the mot
 and why. The least one counts. The path is a function of normalised time s alone, so that
 a motion at another speed keeps its path.
 
-The watch of clearance asks of every pair of a point p of an obstacle and the nearest point of
-a link, at their distance d less the padding, closing at the speed c at full speed,
+The watch of clearance asks of every sphere of the arm and every solid, at their distance d and
+closing at the speed c at full speed,
 
-    share * c + (speed of the obstacle towards the link) <= (d - d_stop) / T_reaction,
+    share * c + (speed of the solid towards the sphere) <= (d - d_stop) / T_reaction,
 
 where T_reaction is the time in which the policy comes to rest from full speed, and the
 controller with it. A resting obstacle is thereby approached exponentially, at a rate
 that the policy can follow, and never nearer than d_stop.
 
-Where the true shapes are known, the robot is spheres and d its distance to a solid. A solid that
-moves counts as above. One that rests, beside a motion that was verified among it, is no stranger:
-the policy, which goes from a share x to rest in x hold, has only to brake in time,
+A solid that rests, beside a motion that was verified among it, is no stranger: the policy, which
+goes from a share x to rest in x hold, has only to brake in time,
 
-    closing * (share * step + share^2 * hold / 2) <= d - d_stop,
+    c * (share * step + share^2 * hold / 2) <= d - d_stop,
 
 and d_stop is the least of the stop distance and what the motion keeps of it, less 5 mm.
 """
@@ -31,8 +30,7 @@ from typing import Literal
 
 import numpy as np
 
-from drake_oa.common.messages import FloatArray, Frozen, ObstacleClouds, PlannedMotion, TablePlane
-from drake_oa.geometry.points import ObstaclePoints
+from drake_oa.common.messages import FloatArray, Frozen, PlannedMotion
 from drake_oa.planning.solid_scene import SolidScene
 from drake_oa.safety.config import SupervisorSettings
 
@@ -54,8 +52,7 @@ class Supervision(Frozen):
         since: since when action and reason are these [s].
         link: the body nearest to a limit of clearance; "" where none is.
         obstacle: name of the obstacle it is near to; -1: the table, or none.
-        distance: between them, less the padding of an obstacle's points [m]; inf where
-            nothing limits the motion.
+        distance: between them [m]; inf where nothing limits the motion.
     """
 
     action: Action = "run"
@@ -101,9 +98,6 @@ class SupervisorState(Frozen):
     Attributes:
         supervision: its decision.
         cause: what it was made for; see `Demand`.
-        seen: the observation that was last on the port.
-        obstacles: the last good one.
-        table: the last known supporting plane, or None.
         blocked_since: since when the motion is held for something lasting [s].
         saturated_since: since when a torque is saturated, or since it last slowed [s].
         torque_scale: share of full speed that torque saturation leaves.
@@ -114,9 +108,6 @@ class SupervisorState(Frozen):
 
     supervision: Supervision = field(default_factory=Supervision)
     cause: str = ""
-    seen: ObstacleClouds | None = None
-    obstacles: ObstaclePoints = field(default_factory=ObstaclePoints)
-    table: TablePlane | None = None
     blocked_since: float = math.inf
     saturated_since: float = math.inf
     torque_scale: float = 1.0
@@ -124,23 +115,6 @@ class SupervisorState(Frozen):
     scene: SolidScene | None = None
     kept: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     broken: bool = False
-
-    def with_observation(self, seen: ObstacleClouds) -> SupervisorState:
-        """Takes over an observation that is new, good and not older than the last one.
-
-        A frame that is not finite, or that comes late, leaves what was seen before: it
-        ages. A frame without a table leaves the table.
-        """
-        if seen is self.seen:
-            return self
-        obstacles = self.obstacles
-        if seen.stamp >= obstacles.stamp:
-            try:
-                obstacles = ObstaclePoints.of(seen)
-            except ValueError:
-                return replace(self, seen=seen)
-        table = self.table if obstacles.table is None else obstacles.table
-        return replace(self, seen=seen, obstacles=obstacles, table=table)
 
 
 def broken(state: SupervisorState, reason: str, time: float) -> SupervisorState:

@@ -49,8 +49,9 @@ def test_a_registered_block_is_read_checked_written_and_built() -> None:
         load_scenario("tabletop_box", ["perception=!Nobody {period: 7}"])
     edges = connections(build_avoidance(scenario))
     assert ("perception.y0", "ellipsoid_descriptor.obstacles_W") in edges
-    # Nothing is known of a camera's view: what watches sees what the descriptor sees.
-    assert ("perception.y0", "supervisor.obstacles_W") in edges
+    # Of what it sees solids are made, for what watches.
+    assert ("perception.y0", "solids.obstacles_W") in edges
+    assert ("solids.solids_W", "supervisor.solids_W") in edges
 
 
 def test_what_cannot_be_a_block_is_refused() -> None:

@@ -93,7 +93,7 @@ class ArmAlone:
 def arm_alone(config: Robot) -> ArmAlone:
     robot = make_robot_plant(config)
     q, inspector = home_positions(robot, config), robot.scene_graph.model_inspector()
-    spheres = make_arm_spheres(robot, q, tool_links(config))
+    spheres = make_arm_spheres(robot, q, tool_links(config), config.spheres)
     model = make_arm_model(
         robot.plant,
         inspector,

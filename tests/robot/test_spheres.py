@@ -32,7 +32,7 @@ from drake_oa.geometry.collision_shapes import collect_collision_shapes, surface
 from drake_oa.geometry.shapes import Cylinder as HeldCylinder
 from drake_oa.robot import sphere_kernels as kernels
 from drake_oa.robot.arm import make_arm_model
-from drake_oa.robot.config import Robot
+from drake_oa.robot.config import Robot, SphereParameters
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.plant import (
     TOOL_FRAME,
@@ -41,7 +41,7 @@ from drake_oa.robot.plant import (
     make_robot_plant,
 )
 from drake_oa.robot.sphere_cover import Cover, cover, read_solid
-from drake_oa.robot.spheres import ArmSpheres, SphereParameters, make_arm_spheres
+from drake_oa.robot.spheres import ArmSpheres, make_arm_spheres
 
 COARSE = SphereParameters(overshoot=0.015, tool_overshoot=0.012, fixed_overshoot=0.03, postures=200)
 _WEDGE = [[0, 0, 0], [0.1, 0, 0], [0, 0.08, 0], [0, 0, 0.06], [0.1, 0, 0.02]]
@@ -123,8 +123,10 @@ def test_an_unbounded_shape_and_bad_numbers_are_refused() -> None:
         covered(HalfSpace(), RigidTransform(), 0.01)
     with pytest.raises(ValueError, match="overshoot must be positive"):
         covered(Sphere(0.1), RigidTransform(), 0.0)
-    with pytest.raises(ValueError, match="postures must be positive"):
-        SphereParameters(postures=0)
+    with pytest.raises(ValueError, match=r"spheres.postures: 0 is outside"):
+        make_arm_spheres(
+            make_robot_plant(Robot()), np.zeros(9), parameters=SphereParameters(postures=0)
+        )
 
 
 def arm_of_links(path: Path, joints: str = "rrrrrr", *, collision: bool = True) -> RobotPlant:

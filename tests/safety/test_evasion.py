@@ -21,7 +21,7 @@ from drake_oa.safety.evasion import NOTHING_MOVES, choose
 from drake_oa.safety.evasion_candidates import displaced, planned_shift, shortened, stopping_shift
 from drake_oa.safety.lookahead import Lookout, posed_arm
 from drake_oa.safety.lookahead_kernels import Arm
-from drake_oa.safety.supervisor import arm_joints
+from drake_oa.safety.obstacle_evasion import arm_joints
 
 PARAMETERS = EvasionSettings(padding=0.0, turn_speed=0.0)
 NO_TABLE = np.full(4, np.nan)
@@ -40,8 +40,7 @@ class Posed:
         self.bodies = [plant.get_body(index) for index in shapes.bodies]
         self.shapes = GuardShapes.of(shapes.shapes, len(self.bodies))
         joints = arm_joints(shapes, self.frame.body().index())
-        self.joints, self.moved, limits = joints
-        self.limits = (limits.lower, limits.upper, limits.speed)
+        self.joints, self.moved, self.limits = joints
         self.q = home_positions(made, Robot())
         self.context = plant.CreateDefaultContext()
 

@@ -7,54 +7,31 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pydrake.common.value import Value
-from pydrake.multibody.tree import JacobianWrtVariable
+from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 
-from drake_oa.common.messages import (
-    Evasion,
-    FloatArray,
-    HoldCause,
-    ObstacleClouds,
-    PolicyState,
-    TablePlane,
-)
-from drake_oa.geometry.collision_shapes import RobotModel, collect_collision_shapes
-from drake_oa.robot.config import Robot
-from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
-from drake_oa.safety.approach_kernels import full_speed_motion
+from drake_oa.common.messages import Evasion, FloatArray, HoldCause, PolicyState, TablePlane
+from drake_oa.geometry.solids import SURROUNDINGS, solids_of, sphere, table_solid
+from drake_oa.planning.solid_scene import SolidScene
 from drake_oa.safety.config import SupervisorParameters
+from drake_oa.safety.guarded_arm import GuardedArm
 from drake_oa.safety.supervision import Supervision
 from drake_oa.safety.supervisor import Supervisor
+from tests.planning.arms import ArmAlone
 
 PERIOD, FRAME = 0.008, 1.0 / 15.0
 V_WE = np.array([0.0, 0.4, 0.0])
-FAR = np.array([[5.0, 0.0, 0.0]])
-
-
-@pytest.fixture(scope="module")
-def robot() -> tuple[RobotPlant, RobotModel]:
-    made = make_robot_plant(Robot())
-    shapes = collect_collision_shapes(made.plant, made.scene_graph.model_inspector(), made.instance)
-    return made, shapes
+FAR, REST = np.array([5.0, 0.0, 0.0]), np.zeros(3)
 
 
 class Bench:
     """A supervisor on fixed inputs that can be changed on the way."""
 
-    def __init__(self, robot: tuple[RobotPlant, RobotModel], **changes: float) -> None:
-        made, shapes = robot
-        self.q = home_positions(made, Robot())
-        context = made.plant.CreateDefaultContext()
-        made.plant.SetPositions(context, self.q)
-        self.p_WE = made.tool_frame.CalcPoseInWorld(context).translation()
-        self.system = Supervisor(
-            shapes,
-            made.tool_frame.name(),
-            1.0,
-            period=PERIOD,
-            parameters=replace(SupervisorParameters(), **changes),
-            table=TablePlane(offset=-0.5),
-        )
+    def __init__(self, panda: ArmAlone, guarded: GuardedArm, **changes: float) -> None:
+        self.q = panda.q_full
+        self.p_WE = panda.X_WE[9:]
+        parameters = replace(SupervisorParameters(), **changes)
+        self.system = Supervisor(guarded, 1.0, period=PERIOD, parameters=parameters)
         self.simulator = Simulator(self.system)
         self.context = self.simulator.get_mutable_context()
         self.give("robot_state", np.concatenate([self.q, np.zeros(len(self.q))]))
@@ -70,9 +47,18 @@ class Bench:
     def move(self, v_WE: FloatArray, **more: object) -> None:
         self.give("policy_state", PolicyState(p_WE=self.p_WE, z_W=v_WE, **more))
 
-    def see(self, *clouds: FloatArray, **more: object) -> None:
-        stamp = self.context.get_time()
-        self.give("obstacles_W", ObstacleClouds(stamp, clouds, np.arange(len(clouds)), **more))
+    def see(self, *places: FloatArray, v_WO: FloatArray = REST, table: float | None = None) -> None:
+        """Balls of 1 mm at places."""
+        stamp, solids = self.context.get_time(), []
+        for row, place in enumerate(places):
+            X_WO = RigidTransform(place).GetAsMatrix4()
+            name = {"name": row, "label": f"obstacle {row}"}
+            solids.append(replace(sphere(1e-3), X_WO=X_WO, v_WO=v_WO, stamp=stamp, **name))
+        if table is not None:
+            of_table = table_solid(TablePlane(offset=table))
+            solids.append(replace(of_table, name=SURROUNDINGS, label="the table"))
+        labels = tuple(solid.label for solid in solids)
+        self.give("solids_W", SolidScene(stamp, solids_of(solids), labels))
 
     def run(self, duration: float, *, fresh: bool = True) -> Supervision:
         """Goes on; `fresh`: with a frame whenever one is due."""
@@ -80,8 +66,10 @@ class Bench:
         while self.context.get_time() < end - 1e-9:
             self.simulator.AdvanceTo(min(end, self.context.get_time() + FRAME))
             if fresh:
-                seen = self.system.GetInputPort("obstacles_W").Eval(self.context)
-                self.give("obstacles_W", replace(seen, stamp=self.context.get_time()))
+                seen = self.system.GetInputPort("solids_W").Eval(self.context)
+                time = self.context.get_time()
+                seen.solids.ball[:, 7] = time
+                self.give("solids_W", replace(seen, stamp=time))
         return self.now()
 
     def now(self) -> Supervision:
@@ -92,8 +80,8 @@ class Bench:
 
 
 @pytest.fixture
-def bench(robot: tuple[RobotPlant, RobotModel]) -> Callable[..., Bench]:
-    return lambda **changes: Bench(robot, **changes)
+def bench(panda: ArmAlone, guarded: GuardedArm) -> Callable[..., Bench]:
+    return lambda **changes: Bench(panda, guarded, **changes)
 
 
 def test_a_motion_in_the_open_runs(
@@ -129,24 +117,22 @@ def test_an_old_frame_slows_holds_and_a_new_one_resumes(
     ]
 
 
-@pytest.mark.parametrize("stamp", [0.0, 0.2])
-def test_frames_that_are_late_or_not_finite_do_not_count(
-    bench: Callable[..., Bench], stamp: float
-) -> None:
-    b = bench()
-    b.run(0.1)
-    cloud = FAR if stamp == 0.0 else np.full((1, 3), np.nan)
-    for _ in range(10):
-        seen = ObstacleClouds(stamp * b.context.get_time(), (cloud,), np.zeros(1, dtype=np.int64))
-        b.give("obstacles_W", seen)
-        found = b.run(FRAME, fresh=False)
-    assert found.action == "hold"
-
-
 def test_no_observation_holds(bench: Callable[..., Bench]) -> None:
     b = bench()
-    b.give("obstacles_W", ObstacleClouds(note="no valid pixel"))
+    b.give("solids_W", SolidScene(note="no valid pixel"))
     assert b.run(0.1, fresh=False).reason == "no observation yet (no valid pixel)"
+
+
+def test_without_solids_the_rest_is_watched(guarded: GuardedArm, panda: ArmAlone) -> None:
+    system = Supervisor(guarded, 1.0)
+    context = system.CreateDefaultContext()
+    state = np.concatenate([panda.q_full, np.zeros(len(panda.q_full))])
+    system.GetInputPort("robot_state").FixValue(context, state)
+    policy = PolicyState(p_WE=panda.X_WE[9:], z_W=np.array([0.0, 5.0, 0.0]))
+    system.GetInputPort("policy_state").FixValue(context, Value(policy))
+    simulator = Simulator(system, context)
+    simulator.AdvanceTo(0.1)
+    assert "would be faster" in system.GetOutputPort("supervision").Eval(context).reason
 
 
 def test_a_link_near_a_resting_obstacle_holds_then_stops(
@@ -154,9 +140,9 @@ def test_a_link_near_a_resting_obstacle_holds_then_stops(
 ) -> None:
     b = bench()
     # 0.103 m is half the hand's width along y.
-    b.see(b.p_WE[None] + np.array([0.0, 0.11 + 0.103, 0.08]))
+    b.see(b.p_WE + np.array([0.0, 0.11 + 0.103, 0.08]))
     assert b.run(0.1).action == "slow"
-    b.see(b.p_WE[None] + np.array([0.0, 0.103 + 0.02, 0.08]))
+    b.see(b.p_WE + np.array([0.0, 0.103 + 0.02, 0.08]))
     caplog.clear()
     with caplog.at_level(logging.WARNING, "drake_oa"):
         held = b.run(0.1)
@@ -171,7 +157,7 @@ def test_a_link_near_a_resting_obstacle_holds_then_stops(
 
 def test_it_goes_on_when_the_obstacle_has_gone_in_time(bench: Callable[..., Bench]) -> None:
     b = bench()
-    b.see(b.p_WE[None] + np.array([0.0, 0.12, 0.08]))
+    b.see(b.p_WE + np.array([0.0, 0.12, 0.08]))
     assert b.run(2.0).action == "hold"
     b.see(FAR)
     assert b.run(2.0).action == "run"
@@ -179,35 +165,35 @@ def test_it_goes_on_when_the_obstacle_has_gone_in_time(bench: Callable[..., Benc
 
 def test_from_contact_it_may_leave_but_not_press(bench: Callable[..., Bench]) -> None:
     b = bench()
-    b.see(b.p_WE[None] + np.array([0.0, 0.1, 0.08]))
+    b.see(b.p_WE + np.array([0.0, 0.1, 0.08]))
     assert b.run(0.1).action == "hold"
     b.move(-V_WE)
     left = b.run(0.5)
     assert (left.action, left.speed_scale) == ("slow", SupervisorParameters().leave_scale)
     other = bench()
-    other.see(other.p_WE[None] + np.array([0.0, 0.1, 0.08]))
+    other.see(other.p_WE + np.array([0.0, 0.1, 0.08]))
     other.move(-V_WE)
     assert other.run(0.5).speed_scale == SupervisorParameters().leave_scale
 
 
 def test_an_obstacle_that_comes_holds_and_never_stops(bench: Callable[..., Bench]) -> None:
     b = bench()
-    place = b.p_WE[None] + np.array([0.0, 0.103 + 0.08, 0.08])
-    b.see(place, v_WO=np.array([[0.0, -0.5, 0.0]]))
+    place = b.p_WE + np.array([0.0, 0.103 + 0.08, 0.08])
+    b.see(place, v_WO=np.array([0.0, -0.5, 0.0]))
     # It stands still with each frame, and is still said to come.
     assert b.run(4.0).action == "hold"
 
 
 def test_while_the_policy_itself_holds_nothing_is_stopped(bench: Callable[..., Bench]) -> None:
     b = bench()
-    b.see(b.p_WE[None] + np.array([0.0, 0.12, 0.08]))
+    b.see(b.p_WE + np.array([0.0, 0.12, 0.08]))
     b.move(V_WE, hold=HoldCause.OBSTACLES, note="goal inside obstacle 3")
     assert b.run(4.0).action == "hold"
 
 
 def test_the_table_stops_a_descent(bench: Callable[..., Bench]) -> None:
     b = bench()
-    b.see(table=TablePlane(offset=b.p_WE[2] - 0.05))
+    b.see(table=b.p_WE[2] - 0.05)
     b.move(np.array([0.0, 0.0, -0.4]))
     assert b.run(0.1).reason.startswith("panda_leftfinger within")
     assert b.now().reason.endswith("of the table")
@@ -267,7 +253,7 @@ def test_what_is_not_finite_stops(bench: Callable[..., Bench], port: str) -> Non
 
 def test_a_clone_replays_bit_for_bit(bench: Callable[..., Bench]) -> None:
     b = bench()
-    b.see(b.p_WE[None] + np.array([0.0, 0.103 + 0.1, 0.08]))
+    b.see(b.p_WE + np.array([0.0, 0.103 + 0.1, 0.08]))
     b.run(0.05, fresh=False)
     other = Simulator(b.system, b.context.Clone())
     found = []
@@ -279,57 +265,30 @@ def test_a_clone_replays_bit_for_bit(bench: Callable[..., Bench]) -> None:
     assert found[0][0] == "hold"
 
 
-def test_the_prediction_is_that_of_the_plant(robot: tuple[RobotPlant, RobotModel]) -> None:
-    made, shapes = robot
-    plant = made.plant
-    b = Bench(robot)
-    context = plant.CreateDefaultContext()
-    v = np.random.default_rng(0).normal(size=plant.num_velocities()) * 0.2
-    v[7:] = 0.0
-    plant.SetPositions(context, b.q)
-    tool, world = made.tool_frame, plant.world_frame()
-    J = plant.CalcJacobianSpatialVelocity(
-        context, JacobianWrtVariable.kV, tool, np.zeros(3), world, world
-    )[:, :7]
-    bodies = [plant.get_body(index) for index in shapes.bodies]
-    X_WB = np.stack([plant.EvalBodyPoseInWorld(context, x).GetAsMatrix4() for x in bodies])
-    found, V_WB = full_speed_motion(
-        np.ascontiguousarray(J), v[:7].copy(), V_WE, b.p_WE, X_WB, b.system._moved, 1e-9
-    )
-    np.testing.assert_allclose(J @ found, [0.0, 0.0, 0.0, *V_WE], atol=1e-6)
-    v[:7] = found
-    plant.SetVelocities(context, v)
-    for row, body in enumerate(bodies):
-        expected = plant.EvalBodySpatialVelocityInWorld(context, body).get_coeffs()
-        np.testing.assert_allclose(V_WB[row], expected, atol=1e-9)
-
-
 def test_a_wrong_type_on_a_port_is_refused_by_its_name(bench: Callable[..., Bench]) -> None:
     b = bench()
-    b.give("obstacles_W", PolicyState())
-    with pytest.raises(TypeError, match="'obstacles_W' holds a PolicyState"):
+    b.give("solids_W", PolicyState())
+    with pytest.raises(TypeError, match="'solids_W' holds a PolicyState"):
         b.run(0.1, fresh=False)
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"tool_frame": "nothing"}, "the plant has no frame 'nothing'"),
         ({"duration": 0.0}, "duration must be finite and positive"),
         ({"period": np.nan}, "period must be positive"),
     ],
 )
 def test_bad_construction_is_refused(
-    robot: tuple[RobotPlant, RobotModel], change: dict[str, object], said: str
+    guarded: GuardedArm, change: dict[str, float], said: str
 ) -> None:
-    values = {"tool_frame": robot[0].tool_frame.name(), "duration": 1.0} | change
     with pytest.raises(ValueError, match=said):
-        Supervisor(robot[1], **values)
+        Supervisor(guarded, **({"duration": 1.0} | change))
 
 
 def near(bench: Bench) -> None:
     """A point that moves, close ahead of the tool."""
-    bench.see(bench.p_WE + np.array([[0.0, 0.05, -0.02]]), v_WO=np.array([[0.0, 0.1, 0.0]]))
+    bench.see(bench.p_WE + np.array([0.0, 0.05, -0.02]), v_WO=np.array([0.0, 0.1, 0.0]))
 
 
 def test_who_is_told_to_go_on_is_not_slowed_by_what_moves(bench: Callable[..., Bench]) -> None:
@@ -341,7 +300,7 @@ def test_who_is_told_to_go_on_is_not_slowed_by_what_moves(bench: Callable[..., B
     near(b)
     assert b.run(0.1).action == "run"
     # What rests still counts.
-    b.see(b.p_WE + np.array([[0.0, 0.05, -0.02]]))
+    b.see(b.p_WE + np.array([0.0, 0.05, -0.02]))
     assert b.run(0.1).action in ("hold", "slow")
 
 
