@@ -7,15 +7,13 @@ from drake_oa.common.wires import Wires
 from drake_oa.diagrams.policy import make_dmp
 from drake_oa.diagrams.route import held_annulus
 from drake_oa.diagrams.station import Cell
-from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.perception.config import GroundTruth
-from drake_oa.robot.plant import RobotPlant
 from drake_oa.safety.guarded_arm import GuardedArm
 from drake_oa.safety.obstacle_evasion import ObstacleEvasion
 from drake_oa.safety.supervisor import Supervisor
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.sources import padding, perception_period, table_plane
+from drake_oa.scenario.sources import padding, perception_period
 
 
 def add_safety(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
@@ -26,13 +24,13 @@ def add_safety(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     """
     if cell is None or scenario.supervisor is None:
         return
-    solid = {"obstacles_W": "solid_obstacles_W"}
     wires.add("supervisor", make_supervisor(scenario, cell.guarded_arm))
     if "obstacles_W" in wires and scenario.evasion is not None:
+        # Who follows a motion's posture turns the arm as well.
+        turns = "motion" in wires and "desired_posture" in wires
         wires.add(
             "evasion",
-            make_evasion(scenario, cell.robot_plant, turns="desired_posture" in wires),
-            reads=solid,
+            make_evasion(scenario, cell.guarded_arm, turns=turns),
             offers={"decision": "decision_evasion"},
         )
     wires.log("speed_scale", "evasion", "decision_evasion")
@@ -65,14 +63,12 @@ def _padding(scenario: Scenario) -> float:
     return 0.0 if exact else padding(scenario.perception)
 
 
-def make_evasion(
-    scenario: Scenario, robot_plant: RobotPlant, *, turns: bool = True
-) -> ObstacleEvasion:
+def make_evasion(scenario: Scenario, arm: GuardedArm, *, turns: bool = True) -> ObstacleEvasion:
     """What gets the arm out of the way of what moves; it decides with every observation.
 
     Args:
         scenario: of the robot.
-        robot_plant: the robot.
+        arm: of it.
         turns: whether there is a posture follower, which turns the arm.
 
     Raises:
@@ -82,19 +78,15 @@ def make_evasion(
     if given is None:
         raise ScenarioError("evasion: this scenario has null")
     return ObstacleEvasion(
-        collect_collision_shapes(
-            robot_plant.plant, robot_plant.scene_graph.model_inspector(), robot_plant.instance
-        ),
-        robot_plant.tool_frame.name(),
+        arm,
         make_dmp(scenario),
         period=perception_period(scenario),
         step=policy.period,
         max_age=policy.max_observation_age,
         parameters=given,
-        padding=padding(scenario.perception),
+        padding=_padding(scenario),
         hold_time=policy.hold_time,
         turns=turns,
-        table=table_plane(scenario),
         table_height=policy.table_height,
         annulus=held_annulus(scenario),
         thinking=scenario.thinking,

@@ -50,11 +50,14 @@ class Asked(NamedTuple):
         of_solids: (G, K) clearance of each group to each solid [m]; -inf: they may touch.
         of_self: clearance of the groups to each other [m].
         is_tool: (G,) whether a group is of the tool, else of the links.
+        growth: (K,) by how much more is asked of each solid a second after its stamp [m/s]; (0,):
+            no more.
     """
 
     of_solids: FloatArray
     of_self: float
     is_tool: BoolArray
+    growth: FloatArray = np.zeros(0)
 
 
 class ArmWorld(NamedTuple):
@@ -131,7 +134,10 @@ def lower_excess(
         center[g, 0], center[g, 1], center[g, 2] = x, y, z
         row = TOOL if asked.is_tool[g] else LINKS
         for k in range(len(solids.ball)):
-            far = spheres.bound[g, 3] + asked.of_solids[g, k] + least[row]
+            keep = asked.of_solids[g, k]
+            if len(asked.growth) > 0:
+                keep += asked.growth[k] * (t - solids.ball[k, 7])
+            far = spheres.bound[g, 3] + keep + least[row]
             if ball_bound(solids, k, x, y, z, t) >= far:
                 continue
             of_group = solid_distance(solids, k, x, y, z, t)
@@ -139,7 +145,7 @@ def lower_excess(
                 continue
             for c in range(spheres.cluster[g], spheres.cluster[g + 1]):
                 u, v, w = placed(X, frame, spheres.cluster_bound, c)
-                far = spheres.cluster_bound[c, 3] + asked.of_solids[g, k] + least[row]
+                far = spheres.cluster_bound[c, 3] + keep + least[row]
                 # No point is nearer by more than it is away.
                 if of_group - far > 0.0:
                     square = (u - x) ** 2 + (v - y) ** 2 + (w - z) ** 2
@@ -150,7 +156,7 @@ def lower_excess(
                 for i in range(spheres.cluster_first[c], spheres.cluster_first[c + 1]):
                     u, v, w = placed(X, frame, spheres.p_JS, i)
                     d = solid_distance(solids, k, u, v, w, t)
-                    d -= spheres.radius[i] + asked.of_solids[g, k]
+                    d -= spheres.radius[i] + keep
                     if d < least[row]:
                         least[row] = d
                         if d < enough:

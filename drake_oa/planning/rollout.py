@@ -28,12 +28,12 @@ from drake_oa.planning.arm_world import FAR, ArmWorld, Asked, Chain, lower_exces
 from drake_oa.planning.tracking import PULL, follow, scratch
 from drake_oa.robot.sphere_kernels import Spheres
 
-ERROR, HURRY, ENDED = 3, 4, 5
+ERROR, HURRY, ENDED, WHEN = 3, 4, 5, 6
+N_COLUMNS = 7
+"""Of what a candidate comes to: after `TOOL`, `LINKS` and `SELF` of `arm_world`."""
 _EACH = 8
 """Candidates for which another thread pays."""
 _CORES = max(len(os.sched_getaffinity(0)), 1)
-N_COLUMNS = 6
-"""Of what a candidate comes to: after `TOOL`, `LINKS` and `SELF` of `arm_world`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +69,7 @@ class ArmRollouts(Frozen):
         error: (N,) by how much the arm misses the tool's pose at most [m, rad].
         hurry: (N,) greatest speed of a joint, in shares of what it can do.
         samples: (N,) how many samples were looked at; fewer than there are where it was enough.
+        when: (N,) at which sample they keep least.
         q: (N, T, n) the joints [rad].
     """
 
@@ -76,6 +77,7 @@ class ArmRollouts(Frozen):
     error: FloatArray
     hurry: FloatArray
     samples: IntArray
+    when: IntArray
     q: FloatArray
 
     @property
@@ -102,9 +104,9 @@ def roll_out_arm(
     arrays = {item.name: np.array(getattr(paths, item.name), order="C") for item in fields(paths)}
     bundle = _Paths(**arrays, enough=np.array(stop))
     _roll_all(*world, np.array(q, dtype=float), bundle, table, joints, count=N)
-    samples = table[:, ENDED].astype(np.int64)
+    samples, when = table[:, ENDED].astype(np.int64), table[:, WHEN].astype(np.int64)
     count(configurations=int(samples.sum()))
-    return ArmRollouts(table[:, :3], table[:, ERROR], table[:, HURRY], samples, joints)
+    return ArmRollouts(table[:, :3], table[:, ERROR], table[:, HURRY], samples, when, joints)
 
 
 class _Paths(NamedTuple):
@@ -130,7 +132,7 @@ def _roll_one(
     s, p, guide, enough = paths.s, paths.p_WE[i], paths.posture[paths.drawn[i]], paths.enough[i]
     room, target, q = scratch(n), np.empty(12), q0.copy()
     center, least = np.empty((len(spheres.group_joint), 3)), np.full(3, FAR)
-    error, hurry, done = 0.0, 0.0, 0
+    error, hurry, done, when, kept = 0.0, 0.0, 0, 0, FAR
     for row in range(T):
         if math.isnan(p[row, 0]):
             break
@@ -148,11 +150,14 @@ def _roll_one(
                 hurry = max(hurry, moved / (chain.speed[joint] * dt))
         t = now + paths.seconds[i] * (s[row] - s[0])
         lower_excess(room.X, t, spheres, solids, asked, center, least, enough)
-        if min(least[0], min(least[1], least[2])) < enough:
-            break
+        if min(least[0], min(least[1], least[2])) < kept:
+            kept, when = min(least[0], min(least[1], least[2])), row
+            if kept < enough:
+                break
     for row in range(done, T):
         Q[i, row] = q
     out[i, :3], out[i, ERROR], out[i, HURRY], out[i, ENDED] = least, error, hurry, done
+    out[i, WHEN] = when
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=False)

@@ -122,7 +122,7 @@ class EvasionParameters:
 class EvasionSettings(EvasionParameters):
     """The block, and what follows from the rest of the scenario."""
 
-    # How far an obstacle's surface may lie outside its points [m].
+    # How much nearer what moves may be than it was seen [m].
     padding: float = number(0.01, "m", 0.0, 1.0)
     # Time in which the motion comes to rest [s].
     hold_time: float = number(0.25, "s", 0.0, 10.0, open_low=True)

@@ -1,7 +1,7 @@
 """How the arm gets out of the way of what moves toward it.
 
 Slowing and holding keep a motion off what rests; what moves comes at a held robot. Several
-ways of the arm over the next second or so are looked at (`drake_oa.safety.lookahead_kernels`),
+ways of the arm over the next second or so are looked at (`drake_oa.safety.lookout`),
 among obstacles that go on at their velocities:
 
 - the motion as it goes, which is left so while it keeps the margin for some time;
@@ -26,15 +26,13 @@ from typing import TypeAlias
 
 import numpy as np
 
-from drake_oa.common.messages import Evading, Evasion, FloatArray, PlannedMotion, PolicyState
+from drake_oa.common.messages import Evading, Evasion, FloatArray, PolicyState
 from drake_oa.geometry.directions import DIRECTIONS
-from drake_oa.geometry.points import ObstaclePoints
 from drake_oa.safety.config import EvasionSettings
 from drake_oa.safety.evasion_candidates import displaced, planned_shift, shortened, stopping_shift
-from drake_oa.safety.lookahead import Lookout, Ways
-from drake_oa.safety.lookahead_kernels import NOTHING
+from drake_oa.safety.lookout import FULL, GOES, HELD, Lookout, Ways
 
-_FULL, _HALF = 1.0, 0.5
+_WHOLE, _HALF = 1.0, 0.5
 
 _Wanted: TypeAlias = tuple[FloatArray, FloatArray]
 """(C, m) velocities, and (C,) how far each leads; inf: as far as there is time."""
@@ -95,12 +93,7 @@ def choose(
     before: Evasion,
     velocity: FloatArray,
     turning: FloatArray,
-    policy: PolicyState,
-    motion: PlannedMotion | None,
-    s: float,
-    full_rate: float,
     ahead: Lookout,
-    obstacles: ObstaclePoints,
     parameters: EvasionSettings,
 ) -> Evasion:
     """What to do now about what moves, see the module.
@@ -109,17 +102,13 @@ def choose(
         before: what was decided last.
         velocity: (3,) what the displacement has now [m/s].
         turning: (n,) velocity of the arm's joints; its part in the null space counts [rad/s].
-        policy: the motion under way.
-        motion: what is expected of it, or None.
-        s: normalised time now.
-        full_rate: its rate at full speed, 1 / (tau T) [1/s].
-        ahead: from where the arm is.
-        obstacles: what it looks at.
+        ahead: from where the arm is, and its motion.
         parameters: what is kept.
     """
-    if not (obstacles.v_WO.any() or before.action):
+    if not (ahead.scene.moves or before.action):
         return NOTHING_MOVES
-    times, p = parameters.times, parameters
+    times, p, under = parameters.times, parameters, ahead.underway
+    policy, motion, s = under.policy, under.motion, under.s
     rest = displaced(velocity, np.zeros((1, 3)), times, p.acceleration)[0]
     goes = rest + planned_shift(policy, motion, s, policy.speed, times)
     turning = ahead.free @ (ahead.free.T @ turning)
@@ -130,28 +119,31 @@ def choose(
         velocity,
         turning,
         policy,
-        full=rest + planned_shift(policy, motion, s, full_rate, times),
+        full=rest + planned_shift(policy, motion, s, under.full_rate, times),
         held=rest + stopping_shift(policy.speed * policy.z_W, times, p.hold_time),
-        full_rate=full_rate,
+        full_rate=under.full_rate,
         ahead=ahead,
         parameters=p,
     )
     steady = now.turned(np.zeros((1, len(turning))))
     least = p.margin + (p.release if before.action else 0.0)
-    # What of the world rests is the supervisor's; nothing is done for it here.
-    soon = ahead.look(goes[None], steady, until=min(p.notice, p.horizon))
-    threat = int(soon.row[0])
-    moves = _moves(obstacles, threat)
-    # What has come to rest close by is left room for.
-    stopped = not moves and before.action != "" and _name(obstacles, threat) == before.obstacle
-    if stopped:
+    # What rests is the supervisor's; but what has come to rest close by is left room for.
+    of_last = ahead.scene.solids.layout[:, 5] == before.obstacle
+    watched = ahead.moving | (of_last if before.action else False)
+    as_it_goes = np.array([GOES])
+    soon = ahead.look(goes[None], steady, as_it_goes, among=watched, until=min(p.notice, p.horizon))
+    threat = ahead.nearest(soon, 0, watched)
+    moves = threat >= 0 and bool(ahead.moving[threat])
+    if threat >= 0 and not moves:
         least = p.margin
-    if soon.clearance[0] >= least or not (moves or (stopped and threat >= 0)):
-        passed = not len(before.turn) or ahead.look(goes[None], steady).row[0] == NOTHING
-        return NOTHING_MOVES if passed else left_alone(before)
-    ways = np.stack([goes, now.full, now.held])
-    clear = ahead.look(ways, np.repeat(steady, 3, axis=0)).clearance
-    name = _name(obstacles, threat)
+    if soon.clearance[0] >= least or threat < 0:
+        if not len(before.turn):
+            return NOTHING_MOVES
+        later = ahead.look(goes[None], steady, as_it_goes, among=watched)
+        return NOTHING_MOVES if ahead.nearest(later, 0, watched) < 0 else left_alone(before)
+    shifts, led = np.stack([goes, now.full, now.held]), np.array([GOES, FULL, HELD])
+    clear = ahead.look(shifts, np.repeat(steady, 3, axis=0), led).clearance
+    name = ahead.name(threat)
     if clear[1] >= least:
         return now.left("going on", name, clear[1])
     if clear[2] >= least:
@@ -161,7 +153,7 @@ def choose(
     turned = _turned(now, name, least)
     if turned is not None:
         return turned
-    v_WO = obstacles.v_WO[threat] if moves else None
+    v_WO = ahead.velocity(threat) if moves else None
     return _displaced(now, name, v_WO, float(clear[1]), float(clear[2]), least)
 
 
@@ -172,7 +164,8 @@ def _turned(now: _Now, obstacle: int, least: float) -> Evasion | None:
         return None
     shifts = np.repeat([now.full, now.held], len(turns), axis=0)
     turned = np.tile(now.turned(turns, reach), (2, 1, 1))
-    found = now.ahead.look(shifts, turned, plenty=least, behind=0.0)
+    led = np.repeat([FULL, HELD], len(turns))
+    found = now.ahead.look(shifts, turned, led, enough=least)
     cost = _cost(turns, now.before.turn, now.parameters)
     for action, kept in zip(_LEFT, found.clearance.reshape(2, -1), strict=True):
         if kept.max() >= least:
@@ -197,13 +190,20 @@ def _displaced(
     (wanted, far), (turns, swing) = _candidates(now)
     shifts = shortened(displaced(now.velocity, wanted, p.times, p.acceleration), far)
     shifts += stopping_shift(now.policy.speed * now.policy.z_W, p.times, p.hold_time)
-    ways = now.ahead.look(shifts, now.turned(turns, swing), plenty=least, behind=p.as_good)
     # Beyond the margin more is not better; and what stands still can always do so.
-    worth = np.minimum(ways.clearance, least)
     still = min(stands, least)
+    ways = now.ahead.look(
+        shifts,
+        now.turned(turns, swing),
+        np.full(len(shifts), HELD),
+        enough=still - 1e-9,
+        plenty=least,
+        behind=p.as_good,
+    )
+    worth = np.minimum(ways.clearance, least)
     best = max(float(worth.max()), still)
     if not math.isfinite(best):
-        return _at_its_limits(now, obstacle, ways, v_WO)
+        return _at_its_limits(now, obstacle, ways)
     if min(goes_on, least) >= best - p.as_good and goes_on > 0.0:
         return now.left("going on", obstacle, goes_on)
     good = worth >= max(best - p.as_good, still)
@@ -217,23 +217,23 @@ def _displaced(
     if v_WO is None and not turns[way].any() and np.linalg.norm(wanted[way]) < p.slow:
         return NOTHING_MOVES
     turn = turns[way] if turns[way].any() else np.zeros_like(now.before.turn)
-    contact = _contact(now, ways, way, v_WO)
+    contact = _contact(now, ways, way)
     action: Evading = "evading" if math.isinf(contact) else "caught"
     return Evasion(action, wanted[way], obstacle, float(ways.clearance[way]), contact, turn)
 
 
-def _contact(now: _Now, ways: Ways, way: int, v_WO: FloatArray | None) -> float:
+def _contact(now: _Now, ways: Ways, way: int) -> float:
     """In how long a way ends in a contact with what moves [s]; inf: it does not."""
-    distance, when = float(ways.distance[way]), float(ways.when[way])
-    p = now.parameters
-    touches = distance + p.growth * when + p.padding <= 0.0 and v_WO is not None
-    return when if touches else math.inf
+    ahead = now.ahead
+    row = ahead.nearest(ways, way)
+    touches = row >= 0 and ahead.moving[row] and ahead.gap(ways, way, row) <= 0.0
+    return float(ways.when[way]) if touches else math.inf
 
 
-def _at_its_limits(now: _Now, obstacle: int, ways: Ways, v_WO: FloatArray | None) -> Evasion:
+def _at_its_limits(now: _Now, obstacle: int, ways: Ways) -> Evasion:
     """Holds an arm that can go none of the ways, and tells what its first one would lead to."""
     held = now.left("waiting", obstacle, ways.distance[0])
-    contact = _contact(now, ways, 0, v_WO)
+    contact = _contact(now, ways, 0)
     return held if math.isinf(contact) else replace(held, action="caught", contact=contact)
 
 
@@ -243,21 +243,13 @@ def _cost(wanted: FloatArray, before: FloatArray, p: EvasionSettings) -> FloatAr
     return np.asarray(np.linalg.norm(wanted, axis=1) + p.steady * np.linalg.norm(change, axis=1))
 
 
-def _name(obstacles: ObstaclePoints, row: int) -> int:
-    return int(obstacles.ids[row]) if row >= 0 else -1
-
-
-def _moves(obstacles: ObstaclePoints, row: int) -> bool:
-    return row >= 0 and bool(obstacles.v_WO[row].any())
-
-
 def _turns(now: _Now) -> _Wanted:
     """Velocities of the null space [rad/s] that are looked at, the last one first; or none."""
     free, most = now.ahead.free, now.parameters.turn_speed
     if most == 0.0 or not free.shape[1]:
         return np.zeros((0, len(now.turning))), np.zeros(0)
     both = np.concatenate([free.T, -free.T])
-    shares, reach = (_FULL, _FULL, _HALF), (math.inf, now.parameters.short_turn, math.inf)
+    shares, reach = (_WHOLE, _WHOLE, _HALF), (math.inf, now.parameters.short_turn, math.inf)
     turns = np.concatenate([share * most * both for share in shares])
     far = np.repeat(reach, len(both))
     if now.before.turn.any():
@@ -277,7 +269,7 @@ def _candidates(now: _Now) -> tuple[_Wanted, _Wanted]:
     speed = float(np.linalg.norm(along))
     if speed > 1e-3:
         along = along * min(1.0, p.speed / speed)
-    fast, slow = (share * p.speed * DIRECTIONS for share in (_FULL, _HALF))
+    fast, slow = (share * p.speed * DIRECTIONS for share in (_WHOLE, _HALF))
     plain = np.concatenate([first, along[None], fast, slow, *[fast] * len(p.short_ways)])
     far = np.full(len(plain), np.inf)
     far[-len(fast) * len(p.short_ways) :] = np.repeat(p.short_ways, len(fast))

@@ -69,3 +69,18 @@ def stopping_shift(v_WE: FloatArray, times: FloatArray, hold_time: float) -> Flo
     """(K, 3) how far a motion at v_WE (3,) still leads while it is brought to rest [m]."""
     t = np.minimum(times, hold_time)
     return np.asarray((t - 0.5 * t * t / hold_time)[:, None] * v_WE)
+
+
+def planned_joints(
+    motion: PlannedMotion | None, q: FloatArray, s: float, rate: float, times: FloatArray
+) -> FloatArray:
+    """(K, n) where a motion leads the joints from q (n,), at a rate of normalised time [rad].
+
+    Without planned joints, and at a rate of 0, they stay. See `planned_shift`.
+    """
+    if motion is None or len(motion) < 2 or motion.q.shape[1] != len(q) or rate == 0.0:
+        return np.tile(q, (len(times), 1))
+    at = s + rate * times
+    path = np.stack([np.interp(at, motion.s, joint) for joint in motion.q.T], axis=-1)
+    here = np.array([np.interp(s, motion.s, joint) for joint in motion.q.T])
+    return np.asarray(q + path - here)

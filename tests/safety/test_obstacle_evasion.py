@@ -1,46 +1,38 @@
 """The evasion layer alone, on scripted inputs."""
 
 import logging
-from functools import cache
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from pydrake.common.value import Value
+from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 
-from drake_oa.common.messages import Evasion, FloatArray, ObstacleClouds, PolicyState
+from drake_oa.common.messages import Evasion, FloatArray, PolicyState
 from drake_oa.common.thinking import Thinking
-from drake_oa.geometry.collision_shapes import RobotModel, collect_collision_shapes
+from drake_oa.geometry.solids import box, solids_of
+from drake_oa.planning.solid_scene import SolidScene
 from drake_oa.policy.dmp import imitate, minimum_jerk
-from drake_oa.robot.config import Robot
-from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
 from drake_oa.safety.config import EvasionParameters
+from drake_oa.safety.guarded_arm import GuardedArm
 from drake_oa.safety.obstacle_evasion import ObstacleEvasion
+from tests.planning.arms import ArmAlone
 
 PARAMETERS = EvasionParameters()
 STEP, FRAME = 0.008, 1.0 / 30.0
-CUBE = 0.04 * np.array(np.meshgrid(*[[-1.0, 0.0, 1.0]] * 3)).reshape(3, -1).T
-
-
-@cache
-def robot() -> tuple[RobotPlant, RobotModel]:
-    made = make_robot_plant(Robot())
-    shapes = collect_collision_shapes(made.plant, made.scene_graph.model_inspector(), made.instance)
-    return made, shapes
 
 
 class Bench:
     """A robot held at its home posture; what it sees can be changed."""
 
-    def __init__(self, thinking: Thinking | None = None) -> None:
-        made, shapes = robot()
-        q = home_positions(made, Robot())
-        context = made.plant.CreateDefaultContext()
-        made.plant.SetPositions(context, q)
-        self.p_WE = made.tool_frame.CalcPoseInWorld(context).translation()
+    def __init__(
+        self, panda: ArmAlone, guarded: GuardedArm, thinking: Thinking | None = None
+    ) -> None:
+        q, self.p_WE = panda.q_full, panda.X_WE[9:]
         self.system = ObstacleEvasion(
-            shapes,
-            made.tool_frame.name(),
+            guarded,
             imitate(*minimum_jerk(np.zeros(3), [1.0, 0.0, 0.0], duration=5.0)),
             period=FRAME,
             step=STEP,
@@ -57,10 +49,10 @@ class Bench:
 
     def see(self, offset: FloatArray, v_WO: FloatArray) -> None:
         """A cube at an offset from the tool point."""
-        cloud = self.p_WE + offset + CUBE
         stamp = self.context.get_time()
-        seen = ObstacleClouds(stamp, (cloud,), np.array([3]), v_WO=np.array([v_WO]))
-        self.give("obstacles_W", seen)
+        X_WO = RigidTransform(self.p_WE + offset).GetAsMatrix4()
+        cube = replace(box([0.08] * 3), X_WO=X_WO, v_WO=v_WO, stamp=stamp, name=3)
+        self.give("solids_W", SolidScene(stamp, solids_of([cube]), ("obstacle 3",)))
 
     def now(self) -> tuple[FloatArray, Evasion]:
         velocity = self.system.GetOutputPort("evasion").Eval(self.context)
@@ -75,29 +67,38 @@ class Bench:
         return np.array(found)
 
 
+@pytest.fixture
+def bench(panda: ArmAlone, guarded: GuardedArm) -> Callable[..., Bench]:
+    return lambda thinking=None: Bench(panda, guarded, thinking)
+
+
 COMING = (np.array([0.3, 0.0, 0.0]), np.array([-0.3, 0.0, 0.0]))
 
 
-def test_it_does_nothing_while_nothing_moves(caplog: pytest.LogCaptureFixture) -> None:
-    bench = Bench()
-    bench.see(np.array([0.1, 0.0, 0.0]), np.zeros(3))
+def test_it_does_nothing_while_nothing_moves(
+    bench: Callable[..., Bench], caplog: pytest.LogCaptureFixture
+) -> None:
+    b = bench()
+    b.see(np.array([0.1, 0.0, 0.0]), np.zeros(3))
     with caplog.at_level(logging.WARNING, "drake_oa"):
-        assert not bench.run(0.3).any()
-    assert bench.now()[1].action == ""
+        assert not b.run(0.3).any()
+    assert b.now()[1].action == ""
     assert caplog.messages == []
 
 
-def test_it_evades_smoothly_and_comes_to_rest_again(caplog: pytest.LogCaptureFixture) -> None:
-    bench = Bench()
-    bench.see(*COMING)
+def test_it_evades_smoothly_and_comes_to_rest_again(
+    bench: Callable[..., Bench], caplog: pytest.LogCaptureFixture
+) -> None:
+    b = bench()
+    b.see(*COMING)
     with caplog.at_level(logging.WARNING, "drake_oa"):
-        found = bench.run(0.3)
-        velocity, said = bench.now()
+        found = b.run(0.3)
+        velocity, said = b.now()
         assert (said.action, said.obstacle) == ("evading", 3)
         assert 0.05 < np.linalg.norm(velocity) <= PARAMETERS.speed + 1e-9
-        bench.see(np.array([2.0, 0.0, 0.0]), np.array([-0.3, 0.0, 0.0]))
-        found = np.concatenate([np.zeros((1, 3)), found, bench.run(0.5)])
-    assert not bench.now()[0].any()
+        b.see(np.array([2.0, 0.0, 0.0]), np.array([-0.3, 0.0, 0.0]))
+        found = np.concatenate([np.zeros((1, 3)), found, b.run(0.5)])
+    assert not b.now()[0].any()
     change = np.linalg.norm(np.diff(found, axis=0), axis=1)
     assert change.max() <= PARAMETERS.acceleration * STEP + 1e-9
     assert [message.split(" s: ")[1] for message in caplog.messages] == [
@@ -106,14 +107,16 @@ def test_it_evades_smoothly_and_comes_to_rest_again(caplog: pytest.LogCaptureFix
     ]
 
 
-def test_it_evades_when_it_has_thought(caplog: pytest.LogCaptureFixture) -> None:
+def test_it_evades_when_it_has_thought(
+    bench: Callable[..., Bench], caplog: pytest.LogCaptureFixture
+) -> None:
     thinking = Thinking(decision=0.05)
-    bench, at_once = Bench(thinking), Bench()
-    for one in (bench, at_once):
+    b, at_once = bench(thinking), bench()
+    for one in (b, at_once):
         one.see(*COMING)
     with caplog.at_level(logging.WARNING, "drake_oa"):
-        late = bench.run(0.4)
-    begun, cost = bench.system.GetOutputPort("decision").Eval(bench.context)
+        late = b.run(0.4)
+    begun, cost = b.system.GetOutputPort("decision").Eval(b.context)
     # It looks at many ways, and makes one decision after the other.
     assert begun > 0.1
     assert thinking.decision < cost < 0.3
@@ -127,38 +130,35 @@ def test_it_evades_when_it_has_thought(caplog: pytest.LogCaptureFixture) -> None
     assert float(caplog.messages[0][2:7]) == pytest.approx(first * STEP)
 
 
-def test_what_was_seen_long_ago_or_is_not_finite_is_not_evaded() -> None:
-    bench = Bench()
-    bench.see(*COMING)
-    bench.run(0.1)
-    assert bench.now()[1].action == "evading"
-    bench.run(0.6)
-    assert bench.now()[1].action == ""
-    bench.see(np.full(3, np.nan), np.array([-0.3, 0.0, 0.0]))
-    bench.run(0.1)
-    assert bench.now()[1].action == ""
-    bench.see(*COMING)
-    bench.run(0.1)
-    assert bench.now()[1].action == "evading"
+def test_what_was_seen_long_ago_or_is_not_finite_is_not_evaded(bench: Callable[..., Bench]) -> None:
+    b = bench()
+    b.see(*COMING)
+    b.run(0.1)
+    assert b.now()[1].action == "evading"
+    b.run(0.6)
+    assert b.now()[1].action == ""
+    b.see(*COMING)
+    b.run(0.1)
+    assert b.now()[1].action == "evading"
+    b.give("robot_state", np.full(18, np.nan))
+    b.run(0.1)
+    assert b.now()[1].action == ""
 
 
-def test_all_run_time_data_is_in_the_context() -> None:
-    bench = Bench()
-    bench.see(*COMING)
-    bench.run(0.1)
-    clone = bench.context.Clone()
-    one = bench.run(0.1)
-    other = Simulator(bench.system, clone)
+def test_all_run_time_data_is_in_the_context(bench: Callable[..., Bench]) -> None:
+    b = bench()
+    b.see(*COMING)
+    b.run(0.1)
+    clone = b.context.Clone()
+    one = b.run(0.1)
+    other = Simulator(b.system, clone)
     other.Initialize()
-    other.AdvanceTo(bench.context.get_time())
-    again = bench.system.GetOutputPort("evasion").Eval(other.get_context())
+    other.AdvanceTo(b.context.get_time())
+    again = b.system.GetOutputPort("evasion").Eval(other.get_context())
     np.testing.assert_array_equal(again, one[-1])
 
 
-def test_bad_construction_is_refused() -> None:
-    made, shapes = robot()
+def test_bad_construction_is_refused(guarded: GuardedArm) -> None:
     dmp = imitate(*minimum_jerk(np.zeros(3), [1.0, 0.0, 0.0]))
-    with pytest.raises(ValueError, match="no frame 'nowhere'"):
-        ObstacleEvasion(shapes, "nowhere", dmp)
     with pytest.raises(ValueError, match="period must be positive"):
-        ObstacleEvasion(shapes, made.tool_frame.name(), dmp, period=0.0)
+        ObstacleEvasion(guarded, dmp, period=0.0)
