@@ -58,8 +58,7 @@ class Layers:
             coupling_parameters, motion and demonstration; the paper's, from ellipsoids_W and
             policy_state or route, coupling_parameters alone.
         posture: motion, policy_state, evading -> desired_posture.
-        safety: solid_obstacles_W, robot_state, policy_state, motion -> speed_scale, evasion and
-            evading.
+        safety: solids_W, robot_state, policy_state, motion -> speed_scale, evasion and evading.
         control: robot_state and what is desired -> actuation, tracking_error, torque_saturation.
     """
 

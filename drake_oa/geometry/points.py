@@ -166,25 +166,6 @@ class ObstaclePoints(Frozen):
         """As the kernels take them."""
         return PointBlocks(self.points, self.start, self.owner, self.sphere, self.v_WO)
 
-    def resting(self) -> ObstaclePoints:
-        """Without the points of what moves; the obstacles' rows stay."""
-        rests = np.asarray(~self.v_WO.any(axis=1))
-        if rests.all():
-            return self
-        blocks = np.flatnonzero(rests[self.owner])
-        size = np.diff(self.start)
-        taken = np.concatenate(
-            [np.zeros(0, dtype=np.int64)]
-            + [np.arange(self.start[b], self.start[b + 1]) for b in blocks]
-        )
-        return replace(
-            self,
-            points=np.ascontiguousarray(self.points[taken]),
-            start=np.concatenate([[0], np.cumsum(size[blocks])]).astype(np.int64),
-            owner=np.ascontiguousarray(self.owner[blocks]),
-            sphere=np.ascontiguousarray(self.sphere[blocks]),
-        )
-
 
 class GuardShapes(NamedTuple):
     """A robot's primitives, those of a body one after the other.

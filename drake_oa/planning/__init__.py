@@ -9,6 +9,7 @@ Out: coupling_parameters `CouplingParameters`, one term or none; demonstration `
 Systems
     TrueSolids      every observation; what is in the world, as the simulator knows it
     CloudSolids     every observation; the same as perception sees it, from obstacles_W
+    GivenSolids     given ellipsoids as solids
     MotionSelector  every observation (15 Hz); rolls candidates out and takes the shortest that
                     keeps what is asked of tool and links
 
