@@ -203,9 +203,11 @@ def _of_robot(source: object, cell: Cell | None) -> Cell:
 
 
 def _segmentation(source: DepthCamera | RecordedClouds, scenario: Scenario) -> SegmentationConfig:
-    """The block's parameters, with the height of the table that the scenario knows."""
+    """The block's parameters, with the height of the table that the scenario knows, or none."""
     if source.segmentation.table_height is not None:
         return source.segmentation
+    if scenario.table_height is None:
+        return replace(source.segmentation, table=False)
     return replace(source.segmentation, table_height=scenario.table_height)
 
 

@@ -69,6 +69,9 @@ class SegmentationConfig:
     # Distance from the plane at which a point (at depth 0) belongs to it.
     plane_tolerance: float = number(0.006, "m", 0.0, 1.0, open_low=True)
     plane: PlaneSearch = dc.field(default_factory=PlaneSearch)
+    # Whether there is a table; without one, as where the scenario's `table_height` is null, all
+    # that is seen and is not the robot is an obstacle.
+    table: bool = True
     # Height of the table in the world; null: that of the scenario, or unknown [m].
     table_height: float | None = dc.field(default=None, metadata={"unit": "m"})
     # How far the table may be from that height.
@@ -180,6 +183,9 @@ class TrackingConfig:
     strong_doubt: float = number(0.15, "1", 0.0, 1.0, open_low=True)
     # A correction of a position by more is looked at again.
     correction: float = number(0.003, "m", 0.0, 1.0, open_low=True)
+    # It is where it was measured only if so much of what is seen of it where it was expected is
+    # seen there too.
+    found_again: float = number(0.9, "1", 0.0, 1.0)
     # A moving obstacle that is not seen goes on for this long, and is then taken to rest;
     coast_time: float = number(0.5, "s", 0.0, 1e6, open_low=True)
     # after this long it is mentioned in the note.

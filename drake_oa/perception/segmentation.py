@@ -2,7 +2,8 @@
 
 The order keeps a 640x480 frame cheap: the supporting plane from a subsample,
 the height of every pixel above it (one linear map on the image), then points,
-voxels and clusters of only those pixels that stand on the plane.
+voxels and clusters of only those pixels that stand on the plane. Without a table every pixel
+that is not the robot's counts.
 
 Frames: W world, C depth camera (x right, y down, z forward). Poses are (4, 4)
 homogeneous matrices, as ``RigidTransform.GetAsMatrix4()`` gives them.
@@ -12,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +41,7 @@ from drake_oa.perception.table import PlaneFit, beyond_extent, fit_plane, plane_
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """What stands on the table in one frame.
+    """What stands on the table in one frame; without a table, all that is not the robot.
 
     Attributes:
         clouds_W: one (N_i, 3) array an obstacle: the mean point of each voxel, in
@@ -47,12 +49,12 @@ class Segmentation:
         pixels: for each cluster the flat indices (row-major) of its pixels, or of
             its input points when the frame was a cloud.
         table: the supporting plane in the world frame, or None.
-        points_W: (N, 3) every single point over the table, the robot's included, in
-            the world frame [m]: for viewing.
+        points_W: (N, 3) every single point over the table (without one, all), the robot's
+            included, in the world frame [m]: for viewing.
         plane_rms: rms distance of the plane's points from it [m]; NaN without plane.
         X_WC: (4, 4) the camera's pose; when it was not given, the pose that makes
             the table the plane z = 0 (see `segment_depth`).
-        usable: whether the table was found: else it tells nothing of obstacles.
+        usable: whether the table was found, or none is there: else it tells nothing of obstacles.
         note: empty, or why it was not, in words.
     """
 
@@ -96,13 +98,21 @@ def segment_depth(
         and a note.
 
     Raises:
-        ValueError: for an array of the wrong shape or type, an invalid K or X_WC.
+        ValueError: for an array of the wrong shape or type, an invalid K or X_WC, or none where
+            `config.table` says that there is no table.
     """
     config = config or SegmentationConfig()
     depth = np.asarray(depth)
     K = _valid_intrinsics(depth, K)
     X_WC = _valid_pose(X_WC)
     z = np.require(depth, np.float32, ["C", "W"])
+    if not config.table:
+        # What is too far is told too; what is missing, or too near, is not.
+        if np.count_nonzero(z > 0.0) < config.plane.least_share * z.size:
+            return _unusable(X_WC, "hardly any pixel tells of something")
+        _, index = sampled(z, 1, float(config.near), float(config.far))
+        seen = back_projected(z, index, K)
+        return _cluster(seen, index, None, _pose_known(X_WC), config, robot, (z, K))
     step = config.stride
     on_grid, pixels = sampled(z, step, float(config.near), float(config.far))
     if not len(on_grid):
@@ -124,7 +134,8 @@ def segment_depth(
     )
     index = _pixels_above(z, K, plane, config)
     above = back_projected(z, index, K)
-    return _cluster_above(above, index, plane, extent, X_WC, config, robot, (z, K))
+    standing = _Support(plane, extent)
+    return _cluster(above, index, standing, X_WC, config, robot, (z, K))
 
 
 def segment_points(
@@ -157,6 +168,8 @@ def segment_points(
     if not len(index):
         return _unusable(X_WC, "no valid point")
     p_CQ = np.require(points[index], np.float64, ["C", "W"])
+    if not config.table:
+        return _cluster(p_CQ, index, None, _pose_known(X_WC), config, robot, None)
     distance = np.linalg.norm(p_CQ, axis=1)
     step = max(1, len(index) // 20_000)
     sample = p_CQ[::step]
@@ -166,8 +179,8 @@ def segment_points(
     height = p_CQ @ plane.normal - plane.offset
     low = config.min_height + _height_noise(config, plane.offset) * distance
     above = np.flatnonzero((height > low) & (height < config.max_height))
-    extent = sample[plane.inliers]
-    return _cluster_above(p_CQ[above], index[above], plane, extent, X_WC, config, robot, None)
+    standing = _Support(plane, sample[plane.inliers])
+    return _cluster(p_CQ[above], index[above], standing, X_WC, config, robot, None)
 
 
 _NO_TABLE = "no supporting plane found"
@@ -218,47 +231,68 @@ def _find_table(
     )
 
 
-def _cluster_above(
+class _Support(NamedTuple):
+    """The table that obstacles stand on, as it is seen: its plane and points (M, 3) of it in C."""
+
+    plane: PlaneFit
+    extent_C: FloatArray
+
+
+def _pose_known(X_WC: FloatArray | None) -> FloatArray:
+    if X_WC is None:
+        raise ValueError("X_WC must be given where there is no table to find it by")
+    return X_WC
+
+
+def _cluster(
     p_CQ: FloatArray,
     index: IntArray,
-    plane: PlaneFit,
-    extent_C: FloatArray,
+    support: _Support | None,
     X_WC: FloatArray | None,
     config: SegmentationConfig,
     robot: PosedShapes | None,
     image: tuple[NDArray[np.float32], FloatArray] | None,
 ) -> Segmentation:
-    """What stands on the plane, of points (N, 3) in the camera frame, with their numbers (N,).
+    """What stands on the support, of points (N, 3) in the camera frame, with their numbers (N,).
 
-    Depth z and intrinsics K where they are an image's pixels.
+    Without a support all of them count. Depth z and intrinsics K where they are an image's pixels.
     """
-    X_WC = _pose_from_plane(plane) if X_WC is None else X_WC
-    normal_W = X_WC[:3, :3] @ plane.normal
-    table = TablePlane(normal_W, float(plane.offset + normal_W @ X_WC[:3, 3]))
-    # A rectangle around the table is a quick crop; its convex extent comes later.
-    axes = plane_axes(plane.normal)
-    along = axes @ extent_C.T
-    low, high = along.min(axis=1, initial=np.inf), along.max(axis=1, initial=-np.inf)
-    beyond = config.table_margin + config.overhang
-    reach = np.column_stack([low - beyond, high + beyond])
+    axes, reach = np.eye(2, 3), np.array([[-np.inf, np.inf]] * 2)
+    table, rms = None, np.nan
+    if support is not None:
+        plane, rms = support.plane, support.plane.rms
+        X_WC = _pose_from_plane(plane) if X_WC is None else X_WC
+        normal_W = X_WC[:3, :3] @ plane.normal
+        table = TablePlane(normal_W, float(plane.offset + normal_W @ X_WC[:3, 3]))
+        # A rectangle around the table is a quick crop; its convex extent comes later.
+        axes = plane_axes(plane.normal)
+        along = axes @ support.extent_C.T
+        low, high = along.min(axis=1, initial=np.inf), along.max(axis=1, initial=-np.inf)
+        beyond = config.table_margin + config.overhang
+        reach = np.column_stack([low - beyond, high + beyond])
+    X_WC = _pose_known(X_WC)
     p_WQ, index = cropped_to_world(p_CQ, index, axes, reach, X_WC)
     if not len(index):
-        return Segmentation((), (), table, p_WQ, plane.rms, X_WC)
+        return Segmentation((), (), table, p_WQ, rms, X_WC)
 
     means, voxel_of, count = _voxel_means(p_WQ, config.voxel)
-    extent_W = extent_C @ X_WC[:3, :3].T + X_WC[:3, 3]
     kept = np.flatnonzero(count >= config.min_occupancy)
     if robot is not None:
         kept = kept[~robot.contains(means[kept], config.robot_margin)]
-    outside = beyond_extent(means[kept], extent_W, normal_W)
-    kept, outside = kept[outside <= beyond], outside[outside <= beyond]
-    standing, found = _standing(
-        means[kept],
-        outside <= config.table_margin,
-        outside <= beyond - 2.0 * config.voxel,
-        config,
-    )
-    kept = kept[standing]
+    if support is None or table is None:
+        found = connected_clusters(means[kept], config.cluster_tolerance)
+    else:
+        extent_W = support.extent_C @ X_WC[:3, :3].T + X_WC[:3, 3]
+        beyond = config.table_margin + config.overhang
+        outside = beyond_extent(means[kept], extent_W, table.normal_W)
+        kept, outside = kept[outside <= beyond], outside[outside <= beyond]
+        standing, found = _standing(
+            means[kept],
+            outside <= config.table_margin,
+            outside <= beyond - 2.0 * config.voxel,
+            config,
+        )
+        kept = kept[standing]
     points = means[kept]
     label = np.full(len(means), -1)
     if image is not None:
@@ -274,12 +308,12 @@ def _cluster_above(
             config.min_cluster_voxels,
         )
     sizes = np.bincount(found, minlength=1)
-    higher = _risen(points, table, X_WC, config, image is not None)
-    least = np.maximum(config.higher_share * sizes, 3)
-    names = np.flatnonzero(
-        (sizes >= config.min_cluster_voxels)
-        & (np.bincount(found, weights=higher, minlength=1) >= least)
-    )
+    large = sizes >= config.min_cluster_voxels
+    if table is not None:
+        higher = _risen(points, table, X_WC, config, image is not None)
+        least = np.maximum(config.higher_share * sizes, 3)
+        large &= np.bincount(found, weights=higher, minlength=1) >= least
+    names = np.flatnonzero(large)
     names = names[np.argsort(-sizes[names], kind="stable")]
     place = np.full(len(sizes), -1)
     place[names] = np.arange(len(names))
@@ -291,7 +325,7 @@ def _cluster_above(
         tuple(pixels[part] for part in parts),
         table,
         p_WQ,
-        plane.rms,
+        rms,
         X_WC,
     )
 

@@ -29,6 +29,7 @@ from drake_oa.perception.config import SegmentationConfig, TrackingConfig
 from drake_oa.perception.memory import (
     ObstacleMemory,
     Points,
+    Tracks,
     appended,
     changed,
     held_clouds,
@@ -311,9 +312,10 @@ class _Step:
         missing = (look.shows == EMPTY) | ((look.shows == OUT) & (look.pixel >= 0))
         missing &= self.tracks.moving[self.points.owner]
         hidden = (look.shows != AT) & (look.shows != FREE) & ~behind & ~missing
+        expected = self.tracks
         self._measure(association, look.p_WQ, hidden)
         if known and np.abs(self.tracks.shift_W - shift)[:known].max() > self.tracking.correction:
-            look = self._look()
+            look = self._moved_back(expected, look)
             behind = self._behind_itself(association, look)
         split = self._weigh(association, look, behind)
         self._remember(association, look)
@@ -336,6 +338,34 @@ class _Step:
             self.config.robot_margin,
         )
         return _Look(p_WQ, nearest, from_seen, distance, shows, pixel)
+
+    def _moved_back(self, expected: Tracks, before: _Look) -> _Look:
+        """Leaves where they were expected those of which less is seen at the measured place.
+
+        A side of something thin may be seen here in one frame and there in the next, though the
+        thing does not move.
+
+        Args:
+            expected: the obstacles before they were measured.
+            before: the frame as it shows their points then.
+
+        Returns:
+            The frame as it shows their points now.
+        """
+        after, near, owner = self._look(), self.tracking.support_radius, self.points.owner
+        rows = np.arange(len(self.tracks))
+        there, here = (
+            np.bincount(owner[look.distance < near], minlength=len(rows))
+            for look in (before, after)
+        )
+        lost = ~expected.moving & (here < self.tracking.found_again * there)
+        lost &= (self.tracks.shift_W != expected.shift_W).any(axis=1)
+        if not lost.any():
+            return after
+        expected = changed(expected, unseen=expected.unseen + self.dt, odd=self.tracks.odd)
+        both = appended(self.tracks, expected)
+        self.tracks = taken(both, np.where(lost, len(rows) + rows, rows))
+        return self._look()
 
     def _behind_itself(self, association: Association, look: _Look) -> BoolArray:
         surface = list(zip(association.cluster_row.tolist(), self.frame.pixels, strict=True))

@@ -246,3 +246,58 @@ def test_each_kernel_is_compiled_once():
     assert len(compiled) > 30
     for name, kernel in compiled.items():
         assert len(kernel.signatures) <= 1, (name, kernel.signatures)
+
+
+NOWHERE = (50.0, 50.0, 0.1, 0.1)
+NO_TABLE = SegmentationConfig(table=False)
+
+
+def test_without_a_table_all_that_is_seen_is_an_obstacle():
+    hung = (box(0.8, -0.15, z=0.2), box(0.9, 0.2, (0.12, 0.08, 0.06), z=0.3))
+    depth = ray_cast(X_WC, hung, NOWHERE)
+    # Whoever looks for a table takes their tops for it.
+    assert segment_depth(depth, K, X_WC).clouds_W == ()
+    cloud = back_projected_all(depth)
+    for found in (
+        segment_depth(depth, K, X_WC, NO_TABLE),
+        segment_points(cloud, X_WC, NO_TABLE),
+    ):
+        assert found.usable
+        assert found.note == ""
+        assert found.table is None
+        assert len(found.clouds_W) == 2
+        for seen, (low, high) in zip(found.clouds_W, hung, strict=True):
+            assert (seen > low - 2e-3).all()
+            assert (seen < high + 2e-3).all()
+    # So is a table that nobody tells of.
+    assert len(segment_depth(ray_cast(X_WC, ()), K, X_WC, NO_TABLE).clouds_W) == 1
+
+
+def back_projected_all(depth: np.ndarray) -> np.ndarray:
+    v, u = np.nonzero(np.isfinite(depth))
+    z = depth[v, u].astype(float)
+    return np.column_stack([z * (u - K[2]) / K[0], z * (v - K[3]) / K[1], z])
+
+
+def test_without_a_table_the_robot_is_still_none_of_the_obstacles():
+    shapes = RobotShapes(
+        np.array([0]), np.eye(4)[None], np.array([[0.05, 0.05, 0.08]]), np.array([0.0])
+    )
+    X_WB = np.eye(4)
+    X_WB[:3, 3] = [0.8, -0.15, 0.08]
+    found = segment_depth(ray_cast(X_WC, TWO, NOWHERE), K, X_WC, NO_TABLE, shapes.posed(X_WB[None]))
+    assert len(found.clouds_W) == 1
+    assert found.clouds_W[0][:, 1].min() > 0.0
+
+
+def test_without_a_table_an_empty_view_is_one_and_a_blind_one_is_not():
+    far = np.full(SIZE, np.inf, dtype=np.float32)
+    found = segment_depth(far, K, X_WC, NO_TABLE)
+    assert found.usable
+    assert not found.clouds_W
+    for blind in (np.full(SIZE, np.nan, dtype=np.float32), np.zeros(SIZE, dtype=np.float32)):
+        found = segment_depth(blind, K, X_WC, NO_TABLE)
+        assert not found.usable
+        assert found.note == "hardly any pixel tells of something"
+    with pytest.raises(ValueError, match="X_WC must be given where there is no table"):
+        segment_depth(far, K, None, NO_TABLE)

@@ -189,6 +189,27 @@ def test_a_resting_scene_under_noise_rests():
     assert changes < 12
 
 
+def bars(lowest: float = 0.0) -> list:
+    """A cage of upright bars, each 1.2 cm thick, open at its top."""
+    side = np.linspace(-0.16, 0.16, 5)
+    ends = [(x, y) for x in side for y in (-0.16, 0.16)]
+    ends += [(x, y) for x in (-0.16, 0.16) for y in side[1:-1]]
+    long, middle = 0.26 - lowest, 0.13 + lowest / 2.0
+    upright = [box([x, y, middle], [0.012, 0.012, long]) for x, y in ends]
+    rims = [box([0.0, y, 0.254], [0.33, 0.012, 0.012]) for y in (-0.16, 0.16)]
+    return upright + rims + [box([x, 0.0, 0.254], [0.012, 0.33, 0.012]) for x in (-0.16, 0.16)]
+
+
+def test_thin_bars_do_not_seem_to_move_where_their_ends_come_and_go():
+    steep, memory = look_at([0.3, 0.05, 1.1], [0.0, 0.0, 0.1]), ObstacleMemory()
+    for k in range(24):
+        seen = bars(0.16 if k % 6 > 3 else 0.06)
+        memory = step(memory, render(*seen, X_WC=steep), k * FRAME, X_WC=steep)
+        assert not memory.obstacles.v_WO.any()
+        reach = np.concatenate(memory.obstacles.clouds_W)
+        assert 0.255 < reach[:, 2].max() < 0.275
+
+
 def test_what_the_arm_hides_is_kept_and_does_not_seem_to_move():
     rng = np.random.default_rng(1)
     memory = play(*[[BLOCK, LEFT]] * 5, rng=rng)
