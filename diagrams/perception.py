@@ -27,6 +27,7 @@ from drake_oa.perception.recorded_perception import RecordedPerception
 from drake_oa.planning.cloud_solids import CloudSolids
 from drake_oa.planning.true_solids import GivenSolids, TrueSolids
 from drake_oa.planning.unseen_ends import ImageRange
+from drake_oa.regulation.config import Verified
 from drake_oa.robot.plant import RobotPlant
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.perception import GivenEllipsoids
@@ -91,7 +92,7 @@ def _add_ground_truth(
     wires: Wires, source: GroundTruth, scenario: Scenario, cell: Cell | None
 ) -> None:
     cell = _of_robot(source, cell)
-    _warn_without_obstacles(cell)
+    _warn_without_obstacles(cell, scenario)
     system = GroundTruthPerception(
         cell.plant,
         cell.scene_graph.model_inspector(),
@@ -107,7 +108,7 @@ def _add_recorded_clouds(
     wires: Wires, source: RecordedClouds, scenario: Scenario, cell: Cell | None
 ) -> None:
     cell = _of_robot(source, cell)
-    _warn_without_obstacles(cell)
+    _warn_without_obstacles(cell, scenario)
     config = _segmentation(source, scenario)
     wires.add("perception", _recorded_perception(source, config, robot_shapes(cell.robot_plant)))
 
@@ -116,7 +117,7 @@ def _add_depth_camera(
     wires: Wires, source: DepthCamera, scenario: Scenario, cell: Cell | None
 ) -> None:
     cell = _of_robot(source, cell)
-    _warn_without_obstacles(cell)
+    _warn_without_obstacles(cell, scenario)
     camera = cell.cameras[source.camera]
     # The self filter takes the robot as it was when the image was taken.
     wires.otherwise("robot_state_at_image", "robot_state")
@@ -230,8 +231,9 @@ def make_robot_state(station: Station) -> MatrixGain:
     return MatrixGain(D)
 
 
-def _warn_without_obstacles(station: Station) -> None:
-    if station.obstacles:
+def _warn_without_obstacles(station: Station, scenario: Scenario) -> None:
+    # Among true shapes the name decides only how far the tool keeps from it.
+    if station.obstacles or isinstance(scenario.regulation, Verified):
         return
     count = station.plant.num_model_instances()
     names = [station.plant.GetModelInstanceName(ModelInstanceIndex(i)) for i in range(2, count)]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import logging
+
 import numpy as np
+from pydrake.geometry import Role
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.wires import Wires
@@ -14,11 +17,16 @@ from drake_oa.planning.motion_search import MotionSearch
 from drake_oa.planning.motion_selector import MotionSelector
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.regressor import ChainWeights
+from drake_oa.robot.spheres import ArmSpheres
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import perception_period
 from drake_oa.scenario.tool_orientation import end_rotations, tool_orientation
 
+_logger = logging.getLogger("drake_oa")
+
+_TOUCHING = 1e-3
+"""So deep in each other links are in contact for sure [m]."""
 _LEAST_STEPS, _MOST_STEPS = 250, 1000
 """Steps of a roll-out a unit of normalised time."""
 
@@ -59,6 +67,8 @@ def make_motion_selector(scenario: Scenario, cell: Cell, weights: ChainWeights) 
         raise ScenarioError("regulation: is not !Verified, or there is no robot")
     arm = arm_model(scenario, robot, cell.robot_plant, cell.q_start)
     spheres = cell.spheres.arrays
+    _refuse_start(cell, cell.spheres)
+    _tell_of_bare_links(cell, cell.spheres)
     dmp = make_dmp(scenario)
     steps = min(max(round(dmp.duration / policy.period), _LEAST_STEPS), _MOST_STEPS)
     held, R_WE = tool_orientation(scenario), end_rotations(scenario)[0].matrix()
@@ -86,3 +96,47 @@ def make_motion_selector(scenario: Scenario, cell: Cell, weights: ChainWeights) 
         thinking=scenario.thinking,
         step=policy.period,
     )
+
+
+def _refuse_start(cell: Cell, arm: ArmSpheres) -> None:
+    """Refuses an arm that begins in itself.
+
+    Raises:
+        ScenarioError: naming its links.
+    """
+    robot = cell.robot_plant
+    context = robot.diagram.CreateDefaultContext()
+    robot.plant.SetPositions(robot.plant.GetMyMutableContextFromRoot(context), cell.q_start)
+    query = robot.scene_graph.get_query_output_port().Eval(
+        robot.scene_graph.GetMyContextFromRoot(context)
+    )
+    kept_apart = {frozenset((arm.bodies[a], arm.bodies[b])) for a, b in arm.arrays.pairs}
+    inspector = robot.scene_graph.model_inspector()
+    for hit in query.ComputePointPairPenetration():
+        one, other = (
+            robot.plant.GetBodyFromFrameId(inspector.GetFrameId(geometry)).name()
+            for geometry in (hit.id_A, hit.id_B)
+        )
+        if frozenset((one, other)) in kept_apart and hit.depth > _TOUCHING:
+            raise ScenarioError(
+                f"task.start: with the arm there, {one} is {1e3 * hit.depth:.0f} mm inside "
+                f"{other}; another task.start, or task.q_start or robot.q_seed where it is clear "
+                "of itself"
+            )
+
+
+def _tell_of_bare_links(cell: Cell, arm: ArmSpheres) -> None:
+    """Says which links are to be seen, but have no shape that could be kept clear."""
+    plant, inspector = cell.robot_plant.plant, cell.robot_plant.scene_graph.model_inspector()
+    bare = [
+        body.name()
+        for body in map(plant.get_body, plant.GetBodyIndices(cell.robot_plant.instance))
+        if body.name() not in arm.bodies
+        and inspector.NumGeometriesForFrameWithRole(
+            plant.GetBodyFrameIdOrThrow(body.index()), Role.kPerception
+        )
+    ]
+    if bare:
+        _logger.warning(
+            "robot.model: %s: no collision geometry, so nothing keeps it clear", ", ".join(bare)
+        )

@@ -31,7 +31,7 @@ class Chain(NamedTuple):
     Attributes:
         X_PJ: (n + 1, 4, 4) frame of each joint in the body before it (the first in the world),
             its z axis being the joint's, and of the tool point E in the last body.
-        lower, upper: (n,) limits of the joints [rad].
+        lower, upper: (n,) limits of the joints, finite [rad].
         speed: (n,) their greatest speeds [rad/s].
         reach: (n,) no point of a sphere is farther from the joint's axis than this [m].
     """
@@ -304,4 +304,7 @@ def make_chain(arm: ArmModel, spheres: Spheres) -> Chain:
             for joint in range(last + 1):
                 beyond = step[joint + 1 : last + 1].sum() + far[mine].max()
                 reach[joint] = max(reach[joint], beyond)
-    return Chain(*kernel_arrays(arm.X_PJ, arm.lower, arm.upper, arm.speed, reach))
+    # A joint without limits is looked at a turn either way.
+    lower = np.where(np.isfinite(arm.lower), arm.lower, arm.posture - 2.0 * math.pi)
+    upper = np.where(np.isfinite(arm.upper), arm.upper, arm.posture + 2.0 * math.pi)
+    return Chain(*kernel_arrays(arm.X_PJ, lower, upper, arm.speed, reach))

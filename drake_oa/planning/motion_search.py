@@ -5,7 +5,8 @@ one, those of the coupling terms (`drake_oa.planning.search`), each with posture
 space may be drawn to; and where none clears, once the motion rests, a path in the joints
 (`drake_oa.planning.joint_planner`) that the primitives imitate (`drake_oa.planning.imitation`) and
 that is rolled out like any other. Where nothing keeps what is asked, it is asked for less, and
-that is told.
+that is told, but no motion touches anything: an arm that stands in contact may only leave it, and
+one whose goal is in contact holds, and says where the tool could be instead.
 """
 
 from __future__ import annotations
@@ -25,17 +26,18 @@ from drake_oa.common.messages import (
     PlannedMotion,
     PolicyState,
 )
-from drake_oa.geometry.solids import SURROUNDINGS
+from drake_oa.geometry.solids import SURROUNDINGS, solids_of
 from drake_oa.planning.arm_world import (
     SELF,
     ArmWorld,
     Asked,
     Chain,
+    excess_along,
     group_distances,
     group_distances_along,
     tool_poses,
 )
-from drake_oa.planning.goal_postures import goal_postures
+from drake_oa.planning.goal_postures import FARTHEST, goal_postures, nearest_free_place
 from drake_oa.planning.imitation import demonstration
 from drake_oa.planning.joint_planner import plan_path
 from drake_oa.planning.search import SAMPLES, ArmSearch, Leading
@@ -98,6 +100,8 @@ class Choice(Frozen):
         lowered: by how much less than the asked clearance is asked, as start or goal leave no
             more [m].
         note: "" or why the motion must not go on.
+        goal_note: "" or why there is no posture at the goal, as far as was looked.
+        touches: label of what the arm stands in contact with; "": nothing.
         anew: whether a motion with this demonstration is to begin where the arm rests.
         scene: what was seen.
         travelled, p_WE: the way until then, and where it was [m].
@@ -119,6 +123,8 @@ class Choice(Frozen):
     follows: bool = True
     lowered: float = 0.0
     note: str = ""
+    goal_note: str = ""
+    touches: str = ""
     anew: bool = False
     scene: SolidScene = field(default_factory=SolidScene)
     travelled: float = 0.0
@@ -189,6 +195,9 @@ class MotionSearch:
         s = np.linspace(0.0, 1.0, _LED)
         self._task = Leading(s, orientation(s).reshape(_LED, 9), posture(s)[None])
         self._q_goal, self._overshoot = q_goal, overshoot
+        self._is_tool = spheres.of_tool[spheres.first[:-1]]
+        # What spheres that keep less may touch.
+        self._touch = parameters.least_kept - overshoot
 
     def decide(self, before: Choice, sight: Sight) -> Choice:
         """Looks at a motion under way, and chooses anew if there is reason to."""
@@ -213,22 +222,34 @@ class MotionSearch:
         )
         if goes_on and not here.note and here.scene.same_as(sight.scene) and here.tau > 0.0:
             return here
-        here = replace(here, scene=sight.scene)
+        same = here.scene.same_as(sight.scene)
+        here = replace(
+            here,
+            scene=sight.scene,
+            goal_note=here.goal_note if same else "",
+            touches=self._touched(sight),
+        )
         found = self._modulated(here, sight)
         if found.follows and found.short == 0.0:
             return found
         rests = policy.speed == 0.0 or policy.phase == 1.0
         due = sight.time - here.planned >= self._parameters.seek_period
         if rests and due and not sight.scene.moves:
-            planned = self._planned(replace(found, planned=sight.time), sight)
+            found = replace(found, planned=sight.time)
+            goals = self._goals(sight)
+            planned = self._planned(found, sight, goals) if goals else None
             if planned is not None:
                 return planned
-            found = replace(found, planned=sight.time)
+            found = replace(found, goal_note="" if goals else self._no_goal(sight))
+        return replace(found, note=found.goal_note or self._hold(found, sight))
+
+    def _hold(self, found: Choice, sight: Sight) -> str:
+        """Why a motion that is short of what is asked must not go on; "": it may."""
         if not found.follows:
-            return replace(found, note="no motion that the arm can follow found")
-        if not self._clears(found):
-            return replace(found, note=f"no motion that clears {found.short_of} found")
-        return found
+            return "no motion that the arm can follow found"
+        if not self._clears(found, sight):
+            return f"no motion that clears {found.short_of} found"
+        return ""
 
     # --- what is asked -------------------------------------------------------------------
 
@@ -236,7 +257,7 @@ class MotionSearch:
         """Tool and links among the solids, with what now and the ends (m, n) leave them."""
         solids, now = sight.scene.solids, sight.time
         spheres, p = self._spheres, self._parameters
-        is_tool = spheres.of_tool[spheres.first[:-1]]
+        is_tool = self._is_tool
         asked = np.where(is_tool, self._clearance, min(p.link_clearance, self._clearance))
         table = np.tile(share * asked[:, None], (1, len(solids.ball)))
         around = solids.layout[:, 5] == SURROUNDINGS
@@ -244,7 +265,7 @@ class MotionSearch:
         left = group_distances(self._chain, spheres, solids, sight.q, now)
         if len(ends):
             at_end = [group_distances(self._chain, spheres, solids, q, now) for q in ends]
-            left = np.minimum(left, np.max(at_end, axis=0))
+            left = np.minimum(left, np.maximum(np.max(at_end, axis=0), self._touch + p.slack))
         table = np.minimum(table, left - p.slack)
         table[spheres.group_joint < 0] = -np.inf
         return ArmWorld(self._chain, spheres, solids, Asked(table, p.self_clearance, is_tool), now)
@@ -373,18 +394,36 @@ class MotionSearch:
 
     # --- a path in the joints -------------------------------------------------------------
 
-    def _planned(self, here: Choice, sight: Sight) -> Choice | None:
+    def _goals(self, sight: Sight) -> list[FloatArray]:
+        """Postures (n,) at the goal that touch nothing, the task's own first [rad]."""
+        X_WG, first = self._goal(sight)
+        found = goal_postures(self._chain, X_WG, first, seeds=self._parameters.goal_seeds)
+        return [q for q in found if self._least(sight, q) > self._touch]
+
+    def _goal(self, sight: Sight) -> tuple[FloatArray, FloatArray]:
+        """(12,) pose of the tool at the goal [m], and (n,) the joints that are asked for [rad]."""
+        first = self._task.q[0, -1] if self._q_goal is None else self._q_goal
+        return np.append(self._task.R_WE[-1], sight.p_WG), first
+
+    def _no_goal(self, sight: Sight) -> str:
+        """What is in the way at the goal, and where near it there is room."""
+        X_WG, first = self._goal(sight)
+        at_goal = goal_postures(self._chain, X_WG, first, seeds=4)
+        if not len(at_goal):
+            return ""
+        free = nearest_free_place(
+            self._chain, X_WG, at_goal[0], lambda q: self._least(sight, q) > self._touch
+        )
+        touched = self._nearest(sight, at_goal[0])
+        note = f"at its goal the arm would touch {touched}; "
+        if free is None:
+            return f"{note}the tool has no free place within {FARTHEST:g} m"
+        place = ", ".join(f"{value:.3f}" for value in free)
+        return f"{note}the tool's nearest free place is [{place}] m"
+
+    def _planned(self, here: Choice, sight: Sight, goals: list[FloatArray]) -> Choice | None:
         """A motion that imitates a path in the joints; None: there is none that is clear."""
         p = self._parameters
-        X_WG = np.append(self._task.R_WE[-1], sight.p_WG)
-        first = self._task.q[0, -1] if self._q_goal is None else self._q_goal
-        goals = [
-            q
-            for q in goal_postures(self._chain, X_WG, first, seeds=p.goal_seeds)
-            if self._least(sight, q) > p.least_kept - self._overshoot
-        ]
-        if not goals:
-            return None
         attempts = [(share, p.configurations) for share in (1.0, *p.shares)]
         attempts.append((min(p.shares, default=1.0), p.last_configurations))
         for share, most in attempts:
@@ -420,17 +459,39 @@ class MotionSearch:
             # The tool turns too far for one primitive.
             return None
         choice = self._imitated(here, sight, world, shown)
-        return choice if choice.follows and self._clears(choice) else None
+        return None if self._hold(choice, sight) else choice
 
-    def _clears(self, choice: Choice) -> bool:
+    def _clears(self, choice: Choice, sight: Sight) -> bool:
         """Whether a motion touches nothing, as far as its spheres tell: they stick out."""
         least = self._parameters.least_kept
-        return bool(choice.kept[:2].min() > least - self._overshoot and choice.kept[SELF] > least)
+        if choice.kept[SELF] <= min(least, self._own(sight) - self._parameters.slack):
+            return False
+        return bool(choice.kept[:2].min() > self._touch)
+
+    def _of_moving(self, sight: Sight, q: FloatArray) -> FloatArray:
+        """(G, K) distances of the groups that move to the solids; inf of the others [m]."""
+        d = group_distances(self._chain, self._spheres, sight.scene.solids, q, sight.time)
+        d[self._spheres.group_joint < 0] = np.inf
+        return np.asarray(d)
 
     def _least(self, sight: Sight, q: FloatArray) -> float:
         """What the moving groups keep of the solids at a configuration at least [m]."""
-        d = group_distances(self._chain, self._spheres, sight.scene.solids, q, sight.time)
-        return float(d[self._spheres.group_joint >= 0].min(initial=math.inf))
+        return float(self._of_moving(sight, q).min(initial=math.inf))
+
+    def _nearest(self, sight: Sight, q: FloatArray) -> str:
+        """Label of the solid that the arm is nearest to at a configuration; "": there is none."""
+        d = self._of_moving(sight, q)
+        return sight.scene.labels[int(d.min(axis=0).argmin())] if d.size else ""
+
+    def _touched(self, sight: Sight) -> str:
+        """Label of what the arm is certain to stand in contact with; "": nothing."""
+        return self._nearest(sight, sight.q) * (self._least(sight, sight.q) < -self._overshoot)
+
+    def _own(self, sight: Sight) -> float:
+        """How near the arm is to itself now [m], up to `FAR`."""
+        asked = Asked(np.zeros((len(self._spheres.group_joint), 0)), 0.0, self._is_tool)
+        world = ArmWorld(self._chain, self._spheres, solids_of([]), asked, sight.time)
+        return float(excess_along(world, sight.q[None]))
 
     def _imitated(
         self, here: Choice, sight: Sight, world: ArmWorld, shown: Demonstration

@@ -195,6 +195,8 @@ class MotionSelector(LeafSystem):
 
 def _log_change(before: Choice, after: Choice, time: float) -> None:
     """Says once what a new choice does not do; why it holds, who holds says."""
+    if after.touches and after.touches != before.touches:
+        _logger.warning("t=%.3f s: the arm touches %s, and may only leave it", time, after.touches)
     if after.short > 0.0 and not after.note and not before.short > 0.0:
         _logger.warning(
             "t=%.3f s: %.1f mm of the clearance to %s cannot be kept",

@@ -85,7 +85,7 @@ def joints_to(plant: MultibodyPlant, tool_frame: Frame) -> list[RevoluteJoint]:
     for joint in moving:
         if not isinstance(joint, RevoluteJoint):
             raise ValueError(
-                f"plant: joint '{joint.name()}' moves '{tool_frame.name()}' and is of type "
+                f"joint '{joint.name()}' moves '{tool_frame.name()}' and is of type "
                 f"{joint.type_name()}; the arm's joints must be revolute"
             )
     return moving

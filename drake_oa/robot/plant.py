@@ -23,6 +23,7 @@ from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.collision_shapes import outline_corners
 from drake_oa.geometry.shapes import pose
+from drake_oa.robot.arm import joints_to
 from drake_oa.robot.config import Robot
 from drake_oa.robot.grasped_object import add_carried, part_carried, tool_links
 from drake_oa.robot.inertias import read_inertias, with_inertias
@@ -134,6 +135,10 @@ def make_robot_plant(robot: Robot, *, inertias: str = "") -> RobotPlant:
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
     instance = add_robot(plant, robot, inertias=inertias)
     plant.Finalize()
+    try:
+        joints_to(plant, plant.GetFrameByName(TOOL_FRAME))
+    except ValueError as error:
+        raise ScenarioError(f"robot.model: {error}") from None
     _check_seed(plant, robot)
     part_carried(plant, scene_graph, robot)
     return RobotPlant(builder.Build(), plant, scene_graph, instance)
@@ -188,7 +193,10 @@ def tool_link_corners(robot_plant: RobotPlant, robot: Robot) -> list[FloatArray]
         if of_link:
             corners.append(np.concatenate(of_link))
     if not corners:
-        raise ScenarioError(f"robot.tool_links: {robot.tool_links} have no collision geometry")
+        raise ScenarioError(
+            f"robot.tool_links: {robot.tool_links} have no collision geometry; the model needs a "
+            "<collision> on one of them"
+        )
     return corners
 
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drake_oa.planning.arm_world import tool_poses
-from drake_oa.planning.goal_postures import goal_postures
+from drake_oa.planning.goal_postures import goal_postures, nearest_free_place
 from tests.planning.arms import ArmAlone
 
 
@@ -42,3 +42,17 @@ def test_none_holds_what_is_out_of_reach(arm: ArmAlone) -> None:
     X_WE = arm.X_WE.copy()
     X_WE[9:] = 3.0, 0.0, 0.5
     assert goal_postures(arm.chain, X_WE, arm.q).shape == (0, len(arm.q))
+
+
+def test_the_nearest_free_place_is_the_one_that_is_free_and_near(panda_arm: ArmAlone) -> None:
+    chain, X_WE = panda_arm.chain, panda_arm.X_WE
+    wall = X_WE[9] - 0.049
+
+    def is_free(q: np.ndarray) -> bool:
+        return bool(tool_poses(chain, q[None])[0, 9] < wall)
+
+    found = nearest_free_place(chain, X_WE, panda_arm.q, is_free)
+    assert found is not None
+    np.testing.assert_allclose(found[1:], X_WE[10:], atol=1e-9)
+    assert wall - 0.005 <= found[0] < wall
+    assert nearest_free_place(chain, X_WE, panda_arm.q, lambda q: False) is None

@@ -236,12 +236,19 @@ def test_where_no_term_passes_a_path_in_the_joints_is_imitated(
 def test_where_nothing_is_possible_it_holds_and_says_why(
     panda_arm: ArmAlone, weights: ChainWeights
 ) -> None:
-    goal = GOAL + [0.0, 0.0, 0.02]
-    around = [box_at([0.3, 0.3, 0.3], goal, "crate")]
+    # Walls all round, and a lid: there is room at the goal, and no way to it.
+    x, y, z = GOAL
+    around = [
+        box_at([0.42, 0.02, 0.6], [x, y + side * 0.2, z], f"wall {k}")
+        for k, side in enumerate((-1, 1))
+    ]
+    around += [box_at([0.02, 0.42, 0.6], [x + side * 0.2, y, z], "wall") for side in (-1, 1)]
+    around.append(box_at([0.42, 0.42, 0.02], [x, y, z + 0.3], "lid"))
     bench = Bench(panda_arm, weights, TABLE, *around)
     found = bench.chosen()
     assert found.hold == HoldCause.OBSTACLES
-    assert found.note == "no motion that clears crate found"
+    assert re.fullmatch("(no motion that clears|at its goal the arm would touch) .*", found.note)
+    assert any(word in found.note for word in ("wall", "lid"))
     assert bench.number("shortfall") > 0.0
     # It goes on when that leaves.
     bench.see(TABLE, stamp=1.0)
@@ -250,12 +257,55 @@ def test_where_nothing_is_possible_it_holds_and_says_why(
     assert found.hold == HoldCause.NONE
 
 
+def test_a_goal_in_contact_is_held_and_the_nearest_free_place_is_told(
+    panda_arm: ArmAlone, weights: ChainWeights
+) -> None:
+    # The tool point is in a crate's top by 2 cm.
+    crate = box_at([0.2, 0.2, 0.3], GOAL + [0.0, 0.0, 0.02 - 0.15], "crate")
+    bench = Bench(panda_arm, weights, TABLE, crate)
+    found = bench.chosen()
+    assert found.hold == HoldCause.OBSTACLES
+    told = re.fullmatch(
+        r"at its goal the arm would touch crate; the tool's nearest free place is \[(.*)\] m",
+        found.note,
+    )
+    assert told is not None
+    place = np.array([float(value) for value in told[1].split(",")])
+    # Straight above, by no more than the search is fine.
+    np.testing.assert_allclose(place[:2], GOAL[:2], atol=1e-3)
+    assert 0.02 - bench.arm.covered.overshoot <= place[2] - GOAL[2] <= 0.03
+    # That stays so, and is told the same way, while nothing changes.
+    bench.see(TABLE, crate, stamp=0.1)
+    assert bench.chosen(0.1).note == found.note
+    # One that leaves no room round about.
+    bench.see(TABLE, box_at([0.8, 0.8, 0.8], GOAL + [0.0, 0.0, 0.1], "block"), stamp=1.0)
+    note = bench.chosen(1.0).note
+    assert note == "at its goal the arm would touch block; the tool has no free place within 0.3 m"
+
+
 def test_a_tool_in_a_solid_is_held(panda_arm: ArmAlone, weights: ChainWeights) -> None:
     bench = Bench(panda_arm, weights, box_at([0.3, 0.3, 0.3], panda_arm.X_WE[9:], "block"))
     found = bench.chosen()
     assert found.hold == HoldCause.OBSTACLES
     assert found.note == "no motion that clears block found"
     assert not found.anew
+
+
+def test_a_tool_in_contact_may_leave_it(
+    panda_arm: ArmAlone, weights: ChainWeights, caplog: pytest.LogCaptureFixture
+) -> None:
+    # It begins 1 cm deep in a plate behind it.
+    hand = panda_arm.X_WE[9:] + [0.0, -0.115, 0.05]
+    plate = box_at([0.3, 0.02, 0.1], hand + [0.0, 0.01, 0.0], "plate")
+    bench = Bench(panda_arm, weights, plate)
+    deep = bench.kept(panda_arm.q[None]).min()
+    assert deep < -panda_arm.covered.overshoot
+    with caplog.at_level(logging.WARNING, "drake_oa"):
+        found = bench.chosen()
+    assert "t=0.000 s: the arm touches plate, and may only leave it" in caplog.text
+    assert found.note == ""
+    assert bench.kept(bench.motion.q).min() >= deep - 1e-3
+    assert bench.kept(bench.motion.q[-1:]).min() > CLEARANCE
 
 
 def test_its_ports_are_those_it_tells_of(panda_arm: ArmAlone, weights: ChainWeights) -> None:
