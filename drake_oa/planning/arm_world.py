@@ -284,13 +284,52 @@ def group_distances(
 
 
 @compiled
-def group_distances_along(world: ArmWorld, q: FloatArray) -> FloatArray:
-    """(G, K) least `group_distances` of configurations (T, n) now [m]."""
-    least = np.full((len(world.spheres.group_joint), len(world.solids.ball)), np.inf)
+def kept_along(world: ArmWorld, q: FloatArray, t: FloatArray) -> tuple[FloatArray, int]:
+    """(2,) least distances of tool and moving links to the solids [m], and to which, or -1.
+
+    Of configurations (T, n) at times (T,); whatever is asked.
+    """
+    chain, spheres, solids = world.chain, world.spheres, world.solids
+    least, near, X = np.full(2, np.inf), -1, np.empty((q.shape[1] + 2, 12))
     for row in range(len(q)):
-        found = group_distances(world.chain, world.spheres, world.solids, q[row], world.now)
-        least = np.minimum(least, found)
-    return least
+        chain_poses(q[row], chain.X_PJ, X)
+        for g in range(len(spheres.group_joint)):
+            frame = spheres.group_joint[g] + 1
+            if frame == 0:
+                continue
+            part = TOOL if world.asked.is_tool[g] else LINKS
+            x, y, z = placed(X, frame, spheres.bound, g)
+            for k in range(len(solids.ball)):
+                far = spheres.bound[g, 3] + least[part]
+                if ball_bound(solids, k, x, y, z, t[row]) >= far:
+                    continue
+                if solid_distance(solids, k, x, y, z, t[row]) >= far:
+                    continue
+                for c in range(spheres.cluster[g], spheres.cluster[g + 1]):
+                    u, v, w = placed(X, frame, spheres.cluster_bound, c)
+                    far = spheres.cluster_bound[c, 3] + least[part]
+                    if solid_distance(solids, k, u, v, w, t[row]) >= far:
+                        continue
+                    for i in range(spheres.cluster_first[c], spheres.cluster_first[c + 1]):
+                        u, v, w = placed(X, frame, spheres.p_JS, i)
+                        d = solid_distance(solids, k, u, v, w, t[row]) - spheres.radius[i]
+                        if d < least[part]:
+                            near = k if d < min(least[TOOL], least[LINKS]) else near
+                            least[part] = d
+    return least, near
+
+
+@compiled
+def lacking_along(world: ArmWorld, q: FloatArray) -> float:
+    """By how much configurations (T, n) are short of what is asked of solids now, at most [m]."""
+    n, least = q.shape[1], np.zeros(3)
+    X, center = np.empty((n + 2, 12)), np.empty((len(world.spheres.group_joint), 3))
+    # The arm itself is not asked.
+    least[SELF] = -np.inf
+    for row in range(len(q)):
+        chain_poses(q[row], world.chain.X_PJ, X)
+        lower_excess(X, world.now, world.spheres, world.solids, world.asked, center, least, -np.inf)
+    return -min(least[TOOL], least[LINKS])
 
 
 def make_chain(arm: ArmModel, spheres: Spheres) -> Chain:

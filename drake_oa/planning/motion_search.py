@@ -34,7 +34,8 @@ from drake_oa.planning.arm_world import (
     Chain,
     excess_along,
     group_distances,
-    group_distances_along,
+    kept_along,
+    lacking_along,
     tool_poses,
 )
 from drake_oa.planning.goal_postures import FARTHEST, goal_postures, nearest_free_place
@@ -328,9 +329,11 @@ class MotionSearch:
         count = int(arm.samples[0])
         s = search.sample_times(count)
         seconds = search.duration * math.exp(genes[TAU])
-        kept, near = self._kept(world, arm.q[0, :count], world.now + seconds * (s - s[0]))
+        # Every second: they are a few millimetres apart.
+        t = world.now + seconds * (s - s[0])
+        kept, near = kept_along(world, arm.q[0, :count:2], t[::2])
         of_self = float(arm.excess[0, SELF]) + self._parameters.self_clearance
-        if of_self < kept.min(initial=np.inf):
+        if of_self < kept.min():
             near = -1
         short = max(-float(arm.least[0]) - self._search.slack, 0.0)
         follows = float(arm.error[0]) <= self._parameters.missed and float(arm.hurry[0]) <= 1.0
@@ -358,22 +361,6 @@ class MotionSearch:
             else 0.0,
             note="",
         )
-
-    def _kept(self, world: ArmWorld, q: FloatArray, t: FloatArray) -> tuple[FloatArray, int]:
-        """(2,) least distances of tool and links along a motion [m], and to which solid."""
-        least, near = np.full(2, np.inf), -1
-        for row in range(0, len(t), 2):
-            d = group_distances(self._chain, self._spheres, world.solids, q[row], float(t[row]))
-            moved = self._spheres.group_joint >= 0
-            for k, which in enumerate((world.asked.is_tool, ~world.asked.is_tool & moved)):
-                if not d[which].size:
-                    continue
-                at = np.unravel_index(d[which].argmin(), d[which].shape)
-                if d[which][at] < least[k]:
-                    least[k] = d[which][at]
-                    if least[k] == least.min():
-                        near = int(at[1])
-        return least, near
 
     def _scene(self, sight: Sight, dmp: Dmp) -> SpatialScenes:
         policy, seen = sight.policy, sight.ellipsoids
@@ -426,13 +413,27 @@ class MotionSearch:
         p = self._parameters
         attempts = [(share, p.configurations) for share in (1.0, *p.shares)]
         attempts.append((min(p.shares, default=1.0), p.last_configurations))
+        # To the task's own posture first: the tool turns no farther than it has to.
+        own = self._goals(sight, 0)
+        others: FloatArray | None = None
         for share, most in attempts:
-            # To the task's own posture first: the tool turns no farther than it has to.
-            for ends in (goals[:1], goals[1:]):
-                choice = self._path_to(np.array(ends), share, most, here, sight)
-                if choice is not None:
-                    return choice
+            choice = self._path_to(own, share, most, here, sight)
+            if choice is None:
+                if others is None:
+                    others = self._goals(sight, p.goal_seeds)[len(own) :]
+                choice = self._path_to(others, share, most, here, sight)
+            if choice is not None:
+                return choice
         return None
+
+    def _goals(self, sight: Sight, seeds: int) -> FloatArray:
+        """(m, n) postures at the goal that touch nothing, the task's own first [rad]."""
+        first = self._task.q[0, -1] if self._q_goal is None else self._q_goal
+        X_WG = np.append(self._task.R_WE[-1], sight.p_WG)
+        found = goal_postures(self._chain, X_WG, first, seeds=seeds)
+        least = self._parameters.least_kept - self._overshoot
+        free = [q for q in found if self._least(sight, q) > least]
+        return np.array(free).reshape(-1, len(first))
 
     def _path_to(
         self, ends: FloatArray, share: float, most: int, here: Choice, sight: Sight
@@ -518,9 +519,7 @@ class MotionSearch:
         chosen = self._chosen(at, sight, world, search, genes, 0.0)
         # Of all that is asked, not of the share that was.
         whole = self._world(sight, shown.q[-1:])
-        kept = group_distances_along(whole, chosen.motion.q)
-        lacks = float((whole.asked.of_solids - kept).max(initial=0.0))
-        short = max(lacks - self._search.slack, 0.0)
+        short = max(lacking_along(whole, chosen.motion.q) - self._search.slack, 0.0)
         # The motion belongs to the one that begins there.
         motion = replace(chosen.motion, p_WS=rests.p_WS)
         return replace(chosen, short=short, tau=1.0, anew=True, motion=motion)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -65,6 +66,13 @@ class Leading(Frozen):
         return self.R_WE[row], self.q[:, row]
 
 
+@lru_cache(maxsize=4)
+def _length(dmp: Dmp) -> float:
+    """Of the motion that a primitive makes of a baseline of 1."""
+    plan = trajectory(dmp, np.zeros(3), np.array([1.0, 0.0, 0.0])).p
+    return float(np.linalg.norm(np.diff(plan, axis=0), axis=1).sum())
+
+
 class ArmSearch(Search):
     """One search, in one scene; see `drake_oa.regulation.search.Search`.
 
@@ -96,9 +104,7 @@ class ArmSearch(Search):
         # The tool's path is rolled out without the ellipsoids: they propose, and decide nothing.
         self.empty = scene.without_obstacles()
         self.every = max(round(parameters.steps / samples), 1)
-        plan = trajectory(dmp, np.zeros(3), np.array([1.0, 0.0, 0.0])).p
-        self.planned_length = float(np.linalg.norm(np.diff(plan, axis=0), axis=1).sum())
-        self.planned_length *= float(scene.baseline[0])
+        self.planned_length = _length(dmp) * float(scene.baseline[0])
 
     def evaluate(self, active: IntArray, genes: FloatArray, known: Ranked | None = None) -> Ranked:
         """Rolls out candidates (1, n, 7)."""
