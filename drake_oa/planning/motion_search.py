@@ -237,11 +237,10 @@ class MotionSearch:
         due = sight.time - here.planned >= self._parameters.seek_period
         if rests and due and not sight.scene.moves:
             found = replace(found, planned=sight.time)
-            goals = self._goals(sight)
-            planned = self._planned(found, sight, goals) if goals else None
+            planned, is_free = self._planned(found, sight)
             if planned is not None:
                 return planned
-            found = replace(found, goal_note="" if goals else self._no_goal(sight))
+            found = replace(found, goal_note="" if is_free else self._no_goal(sight))
         return replace(found, note=found.goal_note or self._hold(found, sight))
 
     def _hold(self, found: Choice, sight: Sight) -> str:
@@ -381,11 +380,12 @@ class MotionSearch:
 
     # --- a path in the joints -------------------------------------------------------------
 
-    def _goals(self, sight: Sight) -> list[FloatArray]:
-        """Postures (n,) at the goal that touch nothing, the task's own first [rad]."""
+    def _goals(self, sight: Sight, seeds: int) -> FloatArray:
+        """(m, n) postures at the goal that touch nothing, the task's own first [rad]."""
         X_WG, first = self._goal(sight)
-        found = goal_postures(self._chain, X_WG, first, seeds=self._parameters.goal_seeds)
-        return [q for q in found if self._least(sight, q) > self._touch]
+        found = goal_postures(self._chain, X_WG, first, seeds=seeds)
+        free = [q for q in found if self._least(sight, q) > self._touch]
+        return np.array(free).reshape(-1, len(first))
 
     def _goal(self, sight: Sight) -> tuple[FloatArray, FloatArray]:
         """(12,) pose of the tool at the goal [m], and (n,) the joints that are asked for [rad]."""
@@ -408,32 +408,28 @@ class MotionSearch:
         place = ", ".join(f"{value:.3f}" for value in free)
         return f"{note}the tool's nearest free place is [{place}] m"
 
-    def _planned(self, here: Choice, sight: Sight, goals: list[FloatArray]) -> Choice | None:
-        """A motion that imitates a path in the joints; None: there is none that is clear."""
+    def _planned(self, here: Choice, sight: Sight) -> tuple[Choice | None, bool]:
+        """A motion that imitates a path in the joints, and whether a posture at the goal is free.
+
+        None: there is none that is clear.
+        """
         p = self._parameters
         attempts = [(share, p.configurations) for share in (1.0, *p.shares)]
         attempts.append((min(p.shares, default=1.0), p.last_configurations))
         # To the task's own posture first: the tool turns no farther than it has to.
-        own = self._goals(sight, 0)
-        others: FloatArray | None = None
+        own, others = self._goals(sight, 0), None
         for share, most in attempts:
             choice = self._path_to(own, share, most, here, sight)
-            if choice is None:
-                if others is None:
-                    others = self._goals(sight, p.goal_seeds)[len(own) :]
-                choice = self._path_to(others, share, most, here, sight)
             if choice is not None:
-                return choice
-        return None
-
-    def _goals(self, sight: Sight, seeds: int) -> FloatArray:
-        """(m, n) postures at the goal that touch nothing, the task's own first [rad]."""
-        first = self._task.q[0, -1] if self._q_goal is None else self._q_goal
-        X_WG = np.append(self._task.R_WE[-1], sight.p_WG)
-        found = goal_postures(self._chain, X_WG, first, seeds=seeds)
-        least = self._parameters.least_kept - self._overshoot
-        free = [q for q in found if self._least(sight, q) > least]
-        return np.array(free).reshape(-1, len(first))
+                return choice, True
+            # They take a while to find.
+            others = self._goals(sight, p.goal_seeds)[len(own) :] if others is None else others
+            choice = self._path_to(others, share, most, here, sight)
+            if choice is not None:
+                return choice, True
+            if not len(own) + len(others):
+                return None, False
+        return None, True
 
     def _path_to(
         self, ends: FloatArray, share: float, most: int, here: Choice, sight: Sight

@@ -18,7 +18,6 @@ from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
-WALL = "obstacles=[{name: wall, translation: [1.2, 0, 0.5], shapes: [!Box {size: [2, 0.1, 1.9]}]}]"
 
 
 @pytest.fixture(scope="module")
@@ -65,13 +64,6 @@ def test_it_keeps_what_is_asked_and_hardly_more(scenario: Scenario, log: MotionL
     report = motion_report(scenario, log)
     assert report["regulation"] == "Verified"
     assert report["believed_shortfall"] == 0.0
-
-
-def test_a_wall_holds_the_motion(caplog: pytest.LogCaptureFixture) -> None:
-    scenario = load_scenario("tabletop_box", [GROUND_TRUTH, "directives=[]", WALL])
-    log = simulate(scenario, duration=1.5)
-    assert caplog.text.count("no motion that clears obstacle_wall") == 1
-    assert not log.desired_velocity[log.t > 0.3].any()
 
 
 def test_the_chain_alone_is_the_paper_s() -> None:
