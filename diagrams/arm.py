@@ -12,7 +12,7 @@ from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.robot.arm import ArmModel, make_arm_model
 from drake_oa.robot.config import Robot
 from drake_oa.robot.grasped_object import tool_links
-from drake_oa.robot.plant import RobotPlant, model_file
+from drake_oa.robot.plant import RobotPlant, home_positions, model_file
 from drake_oa.robot.spheres import ArmSpheres, make_arm_spheres
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task_joints import posture_guide
@@ -22,13 +22,15 @@ _COVERED: dict[tuple[str, int], ArmSpheres] = {}
 """The robots of this process as spheres, which take seconds to make."""
 
 
-def covered_arm(robot: Robot, robot_plant: RobotPlant, q_start: FloatArray) -> ArmSpheres:
+def covered_arm(robot: Robot, robot_plant: RobotPlant) -> ArmSpheres:
     """The robot as spheres, as near as its block asks; made once.
+
+    They are made at home: from where else would change their last bits, and with these what a
+    process does later.
 
     Args:
         robot: the block.
         robot_plant: the robot alone.
-        q_start: (nq,) its positions at the start, those of the fingers as they stay.
 
     Raises:
         ScenarioError: for a robot that cannot be covered.
@@ -36,7 +38,8 @@ def covered_arm(robot: Robot, robot_plant: RobotPlant, q_start: FloatArray) -> A
     key = (repr(robot), model_file(robot).stat().st_mtime_ns)
     if key not in _COVERED:
         try:
-            _COVERED[key] = make_arm_spheres(robot_plant, q_start, tool_links(robot), robot.spheres)
+            q = home_positions(robot_plant, robot)
+            _COVERED[key] = make_arm_spheres(robot_plant, q, tool_links(robot), robot.spheres)
         except ValueError as error:
             raise ScenarioError(f"robot: {error}") from None
     return _COVERED[key]

@@ -44,7 +44,7 @@ class Cell(Station):
     @cached_property
     def spheres(self) -> ArmSpheres:
         """The robot as spheres."""
-        return covered_arm(self._robot, self.robot_plant, self.q_start)
+        return covered_arm(self._robot, self.robot_plant)
 
     @cached_property
     def guarded_arm(self) -> GuardedArm:

@@ -59,10 +59,7 @@ def planned_shift(
     if motion is None or len(motion) < 2 or s >= motion.s[-1]:
         left = np.minimum(rate * times, max(1.0 - s, 0.0))
         return np.asarray(left[:, None] * policy.z_W)
-    at = s + rate * times
-    path = np.stack([np.interp(at, motion.s, axis) for axis in motion.p_WE.T], axis=-1)
-    here = np.array([np.interp(s, motion.s, axis) for axis in motion.p_WE.T])
-    return np.asarray(path - here)
+    return _led(motion.s, motion.p_WE, s, s + rate * times)
 
 
 def stopping_shift(v_WE: FloatArray, times: FloatArray, hold_time: float) -> FloatArray:
@@ -80,7 +77,13 @@ def planned_joints(
     """
     if motion is None or len(motion) < 2 or motion.q.shape[1] != len(q) or rate == 0.0:
         return np.tile(q, (len(times), 1))
-    at = s + rate * times
-    path = np.stack([np.interp(at, motion.s, joint) for joint in motion.q.T], axis=-1)
-    here = np.array([np.interp(s, motion.s, joint) for joint in motion.q.T])
-    return np.asarray(q + path - here)
+    return np.asarray(q + _led(motion.s, motion.q, s, s + rate * times))
+
+
+def _led(s: FloatArray, path: FloatArray, now: float, at: FloatArray) -> FloatArray:
+    """(K, m) how far a path (T, m) at times s (T,) leads from now to others (K,)."""
+    times = np.clip(np.append(now, at), s[0], s[-1])
+    row = np.clip(np.searchsorted(s, times) - 1, 0, len(s) - 2)
+    share = ((times - s[row]) / (s[row + 1] - s[row]))[:, None]
+    found = path[row] + share * (path[row + 1] - path[row])
+    return np.asarray(found[1:] - found[0])

@@ -29,6 +29,7 @@ from drake_oa.common.thinking import Thinking, Thoughts
 from drake_oa.geometry.annulus import Annulus
 from drake_oa.geometry.directions import ramped
 from drake_oa.planning.solid_scene import SolidScene
+from drake_oa.policy.demonstration import Demonstration
 from drake_oa.policy.dmp import Dmp, normalised_time
 from drake_oa.safety.config import EvasionParameters, EvasionSettings, settings
 from drake_oa.safety.evasion import NOTHING_MOVES, choose, left_alone
@@ -62,6 +63,7 @@ class ObstacleEvasion(LeafSystem):
       - policy_state
       - solids_W
       - motion (optional)
+      - demonstration (optional)
       output_ports:
       - evasion
       - evading
@@ -72,6 +74,7 @@ class ObstacleEvasion(LeafSystem):
     - solids_W: abstract `SolidScene`: all that is not the robot, with velocities.
     - motion (optional): abstract `PlannedMotion`, what is expected of the motion; without
       it, that it goes straight on.
+    - demonstration (optional): abstract `Demonstration` that it imitates, for its duration.
     - evasion: (3,) velocity of the displacement in the world [m/s], for `DmpIntegrator`.
     - evading: abstract `drake_oa.safety.evasion.Evasion`: what was decided, for `Supervisor`, and
       for `PostureFollower`, which turns the arm.
@@ -134,6 +137,7 @@ class ObstacleEvasion(LeafSystem):
         self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
         self._solids = self.DeclareAbstractInputPort("solids_W", Value(SolidScene()))
         self._motion = self.DeclareAbstractInputPort("motion", Value(PlannedMotion()))
+        self._shown = self.DeclareAbstractInputPort("demonstration", Value(Demonstration()))
         self._state = self.DeclareAbstractState(Value(_Kept()))
         decided = {self.abstract_state_ticket(self._state)}
         self.DeclareVectorOutputPort("evasion", 3, self._calc_velocity, decided)
@@ -206,10 +210,12 @@ class ObstacleEvasion(LeafSystem):
             turned = unknown and len(before.turn) > 0
             return left_alone(before) if turned else NOTHING_MOVES
         q, v = self._arm.split(x)
+        shown = read_optional(self, self._shown, context, Demonstration)
+        dmp = self._dmp if shown is None or shown.position is None else shown.position
         underway = Underway(
             policy,
-            max(0.0, normalised_time(policy.phase, self._dmp.alpha_k)),
-            1.0 / (policy.tau * self._dmp.duration),
+            max(0.0, normalised_time(policy.phase, dmp.alpha_k)),
+            1.0 / (policy.tau * dmp.duration),
             read_optional(self, self._motion, context, PlannedMotion),
         )
         ahead = Lookout(
