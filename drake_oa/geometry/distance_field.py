@@ -56,14 +56,14 @@ ByteArray = NDArray[np.uint8]
 class DistanceField(Frozen):
     """Signed distances to a cloud at the nodes of a grid.
 
-    Between nodes they are interpolated. Outside the cloud the distance is at most one voxel too
-    large; how much too small it may be, see `field_of`.
+    Between nodes they are interpolated. Outside the cloud the distance is at most one voxel, as it
+    was asked, too large; how much too small it may be, see `field_of`.
 
     Attributes:
         p_WO: (3,) the first node in the world, when the cloud was seen [m].
         voxel: edge of a voxel [m].
         values: (nx, ny, nz) float32 distances at the nodes p_WO + voxel (i, j, k) [m].
-        low, high: (3,) box, in O, of the nodes that are occupied [m].
+        low, high: (3,) box, in O, of what is occupied [m].
         note: empty, or that the voxels are coarser than was asked.
     """
 
@@ -96,7 +96,8 @@ def field_of(
 
     The distance is at most one voxel larger than that to the points, and smaller by at most two
     (the point to its node, sqrt(3)/2; a crease of the distance between nodes, as much again;
-    the offset, 0.13); away from creases, as outside a surface, by at most one.
+    the offset, 0.13); away from creases, as outside a surface, by at most one. Where the voxels
+    are coarser than asked, all distances are smaller by as much as they are coarser.
 
     Args:
         cloud: (N, 3) points in the world [m].
@@ -131,9 +132,12 @@ def field_of(
     if shade is not None:
         low, high = np.minimum(low, shade.low), np.maximum(high, shade.high)
         voxel, first, count = _grid(low, high, margin, voxel, max_cells)
-    note = ""
-    if voxel > asked:
-        note = f"voxels of {voxel:.3g} m in place of {asked:.3g} m: the cloud is large"
+    note, coarser = "", voxel - asked
+    if coarser > 0.0:
+        note = (
+            f"voxels of {voxel:.3g} m in place of {asked:.3g} m: the cloud is large, and taken to "
+            "be as much thicker"
+        )
     p_WO = (first + 0.5) * voxel
     occupied = np.zeros(tuple(count), dtype=np.uint8)
     _fill(points, p_WO, voxel, occupied)
@@ -141,7 +145,9 @@ def field_of(
         _fill_hidden(p_WO, voxel, shade, occupied)
     values = np.empty(occupied.shape, dtype=np.float32)
     box = _signed_distances(occupied, voxel, values)
-    return DistanceField(p_WO, voxel, values, box[0] * voxel, (box[1] - 1) * voxel, note)
+    values -= np.float32(coarser)
+    low, high = box[0] * voxel - coarser, (box[1] - 1) * voxel + coarser
+    return DistanceField(p_WO, voxel, values, low, high, note)
 
 
 def _grid(
