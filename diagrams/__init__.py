@@ -15,7 +15,6 @@ Signals, with who offers them (`avoidance.Layers` says who reads them):
     depth_image, camera_pose, image_stamp                  station: the camera
     obstacles_W, cloud                                     perception
     solids_W                                               solids
-    solid_obstacles_W                                      hidden_sides; else obstacles_W
     ellipsoids_W                                           ellipsoid_descriptor
     goal, policy_state, phase, desired_*                   goal, dmp_integrator
     route                                                  cost_ring_selector

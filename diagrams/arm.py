@@ -52,7 +52,6 @@ def arm_model(
     plant, inspector = robot_plant.plant, robot_plant.scene_graph.model_inspector()
     return make_arm_model(
         plant,
-        inspector,
         robot_plant.tool_frame,
         end_rotations(scenario)[0],
         q_start,

@@ -107,8 +107,6 @@ def build_avoidance(
     if not modulated:
         layers = unmodulated(layers)
     wires = Wires(DiagramBuilder())
-    # What only a camera's view needs: see `hidden_sides`.
-    wires.otherwise("solid_obstacles_W", "obstacles_W")
     station = add_station(wires, scenario, modulated=modulated)
     for layer in fields(layers):
         getattr(layers, layer.name)(wires, scenario, station)

@@ -22,7 +22,6 @@ from drake_oa.geometry.collision_shapes import RobotModel, collect_collision_sha
 from drake_oa.perception.config import DepthCamera, GroundTruth, RecordedClouds, SegmentationConfig
 from drake_oa.perception.depth_perception import DepthPerception
 from drake_oa.perception.ground_truth_perception import GroundTruthPerception
-from drake_oa.perception.hidden_sides import HiddenSides
 from drake_oa.perception.recorded_perception import RecordedPerception
 from drake_oa.planning.cloud_solids import CloudSolids
 from drake_oa.planning.true_solids import GivenSolids, TrueSolids
@@ -70,8 +69,7 @@ def register_source(block: type, add: AddSource) -> None:
 def add_perception(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     """Adds the source that the scenario's tagged block asks for.
 
-    Offers obstacles_W, or ellipsoids_W where these are given; and solid_obstacles_W: what a
-    camera sees one side of is closed there, once it has moved.
+    Offers obstacles_W, or ellipsoids_W where these are given.
 
     Raises:
         ScenarioError: naming the field that does not fit.
@@ -142,12 +140,6 @@ def _add_depth_camera(
         delay=camera.delay,
     )
     wires.add("perception", perception, reads={"robot_state": "robot_state_at_image"})
-    wires.add(
-        "hidden_sides",
-        HiddenSides(period=perception_period(scenario)),
-        offers={"obstacles_W": "solid_obstacles_W"},
-        if_read=True,
-    )
 
 
 SOURCES |= {

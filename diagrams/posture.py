@@ -19,7 +19,6 @@ from drake_oa.robot.plant import RobotPlant
 from drake_oa.scenario.scenario import (
     Scenario,
 )
-from drake_oa.scenario.sources import table_plane
 
 _TASK = 6
 """Dimensions of the pose of the tool."""
@@ -74,7 +73,6 @@ def make_null_space_coupling(
         robot_plant.plant.num_multibody_states(),
         given,
         period=scenario.policy.period,
-        table=table_plane(scenario),
     )
 
 

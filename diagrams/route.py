@@ -74,7 +74,6 @@ def robot_reachability(robot: Robot | None) -> Reachability | None:
     try:
         arm = make_arm_model(
             robot_plant.plant,
-            robot_plant.scene_graph.model_inspector(),
             robot_plant.tool_frame,
             RollPitchYaw(robot.rpy_WE).ToRotationMatrix(),
             home_positions(robot_plant, robot),

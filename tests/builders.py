@@ -45,7 +45,6 @@ def arm_of(
     inspector = panda.scene_graph.model_inspector()
     return make_arm_model(
         panda.plant,
-        inspector,
         panda.tool_frame,
         R_WE,
         home_positions(panda, Robot()) if q is None else q,

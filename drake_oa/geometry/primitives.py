@@ -77,27 +77,6 @@ def to_frame(X_WG: FloatArray, x: float, y: float, z: float) -> tuple[float, flo
     )
 
 
-@compiled
-def deepest_point(
-    X_WG: FloatArray, size: FloatArray, nx: float, ny: float, nz: float
-) -> tuple[float, float, float]:
-    """The point of a posed primitive that is lowest along n, see `point_distance` for it."""
-    a, b, c = to_frame(X_WG, nx, ny, nz)
-    if size[4] != 0.0:
-        across = math.sqrt(a * a + b * b)
-        shift = size[0] / across if across > 0.0 else 0.0
-        x, y = -a * shift, -b * shift
-    else:
-        x = -math.copysign(size[0], a)
-        y = -math.copysign(size[1], b)
-    z = -math.copysign(size[2], c)
-    return (
-        X_WG[0, 0] * x + X_WG[0, 1] * y + X_WG[0, 2] * z + X_WG[0, 3] - size[3] * nx,
-        X_WG[1, 0] * x + X_WG[1, 1] * y + X_WG[1, 2] * z + X_WG[1, 3] - size[3] * ny,
-        X_WG[2, 0] * x + X_WG[2, 1] * y + X_WG[2, 2] * z + X_WG[2, 3] - size[3] * nz,
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class RobotShapes:
     """Primitives G fixed to the bodies B of a robot.

@@ -11,8 +11,6 @@ Sources, one in place of the other (block `perception` of a scenario):
 - `GroundTruthPerception` (`!GroundTruth`), which asks SceneGraph, at 15 Hz;
 - `RecordedPerception` (`!RecordedClouds`), which plays back files (`recordings`), at 15 Hz.
 
-`HiddenSides` then gives what has moved a far side, for those that watch the robot's links.
-
 A frame goes through
 
 1. `segmentation`: the supporting plane by consensus with a prior on gravity and range (`table`;

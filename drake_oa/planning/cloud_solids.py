@@ -32,7 +32,6 @@ from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, va
 from drake_oa.geometry.distance_field import DEEPEST, DistanceField, field_of
 from drake_oa.geometry.solids import SURROUNDINGS, Solid, cloud_solid, solids_of
 from drake_oa.geometry.solids import table_solid as solid_of_table
-from drake_oa.perception.hidden_sides import names_moved
 from drake_oa.perception.memory import held_table
 from drake_oa.planning.solid_scene import SolidScene
 from drake_oa.planning.unseen_ends import ImageRange, with_unseen_ends
@@ -40,7 +39,7 @@ from drake_oa.planning.unseen_ends import ImageRange, with_unseen_ends
 _logger = logging.getLogger("drake_oa")
 
 _DEEPEST_MOVED = 0.15
-"""So deep is what moves or has moved [m], see `drake_oa.perception.hidden_sides`."""
+"""So deep is what moves or has moved [m]: no link has to pass close behind it."""
 _GONE = 0.05
 """Share of the points of a field that may have no new one beside them."""
 _TURNED = 0.1
@@ -209,6 +208,15 @@ def _view(solid: Solid, viewpoint_W: FloatArray | None) -> FloatArray:
         return _NOWHERE
     view = solid.X_WO[:3, 3] + solid.center - viewpoint_W
     return np.asarray(view / max(float(np.linalg.norm(view)), 1e-9))
+
+
+def names_moved(obstacles: ObstacleClouds, before: frozenset[int]) -> frozenset[int]:
+    """The names of the obstacles that move now, or did before and are still there."""
+    return frozenset(
+        int(name)
+        for name, v_WO in zip(obstacles.ids, obstacles.v_WO, strict=True)
+        if (np.isfinite(v_WO).all() and v_WO.any()) or int(name) in before
+    )
 
 
 def _kept(

@@ -16,8 +16,7 @@ Method
     5(2), 1984), taken over critically damped; the coupling in an orthonormal basis of the null
     space, by a damped inverse.
 
-Parts: `posture_course` (a plan over time), `posture_follower`, `arm_surroundings` (obstacles as the
-coupling asks for them), `null_space_coupling`.
+Parts: `posture_course` (a plan over time), `posture_follower`, `null_space_coupling`.
 
 Configuration: `robot.null_space_coupling` (`drake_oa.robot.config.NullSpaceCouplingParameters`).
 

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from pydrake.common.value import Value
@@ -30,13 +30,13 @@ from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSys
 
 from drake_oa.common.compiled import compiled
 from drake_oa.common.config import check_values
-from drake_oa.common.messages import FloatArray, Frozen, ObstacleClouds, TablePlane
+from drake_oa.common.messages import FloatArray, Frozen, ObstacleClouds
 from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.common.ports import DECISION_OFFSET, read_value, valid_period
-from drake_oa.geometry.points import GuardShapes, PointBlocks
+from drake_oa.geometry.points import GuardShapes, ObstaclePoints, PointBlocks
 from drake_oa.geometry.primitives import point_distance, posed, to_frame
+from drake_oa.geometry.voxels import VOXEL, thinned
 from drake_oa.policy.coupling import avoidance_term, norm
-from drake_oa.posture.arm_surroundings import ArmSurroundings
 from drake_oa.robot.arm import ArmModel
 from drake_oa.robot.arm_kernels import jacobian, nearest_point
 from drake_oa.robot.config import NullSpaceCouplingParameters
@@ -194,9 +194,24 @@ def null_space_basis(J: FloatArray) -> FloatArray:
     return np.asarray(rows[rank:].T)
 
 
+PADDING = 0.25 * VOXEL
+"""In the middle of four points of a sheet its surface is nearer by this, for a link that touches it
+in a point of the rounding of 6 cm [m]."""
+
+
+def thinned_points(seen: ObstacleClouds) -> ObstaclePoints:
+    """The obstacles' points, one a voxel of 2 cm.
+
+    Raises:
+        ValueError: if a point or a velocity is not finite.
+    """
+    clouds = tuple(thinned(cloud) for cloud in seen.clouds_W)
+    return ObstaclePoints.of(replace(seen, clouds_W=clouds))
+
+
 def null_space_acceleration(
     arm: ArmModel,
-    around: ArmSurroundings,
+    seen: ObstaclePoints,
     q: FloatArray,
     v: FloatArray,
     parameters: NullSpaceCouplingParameters,
@@ -208,7 +223,7 @@ def null_space_acceleration(
 
     Args:
         arm: whose.
-        around: the obstacles, with their velocities; the table is none of them.
+        seen: the obstacles, see `thinned_points`; the table is none of them.
         q, v: (n,) positions and velocities of the arm's joints [rad, rad/s].
         parameters: of the law.
         time: now [s].
@@ -219,19 +234,18 @@ def null_space_acceleration(
     """
     n = len(arm.posture)
     total = np.zeros(n)
-    seen = around.points
     if not len(seen.points) or parameters.alpha == 0.0:
         return total
     X_WB = arm.poses(q)
-    age = around.lag(time)
+    age = max(time - seen.stamp, 0.0)
     p_WS, u_W, J_S, Z = np.empty(3), np.empty(3), np.empty((3, n)), np.empty((n, 0))
     for row, v_WO in enumerate(seen.v_WO):
-        limit = reach(parameters) + around.padding
+        limit = reach(parameters) + PADDING
         distance, body = nearest_section(X_WB, arm.shapes, seen.blocks, age, row, limit, p_WS, u_W)
         if body < 0:
             continue
         point_jacobian(X_WB, body, p_WS, J_S)
-        a_S = section_acceleration(J_S @ v - v_WO, u_W, distance - around.padding, parameters, step)
+        a_S = section_acceleration(J_S @ v - v_WO, u_W, distance - PADDING, parameters, step)
         if not a_S.any():
             continue
         if not Z.shape[1]:
@@ -253,7 +267,7 @@ class _Held(Frozen):
 
     acceleration: FloatArray
     seen: ObstacleClouds | None = None
-    around: ArmSurroundings = field(default_factory=ArmSurroundings)
+    points: ObstaclePoints = field(default_factory=ObstaclePoints)
 
 
 class NullSpaceCoupling(LeafSystem):
@@ -284,7 +298,6 @@ class NullSpaceCoupling(LeafSystem):
         parameters: NullSpaceCouplingParameters,
         *,
         period: float = 0.008,
-        table: TablePlane | None = None,
     ) -> None:
         """Declares the ports.
 
@@ -294,7 +307,6 @@ class NullSpaceCoupling(LeafSystem):
                 positions.
             parameters: of the law.
             period: time between decisions [s].
-            table: the supporting plane, where it is known.
 
         Raises:
             ValueError: if the state does not hold the arm's joints, a parameter is out of its
@@ -305,7 +317,7 @@ class NullSpaceCoupling(LeafSystem):
             raise ValueError(f"num_states must hold the arm's joints, not {num_states}")
         check_values(parameters, "null_space_coupling")
         self._period = valid_period(period)
-        self._arm, self._parameters, self._table = arm, parameters, table
+        self._arm, self._parameters = arm, parameters
         self._index: Sequence[int] = arm.index.tolist()
         self._count = num_states // 2
         n = len(self._index)
@@ -321,22 +333,20 @@ class NullSpaceCoupling(LeafSystem):
     def _decide(self, context: Context, state: State) -> EventStatus:
         held: _Held = context.get_abstract_state(self._held).get_value()
         seen = read_value(self, self._obstacles, context, ObstacleClouds)
-        around = held.around
-        if seen is not held.seen:
-            around = ArmSurroundings.of(seen, self._table)
+        points = held.points if seen is held.seen else thinned_points(seen)
         x = self._robot.Eval(context)
         acceleration = np.zeros(len(self._index))
         if np.isfinite(x).all():
             acceleration = null_space_acceleration(
                 self._arm,
-                around,
+                points,
                 x[self._index],
                 x[self._count :][self._index],
                 self._parameters,
                 time=context.get_time(),
                 step=self._period,
             )
-        state.get_mutable_abstract_state(self._held).set_value(_Held(acceleration, seen, around))
+        state.get_mutable_abstract_state(self._held).set_value(_Held(acceleration, seen, points))
         return EventStatus.Succeeded()
 
     def _calc(self, context: Context, output: BasicVector) -> None:

@@ -9,8 +9,8 @@ joints first; poses X_WE in the world. There are no systems here: the layers abo
 each.
 
 - `plant`, `grasped_object`: parsing, welding, what the hand holds, the tool's corners.
-- `arm_kernels`: forward kinematics of revolute joints, the geometric Jacobian, Newton steps onto
-  a pose with one joint fixed, distances of links to points, to a plane and to each other.
+- `arm_kernels`: forward kinematics of revolute joints, the geometric Jacobian, distances of links
+  to points.
 - `spheres`, `sphere_kernels`: the robot, with what it holds, as spheres that enclose its collision
   geometry, and the least distance of its bodies to each other; pairs that may touch are found in
   random postures. `sphere_cover`: a body's spheres by a greedy set cover, proven.

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from pydrake.geometry import SceneGraphInspector
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame, RevoluteJoint
@@ -23,7 +21,6 @@ from drake_oa.robot import arm_kernels as kernels
 
 def make_arm_model(
     plant: MultibodyPlant,
-    inspector: SceneGraphInspector,
     tool_frame: Frame,
     R_WE: RotationMatrix,
     q: FloatArray,
@@ -34,14 +31,12 @@ def make_arm_model(
 
     Args:
         plant: finalized plant of the robot alone, its base welded to the world.
-        inspector: of its scene graph: it knows which links are not to be tested against
-            each other.
         tool_frame: the frame E.
         R_WE: orientation that the tool keeps.
         q: (nq,) posture; joints that do not move the tool stay as they are here [rad, m].
         robot: the robot's collision geometry.
-        without: names of bodies that may come near to obstacles: the tool, which has a
-            clearance of its own. They count against the other links.
+        without: names of bodies that are left out of its shapes: the tool, which has a
+            clearance of its own.
 
     Raises:
         ValueError: if a joint that moves the tool is not revolute.
@@ -65,12 +60,10 @@ def make_arm_model(
         X_PJ=X_PJ,
         R_WE=np.array(R_WE.matrix()),
         posture=q[index],
-        mass=plant.CalcMassMatrix(context)[np.ix_(index, index)],
         lower=plant.GetPositionLowerLimits()[index],
         upper=plant.GetPositionUpperLimits()[index],
         speed=plant.GetVelocityUpperLimits()[[joint.velocity_start() for joint in joints]],
         shapes=_shapes(plant, context, X_WJ, moved, robot, without),
-        parts=_parts(plant, inspector, context, X_WJ, moved, robot),
     )
 
 
@@ -143,7 +136,7 @@ def _shapes(
         posed = [frame[row] @ X for row, X in zip(bodies, X_BG, strict=True)]
         return np.array(posed).reshape(-1, 4, 4)
 
-    laid = GuardShapes.of(
+    return GuardShapes.of(
         RobotShapes(
             joints_of(shapes.box_body[box]),
             in_frame(shapes.box_body[box], shapes.X_BG_box[box]),
@@ -155,87 +148,6 @@ def _shapes(
         ),
         len(X_WJ),
     )
-    return laid
-
-
-def _parts(
-    plant: MultibodyPlant,
-    inspector: SceneGraphInspector,
-    context: Context,
-    X_WJ: list[RigidTransform],
-    moved: dict[BodyIndex, int],
-    robot: RobotModel,
-) -> kernels.Parts:
-    """What may touch each other: each body a part, each shape a capsule that holds it."""
-    shapes = robot.shapes
-    rods: list[FloatArray] = []
-    radii: list[float] = []
-    first, spheres = [0], []
-    for row, body in enumerate(robot.bodies):
-        X_JB = in_joint_frame(plant, context, X_WJ, moved, body)
-        begin = len(rods)
-        for k in np.flatnonzero(shapes.box_body == row):
-            half = shapes.half_extents[k]
-            longest = int(half.argmax())
-            across = float(np.linalg.norm(np.delete(half, longest)))
-            # The ball at either end reaches the corners there.
-            _add_rod(
-                rods,
-                radii,
-                X_JB @ shapes.X_BG_box[k],
-                longest,
-                half[longest],
-                across + shapes.radius[k],
-            )
-        for k in np.flatnonzero(shapes.cylinder_body == row):
-            radius, half_length = shapes.cylinder_size[k]
-            _add_rod(rods, radii, X_JB @ shapes.X_BG_cylinder[k], 2, half_length, radius)
-        mine = np.array(rods[begin:]).reshape(-1, 2, 3)
-        center = mine.reshape(-1, 3).mean(axis=0)
-        away = np.linalg.norm(mine - center, axis=2).max(axis=1)
-        spheres.append(np.append(center, (away + radii[begin:]).max()))
-        first.append(len(rods))
-    pairs = [
-        (i, j)
-        for i in range(len(robot.bodies))
-        for j in range(i)
-        if _may_touch(plant, inspector, moved, robot.bodies[i], robot.bodies[j])
-    ]
-    return kernels.Parts(
-        np.array([moved.get(body, -1) for body in robot.bodies], dtype=np.int64),
-        np.array(first, dtype=np.int64),
-        np.array(spheres),
-        np.array(rods).reshape(-1, 6),
-        np.array(radii),
-        np.array(pairs, dtype=np.int64).reshape(-1, 2),
-    )
-
-
-def _add_rod(
-    rods: list[FloatArray],
-    radii: list[float],
-    X: FloatArray,
-    axis: int,
-    half_length: float,
-    radius: float,
-) -> None:
-    ends = [X[:3, 3] + sign * half_length * X[:3, axis] for sign in (-1.0, 1.0)]
-    rods.append(np.concatenate(ends))
-    radii.append(radius)
-
-
-def _may_touch(
-    plant: MultibodyPlant,
-    inspector: SceneGraphInspector,
-    moved: dict[BodyIndex, int],
-    one: BodyIndex,
-    other: BodyIndex,
-) -> bool:
-    """Whether two bodies are not neighbours and the model does not exclude them."""
-    if abs(moved.get(one, -1) - moved.get(other, -1)) <= 1:
-        return False
-    a, b = (plant.GetCollisionGeometriesForBody(plant.get_body(body))[0] for body in (one, other))
-    return not inspector.CollisionFiltered(a, b)
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,31 +162,19 @@ class ArmModel(Frozen):
             its z axis being the joint's, and of the tool point E in the last body.
         R_WE: (3, 3) orientation of the tool.
         posture: (n,) that the null space is drawn to where nothing is in the way [rad].
-        mass: (n, n) mass matrix there, as a metric [kg m^2].
         lower, upper: (n,) joint limits [rad].
         speed: (n,) their velocity limits [rad/s].
         shapes: what may touch obstacles.
-        parts: what may touch each other.
     """
 
     index: IntArray
     X_PJ: FloatArray
     R_WE: FloatArray
     posture: FloatArray
-    mass: FloatArray
     lower: FloatArray
     upper: FloatArray
     speed: FloatArray
     shapes: GuardShapes
-    parts: kernels.Parts
-
-    @cached_property
-    def arrays(self) -> kernels.Arm:
-        """As the kernels take it."""
-        X_PJ, mass, lower, upper, speed = kernel_arrays(
-            self.X_PJ, self.mass, self.lower, self.upper, self.speed
-        )
-        return kernels.Arm(X_PJ, mass, lower, upper, speed, self.shapes, self.parts)
 
     def poses(self, q: FloatArray) -> FloatArray:
         """(n + 1, 4, 4) poses of the bodies, and of E, in the world."""

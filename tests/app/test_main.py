@@ -188,12 +188,6 @@ def test_what_will_be_missed_is_told_before_the_run(
     assert said in capsys.readouterr().err
 
 
-def test_a_warning_is_given_once(caplog: pytest.LogCaptureFixture) -> None:
-    bare = ("--set", "perception=!GroundTruth {}", "--set", "directives=[]")
-    assert run("run", "tabletop_box", *bare, "--duration", "0.01") == 0
-    assert len([r for r in caplog.records if "no model instance" in r.getMessage()]) == 1
-
-
 def test_two_outputs_cannot_share_a_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

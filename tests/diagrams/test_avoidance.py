@@ -63,18 +63,6 @@ def test_what_is_there_depends_on_what_is_asked() -> None:
 # What it must reach.
 
 
-def test_what_watches_the_links_sees_the_same_solid_obstacles() -> None:
-    diagram = build_avoidance(load_scenario("moving_obstacle"))
-    sources = {}
-    for name in ("supervisor", "evasion"):
-        system = diagram.GetSubsystemByName(name)
-        port = system.GetInputPort("obstacles_W").get_index()
-        sources[name] = diagram.connection_map()[(system, port)][0].get_name()
-    assert set(sources.values()) == {"hidden_sides"}
-    truth = build_avoidance(load_scenario("moving_obstacle", ["perception=!GroundTruth {}"]))
-    assert not truth.HasSubsystemNamed("hidden_sides")
-
-
 @pytest.fixture(scope="module")
 def depth_run() -> MotionLog:
     return simulate(load_scenario("tabletop_box"))

@@ -477,16 +477,6 @@ def test_the_limits_rings_are_those_of_the_robot_as_it_holds_its_tool(
         assert outside < -0.5
 
 
-def test_a_world_without_obstacles_is_told(caplog: pytest.LogCaptureFixture) -> None:
-    table = "directives=[{add_directives: {file: package://drake_oa/scenes/table.dmd.yaml}}]"
-    build_avoidance(load_scenario("tabletop_box", [GROUND_TRUTH]))
-    assert not caplog.records
-    build_avoidance(load_scenario("tabletop_box", [GROUND_TRUTH, table]))
-    (record,) = caplog.records
-    assert "'obstacle...'" in record.getMessage()
-    assert "there are panda, table" in record.getMessage()
-
-
 def test_the_viewer_shows_the_motion_that_was_planned(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

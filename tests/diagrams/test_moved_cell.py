@@ -104,7 +104,7 @@ def moved(X: RigidTransform) -> tuple[list[float], list[float]]:
 @pytest.mark.parametrize(
     ("blocks", "duration", "apart", "joints"),
     [
-        (_SEEN, 0.6, 0.01, 0.1),
+        (_SEEN, 0.6, 0.03, 0.1),
         (_GIVEN + "regulation: !Regressor {guided: true}", 1.0, 1e-6, 1e-6),
         (_TRUTH + "regulation: !Regressor {}", 0.8, 2e-3, 4e-3),
         (_TRUTH, 0.6, 0.01, 0.1),

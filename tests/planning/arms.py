@@ -96,7 +96,6 @@ def arm_alone(config: Robot) -> ArmAlone:
     spheres = make_arm_spheres(robot, q, tool_links(config), config.spheres)
     model = make_arm_model(
         robot.plant,
-        inspector,
         robot.tool_frame,
         RotationMatrix(RollPitchYaw(config.rpy_WE)),
         q,

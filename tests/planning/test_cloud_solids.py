@@ -11,7 +11,7 @@ from pydrake.math import RigidTransform
 from drake_oa.common.messages import ObstacleClouds, TablePlane
 from drake_oa.geometry.solids import Solids, solid_distance
 from drake_oa.planning import cloud_solids
-from drake_oa.planning.cloud_solids import CloudSolids, SeenSolids, looked_at, unseen
+from drake_oa.planning.cloud_solids import CloudSolids, SeenSolids, looked_at, names_moved, unseen
 from drake_oa.planning.unseen_ends import ImageRange, with_unseen_ends
 
 CAMERA = np.array([1.2, 0.0, 0.8])
@@ -249,3 +249,18 @@ def test_what_the_image_cuts_off_goes_on_beyond_it(cut):
     bad = post(0.4)
     bad[0] = np.nan
     assert with_unseen_ends(seen(bad), X_WC, image).clouds_W[0] is bad
+
+
+def test_what_has_moved_is_told_until_it_is_gone():
+    def seen(*velocities):
+        clouds = tuple(np.zeros((1, 3)) for _ in velocities)
+        v_WO = np.array(velocities, dtype=float).reshape(-1, 3)
+        ids = np.arange(len(velocities))
+        return ObstacleClouds(stamp=0.0, clouds_W=clouds, ids=ids, v_WO=v_WO)
+
+    moved = names_moved(seen((-0.2, 0.0, 0.0), (0.0,) * 3), frozenset())
+    assert moved == {0}
+    assert names_moved(seen((0.0,) * 3, (0.0,) * 3), moved) == {0}
+    # Its name may be given again.
+    assert names_moved(seen(), moved) == frozenset()
+    assert names_moved(seen((np.nan, 0.0, 0.0)), frozenset()) == frozenset()

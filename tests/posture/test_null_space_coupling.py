@@ -18,9 +18,9 @@ from drake_oa.common.messages import ObstacleClouds
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.diagrams.control import make_controller
 from drake_oa.diagrams.posture import make_null_space_coupling
+from drake_oa.geometry.points import ObstaclePoints
 from drake_oa.policy.coupling import dead_zone_free_rate
 from drake_oa.posture import null_space_coupling as kernels
-from drake_oa.posture.arm_surroundings import ArmSurroundings
 from drake_oa.posture.null_space_coupling import (
     NullSpaceCoupling,
     NullSpaceCouplingParameters,
@@ -28,6 +28,7 @@ from drake_oa.posture.null_space_coupling import (
     null_space_basis,
     reach,
     section_acceleration,
+    thinned_points,
 )
 from drake_oa.robot.arm import ArmModel
 from drake_oa.robot.arm_kernels import jacobian
@@ -71,12 +72,12 @@ def elbow(arm: ArmModel) -> np.ndarray:
     return arm.poses(arm.posture)[3, :3, 3]
 
 
-def post(p_WQ: Sequence[float], v_WO: Sequence[float] = (0.0, 0.0, 0.0)) -> ArmSurroundings:
+def post(p_WQ: Sequence[float], v_WO: Sequence[float] = (0.0, 0.0, 0.0)) -> ObstaclePoints:
     cloud = np.asarray(p_WQ) + 0.03 * np.array([[0, 0, z] for z in range(-3, 4)], dtype=float)
     clouds = ObstacleClouds(
         stamp=0.0, clouds_W=(cloud,), ids=np.arange(1), v_WO=np.array([v_WO], dtype=float)
     )
-    return ArmSurroundings.of(clouds)
+    return thinned_points(clouds)
 
 
 @given(vectors, vectors, st.floats(0.0, 0.5))
@@ -138,7 +139,7 @@ def test_the_section_is_the_nearest_and_its_jacobian_drakes(
     context = plant.CreateDefaultContext()
     q = arm.posture
     plant.SetPositions(context, np.append(q, [0.01, 0.01]))
-    X_WB, seen = arm.poses(q), post(elbow(arm) + [0.0, 0.25, 0.0]).points
+    X_WB, seen = arm.poses(q), post(elbow(arm) + [0.0, 0.25, 0.0])
     p, u, J = np.empty(3), np.empty(3), np.empty((3, 7))
     distance, body = kernels.nearest_section(X_WB, arm.shapes, seen.blocks, 0.0, 0, 1.0, p, u)
     assert np.linalg.norm(u) == pytest.approx(1.0)
@@ -178,7 +179,7 @@ def test_what_comes_at_a_still_elbow_moves_it(arm: ArmModel) -> None:
 
 
 def test_without_obstacles_there_is_none(arm: ArmModel) -> None:
-    none = ArmSurroundings.of(ObstacleClouds())
+    none = ObstaclePoints()
     a = null_space_acceleration(arm, none, arm.posture, np.ones(7), LAW, time=0.0, step=STEP)
     assert not a.any()
 

@@ -178,7 +178,6 @@ def frames(robot: RobotPlant, q: np.ndarray, posture: np.ndarray) -> np.ndarray:
     inspector = robot.scene_graph.model_inspector()
     arm = make_arm_model(
         robot.plant,
-        inspector,
         robot.tool_frame,
         RigidTransform().rotation(),
         q,
