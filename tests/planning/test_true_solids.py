@@ -13,7 +13,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from drake_oa.common.messages import OUT_OF_WORLD, EllipsoidSet, TablePlane
-from drake_oa.geometry.solids import solid_distance
+from drake_oa.geometry.solids import SURROUNDINGS, solid_distance
 from drake_oa.planning.solid_scene import SolidScene
 from drake_oa.planning.true_solids import GivenSolids, TrueSolids
 
@@ -25,7 +25,7 @@ X_BG = RigidTransform(RollPitchYaw(0.1, 0.2, 0.3), [0.05, -0.02, 0.1])
 class World:
     """Three bodies without weight: a box beside its body's origin with a ball, a ball, no shape."""
 
-    def __init__(self, period: float = PERIOD, shape: object = None) -> None:
+    def __init__(self, period: float = PERIOD, *, called: int | None = None) -> None:
         builder = DiagramBuilder()
         plant, self.graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
         plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, 0.0])
@@ -49,6 +49,7 @@ class World:
                 plant,
                 self.graph.model_inspector(),
                 [body.index() for body in self.bodies],
+                names=None if called is None else {self.bodies[1].index(): called},
                 period=period,
             )
         )
@@ -117,6 +118,13 @@ def test_what_moves_is_foretold() -> None:
         for known in (scene, later):
             assert least(known, p, now) == pytest.approx(world.true_distance(p), abs=1e-6)
     assert later.stamp == pytest.approx(0.5)
+
+
+def test_an_obstacle_is_called_as_perception_calls_it() -> None:
+    scene = World(called=4).scene()
+    assert [int(name) for name in scene.solids.layout[:, 5]] == [SURROUNDINGS, SURROUNDINGS, 4]
+    assert scene.labels[2] == "obstacle 4"
+    assert scene.labels[0].endswith("box")
 
 
 def test_a_body_that_turns_is_read_anew() -> None:
