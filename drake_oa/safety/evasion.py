@@ -28,6 +28,7 @@ import numpy as np
 
 from drake_oa.common.messages import Evading, Evasion, FloatArray, PolicyState
 from drake_oa.geometry.directions import DIRECTIONS
+from drake_oa.geometry.solids import SURROUNDINGS
 from drake_oa.safety.config import EvasionSettings
 from drake_oa.safety.evasion_candidates import displaced, planned_shift, shortened, stopping_shift
 from drake_oa.safety.lookout import FULL, GOES, HELD, Lookout, Ways
@@ -128,8 +129,8 @@ def choose(
     steady = now.turned(np.zeros((1, len(turning))))
     least = p.margin + (p.release if before.action else 0.0)
     # What rests is the supervisor's; but what has come to rest close by is left room for.
-    of_last = ahead.scene.solids.layout[:, 5] == before.obstacle
-    watched = ahead.moving | (of_last if before.action else False)
+    known = before.action != "" and before.obstacle != SURROUNDINGS
+    watched = ahead.moving | (known & (ahead.scene.solids.layout[:, 5] == before.obstacle))
     as_it_goes = np.array([GOES])
     soon = ahead.look(goes[None], steady, as_it_goes, among=watched, until=min(p.notice, p.horizon))
     threat = ahead.nearest(soon, 0, watched)
