@@ -301,3 +301,16 @@ def test_without_a_table_an_empty_view_is_one_and_a_blind_one_is_not():
         assert found.note == "hardly any pixel tells of something"
     with pytest.raises(ValueError, match="X_WC must be given where there is no table"):
         segment_depth(far, K, None, NO_TABLE)
+
+
+def test_half_a_million_points_are_segmented():
+    rng = np.random.default_rng(0)
+    low, high = TWO[0]
+    on_table = np.column_stack([rng.uniform(0.3, 1.5, 400_000), rng.uniform(-0.6, 0.6, 400_000)])
+    on_table = np.column_stack([on_table, rng.normal(scale=1e-3, size=400_000)])
+    points = np.concatenate([on_table, rng.uniform(low, high, (100_000, 3))])
+    found = segment_points(points, np.eye(4))
+    assert len(found.clouds_W) == 1
+    assert len(found.clouds_W[0]) < 5000
+    assert (found.clouds_W[0] > low - 0.01).all()
+    assert (found.clouds_W[0] < high + 0.01).all()

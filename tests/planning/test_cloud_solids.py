@@ -264,3 +264,18 @@ def test_what_has_moved_is_told_until_it_is_gone():
     # Its name may be given again.
     assert names_moved(seen(), moved) == frozenset()
     assert names_moved(seen((np.nan, 0.0, 0.0)), frozenset()) == frozenset()
+
+
+def test_half_a_million_points_are_one_field_that_errs_to_the_near_side():
+    cloud = RNG.uniform([0.3, -0.5, 0.0], [1.3, 0.5, 0.6], (500_000, 3))
+    found = looked_at(SeenSolids(), seen(cloud), CAMERA)
+    (field,) = found.fields
+    assert field.grid.values.size <= 1 << 20
+    assert "voxels of" in field.grid.note
+    # A wall of the cloud is no farther than it is.
+    for gap in (0.02, 0.1, 0.2):
+        d = solid_distance(found.scene.solids, 0, 0.3 - gap, 0.0, 0.3, 1.0)
+        assert gap - 0.03 <= d <= gap + 0.01
+    noise = RNG.normal(scale=1e-3, size=cloud.shape)
+    again = looked_at(found, seen(cloud + noise, stamp=1.1), CAMERA)
+    assert again.scene.solids is found.scene.solids
