@@ -332,7 +332,7 @@ class MotionSearch:
         t = world.now + seconds * (s - s[0])
         kept, near = kept_along(world, arm.q[0, :count:2], t[::2])
         of_self = float(arm.excess[0, SELF]) + self._parameters.self_clearance
-        if of_self < kept.min():
+        if arm.excess[0].argmin() == SELF:
             near = -1
         short = max(-float(arm.least[0]) - self._search.slack, 0.0)
         follows = float(arm.error[0]) <= self._parameters.missed and float(arm.hurry[0]) <= 1.0
@@ -515,7 +515,11 @@ class MotionSearch:
         chosen = self._chosen(at, sight, world, search, genes, 0.0)
         # Of all that is asked, not of the share that was.
         whole = self._world(sight, shown.q[-1:])
-        short = max(lacking_along(whole, chosen.motion.q) - self._search.slack, 0.0)
+        q = chosen.motion.q
+        short = max(lacking_along(whole, q) - self._search.slack, 0.0)
+        if short > 0.0:
+            _, near = kept_along(whole, q, np.full(len(q), whole.now))
+            chosen = replace(chosen, short_of=sight.scene.labels[near])
         # The motion belongs to the one that begins there.
         motion = replace(chosen.motion, p_WS=rests.p_WS)
         return replace(chosen, short=short, tau=1.0, anew=True, motion=motion)
