@@ -19,6 +19,7 @@ Method
     (D. E. Whitney, 1969) led by a posture, and every sphere is measured at its time. Where none
     clears, a path in the joints (RRT-Connect, J. J. Kuffner and S. M. LaValle, ICRA 2000, by OMPL)
     is imitated by the primitives and rolled out like the rest: a plan is one more demonstration.
+    Where nothing clears, or the goal touches something, the motion is held, and a note says why.
 
 Parts, in the order data flows: `solid_scene`, `true_solids`, `unseen_ends` and `cloud_solids` (the
 world); `arm_world` (what one configuration keeps of it), `tracking` (joints along a path of the

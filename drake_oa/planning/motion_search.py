@@ -224,16 +224,18 @@ class MotionSearch:
         if goes_on and not here.note and here.scene.same_as(sight.scene) and here.tau > 0.0:
             return here
         same = here.scene.same_as(sight.scene)
-        here = replace(
-            here,
-            scene=sight.scene,
-            goal_note=here.goal_note if same else "",
-            touches=self._touched(sight),
-        )
+        if here.goal_note and not same:
+            # What was found when no motion led there says nothing of those that do.
+            none = Choice()
+            here = replace(here, goal_note="", genes=none.genes, elites=none.elites, tau=0.0)
+        here = replace(here, scene=sight.scene, touches=self._touched(sight))
+        rests = policy.speed == 0.0 or policy.phase == 1.0
+        if goes_on and rests and here.goal_note:
+            # No motion leads there, as long as nothing changes.
+            return replace(here, note=here.goal_note)
         found = self._modulated(here, sight)
         if found.follows and found.short == 0.0:
             return found
-        rests = policy.speed == 0.0 or policy.phase == 1.0
         due = sight.time - here.planned >= self._parameters.seek_period
         if rests and due and not sight.scene.moves:
             found = replace(found, planned=sight.time)
