@@ -1,8 +1,8 @@
 """Decisions that take time: their work, what it costs, and what is in force meanwhile.
 
 A clock would make no two runs alike; a count is the same on every machine. `counted` opens an
-account, and what dominates the decisions adds to it by `count`: roll-outs of motions, postures
-of the arm along them, ways of evasion. `Thinking` makes seconds of it.
+account, and what dominates the decisions adds to it by `count`: roll-outs of motions,
+configurations of the arm along them, ways of evasion. `Thinking` makes seconds of it.
 """
 
 # No postponed annotations here: yaml_load_typed reads the fields' types.
@@ -24,14 +24,12 @@ class Work:
     Attributes:
         searches: batches of motions that were rolled out.
         steps: their steps, of all motions, beside each of the obstacles.
-        postures: postures of the arm, or of a tool that turns, that were measured.
         poses: those of the configurations that are on ways of evasion.
         configurations: of the whole arm that were measured against the solids.
     """
 
     searches: int = 0
     steps: int = 0
-    postures: int = 0
     poses: int = 0
     configurations: int = 0
 
@@ -45,8 +43,6 @@ class Thinking:
     # A batch of motions that is rolled out, and a step of a motion beside an obstacle [s].
     search: float = number(2.9e-3, "s", 0.0, 1.0)
     step: float = number(1.6e-8, "s", 0.0, 1.0)
-    # A posture of the arm that is measured [s].
-    posture: float = number(1.35e-5, "s", 0.0, 1.0)
     # A configuration of the whole arm that is measured against the solids, and how much more it
     # is on a way of evasion, whose steps are long [s].
     configuration: float = number(4e-6, "s", 0.0, 1.0)
@@ -58,7 +54,6 @@ class Thinking:
             self.decision
             + self.search * work.searches
             + self.step * work.steps
-            + self.posture * work.postures
             + self.pose * work.poses
             + self.configuration * work.configurations
         )

@@ -20,7 +20,7 @@ from drake_oa.planning.solid_scene import SolidScene
 START, GOAL = np.array([0.0, 0.0, 0.3]), np.array([1.0, 0.0, 0.3])
 ELSEWHERE = np.array([0.5, 0.0, 0.3])
 PERIOD, STEP = 0.1, 0.01
-SLOW = Thinking(decision=0.01, search=0.02, step=0.0, posture=0.0, pose=0.0)
+SLOW = Thinking(decision=0.01, search=0.02, step=0.0, configuration=0.0, pose=0.0)
 
 
 class Scripted:
@@ -83,10 +83,10 @@ def test_work_is_counted_where_an_account_is_open() -> None:
         count(searches=2, steps=10)
         with counted() as inner:
             count(poses=3)
-        count(postures=4)
-    assert outer == Work(searches=2, steps=10, postures=4)
+        count(configurations=4)
+    assert outer == Work(searches=2, steps=10, configurations=4)
     assert inner == Work(poses=3)
-    costs = Thinking(decision=1.0, search=0.1, step=0.01, posture=0.5, pose=100.0)
+    costs = Thinking(decision=1.0, search=0.1, step=0.01, configuration=0.5, pose=100.0)
     assert costs.seconds(outer) == pytest.approx(1.0 + 0.2 + 0.1 + 2.0)
 
 
