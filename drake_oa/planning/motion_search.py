@@ -250,7 +250,8 @@ class MotionSearch:
         if not found.follows:
             return "no motion that the arm can follow found"
         if not self._clears(found, sight):
-            return f"no motion that clears {found.short_of} found"
+            touches = found.kept[:2].min() <= self._touch
+            return f"no motion that clears {found.short_of if touches else 'the arm itself'} found"
         return ""
 
     # --- what is asked -------------------------------------------------------------------
