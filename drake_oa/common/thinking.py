@@ -39,14 +39,14 @@ class Thinking:
     """What decisions cost in simulated time: processor time on two cores at 2.5 GHz."""
 
     # A decision, whatever it looks at [s].
-    decision: float = number(1.4e-3, "s", 0.0, 1.0)
+    decision: float = number(1e-3, "s", 0.0, 1.0)
     # A batch of motions that is rolled out, and a step of a motion beside an obstacle [s].
-    search: float = number(2.9e-3, "s", 0.0, 1.0)
+    search: float = number(1e-3, "s", 0.0, 1.0)
     step: float = number(1.6e-8, "s", 0.0, 1.0)
     # A configuration of the whole arm that is measured against the solids, and how much more it
     # is on a way of evasion, whose steps are long [s].
-    configuration: float = number(4e-6, "s", 0.0, 1.0)
-    pose: float = number(3.5e-6, "s", 0.0, 1.0)
+    configuration: float = number(5e-6, "s", 0.0, 1.0)
+    pose: float = number(2.5e-6, "s", 0.0, 1.0)
 
     def seconds(self, work: Work) -> float:
         """Time that a decision takes [s]."""
