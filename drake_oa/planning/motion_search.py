@@ -108,6 +108,7 @@ class Choice(Frozen):
         travelled, p_WE: the way until then, and where it was [m].
         planned: when a path in the joints was looked for last [s].
         elites: (k, 7) genes of the best candidates, from which the search goes on.
+        rounds: that it has gone through.
     """
 
     p_WS: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
@@ -132,6 +133,7 @@ class Choice(Frozen):
     p_WE: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
     planned: float = -math.inf
     elites: FloatArray = field(default_factory=lambda: np.zeros((0, N_GENES)))
+    rounds: int = 0
 
     def fits(self, policy: PolicyState, p_WG: FloatArray) -> bool:
         """Whether it is for the motion that is under way."""
@@ -307,13 +309,14 @@ class MotionSearch:
             parameters=self._search,
             settled=here.tau > 0.0 and not sight.scene.moves,
             seeds=here.elites,
+            begun=here.rounds,
             most=self._parameters.configurations_a_frame if under_way else math.inf,
             samples=SAMPLES if here.demonstration.position is None else _LED,
         )
         result = search.run(self._weights)
         genes = np.array(result.genes[0])
         if search.elites.size:
-            here = replace(here, elites=np.array(search.elites[0]))
+            here = replace(here, elites=np.array(search.elites[0]), rounds=search.rounds)
         return self._chosen(here, sight, world, search, genes, float(result.path_length[0]))
 
     def _chosen(

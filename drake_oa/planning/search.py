@@ -42,6 +42,8 @@ DEEP = 0.06
 """How much short a candidate is makes no difference beyond this [m]."""
 HOPELESS, ROUNDS_OF_HOPE = 0.015, 1
 """A search whose best is short by so much after so many rounds is given up [m]."""
+_CYCLE = 24
+"""After so many rounds a search varies its candidates as at first: far and wide."""
 MISSED = 2e-3
 """The arm follows a path of the tool if it misses it nowhere by more [m, rad]."""
 
@@ -76,9 +78,9 @@ def _length(dmp: Dmp) -> float:
 class ArmSearch(Search):
     """One search, in one scene; see `drake_oa.regulation.search.Search`.
 
-    With seeds it goes on from the best candidates of another search, and not with what the chain
-    proposes; it ends before it looks at more configurations than `most`, as soon as it has
-    candidates.
+    With seeds it goes on from the best candidates of another search that has gone through so many
+    rounds, and not with what the chain proposes; it ends before it looks at more configurations
+    than `most`, as soon as it has candidates.
     """
 
     def __init__(
@@ -94,12 +96,14 @@ class ArmSearch(Search):
         settled: bool = False,
         samples: int = SAMPLES,
         seeds: FloatArray | None = None,
+        begun: int = 0,
         most: float = math.inf,
     ) -> None:
         super().__init__(scene, dmp.duration, dmp, previous[None], parameters, settled=settled)
         self.world, self.q, self.leading = world, q, leading
         self.seeds = np.zeros((0, N_GENES)) if seeds is None else seeds
         self.most, self.configurations, self.latest = most, 0, 0
+        self.rounds = begun
         self.world_moves = bool(world.solids.ball[:, 4:7].any())
         # The tool's path is rolled out without the ellipsoids: they propose, and decide nothing.
         self.empty = scene.without_obstacles()
@@ -153,6 +157,11 @@ class ArmSearch(Search):
         if len(self.seeds):
             return self.bounded(np.arange(1), self.seeds[None]), np.ones(1, dtype=bool)
         return super().proposals(weights)
+
+    def children(self, active: IntArray, ranked: Ranked, number: int) -> FloatArray:
+        """The candidates of a round; never those of one that has been, soon after it."""
+        self.rounds += 1
+        return super().children(active, ranked, (self.rounds - 1) % _CYCLE)
 
     def tool_paths(self, genes: FloatArray) -> SpatialRollouts:
         """The tool's motions of candidates (n, 7)."""

@@ -21,12 +21,14 @@ from drake_oa.common.messages import (
 )
 from drake_oa.geometry.solids import Solid, solids_of
 from drake_oa.planning.arm_world import group_distances, tool_poses
-from drake_oa.planning.motion_search import MotionSearch
+from drake_oa.planning.motion_search import Choice, MotionSearch, Sight
 from drake_oa.planning.motion_selector import MotionSelector
 from drake_oa.planning.solid_scene import SolidScene
 from drake_oa.policy.demonstration import Demonstration
 from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk
+from drake_oa.regulation import search
 from drake_oa.regulation.config import Verified
+from drake_oa.regulation.proposals import draws
 from drake_oa.regulation.regressor import ChainWeights, load_chain
 from drake_oa.scenario.loading import package_file
 from tests.builders import balls
@@ -317,3 +319,19 @@ def test_its_ports_are_those_it_tells_of(panda_arm: ArmAlone, weights: ChainWeig
     assert told == ports
     with pytest.raises(ValueError, match="period must be positive"):
         MotionSelector(Bench(panda_arm, weights).search, (0,), 2, period=0.0)
+
+
+def test_among_what_moves_a_search_goes_on_with_other_candidates(
+    panda_arm: ArmAlone, weights: ChainWeights, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[int] = []
+    monkeypatch.setattr(search, "draws", lambda number, n: asked.append(number) or draws(number, n))
+    wall = replace(box_at([0.6, 0.1, 0.8], [0.5, 0.02, 0.4], "wall"), v_WO=np.array([0.0, 0.01, 0]))
+    bench = Bench(panda_arm, weights, TABLE, wall)
+    choice = Choice()
+    for time in (0.0, 0.1, 0.2):
+        sight = Sight(replace(bench.policy, stamp=time), GOAL, panda_arm.q, bench.scene)
+        choice = bench.search.decide(choice, sight)
+    assert choice.short > 0.0
+    assert len(asked) > 8
+    assert len(set(asked)) == len(asked)
