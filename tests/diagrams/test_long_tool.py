@@ -37,7 +37,7 @@ def test_the_bar_passes(overrides: list[str]) -> None:
     assert found.self_contacts == ()
     assert found.tool_clearance.min() >= scenario.task.clearance
     first, last = tool_poses(scenario, log, [0, -1])
-    assert np.linalg.norm(last.translation() - scenario.task.goal) < 1e-3
+    assert np.linalg.norm(last.translation() - scenario.task.goal) < 2e-3
     away = (first.rotation().inverse() @ last.rotation()).ToAngleAxis().angle()
     assert away < 5e-3
 
