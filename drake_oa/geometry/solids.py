@@ -402,63 +402,6 @@ def least_distance(
 
 
 @leaf
-def least_of_spheres(
-    solids: Solids, spheres: FloatArray, t: float, upper: float
-) -> tuple[float, int, int]:
-    """As `least_distance`, of many spheres (S, 4), centres and radii [m]: and which sphere."""
-    nearest, sphere = -1, -1
-    for n in range(len(spheres)):
-        x, y, z, r = spheres[n, 0], spheres[n, 1], spheres[n, 2], spheres[n, 3]
-        d, k = least_distance(solids, x, y, z, r, t, upper)
-        if k >= 0:
-            upper, sphere, nearest = d, n, k
-    return upper, sphere, nearest
-
-
-@leaf
-def least_distance_of(
-    solids: Solids,
-    rows: IntArray,
-    count: int,
-    x: float,
-    y: float,
-    z: float,
-    r: float,
-    t: float,
-    upper: float,
-) -> tuple[float, int]:
-    """As `least_distance`, of the solids in the first `count` rows alone."""
-    nearest = -1
-    for n in range(count):
-        d = _less(solids, rows[n], x, y, z, r, t, upper)
-        if d < upper:
-            upper, nearest = d, rows[n]
-    return upper, nearest
-
-
-@leaf
-def solids_within(
-    solids: Solids, x: float, y: float, z: float, r: float, t: float, reach: float, rows: IntArray
-) -> int:
-    """Rows of the solids that come within a reach [m] of a sphere, as of all that it holds.
-
-    Args:
-        r: radius of the sphere about (x, y, z), which may hold many others [m].
-        t: when [s]; for a while of dt seconds let the reach be more by |v| dt.
-        rows: (K,) the rows, written.
-
-    Returns:
-        How many.
-    """
-    count = 0
-    for k in range(len(solids.ball)):
-        if _less(solids, k, x, y, z, r, t, reach) < reach:
-            rows[count] = k
-            count += 1
-    return count
-
-
-@leaf
 def _distance(
     solids: Solids, k: int, x: float, y: float, z: float, t: float, upper: float
 ) -> tuple[float, float, float, float]:

@@ -187,7 +187,6 @@ def test_solids_move_with_their_velocity():
 def test_the_least_distance_is_that_of_the_nearest_whatever_is_culled():
     items = scene_of_all()
     scene = solids_of(items)
-    rows = np.empty(len(items), dtype=np.int64)
     for p in RNG.uniform([-0.5, -1, -0.5], [4, 1, 1], (300, 3)):
         r, t = 0.05, RNG.uniform(0.0, 3.0)
         each = [solid.solid_distance(scene, k, *p, t) - r for k in range(len(items))]
@@ -197,21 +196,6 @@ def test_the_least_distance_is_that_of_the_nearest_whatever_is_culled():
         # A field's distance is up to a voxel and an offset less than that of its points.
         assert all(b <= e + 0.01 for b, e in zip(bounds, each, strict=True))
         assert solid.least_distance(scene, *p, r, t, d) == (d, -1)
-        # The solids that come near a large sphere hold those near the small ones in it.
-        center = p + RNG.uniform(-0.1, 0.1, 3)
-        count = solid.solids_within(scene, *center, 0.25, t, 0.2, rows)
-        assert {k for k, e in enumerate(each) if e < 0.2} <= set(rows[:count].tolist())
-        near, found = solid.least_distance_of(scene, rows, count, *p, r, t, 0.2)
-        assert (near, found) == ((d, k) if d < 0.2 else (0.2, -1))
-
-
-def test_many_spheres_at_once_are_the_least_of_them():
-    scene = solids_of(scene_of_all())
-    spheres = np.column_stack([RNG.uniform(-0.5, 3.0, (50, 3)), RNG.uniform(0.01, 0.1, 50)])
-    each = [solid.least_distance(scene, *sphere, 1.5, np.inf) for sphere in spheres]
-    d, n, k = solid.least_of_spheres(scene, spheres, 1.5, np.inf)
-    assert n == int(np.argmin([d for d, _ in each]))
-    assert (d, k) == each[n]
 
 
 def test_what_is_not_there_yet_or_any_more_is_nowhere():
