@@ -12,8 +12,9 @@ layer's own folder knows neither scenario nor station; only these modules join t
 Signals, with who offers them (`avoidance.Layers` says who reads them):
 
     robot_state, plant_state, query_object, body_poses     station: the plant
-    depth_image, camera_pose, image_stamp                  station: the camera
-    obstacles_W, cloud                                     perception
+    depth_image, camera_pose, image_stamp                  station: the camera; of several cameras
+                                                           with _NAME behind it
+    obstacles_W, cloud, views                              perception
     solids_W                                               solids
     ellipsoids_W                                           ellipsoid_descriptor
     goal, policy_state, phase, desired_*                   goal, dmp_integrator

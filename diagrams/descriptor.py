@@ -9,6 +9,7 @@ from drake_oa.common.wires import Wires
 from drake_oa.descriptor.descriptor import merged_parts
 from drake_oa.descriptor.ellipsoid_descriptor import EllipsoidDescriptor
 from drake_oa.diagrams.station import Cell
+from drake_oa.regulation.config import Paper
 from drake_oa.robot.plant import RobotPlant, tool_link_corners
 from drake_oa.scenario.scenario import (
     Scenario,
@@ -35,8 +36,12 @@ def make_ellipsoid_descriptor(scenario: Scenario, robot_plant: RobotPlant) -> El
     task = scenario.task
     held = [tool_link_corners(robot_plant, robot) for robot in held_robots(scenario)]
     links = [np.concatenate(of_link) for of_link in zip(*held, strict=True)]
+    paper = scenario.regulation if isinstance(scenario.regulation, Paper) else None
+    fitted = paper is not None and paper.shape == "superquadric"
     return EllipsoidDescriptor(
         np.concatenate(links),
+        method="least_squares" if fitted else "enclosing",
+        exponent_prior=paper.exponent_prior if fitted and paper is not None else None,
         # A goal that moves comes by a port.
         free_W=[task.start] if task.goal_moves else [task.start, task.goal],
         tool_parts=merged_parts(links),

@@ -13,7 +13,7 @@ from drake_oa.robot.plant import RobotPlant
 from drake_oa.scenario.faults import Push, TorqueSaturation, camera_faults
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.sources import camera_config
+from drake_oa.scenario.sources import perception_period
 from drake_oa.world.fault_systems import CameraFaults, ExternalPush, WeakActuators
 from drake_oa.world.obstacles import ObstacleMover
 from drake_oa.world.station import Station
@@ -24,15 +24,21 @@ def add_faults(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     """Puts what goes wrong between the signals that it befalls, and drives the obstacles."""
     if cell is None:
         return
-    if "depth_image" in wires:
-        camera = make_camera_faults(scenario, cell, cell.robot_plant)
-        if camera is not None:
+    source = scenario.perception
+    if isinstance(source, DepthCamera) and cell.cameras:
+        for name in source.names:
+            faults = make_camera_faults(scenario, cell, cell.robot_plant, name)
+            if faults is None:
+                continue
+            own = ("depth_image", "camera_pose", "image_stamp")
+            names: dict[str, str | None] = {port: source.signal(port, name) for port in own}
+            names["robot_state"] = source.signal("robot_state_at_image", name)
             wires.interpose(
-                ("depth_image", "robot_state_at_image"),
-                "camera_faults",
-                camera,
-                reads={"robot_state": "robot_state_at_image"},
-                offers={"robot_state": "robot_state_at_image"},
+                [source.signal(port, name) for port in ("depth_image", "robot_state_at_image")],
+                source.signal("camera_faults", name),
+                faults,
+                reads=names,
+                offers=names,
             )
     weak = make_weak_actuators(scenario, cell)
     if weak is not None:
@@ -63,20 +69,19 @@ def add_drivers(wires: Wires, scenario: Scenario, station: Station) -> None:
 
 
 def make_camera_faults(
-    scenario: Scenario, station: Station, robot_plant: RobotPlant
+    scenario: Scenario, station: Station, robot_plant: RobotPlant, name: str
 ) -> CameraFaults | None:
-    """What is wrong with the camera that perception sees by; None: nothing."""
-    faults, source = camera_faults(scenario.faults), scenario.perception
-    if not faults or not isinstance(source, DepthCamera):
+    """What is wrong with a camera that perception sees by; None: nothing."""
+    faults = [fault for fault in camera_faults(scenario.faults) if fault.camera in ("", name)]
+    if not faults:
         return None
-    camera = station.cameras[source.camera]
     return CameraFaults(
         faults,
-        camera.intrinsics,
+        station.cameras[name].intrinsics,
         num_states=robot_plant.plant.num_multibody_states(robot_plant.instance),
         table_height=scenario.table_height or 0.0,
         pixel_center=PIXEL_CENTER,
-        period=1.0 / camera_config(scenario, source).fps,
+        period=perception_period(scenario),
     )
 
 

@@ -32,8 +32,9 @@ from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario, allow_perception
 from drake_oa.scenario.sources import (
-    camera_config,
+    camera_configs,
     given_ellipsoids,
+    noise_seed,
     perception_period,
     table_plane,
 )
@@ -116,30 +117,43 @@ def _add_depth_camera(
 ) -> None:
     cell = _of_robot(source, cell)
     _warn_without_obstacles(cell, scenario)
-    camera = cell.cameras[source.camera]
-    # The self filter takes the robot as it was when the image was taken.
+    cameras = {name: cell.cameras[name] for name in source.names}
+    first = cameras[source.names[0]]
+    # The self filter takes the robot as it was when the images were taken.
     wires.otherwise("robot_state_at_image", "robot_state")
-    if camera.image_time is not None:
+    if first.image_time is not None:
         wires.add(
             "robot_at_image",
             make_robot_state(cell),
             reads={"u0": "plant_state_at_image"},
             offers={"y0": "robot_state_at_image"},
         )
-    # Images that come late are made with their noise.
-    if source.noise is not None and camera.delay == 0.0:
-        noise = DepthNoise(camera.intrinsics, parameters=source.noise, seed=scenario.seed)
-        wires.interpose("depth_image", "depth_noise", noise)
+    reads: dict[str, str | None] = {}
+    for name, camera in cameras.items():
+        at_image = source.signal("robot_state_at_image", name)
+        if at_image != "robot_state_at_image":
+            wires.otherwise(at_image, "robot_state_at_image")
+        reads[source.signal("robot_state", name)] = at_image
+        # Images that come late are made with their noise.
+        if source.noise is not None and camera.delay == 0.0:
+            noise = DepthNoise(
+                camera.intrinsics, parameters=source.noise, seed=noise_seed(scenario, name)
+            )
+            wires.interpose(
+                source.signal("depth_image", name), source.signal("depth_noise", name), noise
+            )
+    intrinsics = {name: camera.intrinsics for name, camera in cameras.items()}
     perception = DepthPerception(
-        camera.intrinsics,
+        intrinsics if len(cameras) > 1 else first.intrinsics,
         config=_segmentation(source, scenario),
         tracking=source.tracking,
         robot=robot_shapes(cell.robot_plant),
         pixel_center=PIXEL_CENTER,
         period=perception_period(scenario),
-        delay=camera.delay,
+        delay=first.delay,
+        all_needed=source.all_needed,
     )
-    wires.add("perception", perception, reads={"robot_state": "robot_state_at_image"})
+    wires.add("perception", perception, reads=reads)
 
 
 SOURCES |= {
@@ -154,13 +168,15 @@ def add_solids(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     """Adds solids, unless the source knows them itself: obstacles_W -> solids_W."""
     if cell is None or "solids_W" in wires or "obstacles_W" not in wires:
         return
-    source, image = scenario.perception, None
-    if isinstance(source, DepthCamera) and source.camera in cell.cameras:
-        seen = cell.cameras[source.camera].intrinsics
-        near = camera_config(scenario, source).z_near
-        image = ImageRange(seen.focal_y(), seen.center_y(), seen.height(), near)
+    source, cameras = scenario.perception, {}
+    if isinstance(source, DepthCamera) and cell.cameras:
+        for config in camera_configs(scenario, source):
+            seen = cell.cameras[config.name].intrinsics
+            cameras[source.signal("camera_pose", config.name)] = ImageRange(
+                seen.focal_y(), seen.center_y(), seen.height(), config.z_near
+            )
     solids = CloudSolids(
-        period=perception_period(scenario), image=image, table=table_plane(scenario)
+        period=perception_period(scenario), cameras=cameras, table=table_plane(scenario)
     )
     wires.add("solids", solids, if_read=True)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 
 import numpy as np
 from pydrake.geometry import Role
@@ -15,13 +16,18 @@ from drake_oa.diagrams.station import Cell
 from drake_oa.planning.arm_world import make_chain
 from drake_oa.planning.motion_search import MotionSearch
 from drake_oa.planning.motion_selector import MotionSelector
+from drake_oa.planning.sides import Sides
 from drake_oa.regulation.config import Verified
-from drake_oa.regulation.regressor import ChainWeights
+from drake_oa.regulation.proposals import Proposer
 from drake_oa.robot.spheres import ArmSpheres
+from drake_oa.route.cost_rings import Ring
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import perception_period
 from drake_oa.scenario.tool_orientation import end_rotations, tool_orientation
+
+Rings = Mapping[str, Ring] | None
+"""Costs of sides of one's own, by name; None: there are none."""
 
 _logger = logging.getLogger("drake_oa")
 
@@ -32,10 +38,10 @@ _LEAST_STEPS, _MOST_STEPS = 250, 1000
 
 
 def add_motion_selector(
-    wires: Wires, scenario: Scenario, cell: Cell | None, weights: ChainWeights
+    wires: Wires, scenario: Scenario, cell: Cell | None, proposer: Proposer, rings: Rings = None
 ) -> None:
     """Adds motion_selector: solids_W, policy_state, goal, robot_state -> motion, demonstration
-    and coupling_parameters.
+    and coupling_parameters; rings are costs of sides by name.
 
     Raises:
         ScenarioError: without a robot, or where nothing tells the shapes of things.
@@ -49,13 +55,15 @@ def add_motion_selector(
         )
     wires.add(
         "motion_selector",
-        make_motion_selector(scenario, cell, weights),
-        offers={"decision": "decision_regulation"},
+        make_motion_selector(scenario, cell, proposer, rings),
+        offers={"decision": "decision_regulation", "sides": "shown_route"},
     )
     wires.log("shortfall", "lowered", "decision_regulation")
 
 
-def make_motion_selector(scenario: Scenario, cell: Cell, weights: ChainWeights) -> MotionSelector:
+def make_motion_selector(
+    scenario: Scenario, cell: Cell, proposer: Proposer, rings: Rings = None
+) -> MotionSelector:
     """What chooses the motion of the whole arm."""
     robot, regulation, policy, task = (
         scenario.robot,
@@ -75,7 +83,7 @@ def make_motion_selector(scenario: Scenario, cell: Cell, weights: ChainWeights) 
     guide = make_posture_guide(scenario, arm.posture)
     q_rest = np.array(arm.posture)
     search = MotionSearch(
-        weights,
+        Sides(proposer, rings or {}, regulation.ring_price),
         dmp,
         task.clearance,
         make_chain(arm, spheres),

@@ -17,7 +17,7 @@ from drake_oa.policy.dmp import Dmp, imitate, minimum_jerk
 from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.policy.orientation_dmp import minimum_jerk_orientation
 from drake_oa.policy.orientation_integrator import OrientationIntegrator
-from drake_oa.scenario.demonstration import read_demonstration
+from drake_oa.scenario.demonstration import demonstrated_path, primitive_constants
 from drake_oa.scenario.scenario import (
     Scenario,
 )
@@ -46,29 +46,19 @@ def add_orientation(wires: Wires, system: OrientationIntegrator) -> None:
 
 
 def make_dmp(scenario: Scenario) -> Dmp:
-    """The movement primitive of the task: a demonstrated path, or minimum jerk.
+    """The movement primitive of the task: demonstrated, or minimum jerk.
 
     Raises:
-        ScenarioError: naming the file, if the demonstration cannot be read.
+        ScenarioError: naming the file, if a demonstration cannot be read or imitated.
     """
-    task, policy = scenario.task, scenario.policy
+    task = scenario.task
     if task.demonstration:
-        shown = read_demonstration(task)
-        path, t = shown.path, shown.t
-    else:
-        path, t = minimum_jerk(task.start, task.goal, duration=task.duration)
+        return demonstrated_path(scenario)
+    path, t = minimum_jerk(task.start, task.goal, duration=task.duration)
     try:
-        return imitate(
-            path,
-            t,
-            n_basis=policy.n_basis,
-            alpha_x=policy.alpha_x,
-            beta_x=policy.beta_x,
-            alpha_k=policy.alpha_k,
-        )
+        return imitate(path, t, **primitive_constants(scenario.policy))
     except ValueError as error:
-        field = f"task.demonstration: '{task.demonstration}'" if task.demonstration else "policy"
-        raise ScenarioError(f"{field}: {error}") from None
+        raise ScenarioError(f"policy: {error}") from None
 
 
 def make_goal(scenario: Scenario) -> LeafSystem:

@@ -12,7 +12,7 @@ from drake_oa.common.wires import Wires
 from drake_oa.diagrams.station import Cell
 from drake_oa.geometry.annulus import Annulus
 from drake_oa.geometry.collision_shapes import collect_collision_shapes
-from drake_oa.regulation.config import Regressor
+from drake_oa.regulation.config import Paper
 from drake_oa.robot.arm import make_arm_model
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import home_positions, make_robot_plant
@@ -28,7 +28,7 @@ _logger = logging.getLogger("drake_oa")
 def add_route(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     """Adds cost_ring_selector where it leads the motion: ellipsoids_W, goal -> route."""
     regulation = scenario.regulation
-    if "ellipsoids_W" in wires and isinstance(regulation, Regressor) and regulation.guided:
+    if "ellipsoids_W" in wires and isinstance(regulation, Paper) and regulation.guided:
         wires.add(
             "cost_ring_selector",
             make_cost_ring_selector(scenario),

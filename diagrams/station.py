@@ -64,10 +64,11 @@ class Cell(Station):
 
 
 def add_station(wires: Wires, scenario: Scenario, *, modulated: bool = True) -> Cell | None:
-    """Adds plant, scene graph and, where perception looks through one, the camera.
+    """Adds plant, scene graph and, where perception looks through them, the cameras.
 
     Offers robot_state, plant_state, query_object and body_poses, and of the camera depth_image,
-    camera_pose and, where images come late, image_stamp and plant_state_at_image.
+    camera_pose and, where images come late, image_stamp and plant_state_at_image; of several
+    cameras each of them with _NAME behind it, but for plant_state_at_image, which is the same.
 
     Returns:
         None without a robot.
@@ -88,11 +89,13 @@ def add_station(wires: Wires, scenario: Scenario, *, modulated: bool = True) -> 
     wires.offer("plant_state", plant.get_state_output_port())
     wires.offer("body_poses", plant.get_body_poses_output_port())
     wires.offer("query_object", station.scene_graph.get_query_output_port())
-    if isinstance(source, DepthCamera) and source.camera in station.cameras:
-        camera = station.cameras[source.camera]
-        wires.offer("depth_image", camera.depth_image)
-        wires.offer("camera_pose", camera.pose)
-        if camera.image_time is not None and camera.plant_state is not None:
-            wires.offer("image_stamp", camera.image_time)
-            wires.offer("plant_state_at_image", camera.plant_state)
+    if isinstance(source, DepthCamera) and station.cameras:
+        for name in source.names:
+            camera = station.cameras[name]
+            wires.offer(source.signal("depth_image", name), camera.depth_image)
+            wires.offer(source.signal("camera_pose", name), camera.pose)
+            if camera.image_time is not None and camera.plant_state is not None:
+                wires.offer(source.signal("image_stamp", name), camera.image_time)
+                if "plant_state_at_image" not in wires:
+                    wires.offer("plant_state_at_image", camera.plant_state)
     return Cell(**vars(station), scenario=scenario, robot_plant=robot_plant, q_start=q_start)

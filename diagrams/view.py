@@ -13,11 +13,11 @@ from drake_oa.diagrams.route import make_cost_ring_selector
 from drake_oa.diagrams.station import Cell
 from drake_oa.perception.config import DepthCamera
 from drake_oa.policy.dmp import trajectory
-from drake_oa.regulation.config import Regressor
+from drake_oa.regulation.config import Paper
 from drake_oa.robot.plant import base_pose
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.sources import camera_config
-from drake_oa.viewing.meshcat_overlay import MeshcatOverlay, dress_scene
+from drake_oa.scenario.sources import camera_configs
+from drake_oa.viewing.meshcat_overlay import MeshcatOverlay, SeenRange, dress_scene
 
 _FRAME = 1.0 / 30.0
 """Time between pictures [s]."""
@@ -25,7 +25,7 @@ _FRAME = 1.0 / 30.0
 
 def add_view(wires: Wires, scenario: Scenario, cell: Cell | None, meshcat: Meshcat) -> None:
     """Adds overlay, and the cost rings that it draws where what only reacts goes without."""
-    if isinstance(scenario.regulation, Regressor) and "shown_route" not in wires:
+    if isinstance(scenario.regulation, Paper) and "shown_route" not in wires:
         offers = {"decision": None, "route": "shown_route"}
         wires.add("cost_ring_selector", make_cost_ring_selector(scenario), offers=offers)
     wires.add("overlay", make_overlay(scenario, cell, meshcat), reads={"route": "shown_route"})
@@ -50,14 +50,18 @@ def make_overlay(scenario: Scenario, cell: Cell | None, meshcat: Meshcat) -> Mes
     hand = cell.plant.GetBodyByName(scenario.robot.hand_link, cell.robot)
     p_BE = np.asarray(scenario.robot.p_HE)
     source = scenario.perception
-    if not isinstance(source, DepthCamera) or source.camera not in cell.cameras:
+    if not isinstance(source, DepthCamera) or not cell.cameras:
         return MeshcatOverlay(meshcat, planned_W=planned_W, body_index=hand.index(), p_BE=p_BE)
-    config = camera_config(scenario, source)
+    ranges = {
+        source.signal("camera_pose", config.name): SeenRange(
+            cell.cameras[config.name].intrinsics, config.z_near, config.z_far
+        )
+        for config in camera_configs(scenario, source)
+    }
     return MeshcatOverlay(
         meshcat,
         planned_W=planned_W,
-        camera_info=cell.cameras[source.camera].intrinsics,
-        depth_range=(config.z_near, config.z_far),
+        cameras=ranges,
         body_index=hand.index(),
         p_BE=p_BE,
     )

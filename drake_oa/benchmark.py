@@ -37,6 +37,7 @@ from drake_oa.perception.config import DepthCamera
 from drake_oa.robot.plant import home_positions, make_robot_plant
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.sources import perception_period
 from drake_oa.world.station import make_station
 
 PARTS = ("run", "thinking")
@@ -195,11 +196,10 @@ def drake_alone(scenario: Scenario) -> Diagram:
     builder.Connect(state, holder.get_input_port_estimated_state())
     builder.Connect(holder.get_output_port(), plant.get_actuation_input_port(station.robot))
     if isinstance(scenario.perception, DepthCamera):
-        name = scenario.perception.camera
-        image = station.cameras[name].depth_image
-        rate = next(camera.fps for camera in scenario.cameras if camera.name == name)
-        puller = builder.AddSystem(ZeroOrderHold(1.0 / rate, image.Allocate()))
-        builder.Connect(image, puller.get_input_port())
+        for name in scenario.perception.names:
+            image = station.cameras[name].depth_image
+            puller = builder.AddSystem(ZeroOrderHold(perception_period(scenario), image.Allocate()))
+            builder.Connect(image, puller.get_input_port())
     return builder.Build()
 
 

@@ -12,14 +12,14 @@ from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.regulation.regressor import load_chain
 from drake_oa.regulation.regressor_chain import RegressorChain
 from drake_oa.route.cost_ring_selector import CostRingSelector
-from drake_oa.scenario.loading import package_file
+from drake_oa.scenario.shipped import package_file
 
 START, GOAL = np.zeros(3), np.array([1.0, 0.0, 0.0])
 CLEARANCE = 0.1
 
 
 def main() -> None:
-    """Bends a straight motion round a ball and prints how near it came."""
+    """Bends a straight motion round a ball, as the paper does, and prints how near it came."""
     ball = EllipsoidSet(
         stamp=np.inf,  # Never out of date.
         p_WO=np.array([[0.5, 0.0, -0.02]]),
@@ -28,7 +28,7 @@ def main() -> None:
         v_WO=np.zeros((1, 3)),
         ids=np.array([0]),
     )
-    weights = load_chain(package_file("package://drake_oa/weights/regressor_chain.safetensors"))
+    weights = load_chain(package_file("package://drake_oa/weights/paper_chain_running.safetensors"))
 
     builder = DiagramBuilder()
     goal = builder.AddSystem(ConstantVectorSource(GOAL))
@@ -39,8 +39,8 @@ def main() -> None:
     policy = builder.AddSystem(DmpIntegrator(dmp, START))
     for system in (chain, rings, policy):
         builder.Connect(seen.get_output_port(), system.GetInputPort("ellipsoids_W"))
-    builder.Connect(policy.GetOutputPort("policy_state"), rings.GetInputPort("policy_state"))
-    builder.Connect(rings.GetOutputPort("decision"), chain.GetInputPort("route"))
+    for system in (chain, rings):
+        builder.Connect(policy.GetOutputPort("policy_state"), system.GetInputPort("policy_state"))
     for system in (rings, policy):
         builder.Connect(goal.get_output_port(), system.GetInputPort("goal"))
     builder.Connect(

@@ -8,10 +8,10 @@ from drake_oa.common.messages import CouplingParameters, EllipsoidSet
 from drake_oa.policy.coupling import ALPHA, KAPPA, NORMAL, PSI
 from drake_oa.policy.dmp import imitate, local_frame, minimum_jerk
 from drake_oa.policy.dmp_integrator import DmpIntegrator
-from drake_oa.regulation.regressor import load_chain
+from drake_oa.regulation.proposal_network import load_proposer
 from drake_oa.regulation.rollout import SpatialScenes
 from drake_oa.regulation.search import verify
-from drake_oa.scenario.loading import package_file
+from drake_oa.scenario.shipped import package_file
 
 START, GOAL = np.zeros(3), np.array([1.0, 0.0, 0.0])
 BALLS, RADIUS = np.array([[0.5, 0.0, -0.02], [0.6, 0.0, 0.35]]), 0.1
@@ -32,9 +32,9 @@ def main() -> None:
         v_WO=np.zeros((1, 2, 3)),
         asked_clearance=np.full((1, 2), CLEARANCE),
     )
-    weights = load_chain(package_file("package://drake_oa/weights/regressor_chain.safetensors"))
+    proposer = load_proposer(package_file("package://drake_oa/weights/proposals.safetensors"))
     dmp = imitate(*minimum_jerk(START, GOAL, duration=DURATION))
-    found = verify(scene, weights, duration=DURATION, dmp=dmp)
+    found = verify(scene, proposer, duration=DURATION, dmp=dmp)
     # One avoidance term about a point of its own: it belongs to neither ball.
     of_term = (found.terms[:, column] for column in (ALPHA, PSI, KAPPA))
     planes = found.terms[:, :3], found.terms[:, NORMAL : NORMAL + 3]

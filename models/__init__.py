@@ -1,1 +1,1 @@
-"""Robot, obstacle and scene models, and trained weights (package://drake_oa)."""
+"""Robot, obstacle and scene models, recorded motions, trained weights (package://drake_oa)."""

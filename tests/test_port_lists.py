@@ -74,7 +74,7 @@ ALWAYS |= {"ObstacleEvasion"}
         ("perception=!DepthCamera {noise: {}}", {"LateCamera"}),
         ("perception=!GroundTruth {}", {"GroundTruthPerception", "TrueSolids"}),
         ("recorded", {"RecordedPerception"}),
-        ("regulation=!Regressor {}", {"RegressorChain", "CostRingSelector"}),
+        ("regulation=!Paper {}", {"RegressorChain", "CostRingSelector"}),
         ("task.rpy_goal=[3.0, 0.0, 1.0]", {"OrientationIntegrator"}),
         ("robot.null_space_coupling={}", {"NullSpaceCoupling", "PostureFollower"}),
         ("faults=[!Push {}]", {"ExternalPush"}),
@@ -87,3 +87,19 @@ def test_documented_ports_are_the_declared_ones(
         override = f"perception=!RecordedClouds {{folder: {recording_folder}}}"
     checked = checked_systems(build_avoidance(load_scenario("tabletop_box", [override])))
     assert checked >= ALWAYS | others
+
+
+def test_several_cameras_have_the_ports_of_one_with_their_names() -> None:
+    diagram = build_avoidance(load_scenario("two_cameras"))
+    for name, more in (("perception", ["views"]), ("solids", ["views"])):
+        system = diagram.GetSubsystemByName(name)
+        listed = documented_ports(type(system))
+        inputs = [system.get_input_port(i).get_name() for i in range(system.num_input_ports())]
+        written = [str(p).partition(" ")[0] for p in listed["input_ports"]]
+        for side in ("left", "right"):
+            own = [port.removesuffix(f"_{side}") for port in inputs if port.endswith(f"_{side}")]
+            assert own == [port for port in written if port != "obstacles_W"]
+        ports = inputs + [
+            system.get_output_port(i).get_name() for i in range(system.num_output_ports())
+        ]
+        assert [port for port in ports if port in more] == more

@@ -5,11 +5,14 @@ progress and errors on stderr, files that are named. Each command is a typed fun
 reads its signature for the options and its docstring for the help, which is written for users.
 
     run                 both motions of a scenario, judged; a log, a report, a recording
-    replay, plot        a log, shown again and drawn
+    replay, plot        a log, shown again and drawn; what demonstrations teach, drawn
     scenarios, graph    what is shipped; how it is wired
     perceive            table, clusters and ellipsoids of recorded frames
     benchmark           real-time factors, layers, decisions (`drake_oa.benchmark`)
-    evaluate            methods on suites of scenes (`drake_oa.studies`); `panda` and `mbm` below it
+    evaluate            methods on suites of scenes (`drake_oa.studies`); below it `panda`, `mbm`,
+                        `table1` and so on, the paper's tables and figures (`paper_tables`),
+                        `confidence`, what its chain says of itself, and
+                        `kept`, the figure of what they asked for and kept
     train               the regressor chain (`drake_oa.training`)
 
 A module is imported when its command is asked for, and what computes when it is needed: `--help`

@@ -17,23 +17,25 @@ from drake_oa.common.files import check_outputs, replace_text, same_file
 
 # Suites, methods and kernels are imported where they are used: `--help` answers at once.
 if TYPE_CHECKING:
-    from drake_oa.common.messages import FloatArray
-    from drake_oa.studies.mbm.suite import MbmSuite
+    from drake_oa.common.console import TextTable
     from drake_oa.studies.panda.evaluation import Keeping, PandaResults, PandaSuite
     from drake_oa.studies.scenes.evaluation import Evaluation, Outcome
     from drake_oa.studies.scenes.methods import Method, Motions
     from drake_oa.studies.scenes.scenes import Scenes
-    from drake_oa.studies.scenes.suites import Suite
+    from drake_oa.studies.scenes.suites import Case, Suite
 
 RESULTS = Path("drake_oa_runs") / "evaluate-panda"
 """Where results go that nobody named, relative to the current folder."""
-
-MBM_METHODS = ("verified", "preplanned", "planner")
 
 Methods = Annotated[tuple[str, ...], Parameter(name="--method")]
 """Names of methods; the option may be repeated."""
 
 evaluate = App(name="evaluate")
+evaluate.command("drake_oa.app.kept:kept", name="kept")
+evaluate.command("drake_oa.app.proposals:proposals", name="proposals")
+evaluate.command("drake_oa.app.confidence:confidence", name="confidence")
+for _name in ("table1", "table2", "table3", "figure_familiar", "figure_dead_zone"):
+    evaluate.command(f"drake_oa.app.paper_tables:{_name}", name=_name)
 
 
 # Scenes of ellipsoids -------------------------------------------------------------------
@@ -52,10 +54,10 @@ def synthetic(
     json: Path | None = None,
     plot: Path | None = None,
 ) -> int:
-    """Compare methods on the paper's experiments and beyond.
+    """Compare methods on scenes of ellipsoids.
 
-    These are scenes of ellipsoids; panda and mbm, commands of their own, move the whole robot. For
-    each method it prints:
+    table1, table2, table3, figure_familiar and figure_dead_zone, commands of their own, are the
+    paper's, its print beside; panda and mbm move the whole robot. For each method it prints:
 
       collisions       scenes in which an obstacle was touched
       clearance        least distance to an obstacle over the whole motion
@@ -63,7 +65,7 @@ def synthetic(
                        min(Delta, distance of the start, distance of the goal)
       goal error       distance to the goal at the end of the motion: of the scaled
                        duration tau T; `verified` goes on until it has arrived, to
-                       2 tau T at most
+                       2 tau T at most, and `paper` to 2 T
       path ratio       length of the path over that of the straight line
       step, seconds    computing time of a policy step, and of all scenes
 
@@ -71,18 +73,16 @@ def synthetic(
 
     Suites:
 
-      familiar   the paper's 100 training ellipses, each in its 12 settings
       novel      the paper's random obstacles at baselines of 0.5 to 2 m (4000)
       posed      novel with random orientations (1000)
       hit        posed, with the straight line in collision (1000)
       head-on    posed, centres within 1 cm of the line or exactly on it (1000)
       clutter    six small ellipsoids, at least one in the way (1000)
       moving     one small ellipsoid that moves into the unmodulated robot (1000)
-      dead-zone  a point obstacle on the line and up to 10 cm beside it (41)
 
-    Methods (default: paper and verified; for dead-zone original and paper):
+    Methods (default: paper and verified):
 
-      paper                the paper's own regressor chain, as printed
+      paper                the paper's own regressor chain, as `table2` reads it
       verified             proposals checked by roll-outs, as the running system does
       verified_constant    the same with a chain that always proposes the same, to tell
                            what the trained networks add
@@ -92,13 +92,11 @@ def synthetic(
     A scenes file (.npz) replaces the suite's scenes: `baseline` (N,), `center` (N, M, 3),
     `semi_axes` (N, M, 3), `R` (N, M, 3, 3), `velocity` (N, M, 3), `clearance` (N,), in
     metres and m/s, NaN rows for absent obstacles; the start is the origin, the goal
-    (baseline, 0, 0). SUITE then only names the result; `familiar` runs the file's scenes
-    in its 12 settings, each with its own clearance; `dead-zone` takes no file.
+    (baseline, 0, 0). SUITE then only names the result.
 
     --json writes {"suite", "seed", "versions", "methods": {NAME: {...}}}, after every
     method; what was computed so far is in it, with "complete": false, when a method fails
-    or the command is interrupted. The figures of `familiar` are over the settings that
-    ask for a clearance and scale the duration; "settings" has all twelve.
+    or the command is interrupted.
 
     Exit status: 0 when all was run, 1 when a method failed, 2 for bad input, 130 when
     interrupted.
@@ -112,22 +110,19 @@ def synthetic(
     Args:
         suite: which scenes, see above.
         methods: a method, see above; may be repeated.
-        scenes: how many (familiar: a square, N ellipses); with --scenes-file, the first N.
+        scenes: how many; with --scenes-file, the first N.
         seed: of the scenes.
         scenes_file: run these scenes.
         write_scenes: write the scenes in the same form.
         json: write the figures.
         plot: write a plot: .png, .svg or .pdf.
     """
-    from drake_oa.common.files import software_versions
-    from drake_oa.studies.scenes.dead_zone import compare_terms, term_figures, term_table
-    from drake_oa.studies.scenes.evaluation import evaluate as evaluate_scenes
-    from drake_oa.studies.scenes.figures import evaluation_figures, evaluation_tables
+    from drake_oa.studies.scenes.figures import evaluation_tables
     from drake_oa.studies.scenes.plots import check_plot_file, plot_evaluation
     from drake_oa.studies.scenes.scenes import save_scenes
 
     found_suite = _suite(suite)
-    chosen = _methods(methods or found_suite.methods)
+    chosen = load_methods(methods or found_suite.methods)
     if plot is not None:
         check_plot_file(plot)
     if same_file(json, plot, write_scenes, scenes_file):
@@ -135,50 +130,69 @@ def synthetic(
             "--json, --plot, --write-scenes and --scenes-file must name different files"
         )
     check_outputs(json, plot, write_scenes)
-    drawn = _scenes(suite, scenes, seed, scenes_file)
+    drawn = drawn_scenes(suite, scenes, seed, scenes_file)
     if write_scenes is not None:
         save_scenes(write_scenes, drawn)
-    versions = software_versions()
     of_seed = seed if scenes_file is None else None
-    terms = compare_terms(drawn) if suite == "dead-zone" else []
-    paths: dict[str, FloatArray] = {}
+    evaluation, figures = evaluated(suite, of_seed, drawn, found_suite.cases, chosen, json)
+    print(_heading(suite, drawn))
+    show(*evaluation_tables(figures))
+    if plot is not None:
+        plot_evaluation(plot, suite, found_suite.cases, evaluation.outcomes)
+    return evaluation_status(evaluation)
+
+
+def evaluated(
+    suite: str,
+    seed: int | None,
+    scenes: Scenes,
+    cases: Sequence[Case],
+    methods: Mapping[str, Method],
+    json: Path | None,
+    *,
+    on_motions: Callable[[str, Motions], None] = lambda name, motions: None,
+    more: Mapping[str, Any] | None = None,
+) -> tuple[Evaluation, dict[str, Any]]:
+    """Runs methods on scenes, with a progress bar; the JSON is written after every method.
+
+    Args:
+        suite: name of the result.
+        seed: of the scenes; None where they were read from a file.
+        scenes: the scenes.
+        cases: how each is run.
+        methods: by name.
+        json: where the figures go.
+        on_motions: told the method's name and each batch of motions.
+        more: what stands in the figures besides.
+
+    Returns:
+        The outcomes and their figures.
+    """
+    from drake_oa.common.files import software_versions
+    from drake_oa.studies.scenes.evaluation import evaluate as evaluate_scenes
+    from drake_oa.studies.scenes.figures import evaluation_figures
+
+    versions = software_versions()
 
     def figures(outcomes: Mapping[str, Outcome]) -> dict[str, Any]:
-        found = evaluation_figures(suite, of_seed, versions, found_suite.cases, outcomes)
-        if terms and "original" in found["methods"]:
-            found["methods"]["original"]["terms"] = term_figures(terms)
-        return found
+        return evaluation_figures(suite, seed, versions, cases, outcomes) | dict(more or {})
 
     def keep(outcomes: Mapping[str, Outcome]) -> None:
         if json is not None:
-            _write_json(json, figures(outcomes))
+            write_json(json, figures(outcomes))
 
-    def keep_paths(name: str, motions: Motions) -> None:
-        if terms:
-            paths.setdefault(name, motions.path)
-
-    with _counted(len(drawn) * len(found_suite.cases) * len(chosen)) as on_progress:
+    with counted(len(scenes) * len(cases) * len(methods)) as on_progress:
         evaluation = evaluate_scenes(
-            drawn,
-            found_suite.cases,
-            chosen,
-            on_progress=on_progress,
-            on_method=keep,
-            on_motions=keep_paths,
+            scenes, cases, methods, on_progress=on_progress, on_method=keep, on_motions=on_motions
         )
-    print(_heading(suite, drawn))
-    show(*evaluation_tables(figures(evaluation.outcomes)))
-    if terms:
-        print()
-        show(term_table(term_figures(terms)))
-    if plot is not None:
-        plot_evaluation(plot, suite, drawn, found_suite.cases, evaluation.outcomes, paths, terms)
-    return _status(evaluation)
+    return evaluation, figures(evaluation.outcomes)
 
 
 def _suite(name: str) -> Suite:
-    from drake_oa.studies.scenes.suites import SUITES, find_suite
+    from drake_oa.studies.scenes.suites import FIGURES, SUITES, find_suite
 
+    if name in FIGURES:
+        raise ValueError(f"{name} is a figure of the paper: drake-oa evaluate {FIGURES[name]}")
     if name in evaluate:
         raise ValueError(f"the suite comes first: drake-oa evaluate {name} ...")
     if name not in SUITES:
@@ -187,7 +201,7 @@ def _suite(name: str) -> Suite:
     return find_suite(name)
 
 
-def _methods(names: Sequence[str]) -> dict[str, Method]:
+def load_methods(names: Sequence[str]) -> dict[str, Method]:
     """The methods by name; all names are checked before the first is loaded."""
     from drake_oa.studies.scenes.methods import check_method, load_method
 
@@ -196,7 +210,8 @@ def _methods(names: Sequence[str]) -> dict[str, Method]:
     return {name: load_method(name) for name in names}
 
 
-def _scenes(suite: str, count: int | None, seed: int, file: Path | None) -> Scenes:
+def drawn_scenes(suite: str, count: int | None, seed: int, file: Path | None = None) -> Scenes:
+    """So many scenes of a suite, or of a file; an error names the option."""
     from drake_oa.common.files import check_memory
     from drake_oa.studies.scenes.scenes import load_scenes
     from drake_oa.studies.scenes.suites import draw_scenes, find_suite
@@ -207,8 +222,6 @@ def _scenes(suite: str, count: int | None, seed: int, file: Path | None) -> Scen
         if count is not None:
             check_memory(f"--scenes {count}", count * find_suite(suite).bytes_per_scene)
         return draw_scenes(suite, count, seed)
-    if suite == "dead-zone":
-        raise ValueError("dead-zone has scenes of its own: it takes no --scenes-file")
     scenes = load_scenes(file)
     if count is not None:
         if count > len(scenes):
@@ -227,7 +240,8 @@ def _heading(suite: str, scenes: Scenes) -> str:
     )
 
 
-def _status(evaluation: Evaluation) -> int:
+def evaluation_status(evaluation: Evaluation) -> int:
+    """Complains of what failed or was interrupted, and returns the exit status."""
     for name, outcome in evaluation.outcomes.items():
         if outcome.error is not None:
             complain(f"{name} failed: {outcome.error}")
@@ -238,7 +252,7 @@ def _status(evaluation: Evaluation) -> int:
 
 
 @contextmanager
-def _counted(total: int) -> Iterator[Callable[[str, int], None]]:
+def counted(total: int) -> Iterator[Callable[[str, int], None]]:
     """A progress bar that is told how many more were done, and of what."""
     done = 0
     with progress_bar(total) as update:
@@ -251,7 +265,8 @@ def _counted(total: int) -> Iterator[Callable[[str, int], None]]:
         yield advance
 
 
-def _write_json(file: Path, figures: Mapping[str, Any]) -> None:
+def write_json(file: Path, figures: Mapping[str, Any]) -> None:
+    """Writes figures; a file is there whole or not at all."""
     replace_text(file, json_text.dumps(figures, indent=2, allow_nan=False) + "\n")
 
 
@@ -287,7 +302,7 @@ class Runs:
     write_scenes: Path | None = None
 
 
-_RUNS = Runs()
+RUNS = Runs()
 
 
 @evaluate.command
@@ -298,7 +313,8 @@ def panda(
     scenes: int = 100,
     seed: int = 0,
     perception: Literal["depth", "truth"] = "depth",
-    runs: Runs = _RUNS,
+    cameras: Literal[1, 2] = 1,
+    runs: Runs = RUNS,
 ) -> int:
     """Run the whole robot, seeing, in random scenes of several kinds.
 
@@ -313,7 +329,7 @@ def panda(
                    image, change speed, turn, stop, come back; up to 2 more stand there;
                    not every scene has a solution
 
-    Methods (all by default; of tabletop all but planner):
+    Methods (all but planner_executed by default; of tabletop without planner):
 
       preplanned            the planned motion, blind to obstacles
       paper                 the paper's regulation, which nothing checks, without a
@@ -329,6 +345,8 @@ def panda(
                             RRT-Connect of the package ompl (pip install
                             'drake_oa[peers]'), the whole robot 25 mm from everything; it
                             is not simulated, and success means solved
+      planner_executed      the planner's path, gone along open loop by an inverse dynamics
+                            controller, at rest in its corners; not among moving things
 
     It prints:
 
@@ -344,6 +362,8 @@ def panda(
       clearance   least over all scenes, of hand and fingers (tool) and of any link
       duration    of the motion, median and longest scene
       goal error  largest of the scenes that were not stopped
+      asked to moving      from when the goal is asked for until the motion begins, what is
+                  decided at its cost: median, and 95 % of the scenes
       decision    what the regulation's decisions cost in simulated time: 99 % of them,
                   the longest, and the share that took longer than a frame
       real-time factor     simulated over real time, median and least scene
@@ -366,25 +386,29 @@ def panda(
         scenes: how many of each kind.
         seed: of the scenes.
         perception: depth (the camera) or truth (SceneGraph).
+        cameras: 2: another one opposite to the first, about the workspace's middle.
         runs: how runs are made.
     """
     from drake_oa.studies.panda.evaluation import PandaSuite
     from drake_oa.studies.panda.run import default_methods
     from drake_oa.studies.panda.tables import kinds_figures
 
+    if cameras == 2 and perception != "depth":
+        raise ValueError(f"--cameras 2 needs --perception depth, not {perception}")
+    sees = "depth2" if cameras == 2 else perception
     suites = [
         PandaSuite(
             scenes=scenes,
             seed=seed,
             methods=tuple(dict.fromkeys(methods or default_methods(kind))),
-            perception=perception,
+            perception=sees,
             kind=kind,
             duration=runs.duration,
         )
         for kind in _named(kinds)
     ]
     heading = f"panda: {scenes} scenes of seed {seed}"
-    return _run_suites(runs, suites, heading, lambda _, figures: kinds_figures(figures))
+    return run_suites(runs, suites, heading, lambda _, figures: kinds_figures(figures))
 
 
 @evaluate.command
@@ -395,28 +419,32 @@ def mbm(
     sets: tuple[str, ...] = (),
     methods: Methods = ("verified", "planner"),
     scenes: int | None = None,
-    runs: Runs = _RUNS,
+    perception: Literal["depth", "truth"] = "truth",
+    runs: Runs = RUNS,
 ) -> int:
     """Run the whole robot on MotionBenchMaker's problems, of a file.
 
     They are those of Chamzas et al., RA-L 2022 (data BSD-3-Clause, Rice University), as VAMP's
     repository (github.com/KavrakiLab/vamp) carries them: a .tar.bz2 with folders <set>_<robot> of
-    scene0001.yaml and request0001.yaml. Sets of the Panda: table_pick, table_under_pick,
-    bookshelf_small, bookshelf_tall, bookshelf_thin, box, cage.
+    scene0001.yaml and request0001.yaml. Sets of the Panda and of the UR5: table_pick,
+    table_under_pick, bookshelf_small, bookshelf_tall, bookshelf_thin, box, cage.
 
     The demonstration is the tool's straight minimum-jerk motion from FK(start) to
     FK(goal), 5 s, with the turn between them; the posture leads from the start's joints
-    to the goal's. The obstacles are known exactly; what the goal grasps (the tool point is
-    inside) is left out. Asked for are 3 cm, or what the whole robot has at start and goal,
-    and the supervisor stops no farther from obstacles.
+    to the goal's. The obstacles are known exactly, or with --perception depth seen by two
+    cameras, 1.2 m left and right of and above the middle between start and goal; what the goal
+    grasps (the tool point is inside) is left out. Asked for are 3 cm, or what the whole robot
+    has at start and goal, and the supervisor stops no farther from obstacles.
 
     Success: the simulated arm ends within 1 cm and 15 degrees of the goal, no contact
     with the scene or itself, and no joint is more than 1 mrad beyond its limit. Methods:
 
-      verified, preplanned  as of `drake-oa evaluate panda`
+      verified, preplanned, differential_ik
+                            as of `drake-oa evaluate panda`
       planner               RRT-Connect from the start's joints to the goal's, the whole
                             robot at the asked clearance from the same shapes, 200 000
                             states at most; not simulated
+      planner_executed      that path, executed open loop
 
     --json has a block for each set, and `all`.
 
@@ -426,75 +454,33 @@ def mbm(
 
     Args:
         problems: the file, .tar.bz2.
-        robot: panda (default), or a scenario whose robot block is of the problems' robot.
+        robot: panda (default), ur5 (with its gripper; pip install 'drake_oa[robots]'), or a
+            scenario whose robot block is of the problems' robot.
         sets: of the problems (default: all); may be repeated, or name several with commas.
         methods: a method, see above; may be repeated.
         scenes: the first N of each set.
+        perception: truth (SceneGraph) or depth (two cameras).
         runs: how runs are made.
     """
-    from drake_oa.studies.mbm.suite import mbm_figures
+    from drake_oa.studies.mbm.suite import mbm_figures, mbm_suites
 
-    suites = _mbm_suites(problems, robot, sets, methods, scenes, runs.duration)
+    suites = mbm_suites(problems, robot, _named(sets), methods, scenes, perception, runs.duration)
     heading = f"mbm: {sum(suite.scenes for suite in suites)} problems"
-    return _run_suites(runs, suites, heading, mbm_figures)
+    return run_suites(runs, suites, heading, mbm_figures)
 
 
 def _named(texts: Sequence[str]) -> list[str]:
-    """The names in options that may each hold several, each once."""
-    return list(dict.fromkeys(name.strip() for name in ",".join(texts).split(",")))
+    """The names in options that may each hold several, each once; none of no options."""
+    names = ",".join(texts).split(",") if texts else []
+    return list(dict.fromkeys(name.strip() for name in names))
 
 
-def _mbm_suites(
-    file: Path,
-    robot: str | None,
-    sets: Sequence[str],
-    methods: Sequence[str],
-    scenes: int | None,
-    duration: float | None,
-) -> list[MbmSuite]:
-    """One for each set that is asked for."""
-    from drake_oa.studies.mbm.problems import parse_problem, read_archive
-    from drake_oa.studies.mbm.scenes import PANDA, load_robot, problem_scenario, robot_text
-    from drake_oa.studies.mbm.suite import MbmSuite
-
-    for method in methods:
-        if method not in MBM_METHODS:
-            raise ValueError(f"unknown method {method!r}; mbm has: {', '.join(MBM_METHODS)}")
-    if scenes is not None and scenes < 1:
-        raise ValueError(f"--scenes must be at least 1, not {scenes}")
-    arm = load_robot(robot or PANDA)
-    known = read_archive(file)
-    chosen = {}
-    for name in _named(sets or list(known)):
-        if name not in known:
-            raise ValueError(f"unknown set {name!r}; {file} has: {', '.join(known)}")
-        if scenes is not None and scenes > len(known[name]):
-            raise ValueError(f"--scenes {scenes}: the set {name} has {len(known[name])}")
-        chosen[name] = tuple(known[name][:scenes])
-        for text in chosen[name]:
-            parse_problem(text)
-        # Another robot's joints are told before anything is computed.
-        problem_scenario(parse_problem(chosen[name][0]), arm)
-    return [
-        MbmSuite(
-            scenes=len(texts),
-            seed=0,
-            methods=tuple(dict.fromkeys(methods)),
-            perception="truth",
-            kind=name,
-            duration=duration,
-            problems=texts,
-            robot=robot_text(arm),
-        )
-        for name, texts in chosen.items()
-    ]
-
-
-def _run_suites(
+def run_suites(
     runs: Runs,
     suites: Sequence[PandaSuite],
     heading: str,
     together: Callable[[Sequence[PandaResults], Sequence[dict[str, Any]]], dict[str, Any]],
+    table: Callable[[Mapping[str, Any]], TextTable] | None = None,
 ) -> int:
     """Runs several suites of the whole robot, and tells; returns the exit status.
 
@@ -503,6 +489,7 @@ def _run_suites(
         suites: the suites.
         heading: begins the line above the table.
         together: what is written of the results and figures of each.
+        table: of that, what is shown; None: the table of `panda`.
     """
     if runs.jobs is not None and runs.scheduler is not None:
         raise ValueError("--jobs and --scheduler exclude each other")
@@ -512,16 +499,16 @@ def _run_suites(
     from drake_oa.common.files import software_versions
     from drake_oa.studies.panda.evaluation import evaluate_panda
     from drake_oa.studies.panda.planner import check_planner
-    from drake_oa.studies.panda.run import PLANNER
+    from drake_oa.studies.panda.run import PLANNED
     from drake_oa.studies.panda.tables import panda_figures, panda_table
 
-    if any(PLANNER in suite.methods for suite in suites):
+    if any(PLANNED & set(suite.methods) for suite in suites):
         check_planner()
     check_outputs(runs.json)
     keeping = _keeping(runs, suites)
     jobs = 1 if runs.scheduler is not None else runs.jobs or _cores()
     results: list[PandaResults] = []
-    with _counted(sum(suite.scenes * (1 + len(suite.methods)) for suite in suites)) as progress:
+    with counted(sum(suite.scenes * (1 + len(suite.methods)) for suite in suites)) as progress:
         for suite in suites:
             results.append(
                 evaluate_panda(
@@ -539,7 +526,7 @@ def _run_suites(
     figures = [panda_figures(found, versions, shared) for found in results]
     whole = together(results, figures)
     if runs.json is not None:
-        _write_json(runs.json, whole)
+        write_json(runs.json, whole)
     if runs.write_scenes is not None:
         for found in results:
             _write_scenes(runs.write_scenes, found)
@@ -547,7 +534,10 @@ def _run_suites(
     taken = f"; {resumed} runs were on disk" if resumed else ""
     kinds = ", ".join(found.suite.kind for found in results)
     print(f"{heading}, {kinds}, {results[0].suite.perception}{taken}\n")
-    show(panda_table([*figures, *([whole["all"]] if "all" in whole else [])]))
+    if table is not None:
+        show(table(whole))
+    else:
+        show(panda_table([*figures, *([whole["all"]] if "all" in whole else [])]))
     return _runs_status(results, keeping)
 
 
@@ -576,10 +566,10 @@ def _cores() -> int:
 
 def _write_scenes(folder: Path, results: PandaResults) -> None:
     from drake_oa.scenario.loading import parse_scenario, scenario_text
-    from drake_oa.studies.panda.run import with_perception
+    from drake_oa.studies.panda.scenes import seen_by
 
     for scene, text in results.scenarios.items():
-        seen = with_perception(parse_scenario(text), results.suite.perception)
+        seen = seen_by(parse_scenario(text), results.suite.perception)
         file = folder / f"{results.suite.scene_name(scene)}.scenario.yaml"
         replace_text(file, scenario_text(seen))
 

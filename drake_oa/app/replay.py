@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from drake_oa.app.scenarios import build_errors
+from drake_oa.app.scenarios import Overrides, build_errors, scenario_name
 from drake_oa.common.files import check_outputs, replace_file, same_file
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_log = logging.getLogger(__name__)
 
 FORMATS = (".png", ".svg", ".pdf")
 """What the name of a plot may end in."""
@@ -75,47 +82,89 @@ def replay(
         wait_for_viewer()
 
 
-def plot(log: Path, /, *, out: Path | None = None) -> None:
-    """Draw a logged run.
+def plot(shown: str, /, *, overrides: Overrides = (), out: Path | None = None) -> None:
+    """Draw a logged run, or what demonstrations teach a scenario.
 
-    Draws clearance of tool and robot against the asked one, phase and share of full speed with
-    the times in which the motion was slowed or held and why, joint torques against their limits,
-    tracking error, and the path from above and from the side.
+    Of a log it draws clearance of tool and robot against the asked one, phase and share of full
+    speed with the times in which the motion was slowed or held and why, joint torques against
+    their limits, tracking error, and the path from above and from the side, beside what was
+    demonstrated. Of a scenario it draws the demonstrations before anything is run: every sample,
+    put on the way from the task's start to its goal, and the motion that is learnt of them.
 
     For example:
 
         drake-oa plot drake_oa_runs/tabletop_box-20250131T120000Z.npz
         drake-oa plot box.npz --out box.pdf
+        drake-oa plot demonstrated_arc
+        drake-oa plot tabletop_box --set task.demonstration=mine.csv --out mine.png
 
     Args:
-        log: a log that `drake-oa run` wrote.
-        out: the picture, .png, .svg or .pdf (default: LOG with .png in place of .npz).
+        shown: a log that `drake-oa run` wrote; or a scenario: a shipped name or a .yaml file.
+        overrides: A.B=C replaces field B of block A of the scenario; may be repeated.
+        out: the picture, .png, .svg or .pdf (default: LOG or SCENARIO with .png in place of .npz).
     """
-    out = out or log.with_suffix(".png")
+    from drake_oa.scenario.shipped import shipped_scenarios
+
+    of_scenario = shown in shipped_scenarios() or Path(shown).suffix in (".yaml", ".yml")
+    log, name = Path(shown), scenario_name(shown)
+    out = out or (Path(f"{name}.png") if of_scenario else log.with_suffix(".png"))
     if out.suffix not in FORMATS:
         raise ValueError(f"--out must end in {', '.join(FORMATS)}, not {out.name!r}")
     if same_file(log, out):
         raise ValueError("--out must not name the log")
+    if overrides and not of_scenario:
+        raise ValueError("--set is of a scenario: a log has its own")
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(14.0, 10.0), layout="constrained")
+    if of_scenario:
+        _draw_scenario(figure, shown, overrides)
+        check_outputs(out)
+    else:
+        _draw_log(figure, log, out)
+    kind = out.suffix.removeprefix(".")
+    replace_file(out, lambda path: figure.savefig(path, format=kind, dpi=130))
+    print(f"plot: {out}")
+
+
+def _draw_scenario(figure: Figure, shown: str, overrides: Overrides) -> None:
+    """Draws what a scenario is taught."""
+    from drake_oa.runs.demonstration_plots import draw_taught, taught
+    from drake_oa.scenario.loading import load_scenario
+
+    scenario = load_scenario(shown, overrides)
+    found = taught(scenario)
+    if found is None:
+        raise ValueError(
+            f"{shown} has no task.demonstration to draw: give a log, or "
+            "--set task.demonstration=FILE"
+        )
+    title = f"{scenario_name(shown)}: {scenario.description}".removesuffix(": ")
+    draw_taught(figure, title, scenario, found)
+
+
+def _draw_log(figure: Figure, log: Path, out: Path) -> None:
+    """Draws a logged run."""
+    from drake_oa.common.config import ScenarioError
+    from drake_oa.runs.demonstration_plots import taught
+    from drake_oa.runs.log_plots import draw_run
     from drake_oa.runs.motion_log import load_logs
     from drake_oa.runs.replay import choose_motion, logged_scenario
+    from drake_oa.runs.report import judge_of, motion_metrics
 
     logs = load_logs(log)
     chosen = choose_motion(log, logs, None)
     logs = {name: of for name, of in logs.items() if name == chosen or len(of.t)}
     scenario = logged_scenario(log, logs[chosen])
     check_outputs(out)
-
-    from matplotlib.figure import Figure
-
-    from drake_oa.runs.log_plots import draw_run
-    from drake_oa.runs.report import judge_of, motion_metrics
-
     with build_errors():
         judge = judge_of(scenario)
         metrics = {name: motion_metrics(scenario, of, judge) for name, of in logs.items()}
-    figure = Figure(figsize=(14.0, 10.0), layout="constrained")
     title = f"{log.stem}: {scenario.description}".removesuffix(": ")
-    draw_run(figure, title, scenario, logs, metrics)
-    kind = out.suffix.removeprefix(".")
-    replace_file(out, lambda path: figure.savefig(path, format=kind, dpi=130))
-    print(f"plot: {out}")
+    try:
+        shown = taught(scenario)
+    except ScenarioError as error:
+        # The log does not hold what was demonstrated.
+        _log.warning("drawn without the demonstrations: %s", error)
+        shown = None
+    draw_run(figure, title, scenario, logs, metrics, shown)

@@ -8,7 +8,7 @@ from typing import Literal
 
 def train(
     *,
-    recipe: Literal["project", "paper"] = "project",
+    recipe: Literal["project", "paper", "paper_running", "proposals", "confidence"] = "project",
     out: Path = Path("weights"),
     seed: int = 0,
     iterations: int | None = None,
@@ -16,14 +16,23 @@ def train(
     checkpoint: Path | None = None,
     restart: bool = False,
 ) -> int:
-    """Train the regressor chain.
+    """Train the networks.
 
-    Trains the regressor chain on roll-outs of the action level and writes its weights.
+    Trains a regressor chain, or the network that leads the search, on roll-outs of the action
+    level, and writes its weights.
 
-      project   the chain that is shipped: regressor_chain.safetensors
+      proposals the network that `regulation: !Verified` is led by: proposals.safetensors
+
+      project   a chain that can lead it too: regressor_chain.safetensors
       paper     the paper's two chains on the paper's own training set, with its Table I:
                 paper_chain.safetensors, RC(lambda', Delta), and
                 paper_chain_unconstrained.safetensors, RC(lambda')
+
+      paper_running  the paper's lattice and networks on the running system's action level,
+                which `regulation: !Paper` uses: paper_chain_running.safetensors
+
+      confidence  how likely the shipped paper_chain_running.safetensors keeps what is asked: the
+                same file, its networks as they are. paper_running ends with it, too.
 
     What was computed is kept in a folder, OUT/RECIPE.checkpoint, until the end. After an
     interruption the same command goes on from there, to the same result.
@@ -34,10 +43,11 @@ def train(
         drake-oa train --recipe paper --out weights --seed 1
 
     Args:
-        recipe: which chain.
+        recipe: which network.
         out: folder of the weights.
         seed: of split, scatter and first weights.
-        iterations: steps a network at most (a shorter trial).
+        iterations: steps a network at most; of proposals, scenes a round; of confidence, passes
+            over its scenes (a shorter trial).
         device: where the networks are trained; auto: CUDA where torch finds it, else CPU.
         checkpoint: another folder for what was computed.
         restart: discard what an interrupted training has kept.

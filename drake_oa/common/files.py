@@ -124,6 +124,12 @@ def replace_text(path: Path, text: str) -> None:
     replace_file(path, lambda beside: beside.write_text(text))
 
 
+def user_cache(name: str) -> Path:
+    """A folder of the user's for what is made once and can be made again; it need not be there."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "drake_oa" / name
+
+
 def software_versions() -> tuple[str, ...]:
     """ "name version" of what the result depends on, and the commit when known."""
     found = [

@@ -8,9 +8,8 @@ clones in constant time, and no receiver can change what another one reads.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from enum import StrEnum
-from functools import cache
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -25,22 +24,16 @@ PART = 2**20
 """Rows that describe parts of one obstacle have names that differ by multiples of this."""
 
 
-@cache
-def _field_names(kind: type) -> tuple[str, ...]:
-    return tuple(item.name for item in fields(kind))
-
-
 class Frozen:
     """Shares itself on copy and locks its arrays on construction."""
 
     def __post_init__(self) -> None:
-        kind: Any = type(self)
-        for name in _field_names(kind):
-            value = getattr(self, name)
+        own = self.__dict__
+        for name, value in own.items():
             if value.__class__ is np.ndarray and value.flags.writeable:
-                value = value.view()
-                value.flags.writeable = False
-                object.__setattr__(self, name, value)
+                locked = value.view()
+                locked.flags.writeable = False
+                own[name] = locked
 
     def __copy__(self) -> Self:
         return self
@@ -118,6 +111,8 @@ class EllipsoidSet(Frozen):
         p_WO: (M, 3) centres in the world frame [m].
         R_WO: (M, 3, 3) rotations; the columns are the principal axes.
         semi_axes: (M, 3) semi-axes along those columns [m].
+        exponents: (M, 2) lambda_4 and lambda_5 of superquadrics (eq. sq), for which the ellipsoids
+            stand but in their sections; (0, 2): they are 1.
         v_WO: (M, 3) velocities of the centres in the world frame [m/s].
         ids: (M,) integers that name the rows, each different: the obstacle's name, and a
             multiple of `PART` more for the second and further parts of it.
@@ -129,6 +124,7 @@ class EllipsoidSet(Frozen):
     p_WO: FloatArray = _floats(0, 3)
     R_WO: FloatArray = _floats(0, 3, 3)
     semi_axes: FloatArray = _floats(0, 3)
+    exponents: FloatArray = _floats(0, 2)
     v_WO: FloatArray = _floats(0, 3)
     ids: IntArray = _integers()
     table: TablePlane | None = None
@@ -225,11 +221,7 @@ class Route(Frozen):
             unit vector in the world frame.
         normal_W: (M, 3) unit normal x_L x omega_d of the plane in which each obstacle
             is passed: turning about it turns from the baseline toward the chosen side.
-        center_W: (M, 3) where the coupling terms act about: on the baseline [m].
-        extents: (M, 2) lambda', the obstacle's semi-axes about that centre, along the
-            baseline and across it toward the chosen side [m].
-        remaining_clearance: (M,) clearance to keep from them [m]; 0: no coupling needed.
-        weight: (M,) share of the coupling term that the obstacle has.
+        remaining_clearance: (M,) clearance to keep on that side [m]; 0: no guidance needed.
         index: (M,) the chosen column of the rings.
         angles: (K,) angles of the circle [rad], 0 along local y, pi/2 along z.
         costs: name of a ring -> (M, K) its cost in [0, 1] on that circle.
@@ -245,10 +237,7 @@ class Route(Frozen):
     heading_W: FloatArray = _floats(0, 3)
     direction_W: FloatArray = _floats(0, 3)
     normal_W: FloatArray = _floats(0, 3)
-    center_W: FloatArray = _floats(0, 3)
-    extents: FloatArray = _floats(0, 2)
     remaining_clearance: FloatArray = _floats(0)
-    weight: FloatArray = _floats(0)
     index: IntArray = _integers()
     angles: FloatArray = _floats(0)
     costs: dict[str, FloatArray] = field(default_factory=dict)
@@ -272,13 +261,13 @@ OUT_OF_WORLD = 25.0
 
 @dataclass(frozen=True, eq=False)
 class CouplingParameters(Frozen):
-    """Parameters of the dead-zone free term, one row an obstacle.
+    """Parameters of the avoidance term, one row an obstacle.
 
     Attributes:
         alpha: (M,) strength: turning rate in units of 1/T, T the demonstrated
-            duration.
-        psi: (M,) width of the response to the heading [rad].
-        kappa: (M,) decay with the squared distance [1/m^2].
+            duration. Of the original term gamma.
+        psi: (M,) width of the response to the heading [rad]. Of the original term 1 / beta.
+        kappa: (M,) decay with the squared distance [1/m^2]. The original term has none.
         in_range: (M,) False where the query lay outside what the chain was trained
             for: it was then evaluated at the nearest input inside.
         center_W: (M, 3) the points the terms act about [m]; (0, 3): the obstacles'
@@ -293,6 +282,9 @@ class CouplingParameters(Frozen):
         anew: whether it is to begin anew from where it rests.
         verified: whether the rows are terms of their own, about `center_W`, which a look at the
             true shapes has chosen: they belong to no ellipsoid, and none holds the motion.
+        original: whether they are of the original term (eq. oa_original).
+        confidence: (M,) probability that the motion with each row's term keeps what is asked
+            (`drake_oa.regulation.confidence`); (0,): not told.
     """
 
     alpha: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -306,6 +298,8 @@ class CouplingParameters(Frozen):
     note: str = ""
     anew: bool = False
     verified: bool = False
+    original: bool = False
+    confidence: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def __len__(self) -> int:
         return len(self.alpha)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from pydrake.common.value import Value
@@ -48,6 +48,34 @@ def valid_period(period: float) -> float:
 
 
 _ORIGIN = np.zeros(3)
+
+
+class Cell(Generic[T]):
+    """What a cache entry of Python values holds, to be put in without the copy that Drake makes.
+
+    Attributes:
+        value: changed by nobody, so that clones share it; None before the first.
+    """
+
+    __slots__ = ("value",)
+
+    def __init__(self, value: T | None = None) -> None:
+        """Holds a value."""
+        self.value = value
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Cell[T]:
+        return Cell(self.value)
+
+    @property
+    def known(self) -> T:
+        """The value.
+
+        Raises:
+            RuntimeError: if there is none.
+        """
+        if self.value is None:
+            raise RuntimeError("nothing has been put into the cache entry")
+        return self.value
 
 
 class ModelContext:

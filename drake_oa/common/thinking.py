@@ -64,13 +64,14 @@ _account: ContextVar[Work | None] = ContextVar("work", default=None)
 
 @contextmanager
 def counted() -> Iterator[Work]:
-    """An account of what is done inside; one that is open already gets none of it."""
+    """An account of what is done inside; one that is open already gets it in the end."""
     work = Work()
     token = _account.set(work)
     try:
         yield work
     finally:
         _account.reset(token)
+        count(**vars(work))
 
 
 def count(**done: int) -> None:

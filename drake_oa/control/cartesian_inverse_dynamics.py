@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import NamedTuple
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
@@ -15,7 +15,7 @@ from pydrake.systems.framework import BasicVector, Context, LeafSystem, ValuePro
 
 from drake_oa.common.config import check_values
 from drake_oa.common.messages import FloatArray, IntArray
-from drake_oa.common.ports import ModelContext
+from drake_oa.common.ports import Cell, ModelContext
 from drake_oa.control.operational_space import (
     ArmLimits,
     ArmState,
@@ -41,33 +41,13 @@ class _Joints:
     order: IntArray  # actuation[i] = tau[order[i]]
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _Control:
-    """What the law answers, for arm and hand; shared on copy, as nothing changes it.
-
-    `arm` is the model at the state whose bytes are `x`, or None.
-    """
+class _Control(NamedTuple):
+    """What the law answers, for arm and hand; `arm` is the model at the state of bytes `x`."""
 
     torque: JointTorque
     hand_force: list[float]
-    x: bytes = b""
-    arm: ArmState | None = None
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        return self
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Asked:
-    """What the optional ports ask for, or else the constructor; shared on copy."""
-
-    R_WE: FloatArray
-    w_WE: FloatArray | None
-    alpha_WE: FloatArray | None
-    a_posture: FloatArray | None
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        return self
+    x: bytes
+    arm: ArmState | None
 
 
 class CartesianInverseDynamics(LeafSystem):
@@ -190,19 +170,11 @@ class CartesianInverseDynamics(LeafSystem):
         self._posture = self.DeclareVectorInputPort("desired_posture", 2 * arm)
         self._optional.append(self.DeclareVectorInputPort("null_space_acceleration", arm))
         self._model = ModelContext(self, plant)
-        # Of its own, so that ports that nothing is connected to cost no look at each step.
-        self._asked = self.DeclareCacheEntry(
-            "what is asked by the optional ports",
-            ValueProducer(allocate=lambda: Value(object()), calc=self._calc_asked),
-            prerequisites_of_calc={port.ticket() for port in self._optional},
-        )
+        read = (self._state, *self._desired, *self._optional, self._posture)
         self._law = self.DeclareCacheEntry(
             "operational-space law",
-            ValueProducer(allocate=lambda: Value(object()), calc=self._calc_law),
-            prerequisites_of_calc={
-                self._asked.ticket(),
-                *(port.ticket() for port in (self._state, *self._desired, self._posture)),
-            },
+            ValueProducer(allocate=lambda: Value(Cell()), calc=self._calc_law),
+            prerequisites_of_calc={port.ticket() for port in read},
         )
         for name, size, calc in (
             ("actuation", n, self._calc_actuation),
@@ -239,40 +211,32 @@ class CartesianInverseDynamics(LeafSystem):
             Jdot_v=bias.get_coeffs(),
         )
 
-    def _calc_asked(self, context: Context, value: AbstractValue) -> None:
-        quaternion, w, alpha, a_posture = (
-            port.Eval(context) if port.HasValue(context) else None for port in self._optional
-        )
-        R_WE = self._R_WE_desired if quaternion is None else rotation_of(quaternion)
-        value.set_value(_Asked(R_WE, w, alpha, a_posture))
-
     def _calc_law(self, context: Context, value: AbstractValue) -> None:
         x = self._state.Eval(context)
         limits = self._joints.limits
+        cell: Cell[_Control] = value.get_mutable_value()
         key, arm = x.tobytes(), None
         if math.isfinite(x.dot(x)):
             # Each unrestricted update of any system outdates the law, and few move the arm.
-            before = value.get_value()
-            known = isinstance(before, _Control) and before.x == key
-            arm = before.arm if known else self._arm_state(context, x)
-            p, v, a = (port.Eval(context) for port in self._desired)
-            asked: _Asked = self._asked.Eval(context)
+            before = cell.value
+            arm = before.arm if before is not None and before.x == key else None
+            arm = arm or self._arm_state(context, x)
+            p, v, a = [port.Eval(context) for port in self._desired]
+            quaternion, w, alpha, a_posture = [
+                port.Eval(context) if port.HasValue(context) else None for port in self._optional
+            ]
+            R_WE = self._R_WE_desired if quaternion is None else rotation_of(quaternion)
             q_posture, v_posture = self._q_posture, None
             if self._posture.HasValue(context):
                 posture = self._posture.Eval(context)
                 q_posture, v_posture = posture[: len(q_posture)], posture[len(q_posture) :]
+            desired = DesiredMotion(p, v, a, R_WE, w, alpha)
             torque = operational_space_torque(
-                arm,
-                DesiredMotion(p, v, a, asked.R_WE, asked.w_WE, asked.alpha_WE),
-                q_posture,
-                limits,
-                self._gains,
-                v_posture,
-                asked.a_posture,
+                arm, desired, q_posture, limits, self._gains, v_posture, a_posture
             )
         else:
             torque = no_torque(len(limits.effort))
-        value.set_value(_Control(torque, self._hand_force(x), key, arm))
+        cell.value = _Control(torque, self._hand_force(x), key, arm)
 
     def _hand_force(self, x: FloatArray) -> list[float]:
         """Spring and damper on the joints that do not move the tool."""
@@ -284,8 +248,8 @@ class CartesianInverseDynamics(LeafSystem):
         return force
 
     def _eval(self, context: Context) -> _Control:
-        control: _Control = self._law.Eval(context)
-        return control
+        cell: Cell[_Control] = self._law.Eval(context)
+        return cell.known
 
     def _calc_actuation(self, context: Context, output: BasicVector) -> None:
         control = self._eval(context)

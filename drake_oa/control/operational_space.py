@@ -12,9 +12,10 @@ contributes produces no acceleration of the tool.
 
 from __future__ import annotations
 
-import functools
 import math
 from dataclasses import dataclass
+from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,8 +47,7 @@ class ArmLimits:
             raise ValueError(f"ArmLimits: effort {self.effort} must be positive [N m]")
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class ArmState:
+class ArmState(NamedTuple):
     """The arm and its dynamics at one instant; n joints, tool frame E, world W.
 
     Spatial quantities have Drake's order, rotation before translation.
@@ -73,8 +73,7 @@ class ArmState:
     Jdot_v: FloatArray
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class DesiredMotion:
+class DesiredMotion(NamedTuple):
     """The tool motion asked for, in the world frame.
 
     Attributes:
@@ -94,8 +93,7 @@ class DesiredMotion:
     alpha_WE: FloatArray | None = None
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class JointTorque:
+class JointTorque(NamedTuple):
     """What the law answers.
 
     Attributes:
@@ -147,12 +145,6 @@ def no_torque(count: int) -> JointTorque:
     return JointTorque(np.zeros(count), np.zeros(count, dtype=bool), True, unknown, unknown, 0.0)
 
 
-@functools.cache
-def _at_rest(n: int) -> FloatArray:
-    """What `law` is fed forward for a tool that does not turn and a posture at rest."""
-    return np.zeros(6 + 2 * n)
-
-
 def operational_space_torque(
     state: ArmState,
     desired: DesiredMotion,
@@ -193,13 +185,15 @@ def operational_space_torque(
         a_posture: (n,) acceleration added in the null space [rad/s^2]; None: none.
     """
     n = len(q_posture)
-    forward_fed = _at_rest(n)
-    if not (desired.w_WE is desired.alpha_WE is v_posture is a_posture is None):
-        parts = (desired.w_WE, desired.alpha_WE, v_posture, a_posture)
-        sizes = (3, 3, n, n)
-        forward_fed = np.concatenate(
-            [np.zeros(m) if x is None else x for x, m in zip(parts, sizes, strict=True)]
-        )
+    forward_fed = np.zeros(6 + 2 * n)
+    if desired.w_WE is not None:
+        forward_fed[:3] = desired.w_WE
+    if desired.alpha_WE is not None:
+        forward_fed[3:6] = desired.alpha_WE
+    if v_posture is not None:
+        forward_fed[6 : 6 + n] = v_posture
+    if a_posture is not None:
+        forward_fed[6 + n :] = a_posture
     finite, tau, saturated, error_p, error_R, singularity = law(
         state.q,
         state.v,
@@ -218,24 +212,23 @@ def operational_space_torque(
         limits.q_lower,
         limits.q_upper,
         limits.effort,
-        _of_law(gains),
+        tuple(map(float, _of_law(gains))),
     )
     if not finite:
         return braking_torque(state, limits, gains)
     return JointTorque(tau, saturated, False, error_p, error_R, singularity)
 
 
-def _of_law(gains: Gains) -> tuple[float, ...]:
-    """The gains in the order in which `law` takes them."""
-    return (
-        float(gains.kp_position),
-        float(gains.kd_position),
-        float(gains.kp_orientation),
-        float(gains.kd_orientation),
-        float(gains.kp_posture),
-        float(gains.kd_posture),
-        float(gains.kp_limit),
-        float(gains.limit_margin),
-        float(gains.max_effective_mass),
-        float(gains.rotation_length),
-    )
+_of_law = attrgetter(
+    "kp_position",
+    "kd_position",
+    "kp_orientation",
+    "kd_orientation",
+    "kp_posture",
+    "kd_posture",
+    "kp_limit",
+    "limit_margin",
+    "max_effective_mass",
+    "rotation_length",
+)
+"""The gains in the order in which `law` takes them."""

@@ -18,10 +18,9 @@ from drake_oa.geometry.ellipsoid import (
     checked_points,
     dilate,
     enclosing_ellipsoid,
-    right_handed,
     signed_distance,
 )
-from drake_oa.geometry.superquadric import fit_superquadric
+from drake_oa.geometry.superquadric import Superquadric, fit_superquadric
 
 HALVINGS = (1, 2, 3)
 """How often a cloud is halved, one after the other until there is room enough."""
@@ -120,25 +119,34 @@ def check_descriptor_arguments(tool_W: ArrayLike, method: str) -> FloatArray:
     return np.array(checked_points(tool_W, "tool_W"))
 
 
-def least_squares_ellipsoid(
-    points: ArrayLike, *, tool: ArrayLike, minimum_semi_axis: float = 1e-3
-) -> Ellipsoid:
-    """The paper's descriptor: eq. sq_min, squared, with lambda_4 = lambda_5 = 1.
+def least_squares_shape(
+    points: ArrayLike,
+    *,
+    tool: ArrayLike,
+    minimum_semi_axis: float = 1e-3,
+    exponent_prior: float | None = None,
+) -> Superquadric:
+    """The paper's descriptor: the superquadric of eq. sq_min, squared.
 
     Fitted to the support points of the dilated cloud. It runs through the cloud, not
-    round it: parts of the obstacle stay outside, and `gauge` is left unchecked (inf).
+    round it: parts of the obstacle stay outside.
 
     Args:
         points: (N, 3) points in W [m].
         tool: (K, 3) vertices of the tool, as in `ellipsoid.dilate` [m].
         minimum_semi_axis: least semi-axis [m].
+        exponent_prior: how strongly the exponents are drawn to 1, see `fit_superquadric`; None:
+            they are 1, as in the paper.
 
     Raises:
         ValueError: if points or tool are empty, not (., 3) or not finite.
     """
-    fit = fit_superquadric(dilate(points, tool), minimum_semi_axis=minimum_semi_axis).shape
-    order = np.argsort(-fit.semi_axes, kind="stable")
-    return Ellipsoid(fit.center, right_handed(fit.R[:, order]), fit.semi_axes[order], np.inf)
+    return fit_superquadric(
+        dilate(points, tool),
+        exponents=(1.0, 1.0) if exponent_prior is None else None,
+        minimum_semi_axis=minimum_semi_axis,
+        prior=exponent_prior or 0.0,
+    ).shape
 
 
 def describe(
@@ -147,6 +155,7 @@ def describe(
     *,
     method: Method = "enclosing",
     minimum_semi_axis: float = 1e-3,
+    exponent_prior: float | None = None,
     free_W: ArrayLike = (),
     tool_parts: Sequence[FloatArray] = (),
 ) -> EllipsoidSet:
@@ -161,6 +170,7 @@ def describe(
             orientation [m].
         method: "enclosing" (`ellipsoid.enclosing_ellipsoid`) or "least_squares".
         minimum_semi_axis: least semi-axis [m].
+        exponent_prior: of "least_squares", see `least_squares_shape`.
         free_W: (F, 3) tool points that are known to be free, start and goal for two [m]. An
             obstacle whose ellipsoid holds one, or leaves it less than 2 cm, is described by
             those of its parts (`drake_oa.descriptor.descriptor`) if they leave more: rows
@@ -184,6 +194,7 @@ def describe(
     free = np.asarray(free_W, dtype=float).reshape(-1, 3)
     tools = tuple(_key(part) for part in (tool_parts or (tool,)))
     found: list[Ellipsoid] = []
+    exponents: list[FloatArray] = []
     rows: list[int] = []
     part_names: list[int] = []
     notes = [obstacles.note] if obstacles.note else []
@@ -201,10 +212,16 @@ def describe(
             notes.append(f"obstacle {name}: {lost} of {len(points)} points are not finite")
             points = points[finite]
         # A perception source hands on the same cloud while it sees nothing new.
-        whole = _whole(_key(points), _key(tool), method, minimum_semi_axis)
-        described = [whole]
+        if method == "least_squares":
+            fit = _fitted(_key(points), _key(tool), minimum_semi_axis, exponent_prior)
+            found.append(Ellipsoid(fit.center, fit.R, fit.semi_axes, np.inf))
+            exponents.append(fit.exponents)
+            rows.append(row)
+            part_names.append(name)
+            continue
+        described = [_whole(_key(points), _key(tool), minimum_semi_axis)]
         room = _room(free, described)
-        for halvings in HALVINGS if method == "enclosing" else ():
+        for halvings in HALVINGS:
             if room >= _ROOM:
                 break
             parts = _parts(_key(points), tools, halvings, minimum_semi_axis)
@@ -218,6 +235,7 @@ def describe(
         p_WO=np.array([e.center for e in found]).reshape(-1, 3),
         R_WO=np.array([e.R for e in found]).reshape(-1, 3, 3),
         semi_axes=np.array([e.semi_axes for e in found]).reshape(-1, 3),
+        exponents=np.array(exponents).reshape(-1, 2),
         v_WO=obstacles.v_WO[rows],
         ids=np.array(part_names, dtype=np.int64),
         table=obstacles.table,
@@ -238,9 +256,22 @@ def _array(key: _Key) -> FloatArray:
 
 
 @lru_cache(maxsize=64)
-def _whole(points: _Key, tool: _Key, method: Method, minimum_semi_axis: float) -> Ellipsoid:
-    fit = enclosing_ellipsoid if method == "enclosing" else least_squares_ellipsoid
-    return fit(_array(points), tool=_array(tool), minimum_semi_axis=minimum_semi_axis)
+def _whole(points: _Key, tool: _Key, minimum_semi_axis: float) -> Ellipsoid:
+    return enclosing_ellipsoid(
+        _array(points), tool=_array(tool), minimum_semi_axis=minimum_semi_axis
+    )
+
+
+@lru_cache(maxsize=64)
+def _fitted(
+    points: _Key, tool: _Key, minimum_semi_axis: float, exponent_prior: float | None
+) -> Superquadric:
+    return least_squares_shape(
+        _array(points),
+        tool=_array(tool),
+        minimum_semi_axis=minimum_semi_axis,
+        exponent_prior=exponent_prior,
+    )
 
 
 @lru_cache(maxsize=64)

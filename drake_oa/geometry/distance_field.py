@@ -8,6 +8,7 @@ lie in the middle of the world's voxels, so that a cloud of one point a voxel fi
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from drake_oa.common.compiled import compiled, leaf
-from drake_oa.common.messages import FloatArray, Frozen, IntArray, TablePlane
+from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray, TablePlane
 
 VOXEL = 0.01
 """Edge of a field's voxels [m]."""
@@ -27,7 +28,7 @@ MAX_CELLS = 1 << 20
 DEEPEST = 0.08
 """What is seen from one side is taken to be at most so deep [m]."""
 
-_OFFSET = 0.13
+OFFSET = 0.13
 """Taken off every distance [voxel], so that it is at most one voxel too large.
 
 A point is at most sqrt(3) / 2 from its node, and interpolation adds at most 0.26 to the distance
@@ -84,6 +85,7 @@ def field_of(
     viewpoint_W: FloatArray | None = None,
     deepest: float = DEEPEST,
     table: TablePlane | None = None,
+    seen_free: Callable[[FloatArray], BoolArray] | None = None,
 ) -> DistanceField:
     """The distance field of a cloud, exact at its nodes for the voxels that the points fill.
 
@@ -92,7 +94,8 @@ def field_of(
     `deepest` (or what the thing is broad or seen to be deep); within its outline from above, which
     is that of what is seen and of its image beyond the middle of what is as deep as seen, or as
     broad, at most `deepest`; and above the table, without one above the lowest point, and as far
-    below the highest as it is thick.
+    below the highest as it is thick. Seen from several places, what counts from any of them does,
+    but for what is seen to be free.
 
     The distance is at most one voxel larger than that to the points, and smaller by at most two
     (the point to its node, sqrt(3)/2; a crease of the distance between nodes, as much again;
@@ -104,9 +107,12 @@ def field_of(
         voxel: edge of a voxel [m]; it becomes coarser where there would be too many.
         margin: how far the grid goes past what is occupied [m].
         max_cells: how many nodes it may have.
-        viewpoint_W: (3,) from where the cloud was seen [m]; None: nothing is filled.
+        viewpoint_W: (3,) from where the cloud was seen, or (n, 3) of several cameras [m]; None:
+            nothing is filled.
         deepest: what is seen from one side is taken to be at most so deep [m].
         table: nothing is filled below it.
+        seen_free: tells of points (N, 3) [m] which of them an image sees through: they are not
+            filled. None: no image is known but for the cloud.
 
     Raises:
         ValueError: for a cloud that is empty, not finite or not (N, 3), and for a voxel, margin,
@@ -125,12 +131,14 @@ def field_of(
             raise ValueError(f"{name} must be positive and finite, not {value}")
     if max_cells < _FEWEST_CELLS:
         raise ValueError(f"max_cells must be at least {_FEWEST_CELLS}, not {max_cells}")
-    asked, shade = voxel, None
+    asked = voxel
     voxel, first, count = _grid(low, high, margin, voxel, max_cells)
-    if viewpoint_W is not None:
-        shade = _shade(points, np.array(viewpoint_W, dtype=float), voxel, deepest, table)
-    if shade is not None:
+    places = np.zeros((0, 3)) if viewpoint_W is None else np.atleast_2d(viewpoint_W).astype(float)
+    looked = [_shade(points, p_WV, voxel, deepest, table) for p_WV in places]
+    shades = [shade for shade in looked if shade is not None]
+    for shade in shades:
         low, high = np.minimum(low, shade.low), np.maximum(high, shade.high)
+    if shades:
         voxel, first, count = _grid(low, high, margin, voxel, max_cells)
     note, coarser = "", voxel - asked
     if coarser > 0.0:
@@ -141,11 +149,17 @@ def field_of(
     p_WO = (first + 0.5) * voxel
     occupied = np.zeros(tuple(count), dtype=np.uint8)
     _fill(points, p_WO, voxel, occupied)
-    if shade is not None:
-        _fill_hidden(p_WO, voxel, shade, occupied)
+    hidden = occupied if seen_free is None else np.zeros_like(occupied)
+    for shade in shades:
+        _fill_hidden(p_WO, voxel, shade, hidden)
+    if seen_free is not None:
+        nodes = np.argwhere(hidden)
+        hidden[tuple(nodes[seen_free(p_WO + voxel * nodes)].T)] = 0
+        occupied |= hidden
     values = np.empty(occupied.shape, dtype=np.float32)
     box = _signed_distances(occupied, voxel, values)
-    values -= np.float32(coarser)
+    if coarser > 0.0:
+        values -= np.float32(coarser)
     low, high = box[0] * voxel - coarser, (box[1] - 1) * voxel + coarser
     return DistanceField(p_WO, voxel, values, low, high, note)
 
@@ -429,7 +443,6 @@ def _distances(
         _gains(line, gain)
         for j in range(n1):
             out = plane[j, i]
-            out[:] = far
             _nearest_rows(line, reach, gain, j - j0, out)
             smallest = far
             for k in range(n2):
@@ -438,29 +451,41 @@ def _distances(
     best = np.empty(n2, dtype=np.int32)
     factor, term = np.float32(scale), np.float32(shift)
     for j in range(n1):
-        _gains(plane[j], gain)
+        rows, lowest = plane[j], least[j]
+        _gains(rows, gain)
         for i in range(n0):
-            best[:] = far
-            _nearest_rows(plane[j], least[j], gain, i - i0, best)
+            _nearest_rows(rows, lowest, gain, i - i0, best)
             out = values[i, j]
             for k in range(n2):
                 out[k] = factor * np.float32(math.sqrt(np.float32(best[k]))) + term
 
 
-@compiled
+@leaf
 def _gains(rows: NDArray[np.int32], gain: NDArray[np.int32]) -> None:
     """Sets gain (2, M) to how much less rows (M, N) are anywhere than the first and the last."""
     for end in range(2):
-        edge = rows[0] if end == 0 else rows[len(rows) - 1]
+        edge = 0 if end == 0 else len(rows) - 1
         for other in range(len(rows)):
-            row, most = rows[other], np.int32(0)
-            for k in range(len(row)):
-                value = np.int32(edge[k] - row[k])
+            most = np.int32(0)
+            for k in range(rows.shape[1]):
+                value = np.int32(rows[edge, k] - rows[other, k])
                 most = value if value > most else most
             gain[end, other] = most
 
 
-@compiled
+@leaf
+def _lowered(row: NDArray[np.int32], gap2: int, best: NDArray[np.int32]) -> int:
+    """Lowers best (N,) to a row (N,) at a squared gap; its largest then."""
+    more, most = np.int32(gap2), np.int32(0)
+    for k in range(len(best)):
+        value = np.int32(row[k] + more)
+        value = value if value < best[k] else best[k]
+        best[k] = value
+        most = value if value > most else most
+    return int(most)
+
+
+@leaf
 def _nearest_rows(
     rows: NDArray[np.int32],
     least: NDArray[np.int32],
@@ -468,36 +493,35 @@ def _nearest_rows(
     place: int,
     best: NDArray[np.int32],
 ) -> None:
-    """Sets best (N,) to the least of it and of rows (M, N) at their squared gaps from a place.
+    """Sets best (N,) to the least of rows (M, N) at their squared gaps from a place.
 
     From the nearest row outward, as long as their least (M,) can be less than what is found; from
     a place beyond the rows, those whose gain over the nearest makes up for their greater gap.
     """
-    count = len(rows)
-    end = 0 if place < 0 else 1
-    near = min(max(place, 0), count - 1)
-    largest = np.int64(_FAR)
+    count, largest = len(rows), np.int64(_FAR)
+    for k in range(len(best)):
+        best[k] = _FAR
+    if 0 <= place < count:
+        for step in range(count):
+            gap2 = step * step
+            if gap2 >= largest:
+                break
+            if step <= place and gap2 + least[place - step] < largest:
+                largest = _lowered(rows[place - step], gap2, best)
+            if 0 < step < count - place and gap2 + least[place + step] < largest:
+                largest = _lowered(rows[place + step], gap2, best)
+        return
+    end, near, inward = (0, 0, 1) if place < 0 else (1, count - 1, -1)
+    first = (place - near) * (place - near)
     for step in range(count):
-        gap = abs(place - near) + step if near != place else step
-        if gap * gap >= largest:
+        other = near + inward * step
+        gap2 = (place - other) * (place - other)
+        if gap2 >= largest:
             break
-        for side in range(2):
-            other = near - step if side == 0 else near + step
-            if other < 0 or other >= count or (side == 1 and step == 0):
-                continue
-            gap2 = (place - other) * (place - other)
-            if gap2 + least[other] >= largest:
-                continue
-            more_gap = gap2 - (place - near) * (place - near)
-            if near != place and step > 0 and gain[end, other] <= more_gap:
-                continue
-            row, more, most = rows[other], np.int32(gap2), np.int32(0)
-            for k in range(len(best)):
-                value = np.int32(row[k] + more)
-                value = value if value < best[k] else best[k]
-                best[k] = value
-                most = value if value > most else most
-            largest = np.int64(most)
+        if step > 0 and gain[end, other] <= gap2 - first:
+            continue
+        if gap2 + least[other] < largest:
+            largest = _lowered(rows[other], gap2, best)
 
 
 @compiled
@@ -507,7 +531,7 @@ def _signed_distances(occupied: ByteArray, voxel: float, values: NDArray[np.floa
     Zero, less the offset, is where a node is occupied and has a neighbour that is not.
     """
     box = _box_of(occupied)
-    _distances(occupied, box, voxel, -_OFFSET * voxel, values)
+    _distances(occupied, box, voxel, -OFFSET * voxel, values)
     # Within, to the nearest free node; all round there are such.
     i0, j0, k0 = box[0, 0] - 1, box[0, 1] - 1, box[0, 2] - 1
     size = (box[1, 0] - i0 + 1, box[1, 1] - j0 + 1, box[1, 2] - k0 + 1)
@@ -519,75 +543,10 @@ def _signed_distances(occupied: ByteArray, voxel: float, values: NDArray[np.floa
     inner = np.empty(size, dtype=np.float32)
     whole = np.zeros((2, 3), dtype=np.int64)
     whole[1, 0], whole[1, 1], whole[1, 2] = size
-    _distances(free, whole, -voxel, (1.0 - _OFFSET) * voxel, inner)
+    _distances(free, whole, -voxel, (1.0 - OFFSET) * voxel, inner)
     for i in range(size[0]):
         for j in range(size[1]):
             for k in range(size[2]):
                 if free[i, j, k] == 0:
                     values[i0 + i, j0 + j, k0 + k] = inner[i, j, k]
     return box
-
-
-@leaf
-def _within(x: float, high: float) -> float:
-    """x between 0 and high; 0 for what is no number, so that no index is out of range."""
-    x = x if x > 0.0 else 0.0
-    return x if x < high else high
-
-
-@leaf
-def interpolated(
-    x: float,
-    y: float,
-    z: float,
-    size: FloatArray,
-    span: IntArray,
-    voxels: NDArray[np.float32],
-) -> tuple[float, float, float, float]:
-    """Distance at a point of the frame O and its gradient there; outside the grid a lower bound.
-
-    For a point q outside and the nearest point c of the grid's box, which is convex and holds
-    the obstacle, |q - s|^2 >= |q - c|^2 + |c - s|^2 for each point s of the obstacle.
-
-    Args:
-        x, y, z: the point [m].
-        size: (7,) voxel, and the box of what is occupied, low and high [m].
-        span: (4,) where the field begins among the voxels, and nx, ny, nz.
-        voxels: values of all fields, one after the other [m].
-    """
-    scale, ny, nz = 1.0 / size[0], span[2], span[3]
-    u, v, w = x * scale, y * scale, z * scale
-    a, b, c = _within(u, span[1] - 1.0), _within(v, ny - 1.0), _within(w, nz - 1.0)
-    i, j, k = min(int(a), span[1] - 2), min(int(b), ny - 2), min(int(c), nz - 2)
-    fa, fb, fc = a - i, b - j, c - k
-    at = span[0] + (i * ny + j) * nz + k
-    beside = at + ny * nz
-    v00, v01 = np.float64(voxels[at]), np.float64(voxels[at + 1])
-    v10, v11 = np.float64(voxels[at + nz]), np.float64(voxels[at + nz + 1])
-    w00, w01 = np.float64(voxels[beside]), np.float64(voxels[beside + 1])
-    w10, w11 = np.float64(voxels[beside + nz]), np.float64(voxels[beside + nz + 1])
-    v0, v1 = v00 + fc * (v01 - v00), v10 + fc * (v11 - v10)
-    w0, w1 = w00 + fc * (w01 - w00), w10 + fc * (w11 - w10)
-    low, high = v0 + fb * (v1 - v0), w0 + fb * (w1 - w0)
-    d = low + fa * (high - low)
-    gx = (high - low) * scale
-    gy = ((v1 - v0) + fa * ((w1 - w0) - (v1 - v0))) * scale
-    gz = (1.0 - fa) * ((v01 - v00) + fb * ((v11 - v10) - (v01 - v00)))
-    gz = (gz + fa * ((w01 - w00) + fb * ((w11 - w10) - (w01 - w00)))) * scale
-    if u == a and v == b and w == c:
-        return d, gx, gy, gz
-    # Beyond the grid: along an axis that was cut the rest counts, along the others the field.
-    away = max(d, 0.0)
-    ex, ey, ez = (u - a) * size[0], (v - b) * size[0], (w - c) * size[0]
-    far = math.sqrt(away * away + ex * ex + ey * ey + ez * ez)
-    # The distance to the box of what is occupied is a lower bound too.
-    px, py, pz = x - min(max(x, size[1]), size[4]), y - min(max(y, size[2]), size[5]), 0.0
-    pz = z - min(max(z, size[3]), size[6])
-    box = math.sqrt(px * px + py * py + pz * pz)
-    shorter = box - _OFFSET * size[0]
-    if shorter > far:
-        return shorter, px / box, py / box, pz / box
-    gx = ex / far if u != a else away * gx / far
-    gy = ey / far if v != b else away * gy / far
-    gz = ez / far if w != c else away * gz / far
-    return far, gx, gy, gz

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,9 +23,9 @@ from pydrake.systems.framework import Context
 from scipy.spatial import ConvexHull, QhullError
 
 from drake_oa.common.compiled import leaf
-from drake_oa.common.messages import FloatArray, Frozen, IntArray, ObstacleClouds, TablePlane
+from drake_oa.common.messages import FloatArray, Frozen, IntArray, TablePlane
 from drake_oa.geometry.collision_shapes import hull_vertices
-from drake_oa.geometry.distance_field import DistanceField, field_of, interpolated
+from drake_oa.geometry.distance_field import OFFSET, DistanceField
 from drake_oa.geometry.primitives import point_distance
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere, pose, shape_geometry
 
@@ -196,25 +197,6 @@ def table_solid(table: TablePlane) -> Solid:
     return Solid(HALF_SPACE, -1, "table", X_WO.GetAsMatrix4())
 
 
-def cloud_solids(seen: ObstacleClouds, viewpoint_W: FloatArray | None = None) -> list[Solid]:
-    """The fields of what is seen, see `field_of`, and the table, if there is one.
-
-    They are made anew: who asks often keeps those whose clouds have not changed.
-    """
-    found = [
-        cloud_solid(
-            field_of(cloud, viewpoint_W=viewpoint_W, table=seen.table),
-            name=int(name),
-            label=f"obstacle {name}",
-            v_WO=v_WO,
-            stamp=seen.stamp,
-        )
-        for cloud, name, v_WO in zip(seen.clouds_W, seen.ids, seen.v_WO, strict=True)
-        if len(cloud)
-    ]
-    return found if seen.table is None else found + [table_solid(seen.table)]
-
-
 def shape_solids(
     shapes: Sequence[Box | Cylinder | Sphere], X_WO: FloatArray, **more: Any
 ) -> list[Solid]:
@@ -298,7 +280,8 @@ def solids_of(items: Sequence[Solid]) -> Solids:
     count = len(items)
     X_WO, ball = np.empty((count, 3, 4)), np.empty((count, 10))
     size, layout = np.zeros((count, 7)), np.zeros((count, 6), dtype=np.int64)
-    planes, voxels, cells = [np.zeros((0, 4))], [np.zeros(0, dtype=np.float32)], 0
+    planes, cells = [np.zeros((0, 4))], 0
+    grids: list[DistanceField] = []
     corners: list[FloatArray] = []
     for row, item in enumerate(items):
         moves = bool(np.any(item.v_WO))
@@ -317,7 +300,7 @@ def solids_of(items: Sequence[Solid]) -> Solids:
             corners += item.corners
         if item.grid is not None:
             layout[row, 1:5] = cells, *item.grid.values.shape
-            voxels.append(item.grid.values.ravel())
+            grids.append(item.grid)
             cells += item.grid.values.size
     faces = np.zeros((len(corners), 10))
     faces[:, :4] = np.concatenate(planes)
@@ -328,7 +311,14 @@ def solids_of(items: Sequence[Solid]) -> Solids:
     ends = np.cumsum([len(face) for face in corners])
     faces[1:, 8], faces[:, 9] = ends[:-1], ends
     triangles = np.concatenate([np.zeros((0, 9))] + [face.reshape(-1, 9) for face in corners])
-    return Solids(ball, X_WO, size, layout, faces, triangles, np.concatenate(voxels))
+    return Solids(ball, X_WO, size, layout, faces, triangles, _voxels(*grids))
+
+
+@lru_cache(maxsize=2)
+def _voxels(*grids: DistanceField) -> NDArray[np.float32]:
+    """Values of all fields, one after the other: megabytes, and the same while all only move."""
+    none = np.zeros(0, dtype=np.float32)
+    return np.concatenate([none, *(grid.values.ravel() for grid in grids)])
 
 
 @leaf
@@ -424,7 +414,7 @@ def _distance(
     if kind == PRIMITIVE:
         return point_distance(a, b, c, size)
     if kind == FIELD:
-        return interpolated(a, b, c, size, span, solids.voxels)
+        return _interpolated(a, b, c, size, span, solids.voxels)
     if kind == HALF_SPACE:
         return c, 0.0, 0.0, 1.0
     if kind == ELLIPSOID:
@@ -537,3 +527,68 @@ def _from_triangle(
     if qx * qx + qy * qy + qz * qz < px * px + py * py + pz * pz:
         return qx, qy, qz
     return px, py, pz
+
+
+@leaf
+def _within(x: float, high: float) -> float:
+    """x between 0 and high; 0 for what is no number, so that no index is out of range."""
+    x = x if x > 0.0 else 0.0
+    return x if x < high else high
+
+
+@leaf
+def _interpolated(
+    x: float,
+    y: float,
+    z: float,
+    size: FloatArray,
+    span: IntArray,
+    voxels: NDArray[np.float32],
+) -> tuple[float, float, float, float]:
+    """Distance at a point of the frame O and its gradient there; outside the grid a lower bound.
+
+    For a point q outside and the nearest point c of the grid's box, which is convex and holds
+    the obstacle, |q - s|^2 >= |q - c|^2 + |c - s|^2 for each point s of the obstacle.
+
+    Args:
+        x, y, z: the point [m].
+        size: (7,) voxel, and the box of what is occupied, low and high [m].
+        span: (4,) where the field begins among the voxels, and nx, ny, nz.
+        voxels: values of all fields, one after the other [m].
+    """
+    scale, ny, nz = 1.0 / size[0], span[2], span[3]
+    u, v, w = x * scale, y * scale, z * scale
+    a, b, c = _within(u, span[1] - 1.0), _within(v, ny - 1.0), _within(w, nz - 1.0)
+    i, j, k = min(int(a), span[1] - 2), min(int(b), ny - 2), min(int(c), nz - 2)
+    fa, fb, fc = a - i, b - j, c - k
+    at = span[0] + (i * ny + j) * nz + k
+    beside = at + ny * nz
+    v00, v01 = np.float64(voxels[at]), np.float64(voxels[at + 1])
+    v10, v11 = np.float64(voxels[at + nz]), np.float64(voxels[at + nz + 1])
+    w00, w01 = np.float64(voxels[beside]), np.float64(voxels[beside + 1])
+    w10, w11 = np.float64(voxels[beside + nz]), np.float64(voxels[beside + nz + 1])
+    v0, v1 = v00 + fc * (v01 - v00), v10 + fc * (v11 - v10)
+    w0, w1 = w00 + fc * (w01 - w00), w10 + fc * (w11 - w10)
+    low, high = v0 + fb * (v1 - v0), w0 + fb * (w1 - w0)
+    d = low + fa * (high - low)
+    gx = (high - low) * scale
+    gy = ((v1 - v0) + fa * ((w1 - w0) - (v1 - v0))) * scale
+    gz = (1.0 - fa) * ((v01 - v00) + fb * ((v11 - v10) - (v01 - v00)))
+    gz = (gz + fa * ((w01 - w00) + fb * ((w11 - w10) - (w01 - w00)))) * scale
+    if u == a and v == b and w == c:
+        return d, gx, gy, gz
+    # Beyond the grid: along an axis that was cut the rest counts, along the others the field.
+    away = max(d, 0.0)
+    ex, ey, ez = (u - a) * size[0], (v - b) * size[0], (w - c) * size[0]
+    far = math.sqrt(away * away + ex * ex + ey * ey + ez * ez)
+    # The distance to the box of what is occupied is a lower bound too.
+    px, py, pz = x - min(max(x, size[1]), size[4]), y - min(max(y, size[2]), size[5]), 0.0
+    pz = z - min(max(z, size[3]), size[6])
+    box = math.sqrt(px * px + py * py + pz * pz)
+    shorter = box - OFFSET * size[0]
+    if shorter > far:
+        return shorter, px / box, py / box, pz / box
+    gx = ex / far if u != a else away * gx / far
+    gy = ey / far if v != b else away * gy / far
+    gz = ez / far if w != c else away * gz / far
+    return far, gx, gy, gz

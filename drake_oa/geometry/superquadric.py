@@ -12,6 +12,7 @@ with absolute values in the powers' bases: 1 and 1 is an ellipsoid, 0.1 nearly a
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -108,6 +109,7 @@ def fit_superquadric(
     exponents: tuple[float, float] | None = (1.0, 1.0),
     residual: Residual = "bajcsy",
     minimum_semi_axis: float = 1e-3,
+    prior: float = 0.0,
 ) -> SuperquadricFit:
     """Least-squares superquadric of a (dilated) cloud.
 
@@ -127,6 +129,9 @@ def fit_superquadric(
         exponents: fixed (lambda_4, lambda_5), or None to fit them in `EXPONENT_RANGE`.
         residual: which p.
         minimum_semi_axis: least semi-axis [m]; thin clouds need one.
+        prior: how strongly free exponents are drawn to 1: one unit of their logarithm costs as
+            much as a residual of sqrt(prior) times the root of the cloud's half extents'
+            product at every point.
 
     Raises:
         ValueError: if points are empty, not (N, 3) or not finite; if the exponents are
@@ -140,6 +145,8 @@ def fit_superquadric(
         raise ValueError(f"fit_superquadric: residual '{residual}'; it must be bajcsy or printed")
     if not minimum_semi_axis > 0.0:
         raise ValueError(f"fit_superquadric: minimum_semi_axis {minimum_semi_axis} is not positive")
+    if not 0.0 <= prior < math.inf:
+        raise ValueError(f"fit_superquadric: prior {prior} must be finite and not negative")
     mean = cloud.mean(axis=0)
     _, V = np.linalg.eigh((cloud - mean).T @ (cloud - mean))
     R = right_handed(V[:, ::-1])
@@ -152,6 +159,7 @@ def fit_superquadric(
         minimum=minimum_semi_axis,
         exponents=exponents,
         power=residual,
+        pull=math.sqrt(prior * len(cloud)),
     )
     turns = [(0, 1, 2)] if exponents is not None else [(0, 1, 2), (1, 2, 0), (2, 0, 1)]
     solutions = [problem.solve(turn) for turn in turns]
@@ -185,6 +193,7 @@ class _Problem:
     minimum: float
     exponents: tuple[float, float] | None
     power: Residual
+    pull: float = 0.0
 
     def solve(self, turn: tuple[int, int, int]) -> _Solution:
         """Solves from the axes in the order of `turn`."""
@@ -210,14 +219,23 @@ class _Problem:
         semi_axes = np.maximum(semi_axes, self.minimum)
         return float(found.cost), center, rotation, semi_axes, powers, bool(found.status > 0)
 
+    @property
+    def _drawn(self) -> FloatArray:
+        """(2,) weights of the exponents' logarithms; (0,): nothing draws them."""
+        if self.pull == 0.0 or self.exponents is not None:
+            return np.zeros(0)
+        return np.full(2, self.pull * math.sqrt(float(np.prod(self.half))))
+
     def residuals(self, x: FloatArray, turn: tuple[int, int, int] = (0, 1, 2)) -> FloatArray:
-        """(N,) residuals of the unknowns x."""
+        """(N,) residuals of the unknowns x, and (2,) of exponents that are drawn to 1."""
         center, rotation, semi_axes, powers = self._read(x, turn)
         log = log_inside_outside((self.points - center) @ rotation, semi_axes, powers)
-        return np.asarray(np.sqrt(np.prod(semi_axes)) * (self._grown(log, powers) - 1.0))
+        found = np.sqrt(np.prod(semi_axes)) * (self._grown(log, powers) - 1.0)
+        drawn = self._drawn
+        return np.concatenate([found, drawn * np.log(powers[: len(drawn)])])
 
     def jacobian(self, x: FloatArray, turn: tuple[int, int, int] = (0, 1, 2)) -> FloatArray:
-        """(N, 9 or 11) derivatives of the residuals."""
+        """(N, 9 or 11) derivatives of the residuals; N + 2 rows where exponents are drawn to 1."""
         center, rotation, semi_axes, powers = self._read(x, turn)
         local = (self.points - center) @ rotation
         log, by_log, by_powers = _log_derivatives(local, semi_axes, powers)
@@ -234,7 +252,11 @@ class _Problem:
             columns.append(slope[:, None] * by_powers)
             if self.power == "bajcsy":
                 columns[-1][:, 0] += size * grown * np.where(grown > 0.0, log, 0.0)
-        return np.concatenate(columns, axis=1)
+        found = np.concatenate(columns, axis=1)
+        drawn = np.zeros((len(self._drawn), found.shape[1]))
+        if len(drawn):
+            drawn[[0, 1], [-2, -1]] = self._drawn / powers
+        return np.concatenate([found, drawn])
 
     def _read(
         self, x: FloatArray, turn: tuple[int, int, int]

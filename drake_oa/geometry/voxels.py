@@ -6,11 +6,13 @@ compiles each of them once, and caches it on disk.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numba import njit
 
 from drake_oa.common.compiled import compiled
-from drake_oa.common.messages import FloatArray, IntArray
+from drake_oa.common.messages import BoolArray, FloatArray, IntArray
 from drake_oa.geometry.pinhole import View, pixel_at
 
 VOXEL = 0.02
@@ -348,33 +350,13 @@ def _shows_through(
 
 
 @compiled
-def joined_across_unseen(
-    points: FloatArray,
-    label: IntArray,
-    pixel: IntArray,
-    pixel_label: IntArray,
-    view: View,
-    gap: float,
-    voxel: float,
-    min_size: int,
-) -> IntArray:
-    """Joins clusters a short gap apart when nothing else shows through the gap.
+def _gaps_of(
+    points: FloatArray, label: IntArray, gap: float, min_size: int
+) -> tuple[IntArray, IntArray]:
+    """Pairs (P, 3) of clusters less than a gap [m] apart, and what bridges them (B, 2).
 
-    The rim and the inside of a bowl are seen apart; so are two boxes with a gap
-    between them, but there the table shows through.
-
-    Args:
-        points: (N, 3) points in the world frame [m].
-        label: (N,) their clusters.
-        pixel: (P,) ascending flat indices of the pixels above the table.
-        pixel_label: (P,) the cluster that each of them shows, -1 for none.
-        view: the depth image.
-        gap: the longest gap to join across [m].
-        voxel: depth difference that shows something behind the gap [m].
-        min_size: clusters of fewer points are left alone.
-
-    Returns:
-        (N,) the labels after joining.
+    A pair is the later cluster, the earlier one, and the number of its bridges, which follow each
+    other: point of the earlier, and of the later.
     """
     count = label.max() + 1 if len(label) else 0
     begin, members = members_of(label, count)
@@ -383,12 +365,13 @@ def joined_across_unseen(
         c = label[i]
         for k in range(3):
             low[c, k], high[c, k] = min(low[c, k], points[i, k]), max(high[c, k], points[i, k])
-    name = np.arange(count)
+    pairs, bridges = np.empty((16, 3), dtype=np.int64), np.empty((64, 2), dtype=np.int64)
+    n, m = 0, 0
     for i in range(count):
         if begin[i + 1] - begin[i] < min_size:
             continue
         for j in range(i):
-            if begin[j + 1] - begin[j] < min_size or name[i] == name[j]:
+            if begin[j + 1] - begin[j] < min_size:
                 continue
             apart = -np.inf
             for k in range(3):
@@ -396,17 +379,83 @@ def joined_across_unseen(
             if apart >= gap:
                 continue
             first, second = members[begin[j] : begin[j + 1]], members[begin[i] : begin[i + 1]]
-            pairs = _bridges(points, first, second, gap)
-            opened = 0
-            for b in range(len(pairs)):
-                start, end = points[pairs[b, 0]], points[pairs[b, 1]]
-                opened += _shows_through(start, end, (i, j), pixel, pixel_label, view, voxel)
-            if len(pairs) and 2 * opened <= len(pairs):
-                old, new = name[i], name[j]
-                for c in range(count):
-                    if name[c] == old:
-                        name[c] = new
+            found = _bridges(points, first, second, gap)
+            if n == len(pairs):
+                pairs = np.concatenate((pairs, pairs))
+            while m + len(found) > len(bridges):
+                bridges = np.concatenate((bridges, bridges))
+            pairs[n, 0], pairs[n, 1], pairs[n, 2] = i, j, len(found)
+            bridges[m : m + len(found)] = found
+            n, m = n + 1, m + len(found)
+    return pairs[:n].copy(), bridges[:m].copy()
+
+
+@compiled
+def _mark_open(
+    points: FloatArray,
+    pairs: IntArray,
+    bridges: IntArray,
+    pixel: IntArray,
+    pixel_label: IntArray,
+    view: View,
+    voxel: float,
+    through: BoolArray,
+) -> None:
+    """Marks the bridges (B,) behind which an image shows something else."""
+    b = 0
+    for n in range(len(pairs)):
+        own = (pairs[n, 0], pairs[n, 1])
+        for _ in range(pairs[n, 2]):
+            start, end = points[bridges[b, 0]], points[bridges[b, 1]]
+            through[b] |= _shows_through(start, end, own, pixel, pixel_label, view, voxel)
+            b += 1
+
+
+@compiled
+def _joined(label: IntArray, pairs: IntArray, through: BoolArray) -> IntArray:
+    """The labels (N,) after joining the pairs of which no more than half the bridges are open."""
+    name, b = np.arange(label.max() + 1 if len(label) else 0), 0
+    for n in range(len(pairs)):
+        opened, count = through[b : b + pairs[n, 2]].sum(), pairs[n, 2]
+        b += count
+        old, new = name[pairs[n, 0]], name[pairs[n, 1]]
+        if old != new and count and 2 * opened <= count:
+            for c in range(len(name)):
+                if name[c] == old:
+                    name[c] = new
     return name[label]
+
+
+def joined_across_unseen(
+    points: FloatArray,
+    label: IntArray,
+    images: Sequence[tuple[IntArray, IntArray, View]],
+    gap: float,
+    voxel: float,
+    min_size: int,
+) -> IntArray:
+    """Joins clusters a short gap apart when nothing else shows through the gap in any image.
+
+    The rim and the inside of a bowl are seen apart; so are two boxes with a gap
+    between them, but there the table shows through.
+
+    Args:
+        points: (N, 3) points in the world frame [m].
+        label: (N,) their clusters.
+        images: of each the ascending flat indices (P,) of its pixels above the table, the cluster
+            (P,) that each of them shows, -1 for none, and the image.
+        gap: the longest gap to join across [m].
+        voxel: depth difference that shows something behind the gap [m].
+        min_size: clusters of fewer points are left alone.
+
+    Returns:
+        (N,) the labels after joining.
+    """
+    pairs, bridges = _gaps_of(points, label, gap, min_size)
+    through = np.zeros(len(bridges), dtype=bool)
+    for pixel, pixel_label, view in images:
+        _mark_open(points, pairs, bridges, pixel, pixel_label, view, voxel, through)
+    return _joined(label, pairs, through)
 
 
 def connected_clusters(

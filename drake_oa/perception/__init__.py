@@ -1,7 +1,7 @@
 """From depth images to obstacles with names and velocities.
 
-In: ImageDepth32F [m] and the camera's pose X_WC (x right, y down, z forward) every period, and
-the robot's state [q, v] to take the robot itself out. Out: `ObstacleClouds` in the world frame:
+In: of each camera an ImageDepth32F [m] and its pose X_WC (x right, y down, z forward) every period,
+and the robot's state [q, v] to take the robot itself out. Out: `ObstacleClouds` in the world frame:
 one cloud (N, 3) [m] an obstacle, velocities [m/s], names that stay, the table's plane and a stamp
 [s].
 
@@ -11,15 +11,17 @@ Sources, one in place of the other (block `perception` of a scenario):
 - `GroundTruthPerception` (`!GroundTruth`), which asks SceneGraph, at 15 Hz;
 - `RecordedPerception` (`!RecordedClouds`), which plays back files (`recordings`), at 15 Hz.
 
-A frame goes through
+A frame, of the images that all cameras took at one instant, goes through
 
 1. `segmentation`: the supporting plane by consensus with a prior on gravity and range (`table`;
    Fischler and Bolles 1981), pixels above it (`depth_image`; without a table all of them), voxels
    and clusters;
 2. `tracking`: clusters are given to obstacles by common points, else by the least total distance
    (Hungarian method); positions are measured by the obstacles' `sides`, so that what hides a part
-   of one does not move it, and filtered by a constant-velocity Kalman filter (`velocity`;
-   Bar-Shalom, Li and Kirubarajan 2001); remembered points gain and lose evidence (`visibility`);
+   of one does not move it, velocities by laying a frame's surface on the one before
+   (`registration`; Chen and Medioni 1992), and both are filtered by a constant-velocity Kalman
+   filter (`velocity`; Bar-Shalom, Li and Kirubarajan 2001); remembered points gain and lose
+   evidence (`visibility`);
 3. `memory`: what changed by more than noise is handed on, all else stays the same bit for bit.
 
 The configuration is `config`: `SegmentationConfig`, `TrackingConfig` with its `FilterNoise`, and

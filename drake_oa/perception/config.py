@@ -107,7 +107,9 @@ class FilterNoise:
 
     # Spectral density of the acceleration, each axis.
     acceleration: float = number(0.01, "m^2/s^3", 0.0, _FAR, open_low=True)
-    # Standard deviation of the measured place of one side of an obstacle.
+    # The same of one that moves: it may turn, stop or hurry.
+    manoeuvre: float = number(0.05, "m^2/s^3", 0.0, _FAR, open_low=True)
+    # Standard deviation of the measured place of one side of an obstacle, or of a point of it.
     side: float = number(0.0015, "m", 0.0, 1.0, open_low=True)
     # Standard deviation of the velocity of an obstacle that was not known before, and the
     # largest of one that has become open.
@@ -117,6 +119,8 @@ class FilterNoise:
     # `start` (chi-square of 3 degrees of freedom; 21.1 is exceeded once in 10,000),
     start_speed: float = number(0.03, "m/s", 0.0, _FAR, open_low=True)
     start: float = number(21.1, "1", 0.0, 1e6, open_low=True)
+    # at once where the statistic is above `certain`,
+    certain: float = number(100.0, "1", 0.0, 1e6, open_low=True)
     # and rests again when it is below `floor` or the statistic below `stop`.
     floor: float = number(0.02, "m/s", 0.0, _FAR, open_low=True, below="start_speed")
     stop: float = number(7.8, "1", 0.0, 1e6, open_low=True, below="start")
@@ -159,6 +163,13 @@ class TrackingConfig:
     side_tail: float = number(0.02, "1", 0.0, 0.5, open_low=True)
     open_share: float = number(0.7, "1", 0.0, 1.0, open_low=True)
     least_area: float = number(0.15, "1", 0.0, 1.0, open_low=True)
+    # What this many times as much is seen of as before comes into view, and may widen: its sides
+    # have so many times the deviation.
+    coming: float = number(1.1, "1", 1.0, 100.0)
+    coming_factor: float = number(6.0, "1", 1.0, 100.0)
+    # Points of two frames that are farther apart, beside what was expected of the obstacle's
+    # motion, are not the same.
+    registered: float = number(0.02, "m", 0.0, 1.0, open_low=True)
     # A side is not seen when so much of what is remembered beyond it is hidden; points no
     # farther beyond belong to it.
     hidden_share: float = number(0.3, "1", 0.0, 1.0, open_low=True)
@@ -265,13 +276,28 @@ class CameraNoise:
 
 @dc.dataclass
 class DepthCamera:
-    """Obstacles as a depth camera of `cameras` sees them."""
+    """Obstacles as one depth camera of the scenario's `cameras` sees them, or several together."""
 
     camera: str = "camera"
-    # Noise of the camera, {} for the published figures; null: an ideal camera.
+    # Several in place of the one, which take their images at the same times: what any of them
+    # sees is seen, and hidden is what is hidden from all.
+    cameras: list[str] = dc.field(default_factory=list)
+    # Whether what is seen is as old as the last image of that camera which has been missing for
+    # longest, or, false, as the newest image of any.
+    all_needed: bool = True
+    # Noise of the cameras, {} for the published figures; null: ideal cameras.
     noise: CameraNoise | None = None
     segmentation: SegmentationConfig = dc.field(default_factory=SegmentationConfig)
     tracking: TrackingConfig = dc.field(default_factory=TrackingConfig)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the cameras that it sees by."""
+        return tuple(self.cameras) or (self.camera,)
+
+    def signal(self, of_one: str, name: str) -> str:
+        """What a signal of one camera is called where there are several."""
+        return f"{of_one}_{name}" if len(self.names) > 1 else of_one
 
 
 @dc.dataclass

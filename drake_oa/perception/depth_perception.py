@@ -1,29 +1,30 @@
-"""Obstacles from a depth camera, and the state that all perception sources share."""
+"""Obstacles from depth cameras, and the state that all perception sources share."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue, Value
 from pydrake.math import RigidTransform
 from pydrake.perception import PointCloud
-from pydrake.systems.framework import AbstractStateIndex, Context, LeafSystem, State
+from pydrake.systems.framework import AbstractStateIndex, Context, InputPort, LeafSystem, State
 from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 
 from drake_oa.common.config import check_values
-from drake_oa.common.messages import Frozen, ObstacleClouds
+from drake_oa.common.messages import FloatArray, Frozen, ObstacleClouds
 from drake_oa.common.ports import read_value, valid_period
 from drake_oa.geometry.collision_shapes import RobotModel
-from drake_oa.geometry.pinhole import pinhole
+from drake_oa.geometry.pinhole import View, pinhole
 from drake_oa.geometry.primitives import PosedShapes
 from drake_oa.perception.config import SegmentationConfig, TrackingConfig
 from drake_oa.perception.memory import ObstacleMemory
-from drake_oa.perception.segmentation import segment_depth
+from drake_oa.perception.segmentation import segment_views
 from drake_oa.perception.tracking import fuse
 
 _logger = logging.getLogger("drake_oa")
@@ -98,7 +99,7 @@ def log_change(system: LeafSystem, before: str, now: str, time: float) -> None:
         return
     name = system.get_name() or type(system).__name__
     if now:
-        _logger.warning("%s at %.3f s: %s; the last obstacles are kept", name, time, now)
+        _logger.warning("%s at %.3f s: %s; what was seen last is kept", name, time, now)
     else:
         _logger.info("%s at %.3f s: sees again", name, time)
 
@@ -106,6 +107,30 @@ def log_change(system: LeafSystem, before: str, now: str, time: float) -> None:
 _NO_NEW_IMAGE = "no new image"
 _AFTER = 1e-4
 """How long after an image has come it is looked at [s]."""
+_SAME_TIME = 1e-6
+"""Images whose stamps differ by less are of one instant [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Views(Frozen):
+    """The images of one observation.
+
+    Attributes:
+        views: of each camera, in order; None for one that tells nothing of that instant.
+        stamp: when they were taken [s].
+    """
+
+    views: tuple[View | None, ...] = ()
+    stamp: float = -np.inf
+
+
+class _Ports(NamedTuple):
+    """Input ports of one camera; robot None: a system that knows no robot."""
+
+    image: InputPort
+    pose: InputPort
+    robot: InputPort | None
+    stamp: InputPort
 
 
 class DepthPerception(LeafSystem):
@@ -122,6 +147,9 @@ class DepthPerception(LeafSystem):
       output_ports:
       - obstacles_W
       - cloud
+
+    Of several cameras `names`, each has those four input ports, named `depth_image_NAME`,
+    `camera_pose_NAME`, `robot_state_NAME` and `image_stamp_NAME`, and there is an output `views`.
 
     Port `depth_image`: ImageDepth32F, depth along the optical axis [m]; 0 is too
     near, inf too far, NaN missing.
@@ -142,6 +170,8 @@ class DepthPerception(LeafSystem):
     Port `cloud`: PointCloud of every point above the table, in the world frame [m],
     the robot's own included: for viewing.
 
+    Port `views`: abstract `Views`, the images that the obstacles were seen in last.
+
     The inputs are pulled at initialization and then every `period` (a simulated
     camera renders again each time it is asked), and the outputs are held between.
     Obstacles keep their names, and the points that an arm hides; an obstacle that does
@@ -149,11 +179,16 @@ class DepthPerception(LeafSystem):
     (see `drake_oa.perception.tracking.fuse`, also for frames that repeat or go back in time). A
     frame that shows no table leaves the obstacles and their stamp as they were, and says why in
     `note`: a receiver tells from the stamp how old they are.
+
+    Images of one instant are one frame. A camera that has no image of the newest instant, or one
+    that tells nothing, is left out of it and named in `note`; the others' sight counts, and the
+    obstacles' stamp is that of the last image of the camera that has been missing for longest:
+    where nobody looks anything may have come meanwhile. With `all_needed` false it is the newest.
     """
 
     def __init__(
         self,
-        camera: CameraInfo | Sequence[float],
+        camera: CameraInfo | Sequence[float] | Mapping[str, CameraInfo | Sequence[float]],
         *,
         config: SegmentationConfig | None = None,
         tracking: TrackingConfig | None = None,
@@ -161,11 +196,13 @@ class DepthPerception(LeafSystem):
         pixel_center: float = 0.0,
         period: float = 1.0 / 15.0,
         delay: float = 0.0,
+        all_needed: bool = True,
     ) -> None:
         """Declares ports, state and events.
 
         Args:
-            camera: the depth camera's intrinsics, or [fx, fy, cx, cy] [pixel].
+            camera: the depth camera's intrinsics, or [fx, fy, cx, cy] [pixel]; of several
+                cameras, name -> intrinsics.
             config: how frames are segmented; `table_height` there is the prior on
                 the table. None for the defaults.
             tracking: how obstacles are followed, and with which noise; None for the
@@ -176,73 +213,158 @@ class DepthPerception(LeafSystem):
                 Drake 1.51's RenderEngineVtk renders as if it were 0.5, which
                 turns the scene by half a pixel where it is not allowed for.
             period: time between frames [s].
-            delay: how long after a period's beginning its image comes [s].
+            delay: how long after a period's beginning its images come [s].
+            all_needed: whether obstacles are as old as the oldest camera's image, or as the
+                newest.
 
         Raises:
-            ValueError: for a period that is not positive, a negative delay or invalid intrinsics.
+            ValueError: for a period that is not positive, a negative delay, invalid intrinsics or
+                no camera.
         """
         super().__init__()
-        if isinstance(camera, CameraInfo):
-            self._size: tuple[int, int] | None = (camera.height(), camera.width())
-            camera = pinhole(camera)
-        else:
-            self._size = None
-        self._K = np.array(camera, dtype=float)
-        if self._K.shape != (4,) or not np.isfinite(self._K).all() or (self._K[:2] <= 0.0).any():
-            raise ValueError(f"camera must be [fx, fy, cx, cy] in pixels, not {camera}")
         if not abs(pixel_center) <= 1.0:
             raise ValueError(f"pixel_center must lie in [-1, 1] pixels, not {pixel_center}")
-        self._K[2:] -= pixel_center
+        cameras = camera if isinstance(camera, Mapping) else {"": camera}
+        if not cameras:
+            raise ValueError("camera must be one or more, not none")
+        self._names = tuple(cameras)
+        self._cameras = [_checked(one, pixel_center) for one in cameras.values()]
         if not 0.0 <= delay < np.inf:
             raise ValueError(f"delay must be finite and not negative [s], not {delay}")
         self._config = config or SegmentationConfig()
         self._tracking = tracking or TrackingConfig()
         for values in (self._config, self._tracking):
             check_values(values)
-        self._robot = robot
+        self._robot, self._all_needed = robot, all_needed
         period = valid_period(period)
-        self._image_port = self.DeclareAbstractInputPort("depth_image", Value(ImageDepth32F()))
-        self._pose_port = self.DeclareAbstractInputPort("camera_pose", Value(RigidTransform()))
-        self._robot_port = (
-            None if robot is None else self.DeclareVectorInputPort("robot_state", robot.num_states)
-        )
-        self._stamp_port = self.DeclareVectorInputPort("image_stamp", 1)
+        several = len(cameras) > 1
+        self._ports = [self._declare_camera(f"_{name}" if several else "") for name in cameras]
         self._state = PerceptionState.declare(self)
+        self._views = None
+        if several:
+            self._views = self.DeclareAbstractState(Value(Views()))
+            self.DeclareStateOutputPort("views", self._views)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._update)
         # The first frame is the initialization's.
         offset = period + delay + _AFTER if delay else period
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, offset, self._update)
 
+    def _declare_camera(self, suffix: str) -> _Ports:
+        robot = self._robot
+        return _Ports(
+            self.DeclareAbstractInputPort(f"depth_image{suffix}", Value(ImageDepth32F())),
+            self.DeclareAbstractInputPort(f"camera_pose{suffix}", Value(RigidTransform())),
+            None
+            if robot is None
+            else self.DeclareVectorInputPort(f"robot_state{suffix}", robot.num_states),
+            self.DeclareVectorInputPort(f"image_stamp{suffix}", 1),
+        )
+
     def _update(self, context: Context, state: State) -> None:
         time = context.get_time()
         previous = self._state.read(context)
-        before = previous.obstacles
-        stamp = time
-        if self._stamp_port.HasValue(context):
-            stamp = float(self._stamp_port.Eval(context)[0])
-            if not stamp > before.stamp:
-                log_change(self, before.note, _NO_NEW_IMAGE, time)
-                same = replace(before, note=_NO_NEW_IMAGE)
-                self._state.write(state, replace(previous, obstacles=same), None)
-                return
-        image: Any = read_value(self, self._image_port, context, ImageDepth32F)
-        pose: Any = read_value(self, self._pose_port, context, RigidTransform)
-        depth, X_WC = image.data[:, :, 0], pose.GetAsMatrix4()
-        if self._size is not None and depth.shape != self._size:
-            raise ValueError(
-                f"{self.get_name()}: depth_image is {depth.shape[1]}x{depth.shape[0]}; the "
-                f"camera's intrinsics are for {self._size[1]}x{self._size[0]} pixels"
-            )
-        robot = self._posed_robot(context)
-        frame = segment_depth(depth, self._K, X_WC, self._config, robot)
-        memory = fuse(previous, frame, depth, self._K, stamp, self._config, robot, self._tracking)
-        log_change(self, before.note, memory.obstacles.note, time)
-        self._state.write(state, memory, frame.points_W if frame.usable else None)
+        told = previous.told if len(previous.told) else np.full(len(self._ports), -np.inf)
+        stamps = [self._stamp(port, context, time) for port in self._ports]
+        newest = max(stamps)
+        shown = [
+            row
+            for row, (port, stamp) in enumerate(zip(self._ports, stamps, strict=True))
+            if stamp >= newest - _SAME_TIME
+            and (stamp > told[row] or not port.stamp.HasValue(context))
+        ]
+        if not shown:
+            self._write(context, state, replace(previous, told=told), _NO_NEW_IMAGE, None)
+            return
+        robot = self._posed_robot(self._ports[shown[0]], context)
+        frame = segment_views([self._view(row, context) for row in shown], self._config, robot)
+        blind = {shown[number]: why for number, why in frame.blind.items()}
+        missing = blind | {row: _NO_NEW_IMAGE for row in range(len(stamps)) if row not in shown}
+        memory = fuse(
+            previous,
+            frame,
+            newest,
+            self._config,
+            robot,
+            self._tracking,
+            complete=not missing,
+        )
+        seeing = [row for row in range(len(stamps)) if row not in missing]
+        told = np.array(told)
+        told[seeing] = newest
+        memory = replace(memory, told=told)
+        note = memory.obstacles.note
+        if frame.usable and missing:
+            why = [f"{self._names[row]}: {missing[row]}" for row in sorted(missing)]
+            note = "; ".join([*why, *filter(None, [note])])
+            if self._all_needed:
+                obstacles = as_of(memory.obstacles, float(told.min()))
+                memory = replace(memory, obstacles=obstacles)
+        if self._views is not None and frame.usable:
+            seen = dict(zip(seeing, frame.views, strict=True))
+            views = Views(tuple(seen.get(row) for row in range(len(stamps))), newest)
+            state.get_mutable_abstract_state(self._views).set_value(views)
+        self._write(context, state, memory, note, frame.points_W if frame.usable else None)
 
-    def _posed_robot(self, context: Context) -> PosedShapes | None:
-        if self._robot is None or self._robot_port is None:
+    def _write(
+        self,
+        context: Context,
+        state: State,
+        memory: ObstacleMemory,
+        note: str,
+        points_W: NDArray[np.floating] | None,
+    ) -> None:
+        before = self._state.read(context).obstacles.note
+        log_change(self, before, note, context.get_time())
+        if note != memory.obstacles.note:
+            memory = replace(memory, obstacles=replace(memory.obstacles, note=note))
+        self._state.write(state, memory, points_W)
+
+    def _stamp(self, port: _Ports, context: Context, time: float) -> float:
+        return float(port.stamp.Eval(context)[0]) if port.stamp.HasValue(context) else time
+
+    def _view(self, row: int, context: Context) -> View:
+        port, (K, size) = self._ports[row], self._cameras[row]
+        image: Any = read_value(self, port.image, context, ImageDepth32F)
+        pose: Any = read_value(self, port.pose, context, RigidTransform)
+        depth = image.data[:, :, 0]
+        if size is not None and depth.shape != size:
+            raise ValueError(
+                f"{self.get_name()}: {port.image.get_name()} is {depth.shape[1]}x{depth.shape[0]}; "
+                f"the camera's intrinsics are for {size[1]}x{size[0]} pixels"
+            )
+        return View.of(depth, K, pose.GetAsMatrix4())
+
+    def _posed_robot(self, port: _Ports, context: Context) -> PosedShapes | None:
+        if self._robot is None or port.robot is None or not port.robot.HasValue(context):
             return None
-        if not self._robot_port.HasValue(context):
-            return None
-        robot_state: Any = self._robot_port.Eval(context)
+        robot_state: Any = port.robot.Eval(context)
         return self._robot.posed(robot_state)
+
+
+def as_of(obstacles: ObstacleClouds, stamp: float) -> ObstacleClouds:
+    """The obstacles with an older stamp [s]: those that move are where they then must have been.
+
+    Who lets them go on from there has them where they are.
+    """
+    late = obstacles.stamp - stamp
+    clouds = obstacles.clouds_W
+    if math.isfinite(late) and late > 0.0:
+        clouds = tuple(
+            cloud - late * v_WO if v_WO.any() else cloud
+            for cloud, v_WO in zip(clouds, obstacles.v_WO, strict=True)
+        )
+    return replace(obstacles, stamp=stamp, clouds_W=clouds)
+
+
+def _checked(
+    camera: CameraInfo | Sequence[float], pixel_center: float
+) -> tuple[FloatArray, tuple[int, int] | None]:
+    """K (4,) of a camera for pixels counted from 0, and rows and columns where they are known."""
+    size = None
+    if isinstance(camera, CameraInfo):
+        size, camera = (camera.height(), camera.width()), pinhole(camera)
+    K = np.array(camera, dtype=float)
+    if K.shape != (4,) or not np.isfinite(K).all() or (K[:2] <= 0.0).any():
+        raise ValueError(f"camera must be [fx, fy, cx, cy] in pixels, not {camera}")
+    K[2:] -= pixel_center
+    return K, size

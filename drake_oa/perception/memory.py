@@ -80,7 +80,8 @@ class Tracks(Frozen):
         still: (M,) for how long it was not [s].
         unseen: (M,) for how long it was not measured [s].
         blind: (M, 3) for how long it was not along each axis of the world [s].
-        odd: (M,) outliers in a row.
+        odd: (M, 3) outliers in a row along each axis.
+        age: (M,) for how long it is known [s].
         apart: (M,) frames in a row in which it was seen in parts.
         together: (M,) for how long it is one cluster with a larger one [s].
     """
@@ -97,7 +98,8 @@ class Tracks(Frozen):
     still: FloatArray = _zeros(0)
     unseen: FloatArray = _zeros(0)
     blind: FloatArray = _zeros(0, 3)
-    odd: IntArray = _zeros(0, kind=np.int64)
+    odd: IntArray = _zeros(0, 3, kind=np.int64)
+    age: FloatArray = _zeros(0)
     apart: IntArray = _zeros(0, kind=np.int64)
     together: FloatArray = _zeros(0)
 
@@ -173,6 +175,9 @@ class ObstacleMemory(Frozen):
         tracks: the obstacles.
         points: their points.
         held: id -> its cloud as it was handed on last.
+        shown: id -> (N, 3) what the last frame showed of it, in the world [m].
+        taken: time of the last frame [s].
+        told: (n,) times of the last image of each camera that told something [s].
     """
 
     obstacles: ObstacleClouds = field(default_factory=ObstacleClouds)
@@ -180,6 +185,9 @@ class ObstacleMemory(Frozen):
     tracks: Tracks = field(default_factory=Tracks)
     points: Points = field(default_factory=Points)
     held: dict[int, HeldCloud] = field(default_factory=dict)
+    shown: dict[int, FloatArray] = field(default_factory=dict)
+    taken: float = -np.inf
+    told: FloatArray = _zeros(0)
 
 
 _Value = TypeVar("_Value", bound=Frozen)

@@ -124,10 +124,7 @@ class RecordedPerception(LeafSystem):
         if due > 0 and due % len(self._frames) == 0:
             # The scene starts again: what was seen at its end is no longer there.
             previous = ObstacleMemory(next_id=previous.next_id)
-        depth = None if recorded.K is None else recorded.depth
-        memory = fuse(
-            previous, frame, depth, recorded.K, stamp, self._config, robot, self._tracking
-        )
+        memory = fuse(previous, frame, stamp, self._config, robot, self._tracking)
         log_change(self, before.note, memory.obstacles.note, context.get_time())
         self._state.write(state, memory, frame.points_W if frame.usable else None)
 

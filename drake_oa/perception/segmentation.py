@@ -1,9 +1,10 @@
-"""From a depth image or a cloud to one cluster of points for each obstacle.
+"""From depth images of one instant, or a cloud, to one cluster of points for each obstacle.
 
 The order keeps a 640x480 frame cheap: the supporting plane from a subsample,
 the height of every pixel above it (one linear map on the image), then points,
 voxels and clusters of only those pixels that stand on the plane. Without a table every pixel
-that is not the robot's counts.
+that is not the robot's counts. Up to the points each image goes its own way; voxels and clusters
+are of the points of all.
 
 Frames: W world, C depth camera (x right, y down, z forward). Poses are (4, 4)
 homogeneous matrices, as ``RigidTransform.GetAsMatrix4()`` gives them.
@@ -11,9 +12,10 @@ homogeneous matrices, as ``RigidTransform.GetAsMatrix4()`` gives them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +40,8 @@ from drake_oa.perception.depth_image import (
 )
 from drake_oa.perception.table import PlaneFit, beyond_extent, fit_plane, plane_axes, seen_extent
 
+_Array = TypeVar("_Array", FloatArray, IntArray)
+
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
@@ -46,16 +50,19 @@ class Segmentation:
     Attributes:
         clouds_W: one (N_i, 3) array an obstacle: the mean point of each voxel, in
             the world frame [m]; the largest cluster first.
-        pixels: for each cluster the flat indices (row-major) of its pixels, or of
-            its input points when the frame was a cloud.
+        pixels: for each cluster the flat indices (row-major) of its pixels, those of a further
+            image counted on from the one before, or of its input points when the frame was a
+            cloud.
         table: the supporting plane in the world frame, or None.
         points_W: (N, 3) every single point over the table (without one, all), the robot's
             included, in the world frame [m]: for viewing.
         plane_rms: rms distance of the plane's points from it [m]; NaN without plane.
-        X_WC: (4, 4) the camera's pose; when it was not given, the pose that makes
+        X_WC: (4, 4) the pose of the first camera; when it was not given, the pose that makes
             the table the plane z = 0 (see `segment_depth`).
         usable: whether the table was found, or none is there: else it tells nothing of obstacles.
         note: empty, or why it was not, in words.
+        views: the images that tell of obstacles; none of a cloud.
+        blind: number of each image that does not, and why.
     """
 
     clouds_W: tuple[FloatArray, ...] = ()
@@ -66,6 +73,16 @@ class Segmentation:
     X_WC: FloatArray = field(default_factory=lambda: np.eye(4))
     usable: bool = True
     note: str = ""
+    views: tuple[View, ...] = ()
+    blind: dict[int, str] = field(default_factory=dict)
+
+    def pixels_in(self, image: int) -> tuple[IntArray, ...]:
+        """For each cluster its ascending pixels in one of `views`, counted in that image."""
+        if len(self.views) == 1:
+            return self.pixels
+        begin = sum(view.z.size for view in self.views[:image])
+        ends = begin, begin + self.views[image].z.size
+        return tuple(part[slice(*np.searchsorted(part, ends))] - begin for part in self.pixels)
 
 
 def _unusable(X_WC: FloatArray | None, note: str) -> Segmentation:
@@ -101,41 +118,30 @@ def segment_depth(
         ValueError: for an array of the wrong shape or type, an invalid K or X_WC, or none where
             `config.table` says that there is no table.
     """
-    config = config or SegmentationConfig()
-    depth = np.asarray(depth)
-    K = _valid_intrinsics(depth, K)
-    X_WC = _valid_pose(X_WC)
-    z = np.require(depth, np.float32, ["C", "W"])
-    if not config.table:
-        # What is too far is told too; what is missing, or too near, is not.
-        if np.count_nonzero(z > 0.0) < config.plane.least_share * z.size:
-            return _unusable(X_WC, "hardly any pixel tells of something")
-        _, index = sampled(z, 1, float(config.near), float(config.far))
-        seen = back_projected(z, index, K)
-        return _cluster(seen, index, None, _pose_known(X_WC), config, robot, (z, K))
-    step = config.stride
-    on_grid, pixels = sampled(z, step, float(config.near), float(config.far))
-    if not len(on_grid):
-        return _unusable(X_WC, "no valid pixel")
-    sample = back_projected(z, pixels, K)
-    plane = _find_table(sample, sample[:, 2], X_WC, config)
-    if plane is None:
-        return _unusable(X_WC, _NO_TABLE)
+    return _segmented([(depth, K, X_WC)], config or SegmentationConfig(), robot)
 
-    grid = (-(-z.shape[0] // step), -(-z.shape[1] // step))
-    extent = seen_extent(
-        grid,
-        on_grid,
-        plane.inliers,
-        sample,
-        plane.normal,
-        plane.offset,
-        (step / K[0], step / K[1]),
-    )
-    index = _pixels_above(z, K, plane, config)
-    above = back_projected(z, index, K)
-    standing = _Support(plane, extent)
-    return _cluster(above, index, standing, X_WC, config, robot, (z, K))
+
+def segment_views(
+    views: Sequence[View],
+    config: SegmentationConfig | None = None,
+    robot: PosedShapes | None = None,
+) -> Segmentation:
+    """Segments depth images of one instant together; otherwise as `segment_depth`.
+
+    An image in which no table is found, or another one than in the image that shows most of it, is
+    taken to show that of the others. One that shows
+    hardly anything is left out, and named in `blind`; if that is so of all of them, the frame is
+    not usable.
+
+    Args:
+        views: one or more depth images.
+        config: the parameters; None for the defaults.
+        robot: the robot's primitives at the time of the images, or None.
+
+    Raises:
+        ValueError: as `segment_depth` does.
+    """
+    return _segmented(views, config or SegmentationConfig(), robot)
 
 
 def segment_points(
@@ -169,7 +175,7 @@ def segment_points(
         return _unusable(X_WC, "no valid point")
     p_CQ = np.require(points[index], np.float64, ["C", "W"])
     if not config.table:
-        return _cluster(p_CQ, index, None, _pose_known(X_WC), config, robot, None)
+        return _cluster([_Standing(p_CQ, index, None, _pose_known(X_WC))], None, config, robot)
     distance = np.linalg.norm(p_CQ, axis=1)
     step = max(1, len(index) // 20_000)
     sample = p_CQ[::step]
@@ -179,8 +185,10 @@ def segment_points(
     height = p_CQ @ plane.normal - plane.offset
     low = config.min_height + _height_noise(config, plane.offset) * distance
     above = np.flatnonzero((height > low) & (height < config.max_height))
-    standing = _Support(plane, sample[plane.inliers])
-    return _cluster(p_CQ[above], index[above], standing, X_WC, config, robot, None)
+    X_WC = _pose_from_plane(plane) if X_WC is None else X_WC
+    support = _Support(plane, sample[plane.inliers])
+    standing = _Standing(p_CQ[above], index[above], support, X_WC)
+    return _cluster([standing], _table_W(plane, X_WC), config, robot)
 
 
 _NO_TABLE = "no supporting plane found"
@@ -238,51 +246,178 @@ class _Support(NamedTuple):
     extent_C: FloatArray
 
 
+class _Image(NamedTuple):
+    """A depth image: z (H, W) [m], K (4,), X_WC (4, 4), the table in it, or why there is none."""
+
+    z: NDArray[np.float32]
+    K: FloatArray
+    X_WC: FloatArray | None
+    support: _Support | None
+    note: str
+
+
+class _Standing(NamedTuple):
+    """What one image, or a cloud, shows over the table.
+
+    Points p_CQ (N, 3) in its frame C and their numbers (N,), ascending; the table in it, None:
+    not seen; X_WC (4, 4); the image, None: it is a cloud.
+    """
+
+    p_CQ: FloatArray
+    number: IntArray
+    support: _Support | None
+    X_WC: FloatArray
+    view: View | None = None
+
+
+def _segmented(
+    images: Sequence[View] | Sequence[tuple[Any, Any, Any]],
+    config: SegmentationConfig,
+    robot: PosedShapes | None,
+) -> Segmentation:
+    seen = [_looked_at(depth, K, X_WC, config) for depth, K, X_WC in images]
+    table = _best_table(seen)
+    # Of an image without the table the others' will do, if it shows anything.
+    blind = {
+        number: image.note
+        for number, image in enumerate(seen)
+        if image.note and (table is None or image.note != _NO_TABLE)
+    }
+    if len(blind) == len(seen):
+        return replace(_unusable(seen[0].X_WC, seen[0].note), blind=blind)
+    standing = [
+        _standing_in(image, table, config)
+        for number, image in enumerate(seen)
+        if number not in blind
+    ]
+    return replace(_cluster(standing, table, config, robot), blind=blind)
+
+
+def _looked_at(
+    depth: NDArray[np.floating], K: FloatArray, X_WC: FloatArray | None, config: SegmentationConfig
+) -> _Image:
+    """A checked image, with the table in it; its pose by the table where it was not known."""
+    depth = np.asarray(depth)
+    K = _valid_intrinsics(depth, K)
+    X_WC = _valid_pose(X_WC)
+    z = np.require(depth, np.float32, ["C", "W"])
+    if not config.table:
+        # What is too far is told too; what is missing, or too near, is not.
+        if np.count_nonzero(z > 0.0) < config.plane.least_share * z.size:
+            return _Image(z, K, X_WC, None, "hardly any pixel tells of something")
+        return _Image(z, K, _pose_known(X_WC), None, "")
+    step = config.stride
+    on_grid, pixels = sampled(z, step, float(config.near), float(config.far))
+    if not len(on_grid):
+        return _Image(z, K, X_WC, None, "no valid pixel")
+    sample = back_projected(z, pixels, K)
+    plane = _find_table(sample, sample[:, 2], X_WC, config)
+    if plane is None:
+        return _Image(z, K, X_WC, None, _NO_TABLE)
+    extent = seen_extent(
+        (-(-z.shape[0] // step), -(-z.shape[1] // step)),
+        on_grid,
+        plane.inliers,
+        sample,
+        plane.normal,
+        plane.offset,
+        (step / K[0], step / K[1]),
+    )
+    X_WC = _pose_from_plane(plane) if X_WC is None else X_WC
+    return _Image(z, K, X_WC, _Support(plane, extent), "")
+
+
+def _table_W(plane: PlaneFit, X_WC: FloatArray) -> TablePlane:
+    normal_W = X_WC[:3, :3] @ plane.normal
+    return TablePlane(normal_W, float(plane.offset + normal_W @ X_WC[:3, 3]))
+
+
+def _best_table(images: Sequence[_Image]) -> TablePlane | None:
+    """The table of the image that shows most of it."""
+    shown = [
+        (int(image.support.plane.inliers.sum()), _table_W(image.support.plane, image.X_WC))
+        for image in images
+        if image.support is not None and image.X_WC is not None
+    ]
+    return max(shown, key=lambda one: one[0])[1] if shown else None
+
+
+def _support_of(image: _Image, table: TablePlane, tolerance: float) -> _Support | None:
+    """The table in an image; None where it is not there, or something else was taken for it."""
+    if image.support is None:
+        return None
+    own = _table_W(image.support.plane, _pose_known(image.X_WC))
+    apart = abs(own.offset - table.offset) + np.linalg.norm(own.normal_W - table.normal_W)
+    return image.support if apart <= tolerance else None
+
+
+def _standing_in(image: _Image, table: TablePlane | None, config: SegmentationConfig) -> _Standing:
+    z, K, X_WC = image.z, image.K, _pose_known(image.X_WC)
+    support = None
+    if table is None:
+        _, index = sampled(z, 1, float(config.near), float(config.far))
+    elif support := _support_of(image, table, config.table_height_tolerance):
+        index = _pixels_above(z, K, support.plane, config)
+    else:
+        offset = table.offset - float(table.normal_W @ X_WC[:3, 3])
+        normal = X_WC[:3, :3].T @ table.normal_W
+        plane = PlaneFit(normal, offset, np.nan, np.zeros(0, dtype=bool))
+        index = _pixels_above(z, K, plane, config)
+    p_CQ = back_projected(z, index, K)
+    return _Standing(p_CQ, index, support, X_WC, View.of(z, K, X_WC))
+
+
 def _pose_known(X_WC: FloatArray | None) -> FloatArray:
     if X_WC is None:
         raise ValueError("X_WC must be given where there is no table to find it by")
     return X_WC
 
 
-def _cluster(
-    p_CQ: FloatArray,
-    index: IntArray,
-    support: _Support | None,
-    X_WC: FloatArray | None,
-    config: SegmentationConfig,
-    robot: PosedShapes | None,
-    image: tuple[NDArray[np.float32], FloatArray] | None,
-) -> Segmentation:
-    """What stands on the support, of points (N, 3) in the camera frame, with their numbers (N,).
-
-    Without a support all of them count. Depth z and intrinsics K where they are an image's pixels.
-    """
+def _in_world(part: _Standing, config: SegmentationConfig) -> tuple[FloatArray, IntArray]:
+    """Points (N, 3) in the world [m], those far beyond the table left out; their numbers (N,)."""
     axes, reach = np.eye(2, 3), np.array([[-np.inf, np.inf]] * 2)
-    table, rms = None, np.nan
-    if support is not None:
-        plane, rms = support.plane, support.plane.rms
-        X_WC = _pose_from_plane(plane) if X_WC is None else X_WC
-        normal_W = X_WC[:3, :3] @ plane.normal
-        table = TablePlane(normal_W, float(plane.offset + normal_W @ X_WC[:3, 3]))
+    if part.support is not None:
         # A rectangle around the table is a quick crop; its convex extent comes later.
-        axes = plane_axes(plane.normal)
-        along = axes @ support.extent_C.T
+        axes = plane_axes(part.support.plane.normal)
+        along = axes @ part.support.extent_C.T
         low, high = along.min(axis=1, initial=np.inf), along.max(axis=1, initial=-np.inf)
         beyond = config.table_margin + config.overhang
         reach = np.column_stack([low - beyond, high + beyond])
-    X_WC = _pose_known(X_WC)
-    p_WQ, index = cropped_to_world(p_CQ, index, axes, reach, X_WC)
-    if not len(index):
-        return Segmentation((), (), table, p_WQ, rms, X_WC)
+    return cropped_to_world(part.p_CQ, part.number, axes, reach, part.X_WC)
+
+
+def _cluster(
+    parts: Sequence[_Standing],
+    table: TablePlane | None,
+    config: SegmentationConfig,
+    robot: PosedShapes | None,
+) -> Segmentation:
+    """What stands on the table, of all that images of one instant, or a cloud, show over it.
+
+    Without a table all of it counts.
+    """
+    views = tuple(part.view for part in parts if part.view is not None)
+    placed = [_in_world(part, config) for part in parts]
+    X_WC = parts[0].X_WC
+    rms = np.nan if parts[0].support is None else parts[0].support.plane.rms
+    p_WQ = _rows([points for points, _ in placed])
+    if not len(p_WQ):
+        return Segmentation((), (), table, p_WQ, rms, X_WC, views=views)
 
     means, voxel_of, count = _voxel_means(p_WQ, config.voxel)
     kept = np.flatnonzero(count >= config.min_occupancy)
     if robot is not None:
         kept = kept[~robot.contains(means[kept], config.robot_margin)]
-    if support is None or table is None:
+    if table is None:
         found = connected_clusters(means[kept], config.cluster_tolerance)
     else:
-        extent_W = support.extent_C @ X_WC[:3, :3].T + X_WC[:3, 3]
+        extent_W = _rows(
+            [
+                part.support.extent_C @ part.X_WC[:3, :3].T + part.X_WC[:3, 3]
+                for part in parts
+                if part.support is not None
+            ]
+        )
         beyond = config.table_margin + config.overhang
         outside = beyond_extent(means[kept], extent_W, table.normal_W)
         kept, outside = kept[outside <= beyond], outside[outside <= beyond]
@@ -295,14 +430,17 @@ def _cluster(
         kept = kept[standing]
     points = means[kept]
     label = np.full(len(means), -1)
-    if image is not None:
+    ends = np.cumsum([0, *(len(index) for _, index in placed)]).tolist()
+    voxels_of = [voxel_of[slice(*pair)] for pair in pairwise(ends)]
+    if views:
         label[kept] = found
         found = joined_across_unseen(
             points,
             found,
-            index,
-            label[voxel_of],
-            View.of(*image, X_WC),
+            [
+                (index, label[own], view)
+                for (_, index), own, view in zip(placed, voxels_of, views, strict=True)
+            ],
             float(config.unseen_gap),
             float(config.voxel),
             config.min_cluster_voxels,
@@ -310,7 +448,13 @@ def _cluster(
     sizes = np.bincount(found, minlength=1)
     large = sizes >= config.min_cluster_voxels
     if table is not None:
-        higher = _risen(points, table, X_WC, config, image is not None)
+        low = np.full(len(points), -np.inf)
+        for part, own in zip(parts, voxels_of, strict=True):
+            shown = np.zeros(len(means), dtype=bool)
+            shown[own] = True
+            at = np.flatnonzero(shown[kept])
+            low[at] = np.maximum(low[at], _least_height(points[at], table, part, config))
+        higher = points @ table.normal_W - table.offset > low
         least = np.maximum(config.higher_share * sizes, 3)
         large &= np.bincount(found, weights=higher, minlength=1) >= least
     names = np.flatnonzero(large)
@@ -318,29 +462,35 @@ def _cluster(
     place = np.full(len(sizes), -1)
     place[names] = np.arange(len(names))
     label[kept] = place[found]
+    first = np.cumsum([0, *(view.z.size for view in views)]).tolist()
+    index = _rows([own + begin for (_, own), begin in zip(placed, first, strict=False)])
     pixels, begin = points_of_groups(label, voxel_of, index, len(names))
-    parts = [slice(*ends) for ends in pairwise(begin.tolist())]
     return Segmentation(
         tuple(points[found == name] for name in names),
-        tuple(pixels[part] for part in parts),
+        tuple(pixels[slice(*pair)] for pair in pairwise(begin.tolist())),
         table,
         p_WQ,
         rms,
         X_WC,
+        views=views,
     )
 
 
-def _risen(
-    p_WQ: FloatArray, table: TablePlane, X_WC: FloatArray, config: SegmentationConfig, image: bool
-) -> BoolArray:
-    """Which points (N, 3) [m] are higher over the table than the camera may bend it."""
-    p_CQ = (p_WQ - X_WC[:3, 3]) @ X_WC[:3, :3]
-    distance = p_CQ[:, 2] if image else np.linalg.norm(p_CQ, axis=1)
-    offset = table.offset - float(table.normal_W @ X_WC[:3, 3])
+def _rows(parts: Sequence[_Array]) -> _Array:
+    """Arrays one after the other; of one itself."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
+
+def _least_height(
+    p_WQ: FloatArray, table: TablePlane, part: _Standing, config: SegmentationConfig
+) -> FloatArray:
+    """(N,) height from which points (N, 3) are over the table, however the camera bends it [m]."""
+    p_CQ = (p_WQ - part.X_WC[:3, 3]) @ part.X_WC[:3, :3]
+    distance = p_CQ[:, 2] if part.view is not None else np.linalg.norm(p_CQ, axis=1)
+    offset = table.offset - float(table.normal_W @ part.X_WC[:3, 3])
     bend = config.warp * np.maximum(distance - config.warp_start, 0.0) ** 2
     low = config.min_height + _height_noise(config, offset) * distance
-    low += np.minimum(bend, config.largest_warp)
-    return np.asarray(p_WQ @ table.normal_W - table.offset > low)
+    return np.asarray(low + np.minimum(bend, config.largest_warp))
 
 
 def _standing(

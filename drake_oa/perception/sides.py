@@ -172,8 +172,8 @@ def open_sides(
     top: int,
     plane: FloatArray,
     margin: float,
-) -> FloatArray:
-    """How much of each side ends at free space, not at what hides the rest of it.
+) -> tuple[FloatArray, FloatArray]:
+    """How many pixels of each side end at free space, not at what hides the rest of it.
 
     From each pixel of a side the image is followed outward until it shows something
     else: what lies behind shows where the obstacle ends; what lies before it, what stands
@@ -195,7 +195,7 @@ def open_sides(
             what stands on the table [m].
 
     Returns:
-        (M, 3, 2) shares in [0, 1].
+        (M, 3, 2) how many do, and of how many.
     """
     z, K, X_WC = view
     asked, free = np.zeros(sides.shape), np.zeros(sides.shape)
@@ -261,7 +261,7 @@ def open_sides(
                         height += plane[c] * at
                     if height > margin:
                         break
-    return free / np.maximum(asked, 1.0)
+    return free, asked
 
 
 _PIXELS = 800  # about how many pixels of a cluster are looked at
@@ -289,45 +289,53 @@ def seen_sides(
     frame: Segmentation,
     cluster_row: IntArray,
     known_area: FloatArray,
-    view: View | None,
     voxel: float,
     config: TrackingConfig,
 ) -> SeenSides:
-    """Finds the sides in a frame.
+    """Finds the sides in a frame: those of all that its images show.
 
     Args:
-        frame: the frame, segmented.
+        frame: the frame, segmented; of a cloud every side is taken to be seen.
         cluster_row: (C,) obstacle of each cluster, -1: not to be measured.
         known_area: (M,) largest area seen of each obstacle before [m^2].
-        view: its image; None: a cloud, of which every side is taken to be seen.
         voxel: edge of a voxel, for clouds [m].
         config: how obstacles are followed.
     """
     count = len(known_area)
-    pixels, begin = _joined(frame.pixels)
-    if view is None:
+    images = [_joined(frame.pixels_in(row)) for row in range(len(frame.views))]
+    if not images:
         used = np.flatnonzero(cluster_row >= 0)
         clouds = [frame.clouds_W[c] for c in used]
         points = np.concatenate([np.zeros((0, 3)), *clouds])
         row = np.repeat(cluster_row[used], [len(cloud) for cloud in clouds]).astype(np.int64)
         area, weight = np.full(len(points), voxel**2), np.ones(len(points))
-        pixel = row
+        parts = []
     else:
-        points, area, pixel, row, weight = surfaces(pixels, begin, cluster_row, view, _PIXELS)
+        parts = [
+            surfaces(*image, cluster_row, view, _PIXELS)
+            for image, view in zip(images, frame.views, strict=True)
+        ]
+        points, area, _, row, weight = (
+            np.concatenate(column) for column in zip(*parts, strict=True)
+        )
     number = np.bincount(row, minlength=count)
     grain = np.sqrt(np.bincount(row, weights=area, minlength=count) / np.maximum(number, 1))
     area = area * weight
     seen = np.bincount(row, weights=area, minlength=count)
     tail = config.side_tail * np.maximum(seen, known_area)
     place = tail_places(points, area, row, tail)
-    if view is None:
-        ends = np.isfinite(place)
-    else:
-        owner, top = owner_rows(pixels, begin, cluster_row, view.z.shape[1])
+    ends = np.isfinite(place)
+    if parts:
         table = frame.table or TablePlane(offset=-np.inf)
         plane = np.append(table.normal_W, table.offset)
-        share = open_sides(points, pixel, row, place, view, owner, top, plane, config.depth_margin)
-        ends = share >= config.open_share
+        free, asked = np.zeros(place.shape), np.zeros(place.shape)
+        for part, image, view in zip(parts, images, frame.views, strict=True):
+            owner, top = owner_rows(*image, cluster_row, view.z.shape[1])
+            found = open_sides(
+                part[0], *part[2:4], place, view, owner, top, plane, config.depth_margin
+            )
+            free, asked = free + found[0], asked + found[1]
+        ends = free / np.maximum(asked, 1.0) >= config.open_share
     return SeenSides(place, ends, np.asarray(seen, dtype=float), np.asarray(grain, dtype=float))
 
 
@@ -361,6 +369,7 @@ def measured_position(
     hidden = np.clip(1.0 - share, 0.0, 1.0)[:, None]
     wide = np.hypot(config.filter.side, config.side_grain * seen.grain)[:, None]
     wide = wide * (1.0 + config.hidden_factor * hidden)
+    wide = np.where((share > config.coming)[:, None], config.coming_factor * wide, wide)
     variance = wide**2 / np.maximum(count, 1)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan), variance
 

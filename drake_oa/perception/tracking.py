@@ -6,7 +6,8 @@ joined with what was remembered:
 1. Position and velocity of each obstacle are predicted (`velocity`), and what is
    remembered of a moving obstacle moves with it.
 2. Clusters are given to obstacles (`associate`), by common points first.
-3. The obstacles' positions are measured by their sides (`sides`), and filtered.
+3. The obstacles' positions are measured by their sides (`sides`), their velocities by their
+   surfaces (`registration`), and both are filtered.
 4. Each remembered point is confirmed, kept as hidden, or dropped (`visibility`).
 5. What changed by more than noise is handed on (`memory`).
 """
@@ -18,11 +19,10 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray, ObstacleClouds
-from drake_oa.geometry.pinhole import View
+from drake_oa.geometry.pinhole import AT, EMPTY, FREE, HIDDEN, OUT
 from drake_oa.geometry.primitives import PosedShapes
 from drake_oa.geometry.voxels import connected_clusters
 from drake_oa.perception.config import SegmentationConfig, TrackingConfig
@@ -37,15 +37,18 @@ from drake_oa.perception.memory import (
     new_tracks,
     taken,
 )
+from drake_oa.perception.registration import NowSeen, registered_tracks, shown_of
 from drake_oa.perception.segmentation import Segmentation
 from drake_oa.perception.sides import seen_sides
-from drake_oa.perception.velocity import first_seen, measured_tracks, predicted_tracks
+from drake_oa.perception.velocity import (
+    first_seen,
+    measured_tracks,
+    predicted_tracks,
+    speed_statistic,
+    with_motion_of,
+)
 from drake_oa.perception.visibility import (
-    AT,
-    EMPTY,
-    FREE,
-    HIDDEN,
-    OUT,
+    Looked,
     absorb,
     counted_votes,
     hidden_beyond,
@@ -184,19 +187,20 @@ def _divided(
 def fuse(
     previous: ObstacleMemory,
     frame: Segmentation,
-    depth: NDArray[np.floating] | None,
-    K: FloatArray | None,
     stamp: float,
     config: SegmentationConfig | None = None,
     robot: PosedShapes | None = None,
     tracking: TrackingConfig | None = None,
+    *,
+    complete: bool = True,
 ) -> ObstacleMemory:
     """Joins a new frame with what was known before it.
 
-    A remembered point is kept where the frame cannot tell: something stands before it
+    A remembered point is kept where no image of the frame can tell: something stands before it
     (the arm, another obstacle), its pixels have no depth, it lies outside the image, or
     the robot is where it is. An obstacle behind a parked arm is therefore remembered for
-    as long as the arm stays. Two frames that show its place without it remove it.
+    as long as the arm stays. Two frames that show its place without it, in any of their images,
+    remove it.
 
     - A frame that is not usable (no valid pixel, no table) changes nothing but the note: the
       stamp tells how old the obstacles are.
@@ -207,41 +211,36 @@ def fuse(
 
     Args:
         previous: what is remembered; `ObstacleMemory()` before the first frame.
-        frame: the new frame, segmented; its X_WC is used.
-        depth: (H, W) the depth image of that frame [m]; inf counts as free space. None
-            for a cloud: it is taken to show everything, so that nothing is hidden.
-        K: (4,) fx, fy, cx, cy of the image [pixel]; None with a cloud.
+        frame: the new frame, segmented. In its images inf counts as free space; a cloud is taken
+            to show everything, so that nothing is hidden.
         stamp: time of the frame [s].
         config: the parameters the frame was segmented with; None for the defaults.
         robot: the robot's primitives at that time, or None.
         tracking: how obstacles are followed; None for the defaults.
+        complete: whether all cameras have told something; what only another one has seen of an
+            obstacle is else kept behind what this frame shows of it.
 
     Returns:
         What is remembered after the frame; its `obstacles` are to be handed on.
 
     Raises:
-        ValueError: for a stamp that is not finite, or an image without intrinsics.
+        ValueError: for a stamp that is not finite.
     """
     if not math.isfinite(stamp):
         raise ValueError(f"the stamp of a frame must be finite [s], not {stamp}")
-    if depth is not None and K is None:
-        raise ValueError("a depth image needs its intrinsics K = [fx, fy, cx, cy]")
     if not frame.usable:
         return replace(previous, obstacles=replace(previous.obstacles, note=frame.note))
-    before = previous.obstacles.stamp
+    before = previous.taken
     if stamp == before:
         return replace(previous, obstacles=replace(previous.obstacles, note=""))
     if stamp < before:
         previous = ObstacleMemory(next_id=previous.next_id)
         before = -math.inf
-    view = None
-    if depth is not None and K is not None:
-        view = View.of(depth, K, frame.X_WC)
     first = before == -math.inf
     step = _Step(
         previous,
         frame,
-        view,
+        complete,
         0.0 if first else stamp - before,
         config or SegmentationConfig(),
         robot,
@@ -256,15 +255,18 @@ class _Look(NamedTuple):
 
     p_WQ (N, 3) where they should be in the world [m]; nearest (Q,) of them to each point of the
     frame, -1: none near, and from_seen (Q,) how far [m]; distance (N,) from the frame's nearest
-    point [m]; shows (N,) HIDDEN, AT, FREE, OUT or EMPTY, and pixel (N,) where, -1 for none.
+    point [m]; what its images show there.
     """
 
     p_WQ: FloatArray
     nearest: IntArray
     from_seen: FloatArray
     distance: FloatArray
-    shows: IntArray
-    pixel: IntArray
+    looked: Looked
+
+    @property
+    def shows(self) -> IntArray:
+        return self.looked.shows
 
 
 class _Step:
@@ -274,14 +276,14 @@ class _Step:
         self,
         previous: ObstacleMemory,
         frame: Segmentation,
-        view: View | None,
+        complete: bool,
         dt: float,
         config: SegmentationConfig,
         robot: PosedShapes | None,
         tracking: TrackingConfig,
         first: bool,
     ) -> None:
-        self.previous, self.frame, self.view, self.dt = previous, frame, view, dt
+        self.previous, self.frame, self.complete, self.dt = previous, frame, complete, dt
         self.config, self.robot, self.tracking, self.first = config, robot, tracking, first
         self.tracks, self.points = previous.tracks, previous.points
         lengths = [len(cloud) for cloud in frame.clouds_W]
@@ -309,7 +311,8 @@ class _Step:
         behind = self._behind_itself(association, look)
         self._doubt(look, behind)
         # Of what moves, missing pixels must not hide where it ends: it would go on for ever.
-        missing = (look.shows == EMPTY) | ((look.shows == OUT) & (look.pixel >= 0))
+        in_image = (look.looked.pixel >= 0).any(axis=0)
+        missing = (look.shows == EMPTY) | ((look.shows == OUT) & in_image)
         missing &= self.tracks.moving[self.points.owner]
         hidden = (look.shows != AT) & (look.shows != FREE) & ~behind & ~missing
         expected = self.tracks
@@ -329,21 +332,21 @@ class _Step:
         p_WQ = self.points.p_OQ + self.tracks.shift_W[self.points.owner]
         radius, near = tracking.match_radius, tracking.support_radius
         nearest, from_seen, distance = mutual_nearest(self.seen, p_WQ, radius, min(near, radius))
-        shows, pixel = shown_at(
+        looked = shown_at(
             p_WQ,
             distance >= near,
-            self.view,
+            self.frame.views,
             tracking.depth_margin,
             self.robot,
             self.config.robot_margin,
         )
-        return _Look(p_WQ, nearest, from_seen, distance, shows, pixel)
+        return _Look(p_WQ, nearest, from_seen, distance, looked)
 
     def _moved_back(self, expected: Tracks, before: _Look) -> _Look:
         """Leaves where they were expected those of which less is seen at the measured place.
 
         A side of something thin may be seen here in one frame and there in the next, though the
-        thing does not move.
+        thing does not move; then its surface does not either.
 
         Args:
             expected: the obstacles before they were measured.
@@ -359,6 +362,7 @@ class _Step:
             for look in (before, after)
         )
         lost = ~expected.moving & (here < self.tracking.found_again * there)
+        lost &= speed_statistic(self.tracks.estimate) < self.tracking.filter.start
         lost &= (self.tracks.shift_W != expected.shift_W).any(axis=1)
         if not lost.any():
             return after
@@ -368,8 +372,10 @@ class _Step:
         return self._look()
 
     def _behind_itself(self, association: Association, look: _Look) -> BoolArray:
-        surface = list(zip(association.cluster_row.tolist(), self.frame.pixels, strict=True))
-        return hidden_by_itself(look.shows, look.pixel, self.points.owner, surface)
+        if not self.complete:
+            return np.zeros(len(self.points), dtype=bool)
+        pixels = [self.frame.pixels_in(image) for image in range(len(self.frame.views))]
+        return hidden_by_itself(look.looked, self.points.owner, association.cluster_row, pixels)
 
     def _doubt(self, look: _Look, behind: BoolArray) -> None:
         """How much of each obstacle is not where it is remembered."""
@@ -402,7 +408,6 @@ class _Step:
             self.frame,
             rows,
             tracks.area,
-            self.view,
             self.config.voxel,
             self.tracking,
         )
@@ -410,7 +415,11 @@ class _Step:
             p_WQ, self.points.owner, hidden, seen.place, self.tracking.side_slack
         )
         seen = replace(seen, ends=seen.ends & (beyond < self.tracking.hidden_share))
-        self.tracks = measured_tracks(tracks, seen, self.dt, self.tracking)
+        row_of, cluster = association.point_row, self.cluster
+        self._shown = shown_of(self.seen, row_of, tracks.ids)
+        now = NowSeen(self._shown, self.seen, row_of, cluster)
+        shift, spread = registered_tracks(tracks, self.previous.shown, now, self.dt, self.tracking)
+        self.tracks = measured_tracks(tracks, seen, shift, spread, self.dt, self.tracking)
 
     def _weigh(
         self, association: Association, look: _Look, behind: BoolArray
@@ -522,15 +531,22 @@ class _Step:
             self.tracks = changed(self.tracks, sides=sides, area=area, apart=apart)
 
     def _merge(self, association: Association, known: int) -> None:
-        """Joins obstacles at rest that have been one cluster for long."""
+        """Joins obstacles that are one cluster: at rest for long, or both seen of late.
+
+        The latter are parts of what comes into view.
+        """
         tracks = self.tracks
         partner = np.full(len(tracks), -1, dtype=np.int64)
         partner[:known] = association.partner
         rests = (partner >= 0) & ~tracks.moving & ~tracks.moving[partner]
         together = np.where(rests, tracks.together + self.dt, 0.0)
         self.tracks = changed(tracks, together=together)
-        for row in np.flatnonzero(together >= self.tracking.merge_time):
-            into = partner[row]
+        new = tracks.age < self.tracking.merge_time
+        joined = (together >= self.tracking.merge_time) | ((partner >= 0) & new & new[partner])
+        for row in np.flatnonzero(joined):
+            into = int(partner[row])
+            if self.tracks.moving[row] and not self.tracks.moving[into]:
+                self.tracks = with_motion_of(self.tracks, into, int(row))
             p_OQ, owner = np.array(self.points.p_OQ), np.array(self.points.owner)
             mine = owner == row
             p_OQ[mine] += tracks.shift_W[row] - tracks.shift_W[into]
@@ -576,4 +592,6 @@ class _Step:
             note,
             np.where(moving[:, None], tracks.estimate.v_W, 0.0)[listed],
         )
-        return ObstacleMemory(obstacles, self.next_id, tracks, points, held)
+        return ObstacleMemory(
+            obstacles, self.next_id, tracks, points, held, self._shown, stamp, self.previous.told
+        )

@@ -1,7 +1,8 @@
 """A constant-velocity Kalman filter for each obstacle.
 
-The state of one axis is (position, velocity). Acceleration is taken as white noise of
-spectral density q, so that a step of dt adds
+The state of one axis is (position, velocity), measured by the obstacle's sides (`sides`) and
+by how far its surface has gone since the frame before (`registration`). Acceleration is taken as
+white noise of spectral density q, so that a step of dt adds
 
     Q = q [[dt^3/3, dt^2/2], [dt^2/2, dt]]
 
@@ -36,9 +37,8 @@ def first_seen(p_W: FloatArray, noise: FilterNoise) -> MotionEstimate:
     )
 
 
-def predicted(estimate: MotionEstimate, dt: float, noise: FilterNoise) -> MotionEstimate:
-    """The estimate dt [s] >= 0 later."""
-    q = noise.acceleration
+def predicted(estimate: MotionEstimate, dt: float, q: FloatArray | float) -> MotionEstimate:
+    """The estimate dt [s] >= 0 later, for accelerations of the densities q (M, 1) [m^2/s^3]."""
     return MotionEstimate(
         estimate.p_W + dt * estimate.v_W,
         estimate.v_W,
@@ -70,10 +70,35 @@ def corrected(estimate: MotionEstimate, p_W: FloatArray, variance: FloatArray) -
     )
 
 
+def led(
+    estimate: MotionEstimate, shift: FloatArray, variance: FloatArray, dt: float
+) -> MotionEstimate:
+    """The estimate after a measured shift since dt [s] ago.
+
+    Args:
+        estimate: the prediction.
+        shift: (M, 3) [m]; NaN where none was measured.
+        variance: (M, 3) of it [m^2].
+        dt: > 0.
+    """
+    known = np.isfinite(shift)
+    innovation = np.where(known, shift / dt - estimate.v_W, 0.0)
+    total = estimate.var_v + variance / dt**2
+    gain_p = np.where(known, estimate.cov_pv / total, 0.0)
+    gain_v = np.where(known, estimate.var_v / total, 0.0)
+    return MotionEstimate(
+        estimate.p_W + gain_p * innovation,
+        estimate.v_W + gain_v * innovation,
+        estimate.var_p - gain_p * estimate.cov_pv,
+        (1.0 - gain_v) * estimate.cov_pv,
+        (1.0 - gain_v) * estimate.var_v,
+    )
+
+
 def is_outlier(
     estimate: MotionEstimate, p_W: FloatArray, variance: FloatArray, noise: FilterNoise
 ) -> BoolArray:
-    """(M,) whether any axis of a measurement is farther off than noise explains.
+    """(M, 3) whether a measurement is farther off along an axis than noise explains.
 
     Args:
         estimate: the prediction.
@@ -83,32 +108,38 @@ def is_outlier(
     """
     innovation = np.where(np.isfinite(p_W), p_W - estimate.p_W, 0.0)
     limit = noise.outlier**2 * (estimate.var_p + variance)
-    return np.asarray((innovation**2 > limit).any(axis=1))
+    return np.asarray(innovation**2 > limit)
 
 
 def unsettled(
-    estimate: MotionEstimate, which: BoolArray, p_W: FloatArray, dt: float, noise: FilterNoise
+    estimate: MotionEstimate,
+    which: BoolArray,
+    registered: BoolArray,
+    p_W: FloatArray,
+    dt: float,
+    noise: FilterNoise,
 ) -> MotionEstimate:
     """Forgets how well some obstacles (M,) are known: they do what was not expected.
 
     The measured jump is what the position may be off. The velocity is as open as at first,
-    or half the jump's speed if that is more, up to 2 m/s.
+    or half the jump's speed if that is more, up to 2 m/s, unless it was measured too.
 
     Args:
         estimate: the prediction.
-        which: (M,) the obstacles; the others stay as they are.
+        which: (M, 3) of which obstacles, and along which axes; the others stay as they are.
+        registered: (M, 3) whether the velocity was measured.
         p_W: (M, 3) measured positions [m]; NaN where there is none.
         dt: time since the last frame [s].
         noise: of the filter.
     """
     jump = np.where(np.isfinite(p_W), p_W - estimate.p_W, 0.0)
-    wide = which[:, None]
     speed = np.maximum(noise.initial_speed, np.abs(jump) / max(dt, 1e-3) * 0.5)
+    speed = np.minimum(speed, noise.largest_speed)
     return replace(
         estimate,
-        var_p=np.where(wide, estimate.var_p + jump**2, estimate.var_p),
-        cov_pv=np.where(wide, 0.0, estimate.cov_pv),
-        var_v=np.where(wide, np.minimum(speed, noise.largest_speed) ** 2, estimate.var_v),
+        var_p=np.where(which, estimate.var_p + jump**2, estimate.var_p),
+        cov_pv=np.where(which, 0.0, estimate.cov_pv),
+        var_v=np.where(which & ~registered, speed**2, estimate.var_v),
     )
 
 
@@ -142,7 +173,8 @@ def predicted_tracks(tracks: Tracks, dt: float, config: TrackingConfig) -> Track
     hidden = (tracks.unseen > 0.0)[:, None] | (tracks.blind > config.blind_time)
     still = ~moving[:, None] & hidden
     estimate = changed(estimate, v_W=np.where(still, 0.0, estimate.v_W))
-    estimate = predicted(estimate, min(dt, config.longest_gap), config.filter)
+    noise = np.where(moving, config.filter.manoeuvre, config.filter.acceleration)
+    estimate = predicted(estimate, min(dt, config.longest_gap), noise[:, None])
     step = np.where(moving[:, None], estimate.p_W - tracks.p_shift_W, 0.0)
     return changed(
         tracks,
@@ -153,17 +185,36 @@ def predicted_tracks(tracks: Tracks, dt: float, config: TrackingConfig) -> Track
     )
 
 
-def measured_tracks(tracks: Tracks, seen: SeenSides, dt: float, config: TrackingConfig) -> Tracks:
-    """Obstacles after their sides were seen, dt [s] after the frame before."""
+def measured_tracks(
+    tracks: Tracks,
+    seen: SeenSides,
+    shift: FloatArray,
+    spread: FloatArray,
+    dt: float,
+    config: TrackingConfig,
+) -> Tracks:
+    """Obstacles after a frame, dt [s] after the one before.
+
+    Args:
+        tracks: as predicted.
+        seen: their sides in it.
+        shift: (M, 3) how far their surfaces have gone since [m]; NaN where nothing tells.
+        spread: (M, 3) its variances [m^2].
+        dt: see there.
+        config: how obstacles are followed.
+    """
     noise = config.filter
     p_W, variance = measured_position(seen, tracks.sides, tracks.area, config)
-    estimate = tracks.estimate
+    estimate, registered = tracks.estimate, np.isfinite(shift)
+    if registered.any():
+        estimate = led(estimate, shift, spread, dt)
     off = is_outlier(estimate, p_W, variance, noise)
     again = off & (tracks.odd > 0)
     if again.any():
-        estimate = unsettled(estimate, again, p_W, dt, noise)
-    p_W = np.where((off & ~again)[:, None], np.nan, p_W)
-    measured: BoolArray = np.asarray(np.isfinite(p_W).any(axis=1))
+        estimate = unsettled(estimate, again, registered, p_W, dt, noise)
+    p_W = np.where(off & ~again, np.nan, p_W)
+    told = np.isfinite(p_W) | registered
+    measured: BoolArray = np.asarray(told.any(axis=1))
     estimate = corrected(estimate, p_W, variance)
     whole = seen.ends.all(axis=(1, 2))
     learned = learned_sides(seen, tracks.sides, estimate.p_W, config.side_learning)
@@ -171,35 +222,57 @@ def measured_tracks(tracks: Tracks, seen: SeenSides, dt: float, config: Tracking
         changed(
             tracks,
             estimate=estimate,
-            sides=np.where(off[:, None, None], tracks.sides, learned),
+            sides=np.where(off[:, :, None], tracks.sides, learned),
             area=np.maximum(seen.area, np.where(whole, _SHRINKING, 1.0) * tracks.area),
             unseen=np.where(measured, 0.0, tracks.unseen + dt),
-            blind=np.where(np.isfinite(p_W), 0.0, tracks.blind + dt),
+            blind=np.where(told, 0.0, tracks.blind + dt),
             odd=np.where(off, tracks.odd + 1, 0),
+            age=tracks.age + dt,
         ),
         measured,
+        np.asarray(registered.any(axis=1)),
         dt,
         config,
     )
 
 
-def _decided(tracks: Tracks, measured: BoolArray, dt: float, config: TrackingConfig) -> Tracks:
+def with_motion_of(tracks: Tracks, row: int, other: int) -> Tracks:
+    """The obstacles, of which one has been found to move as another does."""
+    source = np.arange(len(tracks))
+    source[row] = other
+    estimate = tracks.estimate
+    estimate = changed(
+        estimate,
+        v_W=estimate.v_W[source],
+        var_v=estimate.var_v[source],
+        cov_pv=np.where((source != np.arange(len(tracks)))[:, None], 0.0, estimate.cov_pv),
+    )
+    names = "moving", "significant", "still", "blind"
+    parts = {name: getattr(tracks, name)[source] for name in names}
+    return changed(tracks, estimate=estimate, **parts)
+
+
+def _decided(
+    tracks: Tracks, measured: BoolArray, registered: BoolArray, dt: float, config: TrackingConfig
+) -> Tracks:
     """Decides which obstacles move, and shifts the points of those that do."""
     noise, estimate = config.filter, tracks.estimate
     statistic = speed_statistic(estimate)
     speed = _lengths(estimate.v_W)
     away = estimate.p_W - tracks.p_shift_W
     distance = _lengths(away)
-    doubted = tracks.moving | (tracks.doubt > config.doubt)
+    doubted = tracks.moving | registered | (tracks.doubt > config.doubt)
     fast = (speed > noise.start_speed) & measured
     starts = (statistic > noise.start) & fast
     starts &= tracks.moving | (doubted & (distance > config.moved))
     likely = (statistic > noise.stop) & fast & (tracks.doubt > config.strong_doubt)
-    count = tracks.significant + np.where(starts, noise.patience, 1)
+    enough = noise.start_frames * noise.patience
+    at_once = registered & (statistic > noise.certain)
+    count = tracks.significant + np.where(starts, np.where(at_once, enough, noise.patience), 1)
     significant = np.where(starts | likely, count, 0)
     calm = (statistic < noise.stop) | (speed < noise.floor)
     still = np.where(calm, tracks.still + dt, 0.0)
-    moving = tracks.moving | (significant >= noise.start_frames * noise.patience)
+    moving = tracks.moving | (significant >= enough)
     moving &= still < noise.stop_time
     # What is at rest is found elsewhere only along what was measured.
     found = np.where(moving[:, None] | (tracks.blind == 0.0), away, 0.0)

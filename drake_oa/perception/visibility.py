@@ -3,30 +3,43 @@
 Each point carries evidence. A frame that shows it adds one; a frame whose rays pass
 through it takes away all but one, and the next such frame the rest: two frames confirm
 a point, two remove it. One that is hidden (by the arm, another obstacle, a missing
-pixel, the border of the image) stays as it is. Where the image shows something at the
+pixel, the border of the image) stays as it is. Of several images one that sees through it is
+enough, and it is hidden only if it is in all. Where the image shows something at the
 point's depth but no cluster has a point there (grazing surfaces, the foot of an
 obstacle) the evidence only decays.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
-from numpy.typing import NDArray
 
 from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
-from drake_oa.geometry.pinhole import View
+from drake_oa.geometry.pinhole import AT, EMPTY, FREE, HIDDEN, OUT, View, shown
 from drake_oa.geometry.primitives import PosedShapes
 from drake_oa.geometry.voxels import members_of
 from drake_oa.perception.memory import CERTAIN, CONFIRMED, Points, changed, taken
 
-HIDDEN, AT, FREE, OUT, EMPTY = 0, 1, 2, 3, 4
-"""What an image shows where a point should be: something before it, something at its
-depth, only what is behind it, nothing at all, or nothing far around it either: as before a
-background that is too far away to be measured."""
-_AROUND = 12  # how far around it [pixel]: shadows beside what stands before it are narrower
-
 _CELLS = 60  # the most cells along an axis
+_SAYS = np.array([1, 3, 4, 0, 2])
+"""How much HIDDEN, AT, FREE, OUT and EMPTY say: of several images the one counts that says most."""
+
+
+class Looked(NamedTuple):
+    """What V images of a frame show where N points should be.
+
+    Attributes:
+        shows: (N,) HIDDEN, AT, FREE, OUT or EMPTY, by the image that says most.
+        each: (V, N) the same of each image.
+        pixel: (V, N) their pixels in each, -1 outside it.
+    """
+
+    shows: IntArray
+    each: IntArray
+    pixel: IntArray
 
 
 @compiled
@@ -111,75 +124,6 @@ def mutual_nearest(
     for place in range(len(points)):
         from_point[members[place]] = least[place]
     return nearest, np.sqrt(from_query), np.sqrt(from_point)
-
-
-@compiled
-def shown(points: FloatArray, view: View, margin: float, pixel: IntArray) -> IntArray:
-    """What a depth image shows where points should be.
-
-    Nine pixels are asked about each point, so that one that is missing, or flies,
-    decides nothing.
-
-    Args:
-        points: (N, 3) in the world frame [m].
-        view: the depth image.
-        margin: depth difference that tells "before" and "behind" from "at" [m].
-        pixel: (N,) written: flat index of each point's pixel, -1 outside the image.
-
-    Returns:
-        (N,) HIDDEN, AT, FREE, OUT or EMPTY.
-    """
-    z, K, X_WC = view
-    rows, columns = z.shape
-    seen = np.full(len(points), OUT, dtype=np.int64)
-    p = np.empty(3)
-    for i in range(len(points)):
-        pixel[i] = -1
-        for k in range(3):
-            p[k] = 0.0
-            for m in range(3):
-                p[k] += X_WC[m, k] * (points[i, m] - X_WC[m, 3])
-        if p[2] < 1e-6:
-            continue
-        u = int(np.floor(K[0] * p[0] / p[2] + K[2] + 0.5))
-        v = int(np.floor(K[1] * p[1] / p[2] + K[3] + 0.5))
-        if u < 0 or u >= columns or v < 0 or v >= rows:
-            continue
-        pixel[i] = v * columns + u
-        at, before, behind = 0, 0, 0
-        for row in range(max(0, v - 1), min(rows, v + 2)):
-            for column in range(max(0, u - 1), min(columns, u + 2)):
-                depth = z[row, column]
-                if not depth > 0.0:
-                    continue
-                beyond = depth - p[2]
-                if beyond > margin:
-                    behind += 1
-                elif beyond < -margin:
-                    before += 1
-                else:
-                    at += 1
-        if at > 0:
-            seen[i] = AT
-        elif before > 0:
-            seen[i] = HIDDEN
-        elif behind > 2:
-            seen[i] = FREE
-        elif behind == 0 and _is_empty(z, v, u):
-            seen[i] = EMPTY
-    return seen
-
-
-@compiled
-def _is_empty(z: NDArray[np.float32], row: int, column: int) -> bool:
-    """Whether pixels all around a pixel have no depth; not where the image ends."""
-    rows, columns = z.shape
-    for i in range(-2, 3):
-        for j in range(-2, 3):
-            v, u = row + i * _AROUND // 2, column + j * _AROUND // 2
-            if v < 0 or v >= rows or u < 0 or u >= columns or z[v, u] > 0.0:
-                return False
-    return True
 
 
 @compiled
@@ -309,48 +253,55 @@ def counted_votes(
 def shown_at(
     p_WQ: FloatArray,
     missed: BoolArray,
-    view: View | None,
+    views: Sequence[View],
     margin: float,
     robot: PosedShapes | None,
     robot_margin: float,
-) -> tuple[IntArray, IntArray]:
-    """What a frame shows where points p_WQ (N, 3) [m] should be, and their pixels (N,).
+) -> Looked:
+    """What the images of a frame show where points p_WQ (N, 3) [m] should be.
 
-    As `shown`; a cloud (view None) is taken to show every point. Those that no point of the frame
+    As `shown`; a cloud (no images) is taken to show every point. Those that no point of the frame
     supports, `missed` (N,), are not asked for where the robot is within its margin [m].
     """
-    pixel = np.full(len(p_WQ), -1, dtype=np.int64)
-    if view is None:
-        return np.full(len(p_WQ), AT, dtype=np.int64), pixel
-    seen = shown(p_WQ, view, margin, pixel)
+    pixel = np.full((len(views), len(p_WQ)), -1, dtype=np.int64)
+    each = np.empty_like(pixel)
+    for row, view in enumerate(views):
+        each[row] = shown(p_WQ, view, margin, pixel[row])
+    if not len(views):
+        return Looked(np.full(len(p_WQ), AT, dtype=np.int64), each, pixel)
+    shows = each[_SAYS[each].argmax(axis=0), np.arange(len(p_WQ))]
     if robot is not None:
         # Only what seems to be gone needs the robot's excuse.
-        asked = np.flatnonzero(missed & ((seen == AT) | (seen == FREE) | (seen == EMPTY)))
-        seen[asked[robot.contains(p_WQ[asked], robot_margin)]] = OUT
-    return seen, pixel
+        asked = np.flatnonzero(missed & ((shows == AT) | (shows == FREE) | (shows == EMPTY)))
+        shows[asked[robot.contains(p_WQ[asked], robot_margin)]] = OUT
+    return Looked(shows, each, pixel)
 
 
 def hidden_by_itself(
-    seen: IntArray, pixel: IntArray, owner: IntArray, surface: list[tuple[int, IntArray]]
+    looked: Looked, owner: IntArray, cluster_row: IntArray, pixels: Sequence[Sequence[IntArray]]
 ) -> BoolArray:
     """Which hidden points (N,) have their own obstacle before them: it moved or turned.
 
+    They have so in each image that shows where they should be; another one may have seen them
+    from behind.
+
     Args:
-        seen: (N,) from `shown_at`.
-        pixel: (N,) their pixels.
+        looked: from `shown_at`.
         owner: (N,) their obstacles.
-        surface: obstacle and ascending pixels of each cluster.
+        cluster_row: (C,) obstacle of each cluster.
+        pixels: for each image the ascending pixels of each cluster.
     """
-    result = np.zeros(len(seen), dtype=bool)
-    hidden = np.flatnonzero(seen == HIDDEN)
-    if not len(hidden):
-        return result
-    for row, pixels in surface:
-        mine = hidden[owner[hidden] == row]
-        if len(mine) and len(pixels):
-            place = np.minimum(np.searchsorted(pixels, pixel[mine]), len(pixels) - 1)
-            result[mine] |= pixels[place] == pixel[mine]
-    return result
+    before = np.zeros(looked.each.shape, dtype=bool)
+    for own, each, pixel, shown_by in zip(before, looked.each, looked.pixel, pixels, strict=True):
+        hidden = np.flatnonzero(each == HIDDEN)
+        if not len(hidden):
+            continue
+        for row, surface in zip(cluster_row.tolist(), shown_by, strict=True):
+            mine = hidden[owner[hidden] == row]
+            if len(mine) and len(surface):
+                place = np.minimum(np.searchsorted(surface, pixel[mine]), len(surface) - 1)
+                own[mine] |= surface[place] == pixel[mine]
+    return np.asarray(before.any(axis=0) & (before | (looked.pixel < 0)).all(axis=0))
 
 
 def without_background(seen: IntArray, moved: BoolArray) -> IntArray:

@@ -107,6 +107,55 @@ TOOL, LINKS, SELF = range(3)
 
 
 @leaf
+def pair_distance(
+    X: FloatArray,
+    spheres: Spheres,
+    center: FloatArray,
+    m: int,
+    off: float,
+    least: float,
+    enough: float,
+) -> float:
+    """The distance of pair m of groups and `off`, or `least` if that is less [m].
+
+    Args:
+        X: (n + 2, 12) as `chain_poses` leaves them.
+        spheres: of the arm.
+        center: (G, 3) of the groups' bounds, in the world [m].
+        m: which pair.
+        off: what is added to the distance [m].
+        least: up to which it need be known.
+        enough: it need not be known where it is below.
+    """
+    a, b = spheres.pairs[m, 0], spheres.pairs[m, 1]
+    x, y, z = (
+        center[b, 0] - center[a, 0],
+        center[b, 1] - center[a, 1],
+        center[b, 2] - center[a, 2],
+    )
+    most = least - off + spheres.bound[a, 3] + spheres.bound[b, 3]
+    if most <= 0.0 or x * x + y * y + z * z >= most * most:
+        return least
+    one, other = spheres.group_joint[a] + 1, spheres.group_joint[b] + 1
+    for i in range(spheres.first[a], spheres.first[a + 1]):
+        x, y, z = placed(X, one, spheres.p_JS, i)
+        u, v, w = x - center[b, 0], y - center[b, 1], z - center[b, 2]
+        most = least - off + spheres.radius[i] + spheres.bound[b, 3]
+        if most <= 0.0 or u * u + v * v + w * w >= most * most:
+            continue
+        for j in range(spheres.first[b], spheres.first[b + 1]):
+            u, v, w = placed(X, other, spheres.p_JS, j)
+            u, v, w = u - x, v - y, w - z
+            touching = spheres.radius[i] + spheres.radius[j] - off
+            most, square = least + touching, u * u + v * v + w * w
+            if most > 0.0 and square < most * most:
+                least = math.sqrt(square) - touching
+                if least < enough:
+                    return least
+    return least
+
+
+@leaf
 def lower_excess(
     X: FloatArray,
     t: float,
@@ -162,32 +211,10 @@ def lower_excess(
                         if d < enough:
                             return
     for m in range(len(spheres.pairs)):
-        a, b = spheres.pairs[m, 0], spheres.pairs[m, 1]
         off = spheres.allowance[m] - asked.of_self
-        x, y, z = (
-            center[b, 0] - center[a, 0],
-            center[b, 1] - center[a, 1],
-            center[b, 2] - center[a, 2],
-        )
-        most = least[SELF] - off + spheres.bound[a, 3] + spheres.bound[b, 3]
-        if most <= 0.0 or x * x + y * y + z * z >= most * most:
-            continue
-        one, other = spheres.group_joint[a] + 1, spheres.group_joint[b] + 1
-        for i in range(spheres.first[a], spheres.first[a + 1]):
-            x, y, z = placed(X, one, spheres.p_JS, i)
-            u, v, w = x - center[b, 0], y - center[b, 1], z - center[b, 2]
-            most = least[SELF] - off + spheres.radius[i] + spheres.bound[b, 3]
-            if most <= 0.0 or u * u + v * v + w * w >= most * most:
-                continue
-            for j in range(spheres.first[b], spheres.first[b + 1]):
-                u, v, w = placed(X, other, spheres.p_JS, j)
-                u, v, w = u - x, v - y, w - z
-                touching = spheres.radius[i] + spheres.radius[j] - off
-                most, square = least[SELF] + touching, u * u + v * v + w * w
-                if most > 0.0 and square < most * most:
-                    least[SELF] = math.sqrt(square) - touching
-                    if least[SELF] < enough:
-                        return
+        least[SELF] = pair_distance(X, spheres, center, m, off, least[SELF], enough)
+        if least[SELF] < enough:
+            return
 
 
 @compiled
@@ -247,6 +274,22 @@ def excess_along(world: ArmWorld, q: FloatArray) -> float:
     least = FAR
     for row in range(len(q)):
         least = min(least, excess(world, q[row], world.now, X, center))
+    return least
+
+
+@compiled
+def self_distance(chain: Chain, spheres: Spheres, q: FloatArray) -> float:
+    """How near the arm is to itself at a configuration (n,), overlaps allowed, at most `FAR` [m].
+
+    Exact where it is negative, where `excess` ends at the first that is.
+    """
+    X, center, least = np.empty((len(q) + 2, 12)), np.empty((len(spheres.group_joint), 3)), FAR
+    chain_poses(q, chain.X_PJ, X)
+    for g in range(len(center)):
+        frame = spheres.group_joint[g] + 1
+        center[g, 0], center[g, 1], center[g, 2] = placed(X, frame, spheres.bound, g)
+    for m in range(len(spheres.pairs)):
+        least = pair_distance(X, spheres, center, m, spheres.allowance[m], least, -np.inf)
     return least
 
 

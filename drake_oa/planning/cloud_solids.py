@@ -18,7 +18,9 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,11 +29,20 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from drake_oa.common.compiled import compiled
-from drake_oa.common.messages import FloatArray, Frozen, IntArray, ObstacleClouds, TablePlane
+from drake_oa.common.messages import (
+    BoolArray,
+    FloatArray,
+    Frozen,
+    IntArray,
+    ObstacleClouds,
+    TablePlane,
+)
 from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.geometry.distance_field import DEEPEST, DistanceField, field_of
+from drake_oa.geometry.pinhole import FREE, View, shown
 from drake_oa.geometry.solids import SURROUNDINGS, Solid, cloud_solid, solids_of
 from drake_oa.geometry.solids import table_solid as solid_of_table
+from drake_oa.perception.depth_perception import Views
 from drake_oa.perception.memory import held_table
 from drake_oa.planning.solid_scene import SolidScene
 from drake_oa.planning.unseen_ends import ImageRange, with_unseen_ends
@@ -48,6 +59,10 @@ _TABLE_SHIFT = 0.003
 """The table is where it was if it has moved by no more within 1 m [m]."""
 _SAME = 1e-9
 """Clouds differ by a shift if all points do by the same, within this [m]."""
+_SEEN_FREE = 0.01
+"""An image sees through a point if what it shows there is farther behind it [m]."""
+_MOST_ASKED = 400
+"""Nodes within a field of which is asked whether they are seen to be free."""
 _FARTHEST = 1e3
 """Points and speeds beyond this are none [m, m/s]."""
 
@@ -62,8 +77,9 @@ class SeenField(Frozen):
         solid: where it is now, and how fast.
         made_of: (N, 3) points [m].
         seen: (M, 3) points that were looked at last [m].
-        view_W: (3,) unit direction in which it was seen; (0,): not known.
+        view_W: (n, 3) unit directions in which it was seen, of each camera; (0,): not known.
         deepest: what is hidden was taken to be at most so deep [m].
+        inside: (K, 3) some nodes within it, in O [m]; none of what one camera sees.
     """
 
     solid: Solid
@@ -71,6 +87,7 @@ class SeenField(Frozen):
     seen: FloatArray
     view_W: FloatArray
     deepest: float
+    inside: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def grid(self) -> DistanceField:
@@ -98,7 +115,10 @@ class SeenSolids(Frozen):
 
 
 def looked_at(
-    before: SeenSolids, obstacles: ObstacleClouds, viewpoint_W: FloatArray | None = None
+    before: SeenSolids,
+    obstacles: ObstacleClouds,
+    viewpoint_W: FloatArray | None = None,
+    views: Sequence[View] = (),
 ) -> SeenSolids:
     """The solids of a new observation.
 
@@ -107,7 +127,9 @@ def looked_at(
         obstacles: what is seen now. What is not finite, or older than what was seen before, makes
             it count as none: the solids and their stamp are left as they were, and so what moved
             goes on, and all of it ages. Where it has no table, the one before stays.
-        viewpoint_W: (3,) from where [m]; None: nothing that is hidden is filled.
+        viewpoint_W: (3,) from where, or (n, 3) of several cameras [m]; None: nothing that is
+            hidden is filled.
+        views: images of several cameras: what any of them sees through is not filled.
     """
     note = _unreadable(obstacles, viewpoint_W)
     if note or obstacles.stamp < before.scene.stamp or obstacles.stamp == -math.inf:
@@ -129,8 +151,8 @@ def looked_at(
         kept = None
         if row >= 0 and table is before.table and before.fields[row].deepest == deepest:
             after = max(0.0, obstacles.stamp - before.scene.stamp)
-            kept = _kept(before.fields[row], cloud, after * v_WO, viewpoint_W)
-        made = kept or _made(int(name), cloud, viewpoint_W, deepest, table)
+            kept = _kept(before.fields[row], cloud, after * v_WO, viewpoint_W, views)
+        made = kept or _made(int(name), cloud, viewpoint_W, deepest, table, views)
         at_rest = replace(made.solid, v_WO=np.array(v_WO, dtype=float), stamp=obstacles.stamp)
         fields.append(replace(made, solid=at_rest))
     solids = [seen.solid for seen in fields] + _of_table(table)
@@ -186,13 +208,36 @@ def _made(
     viewpoint_W: FloatArray | None,
     deepest: float,
     table: TablePlane | None,
+    views: Sequence[View],
 ) -> SeenField:
     """A new field of a cloud."""
-    seen = 0.0 if viewpoint_W is None else _seen_depth(cloud, viewpoint_W)
+    seen = 0.0
+    if viewpoint_W is not None:
+        seen = max(_seen_depth(cloud, p_WV) for p_WV in np.atleast_2d(viewpoint_W))
     deep = min(max(deepest, seen), _DEEPEST_MOVED)
-    grid = field_of(cloud, viewpoint_W=viewpoint_W, deepest=deep, table=table)
+    grid = field_of(
+        cloud,
+        viewpoint_W=viewpoint_W,
+        deepest=deep,
+        table=table,
+        seen_free=partial(seen_free, views) if views else None,
+    )
     solid = cloud_solid(grid, name=name, label=f"obstacle {name}")
-    return SeenField(solid, cloud, cloud, _view(solid, viewpoint_W), deepest)
+    made = SeenField(solid, cloud, cloud, _view(solid, viewpoint_W), deepest)
+    if viewpoint_W is None or np.ndim(viewpoint_W) < 2 or len(viewpoint_W) < 2:
+        return made
+    nodes = np.argwhere(grid.values < 0.0)
+    some = nodes[:: max(1, len(nodes) // _MOST_ASKED)]
+    return replace(made, inside=np.asarray(grid.voxel * some, dtype=float))
+
+
+def seen_free(views: Sequence[View], p_WQ: FloatArray) -> BoolArray:
+    """Which points (N, 3) [m] any of the images sees through."""
+    points, pixel = np.require(p_WQ, np.float64, ["C", "W"]), np.empty(len(p_WQ), dtype=np.int64)
+    free = np.zeros(len(p_WQ), dtype=bool)
+    for view in views:
+        free |= shown(points, view, _SEEN_FREE, pixel) == FREE
+    return free
 
 
 def _seen_depth(cloud: FloatArray, viewpoint_W: FloatArray) -> float:
@@ -203,11 +248,11 @@ def _seen_depth(cloud: FloatArray, viewpoint_W: FloatArray) -> float:
 
 
 def _view(solid: Solid, viewpoint_W: FloatArray | None) -> FloatArray:
-    """(3,) unit direction to a solid from where it is seen; (0,): not known."""
+    """(n, 3) unit directions to a solid from where it is seen; (0,): not known."""
     if viewpoint_W is None:
         return _NOWHERE
-    view = solid.X_WO[:3, 3] + solid.center - viewpoint_W
-    return np.asarray(view / max(float(np.linalg.norm(view)), 1e-9))
+    view = solid.X_WO[:3, 3] + solid.center - np.atleast_2d(viewpoint_W)
+    return np.asarray(view / np.maximum(np.linalg.norm(view, axis=1), 1e-9)[:, None])
 
 
 def names_moved(obstacles: ObstacleClouds, before: frozenset[int]) -> frozenset[int]:
@@ -220,7 +265,11 @@ def names_moved(obstacles: ObstacleClouds, before: frozenset[int]) -> frozenset[
 
 
 def _kept(
-    kept: SeenField, cloud: FloatArray, expected: FloatArray, viewpoint_W: FloatArray | None
+    kept: SeenField,
+    cloud: FloatArray,
+    expected: FloatArray,
+    viewpoint_W: FloatArray | None,
+    views: Sequence[View],
 ) -> SeenField | None:
     """The field, moved to where its obstacle is now; None: it is no more that of it.
 
@@ -228,7 +277,8 @@ def _kept(
         kept: of the observation before.
         cloud: (M, 3) points of the obstacle [m].
         expected: (3,) how far it should have moved [m].
-        viewpoint_W: (3,) from where it is seen [m]; None: not known.
+        viewpoint_W: (3,) or (n, 3) from where it is seen [m]; None: not known.
+        views: images that may see through what was taken to be within it.
     """
     grid, X_WO = kept.grid, np.array(kept.solid.X_WO)
     same = cloud is kept.seen
@@ -241,6 +291,8 @@ def _kept(
     moved = replace(kept, solid=replace(kept.solid, X_WO=X_WO), seen=cloud)
     view = _view(moved.solid, viewpoint_W)
     if len(view) != len(kept.view_W) or np.abs(view - kept.view_W).max(initial=0.0) > _TURNED:
+        return None
+    if views and np.sum(seen_free(views, X_WO[:3, 3] + kept.inside)) > _GONE * len(kept.inside):
         return None
     if same:
         return moved
@@ -312,11 +364,16 @@ class CloudSolids(LeafSystem):
       output_ports:
       - solids_W
 
+    Of several `cameras` the pose of each has a port, named by them, and there is one more:
+    `views` (optional), abstract `Views`, the images of the observation: where any of them sees
+    through what another one leaves open, nothing is filled. Those of another time do not count.
+
     - obstacles_W: abstract `ObstacleClouds` of any source.
     - camera_pose (optional): RigidTransform X_WC of the camera that sees them; without it nothing
       is said of their hidden sides.
     - solids_W: abstract `SolidScene`: a field an obstacle, with its velocity, what it hides of
-      itself filled (`drake_oa.geometry.distance_field.field_of`), and what is below the table,
+      itself from all cameras filled (`drake_oa.geometry.distance_field.field_of`), and what is
+      below the table,
       where it is known; what the image cuts off goes on beyond it (`unseen_ends`). While all
       rests and nothing new is seen it holds the same arrays.
 
@@ -329,14 +386,15 @@ class CloudSolids(LeafSystem):
         self,
         *,
         period: float = 1.0 / 15.0,
-        image: ImageRange | None = None,
+        cameras: Mapping[str, ImageRange] | None = None,
         table: TablePlane | None = None,
     ) -> None:
         """Declares the ports.
 
         Args:
             period: time between observations [s].
-            image: of the camera; what it cuts off goes on beyond it. None: not known.
+            cameras: port of a camera's pose -> its image; what that cuts off goes on beyond it.
+                None: a port camera_pose, and no image is known.
             table: the supporting plane until one is seen; None: none.
 
         Raises:
@@ -344,9 +402,15 @@ class CloudSolids(LeafSystem):
         """
         super().__init__()
         period = valid_period(period)
-        self._image = image
+        self._images = list((cameras or {}).values())
         self._obstacles = self.DeclareAbstractInputPort("obstacles_W", Value(ObstacleClouds()))
-        self._pose = self.DeclareAbstractInputPort("camera_pose", Value(RigidTransform()))
+        self._poses = [
+            self.DeclareAbstractInputPort(name, Value(RigidTransform()))
+            for name in cameras or ("camera_pose",)
+        ]
+        self._views = None
+        if len(self._poses) > 1:
+            self._views = self.DeclareAbstractInputPort("views", Value(Views()))
         self._seen = self.DeclareAbstractState(Value(unseen(table)))
         self.DeclareAbstractOutputPort(
             "solids_W",
@@ -355,7 +419,8 @@ class CloudSolids(LeafSystem):
             {
                 self.abstract_state_ticket(self._seen),
                 self._obstacles.ticket(),
-                self._pose.ticket(),
+                *(port.ticket() for port in self._poses),
+                *([] if self._views is None else [self._views.ticket()]),
             },
         )
         self.DeclareInitializationUnrestrictedUpdateEvent(self._update)
@@ -381,11 +446,20 @@ class CloudSolids(LeafSystem):
 
     def _looked_at(self, context: Context, before: SeenSolids) -> SeenSolids:
         obstacles = read_value(self, self._obstacles, context, ObstacleClouds)
-        pose = read_optional(self, self._pose, context, RigidTransform)
-        viewpoint_W = None if pose is None else np.array(pose.translation())
-        if pose is not None and self._image is not None:
-            obstacles = with_unseen_ends(obstacles, pose.GetAsMatrix4(), self._image)
-        return looked_at(before, obstacles, viewpoint_W)
+        read = [read_optional(self, port, context, RigidTransform) for port in self._poses]
+        poses = [pose.GetAsMatrix4() for pose in read if pose is not None]
+        views: list[View] = []
+        if self._views is not None:
+            seen = read_optional(self, self._views, context, Views) or Views()
+            # Of another time they show what moves elsewhere.
+            if seen.stamp == obstacles.stamp:
+                views = [view for view in seen.views if view is not None]
+        if len(poses) == len(self._images):
+            free = partial(seen_free, views) if views else None
+            cameras = list(zip(poses, self._images, strict=True))
+            obstacles = with_unseen_ends(obstacles, cameras, free)
+        viewpoints_W = np.array([X_WC[:3, 3] for X_WC in poses]) if poses else None
+        return looked_at(before, obstacles, viewpoints_W, views)
 
 
 def _log_change(before: SeenSolids, after: SeenSolids, time: float) -> None:

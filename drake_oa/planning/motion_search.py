@@ -25,23 +25,25 @@ from drake_oa.common.messages import (
     HoldCause,
     PlannedMotion,
     PolicyState,
+    Route,
 )
-from drake_oa.geometry.solids import SURROUNDINGS, solids_of
+from drake_oa.geometry.solids import SURROUNDINGS
 from drake_oa.planning.arm_world import (
     SELF,
     ArmWorld,
     Asked,
     Chain,
-    excess_along,
     group_distances,
     kept_along,
     lacking_along,
+    self_distance,
     tool_poses,
 )
 from drake_oa.planning.goal_postures import FARTHEST, goal_postures, nearest_free_place
 from drake_oa.planning.imitation import demonstration
 from drake_oa.planning.joint_planner import plan_path
-from drake_oa.planning.search import SAMPLES, ArmSearch, Leading
+from drake_oa.planning.search import SAMPLES, ArmSearch, Earlier, Leading
+from drake_oa.planning.sides import Sides, taken
 from drake_oa.planning.solid_scene import SolidScene
 from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
 from drake_oa.policy.demonstration import Demonstration
@@ -50,12 +52,13 @@ from drake_oa.policy.orientation_dmp import orientation_along
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposals import ALPHA as LOG_ALPHA
 from drake_oa.regulation.proposals import N_GENES, TAU
-from drake_oa.regulation.regressor import ChainWeights
 from drake_oa.regulation.rollout import SpatialScenes
 from drake_oa.robot.sphere_kernels import Spheres
 
 _LED = 201
 """Samples by which the arm is led along a motion."""
+_PATHS = 4
+"""So many paths to the same postures are tried, where the arm cannot go what imitates one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +70,7 @@ class Sight(Frozen):
         p_WG: (3,) its goal [m].
         q: (n,) the arm's joints [rad].
         scene: the solids.
-        ellipsoids: what the regressor chain proposes by; empty: it proposes for nothing.
+        ellipsoids: what is proposed by; empty: as if nothing were there.
     """
 
     policy: PolicyState
@@ -109,6 +112,8 @@ class Choice(Frozen):
         planned: when a path in the joints was looked for last [s].
         elites: (k, 7) genes of the best candidates, from which the search goes on.
         rounds: that it has gone through.
+        hasty: whether it is the first that would do, and better ones are to be looked for.
+        route: the sides that were weighed, with their costs, and which was taken.
     """
 
     p_WS: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
@@ -134,6 +139,8 @@ class Choice(Frozen):
     planned: float = -math.inf
     elites: FloatArray = field(default_factory=lambda: np.zeros((0, N_GENES)))
     rounds: int = 0
+    hasty: bool = False
+    route: Route = field(default_factory=Route)
 
     def fits(self, policy: PolicyState, p_WG: FloatArray) -> bool:
         """Whether it is for the motion that is under way."""
@@ -163,7 +170,7 @@ class MotionSearch:
 
     def __init__(
         self,
-        weights: ChainWeights,
+        sides: Sides,
         dmp: Dmp,
         clearance: float,
         chain: Chain,
@@ -175,12 +182,12 @@ class MotionSearch:
         orientation: Callable[[FloatArray], FloatArray],
         posture: Callable[[FloatArray], FloatArray],
         q_goal: FloatArray | None = None,
-        overshoot: float = 0.0,
+        overshoot: FloatArray | None = None,
     ) -> None:
         """Keeps what does not change.
 
         Args:
-            weights: the chain that proposes.
+            sides: what proposes motions of the tool, and on which sides.
             dmp: the movement primitive that the task demonstrates.
             clearance: asked distance Delta of the tool to every solid [m].
             chain, spheres: the arm.
@@ -190,17 +197,20 @@ class MotionSearch:
             orientation: (T, 3, 3) of the tool at normalised times (T,).
             posture: (T, n) that the null space is drawn to at normalised times (T,) [rad].
             q_goal: (n,) joints at the goal, where the task gives them [rad].
-            overshoot: how far the spheres stick out of the robot [m].
+            overshoot: (G,) how far the spheres of each group stick out of the robot [m]; None: 0.
         """
-        self._weights, self._dmp, self._clearance = weights, dmp, clearance
+        self._sides, self._dmp, self._clearance = sides, dmp, clearance
         self._chain, self._spheres, self._parameters = chain, spheres, parameters
         self._search = parameters.search(steps, fade)
         s = np.linspace(0.0, 1.0, _LED)
         self._task = Leading(s, orientation(s).reshape(_LED, 9), posture(s)[None])
-        self._q_goal, self._overshoot = q_goal, overshoot
-        self._is_tool = spheres.of_tool[spheres.first[:-1]]
-        # What spheres that keep less may touch.
-        self._touch = parameters.least_kept - overshoot
+        self._q_goal, self._is_tool = q_goal, spheres.of_tool[spheres.first[:-1]]
+        self._overshoot = np.zeros(len(spheres.group_joint)) if overshoot is None else overshoot
+        # What spheres that keep less may touch: groups, and the tool's and the links' together.
+        self._touch = parameters.least_kept - self._overshoot
+        moved = spheres.group_joint >= 0
+        parts = (self._is_tool & moved, ~self._is_tool & moved)
+        self._touch_of_parts = np.array([self._touch[of].min(initial=np.inf) for of in parts])
 
     def decide(self, before: Choice, sight: Sight) -> Choice:
         """Looks at a motion under way, and chooses anew if there is reason to."""
@@ -223,9 +233,9 @@ class MotionSearch:
             p_WE=policy.p_WE,
             travelled=_travelled(before, policy),
         )
-        if goes_on and not here.note and here.scene.same_as(sight.scene) and here.tau > 0.0:
-            return here
         same = here.scene.same_as(sight.scene)
+        if goes_on and not here.note and same and here.tau > 0.0 and not here.hasty:
+            return here
         if here.goal_note and not same:
             # What was found when no motion led there says nothing of those that do.
             none = Choice()
@@ -235,28 +245,45 @@ class MotionSearch:
         if goes_on and rests and here.goal_note:
             # No motion leads there, as long as nothing changes.
             return replace(here, note=here.goal_note)
-        found = self._modulated(here, sight)
+        due = sight.time - here.planned >= self._parameters.seek_period
+        plans = rests and due and not sight.scene.moves
+        # Who waits at rest does not wait for the best, and a plan may follow.
+        hasty = plans and policy.phase == 1.0 and not here.hasty
+        # What was best among what rested may be nowhere near.
+        afresh = sight.scene.moves and not before.scene.moves
+        found = self._modulated(here, sight, hasty=hasty, afresh=afresh)
         if found.follows and found.short == 0.0:
             return found
-        due = sight.time - here.planned >= self._parameters.seek_period
-        if rests and due and not sight.scene.moves:
-            found = replace(found, planned=sight.time)
-            planned, is_free = self._planned(found, sight)
+        if found.route.blocked:
+            return replace(found, note=found.route.note)
+        if plans:
+            planned, is_free = self._planned(replace(found, planned=sight.time), sight)
             if planned is not None:
                 return planned
+            found = self._modulated(here, sight) if hasty else found
+            found = replace(found, planned=sight.time)
             found = replace(found, goal_note="" if is_free else self._no_goal(sight))
         return replace(found, note=found.goal_note or self._hold(found, sight))
+
+    def still_holds(self, made: Choice, sight: Sight) -> bool:
+        """Whether a motion keeps from now on what it was found to keep when it was looked for.
+
+        Since then the one in force has gone on: straight at what a term acts about its side hangs
+        on little. Among what moves the next look tells.
+        """
+        if sight.scene.moves or sight.policy.phase == 1.0 or not made.motion.s.size:
+            return True
+        found = self._rolled(made, sight, self._world(sight, made.motion.q[-1:]))
+        return found.follows and found.short <= made.short + self._parameters.slack
 
     def _hold(self, found: Choice, sight: Sight) -> str:
         """Why a motion that is short of what is asked must not go on; "": it may."""
         if not found.follows:
             return "no motion that the arm can follow found"
         if not self._clears(found, sight):
-            touches = found.kept[:2].min() <= self._touch
+            touches = (found.kept[:2] <= self._touch_of_parts).any()
             return f"no motion that clears {found.short_of if touches else 'the arm itself'} found"
         return ""
-
-    # --- what is asked -------------------------------------------------------------------
 
     def _world(self, sight: Sight, ends: FloatArray, share: float = 1.0) -> ArmWorld:
         """Tool and links among the solids, with what now and the ends (m, n) leave them."""
@@ -270,12 +297,16 @@ class MotionSearch:
         left = group_distances(self._chain, spheres, solids, sight.q, now)
         if len(ends):
             at_end = [group_distances(self._chain, spheres, solids, q, now) for q in ends]
-            left = np.minimum(left, np.maximum(np.max(at_end, axis=0), self._touch + p.slack))
+            left = np.minimum(
+                left, np.maximum(np.max(at_end, axis=0), self._touch[:, None] + p.slack)
+            )
         table = np.minimum(table, left - p.slack)
         table[spheres.group_joint < 0] = -np.inf
-        return ArmWorld(self._chain, spheres, solids, Asked(table, p.self_clearance, is_tool), now)
-
-    # --- candidates ----------------------------------------------------------------------
+        of_self = min(p.self_clearance, self._own(sight.q) - p.slack)
+        if len(ends):
+            own = max(self._own(q) for q in ends)
+            of_self = min(of_self, max(own, p.least_kept) - p.slack)
+        return ArmWorld(self._chain, spheres, solids, Asked(table, of_self, is_tool), now)
 
     def _dmp_of(self, choice: Choice) -> Dmp:
         return choice.demonstration.position or self._dmp
@@ -291,33 +322,59 @@ class MotionSearch:
         )
         return Leading(self._task.s, R_WE.reshape(-1, 9), shown.posture(self._task.s)[None])
 
-    def _modulated(self, here: Choice, sight: Sight) -> Choice:
-        """The best of the motions that the coupling terms bend."""
+    def _modulated(
+        self, here: Choice, sight: Sight, *, hasty: bool = False, afresh: bool = False
+    ) -> Choice:
+        """The best of the motions that the coupling terms bend, or in haste the first."""
         leading, dmp = self._leading(here, sight), self._dmp_of(here)
         scene = self._scene(sight, dmp)
         target = np.append(leading.R_WE[-1], sight.p_WG)
         ends = goal_postures(self._chain, target, leading.q[0, -1], seeds=4)[:1]
         world = self._world(sight, ends)
-        under_way = here.tau > 0.0 and (sight.scene.moves or sight.policy.speed > 0.0)
+        waits = sight.policy.phase == 1.0 and not sight.scene.moves
+        route = self._sides.weighed(scene, sight.ellipsoids, dmp.duration, self._clearance)
         search = ArmSearch(
             scene,
             world,
             sight.q,
             leading,
             dmp=dmp,
-            previous=here.genes,
-            parameters=self._search,
-            settled=here.tau > 0.0 and not sight.scene.moves,
-            seeds=here.elites,
-            begun=here.rounds,
-            most=self._parameters.configurations_a_frame if under_way else math.inf,
-            samples=SAMPLES if here.demonstration.position is None else _LED,
+            price=self._sides.price(route),
+            # Of the first that would do nothing is to be kept but what it led to.
+            previous=Choice().genes if here.hasty else here.genes,
+            parameters=replace(self._search, polish=0) if hasty else self._search,
+            settled=here.tau > 0.0 and not sight.scene.moves and not here.hasty,
+            earlier=Earlier(here.elites, here.rounds, afresh),
+            most=math.inf if waits else self._parameters.frame,
+            samples=_samples_of(here),
         )
-        result = search.run(self._weights)
+        result = search.run(self._sides.proposer)
         genes = np.array(result.genes[0])
+        # Nothing is better than the unmodulated one.
+        route = taken(route, search.terms(genes), genes, sight.ellipsoids)
+        here = replace(here, hasty=hasty and genes[LOG_ALPHA] > -np.inf, route=route)
         if search.elites.size:
             here = replace(here, elites=np.array(search.elites[0]), rounds=search.rounds)
         return self._chosen(here, sight, world, search, genes, float(result.path_length[0]))
+
+    def _rolled(self, choice: Choice, sight: Sight, world: ArmWorld) -> Choice:
+        """A motion as it is, from where it is now on."""
+        dmp = self._dmp_of(choice)
+        search = ArmSearch(
+            self._scene(sight, dmp),
+            world,
+            sight.q,
+            self._leading(choice, sight),
+            dmp=dmp,
+            previous=choice.genes,
+            parameters=self._search,
+            samples=_samples_of(choice),
+        )
+        genes = choice.genes
+        if np.isnan(genes).any():
+            genes = np.zeros(N_GENES)
+            genes[LOG_ALPHA] = -np.inf
+        return self._chosen(choice, sight, world, search, genes, 0.0)
 
     def _chosen(
         self,
@@ -337,7 +394,7 @@ class MotionSearch:
         # Every second: they are a few millimetres apart.
         t = world.now + seconds * (s - s[0])
         kept, near = kept_along(world, arm.q[0, :count:2], t[::2])
-        of_self = float(arm.excess[0, SELF]) + self._parameters.self_clearance
+        of_self = float(arm.excess[0, SELF]) + world.asked.of_self
         if arm.excess[0].argmin() == SELF:
             near = -1
         short = max(-float(arm.least[0]) - self._search.slack, 0.0)
@@ -390,7 +447,7 @@ class MotionSearch:
         """(m, n) postures at the goal that touch nothing, the task's own first [rad]."""
         X_WG, first = self._goal(sight)
         found = goal_postures(self._chain, X_WG, first, seeds=seeds)
-        free = [q for q in found if self._least(sight, q) > self._touch]
+        free = [q for q in found if self._is_free(sight, q)]
         return np.array(free).reshape(-1, len(first))
 
     def _goal(self, sight: Sight) -> tuple[FloatArray, FloatArray]:
@@ -404,9 +461,7 @@ class MotionSearch:
         at_goal = goal_postures(self._chain, X_WG, first, seeds=4)
         if not len(at_goal):
             return ""
-        free = nearest_free_place(
-            self._chain, X_WG, at_goal[0], lambda q: self._least(sight, q) > self._touch
-        )
+        free = nearest_free_place(self._chain, X_WG, at_goal[0], lambda q: self._is_free(sight, q))
         touched = self._nearest(sight, at_goal[0])
         note = f"at its goal the arm would touch {touched}; "
         if free is None:
@@ -443,16 +498,25 @@ class MotionSearch:
         """A path to one of some postures, for a share of what is asked, as a motion."""
         if not len(ends):
             return None
-        p = self._parameters
         world = self._world(sight, ends, share)
-        found = plan_path(world, sight.q, ends, most=most, seed=1)
-        if not len(found.q):
-            return None
-        duration = self._dmp.duration
+        for seed in range(1, 1 + _PATHS):
+            found = plan_path(world, sight.q, ends, most=most, seed=seed)
+            if not len(found.q):
+                return None
+            choice = self._along(found.q, here, sight, world)
+            if choice is not None:
+                return choice
+        return None
+
+    def _along(
+        self, corners: FloatArray, here: Choice, sight: Sight, world: ArmWorld
+    ) -> Choice | None:
+        """The motion that imitates a path in the joints; None: the arm cannot go it."""
+        p, duration = self._parameters, self._dmp.duration
         try:
             shown = demonstration(
                 world,
-                found.q,
+                corners,
                 pace=duration / max(math.dist(sight.p_WG, sight.policy.p_WE), 1e-3),
                 longest=p.longest * duration,
                 share=p.speed_share,
@@ -467,9 +531,9 @@ class MotionSearch:
     def _clears(self, choice: Choice, sight: Sight) -> bool:
         """Whether a motion touches nothing, as far as its spheres tell: they stick out."""
         least = self._parameters.least_kept
-        if choice.kept[SELF] <= min(least, self._own(sight) - self._parameters.slack):
+        if choice.kept[SELF] <= min(least, self._own(sight.q) - self._parameters.slack):
             return False
-        return bool(choice.kept[:2].min() > self._touch)
+        return bool((choice.kept[:2] > self._touch_of_parts).all())
 
     def _of_moving(self, sight: Sight, q: FloatArray) -> FloatArray:
         """(G, K) distances of the groups that move to the solids; inf of the others [m]."""
@@ -477,9 +541,9 @@ class MotionSearch:
         d[self._spheres.group_joint < 0] = np.inf
         return np.asarray(d)
 
-    def _least(self, sight: Sight, q: FloatArray) -> float:
-        """What the moving groups keep of the solids at a configuration at least [m]."""
-        return float(self._of_moving(sight, q).min(initial=math.inf))
+    def _is_free(self, sight: Sight, q: FloatArray) -> bool:
+        """Whether the moving groups touch no solid at a configuration."""
+        return bool((self._of_moving(sight, q) > self._touch[:, None]).all())
 
     def _nearest(self, sight: Sight, q: FloatArray) -> str:
         """Label of the solid that the arm is nearest to at a configuration; "": there is none."""
@@ -488,13 +552,12 @@ class MotionSearch:
 
     def _touched(self, sight: Sight) -> str:
         """Label of what the arm is certain to stand in contact with; "": nothing."""
-        return self._nearest(sight, sight.q) * (self._least(sight, sight.q) < -self._overshoot)
+        d = self._of_moving(sight, sight.q) + self._overshoot[:, None]
+        return sight.scene.labels[int(d.min(axis=0).argmin())] if (d < 0.0).any() else ""
 
-    def _own(self, sight: Sight) -> float:
-        """How near the arm is to itself now [m], up to `FAR`."""
-        asked = Asked(np.zeros((len(self._spheres.group_joint), 0)), 0.0, self._is_tool)
-        world = ArmWorld(self._chain, self._spheres, solids_of([]), asked, sight.time)
-        return float(excess_along(world, sight.q[None]))
+    def _own(self, q: FloatArray) -> float:
+        """How near the arm is to itself at a configuration, up to `FAR` [m]."""
+        return float(self_distance(self._chain, self._spheres, q))
 
     def _imitated(
         self, here: Choice, sight: Sight, world: ArmWorld, shown: Demonstration
@@ -503,22 +566,16 @@ class MotionSearch:
         policy = sight.policy
         rests = replace(policy, p_WS=policy.p_WE, z_W=np.zeros(3), phase=1.0)
         none = Choice()
-        at = replace(here, demonstration=shown, travelled=0.0, genes=none.genes, elites=none.elites)
-        sight = replace(sight, policy=rests)
-        dmp = self._dmp_of(at)
-        search = ArmSearch(
-            self._scene(sight, dmp),
-            world,
-            sight.q,
-            self._leading(at, sight),
-            dmp=dmp,
-            previous=at.genes,
-            parameters=self._search,
-            samples=_LED,
+        at = replace(
+            here,
+            demonstration=shown,
+            travelled=0.0,
+            genes=none.genes,
+            elites=none.elites,
+            hasty=False,
         )
-        genes = np.zeros(N_GENES)
-        genes[LOG_ALPHA] = -np.inf
-        chosen = self._chosen(at, sight, world, search, genes, 0.0)
+        sight = replace(sight, policy=rests)
+        chosen = self._rolled(at, sight, world)
         # Of all that is asked, not of the share that was.
         whole = self._world(sight, shown.q[-1:])
         q = chosen.motion.q
@@ -529,6 +586,11 @@ class MotionSearch:
         # The motion belongs to the one that begins there.
         motion = replace(chosen.motion, p_WS=rests.p_WS)
         return replace(chosen, short=short, tau=1.0, anew=True, motion=motion)
+
+
+def _samples_of(choice: Choice) -> int:
+    """How finely a motion is looked at."""
+    return SAMPLES if choice.demonstration.position is None else _LED
 
 
 def _travelled(before: Choice, policy: PolicyState) -> float:

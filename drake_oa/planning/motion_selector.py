@@ -18,6 +18,7 @@ from drake_oa.common.messages import (
     HoldCause,
     PlannedMotion,
     PolicyState,
+    Route,
 )
 from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.common.thinking import Thinking, Thoughts
@@ -54,6 +55,7 @@ class MotionSelector(LeafSystem):
       - coupling_parameters
       - demonstration
       - motion
+      - sides
       - shortfall
       - lowered
       - decision
@@ -67,6 +69,8 @@ class MotionSelector(LeafSystem):
       temporal scaling, and a note that holds the motion where none was found.
     - demonstration: abstract `Demonstration` that a motion that begins anew imitates.
     - motion: abstract `PlannedMotion` of the whole arm, from the instant of the choice.
+    - sides: abstract `Route`: the sides that were weighed at the last choice, with their costs, and
+      the one that was taken; for a viewer.
     - shortfall: (1,) what the motion lacks of what is asked [m]; 0 where it is kept.
     - lowered: (1,) by how much less than the asked clearance is asked [m].
     - decision: (2,) when the last choice began and the time that it takes [s].
@@ -113,6 +117,7 @@ class MotionSelector(LeafSystem):
             ("coupling_parameters", CouplingParameters, self._coupling),
             ("demonstration", Demonstration, lambda state: state.choice.demonstration),
             ("motion", PlannedMotion, lambda state: state.choice.motion),
+            ("sides", Route, lambda state: state.choice.route),
         ):
             self.DeclareAbstractOutputPort(
                 name,
@@ -145,13 +150,7 @@ class MotionSelector(LeafSystem):
         if policy.baseline == 0.0:
             # There is no motion yet to choose for.
             return EventStatus.DidNothing()
-        sight = Sight(
-            policy,
-            np.array(self._goal.Eval(context)),
-            np.array(self._robot.Eval(context)[self._positions]),
-            read_value(self, self._solids, context, SolidScene),
-            read_optional(self, self._ellipsoids, context, EllipsoidSet) or EllipsoidSet(),
-        )
+        sight = self.sight(context)
         thoughts = kept.thoughts.thought(
             lambda before: self._search.decide(before, sight), time, self._thinking
         )
@@ -161,6 +160,21 @@ class MotionSelector(LeafSystem):
         held.set_value(_State(thoughts))
         return EventStatus.Succeeded()
 
+    @property
+    def search(self) -> MotionSearch:
+        """What chooses."""
+        return self._search
+
+    def sight(self, context: Context) -> Sight:
+        """What a motion would be chosen by now."""
+        return Sight(
+            read_value(self, self._policy, context, PolicyState),
+            np.array(self._goal.Eval(context)),
+            np.array(self._robot.Eval(context)[self._positions]),
+            read_value(self, self._solids, context, SolidScene),
+            read_optional(self, self._ellipsoids, context, EllipsoidSet) or EllipsoidSet(),
+        )
+
     def _take_effect(self, context: Context, state: State) -> EventStatus:
         held = state.get_mutable_abstract_state(self._chosen)
         kept: _State = held.get_value()
@@ -169,13 +183,20 @@ class MotionSelector(LeafSystem):
         if made is None:
             return EventStatus.DidNothing()
         policy = read_value(self, self._policy, context, PolicyState)
-        if not made.fits(policy, self._goal.Eval(context)) or (made.anew and policy.speed > 0.0):
+        other = not made.fits(policy, self._goal.Eval(context))
+        if other or (made.anew and policy.speed > 0.0) or self._is_late(made, kept.choice, context):
             _logger.info("t=%.3f s: a decision of t=%.3f s is dropped", time, kept.thoughts.begun)
             held.set_value(_State(kept.thoughts.dropped()))
             return EventStatus.Succeeded()
         _log_change(kept.choice, made, time)
         held.set_value(_State(kept.thoughts.taken()))
         return EventStatus.Succeeded()
+
+    def _is_late(self, made: Choice, in_force: Choice, context: Context) -> bool:
+        """Whether a choice no more does from where the motion is now, and the one in force does."""
+        if in_force.short > 0.0 or in_force.note or not in_force.scene.same_as(made.scene):
+            return False
+        return not self._search.still_holds(made, self.sight(context))
 
     def _coupling(self, state: _State) -> CouplingParameters:
         coupling = state.choice.coupling()

@@ -10,17 +10,13 @@ rolled out on all cores.
 from __future__ import annotations
 
 import math
-import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
-from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
-from drake_oa.common.compiled import compiled
+from drake_oa.common.compiled import CORES, compiled, on_cores, parted
 from drake_oa.common.messages import FloatArray, Frozen, IntArray
 from drake_oa.common.thinking import count
 from drake_oa.geometry.solids import Solids
@@ -33,7 +29,6 @@ N_COLUMNS = 7
 """Of what a candidate comes to: after `TOOL`, `LINKS` and `SELF` of `arm_world`."""
 _EACH = 8
 """Candidates for which another thread pays."""
-_CORES = max(len(os.sched_getaffinity(0)), 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +98,8 @@ def roll_out_arm(
     stop = np.broadcast_to(np.asarray(enough, dtype=float), (N,))
     arrays = {item.name: np.array(getattr(paths, item.name), order="C") for item in fields(paths)}
     bundle = _Paths(**arrays, enough=np.array(stop))
-    _roll_all(*world, np.array(q, dtype=float), bundle, table, joints, count=N)
+    threads = min(CORES, N // _EACH + 1)
+    on_cores(_roll_some, threads, *world, np.array(q, dtype=float), bundle, table, joints)
     samples, when = table[:, ENDED].astype(np.int64), table[:, WHEN].astype(np.int64)
     count(configurations=int(samples.sum()))
     return ArmRollouts(table[:, :3], table[:, ERROR], table[:, HURRY], samples, when, joints)
@@ -160,28 +156,11 @@ def _roll_one(
     out[i, WHEN] = when
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=False)
+@parted
 def _roll_some(
-    first: int, stride: int, chain: Chain, spheres: Spheres, solids: Solids, asked: Asked,
+    part: int, parts: int, chain: Chain, spheres: Spheres, solids: Solids, asked: Asked,
     now: float, q0: FloatArray, paths: _Paths, out: FloatArray, Q: FloatArray,
 ) -> None:  # fmt: skip
     """Every so many candidates."""
-    for i in range(first, len(paths.p_WE), stride):
+    for i in range(part, len(paths.p_WE), parts):
         _roll_one(i, chain, spheres, solids, asked, now, q0, paths, out, Q)
-
-
-@cache
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(_CORES - 1, "roll_out")
-
-
-def _roll_all(*arguments: Any, count: int) -> None:
-    """All candidates, by so many threads as pay.
-
-    Numba's own threads wait busily for the next call: 6 ms of processor time a call.
-    """
-    threads = min(_CORES, count // _EACH + 1)
-    others = [_pool().submit(_roll_some, k, threads, *arguments) for k in range(1, threads)]
-    _roll_some(0, threads, *arguments)
-    for other in others:
-        other.result()

@@ -6,7 +6,7 @@ From pose to pose two Gauss-Newton steps, damped where the arm is singular,
 
 e the way and turn to the next pose, g a posture that the null space is led along, g' the next one,
 k by how much it is drawn to it. The first step leads, the second one, with l = 0, lands. An arm of
-six joints has no null space.
+six joints has no null space but where it is singular; what its posture says there, landing leaves.
 """
 
 from __future__ import annotations
@@ -195,6 +195,7 @@ def follow(
         The error that is left [m, rad].
     """
     chain_poses(q, chain.X_PJ, room.X)
+    landed = _LANDED if len(q) > 6 else _DRAWN
     if row > 0:
         for i in range(len(q)):
             ahead = guide[row, i] - guide[row - 1, i]
@@ -204,7 +205,7 @@ def follow(
     chain_poses(q, chain.X_PJ, room.X)
     missed = np.inf
     for _ in range(_LANDINGS):
-        step_toward(q, target, _LANDED, chain, room)
+        step_toward(q, target, landed, chain, room)
         chain_poses(q, chain.X_PJ, room.X)
         missed = pose_error(room.X, target, room.e)
         if missed < _MISSED:

@@ -8,12 +8,13 @@ seen; what is cut off at the sides ends where it is seen to.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from drake_oa.common.messages import FloatArray, ObstacleClouds
+from drake_oa.common.messages import BoolArray, FloatArray, ObstacleClouds
 from drake_oa.geometry.distance_field import VOXEL
 
 _LONGEST = 0.5
@@ -37,28 +38,43 @@ class ImageRange(NamedTuple):
 
 
 def with_unseen_ends(
-    obstacles: ObstacleClouds, X_WC: FloatArray, image: ImageRange
+    obstacles: ObstacleClouds,
+    cameras: Sequence[tuple[FloatArray, ImageRange]],
+    seen_free: Callable[[FloatArray], BoolArray] | None = None,
 ) -> ObstacleClouds:
     """The obstacles, with more points where the image cuts them off.
 
     Args:
         obstacles: what is seen.
-        X_WC: (4, 4) pose of the camera (x right, y down, z forward).
-        image: of the camera.
+        cameras: of each the pose X_WC (4, 4) (x right, y down, z forward), and its image.
+        seen_free: tells of points (N, 3) [m] which of them another camera sees through: they are
+            not there. None: nobody knows.
 
     Returns:
         `obstacles` itself where none is cut off.
     """
-    clouds = tuple(_with_ends(cloud, X_WC, image) for cloud in obstacles.clouds_W)
+    clouds = tuple(_with_ends(cloud, cameras, seen_free) for cloud in obstacles.clouds_W)
     if all(one is other for one, other in zip(clouds, obstacles.clouds_W, strict=True)):
         return obstacles
     return replace(obstacles, clouds_W=clouds)
 
 
-def _with_ends(cloud: FloatArray, X_WC: FloatArray, image: ImageRange) -> FloatArray:
+def _with_ends(
+    cloud: FloatArray,
+    cameras: Sequence[tuple[FloatArray, ImageRange]],
+    seen_free: Callable[[FloatArray], BoolArray] | None,
+) -> FloatArray:
     """A cloud (N, 3), with its ends; as it is where it is not finite."""
     if not np.isfinite(cloud).all():
         return cloud
+    ends = [end for X_WC, image in cameras for end in _ends(cloud, X_WC, image)]
+    if seen_free is not None:
+        ends = [end[~seen_free(end)] for end in ends]
+    return np.concatenate([cloud, *ends]) if any(map(len, ends)) else cloud
+
+
+def _ends(cloud: FloatArray, X_WC: FloatArray, image: ImageRange) -> Iterator[FloatArray]:
+    """What goes on beyond each border (M, 3) of an image that cuts off a cloud (N, 3)."""
     _, y, z = ((cloud - X_WC[:3, 3]) @ X_WC[:3, :3]).T
     # How far the points are from the borders, at their depth; up and down in the image, and
     # nearer, is so in the world.
@@ -66,14 +82,11 @@ def _with_ends(cloud: FloatArray, X_WC: FloatArray, image: ImageRange) -> FloatA
     vertical = np.array([0.0, 0.0, 1.0])
     up = vertical * math.copysign(1.0, -X_WC[2, 1])
     nearer = vertical * math.copysign(1.0, -X_WC[2, 2])
-    borders = (top, up), (bottom, -up), (z - image.near, nearer)
-    ends = [cloud]
-    for gap, way in borders:
+    for gap, way in ((top, up), (bottom, -up), (z - image.near, nearer)):
         last = cloud[(np.abs(gap) <= _NEAR) & (z > 0.0)]
         if not len(last):
             continue
         along = cloud @ way
         length = min(float(np.ptp(along)), _LONGEST)
         steps = VOXEL * np.arange(1, 1 + math.floor(length / VOXEL))
-        ends.append((last[:, None] + steps[:, None] * way).reshape(-1, 3))
-    return cloud if len(ends) == 1 else np.concatenate(ends)
+        yield (last[:, None] + steps[:, None] * way).reshape(-1, 3)

@@ -18,6 +18,7 @@ the dynamic movement primitives of Ijspeert et al. (2013) in the form of Pairet 
 with the coupling term C = Omega x z, which turns z and pushes nothing. A step is half a step of
 the spring, the turn, and the spring's other half, each an exact flow (docs/equations.md).
 
+- `averaging`: recordings of one motion as one, which is imitated (locally weighted regression).
 - `dmp`, `coupling`, `guidance`: primitive, turning terms, heading to the chosen side; each formula
   has one compiled form, which `tests/reference` holds to account.
 - `action_kernels`, `action`: one step of all of it, with holds and temporal scaling.

@@ -274,7 +274,7 @@ def restarted(
     )
 
 
-_UNSEEN = Facts(False, 0.0, False, -1.0, 0.0, False, False)
+_UNSEEN = Facts(False, 0.0, False, -1.0, 0.0, False, False, False)
 _NOTHING = Obstacles.of(None)
 
 
@@ -326,7 +326,7 @@ class Surroundings(Frozen):
         couples = in_plane = False
         if count and ellipsoids is not None and coupling is not None:
             _check_rows(count, coupling, route)
-            couples, in_plane = True, len(coupling.center_W) > 0
+            couples, in_plane = True, len(coupling.center_W) > 0 or route is not None
             if route is not None:
                 _lay_out_route(route, obstacles)
             if len(coupling.normal_W):
@@ -334,7 +334,7 @@ class Surroundings(Frozen):
                 obstacles.normal[given] = coupling.normal_W[given]
                 obstacles.heading[given] = 0.0
                 obstacles.remaining_clearance[given] = 0.0
-            obstacles.about[:] = coupling.center_W if in_plane else ellipsoids.p_WO
+            obstacles.about[:] = coupling.center_W if len(coupling.center_W) else ellipsoids.p_WO
             obstacles.parameters[:] = coupling.as_array()
             _check_ranges(obstacles)
         facts = Facts(
@@ -345,6 +345,7 @@ class Surroundings(Frozen):
             tau=0.0 if coupling is None else float(coupling.tau),
             couples=couples,
             in_plane=in_plane,
+            original=coupling is not None and coupling.original,
         )
         anew = coupling is not None and coupling.anew
         return Surroundings(ellipsoids, hold, note, anew, facts, obstacles)
@@ -397,7 +398,7 @@ def _check_rows(count: int, coupling: CouplingParameters, route: Route | None) -
     if route is not None:
         rows["route"] = len(route.heading_W) or len(route.direction_W)
         follows = len(route.heading_W) == 0
-        for name in ("normal_W", "center_W", "remaining_clearance") if follows else ("normal_W",):
+        for name in ("normal_W", "remaining_clearance") if follows else ("normal_W",):
             rows[f"route's {name}"] = len(getattr(route, name))
     for name, found in rows.items():
         if found != count:
@@ -425,6 +426,5 @@ def _lay_out_route(route: Route, obstacles: Obstacles) -> None:
         obstacles.heading[:] = route.heading_W
     else:
         obstacles.direction[:] = route.direction_W
-        obstacles.foot[:] = route.center_W
         obstacles.remaining_clearance[:] = route.remaining_clearance
     obstacles.normal[:] = route.normal_W

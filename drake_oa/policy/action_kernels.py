@@ -85,7 +85,8 @@ class Facts(NamedTuple):
 
     Whether obstacles are looked for, when they were seen [s], whether no way past them is known,
     the route's length [m] (negative: no route), the asked tau (0: none), whether there are
-    coupling terms, and whether they act in the planes of their normals.
+    coupling terms, whether they act in the planes of their normals, and whether they are the
+    original ones.
     """
 
     looked_for: bool
@@ -95,6 +96,7 @@ class Facts(NamedTuple):
     tau: float
     couples: bool
     in_plane: bool
+    original: bool
 
 
 @compiled
@@ -219,8 +221,10 @@ def _take_step(
 ) -> tuple[Motion, int]:
     """One of `take_steps`."""
     now, p_WG, R_WL = before.end, before.p_WG, before.R_WL
-    begin = Instant(now.p_WE, now.z_W, now.phase, now.speed, time)
     code = hold_code(now.p_WE, p_WG, facts, obstacles, time, rules.max_age)
+    # What is held before it has begun does not begin.
+    at_speed = 0.0 if code != FREE and now.phase == 1.0 else now.speed
+    begin = Instant(now.p_WE, now.z_W, now.phase, at_speed, time)
     square = distance = 0.0
     for i in range(3):
         square += (p_WG[i] - before.p_WS[i]) ** 2
@@ -233,8 +237,8 @@ def _take_step(
         tau = max(1.0, facts.path_length / baseline)
     target = 0.0 if code != FREE else scale / (tau * primitive.duration)
     most = step / (primitive.duration * rules.hold_time)
-    speed = now.speed + min(max(target - now.speed, -most), most)
-    ds = 0.5 * (now.speed + speed) * step
+    speed = at_speed + min(max(target - at_speed, -most), most)
+    ds = 0.5 * (at_speed + speed) * step
     if not 0.0 <= ds < math.inf:
         return before, BAD_STEP
     p, z, phase = now.p_WE.copy(), now.z_W.copy(), now.phase
@@ -255,7 +259,14 @@ def _take_step(
             terms = _terms(begin, p_WG, R_WL, obstacles, fade, rules.guidance_gain)
             place, heading = (p[0], p[1], p[2]), (z[0], z[1], z[2])
             turn = turn_step(
-                terms, facts.in_plane, rules.printed, rules.max_rate, place, heading, ds
+                terms,
+                facts.in_plane,
+                facts.original,
+                rules.printed,
+                rules.max_rate,
+                place,
+                heading,
+                ds,
             )
             z[0], z[1], z[2] = rotate(heading, turn)
             _spring(p, z, rest, a, b, c, d)

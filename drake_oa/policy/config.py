@@ -19,16 +19,12 @@ class Policy:
     alpha_k: float = number(ALPHA_K, "1", 0.0, 100.0, open_low=True)
     # Basis functions of the forcing term.
     n_basis: int = count(35, 2, 1000)
-    # Weights of the regressor chain: package:// URL, or file relative to this one.
-    weights: str = "package://drake_oa/weights/regressor_chain.safetensors"
     # How heading guidance fades near an obstacle (see docs/equations.md).
     guidance: str = choice("counterphase", "printed")
     # Largest alpha of the guidance term.
-    guidance_gain: float = number(100.0, "1", 0.0, 1e6)
-    # What the regressor chain looks at with `regulation: !Regressor`: the obstacle as the
-    # chosen route meets it, or the section of the P-plane, as in the paper.
-    descriptor: str = choice("route", "section")
-    # The coupling fades within this share of the baseline before the goal.
+    guidance_gain: float = number(1e6, "1", 0.0, 1e6)
+    # The coupling fades within this share of the baseline before the goal; 0: it does not, as
+    # printed.
     fade: float = number(0.3, "1", 0.0, 1.0)
     # Directions on a cost ring, and how often the route is reconsidered [s].
     ring_directions: int = count(36, 4, 720)

@@ -27,8 +27,11 @@ from numpy.typing import ArrayLike
 from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray
 
-PARALLEL = 1e-9
-"""Sine of the angle below which two directions count as parallel."""
+PARALLEL = 1e-6
+"""Sine of the angle below which two directions count as parallel.
+
+An imitated motion may begin with a little step back: where its heading passes through none there
+is nothing but rounding to it, which must not choose the side."""
 
 MAX_GUIDANCE_RATE = 1000.0
 """Saturation of the printed guidance term [rad per normalised time]."""
@@ -243,17 +246,19 @@ def avoidance_term(
     psi: float,
     closeness: float,
     in_plane: bool,
+    original: bool,
     step: float,
 ) -> Term:
-    """Turn away from the obstacle, (eq. oa_complete).
+    """Turn away from the obstacle, (eq. oa_complete) or (eq. oa_original).
 
     Args:
         u: unit vector from E to the centre.
         e: unit heading.
         normal: of the passing plane, of any length or zero.
-        alpha, psi: parameters of the term.
+        alpha, psi: parameters of the term; of the original one gamma and 1 / beta.
         closeness: kappa d^2.
         in_plane: whether the term acts in the plane of that normal, if there is one.
+        original: whether it is the original term.
         step: length of the step.
     """
     if in_plane and (normal[0] != 0.0 or normal[1] != 0.0 or normal[2] != 0.0):
@@ -263,10 +268,16 @@ def avoidance_term(
         if not defined and theta == 0.0:
             axis, defined = fallback(normal, e), True
     u_psi = theta / psi
-    rate = min(alpha * math.exp(-u_psi * u_psi - closeness), _MAX_RATE)
+    if original:
+        rate = min(alpha * theta * math.exp(-u_psi), _MAX_RATE)
+    else:
+        rate = min(alpha * math.exp(-u_psi * u_psi - closeness), _MAX_RATE)
     if not defined or not rate > 0.0:
         return _ABSENT
-    explicit, divisor = limited_avoidance(rate, theta, psi, step)
+    if original:
+        explicit, divisor = stiff(rate * step, min(rate * step, math.pi - theta))
+    else:
+        explicit, divisor = limited_avoidance(rate, theta, psi, step)
     return axis, explicit, divisor
 
 
@@ -317,6 +328,7 @@ def _solve(diagonal: Triple, off: Triple, b: Triple) -> Triple:
 def turn_step(
     terms: FloatArray,
     in_plane: bool,
+    original: bool,
     printed: bool,
     max_rate: float,
     p: Triple,
@@ -333,6 +345,7 @@ def turn_step(
         terms: (M, 13) rows p_WO (3), alpha, psi, kappa, heading (3), normal (3) and
             guidance alpha; finite, psi > 0, the other parameters not negative.
         in_plane: whether avoidance terms act in the planes of the normals.
+        original: whether they are the original ones.
         printed: the printed form of the guidance term, not the counterphase.
         max_rate: saturation of the printed form [rad per normalised time].
         p: p_WE [m].
@@ -368,7 +381,7 @@ def turn_step(
                 if not (d > 0.0 and alpha > 0.0):
                     continue
                 u = _divided(o, d)
-                term = avoidance_term(u, e, normal, alpha, psi, closeness, in_plane, step)
+                term = avoidance_term(u, e, normal, alpha, psi, closeness, in_plane, original, step)
             if term[2] == 0.0:
                 continue
             axis, explicit, divisor = term

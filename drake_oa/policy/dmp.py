@@ -294,6 +294,7 @@ def imitate(
     alpha_x: float = ALPHA_X,
     beta_x: float = BETA_X,
     alpha_k: float = ALPHA_K,
+    still: float = 0.0,
 ) -> Dmp:
     """Learns a movement primitive from one demonstrated path.
 
@@ -308,6 +309,8 @@ def imitate(
         alpha_x: spring constant, per normalised time.
         beta_x: spring constant, per normalised time.
         alpha_k: decay of the phase, per normalised time.
+        still: normalised time after the end for which no force is to be left: where it ends at
+            rest, it stays there the better.
 
     Returns:
         The primitive; its duration is that of the demonstration.
@@ -317,11 +320,13 @@ def imitate(
             do not increase, a path that ends where it starts, or constants that are
             not positive.
     """
-    path, t = _checked_demonstration(path, t)
+    path, t = checked_demonstration(path, t)
     if n_basis < 2:
         raise ValueError(f"n_basis must be at least 2, not {n_basis}")
     for name, value in (("alpha_x", alpha_x), ("beta_x", beta_x), ("alpha_k", alpha_k)):
         _check_positive(name, value)
+    if not 0.0 <= still <= 1.0:
+        raise ValueError(f"still must be in [0, 1], not {still}")
     duration = float(t[-1] - t[0])
     baseline = float(np.linalg.norm(path[-1] - path[0]))
     extent = float(np.ptp(path, axis=0).max())
@@ -334,11 +339,12 @@ def imitate(
 
     degree = min(5, len(path) - 1) if len(path) != 5 else 3
     spline = make_interp_spline((t - t[0]) / duration, local, k=degree)
-    s = _fitted_at(n_basis)
-    x, z, dz = (spline(s, derivative) for derivative in (0, 1, 2))
-    target = dz + alpha_x * (z + beta_x * x)
+    s = _fitted_at(n_basis, still)
+    x, z, dz = (spline(s[s <= 1.0], derivative) for derivative in (0, 1, 2))
+    target = np.zeros((len(s), path.shape[1]))
+    target[s <= 1.0] = dz + alpha_x * (z + beta_x * x)
 
-    centers, widths, inverse = _fit(n_basis, float(alpha_k))
+    centers, widths, inverse = _fit(n_basis, float(alpha_k), float(still))
     weights = (inverse @ target).T
     return Dmp(
         alpha_x=float(alpha_x),
@@ -351,13 +357,14 @@ def imitate(
     )
 
 
-def _fitted_at(n_basis: int) -> FloatArray:
-    """Normalised times at which a forcing term is fitted."""
-    return np.linspace(0.0, 1.0, max(501, 10 * n_basis))
+def _fitted_at(n_basis: int, still: float) -> FloatArray:
+    """Normalised times at which a forcing term is fitted, to 1 + still."""
+    s = np.linspace(0.0, 1.0, max(501, 10 * n_basis))
+    return np.append(s, 1.0 + s[1 : 1 + round(still * (len(s) - 1))])
 
 
 @lru_cache(maxsize=16)
-def _fit(n_basis: int, alpha_k: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _fit(n_basis: int, alpha_k: float, still: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Centres and widths of the basis functions, and (n_basis, samples) what fits their weights.
 
     The least squares of a plan take 15 ms anew, and the same matrix each time.
@@ -368,7 +375,7 @@ def _fit(n_basis: int, alpha_k: float) -> tuple[FloatArray, FloatArray, FloatArr
     centers = np.exp(-alpha_k * np.linspace(-gap, 1.0, n_basis))
     gaps = -np.diff(centers)
     widths = 0.7 / np.append(gaps, gaps[-1]) ** 2
-    k = np.exp(-alpha_k * _fitted_at(n_basis))[:, None]
+    k = np.exp(-alpha_k * _fitted_at(n_basis, still))[:, None]
     basis = np.exp(-widths * (k - centers) ** 2)
     basis *= k / basis.sum(axis=1, keepdims=True)
     inverse = np.linalg.pinv(basis, rcond=float(np.finfo(float).eps) * len(basis))
@@ -377,7 +384,8 @@ def _fit(n_basis: int, alpha_k: float) -> tuple[FloatArray, FloatArray, FloatArr
     return centers, widths, inverse
 
 
-def _checked_demonstration(path: ArrayLike, t: ArrayLike | None) -> tuple[FloatArray, FloatArray]:
+def checked_demonstration(path: ArrayLike, t: ArrayLike | None) -> tuple[FloatArray, FloatArray]:
+    """(T, D) positions and (T,) stamps that can be imitated; raises as `imitate`."""
     path = np.asarray(path, dtype=float)
     if path.ndim != 2 or path.shape[1] == 0:
         raise ValueError(f"path must be (T, D) with D >= 1, not {path.shape}")

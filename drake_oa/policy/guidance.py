@@ -30,7 +30,6 @@ class Obstacles(NamedTuple):
         normal: (M, 3) normals of the planes in which they are passed; zero: none is known.
         heading: (M, 3) headings to be led along; zero: none.
         direction: (M, 3) unit directions omega_d of the route.
-        foot: (M, 3) centres that the route passes [m].
         remaining_clearance: (M,) distances that the route keeps [m]; 0: it does not guide.
     """
 
@@ -43,7 +42,6 @@ class Obstacles(NamedTuple):
     normal: FloatArray
     heading: FloatArray
     direction: FloatArray
-    foot: FloatArray
     remaining_clearance: FloatArray
 
     @staticmethod
@@ -52,8 +50,8 @@ class Obstacles(NamedTuple):
         shapes = EllipsoidSet() if ellipsoids is None else ellipsoids
         p_WO, R_WO, semi_axes = kernel_arrays(shapes.p_WO, shapes.R_WO, shapes.semi_axes)
         B = np.ascontiguousarray(shape_matrix(R_WO, semi_axes), dtype=float)
-        parameters, about, normal, heading, direction, foot = np.zeros((6, *p_WO.shape))
-        rows = parameters, about, normal, heading, direction, foot, np.zeros(len(p_WO))
+        parameters, about, normal, heading, direction = np.zeros((5, *p_WO.shape))
+        rows = parameters, about, normal, heading, direction, np.zeros(len(p_WO))
         return Obstacles(p_WO, R_WO, semi_axes, B, *rows)
 
 
@@ -82,7 +80,6 @@ def desired_headings(
     ellipsoids: EllipsoidSet,
     direction_W: FloatArray,
     normal_W: FloatArray,
-    center_W: FloatArray,
     remaining_clearance: FloatArray,
 ) -> FloatArray:
     """v_d for each obstacle; a zero row where the heading needs no guidance.
@@ -98,18 +95,15 @@ def desired_headings(
         ellipsoids: the M obstacles, dilated by the tool.
         direction_W: (M, 3) chosen unit directions omega_d.
         normal_W: (M, 3) normals of the passing planes, see `passing_normals`.
-        center_W: (M, 3) points that the avoidance terms act about [m].
         remaining_clearance: (M,) distance to keep [m].
 
     Returns:
         (M, 3) unit headings or zero rows, in the world frame.
     """
     heading_W = np.zeros((len(ellipsoids), 3))
-    foot, normal, direction, remaining = kernel_arrays(
-        center_W, normal_W, direction_W, remaining_clearance
-    )
+    normal, direction, remaining = kernel_arrays(normal_W, direction_W, remaining_clearance)
     obstacles = Obstacles.of(ellipsoids)._replace(
-        foot=foot, normal=normal, direction=direction, remaining_clearance=remaining
+        normal=normal, direction=direction, remaining_clearance=remaining
     )
     p_WE, z_W, p_WG, R_WL = kernel_arrays(policy.p_WE, policy.z_W, policy.p_WG, policy.R_WL)
     guide(p_WE, z_W, p_WG, R_WL, obstacles, heading_W)
@@ -136,11 +130,11 @@ def guide(
         u[k] = z_W[k] / speed if speed > 0.0 else R_WL[k, 0]
         distance_G += (p_WG[k] - p_WE[k]) ** 2
     distance_G = np.sqrt(distance_G)
-    for row in range(len(obstacles.foot)):
+    for row in range(len(obstacles.p_WO)):
         clearance = obstacles.remaining_clearance[row]
         if not clearance > 0.0:
             continue
-        share = _wrong_side(p_WE, u, obstacles.foot[row], obstacles.normal[row])
+        share = _wrong_side(p_WE, u, obstacles.p_WO[row], obstacles.normal[row])
         if share == 0.0:
             continue
         entry = _ray_entry(

@@ -47,6 +47,8 @@ LARGEST_ANGLE = math.radians(300.0)
 """Furthest that a demonstration may turn from its start: rotation vectors end at 360 degrees."""
 _HALF_TURN = math.pi - 1e-6
 """Rotations of more than this have no way round of their own [rad]."""
+_NEARLY_OPPOSITE = -0.99
+"""Trace of the rotation between two samples below which it is looked at: -1 at half a turn."""
 _STEP = 1.0 / 500.0
 """Step of `orientation_along`, in normalised time."""
 
@@ -148,6 +150,7 @@ def imitate_orientation(
     alpha_x: float = ALPHA_X,
     beta_x: float = BETA_X,
     alpha_k: float = ALPHA_K,
+    still: float = 0.0,
 ) -> OrientationDmp:
     """Learns a movement primitive of the orientation from one demonstration.
 
@@ -159,23 +162,17 @@ def imitate_orientation(
         alpha_x: spring constant, per normalised time.
         beta_x: spring constant, per normalised time.
         alpha_k: decay of the phase; the position's.
+        still: as in `imitate`.
 
     Raises:
         ValueError: for a wrong shape, fewer than two samples, a sample that is no
             rotation, stamps that do not increase, half a turn or more between two samples,
             or a motion that turns further than `LARGEST_ANGLE` from its start.
     """
-    R = _rotations(orientations)
-    for row in range(1, len(R)):
-        step = float(np.linalg.norm(rotation_vector(np.ascontiguousarray(R[row - 1].T @ R[row]))))
-        if step > _HALF_TURN:
-            raise ValueError(
-                f"orientations: samples {row - 1} and {row} are half a turn apart, which leaves "
-                "open which way round; sample more often"
-            )
-    r = _vectors_from(R, 0)
+    R = checked_rotations(orientations)
+    r = vectors_from(R, 0)
     if np.linalg.norm(r, axis=1).max() > LARGEST_ANGLE:
-        r = _vectors_from(R, len(R) // 2)
+        r = vectors_from(R, len(R) // 2)
     angles = np.linalg.norm(r, axis=1)
     if angles.max() > LARGEST_ANGLE:
         row = int(np.argmax(angles > LARGEST_ANGLE))
@@ -192,11 +189,12 @@ def imitate_orientation(
     share = minimum_jerk_share(s)
     # A path whose baseline is the first axis, and 1: nothing is turned or scaled.
     path = np.column_stack([share, r - share[:, None] * r[-1]])
-    dmp = imitate(path, stamps, n_basis=n_basis, alpha_x=alpha_x, beta_x=beta_x, alpha_k=alpha_k)
+    constants = {"alpha_x": alpha_x, "beta_x": beta_x, "alpha_k": alpha_k, "still": still}
+    dmp = imitate(path, stamps, n_basis=n_basis, **constants)
     return OrientationDmp(dmp, r[-1].copy(), R[0].copy(), R[-1].copy(), offset)
 
 
-def _vectors_from(R: FloatArray, origin: int) -> FloatArray:
+def vectors_from(R: FloatArray, origin: int) -> FloatArray:
     """(T, 3) rotation vectors of orientations (T, 3, 3) from one of them, from sample to sample."""
     r = np.zeros((len(R), 3))
     for rows in (range(origin + 1, len(R)), range(origin - 1, -1, -1)):
@@ -231,8 +229,8 @@ def minimum_jerk_orientation(
     )
 
 
-def _rotations(orientations: ArrayLike) -> FloatArray:
-    """(T, 3, 3) checked rotation matrices of a demonstration."""
+def checked_rotations(orientations: ArrayLike) -> FloatArray:
+    """(T, 3, 3) rotation matrices that can be imitated; raises as `imitate_orientation`."""
     given = np.asarray(orientations, dtype=float)
     if given.shape[1:] not in ((4,), (3, 3)):
         raise ValueError(
@@ -248,11 +246,19 @@ def _rotations(orientations: ArrayLike) -> FloatArray:
         there = given.any(axis=1)
         if not there.all():
             raise ValueError(f"orientations: the quaternion of sample {int(np.argmin(there))} is 0")
-        return np.array([rotation_of(row) for row in np.ascontiguousarray(given)])
-    error = np.abs(given @ given.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
-    good = (error < 1e-6) & (np.linalg.det(given) > 0.0)
-    if not good.all():
-        raise ValueError(f"orientations: sample {int(np.argmin(good))} is no rotation matrix")
+        given = np.array([rotation_of(row) for row in np.ascontiguousarray(given)])
+    else:
+        error = np.abs(given @ given.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+        good = (error < 1e-6) & (np.linalg.det(given) > 0.0)
+        if not good.all():
+            raise ValueError(f"orientations: sample {int(np.argmin(good))} is no rotation matrix")
+    for row in np.flatnonzero(np.einsum("tij,tij->t", given[1:], given[:-1]) < _NEARLY_OPPOSITE):
+        turn = np.ascontiguousarray(given[row].T @ given[row + 1])
+        if np.linalg.norm(rotation_vector(turn)) > _HALF_TURN:
+            raise ValueError(
+                f"orientations: samples {row} and {row + 1} are half a turn apart, which leaves "
+                "open which way round; sample more often"
+            )
     return given
 
 

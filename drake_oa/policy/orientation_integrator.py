@@ -16,7 +16,7 @@ from pydrake.systems.framework import (
 )
 
 from drake_oa.common.messages import FloatArray, Frozen, PolicyState
-from drake_oa.common.ports import read_optional, read_value, valid_period
+from drake_oa.common.ports import Cell, read_optional, read_value, valid_period
 from drake_oa.geometry.rotation import rotation_vector
 from drake_oa.policy import orientation_dmp as kernels
 from drake_oa.policy.demonstration import Demonstration
@@ -57,13 +57,6 @@ class OrientationSegment(Frozen):
     start: FloatArray = field(default_factory=lambda: np.zeros(0))
     p_WS: FloatArray = field(default_factory=lambda: np.zeros(0))
     demonstration: Demonstration = field(default_factory=Demonstration)
-
-
-@dataclass(frozen=True, eq=False)
-class _Now(Frozen):
-    """What `kernels.evaluate` says of one instant."""
-
-    values: FloatArray
 
 
 class OrientationIntegrator(LeafSystem):
@@ -134,7 +127,7 @@ class OrientationIntegrator(LeafSystem):
         self._segment = self.DeclareAbstractState(Value(OrientationSegment(goal=self._goal)))
         self._now = self.DeclareCacheEntry(
             "orientation now",
-            ValueProducer(lambda: Value(object()), self._calc_now),
+            ValueProducer(lambda: Value(Cell()), self._calc_now),
             {self.time_ticket(), self.abstract_state_ticket(self._segment)},
         )
         for name, begin, size in (
@@ -146,7 +139,7 @@ class OrientationIntegrator(LeafSystem):
                 name,
                 size,
                 lambda context, output, begin=begin, end=begin + size: output.SetFromVector(
-                    self._now.Eval(context).values[begin:end]
+                    self._now.Eval(context).value[begin:end]
                 ),
                 {self._now.ticket()},
             )
@@ -156,7 +149,8 @@ class OrientationIntegrator(LeafSystem):
         return context.get_abstract_state(self._segment).get_value()
 
     def _calc_now(self, context: Context, value: AbstractValue) -> None:
-        value.set_value(_Now(self._at(self._read_segment(context), context.get_time())))
+        cell: Cell[FloatArray] = value.get_mutable_value()
+        cell.value = self._at(self._read_segment(context), context.get_time())
 
     def _at(self, segment: OrientationSegment, time: float) -> FloatArray:
         start = segment.start if len(segment.start) else self._start

@@ -138,7 +138,7 @@ def turned_away(
         return
     near = max(distance, 0.0)
     (ax, ay, az), explicit, divisor = avoidance_term(
-        u, e, (0.0, 0.0, 0.0), alpha, psi, kappa * near * near, False, step
+        u, e, (0.0, 0.0, 0.0), alpha, psi, kappa * near * near, False, False, step
     )
     if divisor == 0.0:
         return

@@ -1,6 +1,6 @@
 """Regulation: the parameters of the coupling terms, and the search among motions that they bend.
 
-In:  ellipsoids_W `EllipsoidSet`, or route `Route`; policy_state `PolicyState` (world frame W).
+In:  ellipsoids_W `EllipsoidSet`, policy_state `PolicyState` (world frame W).
 Out: coupling_parameters `CouplingParameters` (alpha in turns a duration T, psi [rad], kappa
      [1/m^2]).
 
@@ -14,15 +14,17 @@ feasible clearance; `planning.search` does the same with the whole arm among tru
 
 Method
     The regressor chain is that of E. Pairet et al., IEEE RA-L 4(4), 2019. The coupling law is scale
-    free, so lengths are counted in baselines. Candidates are one avoidance term each; a plain
-    evolution strategy varies the best of them. Rows of one scene are rolled out many at a time by
-    loops over vectors.
+    free, so lengths are counted in baselines. Candidates are one avoidance term each: a set network
+    (M. Zaheer et al., NeurIPS 2017), which was trained on what the search finds, proposes the
+    first, and a plain evolution strategy varies the best of them. Rows of one scene are rolled out
+    many at a time by loops over vectors.
 
-Parts, in the order data flows: `regressor` (networks and their file), `regressor_chain`,
-`proposals` (candidates and their genes), `rollout` with `rollout_kernels` and `lane_math` (the
-motions), `search` (the choice).
+Parts, in the order data flows: `network` (a perceptron, and the file of weights), `regressor` and
+`regressor_chain` (the paper's), `confidence` (how likely it keeps what is asked), `proposals`
+(candidates and their genes), `proposal_network`, `rollout` with `rollout_kernels` and `lane_math`
+(the motions), `search` (the choice).
 
-Configuration: the block `regulation` of a scenario, tagged `!Verified` or `!Regressor`.
+Configuration: the block `regulation` of a scenario, tagged `!Verified` or `!Paper`.
 
 Read first: `search`, then `rollout`.
 """

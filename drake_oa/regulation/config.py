@@ -7,7 +7,7 @@ and with `check_values` what Python code makes.
 # No postponed annotations here: yaml_load_typed reads the fields' types.
 import dataclasses as dc
 
-from drake_oa.common.config import count, number
+from drake_oa.common.config import choice, count, number
 
 
 @dc.dataclass
@@ -15,7 +15,7 @@ class SearchParameters:
     """How far a search among motions of the tool goes."""
 
     # Motions that are rolled out a round.
-    candidates: int = count(64, 32, 4096)
+    candidates: int = count(64, 8, 4096)
     # Rounds of the search at most, and after the first motion that keeps the clearance.
     rounds: int = count(60, 0, 1000)
     polish: int = count(6, 0, 1000)
@@ -37,20 +37,40 @@ class SearchParameters:
 
 
 @dc.dataclass
-class Regressor:
-    """Coupling parameters as the regressor chain gives them, sides by cost rings: the paper."""
+class Paper:
+    """The paper's chain and nothing else; each reading of its print is a field.
 
-    # Whether the policy is given the route. Without it the motion only reacts: the term turns
-    # it about the section of the P-plane, to whatever side it happens to head for.
+    `policy.fade`, `policy.guidance` and `policy.guidance_gain` are readings too.
+    """
+
+    # RC(lambda', Delta): package:// URL, or file relative to this one. The default is trained by
+    # the paper's recipe on the action level that runs here.
+    weights: str = "package://drake_oa/weights/paper_chain_running.safetensors"
+    # What encodes an obstacle that the tool dilates: the superquadric of least squares
+    # (eq. sq_min), or the ellipsoid that encloses it.
+    shape: str = choice("superquadric", "enclosing")
+    # How strongly the superquadric's exponents are drawn to 1: what one unit of their logarithm
+    # costs, in mean squares of a residual that is the volume's root. null: they are 1, as
+    # section IV-B has it; 0: as fitted.
+    exponent_prior: float | None = dc.field(default=None, metadata={"unit": "1", "low": 0.0})
+    # The avoidance term: (eq. oa_complete), or (eq. oa_original) at its published gains.
+    term: str = choice("dead_zone_free", "original")
+    # Whether cost rings choose the sides, and headings lead there (eq. oa_rs). Without them the
+    # motion only reacts: the term turns it to whatever side it happens to head for.
     guided: bool = True
+    # Whether the duration is scaled by the length of the avoiding path (section IV-E).
+    scaled: bool = True
 
 
 @dc.dataclass
 class Verified:
     """Motions that roll-outs of the whole arm among the true shapes have checked."""
 
+    # What leads the search, a proposal network or a regressor chain: package:// URL, or file
+    # relative to this one.
+    weights: str = "package://drake_oa/weights/proposals.safetensors"
     # Motions that are rolled out a round; rounds at most, and after the first that will do.
-    candidates: int = count(64, 32, 4096)
+    candidates: int = count(32, 8, 4096)
     rounds: int = count(8, 0, 1000)
     polish: int = count(4, 0, 1000)
     # A motion keeps what is asked when it is short of it by no more than this, and what start
@@ -68,9 +88,13 @@ class Verified:
     link_clearance: float = number(0.03, "m", 0.0, 1.0)
     self_clearance: float = number(0.005, "m", 0.0, 0.1)
     least_kept: float = number(1e-3, "m", 0.0, 1.0)
-    # Configurations that a decision looks at while the motion is under way or something moves: less
-    # than a camera's period is worth. A search that takes more goes on with the next observation.
-    configurations_a_frame: int = count(5000, 1, 10_000_000)
+    # What a side costs at which a ring of one's own is 1, which forbids it, or at less its share of
+    # it: so much longer another way may be, in baselines.
+    ring_price: float = number(0.5, "1", 0.0, 100.0)
+    # What a search may cost, by `drake_oa.common.thinking`, once the motion has begun or while
+    # something moves [s]: less than a camera's period. One that costs more goes on with the next
+    # observation.
+    frame: float = number(0.028, "s", 0.0, 100.0)
     # How often a path in the joints is looked for while none of the motions will do [s]; among how
     # many configurations, for all that is asked, then for these shares of it, and at last for
     # the smallest share among so many; and to how many random postures at the goal.

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Protocol
 
 import numpy as np
 
@@ -35,65 +36,154 @@ GENE_RANGE = np.stack([LOWER, UPPER], axis=1)
 STRIDE = np.array([0.4, 0.08, 0.03, 0.6, 0.25, 0.8, 0.15])
 """Standard deviation of a full step of the search, gene by gene."""
 ELITES = 8
-LINE = 12
-"""Candidates of a round that differ from the best one in alpha only."""
-FRESH = 16
-"""Candidates of a round that are drawn anew while the clearance is not kept."""
+_CLOSER = 0.4
+"""By so much each round's strengths lie closer,"""
+_CLOSEST = 0.02
+"""and this close at last, in ln alpha."""
 _N_ANGLES = 24
 _OFFSETS = np.array([0, 1, -1, 3, -3, 6, -6, 12])
 """Sides that proposals are made for, of `_N_ANGLES`, counted from the lowest one."""
 _GAINS = np.array([-3.0, -1.5, -0.5, 0.5, 1.5, 3.0, 5.0, 8.0])
-"""What the proposals add to the chain's ln alpha."""
+"""What proposals add to the chain's ln alpha."""
 
 
 def avoidance_terms(scenes: SpatialScenes, scene: IntArray, genes: FloatArray) -> FloatArray:
     """The terms (N, 13) of candidates (N, 7) in their scenes (N,)."""
-    R, L = scenes.R_WL[scene], scenes.baseline[scene]
-    cos, sin = np.cos(genes[:, ANGLE])[:, None], np.sin(genes[:, ANGLE])[:, None]
     terms = np.zeros((len(genes), N_COLUMNS))
-    omega = cos * R[:, :, 1] + sin * R[:, :, 2]
-    terms[:, :3] = scenes.p_WS[scene] + L[:, None] * (
-        genes[:, PLACE, None] * R[:, :, 0] + genes[:, ASIDE, None] * omega
-    )
-    # x_L x omega: a turn about it goes from the baseline to the side.
-    terms[:, NORMAL : NORMAL + 3] = cos * R[:, :, 2] - sin * R[:, :, 1]
-    terms[:, ALPHA_COLUMN] = np.exp(genes[:, ALPHA])
-    terms[:, PSI_COLUMN] = np.exp(genes[:, PSI])
-    terms[:, KAPPA_COLUMN] = np.exp(genes[:, KAPPA]) / L**2
+    _write_terms(scenes.arrays, scene, np.ascontiguousarray(genes), terms)
     return terms
 
 
-def chain_proposals(
-    scenes: SpatialScenes, weights: ChainWeights, duration: float
-) -> tuple[FloatArray, BoolArray]:
-    """What the regressor chain proposes on the lowest sides, with several strengths.
+@compiled
+def _write_terms(
+    scenes: SceneArrays, scene: IntArray, genes: FloatArray, terms: FloatArray
+) -> None:
+    """Writes the columns that are not 0 of terms (N, 13)."""
+    for row in range(len(genes)):
+        k, gene, term = scene[row], genes[row], terms[row]
+        L, cos, sin = scenes.baseline[k], math.cos(gene[ANGLE]), math.sin(gene[ANGLE])
+        for i in range(3):
+            x, y, z = scenes.R_WL[k, i, 0], scenes.R_WL[k, i, 1], scenes.R_WL[k, i, 2]
+            omega = cos * y + sin * z
+            # From the goal, as the baseline ends there; it begins L before.
+            along = (gene[PLACE] - 1.0) * x + gene[ASIDE] * omega
+            term[i] = scenes.p_WG[k, i] + L * along
+            # x_L x omega: a turn about it goes from the baseline to the side.
+            term[NORMAL + i] = cos * z - sin * y
+        term[ALPHA_COLUMN] = math.exp(gene[ALPHA])
+        term[PSI_COLUMN] = math.exp(gene[PSI])
+        term[KAPPA_COLUMN] = math.exp(gene[KAPPA]) / (L * L)
 
-    Args:
-        scenes: S scenes.
+
+NO_PRICE: FloatArray = np.zeros(0)
+
+
+class Proposer(Protocol):
+    """What proposes the candidates that a search begins with."""
+
+    @property
+    def spacing(self) -> float:
+        """About how far apart in ln alpha they are on one side."""
+
+    def propose(
+        self, scenes: SpatialScenes, duration: float, count: int, price: FloatArray = NO_PRICE
+    ) -> tuple[FloatArray, BoolArray]:
+        """Candidates of S scenes.
+
+        Args:
+            scenes: S scenes.
+            duration: tau T [s].
+            count: how many a scene.
+            price: (K,) what sides cost besides, in baselines; see `price_at`.
+
+        Returns:
+            (S, count, 7) genes, and (S,) whether it was asked for what it was trained for.
+        """
+
+    def weigh(self, scenes: SpatialScenes, duration: float) -> dict[str, FloatArray]:
+        """By what it ranks the sides: rings of costs in [0, 1] (S, K), K evenly spread sides."""
+
+
+@dataclass(frozen=True)
+class ChainProposals:
+    """The regressor chain proposes, on the lowest sides, with several strengths.
+
+    Attributes:
         weights: the chain, of four inputs.
-        duration: tau T [s].
+    """
+
+    weights: ChainWeights
+    spacing: float = 1.5
+
+    def propose(
+        self, scenes: SpatialScenes, duration: float, count: int, price: FloatArray = NO_PRICE
+    ) -> tuple[FloatArray, BoolArray]:
+        """Candidates, see `Proposer`."""
+        angles = np.linspace(0.0, 2.0 * np.pi, _N_ANGLES, endpoint=False)
+        found = shadows_of(scenes, duration, angles)
+        height = found[:, :, ACROSS] + price_at(price, angles)
+        side = (height.argmin(axis=1)[:, None] + _OFFSETS) % _N_ANGLES
+        shadow = np.take_along_axis(found, side[:, :, None], axis=1)
+        genes, in_range = answers(self.weights, shadow, angles[side])
+        rank, share = ladder(count, len(_OFFSETS))
+        genes = genes[:, rank]
+        genes[:, :, ALPHA] += np.interp(share, np.linspace(0.0, 1.0, len(_GAINS)), _GAINS)
+        # The lowest side's.
+        return genes, in_range[:, 0] | (found[:, 0, ASKED] == 0.0)
+
+    def weigh(self, scenes: SpatialScenes, duration: float) -> dict[str, FloatArray]:
+        """How high the obstacles rise on each side, see `Proposer`."""
+        angles = np.linspace(0.0, 2.0 * np.pi, _N_ANGLES, endpoint=False)
+        return {"height": np.minimum(shadows_of(scenes, duration, angles)[:, :, ACROSS], 1.0)}
+
+
+def price_at(price: FloatArray, angle: FloatArray) -> FloatArray:
+    """What sides at angles (...) cost besides: of K evenly spread prices the nearest; 0 of none."""
+    if not len(price):
+        return np.zeros(np.shape(angle))
+    return price[np.rint(angle * len(price) / (2.0 * np.pi)).astype(int) % len(price)]
+
+
+@lru_cache(maxsize=64)
+def ladder(count: int, sides: int) -> tuple[IntArray, FloatArray]:
+    """Ranks of sides (count,), and shares of a range of strengths (count,): the first sides more.
+
+    Each side is tried about 0.6 times as often as the one before.
+    """
+    numbers: list[int] = []
+    while (left := count - sum(numbers)) > 0 and len(numbers) < sides:
+        numbers.append(min(left, max(1, round(0.4 * count * 0.6 ** len(numbers)))))
+    numbers[0] += left
+    shares = [np.linspace(0.0, 1.0, n) if n > 1 else np.full(1, 0.4) for n in numbers]
+    return np.repeat(np.arange(len(numbers)), numbers), np.concatenate(shares)
+
+
+def answers(
+    weights: ChainWeights, shadow: FloatArray, angle: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """What the chain says of shadows (S, k, 4) on sides at angles (S, k).
 
     Returns:
-        (S, 64, 7) genes, and (S,) whether the chain was asked in its range.
+        (S, k, 7) genes, and (S, k) whether it was asked in its range.
     """
-    count = len(scenes)
-    angles = np.arange(_N_ANGLES) * (2.0 * np.pi / _N_ANGLES)
-    found = np.empty((count, _N_ANGLES, 4))
-    shadows(scenes.arrays, scenes.s, duration, angles, found)
-    side = (found[:, :, ACROSS].argmin(axis=1)[:, None] + _OFFSETS) % _N_ANGLES
-    shadow = np.take_along_axis(found, side[:, :, None], axis=1).reshape(-1, 4)
-    answer = weights.parameters(
-        shadow[:, [ALONG, ACROSS]], np.maximum(shadow[:, ASKED], 1e-6), 1.0, shadow[:, CENTER]
+    flat = shadow.reshape(-1, 4)
+    found = weights.parameters(
+        flat[:, [ALONG, ACROSS]], np.maximum(flat[:, ASKED], 1e-6), 1.0, flat[:, CENTER]
     )
-    genes = np.zeros((len(shadow), len(_GAINS), N_GENES))
-    genes[:, :, ANGLE] = angles[side].reshape(-1, 1)
-    genes[:, :, PLACE] = shadow[:, CENTER, None]
-    genes[:, :, KAPPA] = np.log(np.maximum(answer.kappa, 1e-9))[:, None]
-    genes[:, :, PSI] = np.log(answer.psi)[:, None]
-    genes[:, :, ALPHA] = np.log(np.maximum(answer.alpha, 1e-9))[:, None] + _GAINS
-    # The lowest side's.
-    in_range = answer.in_range.reshape(count, -1)[:, 0] | (found[:, 0, ASKED] == 0.0)
-    return genes.reshape(count, -1, N_GENES), in_range
+    genes = np.zeros((len(flat), N_GENES))
+    genes[:, ANGLE] = angle.reshape(-1)
+    genes[:, PLACE] = flat[:, CENTER]
+    genes[:, KAPPA] = np.log(np.maximum(found.kappa, 1e-9))
+    genes[:, PSI] = np.log(found.psi)
+    genes[:, ALPHA] = np.log(np.maximum(found.alpha, 1e-9))
+    return genes.reshape(*angle.shape, N_GENES), found.in_range.reshape(angle.shape)
+
+
+def shadows_of(scenes: SpatialScenes, duration: float, angles: FloatArray) -> FloatArray:
+    """(S, A, 4) what of the obstacles in the way rises on sides (A,), see `shadows`."""
+    found = np.empty((len(scenes), len(angles), 4))
+    shadows(scenes.arrays, scenes.s, duration, angles, found)
+    return found
 
 
 _SAMPLES = 41
@@ -206,7 +296,6 @@ class Draws:
     first: IntArray  # (n,)
     second: IntArray  # (n,)
     mixing: FloatArray  # (n,)
-    line: FloatArray  # (LINE,)
     fresh: FloatArray  # (n, 7)
     is_fresh: BoolArray  # (n,)
 
@@ -221,7 +310,23 @@ def draws(number: int, n: int) -> Draws:
         first=rng.integers(0, ELITES, n),
         second=rng.integers(0, ELITES, n),
         mixing=np.where(rng.uniform(size=n) < 0.5, 0.5, 0.0),
-        line=np.linspace(-2.5, 1.5, LINE) * max(0.5 ** (number // 2), 0.02),
         fresh=low + (high - low) * rng.uniform(size=(n, N_GENES)),
-        is_fresh=np.arange(n) >= n - FRESH,
+        is_fresh=np.arange(n) >= n - n // 4,
     )
+
+
+def strengths(genes: FloatArray, kept: BoolArray, spacing: float, count: int) -> FloatArray:
+    """Candidates (A, count, 7) of others (A, 7) that differ in alpha only.
+
+    The least that keeps the clearance is shortest: below those that keep it (A,), as far as the
+    next weaker one that may not have, and above those that do not.
+    """
+    share = np.arange(1, count + 1) / (count + 1)
+    line = np.repeat(genes[:, None], count, axis=1)
+    line[:, :, ALPHA] += spacing * np.where(kept[:, None], share - 1.0, 2.5 * share)
+    return line
+
+
+def closer(spacing: float, number: int) -> float:
+    """How far apart strengths lie in a round, from what it is among the proposals."""
+    return max(spacing * _CLOSER**number, _CLOSEST)

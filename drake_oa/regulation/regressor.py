@@ -30,13 +30,33 @@ from typing import Any
 import numba
 import numpy as np
 from numpy.typing import ArrayLike
-from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
 
-from drake_oa.common.messages import BoolArray, CouplingParameters, FloatArray, Frozen
+from drake_oa.common.messages import (
+    BoolArray,
+    CouplingParameters,
+    EllipsoidSet,
+    FloatArray,
+    Frozen,
+)
+from drake_oa.geometry.superquadric import log_inside_outside
+from drake_oa.regulation.confidence import Confidence, confidence_arrays, confidence_of
+from drake_oa.regulation.network import (
+    Network,
+    array_of,
+    network_arrays,
+    network_of,
+    read_arrays,
+    write_arrays,
+)
 
 _ROUNDING = 1e-12
 """By how much of L a query may be moved and still count as inside."""
+
+_NARROWEST = 1e-3
+"""Least psi [rad]."""
+
+_OUTLINE = 90
+"""Directions in which the section of a superquadric is looked at, half way round."""
 
 _PARALLEL = 1e-6
 """Sine of the angle below which two directions do not span a plane."""
@@ -127,9 +147,9 @@ def section_rows(
     p_WO: FloatArray,
     R_WO: FloatArray,
     semi_axes: FloatArray,
-) -> FloatArray:
-    """See `drake_oa.regulation.regressor.section_extents`."""
-    extents = np.empty((len(p_WO), 2))
+) -> tuple[FloatArray, FloatArray]:
+    """See `section_extents`: extents (M, 2), and the unit vectors (M, 2, 3) that they are along."""
+    extents, plane = np.empty((len(p_WO), 2)), np.empty((len(p_WO), 2, 3))
     zz = z_W[0] ** 2 + z_W[1] ** 2 + z_W[2] ** 2
     for row in range(len(p_WO)):
         e0, e1, e2 = p_WO[row, 0] - p_WE[0], p_WO[row, 1] - p_WE[1], p_WO[row, 2] - p_WE[2]
@@ -162,130 +182,13 @@ def section_rows(
         determinant = s11 * s22 - s12 * s12
         extents[row, 0] = math.sqrt(s22 / determinant)
         extents[row, 1] = math.sqrt(s11 / determinant)
-    return extents
-
-
-def write_arrays(path: Path, arrays: Mapping[str, FloatArray], header: str) -> None:
-    """Writes the arrays and the header.
-
-    Args:
-        path: the file, .safetensors.
-        arrays: by name.
-        header: text that goes with them.
-
-    Raises:
-        ValueError: for another extension.
-    """
-    if path.suffix != ".safetensors":
-        raise ValueError(f"weights are written as .safetensors, not {path.name!r}")
-    ordered = {key: np.array(value, order="C") for key, value in arrays.items()}
-    save_file(ordered, path, {"metadata": header})
-
-
-def read_arrays(path: Path) -> tuple[dict[str, Any], str | None]:
-    """Reads the arrays, and the header where there is one.
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if it cannot be read.
-    """
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"no weights file {path}: train one with `drake-oa train --out {path.parent}`, "
-            "or use package://drake_oa/weights/regressor_chain.safetensors, which is shipped"
-        )
-    try:
-        with safe_open(path, "numpy") as file:
-            header = (file.metadata() or {}).get("metadata")
-            return {key: file.get_tensor(key) for key in file.keys()}, header  # noqa: SIM118
-    except (SafetensorError, OSError) as error:
-        raise ValueError(f"{path} cannot be read as .safetensors: {error}") from error
-
-
-def array_of(
-    path: Path, arrays: Mapping[str, Any], key: str, shape: tuple[int | None, ...]
-) -> FloatArray:
-    """One of the arrays, of the given shape (None: any length) and finite.
-
-    Raises:
-        ValueError: naming file and array, if it is missing, misshapen or not finite.
-    """
-    if key not in arrays:
-        raise ValueError(f"{path} lacks the array '{key}'")
-    value = np.asarray(arrays[key])
-    fits = value.ndim == len(shape) and all(
-        want in (None, have) for want, have in zip(shape, value.shape, strict=True)
-    )
-    if not fits:
-        wanted = tuple("any" if n is None else n for n in shape)
-        raise ValueError(f"{path}: '{key}' has the shape {value.shape}, it must be {wanted}")
-    if value.dtype.kind not in "fiu" or not np.isfinite(value).all():
-        raise ValueError(f"{path}: '{key}' must hold finite numbers")
-    return value.astype(float)
+        plane[row, 0, 0], plane[row, 0, 1], plane[row, 0, 2] = u0, u1, u2
+        plane[row, 1, 0], plane[row, 1, 1], plane[row, 1, 2] = v0, v1, v2
+    return extents, plane
 
 
 TARGETS = ("kappa", "psi", "alpha")
 """The order of the chain."""
-
-_SATURATED = 40.0
-"""Where tanh is 1 to the last bit."""
-
-
-@dataclass(frozen=True, eq=False)
-class Network(Frozen):
-    """A perceptron with tanh layers, a linear output and min-max scaling.
-
-    With x the input, the layers see ``(x - in_offset) * in_gain + in_min``, and their
-    answer y becomes ``(y - out_min) / out_gain + out_offset``.
-
-    Attributes:
-        weights: one (n_out, n_in) matrix a layer.
-        biases: one (n_out,) vector a layer.
-        in_offset: (d,) smallest inputs.
-        in_gain: (d,) scale of the inputs.
-        out_offset: smallest target.
-        out_gain: scale of the target.
-        in_min: where in_offset is mapped to.
-        out_min: where out_offset is mapped from.
-    """
-
-    weights: tuple[FloatArray, ...]
-    biases: tuple[FloatArray, ...]
-    in_offset: FloatArray
-    in_gain: FloatArray
-    out_offset: float
-    out_gain: float
-    in_min: float = -1.0
-    out_min: float = -1.0
-    _layers: tuple[FloatArray, ...] = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        weights, biases = list(self.weights), list(self.biases)
-        # The scalings are affine: the first and the last layer take them up.
-        biases[0] = biases[0] + weights[0] @ (self.in_min - self.in_offset * self.in_gain)
-        weights[0] = weights[0] * self.in_gain
-        biases[-1] = (biases[-1] - self.out_min) / self.out_gain + self.out_offset
-        weights[-1] = weights[-1] / self.out_gain
-        # A last input held at 1 carries the bias, tanh(_SATURATED) = 1 hands it on.
-        layers = [np.column_stack(pair) for pair in zip(weights, biases, strict=True)]
-        for i, layer in enumerate(layers[:-1]):
-            constant = np.append(np.zeros(layer.shape[1] - 1), _SATURATED)
-            layers[i] = np.vstack((layer, constant))
-        object.__setattr__(self, "_layers", tuple(layers))
-        super().__post_init__()
-
-    @property
-    def n_inputs(self) -> int:
-        """Number d of inputs."""
-        return len(self.in_offset)
-
-    def evaluate(self, columns: FloatArray) -> FloatArray:
-        """The network at N inputs: (d + 1, N), the last row ones -> (N,)."""
-        y = columns
-        for layer in self._layers[:-1]:
-            y = layer.dot(y)
-            np.tanh(y, y)
-        return self._layers[-1].dot(y)[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,6 +223,8 @@ class ChainWeights(Frozen):
             as their natural logarithm.
         limit: largest attainable clearance.
         metadata: units, ranges, recipe, configuration, seed, NMSE, commit.
+        confidence: how likely its motions keep what is asked; None: it was not measured, and is
+            not told.
     """
 
     networks: Mapping[str, Network]
@@ -329,6 +234,7 @@ class ChainWeights(Frozen):
     log_targets: frozenset[str] = frozenset()
     limit: ClearanceLimit = field(default_factory=ClearanceLimit)
     metadata: Mapping[str, Any] = field(default_factory=dict)
+    confidence: Confidence | None = None
 
     def evaluate(self, inputs: FloatArray) -> FloatArray:
         """The bare chain, without any check of its range.
@@ -366,6 +272,7 @@ class ChainWeights(Frozen):
         clearance: ArrayLike,
         baseline: float,
         position: ArrayLike | None = None,
+        beside: ArrayLike = 0.0,
     ) -> CouplingParameters:
         """Coupling parameters for obstacles of given section, in physical units.
 
@@ -381,7 +288,9 @@ class ChainWeights(Frozen):
             baseline: distance L from start to goal [m].
             position: where along the baseline the centres are, from the start, one for
                 all or (M,) [m]; None: in the middle. A chain of two or three inputs does
-                not use it.
+                not use it, its confidence does.
+            beside: how far from the baseline the centres are, one for all or (M,) [m]; of use
+                to the confidence alone.
 
         Returns:
             One row an obstacle.
@@ -417,9 +326,17 @@ class ChainWeights(Frozen):
         if not valid:
             raise ValueError(_first_bad_row(extents, asked, place, baseline))
         alpha, psi, kappa = self._evaluate_columns(columns)
+        # A linear output may leave what it was trained on (the print has a log-sigmoid).
+        alpha, kappa = np.maximum(alpha, 0.0), np.maximum(kappa, 0.0)
+        psi = np.maximum(psi, _NARROWEST)
         alpha *= needed
         kappa /= baseline * baseline
-        return CouplingParameters(alpha, psi, kappa, in_range)
+        confidence = np.zeros(0)
+        if self.confidence is not None:
+            aside = _per_row("beside", beside, len(extents))
+            descriptor = np.column_stack((extents, asked, place, aside)) / baseline
+            confidence = np.where(needed, self.confidence.probability(descriptor), 1.0)
+        return CouplingParameters(alpha, psi, kappa, in_range, confidence=confidence)
 
 
 def _per_row(name: str, value: ArrayLike, n_rows: int) -> FloatArray:
@@ -447,14 +364,9 @@ def _first_bad_row(
 
 
 def section_extents(
-    p_WE: FloatArray,
-    z_W: FloatArray,
-    R_WL: FloatArray,
-    p_WO: FloatArray,
-    R_WO: FloatArray,
-    semi_axes: FloatArray,
+    p_WE: FloatArray, z_W: FloatArray, R_WL: FloatArray, shapes: EllipsoidSet
 ) -> FloatArray:
-    """lambda': half-extents of ellipsoids' sections by the plane of actuation.
+    """lambda': half-extents of the shapes' sections by the plane of actuation.
 
     The P-plane of an obstacle is spanned by ``p_WO - p_WE`` and the scaled velocity
     ``z_W``; where these do not span a plane, it is spanned by the local frame's x and
@@ -462,20 +374,29 @@ def section_extents(
     the baseline, the section is ``{a : a^T S a <= 1}``, ``S = U^T A U``,
     ``A = R diag(1/l^2) R^T``, and its half-extents are the support function
     ``sqrt(u^T S^-1 u)`` along u1 and u2. They vary continuously when an obstacle
-    turns, which principal semi-axes matched to directions would not.
+    turns, which principal semi-axes matched to directions would not. Of a superquadric with
+    exponents other than 1 the outline is looked at in `_OUTLINE` directions.
 
     Args:
         p_WE: (3,) position of the end effector [m].
         z_W: (3,) scaled velocity [m].
         R_WL: (3, 3) local frame, x from start to goal, z up.
-        p_WO: (M, 3) centres [m].
-        R_WO: (M, 3, 3) rotations, principal axes in the columns.
-        semi_axes: (M, 3) semi-axes [m].
+        shapes: the M obstacles.
 
     Returns:
         (M, 2) half-extents along and across the baseline [m].
     """
-    return section_rows(p_WE, z_W, R_WL, p_WO, R_WO, semi_axes)
+    extents, plane = section_rows(p_WE, z_W, R_WL, shapes.p_WO, shapes.R_WO, shapes.semi_axes)
+    if len(shapes.exponents):
+        angle = np.linspace(0.0, np.pi, _OUTLINE, endpoint=False)
+        circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        for row in np.flatnonzero((shapes.exponents != 1.0).any(axis=1)):
+            ray = circle @ plane[row] @ shapes.R_WO[row]
+            log = log_inside_outside(ray, shapes.semi_axes[row], shapes.exponents[row])
+            # F^(lambda_4 / 2) is a gauge: it is 1 where the ray leaves the shape.
+            reach = np.exp(-0.5 * shapes.exponents[row, 0] * log)
+            extents[row] = np.abs(reach[:, None] * circle).max(axis=0)
+    return extents
 
 
 def save_chain(chain: ChainWeights, path: str | Path) -> None:
@@ -487,17 +408,25 @@ def save_chain(chain: ChainWeights, path: str | Path) -> None:
     path = Path(path)
     arrays: dict[str, FloatArray] = {}
     for name, network in chain.networks.items():
-        for i, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True), 1):
-            arrays[f"{name}_W{i}"] = weight
-            arrays[f"{name}_b{i}"] = bias
-        for key in _SCALING:
-            arrays[f"{name}_{key}"] = np.asarray(getattr(network, key), dtype=float)
+        arrays |= network_arrays(name, network)
+    if chain.confidence is not None:
+        arrays |= confidence_arrays(chain.confidence)
     arrays |= {key: getattr(chain, key) for key in ("lower", "upper", "input_scale")}
     if chain.limit.lambda1.size:
         arrays |= {f"limit_{key}": getattr(chain.limit, key) for key in _LIMIT}
     own = {"format": _FORMAT, "log_targets": sorted(chain.log_targets)}
     header = json.dumps({**chain.metadata, **own})
     write_arrays(path, arrays, header)
+
+
+def check_action_level(weights: ChainWeights, path: str | Path) -> None:
+    """Raises ValueError for a chain that was trained for another action level than runs here."""
+    unit = weights.metadata.get("units", {}).get("alpha", "1/T")
+    if unit != "1/T":
+        raise ValueError(
+            f"{path} counts alpha in {unit}, for the released code's action level; the policy "
+            "needs a chain of `drake-oa train --recipe project` or paper_running"
+        )
 
 
 def load_chain(path: str | Path) -> ChainWeights:
@@ -514,8 +443,8 @@ def load_chain(path: str | Path) -> ChainWeights:
         raise ValueError(f"{path} has no metadata: it is no weights file of `save_chain`")
     try:
         metadata = json.loads(header)
-        log_targets = frozenset(metadata.pop("log_targets"))
         written = metadata.pop("format", None)
+        log_targets = frozenset(metadata.pop("log_targets") if written in (None, _FORMAT) else ())
     except (ValueError, KeyError, AttributeError, TypeError) as error:
         raise ValueError(f"{path}: the metadata are damaged or lack 'log_targets'") from error
     if written != _FORMAT:
@@ -538,37 +467,14 @@ def load_chain(path: str | Path) -> ChainWeights:
             raise ValueError(f"{path}: a chain of {lower.size} inputs has no 'limit_clearance'")
         table = array_of(path, arrays, "limit_clearance", shape)
         limit = ClearanceLimit(axes[0], axes[1], axes[2], table)
-    networks = networks_of(path, arrays, lower.size)
-    return ChainWeights(networks, lower, upper, scale, log_targets, limit, metadata)
+    networks = {
+        name: network_of(path, arrays, name, lower.size + i) for i, name in enumerate(TARGETS)
+    }
+    confidence = confidence_of(path, arrays)
+    return ChainWeights(
+        networks, lower, upper, scale, log_targets, limit, metadata, confidence=confidence
+    )
 
 
 _FORMAT = "drake_oa regressor chain 1"
-_SCALING = ("in_offset", "in_gain", "in_min", "out_offset", "out_gain", "out_min")
 _LIMIT = ("lambda1", "lambda2", "position", "clearance")
-
-
-def networks_of(path: Path, arrays: Mapping[str, Any], n_inputs: int) -> dict[str, Network]:
-    """The networks of a file's arrays, checked."""
-    networks = {}
-    for i, name in enumerate(TARGETS):
-        n_layers = 1
-        while f"{name}_W{n_layers + 1}" in arrays:
-            n_layers += 1
-        n_in, weights, biases = n_inputs + i, [], []
-        for layer in range(1, n_layers + 1):
-            n_out = 1 if layer == n_layers else None
-            weight = array_of(path, arrays, f"{name}_W{layer}", (n_out, n_in))
-            n_in = len(weight)
-            weights.append(weight)
-            biases.append(array_of(path, arrays, f"{name}_b{layer}", (n_in,)))
-        offset, gain = (
-            array_of(path, arrays, f"{name}_{key}", (n_inputs + i,)) for key in _SCALING[:2]
-        )
-        scalars = {
-            key: float(array_of(path, arrays, f"{name}_{key}", ()))
-            for key in ("in_min", "out_offset", "out_gain", "out_min")
-        }
-        if scalars["out_gain"] == 0.0 or not gain.all():
-            raise ValueError(f"{path}: a scale of '{name}' (in_gain, out_gain) is zero")
-        networks[name] = Network(tuple(weights), tuple(biases), offset, gain, **scalars)
-    return networks

@@ -1,16 +1,23 @@
-"""The regulation layer: coupling parameters from the obstacles' shape."""
+"""The regulation layer as the paper has it: coupling parameters from the obstacles' sections."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from typing import Literal, get_args
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import Context, LeafSystem
 
-from drake_oa.common.messages import CouplingParameters, EllipsoidSet, PolicyState, Route
+from drake_oa.common.messages import CouplingParameters, EllipsoidSet, PolicyState
 from drake_oa.common.ports import read_value
 from drake_oa.regulation.regressor import ChainWeights, section_extents
+
+GAMMA, BETA = 1000.0, 20.0 / math.pi
+"""Hoffmann's published gains [1/s] and [1/rad]."""
+
+Scaling = Literal["route", "sections", "none"]
 
 
 class RegressorChain(LeafSystem):
@@ -21,36 +28,44 @@ class RegressorChain(LeafSystem):
       name: RegressorChain
       input_ports:
       - ellipsoids_W
-      - policy_state (optional)
-      - route (optional)
+      - policy_state
       output_ports:
       - coupling_parameters
 
     - ellipsoids_W: abstract `EllipsoidSet`, M dilated obstacles; may be empty.
-    - policy_state (optional): abstract `PolicyState` of the movement primitive; needed
-      without a route. Then lambda' is the section of the P-plane, as in the paper, and
-      the terms act about the obstacle's centre.
-    - route (optional): abstract `Route`, M rows: `CostRingSelector`'s decision. With it
-      lambda' is the obstacle as the chosen route meets it, each with the clearance that
-      it needs, and the terms act about a point on the baseline.
-    - coupling_parameters: abstract `CouplingParameters`, M rows of alpha, psi, kappa, and
-      whether the query lay in the range that the chain was trained for.
+    - policy_state: abstract `PolicyState` of the movement primitive. The P-plane through it
+      cuts the obstacles: lambda'.
+    - coupling_parameters: abstract `CouplingParameters`, M rows of alpha, psi, kappa about the
+      obstacles' centres, whether the query lay in the range that the chain was trained for, and
+      the probability that the motion keeps what is asked (none of the original term).
 
     There is no state. The output is computed when it is asked for, once for each
     change of the inputs. While start and goal coincide (no motion has been set yet)
     alpha is 0 and no row is in range.
     """
 
-    def __init__(self, weights: ChainWeights, asked_clearance: float) -> None:
+    def __init__(
+        self,
+        weights: ChainWeights,
+        asked_clearance: float,
+        *,
+        original: float | None = None,
+        scaling: Scaling = "route",
+    ) -> None:
         """Declares the ports.
 
         Args:
             weights: the trained chain, see `drake_oa.regulation.regressor.load_chain`.
             asked_clearance: asked distance Delta between tool and obstacle [m].
+            original: the original term at its published gains in place of the chain's, for a
+                demonstrated duration of so long [s]; None: the dead-zone free one.
+            scaling: what tau comes from: "route", the length of the chosen route; "sections", the
+                way through the extreme points of the obstacles' sections (sec. IV-E); "none": 1.
 
         Raises:
             TypeError: if weights are no `ChainWeights`.
-            ValueError: if the clearance is not finite and positive.
+            ValueError: if clearance or duration are not finite and positive, or the scaling is
+                unknown.
         """
         super().__init__()
         if not isinstance(weights, ChainWeights):
@@ -61,60 +76,84 @@ class RegressorChain(LeafSystem):
             raise ValueError(
                 f"asked_clearance must be finite and positive [m], not {asked_clearance}"
             )
+        if original is not None and not 0.0 < original < np.inf:
+            raise ValueError(f"original must be finite and positive [s], not {original}")
+        if scaling not in get_args(Scaling):
+            raise ValueError(
+                f"scaling '{scaling}'; it must be one of {', '.join(get_args(Scaling))}"
+            )
         self._weights = weights
         self._asked_clearance = float(asked_clearance)
+        self._original = original
+        self._scaling = scaling
         self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
         self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
-        self._route = self.DeclareAbstractInputPort("route", Value(Route()))
         self.DeclareAbstractOutputPort(
             "coupling_parameters",
             lambda: Value(CouplingParameters()),
             self._calc_parameters,
-            prerequisites_of_calc={
-                self._ellipsoids.ticket(),
-                self._policy.ticket(),
-                self._route.ticket(),
-            },
+            prerequisites_of_calc={self._ellipsoids.ticket(), self._policy.ticket()},
         )
 
     def _calc_parameters(self, context: Context, output: AbstractValue) -> None:
         ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
-        if self._route.HasValue(context):
-            route = read_value(self, self._route, context, Route)
-            output.set_value(self._as_route_meets(route, len(ellipsoids)))
-        else:
-            policy = read_value(self, self._policy, context, PolicyState)
-            output.set_value(self._as_plane_cuts(policy, ellipsoids))
+        policy = read_value(self, self._policy, context, PolicyState)
+        output.set_value(self._parameters(policy, ellipsoids))
 
-    def _as_route_meets(self, route: Route, count: int) -> CouplingParameters:
-        if len(route.extents) != count:
-            raise ValueError(
-                f"RegressorChain: route has {len(route.extents)} rows; there are {count} ellipsoids"
-            )
-        if route.baseline == 0.0:
-            return _no_coupling(count)
-        place = (route.center_W - route.p_WS) @ route.R_WL[:, 0]
-        found = self._weights.parameters(
-            route.extents, route.remaining_clearance, route.baseline, place
-        )
-        return replace(found, alpha=found.alpha * route.weight, center_W=route.center_W)
-
-    def _as_plane_cuts(self, policy: PolicyState, ellipsoids: EllipsoidSet) -> CouplingParameters:
-        baseline = policy.baseline
+    def _parameters(self, policy: PolicyState, ellipsoids: EllipsoidSet) -> CouplingParameters:
+        count, baseline = len(ellipsoids), policy.baseline
         if baseline == 0.0:
-            return _no_coupling(len(ellipsoids))
-        extents = section_extents(
-            policy.p_WE,
-            policy.z_W,
-            policy.R_WL,
-            ellipsoids.p_WO,
-            ellipsoids.R_WO,
-            ellipsoids.semi_axes,
-        )
-        place = (ellipsoids.p_WO - policy.p_WS) @ policy.R_WL[:, 0]
-        return self._weights.parameters(extents, self._asked_clearance, baseline, place)
+            zeros = np.zeros(count)
+            return CouplingParameters(zeros, np.ones(count), zeros, np.zeros(count, dtype=bool))
+        if self._original is not None:
+            found = CouplingParameters(
+                np.full(count, GAMMA * self._original),
+                np.full(count, 1.0 / BETA),
+                np.zeros(count),
+                np.ones(count, dtype=bool),
+                original=True,
+            )
+        else:
+            extents = section_extents(policy.p_WE, policy.z_W, policy.R_WL, ellipsoids)
+            p_SO_L = (ellipsoids.p_WO - policy.p_WS) @ policy.R_WL
+            beside = np.hypot(p_SO_L[:, 1], p_SO_L[:, 2])
+            found = self._weights.parameters(
+                extents, self._asked_clearance, baseline, p_SO_L[:, 0], beside
+            )
+        if self._scaling == "route":
+            return found
+        tau = 1.0
+        if self._scaling == "sections":
+            tau = max(1.0, way_past(policy, ellipsoids, self._asked_clearance) / baseline)
+        return replace(found, tau=tau)
 
 
-def _no_coupling(count: int) -> CouplingParameters:
-    zeros = np.zeros(count)
-    return CouplingParameters(zeros, np.ones(count), zeros, np.zeros(count, dtype=bool))
+def way_past(policy: PolicyState, ellipsoids: EllipsoidSet, asked_clearance: float) -> float:
+    """length(pi-hat) of section IV-E: start, extreme points of the sections, goal [m].
+
+    The sections are those of the P-planes in which the motion sets out along its baseline. Their
+    extreme points are those toward the baseline; of an obstacle that leaves it the clearance
+    there is none.
+
+    Args:
+        policy: start, goal and local frame of the motion.
+        ellipsoids: the M obstacles.
+        asked_clearance: asked clearance Delta [m].
+    """
+    R_WL, p_SO = policy.R_WL, ellipsoids.p_WO - policy.p_WS
+    x = R_WL[:, 0]
+    extents = section_extents(policy.p_WS, x, R_WL, ellipsoids)
+    along = p_SO @ x
+    aside = p_SO - along[:, None] * x
+    offset = np.linalg.norm(aside, axis=1)
+    # Over what is straight ahead.
+    up = np.broadcast_to(-R_WL[:, 2], aside.shape)
+    ahead = offset <= 1e-9 * policy.baseline
+    outward = np.where(ahead[:, None], up, aside / np.where(ahead, 1.0, offset)[:, None])
+    rows = np.flatnonzero(
+        (offset - extents[:, 1] < asked_clearance) & (along > 0.0) & (along < policy.baseline)
+    )
+    rows = rows[np.argsort(along[rows], kind="stable")]
+    extreme = ellipsoids.p_WO[rows] - extents[rows, 1:] * outward[rows]
+    way = np.concatenate([policy.p_WS[None], extreme, policy.p_WG[None]])
+    return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields, replace
-from functools import cache, lru_cache
+from functools import cache, cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +25,7 @@ from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.common.thinking import count
 from drake_oa.geometry.annulus import ANYWHERE, Annulus
 from drake_oa.geometry.ellipsoid_kernels import feasible_clearance
-from drake_oa.policy.coupling import ALPHA, GUIDANCE_ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
+from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
 from drake_oa.policy.dmp import Dmp, imitate, minimum_jerk, spring_flow
 from drake_oa.regulation.lane_math import STRICT, widest_vectors
 from drake_oa.regulation.rollout_kernels import (
@@ -54,6 +54,7 @@ from drake_oa.regulation.rollout_kernels import (
     TERM_KAPPA,
     TERM_PSI,
     WORLD,
+    WRONG_TERMS,
     ZX,
     ZY,
     ZZ,
@@ -63,6 +64,7 @@ from drake_oa.regulation.rollout_kernels import (
     come_nearer,
     end_lanes,
     first_half,
+    first_wrong_term,
     lane_jit,
     may_come_nearer,
     point_distance,
@@ -198,7 +200,7 @@ class SpatialScenes(Frozen):
             asked_clearance=np.zeros((S, 0)),
         )
 
-    @property
+    @cached_property
     def arrays(self) -> SceneArrays:
         """As the kernels take them."""
         plane = self.plane if len(self.plane) else np.zeros((len(self), 4))
@@ -345,19 +347,9 @@ def spatial_rollouts(  # noqa: PLR0913
 def _check_terms(terms: FloatArray, count: int) -> None:
     if terms.shape != (count, N_COLUMNS):
         raise ValueError(f"terms must be ({count}, {N_COLUMNS}), not {terms.shape}")
-    acting = terms[:, ALPHA] > 0.0
-    normal = np.linalg.norm(terms[:, NORMAL : NORMAL + 3], axis=1)
-    for wrong, what in (
-        (~np.isfinite(terms).all(axis=1), "must be finite"),
-        (terms[:, ALPHA] < 0.0, "must not have a negative alpha"),
-        (acting & ~(terms[:, PSI] > 0.0), "must have a positive psi"),
-        (acting & ~(terms[:, KAPPA] >= 0.0), "must not have a negative kappa"),
-        (acting & (np.abs(normal - 1.0) > 1e-6), "must have a normal of length 1"),
-        (terms[:, GUIDANCE_ALPHA] != 0.0, "must not guide: guidance alpha must be 0"),
-    ):
-        if wrong.any():
-            row = int(wrong.argmax())
-            raise ValueError(f"terms {what}; that of row {row} is {terms[row]}")
+    row, what = first_wrong_term(terms)
+    if what:
+        raise ValueError(f"terms {WRONG_TERMS[what]}; that of row {row} is {terms[row]}")
 
 
 # --- blocks ------------------------------------------------------------------------------

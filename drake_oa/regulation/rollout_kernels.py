@@ -11,8 +11,10 @@ import math
 import numpy as np
 from numba import njit
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.annulus import Annulus
+from drake_oa.policy.coupling import ALPHA, GUIDANCE_ALPHA, KAPPA, NORMAL, PSI
 from drake_oa.regulation.lane_math import (
     STRICT,
     TINY,
@@ -449,3 +451,38 @@ def come_nearer(
         S[CLOSEST + i] = least if least < closest else closest
         S[MARGIN + i] = excess if excess < margin else margin
         S[ENDS + i] = 1.0 if excess < -shortest else ends
+
+
+WRONG_TERMS = (
+    "",
+    "must be finite",
+    "must not have a negative alpha",
+    "must have a positive psi",
+    "must not have a negative kappa",
+    "must have a normal of length 1",
+    "must not guide: guidance alpha must be 0",
+)
+"""What a term may not be; see `first_wrong_term`."""
+
+
+@compiled
+def first_wrong_term(terms: FloatArray) -> tuple[int, int]:
+    """The first row that is no term, and what of `WRONG_TERMS` it is; (-1, 0): there is none."""
+    for row in range(len(terms)):
+        term = terms[row]
+        for value in term:
+            if not math.isfinite(value):
+                return row, 1
+        n = term[NORMAL : NORMAL + 3]
+        acts = term[ALPHA] > 0.0
+        if term[ALPHA] < 0.0:
+            return row, 2
+        if acts and not term[PSI] > 0.0:
+            return row, 3
+        if acts and not term[KAPPA] >= 0.0:
+            return row, 4
+        if acts and abs(math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]) - 1.0) > 1e-6:
+            return row, 5
+        if term[GUIDANCE_ALPHA] != 0.0:
+            return row, 6
+    return -1, 0

@@ -1,10 +1,10 @@
 """Verified regulation: coupling parameters and a side to pass that roll-outs have checked.
 
-The regressor chain proposes (`drake_oa.regulation.proposals`); every candidate is rolled out from
+A network proposes (`drake_oa.regulation.proposal_network`); every candidate is rolled out from
 the present state against all obstacles with their velocities, the table and the workspace. The
 shortest motion that keeps the feasible clearance and arrives is taken; where none does, the one
 that keeps most. A round rolls out as many candidates a scene as `SearchParameters.candidates`: the
-chain's proposals first, then variations of the best so far, a plain evolution strategy. Its
+proposals first, then variations of the best so far, a plain evolution strategy. Its
 random numbers are the same for every scene and call, so a scene gets the same choice whatever
 else is asked for.
 
@@ -16,12 +16,14 @@ steps, and verifies the cheapest of each side and size of detour as any other.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
 from drake_oa.policy.dmp import Dmp
 from drake_oa.regulation.config import SearchParameters
@@ -29,22 +31,26 @@ from drake_oa.regulation.proposals import (
     ALPHA,
     ANGLE,
     ELITES,
-    LINE,
     LOWER,
     N_GENES,
+    NO_PRICE,
     STRIDE,
     TAU,
     UPPER,
+    Proposer,
     avoidance_terms,
-    chain_proposals,
+    closer,
     draws,
+    strengths,
 )
-from drake_oa.regulation.regressor import ChainWeights
 from drake_oa.regulation.rollout import SpatialRollouts, SpatialScenes, spatial_rollouts
 
 _FIRST_FRESH = 6
 """Round from which they are."""
 
+_LINES = ((0.2, 5), (0.1, 1))
+"""Of the best and the second best of a round: share of the candidates, and least number of them,
+that differ from it in alpha only."""
 _WINDOW = 1.2 * np.pi
 """Half the angle in which a side is looked for, times the number of sides."""
 _SPREAD = 1024
@@ -103,7 +109,7 @@ class SearchResult(Frozen):
         kept: (S,) whether it is kept, the world's limits too, and the goal reached.
         goal_error: (S,) distance to the goal at the end [m].
         path_length: (S,) [m].
-        in_range: (S,) whether the chain was asked within its trained range.
+        in_range: (S,) whether the proposer was asked for what it was trained for.
         cost: (S,) path length over the baseline and small prices; 10 and more where not kept.
         steps: (S,) steps a unit of normalised time that it was verified with.
         rollouts: number of trajectories that it took.
@@ -129,6 +135,15 @@ class SearchResult(Frozen):
         for item in fields(self):
             if item.name not in columns:
                 columns[item.name] = getattr(self, item.name)[index]
+        return SearchResult(**columns)
+
+    @staticmethod
+    def joined(parts: Sequence[SearchResult]) -> SearchResult:
+        """Scenes after one another."""
+        columns: dict[str, Any] = {"rollouts": sum(part.rollouts for part in parts)}
+        for item in fields(SearchResult):
+            if item.name not in columns:
+                columns[item.name] = np.concatenate([getattr(part, item.name) for part in parts])
         return SearchResult(**columns)
 
     def replaced(self, index: IntArray, other: SearchResult) -> SearchResult:
@@ -207,6 +222,48 @@ OUTCOME = ("margin", "kept_clearance", "goal_error", "path_length", "steps", "wo
 """What is kept of a roll-out, see `SpatialRollouts`."""
 
 
+class _Tolerances(NamedTuple):
+    """What is short of the clearance and of the goal without a price [m]; s - 1, ds."""
+
+    slack: float
+    tolerance: float
+    s: float
+    step: float
+
+
+@compiled
+def _costs(
+    scene: IntArray,
+    baseline: FloatArray,
+    genes: FloatArray,
+    outcome: FloatArray,
+    world_margin: FloatArray,
+    moving: BoolArray,
+    previous: FloatArray,
+    allowed: _Tolerances,
+    out: FloatArray,
+) -> None:
+    """What N candidates cost, see `Search.cost`; outcome: the first columns of `OUTCOME`."""
+    for row in range(len(scene)):
+        k, L = scene[row], baseline[scene[row]]
+        margin, kept, goal_error, length, steps = outcome[row]
+        short = max(-margin - allowed.slack, 0.0) + max(-world_margin[row], 0.0)
+        missed = max(min(goal_error, L) - allowed.tolerance, 0.0)
+        bad = (PRICE * short + GOAL_PRICE * missed) / L
+        if missed > 0.0:
+            bad += MISS
+        if short > 0.0 and kept <= 0.0:
+            bad += TOUCH
+        cost = length / L + LATE * max(steps * allowed.step + allowed.s, 0.0)
+        if moving[k]:
+            cost += HURRY * abs(genes[row, TAU])
+        # 0 for the side in use, 1 for its opposite; no side is in use before the first choice.
+        flip = 0.5 - 0.5 * math.cos(genes[row, ANGLE] - previous[k, ANGLE])
+        if not math.isnan(flip):
+            cost += FLIP * flip
+        out[row] = cost + (BAD + bad if bad > 0.0 else 0.0)
+
+
 class Search:
     """One search, of the motions of all scenes at once; see `verify`."""
 
@@ -232,15 +289,17 @@ class Search:
         self.previous = previous
         self.rollouts = 0
         self.elites = np.zeros((count, 0, N_GENES))
+        self.spacing = 1.0
+        self.price = NO_PRICE
 
-    def run(self, weights: ChainWeights) -> SearchResult:
+    def run(self, proposer: Proposer) -> SearchResult:
         """The unmodulated motion where it will do, else rounds of candidates."""
         count = len(self.scenes)
         # Nothing is shorter than the unmodulated motion.
         free = np.zeros((count, 1, N_GENES))
         free[:, :, ALPHA] = -np.inf
         chosen = self.evaluate(np.arange(count), free)
-        proposed, in_range = self.proposals(weights)
+        proposed, in_range = self.proposals(proposer)
         active = self.keep_previous(chosen, np.flatnonzero(~chosen.solved), proposed)
         first = proposed[active]
         if self.sides > 1:
@@ -325,47 +384,57 @@ class Search:
 
     def cost(self, scene: IntArray, genes: FloatArray, found: SpatialRollouts) -> FloatArray:
         """Length over L, and small prices; above `BAD` where the clearance is not kept."""
-        p, L = self.parameters, self.scenes.baseline[scene]
-        short = np.maximum(-found.margin - p.slack, 0.0) + np.maximum(-found.world_margin, 0.0)
-        missed = np.maximum(np.minimum(found.goal_error, L) - p.tolerance, 0.0)
-        bad = (PRICE * short + GOAL_PRICE * missed) / L
-        touched = (short > 0.0) & (found.kept_clearance <= 0.0)
-        bad += MISS * (missed > 0.0) + TOUCH * touched
-        late = np.maximum(found.steps / p.steps + self.scenes.s - 1.0, 0.0)
-        hurry = np.where(self.moving[scene], np.abs(genes[:, TAU]), 0.0)
-        # 0 for the side in use, 1 for its opposite; no side is in use before the first choice.
-        flip = 0.5 - 0.5 * np.cos(genes[:, ANGLE] - self.previous[scene, ANGLE])
-        return np.asarray(
-            np.where(bad > 0.0, BAD + bad, 0.0)
-            + found.path_length / L
-            + LATE * late
-            + HURRY * hurry
-            + FLIP * np.nan_to_num(flip)
+        p, cost = self.parameters, np.empty(len(scene))
+        outcome = np.column_stack(
+            (found.margin, found.kept_clearance, found.goal_error, found.path_length, found.steps)
         )
+        _costs(
+            scene,
+            self.scenes.baseline,
+            genes,
+            outcome,
+            found.world_margin,
+            self.moving,
+            self.previous,
+            _Tolerances(p.slack, p.tolerance, self.scenes.s - 1.0, 1.0 / p.steps),
+            cost,
+        )
+        return cost
 
-    def proposals(self, weights: ChainWeights) -> tuple[FloatArray, BoolArray]:
-        """The chain's candidates (S, n, 7), and whether it was asked in range (S,).
+    def proposals(self, proposer: Proposer) -> tuple[FloatArray, BoolArray]:
+        """What is proposed (S, n, 7), and whether for what the proposer was trained for (S,).
 
-        Where there are genes in use, they take the place of the last one.
+        Where there are genes in use, they and stronger ones take the place of the last of them.
         """
-        genes, in_range = chain_proposals(self.scenes, weights, self.duration)
+        self.spacing = proposer.spacing
+        genes, in_range = proposer.propose(
+            self.scenes, self.duration, self.parameters.candidates, self.price
+        )
         genes = self.bounded(np.arange(len(genes)), genes)
         in_use = np.isfinite(self.previous).all(axis=1)
+        stays = max(self.parameters.candidates // 8, 2)
+        stronger = strengths(
+            self.previous[in_use], np.zeros(in_use.sum(), dtype=bool), self.spacing, stays - 1
+        )
+        genes[in_use, -stays:-1] = stronger
         genes[in_use, -1] = self.previous[in_use]
         return genes, in_range
 
     def children(self, active: IntArray, ranked: Ranked, number: int) -> FloatArray:
         """The candidates of a round, (A, n, 7)."""
-        random = draws(number, self.parameters.candidates)
-        n_kin = self.parameters.candidates - LINE
-        genes = ranked.genes
-        kin = genes[:, np.arange(n_kin) % ELITES] + STRIDE * random.step[:n_kin]
-        apart = genes[:, random.first[:n_kin]] - genes[:, random.second[:n_kin]]
-        kin += random.mixing[:n_kin, None] * np.nan_to_num(apart)
-        # Along alpha from the best one: the least that keeps the clearance is shortest.
-        line = np.repeat(genes[:, :1], LINE, axis=1)
-        line[:, :, ALPHA] += random.line
-        trial = np.concatenate([line, kin], axis=1)
+        count = self.parameters.candidates
+        random, genes, spacing = draws(number, count), ranked.genes, closer(self.spacing, number)
+        kept = ranked.cost < BAD
+        lines = [
+            strengths(genes[:, rank], kept[:, rank], spacing, max(round(share * count), least))
+            for rank, (share, least) in enumerate(_LINES)
+            if rank < genes.shape[1]
+        ]
+        n_kin = count - sum(line.shape[1] for line in lines)
+        kin = genes[:, np.arange(n_kin) % genes.shape[1]] + STRIDE * random.step[:n_kin]
+        of = random.first[:n_kin] % genes.shape[1], random.second[:n_kin] % genes.shape[1]
+        kin += random.mixing[:n_kin, None] * np.nan_to_num(genes[:, of[0]] - genes[:, of[1]])
+        trial = np.concatenate([*lines, kin], axis=1)
         if number >= _FIRST_FRESH:
             fresh = ~ranked.solved[:, None, None] & random.is_fresh[:, None]
             trial = np.where(fresh, random.fresh, trial)
@@ -410,7 +479,7 @@ class Search:
 
 def verify(
     scenes: SpatialScenes,
-    weights: ChainWeights,
+    proposer: Proposer,
     *,
     duration: float,
     dmp: Dmp | None = None,
@@ -422,7 +491,7 @@ def verify(
 
     Args:
         scenes: S scenes.
-        weights: the chain that proposes, of four inputs.
+        proposer: what proposes the first candidates.
         duration: T [s].
         dmp: the primitive; None: a straight minimum-jerk motion.
         previous: (S, 7) genes in use, rows of NaN for none. They are tried first, and
@@ -443,7 +512,7 @@ def verify(
         raise ValueError(f"previous must be ({len(scenes)}, {N_GENES}), not {previous.shape}")
     previous = np.full((len(scenes), N_GENES), np.nan) if previous is None else previous
     parameters = parameters or SearchParameters()
-    found = Search(scenes, duration, dmp, previous, parameters, settled=settled).run(weights)
+    found = Search(scenes, duration, dmp, previous, parameters, settled=settled).run(proposer)
     finer = replace(parameters, candidates=2 * parameters.candidates, steps=2 * parameters.steps)
     for number in range(parameters.retries):
         left = np.flatnonzero(~found.kept)
@@ -452,7 +521,7 @@ def verify(
         sides = 1 if number == 0 else _SIDES
         each = np.repeat(left, sides)
         search = Search(scenes.rows(each), duration, dmp, previous[each], finer, sides)
-        again = search.run(weights)
+        again = search.run(proposer)
         best = again.cost.reshape(-1, sides).argmin(axis=1) + sides * np.arange(len(left))
         better = again.cost[best] < found.cost[left]
         found = found.replaced(left[better], again.rows(best[better]))

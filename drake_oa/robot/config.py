@@ -88,7 +88,7 @@ class SphereParameters:
     # How far the spheres of the arm's links stick out of them, about; those of the tool, and of
     # what it holds; and those of what no joint moves, that only the arm comes near to. Less takes
     # more of them, and time [m].
-    overshoot: float = _number(0.008, "m", 0.0, 0.1, open_low=True)
+    overshoot: float = _number(0.003, "m", 0.0, 0.1, open_low=True)
     tool_overshoot: float = _number(0.004, "m", 0.0, 0.1, open_low=True)
     fixed_overshoot: float = _number(0.02, "m", 0.0, 0.1, open_low=True)
     # Spheres of a body at most; where more were needed they stick out farther.

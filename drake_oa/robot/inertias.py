@@ -11,8 +11,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from drake_oa.common.config import ScenarioError, check, number, read_yaml, vector
-
-_DRAKE = "http://drake.mit.edu"
+from drake_oa.robot.urdf import DRAKE_XML
 
 
 @dc.dataclass
@@ -49,8 +48,7 @@ def with_inertias(urdf: str, inertias: dict[str, Inertia]) -> str:
     Raises:
         ScenarioError: if the model lacks one of the links.
     """
-    # Otherwise it would be written under a name that Drake does not know.
-    ElementTree.register_namespace("drake", _DRAKE)
+    ElementTree.register_namespace("drake", DRAKE_XML)
     root = ElementTree.fromstring(urdf)
     links = {link.get("name", ""): link for link in root.iter("link")}
     missing = [name for name in inertias if name not in links]

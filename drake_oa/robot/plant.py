@@ -27,6 +27,7 @@ from drake_oa.robot.arm import joints_to
 from drake_oa.robot.config import Robot
 from drake_oa.robot.grasped_object import add_carried, part_carried, tool_links
 from drake_oa.robot.inertias import read_inertias, with_inertias
+from drake_oa.robot.urdf import add_installed_package, drake_urdf
 
 TOOL_FRAME = "tool_point"
 
@@ -44,12 +45,15 @@ def add_robot(plant: MultibodyPlant, robot: Robot, *, inertias: str = "") -> Mod
     parser = make_parser(plant)
     url = _url(robot.model)
     try:
+        add_installed_package(parser.package_map(), url)
+        file = Path(parser.package_map().ResolveUrl(url))
+        text = drake_urdf(file, parser.package_map()) if file.suffix == ".urdf" else None
         if inertias:
-            urdf = Path(parser.package_map().ResolveUrl(url)).read_text()
-            text = _replaced(urdf, parser, inertias)
-            (instance,) = parser.AddModelsFromString(text, "urdf")
-        else:
+            text = _replaced(text or file.read_text(), parser, inertias)
+        if text is None:
             (instance,) = parser.AddModels(url=url)
+        else:
+            (instance,) = parser.AddModelsFromString(text, "urdf")
     except ScenarioError:
         raise
     except (OSError, RuntimeError, ValueError) as error:
@@ -75,8 +79,9 @@ def add_robot(plant: MultibodyPlant, robot: Robot, *, inertias: str = "") -> Mod
 
 def model_file(robot: Robot) -> Path:
     """The file that the robot's model is read from."""
-    packages = make_parser(MultibodyPlant(0.0)).package_map()
-    return Path(packages.ResolveUrl(_url(robot.model)))
+    packages, url = make_parser(MultibodyPlant(0.0)).package_map(), _url(robot.model)
+    add_installed_package(packages, url)
+    return Path(packages.ResolveUrl(url))
 
 
 def base_pose(robot: Robot | None) -> RigidTransform:

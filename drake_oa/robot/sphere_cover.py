@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
+import zipfile
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from pydrake.geometry import (
@@ -19,9 +23,11 @@ from pydrake.geometry import (
     Sphere,
 )
 
+from drake_oa.common.files import replace_file, user_cache
 from drake_oa.common.messages import FloatArray, IntArray
 from drake_oa.geometry.collision_shapes import surface_points
 from drake_oa.geometry.ellipsoid import signed_distance
+from drake_oa.robot import sphere_kernels as kernels
 from drake_oa.robot.sphere_kernels import choose, grow, nearest_balls, tighten
 
 _CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
@@ -68,7 +74,9 @@ class Solid:
 
     def distance(self, p_BQ: FloatArray) -> FloatArray:
         """(N,) of points (N, 3) in the body's frame, see `signed` [m]."""
-        return self.signed((p_BQ - self.X_BG[:3, 3]) @ self.X_BG[:3, :3])
+        # From the left: many times faster for many points.
+        R_GB = self.X_BG[:3, :3].T.copy()
+        return self.signed((R_GB @ p_BQ.T - (R_GB @ self.X_BG[:3, 3])[:, None]).T)
 
     def lattice(self, inset: float, step: float, finer: int = 1) -> FloatArray:
         """Points inside, in the body's frame, (K, 3).
@@ -232,6 +240,41 @@ def cover(solids: Sequence[Solid], overshoot: float, most: int = 200) -> Cover:
                 break
         points, rounds = np.concatenate([points, gaps]), rounds + 1
     return _measured(solids, distance, centers, radii)
+
+
+def known_cover(solids: Sequence[Solid], overshoot: float, most: int = 200) -> Cover:
+    """As `cover`; what has been found before is read from the user's cache, drake_oa/spheres.
+
+    It takes seconds. Where the folder cannot be written, it takes them each time.
+    """
+    made = user_cache("spheres") / f"{_digest(solids, overshoot, most)}.npz"
+    try:
+        with np.load(made) as file:
+            return Cover(file["centers"], file["radii"], *file["measures"].tolist())
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+        found = cover(solids, overshoot, most)
+    measures = np.array([found.overshoot, found.volume, found.volume_ratio])
+
+    def save(path: Path) -> None:
+        with path.open("wb") as file:
+            np.savez(file, centers=found.centers, radii=found.radii, measures=measures)
+
+    with suppress(OSError):
+        made.parent.mkdir(parents=True, exist_ok=True)
+        replace_file(made, save)
+    return found
+
+
+def _digest(solids: Sequence[Solid], overshoot: float, most: int) -> str:
+    """Of all that a cover depends on, this program included."""
+    found = hashlib.sha256(repr((overshoot, most, np.__version__)).encode())
+    for module in (__file__, kernels.__file__):
+        found.update(Path(module).read_bytes())
+    for solid in solids:
+        found.update(repr((solid.is_rod, solid.is_curved)).encode())
+        for array in (solid.X_BG, solid.half, solid.middle, solid.surface):
+            found.update(np.ascontiguousarray(array).tobytes())
+    return found.hexdigest()[:32]
 
 
 def _measured(

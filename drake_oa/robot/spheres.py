@@ -17,13 +17,15 @@ from drake_oa.robot import sphere_kernels as kernels
 from drake_oa.robot.arm import axis_frame, in_joint_frame, joints_to, moved_by
 from drake_oa.robot.config import SphereParameters
 from drake_oa.robot.plant import RobotPlant
-from drake_oa.robot.sphere_cover import Cover, cover, read_solid
+from drake_oa.robot.sphere_cover import Cover, known_cover, read_solid
 
 _ROUNDED = 1e-9
 """Added to bounding spheres [m]."""
 _CLUSTER = 8
 """Spheres of a cluster at most."""
 _BALL_STEPS = 300
+_LOW, _FEW = 0.05, 30
+"""What of the postures is not most of them, and how many tell too little."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ class PairReport:
         bodies: their names.
         touching: share of the postures in which their shapes touch.
         spheres_touching: in which their spheres do.
-        allowance: see `kernels.Spheres`; 0 where the shapes may touch [m].
+        allowance: see `kernels.Spheres` [m].
         is_kept: whether the pair is looked at; else its shapes always touch.
     """
 
@@ -93,11 +95,10 @@ class ArmSpheres(Frozen):
         counts = np.diff(self.arrays.first)
         return tuple(np.repeat(np.array(self.bodies), counts).tolist())
 
-    @property
-    def overshoot(self) -> float:
-        """How far any sphere of a body that moves sticks out of its shapes at most [m]."""
-        moving = zip(self.covers, self.arrays.group_joint, strict=True)
-        return max(found.overshoot for found, joint in moving if joint >= 0)
+    @cached_property
+    def overshoot(self) -> FloatArray:
+        """(G,) how far the spheres of each body stick out of its shapes at most [m]."""
+        return np.array([found.overshoot for found in self.covers])
 
     def report(self) -> list[BodyReport]:
         """A row for each body."""
@@ -192,7 +193,7 @@ def make_arm_spheres(
         asked = parameters.overshoot if index in moved else parameters.fixed_overshoot
         if body.name() in tool_links:
             asked = parameters.tool_overshoot
-        covers.append(cover(solids, asked, max(parameters.most, len(solids))))
+        covers.append(known_cover(solids, asked, max(parameters.most, len(solids))))
         shapes.append(len(solids))
         X_JB.append(in_joint_frame(plant, context, poses, moved, index))
     joint = np.array([moved.get(index, -1) for index in bodies], dtype=np.int64)
@@ -295,9 +296,9 @@ def _with_pairs_found(
     """Leaves out pairs that always touch, and finds what overlap means nothing.
 
     Random postures tell, as in MoveIt's setup assistant. Where spheres overlap, SceneGraph tells
-    whether the shapes touch. A pair whose spheres overlap often and whose shapes never touch, or
-    whose spheres nearly always overlap, gets as an allowance the least by which its shapes were
-    farther apart than its spheres, of all postures in which the spheres overlapped.
+    whether the shapes touch. A pair whose spheres overlap often while its shapes do not touch
+    gets as an allowance the least by which its shapes were farther apart than its spheres, of all
+    those postures; less, for what they do not tell, as much as that is below most of them.
     """
     plant = robot.plant
     index = np.array([joint.position_start() for joint in joints])
@@ -344,11 +345,10 @@ def _with_pairs_found(
     shares = touch.mean(axis=0), (apart < 0.0).mean(axis=0)
     for (i, j), p in row.items():
         kept[p] = shares[0][p] < parameters.always
-        overlap = np.flatnonzero(apart[:, p] < 0.0)
-        least_share = parameters.always if touch[:, p].any() else parameters.often
-        if kept[p] and len(overlap) and shares[1][p] >= least_share:
-            slack = min(true_distance(int(k), i, j) - float(apart[k, p]) for k in overlap)
-            allowance[p] = max(0.0, slack)
+        overlap = np.flatnonzero((apart[:, p] < 0.0) & ~touch[:, p])
+        if kept[p] and len(overlap) >= max(_FEW, parameters.often * len(postures)):
+            slack = [true_distance(int(k), i, j) - float(apart[k, p]) for k in overlap]
+            allowance[p] = max(0.0, 2.0 * min(slack) - float(np.quantile(slack, _LOW)))
         names = (plant.get_body(bodies[i]).name(), plant.get_body(bodies[j]).name())
         shown = float(shares[0][p]), float(shares[1][p]), float(allowance[p])
         reports.append(PairReport(names, *shown, is_kept=bool(kept[p])))

@@ -23,7 +23,6 @@ from drake_oa.common.messages import (
 from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.policy.dmp import local_frame
 from drake_oa.policy.guidance import desired_headings, passing_normals
-from drake_oa.route.baseline_section import passing
 from drake_oa.route.cost_rings import (
     JOINT_LIMITS,
     Margin,
@@ -34,6 +33,7 @@ from drake_oa.route.cost_rings import (
     limits_ring,
     no_worse_than_the_ends,
     path_length,
+    remaining_clearance,
     ring_scene,
     table_ring,
 )
@@ -63,7 +63,7 @@ class CostRingSelector(LeafSystem):
     - table (optional): abstract `TablePlane`; without it the plane that came with
       the ellipsoids is used.
     - route: abstract `Route`: for each obstacle the chosen direction omega_d, the
-      desired heading v_d, the plane's normal, the obstacle as it is met; and the rings.
+      desired heading v_d, the plane's normal, the clearance to keep there; and the rings.
     - decision: abstract `Route` without headings (0, 3), empty before initialization. It
       does not change with every step of the policy, so neither does what is computed from
       it; `DmpIntegrator` finds the headings itself.
@@ -191,16 +191,10 @@ class CostRingSelector(LeafSystem):
             followed=self._followed,
         )
         direction_W = scene.directions_W[selection.index]
-        met = passing(
-            p_WS, p_WG, R_WL, ellipsoids, direction_W, selection.groups, self._asked_clearance
-        )
         return Route(
             direction_W=direction_W,
             normal_W=passing_normals(direction_W, R_WL),
-            center_W=met.center_W,
-            extents=met.extents,
-            remaining_clearance=met.remaining_clearance,
-            weight=met.weight,
+            remaining_clearance=remaining_clearance(scene),
             index=selection.index,
             angles=scene.angles,
             costs=selection.costs,
@@ -244,7 +238,6 @@ class CostRingSelector(LeafSystem):
             ellipsoids,
             route.direction_W,
             route.normal_W,
-            route.center_W,
             route.remaining_clearance,
         )
         output.set_value(replace(route, heading_W=heading_W))

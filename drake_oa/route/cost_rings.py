@@ -20,6 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from drake_oa.common.messages import EllipsoidSet, FloatArray, IntArray, TablePlane
+from drake_oa.geometry.ellipsoid import signed_distance
+from drake_oa.geometry.ellipsoid_kernels import feasible_clearance
 
 FORBIDDEN = 1.0
 """Cost at which a ring forbids a direction."""
@@ -188,6 +190,25 @@ def no_worse_than_the_ends(scene: RingScene, margin: Margin) -> Margin:
     """A margin [m] that counts from its least at start and goal where that is negative."""
     ends = float(margin(np.stack([scene.p_WS, scene.p_WG])).min())
     return lambda p_WQ: margin(p_WQ) - min(ends, 0.0)
+
+
+_SAMPLES = 41
+"""Places on the baseline at which an obstacle's distance is looked at."""
+
+
+def remaining_clearance(scene: RingScene) -> FloatArray:
+    """(M,) clearance that the motion is to be led at, no more than start and goal leave [m].
+
+    0 where the baseline keeps it already, or is nearest at one of its ends: no side helps there.
+    """
+    shapes = scene.ellipsoids
+    share = np.linspace(0.0, 1.0, _SAMPLES)[:, None, None]
+    place = scene.p_WS + share * (scene.p_WG - scene.p_WS)
+    distance = signed_distance(place, shapes.p_WO, shapes.R_WO, shapes.semi_axes)
+    feasible = feasible_clearance(scene.asked_clearance, distance[0], distance[-1])
+    nearest = distance.argmin(axis=0)
+    between = (nearest > 0) & (nearest < _SAMPLES - 1)
+    return np.where(between & (distance.min(axis=0) < feasible), feasible, 0.0)
 
 
 def path_length(scene: RingScene, index: IntArray) -> float:

@@ -38,14 +38,12 @@ class Selection:
 
     Attributes:
         index: (M,) chosen column of the rings.
-        groups: (M,) numbers of the groups, see `overlap_groups`.
         costs: name -> (M, K) each ring.
         blocked: (M,) whether every direction is forbidden by some ring, or every way on to
             the next obstacle.
     """
 
     index: IntArray
-    groups: IntArray
     costs: dict[str, FloatArray]
     blocked: BoolArray
 
@@ -156,7 +154,7 @@ def _choose(
     index = np.zeros(count, dtype=np.int64)
     for group, rows in rows_of.items():
         index[rows] = best[group]
-    return Selection(index, groups, costs, blocked)
+    return Selection(index, costs, blocked)
 
 
 def _kept(previous: IntArray | None, rows: IntArray) -> int:

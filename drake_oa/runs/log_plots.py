@@ -14,6 +14,7 @@ from matplotlib.patches import Polygon
 
 from drake_oa.common.messages import FloatArray, HoldCause
 from drake_oa.policy.dmp import local_frame
+from drake_oa.runs.demonstration_plots import Taught, draw_shown
 from drake_oa.runs.metrics import MotionMetrics
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.scenario.scenario import Scenario
@@ -117,6 +118,7 @@ def draw_run(
     scenario: Scenario,
     logs: Mapping[str, MotionLog],
     metrics: Mapping[str, MotionMetrics],
+    shown: Taught | None = None,
 ) -> None:
     """Draws a run: panels over time on the left, the path from two sides on the right.
 
@@ -129,6 +131,7 @@ def draw_run(
         logs: the motions that have an instant, by name; pauses and joints are those of the
             modulated one, or of the only one there is.
         metrics: their metrics.
+        shown: what was demonstrated, to be drawn beside the path; None: nothing.
     """
     parts: Any = figure.subfigures(1, 2, width_ratios=[1.35, 1.0])
     left, right = parts
@@ -167,6 +170,8 @@ def draw_run(
         ),
     )
     for ax, P, xlabel, ylabel, name in views:
+        if shown is not None:
+            draw_shown(ax, shown, P)
         _path(ax, scenario, logs, P)
         ax.set(xlabel=xlabel, ylabel=ylabel)
         _head(ax, name, columns=3)
@@ -237,16 +242,26 @@ def _phase(ax: Axes, logs: Mapping[str, MotionLog], main: str) -> None:
             linestyle="--",
             label=f"{main}, share of full speed",
         )
+    told = log.least_confidence
+    if np.isfinite(told).any():
+        ax.step(
+            log.observation_time,
+            told,
+            where="post",
+            color=_OBSTACLE,
+            linewidth=1.0,
+            label="probability of keeping what is asked",
+        )
     ax.set(ylabel="phase, share [1]", ylim=(-0.03, 1.12))
-    told = pauses(log)
+    stopped = pauses(log)
     lines = [
         f"{number}  {pause.start:.2f} s, {pause.kind}: {pause.reason}"
-        for number, pause in enumerate(told[:_LISTED], start=1)
+        for number, pause in enumerate(stopped[:_LISTED], start=1)
     ]
-    if len(told) > _LISTED:
-        lines.append(f"and {len(told) - _LISTED} more")
+    if len(stopped) > _LISTED:
+        lines.append(f"and {len(stopped) - _LISTED} more")
     last = -np.inf
-    for number, pause in enumerate(told[:_LISTED], start=1):
+    for number, pause in enumerate(stopped[:_LISTED], start=1):
         middle = 0.5 * (pause.start + pause.end)
         if middle - last > _NUMBER_SPACE * log.simulated_time:
             ax.text(middle, 1.01, str(number), ha="center", va="bottom", fontsize=7)

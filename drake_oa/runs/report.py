@@ -26,6 +26,9 @@ from drake_oa.scenario.tool_orientation import end_rotations
 TOLD = 1e-3
 """Clearance that is missing by more than this is told, and counts as missing [m]."""
 
+_SURE = 0.9
+"""A probability of keeping what is asked that is not told in words."""
+
 
 def judge_of(scenario: Scenario) -> RobotJudge | None:
     """To be shared by all that is judged of one scenario; None without a robot."""
@@ -90,7 +93,8 @@ def motion_report(
     `orientation_error` (angle to that of the goal when all is at rest [rad]; only where the
     tool turns), `torque_saturation` (fraction of logged steps), `duration`, `path_length`,
     `out_of_range` (fraction of observations with an obstacle beyond what the regressor
-    chain was trained for), `regulation` ("Verified", "Regressor", or None without
+    chain was trained for), `confidence` (least probability, told on the way, that an obstacle is
+    passed as asked; None where no chain tells), `regulation` ("Verified", "Paper", or None without
     modulation), `believed_shortfall` (most that the verified motion lacked of what regulation
     believed feasible; None unless it was verified), `lowered` (by how much regulation
     lowered the asked clearance at most; None unless verified), what decisions cost (see
@@ -127,6 +131,7 @@ def motion_report(
         "duration": log.duration,
         "path_length": path_length(metrics.p_WE[log.moving]),
         "out_of_range": float((log.out_of_range > 0).mean()) if len(log.out_of_range) else 0.0,
+        "confidence": _least_confidence(log),
         **_believed(log),
         **decision_figures(scenario, log),
         "stop_reason": log.stop_reason,
@@ -166,6 +171,11 @@ def _believed(log: MotionLog) -> dict[str, Any]:
         "believed_shortfall": most if verified else None,
         "lowered": float(log.lowered.max(initial=0.0)) if verified else None,
     }
+
+
+def _least_confidence(log: MotionLog) -> float | None:
+    told = log.least_confidence[log.observation_time <= log.duration]
+    return _finite(np.fmin.reduce(told, initial=math.nan))
 
 
 def _goal_error(scenario: Scenario, log: MotionLog, p_WE: FloatArray) -> float:
@@ -265,6 +275,12 @@ def _notes(motion: str, found: dict[str, Any]) -> list[str]:
         return notes
     if (found["decision_cost"] or {}).get("share_over_period", 0.0) > 0.0:
         notes.append(f"note: {motion}: {_thinking(found['decision_cost'])}")
+    if found["confidence"] is not None and found["confidence"] < _SURE:
+        seen = "; it was not trained for such obstacles" if found["out_of_range"] else ""
+        notes.append(
+            f"note: {motion}: the chain gives itself a probability of {found['confidence']:.2f} "
+            f"of keeping what is asked{seen}"
+        )
     if found["short_of_feasible"] > TOLD:
         notes.append(
             f"warning: {motion}: kept {found['resting_clearance_min']:.3f} m to what rests, "

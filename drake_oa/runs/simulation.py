@@ -31,7 +31,7 @@ from drake_oa.regulation.config import SearchParameters
 from drake_oa.robot.limits import RobotLimits, frame_path, robot_limits
 from drake_oa.robot.plant import TOOL_FRAME
 from drake_oa.runs.decision_costs import logged_decisions
-from drake_oa.runs.motion_log import MotionEnd, MotionLog, pack_ellipsoids
+from drake_oa.runs.motion_log import MotionEnd, MotionLog, pack_confidence, pack_ellipsoids
 from drake_oa.safety.supervision import Supervision
 from drake_oa.scenario.faults import CameraDropout, FrameBurst, NanFrames, Push, TorqueSaturation
 from drake_oa.scenario.loading import scenario_text
@@ -49,6 +49,7 @@ LATEST_END = 2.2
 """Normalised time s at which a motion that has not arrived is ended; counted from s = 1 at
 the latest move of the goal, where that comes after it. One that has been verified to arrive
 later may do so."""
+_NOTHING, _UNSUPERVISED = EventStatus.DidNothing(), Supervision()
 _GRACE = 0.2
 """How much later than verified a motion may arrive, in normalised time."""
 ARRIVED = SearchParameters().tolerance
@@ -95,6 +96,7 @@ class MotionWatcher:
         frames: the observations, as they arrived.
         frame_times: when each arrived [s].
         out_of_range: of each, how many obstacles the regressor chain was not trained for.
+        confidences: of each, what the chain tells of how likely it keeps what is asked.
         events: (time [s], what holds the motion, note) whenever the policy's note changed.
         supervision: (time [s], action, reason) whenever the supervisor's decision changed.
         ending: what ended the motion; None until then.
@@ -150,9 +152,11 @@ class MotionWatcher:
         self._supervisor = None
         if diagram.HasSubsystemNamed("supervisor"):
             self._supervisor = diagram.GetSubsystemByName("supervisor")
+            self._said = self._supervisor.GetOutputPort("supervision")
         self.frames: list[EllipsoidSet] = []
         self.frame_times: list[float] = []
         self.out_of_range: list[int] = []
+        self.confidences: list[FloatArray] = []
         self.events: list[tuple[float, HoldCause, str]] = []
         self.supervision: list[tuple[float, str, str]] = []
         self.ending: Ending | None = None
@@ -172,7 +176,7 @@ class MotionWatcher:
     def __call__(self, root: Context) -> EventStatus:
         now = root.get_time()
         if now < self._next_time:
-            return EventStatus.DidNothing()
+            return _NOTHING
         # Policy and supervisor step once a period, and the look comes right after.
         self._next_time = now + 0.9 * self._period
         policy: PolicyState = self._policy_port.Eval(self._policy_system.GetMyContextFromRoot(root))
@@ -180,7 +184,7 @@ class MotionWatcher:
         if policy.hold is HoldCause.SPEED_SCALE and supervision.reason:
             note = f"supervisor: {supervision.reason}"
             policy = replace(policy, hold=HoldCause.SUPERVISOR, note=note)
-        self._record(root, now, policy)
+        self._record(root, now, policy, supervision)
         if self._on_progress is not None:
             self._on_progress(now, policy.phase)
         if self.ending and self.ending.may_go_on and policy.hold is HoldCause.NONE:
@@ -192,7 +196,7 @@ class MotionWatcher:
             return EventStatus.ReachedTermination(
                 self._diagram, self.ending.reason if self.ending else ""
             )
-        return EventStatus.DidNothing()
+        return _NOTHING
 
     def finish(self, root: Context) -> None:
         """Says what the end of the run makes of the motion's."""
@@ -229,6 +233,9 @@ class MotionWatcher:
             self._latest_end = max(self._latest_end, self._verified_end(root) + _GRACE)
         if now > self._last_move and s >= self._latest_end:
             error = self._goal_error(root, policy)
+            if error <= AT_GOAL:
+                # The paper's terms act on there, and let it creep.
+                return AT_THE_GOAL
             why = f"goal missed by {1e3 * error:.1f} mm at s = {self._latest_end:.3g}"
             return Ending(MotionEnd.MISSED, why)
         if (
@@ -244,14 +251,19 @@ class MotionWatcher:
 
         One that may yet go on is given `LONGEST_HOLD`: a decision may take seconds.
         """
-        fastest = math.hypot(*policy.z_W) * policy.speed
-        if self._plant is not None:
-            context = self._plant.GetMyContextFromRoot(root)
-            fastest = np.abs(self._plant.GetVelocities(context, self._robot)).max()
-        moves = now < self.world_end or not self.ending or fastest > AT_REST
-        self._rest_since = math.inf if moves else min(self._rest_since, now)
+        if now < self.world_end or not self.ending or self._fastest(root, policy) > AT_REST:
+            self._rest_since, self.settled = math.inf, False
+            return
+        self._rest_since = min(self._rest_since, now)
         rest = LONGEST_HOLD if self.ending and self.ending.may_go_on else REST_TIME
         self.settled = now - self._rest_since >= rest
+
+    def _fastest(self, root: Context, policy: PolicyState) -> float:
+        """Speed of the fastest joint [rad/s, m/s]; without a robot that of the policy [m/s]."""
+        if self._plant is None:
+            return math.hypot(*policy.z_W) * policy.speed
+        context = self._plant.GetMyContextFromRoot(root)
+        return float(np.abs(self._plant.GetVelocities(context, self._robot)).max())
 
     def _tool_point(self, root: Context, policy: PolicyState) -> FloatArray:
         """(3,) the actual tool point; without a robot the desired one [m]."""
@@ -264,9 +276,11 @@ class MotionWatcher:
     def _goal_error(self, root: Context, policy: PolicyState) -> float:
         return math.dist(self._tool_point(root, policy), self._goal)
 
-    def _record(self, root: Context, now: float, policy: PolicyState) -> None:
+    def _record(
+        self, root: Context, now: float, policy: PolicyState, supervision: Supervision
+    ) -> None:
         self._note(now, policy.hold, policy.note)
-        self._record_supervision(root, now)
+        self._record_supervision(now, supervision)
         if policy.hold in (HoldCause.NONE, HoldCause.DECIDING):
             self._held_since = None
         elif self._held_since is None:
@@ -278,7 +292,9 @@ class MotionWatcher:
             if seen.stamp > -math.inf and (not self.frames or seen.stamp != self.frames[-1].stamp):
                 self.frames.append(seen)
                 self.frame_times.append(now)
-                self.out_of_range.append(self._count_out_of_range(root))
+                coupling = self._asked_of_chain(root)
+                self.out_of_range.append(int((~coupling.in_range).sum()))
+                self.confidences.append(coupling.confidence)
 
     def _note(self, now: float, hold: HoldCause, note: str) -> None:
         if note != (self.events[-1][2] if self.events else ""):
@@ -286,23 +302,21 @@ class MotionWatcher:
 
     def _supervision(self, root: Context) -> Supervision:
         if self._supervisor is None:
-            return Supervision()
-        port = self._supervisor.GetOutputPort("supervision")
-        said: Supervision = port.Eval(self._supervisor.GetMyContextFromRoot(root))
+            return _UNSUPERVISED
+        said: Supervision = self._said.Eval(self._supervisor.GetMyContextFromRoot(root))
         return said
 
-    def _record_supervision(self, root: Context, now: float) -> None:
-        said = self._supervision(root)
+    def _record_supervision(self, now: float, said: Supervision) -> None:
         before = self.supervision[-1][1:] if self.supervision else ("run", "")
         if (said.action, said.reason) != before:
             self.supervision.append((now, said.action, said.reason))
 
-    def _count_out_of_range(self, root: Context) -> int:
+    def _asked_of_chain(self, root: Context) -> CouplingParameters:
         if self._chain is None:
-            return 0
+            return CouplingParameters()
         port = self._chain.GetOutputPort("coupling_parameters")
         coupling: CouplingParameters = port.Eval(self._chain.GetMyContextFromRoot(root))
-        return int((~coupling.in_range).sum())
+        return coupling
 
     def _verified_end(self, root: Context) -> float:
         """Normalised time at which the motion has been verified to arrive; 0: it has not."""
@@ -352,11 +366,11 @@ def simulate(
 
     The goal is reached when the phase has passed s = 1, the desired motion has arrived where
     the goal is at last, and the tool is within `AT_GOAL` of it; before its last move it goes on.
-    One that has not by `LATEST_END` is ended there. The log's `stop_reason` is "goal",
-    "stopped: ..." (by the supervisor), "held for ...", "goal missed by ...", "goal left by ..."
-    (where it had to evade there, and did not come back), "at the goal, but the tool cannot be
-    turned back there", "time limit of ..." or, in what a `MotionInterruptedError` carries,
-    "interrupted" or what was raised.
+    One that has not by `LATEST_END` is ended there; at the goal, if the tool is. The log's
+    `stop_reason` is "goal", "stopped: ..." (by the supervisor), "held for ...", "goal missed by
+    ...", "goal left by ..." (where it had to evade there, and did not come back), "at the goal,
+    but the tool cannot be turned back there", "time limit of ..." or, in what a
+    `MotionInterruptedError` carries, "interrupted" or what was raised.
 
     Args:
         scenario: what to run.
@@ -458,6 +472,7 @@ def _collect(
         robot = plant.GetFrameByName(TOOL_FRAME).model_instance()
         p_WE, limits = frame_path(plant, robot, TOOL_FRAME, q), robot_limits(plant, robot)
         q_world = signals.get("plant_state", empty)[:, : plant.num_positions()]
+    seen = pack_ellipsoids(watcher.frames)
     return MotionLog(
         t=t,
         q=q,
@@ -475,7 +490,7 @@ def _collect(
         ),
         q_world=q_world,
         observation_time=np.array(watcher.frame_times),
-        **pack_ellipsoids(watcher.frames),
+        **seen,
         **logged_decisions(signals),
         out_of_range=np.array(watcher.out_of_range, dtype=np.int64),
         regulation=type(scenario.regulation).__name__ if modulated else "",
@@ -502,4 +517,5 @@ def _collect(
         orientation_error=signals.get("orientation_error", np.zeros((0, 3))),
         desired_posture=signals.get("desired_posture", empty),
         evasion=signals.get("evasion", np.zeros((0, 3))),
+        confidence=pack_confidence(watcher.confidences, seen["obstacle_id"].shape[1]),
     )

@@ -25,7 +25,7 @@ class GuardedArm(Frozen):
         joints: (n,) names of the joints.
         index: (n,) where they are in the robot's positions.
         size: how many positions the robot has, and velocities.
-        overshoot: how far the spheres stick out of the arm at most [m].
+        overshoot: (G,) how far the spheres of each body stick out of it at most [m].
     """
 
     chain: Chain
@@ -34,7 +34,7 @@ class GuardedArm(Frozen):
     joints: tuple[str, ...]
     index: IntArray
     size: int
-    overshoot: float = 0.0
+    overshoot: FloatArray
 
     def __post_init__(self) -> None:
         """Leaves the arrays unlocked: the kernels are compiled for such, and change none."""

@@ -78,7 +78,7 @@ def watch_solids(
     stop[:, ~rests] += parameters.padding
     if kept is not None:
         # Whatever a motion is said to keep, no shape is to touch another.
-        least = np.maximum(kept - _MARGIN, -arm.overshoot)
+        least = np.maximum(kept - _MARGIN, -arm.overshoot[:, None])
         stop[:, rests] = np.minimum(stop, least)[:, rests]
     p = parameters
     rules = SolidRules(

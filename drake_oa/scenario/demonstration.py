@@ -1,8 +1,9 @@
-"""The demonstrated motion of a scenario, read from its file."""
+"""The demonstrated motions of a scenario: read from their files, and averaged."""
 
 from __future__ import annotations
 
 import zipfile
+from array import array
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,80 +11,222 @@ from typing import Any
 import numpy as np
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.common.files import check_archive
+from drake_oa.common.files import archive_headers, check_archive
 from drake_oa.common.messages import FloatArray
+from drake_oa.policy.averaging import STILL, average_orientations, average_paths
 from drake_oa.policy.config import Policy
-from drake_oa.policy.orientation_dmp import OrientationDmp, imitate_orientation
+from drake_oa.policy.dmp import Dmp, checked_demonstration, imitate
+from drake_oa.policy.orientation_dmp import OrientationDmp, checked_rotations, imitate_orientation
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.task import Task
+from drake_oa.scenario.shipped import package_file
+from drake_oa.scenario.task import LONGEST, Task
 
+MOST_SAMPLES = 1_000_000
+"""Files of more are refused before they are read whole."""
 _CONTENTS = (
     "it must be an .npz with `path` (T, 3), optionally `t` (T,), and optionally the "
     "orientations R_WE as `quaternion` (T, 4), w first, or `R` (T, 3, 3)"
 )
+_TURN = ("qw", "qx", "qy", "qz")
+_HEADER = "x,y,z in any order, optionally with t, and optionally with qw,qx,qy,qz"
+_CSV = (
+    f"it must be a CSV whose first line names its columns, {_HEADER}, and every other line has a "
+    "number for each of them"
+)
+_LONGEST_HEADER = 10_000
 
 
 @dataclass(frozen=True, eq=False)
 class Demonstration:
-    """What somebody showed.
+    """What somebody showed once.
 
     Attributes:
         path: (T, 3) positions [m].
         t: (T,) stamps [s].
-        orientations: (T, 4) quaternions or (T, 3, 3) rotation matrices R_WE; None: the file
-            has none.
+        orientations: (T, 3, 3) R_WE; None: the file has none.
     """
 
     path: FloatArray
     t: FloatArray
-    orientations: FloatArray | None
+    orientations: FloatArray | None = None
 
 
-def read_demonstration(task: Task) -> Demonstration:
-    """Reads the file of `task.demonstration`.
+def read_demonstration(file: str | Path, duration: float = 5.0) -> Demonstration:
+    """Reads one demonstration.
+
+    Args:
+        file: .npz with `path` (T, 3), optionally `t` (T,), and optionally `quaternion` (T, 4), w
+            first, of any sign and length, or `R` (T, 3, 3); or .csv whose header names columns of
+            t, x, y, z, qw, qx, qy, qz. May be a package:// URL.
+        duration: what it spans where it has no stamps [s].
 
     Raises:
-        ScenarioError: naming the file, if it cannot be read or holds something else.
+        ValueError: if it cannot be read, or not imitated; says what is wrong at which sample, and
+            what it must be.
+        OSError: if there is none.
     """
+    path = package_file(str(file))
+    is_csv = path.suffix.lower() == ".csv"
     try:
-        check_archive(Path(task.demonstration))
-        with np.load(task.demonstration) as archive:
-            path = archive["path"]
-            t = archive["t"] if "t" in archive.files else None
-            given = [archive[name] for name in ("quaternion", "R") if name in archive.files]
-        if path.ndim != 2 or path.shape[1] != 3:
-            raise ValueError(f"its path is {path.shape}")
-        if len(given) > 1:
-            raise ValueError("it has both `quaternion` and `R`")
-        if given and len(given[0]) != len(path):
-            raise ValueError(f"it has {len(path)} positions and {len(given[0])} orientations")
-        stamps = np.linspace(0.0, task.duration, len(path)) if t is None else t
-        return Demonstration(path, stamps, given[0] if given else None)
+        arrays = _of_csv(path) if is_csv else _of_archive(path)
     except (OSError, EOFError, KeyError, ValueError, TypeError, zipfile.BadZipFile) as error:
+        raise ValueError(f"cannot read it: {error}; {_CSV if is_csv else _CONTENTS}") from None
+    try:
+        return _checked(arrays, duration)
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{error}{'; sample 0 is line 2' if is_csv else ''}") from None
+
+
+def read_demonstrations(task: Task) -> list[Demonstration]:
+    """Reads the files of `task.demonstration`.
+
+    Raises:
+        ScenarioError: naming the file, if it cannot be read or imitated; or if some have
+            orientations and some have none.
+    """
+    shown = []
+    for file in task.demonstration:
+        try:
+            shown.append(read_demonstration(file, task.duration))
+        except (ValueError, OSError) as error:
+            raise ScenarioError(f"task.demonstration: '{file}': {error}") from None
+    turning = [item.orientations is not None for item in shown]
+    if any(turning) and not all(turning):
+        file = task.demonstration[turning.index(False)]
         raise ScenarioError(
-            f"task.demonstration: cannot read '{task.demonstration}': {error}; {_CONTENTS}"
-        ) from None
+            f"task.demonstration: '{file}' has no orientations, others have; give them in all or "
+            "in none"
+        )
+    return shown
+
+
+def demonstrated_path(scenario: Scenario) -> Dmp:
+    """The movement primitive of the demonstrated positions.
+
+    Raises:
+        ScenarioError: naming the files, if they cannot be imitated.
+    """
+    shown, policy = read_demonstrations(scenario.task), scenario.policy
+    try:
+        path, t = average_paths(
+            [item.path for item in shown], [item.t for item in shown], n_basis=policy.n_basis
+        )
+        return imitate(path, t, still=STILL, **primitive_constants(policy))
+    except ValueError as error:
+        raise ScenarioError(f"{_files(scenario.task)}: {error}") from None
 
 
 def demonstrated_orientation(scenario: Scenario) -> OrientationDmp | None:
     """The movement primitive of the demonstrated orientations; None: there are none.
 
     Raises:
-        ScenarioError: naming the file, if they cannot be imitated.
+        ScenarioError: naming the files, if they cannot be imitated.
     """
-    task, policy = scenario.task, scenario.policy
-    if not task.demonstration:
-        return None
-    shown = read_demonstration(task)
-    if shown.orientations is None:
+    shown, policy = read_demonstrations(scenario.task), scenario.policy
+    given = [(item.orientations, item.t) for item in shown if item.orientations is not None]
+    if not given:
         return None
     try:
-        return imitate_orientation(shown.orientations, shown.t, **primitive_constants(policy))
+        R_WE, t = average_orientations(*zip(*given, strict=True), n_basis=policy.n_basis)
+        return imitate_orientation(R_WE, t, still=STILL, **primitive_constants(policy))
     except ValueError as error:
-        raise ScenarioError(f"task.demonstration: '{task.demonstration}': {error}") from None
+        raise ScenarioError(f"{_files(scenario.task)}: {error}") from None
 
 
 def primitive_constants(policy: Policy) -> dict[str, Any]:
     """What position and orientation are both learnt with."""
     names = ("n_basis", "alpha_x", "beta_x", "alpha_k")
     return {name: getattr(policy, name) for name in names}
+
+
+def _files(task: Task) -> str:
+    return f"task.demonstration: {', '.join(map(repr, task.demonstration))}"
+
+
+def _of_archive(path: Path) -> dict[str, FloatArray]:
+    """The arrays of an .npz that are of a demonstration."""
+    shapes = [header.shape for header in archive_headers(path).values()]
+    _check_count(max((shape[0] for shape in shapes if shape), default=0))
+    check_archive(path)
+    with np.load(path) as archive:
+        if "path" not in archive.files:
+            raise ValueError("it has no `path`")
+        names = ("path", "t", "quaternion", "R")
+        return {name: archive[name] for name in names if name in archive.files}
+
+
+def _of_csv(path: Path) -> dict[str, FloatArray]:
+    """The columns of a CSV, as an .npz would have them."""
+    with path.open(encoding="utf-8-sig") as file:
+        header = file.readline(_LONGEST_HEADER).strip()
+        names = [name.strip() for name in header.split(",")]
+        known = ("t", "x", "y", "z", *_TURN)
+        unknown = [name for name in names if name not in known]
+        if all(map(_is_number, names)):
+            raise ValueError(f"it has no header: its first line is {header[:80]!r}")
+        if unknown:
+            raise ValueError(f"its header has an unknown column {unknown[0][:80]!r}")
+        if len(set(names)) < len(names) or not {"x", "y", "z"} <= set(names):
+            raise ValueError(f"its header is {header!r}")
+        turned = [name for name in _TURN if name in names]
+        if turned and len(turned) < len(_TURN):
+            raise ValueError(f"of a quaternion it has {', '.join(turned)} alone")
+        table = array("d")
+        for number, line in enumerate(map(str.strip, file), start=2):
+            if not line and not any(map(str.strip, file)):
+                break
+            cells = line.split(",")
+            try:
+                table.extend(map(float, cells))
+            except ValueError:
+                cells = []
+            if len(cells) != len(names):
+                raise ValueError(f"line {number} is not {len(names)} numbers, but {line[:80]!r}")
+            _check_count(number - 1)
+    rows = np.array(table, dtype=float).reshape(-1, len(names))
+    column = dict(zip(names, rows.T, strict=True))
+    found = {"path": np.stack([column[name] for name in "xyz"], axis=1)}
+    if "t" in column:
+        found["t"] = column["t"]
+    if turned:
+        found["quaternion"] = np.stack([column[name] for name in _TURN], axis=1)
+    return found
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _check_count(count: int) -> None:
+    if count > MOST_SAMPLES:
+        raise ValueError(
+            f"it has more than {MOST_SAMPLES} samples, which is {MOST_SAMPLES // 1000} s at 1 kHz: "
+            "cut it, or keep every so many"
+        )
+
+
+def _checked(arrays: dict[str, FloatArray], duration: float) -> Demonstration:
+    """What was read, as something that can be imitated."""
+    path = arrays["path"]
+    if path.ndim != 2 or path.shape[1] != 3:
+        raise ValueError(f"its path is {path.shape}; {_CONTENTS}")
+    given = [arrays[name] for name in ("quaternion", "R") if name in arrays]
+    if len(given) > 1:
+        raise ValueError("it has both `quaternion` and `R`; leave one of the two out")
+    t = arrays["t"] if "t" in arrays else np.linspace(0.0, duration, len(path))
+    path, t = checked_demonstration(path, t)
+    if not t[-1] - t[0] <= LONGEST:
+        raise ValueError(
+            f"its stamps span {t[-1] - t[0]:g} s, at most {LONGEST:g}: they must be in seconds"
+        )
+    if given and np.shape(given[0])[:1] != (len(path),):
+        count = np.shape(given[0])[:1]
+        raise ValueError(
+            f"it has {len(path)} positions and {count[0] if count else 'no'} orientations; "
+            f"{_CONTENTS}"
+        )
+    return Demonstration(path, t, checked_rotations(given[0]) if given else None)

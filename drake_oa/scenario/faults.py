@@ -7,6 +7,8 @@ from typing import Any
 from drake_oa.common.config import count, number, vector
 
 _LATEST = 1e6
+_CAMERA = ""
+"""Name of the camera that it befalls; empty: all that perception sees by."""
 
 
 def _start(default: float) -> Any:
@@ -23,6 +25,7 @@ class CameraDropout:
 
     start: float = _start(1.0)
     duration: float = _duration(0.5)
+    camera: str = _CAMERA
 
 
 @dc.dataclass
@@ -31,6 +34,7 @@ class NanFrames:
 
     start: float = _start(1.0)
     duration: float = _duration(0.5)
+    camera: str = _CAMERA
 
 
 @dc.dataclass
@@ -44,6 +48,7 @@ class FrameBurst:
     start: float = _start(1.0)
     # The frames of this time are kept in memory.
     duration: float = number(0.4, "s", 0.0, 5.0, open_low=True)
+    camera: str = _CAMERA
 
 
 @dc.dataclass
@@ -52,6 +57,7 @@ class TableMissing:
 
     start: float = _start(1.0)
     frames: int = count(1, 1, 1_000_000)
+    camera: str = _CAMERA
 
 
 @dc.dataclass

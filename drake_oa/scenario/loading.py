@@ -8,7 +8,6 @@ them, every key, tag, type and range is checked against the dataclasses of
 
 import dataclasses as dc
 import typing
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -94,7 +93,6 @@ def parse_scenario(
 
 def _check_whole(scenario: Scenario) -> None:
     """What no single field can tell."""
-    names = [camera.name for camera in scenario.cameras]
     check_cameras(scenario.cameras)
     check_obstacles(scenario.obstacles)
     if scenario.robot is not None:
@@ -102,7 +100,7 @@ def _check_whole(scenario: Scenario) -> None:
         check_robot(scenario.robot)
     _check_faults(scenario)
     perception = scenario.perception
-    check_perception(perception, names)
+    check_perception(perception, scenario.cameras)
     if scenario.robot is None and not isinstance(perception, GivenEllipsoids):
         raise ScenarioError(
             "robot: null (a free point) needs 'perception: !GivenEllipsoids'; "
@@ -126,32 +124,44 @@ def _check_faults(scenario: Scenario) -> None:
                 f"{what} needs 'perception: !DepthCamera'; it has "
                 f"!{type(scenario.perception).__name__}"
             )
+        if isinstance(fault, CameraFault) and isinstance(scenario.perception, DepthCamera):
+            names = scenario.perception.names
+            if fault.camera and fault.camera not in names:
+                raise ScenarioError(
+                    f"faults[{number}].camera: perception does not see by '{fault.camera}', but by "
+                    f"{', '.join(names)}"
+                )
         if scenario.robot is None:
             raise ScenarioError(f"{what} needs a robot; this scenario has null")
 
 
 def _resolve_files(data: dict[str, Any], base: Path) -> None:
-    """Makes relative file names absolute; URLs, and what is no text, stay."""
+    """Makes relative file names absolute; URLs, and what is no text, stay.
+
+    Where a list of files is asked for, one alone stands for a list of it, and "" for none.
+    """
     for name, field in (
         ("perception", "folder"),
         ("task", "demonstration"),
-        ("policy", "weights"),
+        ("regulation", "weights"),
         ("robot", "model"),
     ):
         block = data.get(name)
         if not isinstance(block, dict):
             continue
-        file = block.get(field)
-        if isinstance(file, str) and file and "://" not in file:
-            block[field] = str(base.absolute() / Path(file).expanduser())
+        files = block.get(field)
+        if field == "demonstration" and isinstance(files, str):
+            files = [files] if files else []
+        if isinstance(files, list):
+            block[field] = [_absolute(file, base) for file in files]
+        elif field in block:
+            block[field] = _absolute(files, base)
 
 
-def package_file(url_or_file: str) -> Path:
-    """The file behind a `package://drake_oa/...` URL, or the path itself."""
-    prefix = "package://drake_oa/"
-    if url_or_file.startswith(prefix):
-        return Path(str(resources.files("drake_oa.models"))) / url_or_file.removeprefix(prefix)
-    return Path(url_or_file)
+def _absolute(file: Any, base: Path) -> Any:
+    if isinstance(file, str) and file and "://" not in file:
+        return str(base.absolute() / Path(file).expanduser())
+    return file
 
 
 def scenario_text(scenario: Scenario) -> str:

@@ -165,7 +165,11 @@ def offset_at(waypoints: FloatArray, time: float, present: Sequence[float] = ())
     """
     offset = np.zeros(3)
     if len(waypoints):
-        offset = np.array([np.interp(time, waypoints[:, 0], axis) for axis in waypoints.T[1:]])
+        after = int(waypoints[:, 0].searchsorted(time, side="right"))
+        offset = waypoints[max(after - 1, 0), 1:].copy()
+        if 0 < after < len(waypoints):
+            begin, way = waypoints[after - 1], waypoints[after] - waypoints[after - 1]
+            offset += way[1:] / way[0] * (time - begin[0])
     if not is_present(present, time):
         offset[2] += ABSENT_HEIGHT
     return offset

@@ -51,22 +51,19 @@ def check_cameras(cameras: Sequence[CameraConfig]) -> None:
 
 def check_perception(
     perception: DepthCamera | GroundTruth | RecordedClouds | GivenEllipsoids,
-    cameras: Sequence[str],
+    cameras: Sequence[CameraConfig],
 ) -> None:
     """What no single field of a `perception` block can tell.
 
     Args:
         perception: the block.
-        cameras: names of the scenario's cameras.
+        cameras: of the scenario.
 
     Raises:
         ScenarioError: naming the field and what would be valid.
     """
-    if isinstance(perception, DepthCamera) and perception.camera not in cameras:
-        raise ScenarioError(
-            f"perception.camera: there is no camera '{perception.camera}'; "
-            f"cameras has {', '.join(cameras) or 'none'}"
-        )
+    if isinstance(perception, DepthCamera):
+        _check_seeing(perception, cameras)
     check_values(perception, "perception")
     if isinstance(perception, RecordedClouds) and not perception.folder:
         raise ScenarioError("perception.folder: is empty; it must name a folder of recordings")
@@ -76,4 +73,33 @@ def check_perception(
                 raise ScenarioError(
                     f"perception.ellipsoids[{row}].semi_axes: {item.semi_axes} "
                     "must all be positive [m]"
+                )
+
+
+def _check_seeing(perception: DepthCamera, cameras: Sequence[CameraConfig]) -> None:
+    """Whether the cameras that perception names are there, and go together."""
+    names = perception.cameras
+    if names and perception.camera != DepthCamera.camera:
+        raise ScenarioError(
+            f"perception.camera: '{perception.camera}' and perception.cameras: {names} exclude "
+            "each other: name one camera or several"
+        )
+    known = {camera.name: row for row, camera in enumerate(cameras)}
+    for row, name in enumerate(perception.names):
+        field = f"perception.cameras[{row}]" if names else "perception.camera"
+        if name not in known:
+            raise ScenarioError(
+                f"{field}: there is no camera '{name}'; cameras has {', '.join(known) or 'none'}"
+            )
+        if names.count(name) > 1:
+            raise ScenarioError(f"{field}: '{name}' is named twice")
+    first = cameras[known[perception.names[0]]]
+    for name in perception.names[1:]:
+        for field, unit in (("fps", "1/s"), ("output_delay", "s")):
+            own, other = getattr(cameras[known[name]], field), getattr(first, field)
+            if own != other:
+                raise ScenarioError(
+                    f"cameras[{known[name]}].{field}: '{name}' has {own:g}, '{first.name}' "
+                    f"{other:g} [{unit}]; cameras that perception.cameras names take their images "
+                    "at the same times"
                 )

@@ -15,7 +15,7 @@ from drake_oa.common.thinking import Thinking
 from drake_oa.perception.config import CameraNoise as CameraNoise
 from drake_oa.perception.config import DepthCamera, GroundTruth, RecordedClouds
 from drake_oa.policy.config import Policy
-from drake_oa.regulation.config import Regressor, Verified
+from drake_oa.regulation.config import Paper, Verified
 from drake_oa.robot.config import Robot
 from drake_oa.safety.config import EvasionParameters, SupervisorParameters
 from drake_oa.scenario.faults import Fault
@@ -51,7 +51,7 @@ class Scenario:
         default_factory=GroundTruth
     )
     # What the coupling parameters come from.
-    regulation: Verified | Regressor = dc.field(default_factory=Verified)
+    regulation: Verified | Paper = dc.field(default_factory=Verified)
     # What watches the motion of the robot, or null: nothing does.
     supervisor: SupervisorParameters | None = dc.field(default_factory=SupervisorParameters)
     # What gets the arm out of the way of what moves, or null: nothing does; nor does anything

@@ -1,4 +1,4 @@
-"""The scenarios that come with the package: their files, and what they say they are."""
+"""What comes with the package: files of scenarios and models, and what scenarios say they are."""
 
 from importlib import resources
 from pathlib import Path
@@ -22,3 +22,11 @@ def description(path: Path) -> str:
     )
     fields = root.value if isinstance(root, yaml.MappingNode) else ()
     return next((value.value for key, value in fields if key.value == "description"), "")
+
+
+def package_file(url_or_file: str) -> Path:
+    """The file behind a `package://drake_oa/...` URL, or the path itself."""
+    prefix = "package://drake_oa/"
+    if url_or_file.startswith(prefix):
+        return Path(str(resources.files("drake_oa.models"))) / url_or_file.removeprefix(prefix)
+    return Path(url_or_file)

@@ -15,9 +15,21 @@ _SURFACE_GAP = 0.01
 """How far a link may come into a surface between the points that ground truth has of it [m]."""
 
 
-def camera_config(scenario: Scenario, source: DepthCamera) -> CameraConfig:
-    """Of the camera that perception sees by."""
-    return next(config for config in scenario.cameras if config.name == source.camera)
+_ODD = 0x9E3779B97F4A7C15
+"""The golden ratio's 64 bits: seeds apart by multiples of it have little in common."""
+
+
+def noise_seed(scenario: Scenario, camera: str) -> int:
+    """Of the noise of a camera that perception sees by; of the first one the scenario's own."""
+    source = scenario.perception
+    row = source.names.index(camera) if isinstance(source, DepthCamera) else 0
+    return (scenario.seed + row * _ODD) % 2**63
+
+
+def camera_configs(scenario: Scenario, source: DepthCamera) -> list[CameraConfig]:
+    """Of the cameras that perception sees by, in its order."""
+    named = {config.name: config for config in scenario.cameras}
+    return [named[name] for name in source.names]
 
 
 def given_ellipsoids(source: GivenEllipsoids) -> EllipsoidSet:
@@ -44,7 +56,7 @@ def perception_period(scenario: Scenario) -> float:
     """Time between observations [s]."""
     source = scenario.perception
     if isinstance(source, DepthCamera):
-        return 1.0 / camera_config(scenario, source).fps
+        return 1.0 / camera_configs(scenario, source)[0].fps
     if isinstance(source, GivenEllipsoids):
         return scenario.policy.route_period
     return source.period

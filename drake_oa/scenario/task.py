@@ -12,6 +12,9 @@ from drake_oa.common.config import number as _number
 from drake_oa.common.config import vector as _vector
 from drake_oa.common.messages import FloatArray
 
+LONGEST = 600.0
+"""Longest that a demonstrated motion may take [s]."""
+
 
 @dc.dataclass
 class Task:
@@ -25,7 +28,7 @@ class Task:
     goal_moves: list[list[float]] = dc.field(default_factory=list)
     # Duration T of the demonstrated motion; the avoiding one takes tau T [s]. Ignored
     # where the demonstration brings its own `t`: then T is what that spans.
-    duration: float = _number(5.0, "s", 0.0, 600.0, open_low=True)
+    duration: float = _number(5.0, "s", 0.0, LONGEST, open_low=True)
     # Asked distance between tool and obstacle, Delta [m].
     clearance: float = _number(0.15, "m", 0.0, 2.0, open_low=True)
     # Roll, pitch and yaw of R_WE at start and goal [rad]; null: what the demonstration has
@@ -38,11 +41,13 @@ class Task:
     # the other.
     q_start: list[float] | None = dc.field(default=None, metadata={"unit": "rad"})
     q_goal: list[float] | None = dc.field(default=None, metadata={"unit": "rad"})
-    # A demonstrated path to imitate: .npz with `path` (T, 3) and, if uneven in
-    # time, `t` (T,) [s]; and, if the tool turns, its orientations R_WE as `quaternion` (T, 4),
-    # w first and of either sign, or `R` (T, 3, 3). Relative to the scenario file. Empty:
-    # minimum jerk along the straight line and about a fixed axis.
-    demonstration: str = ""
+    # Demonstrations to imitate: a file, or a list of files of one motion shown several times,
+    # which are averaged. .npz with `path` (T, 3) and, if uneven in time, `t` (T,) [s]; and, if
+    # the tool turns, its orientations R_WE as `quaternion` (T, 4), w first and of either sign,
+    # or `R` (T, 3, 3). Or .csv whose first line names its columns: x, y, z, if uneven in time t,
+    # and if the tool turns qw, qx, qy, qz. Relative to the scenario file, or a package:// URL.
+    # Empty: minimum jerk along the straight line and about a fixed axis.
+    demonstration: list[str] = dc.field(default_factory=list)
 
 
 _LATER = 1e-6

@@ -4,6 +4,9 @@
     panda/    the simulated robot in random scenes                           evaluate panda
     mbm/      the robot on MotionBenchMaker's problems                       evaluate mbm
 
+    table_one, table_two, table_three   the paper's tables                   evaluate table1, ...
+    confidence   what the paper's chain says of itself                       evaluate confidence
+
 Each draws scenes from a seed (or reads them), runs every method on every scene, and judges the
 motions: contacts, clearances [m], what start and goal leave of the asked clearance, goal errors
 [m], durations [s]. The outcome is plain data, which `drake-oa evaluate` writes as JSON and prints
@@ -12,6 +15,7 @@ order, is part of a scene, and tests hold digests of some.
 
 What the three share:
 
+    cameras    where depth cameras stand that are not a shipped scenario's
     parallel   calls carried out here, in processes or on a Dask cluster (joblib)
     results    results on disk by a digest of all that they follow from; what is not there is done
     tally      what the generators of scenes looked at, and why they dropped it

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from drake_oa.common.messages import BoolArray, FloatArray
-from drake_oa.regulation.regressor import Network
+from drake_oa.regulation.network import Network
 from drake_oa.training.checkpoint import Checkpoint, Report
 from drake_oa.training.levenberg_marquardt import LeastSquares, Progress, Schedule, fit
 

@@ -1,4 +1,7 @@
-"""The paper's recipe: RC(lambda') and RC(lambda', Delta) on the paper's own set."""
+"""The paper's recipe: RC(lambda') and RC(lambda', Delta) on the paper's own set.
+
+Or on the set that the same lattice gives where the running system's action level goes it.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from drake_oa.common.messages import BoolArray, FloatArray
-from drake_oa.regulation.regressor import TARGETS, ChainWeights, Network
+from drake_oa.regulation.network import Network
+from drake_oa.regulation.regressor import TARGETS, ChainWeights
 from drake_oa.training.checkpoint import Checkpoint, Report
 from drake_oa.training.levenberg_marquardt import Schedule
 from drake_oa.training.networks import (
@@ -21,25 +25,21 @@ from drake_oa.training.networks import (
     train_network,
 )
 from drake_oa.training.paper_set import (
+    ACTION_LEVELS,
+    ALPHA_UNITS,
+    CHAINS,
     KEPT,
     NEAR_GOAL,
+    PRINTED,
     SATURATED,
+    ActionLevelName,
     PaperSet,
     build_paper_set,
     floor_of_means,
     floor_of_windows,
     group_means,
 )
-from drake_oa.training.released_method import PaperLattice
-
-CHAINS = ("RC(lambda')", "RC(lambda', Delta)")
-"""The two chains of Table I."""
-
-PRINTED = {
-    CHAINS[0]: {"kappa": (0.539, 0.543), "psi": (0.802, 0.802), "alpha": (0.893, 0.897)},
-    CHAINS[1]: {"kappa": (0.251, 0.253), "psi": (0.244, 0.243), "alpha": (1.6e-4, 1.7e-4)},
-}
-"""Table I of the paper (tab:nn_training): NMSE on the train and on the test rows."""
+from drake_oa.training.released_method import STEP, STEPS, PaperLattice
 
 _STAGES = ("free", "asked")
 
@@ -50,10 +50,11 @@ class PaperRecipe:
 
     Attributes:
         lattice: what is explored.
-        rounds: for each chain, of kappa, psi and alpha; for RC(lambda') the rows are
+        rounds: for each chain to train, of kappa, psi and alpha; for RC(lambda') the rows are
             distinct inputs.
         schedule: of Levenberg-Marquardt; its iterations are those of the rounds. Without
             decay: alpha needs large weights.
+        action_level: what moves through the lattice, see `paper_set.ACTION_LEVELS`.
     """
 
     lattice: PaperLattice = field(default_factory=PaperLattice)
@@ -68,6 +69,18 @@ class PaperRecipe:
         }
     )
     schedule: Schedule = field(default_factory=lambda: Schedule(decay=1e-8))
+    action_level: ActionLevelName = "released"
+
+    @staticmethod
+    def running() -> PaperRecipe:
+        """RC(lambda', Delta) for the running system: alpha per demonstrated duration."""
+        given = PaperRecipe()
+        return replace(
+            given,
+            lattice=given.lattice._replace(alpha=given.lattice.alpha * STEPS * STEP),
+            rounds={CHAINS[1]: given.rounds[CHAINS[1]]},
+            action_level="running",
+        )
 
     def limited(self, iterations: int) -> PaperRecipe:
         """The same with no more than so many iterations a round."""
@@ -91,6 +104,7 @@ class PaperRecipe:
                 for name, networks in self.rounds.items()
             },
             "schedule": asdict(self.schedule),
+            "action_level": self.action_level,
         }
 
 
@@ -118,13 +132,15 @@ def train_paper(
     """
     rows = _load_set(checkpoint)
     if rows is None:
-        rows = build_paper_set(recipe.lattice, report)
+        rows = build_paper_set(recipe.lattice, report, recipe.action_level)
         if checkpoint is not None:
             checkpoint.save("set", **{name: np.asarray(v) for name, v in vars(rows).items()})
     in_train = np.random.default_rng((seed, 0)).random(len(rows)) < TRAIN_SHARE
     chains: dict[str, ChainWeights] = {}
     scores: dict[str, list[Score]] = {}
     for c, name in enumerate(CHAINS):
+        if name not in recipe.rounds:
+            continue
         networks: dict[str, Network] = {}
         scores[name] = []
         for t, target in enumerate(TARGETS):
@@ -231,10 +247,10 @@ def _chain(
     lower, upper = explored.min(axis=0), explored.max(axis=0)
     metadata = {
         "inputs": "lambda1'/L, lambda2'/L (semi-axes)" + (", Delta/L" if constrained else ""),
-        "units": {"kappa": "1/L^2", "psi": "rad", "alpha": "rad/s"},
+        "units": {"kappa": "1/L^2", "psi": "rad", "alpha": ALPHA_UNITS[recipe.action_level]},
         "recipe": "paper",
         "chain": name,
-        "action_level": "released code: tau^2 on the spring, 1000 steps of 3 ms",
+        "action_level": ACTION_LEVELS[recipe.action_level],
         "seed": seed,
         "ranges": {"lower": lower.tolist(), "upper": upper.tolist()},
         "rows": {s.target: s.rows for s in scores},

@@ -1,19 +1,30 @@
 """The paper's training set, as recovered from its released network (sec. V-A).
 
-A lattice of ellipses in the middle of a 1 m baseline, a lattice of parameters, the released
-code's action level; a row for each motion that keeps 1 cm.
+A lattice of ellipses in the middle of a 1 m baseline, a lattice of parameters; a row for each
+motion of the released code's action level, or of the running system's, that keeps 1 cm.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
 from drake_oa.training.checkpoint import Report
 from drake_oa.training.released_method import PaperLattice, roll_out
+from drake_oa.training.rollouts import running_lattice
+
+CHAINS = ("RC(lambda')", "RC(lambda', Delta)")
+"""The two chains of Table I."""
+
+PRINTED = {
+    CHAINS[0]: {"kappa": (0.539, 0.543), "psi": (0.802, 0.802), "alpha": (0.893, 0.897)},
+    CHAINS[1]: {"kappa": (0.251, 0.253), "psi": (0.244, 0.243), "alpha": (1.6e-4, 1.7e-4)},
+}
+"""Table I of the paper (tab:nn_training): NMSE on the train and on the test rows."""
 
 KEPT = 0.01
 """Least clearance of a row [m]."""
@@ -23,6 +34,17 @@ NEAR_GOAL = 1.3
 
 SATURATED = 5e-4
 """How near a clearance is to the start's own distance where it says no more than that [m]."""
+
+
+ActionLevelName = Literal["released", "running"]
+
+ACTION_LEVELS = {
+    "released": "released code: tau^2 on the spring, 1000 steps of 3 ms",
+    "running": "the running system's: exact turns, 1000 steps",
+}
+"""What moves through the lattice."""
+
+ALPHA_UNITS = {"released": "rad/s", "running": "1/T"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +79,17 @@ class PaperSet(Frozen):
         return self.clearance < 0.5 - self.values[:, 0] - SATURATED
 
 
-def build_paper_set(lattice: PaperLattice, report: Report | None = None) -> PaperSet:
+def build_paper_set(
+    lattice: PaperLattice,
+    report: Report | None = None,
+    action_level: ActionLevelName = "released",
+) -> PaperSet:
     """Rolls out the lattice.
 
     Args:
         lattice: what to explore.
         report: told how far it is.
+        action_level: what moves through it; alpha is in its `ALPHA_UNITS`.
 
     Returns:
         The rows, in the lattice's order.
@@ -70,11 +97,12 @@ def build_paper_set(lattice: PaperLattice, report: Report | None = None) -> Pape
     Raises:
         ValueError: if no motion keeps the least clearance.
     """
+    go = roll_out if action_level == "released" else running_lattice
     found = []
     for i in range(len(lattice.lambda1)):
         one = lattice._replace(lambda1=lattice.lambda1[i : i + 1])
         # Rows run over lambda', alpha, psi and kappa, the last the fastest.
-        clearance, goal_error = (v.transpose(0, 1, 4, 3, 2) for v in roll_out(one))
+        clearance, goal_error = (v.transpose(0, 1, 4, 3, 2) for v in go(one))
         kept = clearance >= KEPT
         first, j, *place = np.nonzero(kept)
         index = np.column_stack((first + i, j, *place[::-1]))

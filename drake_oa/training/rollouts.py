@@ -12,8 +12,9 @@ import numpy as np
 
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen
 from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
-from drake_oa.policy.dmp import Dmp, imitate, minimum_jerk
+from drake_oa.policy.dmp import ALPHA_X, Dmp, imitate, minimum_jerk
 from drake_oa.regulation.rollout import SpatialScenes, spatial_rollouts
+from drake_oa.training.released_method import PaperLattice
 
 STEPS = 1000
 """Default number of steps a unit of s; with four times as many a path that converges
@@ -112,3 +113,23 @@ def planar_rollouts(
         np.where(touched, np.inf, value) for value in (outcome.goal_error, outcome.path_length)
     )
     return PlanarRollouts(*(value.reshape(N, K) for value in (clearance, goal_error, length)))
+
+
+def running_lattice(lattice: PaperLattice) -> tuple[FloatArray, FloatArray]:
+    """Rolls out the motions of a lattice of A, B, C, D and E values, alpha in 1/T.
+
+    Returns:
+        (A, B, C, D, E) least distance to the ellipse, 0 where it was touched, and distance to
+        the goal at the end, inf where it was touched, in baselines.
+    """
+    kappa, psi, alpha = np.meshgrid(*lattice[2:], indexing="ij")
+    parameters = np.stack([alpha, psi, kappa], axis=-1).reshape(1, -1, 3)
+    dmp = straight_dmp(ALPHA_X)
+    found = np.empty((2, *map(len, lattice)))
+    for i, lambda1 in enumerate(lattice.lambda1):
+        for j, lambda2 in enumerate(lattice.lambda2):
+            ellipse, center = np.array([[lambda1, lambda2]]), np.array([[0.5, 0.0]])
+            outcome = planar_rollouts(ellipse, center, parameters, dmp=dmp)
+            found[0, i, j] = outcome.clearance.reshape(alpha.shape)
+            found[1, i, j] = outcome.goal_error.reshape(alpha.shape)
+    return found[0], found[1]

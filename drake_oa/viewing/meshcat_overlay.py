@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.common.value import Value
@@ -13,7 +13,7 @@ from pydrake.geometry import Capsule, Cylinder, Meshcat, MeshcatCone, Rgba, Sphe
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.tree import BodyIndex
 from pydrake.perception import BaseField, Fields, PointCloud
-from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, EventStatus, InputPort, LeafSystem, State
 from pydrake.systems.sensors import CameraInfo
 
 from drake_oa.common.messages import (
@@ -111,6 +111,14 @@ class _Shown(Frozen):
     rings: tuple[_RingOnShow, ...] = ()
 
 
+class SeenRange(NamedTuple):
+    """What a depth camera sees: by its intrinsics, and nearest and farthest depth [m]."""
+
+    camera: CameraInfo
+    near: float = 0.8
+    far: float = 3.5
+
+
 class MeshcatOverlay(LeafSystem):
     """Draws frustum, cloud, ellipsoids, sections, cost rings and paths into Meshcat.
 
@@ -130,7 +138,8 @@ class MeshcatOverlay(LeafSystem):
     - policy_state: abstract `PolicyState` of the movement primitive.
     - route (optional): abstract `Route`, the chosen sides and their cost rings.
     - cloud (optional): `pydrake.perception.PointCloud` in the world frame [m].
-    - camera_pose (optional): `RigidTransform` X_WC, C being x right, y down, z forward.
+    - camera_pose (optional): `RigidTransform` X_WC, C being x right, y down, z forward; of
+      several `cameras` a port each, named by them.
     - body_poses (optional): the plant's list of `RigidTransform`; without it the
       executed path is that of the policy's p_WE.
 
@@ -148,14 +157,13 @@ class MeshcatOverlay(LeafSystem):
     from it; what it has drawn is abstract state.
     """
 
-    def __init__(  # noqa: PLR0913
+    def __init__(
         self,
         meshcat: Meshcat,
         *,
         period: float = 1.0 / 15.0,
         planned_W: FloatArray | None = None,
-        camera_info: CameraInfo | None = None,
-        depth_range: tuple[float, float] = (0.8, 3.5),
+        cameras: Mapping[str, SeenRange] | None = None,
         frustum_depth: float = 1.1,
         body_index: BodyIndex | None = None,
         p_BE: FloatArray | tuple[float, float, float] = (0.0, 0.0, 0.0),
@@ -172,9 +180,8 @@ class MeshcatOverlay(LeafSystem):
             period: time between frames [s].
             planned_W: (T, 3) points of the pre-planned path [m]; None: the straight
                 line from start to goal.
-            camera_info: the camera whose frustum is drawn if camera_pose is
-                connected; None: no frustum.
-            depth_range: nearest and farthest depth of that camera [m].
+            cameras: port -> what the camera sees whose pose it takes; its frustum is drawn if
+                the port is connected. None: a port camera_pose, and no frustum.
             frustum_depth: how much of the farther part is drawn at most [m]: a frustum
                 of full depth hides more than it shows.
             body_index: body B of the plant that carries E; None: policy_state.p_WE.
@@ -202,14 +209,15 @@ class MeshcatOverlay(LeafSystem):
             self._planned_W.ndim != 2 or self._planned_W.shape[1] != 3 or len(self._planned_W) < 2
         ):
             raise ValueError(f"planned_W must be (T, 3), T > 1, not {self._planned_W.shape}")
-        self._edges_C: FloatArray | None = None
-        if camera_info is not None:
-            self._edges_C = drawing.frustum_edges(
-                (camera_info.focal_x(), camera_info.focal_y()),
-                (camera_info.center_x(), camera_info.center_y()),
-                (camera_info.width(), camera_info.height()),
-                (depth_range[0], min(depth_range[1], max(frustum_depth, 1.1 * depth_range[0]))),
+        self._edges_C = [
+            drawing.frustum_edges(
+                (seen.camera.focal_x(), seen.camera.focal_y()),
+                (seen.camera.center_x(), seen.camera.center_y()),
+                (seen.camera.width(), seen.camera.height()),
+                (seen.near, min(seen.far, max(frustum_depth, 1.1 * seen.near))),
             )
+            for seen in (cameras or {}).values()
+        ]
         self._body_index = body_index
         self._p_BE = np.array(p_BE, dtype=float)
         self._max_obstacles = max_obstacles
@@ -217,14 +225,16 @@ class MeshcatOverlay(LeafSystem):
         self._max_points = max_points
         self._point_spacing = point_spacing
         self._record_clouds = record_clouds
-        self._declare()
+        self._declare(tuple(cameras or ("camera_pose",)))
 
-    def _declare(self) -> None:
+    def _declare(self, poses: Sequence[str]) -> None:
         self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
         self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
         self._route = self.DeclareAbstractInputPort("route", Value(Route()))
         self._cloud = self.DeclareAbstractInputPort("cloud", Value(PointCloud(0)))
-        self._camera = self.DeclareAbstractInputPort("camera_pose", Value(RigidTransform()))
+        self._cameras = [
+            self.DeclareAbstractInputPort(name, Value(RigidTransform())) for name in poses
+        ]
         self._bodies = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
         self._shown = self.DeclareAbstractState(Value(_Shown()))
         self.DeclareInitializationUnrestrictedUpdateEvent(self._begin)
@@ -232,6 +242,13 @@ class MeshcatOverlay(LeafSystem):
         # The frame at the start is the initialization's.
         self.DeclarePeriodicUnrestrictedUpdateEvent(self._period, self._period, self._advance)
         self.DeclarePeriodicPublishEvent(self._period, self._period, self._draw)
+
+    def _seeing(self, context: Context) -> Iterator[tuple[str, FloatArray, InputPort]]:
+        """Path, frustum and port of each camera whose pose is connected."""
+        for number, edges_C in enumerate(self._edges_C):
+            port = self._cameras[number]
+            if port.HasValue(context):
+                yield _camera_path(number), edges_C, port
 
     # What is to be shown -----------------------------------------------------------
 
@@ -336,8 +353,10 @@ class MeshcatOverlay(LeafSystem):
     def _draw_start(self, context: Context) -> EventStatus:
         """The objects that only move, and the first frame."""
         meshcat = self._meshcat
-        for part in ("obstacles", "executed", "cloud", "planned", "camera", "tool_point"):
+        for part in ("obstacles", "executed", "cloud", "planned", "tool_point"):
             meshcat.Delete(f"{_ROOT}/{part}")
+        for number in range(max(1, len(self._edges_C))):
+            meshcat.Delete(_camera_path(number))
         circle = drawing.tube(drawing.unit_circle(), 0.014, closed=True)
         radius = drawing.ring_radius(3, **_RING)
         for slot in range(self._max_obstacles):
@@ -349,11 +368,9 @@ class MeshcatOverlay(LeafSystem):
             self._mesh(f"{path}/section/shape", circle, drawing.SECTION)
             self._arrow(f"{path}/direction", radius + 0.08, 0.0055, drawing.CHOSEN)
         self._draw_planned(read_value(self, self._policy, context, PolicyState))
-        if self._edges_C is not None and self._camera.HasValue(context):
-            start, end = self._edges_C[:, 0].T, self._edges_C[:, 1].T
-            meshcat.SetLineSegments(
-                f"{_ROOT}/camera/frustum", start, end, 1.0, Rgba(*drawing.FRUSTUM)
-            )
+        for path, edges_C, _ in self._seeing(context):
+            start, end = edges_C[:, 0].T, edges_C[:, 1].T
+            meshcat.SetLineSegments(f"{path}/frustum", start, end, 1.0, Rgba(*drawing.FRUSTUM))
         meshcat.SetObject(f"{_ROOT}/tool_point", Sphere(0.013), Rgba(*drawing.EXECUTED))
         self._draw_frame(context, context.get_abstract_state(self._shown).get_value())
         return EventStatus.Succeeded()
@@ -375,8 +392,8 @@ class MeshcatOverlay(LeafSystem):
         time = context.get_time()
         self._draw_obstacles(context, shown, time)
         self._draw_executed(self._tool_point(context), shown, time)
-        if self._edges_C is not None and self._camera.HasValue(context):
-            self._meshcat.SetTransform(f"{_ROOT}/camera", self._camera.Eval(context), time)
+        for path, _, port in self._seeing(context):
+            self._meshcat.SetTransform(path, port.Eval(context), time)
         if shown.frame % self._cloud_every == 0 and self._cloud.HasValue(context):
             table = self._read_ellipsoids(context).table
             self._draw_cloud(self._cloud.Eval(context), table, shown, time)
@@ -488,6 +505,10 @@ class MeshcatOverlay(LeafSystem):
         if colored:
             thin.mutable_rgbs()[:] = cloud.rgbs()[:, looked_at[index]]
         return thin
+
+
+def _camera_path(number: int) -> str:
+    return f"{_ROOT}/camera" + (f"_{number + 1}" if number else "")
 
 
 def _pose(R: FloatArray, p: FloatArray) -> RigidTransform:

@@ -1,7 +1,7 @@
-"""The world that the layers act in: plant, scene graph and camera.
+"""The world that the layers act in: plant, scene graph and cameras.
 
 `make_station` builds what a real cell has: the arm on its base, the table and the
-obstacles, and a depth camera. `make_robot_plant` builds the robot alone, as the
+obstacles, and depth cameras. `make_robot_plant` builds the robot alone, as the
 controller and the self filter know it.
 """
 
@@ -25,6 +25,7 @@ from drake_oa.robot.grasped_object import part_carried
 from drake_oa.scenario.faults import camera_faults
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
 from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.sources import noise_seed
 from drake_oa.world.cameras import Camera, add_camera, add_camera_world
 from drake_oa.world.depth_noise import FrameNoise
 from drake_oa.world.late_camera import BackgroundCamera, LateCamera
@@ -95,13 +96,14 @@ def _late_camera(
 
 
 def _noise(scenario: Scenario, config: CameraConfig, intrinsics: CameraInfo) -> FrameNoise | None:
-    """Of the camera that perception looks through; None for another, or an ideal one."""
+    """Of a camera that perception looks through; None for another, or an ideal one."""
     source = scenario.perception
-    if not isinstance(source, DepthCamera) or source.camera != config.name:
+    if not isinstance(source, DepthCamera) or config.name not in source.names:
         return None
     if source.noise is None:
         return None
-    return FrameNoise(pinhole(intrinsics), source.noise, seed=scenario.seed)
+    seed = noise_seed(scenario, config.name)
+    return FrameNoise(pinhole(intrinsics), source.noise, seed=seed)
 
 
 @dataclass(frozen=True)

@@ -38,6 +38,8 @@ def test_help_lists_the_suite(capsys):
         (["panda", "--plot", "f.png"], "Unknown option: --plot"),
         (["panda", "--method", "original"], "unknown method 'original'; panda has: preplanned"),
         (["panda", "--perception", "sonar"], 'Choose from: "depth", "truth"'),
+        (["panda", "--cameras", "3"], "Choose from: 1, 2"),
+        (["panda", "--cameras", "2", "--perception", "truth"], "--cameras 2 needs --perception"),
         (["hit", "--suite", "elbow"], "Unknown option: --suite"),
         (["panda", "--suite", "elbow,maze"], "unknown kind of scenes 'maze': it must be one of"),
         (["panda", "--suite", ""], "unknown kind of scenes ''"),
@@ -45,7 +47,7 @@ def test_help_lists_the_suite(capsys):
         (["panda", "--jobs", "2", "--scheduler", "tcp://x:1"], "exclude each other"),
         (["panda", "--scenes", "0"], "--scenes must be at least 1"),
         (["--seed", "1", "panda"], "the suite comes first: drake-oa evaluate panda"),
-        (["pandas"], "unknown suite 'pandas'; valid: familiar"),
+        (["pandas"], "unknown suite 'pandas'; valid: novel"),
     ],
 )
 def test_what_does_not_go_together_is_said(arguments, message, capsys, tmp_path, monkeypatch):

@@ -142,7 +142,7 @@ def test_set_replaces_a_field_of_a_file(tmp_path: Path, capsys: pytest.CaptureFi
         (("graph", "nowhere"), "tabletop_box"),
         (("benchmark", "--scenario", "nowhere"), "tabletop_box"),
         (("run", "free_space", "--set", "task.clearence=1"), "clearance"),
-        (("run", "free_space", "--set", "policy.weights=none.npz"), "policy.weights"),
+        (("run", "free_space", "--set", "regulation.weights=none.npz"), "regulation.weights"),
         (("run", "free_space", "--duration", "-1"), "--duration"),
         (("run", "free_space", "--duration", "nan"), "--duration"),
         (("run", "tabletop_box", "--set", "robot.model=package://none/x.urdf"), "robot.model"),
@@ -170,7 +170,7 @@ def test_bad_input_is_one_line_and_status_2(
         (("free_space", "--log", "."), "cannot write ."),
         (("free_space", "--html", "."), "cannot write ."),
         # What only the second motion needs.
-        (("tabletop_box", "--set", "policy.weights=none.npz"), "policy.weights"),
+        (("tabletop_box", "--set", "regulation.weights=none.npz"), "regulation.weights"),
         (
             ("tabletop_box", "--set", "perception=!RecordedClouds {folder: /nowhere}"),
             "perception.folder",

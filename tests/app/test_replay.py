@@ -64,7 +64,7 @@ def test_no_log_writes_none(tmp_path: Path) -> None:
 
 
 def test_a_run_that_cannot_start_leaves_nothing(tmp_path: Path) -> None:
-    assert run("run", "free_space", "--set", "policy.weights=none.npz") == 2
+    assert run("run", "free_space", "--set", "regulation.weights=none.npz") == 2
     assert list((tmp_path / "drake_oa_runs").iterdir()) == []
 
 
@@ -207,6 +207,39 @@ def test_a_plot_of_a_robot_goes_beside_the_log_by_default(box_log: Path, tmp_pat
     log = Path(shutil.copy(box_log, tmp_path / "mine.npz"))
     assert run("plot", log) == 0
     assert (tmp_path / "mine.png").stat().st_size > 20_000
+
+
+def test_what_a_scenario_is_taught_is_drawn_before_it_is_run(
+    point_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("plot", "demonstrated_arc") == 0
+    assert capsys.readouterr().out == "plot: demonstrated_arc.png\n"
+    assert Path("demonstrated_arc.png").stat().st_size > 20_000
+    Path("mine.csv").write_text("x,y,z\n0,0,0\n0.5,0.2,0\n1,0,0\n")
+    mine = ("--set", "task.demonstration=mine.csv", "--out", "taught.svg")
+    assert run("plot", "free_space", *mine) == 0
+    assert Path("taught.svg").read_text().startswith("<?xml")
+    for arguments, said in (
+        (("free_space",), "has no task.demonstration to draw"),
+        (("free_space", "--set", "task.demonstration=no.csv"), "task.demonstration: '"),
+        ((point_log, *mine), "--set is of a scenario"),
+    ):
+        assert run("plot", *arguments) == 2
+        assert said in capsys.readouterr().err
+
+
+def test_a_log_is_drawn_though_its_demonstrations_are_gone(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    Path("mine.csv").write_text("x,y,z\n0,0,0\n0.5,0.2,0\n1,0,0\n")
+    mine = ("--set", "task.demonstration=mine.csv", "--log", "mine.npz", "--duration", "0.1")
+    assert run("run", "free_space", *mine) == 0
+    assert run("plot", "mine.npz", "--out", "with.png") == 0
+    Path("mine.csv").unlink()
+    assert run("plot", "mine.npz", "--out", "without.png") == 0
+    assert Path("with.png").read_bytes() != Path("without.png").read_bytes()
+    (record,) = caplog.records
+    assert "drawn without the demonstrations: task.demonstration: '" in record.getMessage()
 
 
 def test_a_run_cut_short_in_its_first_motion_can_be_shown(point_log: Path) -> None:

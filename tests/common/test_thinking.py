@@ -29,12 +29,16 @@ class Scripted:
     def __init__(self, searches: int, *answers: Choice) -> None:
         self.searches, self.answers = searches, answers
         self.asked: list[Choice] = []
+        self.late: tuple[float, ...] = ()
 
     def decide(self, before: Choice, sight: Sight) -> Choice:
         self.asked.append(before)
         count(searches=self.searches)
         found = self.answers[min(len(self.asked), len(self.answers)) - 1]
         return replace(found, p_WS=sight.policy.p_WS, p_WG=sight.p_WG)
+
+    def still_holds(self, made: Choice, sight: Sight) -> bool:
+        return made.tau not in self.late
 
 
 class Bench:
@@ -84,10 +88,10 @@ def test_work_is_counted_where_an_account_is_open() -> None:
         with counted() as inner:
             count(poses=3)
         count(configurations=4)
-    assert outer == Work(searches=2, steps=10, configurations=4)
+    assert outer == Work(searches=2, steps=10, poses=3, configurations=4)
     assert inner == Work(poses=3)
     costs = Thinking(decision=1.0, search=0.1, step=0.01, configuration=0.5, pose=100.0)
-    assert costs.seconds(outer) == pytest.approx(1.0 + 0.2 + 0.1 + 2.0)
+    assert costs.seconds(outer) == pytest.approx(1.0 + 0.2 + 0.1 + 2.0 + 300.0)
 
 
 def test_a_decision_is_in_force_when_its_work_is_done() -> None:
@@ -139,6 +143,17 @@ def test_a_decision_on_another_motion_is_dropped(what: str) -> None:
         bench.fix(policy_state=replace(bench.policy, p_WS=ELSEWHERE))
     assert bench.at(0.195).tau == 1.1
     assert len(search.asked) == 2
+    # It is made again, from what is in force.
+    assert bench.at(0.245).tau == 1.1
+    assert search.asked[2].tau == 1.1
+    assert bench.at(0.27).tau == 1.3
+
+
+def test_a_decision_that_no_longer_does_is_dropped() -> None:
+    search = Scripted(2, *choices(1.1, 1.2, 1.3))
+    bench = Bench(search)
+    search.late = (1.2,)
+    assert bench.at(0.16).tau == 1.1
     # It is made again, from what is in force.
     assert bench.at(0.245).tau == 1.1
     assert search.asked[2].tau == 1.1

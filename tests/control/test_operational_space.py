@@ -96,7 +96,7 @@ def test_the_posture_does_not_move_the_tool(seed: int) -> None:
 
 def test_the_posture_acts_in_the_null_space() -> None:
     state, desired = arm(3), motion(3)
-    state = dataclasses.replace(state, v=np.zeros(N))
+    state = state._replace(v=np.zeros(N))
     off, on = (follow(state, desired, kp_posture=kp, kp_limit=0.0).tau for kp in (0.0, 100.0))
     drift = np.linalg.solve(state.M, on - off)
     # It pulls towards the posture (zero), as far as the tool allows, and not away from it.
@@ -109,7 +109,7 @@ def test_a_near_joint_limit_repels_in_the_null_space_only(
     seed: int, joint: int, side: float
 ) -> None:
     state, desired = arm(seed), motion(seed)
-    state = dataclasses.replace(state, q=np.where(np.arange(N) == joint, 2.99 * side, 0.0))
+    state = state._replace(q=np.where(np.arange(N) == joint, 2.99 * side, 0.0))
     off, on = (
         follow(state, desired, kp_limit=kp, kp_posture=0.0, kd_posture=0.0) for kp in (0.0, 1e3)
     )
@@ -177,7 +177,7 @@ def test_a_bias_beyond_its_limit_is_clipped_and_may_be_unloaded() -> None:
 @pytest.mark.parametrize("field", ["p_WE", "v_WE", "a_WE"])
 def test_a_desired_motion_that_is_not_finite_brakes_the_joints(field: str, bad: float) -> None:
     state = arm(1)
-    desired = dataclasses.replace(motion(1), **{field: np.array([0.0, bad, 0.0])})
+    desired = motion(1)._replace(**{field: np.array([0.0, bad, 0.0])})
     torque = follow(state, desired)
     assert np.isfinite(torque.tau).all()
     assert torque.stopping
@@ -186,7 +186,7 @@ def test_a_desired_motion_that_is_not_finite_brakes_the_joints(field: str, bad: 
 
 
 def test_a_state_that_is_not_finite_gives_no_torque() -> None:
-    state = dataclasses.replace(arm(1), v=np.full(N, np.nan))
+    state = arm(1)._replace(v=np.full(N, np.nan))
     for torque in (
         follow(state, motion(1)),
         braking_torque(state, WIDE, Gains()),

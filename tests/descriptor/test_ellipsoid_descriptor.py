@@ -77,6 +77,19 @@ def test_least_squares_is_smaller_and_leaves_points_outside(cloud):
     assert (np.diff(close.semi_axes[0]) <= 0.0).all()
 
 
+def test_exponents_are_those_of_the_paper_or_as_fitted(cloud):
+    enclosing = evaluate(EllipsoidDescriptor(TOOL_W), clouds(cloud))
+    assert enclosing.exponents.shape == (0, 2)
+    printed = evaluate(EllipsoidDescriptor(TOOL_W, method="least_squares"), clouds(cloud, cloud))
+    np.testing.assert_array_equal(printed.exponents, np.ones((2, 2)))
+    fitted = EllipsoidDescriptor(TOOL_W, method="least_squares", exponent_prior=0.0)
+    found = evaluate(fitted, clouds(cloud))
+    assert (found.exponents != 1.0).any()
+    assert ((found.exponents >= 0.1) & (found.exponents <= 2.0)).all()
+    with pytest.raises(ValueError, match="exponent_prior must be finite and not negative"):
+        EllipsoidDescriptor(TOOL_W, exponent_prior=-1.0)
+
+
 def test_drops_and_notes_what_is_not_finite(cloud):
     broken = cloud.copy()
     broken[:7, 1] = np.nan

@@ -18,7 +18,7 @@ from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.shipped import shipped_scenarios
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
-QUICK = (GROUND_TRUTH, "regulation=!Regressor {}")  # Nothing is searched for.
+QUICK = (GROUND_TRUTH, "regulation=!Paper {}")  # Nothing is searched for.
 PRESENT = (
     "{name: box, shapes: [!Box {size: [0.12, 0.1, 0.31]}], translation: [0.46, 0.0, 0.155], "
     "present: [0.3, 0.4]}"

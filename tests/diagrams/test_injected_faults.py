@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from pydrake.multibody.tree import ModelInstanceIndex
+from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram
 
 from drake_oa.diagrams.avoidance import build_avoidance
@@ -15,12 +16,13 @@ from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.report import motion_metrics
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.faults import ModelError
-from drake_oa.scenario.loading import load_scenario, package_file
+from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.shipped import package_file
 from drake_oa.studies.panda.faults import CASES, main, markdown_table, run_case, what_it_did
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
-QUICK = "regulation=!Regressor {}"  # Nothing is searched for.
+QUICK = "regulation=!Paper {}"  # Nothing is searched for.
 ALL = (
     "[!CameraDropout {start: 0.2, duration: 0.3}, !NanFrames {}, !FrameBurst {}, "
     "!TableMissing {}, !GoalBlocked {}, !TorqueSaturation {}, !ModelError {}, !StartInContact {}]"
@@ -82,6 +84,31 @@ def test_a_camera_that_stops_leaves_the_stamp_where_it_was() -> None:
     assert 0.5 - 1e-9 <= log.observation_stamp[row + 1] < 0.5 + period
     # What is seen again is what was seen before.
     np.testing.assert_array_equal(log.obstacle_id[row + 1], log.obstacle_id[row])
+
+
+def test_one_of_two_cameras_that_stops_ages_what_is_seen() -> None:
+    fault = "!CameraDropout {start: 0.2, duration: 0.2, camera: left}"
+    scenario = load_scenario("two_cameras", [f"faults=[{fault}]", QUICK])
+    diagram = build_avoidance(scenario)
+    assert diagram.HasSubsystemNamed("camera_faults_left")
+    assert not diagram.HasSubsystemNamed("camera_faults_right")
+    simulator = Simulator(diagram)
+    perception = diagram.GetSubsystemByName("perception")
+
+    def seen(time: float) -> Any:
+        simulator.AdvanceTo(time)
+        context = perception.GetMyContextFromRoot(simulator.get_context())
+        return perception.GetOutputPort("obstacles_W").Eval(context)
+
+    before, during, after = seen(0.19), seen(0.35), seen(0.5)
+    assert before.note == after.note == ""
+    assert during.note == "left: no new image"
+    assert during.stamp < 0.2
+    assert after.stamp > 0.45
+    # What only the left one saw is kept behind what the right one sees.
+    assert len(before) == len(during) == len(after)
+    for one, other in zip(before.clouds_W, during.clouds_W, strict=True):
+        assert np.abs(np.ptp(one, axis=0) - np.ptp(other, axis=0)).max() < 0.02
 
 
 def test_torques_are_cut_off_and_logged_as_applied() -> None:

@@ -47,7 +47,7 @@ def test_the_tool_passes_the_box_and_arrives_turned(run: MotionLog) -> None:
 def test_the_report_tells_the_angle_where_the_tool_turns(run: MotionLog) -> None:
     scenario = load_scenario("tilted_goal", [GROUND_TRUTH])
     assert "turn error [deg]" in str(report_table(run_report("x", scenario, {"modulated": run})))
-    plain = load_scenario("tabletop_box", [GROUND_TRUTH, "regulation=!Regressor {}"])
+    plain = load_scenario("tabletop_box", [GROUND_TRUTH, "regulation=!Paper {}"])
     log = simulate(plain, duration=0.02)
     assert log.desired_orientation.shape == (0, 4)
     assert log.orientation_error.shape == (0, 3)
@@ -57,7 +57,7 @@ def test_the_report_tells_the_angle_where_the_tool_turns(run: MotionLog) -> None
 
 
 def test_a_scenario_without_it_has_no_such_system() -> None:
-    plain = build_avoidance(load_scenario("tabletop_box", ["regulation=!Regressor {}"]))
+    plain = build_avoidance(load_scenario("tabletop_box", ["regulation=!Paper {}"]))
     assert not plain.HasSubsystemNamed("orientation_integrator")
 
 

@@ -157,7 +157,7 @@ def test_a_link_without_shape_is_told_of_and_joints_without_limits_are_turned(tm
 
     elbow = '(<link name="elbow">.*?)<collision>.*?</collision>'
     limits = f'{elbow}|type="revolute"|lower="-6.28" upper="6.28"'
-    log = simulate(an_arm(tmp_path, limits, changed), duration=0.3)
+    log = simulate(an_arm(tmp_path, limits, changed), duration=0.5)
     assert "robot.model: elbow: no collision geometry, so nothing keeps it clear" in caplog.text
     assert np.isfinite(log.q).all()
     assert np.linalg.norm(log.p_WE[-1] - log.p_WE[0]) > 0.01
@@ -186,7 +186,7 @@ regulation: !Verified {}
 
 
 def test_it_waits_for_what_leaves_no_way_and_goes_on_when_that_leaves():
-    log = simulate(parse_scenario(CRATE), duration=0.8)
+    log = simulate(parse_scenario(CRATE), duration=1.0)
     held = np.array([cause == HoldCause.OBSTACLES for cause in log.event_hold])
     assert any("would touch obstacle" in event for event in log.event)
     assert held.any()

@@ -17,7 +17,7 @@ task:
 obstacles:
 - {name: pole, shapes: [!Box {size: [0.04, 0.04, 0.7]}], translation: [0.26, 0.06, 0.35]}
 perception: !GroundTruth {}
-regulation: !Regressor {}
+regulation: !Paper {}
 """
 
 
@@ -37,7 +37,8 @@ def test_the_forearm_stops_before_a_pole() -> None:
 def test_without_a_supervisor_it_hits_the_pole() -> None:
     scenario = parse_scenario(POLE, ["supervisor=null"])
     log = simulate(scenario)
-    assert "panda_link5 - obstacle_pole" in robot_metrics(scenario, log.q[::10]).contacts
+    contacts = robot_metrics(scenario, log.q[::10]).contacts
+    assert [pair for pair in contacts if pair.endswith(" - obstacle_pole")]
 
 
 @pytest.mark.slow

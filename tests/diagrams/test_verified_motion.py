@@ -19,6 +19,8 @@ from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
+SETTLED = 0.3
+"""When the decisions that begin a motion are over [s]."""
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +47,8 @@ def test_the_executed_motion_is_the_one_that_was_rolled_out(
 ) -> None:
     diagram = build_avoidance(scenario)
     simulator = Simulator(diagram)
-    simulator.AdvanceTo(0.005)
+    # The first will do; the best that was found meanwhile takes its place.
+    simulator.AdvanceTo(SETTLED)
     selector = diagram.GetSubsystemByName("motion_selector")
     port = selector.GetOutputPort("motion")
     motion: PlannedMotion = port.Eval(selector.GetMyContextFromRoot(simulator.get_context()))
@@ -55,9 +58,10 @@ def test_the_executed_motion_is_the_one_that_was_rolled_out(
         make_interp_spline(motion.s, motion.p_WE)(s),
         make_interp_spline(motion.s, motion.q)(s),
     )
-    off = np.linalg.norm(log.p_WE[log.moving, None] - p_WE, axis=2).min(axis=1)
+    after = slice(int(np.searchsorted(log.t, SETTLED)), log.moving.stop)
+    off = np.linalg.norm(log.p_WE[after, None] - p_WE, axis=2).min(axis=1)
     assert off.max() < 5e-3
-    gone = log.q[log.moving, : q.shape[1]]
+    gone = log.q[after, : q.shape[1]]
     assert np.abs(gone[:, None] - q).max(axis=2).min(axis=1).max() < 0.03
 
 
@@ -76,7 +80,7 @@ def test_it_keeps_what_is_asked_and_hardly_more(scenario: Scenario, log: MotionL
 def test_the_chain_alone_is_the_paper_s() -> None:
     scenario = load_scenario("free_space")
     log = simulate(scenario, duration=0.1)
-    assert log.regulation == "Regressor"
+    assert log.regulation == "Paper"
     assert not log.shortfall.any()
     chain = build_avoidance(scenario).GetSubsystemByName("regressor_chain")
     assert isinstance(chain, RegressorChain)

@@ -11,7 +11,6 @@ from pydrake.systems.framework import DiagramBuilder
 from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
-from drake_oa.common.messages import ObstacleClouds, TablePlane
 from drake_oa.geometry import solids as solid
 from drake_oa.geometry.distance_field import field_of
 from drake_oa.geometry.ellipsoid_kernels import nearest_point
@@ -224,20 +223,6 @@ def test_the_solids_of_bodies_are_where_the_context_has_them():
     world = World([drake.Sphere(0.1)])
     with pytest.raises(ValueError, match="tip: a MeshcatCone is no solid"):
         solid.body_solids(world.plant, shape, world.inner, [world.body])
-
-
-def test_seen_clouds_become_fields_with_their_names_and_velocities():
-    table = TablePlane(offset=-0.1)
-    seen = ObstacleClouds(
-        3.0, (CUBE, CUBE + 1.0), np.array([7, 9]), table, v_WO=np.array([[0.1, 0, 0], [0, 0, 0]])
-    )
-    found = solid.cloud_solids(seen)
-    assert [one.name for one in found] == [7, 9, -1]
-    scene = solids_of(found)
-    assert solid.least_distance(scene, 0.1, 0.2, 0.05, 0.0, 3.0, np.inf)[0] < 0.01
-    # The table is the half-space below its plane.
-    assert solid.solid_distance(scene, 2, 5.0, 5.0, 0.3, 0.0) == pytest.approx(0.4)
-    assert [one.name for one in solid.cloud_solids(ObstacleClouds())] == []
 
 
 @pytest.mark.parametrize(

@@ -125,6 +125,20 @@ def test_fit_recovers_free_exponents(exponents):
     np.testing.assert_allclose(inside_outside(fit.shape, surface_points(shape)), 1.0, atol=1e-5)
 
 
+def test_a_prior_draws_the_exponents_to_one():
+    points = surface_points(superquadric(7, (0.1, 0.2, 0.15), (0.3, 0.4)), 642)
+    fits = [
+        fit_superquadric(points, exponents=None, prior=prior).shape.exponents
+        for prior in (0.0, 1e-2, 1.0, 1e4)
+    ]
+    off = np.abs(np.log(fits)).max(axis=1)
+    assert (np.diff(off) < 0.0).all()
+    np.testing.assert_allclose(fits[0], [0.3, 0.4], atol=1e-4)
+    np.testing.assert_allclose(fits[-1], 1.0, atol=1e-2)
+    with pytest.raises(ValueError, match=r"prior -1\.0 must be finite and not negative"):
+        fit_superquadric(points, exponents=None, prior=-1.0)
+
+
 @pytest.mark.parametrize("residual", ["bajcsy", "printed"])
 def test_fixed_exponents_stay_fixed_and_the_box_is_better_for_a_box(residual):
     rng = np.random.default_rng(4)
@@ -158,8 +172,14 @@ def test_fit_moves_with_the_cloud():
 
 
 @settings(max_examples=40, deadline=None)
-@given(seed, st.sampled_from(["bajcsy", "printed"]), st.booleans(), st.permutations(range(3)))
-def test_jacobian_is_the_derivative(seed, power, free, turn):
+@given(
+    seed,
+    st.sampled_from(["bajcsy", "printed"]),
+    st.booleans(),
+    st.permutations(range(3)),
+    st.sampled_from([0.0, 0.7]),
+)
+def test_jacobian_is_the_derivative(seed, power, free, turn, pull):
     rng = np.random.default_rng(seed)
     problem = _Problem(
         rng.uniform(-0.3, 0.3, (20, 3)),
@@ -168,6 +188,7 @@ def test_jacobian_is_the_derivative(seed, power, free, turn):
         minimum=1e-3,
         exponents=None if free else (0.8, 1.2),
         power=power,
+        pull=pull,
     )
     x = rng.uniform(-0.4, 0.4, 9)
     if free:

@@ -72,9 +72,7 @@ def join(background: float, label_behind: int) -> np.ndarray:
     return joined_across_unseen(
         points,
         label,
-        shown,
-        pixel_label[shown],
-        View.of(depth, K, np.eye(4)),
+        [(shown, pixel_label[shown], View.of(depth, K, np.eye(4)))],
         0.06,
         0.01,
         10,

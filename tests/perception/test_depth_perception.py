@@ -27,7 +27,7 @@ from drake_oa.common.messages import ObstacleClouds
 from drake_oa.geometry.collision_shapes import RobotModel, collect_collision_shapes
 from drake_oa.geometry.pinhole import pinhole
 from drake_oa.perception.config import SegmentationConfig
-from drake_oa.perception.depth_perception import DepthPerception
+from drake_oa.perception.depth_perception import DepthPerception, as_of
 from tests.reference.depth_images import look_at, rays_of
 
 CAMERA = CameraInfo(320, 240, np.deg2rad(45.0))
@@ -331,3 +331,97 @@ def test_a_moving_obstacle_has_a_velocity_on_the_port_and_a_clone_goes_on_alike(
     np.testing.assert_array_equal(one.v_WO, other.v_WO)
     for a, b in zip(one.clouds_W, other.clouds_W, strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+def pair(**options) -> tuple[DepthPerception, object]:
+    """Two cameras at one place, whose images have stamps."""
+    system = DepthPerception({"left": CAMERA, "right": CAMERA}, **options)
+    context = system.CreateDefaultContext()
+    for name in ("left", "right"):
+        system.GetInputPort(f"camera_pose_{name}").FixValue(context, Value(X_WC))
+        give(system, context, name, table_with_block(), 0.0)
+    return system, context
+
+
+def give(system, context, name: str, image: np.ndarray | None, stamp: float) -> None:
+    """A new image of one camera, or only its stamp."""
+    if image is not None:
+        value = ImageDepth32F(image.shape[1], image.shape[0])
+        value.mutable_data[:, :, 0] = image
+        system.GetInputPort(f"depth_image_{name}").FixValue(context, Value(value))
+    system.GetInputPort(f"image_stamp_{name}").FixValue(context, [stamp])
+
+
+def test_each_of_several_cameras_has_its_ports():
+    system, _ = pair()
+    of_one = ["depth_image", "camera_pose", "image_stamp"]
+    assert [system.get_input_port(i).get_name() for i in range(system.num_input_ports())] == [
+        f"{port}_{name}" for name in ("left", "right") for port in of_one
+    ]
+    outputs = [system.get_output_port(i).get_name() for i in range(system.num_output_ports())]
+    assert outputs == ["obstacles_W", "cloud", "views"]
+    with pytest.raises(ValueError, match="one or more"):
+        DepthPerception({})
+    with pytest.raises(ValueError, match="camera must be"):
+        DepthPerception({"left": CAMERA, "right": [0.0, 1.0, 2.0, 3.0]})
+
+
+@pytest.mark.parametrize("all_needed", [True, False])
+def test_a_camera_that_stops_leaves_the_others_sight_and_an_old_stamp(all_needed, caplog):
+    system, context = pair(all_needed=all_needed)
+    first = update(system, context)
+    assert (first.stamp, first.note, len(first)) == (0.0, "", 1)
+    seen = system.GetOutputPort("views").Eval(context).views
+    assert all(view is not None for view in seen)
+    # The block goes; only the left camera has new images.
+    gone = table_with_block()
+    gone[90:130, 140:180] = np.median(gone[np.isfinite(gone)])
+    with caplog.at_level(logging.INFO, logger="drake_oa"):
+        for k in range(1, 4):
+            give(system, context, "left", gone, 0.1 * k)
+            context.SetTime(0.1 * k)
+            after = update(system, context)
+    assert after.note == "right: no new image"
+    assert after.stamp == pytest.approx(0.0 if all_needed else 0.3)
+    assert len(caplog.records) == 1
+    views = system.GetOutputPort("views").Eval(context).views
+    assert views[0] is not None
+    assert views[1] is None
+    give(system, context, "left", table_with_block(), 0.4)
+    give(system, context, "right", table_with_block(), 0.4)
+    again = update(system, context)
+    assert (again.stamp, again.note) == (0.4, "")
+
+
+def test_a_blind_or_late_image_of_one_camera_is_left_out():
+    system, context = pair()
+    update(system, context)
+    give(system, context, "right", np.full((240, 320), np.nan, dtype=np.float32), 0.1)
+    give(system, context, "left", None, 0.1)
+    blind = update(system, context)
+    assert (blind.stamp, blind.note) == (0.0, "right: no valid pixel")
+    # Late ones, as of a driver that has fallen behind, are of another instant.
+    give(system, context, "left", None, 0.3)
+    give(system, context, "right", table_with_block(), 0.2)
+    late = update(system, context)
+    assert (late.stamp, late.note) == (0.0, "right: no new image")
+    for name in ("left", "right"):
+        give(system, context, name, None, 0.4)
+    assert update(system, context).stamp == 0.4
+    assert update(system, context).note == "no new image"
+
+
+def test_until_each_camera_has_seen_something_nothing_is_known():
+    system, context = pair()
+    give(system, context, "right", np.full((240, 320), np.nan, dtype=np.float32), 0.0)
+    obstacles = update(system, context)
+    assert (obstacles.stamp, len(obstacles)) == (-np.inf, 1)
+
+
+def test_what_moves_is_handed_on_where_it_was_at_an_older_stamp():
+    cloud, v_WO = np.ones((3, 3)), np.array([[0.0, 0.5, 0.0], [0.0, 0.0, 0.0]])
+    now = ObstacleClouds(2.0, (cloud, cloud), np.array([0, 1]), v_WO=v_WO)
+    then = as_of(now, 1.8)
+    assert then.stamp == 1.8
+    np.testing.assert_allclose(then.clouds_W[0], cloud - [0.0, 0.1, 0.0])
+    assert then.clouds_W[1] is cloud

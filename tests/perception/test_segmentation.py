@@ -5,13 +5,14 @@ from hypothesis import strategies as st
 
 from drake_oa.common.config import check_values
 from drake_oa.geometry import pinhole, voxels
+from drake_oa.geometry.pinhole import View
 from drake_oa.geometry.primitives import RobotShapes
 from drake_oa.perception import depth_image, sides, table, visibility
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.memory import ObstacleMemory
-from drake_oa.perception.segmentation import segment_depth, segment_points
+from drake_oa.perception.segmentation import segment_depth, segment_points, segment_views
 from drake_oa.perception.tracking import fuse
-from tests.reference.depth_images import SIZE, K, box, camera_pose, ray_cast
+from tests.reference.depth_images import SIZE, K, box, camera_pose, look_at, ray_cast
 
 X_WC = camera_pose()
 TWO = (box(0.8, -0.15), box(0.9, 0.2, (0.12, 0.08, 0.06)))
@@ -232,7 +233,7 @@ def test_each_kernel_is_compiled_once():
         for pose in (X_WC, X_WC.astype(np.float32), None):
             frame = segment_depth(depth, K, pose, config, posed)
             stamp += 0.1
-            known = fuse(known, frame, depth, K, stamp, config, posed)
+            known = fuse(known, frame, stamp, config, posed)
             for pixels in frame.pixels:
                 depth_image.row_hulls(depth.astype(np.float32), pixels)
             segment_points(points.reshape(-1, 3), pose, config, posed)
@@ -314,3 +315,60 @@ def test_half_a_million_points_are_segmented():
     assert len(found.clouds_W[0]) < 5000
     assert (found.clouds_W[0] > low - 0.01).all()
     assert (found.clouds_W[0] < high + 0.01).all()
+
+
+OTHER = look_at([1.5, 0.1, 0.8], [0.8, 0.0, 0.0])
+
+
+def both(boxes, table=(0.8, 0.0, 0.5, 0.4)) -> list[View]:
+    """Images of the boxes from both sides."""
+    return [View.of(ray_cast(X, boxes, table), K, X) for X in (X_WC, OTHER)]
+
+
+def test_images_of_one_instant_are_one_frame():
+    views = both(TWO)
+    found = segment_views(views)
+    assert len(found.clouds_W) == 2
+    assert found.views == tuple(views)
+    assert found.blind == {}
+    for image, view in enumerate(views):
+        alone = segment_depth(*view)
+        # Which is the larger may differ.
+        shown = sorted(map(len, alone.pixels))
+        np.testing.assert_allclose(sorted(map(len, found.pixels_in(image))), shown, rtol=0.05)
+        for pixels in found.pixels_in(image):
+            assert (np.diff(pixels) > 0).all()
+            assert (view.z.ravel()[pixels] > 0.3).all()
+    one = segment_depth(*views[0])
+    np.testing.assert_array_equal(one.clouds_W[0], segment_views(views[:1]).clouds_W[0])
+
+
+def test_an_image_without_the_table_shows_it_as_the_others_do():
+    # The second camera sees the boxes and nothing else.
+    views = both(TWO)
+    alone = ray_cast(OTHER, TWO, NOWHERE)
+    # By itself it takes the top of a box for it.
+    assert segment_depth(alone, K, OTHER).clouds_W == ()
+    found = segment_views([views[0], View.of(alone, K, OTHER)])
+    assert found.blind == {}
+    assert len(found.clouds_W) == 2
+    assert min(map(len, found.pixels_in(1))) > 50
+
+
+@pytest.mark.parametrize("config", [None, NO_TABLE])
+def test_a_blind_image_is_left_out_and_told_of(config):
+    views = both(TWO)
+    nothing = View.of(np.full(SIZE, np.nan), K, OTHER)
+    found = segment_views([nothing, views[0]], config)
+    assert list(found.blind) == [0]
+    assert found.usable
+    assert found.views == (views[0],)
+    none = segment_views([nothing, nothing], config)
+    assert not none.usable
+    assert none.note == none.blind[0] != ""
+
+
+def test_a_gap_that_one_image_sees_through_separates():
+    # Behind each other, as the first camera sees them, a short gap apart.
+    near, far = box(0.75, 0.0, (0.06, 0.12, 0.12)), box(0.86, 0.0, (0.06, 0.12, 0.11))
+    assert len(segment_views(both([near, far])).clouds_W) == 2

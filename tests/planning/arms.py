@@ -57,6 +57,12 @@ class ArmAlone:
         """(12,) pose of the tool at home."""
         return self.poses(self.q)[-1].copy()
 
+    @property
+    def overshoot(self) -> float:
+        """How far any sphere of a body that moves sticks out at most [m]."""
+        covered = self.covered
+        return float(covered.overshoot[covered.arrays.group_joint >= 0].max())
+
     def poses(self, q: FloatArray) -> FloatArray:
         """(n + 2, 12) as `chain_poses` leaves them."""
         X = np.empty((len(q) + 2, 12))

@@ -22,6 +22,7 @@ from drake_oa.planning.arm_world import (
     excess_along,
     group_distances,
     lower_excess,
+    self_distance,
     share_clear,
     tool_poses,
 )
@@ -111,6 +112,17 @@ def test_what_is_kept_is_the_least_of_all_pairs(
                 assert (found >= np.minimum(expected, FAR) - 1e-12).all()
             elif enough <= expected.min():
                 np.testing.assert_allclose(found, np.minimum(expected, FAR), atol=1e-12)
+
+
+def test_how_far_the_arm_is_in_itself_is_the_least_of_all_pairs(arm: ArmAlone) -> None:
+    random, world = np.random.default_rng(5), arm.among(own=0.0)
+    inside = 0
+    for _ in range(40):
+        q = arm.random_q(random)
+        expected = min(brute_excess(world, arm, q, 0.0)[SELF], FAR)
+        assert self_distance(arm.chain, world.spheres, q) == pytest.approx(expected, abs=1e-12)
+        inside += expected < 0.0
+    assert inside > 3
 
 
 @settings(max_examples=10)

@@ -6,13 +6,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pydrake.common.value import AbstractValue
-from pydrake.math import RigidTransform
+from pydrake.math import RigidTransform, RotationMatrix
 
 from drake_oa.common.messages import ObstacleClouds, TablePlane
+from drake_oa.geometry.pinhole import View
 from drake_oa.geometry.solids import Solids, solid_distance
+from drake_oa.perception.depth_perception import Views
 from drake_oa.planning import cloud_solids
-from drake_oa.planning.cloud_solids import CloudSolids, SeenSolids, looked_at, names_moved, unseen
+from drake_oa.planning.cloud_solids import (
+    CloudSolids,
+    SeenSolids,
+    looked_at,
+    names_moved,
+    seen_free,
+    unseen,
+)
 from drake_oa.planning.unseen_ends import ImageRange, with_unseen_ends
+from tests.reference.depth_images import look_at, rays_of
 
 CAMERA = np.array([1.2, 0.0, 0.8])
 HALF = np.array([0.04, 0.1, 0.1])
@@ -235,20 +245,20 @@ def test_what_the_image_cuts_off_goes_on_beyond_it(cut):
     X_WC[:3, 3] = [1.0, 0.0, 1.0]
     wide = ImageRange(500.0, 1000.0, 2000)
     whole = seen(post(0.4))
-    assert with_unseen_ends(whole, X_WC, wide) is whole
+    assert with_unseen_ends(whole, [(X_WC, wide)]) is whole
     last = (post(0.4)[-1] - X_WC[:3, 3]) @ X_WC[:3, :3]
     if cut == "near":
         image = wide._replace(near=last[2] - 0.005)
     else:
         v = 500.0 * (last[1] / last[2]) + 1000.0 - 2.0
         image = wide._replace(cy=1000.0 - v, height=int(2000.0 - v))
-    (longer,) = with_unseen_ends(whole, X_WC, image).clouds_W
+    (longer,) = with_unseen_ends(whole, [(X_WC, image)]).clouds_W
     np.testing.assert_array_equal(longer[: len(post(0.4))], post(0.4))
     np.testing.assert_allclose(longer.max(axis=0), [0.5, 0.02, 0.79], atol=0.02)
     assert longer[:, 2].min() == 0.0
     bad = post(0.4)
     bad[0] = np.nan
-    assert with_unseen_ends(seen(bad), X_WC, image).clouds_W[0] is bad
+    assert with_unseen_ends(seen(bad), [(X_WC, image)]).clouds_W[0] is bad
 
 
 def test_what_has_moved_is_told_until_it_is_gone():
@@ -279,3 +289,107 @@ def test_half_a_million_points_are_one_field_that_errs_to_the_near_side():
     noise = RNG.normal(scale=1e-3, size=cloud.shape)
     again = looked_at(found, seen(cloud + noise, stamp=1.1), CAMERA)
     assert again.scene.solids is found.scene.solids
+
+
+OTHER = np.array([-0.4, 0.0, 0.8])
+"""A second camera, on the other side."""
+
+
+def whole(half=HALF, center=CENTER, spacing=0.004):
+    """All sides of a box that two cameras see, (N, 3)."""
+    x, y, z = (np.arange(-h, h + 1e-9, spacing) for h in half)
+    walls = [np.stack(np.meshgrid([s * half[0]], y, z), -1).reshape(-1, 3) for s in (-1, 1)]
+    top = np.stack(np.meshgrid(x, y, [half[2]]), -1).reshape(-1, 3)
+    return np.concatenate([*walls, top]) + center
+
+
+def image(eye, *boxes):
+    """Of boxes (low, high) on a table, from a place that looks at their middle."""
+    X_WC, K = look_at(eye, [0.4, 0.0, 0.1]), np.array([300.0, 300.0, 159.5, 119.5])
+    rays = rays_of(X_WC, K, (240, 320))
+    depth = -X_WC[2, 3] / rays[..., 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for low, high in boxes:
+            t = np.sort([(low - eye) / rays, (high - eye) / rays], axis=0)
+            near, far = t[0].max(axis=-1), t[1].min(axis=-1)
+            depth = np.where((near < far) & (near > 0.0), np.minimum(depth, near), depth)
+    return View.of(depth, K, X_WC)
+
+
+# 1 cm thin, 20 cm broad: from one camera it may be 8 cm deep.
+THIN = np.array([0.005, 0.1, 0.1])
+BOARD = CENTER - THIN, CENTER + THIN
+BEHIND = CENTER - [0.05, 0.0, 0.0]
+
+
+def test_what_another_camera_sees_through_is_not_filled():
+    alone = looked_at(SeenSolids(), seen(box(THIN)), CAMERA)
+    assert distance(alone.scene.solids, 0, BEHIND) < 0.0
+    eyes, views = np.stack([CAMERA, OTHER]), [image(eye, BOARD) for eye in (CAMERA, OTHER)]
+    both = looked_at(SeenSolids(), seen(whole(THIN)), eyes, views)
+    assert distance(both.scene.solids, 0, BEHIND) > 0.02
+    assert distance(both.scene.solids, 0, CENTER) <= 0.0
+    # As large as it is; just over the table, which is seen there too, no image tells.
+    points = CENTER + RNG.uniform([-0.2, -0.2, 0.0], 0.2, (500, 3))
+    true = np.linalg.norm(np.maximum(np.abs(points - CENTER) - THIN, 0.0), axis=1)
+    points, true = points[true > 0.0], true[true > 0.0]
+    error, before = (
+        np.array([distance(found.scene.solids, 0, p) for p in points]) - true
+        for found in (both, alone)
+    )
+    assert error.max() <= VOXEL
+    assert error.min() >= -4.0 * VOXEL
+    assert np.quantile(error, 0.05) >= -2.0 * VOXEL
+    assert before.min() < -7.0 * VOXEL
+
+
+def test_what_is_hidden_from_all_cameras_is_filled():
+    # Something stands before the second camera.
+    post = np.array([0.1, -0.3, 0.0]), np.array([0.14, 0.3, 0.5])
+    views = [image(CAMERA, BOARD, post), image(OTHER, BOARD, post)]
+    found = looked_at(SeenSolids(), seen(box(THIN)), np.stack([CAMERA, OTHER]), views)
+    assert distance(found.scene.solids, 0, BEHIND) < 0.0
+    # It is gone: now the other one sees that nothing is there.
+    views = [image(CAMERA, BOARD), image(OTHER, BOARD)]
+    after = looked_at(found, seen(box(THIN), stamp=1.1), np.stack([CAMERA, OTHER]), views)
+    assert distance(after.scene.solids, 0, BEHIND) > 0.02
+    # And that is known from then on, though it comes again.
+    views = [image(CAMERA, BOARD, post), image(OTHER, BOARD, post)]
+    last = looked_at(after, seen(box(THIN), stamp=1.2), np.stack([CAMERA, OTHER]), views)
+    assert last.scene.solids is after.scene.solids
+
+
+def test_what_one_image_cuts_off_ends_where_another_sees_through():
+    X_WC = image(CAMERA).X_WC
+    last = (post(0.2)[-1] - X_WC[:3, 3]) @ X_WC[:3, :3]
+    near = ImageRange(300.0, 119.5, 240, near=float(last[2]) - 0.005)
+    cut = seen(post(0.2))
+    (longer,) = with_unseen_ends(cut, [(X_WC, near)]).clouds_W
+    assert len(longer) > len(post(0.2))
+    views = [image(OTHER)]
+    assert with_unseen_ends(cut, [(X_WC, near)], lambda p: seen_free(views, p)) is cut
+
+
+def test_the_system_reads_what_several_cameras_see():
+    ranges = {f"camera_pose_{name}": ImageRange(300.0, 119.5, 240) for name in ("a", "b")}
+    made = CloudSolids(period=0.1, cameras=ranges)
+    context = made.CreateDefaultContext()
+    views = [image(eye, BOARD) for eye in (CAMERA, OTHER)]
+    for name, view in zip(ranges, views, strict=True):
+        pose = AbstractValue.Make(
+            RigidTransform(RotationMatrix(view.X_WC[:3, :3]), view.X_WC[:3, 3])
+        )
+        made.GetInputPort(name).FixValue(context, pose)
+
+    def show(*images, stamp):
+        made.GetInputPort("views").FixValue(context, AbstractValue.Make(Views(images, stamp)))
+
+    # Those of another time tell nothing, as what moves is elsewhere in them.
+    show(*views, stamp=1.2)
+    open_ = updated(made, context, seen(box(THIN)), 0.0)
+    assert distance(open_.solids, 0, BEHIND) < 0.0
+    show(*views, stamp=1.3)
+    scene = updated(made, context, seen(box(THIN), stamp=1.3), 0.1)
+    assert distance(scene.solids, 0, BEHIND) > 0.02
+    show(views[0], None, stamp=1.4)
+    assert updated(made, context, seen(box(THIN), stamp=1.4), 0.2).solids is scene.solids

@@ -78,7 +78,7 @@ def test_it_keeps_what_scene_graph_says(panda_arm: ArmAlone, six_arm: ArmAlone, 
         world, paths, truth = bare(arm, things), swings(arm, random, 3), Truth(arm, things)
         found = roll_out_arm(world, arm.q, paths)
         assert (found.samples == len(S)).all()
-        overshoot = arm.covered.overshoot
+        overshoot = arm.overshoot
         for i in range(3):
             dt = paths.seconds[i] / (len(S) - 1)
             at_samples = np.array([truth.least(q, dt * row) for row, q in enumerate(found.q[i])])
@@ -199,7 +199,7 @@ def test_an_obstacle_is_where_it_will_be(panda_arm: ArmAlone) -> None:
             world = bare(panda_arm, [moving])._replace(now=now)
             true = min(truth.least(panda_arm.q, now + 4.0 * s).min() for s in S)
             found = roll_out_arm(world, panda_arm.q, still).least[0]
-            assert min(true, FAR) - panda_arm.covered.overshoot <= found <= min(true, FAR) + 1e-4
+            assert min(true, FAR) - panda_arm.overshoot <= found <= min(true, FAR) + 1e-4
             least.append(true)
     # It comes nearer; and what has gone by is not met any more.
     assert least[2] < least[0] - 0.05

@@ -119,6 +119,12 @@ def assert_same(one: object, other: object) -> None:
         np.testing.assert_array_equal(one, other)  # type: ignore[arg-type]
 
 
+def test_what_is_held_before_it_has_begun_does_not_begin() -> None:
+    unseen = run(10, sees=lambda time: EllipsoidSet())
+    assert (path(unseen) == START).all()
+    assert all(segment.end.phase == 1.0 and segment.end.speed == 0.0 for segment in unseen)
+
+
 def path(segments: list[Segment]) -> FloatArray:
     return np.array([segment.end.p_WE for segment in segments])
 
@@ -336,7 +342,7 @@ def test_a_baseline_of_zero_length_is_refused() -> None:
 
 def guided_headings(state: PolicyState, ellipsoids: EllipsoidSet, route: Route) -> np.ndarray:
     """(M, 3) desired headings past the obstacles, as the route chose their sides."""
-    chosen = (route.direction_W, route.normal_W, route.center_W, route.remaining_clearance)
+    chosen = (route.direction_W, route.normal_W, route.remaining_clearance)
     return desired_headings(state, ellipsoids, *chosen)
 
 
@@ -367,7 +373,6 @@ def random_scene(
     route = Route(
         direction_W=direction,
         normal_W=passing_normals(direction, np.eye(3)),
-        center_W=along,
         remaining_clearance=rng.uniform(0.05, 0.2, count) if guided else np.zeros(count),
         path_length=1.2,
     )
@@ -398,17 +403,16 @@ def test_the_compiled_step_is_the_readable_one(seed: int, guided: bool, about_ro
         ellipsoids,
         route.direction_W,
         route.normal_W,
-        route.center_W,
         route.remaining_clearance,
     )
     rows = terms(
-        route.center_W if about_route else ellipsoids.p_WO,
+        coupled.center_W if about_route else ellipsoids.p_WO,
         np.column_stack([alpha, coupled.psi, coupled.kappa]),
         heading,
         route.normal_W,
         np.minimum(alpha, PARAMETERS.guidance_gain),
     )
-    turn = turning(rows, in_plane=about_route)
+    turn = turning(rows, in_plane=True)
     ds = 0.5 * (state.speed + after.end.speed) * STEP
     begin = (state.p_WE, state.z_W, state.phase)
     p_WE, z_W, phase = dmp_step(DMP, *begin, ds, GOAL, frame=np.eye(3), baseline=1.0, turn=turn)
@@ -428,7 +432,6 @@ def test_a_decision_leads_as_the_headings_made_from_it_do(seed: int) -> None:
         ellipsoids,
         route.direction_W,
         route.normal_W,
-        route.center_W,
         route.remaining_clearance,
     )
     followed = step_of(state, ellipsoids, coupled, route)
@@ -560,6 +563,28 @@ def test_a_reason_of_its_own_goes_before_the_scale() -> None:
 
 
 # Displaced in real time.
+
+
+@given(seed=st.integers(0, 2**32 - 1), step=st.floats(1e-5, STEP))
+@settings(deadline=None, max_examples=200)
+def test_a_motion_that_begins_straight_at_a_term_turns_to_its_side(seed: int, step: float) -> None:
+    rng = np.random.default_rng(seed)
+    start, goal = rng.uniform(-1.0, 1.0, (2, 3))
+    R_WL = local_frame(start, goal)
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    side = np.cos(angle) * R_WL[:, 1] + np.sin(angle) * R_WL[:, 2]
+    coupled = CouplingParameters(
+        *np.array([[100.0], [1.0], [1.0]]),
+        in_range=np.ones(1, dtype=bool),
+        center_W=(start + rng.uniform(0.3, 0.95) * (goal - start))[None],
+        normal_W=np.cross(R_WL[:, 0], side)[None],
+        verified=True,
+    )
+    around = Surroundings.of(EllipsoidSet(stamp=0.0), coupled, None)
+    segment, level = initial_segment(DMP, start, goal, 0.0), ActionLevel(DMP, PARAMETERS)
+    # An imitated motion may begin with a little step back, and its heading passes through none.
+    segment = level.step(segment, goal, around, 0.0, step, count=round(0.1 / step))
+    assert segment.end.z_W @ side > 0.0
 
 
 def displaced_steps(

@@ -46,7 +46,9 @@ def turn_of(
     max_rate: float = 1000.0,
 ) -> FloatArray:
     """(3,) turn of the compiled composition."""
-    return np.array(kernels.turn_step(rows, in_plane, printed, max_rate, tuple(p), tuple(z), step))
+    return np.array(
+        kernels.turn_step(rows, in_plane, False, printed, max_rate, tuple(p), tuple(z), step)
+    )
 
 
 def turned_by(z: FloatArray, turn: FloatArray) -> FloatArray:
@@ -608,3 +610,22 @@ def test_no_finite_input_yields_anything_but_a_finite_turn(
     turn = turn_of(np.array([row, again]), np.array(p), np.array(z), step, in_plane, printed)
     assert np.isfinite(turn).all()
     assert np.linalg.norm(turn) <= np.pi * (1.0 + 1e-12)
+
+
+@given(theta=st.floats(1e-3, 3.1), gamma=st.floats(0.1, 1e4), beta=st.floats(0.1, 20.0))
+def test_the_compiled_original_term_is_the_printed_one(
+    theta: float, gamma: float, beta: float
+) -> None:
+    heading, step = (np.cos(theta), np.sin(theta), 0.0), 1e-9
+    _, explicit, divisor = kernels.avoidance_term(
+        (1.0, 0.0, 0.0), heading, (0.0, 0.0, 0.0), gamma, 1.0 / beta, 7.0, False, True, step
+    )
+    expected = original_rate(theta, gamma, beta)
+    assert explicit / divisor / step == pytest.approx(expected, rel=1e-6, abs=1e-12)
+
+
+def test_the_original_term_turns_no_further_than_straight_away() -> None:
+    _, explicit, divisor = kernels.avoidance_term(
+        (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 0.0), 1e4, 1.0, 0.0, False, True, 1.0
+    )
+    assert explicit / divisor == pytest.approx(0.5 * np.pi)

@@ -97,7 +97,6 @@ def test_the_decision_is_led_by_from_where_the_motion_is() -> None:
     left = Route(
         direction_W=np.array([[0.0, 1.0, 0.0]]),
         normal_W=np.array([[0.0, 0.0, 1.0]]),
-        center_W=np.array([[0.5, 0.02, 0.3]]),
         remaining_clearance=np.array([0.1]),
         path_length=1.0,
     )

@@ -21,11 +21,10 @@ def policy(p: Triple, z: Triple) -> PolicyState:
 
 
 def headings(state: PolicyState, ellipsoids: EllipsoidSet, direction: FloatArray) -> FloatArray:
-    """As the CostRingSelector asks for them, about the foot of the centre on the baseline."""
+    """As the CostRingSelector asks for them."""
     normal = passing_normals(direction, state.R_WL)
-    foot = ellipsoids.p_WO * [1.0, 0.0, 0.0]
     delta = np.full(len(ellipsoids), 0.1)
-    return desired_headings(state, ellipsoids, direction, normal, foot, delta)
+    return desired_headings(state, ellipsoids, direction, normal, delta)
 
 
 BLOCK = balls((0.5, 0, 0), radius=(0.1, 0.2, 0.15))
@@ -47,7 +46,7 @@ def test_a_motion_that_turns_to_the_chosen_side_by_itself_needs_no_guidance() ->
 def test_an_obstacle_that_needs_no_clearance_needs_no_guidance() -> None:
     state = policy((0, 0, -0.01), (1, 0, 0))
     normal = passing_normals(UP, np.eye(3))
-    assert not desired_headings(state, BLOCK, UP, normal, BLOCK.p_WO, np.zeros(1)).any()
+    assert not desired_headings(state, BLOCK, UP, normal, np.zeros(1)).any()
 
 
 def test_a_motion_at_rest_is_led_from_the_baseline() -> None:
@@ -122,7 +121,7 @@ def test_straight_at_the_centre_no_heading_is_needed_whatever_the_rounding() -> 
             heading = desired_headings(
                 PolicyState(p_WG=np.array([scale, 0.0, 0.0])),
                 EllipsoidSet(
-                    p_WO=np.array([[0.5 * scale, 0.0, 0.0]]),
+                    p_WO=np.array([[0.5 * scale, 0.0, tilt * scale]]),
                     R_WO=np.eye(3)[None],
                     semi_axes=np.full((1, 3), 0.1 * scale),
                     v_WO=np.zeros((1, 3)),
@@ -130,7 +129,6 @@ def test_straight_at_the_centre_no_heading_is_needed_whatever_the_rounding() -> 
                 ),
                 np.array([[0.0, 0.0, 1.0]]),
                 np.array([[0.0, -1.0, 0.0]]),
-                np.array([[0.5 * scale, 0.0, tilt * scale]]),
                 np.array([0.1 * scale]),
             )
             np.testing.assert_array_equal(heading, 0.0)

@@ -64,7 +64,6 @@ def random_route(rng: np.random.Generator, count: int, R_WL: FloatArray) -> Rout
         heading_W=own,
         direction_W=direction,
         normal_W=passing_normals(direction, R_WL),
-        center_W=rng.normal(size=(count, 3)),
         remaining_clearance=rng.uniform(0.0, 0.3, count),
         path_length=rng.uniform(0.5, 3.0),
     )
@@ -131,7 +130,7 @@ def scene(
     feet += rng.choice([-1.0, 1.0], (count, 1)) * rng.uniform(0.002, 0.02, (count, 1)) * direction
     ellipsoids = replace(
         random_ellipsoids(rng, count),
-        p_WO=feet - rng.uniform(0.05, 0.1, (count, 1)) * direction,
+        p_WO=feet,
         semi_axes=rng.uniform(0.005, 0.03, (count, 3)),
     )
     rows = np.exp(rng.uniform(np.log([5, 0.4, 2]), np.log([200, 1.5, 30]), size=(count, 3)))
@@ -139,7 +138,6 @@ def scene(
     route = Route(
         direction_W=direction,
         normal_W=passing_normals(direction, R_WL),
-        center_W=feet,
         remaining_clearance=rng.uniform(0.05, 0.1, count),
         path_length=1.3,
     )
@@ -204,7 +202,6 @@ def moved(
             route,
             direction_W=route.direction_W @ Q.T,
             normal_W=np.linalg.det(Q) * route.normal_W @ Q.T,
-            center_W=place(route.center_W),
             remaining_clearance=scale * route.remaining_clearance,
             path_length=scale * route.path_length,
         ),
@@ -289,7 +286,7 @@ def test_odd_but_finite_scenes_yield_finite_motions(
         np.ones(2, dtype=bool),
         centers if about_route else np.zeros((0, 3)),
     )
-    route = replace(random_route(rng, 2, R_WL), center_W=centers, heading_W=np.zeros((0, 3)))
+    route = replace(random_route(rng, 2, R_WL), heading_W=np.zeros((0, 3)))
     around = Surroundings.of(ellipsoids, coupling, route)
     segment = Segment.resting(state)
     for _ in range(3):

@@ -48,7 +48,7 @@ vectors = st.tuples(*[st.floats(-1.0, 1.0)] * 3).map(np.array)
 @pytest.fixture(scope="module")
 def scenario() -> Scenario:
     return load_scenario(
-        "shelf_elbow", [TRUTH, "regulation=!Regressor {}", "robot.null_space_coupling={}"]
+        "shelf_elbow", [TRUTH, "regulation=!Paper {}", "robot.null_space_coupling={}"]
     )
 
 

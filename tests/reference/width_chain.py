@@ -6,7 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_oa.regulation.regressor import ChainWeights, networks_of
+from drake_oa.regulation.network import network_of
+from drake_oa.regulation.regressor import TARGETS, ChainWeights
 
 
 def load_width_chain(path: Path) -> ChainWeights:
@@ -16,7 +17,7 @@ def load_width_chain(path: Path) -> ChainWeights:
     out_gain, out_min}``; the range is that of the min-max scaling.
     """
     with np.load(path) as file:
-        networks = networks_of(path, dict(file), 3)
+        networks = {n: network_of(path, dict(file), n, 3 + i) for i, n in enumerate(TARGETS)}
     first = networks["kappa"]
     scale = np.array([2.0, 2.0, 1.0])
     upper = first.in_offset - 2.0 * first.in_min / first.in_gain

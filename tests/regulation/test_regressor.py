@@ -13,12 +13,13 @@ from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 from scipy.spatial.transform import Rotation
 
-from drake_oa.common.messages import CouplingParameters
+from drake_oa.common.messages import CouplingParameters, EllipsoidSet
+from drake_oa.geometry.superquadric import Superquadric, radial_distance
+from drake_oa.regulation.network import Network
 from drake_oa.regulation.regressor import (
     TARGETS,
     ChainWeights,
     ClearanceLimit,
-    Network,
     load_chain,
     save_chain,
     section_extents,
@@ -342,6 +343,15 @@ def brute_extents(p, z, R_WL, center, R_WO, axes):
     return np.array([(points @ along).max(), (points @ np.cross(normal, along)).max()])
 
 
+def shapes(p_WO, R_WO, semi_axes, exponents=()):
+    return EllipsoidSet(
+        p_WO=np.array(p_WO),
+        R_WO=np.array(R_WO),
+        semi_axes=np.array(semi_axes),
+        exponents=np.array(exponents).reshape(-1, 2),
+    )
+
+
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 10**6))
 def test_section_extents_are_those_of_the_section(seed):
@@ -350,7 +360,7 @@ def test_section_extents_are_those_of_the_section(seed):
     R_WL = Rotation.random(random_state=rng).as_matrix()
     centers, axes = rng.normal(size=(2, 3)), rng.uniform(0.05, 0.5, (2, 3))
     R_WO = Rotation.random(2, random_state=rng).as_matrix()
-    extents = section_extents(p, z, R_WL, centers, R_WO, axes)
+    extents = section_extents(p, z, R_WL, shapes(centers, R_WO, axes))
     for row in range(2):
         expected = brute_extents(p, z, R_WL, centers[row], R_WO[row], axes[row])
         np.testing.assert_allclose(extents[row], expected, rtol=1e-6)
@@ -361,9 +371,7 @@ def test_section_of_an_aligned_ellipsoid_is_its_semi_axes():
         np.zeros(3),
         np.array([1.0, 0.2, 0.0]),
         np.eye(3),
-        np.array([[0.5, 0.0, 0.0]]),
-        np.eye(3)[None],
-        np.array([[0.1, 0.2, 0.3]]),
+        shapes([[0.5, 0.0, 0.0]], np.eye(3)[None], [[0.1, 0.2, 0.3]]),
     )
     np.testing.assert_allclose(extents, [[0.1, 0.2]], rtol=1e-12)
 
@@ -382,9 +390,7 @@ def test_without_a_plane_the_local_vertical_one_is_cut(p, z):
         np.array(p),
         np.array(z),
         np.eye(3),
-        np.array([[0.5, 0.0, 0.0]]),
-        np.eye(3)[None],
-        np.array([[0.1, 0.2, 0.3]]),
+        shapes([[0.5, 0.0, 0.0]], np.eye(3)[None], [[0.1, 0.2, 0.3]]),
     )
     np.testing.assert_allclose(extents, [[0.1, 0.3]], rtol=1e-12)
 
@@ -394,9 +400,7 @@ def test_a_plane_square_to_the_baseline_still_has_a_section():
         np.zeros(3),
         np.array([0.0, 0.0, 1.0]),
         np.eye(3),
-        np.array([[0.0, 0.5, 0.0]]),
-        np.eye(3)[None],
-        np.array([[0.1, 0.2, 0.3]]),
+        shapes([[0.0, 0.5, 0.0]], np.eye(3)[None], [[0.1, 0.2, 0.3]]),
     )
     np.testing.assert_allclose(extents, [[0.2, 0.3]], rtol=1e-12)
 
@@ -409,14 +413,37 @@ def test_section_extents_do_not_jump_when_the_obstacle_turns():
         np.zeros(3),
         np.array([1.0, 0.1, 0.0]),
         np.eye(3),
-        np.tile([0.5, 0.0, 0.0], (n, 1)),
-        R_WO,
-        np.tile([0.05, 0.25, 0.1], (n, 1)),
+        shapes(np.tile([0.5, 0.0, 0.0], (n, 1)), R_WO, np.tile([0.05, 0.25, 0.1], (n, 1))),
     )
     assert np.abs(np.diff(extents, axis=0)).max() < 2e-3
 
 
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10**6), exponents=st.tuples(*[st.floats(0.1, 2.0)] * 2))
+def test_a_superquadrics_section_is_as_wide_as_its_points_in_the_plane(seed, exponents):
+    rng = np.random.default_rng(seed)
+    p, z, center = rng.normal(size=(3, 3))
+    R_WL, R_WO = Rotation.random(2, random_state=rng).as_matrix()
+    axes = rng.uniform(0.05, 0.5, 3)
+    found = section_extents(p, z, R_WL, shapes([center], [R_WO], [axes], [exponents]))[0]
+    normal = np.cross(center - p, z)
+    normal /= np.linalg.norm(normal)
+    along = R_WL[:, 0] - (R_WL[:, 0] @ normal) * normal
+    along /= np.linalg.norm(along)
+    across = np.cross(normal, along)
+    angle = np.linspace(0.0, 2.0 * np.pi, 4001)
+    rays = np.outer(np.cos(angle), along) + np.outer(np.sin(angle), across)
+    shape = Superquadric(center, R_WO, axes, np.array(exponents))
+    # The radial distance of a point far out tells where its ray leaves the shape.
+    reach = 10.0 - radial_distance(shape, center + 10.0 * rays)
+    expected = [np.abs(reach * np.cos(angle)).max(), np.abs(reach * np.sin(angle)).max()]
+    np.testing.assert_allclose(found, expected, rtol=0.03)
+    ellipse = section_extents(p, z, R_WL, shapes([center], [R_WO], [axes], [(1.0, 1.0)]))
+    np.testing.assert_array_equal(
+        ellipse, section_extents(p, z, R_WL, shapes([center], [R_WO], [axes]))
+    )
+
+
 def test_no_obstacles_have_no_sections():
-    empty = np.zeros((0, 3))
-    result = section_extents(np.zeros(3), np.ones(3), np.eye(3), empty, np.zeros((0, 3, 3)), empty)
+    result = section_extents(np.zeros(3), np.ones(3), np.eye(3), EllipsoidSet())
     assert result.shape == (0, 2)

@@ -1,13 +1,16 @@
 """The system that regulates the coupling terms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydrake.common.value import Value
 
-from drake_oa.common.messages import EllipsoidSet, PolicyState, Route
+from drake_oa.common.messages import EllipsoidSet, PolicyState
 from drake_oa.policy.dmp import local_frame
-from drake_oa.regulation.regressor import TARGETS, ChainWeights, Network, section_extents
-from drake_oa.regulation.regressor_chain import RegressorChain
+from drake_oa.regulation.network import Network
+from drake_oa.regulation.regressor import TARGETS, ChainWeights, section_extents
+from drake_oa.regulation.regressor_chain import RegressorChain, way_past
 
 
 def weights():
@@ -48,10 +51,8 @@ def policy(p_WG=(0.8, 0.0, 0.0)):
     )
 
 
-def evaluate(system, ellipsoids_W, policy_state, route=None):
+def evaluate(system, ellipsoids_W, policy_state):
     context = system.CreateDefaultContext()
-    if route is not None:
-        system.GetInputPort("route").FixValue(context, Value(route))
     system.GetInputPort("ellipsoids_W").FixValue(context, Value(ellipsoids_W))
     system.GetInputPort("policy_state").FixValue(context, Value(policy_state))
     return system.GetOutputPort("coupling_parameters").Eval(context)
@@ -60,34 +61,49 @@ def evaluate(system, ellipsoids_W, policy_state, route=None):
 def test_output_is_the_pure_functions_answer():
     obstacles, state = ellipsoids(3), policy()
     found = evaluate(RegressorChain(weights(), 0.1), obstacles, state)
-    extents = section_extents(
-        state.p_WE, state.z_W, state.R_WL, obstacles.p_WO, obstacles.R_WO, obstacles.semi_axes
-    )
+    extents = section_extents(state.p_WE, state.z_W, state.R_WL, obstacles)
     expected = weights().parameters(extents, 0.1, 0.8, obstacles.p_WO[:, 0])
     np.testing.assert_array_equal(found.as_array(), expected.as_array())
     assert found.in_range.all()
 
 
-def test_with_a_route_its_half_ellipses_are_regulated():
-    route = Route(
-        center_W=np.array([[0.4, 0.0, 0.0], [0.5, 0.0, 0.0]]),
-        extents=np.array([[0.1, 0.2], [0.1, 0.1]]),
-        remaining_clearance=np.array([0.1, 0.0]),
-        weight=np.array([0.5, 1.0]),
-        p_WG=np.array([0.8, 0.0, 0.0]),
-    )
-    found = evaluate(RegressorChain(weights(), 0.1), ellipsoids(2), policy(), route)
-    expected = weights().parameters(
-        route.extents, route.remaining_clearance, 0.8, route.center_W[:, 0]
-    )
-    assert found.alpha[0] == pytest.approx(0.5 * expected.alpha[0])
-    assert found.alpha[1] == 0.0
-    np.testing.assert_array_equal(found.center_W, route.center_W)
+def test_the_original_term_comes_at_its_published_gains():
+    found = evaluate(RegressorChain(weights(), 0.1, original=5.0), ellipsoids(2), policy())
+    assert found.original
+    np.testing.assert_allclose(found.as_array(), [[5000.0, np.pi / 20.0, 0.0]] * 2)
 
 
-def test_a_route_for_other_obstacles_is_refused():
-    with pytest.raises(ValueError, match="route has 0 rows; there are 2 ellipsoids"):
-        evaluate(RegressorChain(weights(), 0.1), ellipsoids(2), policy(), Route())
+def test_the_duration_is_that_of_the_way_past_the_sections():
+    # 0.1 m beside the baseline, 0.15 m wide: the way leads 0.05 m past the other side.
+    one = replace(ellipsoids(1), p_WO=np.array([[0.4, 0.1, 0.0]]))
+    way = 2.0 * np.hypot(0.4, 0.05)
+    assert way_past(policy(), one, 0.1) == pytest.approx(way)
+    scaled = RegressorChain(weights(), 0.1, scaling="sections")
+    assert evaluate(scaled, one, policy()).tau == pytest.approx(way / 0.8)
+    unscaled = RegressorChain(weights(), 0.1, scaling="none")
+    assert evaluate(unscaled, one, policy()).tau == 1.0
+    # Of 0: what the route is long counts.
+    assert evaluate(RegressorChain(weights(), 0.1), one, policy()).tau == 0.0
+
+
+def test_the_way_past_what_is_straight_ahead_goes_over_it():
+    ahead = replace(ellipsoids(1), p_WO=np.array([[0.4, 0.0, 0.0]]))
+    assert way_past(policy(), ahead, 0.1) == pytest.approx(2.0 * np.hypot(0.4, 0.2))
+    for place in ([0.4, 0.3, 0.0], [-0.1, 0.0, 0.0], [0.9, 0.0, 0.0]):
+        aside = replace(ellipsoids(1), p_WO=np.array([place]))
+        assert way_past(policy(), aside, 0.1) == pytest.approx(0.8)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"original": 0.0}, "original must be finite and positive"),
+        ({"scaling": "clock"}, "scaling 'clock'; it must be one of route, sections, none"),
+    ],
+)
+def test_what_no_reading_is_is_refused(given, said):
+    with pytest.raises(ValueError, match=said):
+        RegressorChain(weights(), 0.1, **given)
 
 
 def test_no_obstacles_give_no_rows():

@@ -11,19 +11,19 @@ from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.policy.coupling import ALPHA as ALPHA_COLUMN
 from drake_oa.policy.coupling import NORMAL
 from drake_oa.regulation.config import SearchParameters
-from drake_oa.regulation.proposals import ANGLE, N_GENES, avoidance_terms, shadows
-from drake_oa.regulation.regressor import ChainWeights, load_chain
+from drake_oa.regulation.proposal_network import load_proposer
+from drake_oa.regulation.proposals import ANGLE, N_GENES, Proposer, avoidance_terms, shadows
 from drake_oa.regulation.rollout import SpatialScenes, spatial_rollouts
 from drake_oa.regulation.search import SearchResult, verify
-from drake_oa.scenario.loading import package_file
+from drake_oa.scenario.shipped import package_file
 
 DURATION = 3.0
 QUICK = SearchParameters(rounds=20)
 
 
 @pytest.fixture(scope="module")
-def chain() -> ChainWeights:
-    return load_chain(package_file("package://drake_oa/weights/regressor_chain.safetensors"))
+def proposer() -> Proposer:
+    return load_proposer(package_file("package://drake_oa/weights/proposals.safetensors"))
 
 
 def scenes(
@@ -92,10 +92,10 @@ def least_distance(posed: SpatialScenes, path: np.ndarray, stamps: np.ndarray) -
     ],
 )
 def test_the_asked_clearance_is_kept_and_not_much_more(
-    chain: ChainWeights, center: list[list[float]], semi_axes: float | list[float]
+    proposer: Proposer, center: list[list[float]], semi_axes: float | list[float]
 ) -> None:
     posed = scenes(center, semi_axes)
-    found = verify(posed, chain, duration=DURATION, parameters=QUICK)
+    found = verify(posed, proposer, duration=DURATION, parameters=QUICK)
     assert found.kept.all()
     assert found.shortfall == 0.0
     path, stamps = followed(posed, found)
@@ -104,8 +104,8 @@ def test_the_asked_clearance_is_kept_and_not_much_more(
     assert found.kept_clearance == pytest.approx(least_distance(posed, path, stamps), abs=1e-4)
 
 
-def test_nothing_is_done_where_nothing_is_in_the_way(chain: ChainWeights) -> None:
-    found = verify(scenes([[0.5, 0.3, 0.0]]), chain, duration=DURATION)
+def test_nothing_is_done_where_nothing_is_in_the_way(proposer: Proposer) -> None:
+    found = verify(scenes([[0.5, 0.3, 0.0]]), proposer, duration=DURATION)
     assert found.kept
     assert found.terms[0, ALPHA_COLUMN] == 0.0
     assert found.tau == pytest.approx(1.0, abs=1e-4)
@@ -113,35 +113,35 @@ def test_nothing_is_done_where_nothing_is_in_the_way(chain: ChainWeights) -> Non
     assert found.rollouts == 1
 
 
-def test_a_scene_without_obstacles_is_free(chain: ChainWeights) -> None:
-    found = verify(scenes([[np.nan, np.nan, np.nan]]), chain, duration=DURATION)
+def test_a_scene_without_obstacles_is_free(proposer: Proposer) -> None:
+    found = verify(scenes([[np.nan, np.nan, np.nan]]), proposer, duration=DURATION)
     assert found.kept
     assert found.terms[0, ALPHA_COLUMN] == 0.0
 
 
-def test_a_moving_obstacle_is_met_where_it_will_be(chain: ChainWeights) -> None:
+def test_a_moving_obstacle_is_met_where_it_will_be(proposer: Proposer) -> None:
     # It crosses the baseline's middle at t = 1.5 s, and is far from it now.
     posed = scenes([[0.5, 0.45, 0.0]], velocity=(0.0, -0.3, 0.0))
     still = replace(posed, v_WO=np.zeros((1, 1, 3)))
-    assert verify(still, chain, duration=DURATION).terms[0, ALPHA_COLUMN] == 0.0
-    found = verify(posed, chain, duration=DURATION, parameters=QUICK)
+    assert verify(still, proposer, duration=DURATION).terms[0, ALPHA_COLUMN] == 0.0
+    found = verify(posed, proposer, duration=DURATION, parameters=QUICK)
     assert found.kept
     path, stamps = followed(posed, found)
     assert least_distance(posed, path, stamps) >= 0.0995
 
 
-def test_the_table_is_respected(chain: ChainWeights) -> None:
+def test_the_table_is_respected(proposer: Proposer) -> None:
     # The flat obstacle is passed below at least cost, unless a table is there.
     posed = scenes([[0.5, 0.0, 0.06]], [0.1, 0.3, 0.1])
-    below = verify(posed, chain, duration=DURATION, parameters=QUICK)
+    below = verify(posed, proposer, duration=DURATION, parameters=QUICK)
     assert followed(posed, below)[0][:, 2].min() < -0.1
     table = replace(posed, plane=np.array([[0.0, 0.0, 1.0, -0.05]]))
-    above = verify(table, chain, duration=DURATION, parameters=QUICK)
+    above = verify(table, proposer, duration=DURATION, parameters=QUICK)
     assert above.kept
     assert followed(table, above)[0][:, 2].min() >= -0.05 - 1e-6
 
 
-def test_the_workspace_is_respected(chain: ChainWeights) -> None:
+def test_the_workspace_is_respected(proposer: Proposer) -> None:
     posed = scenes([[0.5, 0.0, 0.0]])
     # Round the world's z axis: the baseline is 0.5 m from it, what is nearer is out of reach.
     moved = replace(
@@ -151,18 +151,18 @@ def test_the_workspace_is_respected(chain: ChainWeights) -> None:
         p_WO=np.array([[[0.0, 0.52, 0.0]]]),
         semi_axes=np.array([[[0.08, 0.08, 0.4]]]),
     )
-    assert (followed(moved, verify(moved, chain, duration=DURATION))[0][:, 1]).min() < 0.45
+    assert (followed(moved, verify(moved, proposer, duration=DURATION))[0][:, 1]).min() < 0.45
     annulus = Annulus(np.array([[-1.0, 1.0], [0.45, 0.45], [2.0, 2.0]]))
-    found = verify(replace(moved, annulus=annulus), chain, duration=DURATION, parameters=QUICK)
+    found = verify(replace(moved, annulus=annulus), proposer, duration=DURATION, parameters=QUICK)
     assert found.kept
     assert followed(moved, found)[0][:, 1].min() > 0.44
 
 
-def test_what_cannot_be_kept_is_said(chain: ChainWeights) -> None:
+def test_what_cannot_be_kept_is_said(proposer: Proposer) -> None:
     # Between two plates 0.12 m apart nobody keeps 0.1 m; the world around is forbidden.
     posed = scenes([[0.5, 3.06, 0.0], [0.5, -3.06, 0.0]], [0.2, 3.0, 2.0])
     annulus = Annulus(np.array([[-0.05, 0.05], [0.0, 0.0], [1.1, 1.1]]))
-    found = verify(replace(posed, annulus=annulus), chain, duration=DURATION, parameters=QUICK)
+    found = verify(replace(posed, annulus=annulus), proposer, duration=DURATION, parameters=QUICK)
     assert not found.kept
     assert 0.03 < found.shortfall < 0.06
     assert found.kept_clearance == pytest.approx(0.1 - found.shortfall, abs=1e-3)
@@ -176,7 +176,7 @@ def test_past_the_demonstration_proposals_do_not_look_back_in_time() -> None:
     np.testing.assert_array_equal(shadow[1], shadow[0])
 
 
-def test_the_choice_does_not_depend_on_the_company(chain: ChainWeights) -> None:
+def test_the_choice_does_not_depend_on_the_company(proposer: Proposer) -> None:
     alone = scenes([[0.5, 0.02, 0.0]])
     other = scenes([[0.6, 0.0, -0.05]], 0.12)
     both = SpatialScenes(
@@ -188,47 +188,47 @@ def test_the_choice_does_not_depend_on_the_company(chain: ChainWeights) -> None:
             )
         }
     )
-    first = verify(alone, chain, duration=DURATION)
-    second = verify(both, chain, duration=DURATION)
+    first = verify(alone, proposer, duration=DURATION)
+    second = verify(both, proposer, duration=DURATION)
     np.testing.assert_array_equal(first.genes[0], second.genes[1])
-    np.testing.assert_array_equal(first.terms, verify(alone, chain, duration=DURATION).terms)
+    np.testing.assert_array_equal(first.terms, verify(alone, proposer, duration=DURATION).terms)
 
 
-def test_the_side_in_use_is_kept_unless_another_is_much_shorter(chain: ChainWeights) -> None:
+def test_the_side_in_use_is_kept_unless_another_is_much_shorter(proposer: Proposer) -> None:
     rng = np.random.default_rng(0)
-    found = verify(scenes([[0.5, 0.0, 0.0]]), chain, duration=DURATION)
+    found = verify(scenes([[0.5, 0.0, 0.0]]), proposer, duration=DURATION)
     side = found.genes[0, ANGLE]
     for _ in range(8):
         noisy = scenes([(np.array([0.5, 0.0, 0.0]) + 0.003 * rng.standard_normal(3)).tolist()])
-        found = verify(noisy, chain, duration=DURATION, previous=found.genes)
+        found = verify(noisy, proposer, duration=DURATION, previous=found.genes)
         assert found.kept
         assert np.cos(found.genes[0, ANGLE] - side) > 0.7
         side = found.genes[0, ANGLE]
     # Now 0.15 m over to the chosen side: the other one is much shorter.
     over = 0.15 * np.array([0.0, np.cos(side), np.sin(side)]) + [0.5, 0.0, 0.0]
-    found = verify(scenes([over.tolist()]), chain, duration=DURATION, previous=found.genes)
+    found = verify(scenes([over.tolist()]), proposer, duration=DURATION, previous=found.genes)
     assert np.cos(found.genes[0, ANGLE] - side) < 0.0
 
 
-def test_it_goes_on_from_the_middle_of_a_motion(chain: ChainWeights) -> None:
+def test_it_goes_on_from_the_middle_of_a_motion(proposer: Proposer) -> None:
     posed = scenes([[0.6, 0.0, 0.0]])
-    found = verify(posed, chain, duration=DURATION)
+    found = verify(posed, proposer, duration=DURATION)
     first = spatial_rollouts(posed, [0], found.terms, fade=0.3, keep_path=True)
     half = replace(posed, p_WE=first.path[:, 200], z_W=first.velocity[:, 200], s=0.4)
-    again = verify(half, chain, duration=DURATION, previous=found.genes)
+    again = verify(half, proposer, duration=DURATION, previous=found.genes)
     assert again.kept
     rest = spatial_rollouts(half, [0], again.terms, fade=0.3, horizon=2.0, keep_path=True)
     path = rest.path[0][: int(rest.steps[0]) + 1]
     assert signed_distance(path, [0.6, 0.0, 0.0], np.eye(3), [0.08] * 3).min() >= 0.0995
 
 
-def test_scenes_not_kept_are_searched_again(chain: ChainWeights) -> None:
+def test_scenes_not_kept_are_searched_again(proposer: Proposer) -> None:
     posed = scenes([[0.5, 0.0, 0.0]])
     once = SearchParameters(rounds=0, candidates=32)
     plane = np.array([[0.0, 0.0, 1.0, 0.2]])
     hopeless = replace(posed, plane=plane, asked_clearance=np.full((1, 1), 5.0))
-    found = verify(hopeless, chain, duration=DURATION, parameters=replace(once, retries=1))
-    assert found.rollouts > verify(hopeless, chain, duration=DURATION, parameters=once).rollouts
+    found = verify(hopeless, proposer, duration=DURATION, parameters=replace(once, retries=1))
+    assert found.rollouts > verify(hopeless, proposer, duration=DURATION, parameters=once).rollouts
 
 
 def test_a_turn_about_the_normal_goes_to_the_side() -> None:
@@ -242,7 +242,7 @@ def test_a_turn_about_the_normal_goes_to_the_side() -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"candidates": 8},
+        {"candidates": 4},
         {"rounds": -1},
         {"steps": 10},
         {"slack": -1.0},
@@ -256,9 +256,9 @@ def test_parameters_are_checked(wrong: dict[str, float]) -> None:
         check_values(SearchParameters(**wrong))
 
 
-def test_arguments_are_checked(chain: ChainWeights) -> None:
+def test_arguments_are_checked(proposer: Proposer) -> None:
     posed = scenes([[0.5, 0.0, 0.0]])
     with pytest.raises(ValueError, match="duration"):
-        verify(posed, chain, duration=0.0)
+        verify(posed, proposer, duration=0.0)
     with pytest.raises(ValueError, match="previous"):
-        verify(posed, chain, duration=1.0, previous=np.zeros((2, 7)))
+        verify(posed, proposer, duration=1.0, previous=np.zeros((2, 7)))

@@ -11,7 +11,7 @@ from drake_oa.robot.config import Robot
 from drake_oa.robot.inertias import Inertia, read_inertias, with_inertias
 from drake_oa.robot.plant import RobotPlant, make_robot_plant
 from drake_oa.scenario.faults import ModelError
-from drake_oa.scenario.loading import package_file
+from drake_oa.scenario.shipped import package_file
 
 URL = ModelError().inertias
 

@@ -54,9 +54,9 @@ def test_each_field_of_the_route_has_one_row_an_obstacle() -> None:
     for count in (0, 1, 3):
         some = balls(*[(0.3 + 0.2 * i, 0.02, 0.3) for i in range(count)])
         route = decided(CostRingSelector(0.15), some)
-        for name in ("heading_W", "direction_W", "normal_W", "center_W", "extents"):
+        for name in ("heading_W", "direction_W", "normal_W"):
             assert len(getattr(route, name)) == count
-        for name in ("remaining_clearance", "weight", "index", "ids"):
+        for name in ("remaining_clearance", "index", "ids"):
             assert getattr(route, name).shape == (count,)
 
 
@@ -160,7 +160,7 @@ def test_a_new_obstacle_is_decided_at_once() -> None:
     )
     route = route_of(system, simulator.get_context())
     assert route.ids.tolist() == [0, 4]
-    assert len(route.heading_W) == len(route.center_W) == 2
+    assert len(route.heading_W) == len(route.remaining_clearance) == 2
     fix(system, simulator.get_mutable_context(), ellipsoids_W=balls())
     assert len(route_of(system, simulator.get_context()).ids) == 0
 

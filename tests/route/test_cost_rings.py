@@ -13,6 +13,7 @@ from drake_oa.route.cost_rings import (
     length_ring,
     limits_ring,
     path_length,
+    remaining_clearance,
     ring_scene,
     table_ring,
 )
@@ -48,6 +49,14 @@ def test_the_workspace_forbids_what_leaves_it() -> None:
     scene = scene_of(balls((0.5, 0.05, 0.3)))
     limits = partial(limits_ring, workspace=lambda p: p[..., 1] + 0.05)
     assert chosen(scene, limits=limits)[1] > -0.2
+
+
+def test_clearance_is_to_be_led_at_where_the_baseline_does_not_keep_it() -> None:
+    places = [(0.5, 0.2, 0.3), (0.5, 0.3, 0.3), (0.1, 0.0, 0.5), (-0.2, 0.0, 0.3)]
+    # In the way, far enough, as near to the start as start leaves it, and behind.
+    kept = remaining_clearance(scene_of(balls(*places)))
+    np.testing.assert_allclose(kept, [0.15, 0.0, np.hypot(0.1, 0.2) - 0.1, 0.0])
+    assert remaining_clearance(scene_of(EllipsoidSet())).shape == (0,)
 
 
 def test_an_extra_ring_takes_part() -> None:

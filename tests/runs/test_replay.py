@@ -103,7 +103,7 @@ def test_a_demonstrated_path_is_that_of_the_preplanned_motion(
 ) -> None:
     shown = parse_scenario(f"{scenario_text(FREE)}")
     assert planned_path(shown, {"preplanned": log_of()}) is None
-    shown.task.demonstration = "path.npz"
+    shown.task.demonstration = ["path.npz"]
     path = planned_path(shown, {"preplanned": log_of()}, points=20)
     assert path is not None
     assert 10 < len(path) <= 20

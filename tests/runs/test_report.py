@@ -133,7 +133,7 @@ def test_what_regulation_believes_is_told_apart_from_what_was_kept(log_of: LogOf
     *_, lowered, lacked = str(report_table(report)).splitlines()
     assert lowered.startswith("note: modulated: regulation lowered the asked clearance")
     assert lacked == "note: modulated: regulation believed to lack 12.3 mm of the clearance"
-    paper = motion_report(FREE, log_of(AROUND, regulation="Regressor"))
+    paper = motion_report(FREE, log_of(AROUND, regulation="Paper"))
     assert paper["believed_shortfall"] is None
 
 
@@ -203,3 +203,24 @@ def test_decisions_are_read_from_what_was_logged() -> None:
     assert found["decision_cost"].tolist() == [0.05, 0.02, 0.001]
     assert found["decision_layer"] == ("regulation", "turn", "regulation")
     assert logged_decisions({})["decision_layer"] == ()
+
+
+def test_what_the_chain_is_not_sure_of_is_said_in_words(log_of: LogOf) -> None:
+    told = {
+        "regulation": "Paper",
+        "observation_time": np.arange(4.0),
+        "confidence": np.array([[np.nan, np.nan], [0.4, 0.9], [0.8, np.nan], [0.6, 0.7]]),
+        "out_of_range": np.array([0, 1, 1, 1]),
+    }
+    report = run_report("free_space", FREE, {"modulated": log_of(AROUND, **told)})
+    assert report["modulated"]["confidence"] == 0.4
+    json.dumps(report, allow_nan=False)
+    note = "a probability of 0.40 of keeping what is asked; it was not trained for such obstacles"
+    assert note in str(report_table(report))
+    sure = told | {"confidence": np.full((4, 1), 0.95)}
+    report = run_report("free_space", FREE, {"modulated": log_of(AROUND, **sure)})
+    assert "a probability of" not in str(report_table(report))
+    assert (
+        run_report("free_space", FREE, {"modulated": log_of(AROUND)})["modulated"]["confidence"]
+        is None
+    )

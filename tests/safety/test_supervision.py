@@ -47,7 +47,7 @@ def ball() -> GuardedArm:
     spheres = Spheres(
         zero, at, np.full(1, 0.1), tool, one, zero, bound, one, one, bound, none, np.zeros(0)
     )
-    return GuardedArm(chain, spheres, ("ball",), ("joint",), zero, 1)
+    return GuardedArm(chain, spheres, ("ball",), ("joint",), zero, 1, np.zeros(1))
 
 
 def seen(v_WO: list[float] | None = None, stamp: float = 0.0) -> SolidScene:

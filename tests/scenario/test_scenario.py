@@ -7,7 +7,7 @@ import pytest
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.perception.config import CameraNoise, DepthCamera, GroundTruth, RecordedClouds
-from drake_oa.regulation.config import Regressor, Verified
+from drake_oa.regulation.config import Paper, Verified
 from drake_oa.safety.config import EvasionParameters
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
 from drake_oa.scenario.perception import GivenEllipsoids
@@ -17,12 +17,17 @@ from drake_oa.scenario.shipped import shipped_scenarios
 NAMES = [
     "bookshelf",
     "cage",
+    "demonstrated_arc",
+    "demonstrated_pour",
     "free_space",
-    "guided_route",
     "long_tool",
     "moving_goal",
     "moving_obstacle",
     "no_table",
+    "paper_box",
+    "paper_clutter",
+    "paper_guidance",
+    "paper_irregular",
     "pushed_robot",
     "shelf_elbow",
     "sudden_obstacle",
@@ -30,6 +35,7 @@ NAMES = [
     "tabletop_clutter",
     "tabletop_irregular",
     "tilted_goal",
+    "two_cameras",
     "vanishing_obstacle",
 ]
 
@@ -95,9 +101,9 @@ def test_regulation_is_verified_unless_the_paper_s_is_asked_for() -> None:
     # Without a tag it is the default one.
     assert parse_scenario("regulation: {rounds: 7}").regulation == Verified(rounds=7)
     assert parse_scenario("regulation: !Verified {slack: 0.001}").regulation == Verified(slack=1e-3)
-    paper = load_scenario("free_space", ["regulation=!Regressor {}"])
-    assert isinstance(paper.regulation, Regressor)
-    assert isinstance(parse_scenario(scenario_text(paper)).regulation, Regressor)
+    paper = load_scenario("free_space", ["regulation=!Paper {}"])
+    assert isinstance(paper.regulation, Paper)
+    assert isinstance(parse_scenario(scenario_text(paper)).regulation, Paper)
 
 
 def test_override_replaces_one_field() -> None:
@@ -118,12 +124,12 @@ def test_override_replaces_one_field() -> None:
         ("task: {goal: [1, 2]}", ["task.goal", "3 numbers", "2"]),
         ("task: {goal: [0.45, -0.45, 0.3]}", ["task.goal", "start"]),
         ("task: 3", ["task", "block"]),
-        ("regulation: !Sampled {}", ["regulation", "!Sampled", "!Verified", "!Regressor"]),
-        ("regulation: Verified", ["regulation", "!Verified, !Regressor", "'Verified'"]),
-        ("regulation: {candidates: 8}", ["regulation.candidates", "8", "[32, 4096]"]),
+        ("regulation: !Sampled {}", ["regulation", "!Sampled", "!Verified", "!Paper"]),
+        ("regulation: Verified", ["regulation", "!Verified, !Paper", "'Verified'"]),
+        ("regulation: {candidates: 4}", ["regulation.candidates", "8", "[8, 4096]"]),
         ("regulation: {rounds: 1.5}", ["regulation.rounds", "whole number"]),
         ("regulation: {slack: -1}", ["regulation.slack", "-1", "[0, 0.1] [m]"]),
-        ("regulation: !Regressor {rounds: 3}", ["regulation.rounds is not a field"]),
+        ("regulation: !Paper {rounds: 3}", ["regulation.rounds is not a field"]),
         ("policy: {guidance: sideways}", ["policy.guidance", "counterphase", "printed"]),
         ("policy: {n_basis: 3.5}", ["policy.n_basis", "whole number"]),
         ("seed: {a: 1}", ["seed", "whole number"]),
@@ -141,6 +147,35 @@ def test_override_replaces_one_field() -> None:
         ("cameras: [{}, {name: b, height: 0}]", ["cameras[1].height: 0", "[1, 4096] [pixel]"]),
         ("cameras: [{name: a, widht: 3}]", ["cameras[0].widht", "width"]),
         ("{cameras: [], perception: !DepthCamera {camera: left}}", ["'left'", "none"]),
+        (
+            "{cameras: [{name: a}], perception: !DepthCamera {cameras: [a, b]}}",
+            ["perception.cameras[1]", "'b'", "cameras has a"],
+        ),
+        (
+            "{cameras: [{name: a}], perception: !DepthCamera {cameras: [a, a]}}",
+            ["perception.cameras[0]", "'a'", "twice"],
+        ),
+        (
+            "{cameras: [{name: a}, {name: b}], "
+            "perception: !DepthCamera {camera: b, cameras: [a, b]}}",
+            ["perception.camera: 'b'", "exclude"],
+        ),
+        (
+            "{cameras: [{name: a}, {name: b, fps: 15}], "
+            "perception: !DepthCamera {cameras: [a, b]}}",
+            ["cameras[1].fps: 'b' has 15, 'a' 10 [1/s]", "the same times"],
+        ),
+        (
+            "{cameras: [{name: a}, {name: b, output_delay: 0.03}], "
+            "perception: !DepthCamera {cameras: [a, b]}}",
+            ["cameras[1].output_delay", "0.03", "[s]"],
+        ),
+        ("perception: !DepthCamera {cameras: left}", ["perception.cameras", "list"]),
+        (
+            "{cameras: [{name: camera}], perception: !DepthCamera {}, "
+            "faults: [!NanFrames {camera: left}]}",
+            ["faults[0].camera", "'left'", "camera"],
+        ),
         ("{seed: 1, seed: 2}", ["seed", "twice"]),
         ("perception: !RecordedClouds {segmentation: {voxle: 1}}", ["segmentation", "voxel"]),
         ("perception: !GivenEllipsoids {ellipsoids: [{semi_axes: [1, 0, 1]}]}", ["semi_axes"]),
@@ -245,18 +280,19 @@ def test_blocks_of_drake_are_read_with_their_tags() -> None:
     assert [camera.name for camera in scenario.cameras] == ["preview_camera", "other"]
 
 
-FILES = ["perception=!RecordedClouds {folder: f}", "task.demonstration=f", "policy.weights=f"]
+FILES = ["perception=!RecordedClouds {folder: f}", "task.demonstration=f", "regulation.weights=f"]
 
 
 def files(scenario: Scenario) -> set[str]:
     assert isinstance(scenario.perception, RecordedClouds)
-    return {scenario.perception.folder, scenario.task.demonstration, scenario.policy.weights}
+    return {scenario.perception.folder, *scenario.task.demonstration, scenario.regulation.weights}
 
 
 def test_files_in_a_scenario_are_relative_to_it(tmp_path: Path) -> None:
     path = tmp_path / "mine.scenario.yaml"
     path.write_text(
-        "{perception: !RecordedClouds {folder: f}, task: {demonstration: f}, policy: {weights: f}}"
+        "{perception: !RecordedClouds {folder: f}, task: {demonstration: f}, "
+        "regulation: !Paper {weights: f}}"
     )
     assert files(load_scenario(str(path))) == {str(tmp_path / "f")}
 

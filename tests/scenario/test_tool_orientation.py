@@ -16,7 +16,7 @@ from drake_oa.diagrams.policy import make_dmp, make_orientation_integrator
 from drake_oa.diagrams.route import held_annulus
 from drake_oa.policy.orientation_dmp import goal_vector, orientation_along
 from drake_oa.robot.plant import make_robot_plant, tool_corners
-from drake_oa.scenario.demonstration import demonstrated_orientation, read_demonstration
+from drake_oa.scenario.demonstration import demonstrated_orientation, read_demonstrations
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task_joints import start_positions
@@ -88,7 +88,7 @@ def test_a_demonstration_tells_start_goal_and_way(kind: str, tmp_path: Path) -> 
 
 def test_a_demonstration_of_positions_alone_keeps_the_orientation(tmp_path: Path) -> None:
     plain = scenario(shown(tmp_path))
-    assert read_demonstration(plain.task).orientations is None
+    assert read_demonstrations(plain.task)[0].orientations is None
     assert demonstrated_orientation(plain) is None
     assert tool_orientation(plain) is None
 
@@ -102,7 +102,7 @@ def test_a_demonstration_of_positions_alone_keeps_the_orientation(tmp_path: Path
         ({"t": np.append(np.arange(50.0), 3.0)}, ["sample 50 at 3.0 s follows 49.0 s"]),
         ({"path": np.zeros((51, 3))}, ["must end away from where it starts"]),
         ({"path": np.full((51, 3), np.nan)}, ["sample 0 is not"]),
-        ({"path": np.zeros((51, 2))}, ["cannot read", "its path is (51, 2)"]),
+        ({"path": np.zeros((51, 2))}, ["its path is (51, 2)", "`path` (T, 3)"]),
         ({"R": rotations()[:9]}, ["51 positions and 9 orientations", "`quaternion` (T, 4)"]),
         ({"R": rotations(), "quaternion": np.ones((51, 4))}, ["both `quaternion` and `R`"]),
         ({"quaternion": np.zeros((51, 4))}, ["the quaternion of sample 0 is 0"]),

@@ -6,7 +6,8 @@ import pytest
 from drake_oa.regulation.regressor import load_chain, save_chain
 from drake_oa.training.checkpoint import Checkpoint
 from drake_oa.training.networks import Round
-from drake_oa.training.paper import CHAINS, PaperRecipe, table_one, train_paper
+from drake_oa.training.paper import PaperRecipe, table_one, train_paper
+from drake_oa.training.paper_set import CHAINS
 from drake_oa.training.released_method import PaperLattice
 
 FULL = PaperLattice()

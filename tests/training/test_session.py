@@ -6,11 +6,14 @@ import torch
 
 from drake_oa.app.main import main
 from drake_oa.regulation.regressor import load_chain
+from drake_oa.scenario.shipped import package_file
 from drake_oa.training import session
 from drake_oa.training.chain import train_chain
+from drake_oa.training.confidence import ConfidenceRecipe
 from drake_oa.training.dataset import Exploration
 from drake_oa.training.networks import Round
-from drake_oa.training.paper import CHAINS, PaperRecipe
+from drake_oa.training.paper import PaperRecipe
+from drake_oa.training.paper_set import CHAINS
 from drake_oa.training.released_method import PaperLattice
 from drake_oa.training.validation import validate
 
@@ -36,6 +39,8 @@ def small(monkeypatch):
     lattice = PaperLattice(*(axis[[1, -1]] for axis in full[:2]), *(a[1::12] for a in full[2:]))
     rounds = {name: ((Round(2, 50),),) * 3 for name in CHAINS}
     monkeypatch.setattr(session, "PaperRecipe", lambda: PaperRecipe(lattice, rounds))
+    few = ConfidenceRecipe(scenes=200, held_out=200, epochs=2, batch=50)
+    monkeypatch.setattr(session, "ConfidenceRecipe", lambda: few)
 
 
 def test_the_project_recipe_writes_a_file_that_loads(small, tmp_path, capsys):
@@ -55,6 +60,18 @@ def test_the_paper_recipe_writes_two(small, tmp_path, capsys):
     assert load_chain(tmp_path / "paper_chain.safetensors").lower.size == 3
     assert load_chain(tmp_path / "paper_chain_unconstrained.safetensors").lower.size == 2
     assert "| RC(lambda', Delta) | alpha |" in capsys.readouterr().out
+
+
+def test_the_confidence_is_added_to_the_shipped_chain(small, tmp_path, capsys):
+    command = ["train", "--recipe", "confidence", "--out", str(tmp_path), "--seed", "5"]
+    assert main([*command, "--iterations", "1"]) == 0
+    found = load_chain(tmp_path / session.RUNNING_FILE)
+    shipped = load_chain(package_file(f"package://drake_oa/weights/{session.RUNNING_FILE}"))
+    told = found.metadata["confidence"]
+    assert (told["seed"], told["epochs"]) == (5, 1)
+    inputs = np.random.default_rng(0).uniform(shipped.lower, shipped.upper)[None]
+    np.testing.assert_array_equal(found.evaluate(inputs), shipped.evaluate(inputs))
+    assert capsys.readouterr().out.count("| in_range |") == 1
 
 
 def test_an_interrupted_training_says_how_to_go_on_and_does(small, tmp_path, monkeypatch, capsys):

@@ -15,7 +15,7 @@ from pydrake.systems.primitives import ConstantValueSource
 from pydrake.systems.sensors import CameraInfo
 
 from drake_oa.common.messages import PolicyState, Route
-from drake_oa.viewing.meshcat_overlay import MeshcatOverlay, dress_scene
+from drake_oa.viewing.meshcat_overlay import MeshcatOverlay, SeenRange, dress_scene
 from tests.builders import balls
 
 PERIOD = 0.1
@@ -220,12 +220,21 @@ def test_an_empty_cloud_is_no_fault(meshcat, points):
 
 
 def test_frustum_needs_camera_and_pose(meshcat):
-    info = CameraInfo(width=640, height=480, fov_y=0.8)
-    simulator(meshcat, camera_info=info).Initialize()
+    seen = {"camera_pose": SeenRange(CameraInfo(width=640, height=480, fov_y=0.8))}
+    simulator(meshcat, cameras=seen).Initialize()
     assert not meshcat.HasPath(f"{ROOT}/camera")
     pose = Value(RigidTransform([1.0, 0.0, 1.0]))
-    simulator(meshcat, camera_info=info, more=[("camera_pose", pose)]).Initialize()
+    simulator(meshcat, cameras=seen, more=[("camera_pose", pose)]).Initialize()
     assert meshcat.HasPath(f"{ROOT}/camera/frustum")
+
+
+def test_each_camera_has_a_frustum(meshcat):
+    info = CameraInfo(width=640, height=480, fov_y=0.8)
+    seen = {"camera_pose_left": SeenRange(info), "camera_pose_right": SeenRange(info, 0.5, 2.0)}
+    poses = [(name, Value(RigidTransform([x, 0.0, 1.0]))) for x, name in enumerate(seen)]
+    simulator(meshcat, cameras=seen, more=poses).Initialize()
+    assert meshcat.HasPath(f"{ROOT}/camera/frustum")
+    assert meshcat.HasPath(f"{ROOT}/camera_2/frustum")
 
 
 def test_recording_goes_into_one_page(meshcat):

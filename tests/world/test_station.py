@@ -8,6 +8,7 @@ from drake_oa.common.config import ScenarioError
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotPlant, home_positions, tool_corners
 from drake_oa.scenario.loading import load_scenario
+from drake_oa.scenario.sources import noise_seed
 from drake_oa.world.station import Station, make_station
 
 
@@ -39,6 +40,14 @@ def test_the_camera_is_made_only_where_something_renders() -> None:
     # No publisher that would render each frame anew.
     names = [type(system).__name__ for system in builder.GetSystems()]
     assert not any("Lcm" in name or "ImageToLcm" in name for name in names)
+
+
+def test_each_camera_that_perception_sees_by_has_noise_of_its_own() -> None:
+    scenario = load_scenario("two_cameras")
+    seeds = [noise_seed(scenario, name) for name in ("left", "right")]
+    assert seeds[0] == scenario.seed
+    assert seeds[1] != seeds[0]
+    assert noise_seed(load_scenario("tabletop_box"), "camera") == 0
 
 
 def test_the_tool_frame_is_at_the_fingertips(panda: RobotPlant) -> None:

@@ -6,7 +6,8 @@ nothing of it is part of this package. Out: the same results and figures as of `
 block for each set and one for all.
 
     problems   the archive, read where it lies, and what a problem says: boxes and cylinders in the
-               frame of the robot's base [m], joints at start and goal [rad]
+               world [m], joints at start and goal [rad]
+    robots     the Panda, and the UR5 with its gripper, where they stand in the problems' world
     scenes     a problem as a scenario: the tool's straight motion from start to goal, 5 s, in the
                world frame, the posture led from the start's joints to the goal's
     suite      a set of problems as a suite of `studies.panda.evaluation`, and what success is

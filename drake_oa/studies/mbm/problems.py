@@ -3,8 +3,8 @@
 C. Chamzas et al., "MotionBenchMaker: A Tool to Generate and Benchmark Motion Planning Datasets",
 RA-L 7(2), 2022; the data is BSD-3-Clause, Rice University. The repository of VAMP (Kavraki Lab)
 carries them as .tar.bz2. In it are folders `<set>_<robot>` with pairs of files of MoveIt,
-`scene0001.yaml` (boxes [x, y, z] and cylinders [height, radius] in the frame of the robot's
-base [m]) and `request0001.yaml` (joint values at start and goal [rad]).
+`scene0001.yaml` (boxes [x, y, z] and cylinders [height, radius] in the frame that the robot
+stands in, see `robots` [m]) and `request0001.yaml` (joint values at start and goal [rad]).
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Problem:
 
     Attributes:
         name: "<set>/scene<number>".
-        obstacles: in the frame of the robot's base.
+        obstacles: in the world.
         start: joint -> its value at the start [rad, m].
         goal: joint -> its value at the goal.
     """

@@ -15,19 +15,19 @@ from dataclasses import replace
 import numpy as np
 from pydrake.math import RollPitchYaw
 
-from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere, pose
 from drake_oa.perception.config import GroundTruth
-from drake_oa.robot.config import BasePose, Robot
+from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotPlant, make_robot_plant
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.safety.config import SupervisorParameters
-from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
+from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task import Task
 from drake_oa.scenario.task_joints import tool_pose
+from drake_oa.studies.cameras import with_two
 from drake_oa.studies.mbm.problems import Problem, ProblemText, parse_problem
 from drake_oa.studies.tally import Counts
 
@@ -35,30 +35,9 @@ DURATION = 5.0
 """Of the demonstrated motion [s]."""
 CLEARANCE, LEAST_CLEARANCE = 0.03, 1e-3
 """That is asked for where start and goal leave it, and where they leave none [m]."""
-PANDA = "panda"
-"""Name of the robot that scenarios have by default."""
 
 _FINGER_MARGIN = 1e-3
 """Fingers stay so far within their limits [m]: at a limit the plant's steps cost more."""
-
-
-def load_robot(name_or_file: str) -> Robot:
-    """The robot of a scenario, or the Panda.
-
-    Raises:
-        ScenarioError: if there is no such scenario, or it has no robot or moves its base: a
-            problem is posed about it.
-    """
-    if name_or_file == PANDA:
-        return Robot()
-    robot = load_scenario(name_or_file).robot
-    if robot is None:
-        raise ScenarioError(f"{name_or_file}: robot: is null; --robot takes its robot block")
-    if BasePose() != robot.X_WB:
-        raise ScenarioError(
-            f"{name_or_file}: robot.X_WB: must be left out; problems are posed in the base's frame"
-        )
-    return robot
 
 
 def robot_text(robot: Robot) -> str:
@@ -70,6 +49,12 @@ def draw_problem(text: ProblemText, robot: str) -> tuple[str, Counts]:
     """The scenario's text of a problem for the robot of a scenario's text; nothing is dropped."""
     scenario = problem_scenario(parse_problem(text), parse_scenario(robot).robot or Robot())
     return scenario_text(scenario), {}
+
+
+def draw_seen_problem(text: ProblemText, robot: str) -> tuple[str, Counts]:
+    """As `draw_problem`, seen by two cameras."""
+    scenario = problem_scenario(parse_problem(text), parse_scenario(robot).robot or Robot())
+    return scenario_text(with_two(scenario)), {}
 
 
 def problem_scenario(problem: Problem, robot: Robot) -> Scenario:

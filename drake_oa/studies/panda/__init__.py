@@ -16,10 +16,11 @@ straight tool motion of 0.5 to 1.0 m some link would make into an obstacle:
 Methods (`run`): the project's, the paper's, the motion without avoidance, and two peers that know
 the obstacles exactly:
 
-    differential_ik, peer   Drake's DifferentialInverseKinematicsSystem with collision constraints
-                            at the policy's period; ToolPose gives it the pose a moment ahead
-    planner                 OMPL's RRT-Connect (Kuffner and LaValle, ICRA 2000), timed among
-                            moving things by a search along its paths (Kant and Zucker, IJRR 1986)
+    differential_ik   Drake's DifferentialInverseKinematicsSystem with collision constraints at the
+                      policy's period; ToolPose gives it the pose a moment ahead
+    planner           OMPL's RRT-Connect (Kuffner and LaValle, ICRA 2000), timed among moving
+                      things by a search along its paths (Kant and Zucker, IJRR 1986)
+    peer              both on the station: what follows differential_ik, and a plan open loop
 
 `faults` runs one scenario under each fault instead: `python -m drake_oa.studies.panda.faults`.
 There is no block in the scenario: a study writes scenarios. Read `run.py` first.

@@ -16,6 +16,7 @@ from drake_oa.runs.motion_log import MotionLog, save_logs
 from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.studies.panda.run import (
+    PLANNED,
     PLANNER,
     TRUTH_ONLY,
     Criteria,
@@ -270,7 +271,7 @@ def _viewer() -> Meshcat:
 def _compile_kernels(calls: Sequence[Call]) -> None:
     """Runs the beginning of a scene by each method, so that the workers need not compile."""
     for text, method, sees, *_, criteria in {call[1]: call for call in calls}.values():
-        if method != PLANNER:
+        if method not in PLANNED:
             run_text(text, method, sees, _WARM_UP, False, criteria)
 
 

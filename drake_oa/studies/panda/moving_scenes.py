@@ -374,7 +374,7 @@ def _draw_way(random: np.random.Generator, along: FloatArray, *, bends: bool) ->
     if bends:
         turn = random.uniform(*_TURN) * random.choice([-1.0, 1.0])
         arc = min(random.uniform(*_RADIUS) * abs(turn), np.ptp(along))
-        begin = random.uniform(along.min(), along.max() - arc)
+        begin = random.uniform(along.min(), max(along.max() - arc, along.min()))
         heading += turn * np.clip((length - begin) / arc, 0.0, 1.0)
     steps = _FINE * np.stack([np.cos(heading), np.sin(heading)], axis=1)
     places = np.cumsum(steps, axis=0)

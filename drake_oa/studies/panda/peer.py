@@ -1,19 +1,30 @@
-"""A peer: Drake's differential inverse kinematics follows the pre-planned motion.
+"""Peers on the simulated station, whose joint commands one controller of Drake's follows.
 
-    goal -> dmp_integrator -> tool_pose -> desired_poses -> differential_ik
-    differential_ik -> commanded_position (integral), commanded_velocity (held)
-    commanded position and velocity -> controller -> actuation -> effort_limits -> plant
+Drake's differential inverse kinematics follows the pre-planned motion:
+
+    goal -> dmp_integrator [-> orientation_integrator] -> tool_pose -> desired_poses ->
+    differential_ik -> commanded_position (integral), commanded_velocity (held) -> commanded_state
+    [goal's joints ->] posture -> differential_ik
     commanded_position [+ where the moving obstacles are] -> differential_ik
 
-The program starts from the commanded positions, which the controller follows. Both are
-Drake's; `drake_oa.studies.panda.differential_ik` makes them from the scenario.
+Its program starts from the commanded positions; `drake_oa.studies.panda.differential_ik` makes it
+from the scenario. Or a path in the joints, which was planned before, is gone along open loop:
+
+    commanded_state
+
+with, of both,
+
+    commanded_state -> controller -> actuation -> effort_limits -> plant
 """
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import logging
 import math
+import os
+import sys
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -26,21 +37,34 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, OutputPort
 from pydrake.systems.primitives import (
     Adder,
+    AffineSystem,
     BusCreator,
     ConstantVectorSource,
     DiscreteTimeIntegrator,
     MatrixGain,
     Multiplexer,
     Saturation,
+    TrajectorySource,
     ZeroOrderHold,
 )
+from pydrake.trajectories import Trajectory
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray, HoldCause, PolicyState
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.faults import add_drivers
-from drake_oa.diagrams.policy import make_dmp, make_dmp_integrator, make_goal
+from drake_oa.diagrams.policy import (
+    add_orientation,
+    make_dmp,
+    make_dmp_integrator,
+    make_goal,
+    make_orientation_integrator,
+)
+from drake_oa.diagrams.posture import make_guide_follower
+from drake_oa.geometry.rotation import rotation_vector
 from drake_oa.policy.dmp import normalised_time
+from drake_oa.policy.orientation_dmp import exponential, rotation_matrix
+from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.motion_log import MotionEnd, MotionLog
 from drake_oa.runs.simulation import (
@@ -69,7 +93,9 @@ def build_differential_ik(
     Subsystems by name: plant, scene_graph, goal, dmp_integrator, tool_pose, desired_poses,
     differential_ik, posture, mover_<model instance>, commanded_position, commanded_velocity,
     commanded_state, controller, actuation, effort_limits, log_<signal>; where obstacles
-    move also positions_<model instance> and world_positions.
+    move also positions_<model instance> and world_positions; where the tool turns
+    orientation_integrator; where the joints at the goal are given posture_guide and
+    guide_follower.
 
     Args:
         scenario: with a robot; its perception is not used.
@@ -79,23 +105,79 @@ def build_differential_ik(
     Raises:
         ScenarioError: naming the field that does not fit.
     """
+    wires, station = _begun(scenario, q_start)
+    position, velocity = _wire_command(wires, scenario, station, q_start, parameters)
+    command = wires.builder.AddNamedSystem("commanded_state", Multiplexer([len(q_start)] * 2))
+    wires.builder.Connect(position, command.get_input_port(0))
+    wires.builder.Connect(velocity, command.get_input_port(1))
+    return _finished(wires, scenario, station, command.get_output_port(), parameters, METHOD)
+
+
+def build_joint_path(
+    scenario: Scenario, path: Trajectory, parameters: peer.PeerParameters
+) -> Diagram:
+    """Wires a motion in the joints, which is gone along open loop, on a scenario's station.
+
+    Subsystems by name: plant, scene_graph, goal, dmp_integrator, commanded_state, controller,
+    actuation, effort_limits, log_<signal>; where the tool turns orientation_integrator.
+
+    Args:
+        scenario: with a robot; its perception is not used. Of its motion only the time counts.
+        path: (nq, 1) positions of the robot over time [s].
+        parameters: of which the controller's are used.
+
+    Raises:
+        ScenarioError: naming the field that does not fit.
+    """
+    wires, station = _begun(scenario, path.value(0.0)[:, 0])
+    _wire_motion(wires, scenario)
+    command = wires.builder.AddNamedSystem(
+        "commanded_state", TrajectorySource(path, output_derivative_order=1)
+    )
+    return _finished(wires, scenario, station, command.get_output_port(), parameters, OPEN_LOOP)
+
+
+def _begun(scenario: Scenario, q_start: FloatArray) -> tuple[Wires, Station]:
+    """The station with its robot at the start."""
     if scenario.robot is None:
-        raise ScenarioError("robot: differential inverse kinematics needs one; it is null")
+        raise ScenarioError("robot: a peer needs one; it is null")
     builder = DiagramBuilder()
     station = make_station(builder, scenario, render=False)
     station.plant.SetDefaultPositions(station.robot, q_start)
     wires = Wires(builder)
     wires.offer("plant_state", station.plant.get_state_output_port())
     add_drivers(wires, scenario, station)
-    position, velocity = _wire_command(wires, scenario, station, q_start, parameters)
+    return wires, station
+
+
+def _finished(
+    wires: Wires,
+    scenario: Scenario,
+    station: Station,
+    command: OutputPort,
+    parameters: peer.PeerParameters,
+    name: str,
+) -> Diagram:
+    """The diagram, the robot's controller following commanded positions and velocities."""
+    plant = station.plant
     # The arm's dynamics are its own: of driven obstacles the controller need not know.
-    alone = station.plant.num_positions() == len(q_start)
-    model = station.plant if alone else make_robot_plant(scenario.robot).plant
-    _wire_controller(wires, station, model, position, velocity, parameters)
+    alone = plant.num_positions() == plant.num_positions(station.robot)
+    model = plant if alone or scenario.robot is None else make_robot_plant(scenario.robot).plant
+    _wire_controller(wires, station, model, command, parameters)
     wires.connect()
-    diagram = builder.Build()
-    diagram.set_name("differential_ik")
+    diagram = wires.builder.Build()
+    diagram.set_name(name)
     return diagram
+
+
+def _wire_motion(wires: Wires, scenario: Scenario) -> None:
+    """The pre-planned motion, and where the tool turns that of its orientation."""
+    wires.add("goal", make_goal(scenario), offers={"y0": "goal"})
+    wires.add("dmp_integrator", make_dmp_integrator(scenario))
+    wires.log("goal", "desired_position", "desired_velocity", "desired_acceleration", "phase")
+    orientation = make_orientation_integrator(scenario)
+    if orientation is not None:
+        add_orientation(wires, orientation)
 
 
 def _wire_positions(
@@ -135,10 +217,7 @@ def _wire_command(
         raise ScenarioError("robot: differential inverse kinematics needs one; it is null")
     period = scenario.policy.period
     builder = wires.builder
-    wires.add("goal", make_goal(scenario), offers={"y0": "goal"})
-    wires.add("dmp_integrator", make_dmp_integrator(scenario))
-    wires.log("goal", "desired_position", "desired_velocity", "desired_acceleration", "phase")
-
+    _wire_motion(wires, scenario)
     R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix()
     look_ahead = peer.look_ahead(period, parameters)
     pose = wires.add("tool_pose", ToolPose(R_WE, look_ahead=look_ahead))
@@ -152,10 +231,8 @@ def _wire_command(
     wires.take(pose.get_output_port().get_name(), poses.get_input_port(0))
     builder.Connect(poses.get_output_port(), ik.GetInputPort("desired_cartesian_poses"))
     orders = peer.position_orders(checker.plant(), scenario)
-    # The obstacles have none: of their zeros nothing is asked.
-    q_posture = next(iter(orders.values())) @ peer.posture(robot, q_start)
-    posture = builder.AddNamedSystem("posture", ConstantVectorSource(q_posture))
-    builder.Connect(posture.get_output_port(), ik.GetInputPort("nominal_posture"))
+    _wire_posture(wires, scenario, q_start, next(iter(orders.values())))
+    wires.take("nominal_posture", ik.GetInputPort("nominal_posture"))
 
     position = builder.AddNamedSystem(
         "commanded_position", DiscreteTimeIntegrator(len(q_start), period)
@@ -168,25 +245,52 @@ def _wire_command(
     return position.get_output_port(), velocity.get_output_port()
 
 
+def _wire_posture(wires: Wires, scenario: Scenario, q_start: FloatArray, order: FloatArray) -> None:
+    """The posture of the start, or what leads from it to the goal's joints where they are given.
+
+    Args:
+        wires: offers nominal_posture.
+        scenario: with a robot.
+        q_start: (n,) all positions of the robot at the start.
+        order: (nq, n) matrix that takes them to their places in the plant's.
+    """
+    robot = scenario.robot or Robot()
+    # The obstacles have none: of their zeros nothing is asked.
+    rest = order @ peer.posture(robot, q_start)
+    made = make_guide_follower(scenario, q_start)
+    if made is None:
+        wires.add("posture", ConstantVectorSource(rest), offers={"y0": "nominal_posture"})
+        return
+    follower, guide = made
+    wires.add("posture_guide", guide, offers={"y0": "guided_posture"})
+    wires.add("guide_follower", follower, reads={"motion": "guided_posture", "evading": None})
+    n = len(robot.q_seed)
+    of_arm, none = order[:, :n], np.zeros((0, 0))
+    whole = AffineSystem(
+        A=none,
+        B=np.zeros((0, 2 * n)),
+        f0=np.zeros(0),
+        C=np.zeros((len(order), 0)),
+        D=np.hstack([of_arm, np.zeros_like(of_arm)]),
+        y0=rest - of_arm @ q_start[:n],
+    )
+    wires.add("posture", whole, reads={"u0": "desired_posture"}, offers={"y0": "nominal_posture"})
+
+
 def _wire_controller(
     wires: Wires,
     station: Station,
     model: MultibodyPlant,
-    position: OutputPort,
-    velocity: OutputPort,
+    command: OutputPort,
     parameters: peer.PeerParameters,
 ) -> None:
-    """From the commanded positions and velocities to the plant, and back; model: of the robot."""
+    """From commanded positions and velocities to the plant, and back; model: of the robot."""
     builder = wires.builder
     plant = station.plant
     state = plant.get_state_output_port(station.robot)
-    n = position.size()
-    command = builder.AddNamedSystem("commanded_state", Multiplexer([n, n]))
-    builder.Connect(position, command.get_input_port(0))
-    builder.Connect(velocity, command.get_input_port(1))
     controller = builder.AddNamedSystem("controller", peer.make_joint_controller(model, parameters))
     builder.Connect(state, controller.get_input_port_estimated_state())
-    builder.Connect(command.get_output_port(), controller.get_input_port_desired_state())
+    builder.Connect(command, controller.get_input_port_desired_state())
     actuation = builder.AddNamedSystem("actuation", MatrixGain(model.MakeActuationMatrix().T))
     effort = model.GetEffortUpperLimits()
     limits = builder.AddNamedSystem("effort_limits", Saturation(-effort, effort))
@@ -199,7 +303,7 @@ def _wire_controller(
 
 
 class ToolPose(LeafSystem):
-    """The pose that a moving tool has a moment later, with an orientation that stays.
+    """The pose that a moving tool has a moment later.
 
     .. pydrake_system::
 
@@ -207,13 +311,18 @@ class ToolPose(LeafSystem):
       input_ports:
       - desired_position
       - desired_velocity
+      - desired_orientation (optional)
+      - desired_angular_velocity (optional)
       output_ports:
       - desired_pose
 
     - desired_position: (3,) p_WE [m].
     - desired_velocity: (3,) v_WE [m/s].
-    - desired_pose: abstract `RigidTransform` X_WE: p_WE + look_ahead v_WE, and the
-      orientation given once.
+    - desired_orientation (optional): (4,) quaternion w, x, y, z of R_WE. Without it the
+      orientation is the one given once.
+    - desired_angular_velocity (optional): (3,) w_WE [rad/s].
+    - desired_pose: abstract `RigidTransform` X_WE: p_WE + look_ahead v_WE, and
+      exp(look_ahead w_WE) R_WE.
 
     There is no state.
     """
@@ -222,7 +331,7 @@ class ToolPose(LeafSystem):
         """Declares the ports.
 
         Args:
-            R_WE: orientation of the tool.
+            R_WE: orientation of the tool where none is connected.
             look_ahead: how much later [s]; finite.
 
         Raises:
@@ -235,23 +344,29 @@ class ToolPose(LeafSystem):
         self._look_ahead = float(look_ahead)
         self._position = self.DeclareVectorInputPort("desired_position", 3)
         self._velocity = self.DeclareVectorInputPort("desired_velocity", 3)
+        self._orientation = self.DeclareVectorInputPort("desired_orientation", 4)
+        self._turning = self.DeclareVectorInputPort("desired_angular_velocity", 3)
         self.DeclareAbstractOutputPort(
-            "desired_pose",
-            lambda: Value(RigidTransform()),
-            self._calc_pose,
-            prerequisites_of_calc={self._position.ticket(), self._velocity.ticket()},
+            "desired_pose", lambda: Value(RigidTransform()), self._calc_pose
         )
 
     def _calc_pose(self, context: Context, output: AbstractValue) -> None:
         ahead = self._position.Eval(context) + self._look_ahead * self._velocity.Eval(context)
-        output.set_value(RigidTransform(self._R_WE, ahead))
+        R_WE = self._R_WE
+        if self._orientation.HasValue(context):
+            R = rotation_matrix(self._orientation.Eval(context))
+            if self._turning.HasValue(context):
+                turn = exponential(self._look_ahead * self._turning.Eval(context))
+                R = rotation_matrix(turn) @ R
+            R_WE = RotationMatrix(R)
+        output.set_value(RigidTransform(R_WE, ahead))
 
 
 STUCK_TIME = 1.0
 """A tool that stands still for this long after the planned motion is over is stuck [s]."""
 STUCK_DISTANCE = 1e-3
 """It stands still while it stays this near to where it was [m]."""
-METHOD = "DifferentialInverseKinematics"
+METHOD, OPEN_LOOP = "DifferentialInverseKinematics", "JointPath"
 """The log's `regulation`."""
 NO_VELOCITY = "held: no joint velocity keeps the distances"
 """The note while the program has no solution: Drake then commands no velocity."""
@@ -259,8 +374,8 @@ _AT_REST = 1e-5
 """A command of exactly zero is no solution while the tool is asked further than this [m]."""
 
 
-class _PeerWatcher(MotionWatcher):
-    """Looks after each step at what was commanded and where the tool is; ends the run."""
+class _ToolWatcher(MotionWatcher):
+    """Looks after each step at where the tool is, and ends the run."""
 
     def __init__(
         self,
@@ -272,11 +387,17 @@ class _PeerWatcher(MotionWatcher):
         latest_time: float | None,
     ) -> None:
         super().__init__(diagram, scenario, end_time, on_progress, latest_time=latest_time)
-        self._command = diagram.GetSubsystemByName("commanded_velocity")
         self._duration = make_dmp(scenario).duration
         self._recent: deque[tuple[float, FloatArray]] = deque()
+        self._command = None
+        if diagram.HasSubsystemNamed("differential_ik"):
+            self._command = diagram.GetSubsystemByName("commanded_velocity")
 
-    def _record(self, root: Context, now: float, policy: PolicyState) -> None:
+    def _record(
+        self, root: Context, now: float, policy: PolicyState, supervision: Supervision
+    ) -> None:
+        if self._command is None:
+            return
         lag = math.dist(policy.p_WE, self._tool_point(root, policy))
         command = self._command.get_output_port().Eval(self._command.GetMyContextFromRoot(root))
         held = lag > _AT_REST and not command.any()
@@ -322,17 +443,28 @@ class _PeerWatcher(MotionWatcher):
 
 
 @contextlib.contextmanager
-def _without_solver_warnings() -> Iterator[None]:
-    """Drake warns at every step that has no solution; the log has one note for them all."""
+def _without_solver_messages() -> Iterator[None]:
+    """Drake warns at every step that has no solution; the log has one note for them all.
+
+    And OSQP prints wherever no constraint is active, as of an arm whose joints all move.
+    """
 
     def is_other(record: logging.LogRecord) -> bool:
         return "QP failed to solve" not in record.getMessage()
 
     logger = logging.getLogger("drake")
     logger.addFilter(is_other)
+    sys.stdout.flush()
+    out, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
     try:
         yield
     finally:
+        # What is printed from C waits in a buffer of its own.
+        ctypes.CDLL(None).fflush(None)
+        os.dup2(out, 1)
+        os.close(out)
+        os.close(nowhere)
         logger.removeFilter(is_other)
 
 
@@ -374,9 +506,64 @@ def simulate_differential_ik(
     root = simulator.get_mutable_context()
     integral = diagram.GetSubsystemByName("commanded_position")
     integral.set_integral_value(integral.GetMyMutableContextFromRoot(root), q_start)
+    with _without_solver_messages():
+        return _run(scenario, simulator, METHOD, duration, on_progress)
+
+
+def simulate_joint_path(
+    scenario: Scenario,
+    path: Trajectory,
+    *,
+    duration: float | None = None,
+    on_progress: Callable[[float, float], None] | None = None,
+    parameters: PeerParameters | None = None,
+) -> MotionLog:
+    """Goes along a motion in the joints open loop, until the goal, a standstill or the time limit.
+
+    Its end is as that of `simulate_differential_ik`, the planned duration being the path's.
+
+    Args:
+        scenario: with a robot; its perception and regulation are not used.
+        path: (nq, 1) positions of the robot over time, from 0 s.
+        duration: time limit [s]; None: `LONGEST_SCALING` durations of the path.
+        on_progress: called with time [s] and phase, a few hundred times a second.
+        parameters: of which the controller's are used; None: the defaults.
+
+    Returns:
+        The log; `regulation` is `OPEN_LOOP`, its desired motion the demonstration, which takes
+        as long as the path.
+
+    Raises:
+        ScenarioError: if the scenario has no robot.
+        MotionInterruptedError: as `simulate_differential_ik` does.
+    """
+    scenario = replace(scenario, task=replace(scenario.task, duration=path.end_time()))
+    diagram = build_joint_path(scenario, path, parameters or PeerParameters())
+    return _run(scenario, Simulator(diagram), OPEN_LOOP, duration, on_progress)
+
+
+def _run(
+    scenario: Scenario,
+    simulator: Simulator,
+    regulation: str,
+    duration: float | None,
+    on_progress: Callable[[float, float], None] | None,
+) -> MotionLog:
     end_time = make_dmp(scenario).duration * LONGEST_SCALING if duration is None else duration
-    watcher = _PeerWatcher(diagram, scenario, end_time, on_progress, latest_time=duration)
-    with _without_solver_warnings():
-        log = run_motion(scenario, simulator, watcher, modulated=True)
+    watcher = _ToolWatcher(
+        simulator.get_system(), scenario, end_time, on_progress, latest_time=duration
+    )
+    log = run_motion(scenario, simulator, watcher, modulated=True)
     saturated = (np.abs(log.torque) >= log.effort_limit).any(axis=1).astype(float)
-    return replace(log, regulation=METHOD, saturated=saturated)
+    log = replace(log, regulation=regulation, saturated=saturated)
+    if not len(log.desired_orientation) or scenario.robot is None:
+        return log
+    robot_plant = make_robot_plant(scenario.robot)
+    plant, context = robot_plant.plant, robot_plant.plant.CreateDefaultContext()
+    left = np.zeros((len(log.t), 3))
+    for row, q in enumerate(log.q):
+        plant.SetPositions(context, robot_plant.instance, q)
+        R_WE = robot_plant.tool_frame.CalcPoseInWorld(context).rotation().matrix()
+        desired = rotation_matrix(log.desired_orientation[row])
+        left[row] = rotation_vector(np.ascontiguousarray(desired @ R_WE.T))
+    return replace(log, orientation_error=left)

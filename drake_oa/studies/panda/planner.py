@@ -15,7 +15,8 @@ configurations and instants finds the earliest arrival after which the robot can
 goal until all courses have ended. That finds no motion which none of these paths carries: what
 it solves has a solution, what it does not solve may have one.
 
-The same scenario, seed and limits give the same plan: the limits count states, not seconds.
+The same scenario, seed and limits give the same plan: the limits count states, not seconds. A plan
+among what rests can be executed: `rest_to_rest` gives it a time law that an arm can follow.
 
 Needs the extra `peers`: pip install 'drake_oa[peers]'.
 """
@@ -33,8 +34,10 @@ from typing import Any
 import numpy as np
 from pydrake.math import RotationMatrix
 from pydrake.systems.framework import DiagramBuilder
+from pydrake.trajectories import PiecewisePolynomial
 
 from drake_oa.common.messages import FloatArray
+from drake_oa.policy.dmp import minimum_jerk_share
 from drake_oa.runs.metrics import path_length, robot_metrics
 from drake_oa.runs.motion_log import MotionEnd
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle, last_change
@@ -60,6 +63,10 @@ _SAME = 0.05
 """Configurations nearer than this to another are not kept [rad]."""
 _SPEED = 0.5
 """Share of the joints' greatest speeds that a plan uses."""
+_REACHED = 0.5
+"""An executed plan does not accelerate more than to that share within this time [s]."""
+_SAMPLED = 0.02
+"""Between the knots of an executed plan [s]."""
 _TICK = 0.05
 """Of the grid of time [s]."""
 _INSTANTS = (1.0, 0.0, 0.5, 0.25, 0.75)
@@ -77,12 +84,14 @@ class Plan:
         t: (T,) when [s].
         reason: "" or why there is no motion.
         states: how many were looked at.
+        speeds: (n,) greatest speeds of the arm's joints [rad/s].
     """
 
     q: FloatArray
     t: FloatArray
     reason: str
     states: int
+    speeds: FloatArray
 
 
 class _Counted:
@@ -108,7 +117,7 @@ def _ompl(module: str) -> Any:
         if (error.name or "").partition(".")[0] != "ompl":
             raise
         raise ValueError(
-            "the method planner needs the package ompl: pip install 'drake_oa[peers]'"
+            "a planner needs the package ompl: pip install 'drake_oa[peers]'"
         ) from error
 
 
@@ -153,14 +162,14 @@ def plan_motion(
         path, reason = _connect(cell, is_free, q_start, goals, states or STATES, seed)
         if path is None:
             return _no_plan(cell, reason, is_free.count)
-        return Plan(path, _paced(cell, path), "", is_free.count)
+        return Plan(path, _paced(cell, path), "", is_free.count, cell.arm_speeds)
     reason = "no path found"
     for path in _candidates(
         cell, scenario.obstacles, is_free, q_start, goals, goal, states or MOVING_STATES, seed
     ):
         found = _in_time(cell, scenario.obstacles, path, clearance)
         if found is not None:
-            return Plan(*found, "", is_free.count)
+            return Plan(*found, "", is_free.count, cell.arm_speeds)
         reason = "no timing found along the paths"
     return _no_plan(cell, reason, is_free.count)
 
@@ -171,7 +180,8 @@ def scenario_without_obstacles(scenario: Scenario) -> Scenario:
 
 
 def _no_plan(cell: PlanningScene, reason: str, states: int) -> Plan:
-    return Plan(np.empty((0, cell.num_positions)), np.empty(0), reason, states)
+    q = np.empty((0, cell.num_positions))
+    return Plan(q, np.empty(0), reason, states, cell.arm_speeds)
 
 
 def _goal_positions(
@@ -282,6 +292,41 @@ def _paced(cell: PlanningScene, path: FloatArray) -> FloatArray:
     speeds = _SPEED * cell.arm_speeds
     steps = np.abs(np.diff(path[:, : len(speeds)], axis=0)) / speeds
     return np.concatenate([[0.0], np.cumsum(steps.max(axis=1))])
+
+
+def rest_to_rest(path: FloatArray, speeds: FloatArray) -> PiecewisePolynomial:
+    """A path in the joints as a motion that comes to rest at each corner, and so leaves it nowhere.
+
+    Each straight piece is a minimum-jerk motion on which no joint exceeds `_SPEED` of its speed,
+    or accelerates more than to that within `_REACHED`.
+
+    Args:
+        path: (T, nq) positions of the robot, the arm's first [rad, m].
+        speeds: (n,) greatest speeds of the arm's joints [rad/s].
+
+    Returns:
+        (nq, 1) positions over time, from 0 s.
+    """
+    steps = np.diff(path, axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    steps, path = steps[lengths > 0.0], np.append(path[:1], path[1:][lengths > 0.0], axis=0)
+    if not len(steps):
+        raise ValueError("a path of one configuration is no motion")
+    ways = steps / np.linalg.norm(steps, axis=1, keepdims=True)
+    turns = 1 + np.flatnonzero(np.linalg.norm(np.diff(ways, axis=0), axis=1) > 1e-6)
+    corners = path[[0, *turns, len(path) - 1]]
+    times, positions, begin = [np.zeros(1)], [corners[:1]], 0.0
+    for one, other in pairwise(corners):
+        # Of minimum jerk: greatest speed 15/8 and acceleration 10/sqrt(3) for 1 in 1 s.
+        share = (np.abs(other - one)[: len(speeds)] / (_SPEED * speeds)).max()
+        seconds = max(1.875 * share, math.sqrt(10.0 / math.sqrt(3.0) * share * _REACHED))
+        s = np.linspace(0.0, 1.0, max(math.ceil(seconds / _SAMPLED), 4) + 1)[1:]
+        times.append(begin + seconds * s)
+        positions.append(one + minimum_jerk_share(s)[:, None] * (other - one))
+        begin += seconds
+    return PiecewisePolynomial.CubicShapePreserving(
+        np.concatenate(times), np.concatenate(positions).T, zero_end_point_derivatives=True
+    )
 
 
 def _candidates(

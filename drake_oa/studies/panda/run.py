@@ -15,6 +15,8 @@ Methods:
                    the same asked for 3 cm: most of its motions arrive with that
   planner          a sampling-based planner that knows the obstacles exactly, to tell which
                    scenes have a solution at all: see `planner`
+  planner_executed its plan, gone along open loop by Drake's inverse dynamics controller from
+                   corner to corner; only among what rests. Planning takes no time
 
 Contacts are judged by SceneGraph at every logged instant (4 ms apart) until everything has
 been at rest for a second: each link, the hand and the fingers against obstacles, table and each
@@ -39,20 +41,22 @@ from typing import Any
 
 import numpy as np
 
-from drake_oa.perception.config import GroundTruth
-from drake_oa.regulation.config import Regressor, Verified
+from drake_oa.regulation.config import Paper, Verified
 from drake_oa.runs.decision_costs import layer_costs
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.report import feasible_clearance_of, judge_of, motion_report
 from drake_oa.runs.simulation import AT_GOAL, MotionInterruptedError, simulate
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.studies.panda.differential_ik import PeerParameters
-from drake_oa.studies.panda.scenes import check_perception
+from drake_oa.studies.panda.scenes import seen_by
 
-PLANNER = "planner"
+PLANNER, PLANNER_EXECUTED = "planner", "planner_executed"
+PLANNED = frozenset({PLANNER, PLANNER_EXECUTED})
+"""Methods that plan before anything is simulated, if it is, and need OMPL."""
+DIFFERENTIAL_IK = frozenset({"differential_ik", "differential_ik_near"})
 DEFAULT_METHODS = ("preplanned", "paper", "verified", "differential_ik", "differential_ik_near")
-METHODS = (*DEFAULT_METHODS, PLANNER)
-TRUTH_ONLY = frozenset({"differential_ik", "differential_ik_near", PLANNER})
+METHODS = (*DEFAULT_METHODS, PLANNER, PLANNER_EXECUTED)
+TRUTH_ONLY = DIFFERENTIAL_IK | PLANNED
 """Methods that know the obstacles exactly, whatever the perception."""
 
 
@@ -78,7 +82,11 @@ _KEPT = (
     "evasion_cost",
     "events",
 )
-"""What of `motion_report` a result holds."""
+"""What of `motion_report` a result holds,"""
+_JUDGED = ("beyond_limits", "moving_after")
+"""and what besides."""
+_MOVING = 0.02
+"""Share of its pace at which a motion has begun."""
 
 
 def default_methods(kind: str) -> tuple[str, ...]:
@@ -142,22 +150,13 @@ def check_panda_method(name: str) -> None:
         raise ValueError(f"unknown method {name!r}; panda has: {', '.join(METHODS)}")
 
 
-def with_perception(scenario: Scenario, perception: str) -> Scenario:
-    """The scenario as drawn with "depth", or with the obstacles as SceneGraph knows them."""
-    check_perception(perception)
-    scenario = copy.deepcopy(scenario)
-    if perception == "truth":
-        scenario.perception = GroundTruth()
-    return scenario
-
-
 def with_method(scenario: Scenario, method: str) -> Scenario:
     """The scenario as a method runs it."""
     check_panda_method(method)
     scenario = copy.deepcopy(scenario)
     if method == "paper":
-        scenario.regulation = Regressor()
-        scenario.policy.descriptor = "section"
+        scenario.regulation = Paper()
+        scenario.policy.fade = 0.0
         scenario.supervisor = None
     elif method == "verified" and not isinstance(scenario.regulation, Verified):
         scenario.regulation = Verified()
@@ -176,18 +175,18 @@ def run_and_judge(
 
     The result has `outcome` ("success", "contact" or "stopped"), `reason` (of what is no success:
     the stop reason with "#" for numbers), `failed` (whether it raised), and of `motion_report`
-    those of `_KEPT`; besides `wall_time` [s] and `real_time_factor` of the simulation. Of
-    `planner` see `run_planner`.
+    those of `_KEPT`; besides `moving_after`, `wall_time` [s] and `real_time_factor` of the
+    simulation. Of `planner` see `run_planner`.
 
     Args:
         scenario: the scene.
         method: one of `METHODS`.
-        perception: "depth" or "truth".
+        perception: one of `scenes.PERCEPTIONS`.
         duration: time limit of the run [s]; None: that of `simulate`.
         criteria: what is a success; None: the defaults.
     """
     criteria = criteria or Criteria()
-    scenario = with_method(with_perception(scenario, perception), method)
+    scenario = with_method(seen_by(scenario, perception), method)
     if method == PLANNER:
         return PandaRun(_plan(scenario, criteria), None)
     feasible, judge, failed = None, None, False
@@ -195,43 +194,76 @@ def run_and_judge(
         if method == "differential_ik":
             judge = judge_of(scenario)
             feasible = feasible_clearance_of(scenario, judge)
-        log = _simulate(scenario, method, duration, feasible)
+        log = _simulate(scenario, method, duration, feasible, criteria)
     except MotionInterruptedError as error:
         if isinstance(error.__cause__, KeyboardInterrupt):
             raise KeyboardInterrupt from error
         log, failed = error.log, True
         _logger.info("the run was cut short", exc_info=True)
+    except NoPlanError as error:
+        return PandaRun(_not_run(scenario, f"{error}", failed=False), None)
     except Exception as error:
         # A scene that cannot be run is a result like any other, and ends no other scene.
         _logger.info("the run could not start", exc_info=True)
-        return PandaRun(_not_run(scenario, error), None)
+        return PandaRun(_not_run(scenario, _said(error)), None)
     report = motion_report(scenario, log, feasible, judge)
     return PandaRun(_judged(scenario, log, report, failed, criteria), log)
 
 
+class NoPlanError(Exception):
+    """The planner says why there is nothing to execute."""
+
+
 def _simulate(
-    scenario: Scenario, method: str, duration: float | None, feasible: float | None
+    scenario: Scenario,
+    method: str,
+    duration: float | None,
+    feasible: float | None,
+    criteria: Criteria,
 ) -> MotionLog:
-    if method in TRUTH_ONLY:
+    if method in DIFFERENTIAL_IK:
         from drake_oa.studies.panda.peer import simulate_differential_ik
 
-        parameters = PeerParameters()
+        # No arm starts where it would have to keep more than it has.
+        asked = PeerParameters()
+        parameters = replace(asked, arm_distance=min(asked.arm_distance, scenario.task.clearance))
         if feasible is not None:
             parameters = replace(parameters, tool_distance=feasible)
         return simulate_differential_ik(scenario, duration=duration, parameters=parameters)
+    if method == PLANNER_EXECUTED:
+        return _execute_plan(scenario, duration, criteria)
     return simulate(scenario, modulated=method != "preplanned", duration=duration)
 
 
-def _plan(scenario: Scenario, criteria: Criteria) -> dict[str, Any]:
-    from drake_oa.studies.panda.planner import CLEARANCE, run_planner
+def _planning(scenario: Scenario, criteria: Criteria) -> dict[str, Any]:
+    """What the planner is asked for."""
+    from drake_oa.studies.panda.planner import CLEARANCE
 
     clearance = scenario.task.clearance if criteria.planner_asked else CLEARANCE
+    return {"clearance": clearance, "states": criteria.planner_states}
+
+
+def _execute_plan(scenario: Scenario, duration: float | None, criteria: Criteria) -> MotionLog:
+    from drake_oa.studies.panda.peer import simulate_joint_path
+    from drake_oa.studies.panda.planner import plan_motion, rest_to_rest
+
+    if any(item.driven for item in scenario.obstacles):
+        raise NoPlanError("a plan is executed only among obstacles that rest")
+    plan = plan_motion(scenario, **_planning(scenario, criteria))
+    if not len(plan.t):
+        raise NoPlanError(plan.reason)
+    return simulate_joint_path(scenario, rest_to_rest(plan.q, plan.speeds), duration=duration)
+
+
+def _plan(scenario: Scenario, criteria: Criteria) -> dict[str, Any]:
+    from drake_oa.studies.panda.planner import run_planner
+
     try:
-        found = run_planner(scenario, clearance=clearance, states=criteria.planner_states)
+        found = run_planner(scenario, **_planning(scenario, criteria))
     except Exception as error:
         _logger.info("the planner failed", exc_info=True)
-        return _not_run(scenario, error)
-    found = dict.fromkeys((*_KEPT, "beyond_limits")) | found
+        return _not_run(scenario, _said(error))
+    found = dict.fromkeys((*_KEPT, *_JUDGED)) | found
     return {**_outcome(found, False, criteria), "failed": False, **found}
 
 
@@ -243,7 +275,7 @@ def _judged(
     criteria: Criteria,
 ) -> dict[str, Any]:
     found = {key: report.get(key) for key in _KEPT}
-    found["beyond_limits"] = _beyond_limits(scenario, log)
+    found |= {"beyond_limits": _beyond_limits(scenario, log), "moving_after": moving_after(log)}
     return {
         **_outcome(found, failed, criteria),
         "failed": failed,
@@ -253,6 +285,16 @@ def _judged(
         "wall_time": log.wall_time,
         "real_time_factor": log.simulated_time / log.wall_time if log.wall_time > 0.0 else None,
     }
+
+
+def moving_after(log: MotionLog) -> float | None:
+    """When the motion first went at `_MOVING` of the pace that it reached [s]; None: never.
+
+    The goal is known at 0, and what decisions cost has passed.
+    """
+    rate = np.diff(-np.log(log.phase[log.moving])) / np.diff(log.t[log.moving])
+    goes = rate > _MOVING * rate.max(initial=0.0)
+    return float(log.t[log.moving][goes.argmax()]) if goes.any() else None
 
 
 def _beyond_limits(scenario: Scenario, log: MotionLog) -> float:
@@ -270,13 +312,16 @@ def _outcome(found: dict[str, Any], failed: bool, criteria: Criteria) -> dict[st
     return {"outcome": "stopped" if lacks else "success", "reason": plain_reason(lacks)}
 
 
-def _not_run(scenario: Scenario, error: Exception) -> dict[str, Any]:
-    reason = f"{type(error).__name__}: {error}".rstrip(": ")
+def _said(error: Exception) -> str:
+    return f"{type(error).__name__}: {error}".rstrip(": ")
+
+
+def _not_run(scenario: Scenario, reason: str, *, failed: bool = True) -> dict[str, Any]:
     return {
         "outcome": "stopped",
         "reason": plain_reason(reason),
-        "failed": True,
-        **dict.fromkeys((*_KEPT, "beyond_limits")),
+        "failed": failed,
+        **dict.fromkeys((*_KEPT, *_JUDGED)),
         "contacts": [],
         "self_contacts": [],
         "goal_error": math.dist(scenario.task.start, scenario.task.goal),

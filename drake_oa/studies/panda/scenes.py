@@ -29,6 +29,7 @@ import numpy as np
 
 from drake_oa.perception.config import GroundTruth
 from drake_oa.scenario.scenario import Scenario
+from drake_oa.studies.cameras import with_opposite
 from drake_oa.studies.panda.elbow_scenes import ELBOW_LIKE, draw_elbow
 from drake_oa.studies.panda.moving_scenes import draw_hard, draw_moving
 from drake_oa.studies.panda.scene_parts import LIKE, Drawn, base_scenario, drawing
@@ -37,7 +38,8 @@ from drake_oa.studies.tally import Tally
 
 GENERATOR = 1
 """To be raised when the same seed draws another scene."""
-PERCEPTIONS = ("depth", "truth")
+PERCEPTIONS = ("depth", "depth2", "truth")
+"""The depth camera of the scene, a second one opposite to it as well, or SceneGraph."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,8 @@ def draw_panda_scene(
         seed: of the evaluation, >= 0.
         index: of the scene, >= 0.
         kind: one of `KINDS`.
-        perception: "depth", the camera as the shipped scenarios have it, or "truth".
+        perception: "depth", the camera as the shipped scenarios have it, "depth2", a second one
+            opposite to it too, or "truth".
         tally: counts the candidates, and why they were dropped; None: nobody asks.
 
     Raises:
@@ -99,6 +102,15 @@ def draw_panda_scene(
     scenario.task.start = [round(float(v), 4) for v in start]
     scenario.task.goal = [round(float(v), 4) for v in goal]
     scenario.description = f"random {of_kind.title} scene {index} of seed {seed}"
+    return seen_by(scenario, perception)
+
+
+def seen_by(scenario: Scenario, perception: str) -> Scenario:
+    """A scenario as drawn with "depth", seen by that or by something else of `PERCEPTIONS`."""
+    check_perception(perception)
+    if perception == "depth2":
+        return with_opposite(scenario)
+    scenario = copy.deepcopy(scenario)
     if perception == "truth":
         scenario.perception = GroundTruth()
     return scenario

@@ -39,6 +39,8 @@ _COLUMNS = (
     ("goal_error_max", "goal error [mm]", "{:.2f}", 1e3),
     ("duration_median", "duration [s]", "{:.1f}", 1.0),
     ("duration_max", "most", "{:.1f}", 1.0),
+    ("moving_after_median", "asked to moving [ms]", "{:.0f}", 1e3),
+    ("moving_after_p95", "95 %", "{:.0f}", 1e3),
     ("decision_p99", "decision p99 [ms]", "{:.0f}", 1e3),
     ("decision_max", "most", "{:.0f}", 1e3),
     ("decision_share_over_period", "over a frame [%]", "{:.1f}", 1e2),
@@ -140,7 +142,8 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     runs that raised; `short_of_feasible`, in how many the tool came more than 1 mm nearer to what
     rests than start and goal leave of the asked clearance, `short_of_feasible_max` by how much,
     and `feasible_clearance_median`, what they leave [m]; `duration_median` and `duration_max` of
-    the motions, to where they arrived or were stopped [s]; `decision_cost`, what the
+    the motions, to where they arrived or were stopped [s]; `moving_after_median` and `_p95`, from
+    when the goal was asked for until the motion began [s]; `decision_cost`, what the
     regulation's decisions of all scenes cost (see `cost_figures`; None where they cost no time);
     `tool_clearance_min` and `robot_clearance_min` over all scenes, `tool_clearance_median` of
     the scenes' least ones [m]; `goal_error_max` over the scenes that were not stopped short,
@@ -170,6 +173,8 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "feasible_clearance_median": of(np.median, "feasible_clearance"),
         "duration_median": of(np.median, "duration"),
         "duration_max": of(max, "duration"),
+        "moving_after_median": of(np.median, "moving_after"),
+        "moving_after_p95": of(lambda times: np.percentile(times, 95.0), "moving_after"),
         "decision_cost": pooled_figures(runs),
         "failed": sum(bool(run["failed"]) for run in runs),
         "tool_clearance_min": of(min, "tool_clearance_min"),

@@ -61,6 +61,7 @@ def evaluate(
     on_progress: Callable[[str, int], None] = lambda name, count: None,
     on_method: Callable[[Mapping[str, Outcome]], None] = lambda outcomes: None,
     on_motions: Callable[[str, Motions], None] = lambda name, motions: None,
+    judged_among: Callable[[Scenes], Scenes] = lambda scenes: scenes,
 ) -> Evaluation:
     """Runs each method on all scenes in each case.
 
@@ -75,6 +76,7 @@ def evaluate(
         on_progress: told the method's name and how many scenes were judged since.
         on_method: told all outcomes after each method.
         on_motions: told the method's name and each batch of motions.
+        judged_among: of the scenes of a batch, those that its motions are judged among.
 
     Returns:
         The outcomes of the methods that were begun.
@@ -83,7 +85,9 @@ def evaluate(
     for name, method in methods.items():
         outcome = outcomes[name] = Outcome()
         try:
-            for part, motions in _judged_batches(outcome, scenes, cases, method, batch):
+            for part, motions in _judged_batches(
+                outcome, scenes, cases, method, batch, judged_among
+            ):
                 on_motions(name, motions)
                 on_progress(name, len(part))
             outcome.complete = True
@@ -99,7 +103,12 @@ def evaluate(
 
 
 def _judged_batches(
-    outcome: Outcome, scenes: Scenes, cases: Sequence[Case], method: Method, batch: int
+    outcome: Outcome,
+    scenes: Scenes,
+    cases: Sequence[Case],
+    method: Method,
+    batch: int,
+    judged_among: Callable[[Scenes], Scenes],
 ) -> Iterator[tuple[Judgement, Motions]]:
     """Runs and judges batch by batch, and notes each in the outcome."""
     size = min(_FIRST, batch)
@@ -111,7 +120,7 @@ def _judged_batches(
             begin = perf_counter()
             some = asked.rows(slice(done, done + size))
             motions = method(some, case.setting)
-            judged = judge(some, motions)
+            judged = judge(judged_among(some), motions)
             parts.append(judged)
             outcome.seconds += motions.seconds
             outcome.steps += motions.steps * len(some)

@@ -6,9 +6,11 @@ A method is a function `run(scenes, setting) -> Motions`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
+
+import numpy as np
 
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen
 from drake_oa.studies.scenes.scenes import Scenes
@@ -41,6 +43,8 @@ class Motions(Frozen):
             compilation excluded.
         in_range: (N,) whether the regressor chain was asked within its trained range; None:
             there is none, or it does not tell.
+        decisions: (N,) what each decision took, where they were made one after another [s].
+        rollouts: that they took in all.
     """
 
     path: FloatArray
@@ -48,6 +52,8 @@ class Motions(Frozen):
     duration: FloatArray
     seconds: float
     in_range: BoolArray | None = None
+    decisions: FloatArray = field(default_factory=lambda: np.zeros(0))
+    rollouts: int = 0
 
     def __len__(self) -> int:
         return len(self.path)

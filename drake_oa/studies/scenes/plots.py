@@ -40,28 +40,19 @@ def check_plot_file(path: Path) -> None:
 def plot_evaluation(
     path: Path,
     suite: str,
-    scenes: Scenes,
     cases: Sequence[Case],
     outcomes: Mapping[str, Outcome],
-    paths: Mapping[str, FloatArray],
-    terms: Sequence[Comparison] = (),
 ) -> None:
-    """Draws what the suite calls for, and writes it.
+    """Draws a suite: the paper's boxes of several cases, else histograms.
 
     Args:
         path: a file of one of `FORMATS`.
         suite: the suite's name.
-        scenes: the scenes.
         cases: the cases that were run.
         outcomes: name of a method -> its outcome; one that judged nothing is left out.
-        paths: for dead-zone, name of a method -> (N, S + 1, 3) paths [m].
-        terms: for dead-zone, both terms at several gains.
     """
     drawn = {name: outcome for name, outcome in outcomes.items() if len(outcome.of())}
-    if suite == "dead-zone":
-        figure = Figure(figsize=(11.0, 7.5), layout="constrained")
-        _dead_zone(figure, scenes, drawn, paths, terms)
-    elif len(cases) > 1:
+    if len(cases) > 1:
         figure = Figure(figsize=(12.0, 3.8 * max(len(drawn), 1)), layout="constrained")
         _boxes(figure, cases, drawn)
     else:
@@ -164,14 +155,24 @@ def _histograms(figure: Figure, suite: str, outcomes: Mapping[str, Outcome]) -> 
         axes[0, 0].legend()
 
 
-def _dead_zone(
-    figure: Figure,
+def plot_dead_zone(
+    path: Path,
     scenes: Scenes,
     outcomes: Mapping[str, Outcome],
     paths: Mapping[str, FloatArray],
     terms: Sequence[Comparison],
 ) -> None:
-    """Both terms over the heading; head-on paths; clearances over the obstacle's offset."""
+    """Draws both terms over the heading, head-on paths, and clearances over the offset.
+
+    Args:
+        path: a file of one of `FORMATS`.
+        scenes: the point obstacle's places.
+        outcomes: name of a method -> its outcome; one that judged nothing is left out.
+        paths: name of a method -> (N, S + 1, 3) paths [m].
+        terms: both terms at several gains.
+    """
+    outcomes = {name: outcome for name, outcome in outcomes.items() if len(outcome.of())}
+    figure = Figure(figsize=(11.0, 7.5), layout="constrained")
     rates, way, kept, alone = figure.subplots(2, 2).flat
     theta = np.linspace(-np.pi / 2, np.pi / 2, 1001)
     alpha, psi = matched_term(GAMMA)
@@ -214,3 +215,4 @@ def _dead_zone(
     for ax in (rates, way, kept, alone):
         if ax.get_legend_handles_labels()[1]:
             ax.legend(fontsize=8)
+    figure.savefig(path, dpi=150)

@@ -92,7 +92,7 @@ def draw_scenes(name: str, count: int | None = None, seed: int = 0) -> Scenes:
     """Scenes of a suite.
 
     Args:
-        name: a key of `SUITES`.
+        name: a key of `SUITES`, `FIGURES` or `SAMPLINGS`.
         count: how many, at least 1; None: the suite's default.
         seed: of the generator, at least 0.
 
@@ -115,9 +115,10 @@ def find_suite(name: str) -> Suite:
     Raises:
         ValueError: for an unknown name.
     """
-    if name not in SUITES:
+    known = SUITES | SAMPLINGS | _OF_FIGURES
+    if name not in known:
         raise ValueError(f"unknown suite {name!r}; valid: {', '.join(SUITES)}")
-    return SUITES[name]
+    return known[name]
 
 
 def _familiar(_: np.random.Generator, count: int) -> Scenes:
@@ -138,23 +139,38 @@ def _familiar(_: np.random.Generator, count: int) -> Scenes:
     return single_obstacle(1.0, center, np.column_stack([first, second, second]))
 
 
-def _boxed(rng: np.random.Generator, count: int, baseline: float, posed: bool) -> Scenes:
-    """Proposals in the paper's box; NaN centres where the obstacle is too long for it."""
+def _boxed(
+    rng: np.random.Generator,
+    count: int,
+    baseline: float,
+    posed: bool,
+    aside: float = _ASIDE,
+    own_extent: bool = True,
+) -> Scenes:
+    """Proposals in the paper's box; NaN centres where the obstacle is too long for it.
+
+    Without `own_extent` the margin is that of the longest obstacle, whatever the obstacle's own
+    extent, as in the released demo program: at the 0.5 m baseline all are midway.
+    """
     a = rng.uniform(*_SEMI_AXES, (count, 3))
     longest = 0.5 * baseline - MARGIN
     if longest < _SEMI_AXES[1]:
         a[:, 0] = rng.uniform(_SEMI_AXES[0], longest, count)
     R = random_rotations(rng, count) if posed else np.tile(np.eye(3), (count, 1, 1))
     extent = np.linalg.norm(R[:, 0] * a, axis=-1)
+    if not own_extent:
+        extent = np.full(count, min(longest, _SEMI_AXES[1]))
     room = baseline - 2.0 * (MARGIN + extent)
-    center = rng.uniform(-_ASIDE, _ASIDE, (count, 3))
+    center = rng.uniform(-aside, aside, (count, 3))
     center[:, 0] = MARGIN + extent + rng.random(count) * room
     # 1e-12: the longest one has no room but that of rounding.
     center[room < -1e-12] = np.nan
     return single_obstacle(baseline, center, a, R=R, clearance=CLEARANCE)
 
 
-def _single(posed: bool, limit: float) -> Callable[[np.random.Generator, int], Scenes]:
+def _single(
+    posed: bool, limit: float, aside: float = _ASIDE, own_extent: bool = True
+) -> Callable[[np.random.Generator, int], Scenes]:
     """Sampler of the paper's box whose straight line comes nearer than a limit."""
 
     def sample(rng: np.random.Generator, count: int) -> Scenes:
@@ -164,7 +180,7 @@ def _single(posed: bool, limit: float) -> Callable[[np.random.Generator, int], S
             lambda rng, n, L: accepted(
                 rng,
                 n,
-                lambda rng, k: _boxed(rng, k, L, posed),
+                lambda rng, k: _boxed(rng, k, L, posed, aside, own_extent),
                 lambda scenes: line_distance(scenes)[:, 0] < limit,
             ),
         )
@@ -315,14 +331,29 @@ def familiar_cases() -> tuple[Case, ...]:
     )
 
 
+SAMPLINGS: dict[str, Suite] = {
+    "printed": Suite(_single(False, CLEARANCE), 4000),
+    "demo": Suite(_single(False, CLEARANCE, own_extent=False), 4000),
+    "narrow": Suite(_single(False, CLEARANCE, aside=0.2, own_extent=False), 4000),
+    "near": Suite(_single(False, 0.1, own_extent=False), 4000),
+}
+"""Readings of the paper's novel scenes. printed: 5 cm from both ends to the obstacle's own extent;
+demo: to that of the longest, as in the released demo program; narrow: the same with centres within
+0.2 m aside, as there; near: as demo, with straight lines that come nearer than 0.1 m."""
+
 SUITES: dict[str, Suite] = {
-    "familiar": Suite(_familiar, 100, familiar_cases()),
-    "novel": Suite(_single(False, CLEARANCE), 4000),
+    "novel": SAMPLINGS["printed"],
     "posed": Suite(_single(True, CLEARANCE), 1000),
     "hit": Suite(_single(True, 0.0), 1000),
     "head-on": Suite(_head_on, 1000),
     "clutter": Suite(_clutter, 1000, bytes_per_scene=20_000),
     "moving": Suite(_moving, 1000),
-    "dead-zone": Suite(_dead_zone, 41, methods=("original", "paper")),
 }
 """Name of a suite -> the suite; `drake-oa evaluate --help` tells what each is."""
+
+FIGURES = {"familiar": "figure_familiar", "dead-zone": "figure_dead_zone"}
+"""Suites of the paper's figures, and their commands."""
+_OF_FIGURES = {
+    "familiar": Suite(_familiar, 100, familiar_cases(), methods=("paper",)),
+    "dead-zone": Suite(_dead_zone, 41, methods=("original", "paper")),
+}

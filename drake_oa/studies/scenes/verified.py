@@ -1,24 +1,28 @@
-"""The project's own method: the regressor chain's proposals, verified by roll-outs."""
+"""The project's own method: a network's proposals, verified by roll-outs."""
 
 from __future__ import annotations
 
 import math
 import time
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
 
-from drake_oa.common.messages import FloatArray, IntArray
+from drake_oa.common.messages import BoolArray, FloatArray, IntArray
 from drake_oa.regulation.config import SearchParameters
+from drake_oa.regulation.proposal_network import Layers, ProposalNetwork, load_proposals
+from drake_oa.regulation.proposals import NO_PRICE, TAU, ChainProposals, Proposer, draws
 from drake_oa.regulation.regressor import ChainWeights, load_chain
 from drake_oa.regulation.rollout import SpatialScenes
-from drake_oa.regulation.search import roll_out, verify
-from drake_oa.scenario.loading import package_file
+from drake_oa.regulation.search import SearchResult, roll_out, verify
+from drake_oa.scenario.shipped import package_file
 from drake_oa.studies.scenes.methods import Motions, Setting
 from drake_oa.studies.scenes.scenes import DURATION, Scenes, single_obstacle
 
-WEIGHTS = "package://drake_oa/weights/regressor_chain.safetensors"
+WEIGHTS = "package://drake_oa/weights/proposals.safetensors"
+CHAIN = "package://drake_oa/weights/regressor_chain.safetensors"
 SAMPLES = 500
 """Intervals in which the motions are handed over."""
 LEAST_CLEARANCE = 0.01
@@ -42,12 +46,12 @@ def run(scenes: Scenes, setting: Setting) -> Motions:
     Returns:
         The motions, from rest until they have arrived.
     """
-    return _run(scenes, setting, load_chain(package_file(WEIGHTS)))
+    return run_led(scenes, setting, PROPOSERS["trained"]())
 
 
 def run_constant(scenes: Scenes, setting: Setting) -> Motions:
-    """`run` with a chain that always proposes `CONSTANT`: what the trained networks add."""
-    return _run(scenes, setting, constant_chain(load_chain(package_file(WEIGHTS))))
+    """`run` led by a chain that always proposes `CONSTANT`: what the trained networks add."""
+    return run_led(scenes, setting, PROPOSERS["constant"]())
 
 
 def constant_chain(chain: ChainWeights) -> ChainWeights:
@@ -65,11 +69,72 @@ def constant_chain(chain: ChainWeights) -> ChainWeights:
     return replace(chain, networks=networks)
 
 
-def _run(scenes: Scenes, setting: Setting, chain: ChainWeights) -> Motions:
+@dataclass(frozen=True)
+class Anything:
+    """Proposes what is drawn all over the ranges of the genes, the same for every scene."""
+
+    spacing: float = 1.5
+
+    def propose(
+        self, scenes: SpatialScenes, duration: float, count: int, price: FloatArray = NO_PRICE
+    ) -> tuple[FloatArray, BoolArray]:
+        """Candidates, see `Proposer`."""
+        genes = np.repeat(draws(0, count).fresh[None], len(scenes), axis=0)
+        genes[~(np.nan_to_num(scenes.v_WO) != 0.0).any(axis=(1, 2)), :, TAU] = 0.0
+        return genes, np.ones(len(scenes), dtype=bool)
+
+    def weigh(self, scenes: SpatialScenes, duration: float) -> dict[str, FloatArray]:
+        """Nothing."""
+        return {}
+
+
+def _untrained() -> ProposalNetwork:
+    """The shipped network's layers with random matrices as large as its own, and its biases 0."""
+    shipped = load_proposals(package_file(WEIGHTS))
+    rng = np.random.default_rng(0)
+    layers = [
+        (rng.standard_normal(one.shape) * one.std() * (one.ndim == 2)).astype(np.float32)
+        for one in shipped.layers
+    ]
+    return replace(shipped, layers=Layers(*layers))
+
+
+PROPOSERS: dict[str, Callable[[], Proposer]] = {
+    "trained": lambda: load_proposals(package_file(WEIGHTS)),
+    "chain": lambda: ChainProposals(load_chain(package_file(CHAIN))),
+    "constant": lambda: ChainProposals(constant_chain(load_chain(package_file(CHAIN)))),
+    "random": _untrained,
+    "none": Anything,
+}
+"""What may lead the search, by name: the network, the chain, the chain with `CONSTANT` for what it
+says, the network before any training, and nothing."""
+
+
+def run_led(
+    scenes: Scenes,
+    setting: Setting,
+    proposer: Proposer,
+    parameters: SearchParameters = PARAMETERS,
+    *,
+    each: bool = False,
+) -> Motions:
+    """`run`, led by a proposer, as far as parameters say; with `each`, one decision after another.
+
+    With `each`, `Motions.decisions` has what every one took.
+    """
     _warm_up()
     begun = time.perf_counter()
     posed = spatial_scenes(scenes, scenes.clearance if setting.constrained else LEAST_CLEARANCE)
-    found = verify(posed, chain, duration=DURATION, parameters=PARAMETERS)
+    decisions, found = np.zeros(0), None
+    if each:
+        decisions, results = np.empty(len(scenes)), []
+        for row in range(len(scenes)):
+            one, since = posed.rows([row]), time.perf_counter()
+            results.append(verify(one, proposer, duration=DURATION, parameters=parameters))
+            decisions[row] = time.perf_counter() - since
+        found = SearchResult.joined(results)
+    else:
+        found = verify(posed, proposer, duration=DURATION, parameters=parameters)
     tau = found.tau if setting.scale_time else np.ones(len(scenes))
     path, z = np.empty((2, len(scenes), SAMPLES + 1, 3))
     duration = np.empty(len(scenes))
@@ -79,7 +144,7 @@ def _run(scenes: Scenes, setting: Setting, chain: ChainWeights) -> Motions:
             posed,
             rows,
             found.terms[rows],
-            replace(PARAMETERS, steps=int(steps)),
+            replace(parameters, steps=int(steps)),
             seconds=DURATION * tau[rows],
             keep_path=True,
         )
@@ -92,6 +157,8 @@ def _run(scenes: Scenes, setting: Setting, chain: ChainWeights) -> Motions:
         duration=duration,
         seconds=time.perf_counter() - begun,
         in_range=found.in_range,
+        decisions=decisions,
+        rollouts=found.rollouts,
     )
 
 
@@ -135,7 +202,7 @@ def _resampled(
 @cache
 def _warm_up() -> None:
     """Compiles or loads the kernels, so that it does not count as computing time."""
-    scene = single_obstacle(1.0, [[0.5, 0.0, 0.0]], [[0.05, 0.05, 0.05]])
-    chain = load_chain(package_file(WEIGHTS))
-    rounds = SearchParameters(rounds=1)
-    verify(spatial_scenes(scene, 0.05), chain, duration=DURATION, parameters=rounds)
+    scene = spatial_scenes(single_obstacle(1.0, [[0.5, 0.0, 0.0]], [[0.05, 0.05, 0.05]]), 0.05)
+    for name in ("trained", "chain"):
+        rounds = SearchParameters(rounds=1)
+        verify(scene, PROPOSERS[name](), duration=DURATION, parameters=rounds)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from drake_oa.app.main import main
+from drake_oa.perception.config import DepthCamera
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.metrics import robot_metrics
@@ -18,13 +19,17 @@ from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task_joints import end_positions
 from drake_oa.studies.mbm.problems import parse_problem, read_archive
-from drake_oa.studies.mbm.scenes import load_robot, problem_scenario
+from drake_oa.studies.mbm.robots import load_robot
+from drake_oa.studies.mbm.scenes import problem_scenario
+from drake_oa.studies.mbm.suite import mbm_suites
 from drake_oa.studies.panda.run import Criteria, run_and_judge
+from drake_oa.studies.panda.scenes import seen_by
 
 JOINTS = [f"panda_joint{i}" for i in range(1, 8)]
 START = [0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785]
 GOAL = [0.6, -0.5, 0.0, -2.4, 0.0, 1.9, 1.4]
 _REAL = Path(__file__).resolve().parents[4] / "shared/problems/motionbenchmaker_panda.tar.bz2"
+_UR5 = _REAL.with_name("motionbenchmaker_ur5.tar.bz2")
 
 
 def scene(*objects: str) -> str:
@@ -191,9 +196,10 @@ def test_the_robot_of_a_scenario_takes_the_place_of_the_panda(tmp_path):
     assert math.dist(mine.task.goal, panda.task.goal) == pytest.approx(0.2 - 0.1034)
     with pytest.raises(ValueError, match="robot: is null"):
         load_robot("free_space")
+    # Of a robot that stands elsewhere in the problems' frame.
     file.write_text("robot: {X_WB: {translation: [0.0, 0.0, 0.1]}}\n")
-    with pytest.raises(ValueError, match=r"robot\.X_WB: must be left out"):
-        load_robot(str(file))
+    higher = scenario_of(problems, load_robot(str(file)))
+    assert higher.task.goal[2] == pytest.approx(panda.task.goal[2] + 0.1)
 
 
 @pytest.mark.parametrize(
@@ -203,7 +209,7 @@ def test_the_robot_of_a_scenario_takes_the_place_of_the_panda(tmp_path):
         (["mbm", "--sets", "shed"], "unknown set 'shed'; .* has: box"),
         (["mbm", "--scenes", "2"], "--scenes 2: the set box has 1"),
         (["mbm", "--method", "paper"], "unknown method 'paper'; mbm has: verified"),
-        (["mbm", "--perception", "truth"], "Unknown option: --perception"),
+        (["mbm", "--perception", "sonar"], 'Choose from: "depth", "truth"'),
         (["mbm", "--seed", "1"], "Unknown option: --seed"),
         (["hit"], "Unknown option: --problems"),
     ],
@@ -215,6 +221,24 @@ def test_what_does_not_go_together_is_said(arguments, message, capsys, tmp_path,
         arguments = [*arguments, "--problems", str(file)]
     assert main(["evaluate", *arguments]) == 2
     assert re.search(message, capsys.readouterr().err)
+
+
+def test_a_problem_may_be_seen_by_two_cameras(tmp_path):
+    file = one(tmp_path / "p.tar.bz2")
+    known, seen = (
+        mbm_suites(file, None, (), ("verified", "planner"), None, perception)[0]
+        for perception in ("truth", "depth")
+    )
+    draw, arguments = seen.drawing(1)
+    text, _ = draw(*arguments)
+    scenario = parse_scenario(text)
+    assert isinstance(scenario.perception, DepthCamera)
+    assert [camera.name for camera in scenario.cameras] == ["left", "right"]
+    assert (seen.perception_of("verified"), seen.perception_of("planner")) == ("depth", "truth")
+    draw, arguments = known.drawing(1)
+    plain = parse_scenario(draw(*arguments)[0])
+    assert (plain.obstacles, plain.task) == (scenario.obstacles, scenario.task)
+    assert scenario_text(seen_by(scenario, "depth")) == text
 
 
 def test_figures_are_of_each_set_and_of_all(tmp_path, capsys):
@@ -266,3 +290,22 @@ def test_the_first_problem_of_each_real_set_runs():
         found = run_and_judge(scenario, "verified", "truth", duration=0.05).result
         assert not found["failed"], found["stop_reason"]
         assert found["contacts"] == found["self_contacts"] == []
+
+
+def test_a_ur5_goes_from_a_singular_start():
+    if not _UR5.is_file():
+        pytest.skip("the problems are not here")
+    try:
+        robot = load_robot("ur5")
+    except ValueError as error:
+        pytest.skip(str(error))
+    sets = read_archive(_UR5)
+    problems = [problem_scenario(parse_problem(texts[0]), robot) for texts in sets.values()]
+    # The frames are those of the problems: start and goal touch nothing, and cans are grasped.
+    assert min(problem.task.clearance for problem in problems) > 5e-3
+    assert "Can1" not in [item.name for item in problems[list(sets).index("table_pick")].obstacles]
+    found = run_and_judge(problems[0], "verified", "truth", duration=1.0).result
+    assert not found["failed"], found["stop_reason"]
+    assert found["contacts"] == found["self_contacts"] == []
+    assert found["moving_after"] < 0.5
+    assert found["events"][-1]["note"] == ""

@@ -169,6 +169,7 @@ def _run(outcome, reason="", goal_error=1e-4, contacts=(), clearance=0.1, speed=
         "feasible_clearance": 0.15,
         "short_of_feasible": 0.0,
         "decision_cost": None,
+        "moving_after": 0.06,
         "duration": 5.0,
         "stop_reason": reason or "goal",
         "ended": "goal",
@@ -180,7 +181,7 @@ def test_figures_count_outcomes_reasons_and_pairs():
     figures = run_figures(
         [
             _run("success", speed=3.0, short_of_feasible=0.02),
-            _run("stopped", "held", goal_error=0.5, clearance=None, speed=None),
+            _run("stopped", "held", goal_error=0.5, clearance=None, speed=None, moving_after=None),
             _run(
                 "stopped",
                 "held",
@@ -209,6 +210,7 @@ def test_figures_count_outcomes_reasons_and_pairs():
         "link6 - table": 1,
     }
     assert figures["self_contacts"] == 1
+    assert figures["moving_after_median"] == figures["moving_after_p95"] == 0.06
     assert (figures["time_limits"], figures["duration_max"]) == (1, 30.0)
     assert (figures["short_of_feasible"], figures["short_of_feasible_max"]) == (1, 0.02)
     assert figures["goal_error_max"] == 2e-3

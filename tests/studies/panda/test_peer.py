@@ -13,15 +13,18 @@ from drake_oa.runs.metrics import robot_metrics
 from drake_oa.runs.motion_log import load_logs, save_logs
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.task_joints import start_positions
+from drake_oa.scenario.task_joints import follow_joints, start_positions, tool_pose
 from drake_oa.studies.panda.differential_ik import PeerParameters, make_collision_checker
 from drake_oa.studies.panda.peer import (
     METHOD,
     NO_VELOCITY,
+    OPEN_LOOP,
     ToolPose,
     build_differential_ik,
     simulate_differential_ik,
+    simulate_joint_path,
 )
+from drake_oa.studies.panda.planner import rest_to_rest
 
 _BARE = ["directives=[]", "cameras=[]", "perception=!GroundTruth {}"]
 
@@ -161,5 +164,43 @@ def test_the_asked_pose_is_ahead_of_the_plan() -> None:
     X_WE = system.GetOutputPort("desired_pose").Eval(context)
     np.testing.assert_allclose(X_WE.translation(), [1.0, 1.9, 3.2])
     np.testing.assert_array_equal(X_WE.rotation().matrix(), R_WE.matrix())
+    system.GetInputPort("desired_orientation").FixValue(context, [1.0, 0.0, 0.0, 0.0])
+    system.GetInputPort("desired_angular_velocity").FixValue(context, [0.0, 0.0, 2.0])
+    X_WE = system.GetOutputPort("desired_pose").Eval(context)
+    turned = RollPitchYaw(0.0, 0.0, 0.2).ToRotationMatrix()
+    np.testing.assert_allclose(X_WE.rotation().matrix(), turned.matrix(), atol=1e-12)
     with pytest.raises(ValueError, match="look_ahead must be finite"):
         ToolPose(R_WE, look_ahead=math.nan)
+
+
+def test_turns_the_tool_and_leads_the_posture_to_the_joints_of_the_goal() -> None:
+    given = scene(
+        "task.duration=1.5",
+        "task.q_start=[0.0,-0.785,0.0,-2.356,0.0,1.571,0.785]",
+        "task.q_goal=[0.3,-0.6,0.2,-2.2,0.1,1.8,1.2]",
+    )
+    follow_joints(given)
+    log = simulate_differential_ik(given)
+    assert log.stop_reason == "goal"
+    assert np.linalg.norm(log.orientation_error, axis=1).max() < 0.04
+    assert np.linalg.norm(log.orientation_error[-1]) < 2e-3
+    assert given.task.q_goal is not None
+    np.testing.assert_allclose(log.q[-1, :7], given.task.q_goal, atol=0.1)
+
+
+def test_a_path_in_the_joints_is_gone_along() -> None:
+    scenario = scene("task.duration=1.0")
+    robot_plant = make_robot_plant(scenario.robot)
+    q = [start_positions(robot_plant, scenario)]
+    q.append(q[0] + np.array([0.4, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    q.append(q[1] + np.array([0.0, 0.0, 0.0, 0.3, 0.0, 0.3, 0.0, 0.0, 0.0]))
+    goal = tool_pose(robot_plant, q[2]).translation()
+    scenario.task.goal = goal.tolist()
+    path = rest_to_rest(np.array(q), np.full(7, 2.0))
+    log = simulate_joint_path(scenario, path)
+    assert (log.stop_reason, log.regulation) == ("goal", OPEN_LOOP)
+    assert log.duration == pytest.approx(path.end_time(), abs=0.1)
+    np.testing.assert_allclose(log.q[-1], q[2], atol=1e-4)
+    planned = path.vector_values(np.minimum(log.t, path.end_time())).T
+    np.testing.assert_allclose(log.q, planned, atol=5e-3)
+    assert not log.saturated.any()

@@ -3,15 +3,10 @@
 import pytest
 
 from drake_oa.perception.config import GroundTruth
-from drake_oa.regulation.config import Regressor, Verified
+from drake_oa.regulation.config import Paper, Verified
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
-from drake_oa.studies.panda.run import (
-    METHODS,
-    plain_reason,
-    run_and_judge,
-    with_method,
-    with_perception,
-)
+from drake_oa.studies.panda.run import METHODS, plain_reason, run_and_judge, with_method
+from drake_oa.studies.panda.scenes import seen_by
 
 _TOUCHING = """
 directives:
@@ -41,17 +36,17 @@ def test_reasons_are_counted_without_their_numbers(reason, plain):
 def test_methods_and_perception_change_their_blocks_alone():
     scenario = load_scenario("tabletop_box")
     paper = with_method(scenario, "paper")
-    assert isinstance(paper.regulation, Regressor)
-    assert paper.policy.descriptor == "section"
+    assert isinstance(paper.regulation, Paper)
+    assert paper.policy.fade == 0.0
     assert isinstance(with_method(paper, "verified").regulation, Verified)
-    assert isinstance(with_perception(scenario, "truth").perception, GroundTruth)
-    assert scenario_text(with_perception(scenario, "depth")) == scenario_text(scenario)
+    assert isinstance(seen_by(scenario, "truth").perception, GroundTruth)
+    assert scenario_text(seen_by(scenario, "depth")) == scenario_text(scenario)
     assert isinstance(scenario.regulation, Verified)
 
 
 @pytest.mark.parametrize(
     ("method", "perception", "message"),
-    [("mine", "truth", "panda has: preplanned"), ("paper", "sonar", "one of depth, truth")],
+    [("mine", "truth", "panda has: preplanned"), ("paper", "sonar", "one of depth, depth2, truth")],
 )
 def test_unknown_names_are_refused(method, perception, message):
     with pytest.raises(ValueError, match=message):

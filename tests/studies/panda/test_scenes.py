@@ -4,12 +4,15 @@ import dataclasses
 import hashlib
 import json
 
+import numpy as np
 import pytest
+from pydrake.systems.framework import DiagramBuilder
 
 from drake_oa.perception.config import DepthCamera, GroundTruth
 from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.studies.panda.scenes import draw_panda_scene
 from drake_oa.studies.tally import Tally
+from drake_oa.world.station import make_station
 
 _DIGESTS = {
     "tabletop": "0d7868a80228",
@@ -45,6 +48,31 @@ def test_perception_changes_nothing_else():
     other = draw_panda_scene(1, 1)
     assert other.task != seen.task
     assert other.seed != seen.seed
+
+
+def test_a_second_camera_stands_opposite_to_the_first():
+    one, two = (draw_panda_scene(1, 0, perception=name) for name in ("depth", "depth2"))
+    assert (one.obstacles, one.task, one.seed) == (two.obstacles, two.task, two.seed)
+    assert two.perception.names == ("camera", "opposite")
+    assert two.perception.noise == one.perception.noise
+    text = scenario_text(two)
+    assert scenario_text(parse_scenario(text)) == text
+    builder = DiagramBuilder()
+    for camera in two.cameras:
+        camera.output_delay = 0.0
+    cameras = make_station(builder, two).cameras
+    context = builder.Build().CreateDefaultContext()
+    places = {
+        name: camera.pose.Eval(camera.pose.get_system().GetMyContextFromRoot(context))
+        for name, camera in cameras.items()
+    }
+    middle = 0.5 * (places["camera"].translation() + places["opposite"].translation())
+    np.testing.assert_allclose(middle[:2], [0.45, 0.0], atol=1e-3)
+    np.testing.assert_allclose(
+        places["camera"].rotation().matrix()[:, 2] * [-1.0, -1.0, 1.0],
+        places["opposite"].rotation().matrix()[:, 2],
+        atol=1e-9,
+    )
 
 
 def test_scenes_that_are_looked_at_are_taken_or_dropped_for_a_reason():

@@ -13,6 +13,8 @@ from drake_oa.studies.scenes.scenes import DURATION, Scenes, check_scenes, scene
 from drake_oa.studies.scenes.suites import (
     BASELINES,
     FAMILIAR_CLEARANCES,
+    FIGURES,
+    SAMPLINGS,
     SUITES,
     draw_scenes,
     find_suite,
@@ -20,10 +22,11 @@ from drake_oa.studies.scenes.suites import (
 
 Straight = Callable[[Scenes, Setting], Motions]
 COUNT = 64
+ALL = (*SUITES, *FIGURES, *SAMPLINGS)
 BOXED = ("novel", "posed", "hit", "head-on")
 
 
-@pytest.mark.parametrize("name", SUITES)
+@pytest.mark.parametrize("name", ALL)
 def test_scenes_are_valid_and_as_many_as_asked(name: str) -> None:
     scenes = draw_scenes(name, COUNT, seed=3)
     assert len(scenes) == COUNT
@@ -31,7 +34,7 @@ def test_scenes_are_valid_and_as_many_as_asked(name: str) -> None:
     assert scenes.present.all()
 
 
-@pytest.mark.parametrize("name", SUITES)
+@pytest.mark.parametrize("name", ALL)
 def test_the_seed_decides(name: str) -> None:
     one, same, other = (draw_scenes(name, COUNT, seed=seed) for seed in (5, 5, 6))
     assert (one.center == same.center).all()
@@ -57,6 +60,17 @@ def test_obstacles_keep_to_the_papers_box(name: str) -> None:
         assert (scenes.baseline == baseline).sum() == 50
     aligned = (np.eye(3) == scenes.R).all()
     assert aligned == (name == "novel")
+
+
+@pytest.mark.parametrize(("name", "aside"), [("demo", 0.4), ("narrow", 0.2), ("near", 0.4)])
+def test_the_demo_leaves_every_obstacle_the_room_of_the_longest(name: str, aside: float) -> None:
+    scenes = draw_scenes(name, 200)
+    center, L = scenes.center[:, 0], scenes.baseline
+    margin = np.where(L == 0.5, 0.25, 0.3)
+    assert (center[:, 0] >= margin - 1e-12).all()
+    assert (center[:, 0] <= L - margin + 1e-12).all()
+    assert 0.7 * aside < np.abs(center[:, 1:]).max() <= aside
+    assert (line_distance(scenes)[:, 0] < (0.1 if name == "near" else 0.15)).all()
 
 
 @pytest.mark.parametrize(("name", "limit"), [("novel", 0.15), ("posed", 0.15), ("hit", 0.0)])
@@ -109,7 +123,7 @@ def test_familiar_is_the_lattice_in_twelve_settings() -> None:
     assert len(np.unique(scenes.semi_axes[:, 0, :2], axis=0)) == 100
     assert np.unique(scenes.semi_axes).tolist() == np.linspace(0.025, 0.25, 10).tolist()
     assert (scenes.semi_axes[..., 1] == scenes.semi_axes[..., 2]).all()
-    cases = SUITES["familiar"].cases
+    cases = find_suite("familiar").cases
     assert len({case.label for case in cases}) == 12
     asked = {case.of(scenes).clearance[0] for case in cases if case.setting.constrained}
     assert asked == set(FAMILIAR_CLEARANCES)
@@ -143,7 +157,7 @@ def test_rotations_are_uniform() -> None:
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (("nowhere",), "unknown suite 'nowhere'; valid: familiar, novel"),
+        (("nowhere",), "unknown suite 'nowhere'; valid: novel, posed"),
         (("novel", 0), "at least 1"),
         (("novel", 5, -1), "seed must be at least 0"),
         (("familiar", 10), "square"),

@@ -14,7 +14,7 @@ GROUND_TRUTH = "perception=!GroundTruth {}"
 
 
 def test_the_guided_motion_goes_over_the_beam() -> None:
-    scenario = load_scenario("guided_route", [GROUND_TRUTH])
+    scenario = load_scenario("paper_guidance", [GROUND_TRUTH])
     log = simulate(scenario)
     report = motion_report(scenario, log)
     assert report["stop_reason"] == "goal"
@@ -27,7 +27,7 @@ def test_the_guided_motion_goes_over_the_beam() -> None:
 
 @pytest.mark.slow
 def test_the_motion_that_only_reacts_hits_the_table() -> None:
-    scenario = load_scenario("guided_route", [GROUND_TRUTH, "regulation.guided=false"])
+    scenario = load_scenario("paper_guidance", [GROUND_TRUTH, "regulation.guided=false"])
     log = simulate(scenario)
     report = motion_report(scenario, log)
     first = report["made_contacts"][0]
@@ -37,7 +37,7 @@ def test_the_motion_that_only_reacts_hits_the_table() -> None:
 
 
 def test_without_guidance_no_route_reaches_the_policy() -> None:
-    diagram = build_avoidance(load_scenario("guided_route", ["regulation.guided=false"]))
+    diagram = build_avoidance(load_scenario("paper_guidance", ["regulation.guided=false"]))
     assert not diagram.HasSubsystemNamed("cost_ring_selector")
     root = diagram.CreateDefaultContext()
     for name, connected in (("route", False), ("ellipsoids_W", True)):
@@ -58,7 +58,7 @@ def test_it_holds_while_every_side_is_forbidden_and_goes_on_when_one_is_free(
 ) -> None:
     """A wall as high and as wide as the robot reaches, taken away after 1.5 s."""
     caplog.set_level(logging.INFO, logger="drake_oa")
-    scenario = load_scenario("guided_route", [GROUND_TRUTH, WALL])
+    scenario = load_scenario("paper_guidance", [GROUND_TRUTH, WALL])
     log = simulate(scenario, duration=12.0)
     told = [record.getMessage() for record in caplog.records]
     assert any("held: every side of obstacle 0 is forbidden" in text for text in told)

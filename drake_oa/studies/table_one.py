@@ -1,0 +1,69 @@
+"""Table I of the paper (tab:nn_training): prediction errors of the chains that are shipped.
+
+What training measured stands in the weights' metadata; nothing is computed here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from drake_oa.common.console import TextTable
+from drake_oa.regulation.regressor import TARGETS
+from drake_oa.studies.scenes.paper_method import SHIPPED, paper_chain
+from drake_oa.studies.tables import text_table
+from drake_oa.training.paper_set import PRINTED
+
+_ERROR = "{:.3g}"
+_COLUMNS = (
+    ("train", "train", _ERROR, 1.0),
+    ("train_printed", "print", _ERROR, 1.0),
+    ("test", "test", _ERROR, 1.0),
+    ("test_printed", "print", _ERROR, 1.0),
+    ("floor", "floor", _ERROR, 1.0),
+    ("rows", "rows", "{:,d}", 1.0),
+)
+
+
+def table_one_figures(versions: Sequence[str]) -> dict[str, Any]:
+    """What the JSON holds: of each shipped file its chain, and a row a network.
+
+    NMSE on the train and the test rows; of the chains on the released code's action level the
+    print beside them; the floor that no function of the inputs beats on that set.
+
+    Args:
+        versions: "name version" each.
+
+    Raises:
+        FileNotFoundError: if weights are missing.
+        ValueError: if they are not of the paper's recipe.
+    """
+    chains = {}
+    for (constrained, trained_on), file in SHIPPED.items():
+        told = paper_chain(constrained, trained_on).metadata
+        if told.get("recipe") != "paper" or "nmse" not in told:
+            raise ValueError(f"{file}.safetensors is not of the paper's recipe")
+        networks = {}
+        for target in TARGETS:
+            network = {**told["nmse"][target], "rows": told["rows"][target]}
+            if trained_on == "released":
+                printed = PRINTED[told["chain"]][target]
+                network |= dict(zip(("train_printed", "test_printed"), printed, strict=True))
+            networks[target] = network
+        chains[file] = {
+            key: told[key] for key in ("chain", "action_level", "rollouts", "seed", "commit")
+        } | {"networks": networks}
+    return {
+        "table": "table1",
+        "versions": dict(item.split(" ", 1) for item in versions),
+        "chains": chains,
+    }
+
+
+def table_one(whole: Mapping[str, Any]) -> list[TextTable]:
+    """What `table_one_figures` found, a table a file."""
+    tables = []
+    for file, chain in whole["chains"].items():
+        notes = [f"({chain['chain']}; {chain['action_level']})"]
+        tables.append(text_table(file, list(chain["networks"].items()), _COLUMNS, notes))
+    return tables

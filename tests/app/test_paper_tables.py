@@ -1,0 +1,108 @@
+"""`drake-oa evaluate table1` and so on: what they print, write, draw and refuse."""
+
+import json
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from tests.builders import command
+
+run = partial(command, "evaluate")
+
+
+def test_table_one_is_printed_and_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "new" / "one.json"
+    assert run("table1", "--json", str(out)) == 0
+    assert "0.543" in capsys.readouterr().out
+    assert json.loads(out.read_text())["table"] == "table1"
+
+
+def test_table_two_runs_the_readings_that_are_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "two.json"
+    options = ("--sampling", "printed", "--law", "printed", "--tau", "extreme", "--time", "tau")
+    assert run("table2", "--scenes", "8", "--seed", "3", *options, "--json", str(out)) == 0
+    told = capsys.readouterr().out
+    assert "table2: 8 scenes of seed 3" in told
+    assert told.count("the paper prints") == 4
+    whole = json.loads(out.read_text())
+    (reading,) = whole["readings"].values()
+    assert reading["options"] == {
+        "sampling": "printed",
+        "distance": "plane",
+        "law": "printed",
+        "tau": "extreme",
+        "time": "tau",
+        "chain": "released",
+        "scale": "metres",
+        "steps": "training",
+    }
+    assert [part["scenes"] for part in reading["by_baseline"]] == [2, 2, 2, 2]
+
+
+def test_of_fewer_scenes_than_baselines_the_rest_is_empty(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run("table2", "--scenes", "1", "--steps", "demo", "--time", "fixed") == 0
+    lines = capsys.readouterr().out.splitlines()
+    empty = next(line for line in lines if line.startswith("goal at 2 m"))
+    assert empty.split()[4:6] == ["0", "-"]
+
+
+@pytest.mark.parametrize("figure", ["figure_familiar", "figure_dead_zone"])
+def test_figures_are_told_written_and_drawn(
+    figure: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plot, out = tmp_path / "new" / "figure.png", tmp_path / "figure.json"
+    assert run(figure, "--scenes", "9", "--json", str(out), "--plot", str(plot)) == 0
+    told = capsys.readouterr().out
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    assert plot.stat().st_size > 10_000
+    whole = json.loads(out.read_text())
+    paper = whole["methods"]["paper"]
+    assert paper["complete"]
+    if figure == "figure_familiar":
+        assert len(paper["settings"]) == 12
+        assert paper["collisions"] == 0
+        assert "print, at most" in told
+    else:
+        assert whole["terms"][-1]["original_collisions"] == 1
+        assert paper["collisions"] == 0
+        assert whole["methods"]["original"]["collisions"] == 1
+        assert "terms alone" in told
+
+
+def test_the_familiar_figure_takes_a_reading(tmp_path: Path) -> None:
+    found = []
+    for time in ("fixed", "until-arrived"):
+        out = tmp_path / f"{time}.json"
+        assert run("figure_familiar", "--scenes", "4", "--time", time, "--json", str(out)) == 0
+        found.append(json.loads(out.read_text())["methods"]["paper"]["goal_error_mean"])
+    assert found[0] != found[1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("table2", "--scenes", "0"), "--scenes must be at least 1"),
+        (("table2", "--seed", "-3"), "seed must be at least 0"),
+        (("table2", "--law", "nobody"), '"nobody" for --law'),
+        (("table2", "--json", "/proc/no/where.json"), "cannot write"),
+        (("figure_familiar", "--scenes", "5"), "square"),
+        (("figure_familiar", "--method", "nobody"), "unknown method 'nobody'"),
+        (("figure_familiar", "--chain", "running"), "no chain RC(lambda'), without Delta"),
+        (("figure_familiar", "--plot", "p.gif"), "--plot must end in .pdf, .png, .svg"),
+        (("figure_dead_zone", "--json", "a.png", "--plot", "a.png"), "different files"),
+    ],
+)
+def test_bad_input_is_refused_at_once(
+    arguments: tuple[str, ...], named: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(*arguments) == 2
+    message = capsys.readouterr().err.splitlines()
+    assert len(message) == 1
+    assert named in message[0]

@@ -1,0 +1,39 @@
+"""Perception as scenarios have it wired: by one camera, and by several."""
+
+from typing import Any
+
+import numpy as np
+from pydrake.systems.analysis import Simulator
+
+from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.scenario.loading import load_scenario
+
+# Lowest and highest points [m].
+BOARD = [[0.3, -0.01, 0.0], [0.7, 0.01, 0.3]]
+POST = [[0.425, 0.125, 0.0], [0.475, 0.175, 0.14]]
+TIN = [[0.56, -0.18, 0.0], [0.64, -0.1, 0.14]]
+
+
+def seen(*overrides: str) -> list[np.ndarray]:
+    """Extents (2, 3) of what is seen in `two_cameras` after 0.05 s."""
+    diagram = build_avoidance(load_scenario("two_cameras", overrides))
+    simulator = Simulator(diagram)
+    simulator.AdvanceTo(0.05)
+    perception: Any = diagram.GetSubsystemByName("perception")
+    context = perception.GetMyContextFromRoot(simulator.get_context())
+    obstacles = perception.GetOutputPort("obstacles_W").Eval(context)
+    assert obstacles.note == ""
+    return [np.array([cloud.min(axis=0), cloud.max(axis=0)]) for cloud in obstacles.clouds_W]
+
+
+def test_two_cameras_see_whole_what_a_board_hides_from_each() -> None:
+    def shows(found: list[np.ndarray], thing: list[list[float]]) -> bool:
+        return any(np.abs(extent - thing).max() < 0.025 for extent in found)
+
+    one, both = "perception.cameras=[]", seen()
+    assert len(both) == 3
+    assert all(shows(both, thing) for thing in (BOARD, POST, TIN))
+    left, right = (seen(one, f"perception.camera={name}") for name in ("left", "right"))
+    assert len(left) == len(right) == 2
+    assert shows(left, POST)
+    assert shows(right, TIN)

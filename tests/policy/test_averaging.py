@@ -1,0 +1,183 @@
+"""Several recordings as one motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drake_oa.common.messages import FloatArray
+from drake_oa.geometry.rotation import rotation_of
+from drake_oa.policy.averaging import (
+    POINTS,
+    SPARSE,
+    STILL,
+    average_orientations,
+    average_paths,
+)
+from drake_oa.policy.dmp import imitate, minimum_jerk_share, trajectory
+from drake_oa.policy.orientation_dmp import exponential, goal_vector, vectors_from
+
+START, GOAL = np.array([0.4, -0.4, 0.2]), np.array([0.4, 0.4, 0.2])
+
+
+def arc(s: FloatArray, bulge: float = 0.2) -> FloatArray:
+    """A motion from rest to rest round to +x, at s of its time."""
+    share = minimum_jerk_share(s)
+    return (
+        START + share[:, None] * (GOAL - START) + bulge * np.outer(np.sin(np.pi * share), [1, 0, 0])
+    )
+
+
+def recording(
+    seed: int, *, count: int = 500, duration: float = 5.0, noise: float = 1e-3, bulge: float = 0.2
+) -> tuple[FloatArray, FloatArray]:
+    """Path (T, 3) and stamps (T,) of `arc` at uneven times, with a tremor at 10 Hz."""
+    random = np.random.default_rng(seed)
+    t = np.sort(random.uniform(0.0, duration, count))
+    t[0], t[-1] = 0.0, duration
+    phase = random.uniform(0.0, 2.0 * np.pi, 3)
+    tremor = noise * np.sin(2.0 * np.pi * 10.0 * t[:, None] + phase)
+    return arc(t / duration, bulge) + tremor, t
+
+
+def test_one_recording_loses_its_tremor_and_keeps_its_way() -> None:
+    path, t = recording(1)
+    mean, stamps = average_paths([path], [t])
+    assert mean.shape == (POINTS, 3)
+    assert stamps[-1] == pytest.approx(5.0)
+    dmp = imitate(mean, stamps, still=STILL)
+    way = trajectory(dmp, START, GOAL)
+    assert np.linalg.norm(way.p - arc(way.s), axis=1).max() < 2.5e-3
+    # What a spline through every sample learns is far off: of the tremor's acceleration.
+    raw = trajectory(imitate(path, t), START, GOAL)
+    jerk, of_raw = (np.abs(np.diff(one.z, n=2, axis=0)).max() for one in (way, raw))
+    assert of_raw > 10.0 * jerk
+
+
+def test_it_stays_at_the_goal_after_its_end() -> None:
+    path, t = recording(2)
+    dmp = imitate(*average_paths([path], [t]), still=STILL)
+    late = trajectory(dmp, START, GOAL, steps=1000, end=2.0)
+    assert np.linalg.norm(late.p[500:] - GOAL, axis=1).max() < 4e-4
+
+
+def test_repetitions_are_averaged_each_counting_the_same() -> None:
+    # The second is sampled four times as often.
+    shown = [
+        recording(1, bulge=0.1, count=300, duration=4.0, noise=0.0),
+        recording(2, bulge=0.3, count=1200, duration=6.0, noise=0.0),
+    ]
+    mean, t = average_paths(*zip(*shown, strict=True))
+    assert t[-1] == pytest.approx(5.0)
+    np.testing.assert_allclose(mean, arc(t / 5.0, 0.2), atol=1e-3)
+
+
+def test_repetitions_elsewhere_turned_and_larger_are_the_same_motion() -> None:
+    path, t = recording(1, noise=0.0)
+    turn = rotation_of(exponential(np.array([0.0, 0.0, 1.2])))
+    other = 1.5 * path @ turn.T + [0.1, 0.2, 0.05]
+    mean, _ = average_paths([path, other], [t, 2.0 * t + 100.0])
+    alone, _ = average_paths([path], [t])
+    dmp, same = (imitate(one, still=STILL) for one in (mean, alone))
+    a, b = (trajectory(one, START, GOAL).p for one in (dmp, same))
+    np.testing.assert_allclose(a, b, atol=1e-9)
+
+
+def test_a_few_points_are_gone_through() -> None:
+    s = np.linspace(0.0, 1.0, SPARSE // 5)
+    mean, t = average_paths([arc(s)], [s])
+    np.testing.assert_allclose(mean, arc(t), atol=1e-4)
+    # And averaged with what is dense.
+    path, stamps = recording(1, noise=0.0)
+    mean, t = average_paths([arc(s), path], [s, stamps])
+    np.testing.assert_allclose(mean, arc(t / t[-1]), atol=1e-3)
+
+
+def test_a_gap_in_a_recording_is_bridged() -> None:
+    path, t = recording(1)
+    kept = (t < 2.0) | (t > 2.8)
+    mean, stamps = average_paths([path[kept]], [t[kept]])
+    assert np.linalg.norm(mean - arc(stamps / 5.0), axis=1).max() < 5e-3
+
+
+@pytest.mark.parametrize("count", [10, 1000])
+def test_more_basis_functions_keep_more(count: int) -> None:
+    path, t = recording(1, count=2000)
+    few, many = (average_paths([path], [t], n_basis=n)[0] for n in (10, 200))
+    rough = [np.abs(np.diff(one, n=2, axis=0)).max() for one in (few, many)]
+    assert rough[1] > 2.0 * rough[0]
+    average_paths([path[:count]], [t[:count]], n_basis=1000)
+
+
+def test_what_begins_and_ends_under_way_is_brought_to_rest() -> None:
+    s = np.linspace(0.0, 1.0, 300)
+    mean, t = average_paths([s[:, None] * (GOAL - START)], [s])
+    v = np.gradient(mean[:, 1], t)
+    assert np.abs(v[[0, -1]]).max() < 0.05
+    np.testing.assert_allclose(v[30:-30], 0.8, atol=1e-6)
+    assert mean[:, 1].max() < 0.8 + 1e-9
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda p, t: (p[:1], t[:1]), "at least 2 samples, not 1"),
+        (lambda p, t: (p, np.append(t[:-1], t[-2])), "sample 499 at .* follows"),
+        (lambda p, t: (p, t[::-1]), "stamps must increase: sample 1"),
+        (lambda p, t: (np.where(np.arange(500)[:, None] == 7, np.nan, p), t), "sample 7 is not"),
+        (lambda p, t: (p, t[:-1]), "one stamp a sample"),
+        (lambda p, t: (np.vstack([p, p[::-1]]), np.arange(1000.0)), "show it in two parts"),
+    ],
+)
+def test_a_bad_one_of_several_is_named(spoil: object, words: str) -> None:
+    path, t = recording(1)
+    bad = spoil(path, t)  # type: ignore[operator]
+    with pytest.raises(ValueError, match=f"^demonstration 2 of 2: .*{words}"):
+        average_paths([path, bad[0]], [t, bad[1]])
+    with pytest.raises(ValueError, match=f"^(?!demonstration).*{words}"):
+        average_paths([bad[0]], [bad[1]])
+
+
+def test_none_is_not_enough() -> None:
+    with pytest.raises(ValueError, match="0 demonstrations"):
+        average_paths([], [])
+
+
+# Orientations -------------------------------------------------------------------------
+
+
+def turning(s: FloatArray, angle: float, wiggle: float = 0.0) -> FloatArray:
+    """(T, 3, 3) from a start by an angle about one axis, with a wiggle about another."""
+    first = rotation_of(exponential(np.array([np.pi, 0.0, 0.0])))
+    r = np.outer(angle * minimum_jerk_share(s), [0.6, 0.0, 0.8])
+    r[:, 1] += wiggle * np.sin(2.0 * np.pi * 50.0 * s)
+    return np.array([first @ rotation_of(exponential(row)) for row in r])
+
+
+def quaternions(R: FloatArray, seed: int) -> FloatArray:
+    """Of any sign and length: (T, 4), w first."""
+    vectors = vectors_from(np.concatenate([np.eye(3)[None], R]), 0)[1:]
+    scale = np.random.default_rng(seed).choice([-2.0, -1.0, 1.0, 0.5], len(R))
+    return scale[:, None] * [exponential(row) for row in vectors]
+
+
+def apart(A: FloatArray, B: FloatArray) -> float:
+    """Largest angle between two rows of orientations [rad]."""
+    return max(float(np.linalg.norm(goal_vector(a, b))) for a, b in zip(A, B, strict=True))
+
+
+@pytest.mark.parametrize("angle", [0.8, 4.0, 7.0])
+def test_orientations_are_averaged_whatever_their_signs(angle: float) -> None:
+    s = np.linspace(0.0, 1.0, 400)
+    shown = [quaternions(turning(s, angle * k, wiggle=0.01), 1) for k in (0.95, 1.05)]
+    mean, t = average_orientations(shown, [3.0 * s, 5.0 * s])
+    assert t[-1] == pytest.approx(4.0)
+    assert apart(mean, turning(t / 4.0, angle)) < 0.01
+
+
+def test_turns_that_differ_too_much_are_refused() -> None:
+    s = np.linspace(0.0, 1.0, 400)
+    with pytest.raises(ValueError, match=r"demonstration 1 of 2: .*turned by 172 degrees"):
+        average_orientations([turning(s, 3.0), turning(s, -3.0)], [s, s])
+    with pytest.raises(ValueError, match=r"demonstration 2 of 2: .*no rotation matrix"):
+        average_orientations([turning(s, 3.0), 2.0 * turning(s, 3.0)], [s, s])

@@ -1,0 +1,235 @@
+"""Demonstrations as files: what is read, what is refused, and those that are shipped."""
+
+from __future__ import annotations
+
+import importlib.util
+import resource
+import time
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from drake_oa.common.config import ScenarioError
+from drake_oa.common.messages import FloatArray
+from drake_oa.policy.dmp import trajectory
+from drake_oa.policy.orientation_dmp import goal_vector
+from drake_oa.scenario.demonstration import (
+    demonstrated_orientation,
+    demonstrated_path,
+    read_demonstration,
+    read_demonstrations,
+)
+from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.shipped import package_file
+
+S = np.linspace(0.0, 1.0, 11)
+PATH = np.column_stack([0.1 * np.sin(np.pi * S), S, 0.0 * S])
+SHIPPED = Path(__file__).resolve().parents[2] / "models" / "demonstrations"
+
+
+def taught(*files: Path | str) -> Scenario:
+    return load_scenario("tabletop_box", [f"task.demonstration=[{', '.join(map(str, files))}]"])
+
+
+def csv(folder: Path, *lines: str, name: str = "shown.csv") -> Path:
+    file = folder / name
+    file.write_text("\n".join(lines) + "\n")
+    return file
+
+
+def rows(*columns: FloatArray) -> list[str]:
+    return [",".join(f"{value:.9g}" for value in row) for row in np.column_stack(columns)]
+
+
+# What is read -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("header", ["t,x,y,z", "z, t ,x,y", "\ufefft,x,y,z"])
+def test_a_csv_is_what_its_header_says(header: str, tmp_path: Path) -> None:
+    columns = {"t": 3.0 * S, "x": PATH[:, 0], "y": PATH[:, 1], "z": PATH[:, 2]}
+    names = [name.strip("\ufeff ") for name in header.split(",")]
+    shown = read_demonstration(csv(tmp_path, header, *rows(*(columns[n] for n in names)), "", ""))
+    np.testing.assert_allclose(shown.path, PATH, atol=1e-8)
+    np.testing.assert_allclose(shown.t, 3.0 * S, atol=1e-8)
+    assert shown.orientations is None
+
+
+def test_csv_and_npz_teach_the_same(tmp_path: Path) -> None:
+    half = 0.25 * np.pi + 0.2 * S
+    q = np.column_stack([np.cos(half), 0.0 * S, 0.0 * S, np.sin(half)])
+    # Signs and lengths are the recorder's.
+    q *= np.where(np.arange(11) % 2, -2.0, 1.0)[:, None]
+    np.savez(tmp_path / "shown.npz", path=PATH, quaternion=q)
+    file = csv(tmp_path, "x,y,z,qw,qx,qy,qz", *rows(PATH, q))
+    one, other = (taught(each) for each in (tmp_path / "shown.npz", file))
+    a, b = (demonstrated_path(each) for each in (one, other))
+    np.testing.assert_allclose(a.weights, b.weights, atol=1e-4)
+    assert a.duration == b.duration == one.task.duration
+    r, s = (demonstrated_orientation(each) for each in (one, other))
+    assert r is not None
+    assert s is not None
+    np.testing.assert_allclose(r.total, [0.0, 0.0, 0.4], atol=1e-6)
+    np.testing.assert_allclose(r.dmp.weights, s.dmp.weights, atol=1e-3)
+
+
+def test_one_file_is_a_list_of_one_and_none_an_empty_one() -> None:
+    for text, files in (("a.npz", ["a.npz"]), ("''", []), ("[a.npz, b.csv]", ["a.npz", "b.csv"])):
+        task = parse_scenario(f"task: {{demonstration: {text}}}", folder=Path("/there")).task
+        assert task.demonstration == [f"/there/{name}" for name in files]
+    scenario = parse_scenario("task: {demonstration: package://drake_oa/demonstrations/pour.csv}")
+    assert scenario.task.demonstration == ["package://drake_oa/demonstrations/pour.csv"]
+    again = parse_scenario(scenario_text(scenario))
+    assert again.task.demonstration == scenario.task.demonstration
+    with pytest.raises(ScenarioError, match=r"task\.demonstration\[0\]: expected text, not 3"):
+        parse_scenario("task: {demonstration: [3]}")
+
+
+# What is refused ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        (["0,0,0,0", "1,0,1,0"], ["no header", "names its columns, x,y,z"]),
+        (["t,x,y,w", "0,0,0,0"], ["unknown column 'w'", "qw,qx,qy,qz"]),
+        (["t,x,y", "0,0,0"], ["its header is 't,x,y'", "x,y,z in any order"]),
+        (["t,x,x,y,z", "0,0,0,0,0"], ["its header is 't,x,x,y,z'"]),
+        (["x,y,z,qw,qx", "0,0,0,0,0"], ["qw, qx alone", "qw,qx,qy,qz"]),
+        (["x,y,z", "0,0,0", "1,a,0"], ["line 3 is not 3 numbers, but '1,a,0'"]),
+        (["x,y,z", "0,0,0", "1,1"], ["line 3 is not 3 numbers, but '1,1'"]),
+        (["x,y,z", "0,0,0", "", "1,1,1"], ["line 3 is not 3 numbers, but ''"]),
+        (["x;y;z", "0;0;0"], ["unknown column 'x;y;z'"]),
+        (["x,y,z", "0,0,0", "1,nan,0", "1,1,1"], ["sample 1 is not", "sample 0 is line 2"]),
+        (["t,x,y,z", "0,0,0,0", "1,0,1,0", "1,0,2,0"], ["sample 2 at 1.0 s follows 1.0 s"]),
+        (["t,x,y,z", "0,0,0,0", "1,0,1,0", "0.5,0,2,0"], ["sample 2 at 0.5 s follows 1.0 s"]),
+        (["t,x,y,z", "0,0,0,0", "5200,0,1,0"], ["span 5200 s, at most 600", "in seconds"]),
+        (["x,y,z", "0,0,0"], ["at least 2 samples, not 1"]),
+        (["x,y,z"], ["at least 2 samples, not 0"]),
+        ([""], ["unknown column ''"]),
+        (["x,y,z", "0,0,0", "1,0,0", "0,0,0"], ["must end away from where it starts"]),
+        (["x,y,z,qw,qx,qy,qz", "0,0,0,1,0,0,0", "1,0,0,0,0,0,0"], ["quaternion of sample 1 is 0"]),
+        (
+            ["x,y,z,qw,qx,qy,qz", "0,0,0,1,0,0,0", "1,0,0,0,1,0,0"],
+            ["0 and 1 are half a turn apart"],
+        ),
+    ],
+)
+def test_a_bad_csv_says_what_is_wrong_where(
+    lines: list[str], words: list[str], tmp_path: Path
+) -> None:
+    with pytest.raises(ScenarioError) as error:
+        demonstrated_path(taught(csv(tmp_path, *lines)))
+    for word in ("task.demonstration: ", "shown.csv", *words):
+        assert word in str(error.value)
+    assert len(str(error.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe\x00x,y,z", b"PK\x03\x04", b"x" * 100_000])
+def test_what_is_no_csv_is_refused(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "shown.csv").write_bytes(content)
+    with pytest.raises(ScenarioError, match=r"shown\.csv.*cannot read it") as error:
+        read_demonstrations(taught(tmp_path / "shown.csv").task)
+    assert len(str(error.value)) < 1000
+
+
+def test_of_several_the_bad_one_is_named(tmp_path: Path) -> None:
+    np.savez(tmp_path / "good.npz", path=PATH)
+    np.savez(tmp_path / "nan.npz", path=np.where(S[:, None] == S[4], np.nan, PATH))
+    np.savez(tmp_path / "turns.npz", path=PATH, R=np.tile(np.eye(3), (11, 1, 1)))
+    with pytest.raises(ScenarioError, match=r"'[^']*nan\.npz': path must be finite: sample 4 is"):
+        demonstrated_path(taught(tmp_path / "good.npz", tmp_path / "nan.npz"))
+    with pytest.raises(ScenarioError, match=r"good\.npz' has no orientations, others have"):
+        demonstrated_path(taught(tmp_path / "turns.npz", tmp_path / "good.npz"))
+    np.savez(tmp_path / "back.npz", path=PATH * np.sin(np.pi * S)[:, None])
+    with pytest.raises(ScenarioError, match=r"good\.npz', '.*back\.npz': demonstration 2 of 2: "):
+        demonstrated_path(taught(tmp_path / "good.npz", tmp_path / "back.npz"))
+
+
+@pytest.mark.parametrize("kind", ["npz", "csv"])
+def test_ten_million_samples_are_refused_soon_and_without_reading_them(
+    kind: str, tmp_path: Path
+) -> None:
+    file = tmp_path / f"shown.{kind}"
+    if kind == "npz":
+        np.savez(file, path=np.zeros((10_000_000, 3), dtype=np.int8))
+    else:
+        file.write_bytes(b"x,y,z\n" + b"0,0,0\n" * 10_000_000)
+    scenario = taught(file)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    begin = time.perf_counter()
+    with pytest.raises(ScenarioError, match=r"more than 1000000 samples.*keep every so many"):
+        read_demonstrations(scenario.task)
+    assert time.perf_counter() - begin < 10.0
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000
+
+
+def test_a_long_recording_is_learnt_in_a_moment(tmp_path: Path) -> None:
+    s = np.linspace(0.0, 1.0, 300_000)
+    share = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+    way = np.column_stack([0.2 * np.sin(np.pi * share), share, 0.0 * s])
+    np.savez(tmp_path / "shown.npz", path=way, t=300.0 * s)
+    scenario = taught(tmp_path / "shown.npz")
+    begin = time.perf_counter()
+    dmp = demonstrated_path(scenario)
+    assert time.perf_counter() - begin < 5.0
+    found = trajectory(dmp, way[0], way[-1])
+    of_it = np.stack([np.interp(found.s, s, axis) for axis in way.T], axis=1)
+    assert np.abs(found.p - of_it).max() < 1e-3
+
+
+# What is shipped ----------------------------------------------------------------------
+
+
+def generator() -> ModuleType:
+    file = SHIPPED / "generate_demonstrations.py"
+    spec = importlib.util.spec_from_file_location(file.stem, file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_shipped_recordings_are_those_of_the_script(tmp_path: Path) -> None:
+    module = generator()
+    module.FOLDER = tmp_path
+    module.main()
+    made = sorted(path.name for path in tmp_path.iterdir())
+    assert made == sorted(p.name for p in SHIPPED.iterdir() if p.suffix in (".csv", ".npz"))
+    assert made == ["arc_1.npz", "arc_2.npz", "arc_3.npz", "pour.csv", "wipe.npz"]
+    for name in made:
+        one, other = (read_demonstration(folder / name) for folder in (tmp_path, SHIPPED))
+        np.testing.assert_allclose(one.path, other.path, atol=2e-6)
+        np.testing.assert_allclose(one.t, other.t, atol=2e-6)
+        if one.orientations is not None:
+            np.testing.assert_allclose(one.orientations, other.orientations, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", ["arc_1.npz", "arc_2.npz", "arc_3.npz", "pour.csv", "wipe.npz"])
+def test_a_shipped_recording_is_as_a_hand_leaves_it(name: str) -> None:
+    url = f"package://drake_oa/demonstrations/{name}"
+    assert package_file(url) == SHIPPED / name
+    shown = read_demonstration(url)
+    gaps = np.diff(shown.t)
+    # About 100 samples a second, unevenly.
+    assert np.median(gaps) == pytest.approx(0.01, rel=0.1)
+    assert gaps.min() < 0.007
+    assert gaps.max() > 0.015
+    # It trembles, and no straight line comes near it.
+    shaken = np.diff(shown.path, n=2, axis=0) / 1e-4
+    assert 1.0 < np.abs(shaken).max() < 40.0
+    first, last = shown.path[0], shown.path[-1]
+    axis = (last - first) / np.linalg.norm(last - first)
+    aside = shown.path - first - np.outer((shown.path - first) @ axis, axis)
+    assert np.linalg.norm(aside, axis=1).max() > 0.1
+    if name == "pour.csv":
+        assert shown.orientations is not None
+        turned = goal_vector(shown.orientations[0], shown.orientations[-1])
+        assert 40.0 < np.degrees(np.linalg.norm(turned)) < 60.0
+    if name == "wipe.npz":
+        with np.load(SHIPPED / name) as archive:
+            q = archive["quaternion"]
+        assert (np.sum(q[1:] * q[:-1], axis=1) < 0.0).any()

@@ -1,0 +1,79 @@
+"""Table III of the paper: trials, their figures, and the print beside them."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drake_oa.app.main import main
+from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
+from drake_oa.studies.panda.run import with_method
+from drake_oa.studies.table_three import (
+    KINDS,
+    PRINTED,
+    table_three,
+    trial_figures,
+    trial_suites,
+    trial_text,
+)
+
+
+def run(clearance: float | None, goal_error: float, *contacts: str) -> dict[str, Any]:
+    return {
+        "tool_clearance_min": clearance,
+        "asked_clearance": 0.15,
+        "goal_error": goal_error,
+        "duration": 6.0,
+        "contacts": list(contacts),
+    }
+
+
+def test_a_row_is_taken_over_its_trials_and_has_the_print_beside_it() -> None:
+    runs = {
+        0: run(0.16, 1e-3),
+        1: run(0.14, 3e-3),
+        2: run(-0.01, 0.5, "panda_hand - obstacle_box", "panda_link6 - obstacle_box"),
+        3: run(None, 0.9),
+    }
+    found = trial_figures(runs, PRINTED["box", "paper"])
+    assert (found["trials"], found["obstacles_touched"], found["trials_short"]) == (4, 1, 2)
+    assert found["clearance_mean"] == pytest.approx(0.29 / 3)
+    assert (found["clearance_min"], found["goal_error_max"]) == (-0.01, 0.5)
+    assert (found["clearance_printed"], found["goal_error_printed"]) == (0.168, 9.58e-3)
+    assert "clearance_mean" not in trial_figures({0: run(None, 0.9)}, None)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_trial_is_the_shipped_scenario_with_the_noise_of_its_seed(kind: str) -> None:
+    text, _ = trial_text(f"paper_{kind}", 7)
+    assert text == scenario_text(load_scenario(f"paper_{kind}", ["seed=7"]))
+    # The method of the suites is what the scenario has.
+    assert scenario_text(with_method(parse_scenario(text), "paper")) == text
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"methods": ("verified",)}, "unknown method 'verified'; table3 has: preplanned, paper"),
+        ({"trials": 0}, "--scenes must be at least 1"),
+        ({"seed": -1}, "--seed must be 0 or more"),
+    ],
+)
+def test_what_no_trial_is_is_refused(given: dict[str, Any], said: str) -> None:
+    asked = {"methods": ("paper",), "trials": 1, "seed": 0, "perception": "truth", "duration": None}
+    with pytest.raises(ValueError, match=said):
+        trial_suites(**(asked | given))  # type: ignore[arg-type]
+
+
+def test_the_command_prints_the_table_and_writes_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "table3.json"
+    given = ["--trials", "1", "--perception", "truth", "--method", "paper", "--duration", "0.02"]
+    assert main(["evaluate", "table3", *given, "--json", str(file), "--jobs", "1"]) == 0
+    told = capsys.readouterr().out
+    whole = json.loads(file.read_text())
+    assert list(whole["rows"]) == list(KINDS)
+    for row in table_three(whole).rows:
+        assert all(cell in told for cell in row)
