@@ -54,7 +54,9 @@ def test_the_network_that_runs_is_the_one_that_learns() -> None:
     torch.manual_seed(0)
     net = SetNetwork(16)
     scenes = draw_scenes(np.random.default_rng(1), 30, True)
-    scenes = replace(scenes, p_WO=np.where(scenes.p_WO[:, :, :1] > 0.4, np.nan, scenes.p_WO))
+    gone = scenes.p_WO[:, :, :1] > 0.4
+    gone[:, 0] = False  # Where nothing is left, something stands in.
+    scenes = replace(scenes, p_WO=np.where(gone, np.nan, scenes.p_WO))
     seen = turned(scenes, np.full(30, SIDES[5]))
     rows = torch.from_numpy(np.array(descriptors(seen, DURATION, np.zeros(30))))
     with torch.no_grad():
