@@ -19,6 +19,7 @@ _COMPILATION = {
     "replay": None,
     "plot": None,
     "graph": None,
+    "check": None,
     "perceive": "half a minute",
     "benchmark": "2 minutes",
     "synthetic": "2 to 4 minutes",
@@ -36,6 +37,8 @@ For example:
     drake-oa scenarios
     drake-oa run tabletop_box --html box.html --json box.json
     drake-oa run tabletop_box --set 'perception=!GroundTruth {}' --set task.clearance=0.1
+    drake-oa new my
+    drake-oa check my.scenario.yaml
     drake-oa run my.scenario.yaml --meshcat
     drake-oa replay drake_oa_runs/tabletop_box-20250131T120000Z.npz --meshcat
     drake-oa plot drake_oa_runs/tabletop_box-20250131T120000Z.npz
@@ -48,6 +51,8 @@ _COMMANDS = {
     "replay": "replay",
     "plot": "replay",
     "scenarios": "scenarios",
+    "new": "own",
+    "check": "own",
     "graph": "scenarios",
     "perceive": "perceive",
     "benchmark": "benchmark",
@@ -79,6 +84,11 @@ def _app() -> App:
         console=None if sys.stdout.isatty() else Console(width=100),
         version=_versions,
         default_parameter=Parameter(negative=(), allow_repeating=True, show_default=_shown_default),
+    )
+    app.register_install_completion_command(
+        name="--install-completion",
+        help="complete commands and options in bash, zsh or fish",
+        add_to_startup=False,
     )
     for number, (name, module) in enumerate(_COMMANDS.items()):
         app.command(f"drake_oa.app.{module}:{name}", name=name, sort_key=number)
@@ -123,7 +133,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Whoever read our output has seen enough. Python flushes once more at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
-    except (CycloptsError, ValueError, OSError) as error:
+    except CycloptsError as error:
+        words = [name for name in tokens[:1] if name in _COMMANDS]
+        complain(f"{error} See drake-oa {' '.join([*words, '--help'])}")
+        return BAD_INPUT
+    except (ValueError, OSError) as error:
         logging.getLogger(__name__).info("where it happened", exc_info=True)
         complain(str(error))
         return BAD_INPUT

@@ -8,9 +8,11 @@ compares them with dataclasses (and Drake's own schemas), so that an error names
 from __future__ import annotations
 
 import dataclasses as dc
+import difflib
 import math
 import types
 import typing
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -150,8 +152,8 @@ def apply_override(data: dict[str, Any], override: str) -> None:
         block[leaf] = value
 
 
-def _schema_fields(schema: type) -> dict[str, tuple[Any, Any]] | None:
-    """Name -> (type, metadata) of a schema's fields; None where it is not one."""
+def schema_fields(schema: type) -> dict[str, tuple[Any, Any]] | None:
+    """Name -> (type, metadata) of the fields of a block, ours or Drake's; None: it is none."""
     if dc.is_dataclass(schema):
         hints = typing.get_type_hints(schema)
         return {item.name: (hints[item.name], item.metadata) for item in dc.fields(schema)}
@@ -161,46 +163,70 @@ def _schema_fields(schema: type) -> dict[str, tuple[Any, Any]] | None:
 
 
 def check(data: Any, schema: Any, where: str, metadata: Any) -> None:
-    """Holds plain YAML data against a type; raises with the field's full name."""
+    """Holds plain YAML data against a type; raises with the first field's full name."""
+    for problem in problems(data, schema, where, metadata):
+        raise ScenarioError(problem)
+
+
+def problems(data: Any, schema: Any, where: str, metadata: Any) -> Iterator[str]:
+    """All that is wrong with plain YAML data, a line a field.
+
+    Args:
+        data: what `read_yaml` made.
+        schema: the type that it is to have.
+        where: full name of the field; empty for the whole.
+        metadata: of the field: unit, range, number of values, choices.
+    """
     origin, arguments = typing.get_origin(schema), typing.get_args(schema)
     if origin in (types.UnionType, typing.Union):
-        _check_union(data, arguments, where, metadata)
+        yield from _union_problems(data, arguments, where, metadata)
     elif "choices" in metadata:
         if data not in metadata["choices"]:
-            raise ScenarioError(f"{where}: {data!r} is not one of {', '.join(metadata['choices'])}")
+            yield f"{where}: {data!r} is not one of {', '.join(metadata['choices'])}"
     elif origin in (list, typing.List):  # noqa: UP006
         if not isinstance(data, list):
-            raise ScenarioError(f"{where}: expected a list, not {data!r}")
+            yield f"{where}: expected a list, not {data!r}"
+            return
         size = metadata.get("size")
         if size is not None and len(data) != size:
-            raise ScenarioError(f"{where}: expected {size} numbers, not {len(data)}")
+            yield f"{where}: expected {size} numbers, not {len(data)}"
+        of_item = {key: metadata[key] for key in ("unit", "low", "high") if key in metadata}
         for number, item in enumerate(data):
-            of_item = {key: metadata[key] for key in ("unit", "low", "high") if key in metadata}
-            check(item, arguments[0], f"{where}[{number}]", of_item)
+            yield from problems(item, arguments[0], f"{where}[{number}]", of_item)
     elif schema is np.ndarray and isinstance(data, list):
         for number, item in enumerate(data):
             if not isinstance(item, list):
-                _check_number(item, float, f"{where}[{number}]", {})
+                yield from _number_problems(item, float, f"{where}[{number}]", {})
     elif origin is dict:
-        _check_block(data, where)
+        if problem := _block_problem(data, where):
+            yield problem
+            return
         for name, value in data.items():
-            check(value, arguments[1], f"{where}.{name}", {})
+            yield from problems(value, arguments[1], f"{where}.{name}", {})
     elif schema in (float, int):
-        _check_number(data, schema, where, metadata)
+        yield from _number_problems(data, schema, where, metadata)
     elif schema in (bool, str):
         if not isinstance(data, schema):
             kind = "true or false" if schema is bool else "text"
-            raise ScenarioError(f"{where}: expected {kind}, not {data!r}")
-    elif (known := _schema_fields(schema)) is not None:
-        _check_block(data, where)
+            yield f"{where}: expected {kind}, not {data!r}"
+    elif (known := schema_fields(schema)) is not None:
+        if problem := _block_problem(data, where):
+            yield problem
+            return
         for name, value in data.items():
             full_name = f"{where}.{name}" if where else name
             if name not in known:
-                raise ScenarioError(
-                    f"{full_name} is not a field; valid here: {', '.join(known) or 'none'}"
-                )
+                valid = ", ".join(known) or "none"
+                yield f"{full_name} is not a field{did_you_mean(name, known)}; valid here: {valid}"
+                continue
             kind, extra = known[name]
-            check(value, kind, full_name, extra)
+            yield from problems(value, kind, full_name, extra)
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """` (did you mean ...?)`, where one of those that are known is much like a word."""
+    near = difflib.get_close_matches(word, known, 1)
+    return f" (did you mean {near[0]}?)" if near else ""
 
 
 def check_values(config: Any, where: str = "") -> None:
@@ -217,7 +243,7 @@ def check_values(config: Any, where: str = "") -> None:
         ScenarioError: naming the field and what would be valid.
     """
     where = where or type(config).__name__
-    for name, (kind, metadata) in (_schema_fields(type(config)) or {}).items():
+    for name, (kind, metadata) in (schema_fields(type(config)) or {}).items():
         value, full_name = getattr(config, name), f"{where}.{name}"
         parts = value if isinstance(value, list) else [value]
         if any(map(dc.is_dataclass, parts)):
@@ -230,50 +256,59 @@ def check_values(config: Any, where: str = "") -> None:
             raise ScenarioError(f"{full_name} must be less than {other}, not {value} and {limit}")
 
 
-def _check_block(data: Any, where: str) -> None:
+def _block_problem(data: Any, where: str) -> str | None:
     if not isinstance(data, dict):
-        raise ScenarioError(f"{where}: expected a block of name: value, not {data!r}")
+        return f"{where}: expected a block of name: value, not {data!r}"
     if "_tag" in data:
-        raise ScenarioError(f"{where or 'scenario'}: takes no tag, but has {data['_tag']}")
+        return f"{where or 'scenario'}: takes no tag, but has {data['_tag']}"
+    return None
 
 
-def _check_union(data: Any, options: tuple[Any, ...], where: str, metadata: Any) -> None:
+def _union_problems(
+    data: Any, options: tuple[Any, ...], where: str, metadata: Any
+) -> Iterator[str]:
     if type(None) in options and data is None:
         return
     choices = [option for option in options if option is not type(None)]
-    # Drake's templates carry their arguments in their names, but not in their tags.
-    tags = {
-        f"!{choice.__name__.partition('𝓣')[0]}": choice
-        for choice in choices
-        if _schema_fields(choice) is not None
-    }
+    tags = tagged(choices)
     tag = data.get("_tag") if isinstance(data, dict) else None
     if not isinstance(data, dict) and len(tags) == len(choices) > 1:
-        raise ScenarioError(
-            f"{where}: expected one of {', '.join(tags)} with a block, not {data!r}"
-        )
-    if tag is None or len(choices) == 1:
-        check(data, choices[0], where, metadata)
+        yield f"{where}: expected one of {', '.join(tags)} with a block, not {data!r}"
+    elif tag is None or len(choices) == 1:
+        yield from problems(data, choices[0], where, metadata)
     elif tag in tags:
         block = {name: value for name, value in data.items() if name != "_tag"}
-        check(block, tags[tag], where, metadata)
+        yield from problems(block, tags[tag], where, metadata)
     else:
-        raise ScenarioError(f"{where}: tag {tag} is not one of {', '.join(tags)}")
+        near = did_you_mean(str(tag), tags)
+        yield f"{where}: tag {tag} is not one of {', '.join(tags)}{near}"
 
 
-def _check_number(data: Any, schema: type, where: str, metadata: Any) -> None:
+def tagged(choices: Iterable[Any]) -> dict[str, Any]:
+    """Tag -> type, of the types that are blocks."""
+    # Drake's templates carry their arguments in their names, but not in their tags.
+    return {
+        f"!{choice.__name__.partition('𝓣')[0]}": choice
+        for choice in choices
+        if schema_fields(choice) is not None
+    }
+
+
+def _number_problems(data: Any, schema: type, where: str, metadata: Any) -> Iterator[str]:
     valid = (int,) if schema is int else (int, float)
     unit = f" [{metadata['unit']}]" if metadata.get("unit") else ""
     if isinstance(data, bool) or not isinstance(data, valid):
         kind, hint = ("a whole number", "") if schema is int else ("a number", _number_form(data))
-        raise ScenarioError(f"{where}: expected {kind}{unit}, not {data!r}{hint}")
+        yield f"{where}: expected {kind}{unit}, not {data!r}{hint}"
+        return
     if not math.isfinite(data):
-        raise ScenarioError(f"{where}: must be a finite number{unit}, not {data}")
+        yield f"{where}: must be a finite number{unit}, not {data}"
+        return
     low, high = metadata.get("low", -math.inf), metadata.get("high", math.inf)
     above = data > low if metadata.get("open_low") else data >= low
     if not (above and data <= high):
         left = "(" if metadata.get("open_low") else "["
-        raise ScenarioError(f"{where}: {data} is outside {left}{low:g}, {high:g}]{unit}")
+        yield f"{where}: {data} is outside {left}{low:g}, {high:g}]{unit}"
 
 
 def _number_form(data: Any) -> str:

@@ -8,12 +8,20 @@ them, every key, tag, type and range is checked against the dataclasses of
 
 import dataclasses as dc
 import typing
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load_typed
 
-from drake_oa.common.config import ScenarioError, apply_override, check, read_yaml
+from drake_oa.common.config import (
+    ScenarioError,
+    apply_override,
+    check,
+    did_you_mean,
+    problems,
+    read_yaml,
+)
 from drake_oa.geometry.shapes import check_shapes
 from drake_oa.perception.config import DepthCamera
 from drake_oa.robot.config import check_robot
@@ -38,8 +46,10 @@ def scenario_path(name_or_file: str) -> Path:
     path = Path(name_or_file)
     if path.is_file():
         return path
+    near = did_you_mean(name_or_file, shipped)
     raise ScenarioError(
-        f"unknown scenario '{name_or_file}': it is neither a file nor one of {', '.join(shipped)}"
+        f"unknown scenario '{name_or_file}'{near}: it is neither a file nor one of "
+        f"{', '.join(shipped)}"
     )
 
 
@@ -69,6 +79,43 @@ def parse_scenario(
     Relative file names in it are relative to `folder` (None: the current directory),
     those in overrides to the current directory.
     """
+    data = _data(text, overrides, folder)
+    check(data, Scenario, "", {})
+    scenario = _typed(data)
+    for each in _whole_checks(scenario):
+        each()
+    _follow_joints(scenario, data)
+    return scenario
+
+
+def scenario_problems(name_or_file: str, overrides: typing.Sequence[str] = ()) -> list[str]:
+    """All that is wrong with a scenario, a line each; what only shows when it is built is not.
+
+    Raises:
+        ScenarioError: for a file that is not there, or that is no YAML.
+    """
+    path = scenario_path(name_or_file)
+    try:
+        data = _data(path.read_text("utf-8"), overrides, path.parent)
+    except (ScenarioError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{path.name}: {error}") from None
+    found = list(problems(data, Scenario, "", {}))
+    if found:
+        return found
+    try:
+        scenario = _typed(data)
+    except ScenarioError as error:
+        return [str(error)]
+    for each in [*_whole_checks(scenario), lambda: _follow_joints(scenario, data)]:
+        try:
+            each()
+        except ScenarioError as error:
+            found.append(str(error))
+    return found
+
+
+def _data(text: str, overrides: typing.Sequence[str], folder: Path | None) -> dict[str, Any]:
+    """Plain data of a scenario's text, its files' names absolute."""
     data = read_yaml(text)
     data = {} if data is None else data
     if not isinstance(data, dict):
@@ -79,40 +126,56 @@ def parse_scenario(
     for override in overrides:
         apply_override(data, override)
     _resolve_files(data, Path())
-    check(data, Scenario, "", {})
+    return data
+
+
+def _typed(data: dict[str, Any]) -> Scenario:
     try:
-        scenario = yaml_load_typed(schema=Scenario, data=yaml_dump(data), defaults=Scenario())
+        scenario: Scenario = yaml_load_typed(
+            schema=Scenario, data=yaml_dump(data), defaults=Scenario()
+        )
     except (RuntimeError, ValueError, TypeError) as error:
         raise ScenarioError(str(error)) from None
-    _check_whole(scenario)
-    follow_joints(
-        scenario, {name for name, value in data.get("task", {}).items() if value is not None}
-    )
     return scenario
 
 
-def _check_whole(scenario: Scenario) -> None:
-    """What no single field can tell."""
-    check_cameras(scenario.cameras)
-    check_obstacles(scenario.obstacles)
+def _follow_joints(scenario: Scenario, data: dict[str, Any]) -> None:
+    stated = {name for name, value in (data.get("task") or {}).items() if value is not None}
+    follow_joints(scenario, stated)
+
+
+def _whole_checks(scenario: Scenario) -> list[Callable[[], None]]:
+    """What no single field can tell; each raises a `ScenarioError`."""
+    task = scenario.task
+    return [
+        lambda: check_cameras(scenario.cameras),
+        lambda: check_obstacles(scenario.obstacles),
+        lambda: _check_robot(scenario),
+        lambda: _check_faults(scenario),
+        lambda: check_perception(scenario.perception, scenario.cameras),
+        lambda: _check_supervisor(scenario),
+        lambda: check_goals(task.start, task.goal, task.goal_moves),
+    ]
+
+
+def _check_robot(scenario: Scenario) -> None:
     if scenario.robot is not None:
         check_shapes(scenario.robot.carried, "robot.carried")
         check_robot(scenario.robot)
-    _check_faults(scenario)
-    perception = scenario.perception
-    check_perception(perception, scenario.cameras)
-    if scenario.robot is None and not isinstance(perception, GivenEllipsoids):
+    elif not isinstance(scenario.perception, GivenEllipsoids):
         raise ScenarioError(
             "robot: null (a free point) needs 'perception: !GivenEllipsoids'; "
-            f"it has !{type(perception).__name__}"
+            f"it has !{type(scenario.perception).__name__}"
         )
+
+
+def _check_supervisor(scenario: Scenario) -> None:
     supervisor = scenario.supervisor
     if supervisor is not None and supervisor.tracking_hold <= supervisor.tracking_slow:
         raise ScenarioError(
             f"supervisor.tracking_hold: {supervisor.tracking_hold} must be more than "
             f"supervisor.tracking_slow, {supervisor.tracking_slow} [m]"
         )
-    check_goals(scenario.task.start, scenario.task.goal, scenario.task.goal_moves)
 
 
 def _check_faults(scenario: Scenario) -> None:
@@ -136,7 +199,7 @@ def _check_faults(scenario: Scenario) -> None:
 
 
 def _resolve_files(data: dict[str, Any], base: Path) -> None:
-    """Makes relative file names absolute; URLs, and what is no text, stay.
+    """Makes relative file names absolute, those of models URLs; URLs, and what is no text, stay.
 
     Where a list of files is asked for, one alone stands for a list of it, and "" for none.
     """
@@ -156,6 +219,14 @@ def _resolve_files(data: dict[str, Any], base: Path) -> None:
             block[field] = [_absolute(file, base) for file in files]
         elif field in block:
             block[field] = _absolute(files, base)
+    directives = data.get("directives")
+    for directive in directives if isinstance(directives, list) else ():
+        for block in directive.values() if isinstance(directive, dict) else ():
+            if isinstance(block, dict) and isinstance(
+                file := _absolute(block.get("file"), base), str
+            ):
+                # Drake takes a text's model files as URLs only.
+                block["file"] = file if "://" in file else Path(file).as_uri()
 
 
 def _absolute(file: Any, base: Path) -> Any:

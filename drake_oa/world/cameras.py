@@ -18,6 +18,7 @@ from pydrake.systems.sensors import ApplyCameraConfig, CameraConfig, CameraInfo,
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.scenario.scenario import Scenario
+from drake_oa.world.meshes import give_normals
 from drake_oa.world.world_model import add_world
 
 
@@ -56,6 +57,10 @@ def add_camera_world(
     shown.RegisterAsSourceForSceneGraph(scene_graph)
     add_world(shown, scenario)
     shown.Finalize()
+    try:
+        give_normals(scene_graph, shown.get_source_id())
+    except (OSError, ValueError) as error:
+        raise ScenarioError(f"directives: {error}") from None
     poses = builder.AddNamedSystem(
         "camera_world", MultibodyPositionToGeometryPose(shown, input_multibody_state=True)
     )

@@ -1,0 +1,120 @@
+"""A picture of a scenario before it runs: the cell, and what its cameras see."""
+
+from __future__ import annotations
+
+import copy
+from pathlib import Path
+
+import numpy as np
+from pydrake.geometry import (
+    ClippingRange,
+    ColorRenderCamera,
+    GeometryInstance,
+    LightParameter,
+    MakeRenderEngineVtk,
+    PerceptionProperties,
+    RenderCameraCore,
+    RenderEngineVtkParams,
+    Rgba,
+    SceneGraph,
+    SourceId,
+    Sphere,
+)
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.sensors import CameraInfo
+
+from drake_oa.common.files import replace_file
+from drake_oa.common.messages import FloatArray
+from drake_oa.robot.plant import base_pose, make_robot_plant
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.task_joints import start_positions
+from drake_oa.world.meshes import give_normals
+from drake_oa.world.station import make_station
+
+_WIDTH, _HEIGHT, _FOV = 960, 720, 0.52
+_EYE_B, _AT_B = (2.3, -1.8, 1.4), (0.4, 0.0, 0.3)
+"""Where one looks from, and at, in the base's frame B [m]."""
+_MARK, _GREEN, _RED = 0.02, (0.1, 0.6, 0.2), (0.8, 0.1, 0.1)
+"""The balls at start and goal: radius [m] and colours."""
+_RENDERER = "still"
+
+
+def draw_scenario(scenario: Scenario, file: Path) -> None:
+    """Draws the cell with the arm at the start, and the depth images of all its cameras.
+
+    Args:
+        scenario: with a robot.
+        file: an image that matplotlib writes; its ending says which.
+
+    Raises:
+        ScenarioError: naming the field that does not fit.
+    """
+    # Here: takes a second.
+    from matplotlib.figure import Figure
+
+    scenario = copy.deepcopy(scenario)
+    for config in scenario.cameras:
+        config.output_delay = 0.0
+    builder = DiagramBuilder()
+    station = make_station(builder, scenario)
+    graph = station.scene_graph
+    _add_mark(graph, station.plant.get_source_id(), scenario.task.start, _GREEN, "start")
+    _add_mark(graph, station.plant.get_source_id(), scenario.task.goal, _RED, "goal")
+    lamps = [
+        LightParameter(type="directional", frame="world", direction=direction, intensity=power)
+        for direction, power in (([-1.0, 0.8, -1.5], 1.6), ([1.0, 1.0, -0.5], 0.7))
+    ]
+    params = RenderEngineVtkParams(default_clear_color=[0.93, 0.95, 0.97], lights=lamps)
+    give_normals(graph, station.plant.get_source_id())
+    graph.AddRenderer(_RENDERER, MakeRenderEngineVtk(params))
+    diagram = builder.Build()
+    context = diagram.CreateDefaultContext()
+    if scenario.robot is not None:
+        plant_context = station.plant.GetMyMutableContextFromRoot(context)
+        q = start_positions(make_robot_plant(scenario.robot), scenario)
+        station.plant.SetPositions(plant_context, station.robot, q)
+
+    X_WB = base_pose(scenario.robot)
+    core = RenderCameraCore(
+        _RENDERER, CameraInfo(_WIDTH, _HEIGHT, _FOV), ClippingRange(0.05, 20.0), RigidTransform()
+    )
+    query = graph.get_query_output_port().Eval(graph.GetMyContextFromRoot(context))
+    seen = query.RenderColorImage(
+        ColorRenderCamera(core),
+        graph.world_frame_id(),
+        _looking(X_WB @ np.array(_EYE_B), X_WB @ np.array(_AT_B)),
+    )
+    panels = 1 + len(station.cameras)
+    figure = Figure(figsize=(6.4 * panels, 4.8), layout="constrained")
+    axes = figure.subplots(1, panels, squeeze=False)[0]
+    axes[0].imshow(seen.data[..., :3])
+    axes[0].set_title("at the start; green: start, red: goal")
+    for axis, (name, camera) in zip(axes[1:], station.cameras.items(), strict=True):
+        port = camera.depth_image
+        depth = port.Eval(port.get_system().GetMyContextFromRoot(context)).data[..., 0]
+        shown = axis.imshow(np.where(np.isfinite(depth) & (depth > 0.0), depth, np.nan))
+        figure.colorbar(shown, ax=axis, label="depth [m]", shrink=0.8)
+        axis.set_title(f"camera '{name}' sees, without noise")
+    for axis in axes:
+        axis.set_axis_off()
+    replace_file(file, lambda path: figure.savefig(path, format=file.suffix[1:], dpi=100))
+
+
+def _add_mark(
+    graph: SceneGraph, source: SourceId, place: list[float], color: tuple[float, ...], name: str
+) -> None:
+    ball = GeometryInstance(RigidTransform(place), Sphere(_MARK), name)
+    properties = PerceptionProperties()
+    properties.AddProperty("phong", "diffuse", Rgba(*color))
+    ball.set_perception_properties(properties)
+    graph.RegisterAnchoredGeometry(source, ball)
+
+
+def _looking(p_WC: FloatArray, p_WT: FloatArray) -> RigidTransform:
+    """X_WC of a camera C that looks along its z axis at T, x to the right of the image."""
+    ahead = (p_WT - p_WC) / np.linalg.norm(p_WT - p_WC)
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    axes = np.column_stack([right, np.cross(ahead, right), ahead])
+    return RigidTransform(RotationMatrix(axes), p_WC)
