@@ -5,7 +5,9 @@ VENV ?= .venv
 OUT ?= out
 # Test processes side by side.
 JOBS ?= 2
+# What runs, and with it what tests, trains and checks.
 STAMP := $(VENV)/.installed
+DEV := $(VENV)/.installed-dev
 # Small matrices: more threads only wait for each other.
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_NUM_THREADS ?= 1
@@ -18,14 +20,14 @@ demo: $(STAMP)
 	  --json $(OUT)/tabletop_box.json --log $(OUT)/tabletop_box.npz
 	@echo "recording: $(OUT)/tabletop_box.html (open it in a browser)"
 
-test: $(STAMP)
+test: $(DEV)
 	$(VENV)/bin/python -m pytest -n $(JOBS)
 
 # Longer experiments: whole runs from depth, the gallery's figures, real scans.
-slow: $(STAMP)
+slow: $(DEV)
 	$(VENV)/bin/python -m pytest -n $(JOBS) -m slow
 
-lint: $(STAMP)
+lint: $(DEV)
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
 	@rm -rf build/lint && mkdir -p build/lint/drake_oa
@@ -33,7 +35,7 @@ lint: $(STAMP)
 	cd build/lint && PYTHONPATH=. $(abspath $(VENV))/bin/lint-imports --config $(CURDIR)/pyproject.toml
 	cd build/lint && MYPYPATH=. $(abspath $(VENV))/bin/mypy --config-file $(CURDIR)/pyproject.toml -p drake_oa
 
-setup: $(STAMP)
+setup: $(DEV)
 
 # Shared libraries that wheels load: glib and EGL for drake, libusb for open3d.
 LIBRARIES := libglib-2.0.so.0:libglib2.0-0 libEGL.so.1:libegl1 libusb-1.0.so.0:libusb-1.0-0
@@ -50,6 +52,10 @@ $(STAMP): pyproject.toml
 	  echo "missing $$library: on Debian or Ubuntu, sudo apt-get install $$package"; \
 	done
 	$(PYTHON) -m venv $(VENV)
+	$(VENV)/bin/python -m pip install -q --disable-pip-version-check -e .
+	@touch $@
+
+$(DEV): $(STAMP)
 	$(VENV)/bin/python -m pip install -q --disable-pip-version-check -e '.[dev]'
 	@touch $@
 

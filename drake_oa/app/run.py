@@ -103,6 +103,7 @@ def run(
         no_log: write no log.
         duration: stop each motion after so many simulated seconds.
     """
+    from drake_oa.runs.first_run import compiled_beside
     from drake_oa.scenario.loading import load_scenario
 
     chosen = load_scenario(scenario, overrides)
@@ -119,7 +120,8 @@ def run(
         contextlib.nullcontext() if no_log else _log_file(log, name) as log_file,
         _stop_between_steps() as raise_if_asked,
     ):
-        logs, failure, log_error = _simulate_both(outputs, chosen, log_file, raise_if_asked)
+        with compiled_beside(chosen):
+            logs, failure, log_error = _simulate_both(outputs, chosen, log_file, raise_if_asked)
         status = _report(outputs, name, chosen, logs)
         if log_file is not None and log_error is None:
             print(f"log: {log_file}", file=sys.stderr)

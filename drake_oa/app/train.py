@@ -53,7 +53,12 @@ def train(
         restart: discard what an interrupted training has kept.
     """
     # Numba and SciPy take a second to import, which `drake-oa --help` need not wait for.
-    from drake_oa.training import session
+    try:
+        from drake_oa.training import session
+    except ModuleNotFoundError as error:
+        if error.name != "torch":
+            raise
+        raise ValueError("training takes torch: pip install 'drake_oa[train]'") from None
 
     return session.train(
         recipe,
