@@ -16,6 +16,7 @@ from drake_oa.common.console import BAD_INPUT, FAILED, INTERRUPTED, complain
 
 _COMPILATION = {
     "run": "2 to 4 minutes",
+    "play": "2 to 4 minutes",
     "replay": None,
     "plot": None,
     "graph": None,
@@ -48,6 +49,7 @@ For example:
 
 _COMMANDS = {
     "run": "run",
+    "play": "play",
     "replay": "replay",
     "plot": "replay",
     "scenarios": "scenarios",

@@ -117,8 +117,8 @@ def run(
     check_outputs(html, json, log)
     name = scenario_name(scenario)
     with (
-        contextlib.nullcontext() if no_log else _log_file(log, name) as log_file,
-        _stop_between_steps() as raise_if_asked,
+        contextlib.nullcontext() if no_log else reserved_log(log, name) as log_file,
+        stop_between_steps() as raise_if_asked,
     ):
         with compiled_beside(chosen):
             logs, failure, log_error = _simulate_both(outputs, chosen, log_file, raise_if_asked)
@@ -145,7 +145,7 @@ def run(
 
 
 @contextlib.contextmanager
-def _log_file(named: Path | None, scenario: str) -> Iterator[Path]:
+def reserved_log(named: Path | None, scenario: str) -> Iterator[Path]:
     """The log's file: the one that was named, or one that is nobody else's."""
     if named is not None:
         check_space(named, _LOG_SPACE)
@@ -279,7 +279,7 @@ class Terminated(KeyboardInterrupt):
 
 
 @contextlib.contextmanager
-def _stop_between_steps() -> Iterator[Callable[[], None]]:
+def stop_between_steps() -> Iterator[Callable[[], None]]:
     """Holds Ctrl-C and SIGTERM back until asked for, by what this yields, between two steps.
 
     Raised anywhere, it would also strike inside numba's and Drake's own callbacks, and

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import shutil
@@ -9,7 +10,7 @@ import subprocess
 import zipfile
 from collections.abc import Callable
 from datetime import UTC, datetime
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -132,9 +133,10 @@ def user_cache(name: str) -> Path:
 
 def software_versions() -> tuple[str, ...]:
     """ "name version" of what the result depends on, and the commit when known."""
-    found = [
-        f"{name} {version(name)}" for name in ("drake_oa", "drake", "numpy", "scipy", "open3d")
-    ]
+    found = []
+    for name in ("drake_oa", "drake", "numpy", "scipy", "open3d", "open3d-cpu"):
+        with contextlib.suppress(PackageNotFoundError):
+            found.append(f"{name} {version(name)}")
     commit = source_commit()
     return (*found, f"commit {commit}") if commit else tuple(found)
 

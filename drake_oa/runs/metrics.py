@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from pydrake.geometry import GeometryId, HalfSpace, QueryObject, SceneGraphInspector
@@ -114,6 +115,14 @@ def _metrics(
     )
 
 
+class Nearest(NamedTuple):
+    """The two nearest points of a robot and an obstacle, in the world, and how far apart [m]."""
+
+    distance: float
+    p_WA: FloatArray
+    p_WB: FloatArray
+
+
 class RobotJudge:
     """Asks SceneGraph about one configuration of a scenario's robot after another."""
 
@@ -199,6 +208,33 @@ class RobotJudge:
             p_WE[row] = self._tool_frame.CalcPoseInWorld(self._plant_context).translation()
         return _metrics(record, clearance, p_WE, own)
 
+    def nearest(self, q: FloatArray, q_world: FloatArray) -> Nearest | None:
+        """The robot's and an obstacle's nearest points; None while there is no obstacle.
+
+        Args:
+            q: (nq,) positions of the robot, in the plant's order.
+            q_world: (n,) all positions of the station's plant.
+        """
+        self._plant.SetPositions(self._plant_context, q_world)
+        self._plant.SetPositions(self._plant_context, self._station.robot, q)
+        query = self._query_port.Eval(self._graph_context)
+        ours, others = self._robot_balls, self._obstacle_balls
+        bound = self._bounds()
+        found, least = None, OUT_OF_WORLD
+        for pair in np.argsort(bound, axis=None):
+            i, j = divmod(int(pair), len(others.radius))
+            if bound[i, j] >= least:
+                break
+            hit = query.ComputeSignedDistancePairClosestPoints(
+                ours.geometries[i], others.geometries[j]
+            )
+            if hit.distance < least:
+                found, least = hit, hit.distance
+        if found is None:
+            return None
+        p_WA = query.GetPoseInWorld(found.id_A) @ found.p_ACa
+        return Nearest(found.distance, p_WA, query.GetPoseInWorld(found.id_B) @ found.p_BCb)
+
     def _contacts(self, query: QueryObject) -> tuple[list[str], list[str]]:
         """ "link - thing" of what touches the robot, and "link - link" of its own that touch."""
         found: list[str] = []
@@ -213,15 +249,21 @@ class RobotJudge:
                 own.append(" - ".join(sorted((self._body[a].name(), self._body[b].name()))))
         return found, own
 
+    def _bounds(self) -> FloatArray:
+        """(M, N) that no geometry of the robot and of the obstacles is nearer than [m]."""
+        ours, others = self._robot_balls, self._obstacle_balls
+        apart = ours.centers(self._plant_context)[:, None] - others.centers(self._plant_context)
+        # No pair is nearer than the balls round both.
+        bound: FloatArray = np.linalg.norm(apart, axis=2) - ours.radius[:, None] - others.radius
+        return bound
+
     def _clearances(self, query: QueryObject) -> FloatArray:
         """(3,) least distance to the obstacles that are there [m].
 
         Of the robot, of the tool, and of the tool to what never moves.
         """
         ours, others = self._robot_balls, self._obstacle_balls
-        apart = ours.centers(self._plant_context)[:, None] - others.centers(self._plant_context)
-        # No pair is nearer than the balls round both.
-        bound = np.linalg.norm(apart, axis=2) - ours.radius[:, None] - others.radius
+        bound = self._bounds()
         least = np.full(3, np.inf)
         sought = np.array([True, self._tool.any(), bool(self._tool.any() and self._rests.any())])
         for pair in np.argsort(bound, axis=None):

@@ -429,7 +429,7 @@ def run_motion(
         else:
             why = f"{type(error).__name__}: {error}".rstrip(": ")
         watcher.ending, watcher.motion_end = Ending(MotionEnd.CUT_SHORT, why), math.nan
-        log = _collect(scenario, simulator, watcher, modulated, time.perf_counter() - started)
+        log = collect_log(scenario, simulator, watcher, modulated, time.perf_counter() - started)
         raise MotionInterruptedError(log) from error
     finally:
         simulator.clear_monitor()
@@ -437,16 +437,17 @@ def run_motion(
             if isinstance(system, LateCamera):
                 system.release()
     watcher.finish(simulator.get_context())
-    return _collect(scenario, simulator, watcher, modulated, time.perf_counter() - started)
+    return collect_log(scenario, simulator, watcher, modulated, time.perf_counter() - started)
 
 
-def _collect(
+def collect_log(
     scenario: Scenario,
     simulator: Simulator,
     watcher: MotionWatcher,
     modulated: bool,
     wall_time: float,
 ) -> MotionLog:
+    """What a diagram of a scenario has logged until now; see `run_motion`."""
     root = simulator.get_context()
     diagram = simulator.get_system()
     ending = watcher.ending or Ending(MotionEnd.CUT_SHORT, "")

@@ -1,0 +1,447 @@
+"""A scenario to play with: its motion goes to and fro while clearance, goal and things are changed.
+
+Whatever is changed is taken over after a moment, in a diagram that is built anew: the motion
+begins again, from rest, where the arm is. Between changes it is the very diagram that
+`drake-oa run` runs, in the same steps.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from pydrake.common.schema import Transform
+from pydrake.geometry import Meshcat, Rgba
+from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.multibody.parsing import LoadModelDirectives, ModelDirective
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context
+
+from drake_oa.common.config import ScenarioError
+from drake_oa.common.messages import FloatArray
+from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.geometry.shapes import Sphere
+from drake_oa.perception.config import DepthCamera, GroundTruth
+from drake_oa.regulation.config import Paper, Verified
+from drake_oa.robot.plant import TOOL_FRAME, make_robot_plant
+from drake_oa.runs.metrics import RobotJudge
+from drake_oa.runs.motion_log import MotionEnd, MotionLog
+from drake_oa.runs.simulation import Ending, MotionWatcher, collect_log
+from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.shipped import package_file
+from drake_oa.scenario.task_joints import tool_pose
+from drake_oa.world.late_camera import LateCamera
+
+TICK = 1.0 / 30.0
+"""Simulated time between two looks at the controls [s]."""
+SETTLED = 0.3
+"""A control that is being moved is taken over so long after it rests [s]."""
+MOST_LEGS = 20
+"""Motions that the log keeps: the newest ones."""
+THROWN = Obstacle(
+    name="thrown_in",
+    shapes=[Sphere(radius=0.06)],
+    color=[0.29, 0.46, 0.66, 1.0],
+    waypoints=[
+        [0.0, 0.7, 0.0, 0.2],
+        [1.2, 0.0, 0.0, 0.0],
+        [5.0, 0.0, 0.0, 0.0],
+        [6.2, 0.7, 0.0, 0.2],
+    ],
+)
+"""What is thrown in: it comes to the middle of the way that is left, and leaves again."""
+_LATEST = 0.1
+"""A picture that is later than this is not caught up with [s]."""
+_LINE = "/drake_oa/deciding_distance"
+_REGULATIONS = ("verified", "paper", "preplanned")
+
+
+Put = Callable[[Scenario, FloatArray, FloatArray], None]
+"""Puts a thing into a scenario at a place (3,) [m] and roll, pitch, yaw (3,) [rad]."""
+
+
+@dataclass
+class Movable:
+    """One thing of the world that has sliders.
+
+    Attributes:
+        name: what it is called.
+        p_WO: (3,) where it is [m].
+        rpy: (3,) roll, pitch, yaw [rad].
+        put: puts it into a scenario at a pose.
+    """
+
+    name: str
+    p_WO: FloatArray
+    rpy: FloatArray
+    put: Put
+
+
+def flat_directives(directives: list[ModelDirective]) -> list[ModelDirective]:
+    """The same with what `add_directives` names in its place; where that has a namespace, as is."""
+    flat: list[ModelDirective] = []
+    for directive in directives:
+        nested = directive.add_directives
+        if nested is None or nested.model_namespace or "package://drake_oa/" not in nested.file:
+            flat.append(directive)
+            continue
+        flat += flat_directives(LoadModelDirectives(str(package_file(nested.file))).directives)
+    return flat
+
+
+def movables(scenario: Scenario) -> list[Movable]:
+    """The obstacles of a scenario that stand on a pose of their own: its own and welded models."""
+    found = [
+        Movable(item.name, np.array(item.translation), np.array(item.rpy), _put_obstacle(row))
+        for row, item in enumerate(scenario.obstacles)
+    ]
+    for row, directive in enumerate(scenario.directives):
+        weld = directive.add_weld
+        if weld is None or not weld.child.startswith(OBSTACLE_PREFIX) or weld.parent != "world":
+            continue
+        X_WO = weld.X_PC.GetDeterministicValue() if weld.X_PC else RigidTransform()
+        rpy = RollPitchYaw(X_WO.rotation()).vector()
+        name = weld.child.partition("::")[0].removeprefix(f"{OBSTACLE_PREFIX}_")
+        found.append(Movable(name, X_WO.translation().copy(), rpy, _put_weld(row)))
+    return found
+
+
+def _put_obstacle(row: int) -> Put:
+    def put(scenario: Scenario, p_WO: FloatArray, rpy: FloatArray) -> None:
+        scenario.obstacles[row].translation = p_WO.tolist()
+        scenario.obstacles[row].rpy = rpy.tolist()
+
+    return put
+
+
+def _put_weld(row: int) -> Put:
+    def put(scenario: Scenario, p_WO: FloatArray, rpy: FloatArray) -> None:
+        weld = scenario.directives[row].add_weld
+        if weld is not None:
+            weld.X_PC = Transform(RigidTransform(RollPitchYaw(rpy), p_WO))
+
+    return put
+
+
+@dataclass
+class Choice:
+    """What the controls say.
+
+    Attributes:
+        clearance: asked [m].
+        goal: (3,) of the motion to it [m].
+        poses: of each movable thing x, y [m] and yaw [rad].
+        regulation: "verified", "paper" or "preplanned".
+        seen: whether obstacles are seen by the scenario's camera, rather than known.
+        thrown: how often something was thrown in.
+    """
+
+    clearance: float
+    goal: tuple[float, float, float]
+    poses: list[tuple[float, float, float]]
+    regulation: str
+    seen: bool
+    thrown: int = 0
+
+
+@dataclass
+class Controls:
+    """Sliders and buttons in Meshcat's panel; what they say is a `Choice`.
+
+    Attributes:
+        meshcat: the viewer.
+        scenario: what they begin with.
+        things: what has sliders.
+    """
+
+    meshcat: Meshcat
+    scenario: Scenario
+    things: list[Movable]
+    status: str = field(default="", init=False)
+
+    def __post_init__(self) -> None:
+        task, add = self.scenario.task, self.meshcat.AddSlider
+        add("asked clearance [m]", 0.02, 0.30, 0.005, task.clearance)
+        self.meshcat.AddSlider("kept clearance [m]", 0.0, 1.0, 0.001, 0.0)
+        add("speed", 0.1, 1.0, 0.1, 1.0)
+        for axis, at, low, high in zip(
+            "xyz", task.goal, (0.2, -0.7, 0.05), (0.75, 0.7, 0.8), strict=True
+        ):
+            add(f"goal {axis} [m]", min(low, at), max(high, at), 0.01, at)
+        for thing in self.things:
+            x, y, yaw = thing.p_WO[0], thing.p_WO[1], thing.rpy[2]
+            add(f"{thing.name} x [m]", x - 0.4, x + 0.4, 0.01, x)
+            add(f"{thing.name} y [m]", y - 0.6, y + 0.6, 0.01, y)
+            add(f"{thing.name} yaw [rad]", -3.14, 3.14, 0.02, yaw)
+        for name, key in (
+            ("pause", "Space"),
+            ("step", "KeyN"),
+            ("reset", "KeyR"),
+            ("throw it in", "KeyT"),
+            ("next: verified, paper, preplanned", "KeyV"),
+            ("camera or ground truth", "KeyC"),
+            ("stop", "Escape"),
+        ):
+            self.meshcat.AddButton(name, key)
+
+    def clicks(self, name: str) -> int:
+        """How often a button was pressed."""
+        return int(self.meshcat.GetButtonClicks(name))
+
+    def value(self, name: str) -> float:
+        """Of a slider."""
+        return float(self.meshcat.GetSliderValue(name))
+
+    def choice(self) -> Choice:
+        """What they say now."""
+        first = _REGULATIONS.index("paper" if _is_paper(self.scenario) else "verified")
+        turn = first + self.clicks("next: verified, paper, preplanned")
+        can_see = isinstance(self.scenario.perception, DepthCamera)
+        x, y, z = (self.value(f"goal {axis} [m]") for axis in "xyz")
+        return Choice(
+            clearance=self.value("asked clearance [m]"),
+            goal=(x, y, z),
+            poses=[
+                (
+                    self.value(f"{thing.name} x [m]"),
+                    self.value(f"{thing.name} y [m]"),
+                    self.value(f"{thing.name} yaw [rad]"),
+                )
+                for thing in self.things
+            ],
+            regulation=_REGULATIONS[turn % len(_REGULATIONS)],
+            seen=can_see and self.clicks("camera or ground truth") % 2 == 0,
+            thrown=self.clicks("throw it in"),
+        )
+
+    def say(self, kept: float, status: str) -> None:
+        """Shows the clearance that is kept now [m], and a line of text."""
+        self.meshcat.SetSliderValue("kept clearance [m]", min(max(kept, 0.0), 1.0))
+        if status != self.status:
+            if self.status:
+                self.meshcat.DeleteButton(self.status)
+            self.meshcat.AddButton(status)
+            self.status = status
+
+
+def _is_paper(scenario: Scenario) -> bool:
+    return isinstance(scenario.regulation, Paper)
+
+
+class PlaySession:
+    """One scenario, played: `tick` after `tick`, until `stopped`.
+
+    Attributes:
+        controls: what may be changed.
+        logs: "leg_1" and so on, the motions that have ended; see `finish`.
+        stopped: whether the button was pressed.
+        kept: distance of the arm to the nearest obstacle now [m].
+        homeward: whether it goes back to where it began.
+    """
+
+    def __init__(self, scenario: Scenario, meshcat: Meshcat) -> None:
+        """Builds the scenario and begins its motion.
+
+        Raises:
+            ScenarioError: without a robot, or for a field that does not fit.
+        """
+        if scenario.robot is None:
+            raise ScenarioError("robot: there is nothing to play with without a robot")
+        self._robot_plant = make_robot_plant(scenario.robot)
+        self._scenario = copy.deepcopy(scenario)
+        self._scenario.directives = flat_directives(self._scenario.directives)
+        self._things = movables(self._scenario)
+        self.controls = Controls(meshcat, self._scenario, self._things)
+        self._meshcat = meshcat
+        self._taken = self._wanted = self.controls.choice()
+        self._rested = 0.0
+        self._home = tuple(self._scenario.task.start)
+        self.homeward = False
+        self._resets = self._steps = self._thrown = 0
+        self._refused = ""
+        self.logs: dict[str, MotionLog] = {}
+        self._leg = 0
+        self.stopped = False
+        self.kept = math.inf
+        self._simulator: Simulator | None = None
+        self._begin(None)
+
+    def tick(self) -> None:
+        """Takes over what was changed, goes on by `TICK` unless paused, and says how it is."""
+        controls = self.controls
+        self.stopped = controls.clicks("stop") > 0
+        choice = controls.choice()
+        if choice != self._wanted:
+            self._wanted, self._rested = choice, 0.0
+        self._rested += TICK
+        if controls.clicks("reset") > self._resets:
+            self._resets = controls.clicks("reset")
+            self.homeward = False
+            self._begin(None)
+        elif self._wanted != self._taken and self._rested >= SETTLED:
+            self._begin(self._positions())
+        elif self._watcher.settled and self._watcher.ending is not None:
+            if self._watcher.ending.end is MotionEnd.GOAL:
+                self.homeward = not self.homeward
+                self._begin(self._positions())
+        paused = controls.clicks("pause") % 2 == 1
+        stepping = controls.clicks("step") > self._steps
+        self._steps = controls.clicks("step")
+        if not paused or stepping:
+            self._advance()
+        self._say(paused)
+
+    def run(self, each_tick: Callable[[], None] = lambda: None) -> None:
+        """Ticks at the speed that is asked for, until the button is pressed.
+
+        Args:
+            each_tick: called before each; what it raises ends it.
+        """
+        due = time.monotonic()
+        while not self.stopped:
+            each_tick()
+            self.tick()
+            due += TICK / self.controls.value("speed")
+            wait = due - time.monotonic()
+            if wait > 0.0:
+                time.sleep(wait)
+            elif wait < -_LATEST:
+                due = time.monotonic()
+
+    def finish(self) -> dict[str, MotionLog]:
+        """The motions until now, the present one too; what takes images is given back."""
+        self._end_leg()
+        return self.logs
+
+    def _begin(self, q: FloatArray | None) -> None:
+        """Builds what is wanted, from these joints or the scenario's start; the old stays else."""
+        choice = self._wanted
+        self._taken = choice
+        try:
+            scenario = self._chosen(choice, q)
+            diagram = build_avoidance(
+                scenario, modulated=choice.regulation != "preplanned", meshcat=self._meshcat
+            )
+            judge = RobotJudge(scenario)
+        except (ScenarioError, ValueError, RuntimeError) as error:
+            # The sliders may ask for what cannot be: the motion there is goes on.
+            self._refused = str(error)
+            if self._simulator is None:
+                raise
+            return
+        self._end_leg()
+        self._refused = ""
+        self._thrown = choice.thrown
+        self._played, self._judge = scenario, judge
+        self._simulator = Simulator(diagram)
+        self._watcher = MotionWatcher(diagram, scenario, math.inf, None, latest_time=math.inf)
+        self._plant = diagram.GetSubsystemByName("plant")
+        self._arm = self._plant.GetFrameByName(TOOL_FRAME).model_instance()
+        self._simulator.Initialize()
+        self._simulator.set_monitor(self._watcher)
+
+    def _chosen(self, choice: Choice, q: FloatArray | None) -> Scenario:
+        """The scenario that is asked for, its motion from where the arm is."""
+        scenario = copy.deepcopy(self._scenario)
+        task = scenario.task
+        task.clearance = choice.clearance
+        task.goal = list(self._home if self.homeward else choice.goal)
+        if q is not None:
+            arm = len(scenario.robot.q_seed) if scenario.robot else 0
+            task.q_start, task.q_goal, task.goal_moves = q[:arm].tolist(), None, []
+            X_WE = tool_pose(self._robot_plant, q)
+            task.start = X_WE.translation().tolist()
+            task.rpy_start = RollPitchYaw(X_WE.rotation()).vector().tolist()
+            task.demonstration = []
+        if choice.regulation == "paper" and not _is_paper(scenario):
+            scenario.regulation = Paper()
+        elif choice.regulation == "verified" and _is_paper(scenario):
+            scenario.regulation = Verified()
+        if not choice.seen and isinstance(scenario.perception, DepthCamera):
+            scenario.perception, scenario.faults = GroundTruth(), []
+        for thing, (x, y, yaw) in zip(self._things, choice.poses, strict=True):
+            thing.put(scenario, np.array([x, y, thing.p_WO[2]]), np.array([*thing.rpy[:2], yaw]))
+        if choice.thrown > self._thrown:
+            middle = 0.5 * (np.array(task.start) + np.array(task.goal))
+            scenario.obstacles.append(replace(THROWN, translation=middle.tolist()))
+        return scenario
+
+    def tool_point(self) -> FloatArray:
+        """(3,) where the tool point is now [m]."""
+        context = self._plant.GetMyContextFromRoot(self._root())
+        frame = self._plant.GetFrameByName(TOOL_FRAME)
+        p_WE: FloatArray = frame.CalcPoseInWorld(context).translation()
+        return p_WE
+
+    def _positions(self) -> FloatArray:
+        """(nq,) of the robot now, within its joints' limits."""
+        context = self._plant.GetMyContextFromRoot(self._root())
+        q = self._plant.GetPositions(context, self._arm)
+        plant = self._robot_plant.plant
+        inside: FloatArray = np.clip(
+            q, plant.GetPositionLowerLimits() + 1e-6, plant.GetPositionUpperLimits() - 1e-6
+        )
+        return inside
+
+    def _root(self) -> Context:
+        if self._simulator is None:
+            raise RuntimeError("nothing runs")
+        return self._simulator.get_context()
+
+    def _advance(self) -> None:
+        if self._simulator is not None and not self._watcher.settled:
+            self._simulator.AdvanceTo(self._root().get_time() + TICK)
+
+    def _say(self, paused: bool) -> None:
+        root = self._root()
+        context = self._plant.GetMyContextFromRoot(root)
+        near = self._judge.nearest(
+            self._plant.GetPositions(context, self._arm), self._plant.GetPositions(context)
+        )
+        self.kept = near.distance if near else math.inf
+        if near:
+            ends = near.p_WA.reshape(3, 1), near.p_WB.reshape(3, 1)
+            self._meshcat.SetLineSegments(_LINE, *ends, 3.0, Rgba(0.85, 0.1, 0.45, 1.0))
+        else:
+            self._meshcat.Delete(_LINE)
+        self.controls.say(self.kept, self.status(paused))
+
+    def status(self, paused: bool = False) -> str:
+        """One line: who decides, by what it sees, and what holds the motion."""
+        seen = "camera" if self._taken.seen else "ground truth"
+        said = self._watcher.supervision[-1] if self._watcher.supervision else (0.0, "run", "")
+        note = self._watcher.events[-1][2] if self._watcher.events else ""
+        if self._refused:
+            state = f"cannot be: {self._refused}"
+        elif paused:
+            state = "paused"
+        elif self._watcher.ending is not None:
+            state = self._watcher.ending.reason
+        elif said[1] != "run":
+            state = f"{said[1]}: {said[2]}"
+        else:
+            state = note or "runs"
+        return f"{self._taken.regulation}, {seen}: {state}"[:120]
+
+    def _end_leg(self) -> None:
+        if self._simulator is None:
+            return
+        self._simulator.clear_monitor()
+        self._leg += 1
+        modulated = self._taken.regulation != "preplanned"
+        self._watcher.finish(self._root())
+        if math.isnan(self._watcher.motion_end) or self._watcher.motion_end == math.inf:
+            self._watcher.ending = Ending(MotionEnd.CUT_SHORT, "begun anew")
+        log = collect_log(self._played, self._simulator, self._watcher, modulated, math.nan)
+        self.logs[f"leg_{self._leg}"] = log
+        for name in list(self.logs)[:-MOST_LEGS]:
+            del self.logs[name]
+        for system in self._simulator.get_system().GetSystems():
+            if isinstance(system, LateCamera):
+                system.release()
+        self._simulator = None
