@@ -45,13 +45,19 @@ def make_overlay(scenario: Scenario, cell: Cell | None, meshcat: Meshcat) -> Mes
     """What our layers think, drawn into the viewer; also dresses the scene."""
     dress_scene(meshcat, base_pose(scenario.robot), scenario.table_height or 0.0)
     planned_W = _planned_path(scenario)
+    show = scenario.view.show
+    if show is None:
+        show = ["decision", "motion"]
+        show += ["descriptor"] if isinstance(scenario.regulation, Paper) else []
     if cell is None or scenario.robot is None:
-        return MeshcatOverlay(meshcat, planned_W=planned_W)
+        return MeshcatOverlay(meshcat, planned_W=planned_W, show=show)
     hand = cell.plant.GetBodyByName(scenario.robot.hand_link, cell.robot)
     p_BE = np.asarray(scenario.robot.p_HE)
     source = scenario.perception
     if not isinstance(source, DepthCamera) or not cell.cameras:
-        return MeshcatOverlay(meshcat, planned_W=planned_W, body_index=hand.index(), p_BE=p_BE)
+        return MeshcatOverlay(
+            meshcat, planned_W=planned_W, body_index=hand.index(), p_BE=p_BE, show=show
+        )
     ranges = {
         source.signal("camera_pose", config.name): SeenRange(
             cell.cameras[config.name].intrinsics, config.z_near, config.z_far
@@ -64,6 +70,7 @@ def make_overlay(scenario: Scenario, cell: Cell | None, meshcat: Meshcat) -> Mes
         cameras=ranges,
         body_index=hand.index(),
         p_BE=p_BE,
+        show=show,
     )
 
 

@@ -28,7 +28,7 @@ from drake_oa.robot.config import check_robot
 from drake_oa.scenario.faults import CameraFault
 from drake_oa.scenario.obstacles import check_obstacles
 from drake_oa.scenario.perception import GivenEllipsoids, check_cameras, check_perception
-from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.scenario import LAYERS, Scenario
 from drake_oa.scenario.shipped import shipped_scenarios
 from drake_oa.scenario.task import check_goals
 from drake_oa.scenario.task_joints import follow_joints
@@ -154,6 +154,7 @@ def _whole_checks(scenario: Scenario) -> list[Callable[[], None]]:
         lambda: _check_faults(scenario),
         lambda: check_perception(scenario.perception, scenario.cameras),
         lambda: _check_supervisor(scenario),
+        lambda: _check_view(scenario),
         lambda: check_goals(task.start, task.goal, task.goal_moves),
     ]
 
@@ -167,6 +168,15 @@ def _check_robot(scenario: Scenario) -> None:
             "robot: null (a free point) needs 'perception: !GivenEllipsoids'; "
             f"it has !{type(scenario.perception).__name__}"
         )
+
+
+def _check_view(scenario: Scenario) -> None:
+    for row, layer in enumerate(scenario.view.show or ()):
+        if layer not in LAYERS:
+            near = did_you_mean(layer, LAYERS)
+            raise ScenarioError(
+                f"view.show[{row}]: '{layer}' is not one of {', '.join(LAYERS)}{near}"
+            )
 
 
 def _check_supervisor(scenario: Scenario) -> None:

@@ -24,6 +24,19 @@ from drake_oa.scenario.perception import EllipsoidConfig as EllipsoidConfig
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.task import Task
 
+LAYERS = ("perception", "descriptor", "decision", "motion")
+"""What a viewer draws, as folders of its scene tree: clouds and cameras; ellipsoids and their
+sections; cost rings and chosen sides; planned and executed path."""
+
+
+@dc.dataclass
+class View:
+    """What a viewer shows at first; whoever looks may change it there."""
+
+    # Some of perception, descriptor, decision and motion; null: what decides, which is decision
+    # and motion, and for !Paper the descriptor.
+    show: list[str] | None = None
+
 
 @dc.dataclass
 class Scenario:
@@ -61,6 +74,8 @@ class Scenario:
     thinking: Thinking | None = dc.field(default_factory=Thinking)
     # Height of the table in the world; null: there is none [m].
     table_height: float | None = dc.field(default=0.0, metadata={"unit": "m"})
+    # What a viewer shows.
+    view: View = dc.field(default_factory=View)
     # What goes wrong, and when.
     faults: list[Fault] = dc.field(default_factory=list)
 

@@ -25,6 +25,7 @@ from drake_oa.common.messages import (
     TablePlane,
 )
 from drake_oa.common.ports import read_value
+from drake_oa.scenario.scenario import LAYERS
 from drake_oa.viewing import drawing
 from drake_oa.viewing.drawing import Color, TriangleMesh
 
@@ -150,7 +151,7 @@ class MeshcatOverlay(LeafSystem):
     length green, workspace grey, joint limits brown) where it costs 1; the magenta arrow is
     the chosen one. Rings are shown of obstacles that bend the motion only.
 
-    Everything is under "/drake_oa" in the scene tree and is recorded when Meshcat
+    Everything is under "/drake_oa" in the scene tree, a folder for each of `LAYERS`, and is recorded when Meshcat
     records: a recording holds transforms and properties but no objects, so whatever
     changes its shape (cloud, rings, executed path) is one object a frame, shown from
     then on or in its interval only. The system writes to Meshcat and reads nothing
@@ -172,6 +173,7 @@ class MeshcatOverlay(LeafSystem):
         max_points: int = 1500,
         point_spacing: float = 0.015,
         record_clouds: bool = True,
+        show: Sequence[str] = LAYERS,
     ) -> None:
         """Declares the ports; draws nothing yet.
 
@@ -192,6 +194,7 @@ class MeshcatOverlay(LeafSystem):
             point_spacing: least distance of these, roughly [m].
             record_clouds: keep each cloud as an object of its own for a recording;
                 False replaces the one there is, for viewers that run for hours.
+            show: the `LAYERS` that are visible at first; whoever looks may change that.
 
         Raises:
             ValueError: if an argument is out of its range.
@@ -202,6 +205,10 @@ class MeshcatOverlay(LeafSystem):
                 raise ValueError(f"{name} must be positive [s], not {value}")
         if max_obstacles < 1:
             raise ValueError(f"max_obstacles must be at least 1, not {max_obstacles}")
+        unknown = [layer for layer in show if layer not in LAYERS]
+        if unknown:
+            raise ValueError(f"show: {unknown[0]!r} is not one of {', '.join(LAYERS)}")
+        self._show = tuple(show)
         self._meshcat = meshcat
         self._period = period
         self._planned_W = None if planned_W is None else np.array(planned_W, dtype=float)
@@ -353,34 +360,33 @@ class MeshcatOverlay(LeafSystem):
     def _draw_start(self, context: Context) -> EventStatus:
         """The objects that only move, and the first frame."""
         meshcat = self._meshcat
-        for part in ("obstacles", "executed", "cloud", "planned", "tool_point"):
-            meshcat.Delete(f"{_ROOT}/{part}")
-        for number in range(max(1, len(self._edges_C))):
-            meshcat.Delete(_camera_path(number))
+        for layer in LAYERS:
+            meshcat.Delete(f"{_ROOT}/{layer}")
+            meshcat.SetProperty(f"{_ROOT}/{layer}", "visible", layer in self._show)
         circle = drawing.tube(drawing.unit_circle(), 0.014, closed=True)
         radius = drawing.ring_radius(3, **_RING)
         for slot in range(self._max_obstacles):
-            path = f"{_ROOT}/obstacles/{slot}"
+            path = f"{_ROOT}/descriptor/{slot}"
             body = f"{path}/ellipsoid/shape"
             self._mesh(body, drawing.unit_sphere(), drawing.ELLIPSOID, 0.32)
             # What is inside or behind it stays visible.
             meshcat.SetProperty(f"{body}/<object>", "material.depthWrite", False)
             self._mesh(f"{path}/section/shape", circle, drawing.SECTION)
-            self._arrow(f"{path}/direction", radius + 0.08, 0.0055, drawing.CHOSEN)
+            self._arrow(f"{_ROOT}/decision/{slot}/direction", radius + 0.08, 0.0055, drawing.CHOSEN)
         self._draw_planned(read_value(self, self._policy, context, PolicyState))
         for path, edges_C, _ in self._seeing(context):
             start, end = edges_C[:, 0].T, edges_C[:, 1].T
             meshcat.SetLineSegments(f"{path}/frustum", start, end, 1.0, Rgba(*drawing.FRUSTUM))
-        meshcat.SetObject(f"{_ROOT}/tool_point", Sphere(0.013), Rgba(*drawing.EXECUTED))
+        meshcat.SetObject(f"{_ROOT}/motion/tool_point", Sphere(0.013), Rgba(*drawing.EXECUTED))
         self._draw_frame(context, context.get_abstract_state(self._shown).get_value())
         return EventStatus.Succeeded()
 
     def _draw_planned(self, policy: PolicyState) -> None:
         path = np.stack([policy.p_WS, policy.p_WG]) if self._planned_W is None else self._planned_W
         if float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()) > 0.0:
-            self._mesh(f"{_ROOT}/planned/path", drawing.tube(path, 0.005), drawing.PLANNED)
+            self._mesh(f"{_ROOT}/motion/planned/path", drawing.tube(path, 0.005), drawing.PLANNED)
         for name, p_WQ in (("start", policy.p_WS), ("goal", policy.p_WG)):
-            ball = f"{_ROOT}/planned/{name}"
+            ball = f"{_ROOT}/motion/planned/{name}"
             self._meshcat.SetObject(ball, Sphere(0.014), Rgba(*drawing.PLANNED))
             self._meshcat.SetTransform(ball, RigidTransform(p_WQ))
 
@@ -419,9 +425,10 @@ class MeshcatOverlay(LeafSystem):
         )
         p_WB = drawing.baseline_points(policy.p_WS, policy.p_WG, policy.R_WL, ellipsoids.p_WO)
         for slot, name in enumerate(shown.slots):
-            path = f"{_ROOT}/obstacles/{slot}"
+            path, decided = f"{_ROOT}/descriptor/{slot}", f"{_ROOT}/decision/{slot}"
             row = row_of.get(name, -1)
             self._set(path, "visible", row >= 0, time)
+            self._set(decided, "visible", row >= 0, time)
             if row < 0:
                 continue
             X_WO = _pose(ellipsoids.R_WO[row], ellipsoids.p_WO[row])
@@ -429,14 +436,14 @@ class MeshcatOverlay(LeafSystem):
             R, p, scale = drawing.split_transform(sections[row])
             self._place(f"{path}/section", _pose(R, p), scale, time)
             side = ring_row.get(name, -1)
-            self._set(f"{path}/direction", "visible", side >= 0, time)
-            self._set(f"{path}/rings", "visible", side >= 0, time)
+            self._set(f"{decided}/direction", "visible", side >= 0, time)
+            self._set(f"{decided}/rings", "visible", side >= 0, time)
             if side >= 0:
                 R_WA = drawing.orthonormal_frame(route.direction_W[side])
-                self._meshcat.SetTransform(f"{path}/direction", _pose(R_WA, p_WB[row]), time)
+                self._meshcat.SetTransform(f"{decided}/direction", _pose(R_WA, p_WB[row]), time)
                 X_WL = _pose(policy.R_WL, p_WB[row])
-                self._meshcat.SetTransform(f"{path}/rings", X_WL, time)
-                self._draw_ring(f"{path}/rings", shown.rings[slot], route.angles, shown, time)
+                self._meshcat.SetTransform(f"{decided}/rings", X_WL, time)
+                self._draw_ring(f"{decided}/rings", shown.rings[slot], route.angles, shown, time)
 
     def _place(self, path: str, X: RigidTransform, scale: FloatArray, time: float) -> None:
         """Poses a path and stretches its child `shape`: a recording keeps both."""
@@ -458,11 +465,11 @@ class MeshcatOverlay(LeafSystem):
             self._appear(name, shown, time)
 
     def _draw_executed(self, p_WE: FloatArray, shown: _Shown, time: float) -> None:
-        self._meshcat.SetTransform(f"{_ROOT}/tool_point", RigidTransform(p_WE), time)
+        self._meshcat.SetTransform(f"{_ROOT}/motion/tool_point", RigidTransform(p_WE), time)
         if not shown.grew:
             return
         way = shown.p_to - shown.p_from
-        path = f"{_ROOT}/executed/{shown.frame}"
+        path = f"{_ROOT}/motion/executed/{shown.frame}"
         R = RotationMatrix.MakeFromOneVector(way, 2)
         self._meshcat.SetObject(
             path, Capsule(0.0055, float(np.linalg.norm(way))), Rgba(*drawing.EXECUTED)
@@ -473,9 +480,9 @@ class MeshcatOverlay(LeafSystem):
     def _draw_cloud(
         self, cloud: PointCloud, table: TablePlane | None, shown: _Shown, time: float
     ) -> None:
-        path = f"{_ROOT}/cloud/{shown.frame if self._record_clouds else 'now'}"
+        path = f"{_ROOT}/perception/cloud/{shown.frame if self._record_clouds else 'now'}"
         if self._record_clouds and shown.frame > 0:
-            previous = f"{_ROOT}/cloud/{shown.frame - self._cloud_every}"
+            previous = f"{_ROOT}/perception/cloud/{shown.frame - self._cloud_every}"
             self._set(previous, "visible", False, time)
         thin = self._thinned(cloud, table)
         self._meshcat.SetObject(path, thin, 0.011, Rgba(*drawing.CLOUD))
@@ -508,7 +515,7 @@ class MeshcatOverlay(LeafSystem):
 
 
 def _camera_path(number: int) -> str:
-    return f"{_ROOT}/camera" + (f"_{number + 1}" if number else "")
+    return f"{_ROOT}/perception/camera" + (f"_{number + 1}" if number else "")
 
 
 def _pose(R: FloatArray, p: FloatArray) -> RigidTransform:

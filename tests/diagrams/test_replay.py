@@ -60,5 +60,5 @@ def test_a_free_point_has_the_overlay_alone(
     diagram = build_replay(load_scenario("free_space"), straight_log(), meshcat)
     assert [s.get_name() for s in diagram.GetSystems()] == ["log_player", "overlay"]
     Simulator(diagram).AdvanceTo(0.2)
-    assert meshcat.HasPath("/drake_oa/planned/goal")
-    assert meshcat.HasPath("/drake_oa/executed")
+    assert meshcat.HasPath("/drake_oa/motion/planned/goal")
+    assert meshcat.HasPath("/drake_oa/motion/executed")

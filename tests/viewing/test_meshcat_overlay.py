@@ -15,7 +15,7 @@ from pydrake.systems.primitives import ConstantValueSource
 from pydrake.systems.sensors import CameraInfo
 
 from drake_oa.common.messages import PolicyState, Route
-from drake_oa.viewing.meshcat_overlay import MeshcatOverlay, SeenRange, dress_scene
+from drake_oa.viewing.meshcat_overlay import LAYERS, MeshcatOverlay, SeenRange, dress_scene
 from tests.builders import balls
 
 PERIOD = 0.1
@@ -96,25 +96,38 @@ def simulator(meshcat, ellipsoids=None, route=None, policy=moving_policy, more=(
 def test_pool_is_set_at_the_start(meshcat):
     simulator(meshcat, max_obstacles=2).Initialize()
     for slot in (0, 1):
-        for part in ("ellipsoid/shape", "section/shape", "direction/shaft", "direction/head"):
-            assert meshcat.HasPath(f"{ROOT}/obstacles/{slot}/{part}")
-    assert not meshcat.HasPath(f"{ROOT}/obstacles/2")
+        for part in ("ellipsoid/shape", "section/shape"):
+            assert meshcat.HasPath(f"{ROOT}/descriptor/{slot}/{part}")
+        for part in ("direction/shaft", "direction/head"):
+            assert meshcat.HasPath(f"{ROOT}/decision/{slot}/{part}")
+    assert not meshcat.HasPath(f"{ROOT}/descriptor/2")
     for part in ("start", "goal", "path"):
-        assert meshcat.HasPath(f"{ROOT}/planned/{part}")
-    assert not meshcat.HasPath(f"{ROOT}/camera")
+        assert meshcat.HasPath(f"{ROOT}/motion/planned/{part}")
+    assert not meshcat.HasPath(f"{ROOT}/perception/camera")
+
+
+def test_layers_are_shown_that_are_asked_for(meshcat):
+    simulator(meshcat, show=["motion"]).Initialize()
+    shown = {
+        layer: b"\xc3" in meshcat._GetPackedProperty(f"{ROOT}/{layer}", "visible")
+        for layer in LAYERS
+    }
+    assert shown == {layer: layer == "motion" for layer in LAYERS}
+    with pytest.raises(ValueError, match="show: 'moton' is not one of perception, descriptor"):
+        MeshcatOverlay(meshcat, show=["moton"])
 
 
 def test_executed_path_grows_by_a_segment_a_frame_while_moving(meshcat):
     sim = simulator(meshcat)
     sim.AdvanceTo(0.35)
-    frames = [k for k in range(10) if meshcat.HasPath(f"{ROOT}/executed/{k}")]
+    frames = [k for k in range(10) if meshcat.HasPath(f"{ROOT}/motion/executed/{k}")]
     assert frames == [1, 2, 3]
 
 
 def test_executed_path_does_not_grow_at_rest(meshcat):
     sim = simulator(meshcat, policy=moving_policy(0.0))
     sim.AdvanceTo(0.35)
-    assert not meshcat.HasPath(f"{ROOT}/executed")
+    assert not meshcat.HasPath(f"{ROOT}/motion/executed")
 
 
 def test_executed_path_starts_anew_with_the_simulation(meshcat):
@@ -122,10 +135,10 @@ def test_executed_path_starts_anew_with_the_simulation(meshcat):
     sim.AdvanceTo(0.35)
     sim.get_mutable_context().SetTime(0.0)
     sim.Initialize()
-    assert not meshcat.HasPath(f"{ROOT}/executed")
+    assert not meshcat.HasPath(f"{ROOT}/motion/executed")
     sim.AdvanceTo(0.15)
-    assert meshcat.HasPath(f"{ROOT}/executed/1")
-    assert not meshcat.HasPath(f"{ROOT}/executed/2")
+    assert meshcat.HasPath(f"{ROOT}/motion/executed/1")
+    assert not meshcat.HasPath(f"{ROOT}/motion/executed/2")
 
 
 def test_executed_path_is_that_of_the_body_when_connected(meshcat):
@@ -133,14 +146,14 @@ def test_executed_path_is_that_of_the_body_when_connected(meshcat):
     bodies.set_value([RigidTransform(), RigidTransform([1.0, 2.0, 3.0])])
     sim = simulator(meshcat, more=[("body_poses", bodies)], body_index=BodyIndex(1))
     sim.AdvanceTo(0.35)
-    assert not meshcat.HasPath(f"{ROOT}/executed")
-    assert meshcat._GetPackedTransform(f"{ROOT}/tool_point")
+    assert not meshcat.HasPath(f"{ROOT}/motion/executed")
+    assert meshcat._GetPackedTransform(f"{ROOT}/motion/tool_point")
 
 
 def test_rings_are_drawn_once_while_costs_stay(meshcat):
     sim = simulator(meshcat, obstacles(3), sides(3))
     sim.AdvanceTo(0.55)
-    frames = [k for k in range(10) if meshcat.HasPath(f"{ROOT}/obstacles/0/rings/{k}")]
+    frames = [k for k in range(10) if meshcat.HasPath(f"{ROOT}/decision/0/rings/{k}")]
     assert frames == [0]
 
 
@@ -150,7 +163,7 @@ def test_rings_are_drawn_anew_when_costs_change_visibly(meshcat):
 
     sim = simulator(meshcat, obstacles(3), route)
     sim.AdvanceTo(0.55)
-    frames = [k for k in range(10) if meshcat.HasPath(f"{ROOT}/obstacles/0/rings/{k}")]
+    frames = [k for k in range(10) if meshcat.HasPath(f"{ROOT}/decision/0/rings/{k}")]
     assert frames == [0, 3]
 
 
@@ -159,9 +172,9 @@ def test_obstacle_keeps_its_place_when_another_one_goes(meshcat):
         meshcat, lambda time: obstacles(1, 2) if time < 0.15 else obstacles(2), sides(2)
     )
     sim.AdvanceTo(0.35)
-    place = f"{ROOT}/obstacles/1"
+    place = f"{ROOT}/descriptor/1"
     assert b"\xc3" in meshcat._GetPackedProperty(place, "visible")
-    assert b"\xc2" in meshcat._GetPackedProperty(f"{ROOT}/obstacles/0", "visible")
+    assert b"\xc2" in meshcat._GetPackedProperty(f"{ROOT}/descriptor/0", "visible")
 
 
 def test_only_the_policy_state_is_needed(meshcat):
@@ -169,19 +182,19 @@ def test_only_the_policy_state_is_needed(meshcat):
     sim = Simulator(system)
     system.GetInputPort("policy_state").FixValue(sim.get_mutable_context(), moving_policy(0.0))
     sim.AdvanceTo(0.25)
-    assert meshcat.HasPath(f"{ROOT}/planned/path")
+    assert meshcat.HasPath(f"{ROOT}/motion/planned/path")
 
 
 def test_more_obstacles_than_places_are_left_out(meshcat):
     sim = simulator(meshcat, obstacles(1, 2, 3), sides(1, 2, 3), max_obstacles=2)
     sim.AdvanceTo(0.15)
-    assert not meshcat.HasPath(f"{ROOT}/obstacles/2")
+    assert not meshcat.HasPath(f"{ROOT}/descriptor/2")
 
 
 def test_route_for_other_obstacles_is_not_drawn(meshcat):
     sim = simulator(meshcat, obstacles(1), sides(9))
     sim.AdvanceTo(0.15)
-    assert b"\xc2" in meshcat._GetPackedProperty(f"{ROOT}/obstacles/0/rings", "visible")
+    assert b"\xc2" in meshcat._GetPackedProperty(f"{ROOT}/decision/0/rings", "visible")
 
 
 def cloud_value(points):
@@ -194,7 +207,7 @@ def test_each_cloud_is_an_object_of_its_own(meshcat):
     cloud = cloud_value([[0.1, 0.2, 0.3], [np.nan, 0, 0], [np.inf, 0, 0]])
     sim = simulator(meshcat, more=[("cloud", cloud)], cloud_period=0.2)
     sim.AdvanceTo(0.55)
-    assert [k for k in range(10) if meshcat.HasPath(f"{ROOT}/cloud/{k}")] == [0, 2, 4]
+    assert [k for k in range(10) if meshcat.HasPath(f"{ROOT}/perception/cloud/{k}")] == [0, 2, 4]
 
 
 def test_colours_stay_with_their_points(meshcat):
@@ -209,23 +222,23 @@ def test_colours_stay_with_their_points(meshcat):
 def test_one_cloud_is_replaced_when_clouds_are_not_recorded(meshcat):
     sim = simulator(meshcat, more=[("cloud", cloud_value([[0, 0, 0.1]]))], record_clouds=False)
     sim.AdvanceTo(0.55)
-    assert meshcat.HasPath(f"{ROOT}/cloud/now")
-    assert not meshcat.HasPath(f"{ROOT}/cloud/0")
+    assert meshcat.HasPath(f"{ROOT}/perception/cloud/now")
+    assert not meshcat.HasPath(f"{ROOT}/perception/cloud/0")
 
 
 @pytest.mark.parametrize("points", [np.zeros((0, 3)), np.full((4, 3), np.nan)])
 def test_an_empty_cloud_is_no_fault(meshcat, points):
     simulator(meshcat, more=[("cloud", cloud_value(points))]).AdvanceTo(0.25)
-    assert meshcat.HasPath(f"{ROOT}/obstacles")
+    assert meshcat.HasPath(f"{ROOT}/descriptor")
 
 
 def test_frustum_needs_camera_and_pose(meshcat):
     seen = {"camera_pose": SeenRange(CameraInfo(width=640, height=480, fov_y=0.8))}
     simulator(meshcat, cameras=seen).Initialize()
-    assert not meshcat.HasPath(f"{ROOT}/camera")
+    assert not meshcat.HasPath(f"{ROOT}/perception/camera")
     pose = Value(RigidTransform([1.0, 0.0, 1.0]))
     simulator(meshcat, cameras=seen, more=[("camera_pose", pose)]).Initialize()
-    assert meshcat.HasPath(f"{ROOT}/camera/frustum")
+    assert meshcat.HasPath(f"{ROOT}/perception/camera/frustum")
 
 
 def test_each_camera_has_a_frustum(meshcat):
@@ -233,8 +246,8 @@ def test_each_camera_has_a_frustum(meshcat):
     seen = {"camera_pose_left": SeenRange(info), "camera_pose_right": SeenRange(info, 0.5, 2.0)}
     poses = [(name, Value(RigidTransform([x, 0.0, 1.0]))) for x, name in enumerate(seen)]
     simulator(meshcat, cameras=seen, more=poses).Initialize()
-    assert meshcat.HasPath(f"{ROOT}/camera/frustum")
-    assert meshcat.HasPath(f"{ROOT}/camera_2/frustum")
+    assert meshcat.HasPath(f"{ROOT}/perception/camera/frustum")
+    assert meshcat.HasPath(f"{ROOT}/perception/camera_2/frustum")
 
 
 def test_recording_goes_into_one_page(meshcat):
@@ -253,8 +266,8 @@ def test_two_overlays_in_turn_draw_the_same(meshcat):
     sim.AdvanceTo(0.35)
     other = Simulator(system)
     other.AdvanceTo(0.15)
-    assert meshcat.HasPath(f"{ROOT}/executed/1")
-    assert not meshcat.HasPath(f"{ROOT}/executed/3")
+    assert meshcat.HasPath(f"{ROOT}/motion/executed/1")
+    assert not meshcat.HasPath(f"{ROOT}/motion/executed/3")
 
 
 def test_wrong_type_on_a_port_is_named(meshcat):

@@ -1,0 +1,84 @@
+"""A headless Chromium, driven by its DevTools protocol."""
+
+import asyncio
+import base64
+import json
+import shutil
+import subprocess
+import tempfile
+import time
+import urllib.request
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from tornado.websocket import websocket_connect
+
+PROGRAM = shutil.which("chromium") or shutil.which("chromium-browser")
+_FLAGS = ("--headless=new", "--no-sandbox", "--use-angle=swiftshader")
+_FLAGS += ("--enable-unsafe-swiftshader", "--remote-debugging-port=0", "--window-size=1400,900")
+
+
+class Browser:
+    """One page, until it is closed."""
+
+    def __init__(self, url: str) -> None:
+        self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
+        command = [str(PROGRAM), *_FLAGS, f"--user-data-dir={self._folder.name}", url]
+        self._process = subprocess.Popen(
+            command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        self._number = 0
+        self._loop = asyncio.new_event_loop()
+        self._socket = self._loop.run_until_complete(self._connect())
+
+    async def _connect(self) -> Any:
+        port = Path(self._folder.name) / "DevToolsActivePort"
+        deadline = time.monotonic() + 60.0
+        while time.monotonic() < deadline:
+            if port.is_file() and (lines := port.read_text().split()):
+                with urllib.request.urlopen(f"http://localhost:{lines[0]}/json") as answer:
+                    pages = [page for page in json.load(answer) if page["type"] == "page"]
+                if pages:
+                    address = pages[0]["webSocketDebuggerUrl"]
+                    return await websocket_connect(address, max_message_size=2**28)
+            await asyncio.sleep(0.1)
+        raise TimeoutError("no browser")
+
+    def call(self, method: str, **parameters: Any) -> Any:
+        """What a method of the protocol answers."""
+        self._number += 1
+
+        async def ask(number: int) -> Any:
+            message = {"id": number, "method": method, "params": parameters}
+            await self._socket.write_message(json.dumps(message))
+            while True:
+                answer = json.loads(await self._socket.read_message())
+                if answer.get("id") == number:
+                    return answer["result"]
+
+        return self._loop.run_until_complete(asyncio.wait_for(ask(self._number), 60.0))
+
+    def evaluate(self, script: str) -> Any:
+        """The value of a JavaScript expression."""
+        found = self.call("Runtime.evaluate", expression=script, returnByValue=True)["result"]
+        return found.get("value")
+
+    def screenshot(self, file: Path) -> None:
+        """Writes a PNG of the page."""
+        file.write_bytes(base64.b64decode(self.call("Page.captureScreenshot")["data"]))
+
+    def __enter__(self) -> "Browser":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._socket.close()
+        self._process.terminate()
+        self._process.wait(20.0)
+        self._loop.close()
+        self._folder.cleanup()
