@@ -65,6 +65,7 @@ def replay(
 
     from pydrake.systems.analysis import Simulator
 
+    from drake_oa.runs.page import label_page
     from drake_oa.runs.replay import build_replay
     from drake_oa.viewing.viewer import recording, start_viewer, wait_for_viewer
 
@@ -77,6 +78,8 @@ def replay(
         simulator.set_target_realtime_rate(1.0)
     with recording(viewer, html):
         simulator.AdvanceTo(shown.simulated_time / speed)
+    if html is not None:
+        label_page(html, log.stem, scenario, shown, speed=speed)
     print(f"{chosen}: {shown.duration:.2f} s, ended by {shown.stop_reason}")
     if meshcat:
         wait_for_viewer()

@@ -123,8 +123,10 @@ def run(
         with compiled_beside(chosen):
             logs, failure, log_error = _simulate_both(outputs, chosen, log_file, raise_if_asked)
         status = _report(outputs, name, chosen, logs)
-        if log_file is not None and log_error is None:
-            print(f"log: {log_file}", file=sys.stderr)
+        written = {"log": log_file if log_error is None else None, "page": html, "report": json}
+        for kind, file in written.items():
+            if file is not None:
+                print(f"{kind}: {file}", file=sys.stderr)
     if log_error is not None:
         complain(log_error)
         status = FAILED
@@ -226,10 +228,13 @@ def _simulate_both(
 def _report(outputs: _Outputs, name: str, scenario: Scenario, logs: dict[str, MotionLog]) -> int:
     """Prints and writes the report; the status says whether all motions got there."""
     from drake_oa.runs.motion_log import MotionEnd
+    from drake_oa.runs.page import label_page
     from drake_oa.runs.report import report_table, run_report
 
     report = run_report(name, scenario, logs)
     show(report_table(report))
+    if outputs.html and "modulated" in logs:
+        label_page(outputs.html, name, scenario, logs["modulated"])
     if outputs.json:
         replace_text(outputs.json, json_text.dumps(report, indent=2) + "\n")
     enough = {MotionEnd.GOAL}
