@@ -15,7 +15,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from drake_oa.app.scenarios import Overrides, build_errors, quiet, scenario_name
+from drake_oa.app.scenarios import Overrides, build_errors, scenario_name
 from drake_oa.common.console import (
     FAILED,
     INTERRUPTED,
@@ -187,10 +187,10 @@ def _simulate_both(
     from drake_oa.runs.simulation import MotionInterruptedError, simulate
     from drake_oa.viewing.viewer import recording
 
-    with build_errors(), quiet():
-        # What the modulated motion lacks is told before the first one is simulated.
-        build_avoidance(scenario)
     meshcat = _viewer(outputs)
+    with build_errors():
+        # What the modulated motion lacks is told before the first one is simulated.
+        built = build_avoidance(scenario, meshcat=meshcat)
     logs: dict[str, MotionLog] = {}
     failure: BaseException | None = None
     log_error: str | None = None
@@ -206,8 +206,8 @@ def _simulate_both(
                     scenario,
                     modulated=motion == "modulated",
                     duration=outputs.duration,
-                    meshcat=shown,
                     on_progress=on_progress,
+                    diagram=built if motion == "modulated" else None,
                 )
         except MotionInterruptedError as error:
             logs[motion], failure = error.log, error.__cause__ or error

@@ -356,6 +356,7 @@ def simulate(
     on_progress: Callable[[float, float], None] | None = None,
     layers: Layers | None = None,
     customize: Callable[[Wires], None] | None = None,
+    diagram: Diagram | None = None,
 ) -> MotionLog:
     """Runs one motion of a scenario until nothing moves any more, nor will.
 
@@ -382,15 +383,17 @@ def simulate(
         on_progress: called with time [s] and phase, a few hundred times a second.
         layers: as for `build_avoidance`.
         customize: likewise.
+        diagram: what `build_avoidance` made of all that; None: it is asked to.
 
     Raises:
         ScenarioError: naming the field that does not fit.
         MotionInterruptedError: if the simulation raised or was interrupted; it
             carries the log until then, and the cause.
     """
-    diagram = build_avoidance(
-        scenario, modulated=modulated, layers=layers, customize=customize, meshcat=meshcat
-    )
+    if diagram is None:
+        diagram = build_avoidance(
+            scenario, modulated=modulated, layers=layers, customize=customize, meshcat=meshcat
+        )
     simulator = Simulator(diagram)
     end_time = duration
     if end_time is None:
