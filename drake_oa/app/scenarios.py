@@ -1,4 +1,4 @@
-"""`drake-oa scenarios`, `new`, `check` and `graph`, and what commands share that take a scenario."""
+"""`drake-oa scenarios`, `new`, `check`, `graph`, and what commands share that take a scenario."""
 
 from __future__ import annotations
 

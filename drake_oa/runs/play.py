@@ -285,10 +285,9 @@ class PlaySession:
             self._begin(None)
         elif self._wanted != self._taken and self._rested >= SETTLED:
             self._begin(self._positions())
-        elif self._watcher.settled and self._watcher.ending is not None:
-            if self._watcher.ending.end is MotionEnd.GOAL:
-                self.homeward = not self.homeward
-                self._begin(self._positions())
+        elif self._watcher.settled and self._arrived():
+            self.homeward = not self.homeward
+            self._begin(self._positions())
         paused = controls.clicks("pause") % 2 == 1
         stepping = controls.clicks("step") > self._steps
         self._steps = controls.clicks("step")
@@ -392,6 +391,10 @@ class PlaySession:
         if self._simulator is None:
             raise RuntimeError("nothing runs")
         return self._simulator.get_context()
+
+    def _arrived(self) -> bool:
+        ending = self._watcher.ending
+        return ending is not None and ending.end is MotionEnd.GOAL
 
     def _advance(self) -> None:
         if self._simulator is not None and not self._watcher.settled:

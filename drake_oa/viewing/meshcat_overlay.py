@@ -32,6 +32,8 @@ from drake_oa.viewing.drawing import Color, TriangleMesh
 _ROOT = "/drake_oa"
 _RING = {"inner_radius": 0.17, "band": 0.022, "gap": 0.005}
 _SHORTEST_SEGMENT = 2e-3
+_FRUSTUM_DEPTH = 1.1
+"""How much of a camera's range is drawn [m]: a frustum of full depth hides more than it shows."""
 _COST_CHANGE = 0.1
 _AT_ORIGIN = RigidTransform()
 
@@ -151,11 +153,11 @@ class MeshcatOverlay(LeafSystem):
     length green, workspace grey, joint limits brown) where it costs 1; the magenta arrow is
     the chosen one. Rings are shown of obstacles that bend the motion only.
 
-    Everything is under "/drake_oa" in the scene tree, a folder for each of `LAYERS`, and is recorded when Meshcat
-    records: a recording holds transforms and properties but no objects, so whatever
-    changes its shape (cloud, rings, executed path) is one object a frame, shown from
-    then on or in its interval only. The system writes to Meshcat and reads nothing
-    from it; what it has drawn is abstract state.
+    Everything is under "/drake_oa" in the scene tree, a folder for each of `LAYERS`, and is
+    recorded when Meshcat records: a recording holds transforms and properties but no objects,
+    so whatever changes its shape (cloud, rings, executed path) is one object a frame, shown
+    from then on or in its interval only. The system writes to Meshcat and reads nothing from
+    it; what it has drawn is abstract state.
     """
 
     def __init__(
@@ -165,7 +167,6 @@ class MeshcatOverlay(LeafSystem):
         period: float = 1.0 / 15.0,
         planned_W: FloatArray | None = None,
         cameras: Mapping[str, SeenRange] | None = None,
-        frustum_depth: float = 1.1,
         body_index: BodyIndex | None = None,
         p_BE: FloatArray | tuple[float, float, float] = (0.0, 0.0, 0.0),
         max_obstacles: int = 8,
@@ -184,8 +185,6 @@ class MeshcatOverlay(LeafSystem):
                 line from start to goal.
             cameras: port -> what the camera sees whose pose it takes; its frustum is drawn if
                 the port is connected. None: a port camera_pose, and no frustum.
-            frustum_depth: how much of the farther part is drawn at most [m]: a frustum
-                of full depth hides more than it shows.
             body_index: body B of the plant that carries E; None: policy_state.p_WE.
             p_BE: (3,) the tool point E in B [m].
             max_obstacles: how many obstacles are drawn at most.
@@ -221,7 +220,7 @@ class MeshcatOverlay(LeafSystem):
                 (seen.camera.focal_x(), seen.camera.focal_y()),
                 (seen.camera.center_x(), seen.camera.center_y()),
                 (seen.camera.width(), seen.camera.height()),
-                (seen.near, min(seen.far, max(frustum_depth, 1.1 * seen.near))),
+                (seen.near, min(seen.far, max(_FRUSTUM_DEPTH, 1.1 * seen.near))),
             )
             for seen in (cameras or {}).values()
         ]
