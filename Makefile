@@ -12,7 +12,7 @@ DEV := $(VENV)/.installed-dev
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test slow lint setup clean
+.PHONY: demo test slow lint docs setup clean
 
 demo: $(STAMP)
 	@mkdir -p $(OUT)
@@ -34,6 +34,10 @@ lint: $(DEV)
 	@ln -s $(CURDIR)/drake_oa/* $(CURDIR)/diagrams $(CURDIR)/models build/lint/drake_oa
 	cd build/lint && PYTHONPATH=. $(abspath $(VENV))/bin/lint-imports --config $(CURDIR)/pyproject.toml
 	cd build/lint && MYPYPATH=. $(abspath $(VENV))/bin/mypy --config-file $(CURDIR)/pyproject.toml -p drake_oa
+
+# The site, in docs/_build/index.html.
+docs: $(DEV)
+	$(VENV)/bin/sphinx-build -q -W --keep-going -b html docs docs/_build
 
 setup: $(DEV)
 
@@ -60,4 +64,4 @@ $(DEV): $(STAMP)
 	@touch $@
 
 clean:
-	rm -rf $(VENV) $(OUT) build dist *.egg-info
+	rm -rf $(VENV) $(OUT) build dist docs/_build docs/api docs/gallery.md *.egg-info

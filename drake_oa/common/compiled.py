@@ -34,7 +34,7 @@ def _pool() -> ThreadPoolExecutor:
 
 
 def on_cores(kernel: Callable[..., None], parts: int, *arguments: Any) -> None:
-    """Runs kernel(part, parts, *arguments) for each part, each in a thread of its own.
+    """Runs `kernel(part, parts, *arguments)` for each part, each in a thread of its own.
 
     Numba's own threads wait busily for the next call: 6 ms of processor time a call.
     """
