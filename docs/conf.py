@@ -18,6 +18,7 @@ version = release = installed_version("drake_oa")
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4
+default_role = "code"
 html_theme = "furo"
 html_title = "drake_oa"
 # Formulas are drawn by the reader's browser where it finds MathJax, and else read as text.
@@ -107,6 +108,9 @@ def _plain_text(
     for line in lines:
         below = found[-1] if found else ""
         indented = line.startswith("    ") and plain
+        if indented and not kept and below.startswith(("In:", "Out:")):
+            found[-1] = f"{below} {line.strip()}"
+            continue
         if indented and not kept and below and not below.startswith((" ", "- ")):
             found += [] if below.endswith("::") else ["", "::"]
             found.append("")
