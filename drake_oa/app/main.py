@@ -17,6 +17,7 @@ from drake_oa.common.console import BAD_INPUT, FAILED, INTERRUPTED, complain
 _COMPILATION = {
     "run": "2 to 4 minutes",
     "play": "2 to 4 minutes",
+    "station": None,
     "replay": None,
     "plot": None,
     "graph": None,
@@ -50,6 +51,7 @@ For example:
 _COMMANDS = {
     "run": "run",
     "play": "play",
+    "station": "run",
     "replay": "replay",
     "plot": "replay",
     "scenarios": "scenarios",

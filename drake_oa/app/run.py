@@ -146,6 +146,68 @@ def run(
     return status
 
 
+def station(
+    scenario: str,
+    /,
+    *,
+    overrides: Overrides = (),
+    lcm_url: str = "udpm://239.255.76.99:7699?ttl=0&recv_buf_size=4000000",
+    rate: float = 1.0,
+    expiry: float = 0.1,
+    no_images: bool = False,
+    duration: float | None = None,
+) -> int:
+    """Simulate a Panda and its cameras behind the messages of the real ones.
+
+    Takes lcmt_panda_command on PANDA_COMMAND, positions only, sends lcmt_panda_status on
+    PANDA_STATUS and depth as lcmt_image_array on DRAKE_RGBD_CAMERA_IMAGES_<camera>. The arm
+    holds where commands end, jump, are out of limits or of two commanders, and the log says so.
+    Runs until Ctrl-C; see docs/hardware.md.
+
+    Args:
+        scenario: a shipped name (see `drake-oa scenarios`) or a file.
+        overrides: A.B=C replaces a field of the scenario; may be repeated.
+        lcm_url: of the bus; the default one stays on this machine.
+        rate: simulated seconds in one of the wall clock, at most 1; smaller where a machine
+            cannot keep up.
+        expiry: how long a command is in force [s].
+        no_images: render and send none.
+        duration: end after so many simulated seconds.
+    """
+    from pydrake.lcm import DrakeLcm
+
+    from drake_oa.hardware.command_guard import CommandRules
+    from drake_oa.hardware.panda_station import PandaStation
+    from drake_oa.scenario.loading import load_scenario
+
+    chosen = load_scenario(scenario, overrides)
+    if duration is not None and not 0.0 < duration < math.inf:
+        raise ValueError(f"--duration: {duration} must be positive [s]")
+    try:
+        lcm = DrakeLcm(lcm_url)
+    except RuntimeError as error:
+        raise ValueError(f"--lcm-url: {lcm_url}: {error}") from None
+    with build_errors():
+        arm = PandaStation(
+            chosen, lcm, rules=CommandRules(expiry=expiry), images=not no_images, rate=rate
+        )
+    interrupted: KeyboardInterrupt | None = None
+    print(f"station: {scenario_name(scenario)} on {lcm_url}", file=sys.stderr)
+    with _stop_between_steps() as raise_if_asked:
+        try:
+            arm.run(math.inf if duration is None else duration, raise_if_asked)
+        except KeyboardInterrupt as error:
+            interrupted = error
+    pace = arm.pace
+    print(
+        f"simulated {pace.simulated:.2f} s in {pace.wall:.2f} s, "
+        f"{pace.simulated / max(pace.wall, 1e-9):.2f} of real time; "
+        f"statuses {pace.statuses}, longest pause {1e3 * pace.longest_pause:.0f} ms; "
+        f"images {pace.images}; commands followed {pace.followed}, not followed {pace.rejected}"
+    )
+    return TERMINATED if isinstance(interrupted, Terminated) else 0
+
+
 @contextlib.contextmanager
 def reserved_log(named: Path | None, scenario: str) -> Iterator[Path]:
     """The log's file: the one that was named, or one that is nobody else's."""

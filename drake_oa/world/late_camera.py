@@ -284,6 +284,11 @@ class LateCamera(LeafSystem):
         """See `BackgroundCamera.release`."""
         self._camera.release()
 
+    def ready(self, context: Context) -> bool:
+        """Whether the image that it hands out now is rendered, so that nobody waits for it."""
+        time, state = self._shown(context)
+        return self._camera.ask(state, time).done()
+
     def _read(self, context: Context) -> _Taken:
         taken: _Taken = context.get_abstract_state(self._taken).get_value()
         return taken

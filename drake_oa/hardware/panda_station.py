@@ -1,0 +1,312 @@
+"""A simulated Panda and its cameras behind the messages of the real ones."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from drake import lcmt_panda_command, lcmt_panda_status
+from pydrake.lcm import DrakeLcm
+from pydrake.manipulation import PandaControlMode
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.controllers import InverseDynamicsController
+from pydrake.systems.framework import Context, DiagramBuilder
+
+from drake_oa.common.config import ScenarioError
+from drake_oa.common.messages import FloatArray
+from drake_oa.diagrams.faults import make_obstacle_movers
+from drake_oa.hardware.command_guard import MICROSECOND, CommandGuard, CommandRules
+from drake_oa.hardware.depth_messages import CHANNEL, pack_depth
+from drake_oa.robot.arm import joints_to
+from drake_oa.robot.limits import robot_limits
+from drake_oa.robot.plant import make_robot_plant
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.task_joints import start_positions
+from drake_oa.world.cameras import Camera
+from drake_oa.world.late_camera import LateCamera
+from drake_oa.world.station import make_station
+
+STATUS_CHANNEL, COMMAND_CHANNEL = "PANDA_STATUS", "PANDA_COMMAND"
+ARM_JOINTS = 7
+"""Of the arm that the messages are of."""
+_STIFFNESS = 400.0
+"""Of each joint, critically damped: what a position that is off accelerates [1/s^2]."""
+_PATIENCE = 0.9
+"""Share of a camera's period that an image may be late before it is waited for."""
+_CATCH_UP = 0.02
+"""What a station that was late makes up for [s]."""
+
+_logger = logging.getLogger("drake_oa")
+
+
+@dataclass
+class Pace:
+    """How a station kept time.
+
+    Attributes:
+        simulated: time that was simulated [s].
+        wall: time that it took [s].
+        longest_pause: longest time between two statuses [s].
+        statuses: how many were sent.
+        images: how many were sent.
+        followed: commands that the arm followed.
+        rejected: commands that it did not.
+    """
+
+    simulated: float = 0.0
+    wall: float = 0.0
+    longest_pause: float = 0.0
+    statuses: int = 0
+    images: int = 0
+    followed: int = 0
+    rejected: int = 0
+
+
+class _ImageSender:
+    """Sends a camera's images as they come."""
+
+    def __init__(self, name: str, camera: Camera, period: float) -> None:
+        self._name, self._camera, self._period = name, camera, period
+        self._count = 0
+        self._seq = 0
+
+    def due(self, root: Context) -> bool:
+        """Whether one has come that was not sent, and need not be waited for.
+
+        For most of a period it is not: the status must not pause. Then the camera is slower
+        than its rate, and the station as slow as the camera.
+        """
+        late = root.get_time() + 1e-9 - self._count * self._period - self._camera.delay
+        system = self._camera.depth_image.get_system()
+        if late < 0.0 or not isinstance(system, LateCamera) or late > _PATIENCE * self._period:
+            return late >= 0.0
+        return system.ready(system.GetMyContextFromRoot(root))
+
+    def send(self, root: Context, lcm: DrakeLcm, to_wall: Callable[[float], float]) -> None:
+        """Sends the image that came last."""
+        camera = self._camera
+        system = camera.depth_image.get_system()
+        context = system.GetMyContextFromRoot(root)
+        image = camera.depth_image.Eval(context)
+        taken = context.get_time()
+        if camera.image_time is not None:
+            (taken,) = camera.image_time.Eval(context)
+        self._count += 1
+        message = pack_depth(
+            image.data[:, :, 0], camera=self._name, utime=round(to_wall(taken) / MICROSECOND)
+        )
+        message.header.seq = self._seq
+        self._seq += 1
+        lcm.Publish(CHANNEL.format(self._name), message.encode())
+
+
+class PandaStation:
+    """A scenario's robot, obstacles and cameras, the robot driven by messages.
+
+    The arm follows the positions that a `CommandGuard` lets through, by inverse dynamics and PD
+    control; what else moves stays where it is at the start. Each step of the plant it sends a
+    status. Simulated time begins at 0; stamps are of the wall clock.
+
+    Attributes:
+        guard: what judges commands.
+        pace: how it kept time.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        lcm: DrakeLcm,
+        *,
+        rules: CommandRules | None = None,
+        images: bool = True,
+        rate: float = 1.0,
+        clock: Callable[[], float] = time.time,
+    ) -> None:
+        """Builds the cell, the arm at the scenario's start.
+
+        Args:
+            scenario: with a Panda.
+            lcm: what messages come and go by.
+            rules: what commands are held to; None: `CommandRules()`.
+            images: whether cameras send theirs.
+            rate: simulated seconds in one of the wall clock, at most.
+            clock: the wall clock [s].
+
+        Raises:
+            ScenarioError: for a robot that the messages are not of, or a field that does not fit.
+            ValueError: for rules or a rate out of range.
+        """
+        if not 0.0 < rate <= 1.0:
+            raise ValueError(f"rate: {rate} must be above 0 and at most 1")
+        if scenario.robot is None:
+            raise ScenarioError("robot: a station needs one; this scenario has null")
+        if scenario.faults:
+            raise ScenarioError("faults: a station has none; leave them out (--set 'faults=[]')")
+        robot_plant = make_robot_plant(scenario.robot)
+        self._arm = [
+            j.position_start() for j in joints_to(robot_plant.plant, robot_plant.tool_frame)
+        ]
+        if len(self._arm) != ARM_JOINTS:
+            raise ScenarioError(
+                f"robot.model: an arm of {len(self._arm)} joints; a Panda's messages are of "
+                f"{ARM_JOINTS}"
+            )
+        builder = DiagramBuilder()
+        station = make_station(builder, scenario, render=images)
+        self._q_start = start_positions(robot_plant, scenario)
+        plant, self._robot = station.plant, station.robot
+        plant.SetDefaultPositions(self._robot, self._q_start)
+        n = len(self._q_start)
+        kp = np.full(n, _STIFFNESS)
+        self._controller = builder.AddNamedSystem(
+            "joint_controller",
+            InverseDynamicsController(
+                robot_plant.plant,
+                kp,
+                np.zeros(n),
+                2.0 * np.sqrt(kp),
+                has_reference_acceleration=False,
+            ),
+        )
+        state = plant.get_state_output_port(self._robot)
+        builder.Connect(state, self._controller.get_input_port_estimated_state())
+        builder.Connect(
+            self._controller.get_output_port_control(),
+            plant.get_actuation_input_port(self._robot),
+        )
+        for name, mover in make_obstacle_movers(scenario, station).items():
+            instance = plant.GetModelInstanceByName(name)
+            builder.AddNamedSystem(f"mover_{name}", mover)
+            builder.Connect(
+                plant.get_state_output_port(instance), mover.GetInputPort("obstacle_state")
+            )
+            builder.Connect(mover.get_output_port(), plant.get_actuation_input_port(instance))
+        builder.ExportInput(self._controller.get_input_port_desired_state(), "desired_state")
+        builder.ExportOutput(state, "robot_state")
+        builder.ExportOutput(self._controller.get_output_port_control(), "actuation")
+        self._diagram = builder.Build()
+        self._simulator = Simulator(self._diagram)
+        limits = robot_limits(robot_plant.plant, robot_plant.instance)
+        arm_limits = replace(
+            limits,
+            position_name=tuple(limits.position_name[i] for i in self._arm),
+            position_lower=limits.position_lower[self._arm],
+            position_upper=limits.position_upper[self._arm],
+            velocity_limit=limits.velocity_limit[self._arm],
+        )
+        self.guard = CommandGuard(self._q_start[self._arm], arm_limits, rules or CommandRules())
+        self.pace = Pace()
+        self._step, self._rate, self._clock, self._lcm = scenario.plant_step, rate, clock, lcm
+        periods = {config.name: 1.0 / config.fps for config in scenario.cameras}
+        self._senders = [
+            _ImageSender(name, camera, periods[name]) for name, camera in station.cameras.items()
+        ]
+        lcm.Subscribe(COMMAND_CHANNEL, self._take)
+        self._fix_desired()
+        self._simulator.Initialize()
+        for camera in station.cameras.values():
+            # The first image takes longest: a renderer begins with it.
+            system = camera.depth_image.get_system()
+            camera.depth_image.Eval(system.GetMyContextFromRoot(self._simulator.get_context()))
+
+    def step(self) -> None:
+        """Takes the commands that have come, goes on by a step of the plant, sends the status."""
+        while self._lcm.HandleSubscriptions(0):
+            pass
+        self._fix_desired()
+        context = self._simulator.get_context()
+        self._simulator.AdvanceTo(context.get_time() + self._step)
+        now, simulated = self._clock(), context.get_time()
+        self._lcm.Publish(STATUS_CHANNEL, self._status(now).encode())
+        self.pace.statuses += 1
+        for sender in self._senders:
+            if sender.due(context):
+                sender.send(context, self._lcm, lambda t: now - (simulated - t) / self._rate)
+                self.pace.images += 1
+
+    def run(self, duration: float, each_step: Callable[[], None] | None = None) -> Pace:
+        """Goes on for a time, no faster than the rate.
+
+        Where a step takes longer than it may, later ones catch up by `_CATCH_UP` at most: else
+        the arm would move faster than the wall clock.
+
+        Args:
+            duration: simulated time [s]; inf: until what is called raises.
+            each_step: called after each step.
+        """
+        period = self._step / self._rate
+        started = self._clock()
+        due = last = started
+        begin = self._simulator.get_context().get_time()
+        try:
+            while self._simulator.get_context().get_time() - begin < duration - 0.5 * self._step:
+                self.step()
+                now = self._clock()
+                self.pace.longest_pause = max(self.pace.longest_pause, now - last)
+                last = now
+                if each_step is not None:
+                    each_step()
+                due = max(due + period, now - _CATCH_UP)
+                time.sleep(max(0.0, due - self._clock()))
+        finally:
+            self.pace.simulated += self._simulator.get_context().get_time() - begin
+            self.pace.wall += self._clock() - started
+            for system in self._diagram.GetSystems():
+                if isinstance(system, LateCamera):
+                    system.release()
+        return self.pace
+
+    @property
+    def q(self) -> FloatArray:
+        """(7,) where the arm is [rad]."""
+        state = self._diagram.GetOutputPort("robot_state").Eval(self._simulator.get_context())
+        return np.array(state[self._arm])
+
+    def _take(self, data: bytes) -> None:
+        # Drake forbids a handler to raise.
+        try:
+            command = lcmt_panda_command.decode(data)
+        except Exception as error:
+            _logger.warning("station: %s holds no lcmt_panda_command: %s", COMMAND_CHANNEL, error)
+            self.pace.rejected += 1
+            return
+        if self.guard.receive(command, self._clock()):
+            self.pace.followed += 1
+        else:
+            self.pace.rejected += 1
+
+    def _fix_desired(self) -> None:
+        n = len(self._q_start)
+        desired = np.concatenate([self._q_start, np.zeros(n)])
+        q, v = self.guard.desired(self._clock())
+        desired[self._arm] = q
+        desired[n + np.array(self._arm)] = v
+        self._diagram.GetInputPort("desired_state").FixValue(
+            self._simulator.get_mutable_context(), desired
+        )
+
+    def _status(self, now: float) -> lcmt_panda_status:
+        context = self._simulator.get_context()
+        state = self._diagram.GetOutputPort("robot_state").Eval(context)
+        torque = self._diagram.GetOutputPort("actuation").Eval(context)
+        n = len(self._q_start)
+        q, v = self.guard.desired(now)
+        zero = [0.0] * ARM_JOINTS
+        status = lcmt_panda_status()
+        status.utime = round(now / MICROSECOND)
+        status.num_joints = ARM_JOINTS
+        status.joint_position = list(state[self._arm])
+        status.joint_position_desired = list(q)
+        status.joint_velocity = list(state[[n + i for i in self._arm]])
+        status.joint_velocity_desired = list(v)
+        status.joint_acceleration_desired = zero
+        status.joint_torque = list(torque[self._arm])
+        status.joint_torque_desired = list(torque[self._arm])
+        status.joint_torque_external = zero
+        status.control_command_success_rate = 1.0
+        status.robot_utime = round(context.get_time() / MICROSECOND)
+        status.control_mode = int(PandaControlMode.kPosition)
+        return status

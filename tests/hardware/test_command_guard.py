@@ -1,0 +1,131 @@
+"""What a commanded position must be for the arm to follow it."""
+
+import numpy as np
+import pytest
+from drake import lcmt_panda_command
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drake_oa.hardware.command_guard import CommandGuard, CommandRules
+from drake_oa.robot.limits import RobotLimits
+
+N, PERIOD, START = 7, 0.005, 1000.0
+LIMITS = RobotLimits(
+    position_name=tuple(f"joint{i}" for i in range(N)),
+    position_lower=np.full(N, -2.0),
+    position_upper=np.full(N, 2.0),
+    velocity_limit=np.full(N, 2.0),
+)
+
+
+def guard() -> CommandGuard:
+    return CommandGuard(np.zeros(N), LIMITS, CommandRules())
+
+
+def command(q: float, now: float, **fields: object) -> lcmt_panda_command:
+    message = lcmt_panda_command()
+    message.utime = round(1e6 * now)
+    message.num_joint_position, message.joint_position = N, [q] * N
+    message.control_mode_expected = 1
+    for name, value in fields.items():
+        setattr(message, name, value)
+    return message
+
+
+def moving(moved: CommandGuard, steps: int = 20) -> tuple[float, float]:
+    """Follows a joint speed of 1 rad/s; returns time and position."""
+    for k in range(steps):
+        now = START + k * PERIOD
+        assert moved.receive(command(k * PERIOD, now), now)
+    return START + (steps - 1) * PERIOD, (steps - 1) * PERIOD
+
+
+def test_follows_one_commander() -> None:
+    followed = guard()
+    now, q = moving(followed)
+    positions, speeds = followed.desired(now)
+    np.testing.assert_allclose(positions, q)
+    np.testing.assert_allclose(speeds, 1.0, rtol=1e-6)
+    assert [event.what for event in followed.events] == ["following"]
+
+
+def test_holds_when_commands_end_and_goes_on_when_they_come_back() -> None:
+    lost = guard()
+    now, q = moving(lost)
+    positions, speeds = lost.desired(now + 0.11)
+    np.testing.assert_allclose(positions, q)
+    np.testing.assert_array_equal(speeds, 0.0)
+    assert "no command for 0.1 s" in lost.events[-1].what
+    assert lost.receive(command(q, now + 1.0), now + 1.0)
+    assert not lost.holding
+
+
+@pytest.mark.parametrize(
+    ("q", "fields", "why"),
+    [
+        (0.5, {}, "jumps by"),
+        (0.1, {"joint_position": [2.5] * N}, "joint0 at 2.5 rad is out of [-2, 2]"),
+        (0.1, {"joint_position": [np.nan] * N}, "out of [-2, 2]"),
+        (0.1, {"control_mode_expected": 4}, "not 7 positions in position mode"),
+        (0.1, {"num_joint_torque": N, "joint_torque": [0.0] * N}, "not 7 positions"),
+        (0.1, {"utime": round(1e6 * (START + 0.09))}, "a second commander: its stamp is 5.0 ms"),
+    ],
+)
+def test_holds_after_a_command_that_is_not_in_order(
+    q: float, fields: dict[str, object], why: str
+) -> None:
+    held = guard()
+    now, before = moving(held)
+    now += PERIOD
+    assert not held.receive(command(q, now, **fields), now)
+    # Also what is in order is not followed until all are silent.
+    assert not held.receive(command(before, now + PERIOD), now + PERIOD)
+    positions, speeds = held.desired(now + PERIOD)
+    np.testing.assert_allclose(positions, before)
+    np.testing.assert_array_equal(speeds, 0.0)
+    assert why in next(e.what for e in held.events if "refused" in e.what)
+    assert held.receive(command(before, now + 0.2), now + 0.2)
+
+
+def test_two_commanders_interleaved_are_told_from_one_that_jumps() -> None:
+    both, alone = guard(), guard()
+    now, q = moving(both)
+    moving(alone)
+    for k in range(1, 10):
+        at = now + k * PERIOD
+        both.receive(command(q if k % 2 else q + 0.4, at), at)
+        alone.receive(command(q + 0.4, at), at)
+    assert "a second commander, 0.4 rad from the first" in both.events[-1].what
+    assert not any("second" in event.what for event in alone.events)
+
+
+@pytest.mark.parametrize("shift", [-1.0, -0.2, 0.2, 1e9])
+def test_passes_over_what_is_not_of_now(shift: float) -> None:
+    fresh = guard()
+    assert not fresh.receive(command(0.0, START + shift), START)
+    assert fresh.holding
+    assert "before the wall clock" in fresh.events[-1].what
+
+
+@given(st.lists(st.tuples(st.floats(-4.0, 4.0), st.floats(0.0, 0.3)), max_size=30))
+def test_no_commands_move_it_out_of_limits_or_faster_than_it_can(
+    commands: list[tuple[float, float]],
+) -> None:
+    any_guard, now, rules = guard(), START, CommandRules()
+    before, at = np.zeros(N), START
+    for q, wait in commands:
+        now += wait
+        if any_guard.receive(command(q, now), now):
+            after = any_guard.desired(now)[0].copy()
+            assert (np.abs(after) <= 2.0).all()
+            far = rules.slack + rules.speed_share * 2.0 * (now - at) + 1e-4
+            assert (np.abs(after - before) <= far).all()
+            before, at = after, now
+        np.testing.assert_array_equal(any_guard.desired(now)[0], before)
+
+
+def test_refuses_rules_out_of_range() -> None:
+    with pytest.raises(ValueError, match="expiry"):
+        CommandGuard(np.zeros(N), LIMITS, CommandRules(expiry=-1.0))
+    with pytest.raises(ValueError, match="limits are of 7 joints, q of 6"):
+        CommandGuard(np.zeros(6), LIMITS, CommandRules())

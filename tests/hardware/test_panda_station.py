@@ -1,0 +1,187 @@
+"""The station, spoken to by Drake's own systems for a Panda, in one process."""
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from drake import lcmt_image_array, lcmt_panda_command, lcmt_panda_status
+from pydrake.lcm import DrakeLcm
+from pydrake.manipulation import PandaCommandSender, PandaControlMode, PandaStatusReceiver
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.lcm import LcmInterfaceSystem, LcmPublisherSystem, LcmSubscriberSystem
+
+from drake_oa.common.config import ScenarioError
+from drake_oa.hardware.depth_messages import CHANNEL, unpack_depth
+from drake_oa.hardware.panda_station import COMMAND_CHANNEL, STATUS_CHANNEL, PandaStation
+from drake_oa.scenario.loading import load_scenario
+
+EPOCH, STEP = 1.7e9, 0.002
+
+
+class Clock:
+    """A wall clock that a test advances."""
+
+    def __init__(self) -> None:
+        self.now = EPOCH
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class Commander:
+    """Another process's diagram: its context begins at the wall clock, as Drake's driver asks."""
+
+    def __init__(self, lcm: DrakeLcm, begin: float = EPOCH) -> None:
+        builder = DiagramBuilder()
+        bus = builder.AddSystem(LcmInterfaceSystem(lcm))
+        sender = builder.AddSystem(PandaCommandSender(7, PandaControlMode.kPosition))
+        publisher = builder.AddSystem(
+            LcmPublisherSystem.Make(
+                COMMAND_CHANNEL, lcmt_panda_command, bus, 0.005, use_cpp_serializer=True
+            )
+        )
+        subscriber = builder.AddSystem(
+            LcmSubscriberSystem.Make(
+                STATUS_CHANNEL, lcmt_panda_status, bus, use_cpp_serializer=True
+            )
+        )
+        receiver = builder.AddSystem(PandaStatusReceiver())
+        builder.Connect(sender.get_output_port(), publisher.get_input_port())
+        builder.Connect(subscriber.get_output_port(), receiver.get_input_port())
+        builder.ExportInput(sender.GetInputPort("position"), "position")
+        builder.ExportOutput(receiver.GetOutputPort("position_measured"), "measured")
+        self.diagram = builder.Build()
+        self.simulator = Simulator(self.diagram)
+        self.simulator.get_mutable_context().SetTime(begin)
+
+    def command(self, q: np.ndarray, time: float) -> None:
+        context = self.simulator.get_mutable_context()
+        self.diagram.GetInputPort("position").FixValue(context, q)
+        self.simulator.AdvanceTo(time)
+
+    @property
+    def measured(self) -> np.ndarray:
+        return np.array(self.diagram.GetOutputPort("measured").Eval(self.simulator.get_context()))
+
+
+def station(lcm: DrakeLcm, clock: Callable[[], float], *, images: bool = False) -> PandaStation:
+    return PandaStation(load_scenario("tabletop_box"), lcm, images=images, clock=clock)
+
+
+def test_follows_drakes_own_commander_and_holds_when_it_dies_and_comes_back() -> None:
+    lcm, clock = DrakeLcm("memq://"), Clock()
+    arm, commander = station(lcm, clock), Commander(lcm)
+    start = arm.q
+    goal = start + np.linspace(-0.2, 0.2, 7)
+    for k in range(500):
+        clock.now = EPOCH + k * STEP
+        commander.command(start + (goal - start) * k / 500, clock.now)
+        arm.step()
+    assert arm.pace.followed > 190
+    assert arm.pace.rejected == 0
+    np.testing.assert_allclose(arm.q, goal, atol=2e-3)
+    np.testing.assert_allclose(commander.measured, arm.q, atol=2e-3)
+    before = arm.guard.desired(clock.now)[0].copy()
+    for _ in range(250):
+        clock.now += STEP
+        arm.step()
+    assert "no command for 0.1 s" in arm.guard.events[-1].what
+    np.testing.assert_allclose(arm.q, before, atol=1e-3)
+    for _ in range(20):
+        clock.now += STEP
+        commander.command(before, clock.now)
+        arm.step()
+    assert arm.guard.events[-1].what == "following"
+
+
+def test_holds_when_a_second_commander_speaks() -> None:
+    lcm, clock = DrakeLcm("memq://"), Clock()
+    arm, first, second = station(lcm, clock), Commander(lcm), Commander(lcm)
+    start = arm.q
+    for k in range(100):
+        clock.now = EPOCH + k * STEP
+        first.command(start, clock.now)
+        if k > 50:
+            second.command(start + 0.3, clock.now)
+        arm.step()
+    assert "second commander" in arm.guard.events[-1].what
+    np.testing.assert_allclose(arm.q, start, atol=1e-3)
+
+
+def test_what_is_no_command_is_passed_over() -> None:
+    lcm, clock = DrakeLcm("memq://"), Clock()
+    arm = station(lcm, clock)
+    lcm.Publish(COMMAND_CHANNEL, b"nonsense")
+    arm.step()
+    assert arm.pace.rejected == 1
+    assert arm.guard.holding
+
+
+def test_sends_images_stamped_when_they_were_taken() -> None:
+    lcm, clock = DrakeLcm("memq://"), Clock()
+    arm = station(lcm, clock, images=True)
+    got: list[bytes] = []
+    lcm.Subscribe(CHANNEL.format("camera"), got.append)
+    # The second image, at 0.063 s, is waited for from 0.093 s on; the third comes at 0.097 s.
+    for k in range(48):
+        clock.now = EPOCH + k * STEP
+        arm.step()
+        while lcm.HandleSubscriptions(0):
+            pass
+    assert len(got) == arm.pace.images == 2
+    frames = [unpack_depth(lcmt_image_array.decode(data)) for data in got]
+    assert frames[0][0].shape == (480, 640)
+    assert 0.5 < np.nanmedian(frames[0][0]) < 3.0
+    # The plant is a step ahead of the clock of this test.
+    stamps = 1e-6 * np.array([utime for _, utime in frames]) - EPOCH
+    np.testing.assert_allclose(stamps, [-STEP, 1 / 30 - STEP], atol=1e-5)
+
+
+def test_says_what_no_station_is_of() -> None:
+    lcm = DrakeLcm("memq://")
+    with pytest.raises(ScenarioError, match="faults"):
+        PandaStation(load_scenario("tabletop_box", ["faults=[!Push {}]"]), lcm)
+    with pytest.raises(ScenarioError, match="robot"):
+        PandaStation(load_scenario("free_space"), lcm)
+    with pytest.raises(ValueError, match="rate: 2"):
+        PandaStation(load_scenario("tabletop_box"), lcm, rate=2.0)
+
+
+@pytest.mark.slow
+def test_is_driven_by_another_process_over_loopback() -> None:
+    url = "udpm://239.255.76.99:7671?ttl=0&recv_buf_size=4000000"
+    words = ["station", "tabletop_box", "--no-images", "--lcm-url", url, "--duration", "12"]
+    other = subprocess.Popen(
+        [sys.executable, "-m", "drake_oa.app.main", *words],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        lcm, waited = DrakeLcm(url), time.time()
+        got: list[bytes] = []
+        lcm.Subscribe(STATUS_CHANNEL, got.append)
+        while not got and time.time() - waited < 60.0:
+            lcm.HandleSubscriptions(100)
+        start = np.array(lcmt_panda_status.decode(got[-1]).joint_position)
+        begin = time.time()
+        commander = Commander(DrakeLcm(url), begin)
+        goal = start + np.linspace(-0.3, 0.3, 7)
+        while (now := time.time()) < begin + 3.0:
+            share = min(1.0, (now - begin) / 2.5)
+            commander.command(start + (goal - start) * share, now)
+            time.sleep(0.002)
+        np.testing.assert_allclose(commander.measured, goal, atol=5e-3)
+        # This commander dies; the station holds, and says so.
+        out, said = other.communicate(timeout=60.0)
+    finally:
+        other.kill()
+    assert other.returncode == 0, said
+    assert "station: following" in said
+    assert "no command for 0.1 s" in said
+    assert "refused" not in said
+    assert "simulated 12.00 s" in out
