@@ -108,7 +108,8 @@ class PandaStation:
 
     The arm follows the positions that a `CommandGuard` lets through, by inverse dynamics and PD
     control; what else moves stays where it is at the start. Each step of the plant it sends a
-    status. Simulated time begins at 0; stamps are of the wall clock.
+    status. Simulated time begins at 0; stamps are of the wall clock, and so are the seconds of
+    speeds: at half the rate the arm can go half as fast.
 
     Attributes:
         guard: what judges commands.
@@ -195,7 +196,8 @@ class PandaStation:
             position_name=tuple(limits.position_name[i] for i in self._arm),
             position_lower=limits.position_lower[self._arm],
             position_upper=limits.position_upper[self._arm],
-            velocity_limit=limits.velocity_limit[self._arm],
+            # Of the wall clock's seconds, as all that is in messages.
+            velocity_limit=rate * limits.velocity_limit[self._arm],
         )
         self.guard = CommandGuard(self._q_start[self._arm], arm_limits, rules or CommandRules())
         self.pace = Pace()
@@ -283,7 +285,7 @@ class PandaStation:
         desired = np.concatenate([self._q_start, np.zeros(n)])
         q, v = self.guard.desired(self._clock())
         desired[self._arm] = q
-        desired[n + np.array(self._arm)] = v
+        desired[n + np.array(self._arm)] = v / self._rate
         self._diagram.GetInputPort("desired_state").FixValue(
             self._simulator.get_mutable_context(), desired
         )
@@ -300,7 +302,7 @@ class PandaStation:
         status.num_joints = ARM_JOINTS
         status.joint_position = list(state[self._arm])
         status.joint_position_desired = list(q)
-        status.joint_velocity = list(state[[n + i for i in self._arm]])
+        status.joint_velocity = list(self._rate * state[[n + i for i in self._arm]])
         status.joint_velocity_desired = list(v)
         status.joint_acceleration_desired = zero
         status.joint_torque = list(torque[self._arm])
