@@ -104,7 +104,7 @@ def _plain_text(
     """
     found: list[str] = []
     kept = False
-    plain = what == "module" and not any(line.startswith(("..", ":")) for line in lines)
+    plain = what == "module" and not any(line.startswith(("..", ":", "==")) for line in lines)
     for line in lines:
         below = found[-1] if found else ""
         indented = line.startswith("    ") and plain
