@@ -193,7 +193,7 @@ def station(
         )
     interrupted: KeyboardInterrupt | None = None
     print(f"station: {scenario_name(scenario)} on {lcm_url}", file=sys.stderr)
-    with _stop_between_steps() as raise_if_asked:
+    with stop_between_steps() as raise_if_asked:
         try:
             arm.run(math.inf if duration is None else duration, raise_if_asked)
         except KeyboardInterrupt as error:
