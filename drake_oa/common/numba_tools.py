@@ -7,7 +7,9 @@ load where it can write to neither: a read-only installation without a home.
 
 from __future__ import annotations
 
+import hashlib
 import os
+import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -21,9 +23,15 @@ if TYPE_CHECKING:
     from drake_oa.common.messages import FloatArray
 
 
-def provide_kernel_cache(package: Path) -> tempfile.TemporaryDirectory[str] | None:
-    """Names a temporary folder for compiled kernels where there is no other.
+_FOR_NOW = "DRAKE_OA_KERNELS_FOR_NOW"
+_NOT_KEPT = "; for this run only, as no folder can be written: NUMBA_CACHE_DIR names one"
 
+
+def provide_kernel_cache(package: Path) -> tempfile.TemporaryDirectory[str] | None:
+    """Sees to it that compiled kernels have a place, and that those that are there are used.
+
+    Kernels that were compiled into a read-only package are copied to the user's cache, as numba
+    looks for them in one place only. Where nothing can be written, a temporary folder is named.
     To be called before numba is imported. Does nothing where `NUMBA_CACHE_DIR` is set.
 
     Args:
@@ -33,15 +41,37 @@ def provide_kernel_cache(package: Path) -> tempfile.TemporaryDirectory[str] | No
         The temporary folder, to be kept as long as the process lives; None where
         numba has a place of its own.
     """
-    if os.environ.get("NUMBA_CACHE_DIR"):
+    if os.environ.get("NUMBA_CACHE_DIR") or _is_writable(package / "__pycache__"):
         return None
-    user = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    if _is_writable(package / "__pycache__") or _is_writable(Path(user) / "numba"):
+    user = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "numba"
+    if _is_writable(user):
+        _copy_kernels(package, user)
         return None
     # Not a fixed name in a shared folder: compiled code is read back without checks.
     folder = tempfile.TemporaryDirectory(prefix="drake_oa-kernels-")
+    _copy_kernels(package, Path(folder.name))
     os.environ["NUMBA_CACHE_DIR"] = folder.name
+    os.environ[_FOR_NOW] = folder.name
     return folder
+
+
+def _copy_kernels(package: Path, cache: Path) -> None:
+    """Copies what numba compiled beside the source, by the names that it has in a cache."""
+    for compiled in package.rglob("__pycache__"):
+        found = [*compiled.glob("*.nbc"), *compiled.glob("*.nbi")]
+        source = str(compiled.parent.absolute())
+        digest = hashlib.sha1(source.encode(), usedforsecurity=False).hexdigest()
+        folder = cache / f"{compiled.parent.name}_{digest}"
+        if not found or folder.exists():
+            continue
+        # In one piece: another process may be starting, too.
+        beside = Path(tempfile.mkdtemp(dir=cache))
+        for file in found:
+            shutil.copy2(file, beside)
+        try:
+            beside.rename(folder)
+        except OSError:
+            shutil.rmtree(beside, ignore_errors=True)
 
 
 def _is_writable(folder: Path) -> bool:
@@ -72,7 +102,8 @@ def announced_compilation(estimate: str | None = None) -> Iterator[None]:
                 return
             self.said = True
             duration = f" (about {estimate})" if estimate else ""
-            print(f"compiling kernels, once{duration} ...", file=sys.stderr)
+            kept = "" if os.environ.get(_FOR_NOW) is None else _NOT_KEPT
+            print(f"compiling kernels, once{duration}{kept} ...", file=sys.stderr)
 
         def on_end(self, event: event.Event) -> None:
             pass

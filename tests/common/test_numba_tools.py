@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import shutil
 from pathlib import Path
 from types import ModuleType
 
@@ -9,6 +10,7 @@ import numba
 import pytest
 
 from drake_oa.app.main import main
+from drake_oa.common import numba_tools
 from drake_oa.common.numba_tools import announced_compilation, provide_kernel_cache
 
 
@@ -17,6 +19,8 @@ def _own_environment(monkeypatch: pytest.MonkeyPatch) -> None:
     # Set first, so that what the function sets is undone afterwards.
     monkeypatch.setenv("NUMBA_CACHE_DIR", "")
     monkeypatch.setenv("XDG_CACHE_HOME", os.devnull)
+    monkeypatch.setenv("DRAKE_OA_KERNELS_FOR_NOW", "")
+    monkeypatch.delenv("DRAKE_OA_KERNELS_FOR_NOW")
 
 
 def read_only(package: Path) -> Path:
@@ -42,8 +46,32 @@ def test_in_a_temporary_folder_where_nothing_else_can_be_written(tmp_path: Path)
     folder = provide_kernel_cache(read_only(tmp_path))
     assert folder is not None
     assert os.environ["NUMBA_CACHE_DIR"] == folder.name
+    assert os.environ["DRAKE_OA_KERNELS_FOR_NOW"] == folder.name
     assert Path(folder.name).stat().st_mode & 0o777 == 0o700
     folder.cleanup()
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_kernels_of_a_read_only_package_are_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    package, cache = tmp_path / "package", tmp_path / "cache"
+    package.mkdir()
+    source = package / "compiled_kernels.py"
+    source.write_text(SOURCE)
+    assert imported(source).thrice(2) == 6
+    beside = package / "__pycache__"
+    assert list(beside.glob("*.nbi"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
+    monkeypatch.setattr(numba_tools, "_is_writable", lambda folder: folder != beside)
+    (cache / "numba").mkdir(parents=True)
+    assert provide_kernel_cache(package) is None
+    shutil.rmtree(beside)
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(cache / "numba"))
+    with announced_compilation():
+        assert imported(source).thrice(2) == 6
+    assert capsys.readouterr().err == ""
+    assert provide_kernel_cache(package) is None  # A second time there is nothing to do.
 
 
 def test_what_the_user_chose_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
