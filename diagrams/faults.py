@@ -8,7 +8,7 @@ from drake_oa.common.config import ScenarioError
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.perception import PIXEL_CENTER
 from drake_oa.diagrams.station import Cell
-from drake_oa.perception.config import DepthCamera
+from drake_oa.perception.config import CameraSource
 from drake_oa.robot.plant import RobotPlant
 from drake_oa.scenario.faults import Push, TorqueSaturation, camera_faults
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
@@ -25,7 +25,7 @@ def add_faults(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     if cell is None:
         return
     source = scenario.perception
-    if isinstance(source, DepthCamera) and cell.cameras:
+    if isinstance(source, CameraSource) and cell.cameras:
         for name in source.names:
             faults = make_camera_faults(scenario, cell, cell.robot_plant, name)
             if faults is None:

@@ -19,7 +19,15 @@ from drake_oa.common.wires import Wires
 from drake_oa.descriptor.ellipsoid_descriptor import GivenEllipsoidSource
 from drake_oa.diagrams.station import Cell
 from drake_oa.geometry.collision_shapes import RobotModel, collect_collision_shapes
-from drake_oa.perception.config import DepthCamera, GroundTruth, RecordedClouds, SegmentationConfig
+from drake_oa.perception.config import (
+    CameraSource,
+    DepthCamera,
+    GroundTruth,
+    LcmCamera,
+    LiveCameras,
+    RecordedClouds,
+    SegmentationConfig,
+)
 from drake_oa.perception.depth_perception import DepthPerception
 from drake_oa.perception.ground_truth_perception import GroundTruthPerception
 from drake_oa.perception.recorded_perception import RecordedPerception
@@ -113,7 +121,7 @@ def _add_recorded_clouds(
 
 
 def _add_depth_camera(
-    wires: Wires, source: DepthCamera, scenario: Scenario, cell: Cell | None
+    wires: Wires, source: CameraSource, scenario: Scenario, cell: Cell | None
 ) -> None:
     cell = _of_robot(source, cell)
     _warn_without_obstacles(cell, scenario)
@@ -143,21 +151,24 @@ def _add_depth_camera(
                 source.signal("depth_image", name), source.signal("depth_noise", name), noise
             )
     intrinsics = {name: camera.intrinsics for name, camera in cameras.items()}
+    live = source if isinstance(source, LiveCameras) else None
     perception = DepthPerception(
         intrinsics if len(cameras) > 1 else first.intrinsics,
         config=_segmentation(source, scenario),
         tracking=source.tracking,
         robot=robot_shapes(cell.robot_plant),
-        pixel_center=PIXEL_CENTER,
+        pixel_center=live.pixel_center if live else PIXEL_CENTER,
         period=perception_period(scenario),
         delay=first.delay,
         all_needed=source.all_needed,
+        together=live.together if live else 0.0,
     )
     wires.add("perception", perception, reads=reads)
 
 
 SOURCES |= {
     DepthCamera: _add_depth_camera,
+    LcmCamera: _add_depth_camera,
     GroundTruth: _add_ground_truth,
     RecordedClouds: _add_recorded_clouds,
     GivenEllipsoids: _add_given,
@@ -169,7 +180,7 @@ def add_solids(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     if cell is None or "solids_W" in wires or "obstacles_W" not in wires:
         return
     source, cameras = scenario.perception, {}
-    if isinstance(source, DepthCamera) and cell.cameras:
+    if isinstance(source, CameraSource) and cell.cameras:
         for config in camera_configs(scenario, source):
             seen = cell.cameras[config.name].intrinsics
             cameras[source.signal("camera_pose", config.name)] = ImageRange(
@@ -211,7 +222,7 @@ def _of_robot(source: object, cell: Cell | None) -> Cell:
     return cell
 
 
-def _segmentation(source: DepthCamera | RecordedClouds, scenario: Scenario) -> SegmentationConfig:
+def _segmentation(source: CameraSource | RecordedClouds, scenario: Scenario) -> SegmentationConfig:
     """The block's parameters, with the height of the table that the scenario knows, or none."""
     if source.segmentation.table_height is not None:
         return source.segmentation

@@ -9,7 +9,7 @@ from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.arm import arm_model, covered_arm
-from drake_oa.perception.config import DepthCamera
+from drake_oa.perception.config import CameraSource
 from drake_oa.robot.arm import joints_to
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotPlant, make_robot_plant
@@ -80,7 +80,7 @@ def add_station(wires: Wires, scenario: Scenario, *, modulated: bool = True) -> 
         return None
     robot_plant = make_robot_plant(scenario.robot)
     source = scenario.perception
-    sees = modulated and isinstance(source, DepthCamera)
+    sees = modulated and isinstance(source, CameraSource)
     station = make_station(wires.builder, scenario, render=sees)
     q_start = start_positions(robot_plant, scenario)
     plant = station.plant
@@ -89,7 +89,7 @@ def add_station(wires: Wires, scenario: Scenario, *, modulated: bool = True) -> 
     wires.offer("plant_state", plant.get_state_output_port())
     wires.offer("body_poses", plant.get_body_poses_output_port())
     wires.offer("query_object", station.scene_graph.get_query_output_port())
-    if isinstance(source, DepthCamera) and station.cameras:
+    if isinstance(source, CameraSource) and station.cameras:
         for name in source.names:
             camera = station.cameras[name]
             wires.offer(source.signal("depth_image", name), camera.depth_image)

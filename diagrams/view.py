@@ -11,7 +11,7 @@ from drake_oa.common.wires import Wires
 from drake_oa.diagrams.policy import make_dmp
 from drake_oa.diagrams.route import make_cost_ring_selector
 from drake_oa.diagrams.station import Cell
-from drake_oa.perception.config import DepthCamera
+from drake_oa.perception.config import CameraSource
 from drake_oa.policy.dmp import trajectory
 from drake_oa.regulation.config import Paper
 from drake_oa.robot.plant import base_pose
@@ -54,7 +54,7 @@ def make_overlay(scenario: Scenario, cell: Cell | None, meshcat: Meshcat) -> Mes
     hand = cell.plant.GetBodyByName(scenario.robot.hand_link, cell.robot)
     p_BE = np.asarray(scenario.robot.p_HE)
     source = scenario.perception
-    if not isinstance(source, DepthCamera) or not cell.cameras:
+    if not isinstance(source, CameraSource) or not cell.cameras:
         return MeshcatOverlay(
             meshcat, planned_W=planned_W, body_index=hand.index(), p_BE=p_BE, show=show
         )

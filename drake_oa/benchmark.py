@@ -33,11 +33,11 @@ from drake_oa.common import thinking
 from drake_oa.common.console import TextTable
 from drake_oa.common.files import software_versions
 from drake_oa.common.thinking import Thinking, Work
-from drake_oa.perception.config import DepthCamera
+from drake_oa.perception.config import CameraSource
 from drake_oa.robot.plant import home_positions, make_robot_plant
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.sources import perception_period
+from drake_oa.scenario.sources import perception_period, simulated
 from drake_oa.world.station import make_station
 
 PARTS = ("run", "thinking")
@@ -182,7 +182,7 @@ def drake_alone(scenario: Scenario) -> Diagram:
     """
     if scenario.robot is None:
         raise ValueError("robot: this scenario has null")
-    present = copy.deepcopy(scenario)
+    present = simulated(copy.deepcopy(scenario))
     for camera in present.cameras:
         # Rendered when it is asked for, and not beside the run.
         camera.output_delay = 0.0
@@ -195,7 +195,7 @@ def drake_alone(scenario: Scenario) -> Diagram:
     state = plant.get_state_output_port(station.robot)
     builder.Connect(state, holder.get_input_port_estimated_state())
     builder.Connect(holder.get_output_port(), plant.get_actuation_input_port(station.robot))
-    if isinstance(scenario.perception, DepthCamera):
+    if isinstance(scenario.perception, CameraSource):
         for name in scenario.perception.names:
             image = station.cameras[name].depth_image
             puller = builder.AddSystem(ZeroOrderHold(perception_period(scenario), image.Allocate()))

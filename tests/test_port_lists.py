@@ -72,6 +72,7 @@ ALWAYS |= {"ObstacleEvasion"}
     [
         ("perception=!DepthCamera {}", {"DepthPerception", "MotionSelector", "CloudSolids"}),
         ("perception=!DepthCamera {noise: {}}", {"LateCamera"}),
+        ("perception=!LcmCamera {lcm_url: 'memq://'}", {"LiveCamera", "DepthPerception"}),
         ("perception=!GroundTruth {}", {"GroundTruthPerception", "TrueSolids"}),
         ("recorded", {"RecordedPerception"}),
         ("regulation=!Paper {}", {"RegressorChain", "CostRingSelector"}),

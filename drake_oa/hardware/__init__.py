@@ -8,7 +8,6 @@ clock, in microseconds; positions are the arm's seven [rad].
   as `drake-oa station` runs it. It takes positions only.
 - `CommandGuard` judges each command before the arm follows it: one that is old, out of limits,
   that jumps, or of a second commander is refused, and the arm holds. It knows nothing of LCM.
-- `depth_messages` packs depth images and unpacks them.
 
 Nothing here was ever run on a real arm.
 

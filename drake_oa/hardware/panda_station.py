@@ -19,15 +19,16 @@ from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.diagrams.faults import make_obstacle_movers
 from drake_oa.hardware.command_guard import MICROSECOND, CommandGuard, CommandRules
-from drake_oa.hardware.depth_messages import CHANNEL, pack_depth
 from drake_oa.robot.arm import joints_to
 from drake_oa.robot.limits import robot_limits
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.sources import simulated
 from drake_oa.scenario.task_joints import start_positions
 from drake_oa.world.cameras import Camera
+from drake_oa.world.depth_messages import CHANNEL, pack_depth
 from drake_oa.world.late_camera import LateCamera
-from drake_oa.world.station import make_station
+from drake_oa.world.station import make_station, release_cameras
 
 STATUS_CHANNEL, COMMAND_CHANNEL = "PANDA_STATUS", "PANDA_COMMAND"
 ARM_JOINTS = 7
@@ -156,7 +157,7 @@ class PandaStation:
                 f"{ARM_JOINTS}"
             )
         builder = DiagramBuilder()
-        station = make_station(builder, scenario, render=images)
+        station = make_station(builder, simulated(scenario), render=images)
         self._q_start = start_positions(robot_plant, scenario)
         plant, self._robot = station.plant, station.robot
         plant.SetDefaultPositions(self._robot, self._q_start)
@@ -256,9 +257,7 @@ class PandaStation:
         finally:
             self.pace.simulated += self._simulator.get_context().get_time() - begin
             self.pace.wall += self._clock() - started
-            for system in self._diagram.GetSystems():
-                if isinstance(system, LateCamera):
-                    system.release()
+            release_cameras(self._diagram)
         return self.pace
 
     @property

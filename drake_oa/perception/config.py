@@ -275,7 +275,7 @@ class CameraNoise:
 
 
 @dc.dataclass
-class DepthCamera:
+class CameraSource:
     """Obstacles as one depth camera of the scenario's `cameras` sees them, or several together."""
 
     camera: str = "camera"
@@ -285,7 +285,7 @@ class DepthCamera:
     # Whether what is seen is as old as the last image of that camera which has been missing for
     # longest, or, false, as the newest image of any.
     all_needed: bool = True
-    # Noise of the cameras, {} for the published figures; null: ideal cameras.
+    # Noise of simulated cameras, {} for the published figures; null: ideal cameras.
     noise: CameraNoise | None = None
     segmentation: SegmentationConfig = dc.field(default_factory=SegmentationConfig)
     tracking: TrackingConfig = dc.field(default_factory=TrackingConfig)
@@ -298,6 +298,47 @@ class DepthCamera:
     def signal(self, of_one: str, name: str) -> str:
         """What a signal of one camera is called where there are several."""
         return f"{of_one}_{name}" if len(self.names) > 1 else of_one
+
+
+@dc.dataclass
+class DepthCamera(CameraSource):
+    """Obstacles as one simulated depth camera of `cameras` sees them, or several together."""
+
+
+@dc.dataclass
+class LiveCameras(CameraSource):
+    """What blocks of cameras outside the simulation have in common.
+
+    Size, intrinsics and pose are those of the scenario's `cameras`; images have their own noise.
+    """
+
+    # How long the first image is waited for at the start.
+    wait: float = number(5.0, "s", 0.0, 600.0)
+    # An image whose stamp is older when it comes, or so far ahead of this machine's clock, is
+    # passed over.
+    max_age: float = number(0.2, "s", 0.0, 10.0, open_low=True)
+    max_ahead: float = number(0.01, "s", 0.0, 10.0)
+    # How often it is looked whether an image has come.
+    poll: float = number(0.005, "s", 1e-4, 0.1)
+    # Images of several cameras whose stamps differ by no more are taken as of one instant: of
+    # cameras that nothing synchronizes a little more than the time between images.
+    together: float = number(0.04, "s", 0.0, 1.0)
+    # Image coordinates of the middle of the first pixel.
+    pixel_center: float = number(0.0, "pixel", -1.0, 1.0)
+
+
+@dc.dataclass
+class LcmCamera(LiveCameras):
+    """Depth cameras whose images come as Drake's `lcmt_image_array`.
+
+    Channels are DRAKE_RGBD_CAMERA_IMAGES_<name of the camera>; stamps are of the wall clock.
+    """
+
+    # Where from. So large a buffer holds images of 640 x 480 that are not compressed.
+    lcm_url: str = "udpm://239.255.76.99:7699?ttl=0&recv_buf_size=4000000"
+    # Drake renders the first pixel's middle at 0.5, and so does `drake-oa station`; in a real
+    # camera's images it is at 0.
+    pixel_center: float = number(0.5, "pixel", -1.0, 1.0)
 
 
 @dc.dataclass

@@ -197,6 +197,7 @@ class DepthPerception(LeafSystem):
         period: float = 1.0 / 15.0,
         delay: float = 0.0,
         all_needed: bool = True,
+        together: float = 0.0,
     ) -> None:
         """Declares ports, state and events.
 
@@ -216,6 +217,8 @@ class DepthPerception(LeafSystem):
             delay: how long after a period's beginning its images come [s].
             all_needed: whether obstacles are as old as the oldest camera's image, or as the
                 newest.
+            together: images of several cameras whose stamps differ by no more are taken as of one
+                instant, that of the newest [s].
 
         Raises:
             ValueError: for a period that is not positive, a negative delay, invalid intrinsics or
@@ -235,7 +238,9 @@ class DepthPerception(LeafSystem):
         self._tracking = tracking or TrackingConfig()
         for values in (self._config, self._tracking):
             check_values(values)
-        self._robot, self._all_needed = robot, all_needed
+        if not 0.0 <= together < np.inf:
+            raise ValueError(f"together must be finite and not negative [s], not {together}")
+        self._robot, self._all_needed, self._together = robot, all_needed, together
         period = valid_period(period)
         several = len(cameras) > 1
         self._ports = [self._declare_camera(f"_{name}" if several else "") for name in cameras]
@@ -269,10 +274,10 @@ class DepthPerception(LeafSystem):
         shown = [
             row
             for row, (port, stamp) in enumerate(zip(self._ports, stamps, strict=True))
-            if stamp >= newest - _SAME_TIME
+            if stamp >= newest - max(_SAME_TIME, self._together)
             and (stamp > told[row] or not port.stamp.HasValue(context))
         ]
-        if not shown:
+        if not any(stamps[row] >= newest - _SAME_TIME for row in shown):
             self._write(context, state, replace(previous, told=told), _NO_NEW_IMAGE, None)
             return
         robot = self._posed_robot(self._ports[shown[0]], context)
@@ -290,7 +295,7 @@ class DepthPerception(LeafSystem):
         )
         seeing = [row for row in range(len(stamps)) if row not in missing]
         told = np.array(told)
-        told[seeing] = newest
+        told[seeing] = np.array(stamps)[seeing]
         memory = replace(memory, told=told)
         note = memory.obstacles.note
         if frame.usable and missing:

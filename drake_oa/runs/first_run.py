@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
-from drake_oa.perception.config import DepthCamera, GroundTruth
+from drake_oa.perception.config import CameraSource, GroundTruth
 from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.scenario.scenario import Scenario
 
@@ -36,7 +36,7 @@ def compiled_beside(scenario: Scenario) -> Iterator[None]:
         def on_end(self, event: event.Event) -> None:
             pass
 
-    if not isinstance(scenario.perception, DepthCamera):
+    if not isinstance(scenario.perception, CameraSource):
         yield
         return
     try:

@@ -25,7 +25,7 @@ from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.geometry.shapes import Sphere
-from drake_oa.perception.config import DepthCamera, GroundTruth
+from drake_oa.perception.config import CameraSource, GroundTruth
 from drake_oa.regulation.config import Paper, Verified
 from drake_oa.robot.plant import TOOL_FRAME, make_robot_plant
 from drake_oa.runs.metrics import RobotJudge
@@ -35,7 +35,7 @@ from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.shipped import package_file
 from drake_oa.scenario.task_joints import tool_pose
-from drake_oa.world.late_camera import LateCamera
+from drake_oa.world.station import release_cameras
 
 TICK = 1.0 / 30.0
 """Simulated time between two looks at the controls [s]."""
@@ -201,7 +201,7 @@ class Controls:
         """What they say now."""
         first = _REGULATIONS.index("paper" if _is_paper(self.scenario) else "verified")
         turn = first + self.clicks("next: verified, paper, preplanned")
-        can_see = isinstance(self.scenario.perception, DepthCamera)
+        can_see = isinstance(self.scenario.perception, CameraSource)
         x, y, z = (self.value(f"goal {axis} [m]") for axis in "xyz")
         return Choice(
             clearance=self.value("asked clearance [m]"),
@@ -361,7 +361,7 @@ class PlaySession:
             scenario.regulation = Paper()
         elif choice.regulation == "verified" and _is_paper(scenario):
             scenario.regulation = Verified()
-        if not choice.seen and isinstance(scenario.perception, DepthCamera):
+        if not choice.seen and isinstance(scenario.perception, CameraSource):
             scenario.perception, scenario.faults = GroundTruth(), []
         for thing, (x, y, yaw) in zip(self._things, choice.poses, strict=True):
             thing.put(scenario, np.array([x, y, thing.p_WO[2]]), np.array([*thing.rpy[:2], yaw]))
@@ -444,7 +444,5 @@ class PlaySession:
         self.logs[f"leg_{self._leg}"] = log
         for name in list(self.logs)[:-MOST_LEGS]:
             del self.logs[name]
-        for system in self._simulator.get_system().GetSystems():
-            if isinstance(system, LateCamera):
-                system.release()
+        release_cameras(self._simulator.get_system())
         self._simulator = None

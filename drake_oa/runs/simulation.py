@@ -38,7 +38,7 @@ from drake_oa.scenario.loading import scenario_text
 from drake_oa.scenario.obstacles import last_change
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task import goal_at, last_move
-from drake_oa.world.late_camera import LateCamera
+from drake_oa.world.station import release_cameras
 from drake_oa.world.world_model import all_obstacles
 
 LONGEST_HOLD = 5.0
@@ -436,9 +436,7 @@ def run_motion(
         raise MotionInterruptedError(log) from error
     finally:
         simulator.clear_monitor()
-        for system in simulator.get_system().GetSystems():
-            if isinstance(system, LateCamera):
-                system.release()
+        release_cameras(simulator.get_system())
     watcher.finish(simulator.get_context())
     return collect_log(scenario, simulator, watcher, modulated, time.perf_counter() - started)
 

@@ -7,7 +7,10 @@ from collections.abc import Sequence
 from pydrake.systems.sensors import CameraConfig
 
 from drake_oa.common.config import ScenarioError, check_values, vector
-from drake_oa.perception.config import DepthCamera, GroundTruth, RecordedClouds
+from drake_oa.perception.config import CameraSource, LcmCamera, LiveCameras, RecordedClouds
+
+_LCM = ("udpm://", "tcpq://", "memq://")
+"""How URLs of LCM that can be received from begin."""
 
 _MOST_PIXELS = 4096
 """Most columns or rows of a simulated image."""
@@ -49,10 +52,7 @@ def check_cameras(cameras: Sequence[CameraConfig]) -> None:
                 )
 
 
-def check_perception(
-    perception: DepthCamera | GroundTruth | RecordedClouds | GivenEllipsoids,
-    cameras: Sequence[CameraConfig],
-) -> None:
+def check_perception(perception: object, cameras: Sequence[CameraConfig]) -> None:
     """What no single field of a `perception` block can tell.
 
     Args:
@@ -62,9 +62,19 @@ def check_perception(
     Raises:
         ScenarioError: naming the field and what would be valid.
     """
-    if isinstance(perception, DepthCamera):
+    if isinstance(perception, CameraSource):
         _check_seeing(perception, cameras)
     check_values(perception, "perception")
+    if isinstance(perception, LiveCameras) and perception.noise is not None:
+        raise ScenarioError(
+            f"perception.noise: images of !{type(perception).__name__} have their own; "
+            "leave it out, or null"
+        )
+    if isinstance(perception, LcmCamera) and not perception.lcm_url.startswith(_LCM):
+        raise ScenarioError(
+            f"perception.lcm_url: '{perception.lcm_url}' is none of LCM's; it must begin with one "
+            f"of {', '.join(_LCM)}"
+        )
     if isinstance(perception, RecordedClouds) and not perception.folder:
         raise ScenarioError("perception.folder: is empty; it must name a folder of recordings")
     if isinstance(perception, GivenEllipsoids):
@@ -76,10 +86,10 @@ def check_perception(
                 )
 
 
-def _check_seeing(perception: DepthCamera, cameras: Sequence[CameraConfig]) -> None:
+def _check_seeing(perception: CameraSource, cameras: Sequence[CameraConfig]) -> None:
     """Whether the cameras that perception names are there, and go together."""
     names = perception.cameras
-    if names and perception.camera != DepthCamera.camera:
+    if names and perception.camera != CameraSource.camera:
         raise ScenarioError(
             f"perception.camera: '{perception.camera}' and perception.cameras: {names} exclude "
             "each other: name one camera or several"

@@ -13,7 +13,12 @@ from drake_oa.common.config import count as _count
 from drake_oa.common.config import number as _number
 from drake_oa.common.thinking import Thinking
 from drake_oa.perception.config import CameraNoise as CameraNoise
-from drake_oa.perception.config import DepthCamera, GroundTruth, RecordedClouds
+from drake_oa.perception.config import (
+    DepthCamera,
+    GroundTruth,
+    LcmCamera,
+    RecordedClouds,
+)
 from drake_oa.policy.config import Policy
 from drake_oa.regulation.config import Paper, Verified
 from drake_oa.robot.config import Robot
@@ -60,7 +65,7 @@ class Scenario:
     # Drake's camera configurations, each with a name of its own.
     cameras: list[CameraConfig] = dc.field(default_factory=list)
     # Where obstacles come from.
-    perception: DepthCamera | GroundTruth | RecordedClouds | GivenEllipsoids = dc.field(
+    perception: DepthCamera | GroundTruth | RecordedClouds | GivenEllipsoids | LcmCamera = dc.field(
         default_factory=GroundTruth
     )
     # What the coupling parameters come from.

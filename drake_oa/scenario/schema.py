@@ -34,7 +34,8 @@ def json_schema() -> dict[str, Any]:
 def comments(block: type) -> dict[str, str]:
     """Name -> the comment above it, of a dataclass's fields that have one."""
     found, above = {}, list[str]()
-    for line in inspect.getsource(block).splitlines():
+    own = [each for each in reversed(block.__mro__) if dc.is_dataclass(each)]
+    for line in "\n".join(map(inspect.getsource, own)).splitlines():
         if line.strip().startswith("#"):
             above.append(line.strip().removeprefix("#").strip())
             continue

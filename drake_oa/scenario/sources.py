@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses as dc
+
 import numpy as np
 from pydrake.math import RollPitchYaw
 from pydrake.systems.sensors import CameraConfig
 
 from drake_oa.common.messages import EllipsoidSet, TablePlane
-from drake_oa.perception.config import DepthCamera, RecordedClouds
+from drake_oa.perception.config import CameraSource, DepthCamera, LiveCameras, RecordedClouds
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
 
@@ -22,14 +24,23 @@ _ODD = 0x9E3779B97F4A7C15
 def noise_seed(scenario: Scenario, camera: str) -> int:
     """Of the noise of a camera that perception sees by; of the first one the scenario's own."""
     source = scenario.perception
-    row = source.names.index(camera) if isinstance(source, DepthCamera) else 0
+    row = source.names.index(camera) if isinstance(source, CameraSource) else 0
     return (scenario.seed + row * _ODD) % 2**63
 
 
-def camera_configs(scenario: Scenario, source: DepthCamera) -> list[CameraConfig]:
+def camera_configs(scenario: Scenario, source: CameraSource) -> list[CameraConfig]:
     """Of the cameras that perception sees by, in its order."""
     named = {config.name: config for config in scenario.cameras}
     return [named[name] for name in source.names]
+
+
+def simulated(scenario: Scenario) -> Scenario:
+    """The scenario with simulated cameras in the place of those outside the simulation."""
+    source = scenario.perception
+    if not isinstance(source, LiveCameras):
+        return scenario
+    shared = {item.name: getattr(source, item.name) for item in dc.fields(DepthCamera)}
+    return dc.replace(scenario, perception=DepthCamera(**shared))
 
 
 def given_ellipsoids(source: GivenEllipsoids) -> EllipsoidSet:
@@ -55,7 +66,7 @@ def table_plane(scenario: Scenario) -> TablePlane | None:
 def perception_period(scenario: Scenario) -> float:
     """Time between observations [s]."""
     source = scenario.perception
-    if isinstance(source, DepthCamera):
+    if isinstance(source, CameraSource):
         return 1.0 / camera_configs(scenario, source)[0].fps
     if isinstance(source, GivenEllipsoids):
         return scenario.policy.route_period
@@ -64,6 +75,6 @@ def perception_period(scenario: Scenario) -> float:
 
 def padding(source: object) -> float:
     """How far an obstacle's surface may lie outside the points that are seen of it [m]."""
-    if isinstance(source, (DepthCamera, RecordedClouds)):
+    if isinstance(source, (CameraSource, RecordedClouds)):
         return 0.5 * source.segmentation.voxel
     return _SURFACE_GAP

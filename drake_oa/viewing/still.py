@@ -28,6 +28,7 @@ from drake_oa.common.files import replace_file
 from drake_oa.common.messages import FloatArray
 from drake_oa.robot.plant import base_pose, make_robot_plant
 from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.sources import simulated
 from drake_oa.scenario.task_joints import start_positions
 from drake_oa.world.meshes import give_normals
 from drake_oa.world.station import make_station
@@ -53,7 +54,7 @@ def draw_scenario(scenario: Scenario, file: Path) -> None:
     # Here: takes a second.
     from matplotlib.figure import Figure
 
-    scenario = copy.deepcopy(scenario)
+    scenario = simulated(copy.deepcopy(scenario))
     for config in scenario.cameras:
         config.output_delay = 0.0
     builder = DiagramBuilder()

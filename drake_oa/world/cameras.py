@@ -31,8 +31,8 @@ class Camera:
         depth_image: port of ImageDepth32F [m]; late images come with the camera's noise.
         pose: port of RigidTransform X_WC.
         delay: how long after it was taken an image comes [s]; 0: it shows the present.
-        image_time: port (1,) of the time at which the image was taken [s]; None without delay.
-        plant_state: port (n,) of the plant's state then; None without delay.
+        image_time: port (1,) of the time at which the image was taken [s]; None: the present.
+        plant_state: port (n,) of the plant's state then; None likewise.
     """
 
     intrinsics: CameraInfo

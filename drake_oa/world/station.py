@@ -15,38 +15,55 @@ from pydrake.multibody.plant import (
     MultibodyPlant,
 )
 from pydrake.multibody.tree import ModelInstanceIndex
-from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.framework import Diagram, DiagramBuilder, OutputPort
 from pydrake.systems.sensors import CameraConfig, CameraInfo
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.geometry.pinhole import pinhole
-from drake_oa.perception.config import DepthCamera
+from drake_oa.perception.config import DepthCamera, LcmCamera, LiveCameras
 from drake_oa.robot.grasped_object import part_carried
 from drake_oa.scenario.faults import camera_faults
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.sources import noise_seed
+from drake_oa.scenario.sources import camera_configs, noise_seed
 from drake_oa.world.cameras import Camera, add_camera, add_camera_world
+from drake_oa.world.depth_messages import LcmFrames
 from drake_oa.world.depth_noise import FrameNoise
 from drake_oa.world.late_camera import BackgroundCamera, LateCamera
+from drake_oa.world.live_camera import FrameSource, LiveCamera, standing_pose
 from drake_oa.world.world_model import add_world, all_obstacles
 
 
 def add_cameras(
-    builder: DiagramBuilder, scenario: Scenario, plant: MultibodyPlant
+    builder: DiagramBuilder,
+    scenario: Scenario,
+    plant: MultibodyPlant,
+    *,
+    plant_state: OutputPort | None = None,
+    rate: float = 1.0,
 ) -> dict[str, Camera]:
     """Adds the cameras of a scenario, by name.
 
     Args:
         builder: receives camera_world, camera_scene_graph and rgbd_sensor_<name>; late_<name>
-            in their place for a camera with `output_delay`.
+            in their place for a camera with `output_delay`. Where perception sees by cameras
+            outside the simulation, live_<name> of these, and nothing that renders.
         scenario: with cameras. Its faults are of frames that come as they are taken: with
             any of the camera, no camera is late.
-        plant: the simulated one, in the builder.
+        plant: the simulated one, in the builder, finalized.
+        plant_state: port of [q, v] of that plant as a camera outside the simulation finds it;
+            None: the simulated one's.
+        rate: simulated seconds in one of the wall clock, by which such a camera's images are.
 
     Raises:
         ScenarioError: naming the camera that does not fit.
     """
+    if isinstance(scenario.perception, LiveCameras):
+        source, state = scenario.perception, plant_state or plant.get_state_output_port()
+        return {
+            config.name: _live_camera(builder, source, plant, config, state, rate)
+            for config in camera_configs(scenario, source)
+        }
     on_time = bool(camera_faults(scenario.faults))
     present = [c for c in scenario.cameras if on_time or c.output_delay == 0.0]
     cameras = {
@@ -95,6 +112,53 @@ def _late_camera(
     )
 
 
+def _frame_source(source: LiveCameras, config: CameraConfig, intrinsics: CameraInfo) -> FrameSource:
+    if isinstance(source, LcmCamera):
+        return LcmFrames(source.lcm_url, config.name)
+    raise ScenarioError(f"perception: nothing reads images of !{type(source).__name__}")
+
+
+def _live_camera(
+    builder: DiagramBuilder,
+    source: LiveCameras,
+    plant: MultibodyPlant,
+    config: CameraConfig,
+    state: OutputPort,
+    rate: float,
+) -> Camera:
+    X_WC = standing_pose(plant, config)
+    _, depth = config.MakeCameras()
+    intrinsics = depth.core().intrinsics()
+    system = LiveCamera(
+        _frame_source(source, config, intrinsics),
+        intrinsics,
+        X_WC,
+        num_states=plant.num_multibody_states(),
+        wait=source.wait,
+        max_age=source.max_age,
+        max_ahead=source.max_ahead,
+        poll=source.poll,
+        rate=rate,
+    )
+    builder.AddNamedSystem(f"live_{config.name}", system)
+    builder.Connect(state, system.GetInputPort("plant_state"))
+    return Camera(
+        intrinsics,
+        system.GetOutputPort("depth_image"),
+        system.GetOutputPort("camera_pose"),
+        0.0,
+        system.GetOutputPort("image_time"),
+        system.GetOutputPort("plant_state"),
+    )
+
+
+def release_cameras(diagram: Diagram) -> None:
+    """Ends what cameras of a diagram hold outside it: render engines, devices, channels."""
+    for system in diagram.GetSystems():
+        if isinstance(system, (LateCamera, LiveCamera)):
+            system.release()
+
+
 def _noise(scenario: Scenario, config: CameraConfig, intrinsics: CameraInfo) -> FrameNoise | None:
     """Of a camera that perception looks through; None for another, or an ideal one."""
     source = scenario.perception
@@ -125,13 +189,22 @@ class Station:
     cameras: dict[str, Camera]
 
 
-def make_station(builder: DiagramBuilder, scenario: Scenario, *, render: bool = True) -> Station:
+def make_station(
+    builder: DiagramBuilder,
+    scenario: Scenario,
+    *,
+    render: bool = True,
+    plant_state: OutputPort | None = None,
+    rate: float = 1.0,
+) -> Station:
     """Adds the simulated cell of a scenario to a builder.
 
     Args:
         builder: receives plant, scene graph and, if `render`, the cameras.
         scenario: with a robot.
         render: whether anything will ask for images.
+        plant_state: see `add_cameras`.
+        rate: likewise.
 
     Raises:
         ScenarioError: naming the field of the scenario that does not fit.
@@ -143,7 +216,9 @@ def make_station(builder: DiagramBuilder, scenario: Scenario, *, render: bool = 
     robot = add_world(plant, scenario)
     plant.Finalize()
     part_carried(plant, scene_graph, scenario.robot)
-    cameras = add_cameras(builder, scenario, plant) if render else {}
+    cameras = {}
+    if render:
+        cameras = add_cameras(builder, scenario, plant, plant_state=plant_state, rate=rate)
     obstacles = tuple(
         instance
         for instance in map(ModelInstanceIndex, range(plant.num_model_instances()))

@@ -15,9 +15,9 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.lcm import LcmInterfaceSystem, LcmPublisherSystem, LcmSubscriberSystem
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.hardware.depth_messages import CHANNEL, unpack_depth
 from drake_oa.hardware.panda_station import COMMAND_CHANNEL, STATUS_CHANNEL, PandaStation
 from drake_oa.scenario.loading import load_scenario
+from drake_oa.world.depth_messages import CHANNEL, unpack_depth
 
 EPOCH, STEP = 1.7e9, 0.002
 

@@ -1,4 +1,4 @@
-"""Depth images as LCM messages.
+"""Depth images as LCM messages, and what receives them.
 
 Drake's `LcmImageArrayToImages` copies only a part of an uncompressed image (Drake 1.51: half of
 16 bit, a quarter of 32 bit), so that they are unpacked here.
@@ -6,17 +6,23 @@ Drake's `LcmImageArrayToImages` copies only a part of an uncompressed image (Dra
 
 from __future__ import annotations
 
+import weakref
 import zlib
 from typing import Any
 
 import numpy as np
 from drake import lcmt_header, lcmt_image, lcmt_image_array
 from numpy.typing import NDArray
+from pydrake.lcm import DrakeLcm
+
+from drake_oa.common.config import ScenarioError
+from drake_oa.world.live_camera import Frame
 
 CHANNEL = "DRAKE_RGBD_CAMERA_IMAGES_{}"
 """Of a camera's images."""
 
 _MILLIMETRE = 1e-3
+_MICROSECOND = 1e-6
 _FAR = 65535
 _TYPES: dict[int, np.dtype[Any]] = {
     lcmt_image.CHANNEL_TYPE_UINT16: np.dtype(np.uint16),
@@ -92,3 +98,116 @@ def unpack_depth(message: lcmt_image_array) -> tuple[NDArray[np.float32], int]:
         depth[values == _FAR] = np.inf
     depth[values == 0] = np.nan
     return depth, int(image.header.utime)
+
+
+class LcmBus:
+    """What comes on the channels of one URL, the newest message of each.
+
+    Attributes:
+        lcm: what it comes by.
+    """
+
+    def __init__(self, url: str) -> None:
+        """Opens it.
+
+        Raises:
+            RuntimeError: from Drake, for a URL that it cannot open.
+        """
+        self.lcm = DrakeLcm(url)
+        self._newest: dict[str, tuple[int, bytes]] = {}
+
+    def subscribe(self, channel: str) -> None:
+        """Receives a channel from now on; again, it does nothing."""
+        if channel in self._newest:
+            return
+        newest = self._newest
+        newest[channel] = (0, b"")
+
+        # Drake forbids a handler to raise; one that held the bus would keep it for ever.
+        def take(data: bytes) -> None:
+            newest[channel] = (newest[channel][0] + 1, data)
+
+        self.lcm.Subscribe(channel, take)
+
+    def newest(self, channel: str) -> tuple[int, bytes]:
+        """How many messages have come on a channel, and the last one's bytes."""
+        while self.lcm.HandleSubscriptions(0):
+            pass
+        return self._newest[channel]
+
+
+_buses: weakref.WeakValueDictionary[str, LcmBus] = weakref.WeakValueDictionary()
+
+
+def lcm_bus(url: str) -> LcmBus:
+    """The one of a URL, which all that ask while it is in use share.
+
+    Raises:
+        RuntimeError: from Drake, for a URL that it cannot open.
+    """
+    bus = _buses.get(url)
+    if bus is None:
+        bus = _buses[url] = LcmBus(url)
+    return bus
+
+
+class LcmFrames:
+    """A camera's images as they come by LCM: a `drake_oa.world.live_camera.FrameSource`.
+
+    Attributes:
+        name: channel and URL.
+    """
+
+    def __init__(self, url: str, camera: str) -> None:
+        """Subscribes.
+
+        Args:
+            url: of the LCM bus.
+            camera: name of the camera, which the channel ends with.
+
+        Raises:
+            ScenarioError: for a URL that cannot be opened.
+        """
+        self._url, self._channel = url, CHANNEL.format(camera)
+        self.name = f"LCM channel {self._channel} at {url}"
+        self._bus: LcmBus | None = None
+        self._count = 0
+        self.open()
+
+    def open(self) -> None:
+        """Subscribes again, where it was closed.
+
+        Raises:
+            ScenarioError: for a URL that cannot be opened.
+        """
+        if self._bus is not None:
+            return
+        try:
+            self._bus = lcm_bus(self._url)
+        except RuntimeError as error:
+            raise ScenarioError(f"perception.lcm_url: '{self._url}': {error}") from None
+        self._bus.subscribe(self._channel)
+        self._count, _ = self._bus.newest(self._channel)
+
+    def latest(self) -> Frame | None:
+        """The newest image that has come since it was asked last; None: none has.
+
+        Raises:
+            ValueError: for a message that cannot be read.
+        """
+        if self._bus is None:
+            return None
+        count, data = self._bus.newest(self._channel)
+        if count == self._count:
+            return None
+        self._count = count
+        try:
+            message = lcmt_image_array.decode(data)
+        except Exception as error:  # What decoding raises depends on what is wrong.
+            raise ValueError(f"message is no lcmt_image_array: {error}") from None
+        depth, utime = unpack_depth(message)
+        return Frame(depth, utime * _MICROSECOND)
+
+    def close(self) -> None:
+        """Lets go of the bus."""
+        self._bus = None

@@ -9,7 +9,7 @@ from pydrake.lcm import DrakeLcm
 from pydrake.systems.lcm import LcmSubscriberSystem
 from pydrake.systems.sensors import LcmImageArrayToImages
 
-from drake_oa.hardware.depth_messages import pack_depth, unpack_depth
+from drake_oa.world.depth_messages import pack_depth, unpack_depth
 
 DEPTH = np.linspace(0.5, 3.0, 48 * 64).reshape(48, 64).astype(np.float32)
 

@@ -1,0 +1,320 @@
+"""Depth cameras outside the simulation: images of a device or another process, as they come.
+
+Their stamps are of the wall clock; what stands behind works by the time of its Context.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.value import AbstractValue, Value
+from pydrake.math import RigidTransform
+from pydrake.multibody.parsing import GetScopedFrameByName
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.framework import BasicVector, Context, LeafSystem, State
+from pydrake.systems.sensors import CameraConfig, CameraInfo, ImageDepth32F
+
+from drake_oa.common.config import ScenarioError
+from drake_oa.common.messages import FloatArray, Frozen
+from drake_oa.common.ports import valid_period
+from drake_oa.perception.depth_perception import log_change
+
+_REMEMBERED = 0.5
+"""How far back states are known, at least [s] of the wall clock."""
+_PAUSE = 0.002
+"""Between two looks for the first image [s]."""
+
+
+class Frame(NamedTuple):
+    """A depth image as it comes.
+
+    Attributes:
+        depth: (H, W) along the optical axis [m]; inf is too far, NaN missing.
+        stamp: when it was taken, by the wall clock [s].
+    """
+
+    depth: NDArray[np.float32]
+    stamp: float
+
+
+class FrameSource(Protocol):
+    """What images of one camera come from.
+
+    Attributes:
+        name: what it is called where something is wrong with it.
+    """
+
+    name: str
+
+    def open(self) -> None:
+        """Begins to take images; opened already, it does nothing.
+
+        Raises:
+            ScenarioError: if it cannot, saying why.
+        """
+
+    def latest(self) -> Frame | None:
+        """The newest image that has come since it was asked last; None: none has.
+
+        Raises:
+            ValueError: for one that cannot be read, saying why.
+        """
+
+    def close(self) -> None:
+        """Lets go of device or channel; it may be opened again."""
+
+
+class _Instant(NamedTuple):
+    """The state (n,) at a moment of both clocks [s]."""
+
+    wall: float
+    time: float
+    plant_state: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen(Frozen):
+    """The last image that fits, and what was the case until now.
+
+    Attributes:
+        depth: (H, W) [m]; None: there was none.
+        stamp: when it was taken, by the wall clock [s].
+        time: the same by the Context's [s].
+        plant_state: (n,) the state then.
+        note: empty, or why the image that came last was passed over.
+        past: moments until now.
+    """
+
+    depth: NDArray[np.float32] | None = None
+    stamp: float = -math.inf
+    time: float = -math.inf
+    plant_state: FloatArray = field(default_factory=lambda: np.zeros(0))
+    note: str = ""
+    past: tuple[_Instant, ...] = ()
+
+
+class LiveCamera(LeafSystem):
+    """Hands out the images of a depth camera that stands still outside the simulation.
+
+    .. pydrake_system::
+
+      name: LiveCamera
+      input_ports:
+      - plant_state
+      output_ports:
+      - depth_image
+      - camera_pose
+      - image_time
+      - plant_state
+
+    - plant_state (in): (n,) vector [q, v] of the plant as it is now, measured or simulated.
+    - depth_image: ImageDepth32F along the optical axis [m]; inf is too far, NaN missing; all NaN
+      before the first image.
+    - camera_pose: RigidTransform X_WC, constant.
+    - image_time: (1,) when the image was taken, by the Context's clock [s]; -inf before the
+      first. It never goes back, and is never later than when the image came.
+    - plant_state (out): (n,) the state then, between the two that were known about that moment.
+
+    At initialization, or where it is read before, the source is opened and the first image waited
+    for; every `poll` the newest
+    one is taken into the Context. The wall clock is set against the Context's by where the Context
+    was ahead most of late: a simulator that keeps the rate falls behind for moments, in which
+    images go on to be taken. An image that does not fit is passed over, and logged when that
+    begins and ends.
+    """
+
+    def __init__(
+        self,
+        source: FrameSource,
+        intrinsics: CameraInfo,
+        X_WC: RigidTransform,
+        *,
+        num_states: int,
+        wait: float = 0.0,
+        max_age: float = 0.2,
+        max_ahead: float = 0.01,
+        poll: float = 0.005,
+        rate: float = 1.0,
+        clock: Callable[[], float] = time.time,
+    ) -> None:
+        """Declares ports, state and events.
+
+        Args:
+            source: of the images.
+            intrinsics: of the camera; images of another size are passed over.
+            X_WC: where it stands.
+            num_states: size n of the plant's state.
+            wait: how long the first image is waited for [s]; 0: not at all.
+            max_age: age at which an image that comes is passed over [s] of the wall clock.
+            max_ahead: how far ahead of the wall clock a stamp may be [s].
+            poll: time between looks for an image [s].
+            rate: simulated seconds in one of the wall clock.
+            clock: the wall clock [s].
+
+        Raises:
+            ValueError: for a period or rate that is not positive.
+        """
+        super().__init__()
+        if not 0.0 < rate < math.inf:
+            raise ValueError(f"rate must be positive and finite, not {rate}")
+        self._source, self._X_WC, self._clock = source, RigidTransform(X_WC), clock
+        self._wait, self._max_age, self._max_ahead, self._rate = wait, max_age, max_ahead, rate
+        self._first: _Seen | None = None
+        self._size = size = (intrinsics.width(), intrinsics.height())
+        self._state_port = self.DeclareVectorInputPort("plant_state", num_states)
+        self._seen = self.DeclareAbstractState(Value(_Seen()))
+        shown = {self.abstract_state_ticket(self._seen), self._state_port.ticket()}
+        self.DeclareAbstractOutputPort(
+            "depth_image", lambda: Value(ImageDepth32F(*size)), self._calc_image, shown
+        )
+        self.DeclareAbstractOutputPort(
+            "camera_pose", lambda: Value(RigidTransform()), self._calc_pose, {self.nothing_ticket()}
+        )
+        self.DeclareVectorOutputPort("image_time", 1, self._calc_time, shown)
+        self.DeclareVectorOutputPort("plant_state", num_states, self._calc_state, shown)
+        poll = valid_period(poll)
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._begin)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(poll, poll, self._poll)
+
+    def release(self) -> None:
+        """Closes the source; the next initialization opens it again."""
+        self._source.close()
+        self._first = None
+
+    def _read(self, context: Context) -> _Seen:
+        """What is seen; before the Context's initialization, what it will begin with.
+
+        Events of an initialization all see the Context of before it.
+        """
+        seen: _Seen = context.get_abstract_state(self._seen).get_value()
+        if not seen.past:
+            seen = self._first = self._first or self._begun(context, seen)
+        return seen
+
+    def _write(self, state: State, seen: _Seen) -> None:
+        state.get_mutable_abstract_state(self._seen).set_value(seen)
+
+    def _begin(self, context: Context, state: State) -> None:
+        self._source.open()
+        self._write(state, self._read(context))
+
+    def _begun(self, context: Context, seen: _Seen) -> _Seen:
+        """Opens the source and waits for the first image."""
+        self._source.open()
+        begun = time.monotonic()
+        # The Context's clock stands still meanwhile: nothing of before counts.
+        seen = self._looked(context, replace(seen, past=()))
+        while seen.depth is None and time.monotonic() - begun < self._wait:
+            time.sleep(_PAUSE)
+            seen = self._looked(context, replace(seen, past=()))
+        if seen.depth is None and self._wait > 0.0:
+            why = f": {seen.note}" if seen.note else ""
+            raise ScenarioError(
+                f"{self.get_name()}: no image came within {self._wait:g} s from "
+                f"{self._source.name}{why}"
+            )
+        return seen
+
+    def _poll(self, context: Context, state: State) -> None:
+        self._write(state, self._looked(context, self._read(context)))
+        self._first = None
+
+    def _looked(self, context: Context, seen: _Seen) -> _Seen:
+        """What is seen after a look at what has come."""
+        frame, note = None, seen.note
+        try:
+            frame = self._source.latest()
+        except ValueError as error:
+            note = str(error)
+        # After the image has come: it is not of the future.
+        now, at = self._clock(), context.get_time()
+        begin = now - max(self._max_age, _REMEMBERED)
+        kept = [instant for instant in seen.past if begin <= instant.wall <= now]
+        past = (*kept, _Instant(now, at, np.array(self._state_port.Eval(context))))
+        if frame is not None:
+            note = self._misfit(frame, now)
+        log_change(self, seen.note, note, at)
+        seen = replace(seen, note=note, past=past)
+        if frame is None or note or frame.stamp <= seen.stamp:
+            return seen
+        ahead = max(instant.time - self._rate * (instant.wall - now) for instant in past)
+        taken = min(ahead + self._rate * (frame.stamp - now), at)
+        return replace(
+            seen,
+            depth=frame.depth,
+            stamp=frame.stamp,
+            time=max(seen.time, taken),
+            plant_state=_state_at(past, frame.stamp),
+        )
+
+    def _misfit(self, frame: Frame, now: float) -> str:
+        """Why an image does not fit; empty: it does."""
+        (width, height), (rows, columns) = self._size, frame.depth.shape
+        if (columns, rows) != (width, height):
+            return f"image of {columns} x {rows} pixels, the scenario has {width} x {height}"
+        if frame.stamp < now - self._max_age:
+            return f"image comes more than {self._max_age:g} s after it was taken"
+        if not frame.stamp <= now + self._max_ahead:
+            return f"image's stamp is more than {self._max_ahead:g} s ahead of the clock here"
+        return ""
+
+    def _calc_image(self, context: Context, output: AbstractValue) -> None:
+        depth = self._read(context).depth
+        image: Any = output.get_mutable_value()
+        image.mutable_data[:, :, 0] = np.nan if depth is None else depth
+
+    def _calc_pose(self, context: Context, output: AbstractValue) -> None:
+        output.set_value(self._X_WC)
+
+    def _calc_time(self, context: Context, output: BasicVector) -> None:
+        output.SetAtIndex(0, self._read(context).time)
+
+    def _calc_state(self, context: Context, output: BasicVector) -> None:
+        seen = self._read(context)
+        output.SetFromVector(seen.past[-1].plant_state if seen.depth is None else seen.plant_state)
+
+
+def _state_at(past: tuple[_Instant, ...], stamp: float) -> FloatArray:
+    """(n,) the state at a moment of the wall clock [s]; outside the past, the nearest known."""
+    row = bisect.bisect_left(past, stamp, key=lambda instant: instant.wall)
+    if row in (0, len(past)):
+        return past[min(row, len(past) - 1)].plant_state
+    one, other = past[row - 1], past[row]
+    share = (stamp - one.wall) / (other.wall - one.wall)
+    return (1.0 - share) * one.plant_state + share * other.plant_state
+
+
+def standing_pose(plant: MultibodyPlant, config: CameraConfig) -> RigidTransform:
+    """X_WC of the depth image of a camera that stands still.
+
+    Args:
+        plant: the world, finalized.
+        config: of the camera.
+
+    Raises:
+        ScenarioError: if it stands on something that moves, or at random.
+    """
+    where, base = f"cameras: camera '{config.name}': X_PB", config.X_PB.base_frame
+    try:
+        frame = GetScopedFrameByName(plant, base) if base else plant.world_frame()
+    except RuntimeError as error:
+        raise ScenarioError(f"{where}.base_frame: {error}") from None
+    if not plant.IsAnchored(frame.body()):
+        raise ScenarioError(
+            f"{where}.base_frame: '{base}' moves; a camera outside the simulation must stand "
+            "still: give a frame that is welded to the world"
+        )
+    if not config.X_PB.IsDeterministic():
+        raise ScenarioError(f"{where}: is random; it must be the one pose the camera has")
+    X_WP = frame.CalcPoseInWorld(plant.CreateDefaultContext())
+    _, depth = config.MakeCameras()
+    X_PB: RigidTransform = config.X_PB.GetDeterministicValue()
+    X_WC: RigidTransform = X_WP @ X_PB @ depth.core().sensor_pose_in_camera_body()
+    return X_WC

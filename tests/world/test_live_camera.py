@@ -1,0 +1,310 @@
+"""LiveCamera: images of LCM messages, and the times and states that belong to them."""
+
+import logging
+import time
+import uuid
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from pydrake.math import RigidTransform
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, DiagramBuilder
+from pydrake.systems.primitives import TrajectorySource
+from pydrake.systems.sensors import CameraInfo
+from pydrake.trajectories import PiecewisePolynomial
+
+from drake_oa.common.config import ScenarioError
+from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.perception.config import LcmCamera
+from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
+from drake_oa.scenario.sources import camera_configs
+from drake_oa.world.depth_messages import CHANNEL, LcmBus, LcmFrames, lcm_bus, pack_depth
+from drake_oa.world.late_camera import BackgroundCamera
+from drake_oa.world.live_camera import LiveCamera
+from drake_oa.world.station import make_station, release_cameras
+
+EPOCH, STEP = 1.7e9, 0.01
+INFO = CameraInfo(8, 6, 10.0, 10.0, 3.5, 2.5)
+
+
+class Cell:
+    """A live camera whose plant moves at 1 rad/s; a wall clock that goes with its time."""
+
+    def __init__(self, **settings: float) -> None:
+        self.url = f"memq://{uuid.uuid4()}"
+        self.late = 0.0
+        builder = DiagramBuilder()
+        self.camera = LiveCamera(
+            LcmFrames(self.url, "eye"),
+            INFO,
+            RigidTransform([0.0, 0.0, 1.0]),
+            num_states=2,
+            poll=STEP,
+            clock=self.clock,
+            **settings,
+        )
+        builder.AddNamedSystem("live_eye", self.camera)
+        motion = PiecewisePolynomial.FirstOrderHold([0, 10], [[0, 10], [1, 1]])
+        source = builder.AddSystem(TrajectorySource(motion))
+        builder.Connect(source.get_output_port(), self.camera.get_input_port())
+        self.bus = lcm_bus(self.url)
+        self.simulator = Simulator(builder.Build())
+
+    @property
+    def context(self) -> Context:
+        return self.camera.GetMyContextFromRoot(self.simulator.get_context())
+
+    def clock(self) -> float:
+        return EPOCH + self.simulator.get_context().get_time() + self.late
+
+    def go(self, end: float) -> None:
+        """Goes on, the events of that moment included."""
+        self.simulator.AdvanceTo(end)
+        self.simulator.AdvancePendingEvents()
+
+    def send(self, taken: float, depth: float = 1.0, shape: tuple[int, int] = (6, 8)) -> None:
+        """An image that was taken so long after the epoch."""
+        image = np.full(shape, depth, np.float32)
+        message = pack_depth(image, camera="eye", utime=round((EPOCH + taken) * 1e6))
+        self.bus.lcm.Publish(CHANNEL.format("eye"), message.encode())
+
+    def seen(self) -> tuple[float, float, float]:
+        """Depth, time and joint of the image."""
+        image, time, state = (
+            self.camera.GetOutputPort(name).Eval(self.context)
+            for name in ("depth_image", "image_time", "plant_state")
+        )
+        return float(image.data[2, 3, 0]), float(time[0]), float(state[0])
+
+
+def test_before_the_first_image_all_is_missing() -> None:
+    cell = Cell()
+    cell.simulator.Initialize()
+    cell.go(0.1)
+    depth, time, joint = cell.seen()
+    assert np.isnan(depth)
+    assert time == -np.inf
+    assert joint == pytest.approx(0.1)
+    pose = cell.camera.GetOutputPort("camera_pose").Eval(cell.context)
+    np.testing.assert_allclose(pose.translation(), [0.0, 0.0, 1.0])
+
+
+def test_time_and_state_are_those_when_the_image_was_taken() -> None:
+    cell = Cell()
+    cell.simulator.Initialize()
+    cell.go(0.195)
+    cell.send(0.153, 2.0)
+    cell.go(0.2)
+    np.testing.assert_allclose(cell.seen(), [2.0, 0.153, 0.153], atol=1e-6)
+    # Of several that have come the newest; one that is older than the last is none.
+    for taken, depth in ((0.21, 3.0), (0.22, 4.0), (0.19, 5.0)):
+        cell.send(taken, depth)
+        cell.go(cell.simulator.get_context().get_time() + STEP)
+    np.testing.assert_allclose(cell.seen(), [4.0, 0.22, 0.22], atol=1e-6)
+
+
+def test_a_simulation_that_falls_behind_for_a_moment_keeps_the_times() -> None:
+    cell = Cell()
+    cell.simulator.Initialize()
+    cell.go(0.3)
+    # It stood still for 50 ms, in which an image came.
+    cell.late = 0.05
+    cell.send(0.29)
+    cell.go(0.31)
+    assert cell.seen()[1] == pytest.approx(0.29)
+    # One that was taken in what is its future is of the present at most.
+    cell.send(0.36)
+    cell.go(0.32)
+    assert cell.seen()[1] == pytest.approx(0.32)
+
+
+def test_seconds_of_the_clock_are_simulated_ones_by_the_rate() -> None:
+    cell = Cell(rate=0.5)
+    # Twice as fast as simulated time.
+    cell.camera._clock = lambda: EPOCH + 2.0 * cell.simulator.get_context().get_time()
+    cell.simulator.Initialize()
+    cell.go(0.195)
+    cell.send(0.35)
+    cell.go(0.2)
+    np.testing.assert_allclose(cell.seen()[1:], [0.175, 0.175], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "why"),
+    [
+        (lambda cell: cell.send(0.0), "more than 0.2 s after"),
+        (lambda cell: cell.send(0.5), "ahead of the clock"),
+        (lambda cell: cell.send(0.3, shape=(6, 9)), "9 x 6 pixels, the scenario has 8 x 6"),
+        (lambda cell: cell.bus.lcm.Publish(CHANNEL.format("eye"), b"noise"), "no lcmt_image_array"),
+    ],
+)
+def test_what_does_not_fit_is_passed_over_and_said_once(
+    spoil: Callable[[Cell], None], why: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    cell = Cell()
+    cell.simulator.Initialize()
+    cell.go(0.2)
+    cell.send(0.2, 2.0)
+    for end in (0.25, 0.31, 0.32):
+        cell.go(end)
+        if end > 0.3:
+            spoil(cell)
+    cell.go(0.33)
+    np.testing.assert_allclose(cell.seen()[:2], [2.0, 0.2], atol=1e-6)
+    cell.send(0.33, 3.0)
+    cell.go(0.34)
+    assert cell.seen()[0] == pytest.approx(3.0)
+    said = [record.getMessage() for record in caplog.records]
+    assert len(said) == 2
+    assert why in said[0]
+    assert "sees again" in said[1]
+
+
+def test_the_first_image_is_waited_for() -> None:
+    cell = Cell(wait=30.0)
+    cell.send(-0.02, 2.0)
+    cell.simulator.Initialize()
+    np.testing.assert_allclose(cell.seen()[:2], [2.0, -0.02], atol=1e-6)
+    cell = Cell(wait=0.01)
+    with pytest.raises(ScenarioError, match=r"live_eye: no image came within 0\.01 s from LCM"):
+        cell.simulator.Initialize()
+
+
+def test_released_it_is_opened_anew() -> None:
+    cell = Cell()
+    cell.simulator.Initialize()
+    release_cameras(cell.simulator.get_system())
+    cell.send(0.0, 2.0)
+    cell.go(0.05)
+    assert np.isnan(cell.seen()[0])
+    cell.simulator.Initialize()
+    cell.send(0.05, 3.0)
+    cell.go(0.1)
+    assert cell.seen()[0] == pytest.approx(3.0)
+
+
+def test_a_cloned_context_shows_the_same() -> None:
+    cell = Cell()
+    cell.simulator.Initialize()
+    cell.send(0.0, 2.0)
+    cell.go(0.05)
+    other = cell.camera.GetMyContextFromRoot(cell.simulator.get_context().Clone())
+    image = cell.camera.GetOutputPort("depth_image").Eval(other)
+    assert image.data[0, 0, 0] == pytest.approx(2.0)
+
+
+def test_one_bus_a_url() -> None:
+    url = f"memq://{uuid.uuid4()}"
+    one = lcm_bus(url)
+    assert lcm_bus(url) is one
+    assert isinstance(one, LcmBus)
+
+
+# In scenarios -----------------------------------------------------------------------------
+
+
+def live(url: str) -> str:
+    return f"perception=!LcmCamera {{cameras: [left, right], lcm_url: '{url}', poll: 0.002}}"
+
+
+def test_the_block_is_read_and_written() -> None:
+    scenario = load_scenario("two_cameras", [live("memq://x")])
+    assert isinstance(scenario.perception, LcmCamera)
+    assert (scenario.perception.noise, scenario.perception.pixel_center) == (None, 0.5)
+    again = parse_scenario(scenario_text(scenario))
+    assert again.perception == scenario.perception
+
+
+@pytest.mark.parametrize(
+    ("overrides", "why"),
+    [
+        (["perception=!LcmCamera {noise: {}}"], r"perception\.noise: images of !LcmCamera"),
+        (["perception=!LcmCamra {}"], r"did you mean !LcmCamera\?"),
+        (["perception=!LcmCamera {lcm_url: x}"], r"perception\.lcm_url: 'x' is none of"),
+        (["perception=!LcmCamera {max_age: 0}"], r"perception\.max_age: 0 is outside"),
+        (["perception=!LcmCamera {}", "faults=[!NanFrames {}]"], "needs 'perception: !DepthCamera"),
+    ],
+)
+def test_says_what_does_not_fit_of_the_block(overrides: list[str], why: str) -> None:
+    with pytest.raises(ScenarioError, match=why):
+        load_scenario("tabletop_box", overrides)
+
+
+def test_it_stands_where_the_simulated_camera_stands_and_nothing_renders() -> None:
+    def camera(*overrides: str) -> tuple[RigidTransform, set[str]]:
+        scenario = load_scenario("tabletop_box", list(overrides))
+        scenario.cameras[0].output_delay = 0.0
+        builder = DiagramBuilder()
+        pose = make_station(builder, scenario).cameras["camera"].pose
+        names = {system.get_name() for system in builder.GetSystems()}
+        root = builder.Build().CreateDefaultContext()
+        return pose.Eval(pose.get_system().GetMyContextFromRoot(root)), names
+
+    simulated, rendering = camera()
+    live, others = camera("perception=!LcmCamera {lcm_url: 'memq://'}")
+    assert live.IsNearlyEqualTo(simulated, 1e-12)
+    assert "camera_scene_graph" in rendering
+    assert "camera_scene_graph" not in others
+
+
+def test_a_camera_on_the_arm_is_refused() -> None:
+    scenario = load_scenario("tabletop_box", ["perception=!LcmCamera {lcm_url: 'memq://'}"])
+    scenario.cameras[0].X_PB.base_frame = _hand_frame()
+    with pytest.raises(ScenarioError, match=r"X_PB\.base_frame: '.*' moves"):
+        make_station(DiagramBuilder(), scenario)
+
+
+def _hand_frame() -> str:
+    scenario = load_scenario("tabletop_box")
+    station = make_station(DiagramBuilder(), scenario, render=False)
+    name = station.plant.GetModelInstanceName(station.robot)
+    assert scenario.robot is not None
+    return f"{name}::{scenario.robot.hand_link}"
+
+
+def test_two_cameras_seen_by_messages_are_fused_as_two_that_are_rendered() -> None:
+    url = f"memq://{uuid.uuid4()}"
+    rendered = load_scenario("two_cameras", ["perception.noise=null"])
+    told = load_scenario("two_cameras", [live(url)])
+    diagram = build_avoidance(told)
+    simulator = Simulator(diagram)
+    state = diagram.GetSubsystemByName("plant").get_state_output_port()
+    context = diagram.GetSubsystemByName("plant").GetMyContextFromRoot(simulator.get_context())
+    x = np.array(state.Eval(context))
+    assert isinstance(told.perception, LcmCamera)
+    depths = {}
+    for config in camera_configs(told, told.perception):
+        camera = BackgroundCamera(rendered, config)
+        depths[config.name] = camera.ask(x, 0.0).result().depth
+        camera.release()
+    bus, now = lcm_bus(url), time.time()
+    for name, depth in depths.items():
+        message = pack_depth(depth, camera=name, utime=round(now * 1e6))
+        bus.lcm.Publish(CHANNEL.format(name), message.encode())
+    simulator.Initialize()
+    by_messages = _obstacles(simulator)
+    other = Simulator(build_avoidance(rendered))
+    other.Initialize()
+    by_renderer = _obstacles(other)
+    simulator.AdvanceTo(0.05)
+    for each in (simulator, other):
+        release_cameras(each.get_system())
+    assert len(by_messages) == len(by_renderer) == 3
+    for one, same in zip(_sorted(by_messages), _sorted(by_renderer), strict=True):
+        # Depths of messages are in millimetres, which decides what voxel a point is in.
+        np.testing.assert_allclose(one.min(axis=0), same.min(axis=0), atol=5e-3)
+        np.testing.assert_allclose(one.max(axis=0), same.max(axis=0), atol=5e-3)
+
+
+def _obstacles(simulator: Simulator) -> list[np.ndarray]:
+    perception = simulator.get_system().GetSubsystemByName("perception")
+    context = perception.GetMyContextFromRoot(simulator.get_context())
+    found = perception.GetOutputPort("obstacles_W").Eval(context)
+    assert found.note == ""
+    return list(found.clouds_W)
+
+
+def _sorted(clouds: list[np.ndarray]) -> list[np.ndarray]:
+    return sorted(clouds, key=lambda cloud: float(cloud.mean(axis=0)[1]))
