@@ -86,6 +86,7 @@ def build_avoidance(
     layers: Layers | None = None,
     customize: Callable[[Wires], None] | None = None,
     meshcat: Meshcat | None = None,
+    add_cell: Callable[..., Cell | None] = add_station,
 ) -> Diagram:
     """Wires a scenario.
 
@@ -97,6 +98,8 @@ def build_avoidance(
         layers: what adds each layer; None: `Layers()`.
         customize: called with the wires before they are connected.
         meshcat: viewer, or None.
+        add_cell: adds the robot and its cameras, called as `add_station`: simulated ones, or those
+            that there are.
 
     Raises:
         ScenarioError: naming the field that does not fit.
@@ -107,7 +110,7 @@ def build_avoidance(
     if not modulated:
         layers = unmodulated(layers)
     wires = Wires(DiagramBuilder())
-    station = add_station(wires, scenario, modulated=modulated)
+    station = add_cell(wires, scenario, modulated=modulated)
     for layer in fields(layers):
         getattr(layers, layer.name)(wires, scenario, station)
     add_faults(wires, scenario, station)

@@ -17,6 +17,7 @@ from drake_oa.robot.spheres import ArmSpheres
 from drake_oa.safety.guarded_arm import GuardedArm, make_guarded_arm
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task_joints import start_positions
+from drake_oa.world.live_camera import Outside
 from drake_oa.world.station import Station, make_station
 
 
@@ -63,12 +64,20 @@ class Cell(Station):
         return self.scenario.robot
 
 
-def add_station(wires: Wires, scenario: Scenario, *, modulated: bool = True) -> Cell | None:
+def add_station(
+    wires: Wires, scenario: Scenario, *, modulated: bool = True, outside: Outside | None = None
+) -> Cell | None:
     """Adds plant, scene graph and, where perception looks through them, the cameras.
 
     Offers robot_state, plant_state, query_object and body_poses, and of the camera depth_image,
     camera_pose and, where images come late, image_stamp and plant_state_at_image; of several
     cameras each of them with _NAME behind it, but for plant_state_at_image, which is the same.
+
+    Args:
+        wires: that are added to.
+        scenario: what to build.
+        modulated: whether anything is seen.
+        outside: what cameras outside the simulation go by.
 
     Returns:
         None without a robot.
@@ -81,7 +90,7 @@ def add_station(wires: Wires, scenario: Scenario, *, modulated: bool = True) -> 
     robot_plant = make_robot_plant(scenario.robot)
     source = scenario.perception
     sees = modulated and isinstance(source, CameraSource)
-    station = make_station(wires.builder, scenario, render=sees)
+    station = make_station(wires.builder, scenario, render=sees, outside=outside)
     q_start = start_positions(robot_plant, scenario)
     plant = station.plant
     plant.SetDefaultPositions(station.robot, q_start)

@@ -40,6 +40,10 @@ _LOG_SPACE = 32 * 2**20
 """Space that a log may need [byte]; one of two motions of 20 s takes some 4 MB."""
 
 
+LCM_URL = "udpm://239.255.76.99:7699?ttl=0&recv_buf_size=4000000"
+"""Of a bus that stays on this machine, with room for images."""
+
+
 @dataclass(frozen=True)
 class _Outputs:
     """What a run is to show and write."""
@@ -48,6 +52,25 @@ class _Outputs:
     html: Path | None
     json: Path | None
     duration: float | None
+
+
+@dataclass(frozen=True)
+class _Bus:
+    """How an arm is reached."""
+
+    lcm_url: str
+    rate: float
+    torques: bool
+
+
+@dataclass(frozen=True)
+class _Ran:
+    """What ran of a scenario: the motions' logs, and what cut them or their file short."""
+
+    scenario: Scenario
+    logs: dict[str, MotionLog]
+    failure: BaseException | None = None
+    log_error: str | None = None
 
 
 def run(
@@ -61,6 +84,10 @@ def run(
     log: Path | None = None,
     no_log: bool = False,
     duration: float | None = None,
+    hardware: bool = False,
+    lcm_url: str = LCM_URL,
+    rate: float = 1.0,
+    torques: bool = False,
 ) -> int:
     """Simulate a scenario and print what was kept and touched.
 
@@ -70,6 +97,7 @@ def run(
       collisions       pairs of a robot link and an obstacle or the table that touched
       tool clearance   least distance of hand and fingers to an obstacle
       robot clearance  least distance of any link to an obstacle
+      asked            the clearance that the scenario asks for
       feasible         the asked clearance, or what start and goal leave the tool
       short by         what the tool lacked of that to what stands at rest
       goal error       distance of the tool point to the goal at the end
@@ -79,6 +107,10 @@ def run(
 
     Both motions go into one log, which `drake-oa replay` shows again and `drake-oa plot`
     draws: drake_oa_runs/SCENARIO-TIME.npz unless --log names another file.
+
+    With --hardware only the modulated motion, by the arm and cameras whose messages are on
+    --lcm-url: a real Panda's driver, or `drake-oa station`; see docs/hardware.md. Obstacles
+    are what is seen; the report knows of no others.
 
     Exit status: 0 when the tool of the modulated motion reached the goal (or the asked
     --duration), 1 when it did not (it failed, was held for good or ran out of time), 2 for
@@ -102,6 +134,10 @@ def run(
         log: write the log here, in place of an earlier one.
         no_log: write no log.
         duration: stop each motion after so many simulated seconds.
+        hardware: drive the arm that is there, in place of a simulated one.
+        lcm_url: with --hardware, of the bus.
+        rate: with --hardware, simulated seconds in one of the wall clock, at most 1.
+        torques: with --hardware, command torques without gravity's, in place of positions.
     """
     from drake_oa.runs.first_run import compiled_beside
     from drake_oa.scenario.loading import load_scenario
@@ -120,9 +156,20 @@ def run(
         contextlib.nullcontext() if no_log else reserved_log(log, name) as log_file,
         stop_between_steps() as raise_if_asked,
     ):
-        with compiled_beside(chosen):
-            logs, failure, log_error = _simulate_both(outputs, chosen, log_file, raise_if_asked)
-        status = _report(outputs, name, chosen, logs)
+        if hardware:
+            from drake_oa.hardware.robot_link import HardwareError
+
+            try:
+                bus = _Bus(lcm_url, rate, torques)
+                ran = _drive(outputs, chosen, bus, log_file, raise_if_asked)
+            except HardwareError as error:
+                complain(str(error))
+                return FAILED
+        else:
+            with compiled_beside(chosen):
+                ran = _simulate_both(outputs, chosen, log_file, raise_if_asked)
+        failure, log_error = ran.failure, ran.log_error
+        status = _report(outputs, name, ran.scenario, ran.logs)
         written = {"log": log_file if log_error is None else None, "page": html, "report": json}
         for kind, file in written.items():
             if file is not None:
@@ -137,7 +184,7 @@ def run(
         complain("interrupted")
         return INTERRUPTED
     if failure is not None:
-        complain(f"cut short: {next(reversed(logs.values())).stop_reason}")
+        complain(f"cut short: {next(reversed(ran.logs.values())).stop_reason}")
         return FAILED
     if meshcat:
         from drake_oa.viewing.viewer import wait_for_viewer
@@ -151,15 +198,18 @@ def station(
     /,
     *,
     overrides: Overrides = (),
-    lcm_url: str = "udpm://239.255.76.99:7699?ttl=0&recv_buf_size=4000000",
+    lcm_url: str = LCM_URL,
     rate: float = 1.0,
     expiry: float = 0.1,
+    torques: bool = False,
+    wait: bool = False,
     no_images: bool = False,
     duration: float | None = None,
+    log: Path | None = None,
 ) -> int:
     """Simulate a Panda and its cameras behind the messages of the real ones.
 
-    Takes lcmt_panda_command on PANDA_COMMAND, positions only, sends lcmt_panda_status on
+    Takes lcmt_panda_command on PANDA_COMMAND, sends lcmt_panda_status on
     PANDA_STATUS and depth as lcmt_image_array on DRAKE_RGBD_CAMERA_IMAGES_<camera>. The arm
     holds where commands end, jump, are out of limits or of two commanders, and the log says so.
     Runs until Ctrl-C; see docs/hardware.md.
@@ -171,13 +221,21 @@ def station(
         rate: simulated seconds in one of the wall clock, at most 1; smaller where a machine
             cannot keep up.
         expiry: how long a command is in force [s].
+        torques: take torques without gravity's, in place of positions.
+        wait: let the world begin when the arm follows a command, and end when the commander is
+            done and all has come to rest.
         no_images: render and send none.
         duration: end after so many simulated seconds.
+        log: write what the arm did here, and print what it kept and touched.
     """
     from pydrake.lcm import DrakeLcm
 
     from drake_oa.hardware.command_guard import CommandRules
+    from drake_oa.hardware.panda_arm import Mode
     from drake_oa.hardware.panda_station import PandaStation
+    from drake_oa.runs.hardware_run import station_log
+    from drake_oa.runs.motion_log import save_logs
+    from drake_oa.runs.report import report_table, run_report
     from drake_oa.scenario.loading import load_scenario
 
     chosen = load_scenario(scenario, overrides)
@@ -187,9 +245,17 @@ def station(
         lcm = DrakeLcm(lcm_url)
     except RuntimeError as error:
         raise ValueError(f"--lcm-url: {lcm_url}: {error}") from None
+    check_outputs(log)
     with build_errors():
         arm = PandaStation(
-            chosen, lcm, rules=CommandRules(expiry=expiry), images=not no_images, rate=rate
+            chosen,
+            lcm,
+            rules=CommandRules(expiry=expiry),
+            images=not no_images,
+            rate=rate,
+            mode=Mode.TORQUE if torques else Mode.POSITION,
+            waits=wait,
+            log=log is not None,
         )
     interrupted: KeyboardInterrupt | None = None
     print(f"station: {scenario_name(scenario)} on {lcm_url}", file=sys.stderr)
@@ -198,6 +264,11 @@ def station(
             arm.run(math.inf if duration is None else duration, raise_if_asked)
         except KeyboardInterrupt as error:
             interrupted = error
+    if log is not None:
+        logs = {"modulated": station_log(chosen, arm)}
+        save_logs(log, logs)
+        show(report_table(run_report(scenario_name(scenario), chosen, logs)))
+        print(f"log: {log}", file=sys.stderr)
     pace = arm.pace
     print(
         f"simulated {pace.simulated:.2f} s in {pace.wall:.2f} s, "
@@ -239,52 +310,97 @@ def _simulate_both(
     scenario: Scenario,
     log_file: Path | None,
     raise_if_asked: Callable[[], None],
-) -> tuple[dict[str, MotionLog], BaseException | None, str | None]:
-    """The logs of both motions, or of what ran until one was cut short, and by what.
-
-    The third value says why the log could not be written, or is None.
-    """
+) -> _Ran:
+    """Both motions, or what ran until one was cut short."""
     from drake_oa.diagrams.avoidance import build_avoidance
-    from drake_oa.runs.motion_log import save_logs
-    from drake_oa.runs.simulation import MotionInterruptedError, simulate
-    from drake_oa.viewing.viewer import recording
+    from drake_oa.runs.simulation import simulate
 
     meshcat = _viewer(outputs)
     with build_errors():
         # What the modulated motion lacks is told before the first one is simulated.
         built = build_avoidance(scenario, meshcat=meshcat)
-    logs: dict[str, MotionLog] = {}
+
+    def motion(name: str, on_progress: Callable[[float, float], None]) -> MotionLog:
+        modulated = name == "modulated"
+        return simulate(
+            scenario,
+            modulated=modulated,
+            duration=outputs.duration,
+            on_progress=on_progress,
+            diagram=built if modulated else None,
+        )
+
+    ran = _Ran(scenario, {})
+    for name in ("preplanned", "modulated"):
+        shown = meshcat if name == "modulated" else None
+        ran = _logged(ran, name, motion, outputs, shown, log_file, raise_if_asked)
+        if ran.failure is not None:
+            break
+    return ran
+
+
+def _drive(
+    outputs: _Outputs,
+    scenario: Scenario,
+    bus: _Bus,
+    log_file: Path | None,
+    raise_if_asked: Callable[[], None],
+) -> _Ran:
+    """The modulated motion, by the arm that is there."""
+    from drake_oa.hardware.robot_link import RobotLink
+    from drake_oa.runs.hardware_run import drive, ready
+
+    meshcat = _viewer(outputs)
+    robot = scenario.robot if bus.torques else None
+    with RobotLink(bus.lcm_url, rate=bus.rate, robot=robot) as link:
+        with build_errors():
+            driven = ready(scenario, link, lcm_url=bus.lcm_url, meshcat=meshcat)
+        print(f"the arm is ready on {bus.lcm_url}", file=sys.stderr)
+
+        def motion(_: str, on_progress: Callable[[float, float], None]) -> MotionLog:
+            return drive(driven, link, duration=outputs.duration, on_progress=on_progress)
+
+        ran = _Ran(driven.known, {})
+        ran = _logged(ran, "modulated", motion, outputs, meshcat, log_file, raise_if_asked)
+        print(link.figures, file=sys.stderr)
+    return ran
+
+
+def _logged(
+    ran: _Ran,
+    name: str,
+    motion: Callable[[str, Callable[[float, float], None]], MotionLog],
+    outputs: _Outputs,
+    meshcat: Meshcat | None,
+    log_file: Path | None,
+    raise_if_asked: Callable[[], None],
+) -> _Ran:
+    """One more motion, shown, recorded and logged; cut short, what ran of it."""
+    from drake_oa.runs.motion_log import save_logs
+    from drake_oa.runs.simulation import MotionInterruptedError
+    from drake_oa.viewing.viewer import recording
+
     failure: BaseException | None = None
     log_error: str | None = None
-    for motion in ("preplanned", "modulated"):
-        shown = meshcat if motion == "modulated" else None
+    try:
+        with (
+            build_errors(),
+            recording(meshcat, outputs.html),
+            _progress(name, ran.scenario, outputs.duration, raise_if_asked) as on_progress,
+        ):
+            log = motion(name, on_progress)
+    except MotionInterruptedError as error:
+        log, failure = error.log, error.__cause__ or error
+        logging.getLogger(__name__).info("where it happened", exc_info=True)
+    logs = ran.logs | {name: log}
+    if log_file is not None:
+        # After each motion, so that nothing is lost by what comes next.
         try:
-            with (
-                build_errors(),
-                recording(shown, outputs.html),
-                _progress(motion, scenario, outputs.duration, raise_if_asked) as on_progress,
-            ):
-                logs[motion] = simulate(
-                    scenario,
-                    modulated=motion == "modulated",
-                    duration=outputs.duration,
-                    on_progress=on_progress,
-                    diagram=built if motion == "modulated" else None,
-                )
-        except MotionInterruptedError as error:
-            logs[motion], failure = error.log, error.__cause__ or error
-            logging.getLogger(__name__).info("where it happened", exc_info=True)
-        if log_file is not None:
-            # After each motion, so that nothing is lost by what comes next.
-            try:
-                save_logs(log_file, logs)
-                log_error = None
-            except OSError as error:
-                # A disk that is full by now must not cost the report as well.
-                log_error = f"cannot write {log_file}: {error.strerror or error}"
-        if failure is not None:
-            break
-    return logs, failure, log_error
+            save_logs(log_file, logs)
+        except OSError as error:
+            # A disk that is full by now must not cost the report as well.
+            log_error = f"cannot write {log_file}: {error.strerror or error}"
+    return _Ran(ran.scenario, logs, failure, log_error)
 
 
 def _report(outputs: _Outputs, name: str, scenario: Scenario, logs: dict[str, MotionLog]) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -10,18 +11,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 from drake import lcmt_panda_command, lcmt_panda_status
 from pydrake.lcm import DrakeLcm
-from pydrake.manipulation import PandaControlMode
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.controllers import InverseDynamicsController
 from pydrake.systems.framework import Context, DiagramBuilder
+from pydrake.systems.primitives import LogVectorOutput
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
+from drake_oa.common.wires import LOG_PERIOD
 from drake_oa.diagrams.faults import make_obstacle_movers
-from drake_oa.hardware.command_guard import MICROSECOND, CommandGuard, CommandRules
-from drake_oa.robot.arm import joints_to
-from drake_oa.robot.limits import robot_limits
+from drake_oa.hardware.command_guard import CommandGuard, CommandRules
+from drake_oa.hardware.panda_arm import (
+    ARM_JOINTS,
+    COMMAND_CHANNEL,
+    MICROSECOND,
+    STATUS_CHANNEL,
+    Mode,
+    arm_of,
+)
 from drake_oa.robot.plant import make_robot_plant
+from drake_oa.scenario.obstacles import last_change
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import simulated
 from drake_oa.scenario.task_joints import start_positions
@@ -29,14 +38,14 @@ from drake_oa.world.cameras import Camera
 from drake_oa.world.depth_messages import CHANNEL, pack_depth
 from drake_oa.world.late_camera import LateCamera
 from drake_oa.world.station import make_station, release_cameras
+from drake_oa.world.world_model import all_obstacles
 
-STATUS_CHANNEL, COMMAND_CHANNEL = "PANDA_STATUS", "PANDA_COMMAND"
-ARM_JOINTS = 7
-"""Of the arm that the messages are of."""
 _STIFFNESS = 400.0
 """Of each joint, critically damped: what a position that is off accelerates [1/s^2]."""
 _PATIENCE = 0.9
 """Share of a camera's period that an image may be late before it is waited for."""
+_AT_REST, _REST_TIME = 0.01, 1.0
+"""Joints are slower than this [rad/s, m/s], for so long [s]."""
 _CATCH_UP = 0.02
 """What a station that was late makes up for [s]."""
 
@@ -73,6 +82,7 @@ class _ImageSender:
         self._name, self._camera, self._period = name, camera, period
         self._count = 0
         self._seq = 0
+        self._sent = -math.inf
 
     def due(self, root: Context) -> bool:
         """Whether one has come that was not sent, and need not be waited for.
@@ -86,6 +96,13 @@ class _ImageSender:
             return late >= 0.0
         return system.ready(system.GetMyContextFromRoot(root))
 
+    def again(self, now: float) -> bool:
+        """Whether another image of a world that stands still is due."""
+        if now - self._sent < self._period:
+            return False
+        self._count -= 1
+        return True
+
     def send(self, root: Context, lcm: DrakeLcm, to_wall: Callable[[float], float]) -> None:
         """Sends the image that came last."""
         camera = self._camera
@@ -96,6 +113,7 @@ class _ImageSender:
         if camera.image_time is not None:
             (taken,) = camera.image_time.Eval(context)
         self._count += 1
+        self._sent = to_wall(root.get_time())
         message = pack_depth(
             image.data[:, :, 0], camera=self._name, utime=round(to_wall(taken) / MICROSECOND)
         )
@@ -114,6 +132,8 @@ class PandaStation:
 
     Attributes:
         guard: what judges commands.
+        event_times: simulated times of its events [s].
+        num_positions: of the whole plant.
         pace: how it kept time.
     """
 
@@ -125,6 +145,9 @@ class PandaStation:
         rules: CommandRules | None = None,
         images: bool = True,
         rate: float = 1.0,
+        mode: Mode = Mode.POSITION,
+        waits: bool = False,
+        log: bool = False,
         clock: Callable[[], float] = time.time,
     ) -> None:
         """Builds the cell, the arm at the scenario's start.
@@ -135,6 +158,10 @@ class PandaStation:
             rules: what commands are held to; None: `CommandRules()`.
             images: whether cameras send theirs.
             rate: simulated seconds in one of the wall clock, at most.
+            mode: what commands hold.
+            waits: whether the world stands still until the arm follows a command, so that courses
+                begin with the motion, and `run` ends when nobody commands and all is at rest.
+            log: whether the states are kept, for `states`.
             clock: the wall clock [s].
 
         Raises:
@@ -143,19 +170,14 @@ class PandaStation:
         """
         if not 0.0 < rate <= 1.0:
             raise ValueError(f"rate: {rate} must be above 0 and at most 1")
+        if mode is Mode.TORQUE and rate != 1.0:
+            raise ValueError(f"rate: {rate} must be 1 where torques are commanded")
         if scenario.robot is None:
             raise ScenarioError("robot: a station needs one; this scenario has null")
         if scenario.faults:
             raise ScenarioError("faults: a station has none; leave them out (--set 'faults=[]')")
         robot_plant = make_robot_plant(scenario.robot)
-        self._arm = [
-            j.position_start() for j in joints_to(robot_plant.plant, robot_plant.tool_frame)
-        ]
-        if len(self._arm) != ARM_JOINTS:
-            raise ScenarioError(
-                f"robot.model: an arm of {len(self._arm)} joints; a Panda's messages are of "
-                f"{ARM_JOINTS}"
-            )
+        self._arm, limits = arm_of(robot_plant)
         builder = DiagramBuilder()
         station = make_station(builder, simulated(scenario), render=images)
         self._q_start = start_positions(robot_plant, scenario)
@@ -175,10 +197,6 @@ class PandaStation:
         )
         state = plant.get_state_output_port(self._robot)
         builder.Connect(state, self._controller.get_input_port_estimated_state())
-        builder.Connect(
-            self._controller.get_output_port_control(),
-            plant.get_actuation_input_port(self._robot),
-        )
         for name, mover in make_obstacle_movers(scenario, station).items():
             instance = plant.GetModelInstanceByName(name)
             builder.AddNamedSystem(f"mover_{name}", mover)
@@ -187,28 +205,40 @@ class PandaStation:
             )
             builder.Connect(mover.get_output_port(), plant.get_actuation_input_port(instance))
         builder.ExportInput(self._controller.get_input_port_desired_state(), "desired_state")
+        builder.ExportInput(plant.get_actuation_input_port(self._robot), "applied")
         builder.ExportOutput(state, "robot_state")
         builder.ExportOutput(self._controller.get_output_port_control(), "actuation")
+        self._logged = {}
+        if log:
+            ports = {
+                "robot_state": state,
+                "plant_state": plant.get_state_output_port(),
+                "actuation": plant.get_net_actuation_output_port(self._robot),
+            }
+            self._logged = {
+                name: LogVectorOutput(port, builder, LOG_PERIOD) for name, port in ports.items()
+            }
         self._diagram = builder.Build()
         self._simulator = Simulator(self._diagram)
-        limits = robot_limits(robot_plant.plant, robot_plant.instance)
-        arm_limits = replace(
-            limits,
-            position_name=tuple(limits.position_name[i] for i in self._arm),
-            position_lower=limits.position_lower[self._arm],
-            position_upper=limits.position_upper[self._arm],
-            # Of the wall clock's seconds, as all that is in messages.
-            velocity_limit=rate * limits.velocity_limit[self._arm],
-        )
-        self.guard = CommandGuard(self._q_start[self._arm], arm_limits, rules or CommandRules())
+        # Of the wall clock's seconds, as all that is in messages.
+        limits = replace(limits, velocity_limit=rate * limits.velocity_limit)
+        self.guard = CommandGuard(self._q_start[self._arm], limits, rules or CommandRules(), mode)
         self.pace = Pace()
+        self._mode = mode
         self._step, self._rate, self._clock, self._lcm = scenario.plant_step, rate, clock, lcm
+        self._model = robot_plant.plant.CreateDefaultContext()
+        self._alone = robot_plant
+        self._waits = self._ends = waits
+        self.event_times: list[float] = []
+        self.num_positions = plant.num_positions()
+        self._world_end = last_change(all_obstacles(scenario))
+        self._moved = 0.0
         periods = {config.name: 1.0 / config.fps for config in scenario.cameras}
         self._senders = [
             _ImageSender(name, camera, periods[name]) for name, camera in station.cameras.items()
         ]
         lcm.Subscribe(COMMAND_CHANNEL, self._take)
-        self._fix_desired()
+        self._actuate()
         self._simulator.Initialize()
         for camera in station.cameras.values():
             # The first image takes longest: a renderer begins with it.
@@ -219,16 +249,39 @@ class PandaStation:
         """Takes the commands that have come, goes on by a step of the plant, sends the status."""
         while self._lcm.HandleSubscriptions(0):
             pass
-        self._fix_desired()
+        self._actuate()
         context = self._simulator.get_context()
-        self._simulator.AdvanceTo(context.get_time() + self._step)
+        still = self._waits and self.guard.holding
+        if not still:
+            self._waits = False
+            self._simulator.AdvanceTo(context.get_time() + self._step)
         now, simulated = self._clock(), context.get_time()
+        self.event_times += [simulated] * (len(self.guard.events) - len(self.event_times))
         self._lcm.Publish(STATUS_CHANNEL, self._status(now).encode())
         self.pace.statuses += 1
         for sender in self._senders:
-            if sender.due(context):
+            if sender.again(now) if still else sender.due(context):
                 sender.send(context, self._lcm, lambda t: now - (simulated - t) / self._rate)
                 self.pace.images += 1
+
+    @property
+    def finished(self) -> bool:
+        """Whether it waited for a commander, who is done, and all has been at rest since."""
+        root = self._simulator.get_context()
+        state = self._diagram.GetOutputPort("robot_state").Eval(root)
+        if not self.guard.holding or np.abs(state[len(state) // 2 :]).max() > _AT_REST:
+            self._moved = root.get_time()
+        rests = root.get_time() > max(self._moved, self._world_end) + _REST_TIME
+        return self._ends and not self._waits and rests
+
+    @property
+    def states(self) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """Times (T,) [s] and values (T, n) of robot_state, plant_state and actuation."""
+        root = self._simulator.get_context()
+        logs = {name: sink.FindLog(root) for name, sink in self._logged.items()}
+        return {
+            name: (log.sample_times().copy(), log.data().T.copy()) for name, log in logs.items()
+        }
 
     def run(self, duration: float, each_step: Callable[[], None] | None = None) -> Pace:
         """Goes on for a time, no faster than the rate.
@@ -247,6 +300,8 @@ class PandaStation:
         try:
             while self._simulator.get_context().get_time() - begin < duration - 0.5 * self._step:
                 self.step()
+                if self.finished:
+                    break
                 now = self._clock()
                 self.pace.longest_pause = max(self.pace.longest_pause, now - last)
                 last = now
@@ -279,15 +334,28 @@ class PandaStation:
         else:
             self.pace.rejected += 1
 
-    def _fix_desired(self) -> None:
-        n = len(self._q_start)
+    def _actuate(self) -> None:
+        """Torques until the next step: towards the desired state, or the commanded ones."""
+        root = self._simulator.get_mutable_context()
+        now, n = self._clock(), len(self._q_start)
+        commanded = self.guard.torque(now)
+        if commanded is not None:
+            self.guard.holds_at(self.q)
         desired = np.concatenate([self._q_start, np.zeros(n)])
-        q, v = self.guard.desired(self._clock())
+        q, v = self.guard.desired(now)
         desired[self._arm] = q
         desired[n + np.array(self._arm)] = v / self._rate
-        self._diagram.GetInputPort("desired_state").FixValue(
-            self._simulator.get_mutable_context(), desired
-        )
+        self._diagram.GetInputPort("desired_state").FixValue(root, desired)
+        tau = np.array(self._diagram.GetOutputPort("actuation").Eval(root))
+        if commanded is not None:
+            # The arm adds what gravity asks, as the real one.
+            plant = self._alone.plant
+            plant.SetPositions(
+                self._model, self._diagram.GetOutputPort("robot_state").Eval(root)[:n]
+            )
+            gravity = -plant.CalcGravityGeneralizedForces(self._model)
+            tau[self._arm] = commanded + gravity[self._arm]
+        self._diagram.GetInputPort("applied").FixValue(root, tau)
 
     def _status(self, now: float) -> lcmt_panda_status:
         context = self._simulator.get_context()
@@ -309,5 +377,5 @@ class PandaStation:
         status.joint_torque_external = zero
         status.control_command_success_rate = 1.0
         status.robot_utime = round(context.get_time() / MICROSECOND)
-        status.control_mode = int(PandaControlMode.kPosition)
+        status.control_mode = self._mode.in_messages
         return status

@@ -222,6 +222,7 @@ _ROWS = (
     ("collisions", "collisions", "{:d}"),
     ("tool_clearance_min", "tool clearance [m]", "{:.3f}"),
     ("robot_clearance_min", "robot clearance [m]", "{:.3f}"),
+    ("asked_clearance", "asked [m]", "{:.3f}"),
     ("feasible_clearance", "feasible [m]", "{:.3f}"),
     ("short_of_feasible", "short by [mm]", "{:.1f}"),
     ("goal_error", "goal error [mm]", "{:.2f}"),

@@ -18,7 +18,7 @@ from pydrake.common.value import AbstractValue, Value
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import GetScopedFrameByName
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import BasicVector, Context, LeafSystem, State
+from pydrake.systems.framework import BasicVector, Context, LeafSystem, OutputPort, State
 from pydrake.systems.sensors import CameraConfig, CameraInfo, ImageDepth32F
 
 from drake_oa.common.config import ScenarioError
@@ -69,6 +69,22 @@ class FrameSource(Protocol):
 
     def close(self) -> None:
         """Lets go of device or channel; it may be opened again."""
+
+
+@dataclass(frozen=True)
+class Outside:
+    """What cameras outside the simulation go by.
+
+    Attributes:
+        plant_state: port of [q, v] of the plant as it is measured; None: the simulated one's.
+        to_simulated: the simulated time at a time of the wall clock just now [s]; None: by where
+            the simulation was ahead of it most of late.
+        clock: the wall clock [s].
+    """
+
+    plant_state: OutputPort | None = None
+    to_simulated: Callable[[float], float] | None = None
+    clock: Callable[[], float] = time.time
 
 
 class _Instant(NamedTuple):
@@ -125,9 +141,9 @@ class LiveCamera(LeafSystem):
     At initialization, or where it is read before, the source is opened and the first image waited
     for; every `poll` the newest
     one is taken into the Context. The wall clock is set against the Context's by where the Context
-    was ahead most of late: a simulator that keeps the rate falls behind for moments, in which
-    images go on to be taken. An image that does not fit is passed over, and logged when that
-    begins and ends.
+    was ahead most of late, if nothing better is known: a simulator that keeps real time falls
+    behind for moments, in which images go on to be taken. An image that does not fit is passed
+    over, and logged when that begins and ends.
     """
 
     def __init__(
@@ -141,8 +157,7 @@ class LiveCamera(LeafSystem):
         max_age: float = 0.2,
         max_ahead: float = 0.01,
         poll: float = 0.005,
-        rate: float = 1.0,
-        clock: Callable[[], float] = time.time,
+        outside: Outside | None = None,
     ) -> None:
         """Declares ports, state and events.
 
@@ -155,17 +170,16 @@ class LiveCamera(LeafSystem):
             max_age: age at which an image that comes is passed over [s] of the wall clock.
             max_ahead: how far ahead of the wall clock a stamp may be [s].
             poll: time between looks for an image [s].
-            rate: simulated seconds in one of the wall clock.
-            clock: the wall clock [s].
+            outside: the clocks; None: `Outside()`. Its `plant_state` is not read here.
 
         Raises:
-            ValueError: for a period or rate that is not positive.
+            ValueError: for a period that is not positive.
         """
         super().__init__()
-        if not 0.0 < rate < math.inf:
-            raise ValueError(f"rate must be positive and finite, not {rate}")
-        self._source, self._X_WC, self._clock = source, RigidTransform(X_WC), clock
-        self._wait, self._max_age, self._max_ahead, self._rate = wait, max_age, max_ahead, rate
+        outside = outside or Outside()
+        self._source, self._X_WC, self._clock = source, RigidTransform(X_WC), outside.clock
+        self._wait, self._max_age, self._max_ahead = wait, max_age, max_ahead
+        self._to_simulated = outside.to_simulated
         self._first: _Seen | None = None
         self._size = size = (intrinsics.width(), intrinsics.height())
         self._state_port = self.DeclareVectorInputPort("plant_state", num_states)
@@ -244,8 +258,11 @@ class LiveCamera(LeafSystem):
         seen = replace(seen, note=note, past=past)
         if frame is None or note or frame.stamp <= seen.stamp:
             return seen
-        ahead = max(instant.time - self._rate * (instant.wall - now) for instant in past)
-        taken = min(ahead + self._rate * (frame.stamp - now), at)
+        if self._to_simulated is not None:
+            taken = self._to_simulated(frame.stamp)
+        else:
+            taken = max(one.time - one.wall for one in past) + frame.stamp
+        taken = min(taken, at)
         return replace(
             seen,
             depth=frame.depth,

@@ -15,7 +15,7 @@ from pydrake.multibody.plant import (
     MultibodyPlant,
 )
 from pydrake.multibody.tree import ModelInstanceIndex
-from pydrake.systems.framework import Diagram, DiagramBuilder, OutputPort
+from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.sensors import CameraConfig, CameraInfo
 
 from drake_oa.common.config import ScenarioError
@@ -30,7 +30,7 @@ from drake_oa.world.cameras import Camera, add_camera, add_camera_world
 from drake_oa.world.depth_messages import LcmFrames
 from drake_oa.world.depth_noise import FrameNoise
 from drake_oa.world.late_camera import BackgroundCamera, LateCamera
-from drake_oa.world.live_camera import FrameSource, LiveCamera, standing_pose
+from drake_oa.world.live_camera import FrameSource, LiveCamera, Outside, standing_pose
 from drake_oa.world.world_model import add_world, all_obstacles
 
 
@@ -38,9 +38,7 @@ def add_cameras(
     builder: DiagramBuilder,
     scenario: Scenario,
     plant: MultibodyPlant,
-    *,
-    plant_state: OutputPort | None = None,
-    rate: float = 1.0,
+    outside: Outside | None = None,
 ) -> dict[str, Camera]:
     """Adds the cameras of a scenario, by name.
 
@@ -51,17 +49,15 @@ def add_cameras(
         scenario: with cameras. Its faults are of frames that come as they are taken: with
             any of the camera, no camera is late.
         plant: the simulated one, in the builder, finalized.
-        plant_state: port of [q, v] of that plant as a camera outside the simulation finds it;
-            None: the simulated one's.
-        rate: simulated seconds in one of the wall clock, by which such a camera's images are.
+        outside: what cameras outside the simulation go by; None: `Outside()`.
 
     Raises:
         ScenarioError: naming the camera that does not fit.
     """
     if isinstance(scenario.perception, LiveCameras):
-        source, state = scenario.perception, plant_state or plant.get_state_output_port()
+        source, outside = scenario.perception, outside or Outside()
         return {
-            config.name: _live_camera(builder, source, plant, config, state, rate)
+            config.name: _live_camera(builder, source, plant, config, outside)
             for config in camera_configs(scenario, source)
         }
     on_time = bool(camera_faults(scenario.faults))
@@ -123,8 +119,7 @@ def _live_camera(
     source: LiveCameras,
     plant: MultibodyPlant,
     config: CameraConfig,
-    state: OutputPort,
-    rate: float,
+    outside: Outside,
 ) -> Camera:
     X_WC = standing_pose(plant, config)
     _, depth = config.MakeCameras()
@@ -138,9 +133,10 @@ def _live_camera(
         max_age=source.max_age,
         max_ahead=source.max_ahead,
         poll=source.poll,
-        rate=rate,
+        outside=outside,
     )
     builder.AddNamedSystem(f"live_{config.name}", system)
+    state = outside.plant_state or plant.get_state_output_port()
     builder.Connect(state, system.GetInputPort("plant_state"))
     return Camera(
         intrinsics,
@@ -194,8 +190,7 @@ def make_station(
     scenario: Scenario,
     *,
     render: bool = True,
-    plant_state: OutputPort | None = None,
-    rate: float = 1.0,
+    outside: Outside | None = None,
 ) -> Station:
     """Adds the simulated cell of a scenario to a builder.
 
@@ -203,8 +198,7 @@ def make_station(
         builder: receives plant, scene graph and, if `render`, the cameras.
         scenario: with a robot.
         render: whether anything will ask for images.
-        plant_state: see `add_cameras`.
-        rate: likewise.
+        outside: see `add_cameras`.
 
     Raises:
         ScenarioError: naming the field of the scenario that does not fit.
@@ -216,9 +210,7 @@ def make_station(
     robot = add_world(plant, scenario)
     plant.Finalize()
     part_carried(plant, scene_graph, scenario.robot)
-    cameras = {}
-    if render:
-        cameras = add_cameras(builder, scenario, plant, plant_state=plant_state, rate=rate)
+    cameras = add_cameras(builder, scenario, plant, outside) if render else {}
     obstacles = tuple(
         instance
         for instance in map(ModelInstanceIndex, range(plant.num_model_instances()))

@@ -15,7 +15,8 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.lcm import LcmInterfaceSystem, LcmPublisherSystem, LcmSubscriberSystem
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.hardware.panda_station import COMMAND_CHANNEL, STATUS_CHANNEL, PandaStation
+from drake_oa.hardware.panda_arm import COMMAND_CHANNEL, STATUS_CHANNEL
+from drake_oa.hardware.panda_station import PandaStation
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.world.depth_messages import CHANNEL, unpack_depth
 

@@ -21,7 +21,7 @@ from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_te
 from drake_oa.scenario.sources import camera_configs
 from drake_oa.world.depth_messages import CHANNEL, LcmBus, LcmFrames, lcm_bus, pack_depth
 from drake_oa.world.late_camera import BackgroundCamera
-from drake_oa.world.live_camera import LiveCamera
+from drake_oa.world.live_camera import LiveCamera, Outside
 from drake_oa.world.station import make_station, release_cameras
 
 EPOCH, STEP = 1.7e9, 0.01
@@ -31,7 +31,9 @@ INFO = CameraInfo(8, 6, 10.0, 10.0, 3.5, 2.5)
 class Cell:
     """A live camera whose plant moves at 1 rad/s; a wall clock that goes with its time."""
 
-    def __init__(self, **settings: float) -> None:
+    def __init__(
+        self, to_simulated: Callable[[float], float] | None = None, **settings: float
+    ) -> None:
         self.url = f"memq://{uuid.uuid4()}"
         self.late = 0.0
         builder = DiagramBuilder()
@@ -41,7 +43,7 @@ class Cell:
             RigidTransform([0.0, 0.0, 1.0]),
             num_states=2,
             poll=STEP,
-            clock=self.clock,
+            outside=Outside(to_simulated=to_simulated, clock=self.clock),
             **settings,
         )
         builder.AddNamedSystem("live_eye", self.camera)
@@ -119,15 +121,14 @@ def test_a_simulation_that_falls_behind_for_a_moment_keeps_the_times() -> None:
     assert cell.seen()[1] == pytest.approx(0.32)
 
 
-def test_seconds_of_the_clock_are_simulated_ones_by_the_rate() -> None:
-    cell = Cell(rate=0.5)
-    # Twice as fast as simulated time.
-    cell.camera._clock = lambda: EPOCH + 2.0 * cell.simulator.get_context().get_time()
+def test_simulated_time_is_what_the_arm_is_said_to_be_at() -> None:
+    cell = Cell(to_simulated=lambda stamp: 0.5 * (stamp - EPOCH))
     cell.simulator.Initialize()
     cell.go(0.195)
-    cell.send(0.35)
+    cell.send(0.18)
     cell.go(0.2)
-    np.testing.assert_allclose(cell.seen()[1:], [0.175, 0.175], atol=1e-6)
+    # The state is of the wall clock's time, as it was known then.
+    np.testing.assert_allclose(cell.seen()[1:], [0.09, 0.18], atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,468 @@
+"""Plays a motion that another process makes as commands, without a pause.
+
+Who decides may need longer than the arm may wait: it writes where the joints are to be into
+memory that both share, a little ahead, and the player commands from there at its own rate. Where
+what is written runs out the player slows along it and waits; it never makes up a motion.
+"""
+
+# No postponed annotations here: `check_values` reads the fields' types.
+import dataclasses as dc
+import gc
+import logging
+import math
+import multiprocessing
+import os
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from enum import IntEnum
+
+import numpy as np
+from drake import lcmt_panda_command, lcmt_panda_status
+from pydrake.lcm import DrakeLcm
+
+from drake_oa.common.config import check_values, number
+from drake_oa.common.messages import FloatArray
+from drake_oa.hardware.panda_arm import (
+    ARM_JOINTS,
+    COMMAND_CHANNEL,
+    MICROSECOND,
+    STATUS_CHANNEL,
+    Mode,
+    arm_of,
+)
+from drake_oa.robot.config import Robot
+from drake_oa.robot.plant import make_robot_plant
+
+_logger = logging.getLogger("drake_oa")
+
+_ROWS = 4096
+"""Instants that are kept of what is to be, and of what was measured."""
+_NOTE = 400
+"""Bytes of the longest note."""
+_REMEMBERED = 400
+"""Commands of our own that are told from somebody else's."""
+
+
+@dc.dataclass
+class PlayerRules:
+    """How commands are played, and when the arm is stopped."""
+
+    # Time between commands.
+    period: float = number(0.004, "s", 5e-4, 0.05)
+    # What is to be is written so far ahead: pauses of who decides do not reach the arm if they
+    # are half as long. The arm reacts so much later.
+    lead: float = number(0.08, "s", 0.01, 1.0)
+    # Full speed is reached, and left where something is wrong, in this time.
+    ramp: float = number(0.15, "s", 0.01, 5.0)
+    # Without a status for so long the arm is held; after so long it is not driven any more.
+    silence: float = number(0.1, "s", 0.01, 10.0)
+    patience: float = number(10.0, "s", 0.0, 1000.0)
+    # A joint farther than this from where it was sent, for so long, stops the run.
+    astray: float = number(0.1, "rad", 1e-3, 3.0)
+    astray_time: float = number(0.2, "s", 0.0, 10.0)
+    # Torques draw each joint to where it is to be, critically damped: acceleration for what it is
+    # off [1/s^2].
+    stiffness: float = number(400.0, "1/s^2", 0.0, 1e5)
+    # The joints are this near to the scenario's start, and slower than this, before they are moved.
+    start_tolerance: float = number(0.1, "rad", 0.0, 3.0)
+    start_speed: float = number(0.05, "rad/s", 0.0, 3.0)
+    # The table is seen this near to where the scenario has it, and tilted by no more.
+    table_tolerance: float = number(0.015, "m", 0.0, 1.0)
+    table_tilt: float = number(math.radians(1.5), "rad", 0.0, 1.0)
+
+
+class PlayerState(IntEnum):
+    """What the player does."""
+
+    LISTENING = 0
+    """No status has come."""
+    READY = 1
+    """Nothing was written yet; nothing is commanded."""
+    PLAYING = 2
+    HOLDING = 3
+    """Something is wrong that may pass."""
+    STOPPED = 4
+    """For good."""
+
+
+_SIZES = {
+    "wanted": _ROWS * (1 + ARM_JOINTS),
+    "measured": _ROWS * (1 + 2 * ARM_JOINTS),
+    "wanted_count": 1,
+    "measured_count": 1,
+    "played": 1,
+    "state": 1,
+    "end": 1,
+    "longest_pause": 1,
+    "commands": 1,
+    "farthest": 1,
+}
+"""Numbers in each part of the shared memory."""
+
+
+class SharedMotion:
+    """What both processes see: what is to be, what was measured, and how the player fares.
+
+    Each array has one writer. Rows are written before they are counted.
+    """
+
+    def __init__(self) -> None:
+        """Nothing is written."""
+        context = multiprocessing.get_context("spawn")
+        self._raw = {name: context.RawArray("d", size) for name, size in _SIZES.items()}
+        self._note = context.RawArray("c", _NOTE)
+
+    def _array(self, name: str) -> FloatArray:
+        return np.frombuffer(self._raw[name])
+
+    def write_wanted(self, t: float, q: FloatArray) -> None:
+        """Adds where the joints (7,) are to be at a simulated time [s, rad]."""
+        count = int(self._raw["wanted_count"][0])
+        row = count % _ROWS
+        self._array("wanted").reshape(_ROWS, -1)[row] = (t, *q)
+        self._raw["wanted_count"][0] = count + 1
+
+    def write_measured(self, stamp: float, q: FloatArray, v: FloatArray) -> None:
+        """Adds what a status of the wall clock [s] says of the joints (7,) [rad, rad/s]."""
+        count = int(self._raw["measured_count"][0])
+        self._array("measured").reshape(_ROWS, -1)[count % _ROWS] = (stamp, *q, *v)
+        self._raw["measured_count"][0] = count + 1
+
+    @property
+    def wanted_until(self) -> float:
+        """Simulated time of what was written last; -inf before [s]."""
+        count = int(self._raw["wanted_count"][0])
+        if not count:
+            return -math.inf
+        return float(self._raw["wanted"][(count - 1) % _ROWS * (1 + ARM_JOINTS)])
+
+    def wanted(self, t: float) -> FloatArray:
+        """(7,) where the joints are to be at a simulated time that was written [rad]."""
+        count = int(self._raw["wanted_count"][0])
+        rows = self._array("wanted").reshape(_ROWS, -1)
+        first = max(0, count - _ROWS // 2)
+        ordered = rows[np.arange(first, count) % _ROWS]
+        after = int(np.searchsorted(ordered[:, 0], t))
+        if after == 0:
+            return np.array(ordered[0, 1:])
+        if after == len(ordered):
+            return np.array(ordered[-1, 1:])
+        low, high = ordered[after - 1], ordered[after]
+        share = (t - low[0]) / (high[0] - low[0])
+        return np.array(low[1:] + share * (high[1:] - low[1:]))
+
+    @property
+    def measured(self) -> tuple[float, FloatArray, FloatArray]:
+        """Stamp [s], positions and speeds (7,) of the last status; NaN before one."""
+        count = int(self._raw["measured_count"][0])
+        if not count:
+            return math.nan, np.full(ARM_JOINTS, np.nan), np.full(ARM_JOINTS, np.nan)
+        row = np.array(self._array("measured").reshape(_ROWS, -1)[(count - 1) % _ROWS])
+        return float(row[0]), row[1 : 1 + ARM_JOINTS], row[1 + ARM_JOINTS :]
+
+    def tell(self, state: PlayerState, note: str) -> None:
+        """Says what the player does, and why."""
+        self._note.value = note.encode()[: _NOTE - 1]
+        self._raw["state"][0] = float(state)
+
+    @property
+    def state(self) -> PlayerState:
+        """What the player does."""
+        return PlayerState(int(self._raw["state"][0]))
+
+    @property
+    def note(self) -> str:
+        """Why."""
+        return bytes(self._note.value).decode(errors="replace")
+
+    def figure(self, name: str) -> float:
+        """One of `played`, `longest_pause`, `commands`, `farthest`, `end`."""
+        return float(self._raw[name][0])
+
+    def set_figure(self, name: str, value: float) -> None:
+        """Likewise."""
+        self._raw[name][0] = value
+
+
+class CommandPlayer:
+    """Commands what is in a `SharedMotion`, watches the arm, and stops it where it must.
+
+    It commands positions; given a robot, torques that draw the arm to them, without gravity's.
+    Simulated time is played at `rate` seconds in one of the wall clock, more slowly where less
+    than half of `PlayerRules.lead` is written, and not at all where the arm is silent, astray or
+    commanded by somebody else.
+    """
+
+    def __init__(
+        self,
+        motion: SharedMotion,
+        lcm: DrakeLcm,
+        *,
+        rules: PlayerRules,
+        rate: float,
+        robot: Robot | None = None,
+    ) -> None:
+        """Listens.
+
+        Args:
+            motion: what is to be.
+            lcm: what messages come and go by.
+            rules: when to stop.
+            rate: simulated seconds in one of the wall clock, at most.
+            robot: the arm, to command torques; None: positions.
+
+        Raises:
+            ValueError: if they are out of range.
+        """
+        check_values(rules)
+        if not 0.0 < rate <= 1.0:
+            raise ValueError(f"rate: {rate} must be above 0 and at most 1")
+        self._law = None if robot is None else TorqueLaw(robot, rules.stiffness)
+        self._motion, self._lcm, self._rules, self._rate = motion, lcm, rules, rate
+        self._pace = 0.0
+        self._played = 0.0
+        self._heard = self._last = self._commanded = -math.inf
+        self._trouble_since = self._astray_since = math.inf
+        self._sent: deque[int] = deque(maxlen=_REMEMBERED)
+        self._past: deque[tuple[float, FloatArray]] = deque(maxlen=_REMEMBERED)
+        self._stranger = ""
+        self._statuses: list[bytes] = []
+        self._commands: list[bytes] = []
+        lcm.Subscribe(STATUS_CHANNEL, self._statuses.append)
+        lcm.Subscribe(COMMAND_CHANNEL, self._commands.append)
+
+    @property
+    def finished(self) -> bool:
+        """Whether it was told to end, and the arm is at rest as far as it is commanded."""
+        if not self._motion.figure("end"):
+            return False
+        stopped = self._motion.state is PlayerState.STOPPED
+        return stopped or self._pace < 1e-3 or self._motion.wanted_until <= self._played
+
+    def step(self, now: float) -> None:
+        """Hears what has come, and sends the next command.
+
+        Args:
+            now: the wall clock [s].
+        """
+        motion = self._motion
+        while self._lcm.HandleSubscriptions(0):
+            pass
+        self._take_statuses(now)
+        self._take_commands()
+        elapsed = max(0.0, now - self._last)
+        if elapsed > self._rules.silence:
+            # The arm holds by now: it starts again from rest.
+            self._pace, elapsed = 0.0, 0.0
+        self._last = now
+        if motion.state is PlayerState.STOPPED:
+            return
+        trouble = self._trouble(now)
+        self._say(now, trouble)
+        if motion.state is PlayerState.STOPPED or motion.wanted_until == -math.inf:
+            return
+        self._play(elapsed, bool(trouble) or motion.figure("end") > 0.0)
+        self._send(now)
+
+    def _play(self, elapsed: float, slow: bool) -> None:
+        rules, motion = self._rules, self._motion
+        lead = motion.wanted_until - self._played
+        most = self._rate * min(1.0, max(0.0, lead / (0.5 * rules.lead)))
+        change = self._rate * elapsed / rules.ramp
+        wanted = max(0.0, self._pace - change) if slow else self._pace + change
+        self._pace = min(wanted, most)
+        self._played = min(self._played + self._pace * elapsed, motion.wanted_until)
+        motion.set_figure("played", self._played)
+
+    def _send(self, now: float) -> None:
+        motion, law = self._motion, self._law
+        q = motion.wanted(self._played)
+        message = lcmt_panda_command()
+        message.utime = round(now / MICROSECOND)
+        message.num_joint_velocity = 0
+        if law is None:
+            message.num_joint_position, message.joint_position = ARM_JOINTS, list(q)
+            message.control_mode_expected = Mode.POSITION.in_messages
+        else:
+            if motion.state is not PlayerState.PLAYING and now - self._heard > self._rules.silence:
+                # Not by a state that is old: the arm holds by itself.
+                return
+            before = motion.wanted(max(0.0, self._played - self._rules.period))
+            v = self._pace * (q - before) / self._rules.period
+            _, q_now, v_now = motion.measured
+            tau = law(q_now, v_now, q, v)
+            message.num_joint_torque, message.joint_torque = ARM_JOINTS, list(tau)
+            message.control_mode_expected = Mode.TORQUE.in_messages
+        self._sent.append(message.utime)
+        self._past.append((now, q))
+        self._lcm.Publish(COMMAND_CHANNEL, message.encode())
+        if self._commanded > -math.inf:
+            pause = now - self._commanded
+            motion.set_figure("longest_pause", max(motion.figure("longest_pause"), pause))
+        self._commanded = now
+        motion.set_figure("commands", motion.figure("commands") + 1.0)
+
+    def _take_statuses(self, now: float) -> None:
+        # Handlers may not raise: what has come is looked at here. The last one counts.
+        for data in self._statuses[-1:]:
+            try:
+                status = lcmt_panda_status.decode(data)
+                q, v = np.array(status.joint_position), np.array(status.joint_velocity)
+            except Exception as error:
+                _logger.warning("%s holds no lcmt_panda_status: %s", STATUS_CHANNEL, error)
+                continue
+            stamp = MICROSECOND * status.utime
+            if q.shape != (ARM_JOINTS,) or v.shape != q.shape or not np.isfinite([q, v]).all():
+                continue
+            if abs(now - stamp) > self._rules.silence:
+                continue
+            self._heard = now
+            self._motion.write_measured(stamp, q, v)
+            self._watch(now, stamp, q)
+        self._statuses.clear()
+
+    def _watch(self, now: float, stamp: float, q: FloatArray) -> None:
+        """How far the arm is from the nearest of what it was sent lately."""
+        sent = [at for when, at in self._past if stamp - self._rules.astray_time <= when <= stamp]
+        if not sent:
+            return
+        apart = float(np.abs(np.array(sent) - q).max(axis=1).min())
+        motion = self._motion
+        motion.set_figure("farthest", max(motion.figure("farthest"), apart))
+        self._astray_since = min(self._astray_since, now) if self._is_astray(apart) else math.inf
+        self._apart = apart
+
+    def _is_astray(self, apart: float) -> bool:
+        return apart > self._rules.astray
+
+    def _take_commands(self) -> None:
+        for data in self._commands:
+            try:
+                utime = lcmt_panda_command.decode(data).utime
+            except Exception:
+                utime = 0
+            if utime not in self._sent:
+                self._stranger = f"somebody else commands on {COMMAND_CHANNEL}"
+        self._commands.clear()
+
+    def _trouble(self, now: float) -> str:
+        """What may pass; raises nothing, and stops for good what may not."""
+        rules, motion = self._rules, self._motion
+        if self._stranger:
+            motion.tell(PlayerState.STOPPED, self._stranger)
+        elif now - self._astray_since > rules.astray_time:
+            motion.tell(
+                PlayerState.STOPPED, f"the arm is {self._apart:.3g} rad from where it was sent"
+            )
+        elif self._heard == -math.inf:
+            return f"no status on {STATUS_CHANNEL}"
+        elif now - self._heard > rules.silence:
+            return f"no status on {STATUS_CHANNEL} for {rules.silence:g} s"
+        return ""
+
+    def _say(self, now: float, trouble: str) -> None:
+        motion, before = self._motion, self._motion.state
+        if before is PlayerState.STOPPED:
+            _logger.warning("stopped: %s", motion.note)
+            return
+        if trouble and self._heard > -math.inf:
+            self._trouble_since = min(self._trouble_since, now)
+            if now - self._trouble_since > self._rules.patience:
+                motion.tell(PlayerState.STOPPED, trouble)
+            elif before is not PlayerState.HOLDING:
+                motion.tell(PlayerState.HOLDING, trouble)
+                _logger.warning("holds: %s", trouble)
+            return
+        self._trouble_since = math.inf
+        if trouble:
+            state = PlayerState.LISTENING
+        elif motion.wanted_until == -math.inf:
+            state = PlayerState.READY
+        else:
+            state = PlayerState.PLAYING
+        if before is not state:
+            motion.tell(state, trouble)
+            if before is PlayerState.HOLDING:
+                _logger.warning("goes on")
+
+
+def _hurry() -> None:
+    """Has this process go before others, as far as the system allows it."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
+    except OSError:
+        with suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, 0, -10)
+
+
+class TorqueLaw:
+    """Torques that draw the arm to where it is to be: M(q) (k (q_d - q) + d (v_d - v)) + C(q, v) v.
+
+    Gravity's are the arm's own affair.
+    """
+
+    def __init__(self, robot: Robot, stiffness: float) -> None:
+        """Builds the arm's model.
+
+        Args:
+            robot: the arm.
+            stiffness: k, of each joint [1/s^2]; d damps it critically.
+
+        Raises:
+            ScenarioError: for a robot that the messages are not of.
+        """
+        self._robot = make_robot_plant(robot)
+        self._arm, self._limits = arm_of(self._robot)
+        self._context = self._robot.plant.CreateDefaultContext()
+        self._stiffness, self._damping = stiffness, 2.0 * math.sqrt(stiffness)
+
+    def __call__(
+        self, q: FloatArray, v: FloatArray, q_d: FloatArray, v_d: FloatArray
+    ) -> FloatArray:
+        """(7,) [N m], within the limits, at (7,) positions and speeds that are and are to be."""
+        plant, context, arm = self._robot.plant, self._context, self._arm
+        state = plant.GetPositionsAndVelocities(context)
+        state[arm] = q
+        state[plant.num_positions() + np.array(arm)] = v
+        plant.SetPositionsAndVelocities(context, state)
+        asked = np.zeros(plant.num_velocities())
+        asked[arm] = self._stiffness * (q_d - q) + self._damping * (v_d - v)
+        tau = plant.CalcMassMatrix(context) @ asked + plant.CalcBiasTerm(context)
+        most = self._limits.effort_limit
+        limited: FloatArray = np.clip(tau[arm], -most, most)
+        return limited
+
+
+def play(
+    motion: SharedMotion,
+    lcm_url: str,
+    rules: PlayerRules,
+    rate: float,
+    parent: int,
+    robot: Robot | None = None,
+    clock: Callable[[], float] = time.time,
+) -> None:
+    """Plays until it was told to end, or who decides is no more: the body of a process.
+
+    Args:
+        motion: shared with who decides.
+        lcm_url: of the bus.
+        rules: when to stop.
+        rate: simulated seconds in one of the wall clock, at most.
+        parent: process that decides.
+        robot: as for `CommandPlayer`.
+        clock: the wall clock [s].
+    """
+    gc.disable()
+    _hurry()
+    player = CommandPlayer(motion, DrakeLcm(lcm_url), rules=rules, rate=rate, robot=robot)
+    due = clock()
+    while not player.finished:
+        if os.getppid() != parent and not motion.figure("end"):
+            _logger.warning("who decides is no more: the arm is stopped")
+            motion.set_figure("end", 1.0)
+        player.step(clock())
+        due = max(due + rules.period, clock())
+        time.sleep(max(0.0, due - clock()))

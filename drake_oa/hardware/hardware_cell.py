@@ -1,0 +1,111 @@
+"""A scenario's cell on hardware: its robot and cameras are messages, its obstacles unknown."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+from pydrake.multibody.parsing import (
+    FlattenModelDirectives,
+    ModelDirective,
+    ModelDirectives,
+)
+from pydrake.multibody.plant import MultibodyPlant
+
+from drake_oa.common.config import ScenarioError
+from drake_oa.common.messages import FloatArray
+from drake_oa.common.wires import Wires
+from drake_oa.diagrams.station import Cell, add_station
+from drake_oa.hardware.panda_arm import arm_of
+from drake_oa.hardware.robot_link import CommandStream, MeasuredState, RobotLink
+from drake_oa.perception.config import DepthCamera, GroundTruth, LcmCamera, RecordedClouds
+from drake_oa.robot.plant import make_parser, make_robot_plant
+from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
+from drake_oa.scenario.perception import GivenEllipsoids
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.sources import table_plane
+from drake_oa.world.live_camera import Outside
+
+
+def hardware_scenario(scenario: Scenario, lcm_url: str) -> Scenario:
+    """The scenario as a run on hardware knows it: what is an obstacle there is to be seen.
+
+    Args:
+        scenario: whose `!DepthCamera` becomes an `!LcmCamera`.
+        lcm_url: of the bus.
+
+    Raises:
+        ScenarioError: naming the field that is of the simulated world.
+    """
+    if scenario.robot is None:
+        raise ScenarioError("robot: hardware is a robot; this scenario has null")
+    if scenario.faults:
+        raise ScenarioError("faults: are simulated; leave them out (--set 'faults=[]')")
+    source = scenario.perception
+    if isinstance(source, GroundTruth | RecordedClouds | GivenEllipsoids):
+        raise ScenarioError(
+            f"perception: !{type(source).__name__} does not see the world that the robot is in; "
+            "!LcmCamera or !RealSense does"
+        )
+    if type(source) is DepthCamera:
+        own = {item.name: getattr(source, item.name) for item in fields(DepthCamera)}
+        source = LcmCamera(**own | {"noise": None, "lcm_url": lcm_url})
+    return replace(
+        scenario,
+        directives=_without_obstacles(scenario.directives),
+        obstacles=[],
+        perception=source,
+    )
+
+
+def add_hardware(
+    wires: Wires,
+    scenario: Scenario,
+    *,
+    modulated: bool,
+    link: RobotLink,
+    q_measured: FloatArray,
+) -> Cell:
+    """Adds the robot and cameras that messages tell of, in place of the simulated ones.
+
+    What is simulated is the robot's model alone, which makes positions of torques: where it is,
+    the arm is to be.
+
+    Args:
+        wires: that are added to; the signals are `add_station`'s.
+        scenario: of `hardware_scenario`.
+        modulated: as for `add_station`.
+        link: to the arm.
+        q_measured: (n,) where the robot is [rad, m].
+
+    Raises:
+        ScenarioError: naming the field that does not fit.
+    """
+    if scenario.robot is None:
+        raise ScenarioError("robot: hardware is a robot; this scenario has null")
+    arm, _ = arm_of(make_robot_plant(scenario.robot))
+    measured = wires.builder.AddNamedSystem("arm", MeasuredState(link, arm, q_measured))
+    outside = Outside(measured.get_output_port(), link.to_simulated, link.clock)
+    cell = add_station(wires, scenario, modulated=modulated, outside=outside)
+    if cell is None:
+        raise ScenarioError("robot: hardware is a robot; this scenario has null")
+    cell.plant.SetDefaultPositions(cell.robot, q_measured)
+    stream = CommandStream(link, arm, 2 * len(q_measured), table_plane(scenario))
+    wires.add("command_stream", stream)
+    return cell
+
+
+def _without_obstacles(directives: list[ModelDirective]) -> list[ModelDirective]:
+    """What stands in the world, written out, but for models that are named as obstacles."""
+    flat = FlattenModelDirectives(
+        ModelDirectives(directives=directives), make_parser(MultibodyPlant(0.0)).package_map()
+    )
+
+    def of_obstacle(directive: ModelDirective) -> bool:
+        model, weld = directive.add_model, directive.add_weld
+        if model is not None:
+            return str(model.name).startswith(OBSTACLE_PREFIX)
+        return weld is not None and any(
+            str(frame).startswith(OBSTACLE_PREFIX) for frame in (weld.parent, weld.child)
+        )
+
+    return [one for one in flat.directives if not of_obstacle(one)]

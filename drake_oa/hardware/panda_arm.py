@@ -1,0 +1,60 @@
+"""The arm that the messages are of."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from enum import StrEnum
+
+from pydrake.manipulation import PandaControlMode
+
+from drake_oa.common.config import ScenarioError
+from drake_oa.robot.arm import joints_to
+from drake_oa.robot.limits import RobotLimits, robot_limits
+from drake_oa.robot.plant import RobotPlant
+
+STATUS_CHANNEL, COMMAND_CHANNEL = "PANDA_STATUS", "PANDA_COMMAND"
+ARM_JOINTS = 7
+
+
+class Mode(StrEnum):
+    """What commands hold."""
+
+    POSITION = "position"
+    """Where the joints are to be."""
+    TORQUE = "torque"
+    """Torques beside those of gravity, which the arm adds by itself."""
+
+    @property
+    def in_messages(self) -> int:
+        """What messages call it."""
+        drakes = PandaControlMode.kPosition if self is Mode.POSITION else PandaControlMode.kTorque
+        return int(drakes)
+
+
+MICROSECOND = 1e-6
+"""Unit of the stamps [s]."""
+
+
+def arm_of(robot_plant: RobotPlant) -> tuple[list[int], RobotLimits]:
+    """Where the arm's joints are in the robot's positions, and their limits.
+
+    Raises:
+        ScenarioError: for an arm that the messages are not of.
+    """
+    plant = robot_plant.plant
+    arm = [joint.position_start() for joint in joints_to(plant, robot_plant.tool_frame)]
+    if len(arm) != ARM_JOINTS:
+        raise ScenarioError(
+            f"robot.model: an arm of {len(arm)} joints; a Panda's messages are of {ARM_JOINTS}"
+        )
+    limits = robot_limits(plant, robot_plant.instance)
+    names = tuple(limits.position_name[i] for i in arm)
+    return arm, replace(
+        limits,
+        position_name=names,
+        position_lower=limits.position_lower[arm],
+        position_upper=limits.position_upper[arm],
+        velocity_limit=limits.velocity_limit[arm],
+        actuator_name=names,
+        effort_limit=limits.effort_limit[[limits.actuator_name.index(name) for name in names]],
+    )

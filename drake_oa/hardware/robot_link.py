@@ -1,0 +1,334 @@
+"""The robot's messages as systems: what a diagram has in place of the simulated world."""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.lcm import DrakeLcm
+from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem
+
+from drake_oa.common.config import check_values
+from drake_oa.common.messages import FloatArray, ObstacleClouds, TablePlane
+from drake_oa.hardware.command_player import (
+    CommandPlayer,
+    PlayerRules,
+    PlayerState,
+    SharedMotion,
+    play,
+)
+from drake_oa.robot.config import Robot
+from drake_oa.robot.limits import RobotLimits
+
+_NAP = 5e-4
+"""Between two looks at the player [s]."""
+_START_UP = 30.0
+"""In which the player's process has to begin [s]."""
+
+
+class HardwareError(RuntimeError):
+    """The robot is not driven, or not any more, and why."""
+
+
+@dataclass(frozen=True)
+class CommandFigures:
+    """How the arm was driven.
+
+    Attributes:
+        commands: how many were sent.
+        longest_pause: longest time between two of them [s].
+        farthest: that a joint was from all that it had been sent just before [rad].
+    """
+
+    commands: int
+    longest_pause: float
+    farthest: float
+
+    def __str__(self) -> str:
+        return (
+            f"commands {self.commands}, longest pause {1e3 * self.longest_pause:.0f} ms; "
+            f"the arm was at most {self.farthest:.3f} rad off"
+        )
+
+
+class RobotLink:
+    """Joins a diagram to the arm behind LCM messages: the diagram writes, a player commands.
+
+    The player is a process of its own, so that the diagram may think; or, given `lcm`, in this
+    one, where `wait` has to call `player.step`.
+
+    Attributes:
+        motion: what both share.
+        rules: when to stop.
+        rate: simulated seconds in one of the wall clock, at most.
+        clock: the wall clock [s].
+        player: in this process, or None.
+    """
+
+    def __init__(
+        self,
+        lcm_url: str,
+        *,
+        rules: PlayerRules | None = None,
+        rate: float = 1.0,
+        robot: Robot | None = None,
+        lcm: DrakeLcm | None = None,
+        wait: Callable[[], None] = lambda: time.sleep(_NAP),
+        clock: Callable[[], float] = time.time,
+    ) -> None:
+        """Starts to listen; nothing is commanded before something is written.
+
+        Args:
+            lcm_url: of the bus.
+            rules: when to stop; None: `PlayerRules()`.
+            rate: simulated seconds in one of the wall clock, at most.
+            robot: the arm, to command torques; None: positions.
+            lcm: plays in this process, by this.
+            wait: called again and again while the diagram is too far ahead.
+            clock: the wall clock [s].
+
+        Raises:
+            ValueError: for rules or a rate out of range, or a bus that cannot be.
+        """
+        self.motion, self.rules, self.rate = SharedMotion(), rules or PlayerRules(), rate
+        self._url, self._wait, self.clock = lcm_url, wait, clock
+        self.player: CommandPlayer | None = None
+        self._process: BaseProcess | None = None
+        if lcm is not None:
+            self.player = CommandPlayer(self.motion, lcm, rules=self.rules, rate=rate, robot=robot)
+            return
+        check_values(self.rules)
+        if not 0.0 < rate <= 1.0:
+            raise ValueError(f"rate: {rate} must be above 0 and at most 1")
+        try:
+            DrakeLcm(lcm_url)
+        except RuntimeError as error:
+            raise ValueError(f"lcm_url: {lcm_url}: {error}") from None
+        self._process = multiprocessing.get_context("spawn").Process(
+            target=play,
+            args=(self.motion, lcm_url, self.rules, rate, os.getpid(), robot),
+            name="command player",
+            # Ends the arm's motion by itself when this process is gone.
+            daemon=False,
+        )
+        self._process.start()
+
+    def __enter__(self) -> RobotLink:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Brings the arm to rest along what was written, and ends the player."""
+        self.motion.set_figure("end", 1.0)
+        if self._process is not None:
+            self._process.join(timeout=5.0)
+            if self._process.is_alive():
+                self._process.terminate()
+
+    @property
+    def figures(self) -> CommandFigures:
+        """How the arm was driven until now."""
+        motion = self.motion
+        return CommandFigures(
+            int(motion.figure("commands")),
+            motion.figure("longest_pause"),
+            motion.figure("farthest"),
+        )
+
+    def to_simulated(self, stamp: float) -> float:
+        """The simulated time that the arm is at, at a time of the wall clock just now [s]."""
+        return self.motion.figure("played") - self.rate * (self.clock() - stamp)
+
+    def ready_arm(self, q_start: FloatArray, limits: RobotLimits) -> FloatArray:
+        """Where the arm is, once it may be moved from there.
+
+        Args:
+            q_start: (7,) where the scenario begins [rad].
+            limits: of these joints.
+
+        Returns:
+            (7,) measured positions [rad].
+
+        Raises:
+            HardwareError: if it is silent, somewhere else, out of limits, moves, or is commanded.
+        """
+        since = self.clock()
+        while self.motion.state is PlayerState.LISTENING and self.clock() - since < _START_UP:
+            if self._process is not None and not self._process.is_alive():
+                raise HardwareError("the command player did not start")
+            self._wait()
+        # Whoever else commands is heard by now.
+        listened = self.clock()
+        while self.clock() - listened < 2.0 * self.rules.silence:
+            self._wait()
+        if self.motion.state is not PlayerState.READY:
+            raise HardwareError(self._why())
+        _, q, v = self.motion.measured
+        name = limits.position_name
+        low, high = limits.position_lower, limits.position_upper
+        if ((q < low) | (q > high)).any():
+            j = int(np.argmax(np.maximum(low - q, q - high)))
+            raise HardwareError(
+                f"{name[j]} is at {q[j]:.4g} rad, out of [{low[j]:.4g}, {high[j]:.4g}]"
+            )
+        if np.abs(v).max() > self.rules.start_speed:
+            j = int(np.argmax(np.abs(v)))
+            raise HardwareError(f"{name[j]} moves at {v[j]:.3g} rad/s; the arm has to rest")
+        away = np.abs(q - q_start)
+        if away.max() > self.rules.start_tolerance:
+            j = int(np.argmax(away))
+            raise HardwareError(
+                f"{name[j]} is at {q[j]:.4g} rad, {away[j]:.3g} from where the scenario begins; "
+                f"move the arm to {np.round(q_start, 4).tolist()} rad, to within "
+                f"{self.rules.start_tolerance:g}"
+            )
+        return q
+
+    def write(self, t: float, q: FloatArray) -> None:
+        """Says where the joints are to be, and waits until the player is near.
+
+        Args:
+            t: simulated time [s].
+            q: (7,) positions [rad].
+
+        Raises:
+            HardwareError: if the arm was stopped.
+        """
+        motion = self.motion
+        motion.write_wanted(t, q)
+        while t > motion.figure("played") + self.rules.lead:
+            if motion.state is PlayerState.STOPPED:
+                raise HardwareError(f"arm stopped: {motion.note}")
+            if self._process is not None and not self._process.is_alive():
+                raise HardwareError("arm stopped: the command player is no more")
+            self._wait()
+
+    def _why(self) -> str:
+        return self.motion.note or f"no status of the arm on {self._url}"
+
+
+class CommandStream(LeafSystem):
+    """Hands the joints' positions on to the arm, and keeps the simulation to its pace.
+
+    .. pydrake_system::
+
+      name: CommandStream
+      input_ports:
+      - robot_state
+      - obstacles_W (optional)
+
+    - robot_state: positions and velocities (2n,) of the robot's model, which is where the arm is
+      to be [rad, m, rad/s, m/s].
+    - obstacles_W (optional): abstract `ObstacleClouds`; the table in them is looked at before
+      anything moves.
+
+    It publishes at initialization and every `period`, and waits there while simulated time is
+    farther ahead of the arm than `PlayerRules.lead`.
+    """
+
+    def __init__(
+        self,
+        link: RobotLink,
+        arm: list[int],
+        num_states: int,
+        table: TablePlane | None,
+    ) -> None:
+        """Declares ports and events.
+
+        Args:
+            link: what commands.
+            arm: where the arm's joints are in the robot's positions.
+            num_states: size 2n of the robot's state.
+            table: where it has to be; None: anywhere, or none.
+        """
+        super().__init__()
+        self._link, self._arm, self._table = link, arm, table
+        self._state = self.DeclareVectorInputPort("robot_state", num_states)
+        self._seen = self.DeclareAbstractInputPort("obstacles_W", Value(ObstacleClouds()))
+        self.DeclareInitializationPublishEvent(self._begin)
+        self.DeclarePeriodicPublishEvent(link.rules.period, 0.0, self._publish)
+
+    def _begin(self, context: Context) -> EventStatus:
+        if self._seen.HasValue(context):
+            seen: ObstacleClouds = self._seen.Eval(context)
+            check_table(seen, self._table, self._link.rules)
+        return EventStatus.Succeeded()
+
+    def _publish(self, context: Context) -> EventStatus:
+        q = self._state.Eval(context)[self._arm]
+        self._link.write(context.get_time(), q)
+        return EventStatus.Succeeded()
+
+
+def check_table(seen: ObstacleClouds, table: TablePlane | None, rules: PlayerRules) -> None:
+    """Whether the camera sees the table where it is, as one whose pose is right does.
+
+    Raises:
+        HardwareError: if it is somewhere else, or not seen.
+    """
+    if table is None:
+        return
+    if not math.isfinite(seen.stamp) or seen.table is None:
+        raise HardwareError(f"the camera does not see the table: {seen.note or 'no plane found'}")
+    off = seen.table.offset - table.offset
+    tilt = math.acos(min(1.0, abs(float(seen.table.normal_W @ table.normal_W))))
+    if abs(off) > rules.table_tolerance or tilt > rules.table_tilt:
+        raise HardwareError(
+            f"the camera sees the table {1e3 * off:+.0f} mm from where it is, and tilted by "
+            f"{math.degrees(tilt):.1f} deg: its pose X_PB in the scenario does not fit "
+            f"({1e3 * rules.table_tolerance:.0f} mm and {math.degrees(rules.table_tilt):.1f} deg "
+            "may be off)"
+        )
+
+
+class MeasuredState(LeafSystem):
+    """What the last status says of the robot, in place of the state of a simulated one.
+
+    .. pydrake_system::
+
+      name: MeasuredState
+      output_ports:
+      - measured_state
+
+    - measured_state: (2n,) positions and velocities; what the arm's messages do not tell, the
+      fingers, stays as at the start [rad, m, rad/s, m/s].
+    """
+
+    def __init__(self, link: RobotLink, arm: list[int], q_start: FloatArray) -> None:
+        """Declares the port.
+
+        Args:
+            link: what hears the arm.
+            arm: where its joints are in the robot's positions.
+            q_start: (n,) positions at the start [rad, m].
+        """
+        super().__init__()
+        self._link, self._arm, self._q = link, arm, np.array(q_start)
+        port = self.DeclareVectorOutputPort("measured_state", 2 * len(q_start), self._calc)
+        # The arm moves by itself: what was read is out of date at once.
+        port.disable_caching_by_default()
+
+    def _calc(self, _: Context, output: BasicVector) -> None:
+        n = len(self._q)
+        state: Any = np.concatenate([self._q, np.zeros(n)])
+        _, q, v = self._link.motion.measured
+        if np.isfinite(q).all():
+            state[self._arm] = q
+            state[n + np.array(self._arm)] = self._link.rate and v / self._link.rate
+        output.SetFromVector(state)

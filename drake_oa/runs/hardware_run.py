@@ -1,0 +1,169 @@
+"""Runs a scenario's diagram against an arm and cameras behind LCM messages."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from pydrake.geometry import Meshcat
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Diagram
+
+from drake_oa.common.config import ScenarioError
+from drake_oa.common.files import software_versions
+from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.diagrams.policy import make_dmp
+from drake_oa.hardware.hardware_cell import add_hardware, hardware_scenario
+from drake_oa.hardware.panda_arm import arm_of
+from drake_oa.hardware.panda_station import PandaStation
+from drake_oa.hardware.robot_link import RobotLink
+from drake_oa.robot.limits import frame_path, robot_limits
+from drake_oa.robot.plant import TOOL_FRAME, make_robot_plant
+from drake_oa.runs.motion_log import MotionEnd, MotionLog, pack_ellipsoids
+from drake_oa.runs.simulation import LONGEST_SCALING, MotionWatcher, run_motion
+from drake_oa.scenario.loading import scenario_text
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.task import last_move
+from drake_oa.scenario.task_joints import start_positions
+
+
+@dataclass(frozen=True)
+class Driven:
+    """A diagram that is ready to drive an arm.
+
+    Attributes:
+        scenario: what it was asked to run.
+        known: what it knows of that: obstacles are to be seen.
+        diagram: with the arm's messages in place of the simulated world.
+    """
+
+    scenario: Scenario
+    known: Scenario
+    diagram: Diagram
+
+
+def ready(
+    scenario: Scenario, link: RobotLink, *, lcm_url: str, meshcat: Meshcat | None = None
+) -> Driven:
+    """Looks whether the arm may be moved, and builds what is to move it.
+
+    Args:
+        scenario: what to run.
+        link: to the arm.
+        lcm_url: of the bus that the images come by.
+        meshcat: viewer, or None.
+
+    Raises:
+        ScenarioError: naming the field that does not fit.
+        HardwareError: if the arm is silent, not where the scenario begins, out of limits, moves
+            or is commanded by somebody else.
+    """
+    known = hardware_scenario(scenario, lcm_url)
+    if known.robot is None:
+        raise ScenarioError("robot: hardware is a robot; this scenario has null")
+    robot_plant = make_robot_plant(known.robot)
+    arm, limits = arm_of(robot_plant)
+    q = start_positions(robot_plant, known)
+    q[arm] = link.ready_arm(q[arm], limits)
+    cell = partial(add_hardware, link=link, q_measured=q)
+    return Driven(scenario, known, build_avoidance(known, add_cell=cell, meshcat=meshcat))
+
+
+def drive(
+    driven: Driven,
+    link: RobotLink,
+    *,
+    duration: float | None = None,
+    on_progress: Callable[[float, float], None] | None = None,
+) -> MotionLog:
+    """Runs the modulated motion on the arm; its end is `simulate`'s.
+
+    Before anything moves, the camera has to see the table where it is.
+
+    Args:
+        driven: of `ready`.
+        link: likewise.
+        duration: as for `simulate`.
+        on_progress: as for `simulate`.
+
+    Returns:
+        The log of what the arm was sent.
+
+    Raises:
+        MotionInterruptedError: as `simulate` does; also if the arm was stopped.
+    """
+    known, end_time = driven.known, duration
+    if end_time is None:
+        end_time = make_dmp(known).duration * LONGEST_SCALING + last_move(known.task)
+    # The world rests when the scenario's own would, as far as it tells.
+    watcher = MotionWatcher(
+        driven.diagram, driven.scenario, end_time, on_progress, latest_time=duration
+    )
+    try:
+        return run_motion(known, Simulator(driven.diagram), watcher, modulated=True)
+    finally:
+        link.close()
+
+
+def station_log(scenario: Scenario, station: PandaStation) -> MotionLog:
+    """What the simulated arm did, by itself: the truth behind the messages.
+
+    What is of who commanded it is not known here, and empty.
+
+    Args:
+        scenario: of the station.
+        station: made with `log`.
+
+    Raises:
+        ValueError: if it kept no log.
+    """
+    states = station.states
+    if not states:
+        raise ValueError("the station keeps no log: make it with log=True")
+    if scenario.robot is None:
+        raise ScenarioError("robot: a station needs one; this scenario has null")
+    t, state = states["robot_state"]
+    robot_plant = make_robot_plant(scenario.robot)
+    plant, robot = robot_plant.plant, robot_plant.instance
+    q, v = np.hsplit(state, 2)
+    p_WE = frame_path(plant, robot, TOOL_FRAME, q)
+    events = station.guard.events
+    nobody = np.zeros(len(t))
+    still = np.zeros_like(p_WE)
+    return MotionLog(
+        t=t,
+        q=q,
+        v=v,
+        torque=states["actuation"][1],
+        saturated=nobody,
+        p_WE=p_WE,
+        desired_position=p_WE,
+        desired_velocity=still,
+        desired_acceleration=still,
+        phase=nobody,
+        speed_scale=np.ones(len(t)),
+        tracking_error=np.full(len(t), math.nan),
+        q_world=states["plant_state"][1][:, : station.num_positions],
+        observation_time=np.zeros(0),
+        **pack_ellipsoids([]),
+        out_of_range=np.zeros(0, dtype=np.int64),
+        regulation="",
+        shortfall=nobody,
+        event_time=np.array(station.event_times[: len(events)]),
+        event_hold=("",) * len(events),
+        event=tuple(event.what for event in events),
+        supervision_time=np.zeros(0),
+        supervision_action=(),
+        supervision_reason=(),
+        **vars(robot_limits(plant, robot)),
+        stop_reason="station ended",
+        ended=MotionEnd.TIME_LIMIT.value,
+        wall_time=station.pace.wall,
+        modulated=True,
+        scenario=scenario_text(scenario),
+        seed=scenario.seed,
+        versions=software_versions(),
+    )

@@ -1,0 +1,72 @@
+"""A station and a player in one process, by a clock that only tests advance."""
+
+from collections.abc import Callable
+from itertools import count
+
+from drake_oa.hardware.command_player import PlayerRules
+from drake_oa.hardware.panda_arm import Mode
+from drake_oa.hardware.panda_station import PandaStation
+from drake_oa.hardware.robot_link import RobotLink
+from drake_oa.scenario.loading import load_scenario
+from drake_oa.world.depth_messages import lcm_bus
+
+EPOCH, STEP = 1.7e9, 0.002
+_numbers = count()
+
+
+class Clock:
+    """A wall clock that a test advances."""
+
+    def __init__(self) -> None:
+        self.now = EPOCH
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class Lockstep:
+    """The arm's side steps whenever the diagram's side waits.
+
+    Attributes:
+        alive: whether the station steps.
+        each: called before each step of the arm's side.
+    """
+
+    def __init__(
+        self,
+        scenario: str = "tabletop_box",
+        *,
+        images: bool = False,
+        rules: PlayerRules | None = None,
+        log: bool = False,
+        mode: Mode = Mode.POSITION,
+    ) -> None:
+        # Each its own, which nobody of before speaks on.
+        self.url = f"memq://{next(_numbers)}"
+        self._bus, self.clock = lcm_bus(self.url), Clock()
+        self.lcm = self._bus.lcm
+        self.scenario = load_scenario(scenario)
+        self.station = PandaStation(
+            self.scenario, self.lcm, images=images, clock=self.clock, waits=True, log=log, mode=mode
+        )
+        self.link = RobotLink(
+            self.url,
+            rules=rules,
+            robot=self.scenario.robot if mode is Mode.TORQUE else None,
+            lcm=self.lcm,
+            wait=self.step,
+            clock=self.clock,
+        )
+        self.alive, self.ended = True, False
+        self.each: Callable[[], object] = lambda: None
+
+    def step(self) -> None:
+        """One step of the plant's."""
+        self.each()
+        self.clock.now += STEP
+        if self.alive:
+            self.station.step()
+        assert self.link.player is not None
+        self.ended = self.ended or self.link.player.finished
+        if not self.ended:
+            self.link.player.step(self.clock.now)

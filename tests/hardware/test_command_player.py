@@ -1,0 +1,181 @@
+"""The player, before a simulated station: what it plays, and when it stops."""
+
+import multiprocessing
+import os
+import time
+
+import numpy as np
+import pytest
+from drake import lcmt_panda_command, lcmt_panda_status
+from pydrake.lcm import DrakeLcm
+
+from drake_oa.hardware.command_player import (
+    PlayerRules,
+    PlayerState,
+    SharedMotion,
+    play,
+)
+from drake_oa.hardware.panda_arm import COMMAND_CHANNEL, STATUS_CHANNEL, Mode, arm_of
+from drake_oa.hardware.panda_station import PandaStation
+from drake_oa.hardware.robot_link import HardwareError
+from drake_oa.robot.plant import make_robot_plant
+from tests.hardware.lockstep import EPOCH, Lockstep
+
+
+def ready(both: Lockstep) -> np.ndarray:
+    assert both.scenario.robot is not None
+    _, limits = arm_of(make_robot_plant(both.scenario.robot))
+    return both.link.ready_arm(both.station.q, limits)
+
+
+def move(both: Lockstep, q: np.ndarray, duration: float, begin: float = 0.0) -> np.ndarray:
+    """A smooth motion of all joints by up to 0.3 rad; returns where it ends."""
+    goal = q + np.linspace(-0.3, 0.3, 7)
+    for t in np.arange(begin, duration, 0.004):
+        s = t / duration
+        both.link.write(t, q + (goal - q) * s**3 * (10 - 15 * s + 6 * s**2))
+    return goal
+
+
+def test_the_arm_does_what_is_written_and_comes_to_rest_at_its_end() -> None:
+    both = Lockstep()
+    q = ready(both)
+    goal = move(both, q, 2.0)
+    both.link.close()
+    for _ in range(100):
+        both.step()
+    assert both.link.player is not None
+    assert both.link.player.finished
+    np.testing.assert_allclose(both.station.q, goal, atol=2e-3)
+    assert both.station.pace.rejected == 0
+    assert both.link.motion.figure("farthest") < 5e-3
+    # Full speed all the way: the pace lacks only its ramp and the lead.
+    assert both.clock.now - EPOCH < 2.0 + 0.2 + 0.5 + 2 * both.link.rules.silence
+
+
+def test_by_torques_the_arm_does_what_is_written_and_holds_where_they_end() -> None:
+    both = Lockstep(mode=Mode.TORQUE)
+    q = ready(both)
+    goal = move(both, q, 2.0)
+    assert both.station.pace.rejected == 0
+    both.link.close()
+    for _ in range(100):
+        both.step()
+    np.testing.assert_allclose(both.station.q, goal, atol=5e-3)
+    # Accelerated, it lags by what the law is soft.
+    assert both.link.motion.figure("farthest") < 1e-2
+    for _ in range(200):
+        both.clock.now += 0.002
+        both.station.step()
+    assert "no command for 0.1 s" in both.station.guard.events[-1].what
+    np.testing.assert_allclose(both.station.q, goal, atol=5e-3)
+
+
+def test_where_nothing_more_is_written_the_arm_slows_along_it_and_waits() -> None:
+    both = Lockstep()
+    q = ready(both)
+    for t in np.arange(0.0, 0.6, 0.004):
+        both.link.write(t, q + 0.5 * t)
+    last, speeds = both.station.q, []
+    for _ in range(300):
+        both.step()
+        speeds.append(np.abs(both.station.q - last).max() / 0.002)
+        last = both.station.q
+    np.testing.assert_allclose(both.station.q, q + 0.5 * 0.596, atol=2e-3)
+    assert speeds[-1] < 1e-3
+    # No faster than it was, and no jump: 0.5 rad/s end within the lead, not at once.
+    assert max(speeds) < 0.6
+    assert np.abs(np.diff(speeds)).max() / 0.002 < 40.0
+    assert both.station.guard.events[-1].what == "following"
+    both.link.write(0.6, q + 0.3)
+    assert both.link.motion.state is PlayerState.PLAYING
+
+
+def test_holds_while_the_station_is_silent_and_goes_on_where_it_was() -> None:
+    both = Lockstep()
+    q = ready(both)
+    both.each = lambda: setattr(both, "alive", not 1.0 < both.clock.now - EPOCH < 1.5)
+    goal = move(both, q, 2.0)
+    both.link.close()
+    for _ in range(200):
+        both.step()
+    np.testing.assert_allclose(both.station.q, goal, atol=2e-3)
+    assert [event.what for event in both.station.guard.events].count("following") >= 1
+
+
+def test_stops_when_the_station_stays_silent() -> None:
+    both = Lockstep(rules=PlayerRules(patience=0.5))
+    q = ready(both)
+    both.each = lambda: setattr(both, "alive", both.clock.now - EPOCH < 1.0)
+    with pytest.raises(HardwareError, match=r"no status on PANDA_STATUS for 0\.1 s"):
+        move(both, q, 2.0)
+
+
+def test_stops_when_the_station_comes_back_elsewhere() -> None:
+    both = Lockstep()
+    q = ready(both)
+
+    def restart() -> None:
+        now = both.clock.now - EPOCH
+        both.alive = not 1.0 < now < 1.5
+        if 1.3 < now < 1.302:
+            both.station = PandaStation(both.scenario, both.lcm, images=False, clock=both.clock)
+
+    both.each = restart
+    with pytest.raises(HardwareError, match="from where it was sent"):
+        move(both, q, 2.0)
+
+
+def test_stops_when_somebody_else_commands() -> None:
+    both = Lockstep()
+    q = ready(both)
+    other = lcmt_panda_command()
+    other.utime = round(1e6 * EPOCH)
+    both.each = lambda: (
+        both.lcm.Publish(COMMAND_CHANNEL, other.encode()) if both.clock.now - EPOCH > 1.0 else None
+    )
+    with pytest.raises(HardwareError, match="somebody else commands on PANDA_COMMAND"):
+        move(both, q, 2.0)
+
+
+def test_does_not_begin_while_the_arm_may_not_be_moved() -> None:
+    both = Lockstep()
+    assert both.scenario.robot is not None
+    _, limits = arm_of(make_robot_plant(both.scenario.robot))
+    with pytest.raises(HardwareError, match="move the arm to"):
+        both.link.ready_arm(both.station.q + 0.2, limits)
+    low = limits.position_lower.copy()
+    low[3] = -1.0
+    with pytest.raises(HardwareError, match=r"joint4 is at .* out of"):
+        both.link.ready_arm(both.station.q, type(limits)(**{**vars(limits), "position_lower": low}))
+
+
+def test_the_process_stops_the_arm_when_who_decides_is_gone() -> None:
+    # A parent that is none of ours: gone from the beginning.
+    url = "udpm://239.255.76.99:7672?ttl=0"
+    motion = SharedMotion()
+    for t in np.arange(0.0, 2.0, 0.004):
+        motion.write_wanted(t, np.full(7, 0.1 * t))
+    rules = PlayerRules()
+    process = multiprocessing.get_context("spawn").Process(
+        target=play, args=(motion, url, rules, 1.0, os.getpid() + 1_000_000)
+    )
+    process.start()
+    try:
+        status = lcmt_panda_status()
+        status.num_joints = 7
+        names = [name for name in lcmt_panda_status.__slots__ if name.startswith("joint_")]
+        for name in names:
+            setattr(status, name, [0.0] * 7)
+        lcm = DrakeLcm(url)
+        for _ in range(200):
+            status.utime = round(1e6 * time.time())
+            lcm.Publish(STATUS_CHANNEL, status.encode())
+            time.sleep(0.01)
+            if not process.is_alive():
+                break
+        process.join(timeout=10.0)
+        assert process.exitcode == 0
+        assert motion.figure("played") < 0.1
+    finally:
+        process.kill()

@@ -1,0 +1,116 @@
+"""A scenario driven through messages, in one process and in two."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drake_oa.common.config import ScenarioError
+from drake_oa.common.messages import ObstacleClouds, TablePlane
+from drake_oa.hardware.command_player import PlayerRules
+from drake_oa.hardware.hardware_cell import hardware_scenario
+from drake_oa.hardware.robot_link import HardwareError, check_table
+from drake_oa.runs.hardware_run import drive, ready, station_log
+from drake_oa.runs.motion_log import MotionEnd, MotionLog
+from drake_oa.runs.report import motion_report
+from drake_oa.scenario.loading import load_scenario
+from tests.hardware.lockstep import Lockstep
+from tests.test_port_lists import checked_systems
+
+
+def run(both: Lockstep, duration: float | None = None) -> MotionLog:
+    driven = ready(both.scenario, both.link, lcm_url=both.url)
+    assert checked_systems(driven.diagram) >= {"CommandStream", "MeasuredState", "LiveCamera"}
+    for _ in range(25):
+        both.step()
+    log = drive(driven, both.link, duration=duration)
+    while not both.station.finished:
+        both.step()
+    return log
+
+
+def test_a_scenario_begins_through_messages() -> None:
+    both = Lockstep(images=True, log=True)
+    log = run(both, duration=0.3)
+    assert log.ended == MotionEnd.TIME_LIMIT
+    assert both.station.pace.rejected == 0
+    assert log.observation_time.size >= 5
+    truth = station_log(both.scenario, both.station)
+    # The arm comes to rest where the log's end has it, or a little before.
+    assert np.linalg.norm(truth.p_WE[-1] - log.p_WE[-1]) < 5e-3
+    assert "following" in truth.event
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["tabletop_box", "moving_obstacle"])
+def test_a_scenario_ends_as_in_one_process(name: str) -> None:
+    both = Lockstep(name, images=True, log=True)
+    log = run(both)
+    assert log.ended == MotionEnd.GOAL
+    report = motion_report(both.scenario, station_log(both.scenario, both.station))
+    assert report["contacts"] == []
+    assert report["goal_error"] < 5e-3
+    if name == "tabletop_box":
+        assert report["short_of_feasible"] < 5e-3
+
+
+def test_what_is_of_the_simulated_world_is_refused() -> None:
+    url = "memq://"
+    with pytest.raises(ScenarioError, match="!GroundTruth does not see"):
+        hardware_scenario(load_scenario("tabletop_box", ["perception=!GroundTruth {}"]), url)
+    with pytest.raises(ScenarioError, match="faults"):
+        hardware_scenario(load_scenario("tabletop_box", ["faults=[!Push {}]"]), url)
+    known = hardware_scenario(load_scenario("moving_obstacle"), url)
+    assert known.obstacles == []
+    known = hardware_scenario(load_scenario("tabletop_box"), url)
+    names = [one.add_model.name for one in known.directives if one.add_model]
+    assert names == ["table", "camera_mount"]
+
+
+def test_a_camera_that_is_not_where_it_should_be_is_told() -> None:
+    rules, table = PlayerRules(), TablePlane()
+    seen = ObstacleClouds(stamp=0.0, table=TablePlane(offset=0.01))
+    check_table(seen, table, rules)
+    check_table(ObstacleClouds(), None, rules)
+    with pytest.raises(HardwareError, match=r"\+20 mm from where it is"):
+        check_table(ObstacleClouds(stamp=0.0, table=TablePlane(offset=0.02)), table, rules)
+    tilted = TablePlane(normal_W=np.array([0.0, np.sin(0.05), np.cos(0.05)]))
+    with pytest.raises(HardwareError, match=r"tilted by 2\.9 deg"):
+        check_table(ObstacleClouds(stamp=0.0, table=tilted), table, rules)
+    with pytest.raises(HardwareError, match="does not see the table: no valid pixel"):
+        check_table(ObstacleClouds(note="no valid pixel"), table, rules)
+
+
+@pytest.mark.slow
+def test_two_processes_over_loopback(tmp_path: Path) -> None:
+    url = "udpm://239.255.76.99:7673?ttl=0&recv_buf_size=4000000"
+    # Slowly, so that whatever else this machine does is no matter.
+    common = ["tabletop_box", "--lcm-url", url, "--rate", "0.25"]
+    command = [sys.executable, "-m", "drake_oa.app.main"]
+    truth, sent = tmp_path / "truth.npz", tmp_path / "sent.json"
+    arm = subprocess.Popen(
+        [*command, "station", *common, "--wait", "--log", str(truth)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        driver = subprocess.run(
+            [*command, "run", *common, "--hardware", "--no-log", "--json", str(sent)],
+            capture_output=True,
+            text=True,
+            timeout=300.0,
+        )
+        out, said = arm.communicate(timeout=120.0)
+    finally:
+        arm.kill()
+    assert driver.returncode == 0, driver.stderr
+    assert json.loads(sent.read_text())["modulated"]["ended"] == "goal"
+    assert arm.returncode == 0, said
+    assert re.search(r"collisions +0", out), out
+    assert "refused" not in said
+    assert truth.is_file()
