@@ -12,6 +12,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from pydrake.common.schema import Transform
@@ -24,17 +25,20 @@ from pydrake.systems.framework import Context
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.geometry.pinhole import View, pinhole
 from drake_oa.geometry.shapes import Sphere
 from drake_oa.perception.config import CameraSource, GroundTruth
 from drake_oa.regulation.config import Paper, Verified
-from drake_oa.robot.plant import TOOL_FRAME, make_robot_plant
+from drake_oa.robot.plant import TOOL_FRAME, base_pose, make_robot_plant
 from drake_oa.runs.metrics import RobotJudge
 from drake_oa.runs.motion_log import MotionEnd, MotionLog
 from drake_oa.runs.simulation import Ending, MotionWatcher, collect_log
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.shipped import package_file
+from drake_oa.scenario.sources import camera_configs
 from drake_oa.scenario.task_joints import tool_pose
+from drake_oa.viewing.meshcat_overlay import camera_inset
 from drake_oa.world.station import release_cameras
 
 TICK = 1.0 / 30.0
@@ -58,6 +62,8 @@ THROWN = Obstacle(
 _LATEST = 0.1
 """A picture that is later than this is not caught up with [s]."""
 _LINE = "/drake_oa/deciding_distance"
+_INSET_TICKS = 6
+"""Ticks between two pictures of what the camera sees."""
 _REGULATIONS = ("verified", "paper", "preplanned")
 
 
@@ -265,7 +271,9 @@ class PlaySession:
         self._resets = self._steps = self._thrown = 0
         self._refused = ""
         self.logs: dict[str, MotionLog] = {}
-        self._leg = 0
+        self._leg = self._ticks = 0
+        floor = scenario.table_height or 0.0
+        self._inset = camera_inset(meshcat, base_pose(scenario.robot), floor)
         self.stopped = False
         self.kept = math.inf
         self._simulator: Simulator | None = None
@@ -343,6 +351,8 @@ class PlaySession:
         self._arm = self._plant.GetFrameByName(TOOL_FRAME).model_instance()
         self._simulator.Initialize()
         self._simulator.set_monitor(self._watcher)
+        if not choice.seen:
+            self._inset.hide()
 
     def _chosen(self, choice: Choice, q: FloatArray | None) -> Scenario:
         """The scenario that is asked for, its motion from where the arm is."""
@@ -413,6 +423,28 @@ class PlaySession:
         else:
             self._meshcat.Delete(_LINE)
         self.controls.say(self.kept, self.status(paused))
+        self._ticks += 1
+        if self._taken.seen and self._ticks % _INSET_TICKS == 0:
+            self._show_image(root)
+
+    def _show_image(self, root: Context) -> None:
+        """What perception's first camera shows, and what is taken for obstacles in it."""
+        diagram, source = self._simulator.get_system(), self._played.perception
+        if not isinstance(source, CameraSource) or not diagram.HasSubsystemNamed("perception"):
+            return
+        perception = diagram.GetSubsystemByName("perception")
+        context = perception.GetMyContextFromRoot(root)
+        name = source.names[0]
+
+        def read(signal: str) -> Any:
+            return perception.GetInputPort(source.signal(signal, name)).Eval(context)
+
+        config = camera_configs(self._played, source)[0]
+        _, camera = config.MakeCameras()
+        K = np.array(pinhole(camera.core().intrinsics()))
+        X_WC = read("camera_pose").GetAsMatrix4()
+        view = View.of(read("depth_image").data[:, :, 0], K, X_WC)
+        self._inset.show(view, perception.GetOutputPort("obstacles_W").Eval(context))
 
     def status(self, paused: bool = False) -> str:
         """One line: who decides, by what it sees, and what holds the motion."""

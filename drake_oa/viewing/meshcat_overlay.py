@@ -27,6 +27,7 @@ from drake_oa.common.messages import (
 from drake_oa.common.ports import read_value
 from drake_oa.scenario.scenario import LAYERS
 from drake_oa.viewing import drawing
+from drake_oa.viewing.camera_inset import CameraInset
 from drake_oa.viewing.drawing import Color, TriangleMesh
 
 _ROOT = "/drake_oa"
@@ -38,13 +39,30 @@ _COST_CHANGE = 0.1
 _AT_ORIGIN = RigidTransform()
 
 
+_EYE_F, _LOOKED_AT_F = (2.45, -1.75, 1.30), (0.43, 0.0, 0.33)
+"""Where the viewer's camera stands, and the point it looks at [m]."""
+
+
+def _floor_frame(X_WB: RigidTransform, floor: float) -> RigidTransform:
+    """The frame F below or above the base, of its heading."""
+    (x, y, _), ahead = X_WB.translation(), X_WB.rotation().col(0)
+    R_WF = RotationMatrix.MakeZRotation(math.atan2(ahead[1], ahead[0]))
+    return RigidTransform(R_WF, [x, y, floor])
+
+
+def camera_inset(meshcat: Meshcat, X_WB: RigidTransform, floor: float) -> CameraInset:
+    """A picture of what cameras see, for the view of `dress_scene` with the same arguments."""
+    X_WF = _floor_frame(X_WB, floor)
+    return CameraInset(meshcat, X_WF @ np.array(_EYE_F), X_WF @ np.array(_LOOKED_AT_F))
+
+
 def dress_scene(
     meshcat: Meshcat,
     X_WB: RigidTransform = _AT_ORIGIN,
     floor: float = 0.0,
     *,
-    p_FC: tuple[float, float, float] = (2.45, -1.75, 1.30),
-    p_FT: tuple[float, float, float] = (0.43, 0.0, 0.33),
+    p_FC: tuple[float, float, float] = _EYE_F,
+    p_FT: tuple[float, float, float] = _LOOKED_AT_F,
     fov: float = 32.0,
 ) -> None:
     """Makes the view fit to be shown: background, lights, shadows, camera.
@@ -61,10 +79,7 @@ def dress_scene(
         p_FT: the point it looks at, in F [m].
         fov: its vertical field of view [deg].
     """
-    (x, y, _), ahead = X_WB.translation(), X_WB.rotation().col(0)
-    X_WF = RigidTransform(
-        RotationMatrix.MakeZRotation(math.atan2(ahead[1], ahead[0])), [x, y, floor]
-    )
+    X_WF = _floor_frame(X_WB, floor)
     meshcat.SetProperty("/Background", "top_color", [0.80, 0.86, 0.92])
     meshcat.SetProperty("/Background", "bottom_color", [0.98, 0.98, 0.97])
     for path in ("/Grid", "/Axes", "/drake/proximity", "/drake/inertia", "/drake/contact_forces"):

@@ -1,0 +1,100 @@
+"""What a depth camera sees, as a small picture that stands in the view."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.geometry import Meshcat
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.perception import BaseField, Fields, PointCloud
+
+from drake_oa.common.messages import FloatArray, ObstacleClouds
+from drake_oa.geometry.pinhole import View
+
+_COLUMNS = 128
+_WIDTH = 0.42
+"""Of the picture [m], at `_AWAY` [m] from whoever looks, in the upper left corner."""
+_AWAY, _LEFT, _UP = 1.5, -0.44, 0.26
+_MISSING = (0.12, 0.12, 0.14)
+_NEAR, _FAR = np.array([0.97, 0.97, 0.99]), np.array([0.22, 0.28, 0.38])
+_OBSTACLES = np.array([[0.90, 0.35, 0.13], [0.16, 0.55, 0.30], [0.55, 0.30, 0.70], [0.9, 0.7, 0.1]])
+"""Colours of what is taken for obstacles, by their names."""
+
+
+def depth_picture(view: View, seen: ObstacleClouds, columns: int = _COLUMNS) -> FloatArray:
+    """A depth image as colours: near is light, missing dark, obstacles coloured.
+
+    Args:
+        view: the image, depth (H, W) [m].
+        seen: what it was segmented into.
+        columns: of the picture.
+
+    Returns:
+        (h, columns, 3) in [0, 1], of the image's proportions.
+    """
+    rows = round(columns * view.z.shape[0] / view.z.shape[1])
+    down = np.linspace(0, view.z.shape[0] - 1, rows).round().astype(int)
+    across = np.linspace(0, view.z.shape[1] - 1, columns).round().astype(int)
+    z = view.z[np.ix_(down, across)]
+    there = np.isfinite(z) & (z > 0.0)
+    picture = np.empty((rows, columns, 3))
+    picture[:] = _MISSING
+    if there.any():
+        low, high = np.percentile(z[there], [2, 98])
+        share = np.clip((z[there] - low) / max(high - low, 1e-3), 0.0, 1.0)[:, None]
+        picture[there] = (1.0 - share) * _NEAR + share * _FAR
+    scale = np.array([columns / view.z.shape[1], rows / view.z.shape[0]])
+    R_WC, p_WC = view.X_WC[:3, :3], view.X_WC[:3, 3]
+    for name, cloud_W in zip(seen.ids, seen.clouds_W, strict=True):
+        p_C = (np.asarray(cloud_W) - p_WC) @ R_WC
+        p_C = p_C[p_C[:, 2] > 1e-3]
+        pixel = p_C[:, :2] / p_C[:, 2:] * view.K[:2] + view.K[2:]
+        column, row = (pixel * scale).astype(int).T
+        inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+        picture[row[inside], column[inside]] = _OBSTACLES[int(name) % len(_OBSTACLES)]
+    return picture
+
+
+class CameraInset:
+    """Draws what cameras see where whoever looks first sees it."""
+
+    def __init__(
+        self, meshcat: Meshcat, p_WV: FloatArray, p_WT: FloatArray, path: str = "/drake_oa/inset"
+    ) -> None:
+        """Draws nothing yet.
+
+        Args:
+            meshcat: the viewer.
+            p_WV: (3,) where its camera stands [m].
+            p_WT: (3,) what it looks at [m].
+            path: of the picture in the scene.
+        """
+        self._meshcat, self._path = meshcat, path
+        ahead = (p_WT - p_WV) / np.linalg.norm(p_WT - p_WV)
+        right = np.cross(ahead, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        up = np.cross(right, ahead)
+        p_WS = p_WV + _AWAY * ahead + _LEFT * right + _UP * up
+        self._X_WS = RigidTransform(RotationMatrix(np.column_stack([right, up, -ahead])), p_WS)
+
+    def show(self, view: View, seen: ObstacleClouds) -> None:
+        """Draws an image and what it was segmented into."""
+        picture = depth_picture(view, seen)
+        rows, columns, _ = picture.shape
+        pitch = _WIDTH / columns
+        x, y = np.meshgrid(np.arange(columns) - columns / 2, rows / 2 - np.arange(rows))
+        cloud = PointCloud(rows * columns, Fields(BaseField.kXYZs | BaseField.kRGBs))
+        xyzs: Any = cloud.mutable_xyzs()
+        xyzs[:] = np.stack([pitch * x.ravel(), pitch * y.ravel(), np.zeros(x.size)])
+        # Meshcat takes linear colours.
+        colors: NDArray[np.uint8] = (255.0 * picture.reshape(-1, 3).T ** 2.2).astype(np.uint8)
+        rgbs: Any = cloud.mutable_rgbs()
+        rgbs[:] = colors
+        self._meshcat.SetObject(self._path, cloud, point_size=2.6 * pitch)
+        self._meshcat.SetTransform(self._path, self._X_WS)
+
+    def hide(self) -> None:
+        """Takes the picture away."""
+        self._meshcat.Delete(self._path)
