@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from drake_oa.perception.config import (
     GroundTruth,
     LcmCamera,
     LiveCameras,
+    RealSense,
     RecordedClouds,
     SegmentationConfig,
 )
@@ -127,15 +129,17 @@ def _add_depth_camera(
     _warn_without_obstacles(cell, scenario)
     cameras = {name: cell.cameras[name] for name in source.names}
     first = cameras[source.names[0]]
+    live = source if isinstance(source, LiveCameras) else None
     # The self filter takes the robot as it was when the images were taken.
     wires.otherwise("robot_state_at_image", "robot_state")
-    if first.image_time is not None:
-        wires.add(
-            "robot_at_image",
-            make_robot_state(cell),
-            reads={"u0": "plant_state_at_image"},
-            offers={"y0": "robot_state_at_image"},
-        )
+    for signal in map(partial(source.signal, ""), source.names) if live else [""]:
+        if first.image_time is not None:
+            wires.add(
+                f"robot_at_image{signal}",
+                make_robot_state(cell),
+                reads={"u0": f"plant_state_at_image{signal}"},
+                offers={"y0": f"robot_state_at_image{signal}"},
+            )
     reads: dict[str, str | None] = {}
     for name, camera in cameras.items():
         at_image = source.signal("robot_state_at_image", name)
@@ -151,7 +155,6 @@ def _add_depth_camera(
                 source.signal("depth_image", name), source.signal("depth_noise", name), noise
             )
     intrinsics = {name: camera.intrinsics for name, camera in cameras.items()}
-    live = source if isinstance(source, LiveCameras) else None
     perception = DepthPerception(
         intrinsics if len(cameras) > 1 else first.intrinsics,
         config=_segmentation(source, scenario),
@@ -169,6 +172,7 @@ def _add_depth_camera(
 SOURCES |= {
     DepthCamera: _add_depth_camera,
     LcmCamera: _add_depth_camera,
+    RealSense: _add_depth_camera,
     GroundTruth: _add_ground_truth,
     RecordedClouds: _add_recorded_clouds,
     GivenEllipsoids: _add_given,

@@ -9,7 +9,7 @@ from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.arm import arm_model, covered_arm
-from drake_oa.perception.config import CameraSource
+from drake_oa.perception.config import CameraSource, LiveCameras
 from drake_oa.robot.arm import joints_to
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotPlant, make_robot_plant
@@ -71,7 +71,8 @@ def add_station(
 
     Offers robot_state, plant_state, query_object and body_poses, and of the camera depth_image,
     camera_pose and, where images come late, image_stamp and plant_state_at_image; of several
-    cameras each of them with _NAME behind it, but for plant_state_at_image, which is the same.
+    cameras each of them with _NAME behind it, but for plant_state_at_image, which is the same of
+    simulated ones.
 
     Args:
         wires: that are added to.
@@ -105,6 +106,9 @@ def add_station(
             wires.offer(source.signal("camera_pose", name), camera.pose)
             if camera.image_time is not None and camera.plant_state is not None:
                 wires.offer(source.signal("image_stamp", name), camera.image_time)
-                if "plant_state_at_image" not in wires:
-                    wires.offer("plant_state_at_image", camera.plant_state)
+                at_image = "plant_state_at_image"
+                if isinstance(source, LiveCameras):
+                    at_image = source.signal(at_image, name)
+                if at_image not in wires:
+                    wires.offer(at_image, camera.plant_state)
     return Cell(**vars(station), scenario=scenario, robot_plant=robot_plant, q_start=q_start)

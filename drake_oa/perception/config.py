@@ -342,6 +342,19 @@ class LcmCamera(LiveCameras):
 
 
 @dc.dataclass
+class RealSense(LiveCameras):
+    """Intel RealSense cameras at this machine; size and rate are those of the scenario's `cameras`.
+
+    Needs `pip install 'drake_oa[realsense]'`.
+    """
+
+    # Serial number, as text, of each camera; one camera may go without: the only device.
+    serials: dict[str, str] = dc.field(default_factory=dict)
+    # Focal lengths and centre of the scenario's camera may differ from the device's by so much.
+    tolerance: float = number(1.0, "pixel", 0.0, 100.0)
+
+
+@dc.dataclass
 class GroundTruth:
     """Obstacles as SceneGraph knows them."""
 

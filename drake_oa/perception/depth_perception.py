@@ -180,10 +180,12 @@ class DepthPerception(LeafSystem):
     frame that shows no table leaves the obstacles and their stamp as they were, and says why in
     `note`: a receiver tells from the stamp how old they are.
 
-    Images of one instant are one frame. A camera that has no image of the newest instant, or one
-    that tells nothing, is left out of it and named in `note`; the others' sight counts, and the
-    obstacles' stamp is that of the last image of the camera that has been missing for longest:
-    where nobody looks anything may have come meanwhile. With `all_needed` false it is the newest.
+    Images of one instant, or that are not farther apart than `together`, are one frame: of the
+    newest one's time, and without the robot where it was at any of them. A camera that has no such
+    image, or one that tells nothing, is left out of it and named in `note`; the others' sight
+    counts, and the obstacles' stamp is that of the last image of the camera that has been missing
+    for longest: where nobody looks anything may have come meanwhile. With `all_needed` false it is
+    the newest.
     """
 
     def __init__(
@@ -280,7 +282,7 @@ class DepthPerception(LeafSystem):
         if not any(stamps[row] >= newest - _SAME_TIME for row in shown):
             self._write(context, state, replace(previous, told=told), _NO_NEW_IMAGE, None)
             return
-        robot = self._posed_robot(self._ports[shown[0]], context)
+        robot = self._posed_robot([self._ports[row] for row in shown], context)
         frame = segment_views([self._view(row, context) for row in shown], self._config, robot)
         blind = {shown[number]: why for number, why in frame.blind.items()}
         missing = blind | {row: _NO_NEW_IMAGE for row in range(len(stamps)) if row not in shown}
@@ -339,11 +341,19 @@ class DepthPerception(LeafSystem):
             )
         return View.of(depth, K, pose.GetAsMatrix4())
 
-    def _posed_robot(self, port: _Ports, context: Context) -> PosedShapes | None:
-        if self._robot is None or port.robot is None or not port.robot.HasValue(context):
+    def _posed_robot(self, ports: Sequence[_Ports], context: Context) -> PosedShapes | None:
+        """The robot where it was when any of the images was taken."""
+        if self._robot is None:
             return None
-        robot_state: Any = port.robot.Eval(context)
-        return self._robot.posed(robot_state)
+        known = (port.robot for port in ports if port.robot is not None)
+        states = {tuple(port.Eval(context)) for port in known if port.HasValue(context)}
+        posed = [self._robot.posed(np.array(state)) for state in sorted(states)]
+        if len(posed) < 2:
+            return posed[0] if posed else None
+        return PosedShapes(
+            np.concatenate([each.X_WG for each in posed]),
+            np.concatenate([each.size for each in posed]),
+        )
 
 
 def as_of(obstacles: ObstacleClouds, stamp: float) -> ObstacleClouds:

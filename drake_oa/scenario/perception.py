@@ -7,7 +7,13 @@ from collections.abc import Sequence
 from pydrake.systems.sensors import CameraConfig
 
 from drake_oa.common.config import ScenarioError, check_values, vector
-from drake_oa.perception.config import CameraSource, LcmCamera, LiveCameras, RecordedClouds
+from drake_oa.perception.config import (
+    CameraSource,
+    LcmCamera,
+    LiveCameras,
+    RealSense,
+    RecordedClouds,
+)
 
 _LCM = ("udpm://", "tcpq://", "memq://")
 """How URLs of LCM that can be received from begin."""
@@ -75,6 +81,8 @@ def check_perception(perception: object, cameras: Sequence[CameraConfig]) -> Non
             f"perception.lcm_url: '{perception.lcm_url}' is none of LCM's; it must begin with one "
             f"of {', '.join(_LCM)}"
         )
+    if isinstance(perception, RealSense):
+        _check_serials(perception)
     if isinstance(perception, RecordedClouds) and not perception.folder:
         raise ScenarioError("perception.folder: is empty; it must name a folder of recordings")
     if isinstance(perception, GivenEllipsoids):
@@ -84,6 +92,25 @@ def check_perception(perception: object, cameras: Sequence[CameraConfig]) -> Non
                     f"perception.ellipsoids[{row}].semi_axes: {item.semi_axes} "
                     "must all be positive [m]"
                 )
+
+
+def _check_serials(perception: RealSense) -> None:
+    """Whether each camera is one device, which is another's at most."""
+    names, serials = perception.names, perception.serials
+    for name in serials:
+        if name not in names:
+            raise ScenarioError(
+                f"perception.serials.{name}: perception does not see by '{name}', but by "
+                f"{', '.join(names)}"
+            )
+    missing = [name for name in names if not serials.get(name)]
+    if missing and len(names) > 1:
+        raise ScenarioError(
+            f"perception.serials: '{missing[0]}' has none; of several cameras each needs the "
+            "serial number of its device"
+        )
+    if len(set(serials.values())) < len(serials):
+        raise ScenarioError("perception.serials: two cameras have the same; each is a device")
 
 
 def _check_seeing(perception: CameraSource, cameras: Sequence[CameraConfig]) -> None:

@@ -17,6 +17,7 @@ from drake_oa.perception.config import (
     DepthCamera,
     GroundTruth,
     LcmCamera,
+    RealSense,
     RecordedClouds,
 )
 from drake_oa.policy.config import Policy
@@ -65,9 +66,9 @@ class Scenario:
     # Drake's camera configurations, each with a name of its own.
     cameras: list[CameraConfig] = dc.field(default_factory=list)
     # Where obstacles come from.
-    perception: DepthCamera | GroundTruth | RecordedClouds | GivenEllipsoids | LcmCamera = dc.field(
-        default_factory=GroundTruth
-    )
+    perception: (
+        DepthCamera | GroundTruth | RecordedClouds | GivenEllipsoids | LcmCamera | RealSense
+    ) = dc.field(default_factory=GroundTruth)
     # What the coupling parameters come from.
     regulation: Verified | Paper = dc.field(default_factory=Verified)
     # What watches the motion of the robot, or null: nothing does.

@@ -20,7 +20,7 @@ from pydrake.systems.sensors import CameraConfig, CameraInfo
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.geometry.pinhole import pinhole
-from drake_oa.perception.config import DepthCamera, LcmCamera, LiveCameras
+from drake_oa.perception.config import DepthCamera, LcmCamera, LiveCameras, RealSense
 from drake_oa.robot.grasped_object import part_carried
 from drake_oa.scenario.faults import camera_faults
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
@@ -31,6 +31,7 @@ from drake_oa.world.depth_messages import LcmFrames
 from drake_oa.world.depth_noise import FrameNoise
 from drake_oa.world.late_camera import BackgroundCamera, LateCamera
 from drake_oa.world.live_camera import FrameSource, LiveCamera, Outside, standing_pose
+from drake_oa.world.realsense import RealSenseFrames
 from drake_oa.world.world_model import add_world, all_obstacles
 
 
@@ -111,6 +112,9 @@ def _late_camera(
 def _frame_source(source: LiveCameras, config: CameraConfig, intrinsics: CameraInfo) -> FrameSource:
     if isinstance(source, LcmCamera):
         return LcmFrames(source.lcm_url, config.name)
+    if isinstance(source, RealSense):
+        serial = source.serials.get(config.name, "")
+        return RealSenseFrames(intrinsics, config.fps, serial=serial, tolerance=source.tolerance)
     raise ScenarioError(f"perception: nothing reads images of !{type(source).__name__}")
 
 

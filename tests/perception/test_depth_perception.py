@@ -411,6 +411,39 @@ def test_a_blind_or_late_image_of_one_camera_is_left_out():
     assert update(system, context).note == "no new image"
 
 
+def test_images_that_are_not_far_apart_are_taken_together():
+    system, context = pair(together=0.03)
+    update(system, context)
+    give(system, context, "left", table_with_block(), 0.1)
+    give(system, context, "right", table_with_block(), 0.08)
+    obstacles = update(system, context)
+    assert (obstacles.stamp, obstacles.note) == (0.1, "")
+    assert all(view is not None for view in system.GetOutputPort("views").Eval(context).views)
+    # One that comes behind a newer one that is known already waits for the next.
+    give(system, context, "right", table_with_block(), 0.09)
+    obstacles = update(system, context)
+    assert (obstacles.stamp, obstacles.note) == (0.1, "no new image")
+    give(system, context, "left", table_with_block(), 0.14)
+    assert update(system, context).note == "right: no new image"
+    with pytest.raises(ValueError, match="together"):
+        pair(together=-1.0)
+
+
+def test_the_robot_is_taken_out_where_it_was_at_each_of_the_images(cell):
+    playback = Playback(cell)
+    image = cell.perception.GetInputPort("depth_image")
+    system, context = pair(together=0.05, pixel_center=0.5, robot=cell.perception._robot)
+    for name, arm, stamp in (("left", -0.1, 0.10), ("right", 0.1, 0.13)):
+        playback.place(arm, 0.0)
+        at = cell.perception.GetMyContextFromRoot(playback.context)
+        give(system, context, name, np.array(image.Eval(at).data[:, :, 0]), stamp)
+        system.GetInputPort(f"robot_state_{name}").FixValue(context, [arm, 0.0])
+    seen = update(system, context)
+    assert seen.note == ""
+    assert len(seen) == 2
+    assert max(cloud[:, 0].max() for cloud in seen.clouds_W) < 0.2
+
+
 def test_until_each_camera_has_seen_something_nothing_is_known():
     system, context = pair()
     give(system, context, "right", np.full((240, 320), np.nan, dtype=np.float32), 0.0)
