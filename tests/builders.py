@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+import pytest
 from numpy.typing import ArrayLike
 from pydrake.math import RotationMatrix
 from pydrake.systems.framework import Context, System
@@ -13,6 +14,7 @@ from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.robot.arm import ArmModel, make_arm_model
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotPlant, home_positions
+from drake_oa.scenario.shipped import missing_package, shipped_scenarios
 
 
 def balls(
@@ -64,3 +66,10 @@ def command(*arguments: object) -> int:
         return main([str(argument) for argument in arguments])
     except SystemExit as done:
         return int(done.code or 0)
+
+
+def skip_without_model(scenario: str) -> None:
+    """Skips a test of a shipped scenario whose robot is of a package that is not installed."""
+    package = missing_package(shipped_scenarios()[scenario])
+    if package:
+        pytest.skip(f"{package} is not installed: pip install 'drake_oa[robots]'")

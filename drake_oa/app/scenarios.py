@@ -58,7 +58,7 @@ def scenarios(*, files: bool = False) -> None:
     Args:
         files: print where they are instead: copy one to start a scenario of your own.
     """
-    from drake_oa.scenario.shipped import description, shipped_scenarios
+    from drake_oa.scenario.shipped import description, missing_package, shipped_scenarios
 
     shipped = shipped_scenarios()
     if files:
@@ -66,8 +66,15 @@ def scenarios(*, files: bool = False) -> None:
         for name, path in shipped.items():
             print(f"{name:<{width}}  {path}")
         return
-    rows = [(name, description(path)) for name, path in shipped.items()]
-    show(TextTable((), rows, "ll"))
+    needed = {name: missing_package(path) for name, path in shipped.items()}
+    rows = [
+        (name, description(path) + (f" (needs {needed[name]})" if needed[name] else ""))
+        for name, path in shipped.items()
+    ]
+    notes = (
+        ["what a scenario needs: pip install 'drake_oa[robots]'"] if any(needed.values()) else []
+    )
+    show(TextTable((), rows, "ll", notes))
 
 
 SCHEMA = "scenario.schema.json"

@@ -10,7 +10,8 @@ import subprocess
 import zipfile
 from collections.abc import Callable
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, distribution, version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -129,6 +130,22 @@ def user_cache(name: str) -> Path:
     """A folder of the user's for what is made once and can be made again; it need not be there."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "drake_oa" / name
+
+
+def installed_package(name: str) -> Path | None:
+    """The folder behind package://NAME of something that is installed for this Python.
+
+    That is share/NAME of the distribution NAME, or the package that is imported as NAME; which
+    is not imported here. None: there is neither.
+    """
+    with contextlib.suppress(PackageNotFoundError, ValueError):
+        for file in distribution(name).files or ():
+            row = next((i for i in range(1, len(file.parts)) if file.parts[i] == name), 0)
+            if row and file.parts[row - 1] == "share":
+                return Path(str(file.locate())).parents[len(file.parts) - row - 2]
+    found = find_spec(name) if name.isidentifier() else None
+    places = list(found.submodule_search_locations or ()) if found else []
+    return Path(places[0]) if places else None
 
 
 def software_versions() -> tuple[str, ...]:

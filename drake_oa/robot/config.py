@@ -10,6 +10,9 @@ from drake_oa.common.config import number as _number
 from drake_oa.common.config import vector as _vector
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere
 
+_FASTEST = 100.0
+"""Of a joint's greatest speeds the greatest that is meant [rad/s]."""
+
 
 @dc.dataclass
 class Gains:
@@ -129,6 +132,9 @@ class Robot:
         default_factory=lambda: [-0.7401, 0.1857, 0.0143, -1.9017, -0.003, 2.0874, 0.0608],
         metadata={"unit": "rad"},
     )
+    # Greatest speed of each joint of the arm, where it is less than the model's or the model has
+    # none; null: the model's [rad/s].
+    joint_speed: list[float] | None = dc.field(default=None, metadata={"unit": "rad/s"})
     # Opening of each finger [m]. At a joint's limit the plant's steps cost more.
     finger_opening: float = _number(0.005, "m", 0.0, 0.04)
     # What the hand holds, posed in the frame of the hand link H; part of the tool.
@@ -151,6 +157,11 @@ def check_robot(robot: Robot) -> None:
     Raises:
         ScenarioError: naming the field.
     """
+    for row, speed in enumerate(robot.joint_speed or ()):
+        if not 0.0 < speed <= _FASTEST:
+            raise ScenarioError(
+                f"robot.joint_speed[{row}]: {speed:g} is outside (0, {_FASTEST:g}] [rad/s]"
+            )
     if robot.annulus is None:
         return
     height, inner, outer = (getattr(robot.annulus, name) for name in ("height", "inner", "outer"))

@@ -11,7 +11,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from drake_oa.common.config import ScenarioError, check, number, read_yaml, vector
-from drake_oa.robot.urdf import DRAKE_XML
+from drake_oa.robot.formats.urdf import DRAKE_XML
 
 
 @dc.dataclass

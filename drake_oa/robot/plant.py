@@ -25,9 +25,9 @@ from drake_oa.geometry.collision_shapes import outline_corners
 from drake_oa.geometry.shapes import pose
 from drake_oa.robot.arm import joints_to
 from drake_oa.robot.config import Robot
+from drake_oa.robot.formats.model_file import add_installed_package, drake_model
 from drake_oa.robot.grasped_object import add_carried, part_carried, tool_links
 from drake_oa.robot.inertias import read_inertias, with_inertias
-from drake_oa.robot.urdf import add_installed_package, drake_urdf
 
 TOOL_FRAME = "tool_point"
 
@@ -47,13 +47,13 @@ def add_robot(plant: MultibodyPlant, robot: Robot, *, inertias: str = "") -> Mod
     try:
         add_installed_package(parser.package_map(), url)
         file = Path(parser.package_map().ResolveUrl(url))
-        text = drake_urdf(file, parser.package_map()) if file.suffix == ".urdf" else None
+        text = drake_model(file, parser.package_map())
         if inertias:
             text = _replaced(text or file.read_text(), parser, inertias)
         if text is None:
             (instance,) = parser.AddModels(url=url)
         else:
-            (instance,) = parser.AddModelsFromString(text, "urdf")
+            (instance,) = parser.AddModelsFromString(text, file.suffix[1:].lower())
     except ScenarioError:
         raise
     except (OSError, RuntimeError, ValueError) as error:
@@ -73,8 +73,25 @@ def add_robot(plant: MultibodyPlant, robot: Robot, *, inertias: str = "") -> Mod
             RigidTransform(robot.p_HE),
         )
     )
+    _limit_speed(plant, instance, robot)
     add_carried(plant, instance, robot)
     return instance
+
+
+def _limit_speed(plant: MultibodyPlant, instance: ModelInstanceIndex, robot: Robot) -> None:
+    """Lowers the speed limits of the arm, whose joints are the first that move."""
+    if robot.joint_speed is None:
+        return
+    joints = [plant.get_joint(i) for i in plant.GetJointIndices(instance)]
+    moving = [joint for joint in joints if joint.num_velocities()]
+    if len(robot.joint_speed) != len(robot.q_seed) or len(moving) < len(robot.q_seed):
+        raise ScenarioError(
+            f"robot.joint_speed: expected {len(robot.q_seed)} numbers as robot.q_seed has, not "
+            f"{len(robot.joint_speed)}"
+        )
+    for joint, speed in zip(moving, robot.joint_speed, strict=False):
+        limit = np.minimum(joint.velocity_upper_limits(), speed)
+        joint.set_velocity_limits(-limit, limit)
 
 
 def model_file(robot: Robot) -> Path:

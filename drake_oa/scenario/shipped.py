@@ -5,6 +5,8 @@ from pathlib import Path
 
 import yaml
 
+from drake_oa.common.files import installed_package
+
 _SUFFIX = ".scenario.yaml"
 
 
@@ -16,12 +18,30 @@ def shipped_scenarios() -> dict[str, Path]:
 
 def description(path: Path) -> str:
     """A scenario file's field `description`, read without building the scenario."""
+    return _text(path, "description")
+
+
+def missing_package(path: Path) -> str:
+    """The package of the robot's model where it is not installed, else "".
+
+    Read without building the scenario.
+    """
+    url = _text(path, "robot", "model")
+    name = url.removeprefix("package://").partition("/")[0]
+    if not url.startswith("package://") or name == "drake_oa" or installed_package(name):
+        return ""
+    return name
+
+
+def _text(path: Path, *fields: str) -> str:
     # Nodes, as the tags of blocks mean nothing to YAML itself.
-    root = yaml.compose(
+    node = yaml.compose(
         path.read_text("utf-8"), Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader)
     )
-    fields = root.value if isinstance(root, yaml.MappingNode) else ()
-    return next((value.value for key, value in fields if key.value == "description"), "")
+    for field in fields:
+        pairs = node.value if isinstance(node, yaml.MappingNode) else ()
+        node = next((value for key, value in pairs if key.value == field), None)
+    return node.value if isinstance(node, yaml.ScalarNode) else ""
 
 
 def package_file(url_or_file: str) -> Path:

@@ -13,6 +13,7 @@ from pydrake.multibody.plant import (
 from pydrake.multibody.tree import ModelInstanceIndex
 
 from drake_oa.common.config import ScenarioError
+from drake_oa.robot.formats.model_file import add_installed_package
 from drake_oa.robot.plant import add_robot, make_parser, make_robot_plant, tool_corners
 from drake_oa.scenario.faults import GoalBlocked, StartInContact
 from drake_oa.scenario.obstacles import Obstacle
@@ -38,8 +39,13 @@ def add_world(plant: MultibodyPlant, scenario: Scenario) -> ModelInstanceIndex:
     if scenario.robot is None:
         raise ScenarioError("robot: a station needs a robot; this scenario has null")
     robot = add_robot(plant, scenario.robot)
+    parser = make_parser(plant)
+    for directive in scenario.directives:
+        for block in (directive.add_model, directive.add_directives):
+            if block is not None:
+                add_installed_package(parser.package_map(), block.file, "directives")
     try:
-        ProcessModelDirectives(ModelDirectives(directives=scenario.directives), make_parser(plant))
+        ProcessModelDirectives(ModelDirectives(directives=scenario.directives), parser)
     except RuntimeError as error:
         raise ScenarioError(f"directives: {error}") from None
     for obstacle in all_obstacles(scenario):

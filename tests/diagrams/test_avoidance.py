@@ -16,6 +16,7 @@ from drake_oa.runs.report import motion_report
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.shipped import shipped_scenarios
+from tests.builders import skip_without_model
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
 QUICK = (GROUND_TRUTH, "regulation=!Paper {}")  # Nothing is searched for.
@@ -27,6 +28,7 @@ PRESENT = (
 
 @pytest.mark.parametrize("name", sorted(shipped_scenarios()))
 def test_each_shipped_scenario_runs_unmodulated(name: str) -> None:
+    skip_without_model(name)
     log = simulate(load_scenario(name), modulated=False, duration=0.048)
     assert log.duration == pytest.approx(0.048)
     assert not log.modulated

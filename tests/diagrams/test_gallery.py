@@ -10,8 +10,10 @@ from drake_oa.runs.report import run_report
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.shipped import shipped_scenarios
+from tests.builders import skip_without_model
 
-PAGE = Path(__file__).parents[2] / "docs" / "results" / "scenarios.md"
+_DOCS = Path(__file__).parents[2] / "docs"
+PAGES = [_DOCS / "results" / "scenarios.md", _DOCS / "guides" / "robot.md"]
 
 # Last words of a header, or of a part of it -> motion, key of its report, and the unit.
 FIGURES = {
@@ -27,18 +29,19 @@ FIGURES = {
 
 
 def gallery() -> dict[str, dict[str, str]]:
-    """Scenario -> figure -> its number as the page has it."""
-    tables = re.findall(r"(?:^\|.*\n)+", PAGE.read_text("utf-8"), re.MULTILINE)
-    (table,) = (table for table in tables if "| scenario |" in table.splitlines()[0])
-    head, _, *rows = (
-        [cell.strip() for cell in line[1:-1].split("|")] for line in table.split("\n")[:-1]
-    )
+    """Scenario -> figure -> its number as its page has it."""
     found = {}
-    for row in (dict(zip(head, cells, strict=True)) for cells in rows):
-        name = re.findall(r"\[`(\w+)`\]", row["scenario"])[0]
-        found[name] = {
-            key: text for title, cell in row.items() for key, text in numbers(title, cell)
-        }
+    for page in PAGES:
+        tables = re.findall(r"(?:^\|.*\n)+", page.read_text("utf-8"), re.MULTILINE)
+        (table,) = (table for table in tables if "| scenario |" in table.splitlines()[0])
+        head, _, *rows = (
+            [cell.strip() for cell in line[1:-1].split("|")] for line in table.split("\n")[:-1]
+        )
+        for row in (dict(zip(head, cells, strict=True)) for cells in rows):
+            name = re.findall(r"\[`(\w+)`\]", row["scenario"])[0]
+            found[name] = {
+                key: text for title, cell in row.items() for key, text in numbers(title, cell)
+            }
     return found
 
 
@@ -64,6 +67,7 @@ def test_every_scenario_of_a_robot_has_its_row() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", gallery())
 def test_a_run_gives_what_its_row_says(name: str) -> None:
+    skip_without_model(name)
     scenario = load_scenario(name)
     logs = {m: simulate(scenario, modulated=m == "modulated") for m in ("preplanned", "modulated")}
     report: dict[str, Any] = run_report(name, scenario, logs)

@@ -20,6 +20,9 @@ NAMES = [
     "demonstrated_arc",
     "demonstrated_pour",
     "free_space",
+    "gen3_box",
+    "gen3_clutter",
+    "gen3_moving",
     "long_tool",
     "moving_goal",
     "moving_obstacle",
@@ -36,6 +39,9 @@ NAMES = [
     "tabletop_irregular",
     "tilted_goal",
     "two_cameras",
+    "ur5e_box",
+    "ur5e_clutter",
+    "ur5e_moving",
     "vanishing_obstacle",
 ]
 

