@@ -64,4 +64,4 @@ $(DEV): $(STAMP)
 	@touch $@
 
 clean:
-	rm -rf $(VENV) $(OUT) build dist docs/_build docs/api docs/gallery.md *.egg-info
+	rm -rf $(VENV) $(OUT) build dist docs/_build docs/api docs/gallery.md docs/jupyter_execute *.egg-info

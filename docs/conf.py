@@ -15,9 +15,17 @@ from drake_oa.scenario.shipped import description, shipped_scenarios
 project = "drake_oa"
 author = "The drake_oa maintainers"
 version = release = installed_version("drake_oa")
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
+# myst_nb is myst_parser, and runs the tutorials.
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4
+# A tutorial runs whenever its page is read, in a folder of its own, and fails the build if a cell
+# does. The first run on a machine compiles the kernels.
+nb_execution_mode = "force"
+nb_execution_in_temp = True
+nb_execution_timeout = 900
+nb_execution_raise_on_error = True
+nb_merge_streams = True
 default_role = "code"
 html_theme = "furo"
 html_title = "drake_oa"
@@ -29,7 +37,7 @@ autodoc_preserve_defaults = True
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "jupyter_execute"]
 # Code in comments and results pages is highlighted as far as it goes; what Drake documents is not
 # looked up, and what a page says twice is no fault.
 suppress_warnings = ["misc.highlighting_failure", "myst.header", "ref.python"]
