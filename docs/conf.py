@@ -25,7 +25,6 @@ nb_execution_mode = "force"
 nb_execution_in_temp = True
 nb_execution_timeout = 900
 nb_execution_raise_on_error = True
-nb_merge_streams = True
 default_role = "code"
 html_theme = "furo"
 html_title = "drake_oa"

@@ -347,6 +347,9 @@ class PlaySession:
         self._played, self._judge = scenario, judge
         self._simulator = Simulator(diagram)
         self._watcher = MotionWatcher(diagram, scenario, math.inf, None, latest_time=math.inf)
+        self._perception: Any = None
+        if diagram.HasSubsystemNamed("perception"):
+            self._perception = diagram.GetSubsystemByName("perception")
         self._plant = diagram.GetSubsystemByName("plant")
         self._arm = self._plant.GetFrameByName(TOOL_FRAME).model_instance()
         self._simulator.Initialize()
@@ -429,10 +432,10 @@ class PlaySession:
 
     def _show_image(self, root: Context) -> None:
         """What perception's first camera shows, and what is taken for obstacles in it."""
-        diagram, source = self._simulator.get_system(), self._played.perception
-        if not isinstance(source, CameraSource) or not diagram.HasSubsystemNamed("perception"):
+        source = self._played.perception
+        if not isinstance(source, CameraSource) or self._perception is None:
             return
-        perception = diagram.GetSubsystemByName("perception")
+        perception = self._perception
         context = perception.GetMyContextFromRoot(root)
         name = source.names[0]
 

@@ -50,6 +50,10 @@ def test_a_slider_that_is_moved_moves_the_arm(tmp_path: Path) -> None:
         assert session.tool_point()[2] == pytest.approx(0.45, abs=5e-3)
         shown = page.evaluate("Object.keys(viewer.gui_controllers)")
         assert session.controls.status in shown
-        page.screenshot(tmp_path / "played.png")
-        assert (tmp_path / "played.png").stat().st_size > 50_000
+        # Less than the scene: the page is not drawn yet.
+        deadline, size = time.monotonic() + 120.0, 0
+        while size < 50_000:
+            assert time.monotonic() < deadline
+            page.screenshot(tmp_path / "played.png")
+            size = (tmp_path / "played.png").stat().st_size
     session.finish()

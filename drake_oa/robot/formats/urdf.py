@@ -125,7 +125,7 @@ def _with_meshes(link: ElementTree.Element, resolve: Callable[[str], Path]) -> b
             if converted:
                 each = copy.deepcopy(shape)
                 # An SDF's have names of their own.
-                if "name" in each and row:
+                if row and each.get("name"):
                     each.set("name", f"{each.get('name')}-{row}")
                 link.append(each)
     if changed and not link.findall("visual"):
