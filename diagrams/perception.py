@@ -165,6 +165,7 @@ def _add_depth_camera(
         delay=first.delay,
         all_needed=source.all_needed,
         together=live.together if live else 0.0,
+        unsaid=live.max_age if live else 0.0,
     )
     wires.add("perception", perception, reads=reads)
 

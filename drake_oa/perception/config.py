@@ -315,7 +315,7 @@ class LiveCameras(CameraSource):
     # How long the first image is waited for at the start.
     wait: float = number(5.0, "s", 0.0, 600.0)
     # An image whose stamp is older when it comes, or so far ahead of this machine's clock, is
-    # passed over.
+    # passed over; that there is no new one is said when the last is older.
     max_age: float = number(0.2, "s", 0.0, 10.0, open_low=True)
     max_ahead: float = number(0.01, "s", 0.0, 10.0)
     # How often it is looked whether an image has come.

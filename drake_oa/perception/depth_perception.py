@@ -200,6 +200,7 @@ class DepthPerception(LeafSystem):
         delay: float = 0.0,
         all_needed: bool = True,
         together: float = 0.0,
+        unsaid: float = 0.0,
     ) -> None:
         """Declares ports, state and events.
 
@@ -221,6 +222,8 @@ class DepthPerception(LeafSystem):
                 newest.
             together: images of several cameras whose stamps differ by no more are taken as of one
                 instant, that of the newest [s].
+            unsaid: how old a camera's last image may be before `note` says that there is no new
+                one [s]: the images of a camera that goes by itself now and then miss a period.
 
         Raises:
             ValueError: for a period that is not positive, a negative delay, invalid intrinsics or
@@ -242,7 +245,10 @@ class DepthPerception(LeafSystem):
             check_values(values)
         if not 0.0 <= together < np.inf:
             raise ValueError(f"together must be finite and not negative [s], not {together}")
-        self._robot, self._all_needed, self._together = robot, all_needed, together
+        if not 0.0 <= unsaid < np.inf:
+            raise ValueError(f"unsaid must be finite and not negative [s], not {unsaid}")
+        self._robot, self._all_needed = robot, all_needed
+        self._together, self._unsaid = together, unsaid
         period = valid_period(period)
         several = len(cameras) > 1
         self._ports = [self._declare_camera(f"_{name}" if several else "") for name in cameras]
@@ -280,7 +286,8 @@ class DepthPerception(LeafSystem):
             and (stamp > told[row] or not port.stamp.HasValue(context))
         ]
         if not any(stamps[row] >= newest - _SAME_TIME for row in shown):
-            self._write(context, state, replace(previous, told=told), _NO_NEW_IMAGE, None)
+            note = _NO_NEW_IMAGE if self._overdue(newest, time) else previous.obstacles.note
+            self._write(context, state, replace(previous, told=told), note, None)
             return
         robot = self._posed_robot([self._ports[row] for row in shown], context)
         frame = segment_views([self._view(row, context) for row in shown], self._config, robot)
@@ -301,7 +308,11 @@ class DepthPerception(LeafSystem):
         memory = replace(memory, told=told)
         note = memory.obstacles.note
         if frame.usable and missing:
-            why = [f"{self._names[row]}: {missing[row]}" for row in sorted(missing)]
+            why = [
+                f"{self._names[row]}: {missing[row]}"
+                for row in sorted(missing)
+                if row in blind or self._overdue(stamps[row], time)
+            ]
             note = "; ".join([*why, *filter(None, [note])])
             if self._all_needed:
                 obstacles = as_of(memory.obstacles, float(told.min()))
@@ -325,6 +336,10 @@ class DepthPerception(LeafSystem):
         if note != memory.obstacles.note:
             memory = replace(memory, obstacles=replace(memory.obstacles, note=note))
         self._state.write(state, memory, points_W)
+
+    def _overdue(self, stamp: float, time: float) -> bool:
+        """Whether it is to be said that there is no image after the last one."""
+        return self._unsaid == 0.0 or time - stamp > self._unsaid
 
     def _stamp(self, port: _Ports, context: Context, time: float) -> float:
         return float(port.stamp.Eval(context)[0]) if port.stamp.HasValue(context) else time

@@ -429,6 +429,21 @@ def test_images_that_are_not_far_apart_are_taken_together():
         pair(together=-1.0)
 
 
+def test_that_an_image_is_missing_may_be_said_later():
+    system, context = pair(unsaid=0.15)
+    update(system, context)
+    for time, note in ((0.1, ""), (0.2, "no new image")):
+        context.SetTime(time)
+        assert update(system, context).note == note
+    for time, note in ((0.3, ""), (0.4, ""), (0.5, "right: no new image")):
+        context.SetTime(time)
+        give(system, context, "left", None, time)
+        if time < 0.35:
+            give(system, context, "right", None, time)
+        seen = update(system, context)
+        assert (seen.note, seen.stamp) == (note, min(time, 0.3))
+
+
 def test_the_robot_is_taken_out_where_it_was_at_each_of_the_images(cell):
     playback = Playback(cell)
     image = cell.perception.GetInputPort("depth_image")
