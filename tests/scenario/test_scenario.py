@@ -20,6 +20,8 @@ NAMES = [
     "demonstrated_arc",
     "demonstrated_pour",
     "free_space",
+    "gen3_box",
+    "gen3_clutter",
     "long_tool",
     "moving_goal",
     "moving_obstacle",
