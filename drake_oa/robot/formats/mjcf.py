@@ -102,8 +102,8 @@ def _motor(drive: ElementTree.Element, classes: Defaults) -> ElementTree.Element
     limit = drive.get("forcerange") or (drive.get("ctrlrange") if drive.tag == "motor" else None)
     if limit:
         motor.attrib |= {"ctrlrange": limit, "ctrllimited": "true"}
-    if gear := drive.get("gear"):
-        motor.set("gear", gear)
+    if "gear" in drive.attrib:
+        motor.set("gear", drive.get("gear", ""))
     return motor
 
 

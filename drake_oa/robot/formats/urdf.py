@@ -125,7 +125,7 @@ def _with_meshes(link: ElementTree.Element, resolve: Callable[[str], Path]) -> b
             if converted:
                 each = copy.deepcopy(shape)
                 # An SDF's have names of their own.
-                if row and each.get("name"):
+                if "name" in each.attrib and row:
                     each.set("name", f"{each.get('name')}-{row}")
                 link.append(each)
     if changed and not link.findall("visual"):
