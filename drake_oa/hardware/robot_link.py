@@ -6,7 +6,8 @@ import math
 import multiprocessing
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing.process import BaseProcess
 from types import TracebackType
@@ -101,6 +102,7 @@ class RobotLink:
         """
         self.motion, self.rules, self.rate = SharedMotion(), rules or PlayerRules(), rate
         self._url, self._wait, self.clock = lcm_url, wait, clock
+        self._rehearsed_since = math.nan
         self.player: CommandPlayer | None = None
         self._process: BaseProcess | None = None
         if lcm is not None:
@@ -151,8 +153,22 @@ class RobotLink:
             motion.figure("farthest"),
         )
 
+    @contextmanager
+    def rehearsal(self) -> Iterator[None]:
+        """Within it nothing that is written is commanded; simulated time goes by the clock.
+
+        What is slow the first time is done then: kernels are loaded, images awaited.
+        """
+        self._rehearsed_since = self.clock()
+        try:
+            yield
+        finally:
+            self._rehearsed_since = math.nan
+
     def to_simulated(self, stamp: float) -> float:
         """The simulated time that the arm is at, at a time of the wall clock just now [s]."""
+        if not math.isnan(self._rehearsed_since):
+            return self.rate * (stamp - self._rehearsed_since)
         return self.motion.figure("played") - self.rate * (self.clock() - stamp)
 
     def ready_arm(self, q_start: FloatArray, limits: RobotLimits) -> FloatArray:
@@ -210,6 +226,10 @@ class RobotLink:
         Raises:
             HardwareError: if the arm was stopped.
         """
+        if not math.isnan(self._rehearsed_since):
+            while self.rate * (self.clock() - self._rehearsed_since) < t:
+                self._wait()
+            return
         motion = self.motion
         motion.write_wanted(t, q)
         while t > motion.figure("played") + self.rules.lead:

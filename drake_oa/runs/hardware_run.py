@@ -29,6 +29,9 @@ from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task import last_move
 from drake_oa.scenario.task_joints import start_positions
 
+_REHEARSED = 0.3
+"""Simulated time in which every layer has had its turn [s]."""
+
 
 @dataclass(frozen=True)
 class Driven:
@@ -48,7 +51,7 @@ class Driven:
 def ready(
     scenario: Scenario, link: RobotLink, *, lcm_url: str, meshcat: Meshcat | None = None
 ) -> Driven:
-    """Looks whether the arm may be moved, and builds what is to move it.
+    """Looks whether the arm may be moved, builds what is to move it, and rehearses its beginning.
 
     Args:
         scenario: what to run.
@@ -59,7 +62,7 @@ def ready(
     Raises:
         ScenarioError: naming the field that does not fit.
         HardwareError: if the arm is silent, not where the scenario begins, out of limits, moves
-            or is commanded by somebody else.
+            or is commanded by somebody else, or the camera does not see the table where it is.
     """
     known = hardware_scenario(scenario, lcm_url)
     if known.robot is None:
@@ -69,7 +72,12 @@ def ready(
     q = start_positions(robot_plant, known)
     q[arm] = link.ready_arm(q[arm], limits)
     cell = partial(add_hardware, link=link, q_measured=q)
-    return Driven(scenario, known, build_avoidance(known, add_cell=cell, meshcat=meshcat))
+    diagram = build_avoidance(known, add_cell=cell, meshcat=meshcat)
+    with link.rehearsal():
+        simulator = Simulator(diagram)
+        simulator.Initialize()
+        simulator.AdvanceTo(_REHEARSED)
+    return Driven(scenario, known, diagram)
 
 
 def drive(
@@ -80,8 +88,6 @@ def drive(
     on_progress: Callable[[float, float], None] | None = None,
 ) -> MotionLog:
     """Runs the modulated motion on the arm; its end is `simulate`'s.
-
-    Before anything moves, the camera has to see the table where it is.
 
     Args:
         driven: of `ready`.
