@@ -84,7 +84,7 @@ def add_hardware(
         raise ScenarioError("robot: hardware is a robot; this scenario has null")
     arm, _ = arm_of(make_robot_plant(scenario.robot))
     measured = wires.builder.AddNamedSystem("arm", MeasuredState(link, arm, q_measured))
-    outside = Outside(measured.get_output_port(), link.to_simulated, link.clock)
+    outside = Outside(measured.get_output_port(), link.to_simulated, link.clock, link.wait)
     cell = add_station(wires, scenario, modulated=modulated, outside=outside)
     if cell is None:
         raise ScenarioError("robot: hardware is a robot; this scenario has null")

@@ -72,6 +72,7 @@ class RobotLink:
         rules: when to stop.
         rate: simulated seconds in one of the wall clock, at most.
         clock: the wall clock [s].
+        wait: what is done while something is waited for.
         player: in this process, or None.
     """
 
@@ -101,7 +102,7 @@ class RobotLink:
             ValueError: for rules or a rate out of range, or a bus that cannot be.
         """
         self.motion, self.rules, self.rate = SharedMotion(), rules or PlayerRules(), rate
-        self._url, self._wait, self.clock = lcm_url, wait, clock
+        self._url, self.wait, self.clock = lcm_url, wait, clock
         self._rehearsed_since = math.nan
         self.player: CommandPlayer | None = None
         self._process: BaseProcess | None = None
@@ -188,11 +189,11 @@ class RobotLink:
         while self.motion.state is PlayerState.LISTENING and self.clock() - since < _START_UP:
             if self._process is not None and not self._process.is_alive():
                 raise HardwareError("the command player did not start")
-            self._wait()
+            self.wait()
         # Whoever else commands is heard by now.
         listened = self.clock()
         while self.clock() - listened < 2.0 * self.rules.silence:
-            self._wait()
+            self.wait()
         if self.motion.state is not PlayerState.READY:
             raise HardwareError(self._why())
         _, q, v = self.motion.measured
@@ -228,7 +229,7 @@ class RobotLink:
         """
         if not math.isnan(self._rehearsed_since):
             while self.rate * (self.clock() - self._rehearsed_since) < t:
-                self._wait()
+                self.wait()
             return
         motion = self.motion
         motion.write_wanted(t, q)
@@ -237,7 +238,7 @@ class RobotLink:
                 raise HardwareError(f"arm stopped: {motion.note}")
             if self._process is not None and not self._process.is_alive():
                 raise HardwareError("arm stopped: the command player is no more")
-            self._wait()
+            self.wait()
 
     def _why(self) -> str:
         return self.motion.note or f"no status of the arm on {self._url}"

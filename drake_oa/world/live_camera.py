@@ -80,11 +80,13 @@ class Outside:
         to_simulated: the simulated time at a time of the wall clock just now [s]; None: by where
             the simulation was ahead of it most of late.
         clock: the wall clock [s].
+        wait: called again and again while the first image is waited for.
     """
 
     plant_state: OutputPort | None = None
     to_simulated: Callable[[float], float] | None = None
     clock: Callable[[], float] = time.time
+    wait: Callable[[], None] = lambda: time.sleep(_PAUSE)
 
 
 class _Instant(NamedTuple):
@@ -179,7 +181,7 @@ class LiveCamera(LeafSystem):
         outside = outside or Outside()
         self._source, self._X_WC, self._clock = source, RigidTransform(X_WC), outside.clock
         self._wait, self._max_age, self._max_ahead = wait, max_age, max_ahead
-        self._to_simulated = outside.to_simulated
+        self._to_simulated, self._pause = outside.to_simulated, outside.wait
         self._first: _Seen | None = None
         self._size = size = (intrinsics.width(), intrinsics.height())
         self._state_port = self.DeclareVectorInputPort("plant_state", num_states)
@@ -226,7 +228,7 @@ class LiveCamera(LeafSystem):
         # The Context's clock stands still meanwhile: nothing of before counts.
         seen = self._looked(context, replace(seen, past=()))
         while seen.depth is None and time.monotonic() - begun < self._wait:
-            time.sleep(_PAUSE)
+            self._pause()
             seen = self._looked(context, replace(seen, past=()))
         if seen.depth is None and self._wait > 0.0:
             why = f": {seen.note}" if seen.note else ""
@@ -252,6 +254,10 @@ class LiveCamera(LeafSystem):
         begin = now - max(self._max_age, _REMEMBERED)
         kept = [instant for instant in seen.past if begin <= instant.wall <= now]
         past = (*kept, _Instant(now, at, np.array(self._state_port.Eval(context))))
+        # Of what came while nobody looked the bus may keep the oldest.
+        looked = seen.past[-1].wall if seen.past else -math.inf
+        if frame is not None and looked - self._max_age <= frame.stamp < now - self._max_age:
+            frame = None
         if frame is not None:
             note = self._misfit(frame, now)
         log_change(self, seen.note, note, at)
