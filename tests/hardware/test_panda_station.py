@@ -12,7 +12,7 @@ from pydrake.lcm import DrakeLcm
 from pydrake.manipulation import PandaCommandSender, PandaControlMode, PandaStatusReceiver
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.lcm import LcmInterfaceSystem, LcmPublisherSystem, LcmSubscriberSystem
+from pydrake.systems.lcm import LcmPublisherSystem, LcmSubscriberSystem
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.hardware.panda_arm import COMMAND_CHANNEL, STATUS_CHANNEL
@@ -37,17 +37,17 @@ class Commander:
     """Another process's diagram: its context begins at the wall clock, as Drake's driver asks."""
 
     def __init__(self, lcm: DrakeLcm, begin: float = EPOCH) -> None:
+        self._lcm = lcm
         builder = DiagramBuilder()
-        bus = builder.AddSystem(LcmInterfaceSystem(lcm))
         sender = builder.AddSystem(PandaCommandSender(7, PandaControlMode.kPosition))
         publisher = builder.AddSystem(
             LcmPublisherSystem.Make(
-                COMMAND_CHANNEL, lcmt_panda_command, bus, 0.005, use_cpp_serializer=True
+                COMMAND_CHANNEL, lcmt_panda_command, lcm, 0.005, use_cpp_serializer=True
             )
         )
         subscriber = builder.AddSystem(
             LcmSubscriberSystem.Make(
-                STATUS_CHANNEL, lcmt_panda_status, bus, use_cpp_serializer=True
+                STATUS_CHANNEL, lcmt_panda_status, lcm, use_cpp_serializer=True
             )
         )
         receiver = builder.AddSystem(PandaStatusReceiver())
@@ -63,6 +63,9 @@ class Commander:
         context = self.simulator.get_mutable_context()
         self.diagram.GetInputPort("position").FixValue(context, q)
         self.simulator.AdvanceTo(time)
+        # Not by an LcmInterfaceSystem: in newer releases of Drake it crashes where Python listens.
+        while self._lcm.HandleSubscriptions(0):
+            pass
 
     @property
     def measured(self) -> np.ndarray:
