@@ -147,6 +147,8 @@ def run(
         raise ValueError(f"--duration: {duration} must be positive [s]")
     if log is not None and no_log:
         raise ValueError("--log and --no-log exclude each other")
+    if not hardware and (torques or rate != 1.0 or lcm_url != LCM_URL):
+        raise ValueError("--lcm-url, --rate and --torques need --hardware")
     outputs = _Outputs(meshcat, html, json, duration)
     if same_file(html, json, log):
         raise ValueError("--html, --json and --log must name different files")
@@ -257,13 +259,13 @@ def station(
             waits=wait,
             log=log is not None,
         )
-    interrupted: KeyboardInterrupt | None = None
+    failure: BaseException | None = None
     print(f"station: {scenario_name(scenario)} on {lcm_url}", file=sys.stderr)
     with stop_between_steps() as raise_if_asked:
         try:
             arm.run(math.inf if duration is None else duration, raise_if_asked)
-        except KeyboardInterrupt as error:
-            interrupted = error
+        except (Exception, KeyboardInterrupt) as error:
+            failure = error
     if log is not None:
         logs = {"modulated": station_log(chosen, arm)}
         save_logs(log, logs)
@@ -276,7 +278,10 @@ def station(
         f"statuses {pace.statuses}, longest pause {1e3 * pace.longest_pause:.0f} ms; "
         f"images {pace.images}; commands followed {pace.followed}, not followed {pace.rejected}"
     )
-    return TERMINATED if isinstance(interrupted, Terminated) else 0
+    if isinstance(failure, Exception):
+        complain(f"cut short: {type(failure).__name__}: {failure}")
+        return FAILED
+    return TERMINATED if isinstance(failure, Terminated) else 0
 
 
 @contextlib.contextmanager
@@ -352,10 +357,12 @@ def _drive(
 
     meshcat = _viewer(outputs)
     robot = scenario.robot if bus.torques else None
-    with RobotLink(bus.lcm_url, rate=bus.rate, robot=robot) as link:
+    asked = raise_if_asked
+    with RobotLink(bus.lcm_url, rate=bus.rate, robot=robot, raise_if_asked=asked) as link:
+        print(f"waiting for the arm on {bus.lcm_url} ...", file=sys.stderr)
         with build_errors():
             driven = ready(scenario, link, lcm_url=bus.lcm_url, meshcat=meshcat)
-        print(f"the arm is ready on {bus.lcm_url}", file=sys.stderr)
+        print("the arm is ready", file=sys.stderr)
 
         def motion(_: str, on_progress: Callable[[float, float], None]) -> MotionLog:
             return drive(driven, link, duration=outputs.duration, on_progress=on_progress)

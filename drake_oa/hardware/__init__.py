@@ -1,15 +1,23 @@
-"""The way out of the simulator: what speaks the messages of a Panda and of depth cameras.
+"""The way out of the simulator: a Panda and depth cameras behind messages.
 
 Messages are Drake's, over LCM: `lcmt_panda_command` on PANDA_COMMAND, `lcmt_panda_status` on
 PANDA_STATUS, `lcmt_image_array` on DRAKE_RGBD_CAMERA_IMAGES_<camera>. Stamps are of the wall
-clock, in microseconds; positions are the arm's seven [rad].
+clock, in microseconds; positions are the arm's seven [rad], torques are without gravity's [N m].
 
-- `panda_station.PandaStation` is a scenario's simulated robot and cameras behind these messages,
-  as `drake-oa station` runs it. It takes positions only.
+Whoever drives an arm (`drake-oa run --hardware`):
+
+- `hardware_cell.add_hardware` puts the robot's messages and live cameras in the place of the
+  simulated world; `robot_link` has the systems, and looks at the arm before it moves;
+- `command_player.CommandPlayer` commands, in a process of its own, what the diagram wrote a little
+  ahead into a `SharedMotion`, and stops the arm where it must.
+
+The arm's side (`drake-oa station`):
+
+- `panda_station.PandaStation` is a scenario's simulated robot and cameras behind the messages;
 - `CommandGuard` judges each command before the arm follows it: one that is old, out of limits,
-  that jumps, or of a second commander is refused, and the arm holds. It knows nothing of LCM.
+  that jumps, or of a second commander is refused. It knows nothing of LCM.
 
 Nothing here was ever run on a real arm.
 
-Begin with `panda_station.PandaStation`.
+Begin with `robot_link.RobotLink`.
 """

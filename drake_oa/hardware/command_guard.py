@@ -46,8 +46,8 @@ class CommandGuard:
 
     Old commands are passed over. After one that is out of limits, jumps, is of another mode or of
     a second commander, the arm holds the last position that was in order, until nobody has
-    commanded for `CommandRules.expiry`, and goes on from there. Of torques it holds where it was
-    when the last one was followed; see `holds_at`.
+    commanded for `CommandRules.expiry`, and goes on from there. Of torques there is nothing to
+    hold: where they end the arm is to be damped.
 
     Attributes:
         events: whenever what is done changed.
@@ -124,10 +124,6 @@ class CommandGuard:
         """(n,) torques beside gravity's [N m] that are to act now; None while it holds."""
         self._look(now)
         return None if self.holding or self._mode is not Mode.TORQUE else self._torque
-
-    def holds_at(self, q: FloatArray) -> None:
-        """Takes where the arm is, (n,) [rad], for where to hold it when torques end."""
-        self._q = np.array(q)
 
     def desired(self, now: float) -> tuple[FloatArray, FloatArray]:
         """(n,) positions [rad] and (n,) speeds [rad/s] that the arm is to have now."""

@@ -12,10 +12,9 @@ import logging
 import math
 import multiprocessing
 import os
+import signal
 import time
 from collections import deque
-from collections.abc import Callable
-from contextlib import suppress
 from enum import IntEnum
 
 import numpy as np
@@ -37,6 +36,14 @@ from drake_oa.robot.plant import make_robot_plant
 
 _logger = logging.getLogger("drake_oa")
 
+_NOT_FREE = {
+    lcmt_panda_status.kGuiding: "being guided by hand",
+    lcmt_panda_status.kReflex: "stopped by a reflex",
+    lcmt_panda_status.kUserStopped: "stopped by its user",
+    lcmt_panda_status.kAutomaticErrorRecovery: "recovering from an error",
+}
+"""Modes of the arm in which it cannot be driven."""
+
 _ROWS = 4096
 """Instants that are kept of what is to be, and of what was measured."""
 _NOTE = 400
@@ -56,9 +63,14 @@ class PlayerRules:
     lead: float = number(0.08, "s", 0.01, 1.0)
     # Full speed is reached, and left where something is wrong, in this time.
     ramp: float = number(0.15, "s", 0.01, 5.0)
-    # Without a status for so long the arm is held; after so long it is not driven any more.
+    # Without a status for so long the arm is held, and after so much longer not driven any more:
+    # meanwhile simulated time stands, and with it the age of what was seen.
     silence: float = number(0.1, "s", 0.01, 10.0)
-    patience: float = number(10.0, "s", 0.0, 1000.0)
+    patience: float = number(0.2, "s", 0.0, 10.0)
+    # Torques are of a state that is no older; of an older one they are zero.
+    torque_silence: float = number(0.02, "s", 1e-3, 0.1)
+    # Where a joint is, before it is moved from rest, by no more from where it is to be.
+    restart_tolerance: float = number(0.03, "rad", 1e-3, 3.0)
     # A joint farther than this from where it was sent, for so long, stops the run.
     astray: float = number(0.1, "rad", 1e-3, 3.0)
     astray_time: float = number(0.2, "s", 0.0, 10.0)
@@ -221,13 +233,15 @@ class CommandPlayer:
             raise ValueError(f"rate: {rate} must be above 0 and at most 1")
         self._law = None if robot is None else TorqueLaw(robot, rules.stiffness)
         self._motion, self._lcm, self._rules, self._rate = motion, lcm, rules, rate
-        self._pace = 0.0
-        self._played = 0.0
+        self._pace = self._played = 0.0
         self._heard = self._last = self._commanded = -math.inf
         self._trouble_since = self._astray_since = math.inf
         self._sent: deque[int] = deque(maxlen=_REMEMBERED)
         self._past: deque[tuple[float, FloatArray]] = deque(maxlen=_REMEMBERED)
-        self._stranger = ""
+        # Whether the arm is where it is to be has to be looked at before it moves.
+        self._from_rest = True
+        self._apart = 0.0
+        self._stop = self._passed = ""
         self._statuses: list[bytes] = []
         self._commands: list[bytes] = []
         lcm.Subscribe(STATUS_CHANNEL, self._statuses.append)
@@ -241,30 +255,53 @@ class CommandPlayer:
         stopped = self._motion.state is PlayerState.STOPPED
         return stopped or self._pace < 1e-3 or self._motion.wanted_until <= self._played
 
-    def step(self, now: float) -> None:
+    def step(self, now: float, tick: float | None = None) -> None:
         """Hears what has come, and sends the next command.
 
         Args:
-            now: the wall clock [s].
+            now: the wall clock, which may be set [s].
+            tick: one that is never set [s]; None: the wall clock is not.
         """
-        motion = self._motion
+        tick = now if tick is None else tick
+        motion, rules = self._motion, self._rules
         while self._lcm.HandleSubscriptions(0):
             pass
-        self._take_statuses(now)
+        self._take_statuses(now, tick)
         self._take_commands()
-        elapsed = max(0.0, now - self._last)
-        if elapsed > self._rules.silence:
-            # The arm holds by now: it starts again from rest.
-            self._pace, elapsed = 0.0, 0.0
-        self._last = now
+        elapsed, self._last = tick - self._last, tick
         if motion.state is PlayerState.STOPPED:
             return
-        trouble = self._trouble(now)
-        self._say(now, trouble)
-        if motion.state is PlayerState.STOPPED or motion.wanted_until == -math.inf:
+        trouble = self._trouble(tick)
+        self._say(tick, trouble)
+        begun = self._commanded > -math.inf
+        if self._stopped() or motion.wanted_until == -math.inf or (trouble and not begun):
             return
-        self._play(elapsed, bool(trouble) or motion.figure("end") > 0.0)
-        self._send(now)
+        if trouble or elapsed > rules.silence:
+            self._from_rest = True
+        if elapsed > rules.silence:
+            # The arm holds by now.
+            self._pace = 0.0
+        slow = bool(trouble) or motion.figure("end") > 0.0
+        if self._from_rest and not trouble:
+            if self._moved_away():
+                return
+            self._from_rest = False
+        if self._law is not None and now - motion.measured[0] > rules.torque_silence:
+            self._pace, self._from_rest = 0.0, True
+        else:
+            self._play(min(elapsed, 3.0 * rules.period), slow)
+        self._send(now, tick)
+
+    def _stopped(self) -> bool:
+        return self._motion.state is PlayerState.STOPPED
+
+    def _moved_away(self) -> bool:
+        """Stops for good if the arm, at rest, is not where it is to be."""
+        _, q, _ = self._motion.measured
+        off = float(np.abs(q - self._motion.wanted(self._played)).max())
+        if off > self._rules.restart_tolerance:
+            self._tell(PlayerState.STOPPED, f"the arm is {off:.3g} rad from where it was left")
+        return self._stopped()
 
     def _play(self, elapsed: float, slow: bool) -> None:
         rules, motion = self._rules, self._motion
@@ -276,66 +313,77 @@ class CommandPlayer:
         self._played = min(self._played + self._pace * elapsed, motion.wanted_until)
         motion.set_figure("played", self._played)
 
-    def _send(self, now: float) -> None:
+    def _send(self, now: float, tick: float) -> None:
         motion, law = self._motion, self._law
         q = motion.wanted(self._played)
         message = lcmt_panda_command()
         message.utime = round(now / MICROSECOND)
         message.num_joint_velocity = 0
+        message.control_mode_expected = self._mode.in_messages
         if law is None:
             message.num_joint_position, message.joint_position = ARM_JOINTS, list(q)
-            message.control_mode_expected = Mode.POSITION.in_messages
         else:
-            if motion.state is not PlayerState.PLAYING and now - self._heard > self._rules.silence:
-                # Not by a state that is old: the arm holds by itself.
-                return
+            stamp, q_now, v_now = motion.measured
             before = motion.wanted(max(0.0, self._played - self._rules.period))
             v = self._pace * (q - before) / self._rules.period
-            _, q_now, v_now = motion.measured
-            tau = law(q_now, v_now, q, v)
+            old = now - stamp > self._rules.torque_silence
+            tau = np.zeros(ARM_JOINTS) if old else law(q_now, v_now, q, v)
             message.num_joint_torque, message.joint_torque = ARM_JOINTS, list(tau)
-            message.control_mode_expected = Mode.TORQUE.in_messages
         self._sent.append(message.utime)
         self._past.append((now, q))
         self._lcm.Publish(COMMAND_CHANNEL, message.encode())
         if self._commanded > -math.inf:
-            pause = now - self._commanded
+            pause = tick - self._commanded
             motion.set_figure("longest_pause", max(motion.figure("longest_pause"), pause))
-        self._commanded = now
+        self._commanded = tick
         motion.set_figure("commands", motion.figure("commands") + 1.0)
 
-    def _take_statuses(self, now: float) -> None:
+    @property
+    def _mode(self) -> Mode:
+        return Mode.POSITION if self._law is None else Mode.TORQUE
+
+    def _take_statuses(self, now: float, tick: float) -> None:
         # Handlers may not raise: what has come is looked at here. The last one counts.
         for data in self._statuses[-1:]:
             try:
                 status = lcmt_panda_status.decode(data)
                 q, v = np.array(status.joint_position), np.array(status.joint_velocity)
             except Exception as error:
-                _logger.warning("%s holds no lcmt_panda_status: %s", STATUS_CHANNEL, error)
+                self._passed = f"what comes is no lcmt_panda_status: {error}"
                 continue
-            stamp = MICROSECOND * status.utime
+            age = now - MICROSECOND * status.utime
             if q.shape != (ARM_JOINTS,) or v.shape != q.shape or not np.isfinite([q, v]).all():
-                continue
-            if abs(now - stamp) > self._rules.silence:
-                continue
-            self._heard = now
-            self._motion.write_measured(stamp, q, v)
-            self._watch(now, stamp, q)
+                self._passed = f"statuses hold no {ARM_JOINTS} finite positions and speeds"
+            elif abs(age) > self._rules.silence:
+                self._passed = (
+                    f"statuses are {age:.3f} s old by this clock, at most {self._rules.silence:g} "
+                    "may be: are both clocks set alike?"
+                )
+            else:
+                self._heard, self._passed = tick, ""
+                self._check_modes(status)
+                self._motion.write_measured(now - age, q, v)
+                self._watch(tick, now - age, q)
         self._statuses.clear()
 
-    def _watch(self, now: float, stamp: float, q: FloatArray) -> None:
+    def _check_modes(self, status: lcmt_panda_status) -> None:
+        if status.robot_mode in _NOT_FREE:
+            name = _NOT_FREE[status.robot_mode]
+            self._stop = f"the arm is {name}; it has to be free to move"
+        # Zero, of who does not tell.
+        if status.control_mode not in (0, self._mode.in_messages):
+            self._stop = f"the arm does not take {self._mode}s; start it in {self._mode} mode"
+
+    def _watch(self, tick: float, stamp: float, q: FloatArray) -> None:
         """How far the arm is from the nearest of what it was sent lately."""
-        sent = [at for when, at in self._past if stamp - self._rules.astray_time <= when <= stamp]
+        rules, motion = self._rules, self._motion
+        sent = [at for when, at in self._past if stamp - rules.astray_time <= when <= stamp]
         if not sent:
             return
-        apart = float(np.abs(np.array(sent) - q).max(axis=1).min())
-        motion = self._motion
-        motion.set_figure("farthest", max(motion.figure("farthest"), apart))
-        self._astray_since = min(self._astray_since, now) if self._is_astray(apart) else math.inf
-        self._apart = apart
-
-    def _is_astray(self, apart: float) -> bool:
-        return apart > self._rules.astray
+        self._apart = float(np.abs(np.array(sent) - q).max(axis=1).min())
+        motion.set_figure("farthest", max(motion.figure("farthest"), self._apart))
+        astray = self._apart > rules.astray
+        self._astray_since = min(self._astray_since, tick) if astray else math.inf
 
     def _take_commands(self) -> None:
         for data in self._commands:
@@ -344,48 +392,47 @@ class CommandPlayer:
             except Exception:
                 utime = 0
             if utime not in self._sent:
-                self._stranger = f"somebody else commands on {COMMAND_CHANNEL}"
+                self._stop = f"somebody else commands on {COMMAND_CHANNEL}"
         self._commands.clear()
 
-    def _trouble(self, now: float) -> str:
-        """What may pass; raises nothing, and stops for good what may not."""
-        rules, motion = self._rules, self._motion
-        if self._stranger:
-            motion.tell(PlayerState.STOPPED, self._stranger)
-        elif now - self._astray_since > rules.astray_time:
-            motion.tell(
-                PlayerState.STOPPED, f"the arm is {self._apart:.3g} rad from where it was sent"
-            )
-        elif self._heard == -math.inf:
-            return f"no status on {STATUS_CHANNEL}"
-        elif now - self._heard > rules.silence:
-            return f"no status on {STATUS_CHANNEL} for {rules.silence:g} s"
-        return ""
+    def _trouble(self, tick: float) -> str:
+        """What is wrong and may pass; what may not stops for good."""
+        if tick - self._astray_since > self._rules.astray_time:
+            self._stop = f"the arm is {self._apart:.3g} rad from where it was sent"
+        if self._stop:
+            self._tell(PlayerState.STOPPED, self._stop)
+        if tick - self._heard <= self._rules.silence:
+            return ""
+        since = f" for {self._rules.silence:g} s" if self._heard > -math.inf else ""
+        return self._passed or f"no status on {STATUS_CHANNEL}{since}"
 
-    def _say(self, now: float, trouble: str) -> None:
-        motion, before = self._motion, self._motion.state
-        if before is PlayerState.STOPPED:
-            _logger.warning("stopped: %s", motion.note)
+    def _say(self, tick: float, trouble: str) -> None:
+        """Tells what is done about it."""
+        if self._stopped():
             return
-        if trouble and self._heard > -math.inf:
-            self._trouble_since = min(self._trouble_since, now)
-            if now - self._trouble_since > self._rules.patience:
-                motion.tell(PlayerState.STOPPED, trouble)
-            elif before is not PlayerState.HOLDING:
-                motion.tell(PlayerState.HOLDING, trouble)
-                _logger.warning("holds: %s", trouble)
-            return
-        self._trouble_since = math.inf
-        if trouble:
-            state = PlayerState.LISTENING
-        elif motion.wanted_until == -math.inf:
-            state = PlayerState.READY
+        self._trouble_since = min(self._trouble_since, tick) if trouble else math.inf
+        if trouble and self._heard == -math.inf:
+            self._tell(PlayerState.LISTENING, trouble)
+        elif tick - self._trouble_since > self._rules.patience:
+            self._tell(PlayerState.STOPPED, trouble)
+        elif trouble:
+            self._tell(PlayerState.HOLDING, trouble)
+        elif self._motion.wanted_until == -math.inf:
+            self._tell(PlayerState.READY, "")
         else:
-            state = PlayerState.PLAYING
-        if before is not state:
-            motion.tell(state, trouble)
-            if before is PlayerState.HOLDING:
-                _logger.warning("goes on")
+            self._tell(PlayerState.PLAYING, "")
+
+    def _tell(self, state: PlayerState, note: str) -> None:
+        motion, before = self._motion, self._motion.state
+        if (state, note) == (before, motion.note):
+            return
+        motion.tell(state, note)
+        if state is PlayerState.STOPPED:
+            _logger.warning("stopped: %s", note)
+        elif state is PlayerState.HOLDING:
+            _logger.warning("holds: %s", note)
+        elif before is PlayerState.HOLDING:
+            _logger.warning("goes on")
 
 
 def _hurry() -> None:
@@ -393,8 +440,10 @@ def _hurry() -> None:
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
     except OSError:
-        with suppress(OSError):
+        try:
             os.setpriority(os.PRIO_PROCESS, 0, -10)
+        except OSError:
+            _logger.info("commands have no priority: others may make them pause")
 
 
 class TorqueLaw:
@@ -442,7 +491,6 @@ def play(
     rate: float,
     parent: int,
     robot: Robot | None = None,
-    clock: Callable[[], float] = time.time,
 ) -> None:
     """Plays until it was told to end, or who decides is no more: the body of a process.
 
@@ -453,16 +501,19 @@ def play(
         rate: simulated seconds in one of the wall clock, at most.
         parent: process that decides.
         robot: as for `CommandPlayer`.
-        clock: the wall clock [s].
     """
+    # Told by who decides, or by its end: a signal to the whole group would stop it at full speed.
+    for kind in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(kind, signal.SIG_IGN)
+    logging.basicConfig(format="%(levelname)s: arm: %(message)s")
     gc.disable()
     _hurry()
     player = CommandPlayer(motion, DrakeLcm(lcm_url), rules=rules, rate=rate, robot=robot)
-    due = clock()
+    due = time.monotonic()
     while not player.finished:
         if os.getppid() != parent and not motion.figure("end"):
             _logger.warning("who decides is no more: the arm is stopped")
             motion.set_figure("end", 1.0)
-        player.step(clock())
-        due = max(due + rules.period, clock())
-        time.sleep(max(0.0, due - clock()))
+        player.step(time.time(), time.monotonic())
+        due = max(due + rules.period, time.monotonic())
+        time.sleep(max(0.0, due - time.monotonic()))

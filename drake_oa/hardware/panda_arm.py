@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from enum import StrEnum
 
+import numpy as np
 from pydrake.manipulation import PandaControlMode
 
 from drake_oa.common.config import ScenarioError
@@ -14,6 +15,10 @@ from drake_oa.robot.plant import RobotPlant
 
 STATUS_CHANNEL, COMMAND_CHANNEL = "PANDA_STATUS", "PANDA_COMMAND"
 ARM_JOINTS = 7
+_LOWER = np.array([-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973])
+_UPPER = np.array([2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973])
+"""How far a Panda's joints go, by its maker [rad]."""
+_SLACK = 0.02
 
 
 class Mode(StrEnum):
@@ -48,12 +53,17 @@ def arm_of(robot_plant: RobotPlant) -> tuple[list[int], RobotLimits]:
             f"robot.model: an arm of {len(arm)} joints; a Panda's messages are of {ARM_JOINTS}"
         )
     limits = robot_limits(plant, robot_plant.instance)
+    lower, upper = limits.position_lower[arm], limits.position_upper[arm]
+    if (lower < _LOWER - _SLACK).any() or (upper > _UPPER + _SLACK).any():
+        raise ScenarioError(
+            "robot.model: its joints reach beyond a Panda's, which the messages are of"
+        )
     names = tuple(limits.position_name[i] for i in arm)
     return arm, replace(
         limits,
         position_name=names,
-        position_lower=limits.position_lower[arm],
-        position_upper=limits.position_upper[arm],
+        position_lower=lower,
+        position_upper=upper,
         velocity_limit=limits.velocity_limit[arm],
         actuator_name=names,
         effort_limit=limits.effort_limit[[limits.actuator_name.index(name) for name in names]],

@@ -42,6 +42,8 @@ from drake_oa.world.world_model import all_obstacles
 
 _STIFFNESS = 400.0
 """Of each joint, critically damped: what a position that is off accelerates [1/s^2]."""
+_DAMPING = np.array([37.5, 50.0, 37.5, 25.0, 5.0, 3.75, 2.5])
+"""Of each joint where torques have ended [N m s/rad]: those of drake-franka-driver."""
 _PATIENCE = 0.9
 """Share of a camera's period that an image may be late before it is waited for."""
 _AT_REST, _REST_TIME = 0.01, 1.0
@@ -224,7 +226,7 @@ class PandaStation:
         limits = replace(limits, velocity_limit=rate * limits.velocity_limit)
         self.guard = CommandGuard(self._q_start[self._arm], limits, rules or CommandRules(), mode)
         self.pace = Pace()
-        self._mode = mode
+        self._mode, self._torqued = mode, False
         self._step, self._rate, self._clock, self._lcm = scenario.plant_step, rate, clock, lcm
         self._model = robot_plant.plant.CreateDefaultContext()
         self._alone = robot_plant
@@ -257,7 +259,7 @@ class PandaStation:
             self._simulator.AdvanceTo(context.get_time() + self._step)
         now, simulated = self._clock(), context.get_time()
         self.event_times += [simulated] * (len(self.guard.events) - len(self.event_times))
-        self._lcm.Publish(STATUS_CHANNEL, self._status(now).encode())
+        self._lcm.Publish(STATUS_CHANNEL, self.status(now).encode())
         self.pace.statuses += 1
         for sender in self._senders:
             if sender.again(now) if still else sender.due(context):
@@ -340,7 +342,11 @@ class PandaStation:
         now, n = self._clock(), len(self._q_start)
         commanded = self.guard.torque(now)
         if commanded is not None:
-            self.guard.holds_at(self.q)
+            self._torqued = True
+        elif self._torqued:
+            # Where torques end the arm is damped, not held, as by the vendor's driver.
+            speeds = self._diagram.GetOutputPort("robot_state").Eval(root)[n:]
+            commanded = -_DAMPING * speeds[self._arm]
         desired = np.concatenate([self._q_start, np.zeros(n)])
         q, v = self.guard.desired(now)
         desired[self._arm] = q
@@ -353,14 +359,16 @@ class PandaStation:
             plant.SetPositions(
                 self._model, self._diagram.GetOutputPort("robot_state").Eval(root)[:n]
             )
-            gravity = -plant.CalcGravityGeneralizedForces(self._model)
-            tau[self._arm] = commanded + gravity[self._arm]
+            gravity = -plant.CalcGravityGeneralizedForces(self._model)[self._arm]
+            tau[self._arm] = commanded + gravity
+        self._applied = tau[self._arm]
         self._diagram.GetInputPort("applied").FixValue(root, tau)
 
-    def _status(self, now: float) -> lcmt_panda_status:
+    def status(self, now: float | None = None) -> lcmt_panda_status:
+        """What the arm says of itself, by the wall clock [s]; None: now."""
+        now = self._clock() if now is None else now
         context = self._simulator.get_context()
         state = self._diagram.GetOutputPort("robot_state").Eval(context)
-        torque = self._diagram.GetOutputPort("actuation").Eval(context)
         n = len(self._q_start)
         q, v = self.guard.desired(now)
         zero = [0.0] * ARM_JOINTS
@@ -372,8 +380,7 @@ class PandaStation:
         status.joint_velocity = list(self._rate * state[[n + i for i in self._arm]])
         status.joint_velocity_desired = list(v)
         status.joint_acceleration_desired = zero
-        status.joint_torque = list(torque[self._arm])
-        status.joint_torque_desired = list(torque[self._arm])
+        status.joint_torque = status.joint_torque_desired = list(self._applied)
         status.joint_torque_external = zero
         status.control_command_success_rate = 1.0
         status.robot_utime = round(context.get_time() / MICROSECOND)

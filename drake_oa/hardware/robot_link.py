@@ -32,11 +32,11 @@ from drake_oa.robot.limits import RobotLimits
 
 _NAP = 5e-4
 """Between two looks at the player [s]."""
-_START_UP = 30.0
+START_UP = 30.0
 """In which the player's process has to begin [s]."""
 
 
-class HardwareError(RuntimeError):
+class HardwareError(Exception):
     """The robot is not driven, or not any more, and why."""
 
 
@@ -74,6 +74,7 @@ class RobotLink:
         clock: the wall clock [s].
         wait: what is done while something is waited for.
         player: in this process, or None.
+        events: (simulated time [s], what the arm's player said) whenever that changed.
     """
 
     def __init__(
@@ -85,6 +86,7 @@ class RobotLink:
         robot: Robot | None = None,
         lcm: DrakeLcm | None = None,
         wait: Callable[[], None] = lambda: time.sleep(_NAP),
+        raise_if_asked: Callable[[], None] = lambda: None,
         clock: Callable[[], float] = time.time,
     ) -> None:
         """Starts to listen; nothing is commanded before something is written.
@@ -96,6 +98,7 @@ class RobotLink:
             robot: the arm, to command torques; None: positions.
             lcm: plays in this process, by this.
             wait: called again and again while the diagram is too far ahead.
+            raise_if_asked: raises KeyboardInterrupt when somebody has asked for the end.
             clock: the wall clock [s].
 
         Raises:
@@ -103,6 +106,8 @@ class RobotLink:
         """
         self.motion, self.rules, self.rate = SharedMotion(), rules or PlayerRules(), rate
         self._url, self.wait, self.clock = lcm_url, wait, clock
+        self._raise_if_asked = raise_if_asked
+        self.events: list[tuple[float, str]] = []
         self._rehearsed_since = math.nan
         self.player: CommandPlayer | None = None
         self._process: BaseProcess | None = None
@@ -142,7 +147,8 @@ class RobotLink:
         if self._process is not None:
             self._process.join(timeout=5.0)
             if self._process.is_alive():
-                self._process.terminate()
+                self._process.kill()
+                self._process.join()
 
     @property
     def figures(self) -> CommandFigures:
@@ -186,9 +192,10 @@ class RobotLink:
             HardwareError: if it is silent, somewhere else, out of limits, moves, or is commanded.
         """
         since = self.clock()
-        while self.motion.state is PlayerState.LISTENING and self.clock() - since < _START_UP:
+        while self.motion.state is PlayerState.LISTENING and self.clock() - since < START_UP:
             if self._process is not None and not self._process.is_alive():
                 raise HardwareError("the command player did not start")
+            self._raise_if_asked()
             self.wait()
         # Whoever else commands is heard by now.
         listened = self.clock()
@@ -230,18 +237,39 @@ class RobotLink:
         if not math.isnan(self._rehearsed_since):
             while self.rate * (self.clock() - self._rehearsed_since) < t:
                 self.wait()
+            self._raise_if_asked()
             return
         motion = self.motion
         motion.write_wanted(t, q)
+        self._hear(t)
         while t > motion.figure("played") + self.rules.lead:
-            if motion.state is PlayerState.STOPPED:
-                raise HardwareError(f"arm stopped: {motion.note}")
-            if self._process is not None and not self._process.is_alive():
-                raise HardwareError("arm stopped: the command player is no more")
+            try:
+                self._raise_if_asked()
+            except KeyboardInterrupt:
+                # Who looks after the simulation's steps raises it there.
+                return
             self.wait()
+            self._hear(t)
 
     def _why(self) -> str:
-        return self.motion.note or f"no status of the arm on {self._url}"
+        return f"{self.motion.note or 'no status of the arm'} ({self._url})"
+
+    def _hear(self, t: float) -> None:
+        """Takes down what the player says; raises if it has stopped the arm."""
+        motion = self.motion
+        state, note = motion.state, motion.note
+        if state is PlayerState.STOPPED:
+            note = f"arm stopped: {note}"
+        elif state is PlayerState.HOLDING:
+            note = f"arm holds: {note}"
+        else:
+            note = "arm goes on" if self.events else ""
+        if note != (self.events[-1][1] if self.events else ""):
+            self.events.append((t, note))
+        if state is PlayerState.STOPPED:
+            raise HardwareError(note)
+        if self._process is not None and not self._process.is_alive():
+            raise HardwareError("arm stopped: the command player is no more")
 
 
 class CommandStream(LeafSystem):

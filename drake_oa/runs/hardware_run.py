@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -14,6 +14,7 @@ from pydrake.systems.framework import Diagram
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.files import software_versions
+from drake_oa.common.messages import HoldCause
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.diagrams.policy import make_dmp
 from drake_oa.hardware.hardware_cell import add_hardware, hardware_scenario
@@ -23,11 +24,17 @@ from drake_oa.hardware.robot_link import RobotLink
 from drake_oa.robot.limits import frame_path, robot_limits
 from drake_oa.robot.plant import TOOL_FRAME, make_robot_plant
 from drake_oa.runs.motion_log import MotionEnd, MotionLog, pack_ellipsoids
-from drake_oa.runs.simulation import LONGEST_SCALING, MotionWatcher, run_motion
+from drake_oa.runs.simulation import (
+    LONGEST_SCALING,
+    MotionInterruptedError,
+    MotionWatcher,
+    run_motion,
+)
 from drake_oa.scenario.loading import scenario_text
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task import last_move
 from drake_oa.scenario.task_joints import start_positions
+from drake_oa.world.station import release_cameras
 
 _REHEARSED = 0.3
 """Simulated time in which every layer has had its turn [s]."""
@@ -75,8 +82,12 @@ def ready(
     diagram = build_avoidance(known, add_cell=cell, meshcat=meshcat)
     with link.rehearsal():
         simulator = Simulator(diagram)
-        simulator.Initialize()
-        simulator.AdvanceTo(_REHEARSED)
+        try:
+            simulator.Initialize()
+            simulator.AdvanceTo(_REHEARSED)
+        except BaseException:
+            release_cameras(diagram)
+            raise
     return Driven(scenario, known, diagram)
 
 
@@ -109,9 +120,28 @@ def drive(
         driven.diagram, driven.scenario, end_time, on_progress, latest_time=duration
     )
     try:
-        return run_motion(known, Simulator(driven.diagram), watcher, modulated=True)
+        return _with_events(
+            run_motion(known, Simulator(driven.diagram), watcher, modulated=True), link
+        )
+    except MotionInterruptedError as error:
+        raise MotionInterruptedError(_with_events(error.log, link)) from error.__cause__
     finally:
         link.close()
+
+
+def _with_events(log: MotionLog, link: RobotLink) -> MotionLog:
+    """The log with what the arm's player said among what held the motion."""
+    told = [
+        *zip(log.event_time.tolist(), log.event_hold, log.event, strict=True),
+        *((t, HoldCause.SPEED_SCALE.value, note) for t, note in link.events),
+    ]
+    told.sort(key=lambda one: one[0])
+    return replace(
+        log,
+        event_time=np.array([t for t, _, _ in told]),
+        event_hold=tuple(hold for _, hold, _ in told),
+        event=tuple(note for _, _, note in told),
+    )
 
 
 def station_log(scenario: Scenario, station: PandaStation) -> MotionLog:

@@ -226,7 +226,7 @@ class LiveCamera(LeafSystem):
         self._source.open()
         begun = time.monotonic()
         # The Context's clock stands still meanwhile: nothing of before counts.
-        seen = self._looked(context, replace(seen, past=()))
+        seen = self._looked(context, replace(seen, past=()), after=-math.inf)
         while seen.depth is None and time.monotonic() - begun < self._wait:
             self._pause()
             seen = self._looked(context, replace(seen, past=()))
@@ -242,8 +242,12 @@ class LiveCamera(LeafSystem):
         self._write(state, self._looked(context, self._read(context)))
         self._first = None
 
-    def _looked(self, context: Context, seen: _Seen) -> _Seen:
-        """What is seen after a look at what has come."""
+    def _looked(self, context: Context, seen: _Seen, after: float | None = None) -> _Seen:
+        """What is seen after a look at what has come.
+
+        Nobody looked since `after` by the wall clock [s]; None: since the look before. Of what
+        came meanwhile the bus may keep the oldest: that it is old is no fault.
+        """
         frame, note = None, seen.note
         try:
             frame = self._source.latest()
@@ -254,9 +258,9 @@ class LiveCamera(LeafSystem):
         begin = now - max(self._max_age, _REMEMBERED)
         kept = [instant for instant in seen.past if begin <= instant.wall <= now]
         past = (*kept, _Instant(now, at, np.array(self._state_port.Eval(context))))
-        # Of what came while nobody looked the bus may keep the oldest.
-        looked = seen.past[-1].wall if seen.past else -math.inf
-        if frame is not None and looked - self._max_age <= frame.stamp < now - self._max_age:
+        if after is None:
+            after = seen.past[-1].wall if seen.past else now
+        if frame is not None and after - self._max_age <= frame.stamp < now - self._max_age:
             frame = None
         if frame is not None:
             note = self._misfit(frame, now)
@@ -283,7 +287,10 @@ class LiveCamera(LeafSystem):
         if (columns, rows) != (width, height):
             return f"image of {columns} x {rows} pixels, the scenario has {width} x {height}"
         if frame.stamp < now - self._max_age:
-            return f"image comes more than {self._max_age:g} s after it was taken"
+            return (
+                f"images are more than {self._max_age:g} s old by this clock when they come: are "
+                "both clocks set alike?"
+            )
         if not frame.stamp <= now + self._max_ahead:
             return f"image's stamp is more than {self._max_ahead:g} s ahead of the clock here"
         return ""

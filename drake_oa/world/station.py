@@ -7,6 +7,7 @@ controller and the self filter know it.
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 
 from pydrake.geometry import SceneGraph
@@ -33,6 +34,8 @@ from drake_oa.world.late_camera import BackgroundCamera, LateCamera
 from drake_oa.world.live_camera import FrameSource, LiveCamera, Outside, standing_pose
 from drake_oa.world.realsense import RealSenseFrames
 from drake_oa.world.world_model import add_world, all_obstacles
+
+_logger = logging.getLogger("drake_oa")
 
 
 def add_cameras(
@@ -156,7 +159,11 @@ def release_cameras(diagram: Diagram) -> None:
     """Ends what cameras of a diagram hold outside it: render engines, devices, channels."""
     for system in diagram.GetSystems():
         if isinstance(system, (LateCamera, LiveCamera)):
-            system.release()
+            try:
+                system.release()
+            except RuntimeError as error:
+                # As of a device that was unplugged: what ran is not lost for it.
+                _logger.warning("%s: %s", system.get_name(), error)
 
 
 def _noise(scenario: Scenario, config: CameraConfig, intrinsics: CameraInfo) -> FrameNoise | None:

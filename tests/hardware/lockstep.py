@@ -2,6 +2,9 @@
 
 from collections.abc import Callable
 from itertools import count
+from typing import Any
+
+from pydrake.lcm import DrakeLcm
 
 from drake_oa.hardware.command_player import PlayerRules
 from drake_oa.hardware.panda_arm import Mode
@@ -24,11 +27,26 @@ class Clock:
         return self.now
 
 
+class Deaf:
+    """An LCM bus on which what is published may be lost."""
+
+    def __init__(self, lcm: DrakeLcm) -> None:
+        self._lcm, self.lost = lcm, False
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._lcm, name)
+
+    def Publish(self, channel: str, data: bytes) -> None:
+        if not self.lost:
+            self._lcm.Publish(channel, data)
+
+
 class Lockstep:
     """The arm's side steps whenever the diagram's side waits.
 
     Attributes:
         alive: whether the station steps.
+        statuses: `lost`, and with them images, or not.
         each: called before each step of the arm's side.
     """
 
@@ -45,9 +63,16 @@ class Lockstep:
         self.url = f"memq://{next(_numbers)}"
         self._bus, self.clock = lcm_bus(self.url), Clock()
         self.lcm = self._bus.lcm
+        self.statuses: Any = Deaf(self.lcm)
         self.scenario = load_scenario(scenario)
         self.station = PandaStation(
-            self.scenario, self.lcm, images=images, clock=self.clock, waits=True, log=log, mode=mode
+            self.scenario,
+            self.statuses,
+            images=images,
+            clock=self.clock,
+            waits=True,
+            log=log,
+            mode=mode,
         )
         self.link = RobotLink(
             self.url,

@@ -1,21 +1,28 @@
 """A scenario driven through messages, in one process and in two."""
 
 import json
+import os
 import re
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from drake import lcmt_panda_status
+from pydrake.lcm import DrakeLcm
 
+from drake_oa.app.main import main
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import ObstacleClouds, TablePlane
 from drake_oa.hardware.command_player import PlayerRules
 from drake_oa.hardware.hardware_cell import hardware_scenario
+from drake_oa.hardware.panda_arm import STATUS_CHANNEL
 from drake_oa.hardware.robot_link import HardwareError, check_table
 from drake_oa.runs.hardware_run import drive, ready, station_log
-from drake_oa.runs.motion_log import MotionEnd, MotionLog
+from drake_oa.runs.motion_log import MotionEnd, MotionLog, load_logs
 from drake_oa.runs.report import motion_report
 from drake_oa.scenario.loading import load_scenario
 from tests.hardware.lockstep import Lockstep
@@ -85,32 +92,87 @@ def test_a_camera_that_is_not_where_it_should_be_is_told() -> None:
         check_table(ObstacleClouds(note="no valid pixel"), table, rules)
 
 
+COMMAND = [sys.executable, "-m", "drake_oa.app.main"]
+# Slowly, so that whatever else this machine does is no matter.
+RATE = ["--rate", "0.25"]
+
+
+def popen(*words: str) -> subprocess.Popen[str]:
+    pipe = subprocess.PIPE
+    return subprocess.Popen(
+        [*COMMAND, *words], stdout=pipe, stderr=pipe, text=True, start_new_session=True
+    )
+
+
 @pytest.mark.slow
 def test_two_processes_over_loopback(tmp_path: Path) -> None:
-    url = "udpm://239.255.76.99:7673?ttl=0&recv_buf_size=4000000"
-    # Slowly, so that whatever else this machine does is no matter.
-    common = ["tabletop_box", "--lcm-url", url, "--rate", "0.25"]
-    command = [sys.executable, "-m", "drake_oa.app.main"]
+    bus = ["--lcm-url", "udpm://239.255.76.99:7673?ttl=0&recv_buf_size=4000000", *RATE]
     truth, sent = tmp_path / "truth.npz", tmp_path / "sent.json"
-    arm = subprocess.Popen(
-        [*command, "station", *common, "--wait", "--log", str(truth)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    arm = popen("station", "tabletop_box", *bus, "--wait", "--log", str(truth))
+    driver = popen("run", "tabletop_box", *bus, "--hardware", "--no-log", "--json", str(sent))
     try:
-        driver = subprocess.run(
-            [*command, "run", *common, "--hardware", "--no-log", "--json", str(sent)],
-            capture_output=True,
-            text=True,
-            timeout=300.0,
-        )
+        _, told = driver.communicate(timeout=300.0)
         out, said = arm.communicate(timeout=120.0)
     finally:
         arm.kill()
-    assert driver.returncode == 0, driver.stderr
+        driver.kill()
+    assert driver.returncode == 0, told
     assert json.loads(sent.read_text())["modulated"]["ended"] == "goal"
     assert arm.returncode == 0, said
     assert re.search(r"collisions +0", out), out
     assert "refused" not in said
     assert truth.is_file()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGKILL])
+def test_the_arm_slows_down_when_who_decides_is_ended(kind: int, tmp_path: Path) -> None:
+    url = f"udpm://239.255.76.99:{7680 + kind}?ttl=0&recv_buf_size=4000000"
+    truth, sent = tmp_path / "truth.npz", tmp_path / "sent.npz"
+    arm = popen("station", "tabletop_box", "--lcm-url", url, *RATE, "--wait", "--log", str(truth))
+    words = ["run", "tabletop_box", "--lcm-url", url, *RATE, "--hardware", "--log", str(sent)]
+    driver = popen(*words)
+    lcm, got = DrakeLcm(url), list[bytes]()
+    lcm.Subscribe(STATUS_CHANNEL, got.append)
+    try:
+        deadline = time.monotonic() + 120.0
+        while time.monotonic() < deadline:
+            lcm.HandleSubscriptions(100)
+            if got and np.abs(lcmt_panda_status.decode(got[-1]).joint_velocity).max() > 0.1:
+                break
+        if kind == signal.SIGKILL:
+            # Its player is left alone.
+            driver.kill()
+        else:
+            os.killpg(driver.pid, kind)
+        _, told = driver.communicate(timeout=60.0)
+        _, said = arm.communicate(timeout=60.0)
+    finally:
+        arm.kill()
+        driver.kill()
+    assert "Traceback" not in told
+    assert "no command for 0.1 s" in said
+    (log,) = load_logs(truth).values()
+    fast = np.abs(log.v[:, :7]).max(axis=1)
+    assert fast.max() > 0.3
+    assert fast[-1] < 0.01
+    # Not at once: from full speed in the lead, at a quarter of the rate, or slower.
+    assert np.abs(np.diff(log.v[:, :7], axis=0)).max() / 0.004 < 40.0
+    if kind == signal.SIGINT:
+        assert driver.returncode == 130, told
+        (log,) = load_logs(sent).values()
+        assert log.ended == MotionEnd.CUT_SHORT
+    else:
+        assert "who decides is no more" in told
+
+
+def test_no_arm_is_told_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("drake_oa.hardware.robot_link.START_UP", 0.5)
+    url = "udpm://239.255.76.99:7674?ttl=0"
+    assert main(["run", "tabletop_box", "--hardware", "--lcm-url", url, "--no-log"]) == 1
+    said = capsys.readouterr().err
+    assert "no status" in said
+    assert f"({url})" in said
+    assert main(["run", "tabletop_box", "--torques"]) == 2

@@ -134,7 +134,7 @@ def test_simulated_time_is_what_the_arm_is_said_to_be_at() -> None:
 @pytest.mark.parametrize(
     ("spoil", "why"),
     [
-        (lambda cell: cell.send(0.0), "more than 0.2 s after"),
+        (lambda cell: cell.send(0.0), "are more than 0.2 s old"),
         (lambda cell: cell.send(0.5), "ahead of the clock"),
         (lambda cell: cell.send(0.3, shape=(6, 9)), "9 x 6 pixels, the scenario has 8 x 6"),
         (lambda cell: cell.bus.lcm.Publish(CHANNEL.format("eye"), b"noise"), "no lcmt_image_array"),
