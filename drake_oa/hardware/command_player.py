@@ -60,7 +60,10 @@ class PlayerRules:
     period: float = number(0.004, "s", 5e-4, 0.05)
     # What is to be is written so far ahead: pauses of who decides do not reach the arm if they
     # are half as long. The arm reacts so much later.
-    lead: float = number(0.08, "s", 0.01, 1.0)
+    lead: float = number(0.04, "s", 0.01, 1.0)
+    # Images come so late, by the wall clock, besides. What is late by that and the lead is not
+    # missed: the supervisor does not slow for it.
+    image_delay: float = number(0.05, "s", 0.0, 1.0)
     # Full speed is reached, and left where something is wrong, in this time.
     ramp: float = number(0.15, "s", 0.01, 5.0)
     # Without a status for so long the arm is held, and after so much longer not driven any more:

@@ -22,16 +22,17 @@ from drake_oa.robot.plant import make_parser, make_robot_plant
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.sources import table_plane
+from drake_oa.scenario.sources import perception_period, table_plane
 from drake_oa.world.live_camera import Outside
 
 
-def hardware_scenario(scenario: Scenario, lcm_url: str) -> Scenario:
+def hardware_scenario(scenario: Scenario, lcm_url: str, late: float = 0.0) -> Scenario:
     """The scenario as a run on hardware knows it: what is an obstacle there is to be seen.
 
     Args:
         scenario: whose `!DepthCamera` becomes an `!LcmCamera`.
         lcm_url: of the bus.
+        late: how late images are known to be; the supervisor misses none for it [s].
 
     Raises:
         ScenarioError: naming the field that is of the simulated world.
@@ -49,8 +50,13 @@ def hardware_scenario(scenario: Scenario, lcm_url: str) -> Scenario:
     if type(source) is DepthCamera:
         own = {item.name: getattr(source, item.name) for item in fields(DepthCamera)}
         source = LcmCamera(**own | {"noise": None, "lcm_url": lcm_url})
+    supervisor = scenario.supervisor
+    if supervisor is not None:
+        frames = supervisor.stale_frames + late / perception_period(scenario)
+        supervisor = replace(supervisor, stale_frames=frames)
     return replace(
         scenario,
+        supervisor=supervisor,
         directives=_without_obstacles(scenario.directives),
         obstacles=[],
         perception=source,

@@ -71,7 +71,8 @@ def ready(
         HardwareError: if the arm is silent, not where the scenario begins, out of limits, moves
             or is commanded by somebody else, or the camera does not see the table where it is.
     """
-    known = hardware_scenario(scenario, lcm_url)
+    late = link.rules.lead + link.rate * link.rules.image_delay
+    known = hardware_scenario(scenario, lcm_url, late)
     if known.robot is None:
         raise ScenarioError("robot: hardware is a robot; this scenario has null")
     robot_plant = make_robot_plant(known.robot)

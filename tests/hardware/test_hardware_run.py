@@ -61,8 +61,8 @@ def test_a_scenario_ends_as_in_one_process(name: str) -> None:
     report = motion_report(both.scenario, station_log(both.scenario, both.station))
     assert report["contacts"] == []
     assert report["goal_error"] < 5e-3
-    if name == "tabletop_box":
-        assert report["short_of_feasible"] < 5e-3
+    # In one process 0.162 and 0.166 m: images are 80 ms later here.
+    assert report["robot_clearance_min"] > 0.14
 
 
 def test_what_is_of_the_simulated_world_is_refused() -> None:
