@@ -69,7 +69,7 @@ class PlayerRules:
     # Without a status for so long the arm is held, and after so much longer not driven any more:
     # meanwhile simulated time stands, and with it the age of what was seen.
     silence: float = number(0.1, "s", 0.01, 10.0)
-    patience: float = number(0.2, "s", 0.0, 10.0)
+    patience: float = number(0.3, "s", 0.0, 10.0)
     # Torques are of a state that is no older; of an older one they are zero.
     torque_silence: float = number(0.02, "s", 1e-3, 0.1)
     # Where a joint is, before it is moved from rest, by no more from where it is to be.
