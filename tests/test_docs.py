@@ -1,0 +1,75 @@
+"""What README and the site's pages show is taken by the program that there is."""
+
+import ast
+import importlib
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from drake_oa.app.main import _app
+from drake_oa.scenario.loading import parse_scenario
+from drake_oa.scenario.shipped import shipped_scenarios
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES += sorted((ROOT / "docs").glob("*/*.md"))
+PAGES = [page for page in PAGES if page.parent.name not in ("api", "_build", "tutorials")]
+
+
+def blocks(kind: str) -> list[tuple[str, str]]:
+    """(page, block) of each fenced block of a kind."""
+    found = []
+    for page in PAGES:
+        for block in re.findall(rf"^```{kind}\n(.*?)^```", page.read_text(), re.S | re.M):
+            found.append((page.name, block))
+    return found
+
+
+def commands() -> list[tuple[str, str]]:
+    """(page, line) of each line that is a command of ours, in a block or by itself."""
+    found = []
+    for page in PAGES:
+        for line in page.read_text().replace("\\\n", " ").splitlines():
+            if re.match(r"\s*drake-oa \S", line) and "..." not in line:
+                found.append((page.name, line.strip()))
+    return found
+
+
+def test_every_command_that_is_shown_is_one() -> None:
+    app = _app()
+    assert len(commands()) > 30
+    for page, line in commands():
+        # A single capital letter stands for a number.
+        words = ["1" if re.fullmatch("[A-Z]", w) else w for w in shlex.split(line, comments=True)]
+        try:
+            app.parse_args(words[1:], exit_on_error=False, print_error=False)
+        except Exception as error:
+            pytest.fail(f"{page}: {line}: {error}")
+
+
+def test_every_import_that_is_shown_can_be_made() -> None:
+    assert blocks("python")
+    for page, block in blocks("python"):
+        for node in ast.walk(ast.parse(block, page)):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                module = importlib.import_module(node.module)
+                missing = [name.name for name in node.names if not hasattr(module, name.name)]
+                assert missing == [], page
+
+
+def test_every_block_of_a_scenario_that_is_shown_is_taken() -> None:
+    assert blocks("yaml")
+    whole = shipped_scenarios()["two_cameras"].read_text()
+    around = re.sub(r"^perception:.*\n(?:[ #].*\n)*", "", whole, flags=re.M)
+    for _, block in blocks("yaml"):
+        assert block.startswith("perception:")
+        parse_scenario(around + block)
+
+
+def test_every_file_that_is_linked_is_there() -> None:
+    for page in PAGES:
+        for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text()):
+            if "://" not in target and not target.startswith("mailto:"):
+                assert (page.parent / target).exists(), f"{page.name}: {target}"
