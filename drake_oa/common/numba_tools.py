@@ -12,6 +12,7 @@ import os
 import shutil
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from drake_oa.common.messages import FloatArray
 
 
+_WORTH_TELLING = 2.0
+"""A kernel that takes so long to compile is named [s]."""
 _FOR_NOW = "DRAKE_OA_KERNELS_FOR_NOW"
 _NOT_KEPT = "; for this run only, as no folder can be written: NUMBA_CACHE_DIR names one"
 
@@ -84,7 +87,7 @@ def _is_writable(folder: Path) -> bool:
 
 @contextmanager
 def announced_compilation(estimate: str | None = None) -> Iterator[None]:
-    """Says once on stderr when a kernel is compiled in here rather than read from the cache.
+    """Says on stderr when kernels are compiled in here rather than read from the cache, and which.
 
     That is so in a fresh installation, and after an update of the package or of numba.
 
@@ -95,21 +98,34 @@ def announced_compilation(estimate: str | None = None) -> Iterator[None]:
     from numba.core import event
 
     class Announcement(event.Listener):
-        said = False
+        depth, begun, total = 0, 0.0, 0.0
 
         def on_start(self, event: event.Event) -> None:
-            if self.said:
-                return
-            self.said = True
-            duration = f" (about {estimate})" if estimate else ""
-            kept = "" if os.environ.get(_FOR_NOW) is None else _NOT_KEPT
-            print(f"compiling kernels, once{duration}{kept} ...", file=sys.stderr)
+            if self.total == self.depth == 0:
+                duration = f" (about {estimate})" if estimate else ""
+                kept = "" if os.environ.get(_FOR_NOW) is None else _NOT_KEPT
+                print(f"compiling kernels, once{duration}{kept} ...", file=sys.stderr)
+            if self.depth == 0:
+                self.begun = time.monotonic()
+            self.depth += 1
 
         def on_end(self, event: event.Event) -> None:
-            pass
+            self.depth -= 1
+            if self.depth:
+                # One that another needs counts with that one.
+                return
+            took = time.monotonic() - self.begun
+            self.total += took
+            kernel = event.data["dispatcher"].py_func
+            if took >= _WORTH_TELLING:
+                where = kernel.__module__.removeprefix("drake_oa.")
+                print(f"  {where}.{kernel.__name__}: {took:.0f} s", file=sys.stderr)
 
-    with event.install_listener("numba:compile", Announcement()):
+    announcement = Announcement()
+    with event.install_listener("numba:compile", announcement):
         yield
+    if announcement.total >= _WORTH_TELLING:
+        print(f"kernels compiled in {announcement.total:.0f} s", file=sys.stderr)
 
 
 def kernel_arrays(*arrays: ArrayLike) -> list[FloatArray]:
