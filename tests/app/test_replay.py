@@ -269,7 +269,7 @@ def empty_log(file: Path, like: Path) -> None:
         ("cut off", "is not a motion log, or is damaged"),
         ("empty", "ended before its first instant"),
         ("other robot", "the scenario in log.npz"),
-        ("other model", "cannot load"),
+        ("other model", "robot.model: 'package://none/x.urdf'"),
     ],
 )
 def test_what_cannot_be_shown_is_one_clear_line(
