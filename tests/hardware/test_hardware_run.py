@@ -138,7 +138,7 @@ def test_the_arm_slows_down_when_who_decides_is_ended(kind: int, tmp_path: Path)
         deadline = time.monotonic() + 120.0
         while time.monotonic() < deadline:
             lcm.HandleSubscriptions(100)
-            if got and np.abs(lcmt_panda_status.decode(got[-1]).joint_velocity).max() > 0.1:
+            if got and np.abs(lcmt_panda_status.decode(got[-1]).joint_velocity).max() > 0.05:
                 break
         if kind == signal.SIGKILL:
             # Its player is left alone.
@@ -154,7 +154,7 @@ def test_the_arm_slows_down_when_who_decides_is_ended(kind: int, tmp_path: Path)
     assert "no command for 0.1 s" in said
     (log,) = load_logs(truth).values()
     fast = np.abs(log.v[:, :7]).max(axis=1)
-    assert fast.max() > 0.3
+    assert fast.max() > 0.2
     assert fast[-1] < 0.01
     # Not at once: from full speed in the lead, at a quarter of the rate, or slower.
     assert np.abs(np.diff(log.v[:, :7], axis=0)).max() / 0.004 < 40.0
