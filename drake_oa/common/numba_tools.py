@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from drake_oa.common.messages import FloatArray
 
 
+_TARGET = "x86-64-v3"
+"""Processor that kernels are compiled for: those since 2013 (Intel) and 2015 (AMD) have it."""
+_TARGET_FLAGS = frozenset(["avx", "avx2", "bmi1", "bmi2", "f16c", "fma", "abm", "movbe", "xsave"])
+"""Flags of /proc/cpuinfo of a processor that has `_TARGET` (System V ABI, AMD64 supplement)."""
 _WORTH_TELLING = 2.0
 """A kernel that takes so long to compile is named [s]."""
 _FOR_NOW = "DRAKE_OA_KERNELS_FOR_NOW"
@@ -56,6 +60,28 @@ def provide_kernel_cache(package: Path) -> tempfile.TemporaryDirectory[str] | No
     os.environ["NUMBA_CACHE_DIR"] = folder.name
     os.environ[_FOR_NOW] = folder.name
     return folder
+
+
+def pin_processor_target(cpuinfo: Path = Path("/proc/cpuinfo")) -> None:
+    """Makes numba compile for `x86-64-v3` where the processor has it, else for the native one.
+
+    The same instructions on each machine give the same trajectory to the last bit, and kernels
+    compiled on one machine load on another. Must be called before numba is imported. Does nothing
+    where `NUMBA_CPU_NAME` is set.
+
+    Args:
+        cpuinfo: description of the processor by the Linux kernel.
+    """
+    if os.environ.get("NUMBA_CPU_NAME"):
+        return
+    try:
+        flags = cpuinfo.read_text().partition("flags")[2].partition("\n")[0].split()
+    except OSError:
+        return
+    if _TARGET_FLAGS.issubset(flags):
+        os.environ["NUMBA_CPU_NAME"] = _TARGET
+        # Empty: those that the name implies. Unset, numba takes those of this machine.
+        os.environ.setdefault("NUMBA_CPU_FEATURES", "")
 
 
 def _copy_kernels(package: Path, cache: Path) -> None:

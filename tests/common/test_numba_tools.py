@@ -11,7 +11,11 @@ import pytest
 
 from drake_oa.app.main import main
 from drake_oa.common import numba_tools
-from drake_oa.common.numba_tools import announced_compilation, provide_kernel_cache
+from drake_oa.common.numba_tools import (
+    announced_compilation,
+    pin_processor_target,
+    provide_kernel_cache,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -141,3 +145,27 @@ def test_the_commands_announce_compilation(
     monkeypatch.setattr(avoidance, "build_avoidance", compiling)
     assert main(["graph", "free_space", "--dot"]) == 0
     assert "compiling kernels" in capsys.readouterr().err
+
+
+def test_kernels_are_compiled_for_one_processor_on_all_that_have_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cpuinfo = tmp_path / "cpuinfo"
+    for name in ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES"):
+        # Set first, so that what the function sets is undone afterwards.
+        monkeypatch.setenv(name, "")
+        monkeypatch.delenv(name)
+    for older in ("flags\t\t: fpu sse4_2 avx\n", "Features\t: fp asimd\n"):
+        cpuinfo.write_text("processor : 0\n" + older)
+        pin_processor_target(cpuinfo)
+        assert "NUMBA_CPU_NAME" not in os.environ
+    pin_processor_target(tmp_path / "missing")
+    assert "NUMBA_CPU_NAME" not in os.environ
+    v3 = "fma movbe xsave avx f16c abm bmi1 avx2 bmi2 avx512f"
+    cpuinfo.write_text(f"flags\t\t: {v3}\nbugs\t: none\n")
+    pin_processor_target(cpuinfo)
+    assert os.environ["NUMBA_CPU_NAME"] == "x86-64-v3"
+    assert os.environ["NUMBA_CPU_FEATURES"] == ""
+    monkeypatch.setenv("NUMBA_CPU_NAME", "generic")
+    pin_processor_target(cpuinfo)
+    assert os.environ["NUMBA_CPU_NAME"] == "generic"
