@@ -12,7 +12,7 @@ DEV := $(VENV)/.installed-dev
 export OPENBLAS_NUM_THREADS ?= 1
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test slow lint docs setup clean
+.PHONY: demo test slow regression regression-suites lint docs setup clean
 
 demo: $(STAMP)
 	@mkdir -p $(OUT)
@@ -26,6 +26,15 @@ test: $(DEV)
 # Longer experiments: whole runs from depth, the gallery's figures, real scans.
 slow: $(DEV)
 	$(VENV)/bin/python -m pytest -n $(JOBS) -m slow
+
+# The avoiding motion against stored results; an interrupted check continues where it was.
+regression: $(DEV)
+	$(VENV)/bin/python -m pytest -n $(JOBS) -m "" tests/diagrams/test_golden.py tests/regression
+	$(VENV)/bin/python -m tests.regression scenarios --jobs $(JOBS)
+
+# The same for random scenes, MotionBenchMaker problems, and the paper's tables.
+regression-suites: $(DEV)
+	$(VENV)/bin/python -m tests.regression suites --jobs $(JOBS)
 
 lint: $(DEV)
 	$(VENV)/bin/ruff check .

@@ -1,0 +1,98 @@
+"""Comparison of two sets of results, run by run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from scipy.stats import binomtest
+
+CLEARANCE_TOLERANCE = 2e-3
+"""Largest accepted decrease of a minimum clearance [m]."""
+DURATION_TOLERANCE = 0.03
+"""Largest accepted increase of a duration, as a fraction."""
+SIGNIFICANCE = 0.05
+"""Significance level of the test on lost successes."""
+MAX_GAINED_CONTACTS = 1
+"""Scenes over all suites that may gain a contact."""
+FIGURE_TOLERANCE = 1e-6
+"""Largest accepted relative difference of a figure in a table."""
+
+Run = Mapping[str, Any]
+Runs = Mapping[str, Run]
+"""Name of a run -> its result."""
+
+
+def new_contacts(stored: Run, run: Run) -> list[str]:
+    """Returns the pairs in contact that are not in contact in the stored run."""
+    return sorted(set(run["contacts"]) - set(stored["contacts"]))
+
+
+def run_failures(stored: Run, run: Run) -> Iterator[str]:
+    """Yields each way in which a run of a shipped scenario is worse than the stored one."""
+    if pairs := new_contacts(stored, run):
+        yield f"new contact: {', '.join(pairs)}"
+    if run["ended"] != stored["ended"]:
+        yield f"termination: {stored['ended']} -> {run['ended']}"
+    for key in ("tool_clearance_min", "robot_clearance_min"):
+        before, after = stored[key], run[key]
+        if before is not None and (after is None or after < before - CLEARANCE_TOLERANCE):
+            yield f"{key}: {before} -> {after} m"
+    if run["duration"] > stored["duration"] * (1.0 + DURATION_TOLERANCE):
+        yield f"duration: {stored['duration']} -> {run['duration']} s"
+
+
+def missing_runs(stored: Runs, runs: Runs) -> Iterator[str]:
+    """Yields a message for each run without a stored result, and each stored one without a run."""
+    for name in sorted(stored.keys() ^ runs.keys()):
+        yield f"{name}: {'no run' if name in stored else 'no stored result'}"
+
+
+def scenario_failures(stored: Runs, runs: Runs) -> Iterator[str]:
+    """Yields a message for each difference of `run_failures`."""
+    yield from missing_runs(stored, runs)
+    for name in sorted(stored.keys() & runs.keys()):
+        yield from (f"{name}: {text}" for text in run_failures(stored[name], runs[name]))
+
+
+def changes(stored: Runs, runs: Runs) -> Iterator[str]:
+    """Yields a line for each run whose result differs in any way."""
+    for name in sorted(stored.keys() & runs.keys()):
+        before, after = stored[name], runs[name]
+        keys = [key for key in after if before.get(key) != after[key]]
+        if keys:
+            yield f"{name}: " + ", ".join(f"{k} {before.get(k)} -> {after[k]}" for k in keys)
+
+
+def suite_failures(stored: Runs, runs: Runs) -> Iterator[str]:
+    """Yields the reasons why a set of scenes as a whole is worse than the stored one.
+
+    Lost successes exceed gained ones in a one-sided exact McNemar test, or more than
+    `MAX_GAINED_CONTACTS` scenes gain a contact.
+    """
+    yield from missing_runs(stored, runs)
+    shared = sorted(stored.keys() & runs.keys())
+    lost = [n for n in shared if stored[n]["success"] and not runs[n]["success"]]
+    gained = [n for n in shared if runs[n]["success"] and not stored[n]["success"]]
+    if lost:
+        p = binomtest(len(lost), len(lost) + len(gained), alternative="greater").pvalue
+        if p < SIGNIFICANCE:
+            yield f"{len(lost)} successes lost, {len(gained)} gained: p = {p:.3g}"
+    touched = [n for n in shared if runs[n]["contacts"] and not stored[n]["contacts"]]
+    if len(touched) > MAX_GAINED_CONTACTS:
+        yield f"{len(touched)} scenes gained a contact: {', '.join(touched)}"
+
+
+def figure_failures(stored: Any, figures: Any, path: str = "") -> Iterator[str]:
+    """Yields each figure of nested tables that differs by more than `FIGURE_TOLERANCE`."""
+    if isinstance(stored, dict) and isinstance(figures, dict):
+        for key in sorted(stored.keys() | figures.keys()):
+            yield from figure_failures(stored.get(key), figures.get(key), f"{path}/{key}")
+    elif isinstance(stored, list) and isinstance(figures, list) and len(stored) == len(figures):
+        for place, (before, after) in enumerate(zip(stored, figures, strict=True)):
+            yield from figure_failures(before, after, f"{path}/{place}")
+    elif isinstance(stored, float) and isinstance(figures, (int, float)):
+        if abs(figures - stored) > FIGURE_TOLERANCE * max(abs(stored), 1e-3):
+            yield f"{path}: {stored} -> {figures}"
+    elif stored != figures:
+        yield f"{path}: {stored} -> {figures}"

@@ -1,0 +1,209 @@
+"""Runs that are compared with stored results: names, arguments, and what each result holds."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from pydrake.common.yaml import yaml_dump
+
+from drake_oa.common.config import read_yaml
+from drake_oa.perception.config import GroundTruth
+from drake_oa.runs.report import motion_report
+from drake_oa.runs.simulation import simulate
+from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
+from drake_oa.scenario.shipped import missing_package, shipped_scenarios
+from drake_oa.studies.mbm.suite import mbm_suites
+from drake_oa.studies.panda.elbow_scenes import ELBOW_LIKE
+from drake_oa.studies.panda.evaluation import run_text
+from drake_oa.studies.panda.run import Criteria
+from drake_oa.studies.panda.scene_parts import LIKE, base_scenario
+from drake_oa.studies.panda.scenes import draw_panda_scene
+from drake_oa.studies.scenes.evaluation import evaluate
+from drake_oa.studies.scenes.methods import load_method
+from drake_oa.studies.scenes.scenes import load_scenes, save_scenes
+from drake_oa.studies.scenes.suites import draw_scenes, find_suite
+from drake_oa.studies.table_one import table_one_figures
+from drake_oa.studies.table_three import KINDS as TABLE_KINDS
+from drake_oa.studies.table_two import Choice, choices, judge_choice, table_two_figures
+
+SCENES = Path(__file__).with_name("scenes")
+"""Folder of the stored scenes."""
+ARCHIVE = Path(__file__).parents[3] / "shared/problems/motionbenchmaker_panda.tar.bz2"
+"""Problems of MotionBenchMaker, which are not part of this repository."""
+
+_SEEDS = range(3)
+_PANDA_SUITES = {"tabletop": LIKE, "clutter6": LIKE, "elbow": ELBOW_LIKE, "moving": LIKE}
+"""Suite -> shipped scenario with its camera, robot and parameters."""
+_PANDA_SCENES = 10
+_PROBLEMS = 5
+"""Problems of each set."""
+_TRIALS = 11
+"""Trials of each kind of obstacles in the paper's Table III."""
+_POINT_SUITES = ("novel", "posed", "hit", "head-on")
+_POINT_SCENES = 200
+_POINT_METHODS = ("paper", "verified")
+_TABLE_SCENES = 4000
+
+_REPORTED = ("tool_clearance_min", "robot_clearance_min", "goal_error", "duration")
+_DIGITS = 6
+
+Call = tuple[str, tuple[Any, ...]]
+"""Name of a function of this module and its arguments."""
+
+
+def scenario_calls() -> dict[str, Call]:
+    """Returns the runs of every shipped scenario with a robot whose model is installed."""
+    calls: dict[str, Call] = {}
+    for name, path in shipped_scenarios().items():
+        if missing_package(path) or load_scenario(name).robot is None:
+            continue
+        for seed in _SEEDS:
+            calls[f"{name}/seed{seed}"] = ("run_shipped", (name, seed, False))
+        calls[f"{name}/truth"] = ("run_shipped", (name, 0, True))
+    return calls
+
+
+def suite_calls() -> dict[str, Call]:
+    """Returns the runs of the robot: random scenes, benchmark problems and Table III."""
+    calls: dict[str, Call] = {}
+    for suite in _PANDA_SUITES:
+        for number, scene in enumerate(_stored_scenes(suite)):
+            calls[f"{suite}/{number}"] = ("run_scene", (suite, scene))
+    if ARCHIVE.is_file():
+        for suite in mbm_suites(ARCHIVE, None, (), ("verified",), _PROBLEMS):
+            for number in suite.numbers:
+                text = suite.drawing(number)[0](*suite.drawing(number)[1])[0]
+                calls[f"mbm-{suite.kind}/{number}"] = ("run_problem", (text,))
+    for kind in TABLE_KINDS:
+        for trial in range(_TRIALS):
+            calls[f"table3-{kind}/{trial}"] = ("run_trial", (f"paper_{kind}", trial))
+    return calls
+
+
+def point_calls() -> dict[str, Call]:
+    """Returns the suites of a point among ellipsoids, by each method."""
+    return {
+        f"{suite}-{method}": ("run_points", (suite, method))
+        for suite in _POINT_SUITES
+        for method in _POINT_METHODS
+    }
+
+
+def table_calls() -> dict[str, Call]:
+    """Returns the paper's tables that are compared figure by figure."""
+    return {"table1": ("first_table", ()), "table2": ("second_table", ())}
+
+
+def carry_out_call(name: str, arguments: tuple[Any, ...]) -> tuple[dict[str, Any], None]:
+    """Carries out a call; the result is plain data."""
+    logging.disable(logging.ERROR)
+    result = globals()[name](*arguments)
+    return json.loads(json.dumps(result, default=float)), None
+
+
+def run_shipped(name: str, seed: int, truth: bool) -> dict[str, Any]:
+    """Simulates the avoiding motion of a shipped scenario to its end."""
+    scenario = load_scenario(name)
+    scenario.seed = seed
+    if truth:
+        scenario = replace(scenario, perception=GroundTruth())
+    return _summary(motion_report(scenario, simulate(scenario)))
+
+
+def run_scene(suite: str, scene: Mapping[str, Any]) -> dict[str, Any]:
+    """Simulates the verified method on a stored scene, from depth."""
+    data = read_yaml(scenario_text(base_scenario(_PANDA_SUITES[suite])))
+    data["task"] |= {"start": scene["start"], "goal": scene["goal"]}
+    data |= {"seed": scene["seed"], "obstacles": scene["obstacles"]}
+    return _judged(scenario_text(parse_scenario(yaml_dump(data))), "verified", "depth")
+
+
+def run_problem(text: str) -> dict[str, Any]:
+    """Simulates the verified method on a problem of MotionBenchMaker, from ground truth."""
+    (criteria,) = {suite.criteria for suite in mbm_suites(ARCHIVE, None, ("box",), (), 1)}
+    return _judged(text, "verified", "truth", criteria)
+
+
+def run_trial(name: str, seed: int) -> dict[str, Any]:
+    """Simulates a trial of the paper's Table III, from depth."""
+    scenario = load_scenario(name)
+    scenario.seed = seed
+    return _judged(scenario_text(scenario), "paper", "depth")
+
+
+def run_points(suite: str, method: str) -> dict[str, Any]:
+    """Runs a method on the stored scenes of a suite; returns a list for each quantity."""
+    (case,) = find_suite(suite).cases
+    scenes = load_scenes(SCENES / f"{suite}.npz")
+    outcome = evaluate(scenes, [case], {method: load_method(method)}).outcomes[method]
+    judged = outcome.of()
+    success = ~judged.collided & ~judged.short
+    return {
+        "success": success.tolist(),
+        "collided": judged.collided.tolist(),
+        "clearance": judged.kept_clearance.round(_DIGITS).tolist(),
+        "path_ratio": judged.path_ratio.round(_DIGITS).tolist(),
+    }
+
+
+def first_table() -> dict[str, Any]:
+    """Returns the figures of the paper's Table I."""
+    return {file: chain["networks"] for file, chain in table_one_figures(())["chains"].items()}
+
+
+def second_table() -> dict[str, Any]:
+    """Returns the figures of the paper's Table II, without timings."""
+    chosen = choices(Choice(), ablation=False)
+    ((name, choice),) = chosen.items()
+    scenes = draw_scenes(choice.sampling, _TABLE_SCENES, 0)
+    outcomes = judge_choice(name, choice, scenes).outcomes
+    figures = table_two_figures(chosen, outcomes, {choice.sampling: scenes}, 0, ())
+    return {
+        f"{row['baseline']:g} m": {key: row[key] for key in row["agrees"]}
+        for row in figures["readings"][name]["by_baseline"]
+    }
+
+
+def write_scenes() -> None:
+    """Draws and stores the scenes of the suites; all stored results of them become void."""
+    SCENES.mkdir(exist_ok=True)
+    for suite in _PANDA_SUITES:
+        scenes = [_drawn(suite, number) for number in range(_PANDA_SCENES)]
+        lines = ",\n".join(json.dumps(scene) for scene in scenes)
+        (SCENES / f"{suite}.json").write_text(f"[\n{lines}\n]\n")
+    for suite in _POINT_SUITES:
+        save_scenes(SCENES / f"{suite}.npz", draw_scenes(suite, _POINT_SCENES, 0))
+
+
+def _drawn(suite: str, number: int) -> dict[str, Any]:
+    scenario = draw_panda_scene(0, number, kind=suite)
+    data = read_yaml(scenario_text(scenario))
+    task = data["task"]
+    own = {"start": task["start"], "goal": task["goal"], "obstacles": data["obstacles"]}
+    return {"seed": scenario.seed, **own}
+
+
+def _stored_scenes(suite: str) -> list[dict[str, Any]]:
+    scenes: list[dict[str, Any]] = json.loads((SCENES / f"{suite}.json").read_text())
+    return scenes
+
+
+def _summary(report: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns the stored quantities of a report."""
+    figures = {key: report[key] for key in _REPORTED}
+    rounded = {k: None if v is None else round(float(v), _DIGITS) for k, v in figures.items()}
+    contacts = sorted([*report["contacts"], *report["self_contacts"]])
+    return {"ended": report["ended"], "contacts": contacts, **rounded}
+
+
+def _judged(
+    text: str, method: str, perception: str, criteria: Criteria | None = None
+) -> dict[str, Any]:
+    result, _ = run_text(text, method, perception, None, False, criteria or Criteria())
+    success = {"success": result["outcome"] == "success", "reason": result["reason"]}
+    return success | _summary(result)
