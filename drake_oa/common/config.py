@@ -19,6 +19,8 @@ import numpy as np
 import yaml
 from pydrake.common.yaml import yaml_load
 
+_TURN = 2.0 * math.pi
+"""Largest magnitude of a roll, pitch or yaw [rad]."""
 _MOST = 100_000
 """Most values of a YAML text, counted again wherever an alias stands for them."""
 
@@ -63,6 +65,14 @@ def vector(
         default_factory=lambda: list(default),
         metadata={"unit": unit, "size": size, "low": -within, "high": within},
     )
+
+
+def roll_pitch_yaw(default: list[float] | None = None) -> Any:
+    """Three angles [rad], each at most one turn either way; null without a default."""
+    metadata = {"unit": "rad", "size": 3, "low": -_TURN, "high": _TURN}
+    if default is None:
+        return dc.field(default=None, metadata=metadata)
+    return dc.field(default_factory=lambda: list(default), metadata=metadata)
 
 
 def read_yaml(text: str) -> Any:
@@ -306,7 +316,14 @@ def _number_problems(data: Any, schema: type, where: str, metadata: Any) -> Iter
         return
     low, high = metadata.get("low", -math.inf), metadata.get("high", math.inf)
     above = data > low if metadata.get("open_low") else data >= low
-    if not (above and data <= high):
+    if above and data <= high:
+        return
+    if high == _TURN:
+        yield (
+            f"{where}: {data:g} rad is more than one turn; angles are in radians "
+            f"({data:g} degrees are {math.radians(data):.4g} rad)"
+        )
+    else:
         left = "(" if metadata.get("open_low") else "["
         yield f"{where}: {data} is outside {left}{low:g}, {high:g}]{unit}"
 

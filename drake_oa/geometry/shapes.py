@@ -7,7 +7,7 @@ from typing import Protocol
 import pydrake.geometry as geometry
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from drake_oa.common.config import ScenarioError, number, vector
+from drake_oa.common.config import ScenarioError, number, roll_pitch_yaw, vector
 
 _LARGEST = 10.0
 
@@ -20,7 +20,7 @@ class Box:
     size: list[float] = vector([0.1, 0.1, 0.1], "m")
     # Pose of the shape in the obstacle: translation [m], roll, pitch, yaw [rad].
     translation: list[float] = vector([0.0, 0.0, 0.0], "m")
-    rpy: list[float] = vector([0.0, 0.0, 0.0], "rad")
+    rpy: list[float] = roll_pitch_yaw([0.0, 0.0, 0.0])
 
 
 @dc.dataclass
@@ -30,7 +30,7 @@ class Cylinder:
     radius: float = number(0.05, "m", 0.0, _LARGEST, open_low=True)
     length: float = number(0.1, "m", 0.0, _LARGEST, open_low=True)
     translation: list[float] = vector([0.0, 0.0, 0.0], "m")
-    rpy: list[float] = vector([0.0, 0.0, 0.0], "rad")
+    rpy: list[float] = roll_pitch_yaw([0.0, 0.0, 0.0])
 
 
 @dc.dataclass
@@ -39,7 +39,7 @@ class Sphere:
 
     radius: float = number(0.05, "m", 0.0, _LARGEST, open_low=True)
     translation: list[float] = vector([0.0, 0.0, 0.0], "m")
-    rpy: list[float] = vector([0.0, 0.0, 0.0], "rad")
+    rpy: list[float] = roll_pitch_yaw([0.0, 0.0, 0.0])
 
 
 def check_shapes(shapes: list[Box | Cylinder | Sphere], where: str) -> None:

@@ -4,7 +4,7 @@ import dataclasses as dc
 import math
 from itertools import pairwise
 
-from drake_oa.common.config import ScenarioError
+from drake_oa.common.config import ScenarioError, roll_pitch_yaw
 from drake_oa.common.config import count as _count
 from drake_oa.common.config import number as _number
 from drake_oa.common.config import vector as _vector
@@ -63,7 +63,7 @@ class BasePose:
 
     translation: list[float] = _vector([0.0, 0.0, 0.0], "m", within=20.0)
     # Roll, pitch, yaw.
-    rpy: list[float] = _vector([0.0, 0.0, 0.0], "rad", within=2.0 * math.pi)
+    rpy: list[float] = roll_pitch_yaw([0.0, 0.0, 0.0])
 
 
 def _of(*values: float) -> list[float]:
@@ -125,7 +125,7 @@ class Robot:
     # Orientation of E, held throughout where the task does not turn it: roll,
     # pitch, yaw [rad]. Tool down, fingers opening along the world's x: the hand is narrow along
     # the motion.
-    rpy_WE: list[float] = _vector([math.pi, 0.0, math.pi / 2.0], "rad")
+    rpy_WE: list[float] = roll_pitch_yaw([math.pi, 0.0, math.pi / 2.0])
     # Seed of the inverse kinematics and posture of the null space, a number for each joint of the
     # arm: these are the first of the model's joints [rad].
     q_seed: list[float] = dc.field(

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from drake_oa.common.config import ScenarioError, vector
+from drake_oa.common.config import ScenarioError, roll_pitch_yaw, vector
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere, check_shapes
 
@@ -23,7 +23,7 @@ class Obstacle:
     shapes: list[Box | Cylinder | Sphere] = dc.field(default_factory=list)
     # Pose of the obstacle in the world: translation [m], roll, pitch, yaw [rad].
     translation: list[float] = vector([0.0, 0.0, 0.0], "m")
-    rpy: list[float] = vector([0.0, 0.0, 0.0], "rad")
+    rpy: list[float] = roll_pitch_yaw([0.0, 0.0, 0.0])
     # Red, green, blue and opacity, 0 to 1.
     color: list[float] = vector([0.76, 0.53, 0.31, 1.0], "1")
     # Where it moves: rows [t, x, y, z], at time t [s] it is that far from `translation`, in

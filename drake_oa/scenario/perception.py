@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from pydrake.systems.sensors import CameraConfig
 
-from drake_oa.common.config import ScenarioError, check_values, vector
+from drake_oa.common.config import ScenarioError, check_values, roll_pitch_yaw, vector
 from drake_oa.perception.config import (
     CameraSource,
     LcmCamera,
@@ -28,7 +28,7 @@ class EllipsoidConfig:
 
     center: list[float] = vector([0.0, 0.0, 0.0], "m")
     semi_axes: list[float] = vector([0.1, 0.1, 0.1], "m")
-    rpy: list[float] = vector([0.0, 0.0, 0.0], "rad")
+    rpy: list[float] = roll_pitch_yaw([0.0, 0.0, 0.0])
 
 
 @dc.dataclass

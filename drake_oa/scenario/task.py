@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from pydrake.trajectories import PiecewisePolynomial
 
-from drake_oa.common.config import ScenarioError
+from drake_oa.common.config import ScenarioError, roll_pitch_yaw
 from drake_oa.common.config import number as _number
 from drake_oa.common.config import vector as _vector
 from drake_oa.common.messages import FloatArray
@@ -33,8 +33,8 @@ class Task:
     clearance: float = _number(0.15, "m", 0.0, 2.0, open_low=True)
     # Roll, pitch and yaw of R_WE at start and goal [rad]; null: what the demonstration has
     # there, or without orientations in it `robot.rpy_WE`.
-    rpy_start: list[float] | None = dc.field(default=None, metadata={"unit": "rad", "size": 3})
-    rpy_goal: list[float] | None = dc.field(default=None, metadata={"unit": "rad", "size": 3})
+    rpy_start: list[float] | None = roll_pitch_yaw()
+    rpy_goal: list[float] | None = roll_pitch_yaw()
     # Joints of the arm at start and goal, as many as `robot.q_seed` has [rad]; null: what
     # inverse kinematics finds near that. What is not stated of start, goal and their
     # orientations follows from them, and what is must agree. The posture leads from one to

@@ -142,6 +142,7 @@ def test_override_replaces_one_field() -> None:
         ("robot: {X_WB: {translation: [0, 0, 30]}}", ["robot.X_WB.translation[2]", "20] [m]"]),
         ("robot: {X_WB: {rpy: [0, 0]}}", ["robot.X_WB.rpy", "3 numbers"]),
         ("robot: {X_WB: {rotation: [0, 0, 0]}}", ["robot.X_WB.rotation", "translation, rpy"]),
+        ("obstacles: [{rpy: [0, 0, 90]}]", ["obstacles[0].rpy[2]: 90 rad", "90 degrees are 1.571"]),
         ("robot: {annulus: {height: [0, 1]}}", ["robot.annulus: ", "2, 11 and 11"]),
         ("robot: {annulus: {height: [1, 0], inner: [0, 0], outer: [1, 1]}}", ["must increase"]),
         ("robot: {annulus: {height: [0, 1], inner: [0, 2], outer: [1, 1]}}", ["inner[1]: 2"]),
