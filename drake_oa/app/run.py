@@ -60,7 +60,6 @@ class _Bus:
 
     lcm_url: str
     rate: float
-    torques: bool
 
 
 @dataclass(frozen=True)
@@ -87,7 +86,6 @@ def run(
     hardware: bool = False,
     lcm_url: str = LCM_URL,
     rate: float = 1.0,
-    torques: bool = False,
 ) -> int:
     """Simulate a scenario and print what was kept and touched.
 
@@ -137,7 +135,6 @@ def run(
         hardware: drive the arm that is there, in place of a simulated one.
         lcm_url: with --hardware, of the bus.
         rate: with --hardware, simulated seconds in one of the wall clock, at most 1.
-        torques: with --hardware, command torques without gravity's, in place of positions.
     """
     from drake_oa.runs.first_run import compiled_beside
     from drake_oa.scenario.loading import load_scenario
@@ -147,8 +144,8 @@ def run(
         raise ValueError(f"--duration: {duration} must be positive [s]")
     if log is not None and no_log:
         raise ValueError("--log and --no-log exclude each other")
-    if not hardware and (torques or rate != 1.0 or lcm_url != LCM_URL):
-        raise ValueError("--lcm-url, --rate and --torques need --hardware")
+    if not hardware and (rate != 1.0 or lcm_url != LCM_URL):
+        raise ValueError("--lcm-url and --rate need --hardware")
     outputs = _Outputs(meshcat, html, json, duration)
     if same_file(html, json, log):
         raise ValueError("--html, --json and --log must name different files")
@@ -162,7 +159,7 @@ def run(
             from drake_oa.hardware.robot_link import HardwareError
 
             try:
-                bus = _Bus(lcm_url, rate, torques)
+                bus = _Bus(lcm_url, rate)
                 ran = _drive(outputs, chosen, bus, log_file, raise_if_asked)
             except HardwareError as error:
                 complain(str(error))
@@ -203,7 +200,6 @@ def station(
     lcm_url: str = LCM_URL,
     rate: float = 1.0,
     expiry: float = 0.1,
-    torques: bool = False,
     wait: bool = False,
     no_images: bool = False,
     duration: float | None = None,
@@ -223,7 +219,6 @@ def station(
         rate: simulated seconds in one of the wall clock, at most 1; smaller where a machine
             cannot keep up.
         expiry: how long a command is in force [s].
-        torques: take torques without gravity's, in place of positions.
         wait: let the world begin when the arm follows a command, and end when the commander is
             done and all has come to rest.
         no_images: render and send none.
@@ -233,7 +228,6 @@ def station(
     from pydrake.lcm import DrakeLcm
 
     from drake_oa.hardware.command_guard import CommandRules
-    from drake_oa.hardware.panda_arm import Mode
     from drake_oa.hardware.panda_station import PandaStation
     from drake_oa.runs.hardware_run import station_log
     from drake_oa.runs.motion_log import save_logs
@@ -255,7 +249,6 @@ def station(
             rules=CommandRules(expiry=expiry),
             images=not no_images,
             rate=rate,
-            mode=Mode.TORQUE if torques else Mode.POSITION,
             waits=wait,
             log=log is not None,
         )
@@ -356,9 +349,7 @@ def _drive(
     from drake_oa.runs.hardware_run import drive, ready
 
     meshcat = _viewer(outputs)
-    robot = scenario.robot if bus.torques else None
-    asked = raise_if_asked
-    with RobotLink(bus.lcm_url, rate=bus.rate, robot=robot, raise_if_asked=asked) as link:
+    with RobotLink(bus.lcm_url, rate=bus.rate, raise_if_asked=raise_if_asked) as link:
         print(f"waiting for the arm on {bus.lcm_url} ...", file=sys.stderr)
         with build_errors():
             driven = ready(scenario, link, lcm_url=bus.lcm_url, meshcat=meshcat)

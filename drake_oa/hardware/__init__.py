@@ -2,7 +2,7 @@
 
 Messages are Drake's, over LCM: `lcmt_panda_command` on PANDA_COMMAND, `lcmt_panda_status` on
 PANDA_STATUS, `lcmt_image_array` on DRAKE_RGBD_CAMERA_IMAGES_<camera>. Stamps are of the wall
-clock, in microseconds; positions are the arm's seven [rad], torques are without gravity's [N m].
+clock, in microseconds; positions are the arm's seven [rad].
 
 Whoever drives an arm (`drake-oa run --hardware`):
 

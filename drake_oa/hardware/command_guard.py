@@ -9,7 +9,7 @@ from drake import lcmt_panda_command
 
 from drake_oa.common.config import check_values, number
 from drake_oa.common.messages import FloatArray
-from drake_oa.hardware.panda_arm import MICROSECOND, Mode
+from drake_oa.hardware.panda_arm import MICROSECOND, POSITION_MODE
 from drake_oa.robot.limits import RobotLimits
 
 _logger = logging.getLogger("drake_oa")
@@ -46,28 +46,20 @@ class CommandGuard:
 
     Old commands are passed over. After one that is out of limits, jumps, is of another mode or of
     a second commander, the arm holds the last position that was in order, until nobody has
-    commanded for `CommandRules.expiry`, and goes on from there. Of torques there is nothing to
-    hold: where they end the arm is to be damped.
+    commanded for `CommandRules.expiry`, and goes on from there.
 
     Attributes:
         events: whenever what is done changed.
         rejected: how many commands were not followed.
     """
 
-    def __init__(
-        self,
-        q: FloatArray,
-        limits: RobotLimits,
-        rules: CommandRules,
-        mode: Mode = Mode.POSITION,
-    ) -> None:
+    def __init__(self, q: FloatArray, limits: RobotLimits, rules: CommandRules) -> None:
         """Holds.
 
         Args:
             q: (n,) where the arm is [rad].
             limits: of its joints, in the same order.
             rules: what commands are held to.
-            mode: what they have to hold.
 
         Raises:
             ValueError: if the rules are out of range, or the limits of another arm.
@@ -77,8 +69,7 @@ class CommandGuard:
             raise ValueError(f"limits are of {len(limits.position_lower)} joints, q of {len(q)}")
         self._q = np.array(q, dtype=float)
         self._v = np.zeros_like(self._q)
-        self._limits, self._rules, self._mode = limits, rules, mode
-        self._torque = np.zeros_like(self._q)
+        self._limits, self._rules = limits, rules
         self._accepted = self._heard = -np.inf
         self._stamp: int | None = None
         self._refused: FloatArray | None = None
@@ -109,21 +100,13 @@ class CommandGuard:
             return False
         if self._stamp is None:
             self._say(now, "following")
-        if self._mode is Mode.TORQUE:
-            self._torque = np.array(command.joint_torque)
-        else:
-            q = np.array(command.joint_position)
-            self._v[:] = 0.0
-            if self._stamp is not None:
-                self._v = (q - self._q) / (MICROSECOND * (command.utime - self._stamp))
-            self._q = q
+        q = np.array(command.joint_position)
+        self._v[:] = 0.0
+        if self._stamp is not None:
+            self._v = (q - self._q) / (MICROSECOND * (command.utime - self._stamp))
+        self._q = q
         self._stamp, self._accepted = command.utime, now
         return True
-
-    def torque(self, now: float) -> FloatArray | None:
-        """(n,) torques beside gravity's [N m] that are to act now; None while it holds."""
-        self._look(now)
-        return None if self.holding or self._mode is not Mode.TORQUE else self._torque
 
     def desired(self, now: float) -> tuple[FloatArray, FloatArray]:
         """(n,) positions [rad] and (n,) speeds [rad/s] that the arm is to have now."""
@@ -146,22 +129,12 @@ class CommandGuard:
     def _why_not(self, command: lcmt_panda_command) -> str:
         n = len(self._q)
         only = (command.num_joint_position, command.num_joint_velocity, command.num_joint_torque)
-        torques = self._mode is Mode.TORQUE
-        expected = (0, 0, n) if torques else (n, 0, 0)
-        if only != expected or command.control_mode_expected != self._mode.in_messages:
-            return f"not {n} {self._mode}s in {self._mode} mode"
+        if only != (n, 0, 0) or command.control_mode_expected != POSITION_MODE:
+            return f"not {n} positions in position mode"
         if self._stamp is not None and command.utime <= self._stamp:
             before = 1e-3 * (self._stamp - command.utime)
             return f"a second commander: its stamp is {before:.1f} ms before the last"
-        return self._torque_out(command) if torques else self._position_out(command)
-
-    def _torque_out(self, command: lcmt_panda_command) -> str:
-        over = np.abs(np.array(command.joint_torque)) - self._limits.effort_limit
-        if not (over <= 0.0).all():
-            j = int(np.argmax(over))
-            name, most = self._limits.actuator_name[j], self._limits.effort_limit[j]
-            return f"{name}'s {command.joint_torque[j]:.4g} N m are beyond {most:.4g}"
-        return ""
+        return self._position_out(command)
 
     def _position_out(self, command: lcmt_panda_command) -> str:
         q = np.array(command.joint_position)

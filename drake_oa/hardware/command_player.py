@@ -27,12 +27,9 @@ from drake_oa.hardware.panda_arm import (
     ARM_JOINTS,
     COMMAND_CHANNEL,
     MICROSECOND,
+    POSITION_MODE,
     STATUS_CHANNEL,
-    Mode,
-    arm_of,
 )
-from drake_oa.robot.config import Robot
-from drake_oa.robot.plant import make_robot_plant
 
 _logger = logging.getLogger("drake_oa")
 
@@ -70,16 +67,11 @@ class PlayerRules:
     # meanwhile simulated time stands, and with it the age of what was seen.
     silence: float = number(0.1, "s", 0.01, 10.0)
     patience: float = number(0.3, "s", 0.0, 10.0)
-    # Torques are of a state that is no older; of an older one they are zero.
-    torque_silence: float = number(0.02, "s", 1e-3, 0.1)
     # Where a joint is, before it is moved from rest, by no more from where it is to be.
     restart_tolerance: float = number(0.03, "rad", 1e-3, 3.0)
     # A joint farther than this from where it was sent, for so long, stops the run.
     astray: float = number(0.1, "rad", 1e-3, 3.0)
     astray_time: float = number(0.2, "s", 0.0, 10.0)
-    # Torques draw each joint to where it is to be, critically damped: acceleration for what it is
-    # off [1/s^2].
-    stiffness: float = number(400.0, "1/s^2", 0.0, 1e5)
     # The joints are this near to the scenario's start, and slower than this, before they are moved.
     start_tolerance: float = number(0.1, "rad", 0.0, 3.0)
     start_speed: float = number(0.05, "rad/s", 0.0, 3.0)
@@ -204,20 +196,13 @@ class SharedMotion:
 class CommandPlayer:
     """Commands what is in a `SharedMotion`, watches the arm, and stops it where it must.
 
-    It commands positions; given a robot, torques that draw the arm to them, without gravity's.
     Simulated time is played at `rate` seconds in one of the wall clock, more slowly where less
     than half of `PlayerRules.lead` is written, and not at all where the arm is silent, astray or
     commanded by somebody else.
     """
 
     def __init__(
-        self,
-        motion: SharedMotion,
-        lcm: DrakeLcm,
-        *,
-        rules: PlayerRules,
-        rate: float,
-        robot: Robot | None = None,
+        self, motion: SharedMotion, lcm: DrakeLcm, *, rules: PlayerRules, rate: float
     ) -> None:
         """Listens.
 
@@ -226,7 +211,6 @@ class CommandPlayer:
             lcm: what messages come and go by.
             rules: when to stop.
             rate: simulated seconds in one of the wall clock, at most.
-            robot: the arm, to command torques; None: positions.
 
         Raises:
             ValueError: if they are out of range.
@@ -234,7 +218,6 @@ class CommandPlayer:
         check_values(rules)
         if not 0.0 < rate <= 1.0:
             raise ValueError(f"rate: {rate} must be above 0 and at most 1")
-        self._law = None if robot is None else TorqueLaw(robot, rules.stiffness)
         self._motion, self._lcm, self._rules, self._rate = motion, lcm, rules, rate
         self._pace = self._played = 0.0
         self._heard = self._last = self._commanded = -math.inf
@@ -289,10 +272,7 @@ class CommandPlayer:
             if self._moved_away():
                 return
             self._from_rest = False
-        if self._law is not None and now - motion.measured[0] > rules.torque_silence:
-            self._pace, self._from_rest = 0.0, True
-        else:
-            self._play(min(elapsed, 3.0 * rules.period), slow)
+        self._play(min(elapsed, 3.0 * rules.period), slow)
         self._send(now, tick)
 
     def _stopped(self) -> bool:
@@ -317,21 +297,13 @@ class CommandPlayer:
         motion.set_figure("played", self._played)
 
     def _send(self, now: float, tick: float) -> None:
-        motion, law = self._motion, self._law
+        motion = self._motion
         q = motion.wanted(self._played)
         message = lcmt_panda_command()
         message.utime = round(now / MICROSECOND)
         message.num_joint_velocity = 0
-        message.control_mode_expected = self._mode.in_messages
-        if law is None:
-            message.num_joint_position, message.joint_position = ARM_JOINTS, list(q)
-        else:
-            stamp, q_now, v_now = motion.measured
-            before = motion.wanted(max(0.0, self._played - self._rules.period))
-            v = self._pace * (q - before) / self._rules.period
-            old = now - stamp > self._rules.torque_silence
-            tau = np.zeros(ARM_JOINTS) if old else law(q_now, v_now, q, v)
-            message.num_joint_torque, message.joint_torque = ARM_JOINTS, list(tau)
+        message.control_mode_expected = POSITION_MODE
+        message.num_joint_position, message.joint_position = ARM_JOINTS, list(q)
         self._sent.append(message.utime)
         self._past.append((now, q))
         self._lcm.Publish(COMMAND_CHANNEL, message.encode())
@@ -340,10 +312,6 @@ class CommandPlayer:
             motion.set_figure("longest_pause", max(motion.figure("longest_pause"), pause))
         self._commanded = tick
         motion.set_figure("commands", motion.figure("commands") + 1.0)
-
-    @property
-    def _mode(self) -> Mode:
-        return Mode.POSITION if self._law is None else Mode.TORQUE
 
     def _take_statuses(self, now: float, tick: float) -> None:
         # Handlers may not raise: what has come is looked at here. The last one counts.
@@ -374,8 +342,8 @@ class CommandPlayer:
             name = _NOT_FREE[status.robot_mode]
             self._stop = f"the arm is {name}; it has to be free to move"
         # Zero, of who does not tell.
-        if status.control_mode not in (0, self._mode.in_messages):
-            self._stop = f"the arm does not take {self._mode}s; start it in {self._mode} mode"
+        if status.control_mode not in (0, POSITION_MODE):
+            self._stop = "the arm does not take positions; start it in position mode"
 
     def _watch(self, tick: float, stamp: float, q: FloatArray) -> None:
         """How far the arm is from the nearest of what it was sent lately."""
@@ -449,52 +417,7 @@ def _hurry() -> None:
             _logger.info("commands have no priority: others may make them pause")
 
 
-class TorqueLaw:
-    """Torques that draw the arm to where it is to be: M(q) (k (q_d - q) + d (v_d - v)) + C(q, v) v.
-
-    Gravity's are the arm's own affair.
-    """
-
-    def __init__(self, robot: Robot, stiffness: float) -> None:
-        """Builds the arm's model.
-
-        Args:
-            robot: the arm.
-            stiffness: k, of each joint [1/s^2]; d damps it critically.
-
-        Raises:
-            ScenarioError: for a robot that the messages are not of.
-        """
-        self._robot = make_robot_plant(robot)
-        self._arm, self._limits = arm_of(self._robot)
-        self._context = self._robot.plant.CreateDefaultContext()
-        self._stiffness, self._damping = stiffness, 2.0 * math.sqrt(stiffness)
-
-    def __call__(
-        self, q: FloatArray, v: FloatArray, q_d: FloatArray, v_d: FloatArray
-    ) -> FloatArray:
-        """(7,) [N m], within the limits, at (7,) positions and speeds that are and are to be."""
-        plant, context, arm = self._robot.plant, self._context, self._arm
-        state = plant.GetPositionsAndVelocities(context)
-        state[arm] = q
-        state[plant.num_positions() + np.array(arm)] = v
-        plant.SetPositionsAndVelocities(context, state)
-        asked = np.zeros(plant.num_velocities())
-        asked[arm] = self._stiffness * (q_d - q) + self._damping * (v_d - v)
-        tau = plant.CalcMassMatrix(context) @ asked + plant.CalcBiasTerm(context)
-        most = self._limits.effort_limit
-        limited: FloatArray = np.clip(tau[arm], -most, most)
-        return limited
-
-
-def play(
-    motion: SharedMotion,
-    lcm_url: str,
-    rules: PlayerRules,
-    rate: float,
-    parent: int,
-    robot: Robot | None = None,
-) -> None:
+def play(motion: SharedMotion, lcm_url: str, rules: PlayerRules, rate: float, parent: int) -> None:
     """Plays until it was told to end, or who decides is no more: the body of a process.
 
     Args:
@@ -503,7 +426,6 @@ def play(
         rules: when to stop.
         rate: simulated seconds in one of the wall clock, at most.
         parent: process that decides.
-        robot: as for `CommandPlayer`.
     """
     # Told by who decides, or by its end: a signal to the whole group would stop it at full speed.
     for kind in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -511,7 +433,7 @@ def play(
     logging.basicConfig(format="%(levelname)s: arm: %(message)s")
     gc.disable()
     _hurry()
-    player = CommandPlayer(motion, DrakeLcm(lcm_url), rules=rules, rate=rate, robot=robot)
+    player = CommandPlayer(motion, DrakeLcm(lcm_url), rules=rules, rate=rate)
     due = time.monotonic()
     while not player.finished:
         if os.getppid() != parent and not motion.figure("end"):

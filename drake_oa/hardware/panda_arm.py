@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from enum import StrEnum
 
 import numpy as np
 from pydrake.manipulation import PandaControlMode
@@ -21,21 +20,8 @@ _UPPER = np.array([2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973])
 _SLACK = 0.02
 
 
-class Mode(StrEnum):
-    """What commands hold."""
-
-    POSITION = "position"
-    """Where the joints are to be."""
-    TORQUE = "torque"
-    """Torques beside those of gravity, which the arm adds by itself."""
-
-    @property
-    def in_messages(self) -> int:
-        """What messages call it."""
-        drakes = PandaControlMode.kPosition if self is Mode.POSITION else PandaControlMode.kTorque
-        return int(drakes)
-
-
+POSITION_MODE = int(PandaControlMode.kPosition)
+"""Control mode of commands and statuses in messages: joint positions."""
 MICROSECOND = 1e-6
 """Unit of the stamps [s]."""
 

@@ -27,8 +27,8 @@ from drake_oa.hardware.panda_arm import (
     ARM_JOINTS,
     COMMAND_CHANNEL,
     MICROSECOND,
+    POSITION_MODE,
     STATUS_CHANNEL,
-    Mode,
     arm_of,
 )
 from drake_oa.robot.plant import make_robot_plant
@@ -40,12 +40,9 @@ from drake_oa.world.cameras import Camera
 from drake_oa.world.depth_messages import CHANNEL, pack_depth
 from drake_oa.world.late_camera import LateCamera
 from drake_oa.world.station import make_station, release_cameras
-from drake_oa.world.world_model import all_obstacles
 
 _STIFFNESS = 400.0
 """Of each joint, critically damped: what a position that is off accelerates [1/s^2]."""
-_DAMPING = np.array([37.5, 50.0, 37.5, 25.0, 5.0, 3.75, 2.5])
-"""Of each joint where torques have ended [N m s/rad]: those of drake-franka-driver."""
 _PATIENCE = 0.9
 """Share of a camera's period that an image may be late before it is waited for."""
 _AT_REST, _REST_TIME = 0.01, 1.0
@@ -149,7 +146,6 @@ class PandaStation:
         rules: CommandRules | None = None,
         images: bool = True,
         rate: float = 1.0,
-        mode: Mode = Mode.POSITION,
         waits: bool = False,
         log: bool = False,
         clock: Callable[[], float] = time.time,
@@ -162,7 +158,6 @@ class PandaStation:
             rules: what commands are held to; None: `CommandRules()`.
             images: whether cameras send theirs.
             rate: simulated seconds in one of the wall clock, at most.
-            mode: what commands hold.
             waits: whether the world stands still until the arm follows a command, so that courses
                 begin with the motion, and `run` ends when nobody commands and all is at rest.
             log: whether the states are kept, for `states`.
@@ -174,8 +169,6 @@ class PandaStation:
         """
         if not 0.0 < rate <= 1.0:
             raise ValueError(f"rate: {rate} must be above 0 and at most 1")
-        if mode is Mode.TORQUE and rate != 1.0:
-            raise ValueError(f"rate: {rate} must be 1 where torques are commanded")
         if scenario.robot is None:
             raise ScenarioError("robot: a station needs one; this scenario has null")
         if scenario.faults:
@@ -209,7 +202,9 @@ class PandaStation:
             )
             builder.Connect(mover.get_output_port(), plant.get_actuation_input_port(instance))
         builder.ExportInput(self._controller.get_input_port_desired_state(), "desired_state")
-        builder.ExportInput(plant.get_actuation_input_port(self._robot), "applied")
+        builder.Connect(
+            self._controller.get_output_port_control(), plant.get_actuation_input_port(self._robot)
+        )
         builder.ExportOutput(state, "robot_state")
         builder.ExportOutput(self._controller.get_output_port_control(), "actuation")
         self._logged = {}
@@ -226,16 +221,13 @@ class PandaStation:
         self._simulator = Simulator(self._diagram)
         # Of the wall clock's seconds, as all that is in messages.
         limits = replace(limits, velocity_limit=rate * limits.velocity_limit)
-        self.guard = CommandGuard(self._q_start[self._arm], limits, rules or CommandRules(), mode)
+        self.guard = CommandGuard(self._q_start[self._arm], limits, rules or CommandRules())
         self.pace = Pace()
-        self._mode, self._torqued = mode, False
         self._step, self._rate, self._clock, self._lcm = scenario.plant_step, rate, clock, lcm
-        self._model = robot_plant.plant.CreateDefaultContext()
-        self._alone = robot_plant
         self._waits = self._ends = waits
         self.event_times: list[float] = []
         self.num_positions = plant.num_positions()
-        self._world_end = last_change(all_obstacles(scenario))
+        self._world_end = last_change(scenario.obstacles)
         self._moved = 0.0
         periods = {config.name: 1.0 / config.fps for config in scenario.cameras}
         self._senders = [
@@ -342,32 +334,15 @@ class PandaStation:
             self.pace.rejected += 1
 
     def _actuate(self) -> None:
-        """Torques until the next step: towards the desired state, or the commanded ones."""
-        root = self._simulator.get_mutable_context()
-        now, n = self._clock(), len(self._q_start)
-        commanded = self.guard.torque(now)
-        if commanded is not None:
-            self._torqued = True
-        elif self._torqued:
-            # Where torques end the arm is damped, not held, as by the vendor's driver.
-            speeds = self._diagram.GetOutputPort("robot_state").Eval(root)[n:]
-            commanded = -_DAMPING * speeds[self._arm]
+        """Sets the desired state until the next step."""
+        n = len(self._q_start)
         desired = np.concatenate([self._q_start, np.zeros(n)])
-        q, v = self.guard.desired(now)
+        q, v = self.guard.desired(self._clock())
         desired[self._arm] = q
         desired[n + np.array(self._arm)] = v / self._rate
-        self._diagram.GetInputPort("desired_state").FixValue(root, desired)
-        tau = np.array(self._diagram.GetOutputPort("actuation").Eval(root))
-        if commanded is not None:
-            # The arm adds what gravity asks, as the real one.
-            plant = self._alone.plant
-            plant.SetPositions(
-                self._model, self._diagram.GetOutputPort("robot_state").Eval(root)[:n]
-            )
-            gravity = -plant.CalcGravityGeneralizedForces(self._model)[self._arm]
-            tau[self._arm] = commanded + gravity
-        self._applied = tau[self._arm]
-        self._diagram.GetInputPort("applied").FixValue(root, tau)
+        self._diagram.GetInputPort("desired_state").FixValue(
+            self._simulator.get_mutable_context(), desired
+        )
 
     def status(self, now: float | None = None) -> lcmt_panda_status:
         """What the arm says of itself, by the wall clock [s]; None: now."""
@@ -385,9 +360,10 @@ class PandaStation:
         status.joint_velocity = list(self._rate * state[[n + i for i in self._arm]])
         status.joint_velocity_desired = list(v)
         status.joint_acceleration_desired = zero
-        status.joint_torque = status.joint_torque_desired = list(self._applied)
+        tau = self._diagram.GetOutputPort("actuation").Eval(context)[self._arm]
+        status.joint_torque = status.joint_torque_desired = list(tau)
         status.joint_torque_external = zero
         status.control_command_success_rate = 1.0
         status.robot_utime = round(context.get_time() / MICROSECOND)
-        status.control_mode = self._mode.in_messages
+        status.control_mode = POSITION_MODE
         return status

@@ -27,7 +27,6 @@ from drake_oa.hardware.command_player import (
     SharedMotion,
     play,
 )
-from drake_oa.robot.config import Robot
 from drake_oa.robot.limits import RobotLimits
 
 _NAP = 5e-4
@@ -83,7 +82,6 @@ class RobotLink:
         *,
         rules: PlayerRules | None = None,
         rate: float = 1.0,
-        robot: Robot | None = None,
         lcm: DrakeLcm | None = None,
         wait: Callable[[], None] = lambda: time.sleep(_NAP),
         raise_if_asked: Callable[[], None] = lambda: None,
@@ -95,7 +93,6 @@ class RobotLink:
             lcm_url: of the bus.
             rules: when to stop; None: `PlayerRules()`.
             rate: simulated seconds in one of the wall clock, at most.
-            robot: the arm, to command torques; None: positions.
             lcm: plays in this process, by this.
             wait: called again and again while the diagram is too far ahead.
             raise_if_asked: raises KeyboardInterrupt when somebody has asked for the end.
@@ -112,7 +109,7 @@ class RobotLink:
         self.player: CommandPlayer | None = None
         self._process: BaseProcess | None = None
         if lcm is not None:
-            self.player = CommandPlayer(self.motion, lcm, rules=self.rules, rate=rate, robot=robot)
+            self.player = CommandPlayer(self.motion, lcm, rules=self.rules, rate=rate)
             return
         check_values(self.rules)
         if not 0.0 < rate <= 1.0:
@@ -123,7 +120,7 @@ class RobotLink:
             raise ValueError(f"lcm_url: {lcm_url}: {error}") from None
         self._process = multiprocessing.get_context("spawn").Process(
             target=play,
-            args=(self.motion, lcm_url, self.rules, rate, os.getpid(), robot),
+            args=(self.motion, lcm_url, self.rules, rate, os.getpid()),
             name="command player",
             # Ends the arm's motion by itself when this process is gone.
             daemon=False,

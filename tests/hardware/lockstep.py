@@ -7,7 +7,6 @@ from typing import Any
 from pydrake.lcm import DrakeLcm
 
 from drake_oa.hardware.command_player import PlayerRules
-from drake_oa.hardware.panda_arm import Mode
 from drake_oa.hardware.panda_station import PandaStation
 from drake_oa.hardware.robot_link import RobotLink
 from drake_oa.scenario.loading import load_scenario
@@ -57,7 +56,6 @@ class Lockstep:
         images: bool = False,
         rules: PlayerRules | None = None,
         log: bool = False,
-        mode: Mode = Mode.POSITION,
     ) -> None:
         # Each its own, which nobody of before speaks on.
         self.url = f"memq://{next(_numbers)}"
@@ -72,12 +70,10 @@ class Lockstep:
             clock=self.clock,
             waits=True,
             log=log,
-            mode=mode,
         )
         self.link = RobotLink(
             self.url,
             rules=rules,
-            robot=self.scenario.robot if mode is Mode.TORQUE else None,
             lcm=self.lcm,
             wait=self.step,
             clock=self.clock,

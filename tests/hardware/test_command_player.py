@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from drake import lcmt_panda_command, lcmt_panda_status
 from pydrake.lcm import DrakeLcm
+from pydrake.manipulation import PandaControlMode
 
 from drake_oa.hardware.command_player import (
     PlayerRules,
@@ -16,7 +17,7 @@ from drake_oa.hardware.command_player import (
     SharedMotion,
     play,
 )
-from drake_oa.hardware.panda_arm import COMMAND_CHANNEL, STATUS_CHANNEL, Mode, arm_of
+from drake_oa.hardware.panda_arm import COMMAND_CHANNEL, STATUS_CHANNEL, arm_of
 from drake_oa.hardware.panda_station import PandaStation
 from drake_oa.hardware.robot_link import HardwareError
 from drake_oa.robot.plant import make_robot_plant
@@ -54,39 +55,6 @@ def test_the_arm_does_what_is_written_and_comes_to_rest_at_its_end() -> None:
     assert both.clock.now - EPOCH < 2.0 + 0.2 + 0.5 + 2 * both.link.rules.silence
 
 
-def test_by_torques_the_arm_does_what_is_written_and_holds_where_they_end() -> None:
-    both = Lockstep(mode=Mode.TORQUE)
-    q = ready(both)
-    goal = move(both, q, 2.0)
-    assert both.station.pace.rejected == 0
-    both.link.close()
-    for _ in range(100):
-        both.step()
-    np.testing.assert_allclose(both.station.q, goal, atol=5e-3)
-    # Accelerated, it lags by what the law is soft.
-    assert both.link.motion.figure("farthest") < 1e-2
-    for _ in range(200):
-        both.clock.now += 0.002
-        both.station.step()
-    assert "no command for 0.1 s" in both.station.guard.events[-1].what
-    np.testing.assert_allclose(both.station.q, goal, atol=5e-3)
-
-
-def test_torques_are_zero_while_the_state_is_old_and_the_run_ends() -> None:
-    both = Lockstep(mode=Mode.TORQUE)
-    q = ready(both)
-    sent: list[np.ndarray] = []
-    both.lcm.Subscribe(
-        COMMAND_CHANNEL,
-        lambda data: sent.append(np.array(lcmt_panda_command.decode(data).joint_torque)),
-    )
-    both.each = lambda: setattr(both, "alive", both.clock.now - EPOCH < 1.0)
-    with pytest.raises(HardwareError, match="no status on PANDA_STATUS"):
-        move(both, q, 2.0)
-    assert np.abs(sent[-60:]).max() == 0.0
-    assert np.abs(sent).max() < 30.0
-
-
 def test_an_arm_that_was_moved_since_it_was_looked_at_is_not_driven() -> None:
     both = Lockstep()
     q = ready(both)
@@ -99,7 +67,7 @@ def test_an_arm_that_was_moved_since_it_was_looked_at_is_not_driven() -> None:
     ("spoil", "why"),
     [
         ({"robot_mode": lcmt_panda_status.kUserStopped}, "stopped by its user"),
-        ({"control_mode": Mode.TORQUE.in_messages}, "does not take positions"),
+        ({"control_mode": int(PandaControlMode.kTorque)}, "does not take positions"),
         ({"utime": round(1e6 * (EPOCH - 5.0))}, "are both clocks set alike"),
         ({"joint_velocity": [0.2] * 7}, "moves at 0.2 rad/s; the arm has to rest"),
         ({"joint_position": [np.nan] * 7}, "hold no 7 finite positions"),

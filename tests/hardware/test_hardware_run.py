@@ -175,4 +175,4 @@ def test_no_arm_is_told_in_one_line(
     said = capsys.readouterr().err
     assert "no status" in said
     assert f"({url})" in said
-    assert main(["run", "tabletop_box", "--torques"]) == 2
+    assert main(["run", "tabletop_box", "--rate", "0.5"]) == 2
