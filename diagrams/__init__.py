@@ -20,7 +20,7 @@ Signals, with who offers them (`avoidance.Layers` says who reads them):
     goal, policy_state, phase, desired_*                   goal, dmp_integrator
     route                                                  cost_ring_selector
     coupling_parameters, motion                            regressor_chain
-    desired_posture, null_space_acceleration               posture_follower, null_space_coupling
+    desired_posture                                        posture_follower
     speed_scale, evasion, evading                          supervisor, evasion
     actuation, tracking_error, torque_saturation           controller
 

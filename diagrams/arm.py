@@ -8,7 +8,6 @@ import numpy as np
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
-from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.robot.arm import ArmModel, make_arm_model
 from drake_oa.robot.config import Robot
 from drake_oa.robot.grasped_object import tool_links
@@ -45,19 +44,10 @@ def covered_arm(robot: Robot, robot_plant: RobotPlant) -> ArmSpheres:
     return _COVERED[key]
 
 
-def arm_model(
-    scenario: Scenario, robot: Robot, robot_plant: RobotPlant, q_start: FloatArray
-) -> ArmModel:
-    """The arm's links without the tool, which has a clearance of its own."""
-    plant, inspector = robot_plant.plant, robot_plant.scene_graph.model_inspector()
-    return make_arm_model(
-        plant,
-        robot_plant.tool_frame,
-        end_rotations(scenario)[0],
-        q_start,
-        collect_collision_shapes(plant, inspector, robot_plant.instance),
-        without=tool_links(robot),
-    )
+def arm_model(scenario: Scenario, robot_plant: RobotPlant, q_start: FloatArray) -> ArmModel:
+    """The joints of the arm at the start, and the orientation of its tool there."""
+    R_WE = end_rotations(scenario)[0]
+    return make_arm_model(robot_plant.plant, robot_plant.tool_frame, R_WE, q_start)
 
 
 def make_posture_guide(

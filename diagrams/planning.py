@@ -73,7 +73,7 @@ def make_motion_selector(
     )
     if robot is None or not isinstance(regulation, Verified):
         raise ScenarioError("regulation: is not !Verified, or there is no robot")
-    arm = arm_model(scenario, robot, cell.robot_plant, cell.q_start)
+    arm = arm_model(scenario, cell.robot_plant, cell.q_start)
     spheres = cell.spheres.arrays
     _refuse_start(cell, cell.spheres)
     _tell_of_bare_links(cell, cell.spheres)

@@ -8,28 +8,23 @@ from pydrake.systems.primitives import (
     ConstantValueSource,
 )
 
-from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray, PlannedMotion
 from drake_oa.common.wires import Wires
-from drake_oa.diagrams.arm import arm_model, make_posture_guide
+from drake_oa.diagrams.arm import make_posture_guide
 from drake_oa.diagrams.station import Cell
-from drake_oa.posture.null_space_coupling import NullSpaceCoupling
 from drake_oa.posture.posture_follower import PostureFollower
-from drake_oa.robot.plant import RobotPlant
 from drake_oa.scenario.scenario import (
     Scenario,
 )
 
-_TASK = 6
-"""Dimensions of the pose of the tool."""
 _GUIDE_SAMPLES = 41
 """Of a posture that is not planned, along the motion."""
 
 
 def add_posture(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
-    """Adds what draws the arm's posture: posture_follower, guide_follower, null_space_coupling.
+    """Adds posture_follower, or posture_guide and guide_follower where no motion is planned.
 
-    Offers desired_posture and null_space_acceleration, which the controller takes.
+    They output desired_posture, the controller's.
     """
     if cell is None:
         return
@@ -41,39 +36,6 @@ def add_posture(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
         wires.add("posture_guide", guide, offers={"y0": "guided_posture"})
         wires.add("guide_follower", follower, reads={"motion": "guided_posture", "evading": None})
     wires.log("desired_posture")
-    if "obstacles_W" in wires:
-        coupling = make_null_space_coupling(scenario, cell.robot_plant, cell.q_start)
-        if coupling is not None:
-            wires.add("null_space_coupling", coupling)
-
-
-def make_null_space_coupling(
-    scenario: Scenario, robot_plant: RobotPlant, q_start: FloatArray
-) -> NullSpaceCoupling | None:
-    """What turns the links away from obstacles; None: the scenario asks for none.
-
-    Raises:
-        ScenarioError: for an arm whose joints are not all revolute.
-    """
-    robot = scenario.robot
-    given = None if robot is None else robot.null_space_coupling
-    if robot is None or given is None:
-        return None
-    try:
-        arm = arm_model(scenario, robot, robot_plant, q_start)
-    except ValueError as error:
-        raise ScenarioError(f"robot.null_space_coupling: {error}") from None
-    if len(arm.posture) <= _TASK:
-        raise ScenarioError(
-            f"robot.null_space_coupling: the arm has {len(arm.posture)} joints, and so nothing "
-            "that it could turn while the tool keeps its pose; write null"
-        )
-    return NullSpaceCoupling(
-        arm,
-        robot_plant.plant.num_multibody_states(),
-        given,
-        period=scenario.policy.period,
-    )
 
 
 def make_posture_follower(scenario: Scenario, q_rest: FloatArray) -> PostureFollower:

@@ -11,7 +11,6 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.station import Cell
 from drake_oa.geometry.annulus import Annulus
-from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.regulation.config import Paper
 from drake_oa.robot.arm import make_arm_model
 from drake_oa.robot.config import Robot
@@ -77,9 +76,6 @@ def robot_reachability(robot: Robot | None) -> Reachability | None:
             robot_plant.tool_frame,
             RollPitchYaw(robot.rpy_WE).ToRotationMatrix(),
             home_positions(robot_plant, robot),
-            collect_collision_shapes(
-                robot_plant.plant, robot_plant.scene_graph.model_inspector(), robot_plant.instance
-            ),
         )
         return reachability(arm)
     except ValueError as error:

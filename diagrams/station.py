@@ -52,7 +52,7 @@ class Cell(Station):
         """The arm that is kept safe."""
         robot_plant = self.robot_plant
         try:
-            arm = arm_model(self.scenario, self._robot, robot_plant, self.q_start)
+            arm = arm_model(self.scenario, robot_plant, self.q_start)
             return make_guarded_arm(robot_plant, arm, self.spheres)
         except ValueError as error:
             raise ScenarioError(f"robot: {error}") from None

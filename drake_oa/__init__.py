@@ -29,7 +29,6 @@ _SYSTEMS = {
     "DmpIntegrator": "policy.dmp_integrator",
     "OrientationIntegrator": "policy.orientation_integrator",
     "PostureFollower": "posture.posture_follower",
-    "NullSpaceCoupling": "posture.null_space_coupling",
     "Supervisor": "safety.supervisor",
     "ObstacleEvasion": "safety.obstacle_evasion",
     "CartesianInverseDynamics": "control.cartesian_inverse_dynamics",

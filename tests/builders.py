@@ -10,7 +10,6 @@ from pydrake.systems.framework import Context, System
 
 from drake_oa.app.main import main
 from drake_oa.common.messages import EllipsoidSet, FloatArray
-from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.robot.arm import ArmModel, make_arm_model
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotPlant, home_positions
@@ -41,17 +40,13 @@ def arm_of(
     panda: RobotPlant,
     R_WE: RotationMatrix,
     q: FloatArray | None = None,
-    without: Sequence[str] = (),
 ) -> ArmModel:
-    """The arm as arrays, its posture q, at home by default; some links left out."""
-    inspector = panda.scene_graph.model_inspector()
+    """The arm as arrays, its posture q, at home by default."""
     return make_arm_model(
         panda.plant,
         panda.tool_frame,
         R_WE,
         home_positions(panda, Robot()) if q is None else q,
-        collect_collision_shapes(panda.plant, inspector, panda.instance),
-        without=without,
     )
 
 

@@ -63,7 +63,7 @@ def posed_panda(panda: RobotPlant) -> Callable[[np.ndarray], ArmModel]:
         R_WE = RotationMatrix(RollPitchYaw(Robot().rpy_WE))
         home, tool = home_positions(panda, Robot()), panda.tool_frame.name()
         q = solve_tool_pose(panda.plant, tool, RigidTransform(R_WE, place), home)
-        return arm_of(panda, R_WE, q, Robot().tool_links)
+        return arm_of(panda, R_WE, q)
 
     return posed
 

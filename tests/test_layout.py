@@ -53,4 +53,6 @@ def test_tests_mirror_the_tree() -> None:
     of_package = {
         folder.relative_to("drake_oa") for folder in FOLDERS if folder.parts[0] == "drake_oa"
     }
-    assert folders - {Path("."), Path("reference"), Path("regression")} <= of_package | {Path("diagrams")}
+    assert folders - {Path("."), Path("reference"), Path("regression")} <= of_package | {
+        Path("diagrams")
+    }

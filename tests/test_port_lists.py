@@ -77,7 +77,6 @@ ALWAYS |= {"ObstacleEvasion"}
         ("recorded", {"RecordedPerception"}),
         ("regulation=!Paper {}", {"RegressorChain", "CostRingSelector"}),
         ("task.rpy_goal=[3.0, 0.0, 1.0]", {"OrientationIntegrator"}),
-        ("robot.null_space_coupling={}", {"NullSpaceCoupling", "PostureFollower"}),
         ("faults=[!Push {}]", {"ExternalPush"}),
     ],
 )

@@ -65,7 +65,6 @@ class CartesianInverseDynamics(LeafSystem):
       - desired_angular_velocity (optional)
       - desired_angular_acceleration (optional)
       - desired_posture (optional)
-      - null_space_acceleration (optional)
       output_ports:
       - actuation
       - torque_saturation
@@ -84,8 +83,6 @@ class CartesianInverseDynamics(LeafSystem):
     - desired_angular_acceleration (optional): (3,) in the world frame [rad/s^2]; without it 0.
     - desired_posture (optional): (2m,) positions and velocities of the arm's m joints that the
       null space is drawn to [rad, rad/s]. Without it the constructor's, at rest.
-    - null_space_acceleration (optional): (m,) of the arm's joints, added in the null space
-      [rad/s^2]; without it 0.
     - actuation: (n,) in the order of the plant's actuators [N m, N]: the law of
       `drake_oa.control.operational_space` for the arm; a spring and damper that hold the fingers.
     - torque_saturation: (1,) 1 while an arm joint is asked for more than its effort
@@ -158,7 +155,6 @@ class CartesianInverseDynamics(LeafSystem):
             self.DeclareVectorInputPort(f"desired_{name}", 3)
             for name in ("position", "velocity", "acceleration")
         ]
-        arm = len(self._joints.limits.effort)
         self._optional = [
             self.DeclareVectorInputPort(f"desired_{name}", size)
             for name, size in (
@@ -167,8 +163,8 @@ class CartesianInverseDynamics(LeafSystem):
                 ("angular_acceleration", 3),
             )
         ]
+        arm = len(self._joints.limits.effort)
         self._posture = self.DeclareVectorInputPort("desired_posture", 2 * arm)
-        self._optional.append(self.DeclareVectorInputPort("null_space_acceleration", arm))
         self._model = ModelContext(self, plant)
         read = (self._state, *self._desired, *self._optional, self._posture)
         self._law = self.DeclareCacheEntry(
@@ -222,7 +218,7 @@ class CartesianInverseDynamics(LeafSystem):
             arm = before.arm if before is not None and before.x == key else None
             arm = arm or self._arm_state(context, x)
             p, v, a = [port.Eval(context) for port in self._desired]
-            quaternion, w, alpha, a_posture = [
+            quaternion, w, alpha = [
                 port.Eval(context) if port.HasValue(context) else None for port in self._optional
             ]
             R_WE = self._R_WE_desired if quaternion is None else rotation_of(quaternion)
@@ -232,7 +228,7 @@ class CartesianInverseDynamics(LeafSystem):
                 q_posture, v_posture = posture[: len(q_posture)], posture[len(q_posture) :]
             desired = DesiredMotion(p, v, a, R_WE, w, alpha)
             torque = operational_space_torque(
-                arm, desired, q_posture, limits, self._gains, v_posture, a_posture
+                arm, desired, q_posture, limits, self._gains, v_posture
             )
         else:
             torque = no_torque(len(limits.effort))

@@ -152,7 +152,6 @@ def operational_space_torque(
     limits: ArmLimits,
     gains: Gains,
     v_posture: FloatArray | None = None,
-    a_posture: FloatArray | None = None,
 ) -> JointTorque:
     """The law of this module.
 
@@ -163,7 +162,7 @@ def operational_space_torque(
 
     and the posture acceleration
 
-        a_0 = a_posture + kp_posture (q_posture - q) + kd_posture (v_posture - v)
+        a_0 = kp_posture (q_posture - q) + kd_posture (v_posture - v)
               + kp_limit M^-1 diag(M) (clip(q) - q),
 
     where clip(q) keeps `limit_margin` away from the limits: the last term is a torque
@@ -182,18 +181,15 @@ def operational_space_torque(
         limits: of the joints.
         gains: of the law.
         v_posture: (n,) its velocity [rad/s]; None: it is at rest.
-        a_posture: (n,) acceleration added in the null space [rad/s^2]; None: none.
     """
     n = len(q_posture)
-    forward_fed = np.zeros(6 + 2 * n)
+    forward_fed = np.zeros(6 + n)
     if desired.w_WE is not None:
         forward_fed[:3] = desired.w_WE
     if desired.alpha_WE is not None:
         forward_fed[3:6] = desired.alpha_WE
     if v_posture is not None:
-        forward_fed[6 : 6 + n] = v_posture
-    if a_posture is not None:
-        forward_fed[6 + n :] = a_posture
+        forward_fed[6:] = v_posture
     finite, tau, saturated, error_p, error_R, singularity = law(
         state.q,
         state.v,

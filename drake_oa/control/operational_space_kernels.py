@@ -184,8 +184,8 @@ def law(  # noqa: PLR0913
 ) -> tuple[bool, FloatArray, np.ndarray, FloatArray, FloatArray, float]:
     """`drake_oa.control.operational_space.operational_space_torque` on plain arrays.
 
-    `forward_fed` (6 + 2n,) is what is zero for a tool that does not turn and a posture at
-    rest: w_d, alpha_d, v_posture and a_posture, one after the other.
+    `forward_fed` (6 + n,) is what is zero for a tool that does not turn and a posture at
+    rest: w_d, alpha_d and v_posture, one after the other.
 
     Returns:
         Whether it applies: all is finite and M positive definite, else the rest means
@@ -197,7 +197,7 @@ def law(  # noqa: PLR0913
     error_p = p_d - p_WE
     # R_d R_WE^T.
     error_R = rotation_vector(gram(R_d.T.copy(), R_WE.T.copy()))
-    posture = kp_n * (q_posture - q) + kd_n * (forward_fed[6 : 6 + n] - v) + forward_fed[6 + n :]
+    posture = kp_n * (q_posture - q) + kd_n * (forward_fed[6:] - v)
     velocity, wanted = np.zeros(6), -Jdot_v
     for i in range(6):
         for j in range(n):

@@ -14,7 +14,6 @@ world frame W, `X_WG` (4, 4) and `R_WO` (3, 3) poses and rotations, all of float
 - `collision_shapes`: what Drake knows of a robot's or an obstacle's shape, as arrays.
 - `shapes`: `!Box`, `!Cylinder` and `!Sphere`, the blocks of a scenario.
 - `annulus`: about a vertical axis, where a tool may go: signed margins.
-- `points`: an observation's points in blocks with bounding spheres, for fast distance queries.
 - `voxels`: cells of a grid: thinning, means, clusters (union of near points), gaps in the image.
 - `pinhole`: the camera's projection, and a `View`: image, intrinsics and pose together.
 - `rotation`, `directions`: rotation vectors, quaternions, turns about an axis; 26 directions.

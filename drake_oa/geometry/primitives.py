@@ -59,15 +59,6 @@ def point_distance(
 
 
 @compiled
-def posed(X_WB: FloatArray, X_BG: FloatArray, X_WG: FloatArray) -> None:
-    """Sets X_WG, of which three rows and four columns are, to X_WB X_BG."""
-    for i in range(3):
-        for j in range(4):
-            X_WG[i, j] = X_WB[i, 0] * X_BG[0, j] + X_WB[i, 1] * X_BG[1, j] + X_WB[i, 2] * X_BG[2, j]
-        X_WG[i, 3] += X_WB[i, 3]
-
-
-@compiled
 def to_frame(X_WG: FloatArray, x: float, y: float, z: float) -> tuple[float, float, float]:
     """A vector of the world in the frame that X_WG poses."""
     return (

@@ -11,11 +11,10 @@ each.
 - `plant`, `grasped_object`: parsing, welding, what the hand holds, the tool's corners. `formats`:
   a model with meshes that Drake does not read, without actuators, or in a package of Python, as
   Drake takes it.
-- `arm_kernels`: forward kinematics of revolute joints, the geometric Jacobian, distances of links
-  to points.
+- `arm_kernels`: forward kinematics of revolute joints, the geometric Jacobian.
 - `spheres`, `sphere_kernels`: the robot, with what it holds, as spheres that enclose its collision
-  geometry, and the least distance of its bodies to each other; pairs that may touch are found in
-  random postures. `sphere_cover`: a body's spheres by a greedy set cover, proven.
+  geometry; pairs of bodies that may touch are found in random postures. `sphere_cover`: a body's
+  spheres by a greedy set cover, proven.
 - `inverse_kinematics`: `solve_tool_pose` at set-up, by Drake's `InverseKinematics` and Newton
   steps within the joint limits; `solve_pose`, compiled, damped and weighted by the joints' ranges.
 - `reachability`: where the tool can be held in one orientation, on a grid, with signed margins.

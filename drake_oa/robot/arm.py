@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,9 +12,6 @@ from pydrake.systems.framework import Context
 
 from drake_oa.common.messages import FloatArray, Frozen, IntArray
 from drake_oa.common.numba_tools import kernel_arrays
-from drake_oa.geometry.collision_shapes import RobotModel
-from drake_oa.geometry.points import GuardShapes
-from drake_oa.geometry.primitives import RobotShapes
 from drake_oa.robot import arm_kernels as kernels
 
 
@@ -24,19 +20,14 @@ def make_arm_model(
     tool_frame: Frame,
     R_WE: RotationMatrix,
     q: FloatArray,
-    robot: RobotModel,
-    without: Sequence[str] = (),
 ) -> ArmModel:
-    """Reads the joints between the world and the tool, and the shapes that they move.
+    """Reads the joints between the world and the tool.
 
     Args:
         plant: finalized plant of the robot alone, its base welded to the world.
         tool_frame: the frame E.
         R_WE: orientation that the tool keeps.
         q: (nq,) posture; joints that do not move the tool stay as they are here [rad, m].
-        robot: the robot's collision geometry.
-        without: names of bodies that are left out of its shapes: the tool, which has a
-            clearance of its own.
 
     Raises:
         ValueError: if a joint that moves the tool is not revolute.
@@ -54,7 +45,6 @@ def make_arm_model(
         X_PJ[i] = (before.inverse() @ X_WJ[i] @ turned.inverse()).GetAsMatrix4()
         before = X_WJ[i]
     X_PJ[-1] = (before.inverse() @ tool_frame.CalcPoseInWorld(context)).GetAsMatrix4()
-    moved = moved_by(plant, joints)
     return ArmModel(
         index=index,
         X_PJ=X_PJ,
@@ -63,7 +53,6 @@ def make_arm_model(
         lower=plant.GetPositionLowerLimits()[index],
         upper=plant.GetPositionUpperLimits()[index],
         speed=plant.GetVelocityUpperLimits()[[joint.velocity_start() for joint in joints]],
-        shapes=_shapes(plant, context, X_WJ, moved, robot, without),
     )
 
 
@@ -114,42 +103,6 @@ def in_joint_frame(
     return (X_WB if at < 0 else X_WJ[at].inverse() @ X_WB).GetAsMatrix4()
 
 
-def _shapes(
-    plant: MultibodyPlant,
-    context: Context,
-    X_WJ: list[RigidTransform],
-    moved: dict[BodyIndex, int],
-    robot: RobotModel,
-    without: Sequence[str],
-) -> GuardShapes:
-    """What may touch obstacles."""
-    shapes = robot.shapes
-    taken = [body in moved and plant.get_body(body).name() not in without for body in robot.bodies]
-    frame = [in_joint_frame(plant, context, X_WJ, moved, body) for body in robot.bodies]
-    box = [row for row, body in enumerate(shapes.box_body) if taken[body]]
-    cylinder = [row for row, body in enumerate(shapes.cylinder_body) if taken[body]]
-
-    def joints_of(bodies: IntArray) -> IntArray:
-        return np.array([moved[robot.bodies[row]] for row in bodies], dtype=np.int64)
-
-    def in_frame(bodies: IntArray, X_BG: FloatArray) -> FloatArray:
-        posed = [frame[row] @ X for row, X in zip(bodies, X_BG, strict=True)]
-        return np.array(posed).reshape(-1, 4, 4)
-
-    return GuardShapes.of(
-        RobotShapes(
-            joints_of(shapes.box_body[box]),
-            in_frame(shapes.box_body[box], shapes.X_BG_box[box]),
-            shapes.half_extents[box],
-            shapes.radius[box],
-            joints_of(shapes.cylinder_body[cylinder]),
-            in_frame(shapes.cylinder_body[cylinder], shapes.X_BG_cylinder[cylinder]),
-            shapes.cylinder_size[cylinder],
-        ),
-        len(X_WJ),
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class ArmModel(Frozen):
     """An arm of n revolute joints in a row, as `drake_oa.robot.arm.make_arm_model` reads it.
@@ -164,7 +117,6 @@ class ArmModel(Frozen):
         posture: (n,) that the null space is drawn to where nothing is in the way [rad].
         lower, upper: (n,) joint limits [rad].
         speed: (n,) their velocity limits [rad/s].
-        shapes: what may touch obstacles.
     """
 
     index: IntArray
@@ -174,7 +126,6 @@ class ArmModel(Frozen):
     lower: FloatArray
     upper: FloatArray
     speed: FloatArray
-    shapes: GuardShapes
 
     def poses(self, q: FloatArray) -> FloatArray:
         """(n + 1, 4, 4) poses of the bodies, and of E, in the world."""

@@ -46,18 +46,6 @@ class Gains:
 
 
 @dc.dataclass
-class NullSpaceCouplingParameters:
-    """The coupling law on the links' points that are nearest to obstacles."""
-
-    # Strength [rad/s], width over the heading [rad], decay over the distance [1/m^2].
-    alpha: float = _number(300.0, "rad/s", 0.0, 1e4)
-    psi: float = _number(1.5, "rad", 0.0, 10.0, open_low=True)
-    kappa: float = _number(20.0, "1/m^2", 0.0, 1e4, open_low=True)
-    # Bound of the norm of the joints' acceleration [rad/s^2].
-    most: float = _number(30.0, "rad/s^2", 0.0, 1e4, open_low=True)
-
-
-@dc.dataclass
 class BasePose:
     """Where the base link stands in the world, X_WB."""
 
@@ -146,9 +134,6 @@ class Robot:
     gains: Gains = dc.field(default_factory=Gains)
     # Null, or the default left to another model or tool point: found from what the arm reaches.
     annulus: Annulus | None = dc.field(default_factory=Annulus)
-    # The paper's reaction of the links to obstacles, in the null space of the tool's task, for an
-    # arm of seven joints or more; null: none. What is verified does without.
-    null_space_coupling: NullSpaceCouplingParameters | None = None
 
 
 def check_robot(robot: Robot) -> None:

@@ -28,7 +28,6 @@ from drake_oa.planning.arm_world import (
 )
 from drake_oa.planning.rollout import ToolPaths, roll_out_arm
 from drake_oa.planning.solid_scene import SolidScene
-from drake_oa.posture.null_space_coupling import null_space_basis
 from drake_oa.safety.config import EvasionSettings
 from drake_oa.safety.evasion_candidates import planned_joints
 from drake_oa.safety.guarded_arm import GuardedArm, tool_jacobian
@@ -44,6 +43,15 @@ _OWN = 0.005
 """What the arm keeps of itself [m]."""
 _BATCH = 32
 """Ways that are rolled out before the worse of the others are known to be none."""
+_SINGULAR = 1e-6
+"""Share of the greatest singular value of a Jacobian below which one counts as zero."""
+
+
+def null_space_basis(J: FloatArray) -> FloatArray:
+    """(n, n - rank) orthonormal columns Z with J Z = 0."""
+    _, values, rows = np.linalg.svd(J)
+    rank = int(np.count_nonzero(values > _SINGULAR * values[0])) if len(values) else 0
+    return np.asarray(rows[rank:].T)
 
 
 @dataclass(frozen=True)

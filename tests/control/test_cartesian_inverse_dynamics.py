@@ -384,7 +384,6 @@ def test_ports_with_what_the_constructor_has_change_nothing(
         desired_angular_velocity=REST,
         desired_angular_acceleration=REST,
         desired_posture=np.append(Q_ARM, np.zeros(7)),
-        null_space_acceleration=np.zeros(7),
     )
     for name in ("actuation", "orientation_error", "tracking_error"):
         np.testing.assert_allclose(
@@ -418,7 +417,6 @@ def test_the_orientation_is_the_quaternions_of_any_sign_and_length(
         ("desired_angular_acceleration", np.array([0.0, 0.0, np.inf])),
         ("desired_posture", np.append(np.zeros(13), np.nan)),
         ("desired_posture", np.append(np.inf, np.zeros(13))),
-        ("null_space_acceleration", np.full(7, np.nan)),
     ],
 )
 def test_what_is_asked_and_not_finite_brakes(
@@ -453,7 +451,7 @@ def test_angular_rates_are_fed_forward(
     np.testing.assert_allclose(read(controller, "orientation_error", context), e, atol=1e-12)
 
 
-def test_posture_and_null_space_do_not_move_the_tool(
+def test_the_posture_does_not_move_the_tool(
     model: MultibodyPlant, controller: CartesianInverseDynamics
 ) -> None:
     plant = model.CreateDefaultContext()
@@ -463,7 +461,6 @@ def test_posture_and_null_space_do_not_move_the_tool(
     found = []
     for ports in (
         {},
-        {"null_space_acceleration": np.array([2.0, 0.0, -2.0, 0.0, 1.0, 0.0, 0.0])},
         {"desired_posture": np.append(Q_ARM + 0.1, np.full(7, -0.2))},
     ):
         context = asked(controller, fixed(controller), **ports)

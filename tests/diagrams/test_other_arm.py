@@ -5,8 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drake_oa.common.config import ScenarioError
-from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.diagrams.route import robot_annulus
 from drake_oa.runs.report import motion_report
 from drake_oa.runs.simulation import simulate
@@ -103,12 +101,6 @@ def test_it_evades(folder: Path) -> None:
     log = simulate(load_scenario(file, [f"obstacles=[{coming}]"]), duration=0.4)
     assert any("evades obstacle" in event for event in log.event)
     assert np.isfinite(log.torque).all()
-
-
-def test_it_has_no_null_space_that_could_be_coupled(folder: Path) -> None:
-    file = str(folder / "six.scenario.yaml")
-    with pytest.raises(ScenarioError, match=r"robot\.null_space_coupling: the arm has 6 joints"):
-        build_avoidance(load_scenario(file, ["robot.null_space_coupling={}"]))
 
 
 def test_its_annulus_is_found(scenario: Scenario) -> None:

@@ -14,7 +14,6 @@ from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere, shape_geometry
 from drake_oa.geometry.solids import Solid, shape_solids, solid_distance, solids_of
 from drake_oa.planning.arm_world import (
@@ -98,15 +97,13 @@ class ArmAlone:
 
 def arm_alone(config: Robot) -> ArmAlone:
     robot = make_robot_plant(config)
-    q, inspector = home_positions(robot, config), robot.scene_graph.model_inspector()
+    q = home_positions(robot, config)
     spheres = make_arm_spheres(robot, q, tool_links(config), config.spheres)
     model = make_arm_model(
         robot.plant,
         robot.tool_frame,
         RotationMatrix(RollPitchYaw(config.rpy_WE)),
         q,
-        collect_collision_shapes(robot.plant, inspector, robot.instance),
-        without=tool_links(config),
     )
     return ArmAlone(config, robot, model, spheres, make_chain(model, spheres.arrays), q)
 

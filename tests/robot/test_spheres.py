@@ -28,7 +28,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.multibody.tree import FixedOffsetFrame
 from pydrake.systems.framework import DiagramBuilder
 
-from drake_oa.geometry.collision_shapes import collect_collision_shapes, surface_points
+from drake_oa.geometry.collision_shapes import surface_points
 from drake_oa.geometry.shapes import Cylinder as HeldCylinder
 from drake_oa.robot import sphere_kernels as kernels
 from drake_oa.robot.arm import make_arm_model
@@ -193,13 +193,11 @@ def spheres(panda: RobotPlant) -> ArmSpheres:
 
 
 def frames(robot: RobotPlant, q: np.ndarray, posture: np.ndarray) -> np.ndarray:
-    inspector = robot.scene_graph.model_inspector()
     arm = make_arm_model(
         robot.plant,
         robot.tool_frame,
         RigidTransform().rotation(),
         q,
-        collect_collision_shapes(robot.plant, inspector, robot.instance),
     )
     return arm.poses(posture)
 
@@ -227,7 +225,8 @@ def check_against_scene_graph(
         plant.SetPositions(context, full)
         query = robot.scene_graph.get_query_output_port().Eval(of_scene)
         X_WJ = frames(robot, q, full[:n])
-        centers = spheres.placed(X_WJ)
+        centers = np.empty((len(spheres), 3))
+        kernels.place(X_WJ, arrays, centers)
         arm = arrays.joint >= 0
         for p_WQ in X_WJ[-1, :3, 3] + random.uniform(-0.5, 0.5, (5, 3)):
             by_spheres = (np.linalg.norm(centers - p_WQ, axis=1) - arrays.radius)[arm].min()
@@ -245,27 +244,24 @@ def check_against_scene_graph(
             mine = slice(arrays.first[g], arrays.first[g + 1])
             away = np.linalg.norm(centers[mine] - at, axis=1) + arrays.radius[mine]
             assert away.max() <= arrays.bound[g, 3]
-        check_self(robot, query, spheres, X_WJ, centers)
+        check_self(robot, query, spheres, centers)
 
 
 def check_self(
     robot: RobotPlant,
     query: QueryObject,
     spheres: ArmSpheres,
-    X_WJ: np.ndarray,
     centers: np.ndarray,
 ) -> None:
     arrays = spheres.arrays
-    expected = np.inf
+    distances = []
     for pair, (i, j) in enumerate(arrays.pairs):
         a, b = (slice(arrays.first[g], arrays.first[g + 1]) for g in (i, j))
         away = np.linalg.norm(centers[a][:, None] - centers[b], axis=2)
         least = (away - arrays.radius[a][:, None] - arrays.radius[b]).min()
-        expected = min(expected, least + arrays.allowance[pair])
-    distance, names = spheres.self_distance(X_WJ)
-    assert distance == pytest.approx(expected, abs=1e-12)
-    assert names is not None
-    assert kernels.self_distance(X_WJ, arrays, expected - 1e-6) == (expected - 1e-6, -1)
+        distances.append(least + arrays.allowance[pair])
+    distance = min(distances)
+    names = [spheres.bodies[g] for g in arrays.pairs[np.argmin(distances)]]
     geometries = [
         robot.plant.GetCollisionGeometriesForBody(robot.plant.GetBodyByName(name)) for name in names
     ]
@@ -295,18 +291,13 @@ def test_the_pandas_spheres_are_scene_graphs_and_hardly_more(
 
 
 def test_the_pandas_bodies(spheres: ArmSpheres) -> None:
-    rows = spheres.report()
-    assert [row.body for row in rows] == [
-        *(f"panda_link{k}" for k in range(8)),
-        *Robot().tool_links,
-    ]
-    assert [row.joint for row in rows] == [-1, 0, 1, 2, 3, 4, 5, 6, 6, 6, 6]
-    assert sum(row.spheres for row in rows) == len(spheres) < 150
-    assert all(1.0 <= row.volume_ratio < 4.0 for row in rows)
-    of_tool = {
-        name for name, tool in zip(spheres.body_of, spheres.arrays.of_tool, strict=True) if tool
-    }
-    assert of_tool == set(Robot().tool_links)
+    links, arrays = tuple(f"panda_link{k}" for k in range(8)), spheres.arrays
+    assert spheres.bodies == (*links, *Robot().tool_links)
+    assert arrays.group_joint.tolist() == [-1, 0, 1, 2, 3, 4, 5, 6, 6, 6, 6]
+    assert len(spheres) < 150
+    assert all(1.0 <= found.volume_ratio < 4.0 for found in spheres.covers)
+    assert not arrays.of_tool[: arrays.first[len(links)]].any()
+    assert arrays.of_tool[arrays.first[len(links)] :].all()
     names = {tuple(spheres.bodies[g] for g in pair) for pair in spheres.arrays.pairs}
     assert ("panda_link0", "panda_hand") in names
     # Neighbours; fixed to one another; excluded by the model.
@@ -323,9 +314,8 @@ def test_what_is_held_is_of_the_tool() -> None:
     robot = Robot(carried=[HeldCylinder(radius=0.02, length=0.2, translation=[0.0, 0.0, 0.12])])
     panda = make_robot_plant(robot)
     found = make_arm_spheres(panda, home_positions(panda, robot), tool_links(robot), COARSE)
-    held = np.array(found.body_of) == "carried0"
-    assert held.any()
-    assert found.arrays.of_tool[held].all()
+    held = found.bodies.index("carried0")
+    assert found.arrays.of_tool[found.arrays.first[held]]
     names = {frozenset(found.bodies[g] for g in pair) for pair in found.arrays.pairs}
     assert {"panda_link0", "carried0"} in names
     assert {"panda_hand", "carried0"} not in names

@@ -146,7 +146,6 @@ def test_override_replaces_one_field() -> None:
         ("robot: {annulus: {height: [0, 1]}}", ["robot.annulus: ", "2, 11 and 11"]),
         ("robot: {annulus: {height: [1, 0], inner: [0, 0], outer: [1, 1]}}", ["must increase"]),
         ("robot: {annulus: {height: [0, 1], inner: [0, 2], outer: [1, 1]}}", ["inner[1]: 2"]),
-        ("robot: {null_space_coupling: {psi: 0}}", ["robot.null_space_coupling.psi", "(0, 10]"]),
         ("robot: null", ["robot", "GivenEllipsoids"]),
         ("cameras: [{name: a}, {name: a}]", ["cameras", "'a'", "own name"]),
         ("cameras: [{width: 100000}]", ["cameras[0].width: 100000", "[1, 4096] [pixel]"]),
