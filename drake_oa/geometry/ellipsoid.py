@@ -64,21 +64,15 @@ class Projection(NamedTuple):
 
 
 class Section(NamedTuple):
-    """Plane sections of ellipsoids: ellipses.
+    """Sections of ellipsoids by planes through their centers: ellipses.
 
     Attributes:
         semi_axes: (..., 2) semi-axes [m]: of the principal axis within 45 degrees of
-            e1, then of the other one. Zeros for an empty section.
-        angle: (...) angle of the former from e1 toward e2, in [-pi/4, pi/4] [rad].
-        empty: (...) whether the plane misses the ellipsoid.
-        center: (..., 3) centre of the section from the ellipsoid's centre, in W [m].
+            e1, then of the other one.
         axes: (..., 2, 3) unit principal axes in W, one a row.
     """
 
     semi_axes: FloatArray
-    angle: FloatArray
-    empty: np.ndarray
-    center: FloatArray
     axes: FloatArray
 
 
@@ -112,7 +106,7 @@ def unit_directions(count: int = 162) -> FloatArray:
     return points
 
 
-def dilate(points: ArrayLike, tool: ArrayLike, n_directions: int = 162) -> FloatArray:
+def dilate(points: ArrayLike, tool: ArrayLike) -> FloatArray:
     """Points on the C-obstacle O + (-E) of a point cloud O and a convex tool E.
 
     The tool's reference point may be nowhere in the C-obstacle (Lozano-Perez), hence
@@ -124,16 +118,16 @@ def dilate(points: ArrayLike, tool: ArrayLike, n_directions: int = 162) -> Float
         points: (N, 3) surface points in W [m].
         tool: (K, 3) vertices of the tool's convex geometry from its reference point
             (the TCP), in W orientation [m]; [[0, 0, 0]] for a point.
-        n_directions: how many directions, see `unit_directions`.
 
     Returns:
-        (S, 3) distinct support points in W [m], S <= n_directions.
+        (S, 3) distinct support points in W [m], S at most the number of `unit_directions`.
 
     Raises:
         ValueError: if points or tool are empty, not (., 3), or not finite.
     """
     points, tool = checked_points(points, "points"), checked_points(tool, "tool")
-    half = unit_directions(n_directions)[: n_directions // 2]
+    directions = unit_directions()
+    half = directions[: len(directions) // 2]
     along, corner_along = half @ points.T, half @ tool.T
     high = along.argmax(axis=1) * len(tool) + corner_along.argmin(axis=1)
     low = along.argmin(axis=1) * len(tool) + corner_along.argmax(axis=1)
@@ -261,42 +255,31 @@ def nearest(p: ArrayLike, center: ArrayLike, R: ArrayLike, semi_axes: ArrayLike)
     return Projection(distance, point, normal)
 
 
-def plane_section(
-    R: ArrayLike, semi_axes: ArrayLike, e1: ArrayLike, e2: ArrayLike, offset: ArrayLike = 0.0
-) -> Section:
-    """Section by the plane spanned by e1, e2, at `offset` from the ellipsoid's centre.
+def plane_section(R: ArrayLike, semi_axes: ArrayLike, e1: ArrayLike, e2: ArrayLike) -> Section:
+    """Computes the section by the plane through the center that e1 and e2 span.
 
-    With A = R diag(1/a^2) R^T, U = [e1, e2] and S = U^T A U the section through the centre
-    has the principal semi-axes eig(S)^(-1/2). A parallel section at the offset delta along
-    n = e1 x e2 is the same ellipse scaled by sqrt(1 - delta^2 / n^T B n), with its centre
-    at delta B n / n^T B n. These are the descriptors lambda' of the P-plane.
+    With A = R diag(1/a^2) R^T, U = [e1, e2] and S = U^T A U it has the principal semi-axes
+    eig(S)^(-1/2): the descriptors lambda' of the P-plane.
 
     Args:
         R: (..., 3, 3) rotations R_WO.
         semi_axes: (..., 3) positive semi-axes [m].
         e1: (..., 3) unit vector in W; on the P-plane, toward the obstacle's centre.
         e2: (..., 3) unit vector in W perpendicular to it.
-        offset: (...) signed distance of the plane from the centre along e1 x e2 [m].
 
     Raises:
         ValueError: if e1, e2 are not orthonormal to 1e-6, a semi-axis is not positive, or
             shapes do not fit.
     """
-    shape, (R_, a_, e1_, e2_, d_) = _rows((R, 2), (semi_axes, 1), (e1, 1), (e2, 1), (offset, 0))
-    out = np.empty((math.prod(shape), 13))
-    fault = kernels.plane_sections(R_, a_, e1_, e2_, d_, out)
+    shape, (R_, a_, e1_, e2_) = _rows((R, 2), (semi_axes, 1), (e1, 1), (e2, 1))
+    out = np.empty((math.prod(shape), 8))
+    fault = kernels.plane_sections(R_, a_, e1_, e2_, out)
     if fault == 1:
         raise ValueError(f"plane_section: semi_axes must be positive, not {semi_axes!r}")
     if fault == 2:
         raise ValueError("plane_section: e1, e2 must be unit vectors perpendicular to each other")
-    out = out.reshape(*shape, 13)
-    return Section(
-        out[..., :2],
-        out[..., 2],
-        out[..., 3] > 0.0,
-        out[..., 4:7],
-        out[..., 7:].reshape(*shape, 2, 3),
-    )
+    out = out.reshape(*shape, 8)
+    return Section(out[..., :2], out[..., 2:].reshape(*shape, 2, 3))
 
 
 def checked_points(points: ArrayLike, name: str) -> FloatArray:

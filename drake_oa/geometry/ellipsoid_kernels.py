@@ -241,10 +241,9 @@ def plane_sections(
     semi_axes: FloatArray,
     e1: FloatArray,
     e2: FloatArray,
-    offset: FloatArray,
     out: FloatArray,
 ) -> int:
-    """Sections; rows of out: semi-axes 2, angle, empty, centre 3, axes 6.
+    """Sections through the center; rows of out: semi-axes 2, axes 6.
 
     Returns:
         0, or 1 for a semi-axis that is not positive, 2 for a basis that is not
@@ -255,7 +254,6 @@ def plane_sections(
         a = semi_axes[m if semi_axes.shape[0] > 1 else 0]
         u = e1[m if e1.shape[0] > 1 else 0]
         v = e2[m if e2.shape[0] > 1 else 0]
-        delta = offset[m if offset.shape[0] > 1 else 0]
         if not (a[0] > 0.0 and a[1] > 0.0 and a[2] > 0.0):
             return 1
         uu = u[0] * u[0] + u[1] * u[1] + u[2] * u[2] - 1.0
@@ -277,26 +275,11 @@ def plane_sections(
         side = 1.0 if half >= 0.0 else -1.0
         angle = 0.5 * math.atan2(side * s12, abs(half))
         first, second = (big, small) if half >= 0.0 else (small, big)
-        n = (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0])
-        width2 = 0.0
+        out[m, 0] = 1.0 / math.sqrt(first)
+        out[m, 1] = 1.0 / math.sqrt(second)
         for i in range(3):
-            width2 += (a[i] * (A[0, i] * n[0] + A[1, i] * n[1] + A[2, i] * n[2])) ** 2
-        rest = 1.0 - delta * delta / width2
-        empty = not rest >= 0.0
-        shrink = 0.0 if empty else math.sqrt(rest)
-        out[m, 0] = shrink / math.sqrt(first)
-        out[m, 1] = shrink / math.sqrt(second)
-        out[m, 2] = angle
-        out[m, 3] = 1.0 if empty else 0.0
-        for i in range(3):
-            out[m, 4 + i] = 0.0
-        for k in range(3):
-            along = a[k] * a[k] * (A[0, k] * n[0] + A[1, k] * n[1] + A[2, k] * n[2])
-            for i in range(3):
-                out[m, 4 + i] += delta / width2 * A[i, k] * along
-        for i in range(3):
-            out[m, 7 + i] = math.cos(angle) * u[i] + math.sin(angle) * v[i]
-            out[m, 10 + i] = math.cos(angle) * v[i] - math.sin(angle) * u[i]
+            out[m, 2 + i] = math.cos(angle) * u[i] + math.sin(angle) * v[i]
+            out[m, 5 + i] = math.cos(angle) * v[i] - math.sin(angle) * u[i]
     return 0
 
 

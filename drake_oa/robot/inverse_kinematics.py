@@ -39,6 +39,8 @@ _POSITION_BOUND = 1e-4
 """Half width of the solver's position constraint [m], narrowed by the Newton steps."""
 _ORIENTATION_BOUND = 0.01
 """Width of the solver's orientation constraint [rad], narrowed by the Newton steps."""
+_TOLERANCE = 1e-6
+"""Greatest distance from the requested position [m], and angle from the orientation [rad]."""
 
 
 def solve_tool_pose(
@@ -47,8 +49,6 @@ def solve_tool_pose(
     X_WE: RigidTransform,
     q_seed: FloatArray,
     *,
-    position_tolerance: float = 1e-6,
-    orientation_tolerance: float = 1e-6,
     thorough: bool = True,
 ) -> FloatArray:
     """Positions, within the joint limits, that put the tool frame E at a pose.
@@ -63,8 +63,6 @@ def solve_tool_pose(
         tool_frame: name of the frame E.
         X_WE: asked pose.
         q_seed: (n,) positions to start from and to stay near [rad].
-        position_tolerance: largest distance from the asked position [m].
-        orientation_tolerance: largest angle from the asked orientation [rad].
         thorough: whether to look further where the solver finds none: it takes seconds to
             refuse what is just out of reach.
 
@@ -85,14 +83,13 @@ def solve_tool_pose(
     if not np.isfinite(p_WE).all():
         raise ValueError(f"X_WE: the position {p_WE} must be finite [m]")
     frame = plant.GetFrameByName(tool_frame)
-    tolerance = np.array([position_tolerance, orientation_tolerance])
 
     def solved(guess: FloatArray) -> FloatArray | None:
         q = _nearest_solution(plant, frame, X_WE, guess, q_seed)
         if q is None:
             return None
         q, left = _refine(plant, frame, X_WE, q, _NEWTON_STEPS)
-        return q if (left <= tolerance).all() else None
+        return q if (left <= _TOLERANCE).all() else None
 
     for seed in _seeds(plant, frame, q_seed, _SEEDS):
         q = solved(seed)
@@ -102,7 +99,7 @@ def solve_tool_pose(
     more = _seeds(plant, frame, q_seed, _MORE_SEEDS) if thorough else []
     for number, seed in enumerate(more):
         q, left = _refine(plant, frame, X_WE, seed, _MORE_STEPS)
-        if (left <= tolerance).all():
+        if (left <= _TOLERANCE).all():
             nearer = solved(q)
             return q if nearer is None else nearer
         nearest = min(nearest, float(np.linalg.norm(left)))

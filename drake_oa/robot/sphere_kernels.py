@@ -110,47 +110,6 @@ def _pair_distance(
 
 
 @compiled
-def self_distance(X_WJ: FloatArray, spheres: Spheres, limit: float) -> tuple[float, int]:
-    """How near the groups of `spheres.pairs` come to each other, each with its allowance.
-
-    Args:
-        X_WJ: (n + 1, 4, 4) see `place`.
-        spheres: which.
-        limit: a distance above it need not be known [m].
-
-    Returns:
-        The least signed distance [m] and the row of its pair; the limit and -1 where all are
-        farther apart.
-    """
-    pairs, first, radius, bound = spheres.pairs, spheres.first, spheres.radius, spheres.bound
-    allowance, joint, p_JS = spheres.allowance, spheres.group_joint, spheres.p_JS
-    groups = len(bound)
-    at = np.empty((groups, 3))
-    for g in range(groups):
-        _place_rows(X_WJ, joint[g], bound, g, g + 1, at)
-    centers = np.empty((len(radius), 3))
-    is_placed = np.zeros(groups, dtype=np.bool_)
-    least, nearest = limit, -1
-    for pair in range(len(pairs)):
-        one, other = pairs[pair, 0], pairs[pair, 1]
-        x, y, z = at[one, 0] - at[other, 0], at[one, 1] - at[other, 1], at[one, 2] - at[other, 2]
-        bare = least - allowance[pair]
-        most = bare + bound[one, 3] + bound[other, 3]
-        if most <= 0.0 or x * x + y * y + z * z >= most * most:
-            continue
-        for g in (one, other):
-            if not is_placed[g]:
-                is_placed[g] = True
-                _place_rows(X_WJ, joint[g], p_JS, first[g], first[g + 1], centers)
-        rows = (first[one], first[one + 1], first[other], first[other + 1])
-        ball = (at[other, 0], at[other, 1], at[other, 2], bound[other, 3])
-        distance = _pair_distance(rows, centers, radius, ball, bare)
-        if distance < bare:
-            least, nearest = distance + allowance[pair], pair
-    return least, nearest
-
-
-@compiled
 def pair_distances(X_WJ: FloatArray, spheres: Spheres, limit: float, out: FloatArray) -> None:
     """The distance of each pair, without its allowance and up to the limit: out (P,) [m]."""
     at = np.empty((len(spheres.bound), 3))

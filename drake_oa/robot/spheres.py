@@ -29,27 +29,6 @@ _LOW, _FEW = 0.05, 30
 
 
 @dataclass(frozen=True)
-class BodyReport:
-    """One row of `ArmSpheres.report`.
-
-    Attributes:
-        body: its name.
-        joint: the joint that moves it, -1: none.
-        shapes: how many it has.
-        spheres: how many enclose them.
-        overshoot: how far these stick out of the shapes at most [m].
-        volume_ratio: volume of the spheres' union over that of the shapes'.
-    """
-
-    body: str
-    joint: int
-    shapes: int
-    spheres: int
-    overshoot: float
-    volume_ratio: float
-
-
-@dataclass(frozen=True)
 class PairReport:
     """What was found of two bodies, in random postures.
 
@@ -76,58 +55,21 @@ class ArmSpheres(Frozen):
         arrays: as the kernels take it; its fields say what is what.
         bodies: (G,) name of each group's body.
         covers: (G,) its spheres in its own frame, and how near they fit.
-        shapes: (G,) how many collision shapes it has.
         looked_at: what was found of the pairs that are no neighbours.
     """
 
     arrays: kernels.Spheres
     bodies: tuple[str, ...]
     covers: tuple[Cover, ...]
-    shapes: tuple[int, ...]
     looked_at: tuple[PairReport, ...]
 
     def __len__(self) -> int:
         return len(self.arrays.radius)
 
     @cached_property
-    def body_of(self) -> tuple[str, ...]:
-        """(S,) name of each sphere's body."""
-        counts = np.diff(self.arrays.first)
-        return tuple(np.repeat(np.array(self.bodies), counts).tolist())
-
-    @cached_property
     def overshoot(self) -> FloatArray:
         """(G,) how far the spheres of each body stick out of its shapes at most [m]."""
         return np.array([found.overshoot for found in self.covers])
-
-    def report(self) -> list[BodyReport]:
-        """A row for each body."""
-        return [
-            BodyReport(
-                name,
-                int(self.arrays.group_joint[g]),
-                self.shapes[g],
-                len(found.radii),
-                found.overshoot,
-                found.volume_ratio,
-            )
-            for g, (name, found) in enumerate(zip(self.bodies, self.covers, strict=True))
-        ]
-
-    def placed(self, X_WJ: FloatArray) -> FloatArray:
-        """(S, 3) the spheres' centres in the world, joints' frames being at X_WJ (n, 4, 4)."""
-        centers = np.empty((len(self), 3))
-        kernels.place(np.array(X_WJ, dtype=float, order="C"), self.arrays, centers)
-        return centers
-
-    def self_distance(self, X_WJ: FloatArray) -> tuple[float, tuple[str, str] | None]:
-        """How near the arm comes to itself, and by which bodies; see `kernels.self_distance`."""
-        X_WJ = np.array(X_WJ, dtype=float, order="C")
-        distance, pair = kernels.self_distance(X_WJ, self.arrays, np.inf)
-        if pair < 0:
-            return distance, None
-        one, other = self.arrays.pairs[pair]
-        return distance, (self.bodies[one], self.bodies[other])
 
 
 def make_arm_spheres(
@@ -186,7 +128,7 @@ def make_arm_spheres(
     plant.SetPositions(context, q)
     X_WJ = _joint_frames(joints, context)
     poses = [RigidTransform(X) for X in X_WJ[:-1]]
-    covers, shapes, X_JB = [], [], []
+    covers, X_JB = [], []
     for index in bodies:
         body = plant.get_body(index)
         solids = [read_solid(inspector, g) for g in plant.GetCollisionGeometriesForBody(body)]
@@ -194,14 +136,13 @@ def make_arm_spheres(
         if body.name() in tool_links:
             asked = parameters.tool_overshoot
         covers.append(known_cover(solids, asked, max(parameters.most, len(solids))))
-        shapes.append(len(solids))
         X_JB.append(in_joint_frame(plant, context, poses, moved, index))
     joint = np.array([moved.get(index, -1) for index in bodies], dtype=np.int64)
     is_tool = np.array([plant.get_body(index).name() in tool_links for index in bodies])
     arrays = _laid(covers, X_JB, joint, is_tool, _candidates(robot, bodies, joint))
     group_names = tuple(plant.get_body(index).name() for index in bodies)
     arrays, looked_at = _with_pairs_found(robot, joints, bodies, q, arrays, parameters)
-    return ArmSpheres(arrays, group_names, tuple(covers), tuple(shapes), looked_at)
+    return ArmSpheres(arrays, group_names, tuple(covers), looked_at)
 
 
 def _joint_frames(joints: list[RevoluteJoint], context: Context) -> FloatArray:

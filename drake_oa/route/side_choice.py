@@ -56,7 +56,6 @@ def select_directions(
     hysteresis: float = 0.2,
     margins: Mapping[str, Margin] | None = None,
     followed: Followed | None = None,
-    together: bool = True,
 ) -> Selection:
     """Chooses omega_d: the direction of least total cost for each obstacle.
 
@@ -77,8 +76,6 @@ def select_directions(
         margins: name -> signed margin [m] of points (..., 3), negative where a leg from
             one obstacle to the next must not lead.
         followed: how far the arm follows a way; None: it is not asked.
-        together: whether the sides of several groups are chosen together; each by itself
-            otherwise.
     """
     count, width = scene.detour.shape
     costs = {name: np.asarray(ring(scene), dtype=float) for name, ring in rings.items()}
@@ -89,7 +86,7 @@ def select_directions(
                 "obstacles by directions"
             )
     groups = overlap_groups(scene.ellipsoids, scene.asked_clearance)
-    choose = partial(_choose, scene, groups, previous, hysteresis, margins, together)
+    choose = partial(_choose, scene, groups, previous, hysteresis, margins)
     selection = choose(costs)
     if followed is None or not count:
         return selection
@@ -120,7 +117,6 @@ def _choose(
     previous: IntArray | None,
     hysteresis: float,
     margins: Mapping[str, Margin] | None,
-    together: bool,
     costs: dict[str, FloatArray],
 ) -> Selection:
     count, width = scene.detour.shape
@@ -135,7 +131,7 @@ def _choose(
     for group, rows in rows_of.items():
         blocked[rows] = bool(shut[group].all())
     kept = {group: _kept(previous, rows) for group, rows in rows_of.items()}
-    if together and len(numbers) > 1:
+    if len(numbers) > 1:
         chosen = _sequence(scene, costs, groups, rows_of, shut, kept, hysteresis, margins)
         for a, b in chosen.beyond:
             blocked[rows_of[a]] = blocked[rows_of[b]] = True

@@ -343,24 +343,18 @@ def test_distance_of_a_nan_point_is_nan():
 
 
 @untimed
-@given(seed, semi_axes3, st.floats(-0.999, 0.999))
-def test_section_lies_on_the_ellipsoid_and_on_the_plane(seed, e, share):
+@given(seed, semi_axes3)
+def test_section_lies_on_the_ellipsoid_and_on_the_plane(seed, e):
     rng = np.random.default_rng(seed)
     _, R = pose(rng)
     e1, e2, n = basis(rng)
-    offset = share * float(support(n, R, e))
-    found = plane_section(R, e, e1, e2, offset)
-    assert not found.empty
+    found = plane_section(R, e, e1, e2)
     turn = np.linspace(0.0, 2.0 * np.pi, 25)
-    ring = (
-        found.center
-        + np.cos(turn)[:, None] * found.semi_axes[0] * found.axes[0]
-        + np.sin(turn)[:, None] * found.semi_axes[1] * found.axes[1]
-    )
+    ring = np.cos(turn)[:, None] * found.semi_axes[0] * found.axes[0]
+    ring += np.sin(turn)[:, None] * found.semi_axes[1] * found.axes[1]
     np.testing.assert_allclose(np.linalg.norm(ring @ R / e, axis=1), 1.0, atol=1e-9)
-    np.testing.assert_allclose(ring @ n, offset, atol=1e-12)
-    assert abs(found.angle) <= np.pi / 4 + 1e-12
-    assert found.axes[0] @ e1 == pytest.approx(np.cos(found.angle))
+    np.testing.assert_allclose(ring @ n, 0.0, atol=1e-12)
+    assert found.axes[0] @ e1 >= np.cos(np.pi / 4) - 1e-12
 
 
 @untimed
@@ -384,14 +378,6 @@ def test_section_of_principal_planes_is_exact_and_ordered_by_e1():
         found = plane_section(np.eye(3), axes, e1, e2)
         np.testing.assert_allclose(found.semi_axes, expected, rtol=1e-14)
         np.testing.assert_allclose(found.axes, [e1, e2], atol=1e-15)
-
-
-def test_section_of_a_sphere_is_a_circle_and_misses_beyond_it():
-    x, y, _ = np.eye(3)
-    found = plane_section(np.eye(3), [0.5] * 3, x, y, [0.0, 0.3, 0.5, 0.6, -0.6])
-    np.testing.assert_allclose(found.semi_axes[:, 0], [0.5, 0.4, 0.0, 0.0, 0.0], atol=1e-15)
-    np.testing.assert_array_equal(found.empty, [False, False, False, True, True])
-    np.testing.assert_allclose(found.center[:, 2], [0.0, 0.3, 0.5, 0.6, -0.6])
 
 
 def test_section_works_over_many_ellipsoids_and_none():
