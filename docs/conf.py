@@ -87,7 +87,7 @@ def _write_api(app: Sphinx) -> None:
 
 def _write_gallery(app: Sphinx) -> None:
     """A page with every shipped scenario, its words and its recording."""
-    text = "# Gallery\n\nEach runs by `drake-oa run NAME --meshcat`, or `drake-oa play NAME`.\n"
+    text = "# Gallery\n\nBy `drake-oa run NAME --meshcat`; with a robot, `drake-oa play NAME`.\n"
     for name, file in shipped_scenarios().items():
         text += f"\n## {name}\n\n{description(file)}\n"
         recording = _HERE / "results" / "recordings" / f"{name}.webp"

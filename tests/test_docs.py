@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import math
 import re
 import shlex
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from drake_oa.app.main import _app
+from drake_oa.policy.coupling import dead_zone_free_rate
 from drake_oa.scenario.loading import parse_scenario
 from drake_oa.scenario.shipped import shipped_scenarios
 
@@ -57,6 +59,31 @@ def test_every_import_that_is_shown_can_be_made() -> None:
                 module = importlib.import_module(node.module)
                 missing = [name.name for name in node.names if not hasattr(module, name.name)]
                 assert missing == [], page
+
+
+def test_the_python_example_of_the_readme_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    (example,) = (block for page, block in blocks("python") if page == "README.md")
+    exec(example, {})
+    assert re.search(r"of the arm 0\.\d+ m; contacts: \(\)", capsys.readouterr().out)
+
+
+def test_the_formula_of_the_concepts_page_is_the_computed_one() -> None:
+    formula = (
+        r"R \, v \; \alpha \operatorname{sign}(\theta) \, e^{-\theta^2 / \psi^2} \, e^{-\kappa d^2}"
+    )
+    assert formula in (ROOT / "docs" / "concepts.md").read_text()
+    for theta, d, alpha, psi, kappa in ((0.0, 0.1, 50.0, 0.5, 2.0), (-0.7, 0.3, 9.0, 0.4, 5.0)):
+        sign = -1.0 if theta < 0.0 else 1.0
+        expected = alpha * sign * math.exp(-(theta**2) / psi**2) * math.exp(-kappa * d**2)
+        assert dead_zone_free_rate(theta, d, alpha, psi, kappa) == pytest.approx(expected)
+
+
+def test_equations_are_cited_by_their_printed_numbers() -> None:
+    files = [*PAGES, *(ROOT / "docs" / "tutorials").glob("*.md")]
+    files += [file for name in ("drake_oa", "diagrams") for file in (ROOT / name).rglob("*.py")]
+    for file in files:
+        label = re.search(r"\beq[.:] ?[a-z]|oa_complete|sq_min", file.read_text())
+        assert label is None, f"{file}: {label}"
 
 
 def test_every_block_of_a_scenario_that_is_shown_is_taken() -> None:

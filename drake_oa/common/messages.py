@@ -111,7 +111,7 @@ class EllipsoidSet(Frozen):
         p_WO: (M, 3) centres in the world frame [m].
         R_WO: (M, 3, 3) rotations; the columns are the principal axes.
         semi_axes: (M, 3) semi-axes along those columns [m].
-        exponents: (M, 2) lambda_4 and lambda_5 of superquadrics (eq. sq), for which the ellipsoids
+        exponents: (M, 2) lambda_4 and lambda_5 of superquadrics (eq. 10), for which the ellipsoids
             stand but in their sections; (0, 2): they are 1.
         v_WO: (M, 3) velocities of the centres in the world frame [m/s].
         ids: (M,) integers that name the rows, each different: the obstacle's name, and a
@@ -282,7 +282,7 @@ class CouplingParameters(Frozen):
         anew: whether it is to begin anew from where it rests.
         verified: whether the rows are terms of their own, about `center_W`, which a look at the
             true shapes has chosen: they belong to no ellipsoid, and none holds the motion.
-        original: whether they are of the original term (eq. oa_original).
+        original: whether they are of the original term (eq. 7).
         confidence: (M,) probability that the motion with each row's term keeps what is asked
             (`drake_oa.regulation.confidence`); (0,): not told.
     """

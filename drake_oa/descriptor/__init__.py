@@ -10,7 +10,7 @@ velocities, names.
 - `GivenEllipsoidSource` hands out ellipsoids that a scenario gives (`!GivenEllipsoids`).
 
 Each cloud is dilated by the reflected tool and enclosed in the ellipsoid of least volume (method
-"enclosing"), or fitted by least squares as in Pairet et al. 2019, eq. sq_min ("least_squares").
+"enclosing"), or fitted by least squares as in Pairet et al. 2019, eq. 11 ("least_squares").
 Where the one ellipsoid would hold start or goal, which are known to be free, the cloud is halved
 into up to eight parts and the tool taken apart, and the obstacle has several rows, whose names
 differ by multiples of `messages.PART`.

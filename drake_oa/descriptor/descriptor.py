@@ -126,7 +126,7 @@ def least_squares_shape(
     minimum_semi_axis: float = 1e-3,
     exponent_prior: float | None = None,
 ) -> Superquadric:
-    """The paper's descriptor: the superquadric of eq. sq_min, squared.
+    """The paper's descriptor: the superquadric of eq. 11, squared.
 
     Fitted to the support points of the dilated cloud. It runs through the cloud, not
     round it: parts of the obstacle stay outside.

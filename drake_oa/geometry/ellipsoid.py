@@ -2,7 +2,7 @@
 
 The obstacle's points are dilated by the tool, one ellipsoid encloses the result,
 and the other layers then treat the tool as the point E (Pairet et al. 2019,
-section IV-B; lambda_4 = lambda_5 = 1 in eq. sq). An ellipsoid O is a centre p_WO,
+section IV-B; lambda_4 = lambda_5 = 1 in eq. 10). An ellipsoid O is a centre p_WO,
 a rotation R_WO whose columns are its principal axes, and semi-axes a:
 
     x inside  <=>  gauge(x) = | diag(1/a) R_WO^T (x - p_WO) | <= 1.

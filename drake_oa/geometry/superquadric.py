@@ -1,10 +1,10 @@
-"""Superquadrics and their least-squares fit (Pairet et al. 2019, eq. sq, eq. sq_min).
+"""Superquadrics and their least-squares fit (Pairet et al. 2019, eq. 10 and 11).
 
 In its own frame a superquadric of semi-axes lambda_1..3 and exponents lambda_4,
 lambda_5 is the set F <= 1 of
 
     F(x, y, z) = ((x/lambda_1)^(2/lambda_5) + (y/lambda_2)^(2/lambda_5))^(lambda_5/lambda_4)
-                 + (z/lambda_3)^(2/lambda_4)                               (eq. sq)
+                 + (z/lambda_3)^(2/lambda_4)                               (eq. 10)
 
 with absolute values in the powers' bases: 1 and 1 is an ellipsoid, 0.1 nearly a box,
 2 a double cone. F^(lambda_4/2) is homogeneous of degree one: a gauge, like a norm.
@@ -36,7 +36,7 @@ class Superquadric(Frozen):
 
     Attributes:
         center: (3,) centre p_WO [m].
-        R: (3, 3) rotation R_WO; the columns are the axes x, y, z of eq. sq.
+        R: (3, 3) rotation R_WO; the columns are the axes x, y, z of eq. 10.
         semi_axes: (3,) lambda_1, lambda_2, lambda_3 [m].
         exponents: (2,) lambda_4, lambda_5.
     """
@@ -71,7 +71,7 @@ class SuperquadricFit(Frozen):
 
 
 def log_inside_outside(p_O: ArrayLike, semi_axes: ArrayLike, exponents: ArrayLike) -> FloatArray:
-    """ln F (eq. sq); finite wherever the point is not the centre, there -inf.
+    """ln F (eq. 10); finite wherever the point is not the centre, there -inf.
 
     With lambda_5 = 0.1 a point at 20 semi-axes already has a term of 20^20; sums
     of logarithms neither overflow nor lose the smaller term.
@@ -113,7 +113,7 @@ def fit_superquadric(
 ) -> SuperquadricFit:
     """Least-squares superquadric of a (dilated) cloud.
 
-    The print of eq. sq_min has no square: its sum is unbounded below, and grows more
+    The print of eq. 11 has no square: its sum is unbounded below, and grows more
     negative with every larger superquadric. Here, after Solina and Bajcsy (1990),
 
         min  sum_i r_i^2,   r_i = sqrt(lambda_1 lambda_2 lambda_3) (F_i^p - 1),
@@ -122,7 +122,7 @@ def fit_superquadric(
     whatever the exponents) or p = 1 ("printed"). For ellipsoids the two are one.
     Centre, rotation, semi-axes and, where they are free, exponents are sought together
     from the cloud's principal axes; with free exponents once for each choice of
-    the z axis, which eq. sq treats apart.
+    the z axis, which eq. 10 treats apart.
 
     Args:
         points: (N, 3) points in W [m].

@@ -1,7 +1,7 @@
 """Coupling terms: turning the motion away from obstacles and toward a heading.
 
 A coupling term C turns the scaled velocity z without pushing it: C = Omega x z
-(eq. oa_main), where Omega is an angular rate per unit of normalised time
+(eq. 6), where Omega is an angular rate per unit of normalised time
 s = t / (tau T). Several terms add up (section III-C of the paper). Using z where
 the paper writes the velocity makes the path independent of tau.
 
@@ -52,7 +52,7 @@ _ABSENT = (0.0, 0.0, 0.0), 0.0, 0.0
 
 
 def original_rate(theta: ArrayLike, gamma: ArrayLike, beta: ArrayLike) -> FloatArray:
-    """Hoffmann's turning rate, (eq. oa_original): gamma theta exp(-beta |theta|).
+    """Hoffmann's turning rate, (eq. 7): gamma theta exp(-beta |theta|).
 
     Args:
         theta: heading relative to the obstacle's centre [rad], positive off to one side.
@@ -69,7 +69,7 @@ def original_rate(theta: ArrayLike, gamma: ArrayLike, beta: ArrayLike) -> FloatA
 def dead_zone_free_rate(
     theta: ArrayLike, d: ArrayLike, alpha: ArrayLike, psi: ArrayLike, kappa: ArrayLike
 ) -> FloatArray:
-    """Dead-zone free turning rate, (eq. oa_complete).
+    """Dead-zone free turning rate, (eq. 8).
 
     alpha sign(theta) exp(-theta^2 / psi^2) exp(-kappa d^2), where sign(0) is 1: a
     heading straight at the obstacle turns fastest, and the plane says to which side.
@@ -225,7 +225,7 @@ def limited_guidance(gain: float, theta: float, step: float, limit: float) -> tu
 
 @compiled
 def guidance_gain(alpha: float, closeness: float, printed: bool) -> float:
-    """Gain of the guidance term, its rate over its angle (eq. oa_rs), at closeness = kappa d^2.
+    """Gain of the guidance term, its rate over its angle (eq. 9), at closeness = kappa d^2.
 
     "counterphase": alpha (1 - exp(-kappa d^2)), bounded, vanishing at the obstacle. "printed":
     alpha exp(1 + kappa d^2), as the paper prints it; it grows without bound with d.
@@ -249,7 +249,7 @@ def avoidance_term(
     original: bool,
     step: float,
 ) -> Term:
-    """Turn away from the obstacle, (eq. oa_complete) or (eq. oa_original).
+    """Turn away from the obstacle, (eq. 8) or (eq. 7).
 
     Args:
         u: unit vector from E to the centre.
@@ -292,7 +292,7 @@ def guidance_term(
     max_rate: float,
     step: float,
 ) -> Term:
-    """Turn toward the desired heading v, not zero, of any length, (eq. oa_rs).
+    """Turn toward the desired heading v, not zero, of any length, (eq. 9).
 
     The other arguments are those of `avoidance_term` and `turn_step`.
     """

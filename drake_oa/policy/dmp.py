@@ -3,9 +3,9 @@
 Time. T is the demonstrated duration in seconds and tau the temporal scaling
 relative to it; s = t / (tau T) is normalised time, 1 at the end of the motion. In it
 
-    dz/ds = alpha_x (beta_x (g - x) - z) + f(k) + C      (eq. dmp_1)
-    dx/ds = z                                            (eq. dmp_2)
-    dk/ds = -alpha_k k,  k(0) = 1                        (eq. canonicalsystem)
+    dz/ds = alpha_x (beta_x (g - x) - z) + f(k) + C      (eq. 1)
+    dx/ds = z                                            (eq. 2)
+    dk/ds = -alpha_k k,  k(0) = 1                        (eq. 5)
 
 which are the paper's equations with tau T for its tau. So z is in metres, the
 velocity is z / (tau T), and nothing here depends on tau.
@@ -50,7 +50,7 @@ class Primitive(NamedTuple):
 
 @compiled
 def forcing(basis: FloatArray, k: float, force: FloatArray) -> None:
-    """Forcing term (eq. dmp_rbf) at phase k, into force (D,): sum psi_i w_i k / sum psi_i."""
+    """Forcing term (eq. 3) at phase k, into force (D,): sum psi_i w_i k / sum psi_i."""
     most, D = 0.0, len(force)
     for attempt in range(2):
         total, least = 0.0, math.inf
@@ -159,11 +159,11 @@ class Dmp(Frozen):
         return len(self.weights)
 
     def phase(self, s: ArrayLike) -> FloatArray:
-        """Phase k at normalised time s, (eq. canonicalsystem): exp(-alpha_k s)."""
+        """Phase k at normalised time s, (eq. 5): exp(-alpha_k s)."""
         return np.asarray(np.exp(-self.alpha_k * np.asarray(s, dtype=float)))
 
     def forcing(self, k: float) -> FloatArray:
-        """Forcing term f(k), (eq. dmp_rbf), in the local frame, (D,).
+        """Forcing term f(k), (eq. 3), in the local frame, (D,).
 
         Args:
             k: phase, in [0, 1].
@@ -298,7 +298,7 @@ def imitate(
 ) -> Dmp:
     """Learns a movement primitive from one demonstrated path.
 
-    The forcing term that makes (eq. dmp_1) follow the demonstration is sampled on a
+    The forcing term that makes (eq. 1) follow the demonstration is sampled on a
     quintic (or for few samples lower) interpolating spline and fitted by linear least
     squares over all basis functions at once.
 

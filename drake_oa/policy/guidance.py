@@ -1,4 +1,4 @@
-"""The desired heading v_d of the guidance term (eq. oa_rs).
+"""The desired heading v_d of the guidance term (eq. 9).
 
 The paper leaves open which heading leads the motion along a chosen direction
 omega_d, and for how long. Here v_d is the heading along the line through E that

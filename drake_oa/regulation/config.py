@@ -47,15 +47,15 @@ class Paper:
     # the paper's recipe on the action level that runs here.
     weights: str = "package://drake_oa/weights/paper_chain_running.safetensors"
     # What encodes an obstacle that the tool dilates: the superquadric of least squares
-    # (eq. sq_min), or the ellipsoid that encloses it.
+    # (eq. 11), or the ellipsoid that encloses it.
     shape: str = choice("superquadric", "enclosing")
     # How strongly the superquadric's exponents are drawn to 1: what one unit of their logarithm
     # costs, in mean squares of a residual that is the volume's root. null: they are 1, as
     # section IV-B has it; 0: as fitted.
     exponent_prior: float | None = dc.field(default=None, metadata={"unit": "1", "low": 0.0})
-    # The avoidance term: (eq. oa_complete), or (eq. oa_original) at its published gains.
+    # The avoidance term: (eq. 8), or (eq. 7) at its published gains.
     term: str = choice("dead_zone_free", "original")
-    # Whether cost rings choose the sides, and headings lead there (eq. oa_rs). Without them the
+    # Whether cost rings choose the sides, and headings lead there (eq. 9). Without them the
     # motion only reacts: the term turns it to whatever side it happens to head for.
     guided: bool = True
     # Whether the duration is scaled by the length of the avoiding path (section IV-E).

@@ -1,6 +1,6 @@
 """Candidates of the search for a motion: their genes, and the ones that the chain proposes.
 
-A candidate is one avoidance term (eq. oa_complete) that acts about a point on or beside the
+A candidate is one avoidance term (eq. 8) that acts about a point on or beside the
 baseline in the plane of the baseline and a side omega. Its genes, in which the search moves::
 
     angle of omega in the local YZ plane, place of the point along the baseline / L and

@@ -1,6 +1,6 @@
 """Many action-level trajectories in space at once, among any number of ellipsoids.
 
-Each row does what the DmpIntegrator does with one avoidance term (eq. oa_complete, in its plane):
+Each row does what the DmpIntegrator does with one avoidance term (eq. 8, in its plane):
 half a step of the spring in closed form, the turn of z, the spring's other half. Obstacles may
 move at constant velocity; then the motion's duration tau T matters, else it does not.
 

@@ -5,12 +5,12 @@ the way from one passing point to another has a length, may run through a third 
 may leave what the arm reaches. With the groups of obstacles (`overlap_groups`)
 in their order along the baseline and omega_i the direction of group i, what is least is
 
-    sum_i eta_i(omega_i) + N (l(omega_1, ..., omega_N) - l_min) / (l_max - l_min)
+    sum_i eta_i(omega_i) + N (l(omega_1, ..., omega_N) - l_min) / max(l_max - l_min, 0.1 N L)
           + 2 sum over the legs of their obstruction,
 
 eta_i being the rings of the group but the length ring, and l the length of the way start,
-passing points in their order, goal, with l_min and l_max its bounds. With one obstacle
-nothing else obstructs a leg, and this is min_omega of section IV-D of the paper. Each term looks at
+passing points in their order, goal, with l_min and l_max its bounds, and L the baseline. With one
+obstacle nothing else obstructs a leg, and this is eq. 12 of the paper. Each term looks at
 neighbours only, so that the least of all K^N combinations takes N K^2 steps (Viterbi).
 """
 

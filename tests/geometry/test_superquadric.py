@@ -1,4 +1,4 @@
-"""Superquadrics: eq. sq, distances, samples, and the least-squares fit."""
+"""Superquadrics: eq. 10, distances, samples, and the least-squares fit."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ seed = st.integers(0, 10**6)
 
 
 def inside_outside(shape, p):
-    """F (eq. sq): below 1 inside, 1 on the surface; inf where it is no double any more."""
+    """F (eq. 10): below 1 inside, 1 on the surface; inf where it is no double any more."""
     with np.errstate(over="ignore"):
         return np.exp(log_inside_outside(shape.local(p), shape.semi_axes, shape.exponents))
 

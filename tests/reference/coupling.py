@@ -97,7 +97,7 @@ def active(
             if axis is None and theta > 0.0:
                 axis = stand_in(normal, e)
             closeness = kappa * d * d
-            # (eq. oa_rs), in the counterphase or as the paper prints it, saturated.
+            # (eq. 9), in the counterphase or as the paper prints it, saturated.
             gain = guide * (
                 np.exp(min(1.0 + closeness, 600.0)) if printed else -np.expm1(-closeness)
             )

@@ -17,7 +17,7 @@ Turn = Callable[[FloatArray, FloatArray, float], FloatArray]
 
 
 def forcing(dmp: Dmp, k: float) -> FloatArray:
-    """(D,) forcing term f(k), (eq. dmp_rbf), in the local frame for a baseline of 1 m [m]."""
+    """(D,) forcing term f(k), (eq. 3), in the local frame for a baseline of 1 m [m]."""
     exponent = -dmp.widths * (k - dmp.centers) ** 2
     basis = np.exp(exponent - exponent.max())
     return np.asarray(dmp.weights @ basis * (k / basis.sum()))

@@ -7,7 +7,7 @@ velocities, which `judge` looks at to convergence between the samples, and figur
 them (`figures`, `plots`).
 
     paper_method   `paper`, the authors' action level with their regressor, and `original`,
-                   Hoffmann's term on it (Pairet et al., RA-L 2019; eq. oa_complete, oa_original);
+                   Hoffmann's term on it (Pairet et al., RA-L 2019; eq. 8 and 7);
                    what print and released code leave open is its `Reading`
     verified       the project's: the regressor's proposals and more, checked by roll-outs
     peers          `movement_primitives`, the package of that name

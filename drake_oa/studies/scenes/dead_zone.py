@@ -1,7 +1,7 @@
 """The paper's dead-zone figure: both coupling terms, as strong, on the same action level.
 
-For each gain gamma of the original term (eq. oa_original), gamma theta exp(-beta |theta|),
-the dead-zone free term (eq. oa_complete) of the same peak, gamma / (beta e), and of the same
+For each gain gamma of the original term (eq. 7), gamma theta exp(-beta |theta|),
+the dead-zone free term (eq. 8) of the same peak, gamma / (beta e), and of the same
 area over the heading, gamma / beta^2 to each side; kappa = 0, as the original term knows no
 distance.
 """

@@ -4,7 +4,7 @@ Action level: alpha_x 10, beta_x 2.5, alpha_k 0.5, 35 basis functions of local q
 a straight demonstration at constant speed, semi-implicit Euler, the avoidance term about each
 obstacle's centre, summed. What print and released code leave open is a `Reading`.
 
-`paper`: (eq. oa_complete) with the regressor chain's parameters at lambda' and Delta, asked again
+`paper`: (eq. 8) with the regressor chain's parameters at lambda' and Delta, asked again
 in each step. lambda' are the principal semi-axes of the obstacle's section by the P-plane of
 (p_obs - p, v); lambda1' is the one within 45 degrees of the baseline, as in the training set and
 the released code. (Taken along the way to the centre instead, the two would change places whenever
@@ -12,7 +12,7 @@ an obstacle is passed.) Where way and velocity span no plane, the last plane sta
 the horizontal one, as in the released code. The route is not guided: the paper's synthetic
 experiments have neither table nor workspace. Alpha and kappa below 0 count as 0.
 
-`original`: Hoffmann's term (eq. oa_original) at its published gains. Nothing regulates it, and
+`original`: Hoffmann's term (eq. 7) at its published gains. Nothing regulates it, and
 it knows neither the obstacle's size nor the clearance asked for.
 
 What each reading comes to beside the print: `drake-oa evaluate table2 --ablation`.
@@ -185,7 +185,7 @@ def constant_motions(
         setting: of it, only whether tau scales the spring.
         parameters: (3,), or (N, M, 3): alpha [rad/s], psi [rad] and kappa [1/m^2]; for the
             original term gamma [1/s], beta [1/rad] and a value without a meaning.
-        original: whether the term is that of (eq. oa_original).
+        original: whether the term is that of (eq. 7).
         reading: of it, not the running law, and neither chain nor scale.
     """
     full = np.broadcast_to(parameters, (*scenes.center.shape[:2], 3)).copy()
