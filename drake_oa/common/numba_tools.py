@@ -48,10 +48,10 @@ def provide_kernel_cache(package: Path) -> tempfile.TemporaryDirectory[str] | No
         The temporary folder, to be kept as long as the process lives; None where
         numba has a place of its own.
     """
-    if os.environ.get("NUMBA_CACHE_DIR") or _is_writable(package / "__pycache__"):
+    if os.environ.get("NUMBA_CACHE_DIR") or is_writable(package / "__pycache__"):
         return None
     user = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "numba"
-    if _is_writable(user):
+    if is_writable(user):
         _copy_kernels(package, user)
         return None
     # Not a fixed name in a shared folder: compiled code is read back without checks.
@@ -103,7 +103,8 @@ def _copy_kernels(package: Path, cache: Path) -> None:
             shutil.rmtree(beside, ignore_errors=True)
 
 
-def _is_writable(folder: Path) -> bool:
+def is_writable(folder: Path) -> bool:
+    """Makes a folder where there is none; whether files can be written to it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:

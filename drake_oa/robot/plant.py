@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
+import pickle
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 
 import numpy as np
 from pydrake.geometry import SceneGraph
 from pydrake.math import RigidTransform, RollPitchYaw
-from pydrake.multibody.parsing import (
-    Parser,
-)
+from pydrake.multibody.parsing import PackageMap, Parser
 from pydrake.multibody.plant import (
     AddMultibodyPlantSceneGraph,
     MultibodyPlant,
@@ -25,7 +26,12 @@ from drake_oa.geometry.collision_shapes import outline_corners
 from drake_oa.geometry.shapes import pose
 from drake_oa.robot.arm import joints_to
 from drake_oa.robot.config import Robot
-from drake_oa.robot.formats.model_file import add_installed_package, drake_model
+from drake_oa.robot.formats.model_file import (
+    add_installed_package,
+    drake_model,
+    named,
+    named_warnings,
+)
 from drake_oa.robot.grasped_object import add_carried, part_carried, tool_links
 from drake_oa.robot.inertias import read_inertias, with_inertias
 
@@ -43,21 +49,21 @@ def make_parser(plant: MultibodyPlant) -> Parser:
 def add_robot(plant: MultibodyPlant, robot: Robot, *, inertias: str = "") -> ModelInstanceIndex:
     """Adds the arm, welds its base to the world, adds the tool frame E; see `make_robot_plant`."""
     parser = make_parser(plant)
-    url = _url(robot.model)
+    file = model_file(robot, parser.package_map())
     try:
-        add_installed_package(parser.package_map(), url)
-        file = Path(parser.package_map().ResolveUrl(url))
         text = drake_model(file, parser.package_map())
         if inertias:
             text = _replaced(text or file.read_text(), parser, inertias)
-        if text is None:
-            (instance,) = parser.AddModels(url=url)
-        else:
-            (instance,) = parser.AddModelsFromString(text, file.suffix[1:].lower())
+        with named_warnings(file):
+            if text is None:
+                (instance,) = parser.AddModels(str(file))
+            else:
+                (instance,) = parser.AddModelsFromString(text, file.suffix[1:].lower())
     except ScenarioError:
         raise
     except (OSError, RuntimeError, ValueError) as error:
-        raise ScenarioError(f"robot.model: cannot load '{robot.model}': {error}") from None
+        reason = named(str(error), file)
+        raise ScenarioError(f"robot.model: cannot load '{robot.model}': {reason}") from None
     for field, link in (("base_link", robot.base_link), ("hand_link", robot.hand_link)):
         if not plant.HasBodyNamed(link, instance):
             names = [plant.get_body(i).name() for i in plant.GetBodyIndices(instance)]
@@ -94,11 +100,23 @@ def _limit_speed(plant: MultibodyPlant, instance: ModelInstanceIndex, robot: Rob
         joint.set_velocity_limits(-limit, limit)
 
 
-def model_file(robot: Robot) -> Path:
-    """The file that the robot's model is read from."""
-    packages, url = make_parser(MultibodyPlant(0.0)).package_map(), _url(robot.model)
+def model_file(robot: Robot, packages: PackageMap | None = None) -> Path:
+    """Finds the file that the robot's model is read from.
+
+    Args:
+        robot: its `model` may be of an installed package of Python.
+        packages: where packages are; None: those that the project's parser knows.
+
+    Raises:
+        ScenarioError: if the package of the model's URL is unknown.
+    """
+    packages = packages or make_parser(MultibodyPlant(0.0)).package_map()
+    url = _url(robot.model)
     add_installed_package(packages, url)
-    return Path(packages.ResolveUrl(url))
+    try:
+        return Path(packages.ResolveUrl(url))
+    except RuntimeError as error:
+        raise ScenarioError(f"robot.model: cannot load '{robot.model}': {error}") from None
 
 
 def base_pose(robot: Robot | None) -> RigidTransform:
@@ -143,7 +161,9 @@ class RobotPlant:
 
 
 def make_robot_plant(robot: Robot, *, inertias: str = "") -> RobotPlant:
-    """The robot alone, welded to the world as in the station.
+    """Builds the robot alone, welded to the world as in the station.
+
+    It is built once a process for each block and content of the model's file, and shared.
 
     Args:
         robot: which, and its base.
@@ -153,6 +173,17 @@ def make_robot_plant(robot: Robot, *, inertias: str = "") -> RobotPlant:
     Raises:
         ScenarioError: naming the field of the robot that does not fit.
     """
+    try:
+        model = model_file(robot).read_bytes()
+    except OSError as error:
+        raise ScenarioError(f"robot.model: cannot load '{robot.model}': {error}") from None
+    return _robot_plant(pickle.dumps(robot), inertias, hashlib.sha256(model).digest())
+
+
+@lru_cache(maxsize=8)
+def _robot_plant(block: bytes, inertias: str, digest: bytes) -> RobotPlant:
+    """Builds the robot of a pickled block; the digest is that of its model's file."""
+    robot: Robot = pickle.loads(block)
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
     instance = add_robot(plant, robot, inertias=inertias)

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Sequence
+from pathlib import Path
+from xml.etree import ElementTree
+
 import numpy as np
 from pydrake.multibody.parsing import (
+    LoadModelDirectives,
+    ModelDirective,
     ModelDirectives,
+    PackageMap,
     ProcessModelDirectives,
 )
-from pydrake.multibody.plant import (
-    MultibodyPlant,
-)
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.robot.formats.model_file import add_installed_package
+from drake_oa.robot.formats.model_file import (
+    add_installed_package,
+    check_links,
+    named_warnings,
+)
 from drake_oa.robot.plant import add_robot, make_parser, make_robot_plant, tool_corners
 from drake_oa.scenario.faults import GoalBlocked, StartInContact
 from drake_oa.scenario.obstacles import Obstacle
@@ -40,17 +50,49 @@ def add_world(plant: MultibodyPlant, scenario: Scenario) -> ModelInstanceIndex:
         raise ScenarioError("robot: a station needs a robot; this scenario has null")
     robot = add_robot(plant, scenario.robot)
     parser = make_parser(plant)
-    for directive in scenario.directives:
-        for block in (directive.add_model, directive.add_directives):
-            if block is not None:
-                add_installed_package(parser.package_map(), block.file, "directives")
     try:
-        ProcessModelDirectives(ModelDirectives(directives=scenario.directives), parser)
+        _check_directives(scenario.directives, parser.package_map())
+        with named_warnings():
+            ProcessModelDirectives(ModelDirectives(directives=scenario.directives), parser)
     except RuntimeError as error:
         raise ScenarioError(f"directives: {error}") from None
     for obstacle in all_obstacles(scenario):
         add_obstacle(plant, obstacle)
     return robot
+
+
+def _check_directives(
+    directives: Sequence[ModelDirective], packages: PackageMap, chain: tuple[Path, ...] = ()
+) -> None:
+    """Refuses directives that include themselves, relative names in them, and wrong models.
+
+    Args:
+        directives: of the scenario, or of the last file of the chain.
+        packages: is told of installed packages of Python.
+        chain: files that led here, each named in the one before.
+    """
+    where = f"directives: '{chain[-1]}'" if chain else "directives"
+    for directive in directives:
+        block = directive.add_model or directive.add_directives
+        if block is None:
+            continue
+        if "://" not in block.file:
+            raise ScenarioError(
+                f"{where}: '{block.file}' must be a URL, package://NAME/... or file:///...; "
+                "only names in the scenario itself can be relative"
+            )
+        add_installed_package(packages, block.file, where)
+        file = Path(packages.ResolveUrl(block.file))
+        if directive.add_model is not None:
+            # What is no XML is refused by Drake.
+            with contextlib.suppress(ElementTree.ParseError, OSError):
+                check_links(ElementTree.parse(file).getroot(), file, packages, where)
+        elif file in chain:
+            names = " -> ".join(map(str, (*chain, file)))
+            raise ScenarioError(f"directives: files must not include themselves: {names}")
+        else:
+            nested = LoadModelDirectives(str(file)).directives
+            _check_directives(nested, packages, (*chain, file))
 
 
 def all_obstacles(scenario: Scenario) -> list[Obstacle]:

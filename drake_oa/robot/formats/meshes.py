@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Sequence
+import re
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from functools import cache
 from itertools import combinations
 from pathlib import Path
 
@@ -15,22 +19,62 @@ from scipy.spatial import ConvexHull, QhullError
 
 from drake_oa.common.files import replace_text, user_cache
 from drake_oa.common.messages import FloatArray, IntArray
+from drake_oa.common.numba_tools import is_writable
 
 DRAKES_OWN = {".obj", ".gltf", ".vtk"}
 _VERSION = 2
 """Of what is in the cache."""
+_NOT_FINITE = re.compile(rb"^v[ \t].*(?:nan|inf).*$", re.IGNORECASE | re.MULTILINE)
+"""Line of a vertex of an .obj file that is not finite."""
 _JOINED = 0.1
 """Two parts of a mesh are one hull where that is larger than the two by a smaller share."""
 
 
-def as_objs(mesh: Path, *, hulls: bool) -> list[Path]:
-    """A mesh as .obj, in the cache; made once for what is in the file.
+def check_vertices(mesh: Path) -> None:
+    """Raises ValueError for a vertex of an .obj that is NaN or infinite, which Drake reads as 0."""
+    found = _NOT_FINITE.search(mesh.read_bytes()) if mesh.suffix.lower() == ".obj" else None
+    if found:
+        raise ValueError(f"'{mesh}': a vertex must be finite, not '{found[0].decode().strip()}'")
+
+
+class ModelMeshes:
+    """Files of the meshes of one model, and their conversion, announced on stderr."""
+
+    def __init__(self, model: str, count: int, resolve: Callable[[str], Path]) -> None:
+        """Keeps what to find meshes by.
+
+        Args:
+            model: name of the model.
+            count: number of its meshes.
+            resolve: returns the file of a mesh's URL, or name relative to the model's file.
+        """
+        self._model, self._count, self._resolve, self._row = model, count, resolve, 0
+
+    def find(self, url: str) -> Path:
+        """Returns the file of the next mesh."""
+        self._row += 1
+        return self._resolve(url)
+
+    def convert(self, mesh: Path, *, hulls: bool) -> list[Path]:
+        """Converts the mesh that was found last, see `as_objs`."""
+        return as_objs(mesh, hulls=hulls, announce=self._announce)
+
+    def _announce(self) -> None:
+        progress = f"{self._row} of {self._count}"
+        print(f"converting meshes of {self._model} (first use only): {progress}", file=sys.stderr)
+
+
+def as_objs(mesh: Path, *, hulls: bool, announce: Callable[[], None] | None = None) -> list[Path]:
+    """Converts a mesh to .obj files in the cache, once for each content of the file.
+
+    Where the user's cache cannot be written, they are in a temporary folder of this process.
 
     Args:
         mesh: a file that open3d reads, or COLLADA, .dae.
         hulls: as convex hulls of its closed surfaces, one a file: a hull of them all, which
             Drake would take, fills the side of an arm's link between its joints. A mesh with a
             surface that is not closed has one hull. Else as it is.
+        announce: called before a conversion, which can take seconds.
 
     Raises:
         ValueError: if it holds no triangles, or cannot be read or written.
@@ -41,20 +85,41 @@ def as_objs(mesh: Path, *, hulls: bool) -> list[Path]:
         raise ValueError(str(error)) from None
     made = user_cache(f"meshes-{_VERSION}")
     stem = f"{mesh.stem}-{digest}-{'hull' if hulls else 'whole'}"
-    found = sorted(made.glob(f"{stem}-*.obj"))
-    # The last is written first, and its name says how many there are.
-    if found and len(found) == int(found[-1].stem.rpartition("-")[2]):
+    found = _complete(made, stem)
+    if not found and not is_writable(made):
+        made = Path(_temporary_cache(made).name)
+        found = _complete(made, stem)
+    if found:
         return found
+    if announce is not None:
+        announce()
     vertices, triangles = _read(mesh)
     pieces = _hulls(vertices, triangles) if hulls else [(vertices, triangles)]
     files = [made / f"{stem}-{row:03d}.obj" for row in range(1, len(pieces) + 1)]
     try:
-        made.mkdir(parents=True, exist_ok=True)
         for file, (points, faces) in reversed(list(zip(files, pieces, strict=True))):
             replace_text(file, _obj(points, faces))
     except OSError as error:
         raise ValueError(f"'{made}' cannot be written: {error}") from None
     return files
+
+
+def _complete(folder: Path, stem: str) -> list[Path]:
+    """All files of a converted mesh; empty if one is missing."""
+    found = sorted(folder.glob(f"{stem}-*.obj"))
+    # The last is written first, and its name says how many there are.
+    return found if found and len(found) == int(found[-1].stem.rpartition("-")[2]) else []
+
+
+@cache
+def _temporary_cache(folder: Path) -> tempfile.TemporaryDirectory[str]:
+    """Temporary folder of this process in place of one that cannot be written."""
+    print(
+        f"meshes are converted for this run only, as {folder} cannot be written: "
+        "XDG_CACHE_HOME names another",
+        file=sys.stderr,
+    )
+    return tempfile.TemporaryDirectory(prefix="drake_oa-meshes-")
 
 
 def _obj(points: FloatArray, faces: IntArray) -> str:
@@ -74,6 +139,7 @@ def _read(mesh: Path) -> tuple[FloatArray, IntArray]:
     """Vertices (N, 3), each once, and triangles (M, 3) [m]."""
     import open3d
 
+    check_vertices(mesh)
     with open3d.utility.VerbosityContextManager(open3d.utility.VerbosityLevel.Error):
         if mesh.suffix.lower() == ".dae":
             corners = _read_collada(mesh)

@@ -6,12 +6,11 @@ of actuators motors alone, and welds the base to the world where it is.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.robot.formats.meshes import as_objs
+from drake_oa.robot.formats.meshes import ModelMeshes
 
 _OF_CLASSES = ("joint", "geom", "mesh")
 _DRIVES = ("motor", "general", "position", "velocity", "intvelocity")
@@ -21,7 +20,7 @@ _OF_MUJOCO = {"option", "size", "visual", "statistic", "keyframe", "sensor"}
 Defaults = dict[str, dict[str, dict[str, str]]]
 
 
-def drake_mjcf(root: ElementTree.Element, resolve: Callable[[str], Path]) -> bool:
+def drake_mjcf(root: ElementTree.Element, meshes: ModelMeshes) -> bool:
     """Makes an MJCF one that Drake takes; always changes it.
 
     - Attributes of default classes are written where they hold.
@@ -32,7 +31,7 @@ def drake_mjcf(root: ElementTree.Element, resolve: Callable[[str], Path]) -> boo
 
     Args:
         root: of the model's file.
-        resolve: the file of a mesh's name relative to the model's file.
+        meshes: of the model.
 
     Raises:
         ScenarioError: for a mesh that cannot be read.
@@ -46,7 +45,7 @@ def drake_mjcf(root: ElementTree.Element, resolve: Callable[[str], Path]) -> boo
     compiler = root.find("compiler")
     folder = "" if compiler is None else compiler.attrib.pop("meshdir", "")
     for mesh in root.findall("asset/mesh"):
-        _with_mesh(mesh, resolve, folder)
+        _with_mesh(mesh, meshes, folder)
     for world in root.findall("worldbody"):
         _with_classes(world, "main", classes)
         for body in world.findall("body"):
@@ -107,14 +106,14 @@ def _motor(drive: ElementTree.Element, classes: Defaults) -> ElementTree.Element
     return motor
 
 
-def _with_mesh(mesh: ElementTree.Element, resolve: Callable[[str], Path], folder: str) -> None:
+def _with_mesh(mesh: ElementTree.Element, meshes: ModelMeshes, folder: str) -> None:
     name = mesh.get("file")
     if name is None:
         return
-    file = resolve(str(Path(folder) / name))
+    file = meshes.find(str(Path(folder) / name))
     mesh.attrib.setdefault("name", Path(name).stem)
     try:
-        (converted,) = as_objs(file, hulls=False)
+        (converted,) = meshes.convert(file, hulls=False)
     except ValueError as error:
         raise ScenarioError(f"robot.model: <mesh> {mesh.get('name')}: {error}") from None
     mesh.set("file", str(converted.absolute()))

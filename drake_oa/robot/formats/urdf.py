@@ -9,12 +9,10 @@ from __future__ import annotations
 
 import copy
 import logging
-from collections.abc import Callable
-from pathlib import Path
 from xml.etree import ElementTree
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.robot.formats.meshes import DRAKES_OWN, as_objs
+from drake_oa.robot.formats.meshes import DRAKES_OWN, ModelMeshes
 
 DRAKE_XML = "http://drake.mit.edu"
 """Namespace that a text must have under the name `drake`, or Drake does not know it."""
@@ -23,7 +21,7 @@ _TURNING = ("revolute", "continuous")
 _MOVING = (*_TURNING, "prismatic")
 
 
-def drake_links(root: ElementTree.Element, resolve: Callable[[str], Path]) -> bool:
+def drake_links(root: ElementTree.Element, meshes: ModelMeshes) -> bool:
     """Makes a URDF, or an SDF, one that Drake takes; whether anything was changed.
 
     - Meshes that Drake does not read are converted, see `as_objs`; a visual one that cannot be
@@ -37,7 +35,7 @@ def drake_links(root: ElementTree.Element, resolve: Callable[[str], Path]) -> bo
 
     Args:
         root: of the model's file.
-        resolve: the file of a mesh's URL, or name relative to the model's file.
+        meshes: of the model.
 
     Raises:
         ScenarioError: for a collision mesh that cannot be read.
@@ -47,7 +45,7 @@ def drake_links(root: ElementTree.Element, resolve: Callable[[str], Path]) -> bo
     for model in [root] if root.tag == "robot" else root.iter("model"):
         changed |= _without_world(model)
         for link in model.findall("link"):
-            changed |= _with_meshes(link, resolve)
+            changed |= _with_meshes(link, meshes)
         if model is root:
             changed |= _without_linkage(model)
             changed |= _driven(model)
@@ -97,7 +95,7 @@ def _driven(model: ElementTree.Element) -> bool:
     return bool(names)
 
 
-def _with_meshes(link: ElementTree.Element, resolve: Callable[[str], Path]) -> bool:
+def _with_meshes(link: ElementTree.Element, meshes: ModelMeshes) -> bool:
     """Makes a link's meshes ones that Drake reads; whether any was not."""
     changed = False
     for shape in [*link.findall("collision"), *link.findall("visual")]:
@@ -105,11 +103,11 @@ def _with_meshes(link: ElementTree.Element, resolve: Callable[[str], Path]) -> b
         if mesh is None:
             continue
         uri, converted = mesh.find("uri"), False
-        found = [resolve(mesh.get("filename", "") if uri is None else (uri.text or "").strip())]
+        found = [meshes.find(mesh.get("filename", "") if uri is None else (uri.text or "").strip())]
         if found[0].suffix.lower() not in DRAKES_OWN:
             changed = converted = True
             try:
-                found = as_objs(found[0], hulls=shape.tag == "collision")
+                found = meshes.convert(found[0], hulls=shape.tag == "collision")
             except ValueError as error:
                 name = link.get("name")
                 if shape.tag == "collision":

@@ -5,14 +5,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydrake.multibody.plant import MultibodyPlant
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.robot.config import Robot
 from drake_oa.robot.formats.meshes import as_objs
-from drake_oa.robot.plant import make_robot_plant, model_file
+from drake_oa.robot.plant import add_robot, make_robot_plant, model_file
 
 _FACES = [(0, 2, 1), (1, 2, 3), (4, 5, 6), (5, 7, 6), (0, 1, 4), (1, 5, 4)]
 _FACES += [(2, 6, 3), (3, 6, 7), (0, 4, 2), (2, 4, 6), (1, 3, 5), (3, 7, 5)]
+_FINGER = """<link name="{0}"><inertial><mass value="0.1"/><inertia ixx="0.01" iyy="0.01"
+    izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="{0}" type="revolute">
+    <parent link="link6"/><child link="{0}"/><axis xyz="0 0 1"/>{1}
+    <limit effort="1" lower="0" upper="1" velocity="1"/></joint>"""
 
 
 @pytest.fixture(autouse=True)
@@ -140,6 +145,31 @@ def test_a_collision_mesh_that_cannot_be_taken_is_named(tmp_path, name, data, me
         make_robot_plant(arm(tmp_path, name))
 
 
+def test_a_conversion_is_announced_and_kept_where_it_can_be(tmp_path, monkeypatch, capsys):
+    mesh = stl(tmp_path / "link.stl", box([-0.02] * 3, [0.02] * 3))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(mesh))
+    make_robot_plant(arm(tmp_path, mesh.name))
+    told = capsys.readouterr().err
+    assert "for this run only" in told
+    assert "converting meshes of arm (first use only): 1 of 14\n" in told
+
+
+def test_a_model_is_read_once_and_its_warnings_name_it_once(tmp_path, caplog):
+    mesh = stl(tmp_path / "link.stl", box([-0.02] * 3, [0.02] * 3))
+    robot = arm(tmp_path, mesh.name, _FINGER.format("left", '<dynamics friction="1"/>'))
+    assert make_robot_plant(robot) is make_robot_plant(robot)
+    add_robot(MultibodyPlant(0.001), robot)
+    (warning,) = (text for text in caplog.messages if "friction" in text)
+    assert warning.startswith(str(tmp_path / "arm.urdf"))
+
+
+def test_a_model_that_cannot_be_parsed_is_named(tmp_path):
+    mesh = stl(tmp_path / "link.stl", box([-0.02] * 3, [0.02] * 3))
+    robot = arm(tmp_path, mesh.name, '<joint name="j" type="fixed"/>')
+    with pytest.raises(ScenarioError, match=r"cannot load .*: .*arm\.urdf: error"):
+        make_robot_plant(robot)
+
+
 def test_a_model_that_drake_takes_stays_as_it_is(tmp_path):
     make_robot_plant(Robot())
     assert not (tmp_path / "cache").exists()
@@ -156,11 +186,7 @@ def test_a_package_of_python_is_found_by_its_name():
 
 def test_a_linkage_is_fixed_where_it_is_open(tmp_path):
     mesh = stl(tmp_path / "link.stl", box([-0.02] * 3, [0.02] * 3))
-    finger = """<link name="{0}"><inertial><mass value="0.1"/><inertia ixx="0.01" iyy="0.01"
-        izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="{0}" type="revolute">
-        <parent link="link6"/><child link="{0}"/><axis xyz="0 0 1"/>{1}
-        <limit effort="1" lower="0" upper="1" velocity="1"/></joint>"""
-    more = finger.format("left", "") + finger.format("right", '<mimic joint="left"/>')
+    more = _FINGER.format("left", "") + _FINGER.format("right", '<mimic joint="left"/>')
     plant = make_robot_plant(arm(tmp_path, mesh.name, more)).plant
     assert plant.num_positions() == plant.num_actuators() == 6
     for name in ("left", "right"):
