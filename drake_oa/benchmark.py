@@ -70,7 +70,7 @@ def run_benchmark(
         on_part: called with the name of each part before it is timed.
 
     Returns:
-        `machine`, `versions`, `commit` (None when unknown) and `scenarios`: name -> {"run":
+        `machine`, `versions` and `scenarios`: name -> {"run":
         {`real_time_factor`, `drake_alone` (None without a robot), `layers` (system -> wall time
         of a simulated second [s])}, "thinking": the fields of `ThinkingTimes`}.
 
@@ -98,11 +98,9 @@ def run_benchmark(
         if "thinking" in parts:
             on_part(f"{name}: thinking")
             found[name]["thinking"] = asdict(time_thinking(scenario, seconds, runs))
-    versions = dict(item.split(" ", 1) for item in software_versions())
     return {
         "machine": machine,
-        "commit": versions.pop("commit", None),
-        "versions": versions,
+        "versions": dict(item.split(" ", 1) for item in software_versions()),
         "scenarios": found,
     }
 
@@ -116,10 +114,10 @@ def benchmark_tables(figures: Mapping[str, Any]) -> list[TextTable]:
             rows = rows_of(list(of.values()))
             tables.append(TextTable(["", *of], rows, "l" + "r" * len(of), [note]))
     machine = figures["machine"]
-    made = ", ".join(f"{name} {number}" for name, number in figures["versions"].items())
+    made = ", ".join(f"{name} {value[:12]}" for name, value in figures["versions"].items())
     rows = [
         [f"{machine['cpu']}, {machine['cores']} cores, load {machine['load']:.1f} at the start"],
-        [f"{made}, commit {figures['commit'] or 'unknown'}"],
+        [made],
     ]
     return [*tables, TextTable((), rows, "l")]
 

@@ -9,7 +9,7 @@
 - `thinking`: what a decision costs in simulated time (`Thinking`, block `thinking`), and what is
   in force until it is made (`Thoughts`).
 - `numba_tools`: where compiled kernels are kept, and arrays as kernels take them.
-- `files`: files replaced whole, memory that is there, versions that made a result.
+- `files`: files replaced whole, memory that is there, versions and source that made a result.
 - `console`: exit statuses and errors of the commands.
 
 Units are SI, frames monogram notation: p_WE is the tool point E in the world W, R_WO the

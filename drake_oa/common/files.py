@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import math
 import os
 import shutil
-import subprocess
 import zipfile
 from collections.abc import Callable
 from datetime import UTC, datetime
+from functools import cache
+from importlib import resources
 from importlib.metadata import PackageNotFoundError, distribution, version
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,6 +20,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 # Where it is used: commands that compute nothing answer at once.
 if TYPE_CHECKING:
     import numpy as np
+
+_SOURCES = {
+    "drake_oa": ("*.py",),
+    "drake_oa.diagrams": ("*.py", "*.scenario.yaml"),
+    "drake_oa.models": ("*.sdf", "*.yaml", "*.urdf", "*.obj", "*.npz", "*.safetensors"),
+}
+"""Patterns of the files of each package that `source_digest` covers."""
+_NOT_IN_DIGEST = ("app", "benchmark.py", "diagrams", "hardware", "models", "training", "viewing")
+"""Parts of drake_oa that no simulated motion depends on, or that are packages of `_SOURCES`."""
 
 
 def check_outputs(*paths: Path | None) -> None:
@@ -148,48 +159,40 @@ def installed_package(name: str) -> Path | None:
     return Path(places[0]) if places else None
 
 
+@cache
+def source_digest() -> str:
+    """SHA-256 of the source and model files that a simulated motion depends on, in hex.
+
+    Computed once per process, so that files edited during a run do not change it.
+    """
+    digest = hashlib.sha256()
+    for package, patterns in _SOURCES.items():
+        folder = Path(str(resources.files(package)))
+        for path in sorted(p for pattern in patterns for p in folder.rglob(pattern)):
+            relative = path.relative_to(folder)
+            if relative.parts[0] not in _NOT_IN_DIGEST:
+                digest.update(str(relative).encode())
+                digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def provenance() -> dict[str, str]:
+    """Version of this package, today's date (UTC) and source digest, to be kept with a result."""
+    return {
+        "version": version("drake_oa"),
+        "date": f"{datetime.now(UTC):%Y-%m-%d}",
+        "source_digest": source_digest(),
+    }
+
+
 def software_versions() -> tuple[str, ...]:
-    """ "name version" of what the result depends on, and the commit when known."""
+    """ "name value" of what a result depends on: packages, date and source digest."""
     found = []
     for name in ("drake_oa", "drake", "numpy", "scipy", "open3d", "open3d-cpu"):
         with contextlib.suppress(PackageNotFoundError):
             found.append(f"{name} {version(name)}")
-    commit = source_commit()
-    return (*found, f"commit {commit}") if commit else tuple(found)
-
-
-def source_commit(folder: Path | None = None) -> str:
-    """Commit of a checkout, or "" when there is none.
-
-    Args:
-        folder: root of the checkout; None for the one this package runs from.
-
-    Returns:
-        The short hash, with "-dirty" appended when a tracked file has changes.
-    """
-    folder = folder or Path(__file__).resolve().parents[2]
-    if not (folder / ".git").exists():
-        return ""
-    commit = _git(folder, "rev-parse", "--short", "HEAD")
-    if not commit:
-        return ""
-    changes = _git(folder, "status", "--porcelain", "--untracked-files=no")
-    return f"{commit}-dirty" if changes else commit
-
-
-def _git(folder: Path, *arguments: str) -> str:
-    """What git prints, or "" when it fails."""
-    try:
-        answer = subprocess.run(
-            ["git", "--no-optional-locks", "-C", str(folder), *arguments],
-            capture_output=True,
-            text=True,
-            timeout=10,
-            check=False,
-        )
-    except (OSError, subprocess.TimeoutExpired):
-        return ""
-    return answer.stdout.strip() if answer.returncode == 0 else ""
+    made = provenance()
+    return (*found, f"date {made['date']}", f"source_digest {made['source_digest']}")
 
 
 class ArrayHeader(NamedTuple):

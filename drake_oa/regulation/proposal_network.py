@@ -210,7 +210,7 @@ class ProposalNetwork(Frozen):
 
     Attributes:
         layers: its matrices and biases.
-        metadata: recipe, seed, scores, commit.
+        metadata: recipe, seed, scores, version, date, source digest.
         spacing: of the strengths that it proposes on a side, about, in ln alpha.
     """
 

@@ -222,7 +222,7 @@ class ChainWeights(Frozen):
         log_targets: targets that the chain handles (learns, and hands on as inputs)
             as their natural logarithm.
         limit: largest attainable clearance.
-        metadata: units, ranges, recipe, configuration, seed, NMSE, commit.
+        metadata: units, ranges, recipe, configuration, seed, NMSE, version, date, source digest.
         confidence: how likely its motions keep what is asked; None: it was not measured, and is
             not told.
     """

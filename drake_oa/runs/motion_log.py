@@ -58,7 +58,7 @@ wall_time              ()             s        real time that the simulation too
 modulated              ()             bool     whether the motion was bent round obstacles
 scenario               ()             text     the scenario as YAML, defaults included
 seed                   ()             1        the scenario's seed
-versions               (P,)           text     packages and commit, "name version" each
+versions               (P,)           text     packages, date, source digest: "name value"
 goal                   (T, 3)         m        where the goal was; (0, 3) where a file of before
                                                it was logged has none
 desired_orientation    (T, 4)         1        quaternion w, x, y, z of R_WE asked of the

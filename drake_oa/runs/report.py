@@ -212,9 +212,7 @@ def run_report(name: str, scenario: Scenario, logs: dict[str, MotionLog]) -> dic
     report["real_time_factor"] = (
         last.simulated_time / last.wall_time if last.wall_time > 0.0 else None
     )
-    versions = dict(item.split(" ", 1) for item in last.versions)
-    report["commit"] = versions.pop("commit", None)
-    report["versions"] = versions
+    report["versions"] = dict(item.split(" ", 1) for item in last.versions)
     return report
 
 

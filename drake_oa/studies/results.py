@@ -11,46 +11,23 @@ import json
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
-from importlib import resources
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar
 
-from drake_oa.common.files import replace_text
+from drake_oa.common.files import replace_text, source_digest
 from drake_oa.studies.parallel import Call, carry_out
 
 _Place = TypeVar("_Place")
 _logger = logging.getLogger("drake_oa")
 
-_SOURCES = {
-    "drake_oa": ("*.py",),
-    "drake_oa.diagrams": ("*.py", "*.scenario.yaml"),
-    "drake_oa.models": ("*.sdf", "*.yaml", "*.urdf", "*.obj", "*.npz", "*.safetensors"),
-}
 _PACKAGES = ("drake", "numba", "numpy", "scipy")
 
 
-@cache
-def source_digest() -> str:
-    """Digest of the package's source, its models, and the versions of what they call.
-
-    As it is when it is first asked for: what a process has loaded does not change with it.
-    """
-    digest = hashlib.sha256()
-    for package, patterns in _SOURCES.items():
-        folder = Path(str(resources.files(package)))
-        for path in sorted(p for pattern in patterns for p in folder.rglob(pattern)):
-            digest.update(str(path.relative_to(folder)).encode())
-            digest.update(hashlib.sha256(path.read_bytes()).digest())
-    for name in _PACKAGES:
-        digest.update(f"{name} {version(name)}".encode())
-    return digest.hexdigest()
-
-
 def content_key(*parts: object) -> str:
-    """Digest of plain data and of `source_digest`."""
-    text = json.dumps([source_digest(), *parts], sort_keys=True)
+    """Digest of plain data, of `source_digest`, and of the versions of Drake and compilers."""
+    versions = [version(name) for name in _PACKAGES]
+    text = json.dumps([source_digest(), versions, *parts], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
 
 

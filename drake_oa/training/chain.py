@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from drake_oa.common.files import provenance
 from drake_oa.regulation.regressor import TARGETS, ChainWeights
 from drake_oa.training.checkpoint import Checkpoint, Report
 from drake_oa.training.dataset import Exploration, TrainingSet
@@ -28,7 +29,6 @@ def train_chain(
     schedule: Schedule | None = None,
     *,
     device: str = "cpu",
-    commit: str = "",
     checkpoint: Checkpoint | None = None,
     report: Report | None = None,
 ) -> tuple[ChainWeights, list[Score]]:
@@ -43,7 +43,6 @@ def train_chain(
         seed: of the initial weights and of the split.
         schedule: of Levenberg-Marquardt.
         device: of torch, "cpu" or "cuda".
-        commit: version of the code; recorded.
         checkpoint: where to keep each iteration, and to go on from.
         report: told how far it is.
 
@@ -74,7 +73,7 @@ def train_chain(
         scores.append(Score(name, nmse(y, guess, mask), nmse(y, guess, ~mask), len(y)))
     chosen = rows.inputs[rows.chosen]
     lower, upper = chosen.min(axis=0), chosen.max(axis=0)
-    metadata = _metadata(rows, exploration, seed, schedule, scores, commit)
+    metadata = _metadata(rows, exploration, seed, schedule, scores)
     metadata["ranges"] = {"lower": lower.tolist(), "upper": upper.tolist()}
     return (
         ChainWeights(networks, lower, upper, np.ones(4), frozenset(TARGETS), rows.limit, metadata),
@@ -88,7 +87,6 @@ def _metadata(
     seed: int,
     schedule: Schedule,
     scores: list[Score],
-    commit: str,
 ) -> dict[str, Any]:
     return {
         "inputs": "lambda1'/L, lambda2'/L (semi-axes), Delta/L, position/L",
@@ -100,7 +98,7 @@ def _metadata(
         "exploration": exploration.settings(),
         "training": {"hidden": list(HIDDEN), "train_share": TRAIN_SHARE, **asdict(schedule)},
         "nmse": {s.target: {"train": s.train, "test": s.test} for s in scores},
-        "commit": commit,
+        **provenance(),
     }
 
 

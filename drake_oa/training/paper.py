@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from drake_oa.common.files import provenance
 from drake_oa.common.messages import BoolArray, FloatArray
 from drake_oa.regulation.network import Network
 from drake_oa.regulation.regressor import TARGETS, ChainWeights
@@ -113,7 +114,6 @@ def train_paper(
     seed: int,
     *,
     device: str = "cpu",
-    commit: str = "",
     checkpoint: Checkpoint | None = None,
     report: Report | None = None,
 ) -> tuple[PaperSet, dict[str, ChainWeights], dict[str, list[Score]]]:
@@ -123,7 +123,6 @@ def train_paper(
         recipe: what to do.
         seed: of the split, of the rows drawn, and of the first weights.
         device: of torch, "cpu" or "cuda".
-        commit: version of the code; recorded.
         checkpoint: where to keep what was computed, and to go on from.
         report: told how far it is.
 
@@ -159,7 +158,7 @@ def train_paper(
                 report=report,
             )
             scores[name].append(_score(rows, use, in_train, networks[target], c, t))
-        chains[name] = _chain(name, networks, rows, recipe, seed, scores[name], commit)
+        chains[name] = _chain(name, networks, rows, recipe, seed, scores[name])
     return rows, chains, scores
 
 
@@ -240,7 +239,6 @@ def _chain(
     recipe: PaperRecipe,
     seed: int,
     scores: list[Score],
-    commit: str,
 ) -> ChainWeights:
     constrained = name == CHAINS[1]
     explored = _inputs(rows, int(constrained), 0)
@@ -266,7 +264,7 @@ def _chain(
             "rounds": recipe.settings()["rounds"][name],
         },
         "nmse": {s.target: {"train": s.train, "test": s.test, "floor": s.floor} for s in scores},
-        "commit": commit,
+        **provenance(),
     }
     return ChainWeights(networks, lower, upper, np.ones(len(lower)), frozenset(), metadata=metadata)
 

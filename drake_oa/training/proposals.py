@@ -21,6 +21,7 @@ import torch
 from torch import Tensor, nn
 
 from drake_oa.common.console import TextTable
+from drake_oa.common.files import provenance
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.regulation.config import SearchParameters
@@ -449,7 +450,6 @@ def train_proposals(
     chain: ChainWeights,
     *,
     device: str = "cpu",
-    commit: str = "",
     checkpoint: Checkpoint | None = None,
     report: Report = lambda stage, done: None,
 ) -> tuple[ProposalNetwork, list[Scores]]:
@@ -460,7 +460,6 @@ def train_proposals(
         seed: of scenes and first weights.
         chain: that leads the searches of the first round.
         device: where the network is trained.
-        commit: of the source, for the metadata.
         checkpoint: keeps each chunk and each round.
         report: told how far it is.
 
@@ -496,7 +495,7 @@ def train_proposals(
     told = {
         "recipe": "proposals",
         "seed": seed,
-        "commit": commit,
+        **provenance(),
         **asdict(recipe),
         "scores": [score._asdict() | {"genes": score.genes.tolist()} for score in scores],
     }

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from drake_oa.common.console import INTERRUPTED, progress_bar
-from drake_oa.common.files import check_outputs, source_commit
+from drake_oa.common.files import check_outputs
 from drake_oa.regulation.proposal_network import ProposalNetwork, save_proposals
 from drake_oa.regulation.regressor import ChainWeights, load_chain, save_chain
 from drake_oa.scenario.shipped import package_file
@@ -115,7 +115,6 @@ class _Paper:
             self._recipe,
             self._seed,
             device=device,
-            commit=source_commit(),
             checkpoint=checkpoint,
             report=bar,
         )
@@ -197,7 +196,6 @@ class _Project:
             self._seed,
             self._schedule,
             device=device,
-            commit=source_commit(),
             checkpoint=checkpoint,
             report=bar,
         )
@@ -231,7 +229,6 @@ class _Proposals:
             self._seed,
             _shipped(PROJECT_FILE),
             device=device,
-            commit=source_commit(),
             checkpoint=checkpoint,
             report=bar,
         )

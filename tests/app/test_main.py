@@ -96,7 +96,7 @@ def test_report_has_the_agreed_keys(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert status == 0
     report = json.loads(out.read_text())
     assert {"scenario", "seed", "preplanned", "modulated", "versions"} < set(report)
-    assert {"real_time_factor", "commit"} < set(report)
+    assert {"real_time_factor", "versions"} < set(report)
     assert report["scenario"] == "free_space"
     for motion in ("preplanned", "modulated"):
         assert set(report[motion]) >= FIGURES

@@ -10,8 +10,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from drake_oa.common.files import software_versions
-from drake_oa.studies.results import ResultFolder, Task, content_key, resumed, source_digest
+from drake_oa.common.files import software_versions, source_digest
+from drake_oa.studies.results import ResultFolder, Task, content_key, resumed
 from tests.regression import comparison, runs
 
 _HERE = Path(__file__).parent

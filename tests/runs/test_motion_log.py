@@ -72,7 +72,7 @@ def log(instants: int = 4, frames: int = 2) -> MotionLog:
         modulated=True,
         scenario="task:\n  clearance: 0.15\n",
         seed=3,
-        versions=("drake 1.51.1", "commit abc"),
+        versions=("drake 1.51.1", "source_digest abc"),
         motion_end=0.2,
     )
 

@@ -24,7 +24,7 @@ def rows():
 
 @pytest.fixture(scope="module")
 def trained(rows):
-    return train_chain(rows, Exploration(), 5, SCHEDULE, commit="abc")
+    return train_chain(rows, Exploration(), 5, SCHEDULE)
 
 
 def test_it_is_scored_and_recorded(trained):
@@ -34,7 +34,7 @@ def test_it_is_scored_and_recorded(trained):
     assert all(s.train < 0.05 for s in scores)
     metadata = chain.metadata
     assert metadata["recipe"] == "project"
-    assert (metadata["commit"], metadata["seed"], metadata["rollouts"]) == ("abc", 5, 7)
+    assert (metadata["seed"], metadata["rollouts"]) == (5, 7)
     assert metadata["ranges"]["lower"] == chain.lower.tolist()
     assert metadata["nmse"]["psi"]["test"] == scores[1].test
     assert metadata["rows"] == {"chosen": 150, "alpha": 200}

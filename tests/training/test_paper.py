@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from drake_oa.common.files import source_digest
 from drake_oa.regulation.regressor import load_chain, save_chain
 from drake_oa.training.checkpoint import Checkpoint
 from drake_oa.training.networks import Round
@@ -25,7 +26,7 @@ SMALL = PaperRecipe(
 
 @pytest.fixture(scope="module")
 def trained():
-    return train_paper(SMALL, 3, commit="abc")
+    return train_paper(SMALL, 3)
 
 
 def test_both_chains_are_trained_and_recorded(trained, tmp_path):
@@ -37,7 +38,8 @@ def test_both_chains_are_trained_and_recorded(trained, tmp_path):
         save_chain(chains[name], tmp_path / "chain.safetensors")
         chain = load_chain(tmp_path / "chain.safetensors")
         assert chain.metadata["recipe"] == "paper"
-        assert (chain.metadata["seed"], chain.metadata["commit"]) == (3, "abc")
+        assert chain.metadata["seed"] == 3
+        assert chain.metadata["source_digest"] == source_digest()
         assert chain.metadata["rows"]["psi"] == rows.near_goal.sum()
         assert len(chain.parameters([[0.1, 0.1]], 0.1, 1.0)) == 1
         assert not chain.parameters([[0.5, 0.1]], 0.1, 1.0).in_range[0]

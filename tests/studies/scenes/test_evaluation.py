@@ -177,9 +177,9 @@ def test_the_table_sets_methods_side_by_side_and_baselines_below(straight: Metho
     scenes = draw_scenes("novel", 8)
     methods = {"one": straight, "two": Failing(straight, 0, ValueError("no"))}
     outcomes = evaluate(scenes, NOVEL, methods).outcomes
-    figures = evaluation_figures("novel", 0, ("drake_oa 0.1.0", "commit abc"), NOVEL, outcomes)
+    figures = evaluation_figures("novel", 0, ("drake_oa 0.1.0", "date today"), NOVEL, outcomes)
     assert set(figures) == {"suite", "seed", "versions", "methods"}
-    assert figures["versions"] == {"drake_oa": "0.1.0", "commit": "abc"}
+    assert figures["versions"] == {"drake_oa": "0.1.0", "date": "today"}
     lines = "\n".join(map(str, evaluation_tables(figures))).splitlines()
     assert [line.split()[0] for line in lines[:3]] == ["method", "one", "two"]
     assert "(not complete)" in lines[2]
