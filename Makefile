@@ -19,6 +19,7 @@ demo: $(STAMP)
 	$(VENV)/bin/drake-oa run tabletop_box --html $(OUT)/tabletop_box.html \
 	  --json $(OUT)/tabletop_box.json --log $(OUT)/tabletop_box.npz
 	@echo "recording: $(OUT)/tabletop_box.html (open it in a browser)"
+	@echo "next: . $(VENV)/bin/activate && drake-oa play"
 
 test: $(DEV)
 	$(VENV)/bin/python -m pytest -n $(JOBS)

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
-import contextlib
-import logging
+import errno
 import os
+import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from typing import Annotated, Any, TextIO
+import threading
 
-from cyclopts import App, CycloptsError, Group, Parameter
-from rich.console import Console
+try:
+    import contextlib
+    import logging
+    from collections.abc import Callable, Iterator, Sequence
+    from typing import Annotated, Any, TextIO
 
-from drake_oa.common.console import BAD_INPUT, FAILED, INTERRUPTED, complain
+    from cyclopts import App, CycloptsError, Group, Parameter
+    from rich.console import Console
+
+    from drake_oa.common.console import BAD_INPUT, FAILED, INTERRUPTED, complain
+    from drake_oa.common.files import OutputError
+except KeyboardInterrupt:
+    # `main` cannot report it yet.
+    print("drake-oa: error: interrupted", file=sys.stderr)
+    sys.exit(130)
 
 _COMPILATION = {
     "run": "2 to 4 minutes",
@@ -30,6 +40,9 @@ _COMPILATION = {
     "train": "half a minute",
 }
 """Functions that compute -> about how long their kernels take to compile, where that is known."""
+
+_KERNELS = 127
+"""Number of kernels that `drake-oa run tabletop_box` compiles in a fresh installation."""
 
 _HELP = """\
 Reactive obstacle avoidance for a manipulator, as Drake systems.
@@ -102,6 +115,47 @@ def _app() -> App:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line; returns the exit status."""
     tokens = sys.argv[1:] if arguments is None else list(arguments)
+    # A stream is None if it was closed before the start.
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115
+    if sys.stdout is None:
+        complain("standard output is closed; redirect it to a file or to /dev/null")
+        return FAILED
+    try:
+        status = _run(tokens)
+        sys.stdout.flush()
+        return status
+    except (Exception, KeyboardInterrupt) as error:
+        if isinstance(error, OSError) and error.errno in (errno.EPIPE, errno.ENOSPC):
+            # Of standard output, as `OutputError` has no number. Python flushes it again at exit.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            # The reader of a pipe closes it on purpose.
+            if error.errno == errno.ENOSPC:
+                complain(f"cannot write to standard output: {error.strerror}")
+            return FAILED
+        if not isinstance(error, OutputError) and _is_interrupt(error):
+            complain("interrupted")
+            return INTERRUPTED
+        if isinstance(error, CycloptsError):
+            words = [name for name in tokens[:1] if name in _COMMANDS]
+            complain(f"{error} See drake-oa {' '.join([*words, '--help'])}")
+            return BAD_INPUT
+        if isinstance(error, ValueError | OSError):
+            logging.getLogger(__name__).info("where it happened", exc_info=True)
+            complain(str(error))
+            return FAILED if isinstance(error, OutputError) else BAD_INPUT
+        raise
+
+
+def _is_interrupt(error: BaseException | None) -> bool:
+    """Returns whether Ctrl-C caused an error: compiled modules replace it by one of their own."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
+def _run(tokens: Sequence[str]) -> int:
+    """Parses the command line and calls the command; returns the exit status."""
     app = _app()
     if not any(name in tokens for name in _COMMANDS):
         # For the list of commands, what each is for is read from its module.
@@ -127,27 +181,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with _computing(command, level):
             return command(*bound.args, **bound.kwargs) or 0
 
-    try:
-        status: int | None = app.meta(
-            tokens, exit_on_error=False, print_error=False, result_action="return_value"
-        )
-        sys.stdout.flush()
-        return (status or 0) if tokens else BAD_INPUT
-    except BrokenPipeError:
-        # Whoever read our output has seen enough. Python flushes once more at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return FAILED
-    except CycloptsError as error:
-        words = [name for name in tokens[:1] if name in _COMMANDS]
-        complain(f"{error} See drake-oa {' '.join([*words, '--help'])}")
-        return BAD_INPUT
-    except (ValueError, OSError) as error:
-        logging.getLogger(__name__).info("where it happened", exc_info=True)
-        complain(str(error))
-        return BAD_INPUT
-    except KeyboardInterrupt:
-        complain("interrupted")
-        return INTERRUPTED
+    status: int | None = app.meta(
+        tokens, exit_on_error=False, print_error=False, result_action="return_value"
+    )
+    return (status or 0) if tokens else BAD_INPUT
 
 
 @contextlib.contextmanager
@@ -157,16 +194,38 @@ def _computing(command: Callable[..., Any], level: int) -> Iterator[None]:
     if name not in _COMPILATION:
         yield
         return
-    # Loads pydrake, which sets the level of its log anew, and the libraries to be limited.
-    from threadpoolctl import threadpool_limits
+    with _exit_on_interrupt():
+        # Loads pydrake, which sets the level of its log anew, and the libraries to be limited.
+        from threadpoolctl import threadpool_limits
 
-    import drake_oa.scenario.loading  # noqa: F401
-    from drake_oa.common.numba_tools import announced_compilation
+        import drake_oa.scenario.loading  # noqa: F401
+        from drake_oa.common.numba_tools import announced_compilation
 
     logging.getLogger("drake").setLevel(level)
     # Many small matrices: more BLAS threads only wait for each other.
-    with threadpool_limits(limits=1), announced_compilation(_COMPILATION[name]):
+    count = _KERNELS if name in ("run", "play") else 0
+    with threadpool_limits(limits=1), announced_compilation(_COMPILATION[name], count):
         yield
+
+
+@contextlib.contextmanager
+def _exit_on_interrupt() -> Iterator[None]:
+    """Makes Ctrl-C end the process at once: compiled modules cannot be imported in part."""
+    before = signal.getsignal(signal.SIGINT)
+    is_ours = before is signal.default_int_handler
+    if not is_ours or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def end(*_: object) -> None:
+        complain("interrupted")
+        os._exit(INTERRUPTED)
+
+    signal.signal(signal.SIGINT, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 class _StderrHandler(logging.StreamHandler[TextIO]):

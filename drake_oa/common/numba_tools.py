@@ -7,18 +7,16 @@ load where it can write to neither: a read-only installation without a home.
 
 from __future__ import annotations
 
-import hashlib
 import os
-import shutil
 import sys
-import tempfile
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    import tempfile
+
     from numpy.typing import ArrayLike
 
     from drake_oa.common.messages import FloatArray
@@ -54,6 +52,8 @@ def provide_kernel_cache(package: Path) -> tempfile.TemporaryDirectory[str] | No
     if is_writable(user):
         _copy_kernels(package, user)
         return None
+    import tempfile
+
     # Not a fixed name in a shared folder: compiled code is read back without checks.
     folder = tempfile.TemporaryDirectory(prefix="drake_oa-kernels-")
     _copy_kernels(package, Path(folder.name))
@@ -86,6 +86,10 @@ def pin_processor_target(cpuinfo: Path = Path("/proc/cpuinfo")) -> None:
 
 def _copy_kernels(package: Path, cache: Path) -> None:
     """Copies what numba compiled beside the source, by the names that it has in a cache."""
+    import hashlib
+    import shutil
+    import tempfile
+
     for compiled in package.rglob("__pycache__"):
         found = [*compiled.glob("*.nbc"), *compiled.glob("*.nbi")]
         source = str(compiled.parent.absolute())
@@ -113,19 +117,23 @@ def is_writable(folder: Path) -> bool:
 
 
 @contextmanager
-def announced_compilation(estimate: str | None = None) -> Iterator[None]:
+def announced_compilation(estimate: str | None = None, count: int = 0) -> Iterator[None]:
     """Says on stderr when kernels are compiled in here rather than read from the cache, and which.
 
     That is so in a fresh installation, and after an update of the package or of numba.
 
     Args:
         estimate: about how long all the kernels that are used take; None: not known.
+        count: about how many kernels are compiled then in this process, to tell the time that is
+            left; 0: not known.
     """
     # Not at the top: see provide_kernel_cache.
+    import time
+
     from numba.core import event
 
     class Announcement(event.Listener):
-        depth, begun, total = 0, 0.0, 0.0
+        depth, begun, total, done = 0, 0.0, 0.0, 0
 
         def on_start(self, event: event.Event) -> None:
             if self.total == self.depth == 0:
@@ -138,15 +146,21 @@ def announced_compilation(estimate: str | None = None) -> Iterator[None]:
 
         def on_end(self, event: event.Event) -> None:
             self.depth -= 1
+            kernel = event.data["dispatcher"].py_func
+            # Numba's own functions that kernels call are no kernels.
+            self.done += kernel.__module__.startswith("drake_oa.")
             if self.depth:
                 # One that another needs counts with that one.
                 return
             took = time.monotonic() - self.begun
             self.total += took
-            kernel = event.data["dispatcher"].py_func
             if took >= _WORTH_TELLING:
                 where = kernel.__module__.removeprefix("drake_oa.")
-                print(f"  {where}.{kernel.__name__}: {took:.0f} s", file=sys.stderr)
+                left = ""
+                if self.done < count:
+                    seconds = self.total / self.done * (count - self.done)
+                    left = f"; {self.done} of about {count} kernels, about {seconds:.0f} s left"
+                print(f"  {where}.{kernel.__name__}: {took:.0f} s{left}", file=sys.stderr)
 
     announcement = Announcement()
     with event.install_listener("numba:compile", announcement):

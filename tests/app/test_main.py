@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydrake.geometry import Meshcat
 
 from drake_oa.app import main as cli
 from drake_oa.runs import simulation
@@ -154,6 +155,7 @@ def test_set_replaces_a_field_of_a_file(tmp_path: Path, capsys: pytest.CaptureFi
         (("benchmark", "--scenario", "nowhere"), "tabletop_box"),
         (("run", "free_space", "--set", "task.clearence=1"), "clearance"),
         (("run", "free_space", "--set", "regulation.weights=none.npz"), "regulation.weights"),
+        (("station", "tabletop_box", "--lcm-url", "foo://bar"), "udpm://, tcpq://, memq://"),
         (("run", "free_space", "--duration", "-1"), "--duration"),
         (("run", "free_space", "--duration", "nan"), "--duration"),
         (("run", "tabletop_box", "--set", "robot.model=package://none/x.urdf"), "robot.model"),
@@ -248,6 +250,13 @@ def test_a_motion_that_does_not_arrive_is_status_1(capsys: pytest.CaptureFixture
     assert "held for" in capsys.readouterr().out
 
 
+def test_contact_of_the_avoiding_motion_is_status_1(capsys: pytest.CaptureFixture[str]) -> None:
+    inside = "perception=!GivenEllipsoids {ellipsoids: [{center: [0, 0, 0]}]}"
+    assert run("run", "free_space", "--duration", "0.05", "--set", inside) == 1
+    line = "error: contact during the avoiding motion: tool point - ellipsoid 0 (-100.0 mm)"
+    assert line in capsys.readouterr().err
+
+
 def test_html_is_one_page_with_a_recording(tmp_path: Path) -> None:
     page = tmp_path / "run.html"
     arguments = ("--duration", "0.1", "--html", str(page))
@@ -299,6 +308,68 @@ def test_graph_lists_the_signals(capsys: pytest.CaptureFixture[str]) -> None:
 def test_graph_is_svg_where_dot_is_installed(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("graph", "free_space") == 0
     assert "<svg" in capsys.readouterr().out
+
+
+def interrupted_in_compiled_code() -> None:
+    try:
+        raise KeyboardInterrupt
+    except KeyboardInterrupt as error:
+        raise SystemError("returned a result with an exception set") from error
+
+
+def test_ctrl_c_in_compiled_code_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("drake_oa.app.scenarios.shipped_scenarios", interrupted_in_compiled_code)
+    assert run("scenarios") == 130
+    assert capsys.readouterr().err == "drake-oa: error: interrupted\n"
+
+
+@pytest.mark.parametrize("module", ["cyclopts", "pydrake.common.yaml"])
+def test_ctrl_c_while_modules_are_imported_is_one_line(module: str) -> None:
+    source = (
+        "import os, signal, sys\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "class Interrupt:\n"
+        "    def find_spec(name, *_):\n"
+        f"        if name == '{module}': os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Interrupt)\n"
+        "from drake_oa.app.main import main\n"
+        "sys.exit(main(['graph', 'free_space', '--dot']))"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", source], capture_output=True, text=True, check=False
+    )
+    assert (ended.returncode, ended.stderr) == (130, "drake-oa: error: interrupted\n")
+
+
+def test_a_closed_standard_output_is_one_line() -> None:
+    command = f'"{sys.executable}" -m drake_oa.app.main scenarios >&-'
+    ended = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert ended.returncode == 1
+    assert ended.stderr.startswith("drake-oa: error: standard output is closed")
+    assert len(ended.stderr.splitlines()) == 1
+
+
+def test_the_shell_completes_scenario_names() -> None:
+    script = cli._app().generate_completion(shell="bash")
+    assert all(f'"{name}"' in script for name in shipped_scenarios())
+
+
+def test_a_page_needs_none_of_the_ports_of_viewers(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def taken(params: object) -> object:
+        if params.port is None:
+            raise RuntimeError("Meshcat failed to open a websocket port")
+        return Meshcat(params)
+
+    monkeypatch.setattr("drake_oa.viewing.viewer.Meshcat", taken)
+    arguments = ("run", "free_space", "--duration", "0.05")
+    assert run(*arguments, "--html", "run.html") == 0
+    capsys.readouterr()
+    assert run(*arguments, "--meshcat") == 2
+    assert "failed to open a websocket port" in capsys.readouterr().err
 
 
 def test_a_closed_pipe_is_no_error() -> None:

@@ -99,7 +99,7 @@ def thrice(x):
 
 def imported(source: Path) -> ModuleType:
     """The module of a file, anew."""
-    spec = importlib.util.spec_from_file_location("compiled_kernels", source)
+    spec = importlib.util.spec_from_file_location("drake_oa.compiled_kernels", source)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -126,6 +126,18 @@ def test_compilation_is_announced_once_and_not_when_it_is_cached(
     assert capsys.readouterr().err == "compiling kernels, once ...\n"
     assert imported(source).thrice(2.0) == 22.0
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_the_compilation_time_that_is_left_is_announced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("drake_oa.common.numba_tools._WORTH_TELLING", 0.0)
+    source = tmp_path / "compiled_kernels.py"
+    source.write_text(SOURCE)
+    with announced_compilation(count=4):
+        imported(source).thrice(2)
+    assert "; 2 of about 4 kernels, about " in capsys.readouterr().err
 
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
