@@ -19,9 +19,9 @@ A module is imported when its command is asked for, and what computes when it is
 and `scenarios` import neither NumPy nor Drake. Tables and progress are rich's on a terminal and
 plain text elsewhere (`drake_oa.common.console`).
 
-Exit statuses: 0 done, 1 failed (a motion that did not arrive, a table that was not found), 2 bad
-input, told in one line "drake-oa: error: ..." (with --verbose after a traceback), 130 interrupted,
-143 terminated.
+Exit statuses: 0 done, 1 failed (an avoiding motion that did not arrive or was in contact, a table
+that was not found, a file that could not be written), 2 bad input, told in one line "drake-oa:
+error: ..." (with --verbose after a traceback), 130 interrupted, 143 terminated.
 
 Read `main` first.
 """

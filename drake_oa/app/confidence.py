@@ -6,7 +6,7 @@ from pathlib import Path
 
 from drake_oa.app.evaluate import write_json
 from drake_oa.common.console import progress_bar, show
-from drake_oa.common.files import check_outputs, same_file, software_versions
+from drake_oa.common.files import check_outputs, software_versions
 
 
 def confidence(
@@ -55,8 +55,6 @@ def confidence(
         )
     if plot is not None:
         check_plot_file(plot)
-    if same_file(json, plot):
-        raise ValueError("--json and --plot must name different files")
     check_outputs(json, plot)
     with progress_bar(1.0) as bar:
         whole = confidence_figures(

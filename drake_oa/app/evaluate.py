@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import App, Parameter
 
 from drake_oa.common.console import FAILED, INTERRUPTED, complain, progress_bar, show
-from drake_oa.common.files import check_outputs, replace_text, same_file
+from drake_oa.common.files import check_outputs, replace_text
 
 # Suites, methods and kernels are imported where they are used: `--help` answers at once.
 if TYPE_CHECKING:
@@ -126,11 +126,7 @@ def synthetic(
     chosen = load_methods(methods or found_suite.methods)
     if plot is not None:
         check_plot_file(plot)
-    if same_file(json, plot, write_scenes, scenes_file):
-        raise ValueError(
-            "--json, --plot, --write-scenes and --scenes-file must name different files"
-        )
-    check_outputs(json, plot, write_scenes)
+    check_outputs(json, plot, write_scenes, read=[scenes_file] if scenes_file else [])
     drawn = drawn_scenes(suite, scenes, seed, scenes_file)
     if write_scenes is not None:
         save_scenes(write_scenes, drawn)

@@ -22,7 +22,7 @@ from drake_oa.app.evaluate import (
     write_json,
 )
 from drake_oa.common.console import show
-from drake_oa.common.files import check_outputs, same_file
+from drake_oa.common.files import check_outputs
 
 # Suites, methods and kernels are imported where they are used: `--help` answers at once.
 if TYPE_CHECKING:
@@ -83,9 +83,9 @@ def table1(*, json: Path | None = None) -> int:
 
     check_outputs(json)
     whole = table_one_figures(software_versions())
+    show(*table_one(whole))
     if json is not None:
         write_json(json, whole)
-    show(*table_one(whole))
     return 0
 
 
@@ -222,8 +222,6 @@ def figure_familiar(
         chosen["paper"] = partial(run, reading=level.reading())
     if plot is not None:
         check_plot_file(plot)
-    if same_file(json, plot):
-        raise ValueError("--json and --plot must name different files")
     check_outputs(json, plot)
     drawn, cases = drawn_scenes(suite, scenes, 0), find_suite(suite).cases
     evaluation, figures = evaluated(suite, None, drawn, cases, chosen, json)
@@ -265,8 +263,6 @@ def figure_dead_zone(
     chosen = load_methods(methods)
     if plot is not None:
         check_plot_file(plot)
-    if same_file(json, plot):
-        raise ValueError("--json and --plot must name different files")
     check_outputs(json, plot)
     drawn = drawn_scenes(suite, scenes, 0)
     terms = compare_terms(drawn)

@@ -6,10 +6,11 @@ import json as json_text
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from drake_oa.common.console import BAD_INPUT, FAILED, TextTable, complain, show
+from drake_oa.common.console import BAD_INPUT, FAILED, TextTable, complain, show, write_all
 from drake_oa.common.files import check_outputs, replace_text
 
 # NumPy, Drake and the kernels are imported where they are used: `--help` answers at once.
@@ -100,7 +101,7 @@ def perceive(
         background: keep what is far and cut by the border.
         repeats: times a file is timed.
     """
-    from drake_oa.app.perceive_frame import as_json
+    from drake_oa.app.perceive_frame import as_json, plot_frame
     from drake_oa.app.perceive_frame import perceive as perceive_frame
     from drake_oa.common.files import software_versions
     from drake_oa.perception.recordings import read_frame
@@ -111,8 +112,8 @@ def perceive(
     if repeats < 1:
         raise ValueError(f"--repeats must be at least 1, not {repeats}")
     paths, status = _expanded(files)
-    check_outputs(json)
     pictures = {} if plot is None else _pictures(plot, paths)
+    check_outputs(json, *pictures.values(), read=paths)
 
     def look(path: Path) -> PerceivedFrame:
         frame = read_frame(path, coding=coding)
@@ -120,10 +121,15 @@ def perceive(
             frame, tool_W, X_WC=X_WC, config=config, background=background, repeats=repeats
         )
 
-    found = {path: _perceived(path, look, pictures.get(path)) for path in paths}
+    found = {path: _perceived(path, look) for path in paths}
     seen = [frame for frame in found.values() if not isinstance(frame, str)]
     if seen:
         show(_table(seen))
+    writes = [
+        partial(plot_frame, frame, pictures[path])
+        for path, frame in found.items()
+        if path in pictures and not isinstance(frame, str)
+    ]
     if json is not None:
         figures = {
             "tool": tool,
@@ -134,18 +140,17 @@ def perceive(
                 for path, frame in found.items()
             ],
         }
-        replace_text(json, json_text.dumps(figures, indent=1, allow_nan=False) + "\n")
+        text = json_text.dumps(figures, indent=1, allow_nan=False) + "\n"
+        writes.append(partial(replace_text, json, text))
+    written = write_all(*writes)
     if status or len(seen) < len(found):
         return BAD_INPUT
-    return FAILED if any(not frame.segmentation.usable for frame in seen) else 0
+    usable = all(frame.segmentation.usable for frame in seen)
+    return 0 if usable and written else FAILED
 
 
-def _perceived(
-    path: Path, look: Callable[[Path], PerceivedFrame], picture: Path | None
-) -> PerceivedFrame | str:
-    """What a file shows, drawn where that is asked for; or why it cannot be used."""
-    from drake_oa.app.perceive_frame import plot_frame
-
+def _perceived(path: Path, look: Callable[[Path], PerceivedFrame]) -> PerceivedFrame | str:
+    """What a file shows, or why it cannot be used."""
     try:
         found = look(path)
     except (ValueError, OSError) as error:
@@ -153,8 +158,6 @@ def _perceived(
         return str(error)
     if not found.segmentation.usable:
         complain(f"'{path}': {found.segmentation.note}")
-    if picture is not None:
-        plot_frame(found, picture)
     return found
 
 
@@ -224,9 +227,6 @@ def _pictures(folder: Path, paths: Sequence[Path]) -> dict[Path, Path]:
             name, number = f"{path.stem}_{number}", number + 1
         taken.add(name)
         pictures[path] = folder / f"{name}.png"
-        if pictures[path].resolve() == path.resolve():
-            raise ValueError(f"--plot: the picture of '{path}' would replace it")
-    check_outputs(*pictures.values())
     return pictures
 
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_oa.common.files import save_figure
 from drake_oa.common.messages import FloatArray, IntArray
 from drake_oa.geometry.ellipsoid import Ellipsoid, enclosing_ellipsoid, shape_matrix
 from drake_oa.geometry.ellipsoid_kernels import farthest_pair
@@ -299,7 +300,7 @@ def plot_frame(perceived: PerceivedFrame, path: Path) -> None:
         _draw_cloud(left, perceived)
     _draw_from_above(right, perceived)
     figure.suptitle(_title(perceived), fontsize=10)
-    figure.savefig(path, dpi=110)
+    save_figure(path, figure, dpi=110)
 
 
 def outline(

@@ -6,11 +6,12 @@ from contextlib import nullcontext
 from pathlib import Path
 
 from drake_oa.app.run import reserved_log, stop_between_steps
-from drake_oa.app.scenarios import Overrides, build_errors, scenario_name
+from drake_oa.app.scenarios import Overrides, ScenarioName, build_errors, scenario_name
+from drake_oa.common.files import check_outputs
 
 
 def play(
-    scenario: str = "tabletop_box",
+    scenario: ScenarioName = "tabletop_box",
     /,
     *,
     overrides: Overrides = (),
@@ -46,12 +47,18 @@ def play(
     """
     from drake_oa.runs.motion_log import save_logs
     from drake_oa.runs.play import PlaySession
-    from drake_oa.scenario.loading import load_scenario
+    from drake_oa.runs.scenario_check import end_contacts
+    from drake_oa.scenario.loading import load_scenario, scenario_files, scenario_path
     from drake_oa.viewing.viewer import start_viewer
 
     if log is not None and no_log:
         raise ValueError("--log and --no-log exclude each other")
     chosen = load_scenario(scenario, overrides)
+    check_outputs(log, read=[scenario_path(scenario), *scenario_files(chosen)])
+    with build_errors():
+        contacts = end_contacts(chosen)
+    if contacts:
+        raise ValueError(contacts)
     with (
         build_errors(),
         nullcontext() if no_log else reserved_log(log, f"{scenario_name(scenario)}_played") as file,

@@ -7,8 +7,8 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from drake_oa.app.scenarios import Overrides, build_errors, scenario_name
-from drake_oa.common.files import check_outputs, replace_file, same_file
+from drake_oa.app.scenarios import Overrides, ScenarioName, build_errors, scenario_name
+from drake_oa.common.files import check_outputs, replace_text, save_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -52,16 +52,15 @@ def replay(
         raise ValueError("nothing to show it in: give --meshcat, --html FILE or both")
     if not 0.0 < speed < math.inf:
         raise ValueError(f"--speed: {speed} must be positive")
-    if same_file(log, html):
-        raise ValueError("--html must not name the log")
     from drake_oa.runs.motion_log import load_logs
     from drake_oa.runs.replay import choose_motion, logged_scenario, planned_path
+    from drake_oa.scenario.loading import scenario_files
 
     logs = load_logs(log)
     chosen = choose_motion(log, logs, motion)
     shown = logs[chosen]
     scenario = logged_scenario(log, shown)
-    check_outputs(html)
+    check_outputs(html, read=[log, *scenario_files(scenario)])
 
     from pydrake.systems.analysis import Simulator
 
@@ -76,16 +75,17 @@ def replay(
     simulator = Simulator(diagram)
     if meshcat:
         simulator.set_target_realtime_rate(1.0)
-    with recording(viewer, html):
+    with recording(viewer):
         simulator.AdvanceTo(shown.simulated_time / speed)
-    if html is not None:
-        label_page(html, log.stem, scenario, shown, speed=speed)
     print(f"{chosen}: {shown.duration:.2f} s, ended by {shown.stop_reason}")
+    if html is not None:
+        page = label_page(viewer.StaticHtml(), log.stem, scenario, shown, speed=speed)
+        replace_text(html, page)
     if meshcat:
         wait_for_viewer()
 
 
-def plot(shown: str, /, *, overrides: Overrides = (), out: Path | None = None) -> None:
+def plot(shown: ScenarioName, /, *, overrides: Overrides = (), out: Path | None = None) -> None:
     """Draw a logged run, or what demonstrations teach a scenario.
 
     Of a log it draws clearance of tool and robot against the asked one, phase and share of full
@@ -113,29 +113,26 @@ def plot(shown: str, /, *, overrides: Overrides = (), out: Path | None = None) -
     out = out or (Path(f"{name}.png") if of_scenario else log.with_suffix(".png"))
     if out.suffix not in FORMATS:
         raise ValueError(f"--out must end in {', '.join(FORMATS)}, not {out.name!r}")
-    if same_file(log, out):
-        raise ValueError("--out must not name the log")
     if overrides and not of_scenario:
         raise ValueError("--set is of a scenario: a log has its own")
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(14.0, 10.0), layout="constrained")
     if of_scenario:
-        _draw_scenario(figure, shown, overrides)
-        check_outputs(out)
+        _draw_scenario(figure, shown, overrides, out)
     else:
         _draw_log(figure, log, out)
-    kind = out.suffix.removeprefix(".")
-    replace_file(out, lambda path: figure.savefig(path, format=kind, dpi=130))
+    save_figure(out, figure, dpi=130)
     print(f"plot: {out}")
 
 
-def _draw_scenario(figure: Figure, shown: str, overrides: Overrides) -> None:
+def _draw_scenario(figure: Figure, shown: str, overrides: Overrides, out: Path) -> None:
     """Draws what a scenario is taught."""
     from drake_oa.runs.demonstration_plots import draw_taught, taught
-    from drake_oa.scenario.loading import load_scenario
+    from drake_oa.scenario.loading import load_scenario, scenario_files, scenario_path
 
     scenario = load_scenario(shown, overrides)
+    check_outputs(out, read=[scenario_path(shown), *scenario_files(scenario)])
     found = taught(scenario)
     if found is None:
         raise ValueError(
@@ -154,12 +151,13 @@ def _draw_log(figure: Figure, log: Path, out: Path) -> None:
     from drake_oa.runs.motion_log import load_logs
     from drake_oa.runs.replay import choose_motion, logged_scenario
     from drake_oa.runs.report import judge_of, motion_metrics
+    from drake_oa.scenario.loading import scenario_files
 
     logs = load_logs(log)
     chosen = choose_motion(log, logs, None)
     logs = {name: of for name, of in logs.items() if name == chosen or len(of.t)}
     scenario = logged_scenario(log, logs[chosen])
-    check_outputs(out)
+    check_outputs(out, read=[log, *scenario_files(scenario)])
     with build_errors():
         judge = judge_of(scenario)
         metrics = {name: motion_metrics(scenario, of, judge) for name, of in logs.items()}

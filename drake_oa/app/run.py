@@ -15,7 +15,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from drake_oa.app.scenarios import Overrides, build_errors, scenario_name
+from drake_oa.app.scenarios import Overrides, ScenarioName, build_errors, scenario_name
 from drake_oa.common.console import (
     FAILED,
     INTERRUPTED,
@@ -23,13 +23,15 @@ from drake_oa.common.console import (
     complain,
     progress_bar,
     show,
+    write_all,
 )
-from drake_oa.common.files import check_outputs, check_space, replace_text, reserve_file, same_file
+from drake_oa.common.files import check_outputs, check_space, replace_text, reserve_file
 
 # Diagrams and simulation are imported where they are used: `--help` answers at once.
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
+    from drake_oa.runs.metrics import RobotJudge
     from drake_oa.runs.motion_log import MotionLog
     from drake_oa.scenario.scenario import Scenario
 
@@ -68,12 +70,13 @@ class _Ran:
 
     scenario: Scenario
     logs: dict[str, MotionLog]
+    judge: RobotJudge | None = None
     failure: BaseException | None = None
     log_error: str | None = None
 
 
 def run(
-    scenario: str,
+    scenario: ScenarioName,
     /,
     *,
     overrides: Overrides = (),
@@ -111,9 +114,10 @@ def run(
     are what is seen; the report knows of no others.
 
     Exit status: 0 when the tool of the modulated motion reached the goal (or the asked
-    --duration), 1 when it did not (it failed, was held for good or ran out of time), 2 for
-    bad input, 130 when interrupted (143 by SIGTERM); what ran until then is reported and
-    written all the same.
+    --duration), 1 when it did not (it failed, was held for good or ran out of time), when the
+    robot was in contact, or when an output could not be written, 2 for bad input, 130 when
+    interrupted (143 by SIGTERM). What ran until then is reported, and each output that can be
+    written is written.
 
     A.B=C replaces field B of block A of the scenario; C is YAML, a tag swaps the block.
     A mistyped name is answered with the valid ones.
@@ -137,7 +141,7 @@ def run(
         rate: with --hardware, simulated seconds in one of the wall clock, at most 1.
     """
     from drake_oa.runs.first_run import compiled_beside
-    from drake_oa.scenario.loading import load_scenario
+    from drake_oa.scenario.loading import load_scenario, scenario_files, scenario_path
 
     chosen = load_scenario(scenario, overrides)
     if duration is not None and not 0.0 < duration < math.inf:
@@ -147,9 +151,12 @@ def run(
     if not hardware and (rate != 1.0 or lcm_url != LCM_URL):
         raise ValueError("--lcm-url and --rate need --hardware")
     outputs = _Outputs(meshcat, html, json, duration)
-    if same_file(html, json, log):
-        raise ValueError("--html, --json and --log must name different files")
-    check_outputs(html, json, log)
+    if hardware:
+        from drake_oa.common.config import check_lcm_url
+
+        check_lcm_url(lcm_url, "--lcm-url")
+    check_outputs(html, json, log, read=[scenario_path(scenario), *scenario_files(chosen)])
+    viewer = _viewer(outputs)
     name = scenario_name(scenario)
     with (
         contextlib.nullcontext() if no_log else reserved_log(log, name) as log_file,
@@ -160,21 +167,19 @@ def run(
 
             try:
                 bus = _Bus(lcm_url, rate)
-                ran = _drive(outputs, chosen, bus, log_file, raise_if_asked)
+                ran = _drive(outputs, chosen, bus, viewer, log_file, raise_if_asked)
             except HardwareError as error:
                 complain(str(error))
                 return FAILED
         else:
             with compiled_beside(chosen):
-                ran = _simulate_both(outputs, chosen, log_file, raise_if_asked)
-        failure, log_error = ran.failure, ran.log_error
-        status = _report(outputs, name, ran.scenario, ran.logs)
-        written = {"log": log_file if log_error is None else None, "page": html, "report": json}
-        for kind, file in written.items():
-            if file is not None:
-                print(f"{kind}: {file}", file=sys.stderr)
-    if log_error is not None:
-        complain(log_error)
+                ran = _simulate_both(outputs, chosen, viewer, log_file, raise_if_asked)
+        failure = ran.failure
+        status = _report(outputs, name, ran, viewer)
+        if log_file is not None and ran.log_error is None:
+            print(f"log: {log_file}", file=sys.stderr)
+    if ran.log_error is not None:
+        complain(ran.log_error)
         status = FAILED
     if isinstance(failure, Terminated):
         complain("terminated")
@@ -193,7 +198,7 @@ def run(
 
 
 def station(
-    scenario: str,
+    scenario: ScenarioName,
     /,
     *,
     overrides: Overrides = (),
@@ -227,21 +232,23 @@ def station(
     """
     from pydrake.lcm import DrakeLcm
 
+    from drake_oa.common.config import check_lcm_url
     from drake_oa.hardware.command_guard import CommandRules
     from drake_oa.hardware.panda_station import PandaStation
     from drake_oa.runs.hardware_run import station_log
     from drake_oa.runs.motion_log import save_logs
-    from drake_oa.runs.report import report_table, run_report
-    from drake_oa.scenario.loading import load_scenario
+    from drake_oa.runs.report import contact_error, report_table, run_report
+    from drake_oa.scenario.loading import load_scenario, scenario_files, scenario_path
 
     chosen = load_scenario(scenario, overrides)
     if duration is not None and not 0.0 < duration < math.inf:
         raise ValueError(f"--duration: {duration} must be positive [s]")
+    check_lcm_url(lcm_url, "--lcm-url")
     try:
         lcm = DrakeLcm(lcm_url)
     except RuntimeError as error:
         raise ValueError(f"--lcm-url: {lcm_url}: {error}") from None
-    check_outputs(log)
+    check_outputs(log, read=[scenario_path(scenario), *scenario_files(chosen)])
     with build_errors():
         arm = PandaStation(
             chosen,
@@ -259,11 +266,19 @@ def station(
             arm.run(math.inf if duration is None else duration, raise_if_asked)
         except (Exception, KeyboardInterrupt) as error:
             failure = error
+    status = 0
     if log is not None:
         logs = {"modulated": station_log(chosen, arm)}
-        save_logs(log, logs)
-        show(report_table(run_report(scenario_name(scenario), chosen, logs)))
+        report = run_report(scenario_name(scenario), chosen, logs)
+        contact = contact_error(report)
+        try:
+            show(report_table(report))
+        finally:
+            save_logs(log, logs)
         print(f"log: {log}", file=sys.stderr)
+        if contact:
+            complain(contact)
+            status = FAILED
     pace = arm.pace
     print(
         f"simulated {pace.simulated:.2f} s in {pace.wall:.2f} s, "
@@ -274,7 +289,7 @@ def station(
     if isinstance(failure, Exception):
         complain(f"cut short: {type(failure).__name__}: {failure}")
         return FAILED
-    return TERMINATED if isinstance(failure, Terminated) else 0
+    return TERMINATED if isinstance(failure, Terminated) else status
 
 
 @contextlib.contextmanager
@@ -306,15 +321,20 @@ def reserved_log(named: Path | None, scenario: str) -> Iterator[Path]:
 def _simulate_both(
     outputs: _Outputs,
     scenario: Scenario,
+    meshcat: Meshcat | None,
     log_file: Path | None,
     raise_if_asked: Callable[[], None],
 ) -> _Ran:
     """Both motions, or what ran until one was cut short."""
     from drake_oa.diagrams.avoidance import build_avoidance
+    from drake_oa.runs.report import judge_of
+    from drake_oa.runs.scenario_check import end_contacts
     from drake_oa.runs.simulation import simulate
 
-    meshcat = _viewer(outputs)
     with build_errors():
+        judge = judge_of(scenario)
+        if contacts := end_contacts(scenario, judge):
+            raise ValueError(contacts)
         # What the modulated motion lacks is told before the first one is simulated.
         built = build_avoidance(scenario, meshcat=meshcat)
 
@@ -328,7 +348,7 @@ def _simulate_both(
             diagram=built if modulated else None,
         )
 
-    ran = _Ran(scenario, {})
+    ran = _Ran(scenario, {}, judge)
     for name in ("preplanned", "modulated"):
         shown = meshcat if name == "modulated" else None
         ran = _logged(ran, name, motion, outputs, shown, log_file, raise_if_asked)
@@ -341,6 +361,7 @@ def _drive(
     outputs: _Outputs,
     scenario: Scenario,
     bus: _Bus,
+    meshcat: Meshcat | None,
     log_file: Path | None,
     raise_if_asked: Callable[[], None],
 ) -> _Ran:
@@ -348,7 +369,6 @@ def _drive(
     from drake_oa.hardware.robot_link import RobotLink
     from drake_oa.runs.hardware_run import drive, ready
 
-    meshcat = _viewer(outputs)
     with RobotLink(bus.lcm_url, rate=bus.rate, raise_if_asked=raise_if_asked) as link:
         print(f"waiting for the arm on {bus.lcm_url} ...", file=sys.stderr)
         with build_errors():
@@ -383,7 +403,7 @@ def _logged(
     try:
         with (
             build_errors(),
-            recording(meshcat, outputs.html),
+            recording(meshcat if outputs.html else None),
             _progress(name, ran.scenario, outputs.duration, raise_if_asked) as on_progress,
         ):
             log = motion(name, on_progress)
@@ -397,22 +417,44 @@ def _logged(
             save_logs(log_file, logs)
         except OSError as error:
             # A disk that is full by now must not cost the report as well.
-            log_error = f"cannot write {log_file}: {error.strerror or error}"
-    return _Ran(ran.scenario, logs, failure, log_error)
+            log_error = str(error)
+    return _Ran(ran.scenario, logs, ran.judge, failure, log_error)
 
 
-def _report(outputs: _Outputs, name: str, scenario: Scenario, logs: dict[str, MotionLog]) -> int:
-    """Prints and writes the report; the status says whether all motions got there."""
+def _report(outputs: _Outputs, name: str, ran: _Ran, meshcat: Meshcat | None) -> int:
+    """Prints the report, then writes page and report.
+
+    Returns:
+        FAILED if the avoiding motion did not arrive or was in contact, or if an output could
+        not be written.
+    """
     from drake_oa.runs.motion_log import MotionEnd
     from drake_oa.runs.page import label_page
-    from drake_oa.runs.report import report_table, run_report
+    from drake_oa.runs.report import contact_error, report_table, run_report
 
-    report = run_report(name, scenario, logs)
-    show(report_table(report))
-    if outputs.html and "modulated" in logs:
-        label_page(outputs.html, name, scenario, logs["modulated"])
-    if outputs.json:
-        replace_text(outputs.json, json_text.dumps(report, indent=2) + "\n")
+    logs = ran.logs
+    report = run_report(name, ran.scenario, logs, ran.judge)
+
+    def write_page() -> None:
+        if outputs.html and meshcat and "modulated" in logs:
+            page = label_page(meshcat.StaticHtml(), name, ran.scenario, logs["modulated"])
+            replace_text(outputs.html, page)
+            print(f"page: {outputs.html}", file=sys.stderr)
+
+    def write_report() -> None:
+        if outputs.json:
+            replace_text(outputs.json, json_text.dumps(report, indent=2) + "\n")
+            print(f"report: {outputs.json}", file=sys.stderr)
+
+    contact = contact_error(report)
+    try:
+        show(report_table(report))
+    finally:
+        written = write_all(write_page, write_report)
+        if contact:
+            complain(contact)
+    if contact or not written:
+        return FAILED
     enough = {MotionEnd.GOAL}
     if outputs.duration is not None:
         enough.add(MotionEnd.TIME_LIMIT)

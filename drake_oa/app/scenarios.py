@@ -11,12 +11,21 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
 from drake_oa.common.console import FAILED, TextTable, complain, show
 from drake_oa.common.files import check_outputs, replace_text
+from drake_oa.scenario.shipped import shipped_scenarios
+
+if TYPE_CHECKING:
+    ScenarioName = str
+else:
+    ScenarioName = Annotated[
+        str | Literal[tuple(shipped_scenarios())], Parameter(show_choices=False)
+    ]
+    """Name or file of a scenario; the shell completes the shipped names."""
 
 Overrides = Annotated[tuple[str, ...], Parameter(name="--set")]
 """Fields to be replaced, as "a.b=c"; the option may be repeated."""
@@ -58,7 +67,7 @@ def scenarios(*, files: bool = False) -> None:
     Args:
         files: print where they are instead: copy one to start a scenario of your own.
     """
-    from drake_oa.scenario.shipped import description, missing_package, shipped_scenarios
+    from drake_oa.scenario.shipped import description, missing_package
 
     shipped = shipped_scenarios()
     if files:
@@ -115,13 +124,18 @@ def new(name: str, /, *, like: str | None = None) -> int:
 
 
 def check(
-    scenario: str, /, *, overrides: Overrides = (), plot: Path | None = None, no_plot: bool = False
+    scenario: ScenarioName,
+    /,
+    *,
+    overrides: Overrides = (),
+    plot: Path | None = None,
+    no_plot: bool = False,
 ) -> int:
     """Say all that is wrong with a scenario, and draw it.
 
     Where its fields are right the cell is built, and a table says what start and goal leave
-    the arm. The picture, NAME.png unless --plot names another file, shows the cell with the arm
-    at the start, and what each camera sees; green is the start, red the goal.
+    the arm. The picture, NAME.check.png unless --plot names another file, shows the cell with
+    the arm at the start, and what each camera sees; green is the start, red the goal.
 
     Exit status: 0 when nothing is wrong, 1 when something is, 2 for a file that cannot be read.
 
@@ -131,18 +145,25 @@ def check(
         plot: the picture's file.
         no_plot: draw nothing.
     """
-    from drake_oa.scenario.loading import load_scenario, scenario_problems
+    from drake_oa.scenario.loading import (
+        load_scenario,
+        scenario_files,
+        scenario_path,
+        scenario_problems,
+    )
 
     if plot is not None and no_plot:
         raise ValueError("--plot and --no-plot exclude each other")
     name = scenario_name(scenario)
-    file = None if no_plot else plot or Path(f"{name}.png")
-    check_outputs(file)
+    file = None if no_plot else plot or Path(f"{name}.check.png")
+    check_outputs(file, read=[scenario_path(scenario)])
     wrong = scenario_problems(scenario, overrides)
     if not wrong:
-        from drake_oa.runs.scenario_check import end_rows, unbuildable
+        from drake_oa.runs.metrics import RobotJudge
+        from drake_oa.runs.scenario_check import end_contacts, end_rows, unbuildable
 
         chosen = load_scenario(scenario, overrides)
+        check_outputs(file, read=scenario_files(chosen))
         with quiet():
             wrong = unbuildable(chosen)
     for problem in wrong:
@@ -153,19 +174,24 @@ def check(
         print(f"{name}: nothing is wrong; without a robot there is nothing to draw")
         return 0
     with build_errors(), quiet():
-        rows, notes = end_rows(chosen)
-        if file is not None:
-            from drake_oa.viewing.still import draw_scenario
-
-            draw_scenario(chosen, file)
-            notes = [*notes, f"picture: {file}"]
+        judge = RobotJudge(chosen)
+        rows, notes = end_rows(chosen, judge)
+        contacts = end_contacts(chosen, judge)
     header = ("", "tool clearance [m]", "robot clearance [m]", "touches")
     show(TextTable(header, rows, "lrrl", notes))
-    return FAILED if any(row[-1] != "nothing" for row in rows) else 0
+    if file is not None:
+        from drake_oa.viewing.still import draw_scenario
+
+        with build_errors(), quiet():
+            draw_scenario(chosen, file)
+        print(f"picture: {file}")
+    if contacts:
+        complain(contacts)
+    return FAILED if contacts else 0
 
 
 def graph(
-    scenario: str,
+    scenario: ScenarioName,
     /,
     *,
     overrides: Overrides = (),

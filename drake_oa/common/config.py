@@ -21,6 +21,8 @@ from pydrake.common.yaml import yaml_load
 
 _TURN = 2.0 * math.pi
 """Largest magnitude of a roll, pitch or yaw [rad]."""
+_LCM_PROVIDERS = ("udpm", "tcpq", "memq")
+"""Providers of LCM that carry messages both ways; `file` only records or replays."""
 _MOST = 100_000
 """Most values of a YAML text, counted again wherever an alias stands for them."""
 
@@ -264,6 +266,24 @@ def check_values(config: Any, where: str = "") -> None:
         other = metadata.get("below")
         if other and not value < (limit := getattr(config, other)):
             raise ScenarioError(f"{full_name} must be less than {other}, not {value} and {limit}")
+
+
+def check_lcm_url(url: str, field: str) -> None:
+    """Refuses a URL whose messages cannot be both sent and received by LCM.
+
+    Args:
+        url: PROVIDER://ADDRESS. LCM itself only prints that it does not know a provider.
+        field: name of the field or option, for errors.
+
+    Raises:
+        ScenarioError: naming the valid providers.
+    """
+    provider, separator, _ = url.partition("://")
+    if not separator or provider not in _LCM_PROVIDERS:
+        raise ScenarioError(
+            f"{field}: '{url}' must begin with one of "
+            f"{', '.join(f'{name}://' for name in _LCM_PROVIDERS)}"
+        )
 
 
 def _block_problem(data: Any, where: str) -> str | None:

@@ -28,6 +28,18 @@ def complain(message: str) -> None:
     print(f"drake-oa: error: {line}", file=sys.stderr)
 
 
+def write_all(*writes: Callable[[], object]) -> bool:
+    """Calls each function, also after one that failed to write; returns whether none failed."""
+    written = True
+    for write in writes:
+        try:
+            write()
+        except OSError as error:
+            complain(str(error))
+            written = False
+    return written
+
+
 @dataclass(frozen=True)
 class TextTable:
     """A table with notes below it: ruled and coloured on a terminal, aligned text elsewhere.

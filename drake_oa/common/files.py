@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 import hashlib
 import math
 import os
+import platform
 import shutil
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
 from functools import cache
 from importlib import resources
@@ -20,6 +22,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 # Where it is used: commands that compute nothing answer at once.
 if TYPE_CHECKING:
     import numpy as np
+    from matplotlib.figure import Figure
+
+# With the machine's name: in a shared folder, a process id of another machine says nothing here.
+_PART = f".{platform.node()}.part"
+"""Suffix of an unfinished file, after its process id."""
 
 _SOURCES = {
     "drake_oa": ("*.py",),
@@ -31,18 +38,29 @@ _NOT_IN_DIGEST = ("app", "benchmark.py", "diagrams", "hardware", "models", "trai
 """Parts of drake_oa that no simulated motion depends on, or that are packages of `_SOURCES`."""
 
 
-def check_outputs(*paths: Path | None) -> None:
+class OutputError(OSError):
+    """A file that could not be written; the message names the file."""
+
+
+def check_outputs(*paths: Path | None, read: Iterable[Path] = ()) -> None:
     """Makes the folders of files that are to be written; leaves the files as they are.
 
     Args:
         paths: the files; None for one that is not asked for.
+        read: files that the command reads, which no output may replace.
 
     Raises:
         ValueError: naming the first that cannot be written, and why.
     """
+    taken = {path.resolve(): "the command reads this file" for path in read}
     for path in paths:
         if path is None:
             continue
+        if why := taken.get(path.resolve()):
+            raise ValueError(
+                f"cannot write {path}: {why}; inputs and outputs must name different files"
+            )
+        taken[path.resolve()] = "another output names this file"
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -57,12 +75,6 @@ def check_outputs(*paths: Path | None) -> None:
             raise ValueError(f"cannot write {path}: {error.strerror}") from None
         if not known:
             path.unlink()
-
-
-def same_file(*paths: Path | None) -> bool:
-    """Whether two of the paths, apart from None, lead to the same file."""
-    given = [path.resolve() for path in paths if path is not None]
-    return len(set(given)) < len(given)
 
 
 def check_space(path: Path, size: int) -> None:
@@ -111,30 +123,55 @@ def reserve_file(folder: Path, stem: str, suffix: str) -> Path:
 def replace_file(path: Path, write: Callable[[Path], object]) -> None:
     """Writes a file in one piece: an earlier one stays whole until the new one is.
 
-    What is no regular file, as /dev/stdout, is written to.
+    What is no regular file, as /dev/stdout, is written to. Unfinished files that killed processes
+    of this machine left in the folder are removed.
 
     Args:
         path: the file.
         write: called with the path to write to.
+
+    Raises:
+        OutputError: if the file cannot be written.
     """
-    # Before the link is followed: that of /dev/stdout may lead to no path at all.
-    if path.exists() and not path.is_file():
-        write(path)
-        return
-    path = path.resolve()
-    # Of this process alone: another may be writing the same file.
-    beside = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:
-        write(beside)
-        os.replace(beside, path)
-    except BaseException:
-        beside.unlink(missing_ok=True)
-        raise
+        # Before the link is followed: that of /dev/stdout may lead to no path at all.
+        if path.exists() and not path.is_file():
+            write(path)
+            return
+        target = path.resolve()
+        _remove_stale_parts(target.parent)
+        # Of this process alone: another may be writing the same file.
+        beside = target.with_name(f"{target.name}.{os.getpid()}{_PART}")
+        try:
+            write(beside)
+            os.replace(beside, target)
+        except BaseException:
+            beside.unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def _remove_stale_parts(folder: Path) -> None:
+    """Removes unfinished files whose process no longer exists."""
+    for part in folder.glob(f"*{glob.escape(_PART)}"):
+        number = part.name.removesuffix(_PART).rpartition(".")[2]
+        with contextlib.suppress(OSError, ValueError):
+            try:
+                os.kill(int(number), 0)
+            except ProcessLookupError:
+                part.unlink()
 
 
 def replace_text(path: Path, text: str) -> None:
     """Writes a text file in one piece; see `replace_file`."""
     replace_file(path, lambda beside: beside.write_text(text))
+
+
+def save_figure(path: Path, figure: Figure, *, dpi: float) -> None:
+    """Writes a figure in the format that the file's name ends in; see `replace_file`."""
+    kind = path.suffix.removeprefix(".")
+    replace_file(path, lambda beside: figure.savefig(beside, format=kind, dpi=dpi))
 
 
 def user_cache(name: str) -> Path:

@@ -6,7 +6,7 @@ own distance and contact queries: nothing that steered the motion judges it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -36,6 +36,7 @@ class MotionMetrics:
         made_contacts: those of them that came to touch after it, in order: the motion
             made them. A pair that parted and met again is in both.
         self_contacts: "link - link" of the robot's own that touched, in order.
+        contact_depth: pair of `contacts` or `self_contacts` -> its greatest penetration [m].
         tool_clearance: (T,) distance of the tool to the nearest obstacle [m];
             negative inside, inf while there is no obstacle.
         resting_clearance: (T,) the same to those obstacles that never move.
@@ -47,29 +48,37 @@ class MotionMetrics:
     initial_contacts: tuple[str, ...]
     made_contacts: tuple[str, ...]
     self_contacts: tuple[str, ...]
+    contact_depth: dict[str, float]
     tool_clearance: FloatArray
     resting_clearance: FloatArray
     robot_clearance: FloatArray
     p_WE: FloatArray
 
 
+Touching = Sequence[tuple[str, float]]
+"""Pairs in contact at one instant and their penetrations [m]."""
+
+
 class _ContactRecord:
     """Tells contacts that a motion started in from those it made."""
 
     def __init__(self) -> None:
-        self.contacts: dict[str, None] = {}
+        self.depth: dict[str, float] = {}
+        self.own_depth: dict[str, float] = {}
         self.initial: tuple[str, ...] = ()
         self.made: dict[str, None] = {}
         self._before: set[str] | None = None
 
-    def add(self, touching: Iterable[str]) -> None:
-        """Takes what touches at the next instant."""
-        present = dict.fromkeys(touching)
+    def add(self, touching: Touching, own: Touching = ()) -> None:
+        """Adds the pairs in contact at the next instant and their penetrations [m]."""
+        for known, pairs in ((self.depth, touching), (self.own_depth, own)):
+            for pair, depth in pairs:
+                known[pair] = max(known.get(pair, 0.0), depth)
+        present = dict.fromkeys(pair for pair, _ in touching)
         if self._before is None:
             self.initial = tuple(present)
         else:
             self.made |= {pair: None for pair in present if pair not in self._before}
-        self.contacts |= present
         self._before = set(present)
 
 
@@ -90,24 +99,20 @@ def free_point_metrics(p_WE: FloatArray, ellipsoids: EllipsoidSet) -> MotionMetr
     resting = clearance[:, ~ellipsoids.v_WO.any(axis=1)].min(axis=1, initial=np.inf)
     names = np.array([f"tool point - ellipsoid {i}" for i in ellipsoids.ids], dtype=str)
     record = _ContactRecord()
-    for touching in clearance <= 0.0:
-        record.add(names[touching].tolist())
+    for row in clearance:
+        record.add([(str(names[i]), float(-row[i])) for i in np.flatnonzero(row <= 0.0)])
     return _metrics(record, np.stack([nearest, nearest, resting]), p_WE)
 
 
-def _metrics(
-    record: _ContactRecord,
-    clearance: FloatArray,
-    p_WE: FloatArray,
-    self_contacts: Iterable[str] = (),
-) -> MotionMetrics:
+def _metrics(record: _ContactRecord, clearance: FloatArray, p_WE: FloatArray) -> MotionMetrics:
     """From the (3, T) clearances of robot, tool, and tool to what rests."""
     robot, tool, resting = clearance
     return MotionMetrics(
-        contacts=tuple(record.contacts),
+        contacts=tuple(record.depth),
         initial_contacts=record.initial,
         made_contacts=tuple(record.made),
-        self_contacts=tuple(self_contacts),
+        self_contacts=tuple(record.own_depth),
+        contact_depth=record.depth | record.own_depth,
         tool_clearance=tool,
         resting_clearance=resting,
         robot_clearance=robot,
@@ -195,18 +200,16 @@ class RobotJudge:
                 f"q_world: shape {q_world.shape} must be ({len(q)}, {len(self._q_world)}): an "
                 "instant a row, a position of the scenario's world a column"
             )
-        record, own = _ContactRecord(), dict[str, None]()
+        record = _ContactRecord()
         clearance, p_WE = np.empty((3, len(q))), np.empty((len(q), 3))
         for row, positions in enumerate(q):
             self._plant.SetPositions(self._plant_context, q_world[row])
             self._plant.SetPositions(self._plant_context, self._station.robot, positions)
             query = self._query_port.Eval(self._graph_context)
-            others, themselves = self._contacts(query)
-            record.add(others)
-            own |= dict.fromkeys(themselves)
+            record.add(*self._contacts(query))
             clearance[:, row] = self._clearances(query)
             p_WE[row] = self._tool_frame.CalcPoseInWorld(self._plant_context).translation()
-        return _metrics(record, clearance, p_WE, own)
+        return _metrics(record, clearance, p_WE)
 
     def nearest(self, q: FloatArray, q_world: FloatArray) -> Nearest | None:
         """The robot's and an obstacle's nearest points; None while there is no obstacle.
@@ -235,18 +238,19 @@ class RobotJudge:
         p_WA = query.GetPoseInWorld(found.id_A) @ found.p_ACa
         return Nearest(found.distance, p_WA, query.GetPoseInWorld(found.id_B) @ found.p_BCb)
 
-    def _contacts(self, query: QueryObject) -> tuple[list[str], list[str]]:
-        """ "link - thing" of what touches the robot, and "link - link" of its own that touch."""
-        found: list[str] = []
-        own: list[str] = []
+    def _contacts(self, query: QueryObject) -> tuple[Touching, Touching]:
+        """Contacts "link - object" of the robot, and "link - link" of the robot with itself."""
+        found: list[tuple[str, float]] = []
+        own: list[tuple[str, float]] = []
         for hit in query.ComputePointPairPenetration():
             a, b = hit.id_A, hit.id_B
             if self._is_robot(a) != self._is_robot(b):
                 link, thing = (a, b) if self._is_robot(a) else (b, a)
                 model = self._plant.GetModelInstanceName(self._body[thing].model_instance())
-                found.append(f"{self._body[link].name()} - {model}")
+                found.append((f"{self._body[link].name()} - {model}", hit.depth))
             elif self._is_robot(a):
-                own.append(" - ".join(sorted((self._body[a].name(), self._body[b].name()))))
+                pair = " - ".join(sorted((self._body[a].name(), self._body[b].name())))
+                own.append((pair, hit.depth))
         return found, own
 
     def _bounds(self) -> FloatArray:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import html
 import json
-from pathlib import Path
 
 import numpy as np
 
-from drake_oa.common.files import replace_text
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.metrics import RobotJudge
 from drake_oa.runs.motion_log import MotionLog
@@ -45,12 +43,12 @@ _PAGE = """
 
 
 def label_page(
-    file: Path, name: str, scenario: Scenario, log: MotionLog, *, speed: float = 1.0
-) -> None:
-    """Writes title, legend and readings into the page of a recording.
+    page: str, name: str, scenario: Scenario, log: MotionLog, *, speed: float = 1.0
+) -> str:
+    """Adds title, legend and readings to the page of a recording.
 
     Args:
-        file: what `drake_oa.viewing.viewer.recording` wrote.
+        page: HTML of a viewer after `drake_oa.viewing.viewer.recording`.
         name: of the scenario.
         scenario: what the log was made from.
         log: the motion that the page shows.
@@ -61,13 +59,12 @@ def label_page(
         f'<div><i style="background: rgb{tuple(round(255 * c) for c in color)}"></i>{text}</div>'
         for color, text in _LEGEND
     )
-    text = file.read_text("utf-8")
-    text = text.replace("<title>Drake MeshCat</title>", f"<title>{title}</title>", 1)
+    page = page.replace("<title>Drake MeshCat</title>", f"<title>{title}</title>", 1)
     # A "<" could end the script.
     rows = json.dumps(readings(scenario, log, speed=speed)).replace("<", "\\u003c")
-    page = _PAGE.replace("TITLE", title).replace("LEGEND", legend).replace("READINGS", rows)
-    head, _, tail = text.rpartition("</body>")
-    replace_text(file, head + page + tail)
+    label = _PAGE.replace("TITLE", title).replace("LEGEND", legend).replace("READINGS", rows)
+    head, _, tail = page.rpartition("</body>")
+    return head + label + tail
 
 
 def readings(scenario: Scenario, log: MotionLog, *, speed: float = 1.0) -> list[tuple[float, str]]:

@@ -11,6 +11,7 @@ from drake_oa.common.console import TextTable
 from drake_oa.common.messages import EllipsoidSet, FloatArray
 from drake_oa.geometry.ellipsoid_kernels import feasible_clearance
 from drake_oa.geometry.rotation import rotation_vector
+from drake_oa.perception.config import LiveCameras
 from drake_oa.policy.orientation_dmp import exponential, rotation_matrix
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.decision_costs import decision_figures
@@ -81,12 +82,14 @@ def motion_report(
     """The figures of one motion; distances in metres, times in seconds.
 
     Contacts and clearances are judged until all was at rest; what is of the motion
-    itself, to its end.
+    itself, to its end. On hardware no obstacle is known: `collisions` without a contact with
+    anything else, `feasible_clearance` and `short_of_feasible` are None.
 
     Keys: `collisions` (pairs of a robot link and a thing that touched),
     `contacts` (their names), `initial_contacts` (those the motion started in),
     `made_contacts` (those it made), `self_contacts` (links of the robot that touched each
-    other), `tool_clearance_min`, `robot_clearance_min` (to obstacles; None where there is
+    other), `contact_depth` (pair -> greatest penetration), `tool_clearance_min`,
+    `robot_clearance_min` (to obstacles; None where there is
     none), `asked_clearance`, `feasible_clearance`, `resting_clearance_min` (of the tool to what
     never moves; None where there is none), `short_of_feasible` (what that lacks of the feasible
     one), `goal_error` (at the motion's end or when all is at rest, the greater one),
@@ -113,18 +116,21 @@ def motion_report(
     if feasible is None:
         feasible = feasible_clearance_of(scenario, judge)
     kept = float(metrics.resting_clearance.min(initial=math.inf))
+    nearest = _finite(metrics.robot_clearance.min(initial=math.inf))
+    measured = nearest is not None or not isinstance(scenario.perception, LiveCameras)
     return {
-        "collisions": len(metrics.contacts),
+        "collisions": len(metrics.contacts) if measured or metrics.contacts else None,
         "contacts": list(metrics.contacts),
         "initial_contacts": list(metrics.initial_contacts),
         "made_contacts": list(metrics.made_contacts),
         "self_contacts": list(metrics.self_contacts),
+        "contact_depth": metrics.contact_depth,
         "tool_clearance_min": _finite(metrics.tool_clearance.min(initial=math.inf)),
-        "robot_clearance_min": _finite(metrics.robot_clearance.min(initial=math.inf)),
+        "robot_clearance_min": nearest,
         "asked_clearance": scenario.task.clearance,
-        "feasible_clearance": feasible,
+        "feasible_clearance": feasible if measured else None,
         "resting_clearance_min": _finite(kept),
-        "short_of_feasible": max(feasible - kept, 0.0),
+        "short_of_feasible": max(feasible - kept, 0.0) if measured else None,
         "goal_error": _goal_error(scenario, log, metrics.p_WE),
         **_orientation(scenario, log),
         "torque_saturation": float(log.saturated[log.moving].mean()) if len(log.t) else 0.0,
@@ -194,16 +200,19 @@ def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def run_report(name: str, scenario: Scenario, logs: dict[str, MotionLog]) -> dict[str, Any]:
+def run_report(
+    name: str, scenario: Scenario, logs: dict[str, MotionLog], judge: RobotJudge | None = None
+) -> dict[str, Any]:
     """The report of `drake-oa run --json`; see `motion_report` for each motion.
 
     Args:
         name: the scenario's name.
         scenario: the scenario.
         logs: "preplanned" and "modulated" -> their logs.
+        judge: as in `motion_metrics`.
     """
     report: dict[str, Any] = {"scenario": name, "seed": scenario.seed}
-    judge = judge_of(scenario)
+    judge = judge or judge_of(scenario)
     feasible = feasible_clearance_of(scenario, judge)
     report |= {
         motion: motion_report(scenario, log, feasible, judge) for motion, log in logs.items()
@@ -254,6 +263,13 @@ def report_table(report: dict[str, Any]) -> TextTable:
     return TextTable(["", *motions], rows, "l" + "r" * len(motions), list(dict.fromkeys(notes)))
 
 
+def contact_error(report: dict[str, Any]) -> str:
+    """Returns one line that names the contacts of the avoiding motion; "" without any."""
+    depths = report.get("modulated", {}).get("contact_depth", {})
+    pairs = ", ".join(f"{pair} ({-1e3 * depth:.1f} mm)" for pair, depth in depths.items())
+    return pairs and f"contact during the avoiding motion: {pairs}"
+
+
 def _thinking(cost: dict[str, float]) -> str:
     return (
         f"decisions took {1e3 * cost['median']:.0f} ms (median), 99 % within "
@@ -265,7 +281,8 @@ def _thinking(cost: dict[str, float]) -> str:
 def _notes(motion: str, found: dict[str, Any]) -> list[str]:
     """What is to be said of one motion's clearance; less than `TOLD` is not."""
     notes = []
-    asked, feasible = found["asked_clearance"], found["feasible_clearance"]
+    asked = found["asked_clearance"]
+    feasible = asked if found["feasible_clearance"] is None else found["feasible_clearance"]
     if asked - feasible > TOLD:
         notes.append(f"note: start and goal leave {feasible:.3f} m of the asked {asked:g} m")
     if found["self_contacts"]:
@@ -280,7 +297,7 @@ def _notes(motion: str, found: dict[str, Any]) -> list[str]:
             f"note: {motion}: the chain gives itself a probability of {found['confidence']:.2f} "
             f"of keeping what is asked{seen}"
         )
-    if found["short_of_feasible"] > TOLD:
+    if (found["short_of_feasible"] or 0.0) > TOLD:
         notes.append(
             f"warning: {motion}: kept {found['resting_clearance_min']:.3f} m to what rests, "
             f"{1e3 * found['short_of_feasible']:.1f} mm less than start and goal leave"

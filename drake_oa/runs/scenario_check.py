@@ -10,9 +10,11 @@ from pydrake.systems.framework import DiagramBuilder
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.plant import make_robot_plant
-from drake_oa.runs.metrics import RobotJudge
+from drake_oa.runs.metrics import MotionMetrics, RobotJudge
 from drake_oa.runs.report import feasible_clearance_of
+from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task_joints import end_positions
 from drake_oa.world.station import make_station
@@ -37,20 +39,52 @@ def unbuildable(scenario: Scenario) -> list[str]:
     return list(found)
 
 
-def end_rows(scenario: Scenario) -> tuple[list[tuple[str, str, str, str]], list[str]]:
+def end_contacts(scenario: Scenario, judge: RobotJudge | None = None) -> str:
+    """Returns one line that names contacts which make a motion impossible; "" without any.
+
+    Those are contacts of the robot at the start, and of the tool at the goal: there the arm may
+    take another posture, and moving obstacles may have left.
+
+    Args:
+        scenario: the scenario.
+        judge: as in `drake_oa.runs.report.motion_metrics`.
+    """
+    if scenario.robot is None:
+        return ""
+    start, goal = _ends(scenario, judge or RobotJudge(scenario))
+    moving = {f"{OBSTACLE_PREFIX}_{item.name}" for item in scenario.obstacles if item.driven}
+    tool = tool_links(scenario.robot)
+    at_goal = [
+        pair
+        for pair in goal.contacts
+        if pair.split(" - ")[0] in tool and pair.split(" - ")[1] not in moving
+    ]
+    pairs = {"start": (*start.contacts, *start.self_contacts), "goal": at_goal}
+    return "; ".join(
+        f"task.{end}: contact of {', '.join(found)}; move it or the obstacle"
+        for end, found in pairs.items()
+        if found
+    )
+
+
+def _ends(scenario: Scenario, judge: RobotJudge) -> list[MotionMetrics]:
+    """Returns the metrics of the robot at the start and at the goal."""
+    if scenario.robot is None:
+        raise ScenarioError("robot: must be set for this command; the scenario has null")
+    ends = end_positions(make_robot_plant(scenario.robot), scenario)
+    return [judge.metrics(np.atleast_2d(q)) for q in ends]
+
+
+def end_rows(
+    scenario: Scenario, judge: RobotJudge
+) -> tuple[list[tuple[str, str, str, str]], list[str]]:
     """What start and goal leave the arm, and what can be kept between them.
 
     Returns:
         Rows: which end, clearance of the tool and of any link, what is touched; and notes.
     """
-    judge = RobotJudge(scenario)
-    if scenario.robot is None:
-        raise ScenarioError("robot: this scenario has null")
     rows = []
-    for name, q in zip(
-        ("start", "goal"), end_positions(make_robot_plant(scenario.robot), scenario), strict=True
-    ):
-        at = judge.metrics(np.atleast_2d(q))
+    for name, at in zip(("start", "goal"), _ends(scenario, judge), strict=True):
         touched = ", ".join((*at.contacts, *at.self_contacts)) or "nothing"
         rows.append((name, _metres(at.tool_clearance[0]), _metres(at.robot_clearance[0]), touched))
     asked, feasible = scenario.task.clearance, feasible_clearance_of(scenario, judge)

@@ -6,7 +6,13 @@ from collections.abc import Sequence
 
 from pydrake.systems.sensors import CameraConfig
 
-from drake_oa.common.config import ScenarioError, check_values, roll_pitch_yaw, vector
+from drake_oa.common.config import (
+    ScenarioError,
+    check_lcm_url,
+    check_values,
+    roll_pitch_yaw,
+    vector,
+)
 from drake_oa.perception.config import (
     CameraSource,
     LcmCamera,
@@ -14,9 +20,6 @@ from drake_oa.perception.config import (
     RealSense,
     RecordedClouds,
 )
-
-_LCM = ("udpm://", "tcpq://", "memq://")
-"""How URLs of LCM that can be received from begin."""
 
 _MOST_PIXELS = 4096
 """Most columns or rows of a simulated image."""
@@ -76,11 +79,8 @@ def check_perception(perception: object, cameras: Sequence[CameraConfig]) -> Non
             f"perception.noise: images of !{type(perception).__name__} have their own; "
             "leave it out, or null"
         )
-    if isinstance(perception, LcmCamera) and not perception.lcm_url.startswith(_LCM):
-        raise ScenarioError(
-            f"perception.lcm_url: '{perception.lcm_url}' is none of LCM's; it must begin with one "
-            f"of {', '.join(_LCM)}"
-        )
+    if isinstance(perception, LcmCamera):
+        check_lcm_url(perception.lcm_url, "perception.lcm_url")
     if isinstance(perception, RealSense):
         _check_serials(perception)
     if isinstance(perception, RecordedClouds) and not perception.folder:

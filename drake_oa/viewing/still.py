@@ -24,7 +24,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraInfo
 
-from drake_oa.common.files import replace_file
+from drake_oa.common.files import save_figure
 from drake_oa.common.messages import FloatArray
 from drake_oa.robot.plant import base_pose, make_robot_plant
 from drake_oa.scenario.scenario import Scenario
@@ -99,7 +99,7 @@ def draw_scenario(scenario: Scenario, file: Path) -> None:
         axis.set_title(f"camera '{name}' sees, without noise")
     for axis in axes:
         axis.set_axis_off()
-    replace_file(file, lambda path: figure.savefig(path, format=file.suffix[1:], dpi=100))
+    save_figure(file, figure, dpi=100)
 
 
 def _add_mark(

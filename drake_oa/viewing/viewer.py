@@ -5,33 +5,37 @@ from __future__ import annotations
 import contextlib
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 from pydrake.geometry import Meshcat, MeshcatParams
-
-from drake_oa.common.files import replace_text
 
 RECORDING_RATE = 15.0
 """Frames of a recording a second."""
 
 
 def start_viewer(*, announce: bool) -> Meshcat:
-    """A viewer for this machine only; `announce` says on stderr where it is."""
+    """Starts a viewer for this machine only.
+
+    Args:
+        announce: print the viewer's address on stderr, at one of Meshcat's usual ports; without
+            it the viewer has any free port.
+
+    Raises:
+        ValueError: if no port is free.
+    """
     # Drake's default host is every interface.
-    meshcat = Meshcat(MeshcatParams(host="localhost"))
+    params = MeshcatParams(host="localhost", port=None if announce else 0)
+    try:
+        meshcat = Meshcat(params)
+    except RuntimeError as error:
+        raise ValueError(f"viewer: {error}; close another viewer") from None
     if announce:
         print(f"viewer: {meshcat.web_url()}", file=sys.stderr)
     return meshcat
 
 
 @contextlib.contextmanager
-def recording(meshcat: Meshcat | None, html: Path | None) -> Iterator[None]:
-    """Records what is shown, also when it is cut short, and writes the page.
-
-    Args:
-        meshcat: the viewer; None: nothing is recorded.
-        html: the page to write, or None.
-    """
+def recording(meshcat: Meshcat | None) -> Iterator[None]:
+    """Records the scene of a viewer, also when it is cut short; None: nothing is recorded."""
     if meshcat is None:
         yield
         return
@@ -42,8 +46,6 @@ def recording(meshcat: Meshcat | None, html: Path | None) -> Iterator[None]:
     finally:
         meshcat.StopRecording()
         meshcat.PublishRecording()
-        if html is not None:
-            replace_text(html, meshcat.StaticHtml())
 
 
 def wait_for_viewer() -> None:

@@ -126,4 +126,4 @@ def test_pictures_do_not_replace_images(tmp_path, capsys):
     write_png(tmp_path / "image.png", depth_image())
     path = str(tmp_path / "image.png")
     assert main(["perceive", path, "--plot", str(tmp_path), "--tool", "none"]) == 2
-    assert "would replace it" in capsys.readouterr().err
+    assert "the command reads this file" in capsys.readouterr().err

@@ -105,17 +105,16 @@ def test_a_full_disk_is_told_before_the_run(
     assert not list(tmp_path.rglob("*.npz"))
 
 
-def test_a_disk_that_is_full_at_the_end_does_not_cost_the_report(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("option", ["--log", "--html"])
+def test_an_output_on_a_full_disk_does_not_cost_the_others(
+    option: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("drake_oa.runs.motion_log.save_logs", full)
-    assert run("run", "free_space", "--duration", "0.1", "--log", "run.npz") == 1
+    arguments = ("--duration", "0.05", "--json", "run.json", option, "/dev/full")
+    assert run("run", "free_space", *arguments) == 1
     told = capsys.readouterr()
     assert "modulated" in told.out
-    assert told.err.splitlines()[-1].endswith("cannot write run.npz: No space left on device")
+    assert "cannot write /dev/full: No space left on device" in told.err
+    assert Path("run.json").is_file()
 
 
 @pytest.mark.parametrize(
@@ -307,7 +306,7 @@ def test_what_cannot_be_shown_is_one_clear_line(
         (("replay", "LOG"), "--meshcat"),
         (("replay", "LOG", "--html", "x.html", "--motion", "nothing"), "preplanned, modulated"),
         (("replay", "LOG", "--html", "x.html", "--speed", "0"), "--speed"),
-        (("replay", "LOG", "--html", "LOG"), "must not name the log"),
+        (("replay", "LOG", "--html", "LOG"), "the command reads this file"),
         (("plot", "LOG", "--out", "x.txt"), ".png, .svg, .pdf"),
         (("plot", "LOG", "--out", "x.txt/y.png"), "cannot write"),
     ],

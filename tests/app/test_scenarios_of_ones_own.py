@@ -36,7 +36,7 @@ def test_a_new_scenario_is_right_and_moves(capsys: pytest.CaptureFixture[str]) -
     assert capsys.readouterr().out.split() == ["mine.scenario.yaml", "scenario.schema.json"]
     assert main(["check", "mine.scenario.yaml"]) == 0
     assert "asked clearance: 0.1 m" in capsys.readouterr().out
-    assert Path("mine.png").stat().st_size > 20_000
+    assert Path("mine.check.png").stat().st_size > 20_000
     log = simulate(load_scenario("mine.scenario.yaml"), duration=0.05)
     assert log.stop_reason == "time limit of 0.05 s"
     assert main(["new", "mine"]) == 2
@@ -78,6 +78,23 @@ def test_all_that_is_wrong_is_said(
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == len(said)
     assert all(part in line for part, line in zip(said, lines, strict=True))
+
+
+@pytest.mark.parametrize("command", ["run", "play"])
+def test_a_start_in_contact_is_refused(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("own.yaml").write_text(BLOCKED.replace("0.45, 0.45", "0.45, -0.45"))
+    assert main([command, "own.yaml"]) == 2
+    assert "task.start: contact of panda_link7 - obstacle_a" in capsys.readouterr().err
+
+
+def test_what_was_read_is_not_written_over(capsys: pytest.CaptureFixture[str]) -> None:
+    text = "task: {demonstration: way.csv}"
+    Path("own.yaml").write_text(text)
+    Path("way.csv").write_text("t,x,y,z\n0,0,0,0\n1,1,0,0\n")
+    for output in ("own.yaml", "way.csv"):
+        assert main(["run", "own.yaml", "--html", output]) == 2
+        assert f"cannot write {output}: the command reads this file" in capsys.readouterr().err
+    assert Path("own.yaml").read_text() == text
 
 
 def test_a_goal_in_contact_is_told(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,17 +1,19 @@
 """Checking and replacing the files that commands write."""
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from drake_oa.common.files import (
+    OutputError,
     check_outputs,
     check_space,
     replace_file,
     replace_text,
     reserve_file,
-    same_file,
     source_digest,
 )
 
@@ -37,10 +39,13 @@ def test_what_cannot_be_written_is_named(name: str, why: str, tmp_path: Path) ->
     assert why in str(error.value)
 
 
-def test_one_file_by_two_names_is_seen(tmp_path: Path) -> None:
-    path = tmp_path / "x"
-    assert same_file(path, None, tmp_path / "y" / ".." / "x")
-    assert not same_file(path, None, None, tmp_path / "y")
+def test_an_output_that_is_also_an_input_or_another_output_is_refused(tmp_path: Path) -> None:
+    path, same = tmp_path / "x", tmp_path / "y" / ".." / "x"
+    check_outputs(path, None, None, tmp_path / "y")
+    with pytest.raises(ValueError, match="another output names this file"):
+        check_outputs(path, None, same)
+    with pytest.raises(ValueError, match=r"cannot write .*x: the command reads this file"):
+        check_outputs(path, read=[same])
 
 
 def test_a_file_is_replaced_also_through_a_link(tmp_path: Path) -> None:
@@ -91,10 +96,23 @@ def test_a_write_that_fails_leaves_the_file_and_nothing_beside(tmp_path: Path) -
         path.write_text("half")
         raise OSError("full")
 
-    with pytest.raises(OSError, match="full"):
+    with pytest.raises(OutputError, match=r"cannot write .*kept: full"):
         replace_file(file, fail)
     assert file.read_text() == "before"
     assert list(tmp_path.iterdir()) == [file]
+
+
+def test_what_a_killed_process_left_unfinished_is_removed(tmp_path: Path) -> None:
+    file = tmp_path / "run.npz"
+    script = (
+        "import os, pathlib, sys, drake_oa.common.files as files\n"
+        "def write(path): path.write_text('half'); os.kill(os.getpid(), 9)\n"
+        "files.replace_file(pathlib.Path(sys.argv[1]), write)"
+    )
+    subprocess.run([sys.executable, "-c", script, file], check=False)
+    assert [part.suffix for part in tmp_path.iterdir()] == [".part"]
+    replace_text(tmp_path / "other.json", "{}")
+    assert [path.name for path in tmp_path.iterdir()] == ["other.json"]
 
 
 def test_two_processes_that_write_one_file_do_not_write_into_each_other(

@@ -67,7 +67,7 @@ def test_kernels_of_a_read_only_package_are_used(
     beside = package / "__pycache__"
     assert list(beside.glob("*.nbi"))
     monkeypatch.setenv("XDG_CACHE_HOME", str(cache))
-    monkeypatch.setattr(numba_tools, "_is_writable", lambda folder: folder != beside)
+    monkeypatch.setattr(numba_tools, "is_writable", lambda folder: folder != beside)
     (cache / "numba").mkdir(parents=True)
     assert provide_kernel_cache(package) is None
     shutil.rmtree(beside)

@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 from drake_oa.runs.page import label_page, readings
 from drake_oa.runs.simulation import simulate
@@ -17,13 +16,10 @@ obstacles: [{name: ball, shapes: [!Sphere {radius: 0.05}], translation: [0.6, 0.
 PAGE = "<html><head><title>Drake MeshCat</title></head><body><p>scene</p></body></html>"
 
 
-def test_a_page_is_labelled(tmp_path: Path) -> None:
+def test_a_page_is_labelled() -> None:
     scenario = parse_scenario(TEXT)
     log = simulate(scenario, duration=0.3)
-    file = tmp_path / "page.html"
-    file.write_text(PAGE)
-    label_page(file, "mine", scenario, log, speed=2.0)
-    text = file.read_text()
+    text = label_page(PAGE, "mine", scenario, log, speed=2.0)
     assert "<title>mine: A ball &lt; a box</title>" in text
     assert text.index("<p>scene</p>") < text.index("planned path") < text.index("</body></html>")
     assert re.search(r"t = 0\.1 s, tool clearance 0\.\d+ m of 0\.05 m asked", text)

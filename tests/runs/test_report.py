@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from drake_oa.common.messages import FloatArray
+from drake_oa.robot.config import Robot
+from drake_oa.robot.plant import RobotPlant, home_positions
 from drake_oa.runs.decision_costs import cost_figures, layer_costs, logged_decisions, pooled_figures
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.report import TOLD, motion_report, report_table, run_report
@@ -52,6 +54,18 @@ def test_without_obstacles_there_is_no_clearance_to_report(log_of: LogOf) -> Non
     found = motion_report(scenario, log_of(AROUND))
     assert found["tool_clearance_min"] is None
     assert found["robot_clearance_min"] is None
+
+
+def test_what_hardware_cannot_measure_is_not_reported_as_zero(
+    log_of: LogOf, panda: RobotPlant
+) -> None:
+    scenario = load_scenario("tabletop_box", ["perception=!LcmCamera {}", "directives=[]"])
+    q = np.tile(home_positions(panda, Robot()), (3, 1))
+    found = motion_report(scenario, log_of(AROUND, q=q))
+    assert (found["collisions"], found["short_of_feasible"]) == (None, None)
+    rows = [row.split() for row in str(report_table({"modulated": found})).splitlines()]
+    assert ["collisions", "-"] in rows
+    assert ["short", "by", "[mm]", "-"] in rows
 
 
 def test_an_empty_log_can_be_reported(log_of: LogOf) -> None:

@@ -223,7 +223,7 @@ def test_the_block_is_read_and_written() -> None:
     [
         (["perception=!LcmCamera {noise: {}}"], r"perception\.noise: images of !LcmCamera"),
         (["perception=!LcmCamra {}"], r"did you mean !LcmCamera\?"),
-        (["perception=!LcmCamera {lcm_url: x}"], r"perception\.lcm_url: 'x' is none of"),
+        (["perception=!LcmCamera {lcm_url: x}"], r"perception\.lcm_url: 'x' must begin with"),
         (["perception=!LcmCamera {max_age: 0}"], r"perception\.max_age: 0 is outside"),
         (["perception=!LcmCamera {}", "faults=[!NanFrames {}]"], "needs 'perception: !DepthCamera"),
     ],

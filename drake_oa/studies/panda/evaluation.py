@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 from pydrake.geometry import Meshcat
 
+from drake_oa.common.files import replace_text
 from drake_oa.runs.motion_log import MotionLog, save_logs
 from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.scenario.scenario import Scenario
@@ -257,8 +258,9 @@ def _write_page(path: Path, log: MotionLog) -> None:
     meshcat = _viewer()
     meshcat.Delete()
     diagram = build_replay(parse_scenario(log.scenario), log, meshcat)
-    with recording(meshcat, path):
+    with recording(meshcat):
         Simulator(diagram).AdvanceTo(log.simulated_time)
+    replace_text(path, meshcat.StaticHtml())
 
 
 @cache

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from drake_oa.common.files import save_figure
 from drake_oa.common.messages import FloatArray
 from drake_oa.policy.coupling import dead_zone_free_rate, original_rate
 from drake_oa.studies.scenes.dead_zone import Comparison, matched_term
@@ -58,7 +59,7 @@ def plot_evaluation(
     else:
         figure = Figure(figsize=(10.0, 7.0), layout="constrained")
         _histograms(figure, suite, drawn)
-    figure.savefig(path, dpi=150)
+    save_figure(path, figure, dpi=150)
 
 
 def _color(name: str, k: int) -> str:
@@ -215,4 +216,4 @@ def plot_dead_zone(
     for ax in (rates, way, kept, alone):
         if ax.get_legend_handles_labels()[1]:
             ax.legend(fontsize=8)
-    figure.savefig(path, dpi=150)
+    save_figure(path, figure, dpi=150)

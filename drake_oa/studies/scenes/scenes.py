@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_oa.common.files import ArrayHeader, archive_headers, check_memory
+from drake_oa.common.files import ArrayHeader, archive_headers, check_memory, replace_file
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen
 from drake_oa.geometry.ellipsoid import signed_distance
 
@@ -147,8 +147,13 @@ _FARTHEST = 100.0
 
 def save_scenes(path: Path, scenes: Scenes) -> None:
     """Writes a scenes file."""
-    with path.open("wb") as file:
-        np.savez_compressed(file, **{name: getattr(scenes, name) for name in _SHAPES})
+    arrays = {name: getattr(scenes, name) for name in _SHAPES}
+
+    def write(beside: Path) -> None:
+        with beside.open("wb") as file:
+            np.savez_compressed(file, **arrays)
+
+    replace_file(path, write)
 
 
 def load_scenes(path: Path) -> Scenes:
