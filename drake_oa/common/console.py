@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+import math
 import sys
 import textwrap
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,6 +20,8 @@ from rich.text import Text
 FAILED, BAD_INPUT, INTERRUPTED, TERMINATED = 1, 2, 130, 143
 """Exit statuses other than 0."""
 
+_PROGRESS_PERIOD = 2.0
+"""Least time between two lines of progress [s]."""
 _LONGEST = 2000
 _WIDE = 100_000
 
@@ -38,6 +42,27 @@ def write_all(*writes: Callable[[], object]) -> bool:
             complain(str(error))
             written = False
     return written
+
+
+class ProgressLines:
+    """Lines on stderr about work that is done at first use, on a terminal and elsewhere."""
+
+    def __init__(self, work: str, count: int, *, last: float = -math.inf) -> None:
+        """Prints nothing yet.
+
+        Args:
+            work: what is done.
+            count: number of its parts.
+            last: time of `time.monotonic` from which on the first line waits its turn [s].
+        """
+        self._work, self._count, self._last = work, count, last
+
+    def update(self, row: int) -> None:
+        """Prints that a part, counted from 1, begins; nothing soon after another line."""
+        now = time.monotonic()
+        if now >= self._last + _PROGRESS_PERIOD:
+            self._last = now
+            print(f"{self._work} (first use only): {row} of {self._count}", file=sys.stderr)
 
 
 @dataclass(frozen=True)

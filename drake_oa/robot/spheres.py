@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,6 +13,7 @@ from pydrake.multibody.tree import BodyIndex, RevoluteJoint
 from pydrake.systems.framework import Context
 
 from drake_oa.common.config import check_values
+from drake_oa.common.console import ProgressLines
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
 from drake_oa.robot import sphere_kernels as kernels
 from drake_oa.robot.arm import axis_frame, in_joint_frame, joints_to, moved_by
@@ -129,7 +131,12 @@ def make_arm_spheres(
     X_WJ = _joint_frames(joints, context)
     poses = [RigidTransform(X) for X in X_WJ[:-1]]
     covers, X_JB = [], []
-    for index in bodies:
+    # Covers in the user's cache are read in less time than the first line waits.
+    model = plant.GetModelInstanceName(robot.instance)
+    work = f"covering the links of {model} with spheres"
+    progress = ProgressLines(work, len(bodies), last=time.monotonic())
+    for row, index in enumerate(bodies, start=1):
+        progress.update(row)
         body = plant.get_body(index)
         solids = [read_solid(inspector, g) for g in plant.GetCollisionGeometriesForBody(body)]
         asked = parameters.overshoot if index in moved else parameters.fixed_overshoot

@@ -17,6 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError
 
+from drake_oa.common.console import ProgressLines
 from drake_oa.common.files import replace_text, user_cache
 from drake_oa.common.messages import FloatArray, IntArray
 from drake_oa.common.numba_tools import is_writable
@@ -48,7 +49,8 @@ class ModelMeshes:
             count: number of its meshes.
             resolve: returns the file of a mesh's URL, or name relative to the model's file.
         """
-        self._model, self._count, self._resolve, self._row = model, count, resolve, 0
+        self._resolve, self._row = resolve, 0
+        self._progress = ProgressLines(f"converting meshes of {model}", count)
 
     def find(self, url: str) -> Path:
         """Returns the file of the next mesh."""
@@ -57,11 +59,7 @@ class ModelMeshes:
 
     def convert(self, mesh: Path, *, hulls: bool) -> list[Path]:
         """Converts the mesh that was found last, see `as_objs`."""
-        return as_objs(mesh, hulls=hulls, announce=self._announce)
-
-    def _announce(self) -> None:
-        progress = f"{self._row} of {self._count}"
-        print(f"converting meshes of {self._model} (first use only): {progress}", file=sys.stderr)
+        return as_objs(mesh, hulls=hulls, announce=lambda: self._progress.update(self._row))
 
 
 def as_objs(mesh: Path, *, hulls: bool, announce: Callable[[], None] | None = None) -> list[Path]:
