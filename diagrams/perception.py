@@ -158,7 +158,6 @@ def _add_depth_camera(
     perception = DepthPerception(
         intrinsics if len(cameras) > 1 else first.intrinsics,
         config=_segmentation(source, scenario),
-        tracking=source.tracking,
         robot=robot_shapes(cell.robot_plant),
         pixel_center=live.pixel_center if live else PIXEL_CENTER,
         period=perception_period(scenario),
@@ -278,7 +277,6 @@ def _recorded_perception(
             source.folder,
             X_WC=X_WC,
             config=config,
-            tracking=source.tracking,
             robot=robot,
             period=source.period,
             loop=source.loop,

@@ -24,8 +24,8 @@ A frame, of the images that all cameras took at one instant, goes through
    evidence (`visibility`);
 3. `memory`: what changed by more than noise is handed on, all else stays the same bit for bit.
 
-The configuration is `config`: `SegmentationConfig`, `TrackingConfig` with its `FilterNoise`, and
-the sources' blocks. All run-time data is one `ObstacleMemory` in the Context.
+The configuration is `config`: `SegmentationConfig` and the sources' blocks. All run-time data is
+one `ObstacleMemory` in the Context.
 
 Begin with `depth_perception.DepthPerception`, then `segmentation.segment_depth` and
 `tracking.fuse`.

@@ -22,7 +22,7 @@ from drake_oa.common.ports import read_value, valid_period
 from drake_oa.geometry.collision_shapes import RobotModel
 from drake_oa.geometry.pinhole import View, pinhole
 from drake_oa.geometry.primitives import PosedShapes
-from drake_oa.perception.config import SegmentationConfig, TrackingConfig
+from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.memory import ObstacleMemory
 from drake_oa.perception.segmentation import segment_views
 from drake_oa.perception.tracking import fuse
@@ -193,7 +193,6 @@ class DepthPerception(LeafSystem):
         camera: CameraInfo | Sequence[float] | Mapping[str, CameraInfo | Sequence[float]],
         *,
         config: SegmentationConfig | None = None,
-        tracking: TrackingConfig | None = None,
         robot: RobotModel | None = None,
         pixel_center: float = 0.0,
         period: float = 1.0 / 15.0,
@@ -209,8 +208,6 @@ class DepthPerception(LeafSystem):
                 cameras, name -> intrinsics.
             config: how frames are segmented; `table_height` there is the prior on
                 the table. None for the defaults.
-            tracking: how obstacles are followed, and with which noise; None for the
-                defaults.
             robot: from `collect_collision_shapes`; None for no self filter.
             pixel_center: image coordinates of the middle of the first pixel
                 [pixel]. 0 is the usual convention, and what CameraInfo documents;
@@ -240,9 +237,7 @@ class DepthPerception(LeafSystem):
         if not 0.0 <= delay < np.inf:
             raise ValueError(f"delay must be finite and not negative [s], not {delay}")
         self._config = config or SegmentationConfig()
-        self._tracking = tracking or TrackingConfig()
-        for values in (self._config, self._tracking):
-            check_values(values)
+        check_values(self._config)
         if not 0.0 <= together < np.inf:
             raise ValueError(f"together must be finite and not negative [s], not {together}")
         if not 0.0 <= unsaid < np.inf:
@@ -299,7 +294,6 @@ class DepthPerception(LeafSystem):
             newest,
             self._config,
             robot,
-            self._tracking,
             complete=not missing,
         )
         seeing = [row for row in range(len(stamps)) if row not in missing]

@@ -23,7 +23,6 @@ from drake_oa.common.messages import (
     TablePlane,
 )
 from drake_oa.geometry.directions import DIRECTIONS
-from drake_oa.perception.config import TrackingConfig
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +51,22 @@ CERTAIN = 4
 """The most evidence that a point can have."""
 CONFIRMED = 2
 """From this much evidence on a point is handed on."""
+PATIENCE = 3
+"""Weight of a frame whose velocity is significant, of one that is only likely: 1."""
+MOVED = 0.004
+"""Distance from its place at rest beyond which an obstacle may move [m]."""
+DOUBTED = 0.04
+"""Share of missing points above which an obstacle may move."""
+LONGEST_GAP = 1.0
+"""Time between frames beyond which no velocity is believed [s]."""
+INITIAL_SPEED = 0.4
+"""Standard deviation of the velocity of an obstacle that is seen first [m/s]."""
+_GROWN = 0.0025
+"""Growth in any direction at which the cloud of an obstacle is handed on again [m]."""
+_SHRUNK = 0.005
+"""Shrinkage in any direction at which the cloud of an obstacle is handed on again [m]."""
+_CHANGED_SHARE = 0.1
+"""Relative change of the number of points at which a cloud is handed on again."""
 
 
 def _zeros(*shape: int, kind: Any = float) -> Any:
@@ -76,7 +91,7 @@ class Tracks(Frozen):
         doubt: (M,) share of what should be seen of it that was not where it was
             remembered: the most of late.
         significant: (M,) frames in a row whose velocity was significant, each counted
-            `FilterNoise.patience` times, and once where it was only likely.
+            `PATIENCE` times, and once where it was only likely.
         still: (M,) for how long it was not [s].
         unseen: (M,) for how long it was not measured [s].
         blind: (M, 3) for how long it was not along each axis of the world [s].
@@ -236,7 +251,6 @@ def held_clouds(
     points: Points,
     listed: BoolArray,
     previous: dict[int, HeldCloud],
-    config: TrackingConfig,
 ) -> dict[int, HeldCloud]:
     """The clouds to hand on, by name.
 
@@ -246,7 +260,6 @@ def held_clouds(
         points: the remembered points; only the confirmed are handed on.
         listed: (M,) which obstacles to hand on.
         previous: what was handed on last.
-        config: how much may change unnoticed.
     """
     owner = np.where(points.confirmed, points.owner, -1)
     reach = supports(points.p_OQ, owner, len(ids), DIRECTIONS)
@@ -260,7 +273,6 @@ def held_clouds(
         shift_W,
         count,
         rows[np.array([name in previous for name in names], dtype=bool)],
-        config,
     )
     held, place = {}, 0
     for row, name in zip(rows, names, strict=True):
@@ -287,15 +299,14 @@ def _unchanged(
     shift_W: FloatArray,
     count: IntArray,
     rows: IntArray,
-    config: TrackingConfig,
 ) -> tuple[BoolArray, BoolArray]:
     """Which of K held clouds, of these rows, still do, and which are where they were."""
     if not known:
         return np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
     more = reach[rows] - np.array([old.reach for old in known])
     sizes = np.array([len(old.p_OQ) for old in known])
-    same = ((more <= config.grown) & (more >= -config.shrunk)).all(axis=1)
-    same &= np.abs(count[rows] - sizes) <= config.changed_share * sizes
+    same = ((more <= _GROWN) & (more >= -_SHRUNK)).all(axis=1)
+    same &= np.abs(count[rows] - sizes) <= _CHANGED_SHARE * sizes
     return same, (shift_W[rows] == np.array([old.shift_W for old in known])).all(axis=1)
 
 

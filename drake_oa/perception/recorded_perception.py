@@ -15,7 +15,7 @@ from drake_oa.common.config import check_values
 from drake_oa.common.ports import valid_period
 from drake_oa.geometry.collision_shapes import RobotModel
 from drake_oa.geometry.primitives import PosedShapes
-from drake_oa.perception.config import SegmentationConfig, TrackingConfig
+from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.depth_perception import PerceptionState, log_change
 from drake_oa.perception.memory import ObstacleMemory
 from drake_oa.perception.recordings import RecordedFrame, read_recording
@@ -58,7 +58,6 @@ class RecordedPerception(LeafSystem):
         *,
         X_WC: RigidTransform | None = None,
         config: SegmentationConfig | None = None,
-        tracking: TrackingConfig | None = None,
         robot: RobotModel | None = None,
         period: float = 1.0 / 15.0,
         loop: bool = False,
@@ -70,7 +69,6 @@ class RecordedPerception(LeafSystem):
             X_WC: pose of the camera for files that do not hold one; the identity
                 for clouds already in the world frame; None when unknown.
             config: how frames are segmented; None for the defaults.
-            tracking: how obstacles are followed; None for the defaults.
             robot: from `collect_collision_shapes`: takes itself out of frames that
                 know its `robot_state`; None: they show no robot.
             period: time between updates, and between files without stamp [s].
@@ -87,9 +85,7 @@ class RecordedPerception(LeafSystem):
         self._start = np.array([frame.stamp for frame in self._frames]) - self._frames[0].stamp
         self._X_WC: Any = None if X_WC is None else X_WC.GetAsMatrix4()
         self._config = config or SegmentationConfig()
-        self._tracking = tracking or TrackingConfig()
-        for values in (self._config, self._tracking):
-            check_values(values)
+        check_values(self._config)
         self._robot = robot
         self._loop = loop
         self._state = PerceptionState.declare(self)
@@ -124,7 +120,7 @@ class RecordedPerception(LeafSystem):
         if due > 0 and due % len(self._frames) == 0:
             # The scene starts again: what was seen at its end is no longer there.
             previous = ObstacleMemory(next_id=previous.next_id)
-        memory = fuse(previous, frame, stamp, self._config, robot, self._tracking)
+        memory = fuse(previous, frame, stamp, self._config, robot)
         log_change(self, before.note, memory.obstacles.note, context.get_time())
         self._state.write(state, memory, frame.points_W if frame.usable else None)
 

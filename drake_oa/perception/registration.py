@@ -19,8 +19,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from drake_oa.common.messages import FloatArray, IntArray
-from drake_oa.perception.config import TrackingConfig
-from drake_oa.perception.memory import Tracks
+from drake_oa.perception.memory import DOUBTED, INITIAL_SPEED, LONGEST_GAP, MOVED, Tracks
+from drake_oa.perception.sides import SIDE_DEVIATION
 
 _MOST = 160
 """Points of a surface that are looked at."""
@@ -31,6 +31,8 @@ _TELLS = 0.5
 """An axis is measured whose deviation is less than this share of what was unknown."""
 _TOGETHER = 12.0
 """Points that have the same noise: it is smooth over pixels."""
+_GATE = 0.02
+"""Distance between points of two frames beyond which they are not the same [m]."""
 
 
 def registered(
@@ -113,7 +115,6 @@ def registered_tracks(
     before: dict[int, FloatArray],
     now: NowSeen,
     dt: float,
-    config: TrackingConfig,
 ) -> tuple[FloatArray, FloatArray]:
     """How far the obstacles that may move have gone since dt [s] ago, and how well it is known.
 
@@ -122,27 +123,26 @@ def registered_tracks(
         before: what the frame before showed of them, by name.
         now: this frame.
         dt: see there.
-        config: how obstacles are followed.
 
     Returns:
         (M, 3) shifts [m], NaN where nothing tells, and their variances (M, 3) [m^2].
     """
     shift, spread = np.full((len(tracks), 3), np.nan), np.ones((len(tracks), 3))
-    unknown = dt * config.filter.initial_speed
+    unknown = dt * INITIAL_SPEED
     for row, name in enumerate(tracks.ids.tolist()):
-        if name not in now.shown or name not in before or not 0.0 < dt <= config.longest_gap:
+        if name not in now.shown or name not in before or not 0.0 < dt <= LONGEST_GAP:
             continue
         then = before[name]
-        moved = np.abs(now.shown[name].mean(axis=0) - then.mean(axis=0)).max() > config.moved
-        if not (moved or tracks.moving[row] or tracks.doubt[row] > config.doubt):
+        moved = np.abs(now.shown[name].mean(axis=0) - then.mean(axis=0)).max() > MOVED
+        if not (moved or tracks.moving[row] or tracks.doubt[row] > DOUBTED):
             continue
         shift[row], spread[row] = registered(
             then,
             now.points[np.isin(now.cluster, np.unique(now.cluster[now.row == row]))],
             dt * tracks.estimate.v_W[row],
-            noise=config.filter.side,
+            noise=SIDE_DEVIATION,
             prior=unknown,
-            gate=config.registered,
+            gate=_GATE,
         )
         shift[row, spread[row] > (_TELLS * unknown) ** 2] = np.nan
     return shift, spread

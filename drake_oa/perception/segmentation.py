@@ -38,9 +38,30 @@ from drake_oa.perception.depth_image import (
     pixels_between,
     sampled,
 )
-from drake_oa.perception.table import PlaneFit, beyond_extent, fit_plane, plane_axes, seen_extent
+from drake_oa.perception.table import (
+    DEPTH_NOISE,
+    HEIGHT_TOLERANCE,
+    LEAST_SHARE,
+    PlaneFit,
+    beyond_extent,
+    find_table,
+    plane_axes,
+    seen_extent,
+)
 
 _Array = TypeVar("_Array", FloatArray, IntArray)
+_DEVIATIONS = 6.0
+"""Standard deviations of depth that may look like a height."""
+_WARP_START = 1.1
+"""Depth from which structured-light cameras bend a plane (docs/results/real_scans.md) [m]."""
+_WARP = 0.15
+"""Height that the bend adds to a plane, by the square of the depth beyond `_WARP_START` [1/m]."""
+_LARGEST_WARP = 0.04
+"""Largest height that the bend adds to a plane [m]."""
+_HIGHER_SHARE = 0.1
+"""Share of the voxels of a cluster that must be higher than noise and bend."""
+UNSEEN_GAP = 0.06
+"""Distance up to which clusters are one where nothing shows through the gap between them [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,11 +200,11 @@ def segment_points(
     distance = np.linalg.norm(p_CQ, axis=1)
     step = max(1, len(index) // 20_000)
     sample = p_CQ[::step]
-    plane = _find_table(sample, distance[::step], X_WC, config)
+    plane = find_table(sample, distance[::step], X_WC, config.table_height)
     if plane is None:
         return _unusable(X_WC, _NO_TABLE)
     height = p_CQ @ plane.normal - plane.offset
-    low = config.min_height + _height_noise(config, plane.offset) * distance
+    low = config.min_height + _height_noise(plane.offset) * distance
     above = np.flatnonzero((height > low) & (height < config.max_height))
     X_WC = _pose_from_plane(plane) if X_WC is None else X_WC
     support = _Support(plane, sample[plane.inliers])
@@ -194,49 +215,13 @@ def segment_points(
 _NO_TABLE = "no supporting plane found"
 
 
-def _height_noise(config: SegmentationConfig, offset: float) -> float:
+def _height_noise(offset: float) -> float:
     """What noise may look like a height, per metre of depth.
 
-    The depth's deviation is ``depth_noise z**2``; of a plane's point, at the ray z r
+    The depth's deviation is ``DEPTH_NOISE z**2``; of a plane's point, at the ray z r
     with z n . r = offset, the height's is that times abs(n . r) = abs(offset) / z.
     """
-    return config.deviations * config.depth_noise * abs(offset)
-
-
-def _find_table(
-    sample: FloatArray, distance: FloatArray, X_WC: FloatArray | None, config: SegmentationConfig
-) -> PlaneFit | None:
-    tolerance = config.plane_tolerance + config.depth_noise * distance**2
-    if X_WC is None:
-        up = np.array([0.0, -1.0, 0.0])
-        fit = fit_plane(
-            sample, up, config.plane_tilt_unknown_pose, tolerance, config.plane, origin_above=True
-        )
-        if fit is not None and np.mean(fit.inliers) > 0.4:
-            return fit
-        # A camera that looks straight down: its up direction lies in the table.
-        facing = fit_plane(
-            sample,
-            np.array([0.0, 0.0, -1.0]),
-            config.facing_tilt,
-            tolerance,
-            config.plane,
-            origin_above=True,
-        )
-        if fit is None or facing is None:
-            return facing if fit is None else fit
-        return facing if facing.inliers.sum() > 2 * fit.inliers.sum() else fit
-    up = X_WC[2, :3]
-    height = None if config.table_height is None else config.table_height - X_WC[2, 3]
-    return fit_plane(
-        sample,
-        up,
-        config.plane_tilt,
-        tolerance,
-        config.plane,
-        height=height,
-        height_tolerance=config.table_height_tolerance,
-    )
+    return _DEVIATIONS * DEPTH_NOISE * abs(offset)
 
 
 class _Support(NamedTuple):
@@ -303,7 +288,7 @@ def _looked_at(
     z = np.require(depth, np.float32, ["C", "W"])
     if not config.table:
         # What is too far is told too; what is missing, or too near, is not.
-        if np.count_nonzero(z > 0.0) < config.plane.least_share * z.size:
+        if np.count_nonzero(z > 0.0) < LEAST_SHARE * z.size:
             return _Image(z, K, X_WC, None, "hardly any pixel tells of something")
         return _Image(z, K, _pose_known(X_WC), None, "")
     step = config.stride
@@ -311,7 +296,7 @@ def _looked_at(
     if not len(on_grid):
         return _Image(z, K, X_WC, None, "no valid pixel")
     sample = back_projected(z, pixels, K)
-    plane = _find_table(sample, sample[:, 2], X_WC, config)
+    plane = find_table(sample, sample[:, 2], X_WC, config.table_height)
     if plane is None:
         return _Image(z, K, X_WC, None, _NO_TABLE)
     extent = seen_extent(
@@ -342,13 +327,13 @@ def _best_table(images: Sequence[_Image]) -> TablePlane | None:
     return max(shown, key=lambda one: one[0])[1] if shown else None
 
 
-def _support_of(image: _Image, table: TablePlane, tolerance: float) -> _Support | None:
+def _support_of(image: _Image, table: TablePlane) -> _Support | None:
     """The table in an image; None where it is not there, or something else was taken for it."""
     if image.support is None:
         return None
     own = _table_W(image.support.plane, _pose_known(image.X_WC))
     apart = abs(own.offset - table.offset) + np.linalg.norm(own.normal_W - table.normal_W)
-    return image.support if apart <= tolerance else None
+    return image.support if apart <= HEIGHT_TOLERANCE else None
 
 
 def _standing_in(image: _Image, table: TablePlane | None, config: SegmentationConfig) -> _Standing:
@@ -356,7 +341,7 @@ def _standing_in(image: _Image, table: TablePlane | None, config: SegmentationCo
     support = None
     if table is None:
         _, index = sampled(z, 1, float(config.near), float(config.far))
-    elif support := _support_of(image, table, config.table_height_tolerance):
+    elif support := _support_of(image, table):
         index = _pixels_above(z, K, support.plane, config)
     else:
         offset = table.offset - float(table.normal_W @ X_WC[:3, 3])
@@ -441,7 +426,7 @@ def _cluster(
                 (index, label[own], view)
                 for (_, index), own, view in zip(placed, voxels_of, views, strict=True)
             ],
-            float(config.unseen_gap),
+            UNSEEN_GAP,
             float(config.voxel),
             config.min_cluster_voxels,
         )
@@ -455,7 +440,7 @@ def _cluster(
             at = np.flatnonzero(shown[kept])
             low[at] = np.maximum(low[at], _least_height(points[at], table, part, config))
         higher = points @ table.normal_W - table.offset > low
-        least = np.maximum(config.higher_share * sizes, 3)
+        least = np.maximum(_HIGHER_SHARE * sizes, 3)
         large &= np.bincount(found, weights=higher, minlength=1) >= least
     names = np.flatnonzero(large)
     names = names[np.argsort(-sizes[names], kind="stable")]
@@ -488,9 +473,9 @@ def _least_height(
     p_CQ = (p_WQ - part.X_WC[:3, 3]) @ part.X_WC[:3, :3]
     distance = p_CQ[:, 2] if part.view is not None else np.linalg.norm(p_CQ, axis=1)
     offset = table.offset - float(table.normal_W @ part.X_WC[:3, 3])
-    bend = config.warp * np.maximum(distance - config.warp_start, 0.0) ** 2
-    low = config.min_height + _height_noise(config, offset) * distance
-    return np.asarray(low + np.minimum(bend, config.largest_warp))
+    bend = _WARP * np.maximum(distance - _WARP_START, 0.0) ** 2
+    low = config.min_height + _height_noise(offset) * distance
+    return np.asarray(low + np.minimum(bend, _LARGEST_WARP))
 
 
 def _standing(
@@ -537,7 +522,7 @@ def _pixels_above(
     fx, fy, cx, cy = K
     n, offset = plane.normal, plane.offset
     a, b = n[0] / fx, n[1] / fy
-    noise = _height_noise(config, offset)
+    noise = _height_noise(offset)
     u = a * np.arange(z.shape[1]) + (n[2] - a * cx - b * cy - noise)
     v = b * np.arange(z.shape[0])
     limits = [

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray, TablePlane
 from drake_oa.geometry.pinhole import View
-from drake_oa.perception.config import TrackingConfig
 from drake_oa.perception.segmentation import Segmentation
 
 _BINS = 256
@@ -265,6 +264,26 @@ def open_sides(
 
 
 _PIXELS = 800  # about how many pixels of a cluster are looked at
+DEPTH_MARGIN = 0.03
+"""Depth difference that tells what is before or behind a surface from what is on it [m]."""
+SIDE_DEVIATION = 0.0015
+"""Standard deviation of the measured place of a side, or of a surface point [m]."""
+_SIDE_TAIL = 0.02
+"""Share of an obstacle's area that lies beyond its side."""
+_OPEN_SHARE = 0.7
+"""Share of the surroundings of a side that must be free for the obstacle to end there."""
+_LEAST_AREA = 0.15
+"""Share of the known area that must be seen for an obstacle to be measured by its sides."""
+_WIDENED = 1.1
+"""Ratio of seen to known area above which an obstacle is coming into view."""
+_WIDENED_FACTOR = 6.0
+"""Factor of the deviation of sides of an obstacle that is coming into view."""
+_SIDE_GRAIN = 0.7
+"""Standard deviation of a side [pixel]."""
+_HIDDEN_FACTOR = 3.0
+"""Relative growth of the deviation of a side of an obstacle that is all occluded."""
+_SIDE_LEARNING = 0.05
+"""Share of a frame in the remembered distance between two sides."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,7 +309,6 @@ def seen_sides(
     cluster_row: IntArray,
     known_area: FloatArray,
     voxel: float,
-    config: TrackingConfig,
 ) -> SeenSides:
     """Finds the sides in a frame: those of all that its images show.
 
@@ -299,7 +317,6 @@ def seen_sides(
         cluster_row: (C,) obstacle of each cluster, -1: not to be measured.
         known_area: (M,) largest area seen of each obstacle before [m^2].
         voxel: edge of a voxel, for clouds [m].
-        config: how obstacles are followed.
     """
     count = len(known_area)
     images = [_joined(frame.pixels_in(row)) for row in range(len(frame.views))]
@@ -322,7 +339,7 @@ def seen_sides(
     grain = np.sqrt(np.bincount(row, weights=area, minlength=count) / np.maximum(number, 1))
     area = area * weight
     seen = np.bincount(row, weights=area, minlength=count)
-    tail = config.side_tail * np.maximum(seen, known_area)
+    tail = _SIDE_TAIL * np.maximum(seen, known_area)
     place = tail_places(points, area, row, tail)
     ends = np.isfinite(place)
     if parts:
@@ -331,11 +348,9 @@ def seen_sides(
         free, asked = np.zeros(place.shape), np.zeros(place.shape)
         for part, image, view in zip(parts, images, frame.views, strict=True):
             owner, top = owner_rows(*image, cluster_row, view.z.shape[1])
-            found = open_sides(
-                part[0], *part[2:4], place, view, owner, top, plane, config.depth_margin
-            )
+            found = open_sides(part[0], *part[2:4], place, view, owner, top, plane, DEPTH_MARGIN)
             free, asked = free + found[0], asked + found[1]
-        ends = free / np.maximum(asked, 1.0) >= config.open_share
+        ends = free / np.maximum(asked, 1.0) >= _OPEN_SHARE
     return SeenSides(place, ends, np.asarray(seen, dtype=float), np.asarray(grain, dtype=float))
 
 
@@ -347,7 +362,7 @@ def _joined(parts: tuple[IntArray, ...]) -> tuple[IntArray, IntArray]:
 
 
 def measured_position(
-    seen: SeenSides, sides: FloatArray, known_area: FloatArray, config: TrackingConfig
+    seen: SeenSides, sides: FloatArray, known_area: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Positions (M, 3) of obstacles by their sides [m], and their variances [m^2].
 
@@ -355,7 +370,6 @@ def measured_position(
         seen: the sides in this frame.
         sides: (M, 3, 2) where they were, from the position [m]; NaN: unknown.
         known_area: (M,) largest area seen of each before [m^2].
-        config: how obstacles are followed, and with which noise.
 
     Returns:
         The positions, NaN along an axis of which no known side is seen.
@@ -363,20 +377,18 @@ def measured_position(
     position = seen.place - sides
     usable = seen.ends & np.isfinite(position)
     share = seen.area / np.maximum(known_area, 1e-12)
-    usable &= (share >= config.least_area)[:, None, None]
+    usable &= (share >= _LEAST_AREA)[:, None, None]
     count = usable.sum(axis=2)
     total = np.where(usable, position, 0.0).sum(axis=2)
     hidden = np.clip(1.0 - share, 0.0, 1.0)[:, None]
-    wide = np.hypot(config.filter.side, config.side_grain * seen.grain)[:, None]
-    wide = wide * (1.0 + config.hidden_factor * hidden)
-    wide = np.where((share > config.coming)[:, None], config.coming_factor * wide, wide)
+    wide = np.hypot(SIDE_DEVIATION, _SIDE_GRAIN * seen.grain)[:, None]
+    wide = wide * (1.0 + _HIDDEN_FACTOR * hidden)
+    wide = np.where((share > _WIDENED)[:, None], _WIDENED_FACTOR * wide, wide)
     variance = wide**2 / np.maximum(count, 1)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan), variance
 
 
-def learned_sides(
-    seen: SeenSides, sides: FloatArray, p_W: FloatArray, learning: float
-) -> FloatArray:
+def learned_sides(seen: SeenSides, sides: FloatArray, p_W: FloatArray) -> FloatArray:
     """The sides (M, 3, 2) from the position p_W (M, 3), after this frame [m].
 
     A side that is seen for the first time is placed; of two that are known only the
@@ -385,5 +397,5 @@ def learned_sides(
     found = np.where(seen.ends, seen.place - p_W[:, :, None], np.nan)
     error = found - sides
     error -= error.mean(axis=2, keepdims=True)
-    learned = sides + learning * np.where(np.isfinite(error), error, 0.0)
+    learned = sides + _SIDE_LEARNING * np.where(np.isfinite(error), error, 0.0)
     return np.where(np.isnan(sides), found, learned)

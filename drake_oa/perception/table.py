@@ -12,6 +12,7 @@ are not seen.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -19,7 +20,6 @@ import numpy as np
 
 from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
-from drake_oa.perception.config import PlaneSearch
 
 
 @compiled
@@ -324,6 +324,38 @@ _SEED = 20190701
 _BANDS = (1.0, 1.0, 0.7, 0.5, 0.5)
 _EXPECTED_BANDS = (1.0, 0.5, 0.5)
 _BIN = 0.01  # of a histogram of heights [m]
+DEPTH_NOISE = 0.0015
+"""Standard deviation of depth at 1 m; it grows with the square of the depth [1/m]."""
+_PLANE_TILT = math.radians(5.0)
+"""Largest tilt of the table against gravity where the pose of the camera is known [rad]."""
+_PLANE_TILT_UNKNOWN_POSE = math.radians(75.0)
+"""Largest tilt of the table against the camera's up direction (-y), pose unknown [rad]."""
+_FACING_TILT = math.radians(15.0)
+"""Largest tilt of the table against the direction towards a camera above it (-z) [rad]."""
+_PLANE_TOLERANCE = 0.006
+"""Distance from the plane at which a point at depth 0 belongs to it [m]."""
+_HYPOTHESES = 400
+"""Planes that are proposed."""
+_SCORED_POINTS = 800
+"""Most points that vote for the proposed planes."""
+_REFINED_POINTS = 4000
+"""About how many points refine the best plane."""
+LEAST_SHARE = 0.05
+"""Share of the points that the smallest plane holds."""
+_EXPECTED_SHARE = 0.5
+"""Share of the points at its height that an expected plane holds."""
+_EXPECTED_BAND = 0.5
+"""Share of the tolerance within which a point is on an expected plane."""
+HEIGHT_TOLERANCE = 0.05
+"""Greatest distance of the table from its expected height [m]."""
+_OBJECT_HEIGHT = 0.45
+"""Greatest height of an object over what it stands on [m]."""
+_TABLE_HEIGHT = 1.3
+"""Greatest height of a table over the floor [m]."""
+_LEAST_TABLE = 0.1
+"""Area of the smallest table on a floor [m^2]."""
+_LARGEST_TOP = 0.4
+"""Area of the largest top of a box [m^2]."""
 
 
 @dataclass(frozen=True)
@@ -348,10 +380,8 @@ def fit_plane(
     up: FloatArray,
     max_tilt: float,
     tolerance: FloatArray,
-    search: PlaneSearch | None = None,
     *,
     height: float | None = None,
-    height_tolerance: float = 0.05,
     origin_above: bool = False,
 ) -> PlaneFit | None:
     """Finds the plane with the most points on it among those that face ``up``.
@@ -371,26 +401,23 @@ def fit_plane(
         max_tilt: largest angle between the normal and ``up`` [rad], below pi/2.
         tolerance: (N,) distance from the plane at which each point still belongs
             to it [m], positive.
-        search: how the plane is searched; None for the defaults.
         height: expected offset along ``up`` at the foot of the origin [m]; only
-            points within ``height_tolerance`` of it are considered. None: unknown.
-        height_tolerance: see ``height`` [m].
+            points within `HEIGHT_TOLERANCE` of it are considered. None: unknown.
         origin_above: whether the origin (the camera) must be on the free side.
 
     Returns:
         The plane, or None when no plane is supported by enough points.
     """
     points, tolerance = (np.require(x, np.float64, ["C", "W"]) for x in (points, tolerance))
-    search = search or PlaneSearch()
-    needed = max(20, int(search.least_share * len(points)))
+    needed = max(20, int(LEAST_SHARE * len(points)))
     allowed = np.ones(len(points), dtype=bool)
-    seen = _Samples(points, tolerance, allowed, up, max_tilt, origin_above, needed, search)
+    seen = _Samples(points, tolerance, allowed, up, max_tilt, origin_above, needed)
     if height is not None:
-        level, reach = np.append(up, height), np.full(len(points), float(height_tolerance))
+        level, reach = np.append(up, height), np.full(len(points), HEIGHT_TOLERANCE)
         on_plane(points, reach, level, allowed, allowed)
         near = np.empty(len(points), dtype=bool)
-        on_plane(points, search.expected_band * tolerance, level, allowed, near)
-        most = max(needed, search.expected_share * np.count_nonzero(allowed))
+        on_plane(points, _EXPECTED_BAND * tolerance, level, allowed, near)
+        most = max(needed, _EXPECTED_SHARE * np.count_nonzero(allowed))
         if np.count_nonzero(near) >= most and not (origin_above and height >= 0.0):
             fit = _refined(seen, (up, float(height)), _EXPECTED_BANDS)
             if fit is not None:
@@ -413,6 +440,34 @@ def fit_plane(
     return fit if origin_above and other.offset >= 0.0 else other
 
 
+def find_table(
+    sample: FloatArray, distance: FloatArray, X_WC: FloatArray | None, table_height: float | None
+) -> PlaneFit | None:
+    """Finds the table in the camera's frame.
+
+    Args:
+        sample: (N, 3) points in the frame of the camera [m].
+        distance: (N,) their depths [m].
+        X_WC: (4, 4) pose of the camera; None: unknown.
+        table_height: height of the table in the world [m]; None: unknown.
+    """
+    tolerance = _PLANE_TOLERANCE + DEPTH_NOISE * distance**2
+    if X_WC is None:
+        up = np.array([0.0, -1.0, 0.0])
+        fit = fit_plane(sample, up, _PLANE_TILT_UNKNOWN_POSE, tolerance, origin_above=True)
+        if fit is not None and np.mean(fit.inliers) > 0.4:
+            return fit
+        # A camera that looks straight down: its up direction lies in the table.
+        toward = np.array([0.0, 0.0, -1.0])
+        facing = fit_plane(sample, toward, _FACING_TILT, tolerance, origin_above=True)
+        if fit is None or facing is None:
+            return facing if fit is None else fit
+        return facing if facing.inliers.sum() > 2 * fit.inliers.sum() else fit
+    up = X_WC[2, :3]
+    height = None if table_height is None else table_height - X_WC[2, 3]
+    return fit_plane(sample, up, _PLANE_TILT, tolerance, height=height)
+
+
 class _Samples(NamedTuple):
     """The points among which a plane is searched; as `fit_plane` takes them."""
 
@@ -423,7 +478,6 @@ class _Samples(NamedTuple):
     max_tilt: float
     origin_above: bool
     needed: int
-    search: PlaneSearch
 
 
 def _supporting_level(seen: _Samples, fit: PlaneFit) -> float | None:
@@ -434,15 +488,15 @@ def _supporting_level(seen: _Samples, fit: PlaneFit) -> float | None:
     - Below a box: a level wider than the fit, within the height of objects, is what
       the box stands on.
     """
-    points, needed, search = seen.points, seen.needed, seen.search
+    points, needed = seen.points, seen.needed
     height = points @ fit.normal - fit.offset
-    edges = np.arange(-search.object_height, search.table_height, _BIN)
-    bins = ((height + search.object_height) * (1.0 / _BIN)).astype(np.int64)
+    edges = np.arange(-_OBJECT_HEIGHT, _TABLE_HEIGHT, _BIN)
+    bins = ((height + _OBJECT_HEIGHT) * (1.0 / _BIN)).astype(np.int64)
     count = np.bincount(bins[(bins >= 0) & (bins < len(edges))], minlength=len(edges))
     votes = np.convolve(count, np.ones(3, dtype=np.int64), mode="same")
     middle = edges + 0.5 * _BIN
     own = int(np.count_nonzero(fit.inliers))
-    high = middle > search.object_height
+    high = middle > _OBJECT_HEIGHT
     above = np.where(high & (votes >= max(needed, own // 5)), votes, 0)
     below = np.where((middle < -0.02) & (votes >= max(needed, own // 7)), votes, 0)
     if not above.any() and not below.any():
@@ -457,9 +511,9 @@ def _supporting_level(seen: _Samples, fit: PlaneFit) -> float | None:
         if is_above:
             own_distance = np.median(np.linalg.norm(points[fit.inliers], axis=1))
             nearer = np.median(np.linalg.norm(on_level, axis=1)) < own_distance
-            if nearer and wide > search.least_table:
+            if nearer and wide > _LEAST_TABLE:
                 return float(fit.offset + at)
-        elif area < search.largest_top and wide > area:
+        elif area < _LARGEST_TOP and wide > area:
             return float(fit.offset + at)
     return None
 
@@ -477,12 +531,12 @@ def _spread_area(points: FloatArray, normal: FloatArray) -> float:
 
 def _best_hypothesis(seen: _Samples) -> tuple[FloatArray, float] | None:
     """Normal and offset of the plane through three points that most others lie on."""
-    rng, search = np.random.default_rng(_SEED), seen.search
+    rng = np.random.default_rng(_SEED)
     chosen = np.flatnonzero(seen.allowed)
-    if len(chosen) > search.scored_points:
-        chosen = rng.choice(chosen, search.scored_points, replace=False)
+    if len(chosen) > _SCORED_POINTS:
+        chosen = rng.choice(chosen, _SCORED_POINTS, replace=False)
     points = seen.points[chosen]
-    a, b, c = points[rng.integers(len(points), size=(3, search.hypotheses))]
+    a, b, c = points[rng.integers(len(points), size=(3, _HYPOTHESES))]
     normals = np.cross(b - a, c - a)
     length = np.linalg.norm(normals, axis=1)
     usable = length > 1e-9
@@ -507,7 +561,7 @@ def _refined(
     """The plane by weighted least squares; None where too few points support it."""
     normal, offset = plane
     points, tolerance, allowed, up = seen[:4]
-    step = 1 + len(points) // seen.search.refined_points
+    step = 1 + len(points) // _REFINED_POINTS
     chosen = step * np.flatnonzero(allowed[::step])
     some, some_tolerance, moments = points[chosen], tolerance[chosen], np.empty((4, 4))
     for band in bands:

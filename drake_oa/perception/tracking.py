@@ -25,7 +25,7 @@ from drake_oa.common.messages import BoolArray, FloatArray, IntArray, ObstacleCl
 from drake_oa.geometry.pinhole import AT, EMPTY, FREE, HIDDEN, OUT
 from drake_oa.geometry.primitives import PosedShapes
 from drake_oa.geometry.voxels import connected_clusters
-from drake_oa.perception.config import SegmentationConfig, TrackingConfig
+from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.memory import (
     ObstacleMemory,
     Points,
@@ -38,9 +38,10 @@ from drake_oa.perception.memory import (
     taken,
 )
 from drake_oa.perception.registration import NowSeen, registered_tracks, shown_of
-from drake_oa.perception.segmentation import Segmentation
-from drake_oa.perception.sides import seen_sides
+from drake_oa.perception.segmentation import UNSEEN_GAP, Segmentation
+from drake_oa.perception.sides import DEPTH_MARGIN, seen_sides
 from drake_oa.perception.velocity import (
+    START,
     first_seen,
     measured_tracks,
     predicted_tracks,
@@ -58,6 +59,43 @@ from drake_oa.perception.visibility import (
     weighed,
     without_background,
 )
+
+_MATCH_RADIUS = 0.02
+"""Distance at which a point of a frame votes for the obstacle of a remembered one [m]."""
+_SUPPORT_RADIUS = 0.012
+"""Distance at which a point of a frame supports the remembered point [m]."""
+_SAME_RADIUS = 0.008
+"""Distance at which a seen and a remembered point are the same point [m]."""
+_COMMON_POINTS = 4
+"""Fewest points that an obstacle has in common with its clusters."""
+_COMMON_SHARE = 0.25
+"""Least share of common points, of the smaller of obstacle and cluster."""
+_GATE = 0.1
+"""Distance of centroids within which a cluster without common points is matched [m]."""
+_SOLID = 2.0
+"""Size of a new cluster that is believed at once, in fewest voxels of a cluster."""
+_MEAN_FRAMES = 20
+"""Most frames of which a remembered point is the mean."""
+_HIDDEN_SHARE = 0.3
+"""Share of the points beyond a side that are occluded where the side is not seen."""
+_SIDE_SLACK = 0.004
+"""Distance beyond a side within which points belong to it [m]."""
+_LEAST_SEEN = 0.2
+"""Least share of the points of an obstacle of which the missing ones are counted."""
+_FADING = 0.9
+"""Share of the doubt about the place of an obstacle that is left a frame later."""
+_CORRECTION = 0.003
+"""Correction of a position above which the frame is compared again [m]."""
+_FOUND_AGAIN = 0.9
+"""Least ratio of points seen at the measured place to those at the expected one."""
+_MENTIONED_AFTER = 0.3
+"""Time out of sight after which a moving obstacle is mentioned in the note [s]."""
+_SPLIT_FRAMES = 3
+"""Frames in a row after which separate parts become two obstacles."""
+_TABLE_SHIFT = 0.003
+"""Motion of the table wits planehin 1 m at which its plane is handed on again [m]."""
+_MERGE_TIME = 0.5
+"""Time as one cluster after which obstacles at rest become one [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +125,6 @@ def associate(
     remembered: FloatArray,
     owner: IntArray,
     tracks: int,
-    config: TrackingConfig,
 ) -> Association:
     """Gives clusters to obstacles: by common points, else by predicted centroids.
 
@@ -104,30 +141,19 @@ def associate(
         remembered: (N, 3) where remembered points should be in the world [m].
         owner: (N,) their obstacles.
         tracks: M, how many there are.
-        config: `common_points`, `common_share` and `gate` count.
     """
     sizes = np.bincount(cluster, minlength=clusters)
     known = np.bincount(owner, minlength=tracks)
     votes, vote_row = counted_votes(cluster, clusters, voted, owner, tracks)
-    least = np.maximum(
-        config.common_points, config.common_share * np.minimum(sizes[:, None], known[None])
-    )
+    smaller = np.minimum(sizes[:, None], known[None])
+    least = np.maximum(_COMMON_POINTS, _COMMON_SHARE * smaller)
     claims = votes >= least
     cluster_row = np.full(clusters, -1, dtype=np.int64)
     if tracks:
         claimed = claims.any(axis=1)
         cluster_row[claimed] = np.where(claims, votes, -1)[claimed].argmax(axis=1)
-        _match_centroids(
-            cluster_row,
-            np.asarray(claims.any(axis=0)),
-            points,
-            cluster,
-            sizes,
-            remembered,
-            owner,
-            known,
-            config.gate,
-        )
+        found = np.asarray(claims.any(axis=0))
+        _match_centroids(cluster_row, found, points, cluster, sizes, remembered, owner, known)
     new = np.flatnonzero(cluster_row < 0)
     cluster_row[new] = tracks + np.arange(len(new))
     mixed = claims.sum(axis=1) > 1
@@ -151,7 +177,6 @@ def _match_centroids(
     remembered: FloatArray,
     owner: IntArray,
     known: IntArray,
-    gate: float,
 ) -> None:
     left, lost = np.flatnonzero(cluster_row < 0), np.flatnonzero(~taken & (known > 0))
     if not len(left) or not len(lost):
@@ -160,8 +185,8 @@ def _match_centroids(
     expected = np.stack([remembered[owner == m].mean(axis=0) for m in lost])
     gap = np.linalg.norm(seen[:, None] - expected[None], axis=2)
     # Pairs beyond the gate cost more than any number of pairs within it.
-    rows, columns = linear_sum_assignment(np.where(gap < gate, gap, 1e3 * gate))
-    near = gap[rows, columns] < gate
+    rows, columns = linear_sum_assignment(np.where(gap < _GATE, gap, 1e3 * _GATE))
+    near = gap[rows, columns] < _GATE
     cluster_row[left[rows[near]]] = lost[columns[near]]
 
 
@@ -190,7 +215,6 @@ def fuse(
     stamp: float,
     config: SegmentationConfig | None = None,
     robot: PosedShapes | None = None,
-    tracking: TrackingConfig | None = None,
     *,
     complete: bool = True,
 ) -> ObstacleMemory:
@@ -207,7 +231,7 @@ def fuse(
     - A frame with the stamp of the one before it is that frame again: nothing changes.
     - A frame from before the last one begins again: nothing is remembered, but no name is
       given twice.
-    - After a gap of `TrackingConfig.longest_gap` obstacles are remembered, velocities not.
+    - After a gap of `memory.LONGEST_GAP` obstacles are remembered, velocities not.
 
     Args:
         previous: what is remembered; `ObstacleMemory()` before the first frame.
@@ -216,7 +240,6 @@ def fuse(
         stamp: time of the frame [s].
         config: the parameters the frame was segmented with; None for the defaults.
         robot: the robot's primitives at that time, or None.
-        tracking: how obstacles are followed; None for the defaults.
         complete: whether all cameras have told something; what only another one has seen of an
             obstacle is else kept behind what this frame shows of it.
 
@@ -244,7 +267,6 @@ def fuse(
         0.0 if first else stamp - before,
         config or SegmentationConfig(),
         robot,
-        tracking or TrackingConfig(),
         first,
     )
     return step.run(stamp)
@@ -280,11 +302,10 @@ class _Step:
         dt: float,
         config: SegmentationConfig,
         robot: PosedShapes | None,
-        tracking: TrackingConfig,
         first: bool,
     ) -> None:
         self.previous, self.frame, self.complete, self.dt = previous, frame, complete, dt
-        self.config, self.robot, self.tracking, self.first = config, robot, tracking, first
+        self.config, self.robot, self.first = config, robot, first
         self.tracks, self.points = previous.tracks, previous.points
         lengths = [len(cloud) for cloud in frame.clouds_W]
         self.seen = np.concatenate([np.zeros((0, 3)), *frame.clouds_W])
@@ -293,19 +314,12 @@ class _Step:
 
     def run(self, stamp: float) -> ObstacleMemory:
         """The memory after the frame."""
-        self.tracks = predicted_tracks(self.tracks, self.dt, self.tracking)
+        self.tracks = predicted_tracks(self.tracks, self.dt)
         look = self._look()
+        clusters, known = len(self.frame.clouds_W), len(self.tracks)
         association = associate(
-            self.seen,
-            self.cluster,
-            len(self.frame.clouds_W),
-            look.nearest,
-            look.p_WQ,
-            self.points.owner,
-            len(self.tracks),
-            self.tracking,
+            self.seen, self.cluster, clusters, look.nearest, look.p_WQ, self.points.owner, known
         )
-        known = len(self.tracks)
         self._append_new(association)
         shift = self.tracks.shift_W
         behind = self._behind_itself(association, look)
@@ -317,7 +331,7 @@ class _Step:
         hidden = (look.shows != AT) & (look.shows != FREE) & ~behind & ~missing
         expected = self.tracks
         self._measure(association, look.p_WQ, hidden)
-        if known and np.abs(self.tracks.shift_W - shift)[:known].max() > self.tracking.correction:
+        if known and np.abs(self.tracks.shift_W - shift)[:known].max() > _CORRECTION:
             look = self._moved_back(expected, look)
             behind = self._behind_itself(association, look)
         split = self._weigh(association, look, behind)
@@ -328,15 +342,14 @@ class _Step:
         return self._handed_on(stamp)
 
     def _look(self) -> _Look:
-        tracking = self.tracking
         p_WQ = self.points.p_OQ + self.tracks.shift_W[self.points.owner]
-        radius, near = tracking.match_radius, tracking.support_radius
+        radius, near = _MATCH_RADIUS, _SUPPORT_RADIUS
         nearest, from_seen, distance = mutual_nearest(self.seen, p_WQ, radius, min(near, radius))
         looked = shown_at(
             p_WQ,
             distance >= near,
             self.frame.views,
-            tracking.depth_margin,
+            DEPTH_MARGIN,
             self.robot,
             self.config.robot_margin,
         )
@@ -355,14 +368,14 @@ class _Step:
         Returns:
             The frame as it shows their points now.
         """
-        after, near, owner = self._look(), self.tracking.support_radius, self.points.owner
+        after, near, owner = self._look(), _SUPPORT_RADIUS, self.points.owner
         rows = np.arange(len(self.tracks))
         there, here = (
             np.bincount(owner[look.distance < near], minlength=len(rows))
             for look in (before, after)
         )
-        lost = ~expected.moving & (here < self.tracking.found_again * there)
-        lost &= speed_statistic(self.tracks.estimate) < self.tracking.filter.start
+        lost = ~expected.moving & (here < _FOUND_AGAIN * there)
+        lost &= speed_statistic(self.tracks.estimate) < START
         lost &= (self.tracks.shift_W != expected.shift_W).any(axis=1)
         if not lost.any():
             return after
@@ -384,11 +397,11 @@ class _Step:
         asked = points.confirmed & told
         count = len(self.tracks)
         total = np.bincount(points.owner[asked], minlength=count)
-        asked &= look.distance >= self.tracking.support_radius
+        asked &= look.distance >= _SUPPORT_RADIUS
         missed = np.bincount(points.owner[asked], minlength=count)
-        least = self.tracking.least_seen * np.bincount(points.owner, minlength=count)
+        least = _LEAST_SEEN * np.bincount(points.owner, minlength=count)
         share = missed / np.maximum(total, np.maximum(least, 1.0))
-        left = self.tracking.fading * self.tracks.doubt
+        left = _FADING * self.tracks.doubt
         self.tracks = changed(self.tracks, doubt=np.maximum(share, left))
 
     def _append_new(self, association: Association) -> None:
@@ -397,35 +410,27 @@ class _Step:
             return
         p_W = np.stack([self.frame.clouds_W[c].mean(axis=0) for c in association.new])
         ids = self.next_id + np.arange(count)
-        new = new_tracks(ids, first_seen(p_W, self.tracking.filter))
+        new = new_tracks(ids, first_seen(p_W))
         self.next_id += count
         self.tracks = appended(self.tracks, new)
 
     def _measure(self, association: Association, p_WQ: FloatArray, hidden: BoolArray) -> None:
         tracks = self.tracks
         rows = np.where(association.mixed, -1, association.cluster_row)
-        seen = seen_sides(
-            self.frame,
-            rows,
-            tracks.area,
-            self.config.voxel,
-            self.tracking,
-        )
-        beyond = hidden_beyond(
-            p_WQ, self.points.owner, hidden, seen.place, self.tracking.side_slack
-        )
-        seen = replace(seen, ends=seen.ends & (beyond < self.tracking.hidden_share))
+        seen = seen_sides(self.frame, rows, tracks.area, self.config.voxel)
+        beyond = hidden_beyond(p_WQ, self.points.owner, hidden, seen.place, _SIDE_SLACK)
+        seen = replace(seen, ends=seen.ends & (beyond < _HIDDEN_SHARE))
         row_of, cluster = association.point_row, self.cluster
         self._shown = shown_of(self.seen, row_of, tracks.ids)
         now = NowSeen(self._shown, self.seen, row_of, cluster)
-        shift, spread = registered_tracks(tracks, self.previous.shown, now, self.dt, self.tracking)
-        self.tracks = measured_tracks(tracks, seen, shift, spread, self.dt, self.tracking)
+        shift, spread = registered_tracks(tracks, self.previous.shown, now, self.dt)
+        self.tracks = measured_tracks(tracks, seen, shift, spread, self.dt)
 
     def _weigh(
         self, association: Association, look: _Look, behind: BoolArray
     ) -> list[tuple[int, IntArray, FloatArray]]:
         """Weighs the remembered points; returns the parts of obstacles that are apart."""
-        points, tracking = self.points, self.tracking
+        points = self.points
         found = np.zeros(len(self.tracks), dtype=bool)
         found[association.point_row] = True
         seen = without_background(look.shows, (found & self.tracks.moving)[points.owner])
@@ -440,8 +445,8 @@ class _Step:
             look.distance,
             found,
             self._settled(),
-            tracking.support_radius,
-            tracking.same_radius,
+            _SUPPORT_RADIUS,
+            _SAME_RADIUS,
         )
         self._kept[left.weight] = np.arange(len(left))
         self.points = changed(left, weight=points.weight[left.weight])
@@ -460,15 +465,14 @@ class _Step:
         p_OQ = np.array(self.points.p_OQ)
         weight = np.array(self.points.weight)
         local = self.seen - self.tracks.shift_W[row]
-        reach = self.tracking.same_radius
-        most = self.tracking.mean_frames
-        absorb(p_OQ, weight, local, np.where(same, kept, -1), distance, reach, most)
+        reach = _SAME_RADIUS
+        absorb(p_OQ, weight, local, np.where(same, kept, -1), distance, reach, _MEAN_FRAMES)
         self.points = changed(self.points, p_OQ=p_OQ, weight=weight)
         new = np.flatnonzero((kept < 0) | (distance > reach))
         ones = np.ones(len(new), dtype=np.int64)
         solid = np.zeros(len(self.tracks), dtype=bool)
         sizes = np.array([len(self.frame.clouds_W[c]) for c in association.new], dtype=int)
-        believed = self.first | (sizes >= self.tracking.solid * self.config.min_cluster_voxels)
+        believed = self.first | (sizes >= _SOLID * self.config.min_cluster_voxels)
         solid[association.cluster_row[association.new]] = believed
         added = Points(local[new], row[new], ones, ones, solid[row[new]])
         self.points = appended(self.points, added)
@@ -500,7 +504,7 @@ class _Step:
             if (label == largest).all():
                 continue
             apart[row] = self.tracks.apart[row] + 1
-            if apart[row] >= self.tracking.split_frames:
+            if apart[row] >= _SPLIT_FRAMES:
                 parts.append((int(row), np.where(label == largest, -1, label), self.seen[mine]))
         self.tracks = changed(self.tracks, apart=apart)
         return parts
@@ -510,7 +514,7 @@ class _Step:
         for row, label, seen in parts:
             mine = np.flatnonzero(self.points.owner == row)
             p_WQ = self.points.p_OQ[mine] + self.tracks.shift_W[row]
-            nearest, _, _ = mutual_nearest(p_WQ, seen, self.config.unseen_gap, 0.0)
+            nearest, _, _ = mutual_nearest(p_WQ, seen, UNSEEN_GAP, 0.0)
             part = np.append(label, -1)[nearest]
             for name in np.unique(part[part >= 0]):
                 new = len(self.tracks)
@@ -541,8 +545,8 @@ class _Step:
         rests = (partner >= 0) & ~tracks.moving & ~tracks.moving[partner]
         together = np.where(rests, tracks.together + self.dt, 0.0)
         self.tracks = changed(tracks, together=together)
-        new = tracks.age < self.tracking.merge_time
-        joined = (together >= self.tracking.merge_time) | ((partner >= 0) & new & new[partner])
+        new = tracks.age < _MERGE_TIME
+        joined = (together >= _MERGE_TIME) | ((partner >= 0) & new & new[partner])
         for row in np.flatnonzero(joined):
             into = int(partner[row])
             if self.tracks.moving[row] and not self.tracks.moving[into]:
@@ -574,11 +578,9 @@ class _Step:
         tracks, points = self.tracks, self.points
         confirmed = np.bincount(points.owner[points.confirmed], minlength=len(tracks))
         listed = confirmed >= self._fewest()
-        held = held_clouds(
-            tracks.ids, tracks.shift_W, points, listed, self.previous.held, self.tracking
-        )
+        held = held_clouds(tracks.ids, tracks.shift_W, points, listed, self.previous.held)
         moving = tracks.moving & (np.linalg.norm(tracks.estimate.v_W, axis=1) > 0.0)
-        late = np.flatnonzero(listed & moving & (tracks.unseen > self.tracking.mentioned_after))
+        late = np.flatnonzero(listed & moving & (tracks.unseen > _MENTIONED_AFTER))
         note = "; ".join(
             f"obstacle {tracks.ids[row]} has moved on unseen for {tracks.unseen[row]:.2f} s "
             "at its last velocity"
@@ -588,7 +590,7 @@ class _Step:
             stamp,
             tuple(held[name].p_WQ for name in tracks.ids[listed].tolist()),
             tracks.ids[listed],
-            held_table(self.previous.obstacles.table, self.frame.table, self.tracking.table_shift),
+            held_table(self.previous.obstacles.table, self.frame.table, _TABLE_SHIFT),
             note,
             np.where(moving[:, None], tracks.estimate.v_W, 0.0)[listed],
         )

@@ -20,20 +20,66 @@ from dataclasses import replace
 import numpy as np
 
 from drake_oa.common.messages import BoolArray, FloatArray
-from drake_oa.perception.config import FilterNoise, TrackingConfig
-from drake_oa.perception.memory import MotionEstimate, Tracks, changed
-from drake_oa.perception.sides import SeenSides, learned_sides, measured_position
+from drake_oa.perception.memory import (
+    DOUBTED,
+    INITIAL_SPEED,
+    LONGEST_GAP,
+    MOVED,
+    PATIENCE,
+    MotionEstimate,
+    Tracks,
+    changed,
+)
+from drake_oa.perception.sides import (
+    SIDE_DEVIATION,
+    SeenSides,
+    learned_sides,
+    measured_position,
+)
+
+_ACCELERATION = 0.01
+"""Spectral density of the acceleration of an obstacle at rest, each axis [m^2/s^3]."""
+_MANEUVER = 0.05
+"""Spectral density of the acceleration of a moving obstacle, each axis [m^2/s^3]."""
+_LARGEST_SPEED = 2.0
+"""Largest deviation of a velocity that has become unknown again [m/s]."""
+_START_SPEED = 0.03
+"""Speed above which an obstacle may be found to move [m/s]."""
+START = 21.1
+"""Speed statistic above which a velocity is significant: exceeded at rest once in 10,000 frames."""
+_CERTAIN = 100.0
+"""Speed statistic above which an obstacle moves at once."""
+_FLOOR = 0.02
+"""Speed below which a frame shows an obstacle at rest [m/s]."""
+_STOP = 7.8
+"""Speed statistic below which a frame shows an obstacle at rest."""
+_START_FRAMES = 2
+"""Significant frames in a row after which an obstacle moves."""
+_STOP_TIME = 0.1
+"""Time at rest after which an obstacle no longer moves [s]."""
+_OUTLIER = 5.0
+"""Standard deviations beyond which a measurement is an outlier; two in a row are a maneuver."""
+_JUMP = 0.01
+"""Distance at which an obstacle at rest is taken to have been moved [m]."""
+_SETTLING = 0.1
+"""Share of a frame in the place of an obstacle at rest."""
+_STRONG_DOUBT = 0.15
+"""Share of missing points with which a velocity that is only likely is believed."""
+COAST_TIME = 0.5
+"""Time for which a moving obstacle that is not seen keeps its velocity [s]."""
+BLIND_TIME = 0.2
+"""Time without a measurement along an axis after which one at rest has no velocity there [s]."""
 
 
-def first_seen(p_W: FloatArray, noise: FilterNoise) -> MotionEstimate:
+def first_seen(p_W: FloatArray) -> MotionEstimate:
     """Obstacles at p_W (M, 3) [m] of unknown velocity."""
     shape = p_W.shape
     return MotionEstimate(
         p_W,
         np.zeros(shape),
-        np.full(shape, noise.side**2),
+        np.full(shape, SIDE_DEVIATION**2),
         np.zeros(shape),
-        np.full(shape, noise.initial_speed**2),
+        np.full(shape, INITIAL_SPEED**2),
     )
 
 
@@ -95,19 +141,16 @@ def led(
     )
 
 
-def is_outlier(
-    estimate: MotionEstimate, p_W: FloatArray, variance: FloatArray, noise: FilterNoise
-) -> BoolArray:
+def is_outlier(estimate: MotionEstimate, p_W: FloatArray, variance: FloatArray) -> BoolArray:
     """(M, 3) whether a measurement is farther off along an axis than noise explains.
 
     Args:
         estimate: the prediction.
         p_W: (M, 3) measured positions [m]; NaN where there is none.
         variance: (M, 3) of the measurement [m^2].
-        noise: of the filter; `outlier` counts.
     """
     innovation = np.where(np.isfinite(p_W), p_W - estimate.p_W, 0.0)
-    limit = noise.outlier**2 * (estimate.var_p + variance)
+    limit = _OUTLIER**2 * (estimate.var_p + variance)
     return np.asarray(innovation**2 > limit)
 
 
@@ -117,7 +160,6 @@ def unsettled(
     registered: BoolArray,
     p_W: FloatArray,
     dt: float,
-    noise: FilterNoise,
 ) -> MotionEstimate:
     """Forgets how well some obstacles (M,) are known: they do what was not expected.
 
@@ -130,11 +172,10 @@ def unsettled(
         registered: (M, 3) whether the velocity was measured.
         p_W: (M, 3) measured positions [m]; NaN where there is none.
         dt: time since the last frame [s].
-        noise: of the filter.
     """
     jump = np.where(np.isfinite(p_W), p_W - estimate.p_W, 0.0)
-    speed = np.maximum(noise.initial_speed, np.abs(jump) / max(dt, 1e-3) * 0.5)
-    speed = np.minimum(speed, noise.largest_speed)
+    speed = np.maximum(INITIAL_SPEED, np.abs(jump) / max(dt, 1e-3) * 0.5)
+    speed = np.minimum(speed, _LARGEST_SPEED)
     return replace(
         estimate,
         var_p=np.where(which, estimate.var_p + jump**2, estimate.var_p),
@@ -151,30 +192,30 @@ def speed_statistic(estimate: MotionEstimate) -> FloatArray:
 _SHRINKING = 0.99  # of the area of an obstacle that is seen whole, a frame
 
 
-def predicted_tracks(tracks: Tracks, dt: float, config: TrackingConfig) -> Tracks:
+def predicted_tracks(tracks: Tracks, dt: float) -> Tracks:
     """Obstacles dt [s] >= 0 later; those that move take their points along.
 
-    One that was not measured for `TrackingConfig.coast_time` stops where it is then, and
-    all do after a gap of `TrackingConfig.longest_gap`.
+    One that was not measured for `COAST_TIME` stops where it is then, and
+    all do after a gap of `LONGEST_GAP`.
     """
-    gap = dt > config.longest_gap
-    moving = tracks.moving & (tracks.unseen + dt <= config.coast_time) & (not gap)
+    gap = dt > LONGEST_GAP
+    moving = tracks.moving & (tracks.unseen + dt <= COAST_TIME) & (not gap)
     estimate = tracks.estimate
     lost = (tracks.moving & ~moving) | gap
     if lost.any():
         # Nothing is known of what it did meanwhile.
-        rest = first_seen(estimate.p_W, config.filter)
+        rest = first_seen(estimate.p_W)
         parts = {
             name: np.where(lost[:, None], getattr(rest, name), getattr(estimate, name))
             for name in ("v_W", "var_p", "cov_pv", "var_v")
         }
         estimate = MotionEstimate(estimate.p_W, **parts)
     # Where it does not move significantly, noise must not carry it away while hidden.
-    hidden = (tracks.unseen > 0.0)[:, None] | (tracks.blind > config.blind_time)
+    hidden = (tracks.unseen > 0.0)[:, None] | (tracks.blind > BLIND_TIME)
     still = ~moving[:, None] & hidden
     estimate = changed(estimate, v_W=np.where(still, 0.0, estimate.v_W))
-    noise = np.where(moving, config.filter.manoeuvre, config.filter.acceleration)
-    estimate = predicted(estimate, min(dt, config.longest_gap), noise[:, None])
+    noise = np.where(moving, _MANEUVER, _ACCELERATION)
+    estimate = predicted(estimate, min(dt, LONGEST_GAP), noise[:, None])
     step = np.where(moving[:, None], estimate.p_W - tracks.p_shift_W, 0.0)
     return changed(
         tracks,
@@ -191,7 +232,6 @@ def measured_tracks(
     shift: FloatArray,
     spread: FloatArray,
     dt: float,
-    config: TrackingConfig,
 ) -> Tracks:
     """Obstacles after a frame, dt [s] after the one before.
 
@@ -201,23 +241,21 @@ def measured_tracks(
         shift: (M, 3) how far their surfaces have gone since [m]; NaN where nothing tells.
         spread: (M, 3) its variances [m^2].
         dt: see there.
-        config: how obstacles are followed.
     """
-    noise = config.filter
-    p_W, variance = measured_position(seen, tracks.sides, tracks.area, config)
+    p_W, variance = measured_position(seen, tracks.sides, tracks.area)
     estimate, registered = tracks.estimate, np.isfinite(shift)
     if registered.any():
         estimate = led(estimate, shift, spread, dt)
-    off = is_outlier(estimate, p_W, variance, noise)
+    off = is_outlier(estimate, p_W, variance)
     again = off & (tracks.odd > 0)
     if again.any():
-        estimate = unsettled(estimate, again, registered, p_W, dt, noise)
+        estimate = unsettled(estimate, again, registered, p_W, dt)
     p_W = np.where(off & ~again, np.nan, p_W)
     told = np.isfinite(p_W) | registered
     measured: BoolArray = np.asarray(told.any(axis=1))
     estimate = corrected(estimate, p_W, variance)
     whole = seen.ends.all(axis=(1, 2))
-    learned = learned_sides(seen, tracks.sides, estimate.p_W, config.side_learning)
+    learned = learned_sides(seen, tracks.sides, estimate.p_W)
     return _decided(
         changed(
             tracks,
@@ -232,7 +270,6 @@ def measured_tracks(
         measured,
         np.asarray(registered.any(axis=1)),
         dt,
-        config,
     )
 
 
@@ -252,33 +289,31 @@ def with_motion_of(tracks: Tracks, row: int, other: int) -> Tracks:
     return changed(tracks, estimate=estimate, **parts)
 
 
-def _decided(
-    tracks: Tracks, measured: BoolArray, registered: BoolArray, dt: float, config: TrackingConfig
-) -> Tracks:
+def _decided(tracks: Tracks, measured: BoolArray, registered: BoolArray, dt: float) -> Tracks:
     """Decides which obstacles move, and shifts the points of those that do."""
-    noise, estimate = config.filter, tracks.estimate
+    estimate = tracks.estimate
     statistic = speed_statistic(estimate)
     speed = _lengths(estimate.v_W)
     away = estimate.p_W - tracks.p_shift_W
     distance = _lengths(away)
-    doubted = tracks.moving | registered | (tracks.doubt > config.doubt)
-    fast = (speed > noise.start_speed) & measured
-    starts = (statistic > noise.start) & fast
-    starts &= tracks.moving | (doubted & (distance > config.moved))
-    likely = (statistic > noise.stop) & fast & (tracks.doubt > config.strong_doubt)
-    enough = noise.start_frames * noise.patience
-    at_once = registered & (statistic > noise.certain)
-    count = tracks.significant + np.where(starts, np.where(at_once, enough, noise.patience), 1)
+    doubted = tracks.moving | registered | (tracks.doubt > DOUBTED)
+    fast = (speed > _START_SPEED) & measured
+    starts = (statistic > START) & fast
+    starts &= tracks.moving | (doubted & (distance > MOVED))
+    likely = (statistic > _STOP) & fast & (tracks.doubt > _STRONG_DOUBT)
+    enough = _START_FRAMES * PATIENCE
+    at_once = registered & (statistic > _CERTAIN)
+    count = tracks.significant + np.where(starts, np.where(at_once, enough, PATIENCE), 1)
     significant = np.where(starts | likely, count, 0)
-    calm = (statistic < noise.stop) | (speed < noise.floor)
+    calm = (statistic < _STOP) | (speed < _FLOOR)
     still = np.where(calm, tracks.still + dt, 0.0)
     moving = tracks.moving | (significant >= enough)
-    moving &= still < noise.stop_time
+    moving &= still < _STOP_TIME
     # What is at rest is found elsewhere only along what was measured.
     found = np.where(moving[:, None] | (tracks.blind == 0.0), away, 0.0)
-    follows = measured & (moving | (doubted & (_lengths(found) > config.jump)))
+    follows = measured & (moving | (doubted & (_lengths(found) > _JUMP)))
     step = np.where(follows[:, None], found, 0.0)
-    settling = np.where((measured & ~follows)[:, None], config.settling * away, 0.0)
+    settling = np.where((measured & ~follows)[:, None], _SETTLING * away, 0.0)
     return changed(
         tracks,
         moving=moving,

@@ -209,7 +209,6 @@ def test_an_invalid_pose_is_refused(bad):
         ("min_occupancy", 1.5),
         ("min_occupancy", 0),
         ("min_height", 3.0),
-        ("plane_tilt", 2.0),
         ("table_height", np.nan),
         ("stride", True),
     ],

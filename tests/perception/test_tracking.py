@@ -8,11 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drake_oa.common.config import check_values
 from drake_oa.common.messages import ObstacleClouds, TablePlane
 from drake_oa.geometry.pinhole import View
 from drake_oa.geometry.primitives import PosedShapes, RobotShapes
-from drake_oa.perception.config import SegmentationConfig, TrackingConfig
+from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.memory import ObstacleMemory, Tracks, changed
 from drake_oa.perception.segmentation import (
     Segmentation,
@@ -22,7 +21,7 @@ from drake_oa.perception.segmentation import (
 )
 from drake_oa.perception.sides import SeenSides, seen_sides
 from drake_oa.perception.tracking import fuse
-from drake_oa.perception.velocity import first_seen, measured_tracks, predicted_tracks
+from drake_oa.perception.velocity import BLIND_TIME, first_seen, measured_tracks, predicted_tracks
 from tests.reference.depth_images import look_at, rays_of
 
 SHAPE = (240, 320)
@@ -115,10 +114,10 @@ def noisy(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return result.astype(np.float32)
 
 
-def step(memory, depth, stamp, robot=None, *, config=CONFIG, K=K, X_WC=X_WC, tracking=None):
+def step(memory, depth, stamp, robot=None, *, config=CONFIG, K=K, X_WC=X_WC):
     """The memory after one frame more."""
     frame = segment_depth(depth, K, X_WC, config, robot)
-    return fuse(memory, frame, stamp, config, robot, tracking)
+    return fuse(memory, frame, stamp, config, robot)
 
 
 FRAME = 1.0 / 30.0
@@ -424,7 +423,7 @@ def test_a_side_that_faces_the_camera_ends_there_though_the_arm_is_below_it():
     drawn, robot = arm([0.55, 0.1, 0.4], [0.06, 0.4, 0.1])
     depth = render(box([0.0, 0.1, 0.2], [0.1, 0.12, 0.1]), drawn)
     frame = segment_depth(depth, K, X_WC, CONFIG, robot)
-    sides = seen_sides(frame, np.array([0]), np.zeros(1), CONFIG.voxel, TrackingConfig())
+    sides = seen_sides(frame, np.array([0]), np.zeros(1), CONFIG.voxel)
     assert sides.place[0, 0, 1] == pytest.approx(0.05, abs=2e-3)
     assert sides.ends[0, 0, 1]
     # Its lowest side may go on behind the arm.
@@ -463,14 +462,11 @@ def test_nothing_remembered_is_carried_away_by_a_long_occlusion():
 
 
 def test_noise_carries_nothing_away_along_an_axis_of_which_no_side_is_seen():
-    tracking = TrackingConfig()
     sides = np.array([[[-0.1, 0.1], [-0.1, 0.1], [np.nan, 0.1]]])
     ends = np.array([[[True, True], [True, True], [False, False]]])
     tracks = Tracks(
         ids=np.array([0]),
-        estimate=changed(
-            first_seen(np.zeros((1, 3)), tracking.filter), v_W=np.array([[0.0, 0.0, -0.07]])
-        ),
+        estimate=changed(first_seen(np.zeros((1, 3))), v_W=np.array([[0.0, 0.0, -0.07]])),
         shift_W=np.zeros((1, 3)),
         p_shift_W=np.zeros((1, 3)),
         sides=sides,
@@ -489,20 +485,18 @@ def test_noise_carries_nothing_away_along_an_axis_of_which_no_side_is_seen():
     seen = SeenSides(sides, ends, np.full(1, 0.01), np.full(1, 0.003))
     untold = np.full((1, 3), np.nan), np.ones((1, 3))
     for _ in range(90):
-        tracks = predicted_tracks(tracks, FRAME, tracking)
-        tracks = measured_tracks(tracks, seen, *untold, FRAME, tracking)
+        tracks = predicted_tracks(tracks, FRAME)
+        tracks = measured_tracks(tracks, seen, *untold, FRAME)
     assert not tracks.shift_W.any()
     assert not tracks.moving.any()
     np.testing.assert_allclose(tracks.blind, [[0.0, 0.0, 90 * FRAME]])
     # What it had gone until then it has: 0.2 s at 7 cm/s, and a frame.
-    assert abs(tracks.estimate.p_W[0, 2]) < 0.07 * (tracking.blind_time + 2.5 * FRAME)
+    assert abs(tracks.estimate.p_W[0, 2]) < 0.07 * (BLIND_TIME + 2.5 * FRAME)
     # Along what is measured it is found elsewhere.
     moved = replace(seen, place=sides + [[[0.03], [0.0], [0.0]]])
     for _ in range(3):
-        tracks = predicted_tracks(tracks, FRAME, tracking)
-        tracks = measured_tracks(
-            changed(tracks, doubt=np.full(1, 0.1)), moved, *untold, FRAME, tracking
-        )
+        tracks = predicted_tracks(tracks, FRAME)
+        tracks = measured_tracks(changed(tracks, doubt=np.full(1, 0.1)), moved, *untold, FRAME)
     np.testing.assert_allclose(tracks.shift_W, [[0.03, 0.0, 0.0]], atol=6e-3)
 
 
@@ -614,12 +608,6 @@ def test_the_same_frames_give_the_same_memory():
 def test_a_stamp_that_is_none_is_refused(stamp):
     with pytest.raises(ValueError, match="stamp"):
         step(ObstacleMemory(), render(BLOCK), stamp)
-
-
-@pytest.mark.parametrize("name", ["gate", "coast_time", "same_radius"])
-def test_parameters_that_cannot_be_are_refused(name):
-    with pytest.raises(ValueError, match=name):
-        check_values(TrackingConfig(**{name: -1.0}))
 
 
 @settings(max_examples=12)
