@@ -21,6 +21,10 @@ from drake_oa.policy.orientation_dmp import imitate_orientation
 
 SAMPLES = 201
 """Of a path that is imitated."""
+LONGEST = 2.0
+"""Longest time of a motion that imitates a path, if the joints can, in demonstrated durations."""
+SPEED_SHARE = 0.5
+"""Greatest share of the speed limits of the joints in a motion that imitates a path."""
 _SMOOTH = (0.04, 0.02, 0.01)
 """Widths of the filter that rounds a path's corners, in shares of it, the widest first."""
 _N_BASIS = 100
@@ -34,7 +38,7 @@ def demonstration(
     *,
     pace: float,
     longest: float = math.inf,
-    share: float = 0.5,
+    share: float = SPEED_SHARE,
     alpha_k: float = ALPHA_K,
 ) -> Demonstration:
     """What a path of corners becomes: rounded, in minimum-jerk time, and imitated.

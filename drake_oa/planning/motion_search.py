@@ -40,9 +40,9 @@ from drake_oa.planning.arm_world import (
     tool_poses,
 )
 from drake_oa.planning.goal_postures import FARTHEST, goal_postures, nearest_free_place
-from drake_oa.planning.imitation import demonstration
+from drake_oa.planning.imitation import LONGEST, demonstration
 from drake_oa.planning.joint_planner import plan_path
-from drake_oa.planning.search import SAMPLES, ArmSearch, Earlier, Leading
+from drake_oa.planning.search import ASTRAY, MISSED, SAMPLES, ArmSearch, Earlier, Leading
 from drake_oa.planning.sides import Sides, taken
 from drake_oa.planning.solid_scene import SolidScene
 from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
@@ -59,6 +59,12 @@ _LED = 201
 """Samples by which the arm is led along a motion."""
 _PATHS = 4
 """So many paths to the same postures are tried, where the arm cannot go what imitates one."""
+_SELF_CLEARANCE, _LEAST_KEPT = 0.005, 1e-3
+"""Requested distance of the arm to itself, and least distance to anything [m]."""
+_SEEK_PERIOD = 0.5
+"""Time between searches for a path in the joints while no motion will do [s]."""
+_SHARES, _GOAL_SEEDS = (0.5, 0.2), 128
+"""Shares of the requested clearances that are tried in turn, and random seeds of goal postures."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +213,7 @@ class MotionSearch:
         self._q_goal, self._is_tool = q_goal, spheres.of_tool[spheres.first[:-1]]
         self._overshoot = np.zeros(len(spheres.group_joint)) if overshoot is None else overshoot
         # What spheres that keep less may touch: groups, and the tool's and the links' together.
-        self._touch = parameters.least_kept - self._overshoot
+        self._touch = _LEAST_KEPT - self._overshoot
         moved = spheres.group_joint >= 0
         parts = (self._is_tool & moved, ~self._is_tool & moved)
         self._touch_of_parts = np.array([self._touch[of].min(initial=np.inf) for of in parts])
@@ -245,7 +251,7 @@ class MotionSearch:
         if goes_on and rests and here.goal_note:
             # No motion leads there, as long as nothing changes.
             return replace(here, note=here.goal_note)
-        due = sight.time - here.planned >= self._parameters.seek_period
+        due = sight.time - here.planned >= _SEEK_PERIOD
         plans = rests and due and not sight.scene.moves
         # Who waits at rest does not wait for the best, and a plan may follow.
         hasty = plans and policy.phase == 1.0 and not here.hasty
@@ -288,8 +294,7 @@ class MotionSearch:
     def _world(self, sight: Sight, ends: FloatArray, share: float = 1.0) -> ArmWorld:
         """Tool and links among the solids, with what now and the ends (m, n) leave them."""
         solids, now = sight.scene.solids, sight.time
-        spheres, p = self._spheres, self._parameters
-        is_tool = self._is_tool
+        spheres, p, is_tool = self._spheres, self._parameters, self._is_tool
         asked = np.where(is_tool, self._clearance, min(p.link_clearance, self._clearance))
         table = np.tile(share * asked[:, None], (1, len(solids.ball)))
         around = solids.layout[:, 5] == SURROUNDINGS
@@ -302,10 +307,10 @@ class MotionSearch:
             )
         table = np.minimum(table, left - p.slack)
         table[spheres.group_joint < 0] = -np.inf
-        of_self = min(p.self_clearance, self._own(sight.q) - p.slack)
+        of_self = min(_SELF_CLEARANCE, self._own(sight.q) - p.slack)
         if len(ends):
             own = max(self._own(q) for q in ends)
-            of_self = min(of_self, max(own, p.least_kept) - p.slack)
+            of_self = min(of_self, max(own, _LEAST_KEPT) - p.slack)
         return ArmWorld(self._chain, spheres, solids, Asked(table, of_self, is_tool), now)
 
     def _dmp_of(self, choice: Choice) -> Dmp:
@@ -398,9 +403,9 @@ class MotionSearch:
         if arm.excess[0].argmin() == SELF:
             near = -1
         short = max(-float(arm.least[0]) - self._search.slack, 0.0)
-        follows = float(arm.error[0]) <= self._parameters.missed and float(arm.hurry[0]) <= 1.0
+        follows = float(arm.error[0]) <= MISSED and float(arm.hurry[0]) <= 1.0
         baseline = float(search.scenes.baseline[0])
-        follows &= float(tool.goal_error[0]) <= self._search.astray * baseline
+        follows &= float(tool.goal_error[0]) <= ASTRAY * baseline
         moving = sight.scene.moves
         tau = math.exp(genes[TAU]) if moving else 1.0
         if not moving:
@@ -475,8 +480,8 @@ class MotionSearch:
         None: there is none that is clear.
         """
         p = self._parameters
-        attempts = [(share, p.configurations) for share in (1.0, *p.shares)]
-        attempts.append((min(p.shares, default=1.0), p.last_configurations))
+        attempts = [(share, p.configurations) for share in (1.0, *_SHARES)]
+        attempts.append((min(_SHARES), p.last_configurations))
         # To the task's own posture first: the tool turns no farther than it has to.
         own, others = self._goals(sight, 0), None
         for share, most in attempts:
@@ -484,7 +489,7 @@ class MotionSearch:
             if choice is not None:
                 return choice, True
             # They take a while to find.
-            others = self._goals(sight, p.goal_seeds)[len(own) :] if others is None else others
+            others = self._goals(sight, _GOAL_SEEDS)[len(own) :] if others is None else others
             choice = self._path_to(others, share, most, here, sight)
             if choice is not None:
                 return choice, True
@@ -512,15 +517,11 @@ class MotionSearch:
         self, corners: FloatArray, here: Choice, sight: Sight, world: ArmWorld
     ) -> Choice | None:
         """The motion that imitates a path in the joints; None: the arm cannot go it."""
-        p, duration = self._parameters, self._dmp.duration
+        duration, alpha_k = self._dmp.duration, self._dmp.alpha_k
+        pace = duration / max(math.dist(sight.p_WG, sight.policy.p_WE), 1e-3)
         try:
             shown = demonstration(
-                world,
-                corners,
-                pace=duration / max(math.dist(sight.p_WG, sight.policy.p_WE), 1e-3),
-                longest=p.longest * duration,
-                share=p.speed_share,
-                alpha_k=self._dmp.alpha_k,
+                world, corners, pace=pace, longest=LONGEST * duration, alpha_k=alpha_k
             )
         except ValueError:
             # The tool turns too far for one primitive.
@@ -530,8 +531,7 @@ class MotionSearch:
 
     def _clears(self, choice: Choice, sight: Sight) -> bool:
         """Whether a motion touches nothing, as far as its spheres tell: they stick out."""
-        least = self._parameters.least_kept
-        if choice.kept[SELF] <= min(least, self._own(sight.q) - self._parameters.slack):
+        if choice.kept[SELF] <= min(_LEAST_KEPT, self._own(sight.q) - self._parameters.slack):
             return False
         return bool((choice.kept[:2] > self._touch_of_parts).all())
 

@@ -61,6 +61,8 @@ _COSTS = Thinking()
 """Whatever decisions cost in a scenario: what is decided does not depend on it."""
 MISSED = 2e-3
 """The arm follows a path of the tool if it misses it nowhere by more [m, rad]."""
+ASTRAY = 0.1
+"""Distance from the goal beyond which the end of a motion is no arrival, in baselines."""
 FORBIDDEN = 1e3
 """Added to the cost of a motion on a side of infinite price."""
 _HELD = 0.1

@@ -26,10 +26,6 @@ class SearchParameters:
     # when it is this near to the goal [m].
     slack: float = number(2e-4, "m", 0.0, 0.1)
     tolerance: float = number(6e-4, "m", 0.0, 0.1)
-    # Normalised time by which it has to arrive, from s = 0, or one more than the present one.
-    horizon: float = number(2.0, "1", 1.0, 100.0)
-    # How far from the goal its end is no arrival at all, in baselines.
-    astray: float = number(0.1, "1", 0.0, 10.0)
     # Steps of a roll-out a unit of normalised time.
     steps: int = count(500, 50, 100_000)
     # The coupling fades within this share of the baseline before the goal.
@@ -77,17 +73,8 @@ class Verified:
     # and goal leave is asked but for as much [m]; it has arrived when it is this near [m].
     slack: float = number(5e-4, "m", 0.0, 0.1)
     tolerance: float = number(6e-4, "m", 0.0, 0.1)
-    # Normalised time by which it has to arrive, from s = 0, or one more than the present one.
-    horizon: float = number(2.0, "1", 1.0, 100.0)
-    # How far from the goal its end is no arrival at all, in baselines, and by how much the arm
-    # may miss the tool's pose on the way [m, rad].
-    astray: float = number(0.1, "1", 0.0, 10.0)
-    missed: float = number(2e-3, "m", 0.0, 0.1)
-    # What links keep of everything, and the tool of the cell itself; what the arm keeps of itself;
-    # and the least that is gone on with where what is asked cannot be kept [m].
+    # What links keep of everything, and the tool of the cell itself [m].
     link_clearance: float = number(0.03, "m", 0.0, 1.0)
-    self_clearance: float = number(0.005, "m", 0.0, 0.1)
-    least_kept: float = number(1e-3, "m", 0.0, 1.0)
     # What a side costs at which a ring of one's own is 1, which forbids it, or at less its share of
     # it: so much longer another way may be, in baselines.
     ring_price: float = number(0.5, "1", 0.0, 100.0)
@@ -95,21 +82,13 @@ class Verified:
     # something moves [s]: less than a camera's period. One that costs more goes on with the next
     # observation.
     frame: float = number(0.028, "s", 0.0, 100.0)
-    # How often a path in the joints is looked for while none of the motions will do [s]; among how
-    # many configurations, for all that is asked, then for these shares of it, and at last for
-    # the smallest share among so many; and to how many random postures at the goal.
-    seek_period: float = number(0.5, "s", 0.0, 100.0)
+    # Among how many configurations a path in the joints is looked for where none of the motions
+    # will do, and among how many for the least clearance.
     configurations: int = count(20_000, 0, 10_000_000)
-    shares: list[float] = dc.field(default_factory=lambda: [0.5, 0.2])
     last_configurations: int = count(200_000, 0, 10_000_000)
-    goal_seeds: int = count(128, 0, 1000)
-    # With what share of the joints' greatest speeds it is gone at most, and in how many of the
-    # demonstrated durations, where the joints can.
-    speed_share: float = number(0.5, "1", 0.0, 1.0, open_low=True)
-    longest: float = number(2.0, "1", 0.0, 100.0, open_low=True)
 
     def search(self, steps: int, fade: float) -> SearchParameters:
         """As the search of the tool's motions takes it."""
-        shared = ("candidates", "rounds", "polish", "slack", "tolerance", "horizon", "astray")
+        shared = ("candidates", "rounds", "polish", "slack", "tolerance")
         given = {name: getattr(self, name) for name in shared}
         return SearchParameters(**given, steps=steps, fade=fade)

@@ -62,6 +62,8 @@ PRICE = 100.0
 GOAL_PRICE = 30.0
 MISS, TOUCH = 2.0, 50.0
 """Cost of not arriving, and of touching an obstacle."""
+_HORIZON = 2.0
+"""Normalised time by which a motion arrives, from s = 0, or one more than the present one."""
 LATE = 0.05
 """Cost of a unit of normalised time after s = 1."""
 HURRY = 0.02
@@ -178,7 +180,7 @@ def roll_out(
         dmp=dmp,
         steps=parameters.steps,
         end=max(1.0, scenes.s),
-        horizon=max(parameters.horizon, scenes.s + 1.0),
+        horizon=max(_HORIZON, scenes.s + 1.0),
         fade=parameters.fade,
         tolerance=parameters.tolerance,
         longest=longest,

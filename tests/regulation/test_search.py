@@ -247,7 +247,6 @@ def test_a_turn_about_the_normal_goes_to_the_side() -> None:
         {"steps": 10},
         {"slack": -1.0},
         {"tolerance": float("nan")},
-        {"horizon": 0.5},
     ],
 )
 def test_parameters_are_checked(wrong: dict[str, float]) -> None:
