@@ -53,8 +53,6 @@ def make_cost_ring_selector(scenario: Scenario) -> CostRingSelector:
 
     return CostRingSelector(
         scenario.task.clearance,
-        period=policy.route_period,
-        n_directions=policy.ring_directions,
         table_height=policy.table_height,
         workspace=workspace if reach else None,
         joint_limits=joint_limits if reach else None,

@@ -26,9 +26,6 @@ class Policy:
     # The coupling fades within this share of the baseline before the goal; 0: it does not, as
     # printed.
     fade: float = number(0.3, "1", 0.0, 1.0)
-    # Directions on a cost ring, and how often the route is reconsidered [s].
-    ring_directions: int = count(36, 4, 720)
-    route_period: float = number(1.0 / 15.0, "s", 1e-3, 10.0)
     # Height of the tool point above the table below which a route is forbidden [m].
     table_height: float = number(0.05, "m", 0.0, 10.0)
     # The motion is held when the last good observation is older than this [s].

@@ -4,8 +4,8 @@ In: `EllipsoidSet` and `PolicyState` in the world, the goal (3,) [m], and the ta
 known apart. Out: `Route`: for each obstacle the direction omega_d across the baseline, the heading
 v_d, the normal of the plane in which it is passed, and the clearance to be led at.
 
-System: `CostRingSelector`, every `policy.route_period` (15 Hz by default), with hysteresis; the
-headings follow the motion at each step.
+System: `CostRingSelector`, 15 times a second, with hysteresis; the headings
+follow the motion at each step.
 
 A cost ring (Pairet et al., RA-L 2019, section IV-D) is a cost in [0, 1] of each direction of a
 circle about the baseline: length of the detour, table, limits of the workspace and of the joints;
@@ -14,7 +14,7 @@ sequence of least total, by dynamic programming.
 
 - `cost_rings`: the rings. `side_choice`: groups of obstacles, legs between them, the choice.
 
-The configuration is in the block `policy`: `ring_directions`, `route_period`, `table_height`.
+The configuration is in the block `policy`: `table_height`.
 
 Begin with `side_choice.select_directions`.
 """

@@ -83,7 +83,6 @@ class CostRingSelector(LeafSystem):
         asked_clearance: float,
         *,
         period: float = 1.0 / 15.0,
-        n_directions: int = 36,
         table_height: float = 0.05,
         workspace: Margin | None = None,
         joint_limits: Margin | None = None,
@@ -96,7 +95,6 @@ class CostRingSelector(LeafSystem):
         Args:
             asked_clearance: asked distance Delta between tool and obstacle [m].
             period: time between decisions [s].
-            n_directions: directions on a ring.
             table_height: least height of E above the table [m].
             workspace: signed margin [m] of world points (..., 3), positive inside;
                 None: no workspace ring.
@@ -108,19 +106,15 @@ class CostRingSelector(LeafSystem):
             hysteresis: how much dearer a side may be and still be kept.
 
         Raises:
-            ValueError: if the clearance or the period is not finite and positive, or
-                there is no direction.
+            ValueError: if the clearance or the period is not finite and positive.
         """
         super().__init__()
         if not 0.0 < asked_clearance < math.inf:
             raise ValueError(
                 f"asked_clearance must be finite and positive [m], not {asked_clearance}"
             )
-        if n_directions < 1:
-            raise ValueError(f"n_directions must be at least 1, not {n_directions}")
         period = valid_period(period)
         self._asked_clearance = asked_clearance
-        self._n_directions = n_directions
         self._hysteresis = hysteresis
         self._rings: dict[str, Ring] = {
             "table": partial(table_ring, height=table_height),
@@ -178,7 +172,6 @@ class CostRingSelector(LeafSystem):
             ellipsoids,
             table,
             asked_clearance=self._asked_clearance,
-            n_directions=self._n_directions,
         )
         decided: Route = context.get_abstract_state(self._decided).get_value()
         known = dict(zip(decided.ids.tolist(), decided.index.tolist(), strict=True))

@@ -17,6 +17,8 @@ _SURFACE_GAP = 0.01
 """How far a link may come into a surface between the points that ground truth has of it [m]."""
 
 
+_GIVEN_PERIOD = 1.0 / 15.0
+"""Time between observations of given ellipsoids [s]."""
 _ODD = 0x9E3779B97F4A7C15
 """The golden ratio's 64 bits: seeds apart by multiples of it have little in common."""
 
@@ -69,7 +71,7 @@ def perception_period(scenario: Scenario) -> float:
     if isinstance(source, CameraSource):
         return 1.0 / camera_configs(scenario, source)[0].fps
     if isinstance(source, GivenEllipsoids):
-        return scenario.policy.route_period
+        return _GIVEN_PERIOD
     return source.period
 
 
