@@ -82,14 +82,9 @@ class SphereParameters:
     overshoot: float = _number(0.003, "m", 0.0, 0.1, open_low=True)
     tool_overshoot: float = _number(0.004, "m", 0.0, 0.1, open_low=True)
     fixed_overshoot: float = _number(0.02, "m", 0.0, 0.1, open_low=True)
-    # Spheres of a body at most; where more were needed they stick out farther.
-    most: int = _count(200, 1, 100_000)
-    # Random postures within the joints' limits. A pair that touches in the first share of them is
-    # of neighbours; one whose spheres overlap in the second, and whose shapes never touch, has
-    # an allowance; more rarely tells too little.
+    # Random postures within the joints' limits in which pairs of bodies that may touch are found,
+    # and their seed.
     postures: int = _count(2000, 1, 1_000_000)
-    always: float = _number(0.95, "1", 0.0, 1.0)
-    often: float = _number(0.02, "1", 0.0, 1.0)
     seed: int = _count(0, 0, 2**31)
 
 

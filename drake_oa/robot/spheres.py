@@ -28,6 +28,12 @@ _CLUSTER = 8
 _BALL_STEPS = 300
 _LOW, _FEW = 0.05, 30
 """What of the postures is not most of them, and how many tell too little."""
+_MOST = 200
+"""Most spheres of a body; where more are needed they stick out farther."""
+_ALWAYS = 0.95
+"""Share of the random postures in which the shapes of neighbours touch."""
+_OFTEN = 0.02
+"""Share of the random postures with overlapping spheres from which a pair has an allowance."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +148,7 @@ def make_arm_spheres(
         asked = parameters.overshoot if index in moved else parameters.fixed_overshoot
         if body.name() in tool_links:
             asked = parameters.tool_overshoot
-        covers.append(known_cover(solids, asked, max(parameters.most, len(solids))))
+        covers.append(known_cover(solids, asked, max(_MOST, len(solids))))
         X_JB.append(in_joint_frame(plant, context, poses, moved, index))
     joint = np.array([moved.get(index, -1) for index in bodies], dtype=np.int64)
     is_tool = np.array([plant.get_body(index).name() in tool_links for index in bodies])
@@ -292,9 +298,9 @@ def _with_pairs_found(
     reports, allowance, kept = [], np.zeros(len(row)), np.ones(len(row), dtype=bool)
     shares = touch.mean(axis=0), (apart < 0.0).mean(axis=0)
     for (i, j), p in row.items():
-        kept[p] = shares[0][p] < parameters.always
+        kept[p] = shares[0][p] < _ALWAYS
         overlap = np.flatnonzero((apart[:, p] < 0.0) & ~touch[:, p])
-        if kept[p] and len(overlap) >= max(_FEW, parameters.often * len(postures)):
+        if kept[p] and len(overlap) >= max(_FEW, _OFTEN * len(postures)):
             slack = [true_distance(int(k), i, j) - float(apart[k, p]) for k in overlap]
             allowance[p] = max(0.0, 2.0 * min(slack) - float(np.quantile(slack, _LOW)))
         names = (plant.get_body(bodies[i]).name(), plant.get_body(bodies[j]).name())

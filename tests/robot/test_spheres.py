@@ -343,7 +343,7 @@ def test_overlap_that_means_nothing_is_allowed_for(tmp_path: Path) -> None:
     found = make_arm_spheres(robot, np.zeros(6), ["link6"], coarse)
     allowed = [pair for pair in found.looked_at if pair.allowance > 0.0]
     assert allowed
-    assert all(pair.spheres_touching - pair.touching >= coarse.often for pair in allowed)
+    assert all(pair.spheres_touching - pair.touching >= 0.02 for pair in allowed)
     # In postures that were not looked at either.
     check_against_scene_graph(robot, np.zeros(6), found, 7, 10)
 
