@@ -12,7 +12,7 @@ from drake_oa.diagrams.planning import Rings, add_motion_selector
 from drake_oa.diagrams.policy import add_orientation, make_dmp, make_kept_orientation
 from drake_oa.diagrams.station import Cell
 from drake_oa.regulation.config import Verified
-from drake_oa.regulation.proposal_network import load_proposer
+from drake_oa.regulation.proposal_network import load_proposals
 from drake_oa.regulation.regressor import ChainWeights, check_action_level, load_chain
 from drake_oa.regulation.regressor_chain import RegressorChain, Scaling
 from drake_oa.scenario.scenario import Scenario
@@ -32,7 +32,7 @@ def add_regulation(
     """
     regulation = scenario.regulation
     if isinstance(regulation, Verified):
-        add_motion_selector(wires, scenario, cell, _loaded(scenario, load_proposer), rings)
+        add_motion_selector(wires, scenario, cell, _loaded(scenario, load_proposals), rings)
         if "desired_orientation" not in wires and cell is not None:
             add_orientation(wires, make_kept_orientation(scenario))
         return

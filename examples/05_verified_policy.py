@@ -8,7 +8,7 @@ from drake_oa.common.messages import CouplingParameters, EllipsoidSet
 from drake_oa.policy.coupling import ALPHA, KAPPA, NORMAL, PSI
 from drake_oa.policy.dmp import imitate, local_frame, minimum_jerk
 from drake_oa.policy.dmp_integrator import DmpIntegrator
-from drake_oa.regulation.proposal_network import load_proposer
+from drake_oa.regulation.proposal_network import load_proposals
 from drake_oa.regulation.rollout import SpatialScenes
 from drake_oa.regulation.search import verify
 from drake_oa.scenario.shipped import package_file
@@ -32,7 +32,7 @@ def main() -> None:
         v_WO=np.zeros((1, 2, 3)),
         asked_clearance=np.full((1, 2), CLEARANCE),
     )
-    proposer = load_proposer(package_file("package://drake_oa/weights/proposals.safetensors"))
+    proposer = load_proposals(package_file("package://drake_oa/weights/proposals.safetensors"))
     dmp = imitate(*minimum_jerk(START, GOAL, duration=DURATION))
     found = verify(scene, proposer, duration=DURATION, dmp=dmp)
     # One avoidance term about a point of its own: it belongs to neither ball.

@@ -100,7 +100,7 @@ def test_wheel_has_what_a_run_reads(names: set[str]) -> None:
         "models/panda/meshes/panda.mtl",
         "models/obstacles/cardboard_box.sdf",
         "models/scenes/tabletop_box.dmd.yaml",
-        "models/weights/regressor_chain.safetensors",
+        "models/weights/proposals.safetensors",
         "diagrams/avoidance.py",
         "diagrams/tabletop_box.scenario.yaml",
     ):

@@ -11,9 +11,8 @@ reads its signature for the options and its docstring for the help, which is wri
     benchmark           real-time factors, layers, decisions (`drake_oa.benchmark`)
     evaluate            methods on suites of scenes (`drake_oa.studies`); below it `panda`, `mbm`,
                         `table1` and so on, the paper's tables and figures (`paper_tables`),
-                        `confidence`, what its chain says of itself, and
                         `kept`, the figure of what they asked for and kept
-    train               the regressor chain (`drake_oa.training`)
+    train               the networks (`drake_oa.training`)
 
 A module is imported when its command is asked for, and what computes when it is needed: `--help`
 and `scenarios` import neither NumPy nor Drake. Tables and progress are rich's on a terminal and

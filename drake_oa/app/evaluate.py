@@ -33,8 +33,6 @@ Methods = Annotated[tuple[str, ...], Parameter(name="--method")]
 
 evaluate = App(name="evaluate")
 evaluate.command("drake_oa.app.kept:kept", name="kept")
-evaluate.command("drake_oa.app.proposals:proposals", name="proposals")
-evaluate.command("drake_oa.app.confidence:confidence", name="confidence")
 for _name in ("table1", "table2", "table3", "figure_familiar", "figure_dead_zone"):
     evaluate.command(f"drake_oa.app.paper_tables:{_name}", name=_name)
 
@@ -85,8 +83,6 @@ def synthetic(
 
       paper                the paper's own regressor chain, as `table2` reads it
       verified             proposals checked by roll-outs, as the running system does
-      verified_constant    the same with a chain that always proposes the same, to tell
-                           what the trained networks add
       original             the coupling term that the paper starts from
       movement_primitives  the package of that name (pip install 'drake_oa[peers]')
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 def train(
     *,
-    recipe: Literal["project", "paper", "paper_running", "proposals", "confidence"] = "project",
+    recipe: Literal["proposals", "paper", "paper_running"] = "proposals",
     out: Path = Path("weights"),
     seed: int = 0,
     iterations: int | None = None,
@@ -16,41 +16,37 @@ def train(
     checkpoint: Path | None = None,
     restart: bool = False,
 ) -> int:
-    """Train the networks.
+    """Train a network and write its weights.
 
-    Trains a regressor chain, or the network that leads the search, on roll-outs of the action
-    level, and writes its weights.
+    Without a recipe, train the network of the default scenario. The training data are simulated
+    motions; no file is needed.
 
-      proposals the network that `regulation: !Verified` is led by: proposals.safetensors
+      proposals      the network that seeds the search of `regulation: !Verified`:
+                     proposals.safetensors
+      paper          the regressor chains of the paper, on the paper's training set, with its
+                     Table I: paper_chain.safetensors, RC(lambda', Delta), and
+                     paper_chain_unconstrained.safetensors, RC(lambda')
+      paper_running  the same chain RC(lambda', Delta), trained on the motions of this program,
+                     for `regulation: !Paper`: paper_chain_running.safetensors
 
-      project   a chain that can lead it too: regressor_chain.safetensors
-      paper     the paper's two chains on the paper's own training set, with its Table I:
-                paper_chain.safetensors, RC(lambda', Delta), and
-                paper_chain_unconstrained.safetensors, RC(lambda')
-
-      paper_running  the paper's lattice and networks on the running system's action level,
-                which `regulation: !Paper` uses: paper_chain_running.safetensors
-
-      confidence  how likely the shipped paper_chain_running.safetensors keeps what is asked: the
-                same file, its networks as they are. paper_running ends with it, too.
-
-    What was computed is kept in a folder, OUT/RECIPE.checkpoint, until the end. After an
-    interruption the same command goes on from there, to the same result.
+    Intermediate results are stored in a folder, OUT/RECIPE.checkpoint, until the training ends.
+    After an interruption the same command resumes there and gives the same result.
 
     For example:
 
         drake-oa train --out weights
+        drake-oa train --iterations 500 --out trial
         drake-oa train --recipe paper --out weights --seed 1
 
     Args:
         recipe: which network.
         out: folder of the weights.
-        seed: of split, scatter and first weights.
-        iterations: steps a network at most; of proposals, scenes a round; of confidence, passes
-            over its scenes (a shorter trial).
-        device: where the networks are trained; auto: CUDA where torch finds it, else CPU.
-        checkpoint: another folder for what was computed.
-        restart: discard what an interrupted training has kept.
+        seed: random seed of the data and of the initial weights.
+        iterations: limit for a shorter trial: optimization steps of each network; with the
+            recipe proposals, scenes of each round.
+        device: where the networks are trained; auto: CUDA if torch finds it, else the CPU.
+        checkpoint: folder of the intermediate results.
+        restart: discard the intermediate results of an interrupted training.
     """
     # Numba and SciPy take a second to import, which `drake-oa --help` need not wait for.
     try:
@@ -58,7 +54,7 @@ def train(
     except ModuleNotFoundError as error:
         if error.name != "torch":
             raise
-        raise ValueError("training takes torch: pip install 'drake_oa[train]'") from None
+        raise ValueError("training requires torch: pip install 'drake_oa[train]'") from None
 
     return session.train(
         recipe,

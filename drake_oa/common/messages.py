@@ -283,8 +283,6 @@ class CouplingParameters(Frozen):
         verified: whether the rows are terms of their own, about `center_W`, which a look at the
             true shapes has chosen: they belong to no ellipsoid, and none holds the motion.
         original: whether they are of the original term (eq. 7).
-        confidence: (M,) probability that the motion with each row's term keeps what is asked
-            (`drake_oa.regulation.confidence`); (0,): not told.
     """
 
     alpha: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -299,7 +297,6 @@ class CouplingParameters(Frozen):
     anew: bool = False
     verified: bool = False
     original: bool = False
-    confidence: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     def __len__(self) -> int:
         return len(self.alpha)

@@ -197,7 +197,6 @@ class ArmSearch(Search):
                 found.goal_error,
                 found.path_length,
                 found.steps,
-                found.world_margin,
             ]
         )
         return Ranked(genes, cost.reshape(1, n), outcome.reshape(1, n, len(OUTCOME)))
@@ -223,11 +222,11 @@ class ArmSearch(Search):
 
         Where something moves, the unmodulated motion at other paces besides: to wait is a way.
         """
-        seeds = self.bounded(np.arange(1), self.seeds[None])
+        seeds = self.bounded(self.seeds[None])
         if self.world_moves:
             paced = np.zeros((1, len(_PACES), N_GENES))
             paced[:, :, ALPHA], paced[:, :, TAU] = -np.inf, _PACES
-            seeds = np.concatenate([seeds, self.bounded(np.arange(1), paced)], axis=1)
+            seeds = np.concatenate([seeds, self.bounded(paced)], axis=1)
         if len(self.seeds) and not self.afresh:
             return seeds, np.ones(1, dtype=bool)
         genes, in_range = super().proposals(proposer)
@@ -242,7 +241,6 @@ class ArmSearch(Search):
     def tool_paths(self, genes: FloatArray) -> SpatialRollouts:
         """The tool's motions of candidates (n, 7)."""
         scene = np.zeros(len(genes), dtype=np.int64)
-        self.rollouts += len(genes)
         return roll_out(
             self.empty,
             scene,
@@ -287,8 +285,7 @@ class ArmSearch(Search):
         """Length over L, and small prices; above `BAD` where the motion does not arrive."""
         p, L = self.parameters, float(self.scenes.baseline[0])
         missed = np.maximum(np.minimum(found.goal_error, L) - p.tolerance, 0.0)
-        outside = np.maximum(-found.world_margin, 0.0)
-        bad = (GOAL_PRICE * missed + PRICE * outside) / L + MISS * (missed > 0.0)
+        bad = GOAL_PRICE * missed / L + MISS * (missed > 0.0)
         price = np.where(genes[:, ALPHA] > -np.inf, price_at(self.price, genes[:, ANGLE]), 0.0)
         bad += np.where(np.isinf(price), FORBIDDEN, 0.0)
         price = np.where(np.isinf(price), 0.0, price)

@@ -20,9 +20,8 @@ Method
     many at a time by loops over vectors.
 
 Parts, in the order data flows: `network` (a perceptron, and the file of weights), `regressor` and
-`regressor_chain` (the paper's), `confidence` (how likely it keeps what is asked), `proposals`
-(candidates and their genes), `proposal_network`, `rollout` with `rollout_kernels` and `lane_math`
-(the motions), `search` (the choice).
+`regressor_chain` (the paper's), `proposals` (candidates and their genes), `proposal_network`,
+`rollout` with `rollout_kernels` and `lane_math` (the motions), `search` (the choice).
 
 Configuration: the block `regulation` of a scenario, tagged `!Verified` or `!Paper`.
 

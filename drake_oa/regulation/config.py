@@ -19,9 +19,6 @@ class SearchParameters:
     # Rounds of the search at most, and after the first motion that keeps the clearance.
     rounds: int = count(60, 0, 1000)
     polish: int = count(6, 0, 1000)
-    # How often scenes whose clearance is not kept are searched again, with twice as many
-    # candidates and steps: once as before, then on every side by itself (seconds a decision).
-    retries: int = count(0, 0, 10)
     # A motion keeps the clearance when it is short of it by no more than this, and has arrived
     # when it is this near to the goal [m].
     slack: float = number(2e-4, "m", 0.0, 0.1)
@@ -62,8 +59,7 @@ class Paper:
 class Verified:
     """Motions that roll-outs of the whole arm among the true shapes have checked."""
 
-    # What leads the search, a proposal network or a regressor chain: package:// URL, or file
-    # relative to this one.
+    # Proposal network that seeds the search: package:// URL, or file relative to this one.
     weights: str = "package://drake_oa/weights/proposals.safetensors"
     # Motions that are rolled out a round; rounds at most, and after the first that will do.
     candidates: int = count(32, 8, 4096)

@@ -44,7 +44,8 @@ def read_arrays(path: Path) -> tuple[dict[str, Any], str | None]:
     if not path.is_file():
         raise FileNotFoundError(
             f"no weights file {path}: train one with `drake-oa train --out {path.parent}`, "
-            "or use package://drake_oa/weights/regressor_chain.safetensors, which is shipped"
+            "or name a shipped one, package://drake_oa/weights/proposals.safetensors or "
+            "paper_chain_running.safetensors"
         )
     try:
         with safe_open(path, "numpy") as file:

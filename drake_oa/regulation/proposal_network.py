@@ -32,12 +32,9 @@ from drake_oa.regulation.proposals import (
     ANGLE,
     N_GENES,
     NO_PRICE,
-    ChainProposals,
-    Proposer,
     ladder,
     price_at,
 )
-from drake_oa.regulation.regressor import check_action_level, load_chain
 from drake_oa.regulation.rollout import SceneArrays, SpatialScenes
 from drake_oa.route.cost_rings import LEAST_SPREAD
 
@@ -323,8 +320,8 @@ def load_proposals(path: str | Path) -> ProposalNetwork:
     metadata = json.loads(header) if header else {}
     if metadata.get("format") != _FORMAT:
         raise ValueError(
-            f"{path} is no proposal network ('{_FORMAT}'); `drake-oa train --recipe proposals` "
-            "writes one"
+            f"{path} is no proposal network ('{_FORMAT}'): `drake-oa train` writes one, and "
+            "package://drake_oa/weights/proposals.safetensors is shipped"
         )
     n_in, found = N_OBSTACLE + N_STATE, []
     for name in LAYERS:
@@ -334,24 +331,3 @@ def load_proposals(path: str | Path) -> ProposalNetwork:
         found += [np.ascontiguousarray(one, np.float32) for one in (matrix, bias)]
         n_in = 2 * n_out + N_STATE if name == "each_2" else n_out
     return ProposalNetwork(Layers(*found), metadata)
-
-
-def load_proposer(path: str | Path) -> Proposer:
-    """What a weights file holds: a proposal network, or a regressor chain that proposes.
-
-    Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: as `load_proposals` and `load_chain` do, and for a chain of other inputs than
-            four.
-    """
-    _, header = read_arrays(Path(path))
-    if header and json.loads(header).get("format") == _FORMAT:
-        return load_proposals(path)
-    chain = load_chain(path)
-    if chain.lower.size != 4:
-        raise ValueError(
-            f"{path}: a chain of {chain.lower.size} inputs cannot lead a search; it must have four "
-            "(`drake-oa train --recipe project`), or be a proposal network (--recipe proposals)"
-        )
-    check_action_level(chain, path)
-    return ChainProposals(chain)

@@ -7,11 +7,8 @@ Parameter Regressor" of the paper)::
     Y2: (h, kappa)      -> psi
     Y3: (h, kappa, psi) -> alpha
 
-The paper's input is h = (lambda1', lambda2', Delta), or h = (lambda1', lambda2') for the
-chain that knows of no clearance. The project's own chain has a fourth input, the place
-of the obstacle's centre along the baseline: the same parameters that keep the clearance
-from an obstacle in the middle fall short of it, or touch, nearer to the start, where the
-motion is slow and has little way left to turn.
+The input is h = (lambda1', lambda2', Delta), or h = (lambda1', lambda2') for the chain
+that knows of no clearance.
 
 Lengths are divided by the baseline L, since the coupling law is scale free:
 h/L -> (kappa L^2, psi, alpha) is one map for every L. alpha is counted per
@@ -32,14 +29,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from drake_oa.common.messages import (
-    BoolArray,
     CouplingParameters,
     EllipsoidSet,
     FloatArray,
     Frozen,
 )
 from drake_oa.geometry.superquadric import log_inside_outside
-from drake_oa.regulation.confidence import Confidence, confidence_arrays, confidence_of
 from drake_oa.regulation.network import (
     Network,
     array_of,
@@ -60,83 +55,6 @@ _OUTLINE = 90
 
 _PARALLEL = 1e-6
 """Sine of the angle below which two directions do not span a plane."""
-
-
-@numba.njit(cache=True, fastmath=False)
-def clamp_rows(
-    extents: FloatArray,
-    clearance: FloatArray,
-    position: FloatArray,
-    baseline: float,
-    lower: FloatArray,
-    upper: FloatArray,
-    axis1: FloatArray,
-    axis2: FloatArray,
-    axis3: FloatArray,
-    table: FloatArray,
-    columns: FloatArray,
-) -> tuple[BoolArray, BoolArray, bool]:
-    """Moves queries into the trained range and tells which were inside.
-
-    Args:
-        extents: (M, 2) lambda1', lambda2' [m].
-        clearance: (M,) Delta [m]; 0 where no coupling is needed.
-        position: (M,) where along the baseline the centre is [m].
-        baseline: L [m].
-        lower: (d,) least values of lambda1'/L, lambda2'/L, Delta/L and, if d = 4,
-            position/L.
-        upper: (d,) greatest values.
-        axis1: (n,) increasing lambda1'/L of the table; empty: no table.
-        axis2: (m,) increasing lambda2'/L.
-        axis3: (p,) increasing position/L.
-        table: (n, m, p) largest attainable Delta/L, interpolated linearly.
-        columns: (>= d, M) takes the moved queries in its first d rows.
-
-    Returns:
-        (M,) whether the query was inside (or needs no coupling), (M,) whether coupling is
-        needed, and whether all values are valid: finite, extents positive, clearances
-        not negative.
-    """
-    inside = np.ones(len(extents), dtype=np.bool_)
-    needed = np.ones(len(extents), dtype=np.bool_)
-    asked = np.empty(4)
-    weight = np.empty((3, 2))
-    for row in range(len(extents)):
-        asked[0], asked[1] = extents[row, 0] / baseline, extents[row, 1] / baseline
-        asked[2], asked[3] = clearance[row] / baseline, position[row] / baseline
-        for k in range(len(lower)):
-            columns[k, row] = min(max(asked[k], lower[k]), upper[k])
-        valid = asked[0] > 0.0 and asked[1] > 0.0 and asked[2] >= 0.0
-        if not valid or not math.isfinite(asked[0] + asked[1] + asked[2] + asked[3]):
-            return inside, needed, False
-        needed[row] = clearance[row] > 0.0
-        if not needed[row]:
-            continue
-        moved = 0.0
-        if len(axis1):
-            i = _locate(axis1, columns[0, row], weight[0])
-            j = _locate(axis2, columns[1, row], weight[1])
-            k = _locate(axis3, columns[3, row], weight[2])
-            limit = 0.0
-            for corner in range(8):
-                a, b, c = corner & 1, (corner >> 1) & 1, corner >> 2
-                share = weight[0, a] * weight[1, b] * weight[2, c]
-                limit += share * table[i + a, j + b, k + c]
-            columns[2, row] = min(columns[2, row], max(limit, lower[2]))
-            moved = max(0.0, lower[2] - limit)
-        for k in range(len(lower)):
-            moved = max(moved, abs(asked[k] - columns[k, row]))
-        inside[row] = moved <= _ROUNDING
-    return inside, needed, True
-
-
-@numba.njit(cache=True, fastmath=False)
-def _locate(axis: FloatArray, x: float, weight: FloatArray) -> int:
-    """Cell of x in an increasing axis, and the weights of its two ends."""
-    i = min(max(int(np.searchsorted(axis, x)) - 1, 0), len(axis) - 2)
-    weight[1] = (x - axis[i]) / (axis[i + 1] - axis[i])
-    weight[0] = 1.0 - weight[1]
-    return i
 
 
 @numba.njit(cache=True, fastmath=False)
@@ -192,39 +110,18 @@ TARGETS = ("kappa", "psi", "alpha")
 
 
 @dataclass(frozen=True, eq=False)
-class ClearanceLimit(Frozen):
-    """The largest clearance that training found attainable, per ellipse.
-
-    Attributes:
-        lambda1: (n,) increasing lambda1'/L; empty where nothing was recorded.
-        lambda2: (m,) increasing lambda2'/L.
-        position: (p,) increasing place of the centre along the baseline, in L.
-        clearance: (n, m, p) largest attainable Delta/L.
-    """
-
-    lambda1: FloatArray = field(default_factory=lambda: np.zeros(0))
-    lambda2: FloatArray = field(default_factory=lambda: np.zeros(0))
-    position: FloatArray = field(default_factory=lambda: np.zeros(0))
-    clearance: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 0)))
-
-
-@dataclass(frozen=True, eq=False)
 class ChainWeights(Frozen):
     """The three networks of the chain, what they accept, and where they come from.
 
     Attributes:
         networks: the networks by target name, see `TARGETS`.
-        lower: (d,) least lambda1'/L, lambda2'/L and, if d >= 3, Delta/L and, if d = 4,
-            position/L of the training set.
+        lower: (d,) least lambda1'/L, lambda2'/L and, if d = 3, Delta/L of the training set.
         upper: (d,) the greatest of them.
         input_scale: (d,) factors on the inputs before the networks (2 on lambda' for a
             chain trained on full widths).
         log_targets: targets that the chain handles (learns, and hands on as inputs)
             as their natural logarithm.
-        limit: largest attainable clearance.
         metadata: units, ranges, recipe, configuration, seed, NMSE, version, date, source digest.
-        confidence: how likely its motions keep what is asked; None: it was not measured, and is
-            not told.
     """
 
     networks: Mapping[str, Network]
@@ -232,16 +129,13 @@ class ChainWeights(Frozen):
     upper: FloatArray
     input_scale: FloatArray
     log_targets: frozenset[str] = frozenset()
-    limit: ClearanceLimit = field(default_factory=ClearanceLimit)
     metadata: Mapping[str, Any] = field(default_factory=dict)
-    confidence: Confidence | None = None
 
     def evaluate(self, inputs: FloatArray) -> FloatArray:
         """The bare chain, without any check of its range.
 
         Args:
-            inputs: (N, d) lambda1'/L, lambda2'/L and, if d >= 3, Delta/L and, if d = 4,
-                position/L.
+            inputs: (N, d) lambda1'/L, lambda2'/L and, if d = 3, Delta/L.
 
         Returns:
             (N, 3) alpha, psi, kappa L^2.
@@ -267,17 +161,11 @@ class ChainWeights(Frozen):
         )
 
     def parameters(
-        self,
-        extents: ArrayLike,
-        clearance: ArrayLike,
-        baseline: float,
-        position: ArrayLike | None = None,
-        beside: ArrayLike = 0.0,
+        self, extents: ArrayLike, clearance: ArrayLike, baseline: float
     ) -> CouplingParameters:
         """Coupling parameters for obstacles of given section, in physical units.
 
-        A query outside the trained range, or for a clearance that training found
-        out of reach, is evaluated at the nearest input inside and flagged.
+        A query outside the trained range is evaluated at the nearest input inside and flagged.
 
         Args:
             extents: (M, 2) lambda' along and across the baseline [m], see
@@ -286,11 +174,6 @@ class ChainWeights(Frozen):
                 no coupling is needed, and alpha is 0. A chain of two inputs knows no more
                 of it.
             baseline: distance L from start to goal [m].
-            position: where along the baseline the centres are, from the start, one for
-                all or (M,) [m]; None: in the middle. A chain of two or three inputs does
-                not use it, its confidence does.
-            beside: how far from the baseline the centres are, one for all or (M,) [m]; of use
-                to the confidence alone.
 
         Returns:
             One row an obstacle.
@@ -302,65 +185,41 @@ class ChainWeights(Frozen):
         extents = np.asarray(extents, dtype=float)
         if extents.ndim != 2 or extents.shape[1] != 2:
             raise ValueError(f"extents must have the shape (M, 2), not {extents.shape}")
-        asked = _per_row("clearance", clearance, len(extents))
+        asked = np.asarray(clearance, dtype=float)
+        if asked.shape not in ((), (len(extents),)):
+            raise ValueError(
+                f"clearance must be one number or ({len(extents)},), not {asked.shape}"
+            )
+        asked = np.broadcast_to(asked, len(extents))
         if not 0.0 < baseline < np.inf:
             raise ValueError(f"baseline must be finite and positive [m], not {baseline}")
-        place = _per_row("position", 0.5 * baseline if position is None else position, len(extents))
         if not len(extents):
             return CouplingParameters()
+        lengths = np.column_stack((extents, asked))
+        # Over a tiny baseline a finite length may overflow.
+        with np.errstate(over="ignore"):
+            query = lengths / baseline
+        good = np.isfinite(query).all(axis=1) & (query[:, :2] > 0.0).all(axis=1) & (asked >= 0.0)
+        if not good.all():
+            row = int(np.argmin(good))
+            lambda1, lambda2, delta = lengths[row].tolist()
+            raise ValueError(
+                "extents must be positive, clearances not negative, and both finite [m]; "
+                f"row {row} has extents {lambda1} and {lambda2}, clearance {delta}"
+            )
+        query = query[:, : len(self.lower)]
+        inside = np.clip(query, self.lower, self.upper)
+        needed = asked > 0.0
+        in_range = ~needed | (np.abs(query - inside).max(axis=1) <= _ROUNDING)
         columns = np.empty((len(self.lower) + 3, len(extents)))
-        table = self.limit
-        in_range, needed, valid = clamp_rows(
-            extents,
-            asked,
-            place,
-            baseline,
-            self.lower,
-            self.upper,
-            table.lambda1,
-            table.lambda2,
-            table.position,
-            table.clearance,
-            columns,
-        )
-        if not valid:
-            raise ValueError(_first_bad_row(extents, asked, place, baseline))
+        columns[:-3] = inside.T
         alpha, psi, kappa = self._evaluate_columns(columns)
         # A linear output may leave what it was trained on (the print has a log-sigmoid).
         alpha, kappa = np.maximum(alpha, 0.0), np.maximum(kappa, 0.0)
         psi = np.maximum(psi, _NARROWEST)
         alpha *= needed
         kappa /= baseline * baseline
-        confidence = np.zeros(0)
-        if self.confidence is not None:
-            aside = _per_row("beside", beside, len(extents))
-            descriptor = np.column_stack((extents, asked, place, aside)) / baseline
-            confidence = np.where(needed, self.confidence.probability(descriptor), 1.0)
-        return CouplingParameters(alpha, psi, kappa, in_range, confidence=confidence)
-
-
-def _per_row(name: str, value: ArrayLike, n_rows: int) -> FloatArray:
-    array = np.asarray(value, dtype=float)
-    if array.shape == (n_rows,):
-        return array
-    if array.shape:
-        raise ValueError(f"{name} must be one number or ({n_rows},), not {array.shape}")
-    return np.full(n_rows, array)
-
-
-def _first_bad_row(
-    extents: FloatArray, clearance: FloatArray, position: FloatArray, baseline: float
-) -> str:
-    values = np.column_stack((extents, clearance, position))
-    # Over a tiny baseline a finite length may overflow.
-    with np.errstate(over="ignore"):
-        good = np.isfinite(values.sum(axis=1) / baseline) & (extents / baseline > 0.0).all(axis=1)
-    row = int(np.argmin(good & (clearance >= 0.0)))
-    lambda1, lambda2, asked, place = values[row].tolist()
-    return (
-        "extents must be positive, clearances not negative, and both and positions finite [m]; "
-        f"row {row} has extents {lambda1} and {lambda2}, clearance {asked}, position {place}"
-    )
+        return CouplingParameters(alpha, psi, kappa, in_range)
 
 
 def section_extents(
@@ -409,11 +268,7 @@ def save_chain(chain: ChainWeights, path: str | Path) -> None:
     arrays: dict[str, FloatArray] = {}
     for name, network in chain.networks.items():
         arrays |= network_arrays(name, network)
-    if chain.confidence is not None:
-        arrays |= confidence_arrays(chain.confidence)
     arrays |= {key: getattr(chain, key) for key in ("lower", "upper", "input_scale")}
-    if chain.limit.lambda1.size:
-        arrays |= {f"limit_{key}": getattr(chain.limit, key) for key in _LIMIT}
     own = {"format": _FORMAT, "log_targets": sorted(chain.log_targets)}
     header = json.dumps({**chain.metadata, **own})
     write_arrays(path, arrays, header)
@@ -425,12 +280,12 @@ def check_action_level(weights: ChainWeights, path: str | Path) -> None:
     if unit != "1/T":
         raise ValueError(
             f"{path} counts alpha in {unit}, for the released code's action level; the policy "
-            "needs a chain of `drake-oa train --recipe project` or paper_running"
+            "needs a chain of `drake-oa train --recipe paper_running`"
         )
 
 
 def load_chain(path: str | Path) -> ChainWeights:
-    """Reads a chain written by `save_chain`, of two, three or four inputs.
+    """Reads a chain written by `save_chain`, of two or three inputs.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -452,29 +307,15 @@ def load_chain(path: str | Path) -> ChainWeights:
     if not log_targets <= set(TARGETS):
         raise ValueError(f"{path}: log_targets holds {sorted(log_targets)}, valid are {TARGETS}")
     lower = array_of(path, arrays, "lower", (None,))
-    if lower.size not in (2, 3, 4):
-        raise ValueError(f"{path}: 'lower' has {lower.size} entries, it must have 2, 3 or 4")
+    if lower.size not in (2, 3):
+        raise ValueError(f"{path}: 'lower' has {lower.size} entries, it must have 2 or 3")
     upper, scale = (array_of(path, arrays, key, lower.shape) for key in ("upper", "input_scale"))
     if not ((lower < upper).all() and (scale != 0.0).all()):
         raise ValueError(f"{path}: 'upper' must exceed 'lower', and 'input_scale' not be zero")
-    limit = ClearanceLimit()
-    if any(f"limit_{key}" in arrays for key in _LIMIT):
-        axes = [array_of(path, arrays, f"limit_{key}", (None,)) for key in _LIMIT[:3]]
-        shape = tuple(axis.size for axis in axes)
-        if min(shape) < 2 or not all((np.diff(axis) > 0.0).all() for axis in axes):
-            raise ValueError(f"{path}: limit_lambda1, _lambda2 and _position must increase")
-        if lower.size < 4:
-            raise ValueError(f"{path}: a chain of {lower.size} inputs has no 'limit_clearance'")
-        table = array_of(path, arrays, "limit_clearance", shape)
-        limit = ClearanceLimit(axes[0], axes[1], axes[2], table)
     networks = {
         name: network_of(path, arrays, name, lower.size + i) for i, name in enumerate(TARGETS)
     }
-    confidence = confidence_of(path, arrays)
-    return ChainWeights(
-        networks, lower, upper, scale, log_targets, limit, metadata, confidence=confidence
-    )
+    return ChainWeights(networks, lower, upper, scale, log_targets, metadata)
 
 
 _FORMAT = "drake_oa regressor chain 1"
-_LIMIT = ("lambda1", "lambda2", "position", "clearance")

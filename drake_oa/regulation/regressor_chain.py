@@ -36,8 +36,7 @@ class RegressorChain(LeafSystem):
     - policy_state: abstract `PolicyState` of the movement primitive. The P-plane through it
       cuts the obstacles: lambda'.
     - coupling_parameters: abstract `CouplingParameters`, M rows of alpha, psi, kappa about the
-      obstacles' centres, whether the query lay in the range that the chain was trained for, and
-      the probability that the motion keeps what is asked (none of the original term).
+      obstacles' centres, and whether the query lay in the range that the chain was trained for.
 
     There is no state. The output is computed when it is asked for, once for each
     change of the inputs. While start and goal coincide (no motion has been set yet)
@@ -115,11 +114,7 @@ class RegressorChain(LeafSystem):
             )
         else:
             extents = section_extents(policy.p_WE, policy.z_W, policy.R_WL, ellipsoids)
-            p_SO_L = (ellipsoids.p_WO - policy.p_WS) @ policy.R_WL
-            beside = np.hypot(p_SO_L[:, 1], p_SO_L[:, 2])
-            found = self._weights.parameters(
-                extents, self._asked_clearance, baseline, p_SO_L[:, 0], beside
-            )
+            found = self._weights.parameters(extents, self._asked_clearance, baseline)
         if self._scaling == "route":
             return found
         tau = 1.0

@@ -12,7 +12,7 @@ motion may have come nearer.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache, cached_property, lru_cache
 from typing import NamedTuple
 
@@ -23,7 +23,6 @@ from numpy.typing import ArrayLike
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
 from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.common.thinking import count
-from drake_oa.geometry.annulus import ANYWHERE, Annulus
 from drake_oa.geometry.ellipsoid_kernels import feasible_clearance
 from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
 from drake_oa.policy.dmp import Dmp, imitate, minimum_jerk, spring_flow
@@ -53,7 +52,6 @@ from drake_oa.regulation.rollout_kernels import (
     TAKEN,
     TERM_KAPPA,
     TERM_PSI,
-    WORLD,
     WRONG_TERMS,
     ZX,
     ZY,
@@ -70,14 +68,13 @@ from drake_oa.regulation.rollout_kernels import (
     point_distance,
     second_half,
     turn_lanes,
-    world_margin,
 )
 
 STEPS = 500
 """Default number of steps a unit of normalised time."""
-N_OUTCOMES = 6
-"""Columns of what a row came to: margin, clearance, goal error, path length, steps, world margin;
-see `drake_oa.regulation.rollout.SpatialRollouts`."""
+N_OUTCOMES = 5
+"""Columns of what a row came to: margin, clearance, goal error, path length, steps; see
+`drake_oa.regulation.rollout.SpatialRollouts`."""
 FEW_BLOCKS = 4
 """Up to as many are rolled out by the calling thread: to wake others takes longer."""
 _VECTOR = 8
@@ -86,7 +83,7 @@ before they could become loops over vectors."""
 
 
 class SceneArrays(NamedTuple):
-    """S scenes, see `drake_oa.regulation.rollout.SpatialScenes`; a plane's n = 0: none."""
+    """S scenes, see `drake_oa.regulation.rollout.SpatialScenes`."""
 
     p_WE: FloatArray
     z_W: FloatArray
@@ -98,9 +95,6 @@ class SceneArrays(NamedTuple):
     semi_axes: FloatArray
     v_WO: FloatArray
     asked_clearance: FloatArray
-    plane: FloatArray
-    radii: FloatArray
-    axis: FloatArray
 
 
 class Course(NamedTuple):
@@ -129,15 +123,11 @@ class Course(NamedTuple):
 
 
 class Outcomes(NamedTuple):
-    """What N rows came to: (N, 6); positions and z, (N, n + 1, 3) or, not asked for, (0, 1, 3)."""
+    """What N rows came to: (N, 5); positions and z, (N, n + 1, 3) or, not asked for, (0, 1, 3)."""
 
     table: FloatArray
     path: FloatArray
     velocity: FloatArray
-
-
-def _no_plane() -> FloatArray:
-    return np.zeros((0, 4))
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,8 +146,6 @@ class SpatialScenes(Frozen):
         v_WO: (S, M, 3) velocities of the centres [m/s].
         asked_clearance: (S, M) clearance Delta asked of each [m].
         s: normalised time now, one for all.
-        plane: (S, 4) unit normal n_W and the least n . p that is allowed, or (0, 4).
-        annulus: where the motions may go.
     """
 
     p_WE: FloatArray
@@ -171,19 +159,16 @@ class SpatialScenes(Frozen):
     v_WO: FloatArray
     asked_clearance: FloatArray
     s: float = 0.0
-    plane: FloatArray = field(default_factory=_no_plane)
-    annulus: Annulus = ANYWHERE
 
     def __len__(self) -> int:
         return len(self.p_WE)
 
     def rows(self, index: ArrayLike) -> SpatialScenes:
         """Some of the scenes, by indices or a mask."""
-        shared = {"s", "annulus"} | ({"plane"} if not len(self.plane) else set())
         chosen = {
             item.name: getattr(self, item.name)[np.asarray(index)]
             for item in fields(self)
-            if item.name not in shared
+            if item.name != "s"
         }
         return replace(self, **chosen)
 
@@ -203,10 +188,7 @@ class SpatialScenes(Frozen):
     @cached_property
     def arrays(self) -> SceneArrays:
         """As the kernels take them."""
-        plane = self.plane if len(self.plane) else np.zeros((len(self), 4))
-        values = {item.name: getattr(self, item.name) for item in fields(self)}
-        values |= {"plane": plane} | self.annulus._asdict()
-        return SceneArrays(*kernel_arrays(*(values[name] for name in SceneArrays._fields)))
+        return SceneArrays(*kernel_arrays(*(getattr(self, n) for n in SceneArrays._fields)))
 
     @property
     def p_WS(self) -> FloatArray:
@@ -228,8 +210,6 @@ class SpatialRollouts(Frozen):
         goal_error: (N,) distance to the goal at the end [m].
         path_length: (N,) [m].
         steps: (N,) steps taken until it arrived, or all of them.
-        world_margin: (N,) least margin to the plane and the workspace, over what start
-            and goal have themselves where that is negative [m]; inf where there are none.
         path: (N, n + 1, 3) positions [m], NaN after the end; (0, 1, 3) unless asked for.
         velocity: (N, n + 1, 3) scaled velocities z there [m].
     """
@@ -239,7 +219,6 @@ class SpatialRollouts(Frozen):
     goal_error: FloatArray
     path_length: FloatArray
     steps: FloatArray
-    world_margin: FloatArray
     path: FloatArray
     velocity: FloatArray
 
@@ -337,11 +316,9 @@ def spatial_rollouts(  # noqa: PLR0913
     )
     per_row = np.array(np.broadcast_to(np.asarray(seconds, dtype=float), (N,)))
     lane_kernel(index, table, per_row, scenes.arrays, course, out)
-    margin, kept, goal_error, path_length, taken, world = (np.array(c) for c in out.table.T)
+    margin, kept, goal_error, path_length, taken = (np.array(c) for c in out.table.T)
     count(searches=1, steps=int(taken.sum()) * max(scenes.p_WO.shape[1], 1))
-    return SpatialRollouts(
-        margin, kept, goal_error, path_length, taken, world, out.path, out.velocity
-    )
+    return SpatialRollouts(margin, kept, goal_error, path_length, taken, out.path, out.velocity)
 
 
 def _check_terms(terms: FloatArray, count: int) -> None:
@@ -368,8 +345,6 @@ def _laid_out(
     )
     slow = zx**2 + zy**2 + zz**2 < (20.0 * course.tolerance) ** 2
     ends = error > course.longest[s] or (course.least <= 0 and error < course.tolerance and slow)
-    annulus = Annulus(scenes.radii, (scenes.axis[0], scenes.axis[1]))
-    world = world_margin(x, y, z, scenes.plane, s, annulus)
     n = -(-len(rows) // _VECTOR) * _VECTOR
     for i in range(n):
         # A short block repeats its last row.
@@ -378,7 +353,6 @@ def _laid_out(
         S[X + i], S[Y + i], S[Z + i] = x, y, z
         S[ZX + i], S[ZY + i], S[ZZ + i] = zx, zy, zz
         S[ALIVE + i], S[ENDS + i] = 1.0, 1.0 if ends else 0.0
-        S[WORLD + i] = world
         S[CLOSEST + i] = S[MARGIN + i] = np.inf
         S[CX + i], S[CY + i], S[CZ + i] = term[0], term[1], term[2]
         S[NX + i], S[NY + i], S[NZ + i] = term[NORMAL], term[NORMAL + 1], term[NORMAL + 2]
@@ -424,18 +398,13 @@ def _block(
     widest_vectors()
     s = scene[rows[0]]
     n_steps, M, L = len(course.force), scenes.p_WO.shape[1], scenes.baseline[s]
-    plane, R_WL = scenes.plane, scenes.R_WL
-    # A tuple within a tuple cannot be handed to threads.
-    annulus = Annulus(scenes.radii, (scenes.axis[0], scenes.axis[1]))
+    R_WL = scenes.R_WL
     flow = (course.flow[0], course.flow[1], course.flow[2], course.flow[3])
     longest, shortest = course.longest[s], course.shortest[s]
     gx, gy, gz = scenes.p_WG[s, 0], scenes.p_WG[s, 1], scenes.p_WG[s, 2]
     goal = (gx, gy, gz)
     x, y, z = scenes.p_WE[s, 0], scenes.p_WE[s, 1], scenes.p_WE[s, 2]
     inverse_reach2 = 1.0 / (course.fade * L) ** 2 if course.fade > 0.0 else 0.0
-    at_start = world_margin(x, y, z, plane, s, annulus)
-    at_goal = world_margin(gx, gy, gz, plane, s, annulus)
-    bounded, has_annulus = at_goal < np.inf, annulus.radii.shape[1] > 0
     S = np.zeros(N_STATE)
     n = _laid_out(rows, s, terms, seconds, scenes, course, S)
     keeps = len(out.path) > 0
@@ -503,18 +472,8 @@ def _block(
                 come_nearer(
                     n, S, D[j], k + 1.0, center, velocity, turned, (a[0], a[1], a[2]), shortest
                 )
-        if bounded and has_annulus:
-            for i in range(n):
-                margin = world_margin(S[X + i], S[Y + i], S[Z + i], plane, s, annulus)
-                S[WORLD + i] = min(S[WORLD + i], margin)
-        elif bounded:
-            nx, ny, nz, level = plane[s, 0], plane[s, 1], plane[s, 2], plane[s, 3]
-            for i in range(n):
-                margin = nx * S[X + i] + ny * S[Y + i] + nz * S[Z + i] - level
-                S[WORLD + i] = min(S[WORLD + i], margin)
         going = end_lanes(n, S)
 
-    allowed = min(0.0, at_start, at_goal)
     for i in range(len(rows)):
         margin, closest = np.inf, np.inf
         for j in range(M):
@@ -533,7 +492,6 @@ def _block(
         found[0], found[1] = margin, closest
         found[2] = math.sqrt(dx * dx + dy * dy + dz * dz)
         found[3], found[4] = S[LENGTH + i], S[TAKEN + i]
-        found[5] = S[WORLD + i] - allowed if bounded else np.inf
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=STRICT)

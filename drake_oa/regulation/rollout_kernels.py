@@ -13,7 +13,6 @@ from numba import njit
 
 from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray
-from drake_oa.geometry.annulus import Annulus
 from drake_oa.policy.coupling import ALPHA, GUIDANCE_ALPHA, KAPPA, NORMAL, PSI
 from drake_oa.regulation.lane_math import (
     STRICT,
@@ -43,17 +42,17 @@ _LEAST_C = 1e-14
 
 # Rows of a block's state, one after the other in one array: with offsets known, the compiler
 # sees that they do not overlap. Position, z, what came of it, whether the lane goes on.
-STATE = tuple(range(0, 42 * LANES, LANES))
-X, Y, Z, ZX, ZY, ZZ, LENGTH, TAKEN, ALIVE, ENDS, WORLD, CLOSEST, MARGIN = STATE[:13]
+STATE = tuple(range(0, 41 * LANES, LANES))
+X, Y, Z, ZX, ZY, ZZ, LENGTH, TAKEN, ALIVE, ENDS, CLOSEST, MARGIN = STATE[:12]
 # In the middle of the step.
-PX, PY, PZ, WX, WY, WZ, WEIGHT, STRENGTH = STATE[13:21]
+PX, PY, PZ, WX, WY, WZ, WEIGHT, STRENGTH = STATE[12:20]
 # The avoidance term, seconds a step.
-CX, CY, CZ, NX, NY, NZ, TERM_PSI, INVERSE_PSI, TERM_KAPPA, LOG_GAIN, SECONDS = STATE[21:32]
+CX, CY, CZ, NX, NY, NZ, TERM_PSI, INVERSE_PSI, TERM_KAPPA, LOG_GAIN, SECONDS = STATE[20:31]
 # From the centre of an obstacle in its axes, multiplier.
-Y0, Y1, Y2, T = STATE[32:36]
+Y0, Y1, Y2, T = STATE[31:35]
 # On the way to the turn.
-SINE, COSINE, THETA, C, GROWN, TURN = STATE[36:]
-N_STATE = 42 * LANES
+SINE, COSINE, THETA, C, GROWN, TURN = STATE[35:]
+N_STATE = 41 * LANES
 
 # Rows of a block's account of one obstacle: the least distance, a bound of the clearance
 # that counts as feasible, the last multiplier, and the plane that touches it there.
@@ -114,29 +113,6 @@ def point_distance(
     if gauge2 <= 1.0:
         return (math.sqrt(gauge2) - 1.0) * min(a0, a1, a2), t
     return outside_distance(y0, y1, y2, a0, a1, a2, t)
-
-
-@lane_jit
-def world_margin(
-    x: float, y: float, z: float, plane: FloatArray, s: int, annulus: Annulus
-) -> float:
-    """Signed margin of a point to the plane and the workspace; inf where there are neither."""
-    margin = np.inf
-    if plane[s, 0] != 0.0 or plane[s, 1] != 0.0 or plane[s, 2] != 0.0:
-        margin = plane[s, 0] * x + plane[s, 1] * y + plane[s, 2] * z - plane[s, 3]
-    radii, axis = annulus
-    n = radii.shape[1]
-    if n == 0:
-        return margin
-    dx, dy = x - axis[0], y - axis[1]
-    radius = math.sqrt(dx * dx + dy * dy)
-    heights = radii[0]
-    i = min(max(int(np.searchsorted(heights, z)) - 1, 0), n - 2)
-    share = min(max((z - heights[i]) / (heights[i + 1] - heights[i]), 0.0), 1.0)
-    inner = radii[1, i] + share * (radii[1, i + 1] - radii[1, i])
-    outer = radii[2, i] + share * (radii[2, i + 1] - radii[2, i])
-    beyond = min(z - heights[0], heights[n - 1] - z)
-    return min(margin, radius - inner, outer - radius, beyond)
 
 
 # --- steps -------------------------------------------------------------------------------

@@ -7,18 +7,13 @@ that keeps most. A round rolls out as many candidates a scene as `SearchParamete
 proposals first, then variations of the best so far, a plain evolution strategy. Its
 random numbers are the same for every scene and call, so a scene gets the same choice whatever
 else is asked for.
-
-Where the arm that holds the tool cannot follow the shortest motion, longer ones are wanted that
-differ: `survey` draws from all over the ranges of the genes, on every side, rolls out with coarse
-steps, and verifies the cheapest of each side and size of detour as any other.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -51,10 +46,6 @@ _FIRST_FRESH = 6
 _LINES = ((0.2, 5), (0.1, 1))
 """Of the best and the second best of a round: share of the candidates, and least number of them,
 that differ from it in alpha only."""
-_WINDOW = 1.2 * np.pi
-"""Half the angle in which a side is looked for, times the number of sides."""
-_SPREAD = 1024
-"""Candidates all over the ranges that such a search begins with, on each side."""
 BAD = 10.0
 """Added to the cost of a motion that does not keep the clearance or does not arrive."""
 PRICE = 100.0
@@ -76,25 +67,6 @@ _MUCH = 0.02
 """By how much another motion has to cost less than one in use that will do."""
 
 
-_SIDES = 8
-"""Into how many sides a search of every side is divided."""
-_SURVEYED = 512
-"""Candidates a side of a survey."""
-_COARSE = 250
-"""Steps a unit of normalised time that they are rolled out with."""
-_GENTLE = 8.0
-"""Largest ln alpha that is drawn: a stronger term holds the motion back before it lets it go."""
-_DETOURS = np.array([1.05, 1.15, 1.3, 1.6])
-"""Lengths over the distance that is left, between which detours are of one size."""
-_LATER = 0.5
-"""Cost of a unit of normalised time after s = 1: among the cheapest of all sides and sizes of
-detour there are some that creep."""
-_SHARE = 0.8
-"""Share that is to be kept of what start and goal have, where that is less."""
-_MISSED = 0.1
-"""A motion arrives when it ends this near to the goal, in baselines."""
-
-
 @dataclass(frozen=True, eq=False)
 class SearchResult(Frozen):
     """What was chosen in S scenes.
@@ -105,58 +77,21 @@ class SearchResult(Frozen):
         terms: (S, 13) their avoidance terms, rows as `spatial_rollouts` takes them.
         tau: (S,) temporal scaling: path length over the baseline, at least 1; among
             moving obstacles the one that was verified.
-        end: (S,) normalised time at which the motion arrives.
         kept_clearance: (S,) least distance to any obstacle on the way [m].
         shortfall: (S,) what is missing of the feasible clearance [m]; 0 where it is kept.
-        kept: (S,) whether it is kept, the world's limits too, and the goal reached.
-        goal_error: (S,) distance to the goal at the end [m].
+        kept: (S,) whether it is kept and the goal reached.
         path_length: (S,) [m].
         in_range: (S,) whether the proposer was asked for what it was trained for.
-        cost: (S,) path length over the baseline and small prices; 10 and more where not kept.
-        steps: (S,) steps a unit of normalised time that it was verified with.
-        rollouts: number of trajectories that it took.
     """
 
     genes: FloatArray
     terms: FloatArray
     tau: FloatArray
-    end: FloatArray
     kept_clearance: FloatArray
     shortfall: FloatArray
     kept: BoolArray
-    goal_error: FloatArray
     path_length: FloatArray
     in_range: BoolArray
-    cost: FloatArray
-    steps: IntArray
-    rollouts: int
-
-    def rows(self, index: BoolArray | IntArray) -> SearchResult:
-        """Some of the scenes, by a mask or indices."""
-        columns: dict[str, Any] = {"rollouts": self.rollouts}
-        for item in fields(self):
-            if item.name not in columns:
-                columns[item.name] = getattr(self, item.name)[index]
-        return SearchResult(**columns)
-
-    @staticmethod
-    def joined(parts: Sequence[SearchResult]) -> SearchResult:
-        """Scenes after one another."""
-        columns: dict[str, Any] = {"rollouts": sum(part.rollouts for part in parts)}
-        for item in fields(SearchResult):
-            if item.name not in columns:
-                columns[item.name] = np.concatenate([getattr(part, item.name) for part in parts])
-        return SearchResult(**columns)
-
-    def replaced(self, index: IntArray, other: SearchResult) -> SearchResult:
-        """With the scenes of an index (n,) as the other one (n scenes) has them."""
-        columns: dict[str, Any] = {"rollouts": self.rollouts + other.rollouts}
-        for item in fields(self):
-            if item.name not in columns:
-                column = np.array(getattr(self, item.name))
-                column[index] = getattr(other, item.name)
-                columns[item.name] = column
-        return SearchResult(**columns)
 
 
 def roll_out(
@@ -220,7 +155,7 @@ class Ranked:
         )
 
 
-OUTCOME = ("margin", "kept_clearance", "goal_error", "path_length", "steps", "world_margin")
+OUTCOME = ("margin", "kept_clearance", "goal_error", "path_length", "steps")
 """What is kept of a roll-out, see `SpatialRollouts`."""
 
 
@@ -239,17 +174,16 @@ def _costs(
     baseline: FloatArray,
     genes: FloatArray,
     outcome: FloatArray,
-    world_margin: FloatArray,
     moving: BoolArray,
     previous: FloatArray,
     allowed: _Tolerances,
     out: FloatArray,
 ) -> None:
-    """What N candidates cost, see `Search.cost`; outcome: the first columns of `OUTCOME`."""
+    """Writes the costs of N candidates, see `Search.cost`; outcome: the columns of `OUTCOME`."""
     for row in range(len(scene)):
         k, L = scene[row], baseline[scene[row]]
         margin, kept, goal_error, length, steps = outcome[row]
-        short = max(-margin - allowed.slack, 0.0) + max(-world_margin[row], 0.0)
+        short = max(-margin - allowed.slack, 0.0)
         missed = max(min(goal_error, L) - allowed.tolerance, 0.0)
         bad = (PRICE * short + GOAL_PRICE * missed) / L
         if missed > 0.0:
@@ -276,21 +210,15 @@ class Search:
         dmp: Dmp | None,
         previous: FloatArray,
         parameters: SearchParameters,
-        sides: int = 1,
         *,
         settled: bool = False,
     ) -> None:
         self.settled = settled
-        # With n sides, n consecutive scenes are one, each searched on one of them.
-        self.sides = sides
-        count = len(scenes)
-        self.window = (np.arange(count) % sides) * (2.0 * np.pi / sides)
         self.scenes, self.duration, self.dmp = scenes, duration, dmp
         self.parameters = parameters
         self.moving = (np.nan_to_num(scenes.v_WO) != 0.0).any(axis=(1, 2))
         self.previous = previous
-        self.rollouts = 0
-        self.elites = np.zeros((count, 0, N_GENES))
+        self.elites = np.zeros((len(scenes), 0, N_GENES))
         self.spacing = 1.0
         self.price = NO_PRICE
 
@@ -303,10 +231,7 @@ class Search:
         chosen = self.evaluate(np.arange(count), free)
         proposed, in_range = self.proposals(proposer)
         active = self.keep_previous(chosen, np.flatnonzero(~chosen.solved), proposed)
-        first = proposed[active]
-        if self.sides > 1:
-            first = np.concatenate([first, self.spread(active, _SPREAD)], axis=1)
-        ranked = self.evaluate(active, first).best(ELITES)
+        ranked = self.evaluate(active, proposed[active]).best(ELITES)
         since = np.zeros(len(active), dtype=int)
         # Where a motion is in use its genes are near the best already.
         polish = np.where(np.isfinite(self.previous).all(axis=1), _BRIEF, self.parameters.polish)
@@ -315,8 +240,7 @@ class Search:
             self.keep_best(chosen, active, ranked)
             self.elites = ranked.genes
             since += ranked.solved
-            through = np.bincount(active // self.sides, since > polish[active])
-            go_on = (through[active // self.sides] == 0.0) & ~self.hopeless(ranked, number)
+            go_on = (since <= polish[active]) & ~self.hopeless(ranked, number)
             active, ranked, since = active[go_on], ranked.rows(go_on), since[go_on]
             if not len(active) or number == self.parameters.rounds:
                 break
@@ -378,24 +302,18 @@ class Search:
             longest=longest,
             shortest=shortest,
         )
-        self.rollouts += len(scene)
         outcome = np.column_stack([getattr(found, name) for name in OUTCOME])
-        return Ranked(
-            genes, self.cost(scene, flat, found).reshape(A, n), outcome.reshape(A, n, len(OUTCOME))
-        )
+        cost = self.cost(scene, flat, outcome)
+        return Ranked(genes, cost.reshape(A, n), outcome.reshape(A, n, len(OUTCOME)))
 
-    def cost(self, scene: IntArray, genes: FloatArray, found: SpatialRollouts) -> FloatArray:
+    def cost(self, scene: IntArray, genes: FloatArray, outcome: FloatArray) -> FloatArray:
         """Length over L, and small prices; above `BAD` where the clearance is not kept."""
         p, cost = self.parameters, np.empty(len(scene))
-        outcome = np.column_stack(
-            (found.margin, found.kept_clearance, found.goal_error, found.path_length, found.steps)
-        )
         _costs(
             scene,
             self.scenes.baseline,
             genes,
             outcome,
-            found.world_margin,
             self.moving,
             self.previous,
             _Tolerances(p.slack, p.tolerance, self.scenes.s - 1.0, 1.0 / p.steps),
@@ -412,7 +330,7 @@ class Search:
         genes, in_range = proposer.propose(
             self.scenes, self.duration, self.parameters.candidates, self.price
         )
-        genes = self.bounded(np.arange(len(genes)), genes)
+        genes = self.bounded(genes)
         in_use = np.isfinite(self.previous).all(axis=1)
         stays = max(self.parameters.candidates // 8, 2)
         stronger = strengths(
@@ -441,41 +359,25 @@ class Search:
             fresh = ~ranked.solved[:, None, None] & random.is_fresh[:, None]
             trial = np.where(fresh, random.fresh, trial)
         trial[~self.moving[active], :, TAU] = 0.0
-        return self.bounded(active, trial)
+        return self.bounded(trial)
 
-    def spread(self, active: IntArray, count: int) -> FloatArray:
-        """Candidates (A, count, 7) all over the ranges, the same in every search."""
-        fresh = np.repeat(draws(0, count).fresh[None], len(active), axis=0)
-        fresh[~self.moving[active], :, TAU] = 0.0
-        return self.bounded(active, fresh)
-
-    def bounded(self, active: IntArray, genes: FloatArray) -> FloatArray:
-        """Genes (A, n, 7) moved into their ranges."""
-        genes = np.clip(genes, LOWER, UPPER)
-        if self.sides > 1:
-            middle = self.window[active, None]
-            off = np.remainder(genes[:, :, ANGLE] - middle + np.pi, 2.0 * np.pi) - np.pi
-            genes[:, :, ANGLE] = middle + np.clip(off, -_WINDOW / self.sides, _WINDOW / self.sides)
-        return genes
+    def bounded(self, genes: FloatArray) -> FloatArray:
+        """Returns genes (A, n, 7) moved into their ranges."""
+        return np.clip(genes, LOWER, UPPER)
 
     def answer(self, chosen: Ranked, in_range: BoolArray) -> SearchResult:
         genes = chosen.genes[:, 0]
-        margin, kept, goal_error, length, steps, _ = chosen.outcome[:, 0].T
+        margin, kept, _, length, _ = chosen.outcome[:, 0].T
         tau = np.maximum(1.0, length / self.scenes.baseline)
         return SearchResult(
             genes=genes,
             terms=avoidance_terms(self.scenes, np.arange(len(genes)), genes),
             tau=np.where(self.moving, np.exp(genes[:, TAU]), tau),
-            end=self.scenes.s + steps / self.parameters.steps,
             kept_clearance=kept,
             shortfall=np.where(-margin > self.parameters.slack, -margin, 0.0),
             kept=chosen.solved,
-            goal_error=goal_error,
             path_length=length,
             in_range=in_range,
-            cost=chosen.cost[:, 0],
-            steps=np.full(len(genes), self.parameters.steps),
-            rollouts=self.rollouts,
         )
 
 
@@ -485,8 +387,6 @@ def verify(
     *,
     duration: float,
     dmp: Dmp | None = None,
-    previous: FloatArray | None = None,
-    settled: bool = False,
     parameters: SearchParameters | None = None,
 ) -> SearchResult:
     """Chooses the motion of each scene, see the module.
@@ -496,35 +396,15 @@ def verify(
         proposer: what proposes the first candidates.
         duration: T [s].
         dmp: the primitive; None: a straight minimum-jerk motion.
-        previous: (S, 7) genes in use, rows of NaN for none. They are tried first, and
-            another side has to be shorter by some hysteresis.
-        settled: whether a motion in use that will do is kept without a look at others;
-            the unmodulated motion is looked at nevertheless.
         parameters: how far the search goes; None: the defaults.
 
     Returns:
         The choice.
 
     Raises:
-        ValueError: for wrong shapes, or a duration that is not positive.
+        ValueError: for a duration that is not positive.
     """
     if not 0.0 < duration < math.inf:
         raise ValueError(f"duration must be positive and finite [s], not {duration}")
-    if previous is not None and previous.shape != (len(scenes), N_GENES):
-        raise ValueError(f"previous must be ({len(scenes)}, {N_GENES}), not {previous.shape}")
-    previous = np.full((len(scenes), N_GENES), np.nan) if previous is None else previous
-    parameters = parameters or SearchParameters()
-    found = Search(scenes, duration, dmp, previous, parameters, settled=settled).run(proposer)
-    finer = replace(parameters, candidates=2 * parameters.candidates, steps=2 * parameters.steps)
-    for number in range(parameters.retries):
-        left = np.flatnonzero(~found.kept)
-        if not len(left):
-            break
-        sides = 1 if number == 0 else _SIDES
-        each = np.repeat(left, sides)
-        search = Search(scenes.rows(each), duration, dmp, previous[each], finer, sides)
-        again = search.run(proposer)
-        best = again.cost.reshape(-1, sides).argmin(axis=1) + sides * np.arange(len(left))
-        better = again.cost[best] < found.cost[left]
-        found = found.replaced(left[better], again.rows(best[better]))
-    return found
+    previous = np.full((len(scenes), N_GENES), np.nan)
+    return Search(scenes, duration, dmp, previous, parameters or SearchParameters()).run(proposer)

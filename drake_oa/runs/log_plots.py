@@ -242,16 +242,6 @@ def _phase(ax: Axes, logs: Mapping[str, MotionLog], main: str) -> None:
             linestyle="--",
             label=f"{main}, share of full speed",
         )
-    told = log.least_confidence
-    if np.isfinite(told).any():
-        ax.step(
-            log.observation_time,
-            told,
-            where="post",
-            color=_OBSTACLE,
-            linewidth=1.0,
-            label="probability of keeping what is asked",
-        )
     ax.set(ylabel="phase, share [1]", ylim=(-0.03, 1.12))
     stopped = pauses(log)
     lines = [

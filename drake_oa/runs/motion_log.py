@@ -22,8 +22,8 @@ desired_position       (T, 3)         m        p_WE asked of the controller
 desired_velocity       (T, 3)         m/s      its derivative
 desired_acceleration   (T, 3)         m/s^2    its second derivative
 phase                  (T,)           1        canonical phase k, 1 falling to 0
-speed_scale            (T,)           1        share of full speed that supervisor and turn
-                                               leave, in [0, 1]; 1 without them
+speed_scale            (T,)           1        share of full speed that the supervisor leaves, in
+                                               [0, 1]; 1 without one
 tracking_error         (T,)           m        distance of E to where it was asked to be,
                                                as the controller tells it; NaN where none does
 q_world                (T, n)         rad, m   all positions of the station's plant, in its
@@ -80,9 +80,6 @@ decision_cost          (D,)           s        the simulated time that each take
 decision_layer         (D,)           text     whose it is: "regulation" or "evasion"
 event_hold             (E,)           text     what held the motion from then on, one of `HoldCause`
 ended                  ()             text     how the motion ended, one of `MotionEnd`
-confidence             (F, M)         1        probability that a motion with each obstacle's term
-                                               keeps what is asked, as the regressor chain tells;
-                                               NaN where it tells none, (F, 0) where it never does
 =====================  =============  =======  ==========================================
 """
 
@@ -120,7 +117,6 @@ _LATER = frozenset(
         "decision_layer",
         "event_hold",
         "ended",
-        "confidence",
     }
 )
 """Attributes with defaults, or found from others, which files of this schema may lack."""
@@ -129,8 +125,7 @@ _COUNTED = {
     "t": "t q v torque saturated p_WE desired_position desired_velocity desired_acceleration "
     "phase speed_scale tracking_error q_world shortfall lowered goal "
     "desired_orientation orientation_error desired_posture evasion",
-    "observation_time": "observation_stamp p_WO R_WO semi_axes v_WO obstacle_id out_of_range "
-    "confidence",
+    "observation_time": "observation_stamp p_WO R_WO semi_axes v_WO obstacle_id out_of_range",
     "event_time": "event event_hold",
     "supervision_time": "supervision_action supervision_reason",
     "decision_time": "decision_cost decision_layer",
@@ -221,7 +216,6 @@ class MotionLog:
     decision_layer: tuple[str, ...] = ()
     event_hold: tuple[str, ...] = ()
     ended: str = ""
-    confidence: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def simulated_time(self) -> float:
@@ -232,14 +226,6 @@ class MotionLog:
     def duration(self) -> float:
         """Of the motion, to its end [s]."""
         return self.simulated_time if math.isnan(self.motion_end) else self.motion_end
-
-    @property
-    def least_confidence(self) -> FloatArray:
-        """(F,) of the obstacle that is least likely to be passed as asked; NaN: not told."""
-        lowest = np.full(len(self.observation_time), np.nan)
-        if self.confidence.size:
-            np.fmin.reduce(self.confidence, axis=1, out=lowest)
-        return lowest
 
     @property
     def moving(self) -> slice:
@@ -287,14 +273,6 @@ def pack_ellipsoids(frames: list[EllipsoidSet]) -> dict[str, Any]:
         names[row, : len(frame)] = frame.ids
     stamp = np.array([frame.stamp for frame in frames], dtype=float)
     return {"observation_stamp": stamp, **packed, "obstacle_id": names}
-
-
-def pack_confidence(frames: list[FloatArray], most: int) -> FloatArray:
-    """(F, M) what F observations tell of up to `most` = M obstacles; (F, 0) if none tells."""
-    packed = np.full((len(frames), most if any(len(row) for row in frames) else 0), np.nan)
-    for place, row in zip(packed, frames, strict=True):
-        place[: len(row)] = row
-    return packed
 
 
 def save_logs(path: Path, logs: dict[str, MotionLog]) -> None:

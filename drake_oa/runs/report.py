@@ -27,9 +27,6 @@ from drake_oa.scenario.tool_orientation import end_rotations
 TOLD = 1e-3
 """Clearance that is missing by more than this is told, and counts as missing [m]."""
 
-_SURE = 0.9
-"""A probability of keeping what is asked that is not told in words."""
-
 
 def judge_of(scenario: Scenario) -> RobotJudge | None:
     """To be shared by all that is judged of one scenario; None without a robot."""
@@ -96,8 +93,7 @@ def motion_report(
     `orientation_error` (angle to that of the goal when all is at rest [rad]; only where the
     tool turns), `torque_saturation` (fraction of logged steps), `duration`, `path_length`,
     `out_of_range` (fraction of observations with an obstacle beyond what the regressor
-    chain was trained for), `confidence` (least probability, told on the way, that an obstacle is
-    passed as asked; None where no chain tells), `regulation` ("Verified", "Paper", or None without
+    chain was trained for), `regulation` ("Verified", "Paper", or None without
     modulation), `believed_shortfall` (most that the verified motion lacked of what regulation
     believed feasible; None unless it was verified), `lowered` (by how much regulation
     lowered the asked clearance at most; None unless verified), what decisions cost (see
@@ -137,7 +133,6 @@ def motion_report(
         "duration": log.duration,
         "path_length": path_length(metrics.p_WE[log.moving]),
         "out_of_range": float((log.out_of_range > 0).mean()) if len(log.out_of_range) else 0.0,
-        "confidence": _least_confidence(log),
         **_believed(log),
         **decision_figures(scenario, log),
         "stop_reason": log.stop_reason,
@@ -177,11 +172,6 @@ def _believed(log: MotionLog) -> dict[str, Any]:
         "believed_shortfall": most if verified else None,
         "lowered": float(log.lowered.max(initial=0.0)) if verified else None,
     }
-
-
-def _least_confidence(log: MotionLog) -> float | None:
-    told = log.least_confidence[log.observation_time <= log.duration]
-    return _finite(np.fmin.reduce(told, initial=math.nan))
 
 
 def _goal_error(scenario: Scenario, log: MotionLog, p_WE: FloatArray) -> float:
@@ -291,11 +281,10 @@ def _notes(motion: str, found: dict[str, Any]) -> list[str]:
         return notes
     if (found["decision_cost"] or {}).get("share_over_period", 0.0) > 0.0:
         notes.append(f"note: {motion}: {_thinking(found['decision_cost'])}")
-    if found["confidence"] is not None and found["confidence"] < _SURE:
-        seen = "; it was not trained for such obstacles" if found["out_of_range"] else ""
+    if found["regulation"] == "Paper" and found["out_of_range"]:
         notes.append(
-            f"note: {motion}: the chain gives itself a probability of {found['confidence']:.2f} "
-            f"of keeping what is asked{seen}"
+            f"note: {motion}: obstacles outside the regressor chain's trained range in "
+            f"{found['out_of_range']:.0%} of the observations"
         )
     if (found["short_of_feasible"] or 0.0) > TOLD:
         notes.append(

@@ -31,7 +31,7 @@ from drake_oa.regulation.config import SearchParameters
 from drake_oa.robot.limits import RobotLimits, frame_path, robot_limits
 from drake_oa.robot.plant import TOOL_FRAME
 from drake_oa.runs.decision_costs import logged_decisions
-from drake_oa.runs.motion_log import MotionEnd, MotionLog, pack_confidence, pack_ellipsoids
+from drake_oa.runs.motion_log import MotionEnd, MotionLog, pack_ellipsoids
 from drake_oa.safety.supervision import Supervision
 from drake_oa.scenario.faults import CameraDropout, FrameBurst, NanFrames, Push, TorqueSaturation
 from drake_oa.scenario.loading import scenario_text
@@ -96,7 +96,6 @@ class MotionWatcher:
         frames: the observations, as they arrived.
         frame_times: when each arrived [s].
         out_of_range: of each, how many obstacles the regressor chain was not trained for.
-        confidences: of each, what the chain tells of how likely it keeps what is asked.
         events: (time [s], what holds the motion, note) whenever the policy's note changed.
         supervision: (time [s], action, reason) whenever the supervisor's decision changed.
         ending: what ended the motion; None until then.
@@ -156,7 +155,6 @@ class MotionWatcher:
         self.frames: list[EllipsoidSet] = []
         self.frame_times: list[float] = []
         self.out_of_range: list[int] = []
-        self.confidences: list[FloatArray] = []
         self.events: list[tuple[float, HoldCause, str]] = []
         self.supervision: list[tuple[float, str, str]] = []
         self.ending: Ending | None = None
@@ -294,7 +292,6 @@ class MotionWatcher:
                 self.frame_times.append(now)
                 coupling = self._asked_of_chain(root)
                 self.out_of_range.append(int((~coupling.in_range).sum()))
-                self.confidences.append(coupling.confidence)
 
     def _note(self, now: float, hold: HoldCause, note: str) -> None:
         if note != (self.events[-1][2] if self.events else ""):
@@ -519,5 +516,4 @@ def collect_log(
         orientation_error=signals.get("orientation_error", np.zeros((0, 3))),
         desired_posture=signals.get("desired_posture", empty),
         evasion=signals.get("evasion", np.zeros((0, 3))),
-        confidence=pack_confidence(watcher.confidences, seen["obstacle_id"].shape[1]),
     )

@@ -5,7 +5,6 @@
     mbm/      the robot on MotionBenchMaker's problems                       evaluate mbm
 
     table_one, table_two, table_three   the paper's tables                   evaluate table1, ...
-    confidence   what the paper's chain says of itself                       evaluate confidence
 
 Each draws scenes from a seed (or reads them), runs every method on every scene, and judges the
 motions: contacts, clearances [m], what start and goal leave of the asked clearance, goal errors

@@ -1,4 +1,4 @@
-"""The proposal network, trained on what the search finds: `drake-oa train --recipe proposals`.
+"""Training of the proposal network on the results of the search: `drake-oa train`.
 
 Scenes of ellipsoids are drawn, some of them under way and some moving, and for one side of each the
 search looks for the best motion there. The network learns its genes, its length, and whether it
@@ -22,8 +22,9 @@ from torch import Tensor, nn
 
 from drake_oa.common.console import TextTable
 from drake_oa.common.files import provenance
-from drake_oa.common.messages import BoolArray, FloatArray, IntArray
+from drake_oa.common.messages import BoolArray, FloatArray
 from drake_oa.geometry.ellipsoid import signed_distance
+from drake_oa.policy.coupling import N_COLUMNS
 from drake_oa.regulation.config import SearchParameters
 from drake_oa.regulation.proposal_network import (
     GENE_MEAN,
@@ -32,26 +33,23 @@ from drake_oa.regulation.proposal_network import (
     N_OBSTACLE,
     N_OUTPUTS,
     N_STATE,
-    SIDES,
     Floats32,
     Layers,
     ProposalNetwork,
     descriptors,
 )
 from drake_oa.regulation.proposals import (
-    ACROSS,
     ALPHA,
     ANGLE,
-    ASKED,
+    KAPPA,
     LOWER,
     N_GENES,
     NO_PRICE,
+    PLACE,
+    PSI,
     UPPER,
-    answers,
     avoidance_terms,
-    shadows_of,
 )
-from drake_oa.regulation.regressor import ChainWeights
 from drake_oa.regulation.rollout import SpatialScenes
 from drake_oa.regulation.search import Search, SearchResult, roll_out
 from drake_oa.training.checkpoint import Checkpoint, Report
@@ -60,8 +58,14 @@ DURATION = 3.0
 """T of the motions [s]; only velocities are counted by it."""
 MOST = 7
 """Obstacles of a scene at most."""
+_COARSE = SearchParameters(steps=100)
+"""Roll-outs by which scenes are chosen."""
 _STARTS = 4
 """Proposals of the network that a side is searched from."""
+_PLACES, _LOG_ALPHAS = np.meshgrid((0.25, 0.5, 0.75), np.linspace(0.5, 11.5, 5))
+_KAPPA, _PSI = 3.0, 1.4
+"""Fixed candidates that every side is searched from: places along the baseline [L], ln alpha, and
+kappa L^2 and psi [rad] of all."""
 
 
 @dataclass(frozen=True)
@@ -141,8 +145,8 @@ class Given:
 class SideSearch(Search):
     """A search of motions on the side omega = y_L alone."""
 
-    def bounded(self, active: IntArray, genes: FloatArray) -> FloatArray:
-        """Genes moved into their ranges, and to the side."""
+    def bounded(self, genes: FloatArray) -> FloatArray:
+        """Returns genes moved into their ranges, and to the side."""
         genes = np.clip(genes, LOWER, UPPER)
         genes[:, :, ANGLE] = np.clip(genes[:, :, ANGLE], -HALF, HALF)
         return genes
@@ -159,7 +163,7 @@ def turned(scenes: SpatialScenes, angle: FloatArray) -> SpatialScenes:
 
 
 def draw_scenes(rng: np.random.Generator, count: int, moving: bool) -> SpatialScenes:
-    """Scenes at rest at the start, in whose way something is; L = 1 m, and W = L.
+    """Scenes at rest at the start whose unmodulated motion comes too near; L = 1 m, and W = L.
 
     One to six ellipsoids of semi-axes 0.01 to 0.5, at most half as long along the baseline as it
     is; in a third of the scenes a large flat one besides, like a table. Start and goal are clear.
@@ -176,7 +180,11 @@ def draw_scenes(rng: np.random.Generator, count: int, moving: bool) -> SpatialSc
         )
         drawn = tuple(column[clear] for column in drawn)
         scenes = _at_rest(*drawn)
-        in_way = shadows_of(scenes, DURATION, np.zeros(1))[:, 0, ASKED] > 0.0
+        rows = np.arange(len(scenes))
+        unmodulated = roll_out(
+            scenes, rows, np.zeros((len(rows), N_COLUMNS)), _COARSE, seconds=DURATION
+        )
+        in_way = unmodulated.margin < -_COARSE.slack
         kept.append(tuple(column[in_way] for column in drawn))
         found += int(in_way.sum())
     return _at_rest(*(np.concatenate(parts)[:count] for parts in zip(*kept, strict=True)))
@@ -279,7 +287,6 @@ def _under_way(
 def make_rows(
     recipe: ProposalRecipe,
     seed: tuple[int, ...],
-    chain: ChainWeights,
     network: ProposalNetwork | None,
 ) -> Rows:
     """Draws a chunk of scenes and searches one side of each.
@@ -287,8 +294,7 @@ def make_rows(
     Args:
         recipe: how.
         seed: of the scenes.
-        chain: proposes too, and alone where there is no network yet.
-        network: of the round before.
+        network: of the round before, which proposes besides the fixed candidates; None: none yet.
     """
     rng = np.random.default_rng(seed)
     parameters = SearchParameters(
@@ -296,14 +302,11 @@ def make_rows(
     )
     scenes = draw_scenes(rng, recipe.chunk, bool(rng.random() < recipe.moving))
     if rng.random() < recipe.under_way:
-        genes = _elsewhere(rng, scenes, chain, network)
+        genes = _elsewhere(rng, scenes, network)
         scenes = _under_way(scenes, rng.uniform(0.02, 0.75), genes, parameters)
     count = len(scenes)
     scenes = turned(scenes, _sides(rng, scenes, network))
-    shadow = shadows_of(scenes, DURATION, np.zeros(1))
-    said = answers(chain, shadow, np.zeros((count, 1)))[0]
-    first = np.repeat(said, 2 * _STARTS, axis=1)
-    first[:, :, ALPHA] += np.linspace(-3.0, 8.0, 2 * _STARTS)
+    first = np.repeat(_fixed()[None], count, axis=0)
     if network is not None:
         genes = network.sides(scenes, DURATION, np.zeros(1))[0]
         genes = np.repeat(genes, _STARTS, axis=1)
@@ -316,27 +319,32 @@ def make_rows(
 def _sides(
     rng: np.random.Generator, scenes: SpatialScenes, network: ProposalNetwork | None
 ) -> FloatArray:
-    """(S,) a side of each: one of the best, as far as is known, or any."""
+    """(S,) a side of each: one of those that the network ranks first, or any."""
     count = len(scenes)
+    anywhere = rng.uniform(-np.pi, np.pi, count)
     if network is None:
-        best = SIDES[shadows_of(scenes, DURATION, SIDES)[:, :, ACROSS].argmin(axis=1)]
-    else:
-        best = network.propose(scenes, DURATION, _STARTS)[0][:, :, ANGLE]
-        best = best[np.arange(count), rng.integers(0, best.shape[1], count)]
+        return anywhere
+    best = network.propose(scenes, DURATION, _STARTS)[0][:, :, ANGLE]
+    best = best[np.arange(count), rng.integers(0, best.shape[1], count)]
     near = best + rng.uniform(-1.5, 1.5, count) * HALF
-    return np.where(rng.random(count) < 0.3, rng.uniform(-np.pi, np.pi, count), near)
+    return np.where(rng.random(count) < 0.3, anywhere, near)
+
+
+def _fixed() -> FloatArray:
+    """Returns the fixed candidates (15, 7) on the side y_L."""
+    genes = np.zeros((_PLACES.size, N_GENES))
+    genes[:, PLACE], genes[:, ALPHA] = _PLACES.ravel(), _LOG_ALPHAS.ravel()
+    genes[:, KAPPA], genes[:, PSI] = np.log(_KAPPA), np.log(_PSI)
+    return genes
 
 
 def _elsewhere(
-    rng: np.random.Generator,
-    scenes: SpatialScenes,
-    chain: ChainWeights,
-    network: ProposalNetwork | None,
+    rng: np.random.Generator, scenes: SpatialScenes, network: ProposalNetwork | None
 ) -> FloatArray:
-    """(S, 7) genes for other scenes of the chunk, or the unmodulated motion's."""
+    """Returns genes (S, 7) for other scenes of the chunk, or the unmodulated motion's."""
     if network is None:
-        angle = np.zeros((len(scenes), 1))
-        genes = answers(chain, shadows_of(scenes, DURATION, np.zeros(1)), angle)[0][:, 0]
+        genes = rng.choice(_fixed(), len(scenes))
+        genes[:, ANGLE] = rng.uniform(-np.pi, np.pi, len(scenes))
     else:
         genes = network.propose(scenes, DURATION, 1)[0][:, 0]
     genes = genes[rng.permutation(len(genes))]
@@ -447,7 +455,6 @@ def fit(
 def train_proposals(
     recipe: ProposalRecipe,
     seed: int,
-    chain: ChainWeights,
     *,
     device: str = "cpu",
     checkpoint: Checkpoint | None = None,
@@ -458,7 +465,6 @@ def train_proposals(
     Args:
         recipe: how.
         seed: of scenes and first weights.
-        chain: that leads the searches of the first round.
         device: where the network is trained.
         checkpoint: keeps each chunk and each round.
         report: told how far it is.
@@ -480,7 +486,7 @@ def train_proposals(
             name = f"rows_{number}_{k}"
             kept = checkpoint.load(name) if checkpoint else None
             if kept is None:
-                rows = make_rows(recipe, (seed, number, k), chain, network)
+                rows = make_rows(recipe, (seed, number, k), network)
                 if checkpoint:
                     checkpoint.save(name, **rows._asdict())
             else:

@@ -1,4 +1,4 @@
-"""Motions of the training set: around one ellipse in the plane, by the running system's engine.
+"""Motions around one ellipse in the plane, rolled out by the running system's engine.
 
 Lengths in baselines, time in units of the demonstration's: the path depends on neither.
 """
@@ -23,22 +23,20 @@ keeps 0.4 mm a metre more (median; docs/equations.md)."""
 
 @dataclass(frozen=True, eq=False)
 class PlanarRollouts(Frozen):
-    """What K trajectories in each of N scenes came to; lengths in baselines.
+    """Outcomes of K trajectories in each of N scenes; lengths in baselines.
 
     Attributes:
         clearance: (N, K) least distance to the ellipse, 0 where it was touched.
         goal_error: (N, K) distance to the goal at the end; inf where it was touched.
-        path_length: (N, K) length of the path; inf where it was touched.
     """
 
     clearance: FloatArray
     goal_error: FloatArray
-    path_length: FloatArray
 
     @property
     def contact(self) -> BoolArray:
         """(N, K) whether the ellipse was touched (the trajectory ends there)."""
-        return np.isinf(self.path_length)
+        return np.isinf(self.goal_error)
 
 
 @lru_cache(maxsize=4)
@@ -55,8 +53,6 @@ def planar_rollouts(
     *,
     dmp: Dmp,
     steps: int = STEPS,
-    end: float = 1.0,
-    fade: float = 0.0,
 ) -> PlanarRollouts:
     """Rolls out K trajectories from rest at (0, 0) to (1, 0) in each of N scenes.
 
@@ -68,8 +64,6 @@ def planar_rollouts(
         parameters: (N, K, 3) alpha, psi, kappa.
         dmp: the primitive, of three dimensions and along the first.
         steps: number of steps a unit of s.
-        end: s at the end of the motion.
-        fade: alpha fades within this many baselines of the goal; 0: it does not.
 
     Returns:
         The outcome of each, its clearance to 1e-4.
@@ -103,16 +97,13 @@ def planar_rollouts(
         terms.reshape(N * K, N_COLUMNS),
         dmp=dmp,
         steps=steps,
-        end=end,
-        fade=fade,
         shortest=0.0,
     )
     touched = outcome.contact
-    clearance = np.where(touched, 0.0, outcome.kept_clearance)
-    goal_error, length = (
-        np.where(touched, np.inf, value) for value in (outcome.goal_error, outcome.path_length)
+    return PlanarRollouts(
+        np.where(touched, 0.0, outcome.kept_clearance).reshape(N, K),
+        np.where(touched, np.inf, outcome.goal_error).reshape(N, K),
     )
-    return PlanarRollouts(*(value.reshape(N, K) for value in (clearance, goal_error, length)))
 
 
 def running_lattice(lattice: PaperLattice) -> tuple[FloatArray, FloatArray]:

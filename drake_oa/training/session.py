@@ -1,29 +1,22 @@
-"""What `drake-oa train` does: explores, trains, tells how good it is, writes the weights."""
+"""Runs of `drake-oa train`: rolls out, trains, prints the scores and writes the weights."""
 
 from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, ClassVar
 
 from drake_oa.common.console import INTERRUPTED, progress_bar
 from drake_oa.common.files import check_outputs
 from drake_oa.regulation.proposal_network import ProposalNetwork, save_proposals
-from drake_oa.regulation.regressor import ChainWeights, load_chain, save_chain
-from drake_oa.scenario.shipped import package_file
-from drake_oa.training.chain import score_table, train_chain
+from drake_oa.regulation.regressor import ChainWeights, save_chain
 from drake_oa.training.checkpoint import Checkpoint, Report
-from drake_oa.training.confidence import ConfidenceRecipe, calibration_table, with_confidence
-from drake_oa.training.dataset import Exploration, build_training_set
-from drake_oa.training.levenberg_marquardt import Schedule
 from drake_oa.training.networks import choose_device
 from drake_oa.training.paper import PaperRecipe, table_one, train_paper
 from drake_oa.training.paper_set import CHAINS
 from drake_oa.training.proposals import ProposalRecipe, proposal_table, train_proposals
-from drake_oa.training.validation import validate, validation_table
 
 PAPER_FILES = {
     "RC(lambda')": "paper_chain_unconstrained.safetensors",
@@ -34,11 +27,8 @@ PAPER_FILES = {
 RUNNING_FILE = "paper_chain_running.safetensors"
 """Weights file of RC(lambda', Delta) for the running system."""
 
-PROJECT_FILE = "regressor_chain.safetensors"
-"""Weights file of the project's chain."""
-
 PROPOSALS_FILE = "proposals.safetensors"
-"""Weights file of the network that leads the search."""
+"""Weights file of the network that seeds the search."""
 
 Written = ChainWeights | ProposalNetwork
 
@@ -126,87 +116,8 @@ class _Paper:
 class _PaperRunning(_Paper):
     names: ClassVar[dict[str, str]] = {CHAINS[1]: RUNNING_FILE}
 
-    def __init__(self, seed: int, iterations: int | None) -> None:
-        super().__init__(seed, iterations)
-        self._confidence = _Confidence(seed, iterations)
-
     def recipe(self) -> PaperRecipe:
         return PaperRecipe.running()
-
-    def train(
-        self, device: str, checkpoint: Checkpoint, bar: Report
-    ) -> tuple[dict[str, Written], str]:
-        files, tables = super().train(device, checkpoint, bar)
-        told, more = self._confidence.add(files, bar)
-        return told, f"{tables}\n\n{more}"
-
-
-class _Confidence:
-    files = (RUNNING_FILE,)
-
-    def __init__(self, seed: int, iterations: int | None) -> None:
-        self._seed = seed
-        self._recipe = ConfidenceRecipe()
-        if iterations is not None:
-            self._recipe = replace(self._recipe, epochs=min(self._recipe.epochs, iterations))
-
-    def settings(self) -> dict[str, Any]:
-        return asdict(self._recipe)
-
-    def train(
-        self, device: str, checkpoint: Checkpoint, bar: Report
-    ) -> tuple[dict[str, Written], str]:
-        shipped: dict[str, Written] = {name: _shipped(name) for name in self.files}
-        return self.add(shipped, bar)
-
-    def add(self, files: Mapping[str, Written], bar: Report) -> tuple[dict[str, Written], str]:
-        """The chains with their confidence, and a table of each."""
-        told, tables = dict(files), []
-        for name, chain in files.items():
-            if isinstance(chain, ChainWeights):
-                told[name], found = with_confidence(chain, self._recipe, self._seed, bar)
-                tables.append(f"confidence of {name}\n\n{calibration_table(found)}")
-        return told, "\n\n".join(tables)
-
-
-def _shipped(name: str) -> ChainWeights:
-    return load_chain(package_file(f"package://drake_oa/weights/{name}"))
-
-
-class _Project:
-    files = (PROJECT_FILE,)
-
-    def __init__(self, seed: int, iterations: int | None) -> None:
-        self._seed = seed
-        self._exploration = Exploration()
-        self._schedule = Schedule()
-        if iterations is not None:
-            self._schedule = Schedule(iterations=iterations)
-
-    def settings(self) -> dict[str, Any]:
-        return {"exploration": self._exploration.settings(), "schedule": asdict(self._schedule)}
-
-    def train(
-        self, device: str, checkpoint: Checkpoint, bar: Report
-    ) -> tuple[dict[str, Written], str]:
-        rows = build_training_set(self._exploration, self._seed, bar, checkpoint)
-        chain, scores = train_chain(
-            rows,
-            self._exploration,
-            self._seed,
-            self._schedule,
-            device=device,
-            checkpoint=checkpoint,
-            report=bar,
-        )
-        explored = {name: getattr(self._exploration, name) for name in ("alpha_x", "end", "fade")}
-        outcomes = {
-            "on the baseline": validate(chain, **explored),
-            "up to 0.2 L beside it": validate(chain, beside=0.2, **explored),
-        }
-        head = f"{rows.rollouts:,} roll-outs\n\n"
-        tables = f"{score_table(scores)}\n\n{validation_table(outcomes)}"
-        return {PROJECT_FILE: chain}, head + tables
 
 
 class _Proposals:
@@ -227,7 +138,6 @@ class _Proposals:
         network, scores = train_proposals(
             self._recipe,
             self._seed,
-            _shipped(PROJECT_FILE),
             device=device,
             checkpoint=checkpoint,
             report=bar,
@@ -235,10 +145,8 @@ class _Proposals:
         return {PROPOSALS_FILE: network}, str(proposal_table(scores))
 
 
-_RECIPES: dict[str, type[_Project | _Paper | _Proposals | _Confidence]] = {
-    "project": _Project,
+_RECIPES: dict[str, type[_Paper | _Proposals]] = {
     "proposals": _Proposals,
     "paper": _Paper,
     "paper_running": _PaperRunning,
-    "confidence": _Confidence,
 }

@@ -350,7 +350,7 @@ def test_weights_of_another_shape_are_refused(tmp_path: Path) -> None:
 
 def test_weights_for_the_released_action_level_are_refused() -> None:
     paper = "regulation.weights=package://drake_oa/weights/paper_chain.safetensors"
-    with pytest.raises(ScenarioError, match=r"regulation\.weights: .*rad/s.*--recipe project"):
+    with pytest.raises(ScenarioError, match=r"regulation\.weights: .*rad/s.*paper_running"):
         build_avoidance(load_scenario("free_space", [paper]))
 
 

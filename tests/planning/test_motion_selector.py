@@ -33,7 +33,7 @@ from drake_oa.policy.demonstration import Demonstration
 from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk
 from drake_oa.regulation import search
 from drake_oa.regulation.config import Verified
-from drake_oa.regulation.proposal_network import load_proposer
+from drake_oa.regulation.proposal_network import load_proposals
 from drake_oa.regulation.proposals import Proposer, draws
 from drake_oa.route.cost_rings import Ring
 from drake_oa.scenario.shipped import package_file
@@ -51,7 +51,7 @@ BOX = box_at([0.12, 0.12, 0.3], [0.45, 0.02, 0.1], "box")
 
 @pytest.fixture(scope="module")
 def proposer() -> Proposer:
-    return load_proposer(package_file("package://drake_oa/weights/proposals.safetensors"))
+    return load_proposals(package_file("package://drake_oa/weights/proposals.safetensors"))
 
 
 class Bench:

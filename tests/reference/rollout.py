@@ -115,16 +115,12 @@ def _account(
     at_goal = distances(scenes, scene, scenes.p_WG[scene][:, None], at_end)[:, 0]
     feasible = np.minimum(scenes.asked_clearance[scene], np.minimum(distance[:, 0], at_goal))
     least = np.where(after[:, :, None], np.inf, distance).min(axis=1)
-    world = np.where(after, np.inf, world_margin(scenes, scene, path)).min(axis=1)
-    ends = np.stack([scenes.p_WE[scene], scenes.p_WG[scene]], axis=1)
-    allowed = np.minimum(world_margin(scenes, scene, ends).min(axis=1), 0.0)
     return SpatialRollouts(
         margin=np.nanmin(least - feasible, axis=1, initial=np.inf),
         kept_clearance=np.nanmin(least, axis=1, initial=np.inf),
         goal_error=error[np.arange(N), taken],
         path_length=length,
         steps=taken.astype(float),
-        world_margin=world - allowed,
         path=np.where(after[:, :, None], np.nan, path),
         velocity=np.where(after[:, :, None], np.nan, velocity),
     )
@@ -144,25 +140,3 @@ def distances(
     gauge = np.linalg.norm(np.einsum("...ji,...j->...i", R, away) / axes, axis=-1)
     bound = (gauge - 1.0) * axes.min(axis=-1)
     return np.where(absent, np.nan, np.where(gauge <= 1.0, bound, distance))
-
-
-def world_margin(scenes: SpatialScenes, scene: IntArray, points: FloatArray) -> FloatArray:
-    """(N, n) margin of points (N, n, 3) to the plane and the workspace [m]."""
-    margin = np.full(points.shape[:2], np.inf)
-    if len(scenes.plane):
-        plane = scenes.plane[scene]
-        margin = np.einsum("nkj,nj->nk", points, plane[:, :3]) - plane[:, 3:]
-    if scenes.annulus.radii.shape[1]:
-        heights, inner, outer = scenes.annulus.radii
-        z, radius = (
-            points[..., 2],
-            np.linalg.norm(points[..., :2] - scenes.annulus.axis, axis=-1),
-        )
-        for bound in (
-            radius - np.interp(z, heights, inner),
-            np.interp(z, heights, outer) - radius,
-            z - heights[0],
-            heights[-1] - z,
-        ):
-            margin = np.minimum(margin, bound)
-    return margin

@@ -16,15 +16,12 @@ from drake_oa.regulation.proposal_network import (
     ProposalNetwork,
     descriptors,
     load_proposals,
-    load_proposer,
     save_proposals,
 )
 from drake_oa.regulation.proposals import (
     ALPHA,
     ANGLE,
     N_GENES,
-    ChainProposals,
-    Proposer,
     ladder,
     strengths,
 )
@@ -132,13 +129,10 @@ def test_it_says_something_of_every_side_even_of_nothing(network: ProposalNetwor
 
 
 @pytest.mark.parametrize("count", [8, 10, 15, 32, 64])
-@pytest.mark.parametrize("name", ["proposals", "regressor_chain"])
-def test_as_many_are_proposed_as_are_asked_for(name: str, count: int) -> None:
-    proposer = load_proposer(package_file(f"{WEIGHTS}/{name}.safetensors"))
-    genes, in_range = proposer.propose(some_scenes(2), 3.0, count)
+def test_as_many_are_proposed_as_are_asked_for(network: ProposalNetwork, count: int) -> None:
+    genes, in_range = network.propose(some_scenes(2), 3.0, count)
     assert genes.shape == (3, count, N_GENES)
     assert in_range.shape == (3,)
-    assert proposer.spacing > 0.0
 
 
 @given(st.integers(1, 300), st.integers(1, 16))
@@ -163,21 +157,17 @@ def test_weaker_ones_of_what_keeps_it_and_stronger_ones_of_what_does_not() -> No
 def test_a_file_holds_it_whole(network: ProposalNetwork, tmp_path: Path) -> None:
     path = tmp_path / "mine.safetensors"
     save_proposals(network, path)
-    again: Proposer = load_proposer(path)
+    again = load_proposals(path)
     ours, theirs = (one.propose(some_scenes(3), 3.0, 15)[0] for one in (network, again))
     np.testing.assert_array_equal(ours, theirs)
-    assert load_proposals(path).metadata["seed"] == network.metadata["seed"]
+    assert again.metadata["seed"] == network.metadata["seed"]
 
 
-def test_a_chain_of_four_inputs_leads_too() -> None:
-    path = package_file(f"{WEIGHTS}/regressor_chain.safetensors")
-    assert isinstance(load_proposer(path), ChainProposals)
+def test_a_chain_is_no_proposal_network_nor_the_other_way_about() -> None:
     with pytest.raises(ValueError, match="no proposal network"):
-        load_proposals(path)
+        load_proposals(package_file(f"{WEIGHTS}/paper_chain_running.safetensors"))
     with pytest.raises(ValueError, match="is of the format 'drake_oa proposal network 1'"):
         load_chain(package_file(f"{WEIGHTS}/proposals.safetensors"))
-    with pytest.raises(ValueError, match="of 3 inputs cannot lead a search"):
-        load_proposer(package_file(f"{WEIGHTS}/paper_chain_running.safetensors"))
 
 
 @pytest.mark.parametrize(

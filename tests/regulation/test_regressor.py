@@ -2,7 +2,6 @@
 
 import copy
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,6 @@ from drake_oa.regulation.network import Network
 from drake_oa.regulation.regressor import (
     TARGETS,
     ChainWeights,
-    ClearanceLimit,
     load_chain,
     save_chain,
     section_extents,
@@ -27,7 +25,6 @@ from drake_oa.regulation.regressor import (
 from tests.reference.width_chain import load_width_chain
 
 WEIGHTS = Path(__file__).resolve().parents[2] / "models" / "weights"
-SHIPPED = WEIGHTS / "regressor_chain.safetensors"
 
 
 def network(n_inputs, rng, scale=0.3):
@@ -46,12 +43,12 @@ def network(n_inputs, rng, scale=0.3):
 @pytest.fixture
 def chain():
     rng = np.random.default_rng(3)
-    networks = {name: network(4 + i, rng) for i, name in enumerate(TARGETS)}
+    networks = {name: network(3 + i, rng) for i, name in enumerate(TARGETS)}
     return ChainWeights(
         networks,
-        np.array([0.02, 0.02, 0.02, 0.2]),
-        np.array([0.4, 0.5, 0.35, 0.8]),
-        np.ones(4),
+        np.array([0.02, 0.02, 0.02]),
+        np.array([0.4, 0.5, 0.35]),
+        np.ones(3),
         frozenset(("kappa", "alpha")),
         metadata={"recipe": "test", "seed": 3},
     )
@@ -67,7 +64,7 @@ def plain_forward(net, x):
 
 
 def test_chain_is_the_plain_networks_one_after_the_other(chain):
-    query = np.array([0.1, 0.2, 0.15, 0.4])
+    query = np.array([0.1, 0.2, 0.15])
     kappa = plain_forward(chain.networks["kappa"], query)
     psi = plain_forward(chain.networks["psi"], np.append(query, kappa))
     alpha = plain_forward(chain.networks["alpha"], np.append(query, (kappa, psi)))
@@ -111,35 +108,6 @@ def test_the_border_itself_is_inside(chain):
         assert chain.parameters(corners, clearance, 3.0).in_range.all()
 
 
-def test_an_unattainable_clearance_is_lowered_to_the_limit_and_flagged(chain):
-    table = np.repeat(np.array([[0.3, 0.1], [0.1, 0.0]])[:, :, None], 2, axis=2)
-    limit = ClearanceLimit(
-        np.array([0.02, 0.4]), np.array([0.02, 0.5]), np.array([0.2, 0.8]), table
-    )
-    limited = replace(chain, limit=limit)
-    assert limited.parameters([[0.02, 0.02]], 0.3, 1.0).in_range[0]
-    middle = limited.parameters([[0.21, 0.26]], 0.2, 1.0)
-    assert not middle.in_range[0]
-    at_limit = chain.parameters([[0.21, 0.26]], 0.125, 1.0)
-    np.testing.assert_allclose(middle.as_array(), at_limit.as_array(), rtol=1e-12)
-    # Nothing at all is attainable for the largest ellipse.
-    assert not limited.parameters([[0.4, 0.5]], 0.02, 1.0).in_range[0]
-
-
-def test_the_place_along_the_baseline_is_an_input_and_in_the_middle_by_default(chain):
-    extents = np.array([[0.1, 0.2]])
-    default = chain.parameters(extents, 0.1, 2.0)
-    np.testing.assert_array_equal(
-        default.as_array(), chain.parameters(extents, 0.1, 2.0, 1.0).as_array()
-    )
-    near_start = chain.parameters(extents, 0.1, 2.0, 0.5)
-    expected = chain.evaluate(np.array([[0.05, 0.1, 0.05, 0.25]]))[0] / (1.0, 1.0, 4.0)
-    np.testing.assert_allclose(near_start.as_array()[0], expected, rtol=1e-12)
-    assert not chain.parameters(extents, 0.1, 2.0, 0.1).in_range[0]
-    with pytest.raises(ValueError, match="positions finite"):
-        chain.parameters(extents, 0.1, 2.0, np.nan)
-
-
 def test_each_obstacle_may_have_its_own_clearance_and_none_needs_no_coupling(chain):
     extents = np.array([[0.1, 0.1], [0.2, 0.1], [0.1, 0.2]])
     found = chain.parameters(extents, np.array([0.1, 0.0, 0.2]), 1.0)
@@ -175,22 +143,17 @@ def test_bad_queries_are_named(chain, extents, clearance, baseline, message):
 @pytest.mark.parametrize(
     ("change", "named"),
     [
-        ({"extents": (0.1, np.nan)}, "extents 0.1 and nan, clearance 0.3, position 0.4"),
-        ({"extents": (-0.1, 0.2)}, "extents -0.1 and 0.2, clearance 0.3, position 0.4"),
-        ({"clearance": -2.0}, "extents 0.1 and 0.2, clearance -2.0, position 0.4"),
-        ({"position": np.inf}, "extents 0.1 and 0.2, clearance 0.3, position inf"),
+        ({"extents": (0.1, np.nan)}, "extents 0.1 and nan, clearance 0.3"),
+        ({"extents": (-0.1, 0.2)}, "extents -0.1 and 0.2, clearance 0.3"),
+        ({"clearance": -2.0}, "extents 0.1 and 0.2, clearance -2.0"),
     ],
 )
 def test_the_first_bad_row_is_named(chain, change, named):
-    columns = {
-        "extents": np.tile((0.1, 0.2), (1000, 1)),
-        "clearance": np.full(1000, 0.3),
-        "position": np.full(1000, 0.4),
-    }
+    columns = {"extents": np.tile((0.1, 0.2), (1000, 1)), "clearance": np.full(1000, 0.3)}
     for name, value in change.items():
         columns[name][[7, 500]] = value
     with pytest.raises(ValueError, match="row 7 has") as error:
-        chain.parameters(columns["extents"], columns["clearance"], 1.0, columns["position"])
+        chain.parameters(columns["extents"], columns["clearance"], 1.0)
     assert str(error.value).endswith(named)
     assert len(str(error.value)) < 200
 
@@ -203,7 +166,7 @@ def test_parameters_are_immutable_and_shared_on_copy():
         value.alpha[0] = 2.0
 
 
-@pytest.mark.parametrize("n_inputs", [2, 3, 4])
+@pytest.mark.parametrize("n_inputs", [2, 3])
 def test_chains_of_fewer_inputs_load_and_ignore_the_rest(tmp_path, n_inputs):
     rng = np.random.default_rng(1)
     networks = {name: network(n_inputs + i, rng) for i, name in enumerate(TARGETS)}
@@ -212,37 +175,25 @@ def test_chains_of_fewer_inputs_load_and_ignore_the_rest(tmp_path, n_inputs):
     save_chain(ChainWeights(networks, lower, upper, np.ones(n_inputs)), path)
     chain = load_chain(path)
     query = (np.array([[0.1, 0.2]]), 0.05, 2.0)
-    base = chain.parameters(*query, 0.6)
+    base = chain.parameters(*query)
     assert base.in_range.all()
-    expected = chain.evaluate(np.array([[0.05, 0.1, 0.025, 0.3]])[:, :n_inputs])[0]
+    expected = chain.evaluate(np.array([[0.05, 0.1, 0.025]])[:, :n_inputs])[0]
     np.testing.assert_allclose(base.as_array()[0], expected / (1.0, 1.0, 4.0), rtol=1e-12)
-    other_place = chain.parameters(*query, 1.0).as_array()
-    assert (other_place == base.as_array()).all() == (n_inputs < 4)
-    other_clearance = chain.parameters(query[0], 0.3, 2.0, 0.6).as_array()
+    other_clearance = chain.parameters(query[0], 0.3, 2.0).as_array()
     assert (other_clearance == base.as_array()).all() == (n_inputs < 3)
     # Without a clearance to keep, no coupling is needed.
     assert chain.parameters(query[0], 0.0, 2.0).alpha[0] == 0.0
 
 
 def test_a_file_gives_back_the_chain(chain, tmp_path):
-    axis = np.array([0.1, 0.2])
-    limit = ClearanceLimit(axis, axis, axis, np.full((2, 2, 2), 0.2))
     path = tmp_path / "chain.safetensors"
-    save_chain(replace(chain, limit=limit), path)
+    save_chain(chain, path)
     loaded = load_chain(path)
-    inputs = np.random.default_rng(0).uniform(0.05, 0.3, (20, 4))
+    inputs = np.random.default_rng(0).uniform(0.05, 0.3, (20, 3))
     np.testing.assert_array_equal(loaded.evaluate(inputs), chain.evaluate(inputs))
     assert loaded.log_targets == chain.log_targets
     assert loaded.metadata == chain.metadata
     np.testing.assert_array_equal(loaded.upper, chain.upper)
-    np.testing.assert_array_equal(loaded.limit.clearance, limit.clearance)
-
-
-def test_the_shipped_file_says_where_it_comes_from():
-    chain = load_chain(SHIPPED)
-    assert chain.metadata["units"] == {"kappa": "1/L^2", "psi": "rad", "alpha": "1/T"}
-    assert {"recipe", "seed", "nmse", "commit", "exploration", "training"} <= set(chain.metadata)
-    assert all(chain.metadata["nmse"][name]["test"] < 0.02 for name in TARGETS)
 
 
 @pytest.mark.parametrize(
@@ -305,13 +256,13 @@ def _damaged(chain, path, key, value):
         ("psi_W2", None, "lacks the array 'psi_b1'|'psi_W1' has the shape"),
         ("alpha_b3", None, "lacks the array 'alpha_b3'"),
         ("kappa_W2", np.zeros((24, 23)), r"'kappa_W2' has the shape \(24, 23\)"),
-        ("alpha_in_gain", np.ones(3), r"'alpha_in_gain' has the shape \(3,\)"),
+        ("alpha_in_gain", np.ones(4), r"'alpha_in_gain' has the shape \(4,\)"),
         ("kappa_b1", np.full(24, np.nan), "'kappa_b1' must hold finite numbers"),
         ("psi_out_gain", np.array(0.0), "scale of 'psi'"),
         ("upper", np.ones(2), r"'upper' has the shape \(2,\)"),
-        ("lower", np.ones(5), "'lower' has 5 entries"),
-        ("lower", np.full(4, 9.0), "'upper' must exceed 'lower'"),
-        ("input_scale", np.zeros(4), "'input_scale' not be zero"),
+        ("lower", np.ones(4), "'lower' has 4 entries"),
+        ("lower", np.full(3, 9.0), "'upper' must exceed 'lower'"),
+        ("input_scale", np.zeros(3), "'input_scale' not be zero"),
         ("lower", np.ones(3, dtype=bool), "'lower' must hold finite numbers"),
         ("metadata", None, "has no metadata"),
         ("metadata", "{", "metadata are damaged"),
@@ -319,7 +270,6 @@ def _damaged(chain, path, key, value):
         ("metadata", header(log_targets=["beta"]), "valid are"),
         ("metadata", header(format="someone else's 3"), 'format "someone else\'s 3"'),
         ("metadata", header(format=None), "of the format None"),
-        ("limit_lambda1", np.ones(2), "lacks the array 'limit_lambda2'"),
     ],
 )
 def test_a_damaged_file_is_named_with_what_is_wrong(chain, tmp_path, key, value, message):

@@ -17,16 +17,16 @@ def weights():
     rng = np.random.default_rng(0)
     networks = {}
     for i, name in enumerate(TARGETS):
-        sizes = [4 + i, 8, 1]
+        sizes = [3 + i, 8, 1]
         networks[name] = Network(
             tuple(rng.standard_normal((sizes[k + 1], sizes[k])) for k in range(2)),
             tuple(rng.standard_normal(sizes[k + 1]) for k in range(2)),
-            np.zeros(4 + i),
-            np.ones(4 + i),
+            np.zeros(3 + i),
+            np.ones(3 + i),
             0.0,
             1.0,
         )
-    return ChainWeights(networks, np.full(4, 0.02), np.full(4, 0.9), np.ones(4), frozenset(TARGETS))
+    return ChainWeights(networks, np.full(3, 0.02), np.full(3, 0.9), np.ones(3), frozenset(TARGETS))
 
 
 def ellipsoids(m):
@@ -62,7 +62,7 @@ def test_output_is_the_pure_functions_answer():
     obstacles, state = ellipsoids(3), policy()
     found = evaluate(RegressorChain(weights(), 0.1), obstacles, state)
     extents = section_extents(state.p_WE, state.z_W, state.R_WL, obstacles)
-    expected = weights().parameters(extents, 0.1, 0.8, obstacles.p_WO[:, 0])
+    expected = weights().parameters(extents, 0.1, 0.8)
     np.testing.assert_array_equal(found.as_array(), expected.as_array())
     assert found.in_range.all()
 

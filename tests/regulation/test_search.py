@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from drake_oa.common.config import check_values
-from drake_oa.geometry.annulus import Annulus
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.policy.coupling import ALPHA as ALPHA_COLUMN
 from drake_oa.policy.coupling import NORMAL
 from drake_oa.regulation.config import SearchParameters
-from drake_oa.regulation.proposal_network import load_proposer
-from drake_oa.regulation.proposals import ANGLE, N_GENES, Proposer, avoidance_terms, shadows
+from drake_oa.regulation.proposal_network import load_proposals
+from drake_oa.regulation.proposals import ANGLE, N_GENES, Proposer, avoidance_terms
 from drake_oa.regulation.rollout import SpatialScenes, spatial_rollouts
 from drake_oa.regulation.search import SearchResult, verify
 from drake_oa.scenario.shipped import package_file
@@ -23,7 +22,7 @@ QUICK = SearchParameters(rounds=20)
 
 @pytest.fixture(scope="module")
 def proposer() -> Proposer:
-    return load_proposer(package_file("package://drake_oa/weights/proposals.safetensors"))
+    return load_proposals(package_file("package://drake_oa/weights/proposals.safetensors"))
 
 
 def scenes(
@@ -56,14 +55,14 @@ def followed(posed: SpatialScenes, found: SearchResult) -> tuple[np.ndarray, np.
         [0],
         found.terms,
         seconds=DURATION * found.tau,
-        steps=int(found.steps[0]),
+        steps=QUICK.steps,
         horizon=2.0,
         fade=QUICK.fade,
         tolerance=QUICK.tolerance,
         keep_path=True,
     )
     count = int(rolled.steps[0]) + 1
-    stamps = np.arange(count) / found.steps[0] * DURATION * found.tau[0]
+    stamps = np.arange(count) / QUICK.steps * DURATION * found.tau[0]
     return rolled.path[0, :count], stamps
 
 
@@ -110,7 +109,6 @@ def test_nothing_is_done_where_nothing_is_in_the_way(proposer: Proposer) -> None
     assert found.terms[0, ALPHA_COLUMN] == 0.0
     assert found.tau == pytest.approx(1.0, abs=1e-4)
     assert found.in_range
-    assert found.rollouts == 1
 
 
 def test_a_scene_without_obstacles_is_free(proposer: Proposer) -> None:
@@ -130,50 +128,13 @@ def test_a_moving_obstacle_is_met_where_it_will_be(proposer: Proposer) -> None:
     assert least_distance(posed, path, stamps) >= 0.0995
 
 
-def test_the_table_is_respected(proposer: Proposer) -> None:
-    # The flat obstacle is passed below at least cost, unless a table is there.
-    posed = scenes([[0.5, 0.0, 0.06]], [0.1, 0.3, 0.1])
-    below = verify(posed, proposer, duration=DURATION, parameters=QUICK)
-    assert followed(posed, below)[0][:, 2].min() < -0.1
-    table = replace(posed, plane=np.array([[0.0, 0.0, 1.0, -0.05]]))
-    above = verify(table, proposer, duration=DURATION, parameters=QUICK)
-    assert above.kept
-    assert followed(table, above)[0][:, 2].min() >= -0.05 - 1e-6
-
-
-def test_the_workspace_is_respected(proposer: Proposer) -> None:
-    posed = scenes([[0.5, 0.0, 0.0]])
-    # Round the world's z axis: the baseline is 0.5 m from it, what is nearer is out of reach.
-    moved = replace(
-        posed,
-        p_WE=np.array([[-0.5, 0.5, 0.0]]),
-        p_WG=np.array([[0.5, 0.5, 0.0]]),
-        p_WO=np.array([[[0.0, 0.52, 0.0]]]),
-        semi_axes=np.array([[[0.08, 0.08, 0.4]]]),
-    )
-    assert (followed(moved, verify(moved, proposer, duration=DURATION))[0][:, 1]).min() < 0.45
-    annulus = Annulus(np.array([[-1.0, 1.0], [0.45, 0.45], [2.0, 2.0]]))
-    found = verify(replace(moved, annulus=annulus), proposer, duration=DURATION, parameters=QUICK)
-    assert found.kept
-    assert followed(moved, found)[0][:, 1].min() > 0.44
-
-
-def test_what_cannot_be_kept_is_said(proposer: Proposer) -> None:
-    # Between two plates 0.12 m apart nobody keeps 0.1 m; the world around is forbidden.
-    posed = scenes([[0.5, 3.06, 0.0], [0.5, -3.06, 0.0]], [0.2, 3.0, 2.0])
-    annulus = Annulus(np.array([[-0.05, 0.05], [0.0, 0.0], [1.1, 1.1]]))
-    found = verify(replace(posed, annulus=annulus), proposer, duration=DURATION, parameters=QUICK)
+def test_a_clearance_that_cannot_be_kept_is_reported(proposer: Proposer) -> None:
+    # Walls all around, and 0.1 m asked in a gap of 0.12 m.
+    posed = scenes([[0.5, 3.06, 0.0], [0.5, -3.06, 0.0]], [0.2, 3.0, 50.0])
+    found = verify(posed, proposer, duration=DURATION, parameters=QUICK)
     assert not found.kept
     assert 0.03 < found.shortfall < 0.06
     assert found.kept_clearance == pytest.approx(0.1 - found.shortfall, abs=1e-3)
-
-
-def test_past_the_demonstration_proposals_do_not_look_back_in_time() -> None:
-    posed = scenes([[1.0, 0.12, 0.0]], velocity=(0.0, 0.2, 0.0))
-    shadow = np.empty((2, 1, 4, 4))
-    for out, s in zip(shadow, (1.0, 1.6), strict=True):
-        shadows(posed.arrays, s, DURATION, np.arange(4) * 0.5 * np.pi, out)
-    np.testing.assert_array_equal(shadow[1], shadow[0])
 
 
 def test_the_choice_does_not_depend_on_the_company(proposer: Proposer) -> None:
@@ -194,41 +155,16 @@ def test_the_choice_does_not_depend_on_the_company(proposer: Proposer) -> None:
     np.testing.assert_array_equal(first.terms, verify(alone, proposer, duration=DURATION).terms)
 
 
-def test_the_side_in_use_is_kept_unless_another_is_much_shorter(proposer: Proposer) -> None:
-    rng = np.random.default_rng(0)
-    found = verify(scenes([[0.5, 0.0, 0.0]]), proposer, duration=DURATION)
-    side = found.genes[0, ANGLE]
-    for _ in range(8):
-        noisy = scenes([(np.array([0.5, 0.0, 0.0]) + 0.003 * rng.standard_normal(3)).tolist()])
-        found = verify(noisy, proposer, duration=DURATION, previous=found.genes)
-        assert found.kept
-        assert np.cos(found.genes[0, ANGLE] - side) > 0.7
-        side = found.genes[0, ANGLE]
-    # Now 0.15 m over to the chosen side: the other one is much shorter.
-    over = 0.15 * np.array([0.0, np.cos(side), np.sin(side)]) + [0.5, 0.0, 0.0]
-    found = verify(scenes([over.tolist()]), proposer, duration=DURATION, previous=found.genes)
-    assert np.cos(found.genes[0, ANGLE] - side) < 0.0
-
-
 def test_it_goes_on_from_the_middle_of_a_motion(proposer: Proposer) -> None:
     posed = scenes([[0.6, 0.0, 0.0]])
     found = verify(posed, proposer, duration=DURATION)
     first = spatial_rollouts(posed, [0], found.terms, fade=0.3, keep_path=True)
     half = replace(posed, p_WE=first.path[:, 200], z_W=first.velocity[:, 200], s=0.4)
-    again = verify(half, proposer, duration=DURATION, previous=found.genes)
+    again = verify(half, proposer, duration=DURATION)
     assert again.kept
     rest = spatial_rollouts(half, [0], again.terms, fade=0.3, horizon=2.0, keep_path=True)
     path = rest.path[0][: int(rest.steps[0]) + 1]
     assert signed_distance(path, [0.6, 0.0, 0.0], np.eye(3), [0.08] * 3).min() >= 0.0995
-
-
-def test_scenes_not_kept_are_searched_again(proposer: Proposer) -> None:
-    posed = scenes([[0.5, 0.0, 0.0]])
-    once = SearchParameters(rounds=0, candidates=32)
-    plane = np.array([[0.0, 0.0, 1.0, 0.2]])
-    hopeless = replace(posed, plane=plane, asked_clearance=np.full((1, 1), 5.0))
-    found = verify(hopeless, proposer, duration=DURATION, parameters=replace(once, retries=1))
-    assert found.rollouts > verify(hopeless, proposer, duration=DURATION, parameters=once).rollouts
 
 
 def test_a_turn_about_the_normal_goes_to_the_side() -> None:
@@ -259,5 +195,3 @@ def test_arguments_are_checked(proposer: Proposer) -> None:
     posed = scenes([[0.5, 0.0, 0.0]])
     with pytest.raises(ValueError, match="duration"):
         verify(posed, proposer, duration=0.0)
-    with pytest.raises(ValueError, match="previous"):
-        verify(posed, proposer, duration=1.0, previous=np.zeros((2, 7)))

@@ -120,22 +120,3 @@ def test_an_obstacle_that_moved_is_drawn_where_it_was_too(
     log = straight_log(observation_time=0.1 * np.arange(20), **pack_ellipsoids(frames))
     above = drawn(modulated=log).subfigs[1].axes[0]
     assert len(above.patches) == 5 + 1
-
-
-def test_the_confidence_is_drawn_where_a_chain_tells_it(
-    straight_log: Callable[..., MotionLog],
-) -> None:
-    words = "probability of keeping what is asked"
-    assert words not in texts(drawn(modulated=straight_log()))
-    told = np.array([[0.9, 0.2], [0.7, np.nan], [np.nan, np.nan]])
-    log = straight_log(observation_time=np.arange(3.0), confidence=told)
-    np.testing.assert_array_equal(log.least_confidence, [0.2, 0.7, np.nan])
-    figure = drawn(modulated=log)
-    assert words in texts(figure)
-    (line,) = (
-        line
-        for ax in figure.subfigs[0].axes
-        for line in ax.get_lines()
-        if line.get_label() == words
-    )
-    np.testing.assert_array_equal(line.get_ydata(), log.least_confidence)

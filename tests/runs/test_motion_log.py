@@ -14,7 +14,6 @@ from drake_oa.runs.motion_log import (
     MotionEnd,
     MotionLog,
     load_logs,
-    pack_confidence,
     pack_ellipsoids,
     save_logs,
 )
@@ -51,7 +50,6 @@ def log(instants: int = 4, frames: int = 2) -> MotionLog:
         observation_time=0.05 + 0.1 * np.arange(frames),
         **pack_ellipsoids([ellipsoids(i, 0.1 * i) for i in range(frames)]),
         out_of_range=np.arange(frames),
-        confidence=pack_confidence([np.full(i, 0.3) for i in range(frames)], max(frames - 1, 0)),
         regulation="Verified",
         shortfall=rng.uniform(size=instants),
         event_time=np.array([0.1, 0.2]),
@@ -287,18 +285,10 @@ def test_a_file_of_before_the_goal_was_logged_is_read(tmp_path: Path) -> None:
     assert load_logs(path)["modulated"].goal.shape == (0, 3)
 
 
-def test_a_confidence_that_is_never_told_has_no_column() -> None:
-    assert pack_confidence([np.zeros(0), np.zeros(0)], 3).shape == (2, 0)
-    packed = pack_confidence([np.zeros(0), np.array([0.2])], 2)
-    np.testing.assert_array_equal(packed, [[np.nan, np.nan], [0.2, np.nan]])
-
-
-def test_a_file_of_before_the_confidence_was_logged_has_none(tmp_path: Path) -> None:
+def test_a_key_that_is_no_longer_logged_is_ignored(tmp_path: Path) -> None:
     file = tmp_path / "run.npz"
     save_logs(file, {"modulated": log()})
     with np.load(file) as archive:
-        kept = {k: v for k, v in archive.items() if not k.endswith("/confidence")}
-    np.savez(file, **kept)
-    back = load_logs(file)["modulated"]
-    assert back.confidence.shape == (0, 0)
-    assert np.isnan(back.least_confidence).all()
+        older = dict(archive) | {"modulated/confidence": np.full((2, 1), 0.3)}
+    np.savez(file, **older)
+    assert load_logs(file)["modulated"].stop_reason == "goal"

@@ -217,22 +217,10 @@ def test_decisions_are_read_from_what_was_logged() -> None:
     assert logged_decisions({})["decision_layer"] == ()
 
 
-def test_what_the_chain_is_not_sure_of_is_said_in_words(log_of: LogOf) -> None:
-    told = {
-        "regulation": "Paper",
-        "observation_time": np.arange(4.0),
-        "confidence": np.array([[np.nan, np.nan], [0.4, 0.9], [0.8, np.nan], [0.6, 0.7]]),
-        "out_of_range": np.array([0, 1, 1, 1]),
-    }
-    report = run_report("free_space", FREE, {"modulated": log_of(AROUND, **told)})
-    assert report["modulated"]["confidence"] == 0.4
-    json.dumps(report, allow_nan=False)
-    note = "a probability of 0.40 of keeping what is asked; it was not trained for such obstacles"
-    assert note in str(report_table(report))
-    sure = told | {"confidence": np.full((4, 1), 0.95)}
-    report = run_report("free_space", FREE, {"modulated": log_of(AROUND, **sure)})
-    assert "a probability of" not in str(report_table(report))
-    assert (
-        run_report("free_space", FREE, {"modulated": log_of(AROUND)})["modulated"]["confidence"]
-        is None
-    )
+def test_obstacles_outside_the_trained_range_are_reported(log_of: LogOf) -> None:
+    seen = {"observation_time": np.arange(4.0), "out_of_range": np.array([0, 1, 1, 1])}
+    note = "obstacles outside the regressor chain's trained range in 75% of the observations"
+    for regulation in ("Paper", "Verified"):
+        log = log_of(AROUND, regulation=regulation, **seen)
+        report = run_report("free_space", FREE, {"modulated": log})
+        assert (note in str(report_table(report))) == (regulation == "Paper")

@@ -8,17 +8,15 @@ import pytest
 import torch
 
 from drake_oa.geometry.ellipsoid import signed_distance
+from drake_oa.policy.coupling import N_COLUMNS
 from drake_oa.regulation.proposal_network import (
     HALF,
     SIDES,
     ProposalNetwork,
     descriptors,
-    load_proposals,
 )
-from drake_oa.regulation.proposals import ANGLE, ASKED, N_GENES, shadows_of
-from drake_oa.regulation.regressor import ChainWeights, load_chain
-from drake_oa.scenario.shipped import package_file
-from drake_oa.training import session
+from drake_oa.regulation.proposals import ANGLE, N_GENES
+from drake_oa.regulation.rollout import spatial_rollouts
 from drake_oa.training.checkpoint import Checkpoint
 from drake_oa.training.proposals import (
     DURATION,
@@ -34,16 +32,14 @@ from drake_oa.training.proposals import (
 FEW = ProposalRecipe(scenes=40, chunk=40, rounds=2, epochs=2, batch=16, width=8, search_rounds=2)
 
 
-@pytest.fixture(scope="module")
-def chain() -> ChainWeights:
-    return load_chain(package_file("package://drake_oa/weights/regressor_chain.safetensors"))
-
-
 @pytest.mark.parametrize("moving", [False, True])
 def test_scenes_have_something_in_the_way_and_their_ends_clear(moving: bool) -> None:
     scenes = draw_scenes(np.random.default_rng(0), 60, moving)
     assert scenes.p_WO.shape == (60, MOST, 3)
-    assert (shadows_of(scenes, DURATION, np.zeros(1))[:, 0, ASKED] > 0.0).all()
+    unmodulated = spatial_rollouts(
+        scenes, np.arange(60), np.zeros((60, N_COLUMNS)), seconds=DURATION, steps=1000
+    )
+    assert (unmodulated.margin < 0.0).all()
     for p in (scenes.p_WE, scenes.p_WG):
         distance = signed_distance(p[:, None], scenes.p_WO, scenes.R_WO, scenes.semi_axes)
         assert np.nanmin(distance) > 0.0
@@ -68,9 +64,9 @@ def test_the_network_that_runs_is_the_one_that_learns() -> None:
     np.testing.assert_allclose(genes[:, 5, ANGLE], side, atol=1e-5)
 
 
-def test_rows_are_the_same_for_the_same_seed(chain: ChainWeights) -> None:
+def test_rows_are_the_same_for_the_same_seed() -> None:
     recipe = replace(FEW, under_way=1.0, moving=1.0)
-    one, same, other = (make_rows(recipe, (0, 0, seed), chain, None) for seed in (1, 1, 2))
+    one, same, other = (make_rows(recipe, (0, 0, seed), None) for seed in (1, 1, 2))
     for ours, theirs in zip(one, same, strict=True):
         np.testing.assert_array_equal(ours, theirs)
     assert len(one.genes) != len(other.genes) or not np.array_equal(one.genes, other.genes)
@@ -78,22 +74,11 @@ def test_rows_are_the_same_for_the_same_seed(chain: ChainWeights) -> None:
     assert 0 < one.kept.sum() <= len(one.kept)
 
 
-def test_a_training_that_is_cut_short_goes_on_to_the_same(
-    chain: ChainWeights, tmp_path: Path
-) -> None:
+def test_a_training_that_is_cut_short_goes_on_to_the_same(tmp_path: Path) -> None:
     settings = {"seed": 0}
-    whole, scores = train_proposals(FEW, 0, chain)
+    whole, scores = train_proposals(FEW, 0)
     assert len(scores) == FEW.rounds
-    train_proposals(
-        replace(FEW, rounds=1), 0, chain, checkpoint=Checkpoint(tmp_path / "kept", settings)
-    )
-    again = train_proposals(FEW, 0, chain, checkpoint=Checkpoint(tmp_path / "kept", settings))[0]
+    train_proposals(replace(FEW, rounds=1), 0, checkpoint=Checkpoint(tmp_path / "kept", settings))
+    again = train_proposals(FEW, 0, checkpoint=Checkpoint(tmp_path / "kept", settings))[0]
     for ours, theirs in zip(whole.layers, again.layers, strict=True):
         np.testing.assert_array_equal(ours, theirs)
-
-
-def test_the_recipe_writes_weights_that_load(tmp_path: Path) -> None:
-    assert session.train("proposals", tmp_path, iterations=30) == 0
-    network = load_proposals(tmp_path / session.PROPOSALS_FILE)
-    assert network.metadata["recipe"] == "proposals"
-    assert len(network.metadata["scores"]) == network.metadata["rounds"] == 2

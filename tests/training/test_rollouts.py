@@ -1,7 +1,5 @@
 """Motions of the training set: what the engine is asked, against the readable step."""
 
-from math import ceil
-
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -25,13 +23,12 @@ def scenes(n, seed=0):
     return extents, centers, parameters[:, None]
 
 
-def readable_path(parameters, center, end):
+def readable_path(parameters, center):
     turn = turning(terms([*center, 0.0], parameters))
     p, z, k, goal = np.zeros(3), np.zeros(3), 1.0, np.array([1.0, 0.0, 0.0])
     path = [p]
-    steps = ceil(round(end * STEPS, 9))
-    for _ in range(steps):
-        p, z, k = step(DMP, p, z, k, end / steps, goal, frame=np.eye(3), baseline=1.0, turn=turn)
+    for _ in range(STEPS):
+        p, z, k = step(DMP, p, z, k, 1.0 / STEPS, goal, frame=np.eye(3), baseline=1.0, turn=turn)
         path.append(p)
     return np.array(path)
 
@@ -44,22 +41,19 @@ def densely_measured(path, extents, center):
     return 0.0 if inside.any() else cKDTree(ellipse).query(path[:, :2])[0].min()
 
 
-@pytest.mark.parametrize("end", [1.0, 1.25])
-def test_agrees_with_the_readable_step(end):
+def test_agrees_with_the_readable_step():
     extents, centers, parameters = scenes(16)
-    found = planar_rollouts(extents, centers, parameters, dmp=DMP, steps=STEPS, end=end)
+    found = planar_rollouts(extents, centers, parameters, dmp=DMP, steps=STEPS)
     compared = 0
     for i in range(len(extents)):
-        path = readable_path(parameters[i], centers[i], end)
+        path = readable_path(parameters[i], centers[i])
         measured = densely_measured(path, extents[i], centers[i])
         assert found.contact[i, 0] == (measured == 0.0)
         goal_error = np.linalg.norm(path[-1] - (1.0, 0.0, 0.0))
         if found.contact[i, 0] or goal_error > 0.05:
             continue  # A path that circles amplifies the last bit of a sum.
         compared += 1
-        length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
         assert found.goal_error[i, 0] == pytest.approx(goal_error, abs=1e-7)
-        assert found.path_length[i, 0] == pytest.approx(length, abs=1e-7)
         assert found.clearance[i, 0] == pytest.approx(measured, abs=1e-4)
     assert compared > 5
 
@@ -86,10 +80,3 @@ def test_several_parameters_a_scene_are_as_many_scenes():
     )
     assert together.clearance.shape == (6, 6)
     np.testing.assert_allclose(together.clearance.ravel(), alone.clearance[:, 0], atol=1e-5)
-
-
-def test_fading_lets_the_motion_arrive():
-    scene = (np.array([[0.1, 0.1]]), np.array([[0.75, 0.0]]), np.array([[[100.0, 1.5, 1.0]]]))
-    plain, faded = (planar_rollouts(*scene, dmp=DMP, fade=fade) for fade in (0.0, 0.4))
-    assert not plain.contact[0, 0]
-    assert faded.goal_error[0, 0] < 0.1 * plain.goal_error[0, 0]

@@ -1,58 +1,28 @@
 """`drake-oa train`: what it writes, prints, refuses, and keeps when interrupted."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
 
 from drake_oa.app.main import main
+from drake_oa.regulation.proposal_network import load_proposals
 from drake_oa.regulation.regressor import load_chain
-from drake_oa.scenario.shipped import package_file
+from drake_oa.scenario.loading import load_scenario
 from drake_oa.training import session
-from drake_oa.training.chain import train_chain
-from drake_oa.training.confidence import ConfidenceRecipe
-from drake_oa.training.dataset import Exploration
 from drake_oa.training.networks import Round
-from drake_oa.training.paper import PaperRecipe
+from drake_oa.training.paper import PaperRecipe, train_paper
 from drake_oa.training.paper_set import CHAINS
 from drake_oa.training.released_method import PaperLattice
-from drake_oa.training.validation import validate
-
-SMALL = Exploration(
-    lambda1=np.array([0.05, 0.15]),
-    lambda2=np.array([0.05, 0.15]),
-    clearances=np.array([0.05, 0.1]),
-    positions=np.array([0.4, 0.6]),
-    kappa=np.geomspace(0.5, 20.0, 4),
-    psi=np.geomspace(1.0, 2.2, 3),
-    alpha=np.geomspace(30.0, 1e4, 8),
-    copies=1,
-    grid_steps=200,
-    degree=1,
-)
 
 
 @pytest.fixture
 def small(monkeypatch):
-    monkeypatch.setattr(session, "Exploration", lambda: SMALL)
-    monkeypatch.setattr(session, "validate", lambda chain, **_: validate(chain, scenes=10))
     full = PaperLattice()
     lattice = PaperLattice(*(axis[[1, -1]] for axis in full[:2]), *(a[1::12] for a in full[2:]))
     rounds = {name: ((Round(2, 50),),) * 3 for name in CHAINS}
     monkeypatch.setattr(session, "PaperRecipe", lambda: PaperRecipe(lattice, rounds))
-    few = ConfidenceRecipe(scenes=200, held_out=200, epochs=2, batch=50)
-    monkeypatch.setattr(session, "ConfidenceRecipe", lambda: few)
-
-
-def test_the_project_recipe_writes_a_file_that_loads(small, tmp_path, capsys):
-    out = tmp_path / "new"
-    assert main(["train", "--out", str(out), "--seed", "4", "--iterations", "2"]) == 0
-    metadata = load_chain(out / "regressor_chain.safetensors").metadata
-    assert (metadata["recipe"], metadata["seed"]) == ("project", 4)
-    assert metadata["training"]["iterations"] == 2
-    printed = capsys.readouterr().out
-    assert "| ln alpha |" in printed
-    assert "| on the baseline |" in printed
-    assert [path.name for path in out.iterdir()] == ["regressor_chain.safetensors"]
 
 
 def test_the_paper_recipe_writes_two(small, tmp_path, capsys):
@@ -62,39 +32,35 @@ def test_the_paper_recipe_writes_two(small, tmp_path, capsys):
     assert "| RC(lambda', Delta) | alpha |" in capsys.readouterr().out
 
 
-def test_the_confidence_is_added_to_the_shipped_chain(small, tmp_path, capsys):
-    command = ["train", "--recipe", "confidence", "--out", str(tmp_path), "--seed", "5"]
-    assert main([*command, "--iterations", "1"]) == 0
-    found = load_chain(tmp_path / session.RUNNING_FILE)
-    shipped = load_chain(package_file(f"package://drake_oa/weights/{session.RUNNING_FILE}"))
-    told = found.metadata["confidence"]
-    assert (told["seed"], told["epochs"]) == (5, 1)
-    inputs = np.random.default_rng(0).uniform(shipped.lower, shipped.upper)[None]
-    np.testing.assert_array_equal(found.evaluate(inputs), shipped.evaluate(inputs))
-    assert capsys.readouterr().out.count("| in_range |") == 1
-
-
-def test_an_interrupted_training_says_how_to_go_on_and_does(small, tmp_path, monkeypatch, capsys):
-    command = ["train", "--iterations", "3", "--out", str(tmp_path / "cut")]
+def test_an_interrupted_training_resumes_to_the_same_weights(small, tmp_path, monkeypatch, capsys):
+    command = ["train", "--recipe", "paper", "--out", str(tmp_path / "cut")]
 
     def interrupted(*arguments, report, **options):
         def stop(stage, fraction):
-            if (stage, fraction) == ("psi", 2 / 3):
+            if stage.endswith("psi"):
                 raise KeyboardInterrupt
 
-        return train_chain(*arguments, report=stop, **options)
+        return train_paper(*arguments, report=stop, **options)
 
     with monkeypatch.context() as cut:
-        cut.setattr(session, "train_chain", interrupted)
+        cut.setattr(session, "train_paper", interrupted)
         assert main(command) == 130
     assert "the same command goes on from there" in capsys.readouterr().err
-    assert (tmp_path / "cut" / "project.checkpoint" / "psi.safetensors").is_file()
     assert main(command) == 0
     assert "going on from" in capsys.readouterr().err
     assert main([*command[:-1], str(tmp_path / "whole")]) == 0
-    cut, whole = (load_chain(tmp_path / name / session.PROJECT_FILE) for name in ("cut", "whole"))
-    inputs = np.random.default_rng(0).uniform(whole.lower, whole.upper, (20, 4))
+    cut, whole = (
+        load_chain(tmp_path / name / "paper_chain.safetensors") for name in ("cut", "whole")
+    )
+    inputs = np.random.default_rng(0).uniform(whole.lower, whole.upper, (20, 3))
     np.testing.assert_array_equal(cut.evaluate(inputs), whole.evaluate(inputs))
+
+
+def test_without_a_recipe_the_network_of_the_default_scenario_is_trained(tmp_path):
+    assert main(["train", "--iterations", "30", "--out", str(tmp_path)]) == 0
+    (written,) = tmp_path.iterdir()
+    assert written.name == Path(load_scenario("tabletop_box").regulation.weights).name
+    assert load_proposals(written).metadata["recipe"] == "proposals"
 
 
 @pytest.mark.parametrize(
@@ -113,7 +79,7 @@ def test_wrong_arguments_are_named(arguments, message, tmp_path, monkeypatch, ca
 
 
 def test_a_checkpoint_of_another_seed_is_refused(small, tmp_path, capsys):
-    checkpoint = tmp_path / "project.checkpoint"
+    checkpoint = tmp_path / "proposals.checkpoint"
     checkpoint.mkdir()
     (checkpoint / "settings.json").write_text('{"seed": 8}')
     assert main(["train", "--out", str(tmp_path), "--iterations", "1"]) == 2

@@ -6,11 +6,9 @@ A method is a function `run(scenes, setting) -> Motions`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
-
-import numpy as np
 
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen
 from drake_oa.studies.scenes.scenes import Scenes
@@ -43,8 +41,6 @@ class Motions(Frozen):
             compilation excluded.
         in_range: (N,) whether the regressor chain was asked within its trained range; None:
             there is none, or it does not tell.
-        decisions: (N,) what each decision took, where they were made one after another [s].
-        rollouts: that they took in all.
     """
 
     path: FloatArray
@@ -52,8 +48,6 @@ class Motions(Frozen):
     duration: FloatArray
     seconds: float
     in_range: BoolArray | None = None
-    decisions: FloatArray = field(default_factory=lambda: np.zeros(0))
-    rollouts: int = 0
 
     def __len__(self) -> int:
         return len(self.path)
@@ -85,7 +79,6 @@ METHODS: dict[str, Callable[[], Method]] = {
     "verified": partial(_imported, "verified"),
     "original": partial(_imported, "paper_method", "run_original"),
     "movement_primitives": partial(_imported, "peers"),
-    "verified_constant": partial(_imported, "verified", "run_constant"),
 }
 """Name of a method -> what imports it."""
 

@@ -4,18 +4,13 @@ import numpy as np
 import pytest
 
 from drake_oa.regulation.config import SearchParameters
-from drake_oa.regulation.regressor import load_chain
-from drake_oa.scenario.shipped import package_file
 from drake_oa.studies.scenes.judge import judge
 from drake_oa.studies.scenes.methods import Setting, load_method
 from drake_oa.studies.scenes.scenes import DURATION, Scenes, single_obstacle
 from drake_oa.studies.scenes.suites import draw_scenes
 from drake_oa.studies.scenes.verified import (
-    CHAIN,
-    CONSTANT,
     LEAST_CLEARANCE,
     PARAMETERS,
-    constant_chain,
     run,
 )
 
@@ -85,10 +80,3 @@ def test_a_scene_gets_the_same_motion_in_any_batch() -> None:
 
 def test_the_search_is_that_of_the_running_system() -> None:
     assert SearchParameters() == PARAMETERS
-
-
-def test_a_constant_chain_says_the_same_whatever_it_is_asked() -> None:
-    chain = constant_chain(load_chain(package_file(CHAIN)))
-    inputs = np.random.default_rng(0).uniform(chain.lower, chain.upper, (5, len(chain.lower)))
-    said = [[CONSTANT[name] for name in ("alpha", "psi", "kappa")]] * 5
-    np.testing.assert_allclose(chain.evaluate(inputs), said, rtol=1e-12)
