@@ -2,13 +2,15 @@
 
 At each step of `DifferentialInverseKinematicsSystem` a quadratic program finds the joint
 velocity that brings the tool nearest to the asked pose, subject to joint velocity limits
-and, for every pair (robot link, thing) with padded distance phi below the influence
+and, for every pair (robot link, thing) with padded distance phi = d - p below the influence
 distance, to
 
-    phi + (dphi/dq) v dt >= 0.
+    phi + (dphi/dq) v dt >= s,
 
-The padding is what a pair must keep: one distance for tool and obstacles, another for the
-rest of the robot.
+so that a pair keeps s + p. The safety distance s is the smaller of what tool and arm keep, and
+the padding p is what a pair keeps besides. Between d = 0 and d = p the gradient of Drake 1.51
+has the wrong sign (RobotLocomotion/drake#25016), and the program would drive such a pair
+further in: with s > 0 this region lies s inside of what is kept.
 """
 
 from __future__ import annotations
@@ -38,7 +40,7 @@ from drake_oa.robot.grasped_object import part_carried, tool_links
 from drake_oa.robot.plant import TOOL_FRAME
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.world.world_model import add_world, all_obstacles
+from drake_oa.world.world_model import add_world
 
 _EDGE_STEP = 0.1
 """The collision checker wants a step for checks of edges, which are not used here [rad]."""
@@ -54,7 +56,8 @@ class PeerParameters:
         tool_distance: what the tool keeps from obstacles [m].
         arm_distance: what the other links keep from obstacles, and every link from
             the rest of the world [m].
-        self_distance: what links keep from one another [m].
+        self_distance: what links keep from one another [m]. Not 0, where the gradient's sign
+            changes; links of the UR5 that cannot come apart are 13 mm from one another.
         influence: pairs further apart than their distance and this are left out [m].
         horizon: dt of the collision constraint [s]: a link may use up the distance that
             is left to it within this time, and no faster. With the policy's step of 8 ms
@@ -72,7 +75,7 @@ class PeerParameters:
 
     tool_distance: float = 0.03
     arm_distance: float = 0.02
-    self_distance: float = 0.0
+    self_distance: float = 0.005
     influence: float = 0.2
     horizon: float = 0.3
     gain: float = 0.2
@@ -92,6 +95,11 @@ class PeerParameters:
                 )
             if value == 0.0 and item.name in ("horizon", "gain"):
                 raise ValueError(f"PeerParameters.{item.name} is 0; it must be positive")
+
+    @property
+    def safety_distance(self) -> float:
+        """The distance that tool and arm both keep from obstacles [m]."""
+        return min(self.tool_distance, self.arm_distance)
 
 
 def look_ahead(period: float, parameters: PeerParameters) -> float:
@@ -175,21 +183,24 @@ def _pad(
 ) -> None:
     plant = checker.plant()
     of_tool = tool_links(scenario.robot) if scenario.robot else []
-    checker.SetPaddingAllRobotEnvironmentPairs(parameters.arm_distance)
-    checker.SetPaddingAllRobotRobotPairs(parameters.self_distance)
+    safety = parameters.safety_distance
+    checker.SetPaddingAllRobotEnvironmentPairs(parameters.arm_distance - safety)
+    checker.SetPaddingAllRobotRobotPairs(parameters.self_distance - safety)
     for link in map(plant.get_body, plant.GetBodyIndices(instance)):
         if plant.IsAnchored(link):
             checker.SetCollisionFilteredWithAllBodies(link.index())
             continue
         if link.name() in of_tool:
             for thing in _obstacle_bodies(plant):
-                checker.SetPaddingBetween(link.index(), thing.index(), parameters.tool_distance)
+                checker.SetPaddingBetween(
+                    link.index(), thing.index(), parameters.tool_distance - safety
+                )
 
 
 def _driven_instances(plant: MultibodyPlant, scenario: Scenario) -> list[ModelInstanceIndex]:
     return [
         plant.GetModelInstanceByName(f"{OBSTACLE_PREFIX}_{obstacle.name}")
-        for obstacle in all_obstacles(scenario)
+        for obstacle in scenario.obstacles
         if obstacle.driven
     ]
 
@@ -245,7 +256,8 @@ def make_differential_ik(
     tracking = System.LeastSquaresCost.Config(cartesian_qp_weight=parameters.weight)
     centering = System.JointCenteringCost.Config(posture_gain=parameters.posture_gain)
     collision = System.CollisionConstraint.Config(
-        safety_distance=0.0, influence_distance=parameters.influence
+        safety_distance=parameters.safety_distance,
+        influence_distance=parameters.safety_distance + parameters.influence,
     )
     recipe = System.Recipe()
     recipe.AddIngredient(System.LeastSquaresCost(tracking))
