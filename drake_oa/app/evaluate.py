@@ -32,7 +32,6 @@ Methods = Annotated[tuple[str, ...], Parameter(name="--method")]
 """Names of methods; the option may be repeated."""
 
 evaluate = App(name="evaluate")
-evaluate.command("drake_oa.app.kept:kept", name="kept")
 for _name in ("table1", "table2", "table3", "figure_familiar", "figure_dead_zone"):
     evaluate.command(f"drake_oa.app.paper_tables:{_name}", name=_name)
 
@@ -322,7 +321,7 @@ def panda(
                    image, change speed, turn, stop, come back; up to 2 more stand there;
                    not every scene has a solution
 
-    Methods (all but planner_executed by default; of tabletop without planner):
+    Methods (all by default; planner in elbow and clutter6 only):
 
       preplanned            the planned motion, blind to obstacles
       paper                 the paper's regulation, which nothing checks, without a
@@ -337,9 +336,8 @@ def panda(
       planner               a sampling-based planner that knows the obstacles exactly:
                             RRT-Connect of the package ompl (pip install
                             'drake_oa[peers]'), the whole robot 25 mm from everything; it
-                            is not simulated, and success means solved
-      planner_executed      the planner's path, gone along open loop by an inverse dynamics
-                            controller, at rest in its corners; not among moving things
+                            is not simulated, and success means solved; not among moving
+                            things
 
     It prints:
 
@@ -437,7 +435,6 @@ def mbm(
       planner               RRT-Connect from the start's joints to the goal's, the whole
                             robot at the asked clearance from the same shapes, 200 000
                             states at most; not simulated
-      planner_executed      that path, executed open loop
 
     --json has a block for each set, and `all`.
 
@@ -496,10 +493,10 @@ def run_suites(
     from drake_oa.common.files import software_versions
     from drake_oa.studies.panda.evaluation import evaluate_panda
     from drake_oa.studies.panda.planner import check_planner
-    from drake_oa.studies.panda.run import PLANNED
+    from drake_oa.studies.panda.run import PLANNER
     from drake_oa.studies.panda.tables import panda_figures, panda_table
 
-    if any(PLANNED & set(suite.methods) for suite in suites):
+    if any(PLANNER in suite.methods for suite in suites):
         check_planner()
     check_outputs(runs.json)
     keeping = _keeping(runs, suites)

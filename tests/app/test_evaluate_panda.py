@@ -12,6 +12,15 @@ from drake_oa.scenario.loading import load_scenario
 _SHORT = ["evaluate", "panda", "--scenes", "1", "--duration", "0.02", "--perception", "truth"]
 
 
+def test_every_command_of_evaluate_has_a_summary(capsys):
+    assert main(["evaluate", "--help"]) == 0
+    commands = capsys.readouterr().out.split("Commands:\n")[1].split("\n\n")[0].splitlines()
+    assert len(commands) > 5
+    # Lines without an indent go on with a long summary.
+    for line in commands:
+        assert not line.startswith("  ") or line.partition(": ")[2].strip()
+
+
 def test_help_lists_the_suite(capsys):
     assert main(["evaluate", "panda", "--help"]) == 0
     text = capsys.readouterr().out
@@ -37,6 +46,7 @@ def test_help_lists_the_suite(capsys):
         (["panda", "--scenes-file", "f.npz"], "Unknown option: --scenes-file"),
         (["panda", "--plot", "f.png"], "Unknown option: --plot"),
         (["panda", "--method", "original"], "unknown method 'original'; panda has: preplanned"),
+        (["panda", "--suite", "elbow,moving_hard", "--method", "planner"], "of moving_hard move"),
         (["panda", "--perception", "sonar"], 'Choose from: "depth", "truth"'),
         (["panda", "--cameras", "3"], "Choose from: 1, 2"),
         (["panda", "--cameras", "2", "--perception", "truth"], "--cameras 2 needs --perception"),
@@ -95,6 +105,6 @@ def test_without_ompl_the_error_says_what_to_install(monkeypatch, capsys, tmp_pa
     monkeypatch.chdir(tmp_path)
     for name in ("ompl", "ompl.base"):
         monkeypatch.setitem(sys.modules, name, None)
-    assert main(["evaluate", "panda", "--suite", "moving"]) == 2
+    assert main(["evaluate", "panda", "--suite", "elbow"]) == 2
     assert "pip install 'drake_oa[peers]'" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

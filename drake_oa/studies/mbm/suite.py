@@ -20,7 +20,7 @@ from drake_oa.studies.panda.evaluation import Drawing, PandaResults, PandaSuite
 from drake_oa.studies.panda.run import Criteria
 from drake_oa.studies.panda.tables import ALL, methods_figures
 
-METHODS = ("verified", "preplanned", "differential_ik", "planner", "planner_executed")
+METHODS = ("verified", "preplanned", "differential_ik", "planner")
 
 _CRITERIA = Criteria(
     goal_error=0.01,

@@ -18,10 +18,10 @@ the obstacles exactly:
 
     differential_ik   Drake's DifferentialInverseKinematicsSystem with collision constraints at the
                       policy's period; ToolPose gives it the pose a moment ahead
-    planner           OMPL's RRT-Connect (Kuffner and LaValle, ICRA 2000), timed among moving
-                      things by a search along its paths (Kant and Zucker, IJRR 1986)
-    peer              both on the station: what follows differential_ik, and a plan open loop
+    planner           OMPL's RRT-Connect (Kuffner and LaValle, ICRA 2000), not simulated; its
+                      search in time among moving things (Kant and Zucker, IJRR 1986) is in no
+                      suite
+    peer              differential_ik on the station
 
-`faults` runs one scenario under each fault instead: `python -m drake_oa.studies.panda.faults`.
 There is no block in the scenario: a study writes scenarios. Read `run.py` first.
 """

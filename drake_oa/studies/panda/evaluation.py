@@ -17,14 +17,19 @@ from drake_oa.runs.motion_log import MotionLog, save_logs
 from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.studies.panda.run import (
-    PLANNED,
     PLANNER,
     TRUTH_ONLY,
     Criteria,
     check_panda_method,
     run_and_judge,
 )
-from drake_oa.studies.panda.scenes import GENERATOR, check_kind, check_perception, draw_panda_scene
+from drake_oa.studies.panda.scenes import (
+    GENERATOR,
+    MOVING_KINDS,
+    check_kind,
+    check_perception,
+    draw_panda_scene,
+)
 from drake_oa.studies.parallel import Call
 from drake_oa.studies.results import ResultFolder, Task, content_key, resumed
 from drake_oa.studies.tally import Counts, Tally
@@ -72,6 +77,11 @@ class PandaSuite:
         check_perception(self.perception)
         for method in self.methods:
             check_panda_method(method)
+        if PLANNER in self.methods and self.kind in MOVING_KINDS:
+            raise ValueError(
+                f"--method {PLANNER}: plans among obstacles at rest, those of {self.kind} move; "
+                "valid kinds: tabletop, elbow, clutter6"
+            )
 
     def _check_kind(self) -> None:
         check_kind(self.kind)
@@ -273,7 +283,7 @@ def _viewer() -> Meshcat:
 def _compile_kernels(calls: Sequence[Call]) -> None:
     """Runs the beginning of a scene by each method, so that the workers need not compile."""
     for text, method, sees, *_, criteria in {call[1]: call for call in calls}.values():
-        if method not in PLANNED:
+        if method != PLANNER:
             run_text(text, method, sees, _WARM_UP, False, criteria)
 
 

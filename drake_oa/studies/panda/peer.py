@@ -1,20 +1,14 @@
-"""Peers on the simulated station, whose joint commands one controller of Drake's follows.
-
-Drake's differential inverse kinematics follows the pre-planned motion:
+"""Drake's differential inverse kinematics on the simulated station, along the pre-planned motion.
 
     goal -> dmp_integrator [-> orientation_integrator] -> tool_pose -> desired_poses ->
     differential_ik -> commanded_position (integral), commanded_velocity (held) -> commanded_state
     [goal's joints ->] posture -> differential_ik
     commanded_position [+ where the moving obstacles are] -> differential_ik
 
-Its program starts from the commanded positions; `drake_oa.studies.panda.differential_ik` makes it
-from the scenario. Or a path in the joints, which was planned before, is gone along open loop:
-
-    commanded_state
-
-with, of both,
-
     commanded_state -> controller -> actuation -> effort_limits -> plant
+
+Its program starts from the commanded positions; `drake_oa.studies.panda.differential_ik` makes it
+from the scenario.
 """
 
 from __future__ import annotations
@@ -44,10 +38,8 @@ from pydrake.systems.primitives import (
     MatrixGain,
     Multiplexer,
     Saturation,
-    TrajectorySource,
     ZeroOrderHold,
 )
-from pydrake.trajectories import Trajectory
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray, HoldCause, PolicyState
@@ -105,68 +97,26 @@ def build_differential_ik(
     Raises:
         ScenarioError: naming the field that does not fit.
     """
-    wires, station = _begun(scenario, q_start)
-    position, velocity = _wire_command(wires, scenario, station, q_start, parameters)
-    command = wires.builder.AddNamedSystem("commanded_state", Multiplexer([len(q_start)] * 2))
-    wires.builder.Connect(position, command.get_input_port(0))
-    wires.builder.Connect(velocity, command.get_input_port(1))
-    return _finished(wires, scenario, station, command.get_output_port(), parameters, METHOD)
-
-
-def build_joint_path(
-    scenario: Scenario, path: Trajectory, parameters: peer.PeerParameters
-) -> Diagram:
-    """Wires a motion in the joints, which is gone along open loop, on a scenario's station.
-
-    Subsystems by name: plant, scene_graph, goal, dmp_integrator, commanded_state, controller,
-    actuation, effort_limits, log_<signal>; where the tool turns orientation_integrator.
-
-    Args:
-        scenario: with a robot; its perception is not used. Of its motion only the time counts.
-        path: (nq, 1) positions of the robot over time [s].
-        parameters: of which the controller's are used.
-
-    Raises:
-        ScenarioError: naming the field that does not fit.
-    """
-    wires, station = _begun(scenario, path.value(0.0)[:, 0])
-    _wire_motion(wires, scenario)
-    command = wires.builder.AddNamedSystem(
-        "commanded_state", TrajectorySource(path, output_derivative_order=1)
-    )
-    return _finished(wires, scenario, station, command.get_output_port(), parameters, OPEN_LOOP)
-
-
-def _begun(scenario: Scenario, q_start: FloatArray) -> tuple[Wires, Station]:
-    """The station with its robot at the start."""
     if scenario.robot is None:
-        raise ScenarioError("robot: a peer needs one; it is null")
+        raise ScenarioError("robot: differential inverse kinematics needs one; it is null")
     builder = DiagramBuilder()
     station = make_station(builder, scenario, render=False)
-    station.plant.SetDefaultPositions(station.robot, q_start)
-    wires = Wires(builder)
-    wires.offer("plant_state", station.plant.get_state_output_port())
-    add_drivers(wires, scenario, station)
-    return wires, station
-
-
-def _finished(
-    wires: Wires,
-    scenario: Scenario,
-    station: Station,
-    command: OutputPort,
-    parameters: peer.PeerParameters,
-    name: str,
-) -> Diagram:
-    """The diagram, the robot's controller following commanded positions and velocities."""
     plant = station.plant
+    plant.SetDefaultPositions(station.robot, q_start)
+    wires = Wires(builder)
+    wires.offer("plant_state", plant.get_state_output_port())
+    add_drivers(wires, scenario, station)
+    position, velocity = _wire_command(wires, scenario, station, q_start, parameters)
+    command = builder.AddNamedSystem("commanded_state", Multiplexer([len(q_start)] * 2))
+    builder.Connect(position, command.get_input_port(0))
+    builder.Connect(velocity, command.get_input_port(1))
     # The arm's dynamics are its own: of driven obstacles the controller need not know.
     alone = plant.num_positions() == plant.num_positions(station.robot)
-    model = plant if alone or scenario.robot is None else make_robot_plant(scenario.robot).plant
-    _wire_controller(wires, station, model, command, parameters)
+    model = plant if alone else make_robot_plant(scenario.robot).plant
+    _wire_controller(wires, station, model, command.get_output_port(), parameters)
     wires.connect()
-    diagram = wires.builder.Build()
-    diagram.set_name(name)
+    diagram = builder.Build()
+    diagram.set_name(METHOD)
     return diagram
 
 
@@ -366,7 +316,7 @@ STUCK_TIME = 1.0
 """A tool that stands still for this long after the planned motion is over is stuck [s]."""
 STUCK_DISTANCE = 1e-3
 """It stands still while it stays this near to where it was [m]."""
-METHOD, OPEN_LOOP = "DifferentialInverseKinematics", "JointPath"
+METHOD = "DifferentialInverseKinematics"
 """The log's `regulation`."""
 NO_VELOCITY = "held: no joint velocity keeps the distances"
 """The note while the program has no solution: Drake then commands no velocity."""
@@ -389,15 +339,11 @@ class _ToolWatcher(MotionWatcher):
         super().__init__(diagram, scenario, end_time, on_progress, latest_time=latest_time)
         self._duration = make_dmp(scenario).duration
         self._recent: deque[tuple[float, FloatArray]] = deque()
-        self._command = None
-        if diagram.HasSubsystemNamed("differential_ik"):
-            self._command = diagram.GetSubsystemByName("commanded_velocity")
+        self._command = diagram.GetSubsystemByName("commanded_velocity")
 
     def _record(
         self, root: Context, now: float, policy: PolicyState, supervision: Supervision
     ) -> None:
-        if self._command is None:
-            return
         lag = math.dist(policy.p_WE, self._tool_point(root, policy))
         command = self._command.get_output_port().Eval(self._command.GetMyContextFromRoot(root))
         held = lag > _AT_REST and not command.any()
@@ -507,45 +453,12 @@ def simulate_differential_ik(
     integral = diagram.GetSubsystemByName("commanded_position")
     integral.set_integral_value(integral.GetMyMutableContextFromRoot(root), q_start)
     with _without_solver_messages():
-        return _run(scenario, simulator, METHOD, duration, on_progress)
-
-
-def simulate_joint_path(
-    scenario: Scenario,
-    path: Trajectory,
-    *,
-    duration: float | None = None,
-    on_progress: Callable[[float, float], None] | None = None,
-    parameters: PeerParameters | None = None,
-) -> MotionLog:
-    """Goes along a motion in the joints open loop, until the goal, a standstill or the time limit.
-
-    Its end is as that of `simulate_differential_ik`, the planned duration being the path's.
-
-    Args:
-        scenario: with a robot; its perception and regulation are not used.
-        path: (nq, 1) positions of the robot over time, from 0 s.
-        duration: time limit [s]; None: `LONGEST_SCALING` durations of the path.
-        on_progress: called with time [s] and phase, a few hundred times a second.
-        parameters: of which the controller's are used; None: the defaults.
-
-    Returns:
-        The log; `regulation` is `OPEN_LOOP`, its desired motion the demonstration, which takes
-        as long as the path.
-
-    Raises:
-        ScenarioError: if the scenario has no robot.
-        MotionInterruptedError: as `simulate_differential_ik` does.
-    """
-    scenario = replace(scenario, task=replace(scenario.task, duration=path.end_time()))
-    diagram = build_joint_path(scenario, path, parameters or PeerParameters())
-    return _run(scenario, Simulator(diagram), OPEN_LOOP, duration, on_progress)
+        return _run(scenario, simulator, duration, on_progress)
 
 
 def _run(
     scenario: Scenario,
     simulator: Simulator,
-    regulation: str,
     duration: float | None,
     on_progress: Callable[[float, float], None] | None,
 ) -> MotionLog:
@@ -555,7 +468,7 @@ def _run(
     )
     log = run_motion(scenario, simulator, watcher, modulated=True)
     saturated = (np.abs(log.torque) >= log.effort_limit).any(axis=1).astype(float)
-    log = replace(log, regulation=regulation, saturated=saturated)
+    log = replace(log, regulation=METHOD, saturated=saturated)
     if not len(log.desired_orientation) or scenario.robot is None:
         return log
     robot_plant = make_robot_plant(scenario.robot)

@@ -15,8 +15,8 @@ configurations and instants finds the earliest arrival after which the robot can
 goal until all courses have ended. That finds no motion which none of these paths carries: what
 it solves has a solution, what it does not solve may have one.
 
-The same scenario, seed and limits give the same plan: the limits count states, not seconds. A plan
-among what rests can be executed: `rest_to_rest` gives it a time law that an arm can follow.
+The same scenario, seed and limits give the same plan: the limits count states, not seconds.
+`run_planner` judges plans among obstacles that rest; no suite runs it among moving ones.
 
 Needs the extra `peers`: pip install 'drake_oa[peers]'.
 """
@@ -33,18 +33,14 @@ from typing import Any
 
 import numpy as np
 from pydrake.math import RotationMatrix
-from pydrake.systems.framework import DiagramBuilder
-from pydrake.trajectories import PiecewisePolynomial
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.policy.dmp import minimum_jerk_share
 from drake_oa.runs.metrics import path_length, robot_metrics
 from drake_oa.runs.motion_log import MotionEnd
-from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle, last_change
+from drake_oa.scenario.obstacles import Obstacle, last_change
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.tool_orientation import end_rotations
 from drake_oa.studies.panda.planning_scene import PlanningScene
-from drake_oa.world.station import make_station
 
 CLEARANCE = 0.025
 """What the whole robot keeps [m]: as near as the supervisor lets a link come to an obstacle."""
@@ -63,10 +59,6 @@ _SAME = 0.05
 """Configurations nearer than this to another are not kept [rad]."""
 _SPEED = 0.5
 """Share of the joints' greatest speeds that a plan uses."""
-_REACHED = 0.5
-"""An executed plan does not accelerate more than to that share within this time [s]."""
-_SAMPLED = 0.02
-"""Between the knots of an executed plan [s]."""
 _TICK = 0.05
 """Of the grid of time [s]."""
 _INSTANTS = (1.0, 0.0, 0.5, 0.25, 0.75)
@@ -84,14 +76,12 @@ class Plan:
         t: (T,) when [s].
         reason: "" or why there is no motion.
         states: how many were looked at.
-        speeds: (n,) greatest speeds of the arm's joints [rad/s].
     """
 
     q: FloatArray
     t: FloatArray
     reason: str
     states: int
-    speeds: FloatArray
 
 
 class _Counted:
@@ -162,14 +152,14 @@ def plan_motion(
         path, reason = _connect(cell, is_free, q_start, goals, states or STATES, seed)
         if path is None:
             return _no_plan(cell, reason, is_free.count)
-        return Plan(path, _paced(cell, path), "", is_free.count, cell.arm_speeds)
+        return Plan(path, _paced(cell, path), "", is_free.count)
     reason = "no path found"
     for path in _candidates(
         cell, scenario.obstacles, is_free, q_start, goals, goal, states or MOVING_STATES, seed
     ):
         found = _in_time(cell, scenario.obstacles, path, clearance)
         if found is not None:
-            return Plan(*found, "", is_free.count, cell.arm_speeds)
+            return Plan(*found, "", is_free.count)
         reason = "no timing found along the paths"
     return _no_plan(cell, reason, is_free.count)
 
@@ -181,7 +171,7 @@ def scenario_without_obstacles(scenario: Scenario) -> Scenario:
 
 def _no_plan(cell: PlanningScene, reason: str, states: int) -> Plan:
     q = np.empty((0, cell.num_positions))
-    return Plan(q, np.empty(0), reason, states, cell.arm_speeds)
+    return Plan(q, np.empty(0), reason, states)
 
 
 def _goal_positions(
@@ -294,41 +284,6 @@ def _paced(cell: PlanningScene, path: FloatArray) -> FloatArray:
     return np.concatenate([[0.0], np.cumsum(steps.max(axis=1))])
 
 
-def rest_to_rest(path: FloatArray, speeds: FloatArray) -> PiecewisePolynomial:
-    """A path in the joints as a motion that comes to rest at each corner, and so leaves it nowhere.
-
-    Each straight piece is a minimum-jerk motion on which no joint exceeds `_SPEED` of its speed,
-    or accelerates more than to that within `_REACHED`.
-
-    Args:
-        path: (T, nq) positions of the robot, the arm's first [rad, m].
-        speeds: (n,) greatest speeds of the arm's joints [rad/s].
-
-    Returns:
-        (nq, 1) positions over time, from 0 s.
-    """
-    steps = np.diff(path, axis=0)
-    lengths = np.linalg.norm(steps, axis=1)
-    steps, path = steps[lengths > 0.0], np.append(path[:1], path[1:][lengths > 0.0], axis=0)
-    if not len(steps):
-        raise ValueError("a path of one configuration is no motion")
-    ways = steps / np.linalg.norm(steps, axis=1, keepdims=True)
-    turns = 1 + np.flatnonzero(np.linalg.norm(np.diff(ways, axis=0), axis=1) > 1e-6)
-    corners = path[[0, *turns, len(path) - 1]]
-    times, positions, begin = [np.zeros(1)], [corners[:1]], 0.0
-    for one, other in pairwise(corners):
-        # Of minimum jerk: greatest speed 15/8 and acceleration 10/sqrt(3) for 1 in 1 s.
-        share = (np.abs(other - one)[: len(speeds)] / (_SPEED * speeds)).max()
-        seconds = max(1.875 * share, math.sqrt(10.0 / math.sqrt(3.0) * share * _REACHED))
-        s = np.linspace(0.0, 1.0, max(math.ceil(seconds / _SAMPLED), 4) + 1)[1:]
-        times.append(begin + seconds * s)
-        positions.append(one + minimum_jerk_share(s)[:, None] * (other - one))
-        begin += seconds
-    return PiecewisePolynomial.CubicShapePreserving(
-        np.concatenate(times), np.concatenate(positions).T, zero_end_point_derivatives=True
-    )
-
-
 def _candidates(
     cell: PlanningScene,
     obstacles: Sequence[Obstacle],
@@ -426,17 +381,15 @@ def _traced(reached: FloatArray, q: FloatArray) -> tuple[FloatArray, FloatArray]
 
 _FINE = 4
 """Instants that are judged for each step of a plan."""
-_WAITING = 0.01
-"""Time between those that are judged after it [s]."""
 
 
 def run_planner(
     scenario: Scenario, *, clearance: float = CLEARANCE, states: int | None = None
 ) -> dict[str, Any]:
-    """Plans a scenario's motion and judges the plan.
+    """Plans a scenario's motion among obstacles at rest and judges the plan.
 
     Args:
-        scenario: with a robot.
+        scenario: with a robot, whose obstacles rest.
         clearance: that the whole robot keeps [m].
         states: see `plan_motion`.
 
@@ -470,15 +423,11 @@ def run_planner(
 
 
 def _judged(scenario: Scenario, plan: Plan) -> dict[str, Any]:
-    """Until all obstacles have ended their courses, the robot at rest at the plan's end."""
+    """Metrics of a plan among obstacles at rest, see `run_planner`."""
     rows = np.arange(len(plan.t))
     fine = np.linspace(0.0, rows[-1], _FINE * rows[-1] + 1)
     q = np.stack([np.interp(fine, rows, joint) for joint in plan.q.T], axis=1)
-    t = np.interp(fine, rows, plan.t)
-    last = last_change(scenario.obstacles)
-    waits = np.arange(t[-1], last, _WAITING)[1:]
-    t, q = np.append(t, waits), np.concatenate([q, np.tile(q[-1], (len(waits), 1))])
-    metrics = robot_metrics(scenario, q, world_positions(scenario, t))
+    metrics = robot_metrics(scenario, q)
 
     def least(clearance: FloatArray) -> float | None:
         return float(clearance.min()) if np.isfinite(clearance).all() else None
@@ -494,26 +443,3 @@ def _judged(scenario: Scenario, plan: Plan) -> dict[str, Any]:
         "stop_reason": "goal",
         "ended": MotionEnd.GOAL,
     }
-
-
-def world_positions(scenario: Scenario, times: FloatArray) -> FloatArray | None:
-    """(T, n) positions of a scenario's world with the moving obstacles on their courses.
-
-    Those of the robot are zero. None where nothing but the robot moves.
-
-    Args:
-        scenario: with a robot.
-        times: (T,) when [s].
-    """
-    moving = [item for item in scenario.obstacles if item.driven]
-    if not moving:
-        return None
-    builder = DiagramBuilder()
-    station = make_station(builder, scenario, render=False)
-    plant = station.plant
-    positions = np.zeros((len(times), plant.num_positions()))
-    for item in moving:
-        instance = plant.GetModelInstanceByName(f"{OBSTACLE_PREFIX}_{item.name}")
-        columns = [plant.GetJointByName(axis, instance).position_start() for axis in "xyz"]
-        positions[:, columns] = [item.offset_at(float(time)) for time in times]
-    return positions

@@ -14,9 +14,8 @@ Methods:
   differential_ik_near
                    the same asked for 3 cm: most of its motions arrive with that
   planner          a sampling-based planner that knows the obstacles exactly, to tell which
-                   scenes have a solution at all: see `planner`
-  planner_executed its plan, gone along open loop by Drake's inverse dynamics controller from
-                   corner to corner; only among what rests. Planning takes no time
+                   scenes have a solution at all: see `planner`. It is not simulated, and runs
+                   among obstacles at rest alone
 
 Contacts are judged by SceneGraph at every logged instant (4 ms apart) until everything has
 been at rest for a second: each link, the hand and the fingers against obstacles, table and each
@@ -50,13 +49,12 @@ from drake_oa.scenario.scenario import Scenario
 from drake_oa.studies.panda.differential_ik import PeerParameters
 from drake_oa.studies.panda.scenes import seen_by
 
-PLANNER, PLANNER_EXECUTED = "planner", "planner_executed"
-PLANNED = frozenset({PLANNER, PLANNER_EXECUTED})
-"""Methods that plan before anything is simulated, if it is, and need OMPL."""
+PLANNER = "planner"
+"""The method that plans, needs OMPL, and is not simulated."""
 DIFFERENTIAL_IK = frozenset({"differential_ik", "differential_ik_near"})
 DEFAULT_METHODS = ("preplanned", "paper", "verified", "differential_ik", "differential_ik_near")
-METHODS = (*DEFAULT_METHODS, PLANNER, PLANNER_EXECUTED)
-TRUTH_ONLY = DIFFERENTIAL_IK | PLANNED
+METHODS = (*DEFAULT_METHODS, PLANNER)
+TRUTH_ONLY = DIFFERENTIAL_IK | {PLANNER}
 """Methods that know the obstacles exactly, whatever the perception."""
 
 
@@ -90,8 +88,8 @@ _MOVING = 0.02
 
 
 def default_methods(kind: str) -> tuple[str, ...]:
-    """The methods of a kind of scenes where none are named: of tabletop without the planner."""
-    return DEFAULT_METHODS if kind == "tabletop" else (*DEFAULT_METHODS, PLANNER)
+    """Returns the methods that run where none are named: the planner in elbow and clutter6 only."""
+    return (*DEFAULT_METHODS, PLANNER) if kind in ("elbow", "clutter6") else DEFAULT_METHODS
 
 
 _NUMBER = re.compile(r"[-+]?\b\d+(?:\.\d+)?(?:e[-+]?\d+)?\b")
@@ -194,14 +192,12 @@ def run_and_judge(
         if method == "differential_ik":
             judge = judge_of(scenario)
             feasible = feasible_clearance_of(scenario, judge)
-        log = _simulate(scenario, method, duration, feasible, criteria)
+        log = _simulate(scenario, method, duration, feasible)
     except MotionInterruptedError as error:
         if isinstance(error.__cause__, KeyboardInterrupt):
             raise KeyboardInterrupt from error
         log, failed = error.log, True
         _logger.info("the run was cut short", exc_info=True)
-    except NoPlanError as error:
-        return PandaRun(_not_run(scenario, f"{error}", failed=False), None)
     except Exception as error:
         # A scene that cannot be run is a result like any other, and ends no other scene.
         _logger.info("the run could not start", exc_info=True)
@@ -210,16 +206,8 @@ def run_and_judge(
     return PandaRun(_judged(scenario, log, report, failed, criteria), log)
 
 
-class NoPlanError(Exception):
-    """The planner says why there is nothing to execute."""
-
-
 def _simulate(
-    scenario: Scenario,
-    method: str,
-    duration: float | None,
-    feasible: float | None,
-    criteria: Criteria,
+    scenario: Scenario, method: str, duration: float | None, feasible: float | None
 ) -> MotionLog:
     if method in DIFFERENTIAL_IK:
         from drake_oa.studies.panda.peer import simulate_differential_ik
@@ -230,36 +218,15 @@ def _simulate(
         if feasible is not None:
             parameters = replace(parameters, tool_distance=feasible)
         return simulate_differential_ik(scenario, duration=duration, parameters=parameters)
-    if method == PLANNER_EXECUTED:
-        return _execute_plan(scenario, duration, criteria)
     return simulate(scenario, modulated=method != "preplanned", duration=duration)
 
 
-def _planning(scenario: Scenario, criteria: Criteria) -> dict[str, Any]:
-    """What the planner is asked for."""
-    from drake_oa.studies.panda.planner import CLEARANCE
+def _plan(scenario: Scenario, criteria: Criteria) -> dict[str, Any]:
+    from drake_oa.studies.panda.planner import CLEARANCE, run_planner
 
     clearance = scenario.task.clearance if criteria.planner_asked else CLEARANCE
-    return {"clearance": clearance, "states": criteria.planner_states}
-
-
-def _execute_plan(scenario: Scenario, duration: float | None, criteria: Criteria) -> MotionLog:
-    from drake_oa.studies.panda.peer import simulate_joint_path
-    from drake_oa.studies.panda.planner import plan_motion, rest_to_rest
-
-    if any(item.driven for item in scenario.obstacles):
-        raise NoPlanError("a plan is executed only among obstacles that rest")
-    plan = plan_motion(scenario, **_planning(scenario, criteria))
-    if not len(plan.t):
-        raise NoPlanError(plan.reason)
-    return simulate_joint_path(scenario, rest_to_rest(plan.q, plan.speeds), duration=duration)
-
-
-def _plan(scenario: Scenario, criteria: Criteria) -> dict[str, Any]:
-    from drake_oa.studies.panda.planner import run_planner
-
     try:
-        found = run_planner(scenario, **_planning(scenario, criteria))
+        found = run_planner(scenario, clearance=clearance, states=criteria.planner_states)
     except Exception as error:
         _logger.info("the planner failed", exc_info=True)
         return _not_run(scenario, _said(error))
@@ -316,11 +283,11 @@ def _said(error: Exception) -> str:
     return f"{type(error).__name__}: {error}".rstrip(": ")
 
 
-def _not_run(scenario: Scenario, reason: str, *, failed: bool = True) -> dict[str, Any]:
+def _not_run(scenario: Scenario, reason: str) -> dict[str, Any]:
     return {
         "outcome": "stopped",
         "reason": plain_reason(reason),
-        "failed": failed,
+        "failed": True,
         **dict.fromkeys((*_KEPT, *_JUDGED)),
         "contacts": [],
         "self_contacts": [],

@@ -67,6 +67,8 @@ _KINDS = {
     "moving_hard": _Kind(draw_hard, "hard moving", (4,)),
 }
 KINDS = tuple(_KINDS)
+MOVING_KINDS = ("moving", "moving_hard")
+"""Kinds of scenes with moving obstacles."""
 
 
 def draw_panda_scene(
