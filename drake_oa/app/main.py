@@ -157,10 +157,11 @@ def _is_interrupt(error: BaseException | None) -> bool:
 def _run(tokens: Sequence[str]) -> int:
     """Parses the command line and calls the command; returns the exit status."""
     app = _app()
-    if not any(name in tokens for name in _COMMANDS):
-        # For the list of commands, what each is for is read from its module.
-        for name in _COMMANDS:
-            app[name]
+    group = app["evaluate"] if "evaluate" in tokens else app
+    if group is not app or not any(name in tokens for name in _COMMANDS):
+        # For the list of commands, the summary of each is read from its module.
+        for name in group:
+            group[name]
 
     @app.meta.default
     def launch(
