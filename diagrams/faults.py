@@ -6,18 +6,16 @@ import numpy as np
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.wires import Wires
-from drake_oa.diagrams.perception import PIXEL_CENTER
 from drake_oa.diagrams.station import Cell
 from drake_oa.perception.config import CameraSource
 from drake_oa.robot.plant import RobotPlant
-from drake_oa.scenario.faults import Push, TorqueSaturation, camera_faults
+from drake_oa.scenario.faults import CameraDropout, Push, TorqueSaturation
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import perception_period
 from drake_oa.world.fault_systems import CameraFaults, ExternalPush, WeakActuators
 from drake_oa.world.obstacles import ObstacleMover
 from drake_oa.world.station import Station
-from drake_oa.world.world_model import all_obstacles
 
 
 def add_faults(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
@@ -30,7 +28,7 @@ def add_faults(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
             faults = make_camera_faults(scenario, cell, cell.robot_plant, name)
             if faults is None:
                 continue
-            own = ("depth_image", "camera_pose", "image_stamp")
+            own = ("depth_image", "image_stamp")
             names: dict[str, str | None] = {port: source.signal(port, name) for port in own}
             names["robot_state"] = source.signal("robot_state_at_image", name)
             wires.interpose(
@@ -72,15 +70,17 @@ def make_camera_faults(
     scenario: Scenario, station: Station, robot_plant: RobotPlant, name: str
 ) -> CameraFaults | None:
     """What is wrong with a camera that perception sees by; None: nothing."""
-    faults = [fault for fault in camera_faults(scenario.faults) if fault.camera in ("", name)]
+    faults = [
+        fault
+        for fault in scenario.faults
+        if isinstance(fault, CameraDropout) and fault.camera in ("", name)
+    ]
     if not faults:
         return None
     return CameraFaults(
         faults,
         station.cameras[name].intrinsics,
         num_states=robot_plant.plant.num_multibody_states(robot_plant.instance),
-        table_height=scenario.table_height or 0.0,
-        pixel_center=PIXEL_CENTER,
         period=perception_period(scenario),
     )
 
@@ -98,7 +98,7 @@ def make_weak_actuators(scenario: Scenario, station: Station) -> WeakActuators |
 def make_obstacle_movers(scenario: Scenario, station: Station) -> dict[str, ObstacleMover]:
     """Model instance -> what drives it, of every obstacle that moves, appears or vanishes."""
     movers = {}
-    for obstacle in all_obstacles(scenario):
+    for obstacle in scenario.obstacles:
         if obstacle.driven:
             name = f"{OBSTACLE_PREFIX}_{obstacle.name}"
             body = station.plant.GetBodyByName("body", station.plant.GetModelInstanceByName(name))

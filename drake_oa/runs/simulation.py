@@ -33,13 +33,12 @@ from drake_oa.robot.plant import TOOL_FRAME
 from drake_oa.runs.decision_costs import logged_decisions
 from drake_oa.runs.motion_log import MotionEnd, MotionLog, pack_ellipsoids
 from drake_oa.safety.supervision import Supervision
-from drake_oa.scenario.faults import CameraDropout, FrameBurst, NanFrames, Push, TorqueSaturation
+from drake_oa.scenario.faults import CameraDropout, Push, TorqueSaturation
 from drake_oa.scenario.loading import scenario_text
 from drake_oa.scenario.obstacles import last_change
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task import goal_at, last_move
 from drake_oa.world.station import release_cameras
-from drake_oa.world.world_model import all_obstacles
 
 LONGEST_HOLD = 5.0
 """A motion that is held for longer than this, and after the last move of the goal, is ended [s]."""
@@ -328,11 +327,11 @@ class MotionWatcher:
 
 def _last_change(scenario: Scenario, end_time: float) -> float:
     """When all courses, pushes, moves of the goal and passing faults are over [s]."""
-    changes = [last_change(all_obstacles(scenario)), last_move(scenario.task)]
+    changes = [last_change(scenario.obstacles), last_move(scenario.task)]
     for fault in scenario.faults:
         if isinstance(fault, Push):
             changes.append(fault.start + fault.duration)
-        elif isinstance(fault, CameraDropout | NanFrames | FrameBurst | TorqueSaturation):
+        elif isinstance(fault, CameraDropout | TorqueSaturation):
             end = fault.start + fault.duration
             # What outlasts the motion's time is no reason to wait.
             changes.append(end if end < end_time else 0.0)

@@ -27,7 +27,7 @@ from drake_oa.common.config import (
 from drake_oa.geometry.shapes import check_shapes
 from drake_oa.perception.config import DepthCamera
 from drake_oa.robot.config import check_robot
-from drake_oa.scenario.faults import CameraFault
+from drake_oa.scenario.faults import CameraDropout
 from drake_oa.scenario.obstacles import check_obstacles
 from drake_oa.scenario.perception import GivenEllipsoids, check_cameras, check_perception
 from drake_oa.scenario.scenario import LAYERS, Scenario
@@ -194,12 +194,12 @@ def _check_faults(scenario: Scenario) -> None:
     """Refuses faults of something that the scenario does not have."""
     for number, fault in enumerate(scenario.faults):
         what = f"faults[{number}]: !{type(fault).__name__}"
-        if isinstance(fault, CameraFault) and not isinstance(scenario.perception, DepthCamera):
-            raise ScenarioError(
-                f"{what} needs 'perception: !DepthCamera'; it has "
-                f"!{type(scenario.perception).__name__}"
-            )
-        if isinstance(fault, CameraFault) and isinstance(scenario.perception, DepthCamera):
+        if isinstance(fault, CameraDropout):
+            if not isinstance(scenario.perception, DepthCamera):
+                raise ScenarioError(
+                    f"{what} needs 'perception: !DepthCamera'; it has "
+                    f"!{type(scenario.perception).__name__}"
+                )
             names = scenario.perception.names
             if fault.camera and fault.camera not in names:
                 raise ScenarioError(

@@ -17,7 +17,7 @@ torques [N m]. Frames: W world, C camera (x right, y down, z forward).
   few pixels, shadows, flying and missing pixels. It is a function of seed, time and image: runs
   repeat.
 - `faults` says what goes wrong and when; `fault_systems` brings it in: `CameraFaults` (frames
-  that are late, lost or damaged), `WeakActuators`, `ExternalPush`.
+  that are lost), `WeakActuators`, `ExternalPush`.
 
 Configuration: the blocks `obstacles`, `cameras`, `directives` and `faults` of a scenario, and
 `perception.noise` (`drake_oa.perception.config.CameraNoise`).

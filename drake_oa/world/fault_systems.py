@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.common.value import AbstractValue, Value
-from pydrake.math import RigidTransform
 from pydrake.multibody.math import SpatialForce
 from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from pydrake.multibody.tree import BodyIndex
@@ -18,15 +17,8 @@ from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 
 from drake_oa.common.messages import FloatArray, Frozen
 from drake_oa.common.ports import read_value, valid_period
-from drake_oa.geometry.pinhole import pinhole
-from drake_oa.scenario.faults import CameraFault, Fault, Push, camera_faults
-from drake_oa.world.faults import (
-    damaged_frame,
-    delivered_frame,
-    frames_to_keep,
-    push_wrench,
-    torque_scale,
-)
+from drake_oa.scenario.faults import CameraDropout, Fault, Push
+from drake_oa.world.faults import is_lost, push_wrench, torque_scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,22 +30,14 @@ class _Frame(Frozen):
     robot_state: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class _Kept(Frozen):
-    """Number -> frame, of those that have yet to arrive or are handed out again."""
-
-    frames: dict[int, _Frame] = field(default_factory=dict)
-
-
 class CameraFaults(LeafSystem):
-    """What a camera's driver hands out while something is wrong with it.
+    """What a camera's driver hands out while no new image arrives.
 
     .. pydrake_system::
 
       name: CameraFaults
       input_ports:
       - depth_image
-      - camera_pose
       - robot_state
       output_ports:
       - depth_image
@@ -61,61 +45,53 @@ class CameraFaults(LeafSystem):
       - robot_state
 
     - depth_image (in): ImageDepth32F as the camera takes it [m].
-    - camera_pose: RigidTransform X_WC of the camera, which stands still.
     - robot_state (in): (num_states,) vector [q, v] of the robot.
-    - depth_image (out): ImageDepth32F that arrives [m]: the newest one delivered, as the
-      faults leave it; all NaN while there was none.
+    - depth_image (out): ImageDepth32F [m]: during a dropout the last one before it; all NaN
+      while there was none.
     - image_stamp: (1,) time at which that image was taken [s]; -inf while there was none.
     - robot_state (out): the robot's state at that time, as a driver pairs them.
 
-    Without a fault the outputs are the inputs. A frame is taken every `period`, and the
-    images that are asked for between are live as well. The frames that are needed later are
-    kept in the Context.
+    Without a dropout the outputs are the inputs. A frame is taken every `period`, and the
+    images that are asked for between are live as well. The last frame before a dropout is kept
+    in the Context.
     """
 
     def __init__(
         self,
-        faults: Sequence[CameraFault],
+        faults: Sequence[CameraDropout],
         camera: CameraInfo,
         *,
         num_states: int,
-        table_height: float = 0.0,
-        pixel_center: float = 0.0,
         period: float = 1.0 / 15.0,
     ) -> None:
         """Declares ports, state and events.
 
         Args:
-            faults: see `drake_oa.world.faults`.
+            faults: when no image arrives.
             camera: the depth camera's intrinsics.
             num_states: size of the robot's state.
-            table_height: of the table in the world [m].
-            pixel_center: image coordinates of the middle of the first pixel [pixel].
             period: time between frames, that of the perception behind [s].
 
         Raises:
             ValueError: for a period that is not positive.
         """
         super().__init__()
-        self._faults = camera_faults(faults)
-        self._K = np.array(pinhole(camera)) - [0.0, 0.0, pixel_center, pixel_center]
-        self._table_height = table_height
+        self._faults = tuple(faults)
         self._period = period = valid_period(period)
-        self._nothing = _Frame(
+        nothing = _Frame(
             -np.inf,
             np.full((camera.height(), camera.width()), np.nan, dtype=np.float32),
             np.zeros(num_states),
         )
         self._image_port = self.DeclareAbstractInputPort("depth_image", Value(ImageDepth32F()))
-        self._pose_port = self.DeclareAbstractInputPort("camera_pose", Value(RigidTransform()))
         self._robot_port = self.DeclareVectorInputPort("robot_state", num_states)
-        self._kept = self.DeclareAbstractState(Value(_Kept()))
-        late = {self.time_ticket(), self.abstract_state_ticket(self._kept)}
+        self._last = self.DeclareAbstractState(Value(nothing))
+        late = {self.time_ticket(), self.abstract_state_ticket(self._last)}
         self.DeclareAbstractOutputPort(
             "depth_image",
             lambda: Value(ImageDepth32F()),
             self._calc_image,
-            {*late, self._image_port.ticket(), self._pose_port.ticket()},
+            {*late, self._image_port.ticket()},
         )
         self.DeclareVectorOutputPort("image_stamp", 1, self._calc_stamp, late)
         self.DeclareVectorOutputPort(
@@ -124,71 +100,47 @@ class CameraFaults(LeafSystem):
         self.DeclareInitializationUnrestrictedUpdateEvent(self._keep)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._keep)
 
-    def _number(self, context: Context) -> int:
-        """Of the frame that was taken last."""
-        return int(np.floor(context.get_time() / self._period + 1e-6))
+    def _is_lost(self, context: Context, later: int = 0) -> bool:
+        """Whether the frame taken last, or so many frames later, does not arrive."""
+        number = int(np.floor(context.get_time() / self._period + 1e-6))
+        return is_lost(self._faults, number + later, self._period)
 
-    def _late_frame(self, context: Context) -> _Frame | None:
-        """The frame that arrives in place of the one taken at this time; None: that one."""
-        number = self._number(context)
-        arrives = delivered_frame(self._faults, number, self._period)
-        if arrives == number:
+    def _last_frame(self, context: Context) -> _Frame | None:
+        """The frame that stands in for the one taken at this time; None: that one arrives."""
+        if not self._is_lost(context):
             return None
-        values: Any = context.get_abstract_state()
-        frames = values.get_value(int(self._kept)).get_value().frames
-        found: _Frame = frames.get(arrives, self._nothing)
-        return found
+        frame: _Frame = context.get_abstract_state(int(self._last)).get_value()
+        return frame
 
     def _keep(self, context: Context, state: State) -> None:
-        number = self._number(context)
-        values: Any = state.get_mutable_abstract_state()
-        kept = values.get_mutable_value(int(self._kept))
-        before = kept.get_value().frames
-        wanted = frames_to_keep(self._faults, number, self._period)
-        frames = {n: frame for n, frame in before.items() if n in wanted}
-        if number in wanted:
-            image: Any = read_value(self, self._image_port, context, ImageDepth32F)
-            frames[number] = _Frame(
+        if self._is_lost(context) or not self._is_lost(context, 1):
+            return
+        image: Any = read_value(self, self._image_port, context, ImageDepth32F)
+        state.get_mutable_abstract_state(int(self._last)).set_value(
+            _Frame(
                 context.get_time(),
-                self._damaged(context, image.data[:, :, 0], number).copy(),
+                image.data[:, :, 0].copy(),
                 np.array(self._robot_port.Eval(context)),
             )
-        if frames.keys() != before.keys():
-            kept.set_value(_Kept(frames))
-
-    def _damaged(
-        self, context: Context, depth: NDArray[np.float32], number: int
-    ) -> NDArray[np.float32]:
-        pose: Any = read_value(self, self._pose_port, context, RigidTransform)
-        X_WC = pose.GetAsMatrix4()
-        return damaged_frame(
-            self._faults, depth, number, self._period, self._K, X_WC, self._table_height
         )
 
     def _calc_image(self, context: Context, output: AbstractValue) -> None:
-        late = self._late_frame(context)
-        if late is not None:
-            output.set_value(_image(late.depth))
+        last = self._last_frame(context)
+        if last is None:
+            output.set_value(read_value(self, self._image_port, context, ImageDepth32F))
             return
-        live: Any = read_value(self, self._image_port, context, ImageDepth32F)
-        depth = live.data[:, :, 0]
-        shown = self._damaged(context, depth, self._number(context))
-        output.set_value(live if shown is depth else _image(shown))
+        image: Any = ImageDepth32F(last.depth.shape[1], last.depth.shape[0])
+        image.mutable_data[:, :, 0] = last.depth
+        output.set_value(image)
 
     def _calc_stamp(self, context: Context, output: BasicVector) -> None:
-        late = self._late_frame(context)
-        output.SetAtIndex(0, context.get_time() if late is None else late.stamp)
+        last = self._last_frame(context)
+        output.SetAtIndex(0, context.get_time() if last is None else last.stamp)
 
     def _calc_robot(self, context: Context, output: BasicVector) -> None:
-        late = self._late_frame(context)
-        x: Any = self._robot_port.Eval(context) if late is None else late.robot_state
+        last = self._last_frame(context)
+        x: Any = self._robot_port.Eval(context) if last is None else last.robot_state
         output.SetFromVector(x)
-
-
-def _image(depth: NDArray[np.float32]) -> ImageDepth32F:
-    image: Any = ImageDepth32F(depth.shape[1], depth.shape[0])
-    image.mutable_data[:, :, 0] = depth
-    return image
 
 
 class ExternalPush(LeafSystem):

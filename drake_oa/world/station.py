@@ -23,7 +23,7 @@ from drake_oa.common.config import ScenarioError
 from drake_oa.geometry.pinhole import pinhole
 from drake_oa.perception.config import DepthCamera, LcmCamera, LiveCameras, RealSense
 from drake_oa.robot.grasped_object import part_carried
-from drake_oa.scenario.faults import camera_faults
+from drake_oa.scenario.faults import CameraDropout
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import camera_configs, noise_seed
@@ -33,7 +33,7 @@ from drake_oa.world.depth_noise import FrameNoise
 from drake_oa.world.late_camera import BackgroundCamera, LateCamera
 from drake_oa.world.live_camera import FrameSource, LiveCamera, Outside, standing_pose
 from drake_oa.world.realsense import RealSenseFrames
-from drake_oa.world.world_model import add_world, all_obstacles
+from drake_oa.world.world_model import add_world
 
 _logger = logging.getLogger("drake_oa")
 
@@ -50,8 +50,7 @@ def add_cameras(
         builder: receives camera_world, camera_scene_graph and rgbd_sensor_<name>; late_<name>
             in their place for a camera with `output_delay`. Where perception sees by cameras
             outside the simulation, live_<name> of these, and nothing that renders.
-        scenario: with cameras. Its faults are of frames that come as they are taken: with
-            any of the camera, no camera is late.
+        scenario: with cameras. Where it has a `CameraDropout`, no camera is late.
         plant: the simulated one, in the builder, finalized.
         outside: what cameras outside the simulation go by; None: `Outside()`.
 
@@ -64,7 +63,7 @@ def add_cameras(
             config.name: _live_camera(builder, source, plant, config, outside)
             for config in camera_configs(scenario, source)
         }
-    on_time = bool(camera_faults(scenario.faults))
+    on_time = any(isinstance(fault, CameraDropout) for fault in scenario.faults)
     present = [c for c in scenario.cameras if on_time or c.output_delay == 0.0]
     cameras = {
         config.name: _late_camera(builder, scenario, plant, config)
@@ -227,7 +226,7 @@ def make_station(
         for instance in map(ModelInstanceIndex, range(plant.num_model_instances()))
         if plant.GetModelInstanceName(instance).startswith(OBSTACLE_PREFIX)
     )
-    _refuse_movable(plant, obstacles, all_obstacles(scenario))
+    _refuse_movable(plant, obstacles, scenario.obstacles)
     return Station(plant, scene_graph, robot, obstacles, cameras)
 
 

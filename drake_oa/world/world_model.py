@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
-import numpy as np
 from pydrake.multibody.parsing import (
     LoadModelDirectives,
     ModelDirective,
@@ -24,12 +23,8 @@ from drake_oa.robot.formats.model_file import (
     check_links,
     named_warnings,
 )
-from drake_oa.robot.plant import add_robot, make_parser, make_robot_plant, tool_corners
-from drake_oa.scenario.faults import GoalBlocked, StartInContact
-from drake_oa.scenario.obstacles import Obstacle
+from drake_oa.robot.plant import add_robot, make_parser
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.tool_orientation import held_robots
-from drake_oa.world.faults import goal_ball, start_plate
 from drake_oa.world.obstacles import add_obstacle
 
 
@@ -56,7 +51,7 @@ def add_world(plant: MultibodyPlant, scenario: Scenario) -> ModelInstanceIndex:
             ProcessModelDirectives(ModelDirectives(directives=scenario.directives), parser)
     except RuntimeError as error:
         raise ScenarioError(f"directives: {error}") from None
-    for obstacle in all_obstacles(scenario):
+    for obstacle in scenario.obstacles:
         add_obstacle(plant, obstacle)
     return robot
 
@@ -93,18 +88,3 @@ def _check_directives(
         else:
             nested = LoadModelDirectives(str(file)).directives
             _check_directives(nested, packages, (*chain, file))
-
-
-def all_obstacles(scenario: Scenario) -> list[Obstacle]:
-    """The obstacles that a scenario writes out, then those that its faults bring."""
-    obstacles = list(scenario.obstacles)
-    robot, task = scenario.robot, scenario.task
-    for number, fault in enumerate(scenario.faults):
-        name = f"fault{number}"
-        if isinstance(fault, GoalBlocked):
-            obstacles.append(goal_ball(fault, np.asarray(task.start), np.asarray(task.goal), name))
-        elif isinstance(fault, StartInContact) and robot is not None:
-            corners = tool_corners(make_robot_plant(robot), held_robots(scenario)[0])
-            start, goal = np.asarray(task.start), np.asarray(task.goal)
-            obstacles.append(start_plate(fault, corners, start, goal, name))
-    return obstacles

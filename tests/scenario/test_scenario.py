@@ -178,7 +178,7 @@ def test_override_replaces_one_field() -> None:
         ("perception: !DepthCamera {cameras: left}", ["perception.cameras", "list"]),
         (
             "{cameras: [{name: camera}], perception: !DepthCamera {}, "
-            "faults: [!NanFrames {camera: left}]}",
+            "faults: [!CameraDropout {camera: left}]}",
             ["faults[0].camera", "'left'", "camera"],
         ),
         ("{seed: 1, seed: 2}", ["seed", "twice"]),

@@ -225,7 +225,10 @@ def test_the_block_is_read_and_written() -> None:
         (["perception=!LcmCamra {}"], r"did you mean !LcmCamera\?"),
         (["perception=!LcmCamera {lcm_url: x}"], r"perception\.lcm_url: 'x' must begin with"),
         (["perception=!LcmCamera {max_age: 0}"], r"perception\.max_age: 0 is outside"),
-        (["perception=!LcmCamera {}", "faults=[!NanFrames {}]"], "needs 'perception: !DepthCamera"),
+        (
+            ["perception=!LcmCamera {}", "faults=[!CameraDropout {}]"],
+            "needs 'perception: !DepthCamera",
+        ),
     ],
 )
 def test_says_what_does_not_fit_of_the_block(overrides: list[str], why: str) -> None:
