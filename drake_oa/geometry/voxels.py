@@ -15,9 +15,6 @@ from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
 from drake_oa.geometry.pinhole import View, pixel_at
 
-VOXEL = 0.02
-"""Edge of the voxels that points are thinned to [m]."""
-
 # The golden ratio's 64 bits: of the product the uppermost bits are mixed best.
 _MIXER = np.uint64(0x9E3779B97F4A7C15)
 
@@ -50,11 +47,6 @@ def voxel_keys(points: FloatArray, voxel: float) -> IntArray:
 def first_in_voxels(points: FloatArray, voxel: float) -> IntArray:
     """Ascending indices of the points (N, 3) that are the first of their voxel [m]."""
     return np.sort(np.unique(voxel_keys(points, voxel), return_index=True)[1])
-
-
-def thinned(cloud: FloatArray, voxel: float = VOXEL) -> FloatArray:
-    """One point of each voxel of a cloud (N, 3) [m]."""
-    return np.array(cloud[first_in_voxels(cloud, voxel)], dtype=float)
 
 
 @compiled

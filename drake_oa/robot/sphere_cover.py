@@ -39,8 +39,6 @@ _ROUNDS = 4
 """How often points that were found bare are added at most."""
 _CELLS = 40
 """Cells along half of a body's longest extent that the proof begins with."""
-_GRID, _TINY = 36, 1e-12
-"""Cells each way to count a volume by, and the least that is divided by [m^3]."""
 _MANY = 300
 """So many points that were found bare are enough to begin anew."""
 _CERTAIN = 1.0 / 16.0
@@ -109,15 +107,11 @@ class Cover:
         centers: (K, 3) in the body's frame [m].
         radii: (K,) [m].
         overshoot: how far they stick out of the shapes at most [m].
-        volume: of the shapes' union [m^3], counted on a grid.
-        volume_ratio: volume of the spheres' union over that.
     """
 
     centers: FloatArray
     radii: FloatArray
     overshoot: float
-    volume: float
-    volume_ratio: float
 
 
 def read_solid(inspector: SceneGraphInspector, geometry: GeometryId) -> Solid:
@@ -215,7 +209,7 @@ def cover(solids: Sequence[Solid], overshoot: float, most: int = 200) -> Cover:
 
     if all(solid.is_rod and solid.half[2] == 0.0 for solid in solids):
         centers = np.array([solid.X_BG[:3, 3] for solid in solids])
-        return _measured(solids, distance, centers, np.array([s.half[0] for s in solids]))
+        return _measured(distance, centers, np.array([s.half[0] for s in solids]))
     points, rounds, finer = _samples(solids, distance, overshoot), 0, 0
     while True:
         certain = _CERTAIN * overshoot
@@ -239,7 +233,7 @@ def cover(solids: Sequence[Solid], overshoot: float, most: int = 200) -> Cover:
             if rounds >= _ROUNDS or (radii - depth).max() <= overshoot:
                 break
         points, rounds = np.concatenate([points, gaps]), rounds + 1
-    return _measured(solids, distance, centers, radii)
+    return _measured(distance, centers, radii)
 
 
 def known_cover(solids: Sequence[Solid], overshoot: float, most: int = 200) -> Cover:
@@ -250,14 +244,13 @@ def known_cover(solids: Sequence[Solid], overshoot: float, most: int = 200) -> C
     made = user_cache("spheres") / f"{_digest(solids, overshoot, most)}.npz"
     try:
         with np.load(made) as file:
-            return Cover(file["centers"], file["radii"], *file["measures"].tolist())
+            return Cover(file["centers"], file["radii"], float(file["overshoot"]))
     except (OSError, ValueError, KeyError, zipfile.BadZipFile):
         found = cover(solids, overshoot, most)
-    measures = np.array([found.overshoot, found.volume, found.volume_ratio])
 
     def save(path: Path) -> None:
         with path.open("wb") as file:
-            np.savez(file, centers=found.centers, radii=found.radii, measures=measures)
+            np.savez(file, **vars(found))
 
     with suppress(OSError):
         made.parent.mkdir(parents=True, exist_ok=True)
@@ -278,17 +271,10 @@ def _digest(solids: Sequence[Solid], overshoot: float, most: int) -> str:
 
 
 def _measured(
-    solids: Sequence[Solid],
-    distance: Callable[[FloatArray], FloatArray],
-    centers: FloatArray,
-    radii: FloatArray,
+    distance: Callable[[FloatArray], FloatArray], centers: FloatArray, radii: FloatArray
 ) -> Cover:
     """Balls that enclose shapes, with how near they fit."""
-    volume = _volume(*_box(solids), distance)
-    low, high = (centers - radii[:, None]).min(axis=0), (centers + radii[:, None]).max(axis=0)
-    of_balls = _volume(low, high, lambda p: nearest_balls(p, centers, radii))
-    sticking_out = max(0.0, float((radii + distance(centers)).max()))
-    return Cover(centers, radii, sticking_out, volume, of_balls / max(volume, _TINY))
+    return Cover(centers, radii, max(0.0, float((radii + distance(centers)).max())))
 
 
 def _chosen(
@@ -376,10 +362,3 @@ def _box(solids: Sequence[Solid]) -> tuple[FloatArray, FloatArray]:
         corners.append((solid.middle + _CORNERS * half) @ solid.X_BG[:3, :3].T + solid.X_BG[:3, 3])
     points = np.concatenate(corners)
     return points.min(axis=0), points.max(axis=0)
-
-
-def _volume(low: FloatArray, high: FloatArray, signed: Callable[[FloatArray], FloatArray]) -> float:
-    """Volume [m^3] of what is at most 0 in a box, counted on a grid of as many cells each way."""
-    share = (np.arange(_GRID) + 0.5) / _GRID
-    grid = np.stack(np.meshgrid(share, share, share, indexing="ij"), axis=-1).reshape(-1, 3)
-    return float((signed(low + grid * (high - low)) <= 0.0).mean() * np.prod(high - low))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from pydrake.math import RigidTransform
@@ -62,22 +61,17 @@ class ArmSpheres(Frozen):
     Attributes:
         arrays: as the kernels take it; its fields say what is what.
         bodies: (G,) name of each group's body.
-        covers: (G,) its spheres in its own frame, and how near they fit.
+        overshoot: (G,) how far the spheres of each body stick out of its shapes at most [m].
         looked_at: what was found of the pairs that are no neighbours.
     """
 
     arrays: kernels.Spheres
     bodies: tuple[str, ...]
-    covers: tuple[Cover, ...]
+    overshoot: FloatArray
     looked_at: tuple[PairReport, ...]
 
     def __len__(self) -> int:
         return len(self.arrays.radius)
-
-    @cached_property
-    def overshoot(self) -> FloatArray:
-        """(G,) how far the spheres of each body stick out of its shapes at most [m]."""
-        return np.array([found.overshoot for found in self.covers])
 
 
 def make_arm_spheres(
@@ -155,7 +149,8 @@ def make_arm_spheres(
     arrays = _laid(covers, X_JB, joint, is_tool, _candidates(robot, bodies, joint))
     group_names = tuple(plant.get_body(index).name() for index in bodies)
     arrays, looked_at = _with_pairs_found(robot, joints, bodies, q, arrays, parameters)
-    return ArmSpheres(arrays, group_names, tuple(covers), looked_at)
+    overshoot = np.array([found.overshoot for found in covers])
+    return ArmSpheres(arrays, group_names, overshoot, looked_at)
 
 
 def _joint_frames(joints: list[RevoluteJoint], context: Context) -> FloatArray:

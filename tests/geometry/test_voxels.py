@@ -7,9 +7,9 @@ from scipy.sparse.csgraph import connected_components
 from drake_oa.geometry.pinhole import View, pixel_at
 from drake_oa.geometry.voxels import (
     connected_clusters,
+    first_in_voxels,
     joined_across_unseen,
     numbered,
-    thinned,
     voxel_keys,
 )
 
@@ -90,8 +90,8 @@ def test_a_gap_without_depth_or_with_the_clusters_themselves_behind_joins():
     assert len(set(join(0.5, -1))) == 1
 
 
-def test_a_thinned_cloud_keeps_the_first_point_of_each_voxel_in_order():
+def test_the_first_point_of_each_voxel_is_found_in_order():
     cloud = np.array([[0.031, 0, 0], [0.001, 0, 0], [0.039, 0, 0], [0.019, 0, 0]])
-    np.testing.assert_array_equal(thinned(cloud), cloud[:2])
-    np.testing.assert_array_equal(thinned(cloud, 0.005), cloud)
-    assert thinned(np.zeros((0, 3))).shape == (0, 3)
+    np.testing.assert_array_equal(first_in_voxels(cloud, 0.02), [0, 1])
+    np.testing.assert_array_equal(first_in_voxels(cloud, 0.005), np.arange(4))
+    assert not len(first_in_voxels(np.zeros((0, 3)), 0.02))

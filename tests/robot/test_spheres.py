@@ -98,7 +98,6 @@ def test_a_cover_encloses_and_sticks_out_no_farther_than_it_says(
     if kind != "hull":
         # A target: a flat wedge takes more.
         assert found.overshoot <= 0.012 * 1.3
-    assert found.volume_ratio >= 0.97
 
 
 def test_a_sphere_is_itself_and_a_capsule_a_few() -> None:
@@ -125,7 +124,7 @@ def test_what_was_found_is_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     for _ in range(2):
         found = known_cover(solids, 0.01)
-        for name in ("centers", "radii", "overshoot", "volume", "volume_ratio"):
+        for name in ("centers", "radii", "overshoot"):
             np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
         (file,) = (tmp_path / "drake_oa" / "spheres").iterdir()
     assert known_cover(solids, 0.012).overshoot != expected.overshoot
@@ -295,7 +294,6 @@ def test_the_pandas_bodies(spheres: ArmSpheres) -> None:
     assert spheres.bodies == (*links, *Robot().tool_links)
     assert arrays.group_joint.tolist() == [-1, 0, 1, 2, 3, 4, 5, 6, 6, 6, 6]
     assert len(spheres) < 150
-    assert all(1.0 <= found.volume_ratio < 4.0 for found in spheres.covers)
     assert not arrays.of_tool[: arrays.first[len(links)]].any()
     assert arrays.of_tool[arrays.first[len(links)] :].all()
     names = {tuple(spheres.bodies[g] for g in pair) for pair in spheres.arrays.pairs}
