@@ -182,6 +182,8 @@ def _run(tokens: Sequence[str]) -> int:
         with _computing(command, level):
             return command(*bound.args, **bound.kwargs) or 0
 
+    # Cyclopts would exit without a word.
+    app.suppress_keyboard_interrupt = app.meta.suppress_keyboard_interrupt = False
     status: int | None = app.meta(
         tokens, exit_on_error=False, print_error=False, result_action="return_value"
     )

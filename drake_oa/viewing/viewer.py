@@ -27,7 +27,7 @@ def start_viewer(*, announce: bool) -> Meshcat:
     try:
         meshcat = Meshcat(params)
     except RuntimeError as error:
-        raise ValueError(f"viewer: {error}; close another viewer") from None
+        raise ValueError(f"viewer: {str(error).rstrip('.')}; close another viewer") from None
     if announce:
         print(f"viewer: {meshcat.web_url()}", file=sys.stderr)
     return meshcat

@@ -310,17 +310,22 @@ def test_graph_is_svg_where_dot_is_installed(capsys: pytest.CaptureFixture[str])
     assert "<svg" in capsys.readouterr().out
 
 
-def interrupted_in_compiled_code() -> None:
+def interrupt(in_compiled_code: bool) -> None:
     try:
         raise KeyboardInterrupt
     except KeyboardInterrupt as error:
-        raise SystemError("returned a result with an exception set") from error
+        if in_compiled_code:
+            raise SystemError("returned a result with an exception set") from error
+        raise
 
 
-def test_ctrl_c_in_compiled_code_is_one_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("in_compiled_code", [False, True])
+def test_ctrl_c_in_a_command_is_one_line(
+    in_compiled_code: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("drake_oa.app.scenarios.shipped_scenarios", interrupted_in_compiled_code)
+    monkeypatch.setattr(
+        "drake_oa.app.scenarios.shipped_scenarios", lambda: interrupt(in_compiled_code)
+    )
     assert run("scenarios") == 130
     assert capsys.readouterr().err == "drake-oa: error: interrupted\n"
 
