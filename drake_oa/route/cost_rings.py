@@ -2,7 +2,7 @@
 
 For each obstacle a circle of directions omega in the YZ-plane of the policy's
 local frame L is weighed by several rings, and the direction of least total cost
-is the side on which the obstacle is passed (Pairet et al. 2019, section IV-D):
+is the side on which the obstacle is passed (Pairet et al. 2019, section IV-D, eq. 12):
 
     min_omega  eta_table(omega) + eta_length(omega) + eta_limits(omega)
 
