@@ -1,7 +1,6 @@
 """The regressor chain: from the shape of an obstacle to coupling parameters.
 
-Three small networks are evaluated one after the other (sec. "Geometry-conditioned
-Parameter Regressor" of the paper)::
+Three small networks are evaluated one after the other (section IV-C of the paper)::
 
     Y1: h               -> kappa
     Y2: (h, kappa)      -> psi

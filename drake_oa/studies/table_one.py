@@ -25,6 +25,10 @@ _COLUMNS = (
 )
 
 
+_TOLD = ("chain", "action_level", "rollouts", "seed", "version", "date", "source_digest")
+"""Keys of the weights' metadata that the JSON repeats."""
+
+
 def table_one_figures(versions: Sequence[str]) -> dict[str, Any]:
     """What the JSON holds: of each shipped file its chain, and a row a network.
 
@@ -50,9 +54,7 @@ def table_one_figures(versions: Sequence[str]) -> dict[str, Any]:
                 printed = PRINTED[told["chain"]][target]
                 network |= dict(zip(("train_printed", "test_printed"), printed, strict=True))
             networks[target] = network
-        chains[file] = {
-            key: told[key] for key in ("chain", "action_level", "rollouts", "seed", "commit")
-        } | {"networks": networks}
+        chains[file] = {key: told[key] for key in _TOLD} | {"networks": networks}
     return {
         "table": "table1",
         "versions": dict(item.split(" ", 1) for item in versions),

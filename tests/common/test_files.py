@@ -1,11 +1,14 @@
 """Checking and replacing the files that commands write."""
 
+import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from safetensors import safe_open
 
 from drake_oa.common.files import (
     OutputError,
@@ -145,3 +148,13 @@ def test_the_source_digest_covers_what_a_motion_depends_on(
         found.append(source_digest.__wrapped__())
     assert len(set(found[:3])) == 3
     assert found[3] == found[2]
+
+
+def test_shipped_weights_name_version_date_and_source() -> None:
+    files = list((Path(__file__).parents[2] / "models" / "weights").glob("*.safetensors"))
+    assert files
+    for path in files:
+        with safe_open(path, "numpy") as file:
+            told = json.loads(file.metadata()["metadata"])
+        assert {"version", "date"} <= set(told)
+        assert re.fullmatch("[0-9a-f]{64}", told["source_digest"]), path.name
