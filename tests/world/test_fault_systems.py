@@ -4,10 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
-from pydrake.multibody.tree import BodyIndex, SpatialInertia
+from pydrake.multibody.tree import BodyIndex
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraInfo
 
 from drake_oa.common.config import ScenarioError
@@ -81,22 +79,6 @@ def test_a_push_acts_while_it_lasts(time: float, share: float) -> None:
     np.testing.assert_array_equal(applied.F_Bq_W.translational(), share * np.array(PUSH.force))
     np.testing.assert_array_equal(applied.F_Bq_W.rotational(), share * np.array(PUSH.torque))
     assert not other.F_Bq_W.translational().any()
-
-
-def test_a_free_body_gets_its_momentum() -> None:
-    builder = DiagramBuilder()
-    plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.002)
-    body = plant.AddRigidBody("body", SpatialInertia.SolidSphereWithMass(2.0, 0.1))
-    plant.set_gravity_enabled(body.model_instance(), False)
-    plant.Finalize()
-    push = builder.AddSystem(ExternalPush([(PUSH, body.index())]))
-    builder.Connect(push.get_output_port(), plant.get_applied_spatial_force_input_port())
-    simulator = Simulator(builder.Build())
-    simulator.AdvanceTo(1.5)
-    context = plant.GetMyContextFromRoot(simulator.get_context())
-    v = plant.EvalBodySpatialVelocityInWorld(context, body).translational()
-    # Force times duration over mass.
-    np.testing.assert_allclose(v, np.array(PUSH.force) * 0.2 / 2.0, rtol=0.02)
 
 
 LIMITS = np.array([87.0, 12.0, 20.0])
