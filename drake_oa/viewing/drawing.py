@@ -25,16 +25,9 @@ SECTION: Color = (0.78, 0.02, 0.10)
 CHOSEN: Color = (0.86, 0.0, 0.78)
 CLOUD: Color = (0.0, 0.42, 0.45)
 FRUSTUM: Color = (0.42, 0.50, 0.60)
-NO_COST: Color = (0.80, 0.86, 0.91)
-RING_COLORS: Mapping[str, Color] = {
-    "table": (0.96, 0.49, 0.05),
-    "length": (0.07, 0.55, 0.34),
-    "workspace": (0.24, 0.26, 0.31),
-    "joint_limits": (0.55, 0.27, 0.07),
-}
-"""Colour of cost 1 on a ring, by the ring's name."""
-OTHER_RING: Color = (0.42, 0.32, 0.72)
-"""Colour of cost 1 on a ring that `RING_COLORS` does not name."""
+DISTANCE: Color = (0.85, 0.10, 0.45)
+COST_COLORS: tuple[Color, ...] = ((0.10, 0.62, 0.28), (0.98, 0.82, 0.18), (0.80, 0.10, 0.12))
+"""Colors of costs 0, 0.5 and 1 on a ring."""
 
 _PARALLEL = 1e-6
 
@@ -178,7 +171,7 @@ def ring_mesh(
     """The cost rings of one obstacle as coloured bands, one in the other.
 
     The bands lie in the local YZ-plane about the origin, in the order of `costs`
-    from the inside; a sector is `NO_COST` at cost 0 and the ring's own colour at 1.
+    from the inside; a sector has the color of its cost on the scale `COST_COLORS`.
 
     Args:
         costs: name of a ring -> (K,) its cost in [0, 1].
@@ -205,9 +198,8 @@ def ring_mesh(
         corners = np.stack([inside * circle, (inside + band) * circle], axis=2)
         first = np.int32(6 * count * number) + 6 * np.arange(count, dtype=np.int32)
         pattern = np.array([[0, 1, 3], [0, 3, 2], [2, 3, 5], [2, 5, 4]], dtype=np.int32)
-        color = np.asarray(NO_COST) + cost[:, None] * (
-            np.asarray(RING_COLORS.get(name, OTHER_RING)) - np.asarray(NO_COST)
-        )
+        scale = np.transpose(COST_COLORS)
+        color = np.stack([np.interp(cost, (0.0, 0.5, 1.0), part) for part in scale], axis=1)
         vertices.append(corners.reshape(-1, 3))
         faces.append((first[:, None, None] + pattern).reshape(-1, 3))
         # Vertex colours are linear, unlike all the others of the viewer.

@@ -164,9 +164,8 @@ class MeshcatOverlay(LeafSystem):
     Rose: the ellipsoids. Dark red on them: their sections by the P-plane. Blue: the
     planned path. Red: the executed one. Round the point of the baseline where an
     obstacle's side is decided: the cost rings from inside to outside in the order of
-    `Route.costs`, white where a direction costs nothing, in full colour (table orange,
-    length green, workspace grey, joint limits brown) where it costs 1; the magenta arrow is
-    the chosen one. Rings are shown of obstacles that bend the motion only.
+    `Route.costs`, green where a direction costs nothing, yellow at 0.5, red where it costs 1;
+    the magenta arrow is the chosen one. Rings are shown of obstacles that bend the motion only.
 
     Everything is under "/drake_oa" in the scene tree, a folder for each of `LAYERS`, and is
     recorded when Meshcat records: a recording holds transforms and properties but no objects,
@@ -474,8 +473,10 @@ class MeshcatOverlay(LeafSystem):
             self._set(f"{path}/{ring.before}", "visible", False, time)
         if mesh.vertices.size and mesh.colors is not None:
             name = f"{path}/{ring.frame}"
-            self._meshcat.SetTriangleColorMesh(name, mesh.vertices, mesh.faces, mesh.colors)
-            self._meshcat.SetProperty(f"{name}/<object>", "castShadow", False)
+            # The legend reads the rings' names from the path.
+            bands = f"{name}/{', '.join(ring.costs)}"
+            self._meshcat.SetTriangleColorMesh(bands, mesh.vertices, mesh.faces, mesh.colors)
+            self._meshcat.SetProperty(f"{bands}/<object>", "castShadow", False)
             self._appear(name, shown, time)
 
     def _draw_executed(self, p_WE: FloatArray, shown: _Shown, time: float) -> None:

@@ -176,18 +176,14 @@ def test_rings_lie_in_the_yz_plane_between_their_radii():
     assert mesh.faces.max() == mesh.vertices.shape[1] - 1
 
 
-def test_ring_colours_go_from_no_cost_to_the_rings_own():
-    cost = np.array([0.0, 1.0, 0.0, 7.0])
-    colors = drawing.ring_mesh({"table": cost}, np.arange(4) * np.pi / 2).colors.T.reshape(4, 6, 3)
-    for sector, expected in zip(
-        colors, [drawing.NO_COST, drawing.RING_COLORS["table"]] * 2, strict=True
-    ):
-        assert sector == pytest.approx(np.tile(np.array(expected) ** 2.2, (6, 1)))
-
-
-def test_a_ring_of_a_users_own_is_drawn():
-    mesh = drawing.ring_mesh({"wind": [1.0, 1.0, 1.0]}, [0.0, 2.0, 4.0])
-    assert mesh.colors[:, 0] == pytest.approx(np.array(drawing.OTHER_RING) ** 2.2)
+def test_low_cost_is_green_and_high_cost_red_on_each_ring():
+    costs = {"table": np.array([0.0, 1.0, 0.0, 7.0]), "wind": np.array([0.0, 1.0, 0.0, 1.0])}
+    colors = drawing.ring_mesh(costs, np.arange(4) * np.pi / 2).colors.T.reshape(8, 6, 3)
+    green, red = (np.array(drawing.COST_COLORS[k]) ** 2.2 for k in (0, 2))
+    assert green[1] > 2.0 * green[0]
+    assert red[0] > 2.0 * red[1]
+    for sector, expected in zip(colors, [green, red] * 4, strict=True):
+        assert sector == pytest.approx(np.tile(expected, (6, 1)))
 
 
 def test_no_rings_are_an_empty_mesh():
