@@ -20,21 +20,20 @@ def play(
 ) -> int:
     """Play with a scenario in the browser: change what is asked while the arm moves.
 
-    The arm goes to the goal and back, at real time. In the panel at the upper right (Open
-    Controls):
+    The arm goes to the goal and back, at real time. The controls are at the upper right:
 
-      asked clearance    how far hand and fingers are to stay away
-      kept clearance     how near the arm is now to an obstacle; a line shows where
-      speed              1 is real time
-      goal x, y, z       where it goes to
-      NAME x, y, yaw     where each obstacle stands
-      throw it in        a ball comes into the way, and leaves again
-      next ...           who decides: verified (the default), the paper's chain, or nobody
-      camera or ...      obstacles as the camera sees them, or their true shapes
       pause, step, reset, stop
+      throw it in        a ball comes into the way, and leaves again
+      next ...           method: verified (the default), the paper's chain, or nominal
+      camera or ...      obstacles as the camera sees them, or their true shapes
+      speed              1 is real time
+      clearance          requested for hand and fingers
+      goal x, y, z       where it goes to
+      NAME: x, y, yaw    a folder for each obstacle: where it stands
 
-    The last line of the panel says who decides, what is seen, and what holds the motion. A
-    change is taken over when the slider rests; the motion then begins again where the arm is.
+    The panel at the lower left shows time, method, clearances, contacts, and what holds the
+    motion. A change is taken over when the slider rests; the motion then begins again where the
+    arm is. What cannot be is refused: the sliders go back, and the panel says why.
 
     The newest 20 motions go into one log, as `drake-oa run` writes it: leg_1, leg_2 and so on
     are what `drake-oa replay --motion` and `drake-oa plot` call them.
@@ -49,7 +48,7 @@ def play(
     from drake_oa.runs.play import PlaySession
     from drake_oa.runs.scenario_check import end_contacts
     from drake_oa.scenario.loading import load_scenario, scenario_files, scenario_path
-    from drake_oa.viewing.viewer import start_viewer
+    from drake_oa.viewing.viewer import open_page, start_viewer
 
     if log is not None and no_log:
         raise ValueError("--log and --no-log exclude each other")
@@ -64,7 +63,9 @@ def play(
         nullcontext() if no_log else reserved_log(log, f"{scenario_name(scenario)}_played") as file,
         stop_between_steps() as raise_if_asked,
     ):
-        session = PlaySession(chosen, start_viewer(announce=True))
+        viewer = start_viewer(browser=True)
+        page = open_page(viewer, scenario_name(scenario), chosen.description)
+        session = PlaySession(chosen, viewer, page)
         try:
             session.run(raise_if_asked)
         except KeyboardInterrupt:

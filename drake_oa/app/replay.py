@@ -64,23 +64,26 @@ def replay(
 
     from pydrake.systems.analysis import Simulator
 
-    from drake_oa.runs.page import label_page
-    from drake_oa.runs.replay import build_replay
-    from drake_oa.viewing.viewer import recording, start_viewer, wait_for_viewer
+    from drake_oa.runs.page import label_page, motion_name, readings
+    from drake_oa.runs.replay import build_replay, show_readings
+    from drake_oa.viewing.viewer import open_page, recording, start_viewer, wait_for_viewer
 
-    viewer = start_viewer(announce=meshcat)
+    viewer = start_viewer(browser=meshcat)
     with build_errors():
         planned_W = planned_path(scenario, logs)
         diagram = build_replay(scenario, shown, viewer, planned_W=planned_W, speed=speed)
     simulator = Simulator(diagram)
     if meshcat:
         simulator.set_target_realtime_rate(1.0)
+        title = f"{log.stem}: {motion_name(shown.modulated)}"
+        page = open_page(viewer, title, scenario.description)
+        simulator.set_monitor(show_readings(page, readings(scenario, shown, speed=speed)))
     with recording(viewer):
         simulator.AdvanceTo(shown.simulated_time / speed)
     print(f"{chosen}: {shown.duration:.2f} s, ended by {shown.stop_reason}")
     if html is not None:
-        page = label_page(viewer.StaticHtml(), log.stem, scenario, shown, speed=speed)
-        replace_text(html, page)
+        recorded = viewer.StaticHtml()
+        replace_text(html, label_page(recorded, log.stem, scenario, shown, speed=speed))
     if meshcat:
         wait_for_viewer()
 

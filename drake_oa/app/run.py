@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
     from drake_oa.runs.metrics import RobotJudge
     from drake_oa.runs.motion_log import MotionLog
+    from drake_oa.runs.page import LivePanel
     from drake_oa.scenario.scenario import Scenario
 
 LOG_FOLDER = Path("drake_oa_runs")
@@ -48,8 +49,9 @@ LCM_URL = "udpm://239.255.76.99:7699?ttl=0&recv_buf_size=4000000"
 
 @dataclass(frozen=True)
 class _Outputs:
-    """What a run is to show and write."""
+    """What a run is to show and write, and the scenario's name."""
 
+    name: str
     meshcat: bool
     html: Path | None
     json: Path | None
@@ -150,14 +152,14 @@ def run(
         raise ValueError("--log and --no-log exclude each other")
     if not hardware and (rate != 1.0 or lcm_url != LCM_URL):
         raise ValueError("--lcm-url and --rate need --hardware")
-    outputs = _Outputs(meshcat, html, json, duration)
+    name = scenario_name(scenario)
+    outputs = _Outputs(name, meshcat, html, json, duration)
     if hardware:
         from drake_oa.common.config import check_lcm_url
 
         check_lcm_url(lcm_url, "--lcm-url")
     check_outputs(html, json, log, read=[scenario_path(scenario), *scenario_files(chosen)])
     viewer = _viewer(outputs)
-    name = scenario_name(scenario)
     with (
         contextlib.nullcontext() if no_log else reserved_log(log, name) as log_file,
         stop_between_steps() as raise_if_asked,
@@ -337,6 +339,7 @@ def _simulate_both(
             raise ValueError(contacts)
         # What the modulated motion lacks is told before the first one is simulated.
         built = build_avoidance(scenario, meshcat=meshcat)
+    panel = _panel(outputs, scenario, meshcat)
 
     def motion(name: str, on_progress: Callable[[float, float], None]) -> MotionLog:
         modulated = name == "modulated"
@@ -345,6 +348,7 @@ def _simulate_both(
             modulated=modulated,
             duration=outputs.duration,
             on_progress=on_progress,
+            on_look=panel if modulated else None,
             diagram=built if modulated else None,
         )
 
@@ -374,9 +378,12 @@ def _drive(
         with build_errors():
             driven = ready(scenario, link, lcm_url=bus.lcm_url, meshcat=meshcat)
         print("the arm is ready", file=sys.stderr)
+        panel = _panel(outputs, driven.known, meshcat)
 
         def motion(_: str, on_progress: Callable[[float, float], None]) -> MotionLog:
-            return drive(driven, link, duration=outputs.duration, on_progress=on_progress)
+            return drive(
+                driven, link, duration=outputs.duration, on_progress=on_progress, on_look=panel
+            )
 
         ran = _Ran(driven.known, {})
         ran = _logged(ran, "modulated", motion, outputs, meshcat, log_file, raise_if_asked)
@@ -468,7 +475,18 @@ def _viewer(outputs: _Outputs) -> Meshcat | None:
         return None
     from drake_oa.viewing.viewer import start_viewer
 
-    return start_viewer(announce=outputs.meshcat)
+    return start_viewer(browser=outputs.meshcat)
+
+
+def _panel(outputs: _Outputs, scenario: Scenario, meshcat: Meshcat | None) -> LivePanel | None:
+    """Opens the page that a browser shows, if one is asked for."""
+    if meshcat is None or not outputs.meshcat:
+        return None
+    from drake_oa.runs.page import LivePanel, motion_name
+    from drake_oa.viewing.viewer import open_page
+
+    title = f"{outputs.name}: {motion_name(True)}"
+    return LivePanel(open_page(meshcat, title, scenario.description), scenario)
 
 
 @contextlib.contextmanager

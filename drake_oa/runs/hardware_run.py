@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Diagram
+from pydrake.systems.framework import Context, Diagram
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.files import software_versions
@@ -98,6 +98,7 @@ def drive(
     *,
     duration: float | None = None,
     on_progress: Callable[[float, float], None] | None = None,
+    on_look: Callable[[MotionWatcher, Context], None] | None = None,
 ) -> MotionLog:
     """Runs the modulated motion on the arm; its end is `simulate`'s.
 
@@ -106,6 +107,7 @@ def drive(
         link: likewise.
         duration: as for `simulate`.
         on_progress: as for `simulate`.
+        on_look: as for `simulate`.
 
     Returns:
         The log of what the arm was sent.
@@ -118,7 +120,12 @@ def drive(
         end_time = make_dmp(known).duration * LONGEST_SCALING + last_move(known.task)
     # The world rests when the scenario's own would, as far as it tells.
     watcher = MotionWatcher(
-        driven.diagram, driven.scenario, end_time, on_progress, latest_time=duration
+        driven.diagram,
+        driven.scenario,
+        end_time,
+        on_progress,
+        latest_time=duration,
+        on_look=on_look,
     )
     try:
         return _with_events(

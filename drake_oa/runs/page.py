@@ -1,100 +1,154 @@
-"""A recording's page says what it shows: a title, a legend, and time, clearance and state."""
+"""Readings of the panel: time, clearances, method, contacts and what holds a motion."""
 
 from __future__ import annotations
 
-import html
-import json
+import math
 
 import numpy as np
+from pydrake.systems.framework import Context
 
+from drake_oa.common.messages import FloatArray
+from drake_oa.perception.config import CameraSource
+from drake_oa.regulation.config import Paper
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.metrics import RobotJudge
 from drake_oa.runs.motion_log import MotionLog
+from drake_oa.runs.report import judge_of
+from drake_oa.runs.simulation import MotionWatcher, motion_state
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.viewing import drawing
+from drake_oa.viewing.panel import LivePage, Reading, panel_page
 
 _PERIOD = 0.1
 """Time between two readings [s]."""
-_LEGEND = (
-    (drawing.PLANNED, "planned path"),
-    (drawing.EXECUTED, "executed path"),
-    (drawing.CHOSEN, "the side that was chosen; the rings are what each side costs"),
-)
-_PAGE = """
-<style>
-  #drake-oa { position: fixed; left: 12px; bottom: 12px; font: 14px/1.5 sans-serif; color: #222;
-    background: rgba(255, 255, 255, 0.8); padding: 8px 12px; border-radius: 6px;
-    pointer-events: none; max-width: 30em; }
-  #drake-oa i { display: inline-block; width: 22px; height: 5px; margin-right: 8px;
-    vertical-align: middle; }
-  #drake-oa-now { font-weight: bold; }
-</style>
-<div id="drake-oa"><b>TITLE</b><div id="drake-oa-now"></div>LEGEND</div>
-<script>
-  const drakeOa = READINGS;
-  setInterval(() => {
-    const time = viewer.animator ? viewer.animator.time : 0.0;
-    let row = 0;
-    while (row + 1 < drakeOa.length && drakeOa[row + 1][0] <= time + 1e-6) row += 1;
-    document.getElementById("drake-oa-now").textContent = drakeOa[row][1];
-  }, 50);
-</script>
-</body>"""
+
+
+def motion_name(avoids: bool) -> str:
+    """Names a motion in the title of a page."""
+    return "avoiding motion" if avoids else "nominal motion (without avoidance)"
+
+
+class PanelReadings:
+    """Readings of one motion, instant after instant, with minima and contacts so far."""
+
+    def __init__(self, scenario: Scenario, avoids: bool, judge: RobotJudge | None = None) -> None:
+        """Takes what measures the clearances, by the true geometry.
+
+        Args:
+            scenario: what is run.
+            avoids: whether the motion avoids obstacles.
+            judge: of the scenario; None: one is built.
+        """
+        self._method = motion_name(avoids)
+        if avoids:
+            source = "camera" if isinstance(scenario.perception, CameraSource) else "ground truth"
+            chain = type(scenario.regulation).__name__.lower()
+            self._method += f": {chain}, obstacles from {source}"
+        self._requested = [f", requested {scenario.task.clearance:g}", ""]
+        if not isinstance(scenario.regulation, Paper):
+            self._requested[1] = f", requested {scenario.regulation.link_clearance:g}"
+        self._judge = judge or judge_of(scenario)
+        self._least = np.full(2, math.inf)
+        self._contacts: dict[str, None] = {}
+
+    def at(self, now: float, state: str, q: FloatArray, q_world: FloatArray) -> Reading:
+        """Reads the panel.
+
+        Args:
+            now: time [s].
+            state: what holds the motion, or empty.
+            q: (N, nq) positions of the robot since the last reading, at least one.
+            q_world: (N, n) all positions of the world, or (N, 0): the rest stays.
+        """
+        lines = [f"t = {now:.1f} s", self._method]
+        if self._judge is not None and q.shape[1]:
+            found = self._judge.metrics(q, q_world)
+            self._contacts |= dict.fromkeys((*found.contacts, *found.self_contacts))
+            clearance = np.stack([found.tool_clearance, found.robot_clearance])
+            self._least = np.minimum(self._least, clearance.min(axis=1))
+            for name, here, least, requested in zip(
+                ("tool", "whole arm"), clearance[:, -1], self._least, self._requested, strict=True
+            ):
+                measured = math.isfinite(here)
+                said = f"{here:.3f} m (min {least:.3f}{requested})" if measured else "-"
+                lines.append(f"{name}: clearance {said}")
+        alert = f"contact: {', '.join(self._contacts)}" if self._contacts else ""
+        return Reading(now, "\n".join([*lines, state]), alert)
+
+
+def readings(scenario: Scenario, log: MotionLog, *, speed: float = 1.0) -> list[Reading]:
+    """Lists what the panel of a logged motion shows, one reading at least.
+
+    Args:
+        scenario: what the log was made from.
+        log: the motion.
+        speed: times as fast as it was shown.
+    """
+    if not len(log.t):
+        return [Reading(0.0, "")]
+    q = log.q
+    known = scenario.robot is not None
+    if known and q.shape[1] != make_robot_plant(scenario.robot).plant.num_positions():
+        q = q[:, :0]
+    panel = PanelReadings(scenario, log.modulated)
+    found, first = [], 0
+    for time in np.arange(0.0, log.t[-1] + _PERIOD, _PERIOD):
+        last = min(int(np.searchsorted(log.t, time)), len(log.t) - 1)
+        rows = slice(min(first, last), last + 1)
+        now, first = float(log.t[last]), last + 1
+        reading = panel.at(now, _logged_state(log, now), q[rows], log.q_world[rows])
+        found.append(reading._replace(time=round(now / speed, 3)))
+    return found
+
+
+def _logged_state(log: MotionLog, now: float) -> str:
+    row = int(np.searchsorted(log.supervision_time, now, side="right")) - 1
+    said = (log.supervision_action[row], log.supervision_reason[row]) if row >= 0 else ("run", "")
+    row = int(np.searchsorted(log.event_time, now, side="right")) - 1
+    return motion_state(said, log.event[row] if row >= 0 else "")
 
 
 def label_page(
     page: str, name: str, scenario: Scenario, log: MotionLog, *, speed: float = 1.0
 ) -> str:
-    """Adds title, legend and readings to the page of a recording.
+    """Adds the panel to the page of a recording.
 
     Args:
         page: HTML of a viewer after `drake_oa.viewing.viewer.recording`.
         name: of the scenario.
         scenario: what the log was made from.
         log: the motion that the page shows.
-        speed: how much faster it is shown than it was.
+        speed: times as fast as it was shown.
     """
-    title = html.escape(f"{name}: {scenario.description}".removesuffix(": "))
-    legend = "".join(
-        f'<div><i style="background: rgb{tuple(round(255 * c) for c in color)}"></i>{text}</div>'
-        for color, text in _LEGEND
-    )
-    page = page.replace("<title>Drake MeshCat</title>", f"<title>{title}</title>", 1)
-    # A "<" could end the script.
-    rows = json.dumps(readings(scenario, log, speed=speed)).replace("<", "\\u003c")
-    label = _PAGE.replace("TITLE", title).replace("LEGEND", legend).replace("READINGS", rows)
-    head, _, tail = page.rpartition("</body>")
-    return head + label + tail
+    title = f"{name}: {motion_name(log.modulated)}"
+    rows = readings(scenario, log, speed=speed)
+    return panel_page(page, title, scenario.description, rows)
 
 
-def readings(scenario: Scenario, log: MotionLog, *, speed: float = 1.0) -> list[tuple[float, str]]:
-    """Rows of time in the recording [s] and what is read then; one at least."""
-    if not len(log.t):
-        return [(0.0, "")]
-    times = np.arange(0.0, log.t[-1] + _PERIOD, _PERIOD)
-    rows = np.minimum(np.searchsorted(log.t, times), len(log.t) - 1)
-    kept = np.full(len(rows), np.inf)
-    if (
-        scenario.robot is not None
-        and log.q.shape[1] == make_robot_plant(scenario.robot).plant.num_positions()
-    ):
-        worlds = log.q_world[rows] if log.q_world.shape[1] else None
-        kept = RobotJudge(scenario).metrics(log.q[rows], worlds).tool_clearance
-    found = []
-    for row, clearance in zip(rows, kept, strict=True):
-        now = float(log.t[row])
-        said = f"t = {now:.1f} s"
-        if np.isfinite(clearance):
-            said += f", tool clearance {clearance:.3f} m of {scenario.task.clearance:g} m asked"
-        said += "".join(f", {word}" for word in [_state(log, now)] if word)
-        found.append((round(now / speed, 3), said))
-    return found
+class LivePanel:
+    """Fills the panel of a live page from a running diagram."""
 
+    def __init__(
+        self,
+        page: LivePage,
+        scenario: Scenario,
+        avoids: bool = True,
+        judge: RobotJudge | None = None,
+    ) -> None:
+        """Takes the page and the motion, see `PanelReadings`."""
+        self._page, self._readings = page, PanelReadings(scenario, avoids, judge)
+        self._next, self._state = 0.0, ""
 
-def _state(log: MotionLog, now: float) -> str:
-    """What the supervisor does then and why, or what holds the motion; empty: nothing does."""
-    row = int(np.searchsorted(log.supervision_time, now, side="right")) - 1
-    if row >= 0 and log.supervision_action[row] != "run":
-        return f"supervisor: {log.supervision_action[row]}, {log.supervision_reason[row]}"
-    row = int(np.searchsorted(log.event_time, now, side="right")) - 1
-    return log.event[row] if row >= 0 else ""
+    def __call__(self, watcher: MotionWatcher, root: Context, state: str = "") -> None:
+        """Ends a frame; renews the reading every 0.1 s and when the state changes.
+
+        Args:
+            watcher: of the motion.
+            root: the diagram's Context.
+            state: what to say in place of what the watcher says.
+        """
+        self._page.pace()
+        now, state = root.get_time(), state or watcher.state
+        if now < self._next and state == self._state:
+            return
+        self._next, self._state = now + _PERIOD, state
+        self._page.reading = self._readings.at(now, state, *watcher.positions(root))

@@ -11,7 +11,7 @@ import copy
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -32,13 +32,16 @@ from drake_oa.regulation.config import Paper, Verified
 from drake_oa.robot.plant import TOOL_FRAME, base_pose, make_robot_plant
 from drake_oa.runs.metrics import RobotJudge
 from drake_oa.runs.motion_log import MotionEnd, MotionLog
+from drake_oa.runs.page import LivePanel
 from drake_oa.runs.simulation import Ending, MotionWatcher, collect_log
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.shipped import package_file
 from drake_oa.scenario.sources import camera_configs
 from drake_oa.scenario.task_joints import tool_pose
+from drake_oa.viewing.drawing import DISTANCE
 from drake_oa.viewing.meshcat_overlay import camera_inset
+from drake_oa.viewing.panel import LivePage
 from drake_oa.world.station import release_cameras
 
 TICK = 1.0 / 30.0
@@ -65,6 +68,7 @@ _LINE = "/drake_oa/deciding_distance"
 _INSET_TICKS = 6
 """Ticks between two pictures of what the camera sees."""
 _REGULATIONS = ("verified", "paper", "preplanned")
+_NEXT = "next method (verified, paper, nominal)"
 
 
 Put = Callable[[Scenario, FloatArray, FloatArray], None]
@@ -159,6 +163,8 @@ class Choice:
 class Controls:
     """Sliders and buttons in Meshcat's panel; what they say is a `Choice`.
 
+    The page folds "NAME: x [m]" into the folder of an obstacle.
+
     Attributes:
         meshcat: the viewer.
         scenario: what they begin with.
@@ -168,32 +174,30 @@ class Controls:
     meshcat: Meshcat
     scenario: Scenario
     things: list[Movable]
-    status: str = field(default="", init=False)
 
     def __post_init__(self) -> None:
+        for name, key in (
+            ("pause", "Space"),
+            ("step", "KeyN"),
+            ("reset", "KeyR"),
+            ("throw it in", "KeyT"),
+            (_NEXT, "KeyV"),
+            ("camera or ground truth", "KeyC"),
+            ("stop", "Escape"),
+        ):
+            self.meshcat.AddButton(name, key)
         task, add = self.scenario.task, self.meshcat.AddSlider
-        add("asked clearance [m]", 0.02, 0.30, 0.005, task.clearance)
-        self.meshcat.AddSlider("kept clearance [m]", 0.0, 1.0, 0.001, 0.0)
         add("speed", 0.1, 1.0, 0.1, 1.0)
+        add("clearance [m]", 0.02, 0.30, 0.005, task.clearance)
         for axis, at, low, high in zip(
             "xyz", task.goal, (0.2, -0.7, 0.05), (0.75, 0.7, 0.8), strict=True
         ):
             add(f"goal {axis} [m]", min(low, at), max(high, at), 0.01, at)
         for thing in self.things:
             x, y, yaw = thing.p_WO[0], thing.p_WO[1], thing.rpy[2]
-            add(f"{thing.name} x [m]", x - 0.4, x + 0.4, 0.01, x)
-            add(f"{thing.name} y [m]", y - 0.6, y + 0.6, 0.01, y)
-            add(f"{thing.name} yaw [rad]", -3.14, 3.14, 0.02, yaw)
-        for name, key in (
-            ("pause", "Space"),
-            ("step", "KeyN"),
-            ("reset", "KeyR"),
-            ("throw it in", "KeyT"),
-            ("next: verified, paper, preplanned", "KeyV"),
-            ("camera or ground truth", "KeyC"),
-            ("stop", "Escape"),
-        ):
-            self.meshcat.AddButton(name, key)
+            add(f"{thing.name}: x [m]", x - 0.4, x + 0.4, 0.01, x)
+            add(f"{thing.name}: y [m]", y - 0.6, y + 0.6, 0.01, y)
+            add(f"{thing.name}: yaw [rad]", -3.14, 3.14, 0.02, yaw)
 
     def clicks(self, name: str) -> int:
         """How often a button was pressed."""
@@ -206,17 +210,17 @@ class Controls:
     def choice(self) -> Choice:
         """What they say now."""
         first = _REGULATIONS.index("paper" if _is_paper(self.scenario) else "verified")
-        turn = first + self.clicks("next: verified, paper, preplanned")
+        turn = first + self.clicks(_NEXT)
         can_see = isinstance(self.scenario.perception, CameraSource)
         x, y, z = (self.value(f"goal {axis} [m]") for axis in "xyz")
         return Choice(
-            clearance=self.value("asked clearance [m]"),
+            clearance=self.value("clearance [m]"),
             goal=(x, y, z),
             poses=[
                 (
-                    self.value(f"{thing.name} x [m]"),
-                    self.value(f"{thing.name} y [m]"),
-                    self.value(f"{thing.name} yaw [rad]"),
+                    self.value(f"{thing.name}: x [m]"),
+                    self.value(f"{thing.name}: y [m]"),
+                    self.value(f"{thing.name}: yaw [rad]"),
                 )
                 for thing in self.things
             ],
@@ -225,14 +229,15 @@ class Controls:
             thrown=self.clicks("throw it in"),
         )
 
-    def say(self, kept: float, status: str) -> None:
-        """Shows the clearance that is kept now [m], and a line of text."""
-        self.meshcat.SetSliderValue("kept clearance [m]", min(max(kept, 0.0), 1.0))
-        if status != self.status:
-            if self.status:
-                self.meshcat.DeleteButton(self.status)
-            self.meshcat.AddButton(status)
-            self.status = status
+    def put_back(self, choice: Choice) -> None:
+        """Sets the sliders to an earlier choice."""
+        put = self.meshcat.SetSliderValue
+        put("clearance [m]", choice.clearance)
+        for axis, value in zip("xyz", choice.goal, strict=True):
+            put(f"goal {axis} [m]", value)
+        for thing, pose in zip(self.things, choice.poses, strict=True):
+            for name, value in zip(("x [m]", "y [m]", "yaw [rad]"), pose, strict=True):
+                put(f"{thing.name}: {name}", value)
 
 
 def _is_paper(scenario: Scenario) -> bool:
@@ -244,14 +249,20 @@ class PlaySession:
 
     Attributes:
         controls: what may be changed.
+        page: whose panel shows it.
         logs: "leg_1" and so on, the motions that have ended; see `finish`.
         stopped: whether the button was pressed.
         kept: distance of the arm to the nearest obstacle now [m].
         homeward: whether it goes back to where it began.
     """
 
-    def __init__(self, scenario: Scenario, meshcat: Meshcat) -> None:
+    def __init__(self, scenario: Scenario, meshcat: Meshcat, page: LivePage) -> None:
         """Builds the scenario and begins its motion.
+
+        Args:
+            scenario: what is played.
+            meshcat: the viewer.
+            page: whose panel shows it.
 
         Raises:
             ScenarioError: without a robot, or for a field that does not fit.
@@ -263,7 +274,7 @@ class PlaySession:
         self._scenario.directives = flat_directives(self._scenario.directives)
         self._things = movables(self._scenario)
         self.controls = Controls(meshcat, self._scenario, self._things)
-        self._meshcat = meshcat
+        self._meshcat, self.page = meshcat, page
         self._taken = self._wanted = self.controls.choice()
         self._rested = 0.0
         self._home = tuple(self._scenario.task.start)
@@ -326,36 +337,47 @@ class PlaySession:
         return self.logs
 
     def _begin(self, q: FloatArray | None) -> None:
-        """Builds what is wanted, from these joints or the scenario's start; the old stays else."""
+        """Builds what is wanted, from these joints or the scenario's start.
+
+        What cannot be is refused: the sliders go back, and the motion there is goes on.
+        """
         choice = self._wanted
         self._taken = choice
+        modulated = choice.regulation != "preplanned"
         try:
             scenario = self._chosen(choice, q)
-            diagram = build_avoidance(
-                scenario, modulated=choice.regulation != "preplanned", meshcat=self._meshcat
-            )
+            diagram = build_avoidance(scenario, modulated=modulated, meshcat=self._meshcat)
             judge = RobotJudge(scenario)
+            simulator = Simulator(diagram)
+            watcher = MotionWatcher(diagram, scenario, math.inf, None, latest_time=math.inf)
+            touched = judge.metrics(*watcher.positions(simulator.get_context())).contacts
+            if self._simulator is not None and not self._contacts().issuperset(touched):
+                raise ScenarioError(f"obstacle inside the robot ({', '.join(touched)})")
         except (ScenarioError, ValueError, RuntimeError) as error:
-            # The sliders may ask for what cannot be: the motion there is goes on.
             self._refused = str(error)
             if self._simulator is None:
                 raise
+            self.controls.put_back(self._playing)
+            self._taken = self._wanted = self.controls.choice()
             return
         self._end_leg()
         self._refused = ""
         self._thrown = choice.thrown
-        self._played, self._judge = scenario, judge
-        self._simulator = Simulator(diagram)
-        self._watcher = MotionWatcher(diagram, scenario, math.inf, None, latest_time=math.inf)
+        self._playing, self._played, self._judge = choice, scenario, judge
+        self._simulator, self._watcher = simulator, watcher
+        self._panel = LivePanel(self.page, scenario, modulated, judge)
         self._perception: Any = None
         if diagram.HasSubsystemNamed("perception"):
             self._perception = diagram.GetSubsystemByName("perception")
         self._plant = diagram.GetSubsystemByName("plant")
-        self._arm = self._plant.GetFrameByName(TOOL_FRAME).model_instance()
-        self._simulator.Initialize()
-        self._simulator.set_monitor(self._watcher)
+        simulator.Initialize()
+        simulator.set_monitor(watcher)
         if not choice.seen:
             self._inset.hide()
+
+    def _contacts(self) -> frozenset[str]:
+        """Pairs that touch now, in the motion there is."""
+        return frozenset(self._judge.metrics(*self._watcher.positions(self._root())).contacts)
 
     def _chosen(self, choice: Choice, q: FloatArray | None) -> Scenario:
         """The scenario that is asked for, its motion from where the arm is."""
@@ -392,8 +414,7 @@ class PlaySession:
 
     def _positions(self) -> FloatArray:
         """(nq,) of the robot now, within its joints' limits."""
-        context = self._plant.GetMyContextFromRoot(self._root())
-        q = self._plant.GetPositions(context, self._arm)
+        q = self._watcher.positions(self._root())[0][0]
         plant = self._robot_plant.plant
         inside: FloatArray = np.clip(
             q, plant.GetPositionLowerLimits() + 1e-6, plant.GetPositionUpperLimits() - 1e-6
@@ -415,20 +436,18 @@ class PlaySession:
 
     def _say(self, paused: bool) -> None:
         root = self._root()
-        context = self._plant.GetMyContextFromRoot(root)
-        near = self._judge.nearest(
-            self._plant.GetPositions(context, self._arm), self._plant.GetPositions(context)
-        )
+        q, q_world = self._watcher.positions(root)
+        near = self._judge.nearest(q[0], q_world[0])
         self.kept = near.distance if near else math.inf
         if near:
             ends = near.p_WA.reshape(3, 1), near.p_WB.reshape(3, 1)
-            self._meshcat.SetLineSegments(_LINE, *ends, 3.0, Rgba(0.85, 0.1, 0.45, 1.0))
+            self._meshcat.SetLineSegments(_LINE, *ends, 3.0, Rgba(*DISTANCE))
         else:
             self._meshcat.Delete(_LINE)
-        self.controls.say(self.kept, self.status(paused))
         self._ticks += 1
-        if self._taken.seen and self._ticks % _INSET_TICKS == 0:
+        if self._playing.seen and self._ticks % _INSET_TICKS == 0:
             self._show_image(root)
+        self._panel(self._watcher, root, self.status(paused))
 
     def _show_image(self, root: Context) -> None:
         """What perception's first camera shows, and what is taken for obstacles in it."""
@@ -450,28 +469,17 @@ class PlaySession:
         self._inset.show(view, perception.GetOutputPort("obstacles_W").Eval(context))
 
     def status(self, paused: bool = False) -> str:
-        """One line: who decides, by what it sees, and what holds the motion."""
-        seen = "camera" if self._taken.seen else "ground truth"
-        said = self._watcher.supervision[-1] if self._watcher.supervision else (0.0, "run", "")
-        note = self._watcher.events[-1][2] if self._watcher.events else ""
+        """Says what was refused, else what holds or has ended the motion, or that it runs."""
         if self._refused:
-            state = f"cannot be: {self._refused}"
-        elif paused:
-            state = "paused"
-        elif self._watcher.ending is not None:
-            state = self._watcher.ending.reason
-        elif said[1] != "run":
-            state = f"{said[1]}: {said[2]}"
-        else:
-            state = note or "runs"
-        return f"{self._taken.regulation}, {seen}: {state}"[:120]
+            return f"refused: {self._refused}"
+        return "paused" if paused else self._watcher.state
 
     def _end_leg(self) -> None:
         if self._simulator is None:
             return
         self._simulator.clear_monitor()
         self._leg += 1
-        modulated = self._taken.regulation != "preplanned"
+        modulated = self._playing.regulation != "preplanned"
         self._watcher.finish(self._root())
         if math.isnan(self._watcher.motion_end) or self._watcher.motion_end == math.inf:
             self._watcher.ending = Ending(MotionEnd.CUT_SHORT, "begun anew")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +19,14 @@ from pydrake.geometry import (
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, ModelInstanceIndex
-from pydrake.systems.framework import BasicVector, Context, Diagram, DiagramBuilder, LeafSystem
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    Diagram,
+    DiagramBuilder,
+    EventStatus,
+    LeafSystem,
+)
 from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 
 from drake_oa.common.config import ScenarioError
@@ -29,6 +38,7 @@ from drake_oa.scenario.loading import parse_scenario
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task import goal_at
 from drake_oa.viewing.meshcat_overlay import MeshcatOverlay, dress_scene
+from drake_oa.viewing.panel import LivePage, Reading
 from drake_oa.world.world_model import add_world
 
 _EARLY = 1e-9
@@ -223,6 +233,23 @@ def build_replay(
     diagram = builder.Build()
     diagram.set_name("replay")
     return diagram
+
+
+def show_readings(page: LivePage, rows: list[Reading]) -> Callable[[Context], EventStatus]:
+    """Makes a monitor that shows the reading of each instant on a live page.
+
+    Args:
+        page: the page.
+        rows: readings by time, one at least.
+    """
+
+    def show(root: Context) -> EventStatus:
+        late = bisect_right(rows, root.get_time() + _EARLY, key=lambda row: row.time)
+        page.reading = rows[max(0, late - 1)]
+        page.pace()
+        return EventStatus.Succeeded()
+
+    return show
 
 
 class LogPlayer(LeafSystem):

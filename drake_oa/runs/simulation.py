@@ -84,6 +84,12 @@ class Ending(NamedTuple):
 AT_THE_GOAL = Ending(MotionEnd.GOAL, "goal")
 
 
+def motion_state(supervision: tuple[str, str], note: str) -> str:
+    """Says what the supervisor does and why, else what holds the motion, else that it runs."""
+    action, reason = supervision
+    return note or "running" if action == "run" else f"supervisor: {action}, {reason}"
+
+
 class MotionWatcher:
     """Looks at the motion after each step: records, reports progress, ends the run.
 
@@ -110,6 +116,7 @@ class MotionWatcher:
         on_progress: Callable[[float, float], None] | None,
         *,
         latest_time: float | None = None,
+        on_look: Callable[[MotionWatcher, Context], None] | None = None,
     ) -> None:
         """Finds what it looks at.
 
@@ -121,6 +128,7 @@ class MotionWatcher:
             on_progress: called with time [s] and phase, or None.
             latest_time: when the run is over, whatever moves then [s]; None:
                 `LONGEST_SETTLING` after the time limit and all that is to happen.
+            on_look: called after each look with this and the diagram's Context, or None.
         """
         self._diagram = diagram
         self._policy_system = diagram.GetSubsystemByName("dmp_integrator")
@@ -135,7 +143,7 @@ class MotionWatcher:
         self._alpha_k = scenario.policy.alpha_k
         self._period = scenario.policy.period
         self._end_time = end_time
-        self._on_progress = on_progress
+        self._on_progress, self._on_look = on_progress, on_look
         self._next_time = 0.0
         self._last_move = last_move(scenario.task)
         self._goal = goal_at(scenario.task, self._last_move)
@@ -184,6 +192,8 @@ class MotionWatcher:
         self._record(root, now, policy, supervision)
         if self._on_progress is not None:
             self._on_progress(now, policy.phase)
+        if self._on_look is not None:
+            self._on_look(self, root)
         if self.ending and self.ending.may_go_on and policy.hold is HoldCause.NONE:
             self._end(math.nan, None)
         if not self.ending:
@@ -194,6 +204,22 @@ class MotionWatcher:
                 self._diagram, self.ending.reason if self.ending else ""
             )
         return _NOTHING
+
+    def positions(self, root: Context) -> tuple[FloatArray, FloatArray]:
+        """Returns (1, nq) positions of the robot and (1, n) of the world; without a robot n = 0."""
+        if self._plant is None:
+            return np.zeros((1, 0)), np.zeros((1, 0))
+        context = self._plant.GetMyContextFromRoot(root)
+        q = self._plant.GetPositions(context, self._robot)
+        return q[None], self._plant.GetPositions(context)[None]
+
+    @property
+    def state(self) -> str:
+        """What has ended the motion, else what holds it, else that it runs."""
+        if self.ending:
+            return f"ended: {self.ending.reason}"
+        said = self.supervision[-1][1:] if self.supervision else ("run", "")
+        return motion_state(said, self.events[-1][2] if self.events else "")
 
     def finish(self, root: Context) -> None:
         """Says what the end of the run makes of the motion's."""
@@ -350,6 +376,7 @@ def simulate(
     duration: float | None = None,
     meshcat: Meshcat | None = None,
     on_progress: Callable[[float, float], None] | None = None,
+    on_look: Callable[[MotionWatcher, Context], None] | None = None,
     layers: Layers | None = None,
     customize: Callable[[Wires], None] | None = None,
     diagram: Diagram | None = None,
@@ -377,6 +404,7 @@ def simulate(
             the run goes on.
         meshcat: viewer, or None.
         on_progress: called with time [s] and phase, a few hundred times a second.
+        on_look: called as often, see `MotionWatcher`.
         layers: as for `build_avoidance`.
         customize: likewise.
         diagram: what `build_avoidance` made of all that; None: it is asked to.
@@ -394,7 +422,9 @@ def simulate(
     end_time = duration
     if end_time is None:
         end_time = make_dmp(scenario).duration * LONGEST_SCALING + last_move(scenario.task)
-    watcher = MotionWatcher(diagram, scenario, end_time, on_progress, latest_time=duration)
+    watcher = MotionWatcher(
+        diagram, scenario, end_time, on_progress, latest_time=duration, on_look=on_look
+    )
     return run_motion(scenario, simulator, watcher, modulated=modulated)
 
 

@@ -8,29 +8,35 @@ from collections.abc import Iterator
 
 from pydrake.geometry import Meshcat, MeshcatParams
 
+from drake_oa.viewing.panel import LivePage
+
 RECORDING_RATE = 15.0
 """Frames of a recording a second."""
 
 
-def start_viewer(*, announce: bool) -> Meshcat:
+def start_viewer(*, browser: bool) -> Meshcat:
     """Starts a viewer for this machine only.
 
     Args:
-        announce: print the viewer's address on stderr, at one of Meshcat's usual ports; without
-            it the viewer has any free port.
+        browser: take one of Meshcat's usual ports, as a browser connects to it; without it the
+            viewer has any free port.
 
     Raises:
         ValueError: if no port is free.
     """
     # Drake's default host is every interface.
-    params = MeshcatParams(host="localhost", port=None if announce else 0)
+    params = MeshcatParams(host="localhost", port=None if browser else 0)
     try:
-        meshcat = Meshcat(params)
+        return Meshcat(params)
     except RuntimeError as error:
         raise ValueError(f"viewer: {str(error).rstrip('.')}; close another viewer") from None
-    if announce:
-        print(f"viewer: {meshcat.web_url()}", file=sys.stderr)
-    return meshcat
+
+
+def open_page(meshcat: Meshcat, title: str, description: str) -> LivePage:
+    """Serves the viewer's page with the panel, and prints its address."""
+    page = LivePage(meshcat, title, description)
+    print(f"viewer: {page.url}", file=sys.stderr)
+    return page
 
 
 @contextlib.contextmanager

@@ -1,28 +1,31 @@
 """`drake-oa play` in a real browser: what is moved there moves the arm here."""
 
+import re
 import time
 from pathlib import Path
 
 import pytest
-from pydrake.geometry import Meshcat, MeshcatParams
 
 from drake_oa.runs.play import TICK, PlaySession
 from drake_oa.scenario.loading import parse_scenario
+from drake_oa.viewing.viewer import open_page, start_viewer
 from tests.browser import PROGRAM, Browser
 
 SCENARIO = """
 task: {start: [0.45, -0.3, 0.3], goal: [0.45, 0.3, 0.3], duration: 1.5, clearance: 0.05}
 thinking: null
 obstacles:
-- {name: post, shapes: [!Cylinder {radius: 0.03, length: 0.3}], translation: [0.7, 0.0, 0.15]}
+- {name: post, shapes: [!Cylinder {radius: 0.03, length: 0.4}], translation: [0.7, 0.0, 0.2]}
 """
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(PROGRAM is None, reason="there is no chromium")
 def test_a_slider_that_is_moved_moves_the_arm(tmp_path: Path) -> None:
-    meshcat = Meshcat(MeshcatParams(host="localhost"))
-    session = PlaySession(parse_scenario(SCENARIO), meshcat)
+    meshcat = start_viewer(browser=False)
+    session = PlaySession(
+        parse_scenario(SCENARIO), meshcat, open_page(meshcat, "played", "A post.")
+    )
 
     def ticks(seconds: float) -> None:
         for _ in range(round(seconds / TICK)):
@@ -33,23 +36,26 @@ def test_a_slider_that_is_moved_moves_the_arm(tmp_path: Path) -> None:
         page.evaluate(f"viewer.gui_controllers[{name}, 0")
         time.sleep(0.5)
 
-    with Browser(meshcat.web_url()) as page:
+    with Browser(session.page.url) as page:
         deadline = time.monotonic() + 60.0
-        while not page.evaluate("'post y [m]' in viewer.gui_controllers"):
+        while not page.evaluate("'post: y [m]' in viewer.gui_controllers"):
             assert time.monotonic() < deadline
             time.sleep(0.2)
         ticks(0.3)
         before = session.kept
-        move("'post y [m]'].setValue(0.4)")
-        assert meshcat.GetSliderValue("post y [m]") == pytest.approx(0.4)
+        move("'post: y [m]'].setValue(0.4)")
+        assert meshcat.GetSliderValue("post: y [m]") == pytest.approx(0.4)
         ticks(0.6)
         assert abs(session.kept - before) > 0.05
         move("'goal z [m]'].setValue(0.45)")
         while not session.homeward:
             session.tick()
         assert session.tool_point()[2] == pytest.approx(0.45, abs=5e-3)
-        shown = page.evaluate("Object.keys(viewer.gui_controllers)")
-        assert session.controls.status in shown
+        assert page.evaluate("'post' in viewer.gui.__folders")
+        shown = page.evaluate("document.getElementById('drake-oa').innerText")
+        assert re.search(r"played A post.\nt = .*\ntool: clearance 0", shown, re.DOTALL)
+        assert "executed path" in shown
+        assert "view of a camera" not in shown
         # Less than the scene: the page is not drawn yet.
         deadline, size = time.monotonic() + 120.0, 0
         while size < 50_000:

@@ -1,11 +1,22 @@
-"""What a recording's page says."""
+"""The panel of recordings and live pages."""
 
+import json
 import re
+import time
+from collections.abc import Iterator
 from dataclasses import replace
+from threading import Timer
+from urllib.request import urlopen
 
-from drake_oa.runs.page import label_page, readings
+import pytest
+from pydrake.geometry import Meshcat
+
+from drake_oa.runs.motion_log import MotionLog
+from drake_oa.runs.page import LivePanel, label_page, readings
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import parse_scenario
+from drake_oa.viewing.panel import LivePage
+from drake_oa.viewing.viewer import open_page, start_viewer
 
 TEXT = """
 description: A ball < a box
@@ -13,20 +24,79 @@ task: {start: [0.45, -0.2, 0.3], goal: [0.45, 0.2, 0.3], duration: 1.0, clearanc
 perception: !GroundTruth {}
 obstacles: [{name: ball, shapes: [!Sphere {radius: 0.05}], translation: [0.6, 0.0, 0.2]}]
 """
+SCENARIO = parse_scenario(TEXT)
 PAGE = "<html><head><title>Drake MeshCat</title></head><body><p>scene</p></body></html>"
+CLEARANCE = r"t = 0\.[123] s\navoiding motion: verified, obstacles from ground truth\n" + (
+    r"tool: clearance 0\.\d+ m \(min 0\.\d+, requested 0\.05\)\n"
+    r"whole arm: clearance 0\.\d+ m \(min 0\.\d+, requested 0\.03\)\n"
+)
 
 
-def test_a_page_is_labelled() -> None:
-    scenario = parse_scenario(TEXT)
-    log = simulate(scenario, duration=0.3)
-    text = label_page(PAGE, "mine", scenario, log, speed=2.0)
-    assert "<title>mine: A ball &lt; a box</title>" in text
-    assert text.index("<p>scene</p>") < text.index("planned path") < text.index("</body></html>")
-    assert re.search(r"t = 0\.1 s, tool clearance 0\.\d+ m of 0\.05 m asked", text)
+def get(page: LivePage, path: str) -> str:
+    with urlopen(page.url + path) as answer:
+        text: str = answer.read().decode()
+    return text
+
+
+@pytest.fixture(scope="module")
+def viewer() -> Meshcat:
+    return start_viewer(browser=False)
+
+
+@pytest.fixture
+def page(viewer: Meshcat) -> Iterator[LivePage]:
+    page = open_page(viewer, "mine: avoiding motion", SCENARIO.description)
+    yield page
+    page.close()
+
+
+@pytest.fixture(scope="module")
+def shown(viewer: Meshcat) -> tuple[MotionLog, str]:
+    """A log, and what the live page showed at its end."""
+    page = open_page(viewer, "mine", "")
+    log = simulate(SCENARIO, duration=0.3, on_look=LivePanel(page, SCENARIO))
+    text: str = json.loads(get(page, "/reading/0"))[1]
+    page.close()
+    return log, text
+
+
+def test_live_pages_and_recordings_have_one_panel(
+    shown: tuple[MotionLog, str], page: LivePage
+) -> None:
+    log, live = shown
+    recorded = label_page(PAGE, "mine", SCENARIO, log, speed=2.0)
+    for text in (recorded, get(page, "/")):
+        assert "<title>mine: avoiding motion</title>" in text
+        assert "A ball &lt; a box" in text
+        assert text.index("<body>") < text.index("planned path") < text.index("</body>")
+    assert recorded.index("<p>scene</p>") < recorded.index("planned path")
+    rows = readings(SCENARIO, log, speed=2.0)
+    assert [row.time for row in rows[:2]] == [0.0, 0.05]
+    for text in (rows[-1].text, live):
+        assert re.match(CLEARANCE, text)
     held = replace(
         log, supervision_time=[0.05], supervision_action=["hold"], supervision_reason=["x"]
     )
-    times, said = zip(*readings(scenario, held, speed=2.0), strict=True)
-    assert times[:2] == (0.0, 0.05)
+    said = [row.text for row in readings(SCENARIO, held)]
     assert "supervisor" not in said[0]
     assert said[1].endswith("supervisor: hold, x")
+
+
+def test_the_page_names_a_motion_without_avoidance_and_its_contacts(
+    shown: tuple[MotionLog, str],
+) -> None:
+    scenario = parse_scenario(TEXT.replace("[0.6, 0.0, 0.2]", "[0.45, -0.2, 0.3]"))
+    text = label_page(PAGE, "mine", scenario, replace(shown[0], modulated=False))
+    assert "<title>mine: nominal motion (without avoidance)</title>" in text
+    assert re.search(r'"contact: panda_\w+ - obstacle_ball', text)
+
+
+def test_a_frame_waits_until_the_page_has_drawn_the_previous_one(page: LivePage) -> None:
+    page.pace()
+    get(page, "/reading/0")
+    time.sleep(0.2)
+    answers: list[str] = []
+    timer = Timer(0.2, lambda: answers.append(get(page, "/reading/1")))
+    timer.start()
+    page.pace()
+    assert answers

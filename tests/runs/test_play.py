@@ -6,27 +6,31 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pydrake.geometry import Meshcat, MeshcatParams
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.runs.motion_log import load_logs, save_logs
 from drake_oa.runs.play import TICK, PlaySession, flat_directives, movables
 from drake_oa.scenario.loading import load_scenario, parse_scenario
+from drake_oa.viewing.viewer import open_page, start_viewer
 
 SCENARIO = """
 task: {start: [0.45, -0.3, 0.3], goal: [0.45, 0.3, 0.3], duration: 1.5, clearance: 0.05}
 thinking: null
 obstacles:
-- {name: post, shapes: [!Cylinder {radius: 0.03, length: 0.3}], translation: [0.7, 0.0, 0.15]}
+- {name: post, shapes: [!Cylinder {radius: 0.03, length: 0.4}], translation: [0.7, 0.0, 0.2]}
 """
 
 
 @pytest.fixture(scope="module")
 def session() -> Iterator[PlaySession]:
-    meshcat = Meshcat(MeshcatParams(host="localhost"))
-    session = PlaySession(parse_scenario(SCENARIO), meshcat)
+    session = play(SCENARIO)
     yield session
     session.finish()
+
+
+def play(text: str) -> PlaySession:
+    meshcat = start_viewer(browser=False)
+    return PlaySession(parse_scenario(text), meshcat, open_page(meshcat, "played", ""))
 
 
 def ticks(session: PlaySession, seconds: float) -> None:
@@ -39,28 +43,27 @@ def test_what_is_changed_is_what_moves(session: PlaySession) -> None:
     begin = session.tool_point()
     ticks(session, 0.4)
     assert math.dist(session.tool_point(), begin) > 0.005
-    assert session.status() == "verified, ground truth: runs"
+    assert session.status() == "running"
     apart = session.kept
-    assert meshcat.GetSliderValue("kept clearance [m]") == pytest.approx(apart, abs=1e-3)
+    assert "\nwhole arm: clearance 0." in session.page.reading.text
 
     # The post is put elsewhere: nothing happens until the slider rests, then it is there.
-    meshcat.SetSliderValue("post y [m]", 0.4)
+    meshcat.SetSliderValue("post: y [m]", 0.4)
     session.tick()
     assert session.kept == pytest.approx(apart, abs=0.02)
     ticks(session, 0.5)
     assert abs(session.kept - apart) > 0.05
     assert math.dist(session.tool_point(), begin) > 0.01  # It went on from where it was.
 
-    # What cannot be is said, and the motion there is goes on.
+    # What cannot be is refused: the sliders go back, and the motion there is goes on.
     meshcat.SetSliderValue("goal x [m]", 0.75)
     meshcat.SetSliderValue("goal y [m]", 0.7)
     meshcat.SetSliderValue("goal z [m]", 0.8)
     ticks(session, 0.5)
-    assert "cannot be: task.goal: out of reach" in session.status()
-    for axis, value in zip("xyz", (0.45, 0.3, 0.3), strict=True):
-        meshcat.SetSliderValue(f"goal {axis} [m]", value)
-    ticks(session, 0.5)
-    assert "cannot be" not in session.status()
+    assert "refused: task.goal: out of reach" in session.status()
+    assert session.page.reading.text.endswith(session.status())
+    assert meshcat.GetSliderValue("goal z [m]") == pytest.approx(0.3)
+    assert meshcat.GetSliderValue("post: y [m]") == pytest.approx(0.4)
 
     # To the goal, and back.
     nearest = math.inf
@@ -71,14 +74,26 @@ def test_what_is_changed_is_what_moves(session: PlaySession) -> None:
     ticks(session, 0.5)
     assert session.tool_point()[1] < 0.29
 
-    logs = session.finish()
-    assert list(logs) == [f"leg_{n + 1}" for n in range(len(logs))]
-    assert len(logs) >= 4
-    assert logs["leg_1"].stop_reason == "begun anew"
+
+def test_an_obstacle_inside_the_robot_is_refused(
+    session: PlaySession, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    meshcat = session.controls.meshcat
+    monkeypatch.setattr(session.controls, "clicks", lambda button: int(button == "pause"))
+    x, y, _ = session.tool_point()
+    meshcat.SetSliderValue("post: x [m]", x)
+    meshcat.SetSliderValue("post: y [m]", y)
+    ticks(session, 0.4)
+    assert "refused: obstacle inside the robot (panda_" in session.status()
+    assert meshcat.GetSliderValue("post: x [m]") == pytest.approx(0.7)
+    assert session.kept > 0.0
 
 
 def test_its_log_is_a_log(session: PlaySession, tmp_path: Path) -> None:
     logs = session.finish()
+    assert list(logs) == [f"leg_{n + 1}" for n in range(len(logs))]
+    assert len(logs) >= 3
+    assert logs["leg_1"].stop_reason == "begun anew"
     save_logs(tmp_path / "played.npz", logs)
     assert list(load_logs(tmp_path / "played.npz")) == list(logs)
 
@@ -98,4 +113,4 @@ def test_shipped_obstacles_have_sliders() -> None:
 def test_a_free_point_is_refused() -> None:
     text = "{robot: null, perception: !GivenEllipsoids {ellipsoids: []}}"
     with pytest.raises(ScenarioError, match="nothing to play with without a robot"):
-        PlaySession(parse_scenario(text), Meshcat(MeshcatParams(host="localhost")))
+        play(text)

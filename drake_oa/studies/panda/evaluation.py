@@ -277,7 +277,7 @@ def _write_page(path: Path, log: MotionLog) -> None:
 def _viewer() -> Meshcat:
     from drake_oa.viewing.viewer import start_viewer
 
-    return start_viewer(announce=False)
+    return start_viewer(browser=False)
 
 
 def _compile_kernels(calls: Sequence[Call]) -> None:
