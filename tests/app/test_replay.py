@@ -155,7 +155,8 @@ def test_a_run_that_is_stopped_leaves_the_motion_under_way(
     finally:
         process.kill()
     assert process.returncode == status, told
-    assert told.splitlines()[-1] == f"drake-oa: error: {said}"
+    # Kernels that were compiled are reported after it.
+    assert f"drake-oa: error: {said}" in told.splitlines()
     (file,) = (tmp_path / "drake_oa_runs").iterdir()
     logs = load_logs(file)
     assert list(logs) == ["preplanned", "modulated"]
