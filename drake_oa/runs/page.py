@@ -85,9 +85,8 @@ def readings(scenario: Scenario, log: MotionLog, *, speed: float = 1.0) -> list[
     """
     if not len(log.t):
         return [Reading(0.0, "")]
-    q = log.q
-    known = scenario.robot is not None
-    if known and q.shape[1] != make_robot_plant(scenario.robot).plant.num_positions():
+    q, robot = log.q, scenario.robot
+    if robot and q.shape[1] != make_robot_plant(robot).plant.num_positions():
         q = q[:, :0]
     panel = PanelReadings(scenario, log.modulated)
     found, first = [], 0

@@ -275,7 +275,7 @@ class PlaySession:
         self._things = movables(self._scenario)
         self.controls = Controls(meshcat, self._scenario, self._things)
         self._meshcat, self.page = meshcat, page
-        self._taken = self._wanted = self.controls.choice()
+        self._taken = self._wanted = self._playing = self.controls.choice()
         self._rested = 0.0
         self._home = tuple(self._scenario.task.start)
         self.homeward = False

@@ -55,7 +55,7 @@ _LEGEND = (
 _STYLE = """
 <style>
   body { overflow: hidden; }
-  #drake-oa { position: fixed; left: 12px; bottom: 12px; font: 14px/1.45 sans-serif; color: #222;
+  #drake-oa { position: fixed; left: 12px; bottom: 12px; font: 13px/1.4 sans-serif; color: #222;
     background: rgba(255, 255, 255, 0.85); padding: 8px 12px; border-radius: 6px;
     pointer-events: none; max-width: min(30em, 45vw); overflow-wrap: break-word; }
   #drake-oa i { display: inline-block; width: 22px; height: 5px; margin-right: 8px;
