@@ -85,14 +85,14 @@ CASES = {
     "a second without table": Case(
         customize=lambda s: missing_table(s.cameras[0], 1.0, 1.0), told=UNSEEN
     ),
-    "goal blocked": Case((blocked_goal(1.0),), told="goal inside"),
-    "goal blocked, near it": Case((blocked_goal(3.5),), told="goal inside"),
+    "goal blocked": Case((blocked_goal(1.0),), told="at its goal the arm would touch"),
+    "goal blocked, near it": Case((blocked_goal(3.5),), told="at its goal the arm would touch"),
     "torque saturation": Case(
         ("faults=[!TorqueSaturation {start: 1, duration: 1, scale: 0.4}]",), told="torque"
     ),
     "model error": Case(("faults=[!ModelError {}]",)),
     "start in contact": Case((PLATE,)),
-    "start in contact, seen": Case((PLATE, GROUND_TRUTH), ends=SAFE, told="inside obstacle"),
+    "start in contact, seen": Case((PLATE, GROUND_TRUTH), told="within 0.000 m of obstacle"),
 }
 
 
