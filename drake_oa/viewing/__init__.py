@@ -9,6 +9,7 @@ the bodies' poses; only the policy's state is needed. Out: nothing, it writes to
   works live and in a recording, which holds transforms and properties but no objects.
 - `drawing` has the geometry of it, as functions of arrays; `viewer` starts, records and keeps
   Meshcat for the commands.
+- `panel` adds title, readings and legend to Meshcat's page, recorded or live (`LivePage`).
 
 Begin with the class docstring of `meshcat_overlay.MeshcatOverlay`.
 """
