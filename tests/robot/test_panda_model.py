@@ -1,7 +1,5 @@
 """The Panda: kinematics and dynamics against reference figures, geometry against itself."""
 
-import json
-import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +10,6 @@ from pydrake.geometry import (
     Capsule,
     QueryObject,
     ReadObjToTriangleSurfaceMesh,
-    Role,
     SceneGraph,
     Sphere,
 )
@@ -20,7 +17,6 @@ from pydrake.multibody.parsing import LoadModelDirectives, Parser, ProcessModelD
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import JacobianWrtVariable, SpatialInertia
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
-from scipy.spatial import cKDTree
 
 import drake_oa.models
 
@@ -296,72 +292,6 @@ def test_collision_geometry_encloses_the_visual(
     assert distance.max() < tolerance
 
 
-@pytest.mark.parametrize("link", SHELLS)
-def test_what_a_camera_renders_is_near_the_shell(link: str) -> None:
-    fine, coarse = _visual_points(link), _visual_points(link, "_coarse")
-    distance, _ = cKDTree(fine).query(coarse)
-    # Up to 6 mm from a face of the shell, and half an edge more from a point of it.
-    assert distance.max() < 0.016
-
-
-@pytest.mark.parametrize(
-    ("role", "kind"), [(Role.kIllustration, ""), (Role.kPerception, "_coarse")]
-)
-def test_viewers_show_the_shell_and_cameras_render_the_coarse_one(
-    robot: Robot, role: Role, kind: str
-) -> None:
-    inspector = robot.scene_graph.model_inspector()
-    for link in SHELLS:
-        frame = robot.plant.GetBodyFrameIdOrThrow(robot.plant.GetBodyByName(link).index())
-        (geometry,) = inspector.GetGeometries(frame, role)
-        mesh = inspector.GetShape(geometry)
-        assert Path(mesh.source().path()).name == f"{link.removeprefix('panda_')}{kind}.obj"
-
-
-@pytest.mark.parametrize("link", ["panda_hand", *FINGERS])
-def test_collision_geometry_of_the_tool_is_tight(robot: Robot, link: str) -> None:
-    shell = _visual_points(link)
-    low, high = shell.min(axis=0), shell.max(axis=0)
-    points = np.random.default_rng(0).uniform(low - 0.05, high + 0.05, (20_000, 3))
-    inside = points[robot.distance_to_collision_geometry([link], points) < 0.0]
-    assert (inside > low - 2e-3).all()
-    assert (inside < high + 2e-3).all()
-
-
-def test_collision_geometry_is_nowhere_far_from_the_visuals(robot: Robot) -> None:
-    robot.plant.SetPositions(robot.context, Q_READY)
-    p_WQ = np.random.default_rng(0).uniform([-0.3, -0.25, -0.1], [0.8, 0.25, 0.9], (150_000, 3))
-    distance, shells = np.full(len(p_WQ), np.inf), []
-    for link in SHELLS:
-        X_WL = robot.plant.GetFrameByName(link).CalcPoseInWorld(robot.context)
-        shells.append(X_WL.multiply(_visual_points(link).T).T)
-        p_LQ = X_WL.inverse().multiply(p_WQ.T).T
-        distance = np.minimum(distance, robot.distance_to_collision_geometry([link], p_LQ))
-    surface = p_WQ[np.abs(distance) < 2e-3]
-    gap, _ = cKDTree(np.vstack(shells)).query(surface)
-    assert len(surface) > 500
-    assert np.median(gap) < 0.012
-    assert gap.max() < 0.05
-
-
-def test_collision_geometry_covers_drakes_spheres_of_the_arm(
-    robot: Robot, reference: Callable[[str], Path]
-) -> None:
-    spheres = json.loads(reference("panda_facts.json").read_text())["spheres_drake"]["links"]
-    directions = np.random.default_rng(0).normal(size=(300, 3))
-    directions /= np.linalg.norm(directions, axis=1)[:, None]
-    for link in [*ARM, "panda_link8"]:
-        welded = [link]
-        if link in ("panda_link7", "panda_link8"):
-            welded = [link, "panda_link7", "panda_link8", "panda_hand"]
-        for *center, radius in spheres[link]:
-            points = np.asarray(center) + radius * directions
-            if link == "panda_link0":  # Nothing of the robot is below its mounting plane.
-                points = points[points[:, 2] >= 0.0]
-            distance = robot.distance_to_collision_geometry(welded, points)
-            assert distance.max() < 0.01, f"{link}: sphere at {center}"
-
-
 @pytest.mark.parametrize("q", [Q_READY, Q_START], ids=["ready", "start"])
 @pytest.mark.parametrize("opening", [0.0, 0.02, 0.04])
 def test_no_self_collision_at_rest_poses(robot: Robot, q: np.ndarray, opening: float) -> None:
@@ -374,23 +304,3 @@ def test_real_self_collisions_are_reported(robot: Robot) -> None:
     assert any("panda_link0" in pair for pair in pairs)
     folded = np.r_[0.0, 0.0, 0.0, -1.6, 0.0, -0.0175, 0.785, 0.02, 0.02]
     assert frozenset(("panda_hand", "panda_link5")) in robot.colliding_links(folded)
-
-
-def test_no_unfiltered_pair_of_links_overlaps_by_construction(robot: Robot) -> None:
-    """Of 400 random postures most are free, and no pair of links collides in more than 12 %."""
-    rng = np.random.default_rng(0)
-    low, high = robot.plant.GetPositionLowerLimits(), robot.plant.GetPositionUpperLimits()
-    found = [robot.colliding_links(q) for q in rng.uniform(low, high, (400, 9))]
-    assert np.mean([len(pairs) == 0 for pairs in found]) > 0.8
-    for pair in set().union(*found):
-        assert np.mean([pair in pairs for pairs in found]) < 0.12, sorted(pair)
-
-
-def test_meshes_are_small_and_every_material_is_defined() -> None:
-    folder = MODELS / "panda" / "meshes"
-    files = sorted(folder.glob("*.obj"))
-    assert len(files) == 2 * len(SHELLS)
-    assert sum(file.stat().st_size for file in files) < 1.8e6
-    defined = set(re.findall(r"newmtl (\w+)", (folder / "panda.mtl").read_text()))
-    used = {name for file in files for name in re.findall(r"usemtl (\w+)", file.read_text())}
-    assert used <= defined
