@@ -51,6 +51,13 @@ def test_every_command_that_is_shown_is_one() -> None:
             pytest.fail(f"{page}: {line}: {error}")
 
 
+def test_the_environment_is_activated_before_the_first_command() -> None:
+    for page in (ROOT / "README.md", ROOT / "docs" / "start.md"):
+        before, command, _ = page.read_text().partition("drake-oa play")
+        assert command
+        assert ". .venv/bin/activate" in before
+
+
 def test_every_import_that_is_shown_can_be_made() -> None:
     assert blocks("python")
     for page, block in blocks("python"):

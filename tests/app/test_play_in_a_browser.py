@@ -52,6 +52,8 @@ def test_a_slider_that_is_moved_moves_the_arm(tmp_path: Path) -> None:
             session.tick()
         assert session.tool_point()[2] == pytest.approx(0.45, abs=5e-3)
         assert page.evaluate("'post' in viewer.gui.__folders")
+        controls = page.evaluate("Object.keys(viewer.gui_controllers)")
+        assert controls.index("stop") < controls.index("speed") < controls.index("post: x [m]")
         shown = page.evaluate("document.getElementById('drake-oa').innerText")
         assert re.search(r"played A post.\nt = .*\ntool: clearance 0", shown, re.DOTALL)
         assert "executed path" in shown
