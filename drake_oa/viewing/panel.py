@@ -10,7 +10,7 @@ from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from string import Template
 from typing import NamedTuple
-from urllib.request import urlopen
+from urllib.request import ProxyHandler, build_opener
 
 from pydrake.geometry import Meshcat
 
@@ -163,7 +163,8 @@ def panel_page(page: str, title: str, description: str, readings: list[Reading] 
 
 def _live_page(meshcat: Meshcat, title: str, description: str) -> str:
     """Fetches Meshcat's page; its script and messages come from where Meshcat serves them."""
-    with urlopen(meshcat.web_url()) as answer:
+    # A proxy of the environment does not reach this machine's own ports.
+    with build_opener(ProxyHandler({})).open(meshcat.web_url()) as answer:
         page: str = answer.read().decode()
     page = page.replace("<head>", f'<head><base href="{meshcat.web_url()}/">', 1)
     address = f"{_FOLDERS}    url = {json.dumps(meshcat.ws_url())};"

@@ -100,3 +100,11 @@ def test_a_frame_waits_until_the_page_has_drawn_the_previous_one(page: LivePage)
     timer.start()
     page.pace()
     assert answers
+
+
+def test_a_proxy_of_the_environment_is_not_asked(
+    viewer: Meshcat, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("no_proxy", raising=False)
+    monkeypatch.setenv("http_proxy", "http://localhost:9")
+    open_page(viewer, "mine", "").close()
