@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import html
 import json
+import sys
 import threading
 import time
-from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from string import Template
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from urllib.request import ProxyHandler, build_opener
 
 from pydrake.geometry import Meshcat
@@ -172,6 +172,15 @@ def _live_page(meshcat: Meshcat, title: str, description: str) -> str:
     return panel_page(page, title, description, None)
 
 
+class _PageServer(ThreadingHTTPServer):
+    """Serves a page that may be closed at any time."""
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Prints what went wrong, unless the page was closed."""
+        if not isinstance(sys.exc_info()[1], ConnectionError):
+            super().handle_error(request, client_address)
+
+
 class LivePage:
     """Meshcat's live page with the panel, served to this machine only.
 
@@ -208,21 +217,19 @@ class LivePage:
                     live._asked = time.monotonic()
                 else:
                     kind, body = "text/html", page
-                # A page that is closed meanwhile gets nothing.
-                with suppress(ConnectionError):
-                    self.send_response(200)
-                    self.send_header("Content-Type", f"{kind}; charset=utf-8")
-                    self.end_headers()
-                    self.wfile.write(body.encode())
+                self.send_response(200)
+                self.send_header("Content-Type", f"{kind}; charset=utf-8")
+                self.end_headers()
+                self.wfile.write(body.encode())
 
             def log_message(self, *_: object) -> None:
                 """Logs nothing."""
 
         try:
             # The same address run after run, where it is free.
-            self._server = ThreadingHTTPServer(("localhost", meshcat.port() + 1000), Handler)
+            self._server = _PageServer(("localhost", meshcat.port() + 1000), Handler)
         except OSError:
-            self._server = ThreadingHTTPServer(("localhost", 0), Handler)
+            self._server = _PageServer(("localhost", 0), Handler)
         self._server.daemon_threads = True
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
         self.url = f"http://localhost:{self._server.server_port}"
