@@ -441,23 +441,27 @@ def _report(outputs: _Outputs, name: str, ran: _Ran, meshcat: Meshcat | None) ->
 
     logs = ran.logs
     report = run_report(name, ran.scenario, logs, ran.judge)
+    # Printed after all files are written: standard error may be a pipe that its reader closed.
+    lines: list[str] = []
 
     def write_page() -> None:
         if outputs.html and meshcat and "modulated" in logs:
             page = label_page(meshcat.StaticHtml(), name, ran.scenario, logs["modulated"])
             replace_text(outputs.html, page)
-            print(f"page: {outputs.html}", file=sys.stderr)
+            lines.append(f"page: {outputs.html}")
 
     def write_report() -> None:
         if outputs.json:
             replace_text(outputs.json, json_text.dumps(report, indent=2) + "\n")
-            print(f"report: {outputs.json}", file=sys.stderr)
+            lines.append(f"report: {outputs.json}")
 
     contact = contact_error(report)
     try:
         show(report_table(report))
     finally:
         written = write_all(write_page, write_report)
+        for line in lines:
+            print(line, file=sys.stderr)
         if contact:
             complain(contact)
     if contact or not written:
