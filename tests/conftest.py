@@ -7,18 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import settings
-from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
-from drake_oa.robot.arm import ArmModel
 from drake_oa.robot.config import Robot
-from drake_oa.robot.inverse_kinematics import solve_tool_pose
 from drake_oa.robot.limits import RobotLimits
-from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
+from drake_oa.robot.plant import RobotPlant, make_robot_plant
 from drake_oa.runs.motion_log import MotionLog, pack_ellipsoids
 from drake_oa.scenario.loading import load_scenario, scenario_text
 from drake_oa.studies.scenes.methods import Motions, Setting
 from drake_oa.studies.scenes.scenes import DURATION, Scenes
-from tests.builders import arm_of
 
 # The machine may be busy: no property is judged by the time an example takes.
 settings.register_profile("drake_oa", deadline=None, derandomize=True)
@@ -53,19 +49,6 @@ def scan_files() -> list[Path]:
 def panda() -> RobotPlant:
     """The Panda alone; not to be changed."""
     return make_robot_plant(Robot())
-
-
-@pytest.fixture(scope="session")
-def posed_panda(panda: RobotPlant) -> Callable[[np.ndarray], ArmModel]:
-    """The Panda's arm with its tool point, pointing down, at a place; that is its posture."""
-
-    def posed(place: np.ndarray) -> ArmModel:
-        R_WE = RotationMatrix(RollPitchYaw(Robot().rpy_WE))
-        home, tool = home_positions(panda, Robot()), panda.tool_frame.name()
-        q = solve_tool_pose(panda.plant, tool, RigidTransform(R_WE, place), home)
-        return arm_of(panda, R_WE, q)
-
-    return posed
 
 
 @pytest.fixture(scope="session")

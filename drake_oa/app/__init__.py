@@ -10,8 +10,7 @@ reads its signature for the options and its docstring for the help, which is wri
     perceive            table, clusters and ellipsoids of recorded frames
     benchmark           real-time factors, layers, decisions (`drake_oa.benchmark`)
     evaluate            methods on suites of scenes (`drake_oa.studies`); below it `panda`, `mbm`,
-                        `table1` and so on, the paper's tables and figures (`paper_tables`),
-                        `kept`, the figure of what they asked for and kept
+                        `table1` and so on, the paper's tables and figures (`paper_tables`)
     train               the networks (`drake_oa.training`)
 
 A module is imported when its command is asked for, and what computes when it is needed: `--help`

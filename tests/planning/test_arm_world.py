@@ -30,7 +30,6 @@ from drake_oa.robot.arm import axis_frame, joints_to
 from tests.planning.arms import ArmAlone, box_at, brute_excess, random_things
 
 SEEDS = st.integers(0, 2**32 - 1)
-CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
 
 
 @pytest.fixture(params=["panda_arm", "six_arm"])

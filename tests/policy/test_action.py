@@ -340,12 +340,6 @@ def test_a_baseline_of_zero_length_is_refused() -> None:
 # The compiled step against the readable one.
 
 
-def guided_headings(state: PolicyState, ellipsoids: EllipsoidSet, route: Route) -> np.ndarray:
-    """(M, 3) desired headings past the obstacles, as the route chose their sides."""
-    chosen = (route.direction_W, route.normal_W, route.remaining_clearance)
-    return desired_headings(state, ellipsoids, *chosen)
-
-
 def random_scene(
     seed: int, guided: bool, about_route: bool
 ) -> tuple[PolicyState, EllipsoidSet, CouplingParameters, Route]:

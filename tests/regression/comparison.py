@@ -17,6 +17,12 @@ MAX_GAINED_CONTACTS = 1
 """Scenes over all suites that may gain a contact."""
 FIGURE_TOLERANCE = 1e-6
 """Largest accepted relative difference of a figure in a table."""
+ERROR_TOLERANCE = 0.01
+"""Largest accepted relative difference of a mean goal error.
+
+BLAS rounds the chain's outputs by how an array lies in memory, and motions that turn near an
+obstacle's center amplify it: between two runs of one version these means differ by 0.3 %.
+"""
 
 Run = Mapping[str, Any]
 Runs = Mapping[str, Run]
@@ -92,7 +98,9 @@ def figure_failures(stored: Any, figures: Any, path: str = "") -> Iterator[str]:
         for place, (before, after) in enumerate(zip(stored, figures, strict=True)):
             yield from figure_failures(before, after, f"{path}/{place}")
     elif isinstance(stored, float) and isinstance(figures, (int, float)):
-        if abs(figures - stored) > FIGURE_TOLERANCE * max(abs(stored), 1e-3):
+        is_error = path.endswith("goal_error_mean")
+        tolerance = ERROR_TOLERANCE if is_error else FIGURE_TOLERANCE
+        if abs(figures - stored) > tolerance * max(abs(stored), 1e-3):
             yield f"{path}: {stored} -> {figures}"
     elif stored != figures:
         yield f"{path}: {stored} -> {figures}"

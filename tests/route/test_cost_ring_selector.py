@@ -16,7 +16,6 @@ from tests.builders import balls
 
 START, GOAL = np.array([0.0, 0.0, 0.3]), np.array([1.0, 0.0, 0.3])
 POLICY = PolicyState(p_WE=START, p_WS=START, p_WG=GOAL)
-Center = tuple[float, float, float]
 
 
 def fix(system: CostRingSelector, context: Context, **inputs: object) -> None:
