@@ -1,7 +1,6 @@
 """Fixtures shared by all tests."""
 
-import contextlib
-import importlib
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,10 +17,9 @@ from drake_oa.scenario.loading import load_scenario, scenario_text
 from drake_oa.studies.scenes.methods import Motions, Setting
 from drake_oa.studies.scenes.scenes import DURATION, Scenes
 
-# Torch built for CUDA loads triton when it first differentiates. That crashes a process which
-# has rendered by Mesa, another user of LLVM; loaded before Mesa, triton works.
-with contextlib.suppress(ImportError):
-    importlib.import_module("triton._C.libtriton")
+# Torch built for CUDA loads triton when it first differentiates, and triton crashes a process that
+# renders by Mesa: both contain LLVM. Nothing here needs triton, so its import fails.
+sys.modules["triton"] = None  # type: ignore[assignment]
 
 # The machine may be busy: no property is judged by the time an example takes.
 settings.register_profile("drake_oa", deadline=None, derandomize=True)
