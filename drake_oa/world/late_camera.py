@@ -8,6 +8,7 @@ them.
 from __future__ import annotations
 
 import atexit
+import gc
 import queue
 import threading
 import weakref
@@ -168,10 +169,16 @@ class _RenderThread:
         future: Future[_T] = Future()
 
         def run() -> None:
+            # The garbage collector would destroy other threads' render engines in this one.
+            collects = gc.isenabled()
+            gc.disable()
             try:
                 future.set_result(call())
             except BaseException as error:
                 future.set_exception(error)
+            finally:
+                if collects:
+                    gc.enable()
 
         self._tasks.put(run)
         return future
