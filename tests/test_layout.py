@@ -1,4 +1,4 @@
-"""The house keeps its floor plan; which way imports go is held by import-linter in `make lint`."""
+"""Checks of the folder structure; import-linter checks import directions in `make lint`."""
 
 from __future__ import annotations
 
@@ -16,24 +16,16 @@ FOLDERS = sorted(
 MODULES = sorted(
     path.relative_to(ROOT) for folder in FOLDERS for path in (ROOT / folder).glob("*.py")
 )
-MOST_MODULES, MOST_LINES = 14, 600
 README_LINES = 10
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=str)
-def test_a_folder_can_be_taken_in_at_a_glance(folder: Path) -> None:
-    modules = [path for path in (ROOT / folder).glob("*.py") if path.name != "__init__.py"]
-    assert len(modules) <= MOST_MODULES
+def test_each_package_has_an_overview(folder: Path) -> None:
     init = (ROOT / folder / "__init__.py").read_text()
     docstring = ast.get_docstring(ast.parse(init)) or ""
     if folder != Path("drake_oa"):
         assert len(docstring.splitlines()) >= README_LINES
         assert "import" not in init.replace(docstring, "")
-
-
-def test_no_module_is_too_long() -> None:
-    lines = {path: len((ROOT / path).read_text().splitlines()) for path in MODULES}
-    assert {path: count for path, count in lines.items() if count > MOST_LINES} == {}
 
 
 def test_kernels_know_nothing_of_drake() -> None:
