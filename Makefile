@@ -40,6 +40,7 @@ regression-suites: $(DEV)
 lint: $(DEV)
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
+	$(VENV)/bin/python -m tests.language
 	@rm -rf build/lint && mkdir -p build/lint/drake_oa
 	@ln -s $(CURDIR)/drake_oa/* $(CURDIR)/diagrams $(CURDIR)/models build/lint/drake_oa
 	cd build/lint && PYTHONPATH=. $(abspath $(VENV))/bin/lint-imports --config $(CURDIR)/pyproject.toml
