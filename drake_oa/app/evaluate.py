@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import App, Parameter
 
 from drake_oa.common.console import FAILED, INTERRUPTED, complain, progress_bar, show
-from drake_oa.common.files import check_outputs, replace_text
+from drake_oa.common.files import check_outputs, check_plot_file, replace_text
 
 # Suites, methods and kernels are imported where they are used: `--help` answers at once.
 if TYPE_CHECKING:
@@ -113,14 +113,13 @@ def synthetic(
         json: write the figures.
         plot: write a plot: .png, .svg or .pdf.
     """
+    from drake_oa.studies.plots import plot_evaluation
     from drake_oa.studies.scenes.figures import evaluation_tables
-    from drake_oa.studies.scenes.plots import check_plot_file, plot_evaluation
     from drake_oa.studies.scenes.scenes import save_scenes
 
     found_suite = _suite(suite)
     chosen = load_methods(methods or found_suite.methods)
-    if plot is not None:
-        check_plot_file(plot)
+    check_plot_file("--plot", plot)
     check_outputs(json, plot, write_scenes, read=[scenes_file] if scenes_file else [])
     drawn = drawn_scenes(suite, scenes, seed, scenes_file)
     if write_scenes is not None:

@@ -22,7 +22,7 @@ from drake_oa.app.evaluate import (
     write_json,
 )
 from drake_oa.common.console import show
-from drake_oa.common.files import check_outputs
+from drake_oa.common.files import check_outputs, check_plot_file
 
 # Suites, methods and kernels are imported where they are used: `--help` answers at once.
 if TYPE_CHECKING:
@@ -210,9 +210,9 @@ def figure_familiar(
         json: write the figures.
         plot: write the figure: .png, .svg or .pdf.
     """
+    from drake_oa.studies.plots import plot_evaluation
     from drake_oa.studies.scenes.figures import familiar_tables
     from drake_oa.studies.scenes.paper_method import paper_chain, run
-    from drake_oa.studies.scenes.plots import check_plot_file, plot_evaluation
     from drake_oa.studies.scenes.suites import find_suite
 
     suite = "familiar"
@@ -220,8 +220,7 @@ def figure_familiar(
     if "paper" in chosen:
         paper_chain(False, level.chain)
         chosen["paper"] = partial(run, reading=level.reading())
-    if plot is not None:
-        check_plot_file(plot)
+    check_plot_file("--plot", plot)
     check_outputs(json, plot)
     drawn, cases = drawn_scenes(suite, scenes, 0), find_suite(suite).cases
     evaluation, figures = evaluated(suite, None, drawn, cases, chosen, json)
@@ -254,15 +253,14 @@ def figure_dead_zone(
         json: write the figures.
         plot: write the figure: .png, .svg or .pdf.
     """
+    from drake_oa.studies.plots import plot_dead_zone
     from drake_oa.studies.scenes.dead_zone import compare_terms, term_figures, term_table
     from drake_oa.studies.scenes.figures import evaluation_tables
-    from drake_oa.studies.scenes.plots import check_plot_file, plot_dead_zone
     from drake_oa.studies.scenes.suites import find_suite
 
     suite = "dead-zone"
     chosen = load_methods(methods)
-    if plot is not None:
-        check_plot_file(plot)
+    check_plot_file("--plot", plot)
     check_outputs(json, plot)
     drawn = drawn_scenes(suite, scenes, 0)
     terms = compare_terms(drawn)

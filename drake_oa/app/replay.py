@@ -5,18 +5,11 @@ from __future__ import annotations
 import logging
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from drake_oa.app.scenarios import Overrides, ScenarioName, build_errors, scenario_name
-from drake_oa.common.files import check_outputs, replace_text, save_figure
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from drake_oa.common.files import check_outputs, check_plot_file, replace_text
 
 _log = logging.getLogger(__name__)
-
-FORMATS = (".png", ".svg", ".pdf")
-"""What the name of a plot may end in."""
 
 # Drake and matplotlib are imported where they are used: `--help` answers at once.
 
@@ -114,44 +107,38 @@ def plot(shown: ScenarioName, /, *, overrides: Overrides = (), out: Path | None 
     of_scenario = shown in shipped_scenarios() or Path(shown).suffix in (".yaml", ".yml")
     log, name = Path(shown), scenario_name(shown)
     out = out or (Path(f"{name}.png") if of_scenario else log.with_suffix(".png"))
-    if out.suffix not in FORMATS:
-        raise ValueError(f"--out must end in {', '.join(FORMATS)}, not {out.name!r}")
+    check_plot_file("--out", out)
     if overrides and not of_scenario:
         raise ValueError("--set is of a scenario: a log has its own")
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(14.0, 10.0), layout="constrained")
     if of_scenario:
-        _draw_scenario(figure, shown, overrides, out)
+        _plot_scenario(shown, overrides, out)
     else:
-        _draw_log(figure, log, out)
-    save_figure(out, figure, dpi=130)
+        _plot_log(log, out)
     print(f"plot: {out}")
 
 
-def _draw_scenario(figure: Figure, shown: str, overrides: Overrides, out: Path) -> None:
+def _plot_scenario(shown: str, overrides: Overrides, out: Path) -> None:
     """Draws what a scenario is taught."""
-    from drake_oa.runs.demonstration_plots import draw_taught, taught
+    from drake_oa.runs.plots import place_demonstrations, plot_demonstrations
     from drake_oa.scenario.loading import load_scenario, scenario_files, scenario_path
 
     scenario = load_scenario(shown, overrides)
     check_outputs(out, read=[scenario_path(shown), *scenario_files(scenario)])
-    found = taught(scenario)
+    found = place_demonstrations(scenario)
     if found is None:
         raise ValueError(
             f"{shown} has no task.demonstration to draw: give a log, or "
             "--set task.demonstration=FILE"
         )
     title = f"{scenario_name(shown)}: {scenario.description}".removesuffix(": ")
-    draw_taught(figure, title, scenario, found)
+    plot_demonstrations(out, title, scenario, found)
 
 
-def _draw_log(figure: Figure, log: Path, out: Path) -> None:
+def _plot_log(log: Path, out: Path) -> None:
     """Draws a logged run."""
     from drake_oa.common.config import ScenarioError
-    from drake_oa.runs.demonstration_plots import taught
-    from drake_oa.runs.log_plots import draw_run
     from drake_oa.runs.motion_log import load_logs
+    from drake_oa.runs.plots import place_demonstrations, plot_run
     from drake_oa.runs.replay import choose_motion, logged_scenario
     from drake_oa.runs.report import judge_of, motion_metrics
     from drake_oa.scenario.loading import scenario_files
@@ -166,9 +153,9 @@ def _draw_log(figure: Figure, log: Path, out: Path) -> None:
         metrics = {name: motion_metrics(scenario, of, judge) for name, of in logs.items()}
     title = f"{log.stem}: {scenario.description}".removesuffix(": ")
     try:
-        shown = taught(scenario)
+        shown = place_demonstrations(scenario)
     except ScenarioError as error:
         # The log does not hold what was demonstrated.
         _log.warning("drawn without the demonstrations: %s", error)
         shown = None
-    draw_run(figure, title, scenario, logs, metrics, shown)
+    plot_run(out, title, scenario, logs, metrics, shown)

@@ -37,6 +37,9 @@ _SOURCES = {
 _NOT_IN_DIGEST = ("app", "benchmark.py", "diagrams", "hardware", "models", "training", "viewing")
 """Parts of drake_oa that no simulated motion depends on, or that are packages of `_SOURCES`."""
 
+PLOT_FORMATS = (".pdf", ".png", ".svg")
+"""Suffixes of the files of figures."""
+
 
 class OutputError(OSError):
     """A file that could not be written; the message names the file."""
@@ -166,6 +169,12 @@ def _remove_stale_parts(folder: Path) -> None:
 def replace_text(path: Path, text: str) -> None:
     """Writes a text file in one piece; see `replace_file`."""
     replace_file(path, lambda beside: beside.write_text(text))
+
+
+def check_plot_file(option: str, path: Path | None) -> None:
+    """Raises ValueError for a suffix that no figure can be written in, naming the option."""
+    if path is not None and path.suffix not in PLOT_FORMATS:
+        raise ValueError(f"{option} must end in {', '.join(PLOT_FORMATS)}, not {path.name!r}")
 
 
 def save_figure(path: Path, figure: Figure, *, dpi: float) -> None:

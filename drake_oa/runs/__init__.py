@@ -8,8 +8,8 @@ an .npz file), figures of it, and its replay in Meshcat.
 - `motion_log`: the log and its file.
 - `metrics`: collisions, clearance, convergence and path length, measured on the true obstacles.
 - `decision_costs`: what decisions cost in simulated time.
-- `report`: the figures of a run as JSON. `log_plots`: the same drawn. `demonstration_plots`: what a
-  task demonstrates, and what is learnt of it, before a run or beside one.
+- `report`: the figures of a run as JSON.
+- `plots`: pictures of a logged run and of demonstrations, and the style of all pictures.
 - `replay`: a logged motion on ports (`LogPlayer`), and a diagram that shows it again.
 
 Nothing here is part of the robot's software: on a real robot one logs the same signals.

@@ -308,7 +308,7 @@ def test_what_cannot_be_shown_is_one_clear_line(
         (("replay", "LOG", "--html", "x.html", "--motion", "nothing"), "preplanned, modulated"),
         (("replay", "LOG", "--html", "x.html", "--speed", "0"), "--speed"),
         (("replay", "LOG", "--html", "LOG"), "the command reads this file"),
-        (("plot", "LOG", "--out", "x.txt"), ".png, .svg, .pdf"),
+        (("plot", "LOG", "--out", "x.txt"), ".pdf, .png, .svg"),
         (("plot", "LOG", "--out", "x.txt/y.png"), "cannot write"),
     ],
 )

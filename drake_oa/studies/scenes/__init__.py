@@ -4,7 +4,7 @@ In: a suite's scenes (`suites`, or a file), N at once as arrays (`scenes.Scenes`
 in the frame of the motion, start at the origin, goal at (baseline, 0, 0)), and methods
 (`methods`), each a function of scenes and a setting. Out: `Motions`, sampled paths and
 velocities, which `judge` looks at to convergence between the samples, and figures over all of
-them (`figures`, `plots`).
+them (`figures`, `drake_oa.studies.plots`).
 
     paper_method   `paper`, the authors' action level with their regressor, and `original`,
                    Hoffmann's term on it (Pairet et al., RA-L 2019; eq. 8 and 7);
