@@ -26,7 +26,7 @@ from drake_oa.runs.motion_log import MotionEnd, MotionLog, load_logs
 from drake_oa.runs.report import motion_report
 from drake_oa.scenario.loading import load_scenario
 from tests.hardware.lockstep import Lockstep
-from tests.test_port_lists import checked_systems
+from tests.test_systems import checked_systems
 
 
 def run(both: Lockstep, duration: float | None = None) -> MotionLog:
