@@ -11,11 +11,9 @@ from drake_oa.control.cartesian_inverse_dynamics import CartesianInverseDynamics
 from drake_oa.control.integral_action import IntegralAction
 from drake_oa.diagrams.station import Cell
 from drake_oa.regulation.config import Verified
-from drake_oa.robot.plant import RobotPlant, make_robot_plant
+from drake_oa.robot.plant import make_robot_plant
 from drake_oa.scenario.faults import ModelError
-from drake_oa.scenario.scenario import (
-    Scenario,
-)
+from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.scenario.tool_orientation import end_rotations
 
 
@@ -23,7 +21,7 @@ def add_control(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     """Adds controller and integral_action: desired motion, robot_state -> actuation."""
     if cell is None:
         return
-    controller = make_controller(scenario, cell.robot_plant, cell.q_start)
+    controller = make_controller(scenario, cell.q_start)
     wires.add("controller", controller, reads={"desired_acceleration": "asked_acceleration"})
     wires.otherwise("asked_acceleration", "desired_acceleration")
     integral = make_integral_action(scenario)
@@ -34,25 +32,19 @@ def add_control(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     wires.log("robot_state", "actuation", "torque_saturation", "tracking_error")
 
 
-def make_controller(
-    scenario: Scenario, robot_plant: RobotPlant, q_start: FloatArray
-) -> CartesianInverseDynamics:
+def make_controller(scenario: Scenario, q_start: FloatArray) -> CartesianInverseDynamics:
     """The control law; posture and tool orientation are those of the start.
 
     Args:
         scenario: with a robot.
-        robot_plant: the robot alone, as the plant has it.
         q_start: (nq,) its positions at the start, see `start_positions`.
 
     Raises:
         ScenarioError: if the scenario has no robot, or its model error is of another one.
     """
-    robot = scenario.robot
-    if robot is None:
-        raise ScenarioError("robot: a controller needs a robot; this scenario has null")
-    for fault in scenario.faults:
-        if isinstance(fault, ModelError):
-            robot_plant = make_robot_plant(robot, inertias=fault.inertias)
+    robot = robot_of(scenario)
+    errors = [fault.inertias for fault in scenario.faults if isinstance(fault, ModelError)]
+    robot_plant = make_robot_plant(robot, inertias=errors[-1] if errors else "")
     gains = robot.gains
     if isinstance(scenario.regulation, Verified):
         # The links go as near to things as the tool does: they are held as stiffly.

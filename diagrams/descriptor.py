@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from drake_oa.common.config import ScenarioError
 from drake_oa.common.wires import Wires
 from drake_oa.descriptor.descriptor import merged_parts
 from drake_oa.descriptor.ellipsoid_descriptor import EllipsoidDescriptor
 from drake_oa.diagrams.station import Cell
 from drake_oa.regulation.config import Paper
-from drake_oa.robot.plant import RobotPlant, tool_link_corners
+from drake_oa.robot.plant import tool_link_corners
 from drake_oa.scenario.scenario import (
     Scenario,
 )
@@ -24,17 +23,15 @@ def add_descriptor(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     goal = None if not scenario.task.goal_moves else "goal"
     wires.add(
         "ellipsoid_descriptor",
-        make_ellipsoid_descriptor(scenario, cell.robot_plant),
+        make_ellipsoid_descriptor(scenario),
         reads={"goal": goal},
     )
 
 
-def make_ellipsoid_descriptor(scenario: Scenario, robot_plant: RobotPlant) -> EllipsoidDescriptor:
+def make_ellipsoid_descriptor(scenario: Scenario) -> EllipsoidDescriptor:
     """The descriptor, which dilates by the robot's tool, in each of the ways it is held."""
-    if scenario.robot is None:
-        raise ScenarioError("robot: the descriptor needs a tool; this scenario has null")
     task = scenario.task
-    held = [tool_link_corners(robot_plant, robot) for robot in held_robots(scenario)]
+    held = list(map(tool_link_corners, held_robots(scenario)))
     links = [np.concatenate(of_link) for of_link in zip(*held, strict=True)]
     paper = scenario.regulation if isinstance(scenario.regulation, Paper) else None
     fitted = paper is not None and paper.shape == "superquadric"

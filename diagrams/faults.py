@@ -8,7 +8,6 @@ from drake_oa.common.config import ScenarioError
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.station import Cell
 from drake_oa.perception.config import CameraSource
-from drake_oa.robot.plant import RobotPlant
 from drake_oa.scenario.faults import CameraDropout, Push, TorqueSaturation
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.scenario import Scenario
@@ -25,7 +24,7 @@ def add_faults(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     source = scenario.perception
     if isinstance(source, CameraSource) and cell.cameras:
         for name in source.names:
-            faults = make_camera_faults(scenario, cell, cell.robot_plant, name)
+            faults = make_camera_faults(scenario, cell, name)
             if faults is None:
                 continue
             own = ("depth_image", "image_stamp")
@@ -66,9 +65,7 @@ def add_drivers(wires: Wires, scenario: Scenario, station: Station) -> None:
         wires.log("plant_state")
 
 
-def make_camera_faults(
-    scenario: Scenario, station: Station, robot_plant: RobotPlant, name: str
-) -> CameraFaults | None:
+def make_camera_faults(scenario: Scenario, station: Station, name: str) -> CameraFaults | None:
     """What is wrong with a camera that perception sees by; None: nothing."""
     faults = [
         fault
@@ -80,7 +77,7 @@ def make_camera_faults(
     return CameraFaults(
         faults,
         station.cameras[name].intrinsics,
-        num_states=robot_plant.plant.num_multibody_states(robot_plant.instance),
+        num_states=station.plant.num_multibody_states(station.robot),
         period=perception_period(scenario),
     )
 

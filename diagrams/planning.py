@@ -10,7 +10,7 @@ from pydrake.geometry import Role
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.wires import Wires
-from drake_oa.diagrams.arm import arm_model, make_posture_guide
+from drake_oa.diagrams.arm import make_posture_guide
 from drake_oa.diagrams.policy import make_dmp
 from drake_oa.diagrams.station import Cell
 from drake_oa.planning.arm_world import make_chain
@@ -73,7 +73,7 @@ def make_motion_selector(
     )
     if robot is None or not isinstance(regulation, Verified):
         raise ScenarioError("regulation: is not !Verified, or there is no robot")
-    arm = arm_model(scenario, cell.robot_plant, cell.q_start)
+    arm = cell.arm
     spheres = cell.spheres.arrays
     _refuse_start(cell, cell.spheres)
     _tell_of_bare_links(cell, cell.spheres)

@@ -29,7 +29,7 @@ def add_posture(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     if cell is None:
         return
     if "motion" in wires:
-        q_rest = cell.q_start[list(cell.arm_positions)]
+        q_rest = cell.q_start[cell.arm.index]
         wires.add("posture_follower", make_posture_follower(scenario, q_rest))
     elif (made := make_guide_follower(scenario, cell.q_start)) is not None:
         follower, guide = made

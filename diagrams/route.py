@@ -73,7 +73,7 @@ def robot_reachability(robot: Robot | None) -> Reachability | None:
             robot_plant.plant,
             robot_plant.tool_frame,
             RollPitchYaw(robot.rpy_WE).ToRotationMatrix(),
-            home_positions(robot_plant, robot),
+            home_positions(robot),
         )
         return reachability(arm)
     except ValueError as error:

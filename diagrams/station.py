@@ -8,15 +8,15 @@ from functools import cached_property
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
-from drake_oa.diagrams.arm import arm_model, covered_arm
+from drake_oa.diagrams.arm import covered_arm
 from drake_oa.perception.config import CameraSource, LiveCameras
-from drake_oa.robot.arm import joints_to
-from drake_oa.robot.config import Robot
+from drake_oa.robot.arm import ArmModel, make_arm_model
 from drake_oa.robot.plant import RobotPlant, make_robot_plant
 from drake_oa.robot.spheres import ArmSpheres
 from drake_oa.safety.guarded_arm import GuardedArm, make_guarded_arm
-from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.scenario.task_joints import start_positions
+from drake_oa.scenario.tool_orientation import end_rotations
 from drake_oa.world.live_camera import Outside
 from drake_oa.world.station import Station, make_station
 
@@ -36,32 +36,23 @@ class Cell(Station):
     q_start: FloatArray
 
     @cached_property
-    def arm_positions(self) -> tuple[int, ...]:
-        """Where the joints that move the tool are in the robot's state."""
-        plant = self.robot_plant.plant
-        joints = joints_to(plant, self.robot_plant.tool_frame)
-        return tuple(joint.position_start() for joint in joints)
+    def arm(self) -> ArmModel:
+        """The joints of the arm at the start, and the orientation of its tool there."""
+        plant, tool_frame = self.robot_plant.plant, self.robot_plant.tool_frame
+        return make_arm_model(plant, tool_frame, end_rotations(self.scenario)[0], self.q_start)
 
-    @cached_property
+    @property
     def spheres(self) -> ArmSpheres:
         """The robot as spheres."""
-        return covered_arm(self._robot, self.robot_plant)
+        return covered_arm(robot_of(self.scenario))
 
     @cached_property
     def guarded_arm(self) -> GuardedArm:
         """The arm that is kept safe."""
-        robot_plant = self.robot_plant
         try:
-            arm = arm_model(self.scenario, robot_plant, self.q_start)
-            return make_guarded_arm(robot_plant, arm, self.spheres)
+            return make_guarded_arm(self.robot_plant, self.arm, self.spheres)
         except ValueError as error:
             raise ScenarioError(f"robot: {error}") from None
-
-    @property
-    def _robot(self) -> Robot:
-        if self.scenario.robot is None:
-            raise ScenarioError("robot: this scenario has null")
-        return self.scenario.robot
 
 
 def add_station(
@@ -92,7 +83,7 @@ def add_station(
     source = scenario.perception
     sees = modulated and isinstance(source, CameraSource)
     station = make_station(wires.builder, scenario, render=sees, outside=outside)
-    q_start = start_positions(robot_plant, scenario)
+    q_start = start_positions(scenario)
     plant = station.plant
     plant.SetDefaultPositions(station.robot, q_start)
     wires.offer("robot_state", plant.get_state_output_port(station.robot))

@@ -186,10 +186,10 @@ def drake_alone(scenario: Scenario) -> Diagram:
         camera.output_delay = 0.0
     builder = DiagramBuilder()
     station = make_station(builder, present)
-    plant, robot_plant = station.plant, make_robot_plant(scenario.robot)
-    plant.SetDefaultPositions(station.robot, home_positions(robot_plant, scenario.robot))
+    plant = station.plant
+    plant.SetDefaultPositions(station.robot, home_positions(scenario.robot))
     mode = InverseDynamics.InverseDynamicsMode.kGravityCompensation
-    holder = builder.AddSystem(InverseDynamics(robot_plant.plant, mode))
+    holder = builder.AddSystem(InverseDynamics(make_robot_plant(scenario.robot).plant, mode))
     state = plant.get_state_output_port(station.robot)
     builder.Connect(state, holder.get_input_port_estimated_state())
     builder.Connect(holder.get_output_port(), plant.get_actuation_input_port(station.robot))

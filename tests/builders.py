@@ -46,7 +46,7 @@ def arm_of(
         panda.plant,
         panda.tool_frame,
         R_WE,
-        home_positions(panda, Robot()) if q is None else q,
+        home_positions(Robot()) if q is None else q,
     )
 
 

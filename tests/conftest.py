@@ -10,8 +10,7 @@ import pytest
 from hypothesis import settings
 
 from drake_oa.robot.config import Robot
-from drake_oa.robot.limits import RobotLimits
-from drake_oa.robot.plant import RobotPlant, make_robot_plant
+from drake_oa.robot.plant import RobotLimits, RobotPlant, make_robot_plant
 from drake_oa.runs.motion_log import MotionLog, pack_ellipsoids
 from drake_oa.scenario.loading import load_scenario, scenario_text
 from drake_oa.studies.scenes.methods import Motions, Setting

@@ -240,10 +240,9 @@ def _tool(text: str) -> FloatArray:
         return np.zeros((1, 3))
     if text == "panda":
         from drake_oa.robot.config import Robot
-        from drake_oa.robot.plant import make_robot_plant, tool_corners
+        from drake_oa.robot.plant import tool_corners
 
-        robot = Robot()
-        return tool_corners(make_robot_plant(robot), robot)
+        return tool_corners(Robot())
     try:
         size = np.array([float(word) for word in text.split(",")])
     except ValueError:

@@ -10,7 +10,7 @@ from drake import lcmt_panda_command
 from drake_oa.common.config import check_values, number
 from drake_oa.common.messages import FloatArray
 from drake_oa.hardware.panda_arm import MICROSECOND, POSITION_MODE
-from drake_oa.robot.limits import RobotLimits
+from drake_oa.robot.plant import RobotLimits
 
 _logger = logging.getLogger("drake_oa")
 

@@ -18,10 +18,10 @@ from drake_oa.diagrams.station import Cell, add_station
 from drake_oa.hardware.panda_arm import arm_of
 from drake_oa.hardware.robot_link import CommandStream, MeasuredState, RobotLink
 from drake_oa.perception.config import DepthCamera, GroundTruth, LcmCamera, RecordedClouds
-from drake_oa.robot.plant import make_parser, make_robot_plant
+from drake_oa.robot.plant import make_parser
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.perception import GivenEllipsoids
-from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.scenario.sources import perception_period, table_plane
 from drake_oa.world.live_camera import Outside
 
@@ -37,8 +37,7 @@ def hardware_scenario(scenario: Scenario, lcm_url: str, late: float = 0.0) -> Sc
     Raises:
         ScenarioError: naming the field that is of the simulated world.
     """
-    if scenario.robot is None:
-        raise ScenarioError("robot: hardware is a robot; this scenario has null")
+    robot_of(scenario)
     if scenario.faults:
         raise ScenarioError("faults: are simulated; leave them out (--set 'faults=[]')")
     source = scenario.perception
@@ -86,9 +85,7 @@ def add_hardware(
     Raises:
         ScenarioError: naming the field that does not fit.
     """
-    if scenario.robot is None:
-        raise ScenarioError("robot: hardware is a robot; this scenario has null")
-    arm, _ = arm_of(make_robot_plant(scenario.robot))
+    arm, _ = arm_of(scenario)
     measured = wires.builder.AddNamedSystem("arm", MeasuredState(link, arm, q_measured))
     outside = Outside(measured.get_output_port(), link.to_simulated, link.clock, link.wait)
     cell = add_station(wires, scenario, modulated=modulated, outside=outside)

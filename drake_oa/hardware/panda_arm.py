@@ -9,8 +9,8 @@ from pydrake.manipulation import PandaControlMode
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.robot.arm import joints_to
-from drake_oa.robot.limits import RobotLimits, robot_limits
-from drake_oa.robot.plant import RobotPlant
+from drake_oa.robot.plant import RobotLimits, make_robot_plant
+from drake_oa.scenario.scenario import Scenario, robot_of
 
 STATUS_CHANNEL, COMMAND_CHANNEL = "PANDA_STATUS", "PANDA_COMMAND"
 ARM_JOINTS = 7
@@ -26,19 +26,20 @@ MICROSECOND = 1e-6
 """Unit of the stamps [s]."""
 
 
-def arm_of(robot_plant: RobotPlant) -> tuple[list[int], RobotLimits]:
-    """Where the arm's joints are in the robot's positions, and their limits.
+def arm_of(scenario: Scenario) -> tuple[list[int], RobotLimits]:
+    """Returns the places of the arm's joints in the robot's positions, and their limits.
 
     Raises:
-        ScenarioError: for an arm that the messages are not of.
+        ScenarioError: for an arm that the messages are not of, or without a robot.
     """
-    plant = robot_plant.plant
-    arm = [joint.position_start() for joint in joints_to(plant, robot_plant.tool_frame)]
+    robot_plant = make_robot_plant(robot_of(scenario))
+    joints = joints_to(robot_plant.plant, robot_plant.tool_frame)
+    arm = [joint.position_start() for joint in joints]
     if len(arm) != ARM_JOINTS:
         raise ScenarioError(
             f"robot.model: an arm of {len(arm)} joints; a Panda's messages are of {ARM_JOINTS}"
         )
-    limits = robot_limits(plant, robot_plant.instance)
+    limits = robot_plant.limits
     lower, upper = limits.position_lower[arm], limits.position_upper[arm]
     if (lower < _LOWER - _SLACK).any() or (upper > _UPPER + _SLACK).any():
         raise ScenarioError(

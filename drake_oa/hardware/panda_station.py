@@ -33,7 +33,7 @@ from drake_oa.hardware.panda_arm import (
 )
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.scenario.obstacles import last_change
-from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.scenario.sources import simulated
 from drake_oa.scenario.task_joints import start_positions
 from drake_oa.world.cameras import Camera
@@ -169,15 +169,12 @@ class PandaStation:
         """
         if not 0.0 < rate <= 1.0:
             raise ValueError(f"rate: {rate} must be above 0 and at most 1")
-        if scenario.robot is None:
-            raise ScenarioError("robot: a station needs one; this scenario has null")
         if scenario.faults:
             raise ScenarioError("faults: a station has none; leave them out (--set 'faults=[]')")
-        robot_plant = make_robot_plant(scenario.robot)
-        self._arm, limits = arm_of(robot_plant)
+        self._arm, limits = arm_of(scenario)
         builder = DiagramBuilder()
         station = make_station(builder, simulated(scenario), render=images)
-        self._q_start = start_positions(robot_plant, scenario)
+        self._q_start = start_positions(scenario)
         plant, self._robot = station.plant, station.robot
         plant.SetDefaultPositions(self._robot, self._q_start)
         n = len(self._q_start)
@@ -185,7 +182,7 @@ class PandaStation:
         self._controller = builder.AddNamedSystem(
             "joint_controller",
             InverseDynamicsController(
-                robot_plant.plant,
+                make_robot_plant(robot_of(scenario)).plant,
                 kp,
                 np.zeros(n),
                 2.0 * np.sqrt(kp),

@@ -27,7 +27,7 @@ from drake_oa.hardware.command_player import (
     SharedMotion,
     play,
 )
-from drake_oa.robot.limits import RobotLimits
+from drake_oa.robot.plant import RobotLimits
 
 _NAP = 5e-4
 """Between two looks at the player [s]."""

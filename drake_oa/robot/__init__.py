@@ -8,7 +8,7 @@ kernels: revolute joints in a row, six or more. Positions q [rad, m] are the pla
 joints first; poses X_WE in the world. There are no systems here: the layers above hold a plant
 each.
 
-- `plant`, `grasped_object`: parsing, welding, what the hand holds, the tool's corners. `formats`:
+- `plant`, `grasped_object`: parsing, welding, limits, what the hand holds, the tool's corners. `formats`:
   a model with meshes that Drake does not read, without actuators, or in a package of Python, as
   Drake takes it.
 - `arm_kernels`: forward kinematics of revolute joints, the geometric Jacobian.
@@ -20,7 +20,7 @@ each.
 - `reachability`: where the tool can be held in one orientation, on a grid, with signed margins.
 - `tool_down`: the annulus about an upright base where the tool points down, as the block gives it
   or from that map.
-- `limits`: joint names and limits. `inertias`: a model with those of a file in place of its own.
+- `inertias`: a model with those of a file in place of its own.
 
 Begin with `plant.make_robot_plant` and `arm.make_arm_model`.
 """

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from typing import TYPE_CHECKING
-
 import numpy as np
-from pydrake.geometry import CollisionFilterDeclaration, GeometrySet, SceneGraph
+from pydrake.geometry import CalcVolume, CollisionFilterDeclaration, GeometrySet, SceneGraph
+from pydrake.math import RigidTransform
 from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex, SpatialInertia
+from pydrake.multibody.tree import CalcSpatialInertia, ModelInstanceIndex
 
-from drake_oa.geometry.shapes import Box, Cylinder, Sphere, pose, shape_geometry
-
-if TYPE_CHECKING:
-    from drake_oa.robot.config import Robot
-
-Shape = Box | Cylinder | Sphere
+from drake_oa.geometry.shapes import pose, shape_geometry
+from drake_oa.robot.config import Robot
 
 _COLOR = np.array([0.25, 0.35, 0.6, 1.0])
 _FRICTION = 0.7
@@ -45,15 +39,13 @@ def add_carried(plant: MultibodyPlant, instance: ModelInstanceIndex, robot: Robo
     if not robot.carried:
         return
     hand = plant.GetFrameByName(robot.hand_link, instance)
-    volumes = np.array([shape_volume(shape) for shape in robot.carried])
-    masses = robot.carried_mass * volumes / volumes.sum()
-    shown = plant.geometry_source_is_registered()
-    for name, shape, mass in zip(carried_links(robot), robot.carried, masses, strict=True):
-        body = plant.AddRigidBody(name, instance, _inertia(shape, float(mass)))
+    geometries = [shape_geometry(shape) for shape in robot.carried]
+    density = robot.carried_mass / sum(map(CalcVolume, geometries))
+    identity, friction = RigidTransform(), CoulombFriction(_FRICTION, _FRICTION)
+    for name, shape, geometry in zip(carried_links(robot), robot.carried, geometries, strict=True):
+        body = plant.AddRigidBody(name, instance, CalcSpatialInertia(geometry, density))
         plant.WeldFrames(hand, body.body_frame(), pose(shape))
-        if shown:
-            geometry, identity = shape_geometry(shape), pose(type(shape)())
-            friction = CoulombFriction(_FRICTION, _FRICTION)
+        if plant.geometry_source_is_registered():
             plant.RegisterVisualGeometry(body, identity, geometry, f"{name}_visual", _COLOR)
             plant.RegisterCollisionGeometry(body, identity, geometry, name, friction)
 
@@ -79,22 +71,3 @@ def part_carried(plant: MultibodyPlant, scene_graph: SceneGraph, robot: Robot | 
     scene_graph.collision_filter_manager().Apply(
         CollisionFilterDeclaration().ExcludeWithin(GeometrySet(held))
     )
-
-
-def shape_volume(shape: Shape) -> float:
-    """Volume [m^3]."""
-    if isinstance(shape, Box):
-        return math.prod(shape.size)
-    if isinstance(shape, Cylinder):
-        return math.pi * shape.radius**2 * shape.length
-    return 4.0 / 3.0 * math.pi * shape.radius**3
-
-
-def _inertia(shape: Shape, mass: float) -> SpatialInertia:
-    if isinstance(shape, Box):
-        return SpatialInertia.SolidBoxWithMass(mass, *shape.size)
-    if isinstance(shape, Cylinder):
-        return SpatialInertia.SolidCylinderWithMass(
-            mass, shape.radius, shape.length, np.array([0.0, 0.0, 1.0])
-        )
-    return SpatialInertia.SolidSphereWithMass(mass, shape.radius)

@@ -1,11 +1,8 @@
-"""The robot alone in a plant, as the controller and the self filter know it."""
+"""Plant of the robot alone, as the controller and the self filter know it, and its limits."""
 
 from __future__ import annotations
 
-import hashlib
-import pickle
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 
@@ -64,11 +61,11 @@ def add_robot(plant: MultibodyPlant, robot: Robot, *, inertias: str = "") -> Mod
     except (OSError, RuntimeError, ValueError) as error:
         reason = named(str(error), file)
         raise ScenarioError(f"robot.model: cannot load '{robot.model}': {reason}") from None
-    for field, link in (("base_link", robot.base_link), ("hand_link", robot.hand_link)):
+    for name, link in (("base_link", robot.base_link), ("hand_link", robot.hand_link)):
         if not plant.HasBodyNamed(link, instance):
             names = [plant.get_body(i).name() for i in plant.GetBodyIndices(instance)]
             raise ScenarioError(
-                f"robot.{field}: '{robot.model}' has no link '{link}'; it has {', '.join(names)}"
+                f"robot.{name}: '{robot.model}' has no link '{link}'; it has {', '.join(names)}"
             )
     base = plant.GetFrameByName(robot.base_link, instance)
     plant.WeldFrames(plant.world_frame(), base, base_pose(robot))
@@ -137,16 +134,38 @@ def _replaced(urdf: str, parser: Parser, inertias: str) -> str:
         raise ScenarioError(f"faults: !ModelError.inertias: {error}") from None
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
+class RobotLimits:
+    """Names and limits of a robot's joints; all empty where there is no robot.
+
+    Attributes:
+        position_name: (nq,) names of the positions.
+        position_lower: (nq,) lower limits [rad, m].
+        position_upper: (nq,) upper limits [rad, m].
+        velocity_limit: (nv,) greatest speeds [rad/s, m/s].
+        actuator_name: (nu,) names of the actuated joints.
+        effort_limit: (nu,) greatest actuation [N m, N]; inf: none.
+    """
+
+    position_name: tuple[str, ...] = ()
+    position_lower: FloatArray = field(default_factory=lambda: np.zeros(0))
+    position_upper: FloatArray = field(default_factory=lambda: np.zeros(0))
+    velocity_limit: FloatArray = field(default_factory=lambda: np.zeros(0))
+    actuator_name: tuple[str, ...] = ()
+    effort_limit: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+
+@dataclass(frozen=True, eq=False)
 class RobotPlant:
-    """The robot alone, for kinematics and the control law.
+    """The robot alone, for kinematics and the control law; see `make_robot_plant`.
+
+    It is shared and not to be changed; each user creates a Context.
 
     Attributes:
         diagram: owns plant and scene graph.
         plant: finalized plant of arm and hand.
         scene_graph: its geometry.
         instance: the robot's model instance.
-        tool_frame: the frame E.
     """
 
     diagram: Diagram
@@ -159,14 +178,57 @@ class RobotPlant:
         """The tool point's frame E."""
         return self.plant.GetFrameByName(TOOL_FRAME)
 
+    @property
+    def limits(self) -> RobotLimits:
+        """Names and limits of the joints, in the plant's order."""
+        plant, robot = self.plant, self.instance
+        actuators = [plant.get_joint_actuator(i) for i in plant.GetJointActuatorIndices(robot)]
+        return RobotLimits(
+            position_name=tuple(plant.GetPositionNames(robot, always_add_suffix=False)),
+            position_lower=plant.GetPositionsFromArray(robot, plant.GetPositionLowerLimits()),
+            position_upper=plant.GetPositionsFromArray(robot, plant.GetPositionUpperLimits()),
+            velocity_limit=plant.GetVelocitiesFromArray(robot, plant.GetVelocityUpperLimits()),
+            actuator_name=tuple(actuator.joint().name() for actuator in actuators),
+            effort_limit=np.array([actuator.effort_limit() for actuator in actuators]),
+        )
+
+    def tool_poses(self, q: FloatArray) -> list[RigidTransform]:
+        """Computes X_WE at each of (T, nq) positions of the robot, by forward kinematics."""
+        context, poses = self.plant.CreateDefaultContext(), []
+        for positions in q:
+            self.plant.SetPositions(context, self.instance, positions)
+            poses.append(self.tool_frame.CalcPoseInWorld(context))
+        return poses
+
+    def tool_path(self, q: FloatArray) -> FloatArray:
+        """Computes p_WE (T, 3) at (T, nq) positions of the robot [m]."""
+        return np.array([X_WE.translation() for X_WE in self.tool_poses(q)]).reshape(-1, 3)
+
+
+_PARSED = (
+    "model",
+    "base_link",
+    "hand_link",
+    "X_WB",
+    "p_HE",
+    "q_seed",
+    "joint_speed",
+    "carried",
+    "carried_mass",
+)
+"""Fields of the robot's block that its plant depends on."""
+_PLANTS: dict[tuple[str, str, bytes], RobotPlant] = {}
+"""Robots of this process by fields, file of inertias, and content of the model's file."""
+
 
 def make_robot_plant(robot: Robot, *, inertias: str = "") -> RobotPlant:
-    """Builds the robot alone, welded to the world as in the station.
+    """Returns the robot alone, welded to the world as in the station.
 
-    It is built once a process for each block and content of the model's file, and shared.
+    It is parsed once a process for each value of the block and content of the model's file, and
+    shared.
 
     Args:
-        robot: which, and its base.
+        robot: the model, and its base.
         inertias: URL or name of a file of inertias that it has in place of its own, see
             `drake_oa.robot.inertias`; empty: it has its own.
 
@@ -177,57 +239,47 @@ def make_robot_plant(robot: Robot, *, inertias: str = "") -> RobotPlant:
         model = model_file(robot).read_bytes()
     except OSError as error:
         raise ScenarioError(f"robot.model: cannot load '{robot.model}': {error}") from None
-    return _robot_plant(pickle.dumps(robot), inertias, hashlib.sha256(model).digest())
+    key = (repr([getattr(robot, name) for name in _PARSED]), inertias, model)
+    if key not in _PLANTS:
+        _PLANTS[key] = _parse(robot, inertias)
+    return _PLANTS[key]
 
 
-@lru_cache(maxsize=8)
-def _robot_plant(block: bytes, inertias: str, digest: bytes) -> RobotPlant:
-    """Builds the robot of a pickled block; the digest is that of its model's file."""
-    robot: Robot = pickle.loads(block)
+def _parse(robot: Robot, inertias: str) -> RobotPlant:
     builder = DiagramBuilder()
     plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
     instance = add_robot(plant, robot, inertias=inertias)
     plant.Finalize()
     try:
-        joints_to(plant, plant.GetFrameByName(TOOL_FRAME))
+        arm = joints_to(plant, plant.GetFrameByName(TOOL_FRAME))
     except ValueError as error:
         raise ScenarioError(f"robot.model: {error}") from None
-    _check_seed(plant, robot)
+    if len(robot.q_seed) != len(arm):
+        raise ScenarioError(
+            f"robot.q_seed: expected {len(arm)} numbers, of "
+            f"{', '.join(joint.name() for joint in arm)}, not {len(robot.q_seed)}"
+        )
     part_carried(plant, scene_graph, robot)
     return RobotPlant(builder.Build(), plant, scene_graph, instance)
 
 
-def _check_seed(plant: MultibodyPlant, robot: Robot) -> None:
-    """Refuses a seed that is not of the arm's joints."""
-    tool = plant.GetFrameByName(TOOL_FRAME).body().index()
-    arm = [
-        joint.name()
-        for joint in map(plant.get_joint, plant.GetJointIndices())
-        if joint.num_positions() and tool in plant.GetBodiesKinematicallyAffectedBy([joint.index()])
-    ]
-    if len(robot.q_seed) != len(arm):
-        raise ScenarioError(
-            f"robot.q_seed: expected {len(arm)} numbers, of {', '.join(arm)}, "
-            f"not {len(robot.q_seed)}"
-        )
-
-
-def tool_corners(robot_plant: RobotPlant, robot: Robot) -> FloatArray:
-    """Corners of the tool about E, in the world's orientation, (K, 3) [m].
+def tool_corners(robot: Robot) -> FloatArray:
+    """Computes the corners of the tool about E, in the world's orientation, (K, 3) [m].
 
     They come from the collision geometry of `robot.tool_links` and `robot.carried`, posed
     as in the task: tool at `robot.rpy_WE`, fingers open by `robot.finger_opening`. A rounded
     shape gives the corners of the box round it.
     """
-    return np.concatenate(tool_link_corners(robot_plant, robot))
+    return np.concatenate(tool_link_corners(robot))
 
 
-def tool_link_corners(robot_plant: RobotPlant, robot: Robot) -> list[FloatArray]:
-    """The same link by link: (K_i, 3) each [m]."""
+def tool_link_corners(robot: Robot) -> list[FloatArray]:
+    """Computes the corners of each tool link, see `tool_corners`: (K_i, 3) each [m]."""
+    robot_plant = make_robot_plant(robot)
     plant = robot_plant.plant
     inspector = robot_plant.scene_graph.model_inspector()
     context = plant.CreateDefaultContext()
-    plant.SetPositions(context, robot_plant.instance, home_positions(robot_plant, robot))
+    plant.SetPositions(context, robot_plant.instance, home_positions(robot))
     X_WE = robot_plant.tool_frame.CalcPoseInWorld(context)
     R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix()
     corners = []
@@ -253,8 +305,8 @@ def tool_link_corners(robot_plant: RobotPlant, robot: Robot) -> list[FloatArray]
     return corners
 
 
-def home_positions(robot_plant: RobotPlant, robot: Robot) -> FloatArray:
-    """All positions of the robot at `q_seed`, fingers at their opening."""
-    q = np.full(robot_plant.plant.num_positions(robot_plant.instance), robot.finger_opening)
+def home_positions(robot: Robot) -> FloatArray:
+    """Returns all positions (nq,) of the robot at `q_seed`, fingers at their opening."""
+    q = np.full(make_robot_plant(robot).plant.num_positions(), robot.finger_opening)
     q[: len(robot.q_seed)] = robot.q_seed
     return q

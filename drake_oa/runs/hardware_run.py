@@ -12,7 +12,6 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
-from drake_oa.common.config import ScenarioError
 from drake_oa.common.files import software_versions
 from drake_oa.common.messages import HoldCause
 from drake_oa.diagrams.avoidance import build_avoidance
@@ -21,8 +20,7 @@ from drake_oa.hardware.hardware_cell import add_hardware, hardware_scenario
 from drake_oa.hardware.panda_arm import arm_of
 from drake_oa.hardware.panda_station import PandaStation
 from drake_oa.hardware.robot_link import RobotLink
-from drake_oa.robot.limits import frame_path, robot_limits
-from drake_oa.robot.plant import TOOL_FRAME, make_robot_plant
+from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.motion_log import MotionEnd, MotionLog, pack_ellipsoids
 from drake_oa.runs.simulation import (
     LONGEST_SCALING,
@@ -31,7 +29,7 @@ from drake_oa.runs.simulation import (
     run_motion,
 )
 from drake_oa.scenario.loading import scenario_text
-from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.scenario.task import last_move
 from drake_oa.scenario.task_joints import start_positions
 from drake_oa.world.station import release_cameras
@@ -73,11 +71,8 @@ def ready(
     """
     late = link.rules.lead + link.rate * link.rules.image_delay
     known = hardware_scenario(scenario, lcm_url, late)
-    if known.robot is None:
-        raise ScenarioError("robot: hardware is a robot; this scenario has null")
-    robot_plant = make_robot_plant(known.robot)
-    arm, limits = arm_of(robot_plant)
-    q = start_positions(robot_plant, known)
+    arm, limits = arm_of(known)
+    q = start_positions(known)
     q[arm] = link.ready_arm(q[arm], limits)
     cell = partial(add_hardware, link=link, q_measured=q)
     diagram = build_avoidance(known, add_cell=cell, meshcat=meshcat)
@@ -167,13 +162,10 @@ def station_log(scenario: Scenario, station: PandaStation) -> MotionLog:
     states = station.states
     if not states:
         raise ValueError("the station keeps no log: make it with log=True")
-    if scenario.robot is None:
-        raise ScenarioError("robot: a station needs one; this scenario has null")
     t, state = states["robot_state"]
-    robot_plant = make_robot_plant(scenario.robot)
-    plant, robot = robot_plant.plant, robot_plant.instance
+    robot_plant = make_robot_plant(robot_of(scenario))
     q, v = np.hsplit(state, 2)
-    p_WE = frame_path(plant, robot, TOOL_FRAME, q)
+    p_WE = robot_plant.tool_path(q)
     events = station.guard.events
     nobody = np.zeros(len(t))
     still = np.zeros_like(p_WE)
@@ -202,7 +194,7 @@ def station_log(scenario: Scenario, station: PandaStation) -> MotionLog:
         supervision_time=np.zeros(0),
         supervision_action=(),
         supervision_reason=(),
-        **vars(robot_limits(plant, robot)),
+        **vars(robot_plant.limits),
         stop_reason="station ended",
         ended=MotionEnd.TIME_LIMIT.value,
         wall_time=station.pace.wall,

@@ -35,10 +35,9 @@ from drake_oa.runs.motion_log import MotionEnd, MotionLog
 from drake_oa.runs.page import LivePanel
 from drake_oa.runs.simulation import Ending, MotionWatcher, collect_log
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
-from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.scenario.shipped import package_file
 from drake_oa.scenario.sources import camera_configs
-from drake_oa.scenario.task_joints import tool_pose
 from drake_oa.viewing.drawing import DISTANCE
 from drake_oa.viewing.meshcat_overlay import camera_inset
 from drake_oa.viewing.panel import LivePage
@@ -267,9 +266,7 @@ class PlaySession:
         Raises:
             ScenarioError: without a robot, or for a field that does not fit.
         """
-        if scenario.robot is None:
-            raise ScenarioError("robot: there is nothing to play with without a robot")
-        self._robot_plant = make_robot_plant(scenario.robot)
+        self._robot_plant = make_robot_plant(robot_of(scenario))
         self._scenario = copy.deepcopy(scenario)
         self._scenario.directives = flat_directives(self._scenario.directives)
         self._things = movables(self._scenario)
@@ -388,7 +385,7 @@ class PlaySession:
         if q is not None:
             arm = len(scenario.robot.q_seed) if scenario.robot else 0
             task.q_start, task.q_goal, task.goal_moves = q[:arm].tolist(), None, []
-            X_WE = tool_pose(self._robot_plant, q)
+            (X_WE,) = self._robot_plant.tool_poses(q[None])
             task.start = X_WE.translation().tolist()
             task.rpy_start = RollPitchYaw(X_WE.rotation()).vector().tolist()
             task.demonstration = []

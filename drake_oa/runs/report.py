@@ -13,7 +13,6 @@ from drake_oa.geometry.ellipsoid_kernels import feasible_clearance
 from drake_oa.geometry.rotation import rotation_vector
 from drake_oa.perception.config import LiveCameras
 from drake_oa.policy.orientation_dmp import exponential, rotation_matrix
-from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.decision_costs import decision_figures
 from drake_oa.runs.metrics import MotionMetrics, RobotJudge, free_point_metrics, path_length
 from drake_oa.runs.motion_log import MotionLog
@@ -65,7 +64,7 @@ def feasible_clearance_of(scenario: Scenario, judge: RobotJudge | None = None) -
         ends = np.array([task.start, goal_at(task, math.inf)], dtype=float)
         left = free_point_metrics(ends, _given(scenario)).resting_clearance
     else:
-        ends = np.stack(end_positions(make_robot_plant(scenario.robot), scenario))
+        ends = np.stack(end_positions(scenario))
         left = (judge or RobotJudge(scenario)).metrics(ends).resting_clearance
     return float(max(feasible_clearance(task.clearance, *left), 0.0))
 

@@ -11,7 +11,6 @@ from pydrake.systems.framework import DiagramBuilder
 from drake_oa.common.config import ScenarioError
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.robot.grasped_object import tool_links
-from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.metrics import MotionMetrics, RobotJudge
 from drake_oa.runs.report import feasible_clearance_of
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
@@ -24,10 +23,9 @@ def unbuildable(scenario: Scenario) -> list[str]:
     """What keeps a scenario from being built, a line each: world, both ends, all layers."""
     steps: list[Callable[[], object]] = [lambda: build_avoidance(scenario)]
     if scenario.robot is not None:
-        robot = scenario.robot
         steps = [
             lambda: make_station(DiagramBuilder(), scenario),
-            lambda: end_positions(make_robot_plant(robot), scenario),
+            lambda: end_positions(scenario),
             *steps,
         ]
     found: dict[str, None] = {}
@@ -69,10 +67,7 @@ def end_contacts(scenario: Scenario, judge: RobotJudge | None = None) -> str:
 
 def _ends(scenario: Scenario, judge: RobotJudge) -> list[MotionMetrics]:
     """Returns the metrics of the robot at the start and at the goal."""
-    if scenario.robot is None:
-        raise ScenarioError("robot: must be set for this command; the scenario has null")
-    ends = end_positions(make_robot_plant(scenario.robot), scenario)
-    return [judge.metrics(np.atleast_2d(q)) for q in ends]
+    return [judge.metrics(np.atleast_2d(q)) for q in end_positions(scenario)]
 
 
 def end_rows(

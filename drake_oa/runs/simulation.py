@@ -28,8 +28,7 @@ from drake_oa.diagrams.avoidance import Layers, build_avoidance
 from drake_oa.diagrams.policy import make_dmp
 from drake_oa.policy.dmp import normalised_time
 from drake_oa.regulation.config import SearchParameters
-from drake_oa.robot.limits import RobotLimits, frame_path, robot_limits
-from drake_oa.robot.plant import TOOL_FRAME
+from drake_oa.robot.plant import TOOL_FRAME, RobotLimits, make_robot_plant
 from drake_oa.runs.decision_costs import logged_decisions
 from drake_oa.runs.motion_log import MotionEnd, MotionLog, pack_ellipsoids
 from drake_oa.safety.supervision import Supervision
@@ -496,9 +495,8 @@ def collect_log(
     q, q_world = state[:, :half], empty
     p_WE, limits = signals["desired_position"], RobotLimits()
     if scenario.robot is not None:
-        plant = diagram.GetSubsystemByName("plant")
-        robot = plant.GetFrameByName(TOOL_FRAME).model_instance()
-        p_WE, limits = frame_path(plant, robot, TOOL_FRAME, q), robot_limits(plant, robot)
+        plant, robot_plant = diagram.GetSubsystemByName("plant"), make_robot_plant(scenario.robot)
+        p_WE, limits = robot_plant.tool_path(q), robot_plant.limits
         q_world = signals.get("plant_state", empty)[:, : plant.num_positions()]
     seen = pack_ellipsoids(watcher.frames)
     return MotionLog(

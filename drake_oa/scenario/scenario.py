@@ -9,6 +9,7 @@ import dataclasses as dc
 from pydrake.multibody.parsing import ModelDirective
 from pydrake.systems.sensors import CameraConfig
 
+from drake_oa.common.config import ScenarioError
 from drake_oa.common.config import count as _count
 from drake_oa.common.config import number as _number
 from drake_oa.common.thinking import Thinking
@@ -104,3 +105,14 @@ def allow_perception(block: type) -> None:
     item = next(item for item in dc.fields(Scenario) if item.name == "perception")
     item.type = item.type | block
     Scenario.__annotations__["perception"] = item.type
+
+
+def robot_of(scenario: Scenario) -> Robot:
+    """Returns the robot of a scenario that must have one.
+
+    Raises:
+        ScenarioError: if it has none.
+    """
+    if scenario.robot is None:
+        raise ScenarioError("robot: must be set for this; the scenario has null")
+    return scenario.robot

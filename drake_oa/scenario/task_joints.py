@@ -10,10 +10,9 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.policy.dmp import minimum_jerk_share
-from drake_oa.robot.config import Robot
 from drake_oa.robot.inverse_kinematics import solve_tool_pose
 from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
-from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.scenario.tool_orientation import end_rotations
 
 _APART, _TURNED = 1e-3, 0.01
@@ -21,23 +20,24 @@ _APART, _TURNED = 1e-3, 0.01
 _ENDS = ("start", "goal")
 
 
-def joint_ends(robot_plant: RobotPlant, scenario: Scenario) -> dict[str, FloatArray]:
-    """(nq,) positions of the robot at "start" and "goal", of those that are given as joints.
+def joint_ends(scenario: Scenario) -> dict[str, FloatArray]:
+    """Returns the (nq,) positions at those of "start" and "goal" that are given as joints.
 
     Raises:
         ScenarioError: for another number of joints than the arm has, or one beyond its limits.
     """
-    robot, found = scenario.robot, {}
+    found = {}
     for end in _ENDS:
         joints = getattr(scenario.task, f"q_{end}")
-        if joints is None or robot is None:
+        if joints is None:
             continue
+        robot = robot_of(scenario)
         count = len(robot.q_seed)
         if len(joints) != count:
             raise ScenarioError(
                 f"task.q_{end}: expected {count} numbers, as robot.q_seed has, not {len(joints)}"
             )
-        plant = robot_plant.plant
+        plant = make_robot_plant(robot).plant
         lower, upper = plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()
         for row, value in enumerate(joints):
             if not lower[row] <= value <= upper[row]:
@@ -45,17 +45,10 @@ def joint_ends(robot_plant: RobotPlant, scenario: Scenario) -> dict[str, FloatAr
                     f"task.q_{end}[{row}]: {value:g} is outside [{lower[row]:g}, "
                     f"{upper[row]:g}], the joint's limits [rad]"
                 )
-        q = home_positions(robot_plant, robot)
+        q = home_positions(robot)
         q[:count] = joints
         found[end] = q
     return found
-
-
-def tool_pose(robot_plant: RobotPlant, q: FloatArray) -> RigidTransform:
-    """X_WE at (nq,) positions of the robot."""
-    context = robot_plant.plant.CreateDefaultContext()
-    robot_plant.plant.SetPositions(context, robot_plant.instance, q)
-    return robot_plant.tool_frame.CalcPoseInWorld(context)
 
 
 def follow_joints(scenario: Scenario, stated: Collection[str] = ()) -> None:
@@ -63,7 +56,7 @@ def follow_joints(scenario: Scenario, stated: Collection[str] = ()) -> None:
 
     Args:
         scenario: to be changed.
-        stated: names of fields of the task that are to be left: `check_agreement` is of them.
+        stated: names of fields of the task that are to be left: `end_positions` checks them.
 
     Raises:
         ScenarioError: as `joint_ends`, and if there is no robot.
@@ -74,16 +67,17 @@ def follow_joints(scenario: Scenario, stated: Collection[str] = ()) -> None:
     if scenario.robot is None:
         end = "goal" if task.q_start is None else "start"
         raise ScenarioError(f"task.q_{end}: needs a robot; this scenario has null")
-    robot_plant = make_robot_plant(scenario.robot)
-    for end, q in joint_ends(robot_plant, scenario).items():
-        X_WE = tool_pose(robot_plant, q)
+    for end, q in joint_ends(scenario).items():
+        (X_WE,) = make_robot_plant(scenario.robot).tool_poses(q[None])
         if end not in stated:
             setattr(task, end, X_WE.translation().tolist())
         if f"rpy_{end}" not in stated:
             setattr(task, f"rpy_{end}", RollPitchYaw(X_WE.rotation()).vector().tolist())
 
 
-def check_agreement(robot_plant: RobotPlant, end: str, q: FloatArray, X_WE: RigidTransform) -> None:
+def _check_agreement(
+    robot_plant: RobotPlant, end: str, q: FloatArray, X_WE: RigidTransform
+) -> None:
     """Refuses a pose of the task that is not that of its joints.
 
     Args:
@@ -95,7 +89,7 @@ def check_agreement(robot_plant: RobotPlant, end: str, q: FloatArray, X_WE: Rigi
     Raises:
         ScenarioError: naming the field.
     """
-    of_joints = tool_pose(robot_plant, q)
+    (of_joints,) = robot_plant.tool_poses(q[None])
     apart = float(np.linalg.norm(of_joints.translation() - X_WE.translation()))
     if apart > _APART:
         raise ScenarioError(
@@ -118,32 +112,29 @@ def posture_guide(s: FloatArray, q_start: FloatArray, q_goal: FloatArray) -> Flo
     return q_start + share[:, None] * (q_goal - q_start)
 
 
-def start_positions(robot_plant: RobotPlant, scenario: Scenario) -> FloatArray:
-    """(nq,) positions of the robot with E at the start; raises as `end_positions` does."""
-    return end_positions(robot_plant, scenario)[0]
+def start_positions(scenario: Scenario) -> FloatArray:
+    """Returns (nq,) positions with E at the start; raises as `end_positions` does."""
+    return end_positions(scenario)[0]
 
 
-def end_positions(robot_plant: RobotPlant, scenario: Scenario) -> tuple[FloatArray, FloatArray]:
-    """(nq,) positions with E at the start, and at the last goal; each goal must be in reach.
+def end_positions(scenario: Scenario) -> tuple[FloatArray, FloatArray]:
+    """Returns (nq,) positions with E at the start, and at the last goal.
 
-    Those of `task.q_start`, where they are given.
+    They are `task.q_start` and `task.q_goal` where these are given; each goal must be in reach.
 
     Raises:
         ScenarioError: naming start, goal or the move of the goal that is out of reach, or that
             does not agree with `task.q_start` or `task.q_goal`.
     """
-    robot: Robot | None = scenario.robot
-    if robot is None:
-        raise ScenarioError("robot: a start pose needs a robot; this scenario has null")
+    robot_plant = make_robot_plant(robot_of(scenario))
     R_WS, R_WG = end_rotations(scenario)
-    seed = home_positions(robot_plant, robot)
-    found = joint_ends(robot_plant, scenario)
+    seed, found = home_positions(robot_of(scenario)), joint_ends(scenario)
     places = {"start": scenario.task.start, "goal": scenario.task.goal}
     places |= {f"goal_moves[{row}]": move[1:] for row, move in enumerate(scenario.task.goal_moves)}
     for name, place in places.items():
         X_WE = RigidTransform(R_WS if name == "start" else R_WG, np.asarray(place))
         if name in found:
-            check_agreement(robot_plant, name, found[name], X_WE)
+            _check_agreement(robot_plant, name, found[name], X_WE)
             continue
         try:
             found[name] = solve_tool_pose(

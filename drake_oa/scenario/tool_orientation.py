@@ -18,7 +18,7 @@ from drake_oa.policy.orientation_dmp import (
 )
 from drake_oa.robot.config import Robot
 from drake_oa.scenario.demonstration import demonstrated_orientation, primitive_constants
-from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.scenario import Scenario, robot_of
 
 _APART = math.radians(10.0)
 """Orientations of the way that stand for all of it are no further apart, on average."""
@@ -98,9 +98,7 @@ def end_rotations(scenario: Scenario) -> tuple[RotationMatrix, RotationMatrix]:
     """
     held = tool_orientation(scenario)
     if held is None:
-        if scenario.robot is None:
-            raise ScenarioError("robot: an orientation needs a robot; this scenario has null")
-        R_WE = RollPitchYaw(scenario.robot.rpy_WE).ToRotationMatrix()
+        R_WE = RollPitchYaw(robot_of(scenario).rpy_WE).ToRotationMatrix()
         return R_WE, R_WE
     return (
         RotationMatrix.ProjectToRotationMatrix(held.R_WS),

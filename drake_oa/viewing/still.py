@@ -26,7 +26,7 @@ from pydrake.systems.sensors import CameraInfo
 
 from drake_oa.common.files import save_figure
 from drake_oa.common.messages import FloatArray
-from drake_oa.robot.plant import base_pose, make_robot_plant
+from drake_oa.robot.plant import base_pose
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import simulated
 from drake_oa.scenario.task_joints import start_positions
@@ -73,7 +73,7 @@ def draw_scenario(scenario: Scenario, file: Path) -> None:
     context = diagram.CreateDefaultContext()
     if scenario.robot is not None:
         plant_context = station.plant.GetMyMutableContextFromRoot(context)
-        q = start_positions(make_robot_plant(scenario.robot), scenario)
+        q = start_positions(scenario)
         station.plant.SetPositions(plant_context, station.robot, q)
 
     X_WB = base_pose(scenario.robot)

@@ -24,7 +24,7 @@ from drake_oa.robot.formats.model_file import (
     named_warnings,
 )
 from drake_oa.robot.plant import add_robot, make_parser
-from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.world.obstacles import add_obstacle
 
 
@@ -41,9 +41,7 @@ def add_world(plant: MultibodyPlant, scenario: Scenario) -> ModelInstanceIndex:
     Raises:
         ScenarioError: naming the field of the scenario that does not fit.
     """
-    if scenario.robot is None:
-        raise ScenarioError("robot: a station needs a robot; this scenario has null")
-    robot = add_robot(plant, scenario.robot)
+    robot = add_robot(plant, robot_of(scenario))
     parser = make_parser(plant)
     try:
         _check_directives(scenario.directives, parser.package_map())

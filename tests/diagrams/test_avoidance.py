@@ -10,12 +10,15 @@ from pydrake.systems.framework import Context, Diagram
 
 from drake_oa.common.messages import DECIDING, FloatArray
 from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.robot import plant
+from drake_oa.robot.plant import add_robot
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.report import motion_report
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.shipped import shipped_scenarios
+from drake_oa.world import world_model
 from tests.builders import skip_without_model
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
@@ -47,6 +50,23 @@ def test_perception_is_changed_by_its_block_alone(kind: str, recording_folder: P
     np.testing.assert_allclose(log.p_WO[0, 0, :2], [0.45, 0.0], atol=0.06)
     assert np.isfinite(log.torque).all()
     assert log.event == (DECIDING, "")
+
+
+def test_the_robot_alone_is_parsed_once_and_a_world_once_a_user(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    parsed = []
+    for module in (plant, world_model):
+        monkeypatch.setattr(
+            module, "add_robot", lambda p, *a, **k: parsed.append(p) or add_robot(p, *a, **k)
+        )
+    # No other test has this tool point.
+    scenario = load_scenario("tabletop_box", ["robot.p_HE=[0.0, 0.0, 0.1035]"])
+    for modulated in (False, True):
+        log = simulate(scenario, modulated=modulated, duration=0.02)
+    motion_report(scenario, log)
+    # The robot alone; the stations of both motions, that of the report; the late camera's world.
+    assert len(parsed) == 1 + 3 + 1
 
 
 def test_what_is_there_depends_on_what_is_asked() -> None:

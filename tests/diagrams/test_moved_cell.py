@@ -12,7 +12,6 @@ from pydrake.math import RigidTransform, RollPitchYaw
 
 from drake_oa.geometry.shapes import pose
 from drake_oa.robot.config import BasePose
-from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import parse_scenario
 from drake_oa.scenario.perception import GivenEllipsoids
@@ -90,9 +89,8 @@ def cell(X_WN: RigidTransform, blocks: str) -> Scenario:
     scenario = parse_scenario(text + blocks)
     task, robot = scenario.task, scenario.robot
     assert robot is not None
-    home = make_robot_plant(robot)
     # Else inverse kinematics chooses, to its own tolerance.
-    task.q_start = start_positions(home, scenario)[: len(robot.q_seed)].tolist()
+    task.q_start = start_positions(scenario)[: len(robot.q_seed)].tolist()
     task.start, task.goal = ((X_WN @ np.array(place)).tolist() for place in (task.start, task.goal))
     robot.X_WB = BasePose(p, [0.0, 0.0, yaw])
     robot.rpy_WE[2] += yaw

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drake_oa.hardware.command_guard import CommandGuard, CommandRules
-from drake_oa.robot.limits import RobotLimits
+from drake_oa.robot.plant import RobotLimits
 
 N, PERIOD, START = 7, 0.005, 1000.0
 LIMITS = RobotLimits(

@@ -20,13 +20,12 @@ from drake_oa.hardware.command_player import (
 from drake_oa.hardware.panda_arm import COMMAND_CHANNEL, STATUS_CHANNEL, arm_of
 from drake_oa.hardware.panda_station import PandaStation
 from drake_oa.hardware.robot_link import HardwareError
-from drake_oa.robot.plant import make_robot_plant
 from tests.hardware.lockstep import EPOCH, Lockstep
 
 
 def ready(both: Lockstep) -> np.ndarray:
     assert both.scenario.robot is not None
-    _, limits = arm_of(make_robot_plant(both.scenario.robot))
+    _, limits = arm_of(both.scenario)
     return both.link.ready_arm(both.station.q, limits)
 
 
@@ -166,7 +165,7 @@ def test_stops_when_somebody_else_commands() -> None:
 def test_does_not_begin_while_the_arm_may_not_be_moved() -> None:
     both = Lockstep()
     assert both.scenario.robot is not None
-    _, limits = arm_of(make_robot_plant(both.scenario.robot))
+    _, limits = arm_of(both.scenario)
     with pytest.raises(HardwareError, match="move the arm to"):
         both.link.ready_arm(both.station.q + 0.2, limits)
     low = limits.position_lower.copy()

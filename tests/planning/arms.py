@@ -97,7 +97,7 @@ class ArmAlone:
 
 def arm_alone(config: Robot) -> ArmAlone:
     robot = make_robot_plant(config)
-    q = home_positions(robot, config)
+    q = home_positions(config)
     spheres = make_arm_spheres(robot, q, tool_links(config), config.spheres)
     model = make_arm_model(
         robot.plant,

@@ -6,9 +6,9 @@ from pydrake.systems.framework import DiagramBuilder
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.geometry.collision_shapes import collect_collision_shapes
-from drake_oa.geometry.shapes import Box, Cylinder, Sphere
+from drake_oa.geometry.shapes import Box, Sphere
 from drake_oa.robot.config import Robot
-from drake_oa.robot.grasped_object import shape_volume, tool_links
+from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.plant import make_robot_plant, tool_corners
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.scenario.loading import parse_scenario
@@ -32,8 +32,8 @@ def scenario() -> Scenario:
 
 
 def test_the_tool_reaches_as_far_as_the_bar(scenario: Scenario) -> None:
-    corners = tool_corners(make_robot_plant(scenario.robot), scenario.robot)
-    bare = tool_corners(make_robot_plant(Robot()), Robot())
+    corners = tool_corners(scenario.robot)
+    bare = tool_corners(Robot())
     # Fingers open along the world's x.
     np.testing.assert_allclose(np.abs(corners[:, 0]).max(), 0.25, atol=1e-9)
     np.testing.assert_allclose(corners[:, 1].max(), bare[:, 1].max(), atol=1e-9)
@@ -63,7 +63,7 @@ def test_what_is_held_does_not_touch_what_holds_it(scenario: Scenario) -> None:
     held = make_robot_plant(scenario.robot)
     root = held.diagram.CreateDefaultContext()
     plant = held.plant.GetMyMutableContextFromRoot(root)
-    held.plant.SetPositions(plant, held.instance, start_positions(held, scenario))
+    held.plant.SetPositions(plant, held.instance, start_positions(scenario))
     query = held.scene_graph.get_query_output_port().Eval(
         held.scene_graph.GetMyContextFromRoot(root)
     )
@@ -81,17 +81,11 @@ def test_what_it_touches_counts_as_the_tool(scenario: Scenario) -> None:
     ball.translation = [*(start + [0.3, 0.0, -0.0166])]
     here = Scenario()
     here.robot, here.obstacles = scenario.robot, [ball]
-    q = start_positions(make_robot_plant(here.robot), here)
+    q = start_positions(here)
     found = robot_metrics(here, q[None])
     # The bar ends 5 cm from the middle of the ball.
     np.testing.assert_allclose(found.tool_clearance, [0.03], atol=2e-3)
     assert found.contacts == ()
-
-
-def test_volumes() -> None:
-    assert shape_volume(Box(size=[1.0, 2.0, 3.0])) == 6.0
-    assert shape_volume(Cylinder(radius=2.0, length=3.0)) == pytest.approx(12.0 * np.pi)
-    assert shape_volume(Sphere(radius=3.0)) == pytest.approx(36.0 * np.pi)
 
 
 def test_refuses_a_box_without_volume() -> None:

@@ -46,7 +46,7 @@ def in_reach_of_drake(p_WE: FloatArray) -> bool:
             panda().plant,
             panda().tool_frame.name(),
             RigidTransform(RotationMatrix(arm().R_WE), p_WE),
-            home_positions(panda(), ROBOT),
+            home_positions(ROBOT),
         )
     except ValueError:
         return False
@@ -134,7 +134,7 @@ def test_poses_near_by_are_solved_within_the_limits() -> None:
     model, plant = arm(), panda().plant
     X_PJ, lower, upper = kernel_arrays(model.X_PJ, model.lower, model.upper)
     X_WB, context = np.empty((8, 4, 4)), plant.CreateDefaultContext()
-    fingers = home_positions(panda(), ROBOT)[7:]
+    fingers = home_positions(ROBOT)[7:]
     solved = 0
     for _ in range(300):
         asked = model.lower + rng.uniform(0.15, 0.85, 7) * (model.upper - model.lower)

@@ -188,7 +188,7 @@ def panda() -> RobotPlant:
 
 @pytest.fixture(scope="module")
 def spheres(panda: RobotPlant) -> ArmSpheres:
-    return make_arm_spheres(panda, home_positions(panda, Robot()), Robot().tool_links, COARSE)
+    return make_arm_spheres(panda, home_positions(Robot()), Robot().tool_links, COARSE)
 
 
 def frames(robot: RobotPlant, q: np.ndarray, posture: np.ndarray) -> np.ndarray:
@@ -286,7 +286,7 @@ def check_self(
 def test_the_pandas_spheres_are_scene_graphs_and_hardly_more(
     panda: RobotPlant, spheres: ArmSpheres
 ) -> None:
-    check_against_scene_graph(panda, home_positions(panda, Robot()), spheres, 3, 25)
+    check_against_scene_graph(panda, home_positions(Robot()), spheres, 3, 25)
 
 
 def test_the_pandas_bodies(spheres: ArmSpheres) -> None:
@@ -311,7 +311,7 @@ def test_the_pandas_bodies(spheres: ArmSpheres) -> None:
 def test_what_is_held_is_of_the_tool() -> None:
     robot = Robot(carried=[HeldCylinder(radius=0.02, length=0.2, translation=[0.0, 0.0, 0.12])])
     panda = make_robot_plant(robot)
-    found = make_arm_spheres(panda, home_positions(panda, robot), tool_links(robot), COARSE)
+    found = make_arm_spheres(panda, home_positions(robot), tool_links(robot), COARSE)
     held = found.bodies.index("carried0")
     assert found.arrays.of_tool[found.arrays.first[held]]
     names = {frozenset(found.bodies[g] for g in pair) for pair in found.arrays.pairs}

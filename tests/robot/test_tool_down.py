@@ -36,7 +36,7 @@ def test_the_inside_is_in_reach_and_well_outside_is_not(height: float, base: Bas
     def solve(p_BE: np.ndarray, azimuth: float, thorough: bool = True) -> None:
         # The tool may turn about the vertical: here it turns with the arm.
         R_BE = RotationMatrix.MakeZRotation(azimuth) @ RollPitchYaw(np.pi, 0, 0).ToRotationMatrix()
-        pose, seed = X_WB @ RigidTransform(R_BE, p_BE), home_positions(arm, robot)
+        pose, seed = X_WB @ RigidTransform(R_BE, p_BE), home_positions(robot)
         solve_tool_pose(arm.plant, arm.tool_frame.name(), pose, seed, thorough=thorough)
 
     annulus = given(robot)

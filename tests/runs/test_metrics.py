@@ -92,7 +92,7 @@ def poses() -> dict[str, FloatArray]:
             plant.plant,
             plant.tool_frame.name(),
             RigidTransform(R_WE, place),
-            home_positions(plant, robot),
+            home_positions(robot),
         )
         for name, place in places.items()
     }

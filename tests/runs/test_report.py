@@ -60,7 +60,7 @@ def test_what_hardware_cannot_measure_is_not_reported_as_zero(
     log_of: LogOf, panda: RobotPlant
 ) -> None:
     scenario = load_scenario("tabletop_box", ["perception=!LcmCamera {}", "directives=[]"])
-    q = np.tile(home_positions(panda, Robot()), (3, 1))
+    q = np.tile(home_positions(Robot()), (3, 1))
     found = motion_report(scenario, log_of(AROUND, q=q))
     assert (found["collisions"], found["short_of_feasible"]) == (None, None)
     rows = [row.split() for row in str(report_table({"modulated": found})).splitlines()]

@@ -10,7 +10,7 @@ from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.task_joints import posture_guide, start_positions, tool_pose
+from drake_oa.scenario.task_joints import posture_guide, start_positions
 
 Q_START = [0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785]
 Q_GOAL = [0.4, -0.5, 0.3, -2.1, 0.2, 1.8, 0.6]
@@ -18,7 +18,7 @@ JOINTS = f"task: {{q_start: {Q_START}, q_goal: {Q_GOAL}"
 
 
 def start(scenario: Scenario) -> np.ndarray:
-    return start_positions(make_robot_plant(scenario.robot), scenario)
+    return start_positions(scenario)
 
 
 def test_start_goal_and_orientations_follow_from_joints() -> None:
@@ -26,9 +26,9 @@ def test_start_goal_and_orientations_follow_from_joints() -> None:
     robot = make_robot_plant(scenario.robot)
     q = start(scenario)
     np.testing.assert_array_equal(q[:7], Q_START)
-    np.testing.assert_allclose(tool_pose(robot, q).translation(), scenario.task.start)
+    np.testing.assert_allclose(robot.tool_path(q[None])[0], scenario.task.start)
     q[:7] = Q_GOAL
-    X_WG = tool_pose(robot, q)
+    (X_WG,) = robot.tool_poses(q[None])
     np.testing.assert_allclose(X_WG.translation(), scenario.task.goal)
     np.testing.assert_allclose(X_WG.rotation().ToRollPitchYaw().vector(), scenario.task.rpy_goal)
     again = parse_scenario(scenario_text(scenario))

@@ -152,7 +152,7 @@ def test_the_robot_starts_as_the_tool_is_to_be_held() -> None:
     tilted = scenario("task.rpy_start=[2.8, 0.1, 1.2]")
     assert tilted.robot is not None
     robot_plant = make_robot_plant(tilted.robot)
-    q = start_positions(robot_plant, tilted)
+    q = start_positions(tilted)
     context = robot_plant.plant.CreateDefaultContext()
     robot_plant.plant.SetPositions(context, q)
     X_WE = robot_plant.tool_frame.CalcPoseInWorld(context)
@@ -164,7 +164,7 @@ def test_a_goal_orientation_out_of_reach_is_refused_by_name() -> None:
     upward = scenario("task.rpy_goal=[0.1, 0.0, 0.0]", "task.goal=[0.6, 0.45, 0.02]")
     assert upward.robot is not None
     with pytest.raises(ScenarioError, match=r"task\.goal: out of reach"):
-        start_positions(make_robot_plant(upward.robot), upward)
+        start_positions(upward)
 
 
 def test_obstacles_are_dilated_by_the_tool_in_every_orientation_of_the_way() -> None:
@@ -178,11 +178,10 @@ def test_obstacles_are_dilated_by_the_tool_in_every_orientation_of_the_way() -> 
         np.linalg.norm(goal_vector(matrix(a.rpy_WE), matrix(b.rpy_WE))) for a, b in pairwise(robots)
     ]
     assert max(steps) < np.radians(12.0)
-    robot_plant = make_robot_plant(turning.robot)
-    descriptor = make_ellipsoid_descriptor(turning, robot_plant)
-    one = tool_corners(robot_plant, turning.robot)
+    descriptor = make_ellipsoid_descriptor(turning)
+    one = tool_corners(turning.robot)
     assert len(descriptor._tool_W) == len(robots) * len(one)
-    outline = np.concatenate([tool_corners(robot_plant, robot) for robot in robots])
+    outline = np.concatenate([tool_corners(robot) for robot in robots])
     np.testing.assert_allclose(np.sort(descriptor._tool_W, axis=0), np.sort(outline, axis=0))
 
 

@@ -22,7 +22,6 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraInfo
 
 import drake_oa.models
-from drake_oa.robot.plant import make_robot_plant
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.task_joints import start_positions
 
@@ -49,7 +48,7 @@ class Scene:
         scenario = load_scenario(name)
         self.p_WS, self.p_WG = np.array(scenario.task.start), np.array(scenario.task.goal)
         self.R_WE = RollPitchYaw(scenario.robot.rpy_WE).ToRotationMatrix()
-        self.q_start = start_positions(make_robot_plant(scenario.robot), scenario)
+        self.q_start = start_positions(scenario)
 
     @property
     def query(self) -> QueryObject:

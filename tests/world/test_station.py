@@ -59,7 +59,7 @@ def test_the_tool_frame_is_at_the_fingertips(panda: RobotPlant) -> None:
 
 
 def test_the_tool_is_above_its_point_and_narrow_along_the_motion(panda: RobotPlant) -> None:
-    corners = tool_corners(panda, Robot())
+    corners = tool_corners(Robot())
     assert corners.shape[1] == 3
     low, high = corners.min(axis=0), corners.max(axis=0)
     # It points down: all of it is above E but for the finger tips' rounding.
@@ -71,21 +71,21 @@ def test_the_tool_is_above_its_point_and_narrow_along_the_motion(panda: RobotPla
 
 
 def test_the_tool_turns_with_its_asked_orientation(panda: RobotPlant) -> None:
-    turned = tool_corners(panda, Robot(rpy_WE=[np.pi, 0.0, 0.0]))
+    turned = tool_corners(Robot(rpy_WE=[np.pi, 0.0, 0.0]))
     extent = np.ptp(turned, axis=0)
-    straight = np.ptp(tool_corners(panda, Robot()), axis=0)
+    straight = np.ptp(tool_corners(Robot()), axis=0)
     np.testing.assert_allclose(extent, straight[[1, 0, 2]], atol=1e-9)
 
 
 def test_opened_fingers_do_not_shrink_the_tool(panda: RobotPlant) -> None:
-    closed = tool_corners(panda, Robot())
-    opened = tool_corners(panda, Robot(finger_opening=0.04))
+    closed = tool_corners(Robot())
+    opened = tool_corners(Robot(finger_opening=0.04))
     assert (np.ptp(opened, axis=0) >= np.ptp(closed, axis=0) - 1e-9).all()
 
 
 def test_home_positions_hold_seed_and_fingers(panda: RobotPlant) -> None:
     robot = Robot(finger_opening=0.03)
-    q = home_positions(panda, robot)
+    q = home_positions(robot)
     np.testing.assert_array_equal(q, [*robot.q_seed, 0.03, 0.03])
 
 
@@ -135,4 +135,4 @@ def test_tool_links_without_an_outline_are_refused(
     panda: RobotPlant, links: list[str], said: str
 ) -> None:
     with pytest.raises(ScenarioError, match=rf"robot.tool_links: .*{said}"):
-        tool_corners(panda, Robot(tool_links=links))
+        tool_corners(Robot(tool_links=links))

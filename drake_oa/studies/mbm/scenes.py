@@ -26,7 +26,6 @@ from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task import Task
-from drake_oa.scenario.task_joints import tool_pose
 from drake_oa.studies.cameras import with_two
 from drake_oa.studies.mbm.problems import Problem, ProblemText, parse_problem
 from drake_oa.studies.tally import Counts
@@ -75,7 +74,7 @@ def problem_scenario(problem: Problem, robot: Robot) -> Scenario:
         end: _positions(problem, joints, arm, robot_plant, robot)
         for end, joints in (("start", problem.start), ("goal", problem.goal))
     }
-    X_WE = {end: tool_pose(robot_plant, positions) for end, positions in q.items()}
+    X_WE = dict(zip(q, robot_plant.tool_poses(np.stack(list(q.values()))), strict=True))
     lower, upper = (
         limits[: len(arm)]
         for limits in (

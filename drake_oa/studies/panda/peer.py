@@ -444,9 +444,7 @@ def simulate_differential_ik(
         MotionInterruptedError: if the simulation raised or was interrupted; it
             carries the log until then, and the cause.
     """
-    if scenario.robot is None:
-        raise ScenarioError("robot: differential inverse kinematics needs one; it is null")
-    q_start = start_positions(make_robot_plant(scenario.robot), scenario)
+    q_start = start_positions(scenario)
     diagram = build_differential_ik(scenario, q_start, parameters or PeerParameters())
     simulator = Simulator(diagram)
     root = simulator.get_mutable_context()
@@ -471,12 +469,8 @@ def _run(
     log = replace(log, regulation=METHOD, saturated=saturated)
     if not len(log.desired_orientation) or scenario.robot is None:
         return log
-    robot_plant = make_robot_plant(scenario.robot)
-    plant, context = robot_plant.plant, robot_plant.plant.CreateDefaultContext()
     left = np.zeros((len(log.t), 3))
-    for row, q in enumerate(log.q):
-        plant.SetPositions(context, robot_plant.instance, q)
-        R_WE = robot_plant.tool_frame.CalcPoseInWorld(context).rotation().matrix()
+    for row, X_WE in enumerate(make_robot_plant(scenario.robot).tool_poses(log.q)):
         desired = rotation_matrix(log.desired_orientation[row])
-        left[row] = rotation_vector(np.ascontiguousarray(desired @ R_WE.T))
+        left[row] = rotation_vector(np.ascontiguousarray(desired @ X_WE.rotation().matrix().T))
     return replace(log, orientation_error=left)

@@ -17,16 +17,14 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.tree import JacobianWrtVariable
 from pydrake.systems.framework import DiagramBuilder
 
-from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.rotation import rotation_vector
 from drake_oa.geometry.shapes import pose, shape_geometry
 from drake_oa.policy.dmp import minimum_jerk
-from drake_oa.robot.config import Robot
 from drake_oa.robot.inverse_kinematics import solve_tool_pose
 from drake_oa.robot.plant import TOOL_FRAME, home_positions, make_robot_plant
 from drake_oa.scenario.obstacles import Obstacle
-from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.world.station import make_station
 
 _STEPS = 60
@@ -59,12 +57,10 @@ class PlanningScene:
         Raises:
             ScenarioError: if it has no robot, or its world cannot be built.
         """
-        if scenario.robot is None:
-            raise ScenarioError("robot: a planning scene needs one; this scenario has null")
-        self._robot: Robot = scenario.robot
+        self._robot = robot_of(scenario)
         self._duration = scenario.task.duration
         self._robot_plant = make_robot_plant(self._robot)
-        self._seed = home_positions(self._robot_plant, self._robot)
+        self._seed = home_positions(self._robot)
         self._R_WE = RollPitchYaw(self._robot.rpy_WE).ToRotationMatrix()
         builder = DiagramBuilder()
         self._station = make_station(builder, scenario, render=False)

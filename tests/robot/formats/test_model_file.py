@@ -10,7 +10,6 @@ from drake_oa.common.config import ScenarioError
 from drake_oa.common.files import installed_package
 from drake_oa.robot.config import Robot, check_robot
 from drake_oa.robot.formats.meshes import as_objs
-from drake_oa.robot.limits import robot_limits
 from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
 
 SIZE = np.array([0.1, 0.2, 0.3])
@@ -59,7 +58,7 @@ def corners(obj: Path) -> np.ndarray:
 
 def tool(robot: RobotPlant, config: Robot) -> RigidTransform:
     context = robot.plant.CreateDefaultContext()
-    robot.plant.SetPositions(context, home_positions(robot, config))
+    robot.plant.SetPositions(context, home_positions(config))
     return robot.tool_frame.CalcPoseInWorld(context)
 
 
@@ -127,7 +126,7 @@ def test_speeds_that_the_model_has_not_are_of_the_scenario(tmp_path: Path) -> No
     config = sdf(tmp_path)
     config.joint_speed = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
     robot = make_robot_plant(config)
-    limits = robot_limits(robot.plant, robot.instance)
+    limits = robot.limits
     np.testing.assert_allclose(limits.velocity_limit, [1.0, 2.0, 3.0, 3.0, 3.0, 3.0])
     config.joint_speed = [1.0]
     with pytest.raises(ScenarioError, match=r"robot\.joint_speed: expected 6 numbers"):
@@ -166,7 +165,7 @@ def test_an_mjcf_keeps_what_its_classes_inherit(tmp_path: Path) -> None:
     )  # fmt: skip
     config.X_WB.translation = [1.0, 0.0, 0.0]
     robot = make_robot_plant(config)
-    limits = robot_limits(robot.plant, robot.instance)
+    limits = robot.limits
     assert limits.actuator_name == ("j1", "j2")
     np.testing.assert_allclose(limits.effort_limit, [150.0, 28.0])
     np.testing.assert_allclose(limits.position_upper, [2.0, 2.0])

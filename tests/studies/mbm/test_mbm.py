@@ -13,7 +13,6 @@ import pytest
 from drake_oa.app.main import main
 from drake_oa.perception.config import DepthCamera
 from drake_oa.robot.config import Robot
-from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.scenario.scenario import Scenario
@@ -96,7 +95,7 @@ def test_a_problem_becomes_a_scenario(tmp_path):
     # It runs as it is written.
     again = parse_scenario(scenario_text(scenario))
     assert again == scenario
-    end_positions(make_robot_plant(again.robot), again)
+    end_positions(again)
 
 
 def test_the_pose_of_an_object_carries_its_shapes(tmp_path):
@@ -122,9 +121,7 @@ def test_what_the_goal_grasps_is_left_out_and_little_room_is_asked_for(tmp_path)
     beside = thing("wall", "box", [0.03, 0.03, 0.03], [goal[0], goal[1], goal[2] - 0.02])
     scenario = scenario_of(one(tmp_path / "b.tar.bz2", scene(grasped, beside)))
     assert [item.name for item in scenario.obstacles] == ["wall"]
-    left = robot_metrics(
-        scenario, np.stack(end_positions(make_robot_plant(scenario.robot), scenario))
-    ).robot_clearance.min()
+    left = robot_metrics(scenario, np.stack(end_positions(scenario))).robot_clearance.min()
     assert 0.001 < left < 0.03
     assert left - 1e-4 <= scenario.task.clearance <= left
     assert scenario.supervisor.stop_distance == scenario.task.clearance

@@ -8,7 +8,6 @@ import pytest
 from pydrake.math import RollPitchYaw
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.runs.motion_log import load_logs, save_logs
 from drake_oa.scenario.loading import load_scenario
@@ -135,7 +134,7 @@ def test_without_a_robot_there_is_one_clear_error() -> None:
 def test_systems_have_names() -> None:
     scenario = scene()
     assert scenario.robot is not None
-    q_start = start_positions(make_robot_plant(scenario.robot), scenario)
+    q_start = start_positions(scenario)
     diagram = build_differential_ik(scenario, q_start, PeerParameters())
     for name in ("plant", "dmp_integrator", "tool_pose", "differential_ik", "controller"):
         assert diagram.HasSubsystemNamed(name)
