@@ -1,24 +1,37 @@
-"""The command `drake-oa perceive`."""
+"""The command `drake-oa perceive`.
+
+Frames: C is the frame of the camera, or of the points of a cloud; W the world of X_WC. The tool is
+given in the orientation of W; all results are in C.
+"""
 
 from __future__ import annotations
 
+import itertools
 import json as json_text
-import math
+import statistics
+import time
+import timeit
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from drake_oa.common.console import BAD_INPUT, FAILED, TextTable, complain, show, write_all
-from drake_oa.common.files import check_outputs, replace_text
+from drake_oa.common.files import check_outputs, replace_text, save_figure
 
 # NumPy, Drake and the kernels are imported where they are used: `--help` answers at once.
 if TYPE_CHECKING:
-    from drake_oa.app.perceive_frame import PerceivedFrame
-    from drake_oa.common.messages import FloatArray
+    from matplotlib.axes import Axes
+
+    from drake_oa.common.messages import FloatArray, IntArray
+    from drake_oa.geometry.ellipsoid import Ellipsoid
     from drake_oa.perception.config import SegmentationConfig
-    from drake_oa.perception.recordings import DepthCoding
+    from drake_oa.perception.recordings import RecordedFrame
+    from drake_oa.perception.segmentation import Segmentation
+
+_ENCLOSED_TOLERANCE = 1e-9
+"""Excess of the gauge of a dilated point over 1 up to which the point counts as enclosed."""
 
 
 def perceive(
@@ -33,17 +46,15 @@ def perceive(
     tool: str = "panda",
     near: float | None = None,
     far: float | None = None,
-    background: bool = False,
-    repeats: int = 5,
 ) -> int:
     """Find table, clusters and ellipsoids in depth images and clouds.
 
     Finds the table (or floor), the clusters of points that stand on it, and for each cluster the
-    ellipsoid of least volume round its points dilated by the tool. Files, or folders of them:
+    ellipsoid of least volume around its points dilated by the tool. Files, or folders of them:
 
       .npz        depth (H, W) [m] and K = [fx, fy, cx, cy], or points (N, 3) [m];
                   optionally X_WC (4, 4)
-      .pcd .ply   a cloud [m]; an organised .pcd (HEIGHT above 1) in the camera's frame is
+      .pcd .ply   a cloud [m]; an organized .pcd (HEIGHT above 1) in the camera's frame is
                   read as the depth image it is
       .png        16-bit depth, 0 where missing; with --intrinsics, or a file beside it:
                   NAME.json, NAME.yaml, intrinsics.json, camera_info.yaml, ... that holds
@@ -54,7 +65,7 @@ def perceive(
     origin where the optical axis meets it, x along the camera's.
 
     JSON: {"tool", "tool_W", "versions", "files": [...]}: tool_W holds the tool's corners [m]
-    about its reference point in the orientation of W. For each file, in metres and in frame C:
+    about its reference point in the orientation of W. For each file, in meters and in frame C:
 
       file          its path
       error         only if it cannot be used: why; then there is nothing else
@@ -68,13 +79,11 @@ def perceive(
         mask        [[start, length], ...]: runs of its pixels by row-major index (row *
                     columns + column), or of its points by their place in the file
         ellipsoid   center, R (its columns are the principal axes), semi_axes (along
-                    these, largest first), round the cluster dilated by the tool
+                    these, largest first), around the cluster dilated by the tool
         enclosed    whether every observed point, dilated by every corner of the tool, was
                     found to be inside, up to 1e-9
-      background    how many more clusters were left out: beyond 1.5 m and cut by the
-                    border of what the camera saw (--background keeps them)
       milliseconds  processor time from the depth array to the ellipsoids, median of
-                    --repeats; reading the file is not in it
+                    five; reading the file is not in it
       note          empty, or why there is no plane
 
     Exit status: 0 when each file showed a table, 1 when one did not, 2 for bad input: then
@@ -88,81 +97,174 @@ def perceive(
 
     Args:
         files: files or folders.
-        json: write the figures.
+        json: write the results.
         plot: write a picture of each file to this folder.
         intrinsics: of .png images [pixel].
-        depth_scale: metres a unit of .png images (default 0.001).
+        depth_scale: meters a unit of .png images (default 0.001).
         pose: X_WC of files that hold none, x, y, z [m], roll, pitch, yaw [rad]; all zero: clouds
             in the world frame, z up.
         tool: panda: the hand, pointing down; none: a point; LX,LY,LZ: a box [m] in the
             orientation of W.
         near: least depth [m] (default 0.3).
         far: largest depth [m] (default 2.5).
-        background: keep what is far and cut by the border.
-        repeats: times a file is timed.
     """
-    from drake_oa.app.perceive_frame import as_json, plot_frame
-    from drake_oa.app.perceive_frame import perceive as perceive_frame
+    from pydrake.math import RigidTransform, RollPitchYaw
+
     from drake_oa.common.files import software_versions
-    from drake_oa.perception.recordings import read_frame
+    from drake_oa.perception.recordings import checked_intrinsics, read_frame
 
-    tool_W = _tool(tool)
-    coding, config = _coding(intrinsics, depth_scale), _config(near, far)
-    X_WC = None if pose is None else _pose(pose)
-    if repeats < 1:
-        raise ValueError(f"--repeats must be at least 1, not {repeats}")
-    paths, status = _expanded(files)
-    pictures = {} if plot is None else _pictures(plot, paths)
+    tool_W, config = _tool_corners(tool), _segmentation_config(near, far)
+    K = None if intrinsics is None else checked_intrinsics(intrinsics, "--intrinsics")
+    X_WC = None
+    if pose is not None:
+        X_WC = RigidTransform(RollPitchYaw(pose[3:]), pose[:3]).GetAsMatrix4()
+    paths = _expand_folders(files)
+    pictures = _picture_files(plot, paths) if plot is not None else {}
     check_outputs(json, *pictures.values(), read=paths)
-
-    def look(path: Path) -> PerceivedFrame:
-        frame = read_frame(path, coding=coding)
-        return perceive_frame(
-            frame, tool_W, X_WC=X_WC, config=config, background=background, repeats=repeats
-        )
-
-    found = {path: _perceived(path, look) for path in paths}
-    seen = [frame for frame in found.values() if not isinstance(frame, str)]
-    if seen:
-        show(_table(seen))
-    writes = [
-        partial(plot_frame, frame, pictures[path])
-        for path, frame in found.items()
-        if path in pictures and not isinstance(frame, str)
-    ]
+    status = 0
+    results: list[dict[str, Any]] = []
+    writes: list[Callable[[], object]] = []
+    for path in paths:
+        try:
+            frame = read_frame(path, K=K, depth_scale=depth_scale)
+            perceived = perceive_frame(frame, tool_W, X_WC=X_WC, config=config)
+        except (ValueError, OSError) as error:
+            complain(str(error))
+            results.append({"file": str(path), "error": str(error)})
+            status = BAD_INPUT
+            continue
+        results.append(perceived.as_json())
+        if path in pictures:
+            writes.append(partial(plot_frame, perceived, pictures[path]))
+        if not perceived.segmentation.usable:
+            complain(f"'{path}': {perceived.segmentation.note}")
+            status = status or FAILED
+    show(_table(results))
     if json is not None:
-        figures = {
+        whole = {
             "tool": tool,
             "tool_W": tool_W.tolist(),
             "versions": list(software_versions()),
-            "files": [
-                {"file": str(path), "error": frame} if isinstance(frame, str) else as_json(frame)
-                for path, frame in found.items()
-            ],
+            "files": results,
         }
-        text = json_text.dumps(figures, indent=1, allow_nan=False) + "\n"
+        text = json_text.dumps(whole, indent=1, allow_nan=False) + "\n"
         writes.append(partial(replace_text, json, text))
-    written = write_all(*writes)
-    if status or len(seen) < len(found):
-        return BAD_INPUT
-    usable = all(frame.segmentation.usable for frame in seen)
-    return 0 if usable and written else FAILED
+    return status if write_all(*writes) else status or FAILED
 
 
-def _perceived(path: Path, look: Callable[[Path], PerceivedFrame]) -> PerceivedFrame | str:
-    """What a file shows, or why it cannot be used."""
-    try:
-        found = look(path)
-    except (ValueError, OSError) as error:
-        complain(str(error))
-        return str(error)
-    if not found.segmentation.usable:
-        complain(f"'{path}': {found.segmentation.note}")
-    return found
+@dataclass(frozen=True, eq=False)
+class PerceivedFrame:
+    """Table, clusters and ellipsoids of one frame.
+
+    Attributes:
+        frame: content of the file.
+        points: (N, 3) all its points in C [m]; not finite, or zero, where there is none.
+        segmentation: table and clusters; its X_WC is set also when the table defines W.
+        ellipsoids: of least volume around the points of each cluster dilated by the tool, in C.
+        milliseconds: processor time from the depth array to the ellipsoids, median of the
+            repetitions.
+    """
+
+    frame: RecordedFrame
+    points: FloatArray
+    segmentation: Segmentation
+    ellipsoids: list[Ellipsoid]
+    milliseconds: float
+
+    def as_json(self) -> dict[str, Any]:
+        """Returns the results of the file in the form of `drake-oa perceive --help`."""
+        import numpy as np
+
+        depth, K, found = self.frame.depth, self.frame.K, self.segmentation
+        plane, X_WC = None, found.X_WC
+        if found.table is not None:
+            plane = {
+                "normal": (X_WC[:3, :3].T @ found.table.normal_W).tolist(),
+                "offset": float(found.table.offset - found.table.normal_W @ X_WC[:3, 3]),
+                "rms": found.plane_rms,
+            }
+        measured = np.isfinite(self.points).all(axis=1) & self.points.any(axis=1)
+        return {
+            "file": str(self.frame.path),
+            "size": None if depth is None else list(depth.shape),
+            "K": None if K is None else K.tolist(),
+            "count": len(self.points),
+            "valid": int(np.count_nonzero(measured)),
+            "X_WC": X_WC.tolist() if plane else None,
+            "plane": plane,
+            "clusters": [
+                {
+                    "points": len(pixels),
+                    "ellipsoid": {
+                        name: getattr(ellipsoid, name).tolist()
+                        for name in ("center", "R", "semi_axes")
+                    },
+                    "enclosed": ellipsoid.gauge <= 1.0 + _ENCLOSED_TOLERANCE,
+                    "mask": run_lengths(pixels),
+                }
+                for pixels, ellipsoid in zip(found.pixels, self.ellipsoids, strict=True)
+            ],
+            "milliseconds": self.milliseconds,
+            "note": found.note,
+        }
 
 
-def _table(seen: Sequence[PerceivedFrame]) -> TextTable:
-    """A row for each cluster; those of a file follow its name."""
+def perceive_frame(
+    frame: RecordedFrame,
+    tool_W: FloatArray,
+    *,
+    X_WC: FloatArray | None = None,
+    config: SegmentationConfig | None = None,
+    repeats: int = 5,
+) -> PerceivedFrame:
+    """Segments a frame, encloses its clusters, and measures the time.
+
+    Args:
+        frame: a depth image with K, or points.
+        tool_W: (K, 3) corners of the tool about its reference point, in the orientation of W
+            [m]; [[0, 0, 0]] for a point.
+        X_WC: (4, 4) pose of the camera for a frame that does not hold one; None: unknown.
+        config: parameters of the segmentation; None for the defaults.
+        repeats: number of measurements of the time, after a first call.
+
+    Raises:
+        ValueError: for malformed arrays.
+    """
+    import numpy as np
+
+    from drake_oa.geometry.ellipsoid import enclosing_ellipsoid
+    from drake_oa.perception.depth_image import back_projected
+    from drake_oa.perception.segmentation import segment_depth, segment_points
+
+    pose = X_WC if frame.X_WC is None else frame.X_WC
+
+    def work() -> tuple[FloatArray, Segmentation, list[Ellipsoid]]:
+        if frame.depth is not None and frame.K is not None:
+            found = segment_depth(frame.depth, frame.K, pose, config)
+            z = np.require(frame.depth, np.float32, ["C", "W"])
+            points = back_projected(z, np.arange(z.size), frame.K)
+        else:
+            points = np.asarray(frame.points, dtype=float)
+            found = segment_points(points, pose, config)
+        tool_C = tool_W @ found.X_WC[:3, :3]
+        return points, found, [enclosing_ellipsoid(points[i], tool=tool_C) for i in found.pixels]
+
+    result = work()
+    # Processor time: one thread works, and other processes may be busy.
+    times = timeit.repeat(work, timer=time.process_time, number=1, repeat=repeats)
+    return PerceivedFrame(frame, *result, 1e3 * statistics.median(times))
+
+
+def run_lengths(indices: IntArray) -> list[list[int]]:
+    """Returns the runs [start, length] of ascending integers."""
+    import numpy as np
+
+    runs = np.split(indices, np.flatnonzero(np.diff(indices) != 1) + 1)
+    return [[int(run[0]), len(run)] for run in runs if len(run)]
+
+
+def _table(results: Sequence[dict[str, Any]]) -> TextTable:
+    """Returns a table with a row for each cluster."""
     header = [
         "file",
         "plane rms [mm]",
@@ -173,68 +275,43 @@ def _table(seen: Sequence[PerceivedFrame]) -> TextTable:
         "ms",
     ]
     rows = []
-    for frame in seen:
-        rms = frame.segmentation.plane_rms
-        head = [frame.path.name, "-" if math.isnan(rms) else f"{1e3 * rms:.2f}"]
-        time = f"{frame.milliseconds:.1f}"
-        if not frame.clusters:
-            rows.append([*head, "none", "", "", "", time])
-        for number, cluster in enumerate(frame.clusters, start=1):
-            rows.append(
-                [
-                    *(head if number == 1 else ["", ""]),
-                    str(number),
-                    str(len(cluster.pixels)),
-                    f"{cluster.ellipsoid.semi_axes[0]:.3f}",
-                    "all" if cluster.enclosed else "NOT ALL",
-                    time if number == 1 else "",
-                ]
-            )
+    for result in results:
+        if "error" in result:
+            continue
+        rms = f"{1e3 * result['plane']['rms']:.2f}" if result["plane"] else "-"
+        head, time_ms = [Path(result["file"]).name, rms], f"{result['milliseconds']:.1f}"
+        if not result["clusters"]:
+            rows.append([*head, "none", "", "", "", time_ms])
+        for number, cluster in enumerate(result["clusters"], start=1):
+            largest = f"{cluster['ellipsoid']['semi_axes'][0]:.3f}"
+            inside = "all" if cluster["enclosed"] else "NOT ALL"
+            rows.append([*head, str(number), str(cluster["points"]), largest, inside, time_ms])
+            head, time_ms = ["", ""], ""
     return TextTable(header, rows, "lrrrrrr")
 
 
-def _expanded(files: Sequence[Path]) -> tuple[list[Path], int]:
-    """The files, folders being replaced by what they hold; and the exit status so far."""
+def _expand_folders(files: Sequence[Path]) -> list[Path]:
+    """Returns the files, a folder being replaced by the frames in it if there are any."""
     from drake_oa.perception.recordings import SUFFIXES, frame_files
 
     paths: list[Path] = []
-    status = 0
     for file in files:
-        if not file.is_dir():
-            if file.exists():
-                paths.append(file)
-                continue
-            complain(f"there is no file '{file}'")
-            status = BAD_INPUT
-            continue
-        found = [path for path in frame_files(file) if path.suffix.lower() in SUFFIXES]
-        if not found:
-            complain(f"the folder '{file}' holds no file to read; valid are {', '.join(SUFFIXES)}")
-            status = BAD_INPUT
-        paths.extend(found)
-    return list(dict.fromkeys(paths)), status
+        inside = frame_files(file) if file.is_dir() else []
+        paths += [path for path in inside if path.suffix.lower() in SUFFIXES] or [file]
+    return list(dict.fromkeys(paths))
 
 
-def _pictures(folder: Path, paths: Sequence[Path]) -> dict[Path, Path]:
-    """Where each file's picture goes; files of one name do not overwrite each other."""
-    if folder.exists() and not folder.is_dir():
-        raise ValueError(f"--plot: '{folder}' is a file; it must be a folder")
-    pictures: dict[Path, Path] = {}
-    taken: set[str] = set()
-    for path in paths:
-        name, number = path.stem, 2
-        while name in taken:
-            name, number = f"{path.stem}_{number}", number + 1
-        taken.add(name)
-        pictures[path] = folder / f"{name}.png"
-    return pictures
+def _picture_files(folder: Path, paths: Sequence[Path]) -> dict[Path, Path]:
+    """Returns the file of the picture of each path, numbered where names are equal."""
+    stems = [path.stem for path in paths]
+    earlier = [stems[:row].count(stem) for row, stem in enumerate(stems)]
+    names = [f"{stem}_{n + 1}" if n else stem for stem, n in zip(stems, earlier, strict=True)]
+    return {path: folder / f"{name}.png" for path, name in zip(paths, names, strict=True)}
 
 
-def _tool(text: str) -> FloatArray:
-    """Corners of the tool (K, 3) in W orientation [m]."""
+def _tool_corners(text: str) -> FloatArray:
+    """Returns the corners of the tool (K, 3) in the orientation of W [m]."""
     import numpy as np
-
-    from drake_oa.app.perceive_frame import box_corners
 
     if text == "none":
         return np.zeros((1, 3))
@@ -249,28 +326,18 @@ def _tool(text: str) -> FloatArray:
         size = np.zeros(0)
     if size.shape != (3,) or not np.isfinite(size).all() or (size < 0.0).any():
         raise ValueError(f"--tool must be panda, none or LX,LY,LZ [m], not '{text}'")
-    return box_corners(size)
+    return 0.5 * size * np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
 
 
-def _coding(intrinsics: Sequence[float] | None, scale: float | None) -> DepthCoding:
-    from drake_oa.perception.recordings import DepthCoding, checked_intrinsics
-
-    if scale is not None and not 0.0 < scale < math.inf:
-        raise ValueError(f"--depth-scale must be positive [m a unit], not {scale}")
-    if intrinsics is None:
-        return DepthCoding(None, scale)
-    return DepthCoding(checked_intrinsics(intrinsics, "--intrinsics"), scale)
-
-
-def _config(near: float | None, far: float | None) -> SegmentationConfig:
+def _segmentation_config(near: float | None, far: float | None) -> SegmentationConfig:
     from drake_oa.common.config import check_values
     from drake_oa.perception.config import SegmentationConfig
 
-    default = SegmentationConfig()
+    config = SegmentationConfig()
     config = replace(
-        default,
-        near=default.near if near is None else near,
-        far=default.far if far is None else far,
+        config,
+        near=config.near if near is None else near,
+        far=config.far if far is None else far,
     )
     try:
         check_values(config)
@@ -279,11 +346,62 @@ def _config(near: float | None, far: float | None) -> SegmentationConfig:
     return config
 
 
-def _pose(values: Sequence[float]) -> FloatArray:
-    """X_WC (4, 4) from x, y, z [m], roll, pitch, yaw [rad]."""
-    import numpy as np
-    from pydrake.math import RigidTransform, RollPitchYaw
+def plot_frame(perceived: PerceivedFrame, path: Path) -> None:
+    """Writes the picture of a frame.
 
-    if not np.isfinite(values).all():
-        raise ValueError(f"--pose must be six finite numbers, not {list(values)}")
-    return np.array(RigidTransform(RollPitchYaw(values[3:]), values[:3]).GetAsMatrix4())
+    Left the depth image, or a cloud along the third axis of its frame, right the view from above
+    in W; in both the clusters in color and the outlines of their ellipsoids.
+
+    Args:
+        perceived: from `perceive_frame`.
+        path: the .png file.
+    """
+    import numpy as np
+    from matplotlib.figure import Figure
+
+    found, depth, K = perceived.segmentation, perceived.frame.depth, perceived.frame.K
+    figure = Figure(figsize=(13.0, 5.2), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=[1.25, 1.0])
+    if depth is not None and K is not None:
+        image = left.imshow(np.where(depth > 0.0, depth, np.nan), cmap="gray_r")
+        figure.colorbar(image, ax=left, shrink=0.8, label="depth [m]")
+        _draw_clusters(left, perceived, lambda p: p[:, :2] / p[:, 2:] * K[:2] + K[2:])
+        left.set(xlabel="column [pixel]", ylabel="row [pixel]")
+        left.set(xlim=(-0.5, depth.shape[1] - 0.5), ylim=(depth.shape[0] - 0.5, -0.5))
+    else:
+        left.plot(perceived.points[:, 0], perceived.points[:, 1], ",", color="0.75")
+        _draw_clusters(left, perceived, lambda p: p[:, :2])
+        left.set(xlabel="x of C [m]", ylabel="y of C [m]", aspect="equal")
+        left.invert_yaxis()
+    X_WC = found.X_WC
+    _draw_clusters(right, perceived, lambda p: (p @ X_WC[:3, :3].T + X_WC[:3, 3])[:, :2])
+    right.set(xlabel="x of W [m]", ylabel="y of W [m]", aspect="equal")
+    right.grid(alpha=0.3)
+    plane = f"table rms {1e3 * found.plane_rms:.2f} mm" if found.table else found.note
+    figure.suptitle(
+        f"{perceived.frame.path.name}: {plane}; {len(found.pixels)} clusters, "
+        f"{perceived.milliseconds:.1f} ms"
+    )
+    save_figure(path, figure, dpi=110)
+
+
+def _draw_clusters(
+    axes: Axes, perceived: PerceivedFrame, project: Callable[[FloatArray], FloatArray]
+) -> None:
+    """Draws clusters and outlines of ellipsoids, their points (N, 3) in C being projected."""
+    import numpy as np
+    from scipy.spatial import ConvexHull
+
+    from drake_oa.geometry.ellipsoid import unit_directions
+
+    pairs = zip(perceived.segmentation.pixels, perceived.ellipsoids, strict=True)
+    for number, (pixels, ellipsoid) in enumerate(pairs):
+        color = f"C{number % 10}"
+        x, y = project(perceived.points[pixels]).T
+        axes.plot(x, y, ",", color=color)
+        axes.text(np.median(x), np.median(y), str(number + 1), backgroundcolor="white")
+        surface = ellipsoid.center + unit_directions() * ellipsoid.semi_axes @ ellipsoid.R.T
+        # A camera inside an ellipsoid, or beside it, sees no closed outline.
+        if perceived.frame.depth is None or (surface[:, 2] > 0.0).all():
+            outline = project(surface)
+            axes.fill(*outline[ConvexHull(outline).vertices].T, fill=False, edgecolor=color)

@@ -98,39 +98,6 @@ def back_projected(z: NDArray[np.float32], index: IntArray, K: FloatArray) -> Fl
 
 
 @compiled
-def row_hulls(z: NDArray[np.float32], index: IntArray) -> IntArray:
-    """Of the pixels with ascending flat indices (N,), those that may be on the convex hull.
-
-    The map from points to (column, row, 1 / depth) is projective, so it keeps convex
-    hulls, and what is inside the hull of its row there is inside the cloud's hull.
-    """
-    kept = np.empty(2 * len(index), dtype=np.int64)
-    inverse, depth = np.empty(z.shape[1]), z.ravel()
-    n, start, stop = 0, 0, 0
-    while start < len(index):
-        first = (index[start] // z.shape[1]) * z.shape[1]
-        while stop < len(index) and index[stop] < first + z.shape[1]:
-            inverse[index[stop] - first] = 1.0 / depth[index[stop]]
-            stop += 1
-        # Two monotone chains: the second one's ends are the first one's.
-        for side in (1.0, -1.0):
-            base = n
-            for i in range(start, stop):
-                u = index[i] - first
-                while n - base >= 2:
-                    b, c = kept[n - 2] - first, kept[n - 1] - first
-                    turn = (c - b) * (inverse[u] - inverse[b]) - (u - b) * (inverse[c] - inverse[b])
-                    # What is all but straight stays, for the sake of rounding.
-                    if side * turn > -1e-12:
-                        break
-                    n -= 1
-                kept[n] = index[i]
-                n += 1
-        start = stop
-    return np.unique(kept[:n])
-
-
-@compiled
 def cropped_to_world(
     p_CQ: FloatArray, index: IntArray, axes: FloatArray, reach: FloatArray, X_WC: FloatArray
 ) -> tuple[FloatArray, IntArray]:

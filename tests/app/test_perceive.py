@@ -1,109 +1,120 @@
+"""`drake-oa perceive`: clusters and ellipsoids of a frame, and the command line."""
+
+import itertools
 import json
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
 
 from drake_oa.app.main import main
+from drake_oa.app.perceive import perceive_frame, run_lengths
+from drake_oa.perception.config import SegmentationConfig
+from drake_oa.perception.recordings import RecordedFrame, read_frame
+from tests.perception.test_real_scans import GROUPS
+from tests.reference.depth_images import SIZE, K, camera_pose, ray_cast
 
-SIZE = (120, 160)
-K = [130.0, 130.0, 79.5, 59.5]
+TOOL = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.03, 0.03) for z in (-0.06, 0.06)])
+X_WC = camera_pose(0.8, 0.8)
+BOXES = (
+    (np.array([0.75, -0.2, 0.0]), np.array([0.85, -0.1, 0.15])),
+    (np.array([0.85, 0.15, 0.0]), np.array([0.95, 0.27, 0.06])),
+)
 
 
-def depth_image() -> np.ndarray:
-    """A table seen from 0.8 m above, 45 degrees down, and a box on it."""
-    v, u = np.mgrid[: SIZE[0], : SIZE[1]]
-    x, y = (u - K[2]) / K[0], (v - K[3]) / K[1]
-    s = np.sqrt(0.5)
-    height, depth = 0.8, 0.8 / (s * y + s)
-    # The front of a box 1 m away, 0.16 m wide and 0.2 m high, and its top.
-    front = 0.8 / (s - s * y)
-    up = height - front * (s * y + s)
-    depth = np.where((up > 0.0) & (up < 0.2) & (np.abs(front * x) < 0.08), front, depth)
-    top = 0.6 / (s * y + s)
-    along = top * (s - s * y)
-    on_top = (along > 0.8) & (along < 0.95) & (np.abs(top * x) < 0.08)
-    return np.where(on_top, top, depth).astype(np.float32)
+@pytest.fixture(scope="module")
+def depth() -> np.ndarray:
+    """Two boxes on the plane z = 0."""
+    image = ray_cast(X_WC, BOXES, (-90.0, 0.0, 99.0, 99.0))
+    return np.where(np.isfinite(image), image, np.nan).astype(np.float32)
 
 
 @pytest.fixture
-def scan(tmp_path):
-    path = tmp_path / "scan.npz"
-    np.savez(path, depth=depth_image(), K=np.array(K))
-    return path
+def points(depth: np.ndarray) -> np.ndarray:
+    """The same as a cloud (N, 3) in C."""
+    v, u = np.mgrid[: SIZE[0], : SIZE[1]]
+    rays = np.stack([(u - K[2]) / K[0], (v - K[3]) / K[1], np.ones(SIZE)], axis=-1)
+    return (rays * depth[..., None].astype(float)).reshape(-1, 3)
 
 
-def write_png(path, depth, scale=0.001, dtype=np.uint16):
+@given(st.lists(st.integers(0, 300), unique=True))
+def test_run_lengths_hold_the_indices(indices):
+    indices = np.array(sorted(indices), dtype=np.int64)
+    runs = run_lengths(indices)
+    assert_array_equal(np.concatenate([np.arange(a, a + n) for a, n in runs] or [indices]), indices)
+    assert all(a + n < b for (a, n), (b, _) in itertools.pairwise(runs))
+
+
+@pytest.mark.parametrize("pose", [X_WC, None])
+@pytest.mark.parametrize("kind", ["image", "cloud"])
+def test_clusters_are_enclosed_and_named_by_their_pixels(depth, points, pose, kind, tmp_path):
+    frame = RecordedFrame(tmp_path, 0.0, depth, K)
+    if kind == "cloud":
+        frame = RecordedFrame(tmp_path, 0.0, points=points)
+    found = perceive_frame(frame, TOOL, X_WC=pose, repeats=1).as_json()
+    assert found["valid"] == np.isfinite(depth).sum()
+    assert_allclose(found["plane"]["normal"], X_WC[2, :3], atol=2e-3)
+    assert found["plane"]["offset"] == pytest.approx(-0.8, abs=2e-3)
+    if pose is not None:
+        assert_allclose(found["X_WC"], X_WC)
+    tool_C = TOOL @ np.array(found["X_WC"])[:3, :3]
+    assert len(found["clusters"]) == 2
+    for cluster in found["clusters"]:
+        pixels = np.concatenate([np.arange(a, a + n) for a, n in cluster["mask"]])
+        assert (points[pixels] @ X_WC[2, :3] + 0.8 > 5e-3).all()
+        e = cluster["ellipsoid"]
+        assert_allclose(np.transpose(e["R"]) @ e["R"], np.eye(3), atol=1e-9)
+        dilated = points[pixels][:, None] - tool_C
+        gauge = np.linalg.norm((dilated - e["center"]) @ e["R"] / e["semi_axes"], axis=-1)
+        assert gauge.max() <= 1.0 + 1e-9
+        assert cluster["enclosed"]
+
+
+def test_results_table_and_pictures_of_a_folder(depth, tmp_path, capsys):
     import open3d
 
-    values = np.nan_to_num(depth / scale).astype(dtype)
-    open3d.io.write_image(str(path), open3d.geometry.Image(values))
-
-
-def test_figures_table_and_picture_of_a_folder(scan, tmp_path, capsys):
-    answer, pictures = tmp_path / "out" / "a.json", tmp_path / "pictures"
-    write_png(tmp_path / "image.png", depth_image())
-    (tmp_path / "image.json").write_text(json.dumps(dict(zip("fx fy cx cy".split(), K))))  # noqa: B905, SIM905
-    arguments = ["perceive", str(tmp_path), "--json", str(answer), "--plot", str(pictures)]
-    assert main([*arguments, "--repeats", "1"]) == 0
-    data = json.loads(answer.read_text())
-    image, npz = data["files"]
-    assert [image["file"], npz["file"]] == [str(tmp_path / "image.png"), str(scan)]
-    assert data["tool"] == "panda"
-    assert np.shape(data["tool_W"])[1:] == (3,)
+    folder, results, pictures = tmp_path / "in", tmp_path / "out" / "a.json", tmp_path / "pictures"
+    folder.mkdir()
+    np.savez(folder / "scan.npz", depth=depth, K=K)
+    values = np.nan_to_num(depth / 0.0002).astype(np.uint16)
+    open3d.io.write_image(str(folder / "image.png"), open3d.geometry.Image(values))
+    options = ["--intrinsics", *map(str, K), "--depth-scale", "0.0002", "--tool", "0.1,0.1,0.2"]
+    outputs = ["--json", str(results), "--plot", str(pictures)]
+    pose = ["--pose", "1", "2", "0.8", str(-0.5 * np.pi - 0.8), "0", str(-np.pi / 2)]
+    assert main(["perceive", str(folder), *options, *pose, *outputs]) == 0
+    image, npz = json.loads(results.read_text())["files"]
     for frame in (image, npz):
-        assert frame["size"] == list(SIZE)
-        assert len(frame["clusters"]) == 1
-        assert frame["clusters"][0]["enclosed"]
-        assert frame["milliseconds"] > 0.0
-        assert frame["plane"]["rms"] < 3e-3
-    np.testing.assert_allclose(image["plane"]["normal"], npz["plane"]["normal"], atol=5e-3)
+        assert len(frame["clusters"]) == 2
+        assert frame["X_WC"][0][3] == 1.0
+        assert frame["plane"]["offset"] == pytest.approx(-0.8, abs=3e-3)
     assert "scan.npz" in capsys.readouterr().out
     assert sorted(p.name for p in pictures.iterdir()) == ["image.png", "scan.png"]
+    axes = npz["clusters"][0]["ellipsoid"]["semi_axes"]
+    assert main(["perceive", str(folder / "scan.npz"), "--tool", "none", *outputs[:2]]) == 0
+    (frame,) = json.loads(results.read_text())["files"]
+    assert frame["clusters"][0]["ellipsoid"]["semi_axes"][0] < axes[0]
+    arguments = ["perceive", str(folder / "image.png"), *options, "--plot", str(folder)]
+    assert main(arguments) == 2
+    assert "the command reads this file" in capsys.readouterr().err
 
 
-def test_pose_tool_and_intrinsics_as_options(scan, tmp_path):
-    write_png(tmp_path / "image.png", depth_image(), 0.0002)
-    answer = tmp_path / "a.json"
-    pose = ["--pose", "1", "2", "0.8", str(-0.75 * np.pi), "0", str(-np.pi / 2)]
-    arguments = ["perceive", str(tmp_path / "image.png"), "--json", str(answer), *pose]
-    options = ["--intrinsics", *map(str, K), "--depth-scale", "0.0002", "--tool", "0.1,0.1,0.2"]
-    assert main([*arguments, *options, "--repeats", "1"]) == 0
-    (frame,) = json.loads(answer.read_text())["files"]
-    assert frame["X_WC"][0][3] == 1.0
-    assert frame["plane"]["offset"] == pytest.approx(-0.8, abs=3e-3)
-    box = frame["clusters"][0]["ellipsoid"]["semi_axes"]
-    assert main([*arguments, *options[:-1], "none", "--repeats", "1"]) == 0
-    (frame,) = json.loads(answer.read_text())["files"]
-    assert frame["clusters"][0]["ellipsoid"]["semi_axes"][0] < box[0]
-
-
-def test_a_file_that_cannot_be_used_is_named_and_the_others_are_processed(scan, tmp_path, capsys):
-    broken, text = tmp_path / "broken.npz", tmp_path / "notes.txt"
-    broken.write_bytes(b"no such data")
-    text.write_text("")
-    answer = tmp_path / "a.json"
-    files = [str(broken), str(text), str(tmp_path / "none.npz"), str(scan)]
-    assert main(["perceive", *files, "--json", str(answer), "--tool", "none"]) == 2
-    error = capsys.readouterr().err
-    assert "broken.npz" in error
-    assert "'.txt'; valid are .npz, .pcd, .ply, .png" in error
-    assert "none.npz" in error
-    frames = json.loads(answer.read_text())["files"]
-    assert [("error" in frame) for frame in frames] == [True, True, False]
-
-
-@pytest.mark.parametrize(
-    ("depth", "note"),
-    [(np.full(SIZE, np.nan), "no valid pixel"), (np.zeros(SIZE), "no valid pixel")],
-)
-def test_a_frame_without_measurements_is_reported(tmp_path, capsys, depth, note):
-    path, answer = tmp_path / "empty.npz", tmp_path / "a.json"
-    np.savez(path, depth=depth, K=np.array(K))
-    assert main(["perceive", str(path), "--json", str(answer), "--plot", str(tmp_path / "p")]) == 1
-    assert note in capsys.readouterr().err
-    (frame,) = json.loads(answer.read_text())["files"]
-    assert (frame["plane"], frame["clusters"], frame["note"]) == (None, [], note)
-    assert (tmp_path / "p" / "empty.png").is_file()
+def test_a_file_that_cannot_be_used_is_named_and_the_others_are_processed(depth, tmp_path, capsys):
+    np.savez(tmp_path / "scan.npz", depth=depth, K=K)
+    np.savez(tmp_path / "empty.npz", depth=np.full(SIZE, np.nan), K=K)
+    (tmp_path / "broken.npz").write_bytes(b"no such data")
+    results = tmp_path / "a.json"
+    files = [str(tmp_path / f"{name}.npz") for name in ("broken", "none", "empty", "scan")]
+    assert main(["perceive", *files, "--json", str(results), "--tool", "none"]) == 2
+    errors = capsys.readouterr().err
+    assert all(text in errors for text in ("broken.npz", "none.npz", "no valid pixel"))
+    *unusable, empty, scan = json.loads(results.read_text())["files"]
+    assert all("error" in frame for frame in unusable)
+    assert (empty["plane"], empty["clusters"], empty["note"]) == (None, [], "no valid pixel")
+    assert len(scan["clusters"]) == 2
+    pictures = str(tmp_path / "pictures")
+    assert main(["perceive", files[2], "--plot", pictures, "--tool", "none"]) == 1
 
 
 @pytest.mark.parametrize(
@@ -111,19 +122,26 @@ def test_a_frame_without_measurements_is_reported(tmp_path, capsys, depth, note)
     [
         (["--tool", "hammer"], "--tool must be panda, none or LX,LY,LZ"),
         (["--intrinsics", "0", "1", "1", "1"], "--intrinsics: intrinsics must be"),
-        (["--depth-scale", "0"], "--depth-scale must be positive"),
-        (["--pose", "0", "0", "nan", "0", "0", "0"], "--pose must be six finite"),
-        (["--repeats", "0"], "--repeats must be at least 1"),
         (["--far", "0.1"], "--near, --far: SegmentationConfig.near must be less than far"),
     ],
 )
-def test_options_that_make_no_sense_are_refused(scan, capsys, options, message):
-    assert main(["perceive", str(scan), "--tool", "none", *options]) == 2
+def test_options_out_of_range_are_refused(capsys, options, message):
+    assert main(["perceive", "scan.npz", "--tool", "none", *options]) == 2
     assert message in capsys.readouterr().err
 
 
-def test_pictures_do_not_replace_images(tmp_path, capsys):
-    write_png(tmp_path / "image.png", depth_image())
-    path = str(tmp_path / "image.png")
-    assert main(["perceive", path, "--plot", str(tmp_path), "--tool", "none"]) == 2
-    assert "the command reads this file" in capsys.readouterr().err
+def test_in_real_scans_no_object_is_lost_and_no_table_taken(scan_files):
+    for path in scan_files:
+        config = SegmentationConfig(far=1.5)
+        found = perceive_frame(read_frame(path), TOOL, config=config, repeats=1)
+        assert len(found.ellipsoids) == GROUPS[path.stem], path.stem
+        assert all(ellipsoid.gauge <= 1.0 + 1e-9 for ellipsoid in found.ellipsoids)
+        with np.load(path) as scan:
+            if "label" not in scan:
+                continue
+            label, valid = scan["label"].ravel(), np.isfinite(scan["depth"]).ravel()
+        taken = np.zeros(label.size, dtype=bool)
+        taken[np.concatenate(found.segmentation.pixels)] = True
+        assert not taken[(label >= 1) & (label < 20)].any()
+        for name in np.unique(label[label >= 20] // 10):
+            assert taken[(label // 10 == name) & valid].mean() > 0.9, (path.stem, name)

@@ -89,17 +89,6 @@ def test_the_cloud_for_viewing_holds_the_points_above_the_table(folder):
     assert points[2].min() > 0.0
 
 
-@pytest.mark.parametrize("period", [0.0, -1.0, np.nan])
-def test_a_period_that_is_none_is_refused(folder, period):
-    with pytest.raises(ValueError, match="period"):
-        RecordedPerception(folder, period=period)
-
-
-def test_a_folder_that_is_missing_is_an_error(tmp_path):
-    with pytest.raises(FileNotFoundError, match="nowhere"):
-        RecordedPerception(tmp_path / "nowhere")
-
-
 def test_files_without_a_pose_are_known(folder):
     system = RecordedPerception(folder, period=PERIOD)
     names = [path.name for path in system.files_without_pose]

@@ -233,8 +233,6 @@ def test_each_kernel_is_compiled_once():
             frame = segment_depth(depth, K, pose, config, posed)
             stamp += 0.1
             known = fuse(known, frame, stamp, config, posed)
-            for pixels in frame.pixels:
-                depth_image.row_hulls(depth.astype(np.float32), pixels)
             segment_points(points.reshape(-1, 3), pose, config, posed)
     modules = (pinhole, voxels, depth_image, table, sides, visibility)
     compiled = {
