@@ -235,7 +235,7 @@ def station(
     from pydrake.lcm import DrakeLcm
 
     from drake_oa.common.config import check_lcm_url
-    from drake_oa.hardware.command_guard import CommandRules
+    from drake_oa.hardware.command_player import CommandRules
     from drake_oa.hardware.panda_station import PandaStation
     from drake_oa.runs.hardware_run import station_log
     from drake_oa.runs.motion_log import save_logs
@@ -373,7 +373,9 @@ def _drive(
     from drake_oa.hardware.robot_link import RobotLink
     from drake_oa.runs.hardware_run import drive, ready
 
-    with RobotLink(bus.lcm_url, rate=bus.rate, raise_if_asked=raise_if_asked) as link:
+    with contextlib.closing(
+        RobotLink(bus.lcm_url, rate=bus.rate, raise_if_asked=raise_if_asked)
+    ) as link:
         print(f"waiting for the arm on {bus.lcm_url} ...", file=sys.stderr)
         with build_errors():
             driven = ready(scenario, link, lcm_url=bus.lcm_url, meshcat=meshcat)
@@ -387,7 +389,7 @@ def _drive(
 
         ran = _Ran(driven.known, {})
         ran = _logged(ran, "modulated", motion, outputs, meshcat, log_file, raise_if_asked)
-        print(link.figures, file=sys.stderr)
+        print(link.summary, file=sys.stderr)
     return ran
 
 

@@ -1,8 +1,9 @@
-"""Plays a motion that another process makes as commands, without a pause.
+"""Commands of joint positions: sent from a planned motion, and checked before the arm follows.
 
-Who decides may need longer than the arm may wait: it writes where the joints are to be into
-memory that both share, a little ahead, and the player commands from there at its own rate. Where
-what is written runs out the player slows along it and waits; it never makes up a motion.
+Decisions may need longer than the arm can wait: the diagram writes the planned joint positions
+into shared memory, a little ahead, and a `CommandPlayer` in a process of its own sends commands
+from there at its own rate. Where the planned motion ends the player slows along it and waits; it
+never extrapolates. On the arm's side a `CommandGuard` checks each command; it does not use LCM.
 """
 
 # No postponed annotations here: `check_values` reads the fields' types.
@@ -20,16 +21,20 @@ from enum import IntEnum
 import numpy as np
 from drake import lcmt_panda_command, lcmt_panda_status
 from pydrake.lcm import DrakeLcm
+from pydrake.manipulation import PandaControlMode
 
 from drake_oa.common.config import check_values, number
 from drake_oa.common.messages import FloatArray
-from drake_oa.hardware.panda_arm import (
-    ARM_JOINTS,
-    COMMAND_CHANNEL,
-    MICROSECOND,
-    POSITION_MODE,
-    STATUS_CHANNEL,
-)
+from drake_oa.robot.plant import RobotLimits
+
+STATUS_CHANNEL, COMMAND_CHANNEL = "PANDA_STATUS", "PANDA_COMMAND"
+"""LCM channels of the arm."""
+ARM_JOINTS = 7
+"""Number of joints in messages."""
+POSITION_MODE = int(PandaControlMode.kPosition)
+"""Control mode of commands and statuses in messages: joint positions."""
+MICROSECOND = 1e-6
+"""Unit of stamps in messages [s]."""
 
 _logger = logging.getLogger("drake_oa")
 
@@ -80,6 +85,12 @@ class PlayerRules:
     table_tilt: float = number(math.radians(1.5), "rad", 0.0, 1.0)
 
 
+def check_rate(rate: float) -> None:
+    """Raises ValueError for a rate that is not above 0 and at most 1."""
+    if not 0.0 < rate <= 1.0:
+        raise ValueError(f"rate: {rate} must be above 0 and at most 1")
+
+
 class PlayerState(IntEnum):
     """What the player does."""
 
@@ -95,9 +106,9 @@ class PlayerState(IntEnum):
 
 
 _SIZES = {
-    "wanted": _ROWS * (1 + ARM_JOINTS),
+    "planned": _ROWS * (1 + ARM_JOINTS),
+    "planned_count": 1,
     "measured": _ROWS * (1 + 2 * ARM_JOINTS),
-    "wanted_count": 1,
     "measured_count": 1,
     "played": 1,
     "state": 1,
@@ -106,67 +117,55 @@ _SIZES = {
     "commands": 1,
     "farthest": 1,
 }
-"""Numbers in each part of the shared memory."""
+"""Count of numbers in each part of the shared memory."""
 
 
 class SharedMotion:
-    """What both processes see: what is to be, what was measured, and how the player fares.
+    """Memory shared by the diagram and the player: planned and measured motion, and progress.
 
     Each array has one writer. Rows are written before they are counted.
     """
 
     def __init__(self) -> None:
-        """Nothing is written."""
+        """Allocates the memory, without any row."""
         context = multiprocessing.get_context("spawn")
         self._raw = {name: context.RawArray("d", size) for name, size in _SIZES.items()}
         self._note = context.RawArray("c", _NOTE)
 
-    def _array(self, name: str) -> FloatArray:
-        return np.frombuffer(self._raw[name])
+    def _rows(self, name: str) -> tuple[FloatArray, int]:
+        """Returns the rows of an array, which are overwritten in turn, and their count so far."""
+        return np.frombuffer(self._raw[name]).reshape(_ROWS, -1), int(self.figure(f"{name}_count"))
 
-    def write_wanted(self, t: float, q: FloatArray) -> None:
-        """Adds where the joints (7,) are to be at a simulated time [s, rad]."""
-        count = int(self._raw["wanted_count"][0])
-        row = count % _ROWS
-        self._array("wanted").reshape(_ROWS, -1)[row] = (t, *q)
-        self._raw["wanted_count"][0] = count + 1
+    def _append(self, name: str, row: FloatArray) -> None:
+        rows, count = self._rows(name)
+        rows[count % _ROWS] = row
+        self.set_figure(f"{name}_count", count + 1)
+
+    def write_planned(self, t: float, q: FloatArray) -> None:
+        """Adds the planned positions of the joints (7,) at a simulated time [s, rad]."""
+        self._append("planned", np.array([t, *q]))
 
     def write_measured(self, stamp: float, q: FloatArray, v: FloatArray) -> None:
-        """Adds what a status of the wall clock [s] says of the joints (7,) [rad, rad/s]."""
-        count = int(self._raw["measured_count"][0])
-        self._array("measured").reshape(_ROWS, -1)[count % _ROWS] = (stamp, *q, *v)
-        self._raw["measured_count"][0] = count + 1
+        """Adds the state of the joints (7,) in a status of the wall clock [s, rad, rad/s]."""
+        self._append("measured", np.array([stamp, *q, *v]))
 
     @property
-    def wanted_until(self) -> float:
-        """Simulated time of what was written last; -inf before [s]."""
-        count = int(self._raw["wanted_count"][0])
-        if not count:
-            return -math.inf
-        return float(self._raw["wanted"][(count - 1) % _ROWS * (1 + ARM_JOINTS)])
+    def planned_until(self) -> float:
+        """Simulated time of the last planned positions; -inf before the first [s]."""
+        rows, count = self._rows("planned")
+        return float(rows[(count - 1) % _ROWS, 0]) if count else -math.inf
 
-    def wanted(self, t: float) -> FloatArray:
-        """(7,) where the joints are to be at a simulated time that was written [rad]."""
-        count = int(self._raw["wanted_count"][0])
-        rows = self._array("wanted").reshape(_ROWS, -1)
-        first = max(0, count - _ROWS // 2)
-        ordered = rows[np.arange(first, count) % _ROWS]
-        after = int(np.searchsorted(ordered[:, 0], t))
-        if after == 0:
-            return np.array(ordered[0, 1:])
-        if after == len(ordered):
-            return np.array(ordered[-1, 1:])
-        low, high = ordered[after - 1], ordered[after]
-        share = (t - low[0]) / (high[0] - low[0])
-        return np.array(low[1:] + share * (high[1:] - low[1:]))
+    def planned(self, t: float) -> FloatArray:
+        """Returns the planned positions (7,) at a simulated time that was written [rad]."""
+        rows, count = self._rows("planned")
+        ordered = rows[np.arange(max(0, count - _ROWS // 2), count) % _ROWS]
+        return np.array([np.interp(t, ordered[:, 0], joint) for joint in ordered[:, 1:].T])
 
     @property
     def measured(self) -> tuple[float, FloatArray, FloatArray]:
-        """Stamp [s], positions and speeds (7,) of the last status; NaN before one."""
-        count = int(self._raw["measured_count"][0])
-        if not count:
-            return math.nan, np.full(ARM_JOINTS, np.nan), np.full(ARM_JOINTS, np.nan)
-        row = np.array(self._array("measured").reshape(_ROWS, -1)[(count - 1) % _ROWS])
+        """Stamp [s], positions and speeds (7,) of the last status; NaN before the first."""
+        rows, count = self._rows("measured")
+        row = rows[(count - 1) % _ROWS].copy() if count else np.full(rows.shape[1], np.nan)
         return float(row[0]), row[1 : 1 + ARM_JOINTS], row[1 + ARM_JOINTS :]
 
     def tell(self, state: PlayerState, note: str) -> None:
@@ -216,8 +215,7 @@ class CommandPlayer:
             ValueError: if they are out of range.
         """
         check_values(rules)
-        if not 0.0 < rate <= 1.0:
-            raise ValueError(f"rate: {rate} must be above 0 and at most 1")
+        check_rate(rate)
         self._motion, self._lcm, self._rules, self._rate = motion, lcm, rules, rate
         self._pace = self._played = 0.0
         self._heard = self._last = self._commanded = -math.inf
@@ -239,7 +237,7 @@ class CommandPlayer:
         if not self._motion.figure("end"):
             return False
         stopped = self._motion.state is PlayerState.STOPPED
-        return stopped or self._pace < 1e-3 or self._motion.wanted_until <= self._played
+        return stopped or self._pace < 1e-3 or self._motion.planned_until <= self._played
 
     def step(self, now: float, tick: float | None = None) -> None:
         """Hears what has come, and sends the next command.
@@ -260,7 +258,7 @@ class CommandPlayer:
         trouble = self._trouble(tick)
         self._say(tick, trouble)
         begun = self._commanded > -math.inf
-        if self._stopped() or motion.wanted_until == -math.inf or (trouble and not begun):
+        if self._stopped() or motion.planned_until == -math.inf or (trouble and not begun):
             return
         if trouble or elapsed > rules.silence:
             self._from_rest = True
@@ -281,24 +279,24 @@ class CommandPlayer:
     def _moved_away(self) -> bool:
         """Stops for good if the arm, at rest, is not where it is to be."""
         _, q, _ = self._motion.measured
-        off = float(np.abs(q - self._motion.wanted(self._played)).max())
+        off = float(np.abs(q - self._motion.planned(self._played)).max())
         if off > self._rules.restart_tolerance:
             self._tell(PlayerState.STOPPED, f"the arm is {off:.3g} rad from where it was left")
         return self._stopped()
 
     def _play(self, elapsed: float, slow: bool) -> None:
         rules, motion = self._rules, self._motion
-        lead = motion.wanted_until - self._played
+        lead = motion.planned_until - self._played
         most = self._rate * min(1.0, max(0.0, lead / (0.5 * rules.lead)))
         change = self._rate * elapsed / rules.ramp
         wanted = max(0.0, self._pace - change) if slow else self._pace + change
         self._pace = min(wanted, most)
-        self._played = min(self._played + self._pace * elapsed, motion.wanted_until)
+        self._played = min(self._played + self._pace * elapsed, motion.planned_until)
         motion.set_figure("played", self._played)
 
     def _send(self, now: float, tick: float) -> None:
         motion = self._motion
-        q = motion.wanted(self._played)
+        q = motion.planned(self._played)
         message = lcmt_panda_command()
         message.utime = round(now / MICROSECOND)
         message.num_joint_velocity = 0
@@ -388,7 +386,7 @@ class CommandPlayer:
             self._tell(PlayerState.STOPPED, trouble)
         elif trouble:
             self._tell(PlayerState.HOLDING, trouble)
-        elif self._motion.wanted_until == -math.inf:
+        elif self._motion.planned_until == -math.inf:
             self._tell(PlayerState.READY, "")
         else:
             self._tell(PlayerState.PLAYING, "")
@@ -442,3 +440,159 @@ def play(motion: SharedMotion, lcm_url: str, rules: PlayerRules, rate: float, pa
         player.step(time.time(), time.monotonic())
         due = max(due + rules.period, time.monotonic())
         time.sleep(max(0.0, due - time.monotonic()))
+
+
+@dc.dataclass
+class CommandRules:
+    """What commands are held to."""
+
+    # A command is in force for this long; then the arm holds. One whose stamp is farther from
+    # the wall clock is not taken. The vendor's driver has the same.
+    expiry: float = number(0.1, "s", 1e-3, 10.0)
+    # From one command to the next no joint goes farther than this times its greatest speed
+    # times the time between them, and this much more.
+    speed_share: float = number(1.2, "1", 0.0, 10.0, open_low=True)
+    slack: float = number(0.01, "rad", 0.0, 1.0)
+
+
+class CommandGuard:
+    """Follows one commander, and holds where there is none, or more than one.
+
+    Old commands are passed over. After one that is out of limits, jumps, is of another mode or of
+    a second commander, the arm holds the last position that was in order, until nobody has
+    commanded for `CommandRules.expiry`, and goes on from there.
+
+    Attributes:
+        events: message whenever its behavior changed.
+        rejected: how many commands were not followed.
+    """
+
+    def __init__(self, q: FloatArray, limits: RobotLimits, rules: CommandRules) -> None:
+        """Holds.
+
+        Args:
+            q: (n,) where the arm is [rad].
+            limits: of its joints, in the same order.
+            rules: what commands are held to.
+
+        Raises:
+            ValueError: if the rules are out of range, or the limits of another arm.
+        """
+        check_values(rules)
+        if limits.position_lower.shape != q.shape:
+            raise ValueError(f"limits are of {len(limits.position_lower)} joints, q of {len(q)}")
+        self._q = np.array(q, dtype=float)
+        self._v = np.zeros_like(self._q)
+        self._limits, self._rules = limits, rules
+        self._accepted = self._heard = -np.inf
+        self._stamp: int | None = None
+        self._refused: FloatArray | None = None
+        self._latched = False
+        self.events: list[str] = []
+        self.rejected = 0
+
+    def receive(self, command: lcmt_panda_command, now: float) -> bool:
+        """Takes a command, or says why not.
+
+        Args:
+            command: what came.
+            now: the wall clock [s].
+
+        Returns:
+            Whether the arm follows it.
+        """
+        self._look(now)
+        age = now - MICROSECOND * command.utime
+        if abs(age) > self._rules.expiry:
+            self._log(f"command passed over: its stamp is {age:.3f} s before the wall clock")
+            self.rejected += 1
+            return False
+        why = self._why_not(command)
+        self._heard = now
+        if why or self._latched:
+            self._refuse(command, why)
+            return False
+        if self._stamp is None:
+            self._log("following")
+        q = np.array(command.joint_position)
+        self._v[:] = 0.0
+        if self._stamp is not None:
+            self._v = (q - self._q) / (MICROSECOND * (command.utime - self._stamp))
+        self._q = q
+        self._stamp, self._accepted = command.utime, now
+        return True
+
+    def desired(self, now: float) -> tuple[FloatArray, FloatArray]:
+        """(n,) positions [rad] and (n,) speeds [rad/s] that the arm is to have now."""
+        self._look(now)
+        return self._q, self._v
+
+    @property
+    def holding(self) -> bool:
+        """Whether nothing is followed."""
+        return self._stamp is None
+
+    def _look(self, now: float) -> None:
+        """Holds when the last command has expired; listens again when all are silent."""
+        if self._stamp is not None and now - self._accepted > self._rules.expiry:
+            self._hold(f"holding: no command for {self._rules.expiry:g} s")
+        if self._latched and now - self._heard > self._rules.expiry:
+            self._latched, self._refused = False, None
+            self._log("holding: nobody commands; the next commander may begin here")
+
+    def _why_not(self, command: lcmt_panda_command) -> str:
+        n = len(self._q)
+        only = (command.num_joint_position, command.num_joint_velocity, command.num_joint_torque)
+        if only != (n, 0, 0) or command.control_mode_expected != POSITION_MODE:
+            return f"not {n} positions in position mode"
+        if self._stamp is not None and command.utime <= self._stamp:
+            before = 1e-3 * (self._stamp - command.utime)
+            return f"a second commander: its stamp is {before:.1f} ms before the last"
+        return self._position_out(command)
+
+    def _position_out(self, command: lcmt_panda_command) -> str:
+        q = np.array(command.joint_position)
+        inside = (self._limits.position_lower <= q) & (q <= self._limits.position_upper)
+        if not inside.all():
+            j = int(np.argmin(inside))
+            low, high = self._limits.position_lower[j], self._limits.position_upper[j]
+            name = self._limits.position_name[j]
+            return f"{name} at {q[j]:.4g} rad is out of [{low:.4g}, {high:.4g}]"
+        elapsed = 0.0
+        if self._stamp is not None:
+            elapsed = MICROSECOND * (command.utime - self._stamp)
+        step = np.abs(q - self._q)
+        allowed = (
+            self._rules.slack + self._rules.speed_share * elapsed * self._limits.velocity_limit
+        )
+        if (step > allowed).any():
+            j = int(np.argmax(step - allowed))
+            return (
+                f"{self._limits.position_name[j]} jumps by {step[j]:.3g} rad, "
+                f"{allowed[j]:.3g} are possible"
+            )
+        return ""
+
+    def _refuse(self, command: lcmt_panda_command, why: str) -> None:
+        self.rejected += 1
+        if not self._latched:
+            self._latched = True
+            self._refused = np.array(command.joint_position)
+            self._hold(f"holding: command refused: {why}")
+        elif not why and self._refused is not None and len(self._refused) == len(self._q):
+            # Whoever jumped would go on from there: this one is somebody else.
+            apart = np.abs(np.array(command.joint_position) - self._refused).max()
+            self._log(
+                f"holding: command refused: a second commander, {apart:.3g} rad from the first"
+            )
+            self._refused = None
+
+    def _hold(self, why: str) -> None:
+        self._v, self._stamp = np.zeros_like(self._q), None
+        self._log(why)
+
+    def _log(self, event: str) -> None:
+        """Adds an event, unless it differs from the last one in numbers only."""
+        if not self.events or self.events[-1].split(" is ")[0] != event.split(" is ")[0]:
+            self.events.append(event)
+            _logger.warning("station: %s", event)

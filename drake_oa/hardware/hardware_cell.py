@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields, replace
 
+import numpy as np
 from pydrake.multibody.parsing import (
     FlattenModelDirectives,
     ModelDirective,
@@ -15,15 +16,52 @@ from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.station import Cell, add_station
-from drake_oa.hardware.panda_arm import arm_of
+from drake_oa.hardware.command_player import ARM_JOINTS
 from drake_oa.hardware.robot_link import CommandStream, MeasuredState, RobotLink
 from drake_oa.perception.config import DepthCamera, GroundTruth, LcmCamera, RecordedClouds
-from drake_oa.robot.plant import make_parser
+from drake_oa.robot.arm import joints_to
+from drake_oa.robot.plant import RobotLimits, make_parser, make_robot_plant
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.scenario.sources import perception_period, table_plane
 from drake_oa.world.live_camera import Outside
+
+_LOWER = np.array([-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973])
+_UPPER = np.array([2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973])
+"""How far a Panda's joints go, by its maker [rad]."""
+_SLACK = 0.02
+
+
+def arm_of(scenario: Scenario) -> tuple[list[int], RobotLimits]:
+    """Returns the places of the arm's joints in the robot's positions, and their limits.
+
+    Raises:
+        ScenarioError: for an arm that the messages are not of, or without a robot.
+    """
+    robot_plant = make_robot_plant(robot_of(scenario))
+    joints = joints_to(robot_plant.plant, robot_plant.tool_frame)
+    arm = [joint.position_start() for joint in joints]
+    if len(arm) != ARM_JOINTS:
+        raise ScenarioError(
+            f"robot.model: an arm of {len(arm)} joints; a Panda's messages are of {ARM_JOINTS}"
+        )
+    limits = robot_plant.limits
+    lower, upper = limits.position_lower[arm], limits.position_upper[arm]
+    if (lower < _LOWER - _SLACK).any() or (upper > _UPPER + _SLACK).any():
+        raise ScenarioError(
+            "robot.model: its joints reach beyond a Panda's, which the messages are of"
+        )
+    names = tuple(limits.position_name[i] for i in arm)
+    return arm, replace(
+        limits,
+        position_name=names,
+        position_lower=lower,
+        position_upper=upper,
+        velocity_limit=limits.velocity_limit[arm],
+        actuator_name=names,
+        effort_limit=limits.effort_limit[[limits.actuator_name.index(name) for name in names]],
+    )
 
 
 def hardware_scenario(scenario: Scenario, lcm_url: str, late: float = 0.0) -> Scenario:

@@ -22,15 +22,17 @@ from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import LOG_PERIOD
 from drake_oa.diagrams.faults import make_obstacle_movers
-from drake_oa.hardware.command_guard import CommandGuard, CommandRules
-from drake_oa.hardware.panda_arm import (
+from drake_oa.hardware.command_player import (
     ARM_JOINTS,
     COMMAND_CHANNEL,
     MICROSECOND,
     POSITION_MODE,
     STATUS_CHANNEL,
-    arm_of,
+    CommandGuard,
+    CommandRules,
+    check_rate,
 )
+from drake_oa.hardware.hardware_cell import arm_of
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.scenario.obstacles import last_change
 from drake_oa.scenario.scenario import Scenario, robot_of
@@ -167,8 +169,7 @@ class PandaStation:
             ScenarioError: for a robot that the messages are not of, or a field that does not fit.
             ValueError: for rules or a rate out of range.
         """
-        if not 0.0 < rate <= 1.0:
-            raise ValueError(f"rate: {rate} must be above 0 and at most 1")
+        check_rate(rate)
         if scenario.faults:
             raise ScenarioError("faults: a station has none; leave them out (--set 'faults=[]')")
         self._arm, limits = arm_of(scenario)

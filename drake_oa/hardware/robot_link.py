@@ -8,9 +8,7 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from multiprocessing.process import BaseProcess
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -25,6 +23,7 @@ from drake_oa.hardware.command_player import (
     PlayerRules,
     PlayerState,
     SharedMotion,
+    check_rate,
     play,
 )
 from drake_oa.robot.plant import RobotLimits
@@ -37,27 +36,6 @@ START_UP = 30.0
 
 class HardwareError(Exception):
     """The robot is not driven, or not any more, and why."""
-
-
-@dataclass(frozen=True)
-class CommandFigures:
-    """How the arm was driven.
-
-    Attributes:
-        commands: how many were sent.
-        longest_pause: longest time between two of them [s].
-        farthest: that a joint was from all that it had been sent just before [rad].
-    """
-
-    commands: int
-    longest_pause: float
-    farthest: float
-
-    def __str__(self) -> str:
-        return (
-            f"commands {self.commands}, longest pause {1e3 * self.longest_pause:.0f} ms; "
-            f"the arm was at most {self.farthest:.3f} rad off"
-        )
 
 
 class RobotLink:
@@ -112,8 +90,7 @@ class RobotLink:
             self.player = CommandPlayer(self.motion, lcm, rules=self.rules, rate=rate)
             return
         check_values(self.rules)
-        if not 0.0 < rate <= 1.0:
-            raise ValueError(f"rate: {rate} must be above 0 and at most 1")
+        check_rate(rate)
         try:
             DrakeLcm(lcm_url)
         except RuntimeError as error:
@@ -127,17 +104,6 @@ class RobotLink:
         )
         self._process.start()
 
-    def __enter__(self) -> RobotLink:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()
-
     def close(self) -> None:
         """Brings the arm to rest along what was written, and ends the player."""
         self.motion.set_figure("end", 1.0)
@@ -148,13 +114,13 @@ class RobotLink:
                 self._process.join()
 
     @property
-    def figures(self) -> CommandFigures:
-        """How the arm was driven until now."""
-        motion = self.motion
-        return CommandFigures(
-            int(motion.figure("commands")),
-            motion.figure("longest_pause"),
-            motion.figure("farthest"),
+    def summary(self) -> str:
+        """Counts and extremes of the commands sent until now."""
+        figure = self.motion.figure
+        return (
+            f"commands {figure('commands'):.0f}, "
+            f"longest pause {1e3 * figure('longest_pause'):.0f} ms; "
+            f"the arm was at most {figure('farthest'):.3f} rad off"
         )
 
     @contextmanager
@@ -237,7 +203,7 @@ class RobotLink:
             self._raise_if_asked()
             return
         motion = self.motion
-        motion.write_wanted(t, q)
+        motion.write_planned(t, q)
         self._hear(t)
         while t > motion.figure("played") + self.rules.lead:
             try:

@@ -16,8 +16,7 @@ from drake_oa.common.files import software_versions
 from drake_oa.common.messages import HoldCause
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.diagrams.policy import make_dmp
-from drake_oa.hardware.hardware_cell import add_hardware, hardware_scenario
-from drake_oa.hardware.panda_arm import arm_of
+from drake_oa.hardware.hardware_cell import add_hardware, arm_of, hardware_scenario
 from drake_oa.hardware.panda_station import PandaStation
 from drake_oa.hardware.robot_link import RobotLink
 from drake_oa.robot.plant import make_robot_plant
@@ -190,7 +189,7 @@ def station_log(scenario: Scenario, station: PandaStation) -> MotionLog:
         shortfall=nobody,
         event_time=np.array(station.event_times[: len(events)]),
         event_hold=("",) * len(events),
-        event=tuple(event.what for event in events),
+        event=tuple(events),
         supervision_time=np.zeros(0),
         supervision_action=(),
         supervision_reason=(),

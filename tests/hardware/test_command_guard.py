@@ -6,7 +6,7 @@ from drake import lcmt_panda_command
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drake_oa.hardware.command_guard import CommandGuard, CommandRules
+from drake_oa.hardware.command_player import CommandGuard, CommandRules
 from drake_oa.robot.plant import RobotLimits
 
 N, PERIOD, START = 7, 0.005, 1000.0
@@ -46,7 +46,7 @@ def test_follows_one_commander() -> None:
     positions, speeds = followed.desired(now)
     np.testing.assert_allclose(positions, q)
     np.testing.assert_allclose(speeds, 1.0, rtol=1e-6)
-    assert [event.what for event in followed.events] == ["following"]
+    assert followed.events == ["following"]
 
 
 def test_holds_when_commands_end_and_goes_on_when_they_come_back() -> None:
@@ -55,7 +55,7 @@ def test_holds_when_commands_end_and_goes_on_when_they_come_back() -> None:
     positions, speeds = lost.desired(now + 0.11)
     np.testing.assert_allclose(positions, q)
     np.testing.assert_array_equal(speeds, 0.0)
-    assert "no command for 0.1 s" in lost.events[-1].what
+    assert "no command for 0.1 s" in lost.events[-1]
     assert lost.receive(command(q, now + 1.0), now + 1.0)
     assert not lost.holding
 
@@ -83,7 +83,7 @@ def test_holds_after_a_command_that_is_not_in_order(
     positions, speeds = held.desired(now + PERIOD)
     np.testing.assert_allclose(positions, before)
     np.testing.assert_array_equal(speeds, 0.0)
-    assert why in next(e.what for e in held.events if "refused" in e.what)
+    assert why in next(e for e in held.events if "refused" in e)
     assert held.receive(command(before, now + 0.2), now + 0.2)
 
 
@@ -95,8 +95,8 @@ def test_two_commanders_interleaved_are_told_from_one_that_jumps() -> None:
         at = now + k * PERIOD
         both.receive(command(q if k % 2 else q + 0.4, at), at)
         alone.receive(command(q + 0.4, at), at)
-    assert "a second commander, 0.4 rad from the first" in both.events[-1].what
-    assert not any("second" in event.what for event in alone.events)
+    assert "a second commander, 0.4 rad from the first" in both.events[-1]
+    assert not any("second" in event for event in alone.events)
 
 
 @pytest.mark.parametrize("shift", [-1.0, -0.2, 0.2, 1e9])
@@ -104,7 +104,7 @@ def test_passes_over_what_is_not_of_now(shift: float) -> None:
     fresh = guard()
     assert not fresh.receive(command(0.0, START + shift), START)
     assert fresh.holding
-    assert "before the wall clock" in fresh.events[-1].what
+    assert "before the wall clock" in fresh.events[-1]
 
 
 @given(st.lists(st.tuples(st.floats(-4.0, 4.0), st.floats(0.0, 0.3)), max_size=30))
@@ -122,10 +122,3 @@ def test_no_commands_move_it_out_of_limits_or_faster_than_it_can(
             assert (np.abs(after - before) <= far).all()
             before, at = after, now
         np.testing.assert_array_equal(any_guard.desired(now)[0], before)
-
-
-def test_refuses_rules_out_of_range() -> None:
-    with pytest.raises(ValueError, match="expiry"):
-        CommandGuard(np.zeros(N), LIMITS, CommandRules(expiry=-1.0))
-    with pytest.raises(ValueError, match="limits are of 7 joints, q of 6"):
-        CommandGuard(np.zeros(6), LIMITS, CommandRules())

@@ -12,12 +12,14 @@ from pydrake.lcm import DrakeLcm
 from pydrake.manipulation import PandaControlMode
 
 from drake_oa.hardware.command_player import (
+    COMMAND_CHANNEL,
+    STATUS_CHANNEL,
     PlayerRules,
     PlayerState,
     SharedMotion,
     play,
 )
-from drake_oa.hardware.panda_arm import COMMAND_CHANNEL, STATUS_CHANNEL, arm_of
+from drake_oa.hardware.hardware_cell import arm_of
 from drake_oa.hardware.panda_station import PandaStation
 from drake_oa.hardware.robot_link import HardwareError
 from tests.hardware.lockstep import EPOCH, Lockstep
@@ -102,7 +104,7 @@ def test_where_nothing_more_is_written_the_arm_slows_along_it_and_waits() -> Non
     # No faster than it was, and no jump: 0.5 rad/s end within the lead, not at once.
     assert max(speeds) < 0.6
     assert np.abs(np.diff(speeds)).max() / 0.002 < 40.0
-    assert both.station.guard.events[-1].what == "following"
+    assert both.station.guard.events[-1] == "following"
     both.link.write(0.6, q + 0.3)
     assert both.link.motion.state is PlayerState.PLAYING
 
@@ -179,7 +181,7 @@ def test_the_process_stops_the_arm_when_who_decides_is_gone() -> None:
     url = "udpm://239.255.76.99:7672?ttl=0"
     motion = SharedMotion()
     for t in np.arange(0.0, 2.0, 0.004):
-        motion.write_wanted(t, np.full(7, 0.1 * t))
+        motion.write_planned(t, np.full(7, 0.1 * t))
     rules = PlayerRules()
     process = multiprocessing.get_context("spawn").Process(
         target=play, args=(motion, url, rules, 1.0, os.getpid() + 1_000_000)

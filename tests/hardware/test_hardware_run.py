@@ -17,9 +17,8 @@ from pydrake.lcm import DrakeLcm
 from drake_oa.app.main import main
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import ObstacleClouds, TablePlane
-from drake_oa.hardware.command_player import PlayerRules
+from drake_oa.hardware.command_player import STATUS_CHANNEL, PlayerRules
 from drake_oa.hardware.hardware_cell import hardware_scenario
-from drake_oa.hardware.panda_arm import STATUS_CHANNEL
 from drake_oa.hardware.robot_link import HardwareError, check_table
 from drake_oa.runs.hardware_run import drive, ready, station_log
 from drake_oa.runs.motion_log import MotionEnd, MotionLog, load_logs
