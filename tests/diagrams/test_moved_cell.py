@@ -112,7 +112,6 @@ def moved(X: RigidTransform) -> tuple[list[float], list[float]]:
     [
         (_SEEN + _THOROUGH, 0.6, 1.5e-2, 3e-2),
         (_GIVEN + "regulation: !Paper {guided: true}", 1.0, 1e-6, 1e-6),
-        (_TRUTH + "regulation: !Paper {}", 0.8, 2e-3, 4e-3),
         (_TRUTH + _THOROUGH, 0.6, 5e-3, 1e-2),
     ],
 )

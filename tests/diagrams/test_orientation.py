@@ -1,17 +1,15 @@
-"""The whole diagram with a tool that turns on its way."""
+"""The whole diagram with a tool that turns during the motion, as asked or as demonstrated."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import numpy as np
 import pytest
 from pydrake.math import RollPitchYaw
-from pydrake.systems.analysis import Simulator
+from scipy.spatial import KDTree
 
-from drake_oa.diagrams.avoidance import build_avoidance
+from drake_oa.diagrams.policy import make_dmp
+from drake_oa.policy.dmp import trajectory
 from drake_oa.policy.orientation_dmp import goal_vector, orientation_along, rotation_matrix
-from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.report import motion_report, report_table, run_report
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import load_scenario
@@ -20,93 +18,66 @@ from drake_oa.scenario.tool_orientation import tool_orientation
 GROUND_TRUTH = "perception=!GroundTruth {}"
 
 
-@pytest.fixture(scope="module")
-def run() -> MotionLog:
-    return simulate(load_scenario("tilted_goal", [GROUND_TRUTH]))
-
-
-@pytest.mark.slow
-def test_the_tool_passes_the_box_and_arrives_turned(run: MotionLog) -> None:
+def test_the_tool_arrives_turned_and_the_report_shows_the_error() -> None:
     scenario = load_scenario("tilted_goal", [GROUND_TRUTH])
-    report = motion_report(scenario, run)
-    assert report["stop_reason"] == "goal"
-    assert report["collisions"] == 0
-    assert report["tool_clearance_min"] >= 0.15
-    assert report["goal_error"] <= 0.005
-    assert report["orientation_error"] <= np.radians(0.5)
-    assert report["torque_saturation"] == 0.0
-    assert np.linalg.norm(run.orientation_error, axis=1).max() < np.radians(0.5)
+    log = simulate(scenario)
+    report = run_report("x", scenario, {"modulated": log})
+    assert report["modulated"]["stop_reason"] == "goal"
+    assert report["modulated"]["orientation_error"] <= np.radians(0.5)
+    assert np.linalg.norm(log.orientation_error, axis=1).max() < np.radians(0.5)
+    assert "turn error [deg]" in str(report_table(report))
     down = load_scenario("tabletop_box").robot
     assert down is not None
     before = RollPitchYaw(down.rpy_WE).ToRotationMatrix().matrix()
-    turned = goal_vector(before, rotation_matrix(run.desired_orientation[-1]))
+    turned = goal_vector(before, rotation_matrix(log.desired_orientation[-1]))
     # 40 degrees about the vertical and 20 of tilt.
     assert np.degrees(np.linalg.norm(turned)) == pytest.approx(44.5, abs=0.5)
 
 
-def test_the_report_tells_the_angle_where_the_tool_turns(run: MotionLog) -> None:
-    scenario = load_scenario("tilted_goal", [GROUND_TRUTH])
-    assert "turn error [deg]" in str(report_table(run_report("x", scenario, {"modulated": run})))
-    plain = load_scenario("tabletop_box", [GROUND_TRUTH, "regulation=!Paper {}"])
-    log = simulate(plain, duration=0.02)
+def test_a_tool_that_does_not_turn_has_no_orientation_error() -> None:
+    scenario = load_scenario("tabletop_box", [GROUND_TRUTH, "regulation=!Paper {}"])
+    log = simulate(scenario, duration=0.02)
     assert log.desired_orientation.shape == (0, 4)
     assert log.orientation_error.shape == (0, 3)
-    report = run_report("x", plain, {"modulated": log})
+    report = run_report("x", scenario, {"modulated": log})
     assert "orientation_error" not in report["modulated"]
     assert "turn error" not in str(report_table(report))
 
 
-def test_a_scenario_without_it_has_no_such_system() -> None:
-    plain = build_avoidance(load_scenario("tabletop_box", ["regulation=!Paper {}"]))
-    assert not plain.HasSubsystemNamed("orientation_integrator")
-
-
-def test_a_demonstrated_orientation_is_followed(tmp_path: Path) -> None:
-    s = np.linspace(0.0, 1.0, 41)
-    yaw = np.pi / 2.0 + 0.4 * np.sin(np.pi * s) ** 2
-    R = [RollPitchYaw(np.pi, 0.0, y).ToRotationMatrix() for y in yaw]
-    signs = np.where(np.arange(41) % 2, 1.0, -1.0)
-    np.savez(
-        tmp_path / "shown.npz",
-        path=np.column_stack([s, np.sin(np.pi * s), 0.0 * s]),
-        t=1.5 * s,
-        quaternion=[sign * r.ToQuaternion().wxyz() for sign, r in zip(signs, R, strict=True)],
-    )
-    scenario = load_scenario(
-        "tabletop_box",
-        [
-            f"task.demonstration={tmp_path / 'shown.npz'}",
-            "task.start=[0.45, -0.3, 0.4]",
-            "task.goal=[0.45, -0.1, 0.4]",
-            "directives=[]",
-            "perception=!GroundTruth {}",
-        ],
-    )
-    log = simulate(scenario, modulated=False, duration=1.5)
-    held = tool_orientation(scenario)
+def test_the_arm_follows_a_recording() -> None:
+    scenario = load_scenario("demonstrated_pour", [GROUND_TRUTH, "obstacles=[]", "cameras=[]"])
+    log = simulate(scenario, modulated=False)
+    report = motion_report(scenario, log)
+    assert report["stop_reason"] == "goal"
+    assert report["goal_error"] < 1e-3
+    assert report["torque_saturation"] == 0.0
+    dmp, task, held = make_dmp(scenario), scenario.task, tool_orientation(scenario)
+    # It arrives when the hand did.
+    assert log.duration == pytest.approx(dmp.duration, abs=0.1)
+    path = trajectory(dmp, task.start, task.goal, steps=5000).p
+    assert KDTree(path).query(log.p_WE)[0].max() < 2e-3
+    assert KDTree(log.p_WE).query(path)[0].max() < 2e-3
     assert held is not None
-    late = np.maximum(log.t - 2.0 * scenario.policy.period, 0.0) / 1.5
-    planned = orientation_along(held.primitive, held.R_WS, held.R_WG, late)
-    off = [
-        np.linalg.norm(goal_vector(rotation_matrix(q), m))
-        for q, m in zip(log.desired_orientation[::10], planned[::10], strict=True)
+    s = np.maximum(log.t - 2.0 * scenario.policy.period, 0.0) / dmp.duration
+    shown = orientation_along(held.primitive, held.R_WS, held.R_WG, np.minimum(s, 1.2))
+    errors = [
+        np.linalg.norm(goal_vector(rotation_matrix(q), R))
+        for q, R in zip(log.desired_orientation[::50], shown[::50], strict=True)
     ]
-    assert max(off) < 2e-3
+    assert max(errors) < np.radians(0.5)
     assert np.linalg.norm(log.orientation_error, axis=1).max() < np.radians(0.5)
 
 
-def test_a_cloned_context_turns_on_in_the_same_way() -> None:
-    diagram = build_avoidance(load_scenario("tilted_goal", [GROUND_TRUTH]), modulated=False)
-    simulator = Simulator(diagram)
-    simulator.AdvanceTo(1.0)
-    other = Simulator(diagram, simulator.get_context().Clone())
-    for each in (simulator, other):
-        each.AdvanceTo(1.5)
-    system = diagram.GetSubsystemByName("orientation_integrator")
-    one, two = (
-        system.GetOutputPort("desired_orientation").Eval(
-            system.GetMyContextFromRoot(each.get_context())
-        )
-        for each in (simulator, other)
-    )
-    np.testing.assert_allclose(two, one, atol=1e-9)
+@pytest.mark.slow
+def test_a_bent_motion_turns_the_tool_as_the_hand_did() -> None:
+    scenario = load_scenario("demonstrated_pour", [GROUND_TRUTH])
+    log = simulate(scenario)
+    report = motion_report(scenario, log)
+    assert report["orientation_error"] < np.radians(0.5)
+    held = tool_orientation(scenario)
+    assert held is not None
+    # At the same phase, whatever the time: compared as ways of turning.
+    way = held.along(np.linspace(0.0, 1.5, 301))
+    for q in log.desired_orientation[::100]:
+        R = rotation_matrix(q)
+        assert min(np.linalg.norm(goal_vector(R, other)) for other in way) < np.radians(1.0)

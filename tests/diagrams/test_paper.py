@@ -1,4 +1,4 @@
-"""Guidance by cost rings on the robot: the paper's figure, and what happens without a way."""
+"""Guidance by cost rings on the robot, and what happens without a way."""
 
 import logging
 
@@ -6,34 +6,10 @@ import numpy as np
 import pytest
 
 from drake_oa.diagrams.avoidance import build_avoidance
-from drake_oa.runs.report import motion_report
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import load_scenario
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
-
-
-def test_the_guided_motion_goes_over_the_beam() -> None:
-    scenario = load_scenario("paper_guidance", [GROUND_TRUTH])
-    log = simulate(scenario)
-    report = motion_report(scenario, log)
-    assert report["stop_reason"] == "goal"
-    assert report["collisions"] == 0
-    assert report["tool_clearance_min"] >= scenario.task.clearance
-    assert report["goal_error"] <= 0.005
-    beam_top = 0.35
-    assert log.p_WE[np.abs(log.p_WE[:, 1]).argmin(), 2] > beam_top
-
-
-@pytest.mark.slow
-def test_the_motion_that_only_reacts_hits_the_table() -> None:
-    scenario = load_scenario("paper_guidance", [GROUND_TRUTH, "regulation.guided=false"])
-    log = simulate(scenario)
-    report = motion_report(scenario, log)
-    first = report["made_contacts"][0]
-    assert "finger" in first
-    assert "table" in first
-    assert report["goal_error"] > 0.1
 
 
 def test_without_guidance_no_route_reaches_the_policy() -> None:
@@ -65,7 +41,4 @@ def test_it_holds_while_every_side_is_forbidden_and_goes_on_when_one_is_free(
     assert any("running again" in text for text in told)
     waiting = log.t < 1.4
     np.testing.assert_allclose(log.p_WE[waiting], log.p_WE[:1].repeat(waiting.sum(), 0), atol=0.01)
-    report = motion_report(scenario, log)
-    assert report["stop_reason"] == "goal"
-    assert report["goal_error"] <= 0.005
-    assert report["collisions"] == 0
+    assert log.stop_reason == "goal"

@@ -1,5 +1,6 @@
-"""Motions of the whole arm: who tells the shapes of things."""
+"""Verified motions of the whole arm: where shapes come from, and what is executed."""
 
+import math
 import re
 from dataclasses import replace
 
@@ -8,28 +9,21 @@ import pytest
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.primitives import ConstantValueSource
+from scipy.interpolate import make_interp_spline
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.common.messages import HoldCause, ObstacleClouds
-from drake_oa.common.wires import connections
+from drake_oa.common.messages import HoldCause, ObstacleClouds, PlannedMotion
 from drake_oa.diagrams.avoidance import Layers, build_avoidance
 from drake_oa.geometry.solids import SURROUNDINGS
 from drake_oa.planning.solid_scene import SolidScene
-from drake_oa.runs.metrics import robot_metrics
-from drake_oa.runs.simulation import simulate
+from drake_oa.runs.simulation import LATEST_END, simulate
 from drake_oa.scenario.loading import load_scenario, parse_scenario
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.shipped import shipped_scenarios
-from tests.diagrams.test_other_arm import arm_text
+from tests.diagrams.six_arm import SIX_ARM, arm_text
 
+GROUND_TRUTH = "perception=!GroundTruth {}"
 WHOLE_ARM = ["regulation=!Verified {}", "evasion=null"]
-
-
-def test_what_a_camera_sees_becomes_solids():
-    edges = connections(build_avoidance(load_scenario("tabletop_box", WHOLE_ARM)))
-    assert ("perception.obstacles_W", "solids.obstacles_W") in edges
-    assert any(reader == "solids.camera_pose" for _, reader in edges)
-    assert ("solids.solids_W", "motion_selector.solids_W") in edges
 
 
 def test_what_a_source_of_ones_own_sees_becomes_solids():
@@ -53,12 +47,6 @@ def test_what_a_source_of_ones_own_sees_becomes_solids():
     selector = diagram.GetSubsystemByName("motion_selector")
     context = selector.GetMyContextFromRoot(simulator.get_context())
     assert len(selector.GetOutputPort("decision").Eval(context)) == 2
-
-
-def test_ellipsoids_that_hold_the_tool_are_no_shapes():
-    given = "perception=!GivenEllipsoids {ellipsoids: []}"
-    with pytest.raises(ScenarioError, match="!Verified needs obstacles that are seen"):
-        build_avoidance(load_scenario("tabletop_box", [*WHOLE_ARM, given]))
 
 
 def solids_seen(scenario: Scenario, seconds: float = 0.01) -> SolidScene:
@@ -87,46 +75,17 @@ def among_a_carton(*lines: str) -> Scenario:
 
 
 def test_whatever_is_in_the_world_is_a_solid_whatever_its_name(caplog):
-    scene = solids_seen(among_a_carton("perception=!GroundTruth {}"))
+    scene = solids_seen(among_a_carton(GROUND_TRUTH))
     assert {label.split("::")[0] for label in scene.labels} == {"table", "carton"}
     # Of what is not named as an obstacle the tool keeps what the links keep.
     assert (scene.solids.layout[:, 5] == SURROUNDINGS).all()
     assert not caplog.text
 
 
-@pytest.mark.slow
-def test_what_a_camera_sees_is_a_solid_whatever_its_name(caplog):
-    scene = solids_seen(among_a_carton(), 0.07)
-    assert scene.labels == ("obstacle 0", "the table")
-    assert not [record for record in caplog.records if "no model instance" in record.message]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("perception", [["perception=!GroundTruth {}"], []], ids=["truth", "depth"])
-def test_it_is_gone_round(perception):
-    scenario = among_a_carton("task.clearance=0.03", *perception)
-    log = simulate(scenario)
-    assert log.stop_reason == "goal"
-    assert robot_metrics(scenario, log.q, log.q_world).contacts == ()
-
-
-_SIX = """
-task: {start: [0.5, -0.3, 0.35], goal: [0.5, 0.3, 0.35], duration: 2.0}
-regulation: !Verified {}
-robot:
-  base_link: foot
-  X_WB: {rpy: [0, 0, 3.1415927]}
-  hand_link: wrist3
-  p_HE: [0, 0, 0.1]
-  tool_links: [wrist3]
-  q_seed: [0.3, -1.5708, 1.5708, -1.5708, -1.5708, 0.0]
-"""
-
-
 def an_arm(tmp_path, old="", new="") -> Scenario:
     """An arm of six joints whose model has one text in place of another."""
     (tmp_path / "six.urdf").write_text(re.sub(old, new, arm_text(), flags=re.DOTALL))
-    return parse_scenario(_SIX + "  model: six.urdf\n", folder=tmp_path)
+    return parse_scenario(SIX_ARM, [GROUND_TRUTH], folder=tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -151,6 +110,17 @@ def test_an_arm_that_cannot_be_measured_is_refused(tmp_path, old, new, words):
         build_avoidance(an_arm(tmp_path, old, new))
 
 
+def test_another_arm_evades(tmp_path):
+    coming = "{name: ball, shapes: [!Sphere {radius: 0.06}], translation: [0.5, 0.3, 0.4]"
+    coming += ", waypoints: [[0.0, 0.0, 0.0, 0.0], [1.0, 0.0, -0.8, 0.0]]}"
+    (tmp_path / "six.urdf").write_text(arm_text())
+    scenario = parse_scenario(SIX_ARM, [GROUND_TRUTH, f"obstacles=[{coming}]"], folder=tmp_path)
+    log = simulate(scenario, duration=0.4)
+    assert any("evades obstacle" in event for event in log.event)
+    assert np.isfinite(log.torque).all()
+    assert log.q.shape[1] == 6
+
+
 def test_a_link_without_shape_is_told_of_and_joints_without_limits_are_turned(tmp_path, caplog):
     def changed(found: re.Match) -> str:
         return {"t": 'type="continuous"', "l": "", "<": found[1] or ""}[found[0][0]]
@@ -161,13 +131,6 @@ def test_a_link_without_shape_is_told_of_and_joints_without_limits_are_turned(tm
     assert "robot.model: elbow: no collision geometry, so nothing keeps it clear" in caplog.text
     assert np.isfinite(log.q).all()
     assert np.linalg.norm(log.p_WE[-1] - log.p_WE[0]) > 0.01
-
-
-def test_an_arm_that_begins_in_itself_is_refused():
-    q = "q_start: [0.0, 1.2, 0.0, -3.0, 0.0, 1.0, 0.0]"
-    text = f"task: {{{q}, goal: [0.45, 0.45, 0.3]}}\nregulation: !Verified {{}}\n"
-    with pytest.raises(ScenarioError, match=r"task.start: .* panda_link\d is \d+ mm inside panda_"):
-        build_avoidance(parse_scenario(text))
 
 
 CRATE = """
@@ -207,3 +170,45 @@ def test_sixty_obstacles_are_decided_among():
     log = simulate(parse_scenario(text), duration=0.6)
     assert np.linalg.norm(log.p_WE[-1] - log.p_WE[0]) > 0.005
     assert log.shortfall[-1] == 0.0
+
+
+SETTLED = 0.3
+"""Time by which the decisions that begin a motion are made [s]."""
+
+
+@pytest.mark.slow
+def test_the_executed_motion_is_the_one_that_was_rolled_out() -> None:
+    # The latency would let the motion begin later.
+    scenario = load_scenario("tabletop_box", [GROUND_TRUTH, "thinking=null"])
+    log = simulate(scenario)
+    diagram = build_avoidance(scenario)
+    simulator = Simulator(diagram)
+    simulator.AdvanceTo(SETTLED)
+    selector = diagram.GetSubsystemByName("motion_selector")
+    port = selector.GetOutputPort("motion")
+    motion: PlannedMotion = port.Eval(selector.GetMyContextFromRoot(simulator.get_context()))
+    # The samples are centimetres apart.
+    s = np.linspace(motion.s[0], motion.s[-1], 1000)
+    p_WE, q = (make_interp_spline(motion.s, samples)(s) for samples in (motion.p_WE, motion.q))
+    after = slice(int(np.searchsorted(log.t, SETTLED)), log.moving.stop)
+    off = np.linalg.norm(log.p_WE[after, None] - p_WE, axis=2).min(axis=1)
+    assert off.max() < 5e-3
+    executed = log.q[after, : q.shape[1]]
+    assert np.abs(executed[:, None] - q).max(axis=2).min(axis=1).max() < 0.03
+
+
+def test_a_motion_ends_when_it_has_arrived_not_before() -> None:
+    # A stiff spring overcomes a coarse forcing term after s = 1 and a slow phase does not fade.
+    empty = "perception=!GivenEllipsoids {}"
+    late = simulate(load_scenario("free_space", ["policy.n_basis=5", empty]))
+    assert (late.stop_reason, late.regulation) == ("goal", "Paper")
+    assert 1.0 < -math.log(late.phase[late.moving][-1]) / math.log(100.0) < LATEST_END
+    assert np.linalg.norm(late.desired_position[-1] - [1.0, 0.0, 0.0]) < 1e-3
+    slow = simulate(load_scenario("free_space", ["policy.n_basis=5", "policy.alpha_k=2.0", empty]))
+    assert -math.log(slow.phase[slow.moving][-1]) / 2.0 == pytest.approx(LATEST_END, abs=0.02)
+    left = slow.desired_position[slow.moving][-1] - [1.0, 0.0, 0.0]
+    error = 1e3 * float(np.linalg.norm(left))
+    assert error > 1.0
+    reason = re.fullmatch(r"goal missed by (\d+\.\d) mm at s = 2\.2", slow.stop_reason)
+    assert reason
+    assert float(reason[1]) == pytest.approx(error, rel=0.05)

@@ -3,7 +3,7 @@
 import pytest
 
 from drake_oa.robot.config import Robot
-from tests.diagrams.test_other_arm import arm_text
+from tests.diagrams.six_arm import arm_text
 from tests.planning.arms import ArmAlone, arm_alone
 
 
