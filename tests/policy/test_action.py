@@ -1,4 +1,4 @@
-"""One step of the action level: holds, temporal scaling, coupling, interpolation."""
+"""The action level: one step against the readable form, holds, scaling, and what motions keep."""
 
 import math
 from collections.abc import Callable
@@ -7,8 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import (
@@ -33,7 +34,6 @@ from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk, spring_
 from drake_oa.policy.guidance import desired_headings, passing_normals
 from tests.builders import balls
 from tests.reference.coupling import terms, turning
-from tests.reference.dmp import forcing
 from tests.reference.dmp import step as dmp_step
 
 START, GOAL = np.zeros(3), np.array([1.0, 0.0, 0.0])
@@ -41,34 +41,13 @@ DMP = imitate(*minimum_jerk(START, GOAL, duration=2.0))
 UNFORCED = replace(DMP, weights=np.zeros_like(DMP.weights))
 STEP = 0.005
 PARAMETERS = Policy()
+LEVEL = ActionLevel(DMP, PARAMETERS)
+seeds = st.integers(0, 2**32 - 1)
+FEW = settings(max_examples=15)
+MANY = settings(max_examples=60)
 
-
-def advance(
-    dmp: Dmp,
-    state: PolicyState,
-    p_WG: FloatArray,
-    ellipsoids: EllipsoidSet | None,
-    coupled: CouplingParameters | None,
-    route: Route | None,
-    *,
-    time: float = 0.0,
-    step: float = STEP,
-) -> Segment:
-    """One step, with what came on the ports."""
-    around = Surroundings.of(ellipsoids, coupled, route)
-    return ActionLevel(dmp, PARAMETERS).step(Segment.resting(state), p_WG, around, time, step)
-
-
-def hold_reason(
-    state: PolicyState,
-    ellipsoids: EllipsoidSet | None,
-    route: Route | None,
-    coupled: CouplingParameters | None = None,
-) -> str:
-    """Why the motion must not go on at 10 s."""
-    around = Surroundings.of(ellipsoids, coupled, route)
-    places = kernel_arrays(state.p_WE, state.p_WG)
-    return around.reason(kernels.hold_code(*places, around.facts, around.obstacles, 10.0, 0.5))
+Scene = tuple[FloatArray, FloatArray, EllipsoidSet, CouplingParameters, Route]
+"""Start, goal, obstacles, their parameters and the sides to pass."""
 
 
 def goal_fade(state: PolicyState, fade: float) -> float:
@@ -83,10 +62,9 @@ def one_ellipsoid(
     return balls(center, radius=0.03, stamp=stamp, ids=[7])
 
 
-def coupling(alpha: float = 300.0, rows: int = 1) -> CouplingParameters:
-    return CouplingParameters(
-        np.full(rows, alpha), np.full(rows, 0.7), np.full(rows, 5.0), np.ones(rows, dtype=bool)
-    )
+COUPLED = CouplingParameters(
+    np.array([300.0]), np.array([0.7]), np.array([5.0]), np.ones(1, dtype=bool)
+)
 
 
 def run(
@@ -95,53 +73,54 @@ def run(
     dmp: Dmp = DMP,
     sees: Callable[[float], EllipsoidSet | None] = lambda time: None,
     coupled: CouplingParameters | None = None,
-    route: Route | None = None,
-    step: float = STEP,
+    **inputs: FloatArray,
 ) -> list[Segment]:
-    """`count` steps from rest at the start."""
-    state = initial_segment(dmp, START, GOAL, 0.0).state
-    state = replace(state, speed=1.0 / dmp.duration)
+    """`count` steps from rest at the start, with a row of each input a step."""
+    level, segment = ActionLevel(dmp, PARAMETERS), initial_segment(dmp, START, GOAL, 0.0)
     found = []
     for number in range(count):
-        time = number * step
-        segment = advance(dmp, state, GOAL, sees(time), coupled, route, time=time, step=step)
+        around = Surroundings.of(sees(number * STEP), coupled, None)
+        given_ = {name: rows[number] for name, rows in inputs.items()}
+        segment = level.step(segment, GOAL, around, number * STEP, STEP, **given_)
         found.append(segment)
-        state = segment.end
     return found
-
-
-def assert_same(one: object, other: object) -> None:
-    """Two numbers, arrays or bundles of them."""
-    if hasattr(one, "_fields"):
-        for a, b in zip(one, other, strict=True):  # type: ignore[call-overload]
-            assert_same(a, b)
-    else:
-        np.testing.assert_array_equal(one, other)  # type: ignore[arg-type]
-
-
-def test_what_is_held_before_it_has_begun_does_not_begin() -> None:
-    unseen = run(10, sees=lambda time: EllipsoidSet())
-    assert (path(unseen) == START).all()
-    assert all(segment.end.phase == 1.0 and segment.end.speed == 0.0 for segment in unseen)
 
 
 def path(segments: list[Segment]) -> FloatArray:
     return np.array([segment.end.p_WE for segment in segments])
 
 
+def random_coupling(rng: np.random.Generator, count: int, log_alpha: float) -> CouplingParameters:
+    """Parameters up to a strength, about points of their own or about the obstacles."""
+    rows = np.exp(rng.uniform([-3, -3, -2], [log_alpha, 1, 6], size=(count, 3)))
+    centers = rng.normal(size=(count, 3)) if rng.integers(0, 2) else np.zeros((0, 3))
+    return CouplingParameters(*rows.T.copy(), np.ones(count, dtype=bool), centers)
+
+
+def random_ellipsoids(rng: np.random.Generator, p_WO: ArrayLike, size: float) -> EllipsoidSet:
+    """About these centers, of semi-axes up to a size."""
+    seen = balls(*np.asarray(p_WO), stamp=math.inf)
+    count = len(seen)
+    return replace(
+        seen,
+        R_WO=Rotation.random(count, random_state=int(rng.integers(1 << 31))).as_matrix(),
+        semi_axes=rng.uniform(0.1 * size, size, size=(count, 3)),
+    )
+
+
+def random_route(rng: np.random.Generator, count: int, R_WL: FloatArray) -> Route:
+    """Sides to pass on, at a clearance to lead at."""
+    angles = rng.uniform(0.0, 6.28, count)
+    direction = np.stack([np.zeros(count), np.cos(angles), np.sin(angles)], axis=1) @ R_WL.T
+    return Route(
+        direction_W=direction,
+        normal_W=passing_normals(direction, R_WL),
+        remaining_clearance=rng.uniform(0.05, 0.2, count),
+        path_length=1.2,
+    )
+
+
 # Interpolation.
-
-
-def test_the_desired_motion_is_continuous_from_step_to_step() -> None:
-    segments = run(300, sees=lambda time: one_ellipsoid(), coupled=coupling())
-    for before, after in pairwise(segments):
-        time = after.state.stamp
-        for derivative in (0, 1):
-            np.testing.assert_allclose(
-                before.interpolate(time, derivative),
-                after.interpolate(time, derivative),
-                atol=1e-12,
-            )
 
 
 def test_a_segment_begins_and_ends_where_the_policy_says() -> None:
@@ -158,14 +137,6 @@ def test_beyond_its_end_a_segment_goes_on_at_its_last_velocity() -> None:
     later = segment.interpolate(segment.end.stamp + 0.01, 0)
     np.testing.assert_allclose(later, segment.end.p_WE + 0.01 * segment.motion.course.v_end)
     assert not segment.interpolate(segment.end.stamp + 0.01, 2).any()
-
-
-def test_a_segment_at_rest_does_not_move() -> None:
-    segment = Segment.at_rest(np.array([1.0, 2.0, 3.0]))
-    for time in (0.0, 1.0):
-        np.testing.assert_array_equal(segment.interpolate(time, 0), [1.0, 2.0, 3.0])
-        assert not segment.interpolate(time, 1).any()
-        assert not segment.interpolate(time, 2).any()
 
 
 # Fade.
@@ -187,53 +158,36 @@ def test_the_coupling_fades_to_nothing_at_the_goal() -> None:
 # Holds.
 
 
-def reason(ellipsoids: EllipsoidSet | None, route: Route | None = None, **place: FloatArray) -> str:
-    state = PolicyState(p_WE=START, p_WS=START, p_WG=GOAL)
-    return hold_reason(replace(state, **place), ellipsoids, route)
+SHUT = Route(blocked=True, note="every side of obstacle 7 is forbidden")
+UNSAFE = replace(COUPLED, hold=HoldCause.OBSTACLES, note="no motion that clears obstacle 7 found")
 
 
 @pytest.mark.parametrize(
-    ("ellipsoids", "said"),
+    ("said", "around"),
     [
-        (None, ""),
-        (EllipsoidSet(stamp=10.0), ""),
-        (EllipsoidSet(stamp=9.51), ""),
-        (one_ellipsoid(math.inf), ""),
-        (EllipsoidSet(), "no observation yet"),
-        (EllipsoidSet(note="dark"), "no observation yet (dark)"),
-        (EllipsoidSet(stamp=9.4), "obstacles not seen since t = 9.40 s"),
-        (EllipsoidSet(stamp=9.4, note="dark"), "obstacles not seen since t = 9.40 s (dark)"),
-        (one_ellipsoid(10.0, (0.02, 0.0, 0.0)), "tool inside obstacle 7"),
-        (one_ellipsoid(10.0, (0.98, 0.0, 0.0)), "goal inside obstacle 7"),
+        ("", [None]),
+        ("", [EllipsoidSet(stamp=10.0)]),
+        ("", [EllipsoidSet(stamp=9.51)]),
+        ("", [one_ellipsoid(), None, Route()]),
+        ("no observation yet", [EllipsoidSet()]),
+        ("no observation yet (dark)", [EllipsoidSet(note="dark")]),
+        ("obstacles not seen since t = 9.40 s", [EllipsoidSet(stamp=9.4)]),
+        ("obstacles not seen since t = 9.40 s (dark)", [EllipsoidSet(stamp=9.4, note="dark")]),
+        ("tool inside obstacle 7", [one_ellipsoid(10.0, (0.02, 0.0, 0.0))]),
+        ("goal inside obstacle 7", [one_ellipsoid(10.0, (0.98, 0.0, 0.0))]),
+        (SHUT.note, [one_ellipsoid(), None, SHUT]),
+        (UNSAFE.note, [one_ellipsoid(), UNSAFE]),
     ],
 )
-def test_each_reason_to_hold_is_named(ellipsoids: EllipsoidSet | None, said: str) -> None:
-    assert reason(ellipsoids) == said
-
-
-def test_a_route_without_an_allowed_side_is_a_reason_to_hold() -> None:
-    shut = Route(blocked=True, note="every side of obstacle 7 is forbidden")
-    assert reason(one_ellipsoid(10.0), shut) == shut.note
-    assert reason(one_ellipsoid(10.0), Route()) == ""
-
-
-def test_coupling_parameters_that_clear_nothing_are_a_reason_to_hold() -> None:
-    state = PolicyState(p_WE=START, p_WS=START, p_WG=GOAL)
-    found = hold_reason(
-        state,
-        one_ellipsoid(10.0),
-        None,
-        replace(
-            coupling(),
-            hold=HoldCause.OBSTACLES,
-            note="no motion that clears obstacle 7 found",
-        ),
-    )
-    assert found == "no motion that clears obstacle 7 found"
+def test_each_reason_to_hold_is_named(said: str, around: list) -> None:
+    found = Surroundings.of(*(around + [None, None])[:3])
+    places = kernel_arrays(START, GOAL)
+    code = kernels.hold_code(*places, found.facts, found.obstacles, 10.0, 0.5)
+    assert found.reason(code) == said
 
 
 def test_a_hold_brings_the_motion_to_rest_within_the_hold_time() -> None:
-    segments = run(400, sees=lambda time: one_ellipsoid(min(time, 0.3)), coupled=coupling())
+    segments = run(400, sees=lambda time: one_ellipsoid(min(time, 0.3)), coupled=COUPLED)
     held = [bool(segment.state.note) for segment in segments]
     first = held.index(True)
     assert segments[first].state.stamp == pytest.approx(0.8, abs=2 * STEP)
@@ -266,82 +220,19 @@ def test_a_hold_does_not_change_the_motion_of_the_spring() -> None:
         np.testing.assert_allclose(segment.end.z_W, c * (START - GOAL), atol=1e-7)
 
 
-def test_a_hold_does_not_change_the_path_among_obstacles() -> None:
-    def at_common_phases(segments: list[Segment]) -> FloatArray:
-        phase = np.array([segment.end.phase for segment in segments])
-        moving = np.append(np.diff(phase) < 0.0, True)
-        wanted = np.linspace(0.98, 0.02, 200)
-        points = path(segments)[moving]
-        return np.stack(
-            [np.interp(-wanted, -phase[moving], points[:, i]) for i in range(3)], axis=1
-        )
-
-    def difference(step: float) -> float:
-        freely, held = (
-            run(round(4.0 / step), sees=sees, coupled=coupling(30.0), step=step)
-            for sees in (lambda time: one_ellipsoid(), interrupted)
-        )
-        assert any(segment.state.note for segment in held)
-        return float(np.abs(at_common_phases(freely) - at_common_phases(held)).max())
-
-    # What is left is the integration error of unequal steps.
-    assert difference(0.005) < 1e-3
-    assert difference(0.00125) < 1e-4
-
-
-def test_a_longer_way_takes_longer_and_none_less_than_the_demonstration() -> None:
-    def tau_for(length: float) -> float:
-        route = Route(path_length=length)
-        return run(1, sees=lambda time: EllipsoidSet(stamp=time), route=route)[0].state.tau
-
-    assert tau_for(1.5) == pytest.approx(1.5)
-    assert tau_for(0.0) == tau_for(1.0) == 1.0
-
-
-def test_the_motion_ends_at_the_goal_also_past_an_obstacle() -> None:
-    segments = run(480, sees=lambda time: one_ellipsoid(), coupled=coupling())
-    np.testing.assert_allclose(segments[-1].end.p_WE, GOAL, atol=1e-3)
-    assert np.abs(path(segments)[:, 1]).max() > 0.05
-
-
 def test_a_goal_that_moves_turns_the_local_frame() -> None:
-    state = initial_segment(DMP, START, GOAL, 0.0).state
     goal = np.array([0.0, 1.0, 0.0])
-    after = advance(DMP, state, goal, None, None, None)
+    begun = initial_segment(DMP, START, GOAL, 0.0)
+    after = LEVEL.step(begun, goal, Surroundings(), 0.0, STEP)
     np.testing.assert_array_equal(after.end.R_WL, local_frame(START, goal))
     np.testing.assert_array_equal(after.end.p_WG, goal)
-
-
-# Errors.
-
-
-@pytest.mark.parametrize(
-    ("coupled", "route", "said"),
-    [
-        (coupling(rows=2), None, "coupling_parameters has 2 rows; there are 1 ellipsoids"),
-        (coupling(), Route(heading_W=np.zeros((3, 3))), "route has 3 rows; there are 1"),
-    ],
-)
-def test_rows_that_do_not_match_the_ellipsoids_are_refused(
-    coupled: CouplingParameters, route: Route | None, said: str
-) -> None:
-    with pytest.raises(ValueError, match=said):
-        run(1, sees=lambda time: one_ellipsoid(), coupled=coupled, route=route)
-
-
-def test_a_baseline_of_zero_length_is_refused() -> None:
-    with pytest.raises(ValueError, match="apart"):
-        initial_segment(DMP, START, START, 0.0)
-    state = initial_segment(DMP, START, GOAL, 0.0).state
-    with pytest.raises(ValueError, match="apart"):
-        advance(DMP, state, START, None, None, None)
 
 
 # The compiled step against the readable one.
 
 
 def random_scene(
-    seed: int, guided: bool, about_route: bool
+    seed: int, guided: bool = True, about_route: bool = True
 ) -> tuple[PolicyState, EllipsoidSet, CouplingParameters, Route]:
     """A policy under way among up to six obstacles, their parameters and the sides to pass."""
     rng = np.random.default_rng(seed)
@@ -355,50 +246,32 @@ def random_scene(
         p_WG=GOAL,
         speed=rng.uniform(0.1, 0.5),
     )
-    ellipsoids = EllipsoidSet(
-        stamp=0.0,
-        p_WO=along + rng.normal(scale=0.1, size=(count, 3)),
-        R_WO=Rotation.random(count, random_state=seed).as_matrix(),
-        semi_axes=rng.uniform(0.02, 0.1, size=(count, 3)),
-        ids=np.arange(count),
+    coupled = random_coupling(rng, count, 10.0)
+    route = random_route(rng, count, np.eye(3))
+    return (
+        state,
+        random_ellipsoids(rng, along + rng.normal(scale=0.1, size=(count, 3)), 0.1),
+        replace(coupled, center_W=along if about_route else np.zeros((0, 3))),
+        replace(route, remaining_clearance=guided * route.remaining_clearance),
     )
-    angles = rng.uniform(0.0, 6.28, count)
-    direction = np.stack([np.zeros(count), np.cos(angles), np.sin(angles)], axis=1)
-    route = Route(
-        direction_W=direction,
-        normal_W=passing_normals(direction, np.eye(3)),
-        remaining_clearance=rng.uniform(0.05, 0.2, count) if guided else np.zeros(count),
-        path_length=1.2,
-    )
-    parameters = CouplingParameters(
-        np.exp(rng.uniform(-3.0, 10.0, count)),
-        rng.uniform(0.2, 1.5, count),
-        np.exp(rng.uniform(-2.0, 5.0, count)),
-        np.ones(count, dtype=bool),
-        along if about_route else np.zeros((0, 3)),
-    )
-    return state, ellipsoids, parameters, route
 
 
-def step_of(
-    state: PolicyState, ellipsoids: EllipsoidSet, coupled: CouplingParameters, route: Route
-) -> Segment:
-    return advance(DMP, state, GOAL, ellipsoids, coupled, route)
+def step_of(state: PolicyState, *around: object) -> Segment:
+    return LEVEL.step(Segment.resting(state), GOAL, Surroundings.of(*around), 0.0, STEP)
 
 
-@given(seed=st.integers(0, 2**32 - 1), guided=st.booleans(), about_route=st.booleans())
-@settings(max_examples=60)
+def headings_of(state: PolicyState, ellipsoids: EllipsoidSet, route: Route) -> FloatArray:
+    leads = route.direction_W, route.normal_W, route.remaining_clearance
+    return desired_headings(state, ellipsoids, *leads)
+
+
+@given(seed=seeds, guided=st.booleans(), about_route=st.booleans())
+@MANY
 def test_the_compiled_step_is_the_readable_one(seed: int, guided: bool, about_route: bool) -> None:
     state, ellipsoids, coupled, route = random_scene(seed, guided, about_route)
     after = step_of(state, ellipsoids, coupled, route)
     alpha = goal_fade(state, PARAMETERS.fade) * coupled.alpha
-    heading = desired_headings(
-        state,
-        ellipsoids,
-        route.direction_W,
-        route.normal_W,
-        route.remaining_clearance,
-    )
+    heading = headings_of(state, ellipsoids, route)
     rows = terms(
         coupled.center_W if about_route else ellipsoids.p_WO,
         np.column_stack([alpha, coupled.psi, coupled.kappa]),
@@ -417,57 +290,38 @@ def test_the_compiled_step_is_the_readable_one(seed: int, guided: bool, about_ro
     assert after.state.tau == pytest.approx(1.2)
 
 
-@given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=20)
+@given(seed=seeds)
+@FEW
 def test_a_decision_leads_as_the_headings_made_from_it_do(seed: int) -> None:
-    state, ellipsoids, coupled, route = random_scene(seed, True, True)
-    heading = desired_headings(
-        state,
-        ellipsoids,
-        route.direction_W,
-        route.normal_W,
-        route.remaining_clearance,
-    )
+    state, ellipsoids, coupled, route = random_scene(seed)
+    heading = headings_of(state, ellipsoids, route)
     followed = step_of(state, ellipsoids, coupled, route)
     given_ = step_of(state, ellipsoids, coupled, replace(route, heading_W=heading))
     np.testing.assert_array_equal(followed.end.z_W, given_.end.z_W)
 
 
 def test_several_steps_at_once_are_the_same_as_one_after_the_other() -> None:
-    level = ActionLevel(DMP, PARAMETERS)
-    around = Surroundings.of(one_ellipsoid(), coupling(), None)
+    around = Surroundings.of(one_ellipsoid(), COUPLED, None)
     begin = segment = initial_segment(DMP, START, GOAL, 0.0)
     for _ in range(50):
-        segment = level.step(segment, GOAL, around, segment.end.stamp, STEP)
-    at_once = level.step(begin, GOAL, around, 0.0, STEP, 50)
-    assert_same(at_once.motion, segment.motion)
-    with pytest.raises(ValueError, match="count must be at least 1"):
-        level.step(begin, GOAL, around, 0.0, STEP, 0)
+        segment = LEVEL.step(segment, GOAL, around, segment.end.stamp, STEP)
+    at_once = LEVEL.step(begin, GOAL, around, 0.0, STEP, 50)
+    np.testing.assert_equal(at_once.motion, segment.motion)
 
 
 def test_a_state_is_laid_out_and_read_back_unchanged() -> None:
-    state = random_scene(3, True, True)[0]
+    state = random_scene(3)[0]
     state = replace(state, hold=HoldCause.OBSTACLES, note="held", tau=1.5, stamp=2.0)
     for read in (Segment.resting(state).state, Segment.resting(state).end):
         for item in fields(PolicyState):
             np.testing.assert_array_equal(getattr(read, item.name), getattr(state, item.name))
 
 
-@pytest.mark.parametrize("weights", [DMP.weights, UNFORCED.weights])
-def test_the_compiled_forcing_is_the_readable_one(weights: FloatArray) -> None:
-    dmp = replace(DMP, weights=weights)
-    # Beyond the last centre the basis functions underflow.
-    narrow = replace(dmp, widths=1e4 * dmp.widths)
-    for k in (1.0, 0.5, 0.011, 1e-3, 0.0):
-        np.testing.assert_allclose(dmp.forcing(k), forcing(dmp, k), rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(narrow.forcing(k), forcing(narrow, k), rtol=1e-9)
-
-
 # What the regulation may give beside its parameters.
 
 
 def test_given_normals_go_before_the_route_and_end_its_guidance() -> None:
-    state, ellipsoids, coupled, route = random_scene(8, True, True)
+    state, ellipsoids, coupled, route = random_scene(9)
     other = -route.normal_W
     unguided = replace(route, normal_W=other, remaining_clearance=np.zeros(len(other)))
     expected = step_of(state, ellipsoids, coupled, unguided).end.z_W
@@ -483,7 +337,7 @@ def test_given_normals_go_before_the_route_and_end_its_guidance() -> None:
 
 
 def test_a_given_tau_goes_before_the_length_of_the_route() -> None:
-    state, ellipsoids, coupled, route = random_scene(8, True, True)
+    state, ellipsoids, coupled, route = random_scene(9)
     for tau, expected in ((1.7, 1.7), (0.8, 0.8), (0.0, 1.2)):
         found = step_of(state, ellipsoids, replace(coupled, tau=tau), route)
         assert found.end.tau == pytest.approx(expected)
@@ -502,39 +356,41 @@ def test_parameters_that_cannot_be_used_are_refused(
     change: dict[str, FloatArray], said: str
 ) -> None:
     with pytest.raises(ValueError, match=said):
-        Surroundings.of(one_ellipsoid(), replace(coupling(), **change), None)  # type: ignore[arg-type]
+        Surroundings.of(one_ellipsoid(), replace(COUPLED, **change), None)  # type: ignore[arg-type]
+
+
+def test_rows_that_do_not_match_the_ellipsoids_are_refused() -> None:
+    two = balls(START, GOAL, stamp=math.inf)
+    with pytest.raises(ValueError, match="coupling_parameters has 1 rows; there are 2 ellipsoids"):
+        step_of(PolicyState(p_WG=GOAL), two, COUPLED, None)
+    with pytest.raises(ValueError, match="route has 3 rows; there are 1"):
+        step_of(PolicyState(p_WG=GOAL), one_ellipsoid(), COUPLED, Route(heading_W=np.zeros((3, 3))))
 
 
 # Speed scaled from outside.
 
 
-def scaled_path(scales: FloatArray, around: Surroundings) -> tuple[list[Segment], FloatArray]:
+def scaled_path(scales: ArrayLike, around: list) -> tuple[list[Segment], FloatArray]:
     """Steps at given shares of full speed; normalised times s of their ends."""
-    level = ActionLevel(DMP, PARAMETERS)
-    segment = initial_segment(DMP, START, GOAL, 0.0)
-    found, s = [], []
-    for number, scale in enumerate(scales):
-        segment = level.step(segment, GOAL, around, number * STEP, STEP, speed_scale=float(scale))
-        found.append(segment)
-        s.append(-math.log(segment.end.phase) / DMP.alpha_k)
-    return found, np.array(s)
+    seen, coupled = around
+    scales = np.asarray(scales, dtype=float)
+    found = run(len(scales), sees=lambda time: seen, coupled=coupled, speed_scale=scales)
+    return found, -np.log([segment.end.phase for segment in found]) / DMP.alpha_k
 
 
-@settings(max_examples=15)
-@given(seed=st.integers(0, 10_000), bent=st.booleans())
+@FEW
+@given(seed=seeds, bent=st.booleans())
 def test_the_path_does_not_depend_on_the_speed(seed: int, bent: bool) -> None:
-    around = Surroundings.of(one_ellipsoid() if bent else None, coupling() if bent else None, None)
+    around = [one_ellipsoid(), COUPLED] if bent else [None, None]
     free, s_free = scaled_path(np.ones(480), around)
     rng = np.random.default_rng(seed)
-    profile = np.repeat(rng.choice([0.0, 0.2, 0.6, 1.0], 24), 25)
-    scaled, s = scaled_path(profile, around)
+    scaled, s = scaled_path(np.repeat(rng.choice([0.0, 0.2, 0.6, 1.0], 24), 25), around)
     expected = np.stack([np.interp(s, s_free, path(free)[:, axis]) for axis in range(3)], axis=1)
     np.testing.assert_allclose(path(scaled), expected, atol=2e-3 if bent else 2e-4)
 
 
 def test_the_speed_follows_the_scale_at_the_rate_of_a_hold() -> None:
-    profile = np.concatenate([np.zeros(80), np.full(80, 0.5), np.ones(80)])
-    found, _ = scaled_path(profile, Surroundings())
+    found = run(240, speed_scale=np.repeat([0.0, 0.5, 1.0], 80))
     speed = np.array([segment.end.speed for segment in found]) * DMP.duration
     assert np.abs(np.diff(speed)).max() <= STEP / PARAMETERS.hold_time + 1e-12
     np.testing.assert_allclose(speed[[79, 159, 239]], [0.0, 0.5, 1.0], atol=1e-12)
@@ -545,22 +401,21 @@ def test_the_speed_follows_the_scale_at_the_rate_of_a_hold() -> None:
 
 @pytest.mark.parametrize(("scale", "meant"), [(-1.0, 0.0), (math.nan, 0.0), (7.0, 1.0)])
 def test_a_scale_out_of_range_is_taken_as_the_nearest(scale: float, meant: float) -> None:
-    found, _ = scaled_path(np.full(5, scale), Surroundings())
-    expected, _ = scaled_path(np.full(5, meant), Surroundings())
+    found, expected = (run(5, speed_scale=np.full(5, one)) for one in (scale, meant))
     np.testing.assert_array_equal(path(found), path(expected))
 
 
-def test_a_reason_of_its_own_goes_before_the_scale() -> None:
-    around = Surroundings.of(EllipsoidSet(), None, None)
-    found, _ = scaled_path(np.zeros(1), around)
-    assert found[0].note == "no observation yet"
+def test_what_is_held_before_it_has_begun_does_not_begin() -> None:
+    # Its reason goes before that of the scale.
+    unseen = run(10, sees=lambda time: EllipsoidSet(), speed_scale=np.zeros(10))
+    assert (path(unseen) == START).all()
+    assert {(one.end.phase, one.end.speed, one.note) for one in unseen} == {
+        (1.0, 0.0, "no observation yet")
+    }
 
 
-# Displaced in real time.
-
-
-@given(seed=st.integers(0, 2**32 - 1), step=st.floats(1e-5, STEP))
-@settings(deadline=None, max_examples=200)
+@given(seed=seeds, step=st.floats(1e-5, STEP))
+@settings(max_examples=200)
 def test_a_motion_that_begins_straight_at_a_term_turns_to_its_side(seed: int, step: float) -> None:
     rng = np.random.default_rng(seed)
     start, goal = rng.uniform(-1.0, 1.0, (2, 3))
@@ -575,39 +430,25 @@ def test_a_motion_that_begins_straight_at_a_term_turns_to_its_side(seed: int, st
         verified=True,
     )
     around = Surroundings.of(EllipsoidSet(stamp=0.0), coupled, None)
-    segment, level = initial_segment(DMP, start, goal, 0.0), ActionLevel(DMP, PARAMETERS)
+    segment = initial_segment(DMP, start, goal, 0.0)
     # An imitated motion may begin with a little step back, and its heading passes through none.
-    segment = level.step(segment, goal, around, 0.0, step, count=round(0.1 / step))
+    segment = LEVEL.step(segment, goal, around, 0.0, step, count=round(0.1 / step))
     assert segment.end.z_W @ side > 0.0
 
 
-def displaced_steps(
-    velocity: FloatArray, *, scale: float = 1.0, evasion: bool = True
-) -> list[Segment]:
-    """Steps with a velocity (N, 3) of displacement at the end of each."""
-    level = ActionLevel(DMP, PARAMETERS)
-    segment = initial_segment(DMP, START, GOAL, 0.0)
-    found = []
-    for number, u in enumerate(velocity):
-        given = {"evasion": u} if evasion else {}
-        around = Surroundings()
-        segment = level.step(segment, GOAL, around, number * STEP, STEP, speed_scale=scale, **given)
-        found.append(segment)
-    return found
+# Displaced in real time.
 
 
 def test_no_displacement_is_the_same_to_the_last_bit() -> None:
-    still = displaced_steps(np.zeros((100, 3)))
-    plain = displaced_steps(np.zeros((100, 3)), evasion=False)
-    for one, other in zip(still, plain, strict=True):
-        assert_same(one.motion, other.motion)
+    still, plain = run(100, evasion=np.zeros((100, 3))), run(100)
+    np.testing.assert_equal([one.motion for one in still], [one.motion for one in plain])
 
 
 def test_a_held_motion_is_displaced_and_keeps_phase_and_velocity() -> None:
     hold = round(PARAMETERS.hold_time / STEP)
     u = np.zeros((hold + 200, 3))
     u[hold:] = np.sin(np.linspace(0.0, np.pi, 200))[:, None] * [0.0, 0.3, 0.1]
-    found = displaced_steps(u, scale=0.0)
+    found = run(len(u), evasion=u, speed_scale=np.zeros(len(u)))
     before, after = found[hold - 1].end, found[-1].end
     assert after.phase == before.phase
     np.testing.assert_array_equal(after.z_W, before.z_W)
@@ -615,12 +456,12 @@ def test_a_held_motion_is_displaced_and_keeps_phase_and_velocity() -> None:
     np.testing.assert_allclose(after.p_WE - before.p_WE, expected, atol=1e-12)
 
 
-@settings(max_examples=20)
-@given(seed=st.integers(0, 10_000), share=st.floats(0.01, 0.99))
+@FEW
+@given(seed=seeds, share=st.floats(0.01, 0.99))
 def test_the_outputs_of_a_displaced_motion_are_consistent(seed: int, share: float) -> None:
     rng = np.random.default_rng(seed)
     u = np.cumsum(rng.normal(0.0, 0.01, (200, 3)), axis=0)
-    found = displaced_steps(u)
+    found = run(200, evasion=u, sees=lambda time: one_ellipsoid(), coupled=COUPLED)
     for one, other in pairwise(found):
         np.testing.assert_array_equal(one.motion.course.v_end, other.v_WE)
         np.testing.assert_array_equal(one.end.p_WE, other.state.p_WE)
@@ -634,18 +475,9 @@ def test_the_outputs_of_a_displaced_motion_are_consistent(seed: int, share: floa
         )
 
 
-def test_the_spring_leads_on_from_where_it_was_displaced_to() -> None:
-    u = np.zeros((1200, 3))
-    u[100:200, 1] = 0.3
-    found = displaced_steps(u)
-    assert path(found)[:, 1].max() > 0.05
-    np.testing.assert_allclose(path(found)[-1], GOAL, atol=1e-3)
-
-
 def test_a_displacement_that_is_not_finite_is_none() -> None:
-    found = displaced_steps(np.full((5, 3), np.nan))
-    plain = displaced_steps(np.zeros((5, 3)), evasion=False)
-    np.testing.assert_array_equal(path(found), path(plain))
+    found = run(5, evasion=np.full((5, 3), np.nan))
+    np.testing.assert_array_equal(path(found), path(run(5)))
 
 
 def test_a_resting_motion_begins_anew_where_it_is() -> None:
@@ -672,3 +504,202 @@ def test_a_motion_that_goes_or_is_at_its_start_is_left(change: dict[str, object]
     state = PolicyState(p_WE=np.array([0.4, 0.1, 0.3]), p_WG=np.array([0.9, 0.2, 0.3]), **change)
     segment = Segment.resting(state)
     assert restarted(segment, np.array([0.9, 0.2, 0.3]), 0.0) is segment
+
+
+# The Lyapunov function.
+
+
+def energy(dmp: Dmp, p: FloatArray, z: FloatArray, goal: FloatArray) -> float:
+    left = goal - p
+    return float(0.5 * dmp.alpha_x * dmp.beta_x * left @ left + 0.5 * z @ z)
+
+
+@MANY
+@given(
+    seed=seeds,
+    count=st.integers(0, 20),
+    period=st.floats(1e-6, 10.0),
+    alpha_x=st.floats(0.1, 200.0),
+    ratio=st.sampled_from([0.01, 0.25, 4.0]),
+    routed=st.booleans(),
+    form=st.sampled_from(["counterphase", "printed"]),
+)
+def test_energy_never_rises_over_a_step(
+    seed: int, count: int, period: float, alpha_x: float, ratio: float, routed: bool, form: str
+) -> None:
+    rng = np.random.default_rng(seed)
+    dmp = Dmp(alpha_x, ratio * alpha_x, 4.6, np.ones(1), np.ones(1), np.zeros((3, 1)))
+    level = ActionLevel(dmp, Policy(guidance=form))  # type: ignore[arg-type]
+    p, z, start, goal = rng.normal(size=(4, 3))
+    frame = local_frame(start, goal)
+    segment = Segment.resting(
+        PolicyState(p_WE=p, z_W=z, p_WS=start, p_WG=goal, R_WL=frame, speed=1.0)
+    )
+    around = Surroundings.of(
+        random_ellipsoids(rng, rng.normal(size=(count, 3)), 0.3),
+        random_coupling(rng, count, 30.0),
+        random_route(rng, count, frame) if routed and count else None,
+    )
+    energies = [energy(dmp, p, z, goal)]
+    for _ in range(5):
+        segment = level.step(segment, goal, around, segment.end.stamp, period)
+        energies.append(energy(dmp, segment.end.p_WE, segment.end.z_W, goal))
+    assert (np.diff(energies) <= 1e-12 * energies[0]).all()
+
+
+# Invariances of whole motions.
+
+
+def scene(seed: int) -> Scene:
+    """One to three obstacles near the baseline that leave start and goal free, and a route."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(1, 4))
+    start, way = rng.normal(size=(2, 3))
+    goal = start + way / np.linalg.norm(way)
+    R_WL = local_frame(start, goal)
+    angle = rng.uniform(0.0, 6.28) + rng.normal(scale=0.3, size=count)
+    direction = np.stack([np.zeros(count), np.cos(angle), np.sin(angle)], axis=1) @ R_WL.T
+    # Off the baseline: exactly on it the last bit of a sum says whether guidance acts at rest.
+    feet = start + rng.uniform(0.35, 0.65, (count, 1)) * (goal - start)
+    feet += rng.choice([-1.0, 1.0], (count, 1)) * rng.uniform(0.002, 0.02, (count, 1)) * direction
+    rows = np.exp(rng.uniform(np.log([5, 0.4, 2]), np.log([200, 1.5, 30]), size=(count, 3)))
+    coupling = CouplingParameters(*rows.T.copy(), np.ones(count, dtype=bool), feet)
+    route = Route(
+        direction_W=direction,
+        normal_W=passing_normals(direction, R_WL),
+        remaining_clearance=rng.uniform(0.05, 0.1, count),
+        path_length=1.3,
+    )
+    return start, goal, random_ellipsoids(rng, feet, 0.03), coupling, route
+
+
+def path_in(some: Scene, *, tau: float = 1.0, steps: int = 200) -> FloatArray:
+    """Positions of the compiled action level from s = 0 to 1.2, where nothing holds it."""
+    start, goal, ellipsoids, coupling, route = some
+    dmp = replace(DMP, duration=1.0)
+    state = replace(initial_segment(dmp, start, goal, 0.0).state, tau=tau, speed=1.0 / tau)
+    level, segment = ActionLevel(dmp, PARAMETERS), Segment.resting(state)
+    around = Surroundings.of(ellipsoids, replace(coupling, tau=tau), route)
+    found = [start]
+    for _ in range(round(1.2 * steps)):
+        segment = level.step(segment, goal, around, segment.end.stamp, tau / steps)
+        assume(segment.note == "")
+        found.append(segment.end.p_WE)
+    return np.array(found)
+
+
+def moved(some: Scene, Q: FloatArray, shift: FloatArray, scale: float) -> Scene:
+    """The scene turned (or mirrored) by Q, shifted and scaled."""
+    start, goal, ellipsoids, coupling, route = some
+
+    def place(points: FloatArray) -> FloatArray:
+        return scale * points @ Q.T + shift
+
+    # A mirror leaves left-handed axes: one of them turned round is the same ellipsoid.
+    axes = Q @ ellipsoids.R_WO
+    axes[..., 2] *= np.linalg.det(Q)
+    return (
+        place(start),
+        place(goal),
+        replace(
+            ellipsoids,
+            p_WO=place(ellipsoids.p_WO),
+            R_WO=axes,
+            semi_axes=scale * ellipsoids.semi_axes,
+        ),
+        replace(coupling, kappa=coupling.kappa / scale**2, center_W=place(coupling.center_W)),
+        replace(
+            route,
+            direction_W=route.direction_W @ Q.T,
+            normal_W=np.linalg.det(Q) * route.normal_W @ Q.T,
+            remaining_clearance=scale * route.remaining_clearance,
+            path_length=scale * route.path_length,
+        ),
+    )
+
+
+@FEW
+@given(
+    seed=seeds,
+    tau=st.floats(1.0, 20.0),
+    power=st.floats(-3.0, 3.0),
+    about=st.sampled_from(["vertical", "any axis"]),
+    mirror=st.booleans(),
+)
+def test_the_path_moves_mirrors_and_scales_with_the_scene_at_any_tau(
+    seed: int, tau: float, power: float, about: str, mirror: bool
+) -> None:
+    rng = np.random.default_rng([seed, 1])
+    # The demonstration is straight: nothing is left of the vertical but in the normals.
+    rotation = Rotation.random(random_state=seed)
+    if about == "vertical":
+        rotation = Rotation.from_rotvec([0.0, 0.0, rng.uniform(-3.0, 3.0)])
+    Q = rotation.as_matrix() @ np.diag([1.0, -1.0 if mirror else 1.0, 1.0])
+    some, shift, scale = scene(seed), rng.normal(size=3), 10.0**power
+    again = (path_in(moved(some, Q, shift, scale), tau=tau) - shift) / scale
+    # The turned numbers differ in their last bits, and three guided terms amplify that.
+    np.testing.assert_allclose(again, path_in(some) @ Q.T, rtol=0.0, atol=1e-8)
+
+
+def test_a_curved_demonstration_turns_about_the_vertical_only() -> None:
+    t = np.linspace(0.0, 1.0, 50)
+    curved = np.stack([t, 0.1 * np.sin(3.0 * t), 0.2 * np.sin(np.pi * t)], axis=1)
+    level = ActionLevel(imitate(curved), PARAMETERS)
+    start, goal = np.array([0.1, 0.2, 0.3]), np.array([0.9, -0.4, 0.6])
+
+    def end_of(start: FloatArray, goal: FloatArray) -> FloatArray:
+        begin = initial_segment(DMP, start, goal, 0.0)
+        return level.step(begin, goal, Surroundings(), 0.0, 0.005, 80).end.p_WE
+
+    for axis, same in (((0.0, 0.0, 1.1), True), ((0.7, 0.0, 0.0), False)):
+        Q = Rotation.from_rotvec(axis).as_matrix()
+        difference = np.abs(end_of(Q @ start, Q @ goal) - Q @ end_of(start, goal)).max()
+        assert bool(difference < 1e-9) == same
+
+
+# No input is too odd.
+
+
+@MANY
+@given(
+    seed=seeds,
+    size=st.sampled_from([1e-6, 1.0, 1e6]),
+    alpha=st.sampled_from([0.0, 1e-300, 1.0, 1e300]),
+    psi=st.sampled_from([1e-300, 1e-3, 1.0, 1e300]),
+    kappa=st.sampled_from([0.0, 1.0, 1e300]),
+    where=st.sampled_from(["start", "goal", "near the start", "middle"]),
+    moving=st.sampled_from([-1.0, 0.0, 1.0]),
+    period=st.sampled_from([1e-300, 1e-3, 1.0, 1e3]),
+    about_route=st.booleans(),
+)
+def test_odd_but_finite_scenes_yield_finite_motions(
+    seed: int,
+    size: float,
+    alpha: float,
+    psi: float,
+    kappa: float,
+    where: str,
+    moving: float,
+    period: float,
+    about_route: bool,
+) -> None:
+    rng = np.random.default_rng(seed)
+    way = rng.normal(size=3)
+    start, goal = np.zeros(3), size * way
+    place = {"start": 0.0, "goal": 1.0, "near the start": 1e-12, "middle": 0.5}[where]
+    R_WL = local_frame(start, goal)
+    state = PolicyState(z_W=moving * goal, p_WG=goal, R_WL=R_WL, speed=rng.choice([0.0, 1e-9, 1.0]))
+    centers = np.repeat(place * goal[None], 2, axis=0)
+    ellipsoids = random_ellipsoids(rng, centers, 0.3)
+    coupling = CouplingParameters(
+        *(np.full(2, value) for value in (alpha, psi, kappa)),
+        np.ones(2, dtype=bool),
+        centers if about_route else np.zeros((0, 3)),
+    )
+    around = Surroundings.of(ellipsoids, coupling, random_route(rng, 2, R_WL))
+    segment = Segment.resting(state)
+    for _ in range(3):
+        segment = LEVEL.step(segment, goal, around, segment.end.stamp, period)
+        motion = segment.motion
+        for bundle in (motion.begin, motion.end, motion.course):
+            assert all(np.isfinite(value).all() for value in bundle)

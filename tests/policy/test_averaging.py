@@ -138,11 +138,6 @@ def test_a_bad_one_of_several_is_named(spoil: object, words: str) -> None:
         average_paths([bad[0]], [bad[1]])
 
 
-def test_none_is_not_enough() -> None:
-    with pytest.raises(ValueError, match="0 demonstrations"):
-        average_paths([], [])
-
-
 # Orientations -------------------------------------------------------------------------
 
 

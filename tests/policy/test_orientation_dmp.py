@@ -10,9 +10,7 @@ from pydrake.math import RollPitchYaw, RotationMatrix
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.rotation import rotation_of
-from drake_oa.policy.dmp import imitate
 from drake_oa.policy.orientation_dmp import (
-    OrientationDmp,
     angular_motion,
     demonstrated_goal,
     exponential,
@@ -130,16 +128,6 @@ def test_signs_and_lengths_of_quaternions_make_no_difference(factors: list[float
     np.testing.assert_allclose(other.total, plain.total, atol=1e-12)
 
 
-def test_quaternions_and_matrices_teach_the_same() -> None:
-    R = demonstration()
-    np.testing.assert_allclose(
-        imitate_orientation(quaternions(R)).dmp.weights,
-        imitate_orientation(R).dmp.weights,
-        rtol=1e-6,
-        atol=1e-6,
-    )
-
-
 def test_uneven_stamps_are_followed_in_their_own_time() -> None:
     t = np.linspace(0.0, 1.0, 61) ** 1.5 * 4.0 + 7.0
     g = goal_vector(START, GOAL)
@@ -189,12 +177,6 @@ def test_more_than_half_a_turn_goes_the_way_that_was_shown() -> None:
     )
 
 
-def test_two_samples_are_enough() -> None:
-    primitive = imitate_orientation(np.array([START, GOAL]))
-    R = orientation_along(primitive, START, GOAL, [1.0])
-    assert angles(R, [GOAL]).max() < 0.02
-
-
 # The step.
 
 
@@ -209,27 +191,6 @@ def test_the_way_does_not_depend_on_tau_or_the_steps(steps: list[float], tau: fl
     assert k == pytest.approx(np.exp(-WIGGLE.dmp.alpha_k * s), rel=1e-9)
     R = orientation_along(WIGGLE, START, START @ turned(goal), [s])[0]
     assert np.linalg.norm(goal_vector(START @ turned(r), R)) < 1e-4
-
-
-def test_a_goal_that_moves_is_reached_without_a_jump() -> None:
-    goal = goal_vector(START, GOAL)
-    r, z, k = np.zeros(3), np.zeros(3), 1.0
-    for row in range(1500):
-        if row == 200:
-            goal = goal_vector(START, rpy(np.pi + 0.3, 0.2, -0.9), near=goal)
-        before, was = r, z
-        r, z, k = step(LEAST_JERK, r, z, k, 1e-3, goal)
-        assert np.linalg.norm(r - before) < 0.02
-        assert np.linalg.norm(z - was) < 1.0
-    np.testing.assert_allclose(r, goal, atol=1e-4)
-
-
-def test_no_step_changes_nothing() -> None:
-    r, z, k = step(LEAST_JERK, np.ones(3), np.ones(3), 0.5, 0.0, np.zeros(3))
-    np.testing.assert_array_equal(np.concatenate([r, z, [k]]), [1, 1, 1, 1, 1, 1, 0.5])
-    for ds in (-1e-3, np.inf, np.nan):
-        with pytest.raises(ValueError, match="ds must be finite and at least 0"):
-            step(LEAST_JERK, np.zeros(3), np.zeros(3), 1.0, ds, np.zeros(3))
 
 
 # Rates.
@@ -319,27 +280,8 @@ def test_half_a_turn_without_a_way_round_is_refused() -> None:
         orientation_along(LEAST_JERK, START, START @ np.diag([-1.0, -1.0, 1.0]), S)
 
 
-@pytest.mark.parametrize("s", [[0.2, 0.1], [-0.1], [np.nan], [[0.1]]])
-def test_times_must_not_fall(s: list[float]) -> None:
-    with pytest.raises(ValueError, match="not falling"):
-        orientation_along(LEAST_JERK, START, GOAL, s)
-
-
-@pytest.mark.parametrize(
-    "bad", [[0.0, 0.0, 0.0, 0.0], [np.inf, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [[1.0, 0, 0, 0]]]
-)
-def test_what_is_no_quaternion_is_refused(bad: list[float]) -> None:
-    with pytest.raises(ValueError, match="a quaternion must be"):
-        rotation_matrix(bad)
-
-
 @given(vectors, st.sampled_from([1e-200, 1e-3, -1.0, 1e200]))
 def test_any_length_and_sign_names_the_same_rotation(r: FloatArray, factor: float) -> None:
     q = exponential(3.0 * r)
     np.testing.assert_allclose(rotation_matrix(factor * q), rotation_matrix(q), atol=1e-12)
     np.testing.assert_allclose(rotation_matrix(q) @ rotation_matrix(q).T, np.eye(3), atol=1e-12)
-
-
-def test_a_primitive_of_other_dimensions_is_refused() -> None:
-    with pytest.raises(ValueError, match="4 dimensions, not 3"):
-        OrientationDmp(imitate(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])))

@@ -59,14 +59,6 @@ def turning(
     return turn
 
 
-def turning_rate(
-    rows: FloatArray, p: FloatArray, z: FloatArray, printed: bool = False
-) -> FloatArray:
-    """(3,) rate Omega of the composed term C = Omega x z (section III-C) [rad per s]."""
-    found = active(rows, p, z, 0.0, False, printed, MAX_GUIDANCE_RATE)
-    return np.asarray(sum((rate * axis for axis, rate, _ in found), np.zeros(3)))
-
-
 def active(
     rows: FloatArray,
     p: FloatArray,
