@@ -128,13 +128,6 @@ def test_it_says_something_of_every_side_even_of_nothing(network: ProposalNetwor
         assert np.abs(off).max() <= HALF + 1e-12
 
 
-@pytest.mark.parametrize("count", [8, 10, 15, 32, 64])
-def test_as_many_are_proposed_as_are_asked_for(network: ProposalNetwork, count: int) -> None:
-    genes, in_range = network.propose(some_scenes(2), 3.0, count)
-    assert genes.shape == (3, count, N_GENES)
-    assert in_range.shape == (3,)
-
-
 @given(st.integers(1, 300), st.integers(1, 16))
 def test_a_ladder_has_as_many_rungs_as_it_is_asked_for_and_more_for_the_first(
     count: int, sides: int

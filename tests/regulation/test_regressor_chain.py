@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from pydrake.common.value import Value
 
-from drake_oa.common.messages import EllipsoidSet, PolicyState
+from drake_oa.common.messages import PolicyState
 from drake_oa.policy.dmp import local_frame
 from drake_oa.regulation.network import Network
 from drake_oa.regulation.regressor import TARGETS, ChainWeights, section_extents
 from drake_oa.regulation.regressor_chain import RegressorChain, way_past
+from tests.builders import balls
 
 
 def weights():
@@ -30,14 +31,8 @@ def weights():
 
 
 def ellipsoids(m):
-    return EllipsoidSet(
-        stamp=0.0,
-        p_WO=np.tile([0.5, 0.0, 0.1], (m, 1)) + 0.05 * np.arange(m)[:, None],
-        R_WO=np.tile(np.eye(3), (m, 1, 1)),
-        semi_axes=np.tile([0.1, 0.15, 0.2], (m, 1)),
-        v_WO=np.zeros((m, 3)),
-        ids=np.arange(m),
-    )
+    centers = np.tile([0.5, 0.0, 0.1], (m, 1)) + 0.05 * np.arange(m)[:, None]
+    return balls(*centers, radius=[0.1, 0.15, 0.2])
 
 
 def policy(p_WG=(0.8, 0.0, 0.0)):
@@ -94,54 +89,8 @@ def test_the_way_past_what_is_straight_ahead_goes_over_it():
         assert way_past(policy(), aside, 0.1) == pytest.approx(0.8)
 
 
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({"original": 0.0}, "original must be finite and positive"),
-        ({"scaling": "clock"}, "scaling 'clock'; it must be one of route, sections, none"),
-    ],
-)
-def test_what_no_reading_is_is_refused(given, said):
-    with pytest.raises(ValueError, match=said):
-        RegressorChain(weights(), 0.1, **given)
-
-
-def test_no_obstacles_give_no_rows():
-    assert len(evaluate(RegressorChain(weights(), 0.1), EllipsoidSet(), policy())) == 0
-
-
 def test_without_a_motion_nothing_is_coupled():
     found = evaluate(RegressorChain(weights(), 0.1), ellipsoids(2), policy((0.0, 0.0, 0.0)))
     assert found.alpha.tolist() == [0.0, 0.0]
     assert not found.in_range.any()
     assert np.isfinite(found.as_array()).all()
-
-
-def test_output_follows_its_inputs_and_is_cached_between():
-    system = RegressorChain(weights(), 0.1)
-    context = system.CreateDefaultContext()
-    system.GetInputPort("policy_state").FixValue(context, Value(policy()))
-    system.GetInputPort("ellipsoids_W").FixValue(context, Value(ellipsoids(1)))
-    port = system.GetOutputPort("coupling_parameters")
-    first = port.Eval(context)
-    assert port.Eval(context) is first
-    system.GetInputPort("ellipsoids_W").FixValue(context, Value(ellipsoids(2)))
-    assert len(port.Eval(context)) == 2
-
-
-def test_a_foreign_value_on_a_port_is_named():
-    system = RegressorChain(weights(), 0.1)
-    system.set_name("chain")
-    with pytest.raises(TypeError, match="chain: input port 'ellipsoids_W' holds a PolicyState"):
-        evaluate(system, PolicyState(), policy())
-
-
-@pytest.mark.parametrize("clearance", [0.0, -0.1, np.nan, np.inf])
-def test_a_clearance_that_is_no_positive_length_is_refused(clearance):
-    with pytest.raises(ValueError, match="clearance must be finite and positive"):
-        RegressorChain(weights(), clearance)
-
-
-def test_weights_of_another_type_are_refused():
-    with pytest.raises(TypeError, match=r"ChainWeights .* not str"):
-        RegressorChain("weights.npz", 0.1)

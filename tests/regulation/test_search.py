@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drake_oa.common.config import check_values
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.policy.coupling import ALPHA as ALPHA_COLUMN
 from drake_oa.policy.coupling import NORMAL
@@ -111,12 +110,6 @@ def test_nothing_is_done_where_nothing_is_in_the_way(proposer: Proposer) -> None
     assert found.in_range
 
 
-def test_a_scene_without_obstacles_is_free(proposer: Proposer) -> None:
-    found = verify(scenes([[np.nan, np.nan, np.nan]]), proposer, duration=DURATION)
-    assert found.kept
-    assert found.terms[0, ALPHA_COLUMN] == 0.0
-
-
 def test_a_moving_obstacle_is_met_where_it_will_be(proposer: Proposer) -> None:
     # It crosses the baseline's middle at t = 1.5 s, and is far from it now.
     posed = scenes([[0.5, 0.45, 0.0]], velocity=(0.0, -0.3, 0.0))
@@ -173,25 +166,3 @@ def test_a_turn_about_the_normal_goes_to_the_side() -> None:
     terms = avoidance_terms(scenes([[0.5, 0.0, 0.0]]), np.zeros(1, dtype=np.int64), genes)
     omega = np.cross(terms[0, NORMAL : NORMAL + 3], [1.0, 0.0, 0.0])
     np.testing.assert_allclose(omega, [0.0, np.cos(0.3), np.sin(0.3)], atol=1e-15)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"candidates": 4},
-        {"rounds": -1},
-        {"steps": 10},
-        {"slack": -1.0},
-        {"tolerance": float("nan")},
-    ],
-)
-def test_parameters_are_checked(wrong: dict[str, float]) -> None:
-    (name,) = wrong
-    with pytest.raises(ValueError, match=name):
-        check_values(SearchParameters(**wrong))
-
-
-def test_arguments_are_checked(proposer: Proposer) -> None:
-    posed = scenes([[0.5, 0.0, 0.0]])
-    with pytest.raises(ValueError, match="duration"):
-        verify(posed, proposer, duration=0.0)
