@@ -12,7 +12,7 @@ from drake_oa.scenario.faults import CameraDropout, Push, TorqueSaturation
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import perception_period
-from drake_oa.world.fault_systems import CameraFaults, ExternalPush, WeakActuators
+from drake_oa.world.faults import CameraFaults, ExternalPush, WeakActuators
 from drake_oa.world.obstacles import ObstacleMover
 from drake_oa.world.station import Station
 

@@ -14,8 +14,8 @@ Whoever drives an arm (`drake-oa run --hardware`):
 The arm's side (`drake-oa station`):
 
 - `panda_station.PandaStation` is a scenario's simulated robot and cameras behind the messages;
-- `command_player.CommandGuard` judges each command before the arm follows it: one that is old, out of limits,
-  that jumps, or of a second commander is refused. It knows nothing of LCM.
+- `command_player.CommandGuard` checks each command before the arm follows it: one that is old,
+  out of limits, that jumps, or of a second commander is refused. It does not use LCM.
 
 Nothing here was ever run on a real arm.
 

@@ -30,7 +30,7 @@ from drake_oa.robot.plant import base_pose
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import simulated
 from drake_oa.scenario.task_joints import start_positions
-from drake_oa.world.meshes import give_normals
+from drake_oa.world.cameras import give_normals
 from drake_oa.world.station import make_station
 
 _WIDTH, _HEIGHT, _FOV = 960, 720, 0.52

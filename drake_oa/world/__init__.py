@@ -16,8 +16,8 @@ torques [N m]. Frames: W world, C camera (x right, y down, z forward).
   Lovell 2012; Khoshelham and Oude Elberink 2012): steps of disparity, axial noise smooth over a
   few pixels, shadows, flying and missing pixels. It is a function of seed, time and image: runs
   repeat.
-- `faults` says what goes wrong and when; `fault_systems` brings it in: `CameraFaults` (frames
-  that are lost), `WeakActuators`, `ExternalPush`.
+- `faults` are the faults of a scenario as systems: `CameraFaults` (frames that are lost),
+  `WeakActuators`, `ExternalPush`.
 
 Configuration: the blocks `obstacles`, `cameras`, `directives` and `faults` of a scenario, and
 `perception.noise` (`drake_oa.perception.config.CameraNoise`).

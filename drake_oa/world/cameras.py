@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass
+from pathlib import Path
 
-from pydrake.geometry import SceneGraph
+from pydrake.geometry import Mesh, Role, SceneGraph, SourceId
 from pydrake.lcm import DrakeLcm
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import DiagramBuilder, OutputPort
@@ -17,8 +18,8 @@ from pydrake.systems.rendering import MultibodyPositionToGeometryPose
 from pydrake.systems.sensors import ApplyCameraConfig, CameraConfig, CameraInfo, RgbdSensor
 
 from drake_oa.common.config import ScenarioError
+from drake_oa.robot.formats.meshes import as_objs
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.world.meshes import give_normals
 from drake_oa.world.world_model import add_world
 
 
@@ -95,3 +96,28 @@ def add_camera(
         if system.get_name() not in known and isinstance(system, RgbdSensor)
     )
     return sensor
+
+
+def give_normals(scene_graph: SceneGraph, source: SourceId) -> None:
+    """Gives visible meshes the normals of their faces, where an OBJ file has none.
+
+    Cameras refuse a mesh without normals. Its material and texture are left out: the color is
+    that of the model file.
+
+    Args:
+        scene_graph: with all geometry, without a renderer yet.
+        source: owner of the geometry.
+
+    Raises:
+        ValueError: for a file that cannot be read as a mesh.
+    """
+    inspector = scene_graph.model_inspector()
+    for geometry in inspector.GetAllGeometryIds(role=Role.kPerception):
+        shape = inspector.GetShape(geometry)
+        if not isinstance(shape, Mesh) or shape.extension() != ".obj":
+            continue
+        file = Path(shape.source().path())
+        if "\nvn " not in file.read_text("utf-8"):
+            (converted,) = as_objs(file, hulls=False)
+            mesh = Mesh(filename=str(converted), scale3=shape.scale3())
+            scene_graph.ChangeShape(source, geometry, mesh)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import weakref
 import zlib
+from collections import deque
 from typing import Any
 
 import numpy as np
@@ -100,54 +101,18 @@ def unpack_depth(message: lcmt_image_array) -> tuple[NDArray[np.float32], int]:
     return depth, int(image.header.utime)
 
 
-class LcmBus:
-    """What comes on the channels of one URL, the newest message of each.
-
-    Attributes:
-        lcm: what it comes by.
-    """
-
-    def __init__(self, url: str) -> None:
-        """Opens it.
-
-        Raises:
-            RuntimeError: from Drake, for a URL that it cannot open.
-        """
-        self.lcm = DrakeLcm(url)
-        self._newest: dict[str, tuple[int, bytes]] = {}
-
-    def subscribe(self, channel: str) -> None:
-        """Receives a channel from now on; again, it does nothing."""
-        if channel in self._newest:
-            return
-        newest = self._newest
-        newest[channel] = (0, b"")
-
-        # Drake forbids a handler to raise; one that held the bus would keep it for ever.
-        def take(data: bytes) -> None:
-            newest[channel] = (newest[channel][0] + 1, data)
-
-        self.lcm.Subscribe(channel, take)
-
-    def newest(self, channel: str) -> tuple[int, bytes]:
-        """How many messages have come on a channel, and the last one's bytes."""
-        while self.lcm.HandleSubscriptions(0):
-            pass
-        return self._newest[channel]
+_buses: weakref.WeakValueDictionary[str, DrakeLcm] = weakref.WeakValueDictionary()
 
 
-_buses: weakref.WeakValueDictionary[str, LcmBus] = weakref.WeakValueDictionary()
-
-
-def lcm_bus(url: str) -> LcmBus:
-    """The one of a URL, which all that ask while it is in use share.
+def lcm_bus(url: str) -> DrakeLcm:
+    """Returns the bus of a URL; while it is in use, all cameras of this process share it.
 
     Raises:
         RuntimeError: from Drake, for a URL that it cannot open.
     """
     bus = _buses.get(url)
     if bus is None:
-        bus = _buses[url] = LcmBus(url)
+        bus = _buses[url] = DrakeLcm(url)
     return bus
 
 
@@ -170,8 +135,9 @@ class LcmFrames:
         """
         self._url, self._channel = url, CHANNEL.format(camera)
         self.name = f"LCM channel {self._channel} at {url}"
-        self._bus: LcmBus | None = None
-        self._count = 0
+        self._bus: DrakeLcm | None = None
+        # Drake forbids a handler to raise: images are decoded when they are read.
+        self._received: deque[bytes] = deque(maxlen=1)
         self.open()
 
     def open(self) -> None:
@@ -186,28 +152,32 @@ class LcmFrames:
             self._bus = lcm_bus(self._url)
         except RuntimeError as error:
             raise ScenarioError(f"perception.lcm_url: '{self._url}': {error}") from None
-        self._bus.subscribe(self._channel)
-        self._count, _ = self._bus.newest(self._channel)
+        self._received = deque(maxlen=1)
+        self._bus.Subscribe(self._channel, self._received.append)
+        self._receive()
+        self._received.clear()
 
     def latest(self) -> Frame | None:
-        """The newest image that has come since it was asked last; None: none has.
+        """Returns the newest image since the last call; None: none has come.
 
         Raises:
             ValueError: for a message that cannot be read.
         """
-        if self._bus is None:
+        self._receive()
+        if not self._received:
             return None
-        count, data = self._bus.newest(self._channel)
-        if count == self._count:
-            return None
-        self._count = count
         try:
-            message = lcmt_image_array.decode(data)
-        except Exception as error:  # What decoding raises depends on what is wrong.
+            message = lcmt_image_array.decode(self._received.pop())
+        except Exception as error:  # The kind of exception depends on the damage.
             raise ValueError(f"message is no lcmt_image_array: {error}") from None
         depth, utime = unpack_depth(message)
         return Frame(depth, utime * _MICROSECOND)
 
     def close(self) -> None:
-        """Lets go of the bus."""
+        """Releases the bus, without its last image."""
         self._bus = None
+        self._received.clear()
+
+    def _receive(self) -> None:
+        while self._bus is not None and self._bus.HandleSubscriptions(0):
+            pass

@@ -1,8 +1,8 @@
-"""Faults that a scenario asks for, as functions of time.
+"""Faults of a scenario as systems: of a camera, of the actuators, and pushes from outside.
 
     faults: [!CameraDropout {start: 1.0, duration: 0.5}, !TorqueSaturation {start: 2.0}]
 
-A fault lasts for start <= t < start + duration. Frames are counted from time 0, where the first
+A fault lasts for start <= t < start + duration. Frames are counted from time 0, when the first
 is taken.
 """
 
@@ -10,45 +10,250 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from pydrake.common.value import AbstractValue, Value
+from pydrake.multibody.math import SpatialForce
+from pydrake.multibody.plant import ExternallyAppliedSpatialForce
+from pydrake.multibody.tree import BodyIndex
+from pydrake.systems.framework import BasicVector, Context, LeafSystem, State
+from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 
-from drake_oa.common.messages import FloatArray
-from drake_oa.scenario.faults import CameraDropout, Fault, Push, TorqueSaturation
+from drake_oa.common.messages import FloatArray, Frozen
+from drake_oa.common.ports import read_value, valid_period
+from drake_oa.scenario.faults import CameraDropout, Push, TorqueSaturation
 
-_ROUNDING = 1e-6  # of a frame's period
-_NOW = 1e-9  # rounding of a time [s]
-
-
-def is_lost(faults: Sequence[Fault], frame: int, period: float) -> bool:
-    """Returns whether the frame of a number, from 0, falls into a dropout; period in [s]."""
-    return any(
-        isinstance(fault, CameraDropout)
-        and _first_frame(fault.start, period)
-        <= frame
-        < _first_frame(fault.start + fault.duration, period)
-        for fault in faults
-    )
-
-
-def torque_scale(faults: Sequence[Fault], time: float) -> float:
-    """What the actuators give at a time [s], as a share of their effort limits."""
-    scales = [
-        fault.scale
-        for fault in faults
-        if isinstance(fault, TorqueSaturation)
-        and fault.start <= time < fault.start + fault.duration
-    ]
-    return min(scales, default=1.0)
+_FRAME_TOLERANCE = 1e-6
+"""Rounding error of a number of frames."""
+_TIME_TOLERANCE = 1e-9
+"""Rounding error of a time [s]."""
 
 
-def push_wrench(push: Push, time: float) -> FloatArray:
-    """(6,) torque [N m] and force [N] of a push in the world at a time [s]."""
-    if not push.start <= time + _NOW < push.start + push.duration:
-        return np.zeros(6)
-    return np.array([*push.torque, *push.force], dtype=float)
+@dataclass(frozen=True, eq=False)
+class _Frame(Frozen):
+    """An image and the robot's state when it was taken."""
+
+    stamp: float
+    depth: NDArray[np.float32]
+    robot_state: FloatArray
 
 
-def _first_frame(start: float, period: float) -> int:
-    """The first frame taken at or after a time."""
-    return math.ceil(start / period - _ROUNDING)
+class CameraFaults(LeafSystem):
+    """What a camera's driver hands out while no new image arrives.
+
+    .. pydrake_system::
+
+      name: CameraFaults
+      input_ports:
+      - depth_image
+      - robot_state
+      output_ports:
+      - depth_image
+      - image_stamp
+      - robot_state
+
+    - depth_image (in): ImageDepth32F as the camera takes it [m].
+    - robot_state (in): (num_states,) vector [q, v] of the robot.
+    - depth_image (out): ImageDepth32F [m]: during a dropout the last one before it; all NaN
+      while there was none.
+    - image_stamp: (1,) time at which that image was taken [s]; -inf while there was none.
+    - robot_state (out): the robot's state at that time, as a driver pairs them.
+
+    Without a dropout the outputs are the inputs. A frame is taken every `period`, and the
+    images that are asked for between are live as well. The last frame before a dropout is kept
+    in the Context.
+    """
+
+    def __init__(
+        self,
+        faults: Sequence[CameraDropout],
+        camera: CameraInfo,
+        *,
+        num_states: int,
+        period: float = 1.0 / 15.0,
+    ) -> None:
+        """Declares ports, state and events.
+
+        Args:
+            faults: when no image arrives.
+            camera: the depth camera's intrinsics.
+            num_states: size of the robot's state.
+            period: time between frames, that of the perception behind [s].
+
+        Raises:
+            ValueError: for a period that is not positive.
+        """
+        super().__init__()
+        self._faults = tuple(faults)
+        self._period = period = valid_period(period)
+        nothing = _Frame(
+            -np.inf,
+            np.full((camera.height(), camera.width()), np.nan, dtype=np.float32),
+            np.zeros(num_states),
+        )
+        self._image_port = self.DeclareAbstractInputPort("depth_image", Value(ImageDepth32F()))
+        self._robot_port = self.DeclareVectorInputPort("robot_state", num_states)
+        self._last = self.DeclareAbstractState(Value(nothing))
+        late = {self.time_ticket(), self.abstract_state_ticket(self._last)}
+        self.DeclareAbstractOutputPort(
+            "depth_image",
+            lambda: Value(ImageDepth32F()),
+            self._calc_image,
+            {*late, self._image_port.ticket()},
+        )
+        self.DeclareVectorOutputPort("image_stamp", 1, self._calc_stamp, late)
+        self.DeclareVectorOutputPort(
+            "robot_state", num_states, self._calc_robot, {*late, self._robot_port.ticket()}
+        )
+        self.DeclareInitializationUnrestrictedUpdateEvent(self._keep)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._keep)
+
+    def _is_lost(self, context: Context, later: int = 0) -> bool:
+        """Returns whether the frame taken last, or so many frames later, does not arrive."""
+        frame = math.floor(context.get_time() / self._period + _FRAME_TOLERANCE) + later
+
+        def first_frame(time: float) -> int:
+            return math.ceil(time / self._period - _FRAME_TOLERANCE)
+
+        return any(
+            first_frame(fault.start) <= frame < first_frame(fault.start + fault.duration)
+            for fault in self._faults
+        )
+
+    def _last_frame(self, context: Context) -> _Frame | None:
+        """The frame that stands in for the one taken at this time; None: that one arrives."""
+        if not self._is_lost(context):
+            return None
+        frame: _Frame = context.get_abstract_state(int(self._last)).get_value()
+        return frame
+
+    def _keep(self, context: Context, state: State) -> None:
+        if self._is_lost(context) or not self._is_lost(context, 1):
+            return
+        image: Any = read_value(self, self._image_port, context, ImageDepth32F)
+        state.get_mutable_abstract_state(int(self._last)).set_value(
+            _Frame(
+                context.get_time(),
+                image.data[:, :, 0].copy(),
+                np.array(self._robot_port.Eval(context)),
+            )
+        )
+
+    def _calc_image(self, context: Context, output: AbstractValue) -> None:
+        last = self._last_frame(context)
+        if last is None:
+            output.set_value(read_value(self, self._image_port, context, ImageDepth32F))
+            return
+        image: Any = ImageDepth32F(last.depth.shape[1], last.depth.shape[0])
+        image.mutable_data[:, :, 0] = last.depth
+        output.set_value(image)
+
+    def _calc_stamp(self, context: Context, output: BasicVector) -> None:
+        last = self._last_frame(context)
+        output.SetAtIndex(0, context.get_time() if last is None else last.stamp)
+
+    def _calc_robot(self, context: Context, output: BasicVector) -> None:
+        last = self._last_frame(context)
+        x: Any = self._robot_port.Eval(context) if last is None else last.robot_state
+        output.SetFromVector(x)
+
+
+class ExternalPush(LeafSystem):
+    """Applies the wrenches of pushes to bodies of a plant.
+
+    .. pydrake_system::
+
+      name: ExternalPush
+      input_ports:
+      output_ports:
+      - spatial_forces
+
+    - spatial_forces: abstract list of `ExternallyAppliedSpatialForce`, one a push, at the
+      origin of its body, in the world frame [N, N m]; zero before and after it. For the port
+      `applied_spatial_force` of a `MultibodyPlant`.
+    """
+
+    def __init__(self, pushes: Sequence[tuple[Push, BodyIndex]]) -> None:
+        """Declares the port.
+
+        Args:
+            pushes: each with the body that it acts on.
+
+        Raises:
+            ValueError: if there is none.
+        """
+        super().__init__()
+        if not pushes:
+            raise ValueError("pushes is empty; there must be at least one")
+        self._pushes = tuple(pushes)
+        self.DeclareAbstractOutputPort(
+            "spatial_forces",
+            lambda: AbstractValue.Make([ExternallyAppliedSpatialForce()]),
+            self._calc,
+            {self.time_ticket()},
+        )
+
+    def _calc(self, context: Context, output: AbstractValue) -> None:
+        forces = []
+        for push, body in self._pushes:
+            now = context.get_time() + _TIME_TOLERANCE
+            scale = float(push.start <= now < push.start + push.duration)
+            applied = ExternallyAppliedSpatialForce()
+            applied.body_index = body
+            applied.p_BoBq_B = np.zeros(3)
+            applied.F_Bq_W = SpatialForce(
+                tau=scale * np.array(push.torque), f=scale * np.array(push.force)
+            )
+            forces.append(applied)
+        output.set_value(forces)
+
+
+class WeakActuators(LeafSystem):
+    """Cuts the actuation off at shrunken effort limits while a fault says so.
+
+    .. pydrake_system::
+
+      name: WeakActuators
+      input_ports:
+      - actuation
+      output_ports:
+      - actuation
+
+    - actuation (in): (n,) what the controller asks for [N m, N].
+    - actuation (out): (n,) what the actuators give: not more than `scale` of the effort
+      limits while a `TorqueSaturation` lasts, else all of it.
+    """
+
+    def __init__(self, faults: Sequence[TorqueSaturation], effort_limits: FloatArray) -> None:
+        """Declares the ports.
+
+        Args:
+            faults: times and remaining shares of the effort limits.
+            effort_limits: (n,) of the actuators, in the plant's order [N m, N].
+
+        Raises:
+            ValueError: for limits that are not positive numbers.
+        """
+        super().__init__()
+        limits = np.array(effort_limits, dtype=float)
+        if limits.ndim != 1 or not (limits > 0.0).all():
+            raise ValueError(f"effort_limits must be (n,) and positive, not {effort_limits}")
+        self._faults, self._limits = tuple(faults), limits
+        self._requested = self.DeclareVectorInputPort("actuation", len(limits))
+        self.DeclareVectorOutputPort(
+            "actuation", len(limits), self._calc, {self.time_ticket(), self._requested.ticket()}
+        )
+
+    def _calc(self, context: Context, output: BasicVector) -> None:
+        requested = self._requested.Eval(context)
+        now = context.get_time()
+        scales = [
+            fault.scale
+            for fault in self._faults
+            if fault.start <= now < fault.start + fault.duration
+        ]
+        limit = min(scales, default=np.inf) * self._limits
+        output.SetFromVector(np.clip(requested, -limit, limit))

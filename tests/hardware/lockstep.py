@@ -59,8 +59,7 @@ class Lockstep:
     ) -> None:
         # Each its own, which nobody of before speaks on.
         self.url = f"memq://{next(_numbers)}"
-        self._bus, self.clock = lcm_bus(self.url), Clock()
-        self.lcm = self._bus.lcm
+        self.lcm, self.clock = lcm_bus(self.url), Clock()
         self.statuses: Any = Deaf(self.lcm)
         self.scenario = load_scenario(scenario)
         self.station = PandaStation(

@@ -12,8 +12,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraInfo
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.perception.config import RealSense
-from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
+from drake_oa.scenario.loading import load_scenario
 from drake_oa.world.live_camera import Frame, FrameSource, LiveCamera
 from drake_oa.world.realsense import RealSenseFrames
 from drake_oa.world.station import make_station, release_cameras
@@ -147,30 +146,6 @@ def test_without_the_package_it_says_how_to_install_it(monkeypatch: pytest.Monke
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
     with pytest.raises(ScenarioError, match=r"pip install 'drake_oa\[realsense\]'"):
         RealSenseFrames(INFO, 30.0)
-
-
-TWO = "cameras: [left, right], serials: {left: '1', right: '2'}"
-
-
-def test_the_block_is_read_and_written() -> None:
-    scenario = load_scenario("two_cameras", [f"perception=!RealSense {{{TWO}}}"])
-    assert isinstance(scenario.perception, RealSense)
-    assert scenario.perception.pixel_center == 0.0
-    assert parse_scenario(scenario_text(scenario)).perception == scenario.perception
-
-
-@pytest.mark.parametrize(
-    ("block", "why"),
-    [
-        ("cameras: [left, right]", r"perception\.serials: 'left' has none"),
-        ("cameras: [left, right], serials: {left: '1', right: '1'}", "have the same"),
-        ("camera: left, serials: {right: '1'}", r"serials\.right: .* does not see by 'right'"),
-        ("camera: left, serials: {left: 12}", r"serials\.left: expected text"),
-    ],
-)
-def test_says_what_does_not_fit_of_the_block(block: str, why: str) -> None:
-    with pytest.raises(ScenarioError, match=why):
-        load_scenario("two_cameras", [f"perception=!RealSense {{{block}}}"])
 
 
 def test_a_scenario_is_built_without_the_device_and_asks_for_it_at_the_start() -> None:
