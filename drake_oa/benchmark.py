@@ -18,7 +18,7 @@ import platform
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, astuple, dataclass
+from dataclasses import asdict, astuple, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ from pydrake.systems.primitives import ZeroOrderHold
 from scipy.optimize import nnls
 
 from drake_oa.common import thinking
-from drake_oa.common.console import TextTable
+from drake_oa.common.console import Column, TextTable
 from drake_oa.common.files import software_versions
 from drake_oa.common.thinking import Thinking, Work
 from drake_oa.perception.config import CameraSource
@@ -106,44 +106,44 @@ def run_benchmark(
 
 
 def benchmark_tables(figures: Mapping[str, Any]) -> list[TextTable]:
-    """What `run_benchmark` returned, as tables with a column a scenario."""
-    tables = []
-    for part, rows_of, note in (("run", _run_rows, _OF_RUN), ("thinking", _thinking_rows, _OF_FIT)):
-        of = {name: found[part] for name, found in figures["scenarios"].items() if part in found}
-        if of:
-            rows = rows_of(list(of.values()))
-            tables.append(TextTable(["", *of], rows, "l" + "r" * len(of), [note]))
-    machine = figures["machine"]
-    made = ", ".join(f"{name} {value[:12]}" for name, value in figures["versions"].items())
-    rows = [
-        [f"{machine['cpu']}, {machine['cores']} cores, load {machine['load']:.1f} at the start"],
-        [made],
+    """Returns the figures of `run_benchmark` as tables with a column for each scenario.
+
+    The layers that take most come first.
+    """
+    runs, thoughts = [], []
+    layers: dict[str, float] = {}
+    for name, found in figures["scenarios"].items():
+        if run := found.get("run"):
+            runs.append({"name": name, **run, **run["layers"]})
+            layers |= {of: max(layers.get(of, 0.0), time) for of, time in run["layers"].items()}
+        if times := found.get("thinking"):
+            thoughts.append({"name": name, **times, **times["fitted"]})
+    by_time = sorted(layers, key=lambda name: -layers[name])
+    run_columns = [
+        Column("name", ""),
+        Column("real_time_factor", "real-time factor", "{:.2f}"),
+        Column("drake_alone", "  of Drake alone", "{:.2f}"),
+        *(Column(layer, form="{:.1f}", scale=1e3) for layer in by_time),
     ]
-    return [*tables, TextTable((), rows, "l")]
-
-
-def _run_rows(found: list[Any]) -> list[list[str]]:
-    """The rows of several scenarios' "run", the layers that take most first."""
-    alone = ["-" if f["drake_alone"] is None else f"{f['drake_alone']:.2f}" for f in found]
-    layers = list(dict.fromkeys(name for f in found for name in f["layers"]))
-    layers.sort(key=lambda name: -max(f["layers"].get(name, 0.0) for f in found))
-    return [
-        ["real-time factor", *(f"{f['real_time_factor']:.2f}" for f in found)],
-        ["  of Drake alone", *alone],
-        *([name, *(f"{1e3 * f['layers'].get(name, 0.0):.1f}" for f in found)] for name in layers),
-    ]
-
-
-def _thinking_rows(found: list[Any]) -> list[list[str]]:
-    """The rows of several scenarios' "thinking"."""
-    return [
-        ["decisions", *(str(f["decisions"]) for f in found)],
-        ["processor time [s]", *(f"{f['measured']:.2f}" for f in found)],
-        ["simulated time that they cost [s]", *(f"{f['modelled']:.2f}" for f in found)],
+    thought_columns = [
+        Column("name", ""),
+        Column("decisions"),
+        Column("measured", "processor time [s]", "{:.2f}"),
+        Column("modelled", "simulated time that they cost [s]", "{:.2f}"),
         *(
-            [f"  {name} that fits best [us]", *(f"{1e6 * f['fitted'][name]:.3g}" for f in found)]
-            for name in found[0]["fitted"]
+            Column(item.name, f"  {item.name} that fits best [us]", "{:.3g}", 1e6)
+            for item in fields(Thinking)
         ),
+    ]
+    machine = figures["machine"]
+    notes = (
+        f"{machine['cpu']}, {machine['cores']} cores, load {machine['load']:.1f} at the start",
+        ", ".join(f"{name} {value[:12]}" for name, value in figures["versions"].items()),
+    )
+    parts = ((run_columns, runs, _OF_RUN), (thought_columns, thoughts, _OF_FIT))
+    return [
+        *(TextTable(of, rows, [note], transposed=True) for of, rows, note in parts if rows),
+        TextTable((), (), notes),
     ]
 
 

@@ -17,7 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from drake_oa.common.console import BAD_INPUT, FAILED, TextTable, complain, show, write_all
+from drake_oa.common.console import BAD_INPUT, FAILED, Column, TextTable, complain, show, write_all
 from drake_oa.common.files import check_outputs, replace_text, save_figure
 
 # NumPy, Drake and the kernels are imported where they are used: `--help` answers at once.
@@ -263,31 +263,37 @@ def run_lengths(indices: IntArray) -> list[list[int]]:
     return [[int(run[0]), len(run)] for run in runs if len(run)]
 
 
+_COLUMNS = (
+    Column("file"),
+    Column("rms", "plane rms [mm]", "{:.2f}", 1e3),
+    Column("cluster"),
+    Column("points"),
+    Column("semi_axis", "largest semi-axis [m]", "{:.3f}"),
+    Column("inside"),
+    Column("milliseconds", "ms", "{:.1f}"),
+)
+
+
 def _table(results: Sequence[dict[str, Any]]) -> TextTable:
-    """Returns a table with a row for each cluster."""
-    header = [
-        "file",
-        "plane rms [mm]",
-        "cluster",
-        "points",
-        "largest semi-axis [m]",
-        "inside",
-        "ms",
-    ]
-    rows = []
+    """Returns a table with a row for each cluster; those of one file follow its name."""
+    blank = dict.fromkeys((column.key for column in _COLUMNS), "")
+    rows: list[dict[str, Any]] = []
     for result in results:
         if "error" in result:
             continue
-        rms = f"{1e3 * result['plane']['rms']:.2f}" if result["plane"] else "-"
-        head, time_ms = [Path(result["file"]).name, rms], f"{result['milliseconds']:.1f}"
-        if not result["clusters"]:
-            rows.append([*head, "none", "", "", "", time_ms])
-        for number, cluster in enumerate(result["clusters"], start=1):
-            largest = f"{cluster['ellipsoid']['semi_axes'][0]:.3f}"
-            inside = "all" if cluster["enclosed"] else "NOT ALL"
-            rows.append([*head, str(number), str(cluster["points"]), largest, inside, time_ms])
-            head, time_ms = ["", ""], ""
-    return TextTable(header, rows, "lrrrrrr")
+        clusters = [
+            {
+                "cluster": number,
+                "points": cluster["points"],
+                "semi_axis": cluster["ellipsoid"]["semi_axes"][0],
+                "inside": "all" if cluster["enclosed"] else "NOT ALL",
+            }
+            for number, cluster in enumerate(result["clusters"], start=1)
+        ] or [{"cluster": "none"}]
+        rms = result["plane"] and result["plane"]["rms"]
+        clusters[0] |= result | {"file": Path(result["file"]).name, "rms": rms}
+        rows += [blank | cluster for cluster in clusters]
+    return TextTable(_COLUMNS, rows)
 
 
 def _expand_folders(files: Sequence[Path]) -> list[Path]:

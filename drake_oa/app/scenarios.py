@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from drake_oa.common.console import FAILED, TextTable, complain, show
+from drake_oa.common.console import FAILED, Column, TextTable, complain, show
 from drake_oa.common.files import check_outputs, replace_text
 from drake_oa.scenario.shipped import shipped_scenarios
 
@@ -77,13 +77,16 @@ def scenarios(*, files: bool = False) -> None:
         return
     needed = {name: missing_package(path) for name, path in shipped.items()}
     rows = [
-        (name, description(path) + (f" (needs {needed[name]})" if needed[name] else ""))
+        {
+            "name": name,
+            "text": description(path) + (f" (needs {needed[name]})" if needed[name] else ""),
+        }
         for name, path in shipped.items()
     ]
     notes = (
         ["what a scenario needs: pip install 'drake_oa[robots]'"] if any(needed.values()) else []
     )
-    show(TextTable((), rows, "ll", notes))
+    show(TextTable([Column(key, "", side="left") for key in ("name", "text")], rows, notes))
 
 
 SCHEMA = "scenario.schema.json"
@@ -160,7 +163,7 @@ def check(
     wrong = scenario_problems(scenario, overrides)
     if not wrong:
         from drake_oa.runs.metrics import RobotJudge
-        from drake_oa.runs.scenario_check import end_contacts, end_rows, unbuildable
+        from drake_oa.runs.scenario_check import end_contacts, end_table, unbuildable
 
         chosen = load_scenario(scenario, overrides)
         check_outputs(file, read=scenario_files(chosen))
@@ -175,10 +178,9 @@ def check(
         return 0
     with build_errors(), quiet():
         judge = RobotJudge(chosen)
-        rows, notes = end_rows(chosen, judge)
+        table = end_table(chosen, judge)
         contacts = end_contacts(chosen, judge)
-    header = ("", "tool clearance [m]", "robot clearance [m]", "touches")
-    show(TextTable(header, rows, "lrrl", notes))
+    show(table)
     if file is not None:
         from drake_oa.viewing.still import draw_scenario
 
@@ -235,8 +237,8 @@ def graph(
         for source, reader in connections(diagram):
             if not reader.startswith("log_"):
                 readers.setdefault(source, []).append(reader)
-        rows = [(source, ", ".join(names)) for source, names in readers.items()]
-        show(TextTable(("output", "read by"), rows, "ll"))
+        rows = [{"output": of, "read by": ", ".join(names)} for of, names in readers.items()]
+        show(TextTable([Column(key, side="left") for key in ("output", "read by")], rows))
         return
     text = diagram.GetGraphvizString(max_depth=depth)
     if program:

@@ -7,9 +7,10 @@ import math
 import sys
 import textwrap
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
 
 from rich import box
 from rich.console import Console, ConsoleOptions, RenderResult
@@ -65,82 +66,114 @@ class ProgressLines:
             print(f"{self._work} (first use only): {row} of {self._count}", file=sys.stderr)
 
 
-@dataclass(frozen=True)
-class TextTable:
-    """A table with notes below it: ruled and coloured on a terminal, aligned text elsewhere.
-
-    On a terminal too narrow for it, rows and columns change places where that fits.
+class Column(NamedTuple):
+    """Specification of a column of a table.
 
     Attributes:
-        header: a heading a column; empty for none.
-        rows: of each row its cells, as many as there are columns.
-        sides: a letter a column: "l" for the left, "r" for the right.
-        notes: lines below.
+        key: key of the values in the rows.
+        heading: quantity and unit; None: the key.
+        form: format of the values, texts excepted.
+        scale: factor of the values before they are formatted.
+        side: alignment; None: "left" in the first column, "right" in others.
     """
 
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    sides: str
+    key: str
+    heading: str | None = None
+    form: str = "{}"
+    scale: float = 1
+    side: Literal["left", "right"] | None = None
+
+    def cell(self, row: Mapping[str, Any]) -> str:
+        """Returns the text of a row's value; "-" for a value that is missing or not finite."""
+        value = row.get(self.key)
+        if isinstance(value, str):
+            return value
+        if value is None or not math.isfinite(value):
+            return "-"
+        return self.form.format(value * self.scale)
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """Table with notes below it: ruled and colored on a terminal, aligned text elsewhere.
+
+    On a terminal that is too narrow for the table, rows and columns are exchanged where that fits.
+
+    Attributes:
+        columns: specification of each column; if all headings are empty, none is printed.
+        rows: values of each row by key.
+        notes: lines below.
+        transposed: whether each row of values is printed as a column.
+    """
+
+    columns: Sequence[Column]
+    rows: Sequence[Mapping[str, Any]]
     notes: Sequence[str] = ()
+    transposed: bool = False
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        ruled = console.is_terminal and bool(self.header)
-        header = list(self.header) or [""] * len(self.sides)
-        if ruled and self._width(header) > options.max_width:
-            columns = list(zip(*self.rows, strict=True))
-            turned = TextTable(
-                [header[0], *columns[0]],
-                list(zip(header[1:], *zip(*columns[1:], strict=True), strict=True)),
-                "l" + "r" * len(self.rows),
-                self.notes,
-            )
-            header = [_folded(*of) for of in zip(header, columns, strict=True)]
-            if self._width(header) > options.max_width >= turned._width(turned.header):
-                yield turned
-                return
+        columns = [
+            [of.key if of.heading is None else of.heading, *map(of.cell, self.rows)]
+            for of in self.columns
+        ]
+        grid: _Grid = columns if self.transposed else list(zip(*columns, strict=True))
+        header, *cells = grid or [()]
+        ruled = console.is_terminal and any(header)
+        turned = self.transposed
+        if ruled and _width(grid) > options.max_width:
+            other: _Grid = list(zip(*grid, strict=True))
+            header = [_folded(*column) for column in other]
+            if _width([header, *cells]) > options.max_width >= _width(other):
+                header, *cells = other
+                turned = not turned
         table = Table(
             box=box.SIMPLE_HEAD if ruled else None,
-            show_header=bool(self.header),
+            show_header=any(header),
             header_style="bold" if ruled else "",
             pad_edge=False,
             padding=(0, 1 if ruled else 2, 0, 0),
         )
-        for number, (heading, side) in enumerate(zip(header, self.sides, strict=True)):
+        for number, heading in enumerate(header):
+            side = None if turned else self.columns[number].side
             # Text, as a cell's brackets are no markup.
             table.add_column(
                 Text(heading),
-                justify="right" if side == "r" else "left",
+                justify=side or ("right" if number else "left"),
                 style="cyan" if console.is_terminal and number == 0 else "",
                 overflow="fold",
             )
-        for row in self.rows:
+        for row in cells:
             table.add_row(*map(Text, row))
-        yield table
+        if grid:
+            yield table
         for note in self.notes:
             yield Text(note, style="yellow" if note.startswith("warning") else "")
 
-    def _width(self, header: Sequence[str]) -> int:
-        """Columns of a terminal that it takes with these headings."""
-        columns = zip(header, *self.rows, strict=True)
-        return sum(
-            2 + max(len(line) for of in column for line in of.split("\n")) for column in columns
-        )
-
     def __str__(self) -> str:
-        """As text without colours, as wide as it needs."""
+        """Returns plain text without colors, as wide as the table."""
         console = Console(file=io.StringIO(), width=_WIDE, color_system=None, force_terminal=False)
         with console.capture() as captured:
             console.print(self)
         return "\n".join(line.rstrip() for line in captured.get().rstrip("\n").splitlines())
 
 
-def _folded(heading: str, cells: Sequence[str]) -> str:
-    """A heading in lines that are no longer than its column's cells, or than a word of it."""
+_Grid = Sequence[Sequence[str]]
+"""Headings, and the cells of each row."""
+
+
+def _width(grid: _Grid) -> int:
+    """Returns the width of a table on a terminal [character]."""
+    columns = zip(*grid, strict=True)
+    return sum(2 + max(len(line) for of in column for line in of.split("\n")) for column in columns)
+
+
+def _folded(heading: str, *cells: str) -> str:
+    """Returns a heading in lines no longer than the cells below it, or than its longest word."""
     return textwrap.fill(heading, max(map(len, [*heading.split(), *cells, " "])))
 
 
 def show(*tables: TextTable) -> None:
-    """Prints on stdout, a blank line between: as the terminal can show it, or as plain text."""
+    """Prints tables on stdout with a blank line between them; plain text when piped."""
     console = Console()
     for number, table in enumerate(tables):
         if number:

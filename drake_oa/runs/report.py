@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from drake_oa.common.console import TextTable
+from drake_oa.common.console import Column, TextTable
 from drake_oa.common.messages import EllipsoidSet, FloatArray
 from drake_oa.geometry.ellipsoid_kernels import feasible_clearance
 from drake_oa.geometry.rotation import rotation_vector
@@ -214,42 +214,35 @@ def run_report(
     return report
 
 
-_ROWS = (
-    ("collisions", "collisions", "{:d}"),
-    ("tool_clearance_min", "tool clearance [m]", "{:.3f}"),
-    ("robot_clearance_min", "robot clearance [m]", "{:.3f}"),
-    ("asked_clearance", "asked [m]", "{:.3f}"),
-    ("feasible_clearance", "feasible [m]", "{:.3f}"),
-    ("short_of_feasible", "short by [mm]", "{:.1f}"),
-    ("goal_error", "goal error [mm]", "{:.2f}"),
-    ("orientation_error", "turn error [deg]", "{:.2f}"),
-    ("torque_saturation", "saturated [%]", "{:.1f}"),
-    ("duration", "duration [s]", "{:.2f}"),
+_COLUMNS = (
+    Column("motion", ""),
+    Column("collisions"),
+    Column("tool_clearance_min", "tool clearance [m]", "{:.3f}"),
+    Column("robot_clearance_min", "robot clearance [m]", "{:.3f}"),
+    Column("asked_clearance", "asked [m]", "{:.3f}"),
+    Column("feasible_clearance", "feasible [m]", "{:.3f}"),
+    Column("short_of_feasible", "short by [mm]", "{:.1f}", 1e3),
+    Column("goal_error", "goal error [mm]", "{:.2f}", 1e3),
+    Column("orientation_error", "turn error [deg]", "{:.2f}", math.degrees(1.0)),
+    Column("torque_saturation", "saturated [%]", "{:.1f}", 1e2),
+    Column("duration", "duration [s]", "{:.2f}"),
+    Column("stop_reason", "ended by"),
 )
-_SCALE = {
-    "short_of_feasible": 1e3,
-    "goal_error": 1e3,
-    "orientation_error": math.degrees(1.0),
-    "torque_saturation": 1e2,
-}
 
 
 def report_table(report: dict[str, Any]) -> TextTable:
-    """The report as a table, one column a motion.
+    """Returns the report as a table with one column for each motion.
 
-    Below it what was asked and could not be had, or was not kept, and what regulation took
-    the clearance for.
+    The notes below it name clearance that was not feasible or not kept, and contacts.
     """
-    motions = [motion for motion in ("preplanned", "modulated") if motion in report]
-    rows = []
-    for key, title, form in _ROWS:
-        if any(key in report[motion] for motion in motions):
-            values = [report[motion].get(key) for motion in motions]
-            scale = _SCALE.get(key, 1)
-            rows.append([title, *("-" if v is None else form.format(v * scale) for v in values)])
-    rows.append(["ended by", *(report[motion]["stop_reason"] for motion in motions)])
-    notes = [note for motion in motions for note in _notes(motion, report[motion])]
-    return TextTable(["", *motions], rows, "l" + "r" * len(motions), list(dict.fromkeys(notes)))
+    rows = [
+        {"motion": motion, **report[motion]}
+        for motion in ("preplanned", "modulated")
+        if motion in report
+    ]
+    columns = [column for column in _COLUMNS if any(column.key in row for row in rows)]
+    notes = dict.fromkeys(note for row in rows for note in _notes(row["motion"], row))
+    return TextTable(columns, rows, list(notes), transposed=True)
 
 
 def contact_error(report: dict[str, Any]) -> str:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
 from pydrake.systems.framework import DiagramBuilder
 
 from drake_oa.common.config import ScenarioError
+from drake_oa.common.console import Column, TextTable
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.runs.metrics import MotionMetrics, RobotJudge
@@ -70,24 +70,30 @@ def _ends(scenario: Scenario, judge: RobotJudge) -> list[MotionMetrics]:
     return [judge.metrics(np.atleast_2d(q)) for q in end_positions(scenario)]
 
 
-def end_rows(
-    scenario: Scenario, judge: RobotJudge
-) -> tuple[list[tuple[str, str, str, str]], list[str]]:
-    """What start and goal leave the arm, and what can be kept between them.
+_COLUMNS = (
+    Column("end", ""),
+    Column("tool", "tool clearance [m]", "{:.3f}"),
+    Column("robot", "robot clearance [m]", "{:.3f}"),
+    Column("touches", side="left"),
+)
 
-    Returns:
-        Rows: which end, clearance of the tool and of any link, what is touched; and notes.
+
+def end_table(scenario: Scenario, judge: RobotJudge) -> TextTable:
+    """Returns a table of clearances and contacts at start and goal.
+
+    The notes name the requested clearance, and the feasible one if it is less.
     """
-    rows = []
-    for name, at in zip(("start", "goal"), _ends(scenario, judge), strict=True):
-        touched = ", ".join((*at.contacts, *at.self_contacts)) or "nothing"
-        rows.append((name, _metres(at.tool_clearance[0]), _metres(at.robot_clearance[0]), touched))
+    rows = [
+        {
+            "end": name,
+            "tool": at.tool_clearance[0],
+            "robot": at.robot_clearance[0],
+            "touches": ", ".join((*at.contacts, *at.self_contacts)) or "nothing",
+        }
+        for name, at in zip(("start", "goal"), _ends(scenario, judge), strict=True)
+    ]
     asked, feasible = scenario.task.clearance, feasible_clearance_of(scenario, judge)
     notes = [f"asked clearance: {asked:g} m"]
     if feasible < asked - 1e-4:
         notes.append(f"start and goal leave {feasible:.3f} m: there is no more to be kept")
-    return rows, notes
-
-
-def _metres(value: float) -> str:
-    return f"{value:.3f}" if math.isfinite(value) else "-"
+    return TextTable(_COLUMNS, rows, notes)

@@ -8,20 +8,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from drake_oa.common.console import TextTable
+from drake_oa.common.console import Column, TextTable
 from drake_oa.regulation.regressor import TARGETS
 from drake_oa.studies.scenes.paper_method import SHIPPED, paper_chain
-from drake_oa.studies.tables import text_table
 from drake_oa.training.paper_set import PRINTED
 
-_ERROR = "{:.3g}"
 _COLUMNS = (
-    ("train", "train", _ERROR, 1.0),
-    ("train_printed", "print", _ERROR, 1.0),
-    ("test", "test", _ERROR, 1.0),
-    ("test_printed", "print", _ERROR, 1.0),
-    ("floor", "floor", _ERROR, 1.0),
-    ("rows", "rows", "{:,d}", 1.0),
+    Column("train", form="{:.3g}"),
+    Column("train_printed", "print", "{:.3g}"),
+    Column("test", form="{:.3g}"),
+    Column("test_printed", "print", "{:.3g}"),
+    Column("floor", form="{:.3g}"),
+    Column("rows", form="{:,d}"),
 )
 
 
@@ -67,5 +65,6 @@ def table_one(whole: Mapping[str, Any]) -> list[TextTable]:
     tables = []
     for file, chain in whole["chains"].items():
         notes = [f"({chain['chain']}; {chain['action_level']})"]
-        tables.append(text_table(file, list(chain["networks"].items()), _COLUMNS, notes))
+        rows = [{"name": name, **network} for name, network in chain["networks"].items()]
+        tables.append(TextTable((Column("name", file), *_COLUMNS), rows, notes))
     return tables

@@ -12,10 +12,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from drake_oa.common.console import TextTable
+from drake_oa.common.console import Column, TextTable
 from drake_oa.scenario.loading import load_scenario, scenario_text
 from drake_oa.studies.panda.evaluation import Drawing, PandaResults, PandaSuite
-from drake_oa.studies.tables import text_table
 from drake_oa.studies.tally import Counts
 
 
@@ -51,16 +50,17 @@ KINDS = ("box", "irregular", "clutter")
 METHODS = ("preplanned", "paper")
 
 _COLUMNS = (
-    ("trials", "trials", "{:d}", 1.0),
-    ("obstacles_touched", "touched", "{:d}", 1.0),
-    ("clearance_mean", "clearance [m]", "{:.3f}", 1.0),
-    ("clearance_min", "least", "{:.3f}", 1.0),
-    ("clearance_printed", "print", "{:.3f}", 1.0),
-    ("trials_short", "short", "{:d}", 1.0),
-    ("goal_error_mean", "goal error [mm]", "{:.2f}", 1e3),
-    ("goal_error_max", "most", "{:.2f}", 1e3),
-    ("goal_error_printed", "print", "{:.2f}", 1e3),
-    ("duration_median", "duration [s]", "{:.1f}", 1.0),
+    Column("name", "scene, method"),
+    Column("trials"),
+    Column("obstacles_touched", "touched"),
+    Column("clearance_mean", "clearance [m]", "{:.3f}"),
+    Column("clearance_min", "least", "{:.3f}"),
+    Column("clearance_printed", "print", "{:.3f}"),
+    Column("trials_short", "short"),
+    Column("goal_error_mean", "goal error [mm]", "{:.2f}", 1e3),
+    Column("goal_error_max", "most", "{:.2f}", 1e3),
+    Column("goal_error_printed", "print", "{:.2f}", 1e3),
+    Column("duration_median", "duration [s]", "{:.1f}"),
 )
 
 
@@ -174,7 +174,7 @@ def trials_figures(
 def table_three(whole: Mapping[str, Any]) -> TextTable:
     """What `trials_figures` found, beside the print."""
     rows = [
-        (f"{kind}, {method}", figures)
+        {"name": f"{kind}, {method}", **figures}
         for kind, methods in whole["rows"].items()
         for method, figures in methods.items()
     ]
@@ -182,4 +182,4 @@ def table_three(whole: Mapping[str, Any]) -> TextTable:
         "touched: obstacles and the table, in any trial; short: trials keeping less than is asked;",
         "print: Table III of the paper, of a real Panda",
     )
-    return text_table("scene, method", rows, _COLUMNS, notes)
+    return TextTable(_COLUMNS, rows, notes)

@@ -11,14 +11,13 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any, Literal
 
-from drake_oa.common.console import TextTable
+from drake_oa.common.console import Column, TextTable
 from drake_oa.studies.scenes.evaluation import Evaluation, Outcome, evaluate
 from drake_oa.studies.scenes.figures import motion_figures
 from drake_oa.studies.scenes.paper_method import READING, Reading, run, sections
 from drake_oa.studies.scenes.sampling import line_hits
 from drake_oa.studies.scenes.scenes import Scenes
 from drake_oa.studies.scenes.suites import SAMPLINGS
-from drake_oa.studies.tables import Column, text_table
 
 _PRINTED = ("clearance_mean", "clearance_min", "goal_error_mean", "goal_error_max", "collisions")
 PRINTED: dict[float, dict[str, Any]] = {
@@ -177,12 +176,13 @@ def table_two_figures(
     }
 
 
-_COLUMNS: tuple[Column, ...] = (
-    ("collisions", "collisions", "{:d}", 1.0),
-    ("clearance_mean", "clearance mean [m]", "{:.3f}", 1.0),
-    ("clearance_min", "min [m]", "{:.4f}", 1.0),
-    ("goal_error_mean", "goal error mean [mm]", "{:.2f}", 1e3),
-    ("goal_error_max", "max [mm]", "{:.0f}", 1e3),
+_COLUMNS = (
+    Column("collisions"),
+    Column("clearance_mean", "clearance mean [m]", "{:.3f}"),
+    Column("clearance_min", "min [m]", "{:.4f}"),
+    Column("goal_error_mean", "goal error mean [mm]", "{:.2f}", 1e3),
+    Column("goal_error_max", "max [mm]", "{:.0f}", 1e3),
+    Column("off", "differs"),
 )
 _HEADINGS = {
     "collisions": "collisions",
@@ -202,28 +202,22 @@ def table_two(whole: Mapping[str, Any]) -> list[TextTable]:
     """What `table_two_figures` found: each reading's rows, and which of its cells agree."""
     tables, summary = [], []
     for name, reading in whole["readings"].items():
-        rows: list[tuple[str, Mapping[str, Any]]] = []
+        rows = []
         for row in reading["by_baseline"]:
             off = [_HEADINGS[key] for key, same in row["agrees"].items() if not same]
-            rows.append((f"goal at {row['baseline']:g} m", row | {"off": ", ".join(off) or "none"}))
-            rows.append(("  the paper prints", PRINTED[row["baseline"]]))
+            title = f"goal at {row['baseline']:g} m"
+            rows.append({"name": title, "off": ", ".join(off) or "none", **row})
+            rows.append({"name": "  the paper prints", **PRINTED[row["baseline"]]})
         title = name if reading["complete"] else f"{name} (not complete)"
-        tables.append(text_table(title, rows, (*_COLUMNS, ("off", "differs", "{}", 1))))
+        tables.append(TextTable((Column("name", title), *_COLUMNS), rows))
         counts = {
             key: sum(row["agrees"][key] for row in reading["by_baseline"]) for key in _PRINTED
         }
-        summary.append((title, reading | counts))
-    columns = [(key, heading, "{:d}", 1.0) for key, heading in _HEADINGS.items()]
-    tables.append(
-        text_table(
-            "cells that agree",
-            summary,
-            (
-                *columns,
-                ("cells", "of 20", "{:d}", 1.0),
-                ("lines_hit", "lines hit", "{:.0f} %", 1e2),
-            ),
-            _NOTES,
-        )
+        summary.append({"name": title, **reading, **counts})
+    columns = (
+        Column("name", "cells that agree"),
+        *(Column(key, heading) for key, heading in _HEADINGS.items()),
+        Column("cells", "of 20"),
+        Column("lines_hit", "lines hit", "{:.0f} %", 1e2),
     )
-    return tables
+    return [*tables, TextTable(columns, summary, _NOTES)]

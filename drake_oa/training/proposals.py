@@ -20,7 +20,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from drake_oa.common.console import TextTable
+from drake_oa.common.console import Column, TextTable
 from drake_oa.common.files import provenance
 from drake_oa.common.messages import BoolArray, FloatArray
 from drake_oa.geometry.ellipsoid import signed_distance
@@ -509,15 +509,17 @@ def train_proposals(
 
 
 def proposal_table(scores: Sequence[Scores]) -> TextTable:
-    """The scores of each round."""
-    names = ("side [rad]", "place", "aside", "ln kappa", "ln psi", "ln alpha", "ln tau")
-    cells = [
-        [f"{number}", *(f"{value:.3f}" for value in (*score.genes, score.length, score.kept))]
+    """Returns the scores of each round as a table."""
+    genes = ("side [rad]", "place", "aside", "ln kappa", "ln psi", "ln alpha", "ln tau")
+    columns = [
+        Column("round"),
+        *(Column(name, form="{:.3f}") for name in genes),
+        Column("length", "ln length", "{:.3f}"),
+        Column("kept", "kept told", "{:.3f}"),
+    ]
+    rows = [
+        {"round": number, **dict(zip(genes, score.genes, strict=True)), **score._asdict()}
         for number, score in enumerate(scores, 1)
     ]
-    return TextTable(
-        ["round", *names, "ln length", "kept told"],
-        cells,
-        "r" * (len(names) + 3),
-        ("mean absolute errors, of ln length root mean square, on a twentieth that is held out",),
-    )
+    note = "mean absolute errors, of ln length root mean square, on a twentieth that is held out"
+    return TextTable(columns, rows, [note])

@@ -6,62 +6,61 @@ import sys
 import pytest
 from rich.console import Console
 
-from drake_oa.common.console import TextTable, progress_bar, show
+from drake_oa.common.console import Column, TextTable, progress_bar, show
 
 TABLE = TextTable(
-    ["method", "goal error [mm]", "scenes"],
-    [["paper", "0.4", "12"], ["verified", "10.4", "[7]"]],
-    "lrr",
+    [
+        Column("method"),
+        Column("error", "goal error [mm]", "{:.1f}", 1e3),
+        Column("scenes"),
+        Column("note", side="left"),
+    ],
+    [
+        {"method": "paper", "error": 0.4e-3, "scenes": 12},
+        {"method": "verified", "error": float("inf"), "scenes": "[7]", "note": "x"},
+    ],
     ["note: all"],
 )
 
 
-def on_terminal(table: TextTable, width: int) -> list[str]:
-    """Lines of a table, without colours and blank ones."""
+def on_terminal(table: TextTable, width: int) -> list[list[str]]:
+    """Words of the lines of a table, without blank lines."""
     screen = Console(file=io.StringIO(), width=width, force_terminal=True, color_system=None)
     with screen.capture() as captured:
         screen.print(table)
-    return [line.strip() for line in captured.get().splitlines() if line.strip()]
+    return [line.split() for line in captured.get().splitlines() if line.strip()]
 
 
 def test_elsewhere_a_table_is_aligned_text(capsys: pytest.CaptureFixture[str]) -> None:
-    show(TABLE, TextTable((), [["[and]", "b"], ["cc", "d"]], "ll"))
-    assert capsys.readouterr().out.splitlines() == [
-        "method    goal error [mm]  scenes",
-        "paper                 0.4      12",
-        "verified             10.4     [7]",
+    columns = [Column("first", ""), Column("second", "")]
+    show(TABLE, TextTable(columns, [{"first": "x " * 500, "second": 1}], transposed=True))
+    table, long = capsys.readouterr().out.split("\n\n")
+    assert table.splitlines() == [
+        "method    goal error [mm]  scenes  note",
+        "paper                 0.4      12  -",
+        "verified                -     [7]  x",
         "note: all",
-        "",
-        "[and]  b",
-        "cc     d",
     ]
+    assert [line.strip() for line in long.splitlines()] == [("x " * 500).strip(), "1"]
 
 
-def test_a_line_is_as_long_as_it_is() -> None:
-    assert len(str(TextTable((), [["x " * 500]], "l"))) == 999
-
-
-def test_on_a_terminal_it_is_ruled() -> None:
+def test_on_a_terminal_it_is_ruled_and_fits() -> None:
     heading, rule, *rows, note = on_terminal(TABLE, 60)
-    assert heading.split() == ["method", "goal", "error", "[mm]", "scenes"]
-    assert set(rule) == {"─"}
-    assert [row.split()[0] for row in rows] == ["paper", "verified"]
-    assert note == "note: all"
+    assert heading == ["method", "goal", "error", "[mm]", "scenes", "note"]
+    assert set(rule[0]) == {"─"}
+    assert [row[0] for row in rows] == ["paper", "verified"]
+    assert note == ["note:", "all"]
+    goal, error, last, _, first, *_ = on_terminal(TABLE, 36)
+    assert (goal, error, last) == (["goal"], ["error"], ["method", "[mm]", "scenes", "note"])
+    assert first == ["paper", "0.4", "12", "-"]
 
 
-def test_on_a_narrow_one_headings_are_folded() -> None:
-    *above, last, _, first, second, _ = on_terminal(TABLE, 28)
-    assert above == ["goal", "error"]
-    assert last.split() == ["method", "[mm]", "scenes"]
-    assert first.split() == ["paper", "0.4", "12"]
-    assert second.split() == ["verified", "10.4", "[7]"]
-
-
-def test_on_a_narrower_one_rows_and_columns_change_places() -> None:
-    rows = [[name, *[value] * 8] for name, value in (("one", "1.23"), ("two", "4.56"))]
-    heading, _, *turned = on_terminal(TextTable(["", *"abcdefgh"], rows, "l" + "r" * 8), 40)
-    assert heading.split() == ["one", "two"]
-    assert [line.split() for line in turned] == [[of, "1.23", "4.56"] for of in "abcdefgh"]
+def test_on_a_narrow_terminal_rows_and_columns_change_places() -> None:
+    rows = [{"": "one", **dict.fromkeys("abcdefgh", 1.23)}, {"": "two"}]
+    table = TextTable([Column(key) for key in ("", *"abcdefgh")], rows)
+    heading, _, *turned = on_terminal(table, 40)
+    assert heading == ["one", "two"]
+    assert turned == [[key, "1.23", "-"] for key in "abcdefgh"]
 
 
 def test_progress_is_for_terminals(

@@ -75,5 +75,4 @@ def test_the_command_prints_the_table_and_writes_it(
     told = capsys.readouterr().out
     whole = json.loads(file.read_text())
     assert list(whole["rows"]) == list(KINDS)
-    for row in table_three(whole).rows:
-        assert all(cell in told for cell in row)
+    assert str(table_three(whole)) in told

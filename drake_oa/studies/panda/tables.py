@@ -8,13 +8,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from drake_oa.common.console import TextTable
+from drake_oa.common.console import Column, TextTable
 from drake_oa.runs.decision_costs import pooled_figures
 from drake_oa.runs.motion_log import MotionEnd
 from drake_oa.runs.report import TOLD
 from drake_oa.studies.panda.evaluation import PandaResults
 from drake_oa.studies.panda.run import PLANNER
-from drake_oa.studies.tables import over, text_table
+from drake_oa.studies.scenes.figures import over
 from drake_oa.studies.tally import drawn_figures, drawn_lines
 
 ALL = "all"
@@ -23,29 +23,30 @@ ALL = "all"
 _Scene = TypeVar("_Scene", int, tuple[str, int])
 
 _COLUMNS = (
-    ("scenes", "scenes", "{:d}", 1.0),
-    ("contacts", "contacts", "{:d}", 1.0),
-    ("success", "success", "{:d}", 1.0),
-    ("stopped", "stopped", "{:d}", 1.0),
-    ("time_limits", "time limit", "{:d}", 1.0),
-    ("self_contacts", "self", "{:d}", 1.0),
-    ("success_rate", "success [%]", "{:.1f}", 1e2),
-    ("success_rate_solved", "of solved [%]", "{:.1f}", 1e2),
-    ("short_of_feasible", "short", "{:d}", 1.0),
-    ("short_of_feasible_max", "by [mm]", "{:.1f}", 1e3),
-    ("tool_clearance_min", "tool clearance [m]", "{:.3f}", 1.0),
-    ("tool_clearance_median", "median", "{:.3f}", 1.0),
-    ("robot_clearance_min", "robot clearance [m]", "{:.3f}", 1.0),
-    ("goal_error_max", "goal error [mm]", "{:.2f}", 1e3),
-    ("duration_median", "duration [s]", "{:.1f}", 1.0),
-    ("duration_max", "most", "{:.1f}", 1.0),
-    ("moving_after_median", "asked to moving [ms]", "{:.0f}", 1e3),
-    ("moving_after_p95", "95 %", "{:.0f}", 1e3),
-    ("decision_p99", "decision p99 [ms]", "{:.0f}", 1e3),
-    ("decision_max", "most", "{:.0f}", 1e3),
-    ("decision_share_over_period", "over a frame [%]", "{:.1f}", 1e2),
-    ("real_time_factor", "real-time factor", "{:.2f}", 1.0),
-    ("real_time_factor_min", "least", "{:.2f}", 1.0),
+    Column("name", "method"),
+    Column("scenes"),
+    Column("contacts"),
+    Column("success"),
+    Column("stopped"),
+    Column("time_limits", "time limit"),
+    Column("self_contacts", "self"),
+    Column("success_rate", "success [%]", "{:.1f}", 1e2),
+    Column("success_rate_solved", "of solved [%]", "{:.1f}", 1e2),
+    Column("short_of_feasible", "short"),
+    Column("short_of_feasible_max", "by [mm]", "{:.1f}", 1e3),
+    Column("tool_clearance_min", "tool clearance [m]", "{:.3f}"),
+    Column("tool_clearance_median", "median", "{:.3f}"),
+    Column("robot_clearance_min", "robot clearance [m]", "{:.3f}"),
+    Column("goal_error_max", "goal error [mm]", "{:.2f}", 1e3),
+    Column("duration_median", "duration [s]", "{:.1f}"),
+    Column("duration_max", "most", "{:.1f}"),
+    Column("moving_after_median", "asked to moving [ms]", "{:.0f}", 1e3),
+    Column("moving_after_p95", "95 %", "{:.0f}", 1e3),
+    Column("decision_p99", "decision p99 [ms]", "{:.0f}", 1e3),
+    Column("decision_max", "most", "{:.0f}", 1e3),
+    Column("decision_share_over_period", "over a frame [%]", "{:.1f}", 1e2),
+    Column("real_time_factor", "real-time factor", "{:.2f}"),
+    Column("real_time_factor_min", "least", "{:.2f}"),
 )
 
 
@@ -212,7 +213,7 @@ def panda_table(figures: Sequence[Mapping[str, Any]]) -> TextTable:
         for name, method in of["methods"].items():
             title = f"{of['kind']}: {name}" if several else name
             costs = {f"decision_{k}": v for k, v in (method["decision_cost"] or {}).items()}
-            rows.append((f"{title}, {method['perception']}", {**method, **costs}))
+            rows.append({"name": f"{title}, {method['perception']}", **method, **costs})
             if of["kind"] == ALL:
                 continue
             for key, what in (("stop_reasons", "stopped"), ("contact_pairs", "contact")):
@@ -223,4 +224,4 @@ def panda_table(figures: Sequence[Mapping[str, Any]]) -> TextTable:
     if jobs != 1:
         shared = "on a cluster" if jobs is None else f"with {jobs} at once"
         lines.append(f"real-time factors: of runs {shared}; lower than that of one alone")
-    return text_table("method", rows, _COLUMNS, lines)
+    return TextTable(_COLUMNS, rows, lines)

@@ -14,13 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drake_oa.common.console import TextTable
+from drake_oa.common.console import Column, TextTable
 from drake_oa.common.messages import FloatArray
 from drake_oa.studies.scenes.judge import judge
 from drake_oa.studies.scenes.methods import Setting
 from drake_oa.studies.scenes.paper_method import BETA, constant_motions
 from drake_oa.studies.scenes.scenes import Scenes
-from drake_oa.studies.tables import text_table
 
 GAMMAS = (10.0, 30.0, 100.0, 300.0, 1000.0)
 
@@ -77,10 +76,10 @@ def term_figures(comparisons: Sequence[Comparison]) -> list[dict[str, float]]:
 def term_table(figures: Sequence[dict[str, float]]) -> TextTable:
     """The rows of `term_figures` as a table."""
     columns = (
-        ("original_head_on", "head-on: original [mm]", "{:.1f}", 1e3),
-        ("dead_zone_free_head_on", "dead-zone free [mm]", "{:.1f}", 1e3),
-        ("original_collisions", "collisions: original", "{:d}", 1.0),
-        ("dead_zone_free_collisions", "dead-zone free", "{:d}", 1.0),
+        Column("gamma", "terms alone", "gamma = {:g}"),
+        Column("original_head_on", "head-on: original [mm]", "{:.1f}", 1e3),
+        Column("dead_zone_free_head_on", "dead-zone free [mm]", "{:.1f}", 1e3),
+        Column("original_collisions", "collisions: original"),
+        Column("dead_zone_free_collisions", "dead-zone free"),
     )
-    rows = [(f"gamma = {row['gamma']:g}", row) for row in figures]
-    return text_table("terms alone", rows, columns)
+    return TextTable(columns, figures)

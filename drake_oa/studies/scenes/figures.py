@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from drake_oa.common.console import TextTable
+from drake_oa.common.console import Column, TextTable
 from drake_oa.common.messages import BoolArray
 from drake_oa.studies.scenes.evaluation import Outcome
 from drake_oa.studies.scenes.judge import Judgement
 from drake_oa.studies.scenes.suites import Case
-from drake_oa.studies.tables import over, text_table
 
 _ARRIVED = 1e-3
+
+
+def over(statistic: Callable[..., Any], values: Iterable[float | None]) -> float | None:
+    """Returns a statistic of the values that are not None; None if there are none."""
+    known = [value for value in values if value is not None]
+    return float(statistic(known)) if known else None
 
 
 def evaluation_figures(
@@ -110,21 +115,21 @@ def motion_figures(judged: Judgement) -> dict[str, Any]:
 
 
 _COLUMNS = (
-    ("scenes", "scenes", "{:d}", 1.0),
-    ("collisions", "collisions", "{:d}", 1.0),
-    ("clearance_mean", "clearance mean [m]", "{:.3f}", 1.0),
-    ("clearance_min", "min [m]", "{:.4f}", 1.0),
-    ("short_of_feasible", "short", "{:d}", 1.0),
-    ("goal_error_mean", "goal error mean [mm]", "{:.3f}", 1e3),
-    ("goal_error_max", "max [mm]", "{:.3f}", 1e3),
-    ("path_ratio_mean", "path ratio", "{:.3f}", 1.0),
+    Column("scenes"),
+    Column("collisions"),
+    Column("clearance_mean", "clearance mean [m]", "{:.3f}"),
+    Column("clearance_min", "min [m]", "{:.4f}"),
+    Column("short_of_feasible", "short"),
+    Column("goal_error_mean", "goal error mean [mm]", "{:.3f}", 1e3),
+    Column("goal_error_max", "max [mm]", "{:.3f}", 1e3),
+    Column("path_ratio_mean", "path ratio", "{:.3f}"),
 )
 _WHOLE = (
     *_COLUMNS[:3],
-    ("clearance_mean_feasible", "where feasible [m]", "{:.3f}", 1.0),
+    Column("clearance_mean_feasible", "where feasible [m]", "{:.3f}"),
     *_COLUMNS[3:],
-    ("step_us", "step [us]", "{:.3g}", 1.0),
-    ("seconds", "seconds", "{:.2f}", 1.0),
+    Column("step_us", "step [us]", "{:.3g}"),
+    Column("seconds", form="{:.2f}"),
 )
 
 
@@ -136,18 +141,20 @@ def evaluation_tables(figures: Mapping[str, Any]) -> list[TextTable]:
     """
     methods: Mapping[str, Any] = figures["methods"]
     rows = [
-        (name if method["complete"] else f"{name} (not complete)", method)
+        {"name": name if method["complete"] else f"{name} (not complete)", **method}
         for name, method in methods.items()
     ]
     covered = next((m["covers"] for m in methods.values() if "covers" in m), None)
     notes = [f"(over: {'; '.join(covered)}; seconds: all settings)"] if covered else []
-    tables = [text_table("method", rows, _WHOLE, notes)]
+    tables = [TextTable((Column("name", "method"), *_WHOLE), rows, notes)]
     for name, method in methods.items():
-        if "settings" in method:
-            tables.append(text_table(name, list(method["settings"].items()), _COLUMNS))
-        if "by_baseline" in method:
-            rows = [(f"goal at {part['baseline']:g} m", part) for part in method["by_baseline"]]
-            tables.append(text_table(name, rows, _COLUMNS))
+        settings = [{"name": label, **part} for label, part in method.get("settings", {}).items()]
+        baselines = [
+            {"name": f"goal at {part['baseline']:g} m", **part}
+            for part in method.get("by_baseline", ())
+        ]
+        columns = (Column("name", name), *_COLUMNS)
+        tables += [TextTable(columns, rows) for rows in (settings, baselines) if rows]
     return tables
 
 
@@ -162,14 +169,14 @@ def familiar_tables(figures: Mapping[str, Any]) -> list[TextTable]:
         figures: as `evaluation_figures` makes them.
     """
     columns = (
-        ("collisions", "collisions", "{:d}", 1.0),
-        ("collisions_printed", "print", "{:d}", 1.0),
-        ("clearance_mean", "clearance mean [m]", "{:.3f}", 1.0),
-        ("clearance_min", "min [m]", "{:.3f}", 1.0),
-        ("clearance_max", "max [m]", "{:.3f}", 1.0),
-        ("goal_error_mean", "goal error mean [mm]", "{:.2f}", 1e3),
-        ("goal_error_max", "max [mm]", "{:.1f}", 1e3),
-        ("goal_error_printed", "print, at most", "{:.0f}", 1e3),
+        Column("collisions"),
+        Column("collisions_printed", "print"),
+        Column("clearance_mean", "clearance mean [m]", "{:.3f}"),
+        Column("clearance_min", "min [m]", "{:.3f}"),
+        Column("clearance_max", "max [m]", "{:.3f}"),
+        Column("goal_error_mean", "goal error mean [mm]", "{:.2f}", 1e3),
+        Column("goal_error_max", "max [mm]", "{:.1f}", 1e3),
+        Column("goal_error_printed", "print, at most", "{:.0f}", 1e3),
     )
     notes = (
         "print: no collision in any setting; the goal within 30 mm where tau is scaled; else",
@@ -179,9 +186,8 @@ def familiar_tables(figures: Mapping[str, Any]) -> list[TextTable]:
     for name, method in figures["methods"].items():
         rows = []
         for label, setting in method["settings"].items():
-            printed: dict[str, Any] = {"collisions_printed": 0}
-            if label.endswith("scaled"):
-                printed["goal_error_printed"] = FAMILIAR_MOST
-            rows.append((label, setting | printed))
-        tables.append(text_table(name, rows, columns, notes))
+            most = FAMILIAR_MOST if label.endswith("scaled") else None
+            printed = {"collisions_printed": 0, "goal_error_printed": most}
+            rows.append({"name": label, **setting, **printed})
+        tables.append(TextTable((Column("name", name), *columns), rows, notes))
     return tables
