@@ -49,20 +49,6 @@ class Ellipsoid(Frozen):
     gauge: float = 0.0
 
 
-class Projection(NamedTuple):
-    """Nearest points on ellipsoids.
-
-    Attributes:
-        distance: (...) signed Euclidean distance, negative inside [m].
-        point: (..., 3) nearest point of the surface [m].
-        normal: (..., 3) outward unit normal there: the gradient of the distance.
-    """
-
-    distance: FloatArray
-    point: FloatArray
-    normal: FloatArray
-
-
 class Section(NamedTuple):
     """Sections of ellipsoids by planes through their centers: ellipses.
 
@@ -222,6 +208,9 @@ def signed_distance(
 ) -> FloatArray:
     """Euclidean distance of points to ellipsoids, negative inside.
 
+    The secular equation of the nearest point (Eberly) is solved in the ellipsoid's axes by a
+    monotone Newton iteration.
+
     Args:
         p: (..., 3) points in W [m].
         center: (..., 3) centres p_WO [m].
@@ -234,25 +223,11 @@ def signed_distance(
     Raises:
         ValueError: for a semi-axis that is not positive, or shapes that do not fit.
     """
-    return nearest(p, center, R, semi_axes).distance
-
-
-def nearest(p: ArrayLike, center: ArrayLike, R: ArrayLike, semi_axes: ArrayLike) -> Projection:
-    """Signed distance, nearest point and outward normal; arguments as `signed_distance`.
-
-    The secular equation of the nearest point (Eberly) is solved in the ellipsoid's
-    axes by a monotone Newton iteration. Where several points are nearest (a point on
-    the medial axis), it is the one on the positive side of the principal axis.
-    """
-    shape, (p_, c_, R_, a_) = _rows((p, 1), (center, 1), (R, 2), (semi_axes, 1))
-    count = math.prod(shape)
-    distance, point, normal = np.empty(count), np.empty((count, 3)), np.empty((count, 3))
-    if not kernels.nearest_points(p_, c_, R_, a_, np.empty((4, 3)), distance, point, normal):
+    shape, rows = _rows((p, 1), (center, 1), (R, 2), (semi_axes, 1))
+    distance = np.empty(math.prod(shape))
+    if not kernels.signed_distances(*rows, np.empty((3, 3)), distance):
         raise ValueError(f"signed_distance: semi_axes must be positive, not {semi_axes!r}")
-    if len(shape) != 1:
-        distance = distance.reshape(shape)
-        point, normal = point.reshape(*shape, 3), normal.reshape(*shape, 3)
-    return Projection(distance, point, normal)
+    return distance.reshape(shape)
 
 
 def plane_section(R: ArrayLike, semi_axes: ArrayLike, e1: ArrayLike, e2: ArrayLike) -> Section:

@@ -102,18 +102,19 @@ def nearest_point(y: FloatArray, e: FloatArray, w: FloatArray, x: FloatArray) ->
 
 
 @compiled
-def nearest_points(
+def signed_distances(
     p: FloatArray,
     center: FloatArray,
     R: FloatArray,
     semi_axes: FloatArray,
     work: FloatArray,
     distance: FloatArray,
-    point: FloatArray,
-    normal: FloatArray,
 ) -> bool:
-    """Row by row; inputs of one row serve every row. False: a semi-axis is not positive."""
-    y, w, x = work[0], work[1], work[2]
+    """Computes distances row by row; inputs of one row serve every row.
+
+    Returns False where a semi-axis is not positive.
+    """
+    y = work[0]
     for n in range(distance.shape[0]):
         a = semi_axes[n if semi_axes.shape[0] > 1 else 0]
         A = R[n if R.shape[0] > 1 else 0]
@@ -122,19 +123,8 @@ def nearest_points(
         if not (a[0] > 0.0 and a[1] > 0.0 and a[2] > 0.0):
             return False
         for i in range(3):
-            y[i] = A[0, i] * (q[0] - c[0]) + A[1, i] * (q[1] - c[1]) + A[2, i] * (q[2] - c[2])
-        for i in range(3):
-            work[3, i] = abs(y[i])
-        distance[n] = nearest_point(work[3], a, w, x)
-        size = 0.0
-        for i in range(3):
-            x[i] = math.copysign(x[i], y[i])
-            w[i] = x[i] / a[i] / a[i]
-            size += w[i] * w[i]
-        size = math.sqrt(size)
-        for i in range(3):
-            point[n, i] = c[i] + A[i, 0] * x[0] + A[i, 1] * x[1] + A[i, 2] * x[2]
-            normal[n, i] = (A[i, 0] * w[0] + A[i, 1] * w[1] + A[i, 2] * w[2]) / size
+            y[i] = abs(A[0, i] * (q[0] - c[0]) + A[1, i] * (q[1] - c[1]) + A[2, i] * (q[2] - c[2]))
+        distance[n] = nearest_point(y, a, work[1], work[2])
     return True
 
 

@@ -13,16 +13,6 @@ ANNULUS = Annulus(np.array([[0.0, 0.4, 0.8], [0.2, 0.3, 0.1], [0.7, 0.8, 0.5]]))
 MOST = 2.9
 
 
-@given(st.lists(st.tuples(*[st.floats(-1.5, 1.5)] * 3), min_size=1, max_size=10))
-def test_the_margin_of_many_points_is_that_of_each(points: list[tuple[float, ...]]) -> None:
-    p = np.array(points)
-    margin = sector_margin(p, ANNULUS, MOST)
-    assert margin.shape == (len(points),)
-    np.testing.assert_array_equal(margin, [sector_margin(row, ANNULUS, MOST) for row in p])
-    twice = sector_margin(np.stack([p, p]), ANNULUS, MOST)
-    np.testing.assert_array_equal(twice, np.stack([margin, margin]))
-
-
 @given(st.tuples(*[st.floats(-1.5, 1.5)] * 3))
 def test_it_stands_at_its_axis(point: tuple[float, ...]) -> None:
     p, shift = np.array(point), np.array([0.3, -0.2, 0.5])

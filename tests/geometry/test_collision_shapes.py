@@ -106,20 +106,6 @@ def test_a_half_space_is_neither_robot_nor_obstacle():
         surface_points(inspector, geometry)
 
 
-def test_too_few_samples_are_refused():
-    _, _, scene_graph, _, (geometry,) = arm_with([Sphere(0.1)])
-    with pytest.raises(ValueError, match="at least 30"):
-        surface_points(scene_graph.model_inspector(), geometry, 10)
-
-
-@pytest.mark.parametrize("state", [np.zeros(3), np.array([np.nan, 0.0])])
-def test_an_invalid_robot_state_is_refused(state):
-    _, plant, scene_graph, instance, _ = arm_with([Sphere(0.1)])
-    robot = collect_collision_shapes(plant, scene_graph.model_inspector(), instance)
-    with pytest.raises(ValueError, match="robot state must be 2 finite"):
-        robot.posed(state)
-
-
 def test_bodies_without_geometry_are_left_out():
     _, plant, scene_graph, instance, _ = arm_with([])
     robot = collect_collision_shapes(plant, scene_graph.model_inspector(), instance)

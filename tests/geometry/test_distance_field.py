@@ -58,17 +58,6 @@ def test_the_distance_is_within_a_voxel_of_that_to_the_points(count):
     assert (beyond >= 0.75 * exact - field.voxel).all()
 
 
-def test_a_surface_is_within_a_voxel_on_its_outside():
-    size, center = np.array([0.1, 0.2, 0.15]), np.array([0.5, 0.1, 0.3])
-    cloud, _ = surface(size, center)
-    points = around(cloud, 0.2)
-    beyond = np.abs(points - center) - size / 2.0
-    exact = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
-    outside = exact > 0.0
-    error = distances(field_of(cloud), points)[outside] - exact[outside]
-    assert np.abs(error).max() <= 0.01
-
-
 @pytest.mark.parametrize("shape", [(0.06, 0.1, 0.2), (0.11, 0.07, 0.03)])
 def test_the_nodes_are_exact_for_the_voxels_that_are_filled(shape):
     cloud = RNG.normal(size=(200, 3)) * shape
@@ -158,22 +147,3 @@ def test_a_large_cloud_gets_coarser_voxels_and_says_so():
     found = distances(field, points)
     assert (found <= exact + 0.01).all()
     assert (found >= exact - 3.0 * field.voxel).all()
-
-
-@pytest.mark.parametrize(
-    ("cloud", "options", "words"),
-    [
-        (np.zeros((0, 3)), {}, "N > 0"),
-        (np.zeros((4, 2)), {}, "N > 0"),
-        ([[0.0, np.nan, 0.0]], {}, "not finite"),
-        ([[0.0, 0.0, np.inf]], {}, "not finite"),
-        ([[0.0, 0.0, 1e30]], {}, "farther than 10000 m"),
-        ([[0.0, 0.0, 0.0]], {"voxel": 0.0}, "voxel must be positive"),
-        ([[0.0, 0.0, 0.0]], {"margin": -1.0}, "margin must be positive"),
-        ([[0.0, 0.0, 0.0]], {"max_cells": 8}, "max_cells must be at least"),
-        ([[0.0, 0.0, 0.0]], {"viewpoint_W": np.zeros(2)}, "viewpoint"),
-    ],
-)
-def test_what_makes_no_field_is_refused(cloud, options, words):
-    with pytest.raises(ValueError, match=words):
-        field_of(np.array(cloud), **options)

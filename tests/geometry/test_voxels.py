@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse.csgraph import connected_components
@@ -41,21 +40,13 @@ def test_clusters_are_the_components_of_the_graph_of_near_points(count, toleranc
     np.testing.assert_array_equal(connected_clusters(points, tolerance), expected)
 
 
-@given(st.integers(0, 300), st.integers(1, 50), st.integers(0, 9999))
+@given(st.sampled_from([0, 1, 300, 30_000]), st.sampled_from([1, 50, 30_000]), st.integers(0, 9))
 def test_keys_are_numbered_by_first_appearance(count, kinds, seed):
     keys = np.random.default_rng(seed).integers(0, kinds, count) * (1 << 21)
     different, which = numbered(keys)
     np.testing.assert_array_equal(different[which], keys)
     assert len(np.unique(different)) == len(different)
     assert (np.diff(np.unique(which, return_index=True)[1]) > 0).all()
-
-
-@pytest.mark.parametrize("count", [4096, 4097, 30_000])
-def test_many_different_keys_are_told_apart(count):
-    keys = np.arange(count) * (1 << 21)
-    different, which = numbered(np.concatenate([keys, keys]))
-    np.testing.assert_array_equal(different, keys)
-    np.testing.assert_array_equal(which, np.tile(np.arange(count), 2))
 
 
 def join(background: float, label_behind: int) -> np.ndarray:
