@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.visualization import ApplyVisualizationConfig, VisualizationConfig
 
@@ -17,7 +16,9 @@ from drake_oa.regulation.config import Paper
 from drake_oa.robot.plant import base_pose
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import camera_configs
-from drake_oa.viewing.meshcat_overlay import MeshcatOverlay, SeenRange, dress_scene
+from drake_oa.viewing.drawing import frustum_edges
+from drake_oa.viewing.meshcat_overlay import MeshcatOverlay
+from drake_oa.viewing.viewer import dress_scene
 
 _FRAME = 1.0 / 30.0
 """Time between pictures [s]."""
@@ -44,32 +45,27 @@ def add_view(wires: Wires, scenario: Scenario, cell: Cell | None, meshcat: Meshc
 def make_overlay(scenario: Scenario, cell: Cell | None, meshcat: Meshcat) -> MeshcatOverlay:
     """What our layers think, drawn into the viewer; also dresses the scene."""
     dress_scene(meshcat, base_pose(scenario.robot), scenario.table_height or 0.0)
-    planned_W = _planned_path(scenario)
     show = scenario.view.show
     if show is None:
         show = ["decision", "motion"]
         show += ["descriptor"] if isinstance(scenario.regulation, Paper) else []
-    if cell is None or scenario.robot is None:
-        return MeshcatOverlay(meshcat, planned_W=planned_W, show=show)
-    hand = cell.plant.GetBodyByName(scenario.robot.hand_link, cell.robot)
-    p_BE = np.asarray(scenario.robot.p_HE)
-    source = scenario.perception
-    if not isinstance(source, CameraSource) or not cell.cameras:
-        return MeshcatOverlay(
-            meshcat, planned_W=planned_W, body_index=hand.index(), p_BE=p_BE, show=show
-        )
-    ranges = {
-        source.signal("camera_pose", config.name): SeenRange(
-            cell.cameras[config.name].intrinsics, config.z_near, config.z_far
-        )
-        for config in camera_configs(scenario, source)
-    }
+    robot, source = scenario.robot, scenario.perception
+    hand, frustums = None, {}
+    if cell is not None and robot is not None:
+        hand = cell.plant.GetBodyByName(robot.hand_link, cell.robot).index()
+        if isinstance(source, CameraSource) and cell.cameras:
+            frustums = {
+                source.signal("camera_pose", config.name): frustum_edges(
+                    cell.cameras[config.name].intrinsics, config.z_near, config.z_far
+                )
+                for config in camera_configs(scenario, source)
+            }
     return MeshcatOverlay(
         meshcat,
-        planned_W=planned_W,
-        cameras=ranges,
-        body_index=hand.index(),
-        p_BE=p_BE,
+        planned_W=_planned_path(scenario),
+        frustums=frustums,
+        body_index=hand,
+        p_BE=[0.0] * 3 if robot is None else robot.p_HE,
         show=show,
     )
 

@@ -8,9 +8,9 @@ kernels: revolute joints in a row, six or more. Positions q [rad, m] are the pla
 joints first; poses X_WE in the world. There are no systems here: the layers above hold a plant
 each.
 
-- `plant`, `grasped_object`: parsing, welding, limits, what the hand holds, the tool's corners. `formats`:
-  a model with meshes that Drake does not read, without actuators, or in a package of Python, as
-  Drake takes it.
+- `plant`, `grasped_object`: parsing once a process, welding, limits, what the hand holds, the
+  tool's corners. `formats`: a model with meshes that Drake does not read, without actuators, or in
+  a package of Python, as Drake takes it.
 - `arm_kernels`: forward kinematics of revolute joints, the geometric Jacobian.
 - `spheres`, `sphere_kernels`: the robot, with what it holds, as spheres that enclose its collision
   geometry; pairs of bodies that may touch are found in random postures. `sphere_cover`: a body's

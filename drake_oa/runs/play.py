@@ -38,8 +38,8 @@ from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
 from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.scenario.shipped import package_file
 from drake_oa.scenario.sources import camera_configs
+from drake_oa.viewing.camera_inset import CameraInset
 from drake_oa.viewing.drawing import DISTANCE
-from drake_oa.viewing.meshcat_overlay import camera_inset
 from drake_oa.viewing.panel import LivePage
 from drake_oa.world.station import release_cameras
 
@@ -281,7 +281,7 @@ class PlaySession:
         self.logs: dict[str, MotionLog] = {}
         self._leg = self._ticks = 0
         floor = scenario.table_height or 0.0
-        self._inset = camera_inset(meshcat, base_pose(scenario.robot), floor)
+        self._inset = CameraInset(meshcat, base_pose(scenario.robot), floor)
         self.stopped = False
         self.kept = math.inf
         self._simulator: Simulator | None = None

@@ -37,8 +37,9 @@ from drake_oa.runs.motion_log import MotionEnd, MotionLog
 from drake_oa.scenario.loading import parse_scenario
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task import goal_at
-from drake_oa.viewing.meshcat_overlay import MeshcatOverlay, dress_scene
+from drake_oa.viewing.meshcat_overlay import MeshcatOverlay
 from drake_oa.viewing.panel import LivePage, Reading
+from drake_oa.viewing.viewer import dress_scene
 from drake_oa.world.world_model import add_world
 
 _EARLY = 1e-9

@@ -7,8 +7,8 @@ the bodies' poses; only the policy's state is needed. Out: nothing, it writes to
 - `MeshcatOverlay` draws at 15 Hz, and a cloud every 0.2 s: ellipsoids with their sections by the
   P-plane, cost rings, chosen directions, planned and executed paths, the camera's frustum. It
   works live and in a recording, which holds transforms and properties but no objects.
-- `drawing` has the geometry of it, as functions of arrays; `viewer` starts, records and keeps
-  Meshcat for the commands.
+- `drawing` has the geometry of it, as functions of arrays; `viewer` starts, dresses, records and
+  keeps Meshcat for the commands.
 - `panel` adds title, readings and legend to Meshcat's page, recorded or live (`LivePage`).
 
 Begin with the class docstring of `meshcat_overlay.MeshcatOverlay`.

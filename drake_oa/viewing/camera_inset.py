@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.geometry import Meshcat
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.perception import BaseField, Fields, PointCloud
 
 from drake_oa.common.messages import FloatArray, ObstacleClouds
 from drake_oa.geometry.pinhole import View
+from drake_oa.viewing.viewer import floor_frame, looking_pose
 
+_PATH = "/drake_oa/inset"
 _COLUMNS = 128
 _WIDTH = 0.42
 """Of the picture [m], at `_AWAY` [m] from whoever looks, in the upper left corner."""
@@ -60,24 +59,12 @@ def depth_picture(view: View, seen: ObstacleClouds, columns: int = _COLUMNS) -> 
 class CameraInset:
     """Draws what cameras see where whoever looks first sees it."""
 
-    def __init__(
-        self, meshcat: Meshcat, p_WV: FloatArray, p_WT: FloatArray, path: str = "/drake_oa/inset"
-    ) -> None:
-        """Draws nothing yet.
-
-        Args:
-            meshcat: the viewer.
-            p_WV: (3,) where its camera stands [m].
-            p_WT: (3,) what it looks at [m].
-            path: of the picture in the scene.
-        """
-        self._meshcat, self._path = meshcat, path
-        ahead = (p_WT - p_WV) / np.linalg.norm(p_WT - p_WV)
-        right = np.cross(ahead, [0.0, 0.0, 1.0])
-        right /= np.linalg.norm(right)
-        up = np.cross(right, ahead)
-        p_WS = p_WV + _AWAY * ahead + _LEFT * right + _UP * up
-        self._X_WS = RigidTransform(RotationMatrix(np.column_stack([right, up, -ahead])), p_WS)
+    def __init__(self, meshcat: Meshcat, X_WB: RigidTransform, floor: float) -> None:
+        """Draws nothing yet; the arguments are those of `drake_oa.viewing.viewer.dress_scene`."""
+        self._meshcat = meshcat
+        # x to the right, y up.
+        X_CS = RigidTransform(RotationMatrix.MakeXRotation(np.pi), [_LEFT, -_UP, _AWAY])
+        self._X_WS = looking_pose(floor_frame(X_WB, floor)) @ X_CS
 
     def show(self, view: View, seen: ObstacleClouds) -> None:
         """Draws an image and what it was segmented into."""
@@ -86,15 +73,12 @@ class CameraInset:
         pitch = _WIDTH / columns
         x, y = np.meshgrid(np.arange(columns) - columns / 2, rows / 2 - np.arange(rows))
         cloud = PointCloud(rows * columns, Fields(BaseField.kXYZs | BaseField.kRGBs))
-        xyzs: Any = cloud.mutable_xyzs()
-        xyzs[:] = np.stack([pitch * x.ravel(), pitch * y.ravel(), np.zeros(x.size)])
-        # Meshcat takes linear colours.
-        colors: NDArray[np.uint8] = (255.0 * picture.reshape(-1, 3).T ** 2.2).astype(np.uint8)
-        rgbs: Any = cloud.mutable_rgbs()
-        rgbs[:] = colors
-        self._meshcat.SetObject(self._path, cloud, point_size=2.6 * pitch)
-        self._meshcat.SetTransform(self._path, self._X_WS)
+        cloud.mutable_xyzs()[:] = np.stack([pitch * x.ravel(), pitch * y.ravel(), np.zeros(x.size)])
+        # Meshcat's colors are linear.
+        cloud.mutable_rgbs()[:] = (255.0 * picture.reshape(-1, 3).T ** 2.2).astype(np.uint8)
+        self._meshcat.SetObject(_PATH, cloud, point_size=2.6 * pitch)
+        self._meshcat.SetTransform(_PATH, self._X_WS)
 
     def hide(self) -> None:
         """Takes the picture away."""
-        self._meshcat.Delete(self._path)
+        self._meshcat.Delete(_PATH)

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.geometry import Capsule, Cylinder, Meshcat, MeshcatCone, Rgba, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.tree import BodyIndex
-from pydrake.perception import BaseField, Fields, PointCloud
+from pydrake.perception import PointCloud
 from pydrake.systems.framework import Context, EventStatus, InputPort, LeafSystem, State
-from pydrake.systems.sensors import CameraInfo
 
 from drake_oa.common.messages import (
     EllipsoidSet,
@@ -24,77 +21,20 @@ from drake_oa.common.messages import (
     Route,
     TablePlane,
 )
-from drake_oa.common.ports import read_value
+from drake_oa.common.ports import read_optional, read_value
 from drake_oa.scenario.scenario import LAYERS
 from drake_oa.viewing import drawing
-from drake_oa.viewing.camera_inset import CameraInset
 from drake_oa.viewing.drawing import Color, TriangleMesh
 
 _ROOT = "/drake_oa"
-_RING = {"inner_radius": 0.17, "band": 0.022, "gap": 0.005}
+PERIOD = 1.0 / 15.0
+"""Time between frames [s]."""
+_CLOUD_FRAMES = 3
+"""Frames from one cloud to the next."""
+_PLACES = 8
+"""Greatest number of obstacles that are drawn."""
 _SHORTEST_SEGMENT = 2e-3
-_FRUSTUM_DEPTH = 1.1
-"""How much of a camera's range is drawn [m]: a frustum of full depth hides more than it shows."""
 _COST_CHANGE = 0.1
-_AT_ORIGIN = RigidTransform()
-
-
-_EYE_F, _LOOKED_AT_F = (2.45, -1.75, 1.30), (0.43, 0.0, 0.33)
-"""Where the viewer's camera stands, and the point it looks at [m]."""
-
-
-def _floor_frame(X_WB: RigidTransform, floor: float) -> RigidTransform:
-    """The frame F below or above the base, of its heading."""
-    (x, y, _), ahead = X_WB.translation(), X_WB.rotation().col(0)
-    R_WF = RotationMatrix.MakeZRotation(math.atan2(ahead[1], ahead[0]))
-    return RigidTransform(R_WF, [x, y, floor])
-
-
-def camera_inset(meshcat: Meshcat, X_WB: RigidTransform, floor: float) -> CameraInset:
-    """A picture of what cameras see, for the view of `dress_scene` with the same arguments."""
-    X_WF = _floor_frame(X_WB, floor)
-    return CameraInset(meshcat, X_WF @ np.array(_EYE_F), X_WF @ np.array(_LOOKED_AT_F))
-
-
-def dress_scene(
-    meshcat: Meshcat,
-    X_WB: RigidTransform = _AT_ORIGIN,
-    floor: float = 0.0,
-    *,
-    p_FC: tuple[float, float, float] = _EYE_F,
-    p_FT: tuple[float, float, float] = _LOOKED_AT_F,
-    fov: float = 32.0,
-) -> None:
-    """Makes the view fit to be shown: background, lights, shadows, camera.
-
-    Hides grid, axes and what Drake's visualizer draws of collision geometry, inertia
-    and contact forces (all still in the scene tree). Call it once, before or after
-    the visualizers are added; whoever looks may change all of it in the browser.
-
-    Args:
-        meshcat: the viewer.
-        X_WB: pose of the robot's base.
-        floor: height of the frame F below or above it, which has its heading [m].
-        p_FC: where the viewer's camera stands, in F [m].
-        p_FT: the point it looks at, in F [m].
-        fov: its vertical field of view [deg].
-    """
-    X_WF = _floor_frame(X_WB, floor)
-    meshcat.SetProperty("/Background", "top_color", [0.80, 0.86, 0.92])
-    meshcat.SetProperty("/Background", "bottom_color", [0.98, 0.98, 0.97])
-    for path in ("/Grid", "/Axes", "/drake/proximity", "/drake/inertia", "/drake/contact_forces"):
-        meshcat.SetProperty(path, "visible", False)
-    meshcat.SetProperty("/Lights/SpotLight", "visible", True)
-    spot = "/Lights/SpotLight/<object>"
-    meshcat.SetProperty(spot, "position", [1.0, -1.2, 2.6])
-    meshcat.SetTransform("/Lights/SpotLight", X_WF)
-    meshcat.SetProperty(spot, "castShadow", True)
-    meshcat.SetProperty(spot, "intensity", 13.0)
-    meshcat.SetProperty("/Lights/AmbientLight/<object>", "intensity", 1.25)
-    for name in ("PointLightNegativeX", "PointLightPositiveX", "FillLight"):
-        meshcat.SetProperty(f"/Lights/{name}/<object>", "intensity", 0.6)
-    meshcat.SetCamera(Meshcat.PerspectiveCamera(fov=fov, aspect=1.6, near=0.01, far=100.0))
-    meshcat.SetCameraPose(X_WF @ np.array(p_FC), X_WF @ np.array(p_FT))
 
 
 @dataclass(frozen=True)
@@ -129,14 +69,6 @@ class _Shown(Frozen):
     rings: tuple[_RingOnShow, ...] = ()
 
 
-class SeenRange(NamedTuple):
-    """What a depth camera sees: by its intrinsics, and nearest and farthest depth [m]."""
-
-    camera: CameraInfo
-    near: float = 0.8
-    far: float = 3.5
-
-
 class MeshcatOverlay(LeafSystem):
     """Draws frustum, cloud, ellipsoids, sections, cost rings and paths into Meshcat.
 
@@ -148,7 +80,7 @@ class MeshcatOverlay(LeafSystem):
       - policy_state
       - route (optional)
       - cloud (optional)
-      - camera_pose (optional)
+      - camera_pose (with frustums)
       - body_poses (optional)
 
     - ellipsoids_W (optional): abstract `EllipsoidSet`, the dilated obstacles in the
@@ -156,8 +88,8 @@ class MeshcatOverlay(LeafSystem):
     - policy_state: abstract `PolicyState` of the movement primitive.
     - route (optional): abstract `Route`, the chosen sides and their cost rings.
     - cloud (optional): `pydrake.perception.PointCloud` in the world frame [m].
-    - camera_pose (optional): `RigidTransform` X_WC, C being x right, y down, z forward; of
-      several `cameras` a port each, named by them.
+    - camera_pose (with frustums): `RigidTransform` X_WC, C being x right, y down, z forward; a port
+      for each of the `frustums`, named by them.
     - body_poses (optional): the plant's list of `RigidTransform`; without it the
       executed path is that of the policy's p_WE.
 
@@ -178,109 +110,68 @@ class MeshcatOverlay(LeafSystem):
         self,
         meshcat: Meshcat,
         *,
-        period: float = 1.0 / 15.0,
         planned_W: FloatArray | None = None,
-        cameras: Mapping[str, SeenRange] | None = None,
+        frustums: Mapping[str, FloatArray] | None = None,
         body_index: BodyIndex | None = None,
-        p_BE: FloatArray | tuple[float, float, float] = (0.0, 0.0, 0.0),
-        max_obstacles: int = 8,
-        cloud_period: float = 0.2,
-        max_points: int = 1500,
-        point_spacing: float = 0.015,
-        record_clouds: bool = True,
+        p_BE: Sequence[float] = (0.0, 0.0, 0.0),
         show: Sequence[str] = LAYERS,
     ) -> None:
         """Declares the ports; draws nothing yet.
 
         Args:
             meshcat: the viewer.
-            period: time between frames [s].
             planned_W: (T, 3) points of the pre-planned path [m]; None: the straight
                 line from start to goal.
-            cameras: port -> what the camera sees whose pose it takes; its frustum is drawn if
-                the port is connected. None: a port camera_pose, and no frustum.
+            frustums: port of a camera's pose -> edges of its `drawing.frustum_edges`, drawn if
+                the port is connected; None: there are no cameras.
             body_index: body B of the plant that carries E; None: policy_state.p_WE.
             p_BE: (3,) the tool point E in B [m].
-            max_obstacles: how many obstacles are drawn at most.
-            cloud_period: time between two clouds [s], rounded to frames.
-            max_points: points of a cloud that are drawn at most.
-            point_spacing: least distance of these, roughly [m].
-            record_clouds: keep each cloud as an object of its own for a recording;
-                False replaces the one there is, for viewers that run for hours.
             show: the `LAYERS` that are visible at first; whoever looks may change that.
 
         Raises:
-            ValueError: if an argument is out of its range.
+            ValueError: for a layer that does not exist.
         """
         super().__init__()
-        for name, value in (("period", period), ("cloud_period", cloud_period)):
-            if not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"{name} must be positive [s], not {value}")
-        if max_obstacles < 1:
-            raise ValueError(f"max_obstacles must be at least 1, not {max_obstacles}")
         unknown = [layer for layer in show if layer not in LAYERS]
         if unknown:
             raise ValueError(f"show: {unknown[0]!r} is not one of {', '.join(LAYERS)}")
         self._show = tuple(show)
         self._meshcat = meshcat
-        self._period = period
-        self._planned_W = None if planned_W is None else np.array(planned_W, dtype=float)
-        if self._planned_W is not None and (
-            self._planned_W.ndim != 2 or self._planned_W.shape[1] != 3 or len(self._planned_W) < 2
-        ):
-            raise ValueError(f"planned_W must be (T, 3), T > 1, not {self._planned_W.shape}")
-        self._edges_C = [
-            drawing.frustum_edges(
-                (seen.camera.focal_x(), seen.camera.focal_y()),
-                (seen.camera.center_x(), seen.camera.center_y()),
-                (seen.camera.width(), seen.camera.height()),
-                (seen.near, min(seen.far, max(_FRUSTUM_DEPTH, 1.1 * seen.near))),
-            )
-            for seen in (cameras or {}).values()
-        ]
+        self._planned_W = planned_W
         self._body_index = body_index
         self._p_BE = np.array(p_BE, dtype=float)
-        self._max_obstacles = max_obstacles
-        self._cloud_every = max(1, round(cloud_period / period))
-        self._max_points = max_points
-        self._point_spacing = point_spacing
-        self._record_clouds = record_clouds
-        self._declare(tuple(cameras or ("camera_pose",)))
-
-    def _declare(self, poses: Sequence[str]) -> None:
         self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
         self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
         self._route = self.DeclareAbstractInputPort("route", Value(Route()))
         self._cloud = self.DeclareAbstractInputPort("cloud", Value(PointCloud(0)))
         self._cameras = [
-            self.DeclareAbstractInputPort(name, Value(RigidTransform())) for name in poses
+            (self.DeclareAbstractInputPort(name, Value(RigidTransform())), edges_C)
+            for name, edges_C in (frustums or {}).items()
         ]
         self._bodies = self.DeclareAbstractInputPort("body_poses", Value[list[RigidTransform]]())
         self._shown = self.DeclareAbstractState(Value(_Shown()))
         self.DeclareInitializationUnrestrictedUpdateEvent(self._begin)
         self.DeclareInitializationPublishEvent(self._draw_start)
         # The frame at the start is the initialization's.
-        self.DeclarePeriodicUnrestrictedUpdateEvent(self._period, self._period, self._advance)
-        self.DeclarePeriodicPublishEvent(self._period, self._period, self._draw)
+        self.DeclarePeriodicUnrestrictedUpdateEvent(PERIOD, PERIOD, self._advance)
+        self.DeclarePeriodicPublishEvent(PERIOD, PERIOD, self._draw)
 
-    def _seeing(self, context: Context) -> Iterator[tuple[str, FloatArray, InputPort]]:
-        """Path, frustum and port of each camera whose pose is connected."""
-        for number, edges_C in enumerate(self._edges_C):
-            port = self._cameras[number]
+    def _connected_cameras(self, context: Context) -> Iterator[tuple[str, FloatArray, InputPort]]:
+        """Lists path, frustum and port of each camera whose pose is connected."""
+        for number, (port, edges_C) in enumerate(self._cameras, start=1):
             if port.HasValue(context):
-                yield _camera_path(number), edges_C, port
+                name = f"camera_{number}" if number > 1 else "camera"
+                yield f"{_ROOT}/perception/{name}", edges_C, port
 
-    # What is to be shown -----------------------------------------------------------
+    # State -------------------------------------------------------------------------
 
     def _read_ellipsoids(self, context: Context) -> EllipsoidSet:
-        if not self._ellipsoids.HasValue(context):
-            return EllipsoidSet()
-        return read_value(self, self._ellipsoids, context, EllipsoidSet)
+        ellipsoids = read_optional(self, self._ellipsoids, context, EllipsoidSet)
+        return EllipsoidSet() if ellipsoids is None else ellipsoids
 
     def _read_route(self, context: Context) -> Route:
-        if not self._route.HasValue(context):
-            return Route()
-        return read_value(self, self._route, context, Route)
+        route = read_optional(self, self._route, context, Route)
+        return Route() if route is None else route
 
     def _tool_point(self, context: Context) -> FloatArray:
         if self._body_index is None or not self._bodies.HasValue(context):
@@ -292,16 +183,18 @@ class MeshcatOverlay(LeafSystem):
         p_WE = self._tool_point(context)
         shown = _Shown(
             start=context.get_time(),
-            slots=(-1,) * self._max_obstacles,
+            slots=(-1,) * _PLACES,
             p_from=p_WE,
             p_to=p_WE,
-            rings=(_RingOnShow(),) * self._max_obstacles,
+            rings=(_RingOnShow(),) * _PLACES,
         )
-        self._set_shown(state, self._with_obstacles(context, shown))
+        state.get_mutable_abstract_state(self._shown).set_value(
+            self._with_obstacles(context, shown)
+        )
         return EventStatus.Succeeded()
 
     def _advance(self, context: Context, state: State) -> EventStatus:
-        self._set_shown(state, self._following(context))
+        state.get_mutable_abstract_state(self._shown).set_value(self._following(context))
         return EventStatus.Succeeded()
 
     def _following(self, context: Context) -> _Shown:
@@ -322,9 +215,6 @@ class MeshcatOverlay(LeafSystem):
         )
         return self._with_obstacles(context, shown)
 
-    def _set_shown(self, state: State, shown: _Shown) -> None:
-        state.get_mutable_abstract_state(self._shown).set_value(shown)
-
     def _with_obstacles(self, context: Context, shown: _Shown) -> _Shown:
         """Places the obstacles, and renews the rings whose costs have changed visibly."""
         ellipsoids = self._read_ellipsoids(context)
@@ -335,7 +225,7 @@ class MeshcatOverlay(LeafSystem):
         for name, ring in zip(slots, shown.rings, strict=True):
             row = row_of.get(name, -1)
             if row >= 0:
-                costs = {key: np.array(values[row]) for key, values in route.costs.items()}
+                costs = {key: values[row] for key, values in route.costs.items()}
                 if name != ring.name or not _look_alike(costs, ring.costs):
                     ring = _RingOnShow(name, costs, shown.frame, ring.frame)
             rings.append(ring)
@@ -345,7 +235,7 @@ class MeshcatOverlay(LeafSystem):
 
     def _mesh(self, path: str, mesh: TriangleMesh, color: Color, opacity: float = 1.0) -> None:
         """Sets a smoothly shaded mesh."""
-        self._meshcat.SetTriangleMesh(path, mesh.vertices, mesh.faces, Rgba(*color, opacity))
+        self._meshcat.SetTriangleMesh(path, *mesh, Rgba(*color, opacity))
         self._meshcat.SetProperty(f"{path}/<object>", "material.flatShading", False)
         self._meshcat.SetProperty(f"{path}/<object>", "castShadow", False)
 
@@ -361,14 +251,15 @@ class MeshcatOverlay(LeafSystem):
             self._meshcat.SetObject(f"{path}/{name}", shape, Rgba(*color))
             self._meshcat.SetTransform(f"{path}/{name}", X)
 
-    def _set(self, path: str, name: str, value: Any, time: float) -> None:
-        self._meshcat.SetProperty(path, name, value, time)
+    def _show_path(self, path: str, visible: bool, time: float) -> None:
+        """Shows or hides a path from a time on."""
+        self._meshcat.SetProperty(path, "visible", visible, time)
 
     def _appear(self, path: str, shown: _Shown, time: float) -> None:
         """Shows a path from now on, in the recording not before."""
         if time > shown.start:
-            self._set(path, "visible", False, shown.start)
-        self._set(path, "visible", True, time)
+            self._show_path(path, False, shown.start)
+        self._show_path(path, True, time)
 
     def _draw_start(self, context: Context) -> EventStatus:
         """The objects that only move, and the first frame."""
@@ -376,18 +267,18 @@ class MeshcatOverlay(LeafSystem):
         for layer in LAYERS:
             meshcat.Delete(f"{_ROOT}/{layer}")
             meshcat.SetProperty(f"{_ROOT}/{layer}", "visible", layer in self._show)
-        circle = drawing.tube(drawing.unit_circle(), 0.014, closed=True)
-        radius = drawing.ring_radius(3, **_RING)
-        for slot in range(self._max_obstacles):
+        circle = drawing.tube(drawing.unit_circle(), 0.014)
+        length = drawing.ring_radius(3) + 0.08
+        for slot in range(_PLACES):
             path = f"{_ROOT}/descriptor/{slot}"
             body = f"{path}/ellipsoid/shape"
             self._mesh(body, drawing.unit_sphere(), drawing.ELLIPSOID, 0.32)
             # What is inside or behind it stays visible.
             meshcat.SetProperty(f"{body}/<object>", "material.depthWrite", False)
             self._mesh(f"{path}/section/shape", circle, drawing.SECTION)
-            self._arrow(f"{_ROOT}/decision/{slot}/direction", radius + 0.08, 0.0055, drawing.CHOSEN)
+            self._arrow(f"{_ROOT}/decision/{slot}/direction", length, 0.0055, drawing.CHOSEN)
         self._draw_planned(read_value(self, self._policy, context, PolicyState))
-        for path, edges_C, _ in self._seeing(context):
+        for path, edges_C, _ in self._connected_cameras(context):
             start, end = edges_C[:, 0].T, edges_C[:, 1].T
             meshcat.SetLineSegments(f"{path}/frustum", start, end, 1.0, Rgba(*drawing.FRUSTUM))
         meshcat.SetObject(f"{_ROOT}/motion/tool_point", Sphere(0.013), Rgba(*drawing.EXECUTED))
@@ -411,9 +302,9 @@ class MeshcatOverlay(LeafSystem):
         time = context.get_time()
         self._draw_obstacles(context, shown, time)
         self._draw_executed(self._tool_point(context), shown, time)
-        for path, _, port in self._seeing(context):
+        for path, _, port in self._connected_cameras(context):
             self._meshcat.SetTransform(path, port.Eval(context), time)
-        if shown.frame % self._cloud_every == 0 and self._cloud.HasValue(context):
+        if shown.frame % _CLOUD_FRAMES == 0 and self._cloud.HasValue(context):
             table = self._read_ellipsoids(context).table
             self._draw_cloud(self._cloud.Eval(context), table, shown, time)
 
@@ -433,49 +324,46 @@ class MeshcatOverlay(LeafSystem):
         if len(route.normal_W) and np.array_equal(route.ids, ellipsoids.ids):
             normals = route.normal_W
         normals = drawing.plane_normals(policy.p_WE, policy.z_W, ellipsoids.p_WO, normals)
-        sections = drawing.section_transform(
-            ellipsoids.p_WO, ellipsoids.R_WO, ellipsoids.semi_axes, normals
-        )
+        R_WS, sections = drawing.section_frames(ellipsoids.R_WO, ellipsoids.semi_axes, normals)
         p_WB = drawing.baseline_points(policy.p_WS, policy.p_WG, policy.R_WL, ellipsoids.p_WO)
-        for slot, name in enumerate(shown.slots):
+        for slot, obstacle in enumerate(shown.slots):
             path, decided = f"{_ROOT}/descriptor/{slot}", f"{_ROOT}/decision/{slot}"
-            row = row_of.get(name, -1)
-            self._set(path, "visible", row >= 0, time)
-            self._set(decided, "visible", row >= 0, time)
+            row = row_of.get(obstacle, -1)
+            self._show_path(path, row >= 0, time)
+            self._show_path(decided, row >= 0, time)
             if row < 0:
                 continue
-            X_WO = _pose(ellipsoids.R_WO[row], ellipsoids.p_WO[row])
-            self._place(f"{path}/ellipsoid", X_WO, ellipsoids.semi_axes[row], time)
-            R, p, scale = drawing.split_transform(sections[row])
-            self._place(f"{path}/section", _pose(R, p), scale, time)
-            side = ring_row.get(name, -1)
-            self._set(f"{decided}/direction", "visible", side >= 0, time)
-            self._set(f"{decided}/rings", "visible", side >= 0, time)
+            for name, R, scale in (
+                ("ellipsoid", ellipsoids.R_WO[row], ellipsoids.semi_axes[row]),
+                ("section", R_WS[row], sections[row]),
+            ):
+                self._meshcat.SetTransform(f"{path}/{name}", _pose(R, ellipsoids.p_WO[row]), time)
+                # A recording keeps the scale of a child of the posed path.
+                self._meshcat.SetProperty(f"{path}/{name}/shape", "scale", scale.tolist(), time)
+            side = ring_row.get(obstacle, -1)
+            self._show_path(f"{decided}/direction", side >= 0, time)
+            self._show_path(f"{decided}/rings", side >= 0, time)
             if side >= 0:
-                R_WA = drawing.orthonormal_frame(route.direction_W[side])
-                self._meshcat.SetTransform(f"{decided}/direction", _pose(R_WA, p_WB[row]), time)
+                R_WA = RotationMatrix.MakeFromOneVector(route.direction_W[side], 0)
+                X_WA = RigidTransform(R_WA, p_WB[row])
+                self._meshcat.SetTransform(f"{decided}/direction", X_WA, time)
                 X_WL = _pose(policy.R_WL, p_WB[row])
                 self._meshcat.SetTransform(f"{decided}/rings", X_WL, time)
                 self._draw_ring(f"{decided}/rings", shown.rings[slot], route.angles, shown, time)
-
-    def _place(self, path: str, X: RigidTransform, scale: FloatArray, time: float) -> None:
-        """Poses a path and stretches its child `shape`: a recording keeps both."""
-        self._meshcat.SetTransform(path, X, time)
-        self._set(f"{path}/shape", "scale", scale.tolist(), time)
 
     def _draw_ring(
         self, path: str, ring: _RingOnShow, angles: FloatArray, shown: _Shown, time: float
     ) -> None:
         if ring.frame != shown.frame:
             return
-        mesh = drawing.ring_mesh(ring.costs, angles, **_RING)
         if ring.before >= 0:
-            self._set(f"{path}/{ring.before}", "visible", False, time)
-        if mesh.vertices.size and mesh.colors is not None:
+            self._show_path(f"{path}/{ring.before}", False, time)
+        if ring.costs:
             name = f"{path}/{ring.frame}"
             # The legend reads the rings' names from the path.
             bands = f"{name}/{', '.join(ring.costs)}"
-            self._meshcat.SetTriangleColorMesh(bands, mesh.vertices, mesh.faces, mesh.colors)
+            mesh, colors = drawing.ring_mesh(ring.costs, angles)
+            self._meshcat.SetTriangleColorMesh(bands, *mesh, colors)
             self._meshcat.SetProperty(f"{bands}/<object>", "castShadow", False)
             self._appear(name, shown, time)
 
@@ -495,42 +383,31 @@ class MeshcatOverlay(LeafSystem):
     def _draw_cloud(
         self, cloud: PointCloud, table: TablePlane | None, shown: _Shown, time: float
     ) -> None:
-        path = f"{_ROOT}/perception/cloud/{shown.frame if self._record_clouds else 'now'}"
-        if self._record_clouds and shown.frame > 0:
-            previous = f"{_ROOT}/perception/cloud/{shown.frame - self._cloud_every}"
-            self._set(previous, "visible", False, time)
-        thin = self._thinned(cloud, table)
-        self._meshcat.SetObject(path, thin, 0.011, Rgba(*drawing.CLOUD))
+        clouds = f"{_ROOT}/perception/cloud"
+        if shown.frame > 0:
+            self._show_path(f"{clouds}/{shown.frame - _CLOUD_FRAMES}", False, time)
+        path = f"{clouds}/{shown.frame}"
+        self._meshcat.SetObject(path, thinned(cloud, table), 0.011, Rgba(*drawing.CLOUD))
         self._appear(path, shown, time)
 
-    def _thinned(self, cloud: PointCloud, table: TablePlane | None) -> PointCloud:
-        """Most of the points for what stands on the table, the rest for the table."""
-        # An image holds far more points than are drawn: look at some of them only.
-        looked_at = np.arange(0, cloud.size(), max(1, cloud.size() // 40_000))
-        xyzs = np.asarray(cloud.xyzs()[:, looked_at], dtype=float)
-        finite = np.flatnonzero(np.isfinite(xyzs).all(axis=0))
-        stands = (table or TablePlane()).height(xyzs[:, finite].T) > 0.01
-        rows = []
-        for part, share, spacing in ((stands, 0.7, 1.0), (~stands, 0.3, 2.5)):
-            of_part = finite[part]
-            chosen = drawing.thin_points(
-                xyzs[:, of_part].T,
-                most=max(1, round(share * self._max_points)),
-                spacing=spacing * self._point_spacing,
-            )
-            rows.append(of_part[chosen])
-        index = np.concatenate(rows)
-        colored = cloud.has_rgbs()
-        kinds = BaseField.kXYZs | BaseField.kRGBs if colored else BaseField.kXYZs
-        thin = PointCloud(index.size, Fields(kinds))
-        thin.mutable_xyzs()[:] = xyzs[:, index]
-        if colored:
-            thin.mutable_rgbs()[:] = cloud.rgbs()[:, looked_at[index]]
-        return thin
 
-
-def _camera_path(number: int) -> str:
-    return f"{_ROOT}/perception/camera" + (f"_{number + 1}" if number else "")
+def thinned(cloud: PointCloud, table: TablePlane | None) -> PointCloud:
+    """Thins a cloud out: most points are of the objects on the table, the rest of the table."""
+    # An image holds far more points than are drawn: look at some of them only.
+    index = np.arange(0, cloud.size(), max(1, cloud.size() // 40_000))
+    index = index[np.isfinite(cloud.xyzs()[:, index]).all(axis=0)]
+    points = np.asarray(cloud.xyzs()[:, index].T, dtype=float)
+    stands = (table or TablePlane()).height(points) > 0.01
+    chosen = [
+        np.flatnonzero(part)[drawing.thin_points(points[part], most=most, spacing=spacing)]
+        for part, most, spacing in ((stands, 1050, 0.015), (~stands, 450, 0.0375))
+    ]
+    index = index[np.concatenate(chosen)]
+    thin = PointCloud(index.size, cloud.fields())
+    thin.mutable_xyzs()[:] = cloud.xyzs()[:, index]
+    if cloud.has_rgbs():
+        thin.mutable_rgbs()[:] = cloud.rgbs()[:, index]
+    return thin
 
 
 def _pose(R: FloatArray, p: FloatArray) -> RigidTransform:

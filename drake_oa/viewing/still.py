@@ -16,27 +16,25 @@ from pydrake.geometry import (
     RenderCameraCore,
     RenderEngineVtkParams,
     Rgba,
-    SceneGraph,
-    SourceId,
     Sphere,
 )
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraInfo
 
 from drake_oa.common.files import save_figure
-from drake_oa.common.messages import FloatArray
 from drake_oa.robot.plant import base_pose
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import simulated
 from drake_oa.scenario.task_joints import start_positions
+from drake_oa.viewing.viewer import looking_pose
 from drake_oa.world.cameras import give_normals
 from drake_oa.world.station import make_station
 
 _WIDTH, _HEIGHT, _FOV = 960, 720, 0.52
 _EYE_B, _AT_B = (2.3, -1.8, 1.4), (0.4, 0.0, 0.3)
 """Where one looks from, and at, in the base's frame B [m]."""
-_MARK, _GREEN, _RED = 0.02, (0.1, 0.6, 0.2), (0.8, 0.1, 0.1)
+_MARK, _GREEN, _RED = 0.02, Rgba(0.1, 0.6, 0.2), Rgba(0.8, 0.1, 0.1)
 """The balls at start and goal: radius [m] and colours."""
 _RENDERER = "still"
 
@@ -60,23 +58,26 @@ def draw_scenario(scenario: Scenario, file: Path) -> None:
     builder = DiagramBuilder()
     station = make_station(builder, scenario)
     graph = station.scene_graph
-    _add_mark(graph, station.plant.get_source_id(), scenario.task.start, _GREEN, "start")
-    _add_mark(graph, station.plant.get_source_id(), scenario.task.goal, _RED, "goal")
+    source = station.plant.get_source_id()
+    for name, place, color in (
+        ("start", scenario.task.start, _GREEN),
+        ("goal", scenario.task.goal, _RED),
+    ):
+        ball = GeometryInstance(RigidTransform(place), Sphere(_MARK), name)
+        properties = PerceptionProperties()
+        properties.AddProperty("phong", "diffuse", color)
+        ball.set_perception_properties(properties)
+        graph.RegisterAnchoredGeometry(source, ball)
     lamps = [
         LightParameter(type="directional", frame="world", direction=direction, intensity=power)
         for direction, power in (([-1.0, 0.8, -1.5], 1.6), ([1.0, 1.0, -0.5], 0.7))
     ]
     params = RenderEngineVtkParams(default_clear_color=[0.93, 0.95, 0.97], lights=lamps)
-    give_normals(graph, station.plant.get_source_id())
+    give_normals(graph, source)
     graph.AddRenderer(_RENDERER, MakeRenderEngineVtk(params))
+    station.plant.SetDefaultPositions(station.robot, start_positions(scenario))
     diagram = builder.Build()
     context = diagram.CreateDefaultContext()
-    if scenario.robot is not None:
-        plant_context = station.plant.GetMyMutableContextFromRoot(context)
-        q = start_positions(scenario)
-        station.plant.SetPositions(plant_context, station.robot, q)
-
-    X_WB = base_pose(scenario.robot)
     core = RenderCameraCore(
         _RENDERER, CameraInfo(_WIDTH, _HEIGHT, _FOV), ClippingRange(0.05, 20.0), RigidTransform()
     )
@@ -84,7 +85,7 @@ def draw_scenario(scenario: Scenario, file: Path) -> None:
     seen = query.RenderColorImage(
         ColorRenderCamera(core),
         graph.world_frame_id(),
-        _looking(X_WB @ np.array(_EYE_B), X_WB @ np.array(_AT_B)),
+        looking_pose(base_pose(scenario.robot), _EYE_B, _AT_B),
     )
     panels = 1 + len(station.cameras)
     figure = Figure(figsize=(6.4 * panels, 4.8), layout="constrained")
@@ -100,22 +101,3 @@ def draw_scenario(scenario: Scenario, file: Path) -> None:
     for axis in axes:
         axis.set_axis_off()
     save_figure(file, figure, dpi=100)
-
-
-def _add_mark(
-    graph: SceneGraph, source: SourceId, place: list[float], color: tuple[float, ...], name: str
-) -> None:
-    ball = GeometryInstance(RigidTransform(place), Sphere(_MARK), name)
-    properties = PerceptionProperties()
-    properties.AddProperty("phong", "diffuse", Rgba(*color))
-    ball.set_perception_properties(properties)
-    graph.RegisterAnchoredGeometry(source, ball)
-
-
-def _looking(p_WC: FloatArray, p_WT: FloatArray) -> RigidTransform:
-    """X_WC of a camera C that looks along its z axis at T, x to the right of the image."""
-    ahead = (p_WT - p_WC) / np.linalg.norm(p_WT - p_WC)
-    right = np.cross(ahead, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    axes = np.column_stack([right, np.cross(ahead, right), ahead])
-    return RigidTransform(RotationMatrix(axes), p_WC)

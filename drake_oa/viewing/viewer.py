@@ -1,17 +1,23 @@
-"""Drake's Meshcat as the commands use it: started, recorded, kept open."""
+"""Drake's Meshcat as the commands use it: started, dressed, recorded, kept open."""
 
 from __future__ import annotations
 
 import contextlib
+import math
 import sys
 from collections.abc import Iterator
 
+import numpy as np
 from pydrake.geometry import Meshcat, MeshcatParams
+from pydrake.math import RigidTransform, RotationMatrix
 
 from drake_oa.viewing.panel import LivePage
 
 RECORDING_RATE = 15.0
 """Frames of a recording a second."""
+Point = tuple[float, float, float]
+_EYE_F, _TARGET_F = (2.45, -1.75, 1.30), (0.43, 0.0, 0.33)
+"""Position of the viewer's camera, and the point that it looks at, in the floor's frame F [m]."""
 
 
 def start_viewer(*, browser: bool) -> Meshcat:
@@ -30,6 +36,64 @@ def start_viewer(*, browser: bool) -> Meshcat:
         return Meshcat(params)
     except RuntimeError as error:
         raise ValueError(f"viewer: {str(error).rstrip('.')}; close another viewer") from None
+
+
+def floor_frame(X_WB: RigidTransform, floor: float) -> RigidTransform:
+    """Returns X_WF of a frame of the base's heading, below or above it at height `floor` [m]."""
+    (x, y, _), ahead = X_WB.translation(), X_WB.rotation().col(0)
+    R_WF = RotationMatrix.MakeZRotation(math.atan2(ahead[1], ahead[0]))
+    return RigidTransform(R_WF, [x, y, floor])
+
+
+def looking_pose(
+    X_WF: RigidTransform, p_FC: Point = _EYE_F, p_FT: Point = _TARGET_F
+) -> RigidTransform:
+    """Returns X_WC of a camera C that looks along its z axis at T, x to the right of the image.
+
+    Args:
+        X_WF: frame of the two points.
+        p_FC: (3,) position of the camera [m].
+        p_FT: (3,) the point that it looks at [m].
+    """
+    p_WC = X_WF @ np.asarray(p_FC)
+    ahead = X_WF @ np.asarray(p_FT) - p_WC
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    axes = np.column_stack([right, np.cross(ahead, right), ahead])
+    return RigidTransform(RotationMatrix(axes / np.linalg.norm(axes, axis=0)), p_WC)
+
+
+def dress_scene(meshcat: Meshcat, X_WB: RigidTransform, floor: float) -> None:
+    """Prepares the view for presentation: background, lights, shadows, camera.
+
+    Hides grid, axes and what Drake's visualizer draws of collision geometry, inertia
+    and contact forces (all still in the scene tree). Call it once, before or after
+    the visualizers are added; whoever looks may change all of it in the browser.
+
+    Args:
+        meshcat: the viewer.
+        X_WB: pose of the robot's base.
+        floor: height of the floor's frame F, see `floor_frame` [m].
+    """
+    X_WF = floor_frame(X_WB, floor)
+    meshcat.SetProperty("/Background", "top_color", [0.80, 0.86, 0.92])
+    meshcat.SetProperty("/Background", "bottom_color", [0.98, 0.98, 0.97])
+    for path in ("/Grid", "/Axes", "/drake/proximity", "/drake/inertia", "/drake/contact_forces"):
+        meshcat.SetProperty(path, "visible", False)
+    spot = "/Lights/SpotLight"
+    meshcat.SetProperty(spot, "visible", True)
+    meshcat.SetProperty(f"{spot}/<object>", "position", [1.0, -1.2, 2.6])
+    meshcat.SetProperty(f"{spot}/<object>", "castShadow", True)
+    meshcat.SetTransform(spot, X_WF)
+    for name, intensity in (
+        ("SpotLight", 13.0),
+        ("AmbientLight", 1.25),
+        ("PointLightNegativeX", 0.6),
+        ("PointLightPositiveX", 0.6),
+        ("FillLight", 0.6),
+    ):
+        meshcat.SetProperty(f"/Lights/{name}/<object>", "intensity", intensity)
+    meshcat.SetCamera(Meshcat.PerspectiveCamera(fov=32.0, aspect=1.6, near=0.01, far=100.0))
+    meshcat.SetCameraPose(X_WF @ np.array(_EYE_F), X_WF @ np.array(_TARGET_F))
 
 
 def open_page(meshcat: Meshcat, title: str, description: str) -> LivePage:

@@ -112,5 +112,5 @@ def test_shipped_obstacles_have_sliders() -> None:
 
 def test_a_free_point_is_refused() -> None:
     text = "{robot: null, perception: !GivenEllipsoids {ellipsoids: []}}"
-    with pytest.raises(ScenarioError, match="nothing to play with without a robot"):
+    with pytest.raises(ScenarioError, match="robot: must be set"):
         play(text)
