@@ -13,8 +13,7 @@ from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotLimits, RobotPlant, make_robot_plant
 from drake_oa.runs.motion_log import MotionLog, pack_ellipsoids
 from drake_oa.scenario.loading import load_scenario, scenario_text
-from drake_oa.studies.scenes.methods import Motions, Setting
-from drake_oa.studies.scenes.scenes import DURATION, Scenes
+from drake_oa.studies.scenes.scenes import DURATION, Motions, Scenes, Setting
 
 # Torch built for CUDA loads triton when it first differentiates, and triton crashes a process that
 # renders by Mesa: both contain LLVM. Nothing here needs triton, so its import fails.

@@ -66,8 +66,6 @@ def system_classes() -> dict[str, type[LeafSystem]]:
     """All systems of the package by name."""
     found = {}
     for module in pkgutil.walk_packages(drake_oa.__path__, "drake_oa."):
-        if module.name == "drake_oa.studies.scenes.peers":
-            continue  # Needs a package that is not ours.
         for name, member in vars(importlib.import_module(module.name)).items():
             if (
                 inspect.isclass(member)

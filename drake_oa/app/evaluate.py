@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from drake_oa.common.console import TextTable
     from drake_oa.studies.panda.evaluation import Keeping, PandaResults, PandaSuite
     from drake_oa.studies.scenes.evaluation import Evaluation, Outcome
-    from drake_oa.studies.scenes.methods import Method, Motions
-    from drake_oa.studies.scenes.scenes import Scenes
+    from drake_oa.studies.scenes.methods import Method
+    from drake_oa.studies.scenes.scenes import Motions, Scenes
     from drake_oa.studies.scenes.suites import Case, Suite
 
 RESULTS = Path("drake_oa_runs") / "evaluate-panda"
@@ -114,7 +114,7 @@ def synthetic(
         plot: write a plot: .png, .svg or .pdf.
     """
     from drake_oa.studies.plots import plot_evaluation
-    from drake_oa.studies.scenes.figures import evaluation_tables
+    from drake_oa.studies.scenes.evaluation import evaluation_tables
     from drake_oa.studies.scenes.scenes import save_scenes
 
     found_suite = _suite(suite)
@@ -161,7 +161,7 @@ def evaluated(
     """
     from drake_oa.common.files import software_versions
     from drake_oa.studies.scenes.evaluation import evaluate as evaluate_scenes
-    from drake_oa.studies.scenes.figures import evaluation_figures
+    from drake_oa.studies.scenes.evaluation import evaluation_figures
 
     versions = software_versions()
 
@@ -193,11 +193,9 @@ def _suite(name: str) -> Suite:
 
 
 def load_methods(names: Sequence[str]) -> dict[str, Method]:
-    """The methods by name; all names are checked before the first is loaded."""
-    from drake_oa.studies.scenes.methods import check_method, load_method
+    """Returns the methods by name."""
+    from drake_oa.studies.scenes.methods import load_method
 
-    for name in names:
-        check_method(name)
     return {name: load_method(name) for name in names}
 
 
@@ -222,7 +220,7 @@ def drawn_scenes(suite: str, count: int | None, seed: int, file: Path | None = N
 
 
 def _heading(suite: str, scenes: Scenes) -> str:
-    from drake_oa.studies.scenes.sampling import line_hits
+    from drake_oa.studies.scenes.suites import line_hits
 
     hit = int(line_hits(scenes).any(axis=1).sum())
     return (
@@ -379,8 +377,7 @@ def panda(
         cameras: 2: another one opposite to the first, about the workspace's middle.
         runs: how runs are made.
     """
-    from drake_oa.studies.panda.evaluation import PandaSuite
-    from drake_oa.studies.panda.run import default_methods
+    from drake_oa.studies.panda.evaluation import PandaSuite, default_methods
     from drake_oa.studies.panda.tables import kinds_figures
 
     if cameras == 2 and perception != "depth":
@@ -490,9 +487,8 @@ def run_suites(
         raise ValueError(f"--jobs must be at least 1, not {runs.jobs}")
 
     from drake_oa.common.files import software_versions
-    from drake_oa.studies.panda.evaluation import evaluate_panda
+    from drake_oa.studies.panda.evaluation import PLANNER, evaluate_panda
     from drake_oa.studies.panda.planner import check_planner
-    from drake_oa.studies.panda.run import PLANNER
     from drake_oa.studies.panda.tables import panda_figures, panda_table
 
     if any(PLANNER in suite.methods for suite in suites):

@@ -28,9 +28,8 @@ from drake_oa.common.files import check_outputs, check_plot_file
 if TYPE_CHECKING:
     from drake_oa.common.messages import FloatArray
     from drake_oa.studies.scenes.evaluation import Outcome
-    from drake_oa.studies.scenes.methods import Motions
     from drake_oa.studies.scenes.paper_method import Reading
-    from drake_oa.studies.scenes.scenes import Scenes
+    from drake_oa.studies.scenes.scenes import Motions, Scenes
 
 
 @Parameter(name="*")
@@ -79,7 +78,7 @@ def table1(*, json: Path | None = None) -> int:
         json: write the figures.
     """
     from drake_oa.common.files import software_versions
-    from drake_oa.studies.table_one import table_one, table_one_figures
+    from drake_oa.studies.paper_tables import table_one, table_one_figures
 
     check_outputs(json)
     whole = table_one_figures(software_versions())
@@ -121,7 +120,7 @@ def table2(
         json: write the figures, after every reading.
     """
     from drake_oa.common.files import software_versions
-    from drake_oa.studies.table_two import (
+    from drake_oa.studies.paper_tables import (
         Choice,
         choices,
         judge_choice,
@@ -177,7 +176,7 @@ def table3(
         perception: depth (the camera) or truth (SceneGraph).
         runs: how runs are made.
     """
-    from drake_oa.studies.table_three import table_three, trial_suites, trials_figures
+    from drake_oa.studies.paper_tables import table_three, trial_suites, trials_figures
 
     suites = trial_suites(methods, trials, seed, perception, runs.duration)
     heading = f"table3: {trials} trials of seed {seed}"
@@ -211,7 +210,7 @@ def figure_familiar(
         plot: write the figure: .png, .svg or .pdf.
     """
     from drake_oa.studies.plots import plot_evaluation
-    from drake_oa.studies.scenes.figures import familiar_tables
+    from drake_oa.studies.scenes.evaluation import familiar_tables
     from drake_oa.studies.scenes.paper_method import paper_chain, run
     from drake_oa.studies.scenes.suites import find_suite
 
@@ -254,8 +253,12 @@ def figure_dead_zone(
         plot: write the figure: .png, .svg or .pdf.
     """
     from drake_oa.studies.plots import plot_dead_zone
-    from drake_oa.studies.scenes.dead_zone import compare_terms, term_figures, term_table
-    from drake_oa.studies.scenes.figures import evaluation_tables
+    from drake_oa.studies.scenes.evaluation import (
+        compare_terms,
+        evaluation_tables,
+        term_figures,
+        term_table,
+    )
     from drake_oa.studies.scenes.suites import find_suite
 
     suite = "dead-zone"

@@ -4,7 +4,7 @@
     panda/    the simulated robot in random scenes                           evaluate panda
     mbm/      the robot on MotionBenchMaker's problems                       evaluate mbm
 
-    table_one, table_two, table_three   the paper's tables                   evaluate table1, ...
+    paper_tables   the paper's Tables I to III                              evaluate table1, ...
 
 Each draws scenes from a seed (or reads them), runs every method on every scene, and judges the
 motions: contacts, clearances [m], what start and goal leave of the asked clearance, goal errors
@@ -15,9 +15,8 @@ order, is part of a scene, and tests hold digests of some.
 What the three share:
 
     cameras    where depth cameras stand that are not a shipped scenario's
-    parallel   calls carried out here, in processes or on a Dask cluster (joblib)
-    results    results on disk by a digest of all that they follow from; what is not there is done
-    tally      what the generators of scenes looked at, and why they dropped it
+    results    calls carried out here, in processes or on a Dask cluster (joblib), with results on
+               disk by a digest of all that they follow from; a count of dropped candidates
     tables     figures as one text table
 
 Read `panda/evaluation.py` first: an evaluation from its scenes to its results on disk.

@@ -12,8 +12,7 @@ from matplotlib.patches import Circle
 from drake_oa.common.messages import FloatArray
 from drake_oa.policy.coupling import dead_zone_free_rate, original_rate
 from drake_oa.runs.plots import add_legend, saved_figure
-from drake_oa.studies.scenes.dead_zone import Comparison, matched_term
-from drake_oa.studies.scenes.evaluation import Outcome
+from drake_oa.studies.scenes.evaluation import Comparison, Outcome, matched_term
 from drake_oa.studies.scenes.judge import Judgement
 from drake_oa.studies.scenes.paper_method import BETA, GAMMA
 from drake_oa.studies.scenes.scenes import Scenes

@@ -14,8 +14,7 @@ from drake_oa.regulation.proposal_network import ProposalNetwork, save_proposals
 from drake_oa.regulation.regressor import ChainWeights, save_chain
 from drake_oa.training.checkpoint import Checkpoint, Report
 from drake_oa.training.networks import choose_device
-from drake_oa.training.paper import PaperRecipe, table_one, train_paper
-from drake_oa.training.paper_set import CHAINS
+from drake_oa.training.paper import CHAINS, PaperRecipe, table_one, train_paper
 from drake_oa.training.proposals import ProposalRecipe, proposal_table, train_proposals
 
 PAPER_FILES = {

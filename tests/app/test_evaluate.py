@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from drake_oa.studies.scenes import methods
-from drake_oa.studies.scenes.methods import Motions, Setting
-from drake_oa.studies.scenes.scenes import Scenes
+from drake_oa.studies.scenes.scenes import Motions, Scenes, Setting
 from drake_oa.studies.scenes.suites import SUITES
 from tests.builders import command
 
@@ -29,9 +28,9 @@ def _simple_methods(monkeypatch: pytest.MonkeyPatch, straight: Method) -> None:
         raise KeyboardInterrupt
 
     for name in ("paper", "verified", "original"):
-        monkeypatch.setitem(methods.METHODS, name, lambda: straight)
-    monkeypatch.setitem(methods.METHODS, "failing", lambda: fail)
-    monkeypatch.setitem(methods.METHODS, "interrupted", lambda: interrupt)
+        monkeypatch.setitem(methods.METHODS, name, straight)
+    monkeypatch.setitem(methods.METHODS, "failing", fail)
+    monkeypatch.setitem(methods.METHODS, "interrupted", interrupt)
 
 
 @pytest.mark.parametrize("suite", SUITES)

@@ -13,7 +13,7 @@ from drake_oa.runs.simulation import AT_GOAL, REST_TIME, simulate
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.task import goal_at
-from drake_oa.studies.panda.run import run_and_judge
+from drake_oa.studies.panda.evaluation import run_and_judge
 from drake_oa.studies.panda.scenes import draw_panda_scene
 
 GROUND_TRUTH = "perception=!GroundTruth {}"

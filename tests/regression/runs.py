@@ -18,18 +18,21 @@ from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
 from drake_oa.scenario.shipped import missing_package, shipped_scenarios
 from drake_oa.studies.mbm.suite import mbm_suites
-from drake_oa.studies.panda.elbow_scenes import ELBOW_LIKE
-from drake_oa.studies.panda.evaluation import run_text
-from drake_oa.studies.panda.run import Criteria
+from drake_oa.studies.panda.evaluation import Criteria, run_text
 from drake_oa.studies.panda.scene_parts import LIKE, base_scenario
-from drake_oa.studies.panda.scenes import draw_panda_scene
+from drake_oa.studies.panda.scenes import ELBOW_LIKE, draw_panda_scene
+from drake_oa.studies.paper_tables import (
+    TRIAL_KINDS,
+    Choice,
+    choices,
+    judge_choice,
+    table_one_figures,
+    table_two_figures,
+)
 from drake_oa.studies.scenes.evaluation import evaluate
 from drake_oa.studies.scenes.methods import load_method
 from drake_oa.studies.scenes.scenes import load_scenes, save_scenes
 from drake_oa.studies.scenes.suites import draw_scenes, find_suite
-from drake_oa.studies.table_one import table_one_figures
-from drake_oa.studies.table_three import KINDS as TABLE_KINDS
-from drake_oa.studies.table_two import Choice, choices, judge_choice, table_two_figures
 
 SCENES = Path(__file__).with_name("scenes")
 """Folder of the stored scenes."""
@@ -79,7 +82,7 @@ def suite_calls() -> dict[str, Call]:
             for number in suite.numbers:
                 text = suite.drawing(number)[0](*suite.drawing(number)[1])[0]
                 calls[f"mbm-{suite.kind}/{number}"] = ("run_problem", (text,))
-    for kind in TABLE_KINDS:
+    for kind in TRIAL_KINDS:
         for trial in range(_TRIALS):
             calls[f"table3-{kind}/{trial}"] = ("run_trial", (f"paper_{kind}", trial))
     return calls

@@ -4,7 +4,7 @@ import operator
 
 import pytest
 
-from drake_oa.studies.parallel import carry_out
+from drake_oa.studies.results import carry_out
 
 _CALLS = [(k, 2) for k in range(5)]
 _EXPECTED = {k: k**2 for k in range(5)}
@@ -44,6 +44,6 @@ def test_here_they_come_one_by_one():
 @pytest.mark.parametrize("address", ["tcp://localhost:1", "localhost", "nothing://localhost:1"])
 def test_a_scheduler_that_is_not_there(address, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("drake_oa.studies.parallel.CONNECT_TIMEOUT", 0.2)
+    monkeypatch.setattr("drake_oa.studies.results.CONNECT_TIMEOUT", 0.2)
     with pytest.raises(ValueError, match=f"cannot reach a Dask scheduler at {address}: "):
         list(carry_out(operator.pow, _CALLS, scheduler=address))

@@ -3,7 +3,7 @@
 import pytest
 
 from drake_oa.regulation.regressor import TARGETS
-from drake_oa.studies.table_one import table_one, table_one_figures
+from drake_oa.studies.paper_tables import table_one, table_one_figures
 
 
 def test_the_shipped_chains_reach_the_print() -> None:

@@ -8,10 +8,10 @@ import pytest
 
 from drake_oa.app.main import main
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
-from drake_oa.studies.panda.run import with_method
-from drake_oa.studies.table_three import (
-    KINDS,
-    PRINTED,
+from drake_oa.studies.panda.evaluation import with_method
+from drake_oa.studies.paper_tables import (
+    TABLE_THREE,
+    TRIAL_KINDS,
     table_three,
     trial_figures,
     trial_suites,
@@ -36,7 +36,7 @@ def test_a_row_is_taken_over_its_trials_and_has_the_print_beside_it() -> None:
         2: run(-0.01, 0.5, "panda_hand - obstacle_box", "panda_link6 - obstacle_box"),
         3: run(None, 0.9),
     }
-    found = trial_figures(runs, PRINTED["box", "paper"])
+    found = trial_figures(runs, TABLE_THREE["box", "paper"])
     assert (found["trials"], found["obstacles_touched"], found["trials_short"]) == (4, 1, 2)
     assert found["clearance_mean"] == pytest.approx(0.29 / 3)
     assert (found["clearance_min"], found["goal_error_max"]) == (-0.01, 0.5)
@@ -44,7 +44,7 @@ def test_a_row_is_taken_over_its_trials_and_has_the_print_beside_it() -> None:
     assert "clearance_mean" not in trial_figures({0: run(None, 0.9)}, None)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", TRIAL_KINDS)
 def test_a_trial_is_the_shipped_scenario_with_the_noise_of_its_seed(kind: str) -> None:
     text, _ = trial_text(f"paper_{kind}", 7)
     assert text == scenario_text(load_scenario(f"paper_{kind}", ["seed=7"]))
@@ -74,5 +74,5 @@ def test_the_command_prints_the_table_and_writes_it(
     assert main(["evaluate", "table3", *given, "--json", str(file), "--jobs", "1"]) == 0
     told = capsys.readouterr().out
     whole = json.loads(file.read_text())
-    assert list(whole["rows"]) == list(KINDS)
+    assert list(whole["rows"]) == list(TRIAL_KINDS)
     assert str(table_three(whole)) in told

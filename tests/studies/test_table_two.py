@@ -6,15 +6,9 @@ import numpy as np
 import pytest
 
 from drake_oa.app.paper_tables import LEVEL
-from drake_oa.studies.scenes.judge import judge
-from drake_oa.studies.scenes.methods import Setting
-from drake_oa.studies.scenes.paper_method import READING, Reading, run, sections
-from drake_oa.studies.scenes.sampling import random_rotations
-from drake_oa.studies.scenes.scenes import single_obstacle
-from drake_oa.studies.scenes.suites import draw_scenes
-from drake_oa.studies.table_two import (
+from drake_oa.studies.paper_tables import (
     ABLATION,
-    PRINTED,
+    TABLE_TWO,
     Choice,
     agrees,
     choices,
@@ -22,10 +16,15 @@ from drake_oa.studies.table_two import (
     table_two,
     table_two_figures,
 )
+from drake_oa.studies.scenes.judge import judge
+from drake_oa.studies.scenes.methods import Setting
+from drake_oa.studies.scenes.paper_method import READING, Reading, run, sections
+from drake_oa.studies.scenes.scenes import single_obstacle
+from drake_oa.studies.scenes.suites import draw_scenes, random_rotations
 
 
 def row(**changes: Any) -> dict[str, Any]:
-    return {"scenes": 5, **PRINTED[1.0], **changes}
+    return {"scenes": 5, **TABLE_TWO[1.0], **changes}
 
 
 def test_the_commands_defaults_are_the_reading_that_agrees_best() -> None:
@@ -39,11 +38,11 @@ def test_the_commands_defaults_are_the_reading_that_agrees_best() -> None:
         ({"clearance_mean": 0.195, "clearance_min": 0.02}, {"clearance_mean", "clearance_min"}),
         ({"goal_error_mean": 1e-3, "goal_error_max": 8e-3}, {"goal_error_mean", "goal_error_max"}),
         ({"collisions": 4}, {"collisions"}),
-        ({"scenes": 0}, set(PRINTED[1.0])),
+        ({"scenes": 0}, set(TABLE_TWO[1.0])),
     ],
 )
 def test_a_cell_agrees_or_not(changes: dict[str, Any], off: set[str]) -> None:
-    found = agrees(row(**changes), PRINTED[1.0])
+    found = agrees(row(**changes), TABLE_TWO[1.0])
     assert {key for key, same in found.items() if not same} == off
 
 
@@ -97,7 +96,7 @@ def test_the_default_comes_near_the_print_and_the_print_as_it_stands_does_not() 
         outcomes |= judge_choice(name, choice, scenes).outcomes
     whole = table_two_figures(chosen, outcomes, {"demo": scenes}, 1, ("drake_oa 0.1.0",))
     found = whole["readings"]
-    for part, printed in zip(found["chosen"]["by_baseline"], PRINTED.values(), strict=True):
+    for part, printed in zip(found["chosen"]["by_baseline"], TABLE_TWO.values(), strict=True):
         assert part["scenes"] == 60
         assert part["collisions"] == 0
         assert part["clearance_mean"] == pytest.approx(printed["clearance_mean"], abs=0.02)

@@ -1,6 +1,6 @@
 """What the generators of scenes drop is counted."""
 
-from drake_oa.studies.tally import Tally, drawn_figures, drawn_lines
+from drake_oa.studies.results import Tally, drawn_figures, drawn_lines
 
 
 def test_shares_are_of_all_scenes_the_greatest_first():

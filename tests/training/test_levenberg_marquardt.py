@@ -8,8 +8,8 @@ import torch
 from torch import nn
 from torch.nn.utils import parameters_to_vector
 
-from drake_oa.training import levenberg_marquardt
-from drake_oa.training.levenberg_marquardt import LeastSquares, Progress, Schedule, fit
+from drake_oa.training import networks
+from drake_oa.training.networks import LeastSquares, Progress, Schedule, fit
 
 
 class Small(nn.Module):
@@ -32,7 +32,7 @@ def begin(network):
 @pytest.mark.parametrize("weighted", [False, True])
 @pytest.mark.parametrize("block", [7, 2048])
 def test_the_normal_equations_are_the_plain_formula(weighted, block, monkeypatch):
-    monkeypatch.setattr(levenberg_marquardt, "_COLUMNS", 10)
+    monkeypatch.setattr(networks, "_COLUMNS", 10)
     rng = np.random.default_rng(0)
     x, weight = rng.uniform(-1.0, 1.0, (50, 3)), rng.uniform(0.0, 2.0, 50)
     y, network = np.sin(x.sum(axis=1)), Small(3, 5)

@@ -5,10 +5,10 @@ import pytest
 import torch
 
 from drake_oa.training.checkpoint import Checkpoint
-from drake_oa.training.levenberg_marquardt import Schedule
 from drake_oa.training.networks import (
     Perceptron,
     Round,
+    Schedule,
     choose_device,
     nmse,
     predict,

@@ -6,10 +6,9 @@ import pytest
 from drake_oa.common.files import source_digest
 from drake_oa.regulation.regressor import load_chain, save_chain
 from drake_oa.training.checkpoint import Checkpoint
+from drake_oa.training.lattice import PaperLattice
 from drake_oa.training.networks import Round
-from drake_oa.training.paper import PaperRecipe, table_one, train_paper
-from drake_oa.training.paper_set import CHAINS
-from drake_oa.training.released_method import PaperLattice
+from drake_oa.training.paper import CHAINS, PaperRecipe, table_one, train_paper
 
 FULL = PaperLattice()
 SMALL = PaperRecipe(

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from drake_oa.training.paper_set import (
+from drake_oa.training.lattice import PaperLattice
+from drake_oa.training.paper import (
     KEPT,
     build_paper_set,
     floor_of_means,
     floor_of_windows,
     group_means,
 )
-from drake_oa.training.released_method import PaperLattice
 
 FULL = PaperLattice()
 SMALL = PaperLattice(

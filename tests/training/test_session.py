@@ -11,10 +11,9 @@ from drake_oa.regulation.proposal_network import load_proposals
 from drake_oa.regulation.regressor import load_chain
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.training import session
+from drake_oa.training.lattice import PaperLattice
 from drake_oa.training.networks import Round
-from drake_oa.training.paper import PaperRecipe, train_paper
-from drake_oa.training.paper_set import CHAINS
-from drake_oa.training.released_method import PaperLattice
+from drake_oa.training.paper import CHAINS, PaperRecipe, train_paper
 
 
 @pytest.fixture

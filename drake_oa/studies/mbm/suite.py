@@ -1,24 +1,181 @@
-"""A set of MotionBenchMaker's problems as a suite of `panda_evaluation`, and its figures."""
+"""Problems of MotionBenchMaker as scenarios, and sets of them as suites of the Panda's evaluation.
+
+A problem: reach the goal's tool pose among its obstacles. The demonstration is the tool's straight
+minimum-jerk motion from where the start has it to where the goal has it, with the turn between them
+about a fixed axis; the posture leads from the start's joints to the goal's. Nothing else is taken
+from the problem. What the goal grasps, an obstacle with the tool point inside it, is left out.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
-from drake_oa.studies.mbm.problems import ProblemText, parse_problem, read_archive
-from drake_oa.studies.mbm.robots import PANDA, load_robot
-from drake_oa.studies.mbm.scenes import (
-    draw_problem,
-    draw_seen_problem,
-    problem_scenario,
-    robot_text,
+import numpy as np
+from pydrake.math import RollPitchYaw
+
+from drake_oa.common.messages import FloatArray
+from drake_oa.geometry.shapes import Box, Cylinder, Sphere, pose
+from drake_oa.perception.config import GroundTruth
+from drake_oa.robot.config import Robot
+from drake_oa.robot.plant import RobotPlant, make_robot_plant
+from drake_oa.runs.metrics import robot_metrics
+from drake_oa.safety.config import SupervisorParameters
+from drake_oa.scenario.loading import parse_scenario, scenario_text
+from drake_oa.scenario.obstacles import Obstacle
+from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.task import Task
+from drake_oa.studies.cameras import with_two
+from drake_oa.studies.mbm.problems import (
+    PANDA,
+    Problem,
+    ProblemText,
+    load_robot,
+    parse_problem,
+    read_archive,
 )
-from drake_oa.studies.panda.evaluation import Drawing, PandaResults, PandaSuite
-from drake_oa.studies.panda.run import Criteria
+from drake_oa.studies.panda.evaluation import Criteria, Drawing, PandaResults, PandaSuite
 from drake_oa.studies.panda.tables import ALL, methods_figures
+from drake_oa.studies.results import Counts
+
+DURATION = 5.0
+"""Of the demonstrated motion [s]."""
+CLEARANCE, LEAST_CLEARANCE = 0.03, 1e-3
+"""That is asked for where start and goal leave it, and where they leave none [m]."""
+
+_FINGER_MARGIN = 1e-3
+"""Fingers stay so far within their limits [m]: at a limit the plant's steps cost more."""
+
+
+def robot_text(robot: Robot) -> str:
+    """The robot as a scenario's text, see `draw_problem`."""
+    return scenario_text(Scenario(robot=robot))
+
+
+def draw_problem(text: ProblemText, robot: str) -> tuple[str, Counts]:
+    """The scenario's text of a problem for the robot of a scenario's text; nothing is dropped."""
+    scenario = problem_scenario(parse_problem(text), parse_scenario(robot).robot or Robot())
+    return scenario_text(scenario), {}
+
+
+def draw_seen_problem(text: ProblemText, robot: str) -> tuple[str, Counts]:
+    """As `draw_problem`, seen by two cameras."""
+    scenario = problem_scenario(parse_problem(text), parse_scenario(robot).robot or Robot())
+    return scenario_text(with_two(scenario)), {}
+
+
+def problem_scenario(problem: Problem, robot: Robot) -> Scenario:
+    """The scenario of a problem.
+
+    A goal with joints beyond the robot's limits is asked for as a pose, without joints.
+
+    Raises:
+        ValueError: if the problem's joints are not those of the robot.
+    """
+    robot_plant = make_robot_plant(robot)
+    arm = _arm_joints(robot_plant, robot)
+    fingers = [name for name in problem.start if name not in arm and _has(robot_plant, name)]
+    if fingers:
+        opening = _opening(robot_plant, problem.start[fingers[0]], fingers[0])
+        robot = replace(robot, finger_opening=opening)
+    q = {
+        end: _positions(problem, joints, arm, robot_plant, robot)
+        for end, joints in (("start", problem.start), ("goal", problem.goal))
+    }
+    X_WE = dict(zip(q, robot_plant.tool_poses(np.stack(list(q.values()))), strict=True))
+    lower, upper = (
+        limits[: len(arm)]
+        for limits in (
+            robot_plant.plant.GetPositionLowerLimits(),
+            robot_plant.plant.GetPositionUpperLimits(),
+        )
+    )
+    joints = q["goal"][: len(arm)]
+    within = bool((joints >= lower).all() and (joints <= upper).all())
+    rpy = {end: RollPitchYaw(X.rotation()).vector().tolist() for end, X in X_WE.items()}
+    grasped = X_WE["goal"].translation()
+    scenario = Scenario(
+        description=f"MotionBenchMaker {problem.name}",
+        robot=robot,
+        task=Task(
+            start=X_WE["start"].translation().tolist(),
+            goal=grasped.tolist(),
+            rpy_start=rpy["start"],
+            rpy_goal=rpy["goal"],
+            q_start=q["start"][: len(arm)].tolist(),
+            q_goal=joints.tolist() if within else None,
+            duration=DURATION,
+        ),
+        obstacles=[item for item in problem.obstacles if not _holds(item, grasped)],
+        perception=GroundTruth(),
+        table_height=None,
+    )
+    left = robot_metrics(scenario, np.stack([q["start"], q["goal"]])).robot_clearance.min()
+    # Rounded down: the ends themselves keep it.
+    asked = math.floor(1e4 * min(CLEARANCE, float(left))) / 1e4
+    scenario.task.clearance = max(asked, LEAST_CLEARANCE)
+    supervisor = SupervisorParameters()
+    # A stop further away than that would keep the robot from the goal, or at the start.
+    supervisor.stop_distance = min(supervisor.stop_distance, scenario.task.clearance)
+    scenario.supervisor = supervisor
+    return scenario
+
+
+def _arm_joints(robot_plant: RobotPlant, robot: Robot) -> list[str]:
+    plant = robot_plant.plant
+    joints = [plant.get_joint(index) for index in plant.GetJointIndices(robot_plant.instance)]
+    moving = sorted((j for j in joints if j.num_positions()), key=lambda j: j.position_start())
+    return [joint.name() for joint in moving][: len(robot.q_seed)]
+
+
+def _has(robot_plant: RobotPlant, name: str) -> bool:
+    plant, instance = robot_plant.plant, robot_plant.instance
+    return bool(
+        plant.HasJointNamed(name, instance) and plant.GetJointByName(name, instance).num_positions()
+    )
+
+
+def _opening(robot_plant: RobotPlant, value: float, finger: str) -> float:
+    joint = robot_plant.plant.GetJointByName(finger, robot_plant.instance)
+    lower, upper = joint.position_lower_limits()[0], joint.position_upper_limits()[0]
+    return float(np.clip(value, lower + _FINGER_MARGIN, upper - _FINGER_MARGIN))
+
+
+def _positions(
+    problem: Problem,
+    given: Mapping[str, float],
+    arm: list[str],
+    robot_plant: RobotPlant,
+    robot: Robot,
+) -> FloatArray:
+    missing = [name for name in arm if name not in given]
+    if missing:
+        raise ValueError(
+            f"{problem.name}: is of the joints {', '.join(given)}, and the robot's are "
+            f"{', '.join(arm)}; --robot SCENARIO names a scenario with the problem's robot"
+        )
+    q = np.full(robot_plant.plant.num_positions(), robot.finger_opening)
+    q[: len(arm)] = [given[name] for name in arm]
+    return q
+
+
+def _holds(obstacle: Obstacle, p_WQ: FloatArray) -> bool:
+    """Whether a point is inside an obstacle."""
+    return any(
+        _inside(shape, (pose(obstacle) @ pose(shape)).inverse() @ p_WQ) for shape in obstacle.shapes
+    )
+
+
+def _inside(shape: Box | Cylinder | Sphere, p: FloatArray) -> bool:
+    if isinstance(shape, Box):
+        return bool((np.abs(p) <= 0.5 * np.asarray(shape.size)).all())
+    if isinstance(shape, Cylinder):
+        return math.hypot(p[0], p[1]) <= shape.radius and abs(p[2]) <= 0.5 * shape.length
+    return float(np.linalg.norm(p)) <= shape.radius
+
 
 METHODS = ("verified", "preplanned", "differential_ik", "planner")
 
@@ -84,7 +241,7 @@ def mbm_suites(
 
     Args:
         file: see `problems.read_archive`.
-        robot: see `robots.load_robot`; None: the Panda.
+        robot: see `problems.load_robot`; None: the Panda.
         sets: names of sets; none: all.
         methods: some of `METHODS`.
         scenes: how many of each set; None: all.

@@ -1,27 +1,26 @@
 """Methods on the simulated Panda, in random scenes that stand in the way of a planned motion.
 
 In: a kind of scenes, a seed, how many, and methods. Out: for each method and scene a judged run
-(`run.run_and_judge`: outcome, reason, contacts, clearances [m], goal error [m], times [s]), the
-logs and pages asked for, and figures over all (`tables`).
+(`evaluation.run_and_judge`: outcome, reason, contacts, clearances [m], goal error [m], times [s]),
+the logs and pages asked for, and figures over all (`tables`).
 
 A scene is a scenario (`scenes.draw_panda_scene`), in the world frame, metres and seconds, whose
 straight tool motion of 0.5 to 1.0 m some link would make into an obstacle:
 
-    table_scenes    tabletop, clutter6: things on the table
+    scenes          tabletop, clutter6: things on the table; elbow: the hand's way is free and the
+                    elbow's is not
     moving_scenes   moving, moving_hard: things that cross the way, or do as they like
-    elbow_scenes    elbow: the hand's way is free and the elbow's is not
-    scene_parts     what they are drawn from, by one skeleton; obstacles: the things themselves
+    scene_parts     what they are drawn from, by one skeleton, and the things themselves
     planning_scene  the robot asked about obstacles and motions, by Drake's SceneGraph
 
-Methods (`run`): the project's, the paper's, the motion without avoidance, and two peers that know
-the obstacles exactly:
+Methods (`evaluation`): the project's, the paper's, the motion without avoidance, and two peers that
+know the obstacles exactly:
 
     differential_ik   Drake's DifferentialInverseKinematicsSystem with collision constraints at the
                       policy's period; ToolPose gives it the pose a moment ahead
     planner           OMPL's RRT-Connect (Kuffner and LaValle, ICRA 2000), not simulated; its
                       search in time among moving things (Kant and Zucker, IJRR 1986) is in no
                       suite
-    peer              differential_ik on the station
 
-There is no block in the scenario: a study writes scenarios. Read `run.py` first.
+There is no block in the scenario: a study writes scenarios. Read `evaluation.py` first.
 """

@@ -46,9 +46,9 @@ from numpy.typing import ArrayLike
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere, bounding_radius, pose
 from drake_oa.scenario.obstacles import Obstacle
-from drake_oa.studies.panda.obstacles import COLORS, half_height
 from drake_oa.studies.panda.scene_parts import (
     BASE_RADIUS,
+    COLORS,
     ENDS_TAKEN,
     FREE,
     GAP,
@@ -65,11 +65,12 @@ from drake_oa.studies.panda.scene_parts import (
     draw_obstacles,
     ends_are_free,
     first_drawn,
+    half_height,
     in_view,
     is_outside_image,
     planning_scene,
 )
-from drake_oa.studies.tally import Tally
+from drake_oa.studies.results import Tally
 
 MOST_RESTING = 2
 QUIET = 1.0

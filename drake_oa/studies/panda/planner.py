@@ -394,7 +394,7 @@ def run_planner(
         states: see `plan_motion`.
 
     Returns:
-        What `motion_report` gives of a run and `panda_run` keeps; without a plan its
+        What `motion_report` gives of a run and `run_and_judge` keeps; without a plan its
         `stop_reason` says why. `wall_time` is that of planning, `states` how many
         configurations were looked at.
 

@@ -12,10 +12,9 @@ from drake_oa.common.console import Column, TextTable
 from drake_oa.runs.decision_costs import pooled_figures
 from drake_oa.runs.motion_log import MotionEnd
 from drake_oa.runs.report import TOLD
-from drake_oa.studies.panda.evaluation import PandaResults
-from drake_oa.studies.panda.run import PLANNER
-from drake_oa.studies.scenes.figures import over
-from drake_oa.studies.tally import drawn_figures, drawn_lines
+from drake_oa.studies.panda.evaluation import PLANNER, PandaResults
+from drake_oa.studies.results import drawn_figures, drawn_lines
+from drake_oa.studies.scenes.evaluation import over
 
 ALL = "all"
 """Kind of the figures of several kinds together."""
@@ -136,7 +135,7 @@ def _share_of_solved(
 def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Figures of a method's runs; None where there is nothing to take them over.
 
-    Keys: `scenes`; `contacts`, `success` and `stopped`, which sum to it (see `panda_run`);
+    Keys: `scenes`; `contacts`, `success` and `stopped`, which sum to it (see `evaluation`);
     `success_rate`; `stop_reasons`, what the stopped ones were stopped by, and how often;
     `contact_pairs`, in how many scenes which link met what; `self_contacts`, in how many the
     robot met itself; `time_limits`, how many ended by their time limit, arrived or not; `failed`,

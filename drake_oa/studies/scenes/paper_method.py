@@ -44,9 +44,7 @@ from drake_oa.policy.coupling import (
 from drake_oa.regulation.regressor import ChainWeights, load_chain
 from drake_oa.regulation.rollout import spatial_rollouts
 from drake_oa.scenario.shipped import package_file
-from drake_oa.studies.scenes.methods import Motions, Setting
-from drake_oa.studies.scenes.scenes import DURATION, Scenes
-from drake_oa.studies.scenes.verified import spatial_scenes
+from drake_oa.studies.scenes.scenes import DURATION, Motions, Scenes, Setting, spatial_scenes
 
 ALPHA_X, BETA_X, ALPHA_K, N_BASIS = 10.0, 2.5, 0.5, 35
 """Constants of the released code."""

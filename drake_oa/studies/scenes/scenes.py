@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 from drake_oa.common.files import ArrayHeader, archive_headers, check_memory, replace_file
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen
 from drake_oa.geometry.ellipsoid import signed_distance
+from drake_oa.regulation.rollout import SpatialScenes
 
 DURATION = 3.0
 """Demonstrated duration T [s]."""
@@ -110,6 +111,29 @@ def single_obstacle(
     )
 
 
+def spatial_scenes(scenes: Scenes, clearance: FloatArray | float) -> SpatialScenes:
+    """The scenes as roll-outs take them: at rest at the start, L = W.
+
+    Args:
+        scenes: N scenes.
+        clearance: () or (N,) asked of every obstacle [m].
+    """
+    count = len(scenes)
+    asked = np.broadcast_to(clearance, (count,))
+    return SpatialScenes(
+        p_WE=np.zeros((count, 3)),
+        z_W=np.zeros((count, 3)),
+        p_WG=scenes.goal,
+        R_WL=np.tile(np.eye(3), (count, 1, 1)),
+        baseline=scenes.baseline,
+        p_WO=scenes.center,
+        R_WO=scenes.R,
+        semi_axes=scenes.semi_axes,
+        v_WO=scenes.velocity,
+        asked_clearance=np.repeat(asked[:, None], scenes.center.shape[1], axis=1),
+    )
+
+
 def scene_distance(scenes: Scenes, points: FloatArray, time: FloatArray) -> FloatArray:
     """Signed distance of a point (N, 3) a scene to its nearest obstacle at a time (N,).
 
@@ -125,6 +149,50 @@ def scene_distance(scenes: Scenes, points: FloatArray, time: FloatArray) -> Floa
             p[there], center[there], scenes.R[there], scenes.semi_axes[there]
         )
     return distance.min(axis=1, initial=np.inf)
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How the paper's experiments on familiar scenarios vary the method.
+
+    Attributes:
+        constrained: RC(lambda', Delta), else RC(lambda'), which asks for no clearance:
+            that of the scenes is then 0.
+        scale_time: tau = length of the avoiding path over that of the planned one, else
+            tau = 1.
+    """
+
+    constrained: bool = True
+    scale_time: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Motions(Frozen):
+    """N motions at S + 1 equally spaced instants from t = 0 to their duration.
+
+    Attributes:
+        path: (N, S + 1, 3) positions [m].
+        velocity: (N, S + 1, 3) velocities dp/dt at those instants [m/s].
+        duration: (N,) tau T, the end of the scaled duration [s].
+        seconds: computing time of the whole batch [s], regulation included,
+            compilation excluded.
+        in_range: (N,) whether the regressor chain was asked within its trained range; None:
+            there is none, or it does not tell.
+    """
+
+    path: FloatArray
+    velocity: FloatArray
+    duration: FloatArray
+    seconds: float
+    in_range: BoolArray | None = None
+
+    def __len__(self) -> int:
+        return len(self.path)
+
+    @property
+    def steps(self) -> int:
+        """Steps of each motion."""
+        return self.path.shape[1] - 1
 
 
 _SHAPES: dict[str, tuple[int, ...]] = {

@@ -17,11 +17,9 @@ from drake_oa.runs.metrics import robot_metrics
 from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task_joints import end_positions
-from drake_oa.studies.mbm.problems import parse_problem, read_archive
-from drake_oa.studies.mbm.robots import load_robot
-from drake_oa.studies.mbm.scenes import problem_scenario
-from drake_oa.studies.mbm.suite import mbm_suites
-from drake_oa.studies.panda.run import Criteria, run_and_judge
+from drake_oa.studies.mbm.problems import load_robot, parse_problem, read_archive
+from drake_oa.studies.mbm.suite import mbm_suites, problem_scenario
+from drake_oa.studies.panda.evaluation import Criteria, run_and_judge
 from drake_oa.studies.panda.scenes import seen_by
 
 JOINTS = [f"panda_joint{i}" for i in range(1, 8)]

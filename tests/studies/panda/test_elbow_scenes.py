@@ -5,9 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from drake_oa.studies.panda.elbow_scenes import ELBOW, HAND_FREE, SWINGS, SWUNG_FREE
 from drake_oa.studies.panda.scene_parts import FREE, planning_scene
-from drake_oa.studies.panda.scenes import draw_panda_scene
+from drake_oa.studies.panda.scenes import ELBOW, HAND_FREE, SWINGS, SWUNG_FREE, draw_panda_scene
 
 
 @pytest.fixture(scope="module")

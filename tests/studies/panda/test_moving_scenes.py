@@ -7,8 +7,8 @@ import pytest
 
 from drake_oa.geometry.shapes import Box, Sphere, bounding_radius
 from drake_oa.perception.config import DepthCamera
+from drake_oa.studies.panda.evaluation import run_and_judge
 from drake_oa.studies.panda.moving_scenes import LONGEST
-from drake_oa.studies.panda.run import run_and_judge
 from drake_oa.studies.panda.scene_parts import FREE, in_view, is_outside_image, planning_scene
 from drake_oa.studies.panda.scenes import draw_panda_scene
 

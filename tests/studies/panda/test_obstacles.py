@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drake_oa.geometry.shapes import Box, Cylinder, pose
-from drake_oa.studies.panda.obstacles import (
+from drake_oa.studies.panda.scene_parts import (
     LARGEST,
     SMALLEST,
     _leaning,

@@ -13,12 +13,13 @@ from drake_oa.runs.motion_log import load_logs, save_logs
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task_joints import follow_joints, start_positions
-from drake_oa.studies.panda.differential_ik import PeerParameters, make_collision_checker
-from drake_oa.studies.panda.peer import (
+from drake_oa.studies.panda.differential_ik import (
     METHOD,
     NO_VELOCITY,
+    PeerParameters,
     ToolPose,
     build_differential_ik,
+    make_collision_checker,
     simulate_differential_ik,
 )
 

@@ -5,8 +5,8 @@ import pytest
 
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
+from drake_oa.studies.panda.evaluation import run_and_judge
 from drake_oa.studies.panda.planner import CLEARANCE, plan_motion, run_planner
-from drake_oa.studies.panda.run import run_and_judge
 
 pytest.importorskip("ompl")
 

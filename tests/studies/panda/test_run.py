@@ -5,7 +5,7 @@ import pytest
 from drake_oa.perception.config import GroundTruth
 from drake_oa.regulation.config import Paper, Verified
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
-from drake_oa.studies.panda.run import METHODS, plain_reason, run_and_judge, with_method
+from drake_oa.studies.panda.evaluation import METHODS, plain_reason, run_and_judge, with_method
 from drake_oa.studies.panda.scenes import seen_by
 
 _TOUCHING = """

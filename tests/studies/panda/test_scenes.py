@@ -11,7 +11,7 @@ from pydrake.systems.framework import DiagramBuilder
 from drake_oa.perception.config import DepthCamera, GroundTruth
 from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.studies.panda.scenes import draw_panda_scene
-from drake_oa.studies.tally import Tally
+from drake_oa.studies.results import Tally
 from drake_oa.world.station import make_station
 
 _DIGESTS = {

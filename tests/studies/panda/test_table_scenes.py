@@ -8,14 +8,19 @@ import pytest
 from drake_oa.geometry.shapes import Box, Sphere
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.scenario.obstacles import Obstacle
-from drake_oa.studies.panda.obstacles import footprint_radius
-from drake_oa.studies.panda.scene_parts import FREE, in_view, is_outside_image, planning_scene
-from drake_oa.studies.panda.scenes import draw_panda_scene
-from drake_oa.studies.panda.table_scenes import (
+from drake_oa.studies.panda.scene_parts import (
+    FREE,
+    footprint_radius,
+    in_view,
+    is_outside_image,
+    planning_scene,
+)
+from drake_oa.studies.panda.scenes import (
     NEAR,
     NEAR_OBSTACLES,
     _distance_to_triangle,
     distance_to_line,
+    draw_panda_scene,
 )
 
 _SCENES = [("tabletop", 0, 2), ("tabletop", 0, 9), ("tabletop", 1, 0), ("clutter6", 0, 0)]

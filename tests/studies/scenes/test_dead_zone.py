@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from drake_oa.policy.coupling import dead_zone_free_rate, original_rate
-from drake_oa.studies.scenes.dead_zone import compare_terms, matched_term, term_figures, term_table
+from drake_oa.studies.scenes.evaluation import compare_terms, matched_term, term_figures, term_table
 from drake_oa.studies.scenes.paper_method import BETA
 from drake_oa.studies.scenes.suites import draw_scenes
 

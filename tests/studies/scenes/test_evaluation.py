@@ -5,15 +5,15 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from drake_oa.studies.scenes.evaluation import evaluate
-from drake_oa.studies.scenes.figures import (
+from drake_oa.studies.scenes.evaluation import (
+    evaluate,
     evaluation_figures,
     evaluation_tables,
     method_figures,
     motion_figures,
 )
 from drake_oa.studies.scenes.judge import Judgement, joined
-from drake_oa.studies.scenes.methods import METHODS, Motions, Setting
+from drake_oa.studies.scenes.methods import Motions, Setting, load_method
 from drake_oa.studies.scenes.scenes import Scenes
 from drake_oa.studies.scenes.suites import SUITES, draw_scenes, find_suite
 
@@ -197,4 +197,4 @@ def test_a_missing_package_is_named_with_its_extra(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr("drake_oa.studies.scenes.methods.import_module", absent)
     with pytest.raises(ValueError, match=r"pip install 'drake_oa\[peers\]'"):
-        METHODS["movement_primitives"]()
+        load_method("movement_primitives")

@@ -9,8 +9,8 @@ from scipy.interpolate import CubicHermiteSpline
 
 from drake_oa.studies.scenes.judge import joined, judge
 from drake_oa.studies.scenes.methods import Motions
-from drake_oa.studies.scenes.sampling import random_rotations, segment_distance
 from drake_oa.studies.scenes.scenes import Scenes, scene_distance, single_obstacle
+from drake_oa.studies.scenes.suites import random_rotations, segment_distance
 
 Array = NDArray[np.float64]
 

@@ -26,9 +26,8 @@ from drake_oa.studies.scenes.paper_method import (
     section_axes,
     time_scale,
 )
-from drake_oa.studies.scenes.sampling import random_rotations
 from drake_oa.studies.scenes.scenes import Scenes, single_obstacle
-from drake_oa.studies.scenes.suites import draw_scenes
+from drake_oa.studies.scenes.suites import draw_scenes, random_rotations
 from tests.reference.width_chain import load_width_chain
 
 PARAMETERS = (9000.0, 0.77, 25.0)

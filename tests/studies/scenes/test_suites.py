@@ -8,7 +8,6 @@ import pytest
 from drake_oa.geometry.ellipsoid import shape_matrix
 from drake_oa.studies.scenes.judge import judge
 from drake_oa.studies.scenes.methods import Motions, Setting
-from drake_oa.studies.scenes.sampling import line_distance, line_hits, random_rotations
 from drake_oa.studies.scenes.scenes import DURATION, Scenes, check_scenes, scene_distance
 from drake_oa.studies.scenes.suites import (
     BASELINES,
@@ -18,6 +17,9 @@ from drake_oa.studies.scenes.suites import (
     SUITES,
     draw_scenes,
     find_suite,
+    line_distance,
+    line_hits,
+    random_rotations,
 )
 
 Straight = Callable[[Scenes, Setting], Motions]

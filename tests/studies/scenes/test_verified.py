@@ -5,20 +5,21 @@ import pytest
 
 from drake_oa.regulation.config import SearchParameters
 from drake_oa.studies.scenes.judge import judge
-from drake_oa.studies.scenes.methods import Setting, load_method
-from drake_oa.studies.scenes.scenes import DURATION, Scenes, single_obstacle
-from drake_oa.studies.scenes.suites import draw_scenes
-from drake_oa.studies.scenes.verified import (
+from drake_oa.studies.scenes.methods import (
     LEAST_CLEARANCE,
     PARAMETERS,
-    run,
+    Setting,
+    load_method,
+    run_verified,
 )
+from drake_oa.studies.scenes.scenes import DURATION, Scenes, single_obstacle
+from drake_oa.studies.scenes.suites import draw_scenes
 
 
 @pytest.mark.parametrize("suite", ["novel", "posed", "hit", "head-on", "clutter", "moving"])
 def test_it_keeps_the_feasible_clearance_and_arrives(suite: str) -> None:
     scenes = draw_scenes(suite, 12, 5)
-    verdict = judge(scenes, run(scenes, Setting()))
+    verdict = judge(scenes, run_verified(scenes, Setting()))
     assert not verdict.collided.any()
     assert not verdict.short.any()
     assert verdict.goal_error.max() <= 1e-3
@@ -26,14 +27,14 @@ def test_it_keeps_the_feasible_clearance_and_arrives(suite: str) -> None:
 
 def test_it_does_not_keep_much_more_than_asked() -> None:
     scenes = draw_scenes("novel", 12, 5)
-    verdict = judge(scenes, run(scenes, Setting()))
+    verdict = judge(scenes, run_verified(scenes, Setting()))
     asked = verdict.feasible >= 0.1499
     assert verdict.kept_clearance[asked].mean() <= 0.165
 
 
 def test_motions_start_at_rest_and_last_as_long_as_they_say() -> None:
     scenes = draw_scenes("hit", 4, 0)
-    motions = run(scenes, Setting())
+    motions = run_verified(scenes, Setting())
     np.testing.assert_array_equal(motions.path[:, 0], 0.0)
     np.testing.assert_array_equal(motions.velocity[:, 0], 0.0)
     # The velocity is that of the path.
@@ -45,7 +46,10 @@ def test_motions_start_at_rest_and_last_as_long_as_they_say() -> None:
 
 def test_time_is_scaled_by_the_length_of_the_path_if_asked() -> None:
     scenes = draw_scenes("hit", 4, 0)
-    scaled, unscaled = run(scenes, Setting()), run(scenes, Setting(scale_time=False))
+    scaled, unscaled = (
+        run_verified(scenes, Setting()),
+        run_verified(scenes, Setting(scale_time=False)),
+    )
     np.testing.assert_allclose(scaled.path, unscaled.path, atol=1e-9)
     ratio = scaled.duration / unscaled.duration
     np.testing.assert_allclose(ratio, judge(scenes, scaled).path_ratio, rtol=1e-3)
@@ -53,7 +57,7 @@ def test_time_is_scaled_by_the_length_of_the_path_if_asked() -> None:
 
 def test_without_a_clearance_to_keep_it_stays_clear_nevertheless() -> None:
     scenes = single_obstacle(1.0, [[0.5, 0.0, 0.0]], [[0.1, 0.1, 0.1]], clearance=0.0)
-    verdict = judge(scenes, run(scenes, Setting(constrained=False)))
+    verdict = judge(scenes, run_verified(scenes, Setting(constrained=False)))
     assert verdict.kept_clearance[0] >= LEAST_CLEARANCE - PARAMETERS.slack
 
 
@@ -74,7 +78,7 @@ def test_a_scene_without_obstacles_is_a_straight_line() -> None:
 
 def test_a_scene_gets_the_same_motion_in_any_batch() -> None:
     scenes = draw_scenes("posed", 8, 1)
-    whole, part = run(scenes, Setting()), run(scenes.rows([5]), Setting())
+    whole, part = run_verified(scenes, Setting()), run_verified(scenes.rows([5]), Setting())
     np.testing.assert_array_equal(whole.path[5], part.path[0])
 
 

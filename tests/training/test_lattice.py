@@ -1,11 +1,11 @@
-"""The released code's motions over a lattice: against the readable form, path by path."""
+"""Motions over a lattice: the released code's against the readable form; the running ones."""
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
-from drake_oa.training.released_method import PaperLattice, forcing_term, roll_out
+from drake_oa.training.lattice import PaperLattice, forcing_term, roll_out, running_lattice
 from tests.reference.released_code import euler_trajectory
-from tests.training.test_rollouts import densely_measured
 
 LATTICE = PaperLattice(
     np.array([0.05, 0.2]),
@@ -19,6 +19,14 @@ LATTICE = PaperLattice(
 @pytest.fixture(scope="module")
 def found():
     return roll_out(LATTICE)
+
+
+def densely_measured(path, extents, center):
+    """Clearance by brute force: the samples against 20,000 points on the ellipse."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 20001)
+    ellipse = center + extents * np.column_stack((np.cos(angle), np.sin(angle)))
+    inside = (((path[:, :2] - center) / extents) ** 2).sum(axis=1) <= 1.0
+    return 0.0 if inside.any() else cKDTree(ellipse).query(path[:, :2])[0].min()
 
 
 def readable(place):
@@ -62,37 +70,21 @@ def test_motions_do_not_depend_on_their_neighbours(found):
     np.testing.assert_array_equal(many[0][..., -4:], found[0])
 
 
-def test_an_ellipse_about_the_start_is_touched():
-    wide = LATTICE._replace(lambda1=np.array([0.6]))
-    assert (roll_out(wide)[0] == 0.0).all()
+def test_bad_lattices_are_named():
+    with pytest.raises(ValueError, match="kappa must be a row of finite numbers, not negative"):
+        roll_out(LATTICE._replace(kappa=-np.ones(1)))
 
 
-def test_the_forcing_term_is_what_the_released_code_fitted(reference):
-    data = np.load(reference("authors_action_level.npz"))
-    on_one_metre = np.flatnonzero(data["baseline"] == 1.0)[0]
-    table = forcing_term(500, 0.005)
-    np.testing.assert_allclose(table, data["forcing"][on_one_metre, :, 0], atol=2e-4)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"psi": np.zeros(1)}, "psi must be a row of finite numbers, positive"),
-        ({"kappa": -np.ones(1)}, "kappa must be a row of finite numbers, not negative"),
-        ({"alpha": np.array([np.nan])}, "alpha must be a row"),
-        ({"lambda2": np.zeros((0,))}, "lambda2 must be a row"),
-    ],
-)
-def test_bad_lattices_are_named(change, message):
-    with pytest.raises(ValueError, match=message):
-        roll_out(LATTICE._replace(**change))
-
-
-# The readable form itself.
+@pytest.mark.parametrize("go", [roll_out, running_lattice])
+def test_what_touches_has_no_clearance_and_no_goal(go):
+    clearance, goal_error = go(PaperLattice(*(axis[:1] for axis in LATTICE)))
+    assert clearance.shape == (1, 1, 1, 1, 1)
+    assert (clearance == 0.0).all()
+    assert np.isinf(goal_error).all()
 
 
 @pytest.mark.parametrize("term", ["dead_zone_free", "original"])
-def test_released_trajectories_are_reproduced(reference, term):
+def test_the_readable_form_reproduces_released_trajectories(reference, term):
     data = np.load(reference("authors_action_level.npz"))
     key = "trajectory" if term == "dead_zone_free" else "trajectory_original_term"
     for row in range(24):
@@ -106,37 +98,3 @@ def test_released_trajectories_are_reproduced(reference, term):
             tau=float(data["tau"][row]),
         )
         np.testing.assert_allclose(path, data[key][row], atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("term", "parameters", "third", "eighth"),
-    [
-        (
-            "dead_zone_free",
-            (11026.055663209949, 0.7699037123810009, 24.188755881967893),
-            [0.0026161928095, 0.0007277780072, 0.0016370637172],
-            [0.0098859299601, 0.0034630706622, 0.0077898305181],
-        ),
-        (
-            "original",
-            (1000.0, 20.0 / np.pi),
-            [0.0027867511929, 0.0000757142515, 0.0001703116236],
-            [0.0135655128403, 0.0007839960771, 0.0017635206333],
-        ),
-    ],
-)
-def test_the_first_steps_of_a_released_trajectory_are_reproduced(term, parameters, third, eighth):
-    forcing = np.zeros((8, 3))
-    forcing[:, 0] = [
-        *(-10.495990263368, -10.4709422671561, -10.4458930533492, -10.4208429379493),
-        *(-10.3957922273462, -10.3707412171922, -10.3456902179982, -10.3206396738286),
-    ]
-    path = euler_trajectory(
-        np.array([0.31719211855949414, -0.06755015017212038, -0.15194729551783312]),
-        np.array([0.5, 0.0, 0.0]),
-        forcing,
-        parameters,
-        term=term,
-        tau=1.567690200884412,
-    )
-    np.testing.assert_allclose(path[[2, 7]], [third, eighth], atol=1e-12)

@@ -1,9 +1,10 @@
-"""The action level as the authors' released code integrates it, over a lattice of motions.
+"""Roll-outs over a lattice of motions around one ellipse, on two action levels.
 
 From rest at (0, 0) to (1, 0) around an ellipse at (0.5, 0), as in the paper's training set (sec.
-V-A). It differs from the project's own action level: the coupling term is an explicit push of the
-true velocity, tau^2 multiplies the spring instead of scaling time, the forcing term is not
-scaled, and the step is semi-implicit Euler::
+V-A). `roll_out` is the action level as the authors' released code integrates it. It differs from
+the running system's (`running_lattice`): the coupling term is an explicit push of the true
+velocity, tau^2 multiplies the spring instead of scaling time, the forcing term is not scaled, and
+the step is semi-implicit Euler::
 
     a = tau^2 alpha_x (beta_x (g - x) - v) + f + alpha exp(-theta^2/psi^2 - kappa d^2) R v
     v += h a,   x += h v,   tau = sqrt(1 + 4 lambda2'^2) + 0.1
@@ -22,6 +23,8 @@ import numpy as np
 from numba import njit, prange
 
 from drake_oa.common.messages import FloatArray
+from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
+from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.regulation.lane_math import (
     STRICT,
     TINY,
@@ -29,6 +32,7 @@ from drake_oa.regulation.lane_math import (
     exponential,
     widest_vectors,
 )
+from drake_oa.regulation.rollout import SpatialScenes, spatial_rollouts
 
 STEPS, STEP = 1000, 0.003
 """Number of steps and length of each [s]."""
@@ -108,6 +112,52 @@ def roll_out(
     axes = PaperLattice(*(np.ascontiguousarray(axis, dtype=float) for axis in lattice))
     _roll_out(axes, forcing, step, out)
     return out[0], out[1]
+
+
+def running_lattice(lattice: PaperLattice) -> tuple[FloatArray, FloatArray]:
+    """Rolls out every motion of a lattice by the running system's engine, alpha in 1/T.
+
+    Lengths are in baselines, and time in units of the demonstration's: the path depends on neither.
+    With four times as many steps a path that converges keeps 0.4 mm a metre more (median;
+    docs/equations.md).
+
+    Returns:
+        As `roll_out`, with the clearance to 1e-4.
+    """
+    kappa, psi, alpha = (axis.ravel() for axis in np.meshgrid(*lattice[2:], indexing="ij"))
+    dmp = imitate(*minimum_jerk(np.zeros(3), (1.0, 0.0, 0.0)))
+    terms = np.zeros((len(alpha), N_COLUMNS))
+    terms[:, 0], terms[:, NORMAL + 2] = 0.5, 1.0
+    terms[:, ALPHA], terms[:, PSI], terms[:, KAPPA] = alpha, psi, kappa
+    still, eye = np.zeros((1, 3)), np.eye(3)[None]
+    found = np.empty((2, *map(len, lattice)))
+    for i, lambda1 in enumerate(lattice.lambda1):
+        for j, lambda2 in enumerate(lattice.lambda2):
+            scene = SpatialScenes(
+                p_WE=still,
+                z_W=still,
+                p_WG=still + (1.0, 0.0, 0.0),
+                R_WL=eye,
+                baseline=np.ones(1),
+                p_WO=np.array([[[0.5, 0.0, 0.0]]]),
+                R_WO=eye[None],
+                semi_axes=np.array([[[lambda1, lambda2, max(lambda1, lambda2)]]]),
+                v_WO=np.zeros((1, 1, 3)),
+                # Nothing is asked: what falls short of that has touched, and ends.
+                asked_clearance=np.zeros((1, 1)),
+            )
+            outcome = spatial_rollouts(
+                scene,
+                np.zeros(len(terms), int),
+                terms,
+                dmp=dmp,
+                steps=STEPS,
+                shortest=0.0,
+            )
+            touched, shape = outcome.contact, found.shape[3:]
+            found[0, i, j] = np.where(touched, 0.0, outcome.kept_clearance).reshape(shape)
+            found[1, i, j] = np.where(touched, np.inf, outcome.goal_error).reshape(shape)
+    return found[0], found[1]
 
 
 @_jit
