@@ -118,7 +118,7 @@ def plot(shown: ScenarioName, /, *, overrides: Overrides = (), out: Path | None 
 
 
 def _plot_scenario(shown: str, overrides: Overrides, out: Path) -> None:
-    """Draws what a scenario is taught."""
+    """Draws the demonstrations of a scenario."""
     from drake_oa.runs.plots import place_demonstrations, plot_demonstrations
     from drake_oa.scenario.loading import load_scenario, scenario_files, scenario_path
 

@@ -7,13 +7,11 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from drake_oa.common.config import ScenarioError
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.world.cameras import add_camera, add_camera_world
 from drake_oa.world.depth_noise import FrameNoise, add_depth_noise
 from drake_oa.world.late_camera import BackgroundCamera, LateCamera
-from drake_oa.world.station import make_station
 
 PERIOD, DELAY = 0.1, 0.08
 READY = np.array([-0.74, 0.19, 0.01, -1.9, 0.0, 2.09, 0.06, 0.005, 0.005])
@@ -88,49 +86,24 @@ def test_it_shows_what_a_sensor_of_the_present_shows(
     assert rendered.X_WC.IsExactlyEqualTo(X_WC)
 
 
-def test_asked_again_the_image_is_the_same(camera: BackgroundCamera) -> None:
+def test_asked_again_or_released_the_image_is_the_same(camera: BackgroundCamera) -> None:
     states = [np.concatenate([READY + 0.05 * k, np.zeros(9)]) for k in range(6)]
     first = [camera.ask(state, 0.0).result().depth for state in states]
     again = [camera.ask(state, 0.0).result().depth for state in states[::-1]]
     for one, other in zip(first, again[::-1], strict=True):
         np.testing.assert_array_equal(one, other)
     assert not np.array_equal(first[0], first[-1])
-
-
-def test_released_it_begins_anew(scenario: Scenario) -> None:
-    state = np.concatenate([READY, np.zeros(9)])
-    camera = BackgroundCamera(scenario, scenario.cameras[0])
-    before = camera.ask(state, 0.0).result().depth
     camera.release()
-    np.testing.assert_array_equal(camera.ask(state, 0.0).result().depth, before)
-    camera.release()
+    np.testing.assert_array_equal(camera.ask(states[0], 0.0).result().depth, first[0])
 
 
-def test_a_cloned_context_goes_on_alike(moving: Diagram) -> None:
-    simulator = Simulator(moving)
-    simulator.Initialize()
-    simulator.AdvanceTo(0.25)
-    other = Simulator(moving, simulator.get_context().Clone())
-    for run in (simulator, other):
-        run.AdvanceTo(0.45)
-    one, two = (outputs(moving, run.get_context()) for run in (simulator, other))
-    assert one[0] == two[0]
-    np.testing.assert_array_equal(one[2], two[2])
-
-
-@pytest.mark.parametrize("delay", [0.0, -0.01, 0.1, np.nan])
+@pytest.mark.parametrize("delay", [0.0, 0.1])
 def test_a_delay_must_be_shorter_than_the_period(
     camera: BackgroundCamera, scenario: Scenario, delay: float
 ) -> None:
     _, depth = scenario.cameras[0].MakeCameras()
     with pytest.raises(ValueError, match="delay must be between 0 and the period"):
         LateCamera(camera, depth.core().intrinsics(), num_states=18, period=0.1, delay=delay)
-
-
-def test_a_camera_that_does_not_fit_is_named() -> None:
-    scenario = load_scenario("tabletop_box", ["cameras=[{name: camera, output_delay: 0.5}]"])
-    with pytest.raises(ScenarioError, match="camera 'camera'"):
-        make_station(DiagramBuilder(), scenario)
 
 
 def test_noise_is_of_the_time_the_image_was_taken(scenario: Scenario) -> None:
