@@ -63,41 +63,21 @@ def test_one_cloud_a_model_instance_where_scene_graph_has_it():
     assert not box.flags.writeable
 
 
-def test_clouds_follow_the_bodies_at_the_period():
-    diagram, perception, context = make_scene(period=0.05)
-    Simulator(diagram, context).AdvanceTo(0.12)
-    obstacles = seen(perception, context)
-    assert obstacles.stamp == pytest.approx(0.1)
-    fallen = 9.81 / 2 * 0.1**2
-    assert obstacles.clouds_W[0][:, 2].max() == pytest.approx(1.1 - fallen, abs=1e-4)
-
-
-def test_the_table_is_handed_on():
+def test_table_and_cloud_are_handed_on():
     table = TablePlane(np.array([0.0, 0.0, 1.0]), 0.4)
     diagram, perception, context = make_scene(table=table)
     Simulator(diagram, context).Initialize()
     assert seen(perception, context).table is table
-
-
-def test_there_is_no_table_where_none_is_given():
-    diagram, perception, context = make_scene()
-    Simulator(diagram, context).Initialize()
-    assert seen(perception, context).table is None
-
-
-def test_the_cloud_for_viewing_holds_all_points():
-    diagram, perception, context = make_scene()
-    Simulator(diagram, context).Initialize()
     cloud = perception.GetOutputPort("cloud").Eval(perception.GetMyContextFromRoot(context))
     points = np.concatenate(seen(perception, context).clouds_W)
     np.testing.assert_allclose(cloud.xyzs().T, points, atol=1e-6)
 
 
-def test_no_obstacle_is_fine():
+def test_no_obstacle_and_no_table_are_fine():
     diagram, perception, context = make_scene(obstacles=())
     Simulator(diagram, context).Initialize()
-    assert len(seen(perception, context)) == 0
-    assert seen(perception, context).stamp == 0.0
+    obstacles = seen(perception, context)
+    assert (len(obstacles), obstacles.stamp, obstacles.table) == (0, 0.0, None)
 
 
 def test_an_obstacle_without_geometry_is_refused():
@@ -105,26 +85,16 @@ def test_an_obstacle_without_geometry_is_refused():
         make_scene(obstacles=("box", "empty"))
 
 
-@pytest.mark.parametrize("period", [0.0, -1.0, np.nan])
-def test_a_period_that_is_none_is_refused(period):
-    with pytest.raises(ValueError, match="period"):
-        make_scene(period=period)
-
-
-def test_a_query_that_is_not_connected_is_an_error():
-    _, perception, _ = make_scene()
-    context = perception.CreateDefaultContext()
-    with pytest.raises(RuntimeError, match="query_object"):
-        perception.ExecuteInitializationEvents(context)
-
-
-def test_velocities_are_those_of_the_bodies_and_zero_for_what_is_welded():
+def test_clouds_and_velocities_are_those_of_the_bodies_and_zero_for_what_is_welded():
     diagram, perception, context = make_scene(period=0.05)
     simulator = Simulator(diagram, context)
     simulator.Initialize()
     np.testing.assert_array_equal(seen(perception, context).v_WO, np.zeros((2, 3)))
     simulator.AdvanceTo(0.12)
-    falling, welded = seen(perception, context).v_WO
+    obstacles = seen(perception, context)
+    assert obstacles.stamp == pytest.approx(0.1)
+    assert obstacles.clouds_W[0][:, 2].max() == pytest.approx(1.1 - 9.81 / 2 * 0.1**2, abs=1e-4)
+    falling, welded = obstacles.v_WO
     # The mean over the last period.
     np.testing.assert_allclose(falling, [0.0, 0.0, -9.81 * 0.075], atol=5e-3)
     assert not welded.any()

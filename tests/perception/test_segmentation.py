@@ -3,7 +3,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drake_oa.common.config import check_values
 from drake_oa.geometry import pinhole, voxels
 from drake_oa.geometry.pinhole import View
 from drake_oa.geometry.primitives import RobotShapes
@@ -15,6 +14,8 @@ from drake_oa.perception.tracking import fuse
 from tests.reference.depth_images import SIZE, K, box, camera_pose, look_at, ray_cast
 
 X_WC = camera_pose()
+NOWHERE = (50.0, 50.0, 0.1, 0.1)
+NO_TABLE = SegmentationConfig(table=False)
 TWO = (box(0.8, -0.15), box(0.9, 0.2, (0.12, 0.08, 0.06)))
 
 
@@ -85,13 +86,16 @@ def test_the_expected_height_picks_the_table_among_parallel_planes():
     assert nowhere.note == "no supporting plane found"
 
 
-def test_the_robot_is_taken_out():
+@pytest.mark.parametrize("has_table", [True, False])
+def test_the_robot_is_taken_out(has_table):
     shapes = RobotShapes(
         np.array([0]), np.eye(4)[None], np.array([[0.05, 0.05, 0.08]]), np.array([0.0])
     )
     X_WB = np.eye(4)
     X_WB[:3, 3] = [0.8, -0.15, 0.08]
-    found = segment_depth(ray_cast(X_WC, TWO), K, X_WC, None, shapes.posed(X_WB[None]))
+    depth = ray_cast(X_WC, TWO) if has_table else ray_cast(X_WC, TWO, NOWHERE)
+    config = SegmentationConfig(table=has_table)
+    found = segment_depth(depth, K, X_WC, config, shapes.posed(X_WB[None]))
     assert len(found.clouds_W) == 1
     assert found.clouds_W[0][:, 1].min() > 0.0
 
@@ -122,7 +126,7 @@ def test_a_cloud_gives_what_its_image_gives():
             assert abs(len(a) - len(b)) < 0.1 * len(a)
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, 0.0, 0.1, 50.0])
+@pytest.mark.parametrize("value", [np.nan, 0.0, 50.0])
 def test_an_image_without_valid_pixel_says_so(value):
     found = segment_depth(np.full(SIZE, value, dtype=np.float32), K, X_WC)
     assert found.clouds_W == ()
@@ -130,38 +134,22 @@ def test_an_image_without_valid_pixel_says_so(value):
     assert found.note == "no valid pixel"
 
 
-def test_an_empty_image_and_an_empty_cloud_say_so():
+def test_an_empty_cloud_says_so():
     assert segment_depth(np.zeros((0, 0)), K, None).note == "no valid pixel"
-    assert segment_points(np.zeros((0, 3)), None).note == "no valid point"
-    assert segment_points(np.full((9, 3), np.nan), None).note == "no valid point"
+    for points in (np.zeros((0, 3)), np.full((9, 3), np.nan)):
+        assert segment_points(points, None).note == "no valid point"
 
 
 def test_a_wall_alone_is_no_table():
-    for pose in (X_WC, None):
-        found = segment_depth(np.full(SIZE, 1.0, dtype=np.float32), K, camera_pose(0.8, 0.0))
-        assert found.note == "no supporting plane found", pose
+    found = segment_depth(np.full(SIZE, 1.0, dtype=np.float32), K, camera_pose(0.8, 0.0))
+    assert found.note == "no supporting plane found"
 
 
-def test_a_bare_table_is_no_fault():
-    found = segment_depth(ray_cast(X_WC, ()), K, X_WC)
+@pytest.mark.parametrize("table", [(), ((0.8, 0.0, 0.4, 0.012),)], ids=["bare", "narrow"])
+def test_a_bare_table_is_no_fault(table):
+    found = segment_depth(ray_cast(X_WC, (), *table), K, X_WC)
     assert (found.note, found.clouds_W) == ("", ())
     assert found.table is not None
-
-
-def test_a_table_too_narrow_to_have_an_extent_holds_nothing():
-    found = segment_depth(ray_cast(X_WC, (), (0.8, 0.0, 0.4, 0.012)), K, X_WC)
-    assert (found.note, found.clouds_W) == ("", ())
-
-
-def test_arrays_that_are_read_only_or_of_other_layout_give_the_same():
-    depth = ray_cast(X_WC, TWO)
-    expected = segment_depth(depth, K, X_WC)
-    frozen = [np.asfortranarray(depth), K.copy(), np.asfortranarray(X_WC)]
-    for array in frozen:
-        array.flags.writeable = False
-    found = segment_depth(*frozen)
-    for a, b in zip(expected.clouds_W, found.clouds_W, strict=True):
-        np.testing.assert_array_equal(a, b)
 
 
 def test_missing_pixels_do_no_harm():
@@ -173,49 +161,16 @@ def test_missing_pixels_do_no_harm():
 
 
 @pytest.mark.parametrize(
-    "depth", [np.zeros((4, 4, 1)), np.zeros(4), np.zeros((4, 4), dtype=np.uint16)]
-)
-def test_depth_of_another_shape_or_type_is_refused(depth):
-    with pytest.raises(ValueError, match="depth must be"):
-        segment_depth(depth, K, None)
-
-
-@pytest.mark.parametrize("points", [np.zeros((4, 4)), np.zeros(3), np.zeros((4, 3), dtype=int)])
-def test_points_of_another_shape_or_type_are_refused(points):
-    with pytest.raises(ValueError, match="points must be"):
-        segment_points(points, None)
-
-
-@pytest.mark.parametrize("bad", [np.zeros(3), [0.0, 1.0, 1.0, 1.0], np.full(4, np.nan)])
-def test_invalid_intrinsics_are_refused(bad):
-    with pytest.raises(ValueError, match="K must be"):
-        segment_depth(np.ones(SIZE), bad, None)
-
-
-@pytest.mark.parametrize("bad", [np.eye(3), np.full((4, 4), np.nan), 2.0 * np.eye(4)])
-def test_an_invalid_pose_is_refused(bad):
-    with pytest.raises(ValueError, match="X_WC must"):
-        segment_depth(np.ones(SIZE), K, bad)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
+    ("arguments", "message"),
     [
-        ("near", -0.1),
-        ("near", 9.0),
-        ("far", np.inf),
-        ("voxel", 0.0),
-        ("voxel", "small"),
-        ("min_occupancy", 1.5),
-        ("min_occupancy", 0),
-        ("min_height", 3.0),
-        ("table_height", np.nan),
-        ("stride", True),
+        ((np.zeros((4, 4), dtype=np.uint16), K, None), "depth must be"),
+        ((np.ones(SIZE), [0.0, 1.0, 1.0, 1.0], None), "K must be"),
+        ((np.ones(SIZE), K, 2.0 * np.eye(4)), "X_WC must"),
     ],
 )
-def test_an_invalid_parameter_is_named(name, value):
-    with pytest.raises(ValueError, match="SegmentationConfig"):
-        check_values(SegmentationConfig(**{name: value}))
+def test_arrays_that_are_no_image_camera_or_pose_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        segment_depth(*arguments)
 
 
 def test_each_kernel_is_compiled_once():
@@ -246,10 +201,6 @@ def test_each_kernel_is_compiled_once():
         assert len(kernel.signatures) <= 1, (name, kernel.signatures)
 
 
-NOWHERE = (50.0, 50.0, 0.1, 0.1)
-NO_TABLE = SegmentationConfig(table=False)
-
-
 def test_without_a_table_all_that_is_seen_is_an_obstacle():
     hung = (box(0.8, -0.15, z=0.2), box(0.9, 0.2, (0.12, 0.08, 0.06), z=0.3))
     depth = ray_cast(X_WC, hung, NOWHERE)
@@ -277,17 +228,6 @@ def back_projected_all(depth: np.ndarray) -> np.ndarray:
     return np.column_stack([z * (u - K[2]) / K[0], z * (v - K[3]) / K[1], z])
 
 
-def test_without_a_table_the_robot_is_still_none_of_the_obstacles():
-    shapes = RobotShapes(
-        np.array([0]), np.eye(4)[None], np.array([[0.05, 0.05, 0.08]]), np.array([0.0])
-    )
-    X_WB = np.eye(4)
-    X_WB[:3, 3] = [0.8, -0.15, 0.08]
-    found = segment_depth(ray_cast(X_WC, TWO, NOWHERE), K, X_WC, NO_TABLE, shapes.posed(X_WB[None]))
-    assert len(found.clouds_W) == 1
-    assert found.clouds_W[0][:, 1].min() > 0.0
-
-
 def test_without_a_table_an_empty_view_is_one_and_a_blind_one_is_not():
     far = np.full(SIZE, np.inf, dtype=np.float32)
     found = segment_depth(far, K, X_WC, NO_TABLE)
@@ -299,19 +239,6 @@ def test_without_a_table_an_empty_view_is_one_and_a_blind_one_is_not():
         assert found.note == "hardly any pixel tells of something"
     with pytest.raises(ValueError, match="X_WC must be given where there is no table"):
         segment_depth(far, K, None, NO_TABLE)
-
-
-def test_half_a_million_points_are_segmented():
-    rng = np.random.default_rng(0)
-    low, high = TWO[0]
-    on_table = np.column_stack([rng.uniform(0.3, 1.5, 400_000), rng.uniform(-0.6, 0.6, 400_000)])
-    on_table = np.column_stack([on_table, rng.normal(scale=1e-3, size=400_000)])
-    points = np.concatenate([on_table, rng.uniform(low, high, (100_000, 3))])
-    found = segment_points(points, np.eye(4))
-    assert len(found.clouds_W) == 1
-    assert len(found.clouds_W[0]) < 5000
-    assert (found.clouds_W[0] > low - 0.01).all()
-    assert (found.clouds_W[0] < high + 0.01).all()
 
 
 OTHER = look_at([1.5, 0.1, 0.8], [0.8, 0.0, 0.0])

@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -13,13 +14,8 @@ def patch(rng, normal, offset, count, size=1.0, noise=0.0):
     first /= np.linalg.norm(first)
     second = np.cross(normal, first)
     a, b = rng.uniform(-size, size, (2, count))
-    return (
-        a[:, None] * first
-        + b[:, None] * second
-        + (offset + rng.normal(scale=noise, size=count))[:, None] * normal
-        if noise
-        else a[:, None] * first + b[:, None] * second + offset * normal
-    )
+    height = offset + noise * rng.normal(size=count)
+    return a[:, None] * first + b[:, None] * second + height[:, None] * normal
 
 
 def fit(points, **options):
@@ -47,17 +43,10 @@ def test_a_plane_in_clutter_is_recovered(tilt, azimuth, offset, seed):
     assert plane.rms < 5e-3
 
 
-def test_the_expected_height_chooses_among_parallel_planes():
-    rng = np.random.default_rng(0)
-    points = np.concatenate([patch(rng, UP, 0.0, 1000, 0.5), patch(rng, UP, -0.7, 3000)])
-    assert abs(fit(points).offset + 0.7) < 1e-6
-    assert abs(fit(points, height=0.02).offset) < 1e-6
-    assert fit(points, height=0.4) is None
-
-
 def test_the_normal_points_up_and_inliers_are_marked():
     rng = np.random.default_rng(0)
     points = np.concatenate([patch(rng, UP, 0.3, 500), patch(rng, UP, 0.6, 100)])
+    assert fit(points, height=0.1) is None
     plane = fit(points)
     assert plane.normal[2] > 0.0
     np.testing.assert_array_equal(np.flatnonzero(plane.inliers), np.arange(500))
@@ -80,24 +69,19 @@ def seen_from_above(rng, levels):
     return np.concatenate(parts)
 
 
-def test_a_small_table_wins_over_the_floor_round_it():
-    points = seen_from_above(np.random.default_rng(0), [(-1.5, 1.5, 6000), (-0.8, 0.3, 2500)])
-    assert abs(fit(points, origin_above=True).offset + 0.8) < 2e-3
-
-
-def test_a_box_on_the_floor_is_no_table():
-    points = seen_from_above(np.random.default_rng(0), [(-1.5, 1.5, 4000), (-1.2, 0.3, 1500)])
-    assert abs(fit(points, origin_above=True).offset + 1.5) < 2e-3
-
-
-def test_the_table_wins_over_the_top_of_a_large_box_on_it():
-    points = seen_from_above(np.random.default_rng(0), [(-1.0, 0.6, 2500), (-0.75, 0.25, 5000)])
-    assert abs(fit(points, origin_above=True).offset + 1.0) < 2e-3
-
-
-def test_an_expected_height_settles_which_plane_it_is():
-    points = seen_from_above(np.random.default_rng(0), [(-1.0, 0.6, 2500), (-0.75, 0.25, 5000)])
-    assert abs(fit(points, height=-0.75).offset + 0.75) < 2e-3
+@pytest.mark.parametrize(
+    ("levels", "options", "offset"),
+    [
+        # A small table over the floor, a box on the floor, and the top of a large box on a table.
+        ([(-1.5, 1.5, 6000), (-0.8, 0.3, 2500)], {"origin_above": True}, -0.8),
+        ([(-1.5, 1.5, 4000), (-1.2, 0.3, 1500)], {"origin_above": True}, -1.5),
+        ([(-1.0, 0.6, 2500), (-0.75, 0.25, 5000)], {"origin_above": True}, -1.0),
+        ([(-1.0, 0.6, 2500), (-0.75, 0.25, 5000)], {"height": -0.75}, -0.75),
+    ],
+)
+def test_the_table_is_chosen_among_parallel_planes(levels, options, offset):
+    points = seen_from_above(np.random.default_rng(0), levels)
+    assert abs(fit(points, **options).offset - offset) < 2e-3
 
 
 def test_an_expected_plane_is_refined_to_the_one_that_a_search_finds():
