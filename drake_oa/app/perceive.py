@@ -12,7 +12,7 @@ import statistics
 import time
 import timeit
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -336,19 +336,11 @@ def _tool_corners(text: str) -> FloatArray:
 
 
 def _segmentation_config(near: float | None, far: float | None) -> SegmentationConfig:
-    from drake_oa.common.config import check_values
+    from drake_oa.common.config import validate
     from drake_oa.perception.config import SegmentationConfig
 
-    config = SegmentationConfig()
-    config = replace(
-        config,
-        near=config.near if near is None else near,
-        far=config.far if far is None else far,
-    )
-    try:
-        check_values(config)
-    except ValueError as error:
-        raise ValueError(f"--near, --far: {error}") from None
+    given = {name: value for name, value in (("near", near), ("far", far)) if value is not None}
+    config: SegmentationConfig = validate(SegmentationConfig, given, "-")
     return config
 
 

@@ -105,8 +105,7 @@ def new(name: str, /, *, like: str | None = None) -> int:
         name: of the scenario, or its file; files that exist are left alone.
         like: a shipped scenario to begin with, in place of a box and a pole.
     """
-    from drake_oa.scenario.loading import scenario_path
-    from drake_oa.scenario.schema import json_schema
+    from drake_oa.scenario.loading import scenario_path, scenario_schema
     from drake_oa.scenario.shipped import package_file
 
     stem = scenario_name(name)
@@ -121,7 +120,7 @@ def new(name: str, /, *, like: str | None = None) -> int:
     replace_text(file, text if text.startswith(head) else head + text)
     schema = file.with_name(SCHEMA)
     if not schema.exists():
-        replace_text(schema, json.dumps(json_schema(), indent=1) + "\n")
+        replace_text(schema, json.dumps(scenario_schema(), indent=1) + "\n")
     print(f"{file}\n{schema}")
     return 0
 

@@ -1,84 +1,314 @@
-"""Configuration blocks: typed fields with units and ranges, and YAML data held against them.
+"""Configuration blocks: pydantic dataclasses that are read from YAML, checked, and written.
 
-A block is a dataclass whose fields are made by `number`, `count`, `choice` and `vector`.
-`read_yaml` and `apply_override` make plain mappings, a block's tag under "_tag"; `check`
-compares them with dataclasses (and Drake's own schemas), so that an error names the field.
+A block is declared with `@dataclass(config=BLOCK)`; its fields carry their ranges
+(`pydantic.Field`) and, as the string below each, their description with the unit in brackets. A
+value is checked where its block is constructed or changed; `validate` builds a block from plain
+data and reports every wrong field at once.
 """
 
 from __future__ import annotations
 
-import dataclasses as dc
 import difflib
 import math
-import types
+import re
 import typing
-from collections.abc import Iterable, Iterator
-from typing import Any
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, TypeVar
 
-import numpy as np
 import yaml
-from pydrake.common.yaml import yaml_load
+from pydantic import (
+    AfterValidator,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    TypeAdapter,
+    ValidationError,
+    ValidationInfo,
+)
+from pydantic.json_schema import GenerateJsonSchema
+from pydantic_core import CoreSchema, ErrorDetails, core_schema
+from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load, yaml_load_typed
 
-_TURN = 2.0 * math.pi
-"""Largest magnitude of a roll, pitch or yaw [rad]."""
+_T = TypeVar("_T")
 _LCM_PROVIDERS = ("udpm", "tcpq", "memq")
-"""Providers of LCM that carry messages both ways; `file` only records or replays."""
-_MOST = 100_000
-"""Most values of a YAML text, counted again wherever an alias stands for them."""
+"""Providers of LCM that transport messages in both directions; `file` only records or replays."""
+_MAX_VALUES = 100_000
+"""Maximum number of values of a YAML text; the target of an alias counts at each use."""
+
+BLOCK = ConfigDict(
+    extra="forbid",
+    allow_inf_nan=False,
+    validate_assignment=True,
+    validate_default=True,
+    use_attribute_docstrings=True,
+    arbitrary_types_allowed=True,
+)
+"""Configuration of every block: unknown fields and non-finite numbers are errors."""
 
 
 class ScenarioError(ValueError):
-    """A scenario that cannot be run: says which field, and what would be valid."""
+    """Error of a scenario that cannot be run.
 
-
-def number(
-    default: float,
-    unit: str,
-    low: float = -math.inf,
-    high: float = math.inf,
-    *,
-    open_low: bool = False,
-    below: str = "",
-) -> Any:
-    """A finite number in [low, high], or in (low, high] with `open_low`.
-
-    With `below` it must be less than the field of that name, see `check_values`.
+    Attributes:
+        problems: one line for each wrong field: its name, the problem and the valid values.
     """
-    metadata = {"unit": unit, "low": low, "high": high, "open_low": open_low, "below": below}
-    return dc.field(default=default, metadata=metadata)
+
+    def __init__(self, *problems: str, file: str = "") -> None:
+        """Joins the problems into one message.
+
+        Args:
+            problems: one line for each wrong field.
+            file: name of the file with the fields; empty: not stated.
+        """
+        start = f"{file}: " if file else ""
+        lines = problems if len(problems) == 1 else [f"{len(problems)} wrong fields:", *problems]
+        super().__init__(start + "\n  ".join(lines))
+        self.problems = problems
+
+    def of_file(self, name: str) -> ScenarioError:
+        """Returns the error with the name of the file."""
+        return ScenarioError(*self.problems, file=name)
 
 
-def choice(default: str, *others: str) -> Any:
-    """One of some words."""
-    return dc.field(default=default, metadata={"choices": (default, *others)})
+def _check_angle(angle: float) -> float:
+    if abs(angle) > 2.0 * math.pi:
+        raise ValueError(
+            f"{angle:g} rad is more than one turn; angles are in radians "
+            f"({angle:g} degrees are {math.radians(angle):.4g} rad)"
+        )
+    return angle
 
 
-def count(default: int, low: int, high: int) -> Any:
-    """A whole number in [low, high]."""
-    return dc.field(default=default, metadata={"unit": "1", "low": low, "high": high})
+Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
+"""Three numbers."""
+Angles = Annotated[
+    list[Annotated[float, AfterValidator(_check_angle)]], Field(min_length=3, max_length=3)
+]
+"""Roll, pitch and yaw [rad], each at most one turn in either direction."""
 
 
-def vector(
-    default: list[float], unit: str, size: int | None = None, *, within: float = math.inf
-) -> Any:
-    """`size` finite numbers, each in [-within, within]; None: as many as the default has."""
-    size = len(default) if size is None else size
-    return dc.field(
-        default_factory=lambda: list(default),
-        metadata={"unit": unit, "size": size, "low": -within, "high": within},
-    )
+def above(name: str) -> AfterValidator:
+    """Validator of a field whose value must exceed the value of another, earlier field."""
+
+    def check(value: float, info: ValidationInfo) -> float:
+        if name in info.data and value <= info.data[name]:
+            raise ValueError(f"{value:g} must be greater than {name}, {info.data[name]:g}")
+        return value
+
+    return AfterValidator(check)
 
 
-def roll_pitch_yaw(default: list[float] | None = None) -> Any:
-    """Three angles [rad], each at most one turn either way; null without a default."""
-    metadata = {"unit": "rad", "size": 3, "low": -_TURN, "high": _TURN}
-    if default is None:
-        return dc.field(default=None, metadata=metadata)
-    return dc.field(default_factory=lambda: list(default), metadata=metadata)
+class Tagged:
+    """Annotation of a union of blocks that YAML tells apart by their tags.
+
+    The tag is an exclamation mark and the name of the class; a mapping without one is of the
+    first class. In plain data the tag is the value of the key "_tag".
+    """
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        blocks = {f"!{block.__name__}": block for block in typing.get_args(source)}
+
+        def tag(value: Any) -> str:
+            if isinstance(value, Mapping):
+                return str(value.get("_tag", next(iter(blocks))))
+            return f"!{type(value).__name__}"
+
+        return core_schema.tagged_union_schema(
+            {
+                name: core_schema.no_info_before_validator_function(
+                    _without_tag, handler.generate_schema(block)
+                )
+                for name, block in blocks.items()
+            },
+            tag,
+            serialization=core_schema.wrap_serializer_function_ser_schema(
+                lambda value, handler: {"_tag": tag(value), **handler(value)}
+            ),
+        )
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        # An editor's schema sees no tags, so several blocks may match.
+        return {"anyOf": handler(schema)["oneOf"]}
+
+
+def _without_tag(data: Any) -> Any:
+    if isinstance(data, Mapping):
+        return {name: value for name, value in data.items() if name != "_tag"}
+    return data
+
+
+class DrakeStruct:
+    """Annotation of a field whose type is one of Drake's YAML structs."""
+
+    def __get_pydantic_core_schema__(
+        self, source: Any, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        def load(value: Any) -> Any:
+            if isinstance(value, source):
+                return value
+            try:
+                return yaml_load_typed(schema=source, data=yaml_dump(value))
+            except (RuntimeError, ValueError, TypeError, AttributeError) as error:
+                known = [field.name for field in source.__fields__]
+                given = value if isinstance(value, Mapping) else {}
+                hints = [did_you_mean(name, known) for name in given if name not in known]
+                valid = f"; valid fields: {', '.join(known)}" if hints else ""
+                raise ValueError(f"{error}{''.join(hints)}{valid}") from None
+
+        return core_schema.no_info_plain_validator_function(
+            load,
+            serialization=core_schema.plain_serializer_function_ser_schema(
+                lambda value: read_yaml(yaml_dump_typed(value))
+            ),
+            metadata={"pydantic_js_functions": [lambda *_: _struct_schema(source)]},
+        )
+
+
+def _struct_schema(struct: Any) -> dict[str, Any]:
+    """JSON schema of one of Drake's structs: the names of its fields."""
+    properties = {
+        field.name: _struct_schema(field.type) if hasattr(field.type, "__fields__") else {}
+        for field in struct.__fields__
+    }
+    return {"type": "object", "properties": properties, "additionalProperties": False}
+
+
+def validate(kind: Any, data: Any, where: str = "") -> Any:
+    """Builds a value of a type from plain data.
+
+    Args:
+        kind: a block, or a type made of blocks.
+        data: plain data as `read_yaml` returns them.
+        where: name of the field that the data are of, for errors; empty for a whole file.
+
+    Raises:
+        ScenarioError: listing every wrong field.
+    """
+    try:
+        return TypeAdapter(kind).validate_python(data)
+    except ValidationError as error:
+        details = error.errors(include_url=False)
+        raise ScenarioError(*(_problem(kind, each, where) for each in details)) from None
+
+
+class _BlockSchema(GenerateJsonSchema):
+    """JSON schema that describes the fields a block inherits, too."""
+
+    def dataclass_schema(self, schema: core_schema.DataclassSchema) -> dict[str, Any]:
+        result = super().dataclass_schema(schema)
+        for name, field in result["properties"].items():
+            if text := _description(schema["cls"], name):
+                field["description"] = text
+        return result
+
+
+def json_schema(block: type) -> dict[str, Any]:
+    """Returns the JSON Schema of a block, with the description of each field."""
+    return TypeAdapter(block).json_schema(schema_generator=_BlockSchema)
+
+
+def _description(block: type, name: str) -> str:
+    """Returns the description of a field, which may be that of a base class."""
+    fields = (vars(base).get("__pydantic_fields__", {}).get(name) for base in block.__mro__)
+    return next((field.description for field in fields if field and field.description), "")
+
+
+def plain_data(value: Any) -> Any:
+    """Plain data of a block, its own and inner blocks' defaults included."""
+    return TypeAdapter(type(value)).dump_python(value)
+
+
+def _problem(kind: Any, error: ErrorDetails, where: str) -> str:
+    """One line on an error: the full name of the field, the problem and the valid values."""
+    place, block, unit, limits = where, _block(kind), "", list[str]()
+    for part in error["loc"]:
+        if isinstance(part, int):
+            place += f"[{part}]"
+            continue
+        if part.startswith("!"):
+            block = _block(kind, part)
+            continue
+        place += f".{part}" if place else part
+        if part in (fields := getattr(block, "__pydantic_fields__", {})):
+            bracket = re.search(r" \[[^\]]+\]", _description(block, part))
+            kind, unit = fields[part].annotation, bracket[0] if bracket else ""
+            block, limits = _block(kind), _limits(fields[part].metadata)
+    context, given = error.get("ctx", {}), error["input"]
+    if error["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
+        if error["loc"][-1] == "_tag":
+            return f"{place.removesuffix('._tag')}: takes no tag, but has {given}"
+        known = list(getattr(block, "__dataclass_fields__", {}))
+        near, valid = did_you_mean(str(error["loc"][-1]), known), ", ".join(known) or "none"
+        return f"{place}: is not a field{near}; valid fields: {valid}"
+    if error["type"] == "union_tag_invalid":
+        tags = context["expected_tags"].replace("'", "")
+        if not isinstance(given, Mapping):
+            return f"{place}: expected one of {tags} with its fields, not {given!r}"
+        tag = context["tag"]
+        return f"{place}: tag {tag} is not one of {tags}{did_you_mean(tag, tags.split(', '))}"
+    if error["type"] == "value_error":
+        return f"{place}: {context['error']}{unit}"
+    if error["type"].startswith(("greater", "less")) and limits:
+        return f"{place}: must be {' and '.join(limits)}{unit}, not {given!r}"
+    message = re.sub(r"List (.*) items? after.*", r"\1 values", error["msg"])
+    return f"{place}: {message.removeprefix('Input ')}{unit}, not {given!r}"
+
+
+def _limits(metadata: Iterable[Any]) -> list[str]:
+    """Returns the limits in the metadata of a field of one number, as text."""
+    signs = {"gt": ">", "ge": ">=", "le": "<="}
+    return [
+        f"{sign} {getattr(item, name):g}"
+        for item in metadata
+        for name, sign in signs.items()
+        if hasattr(item, name)
+    ]
+
+
+def _block(kind: Any, tag: str = "") -> Any:
+    """Returns the block in a type, of several the one with the tag; None if there is none."""
+    if hasattr(kind, "__pydantic_fields__"):
+        return kind if tag in ("", f"!{kind.__name__}") else None
+    blocks = (_block(each, tag) for each in typing.get_args(kind))
+    return next((block for block in blocks if block is not None), None)
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Returns ` (did you mean ...?)` if one of the known words is similar to the given one."""
+    near = difflib.get_close_matches(word, known, 1)
+    return f" (did you mean {near[0]}?)" if near else ""
+
+
+def check_lcm_url(url: str, field: str) -> str:
+    """Checks that LCM can both send and receive messages at a URL, and returns it.
+
+    Args:
+        url: PROVIDER://ADDRESS. LCM itself only prints that it does not know a provider.
+        field: name of the field or option, for errors.
+
+    Raises:
+        ScenarioError: naming the valid providers.
+    """
+    provider, separator, _ = url.partition("://")
+    if not separator or provider not in _LCM_PROVIDERS:
+        raise ScenarioError(
+            f"{field}: '{url}' must begin with one of "
+            f"{', '.join(f'{name}://' for name in _LCM_PROVIDERS)}"
+        )
+    return url
 
 
 def read_yaml(text: str) -> Any:
-    """Plain data of a YAML text, a block's tag under the key "_tag"."""
+    """Returns the plain data of a YAML text, the tag of a mapping under the key "_tag".
+
+    Raises:
+        ScenarioError: if the text is not valid YAML, or a key is given twice.
+    """
     try:
         root = yaml.compose(text, Loader=yaml.SafeLoader)
         if root is None:
@@ -96,18 +326,18 @@ def read_yaml(text: str) -> Any:
 
 
 def check_size(root: yaml.Node) -> None:
-    """Refuses what aliases blow up, or what holds itself, before anything follows them.
+    """Checks that aliases do not expand to too many values, or to an endless structure.
 
     Raises:
-        ScenarioError: if there are more than `_MOST` values.
+        ScenarioError: if there are more than `_MAX_VALUES` values.
     """
     count, left = 0, [root]
     while left:
         node = left.pop()
         count += 1
-        if count > _MOST:
+        if count > _MAX_VALUES:
             raise ScenarioError(
-                f"holds more than {_MOST} values (what an alias repeats is counted again)"
+                f"holds more than {_MAX_VALUES} values (what an alias repeats is counted again)"
             )
         if isinstance(node, yaml.MappingNode):
             left += [item for pair in node.value for item in pair]
@@ -116,7 +346,7 @@ def check_size(root: yaml.Node) -> None:
 
 
 def _check_nodes(node: yaml.Node, where: str = "") -> None:
-    """Refuses what would be lost, or not be understood, in plain data."""
+    """Checks for keys and tags that plain data cannot represent."""
     if node.tag.startswith("!") and not isinstance(node, yaml.MappingNode):
         prefix = f"{where.rstrip('.')}: " if where else ""
         raise ScenarioError(f"{prefix}tag {node.tag} needs a block: write '{node.tag} {{}}'")
@@ -162,200 +392,3 @@ def apply_override(data: dict[str, Any], override: str) -> None:
         block[leaf] |= value
     else:
         block[leaf] = value
-
-
-def schema_fields(schema: type) -> dict[str, tuple[Any, Any]] | None:
-    """Name -> (type, metadata) of the fields of a block, ours or Drake's; None: it is none."""
-    if dc.is_dataclass(schema):
-        hints = typing.get_type_hints(schema)
-        return {item.name: (hints[item.name], item.metadata) for item in dc.fields(schema)}
-    if hasattr(schema, "__fields__"):
-        return {item.name: (item.type, {}) for item in schema.__fields__}
-    return None
-
-
-def check(data: Any, schema: Any, where: str, metadata: Any) -> None:
-    """Holds plain YAML data against a type; raises with the first field's full name."""
-    for problem in problems(data, schema, where, metadata):
-        raise ScenarioError(problem)
-
-
-def problems(data: Any, schema: Any, where: str, metadata: Any) -> Iterator[str]:
-    """All that is wrong with plain YAML data, a line a field.
-
-    Args:
-        data: what `read_yaml` made.
-        schema: the type that it is to have.
-        where: full name of the field; empty for the whole.
-        metadata: of the field: unit, range, number of values, choices.
-    """
-    origin, arguments = typing.get_origin(schema), typing.get_args(schema)
-    if origin in (types.UnionType, typing.Union):
-        yield from _union_problems(data, arguments, where, metadata)
-    elif "choices" in metadata:
-        if data not in metadata["choices"]:
-            yield f"{where}: {data!r} is not one of {', '.join(metadata['choices'])}"
-    elif origin in (list, typing.List):  # noqa: UP006
-        if not isinstance(data, list):
-            yield f"{where}: expected a list, not {data!r}"
-            return
-        size = metadata.get("size")
-        if size is not None and len(data) != size:
-            yield f"{where}: expected {size} numbers, not {len(data)}"
-        of_item = {key: metadata[key] for key in ("unit", "low", "high") if key in metadata}
-        for number, item in enumerate(data):
-            yield from problems(item, arguments[0], f"{where}[{number}]", of_item)
-    elif schema is np.ndarray and isinstance(data, list):
-        for number, item in enumerate(data):
-            if not isinstance(item, list):
-                yield from _number_problems(item, float, f"{where}[{number}]", {})
-    elif origin is dict:
-        if problem := _block_problem(data, where):
-            yield problem
-            return
-        for name, value in data.items():
-            yield from problems(value, arguments[1], f"{where}.{name}", {})
-    elif schema in (float, int):
-        yield from _number_problems(data, schema, where, metadata)
-    elif schema in (bool, str):
-        if not isinstance(data, schema):
-            kind = "true or false" if schema is bool else "text"
-            yield f"{where}: expected {kind}, not {data!r}"
-    elif (known := schema_fields(schema)) is not None:
-        if problem := _block_problem(data, where):
-            yield problem
-            return
-        for name, value in data.items():
-            full_name = f"{where}.{name}" if where else name
-            if name not in known:
-                valid = ", ".join(known) or "none"
-                yield f"{full_name} is not a field{did_you_mean(name, known)}; valid here: {valid}"
-                continue
-            kind, extra = known[name]
-            yield from problems(value, kind, full_name, extra)
-
-
-def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """` (did you mean ...?)`, where one of those that are known is much like a word."""
-    near = difflib.get_close_matches(word, known, 1)
-    return f" (did you mean {near[0]}?)" if near else ""
-
-
-def check_values(config: Any, where: str = "") -> None:
-    """Holds a configuration that was made in Python against its fields, as `check` does a file's.
-
-    What no single field can tell is checked too: a field whose metadata has `below` must be less
-    than the field that this names.
-
-    Args:
-        config: a dataclass.
-        where: its full name; empty: that of its class.
-
-    Raises:
-        ScenarioError: naming the field and what would be valid.
-    """
-    where = where or type(config).__name__
-    for name, (kind, metadata) in (schema_fields(type(config)) or {}).items():
-        value, full_name = getattr(config, name), f"{where}.{name}"
-        parts = value if isinstance(value, list) else [value]
-        if any(map(dc.is_dataclass, parts)):
-            for row, part in enumerate(parts):
-                check_values(part, f"{full_name}[{row}]" if parts is value else full_name)
-        elif not hasattr(type(value), "__fields__"):
-            check(value, kind, full_name, metadata)
-        other = metadata.get("below")
-        if other and not value < (limit := getattr(config, other)):
-            raise ScenarioError(f"{full_name} must be less than {other}, not {value} and {limit}")
-
-
-def check_lcm_url(url: str, field: str) -> None:
-    """Refuses a URL whose messages cannot be both sent and received by LCM.
-
-    Args:
-        url: PROVIDER://ADDRESS. LCM itself only prints that it does not know a provider.
-        field: name of the field or option, for errors.
-
-    Raises:
-        ScenarioError: naming the valid providers.
-    """
-    provider, separator, _ = url.partition("://")
-    if not separator or provider not in _LCM_PROVIDERS:
-        raise ScenarioError(
-            f"{field}: '{url}' must begin with one of "
-            f"{', '.join(f'{name}://' for name in _LCM_PROVIDERS)}"
-        )
-
-
-def _block_problem(data: Any, where: str) -> str | None:
-    if not isinstance(data, dict):
-        return f"{where}: expected a block of name: value, not {data!r}"
-    if "_tag" in data:
-        return f"{where or 'scenario'}: takes no tag, but has {data['_tag']}"
-    return None
-
-
-def _union_problems(
-    data: Any, options: tuple[Any, ...], where: str, metadata: Any
-) -> Iterator[str]:
-    if type(None) in options and data is None:
-        return
-    choices = [option for option in options if option is not type(None)]
-    tags = tagged(choices)
-    tag = data.get("_tag") if isinstance(data, dict) else None
-    if not isinstance(data, dict) and len(tags) == len(choices) > 1:
-        yield f"{where}: expected one of {', '.join(tags)} with a block, not {data!r}"
-    elif tag is None or len(choices) == 1:
-        yield from problems(data, choices[0], where, metadata)
-    elif tag in tags:
-        block = {name: value for name, value in data.items() if name != "_tag"}
-        yield from problems(block, tags[tag], where, metadata)
-    else:
-        near = did_you_mean(str(tag), tags)
-        yield f"{where}: tag {tag} is not one of {', '.join(tags)}{near}"
-
-
-def tagged(choices: Iterable[Any]) -> dict[str, Any]:
-    """Tag -> type, of the types that are blocks."""
-    # Drake's templates carry their arguments in their names, but not in their tags.
-    return {
-        f"!{choice.__name__.partition('𝓣')[0]}": choice
-        for choice in choices
-        if schema_fields(choice) is not None
-    }
-
-
-def _number_problems(data: Any, schema: type, where: str, metadata: Any) -> Iterator[str]:
-    valid = (int,) if schema is int else (int, float)
-    unit = f" [{metadata['unit']}]" if metadata.get("unit") else ""
-    if isinstance(data, bool) or not isinstance(data, valid):
-        kind, hint = ("a whole number", "") if schema is int else ("a number", _number_form(data))
-        yield f"{where}: expected {kind}{unit}, not {data!r}{hint}"
-        return
-    if not math.isfinite(data):
-        yield f"{where}: must be a finite number{unit}, not {data}"
-        return
-    low, high = metadata.get("low", -math.inf), metadata.get("high", math.inf)
-    above = data > low if metadata.get("open_low") else data >= low
-    if above and data <= high:
-        return
-    if high == _TURN:
-        yield (
-            f"{where}: {data:g} rad is more than one turn; angles are in radians "
-            f"({data:g} degrees are {math.radians(data):.4g} rad)"
-        )
-    else:
-        left = "(" if metadata.get("open_low") else "["
-        yield f"{where}: {data} is outside {left}{low:g}, {high:g}]{unit}"
-
-
-def _number_form(data: Any) -> str:
-    """How to write a number that YAML 1.1 reads as text, such as 1e-1."""
-    try:
-        value = float(data) if isinstance(data, str) else math.nan
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        return ""
-    scientific = np.format_float_scientific(value, trim="0", exp_digits=1)
-    plain = "" if "e" in repr(value) else f"{value!r} or "
-    return f", which is text in YAML; write {plain}{scientific}"

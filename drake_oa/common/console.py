@@ -28,9 +28,9 @@ _WIDE = 100_000
 
 
 def complain(message: str) -> None:
-    """Prints an error as one line on stderr; of a very long one, the first `_LONGEST` letters."""
-    line = textwrap.shorten(message, _LONGEST, placeholder=" ...")
-    print(f"drake-oa: error: {line}", file=sys.stderr)
+    """Prints an error on stderr; of very long lines, the first `_LONGEST` characters."""
+    lines = [textwrap.shorten(line, _LONGEST, placeholder=" ...") for line in message.splitlines()]
+    print("drake-oa: error: " + "\n  ".join(lines), file=sys.stderr)
 
 
 def write_all(*writes: Callable[[], object]) -> bool:

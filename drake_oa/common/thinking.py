@@ -5,7 +5,6 @@ account, and what dominates the decisions adds to it by `count`: roll-outs of mo
 configurations of the arm along them, ways of evasion. `Thinking` makes seconds of it.
 """
 
-# No postponed annotations here: yaml_load_typed reads the fields' types.
 import dataclasses as dc
 import math
 from collections.abc import Callable, Iterator
@@ -13,7 +12,10 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Generic, Self, TypeVar
 
-from drake_oa.common.config import number
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from drake_oa.common.config import BLOCK
 from drake_oa.common.messages import Frozen
 
 
@@ -34,19 +36,23 @@ class Work:
     configurations: int = 0
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class Thinking:
-    """What decisions cost in simulated time: processor time on two cores at 2.5 GHz."""
+    """Simulated duration of decisions: a model of processor time on two cores at 2.5 GHz."""
 
-    # A decision, whatever it looks at [s].
-    decision: float = number(1e-3, "s", 0.0, 1.0)
-    # A batch of motions that is rolled out, and a step of a motion beside an obstacle [s].
-    search: float = number(1e-3, "s", 0.0, 1.0)
-    step: float = number(1.6e-8, "s", 0.0, 1.0)
-    # A configuration of the whole arm that is measured against the solids, and how much more it
-    # is on a way of evasion, whose steps are long [s].
-    configuration: float = number(5e-6, "s", 0.0, 1.0)
-    pose: float = number(2.5e-6, "s", 0.0, 1.0)
+    decision: float = Field(default=1e-3, ge=0.0, le=1.0)
+    """Time of one decision, independent of its work [s]. Raising it makes every decision later."""
+    search: float = Field(default=1e-3, ge=0.0, le=1.0)
+    """Time of one batch of rolled-out motions [s]. Raising it makes searches later."""
+    step: float = Field(default=1.6e-8, ge=0.0, le=1.0)
+    """Time of one time step of one rolled-out motion beside one obstacle [s]. Raising it makes
+    searches among many obstacles later."""
+    configuration: float = Field(default=5e-6, ge=0.0, le=1.0)
+    """Time of one clearance computation of the whole arm [s]. Raising it makes searches and
+    evasions later."""
+    pose: float = Field(default=2.5e-6, ge=0.0, le=1.0)
+    """Additional time of one arm configuration of an evasive motion [s]. Raising it makes evasions
+    later."""
 
     def seconds(self, work: Work) -> float:
         """Time that a decision takes [s]."""

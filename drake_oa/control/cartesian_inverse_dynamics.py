@@ -13,7 +13,6 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import Frame, JacobianWrtVariable, MultibodyForces
 from pydrake.systems.framework import BasicVector, Context, LeafSystem, ValueProducer
 
-from drake_oa.common.config import check_values
 from drake_oa.common.messages import FloatArray, IntArray
 from drake_oa.common.ports import Cell, ModelContext
 from drake_oa.control.operational_space import (
@@ -141,7 +140,6 @@ class CartesianInverseDynamics(LeafSystem):
         self._R_WE_desired = np.array(R_WE_desired.matrix())
         self._q_posture = _posture(q_posture, plant.num_positions(), self._joints.arm)
         self._gains = gains or Gains()
-        check_values(self._gains, "robot.gains")
         self._finger = (finger_opening, finger_stiffness, finger_damping)
         if not np.all(np.isfinite(self._finger)) or min(self._finger[1:]) < 0.0:
             raise ValueError(

@@ -1,58 +1,59 @@
 """Primitive shapes of obstacles and of what the hand holds, as blocks of a scenario."""
 
-import dataclasses as dc
 import math
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import pydrake.geometry as geometry
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from drake_oa.common.config import ScenarioError, number, roll_pitch_yaw, vector
+from drake_oa.common.config import BLOCK, Angles, Vector3
 
-_LARGEST = 10.0
+_Length = Annotated[float, Field(gt=0.0, le=10.0)]
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class Box:
-    """A box; its centre is the shape's origin."""
+    """A box; its center is the origin of the shape's frame G."""
 
-    # Edges along x, y and z [m].
-    size: list[float] = vector([0.1, 0.1, 0.1], "m")
-    # Pose of the shape in the obstacle: translation [m], roll, pitch, yaw [rad].
-    translation: list[float] = vector([0.0, 0.0, 0.0], "m")
-    rpy: list[float] = roll_pitch_yaw([0.0, 0.0, 0.0])
+    size: Annotated[list[_Length], Field(min_length=3, max_length=3)] = Field(
+        default=[0.1, 0.1, 0.1]
+    )
+    """Edge lengths along x, y and z [m]. Raising one makes the box larger."""
+    translation: Vector3 = Field(default=[0.0, 0.0, 0.0])
+    """Position of G in the frame of the obstacle or hand [m]. Raising it moves the shape along the
+    axis."""
+    rpy: Angles = Field(default=[0.0, 0.0, 0.0])
+    """Roll, pitch and yaw of G in the frame of the obstacle or hand [rad]."""
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class Cylinder:
-    """A cylinder along its z axis; its centre is the shape's origin."""
+    """A cylinder along its z axis; its center is the origin of the shape's frame G."""
 
-    radius: float = number(0.05, "m", 0.0, _LARGEST, open_low=True)
-    length: float = number(0.1, "m", 0.0, _LARGEST, open_low=True)
-    translation: list[float] = vector([0.0, 0.0, 0.0], "m")
-    rpy: list[float] = roll_pitch_yaw([0.0, 0.0, 0.0])
+    radius: _Length = 0.05
+    """Radius [m]. Raising it makes the cylinder thicker."""
+    length: _Length = 0.1
+    """Length along z [m]. Raising it makes the cylinder longer."""
+    translation: Vector3 = Field(default=[0.0, 0.0, 0.0])
+    """Position of G in the frame of the obstacle or hand [m]. Raising it moves the shape along the
+    axis."""
+    rpy: Angles = Field(default=[0.0, 0.0, 0.0])
+    """Roll, pitch and yaw of G in the frame of the obstacle or hand [rad]."""
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class Sphere:
-    """A sphere; its centre is the shape's origin."""
+    """A sphere; its center is the origin of the shape's frame G."""
 
-    radius: float = number(0.05, "m", 0.0, _LARGEST, open_low=True)
-    translation: list[float] = vector([0.0, 0.0, 0.0], "m")
-    rpy: list[float] = roll_pitch_yaw([0.0, 0.0, 0.0])
-
-
-def check_shapes(shapes: list[Box | Cylinder | Sphere], where: str) -> None:
-    """Refuses a box whose edges are out of range.
-
-    Raises:
-        ScenarioError: naming the shape.
-    """
-    for place, shape in enumerate(shapes):
-        if isinstance(shape, Box) and not all(0.0 < edge <= _LARGEST for edge in shape.size):
-            raise ScenarioError(
-                f"{where}[{place}].size: {shape.size} is outside (0, {_LARGEST:g}] [m]"
-            )
+    radius: _Length = 0.05
+    """Radius [m]. Raising it makes the sphere larger."""
+    translation: Vector3 = Field(default=[0.0, 0.0, 0.0])
+    """Position of G in the frame of the obstacle or hand [m]. Raising it moves the shape along the
+    axis."""
+    rpy: Angles = Field(default=[0.0, 0.0, 0.0])
+    """Roll, pitch and yaw of G in the frame of the obstacle or hand [rad], without effect."""
 
 
 class Placed(Protocol):

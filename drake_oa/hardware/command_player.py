@@ -6,8 +6,6 @@ from there at its own rate. Where the planned motion ends the player slows along
 never extrapolates. On the arm's side a `CommandGuard` checks each command; it does not use LCM.
 """
 
-# No postponed annotations here: `check_values` reads the fields' types.
-import dataclasses as dc
 import gc
 import logging
 import math
@@ -20,10 +18,12 @@ from enum import IntEnum
 
 import numpy as np
 from drake import lcmt_panda_command, lcmt_panda_status
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 from pydrake.lcm import DrakeLcm
 from pydrake.manipulation import PandaControlMode
 
-from drake_oa.common.config import check_values, number
+from drake_oa.common.config import BLOCK
 from drake_oa.common.messages import FloatArray
 from drake_oa.robot.plant import RobotLimits
 
@@ -54,35 +54,46 @@ _REMEMBERED = 400
 """Commands of our own that are told from somebody else's."""
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class PlayerRules:
-    """How commands are played, and when the arm is stopped."""
+    """Timing of the command stream to the arm, and limits at which the arm is stopped."""
 
-    # Time between commands.
-    period: float = number(0.004, "s", 5e-4, 0.05)
-    # What is to be is written so far ahead: pauses of who decides do not reach the arm if they
-    # are half as long. The arm reacts so much later.
-    lead: float = number(0.04, "s", 0.01, 1.0)
-    # Images come so late, by the wall clock, besides. What is late by that and the lead is not
-    # missed: the supervisor does not slow for it.
-    image_delay: float = number(0.05, "s", 0.0, 1.0)
-    # Full speed is reached, and left where something is wrong, in this time.
-    ramp: float = number(0.15, "s", 0.01, 5.0)
-    # Without a status for so long the arm is held, and after so much longer not driven any more:
-    # meanwhile simulated time stands, and with it the age of what was seen.
-    silence: float = number(0.1, "s", 0.01, 10.0)
-    patience: float = number(0.3, "s", 0.0, 10.0)
-    # Where a joint is, before it is moved from rest, by no more from where it is to be.
-    restart_tolerance: float = number(0.03, "rad", 1e-3, 3.0)
-    # A joint farther than this from where it was sent, for so long, stops the run.
-    astray: float = number(0.1, "rad", 1e-3, 3.0)
-    astray_time: float = number(0.2, "s", 0.0, 10.0)
-    # The joints are this near to the scenario's start, and slower than this, before they are moved.
-    start_tolerance: float = number(0.1, "rad", 0.0, 3.0)
-    start_speed: float = number(0.05, "rad/s", 0.0, 3.0)
-    # The table is seen this near to where the scenario has it, and tilted by no more.
-    table_tolerance: float = number(0.015, "m", 0.0, 1.0)
-    table_tilt: float = number(math.radians(1.5), "rad", 0.0, 1.0)
+    period: float = Field(default=0.004, ge=5e-4, le=0.05)
+    """Time between two commands [s]. Raising it commands the arm more coarsely."""
+    lead: float = Field(default=0.04, ge=0.01, le=1.0)
+    """Time by which the motion is computed ahead of its commands [s]. Raising it tolerates longer
+    pauses of the simulation, up to half of it, and makes the arm react later."""
+    image_delay: float = Field(default=0.05, ge=0.0, le=1.0)
+    """Additional delay of images by the wall clock for which the supervisor does not slow down
+    [s]. Raising it tolerates later images."""
+    ramp: float = Field(default=0.15, ge=0.01, le=5.0)
+    """Time from rest to full speed, and from full speed to rest after a failure [s]. Raising it
+    starts and stops more gently."""
+    silence: float = Field(default=0.1, ge=0.01, le=10.0)
+    """Time without a status message after which the arm is held and simulated time stops [s].
+    Raising it tolerates longer gaps."""
+    patience: float = Field(default=0.3, ge=0.0, le=10.0)
+    """Further time without a status message after which the run stops [s]. Raising it waits
+    longer."""
+    restart_tolerance: float = Field(default=0.03, ge=1e-3, le=3.0)
+    """Maximum distance of a joint from its command when the motion resumes from rest [rad].
+    Raising it resumes earlier, with a larger step."""
+    astray: float = Field(default=0.1, ge=1e-3, le=3.0)
+    """Distance of a joint from its command that stops the run [rad]. Raising it tolerates larger
+    errors."""
+    astray_time: float = Field(default=0.2, ge=0.0, le=10.0)
+    """Duration of such a distance that stops the run [s]. Raising it tolerates longer errors."""
+    start_tolerance: float = Field(default=0.1, ge=0.0, le=3.0)
+    """Maximum distance of the joints from the scenario's start before the motion [rad]. Raising it
+    starts from farther away."""
+    start_speed: float = Field(default=0.05, ge=0.0, le=3.0)
+    """Maximum joint speed before the motion [rad/s]. Raising it starts while the arm moves."""
+    table_tolerance: float = Field(default=0.015, ge=0.0, le=1.0)
+    """Maximum difference between the heights of the perceived and the configured table [m].
+    Raising it accepts a less accurate camera pose."""
+    table_tilt: float = Field(default=math.radians(1.5), ge=0.0, le=1.0)
+    """Maximum angle between the perceived and the configured table [rad]. Raising it accepts a less
+    accurate camera pose."""
 
 
 def check_rate(rate: float) -> None:
@@ -214,7 +225,6 @@ class CommandPlayer:
         Raises:
             ValueError: if they are out of range.
         """
-        check_values(rules)
         check_rate(rate)
         self._motion, self._lcm, self._rules, self._rate = motion, lcm, rules, rate
         self._pace = self._played = 0.0
@@ -442,17 +452,19 @@ def play(motion: SharedMotion, lcm_url: str, rules: PlayerRules, rate: float, pa
         time.sleep(max(0.0, due - time.monotonic()))
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class CommandRules:
-    """What commands are held to."""
+    """Limits of accepted commands."""
 
-    # A command is in force for this long; then the arm holds. One whose stamp is farther from
-    # the wall clock is not taken. The vendor's driver has the same.
-    expiry: float = number(0.1, "s", 1e-3, 10.0)
-    # From one command to the next no joint goes farther than this times its greatest speed
-    # times the time between them, and this much more.
-    speed_share: float = number(1.2, "1", 0.0, 10.0, open_low=True)
-    slack: float = number(0.01, "rad", 0.0, 1.0)
+    expiry: float = Field(default=0.1, ge=1e-3, le=10.0)
+    """Time for which a command is valid, after which the arm holds; maximum difference of its stamp
+    from the wall clock [s]. The vendor's driver has the same. Raising it tolerates longer gaps."""
+    speed_share: float = Field(default=1.2, gt=0.0, le=10.0)
+    """Maximum speed between two commands, relative to the joint's limit [1]. Raising it accepts
+    faster commands."""
+    slack: float = Field(default=0.01, ge=0.0, le=1.0)
+    """Additional joint displacement allowed between two commands [rad]. Raising it accepts larger
+    steps."""
 
 
 class CommandGuard:
@@ -478,7 +490,6 @@ class CommandGuard:
         Raises:
             ValueError: if the rules are out of range, or the limits of another arm.
         """
-        check_values(rules)
         if limits.position_lower.shape != q.shape:
             raise ValueError(f"limits are of {len(limits.position_lower)} joints, q of {len(q)}")
         self._q = np.array(q, dtype=float)

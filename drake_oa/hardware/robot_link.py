@@ -16,7 +16,6 @@ from pydrake.common.value import Value
 from pydrake.lcm import DrakeLcm
 from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem
 
-from drake_oa.common.config import check_values
 from drake_oa.common.messages import FloatArray, ObstacleClouds, TablePlane
 from drake_oa.hardware.command_player import (
     CommandPlayer,
@@ -89,7 +88,6 @@ class RobotLink:
         if lcm is not None:
             self.player = CommandPlayer(self.motion, lcm, rules=self.rules, rate=rate)
             return
-        check_values(self.rules)
         check_rate(rate)
         try:
             DrakeLcm(lcm_url)

@@ -1,206 +1,255 @@
-"""The configuration of perception: what the block `perception` of a scenario holds.
+"""Configuration of perception: the blocks of a scenario's field `perception`."""
 
-Every field has its unit and range; `drake_oa.common.config` holds a file's blocks, and
-with `check_values` what Python code makes, against them.
-"""
-
-# No postponed annotations here: yaml_load_typed reads the fields' types.
-import dataclasses as dc
 import math
+from typing import Annotated
 
+from pydantic import AfterValidator, Field
+from pydantic.dataclasses import dataclass
 from pydrake.common.schema import Transform
 
-from drake_oa.common.config import count, number
+from drake_oa.common.config import BLOCK, DrakeStruct, above, check_lcm_url
 
 _FAR = 100.0
-_MOST = 1_000_000
+_MAX_COUNT = 1_000_000
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class SegmentationConfig:
-    """How a frame is segmented into table and obstacles."""
+    """Segmentation of a depth image or point cloud into table and obstacles."""
 
-    # Depths outside [near, far] are ignored.
-    near: float = number(0.3, "m", 0.0, _FAR, below="far")
-    far: float = number(2.5, "m", 0.0, _FAR)
-    # Whether there is a table; without one, as where the scenario's `table_height` is null, all
-    # that is seen and is not the robot is an obstacle.
+    near: float = Field(default=0.3, ge=0.0, le=_FAR)
+    """Minimum depth [m]. Raising it ignores points close to the camera."""
+    far: Annotated[float, above("near")] = Field(default=2.5, le=_FAR)
+    """Maximum depth [m]. Raising it adds distant points, whose noise is larger."""
     table: bool = True
-    # Height of the table in the world; null: that of the scenario, or unknown [m].
-    table_height: float | None = dc.field(default=None, metadata={"unit": "m"})
-    # Heights above the table that may be an obstacle (the lower limit at depth 0; what
-    # noise may look like is added to it).
-    min_height: float = number(0.004, "m", 0.0, _FAR, below="max_height")
-    max_height: float = number(1.2, "m", 0.0, _FAR)
-    # How far beyond the table's seen extent an obstacle may stand,
-    table_margin: float = number(0.02, "m", 0.0, _FAR)
-    # how far one that stands over it may jut out, and the least share of it that is over it.
-    overhang: float = number(0.15, "m", 0.0, _FAR)
-    over_table: float = number(0.15, "1", 0.0, 1.0)
-    # Edge of a voxel, and the fewest points that make one.
-    voxel: float = number(0.01, "m", 0.0, 1.0, open_low=True)
-    min_occupancy: int = count(2, 1, _MOST)
-    # Points nearer to each other than this belong together.
-    cluster_tolerance: float = number(0.025, "m", 0.0, 1.0, open_low=True)
-    # The fewest voxels that make an obstacle.
-    min_cluster_voxels: int = count(12, 1, _MOST)
-    # Points within this of the robot are the robot's.
-    robot_margin: float = number(0.025, "m", 0.0, 1.0)
-    # The plane is searched on every stride-th row and column.
-    stride: int = count(4, 1, 1000)
+    """Whether to search for a table. If false, or if the scenario's `table_height` is null,
+    every point that is not on the robot belongs to an obstacle."""
+    table_height: float | None = None
+    """Height of the table in the world [m]; null: the scenario's `table_height`. Raising it
+    expects the table higher."""
+    min_height: float = Field(default=0.004, ge=0.0, le=_FAR)
+    """Minimum height of an obstacle's points above the table at zero depth [m]; the noise of the
+    depth is added. Raising it removes more false obstacles and more flat obstacles."""
+    max_height: Annotated[float, above("min_height")] = Field(default=1.2, le=_FAR)
+    """Maximum height of an obstacle's points above the table [m]. Raising it includes higher
+    points, such as those on a ceiling."""
+    table_margin: float = Field(default=0.02, ge=0.0, le=_FAR)
+    """Distance beyond the visible edge of the table within which points count as above it [m].
+    Raising it includes obstacles beside the table."""
+    overhang: float = Field(default=0.15, ge=0.0, le=_FAR)
+    """Maximum distance that an obstacle above the table may extend beyond its edge [m]. Raising it
+    keeps longer overhanging parts."""
+    over_table: float = Field(default=0.15, ge=0.0, le=1.0)
+    """Minimum fraction of an overhanging cluster that is above the table [1]. Raising it rejects
+    more clusters at the edge of the table."""
+    voxel: float = Field(default=0.01, gt=0.0, le=1.0)
+    """Edge length of a voxel [m]. Raising it makes frames quicker and shapes coarser."""
+    min_occupancy: int = Field(default=2, ge=1, le=_MAX_COUNT)
+    """Minimum number of points in an occupied voxel [1]. Raising it rejects more noise and more
+    distant points."""
+    cluster_tolerance: float = Field(default=0.025, gt=0.0, le=1.0)
+    """Maximum distance between neighboring points of one cluster [m]. Raising it merges obstacles
+    that are close to each other."""
+    min_cluster_voxels: int = Field(default=12, ge=1, le=_MAX_COUNT)
+    """Minimum number of voxels of a cluster [1]. Raising it rejects smaller obstacles."""
+    robot_margin: float = Field(default=0.025, ge=0.0, le=1.0)
+    """Distance from the robot's surface within which points are removed by the self filter [m].
+    Raising it removes more of the obstacles that are close to the robot."""
+    stride: int = Field(default=4, ge=1, le=1000)
+    """Row and column stride of the pixels used to fit the table plane [1]. Raising it makes the
+    fit quicker and less accurate."""
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class CameraNoise:
-    """The noise that a simulated depth camera has: that of a structured-light one.
+    """Noise model of a simulated structured-light depth camera.
 
-    The deviation along the optical axis, of what the camera tells, at depth z and incidence
-    theta (Nguyen et al., who measured up to 80 deg):
+    Standard deviation of the depth z at angle of incidence theta (C. V. Nguyen et al., 3DIMPVT
+    2012, measured up to 80 deg):
 
         sigma_z = axial_offset + axial_growth (z - axial_depth)^2
                   + axial_angle / sqrt(z) (theta / (pi/2 - theta))^2
 
-    Sources of the figures: `drake_oa.world.depth_noise`.
+    Sources of the values: `drake_oa.world.depth_noise`.
     """
 
-    # Deviation along the optical axis (Nguyen et al.).
-    axial_offset: float = number(0.0012, "m", 0.0, 0.1)
-    axial_growth: float = number(0.0019, "1/m", 0.0, 0.1)
-    axial_depth: float = number(0.4, "m", 0.0, 10.0)
-    axial_angle: float = number(0.0001, "m^1.5", 0.0, 0.01)
-    # Deviation of an edge's place in the image (Nguyen et al.: 0.8 at normal incidence; its
-    # growth with the angle, under 0.1 up to 65 deg, is left out). It acts at edges only, and at
-    # most 2 pixels far: on a plane it is part of sigma_z.
-    lateral: float = number(0.8, "pixel", 0.0, 2.0)
-    # Pixels over which the axial noise is smooth, along rows and columns; 1 makes every pixel
-    # independent. The scans' residuals from the table, less their mean over 21 x 21 pixels, are
-    # correlated along a row by 0.72 at one pixel, 0.38 at four, 0.08 at eight; along a column by
-    # 0.57 at one, 0.12 at three, -0.02 at four.
-    correlation_u: int = count(5, 1, 64)
-    correlation_v: int = count(3, 1, 64)
-    # From camera to projector, which is on its right, and steps of disparity a pixel
-    # (Khoshelham and Oude Elberink: 0.075, 8). A step is z^2 / (subpixels f baseline) of depth:
-    # 2.9 mm at 1 m with f = 577 pixels.
-    baseline: float = number(0.075, "m", 0.01, 1.0)
-    subpixels: float = number(8.0, "1/pixel", 1.0, 1000.0)
-    # Unit in which the driver hands out depths (OpenNI: millimetres).
-    unit: float = number(0.001, "m", 1e-5, 0.1)
-    # What is nearer or farther is missing (the nearest points of the scans; Khoshelham and Oude
-    # Elberink); so is what the camera's own range leaves out.
-    near: float = number(0.5, "m", 0.05, 20.0, below="far")
-    far: float = number(5.0, "m", 0.05, 20.0)
-    # Incidence at which pixels begin to be missing, and from which all are (Nguyen et al.
-    # measured up to 80 deg).
-    grazing_start: float = number(
-        math.radians(70.0), "rad", 0.0, 0.5 * math.pi, below="grazing_end"
+    axial_offset: float = Field(default=0.0012, ge=0.0, le=0.1)
+    """Standard deviation of the depth at `axial_depth` and normal incidence (Nguyen et al.) [m].
+    Raising it adds depth noise everywhere."""
+    axial_growth: float = Field(default=0.0019, ge=0.0, le=0.1)
+    """Quadratic growth of the standard deviation with the depth [1/m]. Raising it adds noise to
+    distant points."""
+    axial_depth: float = Field(default=0.4, ge=0.0, le=10.0)
+    """Depth of minimum noise [m]. Raising it moves the most accurate range away from the camera."""
+    axial_angle: float = Field(default=0.0001, ge=0.0, le=0.01)
+    """Growth of the standard deviation with the angle of incidence [m^1.5]. Raising it adds noise
+    to inclined surfaces."""
+    lateral: float = Field(default=0.8, ge=0.0, le=2.0)
+    """Standard deviation of the position of a depth edge in the image [pixel] (Nguyen et al.: 0.8
+    at normal incidence; its growth with the angle, below 0.1 up to 65 deg, is neglected). It acts
+    on edges only, up to 2 pixels; on a plane it is part of sigma_z. Raising it frays outlines."""
+    correlation_u: int = Field(default=5, ge=1, le=64)
+    """Correlation length of the depth noise along image rows [pixel]; 1 makes pixels independent.
+    Raising it makes the noise smoother. The residuals of the real scans, after subtraction of their
+    mean over 21 x 21 pixels, are correlated along a row by 0.72 at one pixel, 0.38 at four and 0.08
+    at eight."""
+    correlation_v: int = Field(default=3, ge=1, le=64)
+    """Correlation length of the depth noise along image columns [pixel]. Raising it makes the noise
+    smoother. The real scans have 0.57 at one pixel, 0.12 at three and -0.02 at four."""
+    baseline: float = Field(default=0.075, ge=0.01, le=1.0)
+    """Distance from the camera to the projector on its right [m] (Khoshelham and Oude Elberink:
+    0.075). Raising it makes depth steps finer and shadows wider."""
+    subpixels: float = Field(default=8.0, ge=1.0, le=1000.0)
+    """Disparity steps of one pixel [1/pixel] (Khoshelham and Oude Elberink: 8). A step is
+    z^2 / (subpixels f baseline) of depth, 2.9 mm at 1 m with f = 577 pixels. Raising it makes depth
+    steps finer."""
+    unit: float = Field(default=0.001, ge=1e-5, le=0.1)
+    """Resolution of the depth values of the driver [m] (OpenNI: one millimeter). Raising it rounds
+    depths more coarsely."""
+    near: float = Field(default=0.5, ge=0.05, le=20.0)
+    """Depth below which pixels are missing [m], beside the range of the camera itself. Raising it
+    removes closer points. The value is that of the closest points of the real scans."""
+    far: Annotated[float, above("near")] = Field(default=5.0, ge=0.05, le=20.0)
+    """Depth above which pixels are missing [m] (Khoshelham and Oude Elberink). Raising it keeps
+    more distant points."""
+    grazing_start: float = Field(default=math.radians(70.0), ge=0.0, le=0.5 * math.pi)
+    """Angle of incidence above which some pixels are missing [rad]. Raising it keeps more pixels of
+    inclined surfaces."""
+    grazing_end: Annotated[float, above("grazing_start")] = Field(
+        default=math.radians(80.0), ge=0.0, le=0.5 * math.pi
     )
-    grazing_end: float = number(math.radians(80.0), "rad", 0.0, 0.5 * math.pi)
-    # Difference between neighbours that is an edge, as a share of depth: a plane seen at 85 deg.
-    edge_jump: float = number(0.02, "1", 0.001, 1.0)
-    # Shares of the pixels beside an edge: missing, in patches, and between both surfaces
-    # (judgements by the scans).
-    edge_dropout: float = number(0.2, "1", 0.0, 1.0)
-    flying: float = number(0.1, "1", 0.0, 1.0)
-    # Whether what the projector does not light, left of edges, is missing.
+    """Angle of incidence above which all pixels are missing [rad] (Nguyen et al. measured up to
+    80 deg). Raising it keeps more pixels of inclined surfaces."""
+    edge_jump: float = Field(default=0.02, ge=0.001, le=1.0)
+    """Relative difference in depth of neighboring pixels at an edge [1]; that of a plane at 85 deg.
+    Raising it finds fewer edges."""
+    edge_dropout: float = Field(default=0.2, ge=0.0, le=1.0)
+    """Fraction of the pixels at an edge that are missing, in patches [1]; estimated from the real
+    scans. Raising it removes more of an outline."""
+    flying: float = Field(default=0.1, ge=0.0, le=1.0)
+    """Fraction of the pixels at an edge whose depth is between both surfaces [1]; estimated from
+    the real scans. Raising it adds flying pixels."""
     shadows: bool = True
+    """Whether pixels that the projector does not illuminate, left of edges, are missing."""
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class CameraSource:
-    """Obstacles as one depth camera of the scenario's `cameras` sees them, or several together."""
+    """One or several depth cameras from the scenario's field `cameras`."""
 
     camera: str = "camera"
-    # Several in place of the one, which take their images at the same times: what any of them
-    # sees is seen, and hidden is what is hidden from all.
-    cameras: list[str] = dc.field(default_factory=list)
-    # Whether what is seen is as old as the last image of that camera which has been missing for
-    # longest, or, false, as the newest image of any.
+    """Name of the camera."""
+    cameras: list[str] = Field(default_factory=list)
+    """Names of several cameras with synchronized images, in place of `camera`. A point that any
+    camera sees is visible; occluded space is occluded from all."""
     all_needed: bool = True
-    # Noise of simulated cameras, {} for the published figures; null: ideal cameras.
+    """Whether the observation is as old as the last image of the camera that has been silent for
+    the longest time; if false, as the newest image of any camera."""
     noise: CameraNoise | None = None
-    segmentation: SegmentationConfig = dc.field(default_factory=SegmentationConfig)
+    """Noise of the simulated cameras, {} for the published values; null: no noise."""
+    segmentation: SegmentationConfig = Field(default_factory=SegmentationConfig)
+    """Segmentation of the images into table and obstacles."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the cameras that it sees by."""
+        """Names of the cameras in use."""
         return tuple(self.cameras) or (self.camera,)
 
     def signal(self, of_one: str, name: str) -> str:
-        """What a signal of one camera is called where there are several."""
+        """Returns the name of one camera's signal, which ends in the camera's name if there are
+        several cameras."""
         return f"{of_one}_{name}" if len(self.names) > 1 else of_one
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class DepthCamera(CameraSource):
-    """Obstacles as one simulated depth camera of `cameras` sees them, or several together."""
+    """One or several simulated depth cameras from the scenario's field `cameras`."""
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class LiveCameras(CameraSource):
-    """What blocks of cameras outside the simulation have in common.
+    """Fields shared by the blocks of real cameras.
 
-    Size, intrinsics and pose are those of the scenario's `cameras`; images have their own noise.
+    Size, intrinsics and pose are those of the scenario's field `cameras`.
     """
 
-    # How long the first image is waited for at the start.
-    wait: float = number(5.0, "s", 0.0, 600.0)
-    # An image whose stamp is older when it comes, or so far ahead of this machine's clock, is
-    # passed over; that there is no new one is said when the last is older.
-    max_age: float = number(0.2, "s", 0.0, 10.0, open_low=True)
-    max_ahead: float = number(0.01, "s", 0.0, 10.0)
-    # How often it is looked whether an image has come.
-    poll: float = number(0.005, "s", 1e-4, 0.1)
-    # Images of several cameras whose stamps differ by no more are taken as of one instant: of
-    # cameras that nothing synchronizes a little more than the time between images.
-    together: float = number(0.04, "s", 0.0, 1.0)
-    # Image coordinates of the middle of the first pixel.
-    pixel_center: float = number(0.0, "pixel", -1.0, 1.0)
+    wait: float = Field(default=5.0, ge=0.0, le=600.0)
+    """Maximum time to wait for the first image [s]. Raising it allows a slower start of the
+    driver."""
+    max_age: float = Field(default=0.2, gt=0.0, le=10.0)
+    """Maximum age of an image on arrival [s]; older images are skipped, and a warning is logged
+    when the last image is older. Raising it accepts older images."""
+    max_ahead: float = Field(default=0.01, ge=0.0, le=10.0)
+    """Maximum time by which the stamp of an image may be ahead of the local clock [s]. Raising it
+    accepts a larger clock offset."""
+    poll: float = Field(default=0.005, ge=1e-4, le=0.1)
+    """Time between two checks for a new image [s]. Raising it saves processor time and adds
+    delay."""
+    together: float = Field(default=0.04, ge=0.0, le=1.0)
+    """Maximum difference between the stamps of several cameras' images that are processed as one
+    observation [s]; without hardware synchronization slightly more than the frame period. Raising
+    it combines images that are further apart in time."""
+    pixel_center: float = Field(default=0.0, ge=-1.0, le=1.0)
+    """Image coordinate of the center of the first pixel [pixel]. Raising it moves the principal
+    point."""
 
 
-@dc.dataclass
+def _check_url(url: str) -> str:
+    return check_lcm_url(url, "LCM URL")
+
+
+@dataclass(config=BLOCK)
 class LcmCamera(LiveCameras):
-    """Depth cameras whose images come as Drake's `lcmt_image_array`.
+    """Depth cameras whose images arrive as Drake's `lcmt_image_array` messages.
 
-    Channels are DRAKE_RGBD_CAMERA_IMAGES_<name of the camera>; stamps are of the wall clock.
+    The channels are DRAKE_RGBD_CAMERA_IMAGES_<name of the camera>; stamps are wall-clock times.
     """
 
-    # Where from. So large a buffer holds images of 640 x 480 that are not compressed.
-    lcm_url: str = "udpm://239.255.76.99:7699?ttl=0&recv_buf_size=4000000"
-    # Drake renders the first pixel's middle at 0.5, and so does `drake-oa station`; in a real
-    # camera's images it is at 0.
-    pixel_center: float = number(0.5, "pixel", -1.0, 1.0)
+    lcm_url: Annotated[str, AfterValidator(_check_url)] = (
+        "udpm://239.255.76.99:7699?ttl=0&recv_buf_size=4000000"
+    )
+    """LCM URL of the images. The default buffer size suffices for uncompressed images of 640 x
+    480 pixels."""
+    pixel_center: float = Field(default=0.5, ge=-1.0, le=1.0)
+    """Image coordinate of the center of the first pixel [pixel]: 0.5 for images rendered by Drake
+    (`drake-oa station`), 0 for a real camera. Raising it moves the principal point."""
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class RealSense(LiveCameras):
-    """Intel RealSense cameras at this machine; size and rate are those of the scenario's `cameras`.
+    """Intel RealSense cameras on this machine; size and rate are those of the field `cameras`.
 
-    Needs `pip install 'drake_oa[realsense]'`.
+    Requires `pip install 'drake_oa[realsense]'`.
     """
 
-    # Serial number, as text, of each camera; one camera may go without: the only device.
-    serials: dict[str, str] = dc.field(default_factory=dict)
-    # Focal lengths and centre of the scenario's camera may differ from the device's by so much.
-    tolerance: float = number(1.0, "pixel", 0.0, 100.0)
+    serials: dict[str, str] = Field(default_factory=dict)
+    """Serial number, as text, of each camera by its name. A single camera may omit it and uses the
+    only connected device."""
+    tolerance: float = Field(default=1.0, ge=0.0, le=100.0)
+    """Maximum difference between the intrinsics of the scenario's camera and the device [pixel].
+    Raising it accepts a device with other intrinsics."""
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class GroundTruth:
-    """Obstacles as SceneGraph knows them."""
+    """Exact obstacles, read from SceneGraph."""
 
-    period: float = number(1.0 / 15.0, "s", 1e-3, 10.0)
+    period: float = Field(default=1.0 / 15.0, ge=1e-3, le=10.0)
+    """Time between two observations [s]. Raising it makes the reaction slower."""
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class RecordedClouds:
-    """Obstacles from a folder of recorded clouds or depth images."""
+    """Obstacles from a folder of recorded point clouds or depth images."""
 
-    # Folder with .npz, .pcd or .ply files; relative to the scenario file.
-    folder: str = ""
-    # Pose of the camera in the world, for files that hold none; {} is the identity,
-    # for clouds already in the world frame.
-    X_WC: Transform | None = None
-    period: float = number(1.0 / 15.0, "s", 1e-3, 10.0)
-    # Whether the recording starts again when it has ended.
+    folder: str = Field(min_length=1)
+    """Folder with .npz, .pcd or .ply files; relative to the scenario file."""
+    X_WC: Annotated[Transform, DrakeStruct()] | None = None
+    """Pose of the camera in the world for files without one; {} is the identity, for point clouds
+    in the world frame."""
+    period: float = Field(default=1.0 / 15.0, ge=1e-3, le=10.0)
+    """Time between two recorded frames [s]. Raising it replays the recording more slowly."""
     loop: bool = False
-    segmentation: SegmentationConfig = dc.field(default_factory=SegmentationConfig)
+    """Whether the recording starts again at its end."""
+    segmentation: SegmentationConfig = Field(default_factory=SegmentationConfig)
+    """Segmentation of the frames into table and obstacles."""

@@ -16,7 +16,6 @@ from pydrake.perception import PointCloud
 from pydrake.systems.framework import AbstractStateIndex, Context, InputPort, LeafSystem, State
 from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 
-from drake_oa.common.config import check_values
 from drake_oa.common.messages import FloatArray, Frozen, ObstacleClouds
 from drake_oa.common.ports import read_value, valid_period
 from drake_oa.geometry.collision_shapes import RobotModel
@@ -237,7 +236,6 @@ class DepthPerception(LeafSystem):
         if not 0.0 <= delay < np.inf:
             raise ValueError(f"delay must be finite and not negative [s], not {delay}")
         self._config = config or SegmentationConfig()
-        check_values(self._config)
         if not 0.0 <= together < np.inf:
             raise ValueError(f"together must be finite and not negative [s], not {together}")
         if not 0.0 <= unsaid < np.inf:

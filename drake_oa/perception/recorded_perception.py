@@ -11,7 +11,6 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem, State
 
-from drake_oa.common.config import check_values
 from drake_oa.common.ports import valid_period
 from drake_oa.geometry.collision_shapes import RobotModel
 from drake_oa.geometry.primitives import PosedShapes
@@ -85,7 +84,6 @@ class RecordedPerception(LeafSystem):
         self._start = np.array([frame.stamp for frame in self._frames]) - self._frames[0].stamp
         self._X_WC: Any = None if X_WC is None else X_WC.GetAsMatrix4()
         self._config = config or SegmentationConfig()
-        check_values(self._config)
         self._robot = robot
         self._loop = loop
         self._state = PerceptionState.declare(self)

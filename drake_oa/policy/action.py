@@ -15,7 +15,6 @@ from functools import cached_property
 
 import numpy as np
 
-from drake_oa.common.config import check_values
 from drake_oa.common.messages import (
     PART,
     CouplingParameters,
@@ -161,7 +160,6 @@ class ActionLevel:
         if dmp.dimension != 3:
             raise ValueError(f"dmp must have 3 dimensions, not {dmp.dimension}")
         config = config or Policy()
-        check_values(config, "policy")
         self._primitive = dmp.kernel
         self._rules = Rules(
             guidance_gain=float(config.guidance_gain),

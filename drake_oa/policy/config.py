@@ -1,34 +1,48 @@
-"""The `policy` block of a scenario: constants of the action and decision levels."""
+"""Configuration of the motion: a scenario's field `policy`."""
 
-import dataclasses as dc
+from typing import Literal
 
-from drake_oa.common.config import choice, count, number
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from drake_oa.common.config import BLOCK
 from drake_oa.policy.dmp import ALPHA_K, ALPHA_X, BETA_X
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class Policy:
-    """Constants of the action and decision levels."""
+    """Constants of the dynamic movement primitive and its coupling terms."""
 
-    # Step of the movement primitive [s].
-    period: float = number(0.008, "s", 1e-4, 0.1)
-    # Transformation system: spring constants, per normalised time t / (tau T).
-    alpha_x: float = number(ALPHA_X, "1", 0.0, 1e4, open_low=True)
-    beta_x: float = number(BETA_X, "1", 0.0, 1e4, open_low=True)
-    # Canonical system: decay of the phase over the motion.
-    alpha_k: float = number(ALPHA_K, "1", 0.0, 100.0, open_low=True)
-    # Basis functions of the forcing term.
-    n_basis: int = count(35, 2, 1000)
-    # How heading guidance fades near an obstacle (see docs/equations.md).
-    guidance: str = choice("counterphase", "printed")
-    # Largest alpha of the guidance term.
-    guidance_gain: float = number(1e6, "1", 0.0, 1e6)
-    # The coupling fades within this share of the baseline before the goal; 0: it does not, as
-    # printed.
-    fade: float = number(0.3, "1", 0.0, 1.0)
-    # Height of the tool point above the table below which a route is forbidden [m].
-    table_height: float = number(0.05, "m", 0.0, 10.0)
-    # The motion is held when the last good observation is older than this [s].
-    max_observation_age: float = number(0.5, "s", 0.0, 1e6, open_low=True)
-    # Time in which the motion ramps from full speed to a hold [s].
-    hold_time: float = number(0.25, "s", 0.0, 10.0, open_low=True)
+    period: float = Field(default=0.008, ge=1e-4, le=0.1)
+    """Time step of the integration [s]. Raising it saves processor time and makes the motion less
+    accurate."""
+    alpha_x: float = Field(default=ALPHA_X, gt=0.0, le=1e4)
+    """Gain alpha_x of the transformation system, in normalized time t / (tau T) [1]. Raising it
+    makes the motion return to the demonstration more quickly."""
+    beta_x: float = Field(default=BETA_X, gt=0.0, le=1e4)
+    """Gain beta_x of the transformation system, in normalized time [1]. Raising it makes the
+    spring to the goal stiffer; alpha_x = 4 beta_x is critically damped."""
+    alpha_k: float = Field(default=ALPHA_K, gt=0.0, le=100.0)
+    """Decay rate alpha_k of the canonical system over the motion [1]. Raising it makes the phase
+    decay earlier."""
+    n_basis: int = Field(default=35, ge=2, le=1000)
+    """Number of basis functions of the forcing term [1]. Raising it reproduces finer details of a
+    demonstration."""
+    guidance: Literal["counterphase", "printed"] = "counterphase"
+    """Decay of heading guidance near an obstacle (docs/equations.md): `counterphase` to the
+    avoidance term, or as `printed` in the paper."""
+    guidance_gain: float = Field(default=1e6, ge=0.0, le=1e6)
+    """Maximum gain alpha of the heading guidance term [1]. Raising it turns the motion toward the
+    selected side more strongly."""
+    fade: float = Field(default=0.3, ge=0.0, le=1.0)
+    """Fraction of the start-to-goal distance before the goal within which the coupling terms fade
+    to zero [1]; 0: no fading, as printed in the paper. Raising it ends avoidance farther from the
+    goal."""
+    table_height: float = Field(default=0.05, ge=0.0, le=10.0)
+    """Minimum height of the tool point above the table on a selected side [m]. Raising it forbids
+    more of the sides that pass close to the table."""
+    max_observation_age: float = Field(default=0.5, gt=0.0, le=1e6)
+    """Age of the last valid observation above which the motion is held [s]. Raising it tolerates
+    longer gaps in perception."""
+    hold_time: float = Field(default=0.25, gt=0.0, le=10.0)
+    """Time to slow down from full speed to rest [s]. Raising it stops more gently and later."""

@@ -1,90 +1,103 @@
-"""The configuration of regulation: what the block `regulation` of a scenario holds.
+"""Configuration of the source of coupling parameters: a scenario's field `regulation`."""
 
-Every field has its unit and range, which `drake_oa.common.config` holds a file's blocks against,
-and with `check_values` what Python code makes.
-"""
+from typing import Literal
 
-# No postponed annotations here: yaml_load_typed reads the fields' types.
-import dataclasses as dc
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 
-from drake_oa.common.config import choice, count, number
+from drake_oa.common.config import BLOCK
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class SearchParameters:
-    """How far a search among motions of the tool goes."""
+    """Effort and tolerances of a search among motions of the tool."""
 
-    # Motions that are rolled out a round.
-    candidates: int = count(64, 8, 4096)
-    # Rounds of the search at most, and after the first motion that keeps the clearance.
-    rounds: int = count(60, 0, 1000)
-    polish: int = count(6, 0, 1000)
-    # A motion keeps the clearance when it is short of it by no more than this, and has arrived
-    # when it is this near to the goal [m].
-    slack: float = number(2e-4, "m", 0.0, 0.1)
-    tolerance: float = number(6e-4, "m", 0.0, 0.1)
-    # Steps of a roll-out a unit of normalised time.
-    steps: int = count(500, 50, 100_000)
-    # The coupling fades within this share of the baseline before the goal.
-    fade: float = number(0.3, "1", 0.0, 1e6)
+    candidates: int = Field(default=64, ge=8, le=4096)
+    """Number of motions rolled out in each iteration [1]. Raising it searches more widely."""
+    rounds: int = Field(default=60, ge=0, le=1000)
+    """Maximum number of iterations [1]. Raising it searches longer for a feasible motion."""
+    polish: int = Field(default=6, ge=0, le=1000)
+    """Number of iterations after the first feasible motion [1]. Raising it gives shorter
+    motions."""
+    slack: float = Field(default=2e-4, ge=0.0, le=0.1)
+    """Maximum shortfall of the clearance of a feasible motion [m]. Raising it accepts motions
+    closer to the obstacles."""
+    tolerance: float = Field(default=6e-4, ge=0.0, le=0.1)
+    """Maximum distance from the goal at the end of a feasible motion [m]. Raising it accepts
+    motions that end farther away."""
+    steps: int = Field(default=500, ge=50, le=100_000)
+    """Number of time steps of a roll-out per unit of normalized time [1]. Raising it makes
+    roll-outs more accurate and slower."""
+    fade: float = Field(default=0.3, ge=0.0, le=1e6)
+    """Fraction of the start-to-goal distance before the goal within which the coupling terms fade
+    to zero [1]. Raising it ends avoidance farther from the goal."""
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class Paper:
-    """The paper's chain and nothing else; each reading of its print is a field.
+    """The paper's regressor chain; each field selects an interpretation of the paper.
 
-    `policy.fade`, `policy.guidance` and `policy.guidance_gain` are readings too.
+    `policy.fade`, `policy.guidance` and `policy.guidance_gain` are interpretations, too.
     """
 
-    # RC(lambda', Delta): package:// URL, or file relative to this one. The default is trained by
-    # the paper's recipe on the action level that runs here.
     weights: str = "package://drake_oa/weights/paper_chain_running.safetensors"
-    # What encodes an obstacle that the tool dilates: the superquadric of least squares
-    # (eq. 11), or the ellipsoid that encloses it.
-    shape: str = choice("superquadric", "enclosing")
-    # How strongly the superquadric's exponents are drawn to 1: what one unit of their logarithm
-    # costs, in mean squares of a residual that is the volume's root. null: they are 1, as
-    # section IV-B has it; 0: as fitted.
-    exponent_prior: float | None = dc.field(default=None, metadata={"unit": "1", "low": 0.0})
-    # The avoidance term: (eq. 8), or (eq. 7) at its published gains.
-    term: str = choice("dead_zone_free", "original")
-    # Whether cost rings choose the sides, and headings lead there (eq. 9). Without them the
-    # motion only reacts: the term turns it to whatever side it happens to head for.
+    """Weights of the regressor chain RC(lambda', Delta): a package:// URL, or a file relative to
+    the scenario. The default is trained by the paper's procedure with this package's integrator."""
+    shape: Literal["superquadric", "enclosing"] = "superquadric"
+    """Descriptor of an obstacle dilated by the tool: the least-squares `superquadric` (eq. 11), or
+    the `enclosing` ellipsoid."""
+    exponent_prior: float | None = Field(default=None, ge=0.0)
+    """Weight of the prior that draws the superquadric's exponents toward 1 [1]; null: they are 1 as
+    in section IV-B; 0: no prior. Raising it makes shapes more ellipsoidal."""
+    term: Literal["dead_zone_free", "original"] = "dead_zone_free"
+    """Avoidance term: `dead_zone_free` (eq. 8), or `original` (eq. 7) with its published gains."""
     guided: bool = True
-    # Whether the duration is scaled by the length of the avoiding path (section IV-E).
+    """Whether cost rings select the sides and heading guidance (eq. 9) turns the motion toward
+    them. If false, the avoidance term alone determines the side."""
     scaled: bool = True
+    """Whether the duration is scaled with the length of the avoiding path (section IV-E)."""
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class Verified:
-    """Motions that roll-outs of the whole arm among the true shapes have checked."""
+    """Motions verified by whole-arm roll-outs among the obstacles' shapes."""
 
-    # Proposal network that seeds the search: package:// URL, or file relative to this one.
     weights: str = "package://drake_oa/weights/proposals.safetensors"
-    # Motions that are rolled out a round; rounds at most, and after the first that will do.
-    candidates: int = count(32, 8, 4096)
-    rounds: int = count(8, 0, 1000)
-    polish: int = count(4, 0, 1000)
-    # A motion keeps what is asked when it is short of it by no more than this, and what start
-    # and goal leave is asked but for as much [m]; it has arrived when it is this near [m].
-    slack: float = number(5e-4, "m", 0.0, 0.1)
-    tolerance: float = number(6e-4, "m", 0.0, 0.1)
-    # What links keep of everything, and the tool of the cell itself [m].
-    link_clearance: float = number(0.03, "m", 0.0, 1.0)
-    # What a side costs at which a ring of one's own is 1, which forbids it, or at less its share of
-    # it: so much longer another way may be, in baselines.
-    ring_price: float = number(0.5, "1", 0.0, 100.0)
-    # What a search may cost, by `drake_oa.common.thinking`, once the motion has begun or while
-    # something moves [s]: less than a camera's period. One that costs more goes on with the next
-    # observation.
-    frame: float = number(0.028, "s", 0.0, 100.0)
-    # Among how many configurations a path in the joints is looked for where none of the motions
-    # will do, and among how many for the least clearance.
-    configurations: int = count(20_000, 0, 10_000_000)
-    last_configurations: int = count(200_000, 0, 10_000_000)
+    """Weights of the proposal network that seeds the search: a package:// URL, or a file relative
+    to the scenario."""
+    candidates: int = Field(default=32, ge=8, le=4096)
+    """Number of motions rolled out in each iteration of the search [1]. Raising it searches more
+    widely."""
+    rounds: int = Field(default=8, ge=0, le=1000)
+    """Maximum number of iterations [1]. Raising it searches longer for a feasible motion."""
+    polish: int = Field(default=4, ge=0, le=1000)
+    """Number of iterations after the first feasible motion [1]. Raising it gives shorter
+    motions."""
+    slack: float = Field(default=5e-4, ge=0.0, le=0.1)
+    """Maximum shortfall of the clearance of a feasible motion, and reduction of the clearance
+    available at start and goal [m]. Raising it accepts motions closer to the obstacles."""
+    tolerance: float = Field(default=6e-4, ge=0.0, le=0.1)
+    """Maximum distance from the goal at the end of a feasible motion [m]. Raising it accepts
+    motions that end farther away."""
+    link_clearance: float = Field(default=0.03, ge=0.0, le=1.0)
+    """Requested clearance between the links and everything, and between the tool and the cell
+    [m]. Raising it makes the arm pass at a larger distance."""
+    ring_price: float = Field(default=0.5, ge=0.0, le=100.0)
+    """Cost of a side that a user-supplied cost ring rates with 1, as additional path length over
+    the start-to-goal distance [1]. Raising it accepts longer detours to avoid such sides."""
+    frame: float = Field(default=0.028, ge=0.0, le=100.0)
+    """Maximum cost of one search while the robot or an obstacle moves, measured by
+    `drake_oa.common.thinking` [s]; a longer search continues with the next observation. Raising it
+    decides later and better; keep it below the frame period of the camera."""
+    configurations: int = Field(default=20_000, ge=0, le=10_000_000)
+    """Number of configurations of the joint-space planner, used if no motion of the tool is
+    feasible [1]. Raising it finds more paths and takes longer."""
+    last_configurations: int = Field(default=200_000, ge=0, le=10_000_000)
+    """Number of configurations of the joint-space planner at the reduced clearance of last resort
+    [1]. Raising it finds more paths and takes longer."""
 
     def search(self, steps: int, fade: float) -> SearchParameters:
-        """As the search of the tool's motions takes it."""
+        """Returns the parameters of the search among motions of the tool."""
         shared = ("candidates", "rounds", "polish", "slack", "tolerance")
         given = {name: getattr(self, name) for name in shared}
         return SearchParameters(**given, steps=steps, fade=fade)

@@ -6,40 +6,43 @@ beside it, of uniform density, are as far off as those of a robot without identi
 
 from __future__ import annotations
 
-import dataclasses as dc
 from pathlib import Path
+from typing import Annotated
 from xml.etree import ElementTree
 
-from drake_oa.common.config import ScenarioError, check, number, read_yaml, vector
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from drake_oa.common.config import BLOCK, ScenarioError, Vector3, read_yaml, validate
 from drake_oa.robot.formats.urdf import DRAKE_XML
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class Inertia:
-    """Of a link: the values of a file of inertias."""
+    """Inertial parameters of a link."""
 
-    mass: float = number(1.0, "kg", 0.0, 1e4, open_low=True)
-    # Centre of mass in the link's frame.
-    com: list[float] = vector([0.0, 0.0, 0.0], "m")
-    # About the centre of mass, along the link's axes: xx, yy, zz, xy, xz, yz.
-    inertia: list[float] = vector([1.0, 1.0, 1.0, 0.0, 0.0, 0.0], "kg m^2")
+    mass: Annotated[float, Field(gt=0.0, le=1e4)]
+    """Mass [kg]. Raising it makes the link heavier."""
+    com: Vector3
+    """Center of mass in the link's frame [m]."""
+    inertia: Annotated[list[float], Field(min_length=6, max_length=6)]
+    """Rotational inertia about the center of mass in the link's axes: xx, yy, zz, xy, xz, yz
+    [kg m^2]. Raising the first three makes rotations slower."""
 
 
 def read_inertias(file: Path) -> dict[str, Inertia]:
-    """The inertias of a YAML file, by the name of the link; each gives mass, com and inertia.
+    """Returns the inertial parameters in a YAML file by the name of the link.
 
     Raises:
-        ScenarioError: naming the value that is wrong, or the file.
+        ScenarioError: naming the file and every wrong value.
     """
     try:
-        data = read_yaml(file.read_text())
-        check(data, dict[str, Inertia], "inertias", {})
-        for name, item in data.items():
-            if missing := [value.name for value in dc.fields(Inertia) if value.name not in item]:
-                raise ScenarioError(f"inertias.{name}: {', '.join(missing)} must be given")
-        return {name: Inertia(**item) for name, item in data.items()}
+        inertias: dict[str, Inertia] = validate(
+            dict[str, Inertia], read_yaml(file.read_text()), "inertias"
+        )
     except (OSError, UnicodeDecodeError, ScenarioError) as error:
         raise ScenarioError(f"'{file}': {error}") from None
+    return inertias
 
 
 def with_inertias(urdf: str, inertias: dict[str, Inertia]) -> str:

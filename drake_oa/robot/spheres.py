@@ -11,7 +11,6 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.tree import BodyIndex, RevoluteJoint
 from pydrake.systems.framework import Context
 
-from drake_oa.common.config import check_values
 from drake_oa.common.console import ProgressLines
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
 from drake_oa.robot import sphere_kernels as kernels
@@ -95,7 +94,6 @@ def make_arm_spheres(
             bounded, names that are not of bodies, positions of the wrong number.
     """
     parameters = parameters or SphereParameters()
-    check_values(parameters, "spheres")
     plant, inspector = robot.plant, robot.scene_graph.model_inspector()
     q = np.asarray(q, dtype=float)
     if q.shape != (plant.num_positions(),) or not np.isfinite(q).all():

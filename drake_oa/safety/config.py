@@ -1,133 +1,173 @@
-"""The configuration of safety: the blocks `supervisor` and `evasion` of a scenario.
+"""Configuration of safety: a scenario's fields `supervisor` and `evasion`.
 
-Every field has its unit and range, which `drake_oa.common.config` holds a file's blocks
-against, and with `check_values` what Python code makes. What follows from the rest of a scenario
-is added by the systems: `SupervisorSettings`, `EvasionSettings`.
+The systems add the values that follow from the rest of a scenario: `SupervisorSettings`,
+`EvasionSettings`.
 """
 
-# No postponed annotations here: yaml_load_typed reads the fields' types.
 import dataclasses as dc
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 
-from drake_oa.common.config import count, number, vector
+from drake_oa.common.config import BLOCK, above
 from drake_oa.common.messages import FloatArray
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class SupervisorParameters:
-    """What slows, holds or stops a motion of the robot that is not safe."""
+    """Limits at which the supervisor slows, holds or stops the robot's motion."""
 
-    # Distance of a link to an obstacle or the table at which an approach is at rest [m].
-    stop_distance: float = number(0.025, "m", 0.0, 1.0)
-    # The controller comes to rest this much later than the policy, whose own time
-    # is `policy.hold_time` [s].
-    lag: float = number(0.05, "s", 0.0, 10.0)
-    # Share of full speed at which a link that is nearer may leave; one where the motion is held
-    # leaves only with `resume_above` or more.
-    leave_scale: float = number(0.3, "1", 0.0, 1.0, open_low=True)
-    # Frames that may be missed before the motion slows; it is held at the age
-    # `policy.max_observation_age`.
-    stale_frames: float = number(2.5, "1", 1.0, 1e6)
-    # Distance of a joint from its position limit at which an approach is at rest [rad].
-    joint_margin: float = number(0.02, "rad", 0.0, 3.0)
-    # Tracking error of the tool point that begins to slow the motion, and that holds it [m].
-    tracking_slow: float = number(0.02, "m", 0.0, 1.0, open_low=True, below="tracking_hold")
-    tracking_hold: float = number(0.05, "m", 0.0, 1.0, open_low=True)
-    # Torque saturation that lasts longer slows the motion [s], each time by this factor.
-    saturation_time: float = number(0.1, "s", 0.0, 10.0, open_low=True)
-    back_off: float = number(0.7, "1", 0.0, 1.0, open_low=True)
-    # Old frames, torque saturation and speed limits of joints do not slow it below this share
-    # of full speed.
-    slowest: float = number(0.1, "1", 0.0, 1.0, open_low=True)
-    # Time in which the speed rises from rest to full [s].
-    recovery_time: float = number(1.0, "s", 0.0, 60.0, open_low=True)
-    # A demand below the first share of full speed holds the motion, until all are above the
-    # second.
-    hold_below: float = number(0.05, "1", 0.0, 1.0, open_low=True, below="resume_above")
-    resume_above: float = number(0.3, "1", 0.0, 0.999, open_low=True)
-    # A hold that cannot end by itself becomes a stop after this time [s].
-    patience: float = number(3.0, "s", 0.0, 600.0, open_low=True)
-    # An event lasts this long at least before another of the same action is told [s].
-    dwell: float = number(0.5, "s", 0.0, 60.0)
+    stop_distance: float = Field(default=0.025, ge=0.0, le=1.0)
+    """Distance of a link to an obstacle or the table at which its approach has come to rest [m].
+    Raising it stops farther away."""
+    lag: float = Field(default=0.05, ge=0.0, le=10.0)
+    """Time by which the controller comes to rest later than the motion, which takes
+    `policy.hold_time` [s]. Raising it slows down earlier."""
+    leave_scale: float = Field(default=0.3, gt=0.0, le=1.0)
+    """Maximum fraction of full speed at which a link inside the stop distance moves away [1]; a
+    held motion needs `resume_above`. Raising it moves away faster."""
+    stale_frames: float = Field(default=2.5, ge=1.0, le=1e6)
+    """Number of missing frames after which the motion slows down [1]; at the age
+    `policy.max_observation_age` it is held. Raising it tolerates longer gaps in perception."""
+    joint_margin: float = Field(default=0.02, ge=0.0, le=3.0)
+    """Distance to a joint's position limit at which the approach to it has come to rest [rad].
+    Raising it stops farther from the limit."""
+    tracking_slow: float = Field(default=0.02, gt=0.0, le=1.0)
+    """Tracking error of the tool point above which the motion slows down [m]. Raising it tolerates
+    larger errors."""
+    tracking_hold: Annotated[float, above("tracking_slow")] = Field(default=0.05, gt=0.0, le=1.0)
+    """Tracking error of the tool point above which the motion is held [m]. Raising it tolerates
+    larger errors."""
+    saturation_time: float = Field(default=0.1, gt=0.0, le=10.0)
+    """Duration of torque saturation after which the motion slows down [s]. Raising it tolerates
+    longer saturation."""
+    back_off: float = Field(default=0.7, gt=0.0, le=1.0)
+    """Factor by which each period of torque saturation reduces the speed [1]. Raising it slows
+    down less."""
+    slowest: float = Field(default=0.1, gt=0.0, le=1.0)
+    """Minimum fraction of full speed to which old frames, torque saturation and joint speed limits
+    slow the motion [1]. Raising it slows down less."""
+    recovery_time: float = Field(default=1.0, gt=0.0, le=60.0)
+    """Time in which the speed rises from rest to full speed [s]. Raising it resumes more gently."""
+    hold_below: float = Field(default=0.05, gt=0.0, le=1.0)
+    """Allowed fraction of full speed below which the motion is held [1]. Raising it holds
+    earlier."""
+    resume_above: Annotated[float, above("hold_below")] = Field(default=0.3, gt=0.0, le=0.999)
+    """Allowed fraction of full speed above which a held motion resumes [1]. Raising it resumes
+    later."""
+    patience: float = Field(default=3.0, gt=0.0, le=600.0)
+    """Duration after which a hold that cannot end by itself becomes a stop [s]. Raising it waits
+    longer."""
+    dwell: float = Field(default=0.5, ge=0.0, le=60.0)
+    """Minimum time between two logged events of the same action [s]. Raising it logs fewer
+    events."""
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class SupervisorSettings(SupervisorParameters):
-    """The block, and what follows from the rest of the scenario."""
+    """Parameters of the supervisor with the values that follow from the rest of the scenario."""
 
-    # How much nearer what moves may be than it was seen [m].
-    padding: float = number(0.005, "m", 0.0, 1.0)
-    # Time in which the motion comes to rest from full speed [s].
-    reaction_time: float = number(0.3, "s", 0.0, 100.0, open_low=True)
-    # Of it what the policy takes, and how often it looks [s].
-    hold_time: float = number(0.25, "s", 0.0, 10.0, open_low=True)
-    period: float = number(0.008, "s", 0.0, 100.0, open_low=True)
-    # Time between observations, and the age from which on one holds the motion [s].
-    frame_period: float = number(1.0 / 15.0, "s", 0.0, 100.0, open_low=True)
-    max_age: float = number(0.5, "s", 0.0, 1e6, open_low=True)
+    padding: float = Field(default=0.005, ge=0.0, le=1.0)
+    """Distance by which moving obstacles may be closer than observed [m]. Raising it stops
+    farther away."""
+    reaction_time: float = Field(default=0.3, gt=0.0, le=100.0)
+    """Time in which the motion comes to rest from full speed [s]. Raising it slows down earlier."""
+    hold_time: float = Field(default=0.25, gt=0.0, le=10.0)
+    """Part of the reaction time that the motion takes [s]. Raising it slows down earlier."""
+    period: float = Field(default=0.008, gt=0.0, le=100.0)
+    """Time between two checks [s]. Raising it reacts later."""
+    frame_period: float = Field(default=1.0 / 15.0, gt=0.0, le=100.0)
+    """Time between two observations [s]. Raising it expects fewer frames."""
+    max_age: float = Field(default=0.5, gt=0.0, le=1e6)
+    """Age of the last observation above which the motion is held [s]. Raising it tolerates longer
+    gaps in perception."""
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class EvasionParameters:
-    """What gets the arm out of the way of what moves."""
+    """Parameters of the evasive motion in front of moving obstacles."""
 
-    # Distance of any link to what moves below which the motion is not left as it is, and how
-    # much more it has to be before it is left to itself again [m].
-    margin: float = number(0.05, "m", 0.0, 1.0, open_low=True)
-    release: float = number(0.02, "m", 0.0, 1.0)
-    # The motion is left as it is while it keeps the margin for this long [s].
-    notice: float = number(0.7, "s", 0.0, 10.0, open_low=True)
-    # How far ahead other ways are looked at, at least that [s], and at how many instants.
-    horizon: float = number(1.2, "s", 0.7, 10.0)
-    instants: int = count(12, 2, 1000)
-    # Greatest speed [m/s] and acceleration [m/s^2] of the tool while it evades.
-    speed: float = number(0.6, "m/s", 0.0, 5.0, open_low=True)
-    acceleration: float = number(6.0, "m/s^2", 0.0, 50.0, open_low=True)
-    # Of the joints in the null space of the tool's task, the norm of all; 0: none.
-    turn_speed: float = number(1.5, "rad/s", 0.0, 10.0)
-    turn_acceleration: float = number(10.0, "rad/s^2", 0.0, 100.0, open_low=True)
-    # How much nearer an obstacle that moves may be, a second ahead [m/s].
-    growth: float = number(0.02, "m/s", 0.0, 1.0)
-    # A distance to the table counts as this much more than one to an obstacle [m].
-    table_allowance: float = number(0.06, "m", 0.0, 1.0)
-    # What a way keeps from the joints' limits [rad], and the share of their speed limits that
-    # it may take.
-    joint_margin: float = number(0.1, "rad", 0.0, 3.0)
-    speed_share: float = number(0.9, "1", 0.0, 1.0, open_low=True)
-    # Share of the margin with which the motion goes on rather than evades.
-    passing: float = number(0.6, "1", 0.0, 1.0)
-    # Clearances that differ by less are alike [m].
-    as_good: float = number(5e-3, "m", 0.0, 1.0)
-    # So far the tool goes where the arm may not reach farther [m], and so far the joints turn
-    # where they may not turn farther, the norm of all [rad].
-    short_ways: list[float] = vector([0.2, 0.08], "m")
-    short_turn: float = number(0.7, "rad", 0.0, 10.0, open_low=True)
-    # A change of velocity costs this share of it, turning the arm this much beside displacing
-    # the tool [m/rad], and a velocity along that of the obstacle this share of it besides.
-    steady: float = number(0.5, "1", 0.0, 100.0)
-    turning: float = number(0.2, "m/rad", 0.0, 100.0)
-    along: float = number(1.0, "1", 0.0, 100.0)
-    # A displacement below this does not lead away from what has come to rest [m/s].
-    slow: float = number(0.03, "m/s", 0.0, 1.0)
+    margin: float = Field(default=0.05, gt=0.0, le=1.0)
+    """Predicted distance of a link to a moving obstacle below which the arm evades [m]. Raising it
+    evades earlier and more often."""
+    release: float = Field(default=0.02, ge=0.0, le=1.0)
+    """Additional distance at which the evasion ends [m]. Raising it ends later."""
+    notice: float = Field(default=0.7, gt=0.0, le=10.0)
+    """Prediction horizon in which the nominal motion must keep the margin [s]. Raising it evades
+    earlier."""
+    horizon: float = Field(default=1.2, ge=0.7, le=10.0)
+    """Minimum prediction horizon of the evasive motions [s]. Raising it looks farther ahead."""
+    instants: int = Field(default=12, ge=2, le=1000)
+    """Number of predicted instants [1]. Raising it predicts more accurately and more slowly."""
+    speed: float = Field(default=0.6, gt=0.0, le=5.0)
+    """Maximum speed of the tool during evasion [m/s]. Raising it evades faster."""
+    acceleration: float = Field(default=6.0, gt=0.0, le=50.0)
+    """Maximum acceleration of the tool during evasion [m/s^2]. Raising it evades sooner and
+    jerkier."""
+    turn_speed: float = Field(default=1.5, ge=0.0, le=10.0)
+    """Maximum norm of the joint velocity in the null space of the tool's task [rad/s]; 0: no such
+    motion. Raising it moves the links aside faster."""
+    turn_acceleration: float = Field(default=10.0, gt=0.0, le=100.0)
+    """Maximum norm of the joint acceleration in the null space [rad/s^2]. Raising it moves the
+    links aside sooner."""
+    growth: float = Field(default=0.02, ge=0.0, le=1.0)
+    """Growth of the uncertainty of a moving obstacle's predicted position [m/s]. Raising it keeps
+    a larger distance to distant predictions."""
+    table_allowance: float = Field(default=0.06, ge=0.0, le=1.0)
+    """Amount by which a distance to the table counts more than one to an obstacle [m]. Raising it
+    evades closer to the table."""
+    joint_margin: float = Field(default=0.1, ge=0.0, le=3.0)
+    """Minimum distance of evasive motions to the joints' position limits [rad]. Raising it leaves
+    fewer motions."""
+    speed_share: float = Field(default=0.9, gt=0.0, le=1.0)
+    """Fraction of the joints' speed limits that evasive motions may use [1]. Raising it evades
+    faster."""
+    passing: float = Field(default=0.6, ge=0.0, le=1.0)
+    """Fraction of the margin with which the nominal motion continues if no evasive motion is
+    better [1]. Raising it evades more often."""
+    as_good: float = Field(default=5e-3, ge=0.0, le=1.0)
+    """Difference between clearances that are considered equal [m]. Raising it prefers shorter
+    motions."""
+    short_ways: Annotated[list[float], Field(min_length=2, max_length=2)] = Field(
+        default=[0.2, 0.08]
+    )
+    """Displacements of the tool that are tried where larger ones leave the workspace [m]. Raising
+    them moves farther aside."""
+    short_turn: float = Field(default=0.7, gt=0.0, le=10.0)
+    """Norm of the joint motion in the null space that is tried where larger ones leave the position
+    limits [rad]. Raising it moves the links farther aside."""
+    steady: float = Field(default=0.5, ge=0.0, le=100.0)
+    """Cost of a change of velocity, relative to the velocity [1]. Raising it keeps the current
+    evasive motion."""
+    turning: float = Field(default=0.2, ge=0.0, le=100.0)
+    """Cost of motion in the null space, relative to a displacement of the tool [m/rad]. Raising it
+    prefers displacements of the tool."""
+    along: float = Field(default=1.0, ge=0.0, le=100.0)
+    """Cost of a velocity along that of the obstacle, relative to the velocity [1]. Raising it
+    prefers to move sideways."""
+    slow: float = Field(default=0.03, ge=0.0, le=1.0)
+    """Speed below which a displacement does not count as leaving an obstacle at rest [m/s]. Raising
+    it ignores slow motions."""
 
     @property
     def times(self) -> FloatArray:
-        """(K,) instants that are looked at [s]."""
+        """(K,) predicted instants [s]."""
         return np.linspace(0.0, self.horizon, self.instants + 1)[1:]
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class EvasionSettings(EvasionParameters):
-    """The block, and what follows from the rest of the scenario."""
+    """Parameters of the evasion with the values that follow from the rest of the scenario."""
 
-    # How much nearer what moves may be than it was seen [m].
-    padding: float = number(0.01, "m", 0.0, 1.0)
-    # Time in which the motion comes to rest [s].
-    hold_time: float = number(0.25, "s", 0.0, 10.0, open_low=True)
+    padding: float = Field(default=0.01, ge=0.0, le=1.0)
+    """Distance by which moving obstacles may be closer than observed [m]. Raising it evades
+    earlier."""
+    hold_time: float = Field(default=0.25, gt=0.0, le=10.0)
+    """Time in which the motion comes to rest [s]. Raising it evades earlier."""
 
 
 def settings(parameters: Any, **derived: float) -> dict[str, Any]:
-    """The fields of a block, with others beside them."""
+    """Returns the fields of a block by name, with other values added."""
     return {item.name: getattr(parameters, item.name) for item in dc.fields(parameters)} | derived

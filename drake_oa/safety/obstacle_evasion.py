@@ -16,7 +16,6 @@ from pydrake.systems.framework import (
     State,
 )
 
-from drake_oa.common.config import check_values
 from drake_oa.common.messages import (
     Evasion,
     FloatArray,
@@ -129,7 +128,6 @@ class ObstacleEvasion(LeafSystem):
         self._max_age = max_age
         derived = settings(parameters or EvasionParameters(), padding=padding, hold_time=hold_time)
         self._parameters = EvasionSettings(**derived | ({} if turns else {"turn_speed": 0.0}))
-        check_values(self._parameters, "evasion")
         self._table_height, self._annulus = table_height, annulus
         self._thinking = thinking
 

@@ -17,7 +17,6 @@ from pydrake.systems.framework import (
     State,
 )
 
-from drake_oa.common.config import check_values
 from drake_oa.common.messages import Evasion, FloatArray, HoldCause, PlannedMotion, PolicyState
 from drake_oa.common.ports import read_optional, read_value, valid_period
 from drake_oa.planning.solid_scene import SolidScene
@@ -137,7 +136,6 @@ class Supervisor(LeafSystem):
                 max_age=max_age,
             )
         )
-        check_values(self._parameters, "supervisor")
 
         self._robot_state = self.DeclareVectorInputPort("robot_state", 2 * arm.size)
         self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))

@@ -1,61 +1,63 @@
-"""The faults that a scenario asks for: what goes wrong, and when."""
+"""Faults injected into a simulation: the blocks of a scenario's field `faults`."""
 
-import dataclasses as dc
-from typing import Any
+from typing import Annotated
 
-from drake_oa.common.config import number, vector
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 
-_LATEST = 1e6
+from drake_oa.common.config import BLOCK, Vector3
 
-
-def _start(default: float) -> Any:
-    return number(default, "s", 0.0, _LATEST)
-
-
-def _duration(default: float) -> Any:
-    return number(default, "s", 0.0, _LATEST, open_low=True)
+_Time = Annotated[float, Field(ge=0.0, le=1e6)]
+_Duration = Annotated[float, Field(gt=0.0, le=1e6)]
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class CameraDropout:
-    """The camera delivers no new image; its driver goes on handing out the last one."""
+    """Missing images: the camera's driver repeats the last one."""
 
-    start: float = _start(1.0)
-    duration: float = _duration(0.5)
-    # Name of the camera that fails; empty: all that perception sees by.
+    start: _Time = 1.0
+    """Time at which the images stop [s]. Raising it makes the fault later."""
+    duration: _Duration = 0.5
+    """Time without new images [s]. Raising it makes the fault longer."""
     camera: str = ""
+    """Name of the camera; empty: all cameras in use."""
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class TorqueSaturation:
-    """The actuators give no more than `scale` of their effort limits, and nobody is told."""
+    """Reduced effort limits of the actuators, unknown to the controller."""
 
-    start: float = _start(1.0)
-    duration: float = _duration(1.0)
-    scale: float = number(0.4, "1", 0.0, 1.0)
+    start: _Time = 1.0
+    """Time at which the limits drop [s]. Raising it makes the fault later."""
+    duration: _Duration = 1.0
+    """Time with reduced limits [s]. Raising it makes the fault longer."""
+    scale: float = Field(default=0.4, ge=0.0, le=1.0)
+    """Remaining fraction of the effort limits [1]. Raising it makes the fault milder."""
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class ModelError:
-    """The controller takes the robot's links for others; the plant keeps the model's own."""
+    """Wrong inertial parameters in the controller; the simulated robot keeps the model's own."""
 
-    # URL or name of a file of inertias, see `drake_oa.robot.inertias`. The default takes the
-    # Panda's links for bodies of uniform density.
     inertias: str = "package://drake_oa/panda/uniform_density.yaml"
+    """File of inertial parameters (see `drake_oa.robot.inertias`): a package:// URL or a path. The
+    default is that of a Panda with links of uniform density."""
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class Push:
-    """Somebody pushes a link of the robot, with a wrench that is constant while it lasts."""
+    """External wrench on a link of the robot, constant for a time."""
 
-    start: float = _start(1.0)
-    duration: float = _duration(0.2)
-    # In the world, at the origin of the link.
-    force: list[float] = vector([0.0, 20.0, 0.0], "N")
-    torque: list[float] = vector([0.0, 0.0, 0.0], "N m")
-    # The link; empty: the robot's `hand_link`.
+    start: _Time = 1.0
+    """Time at which the wrench begins [s]. Raising it makes the fault later."""
+    duration: _Duration = 0.2
+    """Duration of the wrench [s]. Raising it makes the fault longer."""
+    force: Vector3 = Field(default=[0.0, 20.0, 0.0])
+    """Force at the origin of the link, in the world [N]. Raising it pushes harder."""
+    torque: Vector3 = Field(default=[0.0, 0.0, 0.0])
+    """Torque on the link, in the world [N m]. Raising it twists harder."""
     body: str = ""
+    """Name of the link; empty: the robot's `hand_link`."""
 
 
-# Written out: yaml_load_typed reads the tags' types from it.
 Fault = CameraDropout | TorqueSaturation | ModelError | Push

@@ -1,38 +1,33 @@
-"""Reads scenarios from files, and writes them as text.
+"""Reading of scenarios from files, and writing as text.
 
-The text becomes plain mappings (`pydrake.common.yaml.yaml_load`), overrides are merged into
-them, every key, tag, type and range is checked against the dataclasses of
-`drake_oa.scenario.scenario`, so that an error names the field and what would be valid, and
-`yaml_load_typed` builds the `Scenario`.
+The YAML text becomes plain data, overrides are merged into them, and pydantic checks every field
+while it builds the `Scenario`; checks that involve several blocks follow.
 """
 
-import dataclasses as dc
 import os
-import typing
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
-from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load_typed
+from pydrake.common.yaml import yaml_dump
 
 from drake_oa.common.config import (
     ScenarioError,
     apply_override,
-    check,
     did_you_mean,
-    problems,
+    json_schema,
+    plain_data,
     read_yaml,
+    validate,
 )
-from drake_oa.geometry.shapes import check_shapes
 from drake_oa.perception.config import DepthCamera
-from drake_oa.robot.config import check_robot
 from drake_oa.scenario.faults import CameraDropout
-from drake_oa.scenario.obstacles import check_obstacles
-from drake_oa.scenario.perception import GivenEllipsoids, check_cameras, check_perception
-from drake_oa.scenario.scenario import LAYERS, Scenario
+from drake_oa.scenario.obstacles import obstacle_problems
+from drake_oa.scenario.perception import GivenEllipsoids, perception_problems
+from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.shipped import shipped_scenarios
-from drake_oa.scenario.task import check_goals
+from drake_oa.scenario.task import goal_problems
 from drake_oa.scenario.task_joints import follow_joints
 
 
@@ -55,7 +50,7 @@ def scenario_path(name_or_file: str) -> Path:
     )
 
 
-def load_scenario(name_or_file: str, overrides: typing.Sequence[str] = ()) -> Scenario:
+def load_scenario(name_or_file: str, overrides: Sequence[str] = ()) -> Scenario:
     """Reads a scenario and applies overrides.
 
     Args:
@@ -68,146 +63,114 @@ def load_scenario(name_or_file: str, overrides: typing.Sequence[str] = ()) -> Sc
     """
     path = scenario_path(name_or_file)
     try:
-        return parse_scenario(path.read_text("utf-8"), overrides, folder=path.parent)
-    except (ScenarioError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{path.name}: {error}") from None
+        return _build(_read(path, overrides))
+    except ScenarioError as error:
+        raise error.of_file(path.name) from None
+
+
+def scenario_problems(name_or_file: str, overrides: Sequence[str] = ()) -> list[str]:
+    """Returns one line for each wrong field of a scenario, without building its diagram.
+
+    Raises:
+        ScenarioError: for a file that does not exist, or that is not YAML.
+    """
+    path = scenario_path(name_or_file)
+    try:
+        data = _read(path, overrides)
+    except ScenarioError as error:
+        raise error.of_file(path.name) from None
+    try:
+        _build(data)
+    except ScenarioError as error:
+        return list(error.problems)
+    return []
 
 
 def parse_scenario(
-    text: str, overrides: typing.Sequence[str] = (), *, folder: Path | None = None
+    text: str, overrides: Sequence[str] = (), *, folder: Path | None = None
 ) -> Scenario:
     """Builds a `Scenario` from YAML text; see `load_scenario`.
 
     Relative file names in it are relative to `folder` (None: the current directory),
     those in overrides to the current directory.
-    """
-    data = _data(text, overrides, folder)
-    check(data, Scenario, "", {})
-    scenario = _typed(data)
-    for each in _whole_checks(scenario):
-        each()
-    _follow_joints(scenario, data)
-    return scenario
-
-
-def scenario_problems(name_or_file: str, overrides: typing.Sequence[str] = ()) -> list[str]:
-    """All that is wrong with a scenario, a line each; what only shows when it is built is not.
 
     Raises:
-        ScenarioError: for a file that is not there, or that is no YAML.
+        ScenarioError: listing every wrong field.
     """
-    path = scenario_path(name_or_file)
-    try:
-        data = _data(path.read_text("utf-8"), overrides, path.parent)
-    except (ScenarioError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"{path.name}: {error}") from None
-    found = list(problems(data, Scenario, "", {}))
-    if found:
-        return found
-    try:
-        scenario = _typed(data)
-    except ScenarioError as error:
-        return [str(error)]
-    for each in [*_whole_checks(scenario), lambda: _follow_joints(scenario, data)]:
-        try:
-            each()
-        except ScenarioError as error:
-            found.append(str(error))
-    return found
+    return _build(_plain(text, overrides, folder or Path()))
 
 
-def _data(text: str, overrides: typing.Sequence[str], folder: Path | None) -> dict[str, Any]:
-    """Plain data of a scenario's text, its files' names absolute."""
+def _read(path: Path, overrides: Sequence[str]) -> dict[str, Any]:
+    try:
+        text = path.read_text("utf-8")
+    except UnicodeDecodeError as error:
+        raise ScenarioError(str(error)) from None
+    return _plain(text, overrides, path.parent)
+
+
+def _plain(text: str, overrides: Sequence[str], folder: Path) -> dict[str, Any]:
+    """Returns the plain data of a scenario's text, with absolute file names."""
     data = read_yaml(text)
     data = {} if data is None else data
     if not isinstance(data, dict):
         raise ScenarioError(
             f"expected a block of field: value, not the {type(data).__name__} {data!r}"
         )
-    _resolve_files(data, folder or Path())
+    _resolve_files(data, folder)
     for override in overrides:
         apply_override(data, override)
     _resolve_files(data, Path())
     return data
 
 
-def _typed(data: dict[str, Any]) -> Scenario:
-    try:
-        scenario: Scenario = yaml_load_typed(
-            schema=Scenario, data=yaml_dump(data), defaults=Scenario()
-        )
-    except (RuntimeError, ValueError, TypeError) as error:
-        raise ScenarioError(str(error)) from None
+def _build(data: dict[str, Any]) -> Scenario:
+    scenario: Scenario = validate(Scenario, data)
+    problems = [
+        *perception_problems(scenario.perception, scenario.cameras),
+        *obstacle_problems(scenario.obstacles),
+        *_robot_problems(scenario),
+        *_fault_problems(scenario),
+        *goal_problems(scenario.task),
+    ]
+    if problems:
+        raise ScenarioError(*problems)
+    follow_joints(
+        scenario,
+        {name for name, value in (data.get("task") or {}).items() if value is not None},
+    )
     return scenario
 
 
-def _follow_joints(scenario: Scenario, data: dict[str, Any]) -> None:
-    stated = {name for name, value in (data.get("task") or {}).items() if value is not None}
-    follow_joints(scenario, stated)
+def scenario_schema() -> dict[str, Any]:
+    """Returns the JSON Schema (draft 2020-12) of a scenario file."""
+    head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "drake_oa scenario"}
+    return json_schema(Scenario) | head
 
 
-def _whole_checks(scenario: Scenario) -> list[Callable[[], None]]:
-    """What no single field can tell; each raises a `ScenarioError`."""
-    task = scenario.task
-    return [
-        lambda: check_cameras(scenario.cameras),
-        lambda: check_obstacles(scenario.obstacles),
-        lambda: _check_robot(scenario),
-        lambda: _check_faults(scenario),
-        lambda: check_perception(scenario.perception, scenario.cameras),
-        lambda: _check_supervisor(scenario),
-        lambda: _check_view(scenario),
-        lambda: check_goals(task.start, task.goal, task.goal_moves),
-    ]
-
-
-def _check_robot(scenario: Scenario) -> None:
-    if scenario.robot is not None:
-        check_shapes(scenario.robot.carried, "robot.carried")
-        check_robot(scenario.robot)
-    elif not isinstance(scenario.perception, GivenEllipsoids):
-        raise ScenarioError(
+def _robot_problems(scenario: Scenario) -> Iterator[str]:
+    if scenario.robot is None and not isinstance(scenario.perception, GivenEllipsoids):
+        yield (
             "robot: null (a free point) needs 'perception: !GivenEllipsoids'; "
             f"it has !{type(scenario.perception).__name__}"
         )
 
 
-def _check_view(scenario: Scenario) -> None:
-    for row, layer in enumerate(scenario.view.show or ()):
-        if layer not in LAYERS:
-            near = did_you_mean(layer, LAYERS)
-            raise ScenarioError(
-                f"view.show[{row}]: '{layer}' is not one of {', '.join(LAYERS)}{near}"
-            )
-
-
-def _check_supervisor(scenario: Scenario) -> None:
-    supervisor = scenario.supervisor
-    if supervisor is not None and supervisor.tracking_hold <= supervisor.tracking_slow:
-        raise ScenarioError(
-            f"supervisor.tracking_hold: {supervisor.tracking_hold} must be more than "
-            f"supervisor.tracking_slow, {supervisor.tracking_slow} [m]"
-        )
-
-
-def _check_faults(scenario: Scenario) -> None:
-    """Refuses faults of something that the scenario does not have."""
-    for number, fault in enumerate(scenario.faults):
-        what = f"faults[{number}]: !{type(fault).__name__}"
-        if isinstance(fault, CameraDropout):
-            if not isinstance(scenario.perception, DepthCamera):
-                raise ScenarioError(
-                    f"{what} needs 'perception: !DepthCamera'; it has "
-                    f"!{type(scenario.perception).__name__}"
-                )
-            names = scenario.perception.names
-            if fault.camera and fault.camera not in names:
-                raise ScenarioError(
-                    f"faults[{number}].camera: perception does not see by '{fault.camera}', but by "
-                    f"{', '.join(names)}"
-                )
+def _fault_problems(scenario: Scenario) -> Iterator[str]:
+    """Yields one line for each fault of a part that the scenario does not have."""
+    source = scenario.perception
+    for row, fault in enumerate(scenario.faults):
+        name = f"faults[{row}]: !{type(fault).__name__}"
         if scenario.robot is None:
-            raise ScenarioError(f"{what} needs a robot; this scenario has null")
+            yield f"{name} needs a robot; this scenario has null"
+        if not isinstance(fault, CameraDropout):
+            continue
+        if not isinstance(source, DepthCamera):
+            yield f"{name} needs 'perception: !DepthCamera'; it has !{type(source).__name__}"
+        elif fault.camera and fault.camera not in source.names:
+            yield (
+                f"faults[{row}].camera: perception does not use camera '{fault.camera}', but "
+                f"{', '.join(source.names)}"
+            )
 
 
 def _resolve_files(data: dict[str, Any], base: Path) -> None:
@@ -261,28 +224,9 @@ def scenario_files(scenario: Scenario) -> Iterator[Path]:
 
 
 def scenario_text(scenario: Scenario) -> str:
-    """The scenario as YAML, defaults included, as it is written into a log.
+    """Returns the scenario as YAML, defaults included, as it is written into a log.
 
-    `parse_scenario` makes the same scenario of it.
+    `parse_scenario` builds the same scenario from it.
     """
-    text: str = yaml_dump_typed(scenario)
-    data = read_yaml(text)
-    # yaml_dump_typed leaves nulls out; reading that back would give the defaults.
-    return yaml_dump(data) if _add_nulls(scenario, data) else text
-
-
-def _add_nulls(value: Any, data: Any) -> bool:
-    """Writes the fields of a dataclass that are None into its mapping; says if any was."""
-    found = False
-    if isinstance(value, list):
-        for inner, place in zip(value, data, strict=True):
-            found |= _add_nulls(inner, place)
-    if not dc.is_dataclass(value):
-        return found
-    for item in dc.fields(value):
-        inner = getattr(value, item.name)
-        if inner is None:
-            data[item.name], found = None, True
-        elif item.name in data:
-            found |= _add_nulls(inner, data[item.name])
-    return found
+    text: str = yaml_dump(plain_data(scenario))
+    return text

@@ -1,41 +1,74 @@
 """The obstacles of a scenario: primitive shapes that stand, move, appear or vanish."""
 
-import dataclasses as dc
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Annotated
 
 import numpy as np
+from pydantic import AfterValidator, Field
+from pydantic.dataclasses import dataclass
 
-from drake_oa.common.config import ScenarioError, roll_pitch_yaw, vector
+from drake_oa.common.config import BLOCK, Angles, Tagged, Vector3
 from drake_oa.common.messages import FloatArray
-from drake_oa.geometry.shapes import Box, Cylinder, Sphere, check_shapes
+from drake_oa.geometry.shapes import Box, Cylinder, Sphere
 
 OBSTACLE_PREFIX = "obstacle"
 """Obstacles are the model instances whose name starts with this."""
 
 
-@dc.dataclass
-class Obstacle:
-    """One thing that stands in the world; several shapes make a pile, which is one obstacle."""
+_FARTHEST = 10.0
 
-    # The model instance is named "obstacle_<name>".
-    name: str = ""
-    shapes: list[Box | Cylinder | Sphere] = dc.field(default_factory=list)
-    # Pose of the obstacle in the world: translation [m], roll, pitch, yaw [rad].
-    translation: list[float] = vector([0.0, 0.0, 0.0], "m")
-    rpy: list[float] = roll_pitch_yaw([0.0, 0.0, 0.0])
-    # Red, green, blue and opacity, 0 to 1.
-    color: list[float] = vector([0.76, 0.53, 0.31, 1.0], "1")
-    # Where it moves: rows [t, x, y, z], at time t [s] it is that far from `translation`, in
-    # the world [m]. Straight between, at rest before and after; without any it stands still.
-    waypoints: list[list[float]] = dc.field(default_factory=list)
-    # When it is there: [from], or [from, until] [s]; empty: always. It appears and vanishes
-    # within a step of the plant.
-    present: list[float] = dc.field(default_factory=list, metadata={"unit": "s"})
-    # Stiffness of its surface in a point contact [N/m]; null: Drake's default, which is hard.
-    stiffness: float | None = dc.field(
-        default=None, metadata={"unit": "N/m", "low": 0.0, "high": 1e12, "open_low": True}
-    )
+
+def _check_course(waypoints: list[list[float]]) -> list[list[float]]:
+    before = -math.inf
+    for row, (time, *offset) in enumerate(waypoints):
+        if time <= before:
+            raise ValueError(f"[{row}]: its time {time:g} s must be later than {before:g} s")
+        if max(map(abs, offset)) > _FARTHEST:
+            raise ValueError(f"[{row}]: {offset} is outside [-{_FARTHEST:g}, {_FARTHEST:g}]")
+        before = time
+    return waypoints
+
+
+def _check_presence(present: list[float]) -> list[float]:
+    if present != sorted(set(present)):
+        raise ValueError(f"the obstacle must vanish later than it appears, not at {present}")
+    return present
+
+
+@dataclass(config=BLOCK)
+class Obstacle:
+    """An obstacle of primitive shapes; several shapes form one obstacle."""
+
+    name: str = Field(min_length=1)
+    """Name of the obstacle, without a namesake; the model instance is named "obstacle_<name>"."""
+    shapes: list[Annotated[Box | Cylinder | Sphere, Tagged()]] = Field(min_length=1)
+    """Shapes in the frame of the obstacle."""
+    translation: Vector3 = Field(default=[0.0, 0.0, 0.0])
+    """Position of the obstacle in the world [m]. Raising it moves the obstacle along the axis."""
+    rpy: Angles = Field(default=[0.0, 0.0, 0.0])
+    """Roll, pitch and yaw of the obstacle in the world [rad]."""
+    color: Annotated[
+        list[Annotated[float, Field(ge=0.0, le=1.0)]], Field(min_length=4, max_length=4)
+    ] = Field(default=[0.76, 0.53, 0.31, 1.0])
+    """Red, green, blue and opacity [1]. Raising one makes the obstacle brighter or more opaque."""
+    waypoints: Annotated[
+        list[Annotated[list[float], Field(min_length=4, max_length=4)]],
+        AfterValidator(_check_course),
+    ] = Field(default_factory=list)
+    """Motion of the obstacle: rows [t, x, y, z], the offset from `translation` in the world at time
+    t [s, m], interpolated linearly; at rest before the first and after the last row. Empty: the
+    obstacle does not move."""
+    present: Annotated[
+        list[Annotated[float, Field(ge=0.0)]],
+        Field(max_length=2),
+        AfterValidator(_check_presence),
+    ] = Field(default_factory=list)
+    """Time at which the obstacle appears, or times at which it appears and vanishes [s]; empty: it
+    is always present. Raising them makes the change later."""
+    stiffness: float | None = Field(default=None, gt=0.0, le=1e12)
+    """Stiffness of the surface in a point contact [N/m]; null: Drake's default, which is hard.
+    Raising it makes contacts harder."""
 
     @property
     def driven(self) -> bool:
@@ -58,32 +91,12 @@ def last_change(obstacles: Iterable[Obstacle]) -> float:
     return max((obstacle.last_change for obstacle in obstacles), default=0.0)
 
 
-def check_obstacles(obstacles: list[Obstacle]) -> None:
-    """What no single field of an `obstacles` block can tell.
-
-    Raises:
-        ScenarioError: for a name that is missing or taken twice, an obstacle without
-            shapes, and a box's edge or a colour out of range.
-    """
+def obstacle_problems(obstacles: Sequence[Obstacle]) -> Iterator[str]:
+    """Yields one line for each obstacle whose name another one has."""
     names = [obstacle.name for obstacle in obstacles]
-    for row, obstacle in enumerate(obstacles):
-        where = f"obstacles[{row}]"
-        if not obstacle.name:
-            raise ScenarioError(f"{where}.name: is empty; each obstacle needs a name of its own")
-        if obstacle.name in names[:row]:
-            raise ScenarioError(f"{where}.name: two obstacles are named '{obstacle.name}'")
-        if not obstacle.shapes:
-            raise ScenarioError(
-                f"{where}.shapes: is empty; it needs at least one of !Box, !Cylinder, !Sphere"
-            )
-        check_waypoints(obstacle.waypoints, f"{where}.waypoints")
-        check_present(obstacle.present, f"{where}.present")
-        if not all(0.0 <= value <= 1.0 for value in obstacle.color):
-            raise ScenarioError(f"{where}.color: {obstacle.color} is outside [0, 1]")
-        check_shapes(obstacle.shapes, f"{where}.shapes")
-
-
-_FARTHEST = 10.0
+    for row, name in enumerate(names):
+        if name in names[:row]:
+            yield f"obstacles[{row}].name: two obstacles are named '{name}'"
 
 
 ABSENT_HEIGHT = 50.0
@@ -91,57 +104,6 @@ ABSENT_HEIGHT = 50.0
 
 
 _ROUNDING = 1e-9  # of a time [s]
-
-
-def check_waypoints(waypoints: Sequence[Sequence[float]], where: str) -> None:
-    """Refuses a course that cannot be followed.
-
-    Args:
-        waypoints: rows t, x, y, z [s, m].
-        where: the field that they are in.
-
-    Raises:
-        ScenarioError: naming `where` and the row.
-    """
-    before = -math.inf
-    for row, waypoint in enumerate(waypoints):
-        if len(waypoint) != 4:
-            raise ScenarioError(
-                f"{where}[{row}]: expected 4 numbers, t [s], x, y, z [m], not {list(waypoint)}"
-            )
-        if waypoint[0] < 0.0 or waypoint[0] <= before:
-            raise ScenarioError(
-                f"{where}[{row}]: its time {waypoint[0]:g} s must be at least 0 and later than "
-                "that of the one before"
-            )
-        if max(map(abs, waypoint[1:])) > _FARTHEST:
-            raise ScenarioError(
-                f"{where}[{row}]: {list(waypoint[1:])} is outside [-{_FARTHEST:g}, "
-                f"{_FARTHEST:g}] [m]"
-            )
-        before = waypoint[0]
-
-
-def check_present(present: Sequence[float], where: str) -> None:
-    """Refuses a time of presence that is none.
-
-    Args:
-        present: empty, [from] or [from, until] [s].
-        where: the field that it is in.
-
-    Raises:
-        ScenarioError: naming `where`.
-    """
-    if len(present) > 2:
-        raise ScenarioError(
-            f"{where}: expected [from] or [from, until] [s], not {len(present)} numbers"
-        )
-    if present and present[0] < 0.0:
-        raise ScenarioError(f"{where}[0]: {present[0]:g} must be at least 0 [s]")
-    if len(present) == 2 and present[1] <= present[0]:
-        raise ScenarioError(
-            f"{where}[1]: {present[1]:g} must be later than {present[0]:g}, when it appears [s]"
-        )
 
 
 def is_present(present: Sequence[float], time: float) -> bool:

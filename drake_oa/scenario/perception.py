@@ -1,142 +1,104 @@
-"""Given obstacles, and what no single field of a scenario's cameras and perception can tell."""
+"""Given obstacles, and checks of a scenario's cameras and perception."""
 
-# No postponed annotations here: yaml_load_typed reads the fields' types.
-import dataclasses as dc
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import Annotated
 
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 from pydrake.systems.sensors import CameraConfig
 
-from drake_oa.common.config import (
-    ScenarioError,
-    check_lcm_url,
-    check_values,
-    roll_pitch_yaw,
-    vector,
-)
-from drake_oa.perception.config import (
-    CameraSource,
-    LcmCamera,
-    LiveCameras,
-    RealSense,
-    RecordedClouds,
-)
+from drake_oa.common.config import BLOCK, Angles, Vector3
+from drake_oa.perception.config import CameraSource, LiveCameras, RealSense
 
-_MOST_PIXELS = 4096
-"""Most columns or rows of a simulated image."""
+_MAX_PIXELS = 4096
+"""Maximum number of columns or rows of a simulated image."""
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class EllipsoidConfig:
-    """One given ellipsoid, already dilated."""
+    """A given ellipsoid, already dilated."""
 
-    center: list[float] = vector([0.0, 0.0, 0.0], "m")
-    semi_axes: list[float] = vector([0.1, 0.1, 0.1], "m")
-    rpy: list[float] = roll_pitch_yaw([0.0, 0.0, 0.0])
+    center: Vector3 = Field(default=[0.0, 0.0, 0.0])
+    """Center in the world [m]. Raising it moves the ellipsoid along the axis."""
+    semi_axes: Annotated[
+        list[Annotated[float, Field(gt=0.0)]], Field(min_length=3, max_length=3)
+    ] = Field(default=[0.1, 0.1, 0.1])
+    """Lengths of the semi-axes [m]. Raising one makes the ellipsoid larger."""
+    rpy: Angles = Field(default=[0.0, 0.0, 0.0])
+    """Roll, pitch and yaw of the ellipsoid in the world [rad]."""
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class GivenEllipsoids:
-    """The descriptors themselves: the action level alone, without perception."""
+    """Given obstacle descriptors, without perception."""
 
-    ellipsoids: list[EllipsoidConfig] = dc.field(default_factory=list)
+    ellipsoids: list[EllipsoidConfig] = Field(default_factory=list)
+    """The ellipsoids."""
 
 
-def check_cameras(cameras: Sequence[CameraConfig]) -> None:
-    """What Drake's schema of a camera does not tell.
-
-    Raises:
-        ScenarioError: naming the field and what would be valid.
-    """
+def perception_problems(perception: object, cameras: Sequence[CameraConfig]) -> Iterator[str]:
+    """Yields one line for each wrong camera and each wrong reference to a camera."""
     names = [camera.name for camera in cameras]
     for row, camera in enumerate(cameras):
-        if names.count(camera.name) > 1:
-            raise ScenarioError(
-                f"cameras: two cameras are named '{camera.name}'; each needs its own name"
-            )
+        if camera.name in names[:row]:
+            yield f"cameras[{row}].name: two cameras are named '{camera.name}'"
         for field in ("width", "height"):
             pixels = getattr(camera, field)
-            if not 1 <= pixels <= _MOST_PIXELS:
-                raise ScenarioError(
-                    f"cameras[{row}].{field}: {pixels} is outside [1, {_MOST_PIXELS}] [pixel]"
-                )
-
-
-def check_perception(perception: object, cameras: Sequence[CameraConfig]) -> None:
-    """What no single field of a `perception` block can tell.
-
-    Args:
-        perception: the block.
-        cameras: of the scenario.
-
-    Raises:
-        ScenarioError: naming the field and what would be valid.
-    """
+            if not 1 <= pixels <= _MAX_PIXELS:
+                yield f"cameras[{row}].{field}: {pixels} is outside [1, {_MAX_PIXELS}] [pixel]"
     if isinstance(perception, CameraSource):
-        _check_seeing(perception, cameras)
-    check_values(perception, "perception")
+        yield from _camera_problems(perception, cameras)
     if isinstance(perception, LiveCameras) and perception.noise is not None:
-        raise ScenarioError(
+        yield (
             f"perception.noise: images of !{type(perception).__name__} have their own; "
             "leave it out, or null"
         )
-    if isinstance(perception, LcmCamera):
-        check_lcm_url(perception.lcm_url, "perception.lcm_url")
     if isinstance(perception, RealSense):
-        _check_serials(perception)
-    if isinstance(perception, RecordedClouds) and not perception.folder:
-        raise ScenarioError("perception.folder: is empty; it must name a folder of recordings")
-    if isinstance(perception, GivenEllipsoids):
-        for row, item in enumerate(perception.ellipsoids):
-            if min(item.semi_axes) <= 0.0:
-                raise ScenarioError(
-                    f"perception.ellipsoids[{row}].semi_axes: {item.semi_axes} "
-                    "must all be positive [m]"
-                )
+        yield from _serial_problems(perception)
 
 
-def _check_serials(perception: RealSense) -> None:
-    """Whether each camera is one device, which is another's at most."""
+def _serial_problems(perception: RealSense) -> Iterator[str]:
+    """Yields one line for each camera without a device of its own."""
     names, serials = perception.names, perception.serials
     for name in serials:
         if name not in names:
-            raise ScenarioError(
-                f"perception.serials.{name}: perception does not see by '{name}', but by "
+            yield (
+                f"perception.serials.{name}: perception does not use camera '{name}', but "
                 f"{', '.join(names)}"
             )
     missing = [name for name in names if not serials.get(name)]
     if missing and len(names) > 1:
-        raise ScenarioError(
+        yield (
             f"perception.serials: '{missing[0]}' has none; of several cameras each needs the "
             "serial number of its device"
         )
     if len(set(serials.values())) < len(serials):
-        raise ScenarioError("perception.serials: two cameras have the same; each is a device")
+        yield "perception.serials: two cameras have the same; each is a device"
 
 
-def _check_seeing(perception: CameraSource, cameras: Sequence[CameraConfig]) -> None:
-    """Whether the cameras that perception names are there, and go together."""
+def _camera_problems(perception: CameraSource, cameras: Sequence[CameraConfig]) -> Iterator[str]:
+    """Yields one line for each camera that is missing, named twice, or not synchronized."""
     names = perception.cameras
     if names and perception.camera != CameraSource.camera:
-        raise ScenarioError(
+        yield (
             f"perception.camera: '{perception.camera}' and perception.cameras: {names} exclude "
             "each other: name one camera or several"
         )
     known = {camera.name: row for row, camera in enumerate(cameras)}
+    used = []
     for row, name in enumerate(perception.names):
         field = f"perception.cameras[{row}]" if names else "perception.camera"
         if name not in known:
-            raise ScenarioError(
-                f"{field}: there is no camera '{name}'; cameras has {', '.join(known) or 'none'}"
-            )
-        if names.count(name) > 1:
-            raise ScenarioError(f"{field}: '{name}' is named twice")
-    first = cameras[known[perception.names[0]]]
-    for name in perception.names[1:]:
+            yield f"{field}: there is no camera '{name}'; cameras has {', '.join(known) or 'none'}"
+        elif name in names[:row]:
+            yield f"{field}: '{name}' is named twice"
+        else:
+            used.append(name)
+    for name in used[1:]:
         for field, unit in (("fps", "1/s"), ("output_delay", "s")):
-            own, other = getattr(cameras[known[name]], field), getattr(first, field)
-            if own != other:
-                raise ScenarioError(
-                    f"cameras[{known[name]}].{field}: '{name}' has {own:g}, '{first.name}' "
-                    f"{other:g} [{unit}]; cameras that perception.cameras names take their images "
-                    "at the same times"
+            own, first = (getattr(cameras[known[each]], field) for each in (name, used[0]))
+            if own != first:
+                yield (
+                    f"cameras[{known[name]}].{field}: '{name}' has {own:g}, '{used[0]}' {first:g} "
+                    f"[{unit}]; cameras named by perception.cameras must be synchronized"
                 )

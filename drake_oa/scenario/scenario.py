@@ -1,17 +1,18 @@
-"""The typed scenario: everything a run needs, composed of the layers' blocks.
+"""The scenario: all parameters of a run, composed of the layers' blocks.
 
 `drake_oa.scenario.loading` reads it from a YAML file.
 """
 
-# No postponed annotations here: yaml_load_typed reads the fields' types.
 import dataclasses as dc
+import typing
+from typing import Annotated, Literal
 
+from pydantic import Field
+from pydantic.dataclasses import dataclass, rebuild_dataclass
 from pydrake.multibody.parsing import ModelDirective
 from pydrake.systems.sensors import CameraConfig
 
-from drake_oa.common.config import ScenarioError
-from drake_oa.common.config import count as _count
-from drake_oa.common.config import number as _number
+from drake_oa.common.config import BLOCK, DrakeStruct, ScenarioError, Tagged
 from drake_oa.common.thinking import Thinking
 from drake_oa.perception.config import CameraNoise as CameraNoise
 from drake_oa.perception.config import (
@@ -36,75 +37,73 @@ LAYERS = ("perception", "descriptor", "decision", "motion")
 sections; cost rings and chosen sides; planned and executed path."""
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class View:
-    """What a viewer shows at first; whoever looks may change it there."""
+    """Layers that a viewer shows at first; its user may change them."""
 
-    # Some of perception, descriptor, decision and motion; null: what decides, which is decision
-    # and motion, and for !Paper the descriptor.
-    show: list[str] | None = None
+    show: list[Literal["perception", "descriptor", "decision", "motion"]] | None = None
+    """Layers to show; null: decision and motion, and for !Paper also the descriptor."""
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class Scenario:
-    """Everything a run needs. Each field has a default; a file states the rest."""
+    """All parameters of a run. Each field has a default."""
 
-    # One line for `drake-oa scenarios`.
     description: str = ""
-    # Of the camera's noise: the same scenario with the same seed always runs the same.
-    seed: int = _count(0, 0, 2**31 - 1)
-    # Step of the simulated plant and controller [s].
-    plant_step: float = _number(0.002, "s", 1e-5, 0.01)
-    task: Task = dc.field(default_factory=Task)
-    policy: Policy = dc.field(default_factory=Policy)
-    # The robot, or null: the action level drives a free point.
-    robot: Robot | None = dc.field(default_factory=Robot)
-    # What stands in the world besides the robot (Drake model directives).
-    # Obstacles are the model instances whose name starts with "obstacle".
-    directives: list[ModelDirective] = dc.field(default_factory=list)
-    # Obstacles of primitive shapes, written here.
-    obstacles: list[Obstacle] = dc.field(default_factory=list)
-    # Drake's camera configurations, each with a name of its own.
-    cameras: list[CameraConfig] = dc.field(default_factory=list)
-    # Where obstacles come from.
-    perception: (
-        DepthCamera | GroundTruth | RecordedClouds | GivenEllipsoids | LcmCamera | RealSense
-    ) = dc.field(default_factory=GroundTruth)
-    # What the coupling parameters come from.
-    regulation: Verified | Paper = dc.field(default_factory=Verified)
-    # What watches the motion of the robot, or null: nothing does.
-    supervisor: SupervisorParameters | None = dc.field(default_factory=SupervisorParameters)
-    # What gets the arm out of the way of what moves, or null: nothing does; nor does anything
-    # without a supervisor.
-    evasion: EvasionParameters | None = dc.field(default_factory=EvasionParameters)
-    # What decisions cost in simulated time, or null: they are in force at once.
-    thinking: Thinking | None = dc.field(default_factory=Thinking)
-    # Height of the table in the world; null: there is none [m].
-    table_height: float | None = dc.field(default=0.0, metadata={"unit": "m"})
-    # What a viewer shows.
-    view: View = dc.field(default_factory=View)
-    # What goes wrong, and when.
-    faults: list[Fault] = dc.field(default_factory=list)
+    """One line for `drake-oa scenarios`."""
+    seed: int = Field(default=0, ge=0, le=2**31 - 1)
+    """Seed of the camera noise [1]. A scenario with the same seed gives the same trajectory."""
+    plant_step: float = Field(default=0.002, ge=1e-5, le=0.01)
+    """Time step of the simulated plant and the controller [s]. Raising it makes the simulation
+    quicker and less accurate."""
+    task: Task = Field(default_factory=Task)
+    """The nominal motion."""
+    policy: Policy = Field(default_factory=Policy)
+    """Constants of the dynamic movement primitive."""
+    robot: Robot | None = Field(default_factory=Robot)
+    """The robot; null: the motion drives a free point."""
+    directives: list[Annotated[ModelDirective, DrakeStruct()]] = Field(default_factory=list)
+    """Models in the world beside the robot, as Drake model directives. Obstacles are the model
+    instances whose name starts with "obstacle"."""
+    obstacles: list[Obstacle] = Field(default_factory=list)
+    """Obstacles of primitive shapes."""
+    cameras: list[Annotated[CameraConfig, DrakeStruct()]] = Field(default_factory=list)
+    """Drake's camera configurations, each with its own name."""
+    perception: Annotated[
+        DepthCamera | GroundTruth | RecordedClouds | GivenEllipsoids | LcmCamera | RealSense,
+        Tagged(),
+    ] = Field(default_factory=GroundTruth)
+    """Source of the obstacles."""
+    regulation: Annotated[Verified | Paper, Tagged()] = Field(default_factory=Verified)
+    """Source of the coupling parameters."""
+    supervisor: SupervisorParameters | None = Field(default_factory=SupervisorParameters)
+    """Supervisor of the robot's motion; null: none."""
+    evasion: EvasionParameters | None = Field(default_factory=EvasionParameters)
+    """Evasion of moving obstacles, which needs a supervisor; null: none."""
+    thinking: Thinking | None = Field(default_factory=Thinking)
+    """Simulated duration of decisions; null: decisions act immediately."""
+    table_height: float | None = 0.0
+    """Height of the table in the world [m]; null: no table. Raising it raises the table."""
+    view: View = Field(default_factory=View)
+    """Layers that a viewer shows."""
+    faults: list[Annotated[Fault, Tagged()]] = Field(default_factory=list)
+    """Faults injected into the simulation."""
 
 
 def allow_perception(block: type) -> None:
-    """Makes a dataclass a valid block of `perception`, under its class's name as a tag.
+    """Makes a dataclass a valid block of `perception`, with its class name as the tag.
 
     Raises:
-        TypeError: if it is no dataclass, has no `period`, or its module postpones annotations.
+        TypeError: if it is no dataclass, or has no field `period`.
     """
     if not dc.is_dataclass(block) or "period" not in {item.name for item in dc.fields(block)}:
         raise TypeError(
             f"{block.__name__}: a perception block is a dataclass with a field 'period'"
         )
-    if any(isinstance(item.type, str) for item in dc.fields(block)):
-        raise TypeError(
-            f"{block.__name__}: its module postpones annotations, of which Drake's YAML reader "
-            "knows nothing: leave out `from __future__ import annotations` there"
-        )
-    item = next(item for item in dc.fields(Scenario) if item.name == "perception")
-    item.type = item.type | block
-    Scenario.__annotations__["perception"] = item.type
+    field = next(item for item in dc.fields(Scenario) if item.name == "perception")
+    union, tagged = typing.get_args(field.type)
+    field.type = Annotated[union | block, tagged]
+    rebuild_dataclass(Scenario, force=True)  # type: ignore[arg-type]
 
 
 def robot_of(scenario: Scenario) -> Robot:

@@ -1,53 +1,63 @@
 """The task block of a scenario, and where its goal is, which may be moved during the motion."""
 
-import dataclasses as dc
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
+from pydantic.dataclasses import dataclass
 from pydrake.trajectories import PiecewisePolynomial
 
-from drake_oa.common.config import ScenarioError, roll_pitch_yaw
-from drake_oa.common.config import number as _number
-from drake_oa.common.config import vector as _vector
+from drake_oa.common.config import BLOCK, Angles, Vector3
 from drake_oa.common.messages import FloatArray
 
 LONGEST = 600.0
-"""Longest that a demonstrated motion may take [s]."""
+"""Maximum duration of a demonstrated motion [s]."""
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class Task:
-    """The motion that was planned without knowing the obstacles."""
+    """The nominal motion, planned without knowledge of the obstacles."""
 
-    # Where the tool point starts, and should end, in the world frame [m].
-    start: list[float] = _vector([0.45, -0.45, 0.3], "m")
-    goal: list[float] = _vector([0.45, 0.45, 0.3], "m")
-    # Where the goal is moved to, and when: rows [t, x, y, z]; from time t on it is there, in
-    # the world [s, m].
-    goal_moves: list[list[float]] = dc.field(default_factory=list)
-    # Duration T of the demonstrated motion; the avoiding one takes tau T [s]. Ignored
-    # where the demonstration brings its own `t`: then T is what that spans.
-    duration: float = _number(5.0, "s", 0.0, LONGEST, open_low=True)
-    # Asked distance between tool and obstacle, Delta [m].
-    clearance: float = _number(0.15, "m", 0.0, 2.0, open_low=True)
-    # Roll, pitch and yaw of R_WE at start and goal [rad]; null: what the demonstration has
-    # there, or without orientations in it `robot.rpy_WE`.
-    rpy_start: list[float] | None = roll_pitch_yaw()
-    rpy_goal: list[float] | None = roll_pitch_yaw()
-    # Joints of the arm at start and goal, as many as `robot.q_seed` has [rad]; null: what
-    # inverse kinematics finds near that. What is not stated of start, goal and their
-    # orientations follows from them, and what is must agree. The posture leads from one to
-    # the other.
-    q_start: list[float] | None = dc.field(default=None, metadata={"unit": "rad"})
-    q_goal: list[float] | None = dc.field(default=None, metadata={"unit": "rad"})
-    # Demonstrations to imitate: a file, or a list of files of one motion shown several times,
-    # which are averaged. .npz with `path` (T, 3) and, if uneven in time, `t` (T,) [s]; and, if
-    # the tool turns, its orientations R_WE as `quaternion` (T, 4), w first and of either sign,
-    # or `R` (T, 3, 3). Or .csv whose first line names its columns: x, y, z, if uneven in time t,
-    # and if the tool turns qw, qx, qy, qz. Relative to the scenario file, or a package:// URL.
-    # Empty: minimum jerk along the straight line and about a fixed axis.
-    demonstration: list[str] = dc.field(default_factory=list)
+    start: Vector3 = Field(default=[0.45, -0.45, 0.3])
+    """Start of the tool point in the world [m]. Raising it moves the start along the axis."""
+    goal: Vector3 = Field(default=[0.45, 0.45, 0.3])
+    """Goal of the tool point in the world [m]. Raising it moves the goal along the axis."""
+    goal_moves: list[Annotated[list[float], Field(min_length=4, max_length=4)]] = Field(
+        default_factory=list
+    )
+    """Moves of the goal during the motion: rows [t, x, y, z]; from time t on, the goal is at this
+    position in the world [s, m]."""
+    duration: float = Field(default=5.0, gt=0.0, le=LONGEST)
+    """Duration T of the nominal motion [s]; the avoiding motion takes tau T. Ignored if the
+    demonstration has its own times. Raising it moves more slowly."""
+    clearance: float = Field(default=0.15, gt=0.0, le=2.0)
+    """Requested clearance Delta between the tool and the obstacles [m]. Raising it makes the detour
+    around obstacles wider."""
+    rpy_start: Angles | None = None
+    """Roll, pitch and yaw of the tool frame E in the world at the start [rad]; null: those of the
+    demonstration, or `robot.rpy_WE`."""
+    rpy_goal: Angles | None = None
+    """Roll, pitch and yaw of the tool frame E in the world at the goal [rad]; null: those of the
+    demonstration, or `robot.rpy_WE`."""
+    q_start: list[float] | None = None
+    """Positions of the arm's joints at the start, as many as `robot.q_seed` has [rad]; null: a
+    solution of the inverse kinematics close to it. Start position and orientation that are not
+    given follow from the joints; given ones must agree."""
+    q_goal: list[float] | None = None
+    """Positions of the arm's joints at the goal [rad]; null: a solution of the inverse kinematics.
+    Goal position and orientation that are not given follow from the joints; given ones must agree.
+    The posture changes from `q_start` to `q_goal` along the motion."""
+    demonstration: list[str] = Field(default_factory=list)
+    """Demonstrations to reproduce: a file, or a list of files with repetitions of one motion, which
+    are averaged; relative to the scenario file, or package:// URLs. Empty: a minimum-jerk motion on
+    a straight line with a rotation about a fixed axis.
+
+    A .npz file has the array `path` (T, 3) [m], for uneven sampling `t` (T,) [s], and for a turning
+    tool the orientations R_WE as `quaternion` (T, 4), w first, or `R` (T, 3, 3). A .csv file names
+    its columns in the first line: x, y, z, for uneven sampling t, and for a turning tool
+    qw, qx, qy, qz."""
 
 
 _LATER = 1e-6
@@ -56,40 +66,19 @@ _APART = 1e-3
 """Least distance of a goal from the start [m]."""
 
 
-def check_goals(
-    start: Sequence[float], goal: Sequence[float], moves: Sequence[Sequence[float]]
-) -> None:
-    """Refuses goals that no motion from the start can have.
-
-    Args:
-        start: (3,) of the task [m].
-        goal: (3,) of the task [m].
-        moves: rows t, x, y, z [s, m].
-
-    Raises:
-        ScenarioError: naming the field.
-    """
-    if math.dist(start, goal) < _APART:
-        raise ScenarioError(
-            f"task.goal: {list(goal)} is the start; they must be at least 1 mm apart"
-        )
+def goal_problems(task: Task) -> Iterator[str]:
+    """Yields one line for each goal that no motion from the start can have."""
+    if math.dist(task.start, task.goal) < _APART:
+        yield f"task.goal: {task.goal} is the start; they must be at least 1 mm apart"
     before = 0.0
-    for row, move in enumerate(moves):
+    for row, (time, *goal) in enumerate(task.goal_moves):
         where = f"task.goal_moves[{row}]"
-        if len(move) != 4:
-            raise ScenarioError(
-                f"{where}: expected 4 numbers, t [s], x, y, z [m], not {list(move)}"
-            )
-        if move[0] < before + _LATER:
-            than = "0" if row == 0 else "that of the one before"
-            raise ScenarioError(
-                f"{where}: its time {move[0]:g} s must be later than {than}, by 1 us at least"
-            )
-        if math.dist(start, move[1:]) < _APART:
-            raise ScenarioError(
-                f"{where}: {list(move[1:])} is the start; they must be at least 1 mm apart"
-            )
-        before = move[0]
+        if time < before + _LATER:
+            earlier = "0" if row == 0 else "that of the previous move"
+            yield f"{where}: its time {time:g} s must be later than {earlier}, by at least 1 us"
+        if math.dist(task.start, goal) < _APART:
+            yield f"{where}: {goal} is the start; they must be at least 1 mm apart"
+        before = time
 
 
 def goal_steps(task: Task) -> FloatArray:

@@ -25,7 +25,6 @@ from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import Context, LeafSystem, ValueProducer
 from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 
-from drake_oa.common.config import check_values
 from drake_oa.common.ports import read_value
 from drake_oa.geometry.pinhole import pinhole
 from drake_oa.perception.config import CameraNoise
@@ -127,7 +126,6 @@ class FrameNoise:
         """
         self._K = np.array(K, dtype=float)
         self._parameters = parameters or CameraNoise()
-        check_values(self._parameters)
         self._seed = seed
         # Invalid arguments, and a kernel not compiled yet, tell here and not at the first frame.
         self(np.ones((2, 2), dtype=np.float32), 0.0)

@@ -90,9 +90,6 @@ def hang_on_slides(
     plant.set_gravity_enabled(instance, False)
 
 
-# No postponed annotations here: yaml_load_typed reads the fields' types.
-
-
 _FRICTION = 0.7
 
 
@@ -101,7 +98,7 @@ def add_obstacle(plant: MultibodyPlant, obstacle: Obstacle) -> ModelInstanceInde
 
     Args:
         plant: registered with a scene graph and not finalized.
-        obstacle: see `check_obstacles`.
+        obstacle: shapes, pose and motion.
 
     Raises:
         ScenarioError: if the world has a model instance of that name.

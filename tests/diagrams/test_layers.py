@@ -3,12 +3,14 @@
 import dataclasses as dc
 
 import pytest
+from pydantic import Field
+from pydantic.dataclasses import dataclass, rebuild_dataclass
 from pydrake.common.value import Value
 from pydrake.systems.framework import LeafSystem
 from pydrake.systems.primitives import ConstantValueSource
 from pydrake.systems.sensors import ImageDepth32F
 
-from drake_oa.common.config import ScenarioError
+from drake_oa.common.config import BLOCK, ScenarioError
 from drake_oa.common.messages import ObstacleClouds
 from drake_oa.common.wires import connections
 from drake_oa.diagrams.avoidance import Layers, build_avoidance, nothing
@@ -17,11 +19,12 @@ from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_te
 from drake_oa.scenario.scenario import Scenario, allow_perception
 
 
-@dc.dataclass
+@dataclass(config=BLOCK)
 class Nobody:
     """A source that sees nothing."""
 
-    period: float = dc.field(default=0.1, metadata={"unit": "s", "low": 1e-3, "high": 1.0})
+    period: float = Field(default=0.1, ge=1e-3, le=1.0)
+    """Time between two observations [s]."""
 
 
 @pytest.fixture
@@ -36,7 +39,8 @@ def nobody():
 
     register_source(Nobody, add)
     yield
-    field.type = Scenario.__annotations__["perception"] = before
+    field.type = before
+    rebuild_dataclass(Scenario, force=True)
     del SOURCES[Nobody]
 
 
@@ -45,7 +49,7 @@ def test_a_registered_block_is_read_checked_written_and_built() -> None:
     scenario = load_scenario("tabletop_box", ["perception=!Nobody {period: 0.2}"])
     assert scenario.perception == Nobody(period=0.2)
     assert parse_scenario(scenario_text(scenario)).perception == scenario.perception
-    with pytest.raises(ScenarioError, match=r"perception.period: 7.* 1"):
+    with pytest.raises(ScenarioError, match=r"perception.period: must be .* <= 1"):
         load_scenario("tabletop_box", ["perception=!Nobody {period: 7}"])
     edges = connections(build_avoidance(scenario))
     assert ("perception.y0", "ellipsoid_descriptor.obstacles_W") in edges
@@ -57,9 +61,6 @@ def test_a_registered_block_is_read_checked_written_and_built() -> None:
 def test_what_cannot_be_a_block_is_refused() -> None:
     with pytest.raises(TypeError, match="int: a perception block is a dataclass"):
         allow_perception(int)
-    postponed = dc.make_dataclass("Postponed", [("period", "float", 0.1)])
-    with pytest.raises(TypeError, match="Postponed: its module postpones annotations"):
-        allow_perception(postponed)
 
 
 def test_a_layer_that_adds_nothing_leaves_its_signals_open() -> None:

@@ -38,7 +38,7 @@ from drake_oa.common.config import ScenarioError, check_size
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere
 from drake_oa.robot.config import BasePose, Robot, SphereParameters
 from drake_oa.scenario.loading import load_scenario
-from drake_oa.scenario.obstacles import Obstacle, check_obstacles
+from drake_oa.scenario.obstacles import Obstacle, obstacle_problems
 
 LARGEST_ARCHIVE, LARGEST_FILE = 256 * 2**20, 2**20
 """More is not unpacked, of an archive and of a file in it [bytes]."""
@@ -156,7 +156,8 @@ def parse_problem(text: ProblemText) -> Problem:
             _obstacle(item, f"world.collision_objects[{row}]")
             for row, item in enumerate(_list(_at(scene, "world", "collision_objects"), "objects"))
         ]
-        check_obstacles(obstacles)
+        for problem in obstacle_problems(obstacles):
+            raise ValueError(problem)
         state = _at(request, "start_state", "joint_state")
         names, values = _list(_at(state, "name"), "name"), _list(_at(state, "position"), "position")
         if len(names) != len(values):
