@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from drake_oa.common.config import check_values
 from drake_oa.control.operational_space import (
     ArmLimits,
     ArmState,
@@ -194,19 +191,6 @@ def test_a_state_that_is_not_finite_gives_no_torque() -> None:
     ):
         assert torque.stopping
         np.testing.assert_array_equal(torque.tau, np.zeros(N))
-
-
-@pytest.mark.parametrize("name", [item.name for item in dataclasses.fields(Gains)])
-@pytest.mark.parametrize("bad", [-1.0, np.nan, np.inf])
-def test_a_bad_gain_is_named(name: str, bad: float) -> None:
-    with pytest.raises(ValueError, match=name):
-        check_values(Gains(**{name: bad}))
-
-
-@pytest.mark.parametrize("name", ["max_effective_mass", "rotation_length", "kd_stop"])
-def test_a_gain_that_divides_is_not_zero(name: str) -> None:
-    with pytest.raises(ValueError, match=name):
-        check_values(Gains(**{name: 0.0}))
 
 
 def test_limits_that_cannot_be_are_refused() -> None:
