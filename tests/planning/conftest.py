@@ -28,3 +28,9 @@ def six_arm(tmp_path_factory: pytest.TempPathFactory) -> ArmAlone:
             q_seed=[0.3, -1.5708, 1.5708, -1.5708, -1.5708, 0.0],
         )
     )
+
+
+@pytest.fixture(params=["panda_arm", "six_arm"])
+def arm(request: pytest.FixtureRequest) -> ArmAlone:
+    """Each of the two."""
+    return request.getfixturevalue(request.param)

@@ -70,12 +70,6 @@ def test_a_seen_box_is_a_solid_with_its_far_side():
     assert distance(scene.solids, 1, [0.0, 0.0, 0.3]) == pytest.approx(0.3)
 
 
-def test_without_a_viewpoint_nothing_hidden_is_filled():
-    scene = looked_at(SeenSolids(), seen(box(), table=None)).scene
-    assert scene.labels == ("obstacle 0",)
-    assert distance(scene.solids, 0, CENTER) > 0.02
-
-
 def test_noise_leaves_the_arrays_as_they_are():
     first = looked_at(SeenSolids(), seen(box(noise=0.0012)), CAMERA)
     now = first
@@ -224,11 +218,6 @@ def test_coarser_voxels_are_told_once(caplog):
     assert "obstacle 0: voxels of" in caplog.text
 
 
-def test_a_period_that_is_not_positive_is_refused():
-    with pytest.raises(ValueError, match="period"):
-        CloudSolids(period=0.0)
-
-
 def post(height):
     """The front of a post, 4 cm broad, as high as that."""
     y, z = np.meshgrid(np.arange(-0.02, 0.021, 0.005), np.arange(0.0, height, 0.005))
@@ -274,21 +263,6 @@ def test_what_has_moved_is_told_until_it_is_gone():
     # Its name may be given again.
     assert names_moved(seen(), moved) == frozenset()
     assert names_moved(seen((np.nan, 0.0, 0.0)), frozenset()) == frozenset()
-
-
-def test_half_a_million_points_are_one_field_that_errs_to_the_near_side():
-    cloud = RNG.uniform([0.3, -0.5, 0.0], [1.3, 0.5, 0.6], (500_000, 3))
-    found = looked_at(SeenSolids(), seen(cloud), CAMERA)
-    (field,) = found.fields
-    assert field.grid.values.size <= 1 << 20
-    assert "voxels of" in field.grid.note
-    # A wall of the cloud is no farther than it is.
-    for gap in (0.02, 0.1, 0.2):
-        d = solid_distance(found.scene.solids, 0, 0.3 - gap, 0.0, 0.3, 1.0)
-        assert gap - 0.03 <= d <= gap + 0.01
-    noise = RNG.normal(scale=1e-3, size=cloud.shape)
-    again = looked_at(found, seen(cloud + noise, stamp=1.1), CAMERA)
-    assert again.scene.solids is found.scene.solids
 
 
 OTHER = np.array([-0.4, 0.0, 0.8])

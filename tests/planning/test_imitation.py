@@ -122,14 +122,3 @@ def test_free_corners_are_rounded_and_tight_ones_stay(panda_arm: ArmAlone) -> No
     tight = shown_of(world, corners)
     assert excess_along(world, tight.q) > 0.5 * excess_along(world, free.q)
     assert nearest(tight.q) < nearest(free.q)
-
-
-def test_what_cannot_be_imitated_is_refused(panda_arm: ArmAlone) -> None:
-    q = panda_arm.q
-    with pytest.raises(ValueError, match=r"coincide|same|start"):
-        shown_of(panda_arm.among(), np.stack([q, q]))
-    # A whole turn of the tool on the spot ends where it began.
-    turned = q.copy()
-    turned[6] += 1.0
-    with pytest.raises(ValueError, match=r"coincide|same|start"):
-        shown_of(panda_arm.among(), np.stack([q, turned, q]))

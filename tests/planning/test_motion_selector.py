@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import logging
 import math
 import re
@@ -186,14 +185,6 @@ def test_rings_of_ones_own_count_in_the_choice_of_a_side(
     assert beside[2] <= 0.3
 
 
-def test_a_ring_below_one_makes_a_side_dearer(panda_arm: ArmAlone, proposer: Proposer) -> None:
-    seen = balls([0.45, 0.02, 0.1], radius=[0.1, 0.1, 0.25])
-    bench = Bench(panda_arm, proposer, BOX, rings={"up": _ring(lambda w: w[:, 2] > 0.3, 0.9)})
-    bench.fix(ellipsoids_W=seen)
-    bench.chosen()
-    assert bench.output("sides").direction_W[0, 2] <= 0.3
-
-
 def test_where_rings_forbid_every_side_the_motion_holds_and_says_so(
     panda_arm: ArmAlone, proposer: Proposer
 ) -> None:
@@ -255,17 +246,6 @@ def test_a_motion_in_use_stays_while_nothing_changes(
     # What goes, is not gone round any more.
     bench.see(TABLE, stamp=0.2)
     assert len(bench.chosen(0.3).alpha) == 0
-
-
-def test_decisions_are_the_same_each_time(panda_arm: ArmAlone, proposer: Proposer) -> None:
-    motions, terms = [], []
-    for _ in range(2):
-        bench = Bench(panda_arm, proposer, TABLE, BOX)
-        terms.append(bench.chosen())
-        motions.append(bench.motion)
-    np.testing.assert_array_equal(motions[0].q, motions[1].q)
-    np.testing.assert_array_equal(terms[0].alpha, terms[1].alpha)
-    np.testing.assert_array_equal(terms[0].center_W, terms[1].center_W)
 
 
 def walls() -> list[Solid]:
@@ -399,17 +379,6 @@ def test_a_tool_in_contact_may_leave_it(
     assert found.note == ""
     assert bench.kept(bench.motion.q).min() >= deep - 1e-3
     assert bench.kept(bench.motion.q[-1:]).min() > CLEARANCE
-
-
-def test_its_ports_are_those_it_tells_of(panda_arm: ArmAlone, proposer: Proposer) -> None:
-    system = Bench(panda_arm, proposer).system
-    text = inspect.getdoc(MotionSelector)
-    told = re.findall(r"^  +- (\w+)", text, flags=re.MULTILINE)
-    ports = [system.get_input_port(k).get_name() for k in range(system.num_input_ports())]
-    ports += [system.get_output_port(k).get_name() for k in range(system.num_output_ports())]
-    assert told == ports
-    with pytest.raises(ValueError, match="period must be positive"):
-        MotionSelector(Bench(panda_arm, proposer).search, (0,), 2, period=0.0)
 
 
 def test_among_what_moves_a_search_goes_on_with_other_candidates(

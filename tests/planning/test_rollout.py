@@ -19,11 +19,6 @@ S = np.linspace(0.0, 1.0, 33)
 MISSED = 2e-3
 
 
-@pytest.fixture(params=["panda_arm", "six_arm"])
-def arm(request: pytest.FixtureRequest) -> ArmAlone:
-    return request.getfixturevalue(request.param)
-
-
 def swings(arm: ArmAlone, random: np.random.Generator, count: int) -> ToolPaths:
     """Smooth motions of the tool and of its orientation from where it is, and of the posture."""
     X_WE, ramp = arm.X_WE, S * S * (3.0 - 2.0 * S)
@@ -204,21 +199,3 @@ def test_an_obstacle_is_where_it_will_be(panda_arm: ArmAlone) -> None:
     # It comes nearer; and what has gone by is not met any more.
     assert least[2] < least[0] - 0.05
     assert least[5] > least[4] + 0.05
-
-
-def test_it_may_be_asked_of_random_starts(panda_arm: ArmAlone) -> None:
-    random = np.random.default_rng(11)
-    for _ in range(20):
-        q = panda_arm.random_q(random)
-        X_WE = panda_arm.poses(q)[-1]
-        paths = swings(panda_arm, random, 2)
-        shift = replace(
-            paths,
-            p_WE=paths.p_WE - panda_arm.X_WE[9:] + X_WE[9:],
-            R_WE=np.tile(X_WE[:9], (2, len(S), 1)),
-        )
-        found = roll_out_arm(bare(panda_arm, []), q, shift)
-        assert np.isfinite(found.q).all()
-        assert np.isfinite(found.error).all()
-        assert (found.q >= panda_arm.chain.lower).all()
-        assert (found.q <= panda_arm.chain.upper).all()

@@ -7,17 +7,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.planning.arm_world import Chain
 from drake_oa.planning.tracking import follow, pose_error, reach, scratch
 from tests.planning.arms import ArmAlone
 
 PULL = 0.3
 SEEDS = st.integers(0, 2**32 - 1)
-
-
-@pytest.fixture(params=["panda_arm", "six_arm"])
-def arm(request: pytest.FixtureRequest) -> ArmAlone:
-    return request.getfixturevalue(request.param)
 
 
 def shifted(X_WE: FloatArray, p: FloatArray, turn: FloatArray) -> FloatArray:
@@ -117,13 +111,6 @@ def test_the_null_space_is_led_along_postures(panda_arm: ArmAlone) -> None:
     np.testing.assert_allclose(led, way, atol=2e-3)
 
 
-def test_six_joints_are_drawn_to_nothing(six_arm: ArmAlone) -> None:
-    targets = np.tile(six_arm.X_WE, (20, 1))
-    joints, errors = went(six_arm, six_arm.q, targets, six_arm.q + 0.5)
-    assert errors.max() < 1e-4
-    np.testing.assert_allclose(joints[-1], six_arm.q, atol=1e-3)
-
-
 @settings(max_examples=20)
 @given(seed=SEEDS)
 def test_joints_stay_within_their_limits_and_the_error_tells(
@@ -143,36 +130,3 @@ def test_joints_stay_within_their_limits_and_the_error_tells(
         assert (joints >= arm.chain.lower).all()
         assert (joints <= arm.chain.upper).all()
         assert errors[-1] > 0.1
-
-
-def test_a_singular_arm_does_not_blow_up(panda_arm: ArmAlone) -> None:
-    """Stretched upright, in all of whose joints' axes there are but few directions."""
-    q = np.zeros(7)
-    wide = np.full(7, np.pi)
-    chain = Chain(panda_arm.chain.X_PJ, -wide, wide, panda_arm.chain.speed, panda_arm.chain.reach)
-    room, X, guide = scratch(7), panda_arm.poses(q)[-1], np.zeros((2, 7))
-    for step in ([0.0, 0.0, 1e-3], [0.0, 1e-3, 0.0], [1e-3, 0.0, 0.0]):
-        now = q.copy()
-        follow(now, shifted(X, np.array(step), np.zeros(3)), guide, 1, PULL, chain, room)
-        assert np.isfinite(now).all()
-        assert np.abs(now - q).max() < 0.5
-    # No error, no motion.
-    now = q.copy()
-    assert follow(now, X, guide, 1, PULL, chain, room) < 1e-12
-    np.testing.assert_allclose(now, q, atol=1e-12)
-
-
-@settings(max_examples=20)
-@given(seed=SEEDS)
-def test_a_pose_is_reached_or_it_is_said(panda_arm: ArmAlone, seed: int) -> None:
-    random = np.random.default_rng(seed)
-    chain, room = panda_arm.chain, scratch(7)
-    aim = panda_arm.random_q(random)
-    X = panda_arm.poses(aim)[-1].copy()
-    q = np.clip(aim + random.uniform(-0.2, 0.2, 7), chain.lower, chain.upper)
-    if reach(q, X, chain, room, 100, 1e-6):
-        assert pose_error(panda_arm.poses(q), X, np.empty(6)) < 1e-3
-        assert (q >= chain.lower).all()
-        assert (q <= chain.upper).all()
-    away = shifted(X, np.array([3.0, 0.0, 0.0]), np.zeros(3))
-    assert not reach(q, away, chain, room, 30, 1e-6)

@@ -172,11 +172,6 @@ def test_scenes_are_the_same_while_nothing_moves() -> None:
     assert SolidScene().same_as(SolidScene())
 
 
-def test_a_period_must_be_one() -> None:
-    with pytest.raises(ValueError, match="period must be positive"):
-        World(period=0.0)
-
-
 def test_given_ellipsoids_are_solids():
     given = EllipsoidSet(
         stamp=np.inf,
