@@ -31,10 +31,6 @@ def test_parts_are_the_cloud(seed: int, count: int, halvings: int) -> None:
     np.testing.assert_array_equal(np.unique(joined, axis=0), np.unique(cloud, axis=0))
 
 
-def test_equal_points_are_one_part() -> None:
-    assert len(cloud_parts(np.ones((20, 3)), 2)) == 1
-
-
 @given(seed=st.integers(0, 10_000))
 @settings(max_examples=10, deadline=None)
 def test_the_ellipsoids_hold_every_point_dilated_by_every_part(seed: int) -> None:

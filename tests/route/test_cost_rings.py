@@ -3,7 +3,6 @@
 from functools import partial
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -11,7 +10,6 @@ from drake_oa.common.messages import EllipsoidSet, TablePlane
 from drake_oa.route.cost_rings import (
     RingScene,
     length_ring,
-    limits_ring,
     path_length,
     remaining_clearance,
     ring_scene,
@@ -33,10 +31,6 @@ def chosen(scene: RingScene, row: int = 0, **rings: object) -> np.ndarray:
     return scene.directions_W[select_directions(scene, RINGS | rings).index[row]]
 
 
-def test_an_obstacle_left_of_the_line_is_passed_on_the_right() -> None:
-    np.testing.assert_allclose(chosen(scene_of(balls((0.5, 0.05, 0.3)))), [0, -1, 0], atol=1e-12)
-
-
 def test_the_table_forbids_the_way_below() -> None:
     tall = scene_of(balls((0.5, 0.0, 0.32), radius=0.2))
     index = select_directions(tall, RINGS).index
@@ -45,33 +39,12 @@ def test_the_table_forbids_the_way_below() -> None:
     np.testing.assert_allclose(chosen(free), [0, 0, -1], atol=1e-12)
 
 
-def test_the_workspace_forbids_what_leaves_it() -> None:
-    scene = scene_of(balls((0.5, 0.05, 0.3)))
-    limits = partial(limits_ring, workspace=lambda p: p[..., 1] + 0.05)
-    assert chosen(scene, limits=limits)[1] > -0.2
-
-
 def test_clearance_is_to_be_led_at_where_the_baseline_does_not_keep_it() -> None:
     places = [(0.5, 0.2, 0.3), (0.5, 0.3, 0.3), (0.1, 0.0, 0.5), (-0.2, 0.0, 0.3)]
     # In the way, far enough, as near to the start as start leaves it, and behind.
     kept = remaining_clearance(scene_of(balls(*places)))
     np.testing.assert_allclose(kept, [0.15, 0.0, np.hypot(0.1, 0.2) - 0.1, 0.0])
     assert remaining_clearance(scene_of(EllipsoidSet())).shape == (0,)
-
-
-def test_an_extra_ring_takes_part() -> None:
-    scene = scene_of(balls((0.5, 0.05, 0.3)))
-
-    def only_up(scene: RingScene) -> np.ndarray:
-        return np.broadcast_to(scene.directions_W[:, 2] < 0.999, scene.detour.shape).astype(float)
-
-    np.testing.assert_allclose(chosen(scene, only_up=only_up), [0, 0, 1], atol=1e-12)
-
-
-def test_a_ring_of_the_wrong_shape_is_named() -> None:
-    scene = scene_of(balls((0.5, 0.0, 0.3)))
-    with pytest.raises(ValueError, match=r"'flat'.*\(3,\).*\(1, 36\)"):
-        select_directions(scene, {"flat": lambda _: np.zeros(3)})
 
 
 def test_obstacles_that_leave_no_way_between_them_are_passed_on_one_side() -> None:
@@ -83,38 +56,12 @@ def test_obstacles_that_leave_no_way_between_them_are_passed_on_one_side() -> No
     assert len(set(overlap_groups(far, 0.15))) == 2
 
 
-def test_a_side_once_chosen_is_kept_until_another_is_clearly_better() -> None:
-    scene = scene_of(balls((0.5, 0.01, 0.3)), table=None)
-    other = np.array([0])
-    assert select_directions(scene, RINGS).index[0] != 0
-    kept = select_directions(scene, {"length": length_ring}, previous=other)
-    assert kept.index[0] == 0
-    left = select_directions(scene, {"length": length_ring}, previous=other, hysteresis=0.01)
-    assert left.index[0] != 0
-    aside = scene_of(balls((0.5, 0.05, 0.3)), table=None)
-    assert select_directions(aside, RINGS, previous=other).index[0] != 0
-
-
 @given(y=st.floats(-0.006, 0.006), z=st.floats(-0.006, 0.006), side=st.integers(0, 35))
 def test_an_obstacle_on_the_baseline_keeps_its_side_whatever_the_noise(
     y: float, z: float, side: int
 ) -> None:
     scene = scene_of(balls((0.5, y, 0.3 + z)), table=None)
     assert select_directions(scene, RINGS, previous=np.array([side])).index[0] == side
-
-
-def test_when_every_side_is_forbidden_it_says_so() -> None:
-    scene = scene_of(balls((0.5, 0.0, 0.3)))
-    shut = partial(limits_ring, workspace=lambda p: np.full(p.shape[:-1], -1.0))
-    assert select_directions(scene, RINGS | {"limits": shut}).blocked.all()
-    assert not select_directions(scene, RINGS).blocked.any()
-
-
-def test_no_obstacles_no_choice() -> None:
-    scene = scene_of(EllipsoidSet())
-    selection = select_directions(scene, RINGS)
-    assert selection.index.shape == (0,)
-    assert path_length(scene, selection.index) == pytest.approx(1.0)
 
 
 @given(

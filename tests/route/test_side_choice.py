@@ -176,22 +176,6 @@ def test_it_does_not_zigzag_between_obstacles_on_either_side() -> None:
     assert path_length(scene, both) < path_length(scene, each)
 
 
-def test_a_third_obstacle_in_the_way_of_a_side_decides_it() -> None:
-    # Right is the side of the first; but there the second one stands, off the baseline.
-    some = balls((0.6, 0.03, 0.4, 0.1), (1.1, -0.33, 0.4, 0.2))
-    scene = replace(scene_of(some, 36, table=False), asked_clearance=0.05)
-    assert len(np.unique(overlap_groups(some, 0.05))) == 2
-    each = length_ring(scene).argmin(axis=1)
-    both = select_directions(scene, {"length": length_ring}).index
-    assert scene.directions_W[each[0], 1] < -0.9
-
-    def obstructed(index: np.ndarray) -> float:
-        p = scene.p_WP[[0, 1], index]
-        return float(in_way(p[:1], p[1:], some)[0, 0])
-
-    assert obstructed(both) <= obstructed(each)
-
-
 @settings(deadline=None, max_examples=20)
 @given(seed=st.integers(0, 2**31), turn=st.tuples(*[st.floats(-3.0, 3.0)] * 3))
 def test_the_choice_does_not_depend_on_the_frame(seed: int, turn: tuple[float, ...]) -> None:
