@@ -6,18 +6,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
 from textwrap import shorten
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from cycler import cycler
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.offsetbox import AnchoredText
 from scipy.spatial import KDTree
 
 from drake_oa.common.files import save_figure
@@ -48,24 +49,26 @@ _STYLE: dict[Any, Any] = {
     "legend.columnspacing": 1.2,
     "legend.fontsize": 7,
     "legend.frameon": False,
+    "lines.linewidth": 1.2,
 }
 """Matplotlib settings of all figures."""
 _COLORS = {"modulated": "#00798c", "preplanned": "#111111"}
 _OBSTACLE, _DESIRED, _ENDS, _LEARNED = "#d1495b", "#edae49", "#0072b2", "#009e73"
 """Colors of obstacles, of the desired path, of start and goal, and of a learned motion."""
 _PAUSE_COLORS = {"slow": "#f7e8b5", "hold": "#edae49", "held": "#edae49", "stop": "#d1495b"}
+_PANELS = (
+    ("distance to the nearest obstacle", "clearance [m]"),
+    ("phase and speed", "phase, share [1]"),
+    ("joint torques against their limits", "torque / limit [1]"),
+    ("distance of the tool point from its desired position", "error [mm]"),
+)
+"""Titles and labels of the panels of a run; without a robot there are only the first two."""
 _MIN_ERROR = 1e-3
 """Lower bound of drawn tracking errors [mm]; zero has no logarithm."""
-_SAME_HOLD_TOLERANCE = 0.1
-"""Greatest difference between the times of a hold by supervisor and policy [s]."""
 _MAX_LISTED = 6
 """Maximum number of pauses that are listed with their reasons."""
-_MIN_SEEN_SHARE = 0.05
-"""Share of the observations from which on an obstacle is drawn."""
-_MOVED = 0.02
-"""Distance from which on an obstacle is drawn at several times [m]."""
-_CLEAR, _FAINT = 0.35, 0.06
-"""Opacity of obstacles that were present at the end, and of others."""
+_OBSERVATIONS = 6
+"""Number of observations of which obstacles are drawn, one over the other."""
 
 
 @contextmanager
@@ -117,39 +120,30 @@ class Pause(NamedTuple):
 
 
 def pauses(log: MotionLog) -> list[Pause]:
-    """Returns the pauses of a motion in order of their beginning.
-
-    A hold of the policy within a hold of the supervisor is omitted.
-    """
-
-    def intervals(starts: FloatArray) -> Iterable[tuple[float, float]]:
-        return pairwise([*starts.tolist(), log.simulated_time])
-
-    supervision = zip(
-        intervals(log.supervision_time),
-        log.supervision_action,
-        log.supervision_reason,
-        strict=True,
-    )
-    found = [
-        Pause(*span, action, reason) for span, action, reason in supervision if action != "run"
+    """Returns the pauses of a motion in order of their beginning."""
+    holds = [
+        "run" if hold in (HoldCause.NONE, HoldCause.SUPERVISOR) else "held"
+        for hold in log.event_hold
     ]
-    supervised = [pause for pause in found if pause.kind != "slow"]
-    events = zip(intervals(log.event_time), log.event_hold, log.event, strict=True)
-    for (start, end), hold, note in events:
-        if hold not in (HoldCause.NONE, HoldCause.SUPERVISOR) and not any(
-            pause.start - _SAME_HOLD_TOLERANCE <= start and end <= pause.end + _SAME_HOLD_TOLERANCE
-            for pause in supervised
-        ):
-            found.append(Pause(start, end, "held", note))
+    found = []
+    for times, kinds, reasons in (
+        (log.supervision_time, log.supervision_action, log.supervision_reason),
+        (log.event_time, holds, log.event),
+    ):
+        spans = pairwise([*times.tolist(), log.simulated_time])
+        found += [
+            Pause(*span, kind, reason)
+            for span, kind, reason in zip(spans, kinds, reasons, strict=True)
+            if kind != "run"
+        ]
     return sorted(found)
 
 
 def outline(p_WO: FloatArray, R_WO: FloatArray, semi_axes: FloatArray, P: FloatArray) -> FloatArray:
     """Returns the outline of an ellipsoid in parallel projection.
 
-    The points P (c + R diag(a) u), |u| = 1, fill the ellipse with the shape matrix
-    Q = P R diag(a^2) R^T P^T; its boundary is P c + Q^(1/2) (cos, sin).
+    With the singular value decomposition P R diag(a) = U S V^T, the points P (c + R diag(a) u),
+    |u| = 1, fill the ellipse with the boundary P c + U S (cos, sin).
 
     Args:
         p_WO: (3,) center [m].
@@ -160,11 +154,9 @@ def outline(p_WO: FloatArray, R_WO: FloatArray, semi_axes: FloatArray, P: FloatA
     Returns:
         (73, 2) points of the closed boundary [m].
     """
-    scaled = P @ (R_WO * semi_axes)
-    value, vector = np.linalg.eigh(scaled @ scaled.T)
+    U, S, _ = np.linalg.svd(P @ (R_WO * semi_axes))
     turn = np.linspace(0.0, 2.0 * np.pi, 73)
-    circle = np.stack([np.cos(turn), np.sin(turn)])
-    return np.asarray((P @ p_WO)[:, None] + (vector * np.sqrt(value)) @ circle).T
+    return np.asarray(P @ p_WO + np.stack([np.cos(turn), np.sin(turn)], axis=1) * S @ U.T)
 
 
 class Demonstrations(NamedTuple):
@@ -244,12 +236,9 @@ def plot_demonstrations(path: Path, title: str, scenario: Scenario, shown: Demon
         f"{scenario.policy.n_basis} basis functions"
     )
     with saved_figure(path, 14.0, 10.0, title) as figure:
-        panels = _add_panels(
-            figure,
-            shown.motion.shape[1],
-            scenario,
-            lambda ax, P: _draw_demonstrations(ax, shown, P),
-        )
+        panels, views = _add_panels(figure, shown.motion.shape[1], scenario)
+        for ax, P in views:
+            _draw_demonstrations(ax, shown, P)
         labels = [f"{axis} [m]" for axis in "xyz"] + [f"turn about {axis} [deg]" for axis in "xyz"]
         for column, (ax, label) in enumerate(zip(panels, labels, strict=False)):
             for s, samples in zip(shown.s, shown.samples, strict=True):
@@ -257,6 +246,7 @@ def plot_demonstrations(path: Path, title: str, scenario: Scenario, shown: Demon
             motion = shown.motion[:, column]
             ax.plot(shown.motion_s, motion, color=_LEARNED, label="learned")
             ax.set_ylabel(label)
+        _finish(views[0][0], "path")
         _finish(panels[0], "placed between start and goal of the task")
         panels[-1].set_xlabel("normalized time [1]")
 
@@ -286,69 +276,58 @@ def plot_run(
         OutputError: if the file cannot be written.
     """
     main = "modulated" if "modulated" in logs else next(iter(logs))
-    stopped = pauses(logs[main])
-    ends = [
-        f"{name}: {log.duration:.2f} s, ended by {log.stop_reason}" for name, log in logs.items()
-    ]
-
-    def draw_view(ax: Axes, P: FloatArray) -> None:
-        if shown is not None:
-            _draw_demonstrations(ax, shown, P)
-        _draw_path(ax, scenario, logs, P)
-
-    with saved_figure(path, 14.0, 10.0, "\n".join([title, *ends])) as figure:
-        panels = _add_panels(figure, 2 if scenario.robot is None else 4, scenario, draw_view)
-        _draw_clearance(panels[0], scenario, logs, metrics)
-        _draw_phase(panels[1], logs, main, stopped)
-        if scenario.robot is not None:
-            _draw_torque(panels[2], logs, main)
-            _draw_error(panels[3], logs)
-        for ax in panels:
-            for pause in stopped:
-                color = _PAUSE_COLORS[pause.kind]
-                ax.axvspan(*pause[:2], color=color, alpha=0.45, linewidth=0.0, zorder=0)
+    for name, log in logs.items():
+        title += f"\n{name}: {log.duration:.2f} s, ended by {log.stop_reason}"
+    with saved_figure(path, 14.0, 10.0, title) as figure:
+        panels, views = _add_panels(figure, 2 if scenario.robot is None else 4, scenario)
+        for name, log in logs.items():
+            _draw_motion(panels, name, log, metrics[name], each_joint=name == main)
+            for ax, P in views:
+                _draw_path(ax, name, log, P)
+        if shown:
+            for ax, P in views:
+                _draw_demonstrations(ax, shown, P)
+        _finish(views[0][0], "path")
+        asked = scenario.task.clearance
+        panels[0].axhline(asked, color="0.4", linestyle="--", label=f"asked, Δ = {asked:g} m")
+        panels[0].axhline(0.0, color=_OBSTACLE)
+        _draw_pauses(panels, pauses(logs[main]))
+        for ax, (heading, label) in zip(panels, _PANELS, strict=False):
+            ax.set_ylabel(label)
+            _finish(ax, heading)
         panels[-1].set_xlabel("time [s]")
-        panels[0].set_xlim(0.0, max(log.simulated_time for log in logs.values()) or 1.0)
+        panels[-1].set_xlim(0.0, max(log.simulated_time for log in logs.values()) or 1.0)
 
 
 def _add_panels(
-    figure: Figure,
-    count: int,
-    scenario: Scenario,
-    draw_view: Callable[[Axes, FloatArray], None],
-) -> list[Axes]:
-    """Adds panels over time on the left, and two views of the path on the right.
+    figure: Figure, count: int, scenario: Scenario
+) -> tuple[list[Axes], list[tuple[Axes, FloatArray]]]:
+    """Adds panels over time on the left, and two views of start and goal on the right.
 
     Args:
         figure: an empty figure.
         count: number of the panels.
-        scenario: scenario of the path.
-        draw_view: draws the path, given the axes and their (2, 3) directions in the world.
+        scenario: scenario of the task.
 
     Returns:
-        The panels.
+        The panels; and the views from above and from the side, each with the (2, 3) directions of
+        its axes in the world.
     """
-    parts: Any = figure.subfigures(1, 2, width_ratios=[1.35, 1.0])
-    start, goal = np.asarray(scenario.task.start), goal_steps(scenario.task)[:, 1:]
+    left, right = cast("list[SubFigure]", figure.subfigures(1, 2, width_ratios=[1.35, 1.0]))
+    start, goals = np.asarray(scenario.task.start), goal_steps(scenario.task)[:, 1:]
     along = local_frame(scenario.task.start, scenario.task.goal)[:, 0] * [1.0, 1.0, 0.0]
     length = float(np.linalg.norm(along))
     along = along / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
-    above, side = parts[1].subplots(2, 1)
-    views = (
-        (above, np.eye(3)[:2], "x [m]", "y [m]", "path from above"),
-        (side, np.stack([along, np.eye(3)[2]]), "along the baseline [m]", "z [m]", ""),
-    )
-    for ax, P, xlabel, ylabel, title in views:
-        draw_view(ax, P)
-        marks = {"color": _ENDS, "linestyle": "none", "markersize": 9}
-        ax.plot(*(goal[:-1] @ P.T).T, marker="*", alpha=_CLEAR, **marks)
-        ax.plot(*(P @ start), marker="o", label="start", **marks)
-        ax.plot(*(P @ goal[-1]), marker="*", label="goal", **marks)
-        ax.set(xlabel=xlabel, ylabel=ylabel)
+    x, y, z = np.eye(3)
+    above, side = right.subplots(2, 1)
+    above.set(xlabel="x [m]", ylabel="y [m]")
+    side.set(xlabel="along the baseline [m]", ylabel="z [m]")
+    views = [(above, np.stack([x, y])), (side, np.stack([along, z]))]
+    for ax, P in views:
+        ax.plot(*(P @ start), "o", color=_ENDS, markersize=9, zorder=3, label="start")
+        ax.plot(*(P @ goals.T), "*", color=_ENDS, markersize=9, zorder=3, label="goal")
         ax.set_aspect("equal", adjustable="datalim")
-        if title:
-            _finish(ax, title)
-    return list(parts[0].subplots(count, 1, sharex=True))
+    return list(left.subplots(count, 1, sharex=True)), views
 
 
 def _finish(ax: Axes, title: str) -> None:
@@ -359,118 +338,63 @@ def _finish(ax: Axes, title: str) -> None:
 
 def _draw_demonstrations(ax: Axes, shown: Demonstrations, P: FloatArray) -> None:
     """Draws the samples and the learned motion along the directions P (2, 3)."""
-    style: Any = {"color": "0.55", "marker": ".", "markersize": 1.5, "linewidth": 0.5}
     for samples in shown.samples:
-        ax.plot(*(P @ samples[:, :3].T), label="demonstrated", **style)
+        ax.plot(*(P @ samples[:, :3].T), ".-", color="0.55", markersize=2.0, label="demonstrated")
     motion = P @ shown.motion[:, :3].T
-    ax.plot(*motion, color=_LEARNED, linestyle="--", linewidth=1.2, label="learned", zorder=3)
+    ax.plot(*motion, "--", color=_LEARNED, label="learned", zorder=3)
 
 
-def _color(name: str) -> str:
-    return _COLORS.get(name, "#2e4057")
-
-
-def _draw_clearance(
-    ax: Axes,
-    scenario: Scenario,
-    logs: Mapping[str, MotionLog],
-    metrics: Mapping[str, MotionMetrics],
+def _draw_motion(
+    panels: Sequence[Axes], name: str, log: MotionLog, metrics: MotionMetrics, *, each_joint: bool
 ) -> None:
-    lowest = 0.0
-    for name, log in logs.items():
-        found, color = metrics[name], _color(name)
-        ax.plot(log.t, found.tool_clearance, color=color, label=f"{name}, tool")
-        if scenario.robot is not None:
-            ax.plot(log.t, found.robot_clearance, ":", color=color, label=f"{name}, any link")
-        lowest = min(lowest, float(found.robot_clearance.min(initial=0.0)))
-    asked = scenario.task.clearance
-    ax.axhline(asked, color="0.4", linewidth=1.0, linestyle="--", label=f"asked, Δ = {asked:g} m")
-    ax.axhline(0.0, color="black", linewidth=0.8)
-    ax.axhspan(1.1 * lowest, 0.0, color=_OBSTACLE, alpha=0.15, linewidth=0.0)
-    ax.set(ylabel="clearance [m]")
-    _finish(ax, "distance to the nearest obstacle")
-
-
-def _draw_phase(ax: Axes, logs: Mapping[str, MotionLog], main: str, stopped: list[Pause]) -> None:
-    for name, log in logs.items():
-        ax.plot(log.t, log.phase, color=_color(name), label=f"{name}, phase k")
-    log = logs[main]
+    """Draws clearance, phase and speed of a motion; of a robot torques and tracking error, too."""
+    clearance, phase, *of_robot = panels
+    color = _COLORS.get(name)
+    clearance.plot(log.t, metrics.tool_clearance, color=color, label=f"{name}, tool")
+    phase.plot(log.t, log.phase, color=color, label=f"{name}, phase k")
     if (log.speed_scale < 1.0).any():
-        label = f"{main}, share of full speed"
-        ax.plot(log.t, log.speed_scale, "--", color=_color(main), label=label)
-    ax.set(ylabel="phase, share [1]", ylim=(-0.03, 1.12))
+        label = f"{name}, share of full speed"
+        phase.plot(log.t, log.speed_scale, "--", color=color, label=label)
+    if not of_robot:
+        return
+    torque, error = of_robot
+    clearance.plot(log.t, metrics.robot_clearance, ":", color=color, label=f"{name}, any link")
+    share = log.torque / log.effort_limit
+    if each_joint:
+        for joint, values in zip(log.actuator_name, share.T, strict=True):
+            torque.plot(log.t, values, label=joint)
+    else:
+        largest = np.abs(share).max(axis=1, initial=0.0)
+        torque.plot(log.t, largest, color="0.65", label=f"{name}, largest share")
+    torque.set_ylim(-1.1, 1.1)
+    distance = 1e3 * np.linalg.norm(log.p_WE - log.desired_position, axis=1)
+    error.semilogy(log.t, np.maximum(distance, _MIN_ERROR), color=color, label=name)
+
+
+def _draw_pauses(panels: Sequence[Axes], stopped: Sequence[Pause]) -> None:
+    """Shades pauses in all panels, and lists them with their reasons in the second."""
+    for ax in panels:
+        for pause in stopped:
+            color = _PAUSE_COLORS[pause.kind]
+            ax.axvspan(pause.start, pause.end, color=color, alpha=0.45, zorder=0)
     lines = [
         shorten(f"{pause.start:.2f} s, {pause.kind}: {pause.reason}", 90, placeholder="...")
         for pause in stopped[:_MAX_LISTED]
     ]
     if len(stopped) > _MAX_LISTED:
         lines.append(f"and {len(stopped) - _MAX_LISTED} more")
-    ax.text(
-        0.99,
-        0.84,
-        "\n".join(lines),
-        transform=ax.transAxes,
-        fontsize=7,
-        ha="right",
-        va="top",
-        multialignment="left",
-        bbox={"facecolor": "white", "alpha": 0.75, "edgecolor": "none"},
-    )
-    _finish(ax, "phase and speed")
+    note = AnchoredText("\n".join(lines), "upper right", prop={"size": 7}, frameon=False)
+    panels[1].add_artist(note)
 
 
-def _draw_torque(ax: Axes, logs: Mapping[str, MotionLog], main: str) -> None:
-    """Draws each joint of the main motion, and the largest share of the others."""
-    for name, log in logs.items():
-        share = log.torque / log.effort_limit
-        if name == main:
-            for joint, values in zip(log.actuator_name, share.T, strict=True):
-                ax.plot(log.t, values, linewidth=1.2, label=joint)
-        else:
-            largest = np.abs(share).max(axis=1, initial=0.0)
-            label = f"{name}, largest share"
-            ax.plot(log.t, largest, color="0.65", linewidth=1.0, zorder=1, label=label)
-    for limit in (-1.0, 1.0):
-        ax.axhline(limit, color="black", linewidth=0.8, linestyle="--")
-    ax.set(ylabel="torque / limit [1]", ylim=(-1.1, 1.1))
-    _finish(ax, "joint torques against their limits")
-
-
-def _draw_error(ax: Axes, logs: Mapping[str, MotionLog]) -> None:
-    for name, log in logs.items():
-        error = 1e3 * np.linalg.norm(log.p_WE - log.desired_position, axis=1)
-        ax.plot(log.t, np.maximum(error, _MIN_ERROR), color=_color(name), label=name)
-    ax.set(ylabel="error [mm]", yscale="log")
-    _finish(ax, "distance of the tool point from its desired position")
-
-
-def _draw_path(ax: Axes, scenario: Scenario, logs: Mapping[str, MotionLog], P: FloatArray) -> None:
-    for name, log in logs.items():
-        for row, place, opacity in _shown_obstacles(log):
-            ellipsoid = (log.p_WO[row, place], log.R_WO[row, place], log.semi_axes[row, place])
-            ax.fill(
-                *outline(*ellipsoid, P).T,
-                facecolor=_OBSTACLE,
-                edgecolor="none",
-                alpha=opacity,
-                label="obstacle as seen, dilated",
-            )
-        desired = P @ log.desired_position.T
-        ax.plot(*desired, color=_DESIRED, linewidth=3.5, label="desired")
-        ax.plot(*(P @ log.p_WE.T), color=_color(name), linewidth=1.3, label=f"{name}, actual")
-
-
-def _shown_obstacles(log: MotionLog) -> Iterator[tuple[int, int, float]]:
-    """Yields (row, place, opacity) of the ellipsoids to draw: each obstacle as seen last.
-
-    Obstacles that were gone at the end, and earlier places of those that moved, are fainter.
-    """
-    for track in np.unique(log.obstacle_id[log.obstacle_id >= 0]):
-        seen = np.argwhere(log.obstacle_id == track)
-        if len(seen) < _MIN_SEEN_SHARE * len(log.obstacle_id):
-            continue
-        centers = log.p_WO[*seen.T]
-        *earlier, last = seen[np.linspace(0, len(seen) - 1, 5).astype(int)].tolist()
-        if float(np.linalg.norm(centers - centers[-1], axis=1).max()) > _MOVED:
-            yield from ((*place, _FAINT) for place in earlier)
-        yield (*last, _CLEAR if last[0] == len(log.obstacle_id) - 1 else _FAINT)
+def _draw_path(ax: Axes, name: str, log: MotionLog, P: FloatArray) -> None:
+    """Draws the path of a motion, and over one another the obstacles as seen at several times."""
+    count = len(log.observation_time)
+    for row in np.linspace(0, count - 1, _OBSERVATIONS if count else 0).astype(int):
+        seen = log.observation(row)
+        for ellipsoid in zip(seen.p_WO, seen.R_WO, seen.semi_axes, strict=True):
+            rim = outline(*ellipsoid, P)
+            label = "obstacle as seen, dilated"
+            ax.fill(*rim.T, facecolor=_OBSTACLE, edgecolor="none", alpha=0.08, label=label)
+    ax.plot(*(P @ log.desired_position.T), color=_DESIRED, linewidth=3.5, label="desired")
+    ax.plot(*(P @ log.p_WE.T), color=_COLORS.get(name), label=f"{name}, actual")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,17 +18,8 @@ from drake_oa.studies.scenes.paper_method import BETA, GAMMA
 from drake_oa.studies.scenes.scenes import Scenes
 from drake_oa.studies.scenes.suites import FAMILIAR_CLEARANCES, Case
 
-_BLACK, _RED, _BLUE = "#111111", "#d1495b", "#00798c"
-_COLORS = {
-    "original": _BLACK,
-    "paper": _RED,
-    "verified": _BLUE,
-    "movement_primitives": "#edae49",
-}
-_OTHERS = ("#66a182", "#2e4057", "#8d96a3")
 _MIN_ERROR = 1e-6
 """Lower bound of drawn goal errors [m]; zero has no logarithm."""
-_DASHED = {"color": "0.5", "linewidth": 0.8, "linestyle": "--"}
 
 
 def plot_evaluation(
@@ -49,84 +40,55 @@ def plot_evaluation(
         OutputError: if the file cannot be written.
     """
     outcomes = {name: outcome for name, outcome in outcomes.items() if len(outcome.of())}
-    rows = max(len(outcomes), 1)
-    width, height = (12.0, 3.8 * rows) if len(cases) > 1 else (10.0, 7.0)
-    with saved_figure(path, width, height, suite) as figure:
-        if len(cases) > 1:
+    with saved_figure(path, 12.0, 8.0, suite) as figure:
+        if len(cases) == 1:
+            _draw_histograms(figure, {name: outcome.of() for name, outcome in outcomes.items()})
+        elif outcomes:
             _draw_boxes(figure, cases, outcomes)
-        else:
-            judged = {name: outcome.of() for name, outcome in outcomes.items()}
-            _draw_histograms(figure, judged)
-
-
-def _styles(names: Iterable[str]) -> dict[str, str]:
-    """Returns the color of each method."""
-    return {name: _COLORS.get(name, _OTHERS[k % len(_OTHERS)]) for k, name in enumerate(names)}
 
 
 def _draw_boxes(figure: Figure, cases: Sequence[Case], outcomes: Mapping[str, Outcome]) -> None:
     """Draws clearance and convergence of every case: two boxes per model, one row per method."""
-    models = list(dict.fromkeys(case.label.partition(", tau")[0] for case in cases))
-    at = np.arange(len(models))
-    axes = figure.subplots(max(len(outcomes), 1), 2, squeeze=False)
-    for (name, outcome), (left, right) in zip(outcomes.items(), axes, strict=False):
-        for case in cases:
-            judged, scaled = outcome.of(case.label), case.setting.scale_time
-            color = _BLACK if scaled else _RED
-            position = models.index(case.label.partition(", tau")[0]) + (-0.18 if scaled else 0.18)
-            parts = ("box", "whisker", "cap", "median")
-            errors = np.maximum(judged.goal_error, _MIN_ERROR)
-            for ax, values in ((left, judged.kept_clearance), (right, errors)):
-                ax.boxplot(
-                    values,
-                    positions=[position],
-                    widths=0.3,
-                    flierprops={"marker": ".", "markersize": 3, "markeredgecolor": color},
-                    **{f"{part}props": {"color": color} for part in parts},
-                )
+    axes = figure.subplots(len(outcomes), 2, squeeze=False)
+    for (name, outcome), (left, right) in zip(outcomes.items(), axes, strict=True):
+        for scaled, shift, color in ((True, -0.18, "C5"), (False, 0.18, "C1")):
+            some = [case for case in cases if case.setting.scale_time == scaled]
+            judged = [outcome.of(case.label) for case in some]
+            models = np.arange(len(some))
+            for ax, values in (
+                (left, [of.kept_clearance for of in judged]),
+                (right, [np.maximum(of.goal_error, _MIN_ERROR) for of in judged]),
+            ):
+                style = {"boxprops": {"color": color}, "medianprops": {"color": color}}
+                ax.boxplot(values, positions=models + shift, widths=0.3, **style)
+                ax.set_xticks(models, [case.label.partition(", tau")[0] for case in some])
+                ax.tick_params("x", rotation=20.0)
             left.plot([], color=color, label="tau scaled" if scaled else "tau = 1")
-        of_delta = at[-len(FAMILIAR_CLEARANCES) :]
-        left.hlines(FAMILIAR_CLEARANCES, of_delta - 0.45, of_delta + 0.45, _BLUE, label="asked")
-        left.axhline(0.0, color="0.6", linewidth=0.8)
+        left.scatter(models[1:], FAMILIAR_CLEARANCES, 900, "C0", "_", label="asked")
+        left.axhline(0.0, color="0.6")
         left.set(title=f"{name}: clearance", ylabel="least distance to the obstacle [m]")
         right.set(title=f"{name}: convergence", ylabel="distance to the goal [m]", yscale="log")
-        for ax in (left, right):
-            ax.set_xticks(at, [model.replace("lambda'", "λ′") for model in models])
-            ax.set_xlim(-0.6, len(models) - 0.4)
-        add_legend(left, loc="upper left")
+        add_legend(left, loc="upper left", markerscale=0.5)
 
 
 def _draw_histograms(figure: Figure, judged: Mapping[str, Judgement]) -> None:
-    """Draws the distributions of clearance, shortfall, goal error and path length."""
-    styles = _styles(judged)
+    """Draws the distributions over the scenes with obstacles."""
     finite = [j.rows(np.isfinite(j.kept_clearance)) for j in judged.values()]
-    errors = [np.maximum(j.goal_error, _MIN_ERROR) for j in judged.values()]
-    highest = max((float(values.max()) for values in errors), default=1.0)
-    panels: tuple[tuple[str, list[FloatArray], int | FloatArray], ...] = (
-        ("clearance [m]", [j.kept_clearance for j in finite], 80),
-        (
-            "clearance - min(Δ, distance of start, of goal) [m]",
-            [j.kept_clearance - j.feasible for j in finite],
-            80,
-        ),
-        (
-            "distance to the goal at the end [m]",
-            errors,
-            np.geomspace(_MIN_ERROR, max(highest, 2.0 * _MIN_ERROR), 60),
-        ),
-        ("path length / baseline", [j.path_ratio for j in judged.values()], 80),
-    )
-    axes = figure.subplots(2, 2)
-    for ax, (label, samples, bins) in zip(axes.flat, panels, strict=True):
+    panels = {
+        "clearance [m]": [j.kept_clearance for j in finite],
+        "clearance - min(Δ, distance of start, of goal) [m]": [
+            j.kept_clearance - j.feasible for j in finite
+        ],
+        "log10 of the distance to the goal at the end [m]": [
+            np.log10(np.maximum(j.goal_error, _MIN_ERROR)) for j in finite
+        ],
+        "path length / baseline": [j.path_ratio for j in finite],
+    }
+    for number, (label, samples) in enumerate(panels.items(), start=1):
+        ax = figure.add_subplot(2, 2, number, xlabel=label, ylabel="scenes", yscale="log")
         if samples:
-            ax.hist(samples, bins, histtype="step", color=list(styles.values()), label=list(styles))
-        ax.set(xlabel=label, ylabel="scenes", yscale="log")
-    axes[1, 0].set_xscale("log")
-    for delta in np.unique([delta for j in judged.values() for delta in j.asked])[:5]:
-        axes[0, 0].axvline(delta, **_DASHED)
-    axes[0, 0].axvline(0.0, color="black", linewidth=0.8)
-    axes[0, 1].axvline(0.0, **_DASHED)
-    add_legend(axes[0, 0])
+            ax.hist(samples, 80, histtype="step", label=list(judged))
+        add_legend(ax)
 
 
 def plot_dead_zone(
@@ -141,55 +103,45 @@ def plot_dead_zone(
     Args:
         path: the file of the figure.
         scenes: places of the point obstacle.
-        outcomes: name of a method -> its outcome; a method without judged motions is omitted.
+        outcomes: name of a method -> its outcome.
         paths: name of a method -> (N, S + 1, 3) paths [m].
         terms: both terms at several gains.
 
     Raises:
         OutputError: if the file cannot be written.
     """
-    styles = _styles(outcomes)
     theta = np.linspace(-np.pi / 2, np.pi / 2, 1001)
     alpha, psi = matched_term(GAMMA)
-    rates = {
-        "original": np.abs(original_rate(theta, GAMMA, BETA)),
-        "dead-zone free": dead_zone_free_rate(np.abs(theta), 0.0, alpha, psi, 0.0),
-    }
-    x, y, _ = scenes.center[0, 0].tolist()
+    original = np.abs(original_rate(theta, GAMMA, BETA))
+    free = dead_zone_free_rate(np.abs(theta), 0.0, alpha, psi, 0.0)
     offset = 1e3 * scenes.center[:, 0, 1]
-    with saved_figure(path, 11.0, 7.5) as figure:
-        rate, way, kept, alone = figure.subplots(2, 2).flat
-        for (name, values), color in zip(rates.items(), (_BLACK, _RED), strict=True):
-            rate.plot(np.degrees(theta), values / alpha, color=color, label=name)
-        rate.set(
-            xlabel="heading from the obstacle [deg]",
-            ylabel="turning rate / its peak",
-            title="terms of the same peak and area",
-        )
+    with saved_figure(path, 12.0, 8.0, "dead zone") as figure:
+        (rate, way), (kept, alone) = figure.subplots(2, 2)
+        rate.plot(np.degrees(theta), original / alpha, label="original")
+        rate.plot(np.degrees(theta), free / alpha, label="dead-zone free")
+        rate.set(xlabel="heading from the obstacle [deg]", ylabel="turning rate / its peak")
+        rate.set_title("terms of the same peak and area")
+
         for name, some in paths.items():
-            way.plot(*some[0, :, :2].T, color=styles[name], label=name)
-        way.add_patch(Circle((x, y), float(scenes.semi_axes[0, 0, 0]), color="0.7"))
+            way.plot(*some[0, :, :2].T, label=name)
+        center = tuple(scenes.center[0, 0, :2].tolist())
+        way.add_patch(Circle(center, float(scenes.semi_axes[0, 0, 0]), color="0.7"))
         way.set_aspect("equal", adjustable="datalim")
         way.set(xlabel="x [m]", ylabel="y [m]", title="head-on")
 
         for name, outcome in outcomes.items():
-            clearance = 1e3 * outcome.of().kept_clearance
-            some = offset[: len(clearance)]
-            kept.plot(some, clearance, color=styles[name], marker=".", label=name)
-        kept.axhline(1e3 * float(scenes.clearance[0]), **_DASHED)
-        kept.set(title="methods (dashed: asked)")
+            clearance = outcome.of().kept_clearance
+            kept.plot(offset[: len(clearance)], 1e3 * clearance, marker=".", label=name)
+        kept.axhline(1e3 * float(scenes.clearance[0]), color="0.5", linestyle="--", label="asked")
+        kept.set_title("methods")
         for item, style in zip(terms[:3], ("-", "--", ":"), strict=False):
             label = f"gamma = {item.gamma:g}"
-            alone.plot(offset, 1e3 * item.original, style, color=_BLACK, label=label)
-            alone.plot(offset, 1e3 * item.dead_zone_free, style, color=_RED)
-        alone.set(title="terms alone, same peak and area")
+            alone.plot(offset, 1e3 * item.original, f"C0{style}", label=f"original, {label}")
+            alone.plot(offset, 1e3 * item.dead_zone_free, f"C1{style}")
+        alone.set_title("terms alone, same peak and area")
         for ax in (kept, alone):
-            ax.axhline(0.0, color="0.6", linewidth=0.8)
             ax.set_xscale("symlog", linthresh=0.01)
-            ax.set(
-                xlabel="obstacle off the line by [mm]",
-                ylabel="clearance [mm]",
-                xlim=(-0.001, 110.0),
-            )
-        for ax in (rate, way, kept, alone):
+            ax.set_xlim(-0.001, 110.0)
+            ax.set(xlabel="obstacle off the line by [mm]", ylabel="clearance [mm]")
+        for ax in figure.axes:
             add_legend(ax)
