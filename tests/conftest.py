@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from drake_oa.regulation.proposal_network import ProposalNetwork, load_proposals
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotLimits, RobotPlant, make_robot_plant
 from drake_oa.runs.motion_log import MotionLog, pack_ellipsoids
 from drake_oa.scenario.loading import load_scenario, scenario_text
+from drake_oa.scenario.shipped import package_file
 from drake_oa.studies.scenes.scenes import DURATION, Motions, Scenes, Setting
 
 # Torch built for CUDA loads triton when it first differentiates, and triton crashes a process that
@@ -52,6 +54,12 @@ def scan_files() -> list[Path]:
 def panda() -> RobotPlant:
     """The Panda alone; not to be changed."""
     return make_robot_plant(Robot())
+
+
+@pytest.fixture(scope="session")
+def proposer() -> ProposalNetwork:
+    """The shipped proposal network."""
+    return load_proposals(package_file("package://drake_oa/weights/proposals.safetensors"))
 
 
 @pytest.fixture(scope="session")

@@ -32,10 +32,8 @@ from drake_oa.policy.demonstration import Demonstration
 from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk
 from drake_oa.regulation import search
 from drake_oa.regulation.config import Verified
-from drake_oa.regulation.proposal_network import load_proposals
 from drake_oa.regulation.proposals import Proposer, draws
 from drake_oa.route.cost_rings import Ring
-from drake_oa.scenario.shipped import package_file
 from tests.builders import balls
 from tests.planning.arms import ArmAlone, box_at
 
@@ -46,11 +44,6 @@ QUICK = Verified(
 GOAL = np.array([0.45, 0.4, 0.3])
 TABLE = box_at([1.2, 2.0, 0.1], [0.8, 0.0, -0.1], "table")
 BOX = box_at([0.12, 0.12, 0.3], [0.45, 0.02, 0.1], "box")
-
-
-@pytest.fixture(scope="module")
-def proposer() -> Proposer:
-    return load_proposals(package_file("package://drake_oa/weights/proposals.safetensors"))
 
 
 class Bench:

@@ -22,9 +22,8 @@ from tests.reference.dmp import trajectory
 seeds = st.integers(0, 2**32 - 1)
 finite = st.floats(allow_nan=False, allow_infinity=False)
 nonnegative = st.floats(0.0, allow_infinity=False)
-vectors = st.tuples(finite, finite, finite)
 decades = st.floats(-6.0, 6.0).map(lambda power: 10.0**power)
-small = st.tuples(*[st.integers(-1, 1)] * 3).map(lambda v: np.array(v, dtype=float))
+small = st.sampled_from([-1.0, 0.0, 1.0])
 FEW = settings(max_examples=30, derandomize=True)
 MANY = settings(max_examples=60, derandomize=True)
 ORIGIN, AHEAD = np.zeros(3), np.array([1.0, 0.0, 0.0])
@@ -116,33 +115,27 @@ def test_the_compiled_turn_is_the_readable_one(
 
 @settings(max_examples=200)
 @given(
-    places=st.lists(st.tuples(small, small, small), min_size=1, max_size=3),
-    p=small,
-    z=small,
-    alpha=st.sampled_from([0.0, 1.0, 1e5]),
-    kappa=st.sampled_from([0.0, 3.0]),
-    guide=st.sampled_from([0.0, 1.0, 1e5]),
+    rows=st.lists(
+        st.tuples(
+            *[small] * 3,
+            st.sampled_from([0.0, 1.0, 1e5]),
+            st.just(0.6),
+            st.sampled_from([0.0, 3.0]),
+            *[small] * 6,
+            st.sampled_from([0.0, 1.0, 1e5]),
+        ),
+        min_size=1,
+        max_size=3,
+    ).map(np.array),
+    at=st.tuples(*[small] * 6),
     step=st.sampled_from([0.0, 1e-3, 1.0]),
     printed=st.booleans(),
     in_plane=st.booleans(),
 )
 def test_they_agree_where_directions_coincide_vanish_or_oppose(
-    places: list[tuple[FloatArray, FloatArray, FloatArray]],
-    p: FloatArray,
-    z: FloatArray,
-    alpha: float,
-    kappa: float,
-    guide: float,
-    step: float,
-    printed: bool,
-    in_plane: bool,
+    rows: FloatArray, at: tuple[float, ...], step: float, printed: bool, in_plane: bool
 ) -> None:
-    rows = np.array(
-        [
-            [*center, alpha, 0.6, kappa, *heading, *normal, guide]
-            for center, heading, normal in places
-        ]
-    )
+    p, z = np.array(at).reshape(2, 3)
     readable = turning(rows, in_plane=in_plane, printed=printed)(p, z, step)
     found = turn_of(rows, p, z, step, in_plane, printed)
     np.testing.assert_allclose(found, readable, rtol=0.0, atol=1e-11)
@@ -326,41 +319,31 @@ def test_without_a_usable_normal_the_stand_in_says_the_side(
 
 @settings(max_examples=200)
 @given(
-    p=vectors,
-    z=vectors,
-    center=vectors,
-    alpha=nonnegative,
-    psi=st.floats(0.0, exclude_min=True, allow_infinity=False),
-    kappa=nonnegative,
-    heading=vectors,
-    normal=vectors,
-    guide=nonnegative,
+    at=st.tuples(*[finite] * 6),
+    row=st.tuples(
+        *[finite] * 3,
+        nonnegative,
+        st.floats(0.0, exclude_min=True, allow_infinity=False),
+        nonnegative,
+        *[finite] * 6,
+        nonnegative,
+    ),
     step=st.floats(0.0, 1e3),
     printed=st.booleans(),
     in_plane=st.booleans(),
 )
-@example(*([(0.0,) * 3] * 3), 1.0, 1.0, 1.0, (0.0,) * 3, (0.0,) * 3, 1.0, 0.1, True, True)
+@example((0.0,) * 6, (*[0.0] * 3, 1.0, 1.0, 1.0, *[0.0] * 6, 1.0), 0.1, True, True)
 @example(
-    *((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 0.0, 0.0)),
-    *(1e308, 1e-308, 0.0, (-1.0, 0.0, 0.0), (5e-324, 0.0, 0.0), 1e308, 1e3, True, False),
+    (0.0, 0.0, 0.0, 1.0, 0.0, 0.0),
+    (1.0, 0.0, 0.0, 1e308, 1e-308, 0.0, -1.0, 0.0, 0.0, 5e-324, 0.0, 0.0, 1e308),
+    *(1e3, True, False),
 )
 def test_no_finite_input_yields_anything_but_a_finite_turn(
-    p: tuple[float, ...],
-    z: tuple[float, ...],
-    center: tuple[float, ...],
-    alpha: float,
-    psi: float,
-    kappa: float,
-    heading: tuple[float, ...],
-    normal: tuple[float, ...],
-    guide: float,
-    step: float,
-    printed: bool,
-    in_plane: bool,
+    at: tuple[float, ...], row: tuple[float, ...], step: float, printed: bool, in_plane: bool
 ) -> None:
-    row = [*center, alpha, psi, kappa, *heading, *normal, guide]
-    again = [*center[::-1], alpha, psi, kappa, *heading[::-1], *normal, guide]
-    turn = turn_of(np.array([row, again]), np.array(p), np.array(z), step, in_plane, printed)
+    p, z = np.array(at).reshape(2, 3)
+    again = [*row[2::-1], *row[3:6], *row[8:5:-1], *row[9:]]
+    turn = turn_of(np.array([row, again]), p, z, step, in_plane, printed)
     assert np.isfinite(turn).all()
     assert np.linalg.norm(turn) <= np.pi * (1.0 + 1e-12)
 

@@ -54,17 +54,6 @@ def nmse(path, reference):
 # Imitation
 
 
-def test_minimum_jerk_is_followed_to_the_goal():
-    start, goal = np.array([0.45, -0.4, 0.3]), np.array([0.45, 0.4, 0.3])
-    motion = trajectory(default_dmp(), start, goal)
-    reference, _ = minimum_jerk(start, goal, samples=501)
-    assert nmse(motion.p, reference) < 1e-7
-    assert np.linalg.norm(motion.p[-1] - goal) < 1e-4 * 0.8
-    assert np.linalg.norm(motion.z[-1]) < 1e-3 * 0.8
-    assert np.isclose(motion.k[-1], 0.01)
-    assert (motion.p @ (goal - start) >= start @ (goal - start)).all()
-
-
 def test_motion_comes_to_rest_at_the_goal_after_its_end():
     motion = trajectory(default_dmp(), [0.0, 0, 0], [1.0, 0, 0], steps=1000, end=3.0)
     assert np.abs(motion.p[motion.s >= 1.0] - [1, 0, 0]).max() < 3e-4
@@ -117,14 +106,11 @@ def test_the_compiled_motion_is_the_readable_one(dimension: int) -> None:
     ("path", "t", "message"),
     [
         ([[0.0, 0.0]], None, "at least 2 samples"),
-        ([0.0, 1.0], None, r"must be \(T, D\)"),
         ([[0.0], [1.0], [2.0]], [0.0, 1.0, 1.0], "sample 2 at 1.0 s follows 1.0 s"),
-        ([[0.0], [1.0], [2.0]], [0.0, 2.0, 1.0], "stamps must increase"),
         ([[0.0], [1.0]], [0.0, 1.0, 2.0], "one stamp a sample"),
         ([[0.0], [np.nan], [2.0]], None, "path must be finite: sample 1"),
         ([[0.0], [1.0], [2.0]], [0.0, 1.0, np.inf], "t must be finite: sample 2"),
         ([[0.0], [1.0], [0.0]], None, "end away from where it starts"),
-        ([[1.0, 1.0], [1.0, 1.0]], None, "end away from where it starts"),
     ],
 )
 def test_unusable_demonstrations_are_refused(path, t, message):

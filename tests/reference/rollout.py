@@ -3,48 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import expm
 
 from drake_oa.common.messages import FloatArray, IntArray
 from drake_oa.geometry.ellipsoid import signed_distance
-from drake_oa.policy.coupling import ALPHA, KAPPA, NORMAL, PSI
+from drake_oa.policy.coupling import ALPHA
 from drake_oa.policy.dmp import Dmp
 from drake_oa.regulation.rollout import SpatialRollouts, SpatialScenes, default_dmp
-
-
-def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.einsum("ni,ni->n", a, b)
-
-
-def turned(p: FloatArray, z: FloatArray, terms: FloatArray, step: float | FloatArray) -> FloatArray:
-    """z (N, 3) after a step of one avoidance term each (N, 13), about its normal.
-
-    The angle theta from the way to the point to z, in the term's plane, grows at
-    alpha exp(-kappa d^2) exp(-theta^2 / psi^2); the growth over the step is taken in closed form
-    (docs/equations.md) and ends straight away from the point.
-    """
-    n, alpha, psi = terms[:, NORMAL : NORMAL + 3], terms[:, ALPHA], terms[:, PSI]
-    o = terms[:, :3] - p
-    sine = _dot(n, np.cross(o, z))
-    cosine = _dot(o, z) - _dot(o, n) * _dot(z, n)
-    aligned = sine**2 <= 1e-18 * _dot(o, o) * _dot(z, z)
-    sine = np.where(aligned, 0.0, sine)
-    theta = np.arctan2(np.abs(sine), cosine)
-    u = theta / psi
-    c = alpha * step * np.exp(-terms[:, KAPPA] * _dot(o, o) - u**2) / psi
-    grown = np.log1p(c * (2.0 * u + np.arcsinh(c / np.sqrt(1.0 + 2.0 * u * c))))
-    turn = psi * grown / np.maximum(u + np.sqrt(u**2 + grown), 1e-300)
-    turn = np.where(c < 1e-14, c * psi, np.minimum(turn, np.pi - theta))
-    turn = np.where((c * psi < 1e-11) | (aligned & (cosine <= 0.0)), 0.0, turn)
-    turn = np.where(sine < 0.0, -turn, turn)[:, None]
-    along = _dot(z, n)[:, None] * n
-    return along + np.cos(turn) * (z - along) + np.sin(turn) * np.cross(n, z)
-
-
-def forcing(dmp: Dmp, k: float) -> FloatArray:
-    """(3,) f(k) / (alpha_x beta_x) for a unit baseline along x."""
-    basis = np.exp(-dmp.widths * (k - dmp.centers) ** 2)
-    return dmp.weights @ basis * k / (basis.sum() * dmp.alpha_x * dmp.beta_x)
+from tests.reference.coupling import turning
+from tests.reference.dmp import step
 
 
 def rollouts(
@@ -62,31 +28,22 @@ def rollouts(
 ) -> SpatialRollouts:
     """As `spatial_rollouts`, of paths that are looked at to their end."""
     dmp = dmp or default_dmp()
-    N, ds = len(scene), 1.0 / steps
-    L, R, goal = scenes.baseline[scene], scenes.R_WL[scene], scenes.p_WG[scene]
-    half = expm(0.5 * ds * np.array([[0.0, 1.0], [-dmp.alpha_x * dmp.beta_x, -dmp.alpha_x]]))
-    p, z = scenes.p_WE[scene], scenes.z_W[scene]
-    path, velocity = [p], [z]
-    for i in range(round(((horizon or end) - scenes.s) * steps)):
-        k = float(dmp.phase(scenes.s + (i + 0.5) * ds))
-        rest = goal + L[:, None] * (R @ forcing(dmp, k))
-        left = np.linalg.norm(goal - p, axis=1)
-        near = np.minimum(left / (fade * L), 1.0) ** 4 if fade else np.ones(N)
-        p, z = (
-            rest + half[0, 0] * (p - rest) + half[0, 1] * z,
-            half[1, 0] * (p - rest) + half[1, 1] * z,
-        )
-        faded = terms.copy()
-        faded[:, ALPHA] *= near
-        z = turned(p, z, faded, ds)
-        p, z = (
-            rest + half[0, 0] * (p - rest) + half[0, 1] * z,
-            half[1, 0] * (p - rest) + half[1, 1] * z,
-        )
-        path.append(p)
-        velocity.append(z)
+    path, velocity = [], []
+    for at, row in zip(scene, terms, strict=True):
+        p, z, k = scenes.p_WE[at], scenes.z_W[at], float(dmp.phase(scenes.s))
+        frame = {"frame": scenes.R_WL[at], "baseline": float(scenes.baseline[at])}
+        samples = [(p, z)]
+        for _ in range(round(((horizon or end) - scenes.s) * steps)):
+            left = float(np.linalg.norm(scenes.p_WG[at] - p))
+            faded = row.copy()
+            faded[ALPHA] *= min(left / (fade * frame["baseline"]), 1.0) ** 4 if fade else 1.0
+            turn = turning(faded[None], in_plane=True)
+            p, z, k = step(dmp, p, z, k, 1.0 / steps, scenes.p_WG[at], **frame, turn=turn)
+            samples.append((p, z))
+        for column, values in zip((path, velocity), zip(*samples, strict=True), strict=True):
+            column.append(np.array(values))
     return _account(
-        scenes, scene, np.stack(path, 1), np.stack(velocity, 1), steps, end, tolerance, seconds
+        scenes, scene, np.array(path), np.array(velocity), steps, end, tolerance, seconds
     )
 
 

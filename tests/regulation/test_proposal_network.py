@@ -32,11 +32,6 @@ from drake_oa.scenario.shipped import package_file
 WEIGHTS = "package://drake_oa/weights"
 
 
-@pytest.fixture(scope="module")
-def network() -> ProposalNetwork:
-    return load_proposals(package_file(f"{WEIGHTS}/proposals.safetensors"))
-
-
 def some_scenes(seed: int, count: int = 3, obstacles: int = 4) -> SpatialScenes:
     """Scenes under way among ellipsoids that turn and move, some of which are not there."""
     rng = np.random.default_rng(seed)
@@ -107,19 +102,19 @@ def test_a_descriptor_holds_what_it_says() -> None:
 
 @given(st.integers(0, 20))
 def test_the_order_of_obstacles_and_those_that_are_not_there_count_for_nothing(
-    network: ProposalNetwork, seed: int
+    proposer: ProposalNetwork, seed: int
 ) -> None:
     scenes = some_scenes(seed)
     order = np.random.default_rng(seed).permutation(4)
     columns = ("p_WO", "R_WO", "semi_axes", "v_WO", "asked_clearance")
     mixed = replace(scenes, **{name: getattr(scenes, name)[:, order] for name in columns})
-    for ours, theirs in zip(network.sides(scenes, 3.0), network.sides(mixed, 3.0), strict=True):
+    for ours, theirs in zip(proposer.sides(scenes, 3.0), proposer.sides(mixed, 3.0), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-4)
 
 
-def test_it_says_something_of_every_side_even_of_nothing(network: ProposalNetwork) -> None:
+def test_it_says_something_of_every_side_even_of_nothing(proposer: ProposalNetwork) -> None:
     for scenes in (some_scenes(1), some_scenes(1).without_obstacles()):
-        genes, length, likely = network.sides(scenes, 3.0)
+        genes, length, likely = proposer.sides(scenes, 3.0)
         assert genes.shape == (3, N_SIDES, N_GENES)
         assert np.isfinite(genes).all()
         assert (length >= 1.0).all()
@@ -147,13 +142,13 @@ def test_weaker_ones_of_what_keeps_it_and_stronger_ones_of_what_does_not() -> No
     np.testing.assert_array_equal(np.delete(line, ALPHA, axis=2), 0.0)
 
 
-def test_a_file_holds_it_whole(network: ProposalNetwork, tmp_path: Path) -> None:
+def test_a_file_holds_it_whole(proposer: ProposalNetwork, tmp_path: Path) -> None:
     path = tmp_path / "mine.safetensors"
-    save_proposals(network, path)
+    save_proposals(proposer, path)
     again = load_proposals(path)
-    ours, theirs = (one.propose(some_scenes(3), 3.0, 15)[0] for one in (network, again))
+    ours, theirs = (one.propose(some_scenes(3), 3.0, 15)[0] for one in (proposer, again))
     np.testing.assert_array_equal(ours, theirs)
-    assert again.metadata["seed"] == network.metadata["seed"]
+    assert again.metadata["seed"] == proposer.metadata["seed"]
 
 
 def test_a_chain_is_no_proposal_network_nor_the_other_way_about() -> None:
@@ -173,10 +168,10 @@ def test_a_chain_is_no_proposal_network_nor_the_other_way_about() -> None:
     ],
 )
 def test_what_does_not_fit_is_named(
-    network: ProposalNetwork, tmp_path: Path, wrong: dict[str, np.ndarray | None], said: str
+    proposer: ProposalNetwork, tmp_path: Path, wrong: dict[str, np.ndarray | None], said: str
 ) -> None:
     path = tmp_path / "mine.safetensors"
-    save_proposals(network, path)
+    save_proposals(proposer, path)
     arrays = load_file(path) | {name: value for name, value in wrong.items() if value is not None}
     for name in [name for name, value in wrong.items() if value is None]:
         del arrays[name]

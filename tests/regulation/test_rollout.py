@@ -110,7 +110,13 @@ def distances(scenes: SpatialScenes, places: FloatArray, seconds: float) -> Floa
 # Agreement.
 
 S, ROWS = 6, 11
-SETTINGS: dict[str, Any] = {"end": 1.0, "horizon": 2.0, "fade": 0.3, "tolerance": 4e-4}
+SETTINGS: dict[str, Any] = {
+    "steps": 200,
+    "end": 1.0,
+    "horizon": 2.0,
+    "fade": 0.3,
+    "tolerance": 4e-4,
+}
 
 
 def random_scenes(seed: int, M: int, speed: float = 0.0) -> SpatialScenes:
@@ -161,18 +167,18 @@ def assert_agree(found: SpatialRollouts, expected: SpatialRollouts) -> None:
     assert same.mean() > 0.95
     for name in ("path", "velocity"):
         np.testing.assert_allclose(
-            getattr(found, name)[same], getattr(expected, name)[same], rtol=0.0, atol=1e-7
+            getattr(found, name)[same], getattr(expected, name)[same], rtol=0.0, atol=1e-6
         )
 
 
 @pytest.mark.parametrize(("M", "speed"), [(0, 0.0), (1, 0.0), (6, 0.2)])
 def test_it_is_the_motion_of_the_readable_form(M: int, speed: float) -> None:
     scenes = random_scenes(5, M, speed)
-    scene, terms = random_terms(scenes, 5)
+    scene, terms = (rows[::6] for rows in random_terms(scenes, 5))
     seconds = np.random.default_rng(5).uniform(1.0, 5.0, len(scene))
-    expected = readable_rollouts(scenes, scene, terms, seconds=seconds, **SETTINGS)
-    found = spatial_rollouts(scenes, scene, terms, seconds=seconds, keep_path=True, **SETTINGS)
-    assert_agree(found, expected)
+    how = SETTINGS | {"seconds": seconds, "steps": 250, "horizon": 1.4}
+    expected = readable_rollouts(scenes, scene, terms, **how)
+    assert_agree(spatial_rollouts(scenes, scene, terms, keep_path=True, **how), expected)
 
 
 def test_rows_end_early_where_they_are_hopeless() -> None:

@@ -9,19 +9,12 @@ from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.policy.coupling import ALPHA as ALPHA_COLUMN
 from drake_oa.policy.coupling import NORMAL
 from drake_oa.regulation.config import SearchParameters
-from drake_oa.regulation.proposal_network import load_proposals
 from drake_oa.regulation.proposals import ANGLE, N_GENES, Proposer, avoidance_terms
 from drake_oa.regulation.rollout import SpatialScenes, spatial_rollouts
 from drake_oa.regulation.search import SearchResult, verify
-from drake_oa.scenario.shipped import package_file
 
 DURATION = 3.0
 QUICK = SearchParameters(rounds=20)
-
-
-@pytest.fixture(scope="module")
-def proposer() -> Proposer:
-    return load_proposals(package_file("package://drake_oa/weights/proposals.safetensors"))
 
 
 def scenes(
