@@ -88,34 +88,9 @@ def test_packages_listed_are_the_folders_there_are() -> None:
     assert len(set(listed)) == len(listed)
 
 
-def test_wheel_has_every_module_and_every_data_file(names: set[str]) -> None:
-    assert modules() | data_files() <= names
-
-
-def test_wheel_has_what_a_run_reads(names: set[str]) -> None:
-    for name in (
-        "models/package.xml",
-        "models/panda/panda_arm_hand.urdf",
-        "models/panda/meshes/link0.obj",
-        "models/panda/meshes/panda.mtl",
-        "models/obstacles/cardboard_box.sdf",
-        "models/scenes/tabletop_box.dmd.yaml",
-        "models/weights/proposals.safetensors",
-        "diagrams/avoidance.py",
-        "diagrams/tabletop_box.scenario.yaml",
-    ):
-        assert f"drake_oa/{name}" in names
-
-
-def test_wheel_has_no_other_top_level_package(names: set[str]) -> None:
-    tops = {name.partition("/")[0] for name in names}
-    assert {top for top in tops if not top.endswith(".dist-info")} == {"drake_oa"}
-    assert len(tops) == 2
-
-
-def test_wheel_has_nothing_that_is_not_in_the_tree(names: set[str]) -> None:
-    known = modules() | data_files()
-    assert {name for name in names if ".dist-info/" not in name} == known
+def test_wheel_holds_the_tree_and_nothing_else(names: set[str]) -> None:
+    assert {name for name in names if ".dist-info/" not in name} == modules() | data_files()
+    assert len({name.partition("/")[0] for name in names}) == 2
 
 
 def test_installed_code_is_the_wheels(site: Path, tmp_path: Path) -> None:

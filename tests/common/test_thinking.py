@@ -132,28 +132,19 @@ def test_without_a_cost_a_decision_is_in_force_at_once() -> None:
     assert np.isnan(bench.decision[0])
 
 
-@pytest.mark.parametrize("what", ["goal", "start"])
-def test_a_decision_on_another_motion_is_dropped(what: str) -> None:
+@pytest.mark.parametrize("what", ["goal", "start", "obstacles"])
+def test_a_decision_that_no_longer_fits_is_dropped(what: str) -> None:
     search = Scripted(2, *choices(1.1, 1.2, 1.3))
     bench = Bench(search)
     bench.at(0.12)
     if what == "goal":
         bench.system.GetInputPort("goal").FixValue(bench.context, ELSEWHERE)
-    else:
+    elif what == "start":
         bench.fix(policy_state=replace(bench.policy, p_WS=ELSEWHERE))
+    else:
+        search.late = (1.2,)
     assert bench.at(0.195).tau == 1.1
     assert len(search.asked) == 2
-    # It is made again, from what is in force.
-    assert bench.at(0.245).tau == 1.1
-    assert search.asked[2].tau == 1.1
-    assert bench.at(0.27).tau == 1.3
-
-
-def test_a_decision_that_no_longer_does_is_dropped() -> None:
-    search = Scripted(2, *choices(1.1, 1.2, 1.3))
-    bench = Bench(search)
-    search.late = (1.2,)
-    assert bench.at(0.16).tau == 1.1
     # It is made again, from what is in force.
     assert bench.at(0.245).tau == 1.1
     assert search.asked[2].tau == 1.1

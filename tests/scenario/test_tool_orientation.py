@@ -96,18 +96,10 @@ def test_a_demonstration_of_positions_alone_keeps_the_orientation(tmp_path: Path
 @pytest.mark.parametrize(
     ("arrays", "words"),
     [
-        ({"path": path()[:1]}, ["at least 2 samples, not 1"]),
-        ({"t": np.zeros(51)}, ["sample 1 at 0.0 s follows 0.0 s"]),
-        ({"t": np.append(np.arange(50.0), 49.0)}, ["sample 50 at 49.0 s follows 49.0 s"]),
-        ({"t": np.append(np.arange(50.0), 3.0)}, ["sample 50 at 3.0 s follows 49.0 s"]),
-        ({"path": np.zeros((51, 3))}, ["must end away from where it starts"]),
-        ({"path": np.full((51, 3), np.nan)}, ["sample 0 is not"]),
         ({"path": np.zeros((51, 2))}, ["its path is (51, 2)", "`path` (T, 3)"]),
         ({"R": rotations()[:9]}, ["51 positions and 9 orientations", "`quaternion` (T, 4)"]),
         ({"R": rotations(), "quaternion": np.ones((51, 4))}, ["both `quaternion` and `R`"]),
-        ({"quaternion": np.zeros((51, 4))}, ["the quaternion of sample 0 is 0"]),
         ({"quaternion": np.ones((51, 3))}, ["(T, 4) quaternions", "not (51, 3)"]),
-        ({"quaternion": np.full((51, 4), np.inf)}, ["sample 0 is not"]),
         ({"R": np.zeros((51, 3, 3))}, ["sample 0 is no rotation matrix"]),
     ],
 )
@@ -123,20 +115,6 @@ def test_a_bad_demonstration_is_named_with_what_is_wrong(
     with pytest.raises(ScenarioError) as error:
         teach()
     for word in ("task.demonstration", "shown.npz", *words):
-        assert word in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("overrides", "words"),
-    [
-        (["task.rpy_goal=[1.0, 2.0]"], ["task.rpy_goal", "3 numbers"]),
-        (["task.rpy_start=[1.0, 2.0, .nan]"], ["task.rpy_start[2]", "finite", "rad"]),
-    ],
-)
-def test_bad_angles_are_refused(overrides: list[str], words: list[str]) -> None:
-    with pytest.raises(ScenarioError) as error:
-        scenario(*overrides)
-    for word in words:
         assert word in str(error.value)
 
 
@@ -158,13 +136,6 @@ def test_the_robot_starts_as_the_tool_is_to_be_held() -> None:
     X_WE = robot_plant.tool_frame.CalcPoseInWorld(context)
     np.testing.assert_allclose(X_WE.rotation().matrix(), matrix([2.8, 0.1, 1.2]), atol=1e-5)
     np.testing.assert_allclose(X_WE.translation(), tilted.task.start, atol=1e-5)
-
-
-def test_a_goal_orientation_out_of_reach_is_refused_by_name() -> None:
-    upward = scenario("task.rpy_goal=[0.1, 0.0, 0.0]", "task.goal=[0.6, 0.45, 0.02]")
-    assert upward.robot is not None
-    with pytest.raises(ScenarioError, match=r"task\.goal: out of reach"):
-        start_positions(upward)
 
 
 def test_obstacles_are_dilated_by_the_tool_in_every_orientation_of_the_way() -> None:
