@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,24 +11,19 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
 
-from drake_oa.common.files import software_versions
 from drake_oa.common.messages import HoldCause
 from drake_oa.diagrams.avoidance import build_avoidance
-from drake_oa.diagrams.policy import make_dmp
 from drake_oa.hardware.hardware_cell import add_hardware, arm_of, hardware_scenario
 from drake_oa.hardware.panda_station import PandaStation
 from drake_oa.hardware.robot_link import RobotLink
-from drake_oa.robot.plant import make_robot_plant
-from drake_oa.runs.motion_log import MotionEnd, MotionLog, pack_ellipsoids
+from drake_oa.runs.motion_log import MotionEnd, MotionLog
 from drake_oa.runs.simulation import (
-    LONGEST_SCALING,
     MotionInterruptedError,
     MotionWatcher,
+    log_of,
     run_motion,
 )
-from drake_oa.scenario.loading import scenario_text
-from drake_oa.scenario.scenario import Scenario, robot_of
-from drake_oa.scenario.task import last_move
+from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task_joints import start_positions
 from drake_oa.world.station import release_cameras
 
@@ -109,22 +103,17 @@ def drive(
     Raises:
         MotionInterruptedError: as `simulate` does; also if the arm was stopped.
     """
-    known, end_time = driven.known, duration
-    if end_time is None:
-        end_time = make_dmp(known).duration * LONGEST_SCALING + last_move(known.task)
     # The world rests when the scenario's own would, as far as it tells.
     watcher = MotionWatcher(
         driven.diagram,
         driven.scenario,
-        end_time,
-        on_progress,
-        latest_time=duration,
+        duration,
+        on_progress=on_progress,
         on_look=on_look,
     )
+    simulator = Simulator(driven.diagram)
     try:
-        return _with_events(
-            run_motion(known, Simulator(driven.diagram), watcher, modulated=True), link
-        )
+        return _with_events(run_motion(driven.known, simulator, watcher, modulated=True), link)
     except MotionInterruptedError as error:
         raise MotionInterruptedError(_with_events(error.log, link)) from error.__cause__
     finally:
@@ -161,44 +150,19 @@ def station_log(scenario: Scenario, station: PandaStation) -> MotionLog:
     states = station.states
     if not states:
         raise ValueError("the station keeps no log: make it with log=True")
-    t, state = states["robot_state"]
-    robot_plant = make_robot_plant(robot_of(scenario))
-    q, v = np.hsplit(state, 2)
-    p_WE = robot_plant.tool_path(q)
+    signals = {name: values for name, (_, values) in states.items()}
     events = station.guard.events
-    nobody = np.zeros(len(t))
-    still = np.zeros_like(p_WE)
-    return MotionLog(
-        t=t,
-        q=q,
-        v=v,
-        torque=states["actuation"][1],
-        saturated=nobody,
-        p_WE=p_WE,
-        desired_position=p_WE,
-        desired_velocity=still,
-        desired_acceleration=still,
-        phase=nobody,
-        speed_scale=np.ones(len(t)),
-        tracking_error=np.full(len(t), math.nan),
-        q_world=states["plant_state"][1][:, : station.num_positions],
-        observation_time=np.zeros(0),
-        **pack_ellipsoids([]),
-        out_of_range=np.zeros(0, dtype=np.int64),
+    return log_of(
+        scenario,
+        states["robot_state"][0],
+        signals,
+        q_world=signals["plant_state"][:, : station.num_positions],
         regulation="",
-        shortfall=nobody,
         event_time=np.array(station.event_times[: len(events)]),
         event_hold=("",) * len(events),
         event=tuple(events),
-        supervision_time=np.zeros(0),
-        supervision_action=(),
-        supervision_reason=(),
-        **vars(robot_plant.limits),
         stop_reason="station ended",
         ended=MotionEnd.TIME_LIMIT.value,
         wall_time=station.pace.wall,
         modulated=True,
-        scenario=scenario_text(scenario),
-        seed=scenario.seed,
-        versions=software_versions(),
     )

@@ -346,7 +346,7 @@ class PlaySession:
             diagram = build_avoidance(scenario, modulated=modulated, meshcat=self._meshcat)
             judge = RobotJudge(scenario)
             simulator = Simulator(diagram)
-            watcher = MotionWatcher(diagram, scenario, math.inf, None, latest_time=math.inf)
+            watcher = MotionWatcher(diagram, scenario, math.inf)
             touched = judge.metrics(*watcher.positions(simulator.get_context())).contacts
             if self._simulator is not None and not self._contacts().issuperset(touched):
                 raise ScenarioError(f"obstacle inside the robot ({', '.join(touched)})")

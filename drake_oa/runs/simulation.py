@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from pydrake.geometry import Meshcat
@@ -47,7 +47,7 @@ LATEST_END = 2.2
 """Normalised time s at which a motion that has not arrived is ended; counted from s = 1 at
 the latest move of the goal, where that comes after it. One that has been verified to arrive
 later may do so."""
-_NOTHING, _UNSUPERVISED = EventStatus.DidNothing(), Supervision()
+_NOTHING = EventStatus.DidNothing()
 _GRACE = 0.2
 """How much later than verified a motion may arrive, in normalised time."""
 ARRIVED = SearchParameters().tolerance
@@ -83,6 +83,27 @@ class Ending(NamedTuple):
 AT_THE_GOAL = Ending(MotionEnd.GOAL, "goal")
 
 
+T = TypeVar("T")
+
+
+def _reader(
+    diagram: Diagram, system: str, port: str | None, otherwise: T
+) -> Callable[[Context], T]:
+    """Makes a function that reads an output port of a system by the Context of its diagram.
+
+    Args:
+        diagram: what is read.
+        system: name of the system.
+        port: name of the port; None: the only one.
+        otherwise: the value where the diagram lacks the system.
+    """
+    if not diagram.HasSubsystemNamed(system):
+        return lambda root: otherwise
+    found = diagram.GetSubsystemByName(system)
+    output = found.GetOutputPort(port) if port else found.get_output_port()
+    return lambda root: output.Eval(found.GetMyContextFromRoot(root))
+
+
 def motion_state(supervision: tuple[str, str], note: str) -> str:
     """Says what the supervisor does and why, else what holds the motion, else that it runs."""
     action, reason = supervision
@@ -111,10 +132,9 @@ class MotionWatcher:
         self,
         diagram: Diagram,
         scenario: Scenario,
-        end_time: float,
-        on_progress: Callable[[float, float], None] | None,
+        duration: float | None = None,
         *,
-        latest_time: float | None = None,
+        on_progress: Callable[[float, float], None] | None = None,
         on_look: Callable[[MotionWatcher, Context], None] | None = None,
     ) -> None:
         """Finds what it looks at.
@@ -123,41 +143,34 @@ class MotionWatcher:
             diagram: with a `dmp_integrator`; the other systems of `build_avoidance` are
                 looked at where they are there.
             scenario: what the diagram was made from.
-            end_time: time limit of the motion [s].
+            duration: time limit of the motion, at which the run is over, whatever moves then
+                [s]; None: `LONGEST_SCALING` demonstrated durations, from the last move of the
+                goal on, and the run goes on for at most `LONGEST_SETTLING` after that and all
+                that is to happen.
             on_progress: called with time [s] and phase, or None.
-            latest_time: when the run is over, whatever moves then [s]; None:
-                `LONGEST_SETTLING` after the time limit and all that is to happen.
             on_look: called after each look with this and the diagram's Context, or None.
         """
         self._diagram = diagram
-        self._policy_system = diagram.GetSubsystemByName("dmp_integrator")
-        self._policy_port = self._policy_system.GetOutputPort("policy_state")
-        self._ellipsoid_port = None
-        if diagram.HasSubsystemNamed("ellipsoid_descriptor"):
-            self._ellipsoid_system = diagram.GetSubsystemByName("ellipsoid_descriptor")
-            self._ellipsoid_port = self._ellipsoid_system.GetOutputPort("ellipsoids_W")
-        elif diagram.HasSubsystemNamed("perception"):
-            self._ellipsoid_system = diagram.GetSubsystemByName("perception")
-            self._ellipsoid_port = self._ellipsoid_system.get_output_port()
+        described = diagram.HasSubsystemNamed("ellipsoid_descriptor")
+        self._policy = _reader(diagram, "dmp_integrator", "policy_state", PolicyState())
+        self._supervision = _reader(diagram, "supervisor", "supervision", Supervision())
+        self._motion = _reader(diagram, "motion_selector", "motion", PlannedMotion())
+        self._coupling = _reader(
+            diagram, "regressor_chain", "coupling_parameters", CouplingParameters()
+        )
+        self._ellipsoids = _reader(
+            diagram, "ellipsoid_descriptor" if described else "perception", None, EllipsoidSet()
+        )
         self._alpha_k = scenario.policy.alpha_k
         self._period = scenario.policy.period
-        self._end_time = end_time
         self._on_progress, self._on_look = on_progress, on_look
         self._next_time = 0.0
         self._last_move = last_move(scenario.task)
+        usual = make_dmp(scenario).duration * LONGEST_SCALING + self._last_move
+        self._end_time = usual if duration is None else duration
         self._goal = goal_at(scenario.task, self._last_move)
         self._latest_end = LATEST_END
         self._held_since: float | None = None
-        self._chain = None
-        if diagram.HasSubsystemNamed("regressor_chain"):
-            self._chain = diagram.GetSubsystemByName("regressor_chain")
-        self._selector = None
-        if diagram.HasSubsystemNamed("motion_selector"):
-            self._selector = diagram.GetSubsystemByName("motion_selector")
-        self._supervisor = None
-        if diagram.HasSubsystemNamed("supervisor"):
-            self._supervisor = diagram.GetSubsystemByName("supervisor")
-            self._said = self._supervisor.GetOutputPort("supervision")
         self.frames: list[EllipsoidSet] = []
         self.frame_times: list[float] = []
         self.out_of_range: list[int] = []
@@ -167,10 +180,9 @@ class MotionWatcher:
         self.motion_end = math.nan
         self.settled = False
         self._rest_since = math.inf
-        self.world_end = _last_change(scenario, end_time)
-        self.latest_time = latest_time
-        if latest_time is None:
-            self.latest_time = max(end_time, self.world_end) + LONGEST_SETTLING
+        self.world_end = _last_change(scenario, self._end_time)
+        settled = max(self._end_time, self.world_end) + LONGEST_SETTLING
+        self.latest_time = settled if duration is None else duration
         self._plant = None
         if scenario.robot is not None:
             self._plant = diagram.GetSubsystemByName("plant")
@@ -183,7 +195,7 @@ class MotionWatcher:
             return _NOTHING
         # Policy and supervisor step once a period, and the look comes right after.
         self._next_time = now + 0.9 * self._period
-        policy: PolicyState = self._policy_port.Eval(self._policy_system.GetMyContextFromRoot(root))
+        policy = self._policy(root)
         supervision = self._supervision(root)
         if policy.hold is HoldCause.SPEED_SCALE and supervision.reason:
             note = f"supervisor: {supervision.reason}"
@@ -197,7 +209,7 @@ class MotionWatcher:
             self._end(math.nan, None)
         if not self.ending:
             self._end(now, self._why_ended(root, now, policy, supervision))
-        self._look_for_rest(root, now, policy)
+        self._look_for_rest(root, now)
         if self.settled:
             return EventStatus.ReachedTermination(
                 self._diagram, self.ending.reason if self.ending else ""
@@ -217,15 +229,23 @@ class MotionWatcher:
         """What has ended the motion, else what holds it, else that it runs."""
         if self.ending:
             return f"ended: {self.ending.reason}"
-        said = self.supervision[-1][1:] if self.supervision else ("run", "")
-        return motion_state(said, self.events[-1][2] if self.events else "")
+        return motion_state(self._decided, self._noted)
+
+    @property
+    def _decided(self) -> tuple[str, str]:
+        """The supervisor's newest action and its reason."""
+        return self.supervision[-1][1:] if self.supervision else ("run", "")
+
+    @property
+    def _noted(self) -> str:
+        """The policy's newest note."""
+        return self.events[-1][2] if self.events else ""
 
     def finish(self, root: Context) -> None:
         """Says what the end of the run makes of the motion's."""
         if not self.ending:
             self._end(self._end_time, self._time_limit())
-        policy: PolicyState = self._policy_port.Eval(self._policy_system.GetMyContextFromRoot(root))
-        error = self._goal_error(root, policy)
+        error = self._goal_error(root)
         if self.ending == AT_THE_GOAL and error > AT_GOAL:
             self.ending = Ending(MotionEnd.LEFT, f"goal left by {1e3 * error:.1f} mm")
 
@@ -246,7 +266,7 @@ class MotionWatcher:
         elif (
             s >= 1.0 - 1e-9
             and _has_arrived(policy, self._goal)
-            and self._goal_error(root, policy) <= AT_GOAL
+            and self._goal_error(root) <= AT_GOAL
         ):
             return AT_THE_GOAL
         if supervision.action == "stop" and policy.speed == 0.0:
@@ -254,7 +274,7 @@ class MotionWatcher:
         if now > self._last_move and s >= self._latest_end:
             self._latest_end = max(self._latest_end, self._verified_end(root) + _GRACE)
         if now > self._last_move and s >= self._latest_end:
-            error = self._goal_error(root, policy)
+            error = self._goal_error(root)
             if error <= AT_GOAL:
                 # The paper's terms act on there, and let it creep.
                 return AT_THE_GOAL
@@ -268,83 +288,61 @@ class MotionWatcher:
             return Ending(MotionEnd.HELD, why, may_go_on=True)
         return self._time_limit() if now >= self._end_time else None
 
-    def _look_for_rest(self, root: Context, now: float, policy: PolicyState) -> None:
+    def _look_for_rest(self, root: Context, now: float) -> None:
         """Whether nothing has moved for `REST_TIME`, nor anything will.
 
         One that may yet go on is given `LONGEST_HOLD`: a decision may take seconds.
         """
-        if now < self.world_end or not self.ending or self._fastest(root, policy) > AT_REST:
+        if now < self.world_end or not self.ending or self._fastest(root) > AT_REST:
             self._rest_since, self.settled = math.inf, False
             return
         self._rest_since = min(self._rest_since, now)
         rest = LONGEST_HOLD if self.ending and self.ending.may_go_on else REST_TIME
         self.settled = now - self._rest_since >= rest
 
-    def _fastest(self, root: Context, policy: PolicyState) -> float:
+    def _fastest(self, root: Context) -> float:
         """Speed of the fastest joint [rad/s, m/s]; without a robot that of the policy [m/s]."""
         if self._plant is None:
+            policy = self._policy(root)
             return math.hypot(*policy.z_W) * policy.speed
         context = self._plant.GetMyContextFromRoot(root)
         return float(np.abs(self._plant.GetVelocities(context, self._robot)).max())
 
-    def _tool_point(self, root: Context, policy: PolicyState) -> FloatArray:
-        """(3,) the actual tool point; without a robot the desired one [m]."""
+    def tool_point(self, root: Context) -> FloatArray:
+        """Returns the actual tool point (3,); without a robot the desired one [m]."""
         if self._plant is None:
-            return policy.p_WE
+            return self._policy(root).p_WE
         context = self._plant.GetMyContextFromRoot(root)
         p_WE: FloatArray = self._tool_frame.CalcPoseInWorld(context).translation()
         return p_WE
 
-    def _goal_error(self, root: Context, policy: PolicyState) -> float:
-        return math.dist(self._tool_point(root, policy), self._goal)
+    def _goal_error(self, root: Context) -> float:
+        return math.dist(self.tool_point(root), self._goal)
 
     def _record(
         self, root: Context, now: float, policy: PolicyState, supervision: Supervision
     ) -> None:
         self._note(now, policy.hold, policy.note)
-        self._record_supervision(now, supervision)
+        decided = supervision.action, supervision.reason
+        if decided != self._decided:
+            self.supervision.append((now, *decided))
         if policy.hold in (HoldCause.NONE, HoldCause.DECIDING):
             self._held_since = None
         elif self._held_since is None:
             self._held_since = now
-        if self._ellipsoid_port is not None:
-            seen: EllipsoidSet = self._ellipsoid_port.Eval(
-                self._ellipsoid_system.GetMyContextFromRoot(root)
-            )
-            if seen.stamp > -math.inf and (not self.frames or seen.stamp != self.frames[-1].stamp):
-                self.frames.append(seen)
-                self.frame_times.append(now)
-                coupling = self._asked_of_chain(root)
-                self.out_of_range.append(int((~coupling.in_range).sum()))
+        seen = self._ellipsoids(root)
+        if seen.stamp > -math.inf and (not self.frames or seen.stamp != self.frames[-1].stamp):
+            self.frames.append(seen)
+            self.frame_times.append(now)
+            self.out_of_range.append(int((~self._coupling(root).in_range).sum()))
 
     def _note(self, now: float, hold: HoldCause, note: str) -> None:
-        if note != (self.events[-1][2] if self.events else ""):
+        if note != self._noted:
             self.events.append((now, hold, note))
-
-    def _supervision(self, root: Context) -> Supervision:
-        if self._supervisor is None:
-            return _UNSUPERVISED
-        said: Supervision = self._said.Eval(self._supervisor.GetMyContextFromRoot(root))
-        return said
-
-    def _record_supervision(self, now: float, said: Supervision) -> None:
-        before = self.supervision[-1][1:] if self.supervision else ("run", "")
-        if (said.action, said.reason) != before:
-            self.supervision.append((now, said.action, said.reason))
-
-    def _asked_of_chain(self, root: Context) -> CouplingParameters:
-        if self._chain is None:
-            return CouplingParameters()
-        port = self._chain.GetOutputPort("coupling_parameters")
-        coupling: CouplingParameters = port.Eval(self._chain.GetMyContextFromRoot(root))
-        return coupling
 
     def _verified_end(self, root: Context) -> float:
         """Normalised time at which the motion has been verified to arrive; 0: it has not."""
-        if self._selector is None:
-            return 0.0
-        port = self._selector.GetOutputPort("motion")
-        motion: PlannedMotion = port.Eval(self._selector.GetMyContextFromRoot(root))
+        motion = self._motion(root)
         if not len(motion) or math.dist(motion.p_WE[-1], self._goal) > ARRIVED:
             return 0.0
         return float(motion.s[-1])
@@ -398,9 +396,7 @@ def simulate(
     Args:
         scenario: what to run.
         modulated: False runs the pre-planned motion, blind to obstacles.
-        duration: time limit of the motion, at which the run is over, whatever moves then [s];
-            None: `LONGEST_SCALING` demonstrated durations, from the last move of the goal on, and
-            the run goes on.
+        duration: time limit, see `MotionWatcher`.
         meshcat: viewer, or None.
         on_progress: called with time [s] and phase, a few hundred times a second.
         on_look: called as often, see `MotionWatcher`.
@@ -417,14 +413,8 @@ def simulate(
         diagram = build_avoidance(
             scenario, modulated=modulated, layers=layers, customize=customize, meshcat=meshcat
         )
-    simulator = Simulator(diagram)
-    end_time = duration
-    if end_time is None:
-        end_time = make_dmp(scenario).duration * LONGEST_SCALING + last_move(scenario.task)
-    watcher = MotionWatcher(
-        diagram, scenario, end_time, on_progress, latest_time=duration, on_look=on_look
-    )
-    return run_motion(scenario, simulator, watcher, modulated=modulated)
+    watcher = MotionWatcher(diagram, scenario, duration, on_progress=on_progress, on_look=on_look)
+    return run_motion(scenario, Simulator(diagram), watcher, modulated=modulated)
 
 
 def run_motion(
@@ -475,72 +465,101 @@ def collect_log(
 ) -> MotionLog:
     """What a diagram of a scenario has logged until now; see `run_motion`."""
     root = simulator.get_context()
-    diagram = simulator.get_system()
     ending = watcher.ending or Ending(MotionEnd.CUT_SHORT, "")
-    signals: dict[str, FloatArray] = {}
-    t = np.zeros(0)
-    for system in diagram.GetSystems():
-        if isinstance(system, VectorLogSink):
-            log = system.FindLog(root)
-            t = log.sample_times().copy()
-            signals[system.get_name().removeprefix("log_")] = log.data().T.copy()
-    count = len(t)
-    empty = np.zeros((count, 0))
-
-    def scalar(name: str, otherwise: float) -> FloatArray:
-        return signals.get(name, np.full((count, 1), otherwise))[:, 0]
-
-    state = signals.get("robot_state", empty)
-    half = state.shape[1] // 2
-    q, q_world = state[:, :half], empty
-    p_WE, limits = signals["desired_position"], RobotLimits()
+    diagram = simulator.get_system()
+    sinks = [system for system in diagram.GetSystems() if isinstance(system, VectorLogSink)]
+    logs = {sink.get_name().removeprefix("log_"): sink.FindLog(root) for sink in sinks}
+    signals = {name: log.data().T.copy() for name, log in logs.items()}
+    t = next(iter(logs.values())).sample_times().copy()
+    world = signals.get("plant_state", np.zeros((len(t), 0)))
     if scenario.robot is not None:
-        plant, robot_plant = diagram.GetSubsystemByName("plant"), make_robot_plant(scenario.robot)
-        p_WE, limits = robot_plant.tool_path(q), robot_plant.limits
-        q_world = signals.get("plant_state", empty)[:, : plant.num_positions()]
-    seen = pack_ellipsoids(watcher.frames)
-    return MotionLog(
-        t=t,
-        q=q,
-        v=state[:, half:],
-        torque=signals.get("actuation", empty),
-        saturated=scalar("torque_saturation", 0.0),
-        p_WE=p_WE,
-        desired_position=signals["desired_position"],
-        desired_velocity=signals["desired_velocity"],
-        desired_acceleration=signals["desired_acceleration"],
-        phase=signals["phase"][:, 0],
-        speed_scale=scalar("speed_scale", 1.0),
-        tracking_error=np.linalg.norm(
-            signals.get("tracking_error", np.full((count, 1), math.nan)), axis=1
-        ),
-        q_world=q_world,
+        world = world[:, : diagram.GetSubsystemByName("plant").num_positions()]
+    return log_of(
+        scenario,
+        t,
+        signals,
+        q_world=world,
         observation_time=np.array(watcher.frame_times),
-        **seen,
+        **pack_ellipsoids(watcher.frames),
         **logged_decisions(signals),
         out_of_range=np.array(watcher.out_of_range, dtype=np.int64),
         regulation=type(scenario.regulation).__name__ if modulated else "",
-        shortfall=scalar("shortfall", 0.0),
-        lowered=scalar("lowered", 0.0),
         event_time=np.array([when for when, _, _ in watcher.events]),
         event_hold=tuple(hold.value for _, hold, _ in watcher.events),
         event=tuple(note for _, _, note in watcher.events),
         supervision_time=np.array([when for when, _, _ in watcher.supervision]),
         supervision_action=tuple(action for _, action, _ in watcher.supervision),
         supervision_reason=tuple(reason for _, _, reason in watcher.supervision),
-        **vars(limits),
         stop_reason=ending.reason,
         ended=ending.end.value,
         motion_end=watcher.motion_end,
         settled=watcher.settled,
         wall_time=wall_time,
         modulated=modulated,
+    )
+
+
+def log_of(
+    scenario: Scenario, t: FloatArray, signals: dict[str, FloatArray], **facts: Any
+) -> MotionLog:
+    """Makes a log of signals; one that is missing is as in a motion that nothing bends or holds.
+
+    Args:
+        scenario: what was run.
+        t: (T,) instants [s].
+        signals: name -> (T, n) values; desired_position is needed without a robot only.
+        facts: attributes of the log that are no signals; without those of observations,
+            events and supervision there were none.
+    """
+    count = len(t)
+    empty, still = np.zeros((count, 0)), np.zeros((count, 3))
+
+    q, v = np.hsplit(signals.get("robot_state", empty), 2)
+    limits = RobotLimits()
+    p_WE = signals.get("desired_position", still)
+    if scenario.robot is not None:
+        robot_plant = make_robot_plant(scenario.robot)
+        p_WE, limits = robot_plant.tool_path(q), robot_plant.limits
+    vectors = {
+        "desired_position": p_WE,
+        "desired_velocity": still,
+        "desired_acceleration": still,
+        "goal": np.tile(np.asarray(scenario.task.goal), (count, 1)),
+        "desired_orientation": np.zeros((0, 4)),
+        "orientation_error": np.zeros((0, 3)),
+        "desired_posture": empty,
+        "evasion": np.zeros((0, 3)),
+    }
+    nothing, unknown = np.zeros((count, 1)), np.full((count, 1), math.nan)
+    scalars = {
+        "phase": nothing,
+        "speed_scale": np.ones((count, 1)),
+        "shortfall": nothing,
+        "lowered": nothing,
+    }
+    none: dict[str, Any] = {
+        "observation_time": np.zeros(0),
+        **pack_ellipsoids([]),
+        "out_of_range": np.zeros(0, dtype=np.int64),
+        "event_time": np.zeros(0),
+        "event": (),
+        "supervision_time": np.zeros(0),
+        "supervision_action": (),
+        "supervision_reason": (),
+    }
+    return MotionLog(
+        t=t,
+        q=q,
+        v=v,
+        torque=signals.get("actuation", empty),
+        saturated=signals.get("torque_saturation", nothing)[:, 0],
+        p_WE=p_WE,
+        tracking_error=np.linalg.norm(signals.get("tracking_error", unknown), axis=1),
+        **{name: signals.get(name, value) for name, value in vectors.items()},
+        **{name: signals.get(name, value)[:, 0] for name, value in scalars.items()},
         scenario=scenario_text(scenario),
         seed=scenario.seed,
         versions=software_versions(),
-        goal=signals.get("goal", np.tile(np.asarray(scenario.task.goal), (count, 1))),
-        desired_orientation=signals.get("desired_orientation", np.zeros((0, 4))),
-        orientation_error=signals.get("orientation_error", np.zeros((0, 3))),
-        desired_posture=signals.get("desired_posture", empty),
-        evasion=signals.get("evasion", np.zeros((0, 3))),
+        **vars(limits),
+        **(none | facts),
     )

@@ -75,7 +75,7 @@ def test_is_wired_as_before_and_runs(name: str) -> None:
     if _WRITES:
         path.write_text(found)
     assert found == path.read_text()
-    watcher = MotionWatcher(diagram, scenario, 0.048, None, latest_time=0.048)
+    watcher = MotionWatcher(diagram, scenario, 0.048)
     log = run_motion(scenario, Simulator(diagram), watcher, modulated=True)
     assert log.stop_reason == "time limit of 0.048 s"
     assert np.isfinite(log.torque).all()

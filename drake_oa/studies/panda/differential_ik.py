@@ -78,7 +78,6 @@ from drake_oa.runs.simulation import (
     ARRIVED,
     AT_THE_GOAL,
     LATEST_END,
-    LONGEST_SCALING,
     STILL,
     Ending,
     MotionWatcher,
@@ -606,12 +605,10 @@ class _ToolWatcher(MotionWatcher):
         self,
         diagram: Diagram,
         scenario: Scenario,
-        end_time: float,
+        duration: float | None,
         on_progress: Callable[[float, float], None] | None,
-        *,
-        latest_time: float | None,
     ) -> None:
-        super().__init__(diagram, scenario, end_time, on_progress, latest_time=latest_time)
+        super().__init__(diagram, scenario, duration, on_progress=on_progress)
         self._duration = make_dmp(scenario).duration
         self._recent: deque[tuple[float, FloatArray]] = deque()
         self._command = diagram.GetSubsystemByName("commanded_velocity")
@@ -619,7 +616,7 @@ class _ToolWatcher(MotionWatcher):
     def _record(
         self, root: Context, now: float, policy: PolicyState, supervision: Supervision
     ) -> None:
-        lag = math.dist(policy.p_WE, self._tool_point(root, policy))
+        lag = math.dist(policy.p_WE, self.tool_point(root))
         command = self._command.get_output_port().Eval(self._command.GetMyContextFromRoot(root))
         held = lag > _AT_REST and not command.any()
         self._note(now, *((HoldCause.OBSTACLES, NO_VELOCITY) if held else (HoldCause.NONE, "")))
@@ -627,7 +624,7 @@ class _ToolWatcher(MotionWatcher):
     def _why_ended(
         self, root: Context, now: float, policy: PolicyState, supervision: Supervision
     ) -> Ending | None:
-        p_WE = self._tool_point(root, policy)
+        p_WE = self.tool_point(root)
         s = normalised_time(policy.phase, self._alpha_k)
         error = math.dist(p_WE, policy.p_WG)
         if s >= 1.0 - 1e-9:
@@ -735,10 +732,7 @@ def _run(
     duration: float | None,
     on_progress: Callable[[float, float], None] | None,
 ) -> MotionLog:
-    end_time = make_dmp(scenario).duration * LONGEST_SCALING if duration is None else duration
-    watcher = _ToolWatcher(
-        simulator.get_system(), scenario, end_time, on_progress, latest_time=duration
-    )
+    watcher = _ToolWatcher(simulator.get_system(), scenario, duration, on_progress)
     log = run_motion(scenario, simulator, watcher, modulated=True)
     saturated = (np.abs(log.torque) >= log.effort_limit).any(axis=1).astype(float)
     log = replace(log, regulation=METHOD, saturated=saturated)
