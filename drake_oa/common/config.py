@@ -235,7 +235,7 @@ def _problem(kind: Any, error: ErrorDetails, where: str) -> str:
             continue
         place += f".{part}" if place else part
         if part in (fields := getattr(block, "__pydantic_fields__", {})):
-            bracket = re.search(r" \[[^\]]+\]", _description(block, part))
+            bracket = re.search(r" \[[^\]]+\]", _description(block, part).split("\n\n")[0])
             kind, unit = fields[part].annotation, bracket[0] if bracket else ""
             block, limits = _block(kind), _limits(fields[part].metadata)
     context, given = error.get("ctx", {}), error["input"]
@@ -255,6 +255,10 @@ def _problem(kind: Any, error: ErrorDetails, where: str) -> str:
         return f"{place}: {context['error']}{unit}"
     if error["type"].startswith(("greater", "less")) and limits:
         return f"{place}: must be {' and '.join(limits)}{unit}, not {given!r}"
+    if error["type"] == "missing":
+        return f"{place}: is missing"
+    if error["type"] in ("dataclass_type", "dict_type"):
+        return f"{place}: expected a block of field: value, not {given!r}"
     message = re.sub(r"List (.*) items? after.*", r"\1 values", error["msg"])
     return f"{place}: {message.removeprefix('Input ')}{unit}, not {given!r}"
 

@@ -56,8 +56,8 @@ class Obstacle:
         list[Annotated[list[float], Field(min_length=4, max_length=4)]],
         AfterValidator(_check_course),
     ] = Field(default_factory=list)
-    """Motion of the obstacle: rows [t, x, y, z], the offset from `translation` in the world at time
-    t [s, m], interpolated linearly; at rest before the first and after the last row. Empty: the
+    """Motion of the obstacle: rows t, x, y, z [s, m], the offset from `translation` in the world at
+    time t, interpolated linearly; at rest before the first and after the last row. Empty: the
     obstacle does not move."""
     present: Annotated[
         list[Annotated[float, Field(ge=0.0)]],

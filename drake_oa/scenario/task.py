@@ -27,8 +27,8 @@ class Task:
     goal_moves: list[Annotated[list[float], Field(min_length=4, max_length=4)]] = Field(
         default_factory=list
     )
-    """Moves of the goal during the motion: rows [t, x, y, z]; from time t on, the goal is at this
-    position in the world [s, m]."""
+    """Moves of the goal during the motion: rows t, x, y, z [s, m]; from time t on, the goal is at
+    this position in the world."""
     duration: float = Field(default=5.0, gt=0.0, le=LONGEST)
     """Duration T of the nominal motion [s]; the avoiding motion takes tau T. Ignored if the
     demonstration has its own times. Raising it moves more slowly."""

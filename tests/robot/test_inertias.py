@@ -67,16 +67,15 @@ def test_it_is_drakes_panda_and_as_far_off_as_known(
 
 
 def test_another_robot_is_refused() -> None:
+    link = Inertia(1.0, [0.0, 0.0, 0.0], [1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
     with pytest.raises(ScenarioError, match=r"robot\.model has not: panda_link0; it has base"):
-        with_inertias("<robot name='x'><link name='base'/></robot>", {"panda_link0": Inertia()})
+        with_inertias("<robot name='x'><link name='base'/></robot>", {"panda_link0": link})
 
 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("link: {mass: -1}", r"inertias\.link\.mass: -1 is outside"),
-        ("link: {com: [0, 0]}", "expected 3 numbers"),
-        ("link: {mass: 1}", "inertias.link: com, inertia must be given"),
+        ("link: {mass: 1}", "inertias.link.com: is missing"),
         ("- link", "expected a block"),
         (None, "does not exist"),
     ],
@@ -85,7 +84,9 @@ def test_a_file_that_does_not_fit_is_named(text: str | None, said: str, tmp_path
     file = tmp_path / "inertias.yaml"
     if text is not None:
         file.write_text(text)
-    with pytest.raises(ScenarioError, match=rf"!ModelError\.inertias: .*inertias\.yaml.*({said})"):
+    with pytest.raises(
+        ScenarioError, match=rf"(?s)!ModelError\.inertias: .*inertias\.yaml.*({said})"
+    ):
         make_robot_plant(Robot(), inertias=str(file))
 
 
