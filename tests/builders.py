@@ -5,8 +5,15 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
-from pydrake.math import RotationMatrix
-from pydrake.systems.framework import Context, System
+from pydrake.geometry import SceneGraph, Shape
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import (
+    AddMultibodyPlantSceneGraph,
+    CoulombFriction,
+    MultibodyPlant,
+)
+from pydrake.multibody.tree import RevoluteJoint, RigidBody, SpatialInertia
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
 
 from drake_oa.app.main import main
 from drake_oa.common.messages import EllipsoidSet, FloatArray
@@ -53,6 +60,22 @@ def arm_of(
 def read(system: System, context: Context, port: str) -> FloatArray:
     """A vector output."""
     return np.array(system.GetOutputPort(port).Eval(context))
+
+
+def hinged_shapes(
+    shapes: Sequence[Shape], X_BG: RigidTransform
+) -> tuple[Diagram, MultibodyPlant, SceneGraph, RigidBody]:
+    """One body, "link", on a hinge about z, with collision geometries."""
+    builder = DiagramBuilder()
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
+    instance = plant.AddModelInstance("arm")
+    inertia = SpatialInertia.SolidSphereWithMass(1.0, 0.1)
+    body = plant.AddRigidBody("link", instance, inertia)
+    plant.AddJoint(RevoluteJoint("hinge", plant.world_frame(), body.body_frame(), [0.0, 0.0, 1.0]))
+    for number, shape in enumerate(shapes):
+        plant.RegisterCollisionGeometry(body, X_BG, shape, f"g{number}", CoulombFriction())
+    plant.Finalize()
+    return builder.Build(), plant, scene_graph, body
 
 
 def command(*arguments: object) -> int:

@@ -10,12 +10,10 @@ from pydrake.geometry import (
     Sphere,
 )
 from pydrake.math import RigidTransform, RollPitchYaw
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
-from pydrake.multibody.tree import RevoluteJoint, SpatialInertia
-from pydrake.systems.framework import DiagramBuilder
 from scipy.spatial import ConvexHull
 
 from drake_oa.geometry.collision_shapes import collect_collision_shapes, surface_points
+from tests.builders import hinged_shapes
 
 TETRAHEDRON = np.array([[0.2, 0.0, 0.0], [0.0, 0.3, 0.0], [0.0, 0.0, 0.4], [-0.1, -0.1, -0.1]])
 X_BG = RigidTransform(RollPitchYaw(0.3, -0.5, 1.0), [0.1, 0.2, 0.3])
@@ -42,17 +40,9 @@ def shapes():
 
 def arm_with(shape_list):
     """A body on a hinge about z, with the shapes at X_BG."""
-    builder = DiagramBuilder()
-    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
-    instance = plant.AddModelInstance("arm")
-    body = plant.AddRigidBody("link", instance, SpatialInertia.SolidBoxWithMass(1.0, 0.1, 0.1, 0.1))
-    plant.AddJoint(RevoluteJoint("hinge", plant.world_frame(), body.body_frame(), [0.0, 0.0, 1.0]))
-    for number, shape in enumerate(shape_list):
-        plant.RegisterCollisionGeometry(body, X_BG, shape, f"g{number}", CoulombFriction())
-    plant.Finalize()
-    diagram = builder.Build()
+    diagram, plant, scene_graph, body = hinged_shapes(shape_list, X_BG)
     geometries = plant.GetCollisionGeometriesForBody(body)
-    return diagram, plant, scene_graph, instance, geometries
+    return diagram, plant, scene_graph, body.model_instance(), geometries
 
 
 @pytest.mark.parametrize("shape", shapes(), ids=lambda shape: type(shape).__name__)

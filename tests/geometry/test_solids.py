@@ -5,9 +5,6 @@ import numpy as np
 import pydrake.geometry as drake
 import pytest
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
-from pydrake.multibody.tree import SpatialInertia
-from pydrake.systems.framework import DiagramBuilder
 from scipy.optimize import nnls
 from scipy.spatial.transform import Rotation
 
@@ -16,6 +13,7 @@ from drake_oa.geometry.distance_field import field_of
 from drake_oa.geometry.ellipsoid_kernels import nearest_point
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere
 from drake_oa.geometry.solids import solids_of
+from tests.builders import hinged_shapes
 
 RNG = np.random.default_rng(5)
 POINTS = RNG.uniform(-0.4, 0.4, (400, 3)) + [0.5, 0.1, 0.2]
@@ -29,24 +27,13 @@ ROUND *= 0.15 / np.linalg.norm(ROUND, axis=1)[:, None]
 class World:
     """Drake's answers for one body with collision geometries."""
 
-    def __init__(self, shapes, X_WG=X_WG):
-        builder = DiagramBuilder()
-        self.plant, scene_graph = AddMultibodyPlantSceneGraph(builder, 0.0)
-        inertia = SpatialInertia.SolidSphereWithMass(1.0, 0.1)
-        self.body = self.plant.AddRigidBody("thing", inertia)
-        for number, shape in enumerate(shapes):
-            self.plant.RegisterCollisionGeometry(
-                self.body, RigidTransform(), shape, f"g{number}", CoulombFriction()
-            )
-        self.plant.Finalize()
-        self.diagram = builder.Build()
-        self.context = self.diagram.CreateDefaultContext()
-        self.inner = self.plant.GetMyContextFromRoot(self.context)
-        rotation = RotationMatrix(X_WG[:3, :3])
-        self.plant.SetFreeBodyPose(self.inner, self.body, RigidTransform(rotation, X_WG[:3, 3]))
-        port = scene_graph.get_query_output_port()
-        self.query = port.Eval(scene_graph.GetMyContextFromRoot(self.context))
-        self.inspector = scene_graph.model_inspector()
+    def __init__(self, shapes):
+        pose = RigidTransform(RotationMatrix(X_WG[:3, :3]), X_WG[:3, 3])
+        self.diagram, self.plant, graph, self.body = hinged_shapes(shapes, pose)
+        self.root = self.diagram.CreateDefaultContext()
+        self.inner = self.plant.GetMyContextFromRoot(self.root)
+        self.query = self.plant.get_geometry_query_input_port().Eval(self.inner)
+        self.inspector = graph.model_inspector()
 
     def solids(self, **more):
         return solid.body_solids(self.plant, self.inspector, self.inner, [self.body], **more)
@@ -210,7 +197,7 @@ def test_the_shapes_of_a_scenario_have_their_place():
 def test_the_solids_of_bodies_are_where_the_context_has_them():
     found = World([drake.Sphere(0.1), drake.Convex(CUBE.T, "cube")]).solids(stamp=1.0)
     assert [one.kind for one in found] == [solid.PRIMITIVE, solid.HULL]
-    assert found[0].label.endswith("thing")
+    assert found[0].label.endswith("link")
     assert pytest.approx(X_WG, abs=1e-12) == found[1].X_WO
     shape = Mock(GetShape=lambda _: drake.MeshcatCone(0.1, 0.1, 0.1), GetName=lambda _: "tip")
     world = World([drake.Sphere(0.1)])

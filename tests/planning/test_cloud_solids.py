@@ -22,7 +22,7 @@ from drake_oa.planning.cloud_solids import (
     unseen,
 )
 from drake_oa.planning.unseen_ends import ImageRange, with_unseen_ends
-from tests.reference.depth_images import look_at, rays_of
+from tests.reference.depth_images import SIZE, K, look_at, ray_cast
 
 CAMERA = np.array([1.2, 0.0, 0.8])
 HALF = np.array([0.04, 0.1, 0.1])
@@ -279,15 +279,8 @@ def whole(half=HALF, center=CENTER, spacing=0.004):
 
 def image(eye, *boxes):
     """Of boxes (low, high) on a table, from a place that looks at their middle."""
-    X_WC, K = look_at(eye, [0.4, 0.0, 0.1]), np.array([300.0, 300.0, 159.5, 119.5])
-    rays = rays_of(X_WC, K, (240, 320))
-    depth = -X_WC[2, 3] / rays[..., 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        for low, high in boxes:
-            t = np.sort([(low - eye) / rays, (high - eye) / rays], axis=0)
-            near, far = t[0].max(axis=-1), t[1].min(axis=-1)
-            depth = np.where((near < far) & (near > 0.0), np.minimum(depth, near), depth)
-    return View.of(depth, K, X_WC)
+    X_WC = look_at(eye, [0.4, 0.0, 0.1])
+    return View.of(ray_cast(X_WC, boxes), K, X_WC)
 
 
 # 1 cm thin, 20 cm broad: from one camera it may be 8 cm deep.
@@ -336,7 +329,7 @@ def test_what_is_hidden_from_all_cameras_is_filled():
 def test_what_one_image_cuts_off_ends_where_another_sees_through():
     X_WC = image(CAMERA).X_WC
     last = (post(0.2)[-1] - X_WC[:3, 3]) @ X_WC[:3, :3]
-    near = ImageRange(300.0, 119.5, 240, near=float(last[2]) - 0.005)
+    near = ImageRange(K[0], K[3], SIZE[0], near=float(last[2]) - 0.005)
     cut = seen(post(0.2))
     (longer,) = with_unseen_ends(cut, [(X_WC, near)]).clouds_W
     assert len(longer) > len(post(0.2))
@@ -345,7 +338,7 @@ def test_what_one_image_cuts_off_ends_where_another_sees_through():
 
 
 def test_the_system_reads_what_several_cameras_see():
-    ranges = {f"camera_pose_{name}": ImageRange(300.0, 119.5, 240) for name in ("a", "b")}
+    ranges = {f"camera_pose_{name}": ImageRange(K[0], K[3], SIZE[0]) for name in ("a", "b")}
     made = CloudSolids(period=0.1, cameras=ranges)
     context = made.CreateDefaultContext()
     views = [image(eye, BOARD) for eye in (CAMERA, OTHER)]

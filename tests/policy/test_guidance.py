@@ -43,12 +43,6 @@ def test_a_motion_that_turns_to_the_chosen_side_by_itself_needs_no_guidance() ->
         assert not headings(policy((0, 0, height), (1, 0, 0)), BLOCK, UP).any()
 
 
-def test_an_obstacle_that_needs_no_clearance_needs_no_guidance() -> None:
-    state = policy((0, 0, -0.01), (1, 0, 0))
-    normal = passing_normals(UP, np.eye(3))
-    assert not desired_headings(state, BLOCK, UP, normal, np.zeros(1)).any()
-
-
 def test_a_motion_at_rest_is_led_from_the_baseline() -> None:
     at_rest = headings(policy((0, 0, -0.01), (0, 0, 0)), BLOCK, UP)
     moving = headings(policy((0, 0, -0.01), (1, 0, 0)), BLOCK, UP)
@@ -120,13 +114,7 @@ def test_straight_at_the_centre_no_heading_is_needed_whatever_the_rounding() -> 
         for tilt in (0.0, 1e-13, -1e-13):
             heading = desired_headings(
                 PolicyState(p_WG=np.array([scale, 0.0, 0.0])),
-                EllipsoidSet(
-                    p_WO=np.array([[0.5 * scale, 0.0, tilt * scale]]),
-                    R_WO=np.eye(3)[None],
-                    semi_axes=np.full((1, 3), 0.1 * scale),
-                    v_WO=np.zeros((1, 3)),
-                    ids=np.zeros(1, dtype=np.int64),
-                ),
+                balls((0.5 * scale, 0.0, tilt * scale), radius=0.1 * scale),
                 np.array([[0.0, 0.0, 1.0]]),
                 np.array([[0.0, -1.0, 0.0]]),
                 np.array([0.1 * scale]),
