@@ -77,8 +77,6 @@ def test_exponents_are_those_of_the_paper_or_as_fitted(cloud):
     found = evaluate(fitted, clouds(cloud))
     assert (found.exponents != 1.0).any()
     assert ((found.exponents >= 0.1) & (found.exponents <= 2.0)).all()
-    with pytest.raises(ValueError, match="exponent_prior must be finite and not negative"):
-        EllipsoidDescriptor(TOOL_W, exponent_prior=-1.0)
 
 
 def test_drops_and_notes_what_is_not_finite(cloud):

@@ -130,10 +130,7 @@ def test_a_segment_begins_and_ends_where_the_policy_says() -> None:
     np.testing.assert_allclose(
         segment.interpolate(segment.end.stamp, 1), segment.motion.course.v_end
     )
-
-
-def test_beyond_its_end_a_segment_goes_on_at_its_last_velocity() -> None:
-    segment = run(100)[-1]
+    # Beyond its end it goes on at its last velocity.
     later = segment.interpolate(segment.end.stamp + 0.01, 0)
     np.testing.assert_allclose(later, segment.end.p_WE + 0.01 * segment.motion.course.v_end)
     assert not segment.interpolate(segment.end.stamp + 0.01, 2).any()
