@@ -22,18 +22,13 @@ from pydrake.geometry import (
     Sphere,
 )
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
-from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
-from pydrake.multibody.tree import FixedOffsetFrame
-from pydrake.systems.framework import DiagramBuilder
 
 from drake_oa.geometry.collision_shapes import surface_points
 from drake_oa.geometry.shapes import Cylinder as HeldCylinder
 from drake_oa.robot import sphere_kernels as kernels
-from drake_oa.robot.config import Robot, SphereParameters
+from drake_oa.robot.config import BasePose, Robot, SphereParameters
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.plant import (
-    TOOL_FRAME,
     RobotPlant,
     home_positions,
     make_robot_plant,
@@ -147,15 +142,19 @@ def arm_of_links(
         )
     text.append("</robot>")
     path.write_text("".join(text))
-    builder = DiagramBuilder()
-    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
-    (instance,) = Parser(plant).AddModels(str(path))
-    X_WB = RigidTransform(RollPitchYaw(0.3, -0.2, 1.0), [0.5, -1.0, 0.7])
-    plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("link0"), X_WB)
-    hand = plant.GetFrameByName(f"link{len(joints)}")
-    plant.AddFrame(FixedOffsetFrame(TOOL_FRAME, hand, RigidTransform([0.0, 0.0, 0.2])))
-    plant.Finalize()
-    return RobotPlant(builder.Build(), plant, scene_graph, instance)
+    base = BasePose(translation=[0.5, -1.0, 0.7], rpy=[0.3, -0.2, 1.0])
+    hand = f"link{len(joints)}"
+    config = Robot(
+        model=str(path),
+        base_link="link0",
+        hand_link=hand,
+        tool_links=[hand],
+        p_HE=[0.0, 0.0, 0.2],
+        X_WB=base,
+        q_seed=[0.0] * (len(joints) - joints.count("f")),
+        annulus=None,
+    )
+    return make_robot_plant(config)
 
 
 @pytest.fixture(scope="module")

@@ -29,6 +29,7 @@ from drake_oa.route.side_choice import (
     select_directions,
     sequence_costs,
 )
+from tests.builders import balls
 
 START, GOAL = np.array([0.0, 0.0, 0.4]), np.array([2.0, 0.0, 0.4])
 RINGS = {"table": partial(table_ring, height=0.05), "length": length_ring}
@@ -45,20 +46,10 @@ def posed(seed: int, count: int) -> EllipsoidSet:
             0.4 + rng.uniform(-0.15, 0.15, count),
         ]
     )
-    return EllipsoidSet(
-        stamp=0.0,
-        p_WO=p,
+    return replace(
+        balls(*p),
         R_WO=Rotation.random(count, random_state=rng).as_matrix().reshape(count, 3, 3),
         semi_axes=rng.uniform(0.03, 0.12, (count, 3)),
-        v_WO=np.zeros((count, 3)),
-        ids=np.arange(count),
-    )
-
-
-def balls(*rows: tuple[float, float, float, float]) -> EllipsoidSet:
-    data = np.array(rows)
-    return replace(
-        posed(0, len(rows)), p_WO=data[:, :3], semi_axes=np.repeat(data[:, 3:], 3, axis=1)
     )
 
 
@@ -162,7 +153,7 @@ def test_one_obstacle_is_passed_as_the_paper_prints_it() -> None:
 
 def test_it_does_not_zigzag_between_obstacles_on_either_side() -> None:
     # Each by itself is passed on the side that it leaves; together over both is as short.
-    some = balls((0.8, 0.04, 0.4, 0.12), (1.2, -0.04, 0.4, 0.12))
+    some = balls((0.8, 0.04, 0.4), (1.2, -0.04, 0.4), radius=0.12)
     scene = scene_of(some, 36, table=False)
     assert len(np.unique(overlap_groups(some, 0.05))) == 2
     scene = replace(scene, asked_clearance=0.05)
@@ -223,7 +214,7 @@ def assert_sides_alike(scene: RingScene, index: np.ndarray, other: RingScene) ->
 
 
 def test_sides_once_chosen_are_kept_until_others_are_clearly_better() -> None:
-    some = balls((0.5, 0.01, 0.4, 0.06), (1.5, 0.01, 0.4, 0.06))
+    some = balls((0.5, 0.01, 0.4), (1.5, 0.01, 0.4), radius=0.06)
     scene = scene_of(some, 36, table=False)
     rings = {"length": length_ring}
     other = np.array([0, 0])
@@ -233,7 +224,7 @@ def test_sides_once_chosen_are_kept_until_others_are_clearly_better() -> None:
 
 
 def test_legs_do_not_lead_out_of_reach() -> None:
-    some = balls((0.5, 0.03, 0.4, 0.1), (1.5, 0.03, 0.4, 0.1))
+    some = balls((0.5, 0.03, 0.4), (1.5, 0.03, 0.4), radius=0.1)
     scene = scene_of(some, 36, table=False)
     rings = {"length": length_ring}
     # A hole between the two, on the side that is shorter.
@@ -249,7 +240,7 @@ def test_legs_do_not_lead_out_of_reach() -> None:
 
 
 def test_a_forbidden_side_is_taken_by_no_sequence() -> None:
-    some = balls((0.6, 0.03, 0.4, 0.1), (1.4, -0.03, 0.4, 0.1))
+    some = balls((0.6, 0.03, 0.4), (1.4, -0.03, 0.4), radius=0.1)
     scene = scene_of(some, 36, table=False)
     left_only = partial(limits_ring, workspace=lambda p: p[..., 1] + 1e-6)
     found = select_directions(scene, {"length": length_ring, "left": left_only})
