@@ -22,7 +22,7 @@ def box_cloud(size: tuple[float, float, float], spacing: float = 0.02) -> FloatA
 
 
 @given(seed=st.integers(0, 10_000), count=st.integers(1, 60), halvings=st.integers(0, 3))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_parts_are_the_cloud(seed: int, count: int, halvings: int) -> None:
     cloud = np.random.default_rng(seed).normal(size=(count, 3))
     parts = cloud_parts(cloud, halvings)
@@ -32,7 +32,7 @@ def test_parts_are_the_cloud(seed: int, count: int, halvings: int) -> None:
 
 
 @given(seed=st.integers(0, 10_000))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 def test_the_ellipsoids_hold_every_point_dilated_by_every_part(seed: int) -> None:
     cloud = np.random.default_rng(seed).uniform(-0.1, 0.1, (40, 3))
     found = ellipsoids_of_parts(cloud, [HAND, FINGERS], 2)

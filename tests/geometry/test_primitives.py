@@ -41,7 +41,7 @@ def distances(p: np.ndarray) -> np.ndarray:
 BODIES = np.stack([pose([0, 0, 0]), pose([1, 0, 0]), pose([2, 0, 0])])
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.floats(-0.4, 2.4), st.floats(-0.4, 0.9), st.floats(-0.5, 0.5), st.floats(0.001, 0.1))
 def test_a_point_is_the_robots_within_the_margin_of_any_shape(x, y, z, margin):
     p = np.array([x, y, z])

@@ -1,13 +1,12 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from drake_oa.geometry.rotation import rotation_of, rotation_vector
 
 
-@settings(deadline=None)
 @given(st.integers(0, 10**6), st.floats(1e-3, 1e3))
 def test_rotations_are_those_of_scipy(seed, size):
     rng = np.random.default_rng(seed)

@@ -15,8 +15,6 @@ from drake_oa.geometry.superquadric import (
     radial_distance,
 )
 
-# The first call compiles.
-untimed = settings(deadline=None)
 exponent = st.floats(0.1, 2.0)
 semi_axis = st.floats(0.02, 0.5)
 seed = st.integers(0, 10**6)
@@ -46,7 +44,6 @@ def superquadric(seed: int, semi_axes: tuple, exponents: tuple) -> Superquadric:
     )
 
 
-@untimed
 @given(seed, st.tuples(semi_axis, semi_axis, semi_axis), st.tuples(exponent, exponent))
 def test_surface_points_have_f_one_and_zero_distance(seed, semi_axes, exponents):
     shape = superquadric(seed, semi_axes, exponents)
@@ -55,7 +52,6 @@ def test_surface_points_have_f_one_and_zero_distance(seed, semi_axes, exponents)
     np.testing.assert_allclose(radial_distance(shape, points), 0.0, atol=1e-12)
 
 
-@untimed
 @given(st.floats(0.5, 2.0), st.floats(0.5, 2.0), seed)
 def test_f_equals_the_print_where_the_print_is_a_number(l4, l5, seed):
     rng = np.random.default_rng(seed)
@@ -67,7 +63,6 @@ def test_f_equals_the_print_where_the_print_is_a_number(l4, l5, seed):
     np.testing.assert_allclose(inside_outside(shape, p), printed, rtol=1e-11)
 
 
-@untimed
 @given(st.tuples(exponent, exponent), st.floats(-12.0, 12.0), seed)
 def test_gauge_is_homogeneous_near_and_far(exponents, decades, seed):
     ray = np.random.default_rng(seed).normal(size=3)
@@ -105,7 +100,7 @@ def test_radial_distance_bounds_the_euclidean_one():
     )
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed, st.tuples(semi_axis, semi_axis, semi_axis))
 def test_fit_recovers_an_ellipsoid(seed, semi_axes):
     shape = superquadric(seed, semi_axes, (1.0, 1.0))
@@ -151,7 +146,7 @@ def test_fixed_exponents_stay_fixed_and_the_box_is_better_for_a_box(residual):
     assert 0.0 < round_fit.coverage < 1.0
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     seed,
     st.sampled_from(["bajcsy", "printed"]),

@@ -24,8 +24,8 @@ finite = st.floats(allow_nan=False, allow_infinity=False)
 nonnegative = st.floats(0.0, allow_infinity=False)
 decades = st.floats(-6.0, 6.0).map(lambda power: 10.0**power)
 small = st.sampled_from([-1.0, 0.0, 1.0])
-FEW = settings(max_examples=30, derandomize=True)
-MANY = settings(max_examples=60, derandomize=True)
+FEW = settings(max_examples=30)
+MANY = settings(max_examples=60)
 ORIGIN, AHEAD = np.zeros(3), np.array([1.0, 0.0, 0.0])
 
 

@@ -61,7 +61,7 @@ def test_motion_comes_to_rest_at_the_goal_after_its_end():
     assert np.abs(motion.z[-1]).max() < 1e-6
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=seeds, dimension=st.integers(1, 6), samples=st.integers(60, 300))
 def test_smooth_paths_are_imitated_in_any_dimension_and_at_uneven_stamps(seed, dimension, samples):
     t, at = smooth_path(np.random.default_rng(seed), dimension, samples)
@@ -75,7 +75,7 @@ def test_smooth_paths_are_imitated_in_any_dimension_and_at_uneven_stamps(seed, d
     assert np.linalg.norm(motion.p[-1] - reference[-1]) < 1e-3 * baseline
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(seed=seeds)
 def test_new_start_and_goal_turn_and_scale_the_path(seed):
     rng = np.random.default_rng(seed)
@@ -139,7 +139,7 @@ def test_forcing_far_from_every_centre_is_that_of_the_nearest():
 # Spring
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     alpha=st.floats(0.1, 200.0),
     ratio=st.sampled_from([0.01, 0.1, 0.25, 0.25000001, 0.5, 4.0]),
@@ -157,7 +157,7 @@ def test_spring_flow_is_the_matrix_exponential(alpha, ratio, h):
 # Local frame
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     start=st.lists(st.floats(-10, 10), min_size=3, max_size=3),
     way=st.lists(st.floats(-1, 1), min_size=3, max_size=3),
@@ -183,7 +183,7 @@ def test_local_frame_of_a_vertical_baseline_keeps_the_worlds_y(up):
     np.testing.assert_allclose(R, leaning, atol=1e-5)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(seed=seeds, dimension=st.integers(1, 7), back=st.booleans())
 def test_baseline_frame_is_a_rotation_with_its_first_axis_to_the_goal(seed, dimension, back):
     rng = np.random.default_rng(seed)

@@ -250,7 +250,7 @@ def test_section_extents_do_not_jump_when_the_obstacle_turns():
     assert np.abs(np.diff(extents, axis=0)).max() < 2e-3
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     seed=st.integers(0, 10**6),
     exponents=st.one_of(st.just((1.0, 1.0)), st.tuples(*[st.floats(0.1, 2.0)] * 2)),

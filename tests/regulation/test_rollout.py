@@ -34,8 +34,8 @@ from tests.builders import read
 from tests.reference.rollout import rollouts as readable_rollouts
 
 seeds = st.integers(0, 2**32 - 1)
-FEW = settings(max_examples=10, derandomize=True)
-MANY = settings(max_examples=40, derandomize=True)
+FEW = settings(max_examples=10)
+MANY = settings(max_examples=40)
 END, FADE = 1.2, 0.3
 
 Scene = tuple[SpatialScenes, FloatArray]
@@ -255,7 +255,7 @@ def test_the_integrator_in_drake_follows_it(seed: int) -> None:
 powers = st.one_of(st.just(0.0), st.floats(-300.0, 300.0).map(lambda power: 10.0**power))
 
 
-@settings(max_examples=100, derandomize=True)
+@settings(max_examples=100)
 @given(
     seed=seeds,
     size=st.sampled_from([1e-6, 1.0, 1e6]),

@@ -12,7 +12,6 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.diagrams.route import robot_reachability
-from drake_oa.geometry.annulus import sector_margin
 from drake_oa.robot import reachability as kernels
 from drake_oa.robot.arm import ArmModel
 from drake_oa.robot.arm_kernels import poses
@@ -20,7 +19,6 @@ from drake_oa.robot.config import Robot
 from drake_oa.robot.inverse_kinematics import solve_pose, solve_tool_pose
 from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
 from drake_oa.robot.reachability import Reachability, reachability
-from drake_oa.robot.tool_down import given_annulus
 from tests.builders import arm_of
 
 ROBOT = Robot()
@@ -63,32 +61,12 @@ def test_its_edge_is_where_drakes_inverse_kinematics_ends(direction: tuple[float
     assert not in_reach_of_drake(edge + 0.02 * ray)
 
 
-def test_it_holds_the_fitted_annulus() -> None:
-    rng = np.random.default_rng(3)
-    p = rng.uniform([-0.8, -0.8, -0.2], [0.8, 0.8, 0.8], (4000, 3))
-    annulus = given_annulus(ROBOT)
-    assert annulus is not None
-    inside = sector_margin(p, annulus, arm().upper[0]) > 0.01
-    assert inside.sum() > 500
-    assert (mapped().reach_margin(p[inside]) > 0.0).all()
-
-
 def test_the_joint_margin_costs_reach() -> None:
     rng = np.random.default_rng(4)
     p = rng.uniform(-0.9, 0.9, (2000, 3))
     found = mapped()
     assert (found.joint_margin(p) <= found.reach_margin(p) + 0.01).all()
     assert ((found.joint_margin(p) < 0.0) & (found.reach_margin(p) > 0.0)).any()
-
-
-def test_it_stands_where_the_base_stands() -> None:
-    X_PJ = arm().X_PJ.copy()
-    shift = np.array([0.3, -0.2, 0.5])
-    X_PJ[0, :3, 3] += shift
-    moved = reachability(replace(arm(), X_PJ=X_PJ), spacing=0.1)
-    there = reachability(arm(), spacing=0.1)
-    p = np.random.default_rng(5).uniform(-0.8, 0.8, (200, 3))
-    np.testing.assert_allclose(moved.reach_margin(p + shift), there.reach_margin(p), atol=0.02)
 
 
 def test_another_orientation_of_the_tool_is_mapped_too() -> None:

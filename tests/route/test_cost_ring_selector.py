@@ -1,7 +1,6 @@
 """The decision layer alone."""
 
 import logging
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -82,13 +81,6 @@ def test_an_extra_ring_takes_part_in_the_choice() -> None:
     assert "only_up" in route.costs
 
 
-def test_a_workspace_is_a_ring() -> None:
-    system = CostRingSelector(0.15, workspace=lambda p: p[..., 1] + 0.05)
-    route = decided(system, balls((0.5, 0.05, 0.3)))
-    assert route.direction_W[0, 1] > -0.5
-    assert set(route.costs) == {"table", "length", "workspace"}
-
-
 def test_joint_limits_are_a_ring_of_their_own() -> None:
     def workspace(p: FloatArray) -> FloatArray:
         return np.asarray(p[..., 1] + 0.3)
@@ -107,20 +99,6 @@ def test_joint_limits_are_a_ring_of_their_own() -> None:
         0.15, workspace=workspace, joint_limits=lambda p: p[..., 1] - 1.0
     )
     assert not decided(strained_start, balls((0.5, -0.05, 0.3))).note
-
-
-def test_the_sides_of_two_obstacles_are_chosen_together_and_kept() -> None:
-    some = balls((0.25, 0.02, 0.3), (0.8, -0.02, 0.3))
-    some = replace(some, semi_axes=np.full((2, 3), 0.05))
-    system = CostRingSelector(0.05, period=0.1)
-    simulator = prepared(system, some)
-    route = route_of(system, simulator.get_context())
-    assert route.direction_W[0] @ route.direction_W[1] > 0.8
-    swapped = replace(some, p_WO=some.p_WO * [1.0, -1.0, 1.0])
-    fix(system, simulator.get_mutable_context(), ellipsoids_W=swapped)
-    simulator.AdvanceTo(0.25)
-    kept = route_of(system, simulator.get_context())
-    np.testing.assert_array_equal(kept.index, route.index)
 
 
 def test_the_table_port_goes_before_the_table_that_was_seen() -> None:

@@ -75,7 +75,7 @@ def test_a_chain_finds_the_least_of_all_combinations(seed: int, count: int, widt
     assert chain.total(index) == pytest.approx(min(totals))
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(seed=st.integers(0, 2**31), count=st.integers(1, 3), width=st.integers(4, 6))
 def test_the_sides_are_the_least_of_all_combinations(seed: int, count: int, width: int) -> None:
     """The total is written out here, leg by leg, as the module's text has it."""
@@ -167,7 +167,7 @@ def test_it_does_not_zigzag_between_obstacles_on_either_side() -> None:
     assert path_length(scene, both) < path_length(scene, each)
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 2**31), turn=st.tuples(*[st.floats(-3.0, 3.0)] * 3))
 def test_the_choice_does_not_depend_on_the_frame(seed: int, turn: tuple[float, ...]) -> None:
     some = posed(seed, 3)
@@ -180,7 +180,7 @@ def test_the_choice_does_not_depend_on_the_frame(seed: int, turn: tuple[float, .
     assert_sides_alike(here, select_directions(here, RINGS).index, there)
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 2**31), order=st.sampled_from(list(permutations(range(3)))))
 def test_the_choice_does_not_depend_on_the_order(seed: int, order: tuple[int, ...]) -> None:
     some = posed(seed, 3)
