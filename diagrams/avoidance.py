@@ -22,15 +22,10 @@ from pydrake.geometry import Meshcat
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from drake_oa.common.wires import Wires
-from drake_oa.diagrams.control import add_control
-from drake_oa.diagrams.descriptor import add_descriptor
+from drake_oa.diagrams.control import add_control, add_posture, add_safety
 from drake_oa.diagrams.faults import add_faults
-from drake_oa.diagrams.perception import add_perception, add_solids
-from drake_oa.diagrams.policy import add_policy
-from drake_oa.diagrams.posture import add_posture
-from drake_oa.diagrams.regulation import add_regulation
-from drake_oa.diagrams.route import add_route
-from drake_oa.diagrams.safety import add_safety
+from drake_oa.diagrams.motion import add_policy, add_regulation, add_route
+from drake_oa.diagrams.perception import add_descriptor, add_perception, add_solids
 from drake_oa.diagrams.station import Cell, add_station
 from drake_oa.diagrams.view import add_view
 from drake_oa.scenario.scenario import Scenario

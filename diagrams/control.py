@@ -1,20 +1,34 @@
-"""Control: from the desired motion to torques."""
+"""Wiring of the controller, the posture in its null space, the supervisor and the evasion."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+from pydrake.common.value import Value
+from pydrake.systems.primitives import (
+    ConstantValueSource,
+)
+
 from drake_oa.common.config import ScenarioError
-from drake_oa.common.messages import FloatArray
+from drake_oa.common.messages import FloatArray, PlannedMotion
 from drake_oa.common.wires import Wires
 from drake_oa.control.cartesian_inverse_dynamics import CartesianInverseDynamics
 from drake_oa.control.integral_action import IntegralAction
-from drake_oa.diagrams.station import Cell
+from drake_oa.diagrams.motion import held_annulus, make_dmp
+from drake_oa.diagrams.station import Cell, make_posture_guide
+from drake_oa.perception.config import GroundTruth
+from drake_oa.posture.posture_follower import PostureFollower
 from drake_oa.regulation.config import Verified
 from drake_oa.robot.plant import make_robot_plant
+from drake_oa.safety.guarded_arm import GuardedArm
+from drake_oa.safety.obstacle_evasion import ObstacleEvasion
+from drake_oa.safety.supervisor import Supervisor
+from drake_oa.scenario.end_poses import end_rotations
 from drake_oa.scenario.faults import ModelError
+from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario, robot_of
-from drake_oa.scenario.tool_orientation import end_rotations
+from drake_oa.scenario.sources import padding, perception_period
 
 
 def add_control(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
@@ -79,3 +93,132 @@ def make_integral_action(scenario: Scenario) -> IntegralAction | None:
             f"kd_position, {gains.kp_position * gains.kd_position:g} [1/s^3]"
         )
     return IntegralAction(gains.ki_position, period=scenario.policy.period)
+
+
+_GUIDE_SAMPLES = 41
+"""Of a posture that is not planned, along the motion."""
+
+
+def add_posture(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
+    """Adds posture_follower, or posture_guide and guide_follower where no motion is planned.
+
+    They output desired_posture, the controller's.
+    """
+    if cell is None:
+        return
+    if "motion" in wires:
+        q_rest = cell.q_start[cell.arm.index]
+        wires.add("posture_follower", make_posture_follower(scenario, q_rest))
+    elif (made := make_guide_follower(scenario, cell.q_start)) is not None:
+        follower, guide = made
+        wires.add("posture_guide", guide, offers={"y0": "guided_posture"})
+        wires.add("guide_follower", follower, reads={"motion": "guided_posture", "evading": None})
+    wires.log("desired_posture")
+
+
+def make_posture_follower(scenario: Scenario, q_rest: FloatArray) -> PostureFollower:
+    """What draws the null space to the planned posture; without one to q_rest (n,) [rad]."""
+    policy, evasion = scenario.policy, scenario.evasion
+    turn = {} if evasion is None else {"turn_acceleration": evasion.turn_acceleration}
+    return PostureFollower(q_rest, policy.alpha_k, period=policy.period, **turn)
+
+
+def make_guide_follower(
+    scenario: Scenario, q_start: FloatArray
+) -> tuple[PostureFollower, ConstantValueSource] | None:
+    """What draws the null space from the joints at the start to those at the goal, unplanned.
+
+    Args:
+        scenario: with a robot.
+        q_start: (nq,) its positions at the start.
+
+    Returns:
+        The follower and its motion; None where the task does not give the joints at the goal.
+    """
+    robot = scenario.robot
+    if (
+        robot is None
+        or (guide := make_posture_guide(scenario, q_start[: len(robot.q_seed)])) is None
+    ):
+        return None
+    s = np.linspace(0.0, 1.0, _GUIDE_SAMPLES)
+    motion = PlannedMotion(s, np.zeros((len(s), 3)), guide(s))
+    follower = PostureFollower(motion.q[0], scenario.policy.alpha_k, period=scenario.policy.period)
+    return follower, ConstantValueSource(Value(motion))
+
+
+def add_safety(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
+    """Adds supervisor and evasion.
+
+    They read solids_W, robot_state, policy_state, motion and what the controller says of
+    itself; they offer speed_scale, evasion and evading.
+    """
+    if cell is None or scenario.supervisor is None:
+        return
+    wires.add("supervisor", make_supervisor(scenario, cell.guarded_arm))
+    if "obstacles_W" in wires and scenario.evasion is not None:
+        # Who follows a motion's posture turns the arm as well.
+        turns = "motion" in wires and "desired_posture" in wires
+        wires.add(
+            "evasion",
+            make_evasion(scenario, cell.guarded_arm, turns=turns),
+            offers={"decision": "decision_evasion"},
+        )
+    wires.log("speed_scale", "evasion", "decision_evasion")
+
+
+def make_supervisor(scenario: Scenario, arm: GuardedArm) -> Supervisor:
+    """What watches the motion; it decides as often as the policy steps.
+
+    Raises:
+        ScenarioError: if the scenario has no supervisor.
+    """
+    given, policy = scenario.supervisor, scenario.policy
+    if given is None:
+        raise ScenarioError("supervisor: this scenario has null")
+    return Supervisor(
+        arm,
+        make_dmp(scenario).duration,
+        period=policy.period,
+        parameters=given,
+        padding=_padding(scenario),
+        hold_time=policy.hold_time,
+        frame_period=perception_period(scenario),
+        max_age=policy.max_observation_age,
+    )
+
+
+def _padding(scenario: Scenario) -> float:
+    """How much nearer what moves may be than it is seen [m]."""
+    exact = isinstance(scenario.perception, (GroundTruth, GivenEllipsoids))
+    return 0.0 if exact else padding(scenario.perception)
+
+
+def make_evasion(scenario: Scenario, arm: GuardedArm, *, turns: bool = True) -> ObstacleEvasion:
+    """What gets the arm out of the way of what moves; it decides with every observation.
+
+    Args:
+        scenario: of the robot.
+        arm: of it.
+        turns: whether there is a posture follower, which turns the arm.
+
+    Raises:
+        ScenarioError: if the scenario has none.
+    """
+    given, policy = scenario.evasion, scenario.policy
+    if given is None:
+        raise ScenarioError("evasion: this scenario has null")
+    return ObstacleEvasion(
+        arm,
+        make_dmp(scenario),
+        period=perception_period(scenario),
+        step=policy.period,
+        max_age=policy.max_observation_age,
+        parameters=given,
+        padding=_padding(scenario),
+        hold_time=policy.hold_time,
+        turns=turns,
+        table_height=policy.table_height,
+        annulus=held_annulus(scenario),
+        thinking=scenario.thinking,
+    )

@@ -1,4 +1,4 @@
-"""Perception: where obstacles come from, and the solids that they are."""
+"""Wiring of the perception sources and the ellipsoid descriptor."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from pydrake.systems.primitives import (
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.wires import Wires
-from drake_oa.descriptor.ellipsoid_descriptor import GivenEllipsoidSource
+from drake_oa.descriptor.descriptor import merged_parts
+from drake_oa.descriptor.ellipsoid_descriptor import EllipsoidDescriptor, GivenEllipsoidSource
 from drake_oa.diagrams.station import Cell
 from drake_oa.geometry.collision_shapes import RobotModel, collect_collision_shapes
 from drake_oa.perception.config import (
@@ -36,8 +37,9 @@ from drake_oa.perception.recorded_perception import RecordedPerception
 from drake_oa.planning.cloud_solids import CloudSolids
 from drake_oa.planning.true_solids import GivenSolids, TrueSolids
 from drake_oa.planning.unseen_ends import ImageRange
-from drake_oa.regulation.config import Verified
-from drake_oa.robot.plant import RobotPlant
+from drake_oa.regulation.config import Paper, Verified
+from drake_oa.robot.plant import RobotPlant, tool_link_corners
+from drake_oa.scenario.end_poses import held_robots
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario, allow_perception
@@ -304,3 +306,32 @@ def _camera_pose(source: RecordedClouds) -> RigidTransform | None:
     if not source.X_WC.IsDeterministic():
         raise ScenarioError("perception.X_WC: is random; it must be the one pose the camera had")
     return source.X_WC.GetDeterministicValue()
+
+
+def add_descriptor(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
+    """Adds ellipsoid_descriptor where there are obstacles: obstacles_W -> ellipsoids_W."""
+    if cell is None or "obstacles_W" not in wires:
+        return
+    goal = None if not scenario.task.goal_moves else "goal"
+    wires.add(
+        "ellipsoid_descriptor",
+        make_ellipsoid_descriptor(scenario),
+        reads={"goal": goal},
+    )
+
+
+def make_ellipsoid_descriptor(scenario: Scenario) -> EllipsoidDescriptor:
+    """The descriptor, which dilates by the robot's tool, in each of the ways it is held."""
+    task = scenario.task
+    held = list(map(tool_link_corners, held_robots(scenario)))
+    links = [np.concatenate(of_link) for of_link in zip(*held, strict=True)]
+    paper = scenario.regulation if isinstance(scenario.regulation, Paper) else None
+    fitted = paper is not None and paper.shape == "superquadric"
+    return EllipsoidDescriptor(
+        np.concatenate(links),
+        method="least_squares" if fitted else "enclosing",
+        exponent_prior=paper.exponent_prior if fitted and paper is not None else None,
+        # A goal that moves comes by a port.
+        free_W=[task.start] if task.goal_moves else [task.start, task.goal],
+        tool_parts=merged_parts(links),
+    )

@@ -7,8 +7,7 @@ from pydrake.visualization import ApplyVisualizationConfig, VisualizationConfig
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
-from drake_oa.diagrams.policy import make_dmp
-from drake_oa.diagrams.route import make_cost_ring_selector
+from drake_oa.diagrams.motion import make_cost_ring_selector, make_dmp
 from drake_oa.diagrams.station import Cell
 from drake_oa.perception.config import CameraSource
 from drake_oa.policy.dmp import trajectory

@@ -34,10 +34,10 @@ from drake_oa.hardware.command_player import (
 )
 from drake_oa.hardware.hardware_cell import arm_of
 from drake_oa.robot.plant import make_robot_plant
+from drake_oa.scenario.end_poses import start_positions
 from drake_oa.scenario.obstacles import last_change
 from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.scenario.sources import simulated
-from drake_oa.scenario.task_joints import start_positions
 from drake_oa.world.cameras import Camera
 from drake_oa.world.depth_messages import CHANNEL, pack_depth
 from drake_oa.world.late_camera import LateCamera

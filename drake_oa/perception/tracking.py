@@ -7,7 +7,7 @@ joined with what was remembered:
    remembered of a moving obstacle moves with it.
 2. Clusters are given to obstacles (`associate`), by common points first.
 3. The obstacles' positions are measured by their sides (`sides`), their velocities by their
-   surfaces (`registration`), and both are filtered.
+   surfaces (`velocity`), and both are filtered.
 4. Each remembered point is confirmed, kept as hidden, or dropped (`visibility`).
 5. What changed by more than noise is handed on (`memory`).
 """
@@ -37,14 +37,16 @@ from drake_oa.perception.memory import (
     new_tracks,
     taken,
 )
-from drake_oa.perception.registration import NowSeen, registered_tracks, shown_of
 from drake_oa.perception.segmentation import UNSEEN_GAP, Segmentation
 from drake_oa.perception.sides import DEPTH_MARGIN, seen_sides
 from drake_oa.perception.velocity import (
     START,
+    NowSeen,
     first_seen,
     measured_tracks,
     predicted_tracks,
+    registered_tracks,
+    shown_of,
     speed_statistic,
     with_motion_of,
 )

@@ -23,8 +23,8 @@ from drake_oa.runs.simulation import (
     log_of,
     run_motion,
 )
+from drake_oa.scenario.end_poses import start_positions
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.task_joints import start_positions
 from drake_oa.world.station import release_cameras
 
 _REHEARSED = 0.3

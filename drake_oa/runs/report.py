@@ -16,12 +16,11 @@ from drake_oa.policy.orientation_dmp import exponential, rotation_matrix
 from drake_oa.runs.decision_costs import decision_figures
 from drake_oa.runs.metrics import MotionMetrics, RobotJudge, free_point_metrics, path_length
 from drake_oa.runs.motion_log import MotionLog
+from drake_oa.scenario.end_poses import end_positions, end_rotations
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import given_ellipsoids
 from drake_oa.scenario.task import goal_at
-from drake_oa.scenario.task_joints import end_positions
-from drake_oa.scenario.tool_orientation import end_rotations
 
 TOLD = 1e-3
 """Clearance that is missing by more than this is told, and counts as missing [m]."""

@@ -13,9 +13,9 @@ from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.runs.metrics import MotionMetrics, RobotJudge
 from drake_oa.runs.report import feasible_clearance_of
+from drake_oa.scenario.end_poses import end_positions
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.task_joints import end_positions
 from drake_oa.world.station import make_station
 
 

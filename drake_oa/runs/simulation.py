@@ -25,7 +25,7 @@ from drake_oa.common.messages import (
 )
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.avoidance import Layers, build_avoidance
-from drake_oa.diagrams.policy import make_dmp
+from drake_oa.diagrams.motion import make_dmp
 from drake_oa.policy.dmp import normalised_time
 from drake_oa.regulation.config import SearchParameters
 from drake_oa.robot.plant import TOOL_FRAME, RobotLimits, make_robot_plant

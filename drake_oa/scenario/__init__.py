@@ -13,8 +13,8 @@ once, when it is read. An error names the field and what would be valid.
     cameras, directives                                             Drake's own
     obstacles, faults                                               `obstacles`, `faults`
 
-What follows from several blocks is here too: the joints at start and goal (`task_joints`), the
-tool's orientation along the motion (`tool_orientation`), what demonstrations teach
+What follows from several blocks is here too: the joints at start and goal (`end_poses`), the
+tool's orientation along the motion (`end_poses`), what demonstrations teach
 (`demonstration`), periods and margins of a perception block (`sources`). Only `diagrams`,
 `world`, `runs` and what is above them know a scenario; a layer is made from its block.
 

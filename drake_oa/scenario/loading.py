@@ -22,13 +22,13 @@ from drake_oa.common.config import (
     validate,
 )
 from drake_oa.perception.config import DepthCamera
+from drake_oa.scenario.end_poses import follow_joints
 from drake_oa.scenario.faults import CameraDropout
 from drake_oa.scenario.obstacles import obstacle_problems
 from drake_oa.scenario.perception import GivenEllipsoids, perception_problems
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.shipped import shipped_scenarios
 from drake_oa.scenario.task import goal_problems
-from drake_oa.scenario.task_joints import follow_joints
 
 
 def scenario_path(name_or_file: str) -> Path:

@@ -24,9 +24,9 @@ from pydrake.systems.sensors import CameraInfo
 
 from drake_oa.common.files import save_figure
 from drake_oa.robot.plant import base_pose
+from drake_oa.scenario.end_poses import start_positions
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import simulated
-from drake_oa.scenario.task_joints import start_positions
 from drake_oa.viewing.viewer import looking_pose
 from drake_oa.world.cameras import give_normals
 from drake_oa.world.station import make_station

@@ -5,7 +5,7 @@ import logging
 import numpy as np
 import pytest
 
-from drake_oa.diagrams.policy import make_dmp
+from drake_oa.diagrams.motion import make_dmp
 from drake_oa.geometry.shapes import Sphere
 from drake_oa.runs.metrics import path_length, robot_metrics
 from drake_oa.runs.report import motion_report

@@ -13,10 +13,10 @@ from pydrake.math import RigidTransform, RollPitchYaw
 from drake_oa.geometry.shapes import pose
 from drake_oa.robot.config import BasePose
 from drake_oa.runs.simulation import simulate
+from drake_oa.scenario.end_poses import start_positions
 from drake_oa.scenario.loading import parse_scenario
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.task_joints import start_positions
 
 TURNED = RigidTransform(RollPitchYaw(0.0, 0.0, 2.2), [1.5, -0.7, 0.4])
 """Where the cell's origin is moved to."""

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drake_oa.perception.registration import registered
+from drake_oa.perception.velocity import registered
 
 NOISE, PRIOR, GATE = 1.5e-3, 0.02, 0.02
 shifts = st.lists(st.floats(-0.015, 0.015), min_size=3, max_size=3).map(np.array)

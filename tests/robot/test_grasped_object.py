@@ -11,10 +11,10 @@ from drake_oa.robot.config import Robot
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.plant import make_robot_plant, tool_corners
 from drake_oa.runs.metrics import robot_metrics
+from drake_oa.scenario.end_poses import start_positions
 from drake_oa.scenario.loading import parse_scenario
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.task_joints import start_positions
 from drake_oa.world.station import make_station
 
 BAR = Box(size=[0.02, 0.5, 0.02], translation=[0.0, 0.0, 0.12])

@@ -11,7 +11,7 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.numba_tools import kernel_arrays
-from drake_oa.diagrams.route import robot_reachability
+from drake_oa.diagrams.motion import robot_reachability
 from drake_oa.robot import reachability as kernels
 from drake_oa.robot.arm import ArmModel
 from drake_oa.robot.arm_kernels import poses

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
-from drake_oa.diagrams.route import robot_annulus, robot_reachability
+from drake_oa.diagrams.motion import robot_annulus, robot_reachability
 from drake_oa.geometry.annulus import Annulus, annulus_margin
 from drake_oa.robot.config import BasePose, Robot
 from drake_oa.robot.inverse_kinematics import solve_tool_pose

@@ -8,9 +8,9 @@ import pytest
 from drake_oa.common.config import ScenarioError
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.simulation import simulate
+from drake_oa.scenario.end_poses import posture_guide, start_positions
 from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.task_joints import posture_guide, start_positions
 
 Q_START = [0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785]
 Q_GOAL = [0.4, -0.5, 0.3, -2.1, 0.2, 1.8, 0.6]

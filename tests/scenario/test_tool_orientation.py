@@ -11,16 +11,19 @@ from pydrake.math import RollPitchYaw, RotationMatrix
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
-from drake_oa.diagrams.descriptor import make_ellipsoid_descriptor
-from drake_oa.diagrams.policy import make_dmp, make_orientation_integrator
-from drake_oa.diagrams.route import held_annulus
+from drake_oa.diagrams.motion import held_annulus, make_dmp, make_orientation_integrator
+from drake_oa.diagrams.perception import make_ellipsoid_descriptor
 from drake_oa.policy.orientation_dmp import goal_vector, orientation_along
 from drake_oa.robot.plant import make_robot_plant, tool_corners
 from drake_oa.scenario.demonstration import demonstrated_orientation, read_demonstrations
+from drake_oa.scenario.end_poses import (
+    end_rotations,
+    held_robots,
+    start_positions,
+    tool_orientation,
+)
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.task_joints import start_positions
-from drake_oa.scenario.tool_orientation import end_rotations, held_robots, tool_orientation
 
 DOWN = [np.pi, 0.0, np.pi / 2.0]
 S = np.linspace(0.0, 1.0, 51)

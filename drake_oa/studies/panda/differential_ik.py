@@ -58,15 +58,15 @@ from pydrake.systems.primitives import (
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import BoolArray, FloatArray, HoldCause, PolicyState
 from drake_oa.common.wires import Wires
+from drake_oa.diagrams.control import make_guide_follower
 from drake_oa.diagrams.faults import add_drivers
-from drake_oa.diagrams.policy import (
+from drake_oa.diagrams.motion import (
     add_orientation,
     make_dmp,
     make_dmp_integrator,
     make_goal,
     make_orientation_integrator,
 )
-from drake_oa.diagrams.posture import make_guide_follower
 from drake_oa.geometry.rotation import rotation_vector
 from drake_oa.policy.dmp import normalised_time, trajectory
 from drake_oa.policy.orientation_dmp import exponential, rotation_matrix
@@ -84,11 +84,10 @@ from drake_oa.runs.simulation import (
     run_motion,
 )
 from drake_oa.safety.supervision import Supervision
+from drake_oa.scenario.end_poses import start_positions
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.task_joints import start_positions
-from drake_oa.world.station import Station, make_station
-from drake_oa.world.world_model import add_world
+from drake_oa.world.station import Station, add_world, make_station
 
 _EDGE_STEP = 0.1
 """The collision checker wants a step for checks of edges, which are not used here [rad]."""

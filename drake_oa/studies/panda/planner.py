@@ -37,9 +37,9 @@ from pydrake.math import RotationMatrix
 from drake_oa.common.messages import FloatArray
 from drake_oa.runs.metrics import path_length, robot_metrics
 from drake_oa.runs.motion_log import MotionEnd
+from drake_oa.scenario.end_poses import end_rotations
 from drake_oa.scenario.obstacles import Obstacle, last_change
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.tool_orientation import end_rotations
 from drake_oa.studies.panda.planning_scene import PlanningScene
 
 CLEARANCE = 0.025

@@ -14,9 +14,9 @@ from drake_oa.app.main import main
 from drake_oa.perception.config import DepthCamera
 from drake_oa.robot.config import Robot
 from drake_oa.runs.metrics import robot_metrics
+from drake_oa.scenario.end_poses import end_positions
 from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.task_joints import end_positions
 from drake_oa.studies.mbm.problems import load_robot, parse_problem, read_archive
 from drake_oa.studies.mbm.suite import mbm_suites, problem_scenario
 from drake_oa.studies.panda.evaluation import Criteria, run_and_judge

@@ -10,9 +10,9 @@ from pydrake.math import RollPitchYaw
 from drake_oa.common.config import ScenarioError
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.runs.motion_log import load_logs, save_logs
+from drake_oa.scenario.end_poses import follow_joints, start_positions
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.task_joints import follow_joints, start_positions
 from drake_oa.studies.panda.differential_ik import (
     METHOD,
     NO_VELOCITY,

@@ -1,0 +1,393 @@
+"""Wiring of the motion: goal, movement primitives, coupling parameters and selected sides."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from pydrake.geometry import Role
+from pydrake.math import RollPitchYaw
+from pydrake.systems.framework import LeafSystem
+from pydrake.systems.primitives import (
+    ConstantVectorSource,
+    TrajectorySource,
+)
+
+from drake_oa.common.config import ScenarioError
+from drake_oa.common.messages import FloatArray
+from drake_oa.common.wires import Wires
+from drake_oa.diagrams.arm import make_posture_guide
+from drake_oa.diagrams.station import Cell
+from drake_oa.geometry.annulus import Annulus
+from drake_oa.planning.arm_world import make_chain
+from drake_oa.planning.motion_search import MotionSearch
+from drake_oa.planning.motion_selector import MotionSelector
+from drake_oa.planning.sides import Sides
+from drake_oa.policy.dmp import Dmp, imitate, minimum_jerk
+from drake_oa.policy.dmp_integrator import DmpIntegrator
+from drake_oa.policy.orientation_dmp import minimum_jerk_orientation
+from drake_oa.policy.orientation_integrator import OrientationIntegrator
+from drake_oa.regulation.config import Paper, Verified
+from drake_oa.regulation.proposal_network import load_proposals
+from drake_oa.regulation.proposals import Proposer
+from drake_oa.regulation.regressor import ChainWeights, check_action_level, load_chain
+from drake_oa.regulation.regressor_chain import RegressorChain, Scaling
+from drake_oa.robot.arm import make_arm_model
+from drake_oa.robot.config import Robot
+from drake_oa.robot.plant import home_positions, make_robot_plant
+from drake_oa.robot.reachability import Reachability, reachability
+from drake_oa.robot.spheres import ArmSpheres
+from drake_oa.robot.tool_down import found_annulus, given_annulus, is_tool_down
+from drake_oa.route.cost_ring_selector import CostRingSelector
+from drake_oa.route.cost_rings import Ring
+from drake_oa.scenario.demonstration import demonstrated_path, primitive_constants
+from drake_oa.scenario.end_poses import end_rotations, held_robots, tool_orientation
+from drake_oa.scenario.perception import GivenEllipsoids
+from drake_oa.scenario.scenario import (
+    Scenario,
+)
+from drake_oa.scenario.shipped import package_file
+from drake_oa.scenario.sources import perception_period
+from drake_oa.scenario.task import goal_trajectory
+
+
+def add_policy(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
+    """Adds goal, dmp_integrator and, where the tool's orientation changes, its integrator.
+
+    Reads ellipsoids_W, coupling_parameters, route, speed_scale and evasion, each if offered.
+    """
+    wires.add("goal", make_goal(scenario), offers={"y0": "goal"})
+    wires.add("dmp_integrator", make_dmp_integrator(scenario))
+    wires.log("goal", "desired_position", "desired_velocity", "desired_acceleration", "phase")
+    wires.export("desired_position", "phase", "policy_state")
+    orientation = None if cell is None else make_orientation_integrator(scenario)
+    if orientation is not None:
+        add_orientation(wires, orientation)
+
+
+def add_orientation(wires: Wires, system: OrientationIntegrator) -> None:
+    """Adds orientation_integrator, which the controller follows."""
+    wires.add("orientation_integrator", system)
+    wires.log("desired_orientation", "orientation_error")
+
+
+def make_dmp(scenario: Scenario) -> Dmp:
+    """The movement primitive of the task: demonstrated, or minimum jerk.
+
+    Raises:
+        ScenarioError: naming the file, if a demonstration cannot be read or imitated.
+    """
+    task = scenario.task
+    if task.demonstration:
+        return demonstrated_path(scenario)
+    path, t = minimum_jerk(task.start, task.goal, duration=task.duration)
+    try:
+        return imitate(path, t, **primitive_constants(scenario.policy))
+    except ValueError as error:
+        raise ScenarioError(f"policy: {error}") from None
+
+
+def make_goal(scenario: Scenario) -> LeafSystem:
+    """What says where the goal is: it stays, or is moved in steps; one port of size 3 [m]."""
+    if not scenario.task.goal_moves:
+        return ConstantVectorSource(np.asarray(scenario.task.goal))
+    return TrajectorySource(goal_trajectory(scenario.task))
+
+
+def make_dmp_integrator(scenario: Scenario) -> DmpIntegrator:
+    """The action level."""
+    start = np.asarray(scenario.task.start, dtype=float)
+    return DmpIntegrator(make_dmp(scenario), start, config=scenario.policy)
+
+
+def make_orientation_integrator(scenario: Scenario) -> OrientationIntegrator | None:
+    """The action level of the orientation; None: the tool keeps `robot.rpy_WE`.
+
+    Raises:
+        ScenarioError: naming the field that does not fit.
+    """
+    held = tool_orientation(scenario)
+    if held is None:
+        return None
+    return OrientationIntegrator(
+        held.primitive, held.R_WS, held.R_WG, period=scenario.policy.period
+    )
+
+
+def make_kept_orientation(scenario: Scenario) -> OrientationIntegrator:
+    """An orientation that stays as it is at the start until something else is demonstrated.
+
+    Raises:
+        ScenarioError: if the scenario has no robot.
+    """
+    robot = scenario.robot
+    if robot is None:
+        raise ScenarioError("robot: this scenario has none that has a tool")
+    R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix().matrix()
+    return OrientationIntegrator(
+        minimum_jerk_orientation(alpha_k=scenario.policy.alpha_k),
+        R_WE,
+        R_WE,
+        period=scenario.policy.period,
+    )
+
+
+_logger = logging.getLogger("drake_oa")
+
+
+def add_route(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
+    """Adds cost_ring_selector where it leads the motion: ellipsoids_W, goal -> route."""
+    regulation = scenario.regulation
+    if "ellipsoids_W" in wires and isinstance(regulation, Paper) and regulation.guided:
+        wires.add(
+            "cost_ring_selector",
+            make_cost_ring_selector(scenario),
+            offers={"decision": "route", "route": "shown_route"},
+        )
+
+
+def make_cost_ring_selector(scenario: Scenario) -> CostRingSelector:
+    """The route selection; what the robot reaches is mapped by inverse kinematics.
+
+    Of a tool that turns on the way, what it reaches as at the start or as at the goal counts.
+    """
+    policy = scenario.policy
+    held = held_robots(scenario)
+    ends = {id(robot): robot for robot in (held[0], held[-1])} if held else {}
+    reach = [found for found in map(robot_reachability, ends.values()) if found is not None]
+
+    def workspace(p_WQ: FloatArray) -> FloatArray:
+        return np.asarray(np.max([each.reach_margin(p_WQ) for each in reach], axis=0))
+
+    def joint_limits(p_WQ: FloatArray) -> FloatArray:
+        return np.asarray(np.max([each.joint_margin(p_WQ) for each in reach], axis=0))
+
+    return CostRingSelector(
+        scenario.task.clearance,
+        table_height=policy.table_height,
+        workspace=workspace if reach else None,
+        joint_limits=joint_limits if reach else None,
+        followed=reach[0].followed if len(ends) == len(reach) == 1 else None,
+    )
+
+
+def robot_reachability(robot: Robot | None) -> Reachability | None:
+    """Where the robot can hold its tool; None without a robot, or where it is not known.
+
+    It takes a second or two for each robot and tool orientation, once a process.
+    """
+    if robot is None:
+        return None
+    robot_plant = make_robot_plant(robot)
+    try:
+        arm = make_arm_model(
+            robot_plant.plant,
+            robot_plant.tool_frame,
+            RollPitchYaw(robot.rpy_WE).ToRotationMatrix(),
+            home_positions(robot),
+        )
+        return reachability(arm)
+    except ValueError as error:
+        _logger.info("routes are chosen without the robot's limits: %s", error)
+        return None
+
+
+def robot_annulus(robot: Robot | None) -> Annulus | None:
+    """Where the tool point can be about the base; None: not known.
+
+    It is that of the robot's block, or found from what the arm reaches.
+    """
+    if robot is None:
+        return None
+    if not is_tool_down(robot):
+        _logger.info("motions are verified without the arm's reach: not upright, or tool not down")
+        return None
+    given = given_annulus(robot)
+    reach = robot_reachability(robot) if given is None else None
+    try:
+        return given if reach is None else found_annulus(reach, robot)
+    except ValueError as error:
+        _logger.info("motions are verified without the arm's reach: %s", error)
+        return None
+
+
+def held_annulus(scenario: Scenario) -> Annulus | None:
+    """`robot_annulus` of a robot whose tool is down on the whole way; None: not known."""
+    held = held_robots(scenario)
+    # The first that has none stands for the whole way.
+    return robot_annulus(min(held, key=is_tool_down, default=None))
+
+
+Rings = Mapping[str, Ring] | None
+"""Costs of sides of one's own, by name; None: there are none."""
+
+_TOUCHING = 1e-3
+"""So deep in each other links are in contact for sure [m]."""
+_LEAST_STEPS, _MOST_STEPS = 250, 1000
+"""Steps of a roll-out a unit of normalised time."""
+
+
+def add_motion_selector(
+    wires: Wires, scenario: Scenario, cell: Cell | None, proposer: Proposer, rings: Rings = None
+) -> None:
+    """Adds motion_selector: solids_W, policy_state, goal, robot_state -> motion, demonstration
+    and coupling_parameters; rings are costs of sides by name.
+
+    Raises:
+        ScenarioError: without a robot, or where nothing tells the shapes of things.
+    """
+    if cell is None:
+        raise ScenarioError("regulation: !Verified needs a robot; this scenario has null")
+    if isinstance(scenario.perception, GivenEllipsoids):
+        raise ScenarioError(
+            "regulation: !Verified needs obstacles that are seen; !GivenEllipsoids has the "
+            "ellipsoids of obstacles that are dilated by the tool"
+        )
+    wires.add(
+        "motion_selector",
+        make_motion_selector(scenario, cell, proposer, rings),
+        offers={"decision": "decision_regulation", "sides": "shown_route"},
+    )
+    wires.log("shortfall", "lowered", "decision_regulation")
+
+
+def make_motion_selector(
+    scenario: Scenario, cell: Cell, proposer: Proposer, rings: Rings = None
+) -> MotionSelector:
+    """What chooses the motion of the whole arm."""
+    robot, regulation, policy, task = (
+        scenario.robot,
+        scenario.regulation,
+        scenario.policy,
+        scenario.task,
+    )
+    if robot is None or not isinstance(regulation, Verified):
+        raise ScenarioError("regulation: is not !Verified, or there is no robot")
+    arm = cell.arm
+    spheres = cell.spheres.arrays
+    _refuse_start(cell, cell.spheres)
+    _tell_of_bare_links(cell, cell.spheres)
+    dmp = make_dmp(scenario)
+    steps = min(max(round(dmp.duration / policy.period), _LEAST_STEPS), _MOST_STEPS)
+    held, R_WE = tool_orientation(scenario), end_rotations(scenario)[0].matrix()
+    guide = make_posture_guide(scenario, arm.posture)
+    q_rest = np.array(arm.posture)
+    search = MotionSearch(
+        Sides(proposer, rings or {}, regulation.ring_price),
+        dmp,
+        task.clearance,
+        make_chain(arm, spheres),
+        spheres,
+        parameters=regulation,
+        steps=steps,
+        fade=policy.fade,
+        orientation=(lambda s: np.tile(R_WE, (len(s), 1, 1))) if held is None else held.along,
+        posture=(lambda s: np.tile(q_rest, (len(s), 1))) if guide is None else guide,
+        overshoot=cell.spheres.overshoot,
+        q_goal=None if task.q_goal is None else np.asarray(task.q_goal, dtype=float),
+    )
+    return MotionSelector(
+        search,
+        tuple(arm.index.tolist()),
+        cell.robot_plant.plant.num_multibody_states(),
+        period=perception_period(scenario),
+        thinking=scenario.thinking,
+        step=policy.period,
+    )
+
+
+def _refuse_start(cell: Cell, arm: ArmSpheres) -> None:
+    """Refuses an arm that begins in itself.
+
+    Raises:
+        ScenarioError: naming its links.
+    """
+    robot = cell.robot_plant
+    context = robot.diagram.CreateDefaultContext()
+    robot.plant.SetPositions(robot.plant.GetMyMutableContextFromRoot(context), cell.q_start)
+    query = robot.scene_graph.get_query_output_port().Eval(
+        robot.scene_graph.GetMyContextFromRoot(context)
+    )
+    kept_apart = {frozenset((arm.bodies[a], arm.bodies[b])) for a, b in arm.arrays.pairs}
+    inspector = robot.scene_graph.model_inspector()
+    for hit in query.ComputePointPairPenetration():
+        one, other = (
+            robot.plant.GetBodyFromFrameId(inspector.GetFrameId(geometry)).name()
+            for geometry in (hit.id_A, hit.id_B)
+        )
+        if frozenset((one, other)) in kept_apart and hit.depth > _TOUCHING:
+            raise ScenarioError(
+                f"task.start: with the arm there, {one} is {1e3 * hit.depth:.0f} mm inside "
+                f"{other}; another task.start, or task.q_start or robot.q_seed where it is clear "
+                "of itself"
+            )
+
+
+def _tell_of_bare_links(cell: Cell, arm: ArmSpheres) -> None:
+    """Says which links are to be seen, but have no shape that could be kept clear."""
+    plant, inspector = cell.robot_plant.plant, cell.robot_plant.scene_graph.model_inspector()
+    bare = [
+        body.name()
+        for body in map(plant.get_body, plant.GetBodyIndices(cell.robot_plant.instance))
+        if body.name() not in arm.bodies
+        and inspector.NumGeometriesForFrameWithRole(
+            plant.GetBodyFrameIdOrThrow(body.index()), Role.kPerception
+        )
+    ]
+    if bare:
+        _logger.warning(
+            "robot.model: %s: no collision geometry, so nothing keeps it clear", ", ".join(bare)
+        )
+
+
+Loaded = TypeVar("Loaded")
+
+
+def add_regulation(
+    wires: Wires, scenario: Scenario, cell: Cell | None, rings: Rings = None
+) -> None:
+    """Adds motion_selector, which counts rings of one's own, or regressor_chain.
+
+    Both offer coupling_parameters: the selector from robot_state, policy_state, goal and solids_W,
+    with the motion and demonstration that it has verified; the chain from ellipsoids_W and
+    policy_state.
+    """
+    regulation = scenario.regulation
+    if isinstance(regulation, Verified):
+        add_motion_selector(wires, scenario, cell, _loaded(scenario, load_proposals), rings)
+        if "desired_orientation" not in wires and cell is not None:
+            add_orientation(wires, make_kept_orientation(scenario))
+        return
+    length: Scaling = "route" if "route" in wires else "sections"
+    chain = RegressorChain(
+        load_weights(scenario),
+        scenario.task.clearance,
+        original=make_dmp(scenario).duration if regulation.term == "original" else None,
+        scaling=length if regulation.scaled else "none",
+    )
+    wires.add("regressor_chain", chain)
+
+
+def load_weights(scenario: Scenario) -> ChainWeights:
+    """The chain that the scenario names.
+
+    Raises:
+        ScenarioError: naming the file, if the weights are missing or do not fit.
+    """
+    return _loaded(scenario, _load_running)
+
+
+def _load_running(path: Path) -> ChainWeights:
+    weights = load_chain(path)
+    check_action_level(weights, path)
+    return weights
+
+
+def _loaded(scenario: Scenario, load: Callable[[Path], Loaded]) -> Loaded:
+    try:
+        return load(package_file(scenario.regulation.weights))
+    except (OSError, ValueError) as error:
+        raise ScenarioError(f"regulation.weights: {error}") from None
