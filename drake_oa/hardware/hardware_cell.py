@@ -6,11 +6,8 @@ from dataclasses import fields, replace
 
 import numpy as np
 from pydrake.multibody.parsing import (
-    FlattenModelDirectives,
     ModelDirective,
-    ModelDirectives,
 )
-from pydrake.multibody.plant import MultibodyPlant
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
@@ -20,12 +17,13 @@ from drake_oa.hardware.command_player import ARM_JOINTS
 from drake_oa.hardware.robot_link import CommandStream, MeasuredState, RobotLink
 from drake_oa.perception.config import DepthCamera, GroundTruth, LcmCamera, RecordedClouds
 from drake_oa.robot.arm import joints_to
-from drake_oa.robot.plant import RobotLimits, make_parser, make_robot_plant
+from drake_oa.robot.plant import RobotLimits, make_robot_plant
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.scenario.sources import perception_period, table_plane
 from drake_oa.world.live_camera import Outside
+from drake_oa.world.station import flat_directives
 
 _LOWER = np.array([-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973])
 _UPPER = np.array([2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973])
@@ -137,9 +135,6 @@ def add_hardware(
 
 def _without_obstacles(directives: list[ModelDirective]) -> list[ModelDirective]:
     """What stands in the world, written out, but for models that are named as obstacles."""
-    flat = FlattenModelDirectives(
-        ModelDirectives(directives=directives), make_parser(MultibodyPlant(0.0)).package_map()
-    )
 
     def of_obstacle(directive: ModelDirective) -> bool:
         model, weld = directive.add_model, directive.add_weld
@@ -149,4 +144,4 @@ def _without_obstacles(directives: list[ModelDirective]) -> list[ModelDirective]
             str(frame).startswith(OBSTACLE_PREFIX) for frame in (weld.parent, weld.child)
         )
 
-    return [one for one in flat.directives if not of_obstacle(one)]
+    return [one for one in flat_directives(directives) if not of_obstacle(one)]

@@ -18,9 +18,8 @@ import numpy as np
 from pydrake.common.schema import Transform
 from pydrake.geometry import Meshcat, Rgba
 from pydrake.math import RigidTransform, RollPitchYaw
-from pydrake.multibody.parsing import LoadModelDirectives, ModelDirective
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import Context
+from pydrake.systems.framework import Context, Diagram
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
@@ -29,19 +28,19 @@ from drake_oa.geometry.pinhole import View, pinhole
 from drake_oa.geometry.shapes import Sphere
 from drake_oa.perception.config import CameraSource, GroundTruth
 from drake_oa.regulation.config import Paper, Verified
-from drake_oa.robot.plant import TOOL_FRAME, base_pose, make_robot_plant
+from drake_oa.robot.plant import base_pose, make_robot_plant
 from drake_oa.runs.metrics import RobotJudge
 from drake_oa.runs.motion_log import MotionEnd, MotionLog
 from drake_oa.runs.page import LivePanel
-from drake_oa.runs.simulation import Ending, MotionWatcher, collect_log
+from drake_oa.runs.simulation import AT_THE_GOAL, Ending, MotionWatcher, collect_log
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
 from drake_oa.scenario.scenario import Scenario, robot_of
-from drake_oa.scenario.shipped import package_file
 from drake_oa.scenario.sources import camera_configs
+from drake_oa.scenario.task_joints import follow_joints
 from drake_oa.viewing.camera_inset import CameraInset
 from drake_oa.viewing.drawing import DISTANCE
 from drake_oa.viewing.panel import LivePage
-from drake_oa.world.station import release_cameras
+from drake_oa.world.station import flat_directives, release_cameras
 
 TICK = 1.0 / 30.0
 """Simulated time between two looks at the controls [s]."""
@@ -70,43 +69,38 @@ _REGULATIONS = ("verified", "paper", "preplanned")
 _NEXT = "next method (verified, paper, nominal)"
 
 
-Put = Callable[[Scenario, FloatArray, FloatArray], None]
-"""Puts a thing into a scenario at a place (3,) [m] and roll, pitch, yaw (3,) [rad]."""
-
-
 @dataclass
 class Movable:
-    """One thing of the world that has sliders.
+    """An obstacle that has sliders: one of `obstacles`, or a model that a directive welds.
 
     Attributes:
-        name: what it is called.
-        p_WO: (3,) where it is [m].
+        name: name of the obstacle.
+        p_WO: (3,) its position [m].
         rpy: (3,) roll, pitch, yaw [rad].
-        put: puts it into a scenario at a pose.
+        row: its place in the scenario's obstacles or directives.
+        is_welded: whether it is one of the directives.
     """
 
     name: str
     p_WO: FloatArray
     rpy: FloatArray
-    put: Put
+    row: int
+    is_welded: bool = False
 
-
-def flat_directives(directives: list[ModelDirective]) -> list[ModelDirective]:
-    """The same with what `add_directives` names in its place; where that has a namespace, as is."""
-    flat: list[ModelDirective] = []
-    for directive in directives:
-        nested = directive.add_directives
-        if nested is None or nested.model_namespace or "package://drake_oa/" not in nested.file:
-            flat.append(directive)
-            continue
-        flat += flat_directives(LoadModelDirectives(str(package_file(nested.file))).directives)
-    return flat
+    def put(self, scenario: Scenario, p_WO: FloatArray, rpy: FloatArray) -> None:
+        """Puts it at another pose of a scenario."""
+        if self.is_welded:
+            weld: Any = scenario.directives[self.row].add_weld
+            weld.X_PC = Transform(RigidTransform(RollPitchYaw(rpy), p_WO))
+        else:
+            obstacle = scenario.obstacles[self.row]
+            obstacle.translation, obstacle.rpy = p_WO.tolist(), rpy.tolist()
 
 
 def movables(scenario: Scenario) -> list[Movable]:
-    """The obstacles of a scenario that stand on a pose of their own: its own and welded models."""
+    """Lists the obstacles with a pose of their own: those of the scenario, and welded models."""
     found = [
-        Movable(item.name, np.array(item.translation), np.array(item.rpy), _put_obstacle(row))
+        Movable(item.name, np.array(item.translation), np.array(item.rpy), row)
         for row, item in enumerate(scenario.obstacles)
     ]
     for row, directive in enumerate(scenario.directives):
@@ -116,58 +110,37 @@ def movables(scenario: Scenario) -> list[Movable]:
         X_WO = weld.X_PC.GetDeterministicValue() if weld.X_PC else RigidTransform()
         rpy = RollPitchYaw(X_WO.rotation()).vector()
         name = weld.child.partition("::")[0].removeprefix(f"{OBSTACLE_PREFIX}_")
-        found.append(Movable(name, X_WO.translation().copy(), rpy, _put_weld(row)))
+        found.append(Movable(name, X_WO.translation().copy(), rpy, row, is_welded=True))
     return found
-
-
-def _put_obstacle(row: int) -> Put:
-    def put(scenario: Scenario, p_WO: FloatArray, rpy: FloatArray) -> None:
-        scenario.obstacles[row].translation = p_WO.tolist()
-        scenario.obstacles[row].rpy = rpy.tolist()
-
-    return put
-
-
-def _put_weld(row: int) -> Put:
-    def put(scenario: Scenario, p_WO: FloatArray, rpy: FloatArray) -> None:
-        weld = scenario.directives[row].add_weld
-        if weld is not None:
-            weld.X_PC = Transform(RigidTransform(RollPitchYaw(rpy), p_WO))
-
-    return put
 
 
 @dataclass
 class Choice:
-    """What the controls say.
+    """State of the controls.
 
     Attributes:
-        clearance: asked [m].
-        goal: (3,) of the motion to it [m].
-        poses: of each movable thing x, y [m] and yaw [rad].
+        values: name of a slider -> its value [m, rad].
         regulation: "verified", "paper" or "preplanned".
         seen: whether obstacles are seen by the scenario's camera, rather than known.
         thrown: how often something was thrown in.
     """
 
-    clearance: float
-    goal: tuple[float, float, float]
-    poses: list[tuple[float, float, float]]
+    values: dict[str, float]
     regulation: str
     seen: bool
-    thrown: int = 0
+    thrown: int
 
 
 @dataclass
 class Controls:
-    """Sliders and buttons in Meshcat's panel; what they say is a `Choice`.
+    """Sliders and buttons in Meshcat's panel; their state is a `Choice`.
 
     The page folds "NAME: x [m]" into the folder of an obstacle.
 
     Attributes:
         meshcat: the viewer.
-        scenario: what they begin with.
-        things: what has sliders.
+        scenario: their state at the beginning.
+        things: the obstacles that have sliders.
     """
 
     meshcat: Meshcat
@@ -185,44 +158,35 @@ class Controls:
             ("stop", "Escape"),
         ):
             self.meshcat.AddButton(name, key)
-        task, add = self.scenario.task, self.meshcat.AddSlider
-        add("speed", 0.1, 1.0, 0.1, 1.0)
-        add("clearance [m]", 0.02, 0.30, 0.005, task.clearance)
+        self.meshcat.AddSlider("speed", 0.1, 1.0, 0.1, 1.0)
+        task = self.scenario.task
+        sliders = [("clearance [m]", 0.02, 0.30, 0.005, task.clearance)]
         for axis, at, low, high in zip(
             "xyz", task.goal, (0.2, -0.7, 0.05), (0.75, 0.7, 0.8), strict=True
         ):
-            add(f"goal {axis} [m]", min(low, at), max(high, at), 0.01, at)
+            sliders.append((f"goal {axis} [m]", min(low, at), max(high, at), 0.01, at))
         for thing in self.things:
             x, y, yaw = thing.p_WO[0], thing.p_WO[1], thing.rpy[2]
-            add(f"{thing.name}: x [m]", x - 0.4, x + 0.4, 0.01, x)
-            add(f"{thing.name}: y [m]", y - 0.6, y + 0.6, 0.01, y)
-            add(f"{thing.name}: yaw [rad]", -3.14, 3.14, 0.02, yaw)
+            sliders += [
+                (f"{thing.name}: x [m]", x - 0.4, x + 0.4, 0.01, x),
+                (f"{thing.name}: y [m]", y - 0.6, y + 0.6, 0.01, y),
+                (f"{thing.name}: yaw [rad]", -3.14, 3.14, 0.02, yaw),
+            ]
+        for slider in sliders:
+            self.meshcat.AddSlider(*slider)
+        self._sliders = [name for name, *_ in sliders]
 
     def clicks(self, name: str) -> int:
-        """How often a button was pressed."""
+        """Returns how often a button was pressed."""
         return int(self.meshcat.GetButtonClicks(name))
 
-    def value(self, name: str) -> float:
-        """Of a slider."""
-        return float(self.meshcat.GetSliderValue(name))
-
     def choice(self) -> Choice:
-        """What they say now."""
+        """Reads their state."""
         first = _REGULATIONS.index("paper" if _is_paper(self.scenario) else "verified")
         turn = first + self.clicks(_NEXT)
         can_see = isinstance(self.scenario.perception, CameraSource)
-        x, y, z = (self.value(f"goal {axis} [m]") for axis in "xyz")
         return Choice(
-            clearance=self.value("clearance [m]"),
-            goal=(x, y, z),
-            poses=[
-                (
-                    self.value(f"{thing.name}: x [m]"),
-                    self.value(f"{thing.name}: y [m]"),
-                    self.value(f"{thing.name}: yaw [rad]"),
-                )
-                for thing in self.things
-            ],
+            {name: self.meshcat.GetSliderValue(name) for name in self._sliders},
             regulation=_REGULATIONS[turn % len(_REGULATIONS)],
             seen=can_see and self.clicks("camera or ground truth") % 2 == 0,
             thrown=self.clicks("throw it in"),
@@ -230,13 +194,8 @@ class Controls:
 
     def put_back(self, choice: Choice) -> None:
         """Sets the sliders to an earlier choice."""
-        put = self.meshcat.SetSliderValue
-        put("clearance [m]", choice.clearance)
-        for axis, value in zip("xyz", choice.goal, strict=True):
-            put(f"goal {axis} [m]", value)
-        for thing, pose in zip(self.things, choice.poses, strict=True):
-            for name, value in zip(("x [m]", "y [m]", "yaw [rad]"), pose, strict=True):
-                put(f"{thing.name}: {name}", value)
+        for name, value in choice.values.items():
+            self.meshcat.SetSliderValue(name, value)
 
 
 def _is_paper(scenario: Scenario) -> bool:
@@ -266,11 +225,10 @@ class PlaySession:
         Raises:
             ScenarioError: without a robot, or for a field that does not fit.
         """
-        self._robot_plant = make_robot_plant(robot_of(scenario))
+        self._limits = make_robot_plant(robot_of(scenario)).limits
         self._scenario = copy.deepcopy(scenario)
         self._scenario.directives = flat_directives(self._scenario.directives)
-        self._things = movables(self._scenario)
-        self.controls = Controls(meshcat, self._scenario, self._things)
+        self.controls = Controls(meshcat, self._scenario, movables(self._scenario))
         self._meshcat, self.page = meshcat, page
         self._taken = self._wanted = self._playing = self.controls.choice()
         self._rested = 0.0
@@ -301,14 +259,15 @@ class PlaySession:
             self._begin(None)
         elif self._wanted != self._taken and self._rested >= SETTLED:
             self._begin(self._positions())
-        elif self._watcher.settled and self._arrived():
+        elif self._watcher.settled and self._watcher.ending == AT_THE_GOAL:
             self.homeward = not self.homeward
             self._begin(self._positions())
         paused = controls.clicks("pause") % 2 == 1
         stepping = controls.clicks("step") > self._steps
         self._steps = controls.clicks("step")
-        if not paused or stepping:
-            self._advance()
+        now = self._root().get_time()
+        if self._simulator and not self._watcher.settled and (not paused or stepping):
+            self._simulator.AdvanceTo(now + TICK)
         self._say(paused)
 
     def run(self, each_tick: Callable[[], None] = lambda: None) -> None:
@@ -321,7 +280,7 @@ class PlaySession:
         while not self.stopped:
             each_tick()
             self.tick()
-            due += TICK / self.controls.value("speed")
+            due += TICK / self._meshcat.GetSliderValue("speed")
             wait = due - time.monotonic()
             if wait > 0.0:
                 time.sleep(wait)
@@ -363,10 +322,6 @@ class PlaySession:
         self._playing, self._played, self._judge = choice, scenario, judge
         self._simulator, self._watcher = simulator, watcher
         self._panel = LivePanel(self.page, scenario, modulated, judge)
-        self._perception: Any = None
-        if diagram.HasSubsystemNamed("perception"):
-            self._perception = diagram.GetSubsystemByName("perception")
-        self._plant = diagram.GetSubsystemByName("plant")
         simulator.Initialize()
         simulator.set_monitor(watcher)
         if not choice.seen:
@@ -380,22 +335,23 @@ class PlaySession:
         """The scenario that is asked for, its motion from where the arm is."""
         scenario = copy.deepcopy(self._scenario)
         task = scenario.task
-        task.clearance = choice.clearance
-        task.goal = list(self._home if self.homeward else choice.goal)
+        values = choice.values
+        task.clearance = values["clearance [m]"]
+        task.goal = [values[f"goal {axis} [m]"] for axis in "xyz"]
+        if self.homeward:
+            task.goal = list(self._home)
         if q is not None:
-            arm = len(scenario.robot.q_seed) if scenario.robot else 0
-            task.q_start, task.q_goal, task.goal_moves = q[:arm].tolist(), None, []
-            (X_WE,) = self._robot_plant.tool_poses(q[None])
-            task.start = X_WE.translation().tolist()
-            task.rpy_start = RollPitchYaw(X_WE.rotation()).vector().tolist()
-            task.demonstration = []
+            task.q_start, task.q_goal = q[: len(robot_of(scenario).q_seed)].tolist(), None
+            task.goal_moves, task.demonstration = [], []
+            follow_joints(scenario)
         if choice.regulation == "paper" and not _is_paper(scenario):
             scenario.regulation = Paper()
         elif choice.regulation == "verified" and _is_paper(scenario):
             scenario.regulation = Verified()
         if not choice.seen and isinstance(scenario.perception, CameraSource):
             scenario.perception, scenario.faults = GroundTruth(), []
-        for thing, (x, y, yaw) in zip(self._things, choice.poses, strict=True):
+        for thing in self.controls.things:
+            x, y, yaw = (values[f"{thing.name}: {of}"] for of in ("x [m]", "y [m]", "yaw [rad]"))
             thing.put(scenario, np.array([x, y, thing.p_WO[2]]), np.array([*thing.rpy[:2], yaw]))
         if choice.thrown > self._thrown:
             middle = 0.5 * (np.array(task.start) + np.array(task.goal))
@@ -404,32 +360,18 @@ class PlaySession:
 
     def tool_point(self) -> FloatArray:
         """(3,) where the tool point is now [m]."""
-        context = self._plant.GetMyContextFromRoot(self._root())
-        frame = self._plant.GetFrameByName(TOOL_FRAME)
-        p_WE: FloatArray = frame.CalcPoseInWorld(context).translation()
-        return p_WE
+        return self._watcher.tool_point(self._root())
 
     def _positions(self) -> FloatArray:
         """(nq,) of the robot now, within its joints' limits."""
         q = self._watcher.positions(self._root())[0][0]
-        plant = self._robot_plant.plant
-        inside: FloatArray = np.clip(
-            q, plant.GetPositionLowerLimits() + 1e-6, plant.GetPositionUpperLimits() - 1e-6
-        )
-        return inside
+        lower, upper = self._limits.position_lower, self._limits.position_upper
+        return np.clip(q, lower + 1e-6, upper - 1e-6)
 
     def _root(self) -> Context:
         if self._simulator is None:
             raise RuntimeError("nothing runs")
         return self._simulator.get_context()
-
-    def _arrived(self) -> bool:
-        ending = self._watcher.ending
-        return ending is not None and ending.end is MotionEnd.GOAL
-
-    def _advance(self) -> None:
-        if self._simulator is not None and not self._watcher.settled:
-            self._simulator.AdvanceTo(self._root().get_time() + TICK)
 
     def _say(self, paused: bool) -> None:
         root = self._root()
@@ -442,16 +384,16 @@ class PlaySession:
         else:
             self._meshcat.Delete(_LINE)
         self._ticks += 1
-        if self._playing.seen and self._ticks % _INSET_TICKS == 0:
-            self._show_image(root)
+        if self._simulator and self._playing.seen and self._ticks % _INSET_TICKS == 0:
+            self._show_image(self._simulator.get_system(), root)
         self._panel(self._watcher, root, self.status(paused))
 
-    def _show_image(self, root: Context) -> None:
-        """What perception's first camera shows, and what is taken for obstacles in it."""
+    def _show_image(self, diagram: Diagram, root: Context) -> None:
+        """Draws the image of perception's first camera, and the obstacles found in it."""
         source = self._played.perception
-        if not isinstance(source, CameraSource) or self._perception is None:
+        if not isinstance(source, CameraSource) or not diagram.HasSubsystemNamed("perception"):
             return
-        perception = self._perception
+        perception = diagram.GetSubsystemByName("perception")
         context = perception.GetMyContextFromRoot(root)
         name = source.names[0]
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
@@ -86,53 +88,6 @@ def choose_motion(path: Path, logs: dict[str, MotionLog], name: str | None) -> s
     return chosen
 
 
-class LoggedMotion:
-    """Looks up what a log says of an instant; holds no state."""
-
-    def __init__(self, scenario: Scenario, log: MotionLog) -> None:
-        """Keeps both.
-
-        Raises:
-            ValueError: if the log has no instant.
-        """
-        if not len(log.t):
-            raise ValueError(f"the log has no instant: {log.stop_reason}")
-        self.log = log
-        self._p_WS = np.asarray(scenario.task.start, dtype=float)
-        self._task = scenario.task
-        self._seen = [log.observation(row) for row in range(len(log.observation_time))]
-
-    def row(self, time: float) -> int:
-        """The row of what was logged last at a time [s]; the first one before it."""
-        return max(0, int(np.searchsorted(self.log.t, time + _EARLY, side="right")) - 1)
-
-    def ellipsoids(self, time: float) -> EllipsoidSet:
-        """The observation that had arrived last at a time [s]; empty before the first."""
-        row = int(np.searchsorted(self.log.observation_time, time + _EARLY, side="right")) - 1
-        return self._seen[row] if row >= 0 else EllipsoidSet()
-
-    def policy_state(self, time: float) -> PolicyState:
-        """Where the movement primitive was at a time [s].
-
-        z_W is the desired velocity [m/s], which has its direction: the scale, tau T, is
-        not in the log.
-        """
-        row, log = self.row(time), self.log
-        p_WG = goal_at(self._task, float(log.t[row]))
-        event = int(np.searchsorted(log.event_time, time + _EARLY, side="right")) - 1
-        return PolicyState(
-            p_WE=log.desired_position[row],
-            z_W=log.desired_velocity[row],
-            phase=float(log.phase[row]),
-            p_WS=self._p_WS,
-            p_WG=p_WG,
-            R_WL=local_frame(self._p_WS, p_WG),
-            stamp=float(log.t[row]),
-            hold=HoldCause(log.event_hold[event]) if event >= 0 else HoldCause.NONE,
-            note=log.event[event] if event >= 0 else "",
-        )
-
-
 def world_positions(plant: MultibodyPlant, robot: ModelInstanceIndex, log: MotionLog) -> FloatArray:
     """(T, n) positions of a scenario's world at the instants of a log [rad, m].
 
@@ -206,26 +161,25 @@ def build_replay(
     """
     builder = DiagramBuilder()
     dress_scene(meshcat, base_pose(scenario.robot), scenario.table_height or 0.0)
-    motion = LoggedMotion(scenario, log)
     positions = np.zeros((len(log.t), 0))
-    if scenario.robot is None:
-        player = builder.AddNamedSystem("log_player", LogPlayer(motion, positions, speed=speed))
-    else:
+    if scenario.robot is not None:
         scene_graph = builder.AddNamedSystem("scene_graph", SceneGraph())
         plant = MultibodyPlant(time_step=scenario.plant_step)
         source = plant.RegisterAsSourceForSceneGraph(scene_graph)
         robot = add_world(plant, scenario)
         plant.Finalize()
         positions = world_positions(plant, robot, log)
-        player = builder.AddNamedSystem("log_player", LogPlayer(motion, positions, speed=speed))
         poses = builder.AddNamedSystem("geometry_poses", MultibodyPositionToGeometryPose(plant))
-        builder.Connect(player.GetOutputPort("positions"), poses.get_input_port())
         builder.Connect(poses.get_output_port(), scene_graph.get_source_pose_port(source))
         # The same path in the viewer's tree as that of a run.
         shown = MeshcatVisualizerParams(
             role=Role.kIllustration, prefix="illustration", publish_period=FRAME_PERIOD
         )
         MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat, shown)
+    player = LogPlayer(scenario, log, positions, speed=speed)
+    builder.AddNamedSystem("log_player", player)
+    if scenario.robot is not None:
+        builder.Connect(player.GetOutputPort("positions"), poses.get_input_port())
     overlay = builder.AddNamedSystem(
         "overlay", MeshcatOverlay(meshcat, planned_W=planned_W, body_index=BodyIndex(0))
     )
@@ -253,8 +207,12 @@ def show_readings(page: LivePage, rows: list[Reading]) -> Callable[[Context], Ev
     return show
 
 
+def _output(look_up: Callable[[Context], Any], context: Context, output: AbstractValue) -> None:
+    output.set_value(look_up(context))
+
+
 class LogPlayer(LeafSystem):
-    """Plays a logged motion: at each instant what was logged last.
+    """Plays a logged motion: at each instant the newest values that were logged.
 
     .. pydrake_system::
 
@@ -267,60 +225,75 @@ class LogPlayer(LeafSystem):
 
     - positions: (n,) positions of the world's plant, in its order [rad, m].
     - ellipsoids_W: abstract `EllipsoidSet` in the world frame, the observation that had
-      arrived last.
-    - policy_state: abstract `PolicyState`; its z_W is the desired velocity: the log knows
-      the direction alone.
+      arrived last; empty before the first.
+    - policy_state: abstract `PolicyState`; its z_W is the desired velocity [m/s]: the log knows
+      the direction alone, not the scale tau T.
     - body_poses: list of one `RigidTransform`, whose origin is the actual tool point E;
       its axes are the world's.
 
     There is no state: the outputs depend on time alone.
     """
 
-    def __init__(self, motion: LoggedMotion, positions: FloatArray, *, speed: float = 1.0) -> None:
+    def __init__(
+        self, scenario: Scenario, log: MotionLog, positions: FloatArray, *, speed: float = 1.0
+    ) -> None:
         """Declares the ports.
 
         Args:
-            motion: what is played.
+            scenario: of the log.
+            log: the motion.
             positions: (T, n) positions of the world's plant at its instants [rad, m].
             speed: logged seconds that pass in one simulated second.
 
         Raises:
-            ValueError: if speed is not positive, or T is not that of the motion.
+            ValueError: if the log has no instant.
         """
         super().__init__()
-        if not 0.0 < speed < float("inf"):
-            raise ValueError(f"speed must be positive, not {speed}")
-        if len(positions) != len(motion.log.t):
-            raise ValueError(
-                f"positions: {len(positions)} rows for the {len(motion.log.t)} instants of the log"
-            )
-        self._motion = motion
-        self._world = positions
-        self._speed = speed
+        if not len(log.t):
+            raise ValueError(f"the log has no instant: {log.stop_reason}")
+        self._task, self._log, self._world, self._speed = scenario.task, log, positions, speed
+        self._seen = [log.observation(row) for row in range(len(log.observation_time))]
         now = {self.time_ticket()}
         self.DeclareVectorOutputPort("positions", positions.shape[1], self._calc_positions, now)
-        self.DeclareAbstractOutputPort(
-            "ellipsoids_W", lambda: Value(EllipsoidSet()), self._calc_ellipsoids, now
-        )
-        self.DeclareAbstractOutputPort(
-            "policy_state", lambda: Value(PolicyState()), self._calc_policy, now
-        )
-        self.DeclareAbstractOutputPort(
-            "body_poses", Value[list[RigidTransform]], self._calc_poses, now
-        )
+        for name, model, look_up in (
+            ("ellipsoids_W", Value(EllipsoidSet()), self._ellipsoids),
+            ("policy_state", Value(PolicyState()), self._policy_state),
+            ("body_poses", Value[list[RigidTransform]](), self._body_poses),
+        ):
+            self.DeclareAbstractOutputPort(name, model.Clone, partial(_output, look_up), now)
 
-    def _time(self, context: Context) -> float:
-        return self._speed * float(context.get_time())
+    def _newest(self, times: FloatArray, context: Context) -> int:
+        """Finds the row of the last of the times that is not later than now; -1: none."""
+        now = self._speed * context.get_time() + _EARLY
+        return int(np.searchsorted(times, now, side="right")) - 1
+
+    def _row(self, context: Context) -> int:
+        """Finds the row of the newest instant; the first one before it."""
+        return max(0, self._newest(self._log.t, context))
+
+    def _body_poses(self, context: Context) -> list[RigidTransform]:
+        return [RigidTransform(self._log.p_WE[self._row(context)])]
 
     def _calc_positions(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._world[self._motion.row(self._time(context))])
+        output.SetFromVector(self._world[self._row(context)])
 
-    def _calc_ellipsoids(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self._motion.ellipsoids(self._time(context)))
+    def _ellipsoids(self, context: Context) -> EllipsoidSet:
+        row = self._newest(self._log.observation_time, context)
+        return self._seen[row] if row >= 0 else EllipsoidSet()
 
-    def _calc_policy(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self._motion.policy_state(self._time(context)))
-
-    def _calc_poses(self, context: Context, output: AbstractValue) -> None:
-        p_WE = self._motion.log.p_WE[self._motion.row(self._time(context))]
-        output.set_value([RigidTransform(p_WE)])
+    def _policy_state(self, context: Context) -> PolicyState:
+        log, row = self._log, self._row(context)
+        p_WS = np.asarray(self._task.start, dtype=float)
+        p_WG = goal_at(self._task, float(log.t[row]))
+        event = self._newest(log.event_time, context)
+        return PolicyState(
+            p_WE=log.desired_position[row],
+            z_W=log.desired_velocity[row],
+            phase=float(log.phase[row]),
+            p_WS=p_WS,
+            p_WG=p_WG,
+            R_WL=local_frame(p_WS, p_WG),
+            stamp=float(log.t[row]),
+            hold=HoldCause(log.event_hold[event]) if event >= 0 else HoldCause.NONE,
+            note=log.event[event] if event >= 0 else "",
+        )

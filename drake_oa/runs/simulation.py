@@ -537,6 +537,8 @@ def log_of(
         "shortfall": nothing,
         "lowered": nothing,
     }
+    series: dict[str, Any] = {name: signals.get(name, of) for name, of in vectors.items()}
+    series |= {name: signals.get(name, of)[:, 0] for name, of in scalars.items()}
     none: dict[str, Any] = {
         "observation_time": np.zeros(0),
         **pack_ellipsoids([]),
@@ -555,8 +557,7 @@ def log_of(
         saturated=signals.get("torque_saturation", nothing)[:, 0],
         p_WE=p_WE,
         tracking_error=np.linalg.norm(signals.get("tracking_error", unknown), axis=1),
-        **{name: signals.get(name, value) for name, value in vectors.items()},
-        **{name: signals.get(name, value)[:, 0] for name, value in scalars.items()},
+        **series,
         scenario=scenario_text(scenario),
         seed=scenario.seed,
         versions=software_versions(),

@@ -16,6 +16,7 @@ from xml.etree import ElementTree
 
 from pydrake.geometry import SceneGraph
 from pydrake.multibody.parsing import (
+    FlattenModelDirectives,
     LoadModelDirectives,
     ModelDirective,
     ModelDirectives,
@@ -290,6 +291,14 @@ def add_world(plant: MultibodyPlant, scenario: Scenario) -> ModelInstanceIndex:
     for obstacle in scenario.obstacles:
         add_obstacle(plant, obstacle)
     return robot
+
+
+def flat_directives(directives: list[ModelDirective]) -> list[ModelDirective]:
+    """Lists directives, with those of the files that `add_directives` names in its place."""
+    packages = make_parser(MultibodyPlant(0.0)).package_map()
+    _check_directives(directives, packages)
+    flat = FlattenModelDirectives(ModelDirectives(directives=directives), packages)
+    return list(flat.directives)
 
 
 def _check_directives(

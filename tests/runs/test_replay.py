@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,12 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import ModelInstanceIndex
-from pydrake.systems.framework import Context
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.runs.motion_log import MotionLog, pack_ellipsoids
 from drake_oa.runs.replay import (
-    LoggedMotion,
     LogPlayer,
     choose_motion,
     logged_scenario,
@@ -50,43 +49,58 @@ def log_of(straight_log: Callable[..., MotionLog]) -> Callable[..., MotionLog]:
 
 
 @pytest.fixture(scope="module")
-def motion(log_of: Callable[..., MotionLog]) -> LoggedMotion:
-    return LoggedMotion(FREE, log_of())
+def player(log_of: Callable[..., MotionLog]) -> LogPlayer:
+    return LogPlayer(FREE, log_of(), np.arange(51.0)[:, None])
+
+
+def read(player: LogPlayer, port: str, time: float) -> Any:
+    context = player.CreateDefaultContext()
+    context.SetTime(time)
+    return player.GetOutputPort(port).Eval(context)
 
 
 @given(row=st.integers(0, 50), early=st.floats(-1e-10, 1e-10))
 def test_a_logged_instant_is_found_despite_rounding(
-    motion: LoggedMotion, row: int, early: float
+    player: LogPlayer, row: int, early: float
 ) -> None:
-    assert motion.row(PERIOD * row + early) == row
+    time = max(PERIOD * row + early, 0.0)
+    assert read(player, "positions", time).tolist() == [row]
 
 
-@given(time=st.floats(-1.0, 10.0))
-def test_between_instants_the_last_one_counts(motion: LoggedMotion, time: float) -> None:
-    log, row = motion.log, motion.row(time)
-    assert row == 0 or log.t[row] <= time + 1e-9
-    assert row == len(log.t) - 1 or log.t[row + 1] > time
+@given(time=st.floats(0.0, 10.0))
+def test_between_instants_the_last_one_counts(player: LogPlayer, time: float) -> None:
+    (row,) = read(player, "positions", time)
+    assert row == 0 or PERIOD * row <= time + 1e-9
+    assert row == 50 or PERIOD * (row + 1) > time
 
 
 @pytest.mark.parametrize(("time", "x"), [(0.0, None), (0.01, 0.5), (0.095, 0.5), (9.0, 0.6)])
 def test_obstacles_are_those_that_had_arrived(
-    motion: LoggedMotion, time: float, x: float | None
+    player: LogPlayer, time: float, x: float | None
 ) -> None:
-    seen = motion.ellipsoids(time)
+    seen = read(player, "ellipsoids_W", time)
     assert seen.p_WO[:, 0].tolist() == ([] if x is None else [x])
 
 
-def test_the_policy_is_where_it_was_and_says_what_it_said(motion: LoggedMotion) -> None:
-    state = motion.policy_state(0.1)
+@pytest.mark.parametrize("speed", [0.5, 1.0, 4.0])
+def test_the_policy_is_where_it_was_and_says_what_it_said(
+    log_of: Callable[..., MotionLog], speed: float
+) -> None:
+    player = LogPlayer(FREE, log_of(), np.zeros((51, 0)), speed=speed)
+    assert player.CreateDefaultContext().num_total_states() == 0
+    state = read(player, "policy_state", 0.1 / speed)
     np.testing.assert_allclose(state.p_WE, [0.5, 0.0, 0.0])
     np.testing.assert_array_equal(state.p_WG, FREE.task.goal)
     assert state.stamp == pytest.approx(0.1)
-    assert [motion.policy_state(t).note for t in (0.0, 0.1, 0.2)] == ["", "blocked", ""]
+    (pose,) = read(player, "body_poses", 0.1 / speed)
+    np.testing.assert_allclose(pose.translation(), [0.5, 0.0, 0.0])
+    notes = [read(player, "policy_state", t / speed).note for t in (0.0, 0.1, 0.2)]
+    assert notes == ["", "blocked", ""]
 
 
 def test_a_log_without_an_instant_is_refused(log_of: Callable[..., MotionLog]) -> None:
     with pytest.raises(ValueError, match="no instant: KeyboardInterrupt"):
-        LoggedMotion(FREE, log_of(0, stop_reason="KeyboardInterrupt"))
+        LogPlayer(FREE, log_of(0, stop_reason="KeyboardInterrupt"), np.zeros((0, 0)))
 
 
 def test_the_motion_is_the_modulated_one_unless_asked(log_of: Callable[..., MotionLog]) -> None:
@@ -155,41 +169,3 @@ def test_the_scenario_of_a_log_is_that_of_the_run(
     assert scenario_text(back) == log.scenario
     with pytest.raises(ScenarioError, match=r"the scenario in run.npz \(made with drake_oa 0.1.0"):
         logged_scenario(Path("run.npz"), log_of(scenario="sead: 3"))
-
-
-@pytest.fixture(scope="module")
-def played(straight_log: Callable[..., MotionLog]) -> LoggedMotion:
-    return LoggedMotion(load_scenario("free_space"), straight_log(11))
-
-
-def at(player: LogPlayer, time: float) -> Context:
-    context = player.CreateDefaultContext()
-    context.SetTime(time)
-    return context
-
-
-@pytest.mark.parametrize("speed", [0.5, 1.0, 4.0])
-def test_each_port_says_what_was_logged_then(played: LoggedMotion, speed: float) -> None:
-    positions = np.arange(22.0).reshape(11, 2)
-    player = LogPlayer(played, positions, speed=speed)
-    context = at(player, 0.4 / speed)
-    assert player.GetOutputPort("positions").Eval(context).tolist() == [8.0, 9.0]
-    state = player.GetOutputPort("policy_state").Eval(context)
-    np.testing.assert_allclose(state.p_WE, [0.4, 0.0, 0.0])
-    (pose,) = player.GetOutputPort("body_poses").Eval(context)
-    np.testing.assert_allclose(pose.translation(), [0.4, 0.0, 0.0])
-    assert len(player.GetOutputPort("ellipsoids_W").Eval(context)) == 0
-
-
-def test_it_has_no_state_and_stays_at_the_end(played: LoggedMotion) -> None:
-    player = LogPlayer(played, np.zeros((11, 0)))
-    context = at(player, 100.0)
-    assert context.num_total_states() == 0
-    assert context.num_abstract_states() == 0
-    assert player.GetOutputPort("policy_state").Eval(context).stamp == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize(("rows", "speed"), [(11, 0.0), (11, np.inf), (11, np.nan), (10, 1.0)])
-def test_what_does_not_fit_is_refused(played: LoggedMotion, rows: int, speed: float) -> None:
-    with pytest.raises(ValueError, match=r"speed must be|rows for the 11 instants"):
-        LogPlayer(played, np.zeros((rows, 2)), speed=speed)
