@@ -64,7 +64,7 @@ def _draw_boxes(figure: Figure, cases: Sequence[Case], outcomes: Mapping[str, Ou
                 ax.set_xticks(models, [case.label.partition(", tau")[0] for case in some])
                 ax.tick_params("x", rotation=20.0)
             left.plot([], color=color, label="tau scaled" if scaled else "tau = 1")
-        left.scatter(models[1:], FAMILIAR_CLEARANCES, 900, "C0", "_", label="asked")
+        left.plot(models[1:], FAMILIAR_CLEARANCES, "C0_", markersize=30.0, label="asked")
         left.axhline(0.0, color="0.6")
         left.set(title=f"{name}: clearance", ylabel="least distance to the obstacle [m]")
         right.set(title=f"{name}: convergence", ylabel="distance to the goal [m]", yscale="log")
