@@ -110,6 +110,7 @@ def straight_log() -> Callable[..., MotionLog]:
             shortfall=np.zeros(count),
             event_time=np.zeros(0),
             event=(),
+            event_hold=(),
             supervision_time=np.zeros(0),
             supervision_action=(),
             supervision_reason=(),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_text
 import sys
 from pathlib import Path
 from typing import Annotated, Literal
@@ -11,7 +10,7 @@ from cyclopts import Parameter
 
 from drake_oa.app.scenarios import quiet, scenario_name
 from drake_oa.common.console import show
-from drake_oa.common.files import check_outputs, replace_text
+from drake_oa.common.files import check_outputs, replace_json
 
 
 def benchmark(
@@ -56,4 +55,4 @@ def benchmark(
         )
     show(*benchmark_tables(figures))
     if json:
-        replace_text(json, json_text.dumps(figures, indent=2, allow_nan=False) + "\n")
+        replace_json(json, figures)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_text
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cyclopts import App, Parameter
 
 from drake_oa.common.console import FAILED, INTERRUPTED, complain, progress_bar, show
-from drake_oa.common.files import check_outputs, check_plot_file, replace_text
+from drake_oa.common.files import check_outputs, check_plot_file, replace_json, replace_text
 
 # Suites, methods and kernels are imported where they are used: `--help` answers at once.
 if TYPE_CHECKING:
@@ -170,7 +169,7 @@ def evaluated(
 
     def keep(outcomes: Mapping[str, Outcome]) -> None:
         if json is not None:
-            write_json(json, figures(outcomes))
+            replace_json(json, figures(outcomes))
 
     with counted(len(scenes) * len(cases) * len(methods)) as on_progress:
         evaluation = evaluate_scenes(
@@ -252,11 +251,6 @@ def counted(total: int) -> Iterator[Callable[[str, int], None]]:
             update(f"{name} {done}/{total}", done)
 
         yield advance
-
-
-def write_json(file: Path, figures: Mapping[str, Any]) -> None:
-    """Writes figures; a file is there whole or not at all."""
-    replace_text(file, json_text.dumps(figures, indent=2, allow_nan=False) + "\n")
 
 
 # The whole robot ------------------------------------------------------------------------
@@ -520,7 +514,7 @@ def run_suites(
     figures = [panda_figures(found, versions, shared) for found in results]
     whole = together(results, figures)
     if runs.json is not None:
-        write_json(runs.json, whole)
+        replace_json(runs.json, whole)
     if runs.write_scenes is not None:
         for found in results:
             _write_scenes(runs.write_scenes, found)

@@ -19,10 +19,9 @@ from drake_oa.app.evaluate import (
     evaluation_status,
     load_methods,
     run_suites,
-    write_json,
 )
 from drake_oa.common.console import show
-from drake_oa.common.files import check_outputs, check_plot_file
+from drake_oa.common.files import check_outputs, check_plot_file, replace_json
 
 # Suites, methods and kernels are imported where they are used: `--help` answers at once.
 if TYPE_CHECKING:
@@ -84,7 +83,7 @@ def table1(*, json: Path | None = None) -> int:
     whole = table_one_figures(software_versions())
     show(*table_one(whole))
     if json is not None:
-        write_json(json, whole)
+        replace_json(json, whole)
     return 0
 
 
@@ -143,7 +142,7 @@ def table2(
             outcomes |= evaluation.outcomes
             whole = table_two_figures(chosen, outcomes, drawn, seed, versions)
             if json is not None:
-                write_json(json, whole)
+                replace_json(json, whole)
             if evaluation.interrupted:
                 break
     print(f"table2: {scenes} scenes of seed {seed}\n")

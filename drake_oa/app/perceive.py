@@ -7,7 +7,6 @@ given in the orientation of W; all results are in C.
 from __future__ import annotations
 
 import itertools
-import json as json_text
 import statistics
 import time
 import timeit
@@ -18,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drake_oa.common.console import BAD_INPUT, FAILED, Column, TextTable, complain, show, write_all
-from drake_oa.common.files import check_outputs, replace_text, save_figure
+from drake_oa.common.files import check_outputs, replace_json, save_figure
 
 # NumPy, Drake and the kernels are imported where they are used: `--help` answers at once.
 if TYPE_CHECKING:
@@ -147,8 +146,7 @@ def perceive(
             "versions": list(software_versions()),
             "files": results,
         }
-        text = json_text.dumps(whole, indent=1, allow_nan=False) + "\n"
-        writes.append(partial(replace_text, json, text))
+        writes.append(partial(replace_json, json, whole))
     return status if write_all(*writes) else status or FAILED
 
 

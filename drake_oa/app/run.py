@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json as json_text
 import logging
 import math
 import signal
@@ -25,7 +24,13 @@ from drake_oa.common.console import (
     show,
     write_all,
 )
-from drake_oa.common.files import check_outputs, check_space, replace_text, reserve_file
+from drake_oa.common.files import (
+    check_outputs,
+    check_space,
+    replace_json,
+    replace_text,
+    reserve_file,
+)
 
 # Diagrams and simulation are imported where they are used: `--help` answers at once.
 if TYPE_CHECKING:
@@ -454,7 +459,7 @@ def _report(outputs: _Outputs, name: str, ran: _Ran, meshcat: Meshcat | None) ->
 
     def write_report() -> None:
         if outputs.json:
-            replace_text(outputs.json, json_text.dumps(report, indent=2) + "\n")
+            replace_json(outputs.json, report)
             lines.append(f"report: {outputs.json}")
 
     contact = contact_error(report)

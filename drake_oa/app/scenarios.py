@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import logging
 import re
 import shutil
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Parameter
 
 from drake_oa.common.console import FAILED, Column, TextTable, complain, show
-from drake_oa.common.files import check_outputs, replace_text
+from drake_oa.common.files import check_outputs, replace_json, replace_text
 from drake_oa.scenario.shipped import shipped_scenarios
 
 if TYPE_CHECKING:
@@ -120,7 +119,7 @@ def new(name: str, /, *, like: str | None = None) -> int:
     replace_text(file, text if text.startswith(head) else head + text)
     schema = file.with_name(SCHEMA)
     if not schema.exists():
-        replace_text(schema, json.dumps(scenario_schema(), indent=1) + "\n")
+        replace_json(schema, scenario_schema())
     print(f"{file}\n{schema}")
     return 0
 

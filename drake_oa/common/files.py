@@ -5,24 +5,25 @@ from __future__ import annotations
 import contextlib
 import glob
 import hashlib
-import math
+import itertools
+import json
 import os
 import platform
 import shutil
 import zipfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from datetime import UTC, datetime
 from functools import cache
 from importlib import resources
 from importlib.metadata import PackageNotFoundError, distribution, version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 # Where it is used: commands that compute nothing answer at once.
 if TYPE_CHECKING:
-    import numpy as np
     from matplotlib.figure import Figure
+    from numpy.typing import NDArray
 
 # With the machine's name: in a shared folder, a process id of another machine says nothing here.
 _PART = f".{platform.node()}.part"
@@ -107,24 +108,21 @@ def reserve_file(folder: Path, stem: str, suffix: str) -> Path:
         ValueError: if the folder or the file cannot be made; names it, and why.
     """
     time = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-    number = 1
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        while True:
+        for number in itertools.count(1):
             tail = "" if number == 1 else f"-{number}"
             path = folder / f"{stem}-{time}{tail}{suffix}"
-            try:
+            with contextlib.suppress(FileExistsError):
                 path.touch(exist_ok=False)
-            except FileExistsError:
-                number += 1
-            else:
-                return path
+                break
+        return path
     except OSError as error:
         raise ValueError(f"cannot write to the folder {folder}: {error.strerror}") from None
 
 
 def replace_file(path: Path, write: Callable[[Path], object]) -> None:
-    """Writes a file in one piece: an earlier one stays whole until the new one is.
+    """Writes a file, and its folder, in one piece: an earlier file stays whole until then.
 
     What is no regular file, as /dev/stdout, is written to. Unfinished files that killed processes
     of this machine left in the folder are removed.
@@ -142,6 +140,7 @@ def replace_file(path: Path, write: Callable[[Path], object]) -> None:
             write(path)
             return
         target = path.resolve()
+        target.parent.mkdir(parents=True, exist_ok=True)
         _remove_stale_parts(target.parent)
         # Of this process alone: another may be writing the same file.
         beside = target.with_name(f"{target.name}.{os.getpid()}{_PART}")
@@ -169,6 +168,50 @@ def _remove_stale_parts(folder: Path) -> None:
 def replace_text(path: Path, text: str) -> None:
     """Writes a text file in one piece; see `replace_file`."""
     replace_file(path, lambda beside: beside.write_text(text))
+
+
+def replace_json(path: Path, content: object) -> None:
+    """Writes plain data as JSON in one piece; see `replace_file`.
+
+    Raises:
+        OutputError: if the file cannot be written.
+        ValueError: if a number is not finite.
+    """
+    replace_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
+
+
+def replace_arrays(path: Path, arrays: Mapping[str, Any]) -> None:
+    """Writes arrays by name as a compressed .npz archive in one piece; see `replace_file`."""
+    import numpy as np
+
+    def write(beside: Path) -> None:
+        # An open file, as NumPy adds .npz to the name of a path.
+        with beside.open("wb") as file:
+            np.savez_compressed(file, **arrays)
+
+    replace_file(path, write)
+
+
+def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Reads the arrays of an .npz archive by name.
+
+    Raises:
+        OSError: if the file cannot be opened.
+        ValueError: if it is not such an archive, is damaged, holds Python objects, or needs more
+            memory than is available.
+    """
+    import numpy as np
+
+    with path.open("rb") as file:
+        try:
+            with zipfile.ZipFile(file) as archive:
+                check_memory("its arrays", sum(entry.file_size for entry in archive.infolist()))
+            file.seek(0)
+            with np.load(file, allow_pickle=False) as arrays:
+                return dict(arrays)
+        except Exception as error:
+            # Damage shows in the archive, in its decompression, or in the headers of arrays.
+            raise ValueError(f"{path} cannot be read as .npz: {error}") from None
 
 
 def check_plot_file(option: str, path: Path | None) -> None:
@@ -241,13 +284,6 @@ def software_versions() -> tuple[str, ...]:
     return (*found, f"date {made['date']}", f"source_digest {made['source_digest']}")
 
 
-class ArrayHeader(NamedTuple):
-    """What an array of an archive is."""
-
-    shape: tuple[int, ...]
-    dtype: np.dtype[Any]
-
-
 def available_memory() -> int | None:
     """Memory that can be taken [bytes], the container's limit included; None: unknown."""
     found = [value for value in (_of_machine(), _of_container()) if value is not None]
@@ -262,40 +298,6 @@ def check_memory(what: str, size: int) -> None:
             f"{what}: would take about {size / 1e9:.3g} GB of memory; {there / 1e9:.3g} GB "
             f"are available"
         )
-
-
-def archive_headers(path: Path) -> dict[str, ArrayHeader]:
-    """Name -> header of an .npz archive's arrays, without reading them.
-
-    Raises:
-        OSError, ValueError, zipfile.BadZipFile: if it cannot be read.
-    """
-    import numpy as np
-
-    found: dict[str, ArrayHeader] = {}
-    with zipfile.ZipFile(path) as archive:
-        for entry in archive.namelist():
-            if not entry.endswith(".npy"):
-                continue
-            with archive.open(entry) as file:
-                version = np.lib.format.read_magic(file)
-                reader = (
-                    np.lib.format.read_array_header_1_0
-                    if version == (1, 0)
-                    else np.lib.format.read_array_header_2_0
-                )
-                shape, _, dtype = reader(file)
-            found[entry.removesuffix(".npy")] = ArrayHeader(shape, dtype)
-    return found
-
-
-def check_archive(path: Path) -> None:
-    """Raises ValueError where the arrays of an .npz archive claim more memory than there is.
-
-    Raises also what `archive_headers` does.
-    """
-    sizes = [math.prod(item.shape) * item.dtype.itemsize for item in archive_headers(path).values()]
-    check_memory("its arrays", sum(sizes))
 
 
 def _of_machine() -> int | None:

@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_oa.common.config import read_yaml
-from drake_oa.common.files import check_archive
+from drake_oa.common.files import read_arrays
 from drake_oa.common.messages import FloatArray
 
 SUFFIXES = (".npz", ".pcd", ".ply", ".png")
@@ -174,15 +174,7 @@ def read_frame(
 
 
 def _read_npz(path: Path, stamp: float) -> RecordedFrame:
-    try:
-        check_archive(path)
-        with np.load(path, allow_pickle=False) as archive:
-            data: dict[str, NDArray[Any]] = {
-                name: archive[name] for name in _SHAPES if name in archive
-            }
-    except Exception as error:
-        # Damage shows in the archive, in its decompression, or in the headers of arrays.
-        raise ValueError(f"'{path}' cannot be read as .npz: {error}") from None
+    data = {name: array for name, array in read_arrays(path).items() if name in _SHAPES}
     if ("depth" in data) == ("points" in data) or ("depth" in data and "K" not in data):
         raise ValueError(f"'{path}' must hold either 'depth' and 'K' or 'points'")
     for name, array in data.items():

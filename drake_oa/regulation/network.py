@@ -11,10 +11,8 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
-from drake_oa.common.messages import (
-    FloatArray,
-    Frozen,
-)
+from drake_oa.common.files import replace_file
+from drake_oa.common.messages import FloatArray, Frozen
 
 
 def write_arrays(path: Path, arrays: Mapping[str, FloatArray], header: str) -> None:
@@ -31,7 +29,7 @@ def write_arrays(path: Path, arrays: Mapping[str, FloatArray], header: str) -> N
     if path.suffix != ".safetensors":
         raise ValueError(f"weights are written as .safetensors, not {path.name!r}")
     ordered = {key: np.array(value, order="C") for key, value in arrays.items()}
-    save_file(ordered, path, {"metadata": header})
+    replace_file(path, lambda beside: save_file(ordered, beside, {"metadata": header}))
 
 
 def read_arrays(path: Path) -> tuple[dict[str, Any], str | None]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import zipfile
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -23,7 +22,7 @@ from pydrake.geometry import (
     Sphere,
 )
 
-from drake_oa.common.files import replace_file, user_cache
+from drake_oa.common.files import read_arrays, replace_arrays, user_cache
 from drake_oa.common.messages import FloatArray, IntArray
 from drake_oa.geometry.collision_shapes import surface_points
 from drake_oa.geometry.ellipsoid import signed_distance
@@ -243,18 +242,12 @@ def known_cover(solids: Sequence[Solid], overshoot: float, most: int = 200) -> C
     """
     made = user_cache("spheres") / f"{_digest(solids, overshoot, most)}.npz"
     try:
-        with np.load(made) as file:
-            return Cover(file["centers"], file["radii"], float(file["overshoot"]))
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+        known = read_arrays(made)
+        return Cover(known["centers"], known["radii"], float(known["overshoot"]))
+    except (OSError, ValueError, KeyError):
         found = cover(solids, overshoot, most)
-
-    def save(path: Path) -> None:
-        with path.open("wb") as file:
-            np.savez(file, **vars(found))
-
     with suppress(OSError):
-        made.parent.mkdir(parents=True, exist_ok=True)
-        replace_file(made, save)
+        replace_arrays(made, vars(found))
     return found
 
 

@@ -7,7 +7,6 @@ an .npz file), figures of it, and its replay in Meshcat.
   and collects what the diagram's log sinks kept (`simulate`).
 - `motion_log`: the log and its file.
 - `metrics`: collisions, clearance, convergence and path length, measured on the true obstacles.
-- `decision_costs`: what decisions cost in simulated time.
 - `report`: the figures of a run as JSON.
 - `plots`: pictures of a logged run and of demonstrations, and the style of all pictures.
 - `replay`: a logged motion on ports (`LogPlayer`), and a diagram that shows it again.

@@ -86,41 +86,22 @@ ended                  ()             text     how the motion ended, one of `Mot
 from __future__ import annotations
 
 import math
-import zipfile
-import zlib
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, dataclass, field, fields
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from drake_oa.common.files import check_archive, replace_file
-from drake_oa.common.messages import DECIDING, EllipsoidSet, FloatArray, HoldCause, IntArray
+from drake_oa.common.files import read_arrays, replace_arrays
+from drake_oa.common.messages import EllipsoidSet, FloatArray, IntArray
 
 SCHEMA_VERSION = 2
-"""Of the files that are written and read; a file without one is of schema 1."""
+"""Schema of the files that are written and read; a file without a number has schema 1."""
 
 _SCHEMA_KEY = "schema_version"
-_LATER = frozenset(
-    {
-        "goal",
-        "desired_orientation",
-        "orientation_error",
-        "desired_posture",
-        "evasion",
-        "lowered",
-        "motion_end",
-        "settled",
-        "decision_time",
-        "decision_cost",
-        "decision_layer",
-        "event_hold",
-        "ended",
-    }
-)
-"""Attributes with defaults, or found from others, which files of this schema may lack."""
-
 _COUNTED = {
     "t": "t q v torque saturated p_WE desired_position desired_velocity desired_acceleration "
     "phase speed_scale tracking_error q_world shortfall lowered goal "
@@ -130,10 +111,17 @@ _COUNTED = {
     "supervision_time": "supervision_action supervision_reason",
     "decision_time": "decision_cost decision_layer",
 }
-"""Attribute -> those that have as many rows."""
+"""Attribute -> attributes with as many rows."""
 _POINTS = frozenset({"p_WE", "desired_position", "desired_velocity", "goal", "p_WO", "semi_axes"})
 _FINITE = ("t", "q", "q_world", "p_WE", "desired_position", "desired_velocity", "phase")
-"""Attributes without which nothing can be shown."""
+"""Attributes that must be finite to show a motion."""
+DECISION_SIGNAL = "decision_"
+"""Prefix of the name of the log of a layer's port `decision`; the layer's name follows."""
+
+
+def _empty(*shape: int) -> Any:
+    """Returns a field that is an empty array by default; a file may lack it."""
+    return field(default_factory=partial(np.zeros, shape))
 
 
 class MotionEnd(StrEnum):
@@ -155,9 +143,9 @@ class MotionEnd(StrEnum):
     """Interrupted, or something was raised."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class MotionLog:
-    """What happened in one motion: T instants, F observations of up to M obstacles.
+    """Log of one motion: T instants, F observations of up to M obstacles.
 
     The attributes are the keys of the file: the table above has the shape, unit and
     frame of each.
@@ -202,20 +190,20 @@ class MotionLog:
     modulated: bool
     scenario: str
     seed: int
-    versions: tuple[str, ...] = field(default=())
-    goal: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    desired_orientation: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))
-    orientation_error: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    desired_posture: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
-    evasion: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    lowered: FloatArray = field(default_factory=lambda: np.zeros(0))
+    versions: tuple[str, ...]
+    goal: FloatArray = _empty(0, 3)
+    desired_orientation: FloatArray = _empty(0, 4)
+    orientation_error: FloatArray = _empty(0, 3)
+    desired_posture: FloatArray = _empty(0, 0)
+    evasion: FloatArray = _empty(0, 3)
+    lowered: FloatArray = _empty(0)
     motion_end: float = math.nan
     settled: bool = False
-    decision_time: FloatArray = field(default_factory=lambda: np.zeros(0))
-    decision_cost: FloatArray = field(default_factory=lambda: np.zeros(0))
+    decision_time: FloatArray = _empty(0)
+    decision_cost: FloatArray = _empty(0)
     decision_layer: tuple[str, ...] = ()
-    event_hold: tuple[str, ...] = ()
-    ended: str = ""
+    event_hold: tuple[str, ...]
+    ended: str
 
     @property
     def simulated_time(self) -> float:
@@ -233,8 +221,11 @@ class MotionLog:
         return slice(int(np.searchsorted(self.t, self.duration, side="right")))
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """Every attribute as an array, as it goes into a file."""
-        return {item.name: _as_array(getattr(self, item.name)) for item in fields(self)}
+        """Returns every attribute as an array, the form in which it is written to a file."""
+        return {
+            name: np.asarray(value, dtype=str if isinstance(value, tuple) else None)
+            for name, value in vars(self).items()
+        }
 
     def observation(self, row: int) -> EllipsoidSet:
         """What was seen in one of the F observations."""
@@ -249,149 +240,119 @@ class MotionLog:
         )
 
 
-def _as_array(value: Any) -> np.ndarray:
-    return np.array(value, dtype=str) if isinstance(value, tuple) else np.asarray(value)
-
-
-def pack_ellipsoids(frames: list[EllipsoidSet]) -> dict[str, Any]:
-    """F sets as the attributes of a log, NaN (names: -1) where one has fewer than M.
+def pack_ellipsoids(frames: Sequence[EllipsoidSet]) -> dict[str, Any]:
+    """Packs F sets into attributes of a log, NaN (names: -1) where one has fewer than M.
 
     Returns:
         `observation_stamp`, `p_WO`, `R_WO`, `semi_axes`, `v_WO` and `obstacle_id`.
     """
-    count, most = len(frames), max((len(frame) for frame in frames), default=0)
+    shape = (len(frames), max(map(len, frames), default=0))
     packed = {
-        "p_WO": np.full((count, most, 3), np.nan),
-        "R_WO": np.full((count, most, 3, 3), np.nan),
-        "semi_axes": np.full((count, most, 3), np.nan),
-        "v_WO": np.full((count, most, 3), np.nan),
+        "p_WO": np.full((*shape, 3), np.nan),
+        "R_WO": np.full((*shape, 3, 3), np.nan),
+        "semi_axes": np.full((*shape, 3), np.nan),
+        "v_WO": np.full((*shape, 3), np.nan),
+        "ids": np.full(shape, -1, dtype=np.int64),
     }
-    names = np.full((count, most), -1, dtype=np.int64)
     for row, frame in enumerate(frames):
         for name, array in packed.items():
             array[row, : len(frame)] = getattr(frame, name)
-        names[row, : len(frame)] = frame.ids
     stamp = np.array([frame.stamp for frame in frames], dtype=float)
-    return {"observation_stamp": stamp, **packed, "obstacle_id": names}
+    return {"observation_stamp": stamp, "obstacle_id": packed.pop("ids"), **packed}
+
+
+def pack_decisions(signals: Mapping[str, FloatArray]) -> dict[str, Any]:
+    """Packs the logged signals (T, 2) of the ports `decision` into attributes of a log.
+
+    Returns:
+        `decision_time`, `decision_cost` and `decision_layer`.
+    """
+    found = []
+    for name, rows in signals.items():
+        if name.startswith(DECISION_SIGNAL):
+            begun = np.unique(rows[np.isfinite(rows).all(axis=1)], axis=0)
+            found += [(*row, name.removeprefix(DECISION_SIGNAL)) for row in begun.tolist()]
+    found.sort()
+    return {
+        "decision_time": np.array([time for time, _, _ in found]),
+        "decision_cost": np.array([cost for _, cost, _ in found]),
+        "decision_layer": tuple(layer for _, _, layer in found),
+    }
 
 
 def save_logs(path: Path, logs: dict[str, MotionLog]) -> None:
-    """Writes motions into one archive; an earlier file stays whole until this one is."""
+    """Writes motions into one archive in one piece.
+
+    Raises:
+        OutputError: if the file cannot be written.
+    """
     arrays = {
         f"{name}/{key}": value for name, log in logs.items() for key, value in log.arrays().items()
     }
-    arrays[_SCHEMA_KEY] = np.asarray(SCHEMA_VERSION)
-
-    def write(beside: Path) -> None:
-        with beside.open("wb") as file:
-            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
-
-    replace_file(path, write)
+    replace_arrays(path, {**arrays, _SCHEMA_KEY: SCHEMA_VERSION})
 
 
 def load_logs(path: Path) -> dict[str, MotionLog]:
-    """Reads what `save_logs` wrote.
+    """Reads a file of `save_logs`.
 
     Raises:
-        OSError: if there is no such file, or it cannot be read.
-        ValueError: if it is no such archive, is damaged, is of another schema, or its
-            arrays do not go together or hold a pose that is no finite number.
+        OSError: if the file cannot be opened.
+        ValueError: if it is not such an archive, is damaged, is of another schema, or its
+            arrays do not fit together or hold a pose that is not finite.
     """
-    with path.open("rb") as file:
-        try:
-            archive = np.load(file, allow_pickle=False)
-            if not isinstance(archive, np.lib.npyio.NpzFile):
-                raise ValueError("it is one array, no .npz archive")
-            check_archive(path)
-            return _motions(path, archive)
-        except _RefusedError:
-            raise
-        except (
-            EOFError,
-            KeyError,
-            OSError,
-            TypeError,
-            ValueError,
-            zipfile.BadZipFile,
-            zlib.error,
-        ) as error:
-            # np.load takes what is no archive for a pickle.
-            why = "it is no .npz archive" if "pickle" in str(error) else str(error)
-            raise ValueError(f"{path} is not a motion log, or is damaged: {why}") from None
+    try:
+        return _motions(read_arrays(path))
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path} is not a motion log, or is damaged: {error}") from None
 
 
-class _RefusedError(ValueError):
-    """An archive that can be read, but is no motion log of this schema."""
-
-
-def _motions(path: Path, archive: Any) -> dict[str, MotionLog]:
-    files = archive.files
-    names = [item.name for item in fields(MotionLog)]
-    motions = [key.removesuffix("/stop_reason") for key in files if key.endswith("/stop_reason")]
+def _motions(arrays: Mapping[str, np.ndarray]) -> dict[str, MotionLog]:
+    motions = [key.removesuffix("/stop_reason") for key in arrays if key.endswith("/stop_reason")]
     if not motions:
-        raise _RefusedError(f"{path} is not a motion log: it has no key MOTION/stop_reason")
-    version = int(archive[_SCHEMA_KEY]) if _SCHEMA_KEY in files else 1
+        raise ValueError("it has no key MOTION/stop_reason")
+    version = int(arrays.get(_SCHEMA_KEY, 1))
     if version != SCHEMA_VERSION:
         age = "older" if version < SCHEMA_VERSION else "newer"
-        raise _RefusedError(
-            f"{path} is a log of schema {version}, {age} than the {SCHEMA_VERSION} that this "
-            "version of drake_oa reads; run the scenario again, or take the version named in "
-            "the log's versions"
+        raise ValueError(
+            f"it has schema {version}, {age} than the {SCHEMA_VERSION} that this version of "
+            "drake_oa reads; run the scenario again, or use the version named in the log's versions"
         )
     logs = {}
     for motion in motions:
-        missing = [name for name in names if f"{motion}/{name}" not in files]
-        if not _LATER.issuperset(missing):
-            raise _RefusedError(f"{path} is not a motion log: '{motion}' lacks {missing}")
-        there = [name for name in names if name not in missing]
-        logs[motion] = MotionLog(**{n: _read(archive[f"{motion}/{n}"]) for n in there})
-        logs[motion] = _with_causes(logs[motion])
-        _check_motion(f"{path}: {motion}", logs[motion])
+        found = {
+            item.name: _value(arrays[f"{motion}/{item.name}"])
+            for item in fields(MotionLog)
+            if f"{motion}/{item.name}" in arrays
+        }
+        logs[motion] = MotionLog(**found)
+        _check_motion(motion, logs[motion])
     return logs
 
 
-def _with_causes(log: MotionLog) -> MotionLog:
-    """With the causes that an older file has only in words."""
-    holds, ended = log.event_hold, log.ended
-    if not holds:
-        holds = tuple(_hold_of(note) for note in log.event)
-    if not ended:
-        ends = (end for end in MotionEnd if log.stop_reason.startswith(end))
-        # The longest: "goal" begins "goal missed", too.
-        ended = max(ends, key=len, default=MotionEnd.CUT_SHORT)
-    return replace(log, event_hold=holds, ended=ended)
-
-
-def _hold_of(note: str) -> HoldCause:
-    if note.startswith("supervisor: "):
-        return HoldCause.SUPERVISOR
-    return {"": HoldCause.NONE, DECIDING: HoldCause.DECIDING}.get(note, HoldCause.OBSTACLES)
-
-
-def _check_motion(where: str, log: MotionLog) -> None:
-    """Raises _RefusedError for what neither Drake nor matplotlib would name."""
+def _check_motion(motion: str, log: MotionLog) -> None:
+    """Raises ValueError for arrays that cannot be shown."""
     arrays = log.arrays()
+    optional = {item.name for item in fields(log) if item.default_factory is not MISSING}
     for counter, names in _COUNTED.items():
         rows = len(arrays[counter])
         for name in names.split():
             shape = arrays[name].shape
-            if shape[:1] != (rows,) and not (name in _LATER and shape[:1] == (0,)):
-                raise _RefusedError(
-                    f"{where}/{name} must have a row for each of the {rows} of {counter}; its "
+            if shape[:1] != (rows,) and not (name in optional and shape[:1] == (0,)):
+                raise ValueError(
+                    f"{motion}/{name} must have a row for each of the {rows} of {counter}; its "
                     f"shape is {shape}"
                 )
             if name in _POINTS and (len(shape) < 2 or shape[-1] != 3):
-                raise _RefusedError(f"{where}/{name} must hold x, y, z [m]; its shape is {shape}")
+                raise ValueError(f"{motion}/{name} must hold x, y, z [m]; its shape is {shape}")
     for name in _FINITE:
-        bad = ~np.isfinite(arrays[name]).all(axis=tuple(range(1, arrays[name].ndim)))
-        if bad.any():
-            row = int(bad.argmax())
-            raise _RefusedError(f"{where}/{name} must be finite; in row {row} it is not")
+        if not np.isfinite(arrays[name]).all():
+            raise ValueError(f"{motion}/{name} must be finite")
     if (np.diff(log.t) < 0.0).any():
-        raise _RefusedError(f"{where}/t must not fall [s]")
+        raise ValueError(f"{motion}/t must not fall [s]")
 
 
-def _read(array: np.ndarray) -> Any:
+def _value(array: np.ndarray) -> Any:
+    """Returns the attribute of an array in a file."""
     if array.ndim == 0:
         return array.item()
     return tuple(array.tolist()) if array.dtype.kind == "U" else array

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from drake_oa.common.console import Column, TextTable
 from drake_oa.common.messages import EllipsoidSet, FloatArray
@@ -13,17 +14,18 @@ from drake_oa.geometry.ellipsoid_kernels import feasible_clearance
 from drake_oa.geometry.rotation import rotation_vector
 from drake_oa.perception.config import LiveCameras
 from drake_oa.policy.orientation_dmp import exponential, rotation_matrix
-from drake_oa.runs.decision_costs import decision_figures
 from drake_oa.runs.metrics import MotionMetrics, RobotJudge, free_point_metrics, path_length
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.scenario.end_poses import end_positions, end_rotations
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.scenario.sources import given_ellipsoids
+from drake_oa.scenario.sources import given_ellipsoids, perception_period
 from drake_oa.scenario.task import goal_at
 
 TOLD = 1e-3
 """Clearance that is missing by more than this is told, and counts as missing [m]."""
+_COST_KEYS = {"regulation": "decision_cost", "evasion": "evasion_cost", "turn": "turn_cost"}
+"""Layer -> key of the costs of its decisions in the report."""
 
 
 def judge_of(scenario: Scenario) -> RobotJudge | None:
@@ -94,8 +96,9 @@ def motion_report(
     chain was trained for), `regulation` ("Verified", "Paper", or None without
     modulation), `believed_shortfall` (most that the verified motion lacked of what regulation
     believed feasible; None unless it was verified), `lowered` (by how much regulation
-    lowered the asked clearance at most; None unless verified), what decisions cost (see
-    `decision_figures`), `stop_reason`,
+    lowered the asked clearance at most; None unless verified), `decision_cost`, `evasion_cost` and
+    `turn_cost` (`cost_figures` of the decisions of the regulation, the evasion and the turn of the
+    tool; None without decisions that cost time), `stop_reason`,
     `ended` (one of `MotionEnd`), `settled` (whether all came to rest), `events` (what held
     the policy, and its notes), `supervision` (what the supervisor did, and why).
 
@@ -106,7 +109,7 @@ def motion_report(
         judge: as in `motion_metrics`.
     """
     judge = judge or judge_of(scenario)
-    metrics = motion_metrics(scenario, log, judge)
+    metrics, period = motion_metrics(scenario, log, judge), perception_period(scenario)
     if feasible is None:
         feasible = feasible_clearance_of(scenario, judge)
     kept = float(metrics.resting_clearance.min(initial=math.inf))
@@ -132,7 +135,7 @@ def motion_report(
         "path_length": path_length(metrics.p_WE[log.moving]),
         "out_of_range": float((log.out_of_range > 0).mean()) if len(log.out_of_range) else 0.0,
         **_believed(log),
-        **decision_figures(scenario, log),
+        **{key: cost_figures(layer_costs(log, layer), period) for layer, key in _COST_KEYS.items()},
         "stop_reason": log.stop_reason,
         "ended": log.ended,
         "settled": log.settled,
@@ -147,6 +150,31 @@ def motion_report(
             )
         ],
     }
+
+
+def cost_figures(costs: ArrayLike, period: float) -> dict[str, float] | None:
+    """Returns {median, p99, max [s], share_over_period, count} of decisions; None without any.
+
+    Args:
+        costs: of decisions [s].
+        period: of the perception [s].
+    """
+    costs = np.asarray(costs, dtype=float)
+    if not len(costs):
+        return None
+    return {
+        "median": float(np.median(costs)),
+        "p99": float(np.percentile(costs, 99.0)),
+        "max": float(costs.max()),
+        "share_over_period": float((costs > period).mean()),
+        "count": len(costs),
+    }
+
+
+def layer_costs(log: MotionLog, layer: str = "regulation") -> FloatArray:
+    """Returns the costs of a layer's decisions that began in the motion [s]."""
+    of_layer = np.array(log.decision_layer, dtype=str) == layer
+    return log.decision_cost[of_layer & (log.decision_time <= log.duration)]
 
 
 def _orientation(scenario: Scenario, log: MotionLog) -> dict[str, Any]:

@@ -29,8 +29,7 @@ from drake_oa.diagrams.motion import make_dmp
 from drake_oa.policy.dmp import normalised_time
 from drake_oa.regulation.config import SearchParameters
 from drake_oa.robot.plant import TOOL_FRAME, RobotLimits, make_robot_plant
-from drake_oa.runs.decision_costs import logged_decisions
-from drake_oa.runs.motion_log import MotionEnd, MotionLog, pack_ellipsoids
+from drake_oa.runs.motion_log import MotionEnd, MotionLog, pack_decisions, pack_ellipsoids
 from drake_oa.safety.supervision import Supervision
 from drake_oa.scenario.faults import CameraDropout, Push, TorqueSaturation
 from drake_oa.scenario.loading import scenario_text
@@ -481,7 +480,7 @@ def collect_log(
         q_world=world,
         observation_time=np.array(watcher.frame_times),
         **pack_ellipsoids(watcher.frames),
-        **logged_decisions(signals),
+        **pack_decisions(signals),
         out_of_range=np.array(watcher.out_of_range, dtype=np.int64),
         regulation=type(scenario.regulation).__name__ if modulated else "",
         event_time=np.array([when for when, _, _ in watcher.events]),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from array import array
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.common.files import archive_headers, check_archive
+from drake_oa.common.files import read_arrays
 from drake_oa.common.messages import FloatArray
 from drake_oa.policy.averaging import STILL, average_orientations, average_paths
 from drake_oa.policy.config import Policy
@@ -69,7 +68,7 @@ def read_demonstration(file: str | Path, duration: float = 5.0) -> Demonstration
     is_csv = path.suffix.lower() == ".csv"
     try:
         arrays = _of_csv(path) if is_csv else _of_archive(path)
-    except (OSError, EOFError, KeyError, ValueError, TypeError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError) as error:
         raise ValueError(f"cannot read it: {error}; {_CSV if is_csv else _CONTENTS}") from None
     try:
         return _checked(arrays, duration)
@@ -145,14 +144,12 @@ def _files(task: Task) -> str:
 
 def _of_archive(path: Path) -> dict[str, FloatArray]:
     """The arrays of an .npz that are of a demonstration."""
-    shapes = [header.shape for header in archive_headers(path).values()]
-    _check_count(max((shape[0] for shape in shapes if shape), default=0))
-    check_archive(path)
-    with np.load(path) as archive:
-        if "path" not in archive.files:
-            raise ValueError("it has no `path`")
-        names = ("path", "t", "quaternion", "R")
-        return {name: archive[name] for name in names if name in archive.files}
+    arrays = read_arrays(path)
+    _check_count(max((len(array) for array in arrays.values() if array.ndim), default=0))
+    if "path" not in arrays:
+        raise ValueError("it has no `path`")
+    names = ("path", "t", "quaternion", "R")
+    return {name: arrays[name] for name in names if name in arrays}
 
 
 def _of_csv(path: Path) -> dict[str, FloatArray]:

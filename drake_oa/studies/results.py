@@ -25,7 +25,7 @@ from typing import Any, TypeVar
 
 from threadpoolctl import threadpool_limits
 
-from drake_oa.common.files import replace_text, source_digest
+from drake_oa.common.files import check_outputs, replace_json, source_digest
 
 Counts = Mapping[str, Mapping[str, int]]
 """What was looked at -> why it was dropped, "" for what was taken -> how often."""
@@ -190,13 +190,7 @@ class ResultFolder:
             ValueError: if it cannot be made or written to.
         """
         self.path = folder
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            trial = folder / ".writable"
-            trial.write_text("")
-            trial.unlink()
-        except OSError as error:
-            raise ValueError(f"cannot write results to {folder}: {error.strerror}") from None
+        check_outputs(folder / ".writable")
 
     def load(self, name: str, key: str) -> Any:
         """The content of a name, or None where there is none of this key.
@@ -215,8 +209,7 @@ class ResultFolder:
 
     def save(self, name: str, key: str, content: Any) -> None:
         """Writes a content in one piece."""
-        text = json.dumps({"key": key, "content": content}, indent=1, allow_nan=False)
-        replace_text(self.path / f"{name}.json", text + "\n")
+        replace_json(self.path / f"{name}.json", {"key": key, "content": content})
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -12,6 +11,8 @@ from typing import Any
 import numpy as np
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
+
+from drake_oa.common.files import replace_file, replace_json
 
 Arrays = dict[str, np.ndarray[Any, Any]]
 
@@ -47,7 +48,7 @@ class Checkpoint:
         self.resumed = folder.is_dir() and any(folder.iterdir())
         folder.mkdir(parents=True, exist_ok=True)
         if not self.resumed:
-            self._write(_SETTINGS, lambda path: path.write_text(json.dumps(wanted, indent=1)))
+            replace_json(folder / _SETTINGS, wanted)
 
     def _check(self, wanted: dict[str, Any], restart: bool) -> None:
         path = self.folder / _SETTINGS
@@ -69,7 +70,7 @@ class Checkpoint:
     def save(self, stage: str, **arrays: Any) -> None:
         """Writes the arrays and numbers of a stage in place of those before."""
         named = {name: np.array(value, order="C") for name, value in arrays.items()}
-        self._write(f"{stage}.safetensors", lambda path: save_file(named, path))
+        replace_file(self.folder / f"{stage}.safetensors", lambda path: save_file(named, path))
 
     def load(self, stage: str) -> Arrays | None:
         """The arrays of a stage, None where there are none.
@@ -88,8 +89,3 @@ class Checkpoint:
     def remove(self) -> None:
         """Deletes the folder."""
         shutil.rmtree(self.folder)
-
-    def _write(self, name: str, write: Any) -> None:
-        beside = self.folder / f"{name}.part"
-        write(beside)
-        os.replace(beside, self.folder / name)

@@ -11,7 +11,6 @@ import pytest
 from drake_oa.common.messages import EllipsoidSet
 from drake_oa.runs import motion_log
 from drake_oa.runs.motion_log import (
-    MotionEnd,
     MotionLog,
     load_logs,
     pack_ellipsoids,
@@ -101,30 +100,6 @@ def test_what_is_written_is_read_back(one: MotionLog, tmp_path: Path) -> None:
             assert type(after) is type(before)
 
 
-@pytest.mark.parametrize(
-    ("reason", "ended"),
-    [
-        ("goal", MotionEnd.GOAL),
-        ("goal missed by 2.0 mm at s = 2.2", MotionEnd.MISSED),
-        ("held for 5 s: obstacles not seen", MotionEnd.HELD),
-        ("KeyError: 'q'", MotionEnd.CUT_SHORT),
-    ],
-)
-def test_causes_of_an_older_file_are_found_from_its_words(
-    reason: str, ended: MotionEnd, tmp_path: Path
-) -> None:
-    notes = ("supervisor: near", "blocked", "")
-    changes = {"event": notes, "event_time": np.arange(3.0), "event_hold": (), "ended": ""}
-    file = tmp_path / "run.npz"
-    save_logs(file, {"modulated": replace(log(), stop_reason=reason, **changes)})
-    with np.load(file) as archive:
-        kept = {k: v for k, v in archive.items() if not k.endswith(("/event_hold", "/ended"))}
-    np.savez(file, **kept)
-    back = load_logs(file)["modulated"]
-    assert back.ended == ended
-    assert back.event_hold == ("supervisor", "obstacles", "none")
-
-
 def test_the_motion_may_end_before_the_run() -> None:
     one = log()
     assert (one.duration, one.simulated_time) == (0.2, pytest.approx(0.3))
@@ -150,33 +125,6 @@ def test_the_table_lists_every_key_and_no_other() -> None:
     assert re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE) == listed
 
 
-def test_what_the_table_counts_by_one_letter_has_to_have_as_many_rows() -> None:
-    shapes = re.findall(r"^(\w+) +\(([TFESD]),", motion_log.__doc__ or "", re.MULTILINE)
-    rows = {
-        name: counter for counter, names in motion_log._COUNTED.items() for name in names.split()
-    }
-    counters = {"T": "t", "F": "observation_time", "E": "event_time", "S": "supervision_time"}
-    counters["D"] = "decision_time"
-    counted = {name: counters[letter] for name, letter in shapes}
-    assert {n: c for n, c in counted.items() if n != c} == {n: c for n, c in rows.items() if n != c}
-
-
-def test_a_log_that_cannot_be_written_leaves_the_one_before(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = tmp_path / "run.npz"
-    save_logs(file, {"preplanned": log()})
-
-    def full(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(np, "savez_compressed", full)
-    with pytest.raises(OSError, match="No space left"):
-        save_logs(file, {"modulated": log()})
-    assert list(load_logs(file)) == ["preplanned"]
-    assert list(tmp_path.iterdir()) == [file]
-
-
 def with_nan(array: np.ndarray) -> np.ndarray:
     return np.where(np.arange(array.size).reshape(array.shape) == array.size - 1, np.nan, array)
 
@@ -184,8 +132,7 @@ def with_nan(array: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"q": with_nan(log().q)}, "modulated/q must be finite; in row 3 it is not"),
-        ({"p_WE": with_nan(log().p_WE)}, "modulated/p_WE must be finite"),
+        ({"q": with_nan(log().q)}, "modulated/q must be finite"),
         ({"torque": log().torque[:2]}, r"modulated/torque must have a row .* 4 of t.*\(2, 9\)"),
         ({"p_WO": log().p_WO[:1]}, "modulated/p_WO must have a row .* 2 of observation_time"),
         ({"event": ("one",)}, "modulated/event must have a row .* 2 of event_time"),
@@ -195,19 +142,14 @@ def with_nan(array: np.ndarray) -> np.ndarray:
 )
 def test_what_cannot_be_shown_is_named(changes: dict, said: str, tmp_path: Path) -> None:
     save_logs(tmp_path / "run.npz", {"modulated": replace(log(), **changes)})
-    with pytest.raises(ValueError, match=rf"run\.npz: {said}"):
+    with pytest.raises(ValueError, match=rf"run\.npz is not a motion log.*{said}"):
         load_logs(tmp_path / "run.npz")
-
-
-def test_the_file_has_the_name_that_was_asked_for(tmp_path: Path) -> None:
-    save_logs(tmp_path / "run.log", {"modulated": log()})
-    assert [p.name for p in tmp_path.iterdir()] == ["run.log"]
 
 
 def test_a_log_that_lacks_something_is_refused_and_told_what(tmp_path: Path) -> None:
     keys = {"modulated/t": np.zeros(3), "modulated/stop_reason": "goal", "schema_version": 2}
     np.savez(tmp_path / "other.npz", **keys)
-    with pytest.raises(ValueError, match=r"other.npz is not a motion log: 'modulated' lacks .*'q'"):
+    with pytest.raises(ValueError, match=r"other.npz is not a motion log.*'q'"):
         load_logs(tmp_path / "other.npz")
 
 
@@ -250,11 +192,6 @@ def test_what_is_no_log_is_refused_by_name(kind: str, tmp_path: Path) -> None:
         load_logs(file)
 
 
-def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match=r"none.npz"):
-        load_logs(tmp_path / "none.npz")
-
-
 def test_ellipsoids_are_packed_with_nan_rows_where_there_are_fewer() -> None:
     frames = [ellipsoids(2, 0.0), ellipsoids(0, 0.1), ellipsoids(3, 0.2)]
     packed = pack_ellipsoids(frames)
@@ -276,19 +213,11 @@ def test_an_observation_is_what_was_packed() -> None:
     assert whole.observation(1).R_WO.shape == (3, 3, 3)
 
 
-def test_a_file_of_before_the_goal_was_logged_is_read(tmp_path: Path) -> None:
-    path = tmp_path / "log.npz"
-    save_logs(path, {"modulated": log()})
-    with np.load(path) as archive:
-        kept = {key: archive[key] for key in archive.files if key != "modulated/goal"}
-    np.savez(path, **kept)
-    assert load_logs(path)["modulated"].goal.shape == (0, 3)
-
-
-def test_a_key_that_is_no_longer_logged_is_ignored(tmp_path: Path) -> None:
+def test_optional_keys_may_be_missing_and_unknown_keys_are_ignored(tmp_path: Path) -> None:
     file = tmp_path / "run.npz"
     save_logs(file, {"modulated": log()})
     with np.load(file) as archive:
-        older = dict(archive) | {"modulated/confidence": np.full((2, 1), 0.3)}
-    np.savez(file, **older)
-    assert load_logs(file)["modulated"].stop_reason == "goal"
+        arrays = dict(archive) | {"modulated/confidence": np.full((2, 1), 0.3)}
+    del arrays["modulated/goal"]
+    np.savez(file, **arrays)
+    assert load_logs(file)["modulated"].goal.shape == (0, 3)

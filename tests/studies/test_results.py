@@ -26,7 +26,7 @@ def test_a_file_that_cannot_be_read_is_warned_of(tmp_path, caplog, text):
 
 def test_a_folder_that_is_a_file_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(ValueError, match="cannot write results to"):
+    with pytest.raises(ValueError, match="cannot write"):
         ResultFolder(tmp_path / "file")
 
 

@@ -45,9 +45,8 @@ from pydrake.geometry import Meshcat
 
 from drake_oa.common.files import replace_text
 from drake_oa.regulation.config import Paper, Verified
-from drake_oa.runs.decision_costs import layer_costs
 from drake_oa.runs.motion_log import MotionLog, save_logs
-from drake_oa.runs.report import feasible_clearance_of, judge_of, motion_report
+from drake_oa.runs.report import feasible_clearance_of, judge_of, layer_costs, motion_report
 from drake_oa.runs.simulation import AT_GOAL, MotionInterruptedError, simulate
 from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.scenario.scenario import Scenario
@@ -531,7 +530,6 @@ def _run_tasks(results: PandaResults, keeping: Keeping) -> dict[tuple[int, str],
 def _write_files(files: Sequence[Path], log: MotionLog) -> None:
     """Writes a run's log and page; a log without an instant has no page."""
     for file in files:
-        file.parent.mkdir(parents=True, exist_ok=True)
         if file.suffix == ".npz":
             save_logs(file, {log_name(log): log})
         elif len(log.t):

@@ -9,9 +9,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from drake_oa.common.console import Column, TextTable
-from drake_oa.runs.decision_costs import pooled_figures
 from drake_oa.runs.motion_log import MotionEnd
-from drake_oa.runs.report import TOLD
+from drake_oa.runs.report import TOLD, cost_figures
 from drake_oa.studies.panda.evaluation import PLANNER, PandaResults
 from drake_oa.studies.results import drawn_figures, drawn_lines
 from drake_oa.studies.scenes.evaluation import over
@@ -175,7 +174,7 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "duration_max": of(max, "duration"),
         "moving_after_median": of(np.median, "moving_after"),
         "moving_after_p95": of(lambda times: np.percentile(times, 95.0), "moving_after"),
-        "decision_cost": pooled_figures(runs),
+        "decision_cost": pooled_costs(runs),
         "failed": sum(bool(run["failed"]) for run in runs),
         "tool_clearance_min": of(min, "tool_clearance_min"),
         "tool_clearance_median": of(np.median, "tool_clearance_min"),
@@ -186,6 +185,21 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "real_time_factor_min": of(min, "real_time_factor"),
         "seconds": float(sum(run["wall_time"] for run in runs)),
     }
+
+
+def pooled_costs(runs: Sequence[Mapping[str, Any]]) -> dict[str, float] | None:
+    """Returns the `cost_figures` of all runs together; None without decisions.
+
+    Args:
+        runs: results, each with `decision_cost` and all its `decision_costs` [s].
+    """
+    decided = [run for run in runs if run["decision_cost"] is not None]
+    together = cost_figures([cost for run in decided for cost in run["decision_costs"]], np.inf)
+    if together is not None:
+        shares = [run["decision_cost"]["share_over_period"] for run in decided]
+        counts = [run["decision_cost"]["count"] for run in decided]
+        together["share_over_period"] = float(np.average(shares, weights=counts))
+    return together
 
 
 def _pairs(contacts: Sequence[str]) -> list[str]:

@@ -10,16 +10,15 @@ A scenes file holds the fields of `Scenes` by name; it is checked on reading.
 from __future__ import annotations
 
 import math
-import zipfile
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from drake_oa.common.files import ArrayHeader, archive_headers, check_memory, replace_file
+from drake_oa.common.files import read_arrays, replace_arrays
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.regulation.rollout import SpatialScenes
@@ -204,8 +203,6 @@ _SHAPES: dict[str, tuple[int, ...]] = {
     "clearance": (),
 }
 """Of a file's arrays, after (N, M), or after (N,) for ()."""
-_COPIES = 4
-"""How many times the arrays are held while they are read and checked."""
 _ORTHONORMAL = 1e-6
 _LONGEST = 100.0
 """Greatest baseline of a scene [m]."""
@@ -215,13 +212,7 @@ _FARTHEST = 100.0
 
 def save_scenes(path: Path, scenes: Scenes) -> None:
     """Writes a scenes file."""
-    arrays = {name: getattr(scenes, name) for name in _SHAPES}
-
-    def write(beside: Path) -> None:
-        with beside.open("wb") as file:
-            np.savez_compressed(file, **arrays)
-
-    replace_file(path, write)
+    replace_arrays(path, {name: getattr(scenes, name) for name in _SHAPES})
 
 
 def load_scenes(path: Path) -> Scenes:
@@ -232,35 +223,26 @@ def load_scenes(path: Path) -> Scenes:
         ValueError: if it is no .npz file, a key is missing, a shape does not fit, a value
             cannot be (naming scene and obstacle), or there is not enough memory for it.
     """
-    try:
-        headers = archive_headers(path)
-        N, M = _checked_shape(path, headers)
-        size = sum(8 * math.prod(headers[name].shape) for name in _SHAPES)
-        check_memory(f"{path}: {N} scenes of {M} obstacles", _COPIES * size)
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: np.array(file[name], dtype=float, order="C") for name in _SHAPES}
-    except (zipfile.BadZipFile, zlib.error, EOFError) as error:
-        raise ValueError(f"{path} is not a whole .npz file: {error}") from error
-    except MemoryError as error:
-        raise ValueError(f"{path}: not enough memory for its arrays") from error
-    scenes = Scenes(**arrays)
+    arrays = read_arrays(path)
+    _check_shapes(path, arrays)
+    scenes = Scenes(**{name: np.array(arrays[name], dtype=float, order="C") for name in _SHAPES})
     check_scenes(scenes, str(path))
     return scenes
 
 
-def _checked_shape(path: Path, headers: dict[str, ArrayHeader]) -> tuple[int, int]:
-    """N and M."""
-    missing = [name for name in _SHAPES if name not in headers]
+def _check_shapes(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
+    """Raises ValueError for arrays that are missing or of another shape."""
+    missing = [name for name in _SHAPES if name not in arrays]
     if missing:
-        there = ", ".join(headers) or "none"
+        there = ", ".join(arrays) or "none"
         raise ValueError(
             f"{path} lacks {', '.join(missing)}; needed: {', '.join(_SHAPES)}; there: {there}"
         )
-    baseline, center = headers["baseline"].shape, headers["center"].shape
+    baseline, center = arrays["baseline"].shape, arrays["center"].shape
     N = baseline[0] if len(baseline) == 1 else -1
     M = center[1] if len(center) == 3 else -1
     for name, trailing in _SHAPES.items():
-        shape, kind = headers[name].shape, headers[name].dtype
+        shape, kind = arrays[name].shape, arrays[name].dtype
         if kind.kind not in "fiu":
             raise ValueError(f"{path}: {name} must hold real numbers, not {kind}")
         if shape != ((N, M, *trailing) if trailing else (N,)):
@@ -270,7 +252,6 @@ def _checked_shape(path: Path, headers: dict[str, ArrayHeader]) -> tuple[int, in
             raise ValueError(f"{path}: {name} must be ({asked}){given}, not {shape}")
     if N == 0:
         raise ValueError(f"{path} holds no scene")
-    return N, M
 
 
 def check_scenes(scenes: Scenes, source: str = "scenes") -> None:
