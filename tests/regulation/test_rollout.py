@@ -165,10 +165,10 @@ def assert_agree(found: SpatialRollouts, expected: SpatialRollouts) -> None:
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-5)
     same = found.steps == expected.steps
     assert same.mean() > 0.95
-    for name in ("path", "velocity"):
-        np.testing.assert_allclose(
-            getattr(found, name)[same], getattr(expected, name)[same], rtol=0.0, atol=1e-6
-        )
+    # Steps of strong terms amplify the rounding.
+    for name, atol in (("path", 1e-7), ("velocity", 2e-6)):
+        one, other = getattr(found, name)[same], getattr(expected, name)[same]
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=atol)
 
 
 @pytest.mark.parametrize(("M", "speed"), [(0, 0.0), (1, 0.0), (6, 0.2)])
