@@ -1,13 +1,15 @@
-"""`drake-oa evaluate`: what it prints, writes, refuses and returns."""
+"""`drake-oa evaluate`: results that are kept, shared scenes, and resumed runs."""
 
 import json
+import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 import pytest
 
+from drake_oa.perception.config import GroundTruth
+from drake_oa.scenario.loading import load_scenario
 from drake_oa.studies.scenes import methods
 from drake_oa.studies.scenes.scenes import Motions, Scenes, Setting
 from drake_oa.studies.scenes.suites import SUITES
@@ -18,8 +20,8 @@ run = partial(command, "evaluate")
 
 
 @pytest.fixture(autouse=True)
-def _simple_methods(monkeypatch: pytest.MonkeyPatch, straight: Method) -> None:
-    """The default methods, and one that fails and one that is interrupted."""
+def _simple_methods(monkeypatch: pytest.MonkeyPatch, straight: Method, tmp_path: Path) -> None:
+    """Replaces the default methods, and adds one that fails and one that is interrupted."""
 
     def fail(scenes: Scenes, setting: Setting) -> Motions:
         raise RuntimeError("it is\nbroken")
@@ -31,134 +33,84 @@ def _simple_methods(monkeypatch: pytest.MonkeyPatch, straight: Method) -> None:
         monkeypatch.setitem(methods.METHODS, name, straight)
     monkeypatch.setitem(methods.METHODS, "failing", fail)
     monkeypatch.setitem(methods.METHODS, "interrupted", interrupt)
+    monkeypatch.chdir(tmp_path)
+
+
+def methods_of(file: str) -> dict:
+    return json.loads(Path(file).read_text())["methods"]
 
 
 @pytest.mark.parametrize("suite", SUITES)
-def test_every_suite_is_evaluated(
-    suite: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "new" / "out.json"
-    assert run(suite, "--scenes", "9", "--json", str(out)) == 0
-    result = json.loads(out.read_text())
-    assert set(result) == {"suite", "seed", "versions", "methods"}
-    assert (result["suite"], result["seed"]) == (suite, 0)
-    assert {"drake_oa", "numpy"} < set(result["versions"])
-    assert list(result["methods"]) == list(SUITES[suite].methods)
-    assert all(figures["complete"] for figures in result["methods"].values())
+def test_every_suite_is_evaluated(suite: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(suite, "--scenes", "9", "--json", "new/out.json") == 0
+    assert list(methods_of("new/out.json")) == list(SUITES[suite].methods)
     printed = capsys.readouterr()
     assert f"{suite}: 9 scenes" in printed.out
     assert "%" not in printed.err  # No progress bar when piped.
-    assert [p.name for p in out.parent.iterdir()] == ["out.json"]
 
 
-def test_histograms_are_drawn(tmp_path: Path) -> None:
-    plot = tmp_path / "new" / "plot.png"
-    chosen = ("--method", "paper", "--scenes", "9")
-    assert run("novel", *chosen, "--plot", str(plot)) == 0
-    assert plot.read_bytes().startswith(b"\x89PNG")
-    assert plot.stat().st_size > 10_000
-
-
-def test_help_lists_suites_and_methods(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("--help") == 0
-    shown = capsys.readouterr().out
-    for name in (*SUITES, "paper", "verified", "original", "movement_primitives"):
-        assert f"\n  {name} " in shown
-    assert all(f"\n  {name}: " in shown for name in ("panda", "mbm"))
-
-
-def test_methods_share_the_scenes_of_a_seed(tmp_path: Path) -> None:
+def test_methods_share_the_scenes_of_a_seed() -> None:
     found = []
     for seed in ("1", "1", "2"):
-        out = tmp_path / "out.json"
-        assert run("hit", "--scenes", "8", "--seed", seed, "--json", str(out)) == 0
-        figures = json.loads(out.read_text())["methods"]
+        assert run("hit", "--scenes", "8", "--seed", seed, "--json", "out.json") == 0
+        figures = methods_of("out.json")
         assert figures["paper"]["clearance_mean"] == figures["verified"]["clearance_mean"]
         found.append(figures["paper"]["clearance_mean"])
     assert found[0] == found[1] != found[2]
 
 
-def test_scenes_written_are_the_scenes_run(tmp_path: Path) -> None:
-    scenes, first, second = (tmp_path / name for name in ("s.npz", "a.json", "b.json"))
-    one = ("clutter", "--method", "paper")
-    written = ("--scenes", "6", "--write-scenes", str(scenes))
-    assert run(*one, *written, "--json", str(first)) == 0
-    assert run(*one, "--scenes-file", str(scenes), "--json", str(second)) == 0
-    a, b = (json.loads(path.read_text()) for path in (first, second))
-    assert b["seed"] is None
-    assert a["methods"]["paper"]["clearance_mean"] == b["methods"]["paper"]["clearance_mean"]
-    assert (
-        command(
-            "evaluate", *one, "--scenes-file", str(scenes), "--scenes", "2", "--json", str(second)
-        )
-        == 0
-    )
-    assert json.loads(second.read_text())["methods"]["paper"]["scenes"] == 2
+def test_scenes_written_are_the_scenes_run(capsys: pytest.CaptureFixture[str]) -> None:
+    one = partial(run, "clutter", "--method", "paper", "--json", "out.json")
+    assert one("--scenes", "6", "--write-scenes", "s.npz") == 0
+    first = methods_of("out.json")["paper"]
+    assert one("--scenes-file", "s.npz") == 0
+    assert methods_of("out.json")["paper"]["clearance_mean"] == first["clearance_mean"]
+    assert one("--scenes-file", "s.npz", "--scenes", "2") == 0
+    assert methods_of("out.json")["paper"]["scenes"] == 2
+    assert one("--scenes-file", "s.npz", "--scenes", "7") == 2
+    assert "holds 6" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("suite", "last"), [("failing", 1), ("interrupted", 130)])
-def test_what_was_computed_is_kept(
-    suite: str, last: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("method", "status"), [("failing", 1), ("interrupted", 130)])
+def test_results_of_earlier_methods_are_kept(
+    method: str, status: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = tmp_path / "out.json"
-    chosen = ("--method", "paper", "--method", suite, "--scenes", "8")
-    assert run("hit", *chosen, "--json", str(out)) == last
-    figures = json.loads(out.read_text())["methods"]
-    assert figures["paper"]["complete"] is True
-    assert figures["paper"]["scenes"] == 8
-    assert figures[suite]["complete"] is False
+    chosen = ("--method", "paper", "--method", method, "--scenes", "8")
+    assert run("hit", *chosen, "--json", "out.json") == status
+    found = methods_of("out.json")
+    assert (found["paper"]["complete"], found["paper"]["scenes"]) == (True, 8)
+    assert found[method]["complete"] is False
     printed = capsys.readouterr()
     assert "(not complete)" in printed.out
-    errors = [line for line in printed.err.splitlines() if "error" in line]
-    assert len(errors) == 1
-    assert suite in errors[0]
+    (error,) = [line for line in printed.err.splitlines() if "error" in line]
+    assert method in error
 
 
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (("nowhere",), "unknown suite 'nowhere'; valid: novel, posed, hit"),
-        (("novel", "--method", "nobody"), "unknown method 'nobody'; valid: paper, verified"),
-        (("novel", "--scenes", "0"), "--scenes must be at least 1"),
-        (("novel", "--scenes", str(10**15)), "GB of memory"),
-        (("novel", "--seed", "-3"), "seed must be at least 0"),
-        (("familiar",), "familiar is a figure of the paper: drake-oa evaluate figure_familiar"),
-        (("dead-zone",), "drake-oa evaluate figure_dead_zone"),
-        (("novel", "--plot", "p.gif"), "--plot must end in .pdf, .png, .svg"),
-        (("novel", "--json", "a", "--write-scenes", "a"), "must name different files"),
-        (("novel", "--json", "/proc/no/where.json"), "cannot write"),
-        (("novel", "--scenes-file", "absent.npz"), "absent.npz"),
-    ],
-)
-def test_bad_input_is_refused_at_once(
-    arguments: tuple[str, ...], named: str, capsys: pytest.CaptureFixture[str]
+def test_runs_of_several_kinds_are_written_and_resumed(capsys: pytest.CaptureFixture[str]) -> None:
+    short = ("--scenes", "1", "--duration", "0.02", "--perception", "truth")
+    chosen = ("--method", "preplanned", "--suite", "tabletop,clutter6", "--suite", "tabletop")
+    again = partial(run, "panda", *short, *chosen, "--json", "p.json")
+    assert again("--html-dir", "pages", "--write-scenes", "scenes") == 0
+    out = capsys.readouterr().out
+    kinds = json.loads(Path("p.json").read_text())["kinds"]
+    assert list(kinds) == ["tabletop", "clutter6"]
+    for kind, figures in kinds.items():
+        assert f"{kind}: preplanned, truth" in out
+        assert figures["methods"]["preplanned"]["stopped"] == 1
+        assert f"scenes looked at: {figures['drawn']['scenes']['looked_at']}; dropped: " in out
+    assert [page.stat().st_size > 100_000 for page in Path("pages").iterdir()] == [True] * 2
+    for scene in Path("scenes").iterdir():
+        assert isinstance(load_scenario(str(scene)).perception, GroundTruth)
+    assert len(list(Path("p.scenes").glob("*.json"))) == 4
+    assert again() == 0
+    assert "2 runs were on disk" in capsys.readouterr().out
+
+
+def test_without_ompl_the_error_names_the_package(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run(*arguments) == 2
-    message = capsys.readouterr().err.splitlines()
-    assert len(message) == 1
-    assert named in message[0]
-
-
-def test_more_scenes_than_the_file_has_are_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = str(tmp_path / "s.npz")
-    assert run("hit", "--scenes", "2", "--write-scenes", path, "--method", "paper") == 0
-    assert run("hit", "--scenes", "3", "--scenes-file", path) == 2
-    assert "holds 2" in capsys.readouterr().err
-
-
-def test_a_fault_in_the_file_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "s.npz"
-    assert (
-        command(
-            "evaluate", "hit", "--scenes", "2", "--write-scenes", str(path), "--method", "paper"
-        )
-        == 0
-    )
-    with np.load(path) as file:
-        arrays = dict(file)
-    arrays["semi_axes"][1, 0, 2] = -0.1
-    np.savez(path, **arrays)
-    assert run("hit", "--scenes-file", str(path)) == 2
-    assert "semi_axes of scene 1, obstacle 0 must be positive" in capsys.readouterr().err
+    for name in ("ompl", "ompl.base"):
+        monkeypatch.setitem(sys.modules, name, None)
+    assert run("panda", "--suite", "elbow") == 2
+    assert "pip install 'drake_oa[peers]'" in capsys.readouterr().err
+    assert list(Path().iterdir()) == []

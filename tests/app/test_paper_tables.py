@@ -83,26 +83,3 @@ def test_the_familiar_figure_takes_a_reading(tmp_path: Path) -> None:
         assert run("figure_familiar", "--scenes", "4", "--time", time, "--json", str(out)) == 0
         found.append(json.loads(out.read_text())["methods"]["paper"]["goal_error_mean"])
     assert found[0] != found[1]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [
-        (("table2", "--scenes", "0"), "--scenes must be at least 1"),
-        (("table2", "--seed", "-3"), "seed must be at least 0"),
-        (("table2", "--law", "nobody"), '"nobody" for --law'),
-        (("table2", "--json", "/proc/no/where.json"), "cannot write"),
-        (("figure_familiar", "--scenes", "5"), "square"),
-        (("figure_familiar", "--method", "nobody"), "unknown method 'nobody'"),
-        (("figure_familiar", "--chain", "running"), "no chain RC(lambda'), without Delta"),
-        (("figure_familiar", "--plot", "p.gif"), "--plot must end in .pdf, .png, .svg"),
-        (("figure_dead_zone", "--json", "a.png", "--plot", "a.png"), "different files"),
-    ],
-)
-def test_bad_input_is_refused_at_once(
-    arguments: tuple[str, ...], named: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(*arguments) == 2
-    message = capsys.readouterr().err.splitlines()
-    assert len(message) == 1
-    assert named in message[0]

@@ -1,9 +1,7 @@
 """Rendered scenes of many kinds: nothing is lost, and no table is taken for an object.
 
-Random table tops, ray cast with labels and a Kinect's errors: axial noise of standard
-deviation 1.2 mm + 1.9 (z - 0.4)^2 mm (Nguyen et al. 2012), lateral jitter, disparity in
-steps of 1/8 pixel and slowly distorted, dropouts at edges and at grazing incidence, and
-the shadow of a projector 7.5 cm to the side. The table of all of them is printed by
+Random table tops, ray cast with labels, and with the noise of a simulated structured-light
+camera. The table of all of them is printed by
 
 python -m pytest -m slow tests/app/test_perceive_rendered.py -s
 """
@@ -13,16 +11,19 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from scipy.ndimage import binary_erosion, maximum_filter, minimum_filter
+from scipy.ndimage import binary_erosion
+from scipy.spatial.transform import Rotation
 
+from drake_oa.perception.config import CameraNoise
 from drake_oa.perception.segmentation import Segmentation, segment_depth
+from drake_oa.world.depth_noise import FrameNoise
+from tests.reference.depth_images import look_at, rays_of
 
 SIZE = (480, 640)
 K = np.array([525.0, 525.0, 319.5, 239.5])
+NOISE = CameraNoise(grazing_start=np.deg2rad(80.0), grazing_end=np.deg2rad(82.0))
 TABLE, FLOOR, WALL, FIRST = 1, 2, 3, 20
-_BASELINE = 0.075
-_V, _U = np.mgrid[: SIZE[0], : SIZE[1]]
-RAYS = np.stack([(_U - K[2]) / K[0], (_V - K[3]) / K[1], np.ones(SIZE)], axis=-1)
+RAYS = rays_of(np.eye(4), K, SIZE)
 
 # Kind -> what differs from the default: ranges, numbers and things.
 KINDS: dict[str, dict] = {
@@ -143,19 +144,13 @@ def _box(x: float, y: float, height: float, z: float = 0.0):
 
 
 def _turn(mesh, angle: float) -> None:
-    c, s = np.cos(angle), np.sin(angle)
-    mesh.rotate(np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), (0.0, 0.0, 0.0))
+    mesh.rotate(Rotation.from_rotvec([0.0, 0.0, angle]).as_matrix(), (0.0, 0.0, 0.0))
 
 
 def _camera(target, distance, pitch, yaw, roll) -> np.ndarray:
-    c, s = np.cos(pitch), np.sin(pitch)
-    z = np.array([c * np.cos(yaw), c * np.sin(yaw), -s])
-    x = np.array([np.sin(yaw), -np.cos(yaw), 0.0])
-    y = np.cross(z, x)
-    X_WC = np.eye(4)
-    turned = np.cos(roll) * x + np.sin(roll) * y
-    X_WC[:3, :3] = np.column_stack([turned, np.cross(z, turned), z])
-    X_WC[:3, 3] = target - distance * z
+    direction = [np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), -np.sin(pitch)]
+    X_WC = look_at(target - distance * np.array(direction), target)
+    X_WC[:3, :3] = X_WC[:3, :3] @ Rotation.from_rotvec([0.0, 0.0, roll]).as_matrix()
     return X_WC
 
 
@@ -171,32 +166,17 @@ def _rendered(meshes, X_WC, rng, given) -> Scene:
     hit = caster.cast_rays(np.concatenate([origin, rays], axis=-1).astype(np.float32))
     exact = hit["t_hit"].numpy().astype(float)
     label = names[np.minimum(hit["geometry_ids"].numpy(), len(meshes))]
-    cosine = np.abs((hit["primitive_normals"].numpy() * rays).sum(axis=-1))
-    missing = cosine < np.cos(np.deg2rad(82.0)) * np.linalg.norm(rays, axis=-1)
-    missing |= ~(np.isfinite(exact) & (exact > 0.45) & (exact < 4.5))
-    known = np.where(np.isfinite(exact), exact, 9.0)
-    to_projector = X_WC[:3, :3] @ [_BASELINE, 0.0, 0.0] - known[..., None] * rays
-    points = X_WC[:3, 3] + known[..., None] * rays
-    shaded = np.concatenate([points + 0.004 * to_projector, 0.99 * to_projector], axis=-1)
-    missing |= caster.test_occlusions(shaded.astype(np.float32), 0.0, 1.0).numpy()
-    edge = maximum_filter(known, 3) - minimum_filter(known, 3) > 0.03
-    missing |= edge & (rng.random(SIZE) < 0.5)
+    noise = FrameNoise(K, NOISE, seed=int(rng.integers(2**31)))
+    depth = noise(exact.astype(np.float32), 0.0)
+    missing = np.zeros(SIZE, dtype=bool)
     if given["cropped"]:
         missing |= (label != TABLE) & (label < FIRST)
     if given["holes"]:
         missing |= rng.random(SIZE) < 0.25
+        v, u = np.mgrid[: SIZE[0], : SIZE[1]]
         for row, column, radius in rng.integers((0, 0, 8), (*SIZE, 40), (25, 3)):
-            missing |= (_V - row) ** 2 + (_U - column) ** 2 < radius**2
-    jitter = np.rint(rng.normal(0.0, 0.6, (2, *SIZE))).astype(int)
-    z = known[np.clip(_V + jitter[0], 0, 479), np.clip(_U + jitter[1], 0, 639)]
-    z = z + rng.normal(size=SIZE) * (0.0012 + 0.0019 * (z - 0.4) ** 2)
-    a, b = _U / 320.0 - 1.0, _V / 240.0 - 1.0
-    warp = sum(
-        rng.normal(0.0, 0.04) * a**i * b**j for i in range(4) for j in range(4 - i) if i + j > 1
-    )
-    disparity = np.rint(8.0 * (K[0] * _BASELINE / z + warp)) / 8.0
-    depth = np.where(missing, np.nan, K[0] * _BASELINE / disparity)
-    return Scene(depth.astype(np.float32), exact, label, X_WC)
+            missing |= (v - row) ** 2 + (u - column) ** 2 < radius**2
+    return Scene(np.where(missing, np.nan, depth).astype(np.float32), exact, label, X_WC)
 
 
 _COUNTS = ("objects", "lost", "table pixels", "false clusters", "no plane", "plane off")
