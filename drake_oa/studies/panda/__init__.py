@@ -18,9 +18,7 @@ know the obstacles exactly:
 
     differential_ik   Drake's DifferentialInverseKinematicsSystem with collision constraints at the
                       policy's period; ToolPose gives it the pose a moment ahead
-    planner           OMPL's RRT-Connect (Kuffner and LaValle, ICRA 2000), not simulated; its
-                      search in time among moving things (Kant and Zucker, IJRR 1986) is in no
-                      suite
+    planner           OMPL's RRT-Connect (Kuffner and LaValle, ICRA 2000), not simulated
 
 There is no block in the scenario: a study writes scenarios. Read `evaluation.py` first.
 """

@@ -29,8 +29,8 @@ import math
 import os
 import sys
 from collections import deque
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
@@ -38,11 +38,11 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 from pydrake.multibody.inverse_kinematics import DifferentialInverseKinematicsSystem
 from pydrake.multibody.math import SpatialVelocity
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import ModelInstanceIndex, RigidBody
+from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.planning import DofMask, JointLimits, RobotDiagramBuilder, SceneGraphCollisionChecker
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.controllers import InverseDynamicsController
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem, OutputPort
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import (
     Adder,
     AffineSystem,
@@ -56,7 +56,7 @@ from pydrake.systems.primitives import (
 )
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.common.messages import BoolArray, FloatArray, HoldCause, PolicyState
+from drake_oa.common.messages import FloatArray, HoldCause, IntArray, PolicyState
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.control import make_guide_follower
 from drake_oa.diagrams.faults import add_drivers
@@ -86,95 +86,77 @@ from drake_oa.runs.simulation import (
 from drake_oa.safety.supervision import Supervision
 from drake_oa.scenario.end_poses import start_positions
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
-from drake_oa.scenario.scenario import Scenario
+from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.world.station import Station, add_world, make_station
 
 _EDGE_STEP = 0.1
-"""The collision checker wants a step for checks of edges, which are not used here [rad]."""
+"""Step of the collision checker's checks of edges, which are not used here [rad]."""
 _FINGER_PULL = 0.01
-"""How far the posture's fingers are from those of the robot [m]: see `posture`."""
+"""Distance of the nominal posture's fingers from those of the robot [m].
+
+The fingers do not follow: their velocity is limited to zero. That limit is so always active, and
+OSQP refines (and says nothing about) a solution only where a constraint is.
+"""
+SELF_DISTANCE = 0.005
+"""Distance that links keep from one another [m]. Not 0, where the gradient's sign changes; links of
+the UR5 that cannot come apart are 13 mm from one another."""
+INFLUENCE = 0.2
+"""Pairs whose distance exceeds the safety distance by more than this are left out [m]."""
+HORIZON = 0.3
+"""dt of the collision constraint [s]: a link may use up the distance that is left to it within this
+time, and no faster. With the policy's step of 8 ms for it, the program was left without a solution
+in 8 of 9 scenes; with 0.3 s in 1."""
+GAIN = 0.2
+"""Share of the pose error that the asked velocity makes up in a step."""
+SPEED_SHARE = 1.2
+"""Largest asked tool velocity along an axis, as a multiple of the planned motion's greatest
+speed."""
+ANGULAR_LIMIT = 2.5
+"""Largest asked tool rate about an axis [rad/s]."""
+POSTURE_GAIN = 1.0
+"""Pull to the posture of the start in the null space [1/s]."""
+WEIGHT = 100.0
+"""Weight of the tool's velocity error against the posture's."""
+KP, KD = 2500.0, 100.0
+"""Stiffness [1/s^2] and damping [1/s] of the joint controller."""
 
 
 @dataclass(frozen=True)
-class PeerParameters:
-    """What may be chosen about the method.
+class KeptDistances:
+    """Distances that the program keeps.
 
     Attributes:
-        tool_distance: what the tool keeps from obstacles [m].
-        arm_distance: what the other links keep from obstacles, and every link from
-            the rest of the world [m].
-        self_distance: what links keep from one another [m]. Not 0, where the gradient's sign
-            changes; links of the UR5 that cannot come apart are 13 mm from one another.
-        influence: pairs further apart than their distance and this are left out [m].
-        horizon: dt of the collision constraint [s]: a link may use up the distance that
-            is left to it within this time, and no faster. With the policy's step of 8 ms
-            for it, the program was left without a solution in 8 of 9 scenes; with 0.3 s
-            in 1.
-        gain: share of the pose error that the asked velocity makes up in a step.
-        speed_share: largest asked tool velocity along an axis, as a multiple of the
-            planned motion's greatest speed.
-        angular_limit: largest asked tool rate about an axis [rad/s].
-        posture_gain: pull to the posture of the start in the null space [1/s].
-        weight: of the tool's velocity error against the posture's.
-        kp: stiffness of the joint controller [1/s^2].
-        kd: its damping [1/s].
+        tool: of the tool from obstacles [m].
+        arm: of the other links from obstacles, and of every link from the rest of the world [m].
     """
 
-    tool_distance: float = 0.03
-    arm_distance: float = 0.02
-    self_distance: float = 0.005
-    influence: float = 0.2
-    horizon: float = 0.3
-    gain: float = 0.2
-    speed_share: float = 1.2
-    angular_limit: float = 2.5
-    posture_gain: float = 1.0
-    weight: float = 100.0
-    kp: float = 2500.0
-    kd: float = 100.0
-
-    def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if not math.isfinite(value) or value < 0.0:
-                raise ValueError(
-                    f"PeerParameters.{item.name} is {value}; it must be finite and not negative"
-                )
-            if value == 0.0 and item.name in ("horizon", "gain"):
-                raise ValueError(f"PeerParameters.{item.name} is 0; it must be positive")
+    tool: float = 0.03
+    arm: float = 0.02
 
     @property
-    def safety_distance(self) -> float:
-        """The distance that tool and arm both keep from obstacles [m]."""
-        return min(self.tool_distance, self.arm_distance)
+    def safety(self) -> float:
+        """Distance that tool and arm both keep from obstacles [m]."""
+        return min(self.tool, self.arm)
 
 
-def look_ahead(period: float, parameters: PeerParameters) -> float:
-    """How far ahead the plan is asked for, so that the robot is on it in time [s].
-
-    Making up the share g of an error at each step h, the command follows a steady motion
-    h (1 / g - 1) late at the end of the step; it is given at its beginning and is held, so
-    that it is half a step early there.
-    """
-    return period * (1.0 / parameters.gain - 0.5)
+_DISTANCES = KeptDistances()
 
 
-def posture(robot: Robot, q_start: FloatArray) -> FloatArray:
-    """(n,) posture that the null space is pulled to: the start, fingers out of place.
+def _robot_positions(plant: MultibodyPlant) -> IntArray:
+    """(n,) places of the robot's positions among the plant's."""
+    return _positions_of(plant, plant.GetFrameByName(TOOL_FRAME).model_instance())
 
-    The fingers do not follow: their velocity is limited to zero. That limit is so always
-    active, and OSQP refines (and says nothing about) a solution only where a constraint is.
-    """
-    q = np.array(q_start, dtype=float)
-    q[len(robot.q_seed) :] += _FINGER_PULL
-    return q
+
+def _positions_of(plant: MultibodyPlant, instance: ModelInstanceIndex) -> IntArray:
+    """(n,) places of a model instance's positions among the plant's."""
+    numbered = np.arange(plant.num_positions(), dtype=float)
+    return np.asarray(plant.GetPositionsFromArray(instance, numbered), dtype=int)
 
 
 def joint_limits(plant: MultibodyPlant, robot: Robot) -> JointLimits:
-    """The plant's own limits, and no velocity for the joints of the hand."""
-    limits = JointLimits(plant)
-    own = robot_dofs(plant)
-    arm = np.arange(own.sum()) < len(robot.q_seed)
+    """Returns the plant's own limits, with a velocity of zero for the joints of the hand."""
+    limits, own = JointLimits(plant), _robot_positions(plant)
+    arm = np.arange(len(own)) < len(robot.q_seed)
     return JointLimits(
         limits.position_lower()[own],
         limits.position_upper()[own],
@@ -185,16 +167,8 @@ def joint_limits(plant: MultibodyPlant, robot: Robot) -> JointLimits:
     )
 
 
-def robot_dofs(plant: MultibodyPlant) -> BoolArray:
-    """(nq,) which positions are the robot's."""
-    robot = plant.GetFrameByName(TOOL_FRAME).model_instance()
-    marked = np.zeros(plant.num_positions())
-    plant.SetPositionsInArray(robot, np.ones(plant.num_positions(robot)), marked)
-    return marked > 0.0
-
-
 def make_collision_checker(
-    scenario: Scenario, parameters: PeerParameters
+    scenario: Scenario, distances: KeptDistances
 ) -> SceneGraphCollisionChecker:
     """The collision model of a scenario's world, the same as the station's.
 
@@ -218,30 +192,22 @@ def make_collision_checker(
     checker = SceneGraphCollisionChecker(
         model=builder.Build(), robot_model_instances=[instance], edge_step_size=_EDGE_STEP
     )
-    _pad(checker, instance, scenario, parameters)
-    return checker
-
-
-def _pad(
-    checker: SceneGraphCollisionChecker,
-    instance: ModelInstanceIndex,
-    scenario: Scenario,
-    parameters: PeerParameters,
-) -> None:
-    plant = checker.plant()
-    of_tool = tool_links(scenario.robot) if scenario.robot else []
-    safety = parameters.safety_distance
-    checker.SetPaddingAllRobotEnvironmentPairs(parameters.arm_distance - safety)
-    checker.SetPaddingAllRobotRobotPairs(parameters.self_distance - safety)
+    plant, of_tool = checker.plant(), tool_links(robot_of(scenario))
+    checker.SetPaddingAllRobotEnvironmentPairs(distances.arm - distances.safety)
+    checker.SetPaddingAllRobotRobotPairs(SELF_DISTANCE - distances.safety)
+    obstacles = [
+        index
+        for other in map(ModelInstanceIndex, range(plant.num_model_instances()))
+        if plant.GetModelInstanceName(other).startswith(OBSTACLE_PREFIX)
+        for index in plant.GetBodyIndices(other)
+    ]
     for link in map(plant.get_body, plant.GetBodyIndices(instance)):
         if plant.IsAnchored(link):
             checker.SetCollisionFilteredWithAllBodies(link.index())
-            continue
-        if link.name() in of_tool:
-            for thing in _obstacle_bodies(plant):
-                checker.SetPaddingBetween(
-                    link.index(), thing.index(), parameters.tool_distance - safety
-                )
+        elif link.name() in of_tool:
+            for obstacle in obstacles:
+                checker.SetPaddingBetween(link.index(), obstacle, distances.tool - distances.safety)
+    return checker
 
 
 def _driven_instances(plant: MultibodyPlant, scenario: Scenario) -> list[ModelInstanceIndex]:
@@ -258,60 +224,34 @@ def position_orders(plant: MultibodyPlant, scenario: Scenario) -> dict[str, Floa
     Of the robot, the first, and of the obstacles that the scenario drives.
     """
     robot = plant.GetFrameByName(TOOL_FRAME).model_instance()
-    orders = {}
-    for instance in (robot, *_driven_instances(plant, scenario)):
-        columns = np.zeros((plant.num_positions(), plant.num_positions(instance)))
-        for row, unit in enumerate(np.eye(columns.shape[1])):
-            q = np.zeros(plant.num_positions())
-            plant.SetPositionsInArray(instance, unit, q)
-            columns[:, row] = q
-        orders[plant.GetModelInstanceName(instance)] = columns
-    return orders
-
-
-def of_state(order: FloatArray) -> FloatArray:
-    """(nq, 2 n) matrix that takes a state, positions and as many velocities, to (nq, n) order."""
-    return np.hstack([order, np.zeros_like(order)])
-
-
-def _obstacle_bodies(plant: MultibodyPlant) -> list[RigidBody]:
-    """Bodies of the model instances that are obstacles by name."""
-    return [
-        plant.get_body(index)
-        for instance in map(ModelInstanceIndex, range(plant.num_model_instances()))
-        if plant.GetModelInstanceName(instance).startswith(OBSTACLE_PREFIX)
-        for index in plant.GetBodyIndices(instance)
-    ]
-
-
-def tool_frame_name(plant: MultibodyPlant) -> str:
-    """Scoped name of the tool point's frame E."""
-    return str(plant.GetFrameByName(TOOL_FRAME).scoped_name().get_full())
+    return {
+        plant.GetModelInstanceName(instance): np.eye(plant.num_positions())[
+            :, _positions_of(plant, instance)
+        ]
+        for instance in (robot, *_driven_instances(plant, scenario))
+    }
 
 
 def make_differential_ik(
-    scenario: Scenario, checker: SceneGraphCollisionChecker, parameters: PeerParameters
+    scenario: Scenario, checker: SceneGraphCollisionChecker, distances: KeptDistances
 ) -> DifferentialInverseKinematicsSystem:
-    """The system with its program; it is to be asked every `scenario.policy.period`.
-
-    Raises:
-        ScenarioError: if the scenario has no robot.
-    """
-    if scenario.robot is None:
-        raise ScenarioError("robot: differential inverse kinematics needs one; it is null")
+    """Makes the system with its program, which runs every `scenario.policy.period`."""
     System, plant = DifferentialInverseKinematicsSystem, checker.plant()
-    tracking = System.LeastSquaresCost.Config(cartesian_qp_weight=parameters.weight)
-    centering = System.JointCenteringCost.Config(posture_gain=parameters.posture_gain)
+    dmp = make_dmp(scenario)
+    planned = trajectory(dmp, scenario.task.start, scenario.task.goal)
+    greatest_speed = float(np.linalg.norm(planned.z, axis=1).max()) / dmp.duration
+    tracking = System.LeastSquaresCost.Config(cartesian_qp_weight=WEIGHT)
+    centering = System.JointCenteringCost.Config(posture_gain=POSTURE_GAIN)
     collision = System.CollisionConstraint.Config(
-        safety_distance=parameters.safety_distance,
-        influence_distance=parameters.safety_distance + parameters.influence,
+        safety_distance=distances.safety,
+        influence_distance=distances.safety + INFLUENCE,
     )
     recipe = System.Recipe()
     recipe.AddIngredient(System.LeastSquaresCost(tracking))
     recipe.AddIngredient(System.JointCenteringCost(centering))
     recipe.AddIngredient(
         System.JointVelocityLimitConstraint(
-            System.JointVelocityLimitConstraint.Config(), joint_limits(plant, scenario.robot)
+            System.JointVelocityLimitConstraint.Config(), joint_limits(plant, robot_of(scenario))
         )
     )
     recipe.AddIngredient(System.CollisionConstraint(collision))
@@ -319,40 +259,19 @@ def make_differential_ik(
         recipe=recipe,
         task_frame=plant.world_frame().scoped_name().get_full(),
         collision_checker=checker,
-        active_dof=DofMask([bool(own) for own in robot_dofs(plant)]),
-        time_step=parameters.horizon,
+        active_dof=DofMask(np.isin(range(plant.num_positions()), _robot_positions(plant)).tolist()),
+        time_step=HORIZON,
         # The system asks for gain (X - X_now) / time_step; the step is the policy's.
-        K_VX=parameters.gain * parameters.horizon / scenario.policy.period,
+        K_VX=GAIN * HORIZON / scenario.policy.period,
         Vd_TG_limit=SpatialVelocity(
-            w=np.full(3, parameters.angular_limit),
-            v=np.full(3, parameters.speed_share * _planned_speed(scenario)),
+            w=np.full(3, ANGULAR_LIMIT),
+            v=np.full(3, SPEED_SHARE * greatest_speed),
         ),
     )
 
 
-def _planned_speed(scenario: Scenario) -> float:
-    """Greatest speed of the planned motion [m/s]."""
-    dmp = make_dmp(scenario)
-    planned = trajectory(dmp, scenario.task.start, scenario.task.goal)
-    return float(np.linalg.norm(planned.z, axis=1).max()) / dmp.duration
-
-
-def make_joint_controller(
-    plant: MultibodyPlant, parameters: PeerParameters
-) -> InverseDynamicsController:
-    """Drake's inverse dynamics controller over all joints of a plant."""
-    n = plant.num_positions()
-    return InverseDynamicsController(
-        plant,
-        kp=np.full(n, parameters.kp),
-        ki=np.zeros(n),
-        kd=np.full(n, parameters.kd),
-        has_reference_acceleration=False,
-    )
-
-
 def build_differential_ik(
-    scenario: Scenario, q_start: FloatArray, parameters: PeerParameters
+    scenario: Scenario, q_start: FloatArray, distances: KeptDistances
 ) -> Diagram:
     """Wires the peer on a scenario's station.
 
@@ -366,110 +285,126 @@ def build_differential_ik(
     Args:
         scenario: with a robot; its perception is not used.
         q_start: (n,) all positions of the robot at the start, and its posture.
-        parameters: of the method.
+        distances: that are kept.
 
     Raises:
         ScenarioError: naming the field that does not fit.
     """
-    if scenario.robot is None:
-        raise ScenarioError("robot: differential inverse kinematics needs one; it is null")
+    robot, period, n = robot_of(scenario), scenario.policy.period, len(q_start)
     builder = DiagramBuilder()
     station = make_station(builder, scenario, render=False)
     plant = station.plant
     plant.SetDefaultPositions(station.robot, q_start)
     wires = Wires(builder)
     wires.offer("plant_state", plant.get_state_output_port())
+    wires.offer("robot_state", plant.get_state_output_port(station.robot))
+    wires.take("actuation", plant.get_actuation_input_port(station.robot))
     add_drivers(wires, scenario, station)
-    position, velocity = _wire_command(wires, scenario, station, q_start, parameters)
-    command = builder.AddNamedSystem("commanded_state", Multiplexer([len(q_start)] * 2))
-    builder.Connect(position, command.get_input_port(0))
-    builder.Connect(velocity, command.get_input_port(1))
-    # The arm's dynamics are its own: of driven obstacles the controller need not know.
-    alone = plant.num_positions() == plant.num_positions(station.robot)
-    model = plant if alone else make_robot_plant(scenario.robot).plant
-    _wire_controller(wires, station, model, command.get_output_port(), parameters)
+
+    # The pre-planned motion, and where the tool turns that of its orientation.
+    wires.add("goal", make_goal(scenario), offers={"y0": "goal"})
+    wires.add("dmp_integrator", make_dmp_integrator(scenario))
+    orientation = make_orientation_integrator(scenario)
+    if orientation is not None:
+        add_orientation(wires, orientation)
+    # Making up the share g of an error at each step h, the command follows a steady motion
+    # h (1 / g - 1) late at the end of the step; it is given at its beginning and is held, so that
+    # it is half a step early there.
+    look_ahead = period * (1.0 / GAIN - 0.5)
+    R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix()
+    wires.add("tool_pose", ToolPose(R_WE, look_ahead=look_ahead))
+
+    # From there to the commanded positions and velocities.
+    checker = make_collision_checker(scenario, distances)
+    tool = str(checker.plant().GetFrameByName(TOOL_FRAME).scoped_name().get_full())
+    poses = BusCreator()
+    poses.DeclareAbstractInputPort(tool, Value(RigidTransform()))
+    wires.add("desired_poses", poses, reads={tool: "desired_pose"}, offers={"y0": "desired_poses"})
+    wires.add(
+        "differential_ik",
+        make_differential_ik(scenario, checker, distances),
+        reads={"desired_cartesian_poses": "desired_poses", "position": "world_positions"},
+        offers={"commanded_velocity": "joint_velocity"},
+    )
+    orders = position_orders(checker.plant(), scenario)
+    _wire_positions(wires, orders, station)
+    _wire_posture(wires, scenario, q_start, next(iter(orders.values())))
+    for name, held in (
+        ("commanded_position", DiscreteTimeIntegrator(n, period)),
+        ("commanded_velocity", ZeroOrderHold(period, n)),
+    ):
+        wires.add(name, held, reads={"u": "joint_velocity"}, offers={"y": name})
+    wires.add(
+        "commanded_state",
+        Multiplexer([n, n]),
+        reads={"u0": "commanded_position", "u1": "commanded_velocity"},
+        offers={"y0": "commanded_state"},
+    )
+
+    # From there to the plant. The arm's dynamics are its own: of driven obstacles the controller
+    # need not know.
+    alone = plant.num_positions() == n
+    model = plant if alone else make_robot_plant(robot).plant
+    controller = InverseDynamicsController(
+        model,
+        kp=np.full(n, KP),
+        ki=np.zeros(n),
+        kd=np.full(n, KD),
+        has_reference_acceleration=False,
+    )
+    wires.add(
+        "controller",
+        controller,
+        reads={"estimated_state": "robot_state", "desired_state": "commanded_state"},
+        offers={controller.get_output_port_control().get_name(): "torque"},
+    )
+    wires.add(
+        "actuation",
+        MatrixGain(model.MakeActuationMatrix().T),
+        reads={"u0": "torque"},
+        offers={"y0": "unlimited_actuation"},
+    )
+    effort = model.GetEffortUpperLimits()
+    wires.add(
+        "effort_limits",
+        Saturation(-effort, effort),
+        reads={"u0": "unlimited_actuation"},
+        offers={"y0": "actuation"},
+    )
+    wires.log("goal", "desired_position", "desired_velocity", "desired_acceleration", "phase")
+    wires.log("robot_state", "actuation")
     wires.connect()
     diagram = builder.Build()
     diagram.set_name(METHOD)
     return diagram
 
 
-def _wire_motion(wires: Wires, scenario: Scenario) -> None:
-    """The pre-planned motion, and where the tool turns that of its orientation."""
-    wires.add("goal", make_goal(scenario), offers={"y0": "goal"})
-    wires.add("dmp_integrator", make_dmp_integrator(scenario))
-    wires.log("goal", "desired_position", "desired_velocity", "desired_acceleration", "phase")
-    orientation = make_orientation_integrator(scenario)
-    if orientation is not None:
-        add_orientation(wires, orientation)
-
-
-def _wire_positions(
-    builder: DiagramBuilder,
-    orders: dict[str, FloatArray],
-    station: Station,
-    commanded: OutputPort,
-) -> OutputPort:
-    """Positions of the whole world: the commanded ones, and where the obstacles are."""
+def _wire_positions(wires: Wires, orders: dict[str, FloatArray], station: Station) -> None:
+    """Adds the positions of the whole world: the commanded ones, and those of the obstacles."""
     if len(orders) == 1:
-        return commanded
-    plant = station.plant
-    whole = builder.AddNamedSystem(
-        "world_positions", Adder(len(orders), len(next(iter(orders.values()))))
+        wires.otherwise("world_positions", "commanded_position")
+        return
+    plant, (robot, *obstacles) = station.plant, orders
+    wires.add(
+        "world_positions",
+        Adder(len(orders), len(orders[robot])),
+        reads={f"u{number}": f"positions_{name}" for number, name in enumerate(orders)},
+        offers={"sum": "world_positions"},
     )
-    for number, (name, order) in enumerate(orders.items()):
-        source = commanded
-        if number:
-            source = plant.get_state_output_port(plant.GetModelInstanceByName(name))
-            order = of_state(order)
-        placed = builder.AddNamedSystem(f"positions_{name}", MatrixGain(order))
-        builder.Connect(source, placed.get_input_port())
-        builder.Connect(placed.get_output_port(), whole.get_input_port(number))
-    return whole.get_output_port()
-
-
-def _wire_command(
-    wires: Wires,
-    scenario: Scenario,
-    station: Station,
-    q_start: FloatArray,
-    parameters: PeerParameters,
-) -> tuple[OutputPort, OutputPort]:
-    """From the pre-planned motion to the commanded positions and velocities."""
-    robot = scenario.robot
-    if robot is None:
-        raise ScenarioError("robot: differential inverse kinematics needs one; it is null")
-    period = scenario.policy.period
-    builder = wires.builder
-    _wire_motion(wires, scenario)
-    R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix()
-    pose = wires.add("tool_pose", ToolPose(R_WE, look_ahead=look_ahead(period, parameters)))
-
-    checker = make_collision_checker(scenario, parameters)
-    ik = builder.AddNamedSystem(
-        "differential_ik", make_differential_ik(scenario, checker, parameters)
-    )
-    poses = builder.AddNamedSystem("desired_poses", BusCreator())
-    poses.DeclareAbstractInputPort(tool_frame_name(checker.plant()), Value(RigidTransform()))
-    wires.take(pose.get_output_port().get_name(), poses.get_input_port(0))
-    builder.Connect(poses.get_output_port(), ik.GetInputPort("desired_cartesian_poses"))
-    orders = position_orders(checker.plant(), scenario)
-    _wire_posture(wires, scenario, q_start, next(iter(orders.values())))
-    wires.take("nominal_posture", ik.GetInputPort("nominal_posture"))
-
-    position = builder.AddNamedSystem(
-        "commanded_position", DiscreteTimeIntegrator(len(q_start), period)
-    )
-    velocity = builder.AddNamedSystem("commanded_velocity", ZeroOrderHold(period, len(q_start)))
-    for held in (position, velocity):
-        builder.Connect(ik.GetOutputPort("commanded_velocity"), held.get_input_port())
-    whole = _wire_positions(builder, orders, station, position.get_output_port())
-    builder.Connect(whole, ik.GetInputPort("position"))
-    return position.get_output_port(), velocity.get_output_port()
+    for name in obstacles:
+        instance = plant.GetModelInstanceByName(name)
+        wires.offer(f"state_{name}", plant.get_state_output_port(instance))
+    for name, order in orders.items():
+        signal = "commanded_position"
+        if name != robot:
+            # Of the state, positions and as many velocities, the positions.
+            signal, order = f"state_{name}", np.hstack([order, np.zeros_like(order)])
+        signals = {"u0": signal}, {"y0": f"positions_{name}"}
+        wires.add(f"positions_{name}", MatrixGain(order), reads=signals[0], offers=signals[1])
 
 
 def _wire_posture(wires: Wires, scenario: Scenario, q_start: FloatArray, order: FloatArray) -> None:
-    """The posture of the start, or what leads from it to the goal's joints where they are given.
+    """Adds the posture of the start, or a guide from it to the goal's joints if they are given.
 
     Args:
         wires: offers nominal_posture.
@@ -477,9 +412,11 @@ def _wire_posture(wires: Wires, scenario: Scenario, q_start: FloatArray, order: 
         q_start: (n,) all positions of the robot at the start.
         order: (nq, n) matrix that takes them to their places in the plant's.
     """
-    robot = scenario.robot or Robot()
-    # The obstacles have none: of their zeros nothing is asked.
-    rest = order @ posture(robot, q_start)
+    n = len(robot_of(scenario).q_seed)
+    posture = np.array(q_start, dtype=float)
+    posture[n:] += _FINGER_PULL
+    # The obstacles have no posture: of their zeros nothing is asked.
+    rest = order @ posture
     made = make_guide_follower(scenario, q_start)
     if made is None:
         wires.add("posture", ConstantVectorSource(rest), offers={"y0": "nominal_posture"})
@@ -487,10 +424,9 @@ def _wire_posture(wires: Wires, scenario: Scenario, q_start: FloatArray, order: 
     follower, guide = made
     wires.add("posture_guide", guide, offers={"y0": "guided_posture"})
     wires.add("guide_follower", follower, reads={"motion": "guided_posture", "evading": None})
-    n = len(robot.q_seed)
-    of_arm, none = order[:, :n], np.zeros((0, 0))
+    of_arm = order[:, :n]
     whole = AffineSystem(
-        A=none,
+        A=np.zeros((0, 0)),
         B=np.zeros((0, 2 * n)),
         f0=np.zeros(0),
         C=np.zeros((len(order), 0)),
@@ -498,31 +434,6 @@ def _wire_posture(wires: Wires, scenario: Scenario, q_start: FloatArray, order: 
         y0=rest - of_arm @ q_start[:n],
     )
     wires.add("posture", whole, reads={"u0": "desired_posture"}, offers={"y0": "nominal_posture"})
-
-
-def _wire_controller(
-    wires: Wires,
-    station: Station,
-    model: MultibodyPlant,
-    command: OutputPort,
-    parameters: PeerParameters,
-) -> None:
-    """From commanded positions and velocities to the plant, and back; model: of the robot."""
-    builder = wires.builder
-    plant = station.plant
-    state = plant.get_state_output_port(station.robot)
-    controller = builder.AddNamedSystem("controller", make_joint_controller(model, parameters))
-    builder.Connect(state, controller.get_input_port_estimated_state())
-    builder.Connect(command, controller.get_input_port_desired_state())
-    actuation = builder.AddNamedSystem("actuation", MatrixGain(model.MakeActuationMatrix().T))
-    effort = model.GetEffortUpperLimits()
-    limits = builder.AddNamedSystem("effort_limits", Saturation(-effort, effort))
-    builder.Connect(controller.get_output_port_control(), actuation.get_input_port())
-    builder.Connect(actuation.get_output_port(), limits.get_input_port())
-    builder.Connect(limits.get_output_port(), plant.get_actuation_input_port(station.robot))
-    wires.offer("robot_state", state)
-    wires.offer("actuation", limits.get_output_port())
-    wires.log("robot_state", "actuation")
 
 
 class ToolPose(LeafSystem):
@@ -600,14 +511,8 @@ _AT_REST = 1e-5
 class _ToolWatcher(MotionWatcher):
     """Looks after each step at where the tool is, and ends the run."""
 
-    def __init__(
-        self,
-        diagram: Diagram,
-        scenario: Scenario,
-        duration: float | None,
-        on_progress: Callable[[float, float], None] | None,
-    ) -> None:
-        super().__init__(diagram, scenario, duration, on_progress=on_progress)
+    def __init__(self, diagram: Diagram, scenario: Scenario, duration: float | None) -> None:
+        super().__init__(diagram, scenario, duration)
         self._duration = make_dmp(scenario).duration
         self._recent: deque[tuple[float, FloatArray]] = deque()
         self._command = diagram.GetSubsystemByName("commanded_velocity")
@@ -689,8 +594,7 @@ def simulate_differential_ik(
     scenario: Scenario,
     *,
     duration: float | None = None,
-    on_progress: Callable[[float, float], None] | None = None,
-    parameters: PeerParameters | None = None,
+    distances: KeptDistances = _DISTANCES,
 ) -> MotionLog:
     """Runs one motion of the peer until the goal, a standstill or the time limit.
 
@@ -704,8 +608,7 @@ def simulate_differential_ik(
     Args:
         scenario: with a robot; its perception and regulation are not used.
         duration: time limit [s]; None: `LONGEST_SCALING` demonstrated durations.
-        on_progress: called with time [s] and phase, a few hundred times a second.
-        parameters: of the method; None: the defaults.
+        distances: that are kept.
 
     Returns:
         The log; `regulation` is `METHOD`, and there are no observations.
@@ -716,29 +619,20 @@ def simulate_differential_ik(
             carries the log until then, and the cause.
     """
     q_start = start_positions(scenario)
-    diagram = build_differential_ik(scenario, q_start, parameters or PeerParameters())
+    diagram = build_differential_ik(scenario, q_start, distances)
     simulator = Simulator(diagram)
     root = simulator.get_mutable_context()
     integral = diagram.GetSubsystemByName("commanded_position")
     integral.set_integral_value(integral.GetMyMutableContextFromRoot(root), q_start)
+    watcher = _ToolWatcher(diagram, scenario, duration)
     with _without_solver_messages():
-        return _run(scenario, simulator, duration, on_progress)
-
-
-def _run(
-    scenario: Scenario,
-    simulator: Simulator,
-    duration: float | None,
-    on_progress: Callable[[float, float], None] | None,
-) -> MotionLog:
-    watcher = _ToolWatcher(simulator.get_system(), scenario, duration, on_progress)
-    log = run_motion(scenario, simulator, watcher, modulated=True)
+        log = run_motion(scenario, simulator, watcher, modulated=True)
     saturated = (np.abs(log.torque) >= log.effort_limit).any(axis=1).astype(float)
     log = replace(log, regulation=METHOD, saturated=saturated)
-    if not len(log.desired_orientation) or scenario.robot is None:
+    if not len(log.desired_orientation):
         return log
     left = np.zeros((len(log.t), 3))
-    for row, X_WE in enumerate(make_robot_plant(scenario.robot).tool_poses(log.q)):
+    for row, X_WE in enumerate(make_robot_plant(robot_of(scenario)).tool_poses(log.q)):
         desired = rotation_matrix(log.desired_orientation[row])
         left[row] = rotation_vector(np.ascontiguousarray(desired @ X_WE.rotation().matrix().T))
     return replace(log, orientation_error=left)

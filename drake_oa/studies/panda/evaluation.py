@@ -35,7 +35,7 @@ import logging
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, ClassVar
@@ -50,7 +50,8 @@ from drake_oa.runs.report import feasible_clearance_of, judge_of, layer_costs, m
 from drake_oa.runs.simulation import AT_GOAL, MotionInterruptedError, simulate
 from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.studies.panda.differential_ik import PeerParameters
+from drake_oa.studies.panda.differential_ik import KeptDistances, simulate_differential_ik
+from drake_oa.studies.panda.planner import CLEARANCE, STATES, run_planner
 from drake_oa.studies.panda.scenes import (
     GENERATOR,
     MOVING_KINDS,
@@ -119,14 +120,14 @@ class Criteria:
         beyond_limits: how far a joint of the arm may have been beyond its limit [rad].
         planner_asked: whether the planner's robot keeps what the task asks of the tool; else
             `planner.CLEARANCE`.
-        planner_states: that the planner may look at; None: `planner.STATES`.
+        planner_states: that the planner may look at.
     """
 
     goal_error: float = AT_GOAL
     orientation_error: float = math.inf
     beyond_limits: float = math.inf
     planner_asked: bool = False
-    planner_states: int | None = None
+    planner_states: int = STATES
 
     def lacks(self, found: Mapping[str, Any]) -> str:
         """Why a run without a contact is no success; "" if it is one."""
@@ -213,7 +214,7 @@ def run_and_judge(
     except Exception as error:
         # A scene that cannot be run is a result like any other, and ends no other scene.
         _logger.info("the run could not start", exc_info=True)
-        return PandaRun(_not_run(scenario, _said(error)), None)
+        return PandaRun(_not_run(scenario, error), None)
     report = motion_report(scenario, log, feasible, judge)
     return PandaRun(_judged(scenario, log, report, failed, criteria), log)
 
@@ -222,27 +223,22 @@ def _simulate(
     scenario: Scenario, method: str, duration: float | None, feasible: float | None
 ) -> MotionLog:
     if method in DIFFERENTIAL_IK:
-        from drake_oa.studies.panda.differential_ik import simulate_differential_ik
-
         # No arm starts where it would have to keep more than it has.
-        asked = PeerParameters()
-        parameters = replace(asked, arm_distance=min(asked.arm_distance, scenario.task.clearance))
-        if feasible is not None:
-            parameters = replace(parameters, tool_distance=feasible)
-        return simulate_differential_ik(scenario, duration=duration, parameters=parameters)
+        kept = KeptDistances()
+        tool = kept.tool if feasible is None else feasible
+        kept = KeptDistances(tool, min(kept.arm, scenario.task.clearance))
+        return simulate_differential_ik(scenario, duration=duration, distances=kept)
     return simulate(scenario, modulated=method != "preplanned", duration=duration)
 
 
 def _plan(scenario: Scenario, criteria: Criteria) -> dict[str, Any]:
-    from drake_oa.studies.panda.planner import CLEARANCE, run_planner
-
     clearance = scenario.task.clearance if criteria.planner_asked else CLEARANCE
     try:
         found = run_planner(scenario, clearance=clearance, states=criteria.planner_states)
     except Exception as error:
         _logger.info("the planner failed", exc_info=True)
-        return _not_run(scenario, _said(error))
-    found = dict.fromkeys((*_KEPT, *_JUDGED)) | found
+        return _not_run(scenario, error)
+    found = _no_motion(scenario, "") | found
     return {**_outcome(found, False, criteria), "failed": False, **found}
 
 
@@ -291,15 +287,16 @@ def _outcome(found: dict[str, Any], failed: bool, criteria: Criteria) -> dict[st
     return {"outcome": "stopped" if lacks else "success", "reason": plain_reason(lacks)}
 
 
-def _said(error: Exception) -> str:
-    return f"{type(error).__name__}: {error}".rstrip(": ")
+def _not_run(scenario: Scenario, error: Exception) -> dict[str, Any]:
+    """Result of a scene that could not be run."""
+    reason = f"{type(error).__name__}: {error}".rstrip(": ")
+    result = {"outcome": "stopped", "reason": plain_reason(reason), "failed": True}
+    return {**result, **_no_motion(scenario, reason)}
 
 
-def _not_run(scenario: Scenario, reason: str) -> dict[str, Any]:
+def _no_motion(scenario: Scenario, reason: str) -> dict[str, Any]:
+    """Values of a result for a robot that stays at the start."""
     return {
-        "outcome": "stopped",
-        "reason": plain_reason(reason),
-        "failed": True,
         **dict.fromkeys((*_KEPT, *_JUDGED)),
         "contacts": [],
         "self_contacts": [],

@@ -319,16 +319,6 @@ class PlanningScene:
         moving = sorted((j for j in joints if j.num_positions()), key=lambda j: j.position_start())
         return tuple(joint.child_body().name() for joint in moving[self._arm])
 
-    def tool_point(self, q: FloatArray) -> FloatArray:
-        """(3,) p_WE at (nq,) positions q [m]."""
-        self._station.plant.SetPositions(self._plant_context, self._station.robot, q)
-        return np.asarray(self._tool_frame.CalcPoseInWorld(self._plant_context).translation())
-
-    @property
-    def num_positions(self) -> int:
-        """Of the robot."""
-        return len(self._seed)
-
     @property
     def arm_limits(self) -> tuple[FloatArray, FloatArray]:
         """(n,) lowest and (n,) highest positions of the arm [rad]."""

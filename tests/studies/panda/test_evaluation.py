@@ -1,4 +1,4 @@
-"""Scenes of the Panda evaluated here, in processes and on a cluster; kept and resumed."""
+"""Scenes of the Panda: judged one by one, evaluated in parallel, kept and resumed."""
 
 import json
 import shutil
@@ -6,13 +6,18 @@ from dataclasses import replace
 
 import pytest
 
+from drake_oa.regulation.config import Paper, Verified
 from drake_oa.runs.motion_log import load_logs
+from drake_oa.scenario.loading import load_scenario, parse_scenario
 from drake_oa.studies.panda.evaluation import (
     Keeping,
     PandaResults,
     PandaSuite,
     evaluate_panda,
+    plain_reason,
+    run_and_judge,
     run_name,
+    with_method,
 )
 from drake_oa.studies.panda.tables import panda_figures, panda_table, run_figures
 from drake_oa.studies.results import ResultFolder
@@ -71,12 +76,6 @@ def test_an_evaluation_resumes_and_makes_what_is_damaged_anew(kept, caplog):
     assert drawn["scenes"]["looked_at"] >= 2
 
 
-def test_other_settings_take_no_result_of_these(kept):
-    _, folder = kept
-    other = PandaSuite(1, 0, ("preplanned",), "truth", duration=0.02)
-    assert evaluate_panda(other, keeping=Keeping(ResultFolder(folder))).resumed == 0
-
-
 @pytest.mark.slow
 def test_processes_and_a_dask_cluster_give_the_same(kept, tmp_path):
     _same(kept[0], evaluate_panda(_SUITE, jobs=2))
@@ -115,17 +114,9 @@ def test_an_interrupt_keeps_what_is_done(kept, tmp_path):
 
 def test_success_is_told_as_a_share_of_what_the_planner_solves():
     suite = PandaSuite(scenes=3, seed=0, methods=("verified", "planner"), perception="truth")
-    results = PandaResults(
-        suite,
-        runs={
-            "verified": {
-                0: _run("success"),
-                1: _run("stopped", "held"),
-                2: _run("stopped", "held"),
-            },
-            "planner": {0: _run("success"), 1: _run("success"), 2: _run("stopped", "no path")},
-        },
-    )
+    yes, no = _run("success"), _run("stopped", "held")
+    runs = {"verified": {0: yes, 1: no, 2: no}, "planner": {0: yes, 1: yes, 2: no}}
+    results = PandaResults(suite, runs=runs)
     figures = panda_figures(results, ["drake 1"])
     assert figures["solved"] == 2
     assert figures["methods"]["verified"]["success_rate_solved"] == 0.5
@@ -171,50 +162,84 @@ def _run(outcome, reason="", goal_error=1e-4, contacts=(), clearance=0.1, speed=
         "decision_cost": None,
         "moving_after": 0.06,
         "duration": 5.0,
-        "stop_reason": reason or "goal",
         "ended": "goal",
         **more,
     }
 
 
 def test_figures_count_outcomes_reasons_and_pairs():
+    contacts = ["hand - obstacle_box1", "hand - obstacle_box12", "link6 - table"]
     figures = run_figures(
         [
             _run("success", speed=3.0, short_of_feasible=0.02),
             _run("stopped", "held", goal_error=0.5, clearance=None, speed=None, moving_after=None),
-            _run(
-                "stopped",
-                "held",
-                goal_error=0.4,
-                duration=30.0,
-                stop_reason="time limit of 30 s",
-                ended="time limit",
-            ),
-            _run(
-                "contact",
-                "goal",
-                goal_error=2e-3,
-                contacts=["hand - obstacle_box1", "hand - obstacle_box12", "link6 - table"],
-                clearance=-0.01,
-                self_contacts=["hand - link5"],
-                short_of_feasible=0.5e-3,
-            ),
+            _run("stopped", "held", goal_error=0.4, duration=30.0, ended="time limit"),
+            _run("contact", "goal", goal_error=2e-3, contacts=contacts, clearance=-0.01),
         ]
     )
-    assert (figures["scenes"], figures["success"]) == (4, 1)
-    assert (figures["contacts"], figures["stopped"]) == (1, 2)
-    assert figures["stop_reasons"] == {"held": 2}
-    assert figures["contact_pairs"] == {
-        "hand - link5": 1,
-        "hand - obstacle_box": 1,
-        "link6 - table": 1,
+    expected = {
+        "scenes": 4,
+        "success": 1,
+        "success_rate": 0.25,
+        "contacts": 1,
+        "stopped": 2,
+        "stop_reasons": {"held": 2},
+        "contact_pairs": {"hand - obstacle_box": 1, "link6 - table": 1},
+        "time_limits": 1,
+        "duration_max": 30.0,
+        "moving_after_median": 0.06,
+        "short_of_feasible": 1,
+        "short_of_feasible_max": 0.02,
+        "goal_error_max": 2e-3,
+        "goal_error_max_all": 0.5,
+        "robot_clearance_min": -0.01,
+        "real_time_factor": 1.0,
     }
-    assert figures["self_contacts"] == 1
-    assert figures["moving_after_median"] == figures["moving_after_p95"] == 0.06
-    assert (figures["time_limits"], figures["duration_max"]) == (1, 30.0)
-    assert (figures["short_of_feasible"], figures["short_of_feasible_max"]) == (1, 0.02)
-    assert figures["goal_error_max"] == 2e-3
-    assert figures["goal_error_max_all"] == 0.5
-    assert figures["robot_clearance_min"] == -0.01
-    assert figures["real_time_factor"] == 1.0
-    assert figures["success_rate"] == 0.25
+    assert {key: figures[key] for key in expected} == expected
+
+
+_TOUCHING = """
+directives:
+- add_directives: {file: package://drake_oa/scenes/table.dmd.yaml}
+task: {start: [0.5, -0.3, 0.3], goal: [0.5, 0.3, 0.3], duration: 0.3}
+obstacles:
+- name: post
+  shapes: [!Cylinder {radius: 0.05, length: 0.3, translation: [0, 0, 0.15]}]
+  translation: [0.5, -0.22, 0]
+"""
+
+
+def test_reasons_are_counted_without_their_numbers():
+    assert plain_reason("goal missed by 12.5 mm at s = 2.2") == "goal missed by # mm at s = #"
+    assert plain_reason("panda_link7 at -1.5e-3 rad") == "panda_link7 at # rad"
+
+
+def test_methods_change_their_blocks_alone():
+    scenario = load_scenario("tabletop_box")
+    paper = with_method(scenario, "paper")
+    assert isinstance(paper.regulation, Paper)
+    assert isinstance(with_method(paper, "verified").regulation, Verified)
+    assert isinstance(scenario.regulation, Verified)
+
+
+def test_a_run_that_touches_is_a_contact():
+    result = run_and_judge(parse_scenario(_TOUCHING), "preplanned", "truth", duration=0.3).result
+    assert result["outcome"] == "contact"
+    assert result["reason"] == "time limit of # s"
+    assert any("obstacle_post" in contact for contact in result["contacts"])
+
+
+def test_a_run_short_of_the_goal_is_stopped_with_its_reason():
+    run = run_and_judge(parse_scenario(_TOUCHING), "preplanned", "truth", duration=0.02)
+    assert run.result["outcome"] == "stopped"
+    assert run.result["stop_reason"] == "time limit of 0.02 s"
+    assert not run.result["failed"]
+    assert run.log is not None
+
+
+def test_a_scene_that_cannot_be_run_is_a_result():
+    scenario = parse_scenario(_TOUCHING, ["task.goal=[2.0, 0.0, 0.3]"])
+    run = run_and_judge(scenario, "preplanned", "truth")
+    assert run.log is None
+    assert run.result["failed"]
+    assert run.result["reason"].startswith("ScenarioError: task.goal: out of reach")
