@@ -19,8 +19,7 @@ from pydrake.systems.primitives import (
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
-from drake_oa.diagrams.arm import make_posture_guide
-from drake_oa.diagrams.station import Cell
+from drake_oa.diagrams.station import Cell, make_posture_guide
 from drake_oa.geometry.annulus import Annulus
 from drake_oa.planning.arm_world import make_chain
 from drake_oa.planning.motion_search import MotionSearch

@@ -23,7 +23,7 @@ from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.scenario.sources import perception_period, table_plane
 from drake_oa.world.live_camera import Outside
-from drake_oa.world.station import flat_directives
+from drake_oa.world.world_model import flat_directives
 
 _LOWER = np.array([-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973])
 _UPPER = np.array([2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973])

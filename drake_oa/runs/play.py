@@ -40,7 +40,8 @@ from drake_oa.scenario.task_joints import follow_joints
 from drake_oa.viewing.camera_inset import CameraInset
 from drake_oa.viewing.drawing import DISTANCE
 from drake_oa.viewing.panel import LivePage
-from drake_oa.world.station import flat_directives, release_cameras
+from drake_oa.world.station import release_cameras
+from drake_oa.world.world_model import flat_directives
 
 TICK = 1.0 / 30.0
 """Simulated time between two looks at the controls [s]."""

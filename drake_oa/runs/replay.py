@@ -42,7 +42,7 @@ from drake_oa.scenario.task import goal_at
 from drake_oa.viewing.meshcat_overlay import MeshcatOverlay
 from drake_oa.viewing.panel import LivePage, Reading
 from drake_oa.viewing.viewer import dress_scene
-from drake_oa.world.station import add_world
+from drake_oa.world.world_model import add_world
 
 _EARLY = 1e-9
 """What was logged up to this much later [s] counts as logged: times are rounded."""

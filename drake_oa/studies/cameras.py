@@ -29,7 +29,7 @@ from drake_oa.perception.config import CameraNoise, DepthCamera
 from drake_oa.robot.plant import base_pose
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import camera_configs
-from drake_oa.world.station import add_world
+from drake_oa.world.world_model import add_world
 
 WORKSPACE = (0.45, 0.0)
 """Middle of the workspace over a table [m]."""

@@ -5,7 +5,7 @@ robot's state [q, v], an ImageDepth32F [m] with its time and the camera's pose X
 torques [N m]. Frames: W world, C camera (x right, y down, z forward).
 
 - `station.make_station` adds a scenario's plant, scene graph and cameras to a diagram;
-  `obstacles` those that are written in the scenario.
+  `world_model` adds its models, `obstacles` those that are written in the scenario.
   `ObstacleMover` drives one on its course, at the plant's step.
 - `cameras` renders in a scene graph of its own. `LateCamera` takes an image every period and
   hands it out some time after; it is rendered meanwhile in a thread.

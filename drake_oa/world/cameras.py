@@ -20,7 +20,7 @@ from pydrake.systems.sensors import ApplyCameraConfig, CameraConfig, CameraInfo,
 from drake_oa.common.config import ScenarioError
 from drake_oa.robot.formats.meshes import as_objs
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.world.station import add_world
+from drake_oa.world.world_model import add_world
 
 
 @dataclass(frozen=True)

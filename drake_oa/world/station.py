@@ -7,22 +7,10 @@ controller and the self filter know it.
 
 from __future__ import annotations
 
-import contextlib
 import logging
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from xml.etree import ElementTree
 
 from pydrake.geometry import SceneGraph
-from pydrake.multibody.parsing import (
-    FlattenModelDirectives,
-    LoadModelDirectives,
-    ModelDirective,
-    ModelDirectives,
-    PackageMap,
-    ProcessModelDirectives,
-)
 from pydrake.multibody.plant import (
     AddMultibodyPlantSceneGraph,
     MultibodyPlant,
@@ -34,24 +22,18 @@ from pydrake.systems.sensors import CameraConfig, CameraInfo
 from drake_oa.common.config import ScenarioError
 from drake_oa.geometry.pinhole import pinhole
 from drake_oa.perception.config import DepthCamera, LcmCamera, LiveCameras, RealSense
-from drake_oa.robot.formats.model_file import (
-    add_installed_package,
-    check_links,
-    named_warnings,
-)
 from drake_oa.robot.grasped_object import part_carried
-from drake_oa.robot.plant import add_robot, make_parser
 from drake_oa.scenario.faults import CameraDropout
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
-from drake_oa.scenario.scenario import Scenario, robot_of
+from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import camera_configs, noise_seed
 from drake_oa.world.cameras import Camera, add_camera, add_camera_world
 from drake_oa.world.depth_messages import LcmFrames
 from drake_oa.world.depth_noise import FrameNoise
 from drake_oa.world.late_camera import BackgroundCamera, LateCamera
 from drake_oa.world.live_camera import FrameSource, LiveCamera, Outside, standing_pose
-from drake_oa.world.obstacles import add_obstacle
 from drake_oa.world.realsense import RealSenseFrames
+from drake_oa.world.world_model import add_world
 
 _logger = logging.getLogger("drake_oa")
 
@@ -265,71 +247,3 @@ def _refuse_movable(
                     "must stand still: weld it to the world by an add_weld, or write it under "
                     "`obstacles` with waypoints"
                 )
-
-
-def add_world(plant: MultibodyPlant, scenario: Scenario) -> ModelInstanceIndex:
-    """Adds the robot and everything else that stands in a scenario's world to a plant.
-
-    Args:
-        plant: registered with a scene graph, not finalized.
-        scenario: with a robot.
-
-    Returns:
-        The robot's model instance.
-
-    Raises:
-        ScenarioError: naming the field of the scenario that does not fit.
-    """
-    robot = add_robot(plant, robot_of(scenario))
-    parser = make_parser(plant)
-    try:
-        _check_directives(scenario.directives, parser.package_map())
-        with named_warnings():
-            ProcessModelDirectives(ModelDirectives(directives=scenario.directives), parser)
-    except RuntimeError as error:
-        raise ScenarioError(f"directives: {error}") from None
-    for obstacle in scenario.obstacles:
-        add_obstacle(plant, obstacle)
-    return robot
-
-
-def flat_directives(directives: list[ModelDirective]) -> list[ModelDirective]:
-    """Lists directives, with those of the files that `add_directives` names in its place."""
-    packages = make_parser(MultibodyPlant(0.0)).package_map()
-    _check_directives(directives, packages)
-    flat = FlattenModelDirectives(ModelDirectives(directives=directives), packages)
-    return list(flat.directives)
-
-
-def _check_directives(
-    directives: Sequence[ModelDirective], packages: PackageMap, chain: tuple[Path, ...] = ()
-) -> None:
-    """Refuses directives that include themselves, relative names in them, and wrong models.
-
-    Args:
-        directives: of the scenario, or of the last file of the chain.
-        packages: is told of installed packages of Python.
-        chain: files that led here, each named in the one before.
-    """
-    where = f"directives: '{chain[-1]}'" if chain else "directives"
-    for directive in directives:
-        block = directive.add_model or directive.add_directives
-        if block is None:
-            continue
-        if "://" not in block.file:
-            raise ScenarioError(
-                f"{where}: '{block.file}' must be a URL, package://NAME/... or file:///...; "
-                "only names in the scenario itself can be relative"
-            )
-        add_installed_package(packages, block.file, where)
-        file = Path(packages.ResolveUrl(block.file))
-        if directive.add_model is not None:
-            # What is no XML is refused by Drake.
-            with contextlib.suppress(ElementTree.ParseError, OSError):
-                check_links(ElementTree.parse(file).getroot(), file, packages, where)
-        elif file in chain:
-            names = " -> ".join(map(str, (*chain, file)))
-            raise ScenarioError(f"directives: files must not include themselves: {names}")
-        else:
-            nested = LoadModelDirectives(str(file)).directives
-            _check_directives(nested, packages, (*chain, file))

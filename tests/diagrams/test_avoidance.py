@@ -17,7 +17,7 @@ from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.report import motion_report
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.loading import load_scenario
-from drake_oa.world import station
+from drake_oa.world import world_model
 from tests.builders import skip_without_model
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
@@ -55,7 +55,7 @@ def test_the_robot_alone_is_parsed_once_and_a_world_once_a_user(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     parsed = []
-    for module in (plant, station):
+    for module in (plant, world_model):
         monkeypatch.setattr(
             module, "add_robot", lambda p, *a, **k: parsed.append(p) or add_robot(p, *a, **k)
         )

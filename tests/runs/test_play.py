@@ -12,7 +12,7 @@ from drake_oa.runs.motion_log import load_logs, save_logs
 from drake_oa.runs.play import TICK, PlaySession, movables
 from drake_oa.scenario.loading import load_scenario, parse_scenario
 from drake_oa.viewing.viewer import open_page, start_viewer
-from drake_oa.world.station import flat_directives
+from drake_oa.world.world_model import flat_directives
 
 SCENARIO = """
 task: {start: [0.45, -0.3, 0.3], goal: [0.45, 0.3, 0.3], duration: 1.5, clearance: 0.05}

@@ -22,7 +22,7 @@ from drake_oa.runs.replay import (
     world_positions,
 )
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
-from drake_oa.world.station import add_world
+from drake_oa.world.world_model import add_world
 from tests.builders import balls
 
 FREE = load_scenario("free_space")

@@ -81,7 +81,9 @@ def test_one_file_is_a_list_of_one_and_none_an_empty_one() -> None:
     assert scenario.task.demonstration == ["package://drake_oa/demonstrations/pour.csv"]
     again = parse_scenario(scenario_text(scenario))
     assert again.task.demonstration == scenario.task.demonstration
-    with pytest.raises(ScenarioError, match=r"task\.demonstration\[0\]: expected text, not 3"):
+    with pytest.raises(
+        ScenarioError, match=r"task\.demonstration\[0\]: should be a valid string, not 3"
+    ):
         parse_scenario("task: {demonstration: [3]}")
 
 

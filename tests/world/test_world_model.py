@@ -7,7 +7,7 @@ from pydrake.multibody.plant import MultibodyPlant
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.scenario.loading import parse_scenario
-from drake_oa.world.station import add_world
+from drake_oa.world.world_model import add_world
 
 SDF = """<sdf version="1.9"><model name="m"><link name="lamp">{mass}
 <collision name="c"><geometry>{solid}</geometry></collision></link></model></sdf>"""

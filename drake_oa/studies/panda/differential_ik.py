@@ -87,7 +87,8 @@ from drake_oa.safety.supervision import Supervision
 from drake_oa.scenario.end_poses import start_positions
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.scenario import Scenario, robot_of
-from drake_oa.world.station import Station, add_world, make_station
+from drake_oa.world.station import Station, make_station
+from drake_oa.world.world_model import add_world
 
 _EDGE_STEP = 0.1
 """Step of the collision checker's checks of edges, which are not used here [rad]."""
