@@ -33,10 +33,10 @@ from drake_oa.runs.metrics import RobotJudge
 from drake_oa.runs.motion_log import MotionEnd, MotionLog
 from drake_oa.runs.page import LivePanel
 from drake_oa.runs.simulation import AT_THE_GOAL, Ending, MotionWatcher, collect_log
+from drake_oa.scenario.end_poses import follow_joints
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX, Obstacle
 from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.scenario.sources import camera_configs
-from drake_oa.scenario.task_joints import follow_joints
 from drake_oa.viewing.camera_inset import CameraInset
 from drake_oa.viewing.drawing import DISTANCE
 from drake_oa.viewing.panel import LivePage

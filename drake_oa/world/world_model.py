@@ -1,4 +1,4 @@
-"""What stands in the world of a scenario, added to a plant."""
+"""Models of a scenario's world, added to a plant."""
 
 from __future__ import annotations
 
