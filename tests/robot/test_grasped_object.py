@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from pydrake.systems.framework import DiagramBuilder
 
-from drake_oa.common.config import ScenarioError
 from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.geometry.shapes import Box, Sphere
 from drake_oa.robot.config import Robot
@@ -12,7 +11,6 @@ from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.plant import make_robot_plant, tool_corners
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.scenario.end_poses import start_positions
-from drake_oa.scenario.loading import parse_scenario
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.world.station import make_station
@@ -86,8 +84,3 @@ def test_what_it_touches_counts_as_the_tool(scenario: Scenario) -> None:
     # The bar ends 5 cm from the middle of the ball.
     np.testing.assert_allclose(found.tool_clearance, [0.03], atol=2e-3)
     assert found.contacts == ()
-
-
-def test_refuses_a_box_without_volume() -> None:
-    with pytest.raises(ScenarioError, match=r"robot.carried\[0\].size.*outside \(0, 10\]"):
-        parse_scenario("robot: {carried: [!Box {size: [0.1, 0.0, 0.1]}]}")
