@@ -28,30 +28,15 @@ from drake_oa.regulation.proposals import (
 from drake_oa.regulation.regressor import load_chain
 from drake_oa.regulation.rollout import SpatialScenes
 from drake_oa.scenario.shipped import package_file
+from tests.regulation.scenes import random_scenes
 
 WEIGHTS = "package://drake_oa/weights"
 
 
 def some_scenes(seed: int, count: int = 3, obstacles: int = 4) -> SpatialScenes:
     """Scenes under way among ellipsoids that turn and move, some of which are not there."""
-    rng = np.random.default_rng(seed)
-    center = rng.uniform(-0.4, 1.0, (count, obstacles, 3))
-    center[:, 1:][rng.random((count, obstacles - 1)) < 0.4] = np.nan
-    R = np.linalg.qr(rng.standard_normal((count, obstacles, 3, 3)))[0]
-    R_WL = np.linalg.qr(rng.standard_normal((count, 3, 3)))[0]
-    return SpatialScenes(
-        p_WE=rng.uniform(-0.2, 0.5, (count, 3)),
-        z_W=rng.uniform(-0.5, 0.5, (count, 3)),
-        p_WG=rng.uniform(-1.0, 1.0, (count, 3)),
-        R_WL=R_WL * np.linalg.det(R_WL)[:, None, None],
-        baseline=rng.uniform(0.5, 2.0, count),
-        p_WO=center,
-        R_WO=R,
-        semi_axes=rng.uniform(0.02, 0.3, (count, obstacles, 3)),
-        v_WO=rng.uniform(-0.2, 0.2, (count, obstacles, 3)),
-        asked_clearance=rng.uniform(0.02, 0.2, (count, obstacles)),
-        s=0.3,
-    )
+    scenes = random_scenes(seed, obstacles, 0.2, count=count, pace=0.5)
+    return replace(scenes, p_WE=scenes.p_WE + 0.1, s=0.3)
 
 
 @given(st.integers(0, 50))

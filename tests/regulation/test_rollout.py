@@ -16,13 +16,12 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
-from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import CouplingParameters, EllipsoidSet, FloatArray, IntArray
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
-from drake_oa.policy.dmp import imitate, local_frame, minimum_jerk
+from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.regulation.rollout import (
     FEW_BLOCKS,
@@ -32,6 +31,7 @@ from drake_oa.regulation.rollout import (
 )
 from tests.builders import read
 from tests.reference.rollout import rollouts as readable_rollouts
+from tests.regulation.scenes import random_scenes
 
 seeds = st.integers(0, 2**32 - 1)
 FEW = settings(max_examples=10)
@@ -42,39 +42,10 @@ Scene = tuple[SpatialScenes, FloatArray]
 """One scene and its term (1, 13)."""
 
 
-def random_scene(seed: int, *, size: float = 1.0) -> Scene:
-    """A term about a point near the baseline among one to six ellipsoids."""
-    rng = np.random.default_rng(seed)
-    M = int(rng.integers(1, 7))
-    start, way = rng.normal(size=(2, 3)) * [[size], [1.0]]
-    L = size * math.exp(rng.uniform(math.log(0.3), math.log(2.0)))
-    goal = start + L * way / np.linalg.norm(way)
-    R_WL = local_frame(start, goal)
-    across = rng.uniform(-0.3, 0.3, (M, 3)) * [0.0, 1.0, 1.0]
-    along = rng.uniform(0.15, 0.85, (M, 1)) * [1.0, 0.0, 0.0]
-    scenes = SpatialScenes(
-        p_WE=start[None],
-        z_W=np.zeros((1, 3)),
-        p_WG=goal[None],
-        R_WL=R_WL[None],
-        baseline=np.array([L]),
-        p_WO=(start + L * (along + across) @ R_WL.T)[None],
-        R_WO=Rotation.random(M, random_state=seed).as_matrix()[None],
-        semi_axes=(L * np.exp(rng.uniform(math.log(0.02), math.log(0.25), (M, 3))))[None],
-        v_WO=(0.15 * L * rng.normal(size=(M, 3)) * rng.integers(0, 2, (M, 1)))[None],
-        asked_clearance=np.full((1, M), 0.1 * L),
-    )
-    terms = np.zeros((1, N_COLUMNS))
-    foot = np.array([rng.uniform(0.2, 0.8), 0.0, 0.0])
-    # On the baseline, where the motion sets out straight at it, or off it.
-    foot[1:] = rng.uniform(-0.1, 0.1, 2) * rng.integers(0, 2)
-    terms[0, :3] = start + L * R_WL @ foot
-    terms[0, ALPHA] = math.exp(rng.uniform(1.0, 7.0))
-    terms[0, PSI] = rng.uniform(0.4, 2.0)
-    terms[0, KAPPA] = math.exp(rng.uniform(0.0, 4.0)) / L**2
-    angle = rng.uniform(0.0, 6.28)
-    terms[0, NORMAL : NORMAL + 3] = R_WL @ [0.0, -math.sin(angle), math.cos(angle)]
-    return scenes, terms
+def one_scene(seed: int, **how: Any) -> Scene:
+    """A term about a point on the baseline, and one ellipsoid in the way."""
+    scenes = random_scenes(seed, 1, count=1, **how)
+    return scenes, random_terms(scenes, seed, rows=1, log_alpha=7.0)[1]
 
 
 def roll_out(scene: Scene, *, steps: int = 250, **options: object) -> SpatialRollouts:
@@ -119,41 +90,19 @@ SETTINGS: dict[str, Any] = {
 }
 
 
-def random_scenes(seed: int, M: int, speed: float = 0.0) -> SpatialScenes:
-    """Random frames, goals and flat ellipsoids about the baselines, some hit, some grazed."""
+def random_terms(
+    scenes: SpatialScenes, seed: int, rows: int = ROWS, log_alpha: float = 26.0
+) -> tuple[IntArray, FloatArray]:
+    """Terms of any strength, so many rows a scene, on every side."""
     rng = np.random.default_rng(seed)
-    L = rng.uniform(0.5, 2.0, S)
-    R_WL = Rotation.random(S, random_state=seed).as_matrix()
-    start = rng.normal(size=(S, 3))
-    place = np.stack([rng.uniform(0.25, 0.75, (S, M)), *rng.normal(0.0, 0.08, (2, S, M))], axis=2)
-    center = start[:, None] + L[:, None, None] * np.einsum("sij,smj->smi", R_WL, place)
-    if M > 1:
-        center[rng.random((S, M)) < 0.2] = np.nan
-    return SpatialScenes(
-        p_WE=start,
-        z_W=0.05 * rng.normal(size=(S, 3)),
-        p_WG=start + L[:, None] * R_WL[:, :, 0],
-        R_WL=R_WL,
-        baseline=L,
-        p_WO=center,
-        R_WO=Rotation.random(S * M, random_state=seed).as_matrix().reshape(S, M, 3, 3),
-        semi_axes=rng.uniform(0.025, 0.25, (S, M, 3)),
-        v_WO=speed * rng.normal(size=(S, M, 3)),
-        asked_clearance=np.full((S, M), 0.15),
-    )
-
-
-def random_terms(scenes: SpatialScenes, seed: int) -> tuple[IntArray, FloatArray]:
-    """Terms of any strength, `ROWS` a scene, on every side."""
-    rng = np.random.default_rng(seed)
-    scene = np.repeat(np.arange(S), ROWS)
+    scene = np.repeat(np.arange(len(scenes.baseline)), rows)
     L, R = scenes.baseline[scene], scenes.R_WL[scene]
     N = len(scene)
     angle = rng.uniform(0.0, 2.0 * math.pi, N)[:, None]
     terms = np.zeros((N, N_COLUMNS))
     terms[:, :3] = scenes.p_WS[scene] + (rng.uniform(0.2, 0.8, N) * L)[:, None] * R[:, :, 0]
     terms[:, NORMAL : NORMAL + 3] = np.cos(angle) * R[:, :, 2] - np.sin(angle) * R[:, :, 1]
-    terms[:, ALPHA] = np.exp(rng.uniform(-0.7, 26.0, N)) * (rng.random(N) < 0.9)
+    terms[:, ALPHA] = np.exp(rng.uniform(-0.7, log_alpha, N)) * (rng.random(N) < 0.9)
     terms[:, PSI] = np.exp(rng.uniform(math.log(0.2), math.log(4.0), N))
     terms[:, KAPPA] = np.exp(rng.uniform(math.log(0.2), math.log(150.0), N)) / L**2
     return scene, terms
@@ -211,7 +160,7 @@ def test_few_blocks_come_to_the_same_as_many() -> None:
 @MANY
 @given(seed=seeds, seconds=st.floats(0.5, 5.0))
 def test_between_its_steps_a_motion_comes_hardly_nearer(seed: int, seconds: float) -> None:
-    scenes, terms = random_scene(seed)
+    scenes, terms = one_scene(seed, speed=0.1)
     found = roll_out((scenes, terms), steps=500, seconds=seconds)
     assume(not found.contact[0])
     path, kept, L = found.path[0], found.kept_clearance[0], float(scenes.baseline[0])
@@ -224,7 +173,7 @@ def test_between_its_steps_a_motion_comes_hardly_nearer(seed: int, seconds: floa
 @FEW
 @given(seed=seeds)
 def test_the_integrator_in_drake_follows_it(seed: int) -> None:
-    (scenes, terms), steps, T = random_scene(seed), 100, 2.0
+    (scenes, terms), steps, T = one_scene(seed, pace=0.0), 100, 2.0
     dmp = imitate(*minimum_jerk(np.zeros(3), (1.0, 0.0, 0.0), duration=T))
     coupling = CouplingParameters(
         *np.ascontiguousarray(terms[:, [ALPHA, PSI, KAPPA]].T),
@@ -282,7 +231,7 @@ def test_odd_but_finite_scenes_yield_finite_motions(
     fade: float,
     about_obstacle: bool,
 ) -> None:
-    scenes, terms = random_scene(seed, size=size)
+    scenes, terms = one_scene(seed, size=size)
     way = scenes.p_WG - scenes.p_WE
     p_WO = scenes.p_WO.copy()
     p_WO[0, 0] = scenes.p_WE[0] + where * way[0]
