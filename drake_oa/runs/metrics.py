@@ -6,13 +6,20 @@ own distance and contact queries: nothing that steered the motion judges it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from pydrake.geometry import GeometryId, HalfSpace, QueryObject, SceneGraphInspector
-from pydrake.multibody.tree import ModelInstanceIndex, RigidBody
+from pydrake.geometry import (
+    GeometryId,
+    HalfSpace,
+    QueryObject,
+    SceneGraphInspector,
+    SignedDistancePair,
+)
+from pydrake.multibody.tree import BodyIndex, RigidBody
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from drake_oa.common.messages import OUT_OF_WORLD, EllipsoidSet, FloatArray
@@ -55,31 +62,8 @@ class MotionMetrics:
     p_WE: FloatArray
 
 
-Touching = Sequence[tuple[str, float]]
-"""Pairs in contact at one instant and their penetrations [m]."""
-
-
-class _ContactRecord:
-    """Tells contacts that a motion started in from those it made."""
-
-    def __init__(self) -> None:
-        self.depth: dict[str, float] = {}
-        self.own_depth: dict[str, float] = {}
-        self.initial: tuple[str, ...] = ()
-        self.made: dict[str, None] = {}
-        self._before: set[str] | None = None
-
-    def add(self, touching: Touching, own: Touching = ()) -> None:
-        """Adds the pairs in contact at the next instant and their penetrations [m]."""
-        for known, pairs in ((self.depth, touching), (self.own_depth, own)):
-            for pair, depth in pairs:
-                known[pair] = max(known.get(pair, 0.0), depth)
-        present = dict.fromkeys(pair for pair, _ in touching)
-        if self._before is None:
-            self.initial = tuple(present)
-        else:
-            self.made |= {pair: None for pair in present if pair not in self._before}
-        self._before = set(present)
+Contacts = dict[str, float]
+"""Pairs in contact at one instant -> their greatest penetrations [m]."""
 
 
 def path_length(path: FloatArray) -> float:
@@ -98,26 +82,49 @@ def free_point_metrics(p_WE: FloatArray, ellipsoids: EllipsoidSet) -> MotionMetr
     nearest = clearance.min(axis=1, initial=np.inf)
     resting = clearance[:, ~ellipsoids.v_WO.any(axis=1)].min(axis=1, initial=np.inf)
     names = np.array([f"tool point - ellipsoid {i}" for i in ellipsoids.ids], dtype=str)
-    record = _ContactRecord()
-    for row in clearance:
-        record.add([(str(names[i]), float(-row[i])) for i in np.flatnonzero(row <= 0.0)])
-    return _metrics(record, np.stack([nearest, nearest, resting]), p_WE)
+    contacts = [
+        {str(names[i]): float(-row[i]) for i in np.flatnonzero(row <= 0.0)} for row in clearance
+    ]
+    return _metrics(contacts, [], np.stack([nearest, nearest, resting]), p_WE)
 
 
-def _metrics(record: _ContactRecord, clearance: FloatArray, p_WE: FloatArray) -> MotionMetrics:
-    """From the (3, T) clearances of robot, tool, and tool to what rests."""
+def _metrics(
+    contacts: Sequence[Contacts],
+    self_contacts: Sequence[Contacts],
+    clearance: FloatArray,
+    p_WE: FloatArray,
+) -> MotionMetrics:
+    """Returns the metrics of a motion.
+
+    Args:
+        contacts: of each instant.
+        self_contacts: of each instant.
+        clearance: (3, T) clearances of the robot, of the tool, and of the tool to what rests [m].
+        p_WE: (T, 3) tool point [m].
+    """
     robot, tool, resting = clearance
+    depth, own_depth = _greatest(contacts), _greatest(self_contacts)
+    made = [pair for before, now in pairwise(contacts) for pair in now if pair not in before]
     return MotionMetrics(
-        contacts=tuple(record.depth),
-        initial_contacts=record.initial,
-        made_contacts=tuple(record.made),
-        self_contacts=tuple(record.own_depth),
-        contact_depth=record.depth | record.own_depth,
+        contacts=tuple(depth),
+        initial_contacts=tuple(contacts[0]) if contacts else (),
+        made_contacts=tuple(dict.fromkeys(made)),
+        self_contacts=tuple(own_depth),
+        contact_depth=depth | own_depth,
         tool_clearance=tool,
         resting_clearance=resting,
         robot_clearance=robot,
         p_WE=p_WE,
     )
+
+
+def _greatest(instants: Iterable[Contacts]) -> Contacts:
+    """Returns the greatest penetration of each pair, in order of first contact."""
+    found: Contacts = {}
+    for contacts in instants:
+        for pair, depth in contacts.items():
+            found[pair] = max(found.get(pair, 0.0), depth)
+    return found
 
 
 class Nearest(NamedTuple):
@@ -132,33 +139,29 @@ class RobotJudge:
     """Asks SceneGraph about one configuration of a scenario's robot after another."""
 
     def __init__(self, scenario: Scenario) -> None:
-        """Builds the station, which takes most of the time that a few configurations take.
+        """Builds the station, which takes as long as judging many configurations.
 
         Args:
-            scenario: with a robot; it says what stands in the world.
+            scenario: with a robot; it defines the world.
 
         Raises:
             ScenarioError: if the station cannot be built.
         """
         builder = DiagramBuilder()
         self._station = make_station(builder, scenario, render=False)
-        diagram = builder.Build()
-        self._diagram = diagram  # Owns plant and scene graph.
-        self._plant = self._station.plant
-        root = diagram.CreateDefaultContext()
-        self._root = root
-        self._plant_context = self._plant.GetMyMutableContextFromRoot(root)
+        self._diagram = builder.Build()  # Owns plant and scene graph.
+        self._plant, graph = self._station.plant, self._station.scene_graph
+        self._root = self._diagram.CreateDefaultContext()
+        self._plant_context = self._plant.GetMyMutableContextFromRoot(self._root)
         self._q_world = self._plant.GetPositions(self._plant_context)
-        graph = self._station.scene_graph
-        self._graph_context = graph.GetMyContextFromRoot(root)
+        self._graph_context = graph.GetMyContextFromRoot(self._root)
         self._query_port = graph.get_query_output_port()
         self._tool_frame = self._plant.GetFrameByName(TOOL_FRAME)
-        self._body = {}
-        for instance in map(ModelInstanceIndex, range(self._plant.num_model_instances())):
-            for index in self._plant.GetBodyIndices(instance):
-                body = self._plant.get_body(index)
-                for geometry in self._plant.GetCollisionGeometriesForBody(body):
-                    self._body[geometry] = body
+        self._body = {
+            geometry: body
+            for body in map(self._plant.get_body, map(BodyIndex, range(self._plant.num_bodies())))
+            for geometry in self._plant.GetCollisionGeometriesForBody(body)
+        }
         robot = [g for g in self._body if self._is_robot(g)]
         obstacles = [
             g for g, b in self._body.items() if b.model_instance() in self._station.obstacles
@@ -168,7 +171,7 @@ class RobotJudge:
         self._obstacle_balls = _Balls(inspector, obstacles, self._body)
         of_tool = tool_links(scenario.robot) if scenario.robot else []
         self._tool = np.array([self._body[g].name() in of_tool for g in robot], bool)
-        # What is driven hangs on slides.
+        # Driven obstacles hang on slides.
         self._rests = np.array(
             [self._plant.num_positions(self._body[g].model_instance()) == 0 for g in obstacles],
             bool,
@@ -200,16 +203,21 @@ class RobotJudge:
                 f"q_world: shape {q_world.shape} must be ({len(q)}, {len(self._q_world)}): an "
                 "instant a row, a position of the scenario's world a column"
             )
-        record = _ContactRecord()
+        contacts, own = [], []
         clearance, p_WE = np.empty((3, len(q))), np.empty((len(q), 3))
         for row, positions in enumerate(q):
-            self._plant.SetPositions(self._plant_context, q_world[row])
-            self._plant.SetPositions(self._plant_context, self._station.robot, positions)
-            query = self._query_port.Eval(self._graph_context)
-            record.add(*self._contacts(query))
+            query = self._query_at(positions, q_world[row])
+            for known, found in zip((contacts, own), self._contacts(query), strict=True):
+                known.append(found)
             clearance[:, row] = self._clearances(query)
             p_WE[row] = self._tool_frame.CalcPoseInWorld(self._plant_context).translation()
-        return _metrics(record, clearance, p_WE)
+        return _metrics(contacts, own, clearance, p_WE)
+
+    def _query_at(self, q: FloatArray, q_world: FloatArray) -> QueryObject:
+        """Returns the query object with the world at positions (n,), its robot at (nq,)."""
+        self._plant.SetPositions(self._plant_context, q_world)
+        self._plant.SetPositions(self._plant_context, self._station.robot, q)
+        return self._query_port.Eval(self._graph_context)
 
     def nearest(self, q: FloatArray, q_world: FloatArray) -> Nearest | None:
         """The robot's and an obstacle's nearest points; None while there is no obstacle.
@@ -218,19 +226,12 @@ class RobotJudge:
             q: (nq,) positions of the robot, in the plant's order.
             q_world: (n,) all positions of the station's plant.
         """
-        self._plant.SetPositions(self._plant_context, q_world)
-        self._plant.SetPositions(self._plant_context, self._station.robot, q)
-        query = self._query_port.Eval(self._graph_context)
-        ours, others = self._robot_balls, self._obstacle_balls
-        bound = self._bounds()
+        query = self._query_at(q, q_world)
         found, least = None, OUT_OF_WORLD
-        for pair in np.argsort(bound, axis=None):
-            i, j = divmod(int(pair), len(others.radius))
-            if bound[i, j] >= least:
+        for bound, i, j in self._pairs():
+            if bound >= least:
                 break
-            hit = query.ComputeSignedDistancePairClosestPoints(
-                ours.geometries[i], others.geometries[j]
-            )
+            hit = self._closest_points(query, i, j)
             if hit.distance < least:
                 found, least = hit, hit.distance
         if found is None:
@@ -238,50 +239,57 @@ class RobotJudge:
         p_WA = query.GetPoseInWorld(found.id_A) @ found.p_ACa
         return Nearest(found.distance, p_WA, query.GetPoseInWorld(found.id_B) @ found.p_BCb)
 
-    def _contacts(self, query: QueryObject) -> tuple[Touching, Touching]:
-        """Contacts "link - object" of the robot, and "link - link" of the robot with itself."""
-        found: list[tuple[str, float]] = []
-        own: list[tuple[str, float]] = []
+    def _contacts(self, query: QueryObject) -> tuple[Contacts, Contacts]:
+        """Returns contacts "link - object" of the robot, and "link - link" of its own links."""
+        found: Contacts = {}
+        own: Contacts = {}
         for hit in query.ComputePointPairPenetration():
-            a, b = hit.id_A, hit.id_B
-            if self._is_robot(a) != self._is_robot(b):
-                link, thing = (a, b) if self._is_robot(a) else (b, a)
-                model = self._plant.GetModelInstanceName(self._body[thing].model_instance())
-                found.append((f"{self._body[link].name()} - {model}", hit.depth))
-            elif self._is_robot(a):
-                pair = " - ".join(sorted((self._body[a].name(), self._body[b].name())))
-                own.append((pair, hit.depth))
+            first, second = sorted((hit.id_A, hit.id_B), key=self._is_robot, reverse=True)
+            link, other = self._body[first], self._body[second]
+            if self._is_robot(second):
+                known, pair = own, " - ".join(sorted((link.name(), other.name())))
+            elif self._is_robot(first):
+                model = self._plant.GetModelInstanceName(other.model_instance())
+                known, pair = found, f"{link.name()} - {model}"
+            else:
+                continue
+            known[pair] = max(known.get(pair, 0.0), hit.depth)
         return found, own
 
-    def _bounds(self) -> FloatArray:
-        """(M, N) that no geometry of the robot and of the obstacles is nearer than [m]."""
+    def _pairs(self) -> Iterator[tuple[float, int, int]]:
+        """Yields lower bounds of distances [m] in ascending order.
+
+        Each with the indices of a geometry of the robot and one of the obstacles.
+        """
         ours, others = self._robot_balls, self._obstacle_balls
         apart = ours.centers(self._plant_context)[:, None] - others.centers(self._plant_context)
-        # No pair is nearer than the balls round both.
-        bound: FloatArray = np.linalg.norm(apart, axis=2) - ours.radius[:, None] - others.radius
-        return bound
+        # No pair is nearer than the balls around both.
+        bound = np.linalg.norm(apart, axis=2) - ours.radius[:, None] - others.radius
+        for pair in np.argsort(bound, axis=None):
+            i, j = divmod(int(pair), bound.shape[1])
+            yield bound[i, j], i, j
+
+    def _closest_points(self, query: QueryObject, i: int, j: int) -> SignedDistancePair:
+        return query.ComputeSignedDistancePairClosestPoints(
+            self._robot_balls.geometries[i], self._obstacle_balls.geometries[j]
+        )
 
     def _clearances(self, query: QueryObject) -> FloatArray:
-        """(3,) least distance to the obstacles that are there [m].
+        """Returns (3,) least distances to the obstacles that are there [m].
 
         Of the robot, of the tool, and of the tool to what never moves.
         """
-        ours, others = self._robot_balls, self._obstacle_balls
-        bound = self._bounds()
         least = np.full(3, np.inf)
         sought = np.array([True, self._tool.any(), bool(self._tool.any() and self._rests.any())])
-        for pair in np.argsort(bound, axis=None):
-            i, j = divmod(int(pair), len(others.radius))
-            if bound[i, j] >= min(least[sought].max(), OUT_OF_WORLD):
+        for bound, i, j in self._pairs():
+            if bound >= min(least[sought].max(), OUT_OF_WORLD):
                 break
             counts = np.array([True, self._tool[i], self._tool[i] and self._rests[j]])
-            counts &= bound[i, j] < least
-            if not counts.any():
-                continue
-            hit = query.ComputeSignedDistancePairClosestPoints(
-                ours.geometries[i], others.geometries[j]
-            )
-            least[counts] = np.minimum(least[counts], hit.distance)
+            counts &= bound < least
+            if counts.any():
+                least[counts] = np.minimum(
+                    least[counts], self._closest_points(query, i, j).distance
+                )
         return least
 
 
