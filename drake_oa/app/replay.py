@@ -140,7 +140,7 @@ def _plot_log(log: Path, out: Path) -> None:
     from drake_oa.runs.motion_log import load_logs
     from drake_oa.runs.plots import place_demonstrations, plot_run
     from drake_oa.runs.replay import choose_motion, logged_scenario
-    from drake_oa.runs.report import judge_of, motion_metrics
+    from drake_oa.runs.report import motion_metrics
     from drake_oa.scenario.loading import scenario_files
 
     logs = load_logs(log)
@@ -149,8 +149,7 @@ def _plot_log(log: Path, out: Path) -> None:
     scenario = logged_scenario(log, logs[chosen])
     check_outputs(out, read=[log, *scenario_files(scenario)])
     with build_errors():
-        judge = judge_of(scenario)
-        metrics = {name: motion_metrics(scenario, of, judge) for name, of in logs.items()}
+        metrics = {name: motion_metrics(scenario, of) for name, of in logs.items()}
     title = f"{log.stem}: {scenario.description}".removesuffix(": ")
     try:
         shown = place_demonstrations(scenario)

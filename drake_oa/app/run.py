@@ -36,7 +36,6 @@ from drake_oa.common.files import (
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
 
-    from drake_oa.runs.metrics import RobotJudge
     from drake_oa.runs.motion_log import MotionLog
     from drake_oa.runs.page import LivePanel
     from drake_oa.scenario.scenario import Scenario
@@ -77,7 +76,6 @@ class _Ran:
 
     scenario: Scenario
     logs: dict[str, MotionLog]
-    judge: RobotJudge | None = None
     failure: BaseException | None = None
     log_error: str | None = None
 
@@ -334,13 +332,11 @@ def _simulate_both(
 ) -> _Ran:
     """Both motions, or what ran until one was cut short."""
     from drake_oa.diagrams.avoidance import build_avoidance
-    from drake_oa.runs.report import judge_of
     from drake_oa.runs.scenario_check import end_contacts
     from drake_oa.runs.simulation import simulate
 
     with build_errors():
-        judge = judge_of(scenario)
-        if contacts := end_contacts(scenario, judge):
+        if contacts := end_contacts(scenario):
             raise ValueError(contacts)
         # What the modulated motion lacks is told before the first one is simulated.
         built = build_avoidance(scenario, meshcat=meshcat)
@@ -357,7 +353,7 @@ def _simulate_both(
             diagram=built if modulated else None,
         )
 
-    ran = _Ran(scenario, {}, judge)
+    ran = _Ran(scenario, {})
     for name in ("preplanned", "modulated"):
         shown = meshcat if name == "modulated" else None
         ran = _logged(ran, name, motion, outputs, shown, log_file, raise_if_asked)
@@ -432,7 +428,7 @@ def _logged(
         except OSError as error:
             # A disk that is full by now must not cost the report as well.
             log_error = str(error)
-    return _Ran(ran.scenario, logs, ran.judge, failure, log_error)
+    return _Ran(ran.scenario, logs, failure, log_error)
 
 
 def _report(outputs: _Outputs, name: str, ran: _Ran, meshcat: Meshcat | None) -> int:
@@ -447,7 +443,7 @@ def _report(outputs: _Outputs, name: str, ran: _Ran, meshcat: Meshcat | None) ->
     from drake_oa.runs.report import contact_error, report_table, run_report
 
     logs = ran.logs
-    report = run_report(name, ran.scenario, logs, ran.judge)
+    report = run_report(name, ran.scenario, logs)
     # Printed after all files are written: standard error may be a pipe that its reader closed.
     lines: list[str] = []
 

@@ -160,7 +160,6 @@ def check(
     check_outputs(file, read=[scenario_path(scenario)])
     wrong = scenario_problems(scenario, overrides)
     if not wrong:
-        from drake_oa.runs.metrics import RobotJudge
         from drake_oa.runs.scenario_check import end_contacts, end_table, unbuildable
 
         chosen = load_scenario(scenario, overrides)
@@ -175,9 +174,7 @@ def check(
         print(f"{name}: nothing is wrong; without a robot there is nothing to draw")
         return 0
     with build_errors(), quiet():
-        judge = RobotJudge(chosen)
-        table = end_table(chosen, judge)
-        contacts = end_contacts(chosen, judge)
+        table, contacts = end_table(chosen), end_contacts(chosen)
     show(table)
     if file is not None:
         from drake_oa.viewing.still import draw_scenario

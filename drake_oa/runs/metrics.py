@@ -27,6 +27,7 @@ from drake_oa.geometry.collision_shapes import outline_corners
 from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.plant import TOOL_FRAME
+from drake_oa.scenario.loading import scenario_text
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.world.station import make_station
 
@@ -324,8 +325,23 @@ class _Balls:
         return np.asarray(np.einsum("nij,nj->ni", X_WB[:, :, :3], self._p_BC) + X_WB[:, :, 3])
 
 
+_JUDGES: dict[str, RobotJudge] = {}
+"""Judges of this process by the text of their scenarios."""
+_MOST_JUDGES = 4
+
+
+def robot_judge(scenario: Scenario) -> RobotJudge:
+    """Returns the judge of a scenario's robot; its station is built once for equal scenarios."""
+    text = scenario_text(scenario)
+    if text not in _JUDGES:
+        _JUDGES[text] = RobotJudge(scenario)
+    while len(_JUDGES) > _MOST_JUDGES:
+        del _JUDGES[next(iter(_JUDGES))]
+    return _JUDGES[text]
+
+
 def robot_metrics(
     scenario: Scenario, q: FloatArray, q_world: FloatArray | None = None
 ) -> MotionMetrics:
-    """`RobotJudge.metrics` of one motion in a scenario."""
-    return RobotJudge(scenario).metrics(q, q_world)
+    """Computes `RobotJudge.metrics` of one motion in a scenario."""
+    return robot_judge(scenario).metrics(q, q_world)

@@ -11,9 +11,8 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.perception.config import CameraSource
 from drake_oa.regulation.config import Paper
 from drake_oa.robot.plant import make_robot_plant
-from drake_oa.runs.metrics import RobotJudge
+from drake_oa.runs.metrics import robot_judge
 from drake_oa.runs.motion_log import MotionLog
-from drake_oa.runs.report import judge_of
 from drake_oa.runs.simulation import MotionWatcher, motion_state
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.viewing.panel import LivePage, Reading, panel_page
@@ -30,13 +29,12 @@ def motion_name(avoids: bool) -> str:
 class PanelReadings:
     """Readings of one motion, instant after instant, with minima and contacts so far."""
 
-    def __init__(self, scenario: Scenario, avoids: bool, judge: RobotJudge | None = None) -> None:
+    def __init__(self, scenario: Scenario, avoids: bool) -> None:
         """Takes what measures the clearances, by the true geometry.
 
         Args:
             scenario: what is run.
             avoids: whether the motion avoids obstacles.
-            judge: of the scenario; None: one is built.
         """
         self._method = motion_name(avoids)
         if avoids:
@@ -46,7 +44,7 @@ class PanelReadings:
         self._requested = [f", requested {scenario.task.clearance:g}", ""]
         if not isinstance(scenario.regulation, Paper):
             self._requested[1] = f", requested {scenario.regulation.link_clearance:g}"
-        self._judge = judge or judge_of(scenario)
+        self._judge = robot_judge(scenario) if scenario.robot else None
         self._least = np.full(2, math.inf)
         self._contacts: dict[str, None] = {}
 
@@ -126,15 +124,9 @@ def label_page(
 class LivePanel:
     """Fills the panel of a live page from a running diagram."""
 
-    def __init__(
-        self,
-        page: LivePage,
-        scenario: Scenario,
-        avoids: bool = True,
-        judge: RobotJudge | None = None,
-    ) -> None:
+    def __init__(self, page: LivePage, scenario: Scenario, avoids: bool = True) -> None:
         """Takes the page and the motion, see `PanelReadings`."""
-        self._page, self._readings = page, PanelReadings(scenario, avoids, judge)
+        self._page, self._readings = page, PanelReadings(scenario, avoids)
         self._next, self._state = 0.0, ""
 
     def __call__(self, watcher: MotionWatcher, root: Context, state: str = "") -> None:

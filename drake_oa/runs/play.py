@@ -29,7 +29,7 @@ from drake_oa.geometry.shapes import Sphere
 from drake_oa.perception.config import CameraSource, GroundTruth
 from drake_oa.regulation.config import Paper, Verified
 from drake_oa.robot.plant import base_pose, make_robot_plant
-from drake_oa.runs.metrics import RobotJudge
+from drake_oa.runs.metrics import robot_judge
 from drake_oa.runs.motion_log import MotionEnd, MotionLog
 from drake_oa.runs.page import LivePanel
 from drake_oa.runs.simulation import AT_THE_GOAL, Ending, MotionWatcher, collect_log
@@ -304,7 +304,7 @@ class PlaySession:
         try:
             scenario = self._chosen(choice, q)
             diagram = build_avoidance(scenario, modulated=modulated, meshcat=self._meshcat)
-            judge = RobotJudge(scenario)
+            judge = robot_judge(scenario)
             simulator = Simulator(diagram)
             watcher = MotionWatcher(diagram, scenario, math.inf)
             touched = judge.metrics(*watcher.positions(simulator.get_context())).contacts
@@ -322,7 +322,7 @@ class PlaySession:
         self._thrown = choice.thrown
         self._playing, self._played, self._judge = choice, scenario, judge
         self._simulator, self._watcher = simulator, watcher
-        self._panel = LivePanel(self.page, scenario, modulated, judge)
+        self._panel = LivePanel(self.page, scenario, modulated)
         simulator.Initialize()
         simulator.set_monitor(watcher)
         if not choice.seen:

@@ -14,7 +14,7 @@ from drake_oa.geometry.ellipsoid_kernels import feasible_clearance
 from drake_oa.geometry.rotation import rotation_vector
 from drake_oa.perception.config import LiveCameras
 from drake_oa.policy.orientation_dmp import exponential, rotation_matrix
-from drake_oa.runs.metrics import MotionMetrics, RobotJudge, free_point_metrics, path_length
+from drake_oa.runs.metrics import MotionMetrics, free_point_metrics, path_length, robot_metrics
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.scenario.end_poses import end_positions, end_rotations
 from drake_oa.scenario.perception import GivenEllipsoids
@@ -28,34 +28,22 @@ _COST_KEYS = {"regulation": "decision_cost", "evasion": "evasion_cost", "turn": 
 """Layer -> key of the costs of its decisions in the report."""
 
 
-def judge_of(scenario: Scenario) -> RobotJudge | None:
-    """To be shared by all that is judged of one scenario; None without a robot."""
-    return None if scenario.robot is None else RobotJudge(scenario)
-
-
-def motion_metrics(
-    scenario: Scenario, log: MotionLog, judge: RobotJudge | None = None
-) -> MotionMetrics:
+def motion_metrics(scenario: Scenario, log: MotionLog) -> MotionMetrics:
     """Judges a logged motion: by SceneGraph, or by the given ellipsoids without a robot.
 
     Args:
         scenario: what was run.
         log: of the motion.
-        judge: of the scenario's robot; None: one is built.
     """
     if scenario.robot is not None:
-        return (judge or RobotJudge(scenario)).metrics(log.q, log.q_world)
+        return robot_metrics(scenario, log.q, log.q_world)
     return free_point_metrics(log.desired_position, _given(scenario))
 
 
-def feasible_clearance_of(scenario: Scenario, judge: RobotJudge | None = None) -> float:
+def feasible_clearance_of(scenario: Scenario) -> float:
     """min(Delta, true clearance of the tool at the start, at the goal) to what rests [m].
 
     Nobody can keep more; 0 where start or goal touches. Of a goal that moves, the last counts.
-
-    Args:
-        scenario: the scenario.
-        judge: as in `motion_metrics`.
 
     Raises:
         ScenarioError: if start or goal is out of reach.
@@ -66,7 +54,7 @@ def feasible_clearance_of(scenario: Scenario, judge: RobotJudge | None = None) -
         left = free_point_metrics(ends, _given(scenario)).resting_clearance
     else:
         ends = np.stack(end_positions(scenario))
-        left = (judge or RobotJudge(scenario)).metrics(ends).resting_clearance
+        left = robot_metrics(scenario, ends).resting_clearance
     return float(max(feasible_clearance(task.clearance, *left), 0.0))
 
 
@@ -74,7 +62,6 @@ def motion_report(
     scenario: Scenario,
     log: MotionLog,
     feasible: float | None = None,
-    judge: RobotJudge | None = None,
 ) -> dict[str, Any]:
     """The figures of one motion; distances in metres, times in seconds.
 
@@ -106,12 +93,10 @@ def motion_report(
         scenario: what was run.
         log: of the motion.
         feasible: `feasible_clearance_of` the scenario; None: it is asked for.
-        judge: as in `motion_metrics`.
     """
-    judge = judge or judge_of(scenario)
-    metrics, period = motion_metrics(scenario, log, judge), perception_period(scenario)
+    metrics, period = motion_metrics(scenario, log), perception_period(scenario)
     if feasible is None:
-        feasible = feasible_clearance_of(scenario, judge)
+        feasible = feasible_clearance_of(scenario)
     kept = float(metrics.resting_clearance.min(initial=math.inf))
     nearest = _finite(metrics.robot_clearance.min(initial=math.inf))
     measured = nearest is not None or not isinstance(scenario.perception, LiveCameras)
@@ -216,23 +201,17 @@ def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def run_report(
-    name: str, scenario: Scenario, logs: dict[str, MotionLog], judge: RobotJudge | None = None
-) -> dict[str, Any]:
+def run_report(name: str, scenario: Scenario, logs: dict[str, MotionLog]) -> dict[str, Any]:
     """The report of `drake-oa run --json`; see `motion_report` for each motion.
 
     Args:
         name: the scenario's name.
         scenario: the scenario.
         logs: "preplanned" and "modulated" -> their logs.
-        judge: as in `motion_metrics`.
     """
     report: dict[str, Any] = {"scenario": name, "seed": scenario.seed}
-    judge = judge or judge_of(scenario)
-    feasible = feasible_clearance_of(scenario, judge)
-    report |= {
-        motion: motion_report(scenario, log, feasible, judge) for motion, log in logs.items()
-    }
+    feasible = feasible_clearance_of(scenario)
+    report |= {motion: motion_report(scenario, log, feasible) for motion, log in logs.items()}
     last = logs.get("modulated") or next(iter(logs.values()))
     report["real_time_factor"] = (
         last.simulated_time / last.wall_time if last.wall_time > 0.0 else None

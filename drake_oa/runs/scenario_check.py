@@ -11,7 +11,7 @@ from drake_oa.common.config import ScenarioError
 from drake_oa.common.console import Column, TextTable
 from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.robot.grasped_object import tool_links
-from drake_oa.runs.metrics import MotionMetrics, RobotJudge
+from drake_oa.runs.metrics import MotionMetrics, robot_metrics
 from drake_oa.runs.report import feasible_clearance_of
 from drake_oa.scenario.end_poses import end_positions
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
@@ -37,19 +37,15 @@ def unbuildable(scenario: Scenario) -> list[str]:
     return list(found)
 
 
-def end_contacts(scenario: Scenario, judge: RobotJudge | None = None) -> str:
+def end_contacts(scenario: Scenario) -> str:
     """Returns one line that names contacts which make a motion impossible; "" without any.
 
     Those are contacts of the robot at the start, and of the tool at the goal: there the arm may
     take another posture, and moving obstacles may have left.
-
-    Args:
-        scenario: the scenario.
-        judge: as in `drake_oa.runs.report.motion_metrics`.
     """
     if scenario.robot is None:
         return ""
-    start, goal = _ends(scenario, judge or RobotJudge(scenario))
+    start, goal = _ends(scenario)
     moving = {f"{OBSTACLE_PREFIX}_{item.name}" for item in scenario.obstacles if item.driven}
     tool = tool_links(scenario.robot)
     at_goal = [
@@ -65,9 +61,9 @@ def end_contacts(scenario: Scenario, judge: RobotJudge | None = None) -> str:
     )
 
 
-def _ends(scenario: Scenario, judge: RobotJudge) -> list[MotionMetrics]:
+def _ends(scenario: Scenario) -> list[MotionMetrics]:
     """Returns the metrics of the robot at the start and at the goal."""
-    return [judge.metrics(np.atleast_2d(q)) for q in end_positions(scenario)]
+    return [robot_metrics(scenario, np.atleast_2d(q)) for q in end_positions(scenario)]
 
 
 _COLUMNS = (
@@ -78,7 +74,7 @@ _COLUMNS = (
 )
 
 
-def end_table(scenario: Scenario, judge: RobotJudge) -> TextTable:
+def end_table(scenario: Scenario) -> TextTable:
     """Returns a table of clearances and contacts at start and goal.
 
     The notes name the requested clearance, and the feasible one if it is less.
@@ -90,9 +86,9 @@ def end_table(scenario: Scenario, judge: RobotJudge) -> TextTable:
             "robot": at.robot_clearance[0],
             "touches": ", ".join((*at.contacts, *at.self_contacts)) or "nothing",
         }
-        for name, at in zip(("start", "goal"), _ends(scenario, judge), strict=True)
+        for name, at in zip(("start", "goal"), _ends(scenario), strict=True)
     ]
-    asked, feasible = scenario.task.clearance, feasible_clearance_of(scenario, judge)
+    asked, feasible = scenario.task.clearance, feasible_clearance_of(scenario)
     notes = [f"asked clearance: {asked:g} m"]
     if feasible < asked - 1e-4:
         notes.append(f"start and goal leave {feasible:.3f} m: there is no more to be kept")

@@ -46,7 +46,7 @@ from pydrake.geometry import Meshcat
 from drake_oa.common.files import replace_text
 from drake_oa.regulation.config import Paper, Verified
 from drake_oa.runs.motion_log import MotionLog, save_logs
-from drake_oa.runs.report import feasible_clearance_of, judge_of, layer_costs, motion_report
+from drake_oa.runs.report import feasible_clearance_of, layer_costs, motion_report
 from drake_oa.runs.simulation import AT_GOAL, MotionInterruptedError, simulate
 from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.scenario.scenario import Scenario
@@ -200,11 +200,10 @@ def run_and_judge(
     scenario = with_method(seen_by(scenario, perception), method)
     if method == PLANNER:
         return PandaRun(_plan(scenario, criteria), None)
-    feasible, judge, failed = None, None, False
+    feasible, failed = None, False
     try:
         if method == "differential_ik":
-            judge = judge_of(scenario)
-            feasible = feasible_clearance_of(scenario, judge)
+            feasible = feasible_clearance_of(scenario)
         log = _simulate(scenario, method, duration, feasible)
     except MotionInterruptedError as error:
         if isinstance(error.__cause__, KeyboardInterrupt):
@@ -215,7 +214,7 @@ def run_and_judge(
         # A scene that cannot be run is a result like any other, and ends no other scene.
         _logger.info("the run could not start", exc_info=True)
         return PandaRun(_not_run(scenario, error), None)
-    report = motion_report(scenario, log, feasible, judge)
+    report = motion_report(scenario, log, feasible)
     return PandaRun(_judged(scenario, log, report, failed, criteria), log)
 
 
