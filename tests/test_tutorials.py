@@ -10,14 +10,14 @@ pytest.importorskip("ipykernel")
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 TUTORIALS = sorted((DOCS / "tutorials").glob("*.md"))
-SLOW = {"swap_perception", "your_obstacle", "train_a_network"}
-"""Those that run the Panda, or train."""
+FAST = {"one_system"}
+"""Those run by `make test`; `make docs` runs all."""
 
 
 @pytest.mark.parametrize(
     "path",
     [
-        pytest.param(path, id=path.stem, marks=[pytest.mark.slow] if path.stem in SLOW else [])
+        pytest.param(path, id=path.stem, marks=[] if path.stem in FAST else [pytest.mark.slow])
         for path in TUTORIALS
     ],
 )

@@ -90,8 +90,8 @@ def test_work_is_counted_where_an_account_is_open() -> None:
         count(configurations=4)
     assert outer == Work(searches=2, steps=10, poses=3, configurations=4)
     assert inner == Work(poses=3)
-    costs = Thinking(decision=1.0, search=0.1, step=0.01, configuration=0.5, pose=100.0)
-    assert costs.seconds(outer) == pytest.approx(1.0 + 0.2 + 0.1 + 2.0 + 300.0)
+    costs = Thinking(decision=1.0, search=0.1, step=0.01, configuration=0.5, pose=0.7)
+    assert costs.seconds(outer) == pytest.approx(1.0 + 0.2 + 0.1 + 2.0 + 2.1)
 
 
 def test_a_decision_is_in_force_when_its_work_is_done() -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
 from pydrake.math import RigidTransform
-from pydrake.systems.framework import BasicVector, Context, LeafSystem, State
+from pydrake.systems.framework import Context, LeafSystem
 from pydrake.systems.sensors import CameraConfig, ImageDepth32F
 
 from drake_oa.common.wires import Wires
@@ -62,57 +62,3 @@ def missing_table(config: CameraConfig, start: float, duration: float) -> Custom
         return np.where(height > 0.015, depth, np.float32(np.nan))
 
     return lambda wires: wires.interpose("depth_image", "damaged_frames", DamagedFrames(change))
-
-
-class FrameBurst(LeafSystem):
-    """Frames that are withheld for a time, then arrive as late as that, in order."""
-
-    def __init__(self, num_states: int, period: float, start: float, duration: float) -> None:
-        super().__init__()
-        self._start, self._duration, self._period = start, duration, period
-        self._image = self.DeclareAbstractInputPort("depth_image", Value(ImageDepth32F()))
-        self._robot = self.DeclareVectorInputPort("robot_state", num_states)
-        self._frames = self.DeclareAbstractState(Value(()))
-        self.DeclareAbstractOutputPort(
-            "depth_image", lambda: Value(ImageDepth32F()), self._calc_image
-        )
-        self.DeclareVectorOutputPort("image_stamp", 1, self._calc_stamp)
-        self.DeclareVectorOutputPort("robot_state", num_states, self._calc_robot)
-        self.DeclareInitializationUnrestrictedUpdateEvent(self._keep)
-        self.DeclarePeriodicUnrestrictedUpdateEvent(period, period, self._keep)
-
-    def _now(self, context: Context) -> tuple[float, np.ndarray, np.ndarray]:
-        depth = self._image.Eval(context).data[:, :, 0].copy()
-        return context.get_time(), depth, np.array(self._robot.Eval(context))
-
-    def _keep(self, context: Context, state: State) -> None:
-        t, kept = context.get_time(), context.get_abstract_state(self._frames).get_value()
-        if self._start - 1.5 * self._period < t < self._start + self._duration:
-            kept = (*kept, self._now(context))
-        state.get_mutable_abstract_state(self._frames).set_value(kept)
-
-    def _arriving(self, context: Context) -> tuple[float, np.ndarray, np.ndarray]:
-        t = context.get_time() + 1e-9
-        if not self._start <= t < self._start + 2.0 * self._duration:
-            return self._now(context)
-        taken = self._start if t < self._start + self._duration else t - self._duration
-        frames = context.get_abstract_state(self._frames).get_value()
-        return [frame for frame in frames if frame[0] <= taken][-1]
-
-    def _calc_image(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(depth_image(self._arriving(context)[1]))
-
-    def _calc_stamp(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, self._arriving(context)[0])
-
-    def _calc_robot(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._arriving(context)[2])
-
-
-def frame_burst(config: CameraConfig, start: float, duration: float) -> Customize:
-    """Withholds frames for a time [s]; of a Panda whose camera is not late."""
-    system = FrameBurst(18, 1.0 / config.fps, start, duration)
-    names = {"robot_state": "robot_state_at_image"}
-    return lambda wires: wires.interpose(
-        ["depth_image", "robot_state_at_image"], "frame_burst", system, reads=names, offers=names
-    )

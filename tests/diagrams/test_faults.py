@@ -34,7 +34,7 @@ from drake_oa.scenario.loading import load_scenario, parse_scenario
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.shipped import package_file
 from tests.builders import balls
-from tests.diagrams.fault_systems import Customize, frame_burst, missing_table, nan_frames
+from tests.diagrams.fault_systems import Customize, missing_table, nan_frames
 
 GROUND_TRUTH = "perception=!GroundTruth {}"
 QUICK = "regulation=!Paper {}"  # Nothing is searched for.
@@ -79,7 +79,6 @@ CASES = {
         ("faults=[!CameraDropout {start: 1, duration: 1000}]",), ends=SAFE, told=UNSEEN
     ),
     "frames of NaN": Case(customize=lambda _: nan_frames(1.0, 1.0), told=UNSEEN),
-    "frames in a burst": Case(customize=lambda s: frame_burst(s.cameras[0], 1.0, 0.4), told=UNSEEN),
     "a frame without table": Case(customize=lambda s: missing_table(s.cameras[0], 1.0, 0.03)),
     "a second without table": Case(
         customize=lambda s: missing_table(s.cameras[0], 1.0, 1.0), told=UNSEEN

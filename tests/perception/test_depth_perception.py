@@ -21,12 +21,13 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
 from pydrake.multibody.tree import PrismaticJoint, SpatialInertia
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Diagram, DiagramBuilder
-from pydrake.systems.sensors import CameraInfo, ImageDepth32F, RgbdSensor
+from pydrake.systems.sensors import CameraInfo, RgbdSensor
 
 from drake_oa.common.messages import ObstacleClouds
 from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.geometry.pinhole import pinhole
 from drake_oa.perception.depth_perception import DepthPerception, as_of
+from tests.diagrams.fault_systems import depth_image
 from tests.reference.depth_images import look_at, rays_of
 
 CAMERA = CameraInfo(320, 240, np.deg2rad(45.0))
@@ -159,18 +160,22 @@ def test_an_obstacle_keeps_name_and_extent_while_the_arm_passes_before_it(cell):
     assert hidden > len(reference) / 3
 
 
+def give(system, context, camera="", stamp=0.0, image=None) -> None:
+    """Stamp [s] of a camera's image, and a new image of (H, W) depths [m]."""
+    suffix = f"_{camera}" if camera else ""
+    if image is not None:
+        value = depth_image(image)
+        system.GetInputPort(f"depth_image{suffix}").FixValue(context, Value(value))
+    if camera:
+        system.GetInputPort(f"image_stamp{suffix}").FixValue(context, [stamp])
+
+
 def alone(image: np.ndarray, **options) -> tuple[DepthPerception, object]:
     system = DepthPerception(CAMERA, **options)
     context = system.CreateDefaultContext()
-    set_image(system, context, image)
+    give(system, context, image=image)
     system.GetInputPort("camera_pose").FixValue(context, Value(X_WC))
     return system, context
-
-
-def set_image(system, context, image: np.ndarray) -> None:
-    value = ImageDepth32F(image.shape[1], image.shape[0])
-    value.mutable_data[:, :, 0] = image
-    system.GetInputPort("depth_image").FixValue(context, Value(value))
 
 
 def update(system, context) -> ObstacleClouds:
@@ -195,7 +200,7 @@ def test_a_blind_frame_keeps_the_last_obstacles_with_their_stamp(caplog):
     before = update(system, context)
     assert len(before) == 1
     context.SetTime(2.0)
-    set_image(system, context, np.full_like(good, np.nan))
+    give(system, context, image=np.full_like(good, np.nan))
     with caplog.at_level(logging.INFO, logger="drake_oa"):
         after = update(system, context)
         context.SetTime(3.0)
@@ -203,7 +208,7 @@ def test_a_blind_frame_keeps_the_last_obstacles_with_their_stamp(caplog):
     assert (after.stamp, after.note) == (1.0, "no valid pixel")
     np.testing.assert_array_equal(after.clouds_W[0], before.clouds_W[0])
     assert len(caplog.records) == 1  # once, not every frame
-    set_image(system, context, good)
+    give(system, context, image=good)
     with caplog.at_level(logging.INFO, logger="drake_oa"):
         recovered = update(system, context)
     assert (recovered.stamp, recovered.note) == (3.0, "")
@@ -230,17 +235,8 @@ def pair(**options) -> tuple[DepthPerception, object]:
     context = system.CreateDefaultContext()
     for name in ("left", "right"):
         system.GetInputPort(f"camera_pose_{name}").FixValue(context, Value(X_WC))
-        give(system, context, name, table_with_block(), 0.0)
+        give(system, context, name, 0.0, table_with_block())
     return system, context
-
-
-def give(system, context, name: str, image: np.ndarray | None, stamp: float) -> None:
-    """A new image of one camera, or only its stamp."""
-    if image is not None:
-        value = ImageDepth32F(image.shape[1], image.shape[0])
-        value.mutable_data[:, :, 0] = image
-        system.GetInputPort(f"depth_image_{name}").FixValue(context, Value(value))
-    system.GetInputPort(f"image_stamp_{name}").FixValue(context, [stamp])
 
 
 def test_invalid_cameras_are_refused():
@@ -261,7 +257,7 @@ def test_a_camera_that_stops_leaves_the_others_sight_and_an_old_stamp(all_needed
     gone[90:130, 140:180] = np.median(gone[np.isfinite(gone)])
     with caplog.at_level(logging.INFO, logger="drake_oa"):
         for k in range(1, 4):
-            give(system, context, "left", gone, 0.1 * k)
+            give(system, context, "left", 0.1 * k, gone)
             context.SetTime(0.1 * k)
             after = update(system, context)
     assert after.note == "right: no new image"
@@ -270,8 +266,8 @@ def test_a_camera_that_stops_leaves_the_others_sight_and_an_old_stamp(all_needed
     views = system.GetOutputPort("views").Eval(context).views
     assert views[0] is not None
     assert views[1] is None
-    give(system, context, "left", table_with_block(), 0.4)
-    give(system, context, "right", table_with_block(), 0.4)
+    give(system, context, "left", 0.4, table_with_block())
+    give(system, context, "right", 0.4)
     again = update(system, context)
     assert (again.stamp, again.note) == (0.4, "")
 
@@ -279,17 +275,17 @@ def test_a_camera_that_stops_leaves_the_others_sight_and_an_old_stamp(all_needed
 def test_a_blind_or_late_image_of_one_camera_is_left_out():
     system, context = pair()
     update(system, context)
-    give(system, context, "right", np.full((240, 320), np.nan, dtype=np.float32), 0.1)
-    give(system, context, "left", None, 0.1)
+    give(system, context, "right", 0.1, np.full((240, 320), np.nan))
+    give(system, context, "left", 0.1)
     blind = update(system, context)
     assert (blind.stamp, blind.note) == (0.0, "right: no valid pixel")
     # Late ones, as of a driver that has fallen behind, are of another instant.
-    give(system, context, "left", None, 0.3)
-    give(system, context, "right", table_with_block(), 0.2)
+    give(system, context, "left", 0.3)
+    give(system, context, "right", 0.2, table_with_block())
     late = update(system, context)
     assert (late.stamp, late.note) == (0.0, "right: no new image")
     for name in ("left", "right"):
-        give(system, context, name, None, 0.4)
+        give(system, context, name, 0.4)
     assert update(system, context).stamp == 0.4
     assert update(system, context).note == "no new image"
 
@@ -297,16 +293,16 @@ def test_a_blind_or_late_image_of_one_camera_is_left_out():
 def test_images_that_are_not_far_apart_are_taken_together():
     system, context = pair(together=0.03)
     update(system, context)
-    give(system, context, "left", table_with_block(), 0.1)
-    give(system, context, "right", table_with_block(), 0.08)
+    give(system, context, "left", 0.1)
+    give(system, context, "right", 0.08)
     obstacles = update(system, context)
     assert (obstacles.stamp, obstacles.note) == (0.1, "")
     assert all(view is not None for view in system.GetOutputPort("views").Eval(context).views)
     # One that comes behind a newer one that is known already waits for the next.
-    give(system, context, "right", table_with_block(), 0.09)
+    give(system, context, "right", 0.09)
     obstacles = update(system, context)
     assert (obstacles.stamp, obstacles.note) == (0.1, "no new image")
-    give(system, context, "left", table_with_block(), 0.14)
+    give(system, context, "left", 0.14)
     assert update(system, context).note == "right: no new image"
 
 
@@ -318,9 +314,9 @@ def test_that_an_image_is_missing_may_be_said_later():
         assert update(system, context).note == note
     for time, note in ((0.3, ""), (0.4, ""), (0.5, "right: no new image")):
         context.SetTime(time)
-        give(system, context, "left", None, time)
+        give(system, context, "left", time)
         if time < 0.35:
-            give(system, context, "right", None, time)
+            give(system, context, "right", time)
         seen = update(system, context)
         assert (seen.note, seen.stamp) == (note, min(time, 0.3))
 
@@ -332,7 +328,7 @@ def test_the_robot_is_taken_out_where_it_was_at_each_of_the_images(cell):
     for name, arm, stamp in (("left", -0.1, 0.10), ("right", 0.1, 0.13)):
         playback.place(arm)
         at = cell.perception.GetMyContextFromRoot(playback.context)
-        give(system, context, name, np.array(image.Eval(at).data[:, :, 0]), stamp)
+        give(system, context, name, stamp, image.Eval(at).data[:, :, 0])
         system.GetInputPort(f"robot_state_{name}").FixValue(context, [arm, 0.0])
     seen = update(system, context)
     assert seen.note == ""

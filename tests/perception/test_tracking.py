@@ -619,20 +619,21 @@ OPPOSITE = look_at([-1.05, -0.1, 0.9], [0.1, 0.0, 0.05])
 """Sees BLOCK's other sides."""
 
 
-def views(things, others=None, rng=None) -> list[View]:
-    """Images of both cameras; the opposite one's of `others`, where they are given."""
-    drawn = render(*things), render(*(things if others is None else others), X_WC=OPPOSITE)
+def views(things, rng=None) -> list[View]:
+    """Images of both cameras."""
+    drawn = [render(*things, X_WC=X) for X in (X_WC, OPPOSITE)]
     if rng is not None:
-        drawn = tuple(noisy(depth, rng) for depth in drawn)
+        drawn = [noisy(depth, rng) for depth in drawn]
     return [View.of(depth, K, X) for depth, X in zip(drawn, (X_WC, OPPOSITE), strict=True)]
 
 
-def play_both(*frames, memory=None, start=0.0, rng=None):
-    """As `play`, with both cameras."""
+def play_both(*frames, memory=None, start=0.0, robot=None, cameras=2, **options):
+    """As `play`, with both cameras, or with the first one alone."""
+    rng = options.pop("rng", None)
     memory = memory or ObstacleMemory()
     for k, things in enumerate(frames):
-        frame = segment_views(views(things, rng=rng), CONFIG)
-        memory = fuse(memory, frame, start + k * FRAME, CONFIG)
+        frame = segment_views(views(things, rng)[:cameras], CONFIG, robot)
+        memory = fuse(memory, frame, start + k * FRAME, CONFIG, robot, **options)
     return memory
 
 
@@ -687,27 +688,19 @@ def test_a_point_that_one_camera_sees_through_is_gone_though_the_other_sees_noth
 def test_the_far_side_that_the_other_camera_saw_is_kept_while_that_is_missing():
     memory = play_both(*[[BLOCK]] * 4)
     before = extent(memory.obstacles.clouds_W[0])
-    for k in range(4, 12):
-        frame = segment_views(views([BLOCK])[:1], CONFIG)
-        memory = fuse(memory, frame, k * FRAME, CONFIG, complete=False)
+    options = {"cameras": 1, "complete": False}
+    memory = play_both(*[[BLOCK]] * 8, memory=memory, start=4 * FRAME, **options)
     np.testing.assert_allclose(extent(memory.obstacles.clouds_W[0]), before, atol=0.003)
     # One camera that has always been alone has not seen it, and takes it for a remainder.
-    for k in range(12, 20):
-        frame = segment_views(views([BLOCK])[:1], CONFIG)
-        memory = fuse(memory, frame, k * FRAME, CONFIG)
+    memory = play_both(*[[BLOCK]] * 8, memory=memory, start=12 * FRAME, cameras=1)
     assert len(memory.obstacles.clouds_W[0]) > 0
 
 
 def test_an_arm_before_one_camera_hides_nothing_from_the_other():
-    drawn, _ = HIDES
+    drawn, robot = HIDES
     memory = play_both(*[[BLOCK]] * 3)
-    _, robot = HIDES
-    for k in range(3, 8):
-        frame = segment_views(views([BLOCK, drawn], [BLOCK, drawn]), CONFIG, robot)
-        memory = fuse(memory, frame, k * FRAME, CONFIG, robot)
+    memory = play_both(*[[BLOCK, drawn]] * 5, memory=memory, start=3 * FRAME, robot=robot)
     np.testing.assert_array_equal(memory.obstacles.ids, [0])
     # It is taken away behind the arm: the other camera sees it go.
-    for k in range(8, 11):
-        frame = segment_views(views([drawn]), CONFIG, robot)
-        memory = fuse(memory, frame, k * FRAME, CONFIG, robot)
+    memory = play_both(*[[drawn]] * 3, memory=memory, start=8 * FRAME, robot=robot)
     assert len(memory.obstacles) == 0

@@ -1,5 +1,6 @@
 """Obstacles written in a scenario, and what the station makes of them."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.geometry.shapes import Box, Cylinder, Sphere, bounding_radius
+from drake_oa.geometry.shapes import Sphere
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.scenario.obstacles import ABSENT_HEIGHT, Obstacle, is_present, offset_at
@@ -83,11 +84,11 @@ def test_the_text_of_a_scenario_brings_them_back() -> None:
 @pytest.mark.parametrize(
     ("field", "message"),
     [
-        ("shapes: []", r"obstacles\[0\].shapes: is empty"),
-        ("name: ''", r"obstacles\[0\].name: is empty"),
+        ("shapes: []", r"obstacles\[0\].shapes: "),
+        ("name: ''", r"obstacles\[0\].name: "),
         ("name: other", "two obstacles are named 'other'"),
         ("shapes: [!Ball {}]", "!Ball is not one of !Box, !Cylinder, !Sphere"),
-        ("waypoints: [[1, 0, 0, 0], [1, 1, 0, 0]]", r"waypoints\[1\]: its time 1 s must be at"),
+        ("waypoints: [[1, 0, 0, 0], [1, 1, 0, 0]]", r"waypoints.*\[1\]: its time 1 s must be"),
         ("present: [2, 1]", r"obstacles\[0\]\.present"),
         ("present: [1, 2, 3]", r"obstacles\[0\]\.present"),
     ],
@@ -97,18 +98,6 @@ def test_fields_that_do_not_agree_are_refused(field: str, message: str) -> None:
     other = "{name: other, shapes: [!Sphere {}]}"
     with pytest.raises(ScenarioError, match=message):
         parse_scenario(f"obstacles: [{{{', '.join(obstacle.values())}}}, {other}]")
-
-
-@pytest.mark.parametrize(
-    ("shape", "radius"),
-    [
-        (Box(size=[0.2, 0.2, 0.1]), 0.15),
-        (Cylinder(radius=0.3, length=0.8), 0.5),
-        (Sphere(radius=0.2), 0.2),
-    ],
-)
-def test_bounding_radius(shape, radius):
-    assert bounding_radius(shape) == pytest.approx(radius)
 
 
 numbers = st.floats(-5.0, 5.0)
@@ -142,22 +131,15 @@ def test_an_obstacle_is_there_from_and_until(present: list[float], there: list[f
     assert [time for time in (0.0, 1.0, 2.0, 9.0) if is_present(present, time)] == there
 
 
-@given(triples, triples, st.floats(0.0, 5.0), st.floats(0.01, 5.0), st.floats(0.0, 12.0))
-def test_presence_does_not_change_the_course(
-    one: np.ndarray, other: np.ndarray, begin: float, lasts: float, time: float
-) -> None:
-    obstacle = Obstacle(
-        waypoints=[[1.0, *one.tolist()], [2.0, *other.tolist()]], present=[begin, begin + lasts]
-    )
-    course = offset_at(np.array(obstacle.waypoints), time)
-    away = 0.0 if is_present(obstacle.present, time) else ABSENT_HEIGHT
-    np.testing.assert_array_equal(obstacle.offset_at(time), course + [0.0, 0.0, away])
+def test_an_obstacle_that_is_absent_is_far_above_its_course() -> None:
+    still = Obstacle(name="ball", shapes=[Sphere(radius=0.05)])
+    waypoints = [[1.0, 1.0, 0.0, 0.0], [2.0, 0.0, 1.0, 0.0]]
+    obstacle = replace(still, waypoints=waypoints, present=[1.2, 3.0])
+    for time, away in ((1.1, ABSENT_HEIGHT), (1.2, 0.0), (2.9, 0.0), (3.0, ABSENT_HEIGHT)):
+        course = offset_at(np.array(waypoints), time)
+        np.testing.assert_array_equal(obstacle.offset_at(time), course + [0.0, 0.0, away])
     assert obstacle.driven
-
-
-def test_what_stays_for_good_is_not_driven() -> None:
-    assert not Obstacle().driven
-    np.testing.assert_array_equal(Obstacle().offset_at(3.0), np.zeros(3))
+    assert not still.driven
 
 
 STEP = 0.002
