@@ -188,16 +188,14 @@ def updated(made, context, obstacles, time):
     return made.GetOutputPort("solids_W").Eval(context)
 
 
-def test_the_system_holds_what_it_knows_in_its_context(caplog):
+def test_the_system_keeps_what_it_knows_and_logs_what_is_bad(caplog):
     made, context = system(ObstacleClouds())
     made.GetInputPort("camera_pose").FixValue(context, AbstractValue.Make(RigidTransform(CAMERA)))
     assert updated(made, context, ObstacleClouds(), 0.0).stamp == -np.inf
     one = updated(made, context, seen(box(), np.zeros((0, 3)), ids=[3, 4]), 0.1)
     assert one.labels == ("obstacle 3", "the table")
-    clone = context.Clone()
     two = updated(made, context, seen(box(noise=1e-3), stamp=1.1, ids=[3]), 0.2)
     assert two.solids is one.solids
-    assert made.GetOutputPort("solids_W").Eval(clone).stamp == 1.0
     bad = box()
     bad[0] = np.nan
     with caplog.at_level(logging.INFO, "drake_oa"):

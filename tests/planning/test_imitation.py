@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.planning.arm_world import ArmWorld, exceeds, excess_along, tool_poses
-from drake_oa.planning.imitation import SAMPLES, demonstration
+from drake_oa.planning.imitation import demonstration
 from drake_oa.planning.joint_planner import plan_path
 from drake_oa.policy.demonstration import Demonstration
 from drake_oa.policy.dmp import trajectory
@@ -58,22 +58,18 @@ def test_the_primitives_go_where_the_plan_goes(paths: list[tuple[ArmWorld, Float
         )
         assert np.linalg.norm(p_WE - X_WE[:, 9:], axis=1).max() < 2e-3
         R_WE = X_WE[:, :9].reshape(-1, 3, 3)
+        np.testing.assert_allclose(shown.R_WG, R_WE[-1], atol=1e-9)
         found = orientation_along(shown.orientation, R_WE[0], shown.R_WG, shown.s)
         off = Rotation.from_matrix(found @ R_WE.transpose(0, 2, 1)).magnitude()
         assert np.rad2deg(off.max()) < 1.0
-
-
-def test_it_begins_and_ends_as_the_plan(paths: list[tuple[ArmWorld, FloatArray]]) -> None:
-    for world, corners in paths:
-        shown = shown_of(world, corners)
+        # From the plan's start to its end, from rest to rest.
         np.testing.assert_allclose(shown.q[[0, -1]], corners[[0, -1]], atol=1e-9)
-        assert shown.s.shape == (SAMPLES,)
         np.testing.assert_array_equal(shown.s[[0, -1]], [0.0, 1.0])
-        R_WG = tool_poses(world.chain, corners[-1:])[0, :9].reshape(3, 3)
-        np.testing.assert_allclose(shown.R_WG, R_WG, atol=1e-9)
-        # It begins and ends at rest.
         steps = np.abs(np.diff(shown.q, axis=0)).max(axis=1)
         assert steps[[0, -1]].max() < 0.02 * steps.max()
+        # Corners are rounded as far as the clearance allows; between samples a little is lost.
+        least = min(excess_along(world, spaced(corners)), 0.0)
+        assert excess_along(world, shown.q) >= least - 2e-3
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 1.0])
@@ -89,16 +85,6 @@ def test_no_joint_is_faster_than_it_may(
         length = np.linalg.norm(np.diff(tool_poses(world.chain, shown.q)[:, 9:], axis=0), axis=1)
         # As slow as the pace asks, or as a joint makes it.
         assert fastest == pytest.approx(share) or seconds == pytest.approx(PACE * length.sum())
-
-
-def test_corners_are_rounded_as_far_as_the_clearance_allows(
-    paths: list[tuple[ArmWorld, FloatArray]],
-) -> None:
-    for world, corners in paths:
-        shown = shown_of(world, corners)
-        least = min(excess_along(world, spaced(corners)), 0.0)
-        # Between samples a little is lost.
-        assert excess_along(world, shown.q) >= least - 2e-3
 
 
 def test_free_corners_are_rounded_and_tight_ones_stay(panda_arm: ArmAlone) -> None:
