@@ -276,7 +276,7 @@ def _limits(metadata: Iterable[Any]) -> list[str]:
 
 def _block(kind: Any, tag: str = "") -> Any:
     """Returns the block in a type, of several the one with the tag; None if there is none."""
-    if hasattr(kind, "__dataclass_fields__"):
+    if isinstance(kind, type) and hasattr(kind, "__dataclass_fields__"):
         return kind if tag in ("", f"!{kind.__name__}") else None
     blocks = (_block(each, tag) for each in typing.get_args(kind))
     return next((block for block in blocks if block is not None), None)
