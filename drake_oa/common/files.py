@@ -240,9 +240,9 @@ def installed_package(name: str) -> Path | None:
     """
     with contextlib.suppress(PackageNotFoundError, ValueError):
         for file in distribution(name).files or ():
-            row = next((i for i in range(1, len(file.parts)) if file.parts[i] == name), 0)
-            if row and file.parts[row - 1] == "share":
-                return Path(str(file.locate())).parents[len(file.parts) - row - 2]
+            prefix, share, _ = str(file.locate()).partition(f"/share/{name}/")
+            if share:
+                return Path(prefix) / "share" / name
     found = find_spec(name) if name.isidentifier() else None
     places = list(found.submodule_search_locations or ()) if found else []
     return Path(places[0]) if places else None
@@ -285,9 +285,21 @@ def software_versions() -> tuple[str, ...]:
 
 
 def available_memory() -> int | None:
-    """Memory that can be taken [bytes], the container's limit included; None: unknown."""
-    found = [value for value in (_of_machine(), _of_container()) if value is not None]
-    return min(found) if found else None
+    """Returns the memory that can be used [byte], at most that of the container; None: unknown."""
+    found, container = [], Path("/sys/fs/cgroup")
+    with contextlib.suppress(KeyError, OSError, ValueError):
+        found.append(1024 * _numbers(Path("/proc/meminfo"))["MemAvailable:"])
+    with contextlib.suppress(KeyError, OSError, ValueError):
+        limit, used = (int((container / f"memory.{n}").read_text()) for n in ("max", "current"))
+        stat = _numbers(container / "memory.stat")
+        # The cache of files gives way.
+        found.append(max(limit - used + stat["active_file"] + stat["inactive_file"], 0))
+    return min(found, default=None)
+
+
+def _numbers(path: Path) -> dict[str, int]:
+    """Returns the number in each line of a file by the word before it."""
+    return {word: int(number) for word, number, *_ in map(str.split, path.read_text().splitlines())}
 
 
 def check_memory(what: str, size: int) -> None:
@@ -298,30 +310,3 @@ def check_memory(what: str, size: int) -> None:
             f"{what}: would take about {size / 1e9:.3g} GB of memory; {there / 1e9:.3g} GB "
             f"are available"
         )
-
-
-def _of_machine() -> int | None:
-    try:
-        for line in Path("/proc/meminfo").read_text().splitlines():
-            if line.startswith("MemAvailable:"):
-                return 1024 * int(line.split()[1])
-    except OSError:
-        pass
-    try:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, ValueError, OSError):
-        return None
-
-
-def _of_container() -> int | None:
-    folder = Path("/sys/fs/cgroup")
-    try:
-        limit = int((folder / "memory.max").read_text())
-        used = int((folder / "memory.current").read_text())
-        lines = (folder / "memory.stat").read_text().splitlines()
-        stat = dict(line.split(" ", 1) for line in lines)
-        # The cache of files gives way.
-        cache = int(stat["active_file"]) + int(stat["inactive_file"])
-    except (KeyError, OSError, ValueError):
-        return None
-    return max(limit - used + cache, 0)

@@ -19,6 +19,7 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.offsetbox import AnchoredText
+from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
 from drake_oa.common.files import save_figure
@@ -193,28 +194,32 @@ def place_demonstrations(scenario: Scenario) -> Demonstrations | None:
     if not task.demonstration:
         return None
     way = trajectory(demonstrated_path(scenario), task.start, task.goal)
-    primitive = demonstrated_orientation(scenario)
-    start, goal = np.asarray(task.start, dtype=float), np.asarray(task.goal, dtype=float)
-    R_WL = float(np.linalg.norm(goal - start)) * local_frame(start, goal)
-    path = KDTree(way.p)
-
-    def with_turn(p: FloatArray, R: FloatArray | None) -> FloatArray:
-        return p if R is None else np.hstack([p, np.degrees(vectors_from(R, 0))])
-
+    primitive, path = demonstrated_orientation(scenario), KDTree(way.p)
+    to_task = _baseline_frame(task.start, task.goal)
     found = Demonstrations([], [], [], way.s, way.p, [])
     for one in read_demonstrations(task):
         first, last = one.path[0], one.path[-1]
-        local = (one.path - last) @ local_frame(first, last) / np.linalg.norm(last - first)
-        placed = goal + local @ R_WL.T
+        turn = to_task @ np.linalg.inv(_baseline_frame(first, last))
+        placed = task.goal + (one.path - last) @ turn.T
         elapsed = one.t - one.t[0]
         found.durations.append(float(elapsed[-1]))
         found.s.append(elapsed / elapsed[-1])
-        found.samples.append(with_turn(placed, one.orientations))
-        found.errors.append(float(np.sqrt((path.query(placed)[0] ** 2).mean())))
+        found.samples.append(_with_turn(placed, one.orientations))
+        found.errors.append(float(np.sqrt(np.mean(path.query(placed)[0] ** 2))))
     if primitive is not None:
         R = orientation_along(primitive, primitive.first, primitive.last, way.s)
-        found = found._replace(motion=with_turn(way.p, R))
+        found = found._replace(motion=_with_turn(way.p, R))
     return found
+
+
+def _baseline_frame(start: ArrayLike, goal: ArrayLike) -> FloatArray:
+    """Returns (3, 3) axes of the frame of a motion, as long as its baseline [m]."""
+    return local_frame(start, goal) * np.linalg.norm(np.subtract(goal, start))
+
+
+def _with_turn(p: FloatArray, R: FloatArray | None) -> FloatArray:
+    """Returns (T, 3 or 6) positions [m], and rotation vectors of orientations [deg]."""
+    return p if R is None else np.hstack([p, np.degrees(vectors_from(R, 0))])
 
 
 def plot_demonstrations(path: Path, title: str, scenario: Scenario, shown: Demonstrations) -> None:
@@ -310,23 +315,20 @@ def _add_panels(
         scenario: scenario of the task.
 
     Returns:
-        The panels; and the views from above and from the side, each with the (2, 3) directions of
-        its axes in the world.
+        The panels; and the views from above and from the side, along x or y, each with the (2, 3)
+        directions of its axes in the world.
     """
     left, right = cast("list[SubFigure]", figure.subfigures(1, 2, width_ratios=[1.35, 1.0]))
     start, goals = np.asarray(scenario.task.start), goal_steps(scenario.task)[:, 1:]
-    along = local_frame(scenario.task.start, scenario.task.goal)[:, 0] * [1.0, 1.0, 0.0]
-    length = float(np.linalg.norm(along))
-    along = along / length if length > 1e-6 else np.array([1.0, 0.0, 0.0])
-    x, y, z = np.eye(3)
-    above, side = right.subplots(2, 1)
-    above.set(xlabel="x [m]", ylabel="y [m]")
-    side.set(xlabel="along the baseline [m]", ylabel="z [m]")
-    views = [(above, np.stack([x, y])), (side, np.stack([along, z]))]
-    for ax, P in views:
+    along = int(np.argmax(np.abs(goals[0] - start)[:2]))
+    views = []
+    for ax, axes in zip(right.subplots(2, 1), ((0, 1), (along, 2)), strict=True):
+        P = np.eye(3)[list(axes)]
         ax.plot(*(P @ start), "o", color=_ENDS, markersize=9, zorder=3, label="start")
         ax.plot(*(P @ goals.T), "*", color=_ENDS, markersize=9, zorder=3, label="goal")
+        ax.set(xlabel=f"{'xyz'[axes[0]]} [m]", ylabel=f"{'xyz'[axes[1]]} [m]")
         ax.set_aspect("equal", adjustable="datalim")
+        views.append((ax, P))
     return list(left.subplots(count, 1, sharex=True)), views
 
 

@@ -97,8 +97,9 @@ def motion_report(
     metrics, period = motion_metrics(scenario, log), perception_period(scenario)
     if feasible is None:
         feasible = feasible_clearance_of(scenario)
-    kept = float(metrics.resting_clearance.min(initial=math.inf))
-    nearest = _finite(metrics.robot_clearance.min(initial=math.inf))
+    resting, nearest = _least(metrics.resting_clearance), _least(metrics.robot_clearance)
+    short = 0.0 if resting is None else max(feasible - resting, 0.0)
+    verified = log.regulation == "Verified"
     measured = nearest is not None or not isinstance(scenario.perception, LiveCameras)
     return {
         "collisions": len(metrics.contacts) if measured or metrics.contacts else None,
@@ -107,19 +108,21 @@ def motion_report(
         "made_contacts": list(metrics.made_contacts),
         "self_contacts": list(metrics.self_contacts),
         "contact_depth": metrics.contact_depth,
-        "tool_clearance_min": _finite(metrics.tool_clearance.min(initial=math.inf)),
+        "tool_clearance_min": _least(metrics.tool_clearance),
         "robot_clearance_min": nearest,
         "asked_clearance": scenario.task.clearance,
         "feasible_clearance": feasible if measured else None,
-        "resting_clearance_min": _finite(kept),
-        "short_of_feasible": max(feasible - kept, 0.0) if measured else None,
+        "resting_clearance_min": resting,
+        "short_of_feasible": short if measured else None,
         "goal_error": _goal_error(scenario, log, metrics.p_WE),
         **_orientation(scenario, log),
         "torque_saturation": float(log.saturated[log.moving].mean()) if len(log.t) else 0.0,
         "duration": log.duration,
         "path_length": path_length(metrics.p_WE[log.moving]),
         "out_of_range": float((log.out_of_range > 0).mean()) if len(log.out_of_range) else 0.0,
-        **_believed(log),
+        "regulation": log.regulation or None,
+        "believed_shortfall": float(log.shortfall.max(initial=0.0)) if verified else None,
+        "lowered": float(log.lowered.max(initial=0.0)) if verified else None,
         **{key: cost_figures(layer_costs(log, layer), period) for layer, key in _COST_KEYS.items()},
         "stop_reason": log.stop_reason,
         "ended": log.ended,
@@ -174,17 +177,6 @@ def _orientation(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
     return {"orientation_error": float(np.linalg.norm(left))}
 
 
-def _believed(log: MotionLog) -> dict[str, Any]:
-    """What regulation took the clearance for, by its own geometry."""
-    most = float(log.shortfall.max(initial=0.0))
-    verified = log.regulation == "Verified"
-    return {
-        "regulation": log.regulation or None,
-        "believed_shortfall": most if verified else None,
-        "lowered": float(log.lowered.max(initial=0.0)) if verified else None,
-    }
-
-
 def _goal_error(scenario: Scenario, log: MotionLog, p_WE: FloatArray) -> float:
     reached = p_WE[[log.moving.stop - 1, -1]] if len(p_WE) else np.array([scenario.task.start])
     times = (log.duration, log.simulated_time)[: len(reached)]
@@ -197,8 +189,10 @@ def _given(scenario: Scenario) -> EllipsoidSet:
     return given_ellipsoids(source) if isinstance(source, GivenEllipsoids) else EllipsoidSet()
 
 
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+def _least(clearance: FloatArray) -> float | None:
+    """Returns the least clearance [m]; None if there is none."""
+    least = float(clearance.min(initial=math.inf))
+    return least if math.isfinite(least) else None
 
 
 def run_report(name: str, scenario: Scenario, logs: dict[str, MotionLog]) -> dict[str, Any]:

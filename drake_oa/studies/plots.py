@@ -50,22 +50,20 @@ def plot_evaluation(
 def _draw_boxes(figure: Figure, cases: Sequence[Case], outcomes: Mapping[str, Outcome]) -> None:
     """Draws clearance and convergence of every case: two boxes per model, one row per method."""
     axes = figure.subplots(len(outcomes), 2, squeeze=False)
+    models = list(dict.fromkeys(case.label.partition(", tau")[0] for case in cases))
+    at = np.arange(len(models))
     for (name, outcome), (left, right) in zip(outcomes.items(), axes, strict=True):
         for scaled, shift, color in ((True, -0.18, "C5"), (False, 0.18, "C1")):
-            some = [case for case in cases if case.setting.scale_time == scaled]
-            judged = [outcome.of(case.label) for case in some]
-            models = np.arange(len(some))
+            judged = [outcome.of(case.label) for case in cases if case.setting.scale_time == scaled]
             for ax, values in (
                 (left, [of.kept_clearance for of in judged]),
                 (right, [np.maximum(of.goal_error, _MIN_ERROR) for of in judged]),
             ):
                 style = {"boxprops": {"color": color}, "medianprops": {"color": color}}
-                ax.boxplot(values, positions=models + shift, widths=0.3, **style)
-                ax.set_xticks(models, [case.label.partition(", tau")[0] for case in some])
-                ax.tick_params("x", rotation=20.0)
+                ax.boxplot(values, positions=at + shift, widths=0.3, **style)
+                ax.set_xticks(at, models, rotation=20.0)
             left.plot([], color=color, label="tau scaled" if scaled else "tau = 1")
-        left.plot(models[1:], FAMILIAR_CLEARANCES, "C0_", markersize=30.0, label="asked")
-        left.axhline(0.0, color="0.6")
+        left.plot(at[1:], FAMILIAR_CLEARANCES, "C0_", markersize=30.0, label="asked")
         left.set(title=f"{name}: clearance", ylabel="least distance to the obstacle [m]")
         right.set(title=f"{name}: convergence", ylabel="distance to the goal [m]", yscale="log")
         add_legend(left, loc="upper left", markerscale=0.5)
@@ -112,36 +110,34 @@ def plot_dead_zone(
     """
     theta = np.linspace(-np.pi / 2, np.pi / 2, 1001)
     alpha, psi = matched_term(GAMMA)
-    original = np.abs(original_rate(theta, GAMMA, BETA))
-    free = dead_zone_free_rate(np.abs(theta), 0.0, alpha, psi, 0.0)
     offset = 1e3 * scenes.center[:, 0, 1]
     with saved_figure(path, 12.0, 8.0, "dead zone") as figure:
         (rate, way), (kept, alone) = figure.subplots(2, 2)
-        rate.plot(np.degrees(theta), original / alpha, label="original")
-        rate.plot(np.degrees(theta), free / alpha, label="dead-zone free")
+        for name, values in (
+            ("original", np.abs(original_rate(theta, GAMMA, BETA))),
+            ("dead-zone free", dead_zone_free_rate(np.abs(theta), 0.0, alpha, psi, 0.0)),
+        ):
+            rate.plot(np.degrees(theta), values / alpha, label=name)
         rate.set(xlabel="heading from the obstacle [deg]", ylabel="turning rate / its peak")
-        rate.set_title("terms of the same peak and area")
-
         for name, some in paths.items():
             way.plot(*some[0, :, :2].T, label=name)
         center = tuple(scenes.center[0, 0, :2].tolist())
         way.add_patch(Circle(center, float(scenes.semi_axes[0, 0, 0]), color="0.7"))
+        way.set(xlabel="x [m]", ylabel="y [m]")
         way.set_aspect("equal", adjustable="datalim")
-        way.set(xlabel="x [m]", ylabel="y [m]", title="head-on")
-
         for name, outcome in outcomes.items():
-            clearance = outcome.of().kept_clearance
-            kept.plot(offset[: len(clearance)], 1e3 * clearance, marker=".", label=name)
+            clearance = 1e3 * outcome.of().kept_clearance
+            kept.plot(offset[: len(clearance)], clearance, marker=".", label=name)
         kept.axhline(1e3 * float(scenes.clearance[0]), color="0.5", linestyle="--", label="asked")
-        kept.set_title("methods")
         for item, style in zip(terms[:3], ("-", "--", ":"), strict=False):
-            label = f"gamma = {item.gamma:g}"
-            alone.plot(offset, 1e3 * item.original, f"C0{style}", label=f"original, {label}")
+            label = f"original, gamma = {item.gamma:g}"
+            alone.plot(offset, 1e3 * item.original, f"C0{style}", label=label)
             alone.plot(offset, 1e3 * item.dead_zone_free, f"C1{style}")
-        alone.set_title("terms alone, same peak and area")
         for ax in (kept, alone):
             ax.set_xscale("symlog", linthresh=0.01)
-            ax.set_xlim(-0.001, 110.0)
             ax.set(xlabel="obstacle off the line by [mm]", ylabel="clearance [mm]")
-        for ax in figure.axes:
+            ax.set_xlim(-0.001, 110.0)
+        titles = ("terms of the same peak and area", "head-on", "methods", "these terms alone")
+        for ax, title in zip(figure.axes, titles, strict=True):
+            ax.set_title(title)
             add_legend(ax)
