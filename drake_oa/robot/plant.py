@@ -35,11 +35,17 @@ from drake_oa.robot.inertias import read_inertias, with_inertias
 TOOL_FRAME = "tool_point"
 
 
+def known_packages() -> PackageMap:
+    """Returns Drake's packages and `package://drake_oa`."""
+    packages = PackageMap()
+    packages.AddPackageXml(str(Path(str(resources.files("drake_oa.models"))) / "package.xml"))
+    return packages
+
+
 def make_parser(plant: MultibodyPlant) -> Parser:
-    """A parser that knows `package://drake_oa`."""
+    """Makes a parser that has the `known_packages`."""
     parser = Parser(plant)
-    package = Path(str(resources.files("drake_oa.models"))) / "package.xml"
-    parser.package_map().AddPackageXml(str(package))
+    parser.package_map().AddMap(known_packages())
     return parser
 
 
@@ -107,7 +113,7 @@ def model_file(robot: Robot, packages: PackageMap | None = None) -> Path:
     Raises:
         ScenarioError: if the package of the model's URL is unknown.
     """
-    packages = packages or make_parser(MultibodyPlant(0.0)).package_map()
+    packages = packages or known_packages()
     url = _url(robot.model)
     add_installed_package(packages, url)
     try:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import itemgetter
 
-import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import Context, Diagram
@@ -18,8 +18,10 @@ from drake_oa.hardware.panda_station import PandaStation
 from drake_oa.hardware.robot_link import RobotLink
 from drake_oa.runs.motion_log import MotionEnd, MotionLog
 from drake_oa.runs.simulation import (
+    EVENT,
     MotionInterruptedError,
     MotionWatcher,
+    columns_of,
     log_of,
     run_motion,
 )
@@ -121,18 +123,12 @@ def drive(
 
 
 def _with_events(log: MotionLog, link: RobotLink) -> MotionLog:
-    """The log with what the arm's player said among what held the motion."""
+    """Returns the log with the events of the arm's player among those that held the motion."""
     told = [
         *zip(log.event_time.tolist(), log.event_hold, log.event, strict=True),
         *((t, HoldCause.SPEED_SCALE.value, note) for t, note in link.events),
     ]
-    told.sort(key=lambda one: one[0])
-    return replace(
-        log,
-        event_time=np.array([t for t, _, _ in told]),
-        event_hold=tuple(hold for _, hold, _ in told),
-        event=tuple(note for _, _, note in told),
-    )
+    return replace(log, **columns_of(sorted(told, key=itemgetter(0)), EVENT))
 
 
 def station_log(scenario: Scenario, station: PandaStation) -> MotionLog:
@@ -151,16 +147,15 @@ def station_log(scenario: Scenario, station: PandaStation) -> MotionLog:
     if not states:
         raise ValueError("the station keeps no log: make it with log=True")
     signals = {name: values for name, (_, values) in states.items()}
-    events = station.guard.events
+    events = zip(station.event_times, station.guard.events, strict=False)
+    told = [(t, "", event) for t, event in events]
     return log_of(
         scenario,
         states["robot_state"][0],
         signals,
         q_world=signals["plant_state"][:, : station.num_positions],
         regulation="",
-        event_time=np.array(station.event_times[: len(events)]),
-        event_hold=("",) * len(events),
-        event=tuple(events),
+        **columns_of(told, EVENT),
         stop_reason="station ended",
         ended=MotionEnd.TIME_LIMIT.value,
         wall_time=station.pace.wall,

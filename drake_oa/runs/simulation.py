@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple, TypeVar
 
@@ -72,16 +72,22 @@ class MotionInterruptedError(RuntimeError):
 
 
 class Ending(NamedTuple):
-    """How a motion ended, in words as well, and whether it may yet go on."""
+    """End of a motion, and its reason in words."""
 
     end: MotionEnd
     reason: str
-    may_go_on: bool = False
+
+    @property
+    def may_go_on(self) -> bool:
+        """Whether the motion may yet go on."""
+        return self.end in (MotionEnd.STOPPED, MotionEnd.HELD)
 
 
 AT_THE_GOAL = Ending(MotionEnd.GOAL, "goal")
 
 
+EVENT = ("event_time", "event_hold", "event")
+_SUPERVISION = ("supervision_time", "supervision_action", "supervision_reason")
 T = TypeVar("T")
 
 
@@ -269,7 +275,7 @@ class MotionWatcher:
         ):
             return AT_THE_GOAL
         if supervision.action == "stop" and policy.speed == 0.0:
-            return Ending(MotionEnd.STOPPED, f"stopped: {supervision.reason}", may_go_on=True)
+            return Ending(MotionEnd.STOPPED, f"stopped: {supervision.reason}")
         if now > self._last_move and s >= self._latest_end:
             self._latest_end = max(self._latest_end, self._verified_end(root) + _GRACE)
         if now > self._last_move and s >= self._latest_end:
@@ -284,7 +290,7 @@ class MotionWatcher:
             and now - max(self._held_since, self._last_move) > LONGEST_HOLD
         ):
             why = f"held for {LONGEST_HOLD:g} s: {policy.note}"
-            return Ending(MotionEnd.HELD, why, may_go_on=True)
+            return Ending(MotionEnd.HELD, why)
         return self._time_limit() if now >= self._end_time else None
 
     def _look_for_rest(self, root: Context, now: float) -> None:
@@ -483,12 +489,8 @@ def collect_log(
         **pack_decisions(signals),
         out_of_range=np.array(watcher.out_of_range, dtype=np.int64),
         regulation=type(scenario.regulation).__name__ if modulated else "",
-        event_time=np.array([when for when, _, _ in watcher.events]),
-        event_hold=tuple(hold.value for _, hold, _ in watcher.events),
-        event=tuple(note for _, _, note in watcher.events),
-        supervision_time=np.array([when for when, _, _ in watcher.supervision]),
-        supervision_action=tuple(action for _, action, _ in watcher.supervision),
-        supervision_reason=tuple(reason for _, _, reason in watcher.supervision),
+        **columns_of(watcher.events, EVENT),
+        **columns_of(watcher.supervision, _SUPERVISION),
         stop_reason=ending.reason,
         ended=ending.end.value,
         motion_end=watcher.motion_end,
@@ -496,6 +498,12 @@ def collect_log(
         wall_time=wall_time,
         modulated=modulated,
     )
+
+
+def columns_of(rows: Sequence[tuple[Any, ...]], names: Sequence[str]) -> dict[str, Any]:
+    """Returns the columns of rows by name: an array of times [s], and tuples of texts."""
+    times, *texts = zip(*rows, strict=True) if rows else [()] * len(names)
+    return dict(zip(names, (np.array(times, dtype=float), *texts), strict=True))
 
 
 def log_of(
@@ -542,11 +550,8 @@ def log_of(
         "observation_time": np.zeros(0),
         **pack_ellipsoids([]),
         "out_of_range": np.zeros(0, dtype=np.int64),
-        "event_time": np.zeros(0),
-        "event": (),
-        "supervision_time": np.zeros(0),
-        "supervision_action": (),
-        "supervision_reason": (),
+        **columns_of([], EVENT),
+        **columns_of([], _SUPERVISION),
     }
     return MotionLog(
         t=t,

@@ -24,7 +24,7 @@ from drake_oa.robot.formats.model_file import (
     check_links,
     named_warnings,
 )
-from drake_oa.robot.plant import add_robot, make_parser
+from drake_oa.robot.plant import add_robot, known_packages, make_parser
 from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.world.obstacles import add_obstacle
 
@@ -57,7 +57,7 @@ def add_world(plant: MultibodyPlant, scenario: Scenario) -> ModelInstanceIndex:
 
 def flat_directives(directives: list[ModelDirective]) -> list[ModelDirective]:
     """Lists directives, with those of the files that `add_directives` names in its place."""
-    packages = make_parser(MultibodyPlant(0.0)).package_map()
+    packages = known_packages()
     _check_directives(directives, packages)
     flat = FlattenModelDirectives(ModelDirectives(directives=directives), packages)
     return list(flat.directives)
