@@ -44,8 +44,6 @@ PARTS = ("run", "thinking")
 """What can be timed."""
 REST = "plant, Simulator and logs"
 """Name of what is outside all sections."""
-_OF_RUN = "layers: wall time [ms] of a simulated second, without what they ask of one another"
-_OF_FIT = "a constant is not told by a run with little work of its kind"
 _LEAD = 0.1
 """What is simulated before the layers are timed: a first frame loads the renderer [s]."""
 _SHORTEST = 2e-3
@@ -105,28 +103,25 @@ def run_benchmark(
     }
 
 
-def benchmark_tables(figures: Mapping[str, Any]) -> list[TextTable]:
-    """Returns the figures of `run_benchmark` as tables with a column for each scenario.
+def benchmark_table(figures: Mapping[str, Any]) -> TextTable:
+    """Returns the figures of `run_benchmark` as a table with a column for each scenario.
 
     The layers that take most come first.
     """
-    runs, thoughts = [], []
+    rows: list[dict[str, Any]] = []
     layers: dict[str, float] = {}
     for name, found in figures["scenarios"].items():
-        if run := found.get("run"):
-            runs.append({"name": name, **run, **run["layers"]})
-            layers |= {of: max(layers.get(of, 0.0), time) for of, time in run["layers"].items()}
-        if times := found.get("thinking"):
-            thoughts.append({"name": name, **times, **times["fitted"]})
-    by_time = sorted(layers, key=lambda name: -layers[name])
-    run_columns = [
+        run, times = found.get("run", {"layers": {}}), found.get("thinking", {"fitted": {}})
+        rows.append({"name": name, **run, **run["layers"], **times, **times["fitted"]})
+        layers |= {of: max(layers.get(of, 0.0), time) for of, time in run["layers"].items()}
+    columns = [
         Column("name", ""),
         Column("real_time_factor", "real-time factor", "{:.2f}"),
         Column("drake_alone", "  of Drake alone", "{:.2f}"),
-        *(Column(layer, form="{:.1f}", scale=1e3) for layer in by_time),
-    ]
-    thought_columns = [
-        Column("name", ""),
+        *(
+            Column(layer, form="{:.1f}", scale=1e3)
+            for layer in sorted(layers, key=layers.__getitem__, reverse=True)
+        ),
         Column("decisions"),
         Column("measured", "processor time [s]", "{:.2f}"),
         Column("modelled", "simulated time that they cost [s]", "{:.2f}"),
@@ -137,14 +132,12 @@ def benchmark_tables(figures: Mapping[str, Any]) -> list[TextTable]:
     ]
     machine = figures["machine"]
     notes = (
+        "layers: wall time [ms] of a simulated second, without what they ask of one another",
+        "a constant is not told by a run with little work of its kind",
         f"{machine['cpu']}, {machine['cores']} cores, load {machine['load']:.1f} at the start",
         ", ".join(f"{name} {value[:12]}" for name, value in figures["versions"].items()),
     )
-    parts = ((run_columns, runs, _OF_RUN), (thought_columns, thoughts, _OF_FIT))
-    return [
-        *(TextTable(of, rows, [note], transposed=True) for of, rows, note in parts if rows),
-        TextTable((), (), notes),
-    ]
+    return TextTable(columns, rows, notes, transposed=True)
 
 
 def _machine() -> dict[str, Any]:

@@ -41,7 +41,7 @@ def benchmark(
         seconds: simulated time of each run.
         json: write the figures.
     """
-    from drake_oa.benchmark import benchmark_tables, run_benchmark
+    from drake_oa.benchmark import benchmark_table, run_benchmark
     from drake_oa.scenario.loading import load_scenario
 
     chosen = {scenario_name(name): load_scenario(name) for name in scenarios}
@@ -53,6 +53,6 @@ def benchmark(
             seconds=seconds,
             on_part=lambda part: print(f"timing {part} ...", file=sys.stderr),
         )
-    show(*benchmark_tables(figures))
+    show(benchmark_table(figures))
     if json:
         replace_json(json, figures)

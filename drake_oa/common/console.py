@@ -100,7 +100,8 @@ class TextTable:
     On a terminal that is too narrow for the table, rows and columns are exchanged where that fits.
 
     Attributes:
-        columns: specification of each column; if all headings are empty, none is printed.
+        columns: specification of each column; a column whose key no row has is omitted, and the
+            headings if all are empty.
         rows: values of each row by key.
         notes: lines below.
         transposed: whether each row of values is printed as a column.
@@ -112,9 +113,9 @@ class TextTable:
     transposed: bool = False
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        known = [of for of in self.columns if any(of.key in row for row in self.rows)]
         columns = [
-            [of.key if of.heading is None else of.heading, *map(of.cell, self.rows)]
-            for of in self.columns
+            [of.key if of.heading is None else of.heading, *map(of.cell, self.rows)] for of in known
         ]
         grid: _Grid = columns if self.transposed else list(zip(*columns, strict=True))
         header, *cells = grid or [()]
@@ -134,7 +135,7 @@ class TextTable:
             padding=(0, 1 if ruled else 2, 0, 0),
         )
         for number, heading in enumerate(header):
-            side = None if turned else self.columns[number].side
+            side = None if turned else known[number].side
             # Text, as a cell's brackets are no markup.
             table.add_column(
                 Text(heading),

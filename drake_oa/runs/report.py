@@ -240,9 +240,8 @@ def report_table(report: dict[str, Any]) -> TextTable:
         for motion in ("preplanned", "modulated")
         if motion in report
     ]
-    columns = [column for column in _COLUMNS if any(column.key in row for row in rows)]
     notes = dict.fromkeys(note for row in rows for note in _notes(row["motion"], row))
-    return TextTable(columns, rows, list(notes), transposed=True)
+    return TextTable(_COLUMNS, rows, list(notes), transposed=True)
 
 
 def contact_error(report: dict[str, Any]) -> str:
