@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drake_oa.common.console import BAD_INPUT, FAILED, Column, TextTable, complain, show, write_all
-from drake_oa.common.files import check_outputs, replace_json, save_figure
+from drake_oa.common.files import check_outputs, replace_json
 
 # NumPy, Drake and the kernels are imported where they are used: `--help` answers at once.
 if TYPE_CHECKING:
@@ -353,32 +353,31 @@ def plot_frame(perceived: PerceivedFrame, path: Path) -> None:
         path: the .png file.
     """
     import numpy as np
-    from matplotlib.figure import Figure
+
+    from drake_oa.runs.plots import saved_figure
 
     found, depth, K = perceived.segmentation, perceived.frame.depth, perceived.frame.K
-    figure = Figure(figsize=(13.0, 5.2), layout="constrained")
-    left, right = figure.subplots(1, 2, width_ratios=[1.25, 1.0])
-    if depth is not None and K is not None:
-        image = left.imshow(np.where(depth > 0.0, depth, np.nan), cmap="gray_r")
-        figure.colorbar(image, ax=left, shrink=0.8, label="depth [m]")
-        _draw_clusters(left, perceived, lambda p: p[:, :2] / p[:, 2:] * K[:2] + K[2:])
-        left.set(xlabel="column [pixel]", ylabel="row [pixel]")
-        left.set(xlim=(-0.5, depth.shape[1] - 0.5), ylim=(depth.shape[0] - 0.5, -0.5))
-    else:
-        left.plot(perceived.points[:, 0], perceived.points[:, 1], ",", color="0.75")
-        _draw_clusters(left, perceived, lambda p: p[:, :2])
-        left.set(xlabel="x of C [m]", ylabel="y of C [m]", aspect="equal")
-        left.invert_yaxis()
-    X_WC = found.X_WC
-    _draw_clusters(right, perceived, lambda p: (p @ X_WC[:3, :3].T + X_WC[:3, 3])[:, :2])
-    right.set(xlabel="x of W [m]", ylabel="y of W [m]", aspect="equal")
-    right.grid(alpha=0.3)
     plane = f"table rms {1e3 * found.plane_rms:.2f} mm" if found.table else found.note
-    figure.suptitle(
+    title = (
         f"{perceived.frame.path.name}: {plane}; {len(found.pixels)} clusters, "
         f"{perceived.milliseconds:.1f} ms"
     )
-    save_figure(path, figure, dpi=110)
+    with saved_figure(path, 13.0, 5.2, title) as figure:
+        left, right = figure.subplots(1, 2, width_ratios=[1.25, 1.0])
+        if depth is not None and K is not None:
+            image = left.imshow(np.where(depth > 0.0, depth, np.nan), cmap="gray_r")
+            figure.colorbar(image, ax=left, shrink=0.8, label="depth [m]")
+            _draw_clusters(left, perceived, lambda p: p[:, :2] / p[:, 2:] * K[:2] + K[2:])
+            left.set(xlabel="column [pixel]", ylabel="row [pixel]")
+            left.set(xlim=(-0.5, depth.shape[1] - 0.5), ylim=(depth.shape[0] - 0.5, -0.5))
+        else:
+            left.plot(perceived.points[:, 0], perceived.points[:, 1], ",", color="0.75")
+            _draw_clusters(left, perceived, lambda p: p[:, :2])
+            left.set(xlabel="x of C [m]", ylabel="y of C [m]", aspect="equal")
+            left.invert_yaxis()
+        X_WC = found.X_WC
+        _draw_clusters(right, perceived, lambda p: (p @ X_WC[:3, :3].T + X_WC[:3, 3])[:, :2])
+        right.set(xlabel="x of W [m]", ylabel="y of W [m]", aspect="equal")
 
 
 def _draw_clusters(

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from pathlib import Path
 
 from drake_oa.app.run import reserved_log, stop_between_steps
-from drake_oa.app.scenarios import Overrides, ScenarioName, build_errors, scenario_name
-from drake_oa.common.files import check_outputs
+from drake_oa.app.scenarios import (
+    Overrides,
+    ScenarioName,
+    build_errors,
+    open_scenario,
+    scenario_name,
+)
 
 
 def play(
@@ -47,20 +51,16 @@ def play(
     from drake_oa.runs.motion_log import save_logs
     from drake_oa.runs.play import PlaySession
     from drake_oa.runs.scenario_check import end_contacts
-    from drake_oa.scenario.loading import load_scenario, scenario_files, scenario_path
     from drake_oa.viewing.viewer import open_page, start_viewer
 
-    if log is not None and no_log:
-        raise ValueError("--log and --no-log exclude each other")
-    chosen = load_scenario(scenario, overrides)
-    check_outputs(log, read=[scenario_path(scenario), *scenario_files(chosen)])
+    chosen = open_scenario(scenario, overrides, log)
     with build_errors():
         contacts = end_contacts(chosen)
     if contacts:
         raise ValueError(contacts)
     with (
         build_errors(),
-        nullcontext() if no_log else reserved_log(log, f"{scenario_name(scenario)}_played") as file,
+        reserved_log(log, no_log, f"{scenario_name(scenario)}_played") as file,
         stop_between_steps() as raise_if_asked,
     ):
         viewer = start_viewer(browser=True)

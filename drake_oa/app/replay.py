@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import logging
-import math
 from pathlib import Path
 
-from drake_oa.app.scenarios import Overrides, ScenarioName, build_errors, scenario_name
+from drake_oa.app.scenarios import (
+    Overrides,
+    Positive,
+    ScenarioName,
+    build_errors,
+    open_scenario,
+    scenario_name,
+)
 from drake_oa.common.files import check_outputs, check_plot_file, replace_text
 
 _log = logging.getLogger(__name__)
@@ -21,7 +27,7 @@ def replay(
     meshcat: bool = False,
     html: Path | None = None,
     motion: str | None = None,
-    speed: float = 1.0,
+    speed: Positive = 1.0,
 ) -> None:
     """Show a logged run again.
 
@@ -43,8 +49,6 @@ def replay(
     """
     if not (meshcat or html):
         raise ValueError("nothing to show it in: give --meshcat, --html FILE or both")
-    if not 0.0 < speed < math.inf:
-        raise ValueError(f"--speed: {speed} must be positive")
     from drake_oa.runs.motion_log import load_logs
     from drake_oa.runs.replay import choose_motion, logged_scenario, planned_path
     from drake_oa.scenario.loading import scenario_files
@@ -120,10 +124,8 @@ def plot(shown: ScenarioName, /, *, overrides: Overrides = (), out: Path | None 
 def _plot_scenario(shown: str, overrides: Overrides, out: Path) -> None:
     """Draws the demonstrations of a scenario."""
     from drake_oa.runs.plots import place_demonstrations, plot_demonstrations
-    from drake_oa.scenario.loading import load_scenario, scenario_files, scenario_path
 
-    scenario = load_scenario(shown, overrides)
-    check_outputs(out, read=[scenario_path(shown), *scenario_files(scenario)])
+    scenario = open_scenario(shown, overrides, out)
     found = place_demonstrations(scenario)
     if found is None:
         raise ValueError(

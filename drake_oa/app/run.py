@@ -9,12 +9,19 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from drake_oa.app.scenarios import Overrides, ScenarioName, build_errors, scenario_name
+from drake_oa.app.scenarios import (
+    Overrides,
+    Positive,
+    ScenarioName,
+    build_errors,
+    open_scenario,
+    scenario_name,
+)
 from drake_oa.common.console import (
     FAILED,
     INTERRUPTED,
@@ -25,7 +32,6 @@ from drake_oa.common.console import (
     write_all,
 )
 from drake_oa.common.files import (
-    check_outputs,
     check_space,
     replace_json,
     replace_text,
@@ -51,31 +57,35 @@ LCM_URL = "udpm://239.255.76.99:7699?ttl=0&recv_buf_size=4000000"
 """Of a bus that stays on this machine, with room for images."""
 
 
-@dataclass(frozen=True)
-class _Outputs:
-    """What a run is to show and write, and the scenario's name."""
+@dataclass
+class _Run:
+    """One run: its outputs, and the motions so far.
+
+    Attributes:
+        name: name of the scenario.
+        scenario: as it is run.
+        meshcat: viewer, or None.
+        browser: whether a browser shows the viewer.
+        html: file of the page, or None.
+        json: file of the report, or None.
+        log_file: file of the log, or None.
+        duration: simulated time after which each motion is stopped [s]; None: at its end.
+        raise_if_asked: raises KeyboardInterrupt once somebody has asked for the end.
+        logs: log of each motion.
+        failure: exception that cut the last motion short.
+        log_error: reason why the log could not be written.
+    """
 
     name: str
-    meshcat: bool
+    scenario: Scenario
+    meshcat: Meshcat | None
+    browser: bool
     html: Path | None
     json: Path | None
+    log_file: Path | None
     duration: float | None
-
-
-@dataclass(frozen=True)
-class _Bus:
-    """How an arm is reached."""
-
-    lcm_url: str
-    rate: float
-
-
-@dataclass(frozen=True)
-class _Ran:
-    """What ran of a scenario: the motions' logs, and what cut them or their file short."""
-
-    scenario: Scenario
-    logs: dict[str, MotionLog]
+    raise_if_asked: Callable[[], None]
+    logs: dict[str, MotionLog] = field(default_factory=dict)
     failure: BaseException | None = None
     log_error: str | None = None
 
@@ -90,7 +100,7 @@ def run(
     json: Path | None = None,
     log: Path | None = None,
     no_log: bool = False,
-    duration: float | None = None,
+    duration: Positive | None = None,
     hardware: bool = False,
     lcm_url: str = LCM_URL,
     rate: float = 1.0,
@@ -146,54 +156,47 @@ def run(
         rate: with --hardware, simulated seconds in one of the wall clock, at most 1.
     """
     from drake_oa.runs.first_run import compiled_beside
-    from drake_oa.scenario.loading import load_scenario, scenario_files, scenario_path
 
-    chosen = load_scenario(scenario, overrides)
-    if duration is not None and not 0.0 < duration < math.inf:
-        raise ValueError(f"--duration: {duration} must be positive [s]")
-    if log is not None and no_log:
-        raise ValueError("--log and --no-log exclude each other")
-    if not hardware and (rate != 1.0 or lcm_url != LCM_URL):
-        raise ValueError("--lcm-url and --rate need --hardware")
-    name = scenario_name(scenario)
-    outputs = _Outputs(name, meshcat, html, json, duration)
+    chosen = open_scenario(scenario, overrides, html, json, log)
     if hardware:
         from drake_oa.common.config import check_lcm_url
 
         check_lcm_url(lcm_url, "--lcm-url")
-    check_outputs(html, json, log, read=[scenario_path(scenario), *scenario_files(chosen)])
-    viewer = _viewer(outputs)
+    elif rate != 1.0 or lcm_url != LCM_URL:
+        raise ValueError("--lcm-url and --rate need --hardware")
+    viewer = None
+    if meshcat or html:
+        from drake_oa.viewing.viewer import start_viewer
+
+        viewer = start_viewer(browser=meshcat)
+    name = scenario_name(scenario)
     with (
-        contextlib.nullcontext() if no_log else reserved_log(log, name) as log_file,
+        reserved_log(log, no_log, name) as log_file,
         stop_between_steps() as raise_if_asked,
     ):
+        this = _Run(name, chosen, viewer, meshcat, html, json, log_file, duration, raise_if_asked)
         if hardware:
             from drake_oa.hardware.robot_link import HardwareError
 
             try:
-                bus = _Bus(lcm_url, rate)
-                ran = _drive(outputs, chosen, bus, viewer, log_file, raise_if_asked)
+                _drive(this, lcm_url, rate)
             except HardwareError as error:
                 complain(str(error))
                 return FAILED
         else:
             with compiled_beside(chosen):
-                ran = _simulate_both(outputs, chosen, viewer, log_file, raise_if_asked)
-        failure = ran.failure
-        status = _report(outputs, name, ran, viewer)
-        if log_file is not None and ran.log_error is None:
+                _simulate_both(this)
+        status = _report(this)
+        if log_file is not None and this.log_error is None:
             print(f"log: {log_file}", file=sys.stderr)
-    if ran.log_error is not None:
-        complain(ran.log_error)
+    if this.log_error is not None:
+        complain(this.log_error)
         status = FAILED
-    if isinstance(failure, Terminated):
-        complain("terminated")
-        return TERMINATED
-    if isinstance(failure, KeyboardInterrupt):
-        complain("interrupted")
-        return INTERRUPTED
-    if failure is not None:
-        complain(f"cut short: {next(reversed(ran.logs.values())).stop_reason}")
+    if isinstance(this.failure, KeyboardInterrupt):
+        complain(str(this.failure) or "interrupted")
+        return TERMINATED if isinstance(this.failure, Terminated) else INTERRUPTED
+    if this.failure is not None:
+        complain(f"cut short: {next(reversed(this.logs.values())).stop_reason}")
         return FAILED
     if meshcat:
         from drake_oa.viewing.viewer import wait_for_viewer
@@ -212,7 +215,7 @@ def station(
     expiry: float = 0.1,
     wait: bool = False,
     no_images: bool = False,
-    duration: float | None = None,
+    duration: Positive | None = None,
     log: Path | None = None,
 ) -> int:
     """Simulate a Panda and its cameras behind the messages of the real ones.
@@ -243,17 +246,13 @@ def station(
     from drake_oa.runs.hardware_run import station_log
     from drake_oa.runs.motion_log import save_logs
     from drake_oa.runs.report import contact_error, report_table, run_report
-    from drake_oa.scenario.loading import load_scenario, scenario_files, scenario_path
 
-    chosen = load_scenario(scenario, overrides)
-    if duration is not None and not 0.0 < duration < math.inf:
-        raise ValueError(f"--duration: {duration} must be positive [s]")
+    chosen = open_scenario(scenario, overrides, log)
     check_lcm_url(lcm_url, "--lcm-url")
     try:
         lcm = DrakeLcm(lcm_url)
     except RuntimeError as error:
         raise ValueError(f"--lcm-url: {lcm_url}: {error}") from None
-    check_outputs(log, read=[scenario_path(scenario), *scenario_files(chosen)])
     with build_errors():
         arm = PandaStation(
             chosen,
@@ -298,140 +297,113 @@ def station(
 
 
 @contextlib.contextmanager
-def reserved_log(named: Path | None, scenario: str) -> Iterator[Path]:
-    """The log's file: the one that was named, or one that is nobody else's."""
-    if named is not None:
+def reserved_log(named: Path | None, no_log: bool, scenario: str) -> Iterator[Path | None]:
+    """Provides the file of the log: the one of --log, or a new one; None with --no-log."""
+    if named is not None and no_log:
+        raise ValueError("--log and --no-log exclude each other")
+    if no_log:
+        yield None
+    elif named is not None:
         check_space(named, _LOG_SPACE)
         if named.is_file() and named.stat().st_size:
             print(f"{named} will be replaced by this run's log", file=sys.stderr)
         yield named
-        return
-    otherwise = "--log names another file, --no-log writes none"
-    try:
-        # Two runs may start within one second: whoever comes second takes another name.
-        file = reserve_file(LOG_FOLDER, scenario, ".npz")
-    except ValueError as error:
-        raise ValueError(f"{error}; {otherwise}") from None
-    try:
+    else:
+        file = None
         try:
-            check_space(file, _LOG_SPACE)
-        except ValueError as error:
-            raise ValueError(f"{error}; {otherwise}") from None
-        yield file
-    finally:
-        if file.stat().st_size == 0:
-            file.unlink()
+            try:
+                # Two runs may start within one second: the second one takes another name.
+                file = reserve_file(LOG_FOLDER, scenario, ".npz")
+                check_space(file, _LOG_SPACE)
+            except ValueError as error:
+                raise ValueError(
+                    f"{error}; --log names another file, --no-log writes none"
+                ) from None
+            yield file
+        finally:
+            if file is not None and file.stat().st_size == 0:
+                file.unlink()
 
 
-def _simulate_both(
-    outputs: _Outputs,
-    scenario: Scenario,
-    meshcat: Meshcat | None,
-    log_file: Path | None,
-    raise_if_asked: Callable[[], None],
-) -> _Ran:
-    """Both motions, or what ran until one was cut short."""
+def _simulate_both(this: _Run) -> None:
+    """Simulates both motions, or what comes before one that is cut short."""
     from drake_oa.diagrams.avoidance import build_avoidance
     from drake_oa.runs.scenario_check import end_contacts
     from drake_oa.runs.simulation import simulate
 
     with build_errors():
-        if contacts := end_contacts(scenario):
+        if contacts := end_contacts(this.scenario):
             raise ValueError(contacts)
-        # What the modulated motion lacks is told before the first one is simulated.
-        built = build_avoidance(scenario, meshcat=meshcat)
-    panel = _panel(outputs, scenario, meshcat)
+        # Errors of the modulated motion are reported before the first one is simulated.
+        built = build_avoidance(this.scenario, meshcat=this.meshcat)
+    panel = _open_panel(this)
 
     def motion(name: str, on_progress: Callable[[float, float], None]) -> MotionLog:
         modulated = name == "modulated"
         return simulate(
-            scenario,
+            this.scenario,
             modulated=modulated,
-            duration=outputs.duration,
+            duration=this.duration,
             on_progress=on_progress,
             on_look=panel if modulated else None,
             diagram=built if modulated else None,
         )
 
-    ran = _Ran(scenario, {})
     for name in ("preplanned", "modulated"):
-        shown = meshcat if name == "modulated" else None
-        ran = _logged(ran, name, motion, outputs, shown, log_file, raise_if_asked)
-        if ran.failure is not None:
-            break
-    return ran
+        if this.failure is None:
+            _add_motion(this, name, motion)
 
 
-def _drive(
-    outputs: _Outputs,
-    scenario: Scenario,
-    bus: _Bus,
-    meshcat: Meshcat | None,
-    log_file: Path | None,
-    raise_if_asked: Callable[[], None],
-) -> _Ran:
-    """The modulated motion, by the arm that is there."""
+def _drive(this: _Run, lcm_url: str, rate: float) -> None:
+    """Runs the modulated motion on an arm."""
     from drake_oa.hardware.robot_link import RobotLink
     from drake_oa.runs.hardware_run import drive, ready
 
-    with contextlib.closing(
-        RobotLink(bus.lcm_url, rate=bus.rate, raise_if_asked=raise_if_asked)
-    ) as link:
-        print(f"waiting for the arm on {bus.lcm_url} ...", file=sys.stderr)
+    link = RobotLink(lcm_url, rate=rate, raise_if_asked=this.raise_if_asked)
+    with contextlib.closing(link):
+        print(f"waiting for the arm on {lcm_url} ...", file=sys.stderr)
         with build_errors():
-            driven = ready(scenario, link, lcm_url=bus.lcm_url, meshcat=meshcat)
+            driven = ready(this.scenario, link, lcm_url=lcm_url, meshcat=this.meshcat)
         print("the arm is ready", file=sys.stderr)
-        panel = _panel(outputs, driven.known, meshcat)
+        this.scenario = driven.known
+        panel = _open_panel(this)
 
         def motion(_: str, on_progress: Callable[[float, float], None]) -> MotionLog:
             return drive(
-                driven, link, duration=outputs.duration, on_progress=on_progress, on_look=panel
+                driven, link, duration=this.duration, on_progress=on_progress, on_look=panel
             )
 
-        ran = _Ran(driven.known, {})
-        ran = _logged(ran, "modulated", motion, outputs, meshcat, log_file, raise_if_asked)
+        _add_motion(this, "modulated", motion)
         print(link.summary, file=sys.stderr)
-    return ran
 
 
-def _logged(
-    ran: _Ran,
+def _add_motion(
+    this: _Run,
     name: str,
     motion: Callable[[str, Callable[[float, float], None]], MotionLog],
-    outputs: _Outputs,
-    meshcat: Meshcat | None,
-    log_file: Path | None,
-    raise_if_asked: Callable[[], None],
-) -> _Ran:
-    """One more motion, shown, recorded and logged; cut short, what ran of it."""
+) -> None:
+    """Runs one more motion, and logs it up to where it ends or is cut short."""
     from drake_oa.runs.motion_log import save_logs
     from drake_oa.runs.simulation import MotionInterruptedError
     from drake_oa.viewing.viewer import recording
 
-    failure: BaseException | None = None
-    log_error: str | None = None
+    recorded = this.meshcat if this.html and name == "modulated" else None
     try:
-        with (
-            build_errors(),
-            recording(meshcat if outputs.html else None),
-            _progress(name, ran.scenario, outputs.duration, raise_if_asked) as on_progress,
-        ):
-            log = motion(name, on_progress)
+        with build_errors(), recording(recorded), _progress(this, name) as on_progress:
+            this.logs[name] = motion(name, on_progress)
     except MotionInterruptedError as error:
-        log, failure = error.log, error.__cause__ or error
+        this.logs[name], this.failure = error.log, error.__cause__ or error
         logging.getLogger(__name__).info("where it happened", exc_info=True)
-    logs = ran.logs | {name: log}
-    if log_file is not None:
+    if this.log_file is not None:
         # After each motion, so that nothing is lost by what comes next.
         try:
-            save_logs(log_file, logs)
+            save_logs(this.log_file, this.logs)
         except OSError as error:
             # A disk that is full by now must not cost the report as well.
-            log_error = str(error)
-    return _Ran(ran.scenario, logs, failure, log_error)
+            this.log_error = str(error)
 
 
-def _report(outputs: _Outputs, name: str, ran: _Ran, meshcat: Meshcat | None) -> int:
+def _report(this: _Run) -> int:
     """Prints the report, then writes page and report.
 
     Returns:
@@ -442,21 +414,21 @@ def _report(outputs: _Outputs, name: str, ran: _Ran, meshcat: Meshcat | None) ->
     from drake_oa.runs.page import label_page
     from drake_oa.runs.report import contact_error, report_table, run_report
 
-    logs = ran.logs
-    report = run_report(name, ran.scenario, logs)
+    logs, html, json = this.logs, this.html, this.json
+    report = run_report(this.name, this.scenario, logs)
     # Printed after all files are written: standard error may be a pipe that its reader closed.
     lines: list[str] = []
 
     def write_page() -> None:
-        if outputs.html and meshcat and "modulated" in logs:
-            page = label_page(meshcat.StaticHtml(), name, ran.scenario, logs["modulated"])
-            replace_text(outputs.html, page)
-            lines.append(f"page: {outputs.html}")
+        if html and this.meshcat and "modulated" in logs:
+            page = this.meshcat.StaticHtml()
+            replace_text(html, label_page(page, this.name, this.scenario, logs["modulated"]))
+            lines.append(f"page: {html}")
 
     def write_report() -> None:
-        if outputs.json:
-            replace_json(outputs.json, report)
-            lines.append(f"report: {outputs.json}")
+        if json:
+            replace_json(json, report)
+            lines.append(f"report: {json}")
 
     contact = contact_error(report)
     try:
@@ -470,37 +442,28 @@ def _report(outputs: _Outputs, name: str, ran: _Ran, meshcat: Meshcat | None) ->
     if contact or not written:
         return FAILED
     enough = {MotionEnd.GOAL}
-    if outputs.duration is not None:
+    if this.duration is not None:
         enough.add(MotionEnd.TIME_LIMIT)
-    # The pre-planned motion may end at what it runs into.
+    # The pre-planned motion may end at an obstacle.
     last = logs.get("modulated") or next(iter(logs.values()))
     return 0 if last.ended in enough else FAILED
 
 
-def _viewer(outputs: _Outputs) -> Meshcat | None:
-    if not (outputs.meshcat or outputs.html):
-        return None
-    from drake_oa.viewing.viewer import start_viewer
-
-    return start_viewer(browser=outputs.meshcat)
-
-
-def _panel(outputs: _Outputs, scenario: Scenario, meshcat: Meshcat | None) -> LivePanel | None:
-    """Opens the page that a browser shows, if one is asked for."""
-    if meshcat is None or not outputs.meshcat:
+def _open_panel(this: _Run) -> LivePanel | None:
+    """Opens the page that a browser shows, if one is requested."""
+    if this.meshcat is None or not this.browser:
         return None
     from drake_oa.runs.page import LivePanel, motion_name
     from drake_oa.viewing.viewer import open_page
 
-    title = f"{outputs.name}: {motion_name(True)}"
-    return LivePanel(open_page(meshcat, title, scenario.description), scenario)
+    title = f"{this.name}: {motion_name(True)}"
+    page = open_page(this.meshcat, title, this.scenario.description)
+    return LivePanel(page, this.scenario)
 
 
 @contextlib.contextmanager
-def _progress(
-    motion: str, scenario: Scenario, duration: float | None, each_step: Callable[[], None]
-) -> Iterator[Callable[[float, float], None]]:
-    """A bar over the motion on a terminal; nothing when piped."""
+def _progress(this: _Run, motion: str) -> Iterator[Callable[[float, float], None]]:
+    """Shows a bar over the motion on a terminal; nothing when piped."""
     from drake_oa.policy.dmp import normalised_time
 
     percent = 0
@@ -508,10 +471,10 @@ def _progress(
 
         def advance(time: float, phase: float) -> None:
             nonlocal percent
-            each_step()
-            share = normalised_time(phase, scenario.policy.alpha_k)
-            if duration is not None:
-                share = max(share, time / duration)
+            this.raise_if_asked()
+            share = normalised_time(phase, this.scenario.policy.alpha_k)
+            if this.duration is not None:
+                share = max(share, time / this.duration)
             if min(100, int(100.0 * share)) > percent:
                 percent = min(100, int(100.0 * share))
                 update(f"{motion:>10} {time:6.2f} s", percent)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -19,6 +20,8 @@ from drake_oa.common.files import check_outputs, replace_json, replace_text
 from drake_oa.scenario.shipped import shipped_scenarios
 
 if TYPE_CHECKING:
+    from drake_oa.scenario.scenario import Scenario
+
     ScenarioName = str
 else:
     ScenarioName = Annotated[
@@ -28,6 +31,28 @@ else:
 
 Overrides = Annotated[tuple[str, ...], Parameter(name="--set")]
 """Fields to be replaced, as "a.b=c"; the option may be repeated."""
+
+
+def _check_positive(_: object, value: float | None) -> None:
+    if value is not None and not 0.0 < value < math.inf:
+        raise ValueError("must be positive")
+
+
+Positive = Annotated[float, Parameter(validator=_check_positive)]
+"""Positive finite number."""
+
+
+def open_scenario(name: str, overrides: Sequence[str], *outputs: Path | None) -> Scenario:
+    """Loads a scenario, and checks the files that the command is going to write.
+
+    Raises:
+        ValueError, OSError: for a scenario that cannot be read, or a file that cannot be written.
+    """
+    from drake_oa.scenario.loading import load_scenario, scenario_files, scenario_path
+
+    scenario = load_scenario(name, overrides)
+    check_outputs(*outputs, read=[scenario_path(name), *scenario_files(scenario)])
+    return scenario
 
 
 @contextlib.contextmanager
@@ -146,12 +171,7 @@ def check(
         plot: the picture's file.
         no_plot: draw nothing.
     """
-    from drake_oa.scenario.loading import (
-        load_scenario,
-        scenario_files,
-        scenario_path,
-        scenario_problems,
-    )
+    from drake_oa.scenario.loading import scenario_path, scenario_problems
 
     if plot is not None and no_plot:
         raise ValueError("--plot and --no-plot exclude each other")
@@ -162,8 +182,7 @@ def check(
     if not wrong:
         from drake_oa.runs.scenario_check import end_contacts, end_table, unbuildable
 
-        chosen = load_scenario(scenario, overrides)
-        check_outputs(file, read=scenario_files(chosen))
+        chosen = open_scenario(scenario, overrides, file)
         with quiet():
             wrong = unbuildable(chosen)
     for problem in wrong:
