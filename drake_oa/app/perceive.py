@@ -338,7 +338,7 @@ def _segmentation_config(near: float | None, far: float | None) -> SegmentationC
     from drake_oa.perception.config import SegmentationConfig
 
     given = {name: value for name, value in (("near", near), ("far", far)) if value is not None}
-    config: SegmentationConfig = validate(SegmentationConfig, given, "-")
+    config: SegmentationConfig = validate(SegmentationConfig, given)
     return config
 
 

@@ -144,12 +144,13 @@ def test_a_motion_that_is_cut_short_is_reported_and_written(
 def test_a_page_needs_none_of_the_ports_of_viewers(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def taken(params: object) -> object:
-        if params.port is None:
-            raise RuntimeError("Meshcat failed to open a websocket port")
-        return Meshcat(params)
+    class WithoutPorts(Meshcat):
+        def __init__(self, params: object) -> None:
+            if params.port is None:
+                raise RuntimeError("Meshcat failed to open a websocket port")
+            super().__init__(params)
 
-    monkeypatch.setattr("drake_oa.viewing.viewer.Meshcat", taken)
+    monkeypatch.setattr("drake_oa.viewing.viewer.Meshcat", WithoutPorts)
     arguments = ("run", "free_space", "--duration", "0.05")
     assert run(*arguments, "--html", "run.html") == 0
     assert "http://localhost" not in Path("run.html").read_text()

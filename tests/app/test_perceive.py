@@ -122,7 +122,7 @@ def test_a_file_that_cannot_be_used_is_named_and_the_others_are_processed(depth,
     [
         (["--tool", "hammer"], "--tool must be panda, none or LX,LY,LZ"),
         (["--intrinsics", "0", "1", "1", "1"], "--intrinsics: intrinsics must be"),
-        (["--far", "0.1"], "--near, --far: SegmentationConfig.near must be less than far"),
+        (["--far", "0.1"], "far: 0.1 must be greater than near"),
     ],
 )
 def test_options_out_of_range_are_refused(capsys, options, message):
