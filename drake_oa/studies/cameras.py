@@ -82,7 +82,7 @@ def with_opposite(scenario: Scenario) -> Scenario:
         raise ValueError("a second camera needs a scenario that is seen by one depth camera")
     scenario = copy.deepcopy(scenario)
     (first,) = camera_configs(scenario, source)
-    X_WC, middle = _pose_in_world(scenario, first), np.array([*WORKSPACE, 0.0])
+    X_WC, middle = camera_pose(scenario, first), np.array([*WORKSPACE, 0.0])
     half = RotationMatrix.MakeZRotation(math.pi)
     p_WC = middle + half @ (X_WC.translation() - middle)
     second = copy.deepcopy(first)
@@ -138,7 +138,8 @@ def _place(middle: FloatArray, heading: float, things: Solids) -> FloatArray:
     return found
 
 
-def _pose_in_world(scenario: Scenario, camera: CameraConfig) -> RigidTransform:
+def camera_pose(scenario: Scenario, camera: CameraConfig) -> RigidTransform:
+    """Computes the pose in the world of a camera of a scenario."""
     scene_graph, plant = SceneGraph(), MultibodyPlant(time_step=scenario.plant_step)
     plant.RegisterAsSourceForSceneGraph(scene_graph)
     add_world(plant, scenario)

@@ -35,17 +35,7 @@ from drake_oa.studies.scenes.paper_method import (
 )
 from drake_oa.studies.scenes.scenes import Scenes
 from drake_oa.studies.scenes.suites import SAMPLINGS, line_hits
-from drake_oa.training.paper import TABLE_ONE
-
-_ERROR_COLUMNS = (
-    Column("train", form="{:.3g}"),
-    Column("train_printed", "print", "{:.3g}"),
-    Column("test", form="{:.3g}"),
-    Column("test_printed", "print", "{:.3g}"),
-    Column("floor", form="{:.3g}"),
-    Column("rows", form="{:,d}"),
-)
-
+from drake_oa.training.paper import error_table, printed_errors
 
 _TOLD = ("chain", "action_level", "rollouts", "seed", "version", "date", "source_digest")
 """Keys of the weights' metadata that the JSON repeats."""
@@ -73,8 +63,7 @@ def table_one_figures(versions: Sequence[str]) -> dict[str, Any]:
         for target in TARGETS:
             network = {**told["nmse"][target], "rows": told["rows"][target]}
             if trained_on == "released":
-                printed = TABLE_ONE[told["chain"]][target]
-                network |= dict(zip(("train_printed", "test_printed"), printed, strict=True))
+                network |= printed_errors(told["chain"], target)
             networks[target] = network
         chains[file] = {key: told[key] for key in _TOLD} | {"networks": networks}
     return {
@@ -86,12 +75,10 @@ def table_one_figures(versions: Sequence[str]) -> dict[str, Any]:
 
 def table_one(whole: Mapping[str, Any]) -> list[TextTable]:
     """What `table_one_figures` found, a table a file."""
-    tables = []
-    for file, chain in whole["chains"].items():
-        notes = [f"({chain['chain']}; {chain['action_level']})"]
-        rows = [{"name": name, **network} for name, network in chain["networks"].items()]
-        tables.append(TextTable((Column("name", file), *_ERROR_COLUMNS), rows, notes))
-    return tables
+    return [
+        error_table(file, chain["networks"], [f"({chain['chain']}; {chain['action_level']})"])
+        for file, chain in whole["chains"].items()
+    ]
 
 
 _CELLS = ("clearance_mean", "clearance_min", "goal_error_mean", "goal_error_max", "collisions")

@@ -6,7 +6,7 @@ Levenberg-Marquardt: damped Gauss-Newton steps, each with a lower loss than the 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -27,10 +27,9 @@ _COLUMNS = 448
 
 @dataclass(frozen=True)
 class Schedule:
-    """How long to go on and how the damping moves.
+    """Damping of the steps, and the end of the iteration.
 
     Attributes:
-        iterations: largest number of accepted steps.
         damping: first damping mu.
         decrease: factor on mu after a step that lowers the loss.
         increase: factor on mu after one that does not.
@@ -38,7 +37,6 @@ class Schedule:
         decay: weight of the parameters' own squares in the loss, against overfitting.
     """
 
-    iterations: int = 60
     damping: float = 1e-3
     decrease: float = 0.1
     increase: float = 10.0
@@ -89,7 +87,7 @@ class LeastSquares:
         *,
         device: str = "cpu",
     ) -> None:
-        """Takes the rows to the device.
+        """Copies the rows to the device.
 
         Args:
             network: maps rows (..., d) to (...); its parameters give names and shapes only.
@@ -98,15 +96,7 @@ class LeastSquares:
             weight: (N,) not negative; None: 1 for each.
             device: a torch device.
 
-        Raises:
-            ValueError: if shapes do not fit, or values are not finite.
         """
-        if x.ndim != 2 or y.shape != (len(x),) or not len(x):
-            raise ValueError(f"x must be (N, d) and y (N,), not {x.shape} and {y.shape}")
-        if not (np.isfinite(x).all() and np.isfinite(y).all()):
-            raise ValueError("x and y must be finite")
-        if weight is not None and (weight.shape != y.shape or not (weight >= 0.0).all()):
-            raise ValueError("weight must be (N,) and not negative")
         root = np.ones_like(y) if weight is None else np.sqrt(weight)
         self._rows = [torch.tensor(v, dtype=torch.float64, device=device) for v in (x, y, root)]
         # Derivatives of 90 MB a block on a processor; an accelerator wants more at once.
@@ -156,22 +146,24 @@ def fit(
     problem: LeastSquares,
     start: Progress,
     schedule: Schedule,
-    each: Callable[[Progress, float], None] | None = None,
+    iterations: int,
+    on_step: Callable[[Progress], None] = lambda state: None,
 ) -> Progress:
     """Fits by least squares (Levenberg 1944, Marquardt 1963).
 
     Args:
         problem: the rows and the network.
         start: where to begin, or to go on.
-        schedule: how long, and the damping.
-        each: told each new state, and the sum of squares before its step.
+        schedule: the damping.
+        iterations: largest number of accepted steps, those of the start included.
+        on_step: called with each new state.
 
     Returns:
-        The state at the end. Going on from any state that `each` was told gives the
+        The state at the end. Going on from any state that `on_step` was called with gives the
         same, bit for bit.
     """
     state = start
-    while state.iteration < schedule.iterations and not state.stuck:
+    while state.iteration < iterations and not state.stuck:
         gram, gradient, squares = problem.normal_equations(state.parameters)
         loss = squares + schedule.decay * float(state.parameters @ state.parameters)
         gradient -= schedule.decay * state.parameters
@@ -191,8 +183,7 @@ def fit(
         else:
             mu = max(mu * schedule.decrease, 1e-12)
             state = Progress(lower, mu, state.iteration + 1)
-        if each is not None:
-            each(state, squares)
+        on_step(state)
     return state
 
 
@@ -274,55 +265,46 @@ def train_network(
     schedule: Schedule,
     *,
     seed: tuple[int, ...],
-    rounds: tuple[Round, ...] = (),
-    weight: FloatArray | None = None,
-    bounds: tuple[FloatArray, FloatArray] | None = None,
-    device: str = "cpu",
-    checkpoint: Checkpoint | None = None,
-    report: Report | None = None,
+    rounds: Sequence[Round],
+    weight: FloatArray | None,
+    bounds: tuple[FloatArray, FloatArray],
+    device: str,
+    checkpoint: Checkpoint,
+    report: Report,
 ) -> Network:
     """Fits a network to rows.
 
     Args:
         stage: name of its checkpoint, and what `report` is told.
-        x: (N, d) inputs, shuffled where there are rounds.
+        x: (N, d) inputs, shuffled.
         y: (N,) targets.
         schedule: of Levenberg-Marquardt.
         seed: of the first weights.
-        rounds: how to go about it; their iterations stand for the schedule's. Empty:
-            one with all rows.
+        rounds: of the fit, one after the other.
         weight: (N,) of the rows; None: 1.
-        bounds: (d + 1,) least and greatest inputs and target, for the scaling; None:
-            those of the rows.
+        bounds: (d + 1,) least and greatest inputs and target, for the scaling.
         device: a torch device.
-        checkpoint: where to keep each iteration, and to go on from.
+        checkpoint: keeps each iteration, and is gone on from.
         report: told how far it is.
 
     Returns:
         The network with the least loss found.
     """
-    columns = np.column_stack((x, y))
-    low, high = bounds or (columns.min(axis=0), columns.max(axis=0))
+    low, high = bounds
     gain = 2.0 / np.where(high > low, high - low, 1.0)
-    scaled = (columns - low) * gain - 1.0
+    scaled = (np.column_stack((x, y)) - low) * gain - 1.0
     perceptron = Perceptron(x.shape[1], np.random.default_rng(seed))
-    found = checkpoint.load(stage) if checkpoint else None
+    found = checkpoint.load(stage)
     if found is None:
         first = parameters_to_vector(perceptron.parameters()).detach().to(device)
         state = Progress(first, schedule.damping)
     else:
         state = Progress.of_arrays(found, device)
-    rounds = rounds or (Round(schedule.iterations, len(x)),)
     total = sum(each_round.iterations for each_round in rounds)
 
-    def save(state: Progress) -> None:
-        if checkpoint is not None:
-            checkpoint.save(stage, **state.arrays())
-
-    def each(state: Progress, _: float) -> None:
-        save(state)
-        if report is not None:
-            report(stage, state.iteration / total)
+    def keep(state: Progress) -> None:
+        checkpoint.save(stage, **state.arrays())
+        report(stage, state.iteration / total)
 
     until = 0
     for each_round in rounds:
@@ -330,17 +312,12 @@ def train_network(
         if state.iteration >= until:
             continue
         n = each_round.rows
-        problem = LeastSquares(
-            perceptron,
-            scaled[:n, :-1],
-            scaled[:n, -1],
-            None if weight is None else weight[:n],
-            device=device,
-        )
-        state = fit(problem, state, replace(schedule, iterations=until), each)
+        some = None if weight is None else weight[:n]
+        problem = LeastSquares(perceptron, scaled[:n, :-1], scaled[:n, -1], some, device=device)
+        state = fit(problem, state, schedule, until, keep)
         # Where it got stuck, the next round's rows may let it go on.
         state = replace(state, iteration=until, stuck=False)
-        save(state)
+        checkpoint.save(stage, **state.arrays())
     vector_to_parameters(state.parameters.cpu(), perceptron.parameters())
     weights, biases = perceptron.arrays()
     return Network(weights, biases, low[:-1], gain[:-1], float(low[-1]), float(gain[-1]))

@@ -8,11 +8,13 @@ of the running system's, that keeps 1 cm.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 
+from drake_oa.common.console import Column, TextTable
 from drake_oa.common.files import provenance
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
 from drake_oa.regulation.network import Network
@@ -94,8 +96,8 @@ class PaperSet(Frozen):
 
 def build_paper_set(
     lattice: PaperLattice,
-    report: Report | None = None,
-    action_level: ActionLevelName = "released",
+    report: Report,
+    action_level: ActionLevelName,
 ) -> PaperSet:
     """Rolls out the lattice.
 
@@ -120,8 +122,7 @@ def build_paper_set(
         first, j, *place = np.nonzero(kept)
         index = np.column_stack((first + i, j, *place[::-1]))
         found.append((index, clearance[kept], goal_error[kept]))
-        if report is not None:
-            report("roll out", (i + 1) / len(lattice.lambda1))
+        report("roll out", (i + 1) / len(lattice.lambda1))
     index, clearance, goal_error = (np.concatenate(part) for part in zip(*found, strict=True))
     if not len(index):
         raise ValueError("no motion of the lattice keeps the least clearance")
@@ -131,7 +132,7 @@ def build_paper_set(
 
 def group_means(
     index: IntArray, y: FloatArray, rows: BoolArray
-) -> tuple[IntArray, FloatArray, FloatArray]:
+) -> tuple[IntArray, FloatArray, FloatArray, IntArray]:
     """Rows of equal inputs as one: least squares on the means, weighted, is the same.
 
     Args:
@@ -140,19 +141,19 @@ def group_means(
         rows: (N,) those to take.
 
     Returns:
-        (G, k) distinct inputs, (G,) mean target and (G,) number of rows of each.
+        (G, k) distinct inputs, (G,) mean target and (G,) number of rows of each; and the number
+        of the group of each of the rows.
     """
     groups, group = np.unique(index[rows], axis=0, return_inverse=True)
-    count = np.bincount(group.ravel(), minlength=len(groups)).astype(float)
-    return groups, np.bincount(group.ravel(), y[rows], len(groups)) / count, count
+    group = group.ravel()
+    count = np.bincount(group, minlength=len(groups)).astype(float)
+    return groups, np.bincount(group, y[rows], len(groups)) / count, count, group
 
 
 def floor_of_means(index: IntArray, y: FloatArray, rows: BoolArray) -> float:
     """NMSE of the means over rows of equal inputs."""
-    _, group = np.unique(index[rows], axis=0, return_inverse=True)
-    count = np.bincount(group.ravel())
-    mean = np.bincount(group.ravel(), y[rows]) / count
-    return float(np.mean((y[rows] - mean[group.ravel()]) ** 2) / np.var(y[rows]))
+    _, mean, _, group = group_means(index, y, rows)
+    return nmse(y[rows], mean[group])
 
 
 def floor_of_windows(
@@ -261,27 +262,29 @@ def train_paper(
     recipe: PaperRecipe,
     seed: int,
     *,
+    checkpoint: Checkpoint,
     device: str = "cpu",
-    checkpoint: Checkpoint | None = None,
-    report: Report | None = None,
+    report: Report = lambda stage, done: None,
 ) -> tuple[PaperSet, dict[str, ChainWeights], dict[str, list[Score]]]:
     """Rolls out the set and trains both chains, each network on the true values before it.
 
     Args:
         recipe: what to do.
         seed: of the split, of the rows drawn, and of the first weights.
-        device: of torch, "cpu" or "cuda".
         checkpoint: where to keep what was computed, and to go on from.
+        device: of torch, "cpu" or "cuda".
         report: told how far it is.
 
     Returns:
         The set, and by name the chains and the scores of their networks.
     """
-    rows = _load_set(checkpoint)
-    if rows is None:
+    found = checkpoint.load("set")
+    if found is None:
         rows = build_paper_set(recipe.lattice, report, recipe.action_level)
-        if checkpoint is not None:
-            checkpoint.save("set", **{name: np.asarray(v) for name, v in vars(rows).items()})
+        checkpoint.save("set", **vars(rows))
+    else:
+        rollouts = int(found.pop("rollouts"))
+        rows = PaperSet(**found, rollouts=rollouts)
     in_train = np.random.default_rng((seed, 0)).random(len(rows)) < TRAIN_SHARE
     chains: dict[str, ChainWeights] = {}
     scores: dict[str, list[Score]] = {}
@@ -310,19 +313,6 @@ def train_paper(
     return rows, chains, scores
 
 
-def _load_set(checkpoint: Checkpoint | None) -> PaperSet | None:
-    found = checkpoint.load("set") if checkpoint else None
-    if found is None:
-        return None
-    return PaperSet(
-        found["index"],
-        found["values"],
-        found["clearance"],
-        found["goal_error"],
-        int(found["rollouts"]),
-    )
-
-
 def _inputs(rows: PaperSet, chain: int, target: int) -> FloatArray:
     """(N, d) lambda1', lambda2', for RC(lambda', Delta) Delta, and the targets before."""
     if chain == 0:
@@ -344,7 +334,7 @@ def _problem(
     rng = np.random.default_rng((seed, 1, chain, target))
     use, y = _used(rows, chain, target), rows.values[:, 2 + target]
     if chain == 0:
-        groups, mean, count = group_means(rows.index[:, : 2 + target], y, use & in_train)
+        groups, mean, count, _ = group_means(rows.index[:, : 2 + target], y, use & in_train)
         drawn = rng.permutation(len(groups))
         places = groups[drawn].T
         x = np.column_stack([axis[i] for axis, i in zip(lattice, places, strict=False)])
@@ -417,19 +407,29 @@ def _chain(
     return ChainWeights(networks, lower, upper, np.ones(len(lower)), frozenset(), metadata=metadata)
 
 
-def table_one(scores: dict[str, list[Score]]) -> str:
-    """Markdown: Table I of the paper beside what was reached and the floor of the set."""
-    lines = [
-        "| chain | target | train | test | printed train | printed test | floor | rows |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for name, networks in scores.items():
-        for s in networks:
-            printed = TABLE_ONE[name][s.target]
-            figures = [_figure(v) for v in (s.train, s.test, *printed, s.floor)]
-            lines.append(f"| {name} | {s.target} | {' | '.join(figures)} | {s.rows:,} |")
-    return "\n".join(lines)
+def printed_errors(chain: str, target: str) -> dict[str, float]:
+    """Returns the train and test errors of a network as Table I prints them."""
+    return dict(zip(("train_printed", "test_printed"), TABLE_ONE[chain][target], strict=True))
 
 
-def _figure(value: float) -> str:
-    return f"{value:.3f}" if value >= 0.01 else f"{value:.1e}"
+def error_table(
+    title: str, networks: Mapping[str, Mapping[str, Any]], notes: Sequence[str] = ()
+) -> TextTable:
+    """Tabulates the errors of a chain's networks beside the printed ones and the set's floor.
+
+    Args:
+        title: heading of the targets.
+        networks: target -> `train`, `test`, `floor`, `rows` and where they are known
+            `printed_errors`.
+        notes: lines below.
+    """
+    columns = (
+        Column("name", title),
+        Column("train", form="{:.3g}"),
+        Column("train_printed", "print", "{:.3g}"),
+        Column("test", form="{:.3g}"),
+        Column("test_printed", "print", "{:.3g}"),
+        Column("floor", form="{:.3g}"),
+        Column("rows", form="{:,d}"),
+    )
+    return TextTable(columns, [{"name": name, **row} for name, row in networks.items()], notes)

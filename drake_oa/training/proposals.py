@@ -12,12 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import reduce
 from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from scipy.spatial.transform import Rotation
 from torch import Tensor, nn
 
 from drake_oa.common.console import Column, TextTable
@@ -119,10 +119,6 @@ class Rows(NamedTuple):
     length: Floats32
     kept: BoolArray
 
-    def joined(self, other: Rows) -> Rows:
-        """With others after them."""
-        return Rows(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
-
 
 @dataclass(frozen=True)
 class Given:
@@ -154,12 +150,7 @@ class SideSearch(Search):
 
 def turned(scenes: SpatialScenes, angle: FloatArray) -> SpatialScenes:
     """The scenes with their frames L turned about x, so that the side at an angle (S,) is y_L."""
-    R = np.zeros((len(angle), 3, 3))
-    R[:, 0, 0] = 1.0
-    R[:, 1, 1] = R[:, 2, 2] = np.cos(angle)
-    R[:, 2, 1] = np.sin(angle)
-    R[:, 1, 2] = -R[:, 2, 1]
-    return replace(scenes, R_WL=scenes.R_WL @ R)
+    return replace(scenes, R_WL=scenes.R_WL @ Rotation.from_euler("x", angle[:, None]).as_matrix())
 
 
 def draw_scenes(rng: np.random.Generator, count: int, moving: bool) -> SpatialScenes:
@@ -196,8 +187,8 @@ def _candidates(rng: np.random.Generator, count: int, moving: bool) -> tuple[Flo
     table = rng.random(count) < 1.0 / 3.0
     size = np.where(number > 2, 0.12, 0.5)[:, None, None]
     axes = rng.uniform(0.01, 1.0, (count, MOST, 3)) * size
-    quaternion = rng.standard_normal((count, MOST, 4))
-    R = _rotations(quaternion)
+    quaternion = rng.standard_normal((count * MOST, 4))
+    R = Rotation.from_quat(np.roll(quaternion, -1, axis=1)).as_matrix().reshape(count, MOST, 3, 3)
     R[rng.random(count) < 0.3] = np.eye(3)
     center = rng.uniform((0.0, -0.5, -0.5), (1.0, 0.5, 0.5), (count, MOST, 3))
     # One of them in the way, the others anywhere.
@@ -228,17 +219,6 @@ def _candidates(rng: np.random.Generator, count: int, moving: bool) -> tuple[Flo
     absent[:, -1] = ~table
     center[absent] = np.nan
     return center, R, axes, velocity, asked
-
-
-def _rotations(q: FloatArray) -> FloatArray:
-    """(..., 3, 3) rotations of quaternions (..., 4) that need not be of unit length."""
-    w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def _at_rest(
@@ -477,7 +457,7 @@ def train_proposals(
     torch.set_num_threads(1)
     net = SetNetwork(recipe.width).to(device)
     network: ProposalNetwork | None = None
-    before: Rows | None = None
+    before: list[Rows] = []
     scores: list[Scores] = []
     chunks = -(-recipe.scenes // recipe.chunk)
     for number in range(recipe.rounds):
@@ -493,9 +473,8 @@ def train_proposals(
                 rows = Rows(**kept)
             made.append(rows)
             report(f"round {number + 1}: search", (number + (k + 1) / chunks) / recipe.rounds)
-        fresh = reduce(Rows.joined, made)
-        rows = fresh if before is None else before.joined(fresh)
-        before = fresh
+        rows = Rows(*map(np.concatenate, zip(*before, *made, strict=True)))
+        before = made
         scores.append(fit(net, rows, recipe, seed + number, device, report))
         network = ProposalNetwork(net.arrays())
     told = {

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import sys
 import time
-from dataclasses import asdict
+from collections.abc import Callable, Collection
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 from drake_oa.common.console import INTERRUPTED, progress_bar
 from drake_oa.common.files import check_outputs
 from drake_oa.regulation.proposal_network import ProposalNetwork, save_proposals
 from drake_oa.regulation.regressor import ChainWeights, save_chain
-from drake_oa.training.checkpoint import Checkpoint, Report
+from drake_oa.training.checkpoint import Checkpoint
 from drake_oa.training.networks import choose_device
-from drake_oa.training.paper import CHAINS, PaperRecipe, table_one, train_paper
+from drake_oa.training.paper import CHAINS, PaperRecipe, error_table, printed_errors, train_paper
 from drake_oa.training.proposals import ProposalRecipe, proposal_table, train_proposals
 
 PAPER_FILES = {
@@ -23,7 +24,7 @@ PAPER_FILES = {
 }
 """Weights file of each chain of the paper."""
 
-RUNNING_FILE = "paper_chain_running.safetensors"
+RUNNING_FILES = {CHAINS[1]: "paper_chain_running.safetensors"}
 """Weights file of RC(lambda', Delta) for the running system."""
 
 PROPOSALS_FILE = "proposals.safetensors"
@@ -53,99 +54,81 @@ def train(
     if seed < 0:
         raise ValueError(f"--seed must not be negative, not {seed}")
     device = choose_device(device)
-    trained = _RECIPES[recipe](seed, iterations)
-    check_outputs(*(out / name for name in trained.files))
+    plan = _plan(recipe, iterations)
+    check_outputs(*(out / name for name in plan.files))
     folder = checkpoint or out / f"{recipe}.checkpoint"
-    settings = {"recipe": recipe, "seed": seed, "device": device, **trained.settings()}
+    settings = {"recipe": recipe, "seed": seed, "device": device, **plan.settings}
     kept = Checkpoint(folder, settings, restart=restart)
     if kept.resumed:
         print(f"going on from {folder}", file=sys.stderr)
     begin = time.perf_counter()
     try:
         with progress_bar(1.0) as bar:
-            chains, tables = trained.train(device, kept, bar)
+            networks, told = plan.train(seed, device=device, checkpoint=kept, report=bar)
     except KeyboardInterrupt:
         print(
             f"\ninterrupted; what was computed is in {folder}: the same command goes on from there",
             file=sys.stderr,
         )
         return INTERRUPTED
-    print(f"{tables}\n\nseed {seed}, {device}, {time.perf_counter() - begin:.0f} s")
-    for name, chain in chains.items():
-        if isinstance(chain, ProposalNetwork):
-            save_proposals(chain, out / name)
+    print(f"{told}\n\nseed {seed}, {device}, {time.perf_counter() - begin:.0f} s")
+    for name, network in networks.items():
+        if isinstance(network, ProposalNetwork):
+            save_proposals(network, out / name)
         else:
-            save_chain(chain, out / name)
+            save_chain(network, out / name)
         print(f"written: {out / name}")
     kept.remove()
     return 0
 
 
-class _Paper:
-    names: ClassVar[dict[str, str]] = PAPER_FILES
+@dataclass(frozen=True)
+class _Plan:
+    """A training as asked.
 
-    def __init__(self, seed: int, iterations: int | None) -> None:
-        self._seed = seed
-        self.files = tuple(self.names.values())
-        self._recipe = self.recipe()
-        if iterations is not None:
-            self._recipe = self._recipe.limited(iterations)
+    Attributes:
+        files: names of the weights.
+        settings: of the recipe, as JSON would hold them.
+        train: trains with a seed, device, checkpoint and report; returns the networks by file, and
+            the scores in words.
+    """
 
-    def recipe(self) -> PaperRecipe:
-        return PaperRecipe()
-
-    def settings(self) -> dict[str, Any]:
-        return self._recipe.settings()
-
-    def train(
-        self, device: str, checkpoint: Checkpoint, bar: Report
-    ) -> tuple[dict[str, Written], str]:
-        rows, chains, scores = train_paper(
-            self._recipe,
-            self._seed,
-            device=device,
-            checkpoint=checkpoint,
-            report=bar,
-        )
-        head = f"{rows.rollouts:,} roll-outs, {len(rows):,} rows\n\n"
-        files: dict[str, Written] = {self.names[name]: chain for name, chain in chains.items()}
-        return files, head + table_one(scores)
+    files: Collection[str]
+    settings: dict[str, Any]
+    train: Callable[..., tuple[dict[str, Written], str]]
 
 
-class _PaperRunning(_Paper):
-    names: ClassVar[dict[str, str]] = {CHAINS[1]: RUNNING_FILE}
+def _plan(name: str, iterations: int | None) -> _Plan:
+    if name == "proposals":
+        return _plan_proposals(iterations)
+    running = name == "paper_running"
+    recipe = PaperRecipe.running() if running else PaperRecipe()
+    if iterations is not None:
+        recipe = recipe.limited(iterations)
+    files = RUNNING_FILES if running else PAPER_FILES
 
-    def recipe(self) -> PaperRecipe:
-        return PaperRecipe.running()
+    def train(seed: int, **options: Any) -> tuple[dict[str, Written], str]:
+        rows, chains, scores = train_paper(recipe, seed, **options)
+        tables = [
+            error_table(
+                name, {s.target: asdict(s) | printed_errors(name, s.target) for s in networks}
+            )
+            for name, networks in scores.items()
+        ]
+        head = f"{rows.rollouts:,} roll-outs, {len(rows):,} rows"
+        told = "\n\n".join([head, *map(str, tables)])
+        return {files[name]: chain for name, chain in chains.items()}, told
+
+    return _Plan(files.values(), recipe.settings(), train)
 
 
-class _Proposals:
-    files = (PROPOSALS_FILE,)
+def _plan_proposals(iterations: int | None) -> _Plan:
+    recipe = ProposalRecipe()
+    if iterations is not None:
+        recipe = recipe.limited(iterations)
 
-    def __init__(self, seed: int, iterations: int | None) -> None:
-        self._seed = seed
-        self._recipe = ProposalRecipe()
-        if iterations is not None:
-            self._recipe = self._recipe.limited(iterations)
-
-    def settings(self) -> dict[str, Any]:
-        return asdict(self._recipe)
-
-    def train(
-        self, device: str, checkpoint: Checkpoint, bar: Report
-    ) -> tuple[dict[str, Written], str]:
-        network, scores = train_proposals(
-            self._recipe,
-            self._seed,
-            device=device,
-            checkpoint=checkpoint,
-            report=bar,
-        )
+    def train(seed: int, **options: Any) -> tuple[dict[str, Written], str]:
+        network, scores = train_proposals(recipe, seed, **options)
         return {PROPOSALS_FILE: network}, str(proposal_table(scores))
 
-
-_RECIPES: dict[str, type[_Paper | _Proposals]] = {
-    "proposals": _Proposals,
-    "paper": _Paper,
-    "paper_running": _PaperRunning,
-}
+    return _Plan([PROPOSALS_FILE], asdict(recipe), train)

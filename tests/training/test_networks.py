@@ -1,15 +1,22 @@
-"""One network: what its layers compute, that training goes on as before, devices."""
+"""One network: its least squares, that training goes on as before, devices."""
+
+import itertools
 
 import numpy as np
 import pytest
 import torch
+from torch.nn.utils import parameters_to_vector
 
+from drake_oa.training import networks
 from drake_oa.training.checkpoint import Checkpoint
 from drake_oa.training.networks import (
+    LeastSquares,
     Perceptron,
+    Progress,
     Round,
     Schedule,
     choose_device,
+    fit,
     nmse,
     predict,
     train_network,
@@ -18,71 +25,115 @@ from drake_oa.training.networks import (
 ROUNDS = (Round(3, 100), Round(2, 300))
 
 
+def ignore(stage, fraction):
+    pass
+
+
 @pytest.fixture(scope="module")
 def rows():
     x = np.random.default_rng(0).uniform(0.0, 5.0, (300, 2))
     return x, np.exp(0.3 * x[:, 0]) + x[:, 1]
 
 
-def trained(rows, **options):
-    return train_network("y", *rows, Schedule(), seed=(1, 2), rounds=ROUNDS, **options)
+def trained(rows, folder, report=ignore, device="cpu"):
+    columns = np.column_stack(rows)
+    return train_network(
+        "y",
+        *rows,
+        Schedule(),
+        seed=(1, 2),
+        rounds=ROUNDS,
+        weight=None,
+        bounds=(columns.min(axis=0), columns.max(axis=0)),
+        device=device,
+        checkpoint=Checkpoint(folder, {}),
+        report=report,
+    )
 
 
-def test_the_layers_are_drawn_by_seed_and_computed_in_float64():
-    first, again, other = (Perceptron(3, np.random.default_rng(seed)) for seed in (0, 0, 1))
-    x = torch.rand(5, 3, dtype=torch.float64)
-    y = x.numpy().T
-    weights, biases = first.arrays()
-    for weight, bias in zip(weights[:-1], biases[:-1], strict=True):
-        y = np.tanh(weight @ y + bias[:, None])
-    expected = (weights[-1] @ y)[0] + biases[-1]
-    np.testing.assert_allclose(first(x).detach().numpy(), expected, rtol=1e-12)
-    assert torch.equal(first(x), again(x))
-    assert not torch.equal(first(x), other(x))
+@pytest.fixture
+def small():
+    """A network, and a problem that it cannot solve."""
+    network = Perceptron(2, np.random.default_rng(0))
+    x = np.random.default_rng(2).uniform(-1.0, 1.0, (100, 2))
+    problem = LeastSquares(network, x, np.abs(x[:, 0]) - x[:, 1] ** 2)
+    return problem, Progress(parameters_to_vector(network.parameters()).detach(), 1e-3)
 
 
-def test_a_network_predicts_what_it_was_trained_on(rows):
-    x, y = rows
-    assert nmse(y, predict(trained(rows), x)) < 5e-3
+@pytest.mark.parametrize("weighted", [False, True])
+def test_the_normal_equations_are_the_plain_formula(weighted, monkeypatch):
+    monkeypatch.setattr(networks, "_COLUMNS", 10)
+    rng = np.random.default_rng(0)
+    x, weight = rng.uniform(-1.0, 1.0, (50, 3)), rng.uniform(0.0, 2.0, 50)
+    y, network = np.sin(x.sum(axis=1)), Perceptron(3, rng)
+    problem = LeastSquares(network, x, y, weight if weighted else None)
+    problem._block = 7
+    output = network(torch.from_numpy(x))
+    slopes = [
+        torch.autograd.grad(one, list(network.parameters()), retain_graph=True) for one in output
+    ]
+    J = np.array([np.concatenate([s.numpy().ravel() for s in of]) for of in slopes])
+    w, error = weight if weighted else np.ones(50), y - output.detach().numpy()
+    parameters = parameters_to_vector(network.parameters()).detach()
+    gram, gradient, squares = problem.normal_equations(parameters)
+    np.testing.assert_allclose(gram.numpy(), J.T @ (w[:, None] * J), rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(gradient.numpy(), J.T @ (w * error), rtol=1e-10, atol=1e-12)
+    assert squares == pytest.approx(np.sum(w * error**2), rel=1e-12)
+    assert problem.squared_error(parameters) == pytest.approx(squares, rel=1e-12)
 
 
-@pytest.mark.parametrize("stop", [2, 4])
-def test_after_an_interruption_the_network_is_the_same(rows, tmp_path, stop):
+def test_the_loss_never_rises_and_going_on_from_any_state_gives_the_same(small):
+    problem, begin = small
+    schedule, states = Schedule(decay=0.0), []
+    whole = fit(problem, begin, schedule, 20, states.append)
+    errors = [problem.squared_error(state.parameters) for state in (begin, *states)]
+    assert all(after < before for before, after in itertools.pairwise(errors))
+    kept = Progress.of_arrays(states[6].arrays(), "cpu")
+    rest = fit(problem, kept, schedule, 20)
+    assert torch.equal(rest.parameters, whole.parameters)
+    assert (rest.damping, rest.iteration) == (whole.damping, whole.iteration)
+
+
+def test_where_no_step_helps_it_stops(small):
+    begin = small[1]
+    problem = LeastSquares(Perceptron(2, np.random.default_rng(0)), np.zeros((3, 2)), np.zeros(3))
+    start = Progress(torch.zeros_like(begin.parameters), 1e-3)
+    found = fit(problem, start, Schedule(), 5)
+    assert found.stuck
+    assert fit(problem, found, Schedule(), 9) is found
+
+
+def test_after_an_interruption_the_network_is_the_same(rows, tmp_path):
     told = []
 
     def interrupt(stage, fraction):
         told.append(fraction)
-        if len(told) == stop:
+        if len(told) == 4:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        trained(rows, checkpoint=Checkpoint(tmp_path, {}), report=interrupt)
-    again = trained(
-        rows, checkpoint=Checkpoint(tmp_path, {}), report=lambda _, fraction: told.append(fraction)
-    )
+        trained(rows, tmp_path / "cut", interrupt)
+    again = trained(rows, tmp_path / "cut", lambda _, fraction: told.append(fraction))
     assert told == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
-    for ours, theirs in zip(trained(rows).weights, again.weights, strict=True):
+    whole = trained(rows, tmp_path / "whole")
+    for ours, theirs in zip(whole.weights, again.weights, strict=True):
         np.testing.assert_array_equal(ours, theirs)
-
-
-def test_the_cpu_is_always_there():
-    assert choose_device("cpu") == "cpu"
-    with pytest.raises(ValueError, match="auto, cpu or cuda, not 'tpu'"):
-        choose_device("tpu")
+    assert nmse(rows[1], predict(whole, rows[0])) < 5e-3
 
 
 @pytest.mark.parametrize("present", [False, True])
 def test_cuda_is_used_where_torch_finds_it(monkeypatch, present):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: present)
     assert choose_device("auto") == ("cuda" if present else "cpu")
-    if present:
-        assert choose_device("cuda") == "cuda"
-    else:
+    if not present:
         with pytest.raises(ValueError, match="finds no CUDA device"):
             choose_device("cuda")
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
-def test_cuda_trains_the_same_network(rows):
-    ours, theirs = (predict(trained(rows, device=device), rows[0]) for device in ("cpu", "cuda"))
+def test_cuda_trains_the_same_network(rows, tmp_path):
+    ours, theirs = (
+        predict(trained(rows, tmp_path / device, device=device), rows[0])
+        for device in ("cpu", "cuda")
+    )
     np.testing.assert_allclose(ours, theirs, rtol=1e-6)

@@ -37,11 +37,10 @@ share tells how many have one for certain.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere, bounding_radius, pose
@@ -61,10 +60,9 @@ from drake_oa.studies.panda.scene_parts import (
     TOUCHES_TABLE,
     Drawn,
     base_scenario,
-    draw_motion,
     draw_obstacles,
     ends_are_free,
-    first_drawn,
+    first_on_motion,
     half_height,
     in_view,
     is_outside_image,
@@ -138,18 +136,17 @@ def draw_moving(random: np.random.Generator, tally: Tally) -> Drawn:
     """A scene with one or two moving things, see `first_drawn`."""
     moving, resting = _draw_numbers(random, _MOVING)
 
-    def attempt() -> Drawn | None:
-        drawn = draw_motion(random, tally)
-        if drawn is None:
-            return None
-        start, goal, motion = drawn
+    def draw_things(
+        _start: FloatArray, goal: FloatArray, motion: FloatArray
+    ) -> list[Obstacle] | None:
         for _ in range(_SETS):
             things = _draw_set(random, tally, motion, moving, resting)
             if things is not None and tally.takes("scenes", _no_scene(motion, goal, things)):
-                return things, start, goal
+                return things
         return None
 
-    return first_drawn(attempt, _MOST_MOTIONS, f"{moving} moving and {resting} resting things")
+    what = f"{moving} moving and {resting} resting things"
+    return first_on_motion(random, tally, draw_things, _MOST_MOTIONS, what)
 
 
 def draw_hard(random: np.random.Generator, tally: Tally) -> Drawn:
@@ -157,11 +154,9 @@ def draw_hard(random: np.random.Generator, tally: Tally) -> Drawn:
     moving, resting = _draw_numbers(random, _HARD_MOVING)
     movers = [_draw_mover(random, number) for number in range(moving)]
 
-    def attempt() -> Drawn | None:
-        drawn = draw_motion(random, tally)
-        if drawn is None:
-            return None
-        start, goal, motion = drawn
+    def draw_things(
+        _start: FloatArray, goal: FloatArray, motion: FloatArray
+    ) -> list[Obstacle] | None:
         standing = draw_obstacles(random, resting, tally)
         if standing is None:
             return None
@@ -170,10 +165,10 @@ def draw_hard(random: np.random.Generator, tally: Tally) -> Drawn:
         if not reason:
             moved = _draw_courses(random, tally, movers, motion, standing)
             reason = "" if moved else "no course found for one of its things"
-        taken = tally.takes("scenes", reason)
-        return ([*moved, *standing], start, goal) if taken and moved else None
+        return [*moved, *standing] if tally.takes("scenes", reason) and moved else None
 
-    return first_drawn(attempt, _HARD_MOST_MOTIONS, f"{moving} moving and {resting} resting things")
+    what = f"{moving} moving and {resting} resting things"
+    return first_on_motion(random, tally, draw_things, _HARD_MOST_MOTIONS, what)
 
 
 def _draw_numbers(random: np.random.Generator, moving: tuple[int, int]) -> tuple[int, int]:
@@ -419,7 +414,7 @@ def _hard_misfit(
         return "does not enter from outside the image"
     if any(_course_gap(thing, other) < GAP for other in others):
         return TOO_NEAR
-    if not _start_is_free(motion[0], [thing], (0.0,)):
+    if not _are_free(motion[:1], [thing], [0.0]):
         return "at the outset the start leaves the robot less than 5 cm"
     return NOT_MET if first and not _is_met(motion, [thing]) else ""
 
@@ -451,9 +446,10 @@ def _no_scene(motion: FloatArray, goal: FloatArray, obstacles: Sequence[Obstacle
         return NOT_MET
     if not _touches_no_table(motion):
         return TOUCHES_TABLE
-    if not _start_is_free(motion[0], obstacles, np.arange(0.0, QUIET + _SAMPLE, _SAMPLE)):
+    if not _are_free(motion[:1], obstacles, np.arange(0.0, QUIET + _SAMPLE, _SAMPLE)):
         return "in the first second the start leaves the robot less than 5 cm"
-    if not _goal_is_free(motion[-1], goal, obstacles):
+    end = max(item.waypoints[-1][0] for item in obstacles if item.waypoints)
+    if not _are_free([motion[-1], planning_scene().tool_down(goal)], obstacles, [end]):
         return "at last the goal leaves the robot less than 5 cm"
     return ""
 
@@ -478,16 +474,13 @@ def _touches_no_table(motion: FloatArray) -> bool:
     return not any(cell.contacts(q) for q in motion)
 
 
-def _start_is_free(q: FloatArray, obstacles: Sequence[Obstacle], times: ArrayLike) -> bool:
+def _are_free(
+    positions: Iterable[FloatArray], obstacles: Sequence[Obstacle], times: Iterable[float]
+) -> bool:
+    """Whether the robot keeps `FREE` to the obstacles at (nq,) positions and at times [s]."""
     cell = planning_scene()
-    for time in np.atleast_1d(times).tolist():
-        cell.put(obstacles, time)
-        if cell.nearby(q, FREE):
+    for time in times:
+        cell.put(obstacles, float(time))
+        if any(cell.nearby(q, FREE) for q in positions):
             return False
     return True
-
-
-def _goal_is_free(q: FloatArray, goal: FloatArray, obstacles: Sequence[Obstacle]) -> bool:
-    cell = planning_scene()
-    cell.put(obstacles, max(item.waypoints[-1][0] for item in obstacles if item.waypoints))
-    return not any(cell.nearby(positions, FREE) for positions in (q, cell.tool_down(goal)))

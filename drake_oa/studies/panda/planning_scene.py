@@ -79,13 +79,6 @@ class PlanningScene:
         }
         self._obstacles: dict[GeometryId, str] = {}
 
-    def frame_pose(self, frame: str) -> RigidTransform:
-        """Pose in the world of a frame that does not move, "model::frame"."""
-        model, _, name = frame.partition("::")
-        plant = self._station.plant
-        instance = plant.GetModelInstanceByName(model)
-        return plant.GetFrameByName(name, instance).CalcPoseInWorld(self._plant_context)
-
     def put(self, obstacles: Sequence[Obstacle], time: float = 0.0) -> None:
         """Replaces the obstacles that were put before.
 
@@ -245,18 +238,6 @@ class PlanningScene:
                     name = self._obstacles.get(thing, "")
                     found.append((self._links[link], name, float(hit.depth)))
         return found
-
-    def clearance(self, q: FloatArray) -> float:
-        """Least distance of the robot at (nq,) positions q to what was put [m]; inf for nothing."""
-        query = self._query(q)
-        return min(
-            (
-                query.ComputeSignedDistancePairClosestPoints(link, thing).distance
-                for link in self._links
-                for thing in self._obstacles
-            ),
-            default=np.inf,
-        )
 
     def nearby(self, q: FloatArray, limit: float) -> list[tuple[str, str, float]]:
         """(link, thing, distance [m]) of what was put and is nearer than `limit` [m].

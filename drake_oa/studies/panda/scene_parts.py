@@ -15,6 +15,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+from pydrake.math import RigidTransform
 from pydrake.systems.sensors import CameraConfig
 
 from drake_oa.common.messages import FloatArray
@@ -25,6 +26,7 @@ from drake_oa.robot.tool_down import given_annulus
 from drake_oa.scenario.loading import load_scenario, parse_scenario
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario
+from drake_oa.studies.cameras import camera_pose
 from drake_oa.studies.panda.planning_scene import PlanningScene
 from drake_oa.studies.results import Tally
 
@@ -243,6 +245,34 @@ def first_drawn(attempt: Callable[[], Drawn | None], most: int, what: str) -> Dr
     raise RuntimeError(f"no scene of {what} found in {most} attempts")
 
 
+def first_on_motion(
+    random: np.random.Generator,
+    tally: Tally,
+    draw_things: Callable[[FloatArray, FloatArray, FloatArray], list[Obstacle] | None],
+    most: int,
+    what: str,
+) -> Drawn:
+    """Draws motions until things are found for one.
+
+    Args:
+        random: where the numbers come from.
+        tally: counts what is dropped.
+        draw_things: of (3,) start, (3,) goal and the (T, nq) straight motion, draws obstacles.
+        most: so many motions are tried.
+        what: names the things for the error.
+
+    Raises:
+        RuntimeError: if none were found.
+    """
+
+    def attempt() -> Drawn | None:
+        drawn = draw_motion(random, tally)
+        obstacles = None if drawn is None else draw_things(*drawn)
+        return None if drawn is None or obstacles is None else (obstacles, drawn[0], drawn[1])
+
+    return first_drawn(attempt, most, what)
+
+
 def draw_obstacles(random: np.random.Generator, count: int, tally: Tally) -> list[Obstacle] | None:
     """Obstacles apart from each other on the table, or None where there is no room for all."""
     obstacles: list[Obstacle] = []
@@ -279,7 +309,8 @@ def stands_apart(obstacle: Obstacle, others: Sequence[Obstacle]) -> bool:
 
 def in_view(p_WQ: FloatArray, like: str = LIKE) -> bool:
     """Whether a point is in the image of a shipped scenario's camera."""
-    camera, (x, y, z) = _seen_from_camera(p_WQ, like)
+    camera, X_WC = _camera(like)
+    x, y, z = X_WC.inverse() @ p_WQ
     if not camera.z_near < z < camera.z_far:
         return False
     u = camera.focal_x() * x / z + camera.principal_point()[0]
@@ -289,7 +320,8 @@ def in_view(p_WQ: FloatArray, like: str = LIKE) -> bool:
 
 def is_outside_image(p_WQ: FloatArray, radius: float, like: str = LIKE) -> bool:
     """Whether a ball round a point is wholly outside the image, near and far alike [m]."""
-    camera, (x, y, z) = _seen_from_camera(p_WQ, like)
+    camera, X_WC = _camera(like)
+    x, y, z = X_WC.inverse() @ p_WQ
     u, v = camera.principal_point()
     return any(
         (focal * aside - to_edge * z) / math.hypot(focal, to_edge) > radius
@@ -302,11 +334,11 @@ def is_outside_image(p_WQ: FloatArray, radius: float, like: str = LIKE) -> bool:
     )
 
 
-def _seen_from_camera(p_WQ: FloatArray, like: str) -> tuple[CameraConfig, FloatArray]:
-    """The camera of a shipped scenario, and the point in its frame [m]."""
-    camera = base_scenario(like).cameras[0]
-    X_WC = planning_scene().frame_pose(camera.X_PB.base_frame) @ camera.X_PB.GetDeterministicValue()
-    return camera, X_WC.inverse() @ p_WQ
+@lru_cache(maxsize=4)
+def _camera(like: str) -> tuple[CameraConfig, RigidTransform]:
+    """The camera of a shipped scenario, and its pose in the world."""
+    scenario = base_scenario(like)
+    return scenario.cameras[0], camera_pose(scenario, scenario.cameras[0])
 
 
 def draw_ends(random: np.random.Generator, tally: Tally) -> tuple[FloatArray, FloatArray] | None:
@@ -355,6 +387,6 @@ def ends_are_free(motion: FloatArray, goal: FloatArray) -> bool:
     """
     cell = planning_scene()
     return all(
-        not cell.contacts(q) and cell.clearance(q) >= FREE
+        not cell.contacts(q) and not cell.nearby(q, FREE)
         for q in (motion[0], motion[-1], cell.tool_down(goal))
     )

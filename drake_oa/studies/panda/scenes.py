@@ -65,11 +65,11 @@ from drake_oa.studies.panda.scene_parts import (
     Drawn,
     base_scenario,
     draw_ends,
-    draw_motion,
     draw_obstacles,
     drawing,
     ends_are_free,
     first_drawn,
+    first_on_motion,
     footprint_radius,
     half_height,
     height,
@@ -224,11 +224,9 @@ NOWHERE = "nowhere passes the elbow alone"
 def draw_elbow(random: np.random.Generator, tally: Tally) -> Drawn:
     """A scene with a thing in the elbow's way, and a second where it finds room: `first_drawn`."""
 
-    def attempt() -> Drawn | None:
-        drawn = draw_motion(random, tally)
-        if drawn is None:
-            return None
-        start, goal, motion = drawn
+    def draw_things(
+        start: FloatArray, goal: FloatArray, motion: FloatArray
+    ) -> list[Obstacle] | None:
         swung = planning_scene().straight_motion(start, goal, float(random.choice(SWINGS)))
         places = np.empty((0, 2, 3)) if swung is None else _places(motion, swung)
         nowhere = NOT_SWUNG if swung is None else NOWHERE if not len(places) else ""
@@ -238,16 +236,16 @@ def draw_elbow(random: np.random.Generator, tally: Tally) -> Drawn:
         for _ in range(_PLACES):
             obstacle = _draw_elbow_thing(random, places, len(obstacles))
             tried = [*obstacles, obstacle]
-            misfit = _elbow_misfit(obstacle, obstacles) or _no_elbow_scene(
-                motion, swung, goal, tried
-            )
+            misfit = _elbow_misfit(obstacle, obstacles)
+            misfit = misfit or _no_elbow_scene(motion, swung, goal, tried)
             if tally.takes("things for the elbow", misfit):
                 obstacles = tried
             if len(obstacles) == MOST_ELBOW_THINGS:
                 break
-        return (obstacles, start, goal) if obstacles else None
+        return obstacles or None
 
-    return first_drawn(attempt, _MOST_MOTIONS, "things that only the elbow meets")
+    what = "things that only the elbow meets"
+    return first_on_motion(random, tally, draw_things, _MOST_MOTIONS, what)
 
 
 def _places(motion: FloatArray, swung: FloatArray) -> FloatArray:

@@ -14,6 +14,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -207,7 +209,7 @@ def _boxed(
     rng: np.random.Generator,
     count: int,
     baseline: float,
-    posed: bool,
+    posed: bool = False,
     aside: float = _ASIDE,
     own_extent: bool = True,
 ) -> Scenes:
@@ -232,38 +234,22 @@ def _boxed(
     return single_obstacle(baseline, center, a, R=R, clearance=CLEARANCE)
 
 
-def _single(
-    posed: bool, limit: float, aside: float = _ASIDE, own_extent: bool = True
-) -> Callable[[np.random.Generator, int], Scenes]:
-    """Sampler of the paper's box whose straight line comes nearer than a limit."""
-
-    def sample(rng: np.random.Generator, count: int) -> Scenes:
-        return _over_baselines(
-            rng,
-            count,
-            lambda rng, n, L: accepted(
-                rng,
-                n,
-                lambda rng, k: _boxed(rng, k, L, posed, aside, own_extent),
-                lambda scenes: line_distance(scenes)[:, 0] < limit,
-            ),
-        )
-
-    return sample
-
-
-def _over_baselines(
-    rng: np.random.Generator,
-    count: int,
-    sample: Callable[[np.random.Generator, int, float], Scenes],
+def _boxed_scenes(
+    rng: np.random.Generator, count: int, keep: Callable[[Scenes], BoolArray], **box: Any
 ) -> Scenes:
+    """Scenes of the paper's box that `keep` accepts, spread over the baselines; see `_boxed`."""
     parts, places = [], []
     for k, baseline in enumerate(BASELINES):
         rows = np.arange(k, count, len(BASELINES))
         if len(rows):
-            parts.append(sample(rng, len(rows), baseline))
+            parts.append(accepted(rng, len(rows), partial(_boxed, baseline=baseline, **box), keep))
             places.append(rows)
     return joined(parts).rows(np.argsort(np.concatenate(places)))
+
+
+def _single(rng: np.random.Generator, count: int, limit: float, **box: Any) -> Scenes:
+    """Scenes of the paper's box whose straight line comes nearer than a limit."""
+    return _boxed_scenes(rng, count, lambda scenes: line_distance(scenes)[:, 0] < limit, **box)
 
 
 def _head_on(rng: np.random.Generator, count: int) -> Scenes:
@@ -273,14 +259,7 @@ def _head_on(rng: np.random.Generator, count: int) -> Scenes:
     in the others they are uniform over the disc of 1 cm about it.
     """
 
-    def present(scenes: Scenes) -> BoolArray:
-        return scenes.present[:, 0]
-
-    scenes = _over_baselines(
-        rng,
-        count,
-        lambda rng, n, L: accepted(rng, n, lambda rng, k: _boxed(rng, k, L, True), present),
-    )
+    scenes = _boxed_scenes(rng, count, lambda scenes: scenes.present[:, 0], posed=True)
     radius = 0.01 * np.sqrt(rng.random(count))
     angle = rng.uniform(0.0, 2.0 * np.pi, count)
     radius[(np.arange(count) // len(BASELINES)) % 2 == 0] = 0.0
@@ -396,10 +375,10 @@ def familiar_cases() -> tuple[Case, ...]:
 
 
 SAMPLINGS: dict[str, Suite] = {
-    "printed": Suite(_single(False, CLEARANCE), 4000),
-    "demo": Suite(_single(False, CLEARANCE, own_extent=False), 4000),
-    "narrow": Suite(_single(False, CLEARANCE, aside=0.2, own_extent=False), 4000),
-    "near": Suite(_single(False, 0.1, own_extent=False), 4000),
+    "printed": Suite(partial(_single, limit=CLEARANCE), 4000),
+    "demo": Suite(partial(_single, limit=CLEARANCE, own_extent=False), 4000),
+    "narrow": Suite(partial(_single, limit=CLEARANCE, aside=0.2, own_extent=False), 4000),
+    "near": Suite(partial(_single, limit=0.1, own_extent=False), 4000),
 }
 """Readings of the paper's novel scenes. printed: 5 cm from both ends to the obstacle's own extent;
 demo: to that of the longest, as in the released demo program; narrow: the same with centres within
@@ -407,8 +386,8 @@ demo: to that of the longest, as in the released demo program; narrow: the same 
 
 SUITES: dict[str, Suite] = {
     "novel": SAMPLINGS["printed"],
-    "posed": Suite(_single(True, CLEARANCE), 1000),
-    "hit": Suite(_single(True, 0.0), 1000),
+    "posed": Suite(partial(_single, limit=CLEARANCE, posed=True), 1000),
+    "hit": Suite(partial(_single, limit=0.0, posed=True), 1000),
     "head-on": Suite(_head_on, 1000),
     "clutter": Suite(_clutter, 1000, bytes_per_scene=20_000),
     "moving": Suite(_moving, 1000),
