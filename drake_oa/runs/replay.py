@@ -114,15 +114,16 @@ def world_positions(plant: MultibodyPlant, robot: ModelInstanceIndex, log: Motio
     return world
 
 
-def planned_path(
-    scenario: Scenario, logs: dict[str, MotionLog], *, points: int = 200
-) -> FloatArray | None:
+_MOST_POINTS = 200
+"""Greatest number of points of a planned path."""
+
+
+def planned_path(scenario: Scenario, logs: dict[str, MotionLog]) -> FloatArray | None:
     """The planned path as the pre-planned motion was asked to go; None: a straight line.
 
     Args:
         scenario: the scenario of the logs.
         logs: the motions of a run.
-        points: how many to keep at most.
 
     Returns:
         (N, 3) points [m], or None where the line from start to goal was planned, or the
@@ -131,7 +132,7 @@ def planned_path(
     log = logs.get("preplanned")
     if not scenario.task.demonstration or log is None or log.ended != MotionEnd.GOAL:
         return None
-    step = math.ceil(len(log.t) / points)
+    step = math.ceil(len(log.t) / _MOST_POINTS)
     return log.desired_position[::step]
 
 

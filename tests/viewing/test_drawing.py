@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from pydrake.systems.sensors import CameraInfo
 from scipy.spatial.transform import Rotation
@@ -12,42 +12,28 @@ from drake_oa.viewing import drawing
 seeds = st.integers(0, 2**32 - 1)
 
 
-def _direction(rng):
-    v = rng.normal(size=3)
-    return v / np.linalg.norm(v)
-
-
 def _volume(mesh):
     """Signed volume: positive for a closed surface seen counter-clockwise from outside."""
     a, b, c = (mesh.vertices[:, corner] for corner in mesh.faces)
     return float(np.sum(a * np.cross(b, c, axis=0)) / 6.0)
 
 
-@settings(deadline=None, max_examples=50)
 @given(seeds)
 def test_drawn_section_lies_on_the_ellipsoid_and_in_the_plane(seed):
     rng = np.random.default_rng(seed)
     R_WO = Rotation.random(3, random_state=seed).as_matrix()
     semi_axes = rng.uniform(0.02, 0.5, (3, 3))
-    normals = np.array([_direction(rng) for _ in range(3)])
+    normals = rng.normal(size=(3, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     frames = drawing.section_frames(R_WO, semi_axes, normals)
     for i, (R, scale) in enumerate(zip(*frames, strict=True)):
-        assert pytest.approx(np.eye(3), abs=1e-9) == R.T @ R
-        assert np.linalg.det(R) == pytest.approx(1.0)
+        assert np.linalg.inv(R) == pytest.approx(R.T, abs=1e-9)
         points = (drawing.unit_circle(40) * scale) @ R.T
         in_axes = points @ R_WO[i] / semi_axes[i]
         assert np.sum(in_axes**2, axis=1) == pytest.approx(np.ones(42), abs=1e-9)
         assert points @ normals[i] == pytest.approx(np.zeros(42), abs=1e-9)
 
 
-def test_no_obstacle_has_no_section():
-    none = np.zeros((0, 3))
-    R, scale = drawing.section_frames(np.zeros((0, 3, 3)), none, none)
-    assert R.shape == (0, 3, 3)
-    assert scale.shape == (0, 3)
-
-
-@settings(deadline=None, max_examples=50)
 @given(seeds)
 def test_plane_holds_the_heading_and_the_way_to_the_obstacle(seed):
     rng = np.random.default_rng(seed)
@@ -69,7 +55,6 @@ def test_plane_takes_the_fallback_where_nothing_spans_it(z_W, p_WO):
     assert np.array_equal(found, fallback)
 
 
-@settings(deadline=None, max_examples=50)
 @given(seeds, st.integers(2, 12))
 def test_tube_has_circles_round_the_points_of_its_path(seed, count):
     path = np.random.default_rng(seed).normal(size=(count, 3))
@@ -80,36 +65,24 @@ def test_tube_has_circles_round_the_points_of_its_path(seed, count):
 
 
 def test_meshes_have_the_volumes_of_the_solids_and_face_outward():
-    straight = drawing.tube([[0, 0, 0], [0, 0, 2]], 0.1, sides=100)
-    assert _volume(straight) == pytest.approx(np.pi * 0.01 * 2, rel=1e-2)
-    torus = drawing.tube(drawing.unit_circle(200), 0.05, sides=60)
-    assert _volume(torus) == pytest.approx(2 * np.pi**2 * 0.05**2, rel=1e-2)
-    assert _volume(drawing.unit_sphere(60, 120)) == pytest.approx(4 / 3 * np.pi, rel=1e-2)
+    for mesh, volume in (
+        (drawing.tube([[0, 0, 0], [0, 0, 2]], 0.1, sides=100), np.pi * 0.01 * 2),
+        (drawing.tube(drawing.unit_circle(200), 0.05, sides=60), 2 * np.pi**2 * 0.05**2),
+        (drawing.unit_sphere(60, 120), 4 / 3 * np.pi),
+    ):
+        assert _volume(mesh) == pytest.approx(volume, rel=1e-2)
 
 
-def test_tube_survives_a_path_that_turns_right_back():
-    mesh = drawing.tube([[0, 0, 0], [1, 0, 0], [0.5, 0, 0]], 0.01)
-    assert np.isfinite(mesh.vertices).all()
-
-
-def test_rings_lie_in_the_yz_plane_between_their_radii():
-    costs = {"table": np.zeros(36), "length": np.linspace(0, 1, 36), "workspace": np.ones(36)}
-    mesh, _ = drawing.ring_mesh(costs, np.arange(36) * np.pi / 18)
+def test_rings_lie_between_their_radii_and_have_the_colors_of_their_costs():
+    costs = {"table": np.array([0.0, 1.0, 0.0, 7.0]), "wind": np.array([0.0, 1.0, 0.0, 1.0])}
+    mesh, colors = drawing.ring_mesh(costs, np.arange(4) * np.pi / 2)
     assert not mesh.vertices[0].any()
     radii = np.linalg.norm(mesh.vertices, axis=0)
     assert radii.min() == pytest.approx(drawing.INNER_RADIUS)
-    assert radii.max() == pytest.approx(drawing.ring_radius(3))
+    assert radii.max() == pytest.approx(drawing.ring_radius(2))
     assert mesh.faces.max() == mesh.vertices.shape[1] - 1
-
-
-def test_low_cost_is_green_and_high_cost_red_on_each_ring():
-    costs = {"table": np.array([0.0, 1.0, 0.0, 7.0]), "wind": np.array([0.0, 1.0, 0.0, 1.0])}
-    colors = drawing.ring_mesh(costs, np.arange(4) * np.pi / 2)[1].T.reshape(8, 6, 3)
     green, red = (np.array(drawing.COST_COLORS[k]) ** 2.2 for k in (0, 2))
-    assert green[1] > 2.0 * green[0]
-    assert red[0] > 2.0 * red[1]
-    for sector, expected in zip(colors, [green, red] * 4, strict=True):
-        assert sector == pytest.approx(np.tile(expected, (6, 1)))
+    assert pytest.approx(np.repeat([green, red] * 4, 6, axis=0)) == colors.T
 
 
 def test_frustum_corners_project_to_the_image_corners():
@@ -123,7 +96,6 @@ def test_frustum_corners_project_to_the_image_corners():
     assert edges[4:8, :, 2] == pytest.approx(np.full((4, 2), 0.8))
 
 
-@settings(deadline=None, max_examples=50)
 @given(seeds, st.integers(0, 3000), st.integers(1, 500))
 def test_thinned_cloud_is_small_and_has_one_point_a_cube(seed, count, most):
     rng = np.random.default_rng(seed)
