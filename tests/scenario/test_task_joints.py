@@ -68,13 +68,10 @@ def test_the_guide_leads_from_start_to_goal() -> None:
     np.testing.assert_allclose(q[:, 1], -2.0 * q[:, 0])
 
 
-@pytest.mark.parametrize("modulated", [False, True])
-def test_the_arm_goes_from_the_joints_at_the_start_towards_those_at_the_goal(
-    modulated: bool,
-) -> None:
+def test_the_arm_goes_from_the_joints_at_the_start_towards_those_at_the_goal() -> None:
     scenario = parse_scenario(JOINTS + ", duration: 2.0}\nperception: !GroundTruth {}")
     scenario.table_height = None
-    log = simulate(scenario, modulated=modulated)
+    log = simulate(scenario)
     assert log.stop_reason == "goal"
     np.testing.assert_array_equal(log.q[0, :7], Q_START)
     # Drawn to the posture of the start alone it ends more than 0.13 rad away.

@@ -15,7 +15,7 @@ from drake_oa.diagrams.motion import held_annulus, make_dmp, make_orientation_in
 from drake_oa.diagrams.perception import make_ellipsoid_descriptor
 from drake_oa.policy.orientation_dmp import goal_vector, orientation_along
 from drake_oa.robot.plant import make_robot_plant, tool_corners
-from drake_oa.scenario.demonstration import demonstrated_orientation, read_demonstrations
+from drake_oa.scenario.demonstration import demonstrated_orientation
 from drake_oa.scenario.end_poses import (
     end_rotations,
     held_robots,
@@ -53,23 +53,28 @@ def shown(folder: Path, **arrays: FloatArray) -> str:
     return f"task.demonstration={file}"
 
 
-def test_the_orientation_stays_where_nothing_else_is_asked_for() -> None:
-    plain = scenario()
-    assert tool_orientation(plain) is None
-    assert make_orientation_integrator(plain) is None
-    assert held_robots(plain) == [plain.robot]
-    for end in end_rotations(plain):
-        np.testing.assert_array_equal(end.matrix(), matrix(DOWN))
+def test_the_orientation_stays_where_nothing_else_is_asked_for(tmp_path: Path) -> None:
+    for plain in (scenario(), scenario(shown(tmp_path))):
+        assert demonstrated_orientation(plain) is None
+        assert tool_orientation(plain) is None
+        assert make_orientation_integrator(plain) is None
+        assert held_robots(plain) == [plain.robot]
     assert held_robots(load_scenario("free_space")) == []
 
 
-def test_start_and_goal_are_asked_for_each_by_itself() -> None:
-    start, goal = end_rotations(scenario("task.rpy_start=[2.9, 0.1, 1.0]"))
-    np.testing.assert_allclose(start.matrix(), matrix([2.9, 0.1, 1.0]), atol=1e-12)
-    np.testing.assert_allclose(goal.matrix(), matrix(DOWN), atol=1e-12)
-    start, goal = end_rotations(scenario("task.rpy_goal=[2.9, 0.1, 1.0]"))
-    np.testing.assert_allclose(start.matrix(), matrix(DOWN), atol=1e-12)
-    np.testing.assert_allclose(goal.matrix(), matrix([2.9, 0.1, 1.0]), atol=1e-12)
+@pytest.mark.parametrize(
+    ("override", "start", "goal"),
+    [
+        ("seed=0", DOWN, DOWN),
+        ("task.rpy_start=[2.9, 0.1, 1.0]", [2.9, 0.1, 1.0], DOWN),
+        ("task.rpy_goal=[2.9, 0.1, 1.0]", DOWN, [2.9, 0.1, 1.0]),
+    ],
+)
+def test_start_and_goal_are_asked_for_each_by_itself(
+    override: str, start: list[float], goal: list[float]
+) -> None:
+    for found, rpy in zip(end_rotations(scenario(override)), (start, goal), strict=True):
+        np.testing.assert_allclose(found.matrix(), matrix(rpy), atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", ["quaternion", "R"])
@@ -87,13 +92,6 @@ def test_a_demonstration_tells_start_goal_and_way(kind: str, tmp_path: Path) -> 
     assert other is not None
     np.testing.assert_allclose(other.R_WS, R[0], atol=1e-12)
     np.testing.assert_allclose(other.R_WG, matrix([3.0, 0.0, 0.5]), atol=1e-12)
-
-
-def test_a_demonstration_of_positions_alone_keeps_the_orientation(tmp_path: Path) -> None:
-    plain = scenario(shown(tmp_path))
-    assert read_demonstrations(plain.task)[0].orientations is None
-    assert demonstrated_orientation(plain) is None
-    assert tool_orientation(plain) is None
 
 
 @pytest.mark.parametrize(
