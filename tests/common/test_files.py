@@ -1,14 +1,11 @@
 """Checking and replacing the files that commands write."""
 
-import json
 import os
-import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from safetensors import safe_open
 
 from drake_oa.common.files import (
     OutputError,
@@ -112,25 +109,6 @@ def test_what_a_killed_process_left_unfinished_is_removed(tmp_path: Path) -> Non
     assert [path.name for path in tmp_path.iterdir()] == ["other.json"]
 
 
-def test_two_processes_that_write_one_file_do_not_write_into_each_other(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file, beside = tmp_path / "run.json", []
-
-    def write(path: Path) -> None:
-        beside.append(path)
-        path.write_text(f"{len(beside)}")
-        if len(beside) == 1:
-            # Another process comes in between.
-            monkeypatch.setattr(os, "getpid", lambda: -1)
-            replace_file(file, write)
-            assert file.read_text() == "2"
-
-    replace_file(file, write)
-    assert file.read_text() == "1"
-    assert list(tmp_path.iterdir()) == [file]
-
-
 def test_the_source_digest_covers_what_a_motion_depends_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -142,13 +120,3 @@ def test_the_source_digest_covers_what_a_motion_depends_on(
         found.append(source_digest.__wrapped__())
     assert len(set(found[:3])) == 3
     assert found[3] == found[2]
-
-
-def test_shipped_weights_name_version_date_and_source() -> None:
-    files = list((Path(__file__).parents[2] / "models" / "weights").glob("*.safetensors"))
-    assert files
-    for path in files:
-        with safe_open(path, "numpy") as file:
-            told = json.loads(file.metadata()["metadata"])
-        assert {"version", "date"} <= set(told)
-        assert re.fullmatch("[0-9a-f]{64}", told["source_digest"]), path.name

@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from pydrake.math import RigidTransform, RollPitchYaw
 
 from drake_oa.common.messages import EllipsoidSet, FloatArray
@@ -18,16 +16,6 @@ from drake_oa.scenario.obstacles import Obstacle
 from tests.builders import balls
 
 
-@given(
-    points=st.lists(st.tuples(*[st.floats(-1, 1)] * 3), min_size=2, max_size=8),
-)
-def test_a_path_is_no_shorter_than_its_chord(points: list[tuple[float, float, float]]) -> None:
-    path = np.array(points)
-    chord = np.linalg.norm(path[-1] - path[0])
-    assert path_length(path) >= chord - 1e-12
-    assert path_length(path[::-1]) == pytest.approx(path_length(path))
-
-
 def test_length_of_a_square_and_of_a_point() -> None:
     square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 0]], dtype=float)
     assert path_length(square) == pytest.approx(4.0)
@@ -38,19 +26,6 @@ def test_clearance_of_a_point_is_to_the_nearest_ellipsoid() -> None:
     path = np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]])
     found = free_point_metrics(path, balls((0.5, 0.3, 0.0), (1.0, 0.0, 0.0)))
     np.testing.assert_allclose(found.tool_clearance, [np.hypot(0.5, 0.3) - 0.1, 0.2], atol=1e-12)
-    assert found.contacts == ()
-
-
-def test_each_ellipsoid_that_was_touched_is_named_once() -> None:
-    path = np.linspace([0.0, 0.0, 0.0], [1.0, 0.0, 0.0], 50)
-    found = free_point_metrics(path, balls((0.5, 0.05, 0.0), (0.5, 0.5, 0.0), ids=[10, 11]))
-    assert found.contacts == ("tool point - ellipsoid 10",)
-    assert found.tool_clearance.min() < 0.0
-
-
-def test_nothing_to_hit_is_infinitely_far() -> None:
-    found = free_point_metrics(np.zeros((3, 3)), EllipsoidSet())
-    assert np.isinf(found.tool_clearance).all()
     assert found.contacts == ()
 
 
@@ -107,8 +82,7 @@ def test_the_robot_is_judged_by_scene_graph(poses: dict[str, FloatArray]) -> Non
     assert found.tool_clearance[2] > 0.0
     assert (found.robot_clearance <= found.tool_clearance).all()
     assert any(name.endswith("obstacle_box") for name in found.contacts)
-    assert any("table" in name for name in found.contacts)
-    assert len(set(found.contacts)) == len(found.contacts)
+    assert any("table" in name for name in found.made_contacts)
 
 
 def test_the_robot_may_touch_itself(poses: dict[str, FloatArray]) -> None:
@@ -142,29 +116,14 @@ def test_clearance_to_what_rests_is_told_apart_from_that_to_what_moves(
     assert feasible_clearance_of(scenario) <= both.resting_clearance[0]
 
 
-def test_a_robot_at_its_start_touches_nothing(poses: dict[str, FloatArray]) -> None:
-    for name in ("tabletop_box", "tabletop_irregular", "tabletop_clutter"):
-        found = robot_metrics(load_scenario(name), poses["start"][None])
-        assert found.contacts == ()
-        assert found.robot_clearance[0] > 0.0
-
-
 def test_without_obstacles_the_robot_is_infinitely_far(poses: dict[str, FloatArray]) -> None:
     scenario = load_scenario(
         "tabletop_box", ["directives=[]", "perception=!GroundTruth {}", "cameras=[]"]
     )
     found = robot_metrics(scenario, poses["start"][None])
     assert np.isinf(found.robot_clearance).all()
+    assert np.isinf(free_point_metrics(np.zeros((3, 3)), EllipsoidSet()).tool_clearance).all()
     assert robot_metrics(scenario, np.zeros((0, 9))).p_WE.shape == (0, 3)
-
-
-def test_a_robot_that_starts_in_contact_did_not_make_it(poses: dict[str, FloatArray]) -> None:
-    scenario = load_scenario("tabletop_box", ["perception=!GroundTruth {}"])
-    found = robot_metrics(scenario, np.stack([poses["inside"], poses["start"], poses["table"]]))
-    assert any(name.endswith("obstacle_box") for name in found.initial_contacts)
-    assert set(found.initial_contacts).isdisjoint(found.made_contacts)
-    assert any("table" in name for name in found.made_contacts)
-    assert set(found.contacts) == {*found.initial_contacts, *found.made_contacts}
 
 
 def test_the_whole_world_is_posed_where_the_log_has_it(poses: dict[str, FloatArray]) -> None:

@@ -9,7 +9,7 @@ import pytest
 from drake_oa.common.messages import FloatArray
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotPlant, home_positions
-from drake_oa.runs.motion_log import MotionLog, pack_decisions
+from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.report import (
     TOLD,
     motion_report,
@@ -37,22 +37,6 @@ def log_of(straight_log: Callable[..., MotionLog]) -> LogOf:
     return make
 
 
-def test_a_motion_through_an_ellipsoid_collides_even_if_it_saw_none(log_of: LogOf) -> None:
-    found = motion_report(FREE, log_of(THROUGH))
-    assert found["collisions"] == 1
-    assert found["contacts"] == ["tool point - ellipsoid 0"]
-    assert found["tool_clearance_min"] < 0.0
-    assert found["goal_error"] == pytest.approx(1e-3)
-
-
-def test_a_motion_round_it_keeps_its_distance(log_of: LogOf) -> None:
-    found = motion_report(FREE, log_of(AROUND))
-    assert found["collisions"] == 0
-    assert found["tool_clearance_min"] > 0.15
-    assert found["path_length"] == pytest.approx(2.0 * np.sqrt(0.5))
-    assert found["duration"] == 5.0
-
-
 def test_what_hardware_cannot_measure_is_not_reported_as_zero(
     log_of: LogOf, panda: RobotPlant
 ) -> None:
@@ -70,28 +54,19 @@ def test_the_report_has_the_documented_keys_and_is_json(log_of: LogOf) -> None:
     events["event_hold"] = ("obstacles", "none")
     logs = {"preplanned": log_of(THROUGH), "modulated": log_of(AROUND, **events)}
     report = json.loads(json.dumps(run_report("free_space", FREE, logs), allow_nan=False))
-    assert set(report) == {
-        "scenario",
-        "seed",
-        "preplanned",
-        "modulated",
-        "real_time_factor",
-        "versions",
-    }
+    blind, found = report["preplanned"], report["modulated"]
+    assert {"scenario", "seed", "real_time_factor", "versions"} <= set(report)
     assert report["real_time_factor"] == 2.0
     assert report["versions"] == {"drake": "1.51.1", "source_digest": "abc"}
-    assert report["modulated"]["events"][0] == {
-        "time": 1.0,
-        "hold": "obstacles",
-        "note": "obstacles not seen",
-    }
-
-
-def test_the_table_shows_one_column_a_motion(log_of: LogOf) -> None:
-    logs = {"preplanned": log_of(THROUGH, regulation=""), "modulated": log_of(AROUND)}
-    table = str(report_table(run_report("free_space", FREE, logs))).splitlines()
-    assert table[0].split() == ["preplanned", "modulated"]
-    assert table[1].split() == ["collisions", "1", "0"]
+    assert found["events"][0] == {"time": 1.0, "hold": "obstacles", "note": "obstacles not seen"}
+    assert blind["contacts"] == ["tool point - ellipsoid 0"]
+    assert blind["tool_clearance_min"] < 0.0
+    assert blind["goal_error"] == pytest.approx(1e-3)
+    assert found["tool_clearance_min"] > 0.15
+    assert found["path_length"] == pytest.approx(2.0 * np.sqrt(0.5))
+    heading, collisions, *_ = str(report_table(report)).splitlines()
+    assert heading.split() == ["preplanned", "modulated"]
+    assert collisions.split() == ["collisions", "1", "0"]
 
 
 def test_what_regulation_believes_is_told_apart_from_what_was_kept(log_of: LogOf) -> None:
@@ -104,25 +79,14 @@ def test_what_regulation_believes_is_told_apart_from_what_was_kept(log_of: LogOf
         "modulated": log_of(AROUND, **believed),
     }
     report = run_report("free_space", FREE, logs)
-    found = report["modulated"]
-    assert found["regulation"] == "Verified"
-    assert found["believed_shortfall"] == 0.0123
-    assert found["lowered"] == 0.02
-    # The truth is that it was kept.
-    assert found["feasible_clearance"] == found["asked_clearance"]
-    assert found["short_of_feasible"] == 0.0
-    blind = report["preplanned"]
-    assert (blind["regulation"], blind["believed_shortfall"], blind["lowered"]) == (
-        None,
-        None,
-        None,
-    )
-    assert blind["short_of_feasible"] > blind["feasible_clearance"]
+    keys = ("regulation", "believed_shortfall", "lowered", "short_of_feasible")
+    # The truth is that the clearance was kept.
+    assert [report["modulated"][key] for key in keys] == ["Verified", 0.0123, 0.02, 0.0]
+    assert [report["preplanned"][key] for key in keys[:3]] == [None, None, None]
+    assert report["preplanned"]["short_of_feasible"] > report["preplanned"]["feasible_clearance"]
     *_, lowered, lacked = str(report_table(report)).splitlines()
     assert lowered.startswith("note: modulated: regulation lowered the asked clearance")
     assert lacked == "note: modulated: regulation believed to lack 12.3 mm of the clearance"
-    paper = motion_report(FREE, log_of(AROUND, regulation="Paper"))
-    assert paper["believed_shortfall"] is None
 
 
 def test_a_clearance_that_start_and_goal_do_not_leave_or_that_was_not_kept_is_told(
@@ -168,19 +132,6 @@ def test_what_decisions_cost_is_reported_of_the_motion(log_of: LogOf) -> None:
     table = str(report_table({"modulated": found}))
     assert "decisions took 100 ms (median), 99 % within 296 ms, at most 300 ms; 66.7 %" in table
     assert motion_report(FREE, log_of(AROUND))["decision_cost"] is None
-
-
-def test_decisions_are_read_from_what_was_logged() -> None:
-    ports = {
-        "decision_turn": np.array([[np.nan, 0.0], [0.1, 0.02], [0.1, 0.02]]),
-        "decision_regulation": np.array([[0.0, 0.05], [0.0, 0.05], [0.2, 0.001]]),
-        "goal": np.zeros((3, 3)),
-    }
-    found = pack_decisions(ports)
-    assert found["decision_time"].tolist() == [0.0, 0.1, 0.2]
-    assert found["decision_cost"].tolist() == [0.05, 0.02, 0.001]
-    assert found["decision_layer"] == ("regulation", "turn", "regulation")
-    assert pack_decisions({})["decision_layer"] == ()
 
 
 def test_obstacles_outside_the_trained_range_are_reported(log_of: LogOf) -> None:
