@@ -79,13 +79,9 @@ def _box_volume(points: FloatArray) -> float:
 
 
 def ellipsoids_of_parts(
-    points: FloatArray,
-    tool_parts: Sequence[FloatArray],
-    halvings: int,
-    *,
-    minimum_semi_axis: float = 1e-3,
+    points: FloatArray, tool_parts: Sequence[FloatArray], halvings: int
 ) -> list[Ellipsoid]:
-    """An ellipsoid round each part of a cloud dilated by each part of a tool.
+    """Fits an ellipsoid round each part of a cloud dilated by each part of a tool.
 
     Together they hold every point dilated by every part.
 
@@ -93,10 +89,9 @@ def ellipsoids_of_parts(
         points: (N, 3) points in W [m].
         tool_parts: (K_i, 3) vertices of the tool's parts from the TCP [m].
         halvings: how often the cloud is halved.
-        minimum_semi_axis: least semi-axis [m].
     """
     return [
-        enclosing_ellipsoid(part, tool=tool, minimum_semi_axis=minimum_semi_axis)
+        enclosing_ellipsoid(part, tool=tool)
         for part in cloud_parts(points, halvings)
         for tool in tool_parts
     ]
@@ -119,42 +114,11 @@ def check_descriptor_arguments(tool_W: ArrayLike, method: str) -> FloatArray:
     return np.array(checked_points(tool_W, "tool_W"))
 
 
-def least_squares_shape(
-    points: ArrayLike,
-    *,
-    tool: ArrayLike,
-    minimum_semi_axis: float = 1e-3,
-    exponent_prior: float | None = None,
-) -> Superquadric:
-    """The paper's descriptor: the superquadric of eq. 11, squared.
-
-    Fitted to the support points of the dilated cloud. It runs through the cloud, not
-    round it: parts of the obstacle stay outside.
-
-    Args:
-        points: (N, 3) points in W [m].
-        tool: (K, 3) vertices of the tool, as in `ellipsoid.dilate` [m].
-        minimum_semi_axis: least semi-axis [m].
-        exponent_prior: how strongly the exponents are drawn to 1, see `fit_superquadric`; None:
-            they are 1, as in the paper.
-
-    Raises:
-        ValueError: if points or tool are empty, not (., 3) or not finite.
-    """
-    return fit_superquadric(
-        dilate(points, tool),
-        exponents=(1.0, 1.0) if exponent_prior is None else None,
-        minimum_semi_axis=minimum_semi_axis,
-        prior=exponent_prior or 0.0,
-    ).shape
-
-
 def describe(
     obstacles: ObstacleClouds,
     tool_W: ArrayLike,
     *,
     method: Method = "enclosing",
-    minimum_semi_axis: float = 1e-3,
     exponent_prior: float | None = None,
     free_W: ArrayLike = (),
     tool_parts: Sequence[FloatArray] = (),
@@ -169,8 +133,10 @@ def describe(
         tool_W: (K, 3) vertices of the tool's convex geometry from the TCP, in W
             orientation [m].
         method: "enclosing" (`ellipsoid.enclosing_ellipsoid`) or "least_squares".
-        minimum_semi_axis: least semi-axis [m].
-        exponent_prior: of "least_squares", see `least_squares_shape`.
+        exponent_prior: of "least_squares", the paper's superquadric of eq. 11, squared: how
+            strongly its exponents are drawn to 1, see `fit_superquadric`; None: they are 1, as in
+            the paper. It is fitted to the support points of the dilated cloud and runs through
+            it: parts of the obstacle stay outside.
         free_W: (F, 3) tool points that are known to be free, start and goal for two [m]. An
             obstacle whose ellipsoid holds one, or leaves it less than 2 cm, is described by
             those of its parts (`drake_oa.descriptor.descriptor`) if they leave more: rows
@@ -213,18 +179,18 @@ def describe(
             points = points[finite]
         # A perception source hands on the same cloud while it sees nothing new.
         if method == "least_squares":
-            fit = _fitted(_key(points), _key(tool), minimum_semi_axis, exponent_prior)
+            fit = _fitted(_key(points), _key(tool), exponent_prior)
             found.append(Ellipsoid(fit.center, fit.R, fit.semi_axes, np.inf))
             exponents.append(fit.exponents)
             rows.append(row)
             part_names.append(name)
             continue
-        described = [_whole(_key(points), _key(tool), minimum_semi_axis)]
+        described = [_whole(_key(points), _key(tool))]
         room = _room(free, described)
         for halvings in HALVINGS:
             if room >= _ROOM:
                 break
-            parts = _parts(_key(points), tools, halvings, minimum_semi_axis)
+            parts = _parts(_key(points), tools, halvings)
             if _room(free, parts) > room:
                 described, room = parts, _room(free, parts)
         found += described
@@ -256,34 +222,18 @@ def _array(key: _Key) -> FloatArray:
 
 
 @lru_cache(maxsize=64)
-def _whole(points: _Key, tool: _Key, minimum_semi_axis: float) -> Ellipsoid:
-    return enclosing_ellipsoid(
-        _array(points), tool=_array(tool), minimum_semi_axis=minimum_semi_axis
-    )
+def _whole(points: _Key, tool: _Key) -> Ellipsoid:
+    return enclosing_ellipsoid(_array(points), tool=_array(tool))
 
 
 @lru_cache(maxsize=64)
-def _fitted(
-    points: _Key, tool: _Key, minimum_semi_axis: float, exponent_prior: float | None
-) -> Superquadric:
-    return least_squares_shape(
-        _array(points),
-        tool=_array(tool),
-        minimum_semi_axis=minimum_semi_axis,
-        exponent_prior=exponent_prior,
-    )
+def _fitted(points: _Key, tool: _Key, exponent_prior: float | None) -> Superquadric:
+    return fit_superquadric(dilate(_array(points), _array(tool)), prior=exponent_prior)
 
 
 @lru_cache(maxsize=64)
-def _parts(
-    points: _Key, tools: tuple[_Key, ...], halvings: int, minimum_semi_axis: float
-) -> list[Ellipsoid]:
-    return ellipsoids_of_parts(
-        _array(points),
-        [_array(tool) for tool in tools],
-        halvings,
-        minimum_semi_axis=minimum_semi_axis,
-    )
+def _parts(points: _Key, tools: tuple[_Key, ...], halvings: int) -> list[Ellipsoid]:
+    return ellipsoids_of_parts(_array(points), [_array(tool) for tool in tools], halvings)
 
 
 def _room(free: FloatArray, ellipsoids: Sequence[Ellipsoid]) -> float:

@@ -43,7 +43,6 @@ class EllipsoidDescriptor(LeafSystem):
         tool_W: ArrayLike,
         *,
         method: Method = "enclosing",
-        minimum_semi_axis: float = 1e-3,
         exponent_prior: float | None = None,
         free_W: ArrayLike = (),
         tool_parts: Sequence[FloatArray] = (),
@@ -56,7 +55,6 @@ class EllipsoidDescriptor(LeafSystem):
                 [[0, 0, 0]] for a point.
             method: "enclosing": the smallest ellipsoid that holds every dilated point.
                 "least_squares": the paper's superquadric, which leaves some outside.
-            minimum_semi_axis: least semi-axis of an ellipsoid [m].
             exponent_prior: of "least_squares": how strongly the superquadric's exponents are
                 drawn to 1; None: they are 1.
             free_W: (F, 3) tool points that are known to be free: start and goal [m].
@@ -65,12 +63,10 @@ class EllipsoidDescriptor(LeafSystem):
 
         Raises:
             ValueError: if the tool or a part of it is empty, not (K, 3) or not finite, the
-                method is unknown, minimum_semi_axis is not positive, the prior is negative or not
-                finite, or free_W is not (F, 3) or not finite.
+                method is unknown, the prior is negative or not finite, or free_W is not (F, 3) or
+                not finite.
         """
         super().__init__()
-        if not minimum_semi_axis > 0.0:
-            raise ValueError(f"minimum_semi_axis must be positive [m], not {minimum_semi_axis}")
         if exponent_prior is not None and not 0.0 <= exponent_prior < np.inf:
             raise ValueError(
                 f"exponent_prior must be finite and not negative, not {exponent_prior}"
@@ -82,7 +78,6 @@ class EllipsoidDescriptor(LeafSystem):
             raise ValueError(f"free_W must be (F, 3) finite points [m], not {free}")
         self._free_W = free.reshape(-1, 3)
         self._method: Method = method
-        self._minimum_semi_axis = minimum_semi_axis
         self._exponent_prior = exponent_prior
         self._obstacles = self.DeclareAbstractInputPort("obstacles_W", Value(ObstacleClouds()))
         self._goal = self.DeclareVectorInputPort("goal", 3)
@@ -106,7 +101,6 @@ class EllipsoidDescriptor(LeafSystem):
                 obstacles,
                 self._tool_W,
                 method=self._method,
-                minimum_semi_axis=self._minimum_semi_axis,
                 exponent_prior=self._exponent_prior,
                 free_W=free_W,
                 tool_parts=self._tool_parts,

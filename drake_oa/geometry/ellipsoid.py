@@ -26,6 +26,12 @@ from scipy.spatial import ConvexHull
 from drake_oa.common.messages import FloatArray, Frozen
 from drake_oa.geometry import ellipsoid_kernels as kernels
 
+LEAST_SEMI_AXIS = 1e-3
+"""Least semi-axis of a fit [m]. A cloud thinner than a hundredth of it in some principal direction
+is enclosed in the others alone."""
+_TOLERANCE = 1e-2
+"""Relative optimality of the enclosing ellipsoid's dual; the squared gauge of the fit exceeds 1 by
+at most about this before the scaling."""
 _MAX_STEPS = 100_000
 _MAX_ROUNDS = 20
 _TRAILING = ((), (3,), (3, 3))
@@ -121,13 +127,7 @@ def dilate(points: ArrayLike, tool: ArrayLike) -> FloatArray:
     return np.asarray(points[pairs // len(tool)] - tool[pairs % len(tool)])
 
 
-def enclosing_ellipsoid(
-    points: ArrayLike,
-    tolerance: float = 1e-2,
-    *,
-    tool: ArrayLike | None = None,
-    minimum_semi_axis: float = 1e-3,
-) -> Ellipsoid:
+def enclosing_ellipsoid(points: ArrayLike, *, tool: ArrayLike | None = None) -> Ellipsoid:
     """Ellipsoid of least volume round a cloud dilated by a tool, with a certificate.
 
     Khachiyan's algorithm with the away steps of Todd and Yildirim (2007) on the
@@ -137,24 +137,14 @@ def enclosing_ellipsoid(
 
     Args:
         points: (N, 3) points in W [m].
-        tolerance: relative optimality of the dual; the squared gauge of the fit exceeds
-            1 by at most about this before the scaling.
         tool: (K, 3) vertices of the tool as in `dilate`; None: a point.
-        minimum_semi_axis: least semi-axis [m]. A cloud thinner than a hundredth of it in
-            some principal direction is fitted in the others alone.
 
     Returns:
         The ellipsoid, with gauge <= 1.
 
     Raises:
-        ValueError: if points or tool are empty, not (., 3), or not finite; if tolerance
-            or minimum_semi_axis is not positive.
+        ValueError: if points or tool are empty, not (., 3), or not finite.
     """
-    if not (tolerance > 0.0 and minimum_semi_axis > 0.0):
-        raise ValueError(
-            f"enclosing_ellipsoid: tolerance {tolerance} and minimum_semi_axis "
-            f"{minimum_semi_axis} must be positive"
-        )
     cloud = checked_points(points, "points")
     corners = checked_points(np.zeros((1, 3)) if tool is None else tool, "tool")
     # Near their centre: far from the origin the sums would lose digits.
@@ -163,26 +153,23 @@ def enclosing_ellipsoid(
     support = dilate(cloud, corners)
     center, R, semi_axes, gauge = np.zeros(3), np.eye(3), np.ones(3), 0.0
     for _ in range(_MAX_ROUNDS):
-        center, R, semi_axes = _least_volume(support, tolerance, minimum_semi_axis)
+        center, R, semi_axes = _least_volume(support)
         gauge, i, j = _farthest(cloud, corners, center, R, semi_axes)
-        if gauge**2 <= 1.0 + 2.0 * tolerance:
+        if gauge**2 <= 1.0 + 2.0 * _TOLERANCE:
             break
         support = np.concatenate([support, (cloud[i] - corners[j])[None, :]])
-    semi_axes = np.maximum(semi_axes * gauge, minimum_semi_axis)
+    semi_axes = np.maximum(semi_axes * gauge, LEAST_SEMI_AXIS)
     center += origin
     return certified(Ellipsoid(center, R, semi_axes), points, corners)
 
 
-def certified(
-    ellipsoid: Ellipsoid, points: ArrayLike, tool: ArrayLike, *, inflate: bool = True
-) -> Ellipsoid:
-    """The ellipsoid with its gauge over every point and tool corner computed.
+def certified(ellipsoid: Ellipsoid, points: ArrayLike, tool: ArrayLike) -> Ellipsoid:
+    """Scales an ellipsoid about its centre, where needed, until its gauge is at most 1.
 
     Args:
         ellipsoid: any ellipsoid.
         points: (N, 3) points in W [m].
         tool: (K, 3) vertices of the tool as in `dilate`.
-        inflate: scale it about its centre, where needed, until the gauge is at most 1.
 
     Raises:
         ValueError: if points or tool are empty, not (., 3), or not finite.
@@ -190,7 +177,7 @@ def certified(
     cloud, corners = checked_points(points, "points"), checked_points(tool, "tool")
     center, R, semi_axes = ellipsoid.center, ellipsoid.R, ellipsoid.semi_axes
     gauge, _, _ = _farthest(cloud, corners, center, R, semi_axes)
-    while inflate and gauge > 1.0:
+    while gauge > 1.0:
         # A little more than needed, else rounding could leave it a digit above 1.
         semi_axes = semi_axes * (gauge * (1.0 + 1e-13))
         gauge, _, _ = _farthest(cloud, corners, center, R, semi_axes)
@@ -276,30 +263,28 @@ def checked_points(points: ArrayLike, name: str) -> FloatArray:
     return array
 
 
-def _least_volume(
-    points: FloatArray, tolerance: float, minimum: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Centre, rotation and semi-axes of the optimum, up to the tolerance."""
+def _least_volume(points: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Computes centre, rotation and semi-axes of the optimum, up to the tolerance."""
     mean = points.mean(axis=0)
     spread = points - mean
     variance, V = np.linalg.eigh(spread.T @ spread / len(points))
     V = V[:, ::-1]
     scale = np.sqrt(np.maximum(variance[::-1], 0.0))
     local = spread @ V
-    flat = np.abs(local).max(axis=0) <= max(0.01 * minimum, 1e-9 * float(scale[0]))
+    flat = np.abs(local).max(axis=0) <= max(0.01 * LEAST_SEMI_AXIS, 1e-9 * float(scale[0]))
     rank = 3 - int(flat.sum())
     whitened = np.where(flat, 0.0, local / np.where(flat, 1.0, scale))
     u = np.empty(len(points))
-    kernels.optimal_weights(whitened, rank, tolerance, _MAX_STEPS, u)
+    kernels.optimal_weights(whitened, rank, _TOLERANCE, _MAX_STEPS, u)
     middle = u @ whitened
     offset = whitened - middle
     moment = (offset * u[:, None]).T @ offset * np.outer(scale, scale) * max(rank, 1)
     moment[flat, :] = 0.0
     moment[:, flat] = 0.0
-    moment[flat, flat] = minimum * minimum
+    moment[flat, flat] = LEAST_SEMI_AXIS * LEAST_SEMI_AXIS
     squared, W = np.linalg.eigh(moment)
     R = right_handed(V @ W[:, ::-1])
-    semi_axes = np.maximum(np.sqrt(np.maximum(squared[::-1], 0.0)), minimum)
+    semi_axes = np.maximum(np.sqrt(np.maximum(squared[::-1], 0.0)), LEAST_SEMI_AXIS)
     return mean + V @ (middle * scale), R, semi_axes
 
 

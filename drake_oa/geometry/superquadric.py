@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,12 +21,10 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray, Frozen
-from drake_oa.geometry.ellipsoid import checked_points, right_handed
+from drake_oa.geometry.ellipsoid import LEAST_SEMI_AXIS, checked_points, right_handed
 
 EXPONENT_RANGE = (0.1, 2.0)
 """Range of lambda_4 and lambda_5: the convex superquadrics, short of singular ones."""
-
-Residual = Literal["bajcsy", "printed"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,29 +42,6 @@ class Superquadric(Frozen):
     R: FloatArray = field(default_factory=lambda: np.eye(3))
     semi_axes: FloatArray = field(default_factory=lambda: np.ones(3))
     exponents: FloatArray = field(default_factory=lambda: np.ones(2))
-
-    def local(self, p: ArrayLike) -> FloatArray:
-        """Points p (..., 3) of W in the superquadric's own frame [m]."""
-        return np.asarray((np.asarray(p, dtype=float) - self.center) @ self.R)
-
-
-@dataclass(frozen=True, eq=False)
-class SuperquadricFit(Frozen):
-    """A fitted superquadric and how well it fits.
-
-    Attributes:
-        shape: the superquadric.
-        residual: root mean square of the residuals of the objective [m^1.5].
-        coverage: fraction of the points with F <= 1.
-        protrusion: largest radial distance of a point outside; 0 if all are inside [m].
-        converged: whether the solver met its tolerances.
-    """
-
-    shape: Superquadric
-    residual: float
-    coverage: float
-    protrusion: float
-    converged: bool
 
 
 def log_inside_outside(p_O: ArrayLike, semi_axes: ArrayLike, exponents: ArrayLike) -> FloatArray:
@@ -88,95 +62,46 @@ def log_inside_outside(p_O: ArrayLike, semi_axes: ArrayLike, exponents: ArrayLik
     return np.asarray(np.logaddexp(across, 2.0 / l4 * log[..., 2]))
 
 
-def radial_distance(shape: Superquadric, p: ArrayLike) -> FloatArray:
-    """Distance to the surface along the ray from the centre, negative inside, (...) [m].
-
-    |p| (1 - F^(-lambda_4/2)), the usual approximation of the Euclidean distance: exact
-    for spheres and on the axes, too large elsewhere. At the centre it is minus the
-    smallest semi-axis.
-    """
-    local = shape.local(p)
-    reach = np.sqrt(np.sum(local * local, axis=-1))
-    log = log_inside_outside(local, shape.semi_axes, shape.exponents)
-    at_center = reach == 0.0
-    scale = np.exp(-0.5 * shape.exponents[0] * np.where(at_center, 0.0, log))
-    return np.asarray(np.where(at_center, -shape.semi_axes.min(), reach * (1.0 - scale)))
-
-
-def fit_superquadric(
-    points: ArrayLike,
-    *,
-    exponents: tuple[float, float] | None = (1.0, 1.0),
-    residual: Residual = "bajcsy",
-    minimum_semi_axis: float = 1e-3,
-    prior: float = 0.0,
-) -> SuperquadricFit:
-    """Least-squares superquadric of a (dilated) cloud.
+def fit_superquadric(points: ArrayLike, *, prior: float | None = None) -> Superquadric:
+    """Fits a superquadric to a (dilated) cloud by least squares.
 
     The print of eq. 11 has no square: its sum is unbounded below, and grows more
     negative with every larger superquadric. Here, after Solina and Bajcsy (1990),
 
-        min  sum_i r_i^2,   r_i = sqrt(lambda_1 lambda_2 lambda_3) (F_i^p - 1),
+        min  sum_i r_i^2,   r_i = sqrt(lambda_1 lambda_2 lambda_3) (F_i^lambda_4 - 1),
 
-    with p = lambda_4 ("bajcsy"; F^lambda_4 grows with the square of the distance
-    whatever the exponents) or p = 1 ("printed"). For ellipsoids the two are one.
+    as F^lambda_4 grows with the square of the distance whatever the exponents.
     Centre, rotation, semi-axes and, where they are free, exponents are sought together
     from the cloud's principal axes; with free exponents once for each choice of
     the z axis, which eq. 10 treats apart.
 
     Args:
         points: (N, 3) points in W [m].
-        exponents: fixed (lambda_4, lambda_5), or None to fit them in `EXPONENT_RANGE`.
-        residual: which p.
-        minimum_semi_axis: least semi-axis [m]; thin clouds need one.
-        prior: how strongly free exponents are drawn to 1: one unit of their logarithm costs as
-            much as a residual of sqrt(prior) times the root of the cloud's half extents'
-            product at every point.
+        prior: how strongly free exponents, of `EXPONENT_RANGE`, are drawn to 1: one unit of their
+            logarithm costs as much as a residual of sqrt(prior) times the root of the cloud's
+            half extents' product at every point. None: they are 1.
 
     Raises:
-        ValueError: if points are empty, not (N, 3) or not finite; if the exponents are
-            out of range, the residual unknown, or minimum_semi_axis not positive.
+        ValueError: if points are empty, not (N, 3) or not finite.
     """
     cloud = checked_points(points, "points")
-    low, high = EXPONENT_RANGE
-    if exponents is not None and not all(low <= value <= high for value in exponents):
-        raise ValueError(f"fit_superquadric: exponents {exponents} must lie in [{low}, {high}]")
-    if residual not in ("bajcsy", "printed"):
-        raise ValueError(f"fit_superquadric: residual '{residual}'; it must be bajcsy or printed")
-    if not minimum_semi_axis > 0.0:
-        raise ValueError(f"fit_superquadric: minimum_semi_axis {minimum_semi_axis} is not positive")
-    if not 0.0 <= prior < math.inf:
-        raise ValueError(f"fit_superquadric: prior {prior} must be finite and not negative")
     mean = cloud.mean(axis=0)
     _, V = np.linalg.eigh((cloud - mean).T @ (cloud - mean))
     R = right_handed(V[:, ::-1])
     local = (cloud - mean) @ R
-    box = np.ptp(local, axis=0)
     problem = _Problem(
         local,
         middle=0.5 * (local.max(axis=0) + local.min(axis=0)),
-        half=np.maximum(0.5 * box, minimum_semi_axis),
-        minimum=minimum_semi_axis,
-        exponents=exponents,
-        power=residual,
-        pull=math.sqrt(prior * len(cloud)),
+        half=np.maximum(0.5 * np.ptp(local, axis=0), LEAST_SEMI_AXIS),
+        pull=None if prior is None else math.sqrt(prior * len(cloud)),
     )
-    turns = [(0, 1, 2)] if exponents is not None else [(0, 1, 2), (1, 2, 0), (2, 0, 1)]
+    turns = [(0, 1, 2)] if prior is None else [(0, 1, 2), (1, 2, 0), (2, 0, 1)]
     solutions = [problem.solve(turn) for turn in turns]
-    best = min(solutions, key=lambda solution: solution[0])
-    cost, center, turn_R, semi_axes, powers, converged = best
-    shape = Superquadric(mean + R @ center, R @ turn_R, semi_axes, powers)
-    outside = radial_distance(shape, cloud)
-    return SuperquadricFit(
-        shape=shape,
-        residual=float(np.sqrt(2.0 * cost / len(cloud))),
-        coverage=float(np.mean(outside <= 0.0)),
-        protrusion=max(0.0, float(outside.max())),
-        converged=converged,
-    )
+    _, center, turn_R, semi_axes, powers = min(solutions, key=lambda solution: solution[0])
+    return Superquadric(mean + R @ center, R @ turn_R, semi_axes, powers)
 
 
-_Solution = tuple[float, FloatArray, FloatArray, FloatArray, FloatArray, bool]
+_Solution = tuple[float, FloatArray, FloatArray, FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,26 +109,23 @@ class _Problem:
     """The least-squares problem in the cloud's principal axes.
 
     Unknowns: centre in half extents, rotation vector, logarithms of the semi-axes
-    over the half extents, and the exponents where they are free.
+    over the half extents, and the exponents where they are drawn (`pull`).
     """
 
     points: FloatArray
     middle: FloatArray
     half: FloatArray
-    minimum: float
-    exponents: tuple[float, float] | None
-    power: Residual
-    pull: float = 0.0
+    pull: float | None = None
 
     def solve(self, turn: tuple[int, int, int]) -> _Solution:
         """Solves from the axes in the order of `turn`."""
         half = self.half[list(turn)]
         # Far beyond what a good fit needs, but short of shapes without end.
-        least = np.log(np.minimum(self.minimum / half, 0.999))
+        least = np.log(np.minimum(LEAST_SEMI_AXIS / half, 0.999))
         lower = np.concatenate([np.full(3, -3.0), np.full(3, -np.inf), least])
         upper = np.concatenate([np.full(3, 3.0), np.full(3, np.inf), np.full(3, np.log(10.0))])
         start = np.zeros(9)
-        if self.exponents is None:
+        if self.pull is not None:
             lower = np.concatenate([lower, np.full(2, EXPONENT_RANGE[0])])
             upper = np.concatenate([upper, np.full(2, EXPONENT_RANGE[1])])
             start = np.concatenate([start, [1.0, 1.0]])
@@ -216,13 +138,12 @@ class _Problem:
             kwargs={"turn": turn},
         )
         center, rotation, semi_axes, powers = self._read(found.x, turn)
-        semi_axes = np.maximum(semi_axes, self.minimum)
-        return float(found.cost), center, rotation, semi_axes, powers, bool(found.status > 0)
+        return float(found.cost), center, rotation, np.maximum(semi_axes, LEAST_SEMI_AXIS), powers
 
     @property
     def _drawn(self) -> FloatArray:
         """(2,) weights of the exponents' logarithms; (0,): nothing draws them."""
-        if self.pull == 0.0 or self.exponents is not None:
+        if not self.pull:
             return np.zeros(0)
         return np.full(2, self.pull * math.sqrt(float(np.prod(self.half))))
 
@@ -240,18 +161,16 @@ class _Problem:
         local = (self.points - center) @ rotation
         log, by_log, by_powers = _log_derivatives(local, semi_axes, powers)
         size, grown = np.sqrt(np.prod(semi_axes)), self._grown(log, powers)
-        degree = powers[0] if self.power == "bajcsy" else 1.0
-        slope = size * degree * grown
+        slope = size * powers[0] * grown
         gradient = np.divide(by_log, local, out=np.zeros_like(local), where=local != 0.0)
         columns = [
             -slope[:, None] * (gradient @ rotation.T) * self.half,
             slope[:, None] * (np.cross(gradient, local) @ _right_jacobian(x[3:6])),
             0.5 * size * (grown - 1.0)[:, None] - slope[:, None] * by_log,
         ]
-        if self.exponents is None:
+        if self.pull is not None:
             columns.append(slope[:, None] * by_powers)
-            if self.power == "bajcsy":
-                columns[-1][:, 0] += size * grown * np.where(grown > 0.0, log, 0.0)
+            columns[-1][:, 0] += size * grown * np.where(grown > 0.0, log, 0.0)
         found = np.concatenate(columns, axis=1)
         drawn = np.zeros((len(self._drawn), found.shape[1]))
         if len(drawn):
@@ -263,13 +182,13 @@ class _Problem:
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Centre, rotation, semi-axes and exponents of the unknowns x."""
         order = list(turn)
-        powers = x[9:] if self.exponents is None else np.asarray(self.exponents, dtype=float)
+        powers = np.ones(2) if self.pull is None else x[9:]
         rotation = Rotation.from_rotvec(x[3:6]).as_matrix()[np.argsort(order)]
         return self.middle + self.half * x[:3], rotation, self.half[order] * np.exp(x[6:9]), powers
 
     def _grown(self, log: FloatArray, powers: FloatArray) -> FloatArray:
         # The ceiling keeps a trial step far off finite; no solution is near it.
-        return np.exp(np.minimum((powers[0] if self.power == "bajcsy" else 1.0) * log, 200.0))
+        return np.exp(np.minimum(powers[0] * log, 200.0))
 
 
 def _log_derivatives(

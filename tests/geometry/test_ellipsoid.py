@@ -94,17 +94,16 @@ def test_every_point_dilated_by_every_corner_is_enclosed(seed, count, rank, tool
     assert (np.diff(e.semi_axes) <= 0.0).all()
 
 
-@pytest.mark.parametrize("tolerance", [1e-2, 1e-3])
-def test_volume_is_near_the_optimum_of_a_simplex_and_an_ellipsoid(tolerance):
+def test_volume_is_near_the_optimum_of_a_simplex_and_an_ellipsoid():
     rng = np.random.default_rng(1)
     simplex = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1.0]])
     ball = unit_directions(642)
     for points, radius in ((simplex, np.sqrt(3.0)), (ball, 1.0)):
         stretch = np.array([0.3, 0.1, 0.05])
         p, R = pose(rng)
-        e = enclosing_ellipsoid((points * stretch) @ R.T + p, tolerance)
+        e = enclosing_ellipsoid((points * stretch) @ R.T + p)
         optimum = Ellipsoid(semi_axes=radius * stretch)
-        assert 0.98 <= volume(e) / volume(optimum) <= 1.0 + 3.0 * tolerance
+        assert 0.98 <= volume(e) / volume(optimum) <= 1.03
         assert gauges(e, (points * stretch) @ R.T + p, POINT).max() <= 1.0 + 1e-12
 
 
@@ -129,11 +128,8 @@ def test_fit_is_the_same_every_time_and_far_from_the_origin():
     assert far.gauge <= 1.0
 
 
-def test_certificate_reports_or_inflates():
+def test_what_leaves_points_outside_is_inflated():
     small = Ellipsoid(semi_axes=np.array([0.1, 0.1, 0.1]))
-    report = certified(small, [[0.2, 0.0, 0.0]], POINT, inflate=False)
-    assert report.gauge == pytest.approx(2.0)
-    np.testing.assert_array_equal(report.semi_axes, small.semi_axes)
     inflated = certified(small, [[0.2, 0.0, 0.0]], POINT)
     assert 1.0 - 1e-12 < inflated.gauge <= 1.0
     np.testing.assert_allclose(inflated.semi_axes, 0.2)

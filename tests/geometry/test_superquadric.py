@@ -1,4 +1,4 @@
-"""Superquadrics: eq. 10, distances, samples, and the least-squares fit."""
+"""Superquadrics: eq. 10 and the least-squares fit."""
 
 import numpy as np
 import pytest
@@ -6,13 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from drake_oa.geometry.ellipsoid import signed_distance, unit_directions
+from drake_oa.geometry.ellipsoid import unit_directions
 from drake_oa.geometry.superquadric import (
     Superquadric,
     _Problem,
     fit_superquadric,
     log_inside_outside,
-    radial_distance,
 )
 
 exponent = st.floats(0.1, 2.0)
@@ -23,7 +22,8 @@ seed = st.integers(0, 10**6)
 def inside_outside(shape, p):
     """F (eq. 10): below 1 inside, 1 on the surface; inf where it is no double any more."""
     with np.errstate(over="ignore"):
-        return np.exp(log_inside_outside(shape.local(p), shape.semi_axes, shape.exponents))
+        local = (p - shape.center) @ shape.R
+        return np.exp(log_inside_outside(local, shape.semi_axes, shape.exponents))
 
 
 def surface_points(shape, count=642):
@@ -45,11 +45,10 @@ def superquadric(seed: int, semi_axes: tuple, exponents: tuple) -> Superquadric:
 
 
 @given(seed, st.tuples(semi_axis, semi_axis, semi_axis), st.tuples(exponent, exponent))
-def test_surface_points_have_f_one_and_zero_distance(seed, semi_axes, exponents):
+def test_surface_points_have_f_one(seed, semi_axes, exponents):
     shape = superquadric(seed, semi_axes, exponents)
     points = surface_points(shape, 162)
     np.testing.assert_allclose(inside_outside(shape, points), 1.0, atol=1e-9)
-    np.testing.assert_allclose(radial_distance(shape, points), 0.0, atol=1e-12)
 
 
 @given(st.floats(0.5, 2.0), st.floats(0.5, 2.0), seed)
@@ -80,24 +79,6 @@ def test_points_on_the_axes_and_at_the_centre_are_no_special_case():
         with np.errstate(all="raise"):
             values = inside_outside(shape, np.vstack([np.diag(axes), np.zeros(3)]))
         np.testing.assert_allclose(values, [1.0, 1.0, 1.0, 0.0], atol=1e-12)
-        assert radial_distance(shape, np.zeros(3)) == -0.1
-        np.testing.assert_allclose(radial_distance(shape, 2.0 * np.diag(axes)), axes)
-
-
-def test_radial_distance_bounds_the_euclidean_one():
-    rng = np.random.default_rng(0)
-    shape = superquadric(1, (0.3, 0.2, 0.05), (1.0, 1.0))
-    points = shape.center + rng.uniform(-0.5, 0.5, (500, 3))
-    euclidean = signed_distance(points, shape.center, shape.R, shape.semi_axes)
-    radial = radial_distance(shape, points)
-    np.testing.assert_array_equal(np.sign(radial), np.sign(euclidean))
-    assert (np.abs(radial) >= np.abs(euclidean) - 1e-12).all()
-    ball = superquadric(2, (0.2, 0.2, 0.2), (1.0, 1.0))
-    np.testing.assert_allclose(
-        radial_distance(ball, points),
-        np.linalg.norm(points - ball.center, axis=1) - 0.2,
-        atol=1e-12,
-    )
 
 
 @settings(max_examples=10)
@@ -105,68 +86,35 @@ def test_radial_distance_bounds_the_euclidean_one():
 def test_fit_recovers_an_ellipsoid(seed, semi_axes):
     shape = superquadric(seed, semi_axes, (1.0, 1.0))
     fit = fit_superquadric(surface_points(shape, 162))
-    assert fit.converged
-    assert fit.residual < 1e-6
-    np.testing.assert_allclose(np.sort(fit.shape.semi_axes), np.sort(semi_axes), rtol=1e-4)
-    np.testing.assert_allclose(fit.shape.center, shape.center, atol=1e-5)
-    assert np.linalg.det(fit.shape.R) == pytest.approx(1.0)
+    np.testing.assert_allclose(np.sort(fit.semi_axes), np.sort(semi_axes), rtol=1e-4)
+    np.testing.assert_allclose(fit.center, shape.center, atol=1e-5)
+    assert np.linalg.det(fit.R) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("exponents", [(0.3, 1.2), (1.0, 0.2), (1.5, 0.7)])
 def test_fit_recovers_free_exponents(exponents):
     shape = superquadric(7, (0.1, 0.2, 0.15), exponents)
-    fit = fit_superquadric(surface_points(shape, 642), exponents=None)
-    assert fit.residual < 1e-9
-    np.testing.assert_allclose(inside_outside(fit.shape, surface_points(shape)), 1.0, atol=1e-5)
+    fit = fit_superquadric(surface_points(shape), prior=0.0)
+    np.testing.assert_allclose(inside_outside(fit, surface_points(shape)), 1.0, atol=1e-5)
 
 
 def test_a_prior_draws_the_exponents_to_one():
     points = surface_points(superquadric(7, (0.1, 0.2, 0.15), (0.3, 0.4)), 642)
-    fits = [
-        fit_superquadric(points, exponents=None, prior=prior).shape.exponents
-        for prior in (0.0, 1e-2, 1.0, 1e4)
-    ]
+    fits = [fit_superquadric(points, prior=prior).exponents for prior in (0.0, 1e-2, 1.0, 1e4)]
     off = np.abs(np.log(fits)).max(axis=1)
     assert (np.diff(off) < 0.0).all()
     np.testing.assert_allclose(fits[0], [0.3, 0.4], atol=1e-4)
     np.testing.assert_allclose(fits[-1], 1.0, atol=1e-2)
 
 
-@pytest.mark.parametrize("residual", ["bajcsy", "printed"])
-def test_fixed_exponents_stay_fixed_and_the_box_is_better_for_a_box(residual):
-    rng = np.random.default_rng(4)
-    box = rng.uniform(-1.0, 1.0, (400, 3))
-    box[np.arange(400), np.arange(400) % 3] = rng.choice([-1.0, 1.0], 400)
-    box *= [0.1, 0.15, 0.2]
-    round_fit = fit_superquadric(box, residual=residual)
-    box_fit = fit_superquadric(box, exponents=(0.1, 0.1), residual="bajcsy")
-    np.testing.assert_array_equal(round_fit.shape.exponents, [1.0, 1.0])
-    np.testing.assert_array_equal(box_fit.shape.exponents, [0.1, 0.1])
-    assert box_fit.protrusion < round_fit.protrusion
-    assert 0.0 < round_fit.coverage < 1.0
-
-
 @settings(max_examples=40)
-@given(
-    seed,
-    st.sampled_from(["bajcsy", "printed"]),
-    st.booleans(),
-    st.permutations(range(3)),
-    st.sampled_from([0.0, 0.7]),
-)
-def test_jacobian_is_the_derivative(seed, power, free, turn, pull):
+@given(seed, st.permutations(range(3)), st.sampled_from([None, 0.0, 0.7]))
+def test_jacobian_is_the_derivative(seed, turn, pull):
     rng = np.random.default_rng(seed)
-    problem = _Problem(
-        rng.uniform(-0.3, 0.3, (20, 3)),
-        middle=np.zeros(3),
-        half=np.array([0.3, 0.2, 0.1]),
-        minimum=1e-3,
-        exponents=None if free else (0.8, 1.2),
-        power=power,
-        pull=pull,
-    )
+    points, half = rng.uniform(-0.3, 0.3, (20, 3)), np.array([0.3, 0.2, 0.1])
+    problem = _Problem(points, middle=np.zeros(3), half=half, pull=pull)
     x = rng.uniform(-0.4, 0.4, 9)
-    if free:
+    if pull is not None:
         x = np.concatenate([x, rng.uniform(0.6, 1.6, 2)])
     found = problem.jacobian(x, tuple(turn))
     for k, step in enumerate(1e-6 * np.eye(len(x))):
@@ -176,11 +124,10 @@ def test_jacobian_is_the_derivative(seed, power, free, turn, pull):
         np.testing.assert_allclose(found[:, k], (ahead - behind) / 2e-6, atol=1e-5 * scale)
 
 
-@pytest.mark.parametrize("exponents", [(1.0, 1.0), None])
+@pytest.mark.parametrize("prior", [None, 0.0])
 @pytest.mark.parametrize("rank", [0, 1, 2])
-def test_thin_clouds_have_a_finite_fit(exponents, rank):
+def test_thin_clouds_have_a_finite_fit(prior, rank):
     points = np.random.default_rng(8).uniform(-0.1, 0.1, (30, 3)) * (np.arange(3) < rank)
-    fit = fit_superquadric(points + 0.4, exponents=exponents)
-    assert np.isfinite(fit.shape.semi_axes).all()
-    assert (fit.shape.semi_axes >= 1e-3).all()
-    assert np.isfinite([fit.residual, fit.coverage, fit.protrusion]).all()
+    fit = fit_superquadric(points + 0.4, prior=prior)
+    assert np.isfinite(fit.semi_axes).all()
+    assert (fit.semi_axes >= 1e-3).all()

@@ -13,7 +13,7 @@ from safetensors.numpy import load_file, save_file
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import CouplingParameters, EllipsoidSet
-from drake_oa.geometry.superquadric import Superquadric, radial_distance
+from drake_oa.geometry.superquadric import log_inside_outside
 from drake_oa.regulation.network import Network
 from drake_oa.regulation.regressor import (
     TARGETS,
@@ -268,9 +268,8 @@ def test_a_section_is_as_wide_as_its_points_in_the_plane(seed, exponents):
     across = np.cross(normal, along)
     angle = np.linspace(0.0, 2.0 * np.pi, 4001)
     rays = np.outer(np.cos(angle), along) + np.outer(np.sin(angle), across)
-    shape = Superquadric(center, R_WO, axes, np.array(exponents))
-    # The radial distance of a point far out tells where its ray leaves the shape.
-    reach = 10.0 - radial_distance(shape, center + 10.0 * rays)
+    # Where a ray leaves the shape: F^(lambda_4 / 2) is homogeneous.
+    reach = np.exp(-0.5 * exponents[0] * log_inside_outside(rays @ R_WO, axes, exponents))
     expected = [np.abs(reach * np.cos(angle)).max(), np.abs(reach * np.sin(angle)).max()]
     np.testing.assert_allclose(found, expected, rtol=1e-3 if exponents == (1.0, 1.0) else 0.03)
     ellipse = section_extents(p, z, R_WL, shapes([center], [R_WO], [axes], [(1.0, 1.0)]))
