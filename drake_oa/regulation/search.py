@@ -386,7 +386,6 @@ def verify(
     proposer: Proposer,
     *,
     duration: float,
-    dmp: Dmp | None = None,
     parameters: SearchParameters | None = None,
 ) -> SearchResult:
     """Chooses the motion of each scene, see the module.
@@ -395,7 +394,6 @@ def verify(
         scenes: S scenes.
         proposer: what proposes the first candidates.
         duration: T [s].
-        dmp: the primitive; None: a straight minimum-jerk motion.
         parameters: how far the search goes; None: the defaults.
 
     Returns:
@@ -407,4 +405,4 @@ def verify(
     if not 0.0 < duration < math.inf:
         raise ValueError(f"duration must be positive and finite [s], not {duration}")
     previous = np.full((len(scenes), N_GENES), np.nan)
-    return Search(scenes, duration, dmp, previous, parameters or SearchParameters()).run(proposer)
+    return Search(scenes, duration, None, previous, parameters or SearchParameters()).run(proposer)

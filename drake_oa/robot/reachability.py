@@ -98,42 +98,31 @@ class Reachability(Frozen):
         return margin.reshape(p_WQ.shape[:-1])
 
 
-def reachability(
-    arm: ArmModel, *, spacing: float = SPACING, joint_margin: float = JOINT_MARGIN
-) -> Reachability:
+def reachability(arm: ArmModel) -> Reachability:
     """Maps what an arm reaches with its tool held as it is in the model.
 
     It takes about a second; the same arm is mapped once a process.
 
     Args:
         arm: the arm, and its tool's orientation.
-        spacing: of the grid [m].
-        joint_margin: distance to the joint limits that `Reachability.joint_margin` asks
-            for [rad]; of a joint whose range is narrow, at most a quarter of it.
 
     Raises:
-        ValueError: if the spacing is not positive or the joint margin negative, or no
-            point was found in reach.
+        ValueError: if no point was found in reach.
     """
-    if not 0.0 < spacing < np.inf:
-        raise ValueError(f"spacing must be finite and positive [m], not {spacing}")
-    if not 0.0 <= joint_margin < np.inf:
-        raise ValueError(f"joint_margin must be finite and not negative [rad], not {joint_margin}")
     arrays = (arm.X_PJ, arm.R_WE, arm.posture, arm.lower, arm.upper)
-    data = tuple(np.ascontiguousarray(a, dtype=float).tobytes() for a in arrays)
-    return _mapped(data, float(spacing), float(joint_margin))
+    return _mapped(tuple(np.ascontiguousarray(a, dtype=float).tobytes() for a in arrays))
 
 
 @lru_cache(maxsize=8)
-def _mapped(data: tuple[bytes, ...], spacing: float, joint_margin: float) -> Reachability:
+def _mapped(data: tuple[bytes, ...]) -> Reachability:
     X_PJ, R_WE, posture, lower, upper = (np.frombuffer(a) for a in data)
     n = len(posture)
     X_PJ, R_WE = X_PJ.reshape(n + 1, 4, 4).copy(), R_WE.reshape(3, 3).copy()
     lower, upper = np.maximum(lower, -1e3), np.minimum(upper, 1e3)
-    narrow = np.minimum(joint_margin, 0.25 * (upper - lower))
+    narrow = np.minimum(JOINT_MARGIN, 0.25 * (upper - lower))
     reach = float(np.linalg.norm(X_PJ[1:, :3, 3], axis=1).sum())
-    count = int(np.ceil(reach / spacing)) + 2
-    origin = X_PJ[0, :3, 3] - count * spacing
+    count = int(np.ceil(reach / SPACING)) + 2
+    origin = X_PJ[0, :3, 3] - count * SPACING
     shape = (2 * count + 1,) * 3
     state = np.zeros(shape, dtype=np.int64)
     found = np.zeros((*shape, n))
@@ -141,7 +130,7 @@ def _mapped(data: tuple[bytes, ...], spacing: float, joint_margin: float) -> Rea
     seeds = np.vstack([posture, np.random.default_rng(0).uniform(*turn, (_SEEDS, n))])
     limits = {REACHED: narrow, STRAINED: np.zeros(n)}
     for kind, off in limits.items():
-        flood(origin, spacing, seeds, R_WE, lower + off, upper - off, X_PJ, kind, state, found)
+        flood(origin, SPACING, seeds, R_WE, lower + off, upper - off, X_PJ, kind, state, found)
     if not state.any():
         raise ValueError("no point was found where the arm can hold its tool in this orientation")
 
@@ -149,14 +138,14 @@ def _mapped(data: tuple[bytes, ...], spacing: float, joint_margin: float) -> Rea
     low, high = places.min(axis=0) - 2, places.max(axis=0) + 3
     low = np.maximum(low, 0)
     cut = tuple(slice(a, b) for a, b in zip(low, high, strict=True))
-    origin = origin + spacing * low
+    origin = origin + SPACING * low
     state, found = np.ascontiguousarray(state[cut]), np.ascontiguousarray(found[cut])
-    nodes = origin + spacing * np.moveaxis(np.indices(state.shape), 0, -1)
+    nodes = origin + SPACING * np.moveaxis(np.indices(state.shape), 0, -1)
     margins = {}
     for least, off in limits.items():
         edge = np.empty((6 * int((state >= least).sum()), 3))
         at = surface(
-            origin, spacing, R_WE, lower + off, upper - off, X_PJ, least, state, found, edge
+            origin, SPACING, R_WE, lower + off, upper - off, X_PJ, least, state, found, edge
         )
         distance = np.full(state.shape, np.inf)
         if at:
@@ -164,7 +153,7 @@ def _mapped(data: tuple[bytes, ...], spacing: float, joint_margin: float) -> Rea
         margins[least] = np.where(state >= least, distance, -distance)
     return Reachability(
         origin,
-        spacing,
+        SPACING,
         margins[STRAINED],
         margins[REACHED],
         (X_PJ, R_WE, posture, lower, upper),

@@ -27,6 +27,8 @@ FORBIDDEN = 1.0
 """Cost at which a ring forbids a direction."""
 JOINT_LIMITS = "joint_limits"
 """Name of the ring of `joint_limits_ring`."""
+_LIMIT_SAMPLES = 12
+"""Points of each of the two legs at which `limits_ring` asks for the workspace's margin."""
 LEAST_SPREAD = 0.1
 """Spread of path lengths, in baselines, below which they count as near to each other."""
 
@@ -145,17 +147,16 @@ def table_ring(scene: RingScene, *, height: float) -> FloatArray:
     return np.where(scene.table.height(scene.p_WP) < height, FORBIDDEN, 0.0)
 
 
-def limits_ring(scene: RingScene, *, workspace: Margin, n_samples: int = 12) -> FloatArray:
+def limits_ring(scene: RingScene, *, workspace: Margin) -> FloatArray:
     """eta_limits: 1 where the way over the passing point leaves the workspace.
 
     Args:
         scene: the scene.
         workspace: signed margin [m] of points (..., 3) -> (...), positive inside.
-        n_samples: points looked at on each of the two legs.
     """
     if not scene.detour.size:
         return scene.detour
-    share = np.arange(1, n_samples + 1)[:, None, None, None] / n_samples
+    share = np.arange(1, _LIMIT_SAMPLES + 1)[:, None, None, None] / _LIMIT_SAMPLES
     legs = np.concatenate(
         [
             scene.p_WS + share * (scene.p_WP - scene.p_WS),
