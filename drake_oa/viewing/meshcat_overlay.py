@@ -38,35 +38,31 @@ _COST_CHANGE = 0.1
 
 
 @dataclass(frozen=True)
-class _RingOnShow:
-    """One obstacle's rings as last drawn: in which frame, and in which before that."""
+class _Rings:
+    """Rings of one obstacle as drawn last: its ID, their costs, and the frame."""
 
     name: int = -1
     costs: Mapping[str, FloatArray] = field(default_factory=dict)
     frame: int = -1
-    before: int = -1
 
 
 @dataclass(frozen=True, eq=False)
 class _Shown(Frozen):
-    """What is on show: the run-time data of the overlay, kept in the Context.
+    """Contents of the picture: the run-time data of the overlay, kept in the Context.
 
     Attributes:
         start: time of the first frame [s].
         frame: number of this frame.
         slots: obstacle in each place of the pool, -1 where there is none.
-        p_from, p_to: (3,) newest segment of the executed path [m].
-        grew: whether that segment belongs to this frame.
+        p_WE: (3,) end of the executed path [m].
         rings: the rings in each place.
     """
 
     start: float = 0.0
     frame: int = 0
-    slots: tuple[int, ...] = ()
-    p_from: FloatArray = field(default_factory=lambda: np.zeros(3))
-    p_to: FloatArray = field(default_factory=lambda: np.zeros(3))
-    grew: bool = False
-    rings: tuple[_RingOnShow, ...] = ()
+    slots: tuple[int, ...] = (-1,) * _PLACES
+    p_WE: FloatArray = field(default_factory=lambda: np.zeros(3))
+    rings: tuple[_Rings, ...] = (_Rings(),) * _PLACES
 
 
 class MeshcatOverlay(LeafSystem):
@@ -180,40 +176,29 @@ class MeshcatOverlay(LeafSystem):
         return np.asarray(X_WB @ self._p_BE)
 
     def _begin(self, context: Context, state: State) -> EventStatus:
-        p_WE = self._tool_point(context)
-        shown = _Shown(
-            start=context.get_time(),
-            slots=(-1,) * _PLACES,
-            p_from=p_WE,
-            p_to=p_WE,
-            rings=(_RingOnShow(),) * _PLACES,
-        )
+        shown = _Shown(start=context.get_time(), p_WE=self._tool_point(context))
         state.get_mutable_abstract_state(self._shown).set_value(
             self._with_obstacles(context, shown)
         )
         return EventStatus.Succeeded()
 
     def _advance(self, context: Context, state: State) -> EventStatus:
-        state.get_mutable_abstract_state(self._shown).set_value(self._following(context))
+        _, shown = self._last_two(context)
+        state.get_mutable_abstract_state(self._shown).set_value(shown)
         return EventStatus.Succeeded()
 
-    def _following(self, context: Context) -> _Shown:
-        """What is on show in this frame, from what was on show in the last one.
+    def _last_two(self, context: Context) -> tuple[_Shown, _Shown]:
+        """Returns the contents of the last frame and of this one.
 
         Drake publishes at an instant before it updates at that instant: both the
         drawing and the update ask for this, and find the same.
         """
         before: _Shown = context.get_abstract_state(self._shown).get_value()
         p_WE = self._tool_point(context)
-        grew = float(np.linalg.norm(p_WE - before.p_to)) > _SHORTEST_SEGMENT
-        shown = replace(
-            before,
-            frame=before.frame + 1,
-            grew=grew,
-            p_from=before.p_to if grew else before.p_from,
-            p_to=p_WE if grew else before.p_to,
-        )
-        return self._with_obstacles(context, shown)
+        if float(np.linalg.norm(p_WE - before.p_WE)) <= _SHORTEST_SEGMENT:
+            p_WE = before.p_WE
+        shown = replace(before, frame=before.frame + 1, p_WE=p_WE)
+        return before, self._with_obstacles(context, shown)
 
     def _with_obstacles(self, context: Context, shown: _Shown) -> _Shown:
         """Places the obstacles, and renews the rings whose costs have changed visibly."""
@@ -227,7 +212,7 @@ class MeshcatOverlay(LeafSystem):
             if row >= 0:
                 costs = {key: values[row] for key, values in route.costs.items()}
                 if name != ring.name or not _look_alike(costs, ring.costs):
-                    ring = _RingOnShow(name, costs, shown.frame, ring.frame)
+                    ring = _Rings(name, costs, shown.frame)
             rings.append(ring)
         return replace(shown, slots=slots, rings=tuple(rings))
 
@@ -282,7 +267,8 @@ class MeshcatOverlay(LeafSystem):
             start, end = edges_C[:, 0].T, edges_C[:, 1].T
             meshcat.SetLineSegments(f"{path}/frustum", start, end, 1.0, Rgba(*drawing.FRUSTUM))
         meshcat.SetObject(f"{_ROOT}/motion/tool_point", Sphere(0.013), Rgba(*drawing.EXECUTED))
-        self._draw_frame(context, context.get_abstract_state(self._shown).get_value())
+        shown: _Shown = context.get_abstract_state(self._shown).get_value()
+        self._draw_frame(context, _Shown(p_WE=shown.p_WE), shown)
         return EventStatus.Succeeded()
 
     def _draw_planned(self, policy: PolicyState) -> None:
@@ -295,31 +281,34 @@ class MeshcatOverlay(LeafSystem):
             self._meshcat.SetTransform(ball, RigidTransform(p_WQ))
 
     def _draw(self, context: Context) -> EventStatus:
-        self._draw_frame(context, self._following(context))
+        self._draw_frame(context, *self._last_two(context))
         return EventStatus.Succeeded()
 
-    def _draw_frame(self, context: Context, shown: _Shown) -> None:
+    def _draw_frame(self, context: Context, before: _Shown, shown: _Shown) -> None:
         time = context.get_time()
-        self._draw_obstacles(context, shown, time)
-        self._draw_executed(self._tool_point(context), shown, time)
+        self._draw_obstacles(context, before, shown)
+        X_WE = RigidTransform(self._tool_point(context))
+        self._meshcat.SetTransform(f"{_ROOT}/motion/tool_point", X_WE, time)
+        self._draw_executed(before.p_WE, shown, time)
         for path, _, port in self._connected_cameras(context):
             self._meshcat.SetTransform(path, port.Eval(context), time)
         if shown.frame % _CLOUD_FRAMES == 0 and self._cloud.HasValue(context):
             table = self._read_ellipsoids(context).table
             self._draw_cloud(self._cloud.Eval(context), table, shown, time)
 
-    def _draw_obstacles(self, context: Context, shown: _Shown, time: float) -> None:
+    def _draw_obstacles(self, context: Context, before: _Shown, shown: _Shown) -> None:
+        time = context.get_time()
         ellipsoids = self._read_ellipsoids(context)
         route = self._read_route(context)
         policy = read_value(self, self._policy, context, PolicyState)
         row_of = {name: row for row, name in enumerate(ellipsoids.ids.tolist())}
+        left = route.remaining_clearance
         # Rings of obstacles that need no coupling would only hide the others'.
-        bends = (
-            route.remaining_clearance > 0.0
-            if len(route.remaining_clearance)
-            else np.ones(len(route.ids), bool)
-        )
-        ring_row = {name: row for row, name in enumerate(route.ids.tolist()) if bends[row]}
+        ring_row = {
+            name: row
+            for row, name in enumerate(route.ids.tolist())
+            if not len(left) or left[row] > 0.0
+        }
         normals = np.tile(policy.R_WL[:, 1], (len(ellipsoids), 1))
         if len(route.normal_W) and np.array_equal(route.ids, ellipsoids.ids):
             normals = route.normal_W
@@ -349,36 +338,34 @@ class MeshcatOverlay(LeafSystem):
                 self._meshcat.SetTransform(f"{decided}/direction", X_WA, time)
                 X_WL = _pose(policy.R_WL, p_WB[row])
                 self._meshcat.SetTransform(f"{decided}/rings", X_WL, time)
-                self._draw_ring(f"{decided}/rings", shown.rings[slot], route.angles, shown, time)
+                ring = shown.rings[slot]
+                if ring.frame == shown.frame:
+                    last = before.rings[slot].frame
+                    self._draw_rings(f"{decided}/rings", last, ring, route.angles, shown, time)
 
-    def _draw_ring(
-        self, path: str, ring: _RingOnShow, angles: FloatArray, shown: _Shown, time: float
+    def _draw_rings(
+        self, path: str, last: int, rings: _Rings, angles: FloatArray, shown: _Shown, time: float
     ) -> None:
-        if ring.frame != shown.frame:
-            return
-        if ring.before >= 0:
-            self._show_path(f"{path}/{ring.before}", False, time)
-        if ring.costs:
-            name = f"{path}/{ring.frame}"
+        if last >= 0:
+            self._show_path(f"{path}/{last}", False, time)
+        if rings.costs:
+            name = f"{path}/{rings.frame}"
             # The legend reads the rings' names from the path.
-            bands = f"{name}/{', '.join(ring.costs)}"
-            mesh, colors = drawing.ring_mesh(ring.costs, angles)
+            bands = f"{name}/{', '.join(rings.costs)}"
+            mesh, colors = drawing.ring_mesh(rings.costs, angles)
             self._meshcat.SetTriangleColorMesh(bands, *mesh, colors)
             self._meshcat.SetProperty(f"{bands}/<object>", "castShadow", False)
             self._appear(name, shown, time)
 
-    def _draw_executed(self, p_WE: FloatArray, shown: _Shown, time: float) -> None:
-        self._meshcat.SetTransform(f"{_ROOT}/motion/tool_point", RigidTransform(p_WE), time)
-        if not shown.grew:
-            return
-        way = shown.p_to - shown.p_from
-        path = f"{_ROOT}/motion/executed/{shown.frame}"
-        R = RotationMatrix.MakeFromOneVector(way, 2)
-        self._meshcat.SetObject(
-            path, Capsule(0.0055, float(np.linalg.norm(way))), Rgba(*drawing.EXECUTED)
-        )
-        self._meshcat.SetTransform(path, RigidTransform(R, 0.5 * (shown.p_from + shown.p_to)))
-        self._appear(path, shown, time)
+    def _draw_executed(self, p_from: FloatArray, shown: _Shown, time: float) -> None:
+        way = shown.p_WE - p_from
+        if way.any():
+            path = f"{_ROOT}/motion/executed/{shown.frame}"
+            segment = Capsule(0.0055, float(np.linalg.norm(way)))
+            self._meshcat.SetObject(path, segment, Rgba(*drawing.EXECUTED))
+            R = RotationMatrix.MakeFromOneVector(way, 2)
+            self._meshcat.SetTransform(path, RigidTransform(R, 0.5 * (p_from + shown.p_WE)))
+            self._appear(path, shown, time)
 
     def _draw_cloud(
         self, cloud: PointCloud, table: TablePlane | None, shown: _Shown, time: float
