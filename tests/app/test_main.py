@@ -167,12 +167,6 @@ def test_a_graph_without_graphviz_names_the_other_forms(
     assert "Graphviz, whose `dot` is not on the PATH; --dot" in capsys.readouterr().err
 
 
-@pytest.mark.skipif(shutil.which("dot") is None, reason="Graphviz is not here")
-def test_graph_is_svg_where_dot_is_installed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("graph", "free_space") == 0
-    assert "<svg" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize("in_compiled_code", [False, True])
 def test_ctrl_c_in_a_command_is_one_line(
     in_compiled_code: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -220,11 +214,3 @@ def test_a_closed_stream_is_one_line_or_none(shell: str, message: str) -> None:
     ended = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
     assert ended.stderr.startswith(message)
     assert len(ended.stderr.splitlines()) == bool(message)
-
-
-def test_a_file_that_is_no_scenario_is_quoted_in_part(capsys: pytest.CaptureFixture[str]) -> None:
-    Path("cloud.pcd").write_text("0.123 0.456 0.789\n" * 1000)
-    assert run("run", "cloud.pcd") == 2
-    told = capsys.readouterr().err
-    assert "cloud.pcd: expected a block of field: value, not the str" in told
-    assert len(told) < 2100

@@ -1,16 +1,13 @@
 """`drake-oa perceive`: clusters and ellipsoids of a frame, and the command line."""
 
-import itertools
 import json
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 from drake_oa.app.main import main
-from drake_oa.app.perceive import perceive_frame, run_lengths
+from drake_oa.app.perceive import perceive_frame
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.recordings import RecordedFrame, read_frame
 from tests.perception.test_real_scans import GROUPS
@@ -37,14 +34,6 @@ def points(depth: np.ndarray) -> np.ndarray:
     v, u = np.mgrid[: SIZE[0], : SIZE[1]]
     rays = np.stack([(u - K[2]) / K[0], (v - K[3]) / K[1], np.ones(SIZE)], axis=-1)
     return (rays * depth[..., None].astype(float)).reshape(-1, 3)
-
-
-@given(st.lists(st.integers(0, 300), unique=True))
-def test_run_lengths_hold_the_indices(indices):
-    indices = np.array(sorted(indices), dtype=np.int64)
-    runs = run_lengths(indices)
-    assert_array_equal(np.concatenate([np.arange(a, a + n) for a, n in runs] or [indices]), indices)
-    assert all(a + n < b for (a, n), (b, _) in itertools.pairwise(runs))
 
 
 @pytest.mark.parametrize("pose", [X_WC, None])

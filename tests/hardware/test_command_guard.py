@@ -40,15 +40,6 @@ def moving(moved: CommandGuard, steps: int = 20) -> tuple[float, float]:
     return START + (steps - 1) * PERIOD, (steps - 1) * PERIOD
 
 
-def test_follows_one_commander() -> None:
-    followed = guard()
-    now, q = moving(followed)
-    positions, speeds = followed.desired(now)
-    np.testing.assert_allclose(positions, q)
-    np.testing.assert_allclose(speeds, 1.0, rtol=1e-6)
-    assert followed.events == ["following"]
-
-
 def test_holds_when_commands_end_and_goes_on_when_they_come_back() -> None:
     lost = guard()
     now, q = moving(lost)

@@ -86,15 +86,6 @@ def test_follows_drakes_own_commander_and_holds_when_it_dies_and_comes_back() ->
     assert arm.guard.events[-1] == "following"
 
 
-def test_what_is_no_command_is_passed_over() -> None:
-    lcm = DrakeLcm("memq://")
-    arm = station(lcm, Clock())
-    lcm.Publish(COMMAND_CHANNEL, b"nonsense")
-    arm.step()
-    assert arm.pace.rejected == 1
-    assert arm.guard.holding
-
-
 def test_sends_images_stamped_when_they_were_taken() -> None:
     lcm, clock = DrakeLcm("memq://"), Clock()
     arm = station(lcm, clock, images=True)

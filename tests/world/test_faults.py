@@ -9,8 +9,8 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.sensors import CameraInfo
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.scenario.faults import CameraDropout, ModelError, Push, TorqueSaturation
-from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
+from drake_oa.scenario.faults import CameraDropout, Push, TorqueSaturation
+from drake_oa.scenario.loading import load_scenario
 from drake_oa.world.faults import CameraFaults, ExternalPush, WeakActuators
 from tests.diagrams.fault_systems import depth_image
 
@@ -96,13 +96,6 @@ def test_torques_are_cut_off_while_the_fault_lasts(time: float, given: np.ndarra
     system.get_input_port().FixValue(context, ASKED)
     context.SetTime(time)
     np.testing.assert_allclose(system.get_output_port().Eval(context), given)
-
-
-def test_faults_are_read_and_written() -> None:
-    text = "[!CameraDropout {start: 2.0}, !ModelError {}, !TorqueSaturation {scale: 0.6}]"
-    scenario = load_scenario("tabletop_box", [f"faults={text}"])
-    assert scenario.faults == [CameraDropout(2.0, 0.5), ModelError(), TorqueSaturation(scale=0.6)]
-    assert parse_scenario(scenario_text(scenario)).faults == scenario.faults
 
 
 @pytest.mark.parametrize(

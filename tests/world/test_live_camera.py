@@ -1,7 +1,6 @@
 """LiveCamera: images of LCM messages, and the times and states that belong to them."""
 
 import logging
-import time
 import uuid
 from collections.abc import Callable
 
@@ -15,12 +14,8 @@ from pydrake.systems.sensors import CameraInfo
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.diagrams.avoidance import build_avoidance
-from drake_oa.perception.config import LcmCamera
 from drake_oa.scenario.loading import load_scenario
-from drake_oa.scenario.sources import camera_configs
 from drake_oa.world.depth_messages import CHANNEL, LcmFrames, lcm_bus, pack_depth
-from drake_oa.world.late_camera import BackgroundCamera
 from drake_oa.world.live_camera import LiveCamera, Outside
 from drake_oa.world.station import make_station, release_cameras
 
@@ -189,10 +184,6 @@ def test_released_it_is_opened_anew() -> None:
 # In scenarios -----------------------------------------------------------------------------
 
 
-def live(url: str) -> str:
-    return f"perception=!LcmCamera {{cameras: [left, right], lcm_url: '{url}', poll: 0.002}}"
-
-
 def test_it_stands_where_the_simulated_camera_stands_and_nothing_renders() -> None:
     def camera(*overrides: str) -> tuple[RigidTransform, set[str]]:
         scenario = load_scenario("tabletop_box", list(overrides))
@@ -223,49 +214,3 @@ def _hand_frame() -> str:
     name = station.plant.GetModelInstanceName(station.robot)
     assert scenario.robot is not None
     return f"{name}::{scenario.robot.hand_link}"
-
-
-def test_two_cameras_seen_by_messages_are_fused_as_two_that_are_rendered() -> None:
-    url = f"memq://{uuid.uuid4()}"
-    rendered = load_scenario("two_cameras", ["perception.noise=null"])
-    told = load_scenario("two_cameras", [live(url)])
-    diagram = build_avoidance(told)
-    simulator = Simulator(diagram)
-    state = diagram.GetSubsystemByName("plant").get_state_output_port()
-    context = diagram.GetSubsystemByName("plant").GetMyContextFromRoot(simulator.get_context())
-    x = np.array(state.Eval(context))
-    assert isinstance(told.perception, LcmCamera)
-    depths = {}
-    for config in camera_configs(told, told.perception):
-        camera = BackgroundCamera(rendered, config)
-        depths[config.name] = camera.ask(x, 0.0).result().depth
-        camera.release()
-    bus, now = lcm_bus(url), time.time()
-    for name, depth in depths.items():
-        message = pack_depth(depth, camera=name, utime=round(now * 1e6))
-        bus.Publish(CHANNEL.format(name), message.encode())
-    simulator.Initialize()
-    by_messages = _obstacles(simulator)
-    other = Simulator(build_avoidance(rendered))
-    other.Initialize()
-    by_renderer = _obstacles(other)
-    simulator.AdvanceTo(0.05)
-    for each in (simulator, other):
-        release_cameras(each.get_system())
-    assert len(by_messages) == len(by_renderer) == 3
-    for one, same in zip(_sorted(by_messages), _sorted(by_renderer), strict=True):
-        # Depths of messages are in millimetres, which decides what voxel a point is in.
-        np.testing.assert_allclose(one.min(axis=0), same.min(axis=0), atol=5e-3)
-        np.testing.assert_allclose(one.max(axis=0), same.max(axis=0), atol=5e-3)
-
-
-def _obstacles(simulator: Simulator) -> list[np.ndarray]:
-    perception = simulator.get_system().GetSubsystemByName("perception")
-    context = perception.GetMyContextFromRoot(simulator.get_context())
-    found = perception.GetOutputPort("obstacles_W").Eval(context)
-    assert found.note == ""
-    return list(found.clouds_W)
-
-
-def _sorted(clouds: list[np.ndarray]) -> list[np.ndarray]:
-    return sorted(clouds, key=lambda cloud: float(cloud.mean(axis=0)[1]))

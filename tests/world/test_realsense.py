@@ -6,16 +6,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraInfo
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.scenario.loading import load_scenario
-from drake_oa.world.live_camera import Frame, FrameSource, LiveCamera
+from drake_oa.world.live_camera import Frame, FrameSource
 from drake_oa.world.realsense import RealSenseFrames
-from drake_oa.world.station import make_station, release_cameras
+from drake_oa.world.station import make_station
 
 WIDTH, HEIGHT = 64, 48
 INFO = CameraInfo(WIDTH, HEIGHT, 60.0, 60.0, 31.5, 23.5)
@@ -117,29 +116,6 @@ def test_it_is_opened_again() -> None:
 def test_another_device_than_the_scenarios_is_refused(made: Any, why: str) -> None:
     with pytest.raises(ScenarioError, match=why):
         made().open()
-
-
-def test_a_live_camera_hands_them_out() -> None:
-    device = Device()
-    source = device.frames()
-    builder = DiagramBuilder()
-    camera = builder.AddNamedSystem(
-        "live_eye",
-        LiveCamera(source, INFO, RigidTransform(), num_states=1, wait=10.0),
-    )
-    builder.ExportInput(camera.get_input_port(), "state")
-    simulator = Simulator(builder.Build())
-    root = simulator.get_context()
-    simulator.get_system().get_input_port().FixValue(root, [0.5])
-    # Sent before somebody listens it is lost.
-    source.open()
-    device.send(np.full((HEIGHT, WIDTH), 4000), time.time() - 0.01)
-    simulator.Initialize()
-    context = camera.GetMyContextFromRoot(root)
-    image = camera.GetOutputPort("depth_image").Eval(context)
-    np.testing.assert_allclose(image.data[:, :, 0], 1.0)
-    assert -0.2 < camera.GetOutputPort("image_time").Eval(context)[0] < 0.0
-    release_cameras(simulator.get_system())
 
 
 def test_without_the_package_it_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
