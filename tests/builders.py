@@ -1,6 +1,7 @@
-"""What tests of several folders are made of."""
+"""Builders shared by tests of several folders."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from pydrake.multibody.plant import (
 )
 from pydrake.multibody.tree import RevoluteJoint, RigidBody, SpatialInertia
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder, System
+from pydrake.systems.sensors import ImageDepth32F
 
 from drake_oa.app.main import main
 from drake_oa.common.messages import EllipsoidSet, FloatArray
@@ -41,6 +43,13 @@ def balls(
         ids=np.arange(count) if ids is None else np.array(ids),
         **more,  # type: ignore[arg-type]
     )
+
+
+def depth_image(depth: np.ndarray) -> ImageDepth32F:
+    """Returns an image of (H, W) depths [m]."""
+    image: Any = ImageDepth32F(depth.shape[1], depth.shape[0])
+    image.mutable_data[:, :, 0] = depth
+    return image
 
 
 def arm_of(

@@ -1,7 +1,6 @@
 """Camera faults that tests put between the camera and perception by `customize=`."""
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
@@ -10,17 +9,11 @@ from pydrake.systems.framework import Context, LeafSystem
 from pydrake.systems.sensors import CameraConfig, ImageDepth32F
 
 from drake_oa.common.wires import Wires
+from tests.builders import depth_image
 
 Change = Callable[[float, np.ndarray, RigidTransform], np.ndarray]
 """Returns the damaged (H, W) depths [m] of a time [s], depths and the camera's pose X_WC."""
 Customize = Callable[[Wires], None]
-
-
-def depth_image(depth: np.ndarray) -> ImageDepth32F:
-    """Returns an image of (H, W) depths [m]."""
-    image: Any = ImageDepth32F(depth.shape[1], depth.shape[0])
-    image.mutable_data[:, :, 0] = depth
-    return image
 
 
 class DamagedFrames(LeafSystem):

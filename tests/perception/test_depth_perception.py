@@ -27,7 +27,7 @@ from drake_oa.common.messages import ObstacleClouds
 from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.geometry.pinhole import pinhole
 from drake_oa.perception.depth_perception import DepthPerception, as_of
-from tests.diagrams.fault_systems import depth_image
+from tests.builders import depth_image
 from tests.reference.depth_images import look_at, rays_of
 
 CAMERA = CameraInfo(320, 240, np.deg2rad(45.0))

@@ -1,6 +1,5 @@
 """What is remembered from frame to frame, on drawn depth images with a camera's noise."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -12,16 +11,15 @@ from drake_oa.common.messages import ObstacleClouds, TablePlane
 from drake_oa.geometry.pinhole import View
 from drake_oa.geometry.primitives import PosedShapes, RobotShapes
 from drake_oa.perception.config import SegmentationConfig
-from drake_oa.perception.memory import ObstacleMemory, Tracks, changed
+from drake_oa.perception.memory import ObstacleMemory
 from drake_oa.perception.segmentation import (
     Segmentation,
     segment_depth,
     segment_points,
     segment_views,
 )
-from drake_oa.perception.sides import SeenSides, seen_sides
+from drake_oa.perception.sides import seen_sides
 from drake_oa.perception.tracking import fuse
-from drake_oa.perception.velocity import BLIND_TIME, first_seen, measured_tracks, predicted_tracks
 from tests.reference.depth_images import look_at, rays_of
 
 SHAPE = (240, 320)
@@ -459,45 +457,6 @@ def test_nothing_remembered_is_carried_away_by_a_long_occlusion():
     assert not memory.obstacles.v_WO.any()
     assert notes[-1] == ""
     assert middle(memory.obstacles.clouds_W[0])[1] < 0.25
-
-
-def test_noise_carries_nothing_away_along_an_axis_of_which_no_side_is_seen():
-    sides = np.array([[[-0.1, 0.1], [-0.1, 0.1], [np.nan, 0.1]]])
-    ends = np.array([[[True, True], [True, True], [False, False]]])
-    tracks = Tracks(
-        ids=np.array([0]),
-        estimate=changed(first_seen(np.zeros((1, 3))), v_W=np.array([[0.0, 0.0, -0.07]])),
-        shift_W=np.zeros((1, 3)),
-        p_shift_W=np.zeros((1, 3)),
-        sides=sides,
-        area=np.full(1, 0.01),
-        moving=np.zeros(1, dtype=bool),
-        doubt=np.full(1, 0.1),
-        significant=np.zeros(1, dtype=int),
-        still=np.zeros(1),
-        unseen=np.zeros(1),
-        odd=np.zeros((1, 3), dtype=int),
-        age=np.zeros(1),
-        apart=np.zeros(1, dtype=int),
-        together=np.zeros(1),
-        blind=np.zeros((1, 3)),
-    )
-    seen = SeenSides(sides, ends, np.full(1, 0.01), np.full(1, 0.003))
-    untold = np.full((1, 3), np.nan), np.ones((1, 3))
-    for _ in range(90):
-        tracks = predicted_tracks(tracks, FRAME)
-        tracks = measured_tracks(tracks, seen, *untold, FRAME)
-    assert not tracks.shift_W.any()
-    assert not tracks.moving.any()
-    np.testing.assert_allclose(tracks.blind, [[0.0, 0.0, 90 * FRAME]])
-    # What it had gone until then it has: 0.2 s at 7 cm/s, and a frame.
-    assert abs(tracks.estimate.p_W[0, 2]) < 0.07 * (BLIND_TIME + 2.5 * FRAME)
-    # Along what is measured it is found elsewhere.
-    moved = replace(seen, place=sides + [[[0.03], [0.0], [0.0]]])
-    for _ in range(3):
-        tracks = predicted_tracks(tracks, FRAME)
-        tracks = measured_tracks(changed(tracks, doubt=np.full(1, 0.1)), moved, *untold, FRAME)
-    np.testing.assert_allclose(tracks.shift_W, [[0.03, 0.0, 0.0]], atol=6e-3)
 
 
 def test_a_split_obstacle_becomes_two_and_the_larger_keeps_the_name():

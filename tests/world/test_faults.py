@@ -12,7 +12,7 @@ from drake_oa.common.config import ScenarioError
 from drake_oa.scenario.faults import CameraDropout, Push, TorqueSaturation
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.world.faults import CameraFaults, ExternalPush, WeakActuators
-from tests.diagrams.fault_systems import depth_image
+from tests.builders import depth_image
 
 PERIOD = 0.1
 CAMERA = CameraInfo(8, 6, np.deg2rad(60.0))

@@ -17,7 +17,6 @@ from pydrake.systems.framework import DiagramBuilder
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.geometry.shapes import Sphere
-from drake_oa.runs.metrics import robot_metrics
 from drake_oa.scenario.loading import parse_scenario, scenario_text
 from drake_oa.scenario.obstacles import ABSENT_HEIGHT, Obstacle, is_present, offset_at
 from drake_oa.world.obstacles import ObstacleMover, add_obstacle, drive_force
@@ -65,15 +64,6 @@ def test_each_obstacle_is_a_welded_model_instance_with_both_geometries():
     visual = plant.GetVisualGeometriesForBody(body)[0]
     color = inspector.GetIllustrationProperties(visual).GetProperty("phong", "diffuse")
     assert (color.r(), color.g(), color.b()) == (0.1, 0.2, 0.3)
-
-
-def test_metrics_see_them():
-    scenario = parse_scenario(_TEXT)
-    q = np.array([[0.0, 0.6, 0.0, -1.8, 0.0, 2.4, 0.8, 0.005, 0.005]])
-    there = robot_metrics(scenario, q).robot_clearance[0]
-    scenario.obstacles = []
-    assert np.isfinite(there)
-    assert robot_metrics(scenario, q).robot_clearance[0] == np.inf
 
 
 def test_the_text_of_a_scenario_brings_them_back() -> None:
