@@ -326,7 +326,7 @@ def reserved_log(named: Path | None, no_log: bool, scenario: str) -> Iterator[Pa
 
 
 def _simulate_both(this: _Run) -> None:
-    """Simulates both motions, or what comes before one that is cut short."""
+    """Simulates both motions; ends after one that is cut short."""
     from drake_oa.diagrams.avoidance import build_avoidance
     from drake_oa.runs.scenario_check import end_contacts
     from drake_oa.runs.simulation import simulate
