@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drake_oa.common.console import BAD_INPUT, FAILED, Column, TextTable, complain, show, write_all
-from drake_oa.common.files import check_outputs, replace_json
+from drake_oa.common.files import check_outputs, replace_json, saved_figure
 
 # NumPy, Drake and the kernels are imported where they are used: `--help` answers at once.
 if TYPE_CHECKING:
@@ -354,8 +354,6 @@ def plot_frame(perceived: PerceivedFrame, path: Path) -> None:
     """
     import numpy as np
 
-    from drake_oa.runs.plots import saved_figure
-
     found, depth, K = perceived.segmentation, perceived.frame.depth, perceived.frame.K
     plane = f"table rms {1e3 * found.plane_rms:.2f} mm" if found.table else found.note
     title = (
@@ -369,6 +367,7 @@ def plot_frame(perceived: PerceivedFrame, path: Path) -> None:
             figure.colorbar(image, ax=left, shrink=0.8, label="depth [m]")
             _draw_clusters(left, perceived, lambda p: p[:, :2] / p[:, 2:] * K[:2] + K[2:])
             left.set(xlabel="column [pixel]", ylabel="row [pixel]")
+            left.grid(visible=False)
             left.set(xlim=(-0.5, depth.shape[1] - 0.5), ylim=(depth.shape[0] - 0.5, -0.5))
         else:
             left.plot(perceived.points[:, 0], perceived.points[:, 1], ",", color="0.75")

@@ -11,7 +11,7 @@ import os
 import platform
 import shutil
 import zipfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from functools import cache
 from importlib import resources
@@ -40,6 +40,22 @@ _NOT_IN_DIGEST = ("app", "benchmark.py", "diagrams", "hardware", "models", "trai
 
 PLOT_FORMATS = (".pdf", ".png", ".svg")
 """Suffixes of the files of figures."""
+_PLOT_STYLE: dict[Any, Any] = {
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "axes.titlelocation": "left",
+    "axes.titlesize": 10,
+    "figure.titlesize": 11,
+    "grid.color": "0.92",
+    "legend.borderaxespad": 0.1,
+    "legend.columnspacing": 1.2,
+    "legend.fontsize": 7,
+    "legend.frameon": False,
+    "lines.linewidth": 1.2,
+}
+"""Matplotlib settings of all figures."""
+_PLOT_COLORS = "tableau-colorblind10"
+"""Matplotlib style with colors that color-blind readers can distinguish."""
 
 
 class OutputError(OSError):
@@ -220,10 +236,28 @@ def check_plot_file(option: str, path: Path | None) -> None:
         raise ValueError(f"{option} must end in {', '.join(PLOT_FORMATS)}, not {path.name!r}")
 
 
-def save_figure(path: Path, figure: Figure, *, dpi: float) -> None:
-    """Writes a figure in the format that the file's name ends in; see `replace_file`."""
-    kind = path.suffix.removeprefix(".")
-    replace_file(path, lambda beside: figure.savefig(beside, format=kind, dpi=dpi))
+@contextlib.contextmanager
+def saved_figure(path: Path, width: float, height: float, title: str = "") -> Iterator[Figure]:
+    """Provides an empty figure in the common style, and writes it in one piece after the block.
+
+    Args:
+        path: the file; its suffix gives the format.
+        width: of the figure [inch].
+        height: of the figure [inch].
+        title: of the figure.
+
+    Raises:
+        OutputError: if the file cannot be written.
+    """
+    from matplotlib import style
+    from matplotlib.figure import Figure
+
+    with style.context([_PLOT_COLORS, _PLOT_STYLE]):
+        figure = Figure(figsize=(width, height), layout="constrained")
+        figure.suptitle(title)
+        yield figure
+        kind = path.suffix.removeprefix(".")
+        replace_file(path, lambda beside: figure.savefig(beside, format=kind, dpi=140))
 
 
 def user_cache(name: str) -> Path:

@@ -8,7 +8,7 @@ an .npz file), figures of it, and its replay in Meshcat.
 - `motion_log`: the log and its file.
 - `metrics`: collisions, clearance, convergence and path length, measured on the true obstacles.
 - `report`: the figures of a run as JSON.
-- `plots`: pictures of a logged run and of demonstrations, and the style of all pictures.
+- `plots`: figures of a logged run and of demonstrations.
 - `replay`: a logged motion on ports (`LogPlayer`), and a diagram that shows it again.
 
 Nothing here is part of the robot's software: on a real robot one logs the same signals.

@@ -204,8 +204,8 @@ class RobotJudge:
                 f"q_world: shape {q_world.shape} must be ({len(q)}, {len(self._q_world)}): an "
                 "instant a row, a position of the scenario's world a column"
             )
-        contacts: list[Touching] = []
-        own: list[Touching] = []
+        contacts: list[Contacts] = []
+        own: list[Contacts] = []
         clearance, p_WE = np.empty((3, len(q))), np.empty((len(q), 3))
         for row, positions in enumerate(q):
             query = self._query_at(positions, q_world[row])

@@ -1,4 +1,4 @@
-"""Figures of logged runs and of demonstrations, and the style of all figures.
+"""Figures of logged runs and of demonstrations.
 
 `plot_run` draws clearance, phase, torques, tracking error and the path of a logged run;
 `plot_demonstrations` draws demonstrations and the motion that the movement primitive learned.
@@ -6,23 +6,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from textwrap import shorten
 from typing import Any, NamedTuple, cast
 
 import numpy as np
-from cycler import cycler
-from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.offsetbox import AnchoredText
 from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
-from drake_oa.common.files import save_figure
+from drake_oa.common.files import saved_figure
 from drake_oa.common.messages import FloatArray, HoldCause
 from drake_oa.policy.dmp import local_frame, trajectory
 from drake_oa.policy.orientation_dmp import orientation_along, vectors_from
@@ -36,23 +33,6 @@ from drake_oa.scenario.demonstration import (
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.task import goal_steps
 
-_PALETTE = ("#0072b2", "#d55e00", "#cc79a7", "#56b4e9", "#e69f00", "#000000", "#009e73")
-"""Colors of Okabe and Ito that color-blind readers can distinguish."""
-_STYLE: dict[Any, Any] = {
-    "axes.axisbelow": True,
-    "axes.grid": True,
-    "axes.prop_cycle": cycler(color=_PALETTE),
-    "axes.titlelocation": "left",
-    "axes.titlesize": 10,
-    "figure.titlesize": 11,
-    "grid.color": "0.92",
-    "legend.borderaxespad": 0.1,
-    "legend.columnspacing": 1.2,
-    "legend.fontsize": 7,
-    "legend.frameon": False,
-    "lines.linewidth": 1.2,
-}
-"""Matplotlib settings of all figures."""
 _COLORS = {"modulated": "#00798c", "preplanned": "#111111"}
 _OBSTACLE, _DESIRED, _ENDS, _LEARNED = "#d1495b", "#edae49", "#0072b2", "#009e73"
 """Colors of obstacles, of the desired path, of start and goal, and of a learned motion."""
@@ -70,26 +50,6 @@ _MAX_LISTED = 6
 """Maximum number of pauses that are listed with their reasons."""
 _OBSERVATIONS = 6
 """Number of observations of which obstacles are drawn, one over the other."""
-
-
-@contextmanager
-def saved_figure(path: Path, width: float, height: float, title: str = "") -> Iterator[Figure]:
-    """Provides an empty figure in the common style and saves it after the block.
-
-    Args:
-        path: the file; its suffix gives the format.
-        width: of the figure [inch].
-        height: of the figure [inch].
-        title: of the figure.
-
-    Raises:
-        OutputError: if the file cannot be written.
-    """
-    with rc_context(_STYLE):
-        figure = Figure(figsize=(width, height), layout="constrained")
-        figure.suptitle(title)
-        yield figure
-        save_figure(path, figure, dpi=140)
 
 
 def add_legend(ax: Axes, **options: Any) -> None:

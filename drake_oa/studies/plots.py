@@ -9,9 +9,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from drake_oa.common.files import saved_figure
 from drake_oa.common.messages import FloatArray
 from drake_oa.policy.coupling import dead_zone_free_rate, original_rate
-from drake_oa.runs.plots import add_legend, saved_figure
+from drake_oa.runs.plots import add_legend
 from drake_oa.studies.scenes.evaluation import Comparison, Outcome, matched_term
 from drake_oa.studies.scenes.judge import Judgement
 from drake_oa.studies.scenes.paper_method import BETA, GAMMA
@@ -53,7 +54,7 @@ def _draw_boxes(figure: Figure, cases: Sequence[Case], outcomes: Mapping[str, Ou
     models = list(dict.fromkeys(case.label.partition(", tau")[0] for case in cases))
     at = np.arange(len(models))
     for (name, outcome), (left, right) in zip(outcomes.items(), axes, strict=True):
-        for scaled, shift, color in ((True, -0.18, "C5"), (False, 0.18, "C1")):
+        for scaled, shift, color in ((True, -0.18, "black"), (False, 0.18, "C1")):
             judged = [outcome.of(case.label) for case in cases if case.setting.scale_time == scaled]
             for ax, values in (
                 (left, [of.kept_clearance for of in judged]),

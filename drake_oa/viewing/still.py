@@ -22,7 +22,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.sensors import CameraInfo
 
-from drake_oa.common.files import save_figure
+from drake_oa.common.files import saved_figure
 from drake_oa.robot.plant import base_pose
 from drake_oa.scenario.end_poses import start_positions
 from drake_oa.scenario.scenario import Scenario
@@ -50,8 +50,6 @@ def draw_scenario(scenario: Scenario, file: Path) -> None:
         ScenarioError: naming the field that does not fit.
     """
     # Here: takes a second.
-    from matplotlib.figure import Figure
-
     scenario = simulated(copy.deepcopy(scenario))
     for config in scenario.cameras:
         config.output_delay = 0.0
@@ -88,16 +86,15 @@ def draw_scenario(scenario: Scenario, file: Path) -> None:
         looking_pose(base_pose(scenario.robot), _EYE_B, _AT_B),
     )
     panels = 1 + len(station.cameras)
-    figure = Figure(figsize=(6.4 * panels, 4.8), layout="constrained")
-    axes = figure.subplots(1, panels, squeeze=False)[0]
-    axes[0].imshow(seen.data[..., :3])
-    axes[0].set_title("at the start; green: start, red: goal")
-    for axis, (name, camera) in zip(axes[1:], station.cameras.items(), strict=True):
-        port = camera.depth_image
-        depth = port.Eval(port.get_system().GetMyContextFromRoot(context)).data[..., 0]
-        shown = axis.imshow(np.where(np.isfinite(depth) & (depth > 0.0), depth, np.nan))
-        figure.colorbar(shown, ax=axis, label="depth [m]", shrink=0.8)
-        axis.set_title(f"camera '{name}' sees, without noise")
-    for axis in axes:
-        axis.set_axis_off()
-    save_figure(file, figure, dpi=100)
+    with saved_figure(file, 6.4 * panels, 4.8) as figure:
+        axes = figure.subplots(1, panels, squeeze=False)[0]
+        axes[0].imshow(seen.data[..., :3])
+        axes[0].set_title("at the start; green: start, red: goal")
+        for axis, (name, camera) in zip(axes[1:], station.cameras.items(), strict=True):
+            port = camera.depth_image
+            depth = port.Eval(port.get_system().GetMyContextFromRoot(context)).data[..., 0]
+            shown = axis.imshow(np.where(np.isfinite(depth) & (depth > 0.0), depth, np.nan))
+            figure.colorbar(shown, ax=axis, label="depth [m]", shrink=0.8)
+            axis.set_title(f"camera '{name}' sees, without noise")
+        for axis in axes:
+            axis.set_axis_off()
