@@ -231,19 +231,16 @@ def perceive_frame(
     import numpy as np
 
     from drake_oa.geometry.ellipsoid import enclosing_ellipsoid
+    from drake_oa.perception.config import SegmentationConfig
     from drake_oa.perception.depth_image import back_projected
-    from drake_oa.perception.segmentation import segment_depth, segment_points
-
-    pose = X_WC if frame.X_WC is None else frame.X_WC
+    from drake_oa.perception.recorded_perception import segment_frame
 
     def work() -> tuple[FloatArray, Segmentation, list[Ellipsoid]]:
+        found = segment_frame(frame, X_WC, config or SegmentationConfig())
+        points = np.asarray(frame.points, dtype=float)
         if frame.depth is not None and frame.K is not None:
-            found = segment_depth(frame.depth, frame.K, pose, config)
             z = np.require(frame.depth, np.float32, ["C", "W"])
             points = back_projected(z, np.arange(z.size), frame.K)
-        else:
-            points = np.asarray(frame.points, dtype=float)
-            found = segment_points(points, pose, config)
         tool_C = tool_W @ found.X_WC[:3, :3]
         return points, found, [enclosing_ellipsoid(points[i], tool=tool_C) for i in found.pixels]
 

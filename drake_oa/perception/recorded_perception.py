@@ -11,6 +11,7 @@ from pydrake.common.value import Value
 from pydrake.math import RigidTransform
 from pydrake.systems.framework import Context, LeafSystem, State
 
+from drake_oa.common.messages import FloatArray
 from drake_oa.common.ports import valid_period
 from drake_oa.geometry.collision_shapes import RobotModel
 from drake_oa.geometry.primitives import PosedShapes
@@ -111,8 +112,10 @@ class RecordedPerception(LeafSystem):
             return
         played.set_value(due)
         recorded = self._frames[due % len(self._frames)]
-        robot = self._posed_robot(recorded)
-        frame = self._segment(recorded, robot)
+        robot = None
+        if self._robot is not None and recorded.robot_state is not None:
+            robot = self._robot.posed(recorded.robot_state)
+        frame = segment_frame(recorded, self._X_WC, self._config, robot)
         if not frame.usable:
             frame = replace(frame, note=f"{recorded.path.name}: {frame.note}")
         if due > 0 and due % len(self._frames) == 0:
@@ -134,13 +137,25 @@ class RecordedPerception(LeafSystem):
         index = int(np.searchsorted(self._start, time - begin, side="right")) - 1
         return rounds * len(self._frames) + index, begin + float(self._start[index])
 
-    def _posed_robot(self, recorded: RecordedFrame) -> PosedShapes | None:
-        if self._robot is None or recorded.robot_state is None:
-            return None
-        return self._robot.posed(recorded.robot_state)
 
-    def _segment(self, recorded: RecordedFrame, robot: PosedShapes | None) -> Segmentation:
-        X_WC = self._X_WC if recorded.X_WC is None else recorded.X_WC
-        if recorded.depth is not None and recorded.K is not None:
-            return segment_depth(recorded.depth, recorded.K, X_WC, self._config, robot)
-        return segment_points(np.asarray(recorded.points), X_WC, self._config, robot)
+def segment_frame(
+    frame: RecordedFrame,
+    X_WC: FloatArray | None,
+    config: SegmentationConfig,
+    robot: PosedShapes | None = None,
+) -> Segmentation:
+    """Segments a recorded frame.
+
+    Args:
+        frame: a depth image with K, or points.
+        X_WC: (4, 4) pose of the camera for a frame that does not hold one; None: unknown.
+        config: parameters.
+        robot: shapes of the robot at the time of the frame, or None.
+
+    Raises:
+        ValueError: as `segment_depth` and `segment_points` do.
+    """
+    pose = X_WC if frame.X_WC is None else frame.X_WC
+    if frame.depth is not None and frame.K is not None:
+        return segment_depth(frame.depth, frame.K, pose, config, robot)
+    return segment_points(np.asarray(frame.points, dtype=float), pose, config, robot)

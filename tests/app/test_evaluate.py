@@ -12,7 +12,6 @@ from drake_oa.perception.config import GroundTruth
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.studies.scenes import methods
 from drake_oa.studies.scenes.scenes import Motions, Scenes, Setting
-from drake_oa.studies.scenes.suites import SUITES
 from tests.builders import command
 
 Method = Callable[[Scenes, Setting], Motions]
@@ -38,15 +37,6 @@ def _simple_methods(monkeypatch: pytest.MonkeyPatch, straight: Method, tmp_path:
 
 def methods_of(file: str) -> dict:
     return json.loads(Path(file).read_text())["methods"]
-
-
-@pytest.mark.parametrize("suite", SUITES)
-def test_every_suite_is_evaluated(suite: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(suite, "--scenes", "9", "--json", "new/out.json") == 0
-    assert list(methods_of("new/out.json")) == list(SUITES[suite].methods)
-    printed = capsys.readouterr()
-    assert f"{suite}: 9 scenes" in printed.out
-    assert "%" not in printed.err  # No progress bar when piped.
 
 
 def test_methods_share_the_scenes_of_a_seed() -> None:

@@ -106,19 +106,6 @@ def test_a_file_that_cannot_be_used_is_named_and_the_others_are_processed(depth,
     assert main(["perceive", files[2], "--plot", pictures, "--tool", "none"]) == 1
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--tool", "hammer"], "--tool must be panda, none or LX,LY,LZ"),
-        (["--intrinsics", "0", "1", "1", "1"], "--intrinsics: intrinsics must be"),
-        (["--far", "0.1"], "far: 0.1 must be greater than near"),
-    ],
-)
-def test_options_out_of_range_are_refused(capsys, options, message):
-    assert main(["perceive", "scan.npz", "--tool", "none", *options]) == 2
-    assert message in capsys.readouterr().err
-
-
 def test_in_real_scans_no_object_is_lost_and_no_table_taken(scan_files):
     for path in scan_files:
         config = SegmentationConfig(far=1.5)
