@@ -371,21 +371,14 @@ def panda(
         cameras: 2: another one opposite to the first, about the workspace's middle.
         runs: how runs are made.
     """
-    from drake_oa.studies.panda.evaluation import PandaSuite, default_methods
+    from drake_oa.studies.panda.evaluation import default_methods, panda_suite
     from drake_oa.studies.panda.tables import kinds_figures
 
     if cameras == 2 and perception != "depth":
         raise ValueError(f"--cameras 2 needs --perception depth, not {perception}")
     sees = "depth2" if cameras == 2 else perception
     suites = [
-        PandaSuite(
-            scenes=scenes,
-            seed=seed,
-            methods=tuple(dict.fromkeys(methods or default_methods(kind))),
-            perception=sees,
-            kind=kind,
-            duration=runs.duration,
-        )
+        panda_suite(kind, scenes, seed, methods or default_methods(kind), sees, runs.duration)
         for kind in _named(kinds)
     ]
     heading = f"panda: {scenes} scenes of seed {seed}"
@@ -558,7 +551,7 @@ def _write_scenes(folder: Path, results: PandaResults) -> None:
 
     for scene, text in results.scenarios.items():
         seen = seen_by(parse_scenario(text), results.suite.perception)
-        file = folder / f"{results.suite.scene_name(scene)}.scenario.yaml"
+        file = folder / f"{results.suite.drawings[scene].name}.scenario.yaml"
         replace_text(file, scenario_text(seen))
 
 

@@ -15,14 +15,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from drake_oa.common.console import Column, TextTable
 from drake_oa.regulation.regressor import TARGETS
 from drake_oa.scenario.loading import load_scenario, scenario_text
-from drake_oa.studies.panda.evaluation import Drawing, PandaResults, PandaSuite
+from drake_oa.studies.panda.evaluation import Drawing, PandaResults, PandaSuite, check_methods
 from drake_oa.studies.results import Counts
 from drake_oa.studies.scenes.evaluation import Evaluation, Outcome, evaluate, motion_figures
 from drake_oa.studies.scenes.paper_method import (
@@ -329,32 +329,6 @@ _TRIAL_COLUMNS = (
 )
 
 
-@dataclass(frozen=True)
-class TrialSuite(PandaSuite):
-    """Trials of one of the scenarios: those of consecutive seeds of the camera's noise."""
-
-    name: ClassVar[str] = "table3"
-
-    def _check_kind(self) -> None:
-        if self.kind not in TRIAL_KINDS:
-            raise ValueError(
-                f"unknown kind '{self.kind}': it must be one of {', '.join(TRIAL_KINDS)}"
-            )
-        for method in self.methods:
-            if method not in TRIAL_METHODS:
-                raise ValueError(
-                    f"unknown method {method!r}; table3 has: {', '.join(TRIAL_METHODS)}"
-                )
-
-    def scene_name(self, scene: int) -> str:
-        """Name of a trial's files."""
-        return f"paper_{self.kind}-seed{self.seed}-scene{scene:04d}"
-
-    def drawing(self, scene: int) -> tuple[Drawing, tuple[Any, ...]]:
-        """What makes a trial's scenario, and its arguments."""
-        return trial_text, (f"paper_{self.kind}", self.seed + scene)
-
-
 def trial_text(name: str, seed: int) -> tuple[str, Counts]:
     """A shipped scenario with the noise of a seed, as text; nothing is dropped."""
     scenario = load_scenario(name)
@@ -364,20 +338,29 @@ def trial_text(name: str, seed: int) -> tuple[str, Counts]:
 
 def trial_suites(
     methods: Sequence[str], trials: int, seed: int, perception: str, duration: float | None
-) -> list[TrialSuite]:
-    """One suite for each kind of obstacles; `PandaSuite` tells the arguments.
+) -> list[PandaSuite]:
+    """Makes a suite for each kind of obstacles: trials are of consecutive seeds of the noise.
 
     Raises:
         ValueError: for no trials, a negative seed or an unknown method.
     """
+    chosen = check_methods("table3", methods, TRIAL_METHODS)
     return [
-        TrialSuite(
-            scenes=trials,
-            seed=seed,
-            methods=tuple(dict.fromkeys(methods)),
-            perception=perception,
-            kind=kind,
-            duration=duration,
+        PandaSuite(
+            "table3",
+            kind,
+            seed,
+            chosen,
+            perception,
+            duration,
+            {
+                trial: Drawing(
+                    f"paper_{kind}-seed{seed}-scene{trial:04d}",
+                    trial_text,
+                    (f"paper_{kind}", seed + trial),
+                )
+                for trial in range(trials)
+            },
         )
         for kind in TRIAL_KINDS
     ]

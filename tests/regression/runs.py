@@ -79,8 +79,8 @@ def suite_calls() -> dict[str, Call]:
             calls[f"{suite}/{number}"] = ("run_scene", (suite, scene))
     if ARCHIVE.is_file():
         for suite in mbm_suites(ARCHIVE, None, (), ("verified",), _PROBLEMS):
-            for number in suite.numbers:
-                text = suite.drawing(number)[0](*suite.drawing(number)[1])[0]
+            for number, (_, draw, arguments) in suite.drawings.items():
+                text = draw(*arguments)[0]
                 calls[f"mbm-{suite.kind}/{number}"] = ("run_problem", (text,))
     for kind in TRIAL_KINDS:
         for trial in range(_TRIALS):

@@ -19,23 +19,23 @@ from __future__ import annotations
 
 import bz2
 import io
-import math
 import re
-import reprlib
 import tarfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import yaml
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass as block
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw, RotationMatrix
 
-from drake_oa.common.config import ScenarioError, check_size
-from drake_oa.geometry.shapes import Box, Cylinder, Sphere
+from drake_oa.common.config import BLOCK, ScenarioError, Vector3, check_size, validate
+from drake_oa.geometry.shapes import Box, Cylinder
 from drake_oa.robot.config import BasePose, Robot, SphereParameters
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.obstacles import Obstacle, obstacle_problems
@@ -144,6 +144,104 @@ def _paired(file: Path, name: str, texts: Mapping[int, Mapping[str, str]]) -> li
     return problems
 
 
+_FOREIGN = BLOCK | ConfigDict(extra="ignore")
+"""Configuration of what is read of MoveIt's files: other fields are ignored."""
+
+
+@block(config=_FOREIGN)
+class _Pose:
+    position: Vector3
+    orientation: Annotated[list[float], Field(min_length=4, max_length=4)]
+
+    def placement(self) -> dict[str, list[float]]:
+        """Translation [m] and roll, pitch, yaw [rad], as fields of a shape."""
+        x, y, z, w = self.orientation
+        length = float(np.linalg.norm(self.orientation))
+        if abs(length - 1.0) > _UNIT:
+            raise ValueError(f"orientation: {self.orientation} has length {length:.3g}, not 1")
+        R = RotationMatrix(Quaternion(np.array([w, x, y, z]) / length))
+        return {"translation": self.position, "rpy": RollPitchYaw(R).vector().tolist()}
+
+
+@block(config=_FOREIGN)
+class _Box:
+    type: Literal["box"]
+    dimensions: Vector3
+
+    def shape(self) -> dict[str, Any]:
+        return {"_tag": "!Box", "size": self.dimensions}
+
+
+@block(config=_FOREIGN)
+class _Cylinder:
+    type: Literal["cylinder"]
+    dimensions: Annotated[list[float], Field(min_length=2, max_length=2)]
+
+    def shape(self) -> dict[str, Any]:
+        height, radius = self.dimensions
+        return {"_tag": "!Cylinder", "radius": radius, "length": height}
+
+
+_Empty = Annotated[list[Any], Field(max_length=0)]
+
+
+@block(config=_FOREIGN)
+class _Object:
+    id: str
+    primitives: list[Annotated[_Box | _Cylinder, Field(discriminator="type")]]
+    primitive_poses: list[_Pose]
+    pose: _Pose | None = None
+    meshes: _Empty = Field(default=[])
+    planes: _Empty = Field(default=[])
+
+    def obstacle(self) -> dict[str, Any]:
+        """Fields of an obstacle."""
+        shapes = [
+            shape.shape() | pose.placement()
+            for shape, pose in zip(self.primitives, self.primitive_poses, strict=True)
+        ]
+        placement = {} if self.pose is None else self.pose.placement()
+        return {"name": self.id, "shapes": shapes, **placement}
+
+
+@block(config=_FOREIGN)
+class _World:
+    collision_objects: list[_Object]
+
+
+@block(config=_FOREIGN)
+class _Scene:
+    world: _World
+
+
+@block(config=_FOREIGN)
+class _JointState:
+    name: list[str]
+    position: list[float]
+
+
+@block(config=_FOREIGN)
+class _StartState:
+    joint_state: _JointState
+
+
+@block(config=_FOREIGN)
+class _JointConstraint:
+    joint_name: str
+    position: float
+
+
+@block(config=_FOREIGN)
+class _GoalConstraints:
+    joint_constraints: list[_JointConstraint]
+
+
+@block(config=_FOREIGN)
+class _Request:
+    start_state: _StartState
+    goal_constraints: Annotated[list[_GoalConstraints], Field(min_length=1, max_length=1)]
+
+
 def parse_problem(text: ProblemText) -> Problem:
     """Reads a problem.
 
@@ -151,34 +249,20 @@ def parse_problem(text: ProblemText) -> Problem:
         ValueError: naming the problem and what is off.
     """
     try:
-        scene, request = (_read(part) for part in (text.scene, text.request))
-        obstacles = [
-            _obstacle(item, f"world.collision_objects[{row}]")
-            for row, item in enumerate(_list(_at(scene, "world", "collision_objects"), "objects"))
-        ]
+        scene, request = (
+            validate(_Scene, _read(text.scene)),
+            validate(_Request, _read(text.request)),
+        )
+        fields = [item.obstacle() for item in scene.world.collision_objects]
+        obstacles = validate(list[Obstacle], fields, "obstacles")
         for problem in obstacle_problems(obstacles):
             raise ValueError(problem)
-        state = _at(request, "start_state", "joint_state")
-        names, values = _list(_at(state, "name"), "name"), _list(_at(state, "position"), "position")
-        if len(names) != len(values):
-            raise ValueError(
-                f"start_state: {len(names)} names of joints and {len(values)} positions"
-            )
-        goals = _list(_at(request, "goal_constraints"), "goal_constraints")
-        if len(goals) != 1:
-            raise ValueError(f"goal_constraints: expected one, not {len(goals)}")
-        joints = _list(_at(goals[0], "joint_constraints"), "joint_constraints")
+        start, (goal,) = request.start_state.joint_state, request.goal_constraints
         return Problem(
             text.name,
             obstacles,
-            {
-                str(name): _number(value, str(name))
-                for name, value in zip(names, values, strict=True)
-            },
-            {
-                str(_at(of, "joint_name")): _number(_at(of, "position"), "joint_constraints")
-                for of in joints
-            },
+            dict(zip(start.name, start.position, strict=True)),
+            {joint.joint_name: joint.position for joint in goal.joint_constraints},
         )
     except ValueError as error:
         raise ValueError(f"{text.name}: {error}") from None
@@ -192,83 +276,6 @@ def _read(text: str) -> Any:
         return yaml.load(text, Loader=yaml.CSafeLoader)
     except (yaml.YAMLError, RecursionError) as error:
         raise ValueError(f"not valid YAML: {error}") from None
-
-
-def _at(data: Any, *keys: str) -> Any:
-    for key in keys:
-        if not isinstance(data, dict) or key not in data:
-            raise ValueError(f"'{key}' is missing")
-        data = data[key]
-    return data
-
-
-def _list(data: Any, where: str) -> list[Any]:
-    if not isinstance(data, list):
-        raise ValueError(f"{where}: expected a list, not {type(data).__name__}")
-    return data
-
-
-def _number(data: Any, where: str) -> float:
-    try:
-        if not isinstance(data, bool) and isinstance(data, int | float):
-            value = float(data)
-            if math.isfinite(value):
-                return value
-    except OverflowError:
-        pass
-    raise ValueError(f"{where}: expected a finite number, not {reprlib.repr(data)}")
-
-
-def _numbers(data: Any, count: int, where: str) -> list[float]:
-    values = [_number(value, where) for value in _list(data, where)]
-    if len(values) != count:
-        raise ValueError(f"{where}: expected {count} numbers, not {len(values)}")
-    return values
-
-
-def _obstacle(item: Any, where: str) -> Obstacle:
-    name = str(_at(item, "id"))
-    for other in ("meshes", "planes"):
-        if item.get(other):
-            raise ValueError(f"{where} ({name}): has {other}; it must be of boxes and cylinders")
-    shapes = _list(_at(item, "primitives"), f"{where}.primitives")
-    poses = _list(_at(item, "primitive_poses"), f"{where}.primitive_poses")
-    if len(shapes) != len(poses):
-        raise ValueError(f"{where} ({name}): {len(shapes)} primitives and {len(poses)} poses")
-    placed: list[Box | Cylinder | Sphere] = [
-        _shape(shape, X, f"{where} ({name})") for shape, X in zip(shapes, poses, strict=True)
-    ]
-    translation, rpy = _pose(item["pose"], f"{where}.pose") if "pose" in item else ([0.0] * 3,) * 2
-    return Obstacle(name=name, shapes=placed, translation=translation, rpy=rpy)
-
-
-def _shape(shape: Any, X: Any, where: str) -> Box | Cylinder:
-    kind, size = _at(shape, "type"), _at(shape, "dimensions")
-    translation, rpy = _pose(X, f"{where}.primitive_poses")
-    if kind == "box":
-        edges = _positive(_numbers(size, 3, f"{where}, box"), where)
-        return Box(size=edges, translation=translation, rpy=rpy)
-    if kind == "cylinder":
-        height, radius = _positive(_numbers(size, 2, f"{where}, cylinder"), where)
-        return Cylinder(radius=radius, length=height, translation=translation, rpy=rpy)
-    raise ValueError(f"{where}: a primitive is a {reprlib.repr(kind)}; it must be box or cylinder")
-
-
-def _positive(size: Sequence[float], where: str) -> list[float]:
-    if min(size) <= 0.0:
-        raise ValueError(f"{where}: dimensions {list(size)} must be positive [m]")
-    return list(size)
-
-
-def _pose(data: Any, where: str) -> tuple[list[float], list[float]]:
-    """Translation [m] and roll, pitch, yaw [rad] of a position and an orientation x, y, z, w."""
-    position = _numbers(_at(data, "position"), 3, f"{where}.position")
-    x, y, z, w = quaternion = _numbers(_at(data, "orientation"), 4, f"{where}.orientation")
-    length = float(np.linalg.norm(quaternion))
-    if abs(length - 1.0) > _UNIT:
-        raise ValueError(f"{where}.orientation: {quaternion} has length {length:.3g}, not 1")
-    R = RotationMatrix(Quaternion(np.array([w, x, y, z]) / length))
-    return position, RollPitchYaw(R).vector().tolist()
 
 
 PANDA, UR5 = "panda", "ur5"

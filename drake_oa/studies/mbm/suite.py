@@ -10,15 +10,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from pydrake.math import RollPitchYaw
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.geometry.shapes import Box, Cylinder, Sphere, pose
+from drake_oa.geometry.shapes import pose
+from drake_oa.geometry.solids import least_distance, shape_solids, solids_of
 from drake_oa.perception.config import GroundTruth
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotPlant, make_robot_plant
@@ -37,7 +38,14 @@ from drake_oa.studies.mbm.problems import (
     parse_problem,
     read_archive,
 )
-from drake_oa.studies.panda.evaluation import Criteria, Drawing, PandaResults, PandaSuite
+from drake_oa.studies.panda.evaluation import (
+    Criteria,
+    Drawing,
+    PandaResults,
+    PandaSuite,
+    check_methods,
+)
+from drake_oa.studies.panda.planning_scene import moving_joints
 from drake_oa.studies.panda.tables import ALL, methods_figures
 from drake_oa.studies.results import Counts
 
@@ -55,16 +63,16 @@ def robot_text(robot: Robot) -> str:
     return scenario_text(Scenario(robot=robot))
 
 
-def draw_problem(text: ProblemText, robot: str) -> tuple[str, Counts]:
-    """The scenario's text of a problem for the robot of a scenario's text; nothing is dropped."""
-    scenario = problem_scenario(parse_problem(text), parse_scenario(robot).robot or Robot())
-    return scenario_text(scenario), {}
+def draw_problem(text: ProblemText, robot: str, seen: bool) -> tuple[str, Counts]:
+    """Makes the scenario's text of a problem; nothing is dropped.
 
-
-def draw_seen_problem(text: ProblemText, robot: str) -> tuple[str, Counts]:
-    """As `draw_problem`, seen by two cameras."""
+    Args:
+        text: the problem.
+        robot: a scenario's text with the robot.
+        seen: whether by two cameras; else everything is known.
+    """
     scenario = problem_scenario(parse_problem(text), parse_scenario(robot).robot or Robot())
-    return scenario_text(with_two(scenario)), {}
+    return scenario_text(with_two(scenario) if seen else scenario), {}
 
 
 def problem_scenario(problem: Problem, robot: Robot) -> Scenario:
@@ -76,25 +84,22 @@ def problem_scenario(problem: Problem, robot: Robot) -> Scenario:
         ValueError: if the problem's joints are not those of the robot.
     """
     robot_plant = make_robot_plant(robot)
-    arm = _arm_joints(robot_plant, robot)
-    fingers = [name for name in problem.start if name not in arm and _has(robot_plant, name)]
-    if fingers:
-        opening = _opening(robot_plant, problem.start[fingers[0]], fingers[0])
+    moving = moving_joints(robot_plant)
+    arm = [joint.name() for joint in moving[: len(robot.q_seed)]]
+    finger = next((joint for joint in moving[len(arm) :] if joint.name() in problem.start), None)
+    if finger is not None:
+        lower, upper = finger.position_lower_limits()[0], finger.position_upper_limits()[0]
+        opening = problem.start[finger.name()]
+        opening = float(np.clip(opening, lower + _FINGER_MARGIN, upper - _FINGER_MARGIN))
         robot = replace(robot, finger_opening=opening)
     q = {
         end: _positions(problem, joints, arm, robot_plant, robot)
         for end, joints in (("start", problem.start), ("goal", problem.goal))
     }
     X_WE = dict(zip(q, robot_plant.tool_poses(np.stack(list(q.values()))), strict=True))
-    lower, upper = (
-        limits[: len(arm)]
-        for limits in (
-            robot_plant.plant.GetPositionLowerLimits(),
-            robot_plant.plant.GetPositionUpperLimits(),
-        )
-    )
-    joints = q["goal"][: len(arm)]
-    within = bool((joints >= lower).all() and (joints <= upper).all())
+    lower = robot_plant.plant.GetPositionLowerLimits()
+    upper = robot_plant.plant.GetPositionUpperLimits()
+    within = ((q["goal"] >= lower) & (q["goal"] <= upper))[: len(arm)].all()
     rpy = {end: RollPitchYaw(X.rotation()).vector().tolist() for end, X in X_WE.items()}
     grasped = X_WE["goal"].translation()
     scenario = Scenario(
@@ -106,7 +111,7 @@ def problem_scenario(problem: Problem, robot: Robot) -> Scenario:
             rpy_start=rpy["start"],
             rpy_goal=rpy["goal"],
             q_start=q["start"][: len(arm)].tolist(),
-            q_goal=joints.tolist() if within else None,
+            q_goal=q["goal"][: len(arm)].tolist() if within else None,
             duration=DURATION,
         ),
         obstacles=[item for item in problem.obstacles if not _holds(item, grasped)],
@@ -122,26 +127,6 @@ def problem_scenario(problem: Problem, robot: Robot) -> Scenario:
     supervisor.stop_distance = min(supervisor.stop_distance, scenario.task.clearance)
     scenario.supervisor = supervisor
     return scenario
-
-
-def _arm_joints(robot_plant: RobotPlant, robot: Robot) -> list[str]:
-    plant = robot_plant.plant
-    joints = [plant.get_joint(index) for index in plant.GetJointIndices(robot_plant.instance)]
-    moving = sorted((j for j in joints if j.num_positions()), key=lambda j: j.position_start())
-    return [joint.name() for joint in moving][: len(robot.q_seed)]
-
-
-def _has(robot_plant: RobotPlant, name: str) -> bool:
-    plant, instance = robot_plant.plant, robot_plant.instance
-    return bool(
-        plant.HasJointNamed(name, instance) and plant.GetJointByName(name, instance).num_positions()
-    )
-
-
-def _opening(robot_plant: RobotPlant, value: float, finger: str) -> float:
-    joint = robot_plant.plant.GetJointByName(finger, robot_plant.instance)
-    lower, upper = joint.position_lower_limits()[0], joint.position_upper_limits()[0]
-    return float(np.clip(value, lower + _FINGER_MARGIN, upper - _FINGER_MARGIN))
 
 
 def _positions(
@@ -164,17 +149,8 @@ def _positions(
 
 def _holds(obstacle: Obstacle, p_WQ: FloatArray) -> bool:
     """Whether a point is inside an obstacle."""
-    return any(
-        _inside(shape, (pose(obstacle) @ pose(shape)).inverse() @ p_WQ) for shape in obstacle.shapes
-    )
-
-
-def _inside(shape: Box | Cylinder | Sphere, p: FloatArray) -> bool:
-    if isinstance(shape, Box):
-        return bool((np.abs(p) <= 0.5 * np.asarray(shape.size)).all())
-    if isinstance(shape, Cylinder):
-        return math.hypot(p[0], p[1]) <= shape.radius and abs(p[2]) <= 0.5 * shape.length
-    return float(np.linalg.norm(p)) <= shape.radius
+    solids = solids_of(shape_solids(obstacle.shapes, pose(obstacle).GetAsMatrix4()))
+    return least_distance(solids, *map(float, p_WQ), 0.0, 0.0, 0.0)[1] >= 0
 
 
 METHODS = ("verified", "preplanned", "differential_ik", "planner")
@@ -190,44 +166,6 @@ _CRITERIA = Criteria(
 Three of the first six problems of `cage` take more than the 40 000 states of the random scenes."""
 
 
-@dataclass(frozen=True)
-class MbmSuite(PandaSuite):
-    """One set of problems.
-
-    Attributes:
-        kind: the set's name.
-        problems: as many as `scenes`.
-        robot: text of a scenario with the robot.
-    """
-
-    name: ClassVar[str] = "mbm"
-    problems: tuple[ProblemText, ...] = ()
-    robot: str = ""
-
-    def _check_kind(self) -> None:
-        """The sets are those of the archive."""
-
-    @property
-    def numbers(self) -> Sequence[int]:
-        """Of the problems in their set."""
-        return [problem.number for problem in self.problems]
-
-    @property
-    def criteria(self) -> Criteria:
-        """What runs are judged by."""
-        return _CRITERIA
-
-    def scene_name(self, scene: int) -> str:
-        """Name of a problem's files."""
-        return f"mbm-{self.kind}-scene{scene:04d}"
-
-    def drawing(self, scene: int) -> tuple[Drawing, tuple[Any, ...]]:
-        """What makes a problem's scenario, and its arguments."""
-        (text,) = (problem for problem in self.problems if problem.number == scene)
-        draw = draw_problem if self.perception == "truth" else draw_seen_problem
-        return draw, (text, self.robot)
-
-
 def mbm_suites(
     file: Path,
     robot: str | None,
@@ -236,7 +174,7 @@ def mbm_suites(
     scenes: int | None,
     perception: str = "truth",
     duration: float | None = None,
-) -> list[MbmSuite]:
+) -> list[PandaSuite]:
     """One suite for each set of an archive.
 
     Args:
@@ -252,9 +190,7 @@ def mbm_suites(
         OSError: if the file cannot be read.
         ValueError: naming what is unknown, too many or does not fit.
     """
-    for method in methods:
-        if method not in METHODS:
-            raise ValueError(f"unknown method {method!r}; mbm has: {', '.join(METHODS)}")
+    chosen_methods = check_methods("mbm", methods, METHODS)
     if scenes is not None and scenes < 1:
         raise ValueError(f"--scenes must be at least 1, not {scenes}")
     arm = load_robot(robot or PANDA)
@@ -271,15 +207,22 @@ def mbm_suites(
         # Another robot's joints are told before anything is computed.
         problem_scenario(parse_problem(chosen[name][0]), arm)
     return [
-        MbmSuite(
-            scenes=len(texts),
-            seed=0,
-            methods=tuple(dict.fromkeys(methods)),
-            perception=perception,
-            kind=name,
-            duration=duration,
-            problems=texts,
-            robot=robot_text(arm),
+        PandaSuite(
+            "mbm",
+            name,
+            0,
+            chosen_methods,
+            perception,
+            duration,
+            {
+                text.number: Drawing(
+                    f"mbm-{name}-scene{text.number:04d}",
+                    draw_problem,
+                    (text, robot_text(arm), perception != "truth"),
+                )
+                for text in texts
+            },
+            _CRITERIA,
         )
         for name, texts in chosen.items()
     ]

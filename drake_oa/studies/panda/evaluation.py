@@ -38,7 +38,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.geometry import Meshcat
@@ -155,15 +155,9 @@ class PandaRun:
     log: MotionLog | None
 
 
-def check_panda_method(name: str) -> None:
-    """Raises ValueError for an unknown method."""
-    if name not in METHODS:
-        raise ValueError(f"unknown method {name!r}; panda has: {', '.join(METHODS)}")
-
-
 def with_method(scenario: Scenario, method: str) -> Scenario:
     """The scenario as a method runs it."""
-    check_panda_method(method)
+    check_methods("panda", [method], METHODS)
     scenario = copy.deepcopy(scenario)
     if method == "paper":
         scenario.regulation = Paper()
@@ -314,8 +308,22 @@ def plain_reason(reason: str) -> str:
     return _NUMBER.sub("#", reason).strip()
 
 
-Drawing = Callable[..., tuple[str, Counts]]
-"""Makes a scenario's text, and tells what was dropped while it was drawn."""
+Draw = Callable[..., tuple[str, Counts]]
+
+
+class Drawing(NamedTuple):
+    """How a scene is made.
+
+    Attributes:
+        name: of the scene's files.
+        draw: makes a scenario's text, and tells what was dropped while it was drawn.
+        arguments: of `draw`, on which alone the scene depends.
+    """
+
+    name: str
+    draw: Draw
+    arguments: tuple[Any, ...]
+
 
 _WARM_UP = 0.02
 """Simulated time in which all kernels of a method are used once [s]."""
@@ -323,70 +331,91 @@ _WARM_UP = 0.02
 
 @dataclass(frozen=True)
 class PandaSuite:
-    """What is evaluated.
+    """Methods and the scenes that they run on.
 
     Attributes:
-        scenes: how many.
+        name: of the evaluation.
+        kind: of the scenes.
         seed: of the scenes.
         methods: some of `METHODS`.
-        perception: "depth" or "truth".
-        kind: of the scenes, see `scenes`.
+        perception: one of `scenes.PERCEPTIONS`.
         duration: time limit of a run [s]; None: that of `simulate`.
+        drawings: number of a scene -> how it is made.
+        criteria: what runs are judged by.
 
     Raises:
-        ValueError: for no scenes, a negative seed, an unknown name or a limit that is
+        ValueError: for no scenes, a negative seed, an unknown perception or a limit that is
             not positive.
     """
 
-    name: ClassVar[str] = "panda"
-    scenes: int
+    name: str
+    kind: str
     seed: int
     methods: tuple[str, ...]
-    perception: str = "depth"
-    kind: str = "tabletop"
-    duration: float | None = None
+    perception: str
+    duration: float | None
+    drawings: Mapping[int, Drawing]
+    criteria: Criteria = field(default_factory=Criteria)
 
     def __post_init__(self) -> None:
-        if self.scenes < 1:
-            raise ValueError(f"--scenes must be at least 1, not {self.scenes}")
+        if not self.drawings:
+            raise ValueError("--scenes must be at least 1")
         if self.seed < 0:
             raise ValueError(f"--seed must be 0 or more, not {self.seed}")
         if self.duration is not None and not 0.0 < self.duration < float("inf"):
             raise ValueError(f"--duration must be positive [s], not {self.duration}")
-        self._check_kind()
         check_perception(self.perception)
-        for method in self.methods:
-            check_panda_method(method)
-        if PLANNER in self.methods and self.kind in MOVING_KINDS:
-            raise ValueError(
-                f"--method {PLANNER}: plans among obstacles at rest, those of {self.kind} move; "
-                "valid kinds: tabletop, elbow, clutter6"
-            )
-
-    def _check_kind(self) -> None:
-        check_kind(self.kind)
 
     @property
-    def numbers(self) -> Sequence[int]:
-        """Of the scenes."""
-        return range(self.scenes)
-
-    @property
-    def criteria(self) -> Criteria:
-        """What runs are judged by."""
-        return Criteria()
-
-    def scene_name(self, scene: int) -> str:
-        """Name of a scene's files."""
-        return f"{self.kind}-seed{self.seed}-scene{scene:04d}"
-
-    def drawing(self, scene: int) -> tuple[Drawing, tuple[Any, ...]]:
-        """What draws a scene, and its arguments, on which alone that depends."""
-        return draw_text, (self.seed, scene, self.kind)
+    def scenes(self) -> int:
+        """Number of scenes."""
+        return len(self.drawings)
 
     def perception_of(self, method: str) -> str:
         """What a method sees by."""
         return "truth" if method in TRUTH_ONLY else self.perception
+
+
+def check_methods(suite: str, methods: Sequence[str], known: Sequence[str]) -> tuple[str, ...]:
+    """Returns each method once; raises ValueError for one that is not among the known ones."""
+    for method in methods:
+        if method not in known:
+            raise ValueError(f"unknown method {method!r}; {suite} has: {', '.join(known)}")
+    return tuple(dict.fromkeys(methods))
+
+
+def panda_suite(
+    kind: str,
+    scenes: int,
+    seed: int,
+    methods: Sequence[str],
+    perception: str = "depth",
+    duration: float | None = None,
+) -> PandaSuite:
+    """Makes a suite of random scenes, of which scene i depends on kind and seed alone.
+
+    Raises:
+        ValueError: as `PandaSuite`, and for an unknown kind or method, or a planner among moving
+            obstacles.
+    """
+    check_kind(kind)
+    if PLANNER in methods and kind in MOVING_KINDS:
+        raise ValueError(
+            f"--method {PLANNER}: plans among obstacles at rest, those of {kind} move; "
+            "valid kinds: tabletop, elbow, clutter6"
+        )
+    return PandaSuite(
+        "panda",
+        kind,
+        seed,
+        check_methods("panda", methods, METHODS),
+        perception,
+        duration,
+        {
+            scene: Drawing(f"{kind}-seed{seed}-scene{scene:04d}", draw_text, (seed, scene, kind))
+            for scene in range(scenes)
+        },
+    )
 
 
 @dataclass
@@ -493,19 +522,18 @@ def evaluate_panda(
 
 def run_name(suite: PandaSuite, scene: int, method: str) -> str:
     """Name of a run's files: that of the scene, the method and what it sees by."""
-    return f"{suite.scene_name(scene)}-{method}-{suite.perception_of(method)}"
+    return f"{suite.drawings[scene].name}-{method}-{suite.perception_of(method)}"
 
 
 def _drawing_tasks(suite: PandaSuite) -> dict[int, Task]:
     tasks = {}
-    for scene in suite.numbers:
-        draw, arguments = suite.drawing(scene)
+    for scene, (name, draw, arguments) in suite.drawings.items():
         key = content_key("scene", GENERATOR, draw.__name__, repr(arguments))
-        tasks[scene] = Task(suite.scene_name(scene), key, (draw, arguments))
+        tasks[scene] = Task(name, key, (draw, arguments))
     return tasks
 
 
-def _draw(draw: Drawing, arguments: tuple[Any, ...]) -> tuple[dict[str, Any], None]:
+def _draw(draw: Draw, arguments: tuple[Any, ...]) -> tuple[dict[str, Any], None]:
     text, counts = draw(*arguments)
     return {"scenario": text, "tally": counts}, None
 

@@ -14,7 +14,7 @@ from pydrake.geometry import (
     QueryObject,
 )
 from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
-from pydrake.multibody.tree import JacobianWrtVariable
+from pydrake.multibody.tree import JacobianWrtVariable, Joint
 from pydrake.systems.framework import DiagramBuilder
 
 from drake_oa.common.messages import FloatArray
@@ -22,7 +22,7 @@ from drake_oa.geometry.rotation import rotation_vector
 from drake_oa.geometry.shapes import pose, shape_geometry
 from drake_oa.policy.dmp import minimum_jerk
 from drake_oa.robot.inverse_kinematics import solve_tool_pose
-from drake_oa.robot.plant import TOOL_FRAME, home_positions, make_robot_plant
+from drake_oa.robot.plant import TOOL_FRAME, RobotPlant, home_positions, make_robot_plant
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.world.station import make_station
@@ -35,6 +35,13 @@ _LIMIT_MARGIN = 0.03
 """Distance that a motion keeps to the joint limits [rad]."""
 _ON_PATH = 1e-3
 """Largest distance from the asked pose, in position [m] and orientation [rad]."""
+
+
+def moving_joints(robot_plant: RobotPlant) -> list[Joint]:
+    """Returns the joints of a robot that have positions, in the order of those."""
+    plant, robot = robot_plant.plant, robot_plant.instance
+    joints = [plant.get_joint(index) for index in plant.GetJointIndices(robot)]
+    return sorted((j for j in joints if j.num_positions()), key=lambda j: j.position_start())
 
 
 def pose_at(obstacle: Obstacle, time: float) -> RigidTransform:
@@ -295,9 +302,7 @@ class PlanningScene:
     @cached_property
     def arm_links(self) -> tuple[str, ...]:
         """Names of the links that the arm's joints move, in the joints' order."""
-        plant, robot = self._robot_plant.plant, self._robot_plant.instance
-        joints = [plant.get_joint(index) for index in plant.GetJointIndices(robot)]
-        moving = sorted((j for j in joints if j.num_positions()), key=lambda j: j.position_start())
+        moving = moving_joints(self._robot_plant)
         return tuple(joint.child_body().name() for joint in moving[self._arm])
 
     @property

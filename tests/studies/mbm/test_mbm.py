@@ -162,18 +162,14 @@ def test_what_is_no_archive_is_refused(tmp_path, data):
 @pytest.mark.parametrize(
     ("scene_text", "request_text", "message"),
     [
-        (scene(thing("ball", "sphere", [0.1], [0, 0, 1])), None, "'sphere'; it must be box or cyl"),
-        (scene(thing("b", "box", [0.1, 0.1], [0, 0, 1])), None, "box: expected 3 numbers, not 2"),
-        (scene(thing("b", "box", [0.1, 0.1, -1], [0, 0, 1])), None, "must be positive"),
-        (scene(thing("b", "box", [0.1] * 3, [0, 0, ".nan"])), None, "list|finite number"),
+        (scene(thing("ball", "sphere", [0.1], [0, 0, 1])), None, "sphere is not one of box, cyl"),
+        (scene(thing("b", "box", [0.1, 0.1], [0, 0, 1])), None, "at least 3 values"),
+        (scene(thing("b", "box", [0.1, 0.1, -1], [0, 0, 1])), None, "size.*greater than 0"),
+        (scene(thing("b", "box", [0.1] * 3, [0, 0, ".nan"])), None, "valid number"),
         (scene(BOX, BOX), None, "two obstacles are named 'shelf'"),
         (SCENE.replace("0.6, 0.8]", "0.6, 0.9]"), None, "has length 1.08, not 1"),
-        (SCENE.replace("world", "planet"), None, "'world' is missing"),
-        (scene(BOX[:-1] + ", meshes: [1]}"), None, "has meshes"),
-        ("world: [", None, "not valid YAML"),
+        (SCENE.replace("world", "planet"), None, "world: is missing"),
         ("[" * 5000, None, "not valid YAML"),
-        (SCENE, "start_state: {}", "'joint_state' is missing"),
-        (SCENE, request().replace("goal_constraints: [", "goal_constraints: [1, "), "expected one"),
         (SCENE, request(["shoulder"], [0.1]), "is of the joints shoulder, .*--robot SCENARIO"),
     ],
 )
@@ -224,13 +220,13 @@ def test_a_problem_may_be_seen_by_two_cameras(tmp_path):
         mbm_suites(file, None, (), ("verified", "planner"), None, perception)[0]
         for perception in ("truth", "depth")
     )
-    draw, arguments = seen.drawing(1)
+    _, draw, arguments = seen.drawings[1]
     text, _ = draw(*arguments)
     scenario = parse_scenario(text)
     assert isinstance(scenario.perception, DepthCamera)
     assert [camera.name for camera in scenario.cameras] == ["left", "right"]
     assert (seen.perception_of("verified"), seen.perception_of("planner")) == ("depth", "truth")
-    draw, arguments = known.drawing(1)
+    _, draw, arguments = known.drawings[1]
     plain = parse_scenario(draw(*arguments)[0])
     assert (plain.obstacles, plain.task) == (scenario.obstacles, scenario.task)
     assert scenario_text(seen_by(scenario, "depth")) == text

@@ -12,8 +12,8 @@ from drake_oa.scenario.loading import load_scenario, parse_scenario
 from drake_oa.studies.panda.evaluation import (
     Keeping,
     PandaResults,
-    PandaSuite,
     evaluate_panda,
+    panda_suite,
     plain_reason,
     run_and_judge,
     run_name,
@@ -22,9 +22,7 @@ from drake_oa.studies.panda.evaluation import (
 from drake_oa.studies.panda.tables import panda_figures, panda_table, run_figures
 from drake_oa.studies.results import ResultFolder
 
-_SUITE = PandaSuite(
-    scenes=2, seed=0, methods=("preplanned", "verified"), perception="truth", duration=0.05
-)
+_SUITE = panda_suite("tabletop", 2, 0, ("preplanned", "verified"), "truth", 0.05)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +46,7 @@ def test_each_run_is_on_disk_with_its_log(kept):
     results, folder = kept
     assert not results.interrupted
     for scene in (0, 1):
-        assert (folder / f"{_SUITE.scene_name(scene)}.json").is_file()
+        assert (folder / f"{_SUITE.drawings[scene].name}.json").is_file()
         for method in _SUITE.methods:
             name = run_name(_SUITE, scene, method)
             on_disk = json.loads((folder / f"{name}.json").read_text())
@@ -113,7 +111,7 @@ def test_an_interrupt_keeps_what_is_done(kept, tmp_path):
 
 
 def test_success_is_told_as_a_share_of_what_the_planner_solves():
-    suite = PandaSuite(scenes=3, seed=0, methods=("verified", "planner"), perception="truth")
+    suite = panda_suite("tabletop", 3, 0, ("verified", "planner"), "truth")
     yes, no = _run("success"), _run("stopped", "held")
     runs = {"verified": {0: yes, 1: no, 2: no}, "planner": {0: yes, 1: yes, 2: no}}
     results = PandaResults(suite, runs=runs)
@@ -140,9 +138,9 @@ def test_success_is_told_as_a_share_of_what_the_planner_solves():
     ],
 )
 def test_bad_settings_are_refused(changes, message):
-    settings = {"scenes": 1, "seed": 0, "methods": ("verified",), **changes}
+    settings = {"kind": "tabletop", "scenes": 1, "seed": 0, "methods": ("verified",), **changes}
     with pytest.raises(ValueError, match=message):
-        PandaSuite(**settings)
+        panda_suite(**settings)
 
 
 def _run(outcome, reason="", goal_error=1e-4, contacts=(), clearance=0.1, speed=1.0, **more):
