@@ -54,5 +54,4 @@ def benchmark(
             on_part=lambda part: print(f"timing {part} ...", file=sys.stderr),
         )
     show(benchmark_table(figures))
-    if json:
-        replace_json(json, figures)
+    replace_json(json, figures)

@@ -168,8 +168,7 @@ def evaluated(
         return evaluation_figures(suite, seed, versions, cases, outcomes) | dict(more or {})
 
     def keep(outcomes: Mapping[str, Outcome]) -> None:
-        if json is not None:
-            replace_json(json, figures(outcomes))
+        replace_json(json, figures(outcomes))
 
     with counted(len(scenes) * len(cases) * len(methods)) as on_progress:
         evaluation = evaluate_scenes(
@@ -506,8 +505,7 @@ def run_suites(
     versions = software_versions()
     figures = [panda_figures(found, versions, shared) for found in results]
     whole = together(results, figures)
-    if runs.json is not None:
-        replace_json(runs.json, whole)
+    replace_json(runs.json, whole)
     if runs.write_scenes is not None:
         for found in results:
             _write_scenes(runs.write_scenes, found)

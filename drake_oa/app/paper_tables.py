@@ -82,8 +82,7 @@ def table1(*, json: Path | None = None) -> int:
     check_outputs(json)
     whole = table_one_figures(software_versions())
     show(*table_one(whole))
-    if json is not None:
-        replace_json(json, whole)
+    replace_json(json, whole)
     return 0
 
 
@@ -141,8 +140,7 @@ def table2(
             evaluation = judge_choice(name, of, drawn[of.sampling], progress)
             outcomes |= evaluation.outcomes
             whole = table_two_figures(chosen, outcomes, drawn, seed, versions)
-            if json is not None:
-                replace_json(json, whole)
+            replace_json(json, whole)
             if evaluation.interrupted:
                 break
     print(f"table2: {scenes} scenes of seed {seed}\n")

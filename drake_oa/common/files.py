@@ -47,8 +47,6 @@ _PLOT_STYLE: dict[Any, Any] = {
     "axes.titlesize": 10,
     "figure.titlesize": 11,
     "grid.color": "0.92",
-    "legend.borderaxespad": 0.1,
-    "legend.columnspacing": 1.2,
     "legend.fontsize": 7,
     "legend.frameon": False,
     "lines.linewidth": 1.2,
@@ -72,10 +70,8 @@ def check_outputs(*paths: Path | None, read: Iterable[Path] = ()) -> None:
     Raises:
         ValueError: naming the first that cannot be written, and why.
     """
-    taken = {path.resolve(): "the command reads this file" for path in read}
-    for path in paths:
-        if path is None:
-            continue
+    taken = dict.fromkeys((path.resolve() for path in read), "the command reads this file")
+    for path in filter(None, paths):
         if why := taken.get(path.resolve()):
             raise ValueError(
                 f"cannot write {path}: {why}; inputs and outputs must name different files"
@@ -83,16 +79,11 @@ def check_outputs(*paths: Path | None, read: Iterable[Path] = ()) -> None:
         taken[path.resolve()] = "another output names this file"
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ValueError(
-                f"cannot write {path}: cannot make the folder {path.parent}: {error.strerror}"
-            ) from None
-        try:
             known = path.exists()
-            with path.open("ab"):
-                pass
+            path.open("ab").close()
         except OSError as error:
-            raise ValueError(f"cannot write {path}: {error.strerror}") from None
+            why = f"{error.strerror}: {error.filename}"
+            raise ValueError(f"cannot write {path}: {why}") from None
         if not known:
             path.unlink()
 
@@ -186,14 +177,19 @@ def replace_text(path: Path, text: str) -> None:
     replace_file(path, lambda beside: beside.write_text(text))
 
 
-def replace_json(path: Path, content: object) -> None:
+def replace_json(path: Path | None, content: object) -> None:
     """Writes plain data as JSON in one piece; see `replace_file`.
+
+    Args:
+        path: the file; None: nothing is written.
+        content: plain data.
 
     Raises:
         OutputError: if the file cannot be written.
         ValueError: if a number is not finite.
     """
-    replace_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
+    if path is not None:
+        replace_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 def replace_arrays(path: Path, arrays: Mapping[str, Any]) -> None:

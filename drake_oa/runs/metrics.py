@@ -6,7 +6,7 @@ own distance and contact queries: nothing that steered the motion judges it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -163,20 +163,20 @@ class RobotJudge:
             for body in map(self._plant.get_body, map(BodyIndex, range(self._plant.num_bodies())))
             for geometry in self._plant.GetCollisionGeometriesForBody(body)
         }
-        robot = [g for g in self._body if self._is_robot(g)]
-        obstacles = [
-            g for g, b in self._body.items() if b.model_instance() in self._station.obstacles
-        ]
+        robot = {g: body for g, body in self._body.items() if self._is_robot(g)}
+        obstacles = {
+            g: body
+            for g, body in self._body.items()
+            if body.model_instance() in self._station.obstacles
+        }
         inspector = graph.model_inspector()
-        self._robot_balls = _Balls(inspector, robot, self._body)
-        self._obstacle_balls = _Balls(inspector, obstacles, self._body)
+        self._robot_balls = _Balls(inspector, robot)
+        self._obstacle_balls = _Balls(inspector, obstacles)
         of_tool = tool_links(scenario.robot) if scenario.robot else []
-        self._tool = np.array([self._body[g].name() in of_tool for g in robot], bool)
+        self._tool = np.array([body.name() in of_tool for body in robot.values()], bool)
         # Driven obstacles hang on slides.
-        self._rests = np.array(
-            [self._plant.num_positions(self._body[g].model_instance()) == 0 for g in obstacles],
-            bool,
-        )
+        moving = [self._plant.num_positions(b.model_instance()) for b in obstacles.values()]
+        self._rests = np.array(moving) == 0
 
     def _is_robot(self, geometry: GeometryId) -> bool:
         return self._body[geometry].model_instance() == self._station.robot
@@ -296,34 +296,31 @@ class RobotJudge:
 
 
 class _Balls:
-    """Balls round geometries, fixed to their bodies."""
+    """Balls around collision geometries, fixed to their bodies.
+
+    Attributes:
+        geometries: N geometries.
+        radius: (N,) radii [m]; inf around half spaces.
+    """
 
     def __init__(
-        self,
-        inspector: SceneGraphInspector,
-        geometries: list[GeometryId],
-        body: dict[GeometryId, RigidBody],
+        self, inspector: SceneGraphInspector, bodies: Mapping[GeometryId, RigidBody]
     ) -> None:
-        self.geometries = geometries
-        bodies = list({body[g].index(): body[g] for g in geometries}.values())
-        self._bodies = bodies
-        self._row = np.array([bodies.index(body[g]) for g in geometries], dtype=int)
-        self._p_BC, self.radius = np.zeros((len(geometries), 3)), np.zeros(len(geometries))
-        for row, geometry in enumerate(geometries):
-            if isinstance(inspector.GetShape(geometry), HalfSpace):
-                self.radius[row] = np.inf
-                continue
-            corners = outline_corners(inspector, geometry)
-            middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
-            self._p_BC[row] = middle
-            self.radius[row] = np.linalg.norm(corners - middle, axis=1).max()
+        self.geometries, self._bodies = list(bodies), list(bodies.values())
+        self._p_BC = np.zeros((len(bodies), 3))
+        self.radius = np.full(len(bodies), np.inf)
+        for row, geometry in enumerate(bodies):
+            if not isinstance(inspector.GetShape(geometry), HalfSpace):
+                corners = outline_corners(inspector, geometry)
+                middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+                self._p_BC[row] = middle
+                self.radius[row] = np.linalg.norm(corners - middle, axis=1).max()
 
     def centers(self, context: Context) -> FloatArray:
-        """(N, 3) in the world, in the order of the geometries [m]."""
-        X_WB = np.array(
-            [body.EvalPoseInWorld(context).GetAsMatrix34() for body in self._bodies]
-        ).reshape(-1, 3, 4)[self._row]
-        return np.asarray(np.einsum("nij,nj->ni", X_WB[:, :, :3], self._p_BC) + X_WB[:, :, 3])
+        """Returns (N, 3) centers in the world [m]."""
+        X_WB = [body.EvalPoseInWorld(context).GetAsMatrix34() for body in self._bodies]
+        poses = np.reshape(X_WB, (-1, 3, 4))
+        return np.asarray(np.einsum("nij,nj->ni", poses[:, :, :3], self._p_BC) + poses[:, :, 3])
 
 
 _JUDGES: dict[str, RobotJudge] = {}

@@ -28,7 +28,7 @@ def test_checking_leaves_nothing_behind_but_the_folder(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "why"),
-    [("", "Is a directory"), ("file/x.json", "cannot make the folder"), ("a" * 300, "too long")],
+    [("", "Is a directory"), ("file/x.json", "File exists"), ("a" * 300, "too long")],
 )
 def test_what_cannot_be_written_is_named(name: str, why: str, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
