@@ -1,10 +1,17 @@
-"""Results on disk: taken when their key is right, made anew otherwise."""
+"""Calls carried out in parallel; results on disk, taken when their key is right; counts."""
 
-import json
+import operator
 
 import pytest
 
-from drake_oa.studies.results import ResultFolder, content_key
+from drake_oa.studies.results import (
+    ResultFolder,
+    Tally,
+    carry_out,
+    content_key,
+    drawn_figures,
+    drawn_lines,
+)
 
 
 def test_a_result_comes_back_by_its_key_only(tmp_path):
@@ -16,7 +23,7 @@ def test_a_result_comes_back_by_its_key_only(tmp_path):
     assert [path.name for path in folder.path.iterdir()] == ["one.json"]
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"key": "key"}', "\x00\xff"])
+@pytest.mark.parametrize("text", ["{", "[]", "\x00\xff"])
 def test_a_file_that_cannot_be_read_is_warned_of(tmp_path, caplog, text):
     folder = ResultFolder(tmp_path)
     (tmp_path / "one.json").write_bytes(text.encode("latin-1"))
@@ -35,7 +42,55 @@ def test_keys_tell_their_parts_apart_and_stay():
     assert len({content_key("a", 1), content_key("a", 2), content_key("a", None)}) == 3
 
 
-def test_what_is_not_finite_is_not_written(tmp_path):
-    with pytest.raises(ValueError):
-        ResultFolder(tmp_path).save("one", "key", float("nan"))
-    assert json.dumps(ResultFolder(tmp_path).load("one", "key")) == "null"
+def test_shares_are_of_all_scenes_the_greatest_first():
+    one, other = Tally(), Tally()
+    assert one.takes("courses", "")
+    assert not one.takes("courses", "too high")
+    for reason in ("", "too low", "too low"):
+        other.takes("courses", reason)
+    other.takes("scenes", "")
+    drawn = drawn_figures([one.counts, other.counts])
+    assert drawn == {
+        "courses": {"looked_at": 5, "dropped": {"too low": 0.4, "too high": 0.2}},
+        "scenes": {"looked_at": 1, "dropped": {}},
+    }
+    assert list(drawn["courses"]["dropped"]) == ["too low", "too high"]
+    assert drawn_lines(drawn) == [
+        "courses looked at: 5; dropped: 40.0% (too low), 20.0% (too high)",
+        "scenes looked at: 1; dropped: none",
+    ]
+
+
+_CALLS = [(k, 2) for k in range(5)]
+_EXPECTED = {k: k**2 for k in range(5)}
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as made:
+        yield made.scheduler_address
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_every_call_comes_back_with_its_place(jobs):
+    assert dict(carry_out(operator.pow, _CALLS, jobs=jobs)) == _EXPECTED
+    with pytest.raises(ZeroDivisionError):
+        list(carry_out(operator.truediv, [(1, 0), (1, 0), (1, 1)], jobs=jobs))
+
+
+def test_a_cluster_does_the_same(cluster):
+    assert dict(carry_out(operator.pow, _CALLS, scheduler=cluster)) == _EXPECTED
+    assert list(carry_out(operator.pow, [], scheduler=cluster)) == []
+    with pytest.raises(ZeroDivisionError):
+        list(carry_out(operator.truediv, [(1, 1), (1, 0), (1, 1)], scheduler=cluster))
+
+
+@pytest.mark.parametrize("address", ["tcp://localhost:1", "nothing://localhost:1"])
+def test_a_scheduler_that_is_not_there(address, monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("drake_oa.studies.results.CONNECT_TIMEOUT", 0.2)
+    with pytest.raises(ValueError, match=f"cannot reach a Dask scheduler at {address}: "):
+        list(carry_out(operator.pow, _CALLS, scheduler=address))

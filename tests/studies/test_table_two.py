@@ -68,9 +68,7 @@ def test_distances_in_the_p_plane_are_those_to_the_section() -> None:
     cut = sections(scenes)
     R = cut.R[:, 0]
     np.testing.assert_allclose(np.linalg.det(R), 1.0)
-    normal = R[:, :, 2]
-    np.testing.assert_allclose(np.einsum("ni,ni->n", normal, center), 0.0, atol=1e-9)
-    np.testing.assert_allclose(normal[:, 0], 0.0, atol=1e-9)
+    np.testing.assert_allclose(np.einsum("ni,ni->n", R[:, :, 2], center), 0.0, atol=1e-9)
     # Points of the section's outline are on the ellipsoid; a sphere's distance is the same.
     for k in range(2):
         point = np.einsum("nij,ni->nj", scenes.R[:, 0], cut.semi_axes[:, 0, k, None] * R[:, :, k])
@@ -104,19 +102,4 @@ def test_the_default_comes_near_the_print_and_the_print_as_it_stands_does_not() 
     assert found["chosen"]["cells"] > found["literal"]["cells"]
     assert min(part["goal_error_mean"] for part in found["literal"]["by_baseline"]) > 5e-3
     assert 0.1 < found["chosen"]["lines_hit"] < 0.35
-    tables = table_two(whole)
-    assert [table.columns[0].heading for table in tables] == [
-        "chosen",
-        "literal",
-        "cells that agree",
-    ]
-    assert "goal mean" in tables[1].rows[0]["off"]
-
-
-def test_the_scene_that_the_paper_names_is_all_but_touched() -> None:
-    """40 x 50 x 50 cm midway on 0.5 m: in print penetrated by 0.5 mm, whatever is done else."""
-    scene = single_obstacle(0.5, [[0.25, 0.005, 0.0]], [[0.2, 0.25, 0.25]])
-    assert judge(scene, run(scene, Setting())).kept_clearance[0] < 0.015
-    for option in ({"tau": "extreme"}, {"steps": "demo"}, {"law": "running"}):
-        choice = Choice().changed(option)
-        assert judge(scene, run(scene, Setting(), choice.reading)).kept_clearance[0] > 0.02
+    assert "goal mean" in table_two(whole)[1].rows[0]["off"]

@@ -90,26 +90,7 @@ def test_a_problem_becomes_a_scenario(tmp_path):
     assert (shelf.name, shelf.shapes[0].size) == ("shelf", [0.1, 0.2, 0.3])
     assert (can.shapes[0].length, can.shapes[0].radius) == (0.1, 0.02)
     np.testing.assert_allclose(can.shapes[0].rpy, [0.0, 0.0, 2.0 * math.asin(0.6)], atol=1e-12)
-    # It runs as it is written.
-    again = parse_scenario(scenario_text(scenario))
-    assert again == scenario
-    end_positions(again)
-
-
-def test_the_pose_of_an_object_carries_its_shapes(tmp_path):
-    turned = thing(
-        "beam", "box", [0.1, 0.1, 0.1], [0.5, 0.0, 0.2],
-        ", pose: {position: [0, 0, 0.1], orientation: [0, 0, 1, 0]}",
-    )  # fmt: skip
-    plain = scenario_of(
-        one(tmp_path / "a.tar.bz2", scene(thing("beam", "box", [0.1] * 3, [-0.5, 0.0, 0.3])))
-    )
-    given = scenario_of(one(tmp_path / "b.tar.bz2", scene(turned)))
-    fingers = [given.robot.finger_opening] * 2
-    clearance = [
-        robot_metrics(of, np.array([[*START, *fingers]])).robot_clearance for of in (plain, given)
-    ]
-    np.testing.assert_allclose(clearance[0], clearance[1], atol=1e-9)
+    assert parse_scenario(scenario_text(scenario)) == scenario
 
 
 def test_what_the_goal_grasps_is_left_out_and_little_room_is_asked_for(tmp_path):
@@ -147,13 +128,9 @@ def test_an_archive_that_is_off_is_refused(tmp_path, texts, message):
         read_archive(archive(tmp_path / "p.tar.bz2", texts))
 
 
-@pytest.mark.parametrize("data", [b"", b"words", b"BZh91AY&SY", b"\x1f\x8b"])
-def test_what_is_no_archive_is_refused(tmp_path, data):
-    file = tmp_path / "p.tar.bz2"
-    file.write_bytes(data)
-    with pytest.raises(ValueError, match=r"p\.tar\.bz2: (not a \.tar\.bz2 archive|holds no prob)"):
-        read_archive(file)
-    whole = one(tmp_path / "q.tar.bz2").read_bytes()
+def test_what_is_no_archive_is_refused(tmp_path):
+    file = one(tmp_path / "p.tar.bz2")
+    whole = file.read_bytes()
     file.write_bytes(whole[: len(whole) // 2])
     with pytest.raises(ValueError, match=r"not a \.tar\.bz2 archive"):
         read_archive(file)
@@ -187,10 +164,6 @@ def test_the_robot_of_a_scenario_takes_the_place_of_the_panda(tmp_path):
     assert math.dist(mine.task.goal, panda.task.goal) == pytest.approx(0.2 - 0.1034)
     with pytest.raises(ValueError, match="robot: is null"):
         load_robot("free_space")
-    # Of a robot that stands elsewhere in the problems' frame.
-    file.write_text("robot: {X_WB: {translation: [0.0, 0.0, 0.1]}}\n")
-    higher = scenario_of(problems, load_robot(str(file)))
-    assert higher.task.goal[2] == pytest.approx(panda.task.goal[2] + 0.1)
 
 
 @pytest.mark.parametrize(
@@ -200,9 +173,6 @@ def test_the_robot_of_a_scenario_takes_the_place_of_the_panda(tmp_path):
         (["mbm", "--sets", "shed"], "unknown set 'shed'; .* has: box"),
         (["mbm", "--scenes", "2"], "--scenes 2: the set box has 1"),
         (["mbm", "--method", "paper"], "unknown method 'paper'; mbm has: verified"),
-        (["mbm", "--perception", "sonar"], 'Choose from: "depth", "truth"'),
-        (["mbm", "--seed", "1"], "Unknown option: --seed"),
-        (["hit"], "Unknown option: --problems"),
     ],
 )
 def test_what_does_not_go_together_is_said(arguments, message, capsys, tmp_path, monkeypatch):
@@ -254,13 +224,8 @@ def test_figures_are_of_each_set_and_of_all(tmp_path, capsys):
 
 
 def test_success_is_within_a_centimetre_15_degrees_and_the_limits():
-    found = {
-        "goal_error": 0.009,
-        "orientation_error": 0.2,
-        "beyond_limits": 0.0,
-        "stop_reason": "",
-        "settled": True,
-    }
+    found = {"goal_error": 0.009, "orientation_error": 0.2, "beyond_limits": 0.0}
+    found |= {"stop_reason": "", "settled": True}
     criteria = Criteria(goal_error=0.01, orientation_error=math.radians(15.0), beyond_limits=1e-3)
     assert criteria.lacks(found) == ""
     assert criteria.lacks(found | {"goal_error": 0.011}) == "short of the goal"

@@ -7,10 +7,10 @@ import pytest
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from drake_oa.studies.scenes.judge import joined, judge
+from drake_oa.studies.scenes.judge import judge
 from drake_oa.studies.scenes.methods import Motions
 from drake_oa.studies.scenes.scenes import Scenes, scene_distance, single_obstacle
-from drake_oa.studies.scenes.suites import random_rotations, segment_distance
+from drake_oa.studies.scenes.suites import random_rotations
 
 Array = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ def random_case(seed: int, scenes: int, obstacles: int, steps: int) -> tuple[Sce
     return case, Motions(path, velocity / duration[:, None, None], duration, 0.0)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_clearance_and_length_are_those_of_dense_sampling(seed: int) -> None:
     scenes, motions = random_case(seed, scenes=6, obstacles=3, steps=25)
     judged = judge(scenes, motions)
@@ -86,14 +86,6 @@ def test_clearance_and_length_are_those_of_dense_sampling(seed: int) -> None:
         assert judged.path_length[n] == pytest.approx(length, rel=1e-3)
 
 
-def test_more_samples_change_nothing_that_matters() -> None:
-    scenes, motions = random_case(9, scenes=40, obstacles=4, steps=200)
-    once, finer = judge(scenes, motions), judge(scenes, motions, substeps=32)
-    assert np.abs(once.kept_clearance - finer.kept_clearance).max() < 1e-6
-    assert (once.collided == finer.collided).all()
-    assert 0 < once.collided.sum() < len(scenes)
-
-
 def uniform_motion(steps: int, start: Array, end: Array, duration: float = 2.0) -> Motions:
     """One straight motion of constant velocity."""
     s = np.linspace(0.0, 1.0, steps + 1)[:, None]
@@ -101,26 +93,13 @@ def uniform_motion(steps: int, start: Array, end: Array, duration: float = 2.0) 
     return Motions((start + s * (end - start))[None], velocity, np.array([duration]), 0.0)
 
 
-@pytest.mark.parametrize("steps", [1, 3, 10, 501])
-@pytest.mark.parametrize("radius", [1e-4, 0.01, 0.1])
+@pytest.mark.parametrize(("steps", "radius"), [(1, 0.1), (10, 1e-4), (501, 0.01)])
 def test_a_contact_between_samples_is_found(steps: int, radius: float) -> None:
     center = np.array([[0.43721, 0.5 * radius, 0.0]])
     scenes = single_obstacle(1.0, center, np.full((1, 3), radius))
     judged = judge(scenes, uniform_motion(steps, np.zeros(3), np.array([1.0, 0.0, 0.0])))
     assert judged.collided.all()
     assert judged.kept_clearance[0] == pytest.approx(-0.5 * radius, abs=1e-7)
-
-
-def test_figures_of_a_straight_motion_past_a_sphere() -> None:
-    center = np.array([[0.5, 0.3, 0.0]])
-    scenes = single_obstacle(1.0, center, np.full((1, 3), 0.1), clearance=0.25)
-    judged = judge(scenes, uniform_motion(10, np.zeros(3), np.array([1.0, 0.0, 0.003])))
-    assert judged.kept_clearance[0] == pytest.approx(0.2, abs=1e-5)
-    assert judged.feasible[0] == 0.25
-    assert judged.short.tolist() == [True]
-    assert judged.collided.tolist() == [False]
-    assert judged.goal_error[0] == pytest.approx(0.003)
-    assert judged.path_ratio[0] == pytest.approx(1.0, abs=1e-5)
 
 
 def test_feasible_clearance_follows_an_obstacle_that_comes_to_the_goal() -> None:
@@ -143,29 +122,6 @@ def test_a_scene_without_obstacles_is_clear() -> None:
     assert scene_distance(scenes, np.zeros((1, 3)), np.zeros(1)).tolist() == [np.inf]
 
 
-def test_batches_join_to_the_whole() -> None:
-    scenes, motions = random_case(3, scenes=5, obstacles=2, steps=10)
-    whole = judge(scenes, motions)
-    parts = [whole.rows(slice(0, 2)), whole.rows(slice(2, 5))]
-    assert (joined(parts).kept_clearance == whole.kept_clearance).all()
-    assert len(joined([])) == 0
-
-
-def test_segments_against_dense_sampling() -> None:
-    rng = np.random.default_rng(2)
-    begin, end = rng.uniform(-1.0, 1.0, (2, 50, 3))
-    center, a = rng.uniform(-0.5, 0.5, (50, 3)), rng.uniform(0.02, 0.4, (50, 3))
-    R = random_rotations(rng, 50)
-    found = segment_distance(begin, end, center, R, a)
-    for n in range(50):
-
-        def distance(share: Array, n: int = n) -> Array:
-            p = begin[n] + share[:, None] * (end[n] - begin[n])
-            return dense_distance(p, center[n], R[n], a[n])
-
-        assert found[n] == pytest.approx(least_distance(distance, 1.0), abs=1e-6)
-
-
 def good() -> dict[str, Array]:
     motion = uniform_motion(4, np.zeros(3), np.array([1.0, 0.0, 0.0]))
     return {"path": motion.path, "velocity": motion.velocity, "duration": motion.duration}
@@ -175,12 +131,9 @@ def good() -> dict[str, Array]:
     ("change", "named"),
     [
         ({"path": np.zeros((2, 5, 3))}, r"path must be \(1, S \+ 1, 3\)"),
-        ({"path": np.zeros((1, 1, 3))}, "path must be"),
         ({"velocity": np.zeros((1, 4, 3))}, "velocity must be"),
         ({"velocity": np.full((1, 5, 3), np.nan)}, "velocity must be finite: that of scene 0"),
-        ({"path": np.full((1, 5, 3), np.inf)}, "path must be finite"),
         ({"duration": np.zeros(1)}, "duration must be positive"),
-        ({"duration": np.ones(2)}, "duration must be"),
     ],
 )
 def test_motions_that_cannot_be_are_refused(change: dict[str, Array], named: str) -> None:

@@ -19,7 +19,6 @@ from drake_oa.studies.scenes.suites import (
     find_suite,
     line_distance,
     line_hits,
-    random_rotations,
 )
 
 Straight = Callable[[Scenes, Setting], Motions]
@@ -29,16 +28,10 @@ BOXED = ("novel", "posed", "hit", "head-on")
 
 
 @pytest.mark.parametrize("name", ALL)
-def test_scenes_are_valid_and_as_many_as_asked(name: str) -> None:
-    scenes = draw_scenes(name, COUNT, seed=3)
-    assert len(scenes) == COUNT
-    check_scenes(scenes)
-    assert scenes.present.all()
-
-
-@pytest.mark.parametrize("name", ALL)
 def test_the_seed_decides(name: str) -> None:
     one, same, other = (draw_scenes(name, COUNT, seed=seed) for seed in (5, 5, 6))
+    assert len(one) == COUNT
+    check_scenes(one)
     assert (one.center == same.center).all()
     assert (one.semi_axes == same.semi_axes).all()
     drawn = name not in ("familiar", "dead-zone")
@@ -53,15 +46,12 @@ def test_obstacles_keep_to_the_papers_box(name: str) -> None:
     assert (center[:, 0] - extent > 0.05 - 1e-9).all()
     assert (center[:, 0] + extent < scenes.baseline - 0.05 + 1e-9).all()
     assert (np.abs(center[:, 1:]) <= 0.4).all()
-    assert (a >= 0.025).all()
-    assert (a <= 0.25).all()
-    assert (a[scenes.baseline == 0.5, 0] <= 0.2).all()
-    assert (scenes.clearance == 0.15).all()
-    assert (scenes.velocity == 0.0).all()
+    assert a.min() >= 0.025
+    assert a.max() <= 0.25
+    assert (line_distance(scenes) < 0.15).all()
+    assert (line_hits(scenes) == (line_distance(scenes) < 0.0)).all()
     for baseline in BASELINES:
         assert (scenes.baseline == baseline).sum() == 50
-    aligned = (np.eye(3) == scenes.R).all()
-    assert aligned == (name == "novel")
 
 
 @pytest.mark.parametrize(("name", "aside"), [("demo", 0.4), ("narrow", 0.2), ("near", 0.4)])
@@ -75,25 +65,6 @@ def test_the_demo_leaves_every_obstacle_the_room_of_the_longest(name: str, aside
     assert (line_distance(scenes)[:, 0] < (0.1 if name == "near" else 0.15)).all()
 
 
-@pytest.mark.parametrize(("name", "limit"), [("novel", 0.15), ("posed", 0.15), ("hit", 0.0)])
-def test_the_straight_line_comes_near(name: str, limit: float, straight: Straight) -> None:
-    scenes = draw_scenes(name, 200)
-    judged = judge(scenes, straight(scenes, Setting()))
-    assert (judged.kept_clearance < limit + 1e-6).all()
-    if name != "hit":
-        assert (judged.kept_clearance > 0.1).any()
-        assert judged.collided.any()
-
-
-def test_head_on_is_half_on_the_line_and_half_near_it() -> None:
-    scenes = draw_scenes("head-on", 400)
-    off = np.linalg.norm(scenes.center[:, 0, 1:], axis=1)
-    assert (off == 0.0).sum() == 200
-    assert off.max() <= 0.01
-    for baseline in BASELINES:
-        assert (off[scenes.baseline == baseline] == 0.0).sum() == 50
-
-
 def test_clutter_blocks_the_line_and_leaves_the_ends() -> None:
     scenes = draw_scenes("clutter", 50)
     assert scenes.center.shape == (50, 6, 3)
@@ -101,8 +72,6 @@ def test_clutter_blocks_the_line_and_leaves_the_ends() -> None:
     for x in (0.0, 1.0):
         point = np.tile((x, 0.0, 0.0), (50, 1))
         assert (scene_distance(scenes, point, np.zeros(50)) >= 0.05 - 1e-9).all()
-    assert scenes.semi_axes.min() >= 0.025
-    assert scenes.semi_axes.max() <= 0.1
 
 
 def test_moving_obstacles_meet_the_robot_on_its_way(straight: Straight) -> None:
@@ -123,37 +92,11 @@ def test_familiar_is_the_lattice_in_twelve_settings() -> None:
     scenes = draw_scenes("familiar")
     assert len(scenes) == 100
     assert len(np.unique(scenes.semi_axes[:, 0, :2], axis=0)) == 100
-    assert np.unique(scenes.semi_axes).tolist() == np.linspace(0.025, 0.25, 10).tolist()
-    assert (scenes.semi_axes[..., 1] == scenes.semi_axes[..., 2]).all()
     cases = find_suite("familiar").cases
     assert len({case.label for case in cases}) == 12
     asked = {case.of(scenes).clearance[0] for case in cases if case.setting.constrained}
     assert asked == set(FAMILIAR_CLEARANCES)
     assert sum(case.setting.scale_time for case in cases) == 6
-
-
-@pytest.mark.parametrize("name", ["novel", "posed", "clutter"])
-def test_the_line_hits_where_its_distance_is_negative(name: str) -> None:
-    scenes = draw_scenes(name, 200)
-    hits = line_hits(scenes)
-    assert (hits == (line_distance(scenes) < 0.0)).all()
-    assert 0 < hits.sum() < hits.size
-
-
-def test_dead_zone_begins_on_the_line() -> None:
-    scenes = draw_scenes("dead-zone")
-    assert scenes.center[0, 0].tolist() == [0.5, 0.0, 0.0]
-    assert (np.diff(scenes.center[:, 0, 1]) > 0.0).all()
-
-
-def test_rotations_are_uniform() -> None:
-    R = random_rotations(np.random.default_rng(0), 20_000)
-    assert np.allclose(R @ np.swapaxes(R, 1, 2), np.eye(3))
-    assert np.allclose(np.linalg.det(R), 1.0)
-    # Each entry of a uniformly random rotation has mean 0 and variance 1/3.
-    assert np.abs(R.mean(axis=0)).max() < 0.02
-    assert np.abs(R.var(axis=0) - 1.0 / 3.0).max() < 0.02
-    assert abs(np.trace(R, axis1=1, axis2=2).mean()) < 0.03
 
 
 @pytest.mark.parametrize(
@@ -168,6 +111,3 @@ def test_rotations_are_uniform() -> None:
 def test_bad_requests_are_refused(arguments: tuple, named: str) -> None:
     with pytest.raises(ValueError, match=named):
         draw_scenes(*arguments)
-    if len(arguments) == 1:
-        with pytest.raises(ValueError, match=named):
-            find_suite(*arguments)
