@@ -221,10 +221,3 @@ def test_what_appears_is_nowhere_else_before_and_disturbs_nothing() -> None:
         away = 0.0 if 0.1 - 1e-9 <= time < 0.2 - 1e-9 else ABSENT_HEIGHT
         assert place[2] == pytest.approx(0.4 + away, abs=1e-8)
     assert moved.max() < 1e-3
-
-
-def test_waypoints_must_follow_each_other() -> None:
-    with pytest.raises(ValueError, match="times must increase"):
-        ObstacleMover(np.zeros((2, 4)), mass=1.0, step=STEP)
-    with pytest.raises(ValueError, match="present must be"):
-        ObstacleMover(np.zeros((0, 4)), mass=1.0, step=STEP, present=[2.0, 1.0])

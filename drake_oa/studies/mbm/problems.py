@@ -145,7 +145,7 @@ def _paired(file: Path, name: str, texts: Mapping[int, Mapping[str, str]]) -> li
 
 
 _FOREIGN = BLOCK | ConfigDict(extra="ignore")
-"""Configuration of what is read of MoveIt's files: other fields are ignored."""
+"""Configuration of blocks read from MoveIt's files: other fields are ignored."""
 
 
 @block(config=_FOREIGN)

@@ -312,7 +312,7 @@ Draw = Callable[..., tuple[str, Counts]]
 
 
 class Drawing(NamedTuple):
-    """How a scene is made.
+    """Function that draws a scene, and its arguments.
 
     Attributes:
         name: of the scene's files.
