@@ -34,7 +34,7 @@ def main() -> None:
     )
     proposer = load_proposals(package_file("package://drake_oa/weights/proposals.safetensors"))
     dmp = imitate(*minimum_jerk(START, GOAL, duration=DURATION))
-    found = verify(scene, proposer, duration=DURATION, dmp=dmp)
+    found = verify(scene, proposer, duration=DURATION)
     # One avoidance term about a point of its own: it belongs to neither ball.
     of_term = (found.terms[:, column] for column in (ALPHA, PSI, KAPPA))
     planes = found.terms[:, :3], found.terms[:, NORMAL : NORMAL + 3]
