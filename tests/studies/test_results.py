@@ -31,12 +31,6 @@ def test_a_file_that_cannot_be_read_is_warned_of(tmp_path, caplog, text):
     assert "one.json cannot be read and is made anew" in caplog.text
 
 
-def test_a_folder_that_is_a_file_is_refused(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(ValueError, match="cannot write"):
-        ResultFolder(tmp_path / "file")
-
-
 def test_keys_tell_their_parts_apart_and_stay():
     assert content_key("a", 1) == content_key("a", 1)
     assert len({content_key("a", 1), content_key("a", 2), content_key("a", None)}) == 3

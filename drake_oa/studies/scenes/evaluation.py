@@ -21,7 +21,7 @@ import numpy as np
 
 from drake_oa.common.console import Column, TextTable
 from drake_oa.common.messages import BoolArray, FloatArray
-from drake_oa.studies.scenes.judge import Judgement, joined, judge
+from drake_oa.studies.scenes.judge import Judgement, judge
 from drake_oa.studies.scenes.methods import Method
 from drake_oa.studies.scenes.paper_method import BETA, constant_motions
 from drake_oa.studies.scenes.scenes import Motions, Scenes, Setting
@@ -54,7 +54,7 @@ class Outcome:
 
     def of(self, *labels: str) -> Judgement:
         """The judgement of some cases, of all without any label."""
-        return joined(
+        return Judgement.joined(
             [part for label in labels or self.judged for part in self.judged.get(label, [])]
         )
 

@@ -8,18 +8,17 @@ arrays.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numba
 import numpy as np
 
 from drake_oa.common.compiled import compiled
-from drake_oa.common.messages import BoolArray, FloatArray, Frozen
+from drake_oa.common.messages import BoolArray, FloatArray
 from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.geometry.ellipsoid_kernels import feasible_clearance, nearest_point
-from drake_oa.studies.scenes.scenes import DURATION, Motions, Scenes, scene_distance
+from drake_oa.studies.scenes.scenes import DURATION, Batch, Motions, Scenes, scene_distance
 
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 _COARSE = 32
@@ -181,7 +180,7 @@ SLACK = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Judgement(Frozen):
+class Judgement(Batch):
     """What N motions came to.
 
     Attributes:
@@ -228,19 +227,6 @@ class Judgement(Frozen):
     def arrival(self) -> FloatArray:
         """(N,) duration over tau T, tau = path ratio, at least 1."""
         return self.duration / (DURATION * np.maximum(self.path_ratio, 1.0))
-
-    def rows(self, index: BoolArray | slice) -> Judgement:
-        """Some of the motions, by a mask or a slice."""
-        return Judgement(*(getattr(self, item.name)[index] for item in fields(self)))
-
-
-def joined(parts: Sequence[Judgement]) -> Judgement:
-    """Several batches as one; an empty one for none."""
-    columns = [
-        np.concatenate([np.zeros(0), *(getattr(part, item.name) for part in parts)])
-        for item in fields(Judgement)
-    ]
-    return Judgement(*columns)
 
 
 def judge(scenes: Scenes, motions: Motions, substeps: int = SUBSTEPS) -> Judgement:

@@ -128,7 +128,10 @@ def run(scenes: Scenes, setting: Setting, reading: Reading = READING) -> Motions
         ValueError: for a chain that is not shipped, or several obstacles with the running law.
     """
     chain = paper_chain(setting.constrained, reading.chain)
-    return regulated_motions(scenes, setting, chain, reading)
+    if reading.law == "running":
+        return _running_motions(scenes, setting, chain, reading)
+    parameters = np.zeros((*scenes.center.shape[:2], 3))
+    return _motions(scenes, setting, reading, parameters, chain)
 
 
 def run_original(scenes: Scenes, setting: Setting) -> Motions:
@@ -156,16 +159,6 @@ SHIPPED = {
     (True, "running"): "paper_chain_running",
 }
 """Whether it is told Delta and what its training set went on -> the shipped file's name."""
-
-
-def regulated_motions(
-    scenes: Scenes, setting: Setting, chain: ChainWeights, reading: Reading = READING
-) -> Motions:
-    """The paper's method with a given chain of 2 or 3 inputs."""
-    if reading.law == "running":
-        return _running_motions(scenes, setting, chain, reading)
-    parameters = np.zeros((*scenes.center.shape[:2], 3))
-    return _motions(scenes, setting, reading, parameters, chain)
 
 
 def constant_motions(

@@ -13,7 +13,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,7 +28,23 @@ DURATION = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class Scenes(Frozen):
+class Batch(Frozen):
+    """Arrays with a row for each of N items."""
+
+    def rows(self, index: ArrayLike | slice) -> Self:
+        """Returns some of the items, by indices, a mask or a slice."""
+        chosen = index if isinstance(index, slice) else np.asarray(index)
+        return type(self)(*(getattr(self, item.name)[chosen] for item in fields(self)))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """Returns several batches as one; without any, empty rows (0,)."""
+        columns = ([getattr(part, item.name) for part in parts] for item in fields(cls))
+        return cls(*(np.concatenate(column) if column else np.zeros(0) for column in columns))
+
+
+@dataclass(frozen=True, eq=False)
+class Scenes(Batch):
     """N scenes of up to M ellipsoids; rows of absent obstacles are NaN.
 
     Attributes:
@@ -61,17 +77,6 @@ class Scenes(Frozen):
         goal = np.zeros((len(self), 3))
         goal[:, 0] = self.baseline
         return goal
-
-    def rows(self, index: ArrayLike | slice) -> Scenes:
-        """Some of the scenes, by indices, a mask or a slice."""
-        chosen = index if isinstance(index, slice) else np.asarray(index)
-        return Scenes(*(getattr(self, item.name)[chosen] for item in fields(self)))
-
-
-def joined(parts: Sequence[Scenes]) -> Scenes:
-    """Several batches of scenes with as many obstacles as one."""
-    columns = ([getattr(part, item.name) for part in parts] for item in fields(Scenes))
-    return Scenes(*map(np.concatenate, columns))
 
 
 def single_obstacle(

@@ -27,7 +27,6 @@ from drake_oa.studies.scenes.scenes import (
     DURATION,
     Scenes,
     Setting,
-    joined,
     scene_distance,
     single_obstacle,
 )
@@ -49,7 +48,7 @@ def accepted(
         # What is missing at the rate seen so far, and a little more; never an endless batch.
         rate = max(len(kept) / batch, 1e-3)
         batch = int(np.clip(1.1 * (count - found) / rate, 256, 200_000))
-    return joined(parts).rows(slice(count))
+    return Scenes.joined(parts).rows(slice(count))
 
 
 def random_rotations(rng: np.random.Generator, count: int) -> FloatArray:
@@ -244,7 +243,7 @@ def _boxed_scenes(
         if len(rows):
             parts.append(accepted(rng, len(rows), partial(_boxed, baseline=baseline, **box), keep))
             places.append(rows)
-    return joined(parts).rows(np.argsort(np.concatenate(places)))
+    return Scenes.joined(parts).rows(np.argsort(np.concatenate(places)))
 
 
 def _single(rng: np.random.Generator, count: int, limit: float, **box: Any) -> Scenes:

@@ -42,15 +42,6 @@ def test_an_obstacle_stands_on_the_table_and_is_no_larger_than_said(seed):
     assert np.hypot(points[:, 0], points[:, 1]).max() <= footprint_radius(obstacle) + 1e-9
 
 
-def test_every_kind_comes_up_and_a_pile_has_two_to_four_shapes():
-    random = np.random.default_rng(0)
-    drawn = [draw_obstacle(random, number) for number in range(80)]
-    kinds = {obstacle.name.rstrip("0123456789") for obstacle in drawn}
-    assert kinds == {"box", "cylinder", "sphere", "pile"}
-    piles = [o for o in drawn if o.name.startswith("pile")]
-    assert {len(pile.shapes) for pile in piles} == {2, 3, 4}
-
-
 @pytest.mark.parametrize(
     ("place", "radius", "seen", "outside"),
     [

@@ -17,7 +17,7 @@ from drake_oa.studies.scenes.evaluation import (
     term_figures,
     term_table,
 )
-from drake_oa.studies.scenes.judge import Judgement, joined
+from drake_oa.studies.scenes.judge import Judgement
 from drake_oa.studies.scenes.paper_method import BETA
 from drake_oa.studies.scenes.scenes import Motions, Scenes, Setting
 from drake_oa.studies.scenes.suites import SUITES, draw_scenes, find_suite
@@ -137,7 +137,7 @@ def judgement(**changes: float) -> Judgement:
 
 def test_figures_count_what_they_say() -> None:
     figures = motion_figures(
-        joined(
+        Judgement.joined(
             [
                 judgement(),
                 judgement(kept_clearance=0.1495),
