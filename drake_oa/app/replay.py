@@ -142,7 +142,6 @@ def _plot_log(log: Path, out: Path) -> None:
     from drake_oa.runs.motion_log import load_logs
     from drake_oa.runs.plots import place_demonstrations, plot_run
     from drake_oa.runs.replay import choose_motion, logged_scenario
-    from drake_oa.runs.report import motion_metrics
     from drake_oa.scenario.loading import scenario_files
 
     logs = load_logs(log)
@@ -150,8 +149,6 @@ def _plot_log(log: Path, out: Path) -> None:
     logs = {name: of for name, of in logs.items() if name == chosen or len(of.t)}
     scenario = logged_scenario(log, logs[chosen])
     check_outputs(out, read=[log, *scenario_files(scenario)])
-    with build_errors():
-        metrics = {name: motion_metrics(scenario, of) for name, of in logs.items()}
     title = f"{log.stem}: {scenario.description}".removesuffix(": ")
     try:
         shown = place_demonstrations(scenario)
@@ -159,4 +156,5 @@ def _plot_log(log: Path, out: Path) -> None:
         # The log does not hold what was demonstrated.
         _log.warning("drawn without the demonstrations: %s", error)
         shown = None
-    plot_run(out, title, scenario, logs, metrics, shown)
+    with build_errors():
+        plot_run(out, title, scenario, logs, shown)

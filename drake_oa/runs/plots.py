@@ -25,6 +25,7 @@ from drake_oa.policy.dmp import local_frame, trajectory
 from drake_oa.policy.orientation_dmp import orientation_along, vectors_from
 from drake_oa.runs.metrics import MotionMetrics
 from drake_oa.runs.motion_log import MotionLog
+from drake_oa.runs.report import motion_metrics
 from drake_oa.scenario.demonstration import (
     demonstrated_orientation,
     demonstrated_path,
@@ -221,7 +222,6 @@ def plot_run(
     title: str,
     scenario: Scenario,
     logs: Mapping[str, MotionLog],
-    metrics: Mapping[str, MotionMetrics],
     shown: Demonstrations | None = None,
 ) -> None:
     """Draws a run: panels over time on the left, the path from two sides on the right.
@@ -234,11 +234,11 @@ def plot_run(
         title: of the figure.
         scenario: scenario of the logs.
         logs: the motions of at least one instant, by name.
-        metrics: metrics of the motions.
         shown: demonstrations that are drawn beside the path; None: none.
 
     Raises:
         OutputError: if the file cannot be written.
+        ScenarioError: if the station of the scenario cannot be built.
     """
     main = "modulated" if "modulated" in logs else next(iter(logs))
     for name, log in logs.items():
@@ -246,7 +246,7 @@ def plot_run(
     with saved_figure(path, 14.0, 10.0, title) as figure:
         panels, views = _add_panels(figure, 2 if scenario.robot is None else 4, scenario)
         for name, log in logs.items():
-            _draw_motion(panels, name, log, metrics[name], each_joint=name == main)
+            _draw_motion(panels, name, log, motion_metrics(scenario, log), each_joint=name == main)
             for ax, P in views:
                 _draw_path(ax, name, log, P)
         if shown:

@@ -16,7 +16,6 @@ from drake_oa.runs.plots import (
     plot_demonstrations,
     plot_run,
 )
-from drake_oa.runs.report import motion_metrics
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
 
@@ -85,9 +84,8 @@ def test_demonstrations_are_drawn_alone_and_beside_a_run(
     assert shown is not None
     assert shown.errors[0] < 2e-3
     assert np.linalg.norm(shown.motion[-1, 3:] - shown.samples[0][-1, 3:]) < 1.5
-    metrics = motion_metrics(pour, log)
     plot_demonstrations(tmp_path / "alone.png", "title", pour, shown)
-    plot_run(tmp_path / "run.png", "t", pour, {"modulated": log}, {"modulated": metrics}, shown)
+    plot_run(tmp_path / "run.png", "t", pour, {"modulated": log}, shown)
     assert all(is_image(tmp_path / name) for name in ("alone.png", "run.png"))
 
 
@@ -115,6 +113,5 @@ def test_a_run_is_drawn_with_pauses_and_moved_obstacles(
         **pack_ellipsoids(frames),
     )
     logs = {"preplanned": straight_log(instants), "modulated": log}
-    metrics = {name: motion_metrics(FREE, of) for name, of in logs.items()}
-    plot_run(tmp_path / "run.png", "title", FREE, logs, metrics)
+    plot_run(tmp_path / "run.png", "title", FREE, logs)
     assert is_image(tmp_path / "run.png")
