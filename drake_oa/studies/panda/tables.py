@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -103,12 +103,15 @@ def methods_figures(
     solved = None
     if complete.get(PLANNER):
         solved = {scene for scene, run in runs[PLANNER].items() if run["outcome"] == "success"}
+    known = solved or ()
     return {
         "solved": None if solved is None else len(solved),
         "methods": {
             name: {
                 **run_figures(list(of.values())),
-                "success_rate_solved": _share_of_solved(of, solved),
+                "success_rate_solved": over(
+                    np.mean, (of[scene]["outcome"] == "success" for scene in of if scene in known)
+                ),
                 "complete": complete[name],
             }
             for name, of in runs.items()
@@ -121,14 +124,6 @@ def kinds_figures(figures: Sequence[dict[str, Any]]) -> dict[str, Any]:
     if len(figures) == 1:
         return figures[0]
     return {"suite": "panda", "kinds": {of["kind"]: of for of in figures}}
-
-
-def _share_of_solved(
-    runs: Mapping[_Scene, Mapping[str, Any]], solved: Collection[_Scene] | None
-) -> float | None:
-    """Share of successes in those of the solved scenes that a method has run on."""
-    counted = [run["outcome"] for scene, run in runs.items() if scene in (solved or ())]
-    return counted.count("success") / len(counted) if counted else None
 
 
 def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -160,7 +155,7 @@ def run_figures(runs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "contacts": outcome["contact"],
         "success": outcome["success"],
         "stopped": outcome["stopped"],
-        "success_rate": outcome["success"] / len(runs) if runs else None,
+        "success_rate": over(np.mean, (run["outcome"] == "success" for run in runs)),
         "stop_reasons": _counted(run["reason"] for run in runs if run["outcome"] == "stopped"),
         "contact_pairs": _counted(
             pair for run in runs for pair in (*_pairs(run["contacts"]), *set(run["self_contacts"]))
