@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -472,6 +471,8 @@ def run_suites(
     if runs.jobs is not None and runs.jobs < 1:
         raise ValueError(f"--jobs must be at least 1, not {runs.jobs}")
 
+    from joblib import cpu_count
+
     from drake_oa.common.files import software_versions
     from drake_oa.studies.panda.evaluation import PLANNER, evaluate_panda
     from drake_oa.studies.panda.planner import check_planner
@@ -481,7 +482,7 @@ def run_suites(
         check_planner()
     check_outputs(runs.json)
     keeping = _keeping(runs, suites)
-    jobs = 1 if runs.scheduler is not None else runs.jobs or _cores()
+    jobs = 1 if runs.scheduler is not None else runs.jobs or cpu_count()
     count = sum(suite.scenes * len(suite.methods) for suite in suites)
     minutes = count * _RUN / jobs / 60.0
     if minutes >= 1.0:
@@ -537,10 +538,6 @@ def _keeping(runs: Runs, suites: Sequence[PandaSuite]) -> Keeping:
     methods = frozenset(method for suite in suites for method in suite.methods)
     shown = frozenset({"verified"} & methods or methods)
     return Keeping(ResultFolder(folder), runs.logs, runs.html_dir, shown)
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _write_scenes(folder: Path, results: PandaResults) -> None:
