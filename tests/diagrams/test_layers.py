@@ -4,13 +4,13 @@ import dataclasses as dc
 
 import pytest
 from pydantic import Field
-from pydantic.dataclasses import dataclass, rebuild_dataclass
+from pydantic.dataclasses import dataclass
 from pydrake.common.value import Value
 from pydrake.systems.framework import LeafSystem
 from pydrake.systems.primitives import ConstantValueSource
 from pydrake.systems.sensors import ImageDepth32F
 
-from drake_oa.common.config import BLOCK, ScenarioError
+from drake_oa.common.config import BLOCK, ScenarioError, json_schema
 from drake_oa.common.messages import ObstacleClouds
 from drake_oa.common.wires import connections
 from drake_oa.diagrams.avoidance import Layers, build_avoidance, nothing
@@ -28,20 +28,21 @@ class Nobody:
 
 
 @pytest.fixture
-def nobody():
+def nobody(monkeypatch: pytest.MonkeyPatch) -> None:
     """The block, known while the test runs."""
     field = next(item for item in dc.fields(Scenario) if item.name == "perception")
-    before = field.type
+    # Set to themselves, so that what registering changes is undone afterwards.
+    monkeypatch.setattr(field, "type", field.type)
+    for name in ("fields", "core_schema", "validator", "serializer"):
+        name = f"__pydantic_{name}__"
+        monkeypatch.setattr(Scenario, name, getattr(Scenario, name))
+    monkeypatch.setitem(SOURCES, Nobody, None)
 
     def add(wires, block, scenario, station) -> None:
         source = ConstantValueSource(Value(ObstacleClouds()))
         wires.add("perception", source, offers={"y0": "obstacles_W"})
 
     register_source(Nobody, add)
-    yield
-    field.type = before
-    rebuild_dataclass(Scenario, force=True)
-    del SOURCES[Nobody]
 
 
 @pytest.mark.usefixtures("nobody")
@@ -51,6 +52,7 @@ def test_a_registered_block_is_read_checked_written_and_built() -> None:
     assert parse_scenario(scenario_text(scenario)).perception == scenario.perception
     with pytest.raises(ScenarioError, match=r"perception.period: must be .* <= 1"):
         load_scenario("tabletop_box", ["perception=!Nobody {period: 7}"])
+    assert json_schema(Scenario)["properties"]["seed"]["description"]
     edges = connections(build_avoidance(scenario))
     assert ("perception.y0", "ellipsoid_descriptor.obstacles_W") in edges
     # Of what it sees solids are made, for what watches.
