@@ -18,7 +18,7 @@ import platform
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, astuple, dataclass, fields
+from dataclasses import asdict, astuple, fields
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +70,7 @@ def run_benchmark(
     Returns:
         `machine`, `versions` and `scenarios`: name -> {"run":
         {`real_time_factor`, `drake_alone` (None without a robot), `layers` (system -> wall time
-        of a simulated second [s])}, "thinking": the fields of `ThinkingTimes`}.
+        of a simulated second [s])}, "thinking": see `time_thinking`}.
 
     Raises:
         ValueError: for an unknown part, a number that is not positive, or a scenario whose
@@ -95,7 +95,7 @@ def run_benchmark(
             }
         if "thinking" in parts:
             on_part(f"{name}: thinking")
-            found[name]["thinking"] = asdict(time_thinking(scenario, seconds, runs))
+            found[name]["thinking"] = time_thinking(scenario, seconds, runs)
     return {
         "machine": machine,
         "versions": dict(item.split(" ", 1) for item in software_versions()),
@@ -304,32 +304,20 @@ def _watching(watch: Stopwatch, declare: Callable[..., Any]) -> Callable[..., An
 # Decisions --------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class ThinkingTimes:
-    """What the decisions of a run took.
-
-    Attributes:
-        decisions: how many there were.
-        measured: their processor time, of all threads [s].
-        modelled: the simulated time that they cost [s].
-        fitted: the constants that fit these decisions best.
-    """
-
-    decisions: int
-    measured: float
-    modelled: float
-    fitted: Thinking
-
-
 def time_thinking(
     scenario: Scenario, duration: float | None = None, runs: int = 2
-) -> ThinkingTimes:
+) -> dict[str, Any]:
     """Times the decisions of a scenario's motion, each the quickest of some runs.
 
     Args:
         scenario: whose.
         duration: time limit of a run [s]; None: that of `simulate`.
         runs: how many there are, at least 1.
+
+    Returns:
+        `decisions`: how many there were; `measured`: their processor time, of all threads [s];
+        `modelled`: the simulated time that they cost [s]; `fitted`: the constants of `Thinking`
+        that fit these decisions best.
 
     Raises:
         ValueError: if none costs time: the scenario's `thinking` is null.
@@ -343,12 +331,12 @@ def time_thinking(
     amounts = np.column_stack([np.ones(len(work)), [astuple(one) for one in work]])
     weight = 1.0 / np.sqrt(np.maximum(seconds, _SHORTEST))
     fitted, _ = nnls(amounts * weight[:, None], seconds * weight)
-    return ThinkingTimes(
-        len(work),
-        float(seconds.sum()),
-        float(sum(map(scenario.thinking.seconds, work))),
-        Thinking(*fitted.tolist()),
-    )
+    return {
+        "decisions": len(work),
+        "measured": float(seconds.sum()),
+        "modelled": float(sum(map(scenario.thinking.seconds, work))),
+        "fitted": asdict(Thinking(*fitted.tolist())),
+    }
 
 
 def _timed_decisions(scenario: Scenario, duration: float | None) -> tuple[list[Work], list[float]]:
