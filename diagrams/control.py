@@ -6,9 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.primitives import (
-    ConstantValueSource,
-)
+from pydrake.systems.primitives import ConstantValueSource
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray, PlannedMotion
@@ -109,10 +107,8 @@ def add_posture(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     if "motion" in wires:
         q_rest = cell.q_start[cell.arm.index]
         wires.add("posture_follower", make_posture_follower(scenario, q_rest))
-    elif (made := make_guide_follower(scenario, cell.q_start)) is not None:
-        follower, guide = made
-        wires.add("posture_guide", guide, offers={"y0": "guided_posture"})
-        wires.add("guide_follower", follower, reads={"motion": "guided_posture", "evading": None})
+    else:
+        add_guide_follower(wires, scenario, cell.q_start)
     wires.log("desired_posture")
 
 
@@ -123,28 +119,27 @@ def make_posture_follower(scenario: Scenario, q_rest: FloatArray) -> PostureFoll
     return PostureFollower(q_rest, policy.alpha_k, period=policy.period, **turn)
 
 
-def make_guide_follower(
-    scenario: Scenario, q_start: FloatArray
-) -> tuple[PostureFollower, ConstantValueSource] | None:
-    """What draws the null space from the joints at the start to those at the goal, unplanned.
+def add_guide_follower(wires: Wires, scenario: Scenario, q_start: FloatArray) -> bool:
+    """Adds posture_guide and guide_follower: a posture from the joints at the start to the goal's.
 
     Args:
+        wires: offers desired_posture then.
         scenario: with a robot.
-        q_start: (nq,) its positions at the start.
+        q_start: (nq,) positions of the robot at the start.
 
     Returns:
-        The follower and its motion; None where the task does not give the joints at the goal.
+        Whether the task gives the joints at the goal; if not, nothing is added.
     """
-    robot = scenario.robot
-    if (
-        robot is None
-        or (guide := make_posture_guide(scenario, q_start[: len(robot.q_seed)])) is None
-    ):
-        return None
-    s = np.linspace(0.0, 1.0, _GUIDE_SAMPLES)
+    guide = make_posture_guide(scenario, q_start[: len(robot_of(scenario).q_seed)])
+    if guide is None:
+        return False
+    s, policy = np.linspace(0.0, 1.0, _GUIDE_SAMPLES), scenario.policy
     motion = PlannedMotion(s, np.zeros((len(s), 3)), guide(s))
-    follower = PostureFollower(motion.q[0], scenario.policy.alpha_k, period=scenario.policy.period)
-    return follower, ConstantValueSource(Value(motion))
+    source = ConstantValueSource(Value(motion))
+    follower = PostureFollower(motion.q[0], policy.alpha_k, period=policy.period)
+    wires.add("posture_guide", source, offers={"y0": "guided_posture"})
+    wires.add("guide_follower", follower, reads={"motion": "guided_posture", "evading": None})
+    return True
 
 
 def add_safety(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:

@@ -45,9 +45,7 @@ from drake_oa.route.cost_rings import Ring
 from drake_oa.scenario.demonstration import demonstrated_path, primitive_constants
 from drake_oa.scenario.end_poses import end_rotations, held_robots, tool_orientation
 from drake_oa.scenario.perception import GivenEllipsoids
-from drake_oa.scenario.scenario import (
-    Scenario,
-)
+from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.shipped import package_file
 from drake_oa.scenario.sources import perception_period
 from drake_oa.scenario.task import goal_trajectory
@@ -257,14 +255,9 @@ def make_motion_selector(
     scenario: Scenario, cell: Cell, proposer: Proposer, rings: Rings = None
 ) -> MotionSelector:
     """What chooses the motion of the whole arm."""
-    robot, regulation, policy, task = (
-        scenario.robot,
-        scenario.regulation,
-        scenario.policy,
-        scenario.task,
-    )
-    if robot is None or not isinstance(regulation, Verified):
-        raise ScenarioError("regulation: is not !Verified, or there is no robot")
+    regulation, policy, task = scenario.regulation, scenario.policy, scenario.task
+    if not isinstance(regulation, Verified):
+        raise ScenarioError(f"regulation: is !{type(regulation).__name__}, not !Verified")
     arm = cell.arm
     spheres = cell.spheres.arrays
     _refuse_start(cell, cell.spheres)

@@ -11,9 +11,7 @@ from typing import Any
 import numpy as np
 from pydrake.math import RigidTransform
 from pydrake.multibody.tree import ModelInstanceIndex
-from pydrake.systems.primitives import (
-    MatrixGain,
-)
+from pydrake.systems.primitives import MatrixGain
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.wires import Wires

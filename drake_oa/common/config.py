@@ -13,7 +13,7 @@ import math
 import re
 import typing
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 import yaml
 from pydantic import (
@@ -30,7 +30,6 @@ from pydantic.json_schema import GenerateJsonSchema
 from pydantic_core import CoreSchema, ErrorDetails, core_schema
 from pydrake.common.yaml import yaml_dump, yaml_dump_typed, yaml_load, yaml_load_typed
 
-_T = TypeVar("_T")
 _LCM_PROVIDERS = ("udpm", "tcpq", "memq")
 """Providers of LCM that transport messages in both directions; `file` only records or replays."""
 _MAX_VALUES = 100_000
@@ -80,11 +79,14 @@ def _check_angle(angle: float) -> float:
     return angle
 
 
-Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
+def length(count: int) -> Any:
+    """Returns the annotation of a list that has exactly so many values."""
+    return Field(min_length=count, max_length=count)
+
+
+Vector3 = Annotated[list[float], length(3)]
 """Three numbers."""
-Angles = Annotated[
-    list[Annotated[float, AfterValidator(_check_angle)]], Field(min_length=3, max_length=3)
-]
+Angles = Annotated[list[Annotated[float, AfterValidator(_check_angle)]], length(3)]
 """Roll, pitch and yaw [rad], each at most one turn in either direction."""
 
 

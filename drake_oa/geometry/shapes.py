@@ -8,7 +8,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from drake_oa.common.config import BLOCK, Angles, Vector3
+from drake_oa.common.config import BLOCK, Angles, Vector3, length
 
 _Length = Annotated[float, Field(gt=0.0, le=10.0)]
 
@@ -17,9 +17,7 @@ _Length = Annotated[float, Field(gt=0.0, le=10.0)]
 class Box:
     """A box; its center is the origin of the shape's frame G."""
 
-    size: Annotated[list[_Length], Field(min_length=3, max_length=3)] = Field(
-        default=[0.1, 0.1, 0.1]
-    )
+    size: Annotated[list[_Length], length(3)] = Field(default=[0.1, 0.1, 0.1])
     """Edge lengths along x, y and z [m]. Raising one makes the box larger."""
     translation: Vector3 = Field(default=[0.0, 0.0, 0.0])
     """Position of G in the frame of the obstacle or hand [m]. Raising it moves the shape along the

@@ -223,7 +223,7 @@ class CommandPlayer:
             rate: simulated seconds in one of the wall clock, at most.
 
         Raises:
-            ValueError: if they are out of range.
+            ValueError: if the rate is not above 0 and at most 1.
         """
         check_rate(rate)
         self._motion, self._lcm, self._rules, self._rate = motion, lcm, rules, rate
@@ -488,7 +488,7 @@ class CommandGuard:
             rules: what commands are held to.
 
         Raises:
-            ValueError: if the rules are out of range, or the limits of another arm.
+            ValueError: if the limits are of another number of joints.
         """
         if limits.position_lower.shape != q.shape:
             raise ValueError(f"limits are of {len(limits.position_lower)} joints, q of {len(q)}")

@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import fields, replace
 
 import numpy as np
-from pydrake.multibody.parsing import (
-    ModelDirective,
-)
+from pydrake.multibody.parsing import ModelDirective
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray

@@ -167,7 +167,7 @@ class PandaStation:
 
         Raises:
             ScenarioError: for a robot that the messages are not of, or a field that does not fit.
-            ValueError: for rules or a rate out of range.
+            ValueError: if the rate is not above 0 and at most 1.
         """
         check_rate(rate)
         if scenario.faults:

@@ -76,7 +76,7 @@ class RobotLink:
             clock: the wall clock [s].
 
         Raises:
-            ValueError: for rules or a rate out of range, or a bus that cannot be.
+            ValueError: if the rate is not above 0 and at most 1, or LCM does not accept the URL.
         """
         self.motion, self.rules, self.rate = SharedMotion(), rules or PlayerRules(), rate
         self._url, self.wait, self.clock = lcm_url, wait, clock

@@ -1,6 +1,7 @@
 """Configuration of perception: the blocks of a scenario's field `perception`."""
 
 import math
+from functools import partial
 from typing import Annotated
 
 from pydantic import AfterValidator, Field
@@ -194,10 +195,6 @@ class LiveCameras(CameraSource):
     point."""
 
 
-def _check_url(url: str) -> str:
-    return check_lcm_url(url, "LCM URL")
-
-
 @dataclass(config=BLOCK)
 class LcmCamera(LiveCameras):
     """Depth cameras whose images arrive as Drake's `lcmt_image_array` messages.
@@ -205,7 +202,7 @@ class LcmCamera(LiveCameras):
     The channels are DRAKE_RGBD_CAMERA_IMAGES_<name of the camera>; stamps are wall-clock times.
     """
 
-    lcm_url: Annotated[str, AfterValidator(_check_url)] = (
+    lcm_url: Annotated[str, AfterValidator(partial(check_lcm_url, field="LCM URL"))] = (
         "udpm://239.255.76.99:7699?ttl=0&recv_buf_size=4000000"
     )
     """LCM URL of the images. The default buffer size suffices for uncompressed images of 640 x

@@ -154,8 +154,7 @@ class ActionLevel:
             config: how coupling terms and holds act; None: the defaults.
 
         Raises:
-            ValueError: if the primitive does not have three dimensions, or a value of the
-                configuration is out of its range.
+            ValueError: if the primitive does not have three dimensions.
         """
         if dmp.dimension != 3:
             raise ValueError(f"dmp must have 3 dimensions, not {dmp.dimension}")

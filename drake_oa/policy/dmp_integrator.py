@@ -107,8 +107,8 @@ class DmpIntegrator(LeafSystem):
             config: its period, and how coupling terms and holds act; None: the defaults.
 
         Raises:
-            ValueError: if the start is not three finite numbers, the primitive does not
-                have three dimensions, or a value of the configuration is out of its range.
+            ValueError: if the start is not three finite numbers, or the primitive does not
+                have three dimensions.
         """
         super().__init__()
         start = np.asarray(start, dtype=float)

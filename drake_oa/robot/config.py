@@ -7,7 +7,7 @@ from typing import Annotated, Self
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from drake_oa.common.config import BLOCK, Angles, Tagged, Vector3
+from drake_oa.common.config import BLOCK, Angles, Tagged, Vector3, length
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere
 
 _Speed = Annotated[float, Field(gt=0.0, le=100.0)]
@@ -56,9 +56,9 @@ class Gains:
 class BasePose:
     """Pose X_WB of the base link in the world."""
 
-    translation: Annotated[
-        list[Annotated[float, Field(ge=-20.0, le=20.0)]], Field(min_length=3, max_length=3)
-    ] = Field(default=[0.0, 0.0, 0.0])
+    translation: Annotated[list[Annotated[float, Field(ge=-20.0, le=20.0)]], length(3)] = Field(
+        default=[0.0, 0.0, 0.0]
+    )
     """Position of the base link in the world [m]. Raising it moves the robot along the axis."""
     rpy: Angles = Field(default=[0.0, 0.0, 0.0])
     """Roll, pitch and yaw of the base link in the world [rad]."""

@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from drake_oa.common.config import BLOCK, ScenarioError, Vector3, read_yaml, validate
+from drake_oa.common.config import BLOCK, ScenarioError, Vector3, length, read_yaml, validate
 from drake_oa.robot.formats.urdf import DRAKE_XML
 
 
@@ -25,7 +25,7 @@ class Inertia:
     """Mass [kg]. Raising it makes the link heavier."""
     com: Vector3
     """Center of mass in the link's frame [m]."""
-    inertia: Annotated[list[float], Field(min_length=6, max_length=6)]
+    inertia: Annotated[list[float], length(6)]
     """Rotational inertia about the center of mass in the link's axes: xx, yy, zz, xy, xz, yz
     [kg m^2]. Raising the first three makes rotations slower."""
 

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from drake_oa.common.config import BLOCK, above
+from drake_oa.common.config import BLOCK, above, length
 from drake_oa.common.messages import FloatArray
 
 
@@ -130,9 +130,7 @@ class EvasionParameters:
     as_good: float = Field(default=5e-3, ge=0.0, le=1.0)
     """Difference between clearances that are considered equal [m]. Raising it prefers shorter
     motions."""
-    short_ways: Annotated[list[float], Field(min_length=2, max_length=2)] = Field(
-        default=[0.2, 0.08]
-    )
+    short_ways: Annotated[list[float], length(2)] = Field(default=[0.2, 0.08])
     """Displacements of the tool that are tried where larger ones leave the workspace [m]. Raising
     them moves farther aside."""
     short_turn: float = Field(default=0.7, gt=0.0, le=10.0)

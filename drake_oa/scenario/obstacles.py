@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import AfterValidator, Field
 from pydantic.dataclasses import dataclass
 
-from drake_oa.common.config import BLOCK, Angles, Tagged, Vector3
+from drake_oa.common.config import BLOCK, Angles, Tagged, Vector3, length
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere
 
@@ -48,12 +48,12 @@ class Obstacle:
     """Position of the obstacle in the world [m]. Raising it moves the obstacle along the axis."""
     rpy: Angles = Field(default=[0.0, 0.0, 0.0])
     """Roll, pitch and yaw of the obstacle in the world [rad]."""
-    color: Annotated[
-        list[Annotated[float, Field(ge=0.0, le=1.0)]], Field(min_length=4, max_length=4)
-    ] = Field(default=[0.76, 0.53, 0.31, 1.0])
+    color: Annotated[list[Annotated[float, Field(ge=0.0, le=1.0)]], length(4)] = Field(
+        default=[0.76, 0.53, 0.31, 1.0]
+    )
     """Red, green, blue and opacity [1]. Raising one makes the obstacle brighter or more opaque."""
     waypoints: Annotated[
-        list[Annotated[list[float], Field(min_length=4, max_length=4)]],
+        list[Annotated[list[float], length(4)]],
         AfterValidator(_check_course),
     ] = Field(default_factory=list)
     """Motion of the obstacle: rows t, x, y, z [s, m], the offset from `translation` in the world at

@@ -7,7 +7,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 from pydrake.systems.sensors import CameraConfig
 
-from drake_oa.common.config import BLOCK, Angles, Vector3
+from drake_oa.common.config import BLOCK, Angles, Vector3, length
 from drake_oa.perception.config import CameraSource, LiveCameras, RealSense
 
 _MAX_PIXELS = 4096
@@ -20,9 +20,9 @@ class EllipsoidConfig:
 
     center: Vector3 = Field(default=[0.0, 0.0, 0.0])
     """Center in the world [m]. Raising it moves the ellipsoid along the axis."""
-    semi_axes: Annotated[
-        list[Annotated[float, Field(gt=0.0)]], Field(min_length=3, max_length=3)
-    ] = Field(default=[0.1, 0.1, 0.1])
+    semi_axes: Annotated[list[Annotated[float, Field(gt=0.0)]], length(3)] = Field(
+        default=[0.1, 0.1, 0.1]
+    )
     """Lengths of the semi-axes [m]. Raising one makes the ellipsoid larger."""
     rpy: Angles = Field(default=[0.0, 0.0, 0.0])
     """Roll, pitch and yaw of the ellipsoid in the world [rad]."""

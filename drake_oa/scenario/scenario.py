@@ -32,7 +32,8 @@ from drake_oa.scenario.perception import EllipsoidConfig as EllipsoidConfig
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.task import Task
 
-LAYERS = ("perception", "descriptor", "decision", "motion")
+Layer = Literal["perception", "descriptor", "decision", "motion"]
+LAYERS = typing.get_args(Layer)
 """What a viewer draws, as folders of its scene tree: clouds and cameras; ellipsoids and their
 sections; cost rings and chosen sides; planned and executed path."""
 
@@ -41,7 +42,7 @@ sections; cost rings and chosen sides; planned and executed path."""
 class View:
     """Layers that a viewer shows at first; its user may change them."""
 
-    show: list[Literal["perception", "descriptor", "decision", "motion"]] | None = None
+    show: list[Layer] | None = None
     """Layers to show; null: decision and motion, and for !Paper also the descriptor."""
 
 

@@ -9,7 +9,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 from pydrake.trajectories import PiecewisePolynomial
 
-from drake_oa.common.config import BLOCK, Angles, Vector3
+from drake_oa.common.config import BLOCK, Angles, Vector3, length
 from drake_oa.common.messages import FloatArray
 
 LONGEST = 600.0
@@ -24,9 +24,7 @@ class Task:
     """Start of the tool point in the world [m]. Raising it moves the start along the axis."""
     goal: Vector3 = Field(default=[0.45, 0.45, 0.3])
     """Goal of the tool point in the world [m]. Raising it moves the goal along the axis."""
-    goal_moves: list[Annotated[list[float], Field(min_length=4, max_length=4)]] = Field(
-        default_factory=list
-    )
+    goal_moves: list[Annotated[list[float], length(4)]] = Field(default_factory=list)
     """Moves of the goal during the motion: rows t, x, y, z [s, m]; from time t on, the goal is at
     this position in the world."""
     duration: float = Field(default=5.0, gt=0.0, le=LONGEST)

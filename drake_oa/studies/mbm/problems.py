@@ -34,7 +34,7 @@ from pydantic.dataclasses import dataclass as block
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.math import RollPitchYaw, RotationMatrix
 
-from drake_oa.common.config import BLOCK, ScenarioError, Vector3, check_size, validate
+from drake_oa.common.config import BLOCK, ScenarioError, Vector3, check_size, length, validate
 from drake_oa.geometry.shapes import Box, Cylinder
 from drake_oa.robot.config import BasePose, Robot, SphereParameters
 from drake_oa.scenario.loading import load_scenario
@@ -151,7 +151,7 @@ _FOREIGN = BLOCK | ConfigDict(extra="ignore")
 @block(config=_FOREIGN)
 class _Pose:
     position: Vector3
-    orientation: Annotated[list[float], Field(min_length=4, max_length=4)]
+    orientation: Annotated[list[float], length(4)]
 
     def placement(self) -> dict[str, list[float]]:
         """Translation [m] and roll, pitch, yaw [rad], as fields of a shape."""
@@ -175,7 +175,7 @@ class _Box:
 @block(config=_FOREIGN)
 class _Cylinder:
     type: Literal["cylinder"]
-    dimensions: Annotated[list[float], Field(min_length=2, max_length=2)]
+    dimensions: Annotated[list[float], length(2)]
 
     def shape(self) -> dict[str, Any]:
         height, radius = self.dimensions
@@ -239,7 +239,7 @@ class _GoalConstraints:
 @block(config=_FOREIGN)
 class _Request:
     start_state: _StartState
-    goal_constraints: Annotated[list[_GoalConstraints], Field(min_length=1, max_length=1)]
+    goal_constraints: Annotated[list[_GoalConstraints], length(1)]
 
 
 def parse_problem(text: ProblemText) -> Problem:

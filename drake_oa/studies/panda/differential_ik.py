@@ -58,7 +58,7 @@ from pydrake.systems.primitives import (
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray, HoldCause, IntArray, PolicyState
 from drake_oa.common.wires import Wires
-from drake_oa.diagrams.control import make_guide_follower
+from drake_oa.diagrams.control import add_guide_follower
 from drake_oa.diagrams.faults import add_drivers
 from drake_oa.diagrams.motion import (
     add_orientation,
@@ -418,13 +418,9 @@ def _wire_posture(wires: Wires, scenario: Scenario, q_start: FloatArray, order: 
     posture[n:] += _FINGER_PULL
     # The obstacles have no posture: of their zeros nothing is asked.
     rest = order @ posture
-    made = make_guide_follower(scenario, q_start)
-    if made is None:
+    if not add_guide_follower(wires, scenario, q_start):
         wires.add("posture", ConstantVectorSource(rest), offers={"y0": "nominal_posture"})
         return
-    follower, guide = made
-    wires.add("posture_guide", guide, offers={"y0": "guided_posture"})
-    wires.add("guide_follower", follower, reads={"motion": "guided_posture", "evading": None})
     of_arm = order[:, :n]
     whole = AffineSystem(
         A=np.zeros((0, 0)),
