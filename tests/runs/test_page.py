@@ -97,11 +97,17 @@ def test_a_frame_waits_until_the_page_has_drawn_the_previous_one(page: LivePage)
     page.pace()
     get(page, "/reading/0")
     time.sleep(0.2)
-    answers: list[str] = []
-    timer = Timer(0.2, lambda: answers.append(get(page, "/reading/1")))
+    requests: list[str] = []
+
+    def ask() -> None:
+        requests.append("/reading/1")
+        get(page, requests[0])
+
+    timer = Timer(0.2, ask)
     timer.start()
     page.pace()
-    assert answers
+    assert requests
+    timer.join()
 
 
 def test_a_proxy_of_the_environment_is_not_asked(
