@@ -29,15 +29,13 @@ from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.policy import action_kernels as kernels
 from drake_oa.policy.action_kernels import Facts, Instant, Motion, Rules
 from drake_oa.policy.config import Policy
-from drake_oa.policy.coupling import MAX_GUIDANCE_RATE
+from drake_oa.policy.coupling import ALPHA, HEADING, KAPPA, MAX_GUIDANCE_RATE, N_COLUMNS, NORMAL
 from drake_oa.policy.dmp import Dmp, local_frame
 from drake_oa.policy.guidance import Obstacles
 
 SCALED_TO_REST = "speed_scale is 0"
 """Note of a motion that is held because its speed is scaled to nothing from outside."""
 _NO_EVASION = np.zeros(3)
-_SPECK = 1e-6
-"""Semi-axes of what stands for a term that belongs to no ellipsoid [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,6 +141,18 @@ def initial_segment(dmp: Dmp, p_WS: FloatArray, p_WG: FloatArray, time: float) -
     )
 
 
+def rules_of(config: Policy) -> Rules:
+    """Returns how coupling terms and holds act, as kernels take it."""
+    return Rules(
+        guidance_gain=float(config.guidance_gain),
+        fade=float(config.fade),
+        max_age=float(config.max_observation_age),
+        hold_time=float(config.hold_time),
+        printed=config.guidance == "printed",
+        max_rate=MAX_GUIDANCE_RATE,
+    )
+
+
 class ActionLevel:
     """A movement primitive with its coupling terms, laid out for the kernel."""
 
@@ -158,16 +168,8 @@ class ActionLevel:
         """
         if dmp.dimension != 3:
             raise ValueError(f"dmp must have 3 dimensions, not {dmp.dimension}")
-        config = config or Policy()
         self._primitive = dmp.kernel
-        self._rules = Rules(
-            guidance_gain=float(config.guidance_gain),
-            fade=float(config.fade),
-            max_age=float(config.max_observation_age),
-            hold_time=float(config.hold_time),
-            printed=config.guidance == "printed",
-            max_rate=MAX_GUIDANCE_RATE,
-        )
+        self._rules = rules_of(config or Policy())
 
     def step(
         self,
@@ -315,25 +317,33 @@ class Surroundings(Frozen):
             ValueError: if coupling or route do not have one row an ellipsoid, or a
                 parameter is out of its range or of another shape.
         """
-        if ellipsoids is not None and coupling is not None and coupling.verified:
-            ellipsoids = _of_terms(coupling, ellipsoids)
-        count = 0 if ellipsoids is None else len(ellipsoids)
+        own = coupling is not None and coupling.verified
+        # What a verified term acts about belongs to no ellipsoid, and holds nothing.
+        shapes = EllipsoidSet() if own else ellipsoids
+        count = len(coupling) if own and coupling is not None else len(shapes or EllipsoidSet())
         hold, note = _hold(coupling, route)
-        obstacles = Obstacles.of(ellipsoids)
+        obstacles = Obstacles.of(shapes)
         couples = in_plane = False
         if count and ellipsoids is not None and coupling is not None:
             _check_rows(count, coupling, route)
             couples, in_plane = True, len(coupling.center_W) > 0 or route is not None
+            terms = np.zeros((count, N_COLUMNS))
+            obstacles = obstacles._replace(terms=terms)
+            heading, normal = terms[:, HEADING : HEADING + 3], terms[:, NORMAL : NORMAL + 3]
             if route is not None:
-                _lay_out_route(route, obstacles)
+                if len(route.heading_W):
+                    heading[:] = route.heading_W
+                else:
+                    obstacles.direction[:] = route.direction_W
+                    obstacles.remaining_clearance[:] = route.remaining_clearance
+                normal[:] = route.normal_W
             if len(coupling.normal_W):
-                given = coupling.normal_W.any(axis=1)
-                obstacles.normal[given] = coupling.normal_W[given]
-                obstacles.heading[given] = 0.0
-                obstacles.remaining_clearance[given] = 0.0
-            obstacles.about[:] = coupling.center_W if len(coupling.center_W) else ellipsoids.p_WO
-            obstacles.parameters[:] = coupling.as_array()
-            _check_ranges(obstacles)
+                given = np.asarray(coupling.normal_W.any(axis=1))
+                normal[given], heading[given] = coupling.normal_W[given], 0.0
+                obstacles.remaining_clearance[given[: len(shapes or ())]] = 0.0
+            terms[:, :3] = coupling.center_W if len(coupling.center_W) else ellipsoids.p_WO
+            terms[:, ALPHA : KAPPA + 1] = coupling.as_array()
+            _check_ranges(terms)
         facts = Facts(
             looked_for=ellipsoids is not None,
             seen=0.0 if ellipsoids is None else float(ellipsoids.stamp),
@@ -363,20 +373,6 @@ class Surroundings(Frozen):
         return f"{place} inside obstacle {self.ellipsoids.ids[row] % PART}"
 
 
-def _of_terms(coupling: CouplingParameters, seen: EllipsoidSet) -> EllipsoidSet:
-    """A speck for each term, seen when the obstacles were: what a term acts about holds nothing."""
-    count = len(coupling)
-    return EllipsoidSet(
-        stamp=seen.stamp,
-        p_WO=coupling.center_W,
-        R_WO=np.tile(np.eye(3), (count, 1, 1)),
-        semi_axes=np.full((count, 3), _SPECK),
-        v_WO=np.zeros((count, 3)),
-        ids=np.arange(count),
-        note=seen.note,
-    )
-
-
 def _hold(coupling: CouplingParameters | None, route: Route | None) -> tuple[HoldCause, str]:
     """What decision or route hold the motion for, and the same in words."""
     if coupling is not None and coupling.hold is not HoldCause.NONE:
@@ -402,26 +398,17 @@ def _check_rows(count: int, coupling: CouplingParameters, route: Route | None) -
             raise ValueError(f"{name} has {found} rows; there are {count} ellipsoids")
 
 
-def _check_ranges(obstacles: Obstacles) -> None:
-    rows = np.hstack([obstacles.about, obstacles.heading, obstacles.normal, obstacles.parameters])
-    finite = np.isfinite(rows).all(axis=1)
+def _check_ranges(terms: FloatArray) -> None:
+    finite = np.isfinite(terms).all(axis=1)
     if not finite.all():
         row = int(np.argmin(finite))
-        raise ValueError(f"obstacle {row} has a value that is not finite: {rows[row].tolist()}")
-    alpha, psi, kappa = obstacles.parameters.T
+        raise ValueError(f"obstacle {row} has a value that is not finite: {terms[row].tolist()}")
+    parameters = terms[:, ALPHA : KAPPA + 1]
+    alpha, psi, kappa = parameters.T
     good = (alpha >= 0.0) & (psi > 0.0) & (kappa >= 0.0)
     if not good.all():
         row = int(np.argmin(good))
         raise ValueError(
             f"obstacle {row}: alpha, psi, kappa must be >= 0, > 0, >= 0, "
-            f"not {obstacles.parameters[row].tolist()}"
+            f"not {parameters[row].tolist()}"
         )
-
-
-def _lay_out_route(route: Route, obstacles: Obstacles) -> None:
-    if len(route.heading_W):
-        obstacles.heading[:] = route.heading_W
-    else:
-        obstacles.direction[:] = route.direction_W
-        obstacles.remaining_clearance[:] = route.remaining_clearance
-    obstacles.normal[:] = route.normal_W

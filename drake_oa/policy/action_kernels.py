@@ -1,7 +1,8 @@
 """One step of the whole action level, compiled.
 
-Half a step of the spring of `drake_oa.policy.dmp`, the turn of `drake_oa.policy.coupling`, the
-spring's other half; and the holds, the temporal scaling and the guidance about them.
+`advance` is the integration of `DmpIntegrator` and of every roll-out (`drake_oa.policy.rollout`):
+half a step of the spring of `drake_oa.policy.dmp`, the turn of `drake_oa.policy.coupling`, the
+spring's other half. `take_steps` adds the holds and the temporal scaling.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.ellipsoid_kernels import first_inside
 from drake_oa.policy.coupling import (
+    ALPHA,
     GUIDANCE_ALPHA,
     HEADING,
     N_COLUMNS,
@@ -142,29 +144,68 @@ def hold_code(
 
 
 @compiled
-def _terms(
-    at: Instant,
+def advance(
+    p: FloatArray,
+    z: FloatArray,
+    rest: FloatArray,
+    flow: tuple[float, float, float, float],
+    ds: float,
     p_WG: FloatArray,
     R_WL: FloatArray,
+    baseline: float,
+    rules: Rules,
+    facts: Facts,
     obstacles: Obstacles,
-    fade: float,
-    guidance_gain: float,
-) -> FloatArray:
-    """Rows (M, 13) for `turn_step`: alpha faded, headings led."""
-    count = len(obstacles.parameters)
-    terms, heading = np.empty((count, N_COLUMNS)), obstacles.heading.copy()
-    for row in range(count):
-        alpha = obstacles.parameters[row, 0] * fade
-        terms[row, 3] = alpha
-        terms[row, 4] = obstacles.parameters[row, 1]
-        terms[row, 5] = obstacles.parameters[row, 2]
-        terms[row, GUIDANCE_ALPHA] = min(alpha, guidance_gain)
-        for k in range(3):
-            terms[row, k] = obstacles.about[row, k]
-            terms[row, NORMAL + k] = obstacles.normal[row, k]
-    guide(at.p_WE, at.z_W, p_WG, R_WL, obstacles, heading)
-    terms[:, HEADING : HEADING + 3] = heading
-    return terms
+    terms: FloatArray,
+) -> None:
+    """Advances position p and scaled velocity z (3,) by one step, in place.
+
+    Half a step of the spring, the turn by the coupling terms, the spring's other half.
+
+    Args:
+        p: p_WE [m].
+        z: z_W [m].
+        rest: (3,) where the spring would rest in the middle of the step: the goal, displaced by
+            the forcing term [m].
+        flow: of the spring over half the step, see `dmp.spring_flow`.
+        ds: length of the step in normalised time.
+        p_WG, R_WL, baseline: the goal (3,) [m], the local frame (3, 3) and the baseline's length
+            [m].
+        rules, facts: how the coupling terms act.
+        obstacles: the terms, and what leads their headings.
+        terms: (K, 13) a copy of `obstacles.terms`, which becomes the terms of this step.
+    """
+    if len(terms):
+        distance = (p_WG[0] - p[0]) ** 2 + (p_WG[1] - p[1]) ** 2 + (p_WG[2] - p[2]) ** 2
+        fade = goal_fade(distance, baseline, rules.fade)
+        for row in range(len(terms)):
+            alpha = fade * obstacles.terms[row, ALPHA]
+            terms[row, ALPHA], terms[row, GUIDANCE_ALPHA] = alpha, min(alpha, rules.guidance_gain)
+        if len(obstacles.p_WO):
+            terms[:, HEADING:NORMAL] = obstacles.terms[:, HEADING:NORMAL]
+            guide(p, z, p_WG, R_WL, obstacles, terms)
+    a, b, c, d = flow
+    for i in range(3):
+        e, v = p[i] - rest[i], z[i]
+        p[i] = rest[i] + a * e + b * v
+        z[i] = c * e + d * v
+    if len(terms):
+        heading = (z[0], z[1], z[2])
+        turn = turn_step(
+            terms,
+            facts.in_plane,
+            facts.original,
+            rules.printed,
+            rules.max_rate,
+            (p[0], p[1], p[2]),
+            heading,
+            ds,
+        )
+        z[0], z[1], z[2] = rotate(heading, turn)
+    for i in range(3):
+        e, v = p[i] - rest[i], z[i]
+        p[i] = rest[i] + a * e + b * v
+        z[i] = c * e + d * v
 
 
 @compiled
@@ -225,10 +266,9 @@ def _take_step(
     # What is held before it has begun does not begin.
     at_speed = 0.0 if code != FREE and now.phase == 1.0 else now.speed
     begin = Instant(now.p_WE, now.z_W, now.phase, at_speed, time)
-    square = distance = 0.0
+    square = 0.0
     for i in range(3):
         square += (p_WG[i] - before.p_WS[i]) ** 2
-        distance += (p_WG[i] - now.p_WE[i]) ** 2
     baseline = math.sqrt(square)
     tau = before.tau
     if facts.tau > 0.0:
@@ -251,25 +291,9 @@ def _take_step(
         for i in range(3):
             along = R_WL[i, 0] * force[0] + R_WL[i, 1] * force[1] + R_WL[i, 2] * force[2]
             rest[i] = p_WG[i] + along * share
-        half = 0.5 * ds if facts.couples else ds
-        a, b, c, d = spring_flow(primitive.alpha_x, primitive.beta_x, half)
-        _spring(p, z, rest, a, b, c, d)
-        if facts.couples:
-            fade = goal_fade(distance, baseline, rules.fade)
-            terms = _terms(begin, p_WG, R_WL, obstacles, fade, rules.guidance_gain)
-            place, heading = (p[0], p[1], p[2]), (z[0], z[1], z[2])
-            turn = turn_step(
-                terms,
-                facts.in_plane,
-                facts.original,
-                rules.printed,
-                rules.max_rate,
-                place,
-                heading,
-                ds,
-            )
-            z[0], z[1], z[2] = rotate(heading, turn)
-            _spring(p, z, rest, a, b, c, d)
+        flow = spring_flow(primitive.alpha_x, primitive.beta_x, 0.5 * ds)
+        terms = obstacles.terms.copy() if facts.couples else np.empty((0, N_COLUMNS))
+        advance(p, z, rest, flow, ds, p_WG, R_WL, baseline, rules, facts, obstacles, terms)
     displaced = evasion.copy()
     for i in range(3):
         if before.evasion[i] != 0.0 or evasion[i] != 0.0:
@@ -277,17 +301,6 @@ def _take_step(
     end = Instant(p, z, phase, speed, time + step)
     course = course_between(begin, end, before.evasion, displaced)
     return Motion(begin, end, tau, before.p_WS, p_WG, R_WL, displaced, course), code
-
-
-@compiled
-def _spring(
-    p: FloatArray, z: FloatArray, rest: FloatArray, a: float, b: float, c: float, d: float
-) -> None:
-    """Position and velocity (3,) by the flow (a, b, c, d) of the spring toward rest (3,)."""
-    for i in range(3):
-        e, v = p[i] - rest[i], z[i]
-        p[i] = rest[i] + a * e + b * v
-        z[i] = c * e + d * v
 
 
 @compiled

@@ -17,6 +17,7 @@ from drake_oa.common.messages import EllipsoidSet, FloatArray, PolicyState
 from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.geometry.ellipsoid import shape_matrix
 from drake_oa.geometry.ellipsoid_kernels import tangent_headings
+from drake_oa.policy.coupling import HEADING, N_COLUMNS, NORMAL
 
 
 class Obstacles(NamedTuple):
@@ -25,10 +26,9 @@ class Obstacles(NamedTuple):
     Attributes:
         p_WO, R_WO, semi_axes: the ellipsoids: (M, 3) [m], (M, 3, 3), (M, 3) [m].
         B: (M, 3, 3) their shape matrices [m^2].
-        parameters: (M, 3) alpha, psi, kappa of the coupling terms.
-        about: (M, 3) points that the terms act about [m].
-        normal: (M, 3) normals of the planes in which they are passed; zero: none is known.
-        heading: (M, 3) headings to be led along; zero: none.
+        terms: (M, 13) their coupling terms, see `coupling.turn_step`, not faded and without
+            guidance alpha: the normal is that of the plane in which one is passed, zero where none
+            is known; the heading is a given one, zero where there is none.
         direction: (M, 3) unit directions omega_d of the route.
         remaining_clearance: (M,) distances that the route keeps [m]; 0: it does not guide.
     """
@@ -37,21 +37,18 @@ class Obstacles(NamedTuple):
     R_WO: FloatArray
     semi_axes: FloatArray
     B: FloatArray
-    parameters: FloatArray
-    about: FloatArray
-    normal: FloatArray
-    heading: FloatArray
+    terms: FloatArray
     direction: FloatArray
     remaining_clearance: FloatArray
 
     @staticmethod
     def of(ellipsoids: EllipsoidSet | None) -> Obstacles:
-        """Arrays of its own; without coupling terms or route."""
+        """Arrays of its own; with terms that do not act, and without a route."""
         shapes = EllipsoidSet() if ellipsoids is None else ellipsoids
         p_WO, R_WO, semi_axes = kernel_arrays(shapes.p_WO, shapes.R_WO, shapes.semi_axes)
         B = np.ascontiguousarray(shape_matrix(R_WO, semi_axes), dtype=float)
-        parameters, about, normal, heading, direction = np.zeros((5, *p_WO.shape))
-        rows = parameters, about, normal, heading, direction, np.zeros(len(p_WO))
+        count = len(p_WO)
+        rows = np.zeros((count, N_COLUMNS)), np.zeros((count, 3)), np.zeros(count)
         return Obstacles(p_WO, R_WO, semi_axes, B, *rows)
 
 
@@ -100,14 +97,13 @@ def desired_headings(
     Returns:
         (M, 3) unit headings or zero rows, in the world frame.
     """
-    heading_W = np.zeros((len(ellipsoids), 3))
-    normal, direction, remaining = kernel_arrays(normal_W, direction_W, remaining_clearance)
-    obstacles = Obstacles.of(ellipsoids)._replace(
-        normal=normal, direction=direction, remaining_clearance=remaining
-    )
+    obstacles = Obstacles.of(ellipsoids)
+    obstacles.terms[:, NORMAL : NORMAL + 3] = normal_W
+    obstacles.direction[:] = direction_W
+    obstacles.remaining_clearance[:] = remaining_clearance
     p_WE, z_W, p_WG, R_WL = kernel_arrays(policy.p_WE, policy.z_W, policy.p_WG, policy.R_WL)
-    guide(p_WE, z_W, p_WG, R_WL, obstacles, heading_W)
-    return heading_W
+    guide(p_WE, z_W, p_WG, R_WL, obstacles, obstacles.terms)
+    return obstacles.terms[:, HEADING : HEADING + 3]
 
 
 @compiled
@@ -117,9 +113,9 @@ def guide(
     p_WG: FloatArray,
     R_WL: FloatArray,
     obstacles: Obstacles,
-    heading_W: FloatArray,
+    terms: FloatArray,
 ) -> None:
-    """Sets the rows of heading_W (M, 3) that need guidance, see `desired_headings`.
+    """Sets the headings of the terms (M, 13) that need guidance, see `desired_headings`.
 
     At rest the heading u is the baseline: the motion is about to set out along it.
     """
@@ -134,7 +130,7 @@ def guide(
         clearance = obstacles.remaining_clearance[row]
         if not clearance > 0.0:
             continue
-        share = _wrong_side(p_WE, u, obstacles.p_WO[row], obstacles.normal[row])
+        share = _wrong_side(p_WE, u, obstacles.p_WO[row], terms[row, NORMAL:])
         if share == 0.0:
             continue
         entry = _ray_entry(
@@ -162,7 +158,7 @@ def guide(
         size = np.sqrt(size)
         if size > 0.0:
             for k in range(3):
-                heading_W[row, k] = tangent[0, k] / size
+                terms[row, HEADING + k] = tangent[0, k] / size
 
 
 @compiled

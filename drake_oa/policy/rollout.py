@@ -1,0 +1,219 @@
+"""Roll-outs of the tool: the paths of many candidates from the present state.
+
+They advance by the kernel and at the time step of `DmpIntegrator`
+(`drake_oa.policy.action_kernels.advance`), with any number of coupling terms each.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from drake_oa.common.compiled import CORES, on_cores, parted
+from drake_oa.common.messages import EllipsoidSet, FloatArray, Frozen
+from drake_oa.common.numba_tools import kernel_arrays
+from drake_oa.common.thinking import count
+from drake_oa.geometry.ellipsoid_kernels import first_inside
+from drake_oa.policy.action import rules_of
+from drake_oa.policy.action_kernels import Facts, Rules, advance
+from drake_oa.policy.config import Policy
+from drake_oa.policy.dmp import Dmp, Primitive, spring_flow
+from drake_oa.policy.guidance import Obstacles
+
+LATEST = 2.0
+"""Normalised time by which a motion arrives, from s = 0, or one more than the present one."""
+ARRIVED = 6e-4
+"""Distance from the goal at which a motion has arrived [m]."""
+_EACH = 8
+"""Candidates for which another thread pays."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene(Frozen):
+    """A motion under way among M ellipsoids, in the world frame.
+
+    Attributes:
+        p_WE: (3,) position now [m].
+        z_W: (3,) scaled velocity now [m].
+        p_WG: (3,) goal [m].
+        R_WL: (3, 3) local frame of the whole motion.
+        baseline: its length L from start to goal [m].
+        ellipsoids: the obstacles, where they are now.
+        clearance: (M,) requested clearance of each [m].
+        s: normalised time now.
+    """
+
+    p_WE: FloatArray
+    z_W: FloatArray
+    p_WG: FloatArray
+    R_WL: FloatArray
+    baseline: float
+    ellipsoids: EllipsoidSet = field(default_factory=EllipsoidSet)
+    clearance: FloatArray = field(default_factory=lambda: np.zeros(0))
+    s: float = 0.0
+
+    @property
+    def p_WS(self) -> FloatArray:
+        """(3,) start of the motion [m]."""
+        return self.p_WG - self.baseline * self.R_WL[:, 0]
+
+    @property
+    def moves(self) -> bool:
+        """Whether an obstacle moves."""
+        return bool(self.ellipsoids.v_WO.any())
+
+
+@dataclass(frozen=True, eq=False)
+class ToolRollouts(Frozen):
+    """Paths of N candidates at the steps.
+
+    Attributes:
+        ds: length of a step in normalised time.
+        path: (N, T + 1, 3) positions [m], NaN after the end.
+        velocity: (N, T + 1, 3) scaled velocities z there [m].
+        path_length: (N,) [m].
+        goal_error: (N,) distance to the goal at the end [m].
+        steps: (N,) number of steps until it arrived, or until it was ended.
+    """
+
+    ds: float
+    path: FloatArray
+    velocity: FloatArray
+    path_length: FloatArray
+    goal_error: FloatArray
+    steps: FloatArray
+
+
+def roll_out_tool(
+    scene: Scene,
+    terms: FloatArray,
+    *,
+    dmp: Dmp,
+    policy: Policy,
+    end: float = 1.0,
+    latest: float = LATEST,
+    tolerance: float = ARRIVED,
+    longest: ArrayLike = math.inf,
+    obstacles: Obstacles | None = None,
+    stops_inside: bool = False,
+) -> ToolRollouts:
+    """Rolls out N candidates from the present state of a motion.
+
+    Args:
+        scene: the motion; its ellipsoids are not considered.
+        terms: (N, K, 13) coupling terms of each, see `coupling.turn_step`, not faded and without
+            guidance alpha.
+        dmp: the movement primitive.
+        policy: time step, fade and guidance; the step of normalised time is `period / duration`.
+        end: normalised time before which no motion ends, or the present one.
+        latest: normalised time at which it ends at the latest, or one more than the present one.
+        tolerance: between these it ends as soon as the goal is this near and it is slow [m].
+        longest: () or (N,) a candidate ends as soon as its path cannot become shorter [m].
+        obstacles: K obstacles that lead the headings of the terms; None: nothing does.
+        stops_inside: whether a motion ends inside an obstacle.
+
+    Raises:
+        ValueError: for terms of another shape, or an end that is no number.
+    """
+    N = len(terms)
+    if terms.shape[2:] != (13,) or not max(end, latest) < math.inf:
+        raise ValueError(f"terms must be (N, K, 13) and the end finite, not {terms.shape}, {end}")
+    ds = policy.period / dmp.duration
+    most = max(round((max(latest, scene.s + 1.0) - scene.s) / ds), 1)
+    p_WE, z_W, p_WG, R_WL = kernel_arrays(scene.p_WE, scene.z_W, scene.p_WG, scene.R_WL)
+    course = _Course(
+        p_WE,
+        z_W,
+        p_WG,
+        R_WL,
+        float(scene.baseline),
+        p_WG + float(scene.baseline) * _forcing(dmp, float(scene.s), most, ds) @ R_WL.T,
+        ds,
+        round((max(end, scene.s) - scene.s) / ds),
+        float(tolerance),
+        stops_inside,
+        np.array(np.broadcast_to(np.asarray(longest, dtype=float), (N,))),
+    )
+    table, path, velocity = np.empty((N, 3)), np.empty((N, most + 1, 3)), np.empty((N, most + 1, 3))
+    led = Obstacles.of(None) if obstacles is None else obstacles
+    facts = Facts(True, 0.0, False, -1.0, 0.0, True, True, False)
+    (given,) = kernel_arrays(terms)
+    threads = min(CORES, N // _EACH + 1)
+    arguments = course, dmp.kernel, rules_of(policy), facts, led, given, table, path, velocity
+    on_cores(_roll_some, threads, *arguments)
+    count(searches=1, steps=int(table[:, 2].sum()))
+    return ToolRollouts(ds, path, velocity, *np.ascontiguousarray(table.T))
+
+
+class _Course(NamedTuple):
+    """The motion of a scene as the kernel takes it; rest (T, 3) of the spring in each step."""
+
+    p_WE: FloatArray
+    z_W: FloatArray
+    p_WG: FloatArray
+    R_WL: FloatArray
+    baseline: float
+    rest: FloatArray
+    ds: float
+    least: int
+    tolerance: float
+    stops_inside: bool
+    longest: FloatArray
+
+
+@lru_cache(maxsize=16)
+def _forcing(dmp: Dmp, s: float, steps: int, ds: float) -> FloatArray:
+    """(steps, 3) f(k) / (alpha_x beta_x) in the middle of each step from s on."""
+    k = dmp.phase(s + (np.arange(steps) + 0.5) * ds)
+    basis = np.exp(-dmp.widths * (k[:, None] - dmp.centers) ** 2)
+    # Beyond the last centre all are small alike; the quotient stays.
+    total = np.maximum(basis.sum(axis=1), 1e-300)
+    return np.asarray((basis @ dmp.weights.T) * (k / total / (dmp.alpha_x * dmp.beta_x))[:, None])
+
+
+@parted
+def _roll_some(
+    part: int, parts: int, course: _Course, primitive: Primitive, rules: Rules, facts: Facts,
+    led: Obstacles, terms: FloatArray, out: FloatArray, path: FloatArray, velocity: FloatArray,
+) -> None:  # fmt: skip
+    """Rolls out candidates part, part + parts, ...; out (N, 3): length, goal error, steps."""
+    flow = spring_flow(primitive.alpha_x, primitive.beta_x, 0.5 * course.ds)
+    goal, near = course.p_WG, course.tolerance
+    for i in range(part, len(terms), parts):
+        p, z, rows, length, done = course.p_WE.copy(), course.z_W.copy(), terms[i].copy(), 0.0, 0
+        obstacles = Obstacles(
+            led.p_WO, led.R_WO, led.semi_axes, led.B, terms[i], led.direction,
+            led.remaining_clearance,
+        )  # fmt: skip
+        path[i, 0], velocity[i, 0] = p, z
+        acts = False
+        for row in range(len(rows)):
+            acts = acts or rows[row, 3] > 0.0
+        if not acts:
+            rows = rows[:0]
+        while True:
+            left = math.sqrt((goal[0] - p[0]) ** 2 + (goal[1] - p[1]) ** 2 + (goal[2] - p[2]) ** 2)
+            slow = z[0] ** 2 + z[1] ** 2 + z[2] ** 2 < 400.0 * near * near
+            if done == len(course.rest) or (done >= course.least and left < near and slow):
+                break
+            if length + left > course.longest[i]:
+                break
+            if course.stops_inside and first_inside(p, led.p_WO, led.R_WO, led.semi_axes) >= 0:
+                break
+            advance(
+                p, z, course.rest[done], flow, course.ds, goal, course.R_WL, course.baseline, rules,
+                facts, obstacles, rows,
+            )  # fmt: skip
+            before = path[i, done]
+            length += math.sqrt(
+                (p[0] - before[0]) ** 2 + (p[1] - before[1]) ** 2 + (p[2] - before[2]) ** 2
+            )
+            done += 1
+            path[i, done], velocity[i, done] = p, z
+        path[i, done + 1 :], velocity[i, done + 1 :] = np.nan, np.nan
+        out[i, 0], out[i, 1], out[i, 2] = length, left, done
