@@ -15,7 +15,7 @@ CORES = max(len(os.sched_getaffinity(0)), 1)
 
 # Said for each: one that says nothing of fastmath takes its caller's, if that is the first to
 # have it compiled, and the cache then hands it to everyone, where 0 * inf may be anything.
-compiled = njit(cache=True, error_model="numpy", fastmath=False)
+compiled = njit(cache=True, error_model="numpy", fastmath=False, _nrt=True)
 """As `numba.njit`: kept on disk, division by zero as NumPy has it, and no liberties."""
 
 leaf = njit(cache=True, error_model="numpy", fastmath=False, _nrt=False)

@@ -15,15 +15,7 @@ import numpy as np
 from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.ellipsoid_kernels import first_inside
-from drake_oa.policy.coupling import (
-    ALPHA,
-    GUIDANCE_ALPHA,
-    HEADING,
-    N_COLUMNS,
-    NORMAL,
-    rotate,
-    turn_step,
-)
+from drake_oa.policy.coupling import ALPHA, GUIDANCE_ALPHA, HEADING, NORMAL, rotate, turn_step
 from drake_oa.policy.dmp import Primitive, forcing, spring_flow
 from drake_oa.policy.guidance import Obstacles, guide
 
@@ -143,69 +135,107 @@ def hold_code(
     return FREE
 
 
+class Ending(NamedTuple):
+    """Conditions under which a roll-out ends before its last step.
+
+    Attributes:
+        least: number of steps before which it does not arrive.
+        tolerance: distance from the goal at which it arrives, if it is slow [m].
+        longest: it ends as soon as its path cannot become shorter than this [m].
+    """
+
+    least: int
+    tolerance: float
+    longest: float
+
+
 @compiled
-def advance(
-    p: FloatArray,
-    z: FloatArray,
+def advance(  # noqa: PLR0913
+    path: FloatArray,
+    velocity: FloatArray,
     rest: FloatArray,
     flow: tuple[float, float, float, float],
     ds: float,
+    ending: Ending,
     p_WG: FloatArray,
     R_WL: FloatArray,
     baseline: float,
     rules: Rules,
     facts: Facts,
     obstacles: Obstacles,
-    terms: FloatArray,
-) -> None:
-    """Advances position p and scaled velocity z (3,) by one step, in place.
+    coupling: FloatArray,
+) -> tuple[int, float]:
+    """Advances the position and the scaled velocity by up to T steps of equal length.
 
-    Half a step of the spring, the turn by the coupling terms, the spring's other half.
+    A step is half a step of the spring, the turn by the coupling terms, and the spring's other
+    half. `DmpIntegrator` takes one step at a time, a roll-out all.
 
     Args:
-        p: p_WE [m].
-        z: z_W [m].
-        rest: (3,) where the spring would rest in the middle of the step: the goal, displaced by
-            the forcing term [m].
-        flow: of the spring over half the step, see `dmp.spring_flow`.
-        ds: length of the step in normalised time.
+        path: (T + 1, 3) positions p_WE [m]; the first row is given, the others are written.
+        velocity: (T + 1, 3) scaled velocities z_W [m], likewise.
+        rest: (T, 3) equilibrium of the spring in the middle of each step, displaced from the goal
+            by the forcing term [m].
+        flow: of the spring over half a step, see `dmp.spring_flow`.
+        ds: length of a step in normalised time.
+        ending: conditions under which it ends early.
         p_WG, R_WL, baseline: the goal (3,) [m], the local frame (3, 3) and the baseline's length
             [m].
         rules, facts: how the coupling terms act.
-        obstacles: the terms, and what leads their headings.
-        terms: (K, 13) a copy of `obstacles.terms`, which becomes the terms of this step.
+        obstacles: the obstacles that lead the headings of the terms.
+        coupling: (K, 13) the coupling terms, see `coupling.turn_step`, not faded and without
+            guidance alpha; (0, 13): none.
+
+    Returns:
+        The number of steps taken, and the length of the path [m].
     """
-    if len(terms):
-        distance = (p_WG[0] - p[0]) ** 2 + (p_WG[1] - p[1]) ** 2 + (p_WG[2] - p[2]) ** 2
-        fade = goal_fade(distance, baseline, rules.fade)
-        for row in range(len(terms)):
-            alpha = fade * obstacles.terms[row, ALPHA]
-            terms[row, ALPHA], terms[row, GUIDANCE_ALPHA] = alpha, min(alpha, rules.guidance_gain)
-        if len(obstacles.p_WO):
-            terms[:, HEADING:NORMAL] = obstacles.terms[:, HEADING:NORMAL]
-            guide(p, z, p_WG, R_WL, obstacles, terms)
     a, b, c, d = flow
-    for i in range(3):
-        e, v = p[i] - rest[i], z[i]
-        p[i] = rest[i] + a * e + b * v
-        z[i] = c * e + d * v
-    if len(terms):
-        heading = (z[0], z[1], z[2])
-        turn = turn_step(
-            terms,
-            facts.in_plane,
-            facts.original,
-            rules.printed,
-            rules.max_rate,
-            (p[0], p[1], p[2]),
-            heading,
-            ds,
-        )
-        z[0], z[1], z[2] = rotate(heading, turn)
-    for i in range(3):
-        e, v = p[i] - rest[i], z[i]
-        p[i] = rest[i] + a * e + b * v
-        z[i] = c * e + d * v
+    x, y, z = path[0, 0], path[0, 1], path[0, 2]
+    u, v, w = velocity[0, 0], velocity[0, 1], velocity[0, 2]
+    terms = coupling.copy()
+    couples, leads = len(terms) > 0, len(obstacles.p_WO) > 0
+    length, done, slow = 0.0, 0, 400.0 * ending.tolerance * ending.tolerance
+    while done < len(rest):
+        square = (p_WG[0] - x) ** 2 + (p_WG[1] - y) ** 2 + (p_WG[2] - z) ** 2
+        left = math.sqrt(square)
+        arrived = left < ending.tolerance and u * u + v * v + w * w < slow
+        if (arrived and done >= ending.least) or length + left > ending.longest:
+            break
+        if couples:
+            fade = goal_fade(square, baseline, rules.fade)
+            for row in range(len(terms)):
+                alpha = fade * coupling[row, ALPHA]
+                terms[row, ALPHA] = alpha
+                terms[row, GUIDANCE_ALPHA] = min(alpha, rules.guidance_gain)
+            if leads:
+                terms[:, HEADING:NORMAL] = coupling[:, HEADING:NORMAL]
+                guide((x, y, z), (u, v, w), p_WG, R_WL, obstacles, terms)
+        p, q, r = rest[done, 0], rest[done, 1], rest[done, 2]
+        e, f, g = x - p, y - q, z - r
+        e, u = a * e + b * u, c * e + d * u
+        f, v = a * f + b * v, c * f + d * v
+        g, w = a * g + b * w, c * g + d * w
+        if couples:
+            turn = turn_step(
+                terms,
+                facts.in_plane,
+                facts.original,
+                rules.printed,
+                rules.max_rate,
+                (p + e, q + f, r + g),
+                (u, v, w),
+                ds,
+            )
+            u, v, w = rotate((u, v, w), turn)
+        e, u = a * e + b * u, c * e + d * u
+        f, v = a * f + b * v, c * f + d * v
+        g, w = a * g + b * w, c * g + d * w
+        e, f, g = p + e, q + f, r + g
+        length += math.sqrt((e - x) ** 2 + (f - y) ** 2 + (g - z) ** 2)
+        x, y, z = e, f, g
+        done += 1
+        path[done, 0], path[done, 1], path[done, 2] = x, y, z
+        velocity[done, 0], velocity[done, 1], velocity[done, 2] = u, v, w
+    return done, length
 
 
 @compiled
@@ -284,16 +314,31 @@ def _take_step(
     p, z, phase = now.p_WE.copy(), now.z_W.copy(), now.phase
     if ds > 0.0:
         alpha_k = primitive.alpha_k
-        force, rest = np.empty(3), np.empty(3)
+        force, rest = np.empty(3), np.empty((1, 3))
         forcing(primitive.basis, phase * math.exp(-0.5 * alpha_k * ds), force)
         phase *= math.exp(-alpha_k * ds)
         share = baseline / (primitive.alpha_x * primitive.beta_x)
         for i in range(3):
             along = R_WL[i, 0] * force[0] + R_WL[i, 1] * force[1] + R_WL[i, 2] * force[2]
-            rest[i] = p_WG[i] + along * share
-        flow = spring_flow(primitive.alpha_x, primitive.beta_x, 0.5 * ds)
-        terms = obstacles.terms.copy() if facts.couples else np.empty((0, N_COLUMNS))
-        advance(p, z, rest, flow, ds, p_WG, R_WL, baseline, rules, facts, obstacles, terms)
+            rest[0, i] = p_WG[i] + along * share
+        path, velocity = np.empty((2, 3)), np.empty((2, 3))
+        path[0], velocity[0] = p, z
+        advance(
+            path,
+            velocity,
+            rest,
+            spring_flow(primitive.alpha_x, primitive.beta_x, 0.5 * ds),
+            ds,
+            Ending(1, 0.0, math.inf),
+            p_WG,
+            R_WL,
+            baseline,
+            rules,
+            facts,
+            obstacles,
+            obstacles.terms if facts.couples else obstacles.terms[:0],
+        )
+        p, z = path[1].copy(), velocity[1].copy()
     displaced = evasion.copy()
     for i in range(3):
         if before.evasion[i] != 0.0 or evasion[i] != 0.0:

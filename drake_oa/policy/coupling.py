@@ -24,7 +24,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_oa.common.compiled import compiled
+from drake_oa.common.compiled import compiled, leaf
 from drake_oa.common.messages import FloatArray
 
 PARALLEL = 1e-6
@@ -44,6 +44,8 @@ N_COLUMNS = 13
 _MAX_STIFFNESS = 1e4
 _MAX_EXPONENT = 700.0
 _MAX_RATE = 1e300
+_NEGLIGIBLE = 1e-15
+"""Largest turn of an avoidance term in a step that is left out [rad]."""
 
 Triple = tuple[float, float, float]
 Term = tuple[Triple, float, float]
@@ -129,7 +131,7 @@ def rotate(z: Triple, w: Triple) -> Triple:
     half = math.sin(0.5 * angle)
     cos = 1.0 - 2.0 * half * half
     axis = _divided(w, angle)
-    sin = math.sin(angle)
+    sin = 2.0 * half * math.cos(0.5 * angle)
     along = _dot(axis, z) * 2.0 * half * half
     across = _cross(axis, z)
     return (
@@ -205,7 +207,10 @@ def limited_avoidance(rate: float, theta: float, psi: float, step: float) -> tup
     if c < 1e-14:
         angle = rate * step
     else:
-        grown = math.log1p(c * (2.0 * u + math.asinh(c / math.sqrt(1.0 + 2.0 * u * c))))
+        x = c / math.sqrt(1.0 + 2.0 * u * c)
+        # Faster than math.asinh.
+        asinh = math.log1p(x + x * x / (1.0 + math.sqrt(x * x + 1.0)))
+        grown = math.log1p(c * (2.0 * u + asinh))
         angle = psi * grown / (u + math.sqrt(u * u + grown))
     return stiff(rate * step, min(angle, math.pi - theta))
 
@@ -261,6 +266,9 @@ def avoidance_term(
         original: whether it is the original term.
         step: length of the step.
     """
+    near = alpha if original else alpha * math.exp(-closeness)
+    if near * step < _NEGLIGIBLE:
+        return _ABSENT
     if in_plane and (normal[0] != 0.0 or normal[1] != 0.0 or normal[2] != 0.0):
         axis, theta, defined = between_in_plane(u, e, normal)
     else:
@@ -271,7 +279,7 @@ def avoidance_term(
     if original:
         rate = min(alpha * theta * math.exp(-u_psi), _MAX_RATE)
     else:
-        rate = min(alpha * math.exp(-u_psi * u_psi - closeness), _MAX_RATE)
+        rate = min(near * math.exp(-u_psi * u_psi), _MAX_RATE)
     if not defined or not rate > 0.0:
         return _ABSENT
     if original:
@@ -324,7 +332,7 @@ def _solve(diagonal: Triple, off: Triple, b: Triple) -> Triple:
     return x, y, z
 
 
-@compiled
+@leaf
 def turn_step(
     terms: FloatArray,
     in_plane: bool,
@@ -363,14 +371,15 @@ def turn_step(
     xy = xz = yz = wx = wy = wz = 0.0
     axis, explicit, divisor = _ABSENT
     count = 0
-    for row in terms:
-        o = row[0] - p[0], row[1] - p[1], row[2] - p[2]
+    for row in range(len(terms)):
+        o = terms[row, 0] - p[0], terms[row, 1] - p[1], terms[row, 2] - p[2]
         d = norm(o)
         if not d < math.inf:
             continue
-        alpha, psi, kappa, guide = row[ALPHA], row[PSI], row[KAPPA], row[GUIDANCE_ALPHA]
-        normal = row[NORMAL], row[NORMAL + 1], row[NORMAL + 2]
-        v = row[HEADING], row[HEADING + 1], row[HEADING + 2]
+        alpha, psi, kappa = terms[row, ALPHA], terms[row, PSI], terms[row, KAPPA]
+        guide = terms[row, GUIDANCE_ALPHA]
+        normal = terms[row, NORMAL], terms[row, NORMAL + 1], terms[row, NORMAL + 2]
+        v = terms[row, HEADING], terms[row, HEADING + 1], terms[row, HEADING + 2]
         closeness = kappa * d * d if kappa != 0.0 else 0.0
         for guides in range(2):
             if guides:

@@ -8,6 +8,7 @@ past it. It is asked for only while the avoidance term would lead past another s
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +18,7 @@ from drake_oa.common.messages import EllipsoidSet, FloatArray, PolicyState
 from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.geometry.ellipsoid import shape_matrix
 from drake_oa.geometry.ellipsoid_kernels import tangent_headings
-from drake_oa.policy.coupling import HEADING, N_COLUMNS, NORMAL
+from drake_oa.policy.coupling import HEADING, N_COLUMNS, NORMAL, Triple
 
 
 class Obstacles(NamedTuple):
@@ -101,31 +102,39 @@ def desired_headings(
     obstacles.terms[:, NORMAL : NORMAL + 3] = normal_W
     obstacles.direction[:] = direction_W
     obstacles.remaining_clearance[:] = remaining_clearance
-    p_WE, z_W, p_WG, R_WL = kernel_arrays(policy.p_WE, policy.z_W, policy.p_WG, policy.R_WL)
-    guide(p_WE, z_W, p_WG, R_WL, obstacles, obstacles.terms)
-    return obstacles.terms[:, HEADING : HEADING + 3]
+    p_WG, R_WL = kernel_arrays(policy.p_WG, policy.R_WL)
+    terms = obstacles.terms.copy()
+    guide(tuple(policy.p_WE), tuple(policy.z_W), p_WG, R_WL, obstacles, terms)
+    return terms[:, HEADING : HEADING + 3]
 
 
 @compiled
 def guide(
-    p_WE: FloatArray,
-    z_W: FloatArray,
+    p: Triple,
+    z: Triple,
     p_WG: FloatArray,
     R_WL: FloatArray,
     obstacles: Obstacles,
     terms: FloatArray,
 ) -> None:
-    """Sets the headings of the terms (M, 13) that need guidance, see `desired_headings`.
+    """Sets the headings of the terms (M, 13) of a step, see `desired_headings`.
 
-    At rest the heading u is the baseline: the motion is about to set out along it.
+    Args:
+        p, z: position p_WE and scaled velocity z_W [m].
+        p_WG, R_WL: the goal (3,) [m] and the local frame (3, 3).
+        obstacles: the obstacles, and the headings that terms without guidance have.
+        terms: (M, 13) the terms. At rest the heading u is the baseline: the motion is about to
+            set out along it.
     """
-    u = np.empty(3)
-    speed = np.sqrt(z_W[0] ** 2 + z_W[1] ** 2 + z_W[2] ** 2)
+    u, p_WE = np.empty(3), np.array(p)
+    speed = math.sqrt(z[0] ** 2 + z[1] ** 2 + z[2] ** 2)
     distance_G = 0.0
     for k in range(3):
-        u[k] = z_W[k] / speed if speed > 0.0 else R_WL[k, 0]
-        distance_G += (p_WG[k] - p_WE[k]) ** 2
-    distance_G = np.sqrt(distance_G)
+        u[k] = z[k] / speed if speed > 0.0 else R_WL[k, 0]
+        distance_G += (p_WG[k] - p[k]) ** 2
+    distance_G = math.sqrt(distance_G)
+    tangent = np.empty((1, 3))
+    work, inside, supporting = np.empty((7, 3)), np.empty(1), np.empty((1, 3))
     for row in range(len(obstacles.p_WO)):
         clearance = obstacles.remaining_clearance[row]
         if not clearance > 0.0:
@@ -139,23 +148,22 @@ def guide(
         if not entry < distance_G:
             continue
         one = slice(row, row + 1)
-        tangent = np.empty((1, 3))
         tangent_headings(
             p_WE,
             obstacles.p_WO[one],
             obstacles.B[one],
             obstacles.direction[one],
             obstacles.remaining_clearance[one],
-            np.empty((7, 3)),
+            work,
             tangent,
-            np.empty(1),
-            np.empty((1, 3)),
+            inside,
+            supporting,
         )
         size = 0.0
         for k in range(3):
             tangent[0, k] = u[k] + share * (tangent[0, k] - u[k])
             size += tangent[0, k] ** 2
-        size = np.sqrt(size)
+        size = math.sqrt(size)
         if size > 0.0:
             for k in range(3):
                 terms[row, HEADING + k] = tangent[0, k] / size
@@ -166,9 +174,9 @@ def _wrong_side(p_WE: FloatArray, u: FloatArray, center: FloatArray, normal: Flo
     """How far the guidance has gone over from u to the supporting heading, 0 to 1."""
     e0, e1, e2 = center[0] - p_WE[0], center[1] - p_WE[1], center[2] - p_WE[2]
     x, y, z = e1 * u[2] - e2 * u[1], e2 * u[0] - e0 * u[2], e0 * u[1] - e1 * u[0]
-    size = np.sqrt(x * x + y * y + z * z)
+    size = math.sqrt(x * x + y * y + z * z)
     # Straight at the centre: the turn about the normal goes to the chosen side by itself.
-    if size <= 1e-9 * np.sqrt(e0 * e0 + e1 * e1 + e2 * e2):
+    if size <= 1e-9 * math.sqrt(e0 * e0 + e1 * e1 + e2 * e2):
         return 0.0
     lean = -(x * normal[0] + y * normal[1] + z * normal[2])
     return min(2.0 * lean / size, 1.0) if lean > 1e-9 * size else 0.0
@@ -198,4 +206,4 @@ def _ray_entry(
     discriminant = b * b - a * c
     if discriminant <= 0.0 or b >= 0.0:
         return np.inf
-    return max((-b - np.sqrt(discriminant)) / a, 0.0)
+    return max((-b - math.sqrt(discriminant)) / a, 0.0)

@@ -18,10 +18,10 @@ from drake_oa.common.compiled import CORES, on_cores, parted
 from drake_oa.common.messages import EllipsoidSet, FloatArray, Frozen
 from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.common.thinking import count
-from drake_oa.geometry.ellipsoid_kernels import first_inside
 from drake_oa.policy.action import rules_of
-from drake_oa.policy.action_kernels import Facts, Rules, advance
+from drake_oa.policy.action_kernels import Ending, Facts, Rules, advance
 from drake_oa.policy.config import Policy
+from drake_oa.policy.coupling import ALPHA
 from drake_oa.policy.dmp import Dmp, Primitive, spring_flow
 from drake_oa.policy.guidance import Obstacles
 
@@ -100,7 +100,6 @@ def roll_out_tool(
     tolerance: float = ARRIVED,
     longest: ArrayLike = math.inf,
     obstacles: Obstacles | None = None,
-    stops_inside: bool = False,
 ) -> ToolRollouts:
     """Rolls out N candidates from the present state of a motion.
 
@@ -115,7 +114,6 @@ def roll_out_tool(
         tolerance: between these it ends as soon as the goal is this near and it is slow [m].
         longest: () or (N,) a candidate ends as soon as its path cannot become shorter [m].
         obstacles: K obstacles that lead the headings of the terms; None: nothing does.
-        stops_inside: whether a motion ends inside an obstacle.
 
     Raises:
         ValueError: for terms of another shape, or an end that is no number.
@@ -136,7 +134,6 @@ def roll_out_tool(
         ds,
         round((max(end, scene.s) - scene.s) / ds),
         float(tolerance),
-        stops_inside,
         np.array(np.broadcast_to(np.asarray(longest, dtype=float), (N,))),
     )
     table, path, velocity = np.empty((N, 3)), np.empty((N, most + 1, 3)), np.empty((N, most + 1, 3))
@@ -162,7 +159,6 @@ class _Course(NamedTuple):
     ds: float
     least: int
     tolerance: float
-    stops_inside: bool
     longest: FloatArray
 
 
@@ -183,37 +179,21 @@ def _roll_some(
 ) -> None:  # fmt: skip
     """Rolls out candidates part, part + parts, ...; out (N, 3): length, goal error, steps."""
     flow = spring_flow(primitive.alpha_x, primitive.beta_x, 0.5 * course.ds)
-    goal, near = course.p_WG, course.tolerance
+    goal = course.p_WG
     for i in range(part, len(terms), parts):
-        p, z, rows, length, done = course.p_WE.copy(), course.z_W.copy(), terms[i].copy(), 0.0, 0
-        obstacles = Obstacles(
-            led.p_WO, led.R_WO, led.semi_axes, led.B, terms[i], led.direction,
-            led.remaining_clearance,
+        acts = 0
+        for row in range(terms.shape[1]):
+            if terms[i, row, ALPHA] > 0.0:
+                acts = terms.shape[1]
+        path[i, 0], velocity[i, 0] = course.p_WE, course.z_W
+        ending = Ending(course.least, course.tolerance, course.longest[i])
+        done, out[i, 0] = advance(
+            path[i], velocity[i], course.rest, flow, course.ds, ending, goal, course.R_WL,
+            course.baseline, rules, facts, led, terms[i, :acts],
         )  # fmt: skip
-        path[i, 0], velocity[i, 0] = p, z
-        acts = False
-        for row in range(len(rows)):
-            acts = acts or rows[row, 3] > 0.0
-        if not acts:
-            rows = rows[:0]
-        while True:
-            left = math.sqrt((goal[0] - p[0]) ** 2 + (goal[1] - p[1]) ** 2 + (goal[2] - p[2]) ** 2)
-            slow = z[0] ** 2 + z[1] ** 2 + z[2] ** 2 < 400.0 * near * near
-            if done == len(course.rest) or (done >= course.least and left < near and slow):
-                break
-            if length + left > course.longest[i]:
-                break
-            if course.stops_inside and first_inside(p, led.p_WO, led.R_WO, led.semi_axes) >= 0:
-                break
-            advance(
-                p, z, course.rest[done], flow, course.ds, goal, course.R_WL, course.baseline, rules,
-                facts, obstacles, rows,
-            )  # fmt: skip
-            before = path[i, done]
-            length += math.sqrt(
-                (p[0] - before[0]) ** 2 + (p[1] - before[1]) ** 2 + (p[2] - before[2]) ** 2
-            )
-            done += 1
-            path[i, done], velocity[i, done] = p, z
+        last = path[i, done]
+        out[i, 1] = math.sqrt(
+            (goal[0] - last[0]) ** 2 + (goal[1] - last[1]) ** 2 + (goal[2] - last[2]) ** 2
+        )
+        out[i, 2] = done
         path[i, done + 1 :], velocity[i, done + 1 :] = np.nan, np.nan
-        out[i, 0], out[i, 1], out[i, 2] = length, left, done

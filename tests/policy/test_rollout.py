@@ -133,13 +133,3 @@ def test_candidates_end_where_they_arrive_and_early_where_they_are_too_long() ->
     )
     rest = roll_out_tool(later, terms[1:2], **how).path[0]
     np.testing.assert_allclose(rest[: 201 - half], whole.path[1, half:201], atol=1e-10)
-
-
-def test_a_roll_out_ends_inside_an_obstacle_if_asked() -> None:
-    ball = Obstacles.of(balls(0.5 * GOAL, radius=0.1))
-    how = {"dmp": DMP, "policy": POLICY, "obstacles": ball}
-    found = roll_out_tool(SCENE, ball.terms[None], stops_inside=True, **how)
-    last = int(found.steps[0])
-    assert np.linalg.norm(found.path[0, last] - 0.5 * GOAL) <= 0.1
-    assert np.linalg.norm(found.path[0, last - 1] - 0.5 * GOAL) > 0.1
-    assert roll_out_tool(SCENE, ball.terms[None], **how).steps[0] >= 200
