@@ -21,16 +21,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import make_interp_spline
+from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.geometry.rotation import rotation_of, rotation_vector
 from drake_oa.policy.dmp import N_BASIS, baseline_frame, checked_demonstration
-from drake_oa.policy.orientation_dmp import (
-    LARGEST_ANGLE,
-    checked_rotations,
-    exponential,
-    vectors_from,
-)
+from drake_oa.policy.orientation_dmp import LARGEST_ANGLE, checked_rotations, vectors_from
 
 POINTS = 201
 """Instants at which the mean motion is told."""
@@ -110,36 +105,33 @@ def average_orientations(
             differ by more than a quarter turn from their mean.
     """
     checked = _each(_checked_turn, orientations, stamps)
+    rows = np.zeros(len(checked), dtype=int)
     vectors = [vectors_from(R, 0) for R, _ in checked]
-    origins = [R[0] for R, _ in checked]
     if max(np.linalg.norm(r, axis=1).max() for r in vectors) > LARGEST_ANGLE:
         # All are counted from their middle, as `imitate_orientation` would.
-        rows = [int(np.searchsorted(t, 0.5 * (t[0] + t[-1]))) for _, t in checked]
+        rows = np.array([np.searchsorted(t, 0.5 * (t[0] + t[-1])) for _, t in checked])
         vectors = [vectors_from(R, row) for (R, _), row in zip(checked, rows, strict=True)]
-        origins = [R[row] for (R, _), row in zip(checked, rows, strict=True)]
-    u, _, vt = np.linalg.svd(np.sum(origins, axis=0))
-    mean = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    origins = Rotation.from_matrix([R[row] for (R, _), row in zip(checked, rows, strict=True)])
+    mean = origins.mean()
     ends = np.array([r[[0, -1]] for r in vectors])
-    for number, (origin, end) in enumerate(zip(origins, ends - ends.mean(axis=0), strict=True)):
-        begins = np.linalg.norm(rotation_vector(np.ascontiguousarray(mean.T @ origin)))
-        off = max(float(begins), float(np.linalg.norm(end, axis=1).max()))
-        if off > _UNLIKE:
-            raise ValueError(
-                f"{_recording(number, len(checked))}orientations: it is turned by "
-                f"{math.degrees(off):.0f} degrees from the mean of all; average those that turn "
-                "the same way"
-            )
+    off = np.linalg.norm(ends - ends.mean(axis=0), axis=2).max(axis=1)
+    off = np.maximum(off, (mean.inv() * origins).magnitude())
+    if off.max() > _UNLIKE:
+        number = int(np.argmax(off > _UNLIKE))
+        raise ValueError(
+            f"{_recording(number, len(checked))}orientations: it is turned by "
+            f"{math.degrees(off[number]):.0f} degrees from the mean of all; average those that "
+            "turn the same way"
+        )
     s, r = _regressed(vectors, [t for _, t in checked], n_basis)
-    R = np.array([mean @ rotation_of(exponential(row)) for row in r])
-    return R, s * _mean_duration([t for _, t in checked])
+    R = mean * Rotation.from_rotvec(r)
+    return R.as_matrix(), s * _mean_duration([t for _, t in checked])
 
 
 def _checked_turn(orientations: ArrayLike, t: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """(T, 3, 3) and (T,) of a recording, thinned where it is dense."""
+    """Checks (T, 3, 3) orientations and (T,) stamps of a recording."""
     R = checked_rotations(orientations)
-    _, stamps = checked_demonstration(np.zeros((len(R), 1)), t)
-    rows = _rows(len(R))
-    return R[rows], stamps[rows]
+    return R, checked_demonstration(np.zeros((len(R), 1)), t)[1]
 
 
 def _each(
@@ -157,11 +149,6 @@ def _each(
         except ValueError as error:
             raise ValueError(f"{_recording(number, len(values))}{error}") from None
     return found
-
-
-def _rows(count: int) -> slice | FloatArray:
-    """The rows of a recording that are used, its ends among them."""
-    return slice(None) if count <= _MOST else np.linspace(0, count - 1, _MOST).astype(int)
 
 
 def _recording(number: int, count: int) -> str:
@@ -182,7 +169,7 @@ def _regressed(
         s = (t - t[0]) / (t[-1] - t[0])
         if len(x) < SPARSE:
             x, s = make_interp_spline(s, x, k=min(5, len(x) - 1) if len(x) != 5 else 3)(at), at
-        rows = _rows(len(x))
+        rows = np.linspace(0, len(x) - 1, min(len(x), _MOST)).astype(int)
         times.append(s[rows])
         parts.append(x[rows])
         # At the edges of a gap no more than of some samples.

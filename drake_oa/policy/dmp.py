@@ -426,29 +426,69 @@ class Trajectory(NamedTuple):
 @compiled
 def _roll(
     primitive: Primitive,
-    frame: FloatArray,
+    spread: FloatArray,
     goal: FloatArray,
-    baseline: float,
-    ds: float,
+    s: FloatArray,
+    longest: float,
     p: FloatArray,
     z: FloatArray,
     k: FloatArray,
 ) -> None:
-    """Fills p, z (n + 1, D) and k (n + 1,) from their first rows on, step by step."""
-    D = len(goal)
-    force, alpha_k = np.empty(D), primitive.alpha_k
-    share = baseline / (primitive.alpha_x * primitive.beta_x)
-    a, b, c, d = spring_flow(primitive.alpha_x, primitive.beta_x, ds)
-    for row in range(len(k) - 1):
-        forcing(primitive.basis, k[row] * math.exp(-0.5 * alpha_k * ds), force)
-        for i in range(D):
-            rest = 0.0
-            for j in range(D):
-                rest += frame[i, j] * force[j]
-            rest = goal[i] + rest * share
-            p[row + 1, i] = rest + a * (p[row, i] - rest) + b * z[row, i]
-            z[row + 1, i] = c * (p[row, i] - rest) + d * z[row, i]
-        k[row + 1] = k[row] * math.exp(-alpha_k * ds)
+    """Fills p, z (T, D) and k (T,) from their first rows on, see `roll_out`."""
+    force = np.empty(spread.shape[1])
+    stiffness = primitive.alpha_x * primitive.beta_x
+    for row in range(1, len(s)):
+        p[row], z[row], k[row] = p[row - 1], z[row - 1], k[row - 1]
+        span = s[row] - s[row - 1]
+        count = max(math.ceil(span / longest - 1e-9), 1)
+        a, b, c, d = spring_flow(primitive.alpha_x, primitive.beta_x, span / count)
+        decay = math.exp(-0.5 * primitive.alpha_k * span / count)
+        for _ in range(count):
+            forcing(primitive.basis, k[row] * decay, force)
+            for i in range(len(goal)):
+                rest = 0.0
+                for j in range(len(force)):
+                    rest += spread[i, j] * force[j]
+                rest = goal[i] + rest / stiffness
+                offset, rate = p[row, i] - rest, z[row, i]
+                p[row, i] = rest + a * offset + b * rate
+                z[row, i] = c * offset + d * rate
+            k[row] *= decay * decay
+
+
+def roll_out(
+    dmp: Dmp,
+    spread: FloatArray,
+    goal: FloatArray,
+    s: FloatArray,
+    p: FloatArray,
+    z: FloatArray,
+    k: float = 1.0,
+    *,
+    longest: float = math.inf,
+) -> Trajectory:
+    """Integrates a movement primitive without coupling terms.
+
+    A step is exact but for the forcing term, which is held at its value in the middle.
+
+    Args:
+        dmp: the movement primitive, of F dimensions.
+        spread: (D, F) factors on its forcing term: f = spread f_L(k).
+        goal: (D,) goal.
+        s: (T,) normalised times of the samples, not falling; the first is that of the state.
+        p: (D,) position at the first of them.
+        z: (D,) its derivative by normalised time.
+        k: phase there.
+        longest: longest step in normalised time; the time between two samples is divided evenly.
+
+    Returns:
+        The motion at the T times.
+    """
+    path, rate, phase = np.empty((len(s), len(p))), np.empty((len(s), len(p))), np.empty(len(s))
+    path[0], rate[0], phase[0] = p, z, k
+    inputs = (np.array(array, dtype=float, order="C") for array in (spread, goal, s))
+    _roll(dmp.kernel, *inputs, longest, path, rate, phase)
+    return Trajectory(s, path, rate, phase)
 
 
 def trajectory(
@@ -480,12 +520,8 @@ def trajectory(
     if steps < 1:
         raise ValueError(f"steps must be at least 1, not {steps}")
     _check_positive("end", end)
-    shape = (steps + 1, len(p))
-    path, z, k = np.empty(shape), np.zeros(shape), np.ones(steps + 1)
-    path[0] = p
-    baseline = float(np.linalg.norm(g - p))
-    _roll(dmp.kernel, baseline_frame(p, g), g, baseline, end / steps, path, z, k)
-    return Trajectory(np.linspace(0.0, end, steps + 1), path, z, k)
+    spread = float(np.linalg.norm(g - p)) * baseline_frame(p, g)
+    return roll_out(dmp, spread, g, np.linspace(0.0, end, steps + 1), p, np.zeros(len(p)))
 
 
 def _direction(start: ArrayLike, goal: ArrayLike, D: int) -> list[float]:

@@ -14,19 +14,23 @@ from pydrake.systems.framework import (
     State,
     ValueProducer,
 )
+from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray, Frozen, PolicyState
 from drake_oa.common.ports import Cell, read_optional, read_value, valid_period
-from drake_oa.geometry.rotation import rotation_vector
-from drake_oa.policy import orientation_dmp as kernels
 from drake_oa.policy.demonstration import Demonstration
 from drake_oa.policy.dmp import normalised_time
 from drake_oa.policy.orientation_dmp import (
+    ALPHA,
+    QUATERNION,
     OrientationDmp,
+    W,
     demonstrated_goal,
+    evaluate,
     goal_vector,
+    origin_of,
+    roll_orientation,
     rotation_matrix,
-    step,
 )
 
 _SUCCEEDED = EventStatus.Succeeded()
@@ -34,27 +38,29 @@ _SUCCEEDED = EventStatus.Succeeded()
 
 @dataclass(frozen=True, eq=False)
 class OrientationSegment(Frozen):
-    """The turning between two steps.
+    """The motion of the rotation vector between two steps.
 
     Attributes:
-        motion: (17,) as `drake_oa.policy.orientation_dmp` lays it out.
-        r: (3,) rotation vector from the start's orientation at the end of it [rad].
-        z: (3,) its derivative by normalised time [rad].
+        begin: time of the first of them [s].
+        length: time between them; 0: there was no step yet [s].
+        ends: (2, 2, 3) rotation vector from the origin [rad] and its rate [rad/s] at both.
+        z: (3,) derivative of the rotation vector by normalised time at the second [rad].
         phase: canonical phase of the policy, as last seen.
-        goal: (3,) rotation vector of the goal [rad].
-        asked: (4,) quaternion that asked for that goal; NaN: none did.
-        start: (4,) quaternion of the orientation that r is counted from; (0,): the constructor's.
+        goal: (3,) rotation vector of the goal from the origin [rad].
+        asked: (4,) quaternion of that goal as it was read; NaN: none was.
+        origin: (4,) quaternion of the origin.
         p_WS: (3,) start of the policy's motion, as last seen [m]; (0,): none was.
-        demonstration: what is turned along; empty: the constructor's.
+        demonstration: active demonstration; empty: the constructor's primitive.
     """
 
-    motion: FloatArray = field(default_factory=lambda: np.zeros(kernels.N_MOTION))
-    r: FloatArray = field(default_factory=lambda: np.zeros(3))
+    begin: float = 0.0
+    length: float = 0.0
+    ends: FloatArray = field(default_factory=lambda: np.zeros((2, 2, 3)))
     z: FloatArray = field(default_factory=lambda: np.zeros(3))
     phase: float = 1.0
     goal: FloatArray = field(default_factory=lambda: np.zeros(3))
     asked: FloatArray = field(default_factory=lambda: np.full(4, np.nan))
-    start: FloatArray = field(default_factory=lambda: np.zeros(0))
+    origin: FloatArray = field(default_factory=lambda: np.eye(4)[0])
     p_WS: FloatArray = field(default_factory=lambda: np.zeros(0))
     demonstration: Demonstration = field(default_factory=Demonstration)
 
@@ -115,31 +121,34 @@ class OrientationIntegrator(LeafSystem):
         """
         super().__init__()
         self._primitive = primitive
-        self._R_WS = _rotation("start", start)
-        self._R_WG = _rotation("goal", goal)
-        self._goal = demonstrated_goal(primitive, self._R_WS, self._R_WG)
-        self._start = kernels.exponential(rotation_vector(self._R_WS))
+        R_WS, self._R_WG = _rotation("start", start), _rotation("goal", goal)
+        origin = Rotation.from_matrix(origin_of(primitive, R_WS))
+        begin = OrientationSegment(
+            ends=_at_rest(primitive),
+            goal=demonstrated_goal(primitive, R_WS, self._R_WG),
+            origin=origin.as_quat(canonical=True, scalar_first=True),
+        )
         self._period = valid_period(period)
 
         self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
         self._goal_port = self.DeclareVectorInputPort("goal_orientation", 4)
         self._demonstration = self.DeclareAbstractInputPort("demonstration", Value(Demonstration()))
-        self._segment = self.DeclareAbstractState(Value(OrientationSegment(goal=self._goal)))
+        self._segment = self.DeclareAbstractState(Value(begin))
         self._now = self.DeclareCacheEntry(
             "orientation now",
             ValueProducer(lambda: Value(Cell()), self._calc_now),
             {self.time_ticket(), self.abstract_state_ticket(self._segment)},
         )
-        for name, begin, size in (
-            ("desired_orientation", kernels.QUATERNION, 4),
-            ("desired_angular_velocity", kernels.W, 3),
-            ("desired_angular_acceleration", kernels.ALPHA, 3),
+        for name, part in (
+            ("desired_orientation", QUATERNION),
+            ("desired_angular_velocity", W),
+            ("desired_angular_acceleration", ALPHA),
         ):
             self.DeclareVectorOutputPort(
                 name,
-                size,
-                lambda context, output, begin=begin, end=begin + size: output.SetFromVector(
-                    self._now.Eval(context).value[begin:end]
+                part.stop - part.start,
+                lambda context, output, part=part: output.SetFromVector(
+                    self._now.Eval(context).value[part]
                 ),
                 {self._now.ticket()},
             )
@@ -149,12 +158,10 @@ class OrientationIntegrator(LeafSystem):
         return context.get_abstract_state(self._segment).get_value()
 
     def _calc_now(self, context: Context, value: AbstractValue) -> None:
+        segment = self._read_segment(context)
+        since = max(context.get_time() - segment.begin, 0.0)
         cell: Cell[FloatArray] = value.get_mutable_value()
-        cell.value = self._at(self._read_segment(context), context.get_time())
-
-    def _at(self, segment: OrientationSegment, time: float) -> FloatArray:
-        start = segment.start if len(segment.start) else self._start
-        return kernels.evaluate(segment.motion, np.array(start), time)
+        cell.value = evaluate(segment.ends, segment.length, segment.origin, since)
 
     def _goal_now(self, context: Context, before: OrientationSegment) -> tuple[FloatArray, ...]:
         """The goal's rotation vector, and the quaternion that asked for it."""
@@ -167,9 +174,7 @@ class OrientationIntegrator(LeafSystem):
             R_WG = rotation_matrix(asked)
         except ValueError as error:
             raise ValueError(f"{self.get_name()}: goal_orientation: {error}") from None
-        origin = rotation_matrix(before.start) if len(before.start) else self._R_WS
-        offset = before.motion[kernels.OFFSET :]
-        return goal_vector(origin, R_WG, before.goal + offset) - offset, np.array(asked)
+        return goal_vector(rotation_matrix(before.origin), R_WG, before.goal), np.array(asked)
 
     def _begun_anew(
         self, context: Context, before: OrientationSegment, policy: PolicyState
@@ -183,47 +188,50 @@ class OrientationIntegrator(LeafSystem):
             return seen
         if given.orientation is None and before.demonstration.orientation is None:
             return seen
-        # Counted anew from where it is, at rest.
-        origin = before.start if len(before.start) else self._start
-        r = before.r + before.motion[kernels.OFFSET :]
-        start = kernels.product(np.array(origin), kernels.exponential(r))
         R_WG = self._R_WG if given.orientation is None else given.R_WG
         primitive = given.orientation or self._primitive
-        motion = np.array(before.motion)
-        motion[kernels.R : kernels.OFFSET], motion[kernels.OFFSET :] = 0.0, primitive.offset
+        # From the orientation at hand, at rest.
+        start = Rotation.from_quat(before.origin.copy(), scalar_first=True)
+        start *= Rotation.from_rotvec(before.ends[1, 0].copy())
+        origin = start * Rotation.from_rotvec(-primitive.offset)
         return replace(
             seen,
-            motion=motion,
-            r=np.zeros(3),
+            ends=_at_rest(primitive),
             z=np.zeros(3),
             phase=policy.phase,
-            goal=demonstrated_goal(primitive, rotation_matrix(start), R_WG),
-            start=kernels.product(start, kernels.exponential(-primitive.offset)),
+            goal=demonstrated_goal(primitive, start.as_matrix(), R_WG),
+            origin=origin.as_quat(scalar_first=True),
             demonstration=given,
         )
 
     def _step(self, context: Context, state: State) -> EventStatus:
-        before, time = self._read_segment(context), context.get_time()
         policy = read_value(self, self._policy, context, PolicyState)
-        before = self._begun_anew(context, before, policy)
+        before = self._begun_anew(context, self._read_segment(context), policy)
         goal, asked = self._goal_now(context, before)
         primitive = before.demonstration.orientation or self._primitive
         alpha_k = primitive.dmp.alpha_k
         passed = normalised_time(policy.phase, alpha_k) - normalised_time(before.phase, alpha_k)
-        ds = max(passed, 0.0)
-        r, z, _ = step(primitive, before.r, before.z, before.phase, ds, goal)
-
-        motion = np.empty(kernels.N_MOTION)
-        motion[kernels.BEGIN], motion[kernels.LENGTH] = time, self._period
-        motion[kernels.R : kernels.RATE] = before.r
-        motion[kernels.RATE : kernels.R_END] = before.motion[kernels.RATE_END : kernels.OFFSET]
-        motion[kernels.R_END : kernels.RATE_END] = r
-        motion[kernels.RATE_END : kernels.OFFSET] = policy.speed * z
-        motion[kernels.OFFSET :] = before.motion[kernels.OFFSET :]
+        s = np.array([0.0, max(passed, 0.0)])
+        r = before.ends[1, 0]
+        after = roll_orientation(primitive, goal, s, r, before.z, before.phase)
         state.get_mutable_abstract_state(self._segment).set_value(
-            replace(before, motion=motion, r=r, z=z, phase=policy.phase, goal=goal, asked=asked)
+            replace(
+                before,
+                begin=context.get_time(),
+                length=self._period,
+                ends=np.array([before.ends[1], [after.p[1], policy.speed * after.z[1]]]),
+                z=after.z[1],
+                phase=policy.phase,
+                goal=goal,
+                asked=asked,
+            )
         )
         return _SUCCEEDED
+
+
+def _at_rest(primitive: OrientationDmp) -> FloatArray:
+    """Returns the ends (2, 2, 3) of a segment at rest at the start of a motion."""
+    return np.array([[primitive.offset, np.zeros(3)]] * 2)
 
 
 def _rotation(name: str, R: ArrayLike) -> FloatArray:

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from drake_oa.common.console import Column, TextTable
 from drake_oa.common.messages import EllipsoidSet, FloatArray
 from drake_oa.geometry.ellipsoid_kernels import feasible_clearance
-from drake_oa.geometry.rotation import rotation_vector
 from drake_oa.perception.config import LiveCameras
-from drake_oa.policy.orientation_dmp import exponential, rotation_matrix
+from drake_oa.policy.orientation_dmp import rotation_matrix
 from drake_oa.runs.metrics import MotionMetrics, free_point_metrics, path_length, robot_metrics
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.scenario.end_poses import end_positions, end_rotations
@@ -170,11 +170,9 @@ def _orientation(scenario: Scenario, log: MotionLog) -> dict[str, Any]:
         return {}
     desired = rotation_matrix(log.desired_orientation[-1])
     # The logged error leads from the actual to the desired orientation.
-    off = exponential(np.ascontiguousarray(log.orientation_error[-1]))
-    actual = rotation_matrix(off).T @ desired
+    actual = Rotation.from_rotvec(-log.orientation_error[-1]).as_matrix() @ desired
     goal = end_rotations(scenario)[1].matrix()
-    left = rotation_vector(np.ascontiguousarray(goal @ actual.T))
-    return {"orientation_error": float(np.linalg.norm(left))}
+    return {"orientation_error": float(Rotation.from_matrix(goal @ actual.T).magnitude())}
 
 
 def _goal_error(scenario: Scenario, log: MotionLog, p_WE: FloatArray) -> float:

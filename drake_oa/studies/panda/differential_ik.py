@@ -54,6 +54,7 @@ from pydrake.systems.primitives import (
     Saturation,
     ZeroOrderHold,
 )
+from scipy.spatial.transform import Rotation
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray, HoldCause, IntArray, PolicyState
@@ -69,7 +70,7 @@ from drake_oa.diagrams.motion import (
 )
 from drake_oa.geometry.rotation import rotation_vector
 from drake_oa.policy.dmp import normalised_time, trajectory
-from drake_oa.policy.orientation_dmp import exponential, rotation_matrix
+from drake_oa.policy.orientation_dmp import rotation_matrix
 from drake_oa.robot.config import Robot
 from drake_oa.robot.grasped_object import part_carried, tool_links
 from drake_oa.robot.plant import TOOL_FRAME, make_robot_plant
@@ -487,8 +488,8 @@ class ToolPose(LeafSystem):
         if self._orientation.HasValue(context):
             R = rotation_matrix(self._orientation.Eval(context))
             if self._turning.HasValue(context):
-                turn = exponential(self._look_ahead * self._turning.Eval(context))
-                R = rotation_matrix(turn) @ R
+                turn = Rotation.from_rotvec(self._look_ahead * self._turning.Eval(context))
+                R = turn.as_matrix() @ R
             R_WE = RotationMatrix(R)
         output.set_value(RigidTransform(R_WE, ahead))
 
