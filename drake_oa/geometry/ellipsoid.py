@@ -14,7 +14,6 @@ for N points against M ellipsoids pass the points as (N, 1, 3).
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from functools import cache
 from typing import NamedTuple
@@ -24,6 +23,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
 
 from drake_oa.common.messages import FloatArray, Frozen
+from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.geometry import ellipsoid_kernels as kernels
 
 LEAST_SEMI_AXIS = 1e-3
@@ -34,7 +34,6 @@ _TOLERANCE = 1e-2
 at most about this before the scaling."""
 _MAX_STEPS = 100_000
 _MAX_ROUNDS = 20
-_TRAILING = ((), (3,), (3, 3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,23 +158,7 @@ def enclosing_ellipsoid(points: ArrayLike, *, tool: ArrayLike | None = None) -> 
             break
         support = np.concatenate([support, (cloud[i] - corners[j])[None, :]])
     semi_axes = np.maximum(semi_axes * gauge, LEAST_SEMI_AXIS)
-    center += origin
-    return certified(Ellipsoid(center, R, semi_axes), points, corners)
-
-
-def certified(ellipsoid: Ellipsoid, points: ArrayLike, tool: ArrayLike) -> Ellipsoid:
-    """Scales an ellipsoid about its centre, where needed, until its gauge is at most 1.
-
-    Args:
-        ellipsoid: any ellipsoid.
-        points: (N, 3) points in W [m].
-        tool: (K, 3) vertices of the tool as in `dilate`.
-
-    Raises:
-        ValueError: if points or tool are empty, not (., 3), or not finite.
-    """
-    cloud, corners = checked_points(points, "points"), checked_points(tool, "tool")
-    center, R, semi_axes = ellipsoid.center, ellipsoid.R, ellipsoid.semi_axes
+    center, cloud = center + origin, checked_points(points, "points")
     gauge, _, _ = _farthest(cloud, corners, center, R, semi_axes)
     while gauge > 1.0:
         # A little more than needed, else rounding could leave it a digit above 1.
@@ -210,38 +193,57 @@ def signed_distance(
     Raises:
         ValueError: for a semi-axis that is not positive, or shapes that do not fit.
     """
-    shape, rows = _rows((p, 1), (center, 1), (R, 2), (semi_axes, 1))
-    distance = np.empty(math.prod(shape))
-    if not kernels.signed_distances(*rows, np.empty((3, 3)), distance):
+    offset = np.asarray(p, dtype=float) - center
+    y = np.abs(np.einsum("...i,...ij->...j", offset, R))
+    y, axes = np.broadcast_arrays(y, np.asarray(semi_axes, dtype=float))
+    if not (axes > 0.0).all():
         raise ValueError(f"signed_distance: semi_axes must be positive, not {semi_axes!r}")
-    return distance.reshape(shape)
+    rows = kernel_arrays(y.reshape(-1, 3), axes.reshape(-1, 3))
+    distance = np.empty(len(rows[0]))
+    kernels.signed_distances(*rows, distance)
+    return distance.reshape(y.shape[:-1])
+
+
+def section_matrix(R: ArrayLike, semi_axes: ArrayLike, U: ArrayLike) -> FloatArray:
+    """Computes S = U^T A U of sections through the center, A = R diag(1/a^2) R^T.
+
+    The section is {x : x^T S x <= 1}, x along the rows of U.
+
+    Args:
+        R: (..., 3, 3) rotations R_WO.
+        semi_axes: (..., 3) positive semi-axes [m].
+        U: (..., 2, 3) orthonormal vectors in W that span the planes, one a row.
+
+    Returns:
+        (..., 2, 2) [1/m^2].
+    """
+    scaled = np.asarray(U) @ R / np.asarray(semi_axes)[..., None, :]
+    return np.asarray(scaled @ np.swapaxes(scaled, -1, -2))
 
 
 def plane_section(R: ArrayLike, semi_axes: ArrayLike, e1: ArrayLike, e2: ArrayLike) -> Section:
     """Computes the section by the plane through the center that e1 and e2 span.
 
-    With A = R diag(1/a^2) R^T, U = [e1, e2] and S = U^T A U it has the principal semi-axes
-    eig(S)^(-1/2): the descriptors lambda' of the P-plane.
+    Its principal semi-axes, eig(S)^(-1/2) with S of `section_matrix`, are the descriptors lambda'
+    of the P-plane.
 
     Args:
         R: (..., 3, 3) rotations R_WO.
         semi_axes: (..., 3) positive semi-axes [m].
         e1: (..., 3) unit vector in W; on the P-plane, toward the obstacle's centre.
         e2: (..., 3) unit vector in W perpendicular to it.
-
-    Raises:
-        ValueError: if e1, e2 are not orthonormal to 1e-6, a semi-axis is not positive, or
-            shapes do not fit.
     """
-    shape, (R_, a_, e1_, e2_) = _rows((R, 2), (semi_axes, 1), (e1, 1), (e2, 1))
-    out = np.empty((math.prod(shape), 8))
-    fault = kernels.plane_sections(R_, a_, e1_, e2_, out)
-    if fault == 1:
-        raise ValueError(f"plane_section: semi_axes must be positive, not {semi_axes!r}")
-    if fault == 2:
-        raise ValueError("plane_section: e1, e2 must be unit vectors perpendicular to each other")
-    out = out.reshape(*shape, 8)
-    return Section(out[..., :2], out[..., 2:].reshape(*shape, 2, 3))
+    U = np.stack([e1, e2], axis=-2)
+    S = section_matrix(R, semi_axes, U)
+    s11, s12, s22 = S[..., 0, 0], S[..., 0, 1], S[..., 1, 1]
+    half, determinant = 0.5 * (s11 - s22), s11 * s22 - s12 * s12
+    big = 0.5 * (s11 + s22) + np.hypot(half, s12)
+    # The product of the eigenvalues keeps the small one exact for flat sections.
+    first = np.where(half >= 0.0, big, determinant / big)
+    angle = 0.5 * np.arctan2(np.where(half >= 0.0, s12, -s12), np.abs(half))
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=-2)
+    return Section(np.stack([first, determinant / first], axis=-1) ** -0.5, turn @ U)
 
 
 def checked_points(points: ArrayLike, name: str) -> FloatArray:
@@ -311,35 +313,5 @@ def _farthest(
     points: FloatArray, tool: FloatArray, center: FloatArray, R: FloatArray, semi_axes: FloatArray
 ) -> tuple[float, int, int]:
     """Largest gauge of points - tool, and the rows where it is."""
-    value, i, j = kernels.farthest_pair(
-        np.ascontiguousarray(((points - center) @ R) / semi_axes),
-        np.ascontiguousarray((tool @ R) / semi_axes),
-    )
+    value, i, j = kernels.farthest_pair((points - center) @ R / semi_axes, tool @ R / semi_axes)
     return float(np.sqrt(value)), int(i), int(j)
-
-
-def _rows(*arrays: tuple[ArrayLike, int]) -> tuple[tuple[int, ...], list[FloatArray]]:
-    """Leading shape by broadcasting, and each array as rows: of that many, or just one.
-
-    Args:
-        arrays: each with the number of its trailing dimensions, all of size 3.
-    """
-    own, shape, mixed = [], (), False
-    for array, core in arrays:
-        copy = np.array(array, dtype=float, order="C")
-        split = copy.ndim - core
-        lead = copy.shape[:split] if split > 0 else ()
-        if copy.shape[len(lead) :] != _TRAILING[core]:
-            raise ValueError(f"expected trailing shape {_TRAILING[core]}, not shape {copy.shape}")
-        if lead and lead != shape:
-            mixed = mixed or bool(shape)
-            shape = lead
-        own.append((copy, core, lead))
-    if mixed:
-        shape = np.broadcast_shapes(*(lead for _, _, lead in own))
-    rows = []
-    for copy, core, lead in own:
-        if mixed and lead and lead != shape:
-            copy = np.array(np.broadcast_to(copy, shape + _TRAILING[core]), order="C")
-        rows.append(copy if copy.ndim == core + 1 else copy.reshape((-1,) + _TRAILING[core]))
-    return shape, rows

@@ -17,7 +17,7 @@ from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import EllipsoidSet, FloatArray, PolicyState
 from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.geometry.ellipsoid import shape_matrix
-from drake_oa.geometry.ellipsoid_kernels import tangent_headings
+from drake_oa.geometry.ellipsoid_kernels import tangent_heading
 from drake_oa.policy.coupling import HEADING, N_COLUMNS, NORMAL, Triple
 
 
@@ -133,8 +133,7 @@ def guide(
         u[k] = z[k] / speed if speed > 0.0 else R_WL[k, 0]
         distance_G += (p_WG[k] - p[k]) ** 2
     distance_G = math.sqrt(distance_G)
-    tangent = np.empty((1, 3))
-    work, inside, supporting = np.empty((7, 3)), np.empty(1), np.empty((1, 3))
+    tangent = np.empty(3)
     for row in range(len(obstacles.p_WO)):
         clearance = obstacles.remaining_clearance[row]
         if not clearance > 0.0:
@@ -147,26 +146,22 @@ def guide(
         )
         if not entry < distance_G:
             continue
-        one = slice(row, row + 1)
-        tangent_headings(
+        tangent_heading(
             p_WE,
-            obstacles.p_WO[one],
-            obstacles.B[one],
-            obstacles.direction[one],
-            obstacles.remaining_clearance[one],
-            work,
+            obstacles.p_WO[row],
+            obstacles.B[row],
+            obstacles.direction[row],
+            clearance,
             tangent,
-            inside,
-            supporting,
         )
         size = 0.0
         for k in range(3):
-            tangent[0, k] = u[k] + share * (tangent[0, k] - u[k])
-            size += tangent[0, k] ** 2
+            tangent[k] = u[k] + share * (tangent[k] - u[k])
+            size += tangent[k] ** 2
         size = math.sqrt(size)
         if size > 0.0:
             for k in range(3):
-                terms[row, HEADING + k] = tangent[0, k] / size
+                terms[row, HEADING + k] = tangent[k] / size
 
 
 @compiled

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -75,10 +75,6 @@ def array_of(
     return value.astype(float)
 
 
-_SATURATED = 40.0
-"""Where tanh is 1 to the last bit."""
-
-
 @dataclass(frozen=True, eq=False)
 class Network(Frozen):
     """A perceptron with tanh layers, a linear output and min-max scaling.
@@ -105,35 +101,14 @@ class Network(Frozen):
     out_gain: float
     in_min: float = -1.0
     out_min: float = -1.0
-    _layers: tuple[FloatArray, ...] = field(init=False, repr=False)
 
-    def __post_init__(self) -> None:
-        weights, biases = list(self.weights), list(self.biases)
-        # The scalings are affine: the first and the last layer take them up.
-        biases[0] = biases[0] + weights[0] @ (self.in_min - self.in_offset * self.in_gain)
-        weights[0] = weights[0] * self.in_gain
-        biases[-1] = (biases[-1] - self.out_min) / self.out_gain + self.out_offset
-        weights[-1] = weights[-1] / self.out_gain
-        # A last input held at 1 carries the bias, tanh(_SATURATED) = 1 hands it on.
-        layers = [np.column_stack(pair) for pair in zip(weights, biases, strict=True)]
-        for i, layer in enumerate(layers[:-1]):
-            constant = np.append(np.zeros(layer.shape[1] - 1), _SATURATED)
-            layers[i] = np.vstack((layer, constant))
-        object.__setattr__(self, "_layers", tuple(layers))
-        super().__post_init__()
-
-    @property
-    def n_inputs(self) -> int:
-        """Number d of inputs."""
-        return len(self.in_offset)
-
-    def evaluate(self, columns: FloatArray) -> FloatArray:
-        """The network at N inputs: (d + 1, N), the last row ones -> (N,)."""
-        y = columns
-        for layer in self._layers[:-1]:
-            y = layer.dot(y)
-            np.tanh(y, y)
-        return self._layers[-1].dot(y)[0]
+    def evaluate(self, x: FloatArray) -> FloatArray:
+        """Evaluates the network at N inputs: (N, d) -> (N,)."""
+        y = (x - self.in_offset) * self.in_gain + self.in_min
+        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            y = np.tanh(y @ weight.T + bias)
+        y = y @ self.weights[-1][0] + self.biases[-1]
+        return np.asarray((y - self.out_min) / self.out_gain + self.out_offset)
 
 
 _SCALING = ("in_offset", "in_gain", "in_min", "out_offset", "out_gain", "out_min")

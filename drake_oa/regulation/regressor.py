@@ -17,13 +17,11 @@ demonstrated duration T: the turning rate in units of 1/T.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -33,6 +31,7 @@ from drake_oa.common.messages import (
     FloatArray,
     Frozen,
 )
+from drake_oa.geometry.ellipsoid import section_matrix
 from drake_oa.geometry.superquadric import log_inside_outside
 from drake_oa.regulation.network import (
     Network,
@@ -54,54 +53,6 @@ _OUTLINE = 90
 
 _PARALLEL = 1e-6
 """Sine of the angle below which two directions do not span a plane."""
-
-
-@numba.njit(cache=True, fastmath=False)
-def section_rows(
-    p_WE: FloatArray,
-    z_W: FloatArray,
-    R_WL: FloatArray,
-    p_WO: FloatArray,
-    R_WO: FloatArray,
-    semi_axes: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """See `section_extents`: extents (M, 2), and the unit vectors (M, 2, 3) that they are along."""
-    extents, plane = np.empty((len(p_WO), 2)), np.empty((len(p_WO), 2, 3))
-    zz = z_W[0] ** 2 + z_W[1] ** 2 + z_W[2] ** 2
-    for row in range(len(p_WO)):
-        e0, e1, e2 = p_WO[row, 0] - p_WE[0], p_WO[row, 1] - p_WE[1], p_WO[row, 2] - p_WE[2]
-        n0 = e1 * z_W[2] - e2 * z_W[1]
-        n1 = e2 * z_W[0] - e0 * z_W[2]
-        n2 = e0 * z_W[1] - e1 * z_W[0]
-        squared = n0 * n0 + n1 * n1 + n2 * n2
-        if squared <= _PARALLEL**2 * (e0 * e0 + e1 * e1 + e2 * e2) * zz:
-            n0, n1, n2, squared = R_WL[0, 1], R_WL[1, 1], R_WL[2, 1], 1.0
-        norm = math.sqrt(squared)
-        n0, n1, n2 = n0 / norm, n1 / norm, n2 / norm
-        # u along the projection of the baseline into the plane, v across it.
-        height = n0 * R_WL[0, 0] + n1 * R_WL[1, 0] + n2 * R_WL[2, 0]
-        u0, u1, u2 = R_WL[0, 0] - height * n0, R_WL[1, 0] - height * n1, R_WL[2, 0] - height * n2
-        squared = u0 * u0 + u1 * u1 + u2 * u2
-        if squared <= _PARALLEL**2:
-            # The plane is square to the baseline: measure along the way to the obstacle.
-            u0, u1, u2, squared = e0, e1, e2, e0 * e0 + e1 * e1 + e2 * e2
-        norm = math.sqrt(squared)
-        u0, u1, u2 = u0 / norm, u1 / norm, u2 / norm
-        v0, v1, v2 = n1 * u2 - n2 * u1, n2 * u0 - n0 * u2, n0 * u1 - n1 * u0
-        s11, s12, s22 = 0.0, 0.0, 0.0
-        for k in range(3):
-            r0, r1, r2 = R_WO[row, 0, k], R_WO[row, 1, k], R_WO[row, 2, k]
-            a = (u0 * r0 + u1 * r1 + u2 * r2) / semi_axes[row, k]
-            b = (v0 * r0 + v1 * r1 + v2 * r2) / semi_axes[row, k]
-            s11 += a * a
-            s12 += a * b
-            s22 += b * b
-        determinant = s11 * s22 - s12 * s12
-        extents[row, 0] = math.sqrt(s22 / determinant)
-        extents[row, 1] = math.sqrt(s11 / determinant)
-        plane[row, 0, 0], plane[row, 0, 1], plane[row, 0, 2] = u0, u1, u2
-        plane[row, 1, 0], plane[row, 1, 1], plane[row, 1, 2] = v0, v1, v2
-    return extents, plane
 
 
 TARGETS = ("kappa", "psi", "alpha")
@@ -139,25 +90,14 @@ class ChainWeights(Frozen):
         Returns:
             (N, 3) alpha, psi, kappa L^2.
         """
-        columns = np.empty((len(self.lower) + 3, len(inputs)))
-        columns[:-3] = inputs.T
-        return np.array(self._evaluate_columns(columns)).T
-
-    def _evaluate_columns(self, columns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """alpha, psi, kappa L^2 at inputs in the first d of d + 3 rows, all overwritten."""
-        columns[:-3] *= self.input_scale[:, None]
-        columns[-3] = 1.0
-        kappa = columns[-3] = self.networks["kappa"].evaluate(columns[:-2])
-        columns[-2] = 1.0
-        psi = columns[-2] = self.networks["psi"].evaluate(columns[:-1])
-        columns[-1] = 1.0
-        alpha = self.networks["alpha"].evaluate(columns)
-        log = self.log_targets
-        return (
-            np.exp(alpha) if "alpha" in log else alpha,
-            np.exp(psi) if "psi" in log else psi,
-            np.exp(kappa) if "kappa" in log else kappa,
+        known = inputs * self.input_scale
+        for target in TARGETS:
+            known = np.column_stack([known, self.networks[target].evaluate(known)])
+        kappa, psi, alpha = (
+            np.exp(column) if target in self.log_targets else column
+            for target, column in zip(TARGETS, known[:, -3:].T, strict=True)
         )
+        return np.column_stack([alpha, psi, kappa])
 
     def parameters(
         self, extents: ArrayLike, clearance: ArrayLike, baseline: float
@@ -178,47 +118,30 @@ class ChainWeights(Frozen):
             One row an obstacle.
 
         Raises:
-            ValueError: if a shape is wrong, an extent or the baseline is not finite and
-                positive, a clearance is negative, or a value is not finite.
+            ValueError: if shapes do not fit, an extent or the baseline is not finite and
+                positive, or a clearance is negative or not finite.
         """
-        extents = np.asarray(extents, dtype=float)
-        if extents.ndim != 2 or extents.shape[1] != 2:
-            raise ValueError(f"extents must have the shape (M, 2), not {extents.shape}")
-        asked = np.asarray(clearance, dtype=float)
-        if asked.shape not in ((), (len(extents),)):
-            raise ValueError(
-                f"clearance must be one number or ({len(extents)},), not {asked.shape}"
-            )
-        asked = np.broadcast_to(asked, len(extents))
+        sizes = np.asarray(extents, dtype=float)
+        asked = np.broadcast_to(np.asarray(clearance, dtype=float), len(sizes))
         if not 0.0 < baseline < np.inf:
             raise ValueError(f"baseline must be finite and positive [m], not {baseline}")
-        if not len(extents):
-            return CouplingParameters()
-        lengths = np.column_stack((extents, asked))
         # Over a tiny baseline a finite length may overflow.
         with np.errstate(over="ignore"):
-            query = lengths / baseline
-        good = np.isfinite(query).all(axis=1) & (query[:, :2] > 0.0).all(axis=1) & (asked >= 0.0)
+            query = np.column_stack([sizes, asked]) / baseline
+        good = np.isfinite(query).all(axis=1) & (sizes > 0.0).all(axis=1) & (asked >= 0.0)
         if not good.all():
             row = int(np.argmin(good))
-            lambda1, lambda2, delta = lengths[row].tolist()
             raise ValueError(
                 "extents must be positive, clearances not negative, and both finite [m]; "
-                f"row {row} has extents {lambda1} and {lambda2}, clearance {delta}"
+                f"row {row} has extents {sizes[row].tolist()}, clearance {asked[row]}"
             )
         query = query[:, : len(self.lower)]
         inside = np.clip(query, self.lower, self.upper)
         needed = asked > 0.0
         in_range = ~needed | (np.abs(query - inside).max(axis=1) <= _ROUNDING)
-        columns = np.empty((len(self.lower) + 3, len(extents)))
-        columns[:-3] = inside.T
-        alpha, psi, kappa = self._evaluate_columns(columns)
-        # A linear output may leave what it was trained on (the print has a log-sigmoid).
-        alpha, kappa = np.maximum(alpha, 0.0), np.maximum(kappa, 0.0)
-        psi = np.maximum(psi, _NARROWEST)
-        alpha *= needed
-        kappa /= baseline * baseline
-        return CouplingParameters(alpha, psi, kappa, in_range)
+        # A linear output may leave the range of its targets (the print has a log-sigmoid).
+        alpha, psi, kappa = np.maximum(self.evaluate(inside), (0.0, _NARROWEST, 0.0)).T
+        return CouplingParameters(alpha * needed, psi, kappa / baseline**2, in_range)
 
 
 def section_extents(
@@ -244,7 +167,20 @@ def section_extents(
     Returns:
         (M, 2) half-extents along and across the baseline [m].
     """
-    extents, plane = section_rows(p_WE, z_W, R_WL, shapes.p_WO, shapes.R_WO, shapes.semi_axes)
+    baseline, to_O = R_WL[:, 0], shapes.p_WO - p_WE
+    normal = np.cross(to_O, z_W)
+    limit = _PARALLEL * np.linalg.norm(to_O, axis=1) * np.linalg.norm(z_W)
+    normal[np.linalg.norm(normal, axis=1) <= limit] = R_WL[:, 1]
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    along = baseline - (normal @ baseline)[:, None] * normal
+    # A plane square to the baseline is measured along the direction to the obstacle.
+    square = np.linalg.norm(along, axis=1) <= _PARALLEL
+    along[square] = to_O[square]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    plane = np.stack([along, np.cross(normal, along)], axis=1)
+    S = section_matrix(shapes.R_WO, shapes.semi_axes, plane)
+    diagonal = np.stack([S[:, 1, 1], S[:, 0, 0]], axis=1)
+    extents = np.sqrt(diagonal / np.linalg.det(S)[:, None])
     if len(shapes.exponents):
         angle = np.linspace(0.0, np.pi, _OUTLINE, endpoint=False)
         circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)

@@ -350,9 +350,7 @@ def choose_device(asked: str) -> str:
 def predict(network: Network, x: FloatArray) -> FloatArray:
     """The network at rows x (N, d) -> (N,), by blocks."""
     blocks = [x[i : i + 65536] for i in range(0, len(x), 65536)]
-    return np.concatenate(
-        [network.evaluate(np.vstack((block.T, np.ones(len(block))))) for block in blocks]
-    )
+    return np.concatenate([network.evaluate(block) for block in blocks])
 
 
 def nmse(y: FloatArray, prediction: FloatArray, rows: BoolArray | None = None) -> float:

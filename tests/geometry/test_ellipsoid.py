@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 
 from drake_oa.geometry.ellipsoid import (
     Ellipsoid,
-    certified,
     dilate,
     enclosing_ellipsoid,
     plane_section,
@@ -17,7 +16,7 @@ from drake_oa.geometry.ellipsoid import (
     signed_distance,
     unit_directions,
 )
-from drake_oa.geometry.ellipsoid_kernels import tangent_headings
+from drake_oa.geometry.ellipsoid_kernels import tangent_heading
 
 seed = st.integers(0, 10**6)
 semi_axis = st.floats(0.01, 1.0)
@@ -35,17 +34,8 @@ def units(rng: np.random.Generator, *shape: int) -> np.ndarray:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def basis(rng: np.random.Generator) -> np.ndarray:
-    return Rotation.random(rng=rng).as_matrix().T
-
-
 def volume(e: Ellipsoid) -> float:
     return 4.0 / 3.0 * np.pi * np.prod(e.semi_axes)
-
-
-def support(n: np.ndarray, R: np.ndarray, e: np.ndarray) -> np.ndarray:
-    """How far an ellipsoid about the origin reaches along unit vectors n (..., 3)."""
-    return np.linalg.norm(n @ R * e, axis=-1)
 
 
 # Dilation.
@@ -118,21 +108,12 @@ def test_fit_moves_and_scales_with_the_cloud(seed, factor):
     assert volume(moved) == pytest.approx(factor**3 * volume(e), rel=0.05)
 
 
-def test_fit_is_the_same_every_time_and_far_from_the_origin():
+def test_fit_is_the_same_far_from_the_origin():
     cloud = np.random.default_rng(3).normal(size=(300, 3)) * [0.3, 0.1, 0.05]
-    e, again = enclosing_ellipsoid(cloud, tool=HAND), enclosing_ellipsoid(cloud, tool=HAND)
-    np.testing.assert_array_equal(e.R, again.R)
-    np.testing.assert_array_equal(e.semi_axes, again.semi_axes)
+    e = enclosing_ellipsoid(cloud, tool=HAND)
     far = enclosing_ellipsoid(cloud + 1e5, tool=HAND)
     np.testing.assert_allclose(far.semi_axes, e.semi_axes, rtol=1e-6)
     assert far.gauge <= 1.0
-
-
-def test_what_leaves_points_outside_is_inflated():
-    small = Ellipsoid(semi_axes=np.array([0.1, 0.1, 0.1]))
-    inflated = certified(small, [[0.2, 0.0, 0.0]], POINT)
-    assert 1.0 - 1e-12 < inflated.gauge <= 1.0
-    np.testing.assert_allclose(inflated.semi_axes, 0.2)
 
 
 # The signed distance.
@@ -180,9 +161,8 @@ def test_distance_broadcasts_points_against_ellipsoids():
     p = rng.normal(size=(7, 3))
     table = signed_distance(p[:, None], c, R, e)
     assert table.shape == (7, 4)
+    np.testing.assert_array_equal(signed_distance(p[3], c, R, e), table[3])
     assert np.isnan(signed_distance([np.nan, 0.0, 0.0], c, R, e)).all()
-    for n in range(7):
-        np.testing.assert_array_equal(signed_distance(p[n], c, R, e), table[n])
     assert signed_distance(p[0], c[0], R[0], e[0]).shape == ()
     assert signed_distance(p[0], c[:0], R[:0], e[:0]).shape == (0,)
 
@@ -194,7 +174,7 @@ def test_distance_broadcasts_points_against_ellipsoids():
 def test_section_lies_on_the_ellipsoid_and_on_the_plane(seed, e):
     rng = np.random.default_rng(seed)
     _, R = pose(rng)
-    e1, e2, n = basis(rng)
+    e1, e2, n = Rotation.random(rng=rng).as_matrix().T
     found = plane_section(R, e, e1, e2)
     turn = np.linspace(0.0, 2.0 * np.pi, 25)
     ring = np.cos(turn)[:, None] * found.semi_axes[0] * found.axes[0]
@@ -208,72 +188,39 @@ def test_section_lies_on_the_ellipsoid_and_on_the_plane(seed, e):
 
 
 def tangent(p, c, R, e, omega, delta):
-    """Heading, whether p is inside the grown shadow, and the normal of one obstacle."""
-    heading, inside, normal = np.empty((1, 3)), np.empty(1), np.empty((1, 3))
-    B = np.ascontiguousarray(shape_matrix(R, e))[None]
-    tangent_headings(
-        p, c[None], B, omega[None], np.array([delta]), np.empty((7, 3)), heading, inside, normal
-    )
-    return heading[0], inside[0] > 0.0, normal[0]
+    """Heading past one obstacle."""
+    heading = np.empty(3)
+    tangent_heading(p, c, shape_matrix(R, e), omega, delta, heading)
+    return heading
 
 
-@given(seed, st.floats(0.0, 0.3), st.floats(0.0, 2.0))
-def test_ray_along_the_heading_keeps_the_clearance(seed, delta, beyond):
+@given(seed, st.floats(0.0, 0.3), st.sampled_from([None, (0, 1), (1, 2), (2, 0)]))
+def test_ray_along_the_heading_keeps_the_clearance(seed, delta, plane):
     rng = np.random.default_rng(seed)
     c, R = pose(rng)
     e = rng.uniform(0.02, 0.5, 3)
     away, omega = units(rng), units(rng)
-    p = c + away * (e.max() + delta + 1e-6 + beyond)
-    v, inside, n = tangent(p, c, R, e, omega, delta)
-    assert not inside
+    if plane:
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        away = np.cos(angle) * R[:, plane[0]] + np.sin(angle) * R[:, plane[1]]
+        omega = rng.normal() * R[:, plane[0]] + rng.normal() * R[:, plane[1]]
+    p = c + away * (e.max() + delta + rng.uniform(1e-6, 1.0))
+    v = tangent(p, c, R, e, omega, delta)
     e1 = (c - p) / np.linalg.norm(c - p)
     e2 = omega - (omega @ e1) * e1
     e2 /= np.linalg.norm(e2)
     assert np.linalg.norm(v) == pytest.approx(1.0)
-    assert v @ n == pytest.approx(0.0, abs=1e-12)
     assert abs(v @ np.cross(e1, e2)) < 1e-9
     assert v @ e2 >= -1e-12
-    assert n @ (p - c) == pytest.approx(float(support(n, R, e)) + delta, abs=1e-9)
-    steps = np.concatenate([np.linspace(0.0, 3.0, 200), np.linspace(-3.0, 0.0, 20)])
-    kept = signed_distance(p + steps[:, None] * v, c, R, e)
-    assert kept.min() >= delta - 1e-9
-
-
-@given(seed, st.floats(0.0, 0.3), st.sampled_from([(0, 1), (1, 2), (2, 0)]))
-def test_clearance_is_just_kept_in_a_principal_plane(seed, delta, plane):
-    rng = np.random.default_rng(seed)
-    c, R = pose(rng)
-    e = rng.uniform(0.05, 0.3, 3)
-    angle = rng.uniform(0.0, 2.0 * np.pi)
-    away = np.cos(angle) * R[:, plane[0]] + np.sin(angle) * R[:, plane[1]]
-    omega = rng.normal() * R[:, plane[0]] + rng.normal() * R[:, plane[1]]
-    p = c + away * (e.max() + delta + rng.uniform(0.01, 1.0))
-    v, _, _ = tangent(p, c, R, e, omega, delta)
     along = (c - p) @ v + np.linspace(-0.5, 0.5, 4001)
     kept = signed_distance(p + along[:, None] * v, c, R, e)
-    assert delta - 1e-9 <= kept.min() <= delta + 2e-5
-
-
-@given(seed, st.floats(-1.0, 1.5))
-def test_inside_leaves_outward_and_outside_touches(seed, share):
-    """From the centre out across the border of the grown shadow."""
-    rng = np.random.default_rng(seed)
-    c, R = pose(rng)
-    e, delta = rng.uniform(0.02, 0.4, 3), 0.15
-    p = c + units(rng) * share * (e.max() + delta)
-    v, inside, n = tangent(p, c, R, e, units(rng), delta)
-    assert np.linalg.norm(v) == pytest.approx(1.0)
-    assert np.linalg.norm(n) == pytest.approx(1.0)
-    if signed_distance(p, c, R, e) < delta - 1e-9:
-        assert inside
-    if inside:
-        assert 0.0 <= v @ n <= np.sqrt(0.5) + 1e-12
-    else:
-        assert v @ n == pytest.approx(0.0, abs=1e-12)
+    assert kept.min() >= delta - 1e-9
+    # In a principal plane the shadow is the section, and the clearance is just kept.
+    assert plane is None or kept.min() <= delta + 1e-4
 
 
 @given(seed)
-def test_heading_is_continuous_across_the_border(seed):
+def test_inside_it_leads_outward_and_continuously_across_the_border(seed):
     rng = np.random.default_rng(seed)
     c, R = pose(rng)
     e, delta = rng.uniform(0.05, 0.3, 3), 0.1
@@ -282,31 +229,23 @@ def test_heading_is_continuous_across_the_border(seed):
     away -= (away @ R[:, 2]) * R[:, 2]
     away /= np.linalg.norm(away)
     omega = np.cross(R[:, 2], away)
-    border = brentq(lambda s: signed_distance(c + s * away, c, R, e) - delta, 0.0, 1.0, xtol=1e-14)
-    v0, inside, _ = tangent(c + (border - 1e-7) * away, c, R, e, omega, delta)
-    v1, outside, _ = tangent(c + (border + 1e-7) * away, c, R, e, omega, delta)
-    assert inside
-    assert not outside
-    np.testing.assert_allclose(v0, v1, atol=5e-3)
 
+    def distance(p):
+        return signed_distance(p, c, R, e)
 
-@pytest.mark.parametrize(
-    ("p", "omega"),
-    [
-        ([0, 0, 0], [0, 0, 1]),
-        ([0, 0, 0], [0, 0, 0]),
-        ([-1, 0, 0], [1, 0, 0]),
-        ([-1, 0, 0], [0, 0, 0]),
-    ],
-)
-def test_heading_is_finite_without_a_direction_or_a_distance(p, omega):
-    v, _, n = tangent(
-        np.array(p, float),
-        np.zeros(3),
-        np.eye(3),
-        np.array([0.1, 0.2, 0.3]),
-        np.array(omega, float),
-        0.1,
+    border = brentq(lambda s: distance(c + s * away) - delta, 0.0, 1.0, xtol=1e-14)
+    inside, outside = (
+        tangent(c + (border + offset) * away, c, R, e, omega, delta) for offset in (-1e-7, 1e-7)
     )
+    np.testing.assert_allclose(inside, outside, atol=5e-3)
+    p = c + rng.uniform(0.1, 0.9) * border * away
+    v = tangent(p, c, R, e, omega, delta)
     assert np.linalg.norm(v) == pytest.approx(1.0)
-    assert np.linalg.norm(n) == pytest.approx(1.0)
+    assert distance(p + 1e-5 * v) > distance(p)
+
+
+@pytest.mark.parametrize("p", [np.zeros(3), np.array([-1.0, 0.0, 0.0])])
+@pytest.mark.parametrize("omega", [np.zeros(3), np.eye(3)[0], np.eye(3)[2]])
+def test_heading_is_finite_without_a_direction_or_a_distance(p, omega):
+    v = tangent(p, np.zeros(3), np.eye(3), np.array([0.1, 0.2, 0.3]), omega, 0.1)
+    assert np.linalg.norm(v) == pytest.approx(1.0)

@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 from drake_oa.geometry.ellipsoid import unit_directions
 from drake_oa.geometry.superquadric import (
     Superquadric,
-    _Problem,
     fit_superquadric,
     log_inside_outside,
 )
@@ -105,23 +104,6 @@ def test_a_prior_draws_the_exponents_to_one():
     assert (np.diff(off) < 0.0).all()
     np.testing.assert_allclose(fits[0], [0.3, 0.4], atol=1e-4)
     np.testing.assert_allclose(fits[-1], 1.0, atol=1e-2)
-
-
-@settings(max_examples=40)
-@given(seed, st.permutations(range(3)), st.sampled_from([None, 0.0, 0.7]))
-def test_jacobian_is_the_derivative(seed, turn, pull):
-    rng = np.random.default_rng(seed)
-    points, half = rng.uniform(-0.3, 0.3, (20, 3)), np.array([0.3, 0.2, 0.1])
-    problem = _Problem(points, middle=np.zeros(3), half=half, pull=pull)
-    x = rng.uniform(-0.4, 0.4, 9)
-    if pull is not None:
-        x = np.concatenate([x, rng.uniform(0.6, 1.6, 2)])
-    found = problem.jacobian(x, tuple(turn))
-    for k, step in enumerate(1e-6 * np.eye(len(x))):
-        ahead = problem.residuals(x + step, tuple(turn))
-        behind = problem.residuals(x - step, tuple(turn))
-        scale = np.abs(ahead).max() + np.abs(found).max()
-        np.testing.assert_allclose(found[:, k], (ahead - behind) / 2e-6, atol=1e-5 * scale)
 
 
 @pytest.mark.parametrize("prior", [None, 0.0])
