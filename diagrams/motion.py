@@ -223,8 +223,6 @@ Rings = Mapping[str, Ring] | None
 
 _TOUCHING = 1e-3
 """So deep in each other links are in contact for sure [m]."""
-_LEAST_STEPS, _MOST_STEPS = 250, 1000
-"""Steps of a roll-out a unit of normalised time."""
 
 
 def add_motion_selector(
@@ -263,7 +261,6 @@ def make_motion_selector(
     _refuse_start(cell, cell.spheres)
     _tell_of_bare_links(cell, cell.spheres)
     dmp = make_dmp(scenario)
-    steps = min(max(round(dmp.duration / policy.period), _LEAST_STEPS), _MOST_STEPS)
     held, R_WE = tool_orientation(scenario), end_rotations(scenario)[0].matrix()
     guide = make_posture_guide(scenario, arm.posture)
     q_rest = np.array(arm.posture)
@@ -274,8 +271,7 @@ def make_motion_selector(
         make_chain(arm, spheres),
         spheres,
         parameters=regulation,
-        steps=steps,
-        fade=policy.fade,
+        policy=policy,
         orientation=(lambda s: np.tile(R_WE, (len(s), 1, 1))) if held is None else held.along,
         posture=(lambda s: np.tile(q_rest, (len(s), 1))) if guide is None else guide,
         overshoot=cell.spheres.overshoot,

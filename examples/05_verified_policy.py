@@ -5,12 +5,15 @@ from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 
 from drake_oa.common.messages import CouplingParameters, EllipsoidSet
+from drake_oa.planning.point_search import PointSearch
+from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import ALPHA, KAPPA, NORMAL, PSI
 from drake_oa.policy.dmp import imitate, local_frame, minimum_jerk
 from drake_oa.policy.dmp_integrator import DmpIntegrator
+from drake_oa.policy.rollout import Scene
+from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposal_network import load_proposals
-from drake_oa.regulation.rollout import SpatialScenes
-from drake_oa.regulation.search import verify
+from drake_oa.regulation.proposals import avoidance_terms
 from drake_oa.scenario.shipped import package_file
 
 START, GOAL = np.zeros(3), np.array([1.0, 0.0, 0.0])
@@ -20,25 +23,32 @@ CLEARANCE, DURATION = 0.1, 4.0
 
 def main() -> None:
     """Bends a straight motion round two balls and prints how near it came."""
-    scene = SpatialScenes(
-        p_WE=START[None],
-        z_W=np.zeros((1, 3)),
-        p_WG=GOAL[None],
-        R_WL=local_frame(START, GOAL)[None],
-        baseline=np.ones(1),
-        p_WO=BALLS[None],
-        R_WO=np.tile(np.eye(3), (1, 2, 1, 1)),
-        semi_axes=np.full((1, 2, 3), RADIUS),
-        v_WO=np.zeros((1, 2, 3)),
-        asked_clearance=np.full((1, 2), CLEARANCE),
+    seen = EllipsoidSet(
+        stamp=np.inf,
+        p_WO=BALLS,
+        R_WO=np.tile(np.eye(3), (2, 1, 1)),
+        semi_axes=np.full((2, 3), RADIUS),
+        v_WO=np.zeros((2, 3)),
+        ids=np.arange(2),
     )
-    proposer = load_proposals(package_file("package://drake_oa/weights/proposals.safetensors"))
+    scene = Scene(
+        p_WE=START,
+        z_W=np.zeros(3),
+        p_WG=GOAL,
+        R_WL=local_frame(START, GOAL),
+        baseline=1.0,
+        ellipsoids=seen,
+        clearance=np.full(2, CLEARANCE),
+    )
+    network = load_proposals(package_file("package://drake_oa/weights/proposals.safetensors"))
     dmp = imitate(*minimum_jerk(START, GOAL, duration=DURATION))
-    found = verify(scene, proposer, duration=DURATION)
+    search = PointSearch(scene, dmp=dmp, policy=Policy(), parameters=Verified())
+    found = search.run(network.propose(scene, DURATION, search.parameters.candidates))
     # One avoidance term about a point of its own: it belongs to neither ball.
-    of_term = (found.terms[:, column] for column in (ALPHA, PSI, KAPPA))
-    planes = found.terms[:, :3], found.terms[:, NORMAL : NORMAL + 3]
-    tau = float(found.tau[0])
+    terms = avoidance_terms(scene, found.genes)
+    of_term = (terms[:, column] for column in (ALPHA, PSI, KAPPA))
+    planes = terms[:, :3], terms[:, NORMAL : NORMAL + 3]
+    tau = max(float(found.length[0]), 1.0)
     coupling = CouplingParameters(*of_term, np.ones(1, bool), *planes, tau=tau, verified=True)
 
     policy = DmpIntegrator(dmp, START)

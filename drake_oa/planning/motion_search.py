@@ -45,14 +45,15 @@ from drake_oa.planning.joint_planner import plan_path
 from drake_oa.planning.search import ASTRAY, MISSED, SAMPLES, ArmSearch, Earlier, Leading
 from drake_oa.planning.sides import Sides, taken
 from drake_oa.planning.solid_scene import SolidScene
+from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
 from drake_oa.policy.demonstration import Demonstration
 from drake_oa.policy.dmp import Dmp, local_frame, normalised_time
 from drake_oa.policy.orientation_dmp import orientation_along
+from drake_oa.policy.rollout import Scene
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposals import ALPHA as LOG_ALPHA
-from drake_oa.regulation.proposals import N_GENES, TAU
-from drake_oa.regulation.rollout import SpatialScenes
+from drake_oa.regulation.proposals import N_GENES, TAU, avoidance_terms
 from drake_oa.robot.sphere_kernels import Spheres
 
 _LED = 201
@@ -183,8 +184,7 @@ class MotionSearch:
         spheres: Spheres,
         *,
         parameters: Verified,
-        steps: int,
-        fade: float,
+        policy: Policy,
         orientation: Callable[[FloatArray], FloatArray],
         posture: Callable[[FloatArray], FloatArray],
         q_goal: FloatArray | None = None,
@@ -198,8 +198,7 @@ class MotionSearch:
             clearance: asked distance Delta of the tool to every solid [m].
             chain, spheres: the arm.
             parameters: how far the search goes.
-            steps: of a roll-out a unit of normalised time.
-            fade: of the coupling near the goal, in baselines.
+            policy: time step and fade of the action level.
             orientation: (T, 3, 3) of the tool at normalised times (T,).
             posture: (T, n) that the null space is drawn to at normalised times (T,) [rad].
             q_goal: (n,) joints at the goal, where the task gives them [rad].
@@ -207,7 +206,7 @@ class MotionSearch:
         """
         self._sides, self._dmp, self._clearance = sides, dmp, clearance
         self._chain, self._spheres, self._parameters = chain, spheres, parameters
-        self._search = parameters.search(steps, fade)
+        self._policy = policy
         s = np.linspace(0.0, 1.0, _LED)
         self._task = Leading(s, orientation(s).reshape(_LED, 9), posture(s)[None])
         self._q_goal, self._is_tool = q_goal, spheres.of_tool[spheres.first[:-1]]
@@ -344,23 +343,25 @@ class MotionSearch:
             sight.q,
             leading,
             dmp=dmp,
-            price=self._sides.price(route),
+            policy=self._policy,
+            price=(price := self._sides.price(route)),
             # Of the first that would do nothing is to be kept but what it led to.
             previous=Choice().genes if here.hasty else here.genes,
-            parameters=replace(self._search, polish=0) if hasty else self._search,
+            parameters=replace(self._parameters, polish=0) if hasty else self._parameters,
             settled=here.tau > 0.0 and not sight.scene.moves and not here.hasty,
             earlier=Earlier(here.elites, here.rounds, afresh),
             most=math.inf if waits else self._parameters.frame,
             samples=_samples_of(here),
         )
-        result = search.run(self._sides.proposer)
-        genes = np.array(result.genes[0])
+        count = self._parameters.candidates
+        found = search.run(self._sides.proposer.propose(scene, dmp.duration, count, price))
+        genes = np.array(found.genes[0])
         # Nothing is better than the unmodulated one.
-        route = taken(route, search.terms(genes), genes, sight.ellipsoids)
+        route = taken(route, avoidance_terms(search.scene, genes[None])[0], genes, sight.ellipsoids)
         here = replace(here, hasty=hasty and genes[LOG_ALPHA] > -np.inf, route=route)
         if search.elites.size:
-            here = replace(here, elites=np.array(search.elites[0]), rounds=search.rounds)
-        return self._chosen(here, sight, world, search, genes, float(result.path_length[0]))
+            here = replace(here, elites=search.elites, rounds=search.rounds)
+        return self._chosen(here, sight, world, search, genes, float(found.length[0]))
 
     def _rolled(self, choice: Choice, sight: Sight, world: ArmWorld) -> Choice:
         """A motion as it is, from where it is now on."""
@@ -371,8 +372,9 @@ class MotionSearch:
             sight.q,
             self._leading(choice, sight),
             dmp=dmp,
+            policy=self._policy,
             previous=choice.genes,
-            parameters=self._search,
+            parameters=self._parameters,
             samples=_samples_of(choice),
         )
         genes = choice.genes
@@ -395,17 +397,16 @@ class MotionSearch:
         arm = search.follow(genes[None], tool, np.full(1, -np.inf))
         count = int(arm.samples[0])
         s = search.sample_times(count)
-        seconds = search.duration * math.exp(genes[TAU])
+        seconds = float(search.seconds(genes[None])[0])
         # Every second: they are a few millimetres apart.
         t = world.now + seconds * (s - s[0])
         kept, near = kept_along(world, arm.q[0, :count:2], t[::2])
         of_self = float(arm.excess[0, SELF]) + world.asked.of_self
         if arm.excess[0].argmin() == SELF:
             near = -1
-        short = max(-float(arm.least[0]) - self._search.slack, 0.0)
+        short = max(-float(arm.least[0]) - self._parameters.slack, 0.0)
         follows = float(arm.error[0]) <= MISSED and float(arm.hurry[0]) <= 1.0
-        baseline = float(search.scenes.baseline[0])
-        follows &= float(tool.goal_error[0]) <= ASTRAY * baseline
+        follows &= float(tool.goal_error[0]) <= ASTRAY * search.scene.baseline
         moving = sight.scene.moves
         tau = math.exp(genes[TAU]) if moving else 1.0
         if not moving:
@@ -416,7 +417,7 @@ class MotionSearch:
         return replace(
             here,
             genes=genes if genes[LOG_ALPHA] > -np.inf else np.full(N_GENES, np.nan),
-            term=search.terms(genes),
+            term=avoidance_terms(search.scene, genes[None])[0],
             tau=tau,
             motion=motion,
             kept=np.append(kept, of_self),
@@ -429,20 +430,17 @@ class MotionSearch:
             note="",
         )
 
-    def _scene(self, sight: Sight, dmp: Dmp) -> SpatialScenes:
+    def _scene(self, sight: Sight, dmp: Dmp) -> Scene:
         policy, seen = sight.policy, sight.ellipsoids
         lag = sight.time - seen.stamp if math.isfinite(seen.stamp) else 0.0
-        return SpatialScenes(
-            p_WE=policy.p_WE[None],
-            z_W=policy.z_W[None],
-            p_WG=np.asarray(sight.p_WG, dtype=float)[None],
-            R_WL=local_frame(policy.p_WS, sight.p_WG)[None],
-            baseline=np.array([math.dist(sight.p_WG, policy.p_WS)]),
-            p_WO=(seen.p_WO + lag * seen.v_WO)[None],
-            R_WO=seen.R_WO[None],
-            semi_axes=seen.semi_axes[None],
-            v_WO=seen.v_WO[None],
-            asked_clearance=np.full((1, len(seen)), self._clearance),
+        return Scene(
+            p_WE=policy.p_WE,
+            z_W=policy.z_W,
+            p_WG=np.asarray(sight.p_WG, dtype=float),
+            R_WL=local_frame(policy.p_WS, sight.p_WG),
+            baseline=math.dist(sight.p_WG, policy.p_WS),
+            ellipsoids=replace(seen, p_WO=seen.p_WO + lag * seen.v_WO),
+            clearance=np.full(len(seen), self._clearance),
             s=max(0.0, normalised_time(policy.phase, dmp.alpha_k)),
         )
 
@@ -579,7 +577,7 @@ class MotionSearch:
         # Of all that is asked, not of the share that was.
         whole = self._world(sight, shown.q[-1:])
         q = chosen.motion.q
-        short = max(lacking_along(whole, q) - self._search.slack, 0.0)
+        short = max(lacking_along(whole, q) - self._parameters.slack, 0.0)
         if short > 0.0:
             _, near = kept_along(whole, q, np.full(len(q), whole.now))
             chosen = replace(chosen, short_of=sight.scene.labels[near])

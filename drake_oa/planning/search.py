@@ -1,75 +1,277 @@
-"""The search for a motion that the whole arm can go: candidates by the coupling terms, rolled out.
+"""The local search for a motion that achieves the requested clearance: an evolution strategy.
 
-It goes on as that of `drake_oa.regulation.search` (the motion in use, the unmodulated one, what a
-network proposes, variations of the best), but what decides is what spheres of the whole
-arm keep of the solids (`drake_oa.planning.rollout`). Of a candidate the path of the tool is known
-before its clearance: it is followed only as far as it may be among the best.
+Candidates are the nominal motion, the motion in use, proposals, and variations of the best so far.
+Each is rolled out by the integrator's kernel (`drake_oa.policy.rollout`) and followed among the
+obstacles: by the whole arm (`ArmSearch`, `drake_oa.planning.rollout`) or by a point
+(`drake_oa.planning.point_search`). The random numbers of a round are the same for every scene and
+call, so a scene gets the same motion whatever else is searched for. Of a candidate the path of the
+tool is known before its clearance: it is followed only as far as it may be among the best.
 """
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
+from drake_oa.common.messages import FloatArray, Frozen, IntArray
 from drake_oa.common.thinking import Thinking, counted
 from drake_oa.planning.arm_world import FAR, ArmWorld
 from drake_oa.planning.rollout import ArmRollouts, ToolPaths, roll_out_arm
+from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import Dmp, trajectory
-from drake_oa.regulation.config import SearchParameters
+from drake_oa.policy.rollout import Scene, ToolRollouts, roll_out_tool
+from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposals import (
     ALPHA,
     ANGLE,
+    ELITES,
+    LOWER,
     N_GENES,
     NO_PRICE,
+    SPACING,
+    STRIDE,
     TAU,
-    Proposer,
+    UPPER,
     avoidance_terms,
+    closer,
+    draws,
     price_at,
-)
-from drake_oa.regulation.rollout import SpatialRollouts, SpatialScenes
-from drake_oa.regulation.search import (
-    BAD,
-    FLIP,
-    GOAL_PRICE,
-    HURRY,
-    LATE,
-    MISS,
-    OUTCOME,
-    PRICE,
-    Ranked,
-    Search,
-    roll_out,
+    strengths,
 )
 
 SAMPLES = 64
-"""Of a motion from s = 0 to 1 that are looked at: 3 cm apart at most on a way of 1 m."""
+"""Number of samples of a motion from s = 0 to 1 at which the arm is placed: 3 cm apart at most on a
+path of 1 m."""
 DEEP = 0.06
-"""How much short a candidate is makes no difference beyond this [m],"""
+"""Shortfall of a candidate beyond which a larger one makes no difference [m]."""
 _ROUGH = 6
-"""Where no round follows the first motion that will do, the arm is looked at every so many samples
-first, and on the way of those that clear there at all of them."""
+"""Where no round follows the first feasible motion, the arm is placed at every so many samples
+first, and then at all samples of the candidates that are clear there."""
 HOPELESS, ROUNDS_OF_HOPE = 0.015, 1
-"""A search whose best is short by so much after so many rounds is given up [m]."""
+"""A search with a shortfall of its best candidate by so much after so many rounds is given up
+[m]."""
 _CYCLE = 24
-"""After so many rounds a search varies its candidates as at first: far and wide."""
+"""Number of rounds after which the candidates vary as in the first round: far and wide."""
 _COSTS = Thinking()
-"""Whatever decisions cost in a scenario: what is decided does not depend on it."""
+"""Cost of the work of a search; the decision does not depend on a scenario's `thinking`."""
 MISSED = 2e-3
-"""The arm follows a path of the tool if it misses it nowhere by more [m, rad]."""
+"""Largest error of the tool's pose with which the arm follows a path [m, rad]."""
 ASTRAY = 0.1
 """Distance from the goal beyond which the end of a motion is no arrival, in baselines."""
 FORBIDDEN = 1e3
-"""Added to the cost of a motion on a side of infinite price."""
+"""Additional cost of a motion on a side with an infinite price."""
 _HELD = 0.1
-"""What the arm cannot follow is held: among what moves no better than what is short by so much
-more [m]."""
+"""Shortfall that a motion counts as having among moving obstacles if the arm cannot follow it
+[m]."""
 _PACES = np.log([0.7, 1.4, 1.8, 2.3])
-"""Logarithms of tau at which the unmodulated motion is proposed too, where something moves."""
+"""Logarithms of tau at which the nominal motion is proposed among moving obstacles."""
+BAD = 10.0
+"""Additional cost of a motion that does not achieve the clearance or does not arrive."""
+PRICE = 100.0
+"""Cost of a shortfall of the clearance by the length of the baseline."""
+_GOAL_PRICE, _MISS = 30.0, 2.0
+"""Costs of an end that is a baseline away from the goal, and of any end beyond the tolerance."""
+_LATE = 0.05
+"""Cost of a unit of normalised time after s = 1."""
+_HURRY = 0.02
+"""Cost of |ln tau| = 1 among moving obstacles."""
+_FLIP = 0.06
+"""Cost of the side opposite to the one in use: hysteresis."""
+_BRIEF = 1
+"""Number of rounds after the first feasible motion, if one is in use."""
+_MUCH = 0.02
+"""Least difference in cost for which another motion replaces a feasible one in use."""
+_LINES = ((0.2, 5), (0.1, 1))
+"""Of the best and the second best of a round: share of the candidates, and least number of them,
+that differ from it in alpha only."""
+_FIRST_FRESH = 6
+"""Round from which random candidates are added."""
+NONE_IN_USE = np.full(N_GENES, np.nan)
+"""Genes if no motion is in use."""
+
+
+class Ranked(NamedTuple):
+    """Candidates, the best first: genes (n, 7), costs (n,) and path lengths (n,) [m]."""
+
+    genes: FloatArray
+    cost: FloatArray
+    length: FloatArray
+
+    @property
+    def solved(self) -> bool:
+        """Whether the best achieves the clearance and arrives."""
+        return bool(self.cost[0] < BAD)
+
+    def joined(self, *others: Ranked) -> Ranked:
+        """Returns the best of these and of others, at most `ELITES`."""
+        genes, cost, length = map(np.concatenate, zip(self, *others, strict=True))
+        order = np.argsort(cost, kind="stable")[:ELITES]
+        return Ranked(genes[order], cost[order], length[order])
+
+
+class Search(ABC):
+    """Search in one scene; the obstacles are the subclass's."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        dmp: Dmp,
+        policy: Policy,
+        parameters: Verified,
+        previous: FloatArray = NONE_IN_USE,
+        settled: bool = False,
+        price: FloatArray = NO_PRICE,
+    ) -> None:
+        """Stores the problem.
+
+        Args:
+            scene: the motion under way.
+            dmp: the movement primitive.
+            policy: time step and fade of the action level.
+            parameters: effort and tolerances.
+            previous: (7,) genes of the motion in use; NaN: none is.
+            settled: whether a motion in use that is feasible stays without a look at others.
+            price: (K,) additional costs of the sides, in baselines, see `proposals.price_at`; inf:
+                no motion passes there.
+        """
+        self.scene, self.dmp, self.policy, self.parameters = scene, dmp, policy, parameters
+        self.previous, self.settled, self.price = previous, settled, price
+        self.moves = scene.moves
+        self.ds = policy.period / dmp.duration
+        self.elites = np.zeros((0, N_GENES))
+
+    @abstractmethod
+    def world_cost(
+        self, genes: FloatArray, tool: ToolRollouts, cost: FloatArray, worst: float
+    ) -> FloatArray:
+        """Returns the costs (n,) of the clearance along the paths of the tool.
+
+        Args:
+            genes: (n, 7) the candidates.
+            tool: their paths.
+            cost: (n,) their costs so far.
+            worst: cost beyond which a candidate is not among the best.
+        """
+
+    def run(self, proposals: FloatArray) -> Ranked:
+        """Searches.
+
+        Args:
+            proposals: (n, 7) genes of the first candidates; without, no round is run.
+
+        Returns:
+            The best candidate, alone. Nothing is shorter than the nominal motion: where that is
+            feasible, nothing else is looked at.
+        """
+        nominal = np.zeros((1, N_GENES))
+        nominal[:, ALPHA] = -np.inf
+        chosen = self.evaluate(nominal)
+        if chosen.solved:
+            return chosen
+        trial, in_use = self.seeded(proposals), bool(np.isfinite(self.previous).all())
+        ranked = Ranked(*(value[:0] for value in chosen))
+        if in_use:
+            same = self.evaluate(self.previous[None])
+            if same.solved:
+                if self.settled:
+                    return same
+                ranked = same.joined(self.evaluate(trial, same))
+                if same.cost[0] <= ranked.cost[0] + _MUCH:
+                    return same
+        if not len(ranked.cost):
+            ranked = ranked.joined(self.evaluate(trial))
+        since = 0
+        polish = min(_BRIEF, self.parameters.polish) if in_use else self.parameters.polish
+        for number in range(self.parameters.rounds + 1):
+            if not len(ranked.cost):
+                break
+            self.elites = ranked.genes
+            since += ranked.solved
+            last = since > polish or number == self.parameters.rounds
+            if last or self.hopeless(ranked, number):
+                break
+            ranked = ranked.joined(self.evaluate(self.children(ranked, number), ranked))
+        return Ranked(*(value[:1] for value in chosen.joined(ranked)))
+
+    def hopeless(self, ranked: Ranked, number: int) -> bool:
+        """Returns whether the search is given up after so many rounds."""
+        return False
+
+    def evaluate(self, genes: FloatArray, known: Ranked | None = None) -> Ranked:
+        """Rolls out candidates (n, 7); those that cannot be among the known ones only in part."""
+        worst = math.inf if known is None else float(known.cost[-1])
+        longest = worst * self.scene.baseline if worst < BAD else math.inf
+        tool = self.tool_paths(genes, longest)
+        cost = self.tool_cost(genes, tool)
+        return Ranked(genes, cost + self.world_cost(genes, tool, cost, worst), tool.path_length)
+
+    def tool_paths(self, genes: FloatArray, longest: float = math.inf) -> ToolRollouts:
+        """Rolls out the tool along candidates (n, 7); ellipsoids are not considered."""
+        return roll_out_tool(
+            self.scene,
+            avoidance_terms(self.scene, genes)[:, None],
+            dmp=self.dmp,
+            policy=self.policy,
+            tolerance=self.parameters.tolerance,
+            longest=longest,
+        )
+
+    def seconds(self, genes: FloatArray) -> FloatArray:
+        """Returns tau T (n,) of candidates [s]."""
+        return np.asarray(self.dmp.duration * np.exp(genes[:, TAU]))
+
+    def tool_cost(self, genes: FloatArray, tool: ToolRollouts) -> FloatArray:
+        """Returns length over L, and small prices; above `BAD` where the motion does not arrive."""
+        L = self.scene.baseline
+        missed = np.maximum(np.minimum(tool.goal_error, L) - self.parameters.tolerance, 0.0)
+        bad = _GOAL_PRICE * missed / L + _MISS * (missed > 0.0)
+        price = np.where(genes[:, ALPHA] > -np.inf, price_at(self.price, genes[:, ANGLE]), 0.0)
+        bad += np.where(np.isinf(price), FORBIDDEN, 0.0)
+        price = np.where(np.isinf(price), 0.0, price)
+        late = np.maximum(tool.steps * self.ds + self.scene.s - 1.0, 0.0)
+        hurry = np.abs(genes[:, TAU]) if self.moves else 0.0
+        # 0 for the side in use, 1 for its opposite; no side is in use before the first choice.
+        flip = np.nan_to_num(0.5 - 0.5 * np.cos(genes[:, ANGLE] - self.previous[ANGLE]))
+        small = _LATE * late + _HURRY * hurry + _FLIP * flip + price
+        return np.asarray(np.where(bad > 0.0, BAD + bad, 0.0) + tool.path_length / L + small)
+
+    def seeded(self, proposals: FloatArray) -> FloatArray:
+        """Returns proposals; the motion in use and stronger ones take the place of the last."""
+        genes = self.bounded(proposals)
+        if not len(genes) or not np.isfinite(self.previous).all():
+            return genes
+        stays = max(self.parameters.candidates // 8, 2)
+        stronger = strengths(self.previous, False, SPACING, stays - 1)
+        return np.concatenate([genes[:-stays], stronger, self.previous[None]])
+
+    def children(self, ranked: Ranked, number: int) -> FloatArray:
+        """Returns the candidates of a round, (n, 7)."""
+        count = self.parameters.candidates
+        random, genes = draws(number, count), ranked.genes
+        lines = [
+            strengths(one, cost < BAD, closer(number), max(round(share * count), least))
+            for one, cost, (share, least) in zip(genes, ranked.cost, _LINES, strict=False)
+        ]
+        n_kin = count - sum(map(len, lines))
+        kin = genes[np.arange(n_kin) % len(genes)] + STRIDE * random.step[:n_kin]
+        first, second = random.first[:n_kin] % len(genes), random.second[:n_kin] % len(genes)
+        kin += random.mixing[:n_kin, None] * np.nan_to_num(genes[first] - genes[second])
+        trial = np.concatenate([*lines, kin])
+        if number >= _FIRST_FRESH and not ranked.solved:
+            trial = np.where(random.is_fresh[:, None], random.fresh, trial)
+        if not self.moves:
+            trial[:, TAU] = 0.0
+        return self.bounded(trial)
+
+    def bounded(self, genes: FloatArray) -> FloatArray:
+        """Returns genes (n, 7) moved into their ranges."""
+        return np.clip(genes, LOWER, UPPER)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,12 +311,12 @@ def _length(dmp: Dmp) -> float:
 
 
 class Earlier(NamedTuple):
-    """A search that another one goes on from.
+    """Search from which another one continues.
 
     Attributes:
         elites: (k, 7) its best candidates.
-        rounds: that it has gone through.
-        afresh: whether there are proposals for the other one too.
+        rounds: number of its rounds.
+        afresh: whether the other one has proposals, too.
     """
 
     elites: FloatArray = np.zeros((0, N_GENES))
@@ -123,184 +325,131 @@ class Earlier(NamedTuple):
 
 
 class ArmSearch(Search):
-    """One search, in one scene; see `drake_oa.regulation.search.Search`.
+    """Search for the motion of a whole arm among solids.
 
-    It may go on from an earlier one; it ends before it costs more than `most`, by what thinking
-    costs [s], as soon as it has candidates. Sides may have a price besides, in baselines, see
-    `drake_oa.regulation.proposals.price_at`; inf: no motion goes there.
+    It may continue an earlier one, and ends before it costs more than `most` by `thinking` [s], as
+    soon as it has candidates.
     """
 
     def __init__(
         self,
-        scene: SpatialScenes,
+        scene: Scene,
         world: ArmWorld,
         q: FloatArray,
         leading: Leading,
         *,
-        dmp: Dmp,
-        previous: FloatArray,
-        parameters: SearchParameters,
-        settled: bool = False,
         samples: int = SAMPLES,
         earlier: Earlier | None = None,
         most: float = math.inf,
-        price: FloatArray = NO_PRICE,
+        **more: Any,
     ) -> None:
-        super().__init__(scene, dmp.duration, dmp, previous[None], parameters, settled=settled)
+        """Stores the problem.
+
+        Args:
+            world: the arm among the solids.
+            q: (n,) its joints [rad].
+            leading: orientations and postures along the path.
+            samples: number of samples from s = 0 to 1 at which the arm is placed.
+            earlier: search from which this one continues.
+            most: largest cost [s].
+            scene, more: arguments of `Search`.
+        """
+        super().__init__(scene, **more)
         self.world, self.q, self.leading = world, q, leading
         self.most, self.spent, self.latest = most, 0.0, 0.0
-        self.price = price
         self.seeds, self.rounds, self.afresh = earlier or Earlier()
-        self.world_moves = bool(world.solids.ball[:, 4:7].any())
-        # No round follows the first motion that will do.
-        self.hasty = parameters.polish == 0
-        # The tool's path is rolled out without the ellipsoids: they propose, and decide nothing.
-        self.empty = scene.without_obstacles()
-        self.every = max(round(parameters.steps / samples), 1)
-        self.planned_length = _length(dmp) * float(scene.baseline[0])
+        self.moves = bool(world.solids.ball[:, 4:7].any())
+        # No round follows the first feasible motion.
+        self.hasty = self.parameters.polish == 0
+        self.every = max(round(1.0 / (self.ds * samples)), 1)
+        self.planned_length = _length(self.dmp) * scene.baseline
 
-    def evaluate(self, active: IntArray, genes: FloatArray, known: Ranked | None = None) -> Ranked:
-        """Rolls out candidates (1, n, 7)."""
+    def evaluate(self, genes: FloatArray, known: Ranked | None = None) -> Ranked:
+        """Rolls out candidates (n, 7), and keeps an account of the cost."""
         with counted() as work:
-            ranked = self._evaluated(active, genes, known)
+            ranked = super().evaluate(genes, known)
         self.latest = _COSTS.seconds(work) - _COSTS.decision
         self.spent += self.latest
         return ranked
 
-    def _evaluated(self, active: IntArray, genes: FloatArray, known: Ranked | None) -> Ranked:
-        n = genes.shape[1]
-        if not len(active):
-            return Ranked(genes, np.zeros((0, n)), np.zeros((0, n, len(OUTCOME))))
-        flat = genes[0]
-        found = self.tool_paths(flat)
-        cost = self.tool_cost(flat, found)
-        worst = math.inf if known is None or not len(known.cost) else float(known.cost[0, -1])
-        # What may be short and still be among the best.
-        may = (worst - BAD - cost) * self.scenes.baseline[0] / PRICE
+    def world_cost(
+        self, genes: FloatArray, tool: ToolRollouts, cost: FloatArray, worst: float
+    ) -> FloatArray:
+        """Returns the costs of the whole arm's clearance; see `Search`."""
+        # Shortfalls with which a candidate may still be among the best.
+        may = (worst - BAD - cost) * self.scene.baseline / PRICE
         may = np.where(worst < BAD, np.where(cost < worst, self.parameters.slack, -np.inf), may)
         hopeless = np.isneginf(may)
-        deep = math.inf if self.world_moves else 0.0 if self.hasty else DEEP
+        deep = math.inf if self.moves else 0.0 if self.hasty else DEEP
         may = np.maximum(np.minimum(may, deep), self.parameters.slack)
         enough = np.where(hopeless, np.inf, -may)
-        screened = np.zeros(n)
-        if self.hasty and not self.world_moves:
-            rough = self.follow(flat, found, enough, every=_ROUGH * self.every)
+        screened = np.zeros(len(genes))
+        if self.hasty and not self.moves:
+            rough = self.follow(genes, tool, enough, every=_ROUGH * self.every)
             screened = np.where(~hopeless & (rough.least < enough), self.arm_cost(rough), 0.0)
             enough = np.where(screened > 0.0, np.inf, enough)
-        arms = self.follow(flat, found, enough)
-        kept = np.where(screened > 0.0, screened, self.arm_cost(arms))
-        cost = cost + np.where(hopeless, BAD, kept)
-        outcome = np.column_stack(
-            [
-                arms.least,
-                arms.excess[:, 0],
-                found.goal_error,
-                found.path_length,
-                found.steps,
-            ]
-        )
-        return Ranked(genes, cost.reshape(1, n), outcome.reshape(1, n, len(OUTCOME)))
+        kept = self.arm_cost(self.follow(genes, tool, enough))
+        return np.where(hopeless, BAD, np.where(screened > 0.0, screened, kept))
 
-    def hopeless(self, ranked: Ranked, number: int) -> BoolArray:
-        """(A,) where it is given up: another round would take too long, or a plan is needed.
+    def hopeless(self, ranked: Ranked, number: int) -> bool:
+        """Returns whether another round would take too long, or a path in the joints is needed.
 
-        A plan is, where the best is still far too near after a few rounds.
+        It is, where the best is still far too near after a few rounds.
         """
         if self.spent + self.latest > self.most:
-            return np.ones(len(ranked.cost), dtype=bool)
-        far = PRICE * HOPELESS / float(self.scenes.baseline[0])
-        if self.world_moves:
-            # No plan waits for what moves to pass.
+            return True
+        far = PRICE * HOPELESS / self.scene.baseline
+        if self.moves:
+            # No path in the joints waits for what moves to pass.
             far = math.inf
         elif self.hasty:
-            # How short they are is not looked at.
+            # Their shortfalls are not computed.
             far = 0.0
-        return np.asarray((number >= ROUNDS_OF_HOPE) & (ranked.cost[:, 0] > BAD + far))
+        return bool(number >= ROUNDS_OF_HOPE and ranked.cost[0] > BAD + far)
 
-    def proposals(self, proposer: Proposer) -> tuple[FloatArray, BoolArray]:
-        """What is proposed; where the search goes on, the best of what it had, or both.
+    def seeded(self, proposals: FloatArray) -> FloatArray:
+        """Returns proposals, or the best candidates of the earlier search, or both.
 
-        Where something moves, the unmodulated motion at other paces besides: to wait is a way.
+        Among moving obstacles the nominal motion is proposed at other paces, too: to wait is a way.
         """
-        seeds = self.bounded(self.seeds[None])
-        if self.world_moves:
-            paced = np.zeros((1, len(_PACES), N_GENES))
-            paced[:, :, ALPHA], paced[:, :, TAU] = -np.inf, _PACES
-            seeds = np.concatenate([seeds, self.bounded(paced)], axis=1)
+        seeds = self.bounded(self.seeds)
+        if self.moves:
+            paced = np.zeros((len(_PACES), N_GENES))
+            paced[:, ALPHA], paced[:, TAU] = -np.inf, _PACES
+            seeds = np.concatenate([seeds, self.bounded(paced)])
         if len(self.seeds) and not self.afresh:
-            return seeds, np.ones(1, dtype=bool)
-        genes, in_range = super().proposals(proposer)
-        kept = genes.shape[1] - seeds.shape[1]
-        return np.concatenate([seeds, genes[:, :kept]], axis=1), in_range
+            return seeds
+        genes = super().seeded(proposals)
+        return np.concatenate([seeds, genes[: max(len(genes) - len(seeds), 0)]])
 
-    def children(self, active: IntArray, ranked: Ranked, number: int) -> FloatArray:
-        """The candidates of a round; never those of one that has been, soon after it."""
+    def children(self, ranked: Ranked, number: int) -> FloatArray:
+        """Returns the candidates of a round; never those of a recent one."""
         self.rounds += 1
-        return super().children(active, ranked, (self.rounds - 1) % _CYCLE)
-
-    def tool_paths(self, genes: FloatArray) -> SpatialRollouts:
-        """The tool's motions of candidates (n, 7)."""
-        scene = np.zeros(len(genes), dtype=np.int64)
-        return roll_out(
-            self.empty,
-            scene,
-            avoidance_terms(self.scenes, scene, genes),
-            self.parameters,
-            seconds=self.duration * np.exp(genes[:, TAU]),
-            dmp=self.dmp,
-            keep_path=True,
-        )
+        return super().children(ranked, (self.rounds - 1) % _CYCLE)
 
     def sample_times(self, count: int, every: int = 0) -> FloatArray:
-        """(count,) normalised times of the samples, from now on, or of every so many steps."""
-        step = (every or self.every) / self.parameters.steps
-        return np.asarray(self.scenes.s + step * np.arange(count))
-
-    def terms(self, genes: FloatArray) -> FloatArray:
-        """(13,) the avoidance term of a candidate."""
-        term = avoidance_terms(self.scenes, np.zeros(1, dtype=np.int64), genes[None])
-        return np.asarray(term[0])
+        """Returns normalised times (count,) of the samples from now on, or of every few steps."""
+        return np.asarray(self.scene.s + (every or self.every) * self.ds * np.arange(count))
 
     def follow(
-        self, genes: FloatArray, found: SpatialRollouts, enough: FloatArray, *, every: int = 0
+        self, genes: FloatArray, tool: ToolRollouts, enough: FloatArray, *, every: int = 0
     ) -> ArmRollouts:
-        """The arm along them, looked at after so many steps, or at the samples."""
-        path = found.path[:, :: every or self.every]
+        """Lets the arm follow the tool, placed after every so many steps, or at the samples."""
+        path = tool.path[:, :: every or self.every]
         longest = int(np.isfinite(path[:, :, 0]).sum(axis=1).max(initial=1))
         path = path[:, : max(longest, 2)]
         s = self.sample_times(path.shape[1], every)
         R_WE, q = self.leading.at(s)
-        paths = ToolPaths(
-            s,
-            path,
-            R_WE[None],
-            np.zeros(len(path), dtype=np.int64),
-            q[:1],
-            np.zeros(len(path), dtype=np.int64),
-            self.duration * np.exp(genes[:, TAU]),
-        )
+        none: IntArray = np.zeros(len(path), dtype=np.int64)
+        paths = ToolPaths(s, path, R_WE[None], none, q[:1], none, self.seconds(genes))
         return roll_out_arm(self.world, self.q, paths, enough)
 
-    def tool_cost(self, genes: FloatArray, found: SpatialRollouts) -> FloatArray:
-        """Length over L, and small prices; above `BAD` where the motion does not arrive."""
-        p, L = self.parameters, float(self.scenes.baseline[0])
-        missed = np.maximum(np.minimum(found.goal_error, L) - p.tolerance, 0.0)
-        bad = GOAL_PRICE * missed / L + MISS * (missed > 0.0)
-        price = np.where(genes[:, ALPHA] > -np.inf, price_at(self.price, genes[:, ANGLE]), 0.0)
-        bad += np.where(np.isinf(price), FORBIDDEN, 0.0)
-        price = np.where(np.isinf(price), 0.0, price)
-        late = np.maximum(found.steps / p.steps + self.scenes.s - 1.0, 0.0)
-        hurry = np.abs(genes[:, TAU]) if self.moving[0] else 0.0
-        flip = 0.5 - 0.5 * np.cos(genes[:, ANGLE] - self.previous[0, ANGLE])
-        small = LATE * late + HURRY * hurry + FLIP * np.nan_to_num(flip) + price
-        return np.asarray(np.where(bad > 0.0, BAD + bad, 0.0) + found.path_length / L + small)
-
     def arm_cost(self, arms: ArmRollouts) -> FloatArray:
-        """What is added for a clearance that is not kept, or a path that cannot be followed."""
-        L = float(self.scenes.baseline[0])
+        """Returns the costs of a shortfall of the clearance, and of a path that is not followed."""
+        L = self.scene.baseline
         short = np.maximum(-arms.least - self.parameters.slack, 0.0)
         lost = np.maximum(arms.error - MISSED, 0.0)
         fast = np.maximum(arms.hurry - 1.0, 0.0)
-        held = _HELD * ((lost > 0.0) | (fast > 0.0)) * self.world_moves
+        held = _HELD * ((lost > 0.0) | (fast > 0.0)) * self.moves
         bad = PRICE * (short + np.minimum(lost, FAR) + held) / L + fast
         return np.asarray(np.where(bad > 0.0, BAD + bad, 0.0))

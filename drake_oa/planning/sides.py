@@ -15,9 +15,9 @@ import numpy as np
 
 from drake_oa.common.messages import EllipsoidSet, FloatArray, Route
 from drake_oa.policy.coupling import ALPHA, NORMAL
+from drake_oa.policy.rollout import Scene
 from drake_oa.regulation.proposal_network import N_SIDES
 from drake_oa.regulation.proposals import ANGLE, NO_PRICE, Proposer
-from drake_oa.regulation.rollout import SpatialScenes
 from drake_oa.route.cost_rings import FORBIDDEN, Ring, ring_scene
 
 
@@ -35,9 +35,7 @@ class Sides:
     rings: Mapping[str, Ring] = field(default_factory=dict)
     ring_price: float = 0.5
 
-    def weighed(
-        self, scene: SpatialScenes, seen: EllipsoidSet, duration: float, clearance: float
-    ) -> Route:
+    def weighed(self, scene: Scene, seen: EllipsoidSet, duration: float, clearance: float) -> Route:
         """The sides of one scene with their costs: the proposer's, and the rings'.
 
         Args:
@@ -49,7 +47,7 @@ class Sides:
         if not len(seen):
             return Route()
         costs = self.proposer.weigh(scene, duration)
-        p_WS, p_WG, R_WL = scene.p_WS[0], scene.p_WG[0], scene.R_WL[0]
+        p_WS, p_WG, R_WL = scene.p_WS, scene.p_WG, scene.R_WL
         around = ring_scene(
             p_WS,
             p_WG,

@@ -9,31 +9,6 @@ from drake_oa.common.config import BLOCK
 
 
 @dataclass(config=BLOCK)
-class SearchParameters:
-    """Effort and tolerances of a search among motions of the tool."""
-
-    candidates: int = Field(default=64, ge=8, le=4096)
-    """Number of motions rolled out in each iteration [1]. Raising it searches more widely."""
-    rounds: int = Field(default=60, ge=0, le=1000)
-    """Maximum number of iterations [1]. Raising it searches longer for a feasible motion."""
-    polish: int = Field(default=6, ge=0, le=1000)
-    """Number of iterations after the first feasible motion [1]. Raising it gives shorter
-    motions."""
-    slack: float = Field(default=2e-4, ge=0.0, le=0.1)
-    """Maximum shortfall of the clearance of a feasible motion [m]. Raising it accepts motions
-    closer to the obstacles."""
-    tolerance: float = Field(default=6e-4, ge=0.0, le=0.1)
-    """Maximum distance from the goal at the end of a feasible motion [m]. Raising it accepts
-    motions that end farther away."""
-    steps: int = Field(default=500, ge=50, le=100_000)
-    """Number of time steps of a roll-out per unit of normalized time [1]. Raising it makes
-    roll-outs more accurate and slower."""
-    fade: float = Field(default=0.3, ge=0.0, le=1e6)
-    """Fraction of the start-to-goal distance before the goal within which the coupling terms fade
-    to zero [1]. Raising it ends avoidance farther from the goal."""
-
-
-@dataclass(config=BLOCK)
 class Paper:
     """The paper's regressor chain; each field selects an interpretation of the paper.
 
@@ -95,9 +70,3 @@ class Verified:
     last_configurations: int = Field(default=200_000, ge=0, le=10_000_000)
     """Number of configurations of the joint-space planner at the reduced clearance of last resort
     [1]. Raising it finds more paths and takes longer."""
-
-    def search(self, steps: int, fade: float) -> SearchParameters:
-        """Returns the parameters of the search among motions of the tool."""
-        shared = ("candidates", "rounds", "polish", "slack", "tolerance")
-        given = {name: getattr(self, name) for name in shared}
-        return SearchParameters(**given, steps=steps, fade=fade)

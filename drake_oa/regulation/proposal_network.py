@@ -24,8 +24,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_oa.common.compiled import compiled
-from drake_oa.common.messages import BoolArray, FloatArray, Frozen
+from drake_oa.common.messages import EllipsoidSet, FloatArray, Frozen
+from drake_oa.policy.rollout import Scene
 from drake_oa.regulation.network import array_of, read_arrays, write_arrays
 from drake_oa.regulation.proposals import (
     ALPHA,
@@ -35,7 +35,6 @@ from drake_oa.regulation.proposals import (
     ladder,
     price_at,
 )
-from drake_oa.regulation.rollout import SceneArrays, SpatialScenes
 from drake_oa.route.cost_rings import LEAST_SPREAD
 
 N_SIDES = 16
@@ -79,222 +78,114 @@ class Layers(NamedTuple):
     out_bias: Floats32
 
 
-@compiled
-def _from_side(R_WL: FloatArray, angle: float, vector: FloatArray, out: FloatArray) -> None:
-    """A vector (3,) of the world in the frame L turned about x by the angle of a side."""
-    cos, sin = math.cos(angle), math.sin(angle)
-    x, y, z = 0.0, 0.0, 0.0
-    for w in range(3):
-        x += R_WL[w, 0] * vector[w]
-        y += R_WL[w, 1] * vector[w]
-        z += R_WL[w, 2] * vector[w]
-    out[0], out[1], out[2] = x, cos * y + sin * z, cos * z - sin * y
-
-
-@compiled
-def describe(
-    scenes: SceneArrays, row: int, s: float, seconds: float, angle: float, each: Floats32
-) -> int:
-    """One scene from one side; how many obstacles there are.
+def describe(scene: Scene, duration: float, angles: FloatArray) -> tuple[Floats32, Floats32]:
+    """Describes a scene from A sides, in each side's frame and in baselines.
 
     Args:
-        scenes: the scenes.
-        row: which of them.
-        s: normalised time now.
-        seconds: tau T [s].
-        angle: of the side in the local YZ plane.
-        each: (M + 1, 20) takes a row an obstacle, and after them one of the state alone.
-    """
-    R, L = scenes.R_WL[row], scenes.baseline[row]
-    state, axes, vector = np.zeros(N_STATE), np.zeros((3, 3)), np.zeros(3)
-    state[0] = s
-    _from_side(R, angle, scenes.p_WE[row] - scenes.p_WG[row], vector)
-    for i in range(3):
-        state[1 + i] = vector[i] / L
-    state[1] += 1.0
-    _from_side(R, angle, scenes.z_W[row], vector)
-    for i in range(3):
-        state[4 + i] = vector[i] / L
-    count = 0
-    for j in range(scenes.p_WO.shape[1]):
-        if math.isnan(scenes.p_WO[row, j, 0]):
-            continue
-        out = each[count]
-        _from_side(R, angle, scenes.p_WO[row, j] - scenes.p_WG[row], vector)
-        for i in range(3):
-            out[i] = vector[i] / L
-        out[0] += np.float32(1.0)
-        for k in range(3):
-            _from_side(R, angle, scenes.R_WO[row, j, :, k], axes[k])
-        # The root of the ellipsoid's matrix, the sum of a u u^T over its axes.
-        for i in range(3):
-            for k in range(i, 3):
-                value = 0.0
-                for axis in range(3):
-                    value += scenes.semi_axes[row, j, axis] * axes[axis, i] * axes[axis, k]
-                out[3 + (i if k == i else i + k + 2)] = value / L
-        out[9] = scenes.asked_clearance[row, j] / L
-        _from_side(R, angle, scenes.v_WO[row, j], vector)
-        for i in range(3):
-            out[10 + i] = vector[i] * seconds / L
-        for i in range(N_STATE):
-            out[N_OBSTACLE + i] = state[i]
-        count += 1
-    for i in range(N_STATE):
-        each[count, N_OBSTACLE + i] = state[i]
-    return count
-
-
-@compiled
-def _evaluate(
-    scenes: SceneArrays, s: float, seconds: float, angles: FloatArray, layers: Layers, out: Floats32
-) -> None:
-    """What the network says of S scenes from A sides, out (S, A, 9)."""
-    M, A = scenes.p_WO.shape[1], len(angles)
-    h = layers.each_2.shape[1]
-    # A row is spare: the state's, which the next side's first obstacle overwrites.
-    each = np.zeros((A * M + 1, N_OBSTACLE + N_STATE), np.float32)
-    pooled = np.empty((A, 2 * h + N_STATE), np.float32)
-    zero = np.float32(0.0)
-    for row in range(len(scenes.baseline)):
-        first = 0
-        count = 0
-        for a in range(A):
-            count = describe(scenes, row, s, seconds, angles[a], each[first:])
-            pooled[a, 2 * h :] = each[first + count, N_OBSTACLE:]
-            first += count
-        y = np.maximum(np.dot(each[:first], layers.each_1) + layers.each_1_bias, zero)
-        y = np.maximum(np.dot(y, layers.each_2) + layers.each_2_bias, zero)
-        for a in range(A):
-            for i in range(h):
-                total, greatest = zero, zero
-                for k in range(a * count, (a + 1) * count):
-                    total += y[k, i]
-                    greatest = max(greatest, y[k, i])
-                pooled[a, i], pooled[a, h + i] = total, greatest
-        y = np.maximum(np.dot(pooled, layers.all_1) + layers.all_1_bias, zero)
-        y = np.maximum(np.dot(y, layers.all_2) + layers.all_2_bias, zero)
-        out[row] = np.dot(y, layers.out) + layers.out_bias
-
-
-@compiled
-def _describe_all(
-    scenes: SceneArrays, s: float, seconds: float, angles: FloatArray, out: Floats32
-) -> None:
-    """Each scene from one side of its own: out (S, M + 1, 20), the state in the last row."""
-    for row in range(len(angles)):
-        count = describe(scenes, row, s, seconds, angles[row], out[row])
-        out[row, -1] = out[row, count]
-        if count < out.shape[1] - 1:
-            out[row, count] = np.nan
-
-
-def descriptors(scenes: SpatialScenes, duration: float, angles: FloatArray) -> Floats32:
-    """What describes S scenes, each from a side of its own (S,).
+        scene: the motion and M obstacles.
+        duration: T [s].
+        angles: (A,) sides in the local YZ plane [rad].
 
     Returns:
-        (S, M + 1, 20): a row an obstacle, NaN for none, and at last one of the state alone.
+        (A, M, 20) a row an obstacle, and (A, 7) the state.
     """
-    shape = (len(scenes), scenes.p_WO.shape[1] + 1, N_OBSTACLE + N_STATE)
-    out = np.full(shape, np.nan, np.float32)
-    _describe_all(scenes.arrays, scenes.s, duration, angles, out)
-    return out
+    cos, sin = np.cos(angles), np.sin(angles)
+    zero, one = np.zeros_like(cos), np.ones_like(cos)
+    R_SL = np.array([[one, zero, zero], [zero, cos, sin], [zero, -sin, cos]]).transpose(2, 0, 1)
+    R_SW, L, seen = R_SL @ scene.R_WL.T, scene.baseline, scene.ellipsoids
+    A, M, first = len(angles), len(seen), np.array([1.0, 0.0, 0.0])
+    state = np.empty((A, N_STATE), np.float32)
+    state[:, 0] = scene.s
+    state[:, 1:4] = R_SW @ (scene.p_WE - scene.p_WG) / L + first
+    state[:, 4:] = R_SW @ scene.z_W / L
+    each = np.empty((A, M, N_OBSTACLE + N_STATE), np.float32)
+    each[:, :, :3] = (seen.p_WO - scene.p_WG) @ R_SW.transpose(0, 2, 1) / L + first
+    # The root of the ellipsoid's matrix, the sum of a u u^T over its axes.
+    axes = R_SW[:, None] @ seen.R_WO
+    root = (axes * seen.semi_axes[None, :, None]) @ axes.transpose(0, 1, 3, 2) / L
+    each[:, :, 3:9] = root[:, :, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    each[:, :, 9] = scene.clearance / L
+    each[:, :, 10:13] = seen.v_WO @ R_SW.transpose(0, 2, 1) * (duration / L)
+    each[:, :, N_OBSTACLE:] = state[:, None]
+    return each, state
 
 
 @dataclass(frozen=True, eq=False)
 class ProposalNetwork(Frozen):
-    """What proposes the candidates of a search.
+    """Set network that proposes the candidates of a search.
 
     Attributes:
         layers: its matrices and biases.
         metadata: recipe, seed, scores, version, date, source digest.
-        spacing: of the strengths that it proposes on a side, about, in ln alpha.
     """
 
     layers: Layers
     metadata: Mapping[str, Any] = field(default_factory=dict)
-    spacing: float = 0.6
 
     def sides(
-        self, scenes: SpatialScenes, duration: float, angles: FloatArray | None = None
+        self, scene: Scene, duration: float, angles: FloatArray = SIDES
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """What it says of S scenes from A sides; without an obstacle as if a ball stood midway.
+        """Evaluates a scene from A sides; without an obstacle as if a ball stood midway.
 
         Args:
-            scenes: the scenes.
+            scene: the motion and the obstacles.
             duration: T [s].
-            angles: (A,) sides in the local YZ plane; None: `N_SIDES`, evenly spread.
+            angles: (A,) sides in the local YZ plane [rad].
 
         Returns:
-            Genes (S, A, 7), lengths over L (S, A), and how likely it is that what is asked is
-            kept (S, A).
+            Genes (A, 7), lengths over L (A,), and probabilities that the requested clearance is
+            achieved (A,).
         """
-        angles = SIDES if angles is None else angles
-        scenes = _with_stand_ins(scenes)
-        out = np.empty((len(scenes), len(angles), N_OUTPUTS), np.float32)
-        _evaluate(scenes.arrays, scenes.s, duration, angles, self.layers, out)
-        genes = out[:, :, :N_GENES] * GENE_SCALE + GENE_MEAN
-        genes[:, :, ANGLE] = np.clip(genes[:, :, ANGLE], -HALF, HALF) + angles
-        length = np.exp(np.clip(out[:, :, N_GENES], 0.0, 3.0).astype(float))
-        likely = 1.0 / (1.0 + np.exp(-np.clip(out[:, :, N_GENES + 1], -50.0, 50.0).astype(float)))
+        each, state = describe(_with_stand_in(scene), duration, angles)
+        net = self.layers
+        y = np.maximum(each @ net.each_1 + net.each_1_bias, 0.0)
+        y = np.maximum(y @ net.each_2 + net.each_2_bias, 0.0)
+        y = np.concatenate([y.sum(axis=1), y.max(axis=1), state], axis=1)
+        y = np.maximum(y @ net.all_1 + net.all_1_bias, 0.0)
+        y = np.maximum(y @ net.all_2 + net.all_2_bias, 0.0)
+        out = (y @ net.out + net.out_bias).astype(float)
+        genes = out[:, :N_GENES] * GENE_SCALE + GENE_MEAN
+        genes[:, ANGLE] = np.clip(genes[:, ANGLE], -HALF, HALF) + angles
+        length = np.exp(np.clip(out[:, N_GENES], 0.0, 3.0))
+        likely = 1.0 / (1.0 + np.exp(-np.clip(out[:, N_GENES + 1], -50.0, 50.0)))
         return genes, length, likely
 
     def propose(
-        self, scenes: SpatialScenes, duration: float, count: int, price: FloatArray = NO_PRICE
-    ) -> tuple[FloatArray, BoolArray]:
-        """Candidates of S scenes, the likeliest first.
-
-        Args:
-            scenes: the scenes.
-            duration: T [s].
-            count: candidates a scene.
-            price: (K,) what sides cost besides, in baselines.
-
-        Returns:
-            (S, count, 7) genes, and (S,) whether it expects to keep what is asked on some side.
-        """
-        genes, length, likely = self.sides(scenes, duration)
+        self, scene: Scene, duration: float, count: int, price: FloatArray = NO_PRICE
+    ) -> FloatArray:
+        """Proposes candidates, the best side first; see `Proposer`."""
+        genes, length, likely = self.sides(scene, duration)
         cost = length + _UNLIKELY * (1.0 - likely) + price_at(price, SIDES)
-        order = np.argsort(cost, axis=1, kind="stable")
         rank, share = ladder(count, N_SIDES)
-        found = np.take_along_axis(genes, order[:, rank, None], axis=1)
-        found[:, :, ALPHA] += _STRENGTHS[0] + (_STRENGTHS[1] - _STRENGTHS[0]) * share
-        return found, likely.max(axis=1) > 0.5
+        found = genes[np.argsort(cost, kind="stable")[rank]]
+        found[:, ALPHA] += _STRENGTHS[0] + (_STRENGTHS[1] - _STRENGTHS[0]) * share
+        return found
 
-    def weigh(self, scenes: SpatialScenes, duration: float) -> dict[str, FloatArray]:
-        """How much longer than on the shortest side, and how unlikely to keep what is asked."""
-        _, length, likely = self.sides(scenes, duration)
-        longer = length - length.min(axis=1, keepdims=True)
-        spread = np.maximum(longer.max(axis=1, keepdims=True), LEAST_SPREAD)
-        return {"length": longer / spread, "unlikely": 1.0 - likely}
+    def weigh(self, scene: Scene, duration: float) -> dict[str, FloatArray]:
+        """Returns the additional length of the sides, and how improbable their clearance is."""
+        _, length, likely = self.sides(scene, duration)
+        longer = length - length.min()
+        spread = max(float(longer.max()), LEAST_SPREAD)
+        return {"length": longer[None] / spread, "unlikely": 1.0 - likely[None]}
 
 
 _STAND_IN = (0.15, 0.1)
 """Radius and asked clearance of the ball that stands for what is not known, in baselines."""
 
 
-def _with_stand_ins(scenes: SpatialScenes) -> SpatialScenes:
-    """The scenes with a ball midway in those that have no obstacle.
-
-    Who asks knows of something in the way, or would go straight on.
-    """
-    lacks = np.asarray(np.isnan(scenes.p_WO[:, :, 0]).all(axis=1))
-    if not lacks.any():
-        return scenes
-    S, L = len(scenes), scenes.baseline
-    middle = scenes.p_WG - 0.5 * L[:, None] * scenes.R_WL[:, :, 0]
-    radius, asked = (share * L[:, None] for share in _STAND_IN)
-    added: dict[str, FloatArray] = {
-        "p_WO": np.where(lacks[:, None], middle, np.nan)[:, None],
-        "R_WO": np.tile(np.eye(3), (S, 1, 1, 1)),
-        "semi_axes": np.repeat(radius[:, None], 3, axis=2),
-        "v_WO": np.zeros((S, 1, 3)),
-        "asked_clearance": asked,
-    }
-    joined: dict[str, Any] = {
-        name: np.concatenate([getattr(scenes, name), one], axis=1) for name, one in added.items()
-    }
-    return replace(scenes, **joined)
+def _with_stand_in(scene: Scene) -> Scene:
+    """Returns the scene, with a ball midway if it has no obstacle: something is in the way."""
+    if len(scene.ellipsoids):
+        return scene
+    radius, clearance = (np.full(1, share * scene.baseline) for share in _STAND_IN)
+    ball = EllipsoidSet(
+        p_WO=(scene.p_WG - 0.5 * scene.baseline * scene.R_WL[:, 0])[None],
+        R_WO=np.eye(3)[None],
+        semi_axes=np.tile(radius, (1, 3)),
+        v_WO=np.zeros((1, 3)),
+        ids=np.zeros(1, dtype=np.int64),
+    )
+    return replace(scene, ellipsoids=ball, clearance=clearance)
 
 
 def save_proposals(network: ProposalNetwork, path: str | Path) -> None:

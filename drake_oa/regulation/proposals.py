@@ -16,13 +16,11 @@ from typing import Protocol
 
 import numpy as np
 
-from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
 from drake_oa.policy.coupling import ALPHA as ALPHA_COLUMN
 from drake_oa.policy.coupling import KAPPA as KAPPA_COLUMN
 from drake_oa.policy.coupling import N_COLUMNS, NORMAL
-from drake_oa.policy.coupling import PSI as PSI_COLUMN
-from drake_oa.regulation.rollout import SceneArrays, SpatialScenes
+from drake_oa.policy.rollout import Scene
 
 N_GENES = 7
 ANGLE, PLACE, ASIDE, KAPPA, PSI, ALPHA, TAU = range(N_GENES)
@@ -31,71 +29,57 @@ UPPER = np.array([np.inf, 0.99, 0.0, math.log(3e3), math.log(5.0), 30.0, math.lo
 STRIDE = np.array([0.4, 0.08, 0.03, 0.6, 0.25, 0.8, 0.15])
 """Standard deviation of a full step of the search, gene by gene."""
 ELITES = 8
+SPACING = 0.6
+"""Distance between the strengths that are proposed on a side, about, in ln alpha."""
 _CLOSER = 0.4
 """By so much each round's strengths lie closer,"""
 _CLOSEST = 0.02
 """and this close at last, in ln alpha."""
 
 
-def avoidance_terms(scenes: SpatialScenes, scene: IntArray, genes: FloatArray) -> FloatArray:
-    """The terms (N, 13) of candidates (N, 7) in their scenes (N,)."""
+def avoidance_terms(scene: Scene, genes: FloatArray) -> FloatArray:
+    """Returns the coupling terms (N, 13) of candidates (N, 7) in a scene, see `turn_step`."""
+    x, y, z = scene.R_WL.T
+    cos, sin = np.cos(genes[:, ANGLE, None]), np.sin(genes[:, ANGLE, None])
+    omega = cos * y + sin * z
+    along = (genes[:, PLACE, None] - 1.0) * x + genes[:, ASIDE, None] * omega
     terms = np.zeros((len(genes), N_COLUMNS))
-    _write_terms(scenes.arrays, scene, np.ascontiguousarray(genes), terms)
+    # The baseline ends at the goal, and begins L before it.
+    terms[:, :3] = scene.p_WG + scene.baseline * along
+    # x_L x omega: a turn about it goes from the baseline to the side.
+    terms[:, NORMAL : NORMAL + 3] = cos * z - sin * y
+    terms[:, ALPHA_COLUMN : KAPPA_COLUMN + 1] = np.exp(genes[:, [ALPHA, PSI, KAPPA]])
+    terms[:, KAPPA_COLUMN] /= scene.baseline**2
     return terms
-
-
-@compiled
-def _write_terms(
-    scenes: SceneArrays, scene: IntArray, genes: FloatArray, terms: FloatArray
-) -> None:
-    """Writes the columns that are not 0 of terms (N, 13)."""
-    for row in range(len(genes)):
-        k, gene, term = scene[row], genes[row], terms[row]
-        L, cos, sin = scenes.baseline[k], math.cos(gene[ANGLE]), math.sin(gene[ANGLE])
-        for i in range(3):
-            x, y, z = scenes.R_WL[k, i, 0], scenes.R_WL[k, i, 1], scenes.R_WL[k, i, 2]
-            omega = cos * y + sin * z
-            # From the goal, as the baseline ends there; it begins L before.
-            along = (gene[PLACE] - 1.0) * x + gene[ASIDE] * omega
-            term[i] = scenes.p_WG[k, i] + L * along
-            # x_L x omega: a turn about it goes from the baseline to the side.
-            term[NORMAL + i] = cos * z - sin * y
-        term[ALPHA_COLUMN] = math.exp(gene[ALPHA])
-        term[PSI_COLUMN] = math.exp(gene[PSI])
-        term[KAPPA_COLUMN] = math.exp(gene[KAPPA]) / (L * L)
 
 
 NO_PRICE: FloatArray = np.zeros(0)
 
 
 class Proposer(Protocol):
-    """What proposes the candidates that a search begins with."""
-
-    @property
-    def spacing(self) -> float:
-        """About how far apart in ln alpha they are on one side."""
+    """Source of the candidates with which a search begins."""
 
     def propose(
-        self, scenes: SpatialScenes, duration: float, count: int, price: FloatArray = NO_PRICE
-    ) -> tuple[FloatArray, BoolArray]:
-        """Candidates of S scenes.
+        self, scene: Scene, duration: float, count: int, price: FloatArray = NO_PRICE
+    ) -> FloatArray:
+        """Proposes candidates.
 
         Args:
-            scenes: S scenes.
-            duration: tau T [s].
-            count: how many a scene.
-            price: (K,) what sides cost besides, in baselines; see `price_at`.
+            scene: the motion and the obstacles.
+            duration: T [s].
+            count: number of candidates.
+            price: (K,) additional costs of the sides, in baselines; see `price_at`.
 
         Returns:
-            (S, count, 7) genes, and (S,) whether it was asked for what it was trained for.
+            (count, 7) genes.
         """
 
-    def weigh(self, scenes: SpatialScenes, duration: float) -> dict[str, FloatArray]:
-        """By what it ranks the sides: rings of costs in [0, 1] (S, K), K evenly spread sides."""
+    def weigh(self, scene: Scene, duration: float) -> dict[str, FloatArray]:
+        """Returns costs in [0, 1] of K evenly spread sides, (1, K) each, by name."""
 
 
 def price_at(price: FloatArray, angle: FloatArray) -> FloatArray:
-    """What sides at angles (...) cost besides: of K evenly spread prices the nearest; 0 of none."""
+    """Returns the additional costs of sides at angles (...): the nearest of K; 0 of none."""
     if not len(price):
         return np.zeros(np.shape(angle))
     return price[np.rint(angle * len(price) / (2.0 * np.pi)).astype(int) % len(price)]
@@ -142,18 +126,18 @@ def draws(number: int, n: int) -> Draws:
     )
 
 
-def strengths(genes: FloatArray, kept: BoolArray, spacing: float, count: int) -> FloatArray:
-    """Candidates (A, count, 7) of others (A, 7) that differ in alpha only.
+def strengths(genes: FloatArray, kept: bool, spacing: float, count: int) -> FloatArray:
+    """Returns candidates (count, 7) that differ from one (7,) in alpha only.
 
-    The least that keeps the clearance is shortest: below those that keep it (A,), as far as the
-    next weaker one that may not have, and above those that do not.
+    The least alpha that keeps the clearance gives the shortest path: they are weaker, as far as
+    the next weaker one that may not keep it, if the candidate keeps it, else stronger.
     """
     share = np.arange(1, count + 1) / (count + 1)
-    line = np.repeat(genes[:, None], count, axis=1)
-    line[:, :, ALPHA] += spacing * np.where(kept[:, None], share - 1.0, 2.5 * share)
+    line = np.repeat(genes[None], count, axis=0)
+    line[:, ALPHA] += spacing * (share - 1.0 if kept else 2.5 * share)
     return line
 
 
-def closer(spacing: float, number: int) -> float:
+def closer(number: int) -> float:
     """How far apart strengths lie in a round, from what it is among the proposals."""
-    return max(spacing * _CLOSER**number, _CLOSEST)
+    return max(SPACING * _CLOSER**number, _CLOSEST)

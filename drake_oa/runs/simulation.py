@@ -27,7 +27,7 @@ from drake_oa.common.wires import Wires
 from drake_oa.diagrams.avoidance import Layers, build_avoidance
 from drake_oa.diagrams.motion import make_dmp
 from drake_oa.policy.dmp import normalised_time
-from drake_oa.regulation.config import SearchParameters
+from drake_oa.regulation.config import Verified
 from drake_oa.robot.plant import TOOL_FRAME, RobotLimits, make_robot_plant
 from drake_oa.runs.motion_log import MotionEnd, MotionLog, pack_decisions, pack_ellipsoids
 from drake_oa.safety.supervision import Supervision
@@ -49,7 +49,7 @@ later may do so."""
 _NOTHING = EventStatus.DidNothing()
 _GRACE = 0.2
 """How much later than verified a motion may arrive, in normalised time."""
-ARRIVED = SearchParameters().tolerance
+ARRIVED = Verified().tolerance
 """A motion has arrived when s = 1 is over and it is this near to the goal [m], at a scaled
 velocity at which it would go no further than `STILL` times as far in a unit of s."""
 STILL = 20.0

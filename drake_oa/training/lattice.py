@@ -17,14 +17,19 @@ coupling terms wakes to that at which the last has touched or arrived.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit, prange
 
 from drake_oa.common.messages import FloatArray
+from drake_oa.geometry.solids import ellipsoid, solids_of
+from drake_oa.planning.point_search import path_distances
+from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
 from drake_oa.policy.dmp import imitate, minimum_jerk
+from drake_oa.policy.rollout import Scene, roll_out_tool
 from drake_oa.regulation.lane_math import (
     STRICT,
     TINY,
@@ -32,7 +37,6 @@ from drake_oa.regulation.lane_math import (
     exponential,
     widest_vectors,
 )
-from drake_oa.regulation.rollout import SpatialScenes, spatial_rollouts
 
 STEPS, STEP = 1000, 0.003
 """Number of steps and length of each [s]."""
@@ -42,6 +46,10 @@ ALPHA_X, BETA_X = 10.0, 2.5
 _ASLEEP = 1e-5
 """A weaker coupling term [1/s] turns the motion by 1e-6 rad in all."""
 _ROOT_HALF = math.sqrt(0.5)
+
+_BATCH = 4096
+_IN_THE_MIDDLE = np.eye(4)
+_IN_THE_MIDDLE[0, 3] = 0.5
 
 _LANES = 64
 # Rows of a block's state: position, velocity, direction of the foot point, exponent; the least
@@ -129,34 +137,21 @@ def running_lattice(lattice: PaperLattice) -> tuple[FloatArray, FloatArray]:
     terms = np.zeros((len(alpha), N_COLUMNS))
     terms[:, 0], terms[:, NORMAL + 2] = 0.5, 1.0
     terms[:, ALPHA], terms[:, PSI], terms[:, KAPPA] = alpha, psi, kappa
-    still, eye = np.zeros((1, 3)), np.eye(3)[None]
-    found = np.empty((2, *map(len, lattice)))
-    for i, lambda1 in enumerate(lattice.lambda1):
-        for j, lambda2 in enumerate(lattice.lambda2):
-            scene = SpatialScenes(
-                p_WE=still,
-                z_W=still,
-                p_WG=still + (1.0, 0.0, 0.0),
-                R_WL=eye,
-                baseline=np.ones(1),
-                p_WO=np.array([[[0.5, 0.0, 0.0]]]),
-                R_WO=eye[None],
-                semi_axes=np.array([[[lambda1, lambda2, max(lambda1, lambda2)]]]),
-                v_WO=np.zeros((1, 1, 3)),
-                # Nothing is asked: what falls short of that has touched, and ends.
-                asked_clearance=np.zeros((1, 1)),
-            )
-            outcome = spatial_rollouts(
-                scene,
-                np.zeros(len(terms), int),
-                terms,
-                dmp=dmp,
-                steps=STEPS,
-                shortest=0.0,
-            )
-            touched, shape = outcome.contact, found.shape[3:]
-            found[0, i, j] = np.where(touched, 0.0, outcome.kept_clearance).reshape(shape)
-            found[1, i, j] = np.where(touched, np.inf, outcome.goal_error).reshape(shape)
+    goal, policy = np.array([1.0, 0.0, 0.0]), Policy(period=1.0 / STEPS, fade=0.0)
+    still = Scene(np.zeros(3), np.zeros(3), goal, np.eye(3), 1.0)
+    shape = [len(axis) for axis in lattice[2:]]
+    least, error = np.empty((2, *map(len, lattice[:2]), len(alpha)))
+    for rows in np.array_split(np.arange(len(alpha)), -(-len(alpha) // _BATCH)):
+        # The motion does not depend on the shape.
+        tool = roll_out_tool(still, terms[rows, None], dmp=dmp, policy=policy, latest=1.0)
+        for i, lambda1 in enumerate(lattice.lambda1):
+            for j, lambda2 in enumerate(lattice.lambda2):
+                obstacle = ellipsoid([lambda1, lambda2, max(lambda1, lambda2)])
+                solids = solids_of([replace(obstacle, X_WO=_IN_THE_MIDDLE)])
+                d = path_distances(solids, tool.path, np.zeros(len(rows)))[:, 0]
+                least[i, j, rows] = np.maximum(d, 0.0)
+                error[i, j, rows] = np.where(d <= 0.0, np.inf, tool.goal_error)
+    found = least.reshape(*least.shape[:2], *shape), error.reshape(*least.shape[:2], *shape)
     return found[0], found[1]
 
 

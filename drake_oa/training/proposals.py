@@ -22,10 +22,12 @@ from torch import Tensor, nn
 
 from drake_oa.common.console import Column, TextTable
 from drake_oa.common.files import provenance
-from drake_oa.common.messages import BoolArray, FloatArray
-from drake_oa.geometry.ellipsoid import signed_distance
-from drake_oa.policy.coupling import N_COLUMNS
-from drake_oa.regulation.config import SearchParameters
+from drake_oa.common.messages import BoolArray, EllipsoidSet, FloatArray
+from drake_oa.planning.point_search import PointSearch, ellipsoid_solids, path_distances
+from drake_oa.policy.config import Policy
+from drake_oa.policy.dmp import imitate, minimum_jerk
+from drake_oa.policy.rollout import Scene
+from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposal_network import (
     GENE_MEAN,
     GENE_SCALE,
@@ -36,30 +38,25 @@ from drake_oa.regulation.proposal_network import (
     Floats32,
     Layers,
     ProposalNetwork,
-    descriptors,
+    describe,
 )
 from drake_oa.regulation.proposals import (
     ALPHA,
     ANGLE,
     KAPPA,
-    LOWER,
     N_GENES,
-    NO_PRICE,
     PLACE,
     PSI,
-    UPPER,
-    avoidance_terms,
 )
-from drake_oa.regulation.rollout import SpatialScenes
-from drake_oa.regulation.search import Search, SearchResult, roll_out
 from drake_oa.training.checkpoint import Checkpoint, Report
 
 DURATION = 3.0
 """T of the motions [s]; only velocities are counted by it."""
 MOST = 7
 """Obstacles of a scene at most."""
-_COARSE = SearchParameters(steps=100)
-"""Roll-outs by which scenes are chosen."""
+DMP = imitate(*minimum_jerk(np.zeros(3), (1.0, 0.0, 0.0), duration=DURATION))
+_POLICY, _COARSE = Policy(period=DURATION / 250), Policy(period=DURATION / 100)
+"""Time steps of the searches, and of the roll-outs by which scenes are chosen."""
 _STARTS = 4
 """Proposals of the network that a side is searched from."""
 _PLACES, _LOG_ALPHAS = np.meshgrid((0.25, 0.5, 0.75), np.linspace(0.5, 11.5, 5))
@@ -74,13 +71,13 @@ class ProposalRecipe:
 
     Attributes:
         scenes: scenes of a round.
-        chunk: scenes that are searched at once, all at the same normalised time.
+        chunk: scenes between two checkpoints.
         rounds: of searches and training.
         epochs: passes over the rows of a round and the one before.
         batch: rows a step.
         rate: greatest step length of AdamW, in one cycle.
         width: of the layers that see one obstacle; those that see all have twice as many.
-        candidates, search_rounds, polish: of the searches, as `SearchParameters` has them.
+        candidates, search_rounds, polish: of the searches, as `Verified` has them.
         under_way, moving: shares of the scenes.
     """
 
@@ -120,194 +117,149 @@ class Rows(NamedTuple):
     kept: BoolArray
 
 
-@dataclass(frozen=True)
-class Given:
-    """Proposes what it is given, genes (S, n, 7)."""
-
-    genes: FloatArray
-    spacing: float = 0.6
-
-    def propose(
-        self, scenes: SpatialScenes, duration: float, count: int, price: FloatArray = NO_PRICE
-    ) -> tuple[FloatArray, BoolArray]:
-        """Candidates, see `Proposer`."""
-        return self.genes, np.ones(len(self.genes), dtype=bool)
-
-    def weigh(self, scenes: SpatialScenes, duration: float) -> dict[str, FloatArray]:
-        """Nothing."""
-        return {}
-
-
-class SideSearch(Search):
-    """A search of motions on the side omega = y_L alone."""
+class SideSearch(PointSearch):
+    """Search for motions on the side omega = y_L alone."""
 
     def bounded(self, genes: FloatArray) -> FloatArray:
         """Returns genes moved into their ranges, and to the side."""
-        genes = np.clip(genes, LOWER, UPPER)
-        genes[:, :, ANGLE] = np.clip(genes[:, :, ANGLE], -HALF, HALF)
+        genes = super().bounded(genes)
+        genes[:, ANGLE] = np.clip(genes[:, ANGLE], -HALF, HALF)
         return genes
 
 
-def turned(scenes: SpatialScenes, angle: FloatArray) -> SpatialScenes:
-    """The scenes with their frames L turned about x, so that the side at an angle (S,) is y_L."""
-    return replace(scenes, R_WL=scenes.R_WL @ Rotation.from_euler("x", angle[:, None]).as_matrix())
+def turned(scene: Scene, angle: float) -> Scene:
+    """Returns the scene with its frame L turned about x, so that the side at an angle is y_L."""
+    return replace(scene, R_WL=scene.R_WL @ Rotation.from_euler("x", angle).as_matrix())
 
 
-def draw_scenes(rng: np.random.Generator, count: int, moving: bool) -> SpatialScenes:
-    """Scenes at rest at the start whose unmodulated motion comes too near; L = 1 m, and W = L.
+def draw_scene(rng: np.random.Generator, moving: bool) -> Scene:
+    """Draws a scene at rest at the start whose nominal motion is too close; L = 1 m, and W = L.
 
     One to six ellipsoids of semi-axes 0.01 to 0.5, at most half as long along the baseline as it
     is; in a third of the scenes a large flat one besides, like a table. Start and goal are clear.
     """
-    kept: list[tuple[FloatArray, ...]] = []
-    found = 0
-    while found < count:
-        drawn = _candidates(rng, 4 * count, moving)
-        center, R, axes = drawn[:3]
-        ends = [signed_distance(p, center, R, axes) for p in (np.zeros(3), np.array([1.0, 0, 0]))]
-        there = ~np.isnan(center[:, :, 0])
-        clear = np.where(there, np.minimum(*ends), np.inf).min(axis=1) > rng.uniform(
-            0.005, 0.08, len(center)
-        )
-        drawn = tuple(column[clear] for column in drawn)
-        scenes = _at_rest(*drawn)
-        rows = np.arange(len(scenes))
-        unmodulated = roll_out(
-            scenes, rows, np.zeros((len(rows), N_COLUMNS)), _COARSE, seconds=DURATION
-        )
-        in_way = unmodulated.margin < -_COARSE.slack
-        kept.append(tuple(column[in_way] for column in drawn))
-        found += int(in_way.sum())
-    return _at_rest(*(np.concatenate(parts)[:count] for parts in zip(*kept, strict=True)))
+    nominal = np.zeros((1, N_GENES))
+    nominal[:, ALPHA] = -np.inf
+    while True:
+        scene = _candidate(rng, moving)
+        search = PointSearch(scene, dmp=DMP, policy=_COARSE, parameters=Verified())
+        goal = path_distances(search.solids, scene.p_WG[None, None], np.zeros(1))
+        start = path_distances(search.solids, scene.p_WE[None, None], np.zeros(1))
+        if min(start.min(), goal.min()) <= rng.uniform(0.005, 0.08):
+            continue
+        margin, _ = search.margins(nominal, search.tool_paths(nominal))
+        if margin[0] < -search.parameters.slack:
+            return scene
 
 
-def _candidates(rng: np.random.Generator, count: int, moving: bool) -> tuple[FloatArray, ...]:
-    """Centres, rotations, semi-axes, velocities and asked clearances, before any is refused."""
-    number = rng.choice([1, 1, 1, 2, 3, 4, 5, 6], count)
-    table = rng.random(count) < 1.0 / 3.0
-    size = np.where(number > 2, 0.12, 0.5)[:, None, None]
-    axes = rng.uniform(0.01, 1.0, (count, MOST, 3)) * size
-    quaternion = rng.standard_normal((count * MOST, 4))
-    R = Rotation.from_quat(np.roll(quaternion, -1, axis=1)).as_matrix().reshape(count, MOST, 3, 3)
-    R[rng.random(count) < 0.3] = np.eye(3)
-    center = rng.uniform((0.0, -0.5, -0.5), (1.0, 0.5, 0.5), (count, MOST, 3))
+def _candidate(rng: np.random.Generator, moving: bool) -> Scene:
+    """Draws a scene, which may be too easy or impossible."""
+    number = int(rng.choice([1, 1, 1, 2, 3, 4, 5, 6]))
+    axes = rng.uniform(0.01, 1.0, (number, 3)) * (0.12 if number > 2 else 0.5)
+    R = Rotation.from_quat(rng.standard_normal((number, 4))).as_matrix()
+    if rng.random() < 0.3:
+        R[:] = np.eye(3)
+    center = rng.uniform((0.0, -0.5, -0.5), (1.0, 0.5, 0.5), (number, 3))
     # One of them in the way, the others anywhere.
-    center[:, 0, 1:] *= rng.random((count, 1)) ** 2 * (rng.random((count, 1)) < 0.7)
-    velocity = np.zeros((count, MOST, 3))
-    asked = np.where(rng.random((count, 1)) < 0.5, 0.15, rng.uniform(0.02, 0.32, (count, 1)))
-    asked = np.repeat(asked, MOST, axis=1)
+    center[0, 1:] *= rng.random() ** 2 * (rng.random() < 0.7)
+    clearance = np.full(number, 0.15 if rng.random() < 0.5 else rng.uniform(0.02, 0.32))
+    velocity = np.zeros((number, 3))
     if moving:
-        direction = rng.standard_normal((count, MOST, 3))
-        direction /= np.linalg.norm(direction, axis=2, keepdims=True)
-        velocity = direction * rng.uniform(0.0, 0.5, (count, MOST, 1))
-        velocity[rng.random((count, MOST)) < 0.4] = 0.0
-        met = rng.uniform(0.2, 0.7, (count, MOST, 1)) * DURATION
-        center -= met * velocity
-    absent = np.arange(MOST) >= number[:, None]
-    # The table is beneath the baseline, whichever way that is.
-    roll = rng.uniform(-np.pi, np.pi, count)
-    down = np.stack([np.zeros(count), np.cos(roll), np.sin(roll)], axis=1)
-    thick = rng.uniform(0.005, 0.05, count)
-    height = rng.uniform(0.05, 0.5, count)
-    center[table, -1] = (np.array([0.5, 0, 0]) + (height + thick)[:, None] * down)[table]
-    across = np.cross(down, [1.0, 0.0, 0.0])
-    R[table, -1] = np.stack([np.tile([1.0, 0, 0], (count, 1)), across, down], axis=2)[table]
-    wide = rng.uniform(0.6, 1.5, (count, 2))
-    axes[table, -1] = np.column_stack([wide, thick])[table]
-    velocity[table, -1] = 0.0
-    asked[table, -1] = np.minimum(rng.uniform(0.01, 0.2, count), 0.9 * height)[table]
-    absent[:, -1] = ~table
-    center[absent] = np.nan
-    return center, R, axes, velocity, asked
+        direction = rng.standard_normal((number, 3))
+        velocity = direction / np.linalg.norm(direction, axis=1, keepdims=True)
+        velocity *= rng.uniform(0.0, 0.5, (number, 1)) * (rng.random((number, 1)) >= 0.4)
+        center -= rng.uniform(0.2, 0.7, (number, 1)) * DURATION * velocity
+    if rng.random() < 1.0 / 3.0:
+        # A table beneath the baseline, whichever way that is.
+        roll = rng.uniform(-np.pi, np.pi)
+        down = np.array([0.0, np.cos(roll), np.sin(roll)])
+        thick, height = rng.uniform(0.005, 0.05), rng.uniform(0.05, 0.5)
+        across = np.cross(down, [1.0, 0.0, 0.0])
+        center = np.vstack([center, np.array([0.5, 0.0, 0.0]) + (height + thick) * down])
+        R = np.concatenate([R, np.stack([[1.0, 0.0, 0.0], across, down], axis=1)[None]])
+        axes = np.vstack([axes, [*rng.uniform(0.6, 1.5, 2), thick]])
+        velocity = np.vstack([velocity, np.zeros(3)])
+        clearance = np.append(clearance, min(rng.uniform(0.01, 0.2), 0.9 * height))
+    seen = EllipsoidSet(0.0, center, R, axes, v_WO=velocity, ids=np.arange(len(center)))
+    goal = np.array([1.0, 0.0, 0.0])
+    return Scene(np.zeros(3), np.zeros(3), goal, np.eye(3), 1.0, seen, clearance)
 
 
-def _at_rest(
-    center: FloatArray, R: FloatArray, axes: FloatArray, velocity: FloatArray, asked: FloatArray
-) -> SpatialScenes:
-    count = len(center)
-    return SpatialScenes(
-        p_WE=np.zeros((count, 3)),
-        z_W=np.zeros((count, 3)),
-        p_WG=np.tile([1.0, 0.0, 0.0], (count, 1)),
-        R_WL=np.tile(np.eye(3), (count, 1, 1)),
-        baseline=np.ones(count),
-        p_WO=center,
-        R_WO=R,
-        semi_axes=axes,
-        v_WO=velocity,
-        asked_clearance=asked,
-    )
-
-
-def _under_way(
-    scenes: SpatialScenes, s: float, genes: FloatArray, parameters: SearchParameters
-) -> SpatialScenes:
-    """The scenes once motions with other scenes' genes (S, 7) have gone until s."""
-    found = roll_out(
-        scenes.without_obstacles(),
-        np.arange(len(scenes)),
-        avoidance_terms(scenes, np.arange(len(scenes)), genes),
-        parameters,
-        seconds=DURATION,
-        keep_path=True,
-    )
-    at = round(s * parameters.steps)
-    later = replace(
-        scenes,
-        p_WE=found.path[:, at],
-        z_W=found.velocity[:, at],
-        p_WO=scenes.p_WO + s * DURATION * scenes.v_WO,
-        s=at / parameters.steps,
-    )
-    distance = signed_distance(later.p_WE[:, None], later.p_WO, later.R_WO, later.semi_axes)
-    clear = np.where(np.isnan(distance), np.inf, distance).min(axis=1) > 0.01
-    return later.rows(np.flatnonzero(clear & np.isfinite(later.p_WE).all(axis=1)))
+def _under_way(scene: Scene, s: float, genes: FloatArray) -> Scene | None:
+    """Returns the scene once a motion with genes (7,) has gone on until s; None: too close."""
+    search = PointSearch(scene, dmp=DMP, policy=_POLICY, parameters=Verified())
+    tool = search.tool_paths(genes[None])
+    at = round(s / tool.ds)
+    p_WE, z_W, seen = tool.path[0, at], tool.velocity[0, at], scene.ellipsoids
+    later = replace(seen, p_WO=seen.p_WO + s * DURATION * seen.v_WO)
+    distance = path_distances(ellipsoid_solids(later), p_WE[None, None], np.zeros(1))
+    if not distance.min() > 0.01 or not np.isfinite(p_WE).all():
+        return None
+    return replace(scene, p_WE=p_WE, z_W=z_W, ellipsoids=later, s=at * tool.ds)
 
 
 def make_rows(
-    recipe: ProposalRecipe,
-    seed: tuple[int, ...],
-    network: ProposalNetwork | None,
+    recipe: ProposalRecipe, seed: tuple[int, ...], network: ProposalNetwork | None
 ) -> Rows:
     """Draws a chunk of scenes and searches one side of each.
 
     Args:
-        recipe: how.
+        recipe: sizes and shares.
         seed: of the scenes.
         network: of the round before, which proposes besides the fixed candidates; None: none yet.
     """
     rng = np.random.default_rng(seed)
-    parameters = SearchParameters(
+    rows = [_make_row(recipe, rng, network) for _ in range(recipe.chunk)]
+    return Rows(*(np.array(column) for column in zip(*filter(None, rows), strict=True)))
+
+
+def _make_row(
+    recipe: ProposalRecipe, rng: np.random.Generator, network: ProposalNetwork | None
+) -> tuple[Floats32, FloatArray, float, bool] | None:
+    """Searches one side of a random scene; None: the nominal motion is the best there."""
+    scene = draw_scene(rng, bool(rng.random() < recipe.moving))
+    if rng.random() < recipe.under_way:
+        genes = rng.choice(_fixed())
+        genes[ANGLE] = rng.uniform(-np.pi, np.pi)
+        if rng.random() < 0.3:
+            genes[ALPHA] = -np.inf
+        elif network is not None:
+            # Of another scene.
+            genes = network.propose(draw_scene(rng, False), DURATION, 1)[0]
+        scene = _under_way(scene, rng.uniform(0.02, 0.75), genes) or scene
+    scene = turned(scene, _side(rng, scene, network))
+    first = _fixed()
+    if network is not None:
+        genes = np.repeat(network.sides(scene, DURATION, np.zeros(1))[0], _STARTS, axis=0)
+        genes[:, ALPHA] += np.linspace(-0.8, 1.0, _STARTS)
+        first = np.concatenate([genes, first])
+    parameters = Verified(
         candidates=recipe.candidates, rounds=recipe.search_rounds, polish=recipe.polish
     )
-    scenes = draw_scenes(rng, recipe.chunk, bool(rng.random() < recipe.moving))
-    if rng.random() < recipe.under_way:
-        genes = _elsewhere(rng, scenes, network)
-        scenes = _under_way(scenes, rng.uniform(0.02, 0.75), genes, parameters)
-    count = len(scenes)
-    scenes = turned(scenes, _sides(rng, scenes, network))
-    first = np.repeat(_fixed()[None], count, axis=0)
-    if network is not None:
-        genes = network.sides(scenes, DURATION, np.zeros(1))[0]
-        genes = np.repeat(genes, _STARTS, axis=1)
-        genes[:, :, ALPHA] += np.linspace(-0.8, 1.0, _STARTS)
-        first = np.concatenate([genes, first], axis=1)
-    search = SideSearch(scenes, DURATION, None, np.full((count, N_GENES), np.nan), parameters)
-    return _rows(scenes, search.run(Given(first)))
+    found = SideSearch(scene, dmp=DMP, policy=_POLICY, parameters=parameters).run(first)
+    if not np.isfinite(found.genes[0, ALPHA]):
+        return None
+    genes = ((found.genes[0] - GENE_MEAN) / GENE_SCALE).astype(np.float32)
+    return described(scene), genes, np.float32(np.log(found.length[0])), found.solved
 
 
-def _sides(
-    rng: np.random.Generator, scenes: SpatialScenes, network: ProposalNetwork | None
-) -> FloatArray:
-    """(S,) a side of each: one of those that the network ranks first, or any."""
-    count = len(scenes)
-    anywhere = rng.uniform(-np.pi, np.pi, count)
-    if network is None:
-        return anywhere
-    best = network.propose(scenes, DURATION, _STARTS)[0][:, :, ANGLE]
-    best = best[np.arange(count), rng.integers(0, best.shape[1], count)]
-    near = best + rng.uniform(-1.5, 1.5, count) * HALF
-    return np.where(rng.random(count) < 0.3, anywhere, near)
+def described(scene: Scene) -> Floats32:
+    """Returns the descriptors (MOST + 1, 20) of a scene from the side y_L.
+
+    NaN for an obstacle that does not exist; the last row is the state alone.
+    """
+    each, state = describe(scene, DURATION, np.zeros(1))
+    rows = np.full((MOST + 1, N_OBSTACLE + N_STATE), np.nan, np.float32)
+    rows[: each.shape[1]], rows[-1, N_OBSTACLE:] = each[0], state[0]
+    return rows
+
+
+def _side(rng: np.random.Generator, scene: Scene, network: ProposalNetwork | None) -> float:
+    """Draws a side: one of those that the network ranks first, or any [rad]."""
+    if network is None or rng.random() < 0.3:
+        return float(rng.uniform(-np.pi, np.pi))
+    best = rng.choice(network.propose(scene, DURATION, _STARTS)[:, ANGLE])
+    return float(best + rng.uniform(-1.5, 1.5) * HALF)
 
 
 def _fixed() -> FloatArray:
@@ -316,32 +268,6 @@ def _fixed() -> FloatArray:
     genes[:, PLACE], genes[:, ALPHA] = _PLACES.ravel(), _LOG_ALPHAS.ravel()
     genes[:, KAPPA], genes[:, PSI] = np.log(_KAPPA), np.log(_PSI)
     return genes
-
-
-def _elsewhere(
-    rng: np.random.Generator, scenes: SpatialScenes, network: ProposalNetwork | None
-) -> FloatArray:
-    """Returns genes (S, 7) for other scenes of the chunk, or the unmodulated motion's."""
-    if network is None:
-        genes = rng.choice(_fixed(), len(scenes))
-        genes[:, ANGLE] = rng.uniform(-np.pi, np.pi, len(scenes))
-    else:
-        genes = network.propose(scenes, DURATION, 1)[0][:, 0]
-    genes = genes[rng.permutation(len(genes))]
-    genes[rng.random(len(genes)) < 0.3, ALPHA] = -np.inf
-    return genes
-
-
-def _rows(scenes: SpatialScenes, found: SearchResult) -> Rows:
-    used = np.flatnonzero(np.isfinite(found.genes[:, ALPHA]))
-    each = descriptors(scenes, DURATION, np.zeros(len(scenes)))
-    genes = (found.genes[used] - GENE_MEAN) / GENE_SCALE
-    return Rows(
-        each[used],
-        genes.astype(np.float32),
-        np.log(np.maximum(found.path_length[used], 1e-3)).astype(np.float32),
-        found.kept[used],
-    )
 
 
 class SetNetwork(nn.Module):

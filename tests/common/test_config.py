@@ -13,7 +13,6 @@ from pydantic import ValidationError
 
 from drake_oa.common.config import ScenarioError, json_schema, read_yaml, validate
 from drake_oa.hardware.command_player import CommandRules, PlayerRules
-from drake_oa.regulation.config import SearchParameters
 from drake_oa.robot.config import Robot
 from drake_oa.robot.inertias import Inertia
 from drake_oa.safety.config import EvasionSettings, SupervisorSettings
@@ -32,7 +31,7 @@ def blocks_in(kind: Any) -> set[Any]:
     return set().union(*map(blocks_in, typing.get_args(kind)))
 
 
-OTHERS = {CommandRules, EvasionSettings, Inertia, PlayerRules, SearchParameters, SupervisorSettings}
+OTHERS = {CommandRules, EvasionSettings, Inertia, PlayerRules, SupervisorSettings}
 BLOCKS = sorted(blocks_in(Scenario) | OTHERS, key=lambda block: block.__name__)
 
 

@@ -22,15 +22,16 @@ from drake_oa.common.messages import (
     PolicyState,
 )
 from drake_oa.geometry.solids import Solid, solids_of
+from drake_oa.planning import search
 from drake_oa.planning.arm_world import group_distances, tool_poses
 from drake_oa.planning.motion_search import Choice, MotionSearch, Sight
 from drake_oa.planning.motion_selector import MotionSelector
 from drake_oa.planning.sides import Sides
 from drake_oa.planning.solid_scene import SolidScene
+from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import ALPHA, NORMAL
 from drake_oa.policy.demonstration import Demonstration
 from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk
-from drake_oa.regulation import search
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposals import Proposer, draws
 from drake_oa.route.cost_rings import Ring
@@ -66,8 +67,7 @@ class Bench:
             arm.chain,
             arm.covered.arrays,
             parameters=QUICK,
-            steps=250,
-            fade=0.1,
+            policy=Policy(period=5.0 / 250, fade=0.1),
             orientation=lambda s: np.tile(R_WE, (len(s), 1, 1)),
             posture=lambda s: np.tile(arm.q, (len(s), 1)),
             overshoot=arm.covered.overshoot,

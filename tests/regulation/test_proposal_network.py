@@ -8,13 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from safetensors.numpy import load_file, save_file
+from scipy.spatial.transform import Rotation
 
+from drake_oa.common.messages import EllipsoidSet
+from drake_oa.policy.rollout import Scene
 from drake_oa.regulation.proposal_network import (
     HALF,
     N_SIDES,
     N_STATE,
     ProposalNetwork,
-    descriptors,
+    describe,
     load_proposals,
     save_proposals,
 )
@@ -26,85 +29,110 @@ from drake_oa.regulation.proposals import (
     strengths,
 )
 from drake_oa.regulation.regressor import load_chain
-from drake_oa.regulation.rollout import SpatialScenes
 from drake_oa.scenario.shipped import package_file
-from tests.regulation.scenes import random_scenes
 
 WEIGHTS = "package://drake_oa/weights"
 
 
-def some_scenes(seed: int, count: int = 3, obstacles: int = 4) -> SpatialScenes:
-    """Scenes under way among ellipsoids that turn and move, some of which are not there."""
-    scenes = random_scenes(seed, obstacles, 0.2, count=count, pace=0.5)
-    return replace(scenes, p_WE=scenes.p_WE + 0.1, s=0.3)
+def some_scene(seed: int, M: int = 4) -> Scene:
+    """A motion under way among ellipsoids that turn and move."""
+    rng = np.random.default_rng(seed)
+    L, R_WL = rng.uniform(0.5, 2.0), Rotation.random(random_state=seed).as_matrix()
+    start = rng.normal(size=3)
+    place = L * np.column_stack([rng.uniform(0.25, 0.75, M), rng.normal(0.0, 0.08, (M, 2))])
+    seen = EllipsoidSet(
+        p_WO=start + place @ R_WL.T,
+        R_WO=Rotation.random(M, random_state=seed).as_matrix(),
+        semi_axes=rng.uniform(0.025, 0.25, (M, 3)),
+        v_WO=0.2 * rng.normal(size=(M, 3)),
+        ids=np.arange(M),
+    )
+    return Scene(
+        p_WE=start + 0.1,
+        z_W=0.5 * rng.normal(size=3),
+        p_WG=start + L * R_WL[:, 0],
+        R_WL=R_WL,
+        baseline=L,
+        ellipsoids=seen,
+        clearance=np.full(M, 0.15),
+        s=0.3,
+    )
 
 
 @given(st.integers(0, 50))
 def test_a_scene_that_is_moved_turned_and_scaled_is_described_alike(seed: int) -> None:
-    scenes = some_scenes(seed)
+    scene = some_scene(seed)
     rng = np.random.default_rng(seed)
     Q = np.linalg.qr(rng.standard_normal((3, 3)))[0]
     Q *= np.linalg.det(Q)
-    p, k = rng.standard_normal(3), 1.7
+    p, k, seen = rng.standard_normal(3), 1.7, scene.ellipsoids
     other = replace(
-        scenes,
-        p_WE=k * scenes.p_WE @ Q.T + p,
-        z_W=k * scenes.z_W @ Q.T,
-        p_WG=k * scenes.p_WG @ Q.T + p,
-        R_WL=Q @ scenes.R_WL,
-        baseline=k * scenes.baseline,
-        p_WO=k * scenes.p_WO @ Q.T + p,
-        R_WO=Q @ scenes.R_WO,
-        semi_axes=k * scenes.semi_axes,
-        v_WO=k * scenes.v_WO @ Q.T,
-        asked_clearance=k * scenes.asked_clearance,
+        scene,
+        p_WE=k * scene.p_WE @ Q.T + p,
+        z_W=k * scene.z_W @ Q.T,
+        p_WG=k * scene.p_WG @ Q.T + p,
+        R_WL=Q @ scene.R_WL,
+        baseline=k * scene.baseline,
+        ellipsoids=replace(
+            seen,
+            p_WO=k * seen.p_WO @ Q.T + p,
+            R_WO=Q @ seen.R_WO,
+            semi_axes=k * seen.semi_axes,
+            v_WO=k * seen.v_WO @ Q.T,
+        ),
+        clearance=k * scene.clearance,
     )
-    angle = np.full(3, 0.7)
-    ours, theirs = descriptors(scenes, 3.0, angle), descriptors(other, 3.0, angle)
-    np.testing.assert_allclose(ours, theirs, atol=1e-5)
+    angles = np.array([0.7, 2.0])
+    for ours, theirs in zip(
+        describe(scene, 3.0, angles), describe(other, 3.0, angles), strict=True
+    ):
+        np.testing.assert_allclose(ours, theirs, atol=1e-5)
 
 
-def test_a_descriptor_holds_what_it_says() -> None:
-    scenes = replace(
-        some_scenes(0, 1, 1),
-        p_WE=np.array([[0.5, 0.1, 0.0]]),
-        z_W=np.array([[1.0, 0.0, 0.4]]),
-        p_WG=np.array([[2.0, 0.0, 0.0]]),
-        R_WL=np.eye(3)[None],
-        baseline=np.array([2.0]),
-        p_WO=np.array([[[1.0, 0.2, 0.4]]]),
-        R_WO=np.eye(3)[None, None],
-        semi_axes=np.array([[[0.2, 0.4, 0.6]]]),
-        v_WO=np.array([[[0.1, 0.0, 0.0]]]),
-        asked_clearance=np.array([[0.1]]),
+def test_a_descriptor_has_the_documented_columns() -> None:
+    seen = EllipsoidSet(
+        p_WO=np.array([[1.0, 0.2, 0.4]]),
+        R_WO=np.eye(3)[None],
+        semi_axes=np.array([[0.2, 0.4, 0.6]]),
+        v_WO=np.array([[0.1, 0.0, 0.0]]),
+        ids=np.zeros(1, dtype=int),
     )
-    obstacle, state = descriptors(scenes, 4.0, np.full(1, np.pi / 2.0))[0]
+    scene = Scene(
+        p_WE=np.array([0.5, 0.1, 0.0]),
+        z_W=np.array([1.0, 0.0, 0.4]),
+        p_WG=np.array([2.0, 0.0, 0.0]),
+        R_WL=np.eye(3),
+        baseline=2.0,
+        ellipsoids=seen,
+        clearance=np.array([0.1]),
+        s=0.3,
+    )
+    each, state = describe(scene, 4.0, np.full(1, np.pi / 2.0))
     # Seen from the side z, which is y of the turned frame; its z is -y of the world.
     expected = [0.5, 0.2, -0.1, 0.1, 0.3, 0.2, 0.0, 0.0, 0.0, 0.05, 0.2, 0.0, 0.0]
-    np.testing.assert_allclose(obstacle[:-N_STATE], expected, atol=1e-7)
-    np.testing.assert_allclose(state[-N_STATE:], [0.3, 0.25, 0, -0.05, 0.5, 0.2, 0], atol=1e-7)
+    np.testing.assert_allclose(each[0, 0, :-N_STATE], expected, atol=1e-7)
+    np.testing.assert_allclose(state[0], [0.3, 0.25, 0, -0.05, 0.5, 0.2, 0], atol=1e-7)
+    np.testing.assert_array_equal(each[0, 0, -N_STATE:], state[0])
 
 
 @given(st.integers(0, 20))
-def test_the_order_of_obstacles_and_those_that_are_not_there_count_for_nothing(
-    proposer: ProposalNetwork, seed: int
-) -> None:
-    scenes = some_scenes(seed)
-    order = np.random.default_rng(seed).permutation(4)
-    columns = ("p_WO", "R_WO", "semi_axes", "v_WO", "asked_clearance")
-    mixed = replace(scenes, **{name: getattr(scenes, name)[:, order] for name in columns})
-    for ours, theirs in zip(proposer.sides(scenes, 3.0), proposer.sides(mixed, 3.0), strict=True):
+def test_the_order_of_obstacles_does_not_matter(proposer: ProposalNetwork, seed: int) -> None:
+    scene = some_scene(seed)
+    order, seen = np.random.default_rng(seed).permutation(4), scene.ellipsoids
+    columns = {n: getattr(seen, n)[order] for n in ("p_WO", "R_WO", "semi_axes", "v_WO", "ids")}
+    mixed = replace(scene, ellipsoids=replace(seen, **columns))
+    for ours, theirs in zip(proposer.sides(scene, 3.0), proposer.sides(mixed, 3.0), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-4, atol=1e-4)
 
 
-def test_it_says_something_of_every_side_even_of_nothing(proposer: ProposalNetwork) -> None:
-    for scenes in (some_scenes(1), some_scenes(1).without_obstacles()):
-        genes, length, likely = proposer.sides(scenes, 3.0)
-        assert genes.shape == (3, N_SIDES, N_GENES)
+def test_every_side_has_a_proposal_without_obstacles_too(proposer: ProposalNetwork) -> None:
+    for scene in (some_scene(1), some_scene(1, 0)):
+        genes, length, likely = proposer.sides(scene, 3.0)
+        assert genes.shape == (N_SIDES, N_GENES)
         assert np.isfinite(genes).all()
         assert (length >= 1.0).all()
         assert ((likely >= 0.0) & (likely <= 1.0)).all()
-        off = genes[:, :, ANGLE] - 2.0 * HALF * np.arange(N_SIDES)
+        off = genes[:, ANGLE] - 2.0 * HALF * np.arange(N_SIDES)
         assert np.abs(off).max() <= HALF + 1e-12
 
 
@@ -119,19 +147,18 @@ def test_a_ladder_has_as_many_rungs_as_it_is_asked_for_and_more_for_the_first(
     assert (np.diff(np.bincount(rank)) <= 0).all()
 
 
-def test_weaker_ones_of_what_keeps_it_and_stronger_ones_of_what_does_not() -> None:
-    genes = np.zeros((2, N_GENES))
-    line = strengths(genes, np.array([True, False]), 0.5, 4)
-    assert ((line[0, :, ALPHA] > -0.5) & (line[0, :, ALPHA] < 0.0)).all()
-    assert (line[1, :, ALPHA] > 0.0).all()
-    np.testing.assert_array_equal(np.delete(line, ALPHA, axis=2), 0.0)
+def test_strengths_are_weaker_than_a_feasible_one_and_stronger_than_others() -> None:
+    weaker, stronger = (strengths(np.zeros(N_GENES), kept, 0.5, 4) for kept in (True, False))
+    assert ((weaker[:, ALPHA] > -0.5) & (weaker[:, ALPHA] < 0.0)).all()
+    assert (stronger[:, ALPHA] > 0.0).all()
+    np.testing.assert_array_equal(np.delete(weaker, ALPHA, axis=1), 0.0)
 
 
 def test_a_file_holds_it_whole(proposer: ProposalNetwork, tmp_path: Path) -> None:
     path = tmp_path / "mine.safetensors"
     save_proposals(proposer, path)
     again = load_proposals(path)
-    ours, theirs = (one.propose(some_scenes(3), 3.0, 15)[0] for one in (proposer, again))
+    ours, theirs = (one.propose(some_scene(3), 3.0, 15) for one in (proposer, again))
     np.testing.assert_array_equal(ours, theirs)
     assert again.metadata["seed"] == proposer.metadata["seed"]
 

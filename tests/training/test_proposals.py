@@ -7,21 +7,19 @@ import numpy as np
 import torch
 
 from drake_oa.geometry.ellipsoid import signed_distance
-from drake_oa.policy.coupling import N_COLUMNS
-from drake_oa.regulation.proposal_network import (
-    HALF,
-    SIDES,
-    ProposalNetwork,
-    descriptors,
-)
-from drake_oa.regulation.proposals import ANGLE, N_GENES
-from drake_oa.regulation.rollout import spatial_rollouts
+from drake_oa.planning.point_search import PointSearch
+from drake_oa.policy.config import Policy
+from drake_oa.regulation.config import Verified
+from drake_oa.regulation.proposal_network import HALF, SIDES, ProposalNetwork
+from drake_oa.regulation.proposals import ALPHA, ANGLE, N_GENES
 from drake_oa.training.checkpoint import Checkpoint
 from drake_oa.training.proposals import (
+    DMP,
     DURATION,
     ProposalRecipe,
     SetNetwork,
-    draw_scenes,
+    described,
+    draw_scene,
     train_proposals,
     turned,
 )
@@ -30,32 +28,32 @@ FEW = ProposalRecipe(scenes=40, chunk=40, rounds=2, epochs=2, batch=16, width=8,
 
 
 def test_scenes_have_something_in_the_way_and_their_ends_clear() -> None:
-    scenes = draw_scenes(np.random.default_rng(0), 60, moving=True)
-    unmodulated = spatial_rollouts(
-        scenes, np.arange(60), np.zeros((60, N_COLUMNS)), seconds=DURATION, steps=1000
-    )
-    assert (unmodulated.margin < 0.0).all()
-    for p in (scenes.p_WE, scenes.p_WG):
-        distance = signed_distance(p[:, None], scenes.p_WO, scenes.R_WO, scenes.semi_axes)
-        assert np.nanmin(distance) > 0.0
+    rng = np.random.default_rng(0)
+    policy, nominal = Policy(period=DURATION / 1000), np.zeros((1, N_GENES))
+    nominal[:, ALPHA] = -np.inf
+    for _ in range(20):
+        scene = draw_scene(rng, moving=True)
+        search = PointSearch(scene, dmp=DMP, policy=policy, parameters=Verified())
+        assert search.margins(nominal, search.tool_paths(nominal))[0] < 0.0
+        seen = scene.ellipsoids
+        for p in (scene.p_WE, scene.p_WG):
+            assert signed_distance(p, seen.p_WO, seen.R_WO, seen.semi_axes).min() > 0.0
 
 
 def test_the_network_that_runs_is_the_one_that_learns() -> None:
     torch.manual_seed(0)
-    net = SetNetwork(16)
-    scenes = draw_scenes(np.random.default_rng(1), 30, True)
-    gone = scenes.p_WO[:, :, :1] > 0.4
-    gone[:, 0] = False  # Where nothing is left, something stands in.
-    scenes = replace(scenes, p_WO=np.where(gone, np.nan, scenes.p_WO))
-    seen = turned(scenes, np.full(30, SIDES[5]))
-    rows = torch.from_numpy(np.array(descriptors(seen, DURATION, np.zeros(30))))
-    with torch.no_grad():
-        said = net(rows).numpy()
-    genes, length, likely = ProposalNetwork(net.arrays()).sides(scenes, DURATION)
-    np.testing.assert_allclose(np.log(length[:, 5]), np.clip(said[:, N_GENES], 0.0, 3.0), atol=1e-5)
-    np.testing.assert_allclose(likely[:, 5], 1.0 / (1.0 + np.exp(-said[:, -1])), atol=1e-5)
-    side = np.clip(0.2 * said[:, ANGLE], -HALF, HALF) + SIDES[5]
-    np.testing.assert_allclose(genes[:, 5, ANGLE], side, atol=1e-5)
+    net, rng = SetNetwork(16), np.random.default_rng(1)
+    network = ProposalNetwork(net.arrays())
+    for _ in range(10):
+        scene = draw_scene(rng, True)
+        with torch.no_grad():
+            rows = torch.from_numpy(described(turned(scene, SIDES[5]))[None])
+            said = net(rows).numpy()[0]
+        genes, length, likely = network.sides(scene, DURATION)
+        np.testing.assert_allclose(np.log(length[5]), np.clip(said[N_GENES], 0.0, 3.0), atol=1e-5)
+        np.testing.assert_allclose(likely[5], 1.0 / (1.0 + np.exp(-said[-1])), atol=1e-5)
+        side = np.clip(0.2 * said[ANGLE], -HALF, HALF) + SIDES[5]
+        np.testing.assert_allclose(genes[5, ANGLE], side, atol=1e-5)
 
 
 def test_a_training_that_is_cut_short_goes_on_to_the_same(tmp_path: Path) -> None:

@@ -14,20 +14,25 @@ evaluation does not change it. Needs the extra `peers`: pip install 'drake_oa[pe
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
 from importlib import import_module
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
-from drake_oa.common.messages import FloatArray, IntArray
-from drake_oa.policy.dmp import minimum_jerk
-from drake_oa.regulation.config import SearchParameters
+from drake_oa.common.messages import FloatArray
+from drake_oa.planning.point_search import PointSearch
+from drake_oa.planning.search import Ranked
+from drake_oa.policy.config import Policy
+from drake_oa.policy.dmp import imitate, minimum_jerk
+from drake_oa.policy.rollout import Scene, ToolRollouts
+from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposal_network import ProposalNetwork, load_proposals
-from drake_oa.regulation.search import roll_out, verify
+from drake_oa.regulation.proposals import TAU
 from drake_oa.scenario.shipped import package_file
 from drake_oa.studies.scenes.paper_method import run as run_paper
 from drake_oa.studies.scenes.paper_method import run_original
@@ -36,8 +41,8 @@ from drake_oa.studies.scenes.scenes import (
     Motions,
     Scenes,
     Setting,
+    posed_scenes,
     single_obstacle,
-    spatial_scenes,
 )
 
 Method = Callable[[Scenes, Setting], Motions]
@@ -47,8 +52,9 @@ SAMPLES = 500
 """Intervals in which the motions are handed over."""
 LEAST_CLEARANCE = 0.01
 """Kept where no clearance is asked for: what the paper's training set calls free [m]."""
-PARAMETERS = SearchParameters()
-"""As the running system has them."""
+PARAMETERS = Verified(candidates=64, rounds=60, polish=6, slack=2e-4)
+POLICY = Policy(period=DURATION / 500)
+DMP = imitate(*minimum_jerk(np.zeros(3), (1.0, 0.0, 0.0), duration=DURATION))
 
 
 def run_verified(scenes: Scenes, setting: Setting) -> Motions:
@@ -64,48 +70,45 @@ def run_verified(scenes: Scenes, setting: Setting) -> Motions:
     """
     network = _warmed_up()
     begun = time.perf_counter()
-    posed = spatial_scenes(scenes, scenes.clearance if setting.constrained else LEAST_CLEARANCE)
-    found = verify(posed, network, duration=DURATION, parameters=PARAMETERS)
-    tau = found.tau if setting.scale_time else np.ones(len(scenes))
-    rolled = roll_out(
-        posed,
-        np.arange(len(scenes)),
-        found.terms,
-        PARAMETERS,
-        seconds=DURATION * tau,
-        keep_path=True,
-    )
-    taken = rolled.steps.astype(np.int64)
-    path, z = _resampled(rolled.path, rolled.velocity, taken, 1.0 / PARAMETERS.steps)
-    return Motions(
-        path=path,
-        velocity=z / (DURATION * tau)[:, None, None],
-        duration=DURATION * tau * taken / PARAMETERS.steps,
-        seconds=time.perf_counter() - begun,
-        in_range=found.in_range,
-    )
+    clearance = scenes.clearance if setting.constrained else LEAST_CLEARANCE
+    duration = np.empty(len(scenes))
+    path, velocity = np.empty((2, len(scenes), SAMPLES + 1, 3))
+    for row, scene in enumerate(posed_scenes(scenes, clearance)):
+        search, found = _searched(scene, network)
+        genes = found.genes[0]
+        if scene.moves:
+            tau = math.exp(genes[TAU]) if setting.scale_time else 1.0
+        else:
+            length = float(found.length[0]) / scene.baseline
+            tau = max(1.0, length) if setting.scale_time else 1.0
+        tool = search.tool_paths(genes[None])
+        p, z = _resampled(tool)
+        path[row], velocity[row] = p, z / (DURATION * tau)
+        duration[row] = DURATION * tau * tool.steps[0] * tool.ds
+    return Motions(path, velocity, duration, seconds=time.perf_counter() - begun)
 
 
-def _resampled(
-    path: FloatArray, z: FloatArray, taken: IntArray, step: float
-) -> tuple[FloatArray, FloatArray]:
-    """Cubic Hermite interpolation at `SAMPLES` + 1 instants from the first to the last step."""
-    at = taken[:, None] * np.linspace(0.0, 1.0, SAMPLES + 1)
-    i = np.minimum(at.astype(np.int64), taken[:, None] - 1)
-    u = (at - i)[..., None]
-    row = np.arange(len(path))[:, None]
-    p0, p1, v0, v1 = path[row, i], path[row, i + 1], step * z[row, i], step * z[row, i + 1]
-    a = 2.0 * (p0 - p1) + v0 + v1
-    b = 3.0 * (p1 - p0) - 2.0 * v0 - v1
-    return p0 + u * (v0 + u * (b + u * a)), (v0 + u * (2.0 * b + 3.0 * u * a)) / step
+def _searched(scene: Scene, network: ProposalNetwork) -> tuple[PointSearch, Ranked]:
+    """Returns the search in a scene, and its result."""
+    search = PointSearch(scene, dmp=DMP, policy=POLICY, parameters=PARAMETERS)
+    return search, search.run(network.propose(scene, DURATION, PARAMETERS.candidates))
+
+
+def _resampled(tool: ToolRollouts) -> tuple[FloatArray, FloatArray]:
+    """Returns the first path and z at `SAMPLES` + 1 instants from its first to its last step."""
+    taken = int(tool.steps[0])
+    s = tool.ds * np.arange(taken + 1)
+    spline = CubicHermiteSpline(s, tool.path[0, : taken + 1], tool.velocity[0, : taken + 1])
+    at = np.linspace(0.0, s[-1], SAMPLES + 1)
+    return spline(at), spline(at, 1)
 
 
 @cache
 def _warmed_up() -> ProposalNetwork:
     """Loads the network and the kernels, so that it does not count as computing time."""
     network = load_proposals(package_file(WEIGHTS))
-    scene = spatial_scenes(single_obstacle(1.0, [[0.5, 0.0, 0.0]], [[0.05, 0.05, 0.05]]), 0.05)
-    verify(scene, network, duration=DURATION, parameters=replace(PARAMETERS, rounds=1))
+    scenes = single_obstacle(1.0, [[0.5, 0.0, 0.0]], [[0.05, 0.05, 0.05]])
+    _searched(posed_scenes(scenes, 0.05)[0], network)
     return network
 
 

@@ -32,6 +32,7 @@ from threadpoolctl import threadpool_limits
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.ellipsoid import plane_section
+from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import (
     ALPHA,
     KAPPA,
@@ -41,10 +42,11 @@ from drake_oa.policy.coupling import (
     dead_zone_free_rate,
     original_rate,
 )
+from drake_oa.policy.dmp import imitate, minimum_jerk
+from drake_oa.policy.rollout import roll_out_tool
 from drake_oa.regulation.regressor import ChainWeights, load_chain
-from drake_oa.regulation.rollout import spatial_rollouts
 from drake_oa.scenario.shipped import package_file
-from drake_oa.studies.scenes.scenes import DURATION, Motions, Scenes, Setting, spatial_scenes
+from drake_oa.studies.scenes.scenes import DURATION, Motions, Scenes, Setting, posed_scenes
 
 ALPHA_X, BETA_X, ALPHA_K, N_BASIS = 10.0, 2.5, 0.5, 35
 """Constants of the released code."""
@@ -418,19 +420,19 @@ def _running_motions(
     terms[:, KAPPA] = np.maximum(found[:, 2], 0.0)
     seconds = DURATION * (time_scale(scenes, reading) if setting.scale_time else np.ones(N))
     horizon = float(LONGEST) if reading.time == "until-arrived" else 1.0
-    rolled = spatial_rollouts(
-        spatial_scenes(scenes, scenes.clearance),
-        np.arange(N),
-        terms,
-        seconds=seconds,
-        steps=number,
-        horizon=horizon,
-        tolerance=ARRIVED,
-        keep_path=True,
-    )
-    instants = np.arange(rolled.path.shape[1])
-    taken = rolled.steps.astype(np.int64)[:, None]
-    path = np.take_along_axis(rolled.path, np.minimum(instants, taken)[..., None], axis=1)
-    z = np.where((instants < taken)[..., None], rolled.velocity, 0.0)
-    velocity = z / seconds[:, None, None]
+    dmp = imitate(*minimum_jerk(np.zeros(3), (1.0, 0.0, 0.0), duration=DURATION))
+    path, velocity = np.empty((2, N, round(horizon * number) + 1, 3))
+    for row, scene in enumerate(posed_scenes(scenes, scenes.clearance)):
+        rolled = roll_out_tool(
+            scene,
+            terms[row, None, None],
+            dmp=dmp,
+            policy=Policy(period=DURATION / number, fade=0.0),
+            latest=horizon,
+            tolerance=ARRIVED,
+        )
+        taken = int(rolled.steps[0])
+        path[row] = rolled.path[0, np.minimum(np.arange(path.shape[1]), taken)]
+        velocity[row, :taken] = rolled.velocity[0, :taken] / seconds[row]
+        velocity[row, taken:] = 0.0
     return Motions(path, velocity, seconds * horizon, perf_counter() - begin)

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from drake_oa.common.files import read_arrays, replace_arrays
-from drake_oa.common.messages import BoolArray, FloatArray, Frozen
+from drake_oa.common.messages import BoolArray, EllipsoidSet, FloatArray, Frozen
 from drake_oa.geometry.ellipsoid import signed_distance
-from drake_oa.regulation.rollout import SpatialScenes
+from drake_oa.policy.rollout import Scene
 
 DURATION = 3.0
 """Demonstrated duration T [s]."""
@@ -115,27 +115,36 @@ def single_obstacle(
     )
 
 
-def spatial_scenes(scenes: Scenes, clearance: FloatArray | float) -> SpatialScenes:
-    """The scenes as roll-outs take them: at rest at the start, L = W.
+def posed_scenes(scenes: Scenes, clearance: FloatArray | float) -> list[Scene]:
+    """Returns the scenes as roll-outs take them: at rest at the start, L = W.
 
     Args:
         scenes: N scenes.
-        clearance: () or (N,) asked of every obstacle [m].
+        clearance: () or (N,) requested from every obstacle [m].
     """
-    count = len(scenes)
-    asked = np.broadcast_to(clearance, (count,))
-    return SpatialScenes(
-        p_WE=np.zeros((count, 3)),
-        z_W=np.zeros((count, 3)),
-        p_WG=scenes.goal,
-        R_WL=np.tile(np.eye(3), (count, 1, 1)),
-        baseline=scenes.baseline,
-        p_WO=scenes.center,
-        R_WO=scenes.R,
-        semi_axes=scenes.semi_axes,
-        v_WO=scenes.velocity,
-        asked_clearance=np.repeat(asked[:, None], scenes.center.shape[1], axis=1),
-    )
+    posed = []
+    for row, asked in enumerate(np.broadcast_to(clearance, (len(scenes),))):
+        there = scenes.present[row]
+        seen = EllipsoidSet(
+            stamp=0.0,
+            p_WO=scenes.center[row, there],
+            R_WO=scenes.R[row, there],
+            semi_axes=scenes.semi_axes[row, there],
+            v_WO=scenes.velocity[row, there],
+            ids=np.flatnonzero(there),
+        )
+        posed.append(
+            Scene(
+                p_WE=np.zeros(3),
+                z_W=np.zeros(3),
+                p_WG=scenes.goal[row],
+                R_WL=np.eye(3),
+                baseline=float(scenes.baseline[row]),
+                ellipsoids=seen,
+                clearance=np.full(len(seen), asked),
+            )
+        )
+    return posed
 
 
 def scene_distance(scenes: Scenes, points: FloatArray, time: FloatArray) -> FloatArray:

@@ -1,0 +1,129 @@
+"""The search of a point among ellipsoids: the clearance of its result, measured independently."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drake_oa.common.messages import EllipsoidSet, FloatArray
+from drake_oa.geometry.ellipsoid import signed_distance
+from drake_oa.planning.point_search import PointSearch
+from drake_oa.planning.search import Ranked
+from drake_oa.policy.config import Policy
+from drake_oa.policy.coupling import NORMAL
+from drake_oa.policy.dmp import imitate, minimum_jerk
+from drake_oa.policy.rollout import Scene
+from drake_oa.regulation.config import Verified
+from drake_oa.regulation.proposals import ALPHA, ANGLE, N_GENES, TAU, Proposer, avoidance_terms
+
+DURATION = 3.0
+START, GOAL = np.zeros(3), np.array([1.0, 0.0, 0.0])
+DMP = imitate(*minimum_jerk(START, GOAL, duration=DURATION))
+QUICK = Verified(candidates=64, rounds=20, polish=6, slack=2e-4)
+
+
+def scene_of(
+    center: list[list[float]],
+    semi_axes: float | list[float] = 0.08,
+    velocity: tuple[float, float, float] = (0.0, 0.0, 0.0),
+) -> Scene:
+    """A motion of 1 m along x, with an axis-aligned ellipsoid at each center; clearance 0.1 m."""
+    count = len(center)
+    seen = EllipsoidSet(
+        p_WO=np.array(center),
+        R_WO=np.tile(np.eye(3), (count, 1, 1)),
+        semi_axes=np.array(np.broadcast_to(semi_axes, (count, 3))),
+        v_WO=np.tile(velocity, (count, 1)),
+        ids=np.arange(count),
+    )
+    return Scene(START, np.zeros(3), GOAL, np.eye(3), 1.0, seen, np.full(count, 0.1))
+
+
+def searched(scene: Scene, proposer: Proposer) -> tuple[Ranked, FloatArray, FloatArray]:
+    """The best candidate, its path (n, 3) and stamps (n,)."""
+    policy = Policy(period=DURATION / 500)
+    search = PointSearch(scene, dmp=DMP, policy=policy, parameters=QUICK)
+    found = search.run(proposer.propose(scene, DURATION, QUICK.candidates))
+    tool = search.tool_paths(found.genes)
+    path = tool.path[0, : int(tool.steps[0]) + 1]
+    return found, path, np.arange(len(path)) * tool.ds * DURATION * np.exp(found.genes[0, TAU])
+
+
+def least_distance(scene: Scene, path: FloatArray, stamps: FloatArray) -> float:
+    seen = scene.ellipsoids
+    return min(
+        float(
+            signed_distance(
+                path - stamps[:, None] * seen.v_WO[j],
+                seen.p_WO[j],
+                seen.R_WO[j],
+                seen.semi_axes[j],
+            ).min()
+        )
+        for j in range(len(seen))
+    )
+
+
+@pytest.mark.parametrize(
+    ("center", "semi_axes"),
+    [
+        ([[0.5, 0.0, 0.0]], 0.08),
+        ([[0.5, 0.0, 0.0]], [0.05, 0.2, 0.25]),
+        ([[0.4, 0.05, 0.02], [0.7, -0.06, 0.0]], 0.06),
+        ([[0.8, 0.01, 0.0]], 0.06),
+        ([[0.2, 0.0, 0.03]], 0.07),
+    ],
+)
+def test_the_requested_clearance_is_achieved_and_not_much_more(
+    proposer: Proposer, center: list[list[float]], semi_axes: float | list[float]
+) -> None:
+    scene = scene_of(center, semi_axes)
+    found, path, stamps = searched(scene, proposer)
+    assert found.solved
+    assert 0.0995 <= least_distance(scene, path, stamps) <= 0.11
+    assert np.linalg.norm(path[-1] - GOAL) <= 7e-4
+    again, *_ = searched(scene, proposer)
+    np.testing.assert_array_equal(found.genes, again.genes)
+
+
+def test_the_nominal_motion_stays_where_nothing_is_in_the_way(proposer: Proposer) -> None:
+    found, *_ = searched(scene_of([[0.5, 0.3, 0.0]]), proposer)
+    assert found.solved
+    assert found.genes[0, ALPHA] == -np.inf
+    assert found.length == pytest.approx(1.0, abs=1e-4)
+
+
+def test_a_moving_obstacle_is_avoided_where_it_will_be(proposer: Proposer) -> None:
+    # It crosses the baseline's middle at t = 1.5 s, and is far from it now.
+    scene = scene_of([[0.5, 0.45, 0.0]], velocity=(0.0, -0.3, 0.0))
+    still = replace(scene, ellipsoids=replace(scene.ellipsoids, v_WO=np.zeros((1, 3))))
+    assert searched(still, proposer)[0].genes[0, ALPHA] == -np.inf
+    found, path, stamps = searched(scene, proposer)
+    assert found.solved
+    assert least_distance(scene, path, stamps) >= 0.0995
+
+
+def test_a_clearance_that_cannot_be_achieved_is_as_large_as_possible(proposer: Proposer) -> None:
+    # Walls all around, and 0.1 m requested in a gap of 0.12 m.
+    scene = scene_of([[0.5, 3.06, 0.0], [0.5, -3.06, 0.0]], [0.2, 3.0, 50.0])
+    found, path, stamps = searched(scene, proposer)
+    assert not found.solved
+    assert 0.04 < least_distance(scene, path, stamps) < 0.07
+
+
+def test_a_motion_under_way_is_searched_from_its_middle(proposer: Proposer) -> None:
+    scene = scene_of([[0.6, 0.0, 0.0]])
+    search = PointSearch(scene, dmp=DMP, policy=Policy(period=DURATION / 500), parameters=QUICK)
+    tool = search.tool_paths(searched(scene, proposer)[0].genes)
+    half = replace(scene, p_WE=tool.path[0, 200], z_W=tool.velocity[0, 200], s=0.4)
+    found, path, stamps = searched(half, proposer)
+    assert found.solved
+    assert least_distance(half, path, stamps) >= 0.0995
+
+
+def test_a_turn_about_the_normal_goes_to_the_side() -> None:
+    genes = np.zeros((1, N_GENES))
+    genes[0, ANGLE] = 0.3
+    terms = avoidance_terms(scene_of([[0.5, 0.0, 0.0]]), genes)
+    omega = np.cross(terms[0, NORMAL : NORMAL + 3], [1.0, 0.0, 0.0])
+    np.testing.assert_allclose(omega, [0.0, np.cos(0.3), np.sin(0.3)], atol=1e-15)
