@@ -46,16 +46,22 @@ def pinhole(camera: CameraInfo) -> list[float]:
     return [camera.focal_x(), camera.focal_y(), camera.center_x(), camera.center_y()]
 
 
-@compiled
-def pixel_at(x: float, y: float, z: float, rows: int, columns: int, K: FloatArray) -> int:
-    """Flat index of the pixel that shows a point of the camera frame; -1: none does."""
-    if not z > 1e-6:
-        return -1
-    column = np.rint(K[0] * x / z + K[2])
-    row = np.rint(K[1] * y / z + K[3])
-    if not (column >= 0 and column < columns and row >= 0 and row < rows):
-        return -1
-    return int(row) * columns + int(column)
+def pixel_at(p_C: FloatArray, shape: tuple[int, ...], K: FloatArray) -> IntArray:
+    """Computes flat indices of the pixels of an image at points of the camera frame.
+
+    Args:
+        p_C: (..., 3) points [m].
+        shape: rows and columns of the image.
+        K: (4,) fx, fy, cx, cy [pixel].
+
+    Returns:
+        (...) indices; -1 behind the camera and outside the image.
+    """
+    z = np.where(p_C[..., 2] > 1e-6, p_C[..., 2], np.nan)
+    column = np.rint(K[0] * p_C[..., 0] / z + K[2])
+    row = np.rint(K[1] * p_C[..., 1] / z + K[3])
+    inside = (column >= 0) & (column < shape[1]) & (row >= 0) & (row < shape[0])
+    return np.where(inside, row * shape[1] + column, -1).astype(np.int64)
 
 
 @compiled

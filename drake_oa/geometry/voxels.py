@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
+from scipy.spatial import cKDTree
 
 from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
@@ -20,19 +20,13 @@ _MIXER = np.uint64(0x9E3779B97F4A7C15)
 
 
 @compiled
-def _key(points: FloatArray, i: int, edge: float) -> np.int64:
-    key = np.int64(0)
-    for k in range(3):
-        key = (key << 21) | (np.int64(np.floor(points[i, k] / edge)) + (1 << 20))
-    return key
-
-
-@compiled
 def cell_keys(points: FloatArray, edge: float) -> IntArray:
     """Keys (N,) of the cells that hold points (N, 3) [m]."""
-    keys = np.empty(len(points), dtype=np.int64)
+    keys = np.zeros(len(points), dtype=np.int64)
     for i in range(len(points)):
-        keys[i] = _key(points, i, edge)
+        for k in range(3):
+            cell = np.int64(np.floor(points[i, k] / edge))
+            keys[i] = (keys[i] << 21) | (cell + (1 << 20))
     return keys
 
 
@@ -51,7 +45,12 @@ def first_in_voxels(points: FloatArray, voxel: float) -> IntArray:
 
 @compiled
 def filed(keys: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-    """As `numbered`, and the hash table (a power of 2,) that finds them again."""
+    """Finds the different keys among keys (N,).
+
+    Returns:
+        The different keys (M,) by first appearance, the number (N,) of each key among them, and
+        the hash table (a power of 2,) that finds them again.
+    """
     different = np.empty(len(keys), dtype=np.int64)
     which = np.empty(len(keys), dtype=np.int64)
     bits = 4
@@ -79,19 +78,9 @@ def filed(keys: IntArray) -> tuple[IntArray, IntArray, IntArray]:
         bits += 1
 
 
-# Inlined: counting the references to its arrays would take longer than the look-up.
-@njit(cache=True, error_model="numpy", inline="always", fastmath=False)
-def place_of(key: int, different: IntArray, slots: IntArray, bits: int) -> int:
-    """The number of a key in a table of 2^bits from `filed`, -1 when it is not in there."""
-    slot = np.int64((np.uint64(key) * _MIXER) >> np.uint64(64 - bits))
-    while slots[slot] >= 0 and different[slots[slot]] != key:
-        slot = (slot + 1) & (len(slots) - 1)
-    return slots[slot]
-
-
 @compiled
 def members_of(group: IntArray, count: int) -> tuple[IntArray, IntArray]:
-    """Where the members of each group begin (C + 1,), and who they are (N,), ascending."""
+    """Sorts members by group: begin of each group (C + 1,), and members (N,), ascending in each."""
     begin = np.zeros(count + 1, dtype=np.int64)
     for i in range(len(group)):
         begin[group[i] + 1] += 1
@@ -105,27 +94,14 @@ def members_of(group: IntArray, count: int) -> tuple[IntArray, IntArray]:
 
 
 @compiled
-def numbered(keys: IntArray) -> tuple[IntArray, IntArray]:
-    """The different ones (M,) among keys (N,), by first appearance, and which each is (N,)."""
-    different, which, _ = filed(keys)
-    return different, which
-
-
-@compiled
-def cells_of(points: FloatArray, edge: float) -> tuple[IntArray, IntArray]:
-    """The keys (M,) of the cells that hold points (N, 3), and the cell (N,) of each."""
-    return numbered(cell_keys(points, edge))
-
-
-@compiled
-def cell_means(
+def _cell_means(
     points: FloatArray, cell_of: IntArray, order: IntArray
 ) -> tuple[FloatArray, IntArray, IntArray]:
     """Means (M, 3), the place (N,) of each point's cell, and counts (M,) in a new order.
 
     Args:
         points: (N, 3) points [m].
-        cell_of: (N,) the cell of each, from `cells_of`; changed.
+        cell_of: (N,) the cell of each; changed.
         order: (M,) the cells in their new order.
     """
     place = np.empty(len(order), dtype=np.int64)
@@ -144,36 +120,34 @@ def cell_means(
     return means, cell_of, count
 
 
-@compiled
+def voxel_means(points: FloatArray, voxel: float) -> tuple[FloatArray, IntArray, IntArray]:
+    """Averages points (N, 3) by voxel [m].
+
+    Returns:
+        Means (M, 3) in the order of the voxels' keys, the voxel (N,) of each point, and the number
+        of points (M,) of each voxel.
+    """
+    keys, voxel_of, _ = filed(voxel_keys(points, voxel))
+    return _cell_means(points, voxel_of, np.argsort(keys))
+
+
 def points_of_groups(
     group: IntArray, cell_of: IntArray, index: IntArray, count: int
 ) -> tuple[IntArray, IntArray]:
-    """The numbers of the points of each group, one group after the other.
+    """Collects the numbers of the points of each group, one group after the other.
 
     Args:
         group: (M,) group of each cell, -1 for none.
         cell_of: (N,) cell of each point.
         index: (N,) its number.
-        count: C, how many groups there are.
+        count: number C of groups.
 
     Returns:
         The numbers, and (C + 1,) where each group begins.
     """
-    # Those of no group come last: so the loops need not predict who is in one.
-    begin = np.zeros(count + 2, dtype=np.int64)
-    own = np.empty(len(group), dtype=np.int64)
-    for m in range(len(group)):
-        own[m] = group[m] if group[m] >= 0 else count
-    for i in range(len(cell_of)):
-        begin[own[cell_of[i]] + 1] += 1
-    for g in range(count + 1):
-        begin[g + 1] += begin[g]
-    place, out = begin[:-1].copy(), np.empty(len(cell_of), dtype=np.int64)
-    for i in range(len(cell_of)):
-        g = own[cell_of[i]]
-        out[place[g]] = index[i]
-        place[g] += 1
-    return out[: begin[count]].copy(), begin[: count + 1].copy()
+    # Those of no group come last.
+    begin, members = members_of(np.where(group < 0, count, group)[cell_of], count + 1)
+    return index[members[: begin[count]]], begin[: count + 1]
 
 
 _BRIDGES = 16  # shortest connections between two clusters that are looked at
@@ -189,26 +163,6 @@ def _root(parent: IntArray, i: int) -> int:
 
 
 @compiled
-def _unite_cells(
-    points: FloatArray, first: IntArray, second: IntArray, tolerance: float, parent: IntArray
-) -> None:
-    """Unites the points (N, 3) of two cells (their numbers) within a tolerance [m]."""
-    for i in first:
-        own = _root(parent, i)
-        for j in second:
-            other = _root(parent, j)
-            if own == other:
-                continue
-            distance2 = 0.0
-            for k in range(3):
-                distance2 += (points[i, k] - points[j, k]) ** 2
-            if distance2 <= tolerance * tolerance:
-                low = min(own, other)
-                parent[max(own, other)] = low
-                own = low
-
-
-@compiled
 def clustered(points: FloatArray, tolerance: float, parent: IntArray) -> IntArray:
     """Labels (N,) of points; see `connected_clusters`.
 
@@ -218,39 +172,44 @@ def clustered(points: FloatArray, tolerance: float, parent: IntArray) -> IntArra
         parent: (N,) a forest of sets of points that do too, changed: no parent has a
             higher number than its child.
     """
-    keys = cell_keys(points, tolerance)
-    cells, cell_of, slots = filed(keys)
+    cells, cell_of, slots = filed(cell_keys(points, tolerance))
     bits = 0
     while (1 << bits) < len(slots):
         bits += 1
     begin, members = members_of(cell_of, len(cells))
-    for cell in range(len(cells)):
-        own = members[begin[cell] : begin[cell + 1]]
-        _unite_cells(points, own, own, tolerance, parent)
     whole = np.ones(len(cells), dtype=np.bool_)
-    for i in range(len(points)):
-        cell = cell_of[i]
-        whole[cell] &= _root(parent, i) == _root(parent, members[begin[cell]])
-    for cell in range(len(cells)):
-        # Half of the neighbours; the other half finds this cell itself.
-        for number in range(14, 27):
-            a, b, c = number // 9 - 1, number // 3 % 3 - 1, number % 3 - 1
+    # A cell itself, then half of its neighbours; the other half finds this cell itself.
+    for number in range(13, 27):
+        a, b, c = number // 9 - 1, number // 3 % 3 - 1, number % 3 - 1
+        for cell in range(len(cells)):
             key = cells[cell] + a * (np.int64(1) << 42) + b * (np.int64(1) << 21) + c
-            other = place_of(key, cells, slots, bits)
-            if other < 0:
+            slot = np.int64((np.uint64(key) * _MIXER) >> np.uint64(64 - bits))
+            while slots[slot] >= 0 and cells[slots[slot]] != key:
+                slot = (slot + 1) & (len(slots) - 1)
+            near = slots[slot]
+            if near < 0:
                 continue
-            own, near = members[begin[cell]], members[begin[other]]
             # Of what belongs together already there is nothing to unite.
-            together = whole[cell] and whole[other]
-            if together and _root(parent, own) == _root(parent, near):
+            own, other = _root(parent, members[begin[cell]]), _root(parent, members[begin[near]])
+            if number > 13 and whole[cell] and whole[near] and own == other:
                 continue
-            _unite_cells(
-                points,
-                members[begin[cell] : begin[cell + 1]],
-                members[begin[other] : begin[other + 1]],
-                tolerance,
-                parent,
-            )
+            for i in members[begin[cell] : begin[cell + 1]]:
+                own = _root(parent, i)
+                for j in members[begin[near] : begin[near + 1]]:
+                    other = _root(parent, j)
+                    if own == other:
+                        continue
+                    distance2 = 0.0
+                    for k in range(3):
+                        distance2 += (points[i, k] - points[j, k]) ** 2
+                    if distance2 <= tolerance * tolerance:
+                        low = min(own, other)
+                        parent[max(own, other)] = low
+                        own = low
+        if number == 13:
+            for i in range(len(points)):
+                cell = cell_of[i]
+                whole[cell] &= _root(parent, i) == _root(parent, members[begin[cell]])
     # Numbered in the order of their first points, which are the roots.
     label, count = np.empty(len(points), dtype=np.int64), 0
     for i in range(len(points)):
@@ -263,159 +222,39 @@ def clustered(points: FloatArray, tolerance: float, parent: IntArray) -> IntArra
     return label
 
 
-@compiled
-def _close_to(points: FloatArray, some: IntArray, others: IntArray, gap: float) -> IntArray:
-    """Which of some points lie within a gap [m] of the axis-aligned box round others."""
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for j in others:
-        for k in range(3):
-            low[k], high[k] = min(low[k], points[j, k]), max(high[k], points[j, k])
-    kept, n = np.empty(len(some), dtype=np.int64), 0
-    for i in some:
-        near = True
-        for k in range(3):
-            near &= max(low[k] - points[i, k], points[i, k] - high[k]) <= gap
-        kept[n] = i
-        n += near
-    return kept[:n]
+def _bridges(first: FloatArray, second: FloatArray, gap: float) -> tuple[FloatArray, FloatArray]:
+    """Finds the shortest connections below a gap [m] from points of a cluster to those of another.
 
+    Args:
+        first: (N, 3) points of the one [m].
+        second: (M, 3) points of the other [m].
+        gap: longest length [m].
 
-@compiled
-def _bridges(points: FloatArray, first: IntArray, second: IntArray, gap: float) -> IntArray:
-    """The shortest connections (B, 2), below a gap [m], from points of one cluster to
-    the nearest ones of the other's."""
-    for _ in range(2):  # the second time against what the first has left
-        first = _close_to(points, first, second, gap)
-        second = _close_to(points, second, first, gap)
-    pairs = np.empty((_BRIDGES, 2), dtype=np.int64)
-    length2, count = np.empty(_BRIDGES), 0
-    for i in first:
-        # One that is longer than the longest of enough others is none.
-        best, nearest = gap * gap if count < _BRIDGES else length2[count - 1], -1
-        for j in second:
-            along = points[i, 0] - points[j, 0]
-            distance2 = along * along
-            if distance2 >= best:
-                continue
-            distance2 += (points[i, 1] - points[j, 1]) ** 2
-            distance2 += (points[i, 2] - points[j, 2]) ** 2
-            if distance2 < best:
-                best, nearest = distance2, j
-        if nearest < 0:
-            continue
-        count = min(count + 1, _BRIDGES)
-        n = count - 1
-        while n > 0 and length2[n - 1] > best:
-            length2[n], pairs[n, 0], pairs[n, 1] = length2[n - 1], pairs[n - 1, 0], pairs[n - 1, 1]
-            n -= 1
-        length2[n], pairs[n, 0], pairs[n, 1] = best, i, nearest
-    return pairs[:count]
-
-
-@compiled
-def _shows_through(
-    start: FloatArray,
-    end: FloatArray,
-    own: tuple[int, int],
-    pixel: IntArray,
-    pixel_label: IntArray,
-    view: View,
-    voxel: float,
-) -> bool:
-    """Whether anything but the two clusters shows behind a connection of theirs."""
-    p, X_WC = np.empty(3), view.X_WC
-    rows, columns = view.z.shape
-    for step in range(1, _STEPS + 1):
-        for k in range(3):
-            p[k] = 0.0
-            for m in range(3):
-                at = start[m] + step / (_STEPS + 1) * (end[m] - start[m])
-                p[k] += (at - X_WC[m, 3]) * X_WC[m, k]
-        seen = pixel_at(p[0], p[1], p[2], rows, columns, view.K)
-        if seen < 0 or not view.z[seen // columns, seen % columns] > p[2] + voxel:
-            continue
-        place = np.searchsorted(pixel, seen)
-        shown = pixel_label[place] if place < len(pixel) and pixel[place] == seen else -1
-        if shown != own[0] and shown != own[1]:
-            return True
-    return False
-
-
-@compiled
-def _gaps_of(
-    points: FloatArray, label: IntArray, gap: float, min_size: int
-) -> tuple[IntArray, IntArray]:
-    """Pairs (P, 3) of clusters less than a gap [m] apart, and what bridges them (B, 2).
-
-    A pair is the later cluster, the earlier one, and the number of its bridges, which follow each
-    other: point of the earlier, and of the later.
+    Returns:
+        (B, 3) points of the first, and (B, 3) the nearest ones of the second.
     """
-    count = label.max() + 1 if len(label) else 0
-    begin, members = members_of(label, count)
-    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-    for i in range(len(label)):
-        c = label[i]
-        for k in range(3):
-            low[c, k], high[c, k] = min(low[c, k], points[i, k]), max(high[c, k], points[i, k])
-    pairs, bridges = np.empty((16, 3), dtype=np.int64), np.empty((64, 2), dtype=np.int64)
-    n, m = 0, 0
-    for i in range(count):
-        if begin[i + 1] - begin[i] < min_size:
-            continue
-        for j in range(i):
-            if begin[j + 1] - begin[j] < min_size:
-                continue
-            apart = -np.inf
-            for k in range(3):
-                apart = max(apart, low[i, k] - high[j, k], low[j, k] - high[i, k])
-            if apart >= gap:
-                continue
-            first, second = members[begin[j] : begin[j + 1]], members[begin[i] : begin[i + 1]]
-            found = _bridges(points, first, second, gap)
-            if n == len(pairs):
-                pairs = np.concatenate((pairs, pairs))
-            while m + len(found) > len(bridges):
-                bridges = np.concatenate((bridges, bridges))
-            pairs[n, 0], pairs[n, 1], pairs[n, 2] = i, j, len(found)
-            bridges[m : m + len(found)] = found
-            n, m = n + 1, m + len(found)
-    return pairs[:n].copy(), bridges[:m].copy()
+    length, nearest = cKDTree(second).query(first, distance_upper_bound=gap)
+    order = np.argsort(length, kind="stable")[:_BRIDGES]
+    order = order[length[order] < gap]
+    return first[order], second[nearest[order]]
 
 
-@compiled
-def _mark_open(
-    points: FloatArray,
-    pairs: IntArray,
-    bridges: IntArray,
-    pixel: IntArray,
-    pixel_label: IntArray,
-    view: View,
+def _are_open(
+    bridges: tuple[FloatArray, FloatArray],
+    clusters: tuple[int, int],
+    image: tuple[IntArray, IntArray, View],
     voxel: float,
-    through: BoolArray,
-) -> None:
-    """Marks the bridges (B,) behind which an image shows something else."""
-    b = 0
-    for n in range(len(pairs)):
-        own = (pairs[n, 0], pairs[n, 1])
-        for _ in range(pairs[n, 2]):
-            start, end = points[bridges[b, 0]], points[bridges[b, 1]]
-            through[b] |= _shows_through(start, end, own, pixel, pixel_label, view, voxel)
-            b += 1
-
-
-@compiled
-def _joined(label: IntArray, pairs: IntArray, through: BoolArray) -> IntArray:
-    """The labels (N,) after joining the pairs of which no more than half the bridges are open."""
-    name, b = np.arange(label.max() + 1 if len(label) else 0), 0
-    for n in range(len(pairs)):
-        opened, count = through[b : b + pairs[n, 2]].sum(), pairs[n, 2]
-        b += count
-        old, new = name[pairs[n, 0]], name[pairs[n, 1]]
-        if old != new and count and 2 * opened <= count:
-            for c in range(len(name)):
-                if name[c] == old:
-                    name[c] = new
-    return name[label]
+) -> BoolArray:
+    """Checks behind which bridges (B,) of two clusters an image shows anything but these."""
+    pixel, pixel_label, view = image
+    start, end = bridges
+    share = np.arange(1, _STEPS + 1)[:, None, None] / (_STEPS + 1)
+    p_C = (start + share * (end - start) - view.X_WC[:3, 3]) @ view.X_WC[:3, :3]
+    seen = pixel_at(p_C, view.z.shape, view.K)
+    behind = (seen >= 0) & (view.z.ravel()[seen] > p_C[..., 2] + voxel)
+    place = np.minimum(np.searchsorted(pixel, seen), max(len(pixel) - 1, 0))
+    own = np.isin(pixel_label[place], clusters) & (pixel[place] == seen) if len(pixel) else False
+    return (behind & ~np.asarray(own)).any(axis=0)
 
 
 def joined_across_unseen(
@@ -443,11 +282,30 @@ def joined_across_unseen(
     Returns:
         (N,) the labels after joining.
     """
-    pairs, bridges = _gaps_of(points, label, gap, min_size)
-    through = np.zeros(len(bridges), dtype=bool)
-    for pixel, pixel_label, view in images:
-        _mark_open(points, pairs, bridges, pixel, pixel_label, view, voxel, through)
-    return _joined(label, pairs, through)
+    if not len(label):
+        return label
+    name = np.arange(label.max() + 1)
+    begin, members = members_of(label, len(name))
+    points = points[members]
+    clusters = np.split(points, begin[1:-1])
+    low = np.minimum.reduceat(points, begin[:-1]) - gap
+    high = np.maximum.reduceat(points, begin[:-1]) + gap
+    near = ((low[:, None] + gap < high) & (low < high[:, None] - gap)).all(axis=2)
+    near &= np.diff(begin) >= min_size
+    for later, earlier in np.argwhere(np.tril(near & near.T, -1)):
+        first, second = clusters[earlier], clusters[later]
+        # Only points near the other's box can be as near as this to its points.
+        first = first[((low[later] <= first) & (first <= high[later])).all(axis=1)]
+        second = second[((low[earlier] <= second) & (second <= high[earlier])).all(axis=1)]
+        if not len(first) or not len(second):
+            continue
+        bridges = _bridges(first, second, gap)
+        through = np.zeros(len(bridges[0]), dtype=bool)
+        for image in images:
+            through |= _are_open(bridges, (later, earlier), image, voxel)
+        if len(through) and 2 * through.sum() <= len(through):
+            name[name == name[later]] = name[earlier]
+    return name[label]
 
 
 def connected_clusters(

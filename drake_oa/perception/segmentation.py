@@ -24,12 +24,11 @@ from drake_oa.common.messages import BoolArray, FloatArray, IntArray, TablePlane
 from drake_oa.geometry.pinhole import View
 from drake_oa.geometry.primitives import PosedShapes
 from drake_oa.geometry.voxels import (
-    cell_means,
-    cells_of,
     connected_clusters,
+    filed,
     joined_across_unseen,
-    numbered,
     points_of_groups,
+    voxel_means,
 )
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.depth_image import (
@@ -389,7 +388,7 @@ def _cluster(
     if not len(p_WQ):
         return Segmentation((), (), table, p_WQ, rms, X_WC, views=views)
 
-    means, voxel_of, count = _voxel_means(p_WQ, config.voxel)
+    means, voxel_of, count = voxel_means(p_WQ, config.voxel)
     kept = np.flatnonzero(count >= config.min_occupancy)
     if robot is not None:
         kept = kept[~robot.contains(means[kept], config.robot_margin)]
@@ -511,7 +510,7 @@ def _standing(
     cluster = np.where(taken_points, whole, -1)
     cluster[inside] = np.where(taken_points[inside], whole[inside], count + core)
     standing = inside | taken_points
-    return standing, numbered(cluster[standing])[1]
+    return standing, filed(cluster[standing])[1]
 
 
 def _pixels_above(
@@ -535,16 +534,6 @@ def _pixels_above(
     return pixels_between(
         z, u.astype(np.float32), v.astype(np.float32), np.array(limits, dtype=np.float32)
     )
-
-
-def _voxel_means(points: FloatArray, voxel: float) -> tuple[FloatArray, IntArray, IntArray]:
-    """Voxels of points (N, 3) in order of their keys.
-
-    Returns:
-        Means (M, 3), the voxel (N,) of each point, and counts (M,).
-    """
-    keys, cell_of = cells_of(points, voxel)
-    return cell_means(points, cell_of, np.argsort(keys))
 
 
 def _pose_from_plane(plane: PlaneFit) -> FloatArray:

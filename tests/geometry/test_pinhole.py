@@ -10,6 +10,6 @@ def test_a_point_is_shown_by_the_pixel_it_came_from():
     for index in range(0, SIZE[0] * SIZE[1], 997):
         row, column = divmod(index, SIZE[1])
         x, y = 1.7 * (column - K[2]) / K[0], 1.7 * (row - K[3]) / K[1]
-        assert pixel_at(x, y, 1.7, *SIZE, K) == index
-        assert pixel_at(-x, -y, -1.7, *SIZE, K) == -1
-    assert pixel_at(9.0, 0.0, 1.0, *SIZE, K) == -1
+        assert pixel_at(np.array([x, y, 1.7]), SIZE, K) == index
+        assert pixel_at(-np.array([x, y, 1.7]), SIZE, K) == -1
+    assert pixel_at(np.array([9.0, 0.0, 1.0]), SIZE, K) == -1

@@ -6,10 +6,12 @@ from scipy.sparse.csgraph import connected_components
 from drake_oa.geometry.pinhole import View, pixel_at
 from drake_oa.geometry.voxels import (
     connected_clusters,
+    filed,
     first_in_voxels,
     joined_across_unseen,
-    numbered,
+    points_of_groups,
     voxel_keys,
+    voxel_means,
 )
 
 K = np.array([260.0, 260.0, 159.5, 119.5])
@@ -43,7 +45,7 @@ def test_clusters_are_the_components_of_the_graph_of_near_points(count, toleranc
 @given(st.sampled_from([0, 1, 300, 30_000]), st.sampled_from([1, 50, 30_000]), st.integers(0, 9))
 def test_keys_are_numbered_by_first_appearance(count, kinds, seed):
     keys = np.random.default_rng(seed).integers(0, kinds, count) * (1 << 21)
-    different, which = numbered(keys)
+    different, which, _ = filed(keys)
     np.testing.assert_array_equal(different[which], keys)
     assert len(np.unique(different)) == len(different)
     assert (np.diff(np.unique(which, return_index=True)[1]) > 0).all()
@@ -57,7 +59,7 @@ def join(background: float, label_behind: int) -> np.ndarray:
     depth, pixel_label = np.full(SIZE, background), np.full(SIZE[0] * SIZE[1], label_behind)
     points = np.concatenate([left, right])
     label = np.repeat([0, 1], 25)
-    pixel = np.array([pixel_at(*point, *SIZE, K) for point in points])
+    pixel = pixel_at(points, SIZE, K)
     depth.ravel()[pixel], pixel_label[pixel] = 1.0, label
     shown = np.flatnonzero(pixel_label >= 0)
     return joined_across_unseen(
@@ -86,3 +88,21 @@ def test_the_first_point_of_each_voxel_is_found_in_order():
     np.testing.assert_array_equal(first_in_voxels(cloud, 0.02), [0, 1])
     np.testing.assert_array_equal(first_in_voxels(cloud, 0.005), np.arange(4))
     assert not len(first_in_voxels(np.zeros((0, 3)), 0.02))
+
+
+@given(st.integers(1, 300), st.integers(0, 9999))
+def test_points_are_averaged_by_voxel_and_collected_by_group(count, seed):
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-0.1, 0.1, (count, 3))
+    means, voxel_of, size = voxel_means(points, 0.05)
+    keys = voxel_keys(points, 0.05)
+    assert len(means) == len(np.unique(keys))
+    for voxel, key in enumerate(np.unique(keys)):
+        np.testing.assert_array_equal(voxel_of == voxel, keys == key)
+        np.testing.assert_allclose(means[voxel], points[keys == key].mean(axis=0), atol=1e-12)
+    np.testing.assert_array_equal(size, np.bincount(voxel_of))
+    group, index = rng.integers(-1, 3, len(means)), rng.permutation(count)
+    numbers, begin = points_of_groups(group, voxel_of, index, 3)
+    for g in range(3):
+        expected = index[group[voxel_of] == g]
+        np.testing.assert_array_equal(numbers[begin[g] : begin[g + 1]], expected)
