@@ -236,21 +236,11 @@ def baseline_frame(start: ArrayLike, goal: ArrayLike) -> FloatArray:
     u = np.array(_direction(start, goal, D))
     if D == 1:
         return u[:, None]
-    across = u.copy()
-    across[0] = 0.0
-    sin = float(np.linalg.norm(across))
-    if sin > 0.0:
-        across /= sin
-    else:
-        across[1] = 1.0
-    cos = float(u[0])
     first = np.eye(D)[0]
-    # Rotation by (cos, sin) in the plane of `first` and `across`.
-    return np.asarray(
-        np.eye(D)
-        + (cos - 1.0) * (np.outer(first, first) + np.outer(across, across))
-        + sin * (np.outer(across, first) - np.outer(first, across))
-    )
+    if u[0] < -1.0 + 1e-12:
+        return np.diag([-1.0, -1.0, *np.ones(D - 2)])
+    both = first + u
+    return np.asarray(np.eye(D) - np.outer(both, both) / (1.0 + u[0]) + 2.0 * np.outer(u, first))
 
 
 def minimum_jerk(

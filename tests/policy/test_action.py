@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -30,7 +30,7 @@ from drake_oa.policy.action import (
     restarted,
 )
 from drake_oa.policy.config import Policy
-from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk, spring_flow
+from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk
 from drake_oa.policy.guidance import desired_headings, passing_normals
 from tests.builders import balls
 from tests.reference.coupling import terms, turning
@@ -38,7 +38,6 @@ from tests.reference.dmp import step as dmp_step
 
 START, GOAL = np.zeros(3), np.array([1.0, 0.0, 0.0])
 DMP = imitate(*minimum_jerk(START, GOAL, duration=2.0))
-UNFORCED = replace(DMP, weights=np.zeros_like(DMP.weights))
 STEP = 0.005
 PARAMETERS = Policy()
 LEVEL = ActionLevel(DMP, PARAMETERS)
@@ -120,22 +119,6 @@ def random_route(rng: np.random.Generator, count: int, R_WL: FloatArray) -> Rout
     )
 
 
-# Interpolation.
-
-
-def test_a_segment_begins_and_ends_where_the_policy_says() -> None:
-    segment = run(100)[-1]
-    np.testing.assert_array_equal(segment.interpolate(segment.state.stamp, 0), segment.state.p_WE)
-    np.testing.assert_allclose(segment.interpolate(segment.end.stamp, 0), segment.end.p_WE)
-    np.testing.assert_allclose(
-        segment.interpolate(segment.end.stamp, 1), segment.motion.course.v_end
-    )
-    # Beyond its end it goes on at its last velocity.
-    later = segment.interpolate(segment.end.stamp + 0.01, 0)
-    np.testing.assert_allclose(later, segment.end.p_WE + 0.01 * segment.motion.course.v_end)
-    assert not segment.interpolate(segment.end.stamp + 0.01, 2).any()
-
-
 # Fade.
 
 
@@ -198,23 +181,6 @@ def test_a_hold_brings_the_motion_to_rest_within_the_hold_time() -> None:
     # No jump of velocity on the way to rest.
     speed = [np.linalg.norm(segment.motion.course.v_end) for segment in segments[first:]]
     assert (np.diff(speed) <= 1e-9).all()
-
-
-def interrupted(time: float) -> EllipsoidSet:
-    """Seen afresh except from 0.4 s to 1.5 s."""
-    return one_ellipsoid(0.4 if 0.4 < time < 1.5 else time)
-
-
-def test_a_hold_does_not_change_the_motion_of_the_spring() -> None:
-    # Without forcing each step is the exact flow, whatever its length: at every phase
-    # the motion is the flow from the start, hold or no hold.
-    segments = run(800, dmp=UNFORCED, sees=interrupted)
-    assert any(segment.state.note for segment in segments)
-    for segment in segments:
-        s = -math.log(segment.end.phase) / UNFORCED.alpha_k
-        a, _, c, _ = spring_flow(UNFORCED.alpha_x, UNFORCED.beta_x, s)
-        np.testing.assert_allclose(segment.end.p_WE, GOAL + a * (START - GOAL), atol=1e-9)
-        np.testing.assert_allclose(segment.end.z_W, c * (START - GOAL), atol=1e-7)
 
 
 def test_a_goal_that_moves_turns_the_local_frame() -> None:
@@ -304,14 +270,6 @@ def test_several_steps_at_once_are_the_same_as_one_after_the_other() -> None:
         segment = LEVEL.step(segment, GOAL, around, segment.end.stamp, STEP)
     at_once = LEVEL.step(begin, GOAL, around, 0.0, STEP, 50)
     np.testing.assert_equal(at_once.motion, segment.motion)
-
-
-def test_a_state_is_laid_out_and_read_back_unchanged() -> None:
-    state = random_scene(3)[0]
-    state = replace(state, hold=HoldCause.OBSTACLES, note="held", tau=1.5, stamp=2.0)
-    for read in (Segment.resting(state).state, Segment.resting(state).end):
-        for item in fields(PolicyState):
-            np.testing.assert_array_equal(getattr(read, item.name), getattr(state, item.name))
 
 
 # What the regulation may give beside its parameters.
@@ -436,11 +394,6 @@ def test_a_motion_that_begins_straight_at_a_term_turns_to_its_side(seed: int, st
 # Displaced in real time.
 
 
-def test_no_displacement_is_the_same_to_the_last_bit() -> None:
-    still, plain = run(100, evasion=np.zeros((100, 3))), run(100)
-    np.testing.assert_equal([one.motion for one in still], [one.motion for one in plain])
-
-
 def test_a_held_motion_is_displaced_and_keeps_phase_and_velocity() -> None:
     hold = round(PARAMETERS.hold_time / STEP)
     u = np.zeros((hold + 200, 3))
@@ -470,6 +423,10 @@ def test_the_outputs_of_a_displaced_motion_are_consistent(seed: int, share: floa
         np.testing.assert_allclose(
             rate, segment.interpolate(between, derivative + 1), atol=1e-3, rtol=1e-3
         )
+    # Beyond its end it goes on at its last velocity.
+    later = segment.interpolate(segment.end.stamp + 0.01, 0)
+    np.testing.assert_allclose(later, segment.end.p_WE + 0.01 * segment.motion.course.v_end)
+    assert not segment.interpolate(segment.end.stamp + 0.01, 2).any()
 
 
 def test_a_displacement_that_is_not_finite_is_none() -> None:

@@ -15,14 +15,11 @@ from scipy.spatial.transform import Rotation
 from drake_oa.common.messages import FloatArray
 from drake_oa.policy import coupling as kernels
 from drake_oa.policy.coupling import PARALLEL, dead_zone_free_rate, original_rate
-from drake_oa.policy.dmp import imitate, minimum_jerk
 from tests.reference.coupling import terms, turning
-from tests.reference.dmp import trajectory
 
 seeds = st.integers(0, 2**32 - 1)
 finite = st.floats(allow_nan=False, allow_infinity=False)
 nonnegative = st.floats(0.0, allow_infinity=False)
-decades = st.floats(-6.0, 6.0).map(lambda power: 10.0**power)
 small = st.sampled_from([-1.0, 0.0, 1.0])
 FEW = settings(max_examples=30)
 MANY = settings(max_examples=60)
@@ -245,54 +242,7 @@ def test_the_saturated_guidance_turn_is_the_exact_flow(h: float) -> None:
     np.testing.assert_allclose(turn, [0, 0, expected], rtol=1e-12)
 
 
-def test_many_obstacles_in_line_do_not_turn_more_than_one_of_their_joint_strength() -> None:
-    z = np.array([1.0, 0.2, 0])
-    six = turn_of(terms([[0.5, 0, 0]] * 6, [1e5, 0.6, 0.0]), ORIGIN, z, 1e-3)
-    one = turn_of(terms([0.5, 0, 0], [6e5, 0.6, 0.0]), ORIGIN, z, 1e-3)
-    np.testing.assert_allclose(six, one, rtol=0.2)
-    assert angle(AHEAD, turned_by(z, six)) < np.pi / 2 + 0.4
-
-
-@pytest.mark.parametrize(("alpha", "kappa"), [(200.0, 10.0), (1e3, 30.0), (1e4, 60.0)])
-def test_the_clearance_hardly_depends_on_the_step(alpha: float, kappa: float) -> None:
-    dmp = imitate(*minimum_jerk(ORIGIN, AHEAD))
-    rows = terms([0.5, 0, 0], [alpha, 0.6, kappa], normal=[0, 0, 1.0])
-    nearest = []
-    for steps in (500, 2000):
-        p = trajectory(dmp, ORIGIN, AHEAD, steps=steps, turn=lambda *at: turn_of(rows, *at)).p
-        nearest.append(np.linalg.norm(p - 0.5 * AHEAD, axis=1).min())
-    assert 0.97 < nearest[0] / nearest[1] < 1.03
-
-
 # Straight at the centre.
-
-
-@MANY
-@given(
-    seed=seeds,
-    distance=decades,
-    speed=decades,
-    log_alpha=st.floats(0.0, 14.0),
-    step=st.floats(1e-5, 1.0),
-)
-def test_straight_at_the_centre_the_given_normal_says_the_side(
-    seed: int, distance: float, speed: float, log_alpha: float, step: float
-) -> None:
-    rng = np.random.default_rng(seed)
-    e = rng.normal(size=3)
-    e /= np.linalg.norm(e)
-    n = orthogonal_to(e, rng)
-    rows = np.zeros((1, kernels.N_COLUMNS))
-    rows[0, :3] = distance * e
-    rows[0, 3:6] = math.exp(log_alpha), 0.6, 0.3 / distance**2
-    rows[0, 9:12] = n
-    side = np.cross(n, e)
-    first = turned(rows, np.zeros(3), speed * e, step)
-    assert first @ side > 0.0
-    assert abs(first @ n) <= 1e-12 * speed
-    np.testing.assert_array_equal(turned(rows, np.zeros(3), speed * e, step), first)
-    rows[0, 9:12] = -n
-    assert turned(rows, np.zeros(3), speed * e, step) @ side < 0.0
 
 
 @FEW

@@ -119,17 +119,3 @@ def test_a_speed_scale_slows_holds_and_lets_go_on(caplog: pytest.LogCaptureFixtu
     # Who scales it says so.
     assert caplog.messages == []
     np.testing.assert_allclose(read(system, run.get_context(), "desired_position"), GOAL, atol=1e-3)
-
-
-def test_an_evasion_displaces_the_held_motion() -> None:
-    system = make_system()
-    run = simulator(system)
-    context = run.get_mutable_context()
-    system.GetInputPort("speed_scale").FixValue(context, np.array([0.0]))
-    run.AdvanceTo(0.5)
-    before = read(system, context, "desired_position")
-    system.GetInputPort("evasion").FixValue(context, np.array([0.0, 0.2, 0.0]))
-    run.AdvanceTo(1.0)
-    moved = read(system, context, "desired_position") - before
-    np.testing.assert_allclose(moved, [0.0, 0.1, 0.0], atol=2e-3)
-    np.testing.assert_allclose(read(system, context, "desired_velocity"), [0.0, 0.2, 0.0])
