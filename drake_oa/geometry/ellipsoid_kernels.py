@@ -7,32 +7,14 @@ each of them once, and caches it on disk.
 from __future__ import annotations
 
 import math
-from typing import TypeVar
 
 import numpy as np
-from numba.extending import register_jitable
 
 from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray
 
-Metres = TypeVar("Metres", float, FloatArray)
-
 _TINY = 1e-150
 """Ratios below this are zero: their squares would not be normal numbers."""
-
-
-@register_jitable
-def feasible_clearance(asked: Metres, start: Metres, goal: Metres) -> Metres:
-    """min(asked, start, goal): nobody keeps more than start and goal themselves have.
-
-    As it is in Python, and compiled into the kernels that call it.
-
-    Args:
-        asked: asked clearance Delta [m].
-        start, goal: signed distance of the start and of the goal to the obstacle [m]; each
-            where the obstacle is as the motion starts and ends.
-    """
-    return np.minimum(asked, np.minimum(start, goal))
 
 
 @compiled

@@ -21,7 +21,6 @@ import numpy as np
 
 from drake_oa.common.messages import EllipsoidSet, FloatArray, IntArray, TablePlane
 from drake_oa.geometry.ellipsoid import signed_distance
-from drake_oa.geometry.ellipsoid_kernels import feasible_clearance
 
 FORBIDDEN = 1.0
 """Cost at which a ring forbids a direction."""
@@ -206,7 +205,7 @@ def remaining_clearance(scene: RingScene) -> FloatArray:
     share = np.linspace(0.0, 1.0, _SAMPLES)[:, None, None]
     place = scene.p_WS + share * (scene.p_WG - scene.p_WS)
     distance = signed_distance(place, shapes.p_WO, shapes.R_WO, shapes.semi_axes)
-    feasible = feasible_clearance(scene.asked_clearance, distance[0], distance[-1])
+    feasible = np.minimum(scene.asked_clearance, distance[[0, -1]].min(axis=0))
     nearest = distance.argmin(axis=0)
     between = (nearest > 0) & (nearest < _SAMPLES - 1)
     return np.where(between & (distance.min(axis=0) < feasible), feasible, 0.0)

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 from drake_oa.common.console import Column, TextTable
 from drake_oa.common.messages import EllipsoidSet, FloatArray
-from drake_oa.geometry.ellipsoid_kernels import feasible_clearance
 from drake_oa.perception.config import LiveCameras
 from drake_oa.policy.orientation_dmp import rotation_matrix
 from drake_oa.runs.metrics import MotionMetrics, free_point_metrics, path_length, robot_metrics
@@ -55,7 +54,7 @@ def feasible_clearance_of(scenario: Scenario) -> float:
     else:
         ends = np.stack(end_positions(scenario))
         left = robot_metrics(scenario, ends).resting_clearance
-    return float(max(feasible_clearance(task.clearance, *left), 0.0))
+    return float(max(np.min([task.clearance, *left]), 0.0))
 
 
 def motion_report(

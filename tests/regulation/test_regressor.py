@@ -1,6 +1,5 @@
 """The regressor chain: forward pass, weights files, sections of ellipsoids."""
 
-import copy
 import json
 from pathlib import Path
 
@@ -12,7 +11,7 @@ from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 from scipy.spatial.transform import Rotation
 
-from drake_oa.common.messages import CouplingParameters, EllipsoidSet
+from drake_oa.common.messages import EllipsoidSet
 from drake_oa.geometry.superquadric import log_inside_outside
 from drake_oa.regulation.network import Network
 from drake_oa.regulation.regressor import (
@@ -98,14 +97,6 @@ def test_each_obstacle_may_have_its_own_clearance_and_none_needs_no_coupling(cha
         np.testing.assert_allclose(found.as_array()[row], alone.as_array()[0], rtol=1e-12)
 
 
-def test_parameters_are_immutable_and_shared_on_copy():
-    value = CouplingParameters(np.ones(2), np.ones(2), np.ones(2), np.ones(2, dtype=bool))
-    assert copy.deepcopy(value) is value
-    assert value.as_array().shape == (2, 3)
-    with pytest.raises(ValueError, match="read-only"):
-        value.alpha[0] = 2.0
-
-
 @pytest.mark.parametrize("n_inputs", [2, 3])
 def test_chains_of_fewer_inputs_load_and_ignore_the_rest(tmp_path, n_inputs):
     rng = np.random.default_rng(1)
@@ -160,11 +151,10 @@ def test_a_missing_file_is_named_with_the_way_to_get_one(tmp_path):
         load_chain(tmp_path / "nowhere.safetensors")
 
 
-@pytest.mark.parametrize("name", ["noise.safetensors", "noise.npz", "empty.safetensors"])
-def test_a_file_that_is_no_weights_file_is_named(tmp_path, name):
-    path = tmp_path / name
-    path.write_bytes(b"" if name.startswith("empty") else b"not weights at all")
-    with pytest.raises(ValueError, match=f"{name} cannot be read"):
+def test_a_file_that_is_no_weights_file_is_named(tmp_path):
+    path = tmp_path / "noise.npz"
+    path.write_bytes(b"not weights at all")
+    with pytest.raises(ValueError, match=r"noise.npz cannot be read"):
         load_chain(path)
 
 
@@ -189,15 +179,12 @@ def _damaged(chain, path, key, value):
     ("key", "value", "message"),
     [
         ("psi_W2", None, "lacks the array 'psi_b1'|'psi_W1' has the shape"),
-        ("kappa_W2", np.zeros((24, 23)), r"'kappa_W2' has the shape \(24, 23\)"),
         ("alpha_in_gain", np.ones(4), r"'alpha_in_gain' has the shape \(4,\)"),
         ("kappa_b1", np.full(24, np.nan), "'kappa_b1' must hold finite numbers"),
         ("psi_out_gain", np.array(0.0), "scale of 'psi'"),
         ("lower", np.full(3, 9.0), "'upper' must exceed 'lower'"),
         ("input_scale", np.zeros(3), "'input_scale' not be zero"),
-        ("lower", np.ones(3, dtype=bool), "'lower' must hold finite numbers"),
         ("metadata", None, "has no metadata"),
-        ("metadata", "{}", "lack 'log_targets'"),
         ("metadata", header(log_targets=["beta"]), "valid are"),
         ("metadata", header(format="someone else's 3"), 'format "someone else\'s 3"'),
     ],

@@ -17,7 +17,7 @@ import numpy as np
 from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, FloatArray
 from drake_oa.common.numba_tools import kernel_arrays
-from drake_oa.geometry.ellipsoid_kernels import feasible_clearance, nearest_point
+from drake_oa.geometry.ellipsoid_kernels import nearest_point
 from drake_oa.studies.scenes.scenes import DURATION, Batch, Motions, Scenes, scene_distance
 
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
@@ -264,7 +264,7 @@ def judge(scenes: Scenes, motions: Motions, substeps: int = SUBSTEPS) -> Judgeme
     )
     return Judgement(
         kept_clearance=out[:, 0].copy(),
-        feasible=feasible_clearance(scenes.clearance, *ends),
+        feasible=np.minimum(scenes.clearance, np.minimum(*ends)),
         goal_error=np.linalg.norm(motions.path[:, -1] - goal, axis=1),
         path_length=out[:, 1].copy(),
         baseline=np.array(scenes.baseline),
