@@ -193,9 +193,8 @@ def signed_distance(
     Raises:
         ValueError: for a semi-axis that is not positive, or shapes that do not fit.
     """
-    offset = np.asarray(p, dtype=float) - center
-    y = np.abs(np.einsum("...i,...ij->...j", offset, R))
-    y, axes = np.broadcast_arrays(y, np.asarray(semi_axes, dtype=float))
+    p_WQ, p_WO, R_WO, axes = (np.asarray(a, dtype=float) for a in (p, center, R, semi_axes))
+    y, axes = np.broadcast_arrays(np.abs(np.einsum("...i,...ij->...j", p_WQ - p_WO, R_WO)), axes)
     if not (axes > 0.0).all():
         raise ValueError(f"signed_distance: semi_axes must be positive, not {semi_axes!r}")
     rows = kernel_arrays(y.reshape(-1, 3), axes.reshape(-1, 3))

@@ -1,5 +1,6 @@
 """The regressor chain: forward pass, weights files, sections of ellipsoids."""
 
+import copy
 import json
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 from scipy.spatial.transform import Rotation
 
-from drake_oa.common.messages import EllipsoidSet
+from drake_oa.common.messages import CouplingParameters, EllipsoidSet
 from drake_oa.geometry.superquadric import log_inside_outside
 from drake_oa.regulation.network import Network
 from drake_oa.regulation.regressor import (
@@ -95,6 +96,14 @@ def test_each_obstacle_may_have_its_own_clearance_and_none_needs_no_coupling(cha
     for row, clearance in ((0, 0.1), (2, 0.2)):
         alone = chain.parameters(extents[row : row + 1], clearance, 1.0)
         np.testing.assert_allclose(found.as_array()[row], alone.as_array()[0], rtol=1e-12)
+
+
+def test_parameters_are_immutable_and_shared_on_copy():
+    value = CouplingParameters(np.ones(2), np.ones(2), np.ones(2), np.ones(2, dtype=bool))
+    assert copy.deepcopy(value) is value
+    assert value.as_array().shape == (2, 3)
+    with pytest.raises(ValueError, match="read-only"):
+        value.alpha[0] = 2.0
 
 
 @pytest.mark.parametrize("n_inputs", [2, 3])
