@@ -595,22 +595,6 @@ def test_the_path_moves_mirrors_and_scales_with_the_scene_at_any_tau(
     np.testing.assert_allclose(again, path_in(some) @ Q.T, rtol=0.0, atol=1e-8)
 
 
-def test_a_curved_demonstration_turns_about_the_vertical_only() -> None:
-    t = np.linspace(0.0, 1.0, 50)
-    curved = np.stack([t, 0.1 * np.sin(3.0 * t), 0.2 * np.sin(np.pi * t)], axis=1)
-    level = ActionLevel(imitate(curved), PARAMETERS)
-    start, goal = np.array([0.1, 0.2, 0.3]), np.array([0.9, -0.4, 0.6])
-
-    def end_of(start: FloatArray, goal: FloatArray) -> FloatArray:
-        begin = initial_segment(DMP, start, goal, 0.0)
-        return level.step(begin, goal, Surroundings(), 0.0, 0.005, 80).end.p_WE
-
-    for axis, same in (((0.0, 0.0, 1.1), True), ((0.7, 0.0, 0.0), False)):
-        Q = Rotation.from_rotvec(axis).as_matrix()
-        difference = np.abs(end_of(Q @ start, Q @ goal) - Q @ end_of(start, goal)).max()
-        assert bool(difference < 1e-9) == same
-
-
 # No input is too odd.
 
 

@@ -1,4 +1,4 @@
-"""Motions that imitate a demonstration of their own, and terms that belong to no ellipsoid."""
+"""Motions that imitate a demonstration of their own."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def arc(turned: float = np.pi / 3.0) -> Demonstration:
     return Demonstration(imitate(path, t), imitate_orientation(R, t), R[-1], t / 2.0)
 
 
-def simulator(coupling: CouplingParameters, shown: Demonstration) -> tuple[Simulator, Diagram]:
+def simulator(shown: Demonstration, *, anew: bool) -> tuple[Simulator, Diagram]:
     builder = DiagramBuilder()
     straight = imitate(*minimum_jerk(START, GOAL, duration=1.0))
     config = Policy(period=0.008)
@@ -52,7 +52,9 @@ def simulator(coupling: CouplingParameters, shown: Demonstration) -> tuple[Simul
     context = policy.GetMyMutableContextFromRoot(run.get_mutable_context())
     policy.GetInputPort("goal").FixValue(context, GOAL)
     policy.GetInputPort("ellipsoids_W").FixValue(context, Value(EllipsoidSet(stamp=np.inf)))
-    policy.GetInputPort("coupling_parameters").FixValue(context, Value(coupling))
+    policy.GetInputPort("coupling_parameters").FixValue(
+        context, Value(CouplingParameters(anew=anew, verified=True))
+    )
     for system in (policy, turning):
         context = system.GetMyMutableContextFromRoot(run.get_mutable_context())
         system.GetInputPort("demonstration").FixValue(context, Value(shown))
@@ -74,7 +76,7 @@ def follow(run: Simulator, diagram: Diagram, end: float) -> tuple[FloatArray, Fl
 @pytest.mark.parametrize("turned", [np.pi / 3.0, -1.2, 7.0])
 def test_a_motion_that_begins_anew_imitates_what_is_shown(turned: float) -> None:
     # 7 rad are 400 degrees: counted from the middle of the motion.
-    run, diagram = simulator(CouplingParameters(anew=True, verified=True), arc(turned))
+    run, diagram = simulator(arc(turned), anew=True)
     places, R_WE = follow(run, diagram, 3.5)
     radius = np.linalg.norm(places - 0.5 * (START + GOAL), axis=1)
     np.testing.assert_allclose(radius, 0.4, atol=5e-3)
@@ -84,24 +86,6 @@ def test_a_motion_that_begins_anew_imitates_what_is_shown(turned: float) -> None
 
 
 def test_without_beginning_anew_it_goes_on_as_it_was() -> None:
-    run, diagram = simulator(CouplingParameters(verified=True), arc())
+    run, diagram = simulator(arc(), anew=False)
     places, _ = follow(run, diagram, 1.5)
     np.testing.assert_allclose(places[:, 2], START[2], atol=1e-6)
-
-
-def test_a_verified_term_bends_the_motion_without_an_ellipsoid() -> None:
-    term = CouplingParameters(
-        alpha=np.array([300.0]),
-        psi=np.array([1.0]),
-        kappa=np.array([10.0]),
-        in_range=np.ones(1, dtype=bool),
-        center_W=np.array([[0.3, 0.0, 0.29]]),
-        normal_W=np.array([[1.0, 0.0, 0.0]]),
-        tau=1.0,
-        verified=True,
-    )
-    run, diagram = simulator(term, Demonstration())
-    places, _ = follow(run, diagram, 2.0)
-    assert places[:, 2].max() > START[2] + 0.05
-    np.testing.assert_allclose(places[:, 0], START[0], atol=1e-9)
-    np.testing.assert_allclose(places[-1], GOAL, atol=2e-3)
