@@ -13,7 +13,7 @@ from drake_oa.common.messages import FloatArray, PlannedMotion
 from drake_oa.common.wires import Wires
 from drake_oa.control.cartesian_inverse_dynamics import CartesianInverseDynamics
 from drake_oa.control.integral_action import IntegralAction
-from drake_oa.diagrams.motion import held_annulus, make_dmp
+from drake_oa.diagrams.motion import make_dmp
 from drake_oa.diagrams.station import Cell, make_posture_guide
 from drake_oa.perception.config import GroundTruth
 from drake_oa.posture.posture_follower import PostureFollower
@@ -105,7 +105,7 @@ def add_posture(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     if cell is None:
         return
     if "motion" in wires:
-        q_rest = cell.q_start[cell.arm.index]
+        q_rest = cell.q_start[cell.chain.index]
         wires.add("posture_follower", make_posture_follower(scenario, q_rest))
     else:
         add_guide_follower(wires, scenario, cell.q_start)
@@ -214,6 +214,5 @@ def make_evasion(scenario: Scenario, arm: GuardedArm, *, turns: bool = True) -> 
         hold_time=policy.hold_time,
         turns=turns,
         table_height=policy.table_height,
-        annulus=held_annulus(scenario),
         thinking=scenario.thinking,
     )

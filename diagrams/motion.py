@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TypeVar
@@ -18,10 +19,9 @@ from pydrake.systems.primitives import (
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
+from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.station import Cell, make_posture_guide
-from drake_oa.geometry.annulus import Annulus
-from drake_oa.planning.arm_world import make_chain
 from drake_oa.planning.motion_search import MotionSearch
 from drake_oa.planning.motion_selector import MotionSelector
 from drake_oa.planning.sides import Sides
@@ -34,16 +34,13 @@ from drake_oa.regulation.proposal_network import load_proposals
 from drake_oa.regulation.proposals import Proposer
 from drake_oa.regulation.regressor import ChainWeights, check_action_level, load_chain
 from drake_oa.regulation.regressor_chain import RegressorChain, Scaling
-from drake_oa.robot.arm import make_arm_model
-from drake_oa.robot.config import Robot
-from drake_oa.robot.plant import home_positions, make_robot_plant
-from drake_oa.robot.reachability import Reachability, reachability
+from drake_oa.robot.arm import PULL, inverse_kinematics, joint_margins, make_chain
+from drake_oa.robot.plant import make_robot_plant
 from drake_oa.robot.spheres import ArmSpheres
-from drake_oa.robot.tool_down import found_annulus, given_annulus, is_tool_down
 from drake_oa.route.cost_ring_selector import CostRingSelector
-from drake_oa.route.cost_rings import Ring
+from drake_oa.route.cost_rings import JointMargins, Ring
 from drake_oa.scenario.demonstration import demonstrated_path, primitive_constants
-from drake_oa.scenario.end_poses import end_rotations, held_robots, tool_orientation
+from drake_oa.scenario.end_poses import end_rotations, start_positions, tool_orientation
 from drake_oa.scenario.perception import GivenEllipsoids
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.shipped import package_file
@@ -147,75 +144,52 @@ def add_route(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
 
 
 def make_cost_ring_selector(scenario: Scenario) -> CostRingSelector:
-    """The route selection; what the robot reaches is mapped by inverse kinematics.
-
-    Of a tool that turns on the way, what it reaches as at the start or as at the goal counts.
-    """
-    policy = scenario.policy
-    held = held_robots(scenario)
-    ends = {id(robot): robot for robot in (held[0], held[-1])} if held else {}
-    reach = [found for found in map(robot_reachability, ends.values()) if found is not None]
-
-    def workspace(p_WQ: FloatArray) -> FloatArray:
-        return np.asarray(np.max([each.reach_margin(p_WQ) for each in reach], axis=0))
-
-    def joint_limits(p_WQ: FloatArray) -> FloatArray:
-        return np.asarray(np.max([each.joint_margin(p_WQ) for each in reach], axis=0))
-
+    """Creates the route selection."""
     return CostRingSelector(
         scenario.task.clearance,
-        table_height=policy.table_height,
-        workspace=workspace if reach else None,
-        joint_limits=joint_limits if reach else None,
-        followed=reach[0].followed if len(ends) == len(reach) == 1 else None,
+        table_height=scenario.policy.table_height,
+        joint_margins=make_joint_margins(scenario),
     )
 
 
-def robot_reachability(robot: Robot | None) -> Reachability | None:
-    """Where the robot can hold its tool; None without a robot, or where it is not known.
+_LEG_SAMPLES = 6
+"""Poses on each leg of a way that the arm must reach."""
 
-    It takes a second or two for each robot and tool orientation, once a process.
+
+def make_joint_margins(scenario: Scenario) -> JointMargins | None:
+    """Creates the function that tracks ways of the tool from the start; None without a robot.
+
+    The null space is drawn to the configuration at the start, as the controller draws it. Where a
+    way begins out of reach nothing is known of it, and its margins are inf.
     """
-    if robot is None:
+    if scenario.robot is None:
         return None
-    robot_plant = make_robot_plant(robot)
-    try:
-        arm = make_arm_model(
-            robot_plant.plant,
-            robot_plant.tool_frame,
-            RollPitchYaw(robot.rpy_WE).ToRotationMatrix(),
-            home_positions(robot),
-        )
-        return reachability(arm)
-    except ValueError as error:
-        _logger.info("routes are chosen without the robot's limits: %s", error)
-        return None
+    robot_plant, q_start = make_robot_plant(scenario.robot), start_positions(scenario)
+    chain = make_chain(robot_plant.plant, robot_plant.tool_frame, q_start)
+    orientation = orientation_of_motion(scenario)
+
+    def margins(corners: FloatArray) -> FloatArray:
+        number, legs = len(corners), corners.shape[1] - 1
+        place = np.linspace(0.0, legs, legs * _LEG_SAMPLES + 1)
+        leg = np.minimum(place.astype(int), legs - 1)
+        share = (place - leg)[:, None]
+        p_WE = corners[:, leg] + share * (corners[:, leg + 1] - corners[:, leg])
+        R_WE = orientation(place / legs).reshape(-1, 9)
+        X_WE = np.concatenate([np.tile(R_WE, (number, 1, 1)), p_WE], axis=2)
+        begin = inverse_kinematics(chain, X_WE[0, 0], q_start[chain.index], seeds=0)
+        if not len(begin):
+            return np.full(corners.shape[:2], np.inf)
+        pull = 1.0 - math.exp(-PULL / len(place))
+        found = joint_margins(begin[0], *kernel_arrays(X_WE), pull, chain)
+        return np.minimum.reduceat(found, [0, *range(1, len(place), _LEG_SAMPLES)], axis=1)
+
+    return margins
 
 
-def robot_annulus(robot: Robot | None) -> Annulus | None:
-    """Where the tool point can be about the base; None: not known.
-
-    It is that of the robot's block, or found from what the arm reaches.
-    """
-    if robot is None:
-        return None
-    if not is_tool_down(robot):
-        _logger.info("motions are verified without the arm's reach: not upright, or tool not down")
-        return None
-    given = given_annulus(robot)
-    reach = robot_reachability(robot) if given is None else None
-    try:
-        return given if reach is None else found_annulus(reach, robot)
-    except ValueError as error:
-        _logger.info("motions are verified without the arm's reach: %s", error)
-        return None
-
-
-def held_annulus(scenario: Scenario) -> Annulus | None:
-    """`robot_annulus` of a robot whose tool is down on the whole way; None: not known."""
-    held = held_robots(scenario)
-    # The first that has none stands for the whole way.
-    return robot_annulus(min(held, key=is_tool_down, default=None))
+def orientation_of_motion(scenario: Scenario) -> Callable[[FloatArray], FloatArray]:
+    """Creates the function of (T,) normalised times that computes (T, 3, 3) orientations."""
+    held, R_WE = tool_orientation(scenario), end_rotations(scenario)[0].matrix()
+    return (lambda s: np.tile(R_WE, (len(s), 1, 1))) if held is None else held.along
 
 
 Rings = Mapping[str, Ring] | None
@@ -256,30 +230,27 @@ def make_motion_selector(
     regulation, policy, task = scenario.regulation, scenario.policy, scenario.task
     if not isinstance(regulation, Verified):
         raise ScenarioError(f"regulation: is !{type(regulation).__name__}, not !Verified")
-    arm = cell.arm
-    spheres = cell.spheres.arrays
     _refuse_start(cell, cell.spheres)
     _tell_of_bare_links(cell, cell.spheres)
     dmp = make_dmp(scenario)
-    held, R_WE = tool_orientation(scenario), end_rotations(scenario)[0].matrix()
-    guide = make_posture_guide(scenario, arm.posture)
-    q_rest = np.array(arm.posture)
+    chain, q_rest = cell.chain, cell.q_start[cell.chain.index]
+    guide = make_posture_guide(scenario, q_rest)
     search = MotionSearch(
         Sides(proposer, rings or {}, regulation.ring_price),
         dmp,
         task.clearance,
-        make_chain(arm, spheres),
-        spheres,
+        chain,
+        cell.spheres.arrays,
         parameters=regulation,
         policy=policy,
-        orientation=(lambda s: np.tile(R_WE, (len(s), 1, 1))) if held is None else held.along,
+        orientation=orientation_of_motion(scenario),
         posture=(lambda s: np.tile(q_rest, (len(s), 1))) if guide is None else guide,
         overshoot=cell.spheres.overshoot,
         q_goal=None if task.q_goal is None else np.asarray(task.q_goal, dtype=float),
     )
     return MotionSelector(
         search,
-        tuple(arm.index.tolist()),
+        tuple(chain.index.tolist()),
         cell.robot_plant.plant.num_multibody_states(),
         period=perception_period(scenario),
         thinking=scenario.thinking,

@@ -12,13 +12,13 @@ from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
 from drake_oa.perception.config import CameraSource, LiveCameras
-from drake_oa.robot.arm import ArmModel, make_arm_model
+from drake_oa.robot.arm import Chain, make_chain
 from drake_oa.robot.config import Robot
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
 from drake_oa.robot.spheres import ArmSpheres, make_arm_spheres
 from drake_oa.safety.guarded_arm import GuardedArm, make_guarded_arm
-from drake_oa.scenario.end_poses import end_rotations, posture_guide, start_positions
+from drake_oa.scenario.end_poses import posture_guide, start_positions
 from drake_oa.scenario.scenario import Scenario, robot_of
 from drake_oa.world.live_camera import Outside
 from drake_oa.world.station import Station, make_station
@@ -39,10 +39,10 @@ class Cell(Station):
     q_start: FloatArray
 
     @cached_property
-    def arm(self) -> ArmModel:
-        """The joints of the arm at the start, and the orientation of its tool there."""
+    def chain(self) -> Chain:
+        """The joints of the arm."""
         plant, tool_frame = self.robot_plant.plant, self.robot_plant.tool_frame
-        return make_arm_model(plant, tool_frame, end_rotations(self.scenario)[0], self.q_start)
+        return make_chain(plant, tool_frame, self.q_start, self.spheres.arrays)
 
     @property
     def spheres(self) -> ArmSpheres:
@@ -53,7 +53,7 @@ class Cell(Station):
     def guarded_arm(self) -> GuardedArm:
         """The arm that is kept safe."""
         try:
-            return make_guarded_arm(self.robot_plant, self.arm, self.spheres)
+            return make_guarded_arm(self.robot_plant, self.chain, self.spheres)
         except ValueError as error:
             raise ScenarioError(f"robot: {error}") from None
 

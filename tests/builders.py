@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 from pydrake.geometry import SceneGraph, Shape
-from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.math import RigidTransform
 from pydrake.multibody.plant import (
     AddMultibodyPlantSceneGraph,
     CoulombFriction,
@@ -19,9 +19,6 @@ from pydrake.systems.sensors import ImageDepth32F
 
 from drake_oa.app.main import main
 from drake_oa.common.messages import EllipsoidSet, FloatArray
-from drake_oa.robot.arm import ArmModel, make_arm_model
-from drake_oa.robot.config import Robot
-from drake_oa.robot.plant import RobotPlant, home_positions
 from drake_oa.scenario.shipped import missing_package, shipped_scenarios
 
 
@@ -50,20 +47,6 @@ def depth_image(depth: np.ndarray) -> ImageDepth32F:
     image: Any = ImageDepth32F(depth.shape[1], depth.shape[0])
     image.mutable_data[:, :, 0] = depth
     return image
-
-
-def arm_of(
-    panda: RobotPlant,
-    R_WE: RotationMatrix,
-    q: FloatArray | None = None,
-) -> ArmModel:
-    """The arm as arrays, its posture q, at home by default."""
-    return make_arm_model(
-        panda.plant,
-        panda.tool_frame,
-        R_WE,
-        home_positions(Robot()) if q is None else q,
-    )
 
 
 def read(system: System, context: Context, port: str) -> FloatArray:

@@ -14,33 +14,14 @@ import numpy as np
 
 from drake_oa.common.compiled import compiled, leaf
 from drake_oa.common.messages import BoolArray, FloatArray
-from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.geometry.solids import Solids, ball_bound, solid_distance
-from drake_oa.robot.arm import ArmModel
+from drake_oa.robot.arm import Chain, chain_poses
 from drake_oa.robot.sphere_kernels import Spheres
 
 FAR = 0.3
 """By how much more than asked a clearance need not be known [m]."""
 STRIDE = 0.012
 """Bound on how far any sphere moves between two configurations that are looked at [m]."""
-
-
-class Chain(NamedTuple):
-    """n revolute joints in a row.
-
-    Attributes:
-        X_PJ: (n + 1, 4, 4) frame of each joint in the body before it (the first in the world),
-            its z axis being the joint's, and of the tool point E in the last body.
-        lower, upper: (n,) limits of the joints, finite [rad].
-        speed: (n,) their greatest speeds [rad/s].
-        reach: (n,) no point of a sphere is farther from the joint's axis than this [m].
-    """
-
-    X_PJ: FloatArray
-    lower: FloatArray
-    upper: FloatArray
-    speed: FloatArray
-    reach: FloatArray
 
 
 class Asked(NamedTuple):
@@ -68,27 +49,6 @@ class ArmWorld(NamedTuple):
     solids: Solids
     asked: Asked
     now: float
-
-
-@leaf
-def chain_poses(q: FloatArray, X_PJ: FloatArray, X: FloatArray) -> None:
-    """Forward kinematics: X (n + 2, 12) of the world, the n joints and E, rotation, then position.
-
-    Row i + 1 is the frame of joint i, so that row 0 is that of what is fixed to the world, -1.
-    """
-    n = len(q)
-    for i in range(12):
-        X[0, i] = 1.0 if i < 9 and i % 4 == 0 else 0.0
-    for i in range(n + 1):
-        c, s = (math.cos(q[i]), math.sin(q[i])) if i < n else (1.0, 0.0)
-        for r in range(3):
-            a, b, d = X[i, 3 * r], X[i, 3 * r + 1], X[i, 3 * r + 2]
-            x = a * X_PJ[i, 0, 0] + b * X_PJ[i, 1, 0] + d * X_PJ[i, 2, 0]
-            y = a * X_PJ[i, 0, 1] + b * X_PJ[i, 1, 1] + d * X_PJ[i, 2, 1]
-            z = a * X_PJ[i, 0, 3] + b * X_PJ[i, 1, 3] + d * X_PJ[i, 2, 3]
-            X[i + 1, 3 * r], X[i + 1, 3 * r + 1] = c * x + s * y, c * y - s * x
-            X[i + 1, 3 * r + 2] = a * X_PJ[i, 0, 2] + b * X_PJ[i, 1, 2] + d * X_PJ[i, 2, 2]
-            X[i + 1, 9 + r] = z + X[i, 9 + r]
 
 
 @leaf
@@ -294,16 +254,6 @@ def self_distance(chain: Chain, spheres: Spheres, q: FloatArray) -> float:
 
 
 @compiled
-def tool_poses(chain: Chain, q: FloatArray) -> FloatArray:
-    """(T, 12) poses of the tool, rotation, row by row, and position [m], of (T, n) [rad]."""
-    X, X_WE = np.empty((q.shape[1] + 2, 12)), np.empty((len(q), 12))
-    for row in range(len(q)):
-        chain_poses(q[row], chain.X_PJ, X)
-        X_WE[row] = X[-1]
-    return X_WE
-
-
-@compiled
 def group_distances(
     chain: Chain, spheres: Spheres, solids: Solids, q: FloatArray, t: float
 ) -> FloatArray:
@@ -373,20 +323,3 @@ def lacking_along(world: ArmWorld, q: FloatArray) -> float:
         chain_poses(q[row], world.chain.X_PJ, X)
         lower_excess(X, world.now, world.spheres, world.solids, world.asked, center, least, -np.inf)
     return -min(least[TOOL], least[LINKS])
-
-
-def make_chain(arm: ArmModel, spheres: Spheres) -> Chain:
-    """The joints of an arm, and how far its spheres reach beyond each."""
-    step = np.linalg.norm(arm.X_PJ[:, :3, 3], axis=1)
-    reach = np.zeros(len(arm.lower))
-    far = np.linalg.norm(spheres.p_JS, axis=1) + spheres.radius
-    for last in range(len(reach)):
-        mine = spheres.joint == last
-        if mine.any():
-            for joint in range(last + 1):
-                beyond = step[joint + 1 : last + 1].sum() + far[mine].max()
-                reach[joint] = max(reach[joint], beyond)
-    # A joint without limits is looked at a turn either way.
-    lower = np.where(np.isfinite(arm.lower), arm.lower, arm.posture - 2.0 * math.pi)
-    upper = np.where(np.isfinite(arm.upper), arm.upper, arm.posture + 2.0 * math.pi)
-    return Chain(*kernel_arrays(arm.X_PJ, lower, upper, arm.speed, reach))

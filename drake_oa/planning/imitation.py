@@ -14,10 +14,14 @@ from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.planning.arm_world import ArmWorld, Chain, excess_along, tool_poses
+from drake_oa.planning.arm_world import (
+    ArmWorld,
+    excess_along,
+)
 from drake_oa.policy.demonstration import Demonstration
 from drake_oa.policy.dmp import ALPHA_K, imitate, minimum_jerk_share
 from drake_oa.policy.orientation_dmp import imitate_orientation
+from drake_oa.robot.arm import Chain, tool_poses
 
 SAMPLES = 201
 """Of a path that is imitated."""

@@ -26,12 +26,11 @@ from drake_oa.planning.arm_world import (
     STRIDE,
     ArmWorld,
     Asked,
-    Chain,
-    chain_poses,
     exceeds,
     lower_excess,
     share_clear,
 )
+from drake_oa.robot.arm import Chain, chain_poses
 from drake_oa.robot.sphere_kernels import Spheres
 
 TREES = 2

@@ -32,14 +32,11 @@ from drake_oa.planning.arm_world import (
     SELF,
     ArmWorld,
     Asked,
-    Chain,
     group_distances,
     kept_along,
     lacking_along,
     self_distance,
-    tool_poses,
 )
-from drake_oa.planning.goal_postures import FARTHEST, goal_postures, nearest_free_place
 from drake_oa.planning.imitation import LONGEST, demonstration
 from drake_oa.planning.joint_planner import plan_path
 from drake_oa.planning.search import ASTRAY, MISSED, SAMPLES, ArmSearch, Earlier, Leading
@@ -54,6 +51,7 @@ from drake_oa.policy.rollout import Scene
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposals import ALPHA as LOG_ALPHA
 from drake_oa.regulation.proposals import N_GENES, TAU, avoidance_terms
+from drake_oa.robot.arm import FARTHEST, Chain, inverse_kinematics, nearest_free_place, tool_poses
 from drake_oa.robot.sphere_kernels import Spheres
 
 _LED = 201
@@ -333,7 +331,7 @@ class MotionSearch:
         leading, dmp = self._leading(here, sight), self._dmp_of(here)
         scene = self._scene(sight, dmp)
         target = np.append(leading.R_WE[-1], sight.p_WG)
-        ends = goal_postures(self._chain, target, leading.q[0, -1], seeds=4)[:1]
+        ends = inverse_kinematics(self._chain, target, leading.q[0, -1], seeds=4)[:1]
         world = self._world(sight, ends)
         waits = sight.policy.phase == 1.0 and not sight.scene.moves
         route = self._sides.weighed(scene, sight.ellipsoids, dmp.duration, self._clearance)
@@ -449,7 +447,7 @@ class MotionSearch:
     def _goals(self, sight: Sight, seeds: int) -> FloatArray:
         """(m, n) postures at the goal that touch nothing, the task's own first [rad]."""
         X_WG, first = self._goal(sight)
-        found = goal_postures(self._chain, X_WG, first, seeds=seeds)
+        found = inverse_kinematics(self._chain, X_WG, first, seeds=seeds)
         free = [q for q in found if self._is_free(sight, q)]
         return np.array(free).reshape(-1, len(first))
 
@@ -461,7 +459,7 @@ class MotionSearch:
     def _no_goal(self, sight: Sight) -> str:
         """What is in the way at the goal, and where near it there is room."""
         X_WG, first = self._goal(sight)
-        at_goal = goal_postures(self._chain, X_WG, first, seeds=4)
+        at_goal = inverse_kinematics(self._chain, X_WG, first, seeds=4)
         if not len(at_goal):
             return ""
         free = nearest_free_place(self._chain, X_WG, at_goal[0], lambda q: self._is_free(sight, q))

@@ -20,8 +20,13 @@ from drake_oa.common.compiled import CORES, compiled, on_cores, parted
 from drake_oa.common.messages import FloatArray, Frozen, IntArray
 from drake_oa.common.thinking import count
 from drake_oa.geometry.solids import Solids
-from drake_oa.planning.arm_world import FAR, ArmWorld, Asked, Chain, lower_excess
-from drake_oa.planning.tracking import PULL, follow, scratch
+from drake_oa.planning.arm_world import (
+    FAR,
+    ArmWorld,
+    Asked,
+    lower_excess,
+)
+from drake_oa.robot.arm import PULL, Chain, follow, scratch
 from drake_oa.robot.sphere_kernels import Spheres
 
 ERROR, HURRY, ENDED, WHEN = 3, 4, 5, 6

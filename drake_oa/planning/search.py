@@ -20,7 +20,10 @@ import numpy as np
 
 from drake_oa.common.messages import FloatArray, Frozen, IntArray
 from drake_oa.common.thinking import Thinking, counted
-from drake_oa.planning.arm_world import FAR, ArmWorld
+from drake_oa.planning.arm_world import (
+    FAR,
+    ArmWorld,
+)
 from drake_oa.planning.rollout import ArmRollouts, ToolPaths, roll_out_arm
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import Dmp, trajectory

@@ -25,19 +25,17 @@ from drake_oa.policy.dmp import local_frame
 from drake_oa.policy.guidance import desired_headings, passing_normals
 from drake_oa.route.cost_rings import (
     JOINT_LIMITS,
-    Margin,
+    JointMargins,
     Ring,
-    RingScene,
     joint_limits_ring,
     length_ring,
-    limits_ring,
-    no_worse_than_the_ends,
     path_length,
+    reach_ring,
     remaining_clearance,
     ring_scene,
     table_ring,
 )
-from drake_oa.route.side_choice import Followed, Selection, select_directions
+from drake_oa.route.side_choice import Selection, select_directions
 
 _logger = logging.getLogger("drake_oa")
 
@@ -84,9 +82,7 @@ class CostRingSelector(LeafSystem):
         *,
         period: float = 1.0 / 15.0,
         table_height: float = 0.05,
-        workspace: Margin | None = None,
-        joint_limits: Margin | None = None,
-        followed: Followed | None = None,
+        joint_margins: JointMargins | None = None,
         extra_rings: Mapping[str, Ring] | None = None,
         hysteresis: float = 0.2,
     ) -> None:
@@ -96,12 +92,8 @@ class CostRingSelector(LeafSystem):
             asked_clearance: asked distance Delta between tool and obstacle [m].
             period: time between decisions [s].
             table_height: least height of E above the table [m].
-            workspace: signed margin [m] of world points (..., 3), positive inside;
-                None: no workspace ring.
-            joint_limits: the same, positive where the joints keep off their limits; None, or
-                without a workspace: no such ring.
-            followed: how far the arm follows a way, see `select_directions`; None: it is
-                not asked.
+            joint_margins: distance of the arm's joints to their limits along ways of the tool;
+                None: the rings "workspace" and "joint_limits" are absent.
             extra_rings: more rings by name.
             hysteresis: how much dearer a side may be and still be kept.
 
@@ -120,15 +112,9 @@ class CostRingSelector(LeafSystem):
             "table": partial(table_ring, height=table_height),
             "length": length_ring,
         }
-        self._followed = followed
-        self._workspace, self._joint_limits = workspace, None
-        if workspace is not None:
-            self._rings["workspace"] = partial(limits_ring, workspace=workspace)
-            if joint_limits is not None:
-                self._joint_limits = joint_limits
-                self._rings[JOINT_LIMITS] = partial(
-                    joint_limits_ring, joints=joint_limits, workspace=workspace
-                )
+        self._joint_margins = joint_margins
+        if joint_margins is not None:
+            self._rings |= {"workspace": reach_ring, JOINT_LIMITS: joint_limits_ring}
         self._rings |= dict(extra_rings or {})
 
         self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
@@ -151,15 +137,6 @@ class CostRingSelector(LeafSystem):
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, DECISION_OFFSET, self._decide)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._decide)
 
-    def _margins(self, scene: RingScene) -> dict[str, Margin]:
-        """Where legs between obstacles must not lead."""
-        margins = {}
-        if self._workspace is not None:
-            margins["workspace"] = self._workspace
-        if self._joint_limits is not None:
-            margins[JOINT_LIMITS] = no_worse_than_the_ends(scene, self._joint_limits)
-        return margins
-
     def _weigh(self, context: Context, p_WS: FloatArray, p_WG: FloatArray) -> Route:
         """Weighs the rings for a motion from p_WS to p_WG; the route without its headings."""
         ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
@@ -172,6 +149,7 @@ class CostRingSelector(LeafSystem):
             ellipsoids,
             table,
             asked_clearance=self._asked_clearance,
+            joint_margins=self._joint_margins,
         )
         decided: Route = context.get_abstract_state(self._decided).get_value()
         known = dict(zip(decided.ids.tolist(), decided.index.tolist(), strict=True))
@@ -180,8 +158,7 @@ class CostRingSelector(LeafSystem):
             self._rings,
             previous=np.array([known.get(i, -1) for i in ellipsoids.ids.tolist()], dtype=np.int64),
             hysteresis=self._hysteresis,
-            margins=self._margins(scene),
-            followed=self._followed,
+            joint_margins=self._joint_margins,
         )
         direction_W = scene.directions_W[selection.index]
         return Route(

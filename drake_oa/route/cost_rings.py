@@ -7,9 +7,9 @@ is the side on which the obstacle is passed (Pairet et al. 2019, section IV-D, e
     min_omega  eta_table(omega) + eta_length(omega) + eta_limits(omega)
 
 eta_limits is the sum of two rings that are nowhere both 1: what is out of reach, and what
-is reached only near a joint's limit. A ring is a function from a `RingScene` to an (M, K)
-array of costs in [0, 1]; passing more of them to `drake_oa.route.side_choice.select_directions`
-adds them to the sum.
+is reached only near a joint's limit, both by inverse kinematics along the way. A ring is a
+function from a `RingScene` to an (M, K) array of costs in [0, 1]; passing more of them to
+`drake_oa.route.side_choice.select_directions` adds them to the sum.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ FORBIDDEN = 1.0
 """Cost at which a ring forbids a direction."""
 JOINT_LIMITS = "joint_limits"
 """Name of the ring of `joint_limits_ring`."""
-_LIMIT_SAMPLES = 12
-"""Points of each of the two legs at which `limits_ring` asks for the workspace's margin."""
+JOINT_MARGIN = 0.1
+"""Distance that the joints keep from their limits where there is room [rad]."""
 LEAST_SPREAD = 0.1
 """Spread of path lengths, in baselines, below which they count as near to each other."""
 
@@ -47,6 +47,9 @@ class RingScene:
             along omega has the asked clearance to the obstacle [m].
         detour: (M, K) distance of the passing point from the baseline [m].
         asked_clearance: the asked clearance Delta [m].
+        joint_margin: (M, K) the least distance of the arm's joints to their limits on the way
+            over the passing point [rad]; -inf where the arm cannot follow it, inf: not known.
+        straight_margin: the same on the baseline [rad].
     """
 
     p_WS: FloatArray
@@ -58,11 +61,14 @@ class RingScene:
     p_WP: FloatArray
     detour: FloatArray
     asked_clearance: float
+    joint_margin: FloatArray
+    straight_margin: float
 
 
 Ring = Callable[[RingScene], FloatArray]
-Margin = Callable[[FloatArray], FloatArray]
-"""Signed margin [m] of points (..., 3) -> (...), positive inside."""
+JointMargins = Callable[[FloatArray], FloatArray]
+"""(N, P, 3) corners of N ways [m] -> (N, P) the least distance of the arm's joints to their limits
+on the leg to each corner [rad]; -inf from the first corner that the arm does not reach."""
 
 
 def ring_scene(
@@ -74,6 +80,7 @@ def ring_scene(
     *,
     asked_clearance: float,
     n_directions: int = 36,
+    joint_margins: JointMargins | None = None,
 ) -> RingScene:
     """Lays the circle of directions round the baseline.
 
@@ -93,6 +100,7 @@ def ring_scene(
         table: the supporting plane, or None.
         asked_clearance: asked clearance Delta [m].
         n_directions: K, how many directions.
+        joint_margins: of the arm; None: not known.
     """
     angles: FloatArray = np.arange(n_directions, dtype=float) * (2.0 * np.pi / n_directions)
     circle_L = np.stack([np.zeros(n_directions), np.cos(angles), np.sin(angles)], axis=1)
@@ -104,6 +112,12 @@ def ring_scene(
     in_axes = np.einsum("mji,kj->mki", ellipsoids.R_WO, directions_W)
     support = np.sqrt(np.sum((in_axes * ellipsoids.semi_axes[:, None, :]) ** 2, axis=2))
     detour = np.maximum(0.0, support + asked_clearance - (p_WB - ellipsoids.p_WO) @ directions_W.T)
+    p_WP = p_WB[:, None, :] + detour[:, :, None] * directions_W
+    margin, straight = np.full(detour.shape, np.inf), np.inf
+    if joint_margins is not None and detour.size:
+        ways = np.stack(np.broadcast_arrays(p_WS, p_WP, p_WG), axis=2).reshape(-1, 3, 3)
+        margin = joint_margins(ways).min(axis=1).reshape(detour.shape)
+        straight = float(joint_margins(np.stack([p_WS, p_WG])[None]).min())
     return RingScene(
         p_WS=p_WS,
         p_WG=p_WG,
@@ -111,9 +125,11 @@ def ring_scene(
         table=table,
         angles=angles,
         directions_W=directions_W,
-        p_WP=p_WB[:, None, :] + detour[:, :, None] * directions_W,
+        p_WP=p_WP,
         detour=detour,
         asked_clearance=asked_clearance,
+        joint_margin=margin,
+        straight_margin=straight,
     )
 
 
@@ -146,50 +162,18 @@ def table_ring(scene: RingScene, *, height: float) -> FloatArray:
     return np.where(scene.table.height(scene.p_WP) < height, FORBIDDEN, 0.0)
 
 
-def limits_ring(scene: RingScene, *, workspace: Margin) -> FloatArray:
-    """eta_limits: 1 where the way over the passing point leaves the workspace.
+def reach_ring(scene: RingScene) -> FloatArray:
+    """1 where the arm cannot follow the way over the passing point."""
+    return np.where(np.isneginf(scene.joint_margin), FORBIDDEN, 0.0)
 
-    Args:
-        scene: the scene.
-        workspace: signed margin [m] of points (..., 3) -> (...), positive inside.
+
+def joint_limits_ring(scene: RingScene) -> FloatArray:
+    """1 where the arm follows the way, but comes nearer to a joint's limit than it must.
+
+    That is nearer than `JOINT_MARGIN`, and than on the baseline.
     """
-    if not scene.detour.size:
-        return scene.detour
-    share = np.arange(1, _LIMIT_SAMPLES + 1)[:, None, None, None] / _LIMIT_SAMPLES
-    legs = np.concatenate(
-        [
-            scene.p_WS + share * (scene.p_WP - scene.p_WS),
-            scene.p_WG + share * (scene.p_WP - scene.p_WG),
-        ]
-    )
-    return np.where(np.any(workspace(legs) < 0.0, axis=0), FORBIDDEN, 0.0)
-
-
-def joint_limits_ring(
-    scene: RingScene,
-    *,
-    joints: Margin,
-    workspace: Margin,
-) -> FloatArray:
-    """1 where the way is in reach, but comes nearer to a joint's limit than it must.
-
-    A start or goal that lies beyond the margin is where the motion has to be: what lies no
-    farther beyond it is allowed.
-
-    Args:
-        scene: the scene.
-        joints: signed margin [m] of points (..., 3) -> (...), positive where the arm keeps
-            its joints off their limits.
-        workspace: signed margin [m] to what it reaches at all, positive inside.
-    """
-    near = limits_ring(scene, workspace=no_worse_than_the_ends(scene, joints))
-    return np.where(limits_ring(scene, workspace=workspace) >= FORBIDDEN, 0.0, near)
-
-
-def no_worse_than_the_ends(scene: RingScene, margin: Margin) -> Margin:
-    """A margin [m] that counts from its least at start and goal where that is negative."""
-    ends = float(margin(np.stack([scene.p_WS, scene.p_WG])).min())
-    return lambda p_WQ: margin(p_WQ) - min(ends, 0.0)
+    is_near = scene.joint_margin < min(JOINT_MARGIN, scene.straight_margin)
+    return np.where(is_near & ~np.isneginf(scene.joint_margin), FORBIDDEN, 0.0)
 
 
 _SAMPLES = 41

@@ -17,7 +17,7 @@ neighbours only, so that the least of all K^N combinations takes N K^2 steps (Vi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -26,10 +26,14 @@ import numpy as np
 from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, EllipsoidSet, FloatArray, IntArray
 from drake_oa.common.numba_tools import kernel_arrays
-from drake_oa.route.cost_rings import FORBIDDEN, JOINT_LIMITS, LEAST_SPREAD, Margin, Ring, RingScene
-
-Followed = Callable[[FloatArray], int]
-"""(P, 3) corners of a way [m] -> the first that the arm does not get to, P where it gets to all."""
+from drake_oa.route.cost_rings import (
+    FORBIDDEN,
+    JOINT_LIMITS,
+    LEAST_SPREAD,
+    JointMargins,
+    Ring,
+    RingScene,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +43,7 @@ class Selection:
     Attributes:
         index: (M,) chosen column of the rings.
         costs: name -> (M, K) each ring.
-        blocked: (M,) whether every direction is forbidden by some ring, or every way on to
-            the next obstacle.
+        blocked: (M,) whether every direction is forbidden by some ring.
     """
 
     index: IntArray
@@ -54,8 +57,7 @@ def select_directions(
     *,
     previous: IntArray | None = None,
     hysteresis: float = 0.2,
-    margins: Mapping[str, Margin] | None = None,
-    followed: Followed | None = None,
+    joint_margins: JointMargins | None = None,
 ) -> Selection:
     """Chooses omega_d: the direction of least total cost for each obstacle.
 
@@ -73,9 +75,7 @@ def select_directions(
             keeps its side while that is allowed and dearer than the best one by
             less than `hysteresis`.
         hysteresis: in units of cost.
-        margins: name -> signed margin [m] of points (..., 3), negative where a leg from
-            one obstacle to the next must not lead.
-        followed: how far the arm follows a way; None: it is not asked.
+        joint_margins: of the arm along a way; None: it follows every way.
     """
     count, width = scene.detour.shape
     costs = {name: np.asarray(ring(scene), dtype=float) for name, ring in rings.items()}
@@ -86,9 +86,9 @@ def select_directions(
                 "obstacles by directions"
             )
     groups = overlap_groups(scene.ellipsoids, scene.asked_clearance)
-    choose = partial(_choose, scene, groups, previous, hysteresis, margins)
+    choose = partial(_choose, scene, groups, previous, hysteresis)
     selection = choose(costs)
-    if followed is None or not count:
+    if joint_margins is None or not count:
         return selection
     order = along_baseline(scene.ellipsoids, groups, scene.p_WG - scene.p_WS)
     # Each time one side more is forbidden, until a group has none left.
@@ -100,10 +100,10 @@ def select_directions(
             for members, side in zip(rows, sides, strict=True)
         ]
         way = np.array([scene.p_WS, *peaks, scene.p_WG])
-        corner = followed(way)
-        if corner >= len(way):
+        missed = np.flatnonzero(np.isneginf(joint_margins(way[None])[0]))
+        if not len(missed):
             break
-        stuck = min(max(corner - 1, 0), len(rows) - 1)
+        stuck = min(max(missed[0] - 1, 0), len(rows) - 1)
         strained = costs.get(JOINT_LIMITS, np.zeros((count, width))).copy()
         strained[rows[stuck], sides[stuck]] = FORBIDDEN
         costs = costs | {JOINT_LIMITS: strained}
@@ -116,7 +116,6 @@ def _choose(
     groups: IntArray,
     previous: IntArray | None,
     hysteresis: float,
-    margins: Mapping[str, Margin] | None,
     costs: dict[str, FloatArray],
 ) -> Selection:
     count, width = scene.detour.shape
@@ -132,10 +131,7 @@ def _choose(
         blocked[rows] = bool(shut[group].all())
     kept = {group: _kept(previous, rows) for group, rows in rows_of.items()}
     if len(numbers) > 1:
-        chosen = _sequence(scene, costs, groups, rows_of, shut, kept, hysteresis, margins)
-        for a, b in chosen.beyond:
-            blocked[rows_of[a]] = blocked[rows_of[b]] = True
-        best = chosen.index
+        best = _sequence(scene, costs, groups, rows_of, shut, kept, hysteresis)
     else:
         total = sum(costs.values(), np.zeros((count, width)))
         best = {
@@ -166,14 +162,6 @@ def _cheapest(cost: FloatArray, kept: int, hysteresis: float) -> int:
     return kept if kept >= 0 and cost[kept] < cost[best] + hysteresis else best
 
 
-@dataclass(frozen=True, eq=False)
-class _Chosen:
-    """Column of each group, and the pairs of groups with no way from one to the next."""
-
-    index: dict[int, int]
-    beyond: list[tuple[int, int]]
-
-
 def _sequence(
     scene: RingScene,
     costs: Mapping[str, FloatArray],
@@ -182,9 +170,8 @@ def _sequence(
     shut: Mapping[int, BoolArray],
     kept: Mapping[int, int],
     hysteresis: float,
-    margins: Mapping[str, Margin] | None,
-) -> _Chosen:
-    """The sides of several groups, chosen together."""
+) -> dict[int, int]:
+    """Chooses the sides of several groups together."""
     legs = legs_between(
         scene.p_WS,
         scene.p_WG,
@@ -193,7 +180,6 @@ def _sequence(
         scene.ellipsoids,
         groups,
         scene.asked_clearance,
-        margins,
     )
     order = legs.order.tolist()
     rest = sum(
@@ -212,21 +198,13 @@ def _sequence(
             # A side is left where that takes more than the hysteresis off the whole.
             dear[i, kept[group]] -= hysteresis
     index, _ = Chain(dear, chain.pair).least()
-    pairs = [(order[i], order[i + 1]) for i in range(len(order) - 1)]
-    beyond = [
-        pair for i, pair in enumerate(pairs) if legs.beyond.pair[i, index[i], index[i + 1]] > 0.0
-    ]
-    return _Chosen(dict(zip(order, index.tolist(), strict=True)), beyond)
+    return dict(zip(order, index.tolist(), strict=True))
 
 
 _OBSTRUCTED = 2.0
 """Cost of a leg through an obstacle. Where the length outweighs it the way is cut short, and
 the coupling's bends add up near the obstacle; a larger one changes little
 (docs/design.md)."""
-
-
-_SAMPLES = 6
-"""Points of a leg that must be in reach: the middles of its equal parts."""
 
 
 def overlap_groups(ellipsoids: EllipsoidSet, asked_clearance: float) -> IntArray:
@@ -304,15 +282,12 @@ class Legs:
         p_WP: (N, K, 3) the passing points of the groups [m].
         length: lengths of the legs [m]: from the start and to the goal in `choice`.
         obstruction: in [0, 1] a leg, how much obstacles are in its way.
-        beyond: 1 where a leg between two groups is out of reach; 0 in `choice`, whose legs
-            the rings look at.
     """
 
     order: IntArray
     p_WP: FloatArray
     length: Chain
     obstruction: Chain
-    beyond: Chain
 
 
 def legs_between(
@@ -323,7 +298,6 @@ def legs_between(
     ellipsoids: EllipsoidSet,
     groups: IntArray,
     asked_clearance: float,
-    margins: Mapping[str, Margin] | None = None,
 ) -> Legs:
     """Looks at every leg.
 
@@ -338,7 +312,6 @@ def legs_between(
         ellipsoids: the M obstacles.
         groups: (M,) the groups' numbers.
         asked_clearance: asked clearance [m].
-        margins: name -> signed margin [m] of points (..., 3), negative out of reach.
     """
     baseline = p_WG - p_WS
     order = along_baseline(ellipsoids, groups, baseline)
@@ -357,20 +330,13 @@ def legs_between(
 
     length = Chain(np.zeros((count, width)), np.linalg.norm(p[1:, None] - p[:-1, :, None], axis=3))
     in_way = Chain(np.zeros((count, width)), np.zeros((count - 1, width, width)))
-    beyond = Chain(np.zeros((count, width)), np.zeros((count - 1, width, width)))
     length.choice[0] += np.linalg.norm(p[0] - p_WS, axis=1)
     length.choice[-1] += np.linalg.norm(p_WG - p[-1], axis=1)
     in_way.choice[0] += blocked(p_WS[None], p[0], int(order[0]))[0]
     in_way.choice[-1] += blocked(p[-1], p_WG[None], int(order[-1]))[:, 0]
-    share = ((np.arange(_SAMPLES) + 0.5) / _SAMPLES)[:, None, None, None]
     for i in range(count - 1):
         in_way.pair[i] = blocked(p[i], p[i + 1], None)
-        if margins:
-            on_leg = p[i][:, None] + share * (p[i + 1] - p[i][:, None])
-            for margin in margins.values():
-                beyond.pair[i] += (margin(on_leg) < 0.0).any(axis=0)
-    np.minimum(beyond.pair, 1.0, out=beyond.pair)
-    return Legs(order, p, length, in_way, beyond)
+    return Legs(order, p, length, in_way)
 
 
 def sequence_costs(legs: Legs, rings: FloatArray, shut: FloatArray, least_spread: float) -> Chain:
@@ -379,8 +345,8 @@ def sequence_costs(legs: Legs, rings: FloatArray, shut: FloatArray, least_spread
     Args:
         legs: see `legs_between`.
         rings: (N, K) sum of the rings of each group but the length ring, in `legs.order`.
-        shut: (N, K) 1 where a ring forbids the direction: it, and a leg out of reach, costs
-            more than all else together.
+        shut: (N, K) 1 where a ring forbids the direction: it costs more than all else
+            together.
         least_spread: of lengths, below which they count as near to each other [m]; inf:
             lengths do not count.
     """
@@ -394,9 +360,7 @@ def sequence_costs(legs: Legs, rings: FloatArray, shut: FloatArray, least_spread
     choice[0] -= scale * shortest
     return Chain(
         choice + (all_else + 1.0) * shut,
-        scale * legs.length.pair
-        + _OBSTRUCTED * legs.obstruction.pair
-        + (all_else + 1.0) * legs.beyond.pair,
+        scale * legs.length.pair + _OBSTRUCTED * legs.obstruction.pair,
     )
 
 

@@ -14,7 +14,10 @@ import numpy as np
 from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.solids import Solids, ball_bound, solid_distance, solid_gradient
-from drake_oa.planning.arm_world import Chain, chain_poses, placed
+from drake_oa.planning.arm_world import (
+    placed,
+)
+from drake_oa.robot.arm import Chain, chain_poses
 from drake_oa.robot.sphere_kernels import Spheres
 
 

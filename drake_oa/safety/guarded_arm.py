@@ -8,8 +8,7 @@ import numpy as np
 
 from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray, Frozen, IntArray
-from drake_oa.planning.arm_world import Chain, chain_poses, make_chain
-from drake_oa.robot.arm import ArmModel, joints_to
+from drake_oa.robot.arm import Chain, chain_poses, jacobian, joints_to
 from drake_oa.robot.plant import RobotPlant
 from drake_oa.robot.sphere_kernels import Spheres
 from drake_oa.robot.spheres import ArmSpheres
@@ -44,12 +43,12 @@ class GuardedArm(Frozen):
         return np.array(x[self.index]), np.array(x[self.size + self.index])
 
 
-def make_guarded_arm(robot: RobotPlant, arm: ArmModel, covered: ArmSpheres) -> GuardedArm:
+def make_guarded_arm(robot: RobotPlant, chain: Chain, covered: ArmSpheres) -> GuardedArm:
     """The arm of a robot.
 
     Args:
         robot: the robot alone.
-        arm: its joints.
+        chain: its joints.
         covered: it as spheres.
 
     Raises:
@@ -59,11 +58,11 @@ def make_guarded_arm(robot: RobotPlant, arm: ArmModel, covered: ArmSpheres) -> G
     if plant.num_positions() != plant.num_velocities():
         raise ValueError("robot: each joint must have one degree of freedom")
     return GuardedArm(
-        chain=make_chain(arm, covered.arrays),
+        chain=chain,
         spheres=covered.arrays,
         bodies=covered.bodies,
         joints=tuple(joint.name() for joint in joints_to(plant, robot.tool_frame)),
-        index=np.array(arm.index, dtype=np.int64),
+        index=chain.index,
         size=plant.num_positions(),
         overshoot=covered.overshoot,
     )
@@ -75,13 +74,7 @@ def tool_jacobian(chain: Chain, q: FloatArray) -> FloatArray:
     n = len(q)
     X, J = np.empty((n + 2, 12)), np.empty((6, n))
     chain_poses(q, chain.X_PJ, X)
-    for i in range(n):
-        ax, ay, az = X[i + 1, 2], X[i + 1, 5], X[i + 1, 8]
-        rx = X[n + 1, 9] - X[i + 1, 9]
-        ry = X[n + 1, 10] - X[i + 1, 10]
-        rz = X[n + 1, 11] - X[i + 1, 11]
-        J[0, i], J[1, i], J[2, i] = ax, ay, az
-        J[3, i], J[4, i], J[5, i] = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
+    jacobian(X, J)
     return J
 
 

@@ -15,7 +15,6 @@ import numpy as np
 
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray, PlannedMotion, PolicyState
 from drake_oa.common.thinking import count
-from drake_oa.geometry.annulus import ANYWHERE, Annulus, annulus_margin
 from drake_oa.geometry.solids import HALF_SPACE, SURROUNDINGS
 from drake_oa.planning.arm_world import (
     FAR,
@@ -24,10 +23,10 @@ from drake_oa.planning.arm_world import (
     ArmWorld,
     Asked,
     group_distances,
-    tool_poses,
 )
 from drake_oa.planning.rollout import ToolPaths, roll_out_arm
 from drake_oa.planning.solid_scene import SolidScene
+from drake_oa.robot.arm import tool_poses
 from drake_oa.safety.config import EvasionSettings
 from drake_oa.safety.evasion_candidates import planned_joints
 from drake_oa.safety.guarded_arm import GuardedArm, tool_jacobian
@@ -102,7 +101,6 @@ class Lookout:
         parameters: EvasionSettings,
         *,
         table_height: float = -math.inf,
-        annulus: Annulus | None = None,
     ) -> None:
         """Takes what does not depend on the way.
 
@@ -114,11 +112,10 @@ class Lookout:
             underway: the motion.
             parameters: what is kept.
             table_height: least height of the tool point over the table, where it is known [m].
-            annulus: where the tool point may be; None: anywhere.
         """
         self.scene, self.underway = scene, underway
         self._arm, self._q, self._now, self._parameters = arm, q, now, parameters
-        self._height, self._annulus = table_height, ANYWHERE if annulus is None else annulus
+        self._height = table_height
         self._times = np.append(0.0, parameters.times)
         self.free = null_space_basis(tool_jacobian(arm.chain, q))
         margin, chain = parameters.joint_margin, arm.chain
@@ -255,7 +252,7 @@ class Lookout:
         return ToolPaths(self._times[:T], p_WE, R_WE, led, posture, each, np.ones(C))
 
     def _inside(self, shifts: FloatArray) -> BoolArray:
-        """Whether ways stay in the workspace, or at least do not leave it further."""
+        """Whether ways stay above the table, or at least go no lower."""
         p_WE = self._p_WE + shifts
         return np.asarray(
             (self._margin(p_WE) >= min(float(self._margin(self._p_WE)), 0.0) - 1e-9).all(axis=1)
@@ -266,4 +263,4 @@ class Lookout:
         for row in np.flatnonzero(solids.layout[:, 0] == HALF_SPACE):
             X_WO = solids.X_WO[row]
             margin = np.minimum(margin, (p_WE - X_WO[:, 3]) @ X_WO[:, 2] - self._height)
-        return np.minimum(margin, annulus_margin(p_WE, self._annulus))
+        return margin

@@ -25,7 +25,6 @@ from drake_oa.common.messages import (
 )
 from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.common.thinking import Thinking, Thoughts
-from drake_oa.geometry.annulus import Annulus
 from drake_oa.geometry.directions import ramped
 from drake_oa.planning.solid_scene import SolidScene
 from drake_oa.policy.demonstration import Demonstration
@@ -100,7 +99,6 @@ class ObstacleEvasion(LeafSystem):
         hold_time: float = 0.25,
         turns: bool = True,
         table_height: float = -math.inf,
-        annulus: Annulus | None = None,
         thinking: Thinking | None = None,
     ) -> None:
         """Declares the ports.
@@ -116,7 +114,6 @@ class ObstacleEvasion(LeafSystem):
             hold_time: in which the motion comes to rest [s].
             turns: whether something turns the arm as `evading` asks.
             table_height: least height of the tool point over the table [m].
-            annulus: workspace of the tool point; None: anywhere.
             thinking: what decisions cost in simulated time; None: none.
 
         Raises:
@@ -128,7 +125,7 @@ class ObstacleEvasion(LeafSystem):
         self._max_age = max_age
         derived = settings(parameters or EvasionParameters(), padding=padding, hold_time=hold_time)
         self._parameters = EvasionSettings(**derived | ({} if turns else {"turn_speed": 0.0}))
-        self._table_height, self._annulus = table_height, annulus
+        self._table_height = table_height
         self._thinking = thinking
 
         self._robot_state = self.DeclareVectorInputPort("robot_state", 2 * arm.size)
@@ -224,7 +221,6 @@ class ObstacleEvasion(LeafSystem):
             underway,
             self._parameters,
             table_height=self._table_height,
-            annulus=self._annulus,
         )
         return choose(before, velocity, v, ahead, self._parameters)
 

@@ -18,8 +18,8 @@ from drake_oa.policy.orientation_dmp import (
     minimum_jerk_orientation,
     orientation_along,
 )
+from drake_oa.robot.arm import solve_tool_pose
 from drake_oa.robot.config import Robot
-from drake_oa.robot.inverse_kinematics import solve_tool_pose
 from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
 from drake_oa.scenario.demonstration import demonstrated_orientation, primitive_constants
 from drake_oa.scenario.scenario import Scenario, robot_of

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from pydrake.geometry import GeometryId
-from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
 from pydrake.multibody.tree import SpatialInertia
 from pydrake.systems.framework import DiagramBuilder
@@ -21,11 +21,8 @@ from drake_oa.planning.arm_world import (
     TOOL,
     ArmWorld,
     Asked,
-    Chain,
-    chain_poses,
-    make_chain,
 )
-from drake_oa.robot.arm import ArmModel, make_arm_model, moved_by
+from drake_oa.robot.arm import Chain, chain_poses, make_chain, moved_by
 from drake_oa.robot.config import Robot
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.plant import RobotPlant, add_robot, home_positions, make_robot_plant
@@ -38,7 +35,6 @@ class ArmAlone:
 
     config: Robot
     robot: RobotPlant
-    model: ArmModel
     covered: ArmSpheres
     chain: Chain
     q_full: FloatArray  # (nq,) [rad, m]
@@ -49,7 +45,7 @@ class ArmAlone:
     @property
     def q(self) -> FloatArray:
         """(n,) home [rad]."""
-        return self.q_full[self.model.index]
+        return self.q_full[self.chain.index]
 
     @property
     def X_WE(self) -> FloatArray:
@@ -99,13 +95,8 @@ def arm_alone(config: Robot) -> ArmAlone:
     robot = make_robot_plant(config)
     q = home_positions(config)
     spheres = make_arm_spheres(robot, q, tool_links(config), config.spheres)
-    model = make_arm_model(
-        robot.plant,
-        robot.tool_frame,
-        RotationMatrix(RollPitchYaw(config.rpy_WE)),
-        q,
-    )
-    return ArmAlone(config, robot, model, spheres, make_chain(model, spheres.arrays), q)
+    chain = make_chain(robot.plant, robot.tool_frame, q, spheres.arrays)
+    return ArmAlone(config, robot, spheres, chain, q)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,7 +196,7 @@ class Truth:
     def least(self, q: FloatArray, t: float) -> FloatArray:
         """(2,) least distances of tool and links to the things at a time [m]."""
         full = self._arm.q_full.copy()
-        full[self._arm.model.index] = q
+        full[self._arm.chain.index] = q
         self._plant.SetPositions(self._context, self._robot, full)
         for body, thing in zip(self._bodies, self._things, strict=True):
             p, R = thing.X_WO[:3, 3] + t * thing.v_WO, RotationMatrix(thing.X_WO[:3, :3])

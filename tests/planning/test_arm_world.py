@@ -24,9 +24,8 @@ from drake_oa.planning.arm_world import (
     lower_excess,
     self_distance,
     share_clear,
-    tool_poses,
 )
-from drake_oa.robot.arm import axis_frame, joints_to
+from drake_oa.robot.arm import axis_frame, joints_to, tool_poses
 from tests.planning.arms import ArmAlone, box_at, brute_excess, random_things
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -66,7 +65,7 @@ def test_the_joints_are_where_drake_has_them(
         plant, q = arm.robot.plant, arm.random_q(np.random.default_rng(seed))
         context = plant.CreateDefaultContext()
         full = arm.q_full.copy()
-        full[arm.model.index] = q
+        full[arm.chain.index] = q
         plant.SetPositions(context, full)
         frames = [
             joint.child_body().EvalPoseInWorld(context) @ axis_frame(joint)

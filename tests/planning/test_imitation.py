@@ -5,12 +5,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.planning.arm_world import ArmWorld, exceeds, excess_along, tool_poses
+from drake_oa.planning.arm_world import (
+    ArmWorld,
+    exceeds,
+    excess_along,
+)
 from drake_oa.planning.imitation import demonstration
 from drake_oa.planning.joint_planner import plan_path
 from drake_oa.policy.demonstration import Demonstration
 from drake_oa.policy.dmp import trajectory
 from drake_oa.policy.orientation_dmp import orientation_along
+from drake_oa.robot.arm import tool_poses
 from tests.planning.arms import ArmAlone, box_at, random_things, wall_with_gap
 
 PACE = 5.0

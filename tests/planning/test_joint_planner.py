@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.planning.arm_world import STRIDE, ArmWorld, exceeds, excess_along, share_clear
+from drake_oa.planning.arm_world import (
+    STRIDE,
+    ArmWorld,
+    exceeds,
+    excess_along,
+    share_clear,
+)
 from drake_oa.planning.joint_planner import plan_path
 from tests.planning.arms import ArmAlone, box_at, wall_with_gap
 
@@ -104,7 +110,10 @@ def test_the_planner_leaves_nothing_behind() -> None:
     """Bindings that are destroyed at the interpreter's exit complain of what is left."""
     code = """
 import numpy as np
-from drake_oa.planning.arm_world import ArmWorld, Asked, Chain
+from drake_oa.planning.arm_world import (
+    ArmWorld,
+    Asked,
+)
 from drake_oa.planning.joint_planner import plan_path
 from drake_oa.geometry.solids import solids_of
 from drake_oa.robot.sphere_kernels import Spheres

@@ -23,7 +23,9 @@ from drake_oa.common.messages import (
 )
 from drake_oa.geometry.solids import Solid, solids_of
 from drake_oa.planning import search
-from drake_oa.planning.arm_world import group_distances, tool_poses
+from drake_oa.planning.arm_world import (
+    group_distances,
+)
 from drake_oa.planning.motion_search import Choice, MotionSearch, Sight
 from drake_oa.planning.motion_selector import MotionSelector
 from drake_oa.planning.sides import Sides
@@ -34,6 +36,7 @@ from drake_oa.policy.demonstration import Demonstration
 from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposals import Proposer, draws
+from drake_oa.robot.arm import tool_poses
 from drake_oa.route.cost_rings import Ring
 from tests.builders import balls
 from tests.planning.arms import ArmAlone, box_at
@@ -74,7 +77,7 @@ class Bench:
         )
         m = len(arm.q_full)
         self.system = MotionSelector(
-            self.search, tuple(arm.model.index.tolist()), 2 * m, period=0.1
+            self.search, tuple(arm.chain.index.tolist()), 2 * m, period=0.1
         )
         self.simulator = Simulator(self.system)
         self.context = self.simulator.get_mutable_context()

@@ -10,8 +10,14 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.planning.arm_world import FAR, LINKS, TOOL, ArmWorld, tool_poses
+from drake_oa.planning.arm_world import (
+    FAR,
+    LINKS,
+    TOOL,
+    ArmWorld,
+)
 from drake_oa.planning.rollout import ArmRollouts, ToolPaths, roll_out_arm
+from drake_oa.robot.arm import tool_poses
 from tests.planning.arms import ArmAlone, Truth, box_at, random_things
 
 SEEDS = st.integers(0, 2**32 - 1)

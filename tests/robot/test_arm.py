@@ -1,33 +1,212 @@
-"""Poses of the arm as arrays, compared with Drake's."""
+"""Kinematics of the arm: tracking of poses and inverse kinematics."""
+
+from __future__ import annotations
 
 import numpy as np
 import pytest
-from pydrake.math import RollPitchYaw, RotationMatrix
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from scipy.spatial.transform import Rotation
 
-from drake_oa.robot.arm import ArmModel
+from drake_oa.common.messages import FloatArray
+from drake_oa.robot.arm import (
+    Chain,
+    chain_poses,
+    follow,
+    inverse_kinematics,
+    joint_margins,
+    make_chain,
+    nearest_free_place,
+    pose_error,
+    reach,
+    scratch,
+    solve_tool_pose,
+    tool_poses,
+)
 from drake_oa.robot.config import Robot
-from drake_oa.robot.plant import RobotPlant
-from tests.builders import arm_of
+from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
+from tests.diagrams.six_arm import arm_text
+
+SEEDS = st.integers(0, 2**32 - 1)
+HOME = np.array(Robot().q_seed)
+SIX_HOME = np.array([0.3, -1.5708, 1.5708, -1.5708, -1.5708, 0.0])
 
 
 @pytest.fixture(scope="module")
-def arm(panda: RobotPlant) -> ArmModel:
-    return arm_of(panda, RotationMatrix(RollPitchYaw(Robot().rpy_WE)))
+def panda_chain(panda: RobotPlant) -> Chain:
+    return make_chain(panda.plant, panda.tool_frame, home_positions(Robot()))
 
 
-def random_postures(arm: ArmModel, count: int) -> np.ndarray:
-    return np.random.default_rng(0).uniform(arm.lower, arm.upper, (count, 7))
+@pytest.fixture(scope="module")
+def six_chain(tmp_path_factory: pytest.TempPathFactory) -> Chain:
+    file = tmp_path_factory.mktemp("six") / "six.urdf"
+    file.write_text(arm_text())
+    robot = make_robot_plant(
+        Robot(
+            model=str(file),
+            base_link="foot",
+            hand_link="wrist3",
+            p_HE=[0.0, 0.0, 0.1],
+            tool_links=["wrist3"],
+            q_seed=SIX_HOME.tolist(),
+        )
+    )
+    return make_chain(robot.plant, robot.tool_frame, SIX_HOME)
 
 
-def test_forward_kinematics_are_drakes(panda: RobotPlant, arm: ArmModel) -> None:
-    context = panda.plant.CreateDefaultContext()
-    for q in random_postures(arm, 50):
-        panda.plant.SetPositions(context, np.append(q, [0.01, 0.01]))
-        expected = panda.tool_frame.CalcPoseInWorld(context).GetAsMatrix4()
-        X_WB = arm.poses(q)
-        np.testing.assert_allclose(X_WB[-1], expected, atol=1e-12)
-        for joint in range(7):
-            frame = panda.plant.GetJointByName(f"panda_joint{joint + 1}").frame_on_child()
-            expected = frame.CalcPoseInWorld(context)
-            np.testing.assert_allclose(X_WB[joint, :3, 3], expected.translation(), atol=1e-12)
-            np.testing.assert_allclose(X_WB[joint, :3, 2], expected.rotation().col(2), atol=1e-12)
+def pose(chain: Chain, q: FloatArray) -> FloatArray:
+    return tool_poses(chain, q[None])[0]
+
+
+def shifted(X_WE: FloatArray, p: FloatArray, turn: FloatArray) -> FloatArray:
+    """(12,) pose moved by p (3,) and turned by a rotation vector (3,)."""
+    R = Rotation.from_rotvec(turn).as_matrix() @ X_WE[:9].reshape(3, 3)
+    return np.append(R.ravel(), X_WE[9:] + p)
+
+
+def tracked(
+    chain: Chain, q: FloatArray, targets: FloatArray, guide: FloatArray, pull: float = 0.3
+) -> tuple[FloatArray, FloatArray]:
+    """Joints (T, n) and errors (T,) along poses (T, 12), led along postures (T, n) or one (n,)."""
+    room, q = scratch(len(q)), np.array(q)
+    led = np.array(np.broadcast_to(guide, (len(targets), len(q))))
+    led = np.concatenate([led[:1], led])
+    joints, errors = [], []
+    for row, target in enumerate(targets):
+        errors.append(follow(q, target, led, row + 1, pull, chain, room))
+        joints.append(q.copy())
+        np.testing.assert_array_equal(room.X[-1], pose(chain, q))
+    return np.array(joints), np.array(errors)
+
+
+@settings(max_examples=30)
+@given(seed=SEEDS)
+def test_the_error_is_the_largest_of_way_and_turn(panda_chain: Chain, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    X, e = np.empty((9, 12)), np.empty(6)
+    chain_poses(random.uniform(panda_chain.lower, panda_chain.upper), panda_chain.X_PJ, X)
+    p = random.normal(size=3) * 10 ** random.uniform(-6, 0)
+    turn = random.normal(size=3)
+    turn *= 10 ** random.uniform(-6, 0.49) / np.linalg.norm(turn)
+    largest = pose_error(X, shifted(X[-1], p, turn), e)
+    np.testing.assert_allclose(e[3:], p, atol=1e-12)
+    np.testing.assert_allclose(e[:3], turn, rtol=1e-3, atol=1e-9)
+    assert largest == pytest.approx(np.abs(e).max())
+
+
+@pytest.mark.parametrize("axis", [[1, 0, 0], [0, 1, 0], [0, 0, -1], [0.6, 0, 0.8]])
+def test_half_a_turn_is_an_error_that_is_left(panda_chain: Chain, axis: list[float]) -> None:
+    X_WE = pose(panda_chain, HOME)
+    target = shifted(X_WE, np.zeros(3), np.pi * np.array(axis))
+    assert pose_error(np.array([X_WE]), target, np.empty(6)) > 0.9
+    q = HOME[None].copy()
+    q[0, 6] -= np.pi * np.sign(q[0, 6])
+    assert reach(q, X_WE, panda_chain, HOME, 0.0)[0] < 0.9
+
+
+@settings(max_examples=30)
+@given(seed=SEEDS)
+def test_a_path_is_followed(panda_chain: Chain, six_chain: Chain, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    for chain, home in ((panda_chain, HOME), (six_chain, SIX_HOME)):
+        p, turn = random.uniform(-0.01, 0.01, 3), random.uniform(-0.02, 0.02, 3)
+        way = np.linspace(0.0, 1.0, 9)[1:, None]
+        targets = np.array([shifted(pose(chain, home), u * p, u * turn) for u in way])
+        joints, errors = tracked(chain, home, targets, home)
+        assert errors.max() < 1e-4
+        np.testing.assert_allclose(tool_poses(chain, joints), targets, atol=2e-4)
+        margin = joint_margins(home, targets[None], 0.3, chain)[0]
+        expected = np.minimum(joints - chain.lower, chain.upper - joints).min(axis=1)
+        np.testing.assert_allclose(margin, expected, atol=1e-9)
+
+
+def test_the_null_space_is_drawn_to_the_guide_and_led_along_it(panda_chain: Chain) -> None:
+    """The tool stands; only the elbow of seven joints can swing then."""
+    targets = np.tile(pose(panda_chain, HOME), (60, 1))
+    guide = HOME + [0.5, 0.2, -0.5, 0.0, 0.0, 0.0, 0.0]
+    way, errors = tracked(panda_chain, HOME, targets, guide)
+    assert errors.max() < 2e-3
+    assert np.linalg.norm(way[-1] - guide) < np.linalg.norm(HOME - guide) - 0.1
+    back, errors = tracked(panda_chain, way[-1], targets, HOME)
+    assert errors.max() < 2e-3
+    np.testing.assert_allclose(back[-1], HOME, atol=0.01)
+    still, _ = tracked(panda_chain, HOME, targets, guide, 0.0)
+    np.testing.assert_allclose(still[-1], HOME, atol=1e-9)
+    led, errors = tracked(panda_chain, way[0], targets, way)
+    assert errors.max() < 1e-4
+    np.testing.assert_allclose(led, way, atol=2e-3)
+
+
+@settings(max_examples=20)
+@given(seed=SEEDS)
+def test_joints_stay_within_their_limits_and_the_error_tells(
+    panda_chain: Chain, six_chain: Chain, seed: int
+) -> None:
+    random = np.random.default_rng(seed)
+    for chain in (panda_chain, six_chain):
+        q, guide = random.uniform(chain.lower, chain.upper, (2, len(chain.lower)))
+        # Far out of reach, along a straight way.
+        out = random.normal(size=3)
+        out *= 2.5 / np.linalg.norm(out)
+        way = np.linspace(0.0, 1.0, 40)[:, None]
+        targets = np.array([shifted(pose(chain, q), u * out, np.zeros(3)) for u in way])
+        joints, errors = tracked(chain, q, targets, guide)
+        assert np.isfinite(joints).all()
+        assert (joints >= chain.lower).all()
+        assert (joints <= chain.upper).all()
+        assert errors[-1] > 0.1
+        assert np.isneginf(joint_margins(q, targets[None], 0.3, chain)[0, -1])
+
+
+@settings(max_examples=40)
+@given(seed=SEEDS)
+def test_poses_of_random_configurations_are_reached(
+    panda_chain: Chain, six_chain: Chain, seed: int
+) -> None:
+    """Two joints of each second configuration are at their limits."""
+    random = np.random.default_rng(seed)
+    for chain, home in ((panda_chain, HOME), (six_chain, SIX_HOME)):
+        q = random.uniform(chain.lower, chain.upper)
+        if seed % 2:
+            joints = random.integers(len(q), size=2)
+            q[joints] = np.where(random.random(2) < 0.5, chain.lower[joints], chain.upper[joints])
+        X_WE = pose(chain, q)
+        found = inverse_kinematics(chain, X_WE, home)
+        assert len(found)
+        np.testing.assert_allclose(tool_poses(chain, found), [X_WE] * len(found), atol=4e-6)
+        assert (found >= chain.lower).all()
+        assert (found <= chain.upper).all()
+        apart = np.abs(found[:, None] - found).max(axis=2)
+        assert (apart[~np.eye(len(found), dtype=bool)] > 0.1).all()
+        assert (np.diff(np.linalg.norm(found - home, axis=1)) >= 0.0).all()
+        np.testing.assert_array_equal(found, inverse_kinematics(chain, X_WE, home))
+
+
+def test_a_tool_pose_is_solved_near_the_seed(panda: RobotPlant, panda_chain: Chain) -> None:
+    tool, seed = panda.tool_frame.name(), home_positions(Robot())
+    down = RotationMatrix(RollPitchYaw(np.pi, 0.0, np.pi / 2.0))
+    X_WE = RigidTransform(down, [0.45, -0.3, 0.3])
+    q = solve_tool_pose(panda.plant, tool, X_WE, seed)
+    np.testing.assert_array_equal(q[7:], seed[7:])
+    (found,) = panda.tool_poses(q[None])
+    assert found.IsNearlyEqualTo(X_WE, 4e-6)
+    # No other configuration of the self-motion is nearer.
+    samples = inverse_kinematics(panda_chain, pose(panda_chain, q[:7]), HOME, seeds=100)
+    assert np.linalg.norm(samples - HOME, axis=1).min() > np.linalg.norm(q[:7] - HOME) - 1e-6
+    with pytest.raises(ValueError, match=r"out of reach: tool_point cannot be at \[1\.2, "):
+        solve_tool_pose(panda.plant, tool, RigidTransform(down, [1.2, 0.0, 0.3]), seed)
+
+
+def test_the_nearest_free_place_is_the_one_that_is_free_and_near(panda_chain: Chain) -> None:
+    X_WE = pose(panda_chain, HOME)
+    wall = X_WE[9] - 0.049
+
+    def is_free(q: FloatArray) -> bool:
+        return bool(pose(panda_chain, q)[9] < wall)
+
+    found = nearest_free_place(panda_chain, X_WE, HOME, is_free)
+    assert found is not None
+    np.testing.assert_allclose(found[1:], X_WE[10:], atol=1e-9)
+    assert wall - 0.005 <= found[0] < wall
+    assert nearest_free_place(panda_chain, X_WE, HOME, lambda q: False) is None

@@ -21,11 +21,12 @@ from pydrake.geometry import (
     Shape,
     Sphere,
 )
-from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
+from pydrake.math import RigidTransform, RollPitchYaw
 
 from drake_oa.geometry.collision_shapes import surface_points
 from drake_oa.geometry.shapes import Cylinder as HeldCylinder
 from drake_oa.robot import sphere_kernels as kernels
+from drake_oa.robot.arm import chain_poses, make_chain
 from drake_oa.robot.config import BasePose, Robot, SphereParameters
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.plant import (
@@ -35,7 +36,6 @@ from drake_oa.robot.plant import (
 )
 from drake_oa.robot.sphere_cover import Cover, cover, known_cover, read_solid
 from drake_oa.robot.spheres import ArmSpheres, make_arm_spheres
-from tests.builders import arm_of
 
 COARSE = SphereParameters(overshoot=0.015, tool_overshoot=0.012, fixed_overshoot=0.03, postures=200)
 _WEDGE = [[0, 0, 0], [0.1, 0, 0], [0, 0.08, 0], [0, 0, 0.06], [0.1, 0, 0.02]]
@@ -168,7 +168,8 @@ def check_against_scene_graph(
     """Distances to points and to itself are at most SceneGraph's, and by no more than is said."""
     plant, arrays = robot.plant, spheres.arrays
     n = int(arrays.group_joint.max()) + 1
-    model = arm_of(robot, RotationMatrix(), q)
+    chain = make_chain(plant, robot.tool_frame, q)
+    X, X_WJ = np.empty((n + 2, 12)), np.zeros((n + 1, 4, 4))
     root = robot.diagram.CreateDefaultContext()
     context = plant.GetMyMutableContextFromRoot(root)
     of_scene = robot.scene_graph.GetMyContextFromRoot(root)
@@ -185,7 +186,8 @@ def check_against_scene_graph(
         full[:n] = random.uniform(lower, upper)
         plant.SetPositions(context, full)
         query = robot.scene_graph.get_query_output_port().Eval(of_scene)
-        X_WJ = model.poses(full[:n])
+        chain_poses(full[:n].copy(), chain.X_PJ, X)
+        X_WJ[:, :3, :3], X_WJ[:, :3, 3] = X[1:, :9].reshape(-1, 3, 3), X[1:, 9:]
         centers = np.empty((len(spheres), 3))
         kernels.place(X_WJ, arrays, centers)
         arm = arrays.joint >= 0

@@ -82,21 +82,19 @@ def test_an_extra_ring_takes_part_in_the_choice() -> None:
 
 
 def test_joint_limits_are_a_ring_of_their_own() -> None:
-    def workspace(p: FloatArray) -> FloatArray:
-        return np.asarray(p[..., 1] + 0.3)
+    def margins(ways: FloatArray) -> FloatArray:
+        left = ways[..., 1]
+        return np.where(left > -0.3, left + 0.15, -np.inf)
 
-    def joints(p: FloatArray) -> FloatArray:
-        return np.asarray(p[..., 1] + 0.05)
-
-    system = CostRingSelector(0.15, workspace=workspace, joint_limits=joints)
+    system = CostRingSelector(0.15, joint_margins=margins)
     route = decided(system, balls((0.5, 0.05, 0.3)))
     assert route.direction_W[0, 1] > -0.5
     beyond, strained = route.costs["workspace"][0] >= 1.0, route.costs["joint_limits"][0] >= 1.0
     assert strained.any()
     assert not (beyond & strained).any()
-    # Where the start is strained itself, its surroundings are no worse.
+    # Where the baseline is strained as well, a way is no worse.
     strained_start = CostRingSelector(
-        0.15, workspace=workspace, joint_limits=lambda p: p[..., 1] - 1.0
+        0.15, joint_margins=lambda ways: np.minimum(margins(ways), 0.05)
     )
     assert not decided(strained_start, balls((0.5, -0.05, 0.3))).note
 
@@ -143,7 +141,7 @@ def test_a_new_obstacle_is_decided_at_once() -> None:
 
 
 def test_when_no_side_is_allowed_it_says_so(caplog: pytest.LogCaptureFixture) -> None:
-    system = CostRingSelector(0.15, workspace=lambda p: np.full(p.shape[:-1], -1.0))
+    system = CostRingSelector(0.15, joint_margins=lambda p: np.full(p.shape[:-1], -np.inf))
     with caplog.at_level(logging.INFO, "drake_oa"):
         simulator = prepared(system, balls((0.5, 0.0, 0.3), ids=[3]))
         simulator.AdvanceTo(0.3)

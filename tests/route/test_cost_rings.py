@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from drake_oa.common.messages import EllipsoidSet, TablePlane
 from drake_oa.route.cost_rings import (
+    JointMargins,
     RingScene,
     length_ring,
     path_length,
@@ -81,27 +82,34 @@ def test_passing_points_keep_the_clearance_and_rings_stay_in_their_range(
     assert path_length(scene, index) >= 1.0 - 1e-12
 
 
+def cut_at(corner: int) -> JointMargins:
+    """Margins of an arm that does not reach a corner where it is on the right."""
+
+    def margins(ways: np.ndarray) -> np.ndarray:
+        found = np.ones(ways.shape[:2])
+        if corner < ways.shape[1]:
+            found[ways[:, corner, 1] < -1e-9, corner:] = -np.inf
+        return found
+
+    return margins
+
+
 def test_a_side_that_the_arm_does_not_follow_to_is_given_up() -> None:
     scene = scene_of(balls((0.5, 0.05, 0.3)))
-
-    def right_is_cut(way: np.ndarray) -> int:
-        return 1 if way[1, 1] < -1e-9 else len(way)
-
-    found = select_directions(scene, RINGS, followed=right_is_cut)
+    found = select_directions(scene, RINGS, joint_margins=cut_at(1))
     assert not found.blocked.any()
     assert scene.directions_W[found.index[0], 1] >= -1e-9
     assert found.costs["joint_limits"].max() == 1.0
     assert found.costs["joint_limits"][0, found.index[0]] == 0.0
-    assert select_directions(scene, RINGS, followed=lambda way: 1).blocked.all()
+    nowhere = select_directions(
+        scene, RINGS, joint_margins=lambda ways: np.full(ways.shape[:2], -np.inf)
+    )
+    assert nowhere.blocked.all()
 
 
 def test_the_side_at_which_a_way_ends_is_given_up() -> None:
     far = balls((0.2, 0.02, 0.3), (0.8, 0.02, 0.3), radius=0.05)
     scene = scene_of(far)
-
-    def second_is_cut(way: np.ndarray) -> int:
-        return 2 if way[2, 1] < -1e-9 else len(way)
-
-    found = select_directions(scene, RINGS, followed=second_is_cut)
+    found = select_directions(scene, RINGS, joint_margins=cut_at(2))
     assert not found.blocked.any()
     assert scene.directions_W[found.index[1], 1] >= -1e-9

@@ -1,5 +1,6 @@
 """The sides of several obstacles, chosen together."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from itertools import permutations, product
@@ -17,7 +18,6 @@ from drake_oa.route import side_choice as kernels
 from drake_oa.route.cost_rings import (
     RingScene,
     length_ring,
-    limits_ring,
     path_length,
     ring_scene,
     table_ring,
@@ -223,28 +223,40 @@ def test_sides_once_chosen_are_kept_until_others_are_clearly_better() -> None:
     assert (select_directions(scene, rings, previous=other, hysteresis=0.0).index != other).all()
 
 
+def along_legs(p: Callable[[FloatArray], FloatArray], ways: FloatArray) -> FloatArray:
+    """(N, P) margins of a condition of points (..., 3): 1 where it holds on a leg, else -inf."""
+    share = np.linspace(0.0, 1.0, 12)[:, None]
+    margins = np.ones(ways.shape[:2])
+    for corner in range(1, ways.shape[1]):
+        begin, end = ways[:, corner - 1, None], ways[:, corner, None]
+        margins[:, corner] = np.where(p(begin + share * (end - begin)).all(axis=1), 1.0, -np.inf)
+    return np.minimum.accumulate(margins, axis=1)
+
+
 def test_legs_do_not_lead_out_of_reach() -> None:
     some = balls((0.5, 0.03, 0.4), (1.5, 0.03, 0.4), radius=0.1)
     scene = scene_of(some, 36, table=False)
     rings = {"length": length_ring}
     # A hole between the two, on the side that is shorter.
-    margins = {"hole": lambda p: np.linalg.norm(p - [1.0, -0.2, 0.4], axis=-1) - 0.3}
-    free, held = select_directions(scene, rings), select_directions(scene, rings, margins=margins)
+    hole = partial(along_legs, lambda p: np.linalg.norm(p - [1.0, -0.2, 0.4], axis=-1) > 0.3)
+    free = select_directions(scene, rings)
+    held = select_directions(scene, rings, joint_margins=hole)
     assert (scene.directions_W[free.index, 1] < -0.9).all()
     assert not held.blocked.any()
-    p = scene.p_WP[[0, 1], held.index]
-    on_leg = p[0] + (np.arange(6)[:, None] + 0.5) / 6 * (p[1] - p[0])
-    assert (margins["hole"](on_leg) >= 0.0).all()
-    shut = {"everywhere": lambda p: np.full(p.shape[:-1], -1.0)}
-    assert select_directions(scene, rings, margins=shut).blocked.all()
+    assert np.isfinite(hole(np.array([[START, *scene.p_WP[[0, 1], held.index], GOAL]]))).all()
+    nowhere = partial(along_legs, lambda p: p[..., 0] > np.inf)
+    assert select_directions(scene, rings, joint_margins=nowhere).blocked.any()
 
 
 def test_a_forbidden_side_is_taken_by_no_sequence() -> None:
     some = balls((0.6, 0.03, 0.4), (1.4, -0.03, 0.4), radius=0.1)
     scene = scene_of(some, 36, table=False)
-    left_only = partial(limits_ring, workspace=lambda p: p[..., 1] + 1e-6)
+
+    def left_only(scene: RingScene) -> FloatArray:
+        return np.where(scene.p_WP[..., 1] < -1e-6, 1.0, 0.0)
+
     found = select_directions(scene, {"length": length_ring, "left": left_only})
     assert (scene.directions_W[found.index, 1] >= -1e-6).all()
     assert not found.blocked.any()
-    up_only = partial(limits_ring, workspace=lambda p: np.full(p.shape[:-1], -1.0))
-    assert select_directions(scene, {"length": length_ring, "up": up_only}).blocked.all()
+    none = {"length": length_ring, "none": lambda scene: np.ones(scene.detour.shape)}
+    assert select_directions(scene, none).blocked.all()

@@ -6,8 +6,8 @@ from pydrake.math import RigidTransform, RollPitchYaw
 
 from drake_oa.common.messages import EllipsoidSet, FloatArray
 from drake_oa.geometry.shapes import Sphere
+from drake_oa.robot.arm import solve_tool_pose
 from drake_oa.robot.config import Robot
-from drake_oa.robot.inverse_kinematics import solve_tool_pose
 from drake_oa.robot.plant import home_positions, make_robot_plant
 from drake_oa.runs.metrics import free_point_metrics, path_length, robot_metrics
 from drake_oa.runs.report import feasible_clearance_of

@@ -18,4 +18,4 @@ def panda() -> ArmAlone:
 @pytest.fixture(scope="session")
 def guarded(panda: ArmAlone) -> GuardedArm:
     """The same as safety takes it."""
-    return make_guarded_arm(panda.robot, panda.model, panda.covered)
+    return make_guarded_arm(panda.robot, panda.chain, panda.covered)

@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from drake_oa.geometry.solids import box, solids_of, sphere
-from drake_oa.planning.arm_world import Chain, group_distances
+from drake_oa.planning.arm_world import (
+    group_distances,
+)
+from drake_oa.robot.arm import Chain
 from drake_oa.robot.sphere_kernels import Spheres
 from drake_oa.safety.approach_kernels import (
     NOTHING,

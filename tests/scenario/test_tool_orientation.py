@@ -11,7 +11,7 @@ from pydrake.math import RollPitchYaw, RotationMatrix
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
-from drake_oa.diagrams.motion import held_annulus, make_dmp, make_orientation_integrator
+from drake_oa.diagrams.motion import make_dmp, make_orientation_integrator
 from drake_oa.diagrams.perception import make_ellipsoid_descriptor
 from drake_oa.policy.orientation_dmp import goal_vector, orientation_along
 from drake_oa.robot.plant import make_robot_plant, tool_corners
@@ -155,10 +155,3 @@ def test_obstacles_are_dilated_by_the_tool_in_every_orientation_of_the_way() -> 
     assert len(descriptor._tool_W) == len(robots) * len(one)
     outline = np.concatenate([tool_corners(robot) for robot in robots])
     np.testing.assert_allclose(np.sort(descriptor._tool_W, axis=0), np.sort(outline, axis=0))
-
-
-def test_the_tool_down_workspace_is_left_where_the_tool_is_tilted() -> None:
-    assert held_annulus(scenario()) is not None
-    assert held_annulus(scenario("task.rpy_goal=[3.0, 0.0, 1.0]")) is not None
-    assert held_annulus(scenario(name="tilted_goal")) is None
-    assert held_annulus(load_scenario("free_space")) is None

@@ -21,7 +21,7 @@ from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.rotation import rotation_vector
 from drake_oa.geometry.shapes import pose, shape_geometry
 from drake_oa.policy.dmp import minimum_jerk
-from drake_oa.robot.inverse_kinematics import solve_tool_pose
+from drake_oa.robot.arm import solve_tool_pose
 from drake_oa.robot.plant import TOOL_FRAME, RobotPlant, home_positions, make_robot_plant
 from drake_oa.scenario.obstacles import Obstacle
 from drake_oa.scenario.scenario import Scenario, robot_of
@@ -138,8 +138,6 @@ class PlanningScene:
             TOOL_FRAME,
             RigidTransform(self._R_WE if R_WE is None else R_WE, np.asarray(p_WE)),
             self._seed if q_seed is None else q_seed,
-            # What is drawn for a seed hangs on it.
-            thorough=False,
         )
 
     def straight_motion(
