@@ -18,7 +18,7 @@ from drake_oa.common.wires import Wires
 from drake_oa.descriptor.descriptor import merged_parts
 from drake_oa.descriptor.ellipsoid_descriptor import EllipsoidDescriptor, GivenEllipsoidSource
 from drake_oa.diagrams.station import Cell
-from drake_oa.geometry.collision_shapes import RobotModel, collect_collision_shapes
+from drake_oa.geometry.solids import RobotSolids, robot_solids
 from drake_oa.perception.config import (
     CameraSource,
     DepthCamera,
@@ -235,9 +235,9 @@ def _segmentation(source: CameraSource | RecordedClouds, scenario: Scenario) -> 
     return replace(source.segmentation, table_height=scenario.table_height)
 
 
-def robot_shapes(robot_plant: RobotPlant) -> RobotModel:
+def robot_shapes(robot_plant: RobotPlant) -> RobotSolids:
     """The robot, which perception does not take for an obstacle."""
-    return collect_collision_shapes(
+    return robot_solids(
         robot_plant.plant, robot_plant.scene_graph.model_inspector(), robot_plant.instance
     )
 
@@ -269,7 +269,7 @@ def _warn_without_obstacles(station: Station, scenario: Scenario) -> None:
 
 
 def _recorded_perception(
-    source: RecordedClouds, config: SegmentationConfig, robot: RobotModel
+    source: RecordedClouds, config: SegmentationConfig, robot: RobotSolids
 ) -> RecordedPerception:
     X_WC = _camera_pose(source)
     try:

@@ -1,4 +1,4 @@
-"""Geometry as functions of arrays: rotations, ellipsoids, superquadrics, primitives, points.
+"""Geometry as functions of arrays: rotations, ellipsoids, superquadrics, solids, points.
 
 No systems and no state. Lengths are in metres, angles in radians; `p_WQ` are points Q in the
 world frame W, `X_WG` (4, 4) and `R_WO` (3, 3) poses and rotations, all of float64.
@@ -8,10 +8,9 @@ world frame W, `X_WG` (4, 4) and `R_WO` (3, 3) poses and rotations, all of float
   2007), certified against every point and corner; distances, sections, tangent headings. Its
   loops are in `ellipsoid_kernels`.
 - `superquadric`: the paper's least-squares fit (Solina and Bajcsy 1990).
-- `primitives`: rounded boxes and cylinders of a robot: distance of a point, points inside.
-- `solids`: how far a sphere is from each solid of a scene, at a time: exact shapes, hulls and
-  fields, each with a velocity. `distance_field`: a cloud as such a field, what it hides filled.
-- `collision_shapes`: what Drake knows of a robot's or an obstacle's shape, as arrays.
+- `solids`: collision shapes of robots and obstacles, read from Drake, and their distances to points
+  at a time: exact shapes, hulls and fields, each with a velocity; points on their surfaces.
+  `distance_field`: a cloud as such a field, what it hides filled.
 - `shapes`: `!Box`, `!Cylinder` and `!Sphere`, the blocks of a scenario.
 - `annulus`: about a vertical axis, where a tool may go: signed margins.
 - `voxels`: cells of a grid: thinning, means, clusters (union of near points), gaps in the image.

@@ -1,8 +1,9 @@
-"""How far a sphere is from each solid of a scene, at a time: the shapes that decide.
+"""Collision shapes as solids, and their signed distances to points at a time.
 
 Spheres, boxes, capsules, cylinders, ellipsoids, half-spaces and convex hulls are exact; a cloud
 is a `DistanceField`. Each solid moves with a constant velocity: p_WO(t) = p_WO + v_WO (t - stamp).
-`Solid` is one of them, to read; `Solids` is a scene of them, as kernels take it.
+`Solid` is one of them, to read; `Solids` is a scene of them, as kernels take it. `read_solid` is
+the only reader of Drake's geometries.
 """
 
 from __future__ import annotations
@@ -18,26 +19,27 @@ import pydrake.geometry as drake
 from numpy.typing import NDArray
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import RigidBody
+from pydrake.multibody.tree import ModelInstanceIndex, RigidBody
 from pydrake.systems.framework import Context
 from scipy.spatial import ConvexHull, QhullError
 
-from drake_oa.common.compiled import leaf
+from drake_oa.common.compiled import compiled, leaf
 from drake_oa.common.messages import FloatArray, Frozen, IntArray, TablePlane
-from drake_oa.geometry.collision_shapes import hull_vertices
 from drake_oa.geometry.distance_field import OFFSET, DistanceField
-from drake_oa.geometry.primitives import point_distance
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere, pose, shape_geometry
 
 PRIMITIVE, ELLIPSOID, HALF_SPACE, HULL, FIELD = range(5)
-"""Kinds of solids; a primitive is what `drake_oa.geometry.primitives.point_distance` knows."""
+"""Kinds of solids; a primitive is a rounded box (a sphere or capsule included) or a cylinder."""
 
 SURROUNDINGS = -1
 """Name of what belongs to the cell itself: a table, a stand. It is no obstacle to keep far from."""
 
 _TINY = 1e-12
+"""A point this near to a solid's inner box or hull has no direction away from it [m]."""
 _THIN = 1e-9
 """A coordinate within this of an ellipsoid's plane of symmetry, by its semi-axis, counts as it."""
+_GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
+_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 
 
 class Solids(NamedTuple):
@@ -48,8 +50,9 @@ class Solids(NamedTuple):
             solid (inf: a half-space) [m]; velocity [m/s]; stamp; from when until when the solid
             is there [s].
         X_WO: (K, 3, 4) upper rows of the poses at the stamp.
-        size: (K, 7) see `point_distance` for a primitive and `interpolated` for a field;
-            semi-axes of an ellipsoid.
+        size: (K, 7) of a primitive the half extents of its inner box, its rounding radius [m], and
+            1 for a cylinder about z, else 0; the semi-axes of an ellipsoid [m]; of a field see
+            `_interpolated`.
         layout: (K, 6) kind; of a hull its first face and one past the last, of a field where it
             begins among the voxels, and nx, ny, nz; name.
         faces: (F, 10) unit normal and offset in O; centre and radius of a sphere that holds the
@@ -100,6 +103,23 @@ class Solid(Frozen):
     planes: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))
     grid: DistanceField | None = None
 
+    def placed(self, p_OQ: FloatArray) -> FloatArray:
+        """Returns points (N, 3) of the solid's frame in the frame that its pose refers to [m]."""
+        return np.asarray(p_OQ @ self.X_WO[:3, :3].T + self.X_WO[:3, 3])
+
+    @property
+    def half_extents(self) -> FloatArray:
+        """Half extents (3,) of the box round the solid, about `center` and along its axes [m].
+
+        Raises:
+            ValueError: for a half-space or a field, naming it.
+        """
+        if self.kind == HULL:
+            return np.asarray(np.abs(outline_corners(self) - self.center).max(axis=0))
+        if self.kind in (PRIMITIVE, ELLIPSOID):
+            return np.array(self.size[:3]) + self.size[3]
+        raise ValueError(f"{self.label} is no bounded shape")
+
 
 def sphere(radius: float) -> Solid:
     """A sphere of a radius [m] about its origin."""
@@ -123,14 +143,14 @@ def capsule(radius: float, length: float) -> Solid:
 def cylinder(radius: float, length: float) -> Solid:
     """A cylinder along z about its origin [m]."""
     radius, length = _positive("radius and length", radius, length)
-    size = (radius, 0.0, 0.5 * length, 0.0, 1.0)
+    size = (radius, radius, 0.5 * length, 0.0, 1.0)
     return Solid(size=size, radius=math.hypot(radius, 0.5 * length))
 
 
 def ellipsoid(semi_axes: Sequence[float]) -> Solid:
     """An ellipsoid with semi-axes (3,) along its axes [m]."""
     size = _positive("semi-axes", *semi_axes)
-    return Solid(ELLIPSOID, size=tuple(size), radius=max(size))
+    return Solid(ELLIPSOID, size=(*size, 0.0, 0.0), radius=max(size))
 
 
 def half_space() -> Solid:
@@ -231,17 +251,119 @@ def body_solids(
         v_WO = np.array(plant.EvalBodySpatialVelocityInWorld(context, body).translational())
         name, label = int(body.index()), body.scoped_name().get_full()
         for geometry in plant.GetCollisionGeometriesForBody(body):
-            shape = inspector.GetShape(geometry)
-            try:
-                if isinstance(shape, (drake.Mesh, drake.Convex)):
-                    solid = hull(hull_vertices(inspector, geometry))
-                else:
-                    solid = _of_drake(shape)
-            except ValueError as error:
-                raise ValueError(f"{inspector.GetName(geometry)}: {error}") from error
-            X_WO = X_WB @ inspector.GetPoseInFrame(geometry).GetAsMatrix4()
+            solid = read_solid(inspector, geometry)
+            X_WO = X_WB @ solid.X_WO
             found.append(replace(solid, X_WO=X_WO, v_WO=v_WO, stamp=stamp, name=name, label=label))
     return found
+
+
+def read_solid(inspector: drake.SceneGraphInspector, geometry: drake.GeometryId) -> Solid:
+    """A collision geometry at its pose in its body; a mesh counts as its convex hull.
+
+    Args:
+        inspector: of the scene graph that holds the geometry.
+        geometry: its name is the solid's label.
+
+    Raises:
+        ValueError: naming the geometry, for a shape that is not known.
+    """
+    shape, label = inspector.GetShape(geometry), inspector.GetName(geometry)
+    try:
+        if isinstance(shape, (drake.Mesh, drake.Convex)):
+            drakes = inspector.GetConvexHull(geometry)
+            solid = hull(np.array([drakes.vertex(i) for i in range(drakes.num_vertices())]))
+        else:
+            solid = _of_drake(shape)
+    except ValueError as error:
+        raise ValueError(f"{label}: {error}") from error
+    return replace(solid, X_WO=inspector.GetPoseInFrame(geometry).GetAsMatrix4(), label=label)
+
+
+@dataclass(frozen=True, eq=False)
+class RobotSolids:
+    """Collision geometry of a robot, posed by the robot's state.
+
+    Attributes:
+        plant: finalized plant; it is only read.
+        model_instance: the robot in it.
+        bodies: those that carry geometry.
+        solids: K solids at their poses in their bodies, named by the rows of these.
+        context: of the plant, to compute poses in.
+    """
+
+    plant: MultibodyPlant
+    model_instance: ModelInstanceIndex
+    bodies: tuple[RigidBody, ...]
+    solids: Solids
+    context: Context
+
+    @property
+    def num_states(self) -> int:
+        """Size of the robot's state [q, v]."""
+        return int(self.plant.num_multibody_states(self.model_instance))
+
+    def posed(self, states: Sequence[FloatArray]) -> Solids:
+        """Computes the solids in the world, at rest, at each of S states.
+
+        Args:
+            states: (num_states,) each, [q, v].
+
+        Returns:
+            S K solids.
+
+        Raises:
+            ValueError: for a state of the wrong size or one that is not finite.
+        """
+        fixed, context = self.solids, self.context
+        in_body = np.dstack([fixed.X_WO, fixed.ball[:, :3]])
+        posed = [in_body[:0]]
+        for state in states:
+            if np.shape(state) != (self.num_states,) or not np.isfinite(state).all():
+                raise ValueError(
+                    f"the robot state must be {self.num_states} finite numbers [q, v], not {state}"
+                )
+            self.plant.SetPositionsAndVelocities(context, self.model_instance, state)
+            poses = [body.EvalPoseInWorld(context).GetAsMatrix34() for body in self.bodies]
+            X_WB = np.reshape(poses, (-1, 3, 4))[fixed.layout[:, 5]]
+            posed.append(X_WB[:, :, :3] @ in_body)
+            posed[-1][:, :, 3:] += X_WB[:, :, 3:]
+        columns = np.concatenate(posed)
+        ball = np.tile(fixed.ball, (len(states), 1))
+        ball[:, :3] = columns[:, :, 4]
+        return fixed._replace(
+            ball=ball,
+            X_WO=np.ascontiguousarray(columns[:, :, :4]),
+            size=np.tile(fixed.size, (len(states), 1)),
+            layout=np.tile(fixed.layout, (len(states), 1)),
+        )
+
+
+def robot_solids(
+    plant: MultibodyPlant,
+    inspector: drake.SceneGraphInspector,
+    model_instance: ModelInstanceIndex,
+) -> RobotSolids:
+    """Reads the collision geometries of a model instance.
+
+    Args:
+        plant: finalized and registered with the scene graph of `inspector`.
+        inspector: of that scene graph.
+        model_instance: the robot.
+
+    Raises:
+        ValueError: naming the geometry, for a half-space or a shape that is not known.
+    """
+    bodies, solids = list[RigidBody](), list[Solid]()
+    for body in map(plant.get_body, plant.GetBodyIndices(model_instance)):
+        if geometries := plant.GetCollisionGeometriesForBody(body):
+            read = [read_solid(inspector, geometry) for geometry in geometries]
+            solids += [replace(solid, name=len(bodies)) for solid in read]
+            bodies.append(body)
+    for solid in solids:
+        if not math.isfinite(solid.radius):
+            raise ValueError(f"{solid.label} is a half-space, which no robot can carry")
+    context = plant.CreateDefaultContext()
+    return RobotSolids(plant, model_instance, tuple(bodies), solids_of(solids), context)
 
 
 def _of_drake(shape: drake.Shape) -> Solid:
@@ -321,6 +443,121 @@ def _voxels(*grids: DistanceField) -> NDArray[np.float32]:
     return np.concatenate([none, *(grid.values.ravel() for grid in grids)])
 
 
+def outline_corners(solid: Solid) -> FloatArray:
+    """Points whose convex hull encloses a solid.
+
+    They are the vertices of a box or a hull, and the corners of the box round any other shape.
+
+    Returns:
+        (K, 3) points in the solid's frame O [m].
+
+    Raises:
+        ValueError: for a half-space or a field, naming it.
+    """
+    if solid.kind == HULL:
+        return np.unique(np.concatenate(solid.corners).reshape(-1, 3), axis=0)
+    return np.asarray(_CORNERS * solid.half_extents)
+
+
+def surface_points(solid: Solid, count: int = 300) -> FloatArray:
+    """About `count` points on a solid's surface, always the same ones.
+
+    Corners, rims and poles are among them, so that their convex hull is the solid (to the sampling
+    for curved ones).
+
+    Args:
+        solid: a primitive, an ellipsoid or a hull.
+        count: wanted number of points, at least 30.
+
+    Returns:
+        (N, 3) points in the solid's frame O [m].
+
+    Raises:
+        ValueError: for another solid, naming it, or too small a count.
+    """
+    if count < 30:
+        raise ValueError(f"count must be at least 30, not {count}")
+    if solid.kind == HULL:
+        return _hull_points(solid, count)
+    half, (*inner, radius, is_cylinder) = solid.half_extents, solid.size
+    if solid.kind == ELLIPSOID or not any(inner):
+        return np.asarray(_sphere_points(count) * half)
+    if is_cylinder:
+        return _cylinder_points(half[0], half[2], count)
+    if radius:
+        return _capsule_points(radius, inner[2], count)
+    return _box_points(half, count)
+
+
+def _box_points(half: FloatArray, count: int) -> FloatArray:
+    # As far apart along a long edge as along a short one: nothing slips in between.
+    area = 8.0 * (half[0] * half[1] + half[1] * half[2] + half[2] * half[0])
+    sides = np.maximum(2, np.round(2.0 * half / np.sqrt(area / count)).astype(int) + 1)
+    faces = []
+    for axis in range(3):
+        first, second = (axis + 1) % 3, (axis + 2) % 3
+        a, b = (
+            grid.ravel()
+            for grid in np.meshgrid(
+                np.linspace(-1.0, 1.0, sides[first]), np.linspace(-1.0, 1.0, sides[second])
+            )
+        )
+        for sign in (-1.0, 1.0):
+            face = np.full((len(a), 3), sign)
+            face[:, first], face[:, second] = a, b
+            faces.append(face)
+    return np.asarray(np.unique(np.concatenate(faces), axis=0) * half)
+
+
+def _sphere_points(count: int) -> FloatArray:
+    """Fibonacci points on the unit sphere, and the six ends of its axes."""
+    k = np.arange(count) + 0.5
+    z = 1.0 - 2.0 * k / count
+    radius, angle = np.sqrt(1.0 - z * z), _GOLDEN_ANGLE * k
+    spiral = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
+    return np.concatenate([np.eye(3), -np.eye(3), spiral])
+
+
+def _capsule_points(radius: float, half_length: float, count: int) -> FloatArray:
+    """Points on the two caps and on rings of the mantle between them."""
+    caps = _sphere_points(count // 2) * radius
+    caps[:, 2] += np.where(caps[:, 2] >= 0.0, half_length, -half_length)
+    return np.concatenate([caps, _rings(radius, half_length, count // 2)])
+
+
+def _cylinder_points(radius: float, half_length: float, count: int) -> FloatArray:
+    """Rings of the mantle, its rims included, and a spiral on either lid."""
+    k = np.arange(max(4, count // 6))
+    r, angle = radius * np.sqrt(k / len(k)), _GOLDEN_ANGLE * k
+    lid = np.stack([r * np.cos(angle), r * np.sin(angle), np.full(len(k), half_length)], axis=1)
+    return np.concatenate(
+        [_rings(radius, half_length, 2 * count // 3), lid, lid * np.array([1.0, 1.0, -1.0])]
+    )
+
+
+def _rings(radius: float, half_length: float, count: int) -> FloatArray:
+    around = 24 if count >= 48 else count // 2
+    angle = np.arange(around) * (2.0 * np.pi / around)
+    height = np.linspace(-half_length, half_length, max(2, count // around))
+    z, angle = (grid.ravel() for grid in np.meshgrid(height, angle))
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
+
+
+def _hull_points(solid: Solid, count: int) -> FloatArray:
+    """The hull's vertices and points spread over its faces by area."""
+    vertices = outline_corners(solid)
+    a, b, c = np.concatenate(solid.corners).swapaxes(0, 1)
+    area = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
+    k = np.arange(max(0, count - len(vertices))) + 0.5
+    chosen = np.searchsorted(area, k / max(1, len(k)) * area[-1])
+    # Low-discrepancy barycentric coordinates, folded into the triangle.
+    s, t = np.mod(k * 0.7548776662466927, 1.0), np.mod(k * 0.5698402909980532, 1.0)
+    fold = s + t > 1.0
+    s, t = np.where(fold, 1.0 - s, s)[:, None], np.where(fold, 1.0 - t, t)[:, None]
+    inner = a[chosen] + s * (b - a)[chosen] + t * (c - a)[chosen]
+    return np.concatenate([vertices, inner])
+
+
 @leaf
 def solid_distance(solids: Solids, k: int, x: float, y: float, z: float, t: float) -> float:
     """Signed distance [m] of a point (x, y, z) of the world to solid k at time t [s].
@@ -328,7 +565,7 @@ def solid_distance(solids: Solids, k: int, x: float, y: float, z: float, t: floa
     Exact, inside as well, but for a field (see `drake_oa.geometry.distance_field`); inf where
     the solid is not there at that time.
     """
-    return _distance(solids, k, x, y, z, t, np.inf)[0]
+    return solid_gradient(solids, k, x, y, z, t)[0]
 
 
 @leaf
@@ -336,8 +573,31 @@ def solid_gradient(
     solids: Solids, k: int, x: float, y: float, z: float, t: float
 ) -> tuple[float, float, float, float]:
     """As `solid_distance`, and the gradient of it in the world, of unit length but in a field."""
-    d, a, b, c = _distance(solids, k, x, y, z, t, np.inf)
-    X = solids.X_WO
+    ball, X = solids.ball, solids.X_WO
+    if t < ball[k, 8] or t > ball[k, 9]:
+        return np.inf, 0.0, 0.0, 0.0
+    since = t - ball[k, 7]
+    x -= X[k, 0, 3] + since * ball[k, 4]
+    y -= X[k, 1, 3] + since * ball[k, 5]
+    z -= X[k, 2, 3] + since * ball[k, 6]
+    a = X[k, 0, 0] * x + X[k, 1, 0] * y + X[k, 2, 0] * z
+    b = X[k, 0, 1] * x + X[k, 1, 1] * y + X[k, 2, 1] * z
+    c = X[k, 0, 2] * x + X[k, 1, 2] * y + X[k, 2, 2] * z
+    # Numbers, not rows: what is a view of an array here is one more argument there.
+    s, layout = solids.size, solids.layout
+    size = (s[k, 0], s[k, 1], s[k, 2], s[k, 3], s[k, 4], s[k, 5], s[k, 6])
+    span = (layout[k, 1], layout[k, 2], layout[k, 3], layout[k, 4])
+    kind = layout[k, 0]
+    if kind == PRIMITIVE:
+        d, a, b, c = _to_primitive(a, b, c, size)
+    elif kind == FIELD:
+        d, a, b, c = _interpolated(a, b, c, size, span, solids.voxels)
+    elif kind == HALF_SPACE:
+        d, a, b, c = c, 0.0, 0.0, 1.0
+    elif kind == ELLIPSOID:
+        d, a, b, c = _to_ellipsoid(a, b, c, size)
+    else:
+        d, a, b, c = _to_hull(solids.faces, solids.triangles, span, a, b, c)
     return (
         d,
         X[k, 0, 0] * a + X[k, 0, 1] * b + X[k, 0, 2] * c,
@@ -359,67 +619,67 @@ def ball_bound(solids: Solids, k: int, x: float, y: float, z: float, t: float) -
     return math.sqrt(x * x + y * y + z * z) - ball[k, 3]
 
 
-@leaf
-def _less(
-    solids: Solids, k: int, x: float, y: float, z: float, r: float, t: float, upper: float
-) -> float:
-    """Distance of a sphere to solid k, if it is less than `upper`; else that or more."""
-    if ball_bound(solids, k, x, y, z, t) - r >= upper:
-        return upper
-    return _distance(solids, k, x, y, z, t, upper + r)[0] - r
-
-
-@leaf
-def least_distance(
-    solids: Solids, x: float, y: float, z: float, r: float, t: float, upper: float
-) -> tuple[float, int]:
-    """Distance of a sphere of radius r about (x, y, z) to the nearest solid at time t [s].
+@compiled
+def least_distances(
+    solids: Solids, points: FloatArray, t: float, upper: float, enough: float
+) -> FloatArray:
+    """Signed distances [m] of points to the nearest of the solids at a time.
 
     Args:
-        x, y, z, r, t: all of them numbers; near what is none (NaN) nothing is found.
+        solids: the scene.
+        points: (N, 3) in the world [m]; near what is none (NaN) nothing is found.
+        t: when [s].
         upper: what is no nearer than this is not looked at [m].
+        enough: where the distance to one solid is below it, no nearer one is looked for [m].
 
     Returns:
-        The distance [m], negative in contact, and the solid's row; `upper` and -1 where none is
-        nearer.
+        (N,), negative inside; `upper` where no solid is nearer.
     """
-    nearest = -1
-    for k in range(len(solids.ball)):
-        d = _less(solids, k, x, y, z, r, t, upper)
-        if d < upper:
-            upper, nearest = d, k
-    return upper, nearest
+    found, ball = np.full(len(points), upper), solids.ball
+    for k in range(len(ball)):
+        since, radius = t - ball[k, 7], ball[k, 3]
+        a = ball[k, 0] + since * ball[k, 4]
+        b = ball[k, 1] + since * ball[k, 5]
+        c = ball[k, 2] + since * ball[k, 6]
+        for i in range(len(points)):
+            if found[i] < enough:
+                continue
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            reach = found[i] + radius
+            square = (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2
+            if reach > 0.0 and square < reach * reach:
+                found[i] = min(found[i], solid_distance(solids, k, x, y, z, t))
+    return found
 
 
 @leaf
-def _distance(
-    solids: Solids, k: int, x: float, y: float, z: float, t: float, upper: float
+def _to_primitive(
+    x: float, y: float, z: float, size: FloatArray
 ) -> tuple[float, float, float, float]:
-    """Distance and its gradient in O; of a hull a lower bound where it is `upper` or more."""
-    ball, X = solids.ball, solids.X_WO
-    if t < ball[k, 8] or t > ball[k, 9]:
-        return np.inf, 0.0, 0.0, 0.0
-    since = t - ball[k, 7]
-    x -= X[k, 0, 3] + since * ball[k, 4]
-    y -= X[k, 1, 3] + since * ball[k, 5]
-    z -= X[k, 2, 3] + since * ball[k, 6]
-    a = X[k, 0, 0] * x + X[k, 1, 0] * y + X[k, 2, 0] * z
-    b = X[k, 0, 1] * x + X[k, 1, 1] * y + X[k, 2, 1] * z
-    c = X[k, 0, 2] * x + X[k, 1, 2] * y + X[k, 2, 2] * z
-    # Numbers, not rows: what is a view of an array here is one more argument there.
-    s, layout = solids.size, solids.layout
-    size = (s[k, 0], s[k, 1], s[k, 2], s[k, 3], s[k, 4], s[k, 5], s[k, 6])
-    span = (layout[k, 1], layout[k, 2], layout[k, 3], layout[k, 4])
-    kind = layout[k, 0]
-    if kind == PRIMITIVE:
-        return point_distance(a, b, c, size)
-    if kind == FIELD:
-        return _interpolated(a, b, c, size, span, solids.voxels)
-    if kind == HALF_SPACE:
-        return c, 0.0, 0.0, 1.0
-    if kind == ELLIPSOID:
-        return _to_ellipsoid(a, b, c, size)
-    return _to_hull(solids.faces, solids.triangles, span, a, b, c, upper)
+    """Signed distance to a rounded box or a cylinder and its gradient; size as in `Solids`."""
+    if size[4] != 0.0:
+        rho = math.sqrt(x * x + y * y)
+        ux, uy = (x / rho, y / rho) if rho > _TINY else (1.0, 0.0)
+        a, c = rho - size[0], abs(z) - size[2]
+        if a <= _TINY and c <= _TINY:
+            return (a, ux, uy, 0.0) if a > c else (c, 0.0, 0.0, math.copysign(1.0, z))
+        a, c = max(a, 0.0), max(c, 0.0)
+        d = math.sqrt(a * a + c * c)
+        scale = 1.0 / d
+        return d, ux * a * scale, uy * a * scale, math.copysign(c, z) * scale
+    a, b, c = abs(x) - size[0], abs(y) - size[1], abs(z) - size[2]
+    if a <= _TINY and b <= _TINY and c <= _TINY:
+        most = max(a, b, c)
+        if a == most:
+            return a - size[3], math.copysign(1.0, x), 0.0, 0.0
+        if b == most:
+            return b - size[3], 0.0, math.copysign(1.0, y), 0.0
+        return c - size[3], 0.0, 0.0, math.copysign(1.0, z)
+    a, b, c = max(a, 0.0), max(b, 0.0), max(c, 0.0)
+    d = math.sqrt(a * a + b * b + c * c)
+    a, b, c = math.copysign(a, x), math.copysign(b, y), math.copysign(c, z)
+    scale = 1.0 / d
+    return d - size[3], a * scale, b * scale, c * scale
 
 
 @leaf
@@ -456,22 +716,16 @@ def _to_ellipsoid(x: float, y: float, z: float, e: FloatArray) -> tuple[float, f
 
 @leaf
 def _to_hull(
-    faces: FloatArray,
-    triangles: FloatArray,
-    span: IntArray,
-    x: float,
-    y: float,
-    z: float,
-    upper: float,
+    faces: FloatArray, c: FloatArray, span: IntArray, x: float, y: float, z: float
 ) -> tuple[float, float, float, float]:
-    """Signed distance to a convex hull and its gradient; `_distance` says more."""
+    """Signed distance to the hull of the faces `span` of triangles c (T, 9), and its gradient."""
     first, last = span[0], span[1]
     most, at = -np.inf, first
     for f in range(first, last):
         above = faces[f, 0] * x + faces[f, 1] * y + faces[f, 2] * z - faces[f, 3]
         if above > most:
             most, at = above, f
-    if most <= _TINY or most >= upper:
+    if most <= _TINY:
         return most, faces[at, 0], faces[at, 1], faces[at, 2]
     # Outside: the nearest of the triangles that the point is above, from the likeliest face.
     best, nearest, gx, gy, gz = np.inf, np.inf, 0.0, 0.0, 0.0
@@ -482,58 +736,43 @@ def _to_hull(
         above = faces[f, 0] * x + faces[f, 1] * y + faces[f, 2] * z - faces[f, 3]
         if above <= 0.0 or above * above >= best:
             continue
-        a, b, c = x - faces[f, 4], y - faces[f, 5], z - faces[f, 6]
+        ax, ay, az = x - faces[f, 4], y - faces[f, 5], z - faces[f, 6]
         reach = nearest + faces[f, 7]
-        if a * a + b * b + c * c >= reach * reach:
+        if ax * ax + ay * ay + az * az >= reach * reach:
             continue
         for n in range(int(faces[f, 8]), int(faces[f, 9])):
-            a, b, c = _from_triangle(x, y, z, triangles, n)
-            square = a * a + b * b + c * c
+            ax, ay, az = x - c[n, 0], y - c[n, 1], z - c[n, 2]
+            ux, uy, uz = c[n, 3] - c[n, 0], c[n, 4] - c[n, 1], c[n, 5] - c[n, 2]
+            vx, vy, vz = c[n, 6] - c[n, 0], c[n, 7] - c[n, 1], c[n, 8] - c[n, 2]
+            uu, vv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz
+            uv = ux * vx + uy * vy + uz * vz
+            au, av = ax * ux + ay * uy + az * uz, ax * vx + ay * vy + az * vz
+            # Barycentric coordinates of the second and third corner, times the determinant.
+            det = uu * vv - uv * uv
+            s, t = vv * au - uv * av, uu * av - uv * au
+            if s >= 0.0 and t >= 0.0 and s + t <= det and det > 0.0:
+                s, t = s / det, t / det
+            else:
+                # The nearest of the points of the three edges.
+                first_edge = min(max(au / uu, 0.0), 1.0), 0.0
+                second_edge = 0.0, min(max(av / vv, 0.0), 1.0)
+                third = min(max((av - au - uv + uu) / (uu + vv - 2.0 * uv), 0.0), 1.0)
+                least = np.inf
+                for p, q in (first_edge, second_edge, (1.0 - third, third)):
+                    bx = ax - p * ux - q * vx
+                    by = ay - p * uy - q * vy
+                    bz = az - p * uz - q * vz
+                    square = bx * bx + by * by + bz * bz
+                    if square < least:
+                        least, s, t = square, p, q
+            bx = ax - s * ux - t * vx
+            by = ay - s * uy - t * vy
+            bz = az - s * uz - t * vz
+            square = bx * bx + by * by + bz * bz
             if square < best:
-                best, gx, gy, gz = square, a, b, c
+                best, gx, gy, gz = square, bx, by, bz
                 nearest = math.sqrt(best)
     return nearest, gx / nearest, gy / nearest, gz / nearest
-
-
-@leaf
-def _from_triangle(
-    x: float, y: float, z: float, c: FloatArray, n: int
-) -> tuple[float, float, float]:
-    """The vector to a point from the nearest one of a triangle, row n of c (T, 9)."""
-    ax, ay, az = x - c[n, 0], y - c[n, 1], z - c[n, 2]
-    ux, uy, uz = c[n, 3] - c[n, 0], c[n, 4] - c[n, 1], c[n, 5] - c[n, 2]
-    vx, vy, vz = c[n, 6] - c[n, 0], c[n, 7] - c[n, 1], c[n, 8] - c[n, 2]
-    uu, vv = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz
-    uv = ux * vx + uy * vy + uz * vz
-    au, av = ax * ux + ay * uy + az * uz, ax * vx + ay * vy + az * vz
-    # Barycentric coordinates of the corners b and c, times the determinant.
-    det = uu * vv - uv * uv
-    s, t = vv * au - uv * av, uu * av - uv * au
-    if s >= 0.0 and t >= 0.0 and s + t <= det and det > 0.0:
-        s, t = s / det, t / det
-        return ax - s * ux - t * vx, ay - s * uy - t * vy, az - s * uz - t * vz
-    # Else on one of the edges.
-    s = min(max(au / uu, 0.0), 1.0)
-    px, py, pz = ax - s * ux, ay - s * uy, az - s * uz
-    t = min(max(av / vv, 0.0), 1.0)
-    qx, qy, qz = ax - t * vx, ay - t * vy, az - t * vz
-    if qx * qx + qy * qy + qz * qz < px * px + py * py + pz * pz:
-        px, py, pz = qx, qy, qz
-    wx, wy, wz = vx - ux, vy - uy, vz - uz
-    bx, by, bz = ax - ux, ay - uy, az - uz
-    t = (bx * wx + by * wy + bz * wz) / (wx * wx + wy * wy + wz * wz)
-    t = min(max(t, 0.0), 1.0)
-    qx, qy, qz = bx - t * wx, by - t * wy, bz - t * wz
-    if qx * qx + qy * qy + qz * qz < px * px + py * py + pz * pz:
-        return qx, qy, qz
-    return px, py, pz
-
-
-@leaf
-def _within(x: float, high: float) -> float:
-    """x between 0 and high; 0 for what is no number, so that no index is out of range."""
-    x = x if x > 0.0 else 0.0
-    return x if x < high else high
 
 
 @leaf
@@ -558,7 +797,10 @@ def _interpolated(
     """
     scale, ny, nz = 1.0 / size[0], span[2], span[3]
     u, v, w = x * scale, y * scale, z * scale
-    a, b, c = _within(u, span[1] - 1.0), _within(v, ny - 1.0), _within(w, nz - 1.0)
+    # 0 for what is no number, so that no index is out of range.
+    a = min(u, span[1] - 1.0) if u > 0.0 else 0.0
+    b = min(v, ny - 1.0) if v > 0.0 else 0.0
+    c = min(w, nz - 1.0) if w > 0.0 else 0.0
     i, j, k = min(int(a), span[1] - 2), min(int(b), ny - 2), min(int(c), nz - 2)
     fa, fb, fc = a - i, b - j, c - k
     at = span[0] + (i * ny + j) * nz + k

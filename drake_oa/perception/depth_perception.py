@@ -18,9 +18,8 @@ from pydrake.systems.sensors import CameraInfo, ImageDepth32F
 
 from drake_oa.common.messages import FloatArray, Frozen, ObstacleClouds
 from drake_oa.common.ports import read_value, valid_period
-from drake_oa.geometry.collision_shapes import RobotModel
 from drake_oa.geometry.pinhole import View, pinhole
-from drake_oa.geometry.primitives import PosedShapes
+from drake_oa.geometry.solids import RobotSolids, Solids
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.memory import ObstacleMemory
 from drake_oa.perception.segmentation import segment_views
@@ -192,7 +191,7 @@ class DepthPerception(LeafSystem):
         camera: CameraInfo | Sequence[float] | Mapping[str, CameraInfo | Sequence[float]],
         *,
         config: SegmentationConfig | None = None,
-        robot: RobotModel | None = None,
+        robot: RobotSolids | None = None,
         pixel_center: float = 0.0,
         period: float = 1.0 / 15.0,
         delay: float = 0.0,
@@ -207,7 +206,7 @@ class DepthPerception(LeafSystem):
                 cameras, name -> intrinsics.
             config: how frames are segmented; `table_height` there is the prior on
                 the table. None for the defaults.
-            robot: from `collect_collision_shapes`; None for no self filter.
+            robot: from `robot_solids`; None for no self filter.
             pixel_center: image coordinates of the middle of the first pixel
                 [pixel]. 0 is the usual convention, and what CameraInfo documents;
                 Drake 1.51's RenderEngineVtk renders as if it were 0.5, which
@@ -348,19 +347,13 @@ class DepthPerception(LeafSystem):
             )
         return View.of(depth, K, pose.GetAsMatrix4())
 
-    def _posed_robot(self, ports: Sequence[_Ports], context: Context) -> PosedShapes | None:
+    def _posed_robot(self, ports: Sequence[_Ports], context: Context) -> Solids | None:
         """The robot where it was when any of the images was taken."""
         if self._robot is None:
             return None
         known = (port.robot for port in ports if port.robot is not None)
         states = {tuple(port.Eval(context)) for port in known if port.HasValue(context)}
-        posed = [self._robot.posed(np.array(state)) for state in sorted(states)]
-        if len(posed) < 2:
-            return posed[0] if posed else None
-        return PosedShapes(
-            np.concatenate([each.X_WG for each in posed]),
-            np.concatenate([each.size for each in posed]),
-        )
+        return self._robot.posed([np.array(state) for state in sorted(states)])
 
 
 def as_of(obstacles: ObstacleClouds, stamp: float) -> ObstacleClouds:

@@ -13,7 +13,7 @@ from pydrake.systems.framework import Context, LeafSystem, State
 
 from drake_oa.common.messages import OUT_OF_WORLD, FloatArray, ObstacleClouds, TablePlane
 from drake_oa.common.ports import read_value, valid_period
-from drake_oa.geometry.collision_shapes import surface_points
+from drake_oa.geometry.solids import read_solid, surface_points
 from drake_oa.perception.depth_perception import PerceptionState
 from drake_oa.perception.memory import ObstacleMemory
 
@@ -131,7 +131,8 @@ def _body_fixed_samples(
     for index in plant.GetBodyIndices(instance):
         geometries = plant.GetCollisionGeometriesForBody(plant.get_body(index))
         if geometries:
-            points = [surface_points(inspector, geometry, count) for geometry in geometries]
+            solids = [read_solid(inspector, geometry) for geometry in geometries]
+            points = [solid.placed(surface_points(solid, count)) for solid in solids]
             frame = plant.GetBodyFrameIdOrThrow(index)
             parts.append((frame, np.concatenate(points)))
     if not parts:

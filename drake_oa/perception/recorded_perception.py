@@ -13,8 +13,7 @@ from pydrake.systems.framework import Context, LeafSystem, State
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.common.ports import valid_period
-from drake_oa.geometry.collision_shapes import RobotModel
-from drake_oa.geometry.primitives import PosedShapes
+from drake_oa.geometry.solids import RobotSolids, Solids
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.depth_perception import PerceptionState, log_change
 from drake_oa.perception.memory import ObstacleMemory
@@ -58,7 +57,7 @@ class RecordedPerception(LeafSystem):
         *,
         X_WC: RigidTransform | None = None,
         config: SegmentationConfig | None = None,
-        robot: RobotModel | None = None,
+        robot: RobotSolids | None = None,
         period: float = 1.0 / 15.0,
         loop: bool = False,
     ) -> None:
@@ -69,7 +68,7 @@ class RecordedPerception(LeafSystem):
             X_WC: pose of the camera for files that do not hold one; the identity
                 for clouds already in the world frame; None when unknown.
             config: how frames are segmented; None for the defaults.
-            robot: from `collect_collision_shapes`: takes itself out of frames that
+            robot: from `robot_solids`: takes itself out of frames that
                 know its `robot_state`; None: they show no robot.
             period: time between updates, and between files without stamp [s].
             loop: whether the recording starts again when it has ended.
@@ -114,7 +113,7 @@ class RecordedPerception(LeafSystem):
         recorded = self._frames[due % len(self._frames)]
         robot = None
         if self._robot is not None and recorded.robot_state is not None:
-            robot = self._robot.posed(recorded.robot_state)
+            robot = self._robot.posed([recorded.robot_state])
         frame = segment_frame(recorded, self._X_WC, self._config, robot)
         if not frame.usable:
             frame = replace(frame, note=f"{recorded.path.name}: {frame.note}")
@@ -142,7 +141,7 @@ def segment_frame(
     frame: RecordedFrame,
     X_WC: FloatArray | None,
     config: SegmentationConfig,
-    robot: PosedShapes | None = None,
+    robot: Solids | None = None,
 ) -> Segmentation:
     """Segments a recorded frame.
 

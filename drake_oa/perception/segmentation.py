@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray, TablePlane
 from drake_oa.geometry.pinhole import View
-from drake_oa.geometry.primitives import PosedShapes
+from drake_oa.geometry.solids import Solids, least_distances
 from drake_oa.geometry.voxels import (
     connected_clusters,
     filed,
@@ -114,7 +114,7 @@ def segment_depth(
     K: FloatArray,
     X_WC: FloatArray | None,
     config: SegmentationConfig | None = None,
-    robot: PosedShapes | None = None,
+    robot: Solids | None = None,
 ) -> Segmentation:
     """Segments a depth image into the table and one cluster an obstacle.
 
@@ -128,7 +128,7 @@ def segment_depth(
         K: (4,) fx, fy, cx, cy [pixel].
         X_WC: (4, 4) pose of the camera, or None when unknown.
         config: the parameters; None for the defaults.
-        robot: the robot's primitives at the time of the image, or None.
+        robot: the robot's solids at the time of the image, or None.
 
     Returns:
         The segmentation. A frame that shows no table is no error: it has no clouds
@@ -144,7 +144,7 @@ def segment_depth(
 def segment_views(
     views: Sequence[View],
     config: SegmentationConfig | None = None,
-    robot: PosedShapes | None = None,
+    robot: Solids | None = None,
 ) -> Segmentation:
     """Segments depth images of one instant together; otherwise as `segment_depth`.
 
@@ -156,7 +156,7 @@ def segment_views(
     Args:
         views: one or more depth images.
         config: the parameters; None for the defaults.
-        robot: the robot's primitives at the time of the images, or None.
+        robot: the robot's solids at the time of the images, or None.
 
     Raises:
         ValueError: as `segment_depth` does.
@@ -168,7 +168,7 @@ def segment_points(
     points: FloatArray,
     X_WC: FloatArray | None,
     config: SegmentationConfig | None = None,
-    robot: PosedShapes | None = None,
+    robot: Solids | None = None,
 ) -> Segmentation:
     """Segments a cloud without image structure; otherwise as `segment_depth`.
 
@@ -178,7 +178,7 @@ def segment_points(
             zero, are ignored; there is no crop by depth.
         X_WC: (4, 4) pose of that frame, or None when unknown.
         config: the parameters; None for the defaults.
-        robot: the robot's primitives at the time of the cloud, or None.
+        robot: the robot's solids at the time of the cloud, or None.
 
     Raises:
         ValueError: for an array of the wrong shape or type or an invalid X_WC.
@@ -257,7 +257,7 @@ class _Standing(NamedTuple):
 def _segmented(
     images: Sequence[View] | Sequence[tuple[Any, Any, Any]],
     config: SegmentationConfig,
-    robot: PosedShapes | None,
+    robot: Solids | None,
 ) -> Segmentation:
     seen = [_looked_at(depth, K, X_WC, config) for depth, K, X_WC in images]
     table = _best_table(seen)
@@ -374,7 +374,7 @@ def _cluster(
     parts: Sequence[_Standing],
     table: TablePlane | None,
     config: SegmentationConfig,
-    robot: PosedShapes | None,
+    robot: Solids | None,
 ) -> Segmentation:
     """What stands on the table, of all that images of one instant, or a cloud, show over it.
 
@@ -391,7 +391,8 @@ def _cluster(
     means, voxel_of, count = voxel_means(p_WQ, config.voxel)
     kept = np.flatnonzero(count >= config.min_occupancy)
     if robot is not None:
-        kept = kept[~robot.contains(means[kept], config.robot_margin)]
+        margin = config.robot_margin
+        kept = kept[least_distances(robot, means[kept], 0.0, margin, margin) >= margin]
     if table is None:
         found = connected_clusters(means[kept], config.cluster_tolerance)
     else:

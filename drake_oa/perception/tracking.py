@@ -23,7 +23,7 @@ from scipy.optimize import linear_sum_assignment
 
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray, ObstacleClouds
 from drake_oa.geometry.pinhole import AT, EMPTY, FREE, HIDDEN, OUT
-from drake_oa.geometry.primitives import PosedShapes
+from drake_oa.geometry.solids import Solids
 from drake_oa.geometry.voxels import connected_clusters
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.memory import (
@@ -216,7 +216,7 @@ def fuse(
     frame: Segmentation,
     stamp: float,
     config: SegmentationConfig | None = None,
-    robot: PosedShapes | None = None,
+    robot: Solids | None = None,
     *,
     complete: bool = True,
 ) -> ObstacleMemory:
@@ -241,7 +241,7 @@ def fuse(
             to show everything, so that nothing is hidden.
         stamp: time of the frame [s].
         config: the parameters the frame was segmented with; None for the defaults.
-        robot: the robot's primitives at that time, or None.
+        robot: the robot's solids at that time, or None.
         complete: whether all cameras have told something; what only another one has seen of an
             obstacle is else kept behind what this frame shows of it.
 
@@ -303,7 +303,7 @@ class _Step:
         complete: bool,
         dt: float,
         config: SegmentationConfig,
-        robot: PosedShapes | None,
+        robot: Solids | None,
         first: bool,
     ) -> None:
         self.previous, self.frame, self.complete, self.dt = previous, frame, complete, dt

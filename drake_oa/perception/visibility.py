@@ -19,7 +19,7 @@ import numpy as np
 from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
 from drake_oa.geometry.pinhole import AT, EMPTY, FREE, HIDDEN, OUT, View, shown
-from drake_oa.geometry.primitives import PosedShapes
+from drake_oa.geometry.solids import Solids, least_distances
 from drake_oa.geometry.voxels import members_of
 from drake_oa.perception.memory import CERTAIN, CONFIRMED, Points, changed, taken
 
@@ -255,7 +255,7 @@ def shown_at(
     missed: BoolArray,
     views: Sequence[View],
     margin: float,
-    robot: PosedShapes | None,
+    robot: Solids | None,
     robot_margin: float,
 ) -> Looked:
     """What the images of a frame show where points p_WQ (N, 3) [m] should be.
@@ -273,7 +273,8 @@ def shown_at(
     if robot is not None:
         # Only what seems to be gone needs the robot's excuse.
         asked = np.flatnonzero(missed & ((shows == AT) | (shows == FREE) | (shows == EMPTY)))
-        shows[asked[robot.contains(p_WQ[asked], robot_margin)]] = OUT
+        d = least_distances(robot, p_WQ[asked], 0.0, robot_margin, robot_margin)
+        shows[asked[d < robot_margin]] = OUT
     return Looked(shows, each, pixel)
 
 

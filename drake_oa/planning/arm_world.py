@@ -15,8 +15,7 @@ import numpy as np
 from drake_oa.common.compiled import compiled, leaf
 from drake_oa.common.messages import BoolArray, FloatArray
 from drake_oa.geometry.solids import Solids, ball_bound, solid_distance
-from drake_oa.robot.arm import Chain, chain_poses
-from drake_oa.robot.sphere_kernels import Spheres
+from drake_oa.robot.arm import Chain, Spheres, chain_poses
 
 FAR = 0.3
 """By how much more than asked a clearance need not be known [m]."""

@@ -30,8 +30,7 @@ from drake_oa.planning.arm_world import (
     lower_excess,
     share_clear,
 )
-from drake_oa.robot.arm import Chain, chain_poses
-from drake_oa.robot.sphere_kernels import Spheres
+from drake_oa.robot.arm import Chain, Spheres, chain_poses
 
 TREES = 2
 """Pairs of trees that grow beside each other."""

@@ -51,8 +51,14 @@ from drake_oa.policy.rollout import Scene
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposals import ALPHA as LOG_ALPHA
 from drake_oa.regulation.proposals import N_GENES, TAU, avoidance_terms
-from drake_oa.robot.arm import FARTHEST, Chain, inverse_kinematics, nearest_free_place, tool_poses
-from drake_oa.robot.sphere_kernels import Spheres
+from drake_oa.robot.arm import (
+    FARTHEST,
+    Chain,
+    Spheres,
+    inverse_kinematics,
+    nearest_free_place,
+    tool_poses,
+)
 
 _LED = 201
 """Samples by which the arm is led along a motion."""

@@ -26,8 +26,7 @@ from drake_oa.planning.arm_world import (
     Asked,
     lower_excess,
 )
-from drake_oa.robot.arm import PULL, Chain, follow, scratch
-from drake_oa.robot.sphere_kernels import Spheres
+from drake_oa.robot.arm import PULL, Chain, Spheres, follow, scratch
 
 ERROR, HURRY, ENDED, WHEN = 3, 4, 5, 6
 N_COLUMNS = 7

@@ -12,9 +12,9 @@ each.
   tool's corners. `formats`: a model with meshes that Drake does not read, without actuators, or in
   a package of Python, as Drake takes it.
 - `arm_kernels`: forward kinematics of revolute joints, the geometric Jacobian.
-- `spheres`, `sphere_kernels`: the robot, with what it holds, as spheres that enclose its collision
-  geometry; pairs of bodies that may touch are found in random postures. `sphere_cover`: a body's
-  spheres by a greedy set cover, proven.
+- `spheres`: the robot, with what it holds, as spheres that enclose its collision geometry; pairs of
+  bodies that may touch are found in random postures. `sphere_cover`: a body's spheres by a greedy
+  set cover, proven; those of the Panda are shipped.
 - `inverse_kinematics`: `solve_tool_pose` at set-up, by Drake's `InverseKinematics` and Newton
   steps within the joint limits; `solve_pose`, compiled, damped and weighted by the joints' ranges.
 - `reachability`: where the tool can be held in one orientation, on a grid, with signed margins.

@@ -29,7 +29,6 @@ from drake_oa.common.messages import BoolArray, FloatArray, IntArray
 from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.common.thinking import count
 from drake_oa.geometry.directions import DIRECTIONS
-from drake_oa.robot.sphere_kernels import Spheres
 
 PULL = 20.0
 """How fast the null space is drawn to the guiding posture: what is left of the way to it falls to
@@ -70,6 +69,38 @@ class Chain(NamedTuple):
     speed: FloatArray
     reach: FloatArray
     index: IntArray = np.zeros(0, dtype=np.int64)
+
+
+class Spheres(NamedTuple):
+    """S spheres of a robot in G groups, a body a group, by joint and then by body.
+
+    Attributes:
+        joint: (S,) the joint that moves each; -1: fixed to the world.
+        p_JS: (S, 3) centres in that joint's frame (`chain_poses`), or in the world [m].
+        radius: (S,) [m].
+        of_tool: (S,) whether it is of the tool or of what the tool holds.
+        first: (G + 1,) where each group's spheres begin, and S.
+        group_joint: (G,) the joint that moves each group.
+        bound: (G, 4) centre as `p_JS`, and radius, of a sphere that holds the group's [m].
+        cluster: (G + 1,) where each group's clusters of neighbours begin, and C.
+        cluster_first: (C + 1,) where each cluster's spheres begin, and S.
+        cluster_bound: (C, 4) as `bound`, of a cluster.
+        pairs: (P, 2) groups that may touch each other.
+        allowance: (P,) what a pair's spheres may overlap before its true shapes come near [m].
+    """
+
+    joint: IntArray
+    p_JS: FloatArray
+    radius: FloatArray
+    of_tool: BoolArray
+    first: IntArray
+    group_joint: IntArray
+    bound: FloatArray
+    cluster: IntArray
+    cluster_first: IntArray
+    cluster_bound: FloatArray
+    pairs: IntArray
+    allowance: FloatArray
 
 
 def make_chain(

@@ -19,8 +19,8 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
-from drake_oa.geometry.collision_shapes import outline_corners
 from drake_oa.geometry.shapes import pose
+from drake_oa.geometry.solids import outline_corners, read_solid
 from drake_oa.robot.arm import joints_to
 from drake_oa.robot.config import Robot
 from drake_oa.robot.formats.model_file import (
@@ -297,7 +297,8 @@ def tool_link_corners(robot: Robot) -> list[FloatArray]:
         of_link = []
         for geometry in plant.GetCollisionGeometriesForBody(body):
             try:
-                p_BQ = outline_corners(inspector, geometry)
+                solid = read_solid(inspector, geometry)
+                p_BQ = solid.placed(outline_corners(solid))
             except ValueError as error:
                 raise ScenarioError(f"robot.tool_links: {error}") from None
             of_link.append((R_WE @ X_EB.multiply(p_BQ.T)).T)

@@ -8,16 +8,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from pydrake.math import RigidTransform
-from pydrake.multibody.tree import BodyIndex, RevoluteJoint
+from pydrake.multibody.tree import BodyIndex, RevoluteJoint, RigidBody
 from pydrake.systems.framework import Context
+from scipy.spatial.distance import cdist
 
 from drake_oa.common.console import ProgressLines
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
-from drake_oa.robot import sphere_kernels as kernels
-from drake_oa.robot.arm import axis_frame, in_joint_frame, joints_to, moved_by
+from drake_oa.geometry.solids import read_solid
+from drake_oa.robot.arm import Spheres, axis_frame, in_joint_frame, joints_to, moved_by
 from drake_oa.robot.config import SphereParameters
 from drake_oa.robot.plant import RobotPlant
-from drake_oa.robot.sphere_cover import Cover, known_cover, read_solid
+from drake_oa.robot.sphere_cover import Cover, known_cover
 
 _ROUNDED = 1e-9
 """Added to bounding spheres [m]."""
@@ -34,25 +35,6 @@ _OFTEN = 0.02
 """Share of the random postures with overlapping spheres from which a pair has an allowance."""
 
 
-@dataclass(frozen=True)
-class PairReport:
-    """What was found of two bodies, in random postures.
-
-    Attributes:
-        bodies: their names.
-        touching: share of the postures in which their shapes touch.
-        spheres_touching: in which their spheres do.
-        allowance: see `kernels.Spheres` [m].
-        is_kept: whether the pair is looked at; else its shapes always touch.
-    """
-
-    bodies: tuple[str, str]
-    touching: float
-    spheres_touching: float
-    allowance: float
-    is_kept: bool
-
-
 @dataclass(frozen=True, eq=False)
 class ArmSpheres(Frozen):
     """An arm of n revolute joints as S spheres in G groups, a body a group.
@@ -61,13 +43,11 @@ class ArmSpheres(Frozen):
         arrays: as the kernels take it; its fields say what is what.
         bodies: (G,) name of each group's body.
         overshoot: (G,) how far the spheres of each body stick out of its shapes at most [m].
-        looked_at: what was found of the pairs that are no neighbours.
     """
 
-    arrays: kernels.Spheres
+    arrays: Spheres
     bodies: tuple[str, ...]
     overshoot: FloatArray
-    looked_at: tuple[PairReport, ...]
 
     def __len__(self) -> int:
         return len(self.arrays.radius)
@@ -126,7 +106,7 @@ def make_arm_spheres(
     root = robot.diagram.CreateDefaultContext()
     context = plant.GetMyMutableContextFromRoot(root)
     plant.SetPositions(context, q)
-    X_WJ = _joint_frames(joints, context)
+    X_WJ = _joint_frames([(joint.child_body(), axis_frame(joint)) for joint in joints], context)
     poses = [RigidTransform(X) for X in X_WJ[:-1]]
     covers, X_JB = [], []
     # Covers in the user's cache are read in less time than the first line waits.
@@ -146,16 +126,25 @@ def make_arm_spheres(
     is_tool = np.array([plant.get_body(index).name() in tool_links for index in bodies])
     arrays = _laid(covers, X_JB, joint, is_tool, _candidates(robot, bodies, joint))
     group_names = tuple(plant.get_body(index).name() for index in bodies)
-    arrays, looked_at = _with_pairs_found(robot, joints, bodies, q, arrays, parameters)
-    overshoot = np.array([found.overshoot for found in covers])
-    return ArmSpheres(arrays, group_names, overshoot, looked_at)
+    arrays = _with_pairs_found(robot, joints, bodies, q, arrays, parameters)
+    return ArmSpheres(arrays, group_names, np.array([found.overshoot for found in covers]))
 
 
-def _joint_frames(joints: list[RevoluteJoint], context: Context) -> FloatArray:
-    """(n + 1, 4, 4) poses of the joints' frames, as `arm_kernels.poses` has them; the last: I."""
-    X_WJ = np.tile(np.eye(4), (len(joints) + 1, 1, 1))
-    for i, joint in enumerate(joints):
-        X_WJ[i] = (joint.child_body().EvalPoseInWorld(context) @ axis_frame(joint)).GetAsMatrix4()
+def _joint_frames(
+    frames: Sequence[tuple[RigidBody, RigidTransform]], context: Context
+) -> FloatArray:
+    """Computes the poses of the joints' frames J.
+
+    Args:
+        frames: of each joint its child body B, and X_BJ.
+        context: of the plant.
+
+    Returns:
+        (n + 1, 4, 4) poses in the world, the last the identity.
+    """
+    X_WJ = np.tile(np.eye(4), (len(frames) + 1, 1, 1))
+    for i, (body, X_BJ) in enumerate(frames):
+        X_WJ[i] = (body.EvalPoseInWorld(context) @ X_BJ).GetAsMatrix4()
     return X_WJ
 
 
@@ -165,7 +154,7 @@ def _laid(
     joint: IntArray,
     is_tool: BoolArray,
     pairs: list[tuple[int, int]],
-) -> kernels.Spheres:
+) -> Spheres:
     """All the groups' spheres in a row, in the frames of their joints, neighbours together."""
     centers, radii, clusters = [], [], []
     for found, X in zip(covers, X_JB, strict=True):
@@ -177,7 +166,7 @@ def _laid(
         clusters.append([(p_JS[row], found.radii[row]) for row in rows])
     counts = np.array([len(found.radii) for found in covers])
     sizes = [len(r) for of_group in clusters for _, r in of_group]
-    return kernels.Spheres(
+    return Spheres(
         joint=np.repeat(joint, counts),
         p_JS=np.concatenate(centers),
         radius=np.concatenate(radii),
@@ -237,9 +226,9 @@ def _with_pairs_found(
     joints: list[RevoluteJoint],
     bodies: Sequence[BodyIndex],
     q: FloatArray,
-    spheres: kernels.Spheres,
+    spheres: Spheres,
     parameters: SphereParameters,
-) -> tuple[kernels.Spheres, tuple[PairReport, ...]]:
+) -> Spheres:
     """Leaves out pairs that always touch, and finds what overlap means nothing.
 
     Random postures tell, as in MoveIt's setup assistant. Where spheres overlap, SceneGraph tells
@@ -258,19 +247,17 @@ def _with_pairs_found(
     root = robot.diagram.CreateDefaultContext()
     context = plant.GetMyMutableContextFromRoot(root)
     of_scene = robot.scene_graph.GetMyContextFromRoot(root)
-    group = {
-        geometry: g
-        for g, body in enumerate(bodies)
-        for geometry in plant.GetCollisionGeometriesForBody(plant.get_body(body))
-    }
+    geometries = [plant.GetCollisionGeometriesForBody(plant.get_body(body)) for body in bodies]
+    group = {geometry: g for g, of_body in enumerate(geometries) for geometry in of_body}
     row = {(int(i), int(j)): k for k, (i, j) in enumerate(spheres.pairs)}
-    apart = np.empty((len(postures), len(row)))
+    frames = [(joint.child_body(), axis_frame(joint)) for joint in joints]
+    apart = np.zeros((len(postures), len(row)))
     touch = np.zeros(apart.shape, dtype=bool)
     full = q.copy()
     for k, posture in enumerate(postures):
         full[index] = posture
         plant.SetPositions(context, full)
-        kernels.pair_distances(_joint_frames(joints, context), spheres, 0.0, apart[k])
+        _lower_pair_distances(_joint_frames(frames, context), spheres, apart[k])
         if (apart[k] < 0.0).any():
             query = robot.scene_graph.get_query_output_port().Eval(of_scene)
             for found in query.ComputePointPairPenetration():
@@ -284,21 +271,35 @@ def _with_pairs_found(
         query = robot.scene_graph.get_query_output_port().Eval(of_scene)
         return min(
             query.ComputeSignedDistancePairClosestPoints(a, b).distance
-            for a in plant.GetCollisionGeometriesForBody(plant.get_body(bodies[i]))
-            for b in plant.GetCollisionGeometriesForBody(plant.get_body(bodies[j]))
+            for a in geometries[i]
+            for b in geometries[j]
         )
 
-    reports, allowance, kept = [], np.zeros(len(row)), np.ones(len(row), dtype=bool)
-    shares = touch.mean(axis=0), (apart < 0.0).mean(axis=0)
+    allowance, kept = np.zeros(len(row)), touch.mean(axis=0) < _ALWAYS
     for (i, j), p in row.items():
-        kept[p] = shares[0][p] < _ALWAYS
         overlap = np.flatnonzero((apart[:, p] < 0.0) & ~touch[:, p])
         if kept[p] and len(overlap) >= max(_FEW, _OFTEN * len(postures)):
             slack = [true_distance(int(k), i, j) - float(apart[k, p]) for k in overlap]
             allowance[p] = max(0.0, 2.0 * min(slack) - float(np.quantile(slack, _LOW)))
-        names = (plant.get_body(bodies[i]).name(), plant.get_body(bodies[j]).name())
-        shown = float(shares[0][p]), float(shares[1][p]), float(allowance[p])
-        reports.append(PairReport(names, *shown, is_kept=bool(kept[p])))
     found_pairs = np.ascontiguousarray(spheres.pairs[kept])
-    spheres = spheres._replace(pairs=found_pairs, allowance=allowance[kept])
-    return spheres, tuple(reports)
+    return spheres._replace(pairs=found_pairs, allowance=allowance[kept])
+
+
+def _lower_pair_distances(X_WJ: FloatArray, spheres: Spheres, apart: FloatArray) -> None:
+    """Lowers apart (P,) to the distances of the pairs of groups that are less [m].
+
+    Args:
+        X_WJ: (n + 1, 4, 4) from `_joint_frames`.
+        spheres: of the arm.
+        apart: (P,) changed.
+    """
+    first, bound = spheres.first, spheres.bound
+    of_sphere, of_group = X_WJ[spheres.joint], X_WJ[spheres.group_joint]
+    centers = np.einsum("sij,sj->si", of_sphere[:, :3, :3], spheres.p_JS) + of_sphere[:, :3, 3]
+    at = np.einsum("gij,gj->gi", of_group[:, :3, :3], bound[:, :3]) + of_group[:, :3, 3]
+    one, other = spheres.pairs.T
+    away = np.linalg.norm(at[one] - at[other], axis=1) - bound[one, 3] - bound[other, 3]
+    for p in np.flatnonzero(away < apart):
+        a, b = (slice(first[g], first[g + 1]) for g in spheres.pairs[p])
+        between = cdist(centers[a], centers[b]) - spheres.radius[a, None] - spheres.radius[b]
+        apart[p] = min(apart[p], between.min())

@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 from pydrake.geometry import (
     GeometryId,
-    HalfSpace,
     QueryObject,
     SceneGraphInspector,
     SignedDistancePair,
@@ -23,8 +22,8 @@ from pydrake.multibody.tree import BodyIndex, RigidBody
 from pydrake.systems.framework import Context, DiagramBuilder
 
 from drake_oa.common.messages import OUT_OF_WORLD, EllipsoidSet, FloatArray
-from drake_oa.geometry.collision_shapes import outline_corners
 from drake_oa.geometry.ellipsoid import signed_distance
+from drake_oa.geometry.solids import read_solid, solids_of
 from drake_oa.robot.grasped_object import tool_links
 from drake_oa.robot.plant import TOOL_FRAME
 from drake_oa.scenario.loading import scenario_text
@@ -307,14 +306,8 @@ class _Balls:
         self, inspector: SceneGraphInspector, bodies: Mapping[GeometryId, RigidBody]
     ) -> None:
         self.geometries, self._bodies = list(bodies), list(bodies.values())
-        self._p_BC = np.zeros((len(bodies), 3))
-        self.radius = np.full(len(bodies), np.inf)
-        for row, geometry in enumerate(bodies):
-            if not isinstance(inspector.GetShape(geometry), HalfSpace):
-                corners = outline_corners(inspector, geometry)
-                middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
-                self._p_BC[row] = middle
-                self.radius[row] = np.linalg.norm(corners - middle, axis=1).max()
+        ball = solids_of([read_solid(inspector, geometry) for geometry in bodies]).ball
+        self._p_BC, self.radius = ball[:, :3], ball[:, 3]
 
     def centers(self, context: Context) -> FloatArray:
         """Returns (N, 3) centers in the world [m]."""

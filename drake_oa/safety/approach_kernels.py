@@ -17,8 +17,7 @@ from drake_oa.geometry.solids import Solids, ball_bound, solid_distance, solid_g
 from drake_oa.planning.arm_world import (
     placed,
 )
-from drake_oa.robot.arm import Chain, chain_poses
-from drake_oa.robot.sphere_kernels import Spheres
+from drake_oa.robot.arm import Chain, Spheres, chain_poses
 
 
 class SolidRules(NamedTuple):

@@ -8,9 +8,8 @@ import numpy as np
 
 from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import FloatArray, Frozen, IntArray
-from drake_oa.robot.arm import Chain, chain_poses, jacobian, joints_to
+from drake_oa.robot.arm import Chain, Spheres, chain_poses, jacobian, joints_to
 from drake_oa.robot.plant import RobotPlant
-from drake_oa.robot.sphere_kernels import Spheres
 from drake_oa.robot.spheres import ArmSpheres
 
 

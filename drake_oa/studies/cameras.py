@@ -24,7 +24,7 @@ from pydrake.systems.sensors import CameraConfig
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.shapes import pose
-from drake_oa.geometry.solids import Solids, least_distance, shape_solids, solids_of
+from drake_oa.geometry.solids import Solids, least_distances, shape_solids, solids_of
 from drake_oa.perception.config import CameraNoise, DepthCamera
 from drake_oa.robot.plant import base_pose
 from drake_oa.scenario.scenario import Scenario
@@ -131,8 +131,8 @@ def _place(middle: FloatArray, heading: float, things: Solids) -> FloatArray:
         level = math.cos(elevation)
         way = np.array([level * math.cos(heading), level * math.sin(heading), math.sin(elevation)])
         found = middle + AWAY * way
-        sight = [found - far * way for far in np.linspace(0.0, _NEAREST, 9)]
-        if all(least_distance(things, *map(float, p), 0.0, 0.0, APART)[1] < 0 for p in sight):
+        sight = found - np.linspace(0.0, _NEAREST, 9)[:, None] * way
+        if (least_distances(things, sight, 0.0, APART, APART) >= APART).all():
             return found
     # None fits: what stands in its way is seen from near, or not at all.
     return found

@@ -6,6 +6,7 @@ import pydrake.geometry as drake
 import pytest
 from pydrake.math import RigidTransform, RotationMatrix
 from scipy.optimize import nnls
+from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from drake_oa.geometry import solids as solid
@@ -106,15 +107,15 @@ def test_a_hull_is_drakes_to_a_small_sphere():
         graph.get_source_pose_port(source).FixValue(context, poses)
         query = graph.get_query_output_port().Eval(context)
         expected = query.ComputeSignedDistancePairClosestPoints(*ids).distance
-        d, _ = solid.least_distance(scene, *p, radius, 0.0, np.inf)
+        (d,) = solid.least_distances(scene, p[None], 0.0, np.inf, -np.inf)
         # Drake's are iterative here.
-        assert d == pytest.approx(expected, abs=1e-4)
+        assert d - radius == pytest.approx(expected, abs=1e-4)
         # Outside, by the weights of the nearest point of the hull.
         q = X_WG[:3, :3].T @ (p - X_WG[:3, 3])
         rows = np.vstack([ROUND.T, np.full(len(ROUND), 1e3)])
         weights, _ = nnls(rows, np.append(q, 1e3))
         nearest = ROUND.T @ weights / weights.sum()
-        assert max(d, -radius) + radius == pytest.approx(np.linalg.norm(q - nearest), abs=1e-9)
+        assert max(d, 0.0) == pytest.approx(np.linalg.norm(q - nearest), abs=1e-9)
 
 
 def test_a_flat_hull_is_a_plate():
@@ -163,25 +164,78 @@ def test_solids_move_with_their_velocity():
                 )
 
 
-def test_the_least_distance_is_that_of_the_nearest_whatever_is_culled():
+def test_the_least_distances_are_those_of_the_nearest_whatever_is_culled():
     items = scene_of_all()
-    scene = solids_of(items)
-    for p in RNG.uniform([-0.5, -1, -0.5], [4, 1, 1], (300, 3)):
-        r, t = 0.05, RNG.uniform(0.0, 3.0)
-        each = [solid.solid_distance(scene, k, *p, t) - r for k in range(len(items))]
-        d, k = solid.least_distance(scene, *p, r, t, np.inf)
-        assert (d, k) == (min(each), int(np.argmin(each)))
-        bounds = [solid.ball_bound(scene, k, *p, t) - r for k in range(len(items))]
-        # A field's distance is up to a voxel and an offset less than that of its points.
-        assert all(b <= e + 0.01 for b, e in zip(bounds, each, strict=True))
-        assert solid.least_distance(scene, *p, r, t, d) == (d, -1)
+    scene, t = solids_of(items), 2.0
+    points = RNG.uniform([-0.5, -1, -0.5], [4, 1, 1], (300, 3))
+    each = [[solid.solid_distance(scene, k, *p, t) for k in range(len(items))] for p in points]
+    least = np.min(each, axis=1)
+    np.testing.assert_array_equal(solid.least_distances(scene, points, t, np.inf, -np.inf), least)
+    np.testing.assert_array_equal(
+        solid.least_distances(scene, points, t, 0.1, -np.inf), np.minimum(least, 0.1)
+    )
+    bounds = [[solid.ball_bound(scene, k, *p, t) for k in range(len(items))] for p in points]
+    # A field's distance is up to a voxel and an offset less than that of its points.
+    assert (np.array(bounds) <= np.array(each) + 0.01).all()
 
 
 def test_what_is_not_there_yet_or_any_more_is_nowhere():
     scene = solids_of([replace(solid.sphere(0.1), window=(1.0, 2.0))])
     assert solid.solid_distance(scene, 0, 0.0, 0.0, 1.0, 0.9) == np.inf
     assert solid.solid_distance(scene, 0, 0.0, 0.0, 1.0, 1.5) == pytest.approx(0.9)
-    assert solid.least_distance(scene, 0.0, 0.0, 1.0, 0.1, 2.1, 0.5) == (0.5, -1)
+    assert solid.least_distances(scene, np.zeros((1, 3)), 2.1, 0.5, 0.5).tolist() == [0.5]
+
+
+VOLUMES = {
+    "sphere": 4 / 3 * np.pi * 0.1**3,
+    "box": 0.1 * 0.3 * 0.2,
+    "capsule": np.pi * 0.06**2 * 0.2 + 4 / 3 * np.pi * 0.06**3,
+    "cylinder": np.pi * 0.1**2 * 0.25,
+    "ellipsoid": 4 / 3 * np.pi * 0.1 * 0.2 * 0.05,
+    "cube": 8 * 0.1 * 0.2 * 0.05,
+}
+
+
+@pytest.mark.parametrize("name", VOLUMES)
+def test_samples_lie_on_the_surface_span_the_shape_and_are_in_the_outline(name):
+    world = World([SHAPES[name]])
+    (geometry,) = world.plant.GetCollisionGeometriesForBody(world.body)
+    one = solid.read_solid(world.inspector, geometry)
+    points = solid.surface_points(one, 300)
+    assert 150 <= len(points) <= 450
+    assert 0.93 < ConvexHull(points).volume / VOLUMES[name] < 1.0 + 1e-6
+    distances = solid.least_distances(solids_of([one]), one.placed(points), 0.0, np.inf, -np.inf)
+    np.testing.assert_allclose(distances, 0.0, atol=1e-9)
+    outline = solid.hull(solid.outline_corners(one))
+    assert solid.least_distances(solids_of([outline]), points, 0.0, np.inf, -np.inf).max() < 1e-9
+
+
+def test_robots_solids_are_where_scene_graph_has_them():
+    world = World([SHAPES[name] for name in VOLUMES])
+    instance = world.body.model_instance()
+    robot = solid.robot_solids(world.plant, world.inspector, instance)
+    states = [np.array([0.7, 0.0]), np.array([-2.0, 0.0])]
+    drakes = []
+    for state in states:
+        world.plant.SetPositionsAndVelocities(world.inner, state)
+        query = world.plant.get_geometry_query_input_port().Eval(world.inner)
+        drakes.append([[d.distance for d in query.ComputeSignedDistanceToPoint(p)] for p in POINTS])
+    found = solid.least_distances(robot.posed(states), POINTS, 0.0, np.inf, -np.inf)
+    # Drake's ellipsoids are iterative.
+    np.testing.assert_allclose(found, np.min(drakes, axis=(0, 2)), atol=1e-3)
+    with pytest.raises(ValueError, match="2 finite numbers"):
+        robot.posed([np.zeros(3)])
+
+
+def test_a_robot_may_have_no_shapes_but_no_half_space():
+    bare, grounded = World([]), World([drake.HalfSpace()])
+    args = bare.plant, bare.inspector, bare.body.model_instance()
+    nothing = solid.robot_solids(*args).posed([np.zeros(2)])
+    assert solid.least_distances(nothing, POINTS, 0.0, 0.1, 0.1).min() == 0.1
+    with pytest.raises(ValueError, match="half-space"):
+        solid.robot_solids(grounded.plant, grounded.inspector, grounded.body.model_instance())
+    with pytest.raises(ValueError, match="no bounded shape"):
+        solid.surface_points(solid.half_space())
 
 
 def test_the_shapes_of_a_scenario_have_their_place():

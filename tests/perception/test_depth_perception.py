@@ -24,8 +24,8 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 from pydrake.systems.sensors import CameraInfo, RgbdSensor
 
 from drake_oa.common.messages import ObstacleClouds
-from drake_oa.geometry.collision_shapes import collect_collision_shapes
 from drake_oa.geometry.pinhole import pinhole
+from drake_oa.geometry.solids import robot_solids
 from drake_oa.perception.depth_perception import DepthPerception, as_of
 from tests.builders import depth_image
 from tests.reference.depth_images import look_at, rays_of
@@ -77,7 +77,7 @@ def make_cell() -> Cell:
             scene_graph.world_frame_id(), X_WC, DepthRenderCamera(core, DepthRange(0.1, 5.0))
         )
     )
-    model = collect_collision_shapes(plant, scene_graph.model_inspector(), robot)
+    model = robot_solids(plant, scene_graph.model_inspector(), robot)
     perception = builder.AddNamedSystem(
         "perception",
         DepthPerception(CAMERA, robot=model, pixel_center=0.5, period=PERIOD),

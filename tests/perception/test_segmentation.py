@@ -1,4 +1,5 @@
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -6,7 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drake_oa.geometry.pinhole import View
-from drake_oa.geometry.primitives import RobotShapes
+from drake_oa.geometry.solids import box as box_solid
+from drake_oa.geometry.solids import solids_of
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.memory import ObstacleMemory
 from drake_oa.perception.segmentation import segment_depth, segment_points, segment_views
@@ -73,14 +75,12 @@ def test_nothing_beside_the_table_is_an_obstacle():
 
 @pytest.mark.parametrize("has_table", [True, False])
 def test_the_robot_is_taken_out(has_table):
-    shapes = RobotShapes(
-        np.array([0]), np.eye(4)[None], np.array([[0.05, 0.05, 0.08]]), np.array([0.0])
-    )
     X_WB = np.eye(4)
     X_WB[:3, 3] = [0.8, -0.15, 0.08]
+    robot = solids_of([replace(box_solid([0.1, 0.1, 0.16]), X_WO=X_WB)])
     depth = ray_cast(X_WC, TWO) if has_table else ray_cast(X_WC, TWO, NOWHERE)
     config = SegmentationConfig(table=has_table)
-    found = segment_depth(depth, K, X_WC, config, shapes.posed(X_WB[None]))
+    found = segment_depth(depth, K, X_WC, config, robot)
     assert len(found.clouds_W) == 1
     assert found.clouds_W[0][:, 1].min() > 0.0
 
@@ -162,8 +162,7 @@ def test_each_kernel_is_compiled_once():
     X_WC[2, 3] = 1.0
     depth = np.ones((60, 80))
     depth[20:40, 20:30], depth[20:40, 32:60] = 0.9, 0.8
-    robot = RobotShapes(np.array([0]), np.eye(4)[None], np.full((1, 3), 0.05), np.zeros(1))
-    posed = robot.posed(np.eye(4)[None])
+    posed = solids_of([box_solid([0.1, 0.1, 0.1])])
     v, u = np.mgrid[:60, :80]
     points = np.stack([(u - K[2]) / K[0] * depth, (v - K[3]) / K[1] * depth, depth], axis=-1)
     known, stamp = ObstacleMemory(), 0.0

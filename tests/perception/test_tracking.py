@@ -1,5 +1,6 @@
 """What is remembered from frame to frame, on drawn depth images with a camera's noise."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -9,7 +10,8 @@ from hypothesis import strategies as st
 
 from drake_oa.common.messages import ObstacleClouds, TablePlane
 from drake_oa.geometry.pinhole import View
-from drake_oa.geometry.primitives import PosedShapes, RobotShapes
+from drake_oa.geometry.solids import Solids, solids_of
+from drake_oa.geometry.solids import box as box_solid
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.memory import ObstacleMemory
 from drake_oa.perception.segmentation import (
@@ -38,14 +40,11 @@ def sphere(center, radius):
     return "sphere", np.asarray(center, dtype=float), float(radius)
 
 
-def arm(center, size=(0.06, 0.06, 0.6)) -> tuple[tuple, PosedShapes]:
-    """An upright box that is the robot: to be drawn, and its primitives."""
-    shapes = RobotShapes(
-        np.array([0]), np.eye(4)[None], np.asarray(size, dtype=float)[None] / 2, np.zeros(1)
-    )
+def arm(center, size=(0.06, 0.06, 0.6)) -> tuple[tuple, Solids]:
+    """An upright box that is the robot: to be drawn, and its solids."""
     X_WB = np.eye(4)
     X_WB[:3, 3] = center
-    return box(center, size), shapes.posed(X_WB[None])
+    return box(center, size), solids_of([replace(box_solid(size), X_WO=X_WB)])
 
 
 @cache

@@ -1,31 +1,19 @@
 """Spheres of robots enclose what SceneGraph has, and little more; pairs are found."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from pydrake.geometry import (
-    Box,
-    Capsule,
-    Convex,
-    Cylinder,
-    Ellipsoid,
-    GeometryFrame,
-    GeometryId,
-    GeometryInstance,
-    ProximityProperties,
-    QueryObject,
-    SceneGraph,
-    Shape,
-    Sphere,
-)
+from pydrake.geometry import GeometryId, QueryObject
 from pydrake.math import RigidTransform, RollPitchYaw
 
-from drake_oa.geometry.collision_shapes import surface_points
+from drake_oa.common.files import read_arrays
+from drake_oa.common.messages import FloatArray
+from drake_oa.geometry import solids as solid
 from drake_oa.geometry.shapes import Cylinder as HeldCylinder
-from drake_oa.robot import sphere_kernels as kernels
 from drake_oa.robot.arm import chain_poses, make_chain
 from drake_oa.robot.config import BasePose, Robot, SphereParameters
 from drake_oa.robot.grasped_object import tool_links
@@ -34,33 +22,39 @@ from drake_oa.robot.plant import (
     home_positions,
     make_robot_plant,
 )
-from drake_oa.robot.sphere_cover import Cover, cover, known_cover, read_solid
+from drake_oa.robot.sphere_cover import (
+    SHIPPED,
+    cover,
+    cover_key,
+    distance_to,
+    distance_to_balls,
+    known_cover,
+)
 from drake_oa.robot.spheres import ArmSpheres, make_arm_spheres
 
 COARSE = SphereParameters(overshoot=0.015, tool_overshoot=0.012, fixed_overshoot=0.03, postures=200)
 _WEDGE = [[0, 0, 0], [0.1, 0, 0], [0, 0.08, 0], [0, 0, 0.06], [0.1, 0, 0.02]]
 
 
-def one_of(kind: str, size: tuple[float, float, float]) -> Shape:
+def one_of(kind: str, size: tuple[float, float, float]) -> solid.Solid:
     a, b, c = size
     return {
-        "sphere": lambda: Sphere(a),
-        "capsule": lambda: Capsule(a, b),
-        "cylinder": lambda: Cylinder(a, b),
-        "box": lambda: Box(a, b, c),
-        "ellipsoid": lambda: Ellipsoid(a, b, c),
-        "hull": lambda: Convex(points=(np.array(_WEDGE) * 10 * np.array(size)).T, label="wedge"),
+        "sphere": lambda: solid.sphere(a),
+        "capsule": lambda: solid.capsule(a, b),
+        "cylinder": lambda: solid.cylinder(a, b),
+        "box": lambda: solid.box(size),
+        "ellipsoid": lambda: solid.ellipsoid(size),
+        "hull": lambda: solid.hull(np.array(_WEDGE) * 10 * [a, b, c]),
     }[kind]()
 
 
-def covered(shape: Shape, X: RigidTransform, overshoot: float) -> tuple[SceneGraph, Cover]:
-    scene = SceneGraph()
-    source = scene.RegisterSource("source")
-    frame = scene.RegisterFrame(source, GeometryFrame("body"))
-    instance = GeometryInstance(X, shape, "shape")
-    instance.set_proximity_properties(ProximityProperties())
-    geometry = scene.RegisterGeometry(source, frame, instance)
-    return scene, cover([read_solid(scene.model_inspector(), geometry)], overshoot)
+def points_in(shape: solid.Solid, seed: int) -> FloatArray:
+    """Points of a convex shape: those on its surface, and mixtures of them."""
+    on_shape = shape.placed(solid.surface_points(shape, 3000))
+    random = np.random.default_rng(seed)
+    share = random.uniform(size=(3000, 1))
+    one, other = random.choice(on_shape, 3000), random.choice(on_shape, 3000)
+    return np.concatenate([on_shape, share * one + (1.0 - share) * other])
 
 
 @settings(max_examples=12, phases=[Phase.generate])
@@ -73,31 +67,22 @@ def covered(shape: Shape, X: RigidTransform, overshoot: float) -> tuple[SceneGra
 def test_a_cover_encloses_and_sticks_out_no_farther_than_it_says(
     kind: str, size: tuple[float, float, float], rpy: tuple[float, float, float], seed: int
 ) -> None:
-    X = RigidTransform(RollPitchYaw(*rpy), [0.1, -0.2, 0.3])
-    scene, found = covered(one_of(kind, size), X, 0.012)
-    inspector = scene.model_inspector()
-    (geometry,) = inspector.GetAllGeometryIds()
-    on_shape = surface_points(inspector, geometry, 3000)
-    # Points of a convex shape: mixtures of those on its surface.
-    random = np.random.default_rng(seed)
-    share = random.uniform(size=(3000, 1))
-    one, other = random.choice(on_shape, 3000), random.choice(on_shape, 3000)
-    points = np.concatenate([on_shape, share * one + (1.0 - share) * other])
-    assert kernels.nearest_balls(points, found.centers, found.radii).max() <= 1e-9
-    solid = read_solid(inspector, geometry)
-    directions = random.normal(size=(len(found.radii), 300, 3))
+    X = RigidTransform(RollPitchYaw(*rpy), [0.1, -0.2, 0.3]).GetAsMatrix4()
+    shape = replace(one_of(kind, size), X_WO=X)
+    found = cover([shape], 0.012)
+    assert distance_to_balls(found.centers, found.radii)(points_in(shape, seed)).max() <= 1e-9
+    directions = np.random.default_rng(seed).normal(size=(len(found.radii), 300, 3))
     directions /= np.linalg.norm(directions, axis=2, keepdims=True)
     outermost = (found.centers[:, None] + found.radii[:, None, None] * directions).reshape(-1, 3)
-    assert solid.distance(outermost).max() <= found.overshoot + 1e-9
+    assert distance_to([shape])(outermost).max() <= found.overshoot + 1e-9
     if kind != "hull":
         # A target: a flat wedge takes more.
         assert found.overshoot <= 0.012 * 1.3
 
 
 def test_what_was_found_is_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    scene, expected = covered(Box(0.05, 0.1, 0.06), RigidTransform(), 0.01)
-    (geometry,) = scene.model_inspector().GetAllGeometryIds()
-    solids = [read_solid(scene.model_inspector(), geometry)]
+    solids = [solid.box((0.05, 0.1, 0.06))]
+    expected = cover(solids, 0.01)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     for _ in range(2):
         found = known_cover(solids, 0.01)
@@ -110,6 +95,28 @@ def test_what_was_found_is_read_back(tmp_path: Path, monkeypatch: pytest.MonkeyP
     np.testing.assert_array_equal(known_cover(solids, 0.01).radii, expected.radii)
     monkeypatch.setenv("XDG_CACHE_HOME", str(file))
     np.testing.assert_array_equal(known_cover(solids, 0.01).radii, expected.radii)
+
+
+def test_the_shipped_spheres_are_of_the_pandas_bodies_and_enclose_them(panda: RobotPlant) -> None:
+    plant, inspector = panda.plant, panda.scene_graph.model_inspector()
+    shipped, asked = read_arrays(SHIPPED), SphereParameters()
+    for body in map(plant.get_body, plant.GetBodyIndices(panda.instance)):
+        geometries = plant.GetCollisionGeometriesForBody(body)
+        if not geometries:
+            continue
+        overshoot = asked.overshoot
+        if body.name() == "panda_link0":
+            overshoot = asked.fixed_overshoot
+        elif body.name() in Robot().tool_links:
+            overshoot = asked.tool_overshoot
+        solids = [solid.read_solid(inspector, geometry) for geometry in geometries]
+        # Removed, so that none is left that no body has.
+        balls = shipped.pop(cover_key(solids, overshoot))
+        to_balls = distance_to_balls(balls[:, :3], balls[:, 3])
+        for shape in solids:
+            assert to_balls(points_in(shape, 0)).max() <= 1e-4
+        assert known_cover(solids, overshoot).overshoot <= 1.25 * overshoot
+    assert not shipped
 
 
 def arm_of_links(
@@ -162,6 +169,13 @@ def spheres(panda: RobotPlant) -> ArmSpheres:
     return make_arm_spheres(panda, home_positions(Robot()), Robot().tool_links, COARSE)
 
 
+def placed(X_WJ: FloatArray, joint: FloatArray, p_J: FloatArray) -> FloatArray:
+    """Points (N, 3) in the world of those (N, 3 or 4) in the frames of their joints."""
+    X = X_WJ[joint]
+    X[joint < 0] = np.eye(4)
+    return np.einsum("nij,nj->ni", X[:, :3, :3], p_J[:, :3]) + X[:, :3, 3]
+
+
 def check_against_scene_graph(
     robot: RobotPlant, q: np.ndarray, spheres: ArmSpheres, seed: int, count: int
 ) -> None:
@@ -188,8 +202,7 @@ def check_against_scene_graph(
         query = robot.scene_graph.get_query_output_port().Eval(of_scene)
         chain_poses(full[:n].copy(), chain.X_PJ, X)
         X_WJ[:, :3, :3], X_WJ[:, :3, 3] = X[1:, :9].reshape(-1, 3, 3), X[1:, 9:]
-        centers = np.empty((len(spheres), 3))
-        kernels.place(X_WJ, arrays, centers)
+        centers = placed(X_WJ, arrays.joint, arrays.p_JS)
         arm = arrays.joint >= 0
         for p_WQ in X_WJ[-1, :3, 3] + random.uniform(-0.5, 0.5, (5, 3)):
             by_spheres = (np.linalg.norm(centers - p_WQ, axis=1) - arrays.radius)[arm].min()
@@ -201,9 +214,7 @@ def check_against_scene_graph(
             assert by_spheres <= true + 1e-6
             if true > 0.0:
                 assert true <= by_spheres + spheres.overshoot[arrays.group_joint >= 0].max() + 1e-6
-        bound = np.empty((len(arrays.bound), 3))
-        kernels.place_groups(X_WJ, arrays, bound)
-        for g, at in enumerate(bound):
+        for g, at in enumerate(placed(X_WJ, arrays.group_joint, arrays.bound)):
             mine = slice(arrays.first[g], arrays.first[g + 1])
             away = np.linalg.norm(centers[mine] - at, axis=1) + arrays.radius[mine]
             assert away.max() <= arrays.bound[g, 3]
@@ -288,14 +299,11 @@ def test_six_joints_and_a_base_that_leans(tmp_path: Path) -> None:
     q = np.zeros(6)
     found = make_arm_spheres(robot, q, ["link6"], COARSE)
     check_against_scene_graph(robot, q, found, 5, 15)
-    # Every other link's box meets the cylinder's at a turn of the joints between: kept and found.
-    reports = {pair.bodies: pair for pair in found.looked_at}
-    assert ("link0", "link1") not in reports
-    assert reports["link0", "link6"].is_kept
+    assert [0, 6] in found.arrays.pairs.tolist()
     # The same postures are found each time.
-    again = make_arm_spheres(robot, q, ["link6"], COARSE)
-    assert again.looked_at == found.looked_at
-    np.testing.assert_array_equal(again.arrays.p_JS, found.arrays.p_JS)
+    again = make_arm_spheres(robot, q, ["link6"], COARSE).arrays
+    np.testing.assert_array_equal(again.pairs, found.arrays.pairs)
+    np.testing.assert_array_equal(again.p_JS, found.arrays.p_JS)
 
 
 def test_overlap_that_means_nothing_is_allowed_for(tmp_path: Path) -> None:
@@ -303,20 +311,15 @@ def test_overlap_that_means_nothing_is_allowed_for(tmp_path: Path) -> None:
     robot = arm_of_links(tmp_path / "arm.urdf")
     coarse = SphereParameters(overshoot=0.05, tool_overshoot=0.05, postures=1000)
     found = make_arm_spheres(robot, np.zeros(6), ["link6"], coarse)
-    allowed = [pair for pair in found.looked_at if pair.allowance > 0.0]
-    assert allowed
-    assert all(pair.spheres_touching - pair.touching >= 0.02 for pair in allowed)
+    assert (found.arrays.allowance > 0.0).any()
     # In postures that were not looked at either.
     check_against_scene_graph(robot, np.zeros(6), found, 7, 10)
 
 
-def test_what_always_touches_is_left_out_and_said(tmp_path: Path) -> None:
+def test_what_always_touches_is_left_out(tmp_path: Path) -> None:
     # Links 1 and 3 overlap whatever the joints.
     robot = arm_of_links(tmp_path / "arm.urdf", folded=True)
     found = make_arm_spheres(robot, np.zeros(6), ["link6"], COARSE)
-    (row,) = [pair for pair in found.looked_at if pair.bodies == ("link1", "link3")]
-    assert row.touching >= 0.95
-    assert not row.is_kept
     names = {tuple(found.bodies[g] for g in pair) for pair in found.arrays.pairs}
     assert ("link1", "link3") not in names
 

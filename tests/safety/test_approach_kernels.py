@@ -9,8 +9,7 @@ from drake_oa.geometry.solids import box, solids_of, sphere
 from drake_oa.planning.arm_world import (
     group_distances,
 )
-from drake_oa.robot.arm import Chain
-from drake_oa.robot.sphere_kernels import Spheres
+from drake_oa.robot.arm import Chain, Spheres
 from drake_oa.safety.approach_kernels import (
     NOTHING,
     SolidRules,

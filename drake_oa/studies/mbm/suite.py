@@ -19,7 +19,7 @@ from pydrake.math import RollPitchYaw
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.shapes import pose
-from drake_oa.geometry.solids import least_distance, shape_solids, solids_of
+from drake_oa.geometry.solids import least_distances, shape_solids, solids_of
 from drake_oa.perception.config import GroundTruth
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotPlant, make_robot_plant
@@ -150,7 +150,8 @@ def _positions(
 def _holds(obstacle: Obstacle, p_WQ: FloatArray) -> bool:
     """Whether a point is inside an obstacle."""
     solids = solids_of(shape_solids(obstacle.shapes, pose(obstacle).GetAsMatrix4()))
-    return least_distance(solids, *map(float, p_WQ), 0.0, 0.0, 0.0)[1] >= 0
+    points = np.array([p_WQ], dtype=float)
+    return bool(least_distances(solids, points, 0.0, 0.0, 0.0)[0] < 0.0)
 
 
 METHODS = ("verified", "preplanned", "differential_ik", "planner")
