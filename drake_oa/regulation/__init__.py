@@ -8,22 +8,20 @@ Systems
     RegressorChain  stateless; three networks from the section of each obstacle to its parameters,
                     as the paper has it
 
-`search.verify` rolls motions of a point among ellipsoids out and takes the shortest that keeps the
-feasible clearance; `planning.search` does the same with the whole arm among true shapes, and
-`planning.MotionSelector` is the system.
+`planning.search` rolls motions out and selects the shortest that keeps the feasible clearance, of
+the whole arm among true shapes or of a point among ellipsoids; `planning.MotionSelector` is the
+system.
 
 Method
     The regressor chain is that of E. Pairet et al., IEEE RA-L 4(4), 2019. The coupling law is scale
     free, so lengths are counted in baselines. Candidates are one avoidance term each: a set network
     (M. Zaheer et al., NeurIPS 2017), which was trained on what the search finds, proposes the
-    first, and a plain evolution strategy varies the best of them. Rows of one scene are rolled out
-    many at a time by loops over vectors.
+    first, and a plain evolution strategy varies the best of them.
 
 Parts, in the order data flows: `network` (a perceptron, and the file of weights), `regressor` and
-`regressor_chain` (the paper's), `proposals` (candidates and their genes), `proposal_network`,
-`rollout` with `rollout_kernels` and `lane_math` (the motions), `search` (the choice).
+`regressor_chain` (the paper's), `proposals` (candidates and their genes), `proposal_network`.
 
 Configuration: the block `regulation` of a scenario, tagged `!Verified` or `!Paper`.
 
-Read first: `search`, then `rollout`.
+Read first: `regressor`, then `proposals`.
 """

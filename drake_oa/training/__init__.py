@@ -10,11 +10,12 @@ by `proposals` on the results of that search, round by round.
 
 Recipe `paper` (`PaperRecipe`): Table I of the paper.
 
-1. `lattice` rolls out the paper's lattice of 12.5 million motions as the authors' released code
-   integrates them; `paper` keeps those with a clearance of at least 1 cm and estimates their noise.
+1. `lattice` rolls out the paper's lattice of 12.5 million motions on the action level of the
+   authors' released code (`released_law`); `paper` keeps those with a clearance of at least 1 cm
+   and estimates their noise.
 2. `paper` trains RC(lambda') and RC(lambda', Delta), and puts the scores beside the printed ones.
 
-Recipe `paper_running`: the same on the running system's action level (`lattice.running_lattice`).
+Recipe `paper_running`: the same on the running system's action level (`lattice.running_paths`).
 
 The chains' networks are `torch.nn` modules of 24-24-24 tanh units (`networks`), fitted by
 Levenberg-Marquardt (after Hagan and Menhaj 1994) with derivatives by

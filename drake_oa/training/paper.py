@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
 from drake_oa.regulation.network import Network
 from drake_oa.regulation.regressor import TARGETS, ChainWeights
 from drake_oa.training.checkpoint import Checkpoint, Report
-from drake_oa.training.lattice import STEP, STEPS, PaperLattice, roll_out, running_lattice
+from drake_oa.training.lattice import ActionLevelName, PaperLattice, roll_out_lattice
 from drake_oa.training.networks import (
     HIDDEN,
     TRAIN_SHARE,
@@ -31,6 +31,7 @@ from drake_oa.training.networks import (
     predict,
     train_network,
 )
+from drake_oa.training.released_law import STEPS
 
 CHAINS = ("RC(lambda')", "RC(lambda', Delta)")
 """The two chains of Table I."""
@@ -50,8 +51,6 @@ NEAR_GOAL = 1.3
 SATURATED = 5e-4
 """How near a clearance is to the start's own distance where it says no more than that [m]."""
 
-
-ActionLevelName = Literal["released", "running"]
 
 ACTION_LEVELS = {
     "released": "released code: tau^2 on the spring, 1000 steps of 3 ms",
@@ -112,22 +111,18 @@ def build_paper_set(
     Raises:
         ValueError: if no motion keeps the least clearance.
     """
-    go = roll_out if action_level == "released" else running_lattice
-    found = []
-    for i in range(len(lattice.lambda1)):
-        one = lattice._replace(lambda1=lattice.lambda1[i : i + 1])
-        # Rows run over lambda', alpha, psi and kappa, the last the fastest.
-        clearance, goal_error = (v.transpose(0, 1, 4, 3, 2) for v in go(one))
-        kept = clearance >= KEPT
-        first, j, *place = np.nonzero(kept)
-        index = np.column_stack((first + i, j, *place[::-1]))
-        found.append((index, clearance[kept], goal_error[kept]))
-        report("roll out", (i + 1) / len(lattice.lambda1))
-    index, clearance, goal_error = (np.concatenate(part) for part in zip(*found, strict=True))
+    # Rows run over lambda', alpha, psi and kappa, the last the fastest.
+    clearance, goal_error = (
+        values.transpose(0, 1, 4, 3, 2)
+        for values in roll_out_lattice(lattice, action_level, report)
+    )
+    kept = clearance >= KEPT
+    i, j, *place = np.nonzero(kept)
+    index = np.column_stack((i, j, *place[::-1]))
     if not len(index):
         raise ValueError("no motion of the lattice keeps the least clearance")
     values = np.column_stack([axis[i] for axis, i in zip(lattice, index.T, strict=True)])
-    return PaperSet(index, values, clearance, goal_error, math.prod(map(len, lattice)))
+    return PaperSet(index, values, clearance[kept], goal_error[kept], math.prod(map(len, lattice)))
 
 
 def group_means(
@@ -227,7 +222,9 @@ class PaperRecipe:
         given = PaperRecipe()
         return replace(
             given,
-            lattice=given.lattice._replace(alpha=given.lattice.alpha * STEPS * STEP),
+            lattice=given.lattice._replace(
+                alpha=given.lattice.alpha * math.prod(STEPS["training"])
+            ),
             rounds={CHAINS[1]: given.rounds[CHAINS[1]]},
             action_level="running",
         )

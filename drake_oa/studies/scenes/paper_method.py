@@ -1,8 +1,7 @@
 """The methods `paper` and `original`: the paper's action level, as print and released code tell.
 
-Action level: alpha_x 10, beta_x 2.5, alpha_k 0.5, 35 basis functions of local quadratics,
-a straight demonstration at constant speed, semi-implicit Euler, the avoidance term about each
-obstacle's centre, summed. What print and released code leave open is a `Reading`.
+The action level is that of `drake_oa.training.released_law`, with the avoidance term about each
+obstacle's center. What print and released code leave open is a `Reading`.
 
 `paper`: (eq. 8) with the regressor chain's parameters at lambda' and Delta, asked again
 in each step. lambda' are the principal semi-axes of the obstacle's section by the P-plane of
@@ -23,33 +22,33 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import pairwise
 from time import perf_counter
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from drake_oa.common.messages import FloatArray
+from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.geometry.ellipsoid import plane_section
 from drake_oa.policy.config import Policy
-from drake_oa.policy.coupling import (
-    ALPHA,
-    KAPPA,
-    N_COLUMNS,
-    NORMAL,
-    PSI,
-    dead_zone_free_rate,
-    original_rate,
-)
+from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
 from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.rollout import roll_out_tool
 from drake_oa.regulation.regressor import ChainWeights, load_chain
 from drake_oa.scenario.shipped import package_file
 from drake_oa.studies.scenes.scenes import DURATION, Motions, Scenes, Setting, posed_scenes
+from drake_oa.training.released_law import (
+    ALPHA_X,
+    BETA_X,
+    STEPS,
+    Law,
+    Motion,
+    Steps,
+    advance,
+    released_forcing,
+)
 
-ALPHA_X, BETA_X, ALPHA_K, N_BASIS = 10.0, 2.5, 0.5, 35
-"""Constants of the released code."""
 GAMMA, BETA = 1000.0, 20.0 / math.pi
 """Hoffmann's published gains [1/s] and [1/rad]."""
 
@@ -57,25 +56,9 @@ _PARALLEL = 1e-9
 """Sine of the angle below which two directions span no plane."""
 _SAME = 1e-9
 """By how much lambda' has to change for the chain to be asked again [m]."""
-_NARROWEST = 1e-6
-"""Least psi [rad]."""
-_LOST = 1e4
-"""Speed at which a motion has diverged [m/s]: it is held where it is."""
 _ENDLESS = 1e3
 """Half the length of a cylinder [m]."""
-_STILL = 1e-5
-"""Speed below which the released code lets no coupling act [m/s]."""
 
-
-class Steps(NamedTuple):
-    """`number` steps of `length` seconds."""
-
-    number: int
-    length: float
-
-
-STEPS = {"training": Steps(1000, 0.003), "demo": Steps(500, 0.005)}
-"""In which the motions of the training set advance, and those of the released demo program."""
 ARRIVED = 4e-4
 """How near to the goal a motion ends that goes on until it has arrived [m]."""
 LONGEST = 2
@@ -252,32 +235,6 @@ def _start_sections(scenes: Scenes) -> tuple[FloatArray, FloatArray, FloatArray]
     return axes, out, normal
 
 
-@cache
-def released_forcing(steps: Steps) -> FloatArray:
-    """(S,) forcing term of the released code for a straight demonstration over 1 m [m/s^2].
-
-    The demonstration runs at constant speed over all steps. Its force is fitted by a
-    quadratic in the phase for each of the basis functions, which are Gaussians of the
-    mean and variance of the phase in equal parts of its range.
-    """
-    k = (1.0 - ALPHA_K * steps.length) ** np.arange(steps.number)
-    speed = 1.0 / ((steps.number - 1) * steps.length)
-    force = ALPHA_X * (speed - BETA_X * (1.0 - np.linspace(0.0, 1.0, steps.number)))
-    edges = np.linspace(k.min(), k.max(), N_BASIS + 1)
-    parts = [k[(k >= a) & (k < b)] for a, b in pairwise(edges)]
-    mean = np.array([part.mean() for part in parts])[:, None]
-    variance = np.array([part.var(ddof=1) + 1e-8 for part in parts])[:, None]
-    basis = np.exp(-0.5 * (k - mean) ** 2 / variance) / np.sqrt(variance)
-    basis /= basis.sum(axis=0)
-    powers = np.column_stack((np.ones(steps.number), k, k * k))
-    fitted = np.zeros(steps.number)
-    for share in basis:
-        root = np.sqrt(share)
-        fit = np.linalg.lstsq(powers * root[:, None], force * root, rcond=None)[0]
-        fitted += share * (powers @ fit)
-    return fitted
-
-
 def section_axes(
     to_O: FloatArray, normal: FloatArray, R: FloatArray, semi_axes: FloatArray
 ) -> FloatArray:
@@ -331,68 +288,47 @@ def _motions(
     """
     steps = STEPS[reading.steps]
     begin = perf_counter()
-    N, there = len(scenes), scenes.present
-    center, drift, semi_axes = (
-        np.where(there[..., None], values, 1.0)
-        for values in (scenes.center, scenes.velocity, scenes.semi_axes)
-    )
+    N = len(scenes)
     tau = time_scale(scenes, reading) if setting.scale_time else np.ones(N)
     printed = reading.law == "printed"
-    h = steps.length * (tau if printed else np.ones(N))[:, None]
+    # tau^2 times the spring, or tau times the duration: the forces outside it count 1 / tau^2.
+    factor = 1.0 / tau if printed else tau
+    h = steps.length * (tau if printed else np.ones(N))
+    law = Law(
+        *kernel_arrays(scenes.baseline, scenes.center, scenes.velocity),
+        stiffness=ALPHA_X * BETA_X * factor**2,
+        damping=ALPHA_X * (factor if printed else factor**2),
+        outside=factor**2 if printed else np.ones(N),
+        step=h,
+        original=original,
+    )
     last = _last_step(reading, steps, tau)
     forcing = np.zeros(int(last.max(initial=1)))
     forcing[: steps.number] = released_forcing(steps)[: len(forcing)]
-    # tau^2 times the spring, or tau times the duration: the forces outside it count 1 / tau^2.
-    factor = 1.0 / tau[:, None] if printed else tau[:, None]
-    stiffness = ALPHA_X * BETA_X * factor**2
-    damping = ALPHA_X * (factor if printed else factor**2)
-    outside = factor**2 if printed else 1.0
-    normal, seen = np.zeros_like(center), np.full((*there.shape, 2), -1.0)
-    normal[..., 2] = 1.0
-    path, velocity = np.zeros((2, N, len(forcing) + 1, 3))
-    x, v, over = np.zeros((N, 3)), np.zeros((N, 3)), np.zeros(N, bool)
-    step = 0
-    for step, force in enumerate(forcing, start=1):
-        to_O = center + (step - 1) * h[..., None] * drift - x[:, None]
-        d, speed = np.linalg.norm(to_O, axis=2), np.linalg.norm(v, axis=1)[:, None]
-        acts = there & (speed >= _STILL) & (d > 0.0)
-        r = np.cross(to_O, v[:, None])
-        size = np.linalg.norm(r, axis=2)
-        spans = acts & (size > _PARALLEL * d * speed)
-        normal[spans] = r[spans] / size[spans, None]
-        if chain is not None and acts.any():
-            n, m = np.nonzero(acts)
-            axes = section_axes(to_O[n, m], normal[n, m], scenes.R[n, m], semi_axes[n, m])
+    motion = Motion.at_rest(*scenes.present.shape, len(forcing))
+    seen = np.full((*scenes.present.shape, 2), -1.0)
+    done = 0
+    while done < len(forcing) and not motion.over.all():
+        if chain is not None and motion.distance.any():
+            n, m = np.nonzero(motion.distance)
+            to_O = scenes.center[n, m] + (done * h[n, None]) * scenes.velocity[n, m]
+            to_O -= motion.path[n, done]
+            normal, R, semi_axes = motion.normal[n, m], scenes.R[n, m], scenes.semi_axes[n, m]
+            axes = section_axes(to_O, normal, R, semi_axes)
             moved = np.abs(axes - seen[n, m]).max(axis=1) > _SAME
             n, m, axes = n[moved], m[moved], axes[moved]
             seen[n, m] = axes
             L = scenes.baseline[n]
             parameters[n, m] = _asked(chain, axes, scenes.clearance[n], L, reading)
-        alpha, psi, kappa = np.moveaxis(parameters, 2, 0)
-        cosine = np.einsum("nmi,ni->nm", to_O, v) / np.where(acts, d * speed, 1.0)
-        theta = np.arccos(np.clip(cosine, -1.0, 1.0))
-        if original:
-            rate = original_rate(theta, alpha, psi)
-        else:
-            width = np.maximum(np.abs(psi), _NARROWEST)
-            rate = dead_zone_free_rate(
-                theta, d, np.maximum(alpha, 0.0), width, np.maximum(kappa, 0.0)
-            )
-        push = np.cross(normal, v[:, None]) * np.where(acts, rate, 0.0)[..., None]
-        outer = push.sum(axis=1)
-        outer[:, 0] += scenes.baseline * force
-        v = v + h * (stiffness * (scenes.goal - x) - damping * v + outside * outer)
-        over |= ~(np.abs(v).sum(axis=1) < _LOST)
-        v[over] = 0.0
-        x = x + h * v
-        path[:, step], velocity[:, step] = x, v
-        over |= step >= last
-        if reading.time == "until-arrived" and step >= steps.number:
-            over |= np.linalg.norm(x - scenes.goal, axis=1) <= ARRIVED
-        if over.all():
-            break
+        advance(0, 1, done, forcing[done : done + 1], law, parameters, motion)
+        done += 1
+        motion.over[:] |= done >= last
+        if reading.time == "until-arrived" and done >= steps.number:
+            missing = np.linalg.norm(motion.path[:, done] - scenes.goal, axis=1)
+            motion.over[:] |= missing <= ARRIVED
     seconds = perf_counter() - begin
-    return Motions(path[:, : step + 1], velocity[:, : step + 1], step * h[:, 0], seconds)
+    path, velocity = motion.path[:, : done + 1], motion.velocity[:, : done + 1]
+    return Motions(path, velocity, done * h, seconds)
 
 
 def _last_step(reading: Reading, steps: Steps, tau: FloatArray) -> FloatArray:
@@ -416,7 +352,7 @@ def _running_motions(
     terms = np.zeros((N, N_COLUMNS))
     terms[:, :3], terms[:, NORMAL : NORMAL + 3] = scenes.center[:, 0], -normal
     terms[:, ALPHA] = np.maximum(found[:, 0], 0.0) * DURATION
-    terms[:, PSI] = np.maximum(np.abs(found[:, 1]), _NARROWEST)
+    terms[:, PSI] = np.maximum(np.abs(found[:, 1]), 1e-6)
     terms[:, KAPPA] = np.maximum(found[:, 2], 0.0)
     seconds = DURATION * (time_scale(scenes, reading) if setting.scale_time else np.ones(N))
     horizon = float(LONGEST) if reading.time == "until-arrived" else 1.0

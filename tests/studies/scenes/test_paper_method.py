@@ -12,14 +12,10 @@ from drake_oa.studies.scenes import paper_method
 from drake_oa.studies.scenes.judge import judge
 from drake_oa.studies.scenes.methods import Setting
 from drake_oa.studies.scenes.paper_method import (
-    ALPHA_X,
     ARRIVED,
-    BETA_X,
-    STEPS,
     Reading,
     constant_motions,
     paper_chain,
-    released_forcing,
     run,
     run_original,
     section_axes,
@@ -27,6 +23,7 @@ from drake_oa.studies.scenes.paper_method import (
 )
 from drake_oa.studies.scenes.scenes import Scenes, single_obstacle
 from drake_oa.studies.scenes.suites import draw_scenes, random_rotations
+from drake_oa.training.released_law import ALPHA_X, BETA_X, STEPS, released_forcing
 
 PARAMETERS = (9000.0, 0.77, 25.0)
 UNSCALED = Setting(scale_time=False)
