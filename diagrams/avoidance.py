@@ -24,7 +24,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.control import add_control, add_posture, add_safety
 from drake_oa.diagrams.faults import add_faults
-from drake_oa.diagrams.motion import add_policy, add_regulation, add_route
+from drake_oa.diagrams.motion import add_policy, add_regulation, add_route, add_verification
 from drake_oa.diagrams.perception import add_descriptor, add_perception, add_solids
 from drake_oa.diagrams.station import Cell, add_station
 from drake_oa.diagrams.view import add_view
@@ -46,12 +46,14 @@ class Layers:
         perception: offers obstacles_W (`ObstacleClouds`, with velocities), and cloud for a viewer.
         solids: obstacles_W -> solids_W (`SolidScene`), unless perception offers them.
         descriptor: obstacles_W -> ellipsoids_W (`EllipsoidSet`), unless these are given.
+        regulation: ellipsoids_W, policy_state, goal -> coupling_parameters, or with verification
+            proposed_parameters.
+        route: the same and coupling_parameters -> route, or with verification proposed_route.
+        verification: proposed_parameters, proposed_route, solids_W, ellipsoids_W, robot_state,
+            policy_state, goal -> coupling_parameters, route, motion and demonstration; nothing
+            with `!Paper`.
         policy: goal, and dmp_integrator: ellipsoids_W, coupling_parameters, route, speed_scale,
             evasion -> policy_state, phase and desired_position, _velocity, _acceleration.
-        route: ellipsoids_W, policy_state, goal -> route, where it leads the motion.
-        regulation: solids_W, ellipsoids_W, robot_state, policy_state, goal ->
-            coupling_parameters, motion and demonstration; the paper's, from ellipsoids_W and
-            policy_state or route, coupling_parameters alone.
         posture: motion, policy_state, evading -> desired_posture.
         safety: solids_W, robot_state, policy_state, motion -> speed_scale, evasion and evading.
         control: robot_state and what is desired -> actuation, tracking_error, torque_saturation.
@@ -60,9 +62,10 @@ class Layers:
     perception: AddLayer = add_perception
     solids: AddLayer = add_solids
     descriptor: AddLayer = add_descriptor
-    policy: AddLayer = add_policy
-    route: AddLayer = add_route
     regulation: AddLayer = add_regulation
+    route: AddLayer = add_route
+    verification: AddLayer = add_verification
+    policy: AddLayer = add_policy
     posture: AddLayer = add_posture
     safety: AddLayer = add_safety
     control: AddLayer = add_control
@@ -70,7 +73,7 @@ class Layers:
 
 def unmodulated(layers: Layers) -> Layers:
     """The same without what bends the motion: nothing is seen, decided or held."""
-    blind = ("perception", "solids", "descriptor", "route", "regulation", "safety")
+    blind = ("perception", "solids", "descriptor", "regulation", "route", "verification", "safety")
     return replace(layers, **dict.fromkeys(blind, nothing))
 
 

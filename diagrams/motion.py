@@ -23,15 +23,13 @@ from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.station import Cell, make_posture_guide
 from drake_oa.planning.motion_search import MotionSearch
-from drake_oa.planning.motion_selector import MotionSelector
-from drake_oa.planning.sides import Sides
+from drake_oa.planning.motion_verifier import MotionVerifier
 from drake_oa.policy.dmp import Dmp, imitate, minimum_jerk
 from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.policy.orientation_dmp import minimum_jerk_orientation
 from drake_oa.policy.orientation_integrator import OrientationIntegrator
 from drake_oa.regulation.config import Paper, Verified
 from drake_oa.regulation.proposal_network import load_proposals
-from drake_oa.regulation.proposals import Proposer
 from drake_oa.regulation.regressor import ChainWeights, check_action_level, load_chain
 from drake_oa.regulation.regressor_chain import RegressorChain, Scaling
 from drake_oa.robot.arm import PULL, inverse_kinematics, joint_margins, make_chain
@@ -58,6 +56,9 @@ def add_policy(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     wires.log("goal", "desired_position", "desired_velocity", "desired_acceleration", "phase")
     wires.export("desired_position", "phase", "policy_state")
     orientation = None if cell is None else make_orientation_integrator(scenario)
+    if orientation is None and cell is not None and "demonstration" in wires:
+        # A path in the joints turns the tool.
+        orientation = make_kept_orientation(scenario)
     if orientation is not None:
         add_orientation(wires, orientation)
 
@@ -132,23 +133,46 @@ def make_kept_orientation(scenario: Scenario) -> OrientationIntegrator:
 _logger = logging.getLogger("drake_oa")
 
 
-def add_route(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
-    """Adds cost_ring_selector where it leads the motion: ellipsoids_W, goal -> route."""
+Rings = Mapping[str, Ring] | None
+"""Costs of sides of one's own, by name; None: there are none."""
+
+
+def add_route(wires: Wires, scenario: Scenario, cell: Cell | None, rings: Rings = None) -> None:
+    """Adds cost_ring_selector: ellipsoids_W, policy_state, goal and the proposed rows -> route.
+
+    With MotionVerifier it offers proposed_route.
+    """
     regulation = scenario.regulation
-    if "ellipsoids_W" in wires and isinstance(regulation, Paper) and regulation.guided:
+    if "ellipsoids_W" not in wires:
+        return
+    if isinstance(regulation, Verified):
         wires.add(
             "cost_ring_selector",
-            make_cost_ring_selector(scenario),
+            make_cost_ring_selector(scenario, rings),
+            reads={"coupling_parameters": "proposed_parameters"},
+            offers={"decision": "proposed_route", "route": None},
+        )
+    elif regulation.guided:
+        wires.add(
+            "cost_ring_selector",
+            make_cost_ring_selector(scenario, rings),
             offers={"decision": "route", "route": "shown_route"},
         )
 
 
-def make_cost_ring_selector(scenario: Scenario) -> CostRingSelector:
-    """Creates the route selection."""
+def make_cost_ring_selector(scenario: Scenario, rings: Rings = None) -> CostRingSelector:
+    """Creates the selection of sides, with user-supplied rings by name.
+
+    Without MotionVerifier, which rolls the arm out, its reach is a ring, too.
+    """
+    regulation = scenario.regulation
+    is_verified = isinstance(regulation, Verified)
     return CostRingSelector(
         scenario.task.clearance,
         table_height=scenario.policy.table_height,
-        joint_margins=make_joint_margins(scenario),
+        joint_margins=None if is_verified else make_joint_margins(scenario),
+        extra_rings=rings,
+        ring_price=regulation.ring_price if isinstance(regulation, Verified) else 0.5,
     )
 
 
@@ -192,22 +216,19 @@ def orientation_of_motion(scenario: Scenario) -> Callable[[FloatArray], FloatArr
     return (lambda s: np.tile(R_WE, (len(s), 1, 1))) if held is None else held.along
 
 
-Rings = Mapping[str, Ring] | None
-"""Costs of sides of one's own, by name; None: there are none."""
-
 _TOUCHING = 1e-3
 """So deep in each other links are in contact for sure [m]."""
 
 
-def add_motion_selector(
-    wires: Wires, scenario: Scenario, cell: Cell | None, proposer: Proposer, rings: Rings = None
-) -> None:
-    """Adds motion_selector: solids_W, policy_state, goal, robot_state -> motion, demonstration
-    and coupling_parameters; rings are costs of sides by name.
+def add_verification(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
+    """Adds motion_verifier where the regulation is `!Verified`: solids_W, policy_state, goal,
+    robot_state and the proposals -> motion, demonstration, coupling_parameters and route.
 
     Raises:
-        ScenarioError: without a robot, or where nothing tells the shapes of things.
+        ScenarioError: without a robot or collision geometry of the obstacles.
     """
+    if not isinstance(scenario.regulation, Verified):
+        return
     if cell is None:
         raise ScenarioError("regulation: !Verified needs a robot; this scenario has null")
     if isinstance(scenario.perception, GivenEllipsoids):
@@ -216,17 +237,20 @@ def add_motion_selector(
             "ellipsoids of obstacles that are dilated by the tool"
         )
     wires.add(
-        "motion_selector",
-        make_motion_selector(scenario, cell, proposer, rings),
-        offers={"decision": "decision_regulation", "sides": "shown_route"},
+        "motion_verifier",
+        make_motion_verifier(scenario, cell),
+        reads={"coupling_parameters": "proposed_parameters", "route": "proposed_route"},
+        offers={
+            "decision": "decision_regulation",
+            "sides": "shown_route",
+            "source": "motion_source",
+        },
     )
-    wires.log("shortfall", "lowered", "decision_regulation")
+    wires.log("shortfall", "lowered", "decision_regulation", "motion_source")
 
 
-def make_motion_selector(
-    scenario: Scenario, cell: Cell, proposer: Proposer, rings: Rings = None
-) -> MotionSelector:
-    """What chooses the motion of the whole arm."""
+def make_motion_verifier(scenario: Scenario, cell: Cell) -> MotionVerifier:
+    """Makes the verification of the whole arm's motion."""
     regulation, policy, task = scenario.regulation, scenario.policy, scenario.task
     if not isinstance(regulation, Verified):
         raise ScenarioError(f"regulation: is !{type(regulation).__name__}, not !Verified")
@@ -236,7 +260,6 @@ def make_motion_selector(
     chain, q_rest = cell.chain, cell.q_start[cell.chain.index]
     guide = make_posture_guide(scenario, q_rest)
     search = MotionSearch(
-        Sides(proposer, rings or {}, regulation.ring_price),
         dmp,
         task.clearance,
         chain,
@@ -248,7 +271,7 @@ def make_motion_selector(
         overshoot=cell.spheres.overshoot,
         q_goal=None if task.q_goal is None else np.asarray(task.q_goal, dtype=float),
     )
-    return MotionSelector(
+    return MotionVerifier(
         search,
         tuple(chain.index.tolist()),
         cell.robot_plant.plant.num_multibody_states(),
@@ -305,38 +328,43 @@ def _tell_of_bare_links(cell: Cell, arm: ArmSpheres) -> None:
 Loaded = TypeVar("Loaded")
 
 
-def add_regulation(
-    wires: Wires, scenario: Scenario, cell: Cell | None, rings: Rings = None
-) -> None:
-    """Adds motion_selector, which counts rings of one's own, or regressor_chain.
+def add_regulation(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
+    """Adds regressor_chain: ellipsoids_W, policy_state, goal -> coupling_parameters.
 
-    Both offer coupling_parameters: the selector from robot_state, policy_state, goal and solids_W,
-    with the motion and demonstration that it has verified; the chain from ellipsoids_W and
-    policy_state.
+    With MotionVerifier it offers proposed_parameters.
     """
     regulation = scenario.regulation
     if isinstance(regulation, Verified):
-        add_motion_selector(wires, scenario, cell, _loaded(scenario, load_proposals), rings)
-        if "desired_orientation" not in wires and cell is not None:
-            add_orientation(wires, make_kept_orientation(scenario))
+        if "ellipsoids_W" in wires:
+            chain, proposals = regulation.chain, regulation.proposals
+            system = RegressorChain(
+                _loaded("chain", chain, _load_running) if chain else None,
+                scenario.task.clearance,
+                proposals=_loaded("proposals", proposals, load_proposals) if proposals else None,
+                dmp=make_dmp(scenario),
+            )
+            offers = {"coupling_parameters": "proposed_parameters"}
+            wires.add("regressor_chain", system, offers=offers)
         return
-    length: Scaling = "route" if "route" in wires else "sections"
-    chain = RegressorChain(
+    length: Scaling = "route" if "ellipsoids_W" in wires and regulation.guided else "sections"
+    system = RegressorChain(
         load_weights(scenario),
         scenario.task.clearance,
         original=make_dmp(scenario).duration if regulation.term == "original" else None,
         scaling=length if regulation.scaled else "none",
     )
-    wires.add("regressor_chain", chain)
+    wires.add("regressor_chain", system)
 
 
 def load_weights(scenario: Scenario) -> ChainWeights:
-    """The chain that the scenario names.
+    """Loads the chain that a scenario of `!Paper` names.
 
     Raises:
         ScenarioError: naming the file, if the weights are missing or do not fit.
     """
-    return _loaded(scenario, _load_running)
+    if not isinstance(scenario.regulation, Paper):
+        raise ScenarioError(f"regulation: is !{type(scenario.regulation).__name__}, not !Paper")
+    return _loaded("weights", scenario.regulation.weights, _load_running)
 
 
 def _load_running(path: Path) -> ChainWeights:
@@ -345,8 +373,8 @@ def _load_running(path: Path) -> ChainWeights:
     return weights
 
 
-def _loaded(scenario: Scenario, load: Callable[[Path], Loaded]) -> Loaded:
+def _loaded(name: str, path: str, load: Callable[[Path], Loaded]) -> Loaded:
     try:
-        return load(package_file(scenario.regulation.weights))
+        return load(package_file(path))
     except (OSError, ValueError) as error:
-        raise ScenarioError(f"regulation.weights: {error}") from None
+        raise ScenarioError(f"regulation.{name}: {error}") from None

@@ -22,7 +22,7 @@ _SYSTEMS = {
     "GivenEllipsoidSource": "descriptor.ellipsoid_descriptor",
     "CostRingSelector": "route.cost_ring_selector",
     "RegressorChain": "regulation.regressor_chain",
-    "MotionSelector": "planning.motion_selector",
+    "MotionVerifier": "planning.motion_verifier",
     "TrueSolids": "planning.true_solids",
     "CloudSolids": "planning.cloud_solids",
     "GivenSolids": "planning.true_solids",

@@ -43,7 +43,7 @@ def main() -> None:
     network = load_proposals(package_file("package://drake_oa/weights/proposals.safetensors"))
     dmp = imitate(*minimum_jerk(START, GOAL, duration=DURATION))
     search = PointSearch(scene, dmp=dmp, policy=Policy(), parameters=Verified())
-    found = search.run(network.propose(scene, DURATION, search.parameters.candidates))
+    found = search.run(network.ranked(scene, DURATION))
     # One avoidance term about a point of its own: it belongs to neither ball.
     terms = avoidance_terms(scene, found.genes)
     of_term = (terms[:, column] for column in (ALPHA, PSI, KAPPA))

@@ -40,7 +40,7 @@ def test_a_run_is_timed_with_its_layers_and_decisions(figures):
         assert (thinking["decisions"] > 0) == thinks
         assert (thinking["measured"] > 0.0) == (thinking["modelled"] > 0.0) == thinks
     layers = figures["scenarios"]["tabletop_box"]["run"]["layers"]
-    assert {REST, "perception", "motion_selector", "dmp_integrator", "controller"} <= set(layers)
+    assert {REST, "perception", "motion_verifier", "dmp_integrator", "controller"} <= set(layers)
     table = str(benchmark_table(figures))
     assert table.splitlines()[0].split() == ["tabletop_box", "free_space"]
     assert all(name in table for name in (*layers, "decisions", figures["machine"]["cpu"]))

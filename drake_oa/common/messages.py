@@ -8,7 +8,7 @@ clones in constant time, and no receiver can change what another one reads.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Literal, Self
 
@@ -209,7 +209,7 @@ class PlannedMotion(Frozen):
 
 @dataclass(frozen=True, eq=False)
 class Route(Frozen):
-    """The side to pass each obstacle on, and the rings it was chosen from.
+    """The side to pass each obstacle on, the rings it was chosen from, and the ranked sides.
 
     Rows follow the rows of the EllipsoidSet that it was made for.
 
@@ -232,6 +232,10 @@ class Route(Frozen):
         ids: (M,) the obstacles' names.
         blocked: whether no side is allowed for one of them.
         note: empty, or why no side is allowed.
+        ranking: (S,) rows of `CouplingParameters` of the kind `SIDE` that are allowed, the best
+            first.
+        price: (N,) costs that user-supplied rings add to N evenly spread sides, as path length
+            over the baseline; inf: forbidden. (0,): there are no such rings.
     """
 
     heading_W: FloatArray = _floats(0, 3)
@@ -248,6 +252,8 @@ class Route(Frozen):
     ids: IntArray = _integers()
     blocked: bool = False
     note: str = ""
+    ranking: IntArray = _integers()
+    price: FloatArray = _floats(0)
 
     @property
     def baseline(self) -> float:
@@ -259,9 +265,14 @@ OUT_OF_WORLD = 25.0
 """What is farther from the world's origin counts as absent [m]."""
 
 
+CHAIN, SIDE = 0, 1
+"""Kinds of rows of `CouplingParameters`: of an obstacle, by the regressor chain, all of which act
+together; and of a side of the baseline, by the proposal network, of which at most one acts."""
+
+
 @dataclass(frozen=True, eq=False)
 class CouplingParameters(Frozen):
-    """Parameters of the avoidance term, one row an obstacle.
+    """Parameters of avoidance terms: one row an obstacle, then one a candidate side.
 
     Attributes:
         alpha: (M,) strength: turning rate in units of 1/T, T the demonstrated
@@ -283,6 +294,11 @@ class CouplingParameters(Frozen):
         verified: whether the rows are terms of their own, about `center_W`, which a look at the
             true shapes has chosen: they belong to no ellipsoid, and none holds the motion.
         original: whether they are of the original term (eq. 7).
+        kind: (M,) `CHAIN` or `SIDE`; (0,): all are of the chain.
+        length: (M,) expected path length of a side over the baseline; (0,): not given.
+        likely: (M,) probability that a side achieves the requested clearance; (0,): not given.
+        scaling: (M,) proposed temporal scaling of a side; (0,): not given.
+        ellipsoids: obstacles of verified rows of the chain, past which guidance leads.
     """
 
     alpha: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -297,9 +313,23 @@ class CouplingParameters(Frozen):
     anew: bool = False
     verified: bool = False
     original: bool = False
+    kind: IntArray = _integers()
+    length: FloatArray = _floats(0)
+    likely: FloatArray = _floats(0)
+    scaling: FloatArray = _floats(0)
+    ellipsoids: EllipsoidSet = field(default_factory=EllipsoidSet)
 
     def __len__(self) -> int:
         return len(self.alpha)
+
+    def of_kind(self, kind: int) -> CouplingParameters:
+        """Returns the rows of one kind."""
+        if not len(self.kind):
+            return self if kind == CHAIN else CouplingParameters()
+        rows = self.kind == kind
+        columns = ("alpha", "psi", "kappa", "in_range", "center_W", "normal_W", "kind")
+        columns += ("length", "likely", "scaling")
+        return replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
     def as_array(self) -> FloatArray:
         """(M, 3) rows of alpha, psi, kappa."""

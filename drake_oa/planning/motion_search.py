@@ -1,12 +1,13 @@
-"""Which motion the whole arm goes, from one observation to the next.
+"""Selection of the whole arm's motion, from one observation to the next.
 
-The shortest of the candidates that keeps what is asked is taken: the motion in use, the unmodulated
-one, those of the coupling terms (`drake_oa.planning.search`), each with postures that its null
-space may be drawn to; and where none clears, once the motion rests, a path in the joints
+Candidates, in this order: the nominal motion; the rows of the paper's chain together, with heading
+guidance; the proposed sides, ranked, with several strengths each; the local search
+(`drake_oa.planning.search`); and once the motion rests and none is feasible, a path in the joints
 (`drake_oa.planning.joint_planner`) that the primitives imitate (`drake_oa.planning.imitation`) and
-that is rolled out like any other. Where nothing keeps what is asked, it is asked for less, and
-that is told, but no motion touches anything: an arm that stands in contact may only leave it, and
-one whose goal is in contact holds, and says where the tool could be instead.
+that is rolled out like any other. The shortest one that achieves the requested clearance is
+selected, with hysteresis for the motion in use. Where none does, the one with the least shortfall
+is executed and the shortfall reported, but no motion touches anything: an arm in contact may only
+leave it, and one whose goal is in contact holds, and reports the nearest free goal.
 """
 
 from __future__ import annotations
@@ -18,11 +19,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from drake_oa.common.messages import (
+    CHAIN as CHAIN_ROWS,
+)
+from drake_oa.common.messages import (
     CouplingParameters,
     EllipsoidSet,
     FloatArray,
     Frozen,
-    HoldCause,
     PlannedMotion,
     PolicyState,
     Route,
@@ -39,18 +42,36 @@ from drake_oa.planning.arm_world import (
 )
 from drake_oa.planning.imitation import LONGEST, demonstration
 from drake_oa.planning.joint_planner import plan_path
-from drake_oa.planning.search import ASTRAY, MISSED, SAMPLES, ArmSearch, Earlier, Leading
-from drake_oa.planning.sides import Sides, taken
+from drake_oa.planning.search import (
+    ASTRAY,
+    CHAIN,
+    JOINT_PATH,
+    MISSED,
+    NOMINAL,
+    NONE_IN_USE,
+    SAMPLES,
+    ArmSearch,
+    Earlier,
+    Guided,
+    Leading,
+    nominal_genes,
+)
+from drake_oa.planning.selected_motion import (
+    MotionCommand,
+    MotionPrediction,
+    SearchMemory,
+    SelectedMotion,
+)
 from drake_oa.planning.solid_scene import SolidScene
+from drake_oa.policy.action import Surroundings
 from drake_oa.policy.config import Policy
-from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
+from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL
 from drake_oa.policy.demonstration import Demonstration
-from drake_oa.policy.dmp import Dmp, local_frame, normalised_time
+from drake_oa.policy.dmp import Dmp
 from drake_oa.policy.orientation_dmp import orientation_along
-from drake_oa.policy.rollout import Scene
+from drake_oa.policy.rollout import Scene, scene_under_way
 from drake_oa.regulation.config import Verified
-from drake_oa.regulation.proposals import ALPHA as LOG_ALPHA
-from drake_oa.regulation.proposals import N_GENES, TAU, avoidance_terms
+from drake_oa.regulation.proposals import ANGLE, N_GENES, TAU, avoidance_terms, genes_of
 from drake_oa.robot.arm import (
     FARTHEST,
     Chain,
@@ -74,14 +95,16 @@ _SHARES, _GOAL_SEEDS = (0.5, 0.2), 128
 
 @dataclass(frozen=True, eq=False)
 class Sight(Frozen):
-    """What is known when a motion is chosen.
+    """Input of a decision.
 
     Attributes:
-        policy: where the motion is.
+        policy: the motion under way.
         p_WG: (3,) its goal [m].
         q: (n,) the arm's joints [rad].
         scene: the solids.
-        ellipsoids: what is proposed by; empty: as if nothing were there.
+        ellipsoids: descriptors of the obstacles.
+        proposed: returns the proposed coupling parameters and the route; called only if a search
+            is needed.
     """
 
     policy: PolicyState
@@ -89,91 +112,15 @@ class Sight(Frozen):
     q: FloatArray
     scene: SolidScene
     ellipsoids: EllipsoidSet = field(default_factory=EllipsoidSet)
+    proposed: Callable[[], tuple[CouplingParameters, Route]] = lambda: (
+        CouplingParameters(),
+        Route(),
+    )
 
     @property
     def time(self) -> float:
-        """Now [s]."""
+        """Time of the decision [s]."""
         return self.policy.stamp
-
-
-@dataclass(frozen=True, eq=False)
-class Choice(Frozen):
-    """The motion that was chosen.
-
-    Attributes:
-        p_WS, p_WG: (3,) start and goal of the motion that it is for [m]; NaN: none yet.
-        genes: (7,) of the coupling term; NaN: none.
-        term: (13,) the term; its alpha is 0 for the unmodulated motion.
-        tau: temporal scaling; 0: nothing was chosen.
-        posture: (n,) that the null space is drawn to at the end; (0,): the task's [rad].
-        demonstration: what the motion imitates; empty: what the task demonstrates.
-        motion: of the whole arm, from when it was looked at.
-        kept: (3,) least distances of tool and links to the solids, and of the arm to itself [m].
-        short: by how much it is short of what is asked [m].
-        short_of: label of the solid.
-        follows: whether the arm can follow it to the goal.
-        lowered: by how much less than the asked clearance is asked, as start or goal leave no
-            more [m].
-        note: "" or why the motion must not go on.
-        goal_note: "" or why there is no posture at the goal, as far as was looked.
-        touches: label of what the arm stands in contact with; "": nothing.
-        anew: whether a motion with this demonstration is to begin where the arm rests.
-        scene: what was seen.
-        travelled, p_WE: the way until then, and where it was [m].
-        planned: when a path in the joints was looked for last [s].
-        elites: (k, 7) genes of the best candidates, from which the search goes on.
-        rounds: that it has gone through.
-        hasty: whether it is the first that would do, and better ones are to be looked for.
-        route: the sides that were weighed, with their costs, and which was taken.
-    """
-
-    p_WS: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
-    p_WG: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
-    genes: FloatArray = field(default_factory=lambda: np.full(N_GENES, np.nan))
-    term: FloatArray = field(default_factory=lambda: np.zeros(N_COLUMNS))
-    tau: float = 0.0
-    posture: FloatArray = field(default_factory=lambda: np.zeros(0))
-    demonstration: Demonstration = field(default_factory=Demonstration)
-    motion: PlannedMotion = field(default_factory=PlannedMotion)
-    kept: FloatArray = field(default_factory=lambda: np.full(3, np.inf))
-    short: float = 0.0
-    short_of: str = ""
-    follows: bool = True
-    lowered: float = 0.0
-    note: str = ""
-    goal_note: str = ""
-    touches: str = ""
-    anew: bool = False
-    scene: SolidScene = field(default_factory=SolidScene)
-    travelled: float = 0.0
-    p_WE: FloatArray = field(default_factory=lambda: np.full(3, np.nan))
-    planned: float = -math.inf
-    elites: FloatArray = field(default_factory=lambda: np.zeros((0, N_GENES)))
-    rounds: int = 0
-    hasty: bool = False
-    route: Route = field(default_factory=Route)
-
-    def fits(self, policy: PolicyState, p_WG: FloatArray) -> bool:
-        """Whether it is for the motion that is under way."""
-        return np.array_equal(self.p_WS, policy.p_WS) and np.array_equal(self.p_WG, p_WG)
-
-    def coupling(self) -> CouplingParameters:
-        """As the action level takes it: a term of its own, at most one."""
-        count = int(self.term[ALPHA] > 0.0)
-        rows = self.term[None, :][:count]
-        return CouplingParameters(
-            rows[:, ALPHA],
-            rows[:, PSI],
-            rows[:, KAPPA],
-            np.ones(count, dtype=bool),
-            rows[:, :3],
-            rows[:, NORMAL : NORMAL + 3],
-            tau=self.tau,
-            hold=HoldCause.OBSTACLES if self.note else HoldCause.NONE,
-            note=self.note,
-            anew=self.anew,
-            verified=True,
-        )
 
 
 class MotionSearch:
@@ -181,7 +128,6 @@ class MotionSearch:
 
     def __init__(
         self,
-        sides: Sides,
         dmp: Dmp,
         clearance: float,
         chain: Chain,
@@ -197,7 +143,6 @@ class MotionSearch:
         """Keeps what does not change.
 
         Args:
-            sides: what proposes motions of the tool, and on which sides.
             dmp: the movement primitive that the task demonstrates.
             clearance: asked distance Delta of the tool to every solid [m].
             chain, spheres: the arm.
@@ -208,7 +153,7 @@ class MotionSearch:
             q_goal: (n,) joints at the goal, where the task gives them [rad].
             overshoot: (G,) how far the spheres of each group stick out of the robot [m]; None: 0.
         """
-        self._sides, self._dmp, self._clearance = sides, dmp, clearance
+        self._dmp, self._clearance = dmp, clearance
         self._chain, self._spheres, self._parameters = chain, spheres, parameters
         self._policy = policy
         s = np.linspace(0.0, 1.0, _LED)
@@ -221,81 +166,126 @@ class MotionSearch:
         parts = (self._is_tool & moved, ~self._is_tool & moved)
         self._touch_of_parts = np.array([self._touch[of].min(initial=np.inf) for of in parts])
 
-    def decide(self, before: Choice, sight: Sight) -> Choice:
-        """Looks at a motion under way, and chooses anew if there is reason to."""
+    def decide(self, before: SelectedMotion, sight: Sight) -> SelectedMotion:
+        """Checks the motion under way, and selects another one if there is reason to.
+
+        ======== ======= ======= ========= ==================================================
+        same     scene   at rest path in   result
+        motion   changed         joints
+                                 is due
+        ======== ======= ======= ========= ==================================================
+        yes      no      any     any       unchanged, unless it holds or is provisional
+        yes      any     yes     any       hold, while the goal has no feasible posture and
+                                           nothing changes
+        any      any     no      any       search; without result: hold, if the least
+                                           shortfall is a contact
+        any      any     yes     no        the same
+        any      any     yes     yes       search for the first feasible motion; without
+                                           result: path in the joints; without: full search
+        ======== ======= ======= ========= ==================================================
+
+        A motion with another start or goal starts from an empty memory, unless it is the restart
+        that was commanded.
+
+        Args:
+            before: result of the decision before.
+            sight: input.
+        """
         policy, baseline = sight.policy, math.dist(sight.p_WG, sight.policy.p_WS)
         if sight.scene.stamp == -math.inf or baseline == 0.0:
-            return Choice()
-        goes_on = before.fits(policy, sight.p_WG)
-        if before.anew and not goes_on and np.array_equal(before.p_WG, sight.p_WG):
-            # The motion has begun anew as it was told to, where it came to rest.
-            motion = replace(before.motion, p_WS=policy.p_WS)
-            before = replace(before, p_WS=policy.p_WS, anew=False, travelled=0.0, motion=motion)
+            return SelectedMotion()
+        goes_on = before.key.fits(policy, sight.p_WG)
+        if before.command.restart and not goes_on and np.array_equal(before.key.p_WG, sight.p_WG):
+            # It has restarted as commanded, where it came to rest.
+            motion = replace(before.prediction.motion, p_WS=policy.p_WS)
+            before = before.changed(
+                command={"restart": False},
+                prediction={"motion": motion},
+                memory={"travelled": 0.0},
+            )
             goes_on = True
         elif not goes_on:
-            before = Choice(planned=before.planned)
-        before = replace(before, anew=before.anew and policy.speed == 0.0)
-        here = replace(
-            before,
-            p_WS=policy.p_WS,
-            p_WG=np.array(sight.p_WG, dtype=float),
-            p_WE=policy.p_WE,
-            travelled=_travelled(before, policy),
+            before = SelectedMotion(memory=SearchMemory(last_plan=before.memory.last_plan))
+        here = before.changed(
+            key={"p_WS": policy.p_WS, "p_WG": np.array(sight.p_WG, dtype=float)},
+            command={"restart": before.command.restart and policy.speed == 0.0},
+            memory={"p_WE": policy.p_WE, "travelled": before.memory.travelled_to(policy)},
         )
-        same = here.scene.same_as(sight.scene)
-        if goes_on and not here.note and same and here.tau > 0.0 and not here.hasty:
+        same = here.key.scene.same_as(sight.scene)
+        settled = here.command.tau > 0.0 and not here.memory.is_provisional
+        if goes_on and not here.command.note and same and settled:
             return here
-        if here.goal_note and not same:
-            # What was found when no motion led there says nothing of those that do.
-            none = Choice()
-            here = replace(here, goal_note="", genes=none.genes, elites=none.elites, tau=0.0)
-        here = replace(here, scene=sight.scene, touches=self._touched(sight))
+        if here.prediction.goal_note and not same:
+            # The result of a search without a goal is no beginning for another one.
+            none = SearchMemory()
+            here = here.changed(
+                command={"tau": 0.0, "source": -1},
+                prediction={"goal_note": ""},
+                memory={"genes": none.genes, "elites": none.elites},
+            )
+        here = here.changed(
+            key={"scene": sight.scene}, prediction={"touches": self._touched(sight)}
+        )
         rests = policy.speed == 0.0 or policy.phase == 1.0
-        if goes_on and rests and here.goal_note:
-            # No motion leads there, as long as nothing changes.
-            return replace(here, note=here.goal_note)
-        due = sight.time - here.planned >= _SEEK_PERIOD
+        if goes_on and rests and here.prediction.goal_note:
+            return here.changed(command={"note": here.prediction.goal_note})
+        due = sight.time - here.memory.last_plan >= _SEEK_PERIOD
         plans = rests and due and not sight.scene.moves
-        # Who waits at rest does not wait for the best, and a plan may follow.
-        hasty = plans and policy.phase == 1.0 and not here.hasty
-        # What was best among what rested may be nowhere near.
-        afresh = sight.scene.moves and not before.scene.moves
+        # At rest the first feasible motion does, and a path in the joints may follow.
+        hasty = plans and policy.phase == 1.0 and not here.memory.is_provisional
+        # The best among resting obstacles may be far from the best among moving ones.
+        afresh = sight.scene.moves and not before.key.scene.moves
         found = self._modulated(here, sight, hasty=hasty, afresh=afresh)
-        if found.follows and found.short == 0.0:
+        if found.prediction.can_follow and found.prediction.shortfall == 0.0:
             return found
-        if found.route.blocked:
-            return replace(found, note=found.route.note)
+        sides = found.prediction.sides
+        if sides.blocked:
+            return found.changed(command={"note": sides.note})
         if plans:
-            planned, is_free = self._planned(replace(found, planned=sight.time), sight)
+            found = found.changed(memory={"last_plan": sight.time})
+            planned, is_free = self._planned(found, sight)
             if planned is not None:
                 return planned
-            found = self._modulated(here, sight) if hasty else found
-            found = replace(found, planned=sight.time)
-            found = replace(found, goal_note="" if is_free else self._no_goal(sight))
-        return replace(found, note=found.goal_note or self._hold(found, sight))
+            if hasty:
+                found = self._modulated(here, sight).changed(memory={"last_plan": sight.time})
+            note = "" if is_free else self._no_goal(sight)
+            found = found.changed(prediction={"goal_note": note})
+        note = found.prediction.goal_note or self._hold(found, sight)
+        return found.changed(command={"note": note})
 
-    def still_holds(self, made: Choice, sight: Sight) -> bool:
-        """Whether a motion keeps from now on what it was found to keep when it was looked for.
+    def still_holds(self, made: SelectedMotion, sight: Sight) -> bool:
+        """Returns whether a motion achieves from now on what was predicted when it was searched.
 
-        Since then the one in force has gone on: straight at what a term acts about its side hangs
-        on little. Among what moves the next look tells.
+        Since then the one in use has continued: straight toward an obstacle, small differences
+        decide its side. Among moving obstacles the next decision checks it.
         """
-        if sight.scene.moves or sight.policy.phase == 1.0 or not made.motion.s.size:
+        if sight.scene.moves or sight.policy.phase == 1.0 or not made.prediction.motion.s.size:
             return True
-        found = self._rolled(made, sight, self._world(sight, made.motion.q[-1:]))
-        return found.follows and found.short <= made.short + self._parameters.slack
+        motion = made.prediction.motion
+        found = self._rolled(made, sight, self._world(sight, motion.q[-1:])).prediction
+        allowed = made.prediction.shortfall + self._parameters.slack
+        return found.can_follow and found.shortfall <= allowed
 
-    def _hold(self, found: Choice, sight: Sight) -> str:
-        """Why a motion that is short of what is asked must not go on; "": it may."""
-        if not found.follows:
+    def _hold(self, found: SelectedMotion, sight: Sight) -> str:
+        """Returns why a motion with a shortfall must not continue; "": it may."""
+        predicted = found.prediction
+        if not predicted.can_follow:
             return "no motion that the arm can follow found"
-        if not self._clears(found, sight):
-            touches = (found.kept[:2] <= self._touch_of_parts).any()
-            return f"no motion that clears {found.short_of if touches else 'the arm itself'} found"
+        if not self._clears(predicted, sight):
+            touches = (predicted.min_distances[:2] <= self._touch_of_parts).any()
+            label = predicted.limiting_obstacle if touches else "the arm itself"
+            return f"no motion that clears {label} found"
         return ""
 
     def _world(self, sight: Sight, ends: FloatArray, share: float = 1.0) -> ArmWorld:
-        """Tool and links among the solids, with what now and the ends (m, n) leave them."""
+        """Returns the arm among the solids, with the required clearances.
+
+        Of the pair of the spheres of group g and solid k, with the configurations now and at the
+        ends (m, n):
+
+            required_gk = min(share * requested_g, min(d_now_gk, max(d_end_gk, touch_g + slack))
+                              - slack)
+        """
         solids, now = sight.scene.solids, sight.time
         spheres, p, is_tool = self._spheres, self._parameters, self._is_tool
         asked = np.where(is_tool, self._clearance, min(p.link_clearance, self._clearance))
@@ -316,12 +306,12 @@ class MotionSearch:
             of_self = min(of_self, max(own, _LEAST_KEPT) - p.slack)
         return ArmWorld(self._chain, spheres, solids, Asked(table, of_self, is_tool), now)
 
-    def _dmp_of(self, choice: Choice) -> Dmp:
-        return choice.demonstration.position or self._dmp
+    def _dmp_of(self, command: MotionCommand) -> Dmp:
+        return command.demonstration.position or self._dmp
 
-    def _leading(self, choice: Choice, sight: Sight) -> Leading:
+    def _leading(self, command: MotionCommand) -> Leading:
         """How the arm is led along the motion that is under way."""
-        shown = choice.demonstration
+        shown = command.demonstration
         if shown.orientation is None:
             return self._task
         X_WS = tool_poses(self._chain, shown.q[:1])[0]
@@ -331,16 +321,18 @@ class MotionSearch:
         return Leading(self._task.s, R_WE.reshape(-1, 9), shown.posture(self._task.s)[None])
 
     def _modulated(
-        self, here: Choice, sight: Sight, *, hasty: bool = False, afresh: bool = False
-    ) -> Choice:
-        """The best of the motions that the coupling terms bend, or in haste the first."""
-        leading, dmp = self._leading(here, sight), self._dmp_of(here)
+        self, here: SelectedMotion, sight: Sight, *, hasty: bool = False, afresh: bool = False
+    ) -> SelectedMotion:
+        """Returns the best motion by coupling terms, or in haste the first feasible one."""
+        command, memory = here.command, here.memory
+        leading, dmp = self._leading(command), self._dmp_of(command)
         scene = self._scene(sight, dmp)
         target = np.append(leading.R_WE[-1], sight.p_WG)
         ends = inverse_kinematics(self._chain, target, leading.q[0, -1], seeds=4)[:1]
         world = self._world(sight, ends)
         waits = sight.policy.phase == 1.0 and not sight.scene.moves
-        route = self._sides.weighed(scene, sight.ellipsoids, dmp.duration, self._clearance)
+        coupling, route = sight.proposed()
+        provisional = memory.is_provisional
         search = ArmSearch(
             scene,
             world,
@@ -348,56 +340,92 @@ class MotionSearch:
             leading,
             dmp=dmp,
             policy=self._policy,
-            price=(price := self._sides.price(route)),
-            # Of the first that would do nothing is to be kept but what it led to.
-            previous=Choice().genes if here.hasty else here.genes,
+            price=route.price,
+            # Of a provisional motion only the elites are used.
+            previous=NONE_IN_USE if provisional else memory.genes,
             parameters=replace(self._parameters, polish=0) if hasty else self._parameters,
-            settled=here.tau > 0.0 and not sight.scene.moves and not here.hasty,
-            earlier=Earlier(here.elites, here.rounds, afresh),
+            settled=command.tau > 0.0 and not sight.scene.moves and not provisional,
+            earlier=Earlier(memory.elites, memory.rounds, afresh),
             most=math.inf if waits else self._parameters.frame,
-            samples=_samples_of(here),
+            samples=_samples_of(command),
         )
-        count = self._parameters.candidates
-        found = search.run(self._sides.proposer.propose(scene, dmp.duration, count, price))
-        genes = np.array(found.genes[0])
-        # Nothing is better than the unmodulated one.
-        route = taken(route, avoidance_terms(search.scene, genes[None])[0], genes, sight.ellipsoids)
-        here = replace(here, hasty=hasty and genes[LOG_ALPHA] > -np.inf, route=route)
+        proposed = _guided_command(coupling, route, scene)
+        in_use = None if provisional or not len(command.ellipsoids) else command
+        found = search.run(
+            _side_genes(coupling, route, scene),
+            guided=_guided(proposed),
+            in_use=_guided(in_use),
+            source=max(command.source, NOMINAL),
+        )
+        source, genes = int(found.source[0]), found.genes[0]
+        terms = avoidance_terms(scene, found.genes)
+        sides = _shown_sides(route, terms[0], genes, sight.ellipsoids)
+        if source == NOMINAL and command.demonstration.position is not None:
+            source = JOINT_PATH
+        if source == CHAIN:
+            chosen = in_use if in_use is not None and search.stays else proposed
+            assert chosen is not None
+            command = replace(
+                command, terms=chosen.terms, ellipsoids=chosen.ellipsoids, route=chosen.route
+            )
+            sides = chosen.route
+        else:
+            command = replace(
+                command,
+                terms=terms[terms[:, ALPHA] > 0.0],
+                ellipsoids=EllipsoidSet(),
+                route=Route(),
+            )
+        bends = bool(len(command.terms))
+        here = here.changed(
+            prediction={"sides": sides},
+            memory={
+                "genes": genes if bends and source != CHAIN else NONE_IN_USE,
+                "is_provisional": hasty and bends,
+                "counts": search.counts,
+            },
+        )
+        here = replace(here, command=replace(command, source=source))
         if search.elites.size:
-            here = replace(here, elites=search.elites, rounds=search.rounds)
-        return self._chosen(here, sight, world, search, genes, float(found.length[0]))
+            here = here.changed(memory={"elites": search.elites, "rounds": search.rounds})
+        return self._predicted(here, sight, search, genes, float(found.length[0]))
 
-    def _rolled(self, choice: Choice, sight: Sight, world: ArmWorld) -> Choice:
-        """A motion as it is, from where it is now on."""
-        dmp = self._dmp_of(choice)
+    def _rolled(self, selected: SelectedMotion, sight: Sight, world: ArmWorld) -> SelectedMotion:
+        """Returns a motion with its prediction from now on."""
+        dmp = self._dmp_of(selected.command)
         search = ArmSearch(
             self._scene(sight, dmp),
             world,
             sight.q,
-            self._leading(choice, sight),
+            self._leading(selected.command),
             dmp=dmp,
             policy=self._policy,
-            previous=choice.genes,
             parameters=self._parameters,
-            samples=_samples_of(choice),
+            samples=_samples_of(selected.command),
         )
-        genes = choice.genes
-        if np.isnan(genes).any():
-            genes = np.zeros(N_GENES)
-            genes[LOG_ALPHA] = -np.inf
-        return self._chosen(choice, sight, world, search, genes, 0.0)
+        genes = selected.memory.genes
+        genes = nominal_genes()[0] if np.isnan(genes).any() else genes
+        return self._predicted(selected, sight, search, genes, 0.0)
 
-    def _chosen(
+    def _predicted(
         self,
-        here: Choice,
+        here: SelectedMotion,
         sight: Sight,
-        world: ArmWorld,
         search: ArmSearch,
         genes: FloatArray,
         length: float,
-    ) -> Choice:
-        """What one candidate comes to, as a choice."""
-        tool = search.tool_paths(genes[None])
+    ) -> SelectedMotion:
+        """Returns a motion with its prediction: the command is rolled out.
+
+        Args:
+            here: the motion.
+            sight: input of the decision.
+            search: scene, arm and solids.
+            genes: (7,) of the motion; those of the nominal motion if it has none.
+            length: of the tool's path from now on [m].
+        """
+        command, world = here.command, search.world
+        tool = search.tool_paths(genes[None], guided=_guided(command))
         arm = search.follow(genes[None], tool, np.full(1, -np.inf))
         count = int(arm.samples[0])
         s = search.sample_times(count)
@@ -408,44 +436,37 @@ class MotionSearch:
         of_self = float(arm.excess[0, SELF]) + world.asked.of_self
         if arm.excess[0].argmin() == SELF:
             near = -1
-        short = max(-float(arm.least[0]) - self._parameters.slack, 0.0)
         follows = float(arm.error[0]) <= MISSED and float(arm.hurry[0]) <= 1.0
         follows &= float(tool.goal_error[0]) <= ASTRAY * search.scene.baseline
-        moving = sight.scene.moves
-        tau = math.exp(genes[TAU]) if moving else 1.0
-        if not moving:
-            tau = max(1.0, (here.travelled + length) / max(search.planned_length, 1e-9))
-        motion = PlannedMotion(
-            s, tool.path[0, :: search.every][:count], arm.q[0, :count], here.p_WS
-        )
-        return replace(
-            here,
-            genes=genes if genes[LOG_ALPHA] > -np.inf else np.full(N_GENES, np.nan),
-            term=avoidance_terms(search.scene, genes[None])[0],
-            tau=tau,
-            motion=motion,
-            kept=np.append(kept, of_self),
-            short=short,
-            short_of=sight.scene.labels[near] if near >= 0 else "the arm itself",
-            follows=follows,
-            lowered=max(self._clearance - float(world.asked.of_solids.max(initial=-np.inf)), 0.0)
-            if len(sight.scene)
-            else 0.0,
-            note="",
+        tau = math.exp(genes[TAU])
+        if not sight.scene.moves:
+            total = here.memory.travelled + length
+            tau = max(1.0, total / max(search.planned_length, 1e-9))
+        lowered = self._clearance - float(world.asked.of_solids.max(initial=-np.inf))
+        return here.changed(
+            command={"tau": tau, "note": ""},
+            prediction={
+                "motion": PlannedMotion(
+                    s,
+                    tool.path[0, :: search.every][:count],
+                    arm.q[0, :count],
+                    here.key.p_WS,
+                ),
+                "min_distances": np.append(kept, of_self),
+                "shortfall": max(-float(arm.least[0]) - self._parameters.slack, 0.0),
+                "limiting_obstacle": sight.scene.labels[near] if near >= 0 else "the arm itself",
+                "can_follow": follows,
+                "lowered": max(lowered, 0.0) if len(sight.scene) else 0.0,
+            },
         )
 
     def _scene(self, sight: Sight, dmp: Dmp) -> Scene:
-        policy, seen = sight.policy, sight.ellipsoids
-        lag = sight.time - seen.stamp if math.isfinite(seen.stamp) else 0.0
-        return Scene(
-            p_WE=policy.p_WE,
-            z_W=policy.z_W,
-            p_WG=np.asarray(sight.p_WG, dtype=float),
-            R_WL=local_frame(policy.p_WS, sight.p_WG),
-            baseline=math.dist(sight.p_WG, policy.p_WS),
-            ellipsoids=replace(seen, p_WO=seen.p_WO + lag * seen.v_WO),
-            clearance=np.full(len(seen), self._clearance),
-            s=max(0.0, normalised_time(policy.phase, dmp.alpha_k)),
+        return scene_under_way(
+            sight.policy,
+            sight.p_WG,
+            sight.ellipsoids,
+            clearance=self._clearance,
+            alpha_k=dmp.alpha_k,
         )
 
     # --- a path in the joints -------------------------------------------------------------
@@ -476,7 +497,7 @@ class MotionSearch:
         place = ", ".join(f"{value:.3f}" for value in free)
         return f"{note}the tool's nearest free place is [{place}] m"
 
-    def _planned(self, here: Choice, sight: Sight) -> tuple[Choice | None, bool]:
+    def _planned(self, here: SelectedMotion, sight: Sight) -> tuple[SelectedMotion | None, bool]:
         """A motion that imitates a path in the joints, and whether a posture at the goal is free.
 
         None: there is none that is clear.
@@ -500,8 +521,8 @@ class MotionSearch:
         return None, True
 
     def _path_to(
-        self, ends: FloatArray, share: float, most: int, here: Choice, sight: Sight
-    ) -> Choice | None:
+        self, ends: FloatArray, share: float, most: int, here: SelectedMotion, sight: Sight
+    ) -> SelectedMotion | None:
         """A path to one of some postures, for a share of what is asked, as a motion."""
         if not len(ends):
             return None
@@ -516,8 +537,8 @@ class MotionSearch:
         return None
 
     def _along(
-        self, corners: FloatArray, here: Choice, sight: Sight, world: ArmWorld
-    ) -> Choice | None:
+        self, corners: FloatArray, here: SelectedMotion, sight: Sight, world: ArmWorld
+    ) -> SelectedMotion | None:
         """The motion that imitates a path in the joints; None: the arm cannot go it."""
         duration, alpha_k = self._dmp.duration, self._dmp.alpha_k
         pace = duration / max(math.dist(sight.p_WG, sight.policy.p_WE), 1e-3)
@@ -531,11 +552,12 @@ class MotionSearch:
         choice = self._imitated(here, sight, world, shown)
         return None if self._hold(choice, sight) else choice
 
-    def _clears(self, choice: Choice, sight: Sight) -> bool:
-        """Whether a motion touches nothing, as far as its spheres tell: they stick out."""
-        if choice.kept[SELF] <= min(_LEAST_KEPT, self._own(sight.q) - self._parameters.slack):
+    def _clears(self, predicted: MotionPrediction, sight: Sight) -> bool:
+        """Returns whether a motion touches nothing, by its spheres, which stick out."""
+        least = predicted.min_distances
+        if least[SELF] <= min(_LEAST_KEPT, self._own(sight.q) - self._parameters.slack):
             return False
-        return bool((choice.kept[:2] > self._touch_of_parts).all())
+        return bool((least[:2] > self._touch_of_parts).all())
 
     def _of_moving(self, sight: Sight, q: FloatArray) -> FloatArray:
         """(G, K) distances of the groups that move to the solids; inf of the others [m]."""
@@ -562,41 +584,98 @@ class MotionSearch:
         return float(self_distance(self._chain, self._spheres, q))
 
     def _imitated(
-        self, here: Choice, sight: Sight, world: ArmWorld, shown: Demonstration
-    ) -> Choice:
-        """The motion that imitates a demonstration from where the arm rests."""
+        self, here: SelectedMotion, sight: Sight, world: ArmWorld, shown: Demonstration
+    ) -> SelectedMotion:
+        """Returns the motion that imitates a demonstration from where the arm rests."""
         policy = sight.policy
         rests = replace(policy, p_WS=policy.p_WE, z_W=np.zeros(3), phase=1.0)
-        none = Choice()
-        at = replace(
-            here,
-            demonstration=shown,
-            travelled=0.0,
-            genes=none.genes,
-            elites=none.elites,
-            hasty=False,
-        )
+        memory = replace(here.memory, travelled=0.0, genes=NONE_IN_USE, is_provisional=False)
+        command = MotionCommand(JOINT_PATH, demonstration=shown)
+        at = replace(here, command=command, memory=replace(memory, elites=np.zeros((0, N_GENES))))
         sight = replace(sight, policy=rests)
         chosen = self._rolled(at, sight, world)
-        # Of all that is asked, not of the share that was.
+        # Of the whole requested clearance, not of the share that the path was planned for.
         whole = self._world(sight, shown.q[-1:])
-        q = chosen.motion.q
+        q = chosen.prediction.motion.q
         short = max(lacking_along(whole, q) - self._parameters.slack, 0.0)
         if short > 0.0:
             _, near = kept_along(whole, q, np.full(len(q), whole.now))
-            chosen = replace(chosen, short_of=sight.scene.labels[near])
-        # The motion belongs to the one that begins there.
-        motion = replace(chosen.motion, p_WS=rests.p_WS)
-        return replace(chosen, short=short, tau=1.0, anew=True, motion=motion)
+            chosen = chosen.changed(prediction={"limiting_obstacle": sight.scene.labels[near]})
+        # The motion belongs to the one that starts there.
+        motion = replace(chosen.prediction.motion, p_WS=rests.p_WS)
+        return chosen.changed(
+            command={"tau": 1.0, "restart": True},
+            prediction={"shortfall": short, "motion": motion},
+        )
 
 
-def _samples_of(choice: Choice) -> int:
-    """How finely a motion is looked at."""
-    return SAMPLES if choice.demonstration.position is None else _LED
+def _samples_of(command: MotionCommand) -> int:
+    """Returns the number of samples of a motion."""
+    return SAMPLES if command.demonstration.position is None else _LED
 
 
-def _travelled(before: Choice, policy: PolicyState) -> float:
-    """Length of the way that the motion has gone [m]."""
-    if not np.isfinite(before.p_WE).all():
-        return math.dist(policy.p_WE, policy.p_WS)
-    return before.travelled + math.dist(policy.p_WE, before.p_WE)
+def _side_genes(coupling: CouplingParameters, route: Route, scene: Scene) -> FloatArray:
+    """Returns the genes (S, 7) of the ranked sides."""
+    rows = route.ranking
+    if not len(rows):
+        return np.zeros((0, N_GENES))
+    return genes_of(scene, _terms(coupling)[rows], coupling.scaling[rows])
+
+
+def _guided_command(
+    coupling: CouplingParameters, route: Route, scene: Scene
+) -> MotionCommand | None:
+    """Returns the rows of the paper's chain together as a command; None: they do not act."""
+    chain, seen = coupling.of_kind(CHAIN_ROWS), scene.ellipsoids
+    fits = len(chain) > 0 and np.array_equal(route.ids, seen.ids) and len(chain) == len(seen)
+    # A forbidden side of an obstacle forbids the chain's motion, not every motion.
+    if not fits or route.blocked or route.baseline == 0.0 or not (chain.alpha > 0.0).any():
+        return None
+    if not route.remaining_clearance.any():
+        return None
+    command = MotionCommand(CHAIN, ellipsoids=seen, route=route, tau=1.0)
+    rows = replace(chain, verified=True, center_W=seen.p_WO, normal_W=np.zeros((0, 3)))
+    around = Surroundings.of(seen, replace(rows, ellipsoids=seen), route)
+    return replace(command, terms=around.obstacles.terms)
+
+
+def _guided(command: MotionCommand | None) -> Guided | None:
+    """Returns the guided candidate of a command by the chain; None: it is none."""
+    if command is None or not len(command.ellipsoids):
+        return None
+    around = Surroundings.of(command.ellipsoids, command.coupling(), command.route)
+    return Guided(around.obstacles.terms, around.obstacles)
+
+
+def _terms(coupling: CouplingParameters) -> FloatArray:
+    """Returns rows as coupling terms (M, 13), see `turn_step`."""
+    terms = np.zeros((len(coupling), N_COLUMNS))
+    terms[:, :3], terms[:, NORMAL : NORMAL + 3] = coupling.center_W, coupling.normal_W
+    terms[:, ALPHA : KAPPA + 1] = coupling.as_array()
+    return terms
+
+
+def _shown_sides(route: Route, term: FloatArray, genes: FloatArray, seen: EllipsoidSet) -> Route:
+    """Returns the rings of the obstacle nearest to a term's point, with the term's side.
+
+    It is blocked if user-supplied rings forbid every side.
+    """
+    blocked = bool(len(route.price)) and bool(np.isinf(route.price).all())
+    route = replace(route, blocked=blocked, note=route.note if blocked else "")
+    if not len(seen) or len(route.ids) != len(seen):
+        return route
+    row = [int(np.linalg.norm(seen.p_WO - term[:3], axis=1).argmin())]
+    count = len(route.angles)
+    side = int(np.rint(genes[ANGLE] * count / (2.0 * np.pi))) % count
+    y, z = route.R_WL[:, 1], route.R_WL[:, 2]
+    direction = math.cos(route.angles[side]) * y + math.sin(route.angles[side]) * z
+    return replace(
+        route,
+        ids=seen.ids[row],
+        index=np.array([side]),
+        direction_W=direction[None],
+        normal_W=term[None, NORMAL : NORMAL + 3],
+        costs={name: cost[row] for name, cost in route.costs.items()},
+        # The nominal motion passes on none.
+        remaining_clearance=np.array([float(term[ALPHA] > 0.0)]),
+    )

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -26,7 +27,10 @@ from drake_oa.planning.arm_world import (
 )
 from drake_oa.planning.rollout import ArmRollouts, ToolPaths, roll_out_arm
 from drake_oa.policy.config import Policy
+from drake_oa.policy.coupling import ALPHA as TERM_ALPHA
+from drake_oa.policy.coupling import NORMAL
 from drake_oa.policy.dmp import Dmp, trajectory
+from drake_oa.policy.guidance import Obstacles
 from drake_oa.policy.rollout import Scene, ToolRollouts, roll_out_tool
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposals import (
@@ -43,8 +47,10 @@ from drake_oa.regulation.proposals import (
     avoidance_terms,
     closer,
     draws,
+    genes_of,
     price_at,
     strengths,
+    tried,
 )
 
 SAMPLES = 64
@@ -93,17 +99,44 @@ _LINES = ((0.2, 5), (0.1, 1))
 """Of the best and the second best of a round: share of the candidates, and least number of them,
 that differ from it in alpha only."""
 _FIRST_FRESH = 6
-"""Round from which random candidates are added."""
+"""First round with random candidates."""
 NONE_IN_USE = np.full(N_GENES, np.nan)
 """Genes if no motion is in use."""
+SOURCES = ("nominal", "chain", "sides", "search", "joint_path")
+"""Sources of a motion: the nominal motion, the rows of the paper's chain together, a proposed side,
+the local search, and a path in the joints."""
+NOMINAL, CHAIN, SIDES, SEARCH, JOINT_PATH = range(len(SOURCES))
+_EVEN = np.tile([0.0, 0.5, -0.05, 1.0, 0.3, 4.0, 0.0], (16, 1))
+_EVEN[:, ANGLE] = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+"""First candidates of a search without proposals: a moderate term on every side."""
+
+
+class Guided(NamedTuple):
+    """Candidate motion by terms of several obstacles, past which guidance leads.
+
+    Attributes:
+        terms: (M, 13) coupling terms, see `turn_step`.
+        obstacles: the obstacles that lead their headings.
+    """
+
+    terms: FloatArray
+    obstacles: Obstacles
 
 
 class Ranked(NamedTuple):
-    """Candidates, the best first: genes (n, 7), costs (n,) and path lengths (n,) [m]."""
+    """Candidates, the best first.
+
+    Attributes:
+        genes: (n, 7) genes; those of the nominal motion where the source is `CHAIN`.
+        cost: (n,) costs.
+        length: (n,) path lengths [m].
+        source: (n,) rows of `SOURCES`.
+    """
 
     genes: FloatArray
     cost: FloatArray
     length: FloatArray
+    source: IntArray
 
     @property
     def solved(self) -> bool:
@@ -112,9 +145,24 @@ class Ranked(NamedTuple):
 
     def joined(self, *others: Ranked) -> Ranked:
         """Returns the best of these and of others, at most `ELITES`."""
-        genes, cost, length = map(np.concatenate, zip(self, *others, strict=True))
-        order = np.argsort(cost, kind="stable")[:ELITES]
-        return Ranked(genes[order], cost[order], length[order])
+        columns = [np.concatenate(column) for column in zip(self, *others, strict=True)]
+        order = np.argsort(columns[1], kind="stable")[:ELITES]
+        return Ranked(*(column[order] for column in columns))
+
+
+def nominal_genes() -> FloatArray:
+    """Returns the genes (1, 7) of the nominal motion."""
+    genes = np.zeros((1, N_GENES))
+    genes[:, ALPHA] = -np.inf
+    return genes
+
+
+def _first(ranked: Ranked) -> Ranked:
+    """Returns the best candidate alone."""
+    return Ranked(*(column[:1] for column in ranked))
+
+
+_EMPTY = Ranked(np.zeros((0, N_GENES)), np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64))
 
 
 class Search(ABC):
@@ -147,7 +195,7 @@ class Search(ABC):
         self.previous, self.settled, self.price = previous, settled, price
         self.moves = scene.moves
         self.ds = policy.period / dmp.duration
-        self.elites = np.zeros((0, N_GENES))
+        self.elites, self.stays = np.zeros((0, N_GENES)), False
 
     @abstractmethod
     def world_cost(
@@ -162,67 +210,96 @@ class Search(ABC):
             worst: cost beyond which a candidate is not among the best.
         """
 
-    def run(self, proposals: FloatArray) -> Ranked:
+    def run(
+        self,
+        sides: FloatArray,
+        *,
+        guided: Guided | None = None,
+        in_use: Guided | None = None,
+        source: int = SEARCH,
+    ) -> Ranked:
         """Searches.
 
         Args:
-            proposals: (n, 7) genes of the first candidates; without, no round is run.
+            sides: (n, 7) genes of proposed sides, the best first.
+            guided: candidate by the rows of the paper's chain.
+            in_use: the motion in use, if it is such a one.
+            source: of the motion in use, if it has genes.
 
         Returns:
             The best candidate, alone. Nothing is shorter than the nominal motion: where that is
             feasible, nothing else is looked at.
         """
-        nominal = np.zeros((1, N_GENES))
-        nominal[:, ALPHA] = -np.inf
-        chosen = self.evaluate(nominal)
-        if chosen.solved:
-            return chosen
-        trial, in_use = self.seeded(proposals), bool(np.isfinite(self.previous).all())
-        ranked = Ranked(*(value[:0] for value in chosen))
-        if in_use:
-            same = self.evaluate(self.previous[None])
-            if same.solved:
-                if self.settled:
-                    return same
-                ranked = same.joined(self.evaluate(trial, same))
-                if same.cost[0] <= ranked.cost[0] + _MUCH:
-                    return same
-        if not len(ranked.cost):
-            ranked = ranked.joined(self.evaluate(trial))
-        since = 0
-        polish = min(_BRIEF, self.parameters.polish) if in_use else self.parameters.polish
+        nominal = self.evaluate(nominal_genes(), [NOMINAL])
+        if nominal.solved:
+            return nominal
+        best, held, had = nominal, False, bool(np.isfinite(self.previous).all())
+        if in_use is not None:
+            best, held = self.evaluate(nominal_genes(), [CHAIN], guided=in_use), True
+        elif had:
+            best, held = self.evaluate(self.previous[None], [source]), True
+        held = held and best.solved
+        if held and self.settled:
+            self.stays = True
+            return best
+        same, best = best, best.joined(nominal)
+        if guided is not None:
+            best = best.joined(self.evaluate(nominal_genes(), [CHAIN], guided=guided))
+        genes, sources = self.seeded(sides, guided)
+        ranked = self.evaluate(genes, sources, _first(best) if held else None)
+        best = _first(best.joined(ranked))
+        if held and same.cost[0] <= best.cost[0] + _MUCH:
+            self.stays = True
+            return same
+        since, ranked = 0, _EMPTY.joined(ranked)
+        polish = min(_BRIEF, self.parameters.polish) if had else self.parameters.polish
         for number in range(self.parameters.rounds + 1):
-            if not len(ranked.cost):
-                break
             self.elites = ranked.genes
-            since += ranked.solved
+            since += best.solved
             last = since > polish or number == self.parameters.rounds
-            if last or self.hopeless(ranked, number):
+            if last or self.hopeless(best, number):
                 break
-            ranked = ranked.joined(self.evaluate(self.children(ranked, number), ranked))
-        return Ranked(*(value[:1] for value in chosen.joined(ranked)))
+            trial = self.children(ranked, number)
+            ranked = ranked.joined(self.evaluate(trial, [SEARCH] * len(trial), ranked))
+            best = _first(best.joined(ranked))
+        self.stays = held and best.cost[0] == same.cost[0]
+        return best
 
     def hopeless(self, ranked: Ranked, number: int) -> bool:
         """Returns whether the search is given up after so many rounds."""
         return False
 
-    def evaluate(self, genes: FloatArray, known: Ranked | None = None) -> Ranked:
-        """Rolls out candidates (n, 7); those that cannot be among the known ones only in part."""
+    def evaluate(
+        self,
+        genes: FloatArray,
+        source: Sequence[int],
+        known: Ranked | None = None,
+        guided: Guided | None = None,
+    ) -> Ranked:
+        """Rolls out candidates (n, 7) of sources (n,), or the guided one.
+
+        Those that cannot be among the known ones are rolled out only in part.
+        """
         worst = math.inf if known is None else float(known.cost[-1])
         longest = worst * self.scene.baseline if worst < BAD else math.inf
-        tool = self.tool_paths(genes, longest)
+        tool = self.tool_paths(genes, longest, guided)
         cost = self.tool_cost(genes, tool)
-        return Ranked(genes, cost + self.world_cost(genes, tool, cost, worst), tool.path_length)
+        cost = cost + self.world_cost(genes, tool, cost, worst)
+        return Ranked(genes, cost, tool.path_length, np.asarray(source, dtype=np.int64))
 
-    def tool_paths(self, genes: FloatArray, longest: float = math.inf) -> ToolRollouts:
-        """Rolls out the tool along candidates (n, 7); ellipsoids are not considered."""
+    def tool_paths(
+        self, genes: FloatArray, longest: float = math.inf, guided: Guided | None = None
+    ) -> ToolRollouts:
+        """Rolls out the tool along candidates (n, 7), or the guided one."""
+        terms = avoidance_terms(self.scene, genes)[:, None]
         return roll_out_tool(
             self.scene,
-            avoidance_terms(self.scene, genes)[:, None],
+            terms if guided is None else guided.terms[None],
             dmp=self.dmp,
             policy=self.policy,
             tolerance=self.parameters.tolerance,
             longest=longest,
+            obstacles=None if guided is None else guided.obstacles,
         )
 
     def seconds(self, genes: FloatArray) -> FloatArray:
@@ -244,14 +321,27 @@ class Search(ABC):
         small = _LATE * late + _HURRY * hurry + _FLIP * flip + price
         return np.asarray(np.where(bad > 0.0, BAD + bad, 0.0) + tool.path_length / L + small)
 
-    def seeded(self, proposals: FloatArray) -> FloatArray:
-        """Returns proposals; the motion in use and stronger ones take the place of the last."""
-        genes = self.bounded(proposals)
-        if not len(genes) or not np.isfinite(self.previous).all():
-            return genes
-        stays = max(self.parameters.candidates // 8, 2)
-        stronger = strengths(self.previous, False, SPACING, stays - 1)
-        return np.concatenate([genes[:-stays], stronger, self.previous[None]])
+    def seeded(self, sides: FloatArray, guided: Guided | None) -> tuple[FloatArray, IntArray]:
+        """Returns the first candidates (n, 7) and their sources (n,).
+
+        Proposed sides with several strengths each; in place of the last of them single terms of
+        the guided candidate, and the motion in use with stronger ones. Without any of these, a
+        moderate term on every side.
+        """
+        count = self.parameters.candidates
+        genes, more = tried(sides, count), [np.zeros((0, N_GENES))]
+        if guided is not None:
+            acts = (guided.terms[:, TERM_ALPHA] > 0.0) & guided.terms[:, NORMAL:].any(axis=1)
+            more.append(genes_of(self.scene, guided.terms[acts])[: count // 8])
+        if np.isfinite(self.previous).all():
+            stays = max(count // 8, 2)
+            more += [strengths(self.previous, False, SPACING, stays - 1), self.previous[None]]
+        others = np.concatenate(more)
+        genes = genes[: max(count - len(others), 0)]
+        if not len(genes) and not len(others):
+            others = _EVEN
+        source = np.repeat([SIDES, SEARCH], [len(genes), len(others)])
+        return self.bounded(np.concatenate([genes, others])), source
 
     def children(self, ranked: Ranked, number: int) -> FloatArray:
         """Returns the candidates of a round, (n, 7)."""
@@ -364,15 +454,23 @@ class ArmSearch(Search):
         self.moves = bool(world.solids.ball[:, 4:7].any())
         # No round follows the first feasible motion.
         self.hasty = self.parameters.polish == 0
+        self.counts = np.zeros(len(SOURCES), dtype=np.int64)
         self.every = max(round(1.0 / (self.ds * samples)), 1)
         self.planned_length = _length(self.dmp) * scene.baseline
 
-    def evaluate(self, genes: FloatArray, known: Ranked | None = None) -> Ranked:
-        """Rolls out candidates (n, 7), and keeps an account of the cost."""
+    def evaluate(
+        self,
+        genes: FloatArray,
+        source: Sequence[int],
+        known: Ranked | None = None,
+        guided: Guided | None = None,
+    ) -> Ranked:
+        """Rolls out candidates, see `Search`; keeps an account of the cost and of the sources."""
         with counted() as work:
-            ranked = super().evaluate(genes, known)
+            ranked = super().evaluate(genes, source, known, guided)
         self.latest = _COSTS.seconds(work) - _COSTS.decision
         self.spent += self.latest
+        self.counts += np.bincount(ranked.source, minlength=len(SOURCES))
         return ranked
 
     def world_cost(
@@ -410,8 +508,8 @@ class ArmSearch(Search):
             far = 0.0
         return bool(number >= ROUNDS_OF_HOPE and ranked.cost[0] > BAD + far)
 
-    def seeded(self, proposals: FloatArray) -> FloatArray:
-        """Returns proposals, or the best candidates of the earlier search, or both.
+    def seeded(self, sides: FloatArray, guided: Guided | None) -> tuple[FloatArray, IntArray]:
+        """Returns the first candidates, or the best of the earlier search, or both; see `Search`.
 
         Among moving obstacles the nominal motion is proposed at other paces, too: to wait is a way.
         """
@@ -420,10 +518,12 @@ class ArmSearch(Search):
             paced = np.zeros((len(_PACES), N_GENES))
             paced[:, ALPHA], paced[:, TAU] = -np.inf, _PACES
             seeds = np.concatenate([seeds, self.bounded(paced)])
+        own = np.full(len(seeds), SEARCH)
         if len(self.seeds) and not self.afresh:
-            return seeds
-        genes = super().seeded(proposals)
-        return np.concatenate([seeds, genes[: max(len(genes) - len(seeds), 0)]])
+            return seeds, own
+        genes, source = super().seeded(sides, guided)
+        room = max(len(genes) - len(seeds), 0)
+        return np.concatenate([seeds, genes[:room]]), np.append(own, source[:room])
 
     def children(self, ranked: Ranked, number: int) -> FloatArray:
         """Returns the candidates of a round; never those of a recent one."""

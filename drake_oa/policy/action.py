@@ -317,9 +317,11 @@ class Surroundings(Frozen):
             ValueError: if coupling or route do not have one row an ellipsoid, or a
                 parameter is out of its range or of another shape.
         """
-        own = coupling is not None and coupling.verified
-        # What a verified term acts about belongs to no ellipsoid, and holds nothing.
-        shapes = EllipsoidSet() if own else ellipsoids
+        own, shapes = coupling is not None and coupling.verified, ellipsoids
+        if own and coupling is not None:
+            # Verified terms have their own obstacles, which lead headings and hold nothing.
+            shapes = coupling.ellipsoids
+            route = route if route is not None and len(route.direction_W) else None
         count = len(coupling) if own and coupling is not None else len(shapes or EllipsoidSet())
         hold, note = _hold(coupling, route)
         obstacles = Obstacles.of(shapes)

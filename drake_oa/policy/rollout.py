@@ -7,7 +7,7 @@ They advance by the kernel and at the time step of `DmpIntegrator`
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from drake_oa.common.compiled import CORES, on_cores, parted
-from drake_oa.common.messages import EllipsoidSet, FloatArray, Frozen
+from drake_oa.common.messages import EllipsoidSet, FloatArray, Frozen, PolicyState
 from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.common.thinking import count
 from drake_oa.policy.action import rules_of
 from drake_oa.policy.action_kernels import Ending, Facts, Rules, advance
 from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import ALPHA
-from drake_oa.policy.dmp import Dmp, Primitive, spring_flow
+from drake_oa.policy.dmp import Dmp, Primitive, local_frame, normalised_time, spring_flow
 from drake_oa.policy.guidance import Obstacles
 
 LATEST = 2.0
@@ -66,6 +66,36 @@ class Scene(Frozen):
     def moves(self) -> bool:
         """Whether an obstacle moves."""
         return bool(self.ellipsoids.v_WO.any())
+
+
+def scene_under_way(
+    policy: PolicyState,
+    p_WG: FloatArray,
+    ellipsoids: EllipsoidSet,
+    *,
+    clearance: float,
+    alpha_k: float,
+) -> Scene:
+    """Returns the scene of a motion under way among obstacles where they are now.
+
+    Args:
+        policy: the motion.
+        p_WG: (3,) its goal [m].
+        ellipsoids: the obstacles, moved on since their stamp.
+        clearance: requested clearance [m].
+        alpha_k: decay of the phase.
+    """
+    lag = policy.stamp - ellipsoids.stamp if math.isfinite(ellipsoids.stamp) else 0.0
+    return Scene(
+        p_WE=policy.p_WE,
+        z_W=policy.z_W,
+        p_WG=np.asarray(p_WG, dtype=float),
+        R_WL=local_frame(policy.p_WS, p_WG),
+        baseline=math.dist(p_WG, policy.p_WS),
+        ellipsoids=replace(ellipsoids, p_WO=ellipsoids.p_WO + lag * ellipsoids.v_WO),
+        clearance=np.full(len(ellipsoids), clearance),
+        s=max(0.0, normalised_time(policy.phase, alpha_k)),
+    )
 
 
 @dataclass(frozen=True, eq=False)

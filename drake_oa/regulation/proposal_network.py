@@ -24,18 +24,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_oa.common.messages import EllipsoidSet, FloatArray, Frozen
+from drake_oa.common.messages import SIDE, CouplingParameters, EllipsoidSet, FloatArray, Frozen
+from drake_oa.policy.coupling import ALPHA as TERM_ALPHA
+from drake_oa.policy.coupling import KAPPA as TERM_KAPPA
+from drake_oa.policy.coupling import NORMAL
 from drake_oa.policy.rollout import Scene
 from drake_oa.regulation.network import array_of, read_arrays, write_arrays
 from drake_oa.regulation.proposals import (
-    ALPHA,
     ANGLE,
     N_GENES,
-    NO_PRICE,
-    ladder,
-    price_at,
+    TAU,
+    avoidance_terms,
+    side_costs,
 )
-from drake_oa.route.cost_rings import LEAST_SPREAD
 
 N_SIDES = 16
 """Sides that a scene is looked at from, all round the baseline."""
@@ -54,10 +55,6 @@ GENE_SCALE = np.array([0.2, 0.25, 0.1, 2.0, 0.8, 2.0, 0.3])
 """Of the genes that the network gives, the angle counted from its side."""
 
 LAYERS = ("each_1", "each_2", "all_1", "all_2", "out")
-_UNLIKELY = 2.0
-"""What a side that certainly does not keep what is asked ranks as longer by, in baselines."""
-_STRENGTHS = (-0.4, 1.3)
-"""Between what is added to the ln alpha that the network gives, on the sides that are tried."""
 _FORMAT = "drake_oa proposal network 1"
 
 Floats32 = NDArray[np.float32]
@@ -150,23 +147,25 @@ class ProposalNetwork(Frozen):
         likely = 1.0 / (1.0 + np.exp(-np.clip(out[:, N_GENES + 1], -50.0, 50.0)))
         return genes, length, likely
 
-    def propose(
-        self, scene: Scene, duration: float, count: int, price: FloatArray = NO_PRICE
-    ) -> FloatArray:
-        """Proposes candidates, the best side first; see `Proposer`."""
+    def ranked(self, scene: Scene, duration: float) -> FloatArray:
+        """Returns the genes (N, 7) of the sides of a scene, the best side first; T [s]."""
         genes, length, likely = self.sides(scene, duration)
-        cost = length + _UNLIKELY * (1.0 - likely) + price_at(price, SIDES)
-        rank, share = ladder(count, N_SIDES)
-        found = genes[np.argsort(cost, kind="stable")[rank]]
-        found[:, ALPHA] += _STRENGTHS[0] + (_STRENGTHS[1] - _STRENGTHS[0]) * share
-        return found
+        return genes[np.argsort(side_costs(length, likely), kind="stable")]
 
-    def weigh(self, scene: Scene, duration: float) -> dict[str, FloatArray]:
-        """Returns the additional length of the sides, and how improbable their clearance is."""
-        _, length, likely = self.sides(scene, duration)
-        longer = length - length.min()
-        spread = max(float(longer.max()), LEAST_SPREAD)
-        return {"length": longer[None] / spread, "unlikely": 1.0 - likely[None]}
+    def rows(self, scene: Scene, duration: float) -> CouplingParameters:
+        """Returns the rows of the N sides, see `CouplingParameters`; T [s]."""
+        genes, length, likely = self.sides(scene, duration)
+        terms = avoidance_terms(scene, genes)
+        return CouplingParameters(
+            *np.ascontiguousarray(terms[:, TERM_ALPHA : TERM_KAPPA + 1].T),
+            in_range=np.ones(len(genes), dtype=bool),
+            center_W=terms[:, :3],
+            normal_W=terms[:, NORMAL : NORMAL + 3],
+            kind=np.full(len(genes), SIDE),
+            length=length,
+            likely=likely,
+            scaling=np.exp(genes[:, TAU]),
+        )
 
 
 _STAND_IN = (0.15, 0.1)

@@ -12,9 +12,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
 from drake_oa.policy.coupling import ALPHA as ALPHA_COLUMN
@@ -53,29 +53,49 @@ def avoidance_terms(scene: Scene, genes: FloatArray) -> FloatArray:
     return terms
 
 
+def genes_of(scene: Scene, terms: FloatArray, scaling: ArrayLike = 1.0) -> FloatArray:
+    """Returns the candidates (N, 7) of coupling terms (N, 13): the inverse of `avoidance_terms`.
+
+    Args:
+        scene: the scene.
+        terms: (N, 13) terms; the part of a point that is not in the plane of its normal and the
+            baseline is lost.
+        scaling: () or (N,) temporal scalings.
+    """
+    x, y, z = scene.R_WL.T
+    normal, along = terms[:, NORMAL : NORMAL + 3], (terms[:, :3] - scene.p_WG) / scene.baseline
+    genes = np.empty((len(terms), N_GENES))
+    genes[:, ANGLE] = np.arctan2(-normal @ y, normal @ z)
+    omega = np.cos(genes[:, ANGLE, None]) * y + np.sin(genes[:, ANGLE, None]) * z
+    genes[:, PLACE], genes[:, ASIDE] = 1.0 + along @ x, (along * omega).sum(axis=1)
+    strength = terms[:, ALPHA_COLUMN : KAPPA_COLUMN + 1] * [1.0, 1.0, scene.baseline**2]
+    genes[:, [ALPHA, PSI, KAPPA]] = np.log(np.maximum(strength, 1e-300))
+    genes[:, TAU] = np.log(scaling)
+    return genes
+
+
+UNLIKELY = 2.0
+"""Additional cost of a side that certainly does not achieve the clearance, in baselines."""
+_STRENGTHS = (-0.4, 1.3)
+"""Range of what is added to the proposed ln alpha of the sides that are tried."""
+
+
+def side_costs(length: FloatArray, likely: FloatArray) -> FloatArray:
+    """Returns costs of sides, in baselines, by expected length and probability (N,) each."""
+    return length + UNLIKELY * (1.0 - likely)
+
+
+def tried(genes: FloatArray, count: int) -> FloatArray:
+    """Returns candidates (count, 7) of ranked sides (S, 7): the first ones with more strengths."""
+    if not len(genes):
+        return genes
+    rank, share = ladder(count, len(genes))
+    found = genes[rank]
+    found[:, ALPHA] += _STRENGTHS[0] + (_STRENGTHS[1] - _STRENGTHS[0]) * share
+    return found
+
+
 NO_PRICE: FloatArray = np.zeros(0)
-
-
-class Proposer(Protocol):
-    """Source of the candidates with which a search begins."""
-
-    def propose(
-        self, scene: Scene, duration: float, count: int, price: FloatArray = NO_PRICE
-    ) -> FloatArray:
-        """Proposes candidates.
-
-        Args:
-            scene: the motion and the obstacles.
-            duration: T [s].
-            count: number of candidates.
-            price: (K,) additional costs of the sides, in baselines; see `price_at`.
-
-        Returns:
-            (count, 7) genes.
-        """
-
-    def weigh(self, scene: Scene, duration: float) -> dict[str, FloatArray]:
-        """Returns costs in [0, 1] of K evenly spread sides, (1, K) each, by name."""
 
 
 def price_at(price: FloatArray, angle: FloatArray) -> FloatArray:

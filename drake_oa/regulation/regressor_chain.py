@@ -1,4 +1,4 @@
-"""The regulation layer as the paper has it: coupling parameters from the obstacles' sections."""
+"""The regulation layer: coupling parameters from the obstacles' descriptors, by two networks."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ import numpy as np
 from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import Context, LeafSystem
 
-from drake_oa.common.messages import CouplingParameters, EllipsoidSet, PolicyState
+from drake_oa.common.messages import CHAIN, CouplingParameters, EllipsoidSet, PolicyState
 from drake_oa.common.ports import read_value
+from drake_oa.policy.dmp import Dmp
+from drake_oa.policy.rollout import scene_under_way
+from drake_oa.regulation.proposal_network import ProposalNetwork
 from drake_oa.regulation.regressor import ChainWeights, section_extents
 
 GAMMA, BETA = 1000.0, 20.0 / math.pi
@@ -21,7 +24,7 @@ Scaling = Literal["route", "sections", "none"]
 
 
 class RegressorChain(LeafSystem):
-    """Regulates the coupling terms: a chain of three networks, one row an obstacle.
+    """Computation of coupling parameters by the paper's chain and by the proposal network.
 
     .. pydrake_system::
 
@@ -29,14 +32,20 @@ class RegressorChain(LeafSystem):
       input_ports:
       - ellipsoids_W
       - policy_state
+      - goal (optional)
       output_ports:
       - coupling_parameters
 
     - ellipsoids_W: abstract `EllipsoidSet`, M dilated obstacles; may be empty.
     - policy_state: abstract `PolicyState` of the movement primitive. The P-plane through it
       cuts the obstacles: lambda'.
-    - coupling_parameters: abstract `CouplingParameters`, M rows of alpha, psi, kappa about the
-      obstacles' centres, and whether the query lay in the range that the chain was trained for.
+    - goal (optional): (3,) goal of the motion in the world frame [m]; without it that of the
+      policy state.
+    - coupling_parameters: abstract `CouplingParameters`. First M rows of the kind `CHAIN`: alpha,
+      psi, kappa about the obstacles' centres, and whether the query lay in the range that the
+      chain was trained for; they act together. Then 16 rows of the kind `SIDE`: one candidate
+      motion a side of the baseline, with its expected length and the probability that it achieves
+      the clearance; at most one acts. A network that is None has no rows.
 
     There is no state. The output is computed when it is asked for, once for each
     change of the inputs. While start and goal coincide (no motion has been set yet)
@@ -45,29 +54,34 @@ class RegressorChain(LeafSystem):
 
     def __init__(
         self,
-        weights: ChainWeights,
+        weights: ChainWeights | None,
         asked_clearance: float,
         *,
+        proposals: ProposalNetwork | None = None,
+        dmp: Dmp | None = None,
         original: float | None = None,
         scaling: Scaling = "route",
     ) -> None:
         """Declares the ports.
 
         Args:
-            weights: the trained chain, see `drake_oa.regulation.regressor.load_chain`.
+            weights: the trained chain, see `drake_oa.regulation.regressor.load_chain`; None: no
+                rows of the chain.
             asked_clearance: asked distance Delta between tool and obstacle [m].
+            proposals: the network of candidate sides; None: no rows of sides.
+            dmp: the movement primitive, for the proposals.
             original: the original term at its published gains in place of the chain's, for a
                 demonstrated duration of so long [s]; None: the dead-zone free one.
             scaling: what tau comes from: "route", the length of the chosen route; "sections", the
                 way through the extreme points of the obstacles' sections (sec. IV-E); "none": 1.
 
         Raises:
-            TypeError: if weights are no `ChainWeights`.
+            TypeError: if weights are neither `ChainWeights` nor None.
             ValueError: if clearance or duration are not finite and positive, or the scaling is
-                unknown.
+                unknown, or proposals are without a primitive.
         """
         super().__init__()
-        if not isinstance(weights, ChainWeights):
+        if weights is not None and not isinstance(weights, ChainWeights):
             raise TypeError(
                 f"weights must be ChainWeights (see load_chain), not {type(weights).__name__}"
             )
@@ -81,26 +95,47 @@ class RegressorChain(LeafSystem):
             raise ValueError(
                 f"scaling '{scaling}'; it must be one of {', '.join(get_args(Scaling))}"
             )
-        self._weights = weights
+        if proposals is not None and dmp is None:
+            raise ValueError("proposals need the movement primitive: dmp")
+        self._weights, self._proposals, self._dmp = weights, proposals, dmp
         self._asked_clearance = float(asked_clearance)
         self._original = original
         self._scaling = scaling
         self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
         self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
+        self._goal = self.DeclareVectorInputPort("goal", 3)
         self.DeclareAbstractOutputPort(
             "coupling_parameters",
             lambda: Value(CouplingParameters()),
             self._calc_parameters,
+            # Not the goal: a constant source counts as new at every instant.
             prerequisites_of_calc={self._ellipsoids.ticket(), self._policy.ticket()},
         )
 
     def _calc_parameters(self, context: Context, output: AbstractValue) -> None:
         ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
         policy = read_value(self, self._policy, context, PolicyState)
-        output.set_value(self._parameters(policy, ellipsoids))
+        found = self._chain_rows(policy, ellipsoids)
+        if self._proposals is not None and self._dmp is not None and policy.baseline > 0.0:
+            has_goal = self._goal.HasValue(context)
+            p_WG = np.array(self._goal.Eval(context)) if has_goal else policy.p_WG
+            scene = scene_under_way(
+                policy,
+                p_WG,
+                ellipsoids,
+                clearance=self._asked_clearance,
+                alpha_k=self._dmp.alpha_k,
+            )
+            if scene.baseline > 0.0:
+                sides = self._proposals.rows(scene, self._dmp.duration)
+                found = joined_rows(found, ellipsoids, sides)
+        output.set_value(found)
 
-    def _parameters(self, policy: PolicyState, ellipsoids: EllipsoidSet) -> CouplingParameters:
+    def _chain_rows(self, policy: PolicyState, ellipsoids: EllipsoidSet) -> CouplingParameters:
+        """Returns a row an obstacle by the paper's chain, or none."""
         count, baseline = len(ellipsoids), policy.baseline
+        if self._weights is None and self._original is None:
+            return CouplingParameters()
         if baseline == 0.0:
             zeros = np.zeros(count)
             return CouplingParameters(zeros, np.ones(count), zeros, np.zeros(count, dtype=bool))
@@ -112,7 +147,7 @@ class RegressorChain(LeafSystem):
                 np.ones(count, dtype=bool),
                 original=True,
             )
-        else:
+        elif self._weights is not None:
             extents = section_extents(policy.p_WE, policy.z_W, policy.R_WL, ellipsoids)
             found = self._weights.parameters(extents, self._asked_clearance, baseline)
         if self._scaling == "route":
@@ -121,6 +156,26 @@ class RegressorChain(LeafSystem):
         if self._scaling == "sections":
             tau = max(1.0, way_past(policy, ellipsoids, self._asked_clearance) / baseline)
         return replace(found, tau=tau)
+
+
+def joined_rows(
+    chain: CouplingParameters, ellipsoids: EllipsoidSet, sides: CouplingParameters
+) -> CouplingParameters:
+    """Returns rows of the chain (M or none), about the centres of M obstacles, and of N sides."""
+    count = len(chain)
+    unknown = np.full(count, np.nan)
+    own = {
+        "center_W": ellipsoids.p_WO[:count],
+        "normal_W": np.zeros((count, 3)),
+        "kind": np.full(count, CHAIN),
+        "length": unknown,
+        "likely": unknown,
+        "scaling": np.ones(count),
+    }
+    columns = ("alpha", "psi", "kappa", "in_range", *own)
+    chain = replace(chain, **own)
+    rows = {name: np.concatenate([getattr(chain, name), getattr(sides, name)]) for name in columns}
+    return replace(chain, **rows)
 
 
 def way_past(policy: PolicyState, ellipsoids: EllipsoidSet, asked_clearance: float) -> float:

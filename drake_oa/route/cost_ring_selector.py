@@ -1,4 +1,4 @@
-"""The decision layer: on which side to pass each obstacle."""
+"""The decision layer: the side on which to pass each obstacle, and the ranking of all sides."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from drake_oa.common.messages import (
     PART,
+    SIDE,
+    CouplingParameters,
     EllipsoidSet,
     FloatArray,
     PolicyState,
@@ -23,7 +25,9 @@ from drake_oa.common.messages import (
 from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.policy.dmp import local_frame
 from drake_oa.policy.guidance import desired_headings, passing_normals
+from drake_oa.regulation.proposals import side_costs
 from drake_oa.route.cost_rings import (
+    FORBIDDEN,
     JOINT_LIMITS,
     JointMargins,
     Ring,
@@ -51,6 +55,7 @@ class CostRingSelector(LeafSystem):
       - policy_state
       - goal
       - table (optional)
+      - coupling_parameters (optional)
       output_ports:
       - route
       - decision
@@ -60,15 +65,21 @@ class CostRingSelector(LeafSystem):
     - goal: (3,) goal of the motion in the world frame [m].
     - table (optional): abstract `TablePlane`; without it the plane that came with
       the ellipsoids is used.
+    - coupling_parameters (optional): abstract `CouplingParameters`, whose rows of the kind `SIDE`
+      are ranked.
     - route: abstract `Route`: for each obstacle the chosen direction omega_d, the
       desired heading v_d, the plane's normal, the clearance to keep there; and the rings.
-    - decision: abstract `Route` without headings (0, 3), empty before initialization. It
-      does not change with every step of the policy, so neither does what is computed from
-      it; `DmpIntegrator` finds the headings itself.
+    - decision: abstract `Route` without headings (0, 3), with the ranking of the sides; empty
+      while there is no motion. Without sides it does not change with every step of the policy, so
+      neither does what is computed from it; `DmpIntegrator` finds the headings itself.
 
     The sides of several obstacles are chosen together (`drake_oa.route.side_choice`). Where every
     direction of an obstacle is forbidden, the route's note says so, and the policy holds
     until one is free.
+
+    Sides of the baseline (rows of `SIDE`) are ranked by their expected length, plus twice the
+    probability that they do not achieve the clearance, plus the price of the user-supplied rings,
+    all in baselines; a side on which such a ring is 1 for an obstacle is left out.
 
     The side is decided at initialization and every `period`, shortly after it so that
     an observation of the same instant counts, and kept by hysteresis: the decision is
@@ -84,6 +95,7 @@ class CostRingSelector(LeafSystem):
         table_height: float = 0.05,
         joint_margins: JointMargins | None = None,
         extra_rings: Mapping[str, Ring] | None = None,
+        ring_price: float = 0.5,
         hysteresis: float = 0.2,
     ) -> None:
         """Declares the ports.
@@ -95,6 +107,7 @@ class CostRingSelector(LeafSystem):
             joint_margins: distance of the arm's joints to their limits along ways of the tool;
                 None: the rings "workspace" and "joint_limits" are absent.
             extra_rings: more rings by name.
+            ring_price: cost of a side on which such a ring is just below 1, in baselines.
             hysteresis: how much dearer a side may be and still be kept.
 
         Raises:
@@ -115,12 +128,16 @@ class CostRingSelector(LeafSystem):
         self._joint_margins = joint_margins
         if joint_margins is not None:
             self._rings |= {"workspace": reach_ring, JOINT_LIMITS: joint_limits_ring}
-        self._rings |= dict(extra_rings or {})
+        self._extra, self._ring_price = dict(extra_rings or {}), ring_price
+        self._rings |= self._extra
 
         self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
         self._policy = self.DeclareAbstractInputPort("policy_state", Value(PolicyState()))
         self._goal = self.DeclareVectorInputPort("goal", 3)
         self._table = self.DeclareAbstractInputPort("table", Value(TablePlane()))
+        self._coupling = self.DeclareAbstractInputPort(
+            "coupling_parameters", Value(CouplingParameters())
+        )
         self._decided = self.DeclareAbstractState(Value(Route()))
         self.DeclareAbstractOutputPort("route", lambda: Value(Route()), self._calc_route)
         self.DeclareAbstractOutputPort(
@@ -131,6 +148,7 @@ class CostRingSelector(LeafSystem):
             prerequisites_of_calc={
                 self._ellipsoids.ticket(),
                 self._table.ticket(),
+                self._coupling.ticket(),
                 self.abstract_state_ticket(self._decided),
             },
         )
@@ -190,19 +208,57 @@ class CostRingSelector(LeafSystem):
         """The decision in the Context, or for the same motion past other obstacles, if so."""
         ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
         decided: Route = context.get_abstract_state(self._decided).get_value()
-        if decided.baseline == 0.0 or np.array_equal(decided.ids, ellipsoids.ids):
+        if decided.baseline == 0.0:
+            policy = read_value(self, self._policy, context, PolicyState)
+            goal = self._goal.Eval(context)
+            ready = math.dist(policy.p_WS, goal) > 0.0
+            return self._weigh(context, policy.p_WS, goal) if ready else decided
+        if np.array_equal(decided.ids, ellipsoids.ids):
             return decided
         return self._weigh(context, decided.p_WS, decided.p_WG)
 
     def _calc_decision(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self._current(context))
+        route = self._current(context)
+        coupling = read_optional(self, self._coupling, context, CouplingParameters)
+        if coupling is not None and len(coupling.kind):
+            ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
+            route = self._ranked(route, coupling, ellipsoids)
+        output.set_value(route)
+
+    def _ranked(
+        self, route: Route, coupling: CouplingParameters, ellipsoids: EllipsoidSet
+    ) -> Route:
+        """Returns the route with the ranking of the sides."""
+        rows = np.flatnonzero(coupling.kind == SIDE)
+        price = np.zeros(0)
+        blocked, note = route.blocked, route.note
+        if self._extra and len(ellipsoids) and len(rows) and route.baseline > 0.0:
+            scene = ring_scene(
+                route.p_WS,
+                route.p_WG,
+                route.R_WL,
+                ellipsoids,
+                None,
+                asked_clearance=self._asked_clearance,
+                n_directions=len(rows),
+            )
+            # One motion passes all obstacles on one side.
+            rings = np.array([ring(scene).max(axis=0) for ring in self._extra.values()])
+            forbidden = (rings >= FORBIDDEN).any(axis=0)
+            price = np.where(forbidden, np.inf, self._ring_price * rings.sum(axis=0))
+            if forbidden.all():
+                blocked = True
+                note = f"every side is forbidden by the rings {', '.join(self._extra)}"
+        cost = side_costs(coupling.length[rows], coupling.likely[rows])
+        cost += price if len(price) else 0.0
+        order = np.argsort(cost, kind="stable")
+        ranking = rows[order[np.isfinite(cost[order])]]
+        return replace(route, ranking=ranking, price=price, blocked=blocked, note=note)
 
     def _calc_route(self, context: Context, output: AbstractValue) -> None:
         ellipsoids = read_value(self, self._ellipsoids, context, EllipsoidSet)
         policy = read_value(self, self._policy, context, PolicyState)
         route = self._current(context)
-        if route.baseline == 0.0:
-            route = self._weigh(context, policy.p_WS, self._goal.Eval(context))
         heading_W = desired_headings(
             policy,
             ellipsoids,

@@ -71,6 +71,8 @@ evasion                (T, 3)         m/s      velocity of the tool point out of
                                                moves; (0, 3) where nothing watches for it
 lowered                (T,)           m        by how much regulation had lowered the asked
                                                clearance; (0,) where a file does not tell
+motion_source          (T,)           1        source of the motion: -1 none, 0 nominal, 1 chain,
+                                               2 sides, 3 search, 4 joint_path; (0,) likewise
 motion_end             ()             s        when the motion ended; the world goes on after it
                                                until all is at rest; NaN where a file does not tell
 settled                ()             bool     whether all came to rest
@@ -104,7 +106,7 @@ SCHEMA_VERSION = 2
 _SCHEMA_KEY = "schema_version"
 _COUNTED = {
     "t": "t q v torque saturated p_WE desired_position desired_velocity desired_acceleration "
-    "phase speed_scale tracking_error q_world shortfall lowered goal "
+    "phase speed_scale tracking_error q_world shortfall lowered motion_source goal "
     "desired_orientation orientation_error desired_posture evasion",
     "observation_time": "observation_stamp p_WO R_WO semi_axes v_WO obstacle_id out_of_range",
     "event_time": "event event_hold",
@@ -197,6 +199,7 @@ class MotionLog:
     desired_posture: FloatArray = _empty(0, 0)
     evasion: FloatArray = _empty(0, 3)
     lowered: FloatArray = _empty(0)
+    motion_source: FloatArray = _empty(0)
     motion_end: float = math.nan
     settled: bool = False
     decision_time: FloatArray = _empty(0)

@@ -9,6 +9,7 @@ from pydrake.systems.framework import Context
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.perception.config import CameraSource
+from drake_oa.planning.search import SOURCES
 from drake_oa.regulation.config import Paper
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.runs.metrics import robot_judge
@@ -48,7 +49,9 @@ class PanelReadings:
         self._least = np.full(2, math.inf)
         self._contacts: dict[str, None] = {}
 
-    def at(self, now: float, state: str, q: FloatArray, q_world: FloatArray) -> Reading:
+    def at(
+        self, now: float, state: str, q: FloatArray, q_world: FloatArray, source: float = -1.0
+    ) -> Reading:
         """Reads the panel.
 
         Args:
@@ -56,8 +59,11 @@ class PanelReadings:
             state: what holds the motion, or empty.
             q: (N, nq) positions of the robot since the last reading, at least one.
             q_world: (N, n) all positions of the world, or (N, 0): the rest stays.
+            source: source of the motion, see `drake_oa.planning.search.SOURCES`; -1: none.
         """
         lines = [f"t = {now:.1f} s", self._method]
+        if source >= 0.0:
+            lines.append(f"motion source: {SOURCES[int(source)]}")
         if self._judge is not None and q.shape[1]:
             found = self._judge.metrics(q, q_world)
             self._contacts |= dict.fromkeys((*found.contacts, *found.self_contacts))
@@ -92,7 +98,9 @@ def readings(scenario: Scenario, log: MotionLog, *, speed: float = 1.0) -> list[
         last = min(int(np.searchsorted(log.t, time)), len(log.t) - 1)
         rows = slice(min(first, last), last + 1)
         now, first = float(log.t[last]), last + 1
-        reading = panel.at(now, _logged_state(log, now), q[rows], log.q_world[rows])
+        source = float(log.motion_source[last]) if len(log.motion_source) else -1.0
+        state = _logged_state(log, now)
+        reading = panel.at(now, state, q[rows], log.q_world[rows], source)
         found.append(reading._replace(time=round(now / speed, 3)))
     return found
 
@@ -142,4 +150,6 @@ class LivePanel:
         if now < self._next and state == self._state:
             return
         self._next, self._state = now + _PERIOD, state
-        self._page.reading = self._readings.at(now, state, *watcher.positions(root))
+        self._page.reading = self._readings.at(
+            now, state, *watcher.positions(root), watcher.source(root)
+        )

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from drake_oa.common.console import Column, TextTable
 from drake_oa.common.messages import EllipsoidSet, FloatArray
 from drake_oa.perception.config import LiveCameras
+from drake_oa.planning.search import SOURCES
 from drake_oa.policy.orientation_dmp import rotation_matrix
 from drake_oa.runs.metrics import MotionMetrics, free_point_metrics, path_length, robot_metrics
 from drake_oa.runs.motion_log import MotionLog
@@ -82,7 +83,8 @@ def motion_report(
     chain was trained for), `regulation` ("Verified", "Paper", or None without
     modulation), `believed_shortfall` (most that the verified motion lacked of what regulation
     believed feasible; None unless it was verified), `lowered` (by how much regulation
-    lowered the asked clearance at most; None unless verified), `decision_cost`, `evasion_cost` and
+    lowered the asked clearance at most; None unless verified), `sources` (source of the motion ->
+    fraction of the moving time; None unless verified), `decision_cost`, `evasion_cost` and
     `turn_cost` (`cost_figures` of the decisions of the regulation, the evasion and the turn of the
     tool; None without decisions that cost time), `stop_reason`,
     `ended` (one of `MotionEnd`), `settled` (whether all came to rest), `events` (what held
@@ -122,6 +124,7 @@ def motion_report(
         "regulation": log.regulation or None,
         "believed_shortfall": float(log.shortfall.max(initial=0.0)) if verified else None,
         "lowered": float(log.lowered.max(initial=0.0)) if verified else None,
+        "sources": motion_sources(log) if verified else None,
         **{key: cost_figures(layer_costs(log, layer), period) for layer, key in _COST_KEYS.items()},
         "stop_reason": log.stop_reason,
         "ended": log.ended,
@@ -192,6 +195,19 @@ def _least(clearance: FloatArray) -> float | None:
     return least if math.isfinite(least) else None
 
 
+def motion_sources(log: MotionLog) -> dict[str, float]:
+    """Returns the fractions of the moving time in which motions of each source were executed."""
+    codes = log.motion_source[log.moving] if len(log.motion_source) else np.zeros(0)
+    shares = {
+        name: float((codes == code).mean()) for code, name in enumerate(SOURCES) if len(codes)
+    }
+    return {name: share for name, share in shares.items() if share > 0.0}
+
+
+def _sources_text(sources: dict[str, float] | None) -> str | None:
+    return sources and ", ".join(f"{name} {share:.0%}" for name, share in sources.items())
+
+
 def run_report(name: str, scenario: Scenario, logs: dict[str, MotionLog]) -> dict[str, Any]:
     """The report of `drake-oa run --json`; see `motion_report` for each motion.
 
@@ -223,6 +239,7 @@ _COLUMNS = (
     Column("orientation_error", "turn error [deg]", "{:.2f}", math.degrees(1.0)),
     Column("torque_saturation", "saturated [%]", "{:.1f}", 1e2),
     Column("duration", "duration [s]", "{:.2f}"),
+    Column("source", "motion source"),
     Column("stop_reason", "ended by"),
 )
 
@@ -233,7 +250,11 @@ def report_table(report: dict[str, Any]) -> TextTable:
     The notes below it name clearance that was not feasible or not kept, and contacts.
     """
     rows = [
-        {"motion": motion, **report[motion]}
+        {
+            "motion": motion,
+            "source": _sources_text(report[motion]["sources"]),
+            **report[motion],
+        }
         for motion in ("preplanned", "modulated")
         if motion in report
     ]

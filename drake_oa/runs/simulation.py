@@ -159,7 +159,8 @@ class MotionWatcher:
         described = diagram.HasSubsystemNamed("ellipsoid_descriptor")
         self._policy = _reader(diagram, "dmp_integrator", "policy_state", PolicyState())
         self._supervision = _reader(diagram, "supervisor", "supervision", Supervision())
-        self._motion = _reader(diagram, "motion_selector", "motion", PlannedMotion())
+        self._motion = _reader(diagram, "motion_verifier", "motion", PlannedMotion())
+        self._source = _reader(diagram, "motion_verifier", "source", np.full(1, -1.0))
         self._coupling = _reader(
             diagram, "regressor_chain", "coupling_parameters", CouplingParameters()
         )
@@ -228,6 +229,10 @@ class MotionWatcher:
         context = self._plant.GetMyContextFromRoot(root)
         q = self._plant.GetPositions(context, self._robot)
         return q[None], self._plant.GetPositions(context)[None]
+
+    def source(self, root: Context) -> float:
+        """Returns the source of the motion, see `drake_oa.planning.search.SOURCES`; -1: none."""
+        return float(self._source(root)[0])
 
     @property
     def state(self) -> str:
@@ -543,6 +548,7 @@ def log_of(
         "speed_scale": np.ones((count, 1)),
         "shortfall": nothing,
         "lowered": nothing,
+        "motion_source": nothing - 1.0,
     }
     series: dict[str, Any] = {name: signals.get(name, of) for name, of in vectors.items()}
     series |= {name: signals.get(name, of)[:, 0] for name, of in scalars.items()}

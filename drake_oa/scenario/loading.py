@@ -182,6 +182,8 @@ def _resolve_files(data: dict[str, Any], base: Path) -> None:
         ("perception", "folder"),
         ("task", "demonstration"),
         ("regulation", "weights"),
+        ("regulation", "chain"),
+        ("regulation", "proposals"),
         ("robot", "model"),
     ):
         block = data.get(name)

@@ -22,8 +22,9 @@ from torch import Tensor, nn
 
 from drake_oa.common.console import Column, TextTable
 from drake_oa.common.files import provenance
-from drake_oa.common.messages import BoolArray, EllipsoidSet, FloatArray
+from drake_oa.common.messages import BoolArray, EllipsoidSet, FloatArray, IntArray
 from drake_oa.planning.point_search import PointSearch, ellipsoid_solids, path_distances
+from drake_oa.planning.search import SEARCH, Guided
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.rollout import Scene
@@ -126,6 +127,10 @@ class SideSearch(PointSearch):
         genes[:, ANGLE] = np.clip(genes[:, ANGLE], -HALF, HALF)
         return genes
 
+    def seeded(self, sides: FloatArray, guided: Guided | None) -> tuple[FloatArray, IntArray]:
+        """Returns the given candidates."""
+        return self.bounded(sides), np.full(len(sides), SEARCH)
+
 
 def turned(scene: Scene, angle: float) -> Scene:
     """Returns the scene with its frame L turned about x, so that the side at an angle is y_L."""
@@ -225,7 +230,7 @@ def _make_row(
             genes[ALPHA] = -np.inf
         elif network is not None:
             # Of another scene.
-            genes = network.propose(draw_scene(rng, False), DURATION, 1)[0]
+            genes = network.ranked(draw_scene(rng, False), DURATION)[0]
         scene = _under_way(scene, rng.uniform(0.02, 0.75), genes) or scene
     scene = turned(scene, _side(rng, scene, network))
     first = _fixed()
@@ -258,7 +263,7 @@ def _side(rng: np.random.Generator, scene: Scene, network: ProposalNetwork | Non
     """Draws a side: one of those that the network ranks first, or any [rad]."""
     if network is None or rng.random() < 0.3:
         return float(rng.uniform(-np.pi, np.pi))
-    best = rng.choice(network.propose(scene, DURATION, _STARTS)[:, ANGLE])
+    best = rng.choice(network.ranked(scene, DURATION)[:3, ANGLE])
     return float(best + rng.uniform(-1.5, 1.5) * HALF)
 
 

@@ -40,7 +40,7 @@ def wrong_values(schema: dict[str, Any]) -> Iterator[Any]:
     kind = schema.get("type")
     if "anyOf" in schema:
         for option in schema["anyOf"]:
-            if option.get("type") in ("number", "array"):
+            if option.get("type") in ("number", "array", "string"):
                 yield from wrong_values(option)
     if kind in ("number", "integer"):
         yield from ("text", math.nan, math.inf, [1.0])
@@ -57,7 +57,7 @@ def wrong_values(schema: dict[str, Any]) -> Iterator[Any]:
             yield [0.1] * (size + 1)
     elif kind == "string":
         yield from (3, ["a"]) if "enum" not in schema else ("no such word",)
-    else:
+    elif {"type": "string"} not in schema.get("anyOf", ()):
         yield "text" if kind != "null" else object()
 
 

@@ -13,8 +13,9 @@ from drake_oa.common.messages import (
     PolicyState,
 )
 from drake_oa.common.thinking import Thinking, Work, count, counted
-from drake_oa.planning.motion_search import Choice, Sight
-from drake_oa.planning.motion_selector import MotionSelector
+from drake_oa.planning.motion_search import Sight
+from drake_oa.planning.motion_verifier import MotionVerifier
+from drake_oa.planning.selected_motion import SelectedMotion
 from drake_oa.planning.solid_scene import SolidScene
 
 START, GOAL = np.array([0.0, 0.0, 0.3]), np.array([1.0, 0.0, 0.3])
@@ -26,26 +27,26 @@ SLOW = Thinking(decision=0.01, search=0.02, step=0.0, configuration=0.0, pose=0.
 class Scripted:
     """A search that answers what it is told to, with so much work."""
 
-    def __init__(self, searches: int, *answers: Choice) -> None:
+    def __init__(self, searches: int, *answers: SelectedMotion) -> None:
         self.searches, self.answers = searches, answers
-        self.asked: list[Choice] = []
+        self.asked: list[SelectedMotion] = []
         self.late: tuple[float, ...] = ()
 
-    def decide(self, before: Choice, sight: Sight) -> Choice:
+    def decide(self, before: SelectedMotion, sight: Sight) -> SelectedMotion:
         self.asked.append(before)
         count(searches=self.searches)
         found = self.answers[min(len(self.asked), len(self.answers)) - 1]
-        return replace(found, p_WS=sight.policy.p_WS, p_WG=sight.p_WG)
+        return found.changed(key={"p_WS": sight.policy.p_WS, "p_WG": sight.p_WG})
 
-    def still_holds(self, made: Choice, sight: Sight) -> bool:
-        return made.tau not in self.late
+    def still_holds(self, made: SelectedMotion, sight: Sight) -> bool:
+        return made.command.tau not in self.late
 
 
 class Bench:
     """The selector alone, with a scripted search."""
 
     def __init__(self, search: Scripted, thinking: Thinking | None = SLOW) -> None:
-        self.system = MotionSelector(
+        self.system = MotionVerifier(
             search,  # type: ignore[arg-type]
             (0,),
             2,
@@ -73,11 +74,11 @@ class Bench:
         return self.system.GetOutputPort("decision").Eval(self.context).tolist()
 
 
-def choice(tau: float) -> Choice:
-    return Choice(tau=tau)
+def choice(tau: float) -> SelectedMotion:
+    return SelectedMotion().changed(command={"tau": tau})
 
 
-def choices(*taus: float) -> list[Choice]:
+def choices(*taus: float) -> list[SelectedMotion]:
     return [choice(tau) for tau in taus]
 
 
@@ -118,7 +119,7 @@ def test_one_decision_is_made_after_the_other() -> None:
     assert bench.at(0.26).tau == 1.1
     assert bench.at(0.31).tau == 1.1
     assert len(search.asked) == 2
-    assert search.asked[1].tau == 1.1
+    assert search.asked[1].command.tau == 1.1
     assert bench.decision == pytest.approx([0.301, 0.25])
     assert bench.at(0.57).tau == 1.2
 
@@ -147,11 +148,11 @@ def test_a_decision_that_no_longer_fits_is_dropped(what: str) -> None:
     assert len(search.asked) == 2
     # It is made again, from what is in force.
     assert bench.at(0.245).tau == 1.1
-    assert search.asked[2].tau == 1.1
+    assert search.asked[2].command.tau == 1.1
     assert bench.at(0.27).tau == 1.3
 
 
 def test_a_motion_that_goes_on_again_does_not_begin_anew() -> None:
-    bench = Bench(Scripted(2, choice(1.1), replace(choice(1.2), anew=True)))
+    bench = Bench(Scripted(2, choice(1.1), choice(1.2).changed(command={"restart": True})))
     assert [bench.at(number * STEP + 1e-6).anew for number in range(14, 19)] == [False] * 5
     assert bench.at(0.19).tau == 1.1

@@ -44,7 +44,7 @@ def test_what_a_source_of_ones_own_sees_becomes_solids():
         solids.GetMyContextFromRoot(simulator.get_context())
     )
     assert scene.labels == ("obstacle 7", "the table")
-    selector = diagram.GetSubsystemByName("motion_selector")
+    selector = diagram.GetSubsystemByName("motion_verifier")
     context = selector.GetMyContextFromRoot(simulator.get_context())
     assert len(selector.GetOutputPort("decision").Eval(context)) == 2
 
@@ -184,7 +184,7 @@ def test_the_executed_motion_is_the_one_that_was_rolled_out() -> None:
     diagram = build_avoidance(scenario)
     simulator = Simulator(diagram)
     simulator.AdvanceTo(SETTLED)
-    selector = diagram.GetSubsystemByName("motion_selector")
+    selector = diagram.GetSubsystemByName("motion_verifier")
     port = selector.GetOutputPort("motion")
     motion: PlannedMotion = port.Eval(selector.GetMyContextFromRoot(simulator.get_context()))
     # The samples are centimetres apart.

@@ -29,7 +29,7 @@ PAPER = "regulation.weights=package://drake_oa/weights/paper_chain.safetensors"
         (BOX, FOLDED, ["task.start: ", " mm inside panda_"]),
         (BOX, ["perception=!RecordedClouds {folder: /a}"], ["perception.folder", "/a"]),
         (BOX, ["task.demonstration=/no.npz"], ["task.demonstration", "/no.npz"]),
-        (BOX, ["regulation.weights=/no.npz"], ["regulation.weights: "]),
+        (BOX, ["regulation.proposals=/no.npz"], ["regulation.proposals: "]),
         (BOX, GIVEN, ["!Verified needs obstacles that are seen"]),
         (BOX, ["faults=[!Push {body: tail}]"], ["faults[0].body: ", "no link 'tail'"]),
         (BOX, ["robot.tool_links=[panda_thumb]"], ["robot.tool_links", "panda_thumb"]),
@@ -66,8 +66,8 @@ def test_weights_of_another_shape_are_refused(tmp_path: Path) -> None:
     wrong = tmp_path / "wrong.npz"
     np.savez(wrong, alpha=np.zeros((2, 2)))
     for file in (wrong, tmp_path):
-        with pytest.raises(ScenarioError, match=r"regulation\.weights: .*"):
-            build_avoidance(load_scenario("tabletop_box", [f"regulation.weights={file}"]))
+        with pytest.raises(ScenarioError, match=r"regulation\.proposals: .*"):
+            build_avoidance(load_scenario("tabletop_box", [f"regulation.proposals={file}"]))
 
 
 def test_a_recording_needs_the_pose_of_its_camera(recording_folder: Path, tmp_path: Path) -> None:

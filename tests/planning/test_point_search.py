@@ -14,7 +14,8 @@ from drake_oa.policy.coupling import NORMAL
 from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.rollout import Scene
 from drake_oa.regulation.config import Verified
-from drake_oa.regulation.proposals import ALPHA, ANGLE, N_GENES, TAU, Proposer, avoidance_terms
+from drake_oa.regulation.proposal_network import ProposalNetwork
+from drake_oa.regulation.proposals import ALPHA, ANGLE, N_GENES, TAU, avoidance_terms, genes_of
 
 DURATION = 3.0
 START, GOAL = np.zeros(3), np.array([1.0, 0.0, 0.0])
@@ -39,11 +40,11 @@ def scene_of(
     return Scene(START, np.zeros(3), GOAL, np.eye(3), 1.0, seen, np.full(count, 0.1))
 
 
-def searched(scene: Scene, proposer: Proposer) -> tuple[Ranked, FloatArray, FloatArray]:
+def searched(scene: Scene, proposer: ProposalNetwork) -> tuple[Ranked, FloatArray, FloatArray]:
     """The best candidate, its path (n, 3) and stamps (n,)."""
     policy = Policy(period=DURATION / 500)
     search = PointSearch(scene, dmp=DMP, policy=policy, parameters=QUICK)
-    found = search.run(proposer.propose(scene, DURATION, QUICK.candidates))
+    found = search.run(proposer.ranked(scene, DURATION))
     tool = search.tool_paths(found.genes)
     path = tool.path[0, : int(tool.steps[0]) + 1]
     return found, path, np.arange(len(path)) * tool.ds * DURATION * np.exp(found.genes[0, TAU])
@@ -75,7 +76,7 @@ def least_distance(scene: Scene, path: FloatArray, stamps: FloatArray) -> float:
     ],
 )
 def test_the_requested_clearance_is_achieved_and_not_much_more(
-    proposer: Proposer, center: list[list[float]], semi_axes: float | list[float]
+    proposer: ProposalNetwork, center: list[list[float]], semi_axes: float | list[float]
 ) -> None:
     scene = scene_of(center, semi_axes)
     found, path, stamps = searched(scene, proposer)
@@ -86,14 +87,14 @@ def test_the_requested_clearance_is_achieved_and_not_much_more(
     np.testing.assert_array_equal(found.genes, again.genes)
 
 
-def test_the_nominal_motion_stays_where_nothing_is_in_the_way(proposer: Proposer) -> None:
+def test_the_nominal_motion_stays_where_nothing_is_in_the_way(proposer: ProposalNetwork) -> None:
     found, *_ = searched(scene_of([[0.5, 0.3, 0.0]]), proposer)
     assert found.solved
     assert found.genes[0, ALPHA] == -np.inf
     assert found.length == pytest.approx(1.0, abs=1e-4)
 
 
-def test_a_moving_obstacle_is_avoided_where_it_will_be(proposer: Proposer) -> None:
+def test_a_moving_obstacle_is_avoided_where_it_will_be(proposer: ProposalNetwork) -> None:
     # It crosses the baseline's middle at t = 1.5 s, and is far from it now.
     scene = scene_of([[0.5, 0.45, 0.0]], velocity=(0.0, -0.3, 0.0))
     still = replace(scene, ellipsoids=replace(scene.ellipsoids, v_WO=np.zeros((1, 3))))
@@ -103,7 +104,9 @@ def test_a_moving_obstacle_is_avoided_where_it_will_be(proposer: Proposer) -> No
     assert least_distance(scene, path, stamps) >= 0.0995
 
 
-def test_a_clearance_that_cannot_be_achieved_is_as_large_as_possible(proposer: Proposer) -> None:
+def test_a_clearance_that_cannot_be_achieved_is_as_large_as_possible(
+    proposer: ProposalNetwork,
+) -> None:
     # Walls all around, and 0.1 m requested in a gap of 0.12 m.
     scene = scene_of([[0.5, 3.06, 0.0], [0.5, -3.06, 0.0]], [0.2, 3.0, 50.0])
     found, path, stamps = searched(scene, proposer)
@@ -111,7 +114,7 @@ def test_a_clearance_that_cannot_be_achieved_is_as_large_as_possible(proposer: P
     assert 0.04 < least_distance(scene, path, stamps) < 0.07
 
 
-def test_a_motion_under_way_is_searched_from_its_middle(proposer: Proposer) -> None:
+def test_a_motion_under_way_is_searched_from_its_middle(proposer: ProposalNetwork) -> None:
     scene = scene_of([[0.6, 0.0, 0.0]])
     search = PointSearch(scene, dmp=DMP, policy=Policy(period=DURATION / 500), parameters=QUICK)
     tool = search.tool_paths(searched(scene, proposer)[0].genes)
@@ -127,3 +130,11 @@ def test_a_turn_about_the_normal_goes_to_the_side() -> None:
     terms = avoidance_terms(scene_of([[0.5, 0.0, 0.0]]), genes)
     omega = np.cross(terms[0, NORMAL : NORMAL + 3], [1.0, 0.0, 0.0])
     np.testing.assert_allclose(omega, [0.0, np.cos(0.3), np.sin(0.3)], atol=1e-15)
+
+
+def test_genes_and_terms_are_inverse() -> None:
+    scene, rng = scene_of([[0.5, 0.0, 0.0]]), np.random.default_rng(0)
+    low, high = [-3.0, 0.1, -0.3, -2.0, -1.5, 0.0, -0.4], [3.0, 0.9, 0.0, 5.0, 1.5, 9.0, 0.9]
+    genes = rng.uniform(low, high, (50, N_GENES))
+    again = genes_of(scene, avoidance_terms(scene, genes), np.exp(genes[:, TAU]))
+    np.testing.assert_allclose(again, genes, atol=1e-12)

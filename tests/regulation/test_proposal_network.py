@@ -158,7 +158,7 @@ def test_a_file_holds_it_whole(proposer: ProposalNetwork, tmp_path: Path) -> Non
     path = tmp_path / "mine.safetensors"
     save_proposals(proposer, path)
     again = load_proposals(path)
-    ours, theirs = (one.propose(some_scene(3), 3.0, 15) for one in (proposer, again))
+    ours, theirs = (one.ranked(some_scene(3), 3.0) for one in (proposer, again))
     np.testing.assert_array_equal(ours, theirs)
     assert again.metadata["seed"] == proposer.metadata["seed"]
 

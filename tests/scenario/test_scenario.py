@@ -195,12 +195,12 @@ def test_blocks_of_drake_are_read_with_their_tags() -> None:
     assert [camera.name for camera in scenario.cameras] == ["preview_camera", "other"]
 
 
-FILES = ["perception=!RecordedClouds {folder: f}", "task.demonstration=f", "regulation.weights=f"]
+FILES = ["perception=!RecordedClouds {folder: f}", "task.demonstration=f", "regulation.proposals=f"]
 
 
 def files(scenario: Scenario) -> set[str]:
     assert isinstance(scenario.perception, RecordedClouds)
-    return {scenario.perception.folder, *scenario.task.demonstration, scenario.regulation.weights}
+    return {scenario.perception.folder, *scenario.task.demonstration, scenario.regulation.proposals}
 
 
 def test_files_in_a_scenario_are_relative_to_it(tmp_path: Path) -> None:

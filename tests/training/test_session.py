@@ -46,7 +46,7 @@ def test_an_interrupted_training_says_how_it_resumes(small, tmp_path, monkeypatc
 def test_without_a_recipe_the_network_of_the_default_scenario_is_trained(tmp_path):
     assert main(["train", "--iterations", "30", "--out", str(tmp_path)]) == 0
     (written,) = tmp_path.iterdir()
-    assert written.name == Path(load_scenario("tabletop_box").regulation.weights).name
+    assert written.name == Path(load_scenario("tabletop_box").regulation.proposals).name
     assert load_proposals(written).metadata["recipe"] == "proposals"
 
 

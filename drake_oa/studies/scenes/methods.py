@@ -91,7 +91,7 @@ def run_verified(scenes: Scenes, setting: Setting) -> Motions:
 def _searched(scene: Scene, network: ProposalNetwork) -> tuple[PointSearch, Ranked]:
     """Returns the search in a scene, and its result."""
     search = PointSearch(scene, dmp=DMP, policy=POLICY, parameters=PARAMETERS)
-    return search, search.run(network.propose(scene, DURATION, PARAMETERS.candidates))
+    return search, search.run(network.ranked(scene, DURATION))
 
 
 def _resampled(tool: ToolRollouts) -> tuple[FloatArray, FloatArray]:

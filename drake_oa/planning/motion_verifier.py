@@ -1,14 +1,13 @@
-"""The regulation layer for the whole arm: the motion that is gone, chosen among true shapes."""
+"""Verification of proposed motions by roll-outs of the whole arm among the collision geometry."""
 
 from __future__ import annotations
 
 import logging
-import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSystem, State
+from pydrake.systems.framework import Context, EventStatus, LeafSystem, State
 
 from drake_oa.common.messages import (
     DECIDING,
@@ -22,7 +21,9 @@ from drake_oa.common.messages import (
 )
 from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.common.thinking import Thinking, Thoughts
-from drake_oa.planning.motion_search import Choice, MotionSearch, Sight
+from drake_oa.planning.motion_search import MotionSearch, Sight
+from drake_oa.planning.search import SOURCES
+from drake_oa.planning.selected_motion import SelectedMotion
 from drake_oa.planning.solid_scene import SolidScene
 from drake_oa.policy.demonstration import Demonstration
 
@@ -31,53 +32,66 @@ _logger = logging.getLogger("drake_oa")
 
 @dataclass(frozen=True, eq=False)
 class _State(Frozen):
-    thoughts: Thoughts[Choice] = field(default_factory=lambda: Thoughts(Choice()))
+    thoughts: Thoughts[SelectedMotion] = field(default_factory=lambda: Thoughts(SelectedMotion()))
 
     @property
-    def choice(self) -> Choice:
+    def choice(self) -> SelectedMotion:
         """What is in force."""
         return self.thoughts.in_force
 
 
-class MotionSelector(LeafSystem):
-    """Chooses the motion of the whole arm, and regulates the coupling terms by it.
+class MotionVerifier(LeafSystem):
+    """Selection of the whole arm's motion among proposals, which it verifies by roll-outs.
 
     .. pydrake_system::
 
-      name: MotionSelector
+      name: MotionVerifier
       input_ports:
       - policy_state
       - goal
       - robot_state
       - solids_W
       - ellipsoids_W (optional)
+      - coupling_parameters (optional)
+      - route (optional)
       output_ports:
       - coupling_parameters
+      - route
       - demonstration
       - motion
       - sides
       - shortfall
       - lowered
       - decision
+      - source
+      - candidates
 
     - policy_state: abstract `PolicyState` of the movement primitive.
     - goal: (3,) goal of the motion in the world frame [m].
     - robot_state: (2m,) positions and velocities of the robot [rad, m, rad/s, m/s].
-    - solids_W: abstract `SolidScene`: all that is not the robot.
-    - ellipsoids_W (optional): abstract `EllipsoidSet`, which the regressor chain proposes by.
-    - coupling_parameters: abstract `CouplingParameters`, a term of its own or none, with the
-      temporal scaling, and a note that holds the motion where none was found.
-    - demonstration: abstract `Demonstration` that a motion that begins anew imitates.
-    - motion: abstract `PlannedMotion` of the whole arm, from the instant of the choice.
-    - sides: abstract `Route`: the sides that were weighed at the last choice, with their costs, and
-      the one that was taken; for a viewer.
-    - shortfall: (1,) what the motion lacks of what is asked [m]; 0 where it is kept.
-    - lowered: (1,) by how much less than the asked clearance is asked [m].
-    - decision: (2,) when the last choice began and the time that it takes [s].
+    - solids_W: abstract `SolidScene`: collision geometry of everything but the robot.
+    - ellipsoids_W (optional): abstract `EllipsoidSet`, the descriptors of the obstacles.
+    - coupling_parameters (optional, input): abstract `CouplingParameters`, the proposals of
+      `RegressorChain`.
+    - route (optional, input): abstract `Route`, the sides and the ranking of `CostRingSelector`.
+    - coupling_parameters (output): abstract `CouplingParameters`, the verified terms or none, with
+      the temporal scaling, and a note that holds the motion if none was found.
+    - route (output): abstract `Route` that guides the verified terms of the regressor chain; empty
+      for other motions.
+    - demonstration: abstract `Demonstration` that a restarting motion imitates.
+    - motion: abstract `PlannedMotion` of the whole arm, from the time of the decision.
+    - sides: abstract `Route`: the sides at the obstacle that the motion avoids, with their costs
+      and the selected one; for a viewer.
+    - shortfall: (1,) shortfall of the requested clearance [m]; 0 where it is achieved.
+    - lowered: (1,) reduction of the requested clearance, as start or goal leave no more [m].
+    - decision: (2,) when the last decision began and the time that it takes [s].
+    - source: (1,) source of the motion, a row of `drake_oa.planning.search.SOURCES`; -1: nothing
+      was selected.
+    - candidates: (5,) numbers of candidates that the last search rolled out, by source.
 
-    A choice is made at initialization and every `period`, shortly after it so that an observation
-    of the same instant counts; where thinking costs time it is in force from the first `step` of
-    the policy after that, and no other begins before.
+    A decision begins at initialization and every `period`, shortly after it so that an observation
+    of the same instant counts; with simulated decision latency it is in force from the first
+    `step` of the policy after its end, and no other begins before.
     """
 
     def __init__(
@@ -93,7 +107,7 @@ class MotionSelector(LeafSystem):
         """Declares the ports.
 
         Args:
-            search: what chooses.
+            search: selects the motion.
             positions: where the arm's joints are in the robot's state.
             num_states: size of that state.
             period: time between choices [s].
@@ -111,13 +125,18 @@ class MotionSelector(LeafSystem):
         self._robot = self.DeclareVectorInputPort("robot_state", num_states)
         self._solids = self.DeclareAbstractInputPort("solids_W", Value(SolidScene()))
         self._ellipsoids = self.DeclareAbstractInputPort("ellipsoids_W", Value(EllipsoidSet()))
+        self._proposed = self.DeclareAbstractInputPort(
+            "coupling_parameters", Value(CouplingParameters())
+        )
+        self._route = self.DeclareAbstractInputPort("route", Value(Route()))
         self._chosen = self.DeclareAbstractState(Value(_State()))
         chosen = {self.abstract_state_ticket(self._chosen)}
         for name, kind, of in (
             ("coupling_parameters", CouplingParameters, self._coupling),
-            ("demonstration", Demonstration, lambda state: state.choice.demonstration),
-            ("motion", PlannedMotion, lambda state: state.choice.motion),
-            ("sides", Route, lambda state: state.choice.route),
+            ("route", Route, lambda state: state.choice.command.route),
+            ("demonstration", Demonstration, lambda state: state.choice.command.demonstration),
+            ("motion", PlannedMotion, lambda state: state.choice.prediction.motion),
+            ("sides", Route, lambda state: state.choice.prediction.sides),
         ):
             self.DeclareAbstractOutputPort(
                 name,
@@ -125,9 +144,21 @@ class MotionSelector(LeafSystem):
                 lambda context, output, of=of: output.set_value(of(self._read(context))),
                 chosen,
             )
-        self.DeclareVectorOutputPort("shortfall", 1, self._calc_shortfall, chosen)
-        self.DeclareVectorOutputPort("lowered", 1, self._calc_lowered, chosen)
-        self.DeclareVectorOutputPort("decision", 2, self._calc_decision, chosen)
+        for name, size, number in (
+            ("shortfall", 1, lambda state: [state.choice.prediction.shortfall]),
+            ("lowered", 1, lambda state: [state.choice.prediction.lowered]),
+            ("decision", 2, lambda state: state.thoughts.last),
+            ("source", 1, lambda state: [state.choice.command.source]),
+            ("candidates", len(SOURCES), lambda state: state.choice.memory.counts),
+        ):
+            self.DeclareVectorOutputPort(
+                name,
+                size,
+                lambda context, output, number=number: output.SetFromVector(
+                    np.asarray(number(self._read(context)), dtype=float)
+                ),
+                chosen,
+            )
         period = valid_period(period)
         self.DeclareInitializationUnrestrictedUpdateEvent(self._choose)
         self.DeclarePeriodicUnrestrictedUpdateEvent(period, DECISION_OFFSET, self._choose)
@@ -162,17 +193,24 @@ class MotionSelector(LeafSystem):
 
     @property
     def search(self) -> MotionSearch:
-        """What chooses."""
+        """Returns the selection of the motion."""
         return self._search
 
     def sight(self, context: Context) -> Sight:
-        """What a motion would be chosen by now."""
+        """Returns the input of a decision now."""
+
+        def proposed() -> tuple[CouplingParameters, Route]:
+            coupling = read_optional(self, self._proposed, context, CouplingParameters)
+            route = read_optional(self, self._route, context, Route)
+            return coupling or CouplingParameters(), route or Route()
+
         return Sight(
             read_value(self, self._policy, context, PolicyState),
             np.array(self._goal.Eval(context)),
             np.array(self._robot.Eval(context)[self._positions]),
             read_value(self, self._solids, context, SolidScene),
             read_optional(self, self._ellipsoids, context, EllipsoidSet) or EllipsoidSet(),
+            proposed,
         )
 
     def _take_effect(self, context: Context, state: State) -> EventStatus:
@@ -183,8 +221,12 @@ class MotionSelector(LeafSystem):
         if made is None:
             return EventStatus.DidNothing()
         policy = read_value(self, self._policy, context, PolicyState)
-        other = not made.fits(policy, self._goal.Eval(context))
-        if other or (made.anew and policy.speed > 0.0) or self._is_late(made, kept.choice, context):
+        other = not made.key.fits(policy, self._goal.Eval(context))
+        if (
+            other
+            or (made.command.restart and policy.speed > 0.0)
+            or self._is_late(made, kept.choice, context)
+        ):
             _logger.info("t=%.3f s: a decision of t=%.3f s is dropped", time, kept.thoughts.begun)
             held.set_value(_State(kept.thoughts.dropped()))
             return EventStatus.Succeeded()
@@ -192,40 +234,34 @@ class MotionSelector(LeafSystem):
         held.set_value(_State(kept.thoughts.taken()))
         return EventStatus.Succeeded()
 
-    def _is_late(self, made: Choice, in_force: Choice, context: Context) -> bool:
+    def _is_late(self, made: SelectedMotion, in_force: SelectedMotion, context: Context) -> bool:
         """Whether a choice no more does from where the motion is now, and the one in force does."""
-        if in_force.short > 0.0 or in_force.note or not in_force.scene.same_as(made.scene):
+        is_short = in_force.prediction.shortfall > 0.0 or in_force.command.note
+        if is_short or not in_force.key.scene.same_as(made.key.scene):
             return False
         return not self._search.still_holds(made, self.sight(context))
 
     def _coupling(self, state: _State) -> CouplingParameters:
-        coupling = state.choice.coupling()
-        if state.choice.tau == 0.0 and self._thinking is not None:
+        command = state.choice.command
+        coupling = command.coupling()
+        if command.tau == 0.0 and self._thinking is not None:
             return replace(coupling, hold=HoldCause.DECIDING, note=DECIDING)
         return coupling
 
-    def _calc_shortfall(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, self._read(context).choice.short)
 
-    def _calc_lowered(self, context: Context, output: BasicVector) -> None:
-        output.SetAtIndex(0, self._read(context).choice.lowered)
-
-    def _calc_decision(self, context: Context, output: BasicVector) -> None:
-        output.SetFromVector(self._read(context).thoughts.last)
-
-
-def _log_change(before: Choice, after: Choice, time: float) -> None:
-    """Says once what a new choice does not do; why it holds, who holds says."""
-    if after.touches and after.touches != before.touches:
-        _logger.warning("t=%.3f s: the arm touches %s, and may only leave it", time, after.touches)
-    if after.short > 0.0 and not after.note and not before.short > 0.0:
+def _log_change(before: SelectedMotion, after: SelectedMotion, time: float) -> None:
+    """Logs once what a new motion does not achieve; DmpIntegrator logs why it holds."""
+    was, now = before.prediction, after.prediction
+    if now.touches and now.touches != was.touches:
+        _logger.warning("t=%.3f s: the arm touches %s, and may only leave it", time, now.touches)
+    if now.shortfall > 0.0 and not after.command.note and not was.shortfall > 0.0:
         _logger.warning(
             "t=%.3f s: %.1f mm of the clearance to %s cannot be kept",
             time,
-            1e3 * after.short,
-            after.short_of,
+            1e3 * now.shortfall,
+            now.limiting_obstacle,
         )
-    if after.anew and not before.anew:
+    if after.command.restart and not before.command.restart:
         _logger.info("t=%.3f s: a path of the whole arm is imitated", time)
-    if math.isfinite(after.tau) and before.short > 0.0 and after.short == 0.0:
+    if was.shortfall > 0.0 and now.shortfall == 0.0:
         _logger.info("t=%.3f s: the clearance is kept again", time)

@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,32 +17,40 @@ from pydrake.systems.analysis import Simulator
 from drake_oa.common.messages import (
     BoolArray,
     CouplingParameters,
+    EllipsoidSet,
     FloatArray,
     HoldCause,
+    IntArray,
     PlannedMotion,
     PolicyState,
 )
 from drake_oa.geometry.solids import Solid, solids_of
 from drake_oa.planning import search
-from drake_oa.planning.arm_world import (
-    group_distances,
-)
-from drake_oa.planning.motion_search import Choice, MotionSearch, Sight
-from drake_oa.planning.motion_selector import MotionSelector
-from drake_oa.planning.sides import Sides
+from drake_oa.planning.arm_world import group_distances
+from drake_oa.planning.motion_search import MotionSearch, Sight
+from drake_oa.planning.motion_verifier import MotionVerifier
+from drake_oa.planning.selected_motion import SelectedMotion
 from drake_oa.planning.solid_scene import SolidScene
 from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import ALPHA, NORMAL
 from drake_oa.policy.demonstration import Demonstration
 from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk
+from drake_oa.policy.rollout import ToolRollouts
 from drake_oa.regulation.config import Verified
-from drake_oa.regulation.proposals import Proposer, draws
+from drake_oa.regulation.proposal_network import ProposalNetwork
+from drake_oa.regulation.proposals import ALPHA as LOG_ALPHA
+from drake_oa.regulation.proposals import ANGLE, draws
+from drake_oa.regulation.regressor import ChainWeights, load_chain
+from drake_oa.regulation.regressor_chain import RegressorChain
 from drake_oa.robot.arm import tool_poses
+from drake_oa.route.cost_ring_selector import CostRingSelector
 from drake_oa.route.cost_rings import Ring
+from drake_oa.scenario.shipped import package_file
 from tests.builders import balls
 from tests.planning.arms import ArmAlone, box_at
 
 CLEARANCE = 0.1
+PAPER_CHAIN = "package://drake_oa/weights/paper_chain_running.safetensors"
 QUICK = Verified(
     candidates=48, rounds=8, polish=4, configurations=20_000, last_configurations=20_000
 )
@@ -56,15 +65,15 @@ class Bench:
     def __init__(
         self,
         arm: ArmAlone,
-        proposer: Proposer,
+        proposer: ProposalNetwork,
         *solids: Solid,
         rings: Mapping[str, Ring] | None = None,
+        weights: ChainWeights | None = None,
     ) -> None:
         self.arm, self.start = arm, arm.X_WE[9:].copy()
         self.dmp: Dmp = imitate(*minimum_jerk(self.start, GOAL, duration=5.0))
         R_WE = arm.X_WE[:9].reshape(3, 3)
         self.search = MotionSearch(
-            Sides(proposer, rings or {}),
             self.dmp,
             CLEARANCE,
             arm.chain,
@@ -76,8 +85,12 @@ class Bench:
             overshoot=arm.covered.overshoot,
         )
         m = len(arm.q_full)
-        self.system = MotionSelector(
+        self.system = MotionVerifier(
             self.search, tuple(arm.chain.index.tolist()), 2 * m, period=0.1
+        )
+        self.layers = (
+            RegressorChain(weights, CLEARANCE, proposals=proposer, dmp=self.dmp),
+            CostRingSelector(CLEARANCE, extra_rings=rings),
         )
         self.simulator = Simulator(self.system)
         self.context = self.simulator.get_mutable_context()
@@ -89,7 +102,7 @@ class Bench:
         self.policy = PolicyState(
             p_WE=self.start, p_WS=self.start, p_WG=GOAL, R_WL=local_frame(self.start, GOAL)
         )
-        self.fix(policy_state=self.policy)
+        self.fix(policy_state=self.policy, ellipsoids_W=EllipsoidSet())
         self.see(*solids)
 
     def fix(self, **inputs: object) -> None:
@@ -101,8 +114,30 @@ class Bench:
         self.scene = SolidScene(stamp, solids_of(list(solids)), labels)
         self.fix(solids_W=self.scene)
 
+    def given(self, name: str) -> Any:
+        """Value of an input port."""
+        return self.system.GetInputPort(name).Eval(self.context)
+
+    def propose(self) -> None:
+        """Evaluates the layers before: their outputs are the system's inputs."""
+        for system, output in zip(self.layers, ("coupling_parameters", "decision"), strict=True):
+            context = system.CreateDefaultContext()
+            for name in ("policy_state", "ellipsoids_W", "coupling_parameters", "goal"):
+                if system.HasInputPort(name):
+                    port = self.system.GetInputPort(name)
+                    if port.HasValue(self.context):
+                        value = port.Eval(self.context)
+                        given = GOAL if name == "goal" else Value(value)
+                        system.GetInputPort(name).FixValue(context, given)
+            if output == "decision":
+                Simulator(system, context).Initialize()
+                self.fix(route=system.GetOutputPort(output).Eval(context))
+            else:
+                self.fix(coupling_parameters=system.GetOutputPort(output).Eval(context))
+
     def chosen(self, time: float = 0.0) -> CouplingParameters:
-        """What is in force once it has looked at the time."""
+        """The command in force after the decision at a time."""
+        self.propose()
         if time == 0.0:
             self.simulator.Initialize()
         else:
@@ -131,7 +166,9 @@ class Bench:
         return least
 
 
-def test_an_empty_world_leaves_the_motion_as_it_is(panda_arm: ArmAlone, proposer: Proposer) -> None:
+def test_an_empty_world_leaves_the_motion_as_it_is(
+    panda_arm: ArmAlone, proposer: ProposalNetwork
+) -> None:
     bench = Bench(panda_arm, proposer)
     found = bench.chosen()
     assert len(found.alpha) == 0
@@ -157,7 +194,7 @@ def _ring(forbidden: Callable[[FloatArray], BoolArray], cost: float = 1.0) -> Ri
 
 
 def test_rings_of_ones_own_count_in_the_choice_of_a_side(
-    panda_arm: ArmAlone, proposer: Proposer
+    panda_arm: ArmAlone, proposer: ProposalNetwork
 ) -> None:
     seen = balls([0.45, 0.02, 0.1], radius=[0.1, 0.1, 0.25])
     taken = []
@@ -172,17 +209,105 @@ def test_rings_of_ones_own_count_in_the_choice_of_a_side(
         normal = bench.output("coupling_parameters").normal_W[0]
         np.testing.assert_allclose(np.cross(sides.normal_W[0], normal), 0.0, atol=1e-12)
         assert sides.ids.tolist() == [0]
-        assert set(sides.costs) == {"length", "unlikely", *rings}
+        assert set(sides.costs) == {"length", "table", *rings}
         for cost in sides.costs.values():
-            assert cost.shape == (1, 16)
+            assert cost.shape == (1, 36)
             assert ((cost >= 0.0) & (cost <= 1.0)).all()
     up, beside = taken
     assert up[2] > 0.3
     assert beside[2] <= 0.3
 
 
+def sides_rolled_out(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Records the angles of the sides in the order in which they are rolled out [rad]."""
+    angles: list[float] = []
+    evaluate = search.ArmSearch.evaluate
+
+    def recorded(
+        self: search.ArmSearch, genes: FloatArray, source: IntArray, *more: Any, **others: Any
+    ) -> search.Ranked:
+        new = genes[np.asarray(source) == search.SIDES, ANGLE].tolist()
+        angles.extend(angle for angle in new if angle not in angles)
+        return evaluate(self, genes, source, *more, **others)
+
+    monkeypatch.setattr(search.ArmSearch, "evaluate", recorded)
+    return angles
+
+
+def test_sides_are_rolled_out_in_the_order_of_the_ranking(
+    panda_arm: ArmAlone, proposer: ProposalNetwork, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    orders = []
+    for reverse in (False, True):
+        bench = Bench(panda_arm, proposer, BOX)
+        bench.fix(ellipsoids_W=balls([0.45, 0.02, 0.1], radius=[0.1, 0.1, 0.25]))
+        bench.propose()
+        route = bench.given("route")
+        assert len(route.ranking) == 16
+        if reverse:
+            bench.fix(route=replace(route, ranking=route.ranking[::-1]))
+        angles = sides_rolled_out(monkeypatch)
+        bench.simulator.Initialize()
+        monkeypatch.undo()
+        coupling = bench.given("coupling_parameters")
+        normals = coupling.normal_W[route.ranking[::-1] if reverse else route.ranking]
+        R_WL = bench.policy.R_WL
+        ranked = np.arctan2(-normals @ R_WL[:, 1], normals @ R_WL[:, 2])[: len(angles)]
+        np.testing.assert_allclose(angles, ranked, atol=1e-9)
+        orders.append(angles)
+    assert orders[0][0] != orders[1][0]
+
+
+def test_a_ring_that_forbids_a_side_removes_its_candidates(
+    panda_arm: ArmAlone, proposer: ProposalNetwork, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left = np.array([0.0, 0.0, 1.0]) @ local_frame(panda_arm.X_WE[9:], GOAL)[:, 1:]
+    rings = {"not_up": _ring(lambda omega: omega[:, 2] > 0.3)}
+    bench = Bench(panda_arm, proposer, BOX, rings=rings)
+    bench.fix(ellipsoids_W=balls([0.45, 0.02, 0.1], radius=[0.1, 0.1, 0.25]))
+    angles = sides_rolled_out(monkeypatch)
+    bench.chosen()
+    assert angles
+    up = [math.cos(angle) * left[0] + math.sin(angle) * left[1] for angle in angles]
+    assert max(up) <= 0.3 + math.pi / 16
+
+
+def test_without_networks_neither_chain_nor_sides_are_rolled_out(
+    panda_arm: ArmAlone, proposer: ProposalNetwork
+) -> None:
+    bench = Bench(panda_arm, proposer, BOX)
+    bench.simulator.Initialize()
+    candidates = bench.output("candidates")
+    assert candidates[search.CHAIN] == candidates[search.SIDES] == 0
+    assert candidates[search.SEARCH] > 0
+    assert bench.number("source") == search.SEARCH
+    assert bench.number("shortfall") == 0.0
+
+
+def test_the_rows_of_the_chain_are_one_candidate(
+    panda_arm: ArmAlone, proposer: ProposalNetwork, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = Bench(panda_arm, proposer, BOX, weights=load_chain(package_file(PAPER_CHAIN)))
+    bench.fix(ellipsoids_W=balls([0.45, 0.02, 0.1], radius=[0.1, 0.1, 0.25]))
+    bench.chosen()
+    assert bench.output("candidates")[search.CHAIN] == 1
+    # Where it is the only one that is feasible, it is executed.
+    cost = search.ArmSearch.tool_cost
+
+    def dear(self: search.ArmSearch, genes: FloatArray, tool: ToolRollouts) -> FloatArray:
+        return cost(self, genes, tool) + 0.5 * np.isfinite(genes[:, LOG_ALPHA])
+
+    monkeypatch.setattr(search.ArmSearch, "tool_cost", dear)
+    bench = Bench(panda_arm, proposer, BOX, weights=load_chain(package_file(PAPER_CHAIN)))
+    bench.fix(ellipsoids_W=balls([0.45, 0.02, 0.1], radius=[0.1, 0.1, 0.25]))
+    found = bench.chosen()
+    assert bench.number("source") == search.CHAIN
+    assert len(found) == len(found.ellipsoids) == len(bench.output("route").ids) == 1
+    assert bench.kept(bench.motion.q).min() > 0.0
+
+
 def test_where_rings_forbid_every_side_the_motion_holds_and_says_so(
-    panda_arm: ArmAlone, proposer: Proposer
+    panda_arm: ArmAlone, proposer: ProposalNetwork
 ) -> None:
     bench = Bench(panda_arm, proposer, BOX, rings={"never": _ring(lambda w: w[:, 0] < 2.0)})
     bench.fix(ellipsoids_W=balls([0.45, 0.02, 0.1], radius=[0.1, 0.1, 0.25]))
@@ -194,7 +319,9 @@ def test_where_rings_forbid_every_side_the_motion_holds_and_says_so(
     assert bench.chosen(0.1).note == ""
 
 
-def test_before_anything_is_seen_nothing_is_chosen(panda_arm: ArmAlone, proposer: Proposer) -> None:
+def test_before_anything_is_seen_nothing_is_chosen(
+    panda_arm: ArmAlone, proposer: ProposalNetwork
+) -> None:
     bench = Bench(panda_arm, proposer)
     bench.fix(solids_W=SolidScene())
     found = bench.chosen()
@@ -203,7 +330,7 @@ def test_before_anything_is_seen_nothing_is_chosen(panda_arm: ArmAlone, proposer
 
 
 def test_a_box_in_the_way_is_passed_as_near_as_asked(
-    panda_arm: ArmAlone, proposer: Proposer
+    panda_arm: ArmAlone, proposer: ProposalNetwork
 ) -> None:
     for seen in (None, balls([0.45, 0.02, 0.1], radius=[0.1, 0.1, 0.25])):
         bench = Bench(panda_arm, proposer, TABLE, BOX)
@@ -229,7 +356,7 @@ def test_a_box_in_the_way_is_passed_as_near_as_asked(
 
 
 def test_a_motion_in_use_stays_while_nothing_changes(
-    panda_arm: ArmAlone, proposer: Proposer
+    panda_arm: ArmAlone, proposer: ProposalNetwork
 ) -> None:
     bench = Bench(panda_arm, proposer, TABLE, BOX)
     bench.chosen()
@@ -253,7 +380,7 @@ def walls() -> list[Solid]:
 
 
 def test_where_no_term_passes_a_path_in_the_joints_is_imitated(
-    panda_arm: ArmAlone, proposer: Proposer, caplog: pytest.LogCaptureFixture
+    panda_arm: ArmAlone, proposer: ProposalNetwork, caplog: pytest.LogCaptureFixture
 ) -> None:
     bench = Bench(panda_arm, proposer, TABLE, *walls())
     with caplog.at_level(logging.INFO, "drake_oa"):
@@ -278,7 +405,7 @@ def test_where_no_term_passes_a_path_in_the_joints_is_imitated(
 
 
 def test_where_nothing_is_possible_it_holds_and_says_why(
-    panda_arm: ArmAlone, proposer: Proposer
+    panda_arm: ArmAlone, proposer: ProposalNetwork
 ) -> None:
     # Walls all round, and a lid: there is room at the goal, and no way to it.
     x, y, z = GOAL
@@ -302,7 +429,7 @@ def test_where_nothing_is_possible_it_holds_and_says_why(
 
 
 def test_a_goal_in_contact_is_held_and_the_nearest_free_place_is_told(
-    panda_arm: ArmAlone, proposer: Proposer
+    panda_arm: ArmAlone, proposer: ProposalNetwork
 ) -> None:
     # The tool point is in a crate's top by 2 cm.
     crate = box_at([0.2, 0.2, 0.3], GOAL + [0.0, 0.0, 0.02 - 0.15], "crate")
@@ -328,14 +455,15 @@ def test_a_goal_in_contact_is_held_and_the_nearest_free_place_is_told(
 
 
 def test_a_motion_holds_from_where_it_leads_and_not_from_elsewhere(
-    panda_arm: ArmAlone, proposer: Proposer
+    panda_arm: ArmAlone, proposer: ProposalNetwork
 ) -> None:
     bench = Bench(panda_arm, proposer, TABLE, BOX)
     at_start = Sight(bench.policy, GOAL, panda_arm.q, bench.scene)
-    made = bench.search.decide(Choice(), at_start)
-    assert made.short == 0.0
-    assert made.term[ALPHA] > 0.0
-    motion, row = made.motion, 8
+    made = bench.search.decide(SelectedMotion(), at_start)
+    assert made.prediction.shortfall == 0.0
+    (term,) = made.command.terms
+    assert term[ALPHA] > 0.0
+    motion, row = made.prediction.motion, 8
     led = replace(
         bench.policy,
         p_WE=motion.p_WE[row],
@@ -346,13 +474,13 @@ def test_a_motion_holds_from_where_it_leads_and_not_from_elsewhere(
     there = replace(at_start, policy=led, q=motion.q[row])
     assert bench.search.still_holds(made, there)
     # Mirrored at the plane of the baseline and the term's normal it turns to the other side.
-    omega = np.cross(made.term[NORMAL : NORMAL + 3], bench.policy.R_WL[:, 0])
+    omega = np.cross(term[NORMAL : NORMAL + 3], bench.policy.R_WL[:, 0])
     mirror = np.eye(3) - 2.0 * np.outer(omega, omega)
     away = replace(led, z_W=mirror @ led.z_W)
     assert not bench.search.still_holds(made, replace(there, policy=away))
 
 
-def test_a_tool_in_a_solid_is_held(panda_arm: ArmAlone, proposer: Proposer) -> None:
+def test_a_tool_in_a_solid_is_held(panda_arm: ArmAlone, proposer: ProposalNetwork) -> None:
     bench = Bench(panda_arm, proposer, box_at([0.3, 0.3, 0.3], panda_arm.X_WE[9:], "block"))
     found = bench.chosen()
     assert found.hold == HoldCause.OBSTACLES
@@ -361,7 +489,7 @@ def test_a_tool_in_a_solid_is_held(panda_arm: ArmAlone, proposer: Proposer) -> N
 
 
 def test_a_tool_in_contact_may_leave_it(
-    panda_arm: ArmAlone, proposer: Proposer, caplog: pytest.LogCaptureFixture
+    panda_arm: ArmAlone, proposer: ProposalNetwork, caplog: pytest.LogCaptureFixture
 ) -> None:
     # It begins 1 cm deep in a plate behind it.
     hand = panda_arm.X_WE[9:] + [0.0, -0.115, 0.05]
@@ -378,16 +506,16 @@ def test_a_tool_in_contact_may_leave_it(
 
 
 def test_among_what_moves_a_search_goes_on_with_other_candidates(
-    panda_arm: ArmAlone, proposer: Proposer, monkeypatch: pytest.MonkeyPatch
+    panda_arm: ArmAlone, proposer: ProposalNetwork, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[int] = []
     monkeypatch.setattr(search, "draws", lambda number, n: asked.append(number) or draws(number, n))
     wall = replace(box_at([0.6, 0.1, 0.8], [0.5, 0.02, 0.4], "wall"), v_WO=np.array([0.0, 0.01, 0]))
     bench = Bench(panda_arm, proposer, TABLE, wall)
-    choice = Choice()
+    choice = SelectedMotion()
     for time in np.arange(10) / 30.0:
         sight = Sight(replace(bench.policy, stamp=time), GOAL, panda_arm.q, bench.scene)
         choice = bench.search.decide(choice, sight)
-    assert choice.short > 0.0
+    assert choice.prediction.shortfall > 0.0
     assert len(asked) >= 8
     assert len(set(asked)) == len(asked)
