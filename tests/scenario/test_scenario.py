@@ -207,7 +207,7 @@ def test_files_in_a_scenario_are_relative_to_it(tmp_path: Path) -> None:
     path = tmp_path / "mine.scenario.yaml"
     path.write_text(
         "{perception: !RecordedClouds {folder: f}, task: {demonstration: f}, "
-        "regulation: !Paper {weights: f}}"
+        "regulation: !Verified {proposals: f}}"
     )
     assert files(load_scenario(str(path))) == {str(tmp_path / "f")}
 
