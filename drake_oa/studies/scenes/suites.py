@@ -18,11 +18,11 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import BoolArray, FloatArray
-from drake_oa.common.numba_tools import kernel_arrays
+from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.policy.dmp import minimum_jerk_share
-from drake_oa.studies.scenes.judge import Bodies, segment_distances
 from drake_oa.studies.scenes.scenes import (
     DURATION,
     Scenes,
@@ -30,6 +30,9 @@ from drake_oa.studies.scenes.scenes import (
     scene_distance,
     single_obstacle,
 )
+
+_THIRDS = 28
+"""Number of times that a segment is cut to two thirds around its nearest point."""
 
 Draw = Callable[[np.random.Generator, int], Scenes]
 
@@ -52,28 +55,26 @@ def accepted(
 
 
 def random_rotations(rng: np.random.Generator, count: int) -> FloatArray:
-    """(count, 3, 3) rotations, uniform over all: from unit quaternions (Shoemake 1992)."""
+    """Draws rotations (count, 3, 3), uniform over all."""
     w, x, y, z = rng.standard_normal((4, count))
-    size = w * w + x * x + y * y + z * z
-    s = 2.0 / size
-    R = np.empty((count, 3, 3))
-    R[:, 0, 0] = 1.0 - s * (y * y + z * z)
-    R[:, 1, 1] = 1.0 - s * (x * x + z * z)
-    R[:, 2, 2] = 1.0 - s * (x * x + y * y)
-    for i, j, a, b, c in ((0, 1, x, y, z), (2, 0, z, x, y), (1, 2, y, z, x)):
-        R[:, i, j] = s * (a * b - w * c)
-        R[:, j, i] = s * (a * b + w * c)
-    return R
+    return Rotation.from_quat(np.column_stack([x, y, z, w])).as_matrix()
 
 
 def segment_distance(
     begin: FloatArray, end: FloatArray, center: FloatArray, R: FloatArray, semi_axes: FloatArray
 ) -> FloatArray:
     """Least signed distance (N,) of segments (N, 3) to (N, 3) to N ellipsoids at rest [m]."""
-    bodies = Bodies(*kernel_arrays(center, R, semi_axes, np.zeros_like(center)))
-    out = np.empty(len(center))
-    segment_distances(*kernel_arrays(begin, end), bodies, out)
-    return out
+    low, high = np.zeros((len(center), 1)), np.ones((len(center), 1))
+
+    def distance(share: FloatArray) -> FloatArray:
+        return signed_distance(begin + share * (end - begin), center, R, semi_axes)
+
+    # Along a line the distance to a convex body is convex.
+    for _ in range(_THIRDS):
+        third = (high - low) / 3.0
+        nearer = (distance(low + third) < distance(high - third))[:, None]
+        low, high = np.where(nearer, low, low + third), np.where(nearer, high - third, high)
+    return distance(0.5 * (low + high))
 
 
 def line_distance(scenes: Scenes) -> FloatArray:
