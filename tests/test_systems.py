@@ -200,7 +200,7 @@ def test_the_diagrams_have_every_system(diagrams: dict[str, Diagram]) -> None:
     every = [*diagrams.values(), build_avoidance(live)]
     checked = set().union(*map(checked_systems, every))
     # Tested in tests/hardware and in tests/studies.
-    assert checked == set(system_classes()) - {"CommandStream", "MeasuredState", "ToolPose"}
+    assert checked == set(system_classes()) - {"CommandStream", "MeasuredState", "ProgramInputs"}
 
 
 @pytest.fixture(params=[*OVERRIDES, "replay"])

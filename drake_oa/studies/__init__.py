@@ -9,8 +9,7 @@
 Each draws scenes from a seed (or reads them), runs every method on every scene, and judges the
 motions: contacts, clearances [m], what start and goal leave of the asked clearance, goal errors
 [m], durations [s]. The outcome is plain data, which `drake-oa evaluate` writes as JSON and prints
-as a table. A seed gives the same scenes for ever: which random numbers are drawn, and in which
-order, is part of a scene, and tests hold digests of some.
+as a table. A seed gives the same scenes with the same version of this package.
 
 What the three share:
 

@@ -19,7 +19,7 @@ from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_te
 from drake_oa.scenario.shipped import missing_package, shipped_scenarios
 from drake_oa.studies.mbm.suite import mbm_suites
 from drake_oa.studies.panda.evaluation import Criteria, run_text
-from drake_oa.studies.panda.scene_parts import LIKE, base_scenario
+from drake_oa.studies.panda.scene_arm import LIKE, base_scenario
 from drake_oa.studies.panda.scenes import ELBOW_LIKE, draw_panda_scene
 from drake_oa.studies.paper_tables import (
     TRIAL_KINDS,

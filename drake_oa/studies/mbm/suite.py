@@ -45,7 +45,6 @@ from drake_oa.studies.panda.evaluation import (
     PandaSuite,
     check_methods,
 )
-from drake_oa.studies.panda.planning_scene import moving_joints
 from drake_oa.studies.panda.tables import ALL, methods_figures
 from drake_oa.studies.results import Counts
 
@@ -83,23 +82,22 @@ def problem_scenario(problem: Problem, robot: Robot) -> Scenario:
     Raises:
         ValueError: if the problem's joints are not those of the robot.
     """
-    robot_plant = make_robot_plant(robot)
-    moving = moving_joints(robot_plant)
-    arm = [joint.name() for joint in moving[: len(robot.q_seed)]]
-    finger = next((joint for joint in moving[len(arm) :] if joint.name() in problem.start), None)
-    if finger is not None:
-        lower, upper = finger.position_lower_limits()[0], finger.position_upper_limits()[0]
-        opening = problem.start[finger.name()]
-        opening = float(np.clip(opening, lower + _FINGER_MARGIN, upper - _FINGER_MARGIN))
-        robot = replace(robot, finger_opening=opening)
+    robot_plant, n = make_robot_plant(robot), len(robot.q_seed)
+    limits = robot_plant.limits
+    lower, upper = limits.position_lower, limits.position_upper
+    arm, fingers = limits.position_name[:n], limits.position_name[n:]
+    for row, name in enumerate(fingers, start=n):
+        if name in problem.start:
+            margin = _FINGER_MARGIN
+            opening = np.clip(problem.start[name], lower[row] + margin, upper[row] - margin)
+            robot = replace(robot, finger_opening=float(opening))
+            break
     q = {
         end: _positions(problem, joints, arm, robot_plant, robot)
         for end, joints in (("start", problem.start), ("goal", problem.goal))
     }
     X_WE = dict(zip(q, robot_plant.tool_poses(np.stack(list(q.values()))), strict=True))
-    lower = robot_plant.plant.GetPositionLowerLimits()
-    upper = robot_plant.plant.GetPositionUpperLimits()
-    within = ((q["goal"] >= lower) & (q["goal"] <= upper))[: len(arm)].all()
+    within = ((q["goal"] >= lower) & (q["goal"] <= upper))[:n].all()
     rpy = {end: RollPitchYaw(X.rotation()).vector().tolist() for end, X in X_WE.items()}
     grasped = X_WE["goal"].translation()
     scenario = Scenario(
@@ -110,8 +108,8 @@ def problem_scenario(problem: Problem, robot: Robot) -> Scenario:
             goal=grasped.tolist(),
             rpy_start=rpy["start"],
             rpy_goal=rpy["goal"],
-            q_start=q["start"][: len(arm)].tolist(),
-            q_goal=q["goal"][: len(arm)].tolist() if within else None,
+            q_start=q["start"][:n].tolist(),
+            q_goal=q["goal"][:n].tolist() if within else None,
             duration=DURATION,
         ),
         obstacles=[item for item in problem.obstacles if not _holds(item, grasped)],
@@ -132,7 +130,7 @@ def problem_scenario(problem: Problem, robot: Robot) -> Scenario:
 def _positions(
     problem: Problem,
     given: Mapping[str, float],
-    arm: list[str],
+    arm: Sequence[str],
     robot_plant: RobotPlant,
     robot: Robot,
 ) -> FloatArray:

@@ -10,14 +10,14 @@ straight tool motion of 0.5 to 1.0 m some link would make into an obstacle:
     scenes          tabletop, clutter6: things on the table; elbow: the hand's way is free and the
                     elbow's is not
     moving_scenes   moving, moving_hard: things that cross the way, or do as they like
-    scene_parts     what they are drawn from, by one skeleton, and the things themselves
-    planning_scene  the robot asked about obstacles and motions, by Drake's SceneGraph
+    scene_parts     obstacles on the table, motions, and what a camera sees
+    scene_arm       the arm's straight motions, and its distances to obstacles
 
 Methods (`evaluation`): the project's, the paper's, the motion without avoidance, and two peers that
 know the obstacles exactly:
 
     differential_ik   Drake's DifferentialInverseKinematicsSystem with collision constraints at the
-                      policy's period; ToolPose gives it the pose a moment ahead
+                      policy's period; ProgramInputs gives it the pose a moment ahead
     planner           OMPL's RRT-Connect (Kuffner and LaValle, ICRA 2000), not simulated
 
 There is no block in the scenario: a study writes scenarios. Read `evaluation.py` first.

@@ -1,9 +1,8 @@
 """Drake's differential inverse kinematics on the simulated station, along the pre-planned motion.
 
-    goal -> dmp_integrator [-> orientation_integrator] -> tool_pose -> desired_poses ->
-    differential_ik -> commanded_position (integral), commanded_velocity (held) -> commanded_state
-    [goal's joints ->] posture -> differential_ik
-    commanded_position [+ where the moving obstacles are] -> differential_ik
+    goal -> dmp_integrator [-> orientation_integrator] -> inputs -> differential_ik ->
+    commanded_position (integral), commanded_velocity (held) -> commanded_state
+    commanded_position, positions of the moving obstacles -> inputs
 
     commanded_state -> controller -> actuation -> effort_limits -> plant
 
@@ -25,10 +24,8 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import logging
-import math
 import os
 import sys
-from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -42,12 +39,15 @@ from pydrake.multibody.tree import ModelInstanceIndex
 from pydrake.planning import DofMask, JointLimits, RobotDiagramBuilder, SceneGraphCollisionChecker
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.controllers import InverseDynamicsController
-from pydrake.systems.framework import Context, Diagram, DiagramBuilder, LeafSystem
+from pydrake.systems.framework import (
+    BasicVector,
+    BusValue,
+    Context,
+    Diagram,
+    DiagramBuilder,
+    LeafSystem,
+)
 from pydrake.systems.primitives import (
-    Adder,
-    AffineSystem,
-    BusCreator,
-    ConstantVectorSource,
     DiscreteTimeIntegrator,
     MatrixGain,
     Multiplexer,
@@ -57,9 +57,8 @@ from pydrake.systems.primitives import (
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.common.messages import FloatArray, HoldCause, IntArray, PolicyState
+from drake_oa.common.messages import FloatArray
 from drake_oa.common.wires import Wires
-from drake_oa.diagrams.control import add_guide_follower
 from drake_oa.diagrams.faults import add_drivers
 from drake_oa.diagrams.motion import (
     add_orientation,
@@ -68,37 +67,20 @@ from drake_oa.diagrams.motion import (
     make_goal,
     make_orientation_integrator,
 )
-from drake_oa.geometry.rotation import rotation_vector
+from drake_oa.diagrams.station import make_posture_guide
 from drake_oa.policy.dmp import normalised_time, trajectory
-from drake_oa.policy.orientation_dmp import rotation_matrix
-from drake_oa.robot.config import Robot
 from drake_oa.robot.grasped_object import part_carried, tool_links
 from drake_oa.robot.plant import TOOL_FRAME, make_robot_plant
-from drake_oa.runs.motion_log import MotionEnd, MotionLog
-from drake_oa.runs.simulation import (
-    ARRIVED,
-    AT_THE_GOAL,
-    LATEST_END,
-    STILL,
-    Ending,
-    MotionWatcher,
-    run_motion,
-)
-from drake_oa.safety.supervision import Supervision
+from drake_oa.runs.motion_log import MotionLog
+from drake_oa.runs.simulation import MotionWatcher, run_motion
 from drake_oa.scenario.end_poses import start_positions
 from drake_oa.scenario.obstacles import OBSTACLE_PREFIX
 from drake_oa.scenario.scenario import Scenario, robot_of
-from drake_oa.world.station import Station, make_station
+from drake_oa.world.station import make_station
 from drake_oa.world.world_model import add_world
 
 _EDGE_STEP = 0.1
 """Step of the collision checker's checks of edges, which are not used here [rad]."""
-_FINGER_PULL = 0.01
-"""Distance of the nominal posture's fingers from those of the robot [m].
-
-The fingers do not follow: their velocity is limited to zero. That limit is so always active, and
-OSQP refines (and says nothing about) a solution only where a constraint is.
-"""
 SELF_DISTANCE = 0.005
 """Distance that links keep from one another [m]. Not 0, where the gradient's sign changes; links of
 the UR5 that cannot come apart are 13 mm from one another."""
@@ -142,51 +124,39 @@ class KeptDistances:
 
 
 _DISTANCES = KeptDistances()
-
-
-def _robot_positions(plant: MultibodyPlant) -> IntArray:
-    """(n,) places of the robot's positions among the plant's."""
-    return _positions_of(plant, plant.GetFrameByName(TOOL_FRAME).model_instance())
-
-
-def _positions_of(plant: MultibodyPlant, instance: ModelInstanceIndex) -> IntArray:
-    """(n,) places of a model instance's positions among the plant's."""
-    numbered = np.arange(plant.num_positions(), dtype=float)
-    return np.asarray(plant.GetPositionsFromArray(instance, numbered), dtype=int)
-
-
-def joint_limits(plant: MultibodyPlant, robot: Robot) -> JointLimits:
-    """Returns the plant's own limits, with a velocity of zero for the joints of the hand."""
-    limits, own = JointLimits(plant), _robot_positions(plant)
-    arm = np.arange(len(own)) < len(robot.q_seed)
-    return JointLimits(
-        limits.position_lower()[own],
-        limits.position_upper()[own],
-        np.where(arm, limits.velocity_lower()[own], 0.0),
-        np.where(arm, limits.velocity_upper()[own], 0.0),
-        limits.acceleration_lower()[own],
-        limits.acceleration_upper()[own],
-    )
+METHOD = "DifferentialInverseKinematics"
+"""The log's `regulation`."""
 
 
 def make_collision_checker(
-    scenario: Scenario, distances: KeptDistances
+    scenario: Scenario, *, tool: float, links: float, world: float, own: float
 ) -> SceneGraphCollisionChecker:
-    """The collision model of a scenario's world, the same as the station's.
+    """Makes the collision model of a scenario's world, the same as the station's.
 
-    Links that no joint moves are left out: no velocity changes what they keep.
+    Links that no joint moves are left out: no velocity changes their distances.
+
+    Args:
+        scenario: with a robot.
+        tool: padding of the tool and obstacles [m].
+        links: padding of the other links and obstacles [m].
+        world: padding of the robot and the rest of the world [m].
+        own: padding of the links among each other [m].
 
     Raises:
         ScenarioError: if something can move besides the robot and the obstacles that the
-            scenario drives, of which the method is told where they are.
+            scenario drives.
     """
     builder = RobotDiagramBuilder(time_step=0.0)
     plant = builder.plant()
     instance = add_world(plant, scenario)
     plant.Finalize()
     part_carried(plant, builder.scene_graph(), scenario.robot)
-    driven = sum(plant.num_positions(other) for other in _driven_instances(plant, scenario))
-    if plant.num_positions() != plant.num_positions(instance) + driven:
+    obstacles = [
+        other
+        for other in map(ModelInstanceIndex, range(plant.num_model_instances()))
+        if plant.GetModelInstanceName(other).startswith(OBSTACLE_PREFIX)
+    ]
+    if plant.num_positions() != sum(map(plant.num_positions, [instance, *obstacles])):
         raise ScenarioError(
             "directives: something besides the robot and the obstacles that are driven can move; "
             "differential inverse kinematics needs to know where everything is"
@@ -195,43 +165,17 @@ def make_collision_checker(
         model=builder.Build(), robot_model_instances=[instance], edge_step_size=_EDGE_STEP
     )
     plant, of_tool = checker.plant(), tool_links(robot_of(scenario))
-    checker.SetPaddingAllRobotEnvironmentPairs(distances.arm - distances.safety)
-    checker.SetPaddingAllRobotRobotPairs(SELF_DISTANCE - distances.safety)
-    obstacles = [
-        index
-        for other in map(ModelInstanceIndex, range(plant.num_model_instances()))
-        if plant.GetModelInstanceName(other).startswith(OBSTACLE_PREFIX)
-        for index in plant.GetBodyIndices(other)
-    ]
+    checker.SetPaddingAllRobotEnvironmentPairs(world)
+    checker.SetPaddingAllRobotRobotPairs(own)
     for link in map(plant.get_body, plant.GetBodyIndices(instance)):
         if plant.IsAnchored(link):
             checker.SetCollisionFilteredWithAllBodies(link.index())
-        elif link.name() in of_tool:
-            for obstacle in obstacles:
-                checker.SetPaddingBetween(link.index(), obstacle, distances.tool - distances.safety)
+            continue
+        padding = tool if link.name() in of_tool else links
+        for obstacle in obstacles:
+            for index in plant.GetBodyIndices(obstacle):
+                checker.SetPaddingBetween(link.index(), index, padding)
     return checker
-
-
-def _driven_instances(plant: MultibodyPlant, scenario: Scenario) -> list[ModelInstanceIndex]:
-    return [
-        plant.GetModelInstanceByName(f"{OBSTACLE_PREFIX}_{obstacle.name}")
-        for obstacle in scenario.obstacles
-        if obstacle.driven
-    ]
-
-
-def position_orders(plant: MultibodyPlant, scenario: Scenario) -> dict[str, FloatArray]:
-    """Model instance -> (nq, n) matrix that takes its positions to their places in the plant's.
-
-    Of the robot, the first, and of the obstacles that the scenario drives.
-    """
-    robot = plant.GetFrameByName(TOOL_FRAME).model_instance()
-    return {
-        plant.GetModelInstanceName(instance): np.eye(plant.num_positions())[
-            :, _positions_of(plant, instance)
-        ]
-        for instance in (robot, *_driven_instances(plant, scenario))
-    }
 
 
 def make_differential_ik(
@@ -242,26 +186,27 @@ def make_differential_ik(
     dmp = make_dmp(scenario)
     planned = trajectory(dmp, scenario.task.start, scenario.task.goal)
     greatest_speed = float(np.linalg.norm(planned.z, axis=1).max()) / dmp.duration
-    tracking = System.LeastSquaresCost.Config(cartesian_qp_weight=WEIGHT)
-    centering = System.JointCenteringCost.Config(posture_gain=POSTURE_GAIN)
-    collision = System.CollisionConstraint.Config(
-        safety_distance=distances.safety,
-        influence_distance=distances.safety + INFLUENCE,
-    )
+    active = DofMask.MakeFromModel(plant, plant.GetFrameByName(TOOL_FRAME).model_instance())
     recipe = System.Recipe()
-    recipe.AddIngredient(System.LeastSquaresCost(tracking))
-    recipe.AddIngredient(System.JointCenteringCost(centering))
-    recipe.AddIngredient(
+    for ingredient in (
+        System.LeastSquaresCost(System.LeastSquaresCost.Config(cartesian_qp_weight=WEIGHT)),
+        System.JointCenteringCost(System.JointCenteringCost.Config(posture_gain=POSTURE_GAIN)),
         System.JointVelocityLimitConstraint(
-            System.JointVelocityLimitConstraint.Config(), joint_limits(plant, robot_of(scenario))
-        )
-    )
-    recipe.AddIngredient(System.CollisionConstraint(collision))
+            System.JointVelocityLimitConstraint.Config(), JointLimits(plant, active)
+        ),
+        System.CollisionConstraint(
+            System.CollisionConstraint.Config(
+                safety_distance=distances.safety,
+                influence_distance=distances.safety + INFLUENCE,
+            )
+        ),
+    ):
+        recipe.AddIngredient(ingredient)
     return System(
         recipe=recipe,
         task_frame=plant.world_frame().scoped_name().get_full(),
         collision_checker=checker,
-        active_dof=DofMask(np.isin(range(plant.num_positions()), _robot_positions(plant)).tolist()),
+        active_dof=active,
         time_step=HORIZON,
         # The system asks for gain (X - X_now) / time_step; the step is the policy's.
         K_VX=GAIN * HORIZON / scenario.policy.period,
@@ -272,17 +217,120 @@ def make_differential_ik(
     )
 
 
+class ProgramInputs(LeafSystem):
+    """Inputs of the program from the planned motion, the commanded positions and the obstacles.
+
+    .. pydrake_system::
+
+      name: ProgramInputs
+      input_ports:
+      - desired_position
+      - desired_velocity
+      - desired_orientation (optional)
+      - desired_angular_velocity (optional)
+      - phase
+      - commanded_position
+      - plant_state
+      output_ports:
+      - desired_cartesian_poses
+      - position
+      - nominal_posture
+
+    - desired_position: (3,) p_WE [m].
+    - desired_velocity: (3,) v_WE [m/s].
+    - desired_orientation (optional): (4,) quaternion w, x, y, z of R_WE. Without it the
+      orientation is that of the robot's block.
+    - desired_angular_velocity (optional): (3,) w_WE [rad/s].
+    - phase: (1,) phase of the motion.
+    - commanded_position: (n,) positions of the robot [rad, m].
+    - plant_state: state of the station's plant, of which the obstacles' positions are used.
+    - desired_cartesian_poses: abstract `BusValue` with the pose X_WE of the tool frame a moment
+      later: p_WE + look_ahead v_WE, and exp(look_ahead w_WE) R_WE.
+    - position: positions of the whole world [rad, m].
+    - nominal_posture: positions of the robot at the start, in the world's; led to the joints at
+      the goal where the task gives them [rad, m].
+
+    There is no state.
+    """
+
+    def __init__(self, scenario: Scenario, plant: MultibodyPlant, q_start: FloatArray) -> None:
+        """Declares the ports.
+
+        Args:
+            scenario: with a robot.
+            plant: of the collision checker; its positions are those of the station's plant.
+            q_start: (n,) all positions of the robot at the start.
+        """
+        super().__init__()
+        robot, self._q_start = robot_of(scenario), np.array(q_start)
+        self._R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix().matrix()
+        # Making up the share g of an error at each step h, the command follows a steady motion
+        # h (1 / g - 1) late at the end of the step; it is given at its beginning and is held, so
+        # that it is half a step early there.
+        self._look_ahead = scenario.policy.period * (1.0 / GAIN - 0.5)
+        self._guide = make_posture_guide(scenario, q_start[: len(robot.q_seed)])
+        self._plant, self._alpha_k = plant, scenario.policy.alpha_k
+        tool_frame = plant.GetFrameByName(TOOL_FRAME)
+        self._robot, self._tool = tool_frame.model_instance(), tool_frame.scoped_name().get_full()
+        self._inputs = {
+            name: self.DeclareVectorInputPort(name, size)
+            for name, size in (
+                ("desired_position", 3),
+                ("desired_velocity", 3),
+                ("desired_orientation", 4),
+                ("desired_angular_velocity", 3),
+                ("phase", 1),
+                ("commanded_position", len(q_start)),
+                ("plant_state", plant.num_multibody_states()),
+            )
+        }
+        n = plant.num_positions()
+        self.DeclareAbstractOutputPort(
+            "desired_cartesian_poses", lambda: Value(BusValue()), self._calc_poses
+        )
+        self.DeclareVectorOutputPort("position", n, self._calc_position)
+        self.DeclareVectorOutputPort("nominal_posture", n, self._calc_posture)
+
+    def _calc_poses(self, context: Context, output: AbstractValue) -> None:
+        p_WE, v_WE = (
+            self._inputs[name].Eval(context) for name in ("desired_position", "desired_velocity")
+        )
+        R_WE = self._R_WE
+        if self._inputs["desired_orientation"].HasValue(context):
+            quaternion = self._inputs["desired_orientation"].Eval(context)
+            turning = self._inputs["desired_angular_velocity"].Eval(context)
+            ahead = Rotation.from_rotvec(self._look_ahead * turning)
+            R_WE = (ahead * Rotation.from_quat(quaternion, scalar_first=True)).as_matrix()
+        X_WE = RigidTransform(RotationMatrix(R_WE), p_WE + self._look_ahead * v_WE)
+        poses = BusValue()
+        poses.Set(self._tool, Value(X_WE))
+        output.set_value(poses)
+
+    def _calc_position(self, context: Context, output: BasicVector) -> None:
+        q = self._inputs["plant_state"].Eval(context)[: self._plant.num_positions()].copy()
+        q_robot = self._inputs["commanded_position"].Eval(context)
+        self._plant.SetPositionsInArray(self._robot, q_robot, q)
+        output.set_value(q)
+
+    def _calc_posture(self, context: Context, output: BasicVector) -> None:
+        # No posture is requested of the obstacles.
+        posture, q_robot = np.zeros(self._plant.num_positions()), self._q_start.copy()
+        if self._guide is not None:
+            s = normalised_time(self._inputs["phase"].Eval(context)[0], self._alpha_k)
+            (arm,) = self._guide(np.array([s]))
+            q_robot[: len(arm)] = arm
+        self._plant.SetPositionsInArray(self._robot, q_robot, posture)
+        output.set_value(posture)
+
+
 def build_differential_ik(
     scenario: Scenario, q_start: FloatArray, distances: KeptDistances
 ) -> Diagram:
     """Wires the peer on a scenario's station.
 
-    Subsystems by name: plant, scene_graph, goal, dmp_integrator, tool_pose, desired_poses,
-    differential_ik, posture, mover_<model instance>, commanded_position, commanded_velocity,
-    commanded_state, controller, actuation, effort_limits, log_<signal>; where obstacles
-    move also positions_<model instance> and world_positions; where the tool turns
-    orientation_integrator; where the joints at the goal are given posture_guide and
-    guide_follower.
+    Subsystems by name: plant, scene_graph, goal, dmp_integrator, inputs, differential_ik,
+    mover_<model instance>, commanded_position, commanded_velocity, commanded_state, controller,
+    actuation, effort_limits, log_<signal>; where the tool turns orientation_integrator.
 
     Args:
         scenario: with a robot; its perception is not used.
@@ -309,28 +357,21 @@ def build_differential_ik(
     orientation = make_orientation_integrator(scenario)
     if orientation is not None:
         add_orientation(wires, orientation)
-    # Making up the share g of an error at each step h, the command follows a steady motion
-    # h (1 / g - 1) late at the end of the step; it is given at its beginning and is held, so that
-    # it is half a step early there.
-    look_ahead = period * (1.0 / GAIN - 0.5)
-    R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix()
-    wires.add("tool_pose", ToolPose(R_WE, look_ahead=look_ahead))
 
     # From there to the commanded positions and velocities.
-    checker = make_collision_checker(scenario, distances)
-    tool = str(checker.plant().GetFrameByName(TOOL_FRAME).scoped_name().get_full())
-    poses = BusCreator()
-    poses.DeclareAbstractInputPort(tool, Value(RigidTransform()))
-    wires.add("desired_poses", poses, reads={tool: "desired_pose"}, offers={"y0": "desired_poses"})
+    checker = make_collision_checker(
+        scenario,
+        tool=distances.tool - distances.safety,
+        links=distances.arm - distances.safety,
+        world=distances.arm - distances.safety,
+        own=SELF_DISTANCE - distances.safety,
+    )
+    wires.add("inputs", ProgramInputs(scenario, checker.plant(), q_start))
     wires.add(
         "differential_ik",
         make_differential_ik(scenario, checker, distances),
-        reads={"desired_cartesian_poses": "desired_poses", "position": "world_positions"},
         offers={"commanded_velocity": "joint_velocity"},
     )
-    orders = position_orders(checker.plant(), scenario)
-    _wire_positions(wires, orders, station)
-    _wire_posture(wires, scenario, q_start, next(iter(orders.values())))
     for name, held in (
         ("commanded_position", DiscreteTimeIntegrator(n, period)),
         ("commanded_velocity", ZeroOrderHold(period, n)),
@@ -343,10 +384,9 @@ def build_differential_ik(
         offers={"y0": "commanded_state"},
     )
 
-    # From there to the plant. The arm's dynamics are its own: of driven obstacles the controller
-    # need not know.
-    alone = plant.num_positions() == n
-    model = plant if alone else make_robot_plant(robot).plant
+    # From there to the plant. The arm's dynamics are its own: the controller need not know of
+    # driven obstacles.
+    model = make_robot_plant(robot).plant
     controller = InverseDynamicsController(
         model,
         kp=np.full(n, KP),
@@ -381,202 +421,15 @@ def build_differential_ik(
     return diagram
 
 
-def _wire_positions(wires: Wires, orders: dict[str, FloatArray], station: Station) -> None:
-    """Adds the positions of the whole world: the commanded ones, and those of the obstacles."""
-    if len(orders) == 1:
-        wires.otherwise("world_positions", "commanded_position")
-        return
-    plant, (robot, *obstacles) = station.plant, orders
-    wires.add(
-        "world_positions",
-        Adder(len(orders), len(orders[robot])),
-        reads={f"u{number}": f"positions_{name}" for number, name in enumerate(orders)},
-        offers={"sum": "world_positions"},
-    )
-    for name in obstacles:
-        instance = plant.GetModelInstanceByName(name)
-        wires.offer(f"state_{name}", plant.get_state_output_port(instance))
-    for name, order in orders.items():
-        signal = "commanded_position"
-        if name != robot:
-            # Of the state, positions and as many velocities, the positions.
-            signal, order = f"state_{name}", np.hstack([order, np.zeros_like(order)])
-        signals = {"u0": signal}, {"y0": f"positions_{name}"}
-        wires.add(f"positions_{name}", MatrixGain(order), reads=signals[0], offers=signals[1])
-
-
-def _wire_posture(wires: Wires, scenario: Scenario, q_start: FloatArray, order: FloatArray) -> None:
-    """Adds the posture of the start, or a guide from it to the goal's joints if they are given.
-
-    Args:
-        wires: offers nominal_posture.
-        scenario: with a robot.
-        q_start: (n,) all positions of the robot at the start.
-        order: (nq, n) matrix that takes them to their places in the plant's.
-    """
-    n = len(robot_of(scenario).q_seed)
-    posture = np.array(q_start, dtype=float)
-    posture[n:] += _FINGER_PULL
-    # The obstacles have no posture: of their zeros nothing is asked.
-    rest = order @ posture
-    if not add_guide_follower(wires, scenario, q_start):
-        wires.add("posture", ConstantVectorSource(rest), offers={"y0": "nominal_posture"})
-        return
-    of_arm = order[:, :n]
-    whole = AffineSystem(
-        A=np.zeros((0, 0)),
-        B=np.zeros((0, 2 * n)),
-        f0=np.zeros(0),
-        C=np.zeros((len(order), 0)),
-        D=np.hstack([of_arm, np.zeros_like(of_arm)]),
-        y0=rest - of_arm @ q_start[:n],
-    )
-    wires.add("posture", whole, reads={"u0": "desired_posture"}, offers={"y0": "nominal_posture"})
-
-
-class ToolPose(LeafSystem):
-    """The pose that a moving tool has a moment later.
-
-    .. pydrake_system::
-
-      name: ToolPose
-      input_ports:
-      - desired_position
-      - desired_velocity
-      - desired_orientation (optional)
-      - desired_angular_velocity (optional)
-      output_ports:
-      - desired_pose
-
-    - desired_position: (3,) p_WE [m].
-    - desired_velocity: (3,) v_WE [m/s].
-    - desired_orientation (optional): (4,) quaternion w, x, y, z of R_WE. Without it the
-      orientation is the one given once.
-    - desired_angular_velocity (optional): (3,) w_WE [rad/s].
-    - desired_pose: abstract `RigidTransform` X_WE: p_WE + look_ahead v_WE, and
-      exp(look_ahead w_WE) R_WE.
-
-    There is no state.
-    """
-
-    def __init__(self, R_WE: RotationMatrix, *, look_ahead: float = 0.0) -> None:
-        """Declares the ports.
-
-        Args:
-            R_WE: orientation of the tool where none is connected.
-            look_ahead: how much later [s]; finite.
-
-        Raises:
-            ValueError: if look_ahead is not finite.
-        """
-        super().__init__()
-        if not np.isfinite(look_ahead):
-            raise ValueError(f"look_ahead must be finite [s], not {look_ahead}")
-        self._R_WE = R_WE
-        self._look_ahead = float(look_ahead)
-        self._position = self.DeclareVectorInputPort("desired_position", 3)
-        self._velocity = self.DeclareVectorInputPort("desired_velocity", 3)
-        self._orientation = self.DeclareVectorInputPort("desired_orientation", 4)
-        self._turning = self.DeclareVectorInputPort("desired_angular_velocity", 3)
-        self.DeclareAbstractOutputPort(
-            "desired_pose", lambda: Value(RigidTransform()), self._calc_pose
-        )
-
-    def _calc_pose(self, context: Context, output: AbstractValue) -> None:
-        ahead = self._position.Eval(context) + self._look_ahead * self._velocity.Eval(context)
-        R_WE = self._R_WE
-        if self._orientation.HasValue(context):
-            R = rotation_matrix(self._orientation.Eval(context))
-            if self._turning.HasValue(context):
-                turn = Rotation.from_rotvec(self._look_ahead * self._turning.Eval(context))
-                R = turn.as_matrix() @ R
-            R_WE = RotationMatrix(R)
-        output.set_value(RigidTransform(R_WE, ahead))
-
-
-STUCK_TIME = 1.0
-"""A tool that stands still for this long after the planned motion is over is stuck [s]."""
-STUCK_DISTANCE = 1e-3
-"""It stands still while it stays this near to where it was [m]."""
-METHOD = "DifferentialInverseKinematics"
-"""The log's `regulation`."""
-NO_VELOCITY = "held: no joint velocity keeps the distances"
-"""The note while the program has no solution: Drake then commands no velocity."""
-_AT_REST = 1e-5
-"""A command of exactly zero is no solution while the tool is asked further than this [m]."""
-
-
-class _ToolWatcher(MotionWatcher):
-    """Looks after each step at where the tool is, and ends the run."""
-
-    def __init__(self, diagram: Diagram, scenario: Scenario, duration: float | None) -> None:
-        super().__init__(diagram, scenario, duration)
-        self._duration = make_dmp(scenario).duration
-        self._recent: deque[tuple[float, FloatArray]] = deque()
-        self._command = diagram.GetSubsystemByName("commanded_velocity")
-
-    def _record(
-        self, root: Context, now: float, policy: PolicyState, supervision: Supervision
-    ) -> None:
-        lag = math.dist(policy.p_WE, self.tool_point(root))
-        command = self._command.get_output_port().Eval(self._command.GetMyContextFromRoot(root))
-        held = lag > _AT_REST and not command.any()
-        self._note(now, *((HoldCause.OBSTACLES, NO_VELOCITY) if held else (HoldCause.NONE, "")))
-
-    def _why_ended(
-        self, root: Context, now: float, policy: PolicyState, supervision: Supervision
-    ) -> Ending | None:
-        p_WE = self.tool_point(root)
-        s = normalised_time(policy.phase, self._alpha_k)
-        error = math.dist(p_WE, policy.p_WG)
-        if s >= 1.0 - 1e-9:
-            if error < ARRIVED and self._speed(now, p_WE) * self._duration < STILL * ARRIVED:
-                return AT_THE_GOAL
-            if now >= self.world_end and self._stands_still(now, p_WE):
-                note = self.events[-1][2] if self.events else ""
-                why = f"stuck {1e3 * error:.1f} mm short of the goal" + (
-                    f" ({note})" if note else ""
-                )
-                return Ending(MotionEnd.STUCK, why)
-        self._remember(now, p_WE)
-        if s >= LATEST_END and now >= self.world_end:
-            why = f"goal missed by {1e3 * error:.1f} mm at s = {LATEST_END:g}"
-            return Ending(MotionEnd.MISSED, why)
-        return self._time_limit() if now >= self._end_time else None
-
-    def _remember(self, now: float, p_WE: FloatArray) -> None:
-        self._recent.append((now, p_WE))
-        while now - self._recent[0][0] > STUCK_TIME:
-            self._recent.popleft()
-
-    def _speed(self, now: float, p_WE: FloatArray) -> float:
-        if not self._recent:
-            return math.inf
-        then, before = self._recent[-1]
-        return math.dist(p_WE, before) / (now - then)
-
-    def _stands_still(self, now: float, p_WE: FloatArray) -> bool:
-        long_enough = bool(self._recent) and now - self._recent[0][0] > STUCK_TIME - self._period
-        return long_enough and all(
-            math.dist(p_WE, before) < STUCK_DISTANCE for _, before in self._recent
-        )
-
-
 @contextlib.contextmanager
 def _without_solver_messages() -> Iterator[None]:
-    """Drake warns at every step that has no solution; the log has one note for them all.
-
-    And OSQP prints wherever no constraint is active, as of an arm whose joints all move.
-    """
-
-    def is_other(record: logging.LogRecord) -> bool:
-        return "QP failed to solve" not in record.getMessage()
-
+    """Suppresses messages of Drake and OSQP on steps without solution or active constraint."""
     logger = logging.getLogger("drake")
-    logger.addFilter(is_other)
+    level, out = logger.level, os.dup(1)
+    logger.setLevel(logging.ERROR)
     sys.stdout.flush()
-    out, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 1)
+    with open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
     try:
         yield
     finally:
@@ -584,8 +437,7 @@ def _without_solver_messages() -> Iterator[None]:
         ctypes.CDLL(None).fflush(None)
         os.dup2(out, 1)
         os.close(out)
-        os.close(nowhere)
-        logger.removeFilter(is_other)
+        logger.setLevel(level)
 
 
 def simulate_differential_ik(
@@ -594,14 +446,10 @@ def simulate_differential_ik(
     duration: float | None = None,
     distances: KeptDistances = _DISTANCES,
 ) -> MotionLog:
-    """Runs one motion of the peer until the goal, a standstill or the time limit.
+    """Runs one motion of the peer until it has ended as one of `simulate` does.
 
-    Until the planned duration is over the tool is asked along the planned motion, and
-    then to the goal. The motion ends with the reason "goal" when the tool itself has
-    arrived as near as `drake_oa.runs.simulation.simulate` asks of the desired motion,
-    "stuck ..." when it has stood still for `STUCK_TIME` after the planned duration,
-    and "goal missed ..." at `LATEST_END` durations. Where the program has no solution
-    the robot is held, and `event` says so.
+    Until the planned duration is over the tool is asked along the planned motion, and then to the
+    goal. Where the program has no solution the robot is held.
 
     Args:
         scenario: with a robot; its perception and regulation are not used.
@@ -622,15 +470,14 @@ def simulate_differential_ik(
     root = simulator.get_mutable_context()
     integral = diagram.GetSubsystemByName("commanded_position")
     integral.set_integral_value(integral.GetMyMutableContextFromRoot(root), q_start)
-    watcher = _ToolWatcher(diagram, scenario, duration)
     with _without_solver_messages():
+        watcher = MotionWatcher(diagram, scenario, duration)
         log = run_motion(scenario, simulator, watcher, modulated=True)
     saturated = (np.abs(log.torque) >= log.effort_limit).any(axis=1).astype(float)
     log = replace(log, regulation=METHOD, saturated=saturated)
     if not len(log.desired_orientation):
         return log
-    left = np.zeros((len(log.t), 3))
-    for row, X_WE in enumerate(make_robot_plant(robot_of(scenario)).tool_poses(log.q)):
-        desired = rotation_matrix(log.desired_orientation[row])
-        left[row] = rotation_vector(np.ascontiguousarray(desired @ X_WE.rotation().matrix().T))
-    return replace(log, orientation_error=left)
+    poses = make_robot_plant(robot_of(scenario)).tool_poses(log.q)
+    actual = Rotation.from_matrix([X_WE.rotation().matrix() for X_WE in poses])
+    desired = Rotation.from_quat(log.desired_orientation, scalar_first=True)
+    return replace(log, orientation_error=(desired * actual.inv()).as_rotvec())

@@ -1,22 +1,19 @@
 """The peer: differential inverse kinematics with collision constraints on the Panda."""
 
-import math
-
 import numpy as np
 import pytest
 from pydrake.math import RollPitchYaw
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.runs.metrics import robot_metrics
-from drake_oa.scenario.end_poses import follow_joints
+from drake_oa.scenario.end_poses import follow_joints, start_positions
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.studies.panda import differential_ik
 from drake_oa.studies.panda.differential_ik import (
     METHOD,
-    NO_VELOCITY,
     KeptDistances,
-    ToolPose,
+    ProgramInputs,
     make_collision_checker,
     simulate_differential_ik,
 )
@@ -72,11 +69,8 @@ def test_stands_still_where_no_velocity_keeps_the_distances(
     walls = [box(f"wall{y}", [0.3, 0.02, 0.2], [0.45, -0.45 + y, 0.3]) for y in (-0.06, 0.06)]
     scenario = scene("task.duration=0.6", f"obstacles=[{', '.join(walls)}]")
     monkeypatch.setattr(differential_ik, "HORIZON", 0.008)
-    log = simulate_differential_ik(scenario)
-    assert log.event[0] == NO_VELOCITY
-    assert log.stop_reason.startswith(("stuck", "goal missed"))
-    held = log.t < log.event_time[1] if len(log.event) > 1 else log.t >= 0.0
-    assert np.abs(log.q[held] - log.q[0]).max() < 1e-3
+    log = simulate_differential_ik(scenario, duration=0.3)
+    assert np.abs(log.q - log.q[0]).max() < 1e-3
 
 
 def test_moves_away_from_an_obstacle_nearer_than_the_tool_keeps() -> None:
@@ -90,7 +84,7 @@ def test_moves_away_from_an_obstacle_nearer_than_the_tool_keeps() -> None:
 
 
 def test_links_that_do_not_move_are_left_out() -> None:
-    checker = make_collision_checker(scene(), KeptDistances())
+    checker = make_collision_checker(scene(), tool=0.03, links=0.02, world=0.0, own=0.0)
     plant = checker.plant()
     base, hand = (plant.GetBodyByName(f"panda_{name}").index() for name in ("link0", "hand"))
     world = plant.world_body().index()
@@ -103,20 +97,36 @@ def test_without_a_robot_there_is_one_clear_error() -> None:
         simulate_differential_ik(load_scenario("free_space"))
 
 
-def test_the_asked_pose_is_ahead_of_the_plan() -> None:
-    R_WE = RollPitchYaw(math.pi, 0.0, 0.5).ToRotationMatrix()
-    system = ToolPose(R_WE, look_ahead=0.1)
+def test_the_inputs_are_a_pose_ahead_and_the_positions_of_the_world() -> None:
+    ball = "{name: ball, shapes: [!Sphere {radius: 0.1}], waypoints: [[0, 0, 0, 0]]}"
+    scenario = scene(f"obstacles=[{ball}]")
+    checker = make_collision_checker(scenario, tool=0.0, links=0.0, world=0.0, own=0.0)
+    plant, q_start = checker.plant(), start_positions(scenario)
+    system = ProgramInputs(scenario, plant, q_start)
     context = system.CreateDefaultContext()
-    system.GetInputPort("desired_position").FixValue(context, [1.0, 2.0, 3.0])
-    system.GetInputPort("desired_velocity").FixValue(context, [0.0, -1.0, 2.0])
-    X_WE = system.GetOutputPort("desired_pose").Eval(context)
-    np.testing.assert_allclose(X_WE.translation(), [1.0, 1.9, 3.2])
-    np.testing.assert_array_equal(X_WE.rotation().matrix(), R_WE.matrix())
-    system.GetInputPort("desired_orientation").FixValue(context, [1.0, 0.0, 0.0, 0.0])
-    system.GetInputPort("desired_angular_velocity").FixValue(context, [0.0, 0.0, 2.0])
-    X_WE = system.GetOutputPort("desired_pose").Eval(context)
-    turned = RollPitchYaw(0.0, 0.0, 0.2).ToRotationMatrix()
+    state = np.arange(plant.num_multibody_states(), dtype=float)
+    for name, value in (
+        ("desired_position", [1.0, 2.0, 3.0]),
+        ("desired_velocity", [0.0, -1.0, 2.0]),
+        ("desired_orientation", [1.0, 0.0, 0.0, 0.0]),
+        ("desired_angular_velocity", [0.0, 0.0, 2.0]),
+        ("phase", [1.0]),
+        ("commanded_position", q_start + 0.1),
+        ("plant_state", state),
+    ):
+        system.GetInputPort(name).FixValue(context, value)
+    poses = system.GetOutputPort("desired_cartesian_poses").Eval(context)
+    X_WE = poses.Find(plant.GetFrameByName("tool_point").scoped_name().get_full())
+    ahead = 4.5 * scenario.policy.period
+    np.testing.assert_allclose(X_WE.translation(), [1.0, 2.0 - ahead, 3.0 + 2.0 * ahead])
+    turned = RollPitchYaw(0.0, 0.0, 2.0 * ahead).ToRotationMatrix()
     np.testing.assert_allclose(X_WE.rotation().matrix(), turned.matrix(), atol=1e-12)
+    robot = plant.GetFrameByName("tool_point").model_instance()
+    position = system.GetOutputPort("position").Eval(context)
+    np.testing.assert_array_equal(plant.GetPositionsFromArray(robot, position), q_start + 0.1)
+    assert set(position) - set(q_start + 0.1) <= set(state)
+    posture = system.GetOutputPort("nominal_posture").Eval(context)
+    np.testing.assert_array_equal(plant.GetPositionsFromArray(robot, posture), q_start)
 
 
 def test_turns_the_tool_and_leads_the_posture_to_the_joints_of_the_goal() -> None:

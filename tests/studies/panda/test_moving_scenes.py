@@ -8,7 +8,7 @@ import pytest
 from drake_oa.geometry.shapes import bounding_radius
 from drake_oa.studies.panda.evaluation import run_and_judge
 from drake_oa.studies.panda.moving_scenes import LONGEST
-from drake_oa.studies.panda.scene_parts import FREE, in_view, is_outside_image, planning_scene
+from drake_oa.studies.panda.scene_parts import view_margin
 from drake_oa.studies.panda.scenes import draw_panda_scene
 
 
@@ -47,8 +47,12 @@ def test_so_many_things_move_off_the_base(scenes, kind, counts):
 
 def test_courses_of_moving_are_straight_and_steady(scenes):
     for item in movers(scenes["moving"]):
-        (velocity,), _ = velocities(item)
-        assert 0.099 <= np.linalg.norm(velocity) <= 0.401
+        velocity, seconds = velocities(item)
+        speed = np.linalg.norm(velocity, axis=1)
+        assert 0.099 <= speed[seconds.argmax()] <= 0.401
+        assert speed.max() <= speed[seconds.argmax()] + 5e-3
+        heading = velocity / speed[:, None]
+        assert (heading @ heading[0]).min() > 0.99
 
 
 def test_things_enter_speed_up_turn_stop_and_come_back_smoothly(scenes):
@@ -56,8 +60,9 @@ def test_things_enter_speed_up_turn_stop_and_come_back_smoothly(scenes):
     for item in movers(scenes["moving_hard"]):
         assert item.waypoints[-1][0] <= LONGEST
         p = [item.translation + item.offset_at(t) for t in np.arange(0.0, LONGEST, 0.05)]
-        outside = is_outside_image(p[0], bounding_radius(item.shapes[0]))
-        seen["enters"] += outside and item.waypoints[0][0] == 0.0 and any(map(in_view, p))
+        margin = view_margin(np.array(p))
+        outside = margin[0] <= -bounding_radius(item.shapes[0])
+        seen["enters"] += outside and item.waypoints[0][0] == 0.0 and margin.max() >= 0.0
         velocity, seconds = velocities(item)
         # Begin and end are at rest; 3 m/s^2 along the way and 0.8^2 / 0.2 across it, for 0.05 s.
         jumps = np.diff(velocity, axis=0, prepend=0.0, append=0.0)
@@ -75,22 +80,7 @@ def test_things_enter_speed_up_turn_stop_and_come_back_smoothly(scenes):
 
 
 @pytest.mark.parametrize("kind", ["moving", "moving_hard"])
-def test_the_first_is_met_and_the_ends_are_free(scenes, kind):
-    scene, cell = scenes[kind][0], planning_scene()
-    motion = cell.straight_motion(np.array(scene.task.start), np.array(scene.task.goal))
-    deepest = 0.0
-    for q, time in zip(motion, np.linspace(0.0, scene.task.duration, len(motion)), strict=True):
-        cell.put(scene.obstacles[:1], time)
-        deepest = max([deepest, *(depth for _, thing, depth in cell.contacts(q) if thing)])
-    assert deepest >= 5e-3
-    cell.put(scene.obstacles)
-    assert not cell.nearby(motion[0], FREE - 1e-9)
-    # At last all of `moving` leaves the goal free, of `moving_hard` what rests.
-    cell.put([item for item in scene.obstacles if kind == "moving" or not item.waypoints], LONGEST)
-    assert not cell.nearby(cell.tool_down(np.array(scene.task.goal)), FREE - 1e-9)
-
-
-def test_a_scene_runs(scenes):
-    result = run_and_judge(scenes["moving_hard"][0], "preplanned", "depth", duration=0.05).result
+def test_the_first_is_met(scenes, kind):
+    result = run_and_judge(scenes[kind][0], "preplanned", "truth").result
     assert not result["failed"]
-    assert result["duration"] == pytest.approx(0.05, abs=0.01)
+    assert any("moving0" in contact for contact in result["contacts"])

@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 from drake_oa.geometry.shapes import Box, Cylinder, pose
 from drake_oa.studies.panda.scene_parts import (
     LARGEST,
-    draw_obstacle,
+    bounding_ball,
+    draw_obstacles,
     footprint_radius,
-    height,
-    in_view,
-    is_outside_image,
+    view_margin,
 )
+from drake_oa.studies.results import Tally
 
 _DIRECTIONS = np.random.default_rng(0).normal(size=(400, 3))
 
@@ -34,23 +34,23 @@ def _surface(shape):
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=60, deadline=None)
 def test_an_obstacle_stands_on_the_table_and_is_no_larger_than_said(seed):
-    obstacle = draw_obstacle(np.random.default_rng(seed), 0)
+    (obstacle,) = draw_obstacles(np.random.default_rng(seed), 1, Tally())
     points = np.concatenate([_surface(shape) for shape in obstacle.shapes])
     assert -1e-9 <= points[:, 2].min() < 0.03
-    assert points[:, 2].max() <= height(obstacle) + 1e-9
-    assert height(obstacle) <= LARGEST + 1e-9
+    assert points[:, 2].max() <= LARGEST + 1e-9
     assert np.hypot(points[:, 0], points[:, 1]).max() <= footprint_radius(obstacle) + 1e-9
+    center, radius = bounding_ball(obstacle)
+    from_center = np.linalg.norm(points + obstacle.translation - center, axis=1)
+    assert from_center.max() <= radius + 1e-9
 
 
 @pytest.mark.parametrize(
-    ("place", "radius", "seen", "outside"),
+    ("place", "low", "high"),
     [
-        ([0.45, 0.0, 0.2], 0.01, True, False),
-        ([0.45, 1.2, 0.2], 0.1, False, True),
-        ([0.45, 1.2, 0.2], 1.0, False, False),
-        ([3.0, 0.5, 1.5], 0.1, False, True),
+        ([0.45, 0.0, 0.2], 0.1, 1.0),
+        ([0.45, 1.2, 0.2], -1.0, -0.1),
+        ([3.0, 0.5, 1.5], -3.0, -0.1),
     ],
 )
-def test_what_is_in_the_image_and_what_is_wholly_outside(place, radius, seen, outside):
-    assert in_view(np.array(place)) == seen
-    assert is_outside_image(np.array(place), radius) == outside
+def test_points_are_inside_the_image_or_outside_by_a_distance(place, low, high):
+    assert low < view_margin(np.array([place]))[0] < high
