@@ -31,7 +31,7 @@ from drake_oa.policy.orientation_integrator import OrientationIntegrator
 from drake_oa.regulation.config import Paper, Verified
 from drake_oa.regulation.proposal_network import load_proposals
 from drake_oa.regulation.regressor import ChainWeights, check_action_level, load_chain
-from drake_oa.regulation.regressor_chain import RegressorChain, Scaling
+from drake_oa.regulation.regressor_chain import Proposals, RegressorChain, Scaling
 from drake_oa.robot.arm import PULL, inverse_kinematics, joint_margins, make_chain
 from drake_oa.robot.plant import make_robot_plant
 from drake_oa.robot.spheres import ArmSpheres
@@ -336,24 +336,36 @@ def add_regulation(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     regulation = scenario.regulation
     if isinstance(regulation, Verified):
         if "ellipsoids_W" in wires:
-            chain, proposals = regulation.chain, regulation.proposals
-            system = RegressorChain(
-                _loaded("chain", chain, _load_running) if chain else None,
-                scenario.task.clearance,
-                proposals=_loaded("proposals", proposals, load_proposals) if proposals else None,
-                dmp=make_dmp(scenario),
-            )
             offers = {"coupling_parameters": "proposed_parameters"}
-            wires.add("regressor_chain", system, offers=offers)
+            wires.add("regressor_chain", make_regressor_chain(scenario), offers=offers)
         return
-    length: Scaling = "route" if "ellipsoids_W" in wires and regulation.guided else "sections"
-    system = RegressorChain(
+    wires.add("regressor_chain", make_regressor_chain(scenario))
+
+
+def make_regressor_chain(scenario: Scenario, proposals: Proposals | None = None) -> RegressorChain:
+    """Makes the computation of coupling parameters.
+
+    Args:
+        scenario: the scenario.
+        proposals: source of candidate sides; None: the network that the scenario names, if any.
+
+    Raises:
+        ScenarioError: naming the file, if weights are missing or do not fit.
+    """
+    regulation, dmp = scenario.regulation, make_dmp(scenario)
+    if isinstance(regulation, Verified):
+        chain, network = regulation.chain, regulation.proposals
+        if proposals is None and network:
+            proposals = _loaded("proposals", network, load_proposals)
+        weights = _loaded("chain", chain, _load_running) if chain else None
+        return RegressorChain(weights, scenario.task.clearance, proposals=proposals, dmp=dmp)
+    length: Scaling = "route" if regulation.guided else "sections"
+    return RegressorChain(
         load_weights(scenario),
         scenario.task.clearance,
-        original=make_dmp(scenario).duration if regulation.term == "original" else None,
+        original=dmp.duration if regulation.term == "original" else None,
         scaling=length if regulation.scaled else "none",
     )
-    wires.add("regressor_chain", system)
 
 
 def load_weights(scenario: Scenario) -> ChainWeights:

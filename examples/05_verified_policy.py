@@ -1,55 +1,45 @@
-"""Search a motion round two balls, and run the policy that goes it: no robot."""
+"""Search a motion round two balls, and run the policy that executes it: no robot."""
+
+import dataclasses as dc
 
 import numpy as np
 from pydrake.common.value import Value
 from pydrake.systems.analysis import Simulator
 
-from drake_oa.common.messages import CouplingParameters, EllipsoidSet
+from drake_oa.common.messages import EllipsoidSet
 from drake_oa.planning.point_search import PointSearch
 from drake_oa.policy.config import Policy
-from drake_oa.policy.coupling import ALPHA, KAPPA, NORMAL, PSI
 from drake_oa.policy.dmp import imitate, local_frame, minimum_jerk
 from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.policy.rollout import Scene
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposal_network import load_proposals
-from drake_oa.regulation.proposals import avoidance_terms
+from drake_oa.regulation.proposals import side_rows
 from drake_oa.scenario.shipped import package_file
 
-START, GOAL = np.zeros(3), np.array([1.0, 0.0, 0.0])
-BALLS, RADIUS = np.array([[0.5, 0.0, -0.02], [0.6, 0.0, 0.35]]), 0.1
-CLEARANCE, DURATION = 0.1, 4.0
+START, GOAL, CLEARANCE, DURATION = np.zeros(3), np.array([1.0, 0.0, 0.0]), 0.1, 4.0
+CENTERS, RADIUS = np.array([[0.5, 0.0, -0.02], [0.6, 0.0, 0.35]]), 0.1
+BALLS = EllipsoidSet(
+    stamp=np.inf,
+    p_WO=CENTERS,
+    R_WO=np.tile(np.eye(3), (2, 1, 1)),
+    semi_axes=np.full((2, 3), RADIUS),
+    v_WO=np.zeros((2, 3)),
+    ids=np.arange(2),
+)
 
 
 def main() -> None:
     """Bends a straight motion round two balls and prints how near it came."""
-    seen = EllipsoidSet(
-        stamp=np.inf,
-        p_WO=BALLS,
-        R_WO=np.tile(np.eye(3), (2, 1, 1)),
-        semi_axes=np.full((2, 3), RADIUS),
-        v_WO=np.zeros((2, 3)),
-        ids=np.arange(2),
-    )
-    scene = Scene(
-        p_WE=START,
-        z_W=np.zeros(3),
-        p_WG=GOAL,
-        R_WL=local_frame(START, GOAL),
-        baseline=1.0,
-        ellipsoids=seen,
-        clearance=np.full(2, CLEARANCE),
-    )
+    R_WL, still = local_frame(START, GOAL), np.zeros(3)
+    scene = Scene(START, still, GOAL, R_WL, 1.0, BALLS, np.full(2, CLEARANCE))
     network = load_proposals(package_file("package://drake_oa/weights/proposals.safetensors"))
     dmp = imitate(*minimum_jerk(START, GOAL, duration=DURATION))
     search = PointSearch(scene, dmp=dmp, policy=Policy(), parameters=Verified())
     found = search.run(network.ranked(scene, DURATION))
     # One avoidance term about a point of its own: it belongs to neither ball.
-    terms = avoidance_terms(scene, found.genes)
-    of_term = (terms[:, column] for column in (ALPHA, PSI, KAPPA))
-    planes = terms[:, :3], terms[:, NORMAL : NORMAL + 3]
-    tau = max(float(found.length[0]), 1.0)
-    coupling = CouplingParameters(*of_term, np.ones(1, bool), *planes, tau=tau, verified=True)
+    rows = side_rows(scene, found.genes, length=found.length, likely=np.ones(1))
+    coupling = dc.replace(rows, tau=max(float(found.length[0]), 1.0), verified=True)
 
     policy = DmpIntegrator(dmp, START)
     simulator = Simulator(policy)
@@ -61,7 +51,7 @@ def main() -> None:
     for time in np.arange(0.0, 8.0, 0.02):
         simulator.AdvanceTo(time)
         path.append(policy.GetOutputPort("desired_position").Eval(context))
-    kept = np.linalg.norm(np.array(path)[:, None] - BALLS, axis=2).min() - RADIUS
+    kept = np.linalg.norm(np.array(path)[:, None] - CENTERS, axis=2).min() - RADIUS
     print(f"asked {CLEARANCE:.3f} m, kept {kept:.3f} m, ended at {path[-1].round(4)}")
 
 

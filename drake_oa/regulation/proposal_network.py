@@ -24,18 +24,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_oa.common.messages import SIDE, CouplingParameters, EllipsoidSet, FloatArray, Frozen
-from drake_oa.policy.coupling import ALPHA as TERM_ALPHA
-from drake_oa.policy.coupling import KAPPA as TERM_KAPPA
-from drake_oa.policy.coupling import NORMAL
+from drake_oa.common.messages import CouplingParameters, EllipsoidSet, FloatArray, Frozen
 from drake_oa.policy.rollout import Scene
 from drake_oa.regulation.network import array_of, read_arrays, write_arrays
 from drake_oa.regulation.proposals import (
     ANGLE,
     N_GENES,
-    TAU,
-    avoidance_terms,
     side_costs,
+    side_rows,
 )
 
 N_SIDES = 16
@@ -154,18 +150,7 @@ class ProposalNetwork(Frozen):
 
     def rows(self, scene: Scene, duration: float) -> CouplingParameters:
         """Returns the rows of the N sides, see `CouplingParameters`; T [s]."""
-        genes, length, likely = self.sides(scene, duration)
-        terms = avoidance_terms(scene, genes)
-        return CouplingParameters(
-            *np.ascontiguousarray(terms[:, TERM_ALPHA : TERM_KAPPA + 1].T),
-            in_range=np.ones(len(genes), dtype=bool),
-            center_W=terms[:, :3],
-            normal_W=terms[:, NORMAL : NORMAL + 3],
-            kind=np.full(len(genes), SIDE),
-            length=length,
-            likely=likely,
-            scaling=np.exp(genes[:, TAU]),
-        )
+        return side_rows(scene, *self.sides(scene, duration))
 
 
 _STAND_IN = (0.15, 0.1)

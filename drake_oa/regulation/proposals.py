@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_oa.common.messages import BoolArray, FloatArray, IntArray
+from drake_oa.common.messages import SIDE, BoolArray, CouplingParameters, FloatArray, IntArray
 from drake_oa.policy.coupling import ALPHA as ALPHA_COLUMN
 from drake_oa.policy.coupling import KAPPA as KAPPA_COLUMN
 from drake_oa.policy.coupling import N_COLUMNS, NORMAL
@@ -72,6 +72,30 @@ def genes_of(scene: Scene, terms: FloatArray, scaling: ArrayLike = 1.0) -> Float
     genes[:, [ALPHA, PSI, KAPPA]] = np.log(np.maximum(strength, 1e-300))
     genes[:, TAU] = np.log(scaling)
     return genes
+
+
+def side_rows(
+    scene: Scene, genes: FloatArray, length: FloatArray, likely: FloatArray
+) -> CouplingParameters:
+    """Returns the rows of proposed sides, see `CouplingParameters`.
+
+    Args:
+        scene: the scene.
+        genes: (N, 7) one candidate a side.
+        length: (N,) expected path lengths over the baseline.
+        likely: (N,) probabilities that the requested clearance is achieved.
+    """
+    terms = avoidance_terms(scene, genes)
+    return CouplingParameters(
+        *np.ascontiguousarray(terms[:, ALPHA_COLUMN : KAPPA_COLUMN + 1].T),
+        in_range=np.ones(len(genes), dtype=bool),
+        center_W=terms[:, :3],
+        normal_W=terms[:, NORMAL : NORMAL + 3],
+        kind=np.full(len(genes), SIDE),
+        length=length,
+        likely=likely,
+        scaling=np.exp(genes[:, TAU]),
+    )
 
 
 UNLIKELY = 2.0

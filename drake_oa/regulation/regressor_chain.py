@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Literal, get_args
+from typing import Literal, Protocol, get_args
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
@@ -13,14 +13,20 @@ from pydrake.systems.framework import Context, LeafSystem
 from drake_oa.common.messages import CHAIN, CouplingParameters, EllipsoidSet, PolicyState
 from drake_oa.common.ports import read_value
 from drake_oa.policy.dmp import Dmp
-from drake_oa.policy.rollout import scene_under_way
-from drake_oa.regulation.proposal_network import ProposalNetwork
+from drake_oa.policy.rollout import Scene, scene_under_way
 from drake_oa.regulation.regressor import ChainWeights, section_extents
 
 GAMMA, BETA = 1000.0, 20.0 / math.pi
 """Hoffmann's published gains [1/s] and [1/rad]."""
 
 Scaling = Literal["route", "sections", "none"]
+
+
+class Proposals(Protocol):
+    """Source of candidate sides, for example `ProposalNetwork`."""
+
+    def rows(self, scene: Scene, duration: float) -> CouplingParameters:
+        """Returns a row a side, see `CouplingParameters`; T [s]."""
 
 
 class RegressorChain(LeafSystem):
@@ -57,7 +63,7 @@ class RegressorChain(LeafSystem):
         weights: ChainWeights | None,
         asked_clearance: float,
         *,
-        proposals: ProposalNetwork | None = None,
+        proposals: Proposals | None = None,
         dmp: Dmp | None = None,
         original: float | None = None,
         scaling: Scaling = "route",
@@ -68,7 +74,7 @@ class RegressorChain(LeafSystem):
             weights: the trained chain, see `drake_oa.regulation.regressor.load_chain`; None: no
                 rows of the chain.
             asked_clearance: asked distance Delta between tool and obstacle [m].
-            proposals: the network of candidate sides; None: no rows of sides.
+            proposals: the network or another source of candidate sides; None: no rows of sides.
             dmp: the movement primitive, for the proposals.
             original: the original term at its published gains in place of the chain's, for a
                 demonstrated duration of so long [s]; None: the dead-zone free one.
