@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
@@ -21,6 +21,7 @@ from drake_oa.geometry.solids import (
     HULL,
     PRIMITIVE,
     Solid,
+    Solids,
     least_distances,
     outline_corners,
     solids_of,
@@ -47,11 +48,10 @@ _WIDER = 1.2
 """By how much more the spheres may stick out where they would be too many."""
 _DIGITS = 9
 """Decimals of lengths [m] that tell shapes apart: those of one model differ less by rounding."""
+_VERSION = 2
+"""Version of the algorithm, to be raised when covers change: earlier ones are computed again."""
 SHIPPED = Path(str(resources.files("drake_oa.models"))) / "panda" / "spheres.npz"
 """Covers of the Panda's bodies by `cover_key`: (K, 4) centers in the body's frame and radii [m]."""
-
-Distance = Callable[[FloatArray], FloatArray]
-"""Function of points (N, 3) to their signed distances (N,) to the shapes [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,12 +67,6 @@ class Cover:
     centers: FloatArray
     radii: FloatArray
     overshoot: float
-
-
-def distance_to(solids: Sequence[Solid]) -> Distance:
-    """Makes the function of points to their signed distances to the nearest of shapes [m]."""
-    scene = solids_of(solids)
-    return lambda points: least_distances(scene, np.ascontiguousarray(points), 0.0, np.inf, -np.inf)
 
 
 def cover(solids: Sequence[Solid], overshoot: float, most: int = 200) -> Cover:
@@ -97,15 +91,15 @@ def cover(solids: Sequence[Solid], overshoot: float, most: int = 200) -> Cover:
             f"overshoot must be positive, and most at least {len(solids)}, a sphere a shape: "
             f"not {overshoot} and {most}"
         )
-    distance = distance_to(solids)
+    scene = solids_of(solids)
     if all(_is_rod(solid) and solid.size[2] == 0.0 for solid in solids):
         centers = np.array([solid.X_WO[:3, 3] for solid in solids])
-        return _measured(distance, centers, np.array([solid.radius for solid in solids]))
-    points, rounds, finer = _samples(solids, distance, overshoot), 0, 0
+        return _measured(scene, centers, np.array([solid.radius for solid in solids]))
+    points, rounds, finer = _samples(solids, scene, overshoot), 0, 0
     while True:
         certain = _CERTAIN * overshoot
         tried = (finer,) if finer else (1, 2, 3)
-        found = [_chosen(solids, distance, overshoot, certain, f, points) for f in tried]
+        found = [_chosen(solids, scene, overshoot, certain, f, points) for f in tried]
         counts = [len(chosen) for *_, chosen in found]
         finer = tried[int(np.argmin(counts))]
         centers, depth, radii, chosen = found[int(np.argmin(counts))]
@@ -118,20 +112,20 @@ def cover(solids: Sequence[Solid], overshoot: float, most: int = 200) -> Cover:
         centers, depth = centers[radii > 0.0], depth[radii > 0.0]
         radii = radii[radii > 0.0] + math.sqrt(3.0) * certain
         many = _MANY if rounds < _ROUNDS else math.inf
-        gaps, half = _gaps(solids, distance, distance_to_balls(centers, radii), certain, many)
+        gaps, half = _gaps(solids, scene, balls_of(centers, radii), certain, many)
         if half <= certain:
             _grow(gaps, math.sqrt(3.0) * half, centers, depth, radii)
             if rounds >= _ROUNDS or (radii - depth).max() <= overshoot:
                 break
         points, rounds = np.concatenate([points, gaps]), rounds + 1
-    return _measured(distance, centers, radii)
+    return _measured(scene, centers, radii)
 
 
-def distance_to_balls(centers: FloatArray, radii: FloatArray) -> Distance:
-    """Makes the function of points to their signed distances to balls (K, 3), (K,) [m]."""
+def balls_of(centers: FloatArray, radii: FloatArray) -> Solids:
+    """Makes the scene of balls with centers (K, 3) and radii (K,) [m]."""
     X_BO = np.tile(np.eye(4), (len(centers), 1, 1))
     X_BO[:, :3, 3] = centers
-    return distance_to([replace(sphere(r), X_WO=X) for r, X in zip(radii, X_BO, strict=True)])
+    return solids_of([replace(sphere(r), X_WO=X) for r, X in zip(radii, X_BO, strict=True)])
 
 
 def known_cover(solids: Sequence[Solid], overshoot: float, most: int = 200) -> Cover:
@@ -150,7 +144,7 @@ def known_cover(solids: Sequence[Solid], overshoot: float, most: int = 200) -> C
         with suppress(OSError):
             replace_arrays(kept, {"spheres": np.column_stack([found.centers, found.radii])})
         return found
-    return _measured(distance_to(solids), balls[:, :3], balls[:, 3])
+    return _measured(solids_of(solids), balls[:, :3], balls[:, 3])
 
 
 @cache
@@ -160,7 +154,7 @@ def _shipped() -> dict[str, FloatArray]:
 
 def cover_key(solids: Sequence[Solid], overshoot: float, most: int = 200) -> str:
     """Computes a digest of a body's shapes and of the requested cover; arguments as of `cover`."""
-    found = hashlib.sha256(repr((overshoot, most)).encode())
+    found = hashlib.sha256(repr((_VERSION, overshoot, most)).encode())
     for solid in solids:
         corners = solid.placed(outline_corners(solid))
         for values in (solid.size, corners):
@@ -174,9 +168,14 @@ def _is_rod(solid: Solid) -> bool:
     return not (solid.kind in (ELLIPSOID, HULL) or any(solid.size[:2]))
 
 
-def _measured(distance: Distance, centers: FloatArray, radii: FloatArray) -> Cover:
+def _measured(scene: Solids, centers: FloatArray, radii: FloatArray) -> Cover:
     """Balls that enclose shapes, with how near they fit."""
-    return Cover(centers, radii, max(0.0, float((radii + distance(centers)).max())))
+    return Cover(centers, radii, max(0.0, float((radii + _distances(scene, centers)).max())))
+
+
+def _distances(scene: Solids, points: FloatArray) -> FloatArray:
+    """Computes the signed distances (N,) of points (N, 3) to the nearest solid [m]."""
+    return least_distances(scene, np.ascontiguousarray(points), 0.0, np.inf, -np.inf)
 
 
 def _lattice(solid: Solid, inset: float, step: float, finer: int = 1) -> FloatArray:
@@ -194,7 +193,7 @@ def _lattice(solid: Solid, inset: float, step: float, finer: int = 1) -> FloatAr
     axes = [np.linspace(-h, h, 1 + finer * math.ceil(2.0 * h / step)) for h in half]
     p_OQ = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3) + solid.center
     p_BQ = solid.placed(p_OQ)
-    return np.asarray(p_BQ[distance_to([solid])(p_BQ) <= 1e-9])
+    return np.asarray(p_BQ[_distances(solids_of([solid]), p_BQ) <= 1e-9])
 
 
 def _surface(solid: Solid) -> FloatArray:
@@ -203,11 +202,11 @@ def _surface(solid: Solid) -> FloatArray:
 
 
 def _below_surface(solid: Solid, depth: float) -> FloatArray:
-    """Points (K, 3) that far from those of a curved shape's surface, towards their mean [m].
+    """Points (K, 3) that far from those of the surface, towards their mean [m].
 
-    A shape whose surface is along the faces of its box, and a rod, has none.
+    Of a rod and of a box, the lattices of which have such points, there are none.
     """
-    if not any(solid.size[:2]) or (solid.kind == PRIMITIVE and not solid.size[4]):
+    if solid.kind == PRIMITIVE and not solid.size[4]:
         return np.zeros((0, 3))
     surface = _surface(solid)
     inwards = surface.mean(axis=0) - surface
@@ -217,7 +216,7 @@ def _below_surface(solid: Solid, depth: float) -> FloatArray:
 
 def _chosen(
     solids: Sequence[Solid],
-    distance: Distance,
+    scene: Solids,
     overshoot: float,
     certain: float,
     finer: int,
@@ -235,7 +234,7 @@ def _chosen(
         if len(centers) <= _MOST_CENTERS:
             break
         step *= 1.2
-    depth = np.maximum(-distance(centers), 0.0)
+    depth = np.maximum(-_distances(scene, centers), 0.0)
     radii = depth + overshoot - math.sqrt(3.0) * certain
     return centers, depth, radii, _choose(cdist(points, centers) <= radii)
 
@@ -289,25 +288,26 @@ def _grow(
         depth: (K,) of the centres in the shape; that which sticks out least by it grows [m].
         radii: (K,) [m]; some become larger.
     """
-    for point in points:
-        need = np.linalg.norm(centers - point, axis=1) + reach
-        if not (need <= radii).any():
-            best = int((need - depth).argmin())
-            radii[best] = need[best]
+    while len(points):
+        need = np.linalg.norm(centers - points[0], axis=1) + reach
+        best = int((need - depth).argmin())
+        radii[best] = max(need[best], radii[best])
+        points = points[1:]
+        points = points[np.linalg.norm(points - centers[best], axis=1) + reach > radii[best]]
 
 
-def _samples(solids: Sequence[Solid], distance: Distance, overshoot: float) -> FloatArray:
+def _samples(solids: Sequence[Solid], scene: Solids, overshoot: float) -> FloatArray:
     """Points on the outside of the shapes' union, and some in it, that are to be covered."""
     step = max(overshoot / 3.0, _least_step(solids, 7 * _MOST_SAMPLES))
     while True:
         inner = np.concatenate([_lattice(solid, 0.0, step) for solid in solids])
-        depth = -distance(inner)
+        depth = -_distances(scene, inner)
         outer, inner = inner[depth < 1e-9], inner[depth >= 1e-9][::7]
         if len(outer) + len(inner) <= _MOST_SAMPLES:
             break
         step *= 1.2
     surface = np.concatenate([_surface(solid) for solid in solids])
-    surface = surface[distance(surface) > -1e-6]
+    surface = surface[_distances(scene, surface) > -1e-6]
     return np.concatenate([surface, outer, inner])
 
 
@@ -318,11 +318,12 @@ def _least_step(solids: Sequence[Solid], count: int) -> float:
 
 
 def _gaps(
-    solids: Sequence[Solid], distance: Distance, to_balls: Distance, certain: float, many: float
+    solids: Sequence[Solid], scene: Solids, balls: Solids, certain: float, many: float
 ) -> tuple[FloatArray, float]:
     """Middles (M, 3) of cells of the shapes that are not proven to be in a ball, and half an edge.
 
-    The half edge is at most `certain`; or else the middles, more than many, are bare themselves.
+    The half edge is at most `certain`; or it is inf, and the middles, more than many, are bare
+    themselves, and not all that are not proven.
     """
     corners = np.concatenate([solid.placed(outline_corners(solid)) for solid in solids])
     low, high = corners.min(axis=0), corners.max(axis=0)
@@ -331,12 +332,15 @@ def _gaps(
     cells = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     while True:
         reach = math.sqrt(3.0) * half
-        apart = distance(cells)
+        # No farther, and no deeper, than decides.
+        apart = least_distances(scene, cells, 0.0, 2.0 * reach, 0.0)
         cells, apart = cells[apart <= reach], apart[apart <= reach]
-        short = to_balls(cells)
+        short = least_distances(balls, cells, 0.0, 2.0 * reach, -reach)
         cells, apart, short = (array[short > -reach] for array in (cells, apart, short))
         bare = cells[(apart <= 0.0) & (short > certain)]
-        if half <= certain or len(bare) > many or len(cells) == 0:
-            return (cells, min(half, certain)) if len(bare) <= many else (bare, half)
+        if len(bare) > many:
+            return bare, math.inf
+        if half <= certain or len(cells) == 0:
+            return cells, min(half, certain)
         half /= 2.0
         cells = (cells[:, None] + half * _CORNERS).reshape(-1, 3)

@@ -24,10 +24,9 @@ from drake_oa.robot.plant import (
 )
 from drake_oa.robot.sphere_cover import (
     SHIPPED,
+    balls_of,
     cover,
     cover_key,
-    distance_to,
-    distance_to_balls,
     known_cover,
 )
 from drake_oa.robot.spheres import ArmSpheres, make_arm_spheres
@@ -57,6 +56,10 @@ def points_in(shape: solid.Solid, seed: int) -> FloatArray:
     return np.concatenate([on_shape, share * one + (1.0 - share) * other])
 
 
+def distances(scene: solid.Solids, points: FloatArray) -> FloatArray:
+    return solid.least_distances(scene, points, 0.0, np.inf, -np.inf)
+
+
 @settings(max_examples=12, phases=[Phase.generate])
 @given(
     kind=st.sampled_from(["sphere", "capsule", "cylinder", "box", "ellipsoid", "hull"]),
@@ -70,11 +73,11 @@ def test_a_cover_encloses_and_sticks_out_no_farther_than_it_says(
     X = RigidTransform(RollPitchYaw(*rpy), [0.1, -0.2, 0.3]).GetAsMatrix4()
     shape = replace(one_of(kind, size), X_WO=X)
     found = cover([shape], 0.012)
-    assert distance_to_balls(found.centers, found.radii)(points_in(shape, seed)).max() <= 1e-9
+    assert distances(balls_of(found.centers, found.radii), points_in(shape, seed)).max() <= 1e-9
     directions = np.random.default_rng(seed).normal(size=(len(found.radii), 300, 3))
     directions /= np.linalg.norm(directions, axis=2, keepdims=True)
     outermost = (found.centers[:, None] + found.radii[:, None, None] * directions).reshape(-1, 3)
-    assert distance_to([shape])(outermost).max() <= found.overshoot + 1e-9
+    assert distances(solid.solids_of([shape]), outermost).max() <= found.overshoot + 1e-9
     if kind != "hull":
         # A target: a flat wedge takes more.
         assert found.overshoot <= 0.012 * 1.3
@@ -112,9 +115,9 @@ def test_the_shipped_spheres_are_of_the_pandas_bodies_and_enclose_them(panda: Ro
         solids = [solid.read_solid(inspector, geometry) for geometry in geometries]
         # Removed, so that none is left that no body has.
         balls = shipped.pop(cover_key(solids, overshoot))
-        to_balls = distance_to_balls(balls[:, :3], balls[:, 3])
+        scene = balls_of(balls[:, :3], balls[:, 3])
         for shape in solids:
-            assert to_balls(points_in(shape, 0)).max() <= 1e-4
+            assert distances(scene, points_in(shape, 0)).max() <= 1e-9
         assert known_cover(solids, overshoot).overshoot <= 1.25 * overshoot
     assert not shipped
 
