@@ -105,7 +105,7 @@ def add_posture(wires: Wires, scenario: Scenario, cell: Cell | None) -> None:
     if cell is None:
         return
     if "motion" in wires:
-        q_rest = cell.q_start[cell.chain.index]
+        q_rest = cell.q_start[cell.chain.q_index]
         wires.add("posture_follower", make_posture_follower(scenario, q_rest))
     else:
         add_guide_follower(wires, scenario, cell.q_start)

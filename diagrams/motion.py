@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import TypeVar
 
@@ -192,22 +193,24 @@ def make_joint_margins(scenario: Scenario) -> JointMargins | None:
     chain = make_chain(robot_plant.plant, robot_plant.tool_frame, q_start)
     orientation = orientation_of_motion(scenario)
 
-    def margins(corners: FloatArray) -> FloatArray:
-        number, legs = len(corners), corners.shape[1] - 1
+    # What stands still is asked about once.
+    @lru_cache(maxsize=16)
+    def margins(data: bytes, legs: int) -> FloatArray:
+        corners = np.frombuffer(data).reshape(-1, legs + 1, 3)
         place = np.linspace(0.0, legs, legs * _LEG_SAMPLES + 1)
         leg = np.minimum(place.astype(int), legs - 1)
         share = (place - leg)[:, None]
         p_WE = corners[:, leg] + share * (corners[:, leg + 1] - corners[:, leg])
         R_WE = orientation(place / legs).reshape(-1, 9)
-        X_WE = np.concatenate([np.tile(R_WE, (number, 1, 1)), p_WE], axis=2)
-        begin = inverse_kinematics(chain, X_WE[0, 0], q_start[chain.index], seeds=0)
+        X_WE = np.concatenate([np.tile(R_WE, (len(corners), 1, 1)), p_WE], axis=2)
+        begin = inverse_kinematics(chain, X_WE[0, 0], q_start[chain.q_index], seeds=0)
         if not len(begin):
             return np.full(corners.shape[:2], np.inf)
         pull = 1.0 - math.exp(-PULL / len(place))
         found = joint_margins(begin[0], *kernel_arrays(X_WE), pull, chain)
         return np.minimum.reduceat(found, [0, *range(1, len(place), _LEG_SAMPLES)], axis=1)
 
-    return margins
+    return lambda corners: margins(corners.tobytes(), corners.shape[1] - 1)
 
 
 def orientation_of_motion(scenario: Scenario) -> Callable[[FloatArray], FloatArray]:
@@ -257,7 +260,7 @@ def make_motion_verifier(scenario: Scenario, cell: Cell) -> MotionVerifier:
     _refuse_start(cell, cell.spheres)
     _tell_of_bare_links(cell, cell.spheres)
     dmp = make_dmp(scenario)
-    chain, q_rest = cell.chain, cell.q_start[cell.chain.index]
+    chain, q_rest = cell.chain, cell.q_start[cell.chain.q_index]
     guide = make_posture_guide(scenario, q_rest)
     search = MotionSearch(
         dmp,
@@ -273,7 +276,7 @@ def make_motion_verifier(scenario: Scenario, cell: Cell) -> MotionVerifier:
     )
     return MotionVerifier(
         search,
-        tuple(chain.index.tolist()),
+        tuple(chain.q_index.tolist()),
         cell.robot_plant.plant.num_multibody_states(),
         period=perception_period(scenario),
         thinking=scenario.thinking,

@@ -22,10 +22,9 @@ Method
     Where nothing clears, or the goal touches something, the motion is held, and a note says why.
 
 Parts, in the order data flows: `solid_scene`, `true_solids`, `unseen_ends` and `cloud_solids` (the
-world); `arm_world` (what one configuration keeps of it), `tracking` (joints along a path of the
-tool), `rollout` (candidates on all cores), `sides` and `search` (the coupling family),
-`goal_postures`, `joint_planner` and `imitation` (a plan as a demonstration), `motion_search` (the
-choice), `motion_selector`.
+world); `arm_world` (what one configuration keeps of it), `rollout` (candidates on all cores),
+`sides` and `search` (the coupling family), `joint_planner` and `imitation` (a plan as a
+demonstration), `motion_search` (the choice), `motion_selector`.
 
 Configuration: the block `regulation` of a scenario, tagged `!Verified`.
 

@@ -1,7 +1,7 @@
 """Whole-arm roll-outs: from motions of the tool to the least clearance of everything, compiled.
 
 A candidate is a path of the tool point, an orientation along it and a posture that its null space
-is drawn to. Its joints follow (`drake_oa.planning.tracking`); at each sample, at its time, every
+is drawn to. Its joints follow (`drake_oa.robot.arm`); at each sample, at its time, every
 sphere of the robot is measured against every solid and the other spheres
 (`drake_oa.planning.arm_world`), and the joints against their limits and speeds. Candidates are
 rolled out on all cores.

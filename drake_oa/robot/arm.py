@@ -60,7 +60,7 @@ class Chain(NamedTuple):
         lower, upper: (n,) limits of the joints, finite [rad].
         speed: (n,) their greatest speeds [rad/s].
         reach: (n,) no point of a sphere is farther from the joint's axis than this [m].
-        index: (n,) positions of the joints in those of the plant.
+        q_index: (n,) places of the joints in the plant's positions.
     """
 
     X_PJ: FloatArray
@@ -68,7 +68,7 @@ class Chain(NamedTuple):
     upper: FloatArray
     speed: FloatArray
     reach: FloatArray
-    index: IntArray = np.zeros(0, dtype=np.int64)
+    q_index: IntArray = np.zeros(0, dtype=np.int64)
 
 
 class Spheres(NamedTuple):
@@ -133,17 +133,17 @@ def make_chain(
     X_PJ[-1] = (before.inverse() @ tool_frame.CalcPoseInWorld(context)).GetAsMatrix4()
     step = np.linalg.norm(X_PJ[:, :3, 3], axis=1)
     reach = np.zeros(len(joints))
-    for last in range(len(joints) if spheres is not None else 0):
-        mine = spheres.joint == last
-        far = np.linalg.norm(spheres.p_JS[mine], axis=1) + spheres.radius[mine]
-        for joint in range(last + 1):
-            beyond = step[joint + 1 : last + 1].sum() + far.max(initial=-np.inf)
-            reach[joint] = max(reach[joint], beyond)
+    if spheres is not None:
+        far = np.linalg.norm(spheres.p_JS, axis=1) + spheres.radius
+        for last in range(len(joints)):
+            farthest = far[spheres.joint == last].max(initial=-np.inf)
+            for joint in range(last + 1):
+                reach[joint] = max(reach[joint], step[joint + 1 : last + 1].sum() + farthest)
     lower, upper = plant.GetPositionLowerLimits()[index], plant.GetPositionUpperLimits()[index]
     lower = np.where(np.isfinite(lower), lower, q[index] - 2.0 * math.pi)
     upper = np.where(np.isfinite(upper), upper, q[index] + 2.0 * math.pi)
     speed = plant.GetVelocityUpperLimits()[[joint.velocity_start() for joint in joints]]
-    return Chain(*kernel_arrays(X_PJ, lower, upper, speed, reach), index)
+    return Chain(X_PJ, lower, upper, speed, reach, index)
 
 
 def joints_to(plant: MultibodyPlant, tool_frame: Frame) -> list[RevoluteJoint]:
@@ -516,7 +516,7 @@ def solve_tool_pose(
         ValueError: "out of reach: ..." if none is found; or if a joint is not revolute.
     """
     chain = make_chain(plant, plant.GetFrameByName(tool_frame), q_seed)
-    near, target = kernel_arrays(q_seed[chain.index], X_WE.GetAsMatrix34())
+    near, target = kernel_arrays(q_seed[chain.q_index], X_WE.GetAsMatrix34())
     target = np.append(target[:, :3].ravel(), target[:, 3])
     found = inverse_kinematics(chain, target, near)
     if not len(found):
@@ -527,7 +527,7 @@ def solve_tool_pose(
         )
     drawn, q = found[:1].copy(), np.array(q_seed, dtype=float)
     reach(drawn, target, chain, near, 1.0)
-    q[chain.index] = drawn[0] if reach(drawn, target, chain, near, 0.0)[0] <= _NEAR else found[0]
+    q[chain.q_index] = drawn[0] if reach(drawn, target, chain, near, 0.0)[0] <= _NEAR else found[0]
     return q
 
 

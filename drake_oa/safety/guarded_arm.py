@@ -61,7 +61,7 @@ def make_guarded_arm(robot: RobotPlant, chain: Chain, covered: ArmSpheres) -> Gu
         spheres=covered.arrays,
         bodies=covered.bodies,
         joints=tuple(joint.name() for joint in joints_to(plant, robot.tool_frame)),
-        index=chain.index,
+        index=chain.q_index,
         size=plant.num_positions(),
         overshoot=covered.overshoot,
     )

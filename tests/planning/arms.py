@@ -45,7 +45,7 @@ class ArmAlone:
     @property
     def q(self) -> FloatArray:
         """(n,) home [rad]."""
-        return self.q_full[self.chain.index]
+        return self.q_full[self.chain.q_index]
 
     @property
     def X_WE(self) -> FloatArray:
@@ -196,7 +196,7 @@ class Truth:
     def least(self, q: FloatArray, t: float) -> FloatArray:
         """(2,) least distances of tool and links to the things at a time [m]."""
         full = self._arm.q_full.copy()
-        full[self._arm.chain.index] = q
+        full[self._arm.chain.q_index] = q
         self._plant.SetPositions(self._context, self._robot, full)
         for body, thing in zip(self._bodies, self._things, strict=True):
             p, R = thing.X_WO[:3, 3] + t * thing.v_WO, RotationMatrix(thing.X_WO[:3, :3])

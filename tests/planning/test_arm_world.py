@@ -65,7 +65,7 @@ def test_the_joints_are_where_drake_has_them(
         plant, q = arm.robot.plant, arm.random_q(np.random.default_rng(seed))
         context = plant.CreateDefaultContext()
         full = arm.q_full.copy()
-        full[arm.chain.index] = q
+        full[arm.chain.q_index] = q
         plant.SetPositions(context, full)
         frames = [
             joint.child_body().EvalPoseInWorld(context) @ axis_frame(joint)

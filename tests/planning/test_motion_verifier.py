@@ -86,7 +86,7 @@ class Bench:
         )
         m = len(arm.q_full)
         self.system = MotionVerifier(
-            self.search, tuple(arm.chain.index.tolist()), 2 * m, period=0.1
+            self.search, tuple(arm.chain.q_index.tolist()), 2 * m, period=0.1
         )
         self.layers = (
             RegressorChain(weights, CLEARANCE, proposals=proposer, dmp=self.dmp),
