@@ -3,8 +3,8 @@
 In: a `Scenario`. Out: a Drake `Diagram` with the simulated station, all layers between its
 camera and its torques, and loggers.
 
-One module a layer, in the order data flows: station, perception, descriptor, policy, route,
-regulation, posture, safety, control; besides them faults and view. Each has an `add_<layer>(wires,
+The layers, in the order data flows: station, perception, solids, descriptor, regulation, route,
+verification, policy, posture, safety, control; besides them faults and view. Each has an `add_<layer>(wires,
 scenario, station)` that makes the layer's systems from their blocks of the scenario and adds them
 to `drake_oa.common.wires.Wires`, where signals have names, and all is connected at the end. A
 layer's own folder knows neither scenario nor station; only these modules join them.
@@ -17,9 +17,10 @@ Signals, with who offers them (`avoidance.Layers` says who reads them):
     obstacles_W, cloud, views                              perception
     solids_W                                               solids
     ellipsoids_W                                           ellipsoid_descriptor
+    proposed_parameters (`!Paper`: coupling_parameters)    regressor_chain
+    proposed_route (`!Paper`: route)                       cost_ring_selector
+    coupling_parameters, route, motion, demonstration      motion_verifier
     goal, policy_state, phase, desired_*                   goal, dmp_integrator
-    route                                                  cost_ring_selector
-    coupling_parameters, motion                            regressor_chain
     desired_posture                                        posture_follower
     speed_scale, evasion, evading                          supervisor, evasion
     actuation, tracking_error, torque_saturation           controller

@@ -1,32 +1,36 @@
-"""Planning: the motion of the whole arm, chosen among the true shapes of things.
+"""Verification: the motion of the whole arm, selected by roll-outs among the collision geometry.
 
 In:  solids_W `SolidScene` (W, [m, m/s]); policy_state `PolicyState`; goal (3,) [m]; robot_state
-     (2m,) [rad, rad/s]; ellipsoids_W `EllipsoidSet`, by which a network proposes.
-Out: coupling_parameters `CouplingParameters`, one term or none; demonstration `Demonstration`,
-     where the motion is to begin anew with one; motion `PlannedMotion` with the arm's joints (T, n)
-     [rad]; shortfall and lowered [m], decision [s].
+     (2m,) [rad, rad/s]; ellipsoids_W `EllipsoidSet`; coupling_parameters `CouplingParameters` and
+     route `Route`, the proposals.
+Out: coupling_parameters and route, verified; demonstration `Demonstration`, with which the motion
+     is to restart; motion `PlannedMotion` with the arm's joints (T, n) [rad]; shortfall and lowered
+     [m]; decision [s]; source and candidates.
 
 Systems
-    TrueSolids      every observation; what is in the world, as the simulator knows it
-    CloudSolids     every observation; the same as perception sees it, from obstacles_W
-    GivenSolids     given ellipsoids as solids
-    MotionSelector  every observation (15 Hz); rolls candidates out and takes the shortest that
-                    keeps what is asked of tool and links
+    TrueSolids      every observation; the collision geometry of the simulator
+    CloudSolids     every observation; the collision geometry of obstacles_W
+    GivenSolids     given ellipsoids as collision geometry
+    MotionVerifier  every observation (15 Hz); rolls candidates out and selects the shortest one
+                    that achieves the requested clearance of tool and links
 
 Method
     The robot is spheres (`robot.spheres`), the world solids that may move (`geometry.solids`). A
-    candidate, a motion bent by one coupling term, becomes joints by differential inverse kinematics
-    (D. E. Whitney, 1969) led by a posture, and every sphere is measured at its time. Where none
-    clears, a path in the joints (RRT-Connect, J. J. Kuffner and S. M. LaValle, ICRA 2000) is
-    imitated by the primitives and rolled out like the rest: a plan is one more demonstration.
-    Where nothing clears, or the goal touches something, the motion is held, and a note says why.
+    candidate is rolled out by the kernel of DmpIntegrator (`policy.rollout`), becomes joints by
+    differential inverse kinematics (D. E. Whitney, 1969) led by a posture, and every sphere is
+    measured at its time. Candidates are the nominal motion, the rows of the paper's chain together,
+    the ranked sides, and those of an evolution strategy. Where none is clear, a path in the joints
+    (RRT-Connect, J. J. Kuffner and S. M. LaValle, ICRA 2000) is imitated by the primitives and
+    rolled out like the rest. Where nothing is clear, or the goal touches something, the motion is
+    held, and a note gives the reason.
 
-Parts, in the order data flows: `solid_scene`, `true_solids`, `unseen_ends` and `cloud_solids` (the
-world); `arm_world` (what one configuration keeps of it), `rollout` (candidates on all cores),
-`sides` and `search` (the coupling family), `joint_planner` and `imitation` (a plan as a
-demonstration), `motion_search` (the choice), `motion_selector`.
+Parts, in the order data flows: `solid_scene`, `true_solids`, `unseen_ends` and `cloud_solids`
+(collision geometry); `arm_world` (clearances of one configuration), `rollout` (whole-arm roll-outs
+on all cores), `search` (the evolution strategy; `point_search` for a point among ellipsoids),
+`joint_planner` and `imitation` (a path in the joints as a demonstration), `selected_motion`,
+`motion_search` (the selection), `motion_verifier`.
 
 Configuration: the block `regulation` of a scenario, tagged `!Verified`.
 
-Read first: `motion_search`, then `rollout`.
+Read first: `motion_search`, then `search`.
 """
