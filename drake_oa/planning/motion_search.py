@@ -254,7 +254,7 @@ class MotionSearch:
         return found.changed(command={"note": note})
 
     def still_holds(self, made: SelectedMotion, sight: Sight) -> bool:
-        """Returns whether a motion achieves from now on what was predicted when it was searched.
+        """Returns whether a motion still achieves its predicted clearance from now on.
 
         Since then the one in use has continued: straight toward an obstacle, small differences
         decide its side. Among moving obstacles the next decision checks it.

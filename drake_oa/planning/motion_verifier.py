@@ -250,7 +250,7 @@ class MotionVerifier(LeafSystem):
 
 
 def _log_change(before: SelectedMotion, after: SelectedMotion, time: float) -> None:
-    """Logs once what a new motion does not achieve; DmpIntegrator logs why it holds."""
+    """Logs shortfalls and contacts of a new motion, once."""
     was, now = before.prediction, after.prediction
     if now.touches and now.touches != was.touches:
         _logger.warning("t=%.3f s: the arm touches %s, and may only leave it", time, now.touches)

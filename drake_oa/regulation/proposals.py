@@ -101,7 +101,7 @@ def side_rows(
 UNLIKELY = 2.0
 """Additional cost of a side that certainly does not achieve the clearance, in baselines."""
 _STRENGTHS = (-0.4, 1.3)
-"""Range of what is added to the proposed ln alpha of the sides that are tried."""
+"""Range of the strengths that are rolled out on a side, relative to the proposed ln alpha."""
 
 
 def side_costs(length: FloatArray, likely: FloatArray) -> FloatArray:

@@ -1,8 +1,9 @@
 """The decision level: the side on which to pass each obstacle, and the ranking of all sides.
 
 In: `EllipsoidSet` and `PolicyState` in the world, the goal (3,) [m], and the table's plane if it is
-known apart, and the rows of candidate sides. Out: `Route`: for each obstacle the direction omega_d across the baseline, the heading
-v_d, the normal of the plane in which it is passed, and the clearance to be led at; and the ranking of the candidate sides.
+known apart, and the rows of candidate sides. Out: `Route`: for each obstacle the direction omega_d
+across the baseline, the heading v_d, the normal of the plane in which it is passed, and the
+clearance to be led at; and the ranking of the candidate sides.
 
 System: `CostRingSelector`, 15 times a second, with hysteresis; the headings
 follow the motion at each step.
