@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -22,49 +21,17 @@ from drake_oa.app.evaluate import (
 )
 from drake_oa.common.console import show
 from drake_oa.common.files import check_outputs, check_plot_file, replace_json
+from drake_oa.studies.scenes.reading import READING, Reading
 
 # Suites, methods and kernels are imported where they are used: `--help` answers at once.
 if TYPE_CHECKING:
     from drake_oa.common.messages import FloatArray
     from drake_oa.studies.scenes.evaluation import Outcome
-    from drake_oa.studies.scenes.paper_method import Reading
     from drake_oa.studies.scenes.scenes import Motions, Scenes
 
 
-@Parameter(name="*")
-@dataclass(frozen=True, kw_only=True)
-class ActionLevel:
-    """How the paper's action level is read; T is the demonstrated duration, C the coupling.
-
-    Attributes:
-        law: released (code): a = tau^2 alpha_x (beta_x (g - x) - v) + f + C; printed:
-            tau z' = alpha_x (beta_x (g - x) - z) + f + C, tau x' = z; running: the running
-            system's, with exact turns, whose path depends neither on tau nor on steps.
-        tau: avoiding path over planned one. widths (released code): through the centre, plus twice
-            the greatest width and Delta; semi-axes: plus twice the greatest semi-axis and Delta;
-            extreme (print): through the extreme points of the sections.
-        time: when a motion ends. fixed: after T; tau: after tau T; until-arrived: from T on when
-            it is within 0.4 mm of the goal, after 2 T at the latest.
-        chain: the action level that its training set went on.
-        scale: what the chain is asked in; in baselines it is the nearest input of its training.
-        steps: training (1,000 of 3 ms) or demo (500 of 5 ms, the released demo program).
-    """
-
-    law: Literal["released", "printed", "running"] = "released"
-    tau: Literal["widths", "semi-axes", "extreme"] = "semi-axes"
-    time: Literal["fixed", "tau", "until-arrived"] = "until-arrived"
-    chain: Literal["released", "running"] = "released"
-    scale: Literal["metres", "baselines"] = "metres"
-    steps: Literal["training", "demo"] = "training"
-
-    def reading(self) -> Reading:
-        """As the method takes it."""
-        from drake_oa.studies.scenes.paper_method import Reading
-
-        return Reading(**asdict(self))
-
-
-LEVEL = ActionLevel()
+Level = Annotated[Reading, Parameter(name="*")]
+"""Reading of the action level, each field an option."""
 
 
 def table1(*, json: Path | None = None) -> int:
@@ -92,7 +59,7 @@ def table2(
     seed: int = 0,
     sampling: Literal["printed", "demo", "narrow", "near"] = "demo",
     distance: Literal["plane", "space"] = "plane",
-    level: ActionLevel = LEVEL,
+    level: Level = READING,
     ablation: bool = False,
     json: Path | None = None,
 ) -> int:
@@ -127,7 +94,7 @@ def table2(
     )
 
     check_outputs(json)
-    choice = Choice(sampling=sampling, distance=distance, reading=level.reading())
+    choice = Choice(sampling=sampling, distance=distance, reading=level)
     chosen = choices(choice, ablation)
     drawn: dict[str, Scenes] = {}
     for of in chosen.values():
@@ -184,7 +151,7 @@ def figure_familiar(
     *,
     methods: Methods = ("paper",),
     scenes: int = 100,
-    level: ActionLevel = LEVEL,
+    level: Level = READING,
     json: Path | None = None,
     plot: Path | None = None,
 ) -> int:
@@ -215,7 +182,7 @@ def figure_familiar(
     chosen = load_methods(methods)
     if "paper" in chosen:
         paper_chain(False, level.chain)
-        chosen["paper"] = partial(run, reading=level.reading())
+        chosen["paper"] = partial(run, reading=level)
     check_plot_file("--plot", plot)
     check_outputs(json, plot)
     drawn, cases = drawn_scenes(suite, scenes, 0), find_suite(suite).cases

@@ -25,14 +25,8 @@ from drake_oa.scenario.loading import load_scenario, scenario_text
 from drake_oa.studies.panda.evaluation import Drawing, PandaResults, PandaSuite, check_methods
 from drake_oa.studies.results import Counts
 from drake_oa.studies.scenes.evaluation import Evaluation, Outcome, evaluate, motion_figures
-from drake_oa.studies.scenes.paper_method import (
-    READING,
-    SHIPPED,
-    Reading,
-    paper_chain,
-    run,
-    sections,
-)
+from drake_oa.studies.scenes.paper_method import SHIPPED, paper_chain, run, sections
+from drake_oa.studies.scenes.reading import READING, Reading
 from drake_oa.studies.scenes.scenes import Scenes
 from drake_oa.studies.scenes.suites import SAMPLINGS, line_hits
 from drake_oa.training.paper import error_table, printed_errors

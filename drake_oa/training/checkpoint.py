@@ -9,10 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from safetensors import SafetensorError
-from safetensors.numpy import load_file, save_file
 
-from drake_oa.common.files import replace_file, replace_json
+from drake_oa.common.files import read_arrays, replace_arrays, replace_json
 
 Arrays = dict[str, np.ndarray[Any, Any]]
 
@@ -42,49 +40,39 @@ class Checkpoint:
                 checkpoint.
         """
         self.folder = folder
-        wanted = json.loads(json.dumps(settings))
-        if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
-            self._check(wanted, restart)
-        self.resumed = folder.is_dir() and any(folder.iterdir())
-        folder.mkdir(parents=True, exist_ok=True)
-        if not self.resumed:
-            replace_json(folder / _SETTINGS, wanted)
-
-    def _check(self, wanted: dict[str, Any], restart: bool) -> None:
-        path = self.folder / _SETTINGS
-        try:
-            found = json.loads(path.read_text())
-        except (OSError, ValueError):
+        wanted, path = json.loads(json.dumps(settings)), folder / _SETTINGS
+        self.resumed = folder.is_file() or (folder.is_dir() and any(folder.iterdir()))
+        if self.resumed and not path.is_file():
             raise ValueError(
-                f"{self.folder} exists and is no checkpoint: name another folder by --checkpoint"
-            ) from None
-        if restart:
+                f"{folder} exists and is no checkpoint: name another folder by --checkpoint"
+            )
+        if self.resumed and restart:
             self.remove()
-        elif found != wanted:
+            self.resumed = False
+        if not self.resumed:
+            folder.mkdir(parents=True, exist_ok=True)
+            replace_json(path, wanted)
+            return
+        found = json.loads(path.read_text())
+        if found != wanted:
             keys = sorted(k for k in {*found, *wanted} if found.get(k) != wanted.get(k))
             raise ValueError(
-                f"{self.folder} holds a training with other settings ({', '.join(keys)} differ): "
+                f"{folder} holds a training with other settings ({', '.join(keys)} differ): "
                 "use those, name another folder by --checkpoint, or discard it by --restart"
             )
 
     def save(self, stage: str, **arrays: Any) -> None:
         """Writes the arrays and numbers of a stage in place of those before."""
-        named = {name: np.array(value, order="C") for name, value in arrays.items()}
-        replace_file(self.folder / f"{stage}.safetensors", lambda path: save_file(named, path))
+        replace_arrays(self.folder / f"{stage}.npz", arrays)
 
     def load(self, stage: str) -> Arrays | None:
-        """The arrays of a stage, None where there are none.
+        """Reads the arrays of a stage; None: there are none.
 
         Raises:
             ValueError: if the file is damaged.
         """
-        path = self.folder / f"{stage}.safetensors"
-        if not path.is_file():
-            return None
-        try:
-            return load_file(path)
-        except SafetensorError as error:
-            raise ValueError(f"{path} is damaged ({error}): start anew by --restart") from error
+        path = self.folder / f"{stage}.npz"
+        return read_arrays(path) if path.is_file() else None
 
     def remove(self) -> None:
         """Deletes the folder."""

@@ -101,6 +101,10 @@ class ProposalRecipe:
             self, scenes=scenes, chunk=min(self.chunk, scenes), rounds=2, epochs=min(self.epochs, 5)
         )
 
+    def settings(self) -> dict[str, Any]:
+        """Returns all fields by name."""
+        return asdict(self)
+
 
 class Rows(NamedTuple):
     """N sides of scenes, and what the search found there.

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drake_oa.app.paper_tables import LEVEL
 from drake_oa.studies.paper_tables import (
     ABLATION,
     TABLE_TWO,
@@ -18,17 +17,14 @@ from drake_oa.studies.paper_tables import (
 )
 from drake_oa.studies.scenes.judge import judge
 from drake_oa.studies.scenes.methods import Setting
-from drake_oa.studies.scenes.paper_method import READING, Reading, run, sections
+from drake_oa.studies.scenes.paper_method import run, sections
+from drake_oa.studies.scenes.reading import Reading
 from drake_oa.studies.scenes.scenes import single_obstacle
 from drake_oa.studies.scenes.suites import draw_scenes, random_rotations
 
 
 def row(**changes: Any) -> dict[str, Any]:
     return {"scenes": 5, **TABLE_TWO[1.0], **changes}
-
-
-def test_the_commands_defaults_are_the_reading_that_agrees_best() -> None:
-    assert LEVEL.reading() == READING == Choice().reading
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,6 @@ import logging
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -27,11 +26,8 @@ from drake_oa.studies.scenes.paper_method import BETA, constant_motions
 from drake_oa.studies.scenes.scenes import Motions, Scenes, Setting
 from drake_oa.studies.scenes.suites import Case
 
-BATCH = 1000
-"""Scenes a batch at most: some hundred megabytes of paths."""
-
-_FIRST, _LEAST, _PATIENCE = 32, 16, 1.0
-"""Scenes in the first batch, in any later one at least, and how long one may take [s]."""
+BATCH = 100
+"""Scenes that a method is given at once."""
 
 
 @dataclass
@@ -80,14 +76,13 @@ def evaluate(
 ) -> Evaluation:
     """Runs each method on all scenes in each case.
 
-    What was judged is kept when a method fails, and when it is interrupted (Ctrl-C). Batches
-    are as large as takes about a second, so a method must treat each scene by itself.
+    What was judged is kept when a method fails, and when it is interrupted (Ctrl-C).
 
     Args:
         scenes: the scenes.
         cases: the ways in which each is run.
         methods: name -> what loads the method.
-        batch: scenes handed to a method at once, at most.
+        batch: number of scenes that a method is given at once.
         on_progress: told the method's name and how many scenes were judged since.
         on_method: told all outcomes after each method.
         on_motions: told the method's name and each batch of motions.
@@ -126,23 +121,17 @@ def _judged_batches(
     judged_among: Callable[[Scenes], Scenes],
 ) -> Iterator[tuple[Judgement, Motions]]:
     """Runs and judges batch by batch, and notes each in the outcome."""
-    size = min(_FIRST, batch)
     for case in cases:
         asked = case.of(scenes)
         parts = outcome.judged.setdefault(case.label, [])
-        done = 0
-        while done < len(scenes):
-            begin = perf_counter()
-            some = asked.rows(slice(done, done + size))
+        for first in range(0, len(scenes), batch):
+            some = asked.rows(slice(first, first + batch))
             motions = method(some, case.setting)
             judged = judge(judged_among(some), motions)
             parts.append(judged)
             outcome.seconds += motions.seconds
             outcome.steps += motions.steps * len(some)
-            done += len(some)
             yield judged, motions
-            fitting = _PATIENCE * len(some) / max(perf_counter() - begin, 1e-9)
-            size = min(max(int(min(fitting, 4.0 * size)), _LEAST), batch)
 
 
 _ARRIVED = 1e-3

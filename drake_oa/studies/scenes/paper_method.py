@@ -20,10 +20,9 @@ What each reading comes to beside the print: `drake-oa evaluate table2 --ablatio
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from time import perf_counter
-from typing import Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -37,6 +36,7 @@ from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.rollout import roll_out_tool
 from drake_oa.regulation.regressor import ChainWeights, load_chain
 from drake_oa.scenario.shipped import package_file
+from drake_oa.studies.scenes.reading import READING, Reading
 from drake_oa.studies.scenes.scenes import DURATION, Motions, Scenes, Setting, posed_scenes
 from drake_oa.training.released_law import (
     ALPHA_X,
@@ -55,7 +55,7 @@ GAMMA, BETA = 1000.0, 20.0 / math.pi
 _PARALLEL = 1e-9
 """Sine of the angle below which two directions span no plane."""
 _SAME = 1e-9
-"""By how much lambda' has to change for the chain to be asked again [m]."""
+"""Change of a plane's unit normal from which on the chain is evaluated again."""
 _ENDLESS = 1e3
 """Half the length of a cylinder [m]."""
 
@@ -63,41 +63,6 @@ ARRIVED = 4e-4
 """How near to the goal a motion ends that goes on until it has arrived [m]."""
 LONGEST = 2
 """How long it goes on at most, in durations."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Reading:
-    """What the paper's print and the released code leave open; the default agrees best.
-
-    With T the demonstrated duration and C the coupling terms:
-
-    Attributes:
-        law: released: a = tau^2 alpha_x (beta_x (g - x) - v) + f + C, the released code;
-            printed: tau z' = alpha_x (beta_x (g - x) - z) + f + C, tau x' = z; running: the
-            running system's primitive and exact turns (one obstacle a scene).
-        tau: length of the avoiding path over the baseline. widths: through the centre, and twice
-            the greatest width and Delta, the released code; semi-axes: the same with the greatest
-            semi-axis; extreme: through the extreme points of the sections, the print.
-        time: when a motion ends. fixed: after T; tau: after tau T; until-arrived: after T as
-            soon as it has arrived, after 2 T at the latest (printed: tau T and 2 tau T).
-        chain: on which action level its training set went, that of the released code or the
-            running system's.
-        scale: in what the chain is asked: metres, in its trained range or not; or baselines, and
-            then, as the running system asks, at the nearest input of that range.
-        steps: training: 1,000 of 3 ms, as in the training set; demo: 500 of 5 ms, as in the
-            released demo program.
-    """
-
-    law: Literal["released", "printed", "running"] = "released"
-    tau: Literal["widths", "semi-axes", "extreme"] = "semi-axes"
-    time: Literal["fixed", "tau", "until-arrived"] = "until-arrived"
-    chain: Literal["released", "running"] = "released"
-    scale: Literal["metres", "baselines"] = "metres"
-    steps: Literal["training", "demo"] = "training"
-
-
-READING = Reading()
-"""That agrees best with the paper's Table II."""
 
 
 def run(scenes: Scenes, setting: Setting, reading: Reading = READING) -> Motions:
@@ -306,18 +271,16 @@ def _motions(
     forcing = np.zeros(int(last.max(initial=1)))
     forcing[: steps.number] = released_forcing(steps)[: len(forcing)]
     motion = Motion.at_rest(*scenes.present.shape, len(forcing))
-    seen = np.full((*scenes.present.shape, 2), -1.0)
+    seen = np.zeros((*scenes.present.shape, 3))
     done = 0
     while done < len(forcing) and not motion.over.all():
-        if chain is not None and motion.distance.any():
-            n, m = np.nonzero(motion.distance)
+        if chain is not None:
+            turned = np.abs(motion.normal - seen).max(axis=2) > _SAME
+            n, m = np.nonzero(turned & (motion.distance > 0.0))
+            seen[n, m] = normal = motion.normal[n, m]
             to_O = scenes.center[n, m] + (done * h[n, None]) * scenes.velocity[n, m]
             to_O -= motion.path[n, done]
-            normal, R, semi_axes = motion.normal[n, m], scenes.R[n, m], scenes.semi_axes[n, m]
-            axes = section_axes(to_O, normal, R, semi_axes)
-            moved = np.abs(axes - seen[n, m]).max(axis=1) > _SAME
-            n, m, axes = n[moved], m[moved], axes[moved]
-            seen[n, m] = axes
+            axes = section_axes(to_O, normal, scenes.R[n, m], scenes.semi_axes[n, m])
             L = scenes.baseline[n]
             parameters[n, m] = _asked(chain, axes, scenes.clearance[n], L, reading)
         advance(0, 1, done, forcing[done : done + 1], law, parameters, motion)

@@ -13,7 +13,6 @@ from drake_oa.studies.scenes.judge import judge
 from drake_oa.studies.scenes.methods import Setting
 from drake_oa.studies.scenes.paper_method import (
     ARRIVED,
-    Reading,
     constant_motions,
     paper_chain,
     run,
@@ -21,6 +20,7 @@ from drake_oa.studies.scenes.paper_method import (
     section_axes,
     time_scale,
 )
+from drake_oa.studies.scenes.reading import Reading
 from drake_oa.studies.scenes.scenes import Scenes, single_obstacle
 from drake_oa.studies.scenes.suites import draw_scenes, random_rotations
 from drake_oa.training.released_law import ALPHA_X, BETA_X, STEPS, released_forcing
