@@ -1,7 +1,7 @@
 """The arm: its plant, its kinematics as arrays, inverse kinematics and limits.
 
-In: the block `robot` of a scenario (`config.Robot`: model, base pose X_WB, tool, gains and
-annulus; its defaults are the Panda's, and nothing else here knows of one arm). Out: a finalized
+In: the block `robot` of a scenario (`config.Robot`: model, base pose X_WB, tool and gains;
+its defaults are the Panda's, and nothing else here knows of one arm). Out: a finalized
 `MultibodyPlant` of the robot alone (`plant.RobotPlant`), its base link welded to the world at X_WB,
 with the frame E at the tool point; and `arm.Chain`, the same arm as arrays for compiled
 kernels: revolute joints in series, six or more. Positions q [rad, m] are the plant's, the arm's

@@ -1,10 +1,9 @@
 """Configuration of the robot: a scenario's field `robot`."""
 
 import math
-from itertools import pairwise
-from typing import Annotated, Self
+from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from drake_oa.common.config import BLOCK, Angles, Tagged, Vector3, length
@@ -65,43 +64,6 @@ class BasePose:
 
 
 @dataclass(config=BLOCK)
-class Annulus:
-    """Workspace of the tool point around the axis of an upright base with the tool pointing down.
-
-    The default is that of the default arm. Outer radius: the extended arm. Inner radius: at least
-    4 cm outside the positions at which the folded arm (joints 3 and 5 at zero) meets a joint limit.
-    """
-
-    height: Annotated[list[float], Field(min_length=2)] = Field(
-        default=[-0.2, -0.1, 0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]
-    )
-    """Heights above the base, increasing [m]; the radii are interpolated linearly between them."""
-    inner: list[Annotated[float, Field(ge=0.0)]] = Field(
-        default=[0.30, 0.30, 0.30, 0.33, 0.32, 0.23, 0.15, 0.15, 0.15, 0.15, 0.15]
-    )
-    """Minimum radius at each height [m]. Raising it excludes more space close to the base."""
-    outer: list[float] = Field(
-        default=[0.72, 0.76, 0.78, 0.80, 0.79, 0.78, 0.74, 0.68, 0.60, 0.50, 0.32]
-    )
-    """Maximum radius at each height [m]. Raising it includes more distant space."""
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        sizes = len(self.height), len(self.inner), len(self.outer)
-        if len(set(sizes)) > 1:
-            raise ValueError(
-                "height, inner and outer must have the same number of values, not "
-                f"{sizes[0]}, {sizes[1]} and {sizes[2]}"
-            )
-        if any(upper <= lower for lower, upper in pairwise(self.height)):
-            raise ValueError(f"height must increase [m], not {self.height}")
-        for row, (inner, outer) in enumerate(zip(self.inner, self.outer, strict=True)):
-            if inner >= outer:
-                raise ValueError(f"inner[{row}], {inner:g}, must be less than outer, {outer:g} [m]")
-        return self
-
-
-@dataclass(config=BLOCK)
 class SphereParameters:
     """Accuracy of the spheres that cover the robot, and selection of self-collision pairs."""
 
@@ -159,6 +121,3 @@ class Robot:
     """Spheres that cover the robot for clearance computations."""
     gains: Gains = Field(default_factory=Gains)
     """Gains of the controller."""
-    annulus: Annulus | None = Field(default_factory=Annulus)
-    """Workspace of the tool point; null, or the default with another model or tool point: computed
-    from the inverse kinematics."""

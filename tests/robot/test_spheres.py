@@ -162,7 +162,6 @@ def arm_of_links(
         p_HE=[0.0, 0.0, 0.2],
         X_WB=base,
         q_seed=[0.0] * (len(joints) - joints.count("f")),
-        annulus=None,
     )
     return make_robot_plant(config)
 

@@ -65,11 +65,6 @@ TWO_CAMERAS = "cameras: [{name: a}, {name: b, fps: 10}], perception: !DepthCamer
         ("task: {goal_moves: [[2, 0, 0, 1], [2, 0, 0, 1]]}", ["goal_moves[1]", "later"]),
         ("task: {goal_moves: [[3, 0.45, -0.45, 0.3]]}", ["goal_moves[0]", "is the start"]),
         ("robot: null", ["robot", "GivenEllipsoids"]),
-        ("robot: {annulus: {height: [1, 0], inner: [0, 0], outer: [1, 1]}}", ["must increase"]),
-        (
-            "robot: {annulus: {height: [0, 1], inner: [0, 2], outer: [1, 1]}}",
-            ["inner[1], 2, must be less"],
-        ),
         (
             "supervisor: {tracking_slow: 0.1}",
             ["supervisor.tracking_hold", "greater than tracking_slow"],

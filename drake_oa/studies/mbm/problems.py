@@ -331,5 +331,4 @@ def ur5() -> Robot:
         carried_mass=1.4,
         # With those of a Panda's links there would be 1600; goals come near to the base.
         spheres=SphereParameters(overshoot=0.008, tool_overshoot=0.004, fixed_overshoot=0.006),
-        annulus=None,
     )

@@ -102,7 +102,7 @@ def sdf(folder: Path) -> Robot:
     stl(folder / "box.stl")
     return Robot(
         model=str(folder / "six.sdf"), base_link="link0", hand_link="link6",
-        tool_links=["link6"], q_seed=[0.1] * 6, annulus=None,
+        tool_links=["link6"], q_seed=[0.1] * 6,
     )  # fmt: skip
 
 
@@ -158,7 +158,7 @@ def test_an_mjcf_keeps_what_its_classes_inherit(tmp_path: Path) -> None:
     file.write_text(_MJCF)
     config = Robot(
         model=str(file), base_link="base", hand_link="two", tool_links=["two"],
-        q_seed=[0.3, 0.4], p_HE=[0.0, 0.0, 0.1], annulus=None,
+        q_seed=[0.3, 0.4], p_HE=[0.0, 0.0, 0.1],
     )  # fmt: skip
     config.X_WB.translation = [1.0, 0.0, 0.0]
     robot = make_robot_plant(config)

@@ -72,7 +72,7 @@ def arm(folder: Path, mesh: str, more: str = "") -> Robot:
     file.write_text(f'<robot name="arm">{base}{links}{joints}{more}</robot>')
     return Robot(
         model=str(file), base_link="link0", hand_link="link6", tool_links=["link6"],
-        q_seed=[0.1] * 6, annulus=None,
+        q_seed=[0.1] * 6,
     )  # fmt: skip
 
 
