@@ -14,7 +14,8 @@ Systems
 Method
     The regressor chain is that of E. Pairet et al., IEEE RA-L 4(4), 2019. The coupling law is scale
     free, so lengths are counted in baselines. Candidates of a side are one avoidance
-    term each, by a set network (M. Zaheer et al., NeurIPS 2017) that is trained on results of the search.
+    term each, by a set network (M. Zaheer et al., NeurIPS 2017) that is trained on results of the
+    search.
 
 Parts, in the order data flows: `network` (a perceptron, and the file of weights), `regressor` and
 `regressor_chain` (the paper's), `proposals` (candidates and their genes), `proposal_network`.

@@ -29,7 +29,7 @@ obstacles: [{name: ball, shapes: [!Sphere {radius: 0.05}], translation: [0.6, 0.
 SCENARIO = parse_scenario(TEXT)
 PAGE = "<html><head><title>Drake MeshCat</title></head><body><p>scene</p></body></html>"
 CLEARANCE = r"t = 0\.[123] s\navoiding motion: verified, obstacles from ground truth\n" + (
-    r"tool: clearance 0\.\d+ m \(min 0\.\d+, requested 0\.05\)\n"
+    r"(motion source: \w+\n)?tool: clearance 0\.\d+ m \(min 0\.\d+, requested 0\.05\)\n"
     r"whole arm: clearance 0\.\d+ m \(min 0\.\d+, requested 0\.03\)\n"
 )
 
