@@ -6,8 +6,9 @@ camera and its torques, and loggers.
 The layers, in the order data flows: station, perception, solids, descriptor, regulation, route,
 verification, policy, posture, safety, control; besides them faults and view. Each has an
 `add_<layer>(wires, scenario, station)` that makes the layer's systems from their blocks of the
-scenario and adds them to `drake_oa.common.wires.Wires`, where signals have names, and all is connected at the end. A
-layer's own folder knows neither scenario nor station; only these modules join them.
+scenario and adds them to `drake_oa.common.wires.Wires`, where signals have names, and all is
+connected at the end. A layer's own folder knows neither scenario nor station; only these modules
+join them.
 
 Signals, with who offers them (`avoidance.Layers` says who reads them):
 
