@@ -1,6 +1,5 @@
 """Primitive shapes of obstacles and of what the hand holds, as blocks of a scenario."""
 
-import math
 from typing import Annotated, Protocol
 
 import pydrake.geometry as geometry
@@ -64,15 +63,6 @@ class Placed(Protocol):
 def pose(item: Placed) -> RigidTransform:
     """Pose of a shape in its obstacle, X_OG, or of an obstacle or a base in the world."""
     return RigidTransform(RollPitchYaw(item.rpy), item.translation)
-
-
-def bounding_radius(shape: Box | Cylinder | Sphere) -> float:
-    """Radius of the sphere round a shape's centre that holds it [m]."""
-    if isinstance(shape, Box):
-        return 0.5 * math.hypot(*shape.size)
-    if isinstance(shape, Cylinder):
-        return math.hypot(shape.radius, 0.5 * shape.length)
-    return shape.radius
 
 
 def shape_geometry(shape: Box | Cylinder | Sphere) -> geometry.Shape:

@@ -27,6 +27,7 @@ from drake_oa.geometry.shapes import pose
 from drake_oa.geometry.solids import Solids, least_distances, shape_solids, solids_of
 from drake_oa.perception.config import CameraNoise, DepthCamera
 from drake_oa.robot.plant import base_pose
+from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.sources import camera_configs
 from drake_oa.world.world_model import add_world
@@ -45,22 +46,10 @@ _NEAREST = 0.8
 
 
 def xtion(name: str, X_WC: RigidTransform) -> CameraConfig:
-    """A camera (x right, y down, z forward) at a place in the world."""
-    return CameraConfig(
-        name=name,
-        width=640,
-        height=480,
-        focal=CameraConfig.FovDegrees(x=58.0, y=45.0),
-        z_near=_NEAREST,
-        z_far=3.5,
-        X_PB=Transform(X_WC),
-        renderer_name="vtk",
-        renderer_class="RenderEngineVtk",
-        fps=30.0,
-        rgb=False,
-        depth=True,
-        output_delay=0.03,
-    )
+    """Makes a camera (x right, y down, z forward) at a pose in the world."""
+    camera = copy.deepcopy(load_scenario("tabletop_box").cameras[0])
+    camera.name, camera.X_PB = name, Transform(X_WC)
+    return camera
 
 
 def looking_at(p_WC: FloatArray, p_WT: FloatArray) -> RigidTransform:

@@ -17,8 +17,6 @@ grasp.
 
 from __future__ import annotations
 
-import bz2
-import io
 import re
 import tarfile
 from collections.abc import Mapping
@@ -40,8 +38,8 @@ from drake_oa.robot.config import BasePose, Robot, SphereParameters
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.obstacles import Obstacle, obstacle_problems
 
-LARGEST_ARCHIVE, LARGEST_FILE = 256 * 2**20, 2**20
-"""More is not unpacked, of an archive and of a file in it [bytes]."""
+LARGEST_FILE = 2**20
+"""Maximum size of a file in an archive [bytes]."""
 
 _MEMBER = re.compile(r"(?:.*/)?(?P<set>[^/]+)/(?P<kind>scene|request)(?P<number>\d{1,9})\.yaml")
 _UNIT = 1e-3
@@ -90,36 +88,23 @@ def read_archive(file: Path) -> dict[str, list[ProblemText]]:
 
     Raises:
         OSError: if it cannot be read.
-        ValueError: if it is no such archive, or too large, or a file lacks its counterpart.
+        ValueError: if it is no such archive, a file in it is too large, or one is missing.
     """
     found: dict[str, dict[int, dict[str, str]]] = {}
     try:
-        with bz2.open(file) as packed:
-            data = packed.read(LARGEST_ARCHIVE + 1)
-        if len(data) > LARGEST_ARCHIVE:
-            raise ValueError(f"{file}: unpacked it is larger than {LARGEST_ARCHIVE // 2**20} MiB")
-        with tarfile.open(fileobj=io.BytesIO(data), mode="r:") as archive:
+        with tarfile.open(file, "r:bz2") as archive:
             for member in archive:
-                named = _MEMBER.fullmatch(member.name)
-                if named is None or not member.isreg():
+                named, content = _MEMBER.fullmatch(member.name), archive.extractfile(member)
+                if named is None or content is None:
                     continue
                 if member.size > LARGEST_FILE:
                     raise ValueError(
                         f"{file}: {member.name} is larger than {LARGEST_FILE // 2**20} MiB"
                     )
-                content = archive.extractfile(member)
-                text = b"" if content is None else content.read()
                 of_set = found.setdefault(named["set"], {})
-                of_set.setdefault(int(named["number"]), {})[named["kind"]] = text.decode()
-    except (tarfile.TarError, EOFError) as error:
-        raise ValueError(f"{file}: not a .tar.bz2 archive: {error}") from None
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{file}: {member.name} is not text: {error}") from None
-    except OSError as error:
-        if error.errno is not None:
-            raise
-        # What bz2 says of other data has no number.
-        raise ValueError(f"{file}: not a .tar.bz2 archive: {error}") from None
+                of_set.setdefault(int(named["number"]), {})[named["kind"]] = content.read().decode()
+    except (tarfile.TarError, EOFError, UnicodeDecodeError) as error:
+        raise ValueError(f"{file}: not a .tar.bz2 archive of text files: {error}") from None
     if not found:
         raise ValueError(
             f"{file}: holds no problems: there must be <set>_<robot>/scene0001.yaml and "
@@ -127,20 +112,13 @@ def read_archive(file: Path) -> dict[str, list[ProblemText]]:
         )
     robots = {name.rpartition("_")[2] for name in found}
     suffix = f"_{robots.pop()}" if len(robots) == 1 else ""
-    return {name.removesuffix(suffix): _paired(file, name, found[name]) for name in sorted(found)}
-
-
-def _paired(file: Path, name: str, texts: Mapping[int, Mapping[str, str]]) -> list[ProblemText]:
-    problems = []
-    for number in sorted(texts):
-        of = texts[number]
-        for kind, other in (("scene", "request"), ("request", "scene")):
-            if kind not in of:
-                raise ValueError(
-                    f"{file}: {name}/{other}{number:04d}.yaml has no {kind}{number:04d}.yaml"
-                )
-        label = f"{name}/scene{number:04d}"
-        problems.append(ProblemText(label, number, of["scene"], of["request"]))
+    problems: dict[str, list[ProblemText]] = {}
+    for name, numbers in sorted(found.items()):
+        for number, texts in sorted(numbers.items()):
+            for kind in {"scene", "request"} - texts.keys():
+                raise ValueError(f"{file}: {name}/{kind}{number:04d}.yaml is missing")
+            problem = ProblemText(f"{name}/scene{number:04d}", number, **texts)
+            problems.setdefault(name.removesuffix(suffix), []).append(problem)
     return problems
 
 

@@ -54,9 +54,10 @@ from drake_oa.studies.panda.differential_ik import KeptDistances, simulate_diffe
 from drake_oa.studies.panda.planner import CLEARANCE, STATES, run_planner
 from drake_oa.studies.panda.scenes import (
     GENERATOR,
+    KINDS,
     MOVING_KINDS,
-    check_kind,
-    check_perception,
+    PERCEPTIONS,
+    check_choice,
     draw_panda_scene,
     seen_by,
 )
@@ -364,7 +365,7 @@ class PandaSuite:
             raise ValueError(f"--seed must be 0 or more, not {self.seed}")
         if self.duration is not None and not 0.0 < self.duration < float("inf"):
             raise ValueError(f"--duration must be positive [s], not {self.duration}")
-        check_perception(self.perception)
+        check_choice("perception", self.perception, PERCEPTIONS)
 
     @property
     def scenes(self) -> int:
@@ -398,7 +399,7 @@ def panda_suite(
         ValueError: as `PandaSuite`, and for an unknown kind or method, or a planner among moving
             obstacles.
     """
-    check_kind(kind)
+    check_choice("kind of scenes", kind, KINDS)
     if PLANNER in methods and kind in MOVING_KINDS:
         raise ValueError(
             f"--method {PLANNER}: plans among obstacles at rest, those of {kind} move; "
@@ -617,14 +618,10 @@ def run_text(
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Holds back the notes of a run: they are in its result."""
-    loggers = {logging.getLogger("drake_oa"): logging.ERROR}
-    loggers[logging.getLogger("drake")] = logging.WARNING
-    before = {logger: logger.level for logger in loggers}
-    for logger, level in loggers.items():
-        logger.setLevel(level)
+    """Suppresses the notes of a run, which are in its result."""
+    before = logging.root.manager.disable
+    logging.disable(logging.WARNING)
     try:
         yield
     finally:
-        for logger, level in before.items():
-            logger.setLevel(level)
+        logging.disable(before)

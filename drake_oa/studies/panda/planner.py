@@ -72,10 +72,10 @@ def _goal_positions(scenario: Scenario, q_goal: FloatArray) -> list[FloatArray]:
     robot_plant, (_, R_WG) = make_robot_plant(robot_of(scenario)), end_rotations(scenario)
     chain = make_chain(robot_plant.plant, robot_plant.tool_frame, q_goal)
     X_WE = np.append(R_WG.matrix().ravel(), scenario.task.goal)
-    near = q_goal[chain.index]
+    near = q_goal[chain.q_index]
     for joints in inverse_kinematics(chain, X_WE, near, seeds=_GOALS, seed=scenario.seed):
         found.append(q_goal.copy())
-        found[-1][chain.index] = joints
+        found[-1][chain.q_index] = joints
     return found
 
 

@@ -91,7 +91,7 @@ class SceneArm:
         self._spheres = covered_arm(robot).arrays
         plant, tool_frame = robot_plant.plant, robot_plant.tool_frame
         self._chain = make_chain(plant, tool_frame, q_home, self._spheres)
-        self._q_home = q_home[self._chain.index]
+        self._q_home = q_home[self._chain.q_index]
         self._R_WE = RollPitchYaw(robot.rpy_WE).ToRotationMatrix().matrix().ravel()
         self.joint = self._spheres.group_joint
         self.tool = self._spheres.of_tool[self._spheres.first[:-1]]
@@ -117,7 +117,7 @@ class SceneArm:
         scenario = base_scenario()
         task = replace(scenario.task, start=start.tolist(), goal=goal.tolist())
         try:
-            q_ends = np.stack(end_positions(replace(scenario, task=task)))[:, self._chain.index]
+            q_ends = np.stack(end_positions(replace(scenario, task=task)))[:, self._chain.q_index]
         except ScenarioError:
             return None, NOT_FOLLOWED
         q_start, s = q_ends[0], np.linspace(0.0, 1.0, _STEPS + 1)

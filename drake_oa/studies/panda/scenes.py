@@ -34,7 +34,7 @@ larger and faster things enter, change speed, turn, stop and come back: see `mov
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -256,8 +256,7 @@ def draw_panda_scene(
         ValueError: for an unknown kind or perception.
         RuntimeError: if no scene was found.
     """
-    check_kind(kind)
-    check_perception(perception)
+    check_choice("kind of scenes", kind, KINDS)
     of_kind = _KINDS[kind]
     scenario = copy.deepcopy(base_scenario(of_kind.like))
     random = np.random.default_rng(np.random.SeedSequence([seed, index, *of_kind.stream]))
@@ -278,7 +277,7 @@ def draw_panda_scene(
 
 def seen_by(scenario: Scenario, perception: str) -> Scenario:
     """A scenario as drawn with "depth", seen by that or by something else of `PERCEPTIONS`."""
-    check_perception(perception)
+    check_choice("perception", perception, PERCEPTIONS)
     if perception == "depth2":
         return with_opposite(scenario)
     scenario = copy.deepcopy(scenario)
@@ -287,13 +286,7 @@ def seen_by(scenario: Scenario, perception: str) -> Scenario:
     return scenario
 
 
-def check_kind(kind: str) -> None:
-    """Raises ValueError if there is no such kind of scenes."""
-    if kind not in KINDS:
-        raise ValueError(f"unknown kind of scenes '{kind}': it must be one of {', '.join(KINDS)}")
-
-
-def check_perception(name: str) -> None:
-    """Raises ValueError for what is no perception of the scenes."""
-    if name not in PERCEPTIONS:
-        raise ValueError(f"unknown perception '{name}': it must be one of {', '.join(PERCEPTIONS)}")
+def check_choice(what: str, name: str, known: Sequence[str]) -> None:
+    """Raises ValueError for a name that is not among the known ones."""
+    if name not in known:
+        raise ValueError(f"unknown {what} '{name}': it must be one of {', '.join(known)}")

@@ -5,10 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from drake_oa.geometry.shapes import bounding_radius
 from drake_oa.studies.panda.evaluation import run_and_judge
 from drake_oa.studies.panda.moving_scenes import LONGEST
-from drake_oa.studies.panda.scene_parts import view_margin
+from drake_oa.studies.panda.scene_parts import bounding_ball, view_margin
 from drake_oa.studies.panda.scenes import draw_panda_scene
 
 
@@ -42,7 +41,7 @@ def test_so_many_things_move_off_the_base(scenes, kind, counts):
             times = np.arange(item.waypoints[0][0], item.waypoints[-1][0], 0.05)
             places = [item.translation + item.offset_at(time) for time in times]
             nearest = min(math.hypot(x, y) for x, y, _ in places)
-            assert nearest >= bounding_radius(item.shapes[0]) + 0.15
+            assert nearest >= bounding_ball(item)[1] + 0.15
 
 
 def test_courses_of_moving_are_straight_and_steady(scenes):
@@ -61,7 +60,7 @@ def test_things_enter_speed_up_turn_stop_and_come_back_smoothly(scenes):
         assert item.waypoints[-1][0] <= LONGEST
         p = [item.translation + item.offset_at(t) for t in np.arange(0.0, LONGEST, 0.05)]
         margin = view_margin(np.array(p))
-        outside = margin[0] <= -bounding_radius(item.shapes[0])
+        outside = margin[0] <= -bounding_ball(item)[1]
         seen["enters"] += outside and item.waypoints[0][0] == 0.0 and margin.max() >= 0.0
         velocity, seconds = velocities(item)
         # Begin and end are at rest; 3 m/s^2 along the way and 0.8^2 / 0.2 across it, for 0.05 s.
