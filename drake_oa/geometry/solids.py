@@ -9,7 +9,7 @@ the only reader of Drake's geometries.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -226,35 +226,6 @@ def shape_solids(
         replace(_of_drake(shape_geometry(shape)), X_WO=X, **more)
         for shape, X in zip(shapes, X_WG, strict=True)
     ]
-
-
-def body_solids(
-    plant: MultibodyPlant,
-    inspector: drake.SceneGraphInspector,
-    context: Context,
-    bodies: Iterable[RigidBody],
-    *,
-    stamp: float = 0.0,
-) -> list[Solid]:
-    """The collision geometries of bodies where a context of the plant has them.
-
-    A mesh counts as its convex hull, as in Drake's proximity queries. Each solid has its body's
-    index as name, its full name as label, and the body's velocity of translation; one that turns
-    is to be read anew.
-
-    Raises:
-        ValueError: naming the geometry, for a shape that is not known.
-    """
-    found = []
-    for body in bodies:
-        X_WB = plant.EvalBodyPoseInWorld(context, body).GetAsMatrix4()
-        v_WO = np.array(plant.EvalBodySpatialVelocityInWorld(context, body).translational())
-        name, label = int(body.index()), body.scoped_name().get_full()
-        for geometry in plant.GetCollisionGeometriesForBody(body):
-            solid = read_solid(inspector, geometry)
-            X_WO = X_WB @ solid.X_WO
-            found.append(replace(solid, X_WO=X_WO, v_WO=v_WO, stamp=stamp, name=name, label=label))
-    return found
 
 
 def read_solid(inspector: drake.SceneGraphInspector, geometry: drake.GeometryId) -> Solid:

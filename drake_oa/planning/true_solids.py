@@ -18,8 +18,8 @@ from drake_oa.common.ports import read_value, valid_period
 from drake_oa.geometry.solids import (
     SURROUNDINGS,
     Solid,
-    body_solids,
     ellipsoid,
+    read_solid,
     solids_of,
     sphere,
     table_solid,
@@ -74,17 +74,16 @@ class TrueSolids(LeafSystem):
                 not positive.
         """
         super().__init__()
-        context = plant.CreateDefaultContext()
         self._bodies = []
         for index in bodies:
             body = plant.get_body(index)
-            X_BW = plant.EvalBodyPoseInWorld(context, body).inverse().GetAsMatrix4()
-            solids = body_solids(plant, inspector, context, [body])
-            of_body = [replace(solid, X_WO=X_BW @ solid.X_WO) for solid in solids]
-            if names is not None:
-                name = names.get(index, SURROUNDINGS)
-                label = body.scoped_name().get_full() if name < 0 else f"obstacle {name}"
-                of_body = [replace(solid, name=name, label=label) for solid in of_body]
+            name = int(index) if names is None else names.get(index, SURROUNDINGS)
+            label = body.scoped_name().get_full()
+            if names is not None and name >= 0:
+                label = f"obstacle {name}"
+            geometries = plant.GetCollisionGeometriesForBody(body)
+            read = [read_solid(inspector, geometry) for geometry in geometries]
+            of_body = [replace(solid, name=name, label=label) for solid in read]
             self._bodies.append((plant.GetBodyFrameIdOrThrow(index), of_body))
         period = valid_period(period)
         self._query = self.DeclareAbstractInputPort("query_object", Value(QueryObject()))

@@ -36,8 +36,9 @@ class World:
         self.query = self.plant.get_geometry_query_input_port().Eval(self.inner)
         self.inspector = graph.model_inspector()
 
-    def solids(self, **more):
-        return solid.body_solids(self.plant, self.inspector, self.inner, [self.body], **more)
+    def solids(self):
+        geometries = self.plant.GetCollisionGeometriesForBody(self.body)
+        return [solid.read_solid(self.inspector, geometry) for geometry in geometries]
 
 
 SHAPES = {
@@ -198,9 +199,7 @@ VOLUMES = {
 
 @pytest.mark.parametrize("name", VOLUMES)
 def test_samples_lie_on_the_surface_span_the_shape_and_are_in_the_outline(name):
-    world = World([SHAPES[name]])
-    (geometry,) = world.plant.GetCollisionGeometriesForBody(world.body)
-    one = solid.read_solid(world.inspector, geometry)
+    (one,) = World([SHAPES[name]]).solids()
     points = solid.surface_points(one, 300)
     assert 150 <= len(points) <= 450
     assert 0.93 < ConvexHull(points).volume / VOLUMES[name] < 1.0 + 1e-6
@@ -248,12 +247,7 @@ def test_the_shapes_of_a_scenario_have_their_place():
         assert solid.solid_distance(scene, k, *center, 2.0) == pytest.approx(depth)
 
 
-def test_the_solids_of_bodies_are_where_the_context_has_them():
-    found = World([drake.Sphere(0.1), drake.Convex(CUBE.T, "cube")]).solids(stamp=1.0)
-    assert [one.kind for one in found] == [solid.PRIMITIVE, solid.HULL]
-    assert found[0].label.endswith("link")
-    assert pytest.approx(X_WG, abs=1e-12) == found[1].X_WO
+def test_an_unknown_shape_is_named():
     shape = Mock(GetShape=lambda _: drake.MeshcatCone(0.1, 0.1, 0.1), GetName=lambda _: "tip")
-    world = World([drake.Sphere(0.1)])
     with pytest.raises(ValueError, match="tip: a MeshcatCone is no solid"):
-        solid.body_solids(world.plant, shape, world.inner, [world.body])
+        solid.read_solid(shape, None)

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from pydrake.geometry import GeometryId, QueryObject
 from pydrake.math import RigidTransform, RollPitchYaw
 
 from drake_oa.common.files import read_arrays
 from drake_oa.common.messages import FloatArray
 from drake_oa.geometry import solids as solid
 from drake_oa.geometry.shapes import Cylinder as HeldCylinder
+from drake_oa.planning.arm_world import placed, self_distance
 from drake_oa.robot.arm import chain_poses, make_chain
 from drake_oa.robot.config import BasePose, Robot, SphereParameters
 from drake_oa.robot.grasped_object import tool_links
@@ -171,99 +171,48 @@ def spheres(panda: RobotPlant) -> ArmSpheres:
     return make_arm_spheres(panda, home_positions(Robot()), Robot().tool_links, COARSE)
 
 
-def placed(X_WJ: FloatArray, joint: FloatArray, p_J: FloatArray) -> FloatArray:
-    """Points (N, 3) in the world of those (N, 3 or 4) in the frames of their joints."""
-    X = X_WJ[joint]
-    X[joint < 0] = np.eye(4)
-    return np.einsum("nij,nj->ni", X[:, :3, :3], p_J[:, :3]) + X[:, :3, 3]
-
-
 def check_against_scene_graph(
     robot: RobotPlant, q: np.ndarray, spheres: ArmSpheres, seed: int, count: int
 ) -> None:
     """Distances to points and to itself are at most SceneGraph's, and by no more than is said."""
     plant, arrays = robot.plant, spheres.arrays
-    n = int(arrays.group_joint.max()) + 1
     chain = make_chain(plant, robot.tool_frame, q)
-    X, X_WJ = np.empty((n + 2, 12)), np.zeros((n + 1, 4, 4))
+    n = len(chain.lower)
+    X, full = np.empty((n + 2, 12)), q.copy()
     root = robot.diagram.CreateDefaultContext()
     context = plant.GetMyMutableContextFromRoot(root)
     of_scene = robot.scene_graph.GetMyContextFromRoot(root)
     random = np.random.default_rng(seed)
-    moving = {
-        geometry
-        for name, joint in zip(spheres.bodies, arrays.group_joint, strict=True)
-        if joint >= 0
-        for geometry in plant.GetCollisionGeometriesForBody(plant.GetBodyByName(name))
-    }
-    lower, upper = plant.GetPositionLowerLimits()[:n], plant.GetPositionUpperLimits()[:n]
-    full = q.copy()
+    geometries = [
+        plant.GetCollisionGeometriesForBody(plant.GetBodyByName(name)) for name in spheres.bodies
+    ]
+    arm, moves = arrays.joint >= 0, arrays.group_joint >= 0
+    moving = {g for of, m in zip(geometries, moves, strict=True) if m for g in of}
     for _ in range(count):
-        full[:n] = random.uniform(lower, upper)
+        full[:n] = random.uniform(chain.lower, chain.upper)
         plant.SetPositions(context, full)
         query = robot.scene_graph.get_query_output_port().Eval(of_scene)
         chain_poses(full[:n].copy(), chain.X_PJ, X)
-        X_WJ[:, :3, :3], X_WJ[:, :3, 3] = X[1:, :9].reshape(-1, 3, 3), X[1:, 9:]
-        centers = placed(X_WJ, arrays.joint, arrays.p_JS)
-        arm = arrays.joint >= 0
-        for p_WQ in X_WJ[-1, :3, 3] + random.uniform(-0.5, 0.5, (5, 3)):
+        rows = enumerate(arrays.joint)
+        centers = np.array([placed(X, joint + 1, arrays.p_JS, row) for row, joint in rows])
+        for p_WQ in X[-1, 9:] + random.uniform(-0.5, 0.5, (5, 3)):
             by_spheres = (np.linalg.norm(centers - p_WQ, axis=1) - arrays.radius)[arm].min()
-            true = min(
-                found.distance
-                for found in query.ComputeSignedDistanceToPoint(p_WQ)
-                if found.id_G in moving
-            )
+            found = query.ComputeSignedDistanceToPoint(p_WQ)
+            true = min(each.distance for each in found if each.id_G in moving)
             assert by_spheres <= true + 1e-6
             if true > 0.0:
-                assert true <= by_spheres + spheres.overshoot[arrays.group_joint >= 0].max() + 1e-6
-        for g, at in enumerate(placed(X_WJ, arrays.group_joint, arrays.bound)):
+                assert true <= by_spheres + spheres.overshoot[moves].max() + 1e-6
+        for g, joint in enumerate(arrays.group_joint):
             mine = slice(arrays.first[g], arrays.first[g + 1])
-            away = np.linalg.norm(centers[mine] - at, axis=1) + arrays.radius[mine]
-            assert away.max() <= arrays.bound[g, 3]
-        check_self(robot, query, spheres, centers)
-
-
-def check_self(
-    robot: RobotPlant,
-    query: QueryObject,
-    spheres: ArmSpheres,
-    centers: np.ndarray,
-) -> None:
-    arrays = spheres.arrays
-    distances = []
-    for pair, (i, j) in enumerate(arrays.pairs):
-        a, b = (slice(arrays.first[g], arrays.first[g + 1]) for g in (i, j))
-        away = np.linalg.norm(centers[a][:, None] - centers[b], axis=2)
-        least = (away - arrays.radius[a][:, None] - arrays.radius[b]).min()
-        distances.append(least + arrays.allowance[pair])
-    distance = min(distances)
-    names = [spheres.bodies[g] for g in arrays.pairs[np.argmin(distances)]]
-    geometries = [
-        robot.plant.GetCollisionGeometriesForBody(robot.plant.GetBodyByName(name)) for name in names
-    ]
-    true = min(
-        query.ComputeSignedDistancePairClosestPoints(a, b).distance
-        for a in geometries[0]
-        for b in geometries[1]
-    )
-    assert distance <= true + 1e-4
-
-    def group(geometry: GeometryId) -> int:
-        body = robot.plant.GetBodyFromFrameId(query.inspector().GetFrameId(geometry))
-        return spheres.bodies.index(body.name())
-
-    touching = {
-        tuple(sorted((group(hit.id_A), group(hit.id_B))))
-        for hit in query.ComputePointPairPenetration()
-    }
-    if touching & {tuple(pair) for pair in arrays.pairs.tolist()}:
-        assert distance <= 0.0
-
-
-def test_the_pandas_spheres_are_scene_graphs_and_hardly_more(
-    panda: RobotPlant, spheres: ArmSpheres
-) -> None:
-    check_against_scene_graph(panda, home_positions(Robot()), spheres, 3, 25)
+            away = np.linalg.norm(centers[mine] - placed(X, joint + 1, arrays.bound, g), axis=1)
+            assert (away + arrays.radius[mine]).max() <= arrays.bound[g, 3]
+        true = min(
+            query.ComputeSignedDistancePairClosestPoints(a, b).distance
+            for i, j in arrays.pairs
+            for a in geometries[i]
+            for b in geometries[j]
+        )
+        assert self_distance(chain, arrays, full[:n].copy()) <= true + 1e-4
 
 
 def test_the_pandas_bodies(spheres: ArmSpheres) -> None:
