@@ -83,7 +83,7 @@ class LeastSquares:
         network: nn.Module,
         x: FloatArray,
         y: FloatArray,
-        weight: FloatArray | None = None,
+        weight: FloatArray,
         *,
         device: str = "cpu",
     ) -> None:
@@ -93,12 +93,12 @@ class LeastSquares:
             network: maps rows (..., d) to (...); its parameters give names and shapes only.
             x: (N, d) inputs, about within [-1, 1].
             y: (N,) targets, about within [-1, 1].
-            weight: (N,) not negative; None: 1 for each.
+            weight: (N,) weights, not negative.
             device: a torch device.
 
         """
-        root = np.ones_like(y) if weight is None else np.sqrt(weight)
-        self._rows = [torch.tensor(v, dtype=torch.float64, device=device) for v in (x, y, root)]
+        columns = (x, y, np.sqrt(weight))
+        self._rows = [torch.tensor(v, dtype=torch.float64, device=device) for v in columns]
         # Derivatives of 90 MB a block on a processor; an accelerator wants more at once.
         self._block = 8192 if device == "cpu" else 65536
         self._shapes = {name: p.shape for name, p in network.named_parameters()}
@@ -266,7 +266,7 @@ def train_network(
     *,
     seed: tuple[int, ...],
     rounds: Sequence[Round],
-    weight: FloatArray | None,
+    weight: FloatArray,
     bounds: tuple[FloatArray, FloatArray],
     device: str,
     checkpoint: Checkpoint,
@@ -281,7 +281,7 @@ def train_network(
         schedule: of Levenberg-Marquardt.
         seed: of the first weights.
         rounds: of the fit, one after the other.
-        weight: (N,) of the rows; None: 1.
+        weight: (N,) of the rows.
         bounds: (d + 1,) least and greatest inputs and target, for the scaling.
         device: a torch device.
         checkpoint: keeps each iteration, and is gone on from.
@@ -312,8 +312,8 @@ def train_network(
         if state.iteration >= until:
             continue
         n = each_round.rows
-        some = None if weight is None else weight[:n]
-        problem = LeastSquares(perceptron, scaled[:n, :-1], scaled[:n, -1], some, device=device)
+        some = scaled[:n]
+        problem = LeastSquares(perceptron, some[:, :-1], some[:, -1], weight[:n], device=device)
         state = fit(problem, state, schedule, until, keep)
         # Where it got stuck, the next round's rows may let it go on.
         state = replace(state, iteration=until, stuck=False)
@@ -324,27 +324,21 @@ def train_network(
 
 
 def choose_device(asked: str) -> str:
-    """Where to train.
+    """Returns where to train, "cpu" or "cuda".
 
     Args:
-        asked: "cpu", "cuda", or "auto" for CUDA where torch finds it.
-
-    Returns:
-        "cpu" or "cuda".
+        asked: "cpu", "cuda", or "auto" for CUDA if torch finds it.
 
     Raises:
-        ValueError: if CUDA is asked for and torch finds none, or for any other name.
+        ValueError: if CUDA is requested and torch finds none.
     """
-    if asked not in ("auto", "cpu", "cuda"):
-        raise ValueError(f"device must be auto, cpu or cuda, not {asked!r}")
-    if asked != "cpu" and torch.cuda.is_available():
-        return "cuda"
-    if asked == "cuda":
+    available = torch.cuda.is_available()
+    if asked == "cuda" and not available:
         raise ValueError(
             f"device cuda was asked for, but torch {torch.__version__} finds no CUDA device; "
             "use --device cpu"
         )
-    return "cpu"
+    return "cuda" if available and asked != "cpu" else "cpu"
 
 
 def predict(network: Network, x: FloatArray) -> FloatArray:

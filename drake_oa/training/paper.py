@@ -291,16 +291,21 @@ def train_paper(
         networks: dict[str, Network] = {}
         scores[name] = []
         for t, target in enumerate(TARGETS):
-            use, x, y, weight = _problem(recipe.lattice, rows, in_train, c, t, seed)
+            use = rows.near_goal
+            if c == 1 and target == "alpha":
+                # The reading by which Table I is reproduced.
+                use = use & rows.unsaturated
+            columns = np.column_stack((_inputs(rows, c, t), rows.values[:, 2 + t]))
+            x, weight = _fitted_rows(recipe.lattice, rows, use & in_train, columns, c, t, seed)
             networks[target] = train_network(
                 f"{_STAGES[c]}-{target}",
-                x,
-                y,
+                x[:, :-1],
+                x[:, -1],
                 recipe.schedule,
                 seed=(seed, 2, c, t),
                 rounds=recipe.rounds[name][t],
                 weight=weight,
-                bounds=_bounds(rows, use, c, t),
+                bounds=(columns[use].min(axis=0), columns[use].max(axis=0)),
                 device=device,
                 checkpoint=checkpoint,
                 report=report,
@@ -317,34 +322,26 @@ def _inputs(rows: PaperSet, chain: int, target: int) -> FloatArray:
     return np.column_stack((rows.values[:, :2], rows.clearance, rows.values[:, 2 : 2 + target]))
 
 
-def _used(rows: PaperSet, chain: int, target: int) -> BoolArray:
-    """(N,) the rows of a network: the reading by which Table I is reproduced."""
-    if chain == 1 and TARGETS[target] == "alpha":
-        return rows.near_goal & rows.unsaturated
-    return rows.near_goal
-
-
-def _problem(
-    lattice: PaperLattice, rows: PaperSet, in_train: BoolArray, chain: int, target: int, seed: int
-) -> tuple[BoolArray, FloatArray, FloatArray, FloatArray | None]:
-    """The rows used; shuffled inputs, targets and weights of those to fit."""
-    rng = np.random.default_rng((seed, 1, chain, target))
-    use, y = _used(rows, chain, target), rows.values[:, 2 + target]
-    if chain == 0:
-        groups, mean, count, _ = group_means(rows.index[:, : 2 + target], y, use & in_train)
-        drawn = rng.permutation(len(groups))
-        places = groups[drawn].T
-        x = np.column_stack([axis[i] for axis, i in zip(lattice, places, strict=False)])
-        return use, x, mean[drawn], count[drawn]
-    drawn = rng.permutation(np.flatnonzero(use & in_train))
-    return use, _inputs(rows, chain, target)[drawn], y[drawn], None
-
-
-def _bounds(
-    rows: PaperSet, use: BoolArray, chain: int, target: int
+def _fitted_rows(
+    lattice: PaperLattice,
+    rows: PaperSet,
+    use: BoolArray,
+    columns: FloatArray,
+    chain: int,
+    target: int,
+    seed: int,
 ) -> tuple[FloatArray, FloatArray]:
-    columns = np.column_stack((_inputs(rows, chain, target), rows.values[:, 2 + target]))[use]
-    return columns.min(axis=0), columns.max(axis=0)
+    """Returns the shuffled inputs and targets to fit, (K, d + 1), and their weights (K,)."""
+    rng = np.random.default_rng((seed, 1, chain, target))
+    if chain == 1:
+        drawn = rng.permutation(np.flatnonzero(use))
+        return columns[drawn], np.ones(len(drawn))
+    index = rows.index[:, : 2 + target]
+    groups, mean, count, _ = group_means(index, columns[:, -1], use)
+    drawn = rng.permutation(len(groups))
+    places = groups[drawn].T
+    x = [axis[i] for axis, i in zip(lattice, places, strict=False)]
+    return np.column_stack([*x, mean[drawn]]), count[drawn]
 
 
 def _score(

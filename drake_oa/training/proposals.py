@@ -371,8 +371,8 @@ def train_proposals(
     recipe: ProposalRecipe,
     seed: int,
     *,
+    checkpoint: Checkpoint,
     device: str = "cpu",
-    checkpoint: Checkpoint | None = None,
     report: Report = lambda stage, done: None,
 ) -> tuple[ProposalNetwork, list[Scores]]:
     """Searches and trains, round by round.
@@ -380,8 +380,8 @@ def train_proposals(
     Args:
         recipe: how.
         seed: of scenes and first weights.
+        checkpoint: keeps each chunk.
         device: where the network is trained.
-        checkpoint: keeps each chunk and each round.
         report: told how far it is.
 
     Returns:
@@ -399,14 +399,11 @@ def train_proposals(
         made: list[Rows] = []
         for k in range(chunks):
             name = f"rows_{number}_{k}"
-            kept = checkpoint.load(name) if checkpoint else None
+            kept = checkpoint.load(name)
             if kept is None:
-                rows = make_rows(recipe, (seed, number, k), network)
-                if checkpoint:
-                    checkpoint.save(name, **rows._asdict())
-            else:
-                rows = Rows(**kept)
-            made.append(rows)
+                kept = make_rows(recipe, (seed, number, k), network)._asdict()
+                checkpoint.save(name, **kept)
+            made.append(Rows(**kept))
             report(f"round {number + 1}: search", (number + (k + 1) / chunks) / recipe.rounds)
         rows = Rows(*map(np.concatenate, zip(*before, *made, strict=True)))
         before = made

@@ -13,11 +13,9 @@ from drake_oa.training.paper import (
     KEPT,
     PaperRecipe,
     build_paper_set,
-    error_table,
     floor_of_means,
     floor_of_windows,
     group_means,
-    printed_errors,
     train_paper,
 )
 
@@ -103,10 +101,3 @@ def test_the_floors_are_the_noise_within_groups_and_on_a_curve():
     y = np.sin(6.0 * t) * (1.0 + index[:, 0]) + 0.3 * rng.normal(size=20000)
     found = floor_of_windows(index, t, y, np.ones(20000, dtype=bool), 20)
     assert found == pytest.approx(0.09 / np.var(y), rel=0.05)
-
-
-def test_errors_stand_beside_the_printed_ones():
-    row = {"train": 0.1, "test": 0.2, "floor": float("nan"), "rows": 1000}
-    row |= printed_errors(CHAINS[0], "psi")
-    cells = str(error_table("chain", {"psi": row})).splitlines()[1].split()
-    assert cells == ["psi", "0.1", "0.802", "0.2", "0.802", "-", "1,000"]

@@ -58,7 +58,7 @@ def test_the_network_that_runs_is_the_one_that_learns() -> None:
 
 def test_a_training_that_is_cut_short_goes_on_to_the_same(tmp_path: Path) -> None:
     settings = {"seed": 0}
-    whole, scores = train_proposals(FEW, 0)
+    whole, scores = train_proposals(FEW, 0, checkpoint=Checkpoint(tmp_path / "whole", settings))
     assert len(scores) == FEW.rounds
     train_proposals(replace(FEW, rounds=1), 0, checkpoint=Checkpoint(tmp_path / "kept", settings))
     again = train_proposals(FEW, 0, checkpoint=Checkpoint(tmp_path / "kept", settings))[0]

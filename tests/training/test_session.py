@@ -63,11 +63,3 @@ def test_wrong_arguments_are_named(arguments, message, tmp_path, monkeypatch, ca
     assert main(["train", "--out", str(tmp_path), *arguments]) == 2
     assert message in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_checkpoint_of_another_seed_is_refused(small, tmp_path, capsys):
-    checkpoint = tmp_path / "proposals.checkpoint"
-    checkpoint.mkdir()
-    (checkpoint / "settings.json").write_text('{"seed": 8}')
-    assert main(["train", "--out", str(tmp_path), "--iterations", "1"]) == 2
-    assert "--restart" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""What the paper's print and the released code leave open about the action level."""
+"""Readings of the paper's action level, of which print and released code leave some open."""
 
 from __future__ import annotations
 

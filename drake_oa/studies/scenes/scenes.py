@@ -248,23 +248,16 @@ def _check_shapes(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
     """Raises ValueError for arrays that are missing or of another shape."""
     missing = [name for name in _SHAPES if name not in arrays]
     if missing:
-        there = ", ".join(arrays) or "none"
-        raise ValueError(
-            f"{path} lacks {', '.join(missing)}; needed: {', '.join(_SHAPES)}; there: {there}"
-        )
-    baseline, center = arrays["baseline"].shape, arrays["center"].shape
-    N = baseline[0] if len(baseline) == 1 else -1
-    M = center[1] if len(center) == 3 else -1
+        raise ValueError(f"{path} lacks {', '.join(missing)}; needed: {', '.join(_SHAPES)}")
+    given = arrays["center"].shape
     for name, trailing in _SHAPES.items():
         shape, kind = arrays[name].shape, arrays[name].dtype
         if kind.kind not in "fiu":
             raise ValueError(f"{path}: {name} must hold real numbers, not {kind}")
-        if shape != ((N, M, *trailing) if trailing else (N,)):
-            asked = ", ".join(("N", "M", *map(str, trailing))) if trailing else "N,"
-            known = [f"N = {N}"] * (N >= 0) + [f"M = {M}"] * (M >= 0 and bool(trailing))
-            given = f" with {', '.join(known)}" if known else ""
-            raise ValueError(f"{path}: {name} must be ({asked}){given}, not {shape}")
-    if N == 0:
+        wanted = (*given[:2], *trailing) if trailing else given[:1]
+        if shape != wanted:
+            raise ValueError(f"{path}: {name} must be {wanted} for centers {given}, not {shape}")
+    if given[0] == 0:
         raise ValueError(f"{path} holds no scene")
 
 
@@ -311,19 +304,12 @@ def check_scenes(scenes: Scenes, source: str = "scenes") -> None:
             where = f"scene {place[0]}" + (f", obstacle {place[1]}" if len(place) > 1 else "")
             value = getattr(scenes, name.partition(",")[0])[place]
             shown = np.array2string(np.asarray(value), separator=", ").replace("\n", "")
-            raise ValueError(
-                f"{source}: {name} of {where} must be {valid}, not {shown}{_more(bad)}"
-            )
+            raise ValueError(f"{source}: {name} of {where} must be {valid}, not {shown}")
     distance = scene_distance(scenes, np.zeros((len(scenes), 3)), np.zeros(len(scenes)))
     inside = distance <= 0.0
     if inside.any():
         row = int(np.argmax(inside))
         raise ValueError(
             f"{source}: the start of scene {row} lies {-distance[row]:.3g} m inside an obstacle; "
-            f"it must be outside all of them{_more(inside)}"
+            "it must be outside all of them"
         )
-
-
-def _more(bad: BoolArray) -> str:
-    """How many rows are bad, where it is more than the one that is named."""
-    return f" ({int(bad.sum())} such rows)" if bad.sum() > 1 else ""

@@ -39,8 +39,8 @@ def changed(name: str, place: tuple, value: float | np.ndarray) -> dict[str, np.
     ("given", "named"),
     [
         ({k: v for k, v in arrays().items() if k != "R"}, "lacks R; needed: baseline, center"),
-        (arrays() | {"R": np.zeros((3, 5, 3, 3))}, r"R must be \(N, M, 3, 3\) with N = 3, M = 6"),
-        (arrays() | {"clearance": np.ones(2)}, r"clearance must be \(N,\) with N = 3, not \(2,\)"),
+        (arrays() | {"R": np.zeros((3, 5, 3, 3))}, r"R must be \(3, 6, 3, 3\) for centers"),
+        (arrays() | {"clearance": np.ones(2)}, r"clearance must be \(3,\) .* not \(2,\)"),
         (arrays() | {"clearance": np.array(["a"] * 3)}, "clearance must hold real numbers"),
         ({k: v[:0] for k, v in arrays().items()}, "no scene"),
         (changed("semi_axes", (2, 1, 0), -0.1), "semi_axes of scene 2, obstacle 1 must be posit"),
