@@ -385,7 +385,7 @@ class Leading(Frozen):
         """Orientations (T, 9) and postures (D, T, n) at times (T,), linear in between.
 
         Between rows that are a degree apart the chord of two rotations turns as they do, and
-        `tracking.pose_error` takes only its turn: it need not be made orthonormal.
+        `arm.pose_error` takes only its turn: it need not be made orthonormal.
         """
         row = np.clip(np.searchsorted(self.s, s, side="right") - 1, 0, len(self.s) - 2)
         share = np.clip((s - self.s[row]) / np.diff(self.s)[row], 0.0, 1.0)[:, None]

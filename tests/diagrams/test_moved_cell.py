@@ -4,8 +4,6 @@ What is decided from given ellipsoids is the same to rounding. From clouds it is
 ellipsoid is found to about a millimetre, and each rounding finds another one.
 """
 
-import logging
-
 import numpy as np
 import pytest
 from pydrake.math import RigidTransform, RollPitchYaw
@@ -126,12 +124,10 @@ def test_the_arm_moves_alike(blocks: str, duration: float, apart: float, joints:
     assert away.event == here.event
 
 
-def test_a_base_may_hang(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_base_may_hang() -> None:
     hanging = "robot: {X_WB: {translation: [0, 0, 1.3], rpy: [3.1415927, 0, 0]}}"
     text = _CELL.format(place=[0, 0, 0], height=0, degrees=0, mount=[1.2473, 0.2902, 0], looks=20)
     scenario = parse_scenario(text + _TRUTH + hanging)
-    with caplog.at_level(logging.INFO, "drake_oa"):
-        log = simulate(scenario, duration=0.4)
-    assert "without the arm's reach: not upright, or tool not down" in caplog.text
+    log = simulate(scenario, duration=0.4)
     assert np.ptp(log.p_WE, axis=0).max() > 0.01
     assert log.tracking_error.max() < 1e-3
