@@ -8,7 +8,7 @@ import pytest
 from drake_oa.geometry.shapes import Box
 from drake_oa.scenario.loading import load_scenario, parse_scenario, scenario_text
 from drake_oa.scenario.obstacles import Obstacle
-from drake_oa.studies.cameras import ASIDE, AWAY, ELEVATIONS, with_opposite, with_two
+from drake_oa.studies.cameras import ASIDE, AWAY, ELEVATIONS, with_two
 
 
 def places(scenario):
@@ -45,10 +45,3 @@ def test_a_camera_stands_higher_where_something_is_in_its_way():
     found = places(scenario)
     assert found["left"].translation()[2] > free[2]
     assert found["right"].translation()[2] == pytest.approx(free[2])
-
-
-def test_a_second_camera_needs_a_first():
-    with pytest.raises(ValueError, match="one depth camera"):
-        with_opposite(load_scenario("tabletop_box", ["perception=!GroundTruth {}"]))
-    with pytest.raises(ValueError, match="one depth camera"):
-        with_opposite(load_scenario("two_cameras"))

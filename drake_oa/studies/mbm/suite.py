@@ -57,11 +57,6 @@ _FINGER_MARGIN = 1e-3
 """Fingers stay so far within their limits [m]: at a limit the plant's steps cost more."""
 
 
-def robot_text(robot: Robot) -> str:
-    """The robot as a scenario's text, see `draw_problem`."""
-    return scenario_text(Scenario(robot=robot))
-
-
 def draw_problem(text: ProblemText, robot: str, seen: bool) -> tuple[str, Counts]:
     """Makes the scenario's text of a problem; nothing is dropped.
 
@@ -193,6 +188,7 @@ def mbm_suites(
     if scenes is not None and scenes < 1:
         raise ValueError(f"--scenes must be at least 1, not {scenes}")
     arm = load_robot(robot or PANDA)
+    robot_text = scenario_text(Scenario(robot=arm))
     known = read_archive(file)
     chosen = {}
     for name in sets or list(known):
@@ -217,7 +213,7 @@ def mbm_suites(
                 text.number: Drawing(
                     f"mbm-{name}-scene{text.number:04d}",
                     draw_problem,
-                    (text, robot_text(arm), perception != "truth"),
+                    (text, robot_text, perception != "truth"),
                 )
                 for text in texts
             },

@@ -97,8 +97,6 @@ SPEED_SHARE = 1.2
 speed."""
 ANGULAR_LIMIT = 2.5
 """Largest asked tool rate about an axis [rad/s]."""
-POSTURE_GAIN = 1.0
-"""Pull to the posture of the start in the null space [1/s]."""
 WEIGHT = 100.0
 """Weight of the tool's velocity error against the posture's."""
 KP, KD = 2500.0, 100.0
@@ -190,7 +188,7 @@ def make_differential_ik(
     recipe = System.Recipe()
     for ingredient in (
         System.LeastSquaresCost(System.LeastSquaresCost.Config(cartesian_qp_weight=WEIGHT)),
-        System.JointCenteringCost(System.JointCenteringCost.Config(posture_gain=POSTURE_GAIN)),
+        System.JointCenteringCost(System.JointCenteringCost.Config()),
         System.JointVelocityLimitConstraint(
             System.JointVelocityLimitConstraint.Config(), JointLimits(plant, active)
         ),

@@ -556,14 +556,9 @@ def _write_files(files: Sequence[Path], log: MotionLog) -> None:
     """Writes a run's log and page; a log without an instant has no page."""
     for file in files:
         if file.suffix == ".npz":
-            save_logs(file, {log_name(log): log})
+            save_logs(file, {"modulated" if log.modulated else "preplanned": log})
         elif len(log.t):
             _write_page(file, log)
-
-
-def log_name(log: MotionLog) -> str:
-    """Name of a motion in a log file."""
-    return "modulated" if log.modulated else "preplanned"
 
 
 def _write_page(path: Path, log: MotionLog) -> None:

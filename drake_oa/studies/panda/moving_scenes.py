@@ -94,6 +94,8 @@ _COURSES = 60
 """Courses tried for an obstacle among the same others."""
 
 ENTERS, CHANGES_SPEED, TURNS, STOPS, COMES_BACK = range(5)
+_CHANGE = 0.15
+"""Minimum change of the speed [m/s]."""
 _ACCELERATION = (1.0, 3.0)
 """Acceleration along a course [m/s^2]."""
 _LEG = (0.4, 2.0)
@@ -193,7 +195,9 @@ def _draw_speeds(
         if event not in does:
             continue
         if event == CHANGES_SPEED:
-            speed = float(random.uniform(slowest, fastest))
+            span = fastest - slowest
+            step = random.uniform(_CHANGE, span - _CHANGE)
+            speed = slowest + float((speed - slowest + step) % span)
         elif event == STOPS:
             legs.append((0.0, float(random.uniform(*_STOP))))
         else:

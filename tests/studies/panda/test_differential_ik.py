@@ -4,12 +4,10 @@ import numpy as np
 import pytest
 from pydrake.math import RollPitchYaw
 
-from drake_oa.common.config import ScenarioError
 from drake_oa.runs.metrics import robot_metrics
 from drake_oa.scenario.end_poses import follow_joints, start_positions
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.scenario.scenario import Scenario
-from drake_oa.studies.panda import differential_ik
 from drake_oa.studies.panda.differential_ik import (
     METHOD,
     KeptDistances,
@@ -62,17 +60,6 @@ def test_goes_round_a_ball_beside_the_line(course: str) -> None:
     assert log.stop_reason == "goal"
 
 
-def test_stands_still_where_no_velocity_keeps_the_distances(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    # The hand is between two walls, nearer to both than it may be.
-    walls = [box(f"wall{y}", [0.3, 0.02, 0.2], [0.45, -0.45 + y, 0.3]) for y in (-0.06, 0.06)]
-    scenario = scene("task.duration=0.6", f"obstacles=[{', '.join(walls)}]")
-    monkeypatch.setattr(differential_ik, "HORIZON", 0.008)
-    log = simulate_differential_ik(scenario, duration=0.3)
-    assert np.abs(log.q - log.q[0]).max() < 1e-3
-
-
 def test_moves_away_from_an_obstacle_nearer_than_the_tool_keeps() -> None:
     wall = box("wall", [0.3, 0.02, 0.1], [0.45, -0.515, 0.3])
     scenario = scene("task.goal=[0.45,-0.45,0.35]", f"obstacles=[{wall}]")
@@ -81,20 +68,6 @@ def test_moves_away_from_an_obstacle_nearer_than_the_tool_keeps() -> None:
     clearance = robot_metrics(scenario, log.q[[0, -1]]).tool_clearance
     assert 0.0 < clearance[0] < KeptDistances().tool
     assert clearance[1] > clearance[0] + 1e-3
-
-
-def test_links_that_do_not_move_are_left_out() -> None:
-    checker = make_collision_checker(scene(), tool=0.03, links=0.02, world=0.0, own=0.0)
-    plant = checker.plant()
-    base, hand = (plant.GetBodyByName(f"panda_{name}").index() for name in ("link0", "hand"))
-    world = plant.world_body().index()
-    assert checker.IsCollisionFilteredBetween(base, world)
-    assert not checker.IsCollisionFilteredBetween(hand, world)
-
-
-def test_without_a_robot_there_is_one_clear_error() -> None:
-    with pytest.raises(ScenarioError, match="robot"):
-        simulate_differential_ik(load_scenario("free_space"))
 
 
 def test_the_inputs_are_a_pose_ahead_and_the_positions_of_the_world() -> None:
