@@ -11,8 +11,10 @@ NeurIPS 2017).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
+from multiprocessing import get_context
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +22,7 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor, nn
 
+from drake_oa.common.compiled import CORES
 from drake_oa.common.console import Column, TextTable
 from drake_oa.common.files import provenance
 from drake_oa.common.messages import BoolArray, EllipsoidSet, FloatArray, IntArray
@@ -375,7 +378,7 @@ def train_proposals(
     device: str = "cpu",
     report: Report = lambda stage, done: None,
 ) -> tuple[ProposalNetwork, list[Scores]]:
-    """Searches and trains, round by round.
+    """Searches, on all cores, and trains, round by round.
 
     Args:
         recipe: how.
@@ -395,20 +398,29 @@ def train_proposals(
     before: list[Rows] = []
     scores: list[Scores] = []
     chunks = -(-recipe.scenes // recipe.chunk)
-    for number in range(recipe.rounds):
-        made: list[Rows] = []
-        for k in range(chunks):
-            name = f"rows_{number}_{k}"
-            kept = checkpoint.load(name)
-            if kept is None:
-                kept = make_rows(recipe, (seed, number, k), network)._asdict()
-                checkpoint.save(name, **kept)
-            made.append(Rows(**kept))
-            report(f"round {number + 1}: search", (number + (k + 1) / chunks) / recipe.rounds)
-        rows = Rows(*map(np.concatenate, zip(*before, *made, strict=True)))
-        before = made
-        scores.append(fit(net, rows, recipe, seed + number, device, report))
-        network = ProposalNetwork(net.arrays())
+    pool = ProcessPoolExecutor(min(CORES, chunks), get_context("spawn"))
+    try:
+        for number in range(recipe.rounds):
+            names = [f"rows_{number}_{k}" for k in range(chunks)]
+            kept = [checkpoint.load(name) for name in names]
+            searches = {
+                k: pool.submit(make_rows, recipe, (seed, number, k), network)
+                for k in range(chunks)
+                if kept[k] is None
+            }
+            made: list[Rows] = []
+            for k, found in enumerate(kept):
+                if found is None:
+                    found = searches[k].result()._asdict()
+                    checkpoint.save(names[k], **found)
+                made.append(Rows(**found))
+                report(f"round {number + 1}: search", (number + (k + 1) / chunks) / recipe.rounds)
+            rows = Rows(*map(np.concatenate, zip(*before, *made, strict=True)))
+            before = made
+            scores.append(fit(net, rows, recipe, seed + number, device, report))
+            network = ProposalNetwork(net.arrays())
+    finally:
+        pool.shutdown(cancel_futures=True)
     told = {
         "recipe": "proposals",
         "seed": seed,

@@ -134,13 +134,8 @@ def _measured(scenes: Scenes, motions: Motions, row: int) -> tuple[float, float]
 
 
 def _check(motions: Motions, count: int) -> None:
-    shape = motions.path.shape
-    if len(shape) != 3 or shape[0] != count or shape[1] < 2 or shape[2] != 3:
-        raise ValueError(f"path must be ({count}, S + 1, 3) with S >= 1, not {shape}")
-    if motions.velocity.shape != shape:
-        raise ValueError(f"velocity must be {shape} as path is, not {motions.velocity.shape}")
-    if motions.duration.shape != (count,):
-        raise ValueError(f"duration must be ({count},), not {motions.duration.shape}")
+    if not len(motions.path) == len(motions.velocity) == len(motions.duration) == count:
+        raise ValueError(f"there must be a motion for each of {count} scenes")
     for name, values in (("path", motions.path), ("velocity", motions.velocity)):
         finite = np.isfinite(values).all(axis=(1, 2))
         if not finite.all():
