@@ -118,7 +118,10 @@ class Solid(Frozen):
             return np.asarray(np.abs(outline_corners(self) - self.center).max(axis=0))
         if self.kind in (PRIMITIVE, ELLIPSOID):
             return np.array(self.size[:3]) + self.size[3]
-        raise ValueError(f"{self.label} is no bounded shape")
+        raise ValueError(
+            f"{self.label} is not bounded; it must be a sphere, box, capsule, cylinder, ellipsoid, "
+            "convex shape or mesh"
+        )
 
 
 def sphere(radius: float) -> Solid:
@@ -332,7 +335,7 @@ def robot_solids(
             bodies.append(body)
     for solid in solids:
         if not math.isfinite(solid.radius):
-            raise ValueError(f"{solid.label} is a half-space, which no robot can carry")
+            raise ValueError(f"{solid.label} is a half-space; a robot's shapes must be bounded")
     context = plant.CreateDefaultContext()
     return RobotSolids(plant, model_instance, tuple(bodies), solids_of(solids), context)
 

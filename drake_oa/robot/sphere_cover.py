@@ -17,8 +17,6 @@ from scipy.spatial.distance import cdist
 from drake_oa.common.files import read_arrays, replace_arrays, user_cache
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
 from drake_oa.geometry.solids import (
-    ELLIPSOID,
-    HULL,
     PRIMITIVE,
     Solid,
     Solids,
@@ -165,7 +163,7 @@ def cover_key(solids: Sequence[Solid], overshoot: float, most: int = 200) -> str
 
 def _is_rod(solid: Solid) -> bool:
     """Whether it is a sphere or a capsule: balls about points of its z axis are the deepest."""
-    return not (solid.kind in (ELLIPSOID, HULL) or any(solid.size[:2]))
+    return solid.kind == PRIMITIVE and not any(solid.size[:2])
 
 
 def _measured(scene: Solids, centers: FloatArray, radii: FloatArray) -> Cover:

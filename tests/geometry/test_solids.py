@@ -233,7 +233,7 @@ def test_a_robot_may_have_no_shapes_but_no_half_space():
     assert solid.least_distances(nothing, POINTS, 0.0, 0.1, 0.1).min() == 0.1
     with pytest.raises(ValueError, match="half-space"):
         solid.robot_solids(grounded.plant, grounded.inspector, grounded.body.model_instance())
-    with pytest.raises(ValueError, match="no bounded shape"):
+    with pytest.raises(ValueError, match="is not bounded"):
         solid.surface_points(solid.half_space())
 
 
