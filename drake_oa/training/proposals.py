@@ -227,7 +227,7 @@ def make_rows(
 
 def _make_row(
     recipe: ProposalRecipe, rng: np.random.Generator, network: ProposalNetwork | None
-) -> tuple[Floats32, FloatArray, float, bool] | None:
+) -> tuple[Floats32, Floats32, np.float32, bool] | None:
     """Searches one side of a random scene; None: the nominal motion is the best there."""
     scene = draw_scene(rng, bool(rng.random() < recipe.moving))
     if rng.random() < recipe.under_way:

@@ -22,7 +22,7 @@ from drake_oa.common.console import Column, TextTable
 from drake_oa.common.messages import BoolArray, FloatArray
 from drake_oa.studies.scenes.judge import Judgement, judge
 from drake_oa.studies.scenes.methods import Method
-from drake_oa.studies.scenes.paper_method import BETA, constant_motions
+from drake_oa.studies.scenes.paper_method import BETA, released_motions
 from drake_oa.studies.scenes.scenes import Motions, Scenes, Setting
 from drake_oa.studies.scenes.suites import Case
 
@@ -342,8 +342,8 @@ def compare_terms(scenes: Scenes, gammas: Sequence[float] = GAMMAS) -> list[Comp
     setting = Setting(constrained=False, scale_time=False)
     found = []
     for gamma in gammas:
-        first = constant_motions(scenes, setting, np.array((gamma, BETA, 0.0)), original=True)
-        second = constant_motions(scenes, setting, np.array((*matched_term(gamma), 0.0)))
+        first = released_motions(scenes, setting, np.array((gamma, BETA, 0.0)), original=True)
+        second = released_motions(scenes, setting, np.array((*matched_term(gamma), 0.0)))
         found.append(
             Comparison(
                 gamma, judge(scenes, first).kept_clearance, judge(scenes, second).kept_clearance

@@ -80,13 +80,12 @@ def run(scenes: Scenes, setting: Setting, reading: Reading = READING) -> Motions
     chain = paper_chain(setting.constrained, reading.chain)
     if reading.law == "running":
         return _running_motions(scenes, setting, chain, reading)
-    parameters = np.zeros((*scenes.center.shape[:2], 3))
-    return _motions(scenes, setting, reading, parameters, chain)
+    return released_motions(scenes, setting, np.zeros(3), reading=reading, chain=chain)
 
 
 def run_original(scenes: Scenes, setting: Setting) -> Motions:
     """Hoffmann's term in N scenes; of the setting, only whether tau scales the spring counts."""
-    return constant_motions(scenes, setting, np.array((GAMMA, BETA, 0.0)), original=True)
+    return released_motions(scenes, setting, np.array((GAMMA, BETA, 0.0)), original=True)
 
 
 @cache
@@ -109,28 +108,6 @@ SHIPPED = {
     (True, "running"): "paper_chain_running",
 }
 """Whether it is told Delta and what its training set went on -> the shipped file's name."""
-
-
-def constant_motions(
-    scenes: Scenes,
-    setting: Setting,
-    parameters: FloatArray,
-    *,
-    original: bool = False,
-    reading: Reading = READING,
-) -> Motions:
-    """The same action level with given parameters.
-
-    Args:
-        scenes: N scenes.
-        setting: of it, only whether tau scales the spring.
-        parameters: (3,), or (N, M, 3): alpha [rad/s], psi [rad] and kappa [1/m^2]; for the
-            original term gamma [1/s], beta [1/rad] and a value without a meaning.
-        original: whether the term is that of (eq. 7).
-        reading: of it, not the running law, and neither chain nor scale.
-    """
-    full = np.broadcast_to(parameters, (*scenes.center.shape[:2], 3)).copy()
-    return _motions(scenes, setting, reading, full, None, original)
 
 
 def time_scale(scenes: Scenes, reading: Reading = READING) -> FloatArray:
@@ -239,17 +216,25 @@ def _asked(
 
 # Small matrices: more threads only wait for each other.
 @threadpool_limits.wrap(limits=1)
-def _motions(
+def released_motions(
     scenes: Scenes,
     setting: Setting,
-    reading: Reading,
     parameters: FloatArray,
-    chain: ChainWeights | None,
+    *,
     original: bool = False,
+    reading: Reading = READING,
+    chain: ChainWeights | None = None,
 ) -> Motions:
-    """Rolls out all scenes together; `parameters` (N, M, 3) are the chain's if there is one.
+    """Rolls out all scenes together; what has ended stays where it is.
 
-    What has ended stays where it is.
+    Args:
+        scenes: N scenes.
+        setting: of it, only whether tau scales the spring.
+        parameters: (3,), or (N, M, 3): alpha [rad/s], psi [rad] and kappa [1/m^2]; for the
+            original term gamma [1/s], beta [1/rad] and a value without a meaning.
+        original: whether the term is that of (eq. 7).
+        reading: of the action level, not the running law.
+        chain: gives the parameters in every step; None: they are constant.
     """
     steps = STEPS[reading.steps]
     begin = perf_counter()
@@ -272,6 +257,7 @@ def _motions(
     forcing[: steps.number] = released_forcing(steps)[: len(forcing)]
     motion = Motion.at_rest(*scenes.present.shape, len(forcing))
     seen = np.zeros((*scenes.present.shape, 3))
+    parameters = np.broadcast_to(parameters, seen.shape).copy()
     done = 0
     while done < len(forcing) and not motion.over.all():
         if chain is not None:

@@ -13,8 +13,8 @@ from drake_oa.studies.scenes.judge import judge
 from drake_oa.studies.scenes.methods import Setting
 from drake_oa.studies.scenes.paper_method import (
     ARRIVED,
-    constant_motions,
     paper_chain,
+    released_motions,
     run,
     run_original,
     section_axes,
@@ -63,10 +63,10 @@ def test_released_trajectories_are_reproduced(reference, name, monkeypatch):
         scenes = single_obstacle(data["baseline"][i], data["center"][i], data["semi_axes"][i])
         if name == "trajectory":
             parameters = np.array([data[key][row] for key in ("alpha", "psi", "kappa")])
-            motions = constant_motions(scenes, Setting(), parameters, reading=DEMO)
+            motions = released_motions(scenes, Setting(), parameters, reading=DEMO)
         else:
             parameters = np.array((1000.0, 20.0 / math.pi, 0.0))
-            motions = constant_motions(scenes, Setting(), parameters, original=True, reading=DEMO)
+            motions = released_motions(scenes, Setting(), parameters, original=True, reading=DEMO)
         np.testing.assert_allclose(motions.path[0, 1:], data[name][row], atol=1e-9)
 
 
@@ -80,7 +80,7 @@ def test_several_moving_obstacles_add_up(original):
     scenes = Scenes(np.ones(1), center, a, R, drift, np.full(1, 0.1))
     between = ((10, 4, 0), (90, 7, 1)) if original else ((100, 0.4, 5), (900, 0.9, 30))
     parameters = rng.uniform(*between, (1, 3, 3))
-    motions = constant_motions(scenes, Setting(), parameters, original=original, reading=DEMO)
+    motions = released_motions(scenes, Setting(), parameters, original=original, reading=DEMO)
     tau, h = time_scale(scenes, DEMO)[0], STEPS["demo"].length
     x, v = np.zeros(3), np.zeros(3)
     for step, f in enumerate(released_forcing(STEPS["demo"])):
@@ -109,7 +109,7 @@ def test_several_moving_obstacles_add_up(original):
 @pytest.mark.filterwarnings("error")
 def test_motions_stay_finite(parameters):
     scenes = draw_scenes("clutter", 5, seed=2)
-    motions = constant_motions(scenes, Setting(), np.array(parameters))
+    motions = released_motions(scenes, Setting(), np.array(parameters))
     assert np.isfinite(motions.path).all()
     assert np.isfinite(motions.velocity).all()
 
