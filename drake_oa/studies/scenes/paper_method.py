@@ -225,7 +225,7 @@ def released_motions(
     reading: Reading = READING,
     chain: ChainWeights | None = None,
 ) -> Motions:
-    """Rolls out all scenes together; what has ended stays where it is.
+    """Rolls out all scenes together; motions that have ended stay at rest.
 
     Args:
         scenes: N scenes.
