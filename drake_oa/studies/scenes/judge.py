@@ -118,17 +118,14 @@ def _measured(scenes: Scenes, motions: Motions, row: int) -> tuple[float, float]
     points = curve(times)
     least = np.inf
     for m in np.flatnonzero(scenes.present[row]):
-
-        def distance(t: FloatArray, points: FloatArray, m: int = m) -> FloatArray:
-            center = scenes.center[row, m] + t[:, None] * scenes.velocity[row, m]
-            return signed_distance(points, center, scenes.R[row, m], scenes.semi_axes[row, m])
-
-        t, sampled = times, distance(times, points)
+        body = scenes.center[row, m], scenes.R[row, m], scenes.semi_axes[row, m]
+        drift = scenes.velocity[row, m]
+        t, sampled = times, signed_distance(points - times[:, None] * drift, *body)
         for _ in range(_REFINEMENTS):
             nearest = int(np.argmin(sampled))
             ends = t[max(nearest - 1, 0)], t[min(nearest + 1, len(t) - 1)]
             t = np.linspace(*ends, _REFINED)
-            sampled = distance(t, curve(t))
+            sampled = signed_distance(curve(t) - t[:, None] * drift, *body)
         least = min(least, float(sampled.min()))
     return least, float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
 

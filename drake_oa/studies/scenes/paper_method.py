@@ -244,8 +244,11 @@ def released_motions(
     # tau^2 times the spring, or tau times the duration: the forces outside it count 1 / tau^2.
     factor = 1.0 / tau if printed else tau
     h = steps.length * (tau if printed else np.ones(N))
+    baseline, center, drift = kernel_arrays(scenes.baseline, scenes.center, scenes.velocity)
     law = Law(
-        *kernel_arrays(scenes.baseline, scenes.center, scenes.velocity),
+        baseline=baseline,
+        center=center,
+        drift=drift,
         stiffness=ALPHA_X * BETA_X * factor**2,
         damping=ALPHA_X * (factor if printed else factor**2),
         outside=factor**2 if printed else np.ones(N),
@@ -255,7 +258,7 @@ def released_motions(
     last = _last_step(reading, steps, tau)
     forcing = np.zeros(int(last.max(initial=1)))
     forcing[: steps.number] = released_forcing(steps)[: len(forcing)]
-    motion = Motion.at_rest(*scenes.present.shape, len(forcing))
+    motion = Motion.at_rest(N, center.shape[1], len(forcing))
     seen = np.zeros((*scenes.present.shape, 3))
     parameters = np.broadcast_to(parameters, seen.shape).copy()
     done = 0
