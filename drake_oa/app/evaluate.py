@@ -440,6 +440,53 @@ def mbm(
     return run_suites(runs, suites, heading, mbm_figures)
 
 
+@evaluate.command
+def sources(
+    *,
+    kinds: Annotated[tuple[str, ...], Parameter(name="--suite")] = (
+        "tabletop,clutter6,elbow,moving",
+    ),
+    problems: Path | None = None,
+    scenes: int = 20,
+    count: int = 10,
+    seed: int = 0,
+    runs: Runs = RUNS,
+) -> int:
+    """Count the sources of the executed motions, and evaluate without each of them.
+
+    Sources: nominal (the demonstrated motion), chain (the rows of the paper's regressor chain
+    together, with heading guidance), sides (a proposed side), search (the local search) and
+    joint_path (a path in the joints that the primitives imitate). It prints, for each suite, the
+    number of scenes in which a motion of each source was executed, and success, contacts, clearance
+    and path length without chain, sides, search and joint_path.
+
+    For example:
+
+        drake-oa evaluate sources --scenes 5 --suite tabletop
+        drake-oa evaluate sources --problems motionbenchmaker_panda.tar.bz2 --seed 1000
+
+    Args:
+        kinds: of the scenes of the Panda, see `drake-oa evaluate panda`, perceived by its camera.
+        problems: file of MotionBenchMaker's problems, see `drake-oa evaluate mbm`.
+        scenes: number of scenes of each kind.
+        count: number of problems of each set.
+        seed: of the scenes.
+        runs: how runs are made.
+    """
+    from drake_oa.studies.mbm.suite import mbm_suites
+    from drake_oa.studies.panda.evaluation import WITHOUT, panda_suite
+    from drake_oa.studies.panda.sources import sources_figures, sources_table
+
+    methods = ("verified", *WITHOUT)
+    suites = [
+        panda_suite(kind, scenes, seed, methods, "depth", runs.duration) for kind in _named(kinds)
+    ]
+    if problems is not None:
+        suites += mbm_suites(problems, None, (), methods, count, "truth", runs.duration)
+    heading = f"sources: seed {seed}"
+    return run_suites(runs, suites, heading, sources_figures, sources_table)
+
+
 def _named(texts: Sequence[str]) -> list[str]:
     """The names in options that may each hold several, each once; none of no options."""
     names = ",".join(texts).split(",") if texts else []

@@ -39,6 +39,7 @@ from drake_oa.studies.mbm.problems import (
     read_archive,
 )
 from drake_oa.studies.panda.evaluation import (
+    WITHOUT,
     Criteria,
     Drawing,
     PandaResults,
@@ -147,7 +148,7 @@ def _holds(obstacle: Obstacle, p_WQ: FloatArray) -> bool:
     return bool(least_distances(solids, points, 0.0, 0.0, 0.0)[0] < 0.0)
 
 
-METHODS = ("verified", "preplanned", "differential_ik", "planner")
+METHODS = ("verified", "preplanned", "differential_ik", "planner", *WITHOUT)
 
 _CRITERIA = Criteria(
     goal_error=0.01,

@@ -35,7 +35,7 @@ import logging
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -67,7 +67,14 @@ PLANNER = "planner"
 """The method that plans, needs OMPL, and is not simulated."""
 DIFFERENTIAL_IK = frozenset({"differential_ik", "differential_ik_near"})
 DEFAULT_METHODS = ("preplanned", "paper", "verified", "differential_ik", "differential_ik_near")
-METHODS = (*DEFAULT_METHODS, PLANNER)
+WITHOUT: dict[str, dict[str, Any]] = {
+    "without_chain": {"chain": None},
+    "without_sides": {"proposals": None},
+    "without_search": {"rounds": 0},
+    "without_joint_path": {"configurations": 0, "last_configurations": 0},
+}
+"""Methods that are `verified` without one source of motions -> fields of its block."""
+METHODS = (*DEFAULT_METHODS, PLANNER, *WITHOUT)
 TRUTH_ONLY = DIFFERENTIAL_IK | {PLANNER}
 """Methods that know the obstacles exactly, whatever the perception."""
 
@@ -82,6 +89,7 @@ _KEPT = (
     "short_of_feasible",
     "believed_shortfall",
     "lowered",
+    "sources",
     "goal_error",
     "orientation_error",
     "duration",
@@ -166,6 +174,9 @@ def with_method(scenario: Scenario, method: str) -> Scenario:
         scenario.supervisor = None
     elif method == "verified" and not isinstance(scenario.regulation, Verified):
         scenario.regulation = Verified()
+    elif method in WITHOUT:
+        verified = with_method(scenario, "verified").regulation
+        scenario.regulation = replace(verified, **WITHOUT[method])
     return scenario
 
 
