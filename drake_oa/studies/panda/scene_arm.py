@@ -1,7 +1,8 @@
 """Arm of the random scenes: straight motions of its tool, and its distances to obstacles.
 
 The arm is that of the planner: its joints and the spheres that enclose its links
-(`drake_oa.planning.arm_world`). Distances between true shapes are up to 8 mm larger.
+(`drake_oa.planning.arm_world`). Distances between true shapes are up to 4 mm larger, of the base
+2 cm.
 """
 
 from __future__ import annotations

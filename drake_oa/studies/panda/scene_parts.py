@@ -25,7 +25,7 @@ SMALLEST, LARGEST = 0.04, 0.30
 """Minimum and maximum dimension of a shape on the table, and maximum height of a pile [m]."""
 FREE = 0.05
 """Minimum clearance of the whole robot at start and goal [m]."""
-TOUCH = 0.013
+TOUCH = 0.009
 """Minimum penetration of the robot's spheres in contact [m]: of 5 mm of its true shapes."""
 BASE_RADIUS = 0.16
 """Radius of a circle around the robot's base, seen from above [m]."""
