@@ -268,6 +268,11 @@ OUT_OF_WORLD = 25.0
 CHAIN, SIDE = 0, 1
 """Kinds of rows of `CouplingParameters`: of an obstacle, by the regressor chain, all of which act
 together; and of a side of the baseline, by the proposal network, of which at most one acts."""
+ROW_COLUMNS = (
+    *("alpha", "psi", "kappa", "in_range", "center_W", "normal_W"),
+    *("kind", "length", "likely", "scaling"),
+)
+"""Fields of `CouplingParameters` with a row each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -327,9 +332,8 @@ class CouplingParameters(Frozen):
         if not len(self.kind):
             return self if kind == CHAIN else CouplingParameters()
         rows = self.kind == kind
-        columns = ("alpha", "psi", "kappa", "in_range", "center_W", "normal_W", "kind")
-        columns += ("length", "likely", "scaling")
-        return replace(self, **{name: getattr(self, name)[rows] for name in columns})
+        chosen: dict[str, Any] = {name: getattr(self, name)[rows] for name in ROW_COLUMNS}
+        return replace(self, **chosen)
 
     def as_array(self) -> FloatArray:
         """(M, 3) rows of alpha, psi, kappa."""

@@ -159,7 +159,7 @@ def nominal_genes() -> FloatArray:
 
 def _first(ranked: Ranked) -> Ranked:
     """Returns the best candidate alone."""
-    return Ranked(*(column[:1] for column in ranked))
+    return Ranked(ranked.genes[:1], ranked.cost[:1], ranked.length[:1], ranked.source[:1])
 
 
 _EMPTY = Ranked(np.zeros((0, N_GENES)), np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64))
@@ -272,7 +272,7 @@ class Search(ABC):
     def evaluate(
         self,
         genes: FloatArray,
-        source: Sequence[int],
+        source: Sequence[int] | IntArray,
         known: Ranked | None = None,
         guided: Guided | None = None,
     ) -> Ranked:
@@ -461,7 +461,7 @@ class ArmSearch(Search):
     def evaluate(
         self,
         genes: FloatArray,
-        source: Sequence[int],
+        source: Sequence[int] | IntArray,
         known: Ranked | None = None,
         guided: Guided | None = None,
     ) -> Ranked:

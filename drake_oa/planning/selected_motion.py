@@ -73,8 +73,11 @@ class MotionCommand(Frozen):
     def coupling(self) -> CouplingParameters:
         """Returns the command as DmpIntegrator reads it."""
         rows = self.terms
+        alpha, psi, kappa = np.ascontiguousarray(rows[:, ALPHA : KAPPA + 1].T)
         return CouplingParameters(
-            *np.ascontiguousarray(rows[:, ALPHA : KAPPA + 1].T),
+            alpha,
+            psi,
+            kappa,
             in_range=np.ones(len(rows), dtype=bool),
             center_W=rows[:, :3],
             normal_W=np.zeros((0, 3)) if len(self.ellipsoids) else rows[:, NORMAL : NORMAL + 3],

@@ -30,9 +30,9 @@ from drake_oa.regulation.network import array_of, read_arrays, write_arrays
 from drake_oa.regulation.proposals import (
     ANGLE,
     N_GENES,
-    side_costs,
     side_rows,
 )
+from drake_oa.route.cost_rings import side_costs
 
 N_SIDES = 16
 """Sides that a scene is looked at from, all round the baseline."""

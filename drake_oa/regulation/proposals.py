@@ -86,8 +86,11 @@ def side_rows(
         likely: (N,) probabilities that the requested clearance is achieved.
     """
     terms = avoidance_terms(scene, genes)
+    alpha, psi, kappa = np.ascontiguousarray(terms[:, ALPHA_COLUMN : KAPPA_COLUMN + 1].T)
     return CouplingParameters(
-        *np.ascontiguousarray(terms[:, ALPHA_COLUMN : KAPPA_COLUMN + 1].T),
+        alpha,
+        psi,
+        kappa,
         in_range=np.ones(len(genes), dtype=bool),
         center_W=terms[:, :3],
         normal_W=terms[:, NORMAL : NORMAL + 3],
@@ -98,15 +101,8 @@ def side_rows(
     )
 
 
-UNLIKELY = 2.0
-"""Additional cost of a side that certainly does not achieve the clearance, in baselines."""
 _STRENGTHS = (-0.4, 1.3)
 """Range of the strengths that are rolled out on a side, relative to the proposed ln alpha."""
-
-
-def side_costs(length: FloatArray, likely: FloatArray) -> FloatArray:
-    """Returns costs of sides, in baselines, by expected length and probability (N,) each."""
-    return length + UNLIKELY * (1.0 - likely)
 
 
 def tried(genes: FloatArray, count: int) -> FloatArray:

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Literal, Protocol, get_args
+from typing import Any, Literal, Protocol, get_args
 
 import numpy as np
 from pydrake.common.value import AbstractValue, Value
 from pydrake.systems.framework import Context, LeafSystem
 
-from drake_oa.common.messages import CHAIN, CouplingParameters, EllipsoidSet, PolicyState
+from drake_oa.common.messages import (
+    CHAIN,
+    ROW_COLUMNS,
+    CouplingParameters,
+    EllipsoidSet,
+    PolicyState,
+)
 from drake_oa.common.ports import read_value
 from drake_oa.policy.dmp import Dmp
 from drake_oa.policy.rollout import Scene, scene_under_way
@@ -170,7 +176,7 @@ def joined_rows(
     """Returns rows of the chain (M or none), about the centres of M obstacles, and of N sides."""
     count = len(chain)
     unknown = np.full(count, np.nan)
-    own = {
+    own: dict[str, Any] = {
         "center_W": ellipsoids.p_WO[:count],
         "normal_W": np.zeros((count, 3)),
         "kind": np.full(count, CHAIN),
@@ -178,9 +184,10 @@ def joined_rows(
         "likely": unknown,
         "scaling": np.ones(count),
     }
-    columns = ("alpha", "psi", "kappa", "in_range", *own)
     chain = replace(chain, **own)
-    rows = {name: np.concatenate([getattr(chain, name), getattr(sides, name)]) for name in columns}
+    rows: dict[str, Any] = {
+        name: np.concatenate([getattr(chain, name), getattr(sides, name)]) for name in ROW_COLUMNS
+    }
     return replace(chain, **rows)
 
 

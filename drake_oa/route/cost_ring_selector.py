@@ -25,7 +25,6 @@ from drake_oa.common.messages import (
 from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.policy.dmp import local_frame
 from drake_oa.policy.guidance import desired_headings, passing_normals
-from drake_oa.regulation.proposals import side_costs
 from drake_oa.route.cost_rings import (
     FORBIDDEN,
     JOINT_LIMITS,
@@ -37,6 +36,7 @@ from drake_oa.route.cost_rings import (
     reach_ring,
     remaining_clearance,
     ring_scene,
+    side_costs,
     table_ring,
 )
 from drake_oa.route.side_choice import Selection, select_directions

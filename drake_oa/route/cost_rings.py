@@ -133,6 +133,15 @@ def ring_scene(
     )
 
 
+UNLIKELY = 2.0
+"""Additional cost of a side that certainly does not achieve the clearance, in baselines."""
+
+
+def side_costs(length: FloatArray, likely: FloatArray) -> FloatArray:
+    """Returns costs of sides, in baselines, by expected length and probability (N,) each."""
+    return length + UNLIKELY * (1.0 - likely)
+
+
 def length_ring(scene: RingScene) -> FloatArray:
     """eta_length: path start - passing point - goal, scaled to [0, 1] over the ring.
 

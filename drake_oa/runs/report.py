@@ -205,7 +205,9 @@ def motion_sources(log: MotionLog) -> dict[str, float]:
 
 
 def _sources_text(sources: dict[str, float] | None) -> str | None:
-    return sources and ", ".join(f"{name} {share:.0%}" for name, share in sources.items())
+    return (
+        None if not sources else ", ".join(f"{name} {share:.0%}" for name, share in sources.items())
+    )
 
 
 def run_report(name: str, scenario: Scenario, logs: dict[str, MotionLog]) -> dict[str, Any]:
