@@ -448,7 +448,7 @@ class MotionSearch:
             prediction={
                 "motion": PlannedMotion(
                     s,
-                    tool.path[0, :: search.every][:count],
+                    tool.path[0, :count],
                     arm.q[0, :count],
                     here.key.p_WS,
                 ),

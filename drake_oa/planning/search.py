@@ -195,6 +195,7 @@ class Search(ABC):
         self.previous, self.settled, self.price = previous, settled, price
         self.moves = scene.moves
         self.ds = policy.period / dmp.duration
+        self.every = 1
         self.elites, self.stays = np.zeros((0, N_GENES)), False
 
     @abstractmethod
@@ -300,6 +301,7 @@ class Search(ABC):
             tolerance=self.parameters.tolerance,
             longest=longest,
             obstacles=None if guided is None else guided.obstacles,
+            every=self.every,
         )
 
     def seconds(self, genes: FloatArray) -> FloatArray:
@@ -486,7 +488,7 @@ class ArmSearch(Search):
         enough = np.where(hopeless, np.inf, -may)
         screened = np.zeros(len(genes))
         if self.hasty and not self.moves:
-            rough = self.follow(genes, tool, enough, every=_ROUGH * self.every)
+            rough = self.follow(genes, tool, enough, stride=_ROUGH)
             screened = np.where(~hopeless & (rough.least < enough), self.arm_cost(rough), 0.0)
             enough = np.where(screened > 0.0, np.inf, enough)
         kept = self.arm_cost(self.follow(genes, tool, enough))
@@ -530,18 +532,18 @@ class ArmSearch(Search):
         self.rounds += 1
         return super().children(ranked, (self.rounds - 1) % _CYCLE)
 
-    def sample_times(self, count: int, every: int = 0) -> FloatArray:
-        """Returns normalised times (count,) of the samples from now on, or of every few steps."""
-        return np.asarray(self.scene.s + (every or self.every) * self.ds * np.arange(count))
+    def sample_times(self, count: int, stride: int = 1) -> FloatArray:
+        """Returns normalised times (count,) of the samples from now on, or of every few."""
+        return np.asarray(self.scene.s + stride * self.every * self.ds * np.arange(count))
 
     def follow(
-        self, genes: FloatArray, tool: ToolRollouts, enough: FloatArray, *, every: int = 0
+        self, genes: FloatArray, tool: ToolRollouts, enough: FloatArray, *, stride: int = 1
     ) -> ArmRollouts:
-        """Lets the arm follow the tool, placed after every so many steps, or at the samples."""
-        path = tool.path[:, :: every or self.every]
+        """Lets the arm follow the tool, placed at the samples of its path, or at every few."""
+        path = tool.path[:, ::stride]
         longest = int(np.isfinite(path[:, :, 0]).sum(axis=1).max(initial=1))
         path = path[:, : max(longest, 2)]
-        s = self.sample_times(path.shape[1], every)
+        s = self.sample_times(path.shape[1], stride)
         R_WE, q = self.leading.at(s)
         none: IntArray = np.zeros(len(path), dtype=np.int64)
         paths = ToolPaths(s, path, R_WE[None], none, q[:1], none, self.seconds(genes))

@@ -153,6 +153,7 @@ class Ending(NamedTuple):
 def advance(  # noqa: PLR0913
     path: FloatArray,
     velocity: FloatArray,
+    every: int,
     rest: FloatArray,
     flow: tuple[float, float, float, float],
     ds: float,
@@ -164,15 +165,17 @@ def advance(  # noqa: PLR0913
     facts: Facts,
     obstacles: Obstacles,
     coupling: FloatArray,
-) -> tuple[int, float]:
+) -> tuple[int, float, float]:
     """Advances the position and the scaled velocity by up to T steps of equal length.
 
     A step is half a step of the spring, the turn by the coupling terms, and the spring's other
     half. `DmpIntegrator` takes one step at a time, a roll-out all.
 
     Args:
-        path: (T + 1, 3) positions p_WE [m]; the first row is given, the others are written.
-        velocity: (T + 1, 3) scaled velocities z_W [m], likewise.
+        path: (T // every + 1, 3) positions p_WE [m]; the first row is given, the others are
+            written.
+        velocity: (T // every + 1, 3) scaled velocities z_W [m], likewise.
+        every: number of steps from one row to the next.
         rest: (T, 3) equilibrium of the spring in the middle of each step, displaced from the goal
             by the forcing term [m].
         flow: of the spring over half a step, see `dmp.spring_flow`.
@@ -186,7 +189,8 @@ def advance(  # noqa: PLR0913
             guidance alpha; (0, 13): none.
 
     Returns:
-        The number of steps taken, and the length of the path [m].
+        The number of steps taken, the length of the path [m], and the distance of its end from
+        the goal [m].
     """
     a, b, c, d = flow
     x, y, z = path[0, 0], path[0, 1], path[0, 2]
@@ -194,11 +198,14 @@ def advance(  # noqa: PLR0913
     terms = coupling.copy()
     couples, leads = len(terms) > 0, len(obstacles.p_WO) > 0
     length, done, slow = 0.0, 0, 400.0 * ending.tolerance * ending.tolerance
-    while done < len(rest):
+    kept, since = 0, 0
+    while True:
         square = (p_WG[0] - x) ** 2 + (p_WG[1] - y) ** 2 + (p_WG[2] - z) ** 2
         left = math.sqrt(square)
         arrived = left < ending.tolerance and u * u + v * v + w * w < slow
-        if (arrived and done >= ending.least) or length + left > ending.longest:
+        if done == len(rest) or (arrived and done >= ending.least):
+            break
+        if length + left > ending.longest:
             break
         if couples:
             fade = goal_fade(square, baseline, rules.fade)
@@ -232,10 +239,12 @@ def advance(  # noqa: PLR0913
         e, f, g = p + e, q + f, r + g
         length += math.sqrt((e - x) ** 2 + (f - y) ** 2 + (g - z) ** 2)
         x, y, z = e, f, g
-        done += 1
-        path[done, 0], path[done, 1], path[done, 2] = x, y, z
-        velocity[done, 0], velocity[done, 1], velocity[done, 2] = u, v, w
-    return done, length
+        done, since = done + 1, since + 1
+        if since == every:
+            kept, since = kept + 1, 0
+            path[kept, 0], path[kept, 1], path[kept, 2] = x, y, z
+            velocity[kept, 0], velocity[kept, 1], velocity[kept, 2] = u, v, w
+    return done, length, left
 
 
 @compiled
@@ -326,6 +335,7 @@ def _take_step(
         advance(
             path,
             velocity,
+            1,
             rest,
             spring_flow(primitive.alpha_x, primitive.beta_x, 0.5 * ds),
             ds,

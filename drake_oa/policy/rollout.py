@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_oa.common.compiled import CORES, on_cores, parted
+from drake_oa.common.compiled import CORES, compiled, on_cores, parted
 from drake_oa.common.messages import EllipsoidSet, FloatArray, Frozen, PolicyState
 from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.common.thinking import count
@@ -22,7 +22,7 @@ from drake_oa.policy.action import rules_of
 from drake_oa.policy.action_kernels import Ending, Facts, Rules, advance
 from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import ALPHA
-from drake_oa.policy.dmp import Dmp, Primitive, local_frame, normalised_time, spring_flow
+from drake_oa.policy.dmp import Dmp, Primitive, forcing, local_frame, normalised_time, spring_flow
 from drake_oa.policy.guidance import Obstacles
 
 LATEST = 2.0
@@ -100,12 +100,12 @@ def scene_under_way(
 
 @dataclass(frozen=True, eq=False)
 class ToolRollouts(Frozen):
-    """Paths of N candidates at the steps.
+    """Paths of N candidates at the steps, or at every so many steps.
 
     Attributes:
         ds: length of a step in normalised time.
-        path: (N, T + 1, 3) positions [m], NaN after the end.
-        velocity: (N, T + 1, 3) scaled velocities z there [m].
+        path: (N, T // every + 1, 3) positions [m], NaN after the end.
+        velocity: (N, T // every + 1, 3) scaled velocities z there [m].
         path_length: (N,) [m].
         goal_error: (N,) distance to the goal at the end [m].
         steps: (N,) number of steps until it arrived, or until it was ended.
@@ -130,6 +130,7 @@ def roll_out_tool(
     tolerance: float = ARRIVED,
     longest: ArrayLike = math.inf,
     obstacles: Obstacles | None = None,
+    every: int = 1,
 ) -> ToolRollouts:
     """Rolls out N candidates from the present state of a motion.
 
@@ -144,6 +145,7 @@ def roll_out_tool(
         tolerance: between these it ends as soon as the goal is this near and it is slow [m].
         longest: () or (N,) a candidate ends as soon as its path cannot become shorter [m].
         obstacles: K obstacles that lead the headings of the terms; None: nothing does.
+        every: number of steps between the samples of the paths.
 
     Raises:
         ValueError: for terms of another shape, or an end that is no number.
@@ -162,11 +164,12 @@ def roll_out_tool(
         float(scene.baseline),
         p_WG + float(scene.baseline) * _forcing(dmp, float(scene.s), most, ds) @ R_WL.T,
         ds,
+        every,
         round((max(end, scene.s) - scene.s) / ds),
         float(tolerance),
         np.array(np.broadcast_to(np.asarray(longest, dtype=float), (N,))),
     )
-    table, path, velocity = np.empty((N, 3)), np.empty((N, most + 1, 3)), np.empty((N, most + 1, 3))
+    table, (path, velocity) = np.empty((N, 3)), np.full((2, N, most // every + 1, 3), np.nan)
     led = Obstacles.of(None) if obstacles is None else obstacles
     facts = Facts(True, 0.0, False, -1.0, 0.0, True, True, False)
     (given,) = kernel_arrays(terms)
@@ -187,6 +190,7 @@ class _Course(NamedTuple):
     baseline: float
     rest: FloatArray
     ds: float
+    every: int
     least: int
     tolerance: float
     longest: FloatArray
@@ -194,12 +198,17 @@ class _Course(NamedTuple):
 
 @lru_cache(maxsize=16)
 def _forcing(dmp: Dmp, s: float, steps: int, ds: float) -> FloatArray:
-    """(steps, 3) f(k) / (alpha_x beta_x) in the middle of each step from s on."""
-    k = dmp.phase(s + (np.arange(steps) + 0.5) * ds)
-    basis = np.exp(-dmp.widths * (k[:, None] - dmp.centers) ** 2)
-    # Beyond the last centre all are small alike; the quotient stays.
-    total = np.maximum(basis.sum(axis=1), 1e-300)
-    return np.asarray((basis @ dmp.weights.T) * (k / total / (dmp.alpha_x * dmp.beta_x))[:, None])
+    """Returns f(k) / (alpha_x beta_x) (steps, 3) in the middle of each step from s on."""
+    force = np.empty((steps, 3))
+    _sample_forcing(dmp.kernel, dmp.phase(s + (np.arange(steps) + 0.5) * ds), force)
+    return force / (dmp.alpha_x * dmp.beta_x)
+
+
+@compiled
+def _sample_forcing(primitive: Primitive, k: FloatArray, force: FloatArray) -> None:
+    """Writes the forcing term (T, D) at phases (T,)."""
+    for row in range(len(k)):
+        forcing(primitive.basis, k[row], force[row])
 
 
 @parted
@@ -209,7 +218,6 @@ def _roll_some(
 ) -> None:  # fmt: skip
     """Rolls out candidates part, part + parts, ...; out (N, 3): length, goal error, steps."""
     flow = spring_flow(primitive.alpha_x, primitive.beta_x, 0.5 * course.ds)
-    goal = course.p_WG
     for i in range(part, len(terms), parts):
         acts = 0
         for row in range(terms.shape[1]):
@@ -217,13 +225,7 @@ def _roll_some(
                 acts = terms.shape[1]
         path[i, 0], velocity[i, 0] = course.p_WE, course.z_W
         ending = Ending(course.least, course.tolerance, course.longest[i])
-        done, out[i, 0] = advance(
-            path[i], velocity[i], course.rest, flow, course.ds, ending, goal, course.R_WL,
-            course.baseline, rules, facts, led, terms[i, :acts],
+        out[i, 2], out[i, 0], out[i, 1] = advance(
+            path[i], velocity[i], course.every, course.rest, flow, course.ds, ending, course.p_WG,
+            course.R_WL, course.baseline, rules, facts, led, terms[i, :acts],
         )  # fmt: skip
-        last = path[i, done]
-        out[i, 1] = math.sqrt(
-            (goal[0] - last[0]) ** 2 + (goal[1] - last[1]) ** 2 + (goal[2] - last[2]) ** 2
-        )
-        out[i, 2] = done
-        path[i, done + 1 :], velocity[i, done + 1 :] = np.nan, np.nan

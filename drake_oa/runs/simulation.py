@@ -161,9 +161,9 @@ class MotionWatcher:
         self._supervision = _reader(diagram, "supervisor", "supervision", Supervision())
         self._motion = _reader(diagram, "motion_verifier", "motion", PlannedMotion())
         self._source = _reader(diagram, "motion_verifier", "source", np.full(1, -1.0))
-        self._coupling = _reader(
-            diagram, "regressor_chain", "coupling_parameters", CouplingParameters()
-        )
+        # With MotionVerifier the chain only proposes, and is evaluated only for a search.
+        chain = "" if diagram.HasSubsystemNamed("motion_verifier") else "regressor_chain"
+        self._coupling = _reader(diagram, chain, "coupling_parameters", CouplingParameters())
         self._ellipsoids = _reader(
             diagram, "ellipsoid_descriptor" if described else "perception", None, EllipsoidSet()
         )
@@ -344,7 +344,8 @@ class MotionWatcher:
         if seen.stamp > -math.inf and (not self.frames or seen.stamp != self.frames[-1].stamp):
             self.frames.append(seen)
             self.frame_times.append(now)
-            self.out_of_range.append(int((~self._coupling(root).in_range).sum()))
+            out_of_range = ~self._coupling(root).in_range
+            self.out_of_range.append(int(out_of_range.sum()))
 
     def _note(self, now: float, hold: HoldCause, note: str) -> None:
         if note != self._noted:
