@@ -25,7 +25,7 @@ class Work:
 
     Attributes:
         searches: batches of motions that were rolled out.
-        steps: their steps, of all motions, beside each of the obstacles.
+        steps: their steps, of all motions.
         poses: those of the configurations that are on ways of evasion.
         configurations: of the whole arm that were measured against the solids.
     """
@@ -44,9 +44,8 @@ class Thinking:
     """Time of one decision, independent of its work [s]. Raising it makes every decision later."""
     search: float = Field(default=1e-3, ge=0.0, le=1.0)
     """Time of one batch of rolled-out motions [s]. Raising it makes searches later."""
-    step: float = Field(default=1.6e-8, ge=0.0, le=1.0)
-    """Time of one time step of one rolled-out motion beside one obstacle [s]. Raising it makes
-    searches among many obstacles later."""
+    step: float = Field(default=1e-7, ge=0.0, le=1.0)
+    """Time of one time step of one rolled-out motion [s]. Raising it makes searches later."""
     configuration: float = Field(default=5e-6, ge=0.0, le=1.0)
     """Time of one clearance computation of the whole arm [s]. Raising it makes searches and
     evasions later."""

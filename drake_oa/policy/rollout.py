@@ -29,6 +29,7 @@ LATEST = 2.0
 """Normalised time by which a motion arrives, from s = 0, or one more than the present one."""
 ARRIVED = 6e-4
 """Distance from the goal at which a motion has arrived [m]."""
+_NO_OBSTACLES = Obstacles.of(None)
 _EACH = 8
 """Candidates for which another thread pays."""
 
@@ -170,7 +171,7 @@ def roll_out_tool(
         np.array(np.broadcast_to(np.asarray(longest, dtype=float), (N,))),
     )
     table, (path, velocity) = np.empty((N, 3)), np.full((2, N, most // every + 1, 3), np.nan)
-    led = Obstacles.of(None) if obstacles is None else obstacles
+    led = _NO_OBSTACLES if obstacles is None else obstacles
     facts = Facts(True, 0.0, False, -1.0, 0.0, True, True, False)
     (given,) = kernel_arrays(terms)
     threads = min(CORES, N // _EACH + 1)
