@@ -116,7 +116,7 @@ from drake_oa.planning.arm_world import (
 )
 from drake_oa.planning.joint_planner import plan_path
 from drake_oa.geometry.solids import solids_of
-from drake_oa.robot.arm import Spheres
+from drake_oa.robot.arm import Chain, Spheres
 
 X = np.tile(np.eye(4), (3, 1, 1))
 wide = np.full(2, 3.0)
