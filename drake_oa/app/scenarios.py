@@ -6,8 +6,6 @@ import contextlib
 import logging
 import math
 import re
-import shutil
-import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -215,35 +213,30 @@ def graph(
     dot: bool = False,
     signals: bool = False,
 ) -> None:
-    """Print a scenario's wiring as SVG, by Graphviz' dot, as dot source, or as a table.
+    """Print the layers of a scenario's diagram as SVG, or all systems as dot source or as a table.
 
-    The diagram is that of the scenario's modulated motion.
+    The diagram is that of the scenario's avoiding motion.
 
     For example:
 
-        drake-oa graph tabletop_box > wiring.svg
+        drake-oa graph tabletop_box > layers.svg
         drake-oa graph tabletop_box --signals
 
     Args:
         scenario: a shipped name (see `drake-oa scenarios`) or a file.
         overrides: A.B=C replaces field B of block A of the scenario; may be repeated.
-        depth: levels of nested diagrams.
-        dot: print the Graphviz source, which takes no Graphviz.
+        depth: levels of nested diagrams in the dot source.
+        dot: print the source of a graph of all systems, for Graphviz.
         signals: print each output port with the inputs that read it, loggers left out.
     """
     from drake_oa.common.wires import connections
     from drake_oa.diagrams.avoidance import build_avoidance
     from drake_oa.scenario.loading import load_scenario
+    from drake_oa.viewing.layer_figure import layer_figure
 
     if depth < 0:
         raise ValueError(f"--depth must be at least 0, not {depth}")
     chosen = load_scenario(scenario, overrides)
-    program = None if dot or signals else shutil.which("dot")
-    if program is None and not (dot or signals):
-        raise ValueError(
-            "an SVG takes Graphviz, whose `dot` is not on the PATH; --dot prints the source, "
-            "--signals a table"
-        )
     with build_errors():
         diagram = build_avoidance(chosen)
     if signals:
@@ -254,12 +247,5 @@ def graph(
         rows = [{"output": of, "read by": ", ".join(names)} for of, names in readers.items()]
         show(TextTable([Column(key, side="left") for key in ("output", "read by")], rows))
         return
-    text = diagram.GetGraphvizString(max_depth=depth)
-    if program:
-        answer = subprocess.run(
-            [program, "-Tsvg"], input=text, capture_output=True, text=True, check=False
-        )
-        if answer.returncode != 0:
-            raise OSError(f"{program} failed ({answer.stderr.strip()}); --dot prints the source")
-        text = answer.stdout
-    sys.stdout.write(text)
+    figure = diagram.GetGraphvizString(max_depth=depth) if dot else layer_figure(diagram)
+    sys.stdout.write(figure)

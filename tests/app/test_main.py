@@ -159,14 +159,6 @@ def test_a_page_needs_none_of_the_ports_of_viewers(
     assert "failed to open a websocket port" in capsys.readouterr().err
 
 
-def test_a_graph_without_graphviz_names_the_other_forms(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(shutil, "which", lambda _: None)
-    assert run("graph", "free_space") == 2
-    assert "Graphviz, whose `dot` is not on the PATH; --dot" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("in_compiled_code", [False, True])
 def test_ctrl_c_in_a_command_is_one_line(
     in_compiled_code: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
