@@ -18,9 +18,9 @@ from pydrake.systems.primitives import (
     TrajectorySource,
 )
 
+from drake_oa.common.compiled import kernel_arrays
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
-from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.common.wires import Wires
 from drake_oa.diagrams.station import Cell, make_posture_guide
 from drake_oa.planning.motion_search import MotionSearch

@@ -33,8 +33,8 @@ from drake_oa.perception.depth_perception import DepthPerception
 from drake_oa.perception.ground_truth_perception import GroundTruthPerception
 from drake_oa.perception.recorded_perception import RecordedPerception
 from drake_oa.planning.cloud_solids import CloudSolids
+from drake_oa.planning.solid_scene import ImageRange
 from drake_oa.planning.true_solids import GivenSolids, TrueSolids
-from drake_oa.planning.unseen_ends import ImageRange
 from drake_oa.regulation.config import Paper, Verified
 from drake_oa.robot.plant import RobotPlant, tool_link_corners
 from drake_oa.scenario.end_poses import held_robots

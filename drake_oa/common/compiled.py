@@ -8,7 +8,9 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import Any
 
+import numpy as np
 from numba import njit
+from numpy.typing import ArrayLike, NDArray
 
 CORES = max(len(os.sched_getaffinity(0)), 1)
 """That this process may use."""
@@ -42,3 +44,12 @@ def on_cores(kernel: Callable[..., None], parts: int, *arguments: Any) -> None:
     kernel(0, parts, *arguments)
     for other in others:
         other.result()
+
+
+def kernel_arrays(*arrays: ArrayLike) -> list[NDArray[np.float64]]:
+    """Copies as float64, C-contiguous and writeable.
+
+    The arrays of frozen values are read-only, for which numba would compile a kernel once
+    more.
+    """
+    return [np.array(array, dtype=float, order="C") for array in arrays]

@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept, a word when they have to be compiled, arrays as they take them.
+"""Where compiled kernels are kept, a word when they have to be compiled.
 
 `drake_oa` imports this before numba, and at every start: nothing slow is imported at the top.
 Numba keeps compiled kernels beside the source, or else in the user's cache folder, and refuses to
@@ -16,10 +16,6 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     import tempfile
-
-    from numpy.typing import ArrayLike
-
-    from drake_oa.common.messages import FloatArray
 
 
 _TARGET = "x86-64-v3"
@@ -167,14 +163,3 @@ def announced_compilation(estimate: str | None = None, count: int = 0) -> Iterat
         yield
     if announcement.total >= _WORTH_TELLING:
         print(f"kernels compiled in {announcement.total:.0f} s", file=sys.stderr)
-
-
-def kernel_arrays(*arrays: ArrayLike) -> list[FloatArray]:
-    """Copies as float64, C-contiguous and writeable.
-
-    The arrays of frozen values are read-only, for which numba would compile a kernel once
-    more.
-    """
-    import numpy as np
-
-    return [np.array(array, dtype=float, order="C") for array in arrays]

@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import ConvexHull
 
+from drake_oa.common.compiled import kernel_arrays
 from drake_oa.common.messages import FloatArray, Frozen
-from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.geometry import ellipsoid_kernels as kernels
 
 LEAST_SEMI_AXIS = 1e-3

@@ -6,7 +6,7 @@ joined with what was remembered:
 1. Position and velocity of each obstacle are predicted (`velocity`), and what is
    remembered of a moving obstacle moves with it.
 2. Clusters are given to obstacles (`associate`), by common points first.
-3. The obstacles' positions are measured by their sides (`sides`), their velocities by their
+3. The obstacles' positions are measured by their sides (`seen_sides`), their velocities by their
    surfaces (`velocity`), and both are filtered.
 4. Each remembered point is confirmed, kept as hidden, or dropped (`visibility`).
 5. What changed by more than noise is handed on (`memory`).
@@ -38,14 +38,15 @@ from drake_oa.perception.memory import (
     taken,
 )
 from drake_oa.perception.segmentation import UNSEEN_GAP, Segmentation
-from drake_oa.perception.sides import DEPTH_MARGIN, seen_sides
 from drake_oa.perception.velocity import (
+    DEPTH_MARGIN,
     START,
     NowSeen,
     first_seen,
     measured_tracks,
     predicted_tracks,
     registered_tracks,
+    seen_sides,
     shown_of,
     speed_statistic,
     with_motion_of,

@@ -136,7 +136,7 @@ def hidden_beyond(
         points: (N, 3) remembered points in the world [m].
         owner: (N,) their obstacles.
         hidden: (N,) which of them the frame does not show.
-        sides: (M, 3, 2) from `drake_oa.perception.sides.tail_places` [m].
+        sides: (M, 3, 2) from `drake_oa.perception.velocity.tail_places` [m].
         slack: points no farther beyond a side belong to it [m].
 
     Returns:

@@ -24,7 +24,7 @@ Method
     rolled out like the rest. Where nothing is clear, or the goal touches something, the motion is
     held, and a note gives the reason.
 
-Parts, in the order data flows: `solid_scene`, `true_solids`, `unseen_ends` and `cloud_solids`
+Parts, in the order data flows: `solid_scene`, `true_solids` and `cloud_solids`
 (collision geometry); `arm_world` (clearances of one configuration), `rollout` (whole-arm roll-outs
 on all cores), `search` (the evolution strategy; `point_search` for a point among ellipsoids),
 `joint_planner` and `imitation` (a path in the joints as a demonstration), `selected_motion`,

@@ -44,8 +44,7 @@ from drake_oa.geometry.solids import SURROUNDINGS, Solid, cloud_solid, solids_of
 from drake_oa.geometry.solids import table_solid as solid_of_table
 from drake_oa.perception.depth_perception import Views
 from drake_oa.perception.memory import held_table
-from drake_oa.planning.solid_scene import SolidScene
-from drake_oa.planning.unseen_ends import ImageRange, with_unseen_ends
+from drake_oa.planning.solid_scene import ImageRange, SolidScene, with_unseen_ends
 
 _logger = logging.getLogger("drake_oa")
 
@@ -374,7 +373,7 @@ class CloudSolids(LeafSystem):
     - solids_W: abstract `SolidScene`: a field an obstacle, with its velocity, what it hides of
       itself from all cameras filled (`drake_oa.geometry.distance_field.field_of`), and what is
       below the table,
-      where it is known; what the image cuts off goes on beyond it (`unseen_ends`). While all
+      where it is known; what the image cuts off goes on beyond it (`solid_scene.with_unseen_ends`). While all
       rests and nothing new is seen it holds the same arrays.
 
     The state is read every `period`, between an observation and the decision that goes by it. An

@@ -15,6 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
+from drake_oa.common.compiled import kernel_arrays
 from drake_oa.common.messages import (
     PART,
     CouplingParameters,
@@ -25,7 +26,6 @@ from drake_oa.common.messages import (
     PolicyState,
     Route,
 )
-from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.policy import action_kernels as kernels
 from drake_oa.policy.action_kernels import Facts, Instant, Motion, Rules
 from drake_oa.policy.config import Policy

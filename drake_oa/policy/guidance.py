@@ -13,9 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drake_oa.common.compiled import compiled
+from drake_oa.common.compiled import compiled, kernel_arrays
 from drake_oa.common.messages import EllipsoidSet, FloatArray, PolicyState
-from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.geometry.ellipsoid import shape_matrix
 from drake_oa.geometry.ellipsoid_kernels import tangent_heading
 from drake_oa.policy.coupling import HEADING, N_COLUMNS, NORMAL, Triple

@@ -14,9 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_oa.common.compiled import CORES, compiled, on_cores, parted
+from drake_oa.common.compiled import CORES, compiled, kernel_arrays, on_cores, parted
 from drake_oa.common.messages import EllipsoidSet, FloatArray, Frozen, PolicyState
-from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.common.thinking import count
 from drake_oa.policy.action import rules_of
 from drake_oa.policy.action_kernels import Ending, Facts, Rules, advance

@@ -18,9 +18,8 @@ from functools import cached_property
 
 import numpy as np
 
-from drake_oa.common.compiled import compiled
+from drake_oa.common.compiled import compiled, kernel_arrays
 from drake_oa.common.messages import FloatArray, Frozen, PlannedMotion
-from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.geometry.directions import ramped
 
 _SETTLED = 12.0

@@ -24,9 +24,8 @@ from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame, RevoluteJoint
 from pydrake.systems.framework import Context
 
-from drake_oa.common.compiled import compiled, leaf
+from drake_oa.common.compiled import compiled, kernel_arrays, leaf
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
-from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.common.thinking import count
 from drake_oa.geometry.directions import DIRECTIONS
 

@@ -13,9 +13,9 @@ circle about the baseline: length of the detour, table, limits of the workspace 
 1 forbids. The direction of least sum is taken, and where obstacles stand one after the other the
 sequence of least total, by dynamic programming.
 
-- `cost_rings`: the rings. `side_choice`: groups of obstacles, legs between them, the choice.
+- `cost_rings`: the rings, groups of obstacles, legs between them, and the selection.
 
 The configuration is in the block `policy`: `table_height`.
 
-Begin with `side_choice.select_directions`.
+Begin with `cost_rings.select_directions`.
 """

@@ -30,16 +30,17 @@ from drake_oa.route.cost_rings import (
     JOINT_LIMITS,
     JointMargins,
     Ring,
+    Selection,
     joint_limits_ring,
     length_ring,
     path_length,
     reach_ring,
     remaining_clearance,
     ring_scene,
+    select_directions,
     side_costs,
     table_ring,
 )
-from drake_oa.route.side_choice import Selection, select_directions
 
 _logger = logging.getLogger("drake_oa")
 
@@ -73,7 +74,7 @@ class CostRingSelector(LeafSystem):
       while there is no motion. Without sides it does not change with every step of the policy, so
       neither does what is computed from it; `DmpIntegrator` finds the headings itself.
 
-    The sides of several obstacles are chosen together (`drake_oa.route.side_choice`). Where every
+    The sides of several obstacles are chosen together (`drake_oa.route.cost_rings`). Where every
     direction of an obstacle is forbidden, the route's note says so, and the policy holds
     until one is free.
 

@@ -9,17 +9,35 @@ is the side on which the obstacle is passed (Pairet et al. 2019, section IV-D, e
 eta_limits is the sum of two rings that are nowhere both 1: what is out of reach, and what
 is reached only near a joint's limit, both by inverse kinematics along the way. A ring is a
 function from a `RingScene` to an (M, K) array of costs in [0, 1]; passing more of them to
-`drake_oa.route.side_choice.select_directions` adds them to the sum.
+`select_directions` adds them to the sum.
+
+The choice of the sides on which obstacles are passed, by their cost rings.
+
+Where obstacles stand one after another the best side of one depends on that of the next:
+the way from one passing point to another has a length, may run through a third obstacle, and
+may leave what the arm reaches. With the groups of obstacles (`overlap_groups`)
+in their order along the baseline and omega_i the direction of group i, what is least is
+
+    sum_i eta_i(omega_i) + N (l(omega_1, ..., omega_N) - l_min) / max(l_max - l_min, 0.1 N L)
+          + 2 sum over the legs of their obstruction,
+
+eta_i being the rings of the group but the length ring, and l the length of the way start,
+passing points in their order, goal, with l_min and l_max its bounds, and L the baseline. With one
+obstacle nothing else obstructs a leg, and this is eq. 12 of the paper. Each term looks at
+neighbours only, so that the least of all K^N combinations takes N K^2 steps (Viterbi).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from drake_oa.common.messages import EllipsoidSet, FloatArray, IntArray, TablePlane
+from drake_oa.common.compiled import compiled, kernel_arrays
+from drake_oa.common.messages import BoolArray, EllipsoidSet, FloatArray, IntArray, TablePlane
 from drake_oa.geometry.ellipsoid import signed_distance
 
 FORBIDDEN = 1.0
@@ -212,3 +230,398 @@ def path_length(scene: RingScene, index: IntArray) -> float:
     points = points[np.argsort(points @ baseline, kind="stable")]
     way = np.concatenate([scene.p_WS[None], points, scene.p_WG[None]])
     return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """The chosen side of each obstacle.
+
+    Attributes:
+        index: (M,) chosen column of the rings.
+        costs: name -> (M, K) each ring.
+        blocked: (M,) whether every direction is forbidden by some ring.
+    """
+
+    index: IntArray
+    costs: dict[str, FloatArray]
+    blocked: BoolArray
+
+
+def select_directions(
+    scene: RingScene,
+    rings: Mapping[str, Ring],
+    *,
+    previous: IntArray | None = None,
+    hysteresis: float = 0.2,
+    joint_margins: JointMargins | None = None,
+) -> Selection:
+    """Chooses omega_d: the direction of least total cost for each obstacle.
+
+    Obstacles with no way between them (`overlap_groups`) are passed on one side:
+    the mean of their costs decides, and what one of them forbids is forbidden to
+    all. Equal costs are decided by the lowest angle, so the answer is definite. The sides
+    of several groups are chosen together. A way that the arm
+    cannot follow costs the side at which it ends 1 on the ring of the joint limits, and the
+    choice is made again.
+
+    Args:
+        scene: the scene.
+        rings: the rings by name.
+        previous: (M,) the columns chosen before, -1 where there was none. A group
+            keeps its side while that is allowed and dearer than the best one by
+            less than `hysteresis`.
+        hysteresis: in units of cost.
+        joint_margins: of the arm along a way; None: it follows every way.
+    """
+    count, width = scene.detour.shape
+    costs = {name: np.asarray(ring(scene), dtype=float) for name, ring in rings.items()}
+    for name, cost in costs.items():
+        if cost.shape != (count, width):
+            raise ValueError(
+                f"ring '{name}' returned shape {cost.shape}; it must be ({count}, {width}), "
+                "obstacles by directions"
+            )
+    groups = overlap_groups(scene.ellipsoids, scene.asked_clearance)
+    choose = partial(_choose, scene, groups, previous, hysteresis)
+    selection = choose(costs)
+    if joint_margins is None or not count:
+        return selection
+    order = along_baseline(scene.ellipsoids, groups, scene.p_WG - scene.p_WS)
+    # Each time one side more is forbidden, until a group has none left.
+    while not selection.blocked.any():
+        rows = [np.flatnonzero(groups == group) for group in order]
+        sides = [selection.index[members[0]] for members in rows]
+        peaks = [
+            scene.p_WP[members[scene.detour[members, side].argmax()], side]
+            for members, side in zip(rows, sides, strict=True)
+        ]
+        way = np.array([scene.p_WS, *peaks, scene.p_WG])
+        missed = np.flatnonzero(np.isneginf(joint_margins(way[None])[0]))
+        if not len(missed):
+            break
+        stuck = min(max(missed[0] - 1, 0), len(rows) - 1)
+        strained = costs.get(JOINT_LIMITS, np.zeros((count, width))).copy()
+        strained[rows[stuck], sides[stuck]] = FORBIDDEN
+        costs = costs | {JOINT_LIMITS: strained}
+        selection = choose(costs)
+    return selection
+
+
+def _choose(
+    scene: RingScene,
+    groups: IntArray,
+    previous: IntArray | None,
+    hysteresis: float,
+    costs: dict[str, FloatArray],
+) -> Selection:
+    count, width = scene.detour.shape
+    blocked = np.zeros(count, dtype=bool)
+    forbidden = np.zeros((count, width), dtype=bool)
+    for name, cost in costs.items():
+        if name != "length":
+            forbidden |= cost >= FORBIDDEN
+    numbers = np.unique(groups)
+    rows_of = {int(group): np.flatnonzero(groups == group) for group in numbers}
+    shut = {group: np.asarray(forbidden[rows].any(axis=0)) for group, rows in rows_of.items()}
+    for group, rows in rows_of.items():
+        blocked[rows] = bool(shut[group].all())
+    kept = {group: _kept(previous, rows) for group, rows in rows_of.items()}
+    if len(numbers) > 1:
+        best = _sequence(scene, costs, groups, rows_of, shut, kept, hysteresis)
+    else:
+        total = sum(costs.values(), np.zeros((count, width)))
+        best = {
+            # A forbidden direction never beats an allowed one, whatever the sum of the others.
+            group: _cheapest(
+                total[rows].mean(axis=0) + np.where(shut[group], float(len(costs)), 0.0),
+                kept[group],
+                hysteresis,
+            )
+            for group, rows in rows_of.items()
+        }
+    index = np.zeros(count, dtype=np.int64)
+    for group, rows in rows_of.items():
+        index[rows] = best[group]
+    return Selection(index, costs, blocked)
+
+
+def _kept(previous: IntArray | None, rows: IntArray) -> int:
+    """The side that a group had, or -1."""
+    if previous is None:
+        return -1
+    known = previous[rows][previous[rows] >= 0]
+    return int(known[0]) if known.size else -1
+
+
+def _cheapest(cost: FloatArray, kept: int, hysteresis: float) -> int:
+    best = int(np.argmin(cost))
+    return kept if kept >= 0 and cost[kept] < cost[best] + hysteresis else best
+
+
+def _sequence(
+    scene: RingScene,
+    costs: Mapping[str, FloatArray],
+    groups: IntArray,
+    rows_of: Mapping[int, IntArray],
+    shut: Mapping[int, BoolArray],
+    kept: Mapping[int, int],
+    hysteresis: float,
+) -> dict[int, int]:
+    """Chooses the sides of several groups together."""
+    legs = legs_between(
+        scene.p_WS,
+        scene.p_WG,
+        scene.p_WP,
+        scene.detour,
+        scene.ellipsoids,
+        groups,
+        scene.asked_clearance,
+    )
+    order = legs.order.tolist()
+    rest = sum(
+        (cost for name, cost in costs.items() if name != "length"), np.zeros(scene.detour.shape)
+    )
+    baseline = float(np.linalg.norm(scene.p_WG - scene.p_WS))
+    chain = sequence_costs(
+        legs,
+        np.array([rest[rows_of[group]].mean(axis=0) for group in order]),
+        np.array([shut[group] for group in order], dtype=float),
+        LEAST_SPREAD * baseline if "length" in costs else np.inf,
+    )
+    dear = np.array(chain.choice)
+    for i, group in enumerate(order):
+        if kept[group] >= 0 and not shut[group][kept[group]]:
+            # A side is left where that takes more than the hysteresis off the whole.
+            dear[i, kept[group]] -= hysteresis
+    index, _ = Chain(dear, chain.pair).least()
+    return dict(zip(order, index.tolist(), strict=True))
+
+
+_OBSTRUCTED = 2.0
+"""Cost of a leg through an obstacle. Where the length outweighs it the way is cut short, and
+the coupling's bends add up near the obstacle; a larger one changes little
+(docs/design.md)."""
+
+
+def overlap_groups(ellipsoids: EllipsoidSet, asked_clearance: float) -> IntArray:
+    """Numbers the groups of obstacles that leave no way between them, (M,).
+
+    Two obstacles belong together when their gap along the line of centres is less
+    than two clearances; groups are the connected components.
+    """
+    count = len(ellipsoids)
+    gap = ellipsoids.p_WO[:, None, :] - ellipsoids.p_WO[None, :, :]
+    distance = np.linalg.norm(gap, axis=2)
+    unit = np.divide(
+        gap, distance[:, :, None], out=np.zeros_like(gap), where=distance[:, :, None] > 0.0
+    )
+    in_axes = np.einsum("iab,ija->ijb", ellipsoids.R_WO, unit)
+    reach = np.linalg.norm(in_axes * ellipsoids.semi_axes[:, None, :], axis=2)
+    linked = distance < reach + reach.T + 2.0 * asked_clearance
+    label = np.arange(count)
+    for _ in range(count):
+        spread = np.where(linked, label[None, :], count).min(axis=1, initial=count)
+        if np.array_equal(spread, label):
+            break
+        label = spread
+    return label
+
+
+def along_baseline(ellipsoids: EllipsoidSet, groups: IntArray, baseline: FloatArray) -> IntArray:
+    """The numbers of the groups in the order in which a motion along (3,) meets them."""
+    numbers = np.unique(groups)
+    place = ellipsoids.p_WO @ baseline
+    return numbers[np.argsort([place[groups == g].mean() for g in numbers], kind="stable")]
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Costs of N stages with K choices each, of which neighbours see each other.
+
+    Attributes:
+        choice: (N, K) of a choice.
+        pair: (N - 1, K, K) of a choice at a stage and at the next.
+    """
+
+    choice: FloatArray
+    pair: FloatArray
+
+    def least(self) -> tuple[IntArray, float]:
+        """The choices of least total, of equal ones the first, and that total."""
+        count = len(self.choice)
+        onward = np.array(self.choice)
+        after = np.zeros(self.choice.shape, dtype=np.int64)
+        for i in range(count - 2, -1, -1):
+            total = self.pair[i] + onward[i + 1]
+            after[i] = total.argmin(axis=1)
+            onward[i] += total.min(axis=1)
+        index = np.empty(count, dtype=np.int64)
+        index[0] = onward[0].argmin()
+        for i in range(1, count):
+            index[i] = after[i - 1, index[i - 1]]
+        return index, float(onward[0].min())
+
+    def total(self, index: IntArray) -> float:
+        """Of given choices."""
+        rows = np.arange(len(index))
+        return float(
+            self.choice[rows, index].sum() + self.pair[rows[:-1], index[:-1], index[1:]].sum()
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Legs:
+    """The ways between start, passing points and goal of N groups.
+
+    Attributes:
+        order: (N,) numbers of the groups along the baseline.
+        p_WP: (N, K, 3) the passing points of the groups [m].
+        length: lengths of the legs [m]: from the start and to the goal in `choice`.
+        obstruction: in [0, 1] a leg, how much obstacles are in its way.
+    """
+
+    order: IntArray
+    p_WP: FloatArray
+    length: Chain
+    obstruction: Chain
+
+
+def legs_between(
+    p_WS: FloatArray,
+    p_WG: FloatArray,
+    p_WP: FloatArray,
+    detour: FloatArray,
+    ellipsoids: EllipsoidSet,
+    groups: IntArray,
+    asked_clearance: float,
+) -> Legs:
+    """Looks at every leg.
+
+    A group is passed over the passing point of its member that stands out farthest. The
+    legs from the start and to the goal pass their own group, whatever its side, by the
+    coupling's bend: it is not in their way.
+
+    Args:
+        p_WS, p_WG: (3,) start and goal [m].
+        p_WP: (M, K, 3) passing points [m].
+        detour: (M, K) their distance from the baseline [m].
+        ellipsoids: the M obstacles.
+        groups: (M,) the groups' numbers.
+        asked_clearance: asked clearance [m].
+    """
+    baseline = p_WG - p_WS
+    order = along_baseline(ellipsoids, groups, baseline)
+    count, width = len(order), detour.shape[1]
+    p = np.empty((count, width, 3))
+    for i, group in enumerate(order):
+        rows = np.flatnonzero(groups == group)
+        p[i] = p_WP[rows[detour[rows].argmax(axis=0)], np.arange(width)]
+    shapes = kernel_arrays(ellipsoids.p_WO, ellipsoids.R_WO, ellipsoids.semi_axes)
+
+    def blocked(a: FloatArray, b: FloatArray, own: int | None) -> FloatArray:
+        counts = groups != own if own is not None else np.ones(len(groups), dtype=bool)
+        out = np.empty((len(a), len(b)))
+        obstruction(*kernel_arrays(a, b), *shapes, counts, asked_clearance, out)
+        return out
+
+    length = Chain(np.zeros((count, width)), np.linalg.norm(p[1:, None] - p[:-1, :, None], axis=3))
+    in_way = Chain(np.zeros((count, width)), np.zeros((count - 1, width, width)))
+    length.choice[0] += np.linalg.norm(p[0] - p_WS, axis=1)
+    length.choice[-1] += np.linalg.norm(p_WG - p[-1], axis=1)
+    in_way.choice[0] += blocked(p_WS[None], p[0], int(order[0]))[0]
+    in_way.choice[-1] += blocked(p[-1], p_WG[None], int(order[-1]))[:, 0]
+    for i in range(count - 1):
+        in_way.pair[i] = blocked(p[i], p[i + 1], None)
+    return Legs(order, p, length, in_way)
+
+
+def sequence_costs(legs: Legs, rings: FloatArray, shut: FloatArray, least_spread: float) -> Chain:
+    """What a sequence of sides costs.
+
+    Args:
+        legs: see `legs_between`.
+        rings: (N, K) sum of the rings of each group but the length ring, in `legs.order`.
+        shut: (N, K) 1 where a ring forbids the direction: it costs more than all else
+            together.
+        least_spread: of lengths, below which they count as near to each other [m]; inf:
+            lengths do not count.
+    """
+    longest = -Chain(-legs.length.choice, -legs.length.pair).least()[1]
+    shortest = legs.length.least()[1]
+    count = len(rings)
+    scale = count / max(longest - shortest, count * least_spread)
+    all_else = float(rings.max(axis=1).sum()) + count + _OBSTRUCTED * (count + 1)
+    # Of the length only what is over the shortest counts.
+    choice = rings + scale * legs.length.choice + _OBSTRUCTED * legs.obstruction.choice
+    choice[0] -= scale * shortest
+    return Chain(
+        choice + (all_else + 1.0) * shut,
+        scale * legs.length.pair + _OBSTRUCTED * legs.obstruction.pair,
+    )
+
+
+@compiled
+def obstruction(
+    p_WA: FloatArray,
+    p_WB: FloatArray,
+    p_WO: FloatArray,
+    R_WO: FloatArray,
+    semi_axes: FloatArray,
+    counts: BoolArray,
+    asked_clearance: float,
+    out: FloatArray,
+) -> None:
+    """How much obstacles are in the way of straight legs.
+
+    With g the least norm of a leg's points in the axes of an obstacle, scaled so that the
+    obstacle grown by the clearance is the unit ball, it is 1 - g, at least 0; and 1 where the
+    leg meets the obstacle itself.
+
+    Args:
+        p_WA: (I, 3) where legs begin [m].
+        p_WB: (J, 3) where they end [m].
+        p_WO, R_WO, semi_axes: M ellipsoids.
+        counts: (M,) which of them.
+        asked_clearance: that they are grown by [m].
+        out: (I, J) receives the largest of the obstacles'.
+    """
+    out[:] = 0.0
+    a, b = np.empty((len(p_WA), 3)), np.empty((len(p_WB), 3))
+    scale = np.empty(3)
+    for m in range(len(p_WO)):
+        if not counts[m]:
+            continue
+        for grown in range(2):
+            for axis in range(3):
+                scale[axis] = 1.0 / (semi_axes[m, axis] + (asked_clearance if grown else 0.0))
+            _in_axes(p_WA, p_WO[m], R_WO[m], scale, a)
+            _in_axes(p_WB, p_WO[m], R_WO[m], scale, b)
+            for i in range(len(a)):
+                for j in range(len(b)):
+                    if out[i, j] >= 1.0:
+                        continue
+                    g = _least_norm(a[i, 0], a[i, 1], a[i, 2], b[j, 0], b[j, 1], b[j, 2])
+                    if g < 1.0:
+                        out[i, j] = max(out[i, j], 1.0 - g if grown else 1.0)
+
+
+@compiled
+def _in_axes(
+    p_W: FloatArray, center: FloatArray, R: FloatArray, scale: FloatArray, out: FloatArray
+) -> None:
+    for i in range(len(p_W)):
+        x, y, z = p_W[i, 0] - center[0], p_W[i, 1] - center[1], p_W[i, 2] - center[2]
+        for axis in range(3):
+            out[i, axis] = scale[axis] * (R[0, axis] * x + R[1, axis] * y + R[2, axis] * z)
+
+
+@compiled
+def _least_norm(ax: float, ay: float, az: float, bx: float, by: float, bz: float) -> float:
+    """Distance of the segment from a to b to the origin."""
+    dx, dy, dz = bx - ax, by - ay, bz - az
+    d2 = dx * dx + dy * dy + dz * dz
+    share = 0.0
+    if d2 > 0.0:
+        share = min(max(-(ax * dx + ay * dy + az * dz) / d2, 0.0), 1.0)
+    x, y, z = ax + share * dx, ay + share * dy, az + share * dz
+    return math.sqrt(x * x + y * y + z * z)

@@ -20,8 +20,8 @@ from drake_oa.perception.segmentation import (
     segment_points,
     segment_views,
 )
-from drake_oa.perception.sides import seen_sides
 from drake_oa.perception.tracking import fuse
+from drake_oa.perception.velocity import seen_sides
 from tests.reference.depth_images import look_at, rays_of
 
 SHAPE = (240, 320)

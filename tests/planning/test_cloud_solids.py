@@ -21,7 +21,7 @@ from drake_oa.planning.cloud_solids import (
     seen_free,
     unseen,
 )
-from drake_oa.planning.unseen_ends import ImageRange, with_unseen_ends
+from drake_oa.planning.solid_scene import ImageRange, with_unseen_ends
 from tests.reference.depth_images import SIZE, K, look_at, ray_cast
 
 CAMERA = np.array([1.2, 0.0, 0.8])

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from drake_oa.common.compiled import kernel_arrays
 from drake_oa.common.messages import (
     CouplingParameters,
     EllipsoidSet,
@@ -20,7 +21,6 @@ from drake_oa.common.messages import (
     PolicyState,
     Route,
 )
-from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.policy import action_kernels as kernels
 from drake_oa.policy.action import (
     ActionLevel,

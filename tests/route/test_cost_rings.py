@@ -11,12 +11,13 @@ from drake_oa.route.cost_rings import (
     JointMargins,
     RingScene,
     length_ring,
+    overlap_groups,
     path_length,
     remaining_clearance,
     ring_scene,
+    select_directions,
     table_ring,
 )
-from drake_oa.route.side_choice import overlap_groups, select_directions
 from tests.builders import balls
 
 START, GOAL = np.array([0.0, 0.0, 0.3]), np.array([1.0, 0.0, 0.3])

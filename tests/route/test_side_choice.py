@@ -12,22 +12,20 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
+from drake_oa.common.compiled import kernel_arrays
 from drake_oa.common.messages import EllipsoidSet, FloatArray, TablePlane
-from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.route import side_choice as kernels
 from drake_oa.route.cost_rings import (
+    Chain,
     RingScene,
+    legs_between,
     length_ring,
+    overlap_groups,
     path_length,
     ring_scene,
-    table_ring,
-)
-from drake_oa.route.side_choice import (
-    Chain,
-    legs_between,
-    overlap_groups,
     select_directions,
     sequence_costs,
+    table_ring,
 )
 from tests.builders import balls
 

@@ -27,8 +27,8 @@ from time import perf_counter
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from drake_oa.common.compiled import kernel_arrays
 from drake_oa.common.messages import FloatArray
-from drake_oa.common.numba_tools import kernel_arrays
 from drake_oa.geometry.ellipsoid import plane_section
 from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
