@@ -25,9 +25,8 @@ from drake_oa.common.wires import Wires
 from drake_oa.diagrams.station import Cell, make_posture_guide
 from drake_oa.planning.motion_search import MotionSearch
 from drake_oa.planning.motion_verifier import MotionVerifier
-from drake_oa.policy.dmp import Dmp, imitate, minimum_jerk
+from drake_oa.policy.dmp import Dmp, imitate, minimum_jerk, minimum_jerk_orientation
 from drake_oa.policy.dmp_integrator import DmpIntegrator
-from drake_oa.policy.orientation_dmp import minimum_jerk_orientation
 from drake_oa.policy.orientation_integrator import OrientationIntegrator
 from drake_oa.regulation.config import Paper, Verified
 from drake_oa.regulation.proposal_network import load_proposals

@@ -32,8 +32,8 @@ from drake_oa.perception.config import (
 from drake_oa.perception.depth_perception import DepthPerception
 from drake_oa.perception.ground_truth_perception import GroundTruthPerception
 from drake_oa.perception.recorded_perception import RecordedPerception
+from drake_oa.perception.visibility import ImageRange
 from drake_oa.planning.cloud_solids import CloudSolids
-from drake_oa.planning.solid_scene import ImageRange
 from drake_oa.planning.true_solids import GivenSolids, TrueSolids
 from drake_oa.regulation.config import Paper, Verified
 from drake_oa.robot.plant import RobotPlant, tool_link_corners

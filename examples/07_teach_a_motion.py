@@ -3,8 +3,13 @@
 import numpy as np
 
 from drake_oa.policy.averaging import STILL, average_orientations, average_paths
-from drake_oa.policy.dmp import imitate, trajectory
-from drake_oa.policy.orientation_dmp import goal_vector, imitate_orientation, orientation_along
+from drake_oa.policy.dmp import (
+    goal_vector,
+    imitate,
+    imitate_orientation,
+    orientation_along,
+    trajectory,
+)
 from drake_oa.scenario.demonstration import read_demonstration
 
 FOLDER = "package://drake_oa/demonstrations"

@@ -11,13 +11,13 @@ from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.scenario.loading import load_scenario
 
 PAGE = Path(__file__).parents[1] / "docs/architecture.md"
-MOST = 48
+MOST = 47
 BEFORE_PERCEPTION = {"drake_oa.world.late_camera"}
 
 
 def test_the_documented_modules_run_between_image_and_torque() -> None:
     simulator = Simulator(build_avoidance(load_scenario("tabletop_box")))
-    simulator.AdvanceTo(0.1)
+    simulator.Initialize()
     run: set[str] = set()
 
     def record(frame: FrameType, event: str, argument: object) -> None:
@@ -27,7 +27,7 @@ def test_the_documented_modules_run_between_image_and_torque() -> None:
 
     sys.setprofile(record)
     try:
-        simulator.AdvanceTo(0.3)
+        simulator.AdvanceTo(0.2)
     finally:
         sys.setprofile(None)
     run -= BEFORE_PERCEPTION

@@ -17,8 +17,8 @@ A frame, of the images that all cameras took at one instant, goes through
    Fischler and Bolles 1981), pixels above it (`depth_image`; without a table all of them), voxels
    and clusters;
 2. `tracking`: clusters are given to obstacles by common points, else by the least total distance
-   (Hungarian method); positions are measured by the obstacles' sides (`velocity`), so that what hides a part
-   of one does not move it, velocities by laying a frame's surface on the one before
+   (Hungarian method); positions are measured by the obstacles' sides, so that what hides
+   a part of one does not move it, velocities by laying a frame's surface on the one before
    (`velocity`; Chen and Medioni 1992), and both are filtered by a constant-velocity Kalman
    filter (`velocity`; Bar-Shalom, Li and Kirubarajan 2001); remembered points gain and lose
    evidence (`visibility`);

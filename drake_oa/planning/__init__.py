@@ -24,11 +24,10 @@ Method
     rolled out like the rest. Where nothing is clear, or the goal touches something, the motion is
     held, and a note gives the reason.
 
-Parts, in the order data flows: `solid_scene`, `true_solids` and `cloud_solids`
-(collision geometry); `arm_world` (clearances of one configuration), `rollout` (whole-arm roll-outs
-on all cores), `search` (the evolution strategy; `point_search` for a point among ellipsoids),
-`joint_planner` and `imitation` (a path in the joints as a demonstration), `selected_motion`,
-`motion_search` (the selection), `motion_verifier`.
+Parts, in the order data flows: `true_solids` and `cloud_solids` (collision geometry); `arm_world`
+(clearances of one configuration), `search` (roll-outs of the whole arm on all cores, and the
+evolution strategy; `point_search` for a point among ellipsoids), `joint_planner` and `imitation` (a
+path in the joints as a demonstration), `motion_search` (the selection), `motion_verifier`.
 
 Configuration: the block `regulation` of a scenario, tagged `!Verified`.
 

@@ -40,11 +40,11 @@ from drake_oa.common.messages import (
 from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.geometry.distance_field import DEEPEST, DistanceField, field_of
 from drake_oa.geometry.pinhole import FREE, View, shown
-from drake_oa.geometry.solids import SURROUNDINGS, Solid, cloud_solid, solids_of
+from drake_oa.geometry.solids import SURROUNDINGS, Solid, SolidScene, cloud_solid, solids_of
 from drake_oa.geometry.solids import table_solid as solid_of_table
 from drake_oa.perception.depth_perception import Views
 from drake_oa.perception.memory import held_table
-from drake_oa.planning.solid_scene import ImageRange, SolidScene, with_unseen_ends
+from drake_oa.perception.visibility import ImageRange, with_unseen_ends
 
 _logger = logging.getLogger("drake_oa")
 
@@ -372,9 +372,9 @@ class CloudSolids(LeafSystem):
       is said of their hidden sides.
     - solids_W: abstract `SolidScene`: a field an obstacle, with its velocity, what it hides of
       itself from all cameras filled (`drake_oa.geometry.distance_field.field_of`), and what is
-      below the table,
-      where it is known; what the image cuts off goes on beyond it (`solid_scene.with_unseen_ends`). While all
-      rests and nothing new is seen it holds the same arrays.
+      below the table, where it is known; what the image cuts off goes on beyond it
+      (`drake_oa.perception.visibility.with_unseen_ends`). While all rests and nothing new is seen
+      it holds the same arrays.
 
     The state is read every `period`, between an observation and the decision that goes by it. An
     observation that is not finite changes nothing, and the log says so, as it does once of each

@@ -21,10 +21,9 @@ from drake_oa.common.messages import (
 )
 from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.common.thinking import Thinking, Thoughts
-from drake_oa.planning.motion_search import MotionSearch, Sight
+from drake_oa.geometry.solids import SolidScene
+from drake_oa.planning.motion_search import MotionSearch, SelectedMotion, Sight
 from drake_oa.planning.search import SOURCES
-from drake_oa.planning.selected_motion import SelectedMotion
-from drake_oa.planning.solid_scene import SolidScene
 from drake_oa.policy.demonstration import Demonstration
 
 _logger = logging.getLogger("drake_oa")

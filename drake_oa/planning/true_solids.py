@@ -18,13 +18,13 @@ from drake_oa.common.ports import read_value, valid_period
 from drake_oa.geometry.solids import (
     SURROUNDINGS,
     Solid,
+    SolidScene,
     ellipsoid,
     read_solid,
     solids_of,
     sphere,
     table_solid,
 )
-from drake_oa.planning.solid_scene import SolidScene
 
 _AT_REST = 1e-3
 """A slower body is taken to rest [m/s]: contact lets a standing one tremble."""

@@ -22,7 +22,6 @@ the spring, the turn, and the spring's other half, each an exact flow (docs/equa
 - `dmp`, `coupling`, `guidance`: primitive, turning terms, heading to the chosen side; each formula
   has one compiled form, which `tests/reference` holds to account.
 - `action_kernels`, `action`: one step of all of it, with holds and temporal scaling.
-- `orientation_dmp`: rotation vectors from the start's orientation, with their kernels.
 
 The configuration is the block `policy` of a scenario (`config.Policy`).
 

@@ -24,8 +24,14 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.policy.dmp import N_BASIS, baseline_frame, checked_demonstration
-from drake_oa.policy.orientation_dmp import LARGEST_ANGLE, checked_rotations, vectors_from
+from drake_oa.policy.dmp import (
+    LARGEST_ANGLE,
+    N_BASIS,
+    baseline_frame,
+    checked_demonstration,
+    checked_rotations,
+    vectors_from,
+)
 
 POINTS = 201
 """Instants at which the mean motion is told."""

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from drake_oa.common.messages import FloatArray, Frozen
-from drake_oa.policy.dmp import Dmp
-from drake_oa.policy.orientation_dmp import OrientationDmp
+from drake_oa.policy.dmp import Dmp, OrientationDmp
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,8 +19,7 @@ from scipy.spatial.transform import Rotation
 from drake_oa.common.messages import FloatArray, Frozen, PolicyState
 from drake_oa.common.ports import Cell, read_optional, read_value, valid_period
 from drake_oa.policy.demonstration import Demonstration
-from drake_oa.policy.dmp import normalised_time
-from drake_oa.policy.orientation_dmp import (
+from drake_oa.policy.dmp import (
     ALPHA,
     QUATERNION,
     OrientationDmp,
@@ -28,6 +27,7 @@ from drake_oa.policy.orientation_dmp import (
     demonstrated_goal,
     evaluate,
     goal_vector,
+    normalised_time,
     origin_of,
     roll_orientation,
     rotation_matrix,

@@ -21,8 +21,7 @@ from scipy.spatial import KDTree
 
 from drake_oa.common.files import saved_figure
 from drake_oa.common.messages import FloatArray, HoldCause
-from drake_oa.policy.dmp import local_frame, trajectory
-from drake_oa.policy.orientation_dmp import orientation_along, vectors_from
+from drake_oa.policy.dmp import local_frame, orientation_along, trajectory, vectors_from
 from drake_oa.runs.metrics import MotionMetrics
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.runs.report import motion_metrics

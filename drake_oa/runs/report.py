@@ -13,7 +13,7 @@ from drake_oa.common.console import Column, TextTable
 from drake_oa.common.messages import EllipsoidSet, FloatArray
 from drake_oa.perception.config import LiveCameras
 from drake_oa.planning.search import SOURCES
-from drake_oa.policy.orientation_dmp import rotation_matrix
+from drake_oa.policy.dmp import rotation_matrix
 from drake_oa.runs.metrics import MotionMetrics, free_point_metrics, path_length, robot_metrics
 from drake_oa.runs.motion_log import MotionLog
 from drake_oa.scenario.end_poses import end_positions, end_rotations

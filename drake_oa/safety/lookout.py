@@ -2,7 +2,7 @@
 
 A way is where the tool is displaced to over about a second, whether the motion goes on meanwhile,
 and how far the joints turn in the null space. It is rolled out as any motion of the whole arm
-(`drake_oa.planning.rollout`), in seconds in place of normalised time, among solids that go on at
+(`drake_oa.planning.search`), in seconds in place of normalised time, among solids that go on at
 their velocities.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray, PlannedMotion, PolicyState
 from drake_oa.common.thinking import count
-from drake_oa.geometry.solids import HALF_SPACE, SURROUNDINGS
+from drake_oa.geometry.solids import HALF_SPACE, SURROUNDINGS, SolidScene
 from drake_oa.planning.arm_world import (
     FAR,
     SELF,
@@ -24,8 +24,7 @@ from drake_oa.planning.arm_world import (
     Asked,
     group_distances,
 )
-from drake_oa.planning.rollout import ToolPaths, roll_out_arm
-from drake_oa.planning.solid_scene import SolidScene
+from drake_oa.planning.search import ToolPaths, roll_out_arm
 from drake_oa.robot.arm import tool_poses
 from drake_oa.safety.config import EvasionSettings
 from drake_oa.safety.evasion_candidates import planned_joints

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from drake_oa.common.messages import Evasion, FloatArray, PlannedMotion
-from drake_oa.planning.solid_scene import SolidScene
+from drake_oa.geometry.solids import SolidScene
 from drake_oa.robot.arm import Chain
 from drake_oa.safety import approach_kernels as kernels
 from drake_oa.safety.approach_kernels import SolidRules

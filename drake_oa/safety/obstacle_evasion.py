@@ -26,7 +26,7 @@ from drake_oa.common.messages import (
 from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.common.thinking import Thinking, Thoughts
 from drake_oa.geometry.directions import ramped
-from drake_oa.planning.solid_scene import SolidScene
+from drake_oa.geometry.solids import SolidScene
 from drake_oa.policy.demonstration import Demonstration
 from drake_oa.policy.dmp import Dmp, normalised_time
 from drake_oa.safety.config import EvasionParameters, EvasionSettings, settings

@@ -31,7 +31,7 @@ from typing import Literal
 import numpy as np
 
 from drake_oa.common.messages import FloatArray, Frozen, PlannedMotion
-from drake_oa.planning.solid_scene import SolidScene
+from drake_oa.geometry.solids import SolidScene
 from drake_oa.safety.config import SupervisorSettings
 
 Action = Literal["run", "slow", "hold", "stop"]

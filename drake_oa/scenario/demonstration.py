@@ -14,8 +14,14 @@ from drake_oa.common.files import read_arrays
 from drake_oa.common.messages import FloatArray
 from drake_oa.policy.averaging import STILL, average_orientations, average_paths
 from drake_oa.policy.config import Policy
-from drake_oa.policy.dmp import Dmp, checked_demonstration, imitate
-from drake_oa.policy.orientation_dmp import OrientationDmp, checked_rotations, imitate_orientation
+from drake_oa.policy.dmp import (
+    Dmp,
+    OrientationDmp,
+    checked_demonstration,
+    checked_rotations,
+    imitate,
+    imitate_orientation,
+)
 from drake_oa.scenario.scenario import Scenario
 from drake_oa.scenario.shipped import package_file
 from drake_oa.scenario.task import LONGEST, Task

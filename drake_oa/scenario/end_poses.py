@@ -11,11 +11,11 @@ from pydrake.math import RigidTransform, RollPitchYaw, RotationMatrix
 
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
-from drake_oa.policy.dmp import minimum_jerk_share
-from drake_oa.policy.orientation_dmp import (
+from drake_oa.policy.dmp import (
     OrientationDmp,
     demonstrated_goal,
     minimum_jerk_orientation,
+    minimum_jerk_share,
     orientation_along,
 )
 from drake_oa.robot.arm import solve_tool_pose

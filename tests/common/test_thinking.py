@@ -13,10 +13,9 @@ from drake_oa.common.messages import (
     PolicyState,
 )
 from drake_oa.common.thinking import Thinking, Work, count, counted
-from drake_oa.planning.motion_search import Sight
+from drake_oa.geometry.solids import SolidScene
+from drake_oa.planning.motion_search import SelectedMotion, Sight
 from drake_oa.planning.motion_verifier import MotionVerifier
-from drake_oa.planning.selected_motion import SelectedMotion
-from drake_oa.planning.solid_scene import SolidScene
 
 START, GOAL = np.array([0.0, 0.0, 0.3]), np.array([1.0, 0.0, 0.3])
 ELSEWHERE = np.array([0.5, 0.0, 0.3])

@@ -8,8 +8,7 @@ from pydrake.math import RollPitchYaw
 from scipy.spatial import KDTree
 
 from drake_oa.diagrams.motion import make_dmp
-from drake_oa.policy.dmp import trajectory
-from drake_oa.policy.orientation_dmp import goal_vector, orientation_along, rotation_matrix
+from drake_oa.policy.dmp import goal_vector, orientation_along, rotation_matrix, trajectory
 from drake_oa.runs.report import motion_report, report_table, run_report
 from drake_oa.runs.simulation import simulate
 from drake_oa.scenario.end_poses import tool_orientation

@@ -14,8 +14,7 @@ from scipy.interpolate import make_interp_spline
 from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import HoldCause, ObstacleClouds, PlannedMotion
 from drake_oa.diagrams.avoidance import Layers, build_avoidance
-from drake_oa.geometry.solids import SURROUNDINGS
-from drake_oa.planning.solid_scene import SolidScene
+from drake_oa.geometry.solids import SURROUNDINGS, SolidScene
 from drake_oa.runs.simulation import LATEST_END, simulate
 from drake_oa.scenario.loading import load_scenario, parse_scenario
 from drake_oa.scenario.scenario import Scenario

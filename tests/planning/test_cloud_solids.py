@@ -12,6 +12,7 @@ from drake_oa.common.messages import ObstacleClouds, TablePlane
 from drake_oa.geometry.pinhole import View
 from drake_oa.geometry.solids import Solids, solid_distance
 from drake_oa.perception.depth_perception import Views
+from drake_oa.perception.visibility import ImageRange, with_unseen_ends
 from drake_oa.planning import cloud_solids
 from drake_oa.planning.cloud_solids import (
     CloudSolids,
@@ -21,7 +22,6 @@ from drake_oa.planning.cloud_solids import (
     seen_free,
     unseen,
 )
-from drake_oa.planning.solid_scene import ImageRange, with_unseen_ends
 from tests.reference.depth_images import SIZE, K, look_at, ray_cast
 
 CAMERA = np.array([1.2, 0.0, 0.8])

@@ -24,13 +24,11 @@ from drake_oa.common.messages import (
     PlannedMotion,
     PolicyState,
 )
-from drake_oa.geometry.solids import Solid, solids_of
+from drake_oa.geometry.solids import Solid, SolidScene, solids_of
 from drake_oa.planning import search
 from drake_oa.planning.arm_world import group_distances
-from drake_oa.planning.motion_search import MotionSearch, Sight
+from drake_oa.planning.motion_search import MotionSearch, SelectedMotion, Sight
 from drake_oa.planning.motion_verifier import MotionVerifier
-from drake_oa.planning.selected_motion import SelectedMotion
-from drake_oa.planning.solid_scene import SolidScene
 from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import ALPHA, NORMAL
 from drake_oa.policy.demonstration import Demonstration

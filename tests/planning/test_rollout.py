@@ -16,7 +16,7 @@ from drake_oa.planning.arm_world import (
     TOOL,
     ArmWorld,
 )
-from drake_oa.planning.rollout import ArmRollouts, ToolPaths, roll_out_arm
+from drake_oa.planning.search import ArmRollouts, ToolPaths, roll_out_arm
 from drake_oa.robot.arm import tool_poses
 from tests.planning.arms import ArmAlone, Truth, box_at, random_things
 

@@ -13,8 +13,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from drake_oa.common.messages import OUT_OF_WORLD, EllipsoidSet, TablePlane
-from drake_oa.geometry.solids import SURROUNDINGS, solid_distance
-from drake_oa.planning.solid_scene import SolidScene
+from drake_oa.geometry.solids import SURROUNDINGS, SolidScene, solid_distance
 from drake_oa.planning.true_solids import GivenSolids, TrueSolids
 
 PERIOD = 0.1

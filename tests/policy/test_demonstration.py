@@ -12,13 +12,15 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 from drake_oa.common.messages import CouplingParameters, EllipsoidSet, FloatArray
 from drake_oa.policy.config import Policy
 from drake_oa.policy.demonstration import Demonstration
-from drake_oa.policy.dmp import imitate, minimum_jerk, minimum_jerk_share
-from drake_oa.policy.dmp_integrator import DmpIntegrator
-from drake_oa.policy.orientation_dmp import (
+from drake_oa.policy.dmp import (
+    imitate,
     imitate_orientation,
+    minimum_jerk,
     minimum_jerk_orientation,
+    minimum_jerk_share,
     rotation_matrix,
 )
+from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.policy.orientation_integrator import OrientationIntegrator
 from tests.builders import read
 

@@ -10,13 +10,13 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.policy.dmp import minimum_jerk_share
-from drake_oa.policy.orientation_dmp import (
+from drake_oa.policy.dmp import (
     demonstrated_goal,
     evaluate,
     goal_vector,
     imitate_orientation,
     minimum_jerk_orientation,
+    minimum_jerk_share,
     orientation_along,
     roll_orientation,
     rotation_matrix,

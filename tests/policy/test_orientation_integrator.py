@@ -13,9 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.policy.config import Policy
-from drake_oa.policy.dmp import imitate, minimum_jerk
+from drake_oa.policy.dmp import imitate, minimum_jerk, minimum_jerk_orientation, orientation_along
 from drake_oa.policy.dmp_integrator import DmpIntegrator
-from drake_oa.policy.orientation_dmp import minimum_jerk_orientation, orientation_along
 from drake_oa.policy.orientation_integrator import OrientationIntegrator
 from tests.builders import read
 

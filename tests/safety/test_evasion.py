@@ -20,13 +20,12 @@ from drake_oa.common.messages import (
 )
 from drake_oa.common.thinking import counted
 from drake_oa.geometry.directions import ramped
-from drake_oa.geometry.solids import SURROUNDINGS, solids_of, sphere, table_solid
+from drake_oa.geometry.solids import SURROUNDINGS, SolidScene, solids_of, sphere, table_solid
 from drake_oa.planning.arm_world import (
     FAR,
     excess,
     group_distances,
 )
-from drake_oa.planning.solid_scene import SolidScene
 from drake_oa.safety.config import EvasionSettings
 from drake_oa.safety.evasion import NOTHING_MOVES, choose
 from drake_oa.safety.evasion_candidates import displaced, planned_shift, shortened, stopping_shift

@@ -12,8 +12,7 @@ from pydrake.systems.analysis import Simulator
 
 from drake_oa.common.messages import Evasion, FloatArray, PolicyState
 from drake_oa.common.thinking import Thinking
-from drake_oa.geometry.solids import box, solids_of
-from drake_oa.planning.solid_scene import SolidScene
+from drake_oa.geometry.solids import SolidScene, box, solids_of
 from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.safety.config import EvasionParameters
 from drake_oa.safety.guarded_arm import GuardedArm

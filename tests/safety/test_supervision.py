@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drake_oa.common.messages import Evasion
-from drake_oa.geometry.solids import solids_of, sphere
-from drake_oa.planning.solid_scene import SolidScene
+from drake_oa.geometry.solids import SolidScene, solids_of, sphere
 from drake_oa.robot.arm import Chain, Spheres
 from drake_oa.safety.config import SupervisorSettings
 from drake_oa.safety.guarded_arm import GuardedArm

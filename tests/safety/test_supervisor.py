@@ -11,8 +11,7 @@ from pydrake.math import RigidTransform
 from pydrake.systems.analysis import Simulator
 
 from drake_oa.common.messages import Evasion, FloatArray, HoldCause, PolicyState, TablePlane
-from drake_oa.geometry.solids import SURROUNDINGS, solids_of, sphere, table_solid
-from drake_oa.planning.solid_scene import SolidScene
+from drake_oa.geometry.solids import SURROUNDINGS, SolidScene, solids_of, sphere, table_solid
 from drake_oa.safety.config import SupervisorParameters
 from drake_oa.safety.guarded_arm import GuardedArm
 from drake_oa.safety.supervision import Supervision

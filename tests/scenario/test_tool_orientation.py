@@ -13,7 +13,7 @@ from drake_oa.common.config import ScenarioError
 from drake_oa.common.messages import FloatArray
 from drake_oa.diagrams.motion import make_dmp, make_orientation_integrator
 from drake_oa.diagrams.perception import make_ellipsoid_descriptor
-from drake_oa.policy.orientation_dmp import goal_vector, orientation_along
+from drake_oa.policy.dmp import goal_vector, orientation_along
 from drake_oa.robot.plant import make_robot_plant, tool_corners
 from drake_oa.scenario.demonstration import demonstrated_orientation
 from drake_oa.scenario.end_poses import (

@@ -22,7 +22,7 @@ from drake_oa.diagrams.station import covered_arm
 from drake_oa.geometry.shapes import pose
 from drake_oa.geometry.solids import half_space, shape_solids, solids_of
 from drake_oa.planning.arm_world import ArmWorld, Asked, group_distances
-from drake_oa.planning.rollout import ToolPaths, roll_out_arm
+from drake_oa.planning.search import ToolPaths, roll_out_arm
 from drake_oa.policy.dmp import minimum_jerk_share
 from drake_oa.robot.arm import chain_poses, inverse_kinematics, make_chain
 from drake_oa.robot.plant import home_positions, make_robot_plant
