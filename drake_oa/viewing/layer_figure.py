@@ -42,9 +42,9 @@ def layer_figure(diagram: Diagram) -> str:
     row = {name: number for number, name in enumerate(names)}
     signals: dict[tuple[int, int], list[str]] = {}
     for source, reader in connections(diagram):
-        (one, port), other = source.split(".", 1), reader.split(".", 1)[0]
-        if one in row and other in row and one != other and (one, other) not in _UNDRAWN:
-            signals.setdefault((row[one], row[other]), []).append(port)
+        (name, port), reads = source.split(".", 1), reader.split(".", 1)[0]
+        if name in row and reads in row and name != reads and (name, reads) not in _UNDRAWN:
+            signals.setdefault((row[name], row[reads]), []).append(port)
     parts = [_box(diagram, name, number) for number, name in enumerate(names)]
     lanes: dict[tuple[int, str, bool], list[int]] = {}
     for (one, other), ports in sorted(signals.items()):
