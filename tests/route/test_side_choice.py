@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from drake_oa.common.compiled import kernel_arrays
 from drake_oa.common.messages import EllipsoidSet, FloatArray, TablePlane
-from drake_oa.route import side_choice as kernels
+from drake_oa.route import cost_rings as kernels
 from drake_oa.route.cost_rings import (
     Chain,
     RingScene,
