@@ -60,12 +60,20 @@ from drake_oa.planning.search import (
 )
 from drake_oa.policy.action import Surroundings
 from drake_oa.policy.config import Policy
-from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL
+from drake_oa.policy.coupling import ALPHA, N_COLUMNS, NORMAL
 from drake_oa.policy.demonstration import Demonstration
 from drake_oa.policy.dmp import Dmp, orientation_along
 from drake_oa.policy.rollout import Scene, scene_under_way
 from drake_oa.regulation.config import Verified
-from drake_oa.regulation.proposals import ANGLE, N_GENES, TAU, avoidance_terms, genes_of
+from drake_oa.regulation.proposals import (
+    ANGLE,
+    N_GENES,
+    TAU,
+    avoidance_terms,
+    genes_of,
+    rows_of,
+    terms_of,
+)
 from drake_oa.robot.arm import (
     FARTHEST,
     Chain,
@@ -613,7 +621,7 @@ def _side_genes(coupling: CouplingParameters, route: Route, scene: Scene) -> Flo
     rows = route.ranking
     if not len(rows):
         return np.zeros((0, N_GENES))
-    return genes_of(scene, _terms(coupling)[rows], coupling.scaling[rows])
+    return genes_of(scene, terms_of(coupling)[rows], coupling.scaling[rows])
 
 
 def _guided_command(
@@ -627,10 +635,8 @@ def _guided_command(
         return None
     if not route.remaining_clearance.any():
         return None
-    command = MotionCommand(CHAIN, ellipsoids=seen, route=route, tau=1.0)
-    rows = replace(chain, verified=True, center_W=seen.p_WO, normal_W=np.zeros((0, 3)))
-    around = Surroundings.of(seen, replace(rows, ellipsoids=seen), route)
-    return replace(command, terms=around.obstacles.terms)
+    rows = replace(chain, center_W=seen.p_WO, normal_W=np.zeros((len(seen), 3)))
+    return MotionCommand(CHAIN, terms_of(rows), seen, route, tau=1.0)
 
 
 def _guided(command: MotionCommand | None) -> Guided | None:
@@ -639,14 +645,6 @@ def _guided(command: MotionCommand | None) -> Guided | None:
         return None
     around = Surroundings.of(command.ellipsoids, command.coupling(), command.route)
     return Guided(around.obstacles.terms, around.obstacles)
-
-
-def _terms(coupling: CouplingParameters) -> FloatArray:
-    """Returns rows as coupling terms (M, 13), see `turn_step`."""
-    terms = np.zeros((len(coupling), N_COLUMNS))
-    terms[:, :3], terms[:, NORMAL : NORMAL + 3] = coupling.center_W, coupling.normal_W
-    terms[:, ALPHA : KAPPA + 1] = coupling.as_array()
-    return terms
 
 
 def _shown_sides(route: Route, term: FloatArray, genes: FloatArray, seen: EllipsoidSet) -> Route:
@@ -719,15 +717,11 @@ class MotionCommand(Frozen):
 
     def coupling(self) -> CouplingParameters:
         """Returns the command as DmpIntegrator reads it."""
-        rows = self.terms
-        alpha, psi, kappa = np.ascontiguousarray(rows[:, ALPHA : KAPPA + 1].T)
-        return CouplingParameters(
-            alpha,
-            psi,
-            kappa,
-            in_range=np.ones(len(rows), dtype=bool),
-            center_W=rows[:, :3],
-            normal_W=np.zeros((0, 3)) if len(self.ellipsoids) else rows[:, NORMAL : NORMAL + 3],
+        rows = rows_of(self.terms)
+        return replace(
+            rows,
+            # The planes of guided terms are the route's.
+            normal_W=np.zeros((0, 3)) if len(self.ellipsoids) else rows.normal_W,
             tau=self.tau,
             hold=HoldCause.OBSTACLES if self.note else HoldCause.NONE,
             note=self.note,

@@ -2,7 +2,7 @@
 
 Candidates are the nominal motion, the motion in use, proposals, and variations of the best so far.
 Each is rolled out by the integrator's kernel (`drake_oa.policy.rollout`) and followed among the
-obstacles: by the whole arm (`ArmSearch`, `drake_oa.planning.search`) or by a point
+obstacles: by the whole arm (`ArmSearch`, `roll_out_arm`) or by a point
 (`drake_oa.planning.point_search`). The random numbers of a round are the same for every scene and
 call, so a scene gets the same motion whatever else is searched for. Of a candidate the path of the
 tool is known before its clearance: it is followed only as far as it may be among the best.
@@ -170,9 +170,6 @@ def _first(ranked: Ranked) -> Ranked:
     return Ranked(ranked.genes[:1], ranked.cost[:1], ranked.length[:1], ranked.source[:1])
 
 
-_EMPTY = Ranked(np.zeros((0, N_GENES)), np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64))
-
-
 class Search(ABC):
     """Search in one scene; the obstacles are the subclass's."""
 
@@ -260,7 +257,7 @@ class Search(ABC):
         if held and same.cost[0] <= best.cost[0] + _MUCH:
             self.stays = True
             return same
-        since, ranked = 0, _EMPTY.joined(ranked)
+        since, ranked = 0, ranked.joined()
         polish = min(_BRIEF, self.parameters.polish) if had else self.parameters.polish
         for number in range(self.parameters.rounds + 1):
             self.elites = ranked.genes
@@ -300,15 +297,18 @@ class Search(ABC):
         self, genes: FloatArray, longest: float = math.inf, guided: Guided | None = None
     ) -> ToolRollouts:
         """Rolls out the tool along candidates (n, 7), or the guided one."""
-        terms = avoidance_terms(self.scene, genes)[:, None]
+        if guided is None:
+            terms, obstacles = avoidance_terms(self.scene, genes)[:, None], None
+        else:
+            terms, obstacles = guided.terms[None], guided.obstacles
         return roll_out_tool(
             self.scene,
-            terms if guided is None else guided.terms[None],
+            terms,
             dmp=self.dmp,
             policy=self.policy,
             tolerance=self.parameters.tolerance,
             longest=longest,
-            obstacles=None if guided is None else guided.obstacles,
+            obstacles=obstacles,
             every=self.every,
         )
 

@@ -17,7 +17,7 @@ A movement primitive for the orientation of the tool, on the phase of the positi
 
 The orientation is R_WE = R_WA exp([r]), with r the rotation vector from an origin A, in A. The
 origin is the orientation at the start S, so that r begins at zero, unless the demonstration turns
-far (`OrientationDmp.offset`). r obeys the linear system of `drake_oa.policy.dmp`, in normalised
+far (`OrientationDmp.offset`). r obeys the linear system above, in normalised
 time s and with the same phase k,
 
     dz/ds = alpha_x (beta_x (g - r) - z) + f_0(k) (g - r(0)) + f(k),    dr/ds = z,

@@ -10,7 +10,7 @@ baseline in the plane of the baseline and a side omega. Its genes, in which the 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -74,6 +74,27 @@ def genes_of(scene: Scene, terms: FloatArray, scaling: ArrayLike = 1.0) -> Float
     return genes
 
 
+def terms_of(rows: CouplingParameters) -> FloatArray:
+    """Returns coupling terms (M, 13) of rows with centers and normals, see `turn_step`."""
+    terms = np.zeros((len(rows), N_COLUMNS))
+    terms[:, :3], terms[:, NORMAL : NORMAL + 3] = rows.center_W, rows.normal_W
+    terms[:, ALPHA_COLUMN : KAPPA_COLUMN + 1] = rows.as_array()
+    return terms
+
+
+def rows_of(terms: FloatArray) -> CouplingParameters:
+    """Returns the rows of coupling terms (M, 13): the inverse of `terms_of`."""
+    alpha, psi, kappa = np.ascontiguousarray(terms[:, ALPHA_COLUMN : KAPPA_COLUMN + 1].T)
+    return CouplingParameters(
+        alpha,
+        psi,
+        kappa,
+        in_range=np.ones(len(terms), dtype=bool),
+        center_W=terms[:, :3],
+        normal_W=terms[:, NORMAL : NORMAL + 3],
+    )
+
+
 def side_rows(
     scene: Scene, genes: FloatArray, length: FloatArray, likely: FloatArray
 ) -> CouplingParameters:
@@ -85,15 +106,8 @@ def side_rows(
         length: (N,) expected path lengths over the baseline.
         likely: (N,) probabilities that the requested clearance is achieved.
     """
-    terms = avoidance_terms(scene, genes)
-    alpha, psi, kappa = np.ascontiguousarray(terms[:, ALPHA_COLUMN : KAPPA_COLUMN + 1].T)
-    return CouplingParameters(
-        alpha,
-        psi,
-        kappa,
-        in_range=np.ones(len(genes), dtype=bool),
-        center_W=terms[:, :3],
-        normal_W=terms[:, NORMAL : NORMAL + 3],
+    return replace(
+        rows_of(avoidance_terms(scene, genes)),
         kind=np.full(len(genes), SIDE),
         length=length,
         likely=likely,

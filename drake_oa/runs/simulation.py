@@ -344,8 +344,7 @@ class MotionWatcher:
         if seen.stamp > -math.inf and (not self.frames or seen.stamp != self.frames[-1].stamp):
             self.frames.append(seen)
             self.frame_times.append(now)
-            out_of_range = ~self._coupling(root).in_range
-            self.out_of_range.append(int(out_of_range.sum()))
+            self.out_of_range.append(int((~self._coupling(root).in_range).sum()))
 
     def _note(self, now: float, hold: HoldCause, note: str) -> None:
         if note != self._noted:

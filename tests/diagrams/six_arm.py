@@ -1,5 +1,9 @@
 """An arm of six joints without fingers, which shares nothing with the Panda."""
 
+from pathlib import Path
+
+from drake_oa.robot.config import Robot
+
 # Joints of the size of a UR5e's: name, xyz and rpy in the link before, and the size of the box
 # that is the link, from its joint along x, y or z to the next.
 _LINKS = [
@@ -37,6 +41,23 @@ def _body(name: str, size: str, at: str) -> str:
     </inertial>
     <collision>{shape}</collision><visual>{shape}</visual>
   </link>"""
+
+
+SIX_HOME = [0.3, -1.5708, 1.5708, -1.5708, -1.5708, 0.0]
+
+
+def six_robot(folder: Path) -> Robot:
+    """Returns the block of the arm, whose model it writes to a folder."""
+    file = folder / "six.urdf"
+    file.write_text(arm_text())
+    return Robot(
+        model=str(file),
+        base_link="foot",
+        hand_link="wrist3",
+        p_HE=[0.0, 0.0, 0.1],
+        tool_links=["wrist3"],
+        q_seed=SIX_HOME,
+    )
 
 
 def arm_text() -> str:

@@ -26,11 +26,10 @@ from drake_oa.robot.arm import (
 )
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotPlant, home_positions, make_robot_plant
-from tests.diagrams.six_arm import arm_text
+from tests.diagrams.six_arm import SIX_HOME, six_robot
 
 SEEDS = st.integers(0, 2**32 - 1)
 HOME = np.array(Robot().q_seed)
-SIX_HOME = np.array([0.3, -1.5708, 1.5708, -1.5708, -1.5708, 0.0])
 
 
 @pytest.fixture(scope="module")
@@ -40,19 +39,8 @@ def panda_chain(panda: RobotPlant) -> Chain:
 
 @pytest.fixture(scope="module")
 def six_chain(tmp_path_factory: pytest.TempPathFactory) -> Chain:
-    file = tmp_path_factory.mktemp("six") / "six.urdf"
-    file.write_text(arm_text())
-    robot = make_robot_plant(
-        Robot(
-            model=str(file),
-            base_link="foot",
-            hand_link="wrist3",
-            p_HE=[0.0, 0.0, 0.1],
-            tool_links=["wrist3"],
-            q_seed=SIX_HOME.tolist(),
-        )
-    )
-    return make_chain(robot.plant, robot.tool_frame, SIX_HOME)
+    robot = make_robot_plant(six_robot(tmp_path_factory.mktemp("six")))
+    return make_chain(robot.plant, robot.tool_frame, np.array(SIX_HOME))
 
 
 def pose(chain: Chain, q: FloatArray) -> FloatArray:
@@ -109,7 +97,7 @@ def test_half_a_turn_is_an_error_that_is_left(panda_chain: Chain, axis: list[flo
 @given(seed=SEEDS)
 def test_a_path_is_followed(panda_chain: Chain, six_chain: Chain, seed: int) -> None:
     random = np.random.default_rng(seed)
-    for chain, home in ((panda_chain, HOME), (six_chain, SIX_HOME)):
+    for chain, home in ((panda_chain, HOME), (six_chain, np.array(SIX_HOME))):
         p, turn = random.uniform(-0.01, 0.01, 3), random.uniform(-0.02, 0.02, 3)
         way = np.linspace(0.0, 1.0, 9)[1:, None]
         targets = np.array([shifted(pose(chain, home), u * p, u * turn) for u in way])
@@ -166,7 +154,7 @@ def test_poses_of_random_configurations_are_reached(
 ) -> None:
     """Two joints of each second configuration are at their limits."""
     random = np.random.default_rng(seed)
-    for chain, home in ((panda_chain, HOME), (six_chain, SIX_HOME)):
+    for chain, home in ((panda_chain, HOME), (six_chain, np.array(SIX_HOME))):
         q = random.uniform(chain.lower, chain.upper)
         if seed % 2:
             joints = random.integers(len(q), size=2)
