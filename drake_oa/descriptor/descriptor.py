@@ -5,6 +5,7 @@ Where that one ellipsoid holds a point that is known to be free, the obstacle ge
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Literal, get_args
@@ -76,25 +77,6 @@ def merged_parts(parts: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
 
 def _box_volume(points: FloatArray) -> float:
     return float(np.prod(np.ptp(points, axis=0)))
-
-
-def ellipsoids_of_parts(
-    points: FloatArray, tool_parts: Sequence[FloatArray], halvings: int
-) -> list[Ellipsoid]:
-    """Fits an ellipsoid round each part of a cloud dilated by each part of a tool.
-
-    Together they hold every point dilated by every part.
-
-    Args:
-        points: (N, 3) points in W [m].
-        tool_parts: (K_i, 3) vertices of the tool's parts from the TCP [m].
-        halvings: how often the cloud is halved.
-    """
-    return [
-        enclosing_ellipsoid(part, tool=tool)
-        for part in cloud_parts(points, halvings)
-        for tool in tool_parts
-    ]
 
 
 Method = Literal["enclosing", "least_squares"]
@@ -190,9 +172,9 @@ def describe(
         for halvings in HALVINGS:
             if room >= _ROOM:
                 break
-            parts = _parts(_key(points), tools, halvings)
-            if _room(free, parts) > room:
-                described, room = parts, _room(free, parts)
+            parts, left = _parts(_key(points), tools, halvings, _key(free), room)
+            if left > room:
+                described, room = parts, left
         found += described
         rows += [row] * len(described)
         part_names += [name + PART * part for part in range(len(described))]
@@ -232,8 +214,22 @@ def _fitted(points: _Key, tool: _Key, exponent_prior: float | None) -> Superquad
 
 
 @lru_cache(maxsize=64)
-def _parts(points: _Key, tools: tuple[_Key, ...], halvings: int) -> list[Ellipsoid]:
-    return ellipsoids_of_parts(_array(points), [_array(tool) for tool in tools], halvings)
+def _parts(
+    points: _Key, tools: tuple[_Key, ...], halvings: int, free: _Key, least: float
+) -> tuple[list[Ellipsoid], float]:
+    """Returns ellipsoids round parts of a cloud, and their least distance to free points [m].
+
+    Incomplete as soon as the distance is not above `least`.
+    """
+    ellipsoids: list[Ellipsoid] = []
+    room = math.inf
+    for part in cloud_parts(_array(points), halvings):
+        for tool in tools:
+            ellipsoids.append(enclosing_ellipsoid(part, tool=_array(tool)))
+            room = min(room, _room(_array(free), ellipsoids[-1:]))
+            if room <= least:
+                return ellipsoids, room
+    return ellipsoids, room
 
 
 def _room(free: FloatArray, ellipsoids: Sequence[Ellipsoid]) -> float:

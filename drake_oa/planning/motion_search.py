@@ -427,8 +427,7 @@ class MotionSearch:
             length: of the tool's path from now on [m].
         """
         command, world = here.command, search.world
-        tool = search.tool_paths(genes[None], guided=_guided(command))
-        arm = search.follow(genes[None], tool, np.full(1, -np.inf))
+        tool, arm = search.rollout(genes, _guided(command))
         count = int(arm.samples[0])
         s = search.sample_times(count)
         seconds = float(search.seconds(genes[None])[0])

@@ -21,9 +21,9 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -467,6 +467,8 @@ class ArmSearch(Search):
         self.counts = np.zeros(len(SOURCES), dtype=np.int64)
         self.every = max(round(1.0 / (self.ds * samples)), 1)
         self.planned_length = _length(self.dmp) * scene.baseline
+        self._led: dict[int, tuple[FloatArray, FloatArray, FloatArray]] = {}
+        self._feasible: dict[bytes, tuple[ToolRollouts, ArmRollouts]] = {}
 
     def evaluate(
         self,
@@ -478,6 +480,10 @@ class ArmSearch(Search):
         """Rolls out candidates, see `Search`; keeps an account of the cost and of the sources."""
         with counted() as work:
             ranked = super().evaluate(genes, source, known, guided)
+        best = int(ranked.cost.argmin())
+        if ranked.cost[best] < BAD and guided is None:
+            tool, arms = self._last
+            self._feasible[genes[best].tobytes()] = _row(tool, best), _row(arms, best)
         self.latest = _COSTS.seconds(work) - _COSTS.decision
         self.spent += self.latest
         self.counts += np.bincount(ranked.source, minlength=len(SOURCES))
@@ -499,7 +505,8 @@ class ArmSearch(Search):
             rough = self.follow(genes, tool, enough, stride=_ROUGH)
             screened = np.where(~hopeless & (rough.least < enough), self.arm_cost(rough), 0.0)
             enough = np.where(screened > 0.0, np.inf, enough)
-        kept = self.arm_cost(self.follow(genes, tool, enough))
+        arms = self.follow(genes, tool, enough)
+        self._last, kept = (tool, arms), self.arm_cost(arms)
         return np.where(hopeless, BAD, np.where(screened > 0.0, screened, kept))
 
     def hopeless(self, ranked: Ranked, number: int) -> bool:
@@ -549,13 +556,23 @@ class ArmSearch(Search):
     ) -> ArmRollouts:
         """Lets the arm follow the tool, placed at the samples of its path, or at every few."""
         path = tool.path[:, ::stride]
-        longest = int(np.isfinite(path[:, :, 0]).sum(axis=1).max(initial=1))
-        path = path[:, : max(longest, 2)]
-        s = self.sample_times(path.shape[1], stride)
-        R_WE, q = self.leading.at(s)
+        T = max(int(np.isfinite(path[:, :, 0]).sum(axis=1).max(initial=1)), 2)
+        if stride not in self._led:
+            s = self.sample_times(path.shape[1], stride)
+            self._led[stride] = s, *self.leading.at(s)
+        s, R_WE, q = self._led[stride]
         none: IntArray = np.zeros(len(path), dtype=np.int64)
-        paths = ToolPaths(s, path, R_WE[None], none, q[:1], none, self.seconds(genes))
+        seconds = self.seconds(genes)
+        paths = ToolPaths(s[:T], path[:, :T], R_WE[None, :T], none, q[:1, :T], none, seconds)
         return roll_out_arm(self.world, self.q, paths, enough)
+
+    def rollout(self, genes: FloatArray, guided: Guided | None) -> tuple[ToolRollouts, ArmRollouts]:
+        """Returns tool and arm along one candidate (7,), or the guided one, to its end."""
+        known = None if guided else self._feasible.get(genes.tobytes())
+        if known is not None:
+            return known
+        tool = self.tool_paths(genes[None], guided=guided)
+        return tool, self.follow(genes[None], tool, np.full(1, -np.inf))
 
     def arm_cost(self, arms: ArmRollouts) -> FloatArray:
         """Returns the costs of a shortfall of the clearance, and of a path that is not followed."""
@@ -566,6 +583,20 @@ class ArmSearch(Search):
         held = _HELD * ((lost > 0.0) | (fast > 0.0)) * self.moves
         bad = PRICE * (short + np.minimum(lost, FAR) + held) / L + fast
         return np.asarray(np.where(bad > 0.0, BAD + bad, 0.0))
+
+
+_Rollouts = TypeVar("_Rollouts", ToolRollouts, "ArmRollouts")
+
+
+def _row(rollouts: _Rollouts, row: int) -> _Rollouts:
+    """Returns the roll-outs of one candidate."""
+    values = {item.name: getattr(rollouts, item.name) for item in fields(rollouts)}
+    rows = {
+        name: value[row : row + 1]
+        for name, value in values.items()
+        if isinstance(value, np.ndarray)
+    }
+    return replace(rollouts, **rows)
 
 
 ERROR, HURRY, ENDED, WHEN = 3, 4, 5, 6

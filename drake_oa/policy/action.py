@@ -106,21 +106,25 @@ class Segment(Frozen):
         """(3,) velocity at the beginning [m/s]."""
         return self.motion.course.v
 
-    def interpolate(self, time: float, derivative: int) -> FloatArray:
-        """Position, velocity or acceleration at a time [s] of the segment.
+    def interpolate(self, time: float) -> FloatArray:
+        """Computes position, velocity and acceleration at a time [s] of the segment.
 
-        The velocity is linear in time; the position is its integral, corrected
-        linearly so that it ends where the policy says. Before it begins the segment
-        stands for its beginning; after its end it goes on at its last velocity.
-
-        Args:
-            time: when [s].
-            derivative: 0 position, 1 velocity, 2 acceleration.
+        The velocity is linear in time; the position is its integral, corrected linearly so that
+        it ends at the policy's position. Before the segment they are those of its beginning;
+        after its end the velocity stays.
 
         Returns:
-            (3,) in the world frame.
+            (3, 3) rows p_WE [m], v_WE [m/s] and a_WE [m/s^2].
         """
-        return kernels.interpolate(self.motion.course, float(time), derivative)
+        course = self.motion.course
+        length = course.end - course.begin
+        since = min(max(time - course.begin, 0.0), length)
+        acceleration = course.acceleration
+        position = course.p + since * (course.drift + 0.5 * since * acceleration)
+        if length > 0.0 and time > course.end:
+            position = position + (time - course.end) * course.v_end
+            acceleration = np.zeros(3)
+        return np.stack([position, course.v + since * course.acceleration, acceleration])
 
 
 def initial_segment(dmp: Dmp, p_WS: FloatArray, p_WG: FloatArray, time: float) -> Segment:

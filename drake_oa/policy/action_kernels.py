@@ -375,23 +375,3 @@ def course_between(
             drift[i] = v[i] + (mean - 0.5 * (v[i] + v_end[i]))
             acceleration[i] = (v_end[i] - v[i]) / length
     return Course(begin.stamp, end.stamp, begin.p_WE, v, v_end, drift, acceleration)
-
-
-@compiled
-def interpolate(course: Course, time: float, derivative: int) -> FloatArray:
-    """Position, velocity or acceleration (3,), see `drake_oa.policy.action.Segment`."""
-    length = course.end - course.begin
-    since = min(max(time - course.begin, 0.0), length)
-    beyond = time - course.end if length > 0.0 else 0.0
-    value = np.zeros(3)
-    for i in range(3):
-        acceleration = course.acceleration[i]
-        if derivative == 0:
-            value[i] = course.p[i] + since * (course.drift[i] + 0.5 * since * acceleration)
-            if beyond > 0.0:
-                value[i] += beyond * course.v_end[i]
-        elif derivative == 1:
-            value[i] = course.v[i] + since * acceleration
-        elif beyond <= 0.0:
-            value[i] = acceleration
-    return value

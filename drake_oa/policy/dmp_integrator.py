@@ -136,18 +136,23 @@ class DmpIntegrator(LeafSystem):
         )
         self._segment = self.DeclareAbstractState(Value(Segment.at_rest(start)))
         moving = {self.time_ticket(), self.abstract_state_ticket(self._segment)}
-        for name, derivative in (
-            ("desired_position", 0),
-            ("desired_velocity", 1),
-            ("desired_acceleration", 2),
-        ):
+        desired = self.DeclareCacheEntry(
+            "desired_motion",
+            ValueProducer(
+                lambda: Value(np.zeros((3, 3))),
+                lambda context, output: output.set_value(
+                    self._read_segment(context).interpolate(context.get_time())
+                ),
+            ),
+            moving,
+        )
+        names = ("desired_position", "desired_velocity", "desired_acceleration")
+        for row, name in enumerate(names):
             self.DeclareVectorOutputPort(
                 name,
                 3,
-                lambda context, output, derivative=derivative: output.SetFromVector(
-                    self._read_segment(context).interpolate(context.get_time(), derivative)
-                ),
-                moving,
+                lambda context, output, row=row: output.SetFromVector(desired.Eval(context)[row]),
+                {desired.ticket()},
             )
         stepped = {self.abstract_state_ticket(self._segment)}
         self.DeclareVectorOutputPort("phase", 1, self._calc_phase, stepped)

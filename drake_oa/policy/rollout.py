@@ -153,31 +153,18 @@ def roll_out_tool(
     N = len(terms)
     if terms.shape[2:] != (13,) or not max(end, latest) < math.inf:
         raise ValueError(f"terms must be (N, K, 13) and the end finite, not {terms.shape}, {end}")
-    ds = policy.period / dmp.duration
-    most = max(round((max(latest, scene.s + 1.0) - scene.s) / ds), 1)
-    p_WE, z_W, p_WG, R_WL = kernel_arrays(scene.p_WE, scene.z_W, scene.p_WG, scene.R_WL)
-    course = _Course(
-        p_WE,
-        z_W,
-        p_WG,
-        R_WL,
-        float(scene.baseline),
-        p_WG + float(scene.baseline) * _forcing(dmp, float(scene.s), most, ds) @ R_WL.T,
-        ds,
-        every,
-        round((max(end, scene.s) - scene.s) / ds),
-        float(tolerance),
-        np.array(np.broadcast_to(np.asarray(longest, dtype=float), (N,))),
-    )
-    table, (path, velocity) = np.empty((N, 3)), np.full((2, N, most // every + 1, 3), np.nan)
+    course = _course(scene, dmp, policy.period, end, latest, tolerance, every)
+    lengths = np.array(np.broadcast_to(np.asarray(longest, dtype=float), (N,)))
+    samples = len(course.rest) // every + 1
+    table, (path, velocity) = np.empty((N, 3)), np.full((2, N, samples, 3), np.nan)
     led = _NO_OBSTACLES if obstacles is None else obstacles
     facts = Facts(True, 0.0, False, -1.0, 0.0, True, True, False)
     (given,) = kernel_arrays(terms)
     threads = min(CORES, N // _EACH + 1)
-    arguments = course, dmp.kernel, rules_of(policy), facts, led, given, table, path, velocity
-    on_cores(_roll_some, threads, *arguments)
+    arguments = course, dmp.kernel, rules_of(policy), facts, led, given, lengths, table
+    on_cores(_roll_some, threads, *arguments, path, velocity)
     count(searches=1, steps=int(table[:, 2].sum()))
-    return ToolRollouts(ds, path, velocity, *np.ascontiguousarray(table.T))
+    return ToolRollouts(course.ds, path, velocity, *np.ascontiguousarray(table.T))
 
 
 class _Course(NamedTuple):
@@ -193,7 +180,27 @@ class _Course(NamedTuple):
     every: int
     least: int
     tolerance: float
-    longest: FloatArray
+
+
+@lru_cache(maxsize=4)
+def _course(
+    scene: Scene,
+    dmp: Dmp,
+    period: float,
+    end: float,
+    latest: float,
+    tolerance: float,
+    every: int,
+) -> _Course:
+    """Returns the motion of a scene; arguments as of `roll_out_tool`."""
+    ds = period / dmp.duration
+    most = max(round((max(latest, scene.s + 1.0) - scene.s) / ds), 1)
+    p_WE, z_W, p_WG, R_WL = kernel_arrays(scene.p_WE, scene.z_W, scene.p_WG, scene.R_WL)
+    rest = p_WG + float(scene.baseline) * _forcing(dmp, float(scene.s), most, ds) @ R_WL.T
+    least = round((max(end, scene.s) - scene.s) / ds)
+    return _Course(
+        p_WE, z_W, p_WG, R_WL, float(scene.baseline), rest, ds, every, least, float(tolerance)
+    )
 
 
 @lru_cache(maxsize=16)
@@ -214,7 +221,8 @@ def _sample_forcing(primitive: Primitive, k: FloatArray, force: FloatArray) -> N
 @parted
 def _roll_some(
     part: int, parts: int, course: _Course, primitive: Primitive, rules: Rules, facts: Facts,
-    led: Obstacles, terms: FloatArray, out: FloatArray, path: FloatArray, velocity: FloatArray,
+    led: Obstacles, terms: FloatArray, longest: FloatArray, out: FloatArray, path: FloatArray,
+    velocity: FloatArray,
 ) -> None:  # fmt: skip
     """Rolls out candidates part, part + parts, ...; out (N, 3): length, goal error, steps."""
     flow = spring_flow(primitive.alpha_x, primitive.beta_x, 0.5 * course.ds)
@@ -224,7 +232,7 @@ def _roll_some(
             if terms[i, row, ALPHA] > 0.0:
                 acts = terms.shape[1]
         path[i, 0], velocity[i, 0] = course.p_WE, course.z_W
-        ending = Ending(course.least, course.tolerance, course.longest[i])
+        ending = Ending(course.least, course.tolerance, longest[i])
         out[i, 2], out[i, 0], out[i, 1] = advance(
             path[i], velocity[i], course.every, course.rest, flow, course.ds, ending, course.p_WG,
             course.R_WL, course.baseline, rules, facts, led, terms[i, :acts],

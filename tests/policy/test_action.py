@@ -418,15 +418,15 @@ def test_the_outputs_of_a_displaced_motion_are_consistent(seed: int, share: floa
     segment, h = found[100], 1e-6
     between = segment.state.stamp + share * STEP
     for derivative in (0, 1):
-        ends = [segment.interpolate(between + sign * h, derivative) for sign in (-1, 1)]
+        ends = [segment.interpolate(between + sign * h)[derivative] for sign in (-1, 1)]
         rate = (ends[1] - ends[0]) / (2.0 * h)
         np.testing.assert_allclose(
-            rate, segment.interpolate(between, derivative + 1), atol=1e-3, rtol=1e-3
+            rate, segment.interpolate(between)[derivative + 1], atol=1e-3, rtol=1e-3
         )
     # Beyond its end it goes on at its last velocity.
-    later = segment.interpolate(segment.end.stamp + 0.01, 0)
-    np.testing.assert_allclose(later, segment.end.p_WE + 0.01 * segment.motion.course.v_end)
-    assert not segment.interpolate(segment.end.stamp + 0.01, 2).any()
+    later = segment.interpolate(segment.end.stamp + 0.01)
+    np.testing.assert_allclose(later[0], segment.end.p_WE + 0.01 * segment.motion.course.v_end)
+    assert not later[2].any()
 
 
 def test_a_displacement_that_is_not_finite_is_none() -> None:
