@@ -29,7 +29,7 @@ from drake_oa.policy.dmp import Dmp, imitate, minimum_jerk, minimum_jerk_orienta
 from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.policy.orientation_integrator import OrientationIntegrator
 from drake_oa.regulation.config import Paper, Verified
-from drake_oa.regulation.proposal_network import load_proposals
+from drake_oa.regulation.proposals import load_proposals
 from drake_oa.regulation.regressor import ChainWeights, check_action_level, load_chain
 from drake_oa.regulation.regressor_chain import Proposals, RegressorChain, Scaling
 from drake_oa.robot.arm import PULL, inverse_kinematics, joint_margins, make_chain

@@ -13,8 +13,7 @@ from drake_oa.policy.dmp import imitate, local_frame, minimum_jerk
 from drake_oa.policy.dmp_integrator import DmpIntegrator
 from drake_oa.policy.rollout import Scene
 from drake_oa.regulation.config import Verified
-from drake_oa.regulation.proposal_network import load_proposals
-from drake_oa.regulation.proposals import side_rows
+from drake_oa.regulation.proposals import load_proposals, side_rows
 from drake_oa.scenario.shipped import package_file
 
 START, GOAL, CLEARANCE, DURATION = np.zeros(3), np.array([1.0, 0.0, 0.0]), 0.1, 4.0

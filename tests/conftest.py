@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from drake_oa.regulation.proposal_network import ProposalNetwork, load_proposals
+from drake_oa.regulation.proposals import ProposalNetwork, load_proposals
 from drake_oa.robot.config import Robot
 from drake_oa.robot.plant import RobotLimits, RobotPlant, make_robot_plant
 from drake_oa.runs.motion_log import MotionLog, pack_ellipsoids

@@ -18,8 +18,13 @@ from drake_oa.planning.arm_world import (
     ArmWorld,
     excess_along,
 )
-from drake_oa.policy.demonstration import Demonstration
-from drake_oa.policy.dmp import ALPHA_K, imitate, imitate_orientation, minimum_jerk_share
+from drake_oa.policy.dmp import (
+    ALPHA_K,
+    Demonstration,
+    imitate,
+    imitate_orientation,
+    minimum_jerk_share,
+)
 from drake_oa.robot.arm import Chain, tool_poses
 
 SAMPLES = 201

@@ -61,8 +61,7 @@ from drake_oa.planning.search import (
 from drake_oa.policy.action import Surroundings
 from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import ALPHA, N_COLUMNS, NORMAL
-from drake_oa.policy.demonstration import Demonstration
-from drake_oa.policy.dmp import Dmp, orientation_along
+from drake_oa.policy.dmp import Demonstration, Dmp, orientation_along
 from drake_oa.policy.rollout import Scene, scene_under_way
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposals import (

@@ -24,7 +24,7 @@ from drake_oa.common.thinking import Thinking, Thoughts
 from drake_oa.geometry.solids import SolidScene
 from drake_oa.planning.motion_search import MotionSearch, SelectedMotion, Sight
 from drake_oa.planning.search import SOURCES
-from drake_oa.policy.demonstration import Demonstration
+from drake_oa.policy.dmp import Demonstration
 
 _logger = logging.getLogger("drake_oa")
 

@@ -26,12 +26,13 @@ from drake_oa.common.messages import (
     PolicyState,
     Route,
 )
+from drake_oa.geometry.ellipsoid import shape_matrix
 from drake_oa.policy import action_kernels as kernels
 from drake_oa.policy.action_kernels import Facts, Instant, Motion, Rules
 from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import ALPHA, HEADING, KAPPA, MAX_GUIDANCE_RATE, N_COLUMNS, NORMAL
 from drake_oa.policy.dmp import Dmp, local_frame
-from drake_oa.policy.guidance import Obstacles
+from drake_oa.policy.guidance import Obstacles, guide
 
 SCALED_TO_REST = "speed_scale is 0"
 """Note of a motion that is held because its speed is scaled to nothing from outside."""
@@ -277,8 +278,56 @@ def restarted(
     )
 
 
+def _obstacles_of(ellipsoids: EllipsoidSet | None) -> Obstacles:
+    """Returns obstacles for the kernel, with terms that do not act and without a route."""
+    shapes = EllipsoidSet() if ellipsoids is None else ellipsoids
+    p_WO, R_WO, semi_axes = kernel_arrays(shapes.p_WO, shapes.R_WO, shapes.semi_axes)
+    B = np.ascontiguousarray(shape_matrix(R_WO, semi_axes), dtype=float)
+    count = len(p_WO)
+    rows = np.zeros((count, N_COLUMNS)), np.zeros((count, 3)), np.zeros(count)
+    return Obstacles(p_WO, R_WO, semi_axes, B, *rows)
+
+
+NO_OBSTACLES = _obstacles_of(None)
+"""No obstacles, for the kernel."""
+
+
+def desired_headings(
+    policy: PolicyState,
+    ellipsoids: EllipsoidSet,
+    direction_W: FloatArray,
+    normal_W: FloatArray,
+    remaining_clearance: FloatArray,
+) -> FloatArray:
+    """v_d for each obstacle; a zero row where the heading needs no guidance.
+
+    Guidance is needed where the motion is on its way into the obstacle's clearance and
+    the avoidance term would turn it to another side than the chosen one: with e the way
+    to the centre and u the heading, the P-plane's normal e x u then leans away from the
+    normal of the passing plane. v_d goes over from u to the supporting heading as it
+    leans by up to 30 degrees below the right angle.
+
+    Args:
+        policy: position, scaled velocity and goal of the motion.
+        ellipsoids: the M obstacles, dilated by the tool.
+        direction_W: (M, 3) chosen unit directions omega_d.
+        normal_W: (M, 3) normals of the passing planes, x_L x omega_d.
+        remaining_clearance: (M,) distance to keep [m].
+
+    Returns:
+        (M, 3) unit headings or zero rows, in the world frame.
+    """
+    obstacles = _obstacles_of(ellipsoids)
+    obstacles.terms[:, NORMAL : NORMAL + 3] = normal_W
+    obstacles.direction[:] = direction_W
+    obstacles.remaining_clearance[:] = remaining_clearance
+    p_WG, R_WL = kernel_arrays(policy.p_WG, policy.R_WL)
+    terms = obstacles.terms.copy()
+    guide(tuple(policy.p_WE), tuple(policy.z_W), p_WG, R_WL, obstacles, terms)
+    return terms[:, HEADING : HEADING + 3]
+
+
 _UNSEEN = Facts(False, 0.0, False, -1.0, 0.0, False, False, False)
-_NOTHING = Obstacles.of(None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,7 +347,7 @@ class Surroundings(Frozen):
     note: str = ""
     anew: bool = False
     facts: Facts = _UNSEEN
-    obstacles: Obstacles = _NOTHING
+    obstacles: Obstacles = NO_OBSTACLES
 
     @staticmethod
     def of(
@@ -328,7 +377,7 @@ class Surroundings(Frozen):
             route = route if route is not None and len(route.direction_W) else None
         count = len(coupling) if own and coupling is not None else len(shapes or EllipsoidSet())
         hold, note = _hold(coupling, route)
-        obstacles = Obstacles.of(shapes)
+        obstacles = _obstacles_of(shapes)
         couples = in_plane = False
         if count and ellipsoids is not None and coupling is not None:
             _check_rows(count, coupling, route)

@@ -32,8 +32,7 @@ from drake_oa.policy.action import (
     restarted,
 )
 from drake_oa.policy.config import Policy
-from drake_oa.policy.demonstration import Demonstration
-from drake_oa.policy.dmp import Dmp
+from drake_oa.policy.dmp import Demonstration, Dmp
 
 _logger = logging.getLogger("drake_oa")
 _SUCCEEDED = EventStatus.Succeeded()

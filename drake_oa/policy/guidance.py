@@ -13,11 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drake_oa.common.compiled import compiled, kernel_arrays
-from drake_oa.common.messages import EllipsoidSet, FloatArray, PolicyState
-from drake_oa.geometry.ellipsoid import shape_matrix
+from drake_oa.common.compiled import compiled
+from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.ellipsoid_kernels import tangent_heading
-from drake_oa.policy.coupling import HEADING, N_COLUMNS, NORMAL, Triple
+from drake_oa.policy.coupling import HEADING, NORMAL, Triple
 
 
 class Obstacles(NamedTuple):
@@ -41,71 +40,6 @@ class Obstacles(NamedTuple):
     direction: FloatArray
     remaining_clearance: FloatArray
 
-    @staticmethod
-    def of(ellipsoids: EllipsoidSet | None) -> Obstacles:
-        """Arrays of its own; with terms that do not act, and without a route."""
-        shapes = EllipsoidSet() if ellipsoids is None else ellipsoids
-        p_WO, R_WO, semi_axes = kernel_arrays(shapes.p_WO, shapes.R_WO, shapes.semi_axes)
-        B = np.ascontiguousarray(shape_matrix(R_WO, semi_axes), dtype=float)
-        count = len(p_WO)
-        rows = np.zeros((count, N_COLUMNS)), np.zeros((count, 3)), np.zeros(count)
-        return Obstacles(p_WO, R_WO, semi_axes, B, *rows)
-
-
-def passing_normals(direction_W: FloatArray, R_WL: FloatArray) -> FloatArray:
-    """Normals x_L x omega of the planes in which the obstacles are passed, (M, 3).
-
-    Turning about one by the right-hand rule turns from the baseline toward the chosen
-    direction omega, which is orthogonal to the baseline.
-    """
-    return _cross(np.broadcast_to(R_WL[:, 0], direction_W.shape), direction_W)
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.stack(
-        [
-            a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1],
-            a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2],
-            a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0],
-        ],
-        axis=1,
-    )
-
-
-def desired_headings(
-    policy: PolicyState,
-    ellipsoids: EllipsoidSet,
-    direction_W: FloatArray,
-    normal_W: FloatArray,
-    remaining_clearance: FloatArray,
-) -> FloatArray:
-    """v_d for each obstacle; a zero row where the heading needs no guidance.
-
-    Guidance is needed where the motion is on its way into the obstacle's clearance and
-    the avoidance term would turn it to another side than the chosen one: with e the way
-    to the centre and u the heading, the P-plane's normal e x u then leans away from the
-    normal of the passing plane. v_d goes over from u to the supporting heading as it
-    leans by up to 30 degrees below the right angle.
-
-    Args:
-        policy: position, scaled velocity and goal of the motion.
-        ellipsoids: the M obstacles, dilated by the tool.
-        direction_W: (M, 3) chosen unit directions omega_d.
-        normal_W: (M, 3) normals of the passing planes, see `passing_normals`.
-        remaining_clearance: (M,) distance to keep [m].
-
-    Returns:
-        (M, 3) unit headings or zero rows, in the world frame.
-    """
-    obstacles = Obstacles.of(ellipsoids)
-    obstacles.terms[:, NORMAL : NORMAL + 3] = normal_W
-    obstacles.direction[:] = direction_W
-    obstacles.remaining_clearance[:] = remaining_clearance
-    p_WG, R_WL = kernel_arrays(policy.p_WG, policy.R_WL)
-    terms = obstacles.terms.copy()
-    guide(tuple(policy.p_WE), tuple(policy.z_W), p_WG, R_WL, obstacles, terms)
-    return terms[:, HEADING : HEADING + 3]
-
 
 @compiled
 def guide(
@@ -116,7 +50,8 @@ def guide(
     obstacles: Obstacles,
     terms: FloatArray,
 ) -> None:
-    """Sets the headings of the terms (M, 13) of a step, see `desired_headings`.
+    """Sets the headings of the terms (M, 13) of a step, see
+    `drake_oa.policy.action.desired_headings`.
 
     Args:
         p, z: position p_WE and scaled velocity z_W [m].

@@ -18,10 +18,10 @@ from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray, Frozen, PolicyState
 from drake_oa.common.ports import Cell, read_optional, read_value, valid_period
-from drake_oa.policy.demonstration import Demonstration
 from drake_oa.policy.dmp import (
     ALPHA,
     QUATERNION,
+    Demonstration,
     OrientationDmp,
     W,
     demonstrated_goal,

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from drake_oa.common.compiled import CORES, compiled, kernel_arrays, on_cores, parted
 from drake_oa.common.messages import EllipsoidSet, FloatArray, Frozen, PolicyState
 from drake_oa.common.thinking import count
-from drake_oa.policy.action import rules_of
+from drake_oa.policy.action import NO_OBSTACLES, rules_of
 from drake_oa.policy.action_kernels import Ending, Facts, Rules, advance
 from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import ALPHA
@@ -28,7 +28,6 @@ LATEST = 2.0
 """Normalised time by which a motion arrives, from s = 0, or one more than the present one."""
 ARRIVED = 6e-4
 """Distance from the goal at which a motion has arrived [m]."""
-_NO_OBSTACLES = Obstacles.of(None)
 _EACH = 8
 """Candidates for which another thread pays."""
 
@@ -157,7 +156,7 @@ def roll_out_tool(
     lengths = np.array(np.broadcast_to(np.asarray(longest, dtype=float), (N,)))
     samples = len(course.rest) // every + 1
     table, (path, velocity) = np.empty((N, 3)), np.full((2, N, samples, 3), np.nan)
-    led = _NO_OBSTACLES if obstacles is None else obstacles
+    led = NO_OBSTACLES if obstacles is None else obstacles
     facts = Facts(True, 0.0, False, -1.0, 0.0, True, True, False)
     (given,) = kernel_arrays(terms)
     threads = min(CORES, N // _EACH + 1)

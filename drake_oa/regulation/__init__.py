@@ -17,8 +17,8 @@ Method
     term each, by a set network (M. Zaheer et al., NeurIPS 2017) that is trained on results of the
     search.
 
-Parts, in the order data flows: `network` (a perceptron, and the file of weights), `regressor` and
-`regressor_chain` (the paper's), `proposals` (candidates and their genes), `proposal_network`.
+Parts, in the order data flows: `weights_file` (named arrays), `regressor` and
+`regressor_chain` (the paper's), `proposals` (candidates, their genes and the proposal network).
 
 Configuration: the block `regulation` of a scenario, tagged `!Verified` or `!Paper`.
 

@@ -33,14 +33,7 @@ from drake_oa.common.messages import (
 )
 from drake_oa.geometry.ellipsoid import section_matrix
 from drake_oa.geometry.superquadric import log_inside_outside
-from drake_oa.regulation.network import (
-    Network,
-    array_of,
-    network_arrays,
-    network_of,
-    read_arrays,
-    write_arrays,
-)
+from drake_oa.regulation.weights_file import array_of, read_arrays, write_arrays
 
 _ROUNDING = 1e-12
 """By how much of L a query may be moved and still count as inside."""
@@ -57,6 +50,83 @@ _PARALLEL = 1e-6
 
 TARGETS = ("kappa", "psi", "alpha")
 """The order of the chain."""
+
+
+@dataclass(frozen=True, eq=False)
+class Network(Frozen):
+    """A perceptron with tanh layers, a linear output and min-max scaling.
+
+    With x the input, the layers see ``(x - in_offset) * in_gain + in_min``, and their
+    answer y becomes ``(y - out_min) / out_gain + out_offset``.
+
+    Attributes:
+        weights: one (n_out, n_in) matrix a layer.
+        biases: one (n_out,) vector a layer.
+        in_offset: (d,) smallest inputs.
+        in_gain: (d,) scale of the inputs.
+        out_offset: smallest target.
+        out_gain: scale of the target.
+        in_min: where in_offset is mapped to.
+        out_min: where out_offset is mapped from.
+    """
+
+    weights: tuple[FloatArray, ...]
+    biases: tuple[FloatArray, ...]
+    in_offset: FloatArray
+    in_gain: FloatArray
+    out_offset: float
+    out_gain: float
+    in_min: float = -1.0
+    out_min: float = -1.0
+
+    def evaluate(self, x: FloatArray) -> FloatArray:
+        """Evaluates the network at N inputs: (N, d) -> (N,)."""
+        y = (x - self.in_offset) * self.in_gain + self.in_min
+        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            y = np.tanh(y @ weight.T + bias)
+        y = y @ self.weights[-1][0] + self.biases[-1]
+        return np.asarray((y - self.out_min) / self.out_gain + self.out_offset)
+
+
+_SCALING = ("in_offset", "in_gain", "in_min", "out_offset", "out_gain", "out_min")
+
+
+def network_arrays(name: str, network: Network) -> dict[str, FloatArray]:
+    """The arrays of a network as its file holds them, each name beginning with its own."""
+    arrays: dict[str, FloatArray] = {}
+    for i, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True), 1):
+        arrays[f"{name}_W{i}"] = weight
+        arrays[f"{name}_b{i}"] = bias
+    for key in _SCALING:
+        arrays[f"{name}_{key}"] = np.asarray(getattr(network, key), dtype=float)
+    return arrays
+
+
+def network_of(path: Path, arrays: Mapping[str, Any], name: str, n_inputs: int) -> Network:
+    """The network of that name in a file's arrays.
+
+    Raises:
+        ValueError: naming file and array, if one is missing, misshapen or not finite, or a scale
+            is zero.
+    """
+    n_layers = 1
+    while f"{name}_W{n_layers + 1}" in arrays:
+        n_layers += 1
+    n_in, weights, biases = n_inputs, [], []
+    for layer in range(1, n_layers + 1):
+        n_out = 1 if layer == n_layers else None
+        weight = array_of(path, arrays, f"{name}_W{layer}", (n_out, n_in))
+        n_in = len(weight)
+        weights.append(weight)
+        biases.append(array_of(path, arrays, f"{name}_b{layer}", (n_in,)))
+    offset, gain = (array_of(path, arrays, f"{name}_{key}", (n_inputs,)) for key in _SCALING[:2])
+    scalars = {
+        key: float(array_of(path, arrays, f"{name}_{key}", ()))
+        for key in ("in_min", "out_offset", "out_gain", "out_min")
+    }
+    if scalars["out_gain"] == 0.0 or not gain.all():
+        raise ValueError(f"{path}: a scale of '{name}' (in_gain, out_gain) is zero")
+    return Network(tuple(weights), tuple(biases), offset, gain, **scalars)
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,8 +23,8 @@ from drake_oa.common.messages import (
     TablePlane,
 )
 from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
+from drake_oa.policy.action import desired_headings
 from drake_oa.policy.dmp import local_frame
-from drake_oa.policy.guidance import desired_headings, passing_normals
 from drake_oa.route.cost_rings import (
     FORBIDDEN,
     JOINT_LIMITS,
@@ -33,6 +33,7 @@ from drake_oa.route.cost_rings import (
     Selection,
     joint_limits_ring,
     length_ring,
+    passing_normals,
     path_length,
     reach_ring,
     remaining_clearance,

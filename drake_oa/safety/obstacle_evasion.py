@@ -27,8 +27,7 @@ from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, va
 from drake_oa.common.thinking import Thinking, Thoughts
 from drake_oa.geometry.directions import ramped
 from drake_oa.geometry.solids import SolidScene
-from drake_oa.policy.demonstration import Demonstration
-from drake_oa.policy.dmp import Dmp, normalised_time
+from drake_oa.policy.dmp import Demonstration, Dmp, normalised_time
 from drake_oa.safety.config import EvasionParameters, EvasionSettings, settings
 from drake_oa.safety.evasion import NOTHING_MOVES, choose, left_alone
 from drake_oa.safety.guarded_arm import GuardedArm

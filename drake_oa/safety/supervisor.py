@@ -20,7 +20,7 @@ from pydrake.systems.framework import (
 from drake_oa.common.messages import Evasion, FloatArray, HoldCause, PlannedMotion, PolicyState
 from drake_oa.common.ports import read_optional, read_value, valid_period
 from drake_oa.geometry.solids import SolidScene
-from drake_oa.policy.demonstration import Demonstration
+from drake_oa.policy.dmp import Demonstration
 from drake_oa.safety.approach_kernels import planned_rate
 from drake_oa.safety.config import SupervisorParameters, SupervisorSettings, settings
 from drake_oa.safety.guarded_arm import GuardedArm, full_speed_rates, tool_jacobian

@@ -18,7 +18,7 @@ from torch.func import functional_call, grad_and_value, vmap
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from drake_oa.common.messages import BoolArray, FloatArray
-from drake_oa.regulation.network import Network
+from drake_oa.regulation.regressor import Network
 from drake_oa.training.checkpoint import Checkpoint, Report
 
 _COLUMNS = 448

@@ -17,8 +17,7 @@ import numpy as np
 from drake_oa.common.console import Column, TextTable
 from drake_oa.common.files import provenance
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
-from drake_oa.regulation.network import Network
-from drake_oa.regulation.regressor import TARGETS, ChainWeights
+from drake_oa.regulation.regressor import TARGETS, ChainWeights, Network
 from drake_oa.training.checkpoint import Checkpoint, Report
 from drake_oa.training.lattice import ActionLevelName, PaperLattice, roll_out_lattice
 from drake_oa.training.networks import (

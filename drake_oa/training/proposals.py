@@ -32,25 +32,23 @@ from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.rollout import Scene
 from drake_oa.regulation.config import Verified
-from drake_oa.regulation.proposal_network import (
+from drake_oa.regulation.proposals import (
+    ALPHA,
+    ANGLE,
     GENE_MEAN,
     GENE_SCALE,
     HALF,
+    KAPPA,
+    N_GENES,
     N_OBSTACLE,
     N_OUTPUTS,
     N_STATE,
+    PLACE,
+    PSI,
     Floats32,
     Layers,
     ProposalNetwork,
     describe,
-)
-from drake_oa.regulation.proposals import (
-    ALPHA,
-    ANGLE,
-    KAPPA,
-    N_GENES,
-    PLACE,
-    PSI,
 )
 from drake_oa.training.checkpoint import Checkpoint, Report
 

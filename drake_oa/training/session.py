@@ -11,7 +11,7 @@ from typing import Any
 
 from drake_oa.common.console import INTERRUPTED, progress_bar
 from drake_oa.common.files import check_outputs
-from drake_oa.regulation.proposal_network import ProposalNetwork, save_proposals
+from drake_oa.regulation.proposals import ProposalNetwork, save_proposals
 from drake_oa.regulation.regressor import ChainWeights, save_chain
 from drake_oa.training.checkpoint import Checkpoint
 from drake_oa.training.networks import choose_device

@@ -12,8 +12,7 @@ from drake_oa.planning.arm_world import (
 )
 from drake_oa.planning.imitation import demonstration
 from drake_oa.planning.joint_planner import plan_path
-from drake_oa.policy.demonstration import Demonstration
-from drake_oa.policy.dmp import orientation_along, trajectory
+from drake_oa.policy.dmp import Demonstration, orientation_along, trajectory
 from drake_oa.robot.arm import tool_poses
 from tests.planning.arms import ArmAlone, box_at, random_things, wall_with_gap
 

@@ -31,13 +31,11 @@ from drake_oa.planning.motion_search import MotionSearch, SelectedMotion, Sight
 from drake_oa.planning.motion_verifier import MotionVerifier
 from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import ALPHA, NORMAL
-from drake_oa.policy.demonstration import Demonstration
-from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk
+from drake_oa.policy.dmp import Demonstration, Dmp, imitate, local_frame, minimum_jerk
 from drake_oa.policy.rollout import ToolRollouts
 from drake_oa.regulation.config import Verified
-from drake_oa.regulation.proposal_network import ProposalNetwork
 from drake_oa.regulation.proposals import ALPHA as LOG_ALPHA
-from drake_oa.regulation.proposals import ANGLE, draws
+from drake_oa.regulation.proposals import ANGLE, ProposalNetwork, draws
 from drake_oa.regulation.regressor import ChainWeights, load_chain
 from drake_oa.regulation.regressor_chain import RegressorChain
 from drake_oa.robot.arm import tool_poses

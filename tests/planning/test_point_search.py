@@ -14,8 +14,15 @@ from drake_oa.policy.coupling import NORMAL
 from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.rollout import Scene
 from drake_oa.regulation.config import Verified
-from drake_oa.regulation.proposal_network import ProposalNetwork
-from drake_oa.regulation.proposals import ALPHA, ANGLE, N_GENES, TAU, avoidance_terms, genes_of
+from drake_oa.regulation.proposals import (
+    ALPHA,
+    ANGLE,
+    N_GENES,
+    TAU,
+    ProposalNetwork,
+    avoidance_terms,
+    genes_of,
+)
 
 DURATION = 3.0
 START, GOAL = np.zeros(3), np.array([1.0, 0.0, 0.0])

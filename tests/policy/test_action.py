@@ -26,12 +26,13 @@ from drake_oa.policy.action import (
     ActionLevel,
     Segment,
     Surroundings,
+    desired_headings,
     initial_segment,
     restarted,
 )
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import Dmp, imitate, local_frame, minimum_jerk
-from drake_oa.policy.guidance import desired_headings, passing_normals
+from drake_oa.route.cost_rings import passing_normals
 from tests.builders import balls
 from tests.reference.coupling import terms, turning
 from tests.reference.dmp import step as dmp_step

@@ -11,8 +11,8 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from drake_oa.common.messages import CouplingParameters, EllipsoidSet, FloatArray
 from drake_oa.policy.config import Policy
-from drake_oa.policy.demonstration import Demonstration
 from drake_oa.policy.dmp import (
+    Demonstration,
     imitate,
     imitate_orientation,
     minimum_jerk,

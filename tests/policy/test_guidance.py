@@ -6,8 +6,9 @@ from hypothesis import strategies as st
 
 from drake_oa.common.messages import EllipsoidSet, FloatArray, PolicyState
 from drake_oa.geometry.ellipsoid import signed_distance
+from drake_oa.policy.action import desired_headings
 from drake_oa.policy.dmp import local_frame
-from drake_oa.policy.guidance import desired_headings, passing_normals
+from drake_oa.route.cost_rings import passing_normals
 from tests.builders import balls
 
 UP = np.array([[0.0, 0.0, 1.0]])

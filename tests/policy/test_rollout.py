@@ -13,8 +13,9 @@ from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import ALPHA, KAPPA, N_COLUMNS, NORMAL, PSI
 from drake_oa.policy.dmp import imitate, local_frame, minimum_jerk
 from drake_oa.policy.dmp_integrator import DmpIntegrator
-from drake_oa.policy.guidance import Obstacles, passing_normals
+from drake_oa.policy.guidance import Obstacles
 from drake_oa.policy.rollout import Scene, roll_out_tool
+from drake_oa.route.cost_rings import passing_normals
 from tests.builders import balls, read
 
 START, GOAL, T = np.zeros(3), np.array([0.8, 0.3, 0.1]), 2.0

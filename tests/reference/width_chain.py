@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drake_oa.regulation.network import network_of
-from drake_oa.regulation.regressor import TARGETS, ChainWeights
+from drake_oa.regulation.regressor import TARGETS, ChainWeights, network_of
 
 
 def load_width_chain(path: Path) -> ChainWeights:

@@ -12,20 +12,18 @@ from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import EllipsoidSet
 from drake_oa.policy.rollout import Scene
-from drake_oa.regulation.proposal_network import (
+from drake_oa.regulation.proposals import (
+    ALPHA,
+    ANGLE,
     HALF,
+    N_GENES,
     N_SIDES,
     N_STATE,
     ProposalNetwork,
     describe,
+    ladder,
     load_proposals,
     save_proposals,
-)
-from drake_oa.regulation.proposals import (
-    ALPHA,
-    ANGLE,
-    N_GENES,
-    ladder,
     strengths,
 )
 from drake_oa.regulation.regressor import load_chain

@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import CouplingParameters, EllipsoidSet
 from drake_oa.geometry.superquadric import log_inside_outside
-from drake_oa.regulation.network import Network
 from drake_oa.regulation.regressor import (
     TARGETS,
     ChainWeights,
+    Network,
     load_chain,
     save_chain,
     section_extents,

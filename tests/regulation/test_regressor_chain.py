@@ -8,8 +8,7 @@ from pydrake.common.value import Value
 
 from drake_oa.common.messages import PolicyState
 from drake_oa.policy.dmp import local_frame
-from drake_oa.regulation.network import Network
-from drake_oa.regulation.regressor import TARGETS, ChainWeights, section_extents
+from drake_oa.regulation.regressor import TARGETS, ChainWeights, Network, section_extents
 from drake_oa.regulation.regressor_chain import RegressorChain, way_past
 from tests.builders import balls
 

@@ -10,8 +10,7 @@ from drake_oa.geometry.ellipsoid import signed_distance
 from drake_oa.planning.point_search import PointSearch
 from drake_oa.policy.config import Policy
 from drake_oa.regulation.config import Verified
-from drake_oa.regulation.proposal_network import HALF, SIDES, ProposalNetwork
-from drake_oa.regulation.proposals import ALPHA, ANGLE, N_GENES
+from drake_oa.regulation.proposals import ALPHA, ANGLE, HALF, N_GENES, SIDES, ProposalNetwork
 from drake_oa.training.checkpoint import Checkpoint
 from drake_oa.training.proposals import (
     DMP,

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from drake_oa.app.main import main
-from drake_oa.regulation.proposal_network import load_proposals
+from drake_oa.regulation.proposals import load_proposals
 from drake_oa.regulation.regressor import load_chain
 from drake_oa.scenario.loading import load_scenario
 from drake_oa.training import session

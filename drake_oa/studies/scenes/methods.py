@@ -31,8 +31,7 @@ from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import imitate, minimum_jerk
 from drake_oa.policy.rollout import Scene, ToolRollouts
 from drake_oa.regulation.config import Verified
-from drake_oa.regulation.proposal_network import ProposalNetwork, load_proposals
-from drake_oa.regulation.proposals import TAU
+from drake_oa.regulation.proposals import TAU, ProposalNetwork, load_proposals
 from drake_oa.scenario.shipped import package_file
 from drake_oa.studies.scenes.paper_method import run as run_paper
 from drake_oa.studies.scenes.paper_method import run_original
