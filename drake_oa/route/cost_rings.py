@@ -29,14 +29,12 @@ neighbours only, so that the least of all K^N combinations takes N K^2 steps (Vi
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from drake_oa.common.compiled import compiled, kernel_arrays
 from drake_oa.common.messages import BoolArray, EllipsoidSet, FloatArray, IntArray, TablePlane
 from drake_oa.geometry.ellipsoid import signed_distance
 
@@ -470,13 +468,6 @@ class Chain:
             index[i] = after[i - 1, index[i - 1]]
         return index, float(onward[0].min())
 
-    def total(self, index: IntArray) -> float:
-        """Of given choices."""
-        rows = np.arange(len(index))
-        return float(
-            self.choice[rows, index].sum() + self.pair[rows[:-1], index[:-1], index[1:]].sum()
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class Legs:
@@ -525,22 +516,15 @@ def legs_between(
     for i, group in enumerate(order):
         rows = np.flatnonzero(groups == group)
         p[i] = p_WP[rows[detour[rows].argmax(axis=0)], np.arange(width)]
-    shapes = kernel_arrays(ellipsoids.p_WO, ellipsoids.R_WO, ellipsoids.semi_axes)
-
-    def blocked(a: FloatArray, b: FloatArray, own: int | None) -> FloatArray:
-        counts = groups != own if own is not None else np.ones(len(groups), dtype=bool)
-        out = np.empty((len(a), len(b)))
-        obstruction(*kernel_arrays(a, b), *shapes, counts, asked_clearance, out)
-        return out
-
     length = Chain(np.zeros((count, width)), np.linalg.norm(p[1:, None] - p[:-1, :, None], axis=3))
     in_way = Chain(np.zeros((count, width)), np.zeros((count - 1, width, width)))
     length.choice[0] += np.linalg.norm(p[0] - p_WS, axis=1)
     length.choice[-1] += np.linalg.norm(p_WG - p[-1], axis=1)
-    in_way.choice[0] += blocked(p_WS[None], p[0], int(order[0]))[0]
-    in_way.choice[-1] += blocked(p[-1], p_WG[None], int(order[-1]))[:, 0]
+    first, last, every = groups != order[0], groups != order[-1], groups >= 0
+    in_way.choice[0] += obstruction(p_WS[None], p[0], ellipsoids, first, asked_clearance)[0]
+    in_way.choice[-1] += obstruction(p[-1], p_WG[None], ellipsoids, last, asked_clearance)[:, 0]
     for i in range(count - 1):
-        in_way.pair[i] = blocked(p[i], p[i + 1], None)
+        in_way.pair[i] = obstruction(p[i], p[i + 1], ellipsoids, every, asked_clearance)
     return Legs(order, p, length, in_way)
 
 
@@ -569,68 +553,39 @@ def sequence_costs(legs: Legs, rings: FloatArray, shut: FloatArray, least_spread
     )
 
 
-@compiled
 def obstruction(
     p_WA: FloatArray,
     p_WB: FloatArray,
-    p_WO: FloatArray,
-    R_WO: FloatArray,
-    semi_axes: FloatArray,
+    ellipsoids: EllipsoidSet,
     counts: BoolArray,
-    asked_clearance: float,
-    out: FloatArray,
-) -> None:
-    """How much obstacles are in the way of straight legs.
+    clearance: float,
+) -> FloatArray:
+    """Computes the obstruction of straight legs by ellipsoids.
 
-    With g the least norm of a leg's points in the axes of an obstacle, scaled so that the
-    obstacle grown by the clearance is the unit ball, it is 1 - g, at least 0; and 1 where the
-    leg meets the obstacle itself.
+    With g the least norm of a leg's points in the axes of an obstacle, scaled so that the obstacle
+    grown by the clearance is the unit ball, it is 1 - g, at least 0; and 1 where the leg meets the
+    obstacle itself.
 
     Args:
-        p_WA: (I, 3) where legs begin [m].
-        p_WB: (J, 3) where they end [m].
-        p_WO, R_WO, semi_axes: M ellipsoids.
-        counts: (M,) which of them.
-        asked_clearance: that they are grown by [m].
-        out: (I, J) receives the largest of the obstacles'.
+        p_WA: (I, 3) beginnings of the legs [m].
+        p_WB: (J, 3) ends of the legs [m].
+        ellipsoids: M obstacles.
+        counts: (M,) the obstacles that are considered.
+        clearance: growth of the obstacles [m].
+
+    Returns:
+        (I, J) the largest of all obstacles.
     """
-    out[:] = 0.0
-    a, b = np.empty((len(p_WA), 3)), np.empty((len(p_WB), 3))
-    scale = np.empty(3)
-    for m in range(len(p_WO)):
-        if not counts[m]:
-            continue
-        for grown in range(2):
-            for axis in range(3):
-                scale[axis] = 1.0 / (semi_axes[m, axis] + (asked_clearance if grown else 0.0))
-            _in_axes(p_WA, p_WO[m], R_WO[m], scale, a)
-            _in_axes(p_WB, p_WO[m], R_WO[m], scale, b)
-            for i in range(len(a)):
-                for j in range(len(b)):
-                    if out[i, j] >= 1.0:
-                        continue
-                    g = _least_norm(a[i, 0], a[i, 1], a[i, 2], b[j, 0], b[j, 1], b[j, 2])
-                    if g < 1.0:
-                        out[i, j] = max(out[i, j], 1.0 - g if grown else 1.0)
-
-
-@compiled
-def _in_axes(
-    p_W: FloatArray, center: FloatArray, R: FloatArray, scale: FloatArray, out: FloatArray
-) -> None:
-    for i in range(len(p_W)):
-        x, y, z = p_W[i, 0] - center[0], p_W[i, 1] - center[1], p_W[i, 2] - center[2]
-        for axis in range(3):
-            out[i, axis] = scale[axis] * (R[0, axis] * x + R[1, axis] * y + R[2, axis] * z)
-
-
-@compiled
-def _least_norm(ax: float, ay: float, az: float, bx: float, by: float, bz: float) -> float:
-    """Distance of the segment from a to b to the origin."""
-    dx, dy, dz = bx - ax, by - ay, bz - az
-    d2 = dx * dx + dy * dy + dz * dz
-    share = 0.0
-    if d2 > 0.0:
-        share = min(max(-(ax * dx + ay * dy + az * dz) / d2, 0.0), 1.0)
-    x, y, z = ax + share * dx, ay + share * dy, az + share * dz
-    return math.sqrt(x * x + y * y + z * z)
+    centers, R_WO = ellipsoids.p_WO[counts, None], ellipsoids.R_WO[counts]
+    ends = [(p - centers) @ R_WO for p in (p_WA, p_WB)]
+    axes = ellipsoids.semi_axes[counts, None]
+    least: FloatArray = np.zeros((2, len(p_WA), len(p_WB)))
+    for row, growth in enumerate((clearance, 0.0)):
+        a, b = (p / (axes + growth) for p in ends)
+        aa, bb = (a * a).sum(axis=2)[:, :, None], (b * b).sum(axis=2)[:, None]
+        ab = a @ b.transpose(0, 2, 1)
+        squared = aa + bb - 2.0 * ab
+        share = np.clip((aa - ab) / np.maximum(squared, 1e-300), 0.0, 1.0)
+        g = np.sqrt(np.maximum(aa + share * (2.0 * (ab - aa) + share * squared), 0.0))
+        least[row] = g.min(axis=0, initial=1.0)
+    return np.where(least[1] < 1.0, 1.0, 1.0 - least[0])
