@@ -54,7 +54,6 @@ from drake_oa.planning.search import (
     SOURCES,
     ArmSearch,
     Earlier,
-    Guided,
     Leading,
     nominal_genes,
 )
@@ -62,6 +61,7 @@ from drake_oa.policy.action import Surroundings
 from drake_oa.policy.config import Policy
 from drake_oa.policy.coupling import ALPHA, N_COLUMNS, NORMAL
 from drake_oa.policy.dmp import Demonstration, Dmp, orientation_along
+from drake_oa.policy.guidance import Obstacles
 from drake_oa.policy.rollout import Scene, scene_under_way
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposals import (
@@ -158,7 +158,7 @@ class MotionSearch:
         self._chain, self._spheres, self._parameters = chain, spheres, parameters
         self._policy = policy
         s = np.linspace(0.0, 1.0, _LED)
-        self._task = Leading(s, orientation(s).reshape(_LED, 9), posture(s)[None])
+        self._task = Leading(s, orientation(s).reshape(_LED, 9), posture(s))
         self._q_goal, self._is_tool = q_goal, spheres.of_tool[spheres.first[:-1]]
         self._overshoot = np.zeros(len(spheres.group_joint)) if overshoot is None else overshoot
         # What spheres that keep less may touch: groups, and the tool's and the links' together.
@@ -319,7 +319,7 @@ class MotionSearch:
         R_WE = orientation_along(
             shown.orientation, X_WS[:9].reshape(3, 3), shown.R_WG, self._task.s
         )
-        return Leading(self._task.s, R_WE.reshape(-1, 9), shown.posture(self._task.s)[None])
+        return Leading(self._task.s, R_WE.reshape(-1, 9), shown.posture(self._task.s))
 
     def _modulated(
         self, here: SelectedMotion, sight: Sight, *, hasty: bool = False, afresh: bool = False
@@ -329,7 +329,7 @@ class MotionSearch:
         leading, dmp = self._leading(command), self._dmp_of(command)
         scene = self._scene(sight, dmp)
         target = np.append(leading.R_WE[-1], sight.p_WG)
-        ends = inverse_kinematics(self._chain, target, leading.q[0, -1], seeds=4)[:1]
+        ends = inverse_kinematics(self._chain, target, leading.q[-1], seeds=4)[:1]
         world = self._world(sight, ends)
         waits = sight.policy.phase == 1.0 and not sight.scene.moves
         coupling, route = sight.proposed()
@@ -480,7 +480,7 @@ class MotionSearch:
 
     def _goal(self, sight: Sight) -> tuple[FloatArray, FloatArray]:
         """(12,) pose of the tool at the goal [m], and (n,) the joints that are asked for [rad]."""
-        first = self._task.q[0, -1] if self._q_goal is None else self._q_goal
+        first = self._task.q[-1] if self._q_goal is None else self._q_goal
         return np.append(self._task.R_WE[-1], sight.p_WG), first
 
     def _no_goal(self, sight: Sight) -> str:
@@ -637,12 +637,11 @@ def _guided_command(
     return MotionCommand(CHAIN, terms_of(rows), seen, route, tau=1.0)
 
 
-def _guided(command: MotionCommand | None) -> Guided | None:
+def _guided(command: MotionCommand | None) -> Obstacles | None:
     """Returns the guided candidate of a command by the chain; None: it is none."""
     if command is None or not len(command.ellipsoids):
         return None
-    around = Surroundings.of(command.ellipsoids, command.coupling(), command.route)
-    return Guided(around.obstacles.terms, around.obstacles)
+    return Surroundings.of(command.ellipsoids, command.coupling(), command.route).obstacles
 
 
 def _shown_sides(route: Route, term: FloatArray, genes: FloatArray, seen: EllipsoidSet) -> Route:

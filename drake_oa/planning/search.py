@@ -28,9 +28,9 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_oa.common.compiled import CORES, compiled, on_cores, parted
+from drake_oa.common.compiled import CORES, kernel_arrays, on_cores, parted
 from drake_oa.common.messages import FloatArray, Frozen, IntArray
-from drake_oa.common.thinking import Thinking, count, counted
+from drake_oa.common.thinking import Thinking, Work, count, counted
 from drake_oa.geometry.solids import Solids
 from drake_oa.planning.arm_world import FAR, ArmWorld, Asked, lower_excess
 from drake_oa.policy.config import Policy
@@ -119,18 +119,6 @@ _EVEN[:, ANGLE] = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
 """First candidates of a search without proposals: a moderate term on every side."""
 
 
-class Guided(NamedTuple):
-    """Candidate motion by terms of several obstacles, past which guidance leads.
-
-    Attributes:
-        terms: (M, 13) coupling terms, see `turn_step`.
-        obstacles: the obstacles that lead their headings.
-    """
-
-    terms: FloatArray
-    obstacles: Obstacles
-
-
 class Ranked(NamedTuple):
     """Candidates, the best first.
 
@@ -163,6 +151,12 @@ def nominal_genes() -> FloatArray:
     genes = np.zeros((1, N_GENES))
     genes[:, ALPHA] = -np.inf
     return genes
+
+
+_FEASIBLE = Ranked(
+    nominal_genes(), np.full(1, np.nextafter(BAD, 0.0)), np.zeros(1), np.zeros(1, int)
+)
+"""Stands for a feasible candidate at any cost: what is not feasible cannot be better."""
 
 
 def _first(ranked: Ranked) -> Ranked:
@@ -201,6 +195,7 @@ class Search(ABC):
         self.moves = scene.moves
         self.ds = policy.period / dmp.duration
         self.every = 1
+        self.counts = np.zeros(len(SOURCES), dtype=np.int64)
         self.elites, self.stays = np.zeros((0, N_GENES)), False
 
     @abstractmethod
@@ -220,15 +215,16 @@ class Search(ABC):
         self,
         sides: FloatArray,
         *,
-        guided: Guided | None = None,
-        in_use: Guided | None = None,
+        guided: Obstacles | None = None,
+        in_use: Obstacles | None = None,
         source: int = SEARCH,
     ) -> Ranked:
         """Searches.
 
         Args:
             sides: (n, 7) genes of proposed sides, the best first.
-            guided: candidate by the rows of the paper's chain.
+            guided: candidate by the rows of the paper's chain: the obstacles with their terms, past
+                which guidance leads.
             in_use: the motion in use, if it is such a one.
             source: of the motion in use, if it has genes.
 
@@ -236,21 +232,27 @@ class Search(ABC):
             The best candidate, alone. Nothing is shorter than the nominal motion: where that is
             feasible, nothing else is looked at.
         """
-        nominal = self.evaluate(nominal_genes(), [NOMINAL])
+        genes, had = nominal_genes(), bool(np.isfinite(self.previous).all())
+        is_used = in_use is not None or had
+        # Its shortfall does not matter while the motion in use is feasible.
+        nominal = self.evaluate(genes, [NOMINAL], _FEASIBLE if is_used else None)
         if nominal.solved:
             return nominal
-        best, held, had = nominal, False, bool(np.isfinite(self.previous).all())
+        best = nominal
         if in_use is not None:
-            best, held = self.evaluate(nominal_genes(), [CHAIN], guided=in_use), True
+            best = self.evaluate(genes, [CHAIN], guided=in_use)
         elif had:
-            best, held = self.evaluate(self.previous[None], [source]), True
-        held = held and best.solved
+            best = self.evaluate(self.previous[None], [source])
+        held = is_used and best.solved
         if held and self.settled:
             self.stays = True
             return best
+        if is_used and not held:
+            nominal = self.evaluate(genes, [NOMINAL])
         same, best = best, best.joined(nominal)
         if guided is not None:
-            best = best.joined(self.evaluate(nominal_genes(), [CHAIN], guided=guided))
+            ranked = self.evaluate(genes, [CHAIN], _first(best), guided)
+            best = best.joined(ranked)
         genes, sources = self.seeded(sides, guided)
         ranked = self.evaluate(genes, sources, _first(best) if held else None)
         best = _first(best.joined(ranked))
@@ -280,7 +282,7 @@ class Search(ABC):
         genes: FloatArray,
         source: Sequence[int] | IntArray,
         known: Ranked | None = None,
-        guided: Guided | None = None,
+        guided: Obstacles | None = None,
     ) -> Ranked:
         """Rolls out candidates (n, 7) of sources (n,), or the guided one.
 
@@ -288,19 +290,26 @@ class Search(ABC):
         """
         worst = math.inf if known is None else float(known.cost[-1])
         longest = worst * self.scene.baseline if worst < BAD else math.inf
-        tool = self.tool_paths(genes, longest, guided)
-        cost = self.tool_cost(genes, tool)
-        cost = cost + self.world_cost(genes, tool, cost, worst)
-        return Ranked(genes, cost, tool.path_length, np.asarray(source, dtype=np.int64))
+        with counted() as work:
+            tool = self.tool_paths(genes, longest, guided)
+            cost = self.tool_cost(genes, tool)
+            cost = cost + self.world_cost(genes, tool, cost, worst)
+        ranked = Ranked(genes, cost, tool.path_length, np.asarray(source, dtype=np.int64))
+        self.evaluated(ranked, work, guided)
+        return ranked
+
+    def evaluated(self, ranked: Ranked, work: Work, guided: Obstacles | None) -> None:
+        """Counts the candidates by source; `work` is the work of their roll-outs."""
+        self.counts += np.bincount(ranked.source, minlength=len(SOURCES))
 
     def tool_paths(
-        self, genes: FloatArray, longest: float = math.inf, guided: Guided | None = None
+        self, genes: FloatArray, longest: float = math.inf, guided: Obstacles | None = None
     ) -> ToolRollouts:
         """Rolls out the tool along candidates (n, 7), or the guided one."""
         if guided is None:
             terms, obstacles = avoidance_terms(self.scene, genes)[:, None], None
         else:
-            terms, obstacles = guided.terms[None], guided.obstacles
+            terms, obstacles = guided.terms[None], guided
         return roll_out_tool(
             self.scene,
             terms,
@@ -331,7 +340,7 @@ class Search(ABC):
         small = _LATE * late + _HURRY * hurry + _FLIP * flip + price
         return np.asarray(np.where(bad > 0.0, BAD + bad, 0.0) + tool.path_length / L + small)
 
-    def seeded(self, sides: FloatArray, guided: Guided | None) -> tuple[FloatArray, IntArray]:
+    def seeded(self, sides: FloatArray, guided: Obstacles | None) -> tuple[FloatArray, IntArray]:
         """Returns the first candidates (n, 7) and their sources (n,).
 
         Proposed sides with several strengths each; in place of the last of them single terms of
@@ -384,7 +393,7 @@ class Leading(Frozen):
     Attributes:
         s: (T,) times; beyond them all is as at the ends.
         R_WE: (T, 9) orientations of the tool, row by row.
-        q: (D, T, n) postures that the null space is drawn to [rad].
+        q: (T, n) postures to which the null space is attracted [rad].
     """
 
     s: FloatArray
@@ -392,7 +401,7 @@ class Leading(Frozen):
     q: FloatArray
 
     def at(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Orientations (T, 9) and postures (D, T, n) at times (T,), linear in between.
+        """Interpolates orientations (T, 9) and postures (T, n) at times (T,).
 
         Between rows that are a degree apart the chord of two rotations turns as they do, and
         `arm.pose_error` takes only its turn: it need not be made orthonormal.
@@ -402,7 +411,7 @@ class Leading(Frozen):
         R_WE, q = self.R_WE, self.q
         return (
             R_WE[row] + share * (R_WE[row + 1] - R_WE[row]),
-            q[:, row] + share * (q[:, row + 1] - q[:, row]),
+            q[row] + share * (q[row + 1] - q[row]),
         )
 
 
@@ -464,30 +473,20 @@ class ArmSearch(Search):
         self.moves = bool(world.solids.ball[:, 4:7].any())
         # No round follows the first feasible motion.
         self.hasty = self.parameters.polish == 0
-        self.counts = np.zeros(len(SOURCES), dtype=np.int64)
         self.every = max(round(1.0 / (self.ds * samples)), 1)
         self.planned_length = _length(self.dmp) * scene.baseline
         self._led: dict[int, tuple[FloatArray, FloatArray, FloatArray]] = {}
         self._feasible: dict[bytes, tuple[ToolRollouts, ArmRollouts]] = {}
 
-    def evaluate(
-        self,
-        genes: FloatArray,
-        source: Sequence[int] | IntArray,
-        known: Ranked | None = None,
-        guided: Guided | None = None,
-    ) -> Ranked:
-        """Rolls out candidates, see `Search`; keeps an account of the cost and of the sources."""
-        with counted() as work:
-            ranked = super().evaluate(genes, source, known, guided)
+    def evaluated(self, ranked: Ranked, work: Work, guided: Obstacles | None) -> None:
+        """Adds up the cost, and stores the roll-outs of the best candidate."""
+        super().evaluated(ranked, work, guided)
+        self.latest = _COSTS.seconds(work) - _COSTS.decision
+        self.spent += self.latest
         best = int(ranked.cost.argmin())
         if ranked.cost[best] < BAD and guided is None:
             tool, arms = self._last
-            self._feasible[genes[best].tobytes()] = _row(tool, best), _row(arms, best)
-        self.latest = _COSTS.seconds(work) - _COSTS.decision
-        self.spent += self.latest
-        self.counts += np.bincount(ranked.source, minlength=len(SOURCES))
-        return ranked
+            self._feasible[ranked.genes[best].tobytes()] = _row(tool, best), _row(arms, best)
 
     def world_cost(
         self, genes: FloatArray, tool: ToolRollouts, cost: FloatArray, worst: float
@@ -525,7 +524,7 @@ class ArmSearch(Search):
             far = 0.0
         return bool(number >= ROUNDS_OF_HOPE and ranked.cost[0] > BAD + far)
 
-    def seeded(self, sides: FloatArray, guided: Guided | None) -> tuple[FloatArray, IntArray]:
+    def seeded(self, sides: FloatArray, guided: Obstacles | None) -> tuple[FloatArray, IntArray]:
         """Returns the first candidates, or the best of the earlier search, or both; see `Search`.
 
         Among moving obstacles the nominal motion is proposed at other paces, too: to wait is a way.
@@ -561,12 +560,13 @@ class ArmSearch(Search):
             s = self.sample_times(path.shape[1], stride)
             self._led[stride] = s, *self.leading.at(s)
         s, R_WE, q = self._led[stride]
-        none: IntArray = np.zeros(len(path), dtype=np.int64)
-        seconds = self.seconds(genes)
-        paths = ToolPaths(s[:T], path[:, :T], R_WE[None, :T], none, q[:1, :T], none, seconds)
+        led = (np.broadcast_to(of[:T], (len(path), T, of.shape[1])) for of in (R_WE, q))
+        paths = ToolPaths(s[:T], path[:, :T], *led, self.seconds(genes))
         return roll_out_arm(self.world, self.q, paths, enough)
 
-    def rollout(self, genes: FloatArray, guided: Guided | None) -> tuple[ToolRollouts, ArmRollouts]:
+    def rollout(
+        self, genes: FloatArray, guided: Obstacles | None
+    ) -> tuple[ToolRollouts, ArmRollouts]:
         """Returns tool and arm along one candidate (7,), or the guided one, to its end."""
         known = None if guided else self._feasible.get(genes.tobytes())
         if known is not None:
@@ -606,26 +606,21 @@ _EACH = 8
 """Candidates for which another thread pays."""
 
 
-@dataclass(frozen=True, eq=False)
-class ToolPaths(Frozen):
-    """N motions of the tool as they are rolled out, at T normalised times.
+class ToolPaths(NamedTuple):
+    """N motions of the tool at T normalised times.
 
     Attributes:
-        s: (T,) rising; the first one is now.
-        p_WE: (N, T, 3) the tool point [m]; NaN from where a motion has arrived.
-        R_WE: (C, T, 9) orientations, row by row.
-        turn: (N,) which of those each motion has.
-        posture: (D, T, n) postures that the null space is drawn to [rad].
-        drawn: (N,) to which of those each motion is.
-        seconds: (N,) seconds a unit of s.
+        s: (T,) times, ascending; the first one is now.
+        p_WE: (N, T, 3) positions [m]; NaN after the arrival of a motion.
+        R_WE: (N, T, 9) orientations, row by row.
+        posture: (N, T, n) postures to which the null space is attracted [rad].
+        seconds: (N,) duration of a unit of s [s].
     """
 
     s: FloatArray
     p_WE: FloatArray
     R_WE: FloatArray
-    turn: IntArray
     posture: FloatArray
-    drawn: IntArray
     seconds: FloatArray
 
 
@@ -670,72 +665,50 @@ def roll_out_arm(
     """
     N, T, _ = paths.p_WE.shape
     table, joints = np.empty((N, N_COLUMNS)), np.empty((N, T, len(q)))
-    stop = np.broadcast_to(np.asarray(enough, dtype=float), (N,))
-    arrays = {item.name: np.array(getattr(paths, item.name), order="C") for item in fields(paths)}
-    bundle = _Paths(**arrays, enough=np.array(stop))
+    stop = np.array(np.broadcast_to(np.asarray(enough, dtype=float), (N,)))
+    bundle = ToolPaths(*kernel_arrays(*paths))
     threads = min(CORES, N // _EACH + 1)
-    on_cores(_roll_some, threads, *world, np.array(q, dtype=float), bundle, table, joints)
+    on_cores(_roll_some, threads, *world, *kernel_arrays(q), bundle, stop, table, joints)
     samples, when = table[:, ENDED].astype(np.int64), table[:, WHEN].astype(np.int64)
     count(configurations=int(samples.sum()))
     return ArmRollouts(table[:, :3], table[:, ERROR], table[:, HURRY], samples, when, joints)
 
 
-class _Paths(NamedTuple):
-    """`ToolPaths` as the kernels take them, and (N,) what is enough of each."""
-
-    s: FloatArray
-    p_WE: FloatArray
-    R_WE: FloatArray
-    turn: IntArray
-    posture: FloatArray
-    drawn: IntArray
-    seconds: FloatArray
-    enough: FloatArray
-
-
-@compiled
-def _roll_one(
-    i: int, chain: Chain, spheres: Spheres, solids: Solids, asked: Asked, now: float,
-    q0: FloatArray, paths: _Paths, out: FloatArray, Q: FloatArray,
-) -> None:  # fmt: skip
-    """Candidate i, into out (N, N_COLUMNS) and Q (N, T, n)."""
-    T, n = Q.shape[1:]
-    s, p, guide, enough = paths.s, paths.p_WE[i], paths.posture[paths.drawn[i]], paths.enough[i]
-    room, target, q = scratch(n), np.empty(12), q0.copy()
-    center, least = np.empty((len(spheres.group_joint), 3)), np.full(3, FAR)
-    error, hurry, done, when, kept = 0.0, 0.0, 0, 0, FAR
-    for row in range(T):
-        if math.isnan(p[row, 0]):
-            break
-        target[:9], target[9:] = paths.R_WE[paths.turn[i], row], p[row]
-        pull = 1.0 - math.exp(PULL * (s[row - 1] - s[row])) if row > 0 else 0.0
-        missed = follow(q, target, guide, row, pull, chain, room)
-        Q[i, row] = q
-        done = row + 1
-        if row > 0:
-            # Where it is now it is.
-            error = max(error, missed)
-            dt = paths.seconds[i] * (s[row] - s[row - 1])
-            for joint in range(n):
-                moved = abs(q[joint] - Q[i, row - 1, joint])
-                hurry = max(hurry, moved / (chain.speed[joint] * dt))
-        t = now + paths.seconds[i] * (s[row] - s[0])
-        lower_excess(room.X, t, spheres, solids, asked, center, least, enough)
-        if min(least[0], min(least[1], least[2])) < kept:
-            kept, when = min(least[0], min(least[1], least[2])), row
-            if kept < enough:
-                break
-    for row in range(done, T):
-        Q[i, row] = q
-    out[i, :3], out[i, ERROR], out[i, HURRY], out[i, ENDED] = least, error, hurry, done
-    out[i, WHEN] = when
-
-
 @parted
 def _roll_some(
     part: int, parts: int, chain: Chain, spheres: Spheres, solids: Solids, asked: Asked,
-    now: float, q0: FloatArray, paths: _Paths, out: FloatArray, Q: FloatArray,
+    now: float, q0: FloatArray, paths: ToolPaths, enough: FloatArray, out: FloatArray,
+    Q: FloatArray,
 ) -> None:  # fmt: skip
-    """Every so many candidates."""
-    for i in range(part, len(paths.p_WE), parts):
-        _roll_one(i, chain, spheres, solids, asked, now, q0, paths, out, Q)
+    """Rolls out candidates part, part + parts, ... into out (N, N_COLUMNS) and Q (N, T, n)."""
+    T, n = Q.shape[1:]
+    s, room, target = paths.s, scratch(n), np.empty(12)
+    center = np.empty((len(spheres.group_joint), 3))
+    for i in range(part, len(Q), parts):
+        p, least, q = paths.p_WE[i], np.full(3, FAR), q0.copy()
+        error, hurry, done, when, kept = 0.0, 0.0, 0, 0, FAR
+        for row in range(T):
+            if math.isnan(p[row, 0]):
+                break
+            target[:9], target[9:] = paths.R_WE[i, row], p[row]
+            pull = 1.0 - math.exp(PULL * (s[row - 1] - s[row])) if row > 0 else 0.0
+            missed = follow(q, target, paths.posture[i], row, pull, chain, room)
+            Q[i, row] = q
+            done = row + 1
+            if row > 0:
+                # The first sample is the present configuration.
+                error = max(error, missed)
+                dt = paths.seconds[i] * (s[row] - s[row - 1])
+                for joint in range(n):
+                    moved = abs(q[joint] - Q[i, row - 1, joint])
+                    hurry = max(hurry, moved / (chain.speed[joint] * dt))
+            t = now + paths.seconds[i] * (s[row] - s[0])
+            lower_excess(room.X, t, spheres, solids, asked, center, least, enough[i])
+            if min(least[0], min(least[1], least[2])) < kept:
+                kept, when = min(least[0], min(least[1], least[2])), row
+                if kept < enough[i]:
+                    break
+        for row in range(done, T):
+            Q[i, row] = q
+        out[i, :3], out[i, ERROR], out[i, HURRY], out[i, ENDED] = least, error, hurry, done
+        out[i, WHEN] = when

@@ -247,8 +247,7 @@ class Lookout:
         p_WE[:, 1:] += shifts
         posture = self._joints[led, :T].copy()
         posture[:, 1:] += turns
-        R_WE, each = self._R_WE[:, :T], np.arange(C)
-        return ToolPaths(self._times[:T], p_WE, R_WE, led, posture, each, np.ones(C))
+        return ToolPaths(self._times[:T], p_WE, self._R_WE[led, :T], posture, np.ones(C))
 
     def _inside(self, shifts: FloatArray) -> BoolArray:
         """Whether ways stay above the table, or at least go no lower."""

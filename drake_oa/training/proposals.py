@@ -27,9 +27,10 @@ from drake_oa.common.console import Column, TextTable
 from drake_oa.common.files import provenance
 from drake_oa.common.messages import BoolArray, EllipsoidSet, FloatArray, IntArray
 from drake_oa.planning.point_search import PointSearch, ellipsoid_solids, path_distances
-from drake_oa.planning.search import SEARCH, Guided
+from drake_oa.planning.search import SEARCH
 from drake_oa.policy.config import Policy
 from drake_oa.policy.dmp import imitate, minimum_jerk
+from drake_oa.policy.guidance import Obstacles
 from drake_oa.policy.rollout import Scene
 from drake_oa.regulation.config import Verified
 from drake_oa.regulation.proposals import (
@@ -132,7 +133,7 @@ class SideSearch(PointSearch):
         genes[:, ANGLE] = np.clip(genes[:, ANGLE], -HALF, HALF)
         return genes
 
-    def seeded(self, sides: FloatArray, guided: Guided | None) -> tuple[FloatArray, IntArray]:
+    def seeded(self, sides: FloatArray, guided: Obstacles | None) -> tuple[FloatArray, IntArray]:
         """Returns the given candidates."""
         return self.bounded(sides), np.full(len(sides), SEARCH)
 

@@ -39,18 +39,14 @@ def swings(arm: ArmAlone, random: np.random.Generator, count: int) -> ToolPaths:
     return ToolPaths(
         S,
         p_WE,
-        np.stack([held, R_WE.reshape(-1, 9)]),
-        random.integers(2, size=count),
-        np.stack([np.tile(arm.q, (len(S), 1)), drawn]),
-        random.integers(2, size=count),
+        np.stack([held, R_WE.reshape(-1, 9)])[random.integers(2, size=count)],
+        np.stack([np.tile(arm.q, (len(S), 1)), drawn])[random.integers(2, size=count)],
         random.uniform(2.0, 6.0, count),
     )
 
 
 def row_of(paths: ToolPaths, i: int) -> ToolPaths:
-    one = slice(i, i + 1)
-    rows = paths.turn[one], paths.posture, paths.drawn[one], paths.seconds[one]
-    return ToolPaths(paths.s, paths.p_WE[one], paths.R_WE, *rows)
+    return ToolPaths(paths.s, *(of[i : i + 1] for of in paths[1:]))
 
 
 def bare(arm: ArmAlone, things: list) -> ArmWorld:
@@ -116,7 +112,7 @@ def test_the_joints_hold_the_tool_where_it_is_asked(
         for i in range(4):
             X_WE = tool_poses(arm.chain, found.q[i])
             away = np.abs(X_WE[1:, 9:] - paths.p_WE[i, 1:]).max()
-            R_WT = paths.R_WE[paths.turn[i]].reshape(-1, 3, 3)
+            R_WT = paths.R_WE[i].reshape(-1, 3, 3)
             R_WE = X_WE[:, :9].reshape(-1, 3, 3)
             turned = Rotation.from_matrix(R_WT @ R_WE.transpose(0, 2, 1)).as_rotvec()
             expected = max(away, np.abs(turned[1:]).max())
@@ -125,7 +121,7 @@ def test_the_joints_hold_the_tool_where_it_is_asked(
             rate = np.abs(np.diff(found.q[i], axis=0)) / dt / arm.chain.speed
             assert found.hurry[i] == pytest.approx(rate.max(), rel=1e-9)
         # A way that is no farther than this is within reach.
-        near = replace(paths, p_WE=arm.X_WE[9:] + 0.2 * (paths.p_WE - arm.X_WE[9:]))
+        near = paths._replace(p_WE=arm.X_WE[9:] + 0.2 * (paths.p_WE - arm.X_WE[9:]))
         assert roll_out_arm(bare(arm, []), arm.q, near).error.max() < MISSED
 
 
@@ -168,7 +164,7 @@ def test_a_motion_ends_where_it_has_arrived(panda_arm: ArmAlone) -> None:
     paths = swings(panda_arm, np.random.default_rng(4), 2)
     p_WE = paths.p_WE.copy()
     p_WE[0, 20:] = np.nan
-    cut = replace(paths, p_WE=p_WE)
+    cut = paths._replace(p_WE=p_WE)
     world = bare(panda_arm, random_things(np.random.default_rng(4), 3))
     whole, found = (roll_out_arm(world, panda_arm.q, each) for each in (paths, cut))
     assert found.samples.tolist() == [20, len(S)]
@@ -184,9 +180,7 @@ def test_an_obstacle_is_where_it_will_be(panda_arm: ArmAlone) -> None:
         S,
         np.tile(panda_arm.X_WE[9:], (1, len(S), 1)),
         np.tile(panda_arm.X_WE[:9], (1, len(S), 1)),
-        np.zeros(1, dtype=np.int64),
         np.tile(panda_arm.q, (1, len(S), 1)),
-        np.zeros(1, dtype=np.int64),
         np.full(1, 4.0),
     )
     (thing,) = random_things(np.random.default_rng(8), 1, moving=1)

@@ -127,9 +127,7 @@ class SceneArm:
             s=s,
             p_WE=(start + minimum_jerk_share(s)[:, None] * (goal - start))[None],
             R_WE=np.tile(self._R_WE, (1, len(s), 1)),
-            turn=np.zeros(1, dtype=np.int64),
             posture=(q_start + led)[None],
-            drawn=np.zeros(1, dtype=np.int64),
             seconds=np.array([task.duration]),
         )
         off_table = np.where(self.joint < 0, -np.inf, 0.0)[:, None]
