@@ -156,7 +156,7 @@ def nominal_genes() -> FloatArray:
 _FEASIBLE = Ranked(
     nominal_genes(), np.full(1, np.nextafter(BAD, 0.0)), np.zeros(1), np.zeros(1, int)
 )
-"""Stands for a feasible candidate at any cost: what is not feasible cannot be better."""
+"""A feasible candidate of the largest cost, below which only feasible candidates are."""
 
 
 def _first(ranked: Ranked) -> Ranked:
