@@ -25,5 +25,5 @@ the spring, the turn, and the spring's other half, each an exact flow (docs/equa
 
 The configuration is the block `policy` of a scenario (`config.Policy`).
 
-Begin with `action_kernels.take_steps`, then `dmp_integrator`.
+Begin with `action_kernels.take_step`, then `dmp_integrator`.
 """

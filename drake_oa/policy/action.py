@@ -183,35 +183,31 @@ class ActionLevel:
         around: Surroundings,
         time: float,
         step: float,
-        count: int = 1,
         speed_scale: float = 1.0,
         evasion: FloatArray | None = None,
     ) -> Segment:
-        """Takes a step of the policy, or several, from the end of a segment.
+        """Takes a step of the policy from the end of a segment.
 
         Args:
             before: where it is.
             p_WG: (3,) the goal now [m].
-            around: what it goes by in all of the steps.
+            around: obstacles and coupling terms.
             time: now [s].
-            step: length of a step [s].
-            count: how many steps.
+            step: length of the step [s].
             speed_scale: share of full speed, 1 / (tau T), at which the motion is to go; it
                 gets there at the rate of a hold. What is not in [0, 1] counts as the
                 nearest of them, NaN as 0.
             evasion: (3,) velocity [m/s] by which p_WE is displaced besides its motion, z and
-                phase being what they are; it changes linearly within the first step. None,
+                phase being what they are; it changes linearly within the step. None,
                 and what is not finite: not at all.
 
         Returns:
-            The motion in the last of the steps.
+            The motion in this step.
 
         Raises:
-            ValueError: if the goal has come to lie on the start, the step is negative or not
-                finite, or there is no step to take.
+            ValueError: if the goal has come to lie on the start, or the step is negative or not
+                finite.
         """
-        if count < 1:
-            raise ValueError(f"count must be at least 1, not {count}")
         scale = min(float(speed_scale), 1.0) if speed_scale > 0.0 else 0.0
         if evasion is None or not math.isfinite(evasion.sum()):
             evasion = _NO_EVASION
@@ -219,7 +215,7 @@ class ActionLevel:
         if not np.array_equal(motion.p_WG, p_WG):
             goal, frame = kernel_arrays(p_WG, local_frame(motion.p_WS, p_WG))
             motion = motion._replace(p_WG=goal, R_WL=frame)
-        motion, code = kernels.take_steps(
+        motion, code = kernels.take_step(
             motion,
             self._primitive if before.primitive is None else before.primitive.kernel,
             self._rules,
@@ -229,7 +225,6 @@ class ActionLevel:
             evasion,
             float(time),
             float(step),
-            count,
         )
         if code == kernels.BAD_STEP:
             raise ValueError(

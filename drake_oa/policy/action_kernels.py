@@ -2,7 +2,7 @@
 
 `advance` is the integration of `DmpIntegrator` and of every roll-out (`drake_oa.policy.rollout`):
 half a step of the spring of `drake_oa.policy.dmp`, the turn of `drake_oa.policy.coupling`, the
-spring's other half. `take_steps` adds the holds and the temporal scaling.
+spring's other half. `take_step` adds the holds and the temporal scaling.
 """
 
 from __future__ import annotations
@@ -248,47 +248,7 @@ def advance(  # noqa: PLR0913
 
 
 @compiled
-def take_steps(
-    motion: Motion,
-    primitive: Primitive,
-    rules: Rules,
-    facts: Facts,
-    obstacles: Obstacles,
-    scale: float,
-    evasion: FloatArray,
-    time: float,
-    step: float,
-    count: int,
-) -> tuple[Motion, int]:
-    """Takes steps of the policy one after the other.
-
-    Args:
-        motion: of the step before; its end is where the first one begins.
-        primitive: of three dimensions.
-        rules, facts, obstacles: what it goes by.
-        scale: share of full speed, 1 / (tau T), at which the motion is to go.
-        evasion: (3,) velocity by which it is displaced besides, at the end of the first
-            step and after [m/s].
-        time: now [s].
-        step: length of a step [s].
-        count: how many steps, at least 1.
-
-    Returns:
-        The motion of the last step, and the reason to hold it; or BAD_STEP.
-    """
-    code = FREE
-    for _ in range(count):
-        motion, code = _take_step(
-            motion, primitive, rules, facts, obstacles, scale, evasion, time, step
-        )
-        if code < FREE:
-            break
-        time = motion.end.stamp
-    return motion, code
-
-
-@compiled
-def _take_step(
+def take_step(
     before: Motion,
     primitive: Primitive,
     rules: Rules,
@@ -299,7 +259,20 @@ def _take_step(
     time: float,
     step: float,
 ) -> tuple[Motion, int]:
-    """One of `take_steps`."""
+    """Takes a step of the policy.
+
+    Args:
+        before: the motion in the step before; its end is the beginning of this one.
+        primitive: of three dimensions.
+        rules, facts, obstacles: how coupling terms act, and which.
+        scale: fraction of full speed, 1 / (tau T), that the motion approaches.
+        evasion: (3,) velocity of an additional displacement at the end of the step [m/s].
+        time: now [s].
+        step: length of the step [s].
+
+    Returns:
+        The motion in this step, and the reason to hold it; or BAD_STEP.
+    """
     now, p_WG, R_WL = before.end, before.p_WG, before.R_WL
     code = hold_code(now.p_WE, p_WG, facts, obstacles, time, rules.max_age)
     # What is held before it has begun does not begin.

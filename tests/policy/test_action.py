@@ -388,7 +388,8 @@ def test_a_motion_that_begins_straight_at_a_term_turns_to_its_side(seed: int, st
     around = Surroundings.of(EllipsoidSet(stamp=0.0), coupled, None)
     segment = initial_segment(DMP, start, goal, 0.0)
     # An imitated motion may begin with a little step back, and its heading passes through none.
-    segment = LEVEL.step(segment, goal, around, 0.0, step, count=round(0.1 / step))
+    for row in range(round(0.1 / step)):
+        segment = LEVEL.step(segment, goal, around, row * step, step)
     assert segment.end.z_W @ side > 0.0
 
 
