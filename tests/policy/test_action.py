@@ -264,15 +264,6 @@ def test_a_decision_leads_as_the_headings_made_from_it_do(seed: int) -> None:
     np.testing.assert_array_equal(followed.end.z_W, given_.end.z_W)
 
 
-def test_several_steps_at_once_are_the_same_as_one_after_the_other() -> None:
-    around = Surroundings.of(one_ellipsoid(), COUPLED, None)
-    begin = segment = initial_segment(DMP, START, GOAL, 0.0)
-    for _ in range(50):
-        segment = LEVEL.step(segment, GOAL, around, segment.end.stamp, STEP)
-    at_once = LEVEL.step(begin, GOAL, around, 0.0, STEP, 50)
-    np.testing.assert_equal(at_once.motion, segment.motion)
-
-
 # What the regulation may give beside its parameters.
 
 
