@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -163,6 +164,12 @@ class MotionSearch:
         self._overshoot = np.zeros(len(spheres.group_joint)) if overshoot is None else overshoot
         # What spheres that keep less may touch: groups, and the tool's and the links' together.
         self._touch = _LEAST_KEPT - self._overshoot
+        # The same pose and seed at every decision.
+        self._posture_at = lru_cache(maxsize=4)(
+            lambda target, seed: inverse_kinematics(
+                chain, np.frombuffer(target), np.frombuffer(seed), seeds=4
+            )[:1]
+        )
         moved = spheres.group_joint >= 0
         parts = (self._is_tool & moved, ~self._is_tool & moved)
         self._touch_of_parts = np.array([self._touch[of].min(initial=np.inf) for of in parts])
@@ -329,8 +336,7 @@ class MotionSearch:
         leading, dmp = self._leading(command), self._dmp_of(command)
         scene = self._scene(sight, dmp)
         target = np.append(leading.R_WE[-1], sight.p_WG)
-        ends = inverse_kinematics(self._chain, target, leading.q[-1], seeds=4)[:1]
-        world = self._world(sight, ends)
+        world = self._world(sight, self._posture_at(target.tobytes(), leading.q[-1].tobytes()))
         waits = sight.policy.phase == 1.0 and not sight.scene.moves
         coupling, route = sight.proposed()
         provisional = memory.is_provisional

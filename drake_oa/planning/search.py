@@ -254,7 +254,7 @@ class Search(ABC):
             ranked = self.evaluate(genes, [CHAIN], _first(best), guided)
             best = best.joined(ranked)
         genes, sources = self.seeded(sides, guided)
-        ranked = self.evaluate(genes, sources, _first(best) if held else None)
+        ranked = self.evaluate(genes, sources, _first(best) if best.solved else None)
         best = _first(best.joined(ranked))
         if held and same.cost[0] <= best.cost[0] + _MUCH:
             self.stays = True
