@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.spatial import ConvexHull, QhullError
 
 from drake_oa.common.compiled import compiled, leaf
@@ -40,9 +41,7 @@ _TOO_NEAR = 0.05
 """A viewpoint so near above a thing says nothing of its depth [m]."""
 _FAR = 1 << 28
 """Squared distance of what is nowhere [voxel^2]."""
-_FEWEST_CELLS = 4096
 _LONGEST = 4096  # nodes along an axis: so that squares of distances are integers of 32 bits
-_FARTHEST = 1e4
 _MOST = 1 << 14  # longer than any row
 _SPARSE = 2.0
 """Pixels that show a point, by the number of points: above, the pixels are too small."""
@@ -79,9 +78,6 @@ class DistanceField(Frozen):
 def field_of(
     cloud: FloatArray,
     *,
-    voxel: float = VOXEL,
-    margin: float = MARGIN,
-    max_cells: int = MAX_CELLS,
     viewpoint_W: FloatArray | None = None,
     deepest: float = DEEPEST,
     table: TablePlane | None = None,
@@ -103,52 +99,34 @@ def field_of(
     are coarser than asked, all distances are smaller by as much as they are coarser.
 
     Args:
-        cloud: (N, 3) points in the world [m].
-        voxel: edge of a voxel [m]; it becomes coarser where there would be too many.
-        margin: how far the grid goes past what is occupied [m].
-        max_cells: how many nodes it may have.
+        cloud: (N, 3) points in the world, at least one [m].
         viewpoint_W: (3,) from where the cloud was seen, or (n, 3) of several cameras [m]; None:
             nothing is filled.
         deepest: what is seen from one side is taken to be at most so deep [m].
         table: nothing is filled below it.
         seen_free: tells of points (N, 3) [m] which of them an image sees through: they are not
             filled. None: no image is known but for the cloud.
-
-    Raises:
-        ValueError: for a cloud that is empty, not finite or not (N, 3), and for a voxel, margin,
-            depth or number of cells that makes no grid.
     """
-    points = np.require(cloud, np.float64, ["C", "W"])
-    if points.ndim != 2 or points.shape[1] != 3 or not len(points):
-        raise ValueError(f"a cloud is (N, 3) with N > 0, not {points.shape}")
+    points = np.asarray(cloud, dtype=float)
     low, high = points.min(axis=0), points.max(axis=0)
-    if not (np.isfinite(low).all() and np.isfinite(high).all()):
-        raise ValueError("a point of the cloud is not finite")
-    if max(-low.min(), high.max()) > _FARTHEST:
-        raise ValueError(f"a point of the cloud is farther than {_FARTHEST:g} m from the origin")
-    for name, value in (("voxel", voxel), ("margin", margin), ("deepest", deepest)):
-        if not (math.isfinite(value) and value > 0.0):
-            raise ValueError(f"{name} must be positive and finite, not {value}")
-    if max_cells < _FEWEST_CELLS:
-        raise ValueError(f"max_cells must be at least {_FEWEST_CELLS}, not {max_cells}")
-    asked = voxel
-    voxel, first, count = _grid(low, high, margin, voxel, max_cells)
+    voxel, first, count = _grid(low, high, VOXEL)
     places = np.zeros((0, 3)) if viewpoint_W is None else np.atleast_2d(viewpoint_W).astype(float)
     looked = [_shade(points, p_WV, voxel, deepest, table) for p_WV in places]
     shades = [shade for shade in looked if shade is not None]
     for shade in shades:
         low, high = np.minimum(low, shade.low), np.maximum(high, shade.high)
     if shades:
-        voxel, first, count = _grid(low, high, margin, voxel, max_cells)
-    note, coarser = "", voxel - asked
+        voxel, first, count = _grid(low, high, voxel)
+    note, coarser = "", voxel - VOXEL
     if coarser > 0.0:
         note = (
-            f"voxels of {voxel:.3g} m in place of {asked:.3g} m: the cloud is large, and taken to "
+            f"voxels of {voxel:.3g} m in place of {VOXEL:.3g} m: the cloud is large, and taken to "
             "be as much thicker"
         )
     p_WO = (first + 0.5) * voxel
     occupied = np.zeros(tuple(count), dtype=np.uint8)
-    _fill(points, p_WO, voxel, occupied)
+    # The node nearest to each point.
+    occupied[tuple(np.floor((points - p_WO) / voxel + 0.5).astype(np.int64).T)] = 1
     hidden = occupied if seen_free is None else np.zeros_like(occupied)
     for shade in shades:
         _fill_hidden(p_WO, voxel, shade, hidden)
@@ -156,37 +134,24 @@ def field_of(
         nodes = np.argwhere(hidden)
         hidden[tuple(nodes[seen_free(p_WO + voxel * nodes)].T)] = 0
         occupied |= hidden
-    values = np.empty(occupied.shape, dtype=np.float32)
-    box = _signed_distances(occupied, voxel, values)
+    values, box = _signed_distances(occupied, voxel)
     if coarser > 0.0:
         values -= np.float32(coarser)
     low, high = box[0] * voxel - coarser, (box[1] - 1) * voxel + coarser
     return DistanceField(p_WO, voxel, values, low, high, note)
 
 
-def _grid(
-    low: FloatArray, high: FloatArray, margin: float, voxel: float, max_cells: int
-) -> tuple[float, FloatArray, IntArray]:
+def _grid(low: FloatArray, high: FloatArray, voxel: float) -> tuple[float, FloatArray, IntArray]:
     """Edge of a voxel [m], numbers (3,) of the first in the world, and how many (3,)."""
     while True:
         # All round what is occupied at least one node is free.
-        past = max(margin, 1.5 * voxel)
+        past = max(MARGIN, 1.5 * voxel)
         first = np.floor((low - past) / voxel)
         count = np.floor((high + past) / voxel) - first + 1.0
         cells = math.prod(count.tolist())
-        if cells <= max_cells and count.max() <= _LONGEST:
+        if cells <= MAX_CELLS and count.max() <= _LONGEST:
             return voxel, first, count.astype(np.int64)
-        voxel *= min(max(1.01, (cells / max_cells) ** (1.0 / 3.0)), 1e3)
-
-
-@compiled
-def _fill(points: FloatArray, p_WO: FloatArray, voxel: float, occupied: ByteArray) -> None:
-    """Occupies the node nearest to each point (N, 3)."""
-    for n in range(len(points)):
-        i = math.floor((points[n, 0] - p_WO[0]) / voxel + 0.5)
-        j = math.floor((points[n, 1] - p_WO[1]) / voxel + 0.5)
-        k = math.floor((points[n, 2] - p_WO[2]) / voxel + 0.5)
-        occupied[i, j, k] = 1
+        voxel *= min(max(1.01, (cells / MAX_CELLS) ** (1.0 / 3.0)), 1e3)
 
 
 class _Shade(NamedTuple):
@@ -222,8 +187,6 @@ def _shade(
     points: FloatArray, p_WV: FloatArray, edge: float, deepest: float, table: TablePlane | None
 ) -> _Shade | None:
     """The surface as it was seen; None: the viewpoint lies in it."""
-    if p_WV.shape != (3,) or not np.isfinite(p_WV).all():
-        raise ValueError(f"a viewpoint is (3,) and finite, not {p_WV}")
     low, high = points.min(axis=0), points.max(axis=0)
     view = 0.5 * (low + high) - p_WV
     distance, level = float(np.linalg.norm(view)), float(np.hypot(view[0], view[1]))
@@ -259,17 +222,23 @@ def _shade(
     low[2] -= below if level < _TOO_NEAR else min(below, (run + edge) * steep)
     p_VQ = (points - p_WV) @ R_WV
     # Points all round a near viewpoint make no image; those beside it are left as they are.
-    p_VQ = np.ascontiguousarray(p_VQ[p_VQ[:, 2] > 0.2 * np.linalg.norm(p_VQ, axis=1)])
+    p_VQ = p_VQ[p_VQ[:, 2] > 0.2 * np.linalg.norm(p_VQ, axis=1)]
     if not len(p_VQ):
         return None
-    q = p_VQ[:, :2] / p_VQ[:, 2:]
+    q, distances = p_VQ[:, :2] / p_VQ[:, 2:], np.linalg.norm(p_VQ, axis=1)
     pixel = max(edge / distance, float(np.ptp(q, axis=0).max()) / _WIDEST)
     while True:
         # Where most points have pixels of their own the points are sparse.
         corner = q.min(axis=0) - 0.5 * pixel
         shape = ((q.max(axis=0) - corner) / pixel + 0.5).astype(np.int64) + 2
         near, far = np.full(shape, np.inf), np.full(shape, -np.inf)
-        filled = _draw(p_VQ, corner, pixel, near, far)
+        # Each point is drawn on the four pixels round it.
+        u, v = ((q - corner) / pixel - 0.5).astype(np.int64).T
+        for a, b in np.ndindex(2, 2):
+            at = (u + a) * shape[1] + v + b
+            np.minimum.at(near.reshape(-1), at, distances)
+            np.maximum.at(far.reshape(-1), at, distances)
+        filled = np.count_nonzero(near < np.inf)
         if filled <= _SPARSE * len(q) or pixel * distance > _COARSEST * edge:
             break
         pixel *= 1.25
@@ -300,39 +269,14 @@ def _outline(along: FloatArray, across: FloatArray, depth: float) -> FloatArray:
     return np.ascontiguousarray(np.unique(np.round(sides, 9), axis=0))
 
 
-@compiled
-def _draw(
-    p_VQ: FloatArray, corner: FloatArray, pixel: float, near: FloatArray, far: FloatArray
-) -> int:
-    """Draws points (N, 3) on the four pixels round each; how many show one."""
-    count = 0
-    for n in range(len(p_VQ)):
-        x, y, z = p_VQ[n, 0], p_VQ[n, 1], p_VQ[n, 2]
-        r = math.sqrt(x * x + y * y + z * z)
-        u, v = int((x / z - corner[0]) / pixel - 0.5), int((y / z - corner[1]) / pixel - 0.5)
-        for a in range(u, u + 2):
-            for b in range(v, v + 2):
-                count += near[a, b] == np.inf
-                near[a, b], far[a, b] = min(near[a, b], r), max(far[a, b], r)
-    return count
-
-
-@compiled
 def _close_gaps(near: FloatArray, far: FloatArray) -> None:
     """Fills pixels that show nothing among five or more neighbours that do."""
-    rows, columns = near.shape
-    seen, last = near.copy(), far.copy()
-    for u in range(1, rows - 1):
-        for v in range(1, columns - 1):
-            if seen[u, v] < np.inf:
-                continue
-            count, least, most = 0, np.inf, -np.inf
-            for a in range(u - 1, u + 2):
-                for b in range(v - 1, v + 2):
-                    count += seen[a, b] < np.inf
-                    least, most = min(least, seen[a, b]), max(most, last[a, b])
-            if count >= 5:
-                near[u, v], far[u, v] = least, most
+    seen = near < np.inf
+    count = ndimage.convolve(seen.astype(np.int64), np.ones((3, 3), dtype=np.int64))
+    gap = ~seen & (count >= 5)
+    gap[[0, -1]] = gap[:, [0, -1]] = False
+    closest, farthest = ndimage.minimum_filter(near, 3), ndimage.maximum_filter(far, 3)
+    near[gap], far[gap] = closest[gap], farthest[gap]
 
 
 @compiled
@@ -382,29 +326,6 @@ def _fill_hidden(p_WO: FloatArray, voxel: float, shade: _Shade, occupied: ByteAr
                 behind = min(behind, r - near)
                 if behind * math.sqrt(level2) <= (shade.run + slack) * r:
                     occupied[i, j, k] = 1
-
-
-@compiled
-def _box_of(occupied: ByteArray) -> IntArray:
-    """First and one past the last index (2, 3) of what is occupied."""
-    box = np.empty((2, 3), dtype=np.int64)
-    for m in range(3):
-        box[0, m], box[1, m] = occupied.shape[m], 0
-    for i in range(occupied.shape[0]):
-        for j in range(occupied.shape[1]):
-            row = occupied[i, j]
-            first = 0
-            while first < len(row) and row[first] == 0:
-                first += 1
-            if first == len(row):
-                continue
-            last = len(row)
-            while row[last - 1] == 0:
-                last -= 1
-            box[0, 0], box[1, 0] = min(box[0, 0], i), max(box[1, 0], i + 1)
-            box[0, 1], box[1, 1] = min(box[0, 1], j), max(box[1, 1], j + 1)
-            box[0, 2], box[1, 2] = min(box[0, 2], first), max(box[1, 2], last)
-    return box
 
 
 @compiled
@@ -524,29 +445,21 @@ def _nearest_rows(
             largest = _lowered(rows[other], gap2, best)
 
 
-@compiled
-def _signed_distances(occupied: ByteArray, voxel: float, values: NDArray[np.float32]) -> IntArray:
-    """Sets the distances [m] at the nodes; gives the box (2, 3) of what is occupied.
+def _signed_distances(occupied: ByteArray, voxel: float) -> tuple[NDArray[np.float32], IntArray]:
+    """Computes the distances [m] at the nodes, and the box (2, 3) of occupied nodes.
 
-    Zero, less the offset, is where a node is occupied and has a neighbour that is not.
+    Zero, less the offset, is where a node is occupied and has a neighbour that is not. The box
+    is the first and one past the last index.
     """
-    box = _box_of(occupied)
+    used = [np.flatnonzero(occupied.any(axis=axes)) for axes in ((1, 2), (0, 2), (0, 1))]
+    box = np.array([[rows[0] for rows in used], [rows[-1] + 1 for rows in used]])
+    values = np.empty(occupied.shape, dtype=np.float32)
     _distances(occupied, box, voxel, -OFFSET * voxel, values)
     # Within, to the nearest free node; all round there are such.
-    i0, j0, k0 = box[0, 0] - 1, box[0, 1] - 1, box[0, 2] - 1
-    size = (box[1, 0] - i0 + 1, box[1, 1] - j0 + 1, box[1, 2] - k0 + 1)
-    free = np.empty(size, dtype=np.uint8)
-    for i in range(size[0]):
-        for j in range(size[1]):
-            for k in range(size[2]):
-                free[i, j, k] = 1 - occupied[i0 + i, j0 + j, k0 + k]
-    inner = np.empty(size, dtype=np.float32)
-    whole = np.zeros((2, 3), dtype=np.int64)
-    whole[1, 0], whole[1, 1], whole[1, 2] = size
+    within = tuple(slice(first - 1, last + 1) for first, last in box.T)
+    free = 1 - occupied[within]
+    inner = np.empty(free.shape, dtype=np.float32)
+    whole = np.array([(0, 0, 0), free.shape])
     _distances(free, whole, -voxel, (1.0 - OFFSET) * voxel, inner)
-    for i in range(size[0]):
-        for j in range(size[1]):
-            for k in range(size[2]):
-                if free[i, j, k] == 0:
-                    values[i0 + i, j0 + j, k0 + k] = inner[i, j, k]
-    return box
+    np.copyto(values[within], inner, where=free == 0)
+    return values, box

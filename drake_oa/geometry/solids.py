@@ -46,9 +46,8 @@ class Solids(NamedTuple):
     """K solids as kernels take them: C-contiguous arrays of one type each, and few of them.
 
     Attributes:
-        ball: (K, 10) centre, in the world at the stamp, and radius of a sphere that holds the
-            solid (inf: a half-space) [m]; velocity [m/s]; stamp; from when until when the solid
-            is there [s].
+        ball: (K, 8) centre, in the world at the stamp, and radius of a sphere that holds the
+            solid (inf: a half-space) [m]; velocity [m/s]; stamp [s].
         X_WO: (K, 3, 4) upper rows of the poses at the stamp.
         size: (K, 7) of a primitive the half extents of its inner box, its rounding radius [m], and
             1 for a cylinder about z, else 0; the semi-axes of an ellipsoid [m]; of a field see
@@ -81,7 +80,6 @@ class Solid(Frozen):
         X_WO: (4, 4) its pose at the stamp.
         v_WO: (3,) velocity of its origin, and of all of it, in the world [m/s].
         stamp: when it is there [s].
-        window: from when until when it exists [s].
         size: see `Solids.size`.
         center, radius: sphere that holds it, in O [m]; inf: a half-space.
         corners: (F lists of) triangles (T_i, 3, 3) of a hull's faces, in O [m].
@@ -95,7 +93,6 @@ class Solid(Frozen):
     X_WO: FloatArray = field(default_factory=lambda: np.eye(4))
     v_WO: FloatArray = field(default_factory=lambda: np.zeros(3))
     stamp: float = 0.0
-    window: tuple[float, float] = (-math.inf, math.inf)
     size: tuple[float, ...] = ()
     center: FloatArray = field(default_factory=lambda: np.zeros(3))
     radius: float = math.inf
@@ -374,7 +371,7 @@ def solids_of(items: Sequence[Solid]) -> Solids:
             solid rests.
     """
     count = len(items)
-    X_WO, ball = np.empty((count, 3, 4)), np.empty((count, 10))
+    X_WO, ball = np.empty((count, 3, 4)), np.empty((count, 8))
     size, layout = np.zeros((count, 7)), np.zeros((count, 6), dtype=np.int64)
     planes, cells = [np.zeros((0, 4))], 0
     grids: list[DistanceField] = []
@@ -387,7 +384,7 @@ def solids_of(items: Sequence[Solid]) -> Solids:
             raise ValueError(f"solid {row} ({item.label}) moves and has no stamp")
         X_WO[row] = item.X_WO[:3]
         ball[row, :3] = X_WO[row, :, :3] @ item.center + X_WO[row, :, 3]
-        ball[row, 3:] = item.radius, *item.v_WO, item.stamp if moves else 0.0, *item.window
+        ball[row, 3:] = item.radius, *item.v_WO, item.stamp if moves else 0.0
         size[row, : len(item.size)] = item.size
         layout[row, [0, 5]] = item.kind, item.name
         if item.kind == HULL:
@@ -576,8 +573,7 @@ def _hull_points(solid: Solid, count: int) -> FloatArray:
 def solid_distance(solids: Solids, k: int, x: float, y: float, z: float, t: float) -> float:
     """Signed distance [m] of a point (x, y, z) of the world to solid k at time t [s].
 
-    Exact, inside as well, but for a field (see `drake_oa.geometry.distance_field`); inf where
-    the solid is not there at that time.
+    Exact, inside as well, but for a field (see `drake_oa.geometry.distance_field`).
     """
     return solid_gradient(solids, k, x, y, z, t)[0]
 
@@ -588,8 +584,6 @@ def solid_gradient(
 ) -> tuple[float, float, float, float]:
     """As `solid_distance`, and the gradient of it in the world, of unit length but in a field."""
     ball, X = solids.ball, solids.X_WO
-    if t < ball[k, 8] or t > ball[k, 9]:
-        return np.inf, 0.0, 0.0, 0.0
     since = t - ball[k, 7]
     x -= X[k, 0, 3] + since * ball[k, 4]
     y -= X[k, 1, 3] + since * ball[k, 5]
@@ -624,8 +618,6 @@ def solid_gradient(
 def ball_bound(solids: Solids, k: int, x: float, y: float, z: float, t: float) -> float:
     """A lower bound of `solid_distance`, from the sphere that holds the solid [m]."""
     ball = solids.ball
-    if t < ball[k, 8] or t > ball[k, 9]:
-        return np.inf
     since = t - ball[k, 7]
     x -= ball[k, 0] + since * ball[k, 4]
     y -= ball[k, 1] + since * ball[k, 5]

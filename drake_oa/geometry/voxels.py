@@ -93,33 +93,6 @@ def members_of(group: IntArray, count: int) -> tuple[IntArray, IntArray]:
     return begin, members
 
 
-@compiled
-def _cell_means(
-    points: FloatArray, cell_of: IntArray, order: IntArray
-) -> tuple[FloatArray, IntArray, IntArray]:
-    """Means (M, 3), the place (N,) of each point's cell, and counts (M,) in a new order.
-
-    Args:
-        points: (N, 3) points [m].
-        cell_of: (N,) the cell of each; changed.
-        order: (M,) the cells in their new order.
-    """
-    place = np.empty(len(order), dtype=np.int64)
-    for m in range(len(order)):
-        place[order[m]] = m
-    means, count = np.zeros((len(order), 3)), np.zeros(len(order), dtype=np.int64)
-    for i in range(len(cell_of)):
-        m = place[cell_of[i]]
-        cell_of[i] = m
-        count[m] += 1
-        for k in range(3):
-            means[m, k] += points[i, k]
-    for m in range(len(order)):
-        for k in range(3):
-            means[m, k] /= count[m]
-    return means, cell_of, count
-
-
 def voxel_means(points: FloatArray, voxel: float) -> tuple[FloatArray, IntArray, IntArray]:
     """Averages points (N, 3) by voxel [m].
 
@@ -128,7 +101,11 @@ def voxel_means(points: FloatArray, voxel: float) -> tuple[FloatArray, IntArray,
         of points (M,) of each voxel.
     """
     keys, voxel_of, _ = filed(voxel_keys(points, voxel))
-    return _cell_means(points, voxel_of, np.argsort(keys))
+    # The inverse of the order of the keys.
+    voxel_of = np.argsort(np.argsort(keys))[voxel_of]
+    count = np.bincount(voxel_of)
+    sums = np.stack([np.bincount(voxel_of, coordinate) for coordinate in points.T], axis=1)
+    return sums / count[:, None], voxel_of, count
 
 
 def points_of_groups(

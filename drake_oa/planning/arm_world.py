@@ -177,30 +177,37 @@ def lower_excess(
 
 
 @compiled
-def excess(world: ArmWorld, q: FloatArray, t: float, X: FloatArray, center: FloatArray) -> float:
-    """What a configuration keeps beyond what is asked, at most `FAR` [m]; below 0: it does not."""
-    least = np.full(3, FAR)
+def excess(
+    world: ArmWorld, q: FloatArray, t: float, far: float, X: FloatArray, center: FloatArray
+) -> float:
+    """Computes the excess of a configuration over the requested clearances, at most `far` [m]."""
+    least = np.full(3, far)
     chain_poses(q, world.chain.X_PJ, X)
     lower_excess(X, t, world.spheres, world.solids, world.asked, center, least, 0.0)
     return min(least[0], min(least[1], least[2]))
 
 
-@compiled
 def exceeds(world: ArmWorld, q: FloatArray) -> bool:
     """Whether a configuration (n,) is within the limits and keeps what is asked now."""
-    for i in range(len(q)):
-        if not world.chain.lower[i] <= q[i] <= world.chain.upper[i]:
-            return False
-    X, center = np.empty((len(q) + 2, 12)), np.empty((len(world.spheres.group_joint), 3))
-    return excess(world, q, world.now, X, center) >= 0.0
+    is_within = (world.chain.lower <= q).all() and (q <= world.chain.upper).all()
+    return bool(is_within and excess_along(world, q[None]) >= 0.0)
 
 
 @compiled
-def share_clear(world: ArmWorld, one: FloatArray, other: FloatArray) -> tuple[float, int]:
+def share_clear(
+    world: ArmWorld, one: FloatArray, other: FloatArray, step: float, far: float
+) -> tuple[float, int]:
     """What share of the straight way in the joints, from one configuration to another, is clear.
 
-    No step moves a sphere by more than what is kept beyond what is asked, or `STRIDE`: of what
-    is asked, no more than half a stride can be lost between two steps.
+    No step moves a sphere by more than what is kept beyond what is asked, or `step`: of what
+    is asked, no more than half of it can be lost between two steps.
+
+    Args:
+        world: the arm, and what it is to keep clear of.
+        one: (n,) where the way begins [rad].
+        other: (n,) where it ends [rad].
+        step: shortest bound on the movement of a sphere in a step, such as `STRIDE` [m].
+        far: by how much more than asked a clearance need not be known, such as `FAR` [m].
 
     Returns:
         The share, 1 for all of it, and how many configurations were looked at.
@@ -212,12 +219,12 @@ def share_clear(world: ArmWorld, one: FloatArray, other: FloatArray) -> tuple[fl
         bound += world.chain.reach[i] * abs(other[i] - one[i])
     if bound == 0.0:
         return 1.0, 0
-    stride = STRIDE / bound
+    stride = step / bound
     share, clear, looked_at = min(stride, 1.0), 0.0, 0
     while True:
         for i in range(n):
             q[i] = one[i] + share * (other[i] - one[i])
-        kept = excess(world, q, world.now, X, center)
+        kept = excess(world, q, world.now, far, X, center)
         looked_at += 1
         if kept < 0.0:
             return clear, looked_at
@@ -232,7 +239,7 @@ def excess_along(world: ArmWorld, q: FloatArray) -> float:
     X, center = np.empty((q.shape[1] + 2, 12)), np.empty((len(world.spheres.group_joint), 3))
     least = FAR
     for row in range(len(q)):
-        least = min(least, excess(world, q[row], world.now, X, center))
+        least = min(least, excess(world, q[row], world.now, FAR, X, center))
     return least
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -21,16 +22,14 @@ from numpy.typing import NDArray
 from drake_oa.common.compiled import CORES, compiled, on_cores, parted
 from drake_oa.common.messages import FloatArray, Frozen, IntArray
 from drake_oa.common.thinking import count
-from drake_oa.geometry.solids import Solids
 from drake_oa.planning.arm_world import (
+    FAR,
     STRIDE,
     ArmWorld,
-    Asked,
     exceeds,
-    lower_excess,
     share_clear,
 )
-from drake_oa.robot.arm import Chain, Spheres, chain_poses
+from drake_oa.robot.arm import Chain
 
 TREES = 2
 """Pairs of trees that grow beside each other."""
@@ -55,12 +54,10 @@ class JointPath(Frozen):
     Attributes:
         q: (T, n) corners of the path, from start to goal [rad]; (0, n): none was found.
         reason: "" or why none was.
-        looked_at: how many configurations were.
     """
 
     q: FloatArray
     reason: str = ""
-    looked_at: int = 0
 
 
 class _Trees(NamedTuple):
@@ -83,26 +80,6 @@ class _Trees(NamedTuple):
     met: IntArray
 
 
-class _Room(NamedTuple):
-    """Room that the kernels work in: (n + 2, 12), (G, 3), (3,) and four times (n,)."""
-
-    X: FloatArray
-    center: FloatArray
-    least: FloatArray
-    q: FloatArray
-    one: FloatArray
-    other: FloatArray
-    aim: FloatArray
-
-
-@compiled
-def _room(n: int, groups: int) -> _Room:
-    return _Room(
-        np.empty((n + 2, 12)), np.empty((groups, 3)), np.empty(3),
-        np.empty(n), np.empty(n), np.empty(n), np.empty(n),
-    )  # fmt: skip
-
-
 @compiled
 def _uniform(random: NDArray[np.uint64], r: int) -> float:
     """The next of the numbers r in [0, 1) (G. L. Steele et al., SplitMix, OOPSLA 2014)."""
@@ -111,37 +88,6 @@ def _uniform(random: NDArray[np.uint64], r: int) -> float:
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return float((z ^ (z >> np.uint64(31))) >> np.uint64(11)) / 9007199254740992.0
-
-
-@compiled
-def _advance(
-    world: ArmWorld, one: FloatArray, other: FloatArray, step: float, room: _Room,
-    looked_at: IntArray, r: int,
-) -> float:  # fmt: skip
-    """As `share_clear`, in steps of at least so much [m] and with clearances up to `_NEAR`."""
-    n, bound = len(one), 0.0
-    for i in range(n):
-        bound += world.chain.reach[i] * abs(other[i] - one[i])
-    if bound == 0.0:
-        return 1.0
-    stride, clear = step / bound, 0.0
-    share = min(stride, 1.0)
-    while True:
-        for i in range(n):
-            room.q[i] = one[i] + share * (other[i] - one[i])
-        room.least[:] = _NEAR
-        chain_poses(room.q, world.chain.X_PJ, room.X)
-        lower_excess(
-            room.X, world.now, world.spheres, world.solids, world.asked, room.center, room.least,
-            0.0,
-        )  # fmt: skip
-        kept = min(room.least[0], min(room.least[1], room.least[2]))
-        looked_at[r] += 1
-        if kept < 0.0:
-            return clear
-        if share == 1.0:
-            return 1.0
-        clear, share = share, min(share + max(stride, kept / bound), 1.0)
 
 
 @compiled
@@ -167,36 +113,34 @@ def _nearest(nodes: FloatArray, used: int, q: FloatArray) -> int:
 
 @compiled
 def _extend(
-    world: ArmWorld, trees: _Trees, r: int, side: int, row: int, aim: FloatArray, room: _Room
+    world: ArmWorld, trees: _Trees, r: int, side: int, row: int, aim: FloatArray
 ) -> tuple[int, bool]:
     """Goes from a node toward aim by one step, as far as it is clear.
 
     Returns:
         The new node, or -1 for none, and whether it is aim.
     """
-    q, n = trees.q[r, side], len(aim)
+    q = trees.q[r, side]
     d = _distance(q[row], aim)
     share = min(1.0, _RANGE / d) if d > 0.0 else 1.0
-    for i in range(n):
-        room.other[i] = aim[i] if share == 1.0 else q[row, i] + share * (aim[i] - q[row, i])
-    clear = _advance(world, q[row], room.other, _COARSE, room, trees.looked_at, r)
+    other = aim.copy() if share == 1.0 else q[row] + share * (aim - q[row])
+    clear, looked_at = share_clear(world, q[row], other, _COARSE, _NEAR)
+    trees.looked_at[r] += looked_at
     if clear * share * d < min(_LEAST, 0.5 * d):
         return -1, False
     new = trees.used[r, side]
-    for i in range(n):
-        q[new, i] = (
-            room.other[i] if clear == 1.0 else q[row, i] + clear * (room.other[i] - q[row, i])
-        )
+    q[new] = other if clear == 1.0 else q[row] + clear * (other - q[row])
     trees.parent[r, side, new] = row
     trees.used[r, side] += 1
     return new, share == 1.0 and clear == 1.0
 
 
 @compiled
-def _draw(chain: Chain, trees: _Trees, r: int, aim: FloatArray) -> None:
-    """Sets aim (n,) to what the trees grow toward: beside the straight way, or anywhere."""
+def _draw(chain: Chain, trees: _Trees, r: int) -> FloatArray:
+    """Draws a configuration (n,) to grow toward: near the straight way, or anywhere."""
     random, start, goal = trees.random, trees.q[r, 0, 0], trees.q[r, 1, 0]
     beside, along = _uniform(random, r) < _BESIDE, _uniform(random, r)
+    aim = np.empty(len(start))
     for i in range(len(aim)):
         low, high = chain.lower[i], chain.upper[i]
         if beside:
@@ -208,14 +152,17 @@ def _draw(chain: Chain, trees: _Trees, r: int, aim: FloatArray) -> None:
             aim[i] = min(max(at, low), high)
         else:
             aim[i] = low + (high - low) * _uniform(random, r)
+    return aim
 
 
 @compiled
-def _holds(world: ArmWorld, trees: _Trees, r: int, side: int, row: int, room: _Room) -> bool:
+def _holds(world: ArmWorld, trees: _Trees, r: int, side: int, row: int) -> bool:
     """Whether the way from a root to a node is clear in full; what does not hold is cut off."""
     q, parent = trees.q[r, side], trees.parent[r, side]
     while parent[row] >= 0:
-        if _advance(world, q[parent[row]], q[row], STRIDE, room, trees.looked_at, r) < 1.0:
+        share, looked_at = share_clear(world, q[parent[row]], q[row], STRIDE, _NEAR)
+        trees.looked_at[r] += looked_at
+        if share < 1.0:
             # Far from everything, with all that grew from it; which came later.
             q[row] = np.inf
             for k in range(row + 1, trees.used[r, side]):
@@ -226,109 +173,66 @@ def _holds(world: ArmWorld, trees: _Trees, r: int, side: int, row: int, room: _R
     return True
 
 
-@compiled
-def _grow(world: ArmWorld, trees: _Trees, r: int, most: int) -> None:
-    """Grows a pair of trees until they meet, or have looked at so many configurations."""
-    N, n = trees.q.shape[2:]
-    chain, room = world.chain, _room(n, len(world.spheres.group_joint))
-    side = 0
-    while trees.looked_at[r] < most and max(trees.used[r, 0], trees.used[r, 1]) < N - 1:
-        _draw(chain, trees, r, room.aim)
-        row = _nearest(trees.q[r, side], trees.used[r, side], room.aim)
-        new, _ = _extend(world, trees, r, side, row, room.aim, room)
-        other = 1 - side
-        if new >= 0:
-            room.aim[:] = trees.q[r, side, new]
-            row, there = _nearest(trees.q[r, other], trees.used[r, other], room.aim), False
-            while row >= 0 and not there and trees.used[r, other] < N:
-                row, there = _extend(world, trees, r, other, row, room.aim, room)
-            held = there and _holds(world, trees, r, side, new, room)
-            if held and _holds(world, trees, r, other, row, room):
-                trees.met[r, side], trees.met[r, other] = new, row
-                return
-        side = other
-
-
 @parted
-def _grow_some(
-    part: int, parts: int, chain: Chain, spheres: Spheres, solids: Solids, asked: Asked,
-    now: float, trees: _Trees, most: int,
-) -> None:  # fmt: skip
-    """Every so many pairs."""
+def _grow(part: int, parts: int, world: ArmWorld, trees: _Trees, most: int) -> None:
+    """Grows each part's pairs until they meet, or have looked at so many configurations."""
+    N = trees.q.shape[2]
     for r in range(part, len(trees.used), parts):
-        _grow(ArmWorld(chain, spheres, solids, asked, now), trees, r, most)
+        side = 0
+        while (
+            trees.met[r, 0] < 0
+            and trees.looked_at[r] < most
+            and max(trees.used[r, 0], trees.used[r, 1]) < N - 1
+        ):
+            aim, other = _draw(world.chain, trees, r), 1 - side
+            row = _nearest(trees.q[r, side], trees.used[r, side], aim)
+            new, _ = _extend(world, trees, r, side, row, aim)
+            if new >= 0:
+                aim = trees.q[r, side, new]
+                row, there = _nearest(trees.q[r, other], trees.used[r, other], aim), False
+                while row >= 0 and not there and trees.used[r, other] < N:
+                    row, there = _extend(world, trees, r, other, row, aim)
+                held = there and _holds(world, trees, r, side, new)
+                if held and _holds(world, trees, r, other, row):
+                    trees.met[r, side], trees.met[r, other] = new, row
+            side = other
 
 
-@compiled
-def _clear(
-    world: ArmWorld, one: FloatArray, other: FloatArray, room: _Room, looked_at: IntArray
-) -> bool:
+def _is_clear(world: ArmWorld, one: FloatArray, other: FloatArray) -> bool:
     """Whether a way is clear, looked at in coarse strides first."""
-    if _advance(world, one, other, _COARSE, room, looked_at, 0) < 1.0:
-        return False
-    return _advance(world, one, other, STRIDE, room, looked_at, 0) == 1.0
+    for step in (_COARSE, STRIDE):
+        share, looked_at = share_clear(world, one, other, step, _NEAR)
+        count(configurations=looked_at)
+        if share < 1.0:
+            return False
+    return True
 
 
-@compiled
-def _without_detours(world: ArmWorld, path: FloatArray, used: int, looked_at: IntArray) -> int:
-    """Leaves out corners (N, n) that need not be gone through, in place; how many are left."""
-    room, first = _room(path.shape[1], len(world.spheres.group_joint)), 0
-    while first < used - 2:
-        last = used - 1
-        while last > first + 1 and not _clear(world, path[first], path[last], room, looked_at):
+def _leave_out_detours(world: ArmWorld, path: list[FloatArray]) -> None:
+    """Leaves out corners that need not be gone through."""
+    first = 0
+    while first < len(path) - 2:
+        last = len(path) - 1
+        while last > first + 1 and not _is_clear(world, path[first], path[last]):
             last -= 1
-        gone = last - first - 1
-        if gone > 0:
-            for k in range(last, used):
-                path[k - gone] = path[k]
-            used -= gone
+        del path[first + 1 : last]
         first += 1
-    return used
 
 
-@compiled
-def _shorten(
-    world: ArmWorld,
-    path: FloatArray,
-    used: int,
-    rounds: int,
-    random: NDArray[np.uint64],
-    looked_at: IntArray,
-) -> int:
-    """Random shortcuts in a path (N, n) of so many corners, in place; how many are left."""
-    n = path.shape[1]
-    room, length = _room(n, len(world.spheres.group_joint)), np.empty(len(path))
-    for _ in range(rounds):
-        length[0] = 0.0
-        for k in range(1, used):
-            length[k] = length[k - 1] + _distance(path[k], path[k - 1])
-        u, v = _uniform(random, 0) * length[used - 1], _uniform(random, 0) * length[used - 1]
-        u, v = min(u, v), max(u, v)
-        first, last = 0, 0
-        for k in range(used - 1):
-            first, last = k if length[k] <= u else first, k if length[k] <= v else last
-        if first == last or (last - first == 1 and used == len(path)):
+def _shorten(world: ArmWorld, path: list[FloatArray], random: NDArray[np.uint64]) -> None:
+    """Takes random shortcuts between two places of a path."""
+    for _ in range(_SHORTCUTS):
+        length = np.append(0.0, np.cumsum([_distance(*ends) for ends in pairwise(path)]))
+        places = sorted(_uniform(random, 0) * length[-1] for _ in range(2))
+        first, last = np.searchsorted(length[:-1], places, "right") - 1
+        if first == last:
             continue
-        begin = (u - length[first]) / max(length[first + 1] - length[first], 1e-12)
-        end = (v - length[last]) / max(length[last + 1] - length[last], 1e-12)
-        for i in range(n):
-            room.one[i] = path[first, i] + begin * (path[first + 1, i] - path[first, i])
-            room.other[i] = path[last, i] + end * (path[last + 1, i] - path[last, i])
-        if v - u - _distance(room.one, room.other) < 1e-3:
-            continue
-        if not _clear(world, room.one, room.other, room, looked_at):
-            continue
-        # The corners between are lost, and two are new.
-        gone = last - first - 2
-        if gone >= 0:
-            for k in range(last + 1, used):
-                path[k - gone] = path[k]
-        else:
-            for k in range(used - 1, last, -1):
-                path[k + 1] = path[k]
-        used -= gone
-        path[first + 1], path[first + 2] = room.one, room.other
-    return used
+        ends = []
+        for place, row in zip(places, (first, last), strict=True):
+            share = (place - length[row]) / max(length[row + 1] - length[row], 1e-12)
+            ends.append(path[row] + share * (path[row + 1] - path[row]))
+        if places[1] - places[0] - _distance(*ends) >= 1e-3 and _is_clear(world, *ends):
+            path[first + 1 : last + 1] = ends
 
 
 def _trees(q_start: FloatArray, goals: FloatArray, most: int, seed: int) -> _Trees:
@@ -381,28 +285,23 @@ def plan_path(
     if not len(free):
         return JointPath(np.zeros((0, n)), "no configuration at the goal keeps the clearance")
     for q in free:
-        share, looked_at = share_clear(world, q_start, q)
+        share, looked_at = share_clear(world, q_start, q, STRIDE, FAR)
         count(configurations=looked_at)
         if share == 1.0:
-            return JointPath(np.stack([q_start, q]), "", looked_at)
+            return JointPath(np.stack([q_start, q]))
     trees = _trees(np.asarray(q_start, dtype=float), free, most, seed)
     each = 0
     while (trees.met < 0).any(axis=1).all() and each * TREES < most:
         each = min(each + _SLICE, -(-most // TREES))
-        on_cores(_grow_some, min(CORES, TREES), *world, trees, each)
+        on_cores(_grow, min(CORES, TREES), world, trees, each)
+    count(configurations=int(trees.looked_at.sum()))
     met = np.flatnonzero((trees.met >= 0).all(axis=1))
-    found = JointPath(np.zeros((0, n)), f"no path among {most} configurations")
-    looked_at = trees.looked_at.copy()
-    if len(met):
-        # That of the fewest configurations.
-        r = int(met[np.argmin(trees.looked_at[met])])
-        path = _path(trees, r)
-        used = len(path)
-        corners = np.concatenate([path, np.empty((8, n))])
-        used = _without_detours(world, corners, used, looked_at)
-        used = _shorten(world, corners, used, _SHORTCUTS, trees.random[r : r + 1], looked_at)
-        used = _without_detours(world, corners, used, looked_at)
-        found = JointPath(corners[:used])
-    total = int(looked_at.sum())
-    count(configurations=total)
-    return JointPath(found.q, found.reason, total)
+    if not len(met):
+        return JointPath(np.zeros((0, n)), f"no path among {most} configurations")
+    # That of the fewest configurations.
+    r = int(met[np.argmin(trees.looked_at[met])])
+    path = [*_path(trees, r)]
+    _leave_out_detours(world, path)
+    _shorten(world, path, trees.random[r : r + 1])
+    _leave_out_detours(world, path)
+    return JointPath(np.array(path))

@@ -180,13 +180,6 @@ def test_the_least_distances_are_those_of_the_nearest_whatever_is_culled():
     assert (np.array(bounds) <= np.array(each) + 0.01).all()
 
 
-def test_what_is_not_there_yet_or_any_more_is_nowhere():
-    scene = solids_of([replace(solid.sphere(0.1), window=(1.0, 2.0))])
-    assert solid.solid_distance(scene, 0, 0.0, 0.0, 1.0, 0.9) == np.inf
-    assert solid.solid_distance(scene, 0, 0.0, 0.0, 1.0, 1.5) == pytest.approx(0.9)
-    assert solid.least_distances(scene, np.zeros((1, 3)), 2.1, 0.5, 0.5).tolist() == [0.5]
-
-
 VOLUMES = {
     "sphere": 4 / 3 * np.pi * 0.1**3,
     "box": 0.1 * 0.3 * 0.2,

@@ -42,7 +42,7 @@ def lowered(
 
 def kept(world: ArmWorld, q: np.ndarray, t: float = 0.0) -> float:
     room = np.empty((len(q) + 2, 12)), np.empty((len(world.asked.is_tool), 3))
-    return float(excess(world, np.array(q), t, *room))
+    return float(excess(world, np.array(q), t, FAR, *room))
 
 
 def random_world(
@@ -200,7 +200,7 @@ def a_way(arm: ArmAlone, random: np.random.Generator) -> tuple[ArmWorld, np.ndar
 @given(seed=SEEDS)
 def test_a_clear_way_is_clear_between_its_samples(panda_arm: ArmAlone, seed: int) -> None:
     world, one, other = a_way(panda_arm, np.random.default_rng(seed))
-    share, looked_at = share_clear(world, one, other)
+    share, looked_at = share_clear(world, one, other, STRIDE, FAR)
     assert 0.0 <= share <= 1.0
     assert looked_at >= 1
     along = one + np.linspace(0.0, share, 200)[:, None] * (other - one)

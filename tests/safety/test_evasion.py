@@ -102,7 +102,7 @@ def table(height: float) -> SolidScene:
 def own_distance(home: Home, q: FloatArray) -> float:
     """What the arm keeps of itself [m]."""
     world = home.panda.among(own=0.0)
-    return excess(world, q, 0.0, np.empty((9, 12)), np.empty((len(world.spheres.bound), 3)))
+    return excess(world, q, 0.0, FAR, np.empty((9, 12)), np.empty((len(world.spheres.bound), 3)))
 
 
 def still(count: int = 1, held: int = HELD) -> tuple[FloatArray, FloatArray, IntArray]:
