@@ -270,8 +270,8 @@ class Search(ABC):
             trial = self.children(ranked, number)
             ranked = ranked.joined(self.evaluate(trial, [SEARCH] * len(trial), ranked))
             best = _first(best.joined(ranked))
-        self.stays = held and best.cost[0] == same.cost[0]
-        return best
+        self.stays = held and not best.cost[0] < same.cost[0]
+        return same if self.stays else best
 
     def hopeless(self, ranked: Ranked, number: int) -> bool:
         """Returns whether the search is given up after so many rounds."""
