@@ -20,16 +20,16 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray
 from drake_oa.policy.dmp import (
     LARGEST_ANGLE,
     N_BASIS,
-    baseline_frame,
     checked_demonstration,
-    checked_rotations,
+    checked_turn,
+    interpolant,
+    local_frame,
     vectors_from,
 )
 
@@ -60,12 +60,12 @@ def average_paths(
     """The mean of recorded paths, without their tremor.
 
     Args:
-        paths: of each recording (T_d, D) positions [m]; from a mean start to a mean goal.
+        paths: of each recording (T_d, 3) positions [m]; from a mean start to a mean goal.
         stamps: of each (T_d,) [s], increasing.
         n_basis: number of basis functions that are to imitate it: the more, the more is kept.
 
     Returns:
-        path (POINTS, D) [m] and t (POINTS,) from 0 to the mean duration [s]; at both ends at rest.
+        path (POINTS, 3) [m] and t (POINTS,) from 0 to the mean duration [s]; at both ends at rest.
 
     Raises:
         ValueError: naming recording and sample, as `imitate`; or for a baseline that is less than
@@ -82,13 +82,13 @@ def average_paths(
                 f"which is what it is scaled by: its baseline is {baseline:.3g} m, its extent "
                 f"{extent:.3g} m; show it in two parts"
             )
-        local.append((path - path[-1]) @ baseline_frame(path[0], path[-1]) / baseline)
+        local.append((path - path[-1]) @ local_frame(path[0], path[-1]) / baseline)
         ends.append(path[[0, -1]])
     s, x = _regressed(local, [t for _, t in checked], n_basis)
     start, goal = np.mean(ends, axis=0)
     if not np.any(start != goal):
         raise ValueError("the demonstrations' mean start is their mean goal: they lead back")
-    path = goal + float(np.linalg.norm(goal - start)) * x @ baseline_frame(start, goal).T
+    path = goal + float(np.linalg.norm(goal - start)) * x @ local_frame(start, goal).T
     return path, s * _mean_duration([t for _, t in checked])
 
 
@@ -110,7 +110,7 @@ def average_orientations(
         ValueError: naming recording and sample, as `imitate_orientation`; or where recordings
             differ by more than a quarter turn from their mean.
     """
-    checked = _each(_checked_turn, orientations, stamps)
+    checked = _each(checked_turn, orientations, stamps)
     rows = np.zeros(len(checked), dtype=int)
     vectors = [vectors_from(R, 0) for R, _ in checked]
     if max(np.linalg.norm(r, axis=1).max() for r in vectors) > LARGEST_ANGLE:
@@ -132,12 +132,6 @@ def average_orientations(
     s, r = _regressed(vectors, [t for _, t in checked], n_basis)
     R = mean * Rotation.from_rotvec(r)
     return R.as_matrix(), s * _mean_duration([t for _, t in checked])
-
-
-def _checked_turn(orientations: ArrayLike, t: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Checks (T, 3, 3) orientations and (T,) stamps of a recording."""
-    R = checked_rotations(orientations)
-    return R, checked_demonstration(np.zeros((len(R), 1)), t)[1]
 
 
 def _each(
@@ -174,7 +168,7 @@ def _regressed(
     for x, t in zip(values, stamps, strict=True):
         s = (t - t[0]) / (t[-1] - t[0])
         if len(x) < SPARSE:
-            x, s = make_interp_spline(s, x, k=min(5, len(x) - 1) if len(x) != 5 else 3)(at), at
+            x, s = interpolant(s, x)(at), at
         rows = np.linspace(0, len(x) - 1, min(len(x), _MOST)).astype(int)
         times.append(s[rows])
         parts.append(x[rows])
@@ -206,7 +200,7 @@ def _at_rest(s: FloatArray, x: FloatArray) -> FloatArray:
     the polynomial of degree 5 that has v and a at the end, and nothing of x there, and is gone
     with both derivatives at u = 1.
     """
-    spline = make_interp_spline(s, x, k=5)
+    spline = interpolant(s, x)
     for end, inward in ((0.0, 1.0), (1.0, -1.0)):
         u = np.minimum(np.abs(s - end) / _REST, 1.0)[:, None]
         v, a = inward * _REST * spline(end, 1), _REST**2 * spline(end, 2)

@@ -46,7 +46,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.compiled import compiled
@@ -139,10 +139,6 @@ class Dmp(Frozen):
         widths: (N,) widths h_i, above 0.
         weights: (D, N) weights in the local frame, divided by the baseline.
         duration: T, how long the demonstration took [s].
-
-    Raises:
-        ValueError: for wrong shapes, values that are not finite, or constants that
-            are not positive.
     """
 
     alpha_x: float
@@ -152,23 +148,6 @@ class Dmp(Frozen):
     widths: FloatArray
     weights: FloatArray
     duration: float = 1.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("alpha_x", "beta_x", "alpha_k", "duration"):
-            _check_positive(name, getattr(self, name))
-        N = self.centers.size
-        if self.centers.shape != (N,) or self.widths.shape != (N,) or N == 0:
-            raise ValueError(
-                f"centers and widths must be (N,) with N >= 1, not {self.centers.shape} "
-                f"and {self.widths.shape}"
-            )
-        if self.weights.ndim != 2 or self.weights.shape[1] != N:
-            raise ValueError(f"weights must be (D, {N}), not {self.weights.shape}")
-        if not (np.isfinite(self.centers).all() and np.isfinite(self.weights).all()):
-            raise ValueError("centers and weights must be finite")
-        if not (np.isfinite(self.widths).all() and self.widths.min() > 0.0):
-            raise ValueError("widths must be finite and positive")
 
     @cached_property
     def kernel(self) -> Primitive:
@@ -185,19 +164,6 @@ class Dmp(Frozen):
     def phase(self, s: ArrayLike) -> FloatArray:
         """Phase k at normalised time s, (eq. 5): exp(-alpha_k s)."""
         return np.asarray(np.exp(-self.alpha_k * np.asarray(s, dtype=float)))
-
-    def forcing(self, k: float) -> FloatArray:
-        """Forcing term f(k), (eq. 3), in the local frame, (D,).
-
-        Args:
-            k: phase, in [0, 1].
-
-        Returns:
-            (D,) force for a baseline of 1 m [m].
-        """
-        force = np.empty(self.dimension)
-        forcing(self.kernel.basis, k, force)
-        return force
 
 
 def normalised_time(k: float, alpha_k: float) -> float:
@@ -222,7 +188,16 @@ def local_frame(p_WS: ArrayLike, p_WG: ArrayLike) -> FloatArray:
     Raises:
         ValueError: if start and goal coincide or are not finite.
     """
-    x, y, z = _direction(p_WS, p_WG, 3)
+    start, goal = np.asarray(p_WS, dtype=float), np.asarray(p_WG, dtype=float)
+    if start.shape != (3,) or goal.shape != (3,):
+        raise ValueError(f"start and goal must be (3,), not {start.shape} and {goal.shape}")
+    way = (goal - start).tolist()
+    length = math.hypot(*way)
+    if not 0.0 < length < math.inf:
+        raise ValueError(
+            f"start and goal must be finite and apart, not {start.tolist()} and {goal.tolist()}"
+        )
+    x, y, z = (component / length for component in way)
     flat = math.hypot(x, y)
     if flat > 1e-12:
         yx, yy = -y / flat, x / flat
@@ -235,36 +210,6 @@ def local_frame(p_WS: ArrayLike, p_WG: ArrayLike) -> FloatArray:
             (z, 0.0, x * yy - y * yx),
         )
     )
-
-
-def baseline_frame(start: ArrayLike, goal: ArrayLike) -> FloatArray:
-    """Rotation of the local frame of a motion in D dimensions.
-
-    In three dimensions this is `local_frame`. In others it is the rotation that takes
-    the first axis to the baseline and leaves alone all that is orthogonal to both (in
-    the plane of the first two axes where they are opposite); in one dimension, the sign.
-
-    Args:
-        start: (D,).
-        goal: (D,).
-
-    Returns:
-        (D, D); its first column is the unit vector from start to goal.
-
-    Raises:
-        ValueError: if start and goal coincide or are not finite.
-    """
-    D = np.size(start)
-    if D == 3:
-        return local_frame(start, goal)
-    u = np.array(_direction(start, goal, D))
-    if D == 1:
-        return u[:, None]
-    first = np.eye(D)[0]
-    if u[0] < -1.0 + 1e-12:
-        return np.diag([-1.0, -1.0, *np.ones(D - 2)])
-    both = first + u
-    return np.asarray(np.eye(D) - np.outer(both, both) / (1.0 + u[0]) + 2.0 * np.outer(u, first))
 
 
 def minimum_jerk(
@@ -280,19 +225,10 @@ def minimum_jerk(
 
     Returns:
         path (samples, D) [m] and its stamps (samples,) [s].
-
-    Raises:
-        ValueError: for shapes that differ, a duration that is not positive, or fewer
-            than two samples.
     """
-    start, goal = np.atleast_1d(start).astype(float), np.atleast_1d(goal).astype(float)
-    if start.ndim != 1 or start.shape != goal.shape:
-        raise ValueError(f"start and goal must both be (D,), not {start.shape} and {goal.shape}")
-    _check_positive("duration", duration)
-    if samples < 2:
-        raise ValueError(f"samples must be at least 2, not {samples}")
+    begin, way = np.asarray(start, dtype=float), np.subtract(goal, start)
     s = np.linspace(0.0, 1.0, samples)
-    return start + minimum_jerk_share(s)[:, None] * (goal - start), duration * s
+    return begin + minimum_jerk_share(s)[:, None] * way, duration * s
 
 
 def minimum_jerk_share(s: FloatArray) -> FloatArray:
@@ -300,48 +236,22 @@ def minimum_jerk_share(s: FloatArray) -> FloatArray:
     return np.asarray(s**3 * (10.0 + s * (6.0 * s - 15.0)))
 
 
-def imitate(
-    path: ArrayLike,
-    t: ArrayLike | None = None,
-    *,
-    n_basis: int = N_BASIS,
-    alpha_x: float = ALPHA_X,
-    beta_x: float = BETA_X,
-    alpha_k: float = ALPHA_K,
-    still: float = 0.0,
-) -> Dmp:
+def imitate(path: ArrayLike, t: ArrayLike | None = None, **constants: float) -> Dmp:
     """Learns a movement primitive from one demonstrated path.
 
-    The forcing term that makes (eq. 1) follow the demonstration is sampled on a
-    quintic (or for few samples lower) interpolating spline and fitted by linear least
-    squares over all basis functions at once.
-
     Args:
-        path: (T, D) positions; T at least 2.
+        path: (T, 3) positions; T at least 2.
         t: (T,) stamps [s], increasing, at any spacing; None: evenly over one second.
-        n_basis: number of basis functions, evenly spaced in time.
-        alpha_x: spring constant, per normalised time.
-        beta_x: spring constant, per normalised time.
-        alpha_k: decay of the phase, per normalised time.
-        still: normalised time after the end for which no force is to be left: where it ends at
-            rest, it stays there the better.
+        constants: keyword arguments of `fit_forcing`.
 
     Returns:
         The primitive; its duration is that of the demonstration.
 
     Raises:
         ValueError: for fewer than two samples, values that are not finite, stamps that
-            do not increase, a path that ends where it starts, or constants that are
-            not positive.
+            do not increase, or a path that ends where it starts.
     """
     path, t = checked_demonstration(path, t)
-    if n_basis < 2:
-        raise ValueError(f"n_basis must be at least 2, not {n_basis}")
-    for name, value in (("alpha_x", alpha_x), ("beta_x", beta_x), ("alpha_k", alpha_k)):
-        _check_positive(name, value)
-    if not 0.0 <= still <= 1.0:
-        raise ValueError(f"still must be in [0, 1], not {still}")
-    duration = float(t[-1] - t[0])
     baseline = float(np.linalg.norm(path[-1] - path[0]))
     extent = float(np.ptp(path, axis=0).max())
     if not baseline > 1e-6 * extent:
@@ -349,26 +259,50 @@ def imitate(
             f"the path must end away from where it starts: its baseline is {baseline} m, "
             f"its extent {extent} m"
         )
-    local = (path - path[-1]) @ baseline_frame(path[0], path[-1]) / baseline
+    local = (path - path[-1]) @ local_frame(path[0], path[-1]) / baseline
+    return fit_forcing(local, t, **constants)
 
-    degree = min(5, len(path) - 1) if len(path) != 5 else 3
-    spline = make_interp_spline((t - t[0]) / duration, local, k=degree)
+
+def fit_forcing(
+    local: FloatArray,
+    t: FloatArray,
+    *,
+    n_basis: float = N_BASIS,
+    alpha_x: float = ALPHA_X,
+    beta_x: float = BETA_X,
+    alpha_k: float = ALPHA_K,
+    still: float = 0.0,
+) -> Dmp:
+    """Fits the forcing term of a path that is given from its end.
+
+    The forcing term that makes (eq. 1) follow the demonstration is sampled on its `interpolant`
+    and fitted by linear least squares over all basis functions at once.
+
+    Args:
+        local: (T, D) positions from the last one, in the local frame, divided by the baseline.
+        t: (T,) stamps [s].
+        n_basis: number of basis functions, at least 2, evenly spaced in time.
+        alpha_x: spring constant, per normalised time.
+        beta_x: spring constant, per normalised time.
+        alpha_k: decay of the phase, per normalised time.
+        still: normalised time after the end for which no force is to be left, at most 1: where it
+            ends at rest, it stays there the better.
+    """
+    duration, n_basis = float(t[-1] - t[0]), int(n_basis)
+    spline = interpolant((t - t[0]) / duration, local)
     s = _fitted_at(n_basis, still)
     x, z, dz = (spline(s[s <= 1.0], derivative) for derivative in (0, 1, 2))
-    target = np.zeros((len(s), path.shape[1]))
+    target = np.zeros((len(s), local.shape[1]))
     target[s <= 1.0] = dz + alpha_x * (z + beta_x * x)
 
     centers, widths, inverse = _fit(n_basis, float(alpha_k), float(still))
-    weights = (inverse @ target).T
-    return Dmp(
-        alpha_x=float(alpha_x),
-        beta_x=float(beta_x),
-        alpha_k=float(alpha_k),
-        centers=centers,
-        widths=widths,
-        weights=np.ascontiguousarray(weights),
-        duration=duration,
-    )
+    weights = np.ascontiguousarray((inverse @ target).T)
+    return Dmp(float(alpha_x), float(beta_x), float(alpha_k), centers, widths, weights, duration)
+
+
+def interpolant(s: FloatArray, x: FloatArray) -> BSpline:
+    """Quintic, or for few samples lower, spline through values (T, D) at times (T,)."""
+    return make_interp_spline(s, x, k=min(5, len(x) - 1) if len(x) != 5 else 3)
 
 
 def _fitted_at(n_basis: int, still: float) -> FloatArray:
@@ -529,31 +463,8 @@ def trajectory(
         ValueError: if start and goal coincide, or do not fit the primitive.
     """
     p, g = np.array(start, dtype=float), np.array(goal, dtype=float)
-    if p.shape != (dmp.dimension,) or g.shape != p.shape:
-        raise ValueError(f"start and goal must be ({dmp.dimension},), not {p.shape} and {g.shape}")
-    if steps < 1:
-        raise ValueError(f"steps must be at least 1, not {steps}")
-    _check_positive("end", end)
-    spread = float(np.linalg.norm(g - p)) * baseline_frame(p, g)
+    spread = float(np.linalg.norm(g - p)) * local_frame(p, g)
     return roll_out(dmp, spread, g, np.linspace(0.0, end, steps + 1), p, np.zeros(len(p)))
-
-
-def _direction(start: ArrayLike, goal: ArrayLike, D: int) -> list[float]:
-    a, b = np.asarray(start, dtype=float), np.asarray(goal, dtype=float)
-    if a.shape != (D,) or b.shape != (D,):
-        raise ValueError(f"start and goal must be ({D},), not {a.shape} and {b.shape}")
-    way = (b - a).tolist()
-    length = math.hypot(*way)
-    if not 0.0 < length < math.inf:
-        raise ValueError(
-            f"start and goal must be finite and apart, not {a.tolist()} and {b.tolist()}"
-        )
-    return [component / length for component in way]
-
-
-def _check_positive(name: str, value: float) -> None:
-    if not 0.0 < value < math.inf:
-        raise ValueError(f"{name} must be positive and finite, not {value}")
 
 
 LARGEST_ANGLE = math.radians(300.0)
@@ -578,9 +489,6 @@ class OrientationDmp(Frozen):
         offset: (3,) r(0), the rotation vector from the origin to the start: zero, except for a
             demonstration that turns farther than `LARGEST_ANGLE` from its start, whose origin is
             its middle [rad].
-
-    Raises:
-        ValueError: if the primitive does not have four dimensions.
     """
 
     dmp: Dmp
@@ -588,11 +496,6 @@ class OrientationDmp(Frozen):
     first: FloatArray = field(default_factory=lambda: np.eye(3))
     last: FloatArray = field(default_factory=lambda: np.eye(3))
     offset: FloatArray = field(default_factory=lambda: np.zeros(3))
-
-    def __post_init__(self) -> None:
-        if self.dmp.dimension != 4:
-            raise ValueError(f"dmp must have 4 dimensions, not {self.dmp.dimension}")
-        super().__post_init__()
 
 
 def rotation_matrix(orientation: ArrayLike) -> FloatArray:
@@ -645,14 +548,7 @@ def _nearest(r: FloatArray, near: FloatArray) -> FloatArray:
 
 
 def imitate_orientation(
-    orientations: ArrayLike,
-    t: ArrayLike | None = None,
-    *,
-    n_basis: int = N_BASIS,
-    alpha_x: float = ALPHA_X,
-    beta_x: float = BETA_X,
-    alpha_k: float = ALPHA_K,
-    still: float = 0.0,
+    orientations: ArrayLike, t: ArrayLike | None = None, **constants: float
 ) -> OrientationDmp:
     """Learns a movement primitive of the orientation from one demonstration.
 
@@ -660,18 +556,14 @@ def imitate_orientation(
         orientations: (T, 4) quaternions R_WE, w first, of any sign and length, each sign
             for itself; or (T, 3, 3) rotation matrices. T at least 2.
         t: (T,) stamps [s], increasing; None: evenly over one second.
-        n_basis: number of basis functions.
-        alpha_x: spring constant, per normalised time.
-        beta_x: spring constant, per normalised time.
-        alpha_k: decay of the phase; the position's.
-        still: as in `imitate`.
+        constants: keyword arguments of `fit_forcing`; the decay of the phase is the position's.
 
     Raises:
         ValueError: for a wrong shape, fewer than two samples, a sample that is no
             rotation, stamps that do not increase, half a turn or more between two samples,
             or a motion that turns further than `LARGEST_ANGLE` from its start.
     """
-    R = checked_rotations(orientations)
+    R, t = checked_turn(orientations, t)
     r = vectors_from(R, 0)
     if np.linalg.norm(r, axis=1).max() > LARGEST_ANGLE:
         r = vectors_from(R, len(R) // 2)
@@ -683,16 +575,9 @@ def imitate_orientation(
             f"the middle; at most {math.degrees(LARGEST_ANGLE):.0f} can be imitated"
         )
     offset, r = r[0].copy(), r - r[0]
-    count = len(R)
-    stamps = np.linspace(0.0, 1.0, count) if t is None else np.asarray(t, dtype=float)
-    s = np.linspace(0.0, 1.0, count)
-    if stamps.shape == (count,) and stamps[-1] > stamps[0]:
-        s = (stamps - stamps[0]) / (stamps[-1] - stamps[0])
-    share = minimum_jerk_share(s)
-    # A path whose baseline is the first axis, and 1: nothing is turned or scaled.
-    path = np.column_stack([share, r - share[:, None] * r[-1]])
-    constants = {"alpha_x": alpha_x, "beta_x": beta_x, "alpha_k": alpha_k, "still": still}
-    dmp = imitate(path, stamps, n_basis=n_basis, **constants)
+    share = minimum_jerk_share((t - t[0]) / (t[-1] - t[0]))
+    # The baseline is the first axis, and 1: nothing is turned or scaled.
+    dmp = fit_forcing(np.column_stack([share - 1.0, r - share[:, None] * r[-1]]), t, **constants)
     return OrientationDmp(dmp, r[-1].copy(), R[0].copy(), R[-1].copy(), offset)
 
 
@@ -712,23 +597,19 @@ def origin_of(primitive: OrientationDmp, start: FloatArray) -> FloatArray:
     return np.asarray(start @ Rotation.from_rotvec(-primitive.offset).as_matrix())
 
 
-def minimum_jerk_orientation(
-    *,
-    n_basis: int = N_BASIS,
-    alpha_x: float = ALPHA_X,
-    beta_x: float = BETA_X,
-    alpha_k: float = ALPHA_K,
-) -> OrientationDmp:
+def minimum_jerk_orientation(**constants: float) -> OrientationDmp:
     """Returns the primitive of a turn about a fixed axis with least jerk: the default.
 
-    Raises:
-        ValueError: for constants that are not positive.
+    Args:
+        constants: keyword arguments of `fit_forcing`.
     """
-    share, t = minimum_jerk([0.0], [1.0])
-    path = np.column_stack([share, np.zeros((len(share), 3))])
-    return OrientationDmp(
-        imitate(path, t, n_basis=n_basis, alpha_x=alpha_x, beta_x=beta_x, alpha_k=alpha_k)
-    )
+    return imitate_orientation(np.tile(np.eye(3), (201, 1, 1)), **constants)
+
+
+def checked_turn(orientations: ArrayLike, t: ArrayLike | None) -> tuple[FloatArray, FloatArray]:
+    """Checks orientations (T, 3, 3) and stamps (T,); raises as `imitate_orientation`."""
+    R = checked_rotations(orientations)
+    return R, checked_demonstration(np.zeros((len(R), 1)), t)[1]
 
 
 def checked_rotations(orientations: ArrayLike) -> FloatArray:

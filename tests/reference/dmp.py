@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.messages import FloatArray
-from drake_oa.policy.dmp import Dmp, Trajectory, baseline_frame, spring_flow
+from drake_oa.policy.dmp import Dmp, Trajectory, local_frame, spring_flow
 
 Turn = Callable[[FloatArray, FloatArray, float], FloatArray]
 """Turn (3,) [rad] of z over a step, of p_WE (3,) [m], z_W (3,) [m] and the step in s."""
@@ -49,7 +49,7 @@ def step(
         k: phase.
         ds: step of normalised time, at least 0.
         goal: (D,) goal [m].
-        frame: (D, D) R_WL of this motion, see `baseline_frame`.
+        frame: (3, 3) R_WL of this motion, see `local_frame`.
         baseline: distance from start to goal of this motion [m].
         turn: turn of z over a step, for example `coupling.turning`; D must be 3
             then. None: no coupling.
@@ -96,7 +96,7 @@ def trajectory(
 ) -> Trajectory:
     """As `drake_oa.policy.dmp.trajectory`, with a turn as in `step`."""
     p, g = np.array(start, dtype=float), np.array(goal, dtype=float)
-    frame = baseline_frame(p, g)
+    frame = local_frame(p, g)
     baseline = float(np.linalg.norm(g - p))
     z, k, ds = np.zeros_like(p), 1.0, end / steps
     samples = [(p, z, k)]
