@@ -11,7 +11,7 @@ from drake_oa.diagrams.avoidance import build_avoidance
 from drake_oa.scenario.loading import load_scenario
 
 PAGE = Path(__file__).parents[1] / "docs/architecture.md"
-MOST = 43
+MOST = 41
 BEFORE_PERCEPTION = {"drake_oa.world.late_camera"}
 
 

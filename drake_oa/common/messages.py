@@ -42,12 +42,9 @@ class Frozen:
         return self
 
 
-def _floats(*shape: int) -> Any:
-    return field(default_factory=lambda: np.zeros(shape))
-
-
-def _integers() -> Any:
-    return field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+def zeros(*shape: int, kind: Any = float) -> Any:
+    """Field of a frozen value that by default is an array of zeros."""
+    return field(default_factory=lambda: np.zeros(shape, dtype=kind))
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,10 +82,10 @@ class ObstacleClouds(Frozen):
 
     stamp: float = -np.inf
     clouds_W: tuple[FloatArray, ...] = ()
-    ids: IntArray = _integers()
+    ids: IntArray = zeros(0, kind=np.int64)
     table: TablePlane | None = None
     note: str = ""
-    v_WO: FloatArray = _floats(0, 3)
+    v_WO: FloatArray = zeros(0, 3)
 
     def __post_init__(self) -> None:
         if not len(self.v_WO) and len(self.clouds_W):
@@ -121,12 +118,12 @@ class EllipsoidSet(Frozen):
     """
 
     stamp: float = -np.inf
-    p_WO: FloatArray = _floats(0, 3)
-    R_WO: FloatArray = _floats(0, 3, 3)
-    semi_axes: FloatArray = _floats(0, 3)
-    exponents: FloatArray = _floats(0, 2)
-    v_WO: FloatArray = _floats(0, 3)
-    ids: IntArray = _integers()
+    p_WO: FloatArray = zeros(0, 3)
+    R_WO: FloatArray = zeros(0, 3, 3)
+    semi_axes: FloatArray = zeros(0, 3)
+    exponents: FloatArray = zeros(0, 2)
+    v_WO: FloatArray = zeros(0, 3)
+    ids: IntArray = zeros(0, kind=np.int64)
     table: TablePlane | None = None
     note: str = ""
 
@@ -168,12 +165,12 @@ class PolicyState(Frozen):
         note: the same in words; empty where nothing does.
     """
 
-    p_WE: FloatArray = _floats(3)
-    z_W: FloatArray = _floats(3)
+    p_WE: FloatArray = zeros(3)
+    z_W: FloatArray = zeros(3)
     phase: float = 1.0
     tau: float = 1.0
-    p_WS: FloatArray = _floats(3)
-    p_WG: FloatArray = _floats(3)
+    p_WS: FloatArray = zeros(3)
+    p_WG: FloatArray = zeros(3)
     R_WL: FloatArray = field(default_factory=lambda: np.eye(3))
     stamp: float = 0.0
     speed: float = 0.0
@@ -198,10 +195,10 @@ class PlannedMotion(Frozen):
             they belong to the one under way.
     """
 
-    s: FloatArray = _floats(0)
-    p_WE: FloatArray = _floats(0, 3)
-    q: FloatArray = _floats(0, 0)
-    p_WS: FloatArray = _floats(0)
+    s: FloatArray = zeros(0)
+    p_WE: FloatArray = zeros(0, 3)
+    q: FloatArray = zeros(0, 0)
+    p_WS: FloatArray = zeros(0)
 
     def __len__(self) -> int:
         return len(self.s)
@@ -238,22 +235,22 @@ class Route(Frozen):
             over the baseline; inf: forbidden. (0,): there are no such rings.
     """
 
-    heading_W: FloatArray = _floats(0, 3)
-    direction_W: FloatArray = _floats(0, 3)
-    normal_W: FloatArray = _floats(0, 3)
-    remaining_clearance: FloatArray = _floats(0)
-    index: IntArray = _integers()
-    angles: FloatArray = _floats(0)
+    heading_W: FloatArray = zeros(0, 3)
+    direction_W: FloatArray = zeros(0, 3)
+    normal_W: FloatArray = zeros(0, 3)
+    remaining_clearance: FloatArray = zeros(0)
+    index: IntArray = zeros(0, kind=np.int64)
+    angles: FloatArray = zeros(0)
     costs: dict[str, FloatArray] = field(default_factory=dict)
     path_length: float = 0.0
-    p_WS: FloatArray = _floats(3)
-    p_WG: FloatArray = _floats(3)
+    p_WS: FloatArray = zeros(3)
+    p_WG: FloatArray = zeros(3)
     R_WL: FloatArray = field(default_factory=lambda: np.eye(3))
-    ids: IntArray = _integers()
+    ids: IntArray = zeros(0, kind=np.int64)
     blocked: bool = False
     note: str = ""
-    ranking: IntArray = _integers()
-    price: FloatArray = _floats(0)
+    ranking: IntArray = zeros(0, kind=np.int64)
+    price: FloatArray = zeros(0)
 
     @property
     def baseline(self) -> float:
@@ -306,22 +303,22 @@ class CouplingParameters(Frozen):
         ellipsoids: obstacles of verified rows of the chain, past which guidance leads.
     """
 
-    alpha: FloatArray = field(default_factory=lambda: np.zeros(0))
-    psi: FloatArray = field(default_factory=lambda: np.zeros(0))
-    kappa: FloatArray = field(default_factory=lambda: np.zeros(0))
-    in_range: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
-    center_W: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    normal_W: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    alpha: FloatArray = zeros(0)
+    psi: FloatArray = zeros(0)
+    kappa: FloatArray = zeros(0)
+    in_range: BoolArray = zeros(0, kind=bool)
+    center_W: FloatArray = zeros(0, 3)
+    normal_W: FloatArray = zeros(0, 3)
     tau: float = 0.0
     hold: HoldCause = HoldCause.NONE
     note: str = ""
     anew: bool = False
     verified: bool = False
     original: bool = False
-    kind: IntArray = _integers()
-    length: FloatArray = _floats(0)
-    likely: FloatArray = _floats(0)
-    scaling: FloatArray = _floats(0)
+    kind: IntArray = zeros(0, kind=np.int64)
+    length: FloatArray = zeros(0)
+    likely: FloatArray = zeros(0)
+    scaling: FloatArray = zeros(0)
     ellipsoids: EllipsoidSet = field(default_factory=EllipsoidSet)
 
     def __len__(self) -> int:
@@ -361,11 +358,11 @@ class Evasion(Frozen):
     """
 
     action: Evading = ""
-    velocity: FloatArray = field(default_factory=lambda: np.zeros(3))
+    velocity: FloatArray = zeros(3)
     obstacle: int = -1
     clearance: float = math.inf
     contact: float = math.inf
-    turn: FloatArray = field(default_factory=lambda: np.zeros(0))
+    turn: FloatArray = zeros(0)
 
     @property
     def certain(self) -> bool:

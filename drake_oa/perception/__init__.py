@@ -22,7 +22,8 @@ A frame, of the images that all cameras took at one instant, goes through
    (`velocity`; Chen and Medioni 1992), and both are filtered by a constant-velocity Kalman
    filter (`velocity`; Bar-Shalom, Li and Kirubarajan 2001); remembered points gain and lose
    evidence (`visibility`);
-3. `memory`: what changed by more than noise is handed on, all else stays the same bit for bit.
+3. `tracking.held_clouds`: what changed by more than noise is handed on, all else stays the same
+   bit for bit.
 
 The configuration is `config`: `SegmentationConfig` and the sources' blocks. All run-time data is
 one `ObstacleMemory` in the Context.

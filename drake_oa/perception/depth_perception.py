@@ -21,9 +21,8 @@ from drake_oa.common.ports import read_value, valid_period
 from drake_oa.geometry.pinhole import View, pinhole
 from drake_oa.geometry.solids import RobotSolids, Solids
 from drake_oa.perception.config import SegmentationConfig
-from drake_oa.perception.memory import ObstacleMemory
 from drake_oa.perception.segmentation import segment_views
-from drake_oa.perception.tracking import fuse
+from drake_oa.perception.tracking import ObstacleMemory, fuse
 
 _logger = logging.getLogger("drake_oa")
 
@@ -345,7 +344,7 @@ class DepthPerception(LeafSystem):
                 f"{self.get_name()}: {port.image.get_name()} is {depth.shape[1]}x{depth.shape[0]}; "
                 f"the camera's intrinsics are for {size[1]}x{size[0]} pixels"
             )
-        return View.of(depth, K, pose.GetAsMatrix4())
+        return View(depth, K, pose.GetAsMatrix4())
 
     def _posed_robot(self, ports: Sequence[_Ports], context: Context) -> Solids | None:
         """The robot where it was when any of the images was taken."""

@@ -15,7 +15,7 @@ from drake_oa.common.messages import OUT_OF_WORLD, FloatArray, ObstacleClouds, T
 from drake_oa.common.ports import read_value, valid_period
 from drake_oa.geometry.solids import read_solid, surface_points
 from drake_oa.perception.depth_perception import PerceptionState
-from drake_oa.perception.memory import ObstacleMemory
+from drake_oa.perception.tracking import ObstacleMemory
 
 _AT_REST = 1e-3
 """A slower obstacle is taken to rest [m/s]: contact lets a standing one tremble."""

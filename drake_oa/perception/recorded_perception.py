@@ -16,10 +16,9 @@ from drake_oa.common.ports import valid_period
 from drake_oa.geometry.solids import RobotSolids, Solids
 from drake_oa.perception.config import SegmentationConfig
 from drake_oa.perception.depth_perception import PerceptionState, log_change
-from drake_oa.perception.memory import ObstacleMemory
 from drake_oa.perception.recordings import RecordedFrame, read_recording
 from drake_oa.perception.segmentation import Segmentation, segment_depth, segment_points
-from drake_oa.perception.tracking import fuse
+from drake_oa.perception.tracking import ObstacleMemory, fuse
 
 
 class RecordedPerception(LeafSystem):

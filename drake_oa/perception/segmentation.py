@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +48,6 @@ from drake_oa.perception.table import (
     seen_extent,
 )
 
-_Array = TypeVar("_Array", FloatArray, IntArray)
 _DEVIATIONS = 6.0
 """Standard deviations of depth that may look like a height."""
 _WARP_START = 1.1
@@ -138,11 +137,11 @@ def segment_depth(
         ValueError: for an array of the wrong shape or type, an invalid K or X_WC, or none where
             `config.table` says that there is no table.
     """
-    return _segmented([(depth, K, X_WC)], config or SegmentationConfig(), robot)
+    return segment_views([(depth, K, X_WC)], config, robot)
 
 
 def segment_views(
-    views: Sequence[View],
+    views: Sequence[View] | Sequence[tuple[Any, Any, Any]],
     config: SegmentationConfig | None = None,
     robot: Solids | None = None,
 ) -> Segmentation:
@@ -154,14 +153,30 @@ def segment_views(
     not usable.
 
     Args:
-        views: one or more depth images.
+        views: one or more depth images: depth, K and X_WC of each, as `segment_depth` has them.
         config: the parameters; None for the defaults.
         robot: the robot's solids at the time of the images, or None.
 
     Raises:
         ValueError: as `segment_depth` does.
     """
-    return _segmented(views, config or SegmentationConfig(), robot)
+    config = config or SegmentationConfig()
+    seen = [_looked_at(depth, K, X_WC, config) for depth, K, X_WC in views]
+    table = _best_table(seen)
+    # Of an image without the table the others' will do, if it shows anything.
+    blind = {
+        number: image.note
+        for number, image in enumerate(seen)
+        if image.note and (table is None or image.note != _NO_TABLE)
+    }
+    if len(blind) == len(seen):
+        return replace(_unusable(seen[0].X_WC, seen[0].note), blind=blind)
+    standing = [
+        _standing_in(image, table, config)
+        for number, image in enumerate(seen)
+        if number not in blind
+    ]
+    return replace(_cluster(standing, table, config, robot), blind=blind)
 
 
 def segment_points(
@@ -254,29 +269,6 @@ class _Standing(NamedTuple):
     view: View | None = None
 
 
-def _segmented(
-    images: Sequence[View] | Sequence[tuple[Any, Any, Any]],
-    config: SegmentationConfig,
-    robot: Solids | None,
-) -> Segmentation:
-    seen = [_looked_at(depth, K, X_WC, config) for depth, K, X_WC in images]
-    table = _best_table(seen)
-    # Of an image without the table the others' will do, if it shows anything.
-    blind = {
-        number: image.note
-        for number, image in enumerate(seen)
-        if image.note and (table is None or image.note != _NO_TABLE)
-    }
-    if len(blind) == len(seen):
-        return replace(_unusable(seen[0].X_WC, seen[0].note), blind=blind)
-    standing = [
-        _standing_in(image, table, config)
-        for number, image in enumerate(seen)
-        if number not in blind
-    ]
-    return replace(_cluster(standing, table, config, robot), blind=blind)
-
-
 def _looked_at(
     depth: NDArray[np.floating], K: FloatArray, X_WC: FloatArray | None, config: SegmentationConfig
 ) -> _Image:
@@ -303,8 +295,7 @@ def _looked_at(
         on_grid,
         plane.inliers,
         sample,
-        plane.normal,
-        plane.offset,
+        plane,
         (step / K[0], step / K[1]),
     )
     X_WC = _pose_from_plane(plane) if X_WC is None else X_WC
@@ -348,7 +339,7 @@ def _standing_in(image: _Image, table: TablePlane | None, config: SegmentationCo
         plane = PlaneFit(normal, offset, np.nan, np.zeros(0, dtype=bool))
         index = _pixels_above(z, K, plane, config)
     p_CQ = back_projected(z, index, K)
-    return _Standing(p_CQ, index, support, X_WC, View.of(z, K, X_WC))
+    return _Standing(p_CQ, index, support, X_WC, View(z, K, X_WC))
 
 
 def _pose_known(X_WC: FloatArray | None) -> FloatArray:
@@ -384,7 +375,7 @@ def _cluster(
     placed = [_in_world(part, config) for part in parts]
     X_WC = parts[0].X_WC
     rms = np.nan if parts[0].support is None else parts[0].support.plane.rms
-    p_WQ = _rows([points for points, _ in placed])
+    p_WQ = np.concatenate([points for points, _ in placed])
     if not len(p_WQ):
         return Segmentation((), (), table, p_WQ, rms, X_WC, views=views)
 
@@ -396,7 +387,7 @@ def _cluster(
     if table is None:
         found = connected_clusters(means[kept], config.cluster_tolerance)
     else:
-        extent_W = _rows(
+        extent_W = np.concatenate(
             [
                 part.support.extent_C @ part.X_WC[:3, :3].T + part.X_WC[:3, 3]
                 for part in parts
@@ -448,7 +439,7 @@ def _cluster(
     place[names] = np.arange(len(names))
     label[kept] = place[found]
     first = np.cumsum([0, *(view.z.size for view in views)]).tolist()
-    index = _rows([own + begin for (_, own), begin in zip(placed, first, strict=False)])
+    index = np.concatenate([own + begin for (_, own), begin in zip(placed, first, strict=False)])
     pixels, begin = points_of_groups(label, voxel_of, index, len(names))
     return Segmentation(
         tuple(points[found == name] for name in names),
@@ -459,11 +450,6 @@ def _cluster(
         X_WC,
         views=views,
     )
-
-
-def _rows(parts: Sequence[_Array]) -> _Array:
-    """Arrays one after the other; of one itself."""
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _least_height(

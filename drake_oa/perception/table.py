@@ -17,26 +17,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import binary_opening
 
 from drake_oa.common.compiled import compiled
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
-
-
-@compiled
-def votes_for_planes(
-    normals: FloatArray, offsets: FloatArray, points: FloatArray, tolerance: FloatArray
-) -> IntArray:
-    """How many points (N, 3) lie within their tolerance (N,) of each plane (M,)."""
-    votes = np.zeros(len(offsets), dtype=np.int64)
-    # The points' coordinates in rows: a loop along them uses vector instructions.
-    x, y, z = points[:, 0].copy(), points[:, 1].copy(), points[:, 2].copy()
-    for m in range(len(offsets)):
-        a, b, c, offset = normals[m, 0], normals[m, 1], normals[m, 2], offsets[m]
-        n = 0
-        for i in range(len(tolerance)):
-            n += abs(a * x[i] + b * y[i] + c * z[i] - offset) < tolerance[i]
-        votes[m] = n
-    return votes
 
 
 @compiled
@@ -107,160 +91,15 @@ def band_moments(
     return first if count >= 3 else -1
 
 
-_UNSEEN = 0.3  # how far a table is taken to go on beyond the border of the image [m]
-_BEYOND = 0.5  # how far beyond the border, in sizes of the image, that is looked up
-_BORDER = 2  # rows and columns of the grid that are the border
-
-
-@compiled
-def _row_ends(grid: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-    """Rows that the table is in, and its first and last column there.
-
-    The table's mask is opened by a square of 3 x 3, which removes the thin line where its
-    plane cuts a wall; outside the image is no table.
-
-    Args:
-        grid: (H, W) which sample shows the table there, -1 for none.
-    """
-    rows, columns = grid.shape
-    # Of the mask eroded by the square: every place all round which the table is seen.
-    first = np.full(rows + 2, columns, dtype=np.int64)
-    last = np.full(rows + 2, -1, dtype=np.int64)
-    for row in range(1, rows - 1):
-        for side in (1, -1):
-            column = 1 if side == 1 else columns - 2
-            while column > 0 and column < columns - 1:
-                here = True
-                for r in range(row - 1, row + 2):
-                    for c in range(column - 1, column + 2):
-                        here &= grid[r, c] >= 0
-                if here:
-                    if side == 1:
-                        first[row + 1] = column
-                    else:
-                        last[row + 1] = column
-                    break
-                column += side
-    found, n = np.empty(rows, dtype=np.int64), 0
-    left, right = np.empty(rows, dtype=np.int64), np.empty(rows, dtype=np.int64)
-    for row in range(rows):
-        low = min(first[row], first[row + 1], first[row + 2])
-        if low < columns:
-            found[n], left[n] = row, low - 1
-            right[n] = max(last[row], last[row + 1], last[row + 2]) + 1
-            n += 1
-    return found[:n], left[:n], right[:n]
-
-
-@compiled
-def extent_points(
-    rows: int,
-    columns: int,
-    pixel: IntArray,
-    on_table: BoolArray,
-    p_CQ: FloatArray,
-    plane: FloatArray,
-    pitch: FloatArray,
-) -> FloatArray:
-    """See `drake_oa.perception.table.seen_extent`; plane (4,) is its normal and offset."""
-    grid = np.full(rows * columns, -1, dtype=np.int64)
-    bottom, left, right, start = -1, columns, -1, 0
-    for i in range(len(pixel)):
-        while pixel[i] >= start + columns:
-            start += columns
-        column = pixel[i] - start
-        left, right = min(left, column), max(right, column)
-        if on_table[i]:
-            grid[pixel[i]] = i
-    if len(pixel):
-        bottom = pixel[-1] // columns
-    row, first, last = _row_ends(grid.reshape(rows, columns))
-    out, n = np.empty((8 * len(row), 3)), 0
-    step = np.empty(3)
-    for side in (0, 1):
-        for i in range(len(row)):
-            column = first[i] if side == 0 else last[i]
-            p = p_CQ[grid[row[i] * columns + column]]
-            out[n] = p
-            n += 1
-            # Not beyond the upper border: what is there is farther away than its feet are.
-            for border in range(3):
-                step[:] = 0.0
-                if border == 0 and row[i] >= bottom - _BORDER:
-                    step[1] = _BEYOND * rows * pitch[1]
-                elif border == 1 and column <= left + _BORDER:
-                    step[0] = -_BEYOND * columns * pitch[0]
-                elif border == 2 and column >= right - _BORDER:
-                    step[0] = _BEYOND * columns * pitch[0]
-                else:
-                    continue
-                _beyond(p, step, plane, out[n])
-                n += 1
-    return out[:n].copy()
-
-
-@compiled
-def _beyond(border: FloatArray, step: FloatArray, plane: FloatArray, out: FloatArray) -> None:
-    """A point of the table beyond the border: where a ray further out meets the plane.
-
-    Args:
-        border: (3,) point of the table at the border [m].
-        step: (3,) tangents from the border outwards.
-        plane: (4,) normal and offset of the table.
-        out: (3,) written.
-    """
-    along = 0.0
-    for k in range(3):
-        along += (border[k] / border[2] + step[k]) * plane[k]
-    # Rays that do not meet the plane in front of the camera go on as far as any may.
-    met = along * np.sign(plane[3]) > 1e-3
-    across = 0.0
-    for k in range(3):
-        hit = (border[k] / border[2] + step[k]) * (plane[3] / along)
-        out[k] = hit - border[k] if met else step[k]
-        across += out[k] * plane[k]
-    length = 0.0
-    for k in range(3):
-        out[k] -= across * plane[k]
-        length += out[k] * out[k]
-    length = np.sqrt(length)
-    reach = min(length, _UNSEEN) if met else _UNSEEN
-    for k in range(3):
-        out[k] = border[k] + out[k] * (reach / max(length, 1e-9))
-
-
-@compiled
-def beyond_halfplanes(
-    points: FloatArray, axes: FloatArray, directions: FloatArray, reach: FloatArray
-) -> FloatArray:
-    """How far points lie, seen along a normal, beyond a convex region of the plane.
-
-    Args:
-        points: (N, 3) points [m].
-        axes: (2, 3) axes of the plane.
-        directions: (D, 2) outer normals of the half-planes, along these axes.
-        reach: (D,) how far each half-plane reaches along its normal [m].
-
-    Returns:
-        (N,) the largest distance beyond a half-plane [m], negative inside.
-    """
-    a, b = np.zeros(len(points)), np.zeros(len(points))
-    for i in range(len(points)):
-        for k in range(3):
-            a[i] += axes[0, k] * points[i, k]
-            b[i] += axes[1, k] * points[i, k]
-    beyond = np.full(len(points), -np.inf)
-    for d in range(len(reach)):
-        x, y, limit = directions[d, 0], directions[d, 1], reach[d]
-        # A loop along the points uses vector instructions.
-        for i in range(len(points)):
-            distance = x * a[i] + y * b[i] - limit
-            beyond[i] = distance if distance > beyond[i] else beyond[i]
-    return beyond
-
-
-# Outer normals of the half-planes that bound the region.
-_OUTWARD = np.column_stack([f(np.arange(64) * (2.0 * np.pi / 64)) for f in (np.cos, np.sin)])
+_UNSEEN = 0.3
+"""Distance that a table is taken to go on beyond the border of the image [m]."""
+_BEYOND = 0.5
+"""Distance beyond the border, in sizes of the image, at which the table's plane is looked up."""
+_BORDER = 2
+"""Rows and columns of the grid that are the border."""
+_ANGLES = np.arange(64) * (2.0 * np.pi / 64)
+_OUTWARD = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
+"""Outer normals of the half-planes that bound the extent of a table, along the plane's axes."""
 
 
 def seen_extent(
@@ -268,23 +107,61 @@ def seen_extent(
     pixel: IntArray,
     on_table: BoolArray,
     p_CQ: FloatArray,
-    normal: FloatArray,
-    offset: float,
+    fit: PlaneFit,
     pitch: tuple[float, float],
 ) -> FloatArray:
     """Points (E, 3) on the plane, in the camera frame [m], that span the table's extent.
+
+    The table's mask is opened by a square of 3 x 3, which removes the thin line where its plane
+    cuts a wall.
 
     Args:
         shape: rows and columns of the grid of samples.
         pixel: (N,) ascending flat index of each sample in that grid.
         on_table: (N,) whether it lies on the table.
         p_CQ: (N, 3) the samples in the camera frame [m].
-        normal: (3,) the table's unit normal in the camera frame.
-        offset: ``normal . p`` of its points [m].
+        fit: the table in the camera frame.
         pitch: tangents x / z and y / z from a column and a row of the grid to the next.
     """
-    plane = np.append(normal, offset)
-    return np.asarray(extent_points(*shape, pixel, on_table, p_CQ, plane, np.array(pitch)))
+    rows, columns = shape
+    sample = np.full(rows * columns, -1)
+    sample[pixel[on_table]] = np.flatnonzero(on_table)
+    sample = sample.reshape(shape)
+    opened = binary_opening(sample >= 0, np.ones((3, 3)))
+    row = np.flatnonzero(opened.any(axis=1))
+    # First and last column, (2, R).
+    ends = np.stack([opened[row].argmax(axis=1), columns - 1 - opened[row, ::-1].argmax(axis=1)])
+    border = p_CQ[sample[row, ends]][:, :, None]
+    # Not beyond the upper border: what is there is farther away than its feet are.
+    across, down = _BEYOND * columns * pitch[0], _BEYOND * rows * pitch[1]
+    step = np.array([[0.0, down, 0.0], [-across, 0.0, 0.0], [across, 0.0, 0.0]])
+    column = pixel % columns
+    at_border = [
+        np.broadcast_to(row >= pixel[-1] // columns - _BORDER, ends.shape),
+        ends <= column.min() + _BORDER,
+        ends >= column.max() - _BORDER,
+    ]
+    points = np.concatenate([border, _beyond(border, step, fit)], axis=2)
+    return np.asarray(points[np.stack([np.full(ends.shape, True), *at_border], axis=2)])
+
+
+def _beyond(border: FloatArray, step: FloatArray, fit: PlaneFit) -> FloatArray:
+    """Points of the table beyond the border, where rays further out meet its plane.
+
+    Args:
+        border: (..., 3) points of the table at the border [m].
+        step: (..., 3) tangents from the border outwards.
+        fit: the table.
+    """
+    ray = border / border[..., 2:] + step
+    along = (ray * fit.normal).sum(axis=-1, keepdims=True)
+    # Rays that do not meet the plane in front of the camera go on as far as any may.
+    met = along * np.sign(fit.offset) > 1e-3
+    way = np.where(met, ray * (fit.offset / np.where(met, along, 1.0)) - border, step)
+    way = way - (way * fit.normal).sum(axis=-1, keepdims=True) * fit.normal
+    length = np.sqrt((way * way).sum(axis=-1, keepdims=True))
+    reach = np.where(met, np.minimum(length, _UNSEEN), _UNSEEN)
+    return np.asarray(border + way * (reach / np.maximum(length, 1e-9)))
 
 
 def beyond_extent(p_WQ: FloatArray, table_W: FloatArray, normal_W: FloatArray) -> FloatArray:
@@ -303,7 +180,9 @@ def beyond_extent(p_WQ: FloatArray, table_W: FloatArray, normal_W: FloatArray) -
         return np.full(len(p_WQ), np.inf)
     axes = plane_axes(normal_W)
     reach = (_OUTWARD @ (axes @ table_W.T)).max(axis=1)
-    return np.asarray(beyond_halfplanes(p_WQ, axes, _OUTWARD, reach))
+    a, b = ((axis * p_WQ).sum(axis=1) for axis in axes)
+    distance = _OUTWARD[:, :1] * a + _OUTWARD[:, 1:] * b - reach[:, None]
+    return np.asarray(distance.max(axis=0))
 
 
 def plane_axes(normal: FloatArray) -> FloatArray:
@@ -520,13 +399,8 @@ def _supporting_level(seen: _Samples, fit: PlaneFit) -> float | None:
 
 def _spread_area(points: FloatArray, normal: FloatArray) -> float:
     """Area [m^2] of the rectangle with the points' variances along a plane."""
-    covariance = np.cov(points.T)
-    # The product of the two variances in the plane: the determinant of the rest.
-    trace, along = np.trace(covariance), float(normal @ covariance @ normal)
-    squares = np.einsum("ij,ij->", covariance, covariance)
-    cross = covariance @ normal
-    product = 0.5 * ((trace - along) ** 2 - (squares - 2.0 * (cross @ cross) + along**2))
-    return float(12.0 * np.sqrt(max(product, 0.0)))
+    axes = plane_axes(normal)
+    return float(12.0 * np.sqrt(max(np.linalg.det(axes @ np.cov(points.T) @ axes.T), 0.0)))
 
 
 def _best_hypothesis(seen: _Samples) -> tuple[FloatArray, float] | None:
@@ -550,7 +424,9 @@ def _best_hypothesis(seen: _Samples) -> tuple[FloatArray, float] | None:
     normals, offsets = normals[upright], offsets[upright]
     if not len(normals):
         return None
-    votes = votes_for_planes(normals, offsets, points, seen.tolerance[chosen])
+    x, y, z = points.T
+    distance = normals[:, :1] * x + normals[:, 1:2] * y + normals[:, 2:] * z - offsets[:, None]
+    votes = (np.abs(distance) < seen.tolerance[chosen]).sum(axis=1)
     winner = int(np.argmax(votes))
     return normals[winner], float(offsets[winner])
 

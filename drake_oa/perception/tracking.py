@@ -9,66 +9,63 @@ joined with what was remembered:
 3. The obstacles' positions are measured by their sides (`seen_sides`), their velocities by their
    surfaces (`velocity`), and both are filtered.
 4. Each remembered point is confirmed, kept as hidden, or dropped (`visibility`).
-5. What changed by more than noise is handed on (`memory`).
+5. What changed by more than noise is handed on (`held_clouds`): a copy of the remembered points,
+   which follow the camera's noise. Receivers that compare see no change, and need not plan again.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from drake_oa.common.messages import BoolArray, FloatArray, IntArray, ObstacleClouds
+from drake_oa.common.compiled import compiled
+from drake_oa.common.messages import (
+    BoolArray,
+    FloatArray,
+    Frozen,
+    IntArray,
+    ObstacleClouds,
+    TablePlane,
+    zeros,
+)
+from drake_oa.geometry.directions import DIRECTIONS
 from drake_oa.geometry.pinhole import AT, EMPTY, FREE, HIDDEN, OUT
 from drake_oa.geometry.solids import Solids
 from drake_oa.geometry.voxels import connected_clusters
 from drake_oa.perception.config import SegmentationConfig
-from drake_oa.perception.memory import (
-    ObstacleMemory,
-    Points,
-    Tracks,
-    appended,
-    changed,
-    held_clouds,
-    held_table,
-    new_tracks,
-    taken,
-)
 from drake_oa.perception.segmentation import UNSEEN_GAP, Segmentation
 from drake_oa.perception.velocity import (
     DEPTH_MARGIN,
     START,
-    NowSeen,
-    first_seen,
+    Tracks,
+    changed,
     measured_tracks,
+    new_tracks,
     predicted_tracks,
     registered_tracks,
     seen_sides,
-    shown_of,
     speed_statistic,
     with_motion_of,
 )
 from drake_oa.perception.visibility import (
+    SAME_RADIUS,
+    SUPPORT_RADIUS,
     Looked,
     absorb,
-    counted_votes,
+    evidence_after,
     hidden_beyond,
     hidden_by_itself,
     mutual_nearest,
     shown_at,
-    weighed,
     without_background,
 )
 
 _MATCH_RADIUS = 0.02
 """Distance at which a point of a frame votes for the obstacle of a remembered one [m]."""
-_SUPPORT_RADIUS = 0.012
-"""Distance at which a point of a frame supports the remembered point [m]."""
-_SAME_RADIUS = 0.008
-"""Distance at which a seen and a remembered point are the same point [m]."""
 _COMMON_POINTS = 4
 """Fewest points that an obstacle has in common with its clusters."""
 _COMMON_SHARE = 0.25
@@ -96,9 +93,107 @@ _MENTIONED_AFTER = 0.3
 _SPLIT_FRAMES = 3
 """Frames in a row after which separate parts become two obstacles."""
 _TABLE_SHIFT = 0.003
-"""Motion of the table wits planehin 1 m at which its plane is handed on again [m]."""
+"""Motion of the table within 1 m at which its plane is handed on again [m]."""
 _MERGE_TIME = 0.5
 """Time as one cluster after which obstacles at rest become one [s]."""
+
+
+_GROWN = 0.0025
+"""Growth in any direction at which the cloud of an obstacle is handed on again [m]."""
+_SHRUNK = 0.005
+"""Shrinkage in any direction at which the cloud of an obstacle is handed on again [m]."""
+_CHANGED_SHARE = 0.1
+"""Relative change of the number of points at which a cloud is handed on again."""
+
+
+@dataclass(frozen=True, eq=False)
+class Points(Frozen):
+    """N remembered points of obstacles.
+
+    Attributes:
+        p_OQ: (N, 3) in the frame O of its obstacle [m].
+        owner: (N,) row of its obstacle.
+        evidence: (N,) from 1 to `CERTAIN`.
+        weight: (N,) how many frames it is the mean of.
+        confirmed: (N,) whether a second frame has shown it.
+    """
+
+    p_OQ: FloatArray = zeros(0, 3)
+    owner: IntArray = zeros(0, kind=np.int64)
+    evidence: IntArray = zeros(0, kind=np.int64)
+    weight: IntArray = zeros(0, kind=np.int64)
+    confirmed: BoolArray = zeros(0, kind=bool)
+
+    def __len__(self) -> int:
+        return len(self.owner)
+
+
+@dataclass(frozen=True, eq=False)
+class HeldCloud(Frozen):
+    """The cloud of an obstacle as it was handed on last.
+
+    Attributes:
+        p_OQ: (N, 3) in the obstacle's frame O [m].
+        p_WQ: (N, 3) in the world [m].
+        shift_W: (3,) from the one to the other [m].
+        reach: (D,) how far it reaches in the `DIRECTIONS`, in O
+        [m].
+    """
+
+    p_OQ: FloatArray = zeros(0, 3)
+    p_WQ: FloatArray = zeros(0, 3)
+    shift_W: FloatArray = zeros(3)
+    reach: FloatArray = zeros(0)
+
+
+@dataclass(frozen=True, eq=False)
+class ObstacleMemory(Frozen):
+    """Everything that perception remembers.
+
+    Attributes:
+        obstacles: what is handed on.
+        next_id: the first name that was never given to an obstacle.
+        tracks: the obstacles.
+        points: their points.
+        held: id -> its cloud as it was handed on last.
+        shown: id -> (N, 3) what the last frame showed of it, in the world [m].
+        taken: time of the last frame [s].
+        told: (n,) times of the last image of each camera that told something [s].
+    """
+
+    obstacles: ObstacleClouds = field(default_factory=ObstacleClouds)
+    next_id: int = 0
+    tracks: Tracks = field(default_factory=Tracks)
+    points: Points = field(default_factory=Points)
+    held: dict[int, HeldCloud] = field(default_factory=dict)
+    shown: dict[int, FloatArray] = field(default_factory=dict)
+    taken: float = -np.inf
+    told: FloatArray = zeros(0)
+
+
+_Value = TypeVar("_Value", bound=Frozen)
+
+
+def taken(value: _Value, index: IntArray | BoolArray) -> _Value:
+    """Some rows of a value of which every field has rows."""
+    kind: Any = type(value)
+    parts: dict[str, Any] = {}
+    for name, part in value.__dict__.items():
+        parts[name] = taken(part, index) if isinstance(part, Frozen) else part[index]
+    result: _Value = kind(**parts)
+    return result
+
+
+def appended(first: _Value, second: _Value) -> _Value:
+    """The rows of one value, and then those of another."""
+    kind: Any = type(first)
+    parts: dict[str, Any] = {}
+    for name, one in first.__dict__.items():
+        other = getattr(second, name)
+        nested = isinstance(one, Frozen)
+        parts[name] = appended(one, other) if nested else np.concatenate([one, other])
+    result: _Value = kind(**parts)
+    return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +242,9 @@ def associate(
     """
     sizes = np.bincount(cluster, minlength=clusters)
     known = np.bincount(owner, minlength=tracks)
-    votes, vote_row = counted_votes(cluster, clusters, voted, owner, tracks)
+    vote_row = np.append(owner, -1)[voted]
+    pair = cluster * tracks + vote_row
+    votes = np.bincount(pair[voted >= 0], minlength=clusters * tracks).reshape(clusters, tracks)
     smaller = np.minimum(sizes[:, None], known[None])
     least = np.maximum(_COMMON_POINTS, _COMMON_SHARE * smaller)
     claims = votes >= least
@@ -234,7 +331,7 @@ def fuse(
     - A frame with the stamp of the one before it is that frame again: nothing changes.
     - A frame from before the last one begins again: nothing is remembered, but no name is
       given twice.
-    - After a gap of `memory.LONGEST_GAP` obstacles are remembered, velocities not.
+    - After a gap of `velocity.LONGEST_GAP` obstacles are remembered, velocities not.
 
     Args:
         previous: what is remembered; `ObstacleMemory()` before the first frame.
@@ -346,7 +443,7 @@ class _Step:
 
     def _look(self) -> _Look:
         p_WQ = self.points.p_OQ + self.tracks.shift_W[self.points.owner]
-        radius, near = _MATCH_RADIUS, _SUPPORT_RADIUS
+        radius, near = _MATCH_RADIUS, SUPPORT_RADIUS
         nearest, from_seen, distance = mutual_nearest(self.seen, p_WQ, radius, min(near, radius))
         looked = shown_at(
             p_WQ,
@@ -371,7 +468,7 @@ class _Step:
         Returns:
             The frame as it shows their points now.
         """
-        after, near, owner = self._look(), _SUPPORT_RADIUS, self.points.owner
+        after, near, owner = self._look(), SUPPORT_RADIUS, self.points.owner
         rows = np.arange(len(self.tracks))
         there, here = (
             np.bincount(owner[look.distance < near], minlength=len(rows))
@@ -400,7 +497,7 @@ class _Step:
         asked = points.confirmed & told
         count = len(self.tracks)
         total = np.bincount(points.owner[asked], minlength=count)
-        asked &= look.distance >= _SUPPORT_RADIUS
+        asked &= look.distance >= SUPPORT_RADIUS
         missed = np.bincount(points.owner[asked], minlength=count)
         least = _LEAST_SEEN * np.bincount(points.owner, minlength=count)
         share = missed / np.maximum(total, np.maximum(least, 1.0))
@@ -413,9 +510,8 @@ class _Step:
             return
         p_W = np.stack([self.frame.clouds_W[c].mean(axis=0) for c in association.new])
         ids = self.next_id + np.arange(count)
-        new = new_tracks(ids, first_seen(p_W))
         self.next_id += count
-        self.tracks = appended(self.tracks, new)
+        self.tracks = appended(self.tracks, new_tracks(ids, p_W))
 
     def _measure(self, association: Association, p_WQ: FloatArray, hidden: BoolArray) -> None:
         tracks = self.tracks
@@ -423,11 +519,11 @@ class _Step:
         seen = seen_sides(self.frame, rows, tracks.area, self.config.voxel)
         beyond = hidden_beyond(p_WQ, self.points.owner, hidden, seen.place, _SIDE_SLACK)
         seen = replace(seen, ends=seen.ends & (beyond < _HIDDEN_SHARE))
-        row_of, cluster = association.point_row, self.cluster
-        self._shown = shown_of(self.seen, row_of, tracks.ids)
-        now = NowSeen(self._shown, self.seen, row_of, cluster)
-        shift, spread = registered_tracks(tracks, self.previous.shown, now, self.dt)
+        row_of, before = association.point_row, self.previous.shown
+        shift, spread = registered_tracks(tracks, before, self.seen, row_of, self.cluster, self.dt)
         self.tracks = measured_tracks(tracks, seen, shift, spread, self.dt)
+        shown = {name: self.seen[row_of == row] for row, name in enumerate(tracks.ids.tolist())}
+        self._shown = {name: points for name, points in shown.items() if len(points)}
 
     def _weigh(
         self, association: Association, look: _Look, behind: BoolArray
@@ -438,21 +534,20 @@ class _Step:
         found[association.point_row] = True
         seen = without_background(look.shows, (found & self.tracks.moving)[points.owner])
         parts = self._parts(association, look.p_WQ, (seen == HIDDEN) | (seen == OUT))
-        # `remember` still asks for these points by their places here.
-        self._kept = np.full(len(points), -1, dtype=np.int64)
-        marked = changed(points, weight=np.arange(len(points)))
-        left = weighed(
-            marked,
+        evidence, confirmed = evidence_after(
+            points.owner,
+            points.evidence,
+            points.confirmed,
             seen,
             behind,
             look.distance,
             found,
             self._settled(),
-            _SUPPORT_RADIUS,
-            _SAME_RADIUS,
         )
-        self._kept[left.weight] = np.arange(len(left))
-        self.points = changed(left, weight=points.weight[left.weight])
+        left = evidence > 0
+        # `remember` still asks for these points by their places here.
+        self._kept = np.where(left, np.cumsum(left) - 1, -1)
+        self.points = taken(changed(points, evidence=evidence, confirmed=confirmed), left)
         return parts
 
     def _settled(self) -> BoolArray:
@@ -468,10 +563,11 @@ class _Step:
         p_OQ = np.array(self.points.p_OQ)
         weight = np.array(self.points.weight)
         local = self.seen - self.tracks.shift_W[row]
-        reach = _SAME_RADIUS
-        absorb(p_OQ, weight, local, np.where(same, kept, -1), distance, reach, _MEAN_FRAMES)
+        near = distance <= SAME_RADIUS
+        again = same & near & (kept >= 0)
+        absorb(p_OQ, weight, local[again], kept[again], _MEAN_FRAMES)
         self.points = changed(self.points, p_OQ=p_OQ, weight=weight)
-        new = np.flatnonzero((kept < 0) | (distance > reach))
+        new = np.flatnonzero((kept < 0) | ~near)
         ones = np.ones(len(new), dtype=np.int64)
         solid = np.zeros(len(self.tracks), dtype=bool)
         sizes = np.array([len(self.frame.clouds_W[c]) for c in association.new], dtype=int)
@@ -600,3 +696,98 @@ class _Step:
         return ObstacleMemory(
             obstacles, self.next_id, tracks, points, held, self._shown, stamp, self.previous.told
         )
+
+
+def held_clouds(
+    ids: IntArray,
+    shift_W: FloatArray,
+    points: Points,
+    listed: BoolArray,
+    previous: dict[int, HeldCloud],
+) -> dict[int, HeldCloud]:
+    """The clouds to hand on, by name.
+
+    Args:
+        ids: (M,) names of the obstacles.
+        shift_W: (M, 3) from the frame O of each obstacle's points to the world [m].
+        points: the remembered points; only the confirmed are handed on.
+        listed: (M,) which obstacles to hand on.
+        previous: what was handed on last.
+    """
+    owner = np.where(points.confirmed, points.owner, -1)
+    reach = supports(points.p_OQ, owner, len(ids), DIRECTIONS)
+    count = np.bincount(owner[points.confirmed], minlength=len(ids))
+    rows = np.flatnonzero(listed)
+    names = ids[rows].tolist()
+    known = [previous[name] for name in names if name in previous]
+    same, placed = _unchanged(
+        known,
+        reach,
+        shift_W,
+        count,
+        rows[np.array([name in previous for name in names], dtype=bool)],
+    )
+    held, place = {}, 0
+    for row, name in zip(rows, names, strict=True):
+        old = previous.get(name)
+        place += old is not None
+        if old is None or not same[place - 1]:
+            held[name] = _cloud(points.p_OQ[owner == row], shift_W[row], reach[row])
+        elif not placed[place - 1]:
+            held[name] = _cloud(old.p_OQ, shift_W[row], old.reach)
+        else:
+            held[name] = old
+    return held
+
+
+def _cloud(p_OQ: FloatArray, shift_W: FloatArray, reach: FloatArray) -> HeldCloud:
+    p_WQ = p_OQ + shift_W
+    p_WQ.flags.writeable = False
+    return HeldCloud(p_OQ, p_WQ, np.array(shift_W), np.array(reach))
+
+
+def _unchanged(
+    known: list[HeldCloud],
+    reach: FloatArray,
+    shift_W: FloatArray,
+    count: IntArray,
+    rows: IntArray,
+) -> tuple[BoolArray, BoolArray]:
+    """Which of K held clouds, of these rows, still do, and which are where they were."""
+    if not known:
+        return np.zeros(0, dtype=bool), np.zeros(0, dtype=bool)
+    more = reach[rows] - np.array([old.reach for old in known])
+    sizes = np.array([len(old.p_OQ) for old in known])
+    same = ((more <= _GROWN) & (more >= -_SHRUNK)).all(axis=1)
+    same &= np.abs(count[rows] - sizes) <= _CHANGED_SHARE * sizes
+    return same, (shift_W[rows] == np.array([old.shift_W for old in known])).all(axis=1)
+
+
+def held_table(
+    previous: TablePlane | None, seen: TablePlane | None, shift: float
+) -> TablePlane | None:
+    """The previous plane unless the new one is farther from it than ``shift`` [m].
+
+    The planes are compared below the world's origin and at a reach of 1 m from there.
+    """
+    if previous is None or seen is None:
+        return seen
+    apart = abs(seen.offset - previous.offset)
+    apart += float(np.linalg.norm(seen.normal_W - previous.normal_W))
+    return seen if apart > shift else previous
+
+
+@compiled
+def supports(points: FloatArray, row: IntArray, count: int, directions: FloatArray) -> FloatArray:
+    """(M, D) how far the points (N, 3) of each of M obstacles reach along directions (D, 3)."""
+    out = np.full((count, len(directions)), -np.inf)
+    # Their coordinates in rows: a loop along them uses vector instructions.
+    a, b, c = directions[:, 0].copy(), directions[:, 1].copy(), directions[:, 2].copy()
+    for i in range(len(points)):
+        if row[i] >= 0:
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            own = out[row[i]]
+            for d in range(len(a)):
+                reach = a[d] * x + b[d] * y + c[d] * z
+                own[d] = reach if reach > own[d] else own[d]
+    return out

@@ -21,26 +21,17 @@ shows free space beyond it. Each side is compared with where it was before.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from drake_oa.common.compiled import compiled
-from drake_oa.common.messages import BoolArray, FloatArray, IntArray, TablePlane
+from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray, TablePlane, zeros
 from drake_oa.geometry.pinhole import View
-from drake_oa.perception.memory import (
-    DOUBTED,
-    INITIAL_SPEED,
-    LONGEST_GAP,
-    MOVED,
-    PATIENCE,
-    MotionEstimate,
-    Tracks,
-    changed,
-)
 from drake_oa.perception.segmentation import Segmentation
 
 _ACCELERATION = 0.01
@@ -75,6 +66,120 @@ COAST_TIME = 0.5
 """Time for which a moving obstacle that is not seen keeps its velocity [s]."""
 BLIND_TIME = 0.2
 """Time without a measurement along an axis after which one at rest has no velocity there [s]."""
+
+
+_PATIENCE = 3
+"""Weight of a frame whose velocity is significant, of one that is only likely: 1."""
+_MOVED = 0.004
+"""Distance from its place at rest beyond which an obstacle may move [m]."""
+_DOUBTED = 0.04
+"""Share of missing points above which an obstacle may move."""
+LONGEST_GAP = 1.0
+"""Time between frames beyond which no velocity is believed [s]."""
+INITIAL_SPEED = 0.4
+"""Standard deviation of the velocity of an obstacle that is seen first [m/s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class MotionEstimate(Frozen):
+    """Position and velocity of M obstacles.
+
+    Attributes:
+        p_W: (M, 3) positions [m].
+        v_W: (M, 3) velocities [m/s].
+        var_p: (M, 3) variances of the positions [m^2].
+        cov_pv: (M, 3) covariances of position and velocity [m^2/s].
+        var_v: (M, 3) variances of the velocities [m^2/s^2].
+    """
+
+    p_W: FloatArray = zeros(0, 3)
+    v_W: FloatArray = zeros(0, 3)
+    var_p: FloatArray = zeros(0, 3)
+    cov_pv: FloatArray = zeros(0, 3)
+    var_v: FloatArray = zeros(0, 3)
+
+    def __len__(self) -> int:
+        return len(self.p_W)
+
+
+@dataclass(frozen=True, eq=False)
+class Tracks(Frozen):
+    """M obstacles, one a row.
+
+    Attributes:
+        ids: (M,) their names.
+        estimate: position and velocity, filtered. The position is that of a point fixed
+            to the obstacle, which was its centroid when it was seen first.
+        shift_W: (M, 3) from the frame O, in which its points are kept, to the world:
+            p_WQ = p_OQ + shift_W [m].
+        p_shift_W: (M, 3) the filter's position when it was shifted last [m].
+        sides: (M, 3, 2) the lowest and highest side along the world's axes, from the
+            position [m]; NaN while unknown.
+        area: (M,) the largest area seen of it, across the line of sight [m^2].
+        moving: (M,) whether it moves.
+        doubt: (M,) share of what should be seen of it that was not where it was
+            remembered: the most of late.
+        significant: (M,) frames in a row whose velocity was significant, each counted
+            `_PATIENCE` times, and once where it was only likely.
+        still: (M,) for how long it was not [s].
+        unseen: (M,) for how long it was not measured [s].
+        blind: (M, 3) for how long it was not along each axis of the world [s].
+        odd: (M, 3) outliers in a row along each axis.
+        age: (M,) for how long it is known [s].
+        apart: (M,) frames in a row in which it was seen in parts.
+        together: (M,) for how long it is one cluster with a larger one [s].
+    """
+
+    ids: IntArray = zeros(0, kind=np.int64)
+    estimate: MotionEstimate = field(default_factory=MotionEstimate)
+    shift_W: FloatArray = zeros(0, 3)
+    p_shift_W: FloatArray = zeros(0, 3)
+    sides: FloatArray = zeros(0, 3, 2)
+    area: FloatArray = zeros(0)
+    moving: BoolArray = zeros(0, kind=bool)
+    doubt: FloatArray = zeros(0)
+    significant: IntArray = zeros(0, kind=np.int64)
+    still: FloatArray = zeros(0)
+    unseen: FloatArray = zeros(0)
+    blind: FloatArray = zeros(0, 3)
+    odd: IntArray = zeros(0, 3, kind=np.int64)
+    age: FloatArray = zeros(0)
+    apart: IntArray = zeros(0, kind=np.int64)
+    together: FloatArray = zeros(0)
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+
+_Value = TypeVar("_Value", bound=Frozen)
+
+
+def changed(value: _Value, **parts: Any) -> _Value:
+    """As `dataclasses.replace`, without a look at what stays: that is locked already."""
+    kind: Any = type(value)
+    if not parts.keys() <= value.__dict__.keys():
+        raise TypeError(f"{kind.__name__} has no {sorted(parts.keys() - value.__dict__.keys())}")
+    result: _Value = object.__new__(kind)
+    result.__dict__.update(value.__dict__)
+    for name, part in parts.items():
+        if part.__class__ is np.ndarray and part.flags.writeable:
+            part = part.view()
+            part.flags.writeable = False
+        result.__dict__[name] = part
+    return result
+
+
+def new_tracks(ids: IntArray, p_W: FloatArray) -> Tracks:
+    """Obstacles (M,) at p_W (M, 3) [m], just seen first: at rest, their sides not known."""
+    rows = len(ids)
+    nothing = {
+        name: np.zeros((rows, *part.shape[1:]), dtype=part.dtype)
+        for name, part in vars(Tracks()).items()
+        if isinstance(part, np.ndarray)
+    }
+    sides = np.full((rows, 3, 2), np.nan)
+    parts: dict[str, Any] = {"ids": ids, "p_shift_W": p_W, "sides": sides}
+    return Tracks(**(nothing | parts), estimate=first_seen(p_W))
 
 
 def first_seen(p_W: FloatArray) -> MotionEstimate:
@@ -122,28 +227,10 @@ def corrected(estimate: MotionEstimate, p_W: FloatArray, variance: FloatArray) -
     )
 
 
-def led(
-    estimate: MotionEstimate, shift: FloatArray, variance: FloatArray, dt: float
-) -> MotionEstimate:
-    """The estimate after a measured shift since dt [s] ago.
-
-    Args:
-        estimate: the prediction.
-        shift: (M, 3) [m]; NaN where none was measured.
-        variance: (M, 3) of it [m^2].
-        dt: > 0.
-    """
-    known = np.isfinite(shift)
-    innovation = np.where(known, shift / dt - estimate.v_W, 0.0)
-    total = estimate.var_v + variance / dt**2
-    gain_p = np.where(known, estimate.cov_pv / total, 0.0)
-    gain_v = np.where(known, estimate.var_v / total, 0.0)
+def exchanged(estimate: MotionEstimate) -> MotionEstimate:
+    """Position and velocity in each other's place: a measured velocity corrects likewise."""
     return MotionEstimate(
-        estimate.p_W + gain_p * innovation,
-        estimate.v_W + gain_v * innovation,
-        estimate.var_p - gain_p * estimate.cov_pv,
-        (1.0 - gain_v) * estimate.cov_pv,
-        (1.0 - gain_v) * estimate.var_v,
+        estimate.v_W, estimate.p_W, estimate.var_v, estimate.cov_pv, estimate.var_p
     )
 
 
@@ -251,7 +338,7 @@ def measured_tracks(
     p_W, variance = measured_position(seen, tracks.sides, tracks.area)
     estimate, registered = tracks.estimate, np.isfinite(shift)
     if registered.any():
-        estimate = led(estimate, shift, spread, dt)
+        estimate = exchanged(corrected(exchanged(estimate), shift / dt, spread / dt**2))
     off = is_outlier(estimate, p_W, variance)
     again = off & (tracks.odd > 0)
     if again.any():
@@ -302,14 +389,14 @@ def _decided(tracks: Tracks, measured: BoolArray, registered: BoolArray, dt: flo
     speed = _lengths(estimate.v_W)
     away = estimate.p_W - tracks.p_shift_W
     distance = _lengths(away)
-    doubted = tracks.moving | registered | (tracks.doubt > DOUBTED)
+    doubted = tracks.moving | registered | (tracks.doubt > _DOUBTED)
     fast = (speed > _START_SPEED) & measured
     starts = (statistic > START) & fast
-    starts &= tracks.moving | (doubted & (distance > MOVED))
+    starts &= tracks.moving | (doubted & (distance > _MOVED))
     likely = (statistic > _STOP) & fast & (tracks.doubt > _STRONG_DOUBT)
-    enough = _START_FRAMES * PATIENCE
+    enough = _START_FRAMES * _PATIENCE
     at_once = registered & (statistic > _CERTAIN)
-    count = tracks.significant + np.where(starts, np.where(at_once, enough, PATIENCE), 1)
+    count = tracks.significant + np.where(starts, np.where(at_once, enough, _PATIENCE), 1)
     significant = np.where(starts | likely, count, 0)
     calm = (statistic < _STOP) | (speed < _FLOOR)
     still = np.where(calm, tracks.still + dt, 0.0)
@@ -351,19 +438,14 @@ def registered(
     before: FloatArray,
     now: FloatArray,
     guess: FloatArray,
-    *,
-    noise: float,
     prior: float,
-    gate: float,
 ) -> tuple[FloatArray, FloatArray]:
     """The shift from one frame's points (N, 3) to the next one's (M, 3).
 
     Args:
         before, now: surfaces in the world [m]; a few points at least.
         guess: (3,) the shift that is expected [m].
-        noise: standard deviation of a point along the normal [m].
         prior: how far off the guess may be, a standard deviation [m].
-        gate: points farther apart are not the same [m].
 
     Returns:
         (3,) the shift [m], and its variances (3,) [m^2]; those of the prior where nothing tells.
@@ -376,7 +458,7 @@ def registered(
     moving = before[own.query(moving, k=_NEIGHBOURS)[1]].mean(axis=1)
     shift, weak = np.array(guess, dtype=float), np.eye(3) / prior**2
     information = weak
-    for reach in np.geomspace(2.0 * gate, gate, _ROUNDS):
+    for reach in np.geomspace(2.0 * _GATE, _GATE, _ROUNDS):
         distance, rows = tree.query(moving + shift, k=_NEIGHBOURS, distance_upper_bound=reach)
         # Where a whole neighbourhood is there.
         there = np.isfinite(distance).all(axis=1)
@@ -391,41 +473,26 @@ def registered(
         off = np.abs(left - normal @ shift)
         # Edges have no normal, and outliers no say.
         weight = (1.0 - spread[:, 0] / np.maximum(spread[:, 1], 1e-12)) ** 2
-        weight = weight / (1.0 + (off / (3.0 * noise)) ** 2) / (_TOGETHER * noise**2)
+        weight = (
+            weight / (1.0 + (off / (3.0 * SIDE_DEVIATION)) ** 2) / (_TOGETHER * SIDE_DEVIATION**2)
+        )
         told = np.einsum("n,ni,nj->ij", weight, normal, normal)
         pull = np.einsum("n,ni,n->i", weight, normal, left) + weak @ guess
         shift = np.linalg.solve(told + weak, pull)
         # A normal that noise has tilted seems to tell of what is along its surface.
-        rough = np.minimum(spread[:, 0] / (_NEIGHBOURS - 3), noise**2)
-        tilted = weight @ (rough / np.maximum(spread[:, 1], noise**2))
+        rough = np.minimum(spread[:, 0] / (_NEIGHBOURS - 3), SIDE_DEVIATION**2)
+        tilted = weight @ (rough / np.maximum(spread[:, 1], SIDE_DEVIATION**2))
         size, along = np.linalg.eigh(told - tilted * np.eye(3))
         information = (along * np.maximum(size, 0.0)) @ along.T + weak
     return shift, np.diag(np.linalg.inv(information)).copy()
 
 
-def shown_of(seen: FloatArray, row: IntArray, ids: IntArray) -> dict[int, FloatArray]:
-    """What a frame's points (Q, 3) show of the obstacles (M,) that they belong to, rows (Q,)."""
-    found = {name: seen[row == number] for number, name in enumerate(ids.tolist())}
-    return {name: points for name, points in found.items() if len(points)}
-
-
-class NowSeen(NamedTuple):
-    """A frame: what it shows of the obstacles, by name, all its points (Q, 3) [m], and their rows.
-
-    `row` (Q,) is of their obstacles, `cluster` (Q,) of their clusters: what an obstacle has become
-    one cluster with may show its surface too.
-    """
-
-    shown: dict[int, FloatArray]
-    points: FloatArray
-    row: IntArray
-    cluster: IntArray
-
-
 def registered_tracks(
     tracks: Tracks,
     before: dict[int, FloatArray],
-    now: NowSeen,
+    seen: FloatArray,
+    point_row: IntArray,
+    cluster: IntArray,
     dt: float,
 ) -> tuple[FloatArray, FloatArray]:
     """How far the obstacles that may move have gone since dt [s] ago, and how well it is known.
@@ -433,7 +500,10 @@ def registered_tracks(
     Args:
         tracks: the M obstacles, as predicted.
         before: what the frame before showed of them, by name.
-        now: this frame.
+        seen: (Q, 3) points of this frame [m].
+        point_row: (Q,) their obstacles.
+        cluster: (Q,) their clusters: what an obstacle has become one cluster with may show its
+            surface too.
         dt: see there.
 
     Returns:
@@ -442,19 +512,18 @@ def registered_tracks(
     shift, spread = np.full((len(tracks), 3), np.nan), np.ones((len(tracks), 3))
     unknown = dt * INITIAL_SPEED
     for row, name in enumerate(tracks.ids.tolist()):
-        if name not in now.shown or name not in before or not 0.0 < dt <= LONGEST_GAP:
+        mine = point_row == row
+        if not mine.any() or name not in before or not 0.0 < dt <= LONGEST_GAP:
             continue
         then = before[name]
-        moved = np.abs(now.shown[name].mean(axis=0) - then.mean(axis=0)).max() > MOVED
-        if not (moved or tracks.moving[row] or tracks.doubt[row] > DOUBTED):
+        moved = np.abs(seen[mine].mean(axis=0) - then.mean(axis=0)).max() > _MOVED
+        if not (moved or tracks.moving[row] or tracks.doubt[row] > _DOUBTED):
             continue
         shift[row], spread[row] = registered(
             then,
-            now.points[np.isin(now.cluster, np.unique(now.cluster[now.row == row]))],
+            seen[np.isin(cluster, cluster[mine])],
             dt * tracks.estimate.v_W[row],
-            noise=SIDE_DEVIATION,
-            prior=unknown,
-            gate=_GATE,
+            unknown,
         )
         shift[row, spread[row] > (_TELLS * unknown) ** 2] = np.nan
     return shift, spread
@@ -467,22 +536,15 @@ _EMPTY = 12  # so many pixels in a row without depth show that nothing is beside
 _SIDE_PIXELS = 48  # pixels of a side that are looked at
 
 
-@compiled
 def surfaces(
-    pixel: IntArray,
-    begin: IntArray,
-    cluster_row: IntArray,
-    view: View,
-    most: int,
+    pixels: Sequence[IntArray], cluster_row: IntArray, view: View
 ) -> tuple[FloatArray, FloatArray, IntArray, IntArray, FloatArray]:
-    """What a frame shows of obstacles, by some of their pixels.
+    """Samples the surfaces of obstacles in an image.
 
     Args:
-        pixel: (P,) pixels of C clusters, one after the other, ascending in each.
-        begin: (C + 1,) where each of them begins.
+        pixels: of each of C clusters.
         cluster_row: (C,) obstacle of each, -1: not asked for.
         view: the depth image.
-        most: about how many pixels of a cluster are taken.
 
     Returns:
         The points (S, 3) in the world frame [m]; the area (S,) that a pixel covers at
@@ -490,62 +552,20 @@ def surfaces(
         each stands (S,).
     """
     z, K, X_WC = view
-    count = 0
-    for c in range(len(cluster_row)):
-        size = begin[c + 1] - begin[c]
-        if cluster_row[c] >= 0:
-            step = max(1, size // most)
-            count += (size + step - 1) // step
-    points, area = np.empty((count, 3)), np.empty(count)
-    taken, owner = np.empty(count, dtype=np.int64), np.empty(count, dtype=np.int64)
-    weight, n = np.empty(count), 0
-    for c in range(len(cluster_row)):
-        if cluster_row[c] < 0:
-            continue
-        step, row = max(1, (begin[c + 1] - begin[c]) // most), 0
-        for i in range(begin[c], begin[c + 1], step):
-            while pixel[i] >= (row + 1) * z.shape[1]:
-                row += 1
-            column = pixel[i] - row * z.shape[1]
-            depth = z[row, column]
-            x = (column - K[2]) * (depth / K[0])
-            y = (row - K[3]) * (depth / K[1])
-            for k in range(3):
-                points[n, k] = X_WC[k, 0] * x + X_WC[k, 1] * y + X_WC[k, 2] * depth + X_WC[k, 3]
-            area[n] = depth * depth / (K[0] * K[1])
-            taken[n], owner[n], weight[n] = pixel[i], cluster_row[c], step
-            n += 1
-    return points, area, taken, owner, weight
+    steps = [max(1, len(part) // _PIXELS) for part in pixels]
+    some = [part[::step] for part, step in zip(pixels, steps, strict=True)]
+    lengths = [len(part) for part in some]
+    owner, weight = (np.repeat(each, lengths) for each in (cluster_row, steps))
+    asked = owner >= 0
+    pixel = np.concatenate([np.zeros(0, dtype=np.int64), *some])[asked]
+    row, column = np.divmod(pixel, z.shape[1])
+    depth = z[row, column]
+    x = (column - K[2]) * (depth / K[0])
+    y = (row - K[3]) * (depth / K[1])
+    points = sum(part[:, None] * X_WC[:3, k] for k, part in enumerate((x, y, depth.astype(float))))
+    return points + X_WC[:3, 3], depth * depth / (K[0] * K[1]), pixel, owner[asked], weight[asked]
 
 
-@compiled
-def owner_rows(
-    pixel: IntArray, begin: IntArray, cluster_row: IntArray, columns: int
-) -> tuple[NDArray[np.int16], int]:
-    """The obstacles (R, W) in the rows of an image that show any, and the first such row.
-
-    Args:
-        pixel: (P,) as in `surfaces`.
-        begin: (C + 1,)
-        cluster_row: (C,)
-        columns: W.
-    """
-    low, high = 1 << 60, -1
-    for c in range(len(cluster_row)):
-        if cluster_row[c] >= 0 and begin[c + 1] > begin[c]:
-            low, high = min(low, pixel[begin[c]]), max(high, pixel[begin[c + 1] - 1])
-    if high < 0:
-        return np.empty((0, columns), dtype=np.int16), 0
-    top, bottom = low // columns, high // columns + 1
-    owner = np.full((bottom - top) * columns, -1, dtype=np.int16)
-    for c in range(len(cluster_row)):
-        if cluster_row[c] >= 0:
-            for i in range(begin[c], begin[c + 1]):
-                owner[pixel[i] - top * columns] = cluster_row[c]
-    return owner.reshape(bottom - top, columns), top
-
-
-@compiled
 def tail_places(
     points: FloatArray, area: FloatArray, row: IntArray, tail: FloatArray
 ) -> FloatArray:
@@ -554,52 +574,29 @@ def tail_places(
     Args:
         points: (P, 3) [m].
         area: (P,) that each stands for [m^2].
-        row: (P,) obstacle of each, -1: none.
+        row: (P,) obstacle of each.
         tail: (M,) that area [m^2].
 
     Returns:
         (M, 3, 2) lowest and highest place along each axis [m]; NaN for an obstacle of
         which nothing is seen.
     """
-    count = len(tail)
-    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-    for i in range(len(points)):
-        if row[i] >= 0:
-            for k in range(3):
-                low[row[i], k] = min(low[row[i], k], points[i, k])
-                high[row[i], k] = max(high[row[i], k], points[i, k])
-    histogram = np.zeros((count, 3, _BINS))
-    scale = np.zeros((count, 3))
-    for m in range(count):
-        for k in range(3):
-            if high[m, k] > low[m, k]:
-                scale[m, k] = (_BINS - 1) / (high[m, k] - low[m, k])
-    for i in range(len(points)):
-        m = row[i]
-        if m >= 0:
-            for k in range(3):
-                place = np.int64((points[i, k] - low[m, k]) * scale[m, k])
-                histogram[m, k, place] += area[i]
-    sides = np.full((count, 3, 2), np.nan)
-    for m in range(count):
-        for k in range(3):
-            if not high[m, k] >= low[m, k]:
+    sides = np.full((len(tail), 3, 2), np.nan)
+    for m in np.unique(row):
+        mine = row == m
+        for k, along in enumerate(points[mine].T):
+            low, high = along.min(), along.max()
+            if high == low:
+                sides[m, k] = low
                 continue
-            if scale[m, k] == 0.0:
-                sides[m, k, 0] = sides[m, k, 1] = low[m, k]
-                continue
-            total, n = 0.0, 0
-            while n < _BINS - 1 and total + histogram[m, k, n] < tail[m]:
-                total += histogram[m, k, n]
-                n += 1
-            part = (tail[m] - total) / max(histogram[m, k, n], 1e-12)
-            sides[m, k, 0] = low[m, k] + (n + min(part, 1.0)) / scale[m, k]
-            total, n = 0.0, _BINS - 1
-            while n > 0 and total + histogram[m, k, n] < tail[m]:
-                total += histogram[m, k, n]
-                n -= 1
-            part = (tail[m] - total) / max(histogram[m, k, n], 1e-12)
-            sides[m, k, 1] = low[m, k] + (n + 1 - min(part, 1.0)) / scale[m, k]
+            scale = (_BINS - 1) / (high - low)
+            places = ((along - low) * scale).astype(np.int64)
+            histogram = np.bincount(places, area[mine], _BINS)
+            for side, bins in enumerate((histogram, histogram[::-1])):
+                total = np.append(0.0, np.cumsum(bins))
+                n = min(int(np.searchsorted(total[1:], tail[m])), _BINS - 1)
+                part = min((tail[m] - total[n]) / max(bins[n], 1e-12), 1.0)
+                sides[m, k, side] = low + (_BINS - n - part if side else n + part) / scale
     return sides
 
 
@@ -611,7 +608,6 @@ def open_sides(
     sides: FloatArray,
     view: View,
     owner: NDArray[np.int16],
-    top: int,
     plane: FloatArray,
     margin: float,
 ) -> tuple[FloatArray, FloatArray]:
@@ -626,12 +622,10 @@ def open_sides(
     Args:
         points: (P, 3) in the world frame [m].
         pixel: (P,) their pixels (flat indices).
-        row: (P,) obstacle of each, -1: none.
+        row: (P,) obstacle of each.
         sides: (M, 3, 2) from `tail_places` [m].
         view: the depth image.
-        owner: (R, W) int16 obstacle that each pixel of some rows shows, -1: none. The
-            other rows show none.
-        top: the first of those rows.
+        owner: (H W,) int16 obstacle that each pixel shows, -1: none.
         plane: (4,) the table's normal and offset in the world.
         margin: depth difference that tells "before" and "behind" from "at", and height of
             what stands on the table [m].
@@ -642,11 +636,8 @@ def open_sides(
     z, K, X_WC = view
     asked, free = np.zeros(sides.shape), np.zeros(sides.shape)
     rows, columns = z.shape
-    bottom = top + len(owner)
     for i in range(len(points)):
         m = row[i]
-        if m < 0:
-            continue
         for k in range(3):
             for side in range(2):
                 if side == 0:
@@ -685,7 +676,7 @@ def open_sides(
                         free[m, k, side] += 1.0
                         break
                     empty = 0
-                    if v >= top and v < bottom and owner[v - top, u] == m:
+                    if owner[v * columns + u] == m:
                         # The noise of a depth grows with its square.
                         if other > depth - step * nearer + _BEHIND * depth * depth:
                             free[m, k, side] += 1.0
@@ -762,7 +753,7 @@ def seen_sides(
         voxel: edge of a voxel, for clouds [m].
     """
     count = len(known_area)
-    images = [_joined(frame.pixels_in(row)) for row in range(len(frame.views))]
+    images = [frame.pixels_in(row) for row in range(len(frame.views))]
     if not images:
         used = np.flatnonzero(cluster_row >= 0)
         clouds = [frame.clouds_W[c] for c in used]
@@ -772,7 +763,7 @@ def seen_sides(
         parts = []
     else:
         parts = [
-            surfaces(*image, cluster_row, view, _PIXELS)
+            surfaces(image, cluster_row, view)
             for image, view in zip(images, frame.views, strict=True)
         ]
         points, area, _, row, weight = (
@@ -790,18 +781,13 @@ def seen_sides(
         plane = np.append(table.normal_W, table.offset)
         free, asked = np.zeros(place.shape), np.zeros(place.shape)
         for part, image, view in zip(parts, images, frame.views, strict=True):
-            owner, top = owner_rows(*image, cluster_row, view.z.shape[1])
-            found = open_sides(part[0], *part[2:4], place, view, owner, top, plane, DEPTH_MARGIN)
+            owner = np.full(view.z.size, -1, dtype=np.int16)
+            for row, pixels in zip(cluster_row, image, strict=True):
+                owner[pixels] = row
+            found = open_sides(part[0], *part[2:4], place, view, owner, plane, DEPTH_MARGIN)
             free, asked = free + found[0], asked + found[1]
         ends = free / np.maximum(asked, 1.0) >= _OPEN_SHARE
     return SeenSides(place, ends, np.asarray(seen, dtype=float), np.asarray(grain, dtype=float))
-
-
-def _joined(parts: tuple[IntArray, ...]) -> tuple[IntArray, IntArray]:
-    """Arrays one after the other, and (C + 1,) where each begins."""
-    begin = np.zeros(len(parts) + 1, dtype=np.int64)
-    np.cumsum([len(part) for part in parts], out=begin[1:])
-    return np.concatenate([np.zeros(0, dtype=np.int64), *parts]), begin
 
 
 def measured_position(

@@ -30,8 +30,15 @@ from drake_oa.geometry.distance_field import VOXEL
 from drake_oa.geometry.pinhole import AT, EMPTY, FREE, HIDDEN, OUT, View, shown
 from drake_oa.geometry.solids import Solids, least_distances
 from drake_oa.geometry.voxels import members_of
-from drake_oa.perception.memory import CERTAIN, CONFIRMED, Points, changed, taken
 
+_CERTAIN = 4
+"""The most evidence that a point can have."""
+_CONFIRMED = 2
+"""From this much evidence on a point is handed on."""
+SUPPORT_RADIUS = 0.012
+"""Distance at which a point of a frame supports the remembered point [m]."""
+SAME_RADIUS = 0.008
+"""Distance at which a seen and a remembered point are the same point [m]."""
 _CELLS = 60  # the most cells along an axis
 _SAYS = np.array([1, 3, 4, 0, 2])
 """How much HIDDEN, AT, FREE, OUT and EMPTY say: of several images the one counts that says most."""
@@ -135,7 +142,6 @@ def mutual_nearest(
     return nearest, np.sqrt(from_query), np.sqrt(from_point)
 
 
-@compiled
 def hidden_beyond(
     points: FloatArray, owner: IntArray, hidden: BoolArray, sides: FloatArray, slack: float
 ) -> FloatArray:
@@ -151,27 +157,18 @@ def hidden_beyond(
     Returns:
         (M, 3, 2) shares in [0, 1]; 0 where nothing is remembered.
     """
-    beyond, unseen = np.zeros(sides.shape), np.zeros(sides.shape)
-    for i in range(len(points)):
-        m = owner[i]
-        for k in range(3):
-            if points[i, k] < sides[m, k, 0] - slack:
-                beyond[m, k, 0] += 1.0
-                unseen[m, k, 0] += hidden[i]
-            elif points[i, k] > sides[m, k, 1] + slack:
-                beyond[m, k, 1] += 1.0
-                unseen[m, k, 1] += hidden[i]
-    return unseen / np.maximum(beyond, 1.0)
+    low, high = np.moveaxis(sides[owner], 2, 0)
+    far = np.stack([points < low - slack, points > high + slack], axis=2).reshape(-1, 6)
+    mine = (owner == np.arange(len(sides))[:, None]).astype(float)
+    beyond, unseen = mine @ far, mine @ (far & hidden[:, None])
+    return np.asarray((unseen / np.maximum(beyond, 1.0)).reshape(sides.shape))
 
 
-@compiled
 def absorb(
     points: FloatArray,
     weight: IntArray,
     query: FloatArray,
     nearest: IntArray,
-    distance: FloatArray,
-    reach: float,
     most: int,
 ) -> None:
     """Moves remembered points to the mean of what was seen of them.
@@ -180,26 +177,17 @@ def absorb(
         points: (N, 3) remembered points, changed [m].
         weight: (N,) how many frames each is the mean of, changed.
         query: (Q, 3) points of the frame [m].
-        nearest: (Q,) the remembered point nearest to each, -1: none.
-        distance: (Q,) and how far it is [m].
-        reach: farther ones are other points [m].
+        nearest: (Q,) the remembered point that each is.
         most: a mean never weighs more frames than this.
     """
-    total, count = np.zeros(points.shape), np.zeros(len(points), dtype=np.int64)
-    for q in range(len(query)):
-        i = nearest[q]
-        if i >= 0 and distance[q] <= reach:
-            count[i] += 1
-            for k in range(3):
-                total[i, k] += query[q, k]
-    for i in range(len(points)):
-        if count[i] > 0:
-            weight[i] = min(weight[i] + 1, most)
-            for k in range(3):
-                points[i, k] += (total[i, k] / count[i] - points[i, k]) / weight[i]
+    count = np.bincount(nearest, minlength=len(points))
+    seen = count > 0
+    weight[seen] = np.minimum(weight[seen] + 1, most)
+    total = np.stack([np.bincount(nearest, along, len(points)) for along in query.T], axis=1)
+    mean = total[seen] / count[seen, None]
+    points[seen] += (mean - points[seen]) / weight[seen, None]
 
 
-@compiled
 def evidence_after(
     owner: IntArray,
     evidence: IntArray,
@@ -209,54 +197,31 @@ def evidence_after(
     distance: FloatArray,
     found: BoolArray,
     settled: BoolArray,
-    radii: tuple[float, float],
-    levels: tuple[int, int],
 ) -> tuple[IntArray, BoolArray]:
-    """Evidence (N,), 0 for points to be left out, and which are confirmed (N,); see `weighed`.
-
-    `radii` are support_radius and same_radius [m], `levels` `CERTAIN` and `CONFIRMED`.
-    """
-    after, sure = np.empty(len(owner), dtype=np.int64), np.empty(len(owner), dtype=np.bool_)
-    certain, enough = levels
-    for i in range(len(owner)):
-        hit = distance[i] < (radii[0] if confirmed[i] else radii[1])
-        gone = seen[i] == FREE or (seen[i] == AT and not found[owner[i]])
-        fading = seen[i] == AT or behind_itself[i]
-        if hit:
-            after[i] = min(evidence[i] + 1, certain)
-        elif gone:
-            after[i] = min(evidence[i], enough) - 1
-        else:
-            after[i] = evidence[i] - fading
-        sure[i] = confirmed[i] or after[i] >= enough + settled[owner[i]]
-        if not confirmed[i] and not hit and (gone or fading):
-            after[i] = 0
-    return after, sure
-
-
-@compiled
-def counted_votes(
-    cluster: IntArray, clusters: int, voted: IntArray, owner: IntArray, tracks: int
-) -> tuple[IntArray, IntArray]:
-    """The votes of a frame's points for obstacles.
+    """Weighs N remembered points by a frame.
 
     Args:
-        cluster: (Q,) clusters of the points.
-        clusters: C, how many there are.
-        voted: (Q,) the remembered point nearest to each, -1: none near.
-        owner: (N,) obstacles of the remembered points.
-        tracks: M, how many there are.
+        owner: (N,) their obstacles.
+        evidence: (N,) for each.
+        confirmed: (N,) whether a second frame has shown it.
+        seen: (N,) what the frame shows at them.
+        behind_itself: (N,) from `hidden_by_itself`.
+        distance: (N,) from the frame's nearest point [m].
+        found: (M,) obstacles that have a cluster in the frame.
+        settled: (M,) those that rest, and are handed on: what is new of them is confirmed by
+            a third frame.
 
     Returns:
-        (C, M) the votes, and (Q,) the obstacle that each point votes for, -1: none.
+        The evidence (N,) after it, 0 for points to be left out, and which are confirmed (N,).
     """
-    votes = np.zeros((clusters, tracks), dtype=np.int64)
-    row = np.full(len(cluster), -1, dtype=np.int64)
-    for q in range(len(cluster)):
-        if voted[q] >= 0:
-            row[q] = owner[voted[q]]
-            votes[cluster[q], row[q]] += 1
-    return votes, row
+    hit = distance < np.where(confirmed, SUPPORT_RADIUS, SAME_RADIUS)
+    gone = (seen == FREE) | ((seen == AT) & ~found[owner])
+    fading = (seen == AT) | behind_itself
+    less = np.where(gone, np.minimum(evidence, _CONFIRMED) - 1, evidence - fading)
+    after = np.where(hit, np.minimum(evidence + 1, _CERTAIN), less)
+    sure = confirmed | (after >= _CONFIRMED + settled[owner])
+    after[~confirmed & ~hit & (gone | fading)] = 0
+    return after, sure
 
 
 def shown_at(
@@ -328,44 +293,6 @@ def without_background(seen: IntArray, moved: BoolArray) -> IntArray:
         (N,) HIDDEN, AT, FREE or OUT.
     """
     return np.where(seen == EMPTY, np.where(moved, FREE, OUT), seen)
-
-
-def weighed(
-    points: Points,
-    seen: IntArray,
-    behind_itself: BoolArray,
-    distance: FloatArray,
-    found: BoolArray,
-    settled: BoolArray,
-    support_radius: float,
-    same_radius: float,
-) -> Points:
-    """Remembered points with the evidence of a frame; those without any are left out.
-
-    Args:
-        points: N of them.
-        seen: (N,) what the frame shows at them.
-        behind_itself: (N,) from `hidden_by_itself`.
-        distance: (N,) from the frame's nearest point [m].
-        found: (M,) obstacles that have a cluster in the frame.
-        settled: (M,) those that rest, and are handed on: what is new of them is confirmed by
-            a third frame.
-        support_radius: a point of the frame this near supports a confirmed one [m].
-        same_radius: and this near one that is not confirmed yet [m].
-    """
-    evidence, confirmed = evidence_after(
-        points.owner,
-        points.evidence,
-        points.confirmed,
-        seen,
-        behind_itself,
-        distance,
-        found,
-        settled,
-        (support_radius, same_radius),
-        (CERTAIN, CONFIRMED),
-    )
-    return taken(changed(points, evidence=evidence, confirmed=confirmed), evidence > 0)
 
 
 _LONGEST = 0.5

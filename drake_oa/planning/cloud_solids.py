@@ -43,7 +43,7 @@ from drake_oa.geometry.pinhole import FREE, View, shown
 from drake_oa.geometry.solids import SURROUNDINGS, Solid, SolidScene, cloud_solid, solids_of
 from drake_oa.geometry.solids import table_solid as solid_of_table
 from drake_oa.perception.depth_perception import Views
-from drake_oa.perception.memory import held_table
+from drake_oa.perception.tracking import held_table
 from drake_oa.perception.visibility import ImageRange, with_unseen_ends
 
 _logger = logging.getLogger("drake_oa")

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from drake_oa.perception.velocity import registered
 
-NOISE, PRIOR, GATE = 1.5e-3, 0.02, 0.02
+NOISE, PRIOR = 1.5e-3, 0.02
 shifts = st.lists(st.floats(-0.015, 0.015), min_size=3, max_size=3).map(np.array)
 
 
@@ -25,7 +25,7 @@ def plane(rng: np.random.Generator, offset: np.ndarray) -> np.ndarray:
 
 
 def lay(before: np.ndarray, now: np.ndarray, guess=(0.0, 0.0, 0.0)):
-    return registered(before, now, np.array(guess), noise=NOISE, prior=PRIOR, gate=GATE)
+    return registered(before, now, np.array(guess), PRIOR)
 
 
 @settings(max_examples=25, deadline=None)

@@ -10,9 +10,8 @@ from drake_oa.geometry.pinhole import View
 from drake_oa.geometry.solids import box as box_solid
 from drake_oa.geometry.solids import solids_of
 from drake_oa.perception.config import SegmentationConfig
-from drake_oa.perception.memory import ObstacleMemory
 from drake_oa.perception.segmentation import segment_depth, segment_points, segment_views
-from drake_oa.perception.tracking import fuse
+from drake_oa.perception.tracking import ObstacleMemory, fuse
 from tests.reference.depth_images import SIZE, K, box, camera_pose, look_at, ray_cast
 
 X_WC = camera_pose()

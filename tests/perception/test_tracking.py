@@ -13,14 +13,13 @@ from drake_oa.geometry.pinhole import View
 from drake_oa.geometry.solids import Solids, solids_of
 from drake_oa.geometry.solids import box as box_solid
 from drake_oa.perception.config import SegmentationConfig
-from drake_oa.perception.memory import ObstacleMemory
 from drake_oa.perception.segmentation import (
     Segmentation,
     segment_depth,
     segment_points,
     segment_views,
 )
-from drake_oa.perception.tracking import fuse
+from drake_oa.perception.tracking import ObstacleMemory, fuse
 from drake_oa.perception.velocity import seen_sides
 from tests.reference.depth_images import look_at, rays_of
 
