@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 from scipy.spatial import ConvexHull, QhullError
 
@@ -78,7 +78,7 @@ class DistanceField(Frozen):
 def field_of(
     cloud: FloatArray,
     *,
-    viewpoint_W: FloatArray | None = None,
+    viewpoints_W: ArrayLike = (),
     deepest: float = DEEPEST,
     table: TablePlane | None = None,
     seen_free: Callable[[FloatArray], BoolArray] | None = None,
@@ -100,8 +100,8 @@ def field_of(
 
     Args:
         cloud: (N, 3) points in the world, at least one [m].
-        viewpoint_W: (3,) from where the cloud was seen, or (n, 3) of several cameras [m]; None:
-            nothing is filled.
+        viewpoints_W: (n, 3) from where the cloud was seen, of each camera [m]; none: nothing is
+            filled.
         deepest: what is seen from one side is taken to be at most so deep [m].
         table: nothing is filled below it.
         seen_free: tells of points (N, 3) [m] which of them an image sees through: they are not
@@ -110,7 +110,7 @@ def field_of(
     points = np.asarray(cloud, dtype=float)
     low, high = points.min(axis=0), points.max(axis=0)
     voxel, first, count = _grid(low, high, VOXEL)
-    places = np.zeros((0, 3)) if viewpoint_W is None else np.atleast_2d(viewpoint_W).astype(float)
+    places = np.reshape(viewpoints_W, (-1, 3))
     looked = [_shade(points, p_WV, voxel, deepest, table) for p_WV in places]
     shades = [shade for shade in looked if shade is not None]
     for shade in shades:

@@ -68,25 +68,16 @@ class Section(NamedTuple):
 
 
 @cache
-def unit_directions(count: int = 162) -> FloatArray:
-    """Unit vectors (count, 3) spread over the sphere: a subdivided icosahedron.
+def unit_directions() -> FloatArray:
+    """Unit vectors (162, 3) spread over the sphere: a subdivided icosahedron.
 
     The second half are the first half's opposites.
-
-    Args:
-        count: 12, 42, 162, 642 or 2562.
-
-    Raises:
-        ValueError: for another count.
     """
-    sizes = [10 * 4**level + 2 for level in range(5)]
-    if count not in sizes:
-        raise ValueError(f"unit_directions: count is {count}; it must be one of {sizes}")
     golden = 0.5 * (1.0 + np.sqrt(5.0))
     block = np.array([[0.0, s, t * golden] for s in (1.0, -1.0) for t in (1.0, -1.0)])
     points = np.concatenate([np.roll(block, shift, axis=1) for shift in range(3)])
     points /= np.linalg.norm(points, axis=1, keepdims=True)
-    while len(points) < count:
+    for _ in range(2):
         faces = ConvexHull(points).simplices
         edges = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)), axis=0)
         middle = points[edges].sum(axis=1)
@@ -144,11 +135,11 @@ def enclosing_ellipsoid(points: ArrayLike, *, tool: ArrayLike | None = None) -> 
     Raises:
         ValueError: if points or tool are empty, not (., 3), or not finite.
     """
-    cloud = checked_points(points, "points")
+    points = checked_points(points, "points")
     corners = checked_points(np.zeros((1, 3)) if tool is None else tool, "tool")
     # Near their centre: far from the origin the sums would lose digits.
-    origin = cloud.mean(axis=0)
-    cloud = cloud - origin
+    origin = points.mean(axis=0)
+    cloud = points - origin
     support = dilate(cloud, corners)
     center, R, semi_axes, gauge = np.zeros(3), np.eye(3), np.ones(3), 0.0
     for _ in range(_MAX_ROUNDS):
@@ -158,12 +149,12 @@ def enclosing_ellipsoid(points: ArrayLike, *, tool: ArrayLike | None = None) -> 
             break
         support = np.concatenate([support, (cloud[i] - corners[j])[None, :]])
     semi_axes = np.maximum(semi_axes * gauge, LEAST_SEMI_AXIS)
-    center, cloud = center + origin, checked_points(points, "points")
-    gauge, _, _ = _farthest(cloud, corners, center, R, semi_axes)
+    center = center + origin
+    gauge, _, _ = _farthest(points, corners, center, R, semi_axes)
     while gauge > 1.0:
         # A little more than needed, else rounding could leave it a digit above 1.
         semi_axes = semi_axes * (gauge * (1.0 + 1e-13))
-        gauge, _, _ = _farthest(cloud, corners, center, R, semi_axes)
+        gauge, _, _ = _farthest(points, corners, center, R, semi_axes)
     return Ellipsoid(center, R, semi_axes, gauge)
 
 

@@ -25,6 +25,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from drake_oa.common.compiled import compiled, leaf
 from drake_oa.common.messages import FloatArray, Frozen, IntArray, TablePlane
+from drake_oa.geometry.directions import lattice
 from drake_oa.geometry.distance_field import OFFSET, DistanceField
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere, pose, shape_geometry
 
@@ -39,7 +40,8 @@ _TINY = 1e-12
 _THIN = 1e-9
 """A coordinate within this of an ellipsoid's plane of symmetry, by its semi-axis, counts as it."""
 _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
-_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+CORNERS = lattice(*[(-1.0, 1.0)] * 3)
+"""(8, 3) corners of a cube."""
 
 
 class Solids(NamedTuple):
@@ -123,34 +125,30 @@ class Solid(Frozen):
 
 def sphere(radius: float) -> Solid:
     """A sphere of a radius [m] about its origin."""
-    (radius,) = _positive("radius", radius)
     return Solid(size=(0.0, 0.0, 0.0, radius, 0.0), radius=radius)
 
 
 def box(size: Sequence[float]) -> Solid:
     """A box with edges (3,) along its axes [m], about its origin."""
-    half = [0.5 * edge for edge in _positive("size", *size)]
+    half = [0.5 * edge for edge in size]
     return Solid(size=(*half, 0.0, 0.0), radius=math.hypot(*half))
 
 
 def capsule(radius: float, length: float) -> Solid:
     """A capsule along z: the cylinder's length and the radius [m]."""
-    radius, length = _positive("radius and length", radius, length)
     size = (0.0, 0.0, 0.5 * length, radius, 0.0)
     return Solid(size=size, radius=0.5 * length + radius)
 
 
 def cylinder(radius: float, length: float) -> Solid:
     """A cylinder along z about its origin [m]."""
-    radius, length = _positive("radius and length", radius, length)
     size = (radius, radius, 0.5 * length, 0.0, 1.0)
     return Solid(size=size, radius=math.hypot(radius, 0.5 * length))
 
 
 def ellipsoid(semi_axes: Sequence[float]) -> Solid:
     """An ellipsoid with semi-axes (3,) along its axes [m]."""
-    size = _positive("semi-axes", *semi_axes)
-    return Solid(ELLIPSOID, size=(*size, 0.0, 0.0), radius=max(size))
+    return Solid(ELLIPSOID, size=(*semi_axes, 0.0, 0.0), radius=max(semi_axes))
 
 
 def half_space() -> Solid:
@@ -211,10 +209,10 @@ def cloud_solid(grid: DistanceField, **more: Any) -> Solid:
 
 
 def table_solid(table: TablePlane) -> Solid:
-    """All that is below a table's plane; its name is -1."""
+    """All that is below a table's plane."""
     z_W = table.normal_W
     X_WO = RigidTransform(RotationMatrix.MakeFromOneVector(z_W, 2), table.offset * z_W)
-    return Solid(HALF_SPACE, -1, "table", X_WO.GetAsMatrix4())
+    return Solid(HALF_SPACE, SURROUNDINGS, "the table", X_WO.GetAsMatrix4())
 
 
 def shape_solids(
@@ -357,18 +355,11 @@ def _of_drake(shape: drake.Shape) -> Solid:
     )
 
 
-def _positive(name: str, *values: float) -> list[float]:
-    if not all(math.isfinite(value) and value > 0.0 for value in values):
-        raise ValueError(f"{name} must be positive and finite, not {values}")
-    return [float(value) for value in values]
-
-
 def solids_of(items: Sequence[Solid]) -> Solids:
     """A scene of solids as kernels take it; rows in their order.
 
     Raises:
-        ValueError: for a pose, velocity or time that is not finite; times may be where the
-            solid rests.
+        ValueError: for a pose or velocity that is not finite.
     """
     count = len(items)
     X_WO, ball = np.empty((count, 3, 4)), np.empty((count, 8))
@@ -380,8 +371,6 @@ def solids_of(items: Sequence[Solid]) -> Solids:
         moves = bool(np.any(item.v_WO))
         if not (np.isfinite(item.X_WO).all() and np.isfinite(item.v_WO).all()):
             raise ValueError(f"the pose or velocity of solid {row} ({item.label}) is not finite")
-        if moves and not math.isfinite(item.stamp):
-            raise ValueError(f"solid {row} ({item.label}) moves and has no stamp")
         X_WO[row] = item.X_WO[:3]
         ball[row, :3] = X_WO[row, :, :3] @ item.center + X_WO[row, :, 3]
         ball[row, 3:] = item.radius, *item.v_WO, item.stamp if moves else 0.0
@@ -422,6 +411,11 @@ class SolidScene(Frozen):
     solids: Solids = field(default_factory=lambda: solids_of([]))
     labels: tuple[str, ...] = ()
     note: str = ""
+
+    @staticmethod
+    def of(stamp: float, solids: Sequence[Solid], note: str = "") -> SolidScene:
+        """Makes a scene of solids, with their labels."""
+        return SolidScene(stamp, solids_of(solids), tuple(solid.label for solid in solids), note)
 
     def __post_init__(self) -> None:
         """Leaves the arrays unlocked: the kernels are compiled for such, and change none."""
@@ -467,7 +461,7 @@ def outline_corners(solid: Solid) -> FloatArray:
     """
     if solid.kind == HULL:
         return np.unique(np.concatenate(solid.corners).reshape(-1, 3), axis=0)
-    return np.asarray(_CORNERS * solid.half_extents)
+    return np.asarray(CORNERS * solid.half_extents)
 
 
 def surface_points(solid: Solid, count: int = 300) -> FloatArray:
@@ -484,10 +478,8 @@ def surface_points(solid: Solid, count: int = 300) -> FloatArray:
         (N, 3) points in the solid's frame O [m].
 
     Raises:
-        ValueError: for another solid, naming it, or too small a count.
+        ValueError: for another solid, naming it.
     """
-    if count < 30:
-        raise ValueError(f"count must be at least 30, not {count}")
     if solid.kind == HULL:
         return _hull_points(solid, count)
     half, (*inner, radius, is_cylinder) = solid.half_extents, solid.size
@@ -504,19 +496,10 @@ def _box_points(half: FloatArray, count: int) -> FloatArray:
     # As far apart along a long edge as along a short one: nothing slips in between.
     area = 8.0 * (half[0] * half[1] + half[1] * half[2] + half[2] * half[0])
     sides = np.maximum(2, np.round(2.0 * half / np.sqrt(area / count)).astype(int) + 1)
-    faces = []
+    lines, faces = [np.linspace(-1.0, 1.0, count) for count in sides], []
     for axis in range(3):
-        first, second = (axis + 1) % 3, (axis + 2) % 3
-        a, b = (
-            grid.ravel()
-            for grid in np.meshgrid(
-                np.linspace(-1.0, 1.0, sides[first]), np.linspace(-1.0, 1.0, sides[second])
-            )
-        )
-        for sign in (-1.0, 1.0):
-            face = np.full((len(a), 3), sign)
-            face[:, first], face[:, second] = a, b
-            faces.append(face)
+        of_face = [line[[0, -1]] if k == axis else line for k, line in enumerate(lines)]
+        faces.append(lattice(*of_face))
     return np.asarray(np.unique(np.concatenate(faces), axis=0) * half)
 
 

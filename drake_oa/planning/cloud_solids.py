@@ -40,8 +40,7 @@ from drake_oa.common.messages import (
 from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.geometry.distance_field import DEEPEST, DistanceField, field_of
 from drake_oa.geometry.pinhole import FREE, View, shown
-from drake_oa.geometry.solids import SURROUNDINGS, Solid, SolidScene, cloud_solid, solids_of
-from drake_oa.geometry.solids import table_solid as solid_of_table
+from drake_oa.geometry.solids import Solid, SolidScene, cloud_solid, table_solid
 from drake_oa.perception.depth_perception import Views
 from drake_oa.perception.tracking import held_table
 from drake_oa.perception.visibility import ImageRange, with_unseen_ends
@@ -65,7 +64,7 @@ _MOST_ASKED = 400
 _FARTHEST = 1e3
 """Points and speeds beyond this are none [m, m/s]."""
 
-_NOWHERE = np.zeros(0)
+_UNKNOWN = np.zeros((0, 3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +75,7 @@ class SeenField(Frozen):
         solid: where it is now, and how fast.
         made_of: (N, 3) points [m].
         seen: (M, 3) points that were looked at last [m].
-        view_W: (n, 3) unit directions in which it was seen, of each camera; (0,): not known.
+        view_W: (n, 3) unit directions in which it was seen, of each camera.
         deepest: what is hidden was taken to be at most so deep [m].
         inside: (K, 3) some nodes within it, in O [m]; none of what one camera sees.
     """
@@ -116,7 +115,7 @@ class SeenSolids(Frozen):
 def looked_at(
     before: SeenSolids,
     obstacles: ObstacleClouds,
-    viewpoint_W: FloatArray | None = None,
+    viewpoints_W: FloatArray = _UNKNOWN,
     views: Sequence[View] = (),
 ) -> SeenSolids:
     """The solids of a new observation.
@@ -126,11 +125,11 @@ def looked_at(
         obstacles: what is seen now. What is not finite, or older than what was seen before, makes
             it count as none: the solids and their stamp are left as they were, and so what moved
             goes on, and all of it ages. Where it has no table, the one before stays.
-        viewpoint_W: (3,) from where, or (n, 3) of several cameras [m]; None: nothing that is
-            hidden is filled.
+        viewpoints_W: (n, 3) from where, of each camera [m]; (0, 3): nothing that is hidden is
+            filled.
         views: images of several cameras: what any of them sees through is not filled.
     """
-    note = _unreadable(obstacles, viewpoint_W)
+    note = _unreadable(obstacles, viewpoints_W)
     if note or obstacles.stamp < before.scene.stamp or obstacles.stamp == -math.inf:
         scene = before.scene
         if (said := note or obstacles.note) != scene.note:
@@ -150,37 +149,30 @@ def looked_at(
         kept = None
         if row >= 0 and table is before.table and before.fields[row].deepest == deepest:
             after = max(0.0, obstacles.stamp - before.scene.stamp)
-            kept = _kept(before.fields[row], cloud, after * v_WO, viewpoint_W, views)
-        made = kept or _made(int(name), cloud, viewpoint_W, deepest, table, views)
+            kept = _kept(before.fields[row], cloud, after * v_WO, viewpoints_W, views)
+        made = kept or _made(int(name), cloud, viewpoints_W, deepest, table, views)
         at_rest = replace(made.solid, v_WO=np.array(v_WO, dtype=float), stamp=obstacles.stamp)
         fields.append(replace(made, solid=at_rest))
-    solids = [seen.solid for seen in fields] + _of_table(table)
-    labels = tuple(solid.label for solid in solids)
-    arrays = before.scene.solids
-    if not (table is before.table and _all_rest_as_before(before.fields, fields)):
-        arrays = solids_of(solids)
-    scene = SolidScene(obstacles.stamp, arrays, labels, obstacles.note)
+    if table is before.table and _all_rest_as_before(before.fields, fields):
+        scene = replace(before.scene, stamp=obstacles.stamp, note=obstacles.note)
+    else:
+        solids = [seen.solid for seen in fields] + _of_table(table)
+        scene = SolidScene.of(obstacles.stamp, solids, obstacles.note)
     return SeenSolids(scene, tuple(fields), table, moved)
 
 
 def unseen(table: TablePlane | None = None) -> SeenSolids:
     """What is known before the first observation: at most where the table is."""
-    solids = _of_table(table)
-    labels = tuple(solid.label for solid in solids)
-    return SeenSolids(SolidScene(solids=solids_of(solids), labels=labels), table=table)
+    return SeenSolids(SolidScene.of(-math.inf, _of_table(table)), table=table)
 
 
 def _of_table(table: TablePlane | None) -> list[Solid]:
-    if table is None:
-        return []
-    return [replace(solid_of_table(table), name=SURROUNDINGS, label="the table")]
+    return [] if table is None else [table_solid(table)]
 
 
-def _unreadable(obstacles: ObstacleClouds, viewpoint_W: FloatArray | None) -> str:
+def _unreadable(obstacles: ObstacleClouds, viewpoints_W: FloatArray) -> str:
     """Why an observation does not count; empty: it does."""
-    numbers = [*obstacles.clouds_W, obstacles.v_WO]
-    if viewpoint_W is not None:
-        numbers.append(viewpoint_W)
+    numbers = [*obstacles.clouds_W, obstacles.v_WO, viewpoints_W]
     if obstacles.table is not None:
         numbers += [obstacles.table.normal_W, np.array([obstacles.table.offset])]
     # NaN is not below anything.
@@ -204,26 +196,24 @@ def _all_rest_as_before(before: tuple[SeenField, ...], now: list[SeenField]) -> 
 def _made(
     name: int,
     cloud: FloatArray,
-    viewpoint_W: FloatArray | None,
+    viewpoints_W: FloatArray,
     deepest: float,
     table: TablePlane | None,
     views: Sequence[View],
 ) -> SeenField:
     """A new field of a cloud."""
-    seen = 0.0
-    if viewpoint_W is not None:
-        seen = max(_seen_depth(cloud, p_WV) for p_WV in np.atleast_2d(viewpoint_W))
+    seen = max((_seen_depth(cloud, p_WV) for p_WV in viewpoints_W), default=0.0)
     deep = min(max(deepest, seen), _DEEPEST_MOVED)
     grid = field_of(
         cloud,
-        viewpoint_W=viewpoint_W,
+        viewpoints_W=viewpoints_W,
         deepest=deep,
         table=table,
         seen_free=partial(seen_free, views) if views else None,
     )
     solid = cloud_solid(grid, name=name, label=f"obstacle {name}")
-    made = SeenField(solid, cloud, cloud, _view(solid, viewpoint_W), deepest)
-    if viewpoint_W is None or np.ndim(viewpoint_W) < 2 or len(viewpoint_W) < 2:
+    made = SeenField(solid, cloud, cloud, _view(solid, viewpoints_W), deepest)
+    if len(viewpoints_W) < 2:
         return made
     nodes = np.argwhere(grid.values < 0.0)
     some = nodes[:: max(1, len(nodes) // _MOST_ASKED)]
@@ -246,11 +236,9 @@ def _seen_depth(cloud: FloatArray, viewpoint_W: FloatArray) -> float:
     return float(np.ptp(along))
 
 
-def _view(solid: Solid, viewpoint_W: FloatArray | None) -> FloatArray:
-    """(n, 3) unit directions to a solid from where it is seen; (0,): not known."""
-    if viewpoint_W is None:
-        return _NOWHERE
-    view = solid.X_WO[:3, 3] + solid.center - np.atleast_2d(viewpoint_W)
+def _view(solid: Solid, viewpoints_W: FloatArray) -> FloatArray:
+    """(n, 3) unit directions to a solid from where it is seen."""
+    view = solid.X_WO[:3, 3] + solid.center - viewpoints_W
     return np.asarray(view / np.maximum(np.linalg.norm(view, axis=1), 1e-9)[:, None])
 
 
@@ -267,7 +255,7 @@ def _kept(
     kept: SeenField,
     cloud: FloatArray,
     expected: FloatArray,
-    viewpoint_W: FloatArray | None,
+    viewpoints_W: FloatArray,
     views: Sequence[View],
 ) -> SeenField | None:
     """The field, moved to where its obstacle is now; None: it is no more that of it.
@@ -276,7 +264,7 @@ def _kept(
         kept: of the observation before.
         cloud: (M, 3) points of the obstacle [m].
         expected: (3,) how far it should have moved [m].
-        viewpoint_W: (3,) or (n, 3) from where it is seen [m]; None: not known.
+        viewpoints_W: (n, 3) from where it is seen [m].
         views: images that may see through what was taken to be within it.
     """
     grid, X_WO = kept.grid, np.array(kept.solid.X_WO)
@@ -288,7 +276,7 @@ def _kept(
             if float(np.ptp(apart, axis=0).max()) <= _SAME:
                 same, X_WO[:3, 3] = True, grid.p_WO + apart[0]
     moved = replace(kept, solid=replace(kept.solid, X_WO=X_WO), seen=cloud)
-    view = _view(moved.solid, viewpoint_W)
+    view = _view(moved.solid, viewpoints_W)
     if len(view) != len(kept.view_W) or np.abs(view - kept.view_W).max(initial=0.0) > _TURNED:
         return None
     if views and np.sum(seen_free(views, X_WO[:3, 3] + kept.inside)) > _GONE * len(kept.inside):
@@ -457,7 +445,7 @@ class CloudSolids(LeafSystem):
             free = partial(seen_free, views) if views else None
             cameras = list(zip(poses, self._images, strict=True))
             obstacles = with_unseen_ends(obstacles, cameras, free)
-        viewpoints_W = np.array([X_WC[:3, 3] for X_WC in poses]) if poses else None
+        viewpoints_W = np.array([X_WC[:3, 3] for X_WC in poses]).reshape(-1, 3)
         return looked_at(before, obstacles, viewpoints_W, views)
 
 

@@ -12,7 +12,6 @@ cores' trees are compared whenever each has looked at so many.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -20,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_oa.common.compiled import CORES, compiled, on_cores, parted
-from drake_oa.common.messages import FloatArray, Frozen, IntArray
+from drake_oa.common.messages import FloatArray, IntArray
 from drake_oa.common.thinking import count
 from drake_oa.planning.arm_world import (
     FAR,
@@ -45,19 +44,6 @@ _SLICE = 500
 """Configurations that each pair of trees looks at before they are compared."""
 _SHORTCUTS = 60
 """That are tried on a path."""
-
-
-@dataclass(frozen=True, eq=False)
-class JointPath(Frozen):
-    """What was found.
-
-    Attributes:
-        q: (T, n) corners of the path, from start to goal [rad]; (0, n): none was found.
-        reason: "" or why none was.
-    """
-
-    q: FloatArray
-    reason: str = ""
 
 
 class _Trees(NamedTuple):
@@ -265,7 +251,7 @@ def _path(trees: _Trees, r: int) -> FloatArray:
 
 def plan_path(
     world: ArmWorld, q_start: FloatArray, goals: FloatArray, *, most: int, seed: int = 0
-) -> JointPath:
+) -> FloatArray:
     """A path that keeps what is asked.
 
     Args:
@@ -276,19 +262,16 @@ def plan_path(
         seed: of the random trees.
 
     Returns:
-        The path, or why there is none.
+        (T, n) corners of the path, from start to goal [rad]; (0, n): none was found.
     """
-    n = len(q_start)
-    if not exceeds(world, q_start):
-        return JointPath(np.zeros((0, n)), "the start does not keep the clearance")
     free = np.array([q for q in goals if exceeds(world, q)])
-    if not len(free):
-        return JointPath(np.zeros((0, n)), "no configuration at the goal keeps the clearance")
+    if not (len(free) and exceeds(world, q_start)):
+        return np.zeros((0, len(q_start)))
     for q in free:
         share, looked_at = share_clear(world, q_start, q, STRIDE, FAR)
         count(configurations=looked_at)
         if share == 1.0:
-            return JointPath(np.stack([q_start, q]))
+            return np.stack([q_start, q])
     trees = _trees(np.asarray(q_start, dtype=float), free, most, seed)
     each = 0
     while (trees.met < 0).any(axis=1).all() and each * TREES < most:
@@ -297,11 +280,11 @@ def plan_path(
     count(configurations=int(trees.looked_at.sum()))
     met = np.flatnonzero((trees.met >= 0).all(axis=1))
     if not len(met):
-        return JointPath(np.zeros((0, n)), f"no path among {most} configurations")
+        return np.zeros((0, len(q_start)))
     # That of the fewest configurations.
     r = int(met[np.argmin(trees.looked_at[met])])
     path = [*_path(trees, r)]
     _leave_out_detours(world, path)
     _shorten(world, path, trees.random[r : r + 1])
     _leave_out_detours(world, path)
-    return JointPath(np.array(path))
+    return np.array(path)

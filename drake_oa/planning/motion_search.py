@@ -534,10 +534,10 @@ class MotionSearch:
             return None
         world = self._world(sight, ends, share)
         for seed in range(1, 1 + _PATHS):
-            found = plan_path(world, sight.q, ends, most=most, seed=seed)
-            if not len(found.q):
+            corners = plan_path(world, sight.q, ends, most=most, seed=seed)
+            if not len(corners):
                 return None
-            choice = self._along(found.q, here, sight, world)
+            choice = self._along(corners, here, sight, world)
             if choice is not None:
                 return choice
         return None

@@ -21,7 +21,6 @@ from drake_oa.geometry.solids import (
     SolidScene,
     ellipsoid,
     read_solid,
-    solids_of,
     sphere,
     table_solid,
 )
@@ -116,7 +115,7 @@ class TrueSolids(LeafSystem):
                 replace(solid, X_WO=X_WB @ solid.X_WO, v_WO=velocity, stamp=time)
                 for solid in of_body
             ]
-        scene = SolidScene(time, solids_of(solids), tuple(solid.label for solid in solids))
+        scene = SolidScene.of(time, solids)
         state.get_mutable_discrete_state(self._origins).SetFromVector(origins.ravel())
         state.get_mutable_abstract_state(self._scene).set_value(scene)
 
@@ -145,9 +144,8 @@ class GivenSolids(LeafSystem):
             _ellipsoid_solid(given, row, f"obstacle {name}") for row, name in enumerate(given.ids)
         ]
         if table is not None:
-            solids.append(replace(table_solid(table), name=SURROUNDINGS, label="the table"))
-        labels = tuple(solid.label for solid in solids)
-        scene = Value(SolidScene(given.stamp, solids_of(solids), labels))
+            solids.append(table_solid(table))
+        scene = Value(SolidScene.of(given.stamp, solids))
         self.DeclareAbstractOutputPort(
             "solids_W",
             scene.Clone,

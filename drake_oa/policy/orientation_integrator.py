@@ -116,12 +116,12 @@ class OrientationIntegrator(LeafSystem):
             period: step; that of the policy [s].
 
         Raises:
-            ValueError: if start or goal is no rotation, or they are half a turn apart and
-                no demonstration tells the way round; or for a period that is not positive.
+            ValueError: if start and goal are half a turn apart and no demonstration tells the
+                way round; or for a period that is not positive.
         """
         super().__init__()
         self._primitive = primitive
-        R_WS, self._R_WG = _rotation("start", start), _rotation("goal", goal)
+        R_WS, self._R_WG = np.array(start, dtype=float), np.array(goal, dtype=float)
         origin = Rotation.from_matrix(origin_of(primitive, R_WS))
         begin = OrientationSegment(
             ends=_at_rest(primitive),
@@ -232,13 +232,3 @@ class OrientationIntegrator(LeafSystem):
 def _at_rest(primitive: OrientationDmp) -> FloatArray:
     """Returns the ends (2, 2, 3) of a segment at rest at the start of a motion."""
     return np.array([[primitive.offset, np.zeros(3)]] * 2)
-
-
-def _rotation(name: str, R: ArrayLike) -> FloatArray:
-    matrix = np.array(R, dtype=float)
-    good = matrix.shape == (3, 3) and np.isfinite(matrix).all()
-    if not (
-        good and np.abs(matrix @ matrix.T - np.eye(3)).max() < 1e-6 and np.linalg.det(matrix) > 0
-    ):
-        raise ValueError(f"{name} must be a rotation matrix (3, 3), not {matrix.tolist()}")
-    return matrix

@@ -22,7 +22,6 @@ import numpy as np
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import BodyIndex, Frame, RevoluteJoint
-from pydrake.systems.framework import Context
 
 from drake_oa.common.compiled import compiled, kernel_arrays, leaf
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
@@ -177,19 +176,6 @@ def moved_by(plant: MultibodyPlant, joints: list[RevoluteJoint]) -> dict[BodyInd
         for body in plant.GetBodiesKinematicallyAffectedBy([joint.index()]):
             moved[body] = i
     return moved
-
-
-def in_joint_frame(
-    plant: MultibodyPlant,
-    context: Context,
-    X_WJ: list[RigidTransform],
-    moved: dict[BodyIndex, int],
-    body: BodyIndex,
-) -> FloatArray:
-    """(4, 4) pose of a body in the frame of the joint that moves it, or in the world."""
-    X_WB = plant.get_body(body).EvalPoseInWorld(context)
-    at = moved.get(body, -1)
-    return (X_WB if at < 0 else X_WJ[at].inverse() @ X_WB).GetAsMatrix4()
 
 
 class Scratch(NamedTuple):

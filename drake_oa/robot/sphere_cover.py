@@ -16,7 +16,9 @@ from scipy.spatial.distance import cdist
 
 from drake_oa.common.files import read_arrays, replace_arrays, user_cache
 from drake_oa.common.messages import BoolArray, FloatArray, IntArray
+from drake_oa.geometry.directions import lattice
 from drake_oa.geometry.solids import (
+    CORNERS,
     PRIMITIVE,
     Solid,
     Solids,
@@ -27,7 +29,6 @@ from drake_oa.geometry.solids import (
     surface_points,
 )
 
-_CORNERS = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
 _MOST_CENTERS, _MOST_SAMPLES = 3000, 12000
 """Of a body: where spheres may be, and points that must be in one."""
 _SURFACE = 600
@@ -82,13 +83,8 @@ def cover(solids: Sequence[Solid], overshoot: float, most: int = 200) -> Cover:
         most: spheres at most; where more were needed the overshoot grows.
 
     Raises:
-        ValueError: for a limit that is not positive, or a shape that is not bounded.
+        ValueError: for a shape that is not bounded.
     """
-    if not (overshoot > 0.0 and most >= len(solids)):
-        raise ValueError(
-            f"overshoot must be positive, and most at least {len(solids)}, a sphere a shape: "
-            f"not {overshoot} and {most}"
-        )
     scene = solids_of(solids)
     if all(_is_rod(solid) and solid.size[2] == 0.0 for solid in solids):
         centers = np.array([solid.X_WO[:3, 3] for solid in solids])
@@ -189,8 +185,7 @@ def _lattice(solid: Solid, inset: float, step: float, finer: int = 1) -> FloatAr
     if _is_rod(solid):
         half, step = np.array([0.0, 0.0, solid.size[2]]), min(step, 0.005)
     axes = [np.linspace(-h, h, 1 + finer * math.ceil(2.0 * h / step)) for h in half]
-    p_OQ = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3) + solid.center
-    p_BQ = solid.placed(p_OQ)
+    p_BQ = solid.placed(lattice(*axes) + solid.center)
     return np.asarray(p_BQ[_distances(solids_of([solid]), p_BQ) <= 1e-9])
 
 
@@ -326,8 +321,7 @@ def _gaps(
     corners = np.concatenate([solid.placed(outline_corners(solid)) for solid in solids])
     low, high = corners.min(axis=0), corners.max(axis=0)
     half = float((high - low).max()) / _CELLS
-    axes = [np.arange(a + half, b + half, 2.0 * half) for a, b in zip(low, high, strict=True)]
-    cells = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    cells = lattice(*map(np.arange, low + half, high + half, 3 * [2.0 * half]))
     while True:
         reach = math.sqrt(3.0) * half
         # No farther, and no deeper, than decides.
@@ -341,4 +335,4 @@ def _gaps(
         if half <= certain or len(cells) == 0:
             return cells, min(half, certain)
         half /= 2.0
-        cells = (cells[:, None] + half * _CORNERS).reshape(-1, 3)
+        cells = (cells[:, None] + half * CORNERS).reshape(-1, 3)

@@ -15,7 +15,7 @@ from scipy.spatial.distance import cdist
 from drake_oa.common.console import ProgressLines
 from drake_oa.common.messages import BoolArray, FloatArray, Frozen, IntArray
 from drake_oa.geometry.solids import read_solid
-from drake_oa.robot.arm import Spheres, axis_frame, in_joint_frame, joints_to, moved_by
+from drake_oa.robot.arm import Spheres, axis_frame, joints_to, moved_by
 from drake_oa.robot.config import SphereParameters
 from drake_oa.robot.plant import RobotPlant
 from drake_oa.robot.sphere_cover import Cover, known_cover
@@ -56,8 +56,8 @@ class ArmSpheres(Frozen):
 def make_arm_spheres(
     robot: RobotPlant,
     q: FloatArray,
-    tool_links: Sequence[str] = (),
-    parameters: SphereParameters | None = None,
+    tool_links: Sequence[str],
+    parameters: SphereParameters,
 ) -> ArmSpheres:
     """Spheres for everything of a robot that has collision geometry.
 
@@ -71,13 +71,9 @@ def make_arm_spheres(
     Raises:
         ValueError: for a robot without collision geometry on what its joints move, a joint
             between base and tool that is not revolute, none at all, a shape that is not
-            bounded, names that are not of bodies, positions of the wrong number.
+            bounded, names that are not of bodies.
     """
-    parameters = parameters or SphereParameters()
     plant, inspector = robot.plant, robot.scene_graph.model_inspector()
-    q = np.asarray(q, dtype=float)
-    if q.shape != (plant.num_positions(),) or not np.isfinite(q).all():
-        raise ValueError(f"q must be {plant.num_positions()} finite positions, not {q}")
     joints = joints_to(plant, robot.tool_frame)
     tool = robot.tool_frame.body()
     if not joints:
@@ -107,7 +103,6 @@ def make_arm_spheres(
     context = plant.GetMyMutableContextFromRoot(root)
     plant.SetPositions(context, q)
     X_WJ = _joint_frames([(joint.child_body(), axis_frame(joint)) for joint in joints], context)
-    poses = [RigidTransform(X) for X in X_WJ[:-1]]
     covers, X_JB = [], []
     # Covers in the user's cache are read in less time than the first line waits.
     model = plant.GetModelInstanceName(robot.instance)
@@ -121,7 +116,8 @@ def make_arm_spheres(
         if body.name() in tool_links:
             asked = parameters.tool_overshoot
         covers.append(known_cover(solids, asked, max(_MOST, len(solids))))
-        X_JB.append(in_joint_frame(plant, context, poses, moved, index))
+        X_JW = RigidTransform(X_WJ[moved.get(index, -1)]).inverse()
+        X_JB.append((X_JW @ body.EvalPoseInWorld(context)).GetAsMatrix4())
     joint = np.array([moved.get(index, -1) for index in bodies], dtype=np.int64)
     is_tool = np.array([plant.get_body(index).name() in tool_links for index in bodies])
     arrays = _laid(covers, X_JB, joint, is_tool, _candidates(robot, bodies, joint))

@@ -104,7 +104,7 @@ def test_what_a_box_hides_of_itself_is_filled_and_little_more(viewpoint, size, s
     # How deep it is along the view.
     deep = 2.0 * float(np.abs(away) @ half[:2])
     cloud = seen(*surface(size, center, spacing), viewpoint)
-    field = field_of(cloud, viewpoint_W=viewpoint, table=table, deepest=deep)
+    field = field_of(cloud, viewpoints_W=[viewpoint], table=table, deepest=deep)
     inside = center + RNG.uniform(-1.0, 1.0, (800, 3)) * half
     assert distances(field, inside).max() <= field.voxel
     # Outside no more is filled than lies behind it by the assumed depth: and before, nothing.
@@ -120,10 +120,10 @@ def test_what_a_box_hides_of_itself_is_filled_and_little_more(viewpoint, size, s
 def test_without_a_viewpoint_nothing_is_filled():
     cloud, _ = surface([0.1, 0.1, 0.1], np.zeros(3), 0.01)
     assert distances(field_of(cloud), [[0.0, 0.0, 0.0]]) > 0.03
-    hidden = field_of(cloud, viewpoint_W=np.array([1.0, 0.0, 0.5]))
+    hidden = field_of(cloud, viewpoints_W=np.array([1.0, 0.0, 0.5]))
     assert distances(hidden, [[0.0, 0.0, 0.0]]) < -0.02
     # From within nothing is behind.
-    within = field_of(cloud, viewpoint_W=np.zeros(3))
+    within = field_of(cloud, viewpoints_W=np.zeros(3))
     assert np.array_equal(within.values, field_of(cloud).values)
 
 

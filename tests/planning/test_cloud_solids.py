@@ -56,7 +56,7 @@ def true_distance(points):
 
 
 def test_a_seen_box_is_a_solid_with_its_far_side():
-    scene = looked_at(SeenSolids(), seen(box()), CAMERA).scene
+    scene = looked_at(SeenSolids(), seen(box()), CAMERA[None]).scene
     assert scene.labels == ("obstacle 0", "the table")
     assert scene.stamp == 1.0
     assert not scene.moves
@@ -71,34 +71,34 @@ def test_a_seen_box_is_a_solid_with_its_far_side():
 
 
 def test_noise_leaves_the_arrays_as_they_are():
-    first = looked_at(SeenSolids(), seen(box(noise=0.0012)), CAMERA)
+    first = looked_at(SeenSolids(), seen(box(noise=0.0012)), CAMERA[None])
     now = first
     for frame in range(2, 12):
         table = replace(TABLE, offset=1e-3 * RNG.uniform(-1.0, 1.0))
         cloud = RNG.permutation(box(noise=0.0012))[100:]
-        now = looked_at(now, seen(cloud, stamp=float(frame), table=table), CAMERA)
+        now = looked_at(now, seen(cloud, stamp=float(frame), table=table), CAMERA[None])
         assert now.scene.solids is first.scene.solids
         assert now.scene.same_as(first.scene)
     assert now.scene.stamp == 11.0
 
 
 def test_what_grows_or_goes_is_made_anew():
-    first = looked_at(SeenSolids(), seen(box()), CAMERA)
+    first = looked_at(SeenSolids(), seen(box()), CAMERA[None])
     stick = CENTER + np.stack([np.zeros(9), np.zeros(9), np.linspace(0.1, 0.14, 9)], axis=1)
-    grown = looked_at(first, seen(np.concatenate([box(), stick])), CAMERA)
+    grown = looked_at(first, seen(np.concatenate([box(), stick])), CAMERA[None])
     assert not grown.scene.same_as(first.scene)
     assert distance(grown.scene.solids, 0, stick[-1]) <= VOXEL
     short = np.array([0.04, 0.1, 0.08])
-    less = looked_at(first, seen(box(short, CENTER - [0.0, 0.0, 0.02])), CAMERA)
+    less = looked_at(first, seen(box(short, CENTER - [0.0, 0.0, 0.02])), CAMERA[None])
     assert distance(less.scene.solids, 0, CENTER + [0.0, 0.0, 0.15]) > 0.06
-    gone = looked_at(first, seen(), CAMERA)
+    gone = looked_at(first, seen(), CAMERA[None])
     assert gone.scene.labels == ("the table",)
 
 
 def test_another_view_fills_another_side():
-    first = looked_at(SeenSolids(), seen(box()), CAMERA)
-    assert looked_at(first, seen(box()), CAMERA + 0.01).scene.solids is first.scene.solids
-    turned = looked_at(first, seen(box()), np.array([0.4, 1.2, 0.8]))
+    first = looked_at(SeenSolids(), seen(box()), CAMERA[None])
+    assert looked_at(first, seen(box()), CAMERA[None] + 0.01).scene.solids is first.scene.solids
+    turned = looked_at(first, seen(box()), np.array([[0.4, 1.2, 0.8]]))
     assert not turned.scene.same_as(first.scene)
 
 
@@ -108,7 +108,7 @@ def test_what_moves_keeps_its_field(monkeypatch):
         cloud_solids, "field_of", lambda *args, **more: made.append(1) or original(*args, **more)
     )
     v_WO, far = np.array([0.0, 0.15, 0.0]), CENTER + [0.0, 0.2, 0.0]
-    now = looked_at(SeenSolids(), seen(box(), v_WO=[v_WO]), CAMERA)
+    now = looked_at(SeenSolids(), seen(box(), v_WO=[v_WO]), CAMERA[None])
     assert now.scene.moves
     at_once = distance(now.scene.solids, 0, far, 1.0)
     assert distance(now.scene.solids, 0, far + 0.1 * v_WO, 1.1) == pytest.approx(at_once)
@@ -116,17 +116,19 @@ def test_what_moves_keeps_its_field(monkeypatch):
     for frame, noise in enumerate((0.0, 0.0, 0.001, 0.0), start=1):
         time = 1.0 + frame / 15.0
         moved = box(center=CENTER + (time - 1.0) * v_WO, noise=noise)
-        now = looked_at(now, seen(moved, stamp=time, v_WO=[v_WO]), CAMERA)
+        now = looked_at(now, seen(moved, stamp=time, v_WO=[v_WO]), CAMERA[None])
         there = distance(now.scene.solids, 0, far + (time - 1.0) * v_WO, time)
         assert there == pytest.approx(at_once, abs=1e-6)
     assert len(made) == 1
     # It rests again: still deep, as it has moved.
-    rests = looked_at(now, seen(moved, stamp=2.0, v_WO=[[0.0, 0.0, 0.0]]), CAMERA)
+    rests = looked_at(now, seen(moved, stamp=2.0, v_WO=[[0.0, 0.0, 0.0]]), CAMERA[None])
     assert not rests.scene.moves
     assert len(made) == 1
     assert rests.moved == {0}
     # Where it was not expected it is made anew.
-    elsewhere = looked_at(rests, seen(box(center=CENTER + [0.0, 0.1, 0.0])[::2], stamp=3.0), CAMERA)
+    elsewhere = looked_at(
+        rests, seen(box(center=CENTER + [0.0, 0.1, 0.0])[::2], stamp=3.0), CAMERA[None]
+    )
     assert len(made) == 2
     assert distance(elsewhere.scene.solids, 0, CENTER + [0.0, 0.1, 0.2]) < 0.11
 
@@ -134,33 +136,33 @@ def test_what_moves_keeps_its_field(monkeypatch):
 def test_what_has_moved_is_deeper():
     broad = box(np.array([0.005, 0.15, 0.1]))
     behind = CENTER - [0.12, 0.0, 0.0]
-    resting = looked_at(SeenSolids(), seen(broad), CAMERA)
-    moving = looked_at(resting, seen(broad, v_WO=[[0.1, 0.0, 0.0]]), CAMERA)
+    resting = looked_at(SeenSolids(), seen(broad), CAMERA[None])
+    moving = looked_at(resting, seen(broad, v_WO=[[0.1, 0.0, 0.0]]), CAMERA[None])
     assert distance(resting.scene.solids, 0, behind) > 0.02
     assert distance(moving.scene.solids, 0, behind, 1.0) < 0.0
 
 
 @pytest.mark.parametrize("bad", ["cloud", "velocity", "far", "viewpoint"])
 def test_what_is_not_finite_changes_nothing(bad):
-    first = looked_at(SeenSolids(), seen(box(), v_WO=[[0.1, 0.0, 0.0]]), CAMERA)
-    cloud, v_WO, viewpoint = box(), np.zeros((1, 3)), CAMERA.copy()
+    first = looked_at(SeenSolids(), seen(box(), v_WO=[[0.1, 0.0, 0.0]]), CAMERA[None])
+    cloud, v_WO, viewpoint = box(), np.zeros((1, 3)), CAMERA[None].copy()
     if bad == "velocity":
         v_WO[0, 1] = np.inf
     elif bad == "viewpoint":
-        viewpoint[2] = np.nan
+        viewpoint[0, 2] = np.nan
     else:
         cloud[3, 1] = np.nan if bad == "cloud" else 1e7
     now = looked_at(first, seen(cloud, stamp=2.0, v_WO=v_WO), viewpoint)
     assert (now.scene.solids is first.scene.solids, now.scene.stamp) == (True, 1.0)
     assert now.note == now.scene.note != ""
-    assert not looked_at(now, seen(box(), stamp=3.0), CAMERA).note
+    assert not looked_at(now, seen(box(), stamp=3.0), CAMERA[None]).note
 
 
 def test_what_comes_late_or_sees_no_table_leaves_what_was_seen():
-    first = looked_at(SeenSolids(), seen(box()), CAMERA)
-    late = looked_at(first, seen(stamp=0.5), CAMERA)
+    first = looked_at(SeenSolids(), seen(box()), CAMERA[None])
+    late = looked_at(first, seen(stamp=0.5), CAMERA[None])
     assert late.scene is first.scene
-    after = looked_at(first, seen(box(), stamp=2.0, table=None), CAMERA)
+    after = looked_at(first, seen(box(), stamp=2.0, table=None), CAMERA[None])
     assert after.scene.labels == ("obstacle 0", "the table")
 
 
@@ -288,7 +290,7 @@ BEHIND = CENTER - [0.05, 0.0, 0.0]
 
 
 def test_what_another_camera_sees_through_is_not_filled():
-    alone = looked_at(SeenSolids(), seen(box(THIN)), CAMERA)
+    alone = looked_at(SeenSolids(), seen(box(THIN)), CAMERA[None])
     assert distance(alone.scene.solids, 0, BEHIND) < 0.0
     eyes, views = np.stack([CAMERA, OTHER]), [image(eye, BOARD) for eye in (CAMERA, OTHER)]
     both = looked_at(SeenSolids(), seen(whole(THIN)), eyes, views)

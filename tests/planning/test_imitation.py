@@ -27,14 +27,14 @@ def paths(panda_arm: ArmAlone) -> list[tuple[ArmWorld, FloatArray]]:
     for gap in (0.3, 0.5):
         world = panda_arm.among(wall_with_gap(gap), 0.03, 0.03)
         goal = (panda_arm.q * mirror)[None]
-        found.append((world, plan_path(world, panda_arm.q, goal, most=60_000, seed=1).q))
+        found.append((world, plan_path(world, panda_arm.q, goal, most=60_000, seed=1)))
     random = np.random.default_rng(6)
     while len(found) < 6:
         world = panda_arm.among([thing.solid() for thing in random_things(random, 5)], 0.02, 0.02)
         goal = panda_arm.q + random.uniform(-0.8, 0.8, 7)
         goal = np.clip(goal, panda_arm.chain.lower, panda_arm.chain.upper)
         if exceeds(world, panda_arm.q) and exceeds(world, goal):
-            path = plan_path(world, panda_arm.q, goal[None], most=20_000, seed=1).q
+            path = plan_path(world, panda_arm.q, goal[None], most=20_000, seed=1)
             if len(path):
                 found.append((world, path))
     return found

@@ -277,8 +277,10 @@ def test_what_always_touches_is_left_out(tmp_path: Path) -> None:
 
 def test_robots_that_cannot_be_served_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"'joint2'.*prismatic.*must be revolute"):
-        make_arm_spheres(arm_of_links(tmp_path / "p.urdf", "rrprrr"), np.zeros(6))
+        make_arm_spheres(arm_of_links(tmp_path / "p.urdf", "rrprrr"), np.zeros(6), [], COARSE)
     with pytest.raises(ValueError, match=r"link1.*has collision geometry"):
-        make_arm_spheres(arm_of_links(tmp_path / "b.urdf", collision=False), np.zeros(6))
+        make_arm_spheres(
+            arm_of_links(tmp_path / "b.urdf", collision=False), np.zeros(6), [], COARSE
+        )
     with pytest.raises(ValueError, match="no joint moves 'link2'"):
-        make_arm_spheres(arm_of_links(tmp_path / "f.urdf", "ff"), np.zeros(0))
+        make_arm_spheres(arm_of_links(tmp_path / "f.urdf", "ff"), np.zeros(0), [], COARSE)
