@@ -62,6 +62,11 @@ class MotionMetrics:
     p_WE: FloatArray
 
 
+MIN_PENETRATION = 1e-9
+"""Penetration below which two shapes are not in contact [m].
+
+Shapes that rest flush on each other, as a carried object on the hand's link, penetrate by rounding.
+"""
 Contacts = dict[str, float]
 """Pairs in contact at one instant -> their greatest penetrations [m]."""
 
@@ -245,6 +250,8 @@ class RobotJudge:
         found: Contacts = {}
         own: Contacts = {}
         for hit in query.ComputePointPairPenetration():
+            if hit.depth < MIN_PENETRATION:
+                continue
             first, second = sorted((hit.id_A, hit.id_B), key=self._is_robot, reverse=True)
             link, other = self._body[first], self._body[second]
             if self._is_robot(second):

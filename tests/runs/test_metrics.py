@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from pydrake.geometry import PenetrationAsPointPair, QueryObject
 from pydrake.math import RigidTransform, RollPitchYaw
 
 from drake_oa.common.messages import EllipsoidSet, FloatArray
@@ -81,6 +82,23 @@ def test_the_robot_is_judged_by_scene_graph(poses: dict[str, FloatArray]) -> Non
     assert (found.robot_clearance <= found.tool_clearance).all()
     assert any(name.endswith("obstacle_box") for name in found.contacts)
     assert any("table" in name for name in found.made_contacts)
+
+
+def test_shapes_that_rest_flush_on_each_other_are_not_in_contact(
+    poses: dict[str, FloatArray], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenario = load_scenario("tabletop_box", ["perception=!GroundTruth {}"])
+    assert robot_metrics(scenario, poses["inside"][None]).contacts
+    penetrations = QueryObject.ComputePointPairPenetration
+
+    def flush(query: QueryObject) -> list[PenetrationAsPointPair]:
+        hits = penetrations(query)
+        for hit in hits:
+            hit.depth = 2e-16
+        return hits
+
+    monkeypatch.setattr(QueryObject, "ComputePointPairPenetration", flush)
+    assert not robot_metrics(scenario, poses["inside"][None]).contacts
 
 
 def test_the_robot_may_touch_itself(poses: dict[str, FloatArray]) -> None:
