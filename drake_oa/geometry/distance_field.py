@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -67,12 +67,12 @@ class DistanceField(Frozen):
         note: empty, or that the voxels are coarser than was asked.
     """
 
-    p_WO: FloatArray = field(default_factory=lambda: np.zeros(3))
-    voxel: float = VOXEL
-    values: NDArray[np.float32] = field(default_factory=lambda: np.zeros((2, 2, 2), np.float32))
-    low: FloatArray = field(default_factory=lambda: np.zeros(3))
-    high: FloatArray = field(default_factory=lambda: np.zeros(3))
-    note: str = ""
+    p_WO: FloatArray
+    voxel: float
+    values: NDArray[np.float32]
+    low: FloatArray
+    high: FloatArray
+    note: str
 
 
 def field_of(

@@ -14,7 +14,7 @@ for N points against M ellipsoids pass the points as (N, 1, 3).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
 
@@ -48,10 +48,10 @@ class Ellipsoid(Frozen):
             from the three fields above. At most 1 certifies that all are enclosed.
     """
 
-    center: FloatArray = field(default_factory=lambda: np.zeros(3))
-    R: FloatArray = field(default_factory=lambda: np.eye(3))
-    semi_axes: FloatArray = field(default_factory=lambda: np.ones(3))
-    gauge: float = 0.0
+    center: FloatArray
+    R: FloatArray
+    semi_axes: FloatArray
+    gauge: float
 
 
 class Section(NamedTuple):

@@ -24,7 +24,7 @@ from pydrake.systems.framework import Context
 from scipy.spatial import ConvexHull, QhullError
 
 from drake_oa.common.compiled import compiled, leaf
-from drake_oa.common.messages import FloatArray, Frozen, IntArray, TablePlane
+from drake_oa.common.messages import FloatArray, Frozen, IntArray, TablePlane, zeros
 from drake_oa.geometry.directions import lattice
 from drake_oa.geometry.distance_field import OFFSET, DistanceField
 from drake_oa.geometry.shapes import Box, Cylinder, Sphere, pose, shape_geometry
@@ -93,13 +93,13 @@ class Solid(Frozen):
     name: int = 0
     label: str = ""
     X_WO: FloatArray = field(default_factory=lambda: np.eye(4))
-    v_WO: FloatArray = field(default_factory=lambda: np.zeros(3))
+    v_WO: FloatArray = zeros(3)
     stamp: float = 0.0
     size: tuple[float, ...] = ()
-    center: FloatArray = field(default_factory=lambda: np.zeros(3))
+    center: FloatArray = zeros(3)
     radius: float = math.inf
     corners: tuple[FloatArray, ...] = ()
-    planes: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))
+    planes: FloatArray = zeros(0, 4)
     grid: DistanceField | None = None
 
     def placed(self, p_OQ: FloatArray) -> FloatArray:

@@ -13,7 +13,7 @@ with absolute values in the powers' bases: 1 and 1 is an ellipsoid, 0.1 nearly a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -38,10 +38,10 @@ class Superquadric(Frozen):
         exponents: (2,) lambda_4, lambda_5.
     """
 
-    center: FloatArray = field(default_factory=lambda: np.zeros(3))
-    R: FloatArray = field(default_factory=lambda: np.eye(3))
-    semi_axes: FloatArray = field(default_factory=lambda: np.ones(3))
-    exponents: FloatArray = field(default_factory=lambda: np.ones(2))
+    center: FloatArray
+    R: FloatArray
+    semi_axes: FloatArray
+    exponents: FloatArray
 
 
 def log_inside_outside(p_O: ArrayLike, semi_axes: ArrayLike, exponents: ArrayLike) -> FloatArray:

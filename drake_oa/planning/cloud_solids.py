@@ -36,6 +36,7 @@ from drake_oa.common.messages import (
     IntArray,
     ObstacleClouds,
     TablePlane,
+    zeros,
 )
 from drake_oa.common.ports import DECISION_OFFSET, read_optional, read_value, valid_period
 from drake_oa.geometry.distance_field import DEEPEST, DistanceField, field_of
@@ -85,12 +86,13 @@ class SeenField(Frozen):
     seen: FloatArray
     view_W: FloatArray
     deepest: float
-    inside: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    inside: FloatArray = zeros(0, 3)
 
     @property
     def grid(self) -> DistanceField:
         """Its distances."""
-        return self.solid.grid or DistanceField()
+        assert self.solid.grid is not None
+        return self.solid.grid
 
 
 @dataclass(frozen=True, eq=False)

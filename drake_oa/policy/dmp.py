@@ -50,7 +50,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from drake_oa.common.compiled import compiled
-from drake_oa.common.messages import FloatArray, Frozen
+from drake_oa.common.messages import FloatArray, Frozen, zeros
 
 ALPHA_X = 48.0
 """Default spring constant alpha_x, per normalised time."""
@@ -492,10 +492,10 @@ class OrientationDmp(Frozen):
     """
 
     dmp: Dmp
-    total: FloatArray = field(default_factory=lambda: np.zeros(3))
-    first: FloatArray = field(default_factory=lambda: np.eye(3))
-    last: FloatArray = field(default_factory=lambda: np.eye(3))
-    offset: FloatArray = field(default_factory=lambda: np.zeros(3))
+    total: FloatArray
+    first: FloatArray
+    last: FloatArray
+    offset: FloatArray
 
 
 def rotation_matrix(orientation: ArrayLike) -> FloatArray:
@@ -796,8 +796,8 @@ class Demonstration(Frozen):
     position: Dmp | None = None
     orientation: OrientationDmp | None = None
     R_WG: FloatArray = field(default_factory=lambda: np.eye(3))
-    s: FloatArray = field(default_factory=lambda: np.zeros(0))
-    q: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    s: FloatArray = zeros(0)
+    q: FloatArray = zeros(0, 0)
 
     def posture(self, s: FloatArray) -> FloatArray:
         """(M, n) joints at normalised times (M,); beyond the ends those of the ends [rad]."""

@@ -16,7 +16,7 @@ from pydrake.systems.framework import (
 )
 from scipy.spatial.transform import Rotation
 
-from drake_oa.common.messages import FloatArray, Frozen, PolicyState
+from drake_oa.common.messages import FloatArray, Frozen, PolicyState, zeros
 from drake_oa.common.ports import Cell, read_optional, read_value, valid_period
 from drake_oa.policy.dmp import (
     ALPHA,
@@ -41,27 +41,27 @@ class OrientationSegment(Frozen):
     """The motion of the rotation vector between two steps.
 
     Attributes:
+        ends: (2, 2, 3) rotation vector from the origin [rad] and its rate [rad/s] at both steps.
+        goal: (3,) rotation vector of the goal from the origin [rad].
+        origin: (4,) quaternion of the origin.
         begin: time of the first of them [s].
         length: time between them; 0: there was no step yet [s].
-        ends: (2, 2, 3) rotation vector from the origin [rad] and its rate [rad/s] at both.
         z: (3,) derivative of the rotation vector by normalised time at the second [rad].
         phase: canonical phase of the policy, as last seen.
-        goal: (3,) rotation vector of the goal from the origin [rad].
         asked: (4,) quaternion of that goal as it was read; NaN: none was.
-        origin: (4,) quaternion of the origin.
         p_WS: (3,) start of the policy's motion, as last seen [m]; (0,): none was.
         demonstration: active demonstration; empty: the constructor's primitive.
     """
 
+    ends: FloatArray
+    goal: FloatArray
+    origin: FloatArray
     begin: float = 0.0
     length: float = 0.0
-    ends: FloatArray = field(default_factory=lambda: np.zeros((2, 2, 3)))
-    z: FloatArray = field(default_factory=lambda: np.zeros(3))
+    z: FloatArray = zeros(3)
     phase: float = 1.0
-    goal: FloatArray = field(default_factory=lambda: np.zeros(3))
     asked: FloatArray = field(default_factory=lambda: np.full(4, np.nan))
-    origin: FloatArray = field(default_factory=lambda: np.eye(4)[0])
-    p_WS: FloatArray = field(default_factory=lambda: np.zeros(0))
+    p_WS: FloatArray = zeros(0)
     demonstration: Demonstration = field(default_factory=Demonstration)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from pydrake.multibody.tree import FixedOffsetFrame, Frame, ModelInstanceIndex
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from drake_oa.common.config import ScenarioError
-from drake_oa.common.messages import FloatArray
+from drake_oa.common.messages import FloatArray, zeros
 from drake_oa.geometry.shapes import pose
 from drake_oa.geometry.solids import outline_corners, read_solid
 from drake_oa.robot.arm import joints_to
@@ -154,11 +154,11 @@ class RobotLimits:
     """
 
     position_name: tuple[str, ...] = ()
-    position_lower: FloatArray = field(default_factory=lambda: np.zeros(0))
-    position_upper: FloatArray = field(default_factory=lambda: np.zeros(0))
-    velocity_limit: FloatArray = field(default_factory=lambda: np.zeros(0))
+    position_lower: FloatArray = zeros(0)
+    position_upper: FloatArray = zeros(0)
+    velocity_limit: FloatArray = zeros(0)
     actuator_name: tuple[str, ...] = ()
-    effort_limit: FloatArray = field(default_factory=lambda: np.zeros(0))
+    effort_limit: FloatArray = zeros(0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -91,7 +91,7 @@ def test_volume_is_near_the_optimum_of_a_simplex_and_an_ellipsoid():
         stretch = np.array([0.3, 0.1, 0.05])
         p, R = pose(rng)
         e = enclosing_ellipsoid((points * stretch) @ R.T + p)
-        optimum = Ellipsoid(semi_axes=radius * stretch)
+        optimum = Ellipsoid(np.zeros(3), np.eye(3), radius * stretch, 0.0)
         assert 0.98 <= volume(e) / volume(optimum) <= 1.03
         assert gauges(e, (points * stretch) @ R.T + p, POINT).max() <= 1.0 + 1e-12
 

@@ -57,7 +57,7 @@ def test_f_equals_the_print_where_the_print_is_a_number(l4, l5, seed):
     p = rng.uniform(-0.5, 0.5, (20, 3))
     x, y, z = np.abs(p.T) / axes[:, None]
     printed = (x ** (2 / l5) + y ** (2 / l5)) ** (l5 / l4) + z ** (2 / l4)
-    shape = Superquadric(semi_axes=axes, exponents=np.array([l4, l5]))
+    shape = Superquadric(np.zeros(3), np.eye(3), axes, np.array([l4, l5]))
     np.testing.assert_allclose(inside_outside(shape, p), printed, rtol=1e-11)
 
 
@@ -74,7 +74,7 @@ def test_gauge_is_homogeneous_near_and_far(exponents, decades, seed):
 def test_points_on_the_axes_and_at_the_centre_are_no_special_case():
     axes = np.array([0.1, 0.2, 0.3])
     for exponents in ([0.1, 2.0], [2.0, 0.1], [1.0, 1.0]):
-        shape = Superquadric(semi_axes=axes, exponents=np.array(exponents))
+        shape = Superquadric(np.zeros(3), np.eye(3), axes, np.array(exponents))
         with np.errstate(all="raise"):
             values = inside_outside(shape, np.vstack([np.diag(axes), np.zeros(3)]))
         np.testing.assert_allclose(values, [1.0, 1.0, 1.0, 0.0], atol=1e-12)
