@@ -38,11 +38,6 @@ def voxel_keys(points: FloatArray, voxel: float) -> IntArray:
     return cell_keys(np.require(points, np.float64, ["C", "W"]), float(voxel))
 
 
-def first_in_voxels(points: FloatArray, voxel: float) -> IntArray:
-    """Ascending indices of the points (N, 3) that are the first of their voxel [m]."""
-    return np.sort(np.unique(voxel_keys(points, voxel), return_index=True)[1])
-
-
 @compiled
 def filed(keys: IntArray) -> tuple[IntArray, IntArray, IntArray]:
     """Finds the different keys among keys (N,).

@@ -1,4 +1,4 @@
-"""Geometry of the pictures in the viewer: meshes, poses and thinned clouds.
+"""Geometry of the pictures in the viewer: cost rings, sections and frustums.
 
 Everything here is a function of arrays; `drake_oa.viewing.meshcat_overlay` sends
 the results to Meshcat.
@@ -7,17 +7,14 @@ the results to Meshcat.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydrake.math import RotationMatrix
 from pydrake.systems.sensors import CameraInfo
 
-from drake_oa.common.messages import FloatArray, IntArray
+from drake_oa.common.messages import FloatArray
 from drake_oa.geometry.ellipsoid import plane_section
 from drake_oa.geometry.pinhole import pinhole
-from drake_oa.geometry.voxels import first_in_voxels
 
 Color = tuple[float, float, float]
 
@@ -34,79 +31,13 @@ COST_COLORS: tuple[Color, ...] = ((0.10, 0.62, 0.28), (0.98, 0.82, 0.18), (0.80,
 
 INNER_RADIUS, BAND, GAP = 0.17, 0.022, 0.005
 """Radius of the innermost cost ring, width of a ring, gap between rings and sectors [m]."""
-_PARALLEL = 1e-6
 _FRUSTUM_DEPTH = 1.1
 """Drawn part of a camera's range [m]: a frustum of full depth hides more than it shows."""
 
 
-class TriangleMesh(NamedTuple):
-    """A triangle mesh in Meshcat's layout.
-
-    Attributes:
-        vertices: (3, n) vertices [m].
-        faces: (3, m) vertices of each triangle, counter-clockwise seen from outside.
-    """
-
-    vertices: FloatArray
-    faces: NDArray[np.int32]
-
-
-def _surface(points: FloatArray) -> TriangleMesh:
-    """Meshes a grid of points (rows, columns, 3) whose last column is joined to the first."""
-    rows, columns = points.shape[:2]
-    index = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
-    a, b = index[:-1], index[1:]
-    c, d = np.roll(b, -1, axis=1), np.roll(a, -1, axis=1)
-    faces = np.concatenate([np.stack([a, b, c]), np.stack([a, c, d])], axis=1)
-    return TriangleMesh(points.reshape(-1, 3).T.copy(), faces.reshape(3, -1))
-
-
-def tube(path: ArrayLike, radius: float, sides: int = 12) -> TriangleMesh:
-    """Meshes a round tube along a polyline; WebGL draws a line one pixel wide only.
-
-    The corners of all circles begin at the direction that the path is least along, so that the
-    tube does not twist. Consecutive equal points count once; two must differ.
-
-    Args:
-        path: (T, 3) points [m].
-        radius: radius of the tube [m].
-        sides: corners of the circle.
-    """
-    points = np.asarray(path, dtype=float)
-    points = points[np.diff(points, axis=0, prepend=np.inf).any(axis=1)]
-    steps = np.diff(points, axis=0)
-    tangents = np.append(steps, steps[-1:], axis=0)
-    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-    across = np.linalg.svd(tangents)[2][-1]
-    normals = across - (tangents @ across)[:, None] * tangents
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-    binormals = np.cross(tangents, normals)
-    angles = np.linspace(2.0 * np.pi, 0.0, sides, endpoint=False)[:, None]
-    circles = np.cos(angles) * normals[:, None] + np.sin(angles) * binormals[:, None]
-    rings = points[:, None] + radius * circles
-    # The ends are closed by circles of no radius.
-    caps = np.repeat(points[[0, -1], None], sides, axis=1)
-    return _surface(np.concatenate([caps[:1], rings, caps[1:]]))
-
-
-def unit_sphere(parallels: int = 24, meridians: int = 48) -> TriangleMesh:
-    """Meshes the unit sphere, with a smooth silhouette; `parallels` from pole to pole."""
-    polar = np.linspace(0.0, np.pi, parallels + 1)[:, None]
-    turn = np.arange(meridians) * (2.0 * np.pi / meridians)
-    xyz = np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), np.cos(polar) + 0.0 * turn
-    return _surface(np.stack(xyz, axis=-1))
-
-
-def unit_circle(count: int = 96) -> FloatArray:
-    """Returns `count` points of the unit circle in the xy plane, and the first two again.
-
-    A tube along them overlaps itself, so that its seam is not to be seen.
-    """
-    angles = np.arange(count + 2) * (2.0 * np.pi / count)
-    return np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], axis=1)
-
-
-def ring_mesh(costs: Mapping[str, ArrayLike], angles: ArrayLike) -> tuple[TriangleMesh, FloatArray]:
+def ring_mesh(
+    costs: Mapping[str, ArrayLike], angles: ArrayLike
+) -> tuple[FloatArray, NDArray[np.int32], FloatArray]:
     """Meshes the cost rings of one obstacle as colored bands, one in the other.
 
     The bands lie in the local YZ-plane about the origin, in the order of `costs`
@@ -117,7 +48,8 @@ def ring_mesh(costs: Mapping[str, ArrayLike], angles: ArrayLike) -> tuple[Triang
         angles: (K,) directions [rad], evenly spread, 0 along y, pi/2 along z.
 
     Returns:
-        The mesh, and (3, n) linear colors of its vertices, unlike all others of the viewer.
+        (3, n) vertices [m]; (3, m) vertices of each triangle; and (3, n) linear colors of the
+        vertices, unlike all others of the viewer.
     """
     middle = np.asarray(angles, dtype=float)
     inside = INNER_RADIUS + np.arange(len(costs))[:, None] * (BAND + GAP)
@@ -133,7 +65,7 @@ def ring_mesh(costs: Mapping[str, ArrayLike], angles: ArrayLike) -> tuple[Triang
     cost = np.stack([np.asarray(values, dtype=float) for values in costs.values()]).ravel()
     scale = np.transpose(COST_COLORS)
     color = np.stack([np.interp(cost, (0.0, 0.5, 1.0), part) for part in scale])
-    return TriangleMesh(vertices.reshape(-1, 3).T.copy(), faces.copy()), np.repeat(color**2.2, 6, 1)
+    return vertices.reshape(-1, 3).T.copy(), faces.copy(), np.repeat(color**2.2, 6, 1)
 
 
 def ring_radius(n_rings: int) -> float:
@@ -157,81 +89,25 @@ def frustum_edges(camera: CameraInfo, near: float, far: float) -> FloatArray:
     return np.concatenate([np.stack([0.0 * rays, far * rays], axis=1), near * sides, far * sides])
 
 
-def plane_normals(
-    p_WE: FloatArray, z_W: FloatArray, p_WO: FloatArray, fallback_W: FloatArray
-) -> FloatArray:
-    """Computes normals of the P-planes, spanned by the way to the obstacle and the heading.
-
-    Args:
-        p_WE: (3,) end effector [m].
-        z_W: (3,) its velocity, of any scale.
-        p_WO: (M, 3) centers of the obstacles [m].
-        fallback_W: (M, 3) unit normals to take where the two do not span a plane.
-
-    Returns:
-        (M, 3) unit normals.
-    """
-    to_O = p_WO - p_WE
-    normal = np.cross(to_O, z_W)
-    size = np.linalg.norm(normal, axis=1, keepdims=True)
-    least = _PARALLEL * np.linalg.norm(to_O, axis=1, keepdims=True) * np.linalg.norm(z_W)
-    spanned = size > least
-    return np.where(spanned, normal / np.where(spanned, size, 1.0), fallback_W)
-
-
 def section_frames(
-    R_WO: ArrayLike, semi_axes: ArrayLike, normal_W: FloatArray
+    R_WO: ArrayLike, semi_axes: ArrayLike, planes_W: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Computes frames of ellipsoids' sections by planes through their centers.
-
-    The sections are the descriptors lambda' of the P-plane (section IV-B of the
-    paper) where `normal_W` is that plane's normal.
 
     Args:
         R_WO: (M, 3, 3) rotations, principal axes in the columns.
         semi_axes: (M, 3) semi-axes [m].
-        normal_W: (M, 3) normals of the planes.
+        planes_W: (M, 2, 3) orthonormal vectors that span the planes, one a row.
 
     Returns:
         (M, 3, 3) rotations with the section's principal axes and the normal in their columns,
-        and (M, 3) scales that stretch the unit circle in the xy plane to the section: its
+        and (M, 3) scales that stretch the unit disc in the xy plane to the section: its
         semi-axes, and their mean [m].
     """
-    planes = [RotationMatrix.MakeFromOneVector(normal, 2).matrix() for normal in normal_W]
-    frames = np.array(planes).reshape(-1, 3, 3)
-    section = plane_section(R_WO, semi_axes, frames[:, :, 0], frames[:, :, 1])
-    first, second = section.axes[:, 0], section.axes[:, 1]
-    lengths = section.semi_axes
+    lengths, axes = plane_section(R_WO, semi_axes, planes_W[:, 0], planes_W[:, 1])
+    first, second = axes[:, 0], axes[:, 1]
     scale = np.column_stack([lengths, lengths.mean(axis=1)])
     return np.stack([first, second, np.cross(first, second)], axis=2), scale
-
-
-def baseline_points(
-    p_WS: FloatArray, p_WG: FloatArray, R_WL: FloatArray, p_WO: FloatArray
-) -> FloatArray:
-    """Returns the points (M, 3) of the baseline nearest to p_WO (M, 3), where sides are decided."""
-    length = float(np.linalg.norm(p_WG - p_WS))
-    along = np.clip((p_WO - p_WS) @ R_WL[:, 0], 0.0, length)
-    return np.asarray(p_WS + along[:, None] * R_WL[:, 0])
-
-
-def thin_points(points: FloatArray, *, most: int, spacing: float) -> IntArray:
-    """Chooses points of a cloud to show: evenly spread, and not too many.
-
-    Of those in one cube one remains; if there are still too many, an even selection of these.
-
-    Args:
-        points: (N, 3) finite points [m].
-        most: greatest number of chosen points, at least 1.
-        spacing: side of the cubes [m].
-
-    Returns:
-        Ascending indices of the chosen rows.
-    """
-    chosen = first_in_voxels(points, spacing)
-    if chosen.size > most:
-        chosen = chosen[np.linspace(0, chosen.size - 1, most).round().astype(np.int64)]
-    return chosen
 
 
 def assign_slots(slots: tuple[int, ...], ids: ArrayLike) -> tuple[int, ...]:

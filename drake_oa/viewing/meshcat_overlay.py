@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 from pydrake.common.value import Value
-from pydrake.geometry import Capsule, Cylinder, Meshcat, MeshcatCone, Rgba, Sphere
+from pydrake.geometry import Capsule, Cylinder, Meshcat, MeshcatCone, Rgba, Shape, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.tree import BodyIndex
 from pydrake.perception import PointCloud
@@ -19,22 +21,25 @@ from drake_oa.common.messages import (
     Frozen,
     PolicyState,
     Route,
-    TablePlane,
 )
 from drake_oa.common.ports import read_optional, read_value
+from drake_oa.regulation.regressor import actuation_planes
 from drake_oa.scenario.scenario import LAYERS
 from drake_oa.viewing import drawing
-from drake_oa.viewing.drawing import Color, TriangleMesh
+from drake_oa.viewing.drawing import Color
 
 _ROOT = "/drake_oa"
 PERIOD = 1.0 / 15.0
 """Time between frames [s]."""
 _CLOUD_FRAMES = 3
 """Frames from one cloud to the next."""
+_CLOUD_SPACING = 0.02
+"""Edge of the voxels of which one point each is drawn [m]."""
 _PLACES = 8
 """Greatest number of obstacles that are drawn."""
 _SHORTEST_SEGMENT = 2e-3
 _COST_CHANGE = 0.1
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -161,13 +166,10 @@ class MeshcatOverlay(LeafSystem):
 
     # State -------------------------------------------------------------------------
 
-    def _read_ellipsoids(self, context: Context) -> EllipsoidSet:
-        ellipsoids = read_optional(self, self._ellipsoids, context, EllipsoidSet)
-        return EllipsoidSet() if ellipsoids is None else ellipsoids
-
-    def _read_route(self, context: Context) -> Route:
-        route = read_optional(self, self._route, context, Route)
-        return Route() if route is None else route
+    def _read(self, port: InputPort, context: Context, kind: type[T]) -> T:
+        """Reads a port; an empty value where it is not connected."""
+        found = read_optional(self, port, context, kind)
+        return kind() if found is None else found
 
     def _tool_point(self, context: Context) -> FloatArray:
         if self._body_index is None or not self._bodies.HasValue(context):
@@ -202,8 +204,8 @@ class MeshcatOverlay(LeafSystem):
 
     def _with_obstacles(self, context: Context, shown: _Shown) -> _Shown:
         """Places the obstacles, and renews the rings whose costs have changed visibly."""
-        ellipsoids = self._read_ellipsoids(context)
-        route = self._read_route(context)
+        ellipsoids = self._read(self._ellipsoids, context, EllipsoidSet)
+        route = self._read(self._route, context, Route)
         slots = drawing.assign_slots(shown.slots, ellipsoids.ids)
         row_of = {name: row for row, name in enumerate(route.ids.tolist())}
         rings = []
@@ -218,11 +220,22 @@ class MeshcatOverlay(LeafSystem):
 
     # Drawing -----------------------------------------------------------------------
 
-    def _mesh(self, path: str, mesh: TriangleMesh, color: Color, opacity: float = 1.0) -> None:
-        """Sets a smoothly shaded mesh."""
-        self._meshcat.SetTriangleMesh(path, *mesh, Rgba(*color, opacity))
-        self._meshcat.SetProperty(f"{path}/<object>", "material.flatShading", False)
+    def _solid(self, path: str, shape: Shape, color: Color, opacity: float = 1.0) -> None:
+        """Sets a shape without a shadow."""
+        self._meshcat.SetObject(path, shape, Rgba(*color, opacity))
         self._meshcat.SetProperty(f"{path}/<object>", "castShadow", False)
+
+    def _segment(
+        self, path: str, p_from: FloatArray, p_to: FloatArray, radius: float, color: Color
+    ) -> None:
+        """Sets a round segment between two points that differ [m].
+
+        WebGL draws a line one pixel wide only.
+        """
+        way = p_to - p_from
+        self._solid(path, Capsule(radius, float(np.linalg.norm(way))), color)
+        R = RotationMatrix.MakeFromOneVector(way, 2)
+        self._meshcat.SetTransform(path, RigidTransform(R, 0.5 * (p_from + p_to)))
 
     def _arrow(self, path: str, length: float, radius: float, color: Color) -> None:
         """Sets an arrow from the path's origin along its x axis [m]."""
@@ -252,15 +265,14 @@ class MeshcatOverlay(LeafSystem):
         for layer in LAYERS:
             meshcat.Delete(f"{_ROOT}/{layer}")
             meshcat.SetProperty(f"{_ROOT}/{layer}", "visible", layer in self._show)
-        circle = drawing.tube(drawing.unit_circle(), 0.014)
         length = drawing.ring_radius(3) + 0.08
         for slot in range(_PLACES):
             path = f"{_ROOT}/descriptor/{slot}"
             body = f"{path}/ellipsoid/shape"
-            self._mesh(body, drawing.unit_sphere(), drawing.ELLIPSOID, 0.32)
+            self._solid(body, Sphere(1.0), drawing.ELLIPSOID, 0.32)
             # What is inside or behind it stays visible.
             meshcat.SetProperty(f"{body}/<object>", "material.depthWrite", False)
-            self._mesh(f"{path}/section/shape", circle, drawing.SECTION)
+            self._solid(f"{path}/section/shape", Cylinder(1.0, 0.02), drawing.SECTION, 0.6)
             self._arrow(f"{_ROOT}/decision/{slot}/direction", length, 0.0055, drawing.CHOSEN)
         self._draw_planned(read_value(self, self._policy, context, PolicyState))
         for path, edges_C, _ in self._connected_cameras(context):
@@ -273,8 +285,10 @@ class MeshcatOverlay(LeafSystem):
 
     def _draw_planned(self, policy: PolicyState) -> None:
         path = np.stack([policy.p_WS, policy.p_WG]) if self._planned_W is None else self._planned_W
-        if float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()) > 0.0:
-            self._mesh(f"{_ROOT}/motion/planned/path", drawing.tube(path, 0.005), drawing.PLANNED)
+        for row, (p_from, p_to) in enumerate(pairwise(path)):
+            if (p_to != p_from).any():
+                name = f"{_ROOT}/motion/planned/path/{row}"
+                self._segment(name, p_from, p_to, 0.005, drawing.PLANNED)
         for name, p_WQ in (("start", policy.p_WS), ("goal", policy.p_WG)):
             ball = f"{_ROOT}/motion/planned/{name}"
             self._meshcat.SetObject(ball, Sphere(0.014), Rgba(*drawing.PLANNED))
@@ -293,13 +307,12 @@ class MeshcatOverlay(LeafSystem):
         for path, _, port in self._connected_cameras(context):
             self._meshcat.SetTransform(path, port.Eval(context), time)
         if shown.frame % _CLOUD_FRAMES == 0 and self._cloud.HasValue(context):
-            table = self._read_ellipsoids(context).table
-            self._draw_cloud(self._cloud.Eval(context), table, shown, time)
+            self._draw_cloud(self._cloud.Eval(context), shown, time)
 
     def _draw_obstacles(self, context: Context, before: _Shown, shown: _Shown) -> None:
         time = context.get_time()
-        ellipsoids = self._read_ellipsoids(context)
-        route = self._read_route(context)
+        ellipsoids = self._read(self._ellipsoids, context, EllipsoidSet)
+        route = self._read(self._route, context, Route)
         policy = read_value(self, self._policy, context, PolicyState)
         row_of = {name: row for row, name in enumerate(ellipsoids.ids.tolist())}
         left = route.remaining_clearance
@@ -309,12 +322,12 @@ class MeshcatOverlay(LeafSystem):
             for row, name in enumerate(route.ids.tolist())
             if not len(left) or left[row] > 0.0
         }
-        normals = np.tile(policy.R_WL[:, 1], (len(ellipsoids), 1))
-        if len(route.normal_W) and np.array_equal(route.ids, ellipsoids.ids):
-            normals = route.normal_W
-        normals = drawing.plane_normals(policy.p_WE, policy.z_W, ellipsoids.p_WO, normals)
-        R_WS, sections = drawing.section_frames(ellipsoids.R_WO, ellipsoids.semi_axes, normals)
-        p_WB = drawing.baseline_points(policy.p_WS, policy.p_WG, policy.R_WL, ellipsoids.p_WO)
+        planes = actuation_planes(policy.p_WE, policy.z_W, policy.R_WL, ellipsoids.p_WO)
+        R_WS, sections = drawing.section_frames(ellipsoids.R_WO, ellipsoids.semi_axes, planes)
+        # Points of the baseline where sides are decided.
+        baseline, length = policy.R_WL[:, 0], float(np.linalg.norm(policy.p_WG - policy.p_WS))
+        along = np.clip((ellipsoids.p_WO - policy.p_WS) @ baseline, 0.0, length)
+        p_WB = policy.p_WS + along[:, None] * baseline
         for slot, obstacle in enumerate(shown.slots):
             path, decided = f"{_ROOT}/descriptor/{slot}", f"{_ROOT}/decision/{slot}"
             row = row_of.get(obstacle, -1)
@@ -352,49 +365,24 @@ class MeshcatOverlay(LeafSystem):
             name = f"{path}/{rings.frame}"
             # The legend reads the rings' names from the path.
             bands = f"{name}/{', '.join(rings.costs)}"
-            mesh, colors = drawing.ring_mesh(rings.costs, angles)
-            self._meshcat.SetTriangleColorMesh(bands, *mesh, colors)
+            self._meshcat.SetTriangleColorMesh(bands, *drawing.ring_mesh(rings.costs, angles))
             self._meshcat.SetProperty(f"{bands}/<object>", "castShadow", False)
             self._appear(name, shown, time)
 
     def _draw_executed(self, p_from: FloatArray, shown: _Shown, time: float) -> None:
-        way = shown.p_WE - p_from
-        if way.any():
+        if (shown.p_WE != p_from).any():
             path = f"{_ROOT}/motion/executed/{shown.frame}"
-            segment = Capsule(0.0055, float(np.linalg.norm(way)))
-            self._meshcat.SetObject(path, segment, Rgba(*drawing.EXECUTED))
-            R = RotationMatrix.MakeFromOneVector(way, 2)
-            self._meshcat.SetTransform(path, RigidTransform(R, 0.5 * (p_from + shown.p_WE)))
+            self._segment(path, p_from, shown.p_WE, 0.0055, drawing.EXECUTED)
             self._appear(path, shown, time)
 
-    def _draw_cloud(
-        self, cloud: PointCloud, table: TablePlane | None, shown: _Shown, time: float
-    ) -> None:
+    def _draw_cloud(self, cloud: PointCloud, shown: _Shown, time: float) -> None:
         clouds = f"{_ROOT}/perception/cloud"
         if shown.frame > 0:
             self._show_path(f"{clouds}/{shown.frame - _CLOUD_FRAMES}", False, time)
         path = f"{clouds}/{shown.frame}"
-        self._meshcat.SetObject(path, thinned(cloud, table), 0.011, Rgba(*drawing.CLOUD))
+        thinned = cloud.VoxelizedDownSample(_CLOUD_SPACING)
+        self._meshcat.SetObject(path, thinned, 0.011, Rgba(*drawing.CLOUD))
         self._appear(path, shown, time)
-
-
-def thinned(cloud: PointCloud, table: TablePlane | None) -> PointCloud:
-    """Thins a cloud out: most points are of the objects on the table, the rest of the table."""
-    # An image holds far more points than are drawn: look at some of them only.
-    index = np.arange(0, cloud.size(), max(1, cloud.size() // 40_000))
-    index = index[np.isfinite(cloud.xyzs()[:, index]).all(axis=0)]
-    points = np.asarray(cloud.xyzs()[:, index].T, dtype=float)
-    stands = (table or TablePlane()).height(points) > 0.01
-    chosen = [
-        np.flatnonzero(part)[drawing.thin_points(points[part], most=most, spacing=spacing)]
-        for part, most, spacing in ((stands, 1050, 0.015), (~stands, 450, 0.0375))
-    ]
-    index = index[np.concatenate(chosen)]
-    thin = PointCloud(index.size, cloud.fields())
-    thin.mutable_xyzs()[:] = cloud.xyzs()[:, index]
-    if cloud.has_rgbs():
-        thin.mutable_rgbs()[:] = cloud.rgbs()[:, index]
-    return thin
 
 
 def _pose(R: FloatArray, p: FloatArray) -> RigidTransform:

@@ -7,7 +7,6 @@ from drake_oa.geometry.pinhole import View, pixel_at
 from drake_oa.geometry.voxels import (
     connected_clusters,
     filed,
-    first_in_voxels,
     joined_across_unseen,
     points_of_groups,
     voxel_keys,
@@ -81,13 +80,6 @@ def test_a_gap_without_depth_or_with_the_clusters_themselves_behind_joins():
     assert len(set(join(np.nan, -1))) == 1
     assert len(set(join(1.2, 1))) == 1
     assert len(set(join(0.5, -1))) == 1
-
-
-def test_the_first_point_of_each_voxel_is_found_in_order():
-    cloud = np.array([[0.031, 0, 0], [0.001, 0, 0], [0.039, 0, 0], [0.019, 0, 0]])
-    np.testing.assert_array_equal(first_in_voxels(cloud, 0.02), [0, 1])
-    np.testing.assert_array_equal(first_in_voxels(cloud, 0.005), np.arange(4))
-    assert not len(first_in_voxels(np.zeros((0, 3)), 0.02))
 
 
 @given(st.integers(1, 300), st.integers(0, 9999))

@@ -16,7 +16,7 @@ from pydrake.systems.sensors import CameraInfo
 
 from drake_oa.common.messages import PolicyState, Route
 from drake_oa.viewing.drawing import frustum_edges
-from drake_oa.viewing.meshcat_overlay import LAYERS, PERIOD, MeshcatOverlay, thinned
+from drake_oa.viewing.meshcat_overlay import LAYERS, PERIOD, MeshcatOverlay
 from drake_oa.viewing.viewer import dress_scene
 from tests.builders import balls
 
@@ -177,14 +177,6 @@ def test_each_cloud_is_an_object_of_its_own(meshcat):
     sim = simulator(meshcat, more=[("cloud", Value(cloud_of([[0.1, 0.2, 0.3]], [1, 1, 1])))])
     sim.AdvanceTo(5.5 * PERIOD)
     assert frames(meshcat, "perception/cloud") == [0, 3]
-
-
-def test_colors_stay_with_their_points():
-    points = [[np.nan, 0, 0], [0, 0, 0.5], [np.inf, 0, 0], [0, 0.3, 0.2]]
-    thin = thinned(cloud_of(points, *np.repeat(np.arange(4), 3)), None)
-    assert thin.xyzs()[2] == pytest.approx([0.5, 0.2])
-    assert thin.rgbs()[0].tolist() == [1, 3]
-    assert thinned(cloud_of([]), None).size() == 0
 
 
 def test_each_connected_camera_has_a_frustum(meshcat):
